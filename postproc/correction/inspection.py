@@ -1,16 +1,248 @@
-"""All checks of a commanded path, and of the origin that a program states."""
+"""All checks of a commanded path, also between its samples; speeds of rapid moves; the origin that a program states.
+
+The samples of an arc may be 60° apart, those of a line 20 mm: enough for the deflection, but between two of them a
+joint may turn fastest, exceed a limit or pass a singularity. Where that is possible, an arc is examined every 5°, and
+the piece of a line between two samples every 2 mm and half a degree.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
+import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
+
+from postproc import kinematics, toolpath
 from postproc.cell import Cell
-from postproc.correction import checks, closely, joint_speeds
+from postproc.correction import checks
 from postproc.correction.result import Mode
 from postproc.dialects import registry
 from postproc.elastostatics import Compensation
 from postproc.errors import Issue
-from postproc.frames import M_PER_MM, norm
-from postproc.program import Program
-from postproc.under_load import PathUnderLoad
+from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, any_column, norm
+from postproc.program import CIRC, LIN, PTP, SPL, Bools, Ints, Program, distinct
+from postproc.robot import JOINTS
+from postproc.toolpath import Toolpath
+from postproc.under_load import ImpossiblePathError, MotionsUnderLoad, PathUnderLoad, unreachable
+
+_USED = 0.98
+"""Share of a joint's largest speed that slowed rapid moves use."""
+
+
+def slowed(path: PathUnderLoad, q: Array, position: Array) -> tuple[MotionsUnderLoad, Issue] | None:
+    """Return the motions with rapid moves slowed to what the joints can do, and the remark; None if none is too fast.
+
+    Only programs whose text is written anew have rapid straight moves with a speed of their own.
+
+    :param q: (N, 6) commanded joint angles of the samples [rad], `position` (N, 3) commanded positions [m].
+    """
+    program, robot = path.program, path.setting.robot
+    m = program.motions
+    if program.keeps_text or not (m.rapid & (m.kind == LIN)).any():
+        return None
+    speed = commanded_speed(path, q, position)
+    share = np.zeros(len(m))
+    joint = np.zeros(len(m), dtype=np.int64)
+
+    def take(motion: Ints, speed: Array) -> None:
+        of_limit = speed / robot.speed
+        worst = of_limit.max(axis=1)
+        rows = np.flatnonzero(m.rapid[motion] & (m.kind[motion] == LIN) & (worst > _USED))
+        rows = rows[np.argsort(worst[rows])]
+        rows = rows[worst[rows] > share[motion[rows]]]
+        share[motion[rows]], joint[motion[rows]] = worst[rows], of_limit[rows].argmax(axis=1)
+
+    take(path.sample.motion, speed)
+    _, lines = stretches_to_examine(path, q, speed)
+    for close, exact, position_there in dense_places(path, q, position, lines):
+        take(close.motion, checks.joint_speed(program, close, path.motions.segments.turn, exact, position_there))
+    fast = np.flatnonzero(share > 1.0)
+    if not len(fast):
+        return None
+    feed = m.feed.copy()
+    feed[fast] *= _USED / share[fast]
+    names = " and ".join(JOINTS[axis] for axis in np.unique(joint[fast]).tolist())
+    message = (
+        f"Rapid moves in which {names} would turn too fast are slowed, to {feed[fast].min():.3g} m/s at the slowest."
+    )
+    issue = m.issue("info", "rapid-slowed", message, fast)
+    slow = replace(program, motions=replace(m, feed=feed))
+    return replace(path.motions, program=slow), issue
+
+
+def commanded_speed(path: PathUnderLoad, q: Array, position: Array) -> Array:
+    """Return how fast the joints turn at the programmed feed on the way to each sample (N, 6) [rad/s].
+
+    The first sample is reached from `[start]` of the cell.
+
+    :param q: (N, 6) commanded joint angles of the samples [rad], `position` (N, 3) commanded positions [m].
+    """
+    m, segments = path.program.motions, path.motions.segments
+    speed = checks.joint_speed(path.program, path.sample, segments.turn, q, position)
+    travel = segments.length[0] * path.sample.t[0]
+    if m.kind[0] != PTP and np.isnan(m.joints[0, 0]) and travel > 1e-6 and m.feed[0] > 0.0:
+        speed[0] = np.abs(q[0] - path.setting.cell.start_joints) * m.feed[0] / travel
+    return speed
+
+
+_SPACING = 5.0 * RAD_PER_DEG
+_SHARE_OF_SPEED = 0.75
+"""Of a joint's fastest, by the samples: between two that are 60° apart a sine is up to 1 / cos 30° steeper."""
+_TURNED = 10.0 * RAD_PER_DEG
+"""Rotation from one sample to the next; a joint turns by more only near a wrist or shoulder singularity."""
+_NEAR_WRIST = 1.0 * RAD_PER_DEG
+_NEAR_ELBOW = 20.0 * RAD_PER_DEG
+"""A3 changes with the root of the distance to where the arm is stretched: nearer than this it may get there unseen."""
+_AT_ONCE = 8192
+"""Number of places examined in one batch."""
+_STEPS = 2.0
+"""What changes smoothly passes its values at the samples by less than one of its steps between them."""
+_LONG, _TURNS = 0.002, 0.5 * RAD_PER_DEG
+"""Spacing of the places on a line; pieces that are shorter and turn the tool less are not examined."""
+_NEAREST = 0.15
+"""From the wrist, and the wrist from the axes of A1 to A3 [m], about: a joint turns by no more than the way through it,
+unless the arm is nearly singular."""
+_PER_TURN = 6.0
+"""Largest ratio of joint rotation to tool rotation, unless the wrist is nearly singular."""
+_ELBOW_PER_M, _ELBOW_PER_TURN = 5.0, 3.0
+"""How much A3 may come nearer to where the arm is stretched within a piece of a line, per way [rad/m] and turn."""
+_REACH_PER_TURN = 0.5
+"""How far the wrist may move by turning the tool [m/rad]."""
+
+
+class Stretches(Struct, frozen=True, eq=False):
+    """S stretches of motions that need a closer look, in order along the path.
+
+    :param motion: (S,) row of `Motions`.
+    :param begin: (S,) place where it begins, and `end` (S,) where it ends.
+    :param count: (S,) number of places to examine, including both ends.
+    """
+
+    motion: Ints
+    begin: Array
+    end: Array
+    count: Ints
+
+
+_WRIST, _SHOULDER, _ELBOW = 6, 7, 8
+"""Rows of what must not come to zero, behind those of the joint angles."""
+
+
+def stretches_to_examine(path: PathUnderLoad, q: Array, speed: Array) -> tuple[Stretches, Stretches]:
+    """Return the arcs, and the pieces of lines between two samples, on which a joint may come to what it cannot do.
+
+    :param q: (N, 6) commanded joint angles [rad].
+    :param speed: (N, 6) joint speeds on the way to each [rad/s].
+    """
+    robot, form = path.setting.robot, kinematics.closed_form(path.setting.robot)
+    # at the start and at each sample (9, N + 1): A1…A6 to their nearer limits [rad]; A5 [rad]; distance of the wrist
+    # centre ahead of A1 [m]; A3 measured from the stretched arm [rad]
+    state = np.empty((9, len(q) + 1))
+    state[:6, 0], state[:6, 1:] = path.setting.cell.start_joints, q.T
+    state[_WRIST], state[_SHOULDER], state[_ELBOW] = state[4], form.reach(state.T), form.elbow(state.T)
+    step, room = np.abs(np.diff(state, axis=1)), np.abs(state)
+    room[:6] = np.minimum(state[:6] - robot.lower[:, None], robot.upper[:, None] - state[:6])
+    fast = np.asarray((speed > _SHARE_OF_SPEED * robot.speed).any(axis=1))
+    return _arcs(path, room, step, fast), _lines(path, room, step, fast)
+
+
+def _arcs(path: PathUnderLoad, room: Array, step: Array, fast: Bools) -> Stretches:
+    """Return arcs that are looked at every 5°."""
+    m, motion = path.program.motions, path.sample.motion
+    rows = np.flatnonzero(m.kind[motion] == CIRC)
+    if len(rows):
+        certain = motion[rows[fast[rows] | (step[:6, rows].max(axis=0) > _TURNED)]]
+        # what comes near by the largest step of any arc may come near by that of its own
+        rows = rows[(room[:, rows + 1] < _near(step[:, rows].max(axis=1, keepdims=True))).any(axis=0)]
+        rows = np.flatnonzero(np.isin(motion, motion[rows]))
+        first = np.flatnonzero(np.diff(motion[rows], prepend=-1))
+        near = _near(np.maximum.reduceat(step[:, rows], first, axis=1))
+        close = (np.minimum.reduceat(room[:, rows + 1], first, axis=1) < near).any(axis=0)
+        rows = distinct(np.append(certain, motion[rows[first[close]]]))
+    count = np.ceil(m.sweep[rows] / _SPACING - 1e-9).astype(np.int64) + 1
+    return Stretches(rows, np.zeros(len(rows)), np.ones(len(rows)), count)
+
+
+def _near(step: Array) -> Array:
+    """Return what states may come to between samples of an arc (9, n), by their largest steps along it (9, n)."""
+    near = _STEPS * step
+    near[_WRIST] = np.maximum(near[_WRIST], _NEAR_WRIST)
+    near[_SHOULDER] += checks.SHOULDER
+    near[_ELBOW] = _NEAR_ELBOW
+    return near
+
+
+def _lines(path: PathUnderLoad, room: Array, step: Array, fast: Bools) -> Stretches:
+    """Return pieces of lines that are looked at every 2 mm and half a degree."""
+    sample, segments = path.sample, path.motions.segments
+    first = np.diff(sample.motion, prepend=-1) != 0
+    begin = np.where(first, 0.0, np.roll(sample.t, 1))
+    way, turn = (each[sample.motion] * (sample.t - begin) for each in (segments.way, segments.turn))
+    rows = np.flatnonzero(
+        np.isin(path.program.motions.kind[sample.motion], (LIN, SPL)) & ((way > _LONG) | (turn > _TURNS))
+    )
+    way, turn = way[rows], turn[rows]
+    near = _STEPS * step[:, rows]
+    near[:_SHOULDER] += way / _NEAREST + _PER_TURN * turn
+    near[_SHOULDER] += way + _REACH_PER_TURN * turn + checks.SHOULDER
+    near[_ELBOW] = _ELBOW_PER_M * way + _ELBOW_PER_TURN * turn
+    close = (np.minimum(room[:, rows], room[:, rows + 1]) < near).any(axis=0) | fast[rows]
+    rows, way, turn = rows[close], way[close], turn[close]
+    count = np.ceil(np.maximum(way / _LONG, turn / _TURNS)).astype(np.int64) + 1
+    return Stretches(sample.motion[rows], begin[rows], sample.t[rows], count)
+
+
+def between_samples(
+    path: PathUnderLoad, q: Array, position: Array, stretches: Stretches, apart: Ints
+) -> Iterator[Issue]:
+    """Yield issues of joint limits, singularities and joint speeds between samples.
+
+    :param q: (N, 6) commanded joint angles of the samples [rad], `position` (N, 3) commanded positions [m].
+    :param apart: motions of whose stretches not all follow each other.
+    """
+    program, robot = path.program, path.setting.robot
+    try:
+        for close, exact, commanded in dense_places(path, q, position, stretches):
+            yield from checks.joint_limits(program, robot, close, exact)
+            yield from checks.singularities(program, robot, close, exact, apart)
+            speed = checks.joint_speed(program, close, path.motions.segments.turn, exact, commanded)
+            yield from checks.joint_speeds(program, robot, close, speed)
+    except ImpossiblePathError as cause:
+        yield cause.issue
+
+
+def dense_places(
+    path: PathUnderLoad, q: Array, position: Array, stretches: Stretches
+) -> Iterator[tuple[Toolpath, Array, Array]]:
+    """Yield places on stretches with commanded joint angles (n, 6) [rad] and positions (n, 3) [m].
+
+    :param q: (N, 6) commanded joint angles of the samples [rad], `position` (N, 3) commanded positions [m]: the
+        correction of both is taken for linear between samples.
+    :raises ImpossiblePathError: a place is out of reach.
+    """
+    program, robot, sample, joints = path.program, path.setting.robot, path.sample, path.joints
+    if len(stretches.motion) == 0:
+        return
+    last = np.flatnonzero(sample.ends)
+    known = sample.motion + sample.t
+    values = np.column_stack([joints.q, q - joints.q, position - sample.pose[:, :3, 3]])
+    count = stretches.count
+    group = np.cumsum(count) // _AT_ONCE
+    for part in np.split(np.arange(len(count)), np.flatnonzero(np.diff(group)) + 1):
+        which = np.repeat(part, count[part])
+        index = np.arange(len(which)) - np.flatnonzero(np.diff(which, prepend=-1))[which - part[0]]
+        begin, end = stretches.begin[which], stretches.end[which]
+        motion, t = stretches.motion[which], begin + (end - begin) * (index / (count[which] - 1))
+        close = toolpath.at(program, path.motions.segments, motion, t)
+        flange = toolpath.flange_from_tcp(program, motion, close.pose, t)
+        exact = kinematics.on_branch(robot, flange, joints.branch[last[motion]])
+        bad = any_column(np.isnan(exact))
+        if bad.any():
+            raise ImpossiblePathError(unreachable(program, motion[bad]))
+        between = np.column_stack([np.interp(motion + t, known, column) for column in values.T])
+        exact += 2.0 * np.pi * np.round((between[:, :6] - exact) / (2.0 * np.pi)) + between[:, 6:12]
+        yield close, exact, close.pose[:, :3, 3] + between[:, 12:]
 
 
 def of_origin(program: Program, mode: Mode) -> list[Issue]:
@@ -68,8 +300,8 @@ def of_path(path: PathUnderLoad, command: Compensation) -> list[Issue]:
     """
     program, robot, sample, cell = path.program, path.setting.robot, path.sample, path.setting.cell
     q, position, start = command.q, command.pose[:, :3, 3], cell.start_joints
-    speed = joint_speeds.commanded_speed(path, q, position)
-    arcs, lines = closely.stretches(path, q, speed)
+    speed = commanded_speed(path, q, position)
+    arcs, lines = stretches_to_examine(path, q, speed)
     allowed = cell.output.max_correction_mm * M_PER_MM
     found = [
         *checks.start_joints(program, robot, start),
@@ -85,6 +317,6 @@ def of_path(path: PathUnderLoad, command: Compensation) -> list[Issue]:
     ]
     known = {issue.kind for issue in found}
     for stretches, apart in ((arcs, arcs.motion[:0]), (lines, lines.motion)):
-        found += (issue for issue in closely.look(path, q, position, stretches, apart) if issue.kind not in known)
+        found += (issue for issue in between_samples(path, q, position, stretches, apart) if issue.kind not in known)
         known |= {issue.kind for issue in found}
     return found

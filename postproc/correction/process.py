@@ -1,28 +1,368 @@
-"""Processing stages of a program: path under load, commands, targets, text, read back, simulated, result."""
+"""Processing stages of a program: path under load, commands, targets, text, read back, simulated, result.
+
+A *draft* is a program with its targets chosen; it is written, read back and simulated. Where the simulation exceeds the
+tolerance, targets are inserted and the next draft is made.
+"""
 
 from __future__ import annotations
 
 import gc
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
+from msgspec import Struct
 from msgspec.structs import replace
 
-from postproc import placement
+from postproc import elastostatics, forces, kinematics, placement, toolpath
 from postproc.cell import Cell
-from postproc.correction import checks, commanded, inspection, joint_speeds, select, targets
-from postproc.correction.drafts import Draft, Task, result_of
-from postproc.correction.read_back import LARGE_TEXT
-from postproc.correction.result import Mode, Result
+from postproc.chunks import in_chunks
+from postproc.correction import checks, inspection
+from postproc.correction.result import Doubt, Mode, Result, doubtful
+from postproc.correction.targets import Chosen, CommandedPath, choose_targets, pieces_needed
+from postproc.correction.verify import LARGE_TEXT, ReadBack, Simulated, UnusableTextError, read_back, simulate
 from postproc.dialects import registry
-from postproc.elastostatics import Compensation
-from postproc.errors import InputError, Issue, ProgramError, group_issues
-from postproc.forces import ForceSource
-from postproc.frames import Array
-from postproc.program import CIRC, Document, Ints, Program, read_only
+from postproc.dialects.dialect import Writer
+from postproc.elastostatics import Compensation, Reversals
+from postproc.errors import InputError, Issue, NotConvergedError, ProgramError, group_issues
+from postproc.forces import Axes, ForceSource, Knots
+from postproc.frames import Array, norm, xyzabc_from_pose
+from postproc.placement import Turn
+from postproc.program import CIRC, Document, Ints, Program, TargetForces, TargetJoints, Written, read_only
 from postproc.robot import RobotModel
 from postproc.toolpath import Pieces
 from postproc.under_load import SHARE_OF_TOLERANCE, ImpossiblePathError, MotionsUnderLoad, PathUnderLoad, RobotInCell
+
+_NO_BALANCE = "no loaded equilibrium: the pose is singular or the load too large. Move the part or check the forces."
+
+
+def as_programmed(path: PathUnderLoad) -> Compensation:
+    """Return the uncorrected commands of the program; poses in `$BASE`."""
+    return Compensation(path.joints.q, path.sample.pose, np.zeros((len(path), path.setting.robot.actual.nv)))
+
+
+def corrected(path: PathUnderLoad) -> Compensation:
+    """Return the corrected commands of all samples; poses in `$BASE`. Axis targets are not corrected.
+
+    :raises ImpossiblePathError: a sample has no loaded equilibrium.
+    """
+    movable = np.flatnonzero(np.isnan(path.program.motions.joints[path.sample.motion, 0]))
+
+    def in_chunk(row: Ints) -> tuple[Array, Array, Array]:
+        pose, q, tool = path.pose_in_root(row), path.joints.q.take(row, axis=0), path.tool(row)
+        found = path.setting.compensate(pose, q, tool, path.wrench_in_root(row))
+        motion, t = path.sample.motion[row], path.sample.t[row]
+        return found.q, toolpath.pose_in_base(path.program, motion, found.pose, t), found.theta
+
+    found = _balanced(path, in_chunk, movable)
+    if len(movable) < len(path):
+        unchanged = as_programmed(path)
+        whole = unchanged.q.copy(), unchanged.pose.copy(), unchanged.theta
+        for array, part in zip(whole, found, strict=True):
+            array[movable] = part
+        found = whole
+    return Compensation(*found)
+
+
+def uncorrected(path: PathUnderLoad, rows: Ints, theta: Array) -> tuple[Array, ...]:
+    """Return the deviation and displacement of the tool at samples (n,) without correction, `$BASE` [m].
+
+    :param theta: (N, nv) approximate deflections of the springs: start values.
+    :returns: (n, 3) deviation of the tip from nominal; (n, 3) its displacement by the wrench alone; (n, 3) of that,
+        the deflection of holder, spindle and tool.
+    :raises ImpossiblePathError: there is no equilibrium somewhere.
+    """
+
+    def in_chunk(row: Ints) -> tuple[Array, Array, Array]:
+        q, wrench = path.joints.q.take(row, axis=0), path.wrench_in_root(row)
+        tip, by_tool = path.tip_in_base(row, q, wrench, theta.take(row, axis=0))
+        deviation = tip - path.sample.pose[row, :3, 3]
+        if path.setting.rest_is_nominal:
+            return deviation, deviation, by_tool
+        rest, _ = path.tip_in_base(row, q, np.zeros_like(wrench), theta[row])
+        return deviation, tip - rest, by_tool
+
+    return _balanced(path, in_chunk, rows)
+
+
+def _balanced(path: PathUnderLoad, function: Callable[[Ints], tuple[Array, ...]], rows: Ints) -> tuple[Array, ...]:
+    """Return the results of a function of samples (n,), in chunks; the error lists all motions without equilibrium."""
+    try:
+        return in_chunks(function, rows)
+    except NotConvergedError as cause:
+        motion = path.sample.motion[rows[list(cause.rows)]]
+        raise ImpossiblePathError(path.program.motions.issue("error", "not-converged", _NO_BALANCE, motion)) from None
+
+
+_MB = 1e6
+_NO_BOUND = (
+    "the forces have standard deviations, but the robot model has no covariance: there is no bound (u95_mm) to which "
+    "they could be added."
+)
+
+_NOT_FINITE = (
+    "the expected error of the tool position (u95_mm) is not a number here: the pose is singular, or [covariance] of "
+    "the robot model is wrong."
+)
+
+_BY_PASS = (
+    "passes of this line have different forces: no force file can hold them, and none is written. `predict` of the "
+    "written program needs the process, or forces as comments."
+)
+
+
+class Task(Struct, frozen=True, eq=False):
+    """Settings for processing a program, see `process`.
+
+    :param in_file: True if its forces are read from and written to a file, False for comments.
+    :param initial_issues: issues found before anything is computed.
+    :param turn: the turn of the tool about its axis, if it was chosen.
+    """
+
+    robot: RobotModel
+    mode: Mode
+    linearize_arcs: bool
+    writer: Writer
+    in_file: bool
+    initial_issues: tuple[Issue, ...]
+    turn: Turn | None = None
+
+
+class Draft(Struct, frozen=True, eq=False):
+    """A program with targets at some of the samples of its path.
+
+    :param path: the path.
+    :param q: (N, 6) commanded joint angles at its samples [rad]; the commanded poses are in the targets.
+    :param theta: (N, nv) deflections of the springs there [rad, m].
+    :param chosen: the targets.
+    :param issues: issues found so far.
+    :param simulated: simulation of the written program; None if it is not written yet, or cannot be used.
+    :param carried: forces that a file must give to the written program, and `unlike`, the issues of that file; None if
+        its comments do.
+    """
+
+    path: PathUnderLoad
+    q: Array
+    theta: Array
+    chosen: Chosen
+    issues: tuple[Issue, ...]
+    simulated: Simulated | None = None
+    carried: Knots | None = None
+    unlike: tuple[Issue, ...] = ()
+
+    @classmethod
+    def of(cls, task: Task, path: PathUnderLoad, command: Compensation, chosen: Chosen) -> Draft:
+        """Return the draft with the issues of the task, the program, its forces and its commanded path."""
+        issues = (
+            *task.initial_issues,
+            *path.program.issues,
+            *path.motions.forces.issues,
+            *inspection.of_path(path, command),
+        )
+        return cls(path, command.q, command.theta, chosen, issues)
+
+    @property
+    def failed(self) -> bool:
+        """True if it has an issue of level error."""
+        return any(issue.level == "error" for issue in self.issues)
+
+    def forces_at_targets(self) -> TargetForces:
+        """Return the wrench at each target in the form that the written program needs."""
+        chosen = self.chosen
+        return forces.of_targets(self.path.motions.forces, chosen.targets, chosen.arrive, self.path.wrench[chosen.row])
+
+    def written(self, task: Task) -> Draft:
+        """Return the draft written, read back and simulated, as far as possible.
+
+        :raises ProgramError: it cannot be written.
+        """
+        path, chosen, text = self.path, self.chosen, self._text(task)
+        draft = replace(self, issues=(*self.issues, *text.issues, *_too_large(text, path.setting.cell)))
+        if draft.failed:
+            return draft
+        try:
+            back = read_back(path, chosen, text)
+            simulated = simulate(path, chosen, self.theta, back, corrected=task.mode != "nominal")
+        except UnusableTextError as cause:
+            return replace(draft, issues=(*draft.issues, cause.issue))
+        known = {issue.kind for issue in draft.issues}
+        more = [issue for issue in simulated.issues if issue.kind not in known or issue.kind == "blending"]
+        draft = replace(draft, simulated=simulated, issues=(*draft.issues, *more))
+        if draft.failed or not task.in_file:
+            return draft
+        carried, unlike = _carried(draft, back)
+        return replace(draft, carried=carried, unlike=unlike)
+
+    def _text(self, task: Task) -> Written:
+        path, q = self.path, self.q.take(self.chosen.row, axis=0)
+        comments = self.forces_at_targets() if path.program.notes and not task.in_file else None
+        joints = TargetJoints(q, kinematics.status_of(task.robot, q))
+        return task.writer.write(path.program, self.chosen.targets, joints, path.setting.cell, comments)
+
+
+def _too_large(text: Written, cell: Cell) -> tuple[Issue, ...]:
+    """Return a warning if a written program is larger than the memory of the controller."""
+    size, memory = text.size / _MB, cell.output.program_memory_MB
+    if size <= memory:
+        return ()
+    message = (
+        f"the program has {size:.3g} MB, {size / memory:.2g} times program_memory_MB = {memory:g} of [output]: the "
+        "controller may not load it. Raise tolerance_mm, give forces as a file instead of comments, or divide "
+        "the job into several programs, one for each operation."
+    )
+    return (Issue("warning", "program-memory", message),)
+
+
+def result_of(task: Task, draft: Draft) -> Result:
+    """Return the result of a draft; a program that is not written is predicted without correction."""
+    path, row, targets, program = draft.path, draft.chosen.row, draft.chosen.targets, draft.path.program
+    rows = np.arange(len(path)) if task.mode == "predict" else row
+    without = uncorrected(path, rows, draft.theta)
+    between = float(norm(without[0]).max(initial=0.0))
+    if task.mode == "predict":
+        without = tuple(each[row] for each in without)
+    deviation, deflection, by_tool = without
+    turned = _reversals(draft)
+    bound, doubt, more = _bound(draft, norm(deviation), turned)
+    result = Result(
+        program=program,
+        robot=task.robot,
+        axis=path.setting.spindle,
+        mode=task.mode,
+        issues=group_issues([*draft.issues, *more]),
+        motion=targets.motion,
+        t=targets.t,
+        output_line=program.motions.line[targets.motion],
+        nominal=_at(path.sample.pose, row),
+        printed=_numbers(task, draft),
+        wrench=_at(path.wrench, row),
+        deflection=deflection,
+        deflection_by_tool=None if path.setting.tool_spring is None else by_tool,
+        deviation_before=deviation,
+        deviation_after=deviation,
+        bound=bound,
+        doubt=doubt if task.mode == "convert" else None,
+        q=_at(draft.q, row),
+        joint_margin=kinematics.joint_margin(task.robot, draft.q),
+        singular_value=kinematics.smallest_singular_value(task.robot, draft.q[row], path.tool(row)),
+        between=between,
+        rounding=draft.chosen.programmed,
+        programmed=draft.chosen.programmed,
+        reversals=turned,
+        causes=_causes(path),
+        exact_forces=path.motions.forces.spread is None,
+        turn=task.turn,
+        redundancy_deg=None if program.keeps_text else path.setting.cell.gcode.redundancy_deg,
+        largest_correction=float(norm(targets.pose[:, :3, 3] - path.sample.pose[row, :3, 3]).max(initial=0.0)),
+    )
+    if (written := draft.simulated) is None:
+        return result
+    return replace(
+        result,
+        issues=group_issues([*result.issues, *draft.unlike]),
+        documents=() if draft.failed else written.text.documents,
+        output_line=written.text.output_line,
+        deviation_after=written.deviation,
+        between=written.between,
+        rounding=written.rounding,
+        carried=draft.carried,
+    )
+
+
+def _at(samples: Array, row: Ints) -> Array:
+    """Return rows (K,) of an array of samples; the array itself, without a copy, if these are all of them."""
+    return samples if len(row) == len(samples) else samples.take(row, axis=0)
+
+
+def _causes(path: PathUnderLoad) -> tuple[str, ...]:
+    """Return the causes of deviation from nominal, in words."""
+    setting = path.setting
+    robot = setting.robot
+    return tuple(
+        cause
+        for cause, acts in (
+            ("the cutting forces", bool(path.wrench.any())),
+            ("the payload", setting.cell.payload.mass_kg > 0.0),
+            ("the calibrated geometry", not robot.geometry_is_nominal),
+            ("the weight of the arm", robot.has_weight and not robot.subtract_reference),
+        )
+        if acts
+    )
+
+
+def _numbers(task: Task, draft: Draft) -> Array:
+    """Return X, Y, Z, A, B, C (K, 6) of the targets [mm, deg] as printed in the written (or unchanged) text."""
+    if draft.simulated is not None:
+        return draft.simulated.numbers
+    targets, program = draft.chosen.targets, draft.path.program
+    numbers = xyzabc_from_pose(targets.pose)
+    if task.mode == "predict" and program.keeps_text:
+        ends = targets.t == 1.0
+        numbers[ends] = program.numbers_as_written()[targets.motion[ends]]
+    return numbers
+
+
+def _reversals(draft: Draft) -> Reversals:
+    """Return where joints change the direction of their torque on cutting moves; rows are those of the targets."""
+    path, row = draft.path, draft.chosen.row
+    found = elastostatics.reversals(path.setting.robot, draft.q[row], path.tool(row), path.wrench_in_root(row))
+    cuts = ~path.program.motions.rapid[draft.chosen.targets.motion[found.row]]
+    return Reversals(found.row[cuts], found.before[cuts], found.joint[cuts], found.step[cuts])
+
+
+def _bound(draft: Draft, corrected: Array, turned: Reversals) -> tuple[Array | None, Doubt | None, list[Issue]]:
+    """Return the expected error (K,) by model and forces (95 %), or None; where it exceeds the correction; issues.
+
+    :param corrected: (K,) distance of the uncorrected tip from nominal [m].
+    :param turned: torque reversals: at the targets next to one, gears may be on either flank.
+    """
+    path, row = draft.path, draft.chosen.row
+    robot = path.setting.robot
+    spread = path.motions.forces.spread_at(path.sample.take(row))
+    if spread is not None and robot.covariance is None:
+        return None, None, [Issue("info", "no-bound", _NO_BOUND)]
+    in_root = None
+    if spread is not None:
+        halves = toolpath.columns_in_root(path.program, path.sample.motion[row], spread)
+        in_root = np.zeros((len(row), 6, 6))
+        in_root[:, :3, :3], in_root[:, 3:, 3:] = halves[:, 0], halves[:, 1]
+    spring = path.setting.tool_spring
+    in_series = None if spring is None else spring.matrices(path.pose_in_root(row)[:, :3, :3])
+    q, wrench, tool = draft.q[row], path.wrench_in_root(row), path.tool(row)
+    issues = list(checks.beyond_measured(path.program, robot, draft.chosen.targets.motion, q, tool, wrench))
+    turning = np.zeros((len(row), 6), dtype=bool)
+    turning[turned.row, turned.joint] = turning[turned.before, turned.joint] = True
+    bound = elastostatics.position_bound(robot, q, tool, wrench, in_root, in_series, turning)
+    if bound is None:
+        return None, None, issues
+    motion = draft.chosen.targets.motion
+    if not np.isfinite(bound).all():
+        return (
+            None,
+            None,
+            [*issues, path.program.motions.issue("error", "no-bound", _NOT_FINITE, motion[~np.isfinite(bound)])],
+        )
+    found = doubtful(bound, corrected, path.program.motions.rapid[motion])
+    if found is None:
+        return bound, None, issues
+    at, level = found
+    one = slice(at, at + 1)
+    forces_there, series = (each if each is None else each[one] for each in (in_root, in_series))
+    tool = tool[one] if tool.ndim == 3 else tool
+    source = elastostatics.largest_source(robot, q[one], tool, wrench[one], forces_there, series, turning=turning[one])
+    return bound, Doubt(at, float(bound[at]), level, source), issues
+
+
+def _carried(draft: Draft, back: ReadBack) -> tuple[Knots | None, tuple[Issue, ...]]:
+    """Return the forces that a file gives to the written program, None with a warning if it cannot hold them."""
+    along, targets = draft.path.motions.forces, draft.chosen.targets
+    travel, _ = forces.last_travel(back.program, back.segments, along.axes.spindle)
+    axes = Axes(back.program, back.segments, along.axes.spindle, travel)
+    every = forces.of_pieces(along, targets, draft.forces_at_targets(), axes, back.row)
+    knots, differ = forces.once_a_line(every, back.text.output_line)
+    if not len(differ):
+        return knots, ()
+    return None, (draft.path.program.motions.issue("warning", "forces-by-pass", _BY_PASS, targets.motion[differ]),)
+
 
 _ROUNDS = 8
 """Largest number of rounds that insert targets where the simulated program exceeds the tolerance."""
@@ -86,10 +426,10 @@ def process(
     wrong = [issue for issue in task.initial_issues if issue.level == "error"]
     setting = RobotInCell.of(robot, cell)
     if not wrong and cell.gcode.redundancy != "constant" and not program.keeps_text:
-        turn, told = placement.chosen(program, setting, source, cell.gcode.redundancy)
+        turn, issues = placement.chosen(program, setting, source, cell.gcode.redundancy)
         task, wrong = (
-            replace(task, turn=turn, initial_issues=(*task.initial_issues, *told)),
-            [each for each in told if turn is None],
+            replace(task, turn=turn, initial_issues=(*task.initial_issues, *issues)),
+            [each for each in issues if turn is None],
         )
         if turn is not None:
             program = placement.turned(program, cell.tool.axis, turn.of_motion)
@@ -122,7 +462,7 @@ def _settled(task: Task, motions: MotionsUnderLoad) -> tuple[Task, Draft]:
     for _ in range(_ROUNDS):
         draft = _drafted(task, PathUnderLoad.of(motions, pieces, also))
         if slow is None and any(issue.kind.startswith(checks.JOINT_SPEED) for issue in draft.issues):
-            slowed = joint_speeds.slowed(draft.path, draft.q, draft.path.sample.pose[:, :3, 3])
+            slowed = inspection.slowed(draft.path, draft.q, draft.path.sample.pose[:, :3, 3])
             if slowed is not None:
                 motions, slow = slowed
                 task = replace(task, initial_issues=(*task.initial_issues, slow))
@@ -138,7 +478,7 @@ def _first_pieces(task: Task, motions: MotionsUnderLoad) -> Pieces:
     pieces = motions.pieces(linearize_arcs=task.linearize_arcs)
     if pieces.uncertain.any():
         path = PathUnderLoad.of(motions, pieces)
-        pieces = select.pieces_needed(select.CommandedPath.of(path, _commands(task, path)))
+        pieces = pieces_needed(CommandedPath.of(path, _commands(task, path)))
     return pieces
 
 
@@ -157,13 +497,13 @@ def _closer(
 def _commands(task: Task, path: PathUnderLoad) -> Compensation:
     """Return the commands of all samples, in `$BASE`."""
     if task.mode == "nominal":
-        return commanded.as_programmed(path)
+        return as_programmed(path)
     try:
-        return commanded.corrected(path)
+        return corrected(path)
     except ImpossiblePathError:
         if task.mode == "convert":
             raise
-        return commanded.as_programmed(path)  # what cannot be corrected can still be predicted
+        return as_programmed(path)  # what cannot be corrected can still be predicted
 
 
 def _drafted(task: Task, path: PathUnderLoad) -> Draft:
@@ -180,7 +520,7 @@ def _drafted(task: Task, path: PathUnderLoad) -> Draft:
 def _chosen(task: Task, path: PathUnderLoad) -> Draft:
     """Draft the program with targets at some of the samples."""
     command = _commands(task, path)
-    chosen = targets.chosen(path, command, task.writer.least_arc, linearize_arcs=task.linearize_arcs)
+    chosen = choose_targets(path, command, task.writer.least_arc, linearize_arcs=task.linearize_arcs)
     return Draft.of(task, path, command, chosen)
 
 
@@ -188,4 +528,4 @@ def _as_read(task: Task, draft: Draft) -> Draft:
     """Return the draft with the uncorrected commands: the correction only served to place the targets."""
     path, chosen = draft.path, draft.chosen
     chosen = replace(chosen, targets=replace(chosen.targets, pose=path.sample.pose[chosen.row]))
-    return Draft.of(task, path, commanded.as_programmed(path), chosen)
+    return Draft.of(task, path, as_programmed(path), chosen)

@@ -1,4 +1,14 @@
-"""From commanded samples to the targets that are to be written."""
+"""The targets of a program: samples that hold the tolerance, pieces of arcs, zones of approximate positioning.
+
+Targets: as few samples as hold the tolerance. Every motion keeps its end. On straight runs a sample is inserted where
+the line between corrected targets would miss it by most, as long as the distance exceeds the limit. Arcs are written as
+circles through the corrected start, middle and end of their pieces (`toolpath.Pieces`).
+
+Approximate positioning (C_DIS) rounds corners. A controller leaves its path at the distance `$APO.CDIS` before the
+target, but at most half the distance to a neighbouring target, and follows a parabola whose tangents are the two pieces
+of path. With directions a and b there, and the distance d, the parabola passes the corner at d/4 · |b − a| =
+d/2 · sin(turn/2) (the middle of the quadratic Bézier curve through corner − d·a, corner, corner + d·b).
+"""
 
 from __future__ import annotations
 
@@ -7,13 +17,270 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc import kinematics, toolpath
-from postproc.correction import blending, select
-from postproc.correction.select import CommandedPath
+from postproc.cell import Cell
+from postproc.chunks import in_chunks
 from postproc.elastostatics import Compensation
-from postproc.frames import Array, largest, twist_between
-from postproc.program import CIRC, LIN, PTP, Bools, Ints, Program, Targets
+from postproc.frames import M_PER_MM, Array, largest, norm, sine_and_cosine, twist_between
+from postproc.program import CIRC, LIN, PTP, SPL, Bools, Ints, Program, Targets
 from postproc.robot import RobotModel
-from postproc.under_load import PathUnderLoad
+from postproc.toolpath import Pieces, Segments, Toolpath, circle_through
+from postproc.under_load import SHARE_OF_TOLERANCE, PathUnderLoad
+
+_FLAT = 1e-6
+"""Sagitta [m] below which a piece of an arc is written as a line."""
+
+
+class CommandedPath(Struct, frozen=True, eq=False):
+    """A path as it is commanded.
+
+    :param sample: N places on the path.
+    :param arcs: the pieces of its arcs.
+    :param position: (N, 3) commanded positions at the places, `$BASE` [m].
+    :param start: (M, 3) commanded position at the start of each motion, `$BASE` [m].
+    :param limit: what may be missed between targets [m].
+    """
+
+    sample: Toolpath
+    arcs: Pieces
+    position: Array
+    start: Array
+    limit: float
+
+    @classmethod
+    def of(cls, path: PathUnderLoad, command: Compensation) -> CommandedPath:
+        """Return the path of commands, in `$BASE`."""
+        ends = np.flatnonzero(path.sample.ends)
+        starts = toolpath.starts(
+            path.program, lambda motion: command.pose.take(ends[motion], axis=0), path.setting.start_flange
+        )
+        position = command.pose[:, :3, 3]
+        start = np.roll(position[ends], 1, axis=0)
+        start[starts.changed] = starts.pose[:, :3, 3]
+        return cls(path.sample, path.arcs, position, start, SHARE_OF_TOLERANCE * path.setting.tolerance)
+
+
+def choose(
+    path: CommandedPath, kind: Ints, whole: Bools, every: Bools, least_arc: tuple[float, float]
+) -> tuple[Ints, Ints, Ints]:
+    """Choose which samples become targets.
+
+    :param kind: (M,) kind of each motion to be written; arcs to be written as lines are given as `LIN`.
+    :param whole: (M,) motions that are written as one target whatever lies between (their text is kept).
+    :param every: (M,) motions of which every sample becomes a target.
+    :param least_arc: see `dialects.dialect.Writer`; a piece of an arc that is less becomes a line.
+    :returns: (K,) rows of the samples, in order; (K,) `LIN`, `CIRC`, `PTP` or `SPL`; (K,) row of the sample that is the
+        auxiliary point of a CIRC, −1 elsewhere.
+    """
+    sample, arcs = path.sample, path.arcs
+    chosen, kinds, via = sample.ends | every[sample.motion], kind[sample.motion], np.full(len(sample), -1)
+    count = np.bincount(sample.motion, minlength=len(kind))
+    lines = np.flatnonzero((count > 1) & (kind == LIN) & ~whole)
+    if len(lines):
+        chosen[_divided(path, lines)] = True
+    circles = np.flatnonzero(((kind == CIRC) & ~whole)[arcs.motion])
+    if len(circles):
+        before, middle, end = _ends(path, circles)
+        curved = ~_is_flat(before, path.position[middle], path.position[end], *least_arc)
+        chosen[end], kinds[end], via[end] = True, np.where(curved, CIRC, LIN), np.where(curved, middle, -1)
+    row = np.flatnonzero(chosen)
+    return row, kinds[row], via[row]
+
+
+def pieces_needed(path: CommandedPath) -> Pieces:
+    """Return how many pieces of arcs are needed, by what circles through twice as large ones miss."""
+    arcs, command = path.arcs, path.position
+    stretch = np.flatnonzero(arcs.uncertain)
+    begin, middle_row, end_row = _ends(path, stretch)
+    before, quarter, middle = begin[::2], middle_row[::2], end_row[::2]
+    three_quarters, end = middle_row[1::2], end_row[1::2]
+    centre, radial, across, angle = circle_through(before, command[middle], command[end])
+    missed = np.zeros(len(end))
+    for share, row in ((0.25, quarter), (0.75, three_quarters)):
+        turned = (angle * share)[:, None]
+        spot = centre + np.cos(turned) * radial + np.sin(turned) * across
+        missed = np.maximum(missed, norm(command[row] - spot))
+    pairs = arcs.number[stretch] // 2
+    number = arcs.number.copy()
+    worst = np.maximum.reduceat(missed, np.cumsum(pairs) - pairs)
+    number[stretch] = np.ceil(pairs * np.sqrt(worst / path.limit)).astype(np.int64)
+    return arcs.settled(number)
+
+
+def _ends(path: CommandedPath, stretch: Ints) -> tuple[Array, Ints, Ints]:
+    """Return where pieces start (n, 3), and the samples (n,) at their middle and end, for all pieces of stretches."""
+    arcs, sample = path.arcs, path.sample
+    size = arcs.number * arcs.each
+    first = np.flatnonzero(np.isin(sample.motion, arcs.motion))[np.cumsum(size) - size]
+    number, each = arcs.number[stretch], np.repeat(arcs.each[stretch], arcs.number[stretch])
+    inside = np.arange(number.sum()) - np.repeat(np.cumsum(number) - number, number)
+    row = np.repeat(first[stretch], number) + inside * each
+    before = path.position[row - 1]
+    fresh = (inside == 0) & (np.repeat(arcs.begin[stretch], number) == 0.0)
+    before[fresh] = path.start[sample.motion[row[fresh]]]
+    return before, row + each // 2 - 1, row + each - 1
+
+
+def _divided(path: CommandedPath, motions: Ints) -> Ints:
+    """Divide lines where they are missed most until every piece fits; return the samples (n,) where pieces end."""
+    count = np.bincount(path.sample.motion, minlength=len(path.start))
+    size = count[motions] + 1  # the start of each motion is put before its samples
+    first = np.cumsum(size) - size
+    row = np.arange(size.sum()) + np.repeat((np.cumsum(count) - count)[motions] - first - 1, size)
+    t, position = path.sample.t[row], path.position[row]
+    t[first], position[first] = 0.0, path.start[motions]
+    left, right = first, first + size - 1
+    done: list[Ints] = []
+    while len(left):
+        count = right - left - 1
+        piece = np.repeat(np.arange(len(left)), count)
+        node = np.arange(len(piece)) - np.repeat(np.cumsum(count) - count - left - 1, count)
+        share = (t[node] - t[left][piece]) / (t[right] - t[left])[piece]
+        a, b = position[left], position[right]
+        miss = norm(position[node] - a[piece] - share[:, None] * (b - a)[piece])
+        order = np.lexsort((miss, piece))
+        last = order[np.cumsum(count[count > 0]) - 1]
+        worst, cut = np.zeros(len(left)), np.full(len(left), -1)
+        worst[piece[last]], cut[piece[last]] = miss[last], node[last]
+        again = worst > path.limit
+        done.append(right[~again])
+        cut = cut[again]
+        left, right = np.concatenate([left[again], cut]), np.concatenate([cut, right[again]])
+    return np.asarray(row[np.concatenate(done)])
+
+
+def _is_flat(a: Array, b: Array, c: Array, distance: float, angle: float) -> Bools:
+    """Return which arcs from a through b to c are lines: flat to a micrometre, or less than a controller takes."""
+    chord, first = c - a, b - a
+    length, height = norm(chord), norm(np.cross(chord, first))
+    flat = height < _FLAT * length
+    small = np.minimum(length, norm(first)) < distance
+    return np.asarray((length > 0.0) & (flat | small | (height < np.tan(angle) * (chord * first).sum(axis=1))))
+
+
+_SHARE = 0.2
+"""Of the tolerance, what rounding may use up at inserted targets."""
+_PRINTED = 7
+"""Decimals of positions [m] in the written text: on short arcs they turn the direction."""
+_STEPS = np.array([1.0, 2.0, 5.0])
+
+
+class Corners(Struct, frozen=True):
+    """The K targets of a path as corners.
+
+    :ivar sharp: (K,) |b − a| = 2 sin(turn/2); 0 where nothing can be rounded: at PTP, at pieces of splines,
+        at the end, where frames change.
+    :ivar reach: (K,) half the length of the shorter one of the neighbouring pieces [m]: blending begins no earlier.
+    """
+
+    sharp: Array
+    reach: Array
+
+    def rounding(self, distance: Array) -> Array:
+        """Return how far each corner is passed at (K,) [m] for approximation distances (K,) [m]."""
+        return np.asarray(0.25 * np.minimum(distance, self.reach) * self.sharp)
+
+
+def _corners(arrive: Array, leave: Array, length: Array, joined: Bools) -> Corners:
+    """Return corners.
+
+    :param arrive: (K, 3) unit direction at the end of each piece; `leave` at its start; zero where it has none.
+    :param length: (K,) [m].
+    :param joined: (K,) whether the next piece follows at once, in the same frames.
+    """
+    sharp, reach = np.zeros(len(length)), np.zeros(len(length))
+    reach[:-1] = 0.5 * np.minimum(length[:-1], length[1:])
+    sharp[:-1] = np.where(joined[:-1] & (reach[:-1] > 0.0), norm(leave[1:] - arrive[:-1]), 0.0)
+    return Corners(sharp, reach)
+
+
+def _joined(program: Program, motion: Ints, kind: Ints) -> Bools:
+    m = program.motions
+    after = np.append(motion[1:], -1)
+    same = (after - motion <= 1) & (m.base[after] == m.base[motion]) & (m.tool[after] == m.tool[motion])
+    if program.after is not None:  # at the start of branches, or where the position of the robot is unknown
+        same &= (after == motion) | (program.after[after] == motion)
+    path = (kind != PTP) & (kind != SPL)
+    return np.asarray((after >= 0) & same & path & np.append(path[1:], False))
+
+
+def corners_of_targets(program: Program, targets: Targets, start: Array) -> tuple[Corners, Array]:
+    """Return the corners of a path as it is to be written, and the direction in which it comes to them (K, 3).
+
+    :param start: (M, 3) commanded position at the start of each motion, `$BASE` [m].
+    """
+    end, start = (np.round(spot, _PRINTED) for spot in (targets.pose[:, :3, 3], start))
+    first = np.append(True, np.diff(targets.motion) != 0)[: len(end)]
+    begin = np.where(first[:, None], start[targets.motion], np.roll(end, 1, axis=0))
+    step = end - begin
+    length = norm(step)
+    leave = step / np.where(length > 0.0, length, 1.0)[:, None]
+    arrive = leave.copy()
+    arcs = np.flatnonzero(targets.kind == CIRC)
+    if len(arcs):
+        _, radial, across, angle = circle_through(begin[arcs], np.round(targets.via[arcs], _PRINTED), end[arcs])
+        radius, (sine, cosine) = norm(radial), sine_and_cosine(angle[:, None])
+        leave[arcs] = across / radius[:, None]
+        arrive[arcs] = (cosine * across - sine * radial) / radius[:, None]
+        length[arcs] = radius * angle
+    return _corners(arrive, leave, length, _joined(program, targets.motion, targets.kind)), arrive
+
+
+def corners_of_motions(program: Program, path: Segments, motion: Ints) -> Corners:
+    """Return the corners at the ends of some motions (n,), in order."""
+    kind = program.motions.kind[motion]
+
+    def at_ends(motion: Ints) -> tuple[Array, Array]:
+        begin, end = np.zeros(len(motion)), np.ones(len(motion))
+        return toolpath.tangent(program, path, motion, end), toolpath.tangent(program, path, motion, begin)
+
+    arrive, leave = in_chunks(at_ends, motion)
+    return _corners(arrive, leave, path.length[motion], _joined(program, motion, kind))
+
+
+def programmed_rounding(program: Program, path: Segments, motion: Ints) -> Array:
+    """Return how far a program itself rounds its path at its targets (K,) [m]; 0 at inserted ones, and in G-code.
+
+    :param motion: (K,) motion of each target, never decreasing.
+    """
+    out = np.zeros(len(motion))
+    if not program.keeps_text:
+        return out
+    last = np.append(np.diff(motion) != 0, True)[: len(motion)]
+    own = motion[last]
+    out[last] = corners_of_motions(program, path, own).rounding(program.motions.blend[own])
+    return out
+
+
+def approximation_distances(program: Program, targets: Targets, corners: Corners, cell: Cell) -> Array:
+    """Return with which distance each target is approximated (K,) [m]; 0: an exact stop.
+
+    The end of a motion has the distance that the program gives it, unless blending would round it by more than
+    `Motions.rounding` allows: then it is an exact stop. The robot does not stop at inserted targets. Where one of them
+    is a corner, because the force changes, its distance is made smaller in a program from G-code; in KRL, where
+    `$APO.CDIS` is the program's own, the robot stops there if it also stops at the end of that motion.
+
+    :param cell: the approximation distance of inserted targets, and the tolerance.
+    """
+    m, motion = program.motions, targets.motion
+    at_end = m.blend[motion]
+    stop = corners.rounding(at_end) > m.rounding[motion]
+    allowed = 4.0 * _SHARE * cell.tolerance / np.maximum(corners.sharp, 1e-9)
+    if program.keeps_text:
+        between = np.where((at_end > 0.0) | (corners.reach <= allowed), np.inf, 0.0)
+    else:
+        between = np.maximum(at_end, cell.gcode.approximation_mm * M_PER_MM)
+        narrow = allowed < np.minimum(between, corners.reach)
+        between[narrow] = _rounded_down(allowed[narrow])
+    out = np.where(targets.t == 1.0, np.where(stop, 0.0, at_end), between)
+    return np.where(targets.kind == PTP, 0.0, out)
+
+
+def _rounded_down(distance: Array) -> Array:
+    """Return distances [m] as 1, 2 or 5 times a power of ten millimetres, so that few of them are different."""
+    step = _STEPS * 10.0 ** np.floor(np.log10(distance / M_PER_MM))[:, None]
+    below = np.where(step * M_PER_MM <= distance[:, None] * (1.0 + 1e-9), step, 0.0)
+    return np.asarray(below.max(axis=1) * M_PER_MM)
+
 
 _UNCHANGED = 1e-7
 """A correction below this [m, rad] is none: the text of a target is left to the byte where the program keeps it."""
@@ -34,7 +301,7 @@ class Chosen(Struct, frozen=True, eq=False):
     programmed: Array
 
 
-def chosen(
+def choose_targets(
     path: PathUnderLoad, command: Compensation, least_arc: tuple[float, float], *, linearize_arcs: bool
 ) -> Chosen:
     """Choose what to write: as few of the samples as hold the tolerance.
@@ -48,7 +315,7 @@ def chosen(
     commanded = CommandedPath.of(path, command)
     kind = np.where(m.kind == CIRC, LIN, m.kind) if linearize_arcs else m.kind
     every = toolpath.swivel_pieces(program, path.motions.segments, path.setting.tolerance) > 1
-    selected = select.choose(commanded, kind, whole, every, least_arc)
+    selected = choose(commanded, kind, whole, every, least_arc)
     movable = np.isnan(m.joints[sample.motion[selected[0]], 0])
     row, target_kind, via_row = (each[movable] for each in selected)
     motion = sample.motion[row]
@@ -61,9 +328,9 @@ def chosen(
     targets = Targets(
         motion, sample.t[row], target_kind, command.pose.take(row, axis=0), via, keep, status, turn, m.blend[motion]
     )
-    corners, arrive = blending.of_targets(program, targets, commanded.start)
-    blend = blending.distances(program, targets, corners, path.setting.cell)
-    programmed = blending.programmed(program, path.motions.segments, motion)
+    corners, arrive = corners_of_targets(program, targets, commanded.start)
+    blend = approximation_distances(program, targets, corners, path.setting.cell)
+    programmed = programmed_rounding(program, path.motions.segments, motion)
     return Chosen(replace(targets, blend=blend), row, arrive, programmed)
 
 

@@ -1,27 +1,129 @@
-"""The written program is simulated with the numbers as printed.
-
-The only input taken from the computation of the program is the branch of the inverse kinematics: poses come from the
-text, joint angles from these poses by the nominal geometry, the tip from the loaded equilibrium.
-"""
+"""Verification: the written program is read back by its reader, and its printed numbers move the loaded arm."""
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Iterator
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc import kinematics, toolpath
 from postproc.chunks import in_chunks
-from postproc.correction import blending, checks, joint_speeds
-from postproc.correction.read_back import ReadBack, UnusableTextError
-from postproc.correction.targets import Chosen
-from postproc.errors import Issue, Level, NotConvergedError
+from postproc.correction import checks, inspection
+from postproc.correction.targets import Chosen, corners_of_motions
+from postproc.dialects import registry
+from postproc.errors import Issue, Level, NotConvergedError, PostprocError, ProgramError
 from postproc.forces import BEHIND_STEP
-from postproc.frames import MM_PER_M, Array, norm
-from postproc.program import CIRC, PTP, SPL, Bools, Ints, Written
-from postproc.under_load import PathUnderLoad
+from postproc.frames import MM_PER_M, Array, angle_between, largest, norm, twist_between
+from postproc.program import CIRC, PTP, SPL, Bools, Ints, Program, Targets, Written
+from postproc.toolpath import Segments
+from postproc.under_load import MotionsUnderLoad, PathUnderLoad
 
+_PRINTED = 1e-6
+"""What printing may move a commanded pose by [m, rad], or change a speed by [m/s]; the text has at least 1e-4 mm,
+1e-5° and 1e-3 mm/s."""
+
+LARGE_TEXT = 200_000
+"""Characters of a program after whose reading memory is released at once."""
+
+
+class UnusableTextError(PostprocError):
+    """The written program must not be released; `issue` says why."""
+
+    def __init__(self, issue: Issue) -> None:
+        super().__init__(issue.message)
+        self.issue = issue
+
+
+class ReadBack(Struct, frozen=True, eq=False):
+    """A written program of K targets as its text says.
+
+    :param text: as written.
+    :param program: as read, without its text.
+    :param segments: the geometry of its motions.
+    :param row: (K,) motion that ends at each target.
+    :param numbers: (K, 6) X, Y, Z, A, B, C as printed in the text [mm, deg].
+    """
+
+    text: Written
+    program: Program
+    segments: Segments
+    row: Ints
+    numbers: Array
+
+
+def read_back(path: PathUnderLoad, chosen: Chosen, text: Written) -> ReadBack:
+    """Read a written program, and see that it says what was to be written.
+
+    :raises UnusableTextError: it cannot be read, or says something else.
+    """
+    setting, targets = path.setting, chosen.targets
+    try:
+        reader = registry.by_name(text.dialect)
+        written = reader.read(text.documents, setting.cell, setting.forward, path.program.name)
+    except ProgramError as cause:
+        message = (
+            f"the written program cannot be read back ({cause.problem}: {cause.text or ''!r}). If this is a line of "
+            f"[gcode] in the cell, write it there in {text.dialect}; else it is a fault of postproc, please report it."
+        )
+        raise UnusableTextError(Issue("error", "read-back", message, output_line=cause.line)) from cause
+    row = np.flatnonzero(np.isnan(written.motions.joints[:, 0]))
+    mismatch = _mismatch(path.program, targets, written, row)
+    if mismatch is not None:
+        raise UnusableTextError(mismatch)
+    numbers = written.numbers_as_written()[row]
+    written = replace(written, documents=(), layout=None)
+    if text.size > LARGE_TEXT:
+        gc.collect()
+    return ReadBack(text, written, toolpath.segments(written, setting.start_flange), row, numbers)
+
+
+def _carried_elsewhere(program: Program, targets: Targets, written: Program, row: Ints) -> Bools:
+    """Return which targets (K,) have the robot carried elsewhere than they were to have."""
+    if program.carriage is None or written.carriage is None:
+        return np.full(len(targets), program.carriage is not written.carriage)
+    wanted = program.carriage.at(targets.motion, targets.t)
+    return np.asarray(np.abs(written.carriage.at(row) - wanted) > _PRINTED)
+
+
+def _mismatch(program: Program, targets: Targets, written: Program, row: Ints) -> Issue | None:
+    """Return an issue if the text does not say what it was to say."""
+    m, nominal = written.motions, program.motions
+    if len(row) != len(targets):
+        return Issue("error", "read-back", f"the written program has {len(row)} targets instead of {len(targets)}")
+
+    def apart(row: Ints, pose: Array) -> tuple[Array]:
+        read = m.target.take(row, axis=0)
+        return (np.maximum(largest(read[:, :3, 3] - pose[:, :3, 3]), angle_between(read[:, :3, :3], pose[:, :3, :3])),)
+
+    wrong = (m.kind[row] != targets.kind) | (in_chunks(apart, row, targets.pose)[0] > _PRINTED)
+    for frames, other, used, wanted in (
+        (written.bases, program.bases, m.base[row], nominal.base[targets.motion]),
+        (written.tools, program.tools, m.tool[row], nominal.tool[targets.motion]),
+    ):
+        differ = np.abs(twist_between(frames[:, None], other[None])).max(axis=2) > _PRINTED
+        wrong |= differ[used, wanted]
+    wrong |= np.abs(m.feed[row] - nominal.feed[targets.motion]) > _PRINTED  # of PTP it is NaN, which is not more
+    wrong |= _carried_elsewhere(program, targets, written, row)
+    if wrong.any():
+        first = int(np.argmax(wrong))
+        line = int(program.motions.line[targets.motion[first]])
+        return Issue(
+            "error",
+            "read-back",
+            "the written program reads differently from what was computed: a fault of postproc, please report it",
+            source_line=line,
+            count=int(wrong.sum()),
+        )
+    return None
+
+
+_NEAR = 0.75
+"""Share of a joint's largest speed from which on the written path is examined closely."""
+_STILL = 1e-6
+"""Pieces shorter than this [m] have no speed."""
 _HELD = 1e-6
 """Largest distance of the tip from nominal at a target of a corrected program [m], including rounding."""
 _SAFE = 0.8
@@ -108,11 +210,11 @@ def simulate(path: PathUnderLoad, chosen: Chosen, theta: Array, back: ReadBack, 
     """
     probes = _probes(path, chosen, back)
     off, q, position = _deviation(path, chosen, theta, back, probes)
-    too_fast = tuple(joint_speeds.of_written(path, chosen, back, probes.target, q, position))
+    too_fast = tuple(_joint_speeds(path, chosen, back, probes.target, q, position))
     del q, position
     distance, inside, targets = norm(off), probes.inside, chosen.targets
     written, m, tolerance = back.program.motions, path.program.motions, path.setting.tolerance
-    rounding = blending.of_motions(back.program, back.segments, back.row).rounding(written.blend[back.row])
+    rounding = corners_of_motions(back.program, back.segments, back.row).rounding(written.blend[back.row])
     begin, end = targets.begin[probes.target], targets.t[probes.target]
     step = path.motions.forces.behind_step(probes.motion, end) & inside
     # at the start, and at an axis target, no correction was possible
@@ -235,3 +337,39 @@ def _left(
             left, allowed = np.nanmax(distance[bad]) * MM_PER_M, path.setting.tolerance * MM_PER_M
             message = message.format(left=f"{left:.4f} mm", allowed=f"{allowed:g} mm")
             yield path.program.motions.issue(level, kind, message, probes.motion[bad])
+
+
+def _joint_speeds(
+    path: PathUnderLoad, chosen: Chosen, back: ReadBack, target: Ints, q: Array, position: Array
+) -> Iterator[Issue]:
+    """Yield the joint speeds of the written program beyond the limits, as a prediction of it finds them.
+
+    :param target: (n,) target at the end of the piece on which each place is.
+    :param q: (n, 6) joint angles at places along the written program [rad], in order; `position` (n, 3) there [m].
+    """
+    written, robot = back.program, path.setting.robot
+
+    def steps(place: Array, next_place: Array, q: Array, next_q: Array) -> tuple[Array, Array]:
+        return norm(next_place - place), (np.abs(next_q - q) / robot.speed).max(axis=1, initial=0.0)
+
+    travel, turned = in_chunks(steps, position[:-1], position[1:], q[:-1], q[1:])
+    feed = np.nan_to_num(written.motions.feed[back.row[target[1:]]])
+    if not ((turned * feed > _NEAR * travel) & (travel > _STILL)).any():
+        return
+    motions = MotionsUnderLoad.of(written, path.setting, None)
+    simulated = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False))
+    speed = inspection.commanded_speed(simulated, simulated.joints.q, simulated.sample.pose[:, :3, 3])
+    _, lines = inspection.stretches_to_examine(simulated, simulated.joints.q, speed)
+    found = list(checks.joint_speeds(written, robot, simulated.sample, speed))
+    for close, exact, there in inspection.dense_places(
+        simulated, simulated.joints.q, simulated.sample.pose[:, :3, 3], lines
+    ):
+        speed = checks.joint_speed(written, close, simulated.motions.segments.turn, exact, there)
+        found += checks.joint_speeds(written, robot, close, speed)
+    seen = set()
+    for issue in found:
+        if issue.kind not in seen:
+            seen.add(issue.kind)
+            at = int(np.argmax(written.motions.line[back.row] == issue.source_line))
+            line = int(path.program.motions.line[chosen.targets.motion[at]])
+            yield replace(issue, output_line=issue.source_line, source_line=line, lines=(line,))

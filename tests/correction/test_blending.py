@@ -10,8 +10,8 @@ from msgspec.structs import replace as changed
 
 from postproc import cell as cells
 from postproc import correction, report, robot, toolpath
-from postproc.correction import blending
-from postproc.correction.blending import Corners
+from postproc.correction import targets as correction_targets
+from postproc.correction.targets import Corners
 from postproc.dialects.text import decode
 from tests.correction.test_end_to_end import SAMPLES
 from tests.oracle import cell_sim
@@ -187,12 +187,12 @@ def test_the_first_motion_of_another_branch_is_not_rounded_with_the_last_one_of_
     spots = [(0, 0, 10), (20, 0, 10), (20, 20, 10), (40, 0, 10), (40, 30, 10)]
     made = made_of([("LIN", *spot) for spot in spots])
     rows = np.arange(len(spots))
-    assert blending._joined(made, rows, made.motions.kind).tolist() == [True, True, True, True, False]
+    assert correction_targets._joined(made, rows, made.motions.kind).tolist() == [True, True, True, True, False]
     made = changed(made, after=np.array([-1, 0, 1, 1, 3]))
-    assert blending._joined(made, rows, made.motions.kind).tolist() == [True, True, False, True, False]
+    assert correction_targets._joined(made, rows, made.motions.kind).tolist() == [True, True, False, True, False]
     pieces = np.array([0, 1, 1, 2, 2, 3, 4])  # of which some motions have two
     kind = made.motions.kind[pieces]
-    assert blending._joined(made, pieces, kind).tolist() == [True, True, True, True, False, True, False]
+    assert correction_targets._joined(made, pieces, kind).tolist() == [True, True, True, True, False, True, False]
 
 
 def test_an_arc_comes_to_its_end_in_another_direction_than_it_begins():
@@ -203,7 +203,7 @@ def test_an_arc_comes_to_its_end_in_another_direction_than_it_begins():
     made = made_of(moves)
     path = toolpath.segments(made, np.eye(4))
     turns = [0.0, 0.0, 90.0, 0.0, 90.0]  # degrees, at the ends of rows 1 to 5
-    corners = blending.of_motions(made, path, np.arange(1, 7))
+    corners = correction_targets.corners_of_motions(made, path, np.arange(1, 7))
     np.testing.assert_allclose(corners.sharp[:-1], 2.0 * np.sin(np.radians(turns) / 2.0), atol=1e-9)
     length = np.array([40.0, 10.0 * np.pi, 30.0, 30.0 * np.pi, 70.0, 40.0]) / 1e3
     np.testing.assert_allclose(corners.reach[:-1], np.minimum(length[:-1], length[1:]) / 2.0, rtol=1e-9)

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from postproc import cell as cells
 from postproc import robot as robots
-from postproc.correction import checks, joint_speeds, process, read
+from postproc.correction import checks, inspection, process, read
 from postproc.dialects.text import decode
 from postproc.under_load import MotionsUnderLoad, PathUnderLoad, RobotInCell
 from tests.documentation.pages import ROOT
@@ -82,7 +82,7 @@ def test_speed_is_rotation_over_the_time_of_the_way():
     motions = MotionsUnderLoad.of(program, RobotInCell.of(ROBOT, CELL), None)
     path = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False))
     q, position = path.joints.q, path.sample.pose[:, :3, 3]
-    speed = joint_speeds.commanded_speed(path, q, position)
+    speed = inspection.commanded_speed(path, q, position)
     start = motions.setting.start_flange[:3, 3] + motions.setting.start_flange[:3, :3] @ program.tools[0, :3, 3]
     before = np.vstack([start - program.bases[0, :3, 3], position[:-1]])
     assert not program.bases[0, :3, :3].round(12)[~np.eye(3, dtype=bool)].any()
@@ -104,7 +104,7 @@ def test_the_written_path_of_any_robot_is_checked(monkeypatch, slower):
 def test_the_written_path_is_checked(monkeypatch):
     """Were the commanded path not checked, the text would be refused, with the lines of both."""
     monkeypatch.setattr(checks, "joint_speeds", spared(checks.joint_speeds, "part.nc"))
-    monkeypatch.setattr(joint_speeds, "slowed", lambda *_: None)
+    monkeypatch.setattr(inspection, "slowed", lambda *_: None)
     result = converted(RAPIDS.format(feed=900))
     assert not result.documents
     issue = next(issue for issue in result.issues if issue.level == "error")

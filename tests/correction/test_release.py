@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,6 @@ from msgspec.structs import replace
 from postproc import cell as cells
 from postproc import correction, robot
 from postproc.cell import ExternalAxis
-from postproc.correction import commanded
 from postproc.dialects.krl.dialect import Krl
 from postproc.dialects.text import decode
 from tests.programs import program
@@ -151,7 +151,8 @@ def test_a_place_of_the_carriage_that_is_another_one(monkeypatch, by, refused):
 
 def commands(monkeypatch, change):
     """Let the correction command other poses than it should: what is written is then what was computed."""
-    honest = commanded.corrected
+    stages = import_module("postproc.correction.process")  # the package names the function alike
+    honest = stages.corrected
 
     def wrong(path):
         found = honest(path)
@@ -159,7 +160,7 @@ def commands(monkeypatch, change):
         change(path, pose)
         return replace(found, pose=pose)
 
-    monkeypatch.setattr(commanded, "corrected", wrong)
+    monkeypatch.setattr(stages, "corrected", wrong)
 
 
 @pytest.mark.parametrize("axis", range(3))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from postproc.correction.select import CommandedPath, choose, pieces_needed
+from postproc.correction.targets import CommandedPath, choose, pieces_needed
 from postproc.program import CIRC, LIN, PTP, SPL
 from postproc.toolpath import Pieces, Toolpath
 

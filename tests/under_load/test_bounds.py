@@ -9,9 +9,9 @@ import pytest
 from msgspec.structs import replace
 
 from postproc import cell as cells
-from postproc import correction, frames, jobs, kinematics, robot, toolpath
+from postproc import correction, frames, jobs, kinematics, robot, toolpath, under_load
 from postproc.program import Carriage
-from postproc.under_load import ImpossiblePathError, bounds
+from postproc.under_load import ImpossiblePathError
 from tests.programs import program
 
 SAMPLES = Path(__file__).parents[2] / "samples"
@@ -52,8 +52,8 @@ def test_flat_arcs_of_large_radius_and_threads_are_fine() -> None:
     thread = program([*HEAD, ("CIRC", 0, 0, 50, 5, 0, 0, 360.0 * 40, UP)], orientation=DOWN)
     for made in (flat, thread):
         path = toolpath.segments(made, np.eye(4))
-        bounds.check_ends(made, ROBOT)
-        bounds.check_between(made, ROBOT, path)
+        under_load.check_ends(made, ROBOT)
+        under_load.check_between(made, ROBOT, path)
 
 
 @pytest.mark.parametrize("zero_of_A5", [0.0, np.pi], ids=["outstretched", "folded back"])
@@ -66,10 +66,10 @@ def test_no_pose_within_the_joint_limits_is_beyond_the_reach(name: str, zero_of_
     rng = np.random.default_rng(3)
     q = rng.uniform(-np.pi, np.pi, (50_000, 6))
     away = np.linalg.norm(kinematics.tcp(model.nominal, q, np.eye(4))[0][:, :3, 3], axis=1)
-    assert 0.8 < away.max() / bounds._reach(model) < 1.0
+    assert 0.8 < away.max() / under_load._reach(model) < 1.0
 
 
-REACH = bounds._reach(ROBOT)
+REACH = under_load._reach(ROBOT)
 BASE = np.array([1500.0, -200.0, 700.0])
 TO_FLANGE = np.array([0.0, 0.0, 350.0])
 
@@ -77,8 +77,8 @@ TO_FLANGE = np.array([0.0, 0.0, 350.0])
 def refused(made):
     """Return the issue with which a program is refused, or None."""
     try:
-        bounds.check_ends(made, ROBOT)
-        bounds.check_between(made, ROBOT, toolpath.segments(made, np.eye(4)))
+        under_load.check_ends(made, ROBOT)
+        under_load.check_between(made, ROBOT, toolpath.segments(made, np.eye(4)))
     except ImpossiblePathError as error:
         return error.issue
     return None
@@ -159,7 +159,7 @@ def test_arcs_of_up_to_a_thousand_turns_are_taken() -> None:
 
 
 def test_the_longest_path_is_some_thousand_times_the_reach(monkeypatch) -> None:
-    monkeypatch.setattr(bounds, "_MOST_REACHES", 10)
+    monkeypatch.setattr(under_load, "_MOST_REACHES", 10)
     for metres, bad in ((9.9 * REACH, False), (10.1 * REACH, True)):
         count = round((metres - 0.05) / 0.5)
         moves = [("LIN", 500.0 * (n % 2), 0, 0) for n in range(1, count + 1)]

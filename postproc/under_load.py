@@ -1,0 +1,350 @@
+"""The path of a program with its forces, tools and joint angles, in the root frame of the robot.
+
+Correction, planning and reports start from a `PathUnderLoad`; no later stage needs the `$BASE` of a motion to find the
+load on the robot. `RobotInCell` is a robot with payload, start position and compliance of the tool. `MotionsUnderLoad`
+are the motions with the forces along them, from which the samples of the path are chosen. A path beyond the reach of
+the robot is refused before it is sampled, which might take hours.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property, lru_cache
+
+import numpy as np
+from msgspec import Struct
+
+from postproc import elastostatics, forces, kinematics, toolpath
+from postproc.cell import Cell
+from postproc.elastostatics import Compensation, ToolSpring
+from postproc.errors import Issue, PostprocError
+from postproc.forces import ForceSource, PathForces
+from postproc.frames import M_PER_MM, MM_PER_M, Array, norm
+from postproc.kinematics import JointPath, UnreachableError
+from postproc.program import CIRC, PTP, Bools, Ints, Program, read_only
+from postproc.robot import RobotModel
+from postproc.toolpath import DisplacementEstimate, Pieces, Segments, Toolpath
+
+_GRID = np.radians(np.arange(-180.0, 180.0, 30.0))
+_MARGIN = 1.15
+"""Factor on the reach found on a grid of joint angles: between points it is larger by up to 1 / cos(15°) per joint."""
+_MOST_TURNS = 1000
+"""An arc with more turns is refused: 1000 turns make a metre of thread."""
+_MOST_REACHES = 10_000
+"""A path longer than this many times the reach is refused: it would take two days at 10 m/min."""
+_WIDE = 0.1
+"""Arcs shorter than this share of the reach are checked only at their ends."""
+
+
+class ImpossiblePathError(PostprocError):
+    """A path that the robot cannot follow; `issue` has the place and the reason."""
+
+    def __init__(self, issue: Issue) -> None:
+        super().__init__(issue.message)
+        self.issue = issue
+
+
+def unreachable(program: Program, motion: Ints) -> Issue:
+    """Return the error for motions (n,) that the robot cannot reach."""
+    message = "out of reach (on the branch of [start] joints). Move the part or start in another configuration."
+    return program.motions.issue("error", "unreachable", message, motion)
+
+
+def check_ends(program: Program, robot: RobotModel) -> None:
+    """Check that every Cartesian target is within reach of the flange.
+
+    :raises ImpossiblePathError: a target is out of reach.
+    """
+    cartesian = np.flatnonzero(np.isnan(program.motions.joints[:, 0]))
+    away = _away(program, cartesian, program.motions.target[cartesian], 1.0)
+    reach = _reach(robot)
+    far = float(np.nanmax(away, initial=0.0))
+    message = (
+        f"out of reach: the flange would be up to {far * MM_PER_M:.0f} mm from the robot's root, and its reach is "
+        f"{reach * MM_PER_M:.0f} mm. Check units, work offset and [base], or the targets."
+    )
+    _check(program, cartesian, ~(away <= reach), "unreachable", message)
+
+
+def check_between(program: Program, robot: RobotModel, path: Segments) -> None:
+    """Check that arcs are within reach, and that their numbers of turns and the length of the path are plausible.
+
+    :raises ImpossiblePathError: a check fails.
+    """
+    m = program.motions
+    reach = _reach(robot)
+    arcs = np.flatnonzero(m.kind == CIRC)
+    radius = norm(path.start.at(arcs)[:, :3, 3] - m.centre[arcs])
+    turns = m.sweep[arcs] / (2.0 * np.pi)
+    bad = ~(turns <= _MOST_TURNS)
+    message = f"an arc of {turns.max(initial=0.0):.1f} turns, more than the permitted {_MOST_TURNS}. Check its angle."
+    _check(program, arcs, bad, "turns", message)
+    bad = (turns >= 1.0) & ~(radius <= reach)
+    wide = np.flatnonzero((turns < 1.0) & (path.length[arcs] > _WIDE * reach))
+    for share in (0.25, 0.5, 0.75):
+        spot = toolpath.at(program, path, arcs[wide], np.full(len(wide), share)).pose
+        bad[wide] |= ~(_away(program, arcs[wide], spot, share) <= reach)
+    message = (
+        f"out of reach: the arc leaves the reach of the flange, {reach * MM_PER_M:.0f} mm from the robot's root. "
+        "Check its centre or radius, and its plane."
+    )
+    _check(program, arcs, bad, "unreachable", message)
+    length = float(path.length.sum())
+    if not length <= _MOST_REACHES * reach:
+        message = (
+            f"the path is {length / 1e3:.0f} km long, more than {_MOST_REACHES} times the reach of the robot. "
+            "Check the units, or split the program."
+        )
+        raise ImpossiblePathError(Issue("error", "path-length", message, source_line=int(m.line[0])))
+
+
+def _away(program: Program, motion: Ints, pose: Array, t: float) -> Array:
+    """Return the distance of the flange from the robot's root (n,) [m] for tool frames in `$BASE` (n, 4, 4)."""
+    return norm(toolpath.flange_points(program, motion, pose, np.zeros(3), t))
+
+
+@lru_cache(maxsize=1)
+def _reach(robot: RobotModel) -> float:
+    """Return the largest distance of the flange from the robot's root [m], without joint limits."""
+    q = np.zeros((len(_GRID) ** 3, 6))
+    q[:, 1], q[:, 2], q[:, 4] = (angle.ravel() for angle in np.meshgrid(_GRID, _GRID, _GRID))
+    return _MARGIN * float(norm(kinematics.tcp(robot.nominal, q, np.eye(4))[0][:, :3, 3]).max())
+
+
+def _check(program: Program, motion: Ints, bad: Bools, kind: str, message: str) -> None:
+    if bad.any():
+        raise ImpossiblePathError(program.motions.issue("error", kind, message, motion[bad]))
+
+
+class RobotInCell(Struct, frozen=True, eq=False, dict=True):
+    """A robot in its cell.
+
+    :param robot: the robot with the cell's payload.
+    :param cell: the cell.
+    """
+
+    robot: RobotModel
+    cell: Cell
+
+    @classmethod
+    def of(cls, robot: RobotModel, cell: Cell) -> RobotInCell:
+        """Combine a robot and a cell; the robot gets the payload of the cell."""
+        load = cell.payload
+        return cls(robot.with_payload(load.mass_kg, np.array([load.X, load.Y, load.Z]) * M_PER_MM), cell)
+
+    def forward(self, q: Array) -> Array:
+        """Return the flange (4, 4) in the root by the controller's geometry for joint angles (6,) [rad]."""
+        state = kinematics.posture(self.robot.nominal, np.asarray(q, dtype=float)[:, None])
+        return np.asarray(kinematics.matrices(state.pose)[0])
+
+    def follow(self, program: Program, motion: Ints, t: Array, pose: Array) -> JointPath:
+        """Solve the joint angles of a path from where the cell starts, see `kinematics.follow`.
+
+        :param motion: (N,) row of `Motions` of each of its places, in order; `t` (N,) the place on it; `pose` (N, 4, 4)
+            the tool frame in its `$BASE` [m].
+        :raises UnreachableError: a pose has no solution on its branch.
+        """
+        m = program.motions
+        free = (t == 1.0) & (m.kind[motion] == PTP)
+        ptp = motion[free]
+
+        def flange(rows: Ints) -> Array:
+            return toolpath.flange_from_tcp(program, motion[rows], pose.take(rows, axis=0), t[rows])
+
+        start = self.cell.start_joints
+        return kinematics.follow(self.robot, flange, start, free, m.joints[ptp], m.status[ptp], m.turn[ptp])
+
+    @cached_property
+    def tool_spring(self) -> ToolSpring | None:
+        """Holder, spindle and tool as a spring at the tip; None where they are rigid."""
+        compliance = self.cell.tool_compliance.diagonal()
+        return ToolSpring(compliance) if compliance.any() else None
+
+    @cached_property
+    def start_flange(self) -> Array:
+        """Flange (4, 4) in the root where the program starts [m]."""
+        return self.forward(self.cell.start_joints)
+
+    @property
+    def spindle(self) -> str:
+        """Axis of the tool frame that points from the spindle to the tip."""
+        return self.cell.tool.axis
+
+    @property
+    def ramp(self) -> float:
+        """Length over which the force changes [m]."""
+        return self.cell.output.force_ramp_mm * M_PER_MM
+
+    @property
+    def tolerance(self) -> float:
+        """Permitted deviation of the predicted path from the nominal one [m]."""
+        return self.cell.tolerance
+
+    @property
+    def rest_is_nominal(self) -> bool:
+        """True if the tool is exactly at the commanded pose without cutting force."""
+        robot = self.robot
+        return robot.geometry_is_nominal and robot.subtract_reference and self.cell.payload.mass_kg == 0.0
+
+    def softness(self, tool: Array) -> tuple[float, float]:
+        """Return the approximate compliance of a tool (4, 4) at the start: per force [m/N] and per moment [m/(N·m)]."""
+        force, moment = elastostatics.largest_compliance(self.robot, self.cell.start_joints, tool)
+        own = self.cell.tool_compliance.diagonal()
+        return force + float(own[:3].max()), moment + float(own[3:].max())
+
+    def compensate(self, target: Array, q_nominal: Array, tool: Array, wrench: Array) -> Compensation:
+        """Find the commanded poses that put the loaded tool at its targets (n, 4, 4): `elastostatics.compensate`.
+
+        :param q_nominal: (n, 6) joint angles of the uncorrected targets [rad].
+        :param tool: (4, 4) or (n, 4, 4) tool in the flange frame [m].
+        :param wrench: (n, 6) at the tip, root axes [N, N·m].
+        :raises NotConvergedError: a target has no loaded equilibrium.
+        """
+        if (spring := self.tool_spring) is not None:
+            target, wrench = spring.arm_target(target, wrench)
+        return elastostatics.compensate(self.robot, target, q_nominal, tool, wrench)
+
+    def tip(self, q: Array, tool: Array, wrench: Array, guess: Array | None = None) -> Array:
+        """Return the position (n, 3) of the loaded tip in the root [m]."""
+        return self.tip_and_share(q, tool, wrench, guess)[0]
+
+    def tip_and_share(self, q: Array, tool: Array, wrench: Array, guess: Array | None = None) -> tuple[Array, Array]:
+        """Return the position (n, 3) of the loaded tip in the root [m], and the deflection of holder, spindle and tool.
+
+        :param q: (n, 6) commanded joint angles [rad].
+        :param tool: (4, 4) or (n, 4, 4) tool in the flange frame [m].
+        :param wrench: (n, 6) at the tip, root axes [N, N·m].
+        :param guess: (n, nv) initial guess of the deflections of the springs.
+        :raises NotConvergedError: the load is too large for the springs.
+        """
+        if (spring := self.tool_spring) is not None:
+            return spring.loaded_tip(self.robot, q, tool, wrench, guess)
+        tip = elastostatics.loaded_tip(self.robot, q, tool, wrench, guess)
+        return tip, np.zeros_like(tip)
+
+
+SHARE_OF_TOLERANCE = 0.4
+"""Share of the tolerance for deviations at the samples of the path; the rest is for deviations between them."""
+
+
+class MotionsUnderLoad(Struct, frozen=True, eq=False):
+    """The motions of a program with the forces along them, in the cell of a robot.
+
+    :param program: the program.
+    :param setting: the robot in its cell.
+    :param segments: start and length of the motions.
+    :param forces: the forces along them.
+    :param softness: approximate compliance at the tip per force [m/N] and per moment [m/(N·m)].
+    :param estimate: approximate displacement of the tool by the forces.
+    :param swung: places of straight motions that are needed where FEED forces swing: motion (n,) and t (n,).
+    """
+
+    program: Program
+    setting: RobotInCell
+    segments: Segments
+    forces: PathForces
+    softness: tuple[float, float]
+    estimate: DisplacementEstimate
+    swung: tuple[Ints, Array]
+
+    @classmethod
+    def of(cls, program: Program, setting: RobotInCell, source: ForceSource | None) -> MotionsUnderLoad:
+        """Assign forces to the motions of a program.
+
+        :param source: forces that take precedence over the comments of the program.
+        :raises ImpossiblePathError: the path is out of reach or implausibly long.
+        :raises ForceError: the forces do not match the motions.
+        """
+        check_ends(program, setting.robot)
+        segments = toolpath.segments(program, setting.start_flange)
+        check_between(program, setting.robot, segments)
+        along = forces.along(program, segments, source, setting.spindle, setting.ramp)
+        softness = setting.softness(program.tools[0])
+        swung = forces.swung(along, softness, SHARE_OF_TOLERANCE * setting.tolerance)
+        return cls(program, setting, segments, along, softness, forces.estimate(along, softness), swung)
+
+    def pieces(self, *, linearize_arcs: bool) -> Pieces:
+        """Return the initial division of the arcs into pieces.
+
+        :param linearize_arcs: replace arcs by chords.
+        """
+        tolerance = self.setting.tolerance
+        arcs = toolpath.pieces(self.program, self.segments, tolerance, self.estimate, linearize_arcs=linearize_arcs)
+        return forces.followed(self.forces, arcs, self.estimate, self.softness, SHARE_OF_TOLERANCE * tolerance)
+
+
+class PathUnderLoad(Struct, frozen=True, eq=False):
+    """N samples of the nominal path of a program. Row i of every array is the same sample.
+
+    :param motions: the motions and the forces along them.
+    :param arcs: the pieces of its arcs.
+    :param sample: the places and their poses in `$BASE`.
+    :param wrench: (N, 6) wrench on the tool at its tip [N, N·m], `$BASE` axes.
+    :param joints: joint angles by the controller's nominal geometry, and their branch.
+    """
+
+    motions: MotionsUnderLoad
+    arcs: Pieces
+    sample: Toolpath
+    wrench: Array
+    joints: JointPath
+
+    @classmethod
+    def of(cls, motions: MotionsUnderLoad, arcs: Pieces, also: tuple[Ints, Array] | None = None) -> PathUnderLoad:
+        """Sample the motions as closely as arcs and forces need, and solve the joint angles.
+
+        :param arcs: the pieces of the arcs.
+        :param also: places of straight motions that are needed: motion (n,) and t (n,); by default `motions.swung`.
+        :raises ImpossiblePathError: a sample is out of reach.
+        """
+        program, setting = motions.program, motions.setting
+        also = motions.swung if also is None else also
+        motion, t = toolpath.places(program, motions.segments, setting.tolerance, motions.estimate, arcs, also)
+        sample = toolpath.at(program, motions.segments, motion, t)
+        try:
+            joints = setting.follow(program, motion, t, sample.pose)
+        except UnreachableError as cause:
+            raise ImpossiblePathError(unreachable(program, motion[list(cause.rows)])) from None
+        return read_only(cls(motions, arcs, sample, motions.forces.at(sample), joints))
+
+    def __len__(self) -> int:
+        return len(self.sample)
+
+    @property
+    def program(self) -> Program:
+        """The program."""
+        return self.motions.program
+
+    def tool(self, rows: Ints) -> Array:
+        """Return `$TOOL` in the flange frame at samples (n,) [m]: (4, 4) if the program has one, else (n, 4, 4)."""
+        return toolpath.tool_of(self.program, self.sample.motion[rows])
+
+    def pose_in_root(self, rows: Ints) -> Array:
+        """Return the tool frame in the robot root at samples (n,): (n, 4, 4) [m]."""
+        motion, t = self.sample.motion[rows], self.sample.t[rows]
+        return toolpath.pose_in_root(self.program, motion, self.sample.pose.take(rows, axis=0), t)
+
+    def wrench_in_root(self, rows: Ints) -> Array:
+        """Return the wrench in root axes at samples (n,): (n, 6) [N, N·m]."""
+        return toolpath.wrench_in_root(self.program, self.sample.motion[rows], self.wrench.take(rows, axis=0))
+
+    def tip_in_base(self, rows: Ints, q: Array, wrench_in_root: Array, guess: Array) -> tuple[Array, Array]:
+        """Return the loaded tip (n, 3) at samples (n,), and the deflection of holder, spindle and tool (n, 3).
+
+        Both are in the `$BASE` of the motions [m]; the deflection is included in the tip position.
+
+        :param q: (n, 6) joint angles [rad].
+        :param wrench_in_root: (n, 6) [N, N·m].
+        :param guess: (n, nv) initial guess of the deflections of the springs.
+        :raises NotConvergedError: no loaded equilibrium: the load is too large for the springs.
+        """
+        motion = self.sample.motion[rows]
+        tip, share = self.setting.tip_and_share(q, self.tool(rows), wrench_in_root, guess)
+        if self.setting.tool_spring is not None:
+            rotation = toolpath.base_of(self.program, motion)[..., :3, :3]
+            share = np.asarray(np.einsum("...i,...ij->...j", share, rotation))
+        return toolpath.points_in_base(self.program, motion, tip, self.sample.t[rows]), share
+
+    @property
+    def setting(self) -> RobotInCell:
+        """The robot in its cell."""
+        return self.motions.setting
