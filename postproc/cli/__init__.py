@@ -26,6 +26,7 @@ _COMMANDS = {
     "predict": "postproc.cli.convert:predict",
     "robots": "postproc.cli.robots:robots",
     "samples": "postproc.cli.first_steps:samples",
+    "testpart": "postproc.cli.testpart:testpart",
     "watch": "postproc.cli.watch:watch",
 }
 """Command → where it is."""

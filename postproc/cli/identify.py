@@ -196,6 +196,69 @@ def validate(
         ctx.exit(3)
 
 
+@identify.command()
+@click.argument("probed", type=_FILE)
+@click.option("--cell", type=_FILE, required=True, help="Cell in which the part was cut; its robot is the prior.")
+@click.option("--process", type=_FILE, required=True, help="Process of the part: testpart.process.toml.")
+@click.option("--program", type=_FILE, required=True, help="The program that was cut: testpart.nc.")
+@click.option("--tool", type=int, help="Number of its tool; default: the only one.")
+@click.option(
+    "--sigma",
+    "sigma_mm",
+    type=click.FloatRange(1e-4, 1),
+    default=0.005,
+    show_default=True,
+    help="Noise of the probe, mm.",
+)
+@click.option("--compare", is_flag=True, help="Check the model of the cell only; write nothing.")
+@click.option("-o", "--output", type=_FILE, metavar="MODEL_DIR", help="Model folder to write.")
+@_overwrite
+@click.option("--json", "as_json", is_flag=True, help="Print identification.json.")
+@click.pass_context
+def part(
+    ctx: click.Context, /, compare: bool, output: Path | None, overwrite: bool, as_json: bool, **request: Any
+) -> None:
+    """Compliances, and the scale of forces, from a probed part.
+
+    PROBED is the probing.csv of `postproc testpart`, filled in: deviations along the normal, positive where material is
+    left; rows without a deviation are left out. The part was cut uncorrected. The prior is the model of the cell with
+    its covariance or sigma_percent, and the forces of the process with their sigma. Writes a model folder with
+    covariance, material.toml with the forces as found (for `[material] file`), and a page of measured against predicted
+    deviations. What the part does not determine keeps its prior and is named.
+
+    --compare checks the model of the cell by the part, every month for example: it tells whether the deviations agree
+    with the model, and which parameters have changed.
+
+    Exit codes: 0 the model may be used, or holds; 1 the readings cannot be used; 3 refused, or does not hold.
+
+    \b
+    Examples:
+      postproc identify part probing.csv --cell cell.toml --process testpart.process.toml \\
+          --program testpart.nc -o my_robot
+      postproc identify part probing.csv --cell my_cell.toml --process testpart.process.toml \\
+          --program testpart.nc --compare
+    """  # noqa: D301 - click: keep these lines as they are
+    from postproc.jobs.testpart_files import PartRequest, identify_part
+    from postproc.report.testpart import agreement_lines, part_lines
+
+    if compare == (output is not None):
+        raise click.UsageError("Give -o MODEL_DIR, or --compare.")
+    done = identify_part(PartRequest(**request), output, overwrite=overwrite)
+    compared = done.data.agreement
+    if as_json:
+        click.echo(done.data.as_json().decode())
+    else:
+        lines = part_lines(done.data) if compared is None else agreement_lines(done.data, compared)
+        for text in lines:
+            click.echo(text)
+        for warning in done.data.warnings if compared is None else ():
+            click.echo(f"warning: {warning}", err=True)
+        if done.written:
+            click.echo(f"written: {output}")
+    if done.data.verdict.refused if compared is None else not compared.holds:
+        ctx.exit(3)
+
+
 def _show(done: IdentifiedFolder, output: Path, as_json: bool) -> None:
     if as_json:
         click.echo(done.data.as_json().decode())

@@ -62,7 +62,7 @@ _SAME_LEVEL = 1.25
 """Sorted loads belong to one level while each is less than this times the one before."""
 _SHARE = 0.0005
 """Median of δ over the displacements (RMS of a component) before any reading."""
-_WIDTH = 1.5
+WIDTH = 1.5
 """Standard deviation of the logarithm of δ before any reading."""
 _STEPS, _SPAN = 241, (-5.0, 4.5)
 """Values of δ that are tried, and between which standard deviations of its prior."""
@@ -139,7 +139,7 @@ def unmodelled(error: Array, blur: Array, weight: Array, median: float) -> float
     spread, axes = np.linalg.eigh(blur)
     along = np.einsum("nij,ni->nj", axes, error) ** 2
     off = np.linspace(*_SPAN, _STEPS)
-    delta = max(median, 1e-9) * np.exp(_WIDTH * off)
+    delta = max(median, 1e-9) * np.exp(WIDTH * off)
     whole = spread + delta[:, None, None] ** 2
     likely = -0.5 * np.sum((np.log(whole) + along / whole).sum(axis=2) * weight, axis=1) - 0.5 * off**2
     chance = np.exp(likely - likely.max())

@@ -19,6 +19,7 @@ from PIL import Image
 from postproc.cli import main
 from tests.documentation.pages import DOCS, ROOT
 from tests.pages.browser import opened, running
+from tests.testpart import trial
 
 PICTURES = DOCS / "pictures"
 SAMPLES = ROOT / "samples"
@@ -39,9 +40,9 @@ def invoke(*arguments: object) -> None:
     assert result.exit_code == 0, result.output
 
 
-def screenshot(page: Path, path: Path, width: int, height: int, section: str = "") -> None:
-    """Take the picture of the head of a page, or of one of its sections."""
-    with running() as browser, opened(browser, page, width=width, height=height) as opened_page:
+def screenshot(page: Path, path: Path, width: int, height: int, section: str = "", *, ready: bool = True) -> None:
+    """Take the picture of the head of a page, or of one of its sections; a page without plots is not `ready`."""
+    with running() as browser, opened(browser, page, width=width, height=height, ready=ready) as opened_page:
         if section:
             opened_page.locator(f"#{section}").scroll_into_view_if_needed()
             opened_page.wait_for_timeout(2000)
@@ -79,6 +80,31 @@ def identification(folder: Path) -> None:
     readings, experiment = folder / "demo" / "measurements.csv", folder / "demo" / "experiment.toml"
     invoke("identify", "elastostatics", readings, "--experiment", experiment, "-o", folder / "my_robot")
     screenshot(folder / "my_robot" / "report.html", PICTURES / "identification.png", 1440, 1200)
+
+
+def _testpart(folder: Path) -> Path:
+    """Make a test part; return its folder."""
+    (folder / "process.toml").write_text(trial.process_text(((0, 300), (0, 200), (-40, 0)), 0.25))
+    invoke("testpart", "--cell", CELL, "--process", folder / "process.toml", "--depth", "3", "-o", folder / "out")
+    return folder / "out"
+
+
+def testpart(folder: Path) -> None:
+    """Take the head of the page of a test part."""
+    screenshot(_testpart(folder) / "testpart.html", PICTURES / "testpart.png", 1200, 1120, ready=False)
+
+
+def testpart_model(folder: Path) -> None:
+    """Take the head of the report of a model from a test part, milled by a simulated robot."""
+    import numpy as np
+
+    out, rng = _testpart(folder), np.random.default_rng(5)
+    cutter = trial.machine(trial.truth(rng), 1.08, 5.01)
+    probed = cutter.probed((out / "testpart.nc").read_text(), (out / "probing.csv").read_text(), rng)
+    (out / "probed.csv").write_text(probed)
+    given = ("--process", out / "testpart.process.toml", "--program", out / "testpart.nc")
+    invoke("identify", "part", out / "probed.csv", "--cell", CELL, *given, "-o", folder / "my_robot")
+    screenshot(folder / "my_robot" / "report.html", PICTURES / "testpart-model.png", 1200, 1250)
 
 
 @dataclass(frozen=True)
@@ -170,6 +196,8 @@ def moving(folder: Path) -> None:
 
 ALL: dict[str, Callable[[Path], None]] = {
     **{each.__name__: each for each in (pocket, plate, identification, moving)},
+    "testpart": testpart,
+    "testpart-model": testpart_model,
     **{name: gallery(name) for name in PARTS},
 }
 

@@ -24,6 +24,7 @@ from postproc.program import parse_force_note
 from postproc.report.comparison import PAIR_COLUMNS
 from postproc.report.csv_files import CARRIAGE, TARGET_COLUMNS
 from postproc.robot import ModelFile
+from postproc.testpart import probing
 from tests.documentation import pages, schema
 from tests.documentation.pages import ROOT, block, described
 
@@ -58,6 +59,7 @@ CSV = {
     "forces.csv": forces.read_force_csv,
     "measurements.csv": readings,
     "compensator.csv": compensator_geometry.read,
+    "probing.csv": probing.read,
     "poses.csv": lambda path: milling.from_file(path, ROBOT, CELL),
 }
 

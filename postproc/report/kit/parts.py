@@ -126,6 +126,19 @@ class View(msgspec.Struct, frozen=True):
     note: str = ""
 
 
+class Drawing(msgspec.Struct, frozen=True):
+    """A drawing to scale.
+
+    :param svg: an svg element, without text of users; `label` says what it shows, for those who do not see it.
+    :param note: a sentence below.
+    """
+
+    template: ClassVar[str] = "drawing"
+    svg: str
+    label: str
+    note: str = ""
+
+
 class Fold(msgspec.Struct, frozen=True):
     """Parts that are shown on request."""
 

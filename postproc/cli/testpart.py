@@ -1,0 +1,63 @@
+"""`postproc testpart`: a part whose probed surfaces identify the robot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from postproc.cli.completion import several_programs
+
+_PATH = click.Path(path_type=Path)
+
+
+@click.command()
+@click.option("--cell", type=_PATH, required=True, help="Cell file; its robot is the prior.")
+@click.option("--process", type=_PATH, required=True, help="process.toml: material and a flat end mill.")
+@click.option("--block", help='Block in $BASE, mm: "X=0:300,Y=0:200,Z=-40:0"; default: [stock] box of the process.')
+@several_programs("What will be milled: the part is chosen for it.")
+@click.option("--forces", type=_PATH, help="Forces of these programs: a CSV, process.toml, or a folder.")
+@click.option(
+    "--features", "count", type=click.IntRange(2, 60), default=12, show_default=True, help="Features at most."
+)
+@click.option(
+    "--depth", "depth_mm", type=click.FloatRange(0.1, 50), help="Largest depth of cut, mm; default 0.2 diameters."
+)
+@click.option("--feed", "feed_mm_per_min", type=click.FloatRange(1, 50_000), help="Feed of full cuts, mm/min.")
+@click.option("--tool", type=int, help="Number of the tool; default: the only one.")
+@click.option(
+    "--sigma",
+    "sigma_mm",
+    type=click.FloatRange(1e-4, 1),
+    default=0.005,
+    show_default=True,
+    help="Noise of the probe, mm.",
+)
+@click.option("-o", "--output", type=_PATH, required=True, metavar="DIR", help="Folder to write.")
+@click.option("--overwrite", is_flag=True, help="Replace files that postproc did not write, or not as they are.")
+@click.option("--json", "as_json", is_flag=True, help="Print testpart.json.")
+def testpart(as_json: bool, programs: tuple[str, ...], more: tuple[str, ...], **request: Any) -> None:
+    """Make a part to mill and probe: it identifies the robot.
+
+    For shops without a laser tracker. Chooses grooves and steps in the block: places, directions and depths after which
+    the least error is expected where you mill. Each has a trimmed half, cut with almost no force: the reference. Writes
+    testpart.nc, testpart.src (nominal, not corrected), probing.csv to fill in, testpart.process.toml, and
+    testpart.html: the drawing, and what each parameter will be known to.
+
+    Next: `postproc identify part`.
+
+    \b
+    Example:
+      postproc testpart --cell cell.toml --process part.process.toml --block "X=0:300,Y=0:200,Z=-40:0" -o testpart
+    """  # noqa: D301 - click: keep these lines as they are
+    from postproc.jobs.testpart_files import TestPartRequest, make_testpart
+    from postproc.report.testpart import design_lines
+
+    made = make_testpart(TestPartRequest(programs=programs + more, **request))
+    if as_json:
+        click.echo(made.written[-1].read_text(encoding="utf-8"), nl=False)
+        return
+    for line in design_lines(made.design, made.prior, made.cutting):
+        click.echo(line)
+    click.echo("written: " + ", ".join(str(path) for path in made.written))

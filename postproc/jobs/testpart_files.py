@@ -1,0 +1,333 @@
+"""`postproc testpart`: from cell and process to a part. `postproc identify part`: from the probed part to a model."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
+
+from postproc import cell as cells
+from postproc import correction, files, kinematics, machining
+from postproc import robot as robots
+from postproc.cell import Box
+from postproc.dialects import registry
+from postproc.errors import ForceError, InputError, ModelError
+from postproc.files import FileEntry
+from postproc.frames import M_PER_MM, MM_PER_M
+from postproc.identification import model_folder, record
+from postproc.jobs.conversion import marked, read_program
+from postproc.jobs.output_plan import protect
+from postproc.jobs.programs import find_jobs
+from postproc.jobs.settings import Settings, load_robot
+from postproc.machining import Process, ProcessSource
+from postproc.machining.process import ProcessFile, StockTable, ToolTable
+from postproc.program import Program
+from postproc.report.testpart import design_page, part_page
+from postproc.robot.model_file import ModelFile
+from postproc.testpart import design, features, probing
+from postproc.testpart.cut import States, surfaces
+from postproc.testpart.design import Design, Tests
+from postproc.testpart.features import Cutting
+from postproc.testpart.fit import Fit, Prior, Readings, fit
+from postproc.testpart.job import forces_of
+from postproc.testpart.model import PartIdentification, agreement, material, model_file, summary
+from postproc.under_load import RobotInCell
+
+_CHIP = 0.006
+"""Feed per tooth by the diameter of the tool, if none is given."""
+_SPEED = 150.0
+"""Cutting speed if the process states no rpm [m/min]."""
+_DEPTH = 0.2
+"""Depth of cut by the diameter of the tool, if none is given."""
+_MOST_TESTS = 200
+"""Poses of the programs that count, evenly taken."""
+PROCESS = "testpart.process.toml"
+_RECORD = "testpart.json"
+
+
+class TestPartRequest(Struct, frozen=True, kw_only=True):
+    """What a test part is made from, and where it is written.
+
+    :param block: ``"X=0:300,Y=0:200,Z=-40:0"`` in `$BASE`, mm; None: the box of the process.
+    :param programs: what will be milled, with `forces`; without them, this process all over the block.
+    :param count: number of features at most.
+    :param depth_mm: largest depth of cut.
+    :param feed_mm_per_min: of full cuts.
+    :param tool: number of the tool; None: the only one.
+    :param sigma_mm: noise of the probe.
+    """
+
+    __test__ = False  # not a test of pytest
+
+    cell: Path
+    process: Path
+    output: Path
+    block: str | None = None
+    programs: tuple[str, ...] = ()
+    forces: Path | None = None
+    count: int = 12
+    depth_mm: float | None = None
+    feed_mm_per_min: float | None = None
+    tool: int | None = None
+    sigma_mm: float = 0.005
+    overwrite: bool = False
+
+
+class TestPartFiles(Struct, frozen=True, eq=False):
+    """A test part as it was written."""
+
+    __test__ = False
+
+    design: Design
+    prior: Prior
+    cutting: Cutting
+    written: tuple[Path, ...]
+
+
+def block_of(text: str) -> Box:
+    """Return the box of ``"X=0:300,Y=0:200,Z=-40:0"``.
+
+    :raises InputError: it is not understood.
+    """
+    spans = {}
+    for part in text.split(","):
+        name, _, span = part.partition("=")
+        low, _, high = span.partition(":")
+        try:
+            spans[name.strip().upper()] = float(low), float(high)
+        except ValueError:
+            spans[""] = 0.0, 0.0
+    if set(spans) != set("XYZ") or any(not low < high for low, high in spans.values()):
+        raise InputError(f"{text!r} is no block", file="--block", advice='For example "X=0:300,Y=0:200,Z=-40:0".')
+    return Box(spans["X"], spans["Y"], spans["Z"])
+
+
+def flat_tool(process: Process, number: int | None) -> tuple[str, ToolTable]:
+    """Return the flat end mill of a process.
+
+    :raises ForceError: there is none of that number, or it is not flat.
+    """
+    found = process.tool(number)
+    if found is None:
+        known = ", ".join(process.tools) or "none"
+        raise ForceError("the tool of the test part is not given", file=process.path, advice=f"--tool; found: {known}.")
+    if found[1].shape != "flat":
+        raise ForceError(
+            f"[tools.{found[0]}] is a {found[1].shape} tool",
+            file=process.path,
+            advice="Cut the test part with a flat end mill: its walls and floors are what is probed.",
+        )
+    return found
+
+
+def make_testpart(request: TestPartRequest, progress: Callable[[str], None] = lambda _: None) -> TestPartFiles:
+    """Choose a test part and write it: program, KRL, table to fill in, process and page, whole or not at all.
+
+    :raises PostprocError: an input is unusable, no feature fits, or an output must not be written.
+    """
+    cell = cells.load(request.cell)
+    robot = load_robot(cell.robot, cell.folder)
+    process = machining.load(request.process)
+    key, tool = flat_tool(process, request.tool)
+    box = process.stock.box if request.block is None else block_of(request.block)
+    if box is None:
+        raise InputError("no block", file=str(request.process), advice="Give --block, or [stock] box in the process.")
+    names = [design.NAME, "testpart.src", "probing.csv", PROCESS, "testpart.html", _RECORD]
+    protect([request.cell, request.process], request.output, names)
+    if not request.overwrite:
+        files.refuse(files.foreign(request.output, names[:-1], _RECORD))
+    setting = RobotInCell.of(robot, cell)
+    prior = Prior.of(setting.robot, process.law().sigma)
+    rpm = tool.rpm or float(np.floor(min(12_000.0, 1e3 * _SPEED / (np.pi * tool.diameter_mm)) / 100.0) * 100.0)
+    feed = request.feed_mm_per_min or _CHIP * tool.diameter_mm * tool.flutes * rpm
+    cutting = Cutting(
+        tool.diameter_mm * M_PER_MM,
+        rpm,
+        feed * M_PER_MM / 60.0,
+        int(key) if key.isdecimal() else 1,
+        box.Z[1] * M_PER_MM,
+    )
+    depth = (request.depth_mm or _DEPTH * tool.diameter_mm) * M_PER_MM
+    progress("candidates")
+    found, cutting = design.candidates(prior, setting, process, cutting, depth, box, request.sigma_mm * M_PER_MM)
+    tests = _tests(request, setting, found)
+    progress("choice of features")
+    chosen = design.choose(found, prior, setting, tests, request.count)
+    part = features.program(chosen.features, cutting)
+    contents: dict[str, bytes | Iterable[bytes]] = {design.NAME: part.text.encode()}
+    contents |= _krl(request, part.text)
+    contents["probing.csv"] = probing.table(part)
+    contents[PROCESS] = _process(process, box)
+    contents["testpart.html"] = design_page(chosen, prior, cutting, part, box, cell.robot)
+    data = _data(chosen, prior, cutting)
+    written = files.write_whole(
+        request.output,
+        files.with_record(contents, _RECORD, lambda entries: _json({**data, "files": entries})),
+    )
+    return TestPartFiles(chosen, prior, cutting, tuple(written))
+
+
+def _json(data: dict[str, object]) -> bytes:
+    return (json.dumps(data, indent=2, ensure_ascii=False) + "\n").encode()
+
+
+def _data(chosen: Design, prior: Prior, cutting: Cutting) -> dict[str, object]:
+    names = [*(parameter.name for parameter in prior.parameters), "forces"]
+    return {
+        "features": len(chosen.features),
+        "minutes": round(chosen.seconds / 60.0, 2),
+        "feed_mm_per_min": round(cutting.feed * MM_PER_M * 60.0, 1),
+        "rpm": cutting.rpm,
+        "trim_mm": round(cutting.trim * MM_PER_M, 3),
+        "tests": chosen.tests,
+        "deflection_mm": round(chosen.own * MM_PER_M, 4),
+        "expected_before_mm": round(chosen.before * MM_PER_M, 4),
+        "expected_after_mm": round(chosen.after * MM_PER_M, 4),
+        "known_to": {name: round(float(share), 3) for name, share in zip(names, chosen.sigma, strict=True)},
+    }
+
+
+def _tests(request: TestPartRequest, setting: RobotInCell, found: design.Candidates) -> Tests:
+    if not request.programs:
+        return design.tests_in_block(found)
+    from postproc.jobs.plan_files import cutting_states  # readers of programs come with it
+    from postproc.plan import milling
+
+    poses = milling.joined(cutting_states(request.programs, request.forces, setting.robot, setting.cell))
+    rows = np.arange(0, len(poses), max(1, len(poses) // _MOST_TESTS))
+    tool = np.broadcast_to(setting.cell.tool.pose(), (len(rows), 4, 4))
+    pose = kinematics.tcp(setting.robot.nominal, poses.q[rows], tool)[0]
+    weight = poses.weight[rows] / poses.weight[rows].sum()
+    return Tests(States(poses.q[rows], tool, pose, poses.wrench[rows]), weight, poses.source)
+
+
+def _krl(request: TestPartRequest, text: str) -> dict[str, bytes]:
+    """Return the nominal program in the language of the robot, marked as such."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / design.NAME
+        path.write_bytes(text.encode())
+        settings = Settings(request.cell, mode="nominal")
+        cell = cells.load(request.cell)
+        cell = replace(cell, gcode=replace(cell.gcode, redundancy="constant"))  # as the part was chosen
+        robot = load_robot(cell.robot, cell.folder)
+        to = robot.language if robot.language and registry.by_name(robot.language).writer is not None else None
+        (job,) = find_jobs([str(path)], output=request.output, to=to)
+        result = correction.process(read_program(path, robot, cell), robot, cell, None, "nominal", to=job.to)
+        if result.failed:
+            problem = next(issue for issue in result.issues if issue.level == "error")
+            raise InputError(problem.message, file=design.NAME, line=problem.source_line)
+        return {document.name: document.to_bytes() for document in marked(result, job, settings, cell).documents}
+
+
+def _process(process: Process, box: Box) -> bytes:
+    """Return the process with the block as its stock."""
+    given = process.material
+    if given is not None and given.file is not None:
+        given = replace(given, file=str((Path(process.path).parent / given.file).resolve()))
+    content = ProcessFile(given, process.tools, StockTable(box=box, resolution_mm=process.stock.resolution_mm))
+    return files.toml(
+        content, "Written by `postproc testpart`: the process, with the block of the test part as its stock."
+    )
+
+
+class PartRequest(Struct, frozen=True, kw_only=True):
+    """What a model is identified from.
+
+    :param probed: probing.csv filled in.
+    :param cell: the cell in which the part was cut; its robot is the prior.
+    :param process: of the part.
+    :param program: testpart.nc.
+    :param sigma_mm: noise of the probe.
+    """
+
+    probed: Path
+    cell: Path
+    process: Path
+    program: Path
+    tool: int | None = None
+    sigma_mm: float = 0.005
+
+
+class PartFiles(Struct, frozen=True, eq=False):
+    """A model from a test part; `written` is empty if it was only compared."""
+
+    data: PartIdentification
+    fit: Fit
+    written: tuple[Path, ...]
+
+
+class _Given(Struct, frozen=True, eq=False):
+    """A probed part with the model to fit."""
+
+    prior: Prior
+    readings: Readings
+    setting: RobotInCell
+    process: Process
+    program: Program
+
+    def fit(self, prior: Prior) -> tuple[Fit, tuple[str, ...]]:
+        """Fit a model; return the points left out too."""
+        source = ProcessSource(self.process, self.setting.spindle)
+        forces = forces_of(self.program, self.setting, source, self.readings.where)
+        return fit(prior, self.readings, self.setting, forces)
+
+
+def _given(request: PartRequest, model: str | None = None) -> _Given:
+    """Read a probed part.
+
+    :param model: name or folder of the model, instead of that of the cell.
+    :raises PostprocError: an input is unusable.
+    """
+    cell = cells.load(request.cell)
+    robot = load_robot(cell.robot, cell.folder) if model is None else load_robot(model, Path())
+    process = machining.load(request.process)
+    _, tool = flat_tool(process, request.tool)
+    program = read_program(request.program, robot, cell)
+    setting = RobotInCell.of(robot, cell)
+    probed = probing.read(request.probed)
+    where = surfaces(program, setting, probed, 0.5 * tool.diameter_mm * M_PER_MM)
+    prior = Prior.of(setting.robot, process.law().sigma)
+    return _Given(prior, Readings(probed, where, request.sigma_mm * M_PER_MM), setting, process, program)
+
+
+def identify_part(request: PartRequest, output: Path | None, *, overwrite: bool = False) -> PartFiles:
+    """Identify a model from a probed part, and write the model folder.
+
+    :param output: model folder to write; None: only compare.
+    :raises PostprocError: an input is unusable, or the folder must not be replaced.
+    """
+    cell = cells.load(request.cell)
+    folder = robots.find(cell.robot, Path(cell.folder))
+    if output is not None:
+        if not overwrite:
+            model_folder.protect(output)
+        if output.resolve() == folder.resolve():
+            raise InputError("would overwrite the prior model", file=str(output), advice="Give another folder with -o.")
+    given = _given(request)
+    if output is None:
+        found, left_out = given.fit(given.prior.widened())
+        data = replace(summary(found, left_out), agreement=agreement(found, given.prior))
+        return PartFiles(data, found, ())
+    found, left_out = given.fit(given.prior)
+    data = summary(found, left_out)
+    prior = files.read_toml(folder / "model.toml", ModelFile, ModelError)
+    content = model_file(found, prior, f"{request.probed.name} (test part)")
+    for name, part in (("model.toml", content), (record.NAME, data)):
+        model_folder.require_finite(msgspec.to_builtins(part), name)
+    contents: dict[str, bytes | Iterable[bytes]] = {
+        "model.toml": files.toml(content, "Written by `postproc identify part`. Units are in the names."),
+        "robot.urdf": (folder / "robot.urdf").read_bytes(),
+        "material.toml": material(found, given.process, request.probed.name),
+        "report.html": part_page(data, output.resolve().name),
+    }
+
+    def rendered(entries: list[FileEntry]) -> bytes:
+        return replace(data, files=entries).as_json()
+
+    return PartFiles(data, found, tuple(files.write_whole(output, files.with_record(contents, record.NAME, rendered))))

@@ -1,0 +1,362 @@
+"""Pages of a test part: the drawing with what the part will show, and measured against predicted deviations."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from postproc.cell import Box
+from postproc.frames import MM_PER_M, Array
+from postproc.report.kit import (
+    Axis,
+    Cell,
+    Curve,
+    Drawing,
+    Kind,
+    Note,
+    Notes,
+    Page,
+    Plot,
+    Points,
+    Row,
+    Section,
+    Table,
+    Tile,
+    Tiles,
+    Verdict,
+)
+from postproc.testpart import features
+from postproc.testpart.design import Design
+from postproc.testpart.features import Cutting, Program
+from postproc.testpart.fit import Prior
+from postproc.testpart.model import Agreement, PartIdentification
+
+_WIDE = 900.0
+"""Width of the drawing [px]."""
+_ARC = 24
+_PRODUCT = (
+    "Forces and compliances scale against each other: twice the force on a robot half as compliant leaves the same "
+    "surfaces. The part shows their product well; the scale alone is known only by its prior and by those of the "
+    "compliances. The model and material.toml belong together. Different depths and directions of feed separate the "
+    "joints, not the scale; a force that is measured (identify forces, with a dynamometer) separates the scale."
+)
+
+
+def design_page(chosen: Design, prior: Prior, cutting: Cutting, part: Program, box: Box, robot: str) -> bytes:
+    """Return the page of a chosen part: drawing, table of features, and what each parameter will be known to."""
+    tiles = (
+        Tile("Features", str(len(chosen.features))),
+        Tile("Probed points", str(len(part.feature))),
+        Tile("Cutting time", f"{chosen.seconds / 60.0:.1f}", "min"),
+        Tile("Expected error now, RMS", f"{chosen.before * MM_PER_M:.3f}", "mm"),
+        Tile(
+            "Expected error with the part, RMS",
+            f"{chosen.after * MM_PER_M:.3f}",
+            "mm",
+            note=f"deflection {chosen.own * MM_PER_M:.2f} mm: {chosen.tests}",
+        ),
+    )
+    steps = (
+        Note(
+            f"Clamp a block of X {box.X[0]:g} … {box.X[1]:g}, Y {box.Y[0]:g} … {box.Y[1]:g}, "
+            f"Z {box.Z[0]:g} … {box.Z[1]:g} mm in $BASE."
+        ),
+        Note("Cut testpart.src, or testpart.nc by your own post: uncorrected, in one clamping, with a sharp tool."),
+        Note(
+            "Probe the points of probing.csv; fill in deviation_mm: along the normal, positive where material is left."
+        ),
+        Note("Where the part is probed does not matter: its position is found from the deviations."),
+        Note(
+            "postproc identify part probing.csv --cell CELL --process testpart.process.toml "
+            "--program testpart.nc -o MODEL"
+        ),
+    )
+    sections = (
+        Section("numbers", "What the part will show", (Tiles(tiles),)),
+        Section("drawing", "Drawing", (_drawing(chosen, cutting, box),)),
+        Section("steps", "How to use it", (Notes(steps, marked=True),)),
+        Section(
+            "parameters", "What each parameter will be known to", (_known(chosen, prior), Notes((Note(_PRODUCT),)))
+        ),
+        Section("features", "Features", (_features(chosen),)),
+    )
+    feed = cutting.feed * MM_PER_M * 60.0
+    subtitle = f"{robot}, tool {cutting.diameter * MM_PER_M:g} mm, {cutting.rpm:g} 1/min, {feed:.0f} mm/min"
+    return b"".join(Page("Test part", "testpart", subtitle, sections).render())
+
+
+def _known(chosen: Design, prior: Prior) -> Table:
+    sigma = np.sqrt(np.diag(prior.covariance))
+    values = [p.in_file({o: prior.robot.value(o) for o in prior.order})[0] for p in prior.parameters]
+    rows = []
+    names = [parameter.title for parameter in prior.parameters]
+    for name, value, own, share in zip(names, values, sigma, chosen.sigma[:-1], strict=True):
+        before = 100.0 * own / value if value else float("nan")
+        rows.append(_row(name, before, before * float(share), float(share)))
+    before = 100.0 * prior.sigma_scale
+    rows.append(_row("scale of the forces", before, before * float(chosen.sigma[-1]), float(chosen.sigma[-1])))
+    return Table(
+        ("parameter", "now, σ %", "with the part, σ %", ""),
+        tuple(rows),
+        "Standard deviations of the parameters before and after the part",
+        texts=(3,),
+    )
+
+
+def _row(name: str, before: float, after: float, share: float) -> Row:
+    kind: Kind = "soft" if share > 0.9 else ""
+    return Row((name, f"{before:.2g}", f"{after:.2g}", Cell("not shown by this part" if share > 0.9 else "", kind)))
+
+
+def _features(chosen: Design) -> Table:
+    rows = []
+    for number, (feature, row) in enumerate(zip(chosen.features, chosen.chosen.tolist(), strict=True), start=1):
+        rows.append(
+            Row(
+                (
+                    f"F{number:02d}",
+                    feature.kind.title,
+                    f"{feature.kind.depth * MM_PER_M:g}",
+                    f"{feature.x * MM_PER_M:.1f}",
+                    f"{feature.y * MM_PER_M:.1f}",
+                    f"{np.degrees(feature.angle):.0f}",
+                    f"{chosen.candidates.deflection[row] * MM_PER_M:.3f}",
+                )
+            )
+        )
+    head = ("feature", "kind", "depth, mm", "X, mm", "Y, mm", "direction, °", "deflection, mm")
+    return Table(head, tuple(rows), "Features with the largest expected deflection of the tool", texts=(1,))
+
+
+def _drawing(chosen: Design, cutting: Cutting, box: Box) -> Drawing:
+    """Return the plan view of the block: outlines of grooves and trimmed halves, probed points, numbers."""
+    low, high = np.array([box.X[0], box.Y[0]]), np.array([box.X[1], box.Y[1]])
+    scale = _WIDE / (high[0] - low[0])
+    tall = scale * (high[1] - low[1])
+
+    def xy(points: Array) -> Array:
+        return np.column_stack([(points[:, 0] - low[0]) * scale, tall - (points[:, 1] - low[1]) * scale])
+
+    def path(points: Array, style: str) -> str:
+        return f'<path d="M{" L".join(f"{x:.1f} {y:.1f}" for x, y in xy(points).tolist())}Z" {style}/>'
+
+    out = [f'<rect x="0" y="0" width="{_WIDE:.0f}" height="{tall:.0f}" fill="none" stroke="currentColor"/>']
+    radius = 0.5 * cutting.diameter
+    for number, feature in enumerate(chosen.features, start=1):
+        for name, style in (
+            ("groove", 'fill="currentColor" fill-opacity="0.12" stroke="currentColor"'),
+            ("step", 'fill="currentColor" fill-opacity="0.12" stroke="currentColor"'),
+            ("trim", 'fill="none" stroke="currentColor" stroke-dasharray="4 3"'),
+        ):
+            for begin, end in _runs(feature, cutting, name):
+                out.append(path(_stadium(feature, begin, end, radius) * MM_PER_M, style))
+        for probe in features.probes(feature.kind, cutting):
+            points = features.placed(feature, 0.0, np.array([probe.point]))[:, :2] * MM_PER_M
+            x, y = xy(points)[0].tolist()
+            shade = "none" if probe.name.startswith("ref") else "currentColor"
+            out.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="{shade}" stroke="currentColor"/>')
+        x, y = xy(np.array([[feature.x, feature.y]]) * MM_PER_M)[0].tolist()
+        out.append(
+            f'<text x="{x:.1f}" y="{y + 5:.1f}" text-anchor="middle" font-size="15" font-weight="bold" '
+            'fill="currentColor" paint-order="stroke" stroke="var(--card)" stroke-width="4">'
+            f"F{number:02d} · {feature.kind.depth * MM_PER_M:g}</text>"
+        )
+    for text, x, y, anchor in (
+        (f"X {box.X[0]:g}", 0.0, tall + 18.0, "start"),
+        (f"X {box.X[1]:g}", _WIDE, tall + 18.0, "end"),
+        (f"Y {box.Y[0]:g}", -6.0, tall, "end"),
+        (f"Y {box.Y[1]:g}", -6.0, 12.0, "end"),
+    ):
+        out.append(
+            f'<text x="{x:.0f}" y="{y:.0f}" text-anchor="{anchor}" font-size="13" fill="currentColor">{text}</text>'
+        )
+    svg = (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="-60 -8 {_WIDE + 70:.0f} {tall + 34:.0f}" '
+        f'style="width:100%;max-height:40rem">{"".join(out)}</svg>'
+    )
+    return Drawing(
+        svg,
+        "Plan view of the block with the features",
+        "Seen from the spindle. Shaded: cut under load; dashed: trimmed by light passes. Dots: probed points, "
+        "hollow ones on reference surfaces. Behind each number the depth in mm.",
+    )
+
+
+def _runs(feature: features.Feature, cutting: Cutting, name: str) -> list[tuple[Array, Array]]:
+    """Return the straight runs (u, v) of the passes that make the surfaces of a name."""
+    out, before = [], np.zeros(3)
+    for move in features.passes(feature.kind, cutting):
+        end = np.array(move.end)
+        if move.name.startswith(name):
+            out.append((before[:2], end[:2]))
+        before = end
+    return out
+
+
+def _stadium(feature: features.Feature, begin: Array, end: Array, radius: float) -> Array:
+    """Return the outline (n, 2) in `$BASE` of what a tool covers on a straight run [m]."""
+    along = np.arctan2(*(end - begin)[::-1])
+    turn = np.pi * (np.arange(_ARC + 1) / _ARC - 0.5)
+    ends = [
+        centre + radius * np.column_stack([np.cos(angle + turn), np.sin(angle + turn)])
+        for centre, angle in ((end, along), (begin, along + np.pi))
+    ]
+    points = np.concatenate(ends)
+    return features.placed(feature, 0.0, np.column_stack([points, np.zeros(len(points))]))[:, :2]
+
+
+def design_lines(chosen: Design, prior: Prior, cutting: Cutting) -> list[str]:
+    """Return a chosen part as lines to print."""
+    names = [*(parameter.name for parameter in prior.parameters), "forces"]
+    shown = [f"{name} {100 * share:.0f} %" for name, share in zip(names, chosen.sigma, strict=True) if share <= 0.9]
+    rest = [name for name, share in zip(names, chosen.sigma, strict=True) if share > 0.9]
+    lines = [
+        f"{len(chosen.features)} features, {chosen.seconds / 60.0:.1f} min of cutting, "
+        f"full cuts at {cutting.feed * MM_PER_M * 60:.0f} mm/min",
+        f"expected error where you mill ({chosen.tests}): {chosen.before * MM_PER_M:.3f} mm now, "
+        f"{chosen.after * MM_PER_M:.3f} mm with the part, of {chosen.own * MM_PER_M:.2f} mm deflection (RMS)",
+        f"standard deviations left: {', '.join(shown)} of those now",
+    ]
+    if rest:
+        lines.append(f"not shown by this part: {', '.join(rest)}")
+    return lines
+
+
+def part_lines(data: PartIdentification) -> list[str]:
+    """Return the result of a test part as lines to print."""
+    lines = [data.verdict.line]
+    for name, entry in data.parameters.items():
+        if entry.source == "prior":
+            lines.append(f"{name} {entry.value:.4g} {entry.unit} (prior, not determined by the part)")
+        elif entry.value is not None and entry.ci95 is not None and entry.prior is not None:
+            lines.append(f"{name} {entry.value:.4g} ± {entry.ci95:.2g} {entry.unit} (was {entry.prior:.4g})")
+    scale = data.force_scale
+    lines.append(f"forces {scale.value:.3f} ± {scale.ci95:.2g} times those computed")
+    lines.append(
+        f"deviations {data.deviation_mm:.4f} mm RMS; the model before leaves {data.without_mm:.4f}, this one "
+        f"{data.left_mm:.4f}; probe {data.sigma_mm:.4f}"
+    )
+    lines.append(f"unmodelled error {data.unmodelled_percent:.2g} % of the deflection")
+    return lines
+
+
+def agreement_lines(data: PartIdentification, compared: Agreement) -> list[str]:
+    """Return how the model of the cell agrees with the part, as lines to print."""
+    state = "the model holds" if compared.holds else "THE MODEL DOES NOT HOLD"
+    return [
+        f"{state}: {compared.line}",
+        f"deviations {data.deviation_mm:.4f} mm RMS, of which the model leaves {data.without_mm:.4f}; "
+        f"probe {data.sigma_mm:.4f}",
+    ]
+
+
+def part_page(data: PartIdentification, name: str) -> bytes:
+    """Return the page of a model from a test part as HTML in UTF-8."""
+    refused = data.verdict.refused
+    verdict = Verdict("failed" if refused else "ok", "Refused" if refused else "Usable", data.verdict.line)
+    tiles = (
+        Tile("Deviations, RMS", f"{data.deviation_mm:.3f}", "mm"),
+        Tile("Left by the model before", f"{data.without_mm:.4f}", "mm"),
+        Tile("Left by this model", f"{data.left_mm:.4f}", "mm", note=f"noise of the probe {data.sigma_mm:g} mm"),
+        Tile("Forces over those computed", f"{data.force_scale.value:.3f}", note=f"± {data.force_scale.ci95:.2g}"),
+        Tile("Unmodelled error", f"{data.unmodelled_percent:.2g}", "%", note="of the deflection"),
+    )
+    known = [Note(f"{text}.", "warning") for text in data.warnings]
+    known.append(Note(_PRODUCT))
+    sections = [
+        Section("verdict", "Verdict", (verdict, Tiles(tiles))),
+        Section("measured", "Measured and predicted", (_against(data),), "half"),
+        Section("errors", "What is left", (_errors(data),), "half"),
+        Section("parameters", "Parameters", (_intervals(data), _values(data))),
+        Section("issues", "What to know", (Notes(tuple(known), marked=True),)),
+        Section("points", "Probed points", (_points(data),)),
+    ]
+    return b"".join(Page("Model from a test part", name, f"{len(data.points)} probed points", tuple(sections)).render())
+
+
+def _against(data: PartIdentification) -> Plot:
+    measured = [point.measured_mm for point in data.points]
+    names = [point.feature for point in data.points]
+    span = [min(measured), max(measured)]
+    return Plot(
+        label="Measured over predicted deviation of each probed point",
+        traces=[
+            Curve(span, span, "measured = predicted", "soft", dashed=True),
+            Points([p.before_mm for p in data.points], measured, "model before", "before", hollow=True, texts=names),
+            Points([p.after_mm for p in data.points], measured, "this model", "after", texts=names),
+        ],
+        x=Axis(title="predicted, mm"),
+        y=Axis(title="measured, mm"),
+        note="With the position of the part, the radius of the tool and the path without force as found.",
+    )
+
+
+def _errors(data: PartIdentification) -> Plot:
+    order = list(range(len(data.points)))
+    names = [point.feature for point in data.points]
+    return Plot(
+        label="Error of each point predicted from all others",
+        traces=[
+            Points(
+                [float(k) for k in order],
+                [1e3 * point.error_mm for point in data.points],
+                "predicted from all others",
+                "after",
+                half=[1.96e3 * point.sigma_mm for point in data.points],
+                texts=names,
+            )
+        ],
+        x=Axis(title="probed point"),
+        y=Axis(title="error, µm"),
+    )
+
+
+def _intervals(data: PartIdentification) -> Plot:
+    """Return each parameter over its prior value, with its interval."""
+    names, x, half, before = [], [], [], []
+    entries = {**data.parameters, "forces": data.force_scale}
+    for name, entry in entries.items():
+        if entry.value is None or entry.ci95 is None or not entry.prior:
+            continue
+        names.append(name)
+        x.append(100.0 * (entry.value / entry.prior - 1.0))
+        half.append(100.0 * entry.ci95 / abs(entry.prior))
+        before.append(0.0)
+    rows = [float(k) for k in range(len(names))]
+    return Plot(
+        label="Change of each parameter against the model before, with its 95 % interval",
+        traces=[Points(x, rows, "this model", "after", half=list(half), across=True, texts=names)],
+        x=Axis(title="change against the model before, %"),
+        y=Axis(categories=names),
+        height=60 + 36 * len(names),
+    )
+
+
+def _values(data: PartIdentification) -> Table:
+    rows = []
+    for name, entry in {**data.parameters, "scale of the forces": data.force_scale}.items():
+        origin = "prior" if entry.source == "prior" else "part"
+        unit = "" if entry.unit == "1" else entry.unit
+        rows.append(Row((name, f"{entry.value:.4g}", f"{entry.ci95:.2g}", unit, f"{entry.prior:.4g}", origin)))
+    return Table(
+        ("parameter", "value", "± 95 %", "unit", "before", "from"),
+        tuple(rows),
+        "Parameters with 95 % intervals",
+        texts=(3, 5),
+    )
+
+
+def _points(data: PartIdentification) -> Table:
+    rows = tuple(
+        Row(
+            (
+                point.feature,
+                *(
+                    f"{value:.4f}"
+                    for value in (point.measured_mm, point.before_mm, point.after_mm, point.error_mm, point.sigma_mm)
+                ),
+            )
+        )
+        for point in data.points
+    )
+    head = ("feature", "measured, mm", "model before", "this model", "error from others", "σ of that")
+    return Table(head, rows, "Deviations of the probed points", sortable=True)

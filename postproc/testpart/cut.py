@@ -1,0 +1,212 @@
+"""A program that is cut uncorrected: where its probed surfaces are made, and the state of the robot there.
+
+A wall is made where the cylinder of a flat end mill passes next to it, a floor where its end face passes over it. The
+deviation of a surface is the displacement of that point of the deflected tool along the normal of the surface: with the
+twist of the tool (displacement d of the tip, rotation r) and the lever l from the tip to the point, n·(d + r × l). The
+end face tilts with the tool: of the points of its rim that pass over a place of the floor, the lowest makes it.
+
+The forces are those of the deflected tool: it cuts less wide and less deep than programmed (`machining.Shift`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from msgspec import Struct
+
+from postproc import elastostatics, toolpath
+from postproc.errors import MeasurementError
+from postproc.frames import Array, norm, twist_between
+from postproc.machining import ProcessSource, Shift
+from postproc.program import Ints, Program
+from postproc.robot import Parameter, RobotModel
+from postproc.testpart.probing import Probed
+from postproc.under_load import ImpossiblePathError, MotionsUnderLoad, PathUnderLoad, RobotInCell
+
+_OFF = 5e-5
+"""Largest distance of a stated point from the surface that the tool makes there [m]."""
+_ALONG = 0.99
+_ACROSS = 0.05
+_SCALED = 1e-3
+"""Relative change of the forces for the derivative by their scale."""
+
+
+class Surfaces(Struct, frozen=True, eq=False):
+    """Where n probed surfaces are made.
+
+    :param motion: (n,) row of `Motions`, and `t` (n,) the place on it.
+    :param weight: (n, 2, 6) deviation by the twist of the tool in the root: the smaller of the two counts.
+    :param wall: (n,) 1 for walls, which a larger tool moves into the material, 0 for floors.
+    """
+
+    motion: Ints
+    t: Array
+    weight: Array
+    wall: Array
+
+    def deviation(self, twist: Array) -> tuple[Array, Array]:
+        """Return the deviations (n,) for twists (n, 6), and their derivatives by the twist (n, 6)."""
+        both = np.einsum("nik,nk->ni", self.weight, twist)
+        which = np.argmin(both, axis=1)
+        rows = np.arange(len(which))
+        return both[rows, which], self.weight[rows, which]
+
+
+def surfaces(program: Program, setting: RobotInCell, probed: Probed, radius: float) -> Surfaces:
+    """Find where on the path of a program its probed surfaces are made.
+
+    :param radius: of the tool, a flat end mill [m].
+    :raises MeasurementError: a row names no cutting move, or a point that its tool does not make there.
+    """
+    m = program.motions
+    motion = np.empty(len(probed), dtype=np.int64)
+    for k, line in enumerate(probed.line.tolist()):
+        found = np.flatnonzero((m.line == line) & ~m.rapid)
+        if len(found) != 1:
+            raise MeasurementError(
+                f"line {line} of the program is not one cutting move",
+                file=probed.file,
+                line=int(probed.row[k]),
+                advice="Give the program that the part was cut with, and its probing.csv.",
+            )
+        motion[k] = found[0]
+    segments = toolpath.segments(program, setting.start_flange)
+    place = toolpath.at(program, segments, motion, probed.t)
+    travel = toolpath.tangent(program, segments, motion, probed.t)
+    column, sign = {"+Z": (2, -1.0), "-Z": (2, 1.0), "+X": (0, -1.0), "-X": (0, 1.0)}[setting.spindle]
+    axis = sign * place.pose[:, :3, column]
+    lever = probed.point - place.pose[:, :3, 3]
+    height = np.einsum("ni,ni->n", lever, axis)
+    across = lever - height[:, None] * axis
+    slope = np.einsum("ni,ni->n", probed.normal, axis)
+    floor, wall = slope > _ALONG, np.abs(slope) < _ACROSS
+    off = np.where(floor, np.abs(height), norm(across + radius * probed.normal))
+    wrong = ~(floor | wall) | ~(off < _OFF) | (norm(across) > radius + _OFF) | (height < -_OFF)
+    if wrong.any():
+        k = int(np.argmax(wrong))
+        raise MeasurementError(
+            f"{probed.name[k]}: the tool makes no surface with this normal at this point",
+            file=probed.file,
+            line=int(probed.row[k]),
+            advice="Points are on walls along the axis of a flat end mill, or on the floor below it.",
+        )
+    weight = weights(probed.normal, lever, axis, travel, radius)
+    rotation = np.broadcast_to(toolpath.base_of(program, motion)[..., :3, :3], (len(motion), 3, 3))
+    return Surfaces(motion, probed.t, turned(rotation, weight), wall.astype(float))
+
+
+def weights(normal: Array, lever: Array, axis: Array, travel: Array, radius: float) -> Array:
+    """Return the deviations of surfaces by the twist of the tool (n, 2, 6), of which the smaller one counts.
+
+    :param normal: (n, 3) of the surfaces; `lever` (n, 3) from the tip to the points [m]; `axis` (n, 3) from the tip to
+        the spindle; `travel` (n, 3) direction of travel.
+    """
+    floor = np.einsum("ni,ni->n", normal, axis) > _ALONG
+    # the rim passes over a place of the floor ahead of the axis and behind it
+    left = np.cross(axis, travel)
+    aside = np.einsum("ni,ni->n", lever, left)
+    ahead = np.sqrt(np.maximum(radius**2 - aside**2, 0.0))
+    levers = np.stack([lever, lever], axis=1)
+    for k, way in enumerate((1.0, -1.0)):
+        rim = aside[:, None] * left + way * ahead[:, None] * travel
+        levers[floor, k] = rim[floor]
+    normals = np.broadcast_to(normal[:, None], levers.shape)
+    return np.concatenate([normals, np.cross(levers, normals)], axis=2)
+
+
+def turned(rotation: Array, weight: Array) -> Array:
+    """Return weights (n, 2, 6) in axes turned by rotations (n, 3, 3)."""
+    return np.asarray(np.einsum("nij,nkhj->nkhi", rotation, weight.reshape(-1, 2, 2, 3))).reshape(-1, 2, 6)
+
+
+class States(Struct, frozen=True, eq=False):
+    """The robot at n places of a program.
+
+    :param q: (n, 6) joint angles [rad].
+    :param tool: (n, 4, 4) `$TOOL` in the flange frame [m].
+    :param pose: (n, 4, 4) nominal tool frame in the root [m].
+    :param wrench: (n, 6) on the tool at its tip, root axes [N, N·m].
+    """
+
+    q: Array
+    tool: Array
+    pose: Array
+    wrench: Array
+
+    def take(self, rows: Ints) -> States:
+        """Return some of them."""
+        return States(self.q[rows], self.tool[rows], self.pose[rows], self.wrench[rows])
+
+    def twist(self, setting: RobotInCell, robot: RobotModel, scale: float) -> Array:
+        """Return the displacement (n, 6) of the tool from nominal under forces times a scale, root axes [m, rad]."""
+        found = elastostatics.deflect(robot, self.q, self.tool, scale * self.wrench)
+        return twist_between(self.pose, found.pose) + self._of_tool(setting, scale)
+
+    def _of_tool(self, setting: RobotInCell, scale: float) -> Array:
+        spring = setting.tool_spring
+        if spring is None:
+            return np.zeros((len(self.q), 6))
+        return spring.deflection(self.pose[:, :3, :3], scale * self.wrench)
+
+    def derivatives(
+        self, setting: RobotInCell, robot: RobotModel, parameters: tuple[Parameter, ...], scale: float
+    ) -> tuple[Array, Array, Array]:
+        """Return the twist (n, 6), its derivatives by linear parameters (n, 6, p) [SI], and by the scale (n, 6)."""
+        found, by_parameter = elastostatics.deflection_by_parameter(
+            robot, self.q, self.tool, scale * self.wrench, parameters
+        )
+        twist = twist_between(self.pose, found.pose) + self._of_tool(setting, scale)
+        more = self.twist(setting, robot, scale + _SCALED)
+        return twist, by_parameter, (more - twist) / _SCALED
+
+
+class Cut(Struct, frozen=True, eq=False):
+    """A program under the forces of its process.
+
+    :param at: the states where probed surfaces are made.
+    :param path: those at samples of the path, and their places.
+    :param motion: (N,) row of `Motions` of each sample, `t` (N,) its place.
+    :param program: the program.
+    """
+
+    at: States
+    path: States
+    motion: Ints
+    t: Array
+    program: Program
+
+    def shift(self, setting: RobotInCell, robot: RobotModel, scale: float) -> Shift:
+        """Return the displacement of the tip along the path, for the forces of the deflected tool."""
+        moved = self.path.twist(setting, robot, scale)[:, :3]
+        program = self.program
+        return Shift(self.motion, self.t, moved, program.bases[:, :3, :3], program.motions.base)
+
+
+def cut(program: Program, setting: RobotInCell, source: ProcessSource, where: Surfaces) -> Cut:
+    """Return a program under the forces of a source.
+
+    :raises MeasurementError: the robot cannot follow the program.
+    :raises ForceError: the process cannot be used for it.
+    """
+    try:
+        motions = MotionsUnderLoad.of(program, setting, source)
+        swung, t = motions.swung
+        also = np.concatenate([swung, where.motion]), np.concatenate([t, where.t])
+        path = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False), also)
+    except ImpossiblePathError as cause:
+        line = cause.issue.source_line
+        raise MeasurementError(cause.issue.message, file=program.documents[0].name, line=line) from None
+    rows = np.arange(len(path))
+    every = States(
+        path.joints.q,
+        np.broadcast_to(path.tool(rows), (len(path), 4, 4)),
+        path.pose_in_root(rows),
+        path.wrench_in_root(rows),
+    )
+    motion, t = path.sample.motion, path.sample.t
+    index = np.array(
+        [
+            int(np.flatnonzero(motion == row)[np.argmin(np.abs(t[motion == row] - share))])
+            for row, share in zip(where.motion.tolist(), where.t.tolist(), strict=True)
+        ]
+    )
+    return Cut(every.take(index), every, motion, t, program)

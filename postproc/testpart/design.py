@@ -1,0 +1,451 @@
+"""Choice of the features of a test part: those after which the least error is expected where the shop mills.
+
+The criterion is that of `plan` (Klimchik et al., second Eq. (10)): the expected square of the deflection error at test
+poses, here of the posterior covariance of model and force scale, with what a probe sees: deviations along normals.
+Features are taken one by one, each the one that gains most for its time, and then exchanged while that helps (Fedorov,
+"Theory of Optimal Experiments", 1972).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
+
+from postproc import forces, toolpath
+from postproc.cell import Box
+from postproc.dialects import registry
+from postproc.errors import MeasurementError, PlanError
+from postproc.frames import MM_PER_M, Array
+from postproc.kinematics import UnreachableError
+from postproc.machining import Process, ProcessSource
+from postproc.machining.process import StockTable
+from postproc.program import Bools, Document, Ints, read_only
+from postproc.program import Program as Motions
+from postproc.testpart import features
+from postproc.testpart.cut import States, Surfaces, turned, weights
+from postproc.testpart.features import Cutting, Feature, Kind
+from postproc.testpart.fit import PATH_ERROR, RADIUS_ERROR, Prior
+from postproc.under_load import RobotInCell
+
+_ANGLES = 12
+_MOST_PLACES = 60
+_SHARES = (1.0, 0.5)
+"""Depths that are tried, as shares of the largest."""
+_UNDER = 2e-3
+"""Least thickness of the block below the features [m]."""
+_POSITION = 1e-2, 1e-1
+"""Standard deviations of the position of the part where it is probed [m, rad]: free."""
+_MODEL = 0.005
+"""Error of the prediction that is expected besides, as a share of the deflection."""
+_TESTS = 48
+_EXCHANGES = 20
+_TRIM = 1.3
+"""First trimming passes take off this multiple of the largest deflection expected."""
+NAME = "testpart.nc"
+
+
+def read_text(text: str, setting: RobotInCell) -> Motions:
+    """Read G-code made here.
+
+    :raises ProgramError: the cell does not allow it.
+    """
+    document = Document(NAME, text)
+    return read_only(registry.by_name("gcode").read([document], setting.cell, setting.forward, "testpart"))
+
+
+class Candidates(Struct, frozen=True, eq=False):
+    """Features that can be cut.
+
+    :param feature: (c,) them.
+    :param information: (c, m, m) of the unknowns: parameters and force scale in units of their prior standard
+        deviations, radius of the tool, position of the part.
+    :param seconds: (c,) time that each takes [s].
+    :param apart: (c, c) True where two of them do not touch.
+    :param deflection: (c,) largest expected displacement of the tool [m].
+    :param wrench: (c, 6) the force that loads each most, root axes, with the states there.
+    """
+
+    feature: tuple[Feature, ...]
+    information: Array
+    seconds: Array
+    apart: Bools
+    deflection: Array
+    loaded: States
+
+
+class Tests(Struct, frozen=True, eq=False):
+    """Where the shop mills.
+
+    :param states: (T,) poses and wrenches.
+    :param weight: (T,) shares of the work.
+    :param source: where they come from, in words.
+    """
+
+    __test__ = False  # not a test of pytest
+
+    states: States
+    weight: Array
+    source: str
+
+
+class Design(Struct, frozen=True, eq=False):
+    """A chosen part.
+
+    :param chosen: (k,) rows of the candidates, in the order of cutting.
+    :param sigma: (p + 1,) standard deviations of parameters and force scale after the part, over those before.
+    :param before: expected error at the test poses without the part, RMS [m], and `after` with it.
+    :param own: RMS deflection at the test poses [m].
+    :param seconds: cutting time [s].
+    :param tests: where they come from.
+    """
+
+    candidates: Candidates
+    chosen: Ints
+    sigma: Array
+    before: float
+    after: float
+    own: float
+    seconds: float
+    tests: str
+
+    @property
+    def features(self) -> tuple[Feature, ...]:
+        """The features."""
+        return tuple(self.candidates.feature[k] for k in self.chosen)
+
+
+class Loads(Struct, frozen=True, eq=False):
+    """What loads the tool where the surfaces of one kind of feature are made, in the axes of the feature.
+
+    :param tip: (s, 3) tip of the tool [m]; `wrench` (s, 6) on it; `travel` (s, 3) direction of travel.
+    """
+
+    tip: Array
+    wrench: Array
+    travel: Array
+
+
+def loads(kinds: list[Kind], cutting: Cutting, process: Process, setting: RobotInCell) -> list[Loads]:
+    """Compute the forces on each kind of feature once, in a block of its own.
+
+    :raises ForceError: the process cannot be used.
+    """
+    long = features.half_length(cutting.diameter)
+    pitch = 4.0 * cutting.diameter
+    row = [Feature(kind, 0.0, k * pitch, 0.0) for k, kind in enumerate(kinds)]
+    part = features.program(row, cutting)
+    motions = read_text(part.text, setting)
+    deep = max(kind.depth for kind in kinds) + 5e-3
+    spans = (-2.0 * long, 2.0 * long), (-pitch, len(kinds) * pitch), (cutting.top - deep, cutting.top)
+    box = Box(*((low * MM_PER_M, high * MM_PER_M) for low, high in spans))
+    stock = StockTable(box=box, resolution_mm=process.stock.resolution_mm)
+    source = ProcessSource(replace(process, stock=stock, operations={}), setting.spindle)
+    path = toolpath.segments(motions, setting.start_flange)
+    along = forces.along(motions, path, source, setting.spindle, setting.ramp)
+    motion = np.array([int(np.flatnonzero(motions.motions.line == line)[0]) for line in part.line])
+    places = toolpath.at(motions, path, motion, part.t)
+    wrench, travel = along.at(places), toolpath.tangent(motions, path, motion, part.t)
+    out, first = [], 0
+    for feature in row:
+        here = slice(first, first + len(features.probes(feature.kind, cutting)))
+        tip = places.pose[here, :3, 3] - np.array([feature.x, feature.y, cutting.top])
+        out.append(Loads(tip, wrench[here], travel[here]))
+        first = here.stop
+    return out
+
+
+def candidates(
+    prior: Prior, setting: RobotInCell, process: Process, cutting: Cutting, depth: float, box: Box, sigma: float
+) -> tuple[Candidates, Cutting]:
+    """Return the features that fit into a block, and how they are cut: trimmed by more than the tool deflects.
+
+    :param depth: largest depth of cut [m].
+    :param sigma: noise of the probe [m].
+    :raises PlanError: none fits, or the robot reaches none.
+    """
+    kinds = [Kind(round(share * depth, 6), side) for share in _SHARES for side in (0, 1, -1)]
+    low, high = (np.array([span[k] for span in (box.X, box.Y, box.Z)]) / MM_PER_M for k in (0, 1))
+    for _ in range(2):
+        if depth + cutting.trims[-1][1] + _UNDER > high[2] - low[2]:
+            raise PlanError(f"the block is too thin for grooves of {depth * MM_PER_M:g} mm", file=process.path)
+        given = loads(kinds, cutting, process, setting)
+        found = _placed(prior, setting, kinds, given, cutting, (low, high), sigma)
+        needed = float(np.round(_TRIM * found.deflection.max(), 4))
+        if needed <= cutting.trim:
+            return found, cutting
+        cutting = replace(cutting, trim=needed)
+    return found, cutting
+
+
+def _placed(
+    prior: Prior,
+    setting: RobotInCell,
+    kinds: list[Kind],
+    given: list[Loads],
+    cutting: Cutting,
+    box: tuple[Array, Array],
+    sigma: float,
+) -> Candidates:
+    long = features.half_length(cutting.diameter)
+    size = box[1][:2] - box[0][:2]
+    pitch = max(0.5 * long, float(np.sqrt(size[0] * size[1] / _MOST_PLACES)))
+    spots = [
+        box[0][k] + size[k] * (np.arange(max(1, int(size[k] / pitch))) + 0.5) / max(1, int(size[k] / pitch))
+        for k in (0, 1)
+    ]
+    angles = 2.0 * np.pi * np.arange(_ANGLES) / _ANGLES
+    every = [
+        (row, Feature(kind, float(x), float(y), float(angle)))
+        for row, kind in enumerate(kinds)
+        for x in spots[0]
+        for y in spots[1]
+        for angle in angles
+        if _inside(Feature(kind, float(x), float(y), float(angle)), cutting, box)
+    ]
+    if not every:
+        raise PlanError(
+            f"no feature fits into the block: each takes {2 * long * MM_PER_M:.0f} mm and the tool's diameter",
+            file="--block",
+            advice="Give a larger block, or a smaller tool.",
+        )
+    found: list[tuple[Feature, Array, float, States]] = []
+    for row in range(len(kinds)):
+        own = [feature for index, feature in every if index == row]
+        if own:
+            found += _of_kind(prior, setting, own, given[row], cutting, sigma)
+    if not found:
+        raise PlanError("the robot reaches no place of the block", file="--block", advice="Check [base] of the cell.")
+    chosen = tuple(feature for feature, _, _, _ in found)
+    states = [state for _, _, _, state in found]
+    joined = States(*(np.concatenate([getattr(state, name) for state in states]) for name in States.__struct_fields__))
+    return Candidates(
+        chosen,
+        np.array([information for _, information, _, _ in found]),
+        np.array([features.seconds(feature.kind, cutting) for feature in chosen]),
+        _apart(chosen, cutting),
+        np.array([moved for _, _, moved, _ in found]),
+        joined,
+    )
+
+
+def _of_kind(
+    prior: Prior, setting: RobotInCell, own: list[Feature], given: Loads, cutting: Cutting, sigma: float
+) -> list[tuple[Feature, Array, float, States]]:
+    """Return the reachable features of one kind with their information, displacement and most loaded state."""
+    kind = own[0].kind
+    probes = features.probes(kind, cutting)
+    count = len(probes)
+    points = np.array([probe.point for probe in probes])
+    normals = np.array([probe.normal for probe in probes])
+
+    def each(vectors: Array, *, turn_only: bool = False) -> Array:
+        return np.concatenate([features.placed(f, cutting.top, vectors, turn_only=turn_only) for f in own])
+
+    tip, travel, normal = each(given.tip), each(given.travel, turn_only=True), each(normals, turn_only=True)
+    lever = each(points) - tip
+    wrench = np.concatenate(
+        [each(given.wrench[:, :3], turn_only=True), each(given.wrench[:, 3:], turn_only=True)], axis=1
+    )
+    states, reached, rotation = _states(setting, tip, wrench, cutting, count)
+    axis = np.broadcast_to([0.0, 0.0, 1.0], normal.shape)
+    weight = turned(rotation, weights(normal, lever, axis, travel, 0.5 * cutting.diameter))
+    wall = (np.abs(normal[:, 2]) < 0.5).astype(float)
+    rows = np.repeat(reached, count)
+    where = Surfaces(np.zeros(int(rows.sum()), dtype=np.int64), np.zeros(int(rows.sum())), weight[rows], wall[rows])
+    if not reached.any():
+        return []
+    twist, by_parameter, by_scale = states.derivatives(setting, prior.robot, prior.order, 1.0)
+    _, at = where.deviation(twist)
+    slopes = np.einsum("nk,nkp->np", at, by_parameter) @ prior.by_file * np.sqrt(np.diag(prior.covariance))
+    moved = np.linalg.norm(by_scale[:, :3], axis=1).reshape(-1, count)
+    by_force = prior.sigma_scale * np.einsum("nk,nk->n", at, by_scale)
+    middle = each(points)[rows] - each(points).mean(axis=0)
+    normal = normal[rows]
+    position = np.concatenate([_POSITION[0] * normal, _POSITION[1] * np.cross(middle, normal)], axis=1)
+    columns = np.column_stack([slopes, by_force, RADIUS_ERROR * where.wall, position]).reshape(
+        -1, count, slopes.shape[1] + 8
+    )
+    noise = PATH_ERROR**2 * normals @ normals.T + sigma**2 * np.eye(count)
+    whole = noise + (_MODEL * moved)[:, :, None] ** 2 * np.eye(count)
+    information = np.swapaxes(columns, 1, 2) @ np.linalg.solve(whole, columns)
+    most = np.argmax(moved, axis=1)
+    kept = [feature for feature, here in zip(own, reached.tolist(), strict=True) if here]
+    return [
+        (feature, information[k], float(moved[k].max()), states.take(np.array([k * count + most[k]])))
+        for k, feature in enumerate(kept)
+    ]
+
+
+def _states(
+    setting: RobotInCell, tip: Array, wrench: Array, cutting: Cutting, count: int
+) -> tuple[States, Bools, Array]:
+    """Return the states at tips (n, 3) of features of `count` places each, which features are reached, and `$BASE`."""
+    text = f"G21 G90 G17 G94\nT{cutting.tool} M6\nG0 X0 Y0 Z0\nG1 X0 Y0 Z1 F100\n"
+    motions = read_text(text, setting)
+    last = len(motions.motions) - 1
+    motion = np.full(len(tip), last)
+    pose = np.repeat(motions.motions.target[last][None], len(tip), axis=0)
+    pose[:, :3, 3] = tip
+    t = np.full(len(tip), 0.5)
+    reached = np.ones(len(tip) // count, dtype=bool)
+    rows = np.arange(len(tip))
+    while True:
+        rows = np.flatnonzero(np.repeat(reached, count))
+        if not len(rows):
+            q = np.zeros((0, 6))
+            break
+        try:
+            q = setting.follow(motions, motion[rows], t[rows], pose[rows]).q
+        except UnreachableError as cause:
+            reached[rows[list(cause.rows)] // count] = False
+            continue
+        inside = ((q >= setting.robot.lower) & (q <= setting.robot.upper)).all(axis=1)
+        if inside.all():
+            break
+        reached[rows[~inside] // count] = False
+    rotation = np.broadcast_to(toolpath.base_of(motions, motion)[..., :3, :3], (len(tip), 3, 3))
+    states = States(
+        q,
+        np.broadcast_to(toolpath.tool_of(motions, motion[rows]), (len(rows), 4, 4)),
+        toolpath.pose_in_root(motions, motion[rows], pose[rows], t[rows]),
+        toolpath.wrench_in_root(motions, motion[rows], wrench[rows]),
+    )
+    return states, reached, rotation
+
+
+def _ends(feature: Feature, cutting: Cutting) -> tuple[Array, Array, float]:
+    """Return the ends of the middle line of a feature (2,) and half its width."""
+    middle, half = features.outline(feature.kind, cutting)
+    long = features.half_length(cutting.diameter)
+    ends = features.placed(feature, 0.0, np.array([[-long, middle, 0.0], [long, middle, 0.0]]))[:, :2]
+    return ends[0], ends[1], half
+
+
+def _inside(feature: Feature, cutting: Cutting, box: tuple[Array, Array]) -> bool:
+    *ends, half = _ends(feature, cutting)
+    return all(bool(((end - half >= box[0][:2]) & (end + half <= box[1][:2])).all()) for end in ends)
+
+
+def _apart(chosen: tuple[Feature, ...], cutting: Cutting) -> Bools:
+    """Return which features (c, c) do not touch: their middle lines are further apart than their halves are wide."""
+    parts = [_ends(feature, cutting) for feature in chosen]
+    begin, end = (np.array([part[k] for part in parts]) for k in (0, 1))
+    half = np.array([part[2] for part in parts])
+    out = np.empty((len(parts), len(parts)), dtype=bool)
+    share = np.linspace(0.0, 1.0, 9)
+    line = begin[:, None] + share[:, None] * (end - begin)[:, None]  # points on each; the distance to others is exact
+    for k in range(len(parts)):
+        chord = end - begin
+        away = line[k][None] - begin[:, None]
+        along = np.clip(np.einsum("csi,ci->cs", away, chord) / np.einsum("ci,ci->c", chord, chord)[:, None], 0.0, 1.0)
+        distance = np.linalg.norm(away - along[..., None] * chord[:, None], axis=2).min(axis=1)
+        spacing = 0.5 * float(np.linalg.norm(chord[k])) / (len(share) - 1)
+        out[k] = distance > half + half[k] + 0.3 * spacing
+    return out & out.T
+
+
+def tests_in_block(found: Candidates) -> Tests:
+    """Return test poses all over the block: the most loaded places of features, evenly taken."""
+    rows = np.unique(np.linspace(0, len(found.feature) - 1, _TESTS).astype(np.int64))
+    return Tests(found.loaded.take(rows), np.full(len(rows), 1.0 / len(rows)), "this process all over the block")
+
+
+class Criterion(Struct, frozen=True, eq=False):
+    """Expected square error [m²] at test poses, for the information of a part.
+
+    :param weight: (m, m) Σ w DᵀD, D the displacement (3,) by the unknowns.
+    """
+
+    weight: Array
+
+    @classmethod
+    def of(cls, prior: Prior, setting: RobotInCell, tests: Tests) -> Criterion:
+        """Take the sensitivities of the deflection at test poses."""
+        _, by_parameter, by_scale = tests.states.derivatives(setting, prior.robot, prior.order, 1.0)
+        slopes = by_parameter[:, :3] @ prior.by_file * np.sqrt(np.diag(prior.covariance))
+        slopes = np.concatenate([slopes, prior.sigma_scale * by_scale[:, :3, None]], axis=2)
+        size = slopes.shape[2]
+        out = np.zeros((size + 7, size + 7))
+        out[:size, :size] = np.einsum("t,tip,tiq->pq", tests.weight, slopes, slopes)
+        return cls(out)
+
+    def __call__(self, information: Array) -> Array:
+        """Return the expected square error (...) after information (..., m, m)."""
+        covariance = np.linalg.inv(information)
+        return np.asarray(np.einsum("...ij,ji->...", covariance, self.weight))
+
+
+def _prior_information(prior: Prior, size: int) -> Array:
+    """Return the information (m, m) before the part; parameters in units of their prior standard deviations."""
+    sigma = np.sqrt(np.diag(prior.covariance))
+    correlation = prior.covariance / np.outer(sigma, sigma)
+    out = np.eye(size)
+    out[: len(sigma), : len(sigma)] = np.linalg.pinv(correlation, hermitian=True)
+    return out
+
+
+def choose(found: Candidates, prior: Prior, setting: RobotInCell, tests: Tests, count: int) -> Design:
+    """Choose features.
+
+    :param count: number of features at most.
+    """
+    criterion = Criterion.of(prior, setting, tests)
+    start = _prior_information(prior, found.information.shape[1])
+    chosen: list[int] = []
+    whole = start
+    for _ in range(count):
+        free = np.flatnonzero(found.apart[:, chosen].all(axis=1))
+        if not len(free):
+            break
+        gain = criterion(whole) - criterion(whole + found.information[free])
+        best = int(free[np.argmax(gain / found.seconds[free])])
+        chosen.append(best)
+        whole = whole + found.information[best]
+    for _ in range(_EXCHANGES):
+        changed = False
+        for place in range(len(chosen)):
+            others = chosen[:place] + chosen[place + 1 :]
+            rest = start + found.information[others].sum(axis=0)
+            longest = found.seconds[chosen].sum() - found.seconds[others].sum()
+            free = np.flatnonzero(found.apart[:, others].all(axis=1) & (found.seconds <= longest + 1e-9))
+            best = int(free[np.argmin(criterion(rest + found.information[free]))])
+            if float(criterion(rest + found.information[best])) < (1.0 - 1e-4) * float(
+                criterion(rest + found.information[chosen[place]])
+            ):
+                chosen[place], changed = best, True
+        if not changed:
+            break
+    return evaluated(found, prior, setting, tests, np.array(chosen, dtype=np.int64))
+
+
+def evaluated(found: Candidates, prior: Prior, setting: RobotInCell, tests: Tests, chosen: Ints) -> Design:
+    """Return a part of chosen features, with what it promises."""
+    criterion = Criterion.of(prior, setting, tests)
+    start = _prior_information(prior, found.information.shape[1])
+    after = np.linalg.inv(start + found.information[chosen].sum(axis=0))
+    size = len(prior.parameters) + 1
+    own = tests.states.twist(setting, prior.robot, 1.0)[:, :3] - tests.states.twist(setting, prior.robot, 0.0)[:, :3]
+    if not len(chosen):
+        raise MeasurementError("no feature was chosen", file="--block", advice="Give a larger block.")
+    return Design(
+        found,
+        chosen[np.lexsort([[found.feature[k].x for k in chosen], [found.feature[k].y for k in chosen]])],
+        np.sqrt(np.diag(after)[:size]),
+        float(np.sqrt(criterion(start))),
+        float(np.sqrt(np.sum(after * criterion.weight))),
+        float(np.sqrt(np.sum(tests.weight * np.sum(own**2, axis=1)))),
+        float(found.seconds[chosen].sum()),
+        tests.source,
+    )
+
+
+def at_random(found: Candidates, seconds: float, rng: np.random.Generator) -> Ints:
+    """Return a part of features taken at random, one after another, until they take as long as another part [s]."""
+    chosen: list[int] = []
+    for row in rng.permutation(len(found.feature)).tolist():
+        if found.apart[row, chosen].all():
+            chosen.append(row)
+            if found.seconds[chosen].sum() >= seconds:
+                break
+    return np.array(chosen, dtype=np.int64)

@@ -1,0 +1,265 @@
+"""Features of a test part: how each is cut, and where it is probed.
+
+A feature is a closed groove (a slot of the tool's width) of two halves. The first half is cut in one pass at full
+width: its walls and its floor show the deflection of the tool under the full cutting force. The second half is trimmed
+afterwards by passes that cut next to nothing: its walls and floor, a few centimetres away, show the path of the robot
+without force, and the probe's own error. A step is a groove that a second pass widens to one side under load.
+
+In the axes of a feature u is along the groove, v to its left and w up; the origin is in the middle of the groove on
+the top of the block. The loaded half is at u < 0. The spindle turns clockwise (M3): a pass towards −u that cuts the
+wall at +v is down-milling, at −v up-milling. Lengths in metres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from msgspec import Struct
+
+from postproc.frames import MM_PER_M, Array
+
+_HALF = 1.6
+"""Length of each half, in tool diameters: the probed places are more than a radius from the ends of a cut."""
+_PROBED = 0.5
+"""Where in each half is probed, as a share of its length from the middle of the groove."""
+_STEP = 0.4
+"""Width of a step, in tool diameters."""
+_LAST_SIDE, _LAST_FLOOR = 0.1e-3, 0.05e-3
+"""What the last trimming passes take off walls and floor [m]."""
+_FLOOR = 0.4
+"""What the first trimming passes take off the floor, as a share of what they take off walls."""
+LEAST_TRIM = 0.3e-3
+"""Least value of `Cutting.trim` [m]."""
+_CLEAR = 5e-3
+"""Height of rapid moves above the block [m]."""
+_ENTRY = 0.2e-3
+"""Height above the block at which the tool begins to descend into it [m]."""
+_WALL = 0.5
+"""Wall left between features, in tool diameters."""
+_PLUNGE = 0.5
+"""Feed of ramps and entries, as a share of the feed."""
+RAPID = 0.1
+"""Speed of rapid moves for the estimate of the time [m/s]."""
+
+
+class Cutting(Struct, frozen=True):
+    """How the part is cut.
+
+    :param diameter: of the tool [m].
+    :param rpm: spindle speed [1/min].
+    :param feed: [m/s].
+    :param tool: number of the tool.
+    :param top: Z of the upper face of the block, `$BASE` [m].
+    :param trim: what the first trimming passes take off walls [m]: more than the tool deflects.
+    """
+
+    diameter: float
+    rpm: float
+    feed: float
+    tool: int
+    top: float
+    trim: float = LEAST_TRIM
+
+    @property
+    def trims(self) -> tuple[tuple[float, float], ...]:
+        """Depths of the trimming passes below the groove: at walls and at the floor [m]."""
+        first = self.trim, _FLOOR * self.trim
+        return first, (first[0] + _LAST_SIDE, first[1] + _LAST_FLOOR)
+
+
+class Kind(Struct, frozen=True):
+    """What is cut at a place: a groove, or a step.
+
+    :param depth: [m].
+    :param side: 0 a groove; 1 a step that is cut down-milling, −1 up-milling.
+    """
+
+    depth: float
+    side: int
+
+    @property
+    def title(self) -> str:
+        """Return the kind in words."""
+        return {0: "groove", 1: "step, down-milling", -1: "step, up-milling"}[self.side]
+
+
+class Feature(Struct, frozen=True):
+    """A feature at its place: middle (x, y) [m] and direction of u [rad] in `$BASE`."""
+
+    kind: Kind
+    x: float
+    y: float
+    angle: float
+
+
+class Pass(Struct, frozen=True):
+    """A straight move of the tool tip in the axes of the feature.
+
+    :param end: (u, v, w) [m].
+    :param feed: share of the feed; 0 for a rapid move.
+    :param name: of the surfaces that it makes, or empty.
+    """
+
+    end: tuple[float, float, float]
+    feed: float
+    name: str = ""
+
+
+class Probe(Struct, frozen=True):
+    """A point of a surface.
+
+    :param name: of the surface.
+    :param made_by: name of the pass.
+    :param point: (u, v, w) [m].
+    :param normal: (3,) out of the material.
+    """
+
+    name: str
+    made_by: str
+    point: tuple[float, float, float]
+    normal: tuple[float, float, float]
+
+
+def half_length(diameter: float) -> float:
+    """Return half the length of the path of a groove [m]."""
+    return _HALF * diameter
+
+
+def outline(kind: Kind, cutting: Cutting) -> tuple[float, float]:
+    """Return the middle v and half the width of what a feature takes, with half the wall next to it [m]."""
+    step = _STEP * cutting.diameter * kind.side
+    return 0.5 * step, 0.5 * (1.0 + _WALL) * cutting.diameter + cutting.trims[-1][0] + 0.5 * abs(step)
+
+
+def passes(kind: Kind, cutting: Cutting) -> list[Pass]:
+    """Return the moves that cut a feature."""
+    long, deep, step = half_length(cutting.diameter), -kind.depth, _STEP * cutting.diameter * kind.side
+    out = [
+        Pass((long, 0.0, _CLEAR), 0.0),
+        Pass((long, 0.0, _ENTRY), _PLUNGE),
+        Pass((0.0, 0.0, 0.5 * deep), _PLUNGE),
+        Pass((long, 0.0, deep), _PLUNGE),
+        Pass((0.0, 0.0, deep), 1.0),
+        Pass((-long, 0.0, deep), 1.0, "groove"),
+        Pass((-long, 0.0, _CLEAR), 0.0),
+    ]
+    if kind.side:
+        out += [
+            Pass((long, 0.0, _CLEAR), 0.0),
+            Pass((long, 0.0, deep), _PLUNGE),
+            Pass((long, step, deep), _PLUNGE),
+            Pass((0.0, step, deep), 1.0),
+            Pass((-long, step, deep), 1.0, "step"),
+            Pass((-long, step, _CLEAR), 0.0),
+        ]
+    for number, (side, floor) in enumerate(cutting.trims):
+        high, low, below = max(step, 0.0) + side, min(step, 0.0) - side, deep - floor
+        last = number == len(cutting.trims) - 1
+        out += [
+            Pass((long, 0.5 * step, _CLEAR), 0.0),
+            Pass((long, 0.5 * step, below), _PLUNGE),
+            Pass((long, high, below), _PLUNGE),
+            Pass((0.0, high, below), 1.0, "trim left" if last else ""),
+            Pass((0.0, low, below), _PLUNGE),
+            Pass((long, low, below), 1.0, "trim right" if last else ""),
+            Pass((long, low, _CLEAR), 0.0),
+        ]
+    return out
+
+
+def probes(kind: Kind, cutting: Cutting) -> list[Probe]:
+    """Return where a feature is probed: on the surfaces of the loaded half, then on those of the trimmed half."""
+    radius, step, side = 0.5 * cutting.diameter, _STEP * cutting.diameter * kind.side, kind.side
+    light = _PROBED * half_length(cutting.diameter)
+    loaded, (trim, floor) = -light, cutting.trims[-1]
+    middle, deep, below = -0.5 * kind.depth, -kind.depth, -kind.depth - floor
+    left, right, up = (0.0, -1.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+    high, low = max(step, 0.0) + trim, min(step, 0.0) - trim
+    out = [
+        Probe("left", "step" if side > 0 else "groove", (loaded, max(step, 0.0) + radius, middle), left),
+        Probe("right", "step" if side < 0 else "groove", (loaded, min(step, 0.0) - radius, middle), right),
+        # not where the pass of the step cuts the floor of the groove once more
+        Probe("floor", "groove", (loaded, -0.6 * radius * side, deep), up),
+    ]
+    if side:
+        out.append(Probe("step_floor", "step", (loaded, step + 0.6 * radius * side, deep), up))
+    return [
+        *out,
+        Probe("ref_left", "trim left", (light, high + radius, middle), left),
+        Probe("ref_right", "trim right", (light, low - radius, middle), right),
+        Probe("ref_floor", "trim right", (light, low, below), up),
+    ]
+
+
+def seconds(kind: Kind, cutting: Cutting) -> float:
+    """Return the time that a feature takes, without the way to it [s]."""
+    total, before = 0.0, None
+    for move in passes(kind, cutting):
+        here = np.array(move.end)
+        if before is not None:
+            speed = RAPID if move.feed == 0.0 else move.feed * cutting.feed
+            total += float(np.linalg.norm(here - before)) / speed
+        before = here
+    return total
+
+
+def placed(feature: Feature, top: float, vectors: Array, *, turn_only: bool = False) -> Array:
+    """Return points (n, 3) in the axes of a feature in `$BASE` [m]; with `turn_only`, directions."""
+    c, s = np.cos(feature.angle), np.sin(feature.angle)
+    turned = vectors @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T
+    return np.asarray(turned if turn_only else turned + np.array([feature.x, feature.y, top]))
+
+
+class Program(Struct, frozen=True, eq=False):
+    """A test part as text.
+
+    :param text: G-code.
+    :param feature: (n,) names of the probed points, ``F01.left``: feature and surface.
+    :param line: (n,) line of the text whose motion makes each point, and `t` (n,) the place on that motion.
+    :param point: (n, 3) in `$BASE` [m].
+    :param normal: (n, 3) out of the material.
+    """
+
+    text: str
+    feature: tuple[str, ...]
+    line: Array
+    t: Array
+    point: Array
+    normal: Array
+
+
+def program(features: Iterable[Feature], cutting: Cutting) -> Program:
+    """Return the G-code of features and the points to be probed."""
+    feed = cutting.feed * MM_PER_M * 60.0
+    lines = [
+        "(Test part for postproc identify part: cut it uncorrected, with the cell that it was made for)",
+        "G21 G90 G17 G94",
+        f"T{cutting.tool} M6",
+        f"S{cutting.rpm:g} M3",
+    ]
+    names, at, shares, points, normals = [], [], [], [], []
+    for number, feature in enumerate(features, start=1):
+        kind, name = feature.kind, f"F{number:02d}"
+        lines.append(f"({name}: {kind.title}, depth {kind.depth * MM_PER_M:g} mm, {np.degrees(feature.angle):g} deg)")
+        made: dict[str, tuple[int, Array, Array]] = {}
+        before = np.zeros(3)
+        for index, move in enumerate(passes(kind, cutting)):
+            end = placed(feature, cutting.top, np.array([move.end]))[0] * MM_PER_M
+            # the first move of a feature comes from anywhere: first above its place, as the moves before end
+            words = f"X{end[0]:.4f} Y{end[1]:.4f}" + ("" if index == 0 else f" Z{end[2]:.4f}")
+            if index == 0:
+                lines.append(f"G0 Z{end[2]:.4f}")
+            lines.append(f"G0 {words}" if move.feed == 0.0 else f"G1 {words} F{move.feed * feed:.1f}")
+            if move.name:
+                made[move.name] = len(lines), before, np.array(move.end)
+            before = np.array(move.end)
+        for probe in probes(kind, cutting):
+            line, begin, end = made[probe.made_by]
+            names.append(f"{name}.{probe.name}")
+            at.append(line)
+            shares.append((probe.point[0] - begin[0]) / (end[0] - begin[0]))
+            points.append(placed(feature, cutting.top, np.array([probe.point]))[0])
+            normals.append(placed(feature, cutting.top, np.array([probe.normal]), turn_only=True)[0])
+    lines += [f"G0 Z{(cutting.top + 4.0 * _CLEAR) * MM_PER_M:.4f}", "M5", "M30", ""]
+    return Program("\n".join(lines), tuple(names), np.array(at), np.array(shares), np.array(points), np.array(normals))

@@ -1,0 +1,388 @@
+"""Fit of a robot model to the probed deviations of a test part, with the prior of the model.
+
+Maximum a posteriori by Gauss–Newton (Tarantola, "Inverse Problem Theory", 2005, ch. 3): parameters of the robot about
+the values and the covariance of the model, and the scale of the forces about 1 with the standard deviation of the
+process. What the part adds is linear and enters by its covariance: the position of the part (six numbers, free), the
+radius of the tool, the path of the robot without force at each feature (three numbers), and the noise of the probe.
+
+An error that the model does not describe is a share γ of the deflection, in any direction. Its size follows from the
+readings: before them γ is log-normal, as the unmodelled error of tracker readings is (`identification.discrepancy`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
+
+from postproc import kinematics
+from postproc.errors import MeasurementError, NotConvergedError
+from postproc.frames import Array
+from postproc.identification.uncertainty import WIDTH, levels, unmodelled
+from postproc.program import Bools, Ints
+from postproc.robot import Parameter, RobotModel, Spring, file_slopes
+from postproc.testpart.cut import States, Surfaces
+from postproc.testpart.probing import Probed
+from postproc.under_load import RobotInCell
+
+PATH_ERROR = 1e-4
+"""Standard deviation of the path of the robot without force from one feature to another [m]."""
+RADIUS_ERROR = 5e-5
+"""Standard deviation of the radius at which the tool cuts, run-out included [m]."""
+_SHIFT, _TURN = 1e-2, 1e-1
+"""Standard deviations of the position of the part where it is probed [m, rad]: free."""
+_ROUNDS = 12
+_SOLVED = 2e-8
+"""Change of a predicted deviation that ends the iteration at fixed forces [m]."""
+_SETTLED, _UNSETTLED = 1.5e-6, 5e-6
+"""RMS change by new forces of the deflected tool that ends the iteration [m], and the largest one that may remain:
+the cells of the map of the stock make some 1e-6."""
+_MEDIAN = 0.6745
+"""Median of the size of a standard normal number."""
+_OUTLIER = 5.0
+"""Error of a point predicted by all others, over its usual size, beyond which it is left out."""
+_MOST_OUTLIERS = 0.05
+_HELD = 0.9
+"""A parameter whose standard deviation stays above this share of the prior one is not determined by the part."""
+_UNMEASURED = 0.3
+"""Relative standard deviation of a parameter of a robot that may have changed."""
+_GAMMA = 0.005
+"""Median of γ before any reading."""
+_LEAST = 0.02
+"""Least value of a compliance, and of the scale of the forces, as a share of its prior."""
+
+
+class Prior(Struct, frozen=True, eq=False):
+    """What is known before the part is probed.
+
+    :param robot: the model.
+    :param parameters: (p,) of its covariance.
+    :param order: (o,) these and the linear parameters that their values in files depend on.
+    :param by_file: (o, p) linear values (SI) by values in files.
+    :param covariance: (p, p) in units of files.
+    :param sigma_scale: standard deviation of the scale of the forces.
+    """
+
+    robot: RobotModel
+    parameters: tuple[Parameter, ...]
+    order: tuple[Parameter, ...]
+    by_file: Array
+    covariance: Array
+    sigma_scale: float
+
+    @classmethod
+    def of(cls, robot: RobotModel, sigma_scale: float) -> Prior:
+        """Take the prior of a model.
+
+        :raises MeasurementError: the model states no covariance and no `sigma_percent`.
+        """
+        if robot.covariance is None or not robot.covariance.parameters:
+            raise MeasurementError(
+                f"the model {robot.name} does not state how certain its values are",
+                file=robot.name,
+                advice="Give sigma_percent with the compliances of model.toml.",
+            )
+        own = robot.covariance.parameters
+        order = tuple(dict.fromkeys([*own, *(p for each in own for p in each.partners())]))
+        slopes = file_slopes(order, {parameter: robot.value(parameter) for parameter in order})
+        by_file = np.asarray(np.linalg.inv(slopes)[:, [order.index(parameter) for parameter in own]])
+        return cls(robot, own, order, by_file, robot.covariance.matrix, sigma_scale)
+
+    def widened(self) -> Prior:
+        """Return the same values, each at least as uncertain as a robot that was never measured."""
+        values = [parameter.in_file({p: self.robot.value(p) for p in self.order})[0] for parameter in self.parameters]
+        wider = np.diag((_UNMEASURED * np.array(values)) ** 2)
+        return replace(self, covariance=np.where(np.diag(self.covariance) > 0.0, self.covariance + wider, 0.0))
+
+    def moved(self, z: Array) -> RobotModel:
+        """Return the robot with its parameters changed by z (p,), in units of files; compliances stay positive."""
+        given = dict(zip(self.order, (self.by_file @ z).tolist(), strict=True))
+        values = {}
+        for parameter, change in given.items():
+            value = self.robot.value(parameter)
+            least = _LEAST * value if isinstance(parameter, Spring) and value > 0.0 else -np.inf
+            values[parameter] = max(value + change, least)
+        return self.robot.with_values(values)
+
+
+class Readings(Struct, frozen=True, eq=False):
+    """Probed deviations and where they come from.
+
+    :param probed: the points.
+    :param where: where they are made.
+    :param sigma: noise of the probe [m].
+    """
+
+    probed: Probed
+    where: Surfaces
+    sigma: float
+
+    def take(self, rows: Ints) -> Readings:
+        """Return some of the readings."""
+        where = self.where
+        taken = Surfaces(where.motion[rows], where.t[rows], where.weight[rows], where.wall[rows])
+        return replace(self, probed=self.probed.take(rows), where=taken)
+
+    def by_part(self) -> Array:
+        """Return the covariance (n, n) [m²] that the part and the path without force add to the readings."""
+        probed = self.probed
+        arm = probed.point - probed.point.mean(axis=0)
+        pose = np.concatenate([_SHIFT * probed.normal, _TURN * np.cross(arm, probed.normal)], axis=1)
+        same = probed.group[:, None] == probed.group[None, :]
+        radius = RADIUS_ERROR * self.where.wall
+        return np.asarray(
+            pose @ pose.T + PATH_ERROR**2 * same * (probed.normal @ probed.normal.T) + np.outer(radius, radius)
+        )
+
+
+class Fit(Struct, frozen=True, eq=False):
+    """A fitted model.
+
+    :param prior: what was known before.
+    :param readings: those used.
+    :param z: (p,) change of the parameters, units of files.
+    :param scale: of the forces.
+    :param covariance: (p + 1, p + 1) of z and the scale.
+    :param free: (p + 1,) what was fitted; the rest keeps its prior.
+    :param before: (n,) deviations predicted by the prior [m].
+    :param after: (n,) by the fit, each with the position of the part, the tool's radius and the path without force [m].
+    :param load: (n,) size of the force at each point [N].
+    :param moved: (n,) predicted displacement of the tool there [m].
+    :param error: (n,) of each point predicted from all others [m], and `spread` (n,) its standard deviation.
+    :param gamma: unmodelled error as a share of the deflection.
+    :param missed: (n,) deviations as measured less those that the prior predicts [m], and `slopes` (n, p + 1) their
+        derivatives.
+    :param torque: (6,) largest torque of the forces on A1…A6 [N·m].
+    """
+
+    prior: Prior
+    readings: Readings
+    z: Array
+    scale: float
+    covariance: Array
+    free: Bools
+    before: Array
+    after: Array
+    load: Array
+    moved: Array
+    error: Array
+    spread: Array
+    gamma: float
+    missed: Array
+    slopes: Array
+    torque: Array
+
+    @property
+    def robot(self) -> RobotModel:
+        """The fitted robot, without its covariance."""
+        return self.prior.moved(self.z)
+
+    def surprise(self, prior: Prior) -> float:
+        """Return the squared distance of the readings from the prediction of a prior; about n where that is right."""
+        noise = self.readings.by_part() + np.diag(self.readings.sigma**2 + (self.gamma * self.moved) ** 2)
+        expected = self.slopes @ _prior_matrix(prior) @ self.slopes.T + noise
+        return float(self.missed @ np.linalg.solve(expected, self.missed))
+
+    @property
+    def sigma(self) -> Array:
+        """(p + 1,) standard deviations after the fit over those before."""
+        whole = _prior_matrix(self.prior)
+        return np.sqrt(np.diag(self.covariance) / np.maximum(np.diag(whole), 1e-300))
+
+    def u95(self) -> tuple[Array, Array]:
+        """Return levels of load (m,) [N], and the 95 % bound of the unmodelled error at each (m,) [m]."""
+        loaded = np.flatnonzero(self.load > 0.25 * self.load.max())
+        level = levels(self.load[loaded])
+        group = self.readings.probed.group[loaded]
+        load, bound = [], []
+        for index in range(int(level.max()) + 1):
+            here = loaded[level == index]
+            share = 1.0 / np.bincount(group)[group[level == index]]
+            usual = 0.1 * _GAMMA * float(np.sqrt(np.mean(self.moved[here] ** 2)))
+            noise = self.spread[here] ** 2 - (self.gamma * self.moved[here]) ** 2
+            least = 0.1 * self.spread[here] ** 2
+            variance = np.maximum(noise, least)
+            bound.append(unmodelled(self.error[here][:, None], variance[:, None, None], share, usual))
+            load.append(float(np.median(self.load[here])))
+        return np.array(load), np.maximum.accumulate(bound)
+
+
+def _prior_matrix(prior: Prior) -> Array:
+    size = len(prior.parameters)
+    out = np.zeros((size + 1, size + 1))
+    out[:size, :size] = prior.covariance
+    out[size, size] = prior.sigma_scale**2
+    return out
+
+
+class _Linear(Struct, frozen=True, eq=False):
+    """Predicted deviations (n,) [m], and their derivatives (n, p + 1) by z and the scale; displacements (n,) [m]."""
+
+    value: Array
+    slopes: Array
+    moved: Array
+
+
+def linearised(
+    prior: Prior, readings: Readings, states: States, setting: RobotInCell, z: Array, scale: float
+) -> _Linear:
+    """Return predicted deviations and their derivatives at values of the unknowns.
+
+    :raises MeasurementError: the springs have no equilibrium under the forces.
+    """
+    robot = prior.moved(z)
+    try:
+        twist, by_parameter, by_scale = states.derivatives(setting, robot, prior.order, scale)
+    except NotConvergedError as cause:
+        raise MeasurementError(f"no equilibrium under the cutting forces: {cause}", file=readings.probed.file) from None
+    value, weight = readings.where.deviation(twist)
+    slopes = np.einsum("nk,nkp->np", weight, by_parameter) @ prior.by_file
+    slopes = np.column_stack([slopes, np.einsum("nk,nk->n", weight, by_scale)])
+    return _Linear(value, slopes, scale * np.linalg.norm(by_scale[:, :3], axis=1))
+
+
+def fit(
+    prior: Prior,
+    readings: Readings,
+    setting: RobotInCell,
+    states: Callable[[RobotModel, float], States],
+) -> tuple[Fit, tuple[str, ...]]:
+    """Fit the model, leave out gross errors, and hold parameters that the part does not determine.
+
+    :param states: returns the states where the points are made, under the forces of the tool as deflected by a model
+        under forces times a scale; called once a round.
+    :returns: the fit, and the points left out.
+    """
+    whole = _prior_matrix(prior)
+    free = np.diag(whole) > 0.0
+    z, scale, gamma = np.zeros(len(prior.parameters)), 1.0, 0.0
+    left_out: list[str] = []
+    most = int(_MOST_OUTLIERS * len(readings.probed))
+    here = states(prior.robot, 1.0)
+    at_prior = None
+    rows, change = np.arange(len(readings.probed)), np.inf
+    for _ in range(_ROUNDS):
+        local, z, scale, gamma = _solved(prior, readings, here, setting, z, scale, free)
+        some = whole * np.outer(free, free)
+        # with the γ that a gross error makes, it would not be seen
+        error, variance = _left_out(readings, local, _GAMMA, some, z, scale)
+        size = np.abs(error) / np.sqrt(variance)
+        worst = int(np.argmax(size))
+        if len(left_out) < most and size[worst] > _OUTLIER * max(1.0, float(np.median(size)) / _MEDIAN):
+            left_out.append(readings.probed.name[worst])
+            keep = np.delete(np.arange(len(readings.probed)), worst)
+            readings, rows, here = readings.take(keep), rows[keep], here.take(keep)
+            continue
+        sure = np.sqrt(np.diag(_posterior(readings, local, gamma, some)))
+        held = free & (sure > _HELD * np.sqrt(np.diag(whole)))
+        held[-1] = False
+        if held.any():
+            free = free & ~held
+            z = np.where(free[:-1], z, 0.0)
+            continue
+        here = states(prior.moved(z), scale).take(rows)
+        if at_prior is None:  # the tool of the prior model deflects by nearly as much
+            at_prior = linearised(prior, readings, here, setting, np.zeros_like(z), 1.0), rows
+        again = linearised(prior, readings, here, setting, z, scale).value
+        change = float(np.sqrt(np.mean((again - local.value) ** 2)))
+        if change < _SETTLED:
+            break
+    if not change < _UNSETTLED:
+        raise MeasurementError(
+            "the fit of the test part does not settle", file=readings.probed.file, advice="Check the deviations."
+        )
+    covariance = _posterior(readings, local, gamma, some)
+    fixed = np.flatnonzero(~free)
+    covariance[np.ix_(fixed, fixed)] = whole[np.ix_(fixed, fixed)]
+    noise = _noise(readings, local, gamma)
+    gain = readings.by_part() @ np.linalg.inv(noise)
+    left = readings.probed.deviation - local.value
+    assert at_prior is not None
+    kept = np.searchsorted(at_prior[1], rows)
+    before, slopes = at_prior[0].value[kept], at_prior[0].slopes[kept]
+    missed = readings.probed.deviation - before
+    error, variance = _left_out(readings, local, gamma, some, z, scale)
+    return (
+        Fit(
+            prior,
+            readings,
+            z,
+            scale,
+            covariance,
+            free,
+            before + readings.by_part() @ np.linalg.solve(noise, missed),
+            local.value + gain @ left,
+            scale * np.linalg.norm(here.wrench[:, :3], axis=1),
+            local.moved,
+            error,
+            np.sqrt(variance),
+            gamma,
+            missed,
+            slopes,
+            np.abs(np.einsum("nij,ni->nj", kinematics.tcp(prior.robot.nominal, here.q, here.tool)[1], here.wrench)).max(
+                axis=0
+            )
+            * scale,
+        ),
+        tuple(left_out),
+    )
+
+
+def _noise(readings: Readings, local: _Linear, gamma: float) -> Array:
+    own = np.diag(readings.sigma**2 + (gamma * local.moved) ** 2)
+    return np.asarray(own + readings.by_part())
+
+
+def _solved(
+    prior: Prior, readings: Readings, states: States, setting: RobotInCell, z: Array, scale: float, free: Bools
+) -> tuple[_Linear, Array, float, float]:
+    """Return the model linearised at the solution for fixed forces, z, the scale and γ there."""
+    whole = _prior_matrix(prior) * np.outer(free, free)
+    gamma = 0.0
+    for _ in range(_ROUNDS):
+        local = linearised(prior, readings, states, setting, z, scale)
+        x = np.append(z, scale - 1.0)
+        target = readings.probed.deviation - local.value + local.slopes @ x
+        gamma = _unmodelled_share(readings, local, whole, target)
+        noise = _noise(readings, local, gamma)
+        expected = local.slopes @ whole @ local.slopes.T + noise
+        found = whole @ local.slopes.T @ np.linalg.solve(expected, target)
+        z, scale = found[:-1], max(1.0 + float(found[-1]), _LEAST)
+        if float(np.abs(local.slopes @ (found - x)).max()) < _SOLVED:
+            break
+    return linearised(prior, readings, states, setting, z, scale), z, scale, gamma
+
+
+def _unmodelled_share(readings: Readings, local: _Linear, whole: Array, target: Array) -> float:
+    """Return γ: the root of its mean square, given the readings."""
+    off = np.linspace(-4.0, 4.0, 33)
+    share = _GAMMA * np.exp(WIDTH * off)
+    fixed = local.slopes @ whole @ local.slopes.T + _noise(readings, local, 0.0)
+    likely = np.empty(len(share))
+    for k, each in enumerate(share.tolist()):
+        lower = np.linalg.cholesky(fixed + np.diag((each * local.moved) ** 2))
+        white = np.linalg.solve(lower, target)
+        likely[k] = -0.5 * float(white @ white) - float(np.log(np.diag(lower)).sum()) - 0.5 * off[k] ** 2
+    chance = np.exp(likely - likely.max())
+    return float(np.sqrt(np.sum(chance * share**2) / chance.sum()))
+
+
+def _posterior(readings: Readings, local: _Linear, gamma: float, whole: Array) -> Array:
+    noise = _noise(readings, local, gamma)
+    spread = whole @ local.slopes.T
+    return np.asarray(whole - spread @ np.linalg.solve(local.slopes @ spread + noise, spread.T))
+
+
+def _left_out(
+    readings: Readings, local: _Linear, gamma: float, whole: Array, z: Array, scale: float
+) -> tuple[Array, Array]:
+    """Return the error (n,) of each point predicted from all others, and its variance (n,).
+
+    Source: Rasmussen and Williams, "Gaussian Processes for Machine Learning", 2006, Eq. (5.12).
+    """
+    target = readings.probed.deviation - local.value + local.slopes @ np.append(z, scale - 1.0)
+    inverse = np.linalg.inv(local.slopes @ whole @ local.slopes.T + _noise(readings, local, gamma))
+    diagonal = np.diag(inverse)
+    return inverse @ target / diagonal, 1.0 / diagonal

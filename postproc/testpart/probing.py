@@ -1,0 +1,115 @@
+"""Probed points of a test part: `probing.csv`, and the same filled in."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from msgspec import Struct
+
+from postproc import files
+from postproc.errors import MeasurementError
+from postproc.frames import M_PER_MM, MM_PER_M, Array, norm
+from postproc.program import Ints
+from postproc.testpart.features import Program
+
+COLUMNS = ("source_line", "t", "X", "Y", "Z", "nx", "ny", "nz", "deviation_mm")
+_UNIT = 1e-3
+_FEWEST = 6
+"""Fewest probed points that can be compared: the position of the part alone takes six numbers."""
+
+
+class Probed(Struct, frozen=True, eq=False):
+    """Probed points of n surfaces.
+
+    :param name: (n,) ``F01.left``: feature and surface.
+    :param line: (n,) line of the program whose motion makes the point, and `t` (n,) the place on that motion.
+    :param point: (n, 3) in `$BASE` [m].
+    :param normal: (n, 3) unit vectors out of the material.
+    :param deviation: (n,) along the normal, positive where material is left [m].
+    :param row: (n,) line of the file.
+    :param file: its path.
+    """
+
+    name: tuple[str, ...]
+    line: Ints
+    t: Array
+    point: Array
+    normal: Array
+    deviation: Array
+    row: Ints
+    file: str
+
+    def __len__(self) -> int:
+        return len(self.name)
+
+    @property
+    def group(self) -> Ints:
+        """(n,) number of the feature of each point: the name up to the first dot."""
+        features = [name.partition(".")[0] for name in self.name]
+        return np.unique(features, return_inverse=True)[1].astype(np.int64)
+
+    def take(self, rows: Ints) -> Probed:
+        """Return some of the points."""
+        return Probed(
+            tuple(self.name[k] for k in rows),
+            self.line[rows],
+            self.t[rows],
+            self.point[rows],
+            self.normal[rows],
+            self.deviation[rows],
+            self.row[rows],
+            self.file,
+        )
+
+
+def read(path: Path) -> Probed:
+    """Read probed points; rows without a deviation are left out.
+
+    :raises MeasurementError: the file is no such table, a normal is no unit vector, or too few points are probed.
+    """
+    numbers, texts, lines = files.read_csv(
+        path, ("feature", *COLUMNS), (), MeasurementError, ("feature",), ("deviation_mm",)
+    )
+    seen = np.flatnonzero(np.isfinite(numbers["deviation_mm"]))
+    if len(seen) < _FEWEST:
+        raise MeasurementError(
+            f"{len(seen)} of {len(lines)} points have a deviation",
+            file=str(path),
+            advice="Fill in deviation_mm: along the normal, positive where material is left.",
+        )
+    normal = np.column_stack([numbers[name] for name in ("nx", "ny", "nz")])[seen]
+    wrong = np.abs(norm(normal) - 1.0) > _UNIT
+    if wrong.any():
+        row = int(lines[seen][np.argmax(wrong)])
+        raise MeasurementError("nx, ny, nz is no unit vector", file=str(path), line=row, advice="Keep the columns.")
+    return Probed(
+        tuple(texts["feature"][k] for k in seen),
+        numbers["source_line"][seen].astype(np.int64),
+        numbers["t"][seen],
+        np.column_stack([numbers[name] for name in "XYZ"])[seen] * M_PER_MM,
+        normal / norm(normal)[:, None],
+        numbers["deviation_mm"][seen] * M_PER_MM,
+        lines[seen].astype(np.int64),
+        str(path),
+    )
+
+
+def is_probed(path: Path) -> bool:
+    """Return whether a file begins as a table of probed points does."""
+    try:
+        with path.open(encoding="utf-8-sig") as text:
+            return "deviation_mm" in text.readline()
+    except (OSError, UnicodeDecodeError):
+        return False
+
+
+def table(part: Program) -> bytes:
+    """Return `probing.csv`: the points to be probed, with an empty last column."""
+    rows = [",".join(("feature", *COLUMNS))]
+    for name, line, t, point, normal in zip(
+        part.feature, part.line.tolist(), part.t.tolist(), part.point * MM_PER_M, part.normal, strict=True
+    ):
+        place = ",".join(f"{value:.4f}" for value in point + 0.0)
+        rows.append(f"{name},{line},{t:.6f},{place},{','.join(f'{value:.9f}' for value in normal + 0.0)},")
+    return ("\n".join(rows) + "\n").encode()

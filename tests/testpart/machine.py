@@ -1,0 +1,193 @@
+"""A robot that mills a test part, and a probe: they share no code with the package.
+
+The G-code is read anew. The arm is `tests.oracle.whole_arm` (chain and weights by Pinocchio). The tool is a cylinder
+whose front is turned through the material left by all of the path before, as it was with the deflected tool; at each
+place force and deflection are iterated until they agree. Surfaces are what the cylinder and the rim of its end face
+leave. Units inside: mm and N for the cut, SI for the arm.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+
+import numpy as np
+
+from tests.oracle.arm import Arm, abc
+from tests.oracle.whole_arm import twist
+
+ANGLES = 90
+STEP = 1.0
+"""Distance of the places along the path that are solved [mm]."""
+
+
+class Machine:
+    """An arm in its cell, a flat end mill, and a material.
+
+    `arm`: a WholeArm; `nominal`: `tests.oracle.arm.Arm` for the controller; `base`, `tool`: KUKA frames (mm, deg);
+    `redundancy`: turn about Z [deg]; `k`: Ktc, Kte, Krc, Kre, Kac, Kae [N/mm², N/mm]; `radius` [mm], of the real tool.
+    """
+
+    def __init__(self, arm, nominal: Arm, start, base, tool, redundancy, k, radius, teeth):
+        self.arm, self.nominal, self.start = arm, nominal, np.radians(start)
+        self.base, self.tool = abc(*base), abc(*tool)
+        self.turn = abc(0, 0, 0, redundancy)[:3, :3] @ abc(0, 0, 0, 0, 0, 180)[:3, :3]
+        self.k, self.radius, self.teeth = k, radius, teeth
+        self.tcp, self.loaded, self.bare = arm.loads(self.tool)
+
+    def joints(self, point, near):
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = self.turn, np.array(point) / 1e3
+        return self.nominal.inverse(self.base @ pose, self.tool, near)
+
+    def deflected(self, q, force):
+        """Displacement of the tool (mm, rad) under a force on its tip, both in axes of the part: θ = law(torque(θ))."""
+        arm, rotation = self.arm, self.base[:3, :3]
+        wrench = np.concatenate([rotation @ force, np.zeros(3)])
+        x0 = arm.held_by_motors(q)
+        rest = self.bare(x0)
+        felt = -rest if arm.in_gears else 0.0 * rest
+        theta = np.zeros(len(x0))
+        for _ in range(20):
+            before = theta
+            torque = self.tcp(x0 + theta)[1].T @ wrench - self.loaded(x0 + theta) + rest
+            theta = arm.law(torque, felt, torque)
+            if np.abs(theta - before).max() < 1e-9:
+                break
+        moved = twist(self.tcp(x0)[0], self.tcp(x0 + theta)[0])
+        return rotation.T @ moved[:3] * 1e3, rotation.T @ moved[3:]
+
+    def cut(self, text):
+        """Mill a program of features, each behind a line `(F01: …)`; return the tool's path in each, by its name."""
+        features, now, feed, rpm, name = {}, np.zeros(3), 0.0, 0.0, None
+        for line in text.splitlines():
+            if head := re.match(r"\((F\d+):", line):
+                name = head[1]
+                features[name] = []
+                continue
+            words = {word[0]: float(word[1:]) for word in re.findall(r"[A-Z][-\d.]+", line.partition("(")[0])}
+            rpm, feed = words.get("S", rpm), words.get("F", feed)
+            end = np.array([words.get(axis, now[i]) for i, axis in enumerate("XYZ")])
+            if line.startswith("G1") and name is not None:
+                features[name].append((now, end, feed / (rpm * self.teeth)))
+            now = end
+        q, out = self.start, {}
+        for name, moves in features.items():
+            ends = np.array([point for move in moves for point in move[:2]])
+            low, high = ends[np.argmin(ends @ (1, 0.1, 0))], ends[np.argmax(ends @ (1, 0.1, 0))]
+            q = self.joints(low, q)
+            out[name] = self._feature(moves, (low, q), (high, self.joints(high, q)))
+        return out
+
+    def _feature(self, moves, one, other):
+        span = (other[0] - one[0])[:2]
+
+        def joints(point):
+            share = float((point - one[0])[:2] @ span / (span @ span))
+            return one[1] + share * (other[1] - one[1])
+
+        centres, tilts, joined = [], [], []
+        moved, turned, last = np.zeros(3), np.zeros(3), None
+        for begin, end, chip in moves:
+            length = np.linalg.norm(end - begin)
+            along = (end - begin) / length
+            level = np.linalg.norm(along[:2])
+            joined.append(bool(centres) and np.linalg.norm(last - begin) < 1e-9)  # the path goes on
+            count = max(2, math.ceil(length / STEP))
+            joined += [True] * count
+            for share in np.arange(count + 1) / count:
+                place = begin + share * (end - begin)
+                q = joints(place)
+                path = Left.of(np.array(centres).reshape(-1, 3), np.array(joined[: len(centres)], dtype=bool))
+                for _ in range(12):
+                    force = np.zeros(3)
+                    if level > 0.0:
+                        force = self.force(path, place + moved, along[:2] / level, chip * level)
+                    again, turned = self.deflected(q, force)
+                    settled = np.abs(again - moved).max() < 2e-5
+                    moved = again
+                    if settled:
+                        break
+                centres.append(place + moved)
+                tilts.append(turned)
+            last = end
+        return np.array(centres), np.array(tilts), np.array(joined)
+
+    def force(self, path, centre, unit, chip):
+        """Mean force on the tool in a turn, axes of the part."""
+        ktc, kte, krc, kre, kac, kae = self.k
+        phi = (np.arange(ANGLES) + 0.5) * math.pi / ANGLES
+        left = np.array([-unit[1], unit[0]])
+        outward = np.sin(phi)[:, None] * unit + np.cos(phi)[:, None] * left
+        level = path.ahead(centre, unit, self.radius).height(centre[:2] + self.radius * outward, self.radius)
+        edge = np.maximum(level - centre[2], 0.0) * self.teeth / (2.0 * ANGLES)
+        h = chip * np.sin(phi)
+        moves = np.cos(phi)[:, None] * unit - np.sin(phi)[:, None] * left
+        plane = -((ktc * h + kte) * edge)[:, None] * moves - ((krc * h + kre) * edge)[:, None] * outward
+        return np.array([*plane.sum(axis=0), ((kac * h + kae) * edge).sum()])
+
+    def surface(self, path, point, normal):
+        """Deviation of a surface [mm] from a nominal point along its normal: the furthest that the tool reached."""
+        centres, tilts, joined = path
+        rows = np.flatnonzero(joined)[1:] if joined[0] else np.flatnonzero(joined)
+        share = np.arange(25)[:, None, None] / 24.0
+        c = (centres[rows - 1] + share * (centres[rows] - centres[rows - 1])).reshape(-1, 3)
+        r = (tilts[rows - 1] + share * (tilts[rows] - tilts[rows - 1])).reshape(-1, 3)
+        if abs(normal[2]) > 0.5:
+            lever = point - c
+            near = np.linalg.norm(lever[:, :2], axis=1) <= self.radius
+            return float((c[near, 2] + np.cross(r[near], lever[near])[:, 2] - point[2]).min())
+        c = c + np.cross(r, np.array([0.0, 0.0, 1.0]) * (point[2] - c[:, 2])[:, None])
+        away = c - point
+        across = away @ np.array([-normal[1], normal[0], 0.0])
+        near = (np.abs(across) < self.radius) & (c[:, 2] < point[2] + 1e-9)
+        return float((away[near] @ normal - np.sqrt(self.radius**2 - across[near] ** 2)).min())
+
+    def probed(self, text, probing, rng=None, sigma=0.005, path_error=0.05):
+        """Cut the part; return `probing.csv` filled in, with noise, the part put elsewhere, and errors of the path."""
+        paths = self.cut(text)
+        table = list(csv.DictReader(probing.splitlines()))
+        pose = np.zeros(6) if rng is None else rng.normal(size=6) * [0.1, 0.1, 0.1, 2e-4, 2e-4, 2e-4]
+        own = {name: np.zeros(3) if rng is None else rng.normal(size=3) * path_error for name in paths}
+        for row in table:
+            point, normal = (np.array([float(row[a]) for a in axes]) for axes in (("X", "Y", "Z"), ("nx", "ny", "nz")))
+            name = row["feature"].partition(".")[0]
+            off = self.surface(paths[name], point, normal)
+            off += normal @ (pose[:3] + np.cross(pose[3:], point) + own[name])
+            row["deviation_mm"] = f"{off + (0.0 if rng is None else sigma * rng.normal()):.5f}"
+        rows = [",".join(row.values()) for row in table]
+        return "\n".join([",".join(table[0]), *rows, ""])
+
+
+class Left:
+    """Material left by a path: its top is at 0 where the tool has not been."""
+
+    def __init__(self, begin, end):
+        self.begin, self.end = begin, end
+
+    @classmethod
+    def of(cls, centres, joined):
+        rows = np.flatnonzero(joined)
+        rows = rows[rows > 0]
+        return cls(centres[rows - 1], centres[rows])
+
+    def ahead(self, centre, unit, radius):
+        """What of it can touch the front half of the tool at a place."""
+        away = self.begin[:, :2] - centre[:2]
+        near = np.linalg.norm(away, axis=1) < 2.0 * radius + 2.0 * STEP
+        near &= away @ unit > -0.5 * radius - STEP
+        return Left(self.begin[near], self.end[near])
+
+    def height(self, points, radius, slack=1e-6):
+        out = np.zeros(len(points))
+        if not len(self.begin):
+            return out
+        chord = (self.end - self.begin)[:, :2]
+        length = np.maximum(np.linalg.norm(chord, axis=1), 1e-12)
+        off = points[:, None] - self.begin[:, :2]
+        share = np.clip(np.einsum("nki,ki->nk", off, chord) / length**2, 0.0, 1.0)
+        away = off - share[..., None] * chord
+        inside = np.einsum("nki,nki->nk", away, away) < (radius - slack) ** 2
+        tip = self.begin[:, 2] + share * (self.end - self.begin)[:, 2]
+        return np.minimum(out, np.where(inside, tip, 0.0).min(axis=1))

@@ -1,0 +1,185 @@
+"""Simulated robots that mill a test part: what identification from its probed surfaces is worth on other jobs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import msgspec
+import numpy as np
+
+import postproc
+from postproc import files, machining
+from postproc import robot as robots
+from postproc.cell import Box
+from postproc.elastostatics import deflect, position_bound
+from postproc.errors import ModelError
+from postproc.machining import ProcessSource
+from postproc.robot import Covariance
+from postproc.robot.model_file import JointSpring, LinkSprings, ModelFile, Stiffening
+from postproc.testpart import design, features, probing
+from postproc.testpart.cut import surfaces
+from postproc.testpart.fit import Prior, Readings, fit
+from postproc.testpart.job import forces_of
+from postproc.under_load import RobotInCell
+from tests.oracle.arm import Arm
+from tests.oracle.whole_arm import WholeArm, twist
+from tests.testpart.machine import Machine
+
+SAMPLES = Path(__file__).parents[2] / "samples"
+CELL = postproc.load_cell(SAMPLES / "cell_kr270.toml")
+ROBOT = postproc.load_robot(CELL.robot)
+FOLDER = robots.find(CELL.robot)
+AL7075 = (767.01, 27.7, 168.8, 26.6, 222.0, 0.7)
+SIGMA = 5e-6
+JOINTS = ("A1", "A2", "A3", "A4", "A5", "A6")
+
+
+def process_text(box, resolution):
+    spans = ", ".join(f"{axis} = {list(map(float, span))}" for axis, span in zip("XYZ", box, strict=True))
+    return f"""[material]
+name = "al_7075_t6_carbide"
+sigma_percent = 10.0
+[tools.1]
+diameter_mm = 10.0
+flutes = 3
+rpm = 6000
+[stock]
+box = {{ {spans} }}
+resolution_mm = {resolution}
+"""
+
+
+def part(folder, box=((0, 300), (0, 200), (-40, 0)), count=12, resolution=0.5, depth=3e-3):
+    """Design a part; return all that is needed to cut and to identify."""
+    (folder / "process.toml").write_text(process_text(box, resolution))
+    process = machining.load(folder / "process.toml")
+    setting = RobotInCell.of(ROBOT, CELL)
+    prior = Prior.of(setting.robot, process.law().sigma)
+    cutting = features.Cutting(0.01, 6000.0, 0.06 * 3 * 6000 / 60e3, 1, 0.0)
+    found, cutting = design.candidates(prior, setting, process, cutting, depth, Box(*box), SIGMA)
+    chosen = design.choose(found, prior, setting, design.tests_in_block(found), count)
+    made = features.program(chosen.features, cutting)
+    (folder / "testpart.nc").write_text(made.text)
+    (folder / "probing.csv").write_bytes(probing.table(made))
+    program = postproc.read_program(folder / "testpart.nc", ROBOT, CELL)
+    return SimpleNamespace(
+        folder=folder, process=process, setting=setting, prior=prior, cutting=cutting, found=found, chosen=chosen,
+        made=made, program=program,
+    )  # fmt: skip
+
+
+def content():
+    return files.read_toml(FOLDER / "model.toml", ModelFile, ModelError)
+
+
+def truth(rng, kind="joints"):
+    """An arm whose compliances differ by 30 % (log-normal); "rich": gears bend, links are flexible."""
+    model = content()
+    joints = {}
+    for name in JOINTS:
+        own = model.joints[name]
+        value = own.compliance_urad_per_Nm * float(np.exp(0.3 * rng.normal()))
+        bend = []
+        if kind == "rich":  # a third of the compliance ends at a torque that milling reaches
+            bend = [Stiffening(float(np.exp(rng.uniform(np.log(100.0), np.log(600.0)))), 0.33 * value)]
+        joints[name] = JointSpring(source="truth", compliance_urad_per_Nm=value, knees=bend)
+    links = {}
+    if kind == "rich":  # links that add about a sixth of what joints give
+        for name in ("base", "A1", "A2", "A3"):
+            size = 0.06e0 * rng.lognormal(0.0, 0.5, 3)
+            links[name] = LinkSprings(
+                source="truth", RX_urad_per_Nm=size[0], RY_urad_per_Nm=size[1], RZ_urad_per_Nm=size[2]
+            )
+    model = msgspec.structs.replace(model, joints=joints, links=links)
+    return WholeArm((FOLDER / "robot.urdf").read_text(), model)
+
+
+def machine(arm, scale=1.0, radius=5.0):
+    return Machine(
+        arm, Arm.load(FOLDER), [0, -70, 110, 0, 50, 0], (1500, -200, 700), (0, 0, 350), 180.0,
+        tuple(scale * k for k in AL7075), radius, 3,
+    )  # fmt: skip
+
+
+def probed(part, arm, rng, scale=1.0, sigma=1e3 * SIGMA):
+    """Cut and probe; return the name of the file."""
+    cutter = machine(arm, scale, 5.0 + 0.01 * rng.normal())
+    text = cutter.probed(
+        (part.folder / "testpart.nc").read_text(), (part.folder / "probing.csv").read_text(), rng, sigma
+    )
+    path = part.folder / "probed.csv"
+    path.write_text(text)
+    return path
+
+
+def identified(part, path):
+    read = probing.read(path)
+    where = surfaces(part.program, part.setting, read, 0.5 * part.cutting.diameter)
+    source = ProcessSource(part.process, CELL.tool.axis)
+    return fit(
+        part.prior, Readings(read, where, SIGMA), part.setting, forces_of(part.program, part.setting, source, where)
+    )
+
+
+def jobs(rng, count=40):
+    """Joint angles and forces [N] of other jobs of the cell: up to half a metre away, the tool pointing down."""
+    cutter = machine(WholeArm((FOLDER / "robot.urdf").read_text(), content()))
+    near, out = cutter.joints((150.0, 100.0, 0.0), cutter.start), []
+    for _ in range(count):
+        place = np.array([150.0, 100.0, 0.0]) + rng.uniform(-1, 1, 3) * [400.0, 500.0, 150.0]
+        force = rng.normal(size=3) * [1.0, 1.0, 0.4]
+        out.append((cutter.joints(place, near), force / np.linalg.norm(force) * rng.uniform(100.0, 400.0)))
+    return np.array([q for q, _ in out]), np.array([force for _, force in out])
+
+
+def deflections(arm, q, force):
+    """True displacements (n, 3) of the tip [m] under forces in root axes."""
+    tool = np.eye(4)
+    tool[2, 3] = 0.35
+    rest = np.array([arm.equilibrium(row, tool, np.zeros(6))[1] for row in q])
+    loaded = [arm.equilibrium(row, tool, np.append(f, np.zeros(3)))[1] for row, f in zip(q, force, strict=True)]
+    return np.array([twist(a, b)[:3] for a, b in zip(rest, loaded, strict=True)])
+
+
+def predicted(robot, q, force):
+    tool = np.eye(4)
+    tool[2, 3] = 0.35
+    wrench = np.hstack([force, np.zeros((len(q), 3))])
+    return deflect(robot, q, tool, wrench).twist[:, :3]
+
+
+def bound(found, q, force, sigma_scale=None):
+    """Bound u95 of a fit on a job whose forces are scaled as it found them."""
+    prior, size = found.prior, len(found.prior.parameters)
+    load, u95 = found.u95()
+    robot = msgspec.structs.replace(
+        found.robot,
+        covariance=Covariance(prior.parameters, found.covariance[:size, :size]),
+        discrepancy=robots.Discrepancy(load, u95),
+        stated_spread=(),
+    )
+    tool = np.eye(4)
+    tool[2, 3] = 0.35
+    wrench = np.hstack([found.scale * force, np.zeros((len(q), 3))])
+    sigma = np.sqrt(found.covariance[-1, -1]) if sigma_scale is None else sigma_scale
+    spread = np.zeros((len(q), 6, 1))
+    spread[:, :3, 0] = sigma * force
+    return position_bound(robot, q, tool, wrench, spread)
+
+
+def worth(part, seed, kind="joints"):
+    """Return RMS errors on other jobs before and after, the share inside the bound, its size, and the fit."""
+    rng = np.random.default_rng(seed)
+    arm, scale = truth(rng, kind), float(np.exp(0.1 * rng.normal()))
+    found, left_out = identified(part, probed(part, arm, rng, scale))
+    q, force = jobs(rng)
+    true = deflections(arm, q, scale * force)
+    before = np.linalg.norm(predicted(part.setting.robot, q, force) - true, axis=1)
+    after = np.linalg.norm(predicted(found.robot, q, found.scale * force) - true, axis=1)
+    limit = bound(found, q, force)
+    return SimpleNamespace(
+        before=float(np.sqrt(np.mean(before**2))), after=float(np.sqrt(np.mean(after**2))),
+        inside=float(np.mean(after <= limit)), bound=float(np.sqrt(np.mean(limit**2))),
+        size=float(np.sqrt(np.mean(true**2) * 3)), fit=found, left_out=left_out, scale=scale,
+    )  # fmt: skip
