@@ -305,6 +305,8 @@ def test_a_chord_behind_an_arc_is_not_guessed():
     text = HEAD + "GOTO/10,0,9\nCIRCLE/0,0,9,0,0,1,10\nGOTO/-10,0,9\nGOTO/10,0,9\n"
     with pytest.raises(ProgramError, match=r"part.apt:8: the points behind CIRCLE are all on it"):
         read(text)
+    with pytest.raises(ProgramError, match=r"part.apt:8: the points behind CIRCLE are all on it"):
+        read(text.replace("9\nGOTO/10,0,9\n", "9\nGOTO/10,0,9E0\n"))  # not read in bulk
     program = read(text.replace("10\nGOTO/-10,0,9\n", "10\nGOTO/-10,0,9\nPAINT/COLOR,31\n"))
     assert program.motions.kind.tolist() == [PTP, LIN, CIRC, LIN]
 

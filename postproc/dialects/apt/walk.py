@@ -41,6 +41,10 @@ _NEAR_MM = 1e-6
 _LEVEL = 0.2
 """Least z of the tool direction for a retract along the tool."""
 _ARC_ADVICE = "Let the CAM system write arcs as GOTO statements."
+_AMBIGUOUS = (
+    "the points behind CIRCLE are all on it: they may be of the arc, or ends of straight lines",
+    "Let the CAM system write one GOTO for each arc, or points only (Creo: CIRC_INTERPOLATION).",
+)
 _CYCLE_ADVICE = "Let the CAM system write the holes as GOTO statements."
 
 
@@ -145,6 +149,7 @@ class _Walk:
         self.coolant = False
         self.tool: float | None = None
         self.pending: _Pending | None = None
+        self.closed: Circle | None = None
         self.leaving: Array | None = None
         self.cycle: _Cycle | None = None
         self.system: list[float | str] | None = None
@@ -200,6 +205,9 @@ class _Walk:
         """Go to points; numbers (n, 6), the last three NaN where the direction stays."""
         end, axis = numbers[:, :3] * self.unit, self._axes(row, numbers[:, 3:])
         at = 0
+        closed, self.closed = self.closed, None
+        if closed is not None and closed.fault_at(end[0]) is None:
+            raise _FaultError(*_AMBIGUOUS, int(row[0]))
         if self.pending is not None:
             pending, self.pending = self.pending, None
             at = 1 if self.doubt else self._arc(pending, row, end, axis)
@@ -275,9 +283,9 @@ class _Walk:
         if pending.several and len(row) > 1:
             count = belonging(pending.circle, self.place, end)
         if count is None:
-            problem = "the points behind CIRCLE are all on it: they may be of the arc, or ends of straight lines"
-            advice = "Let the CAM system write one GOTO for each arc, or points only (Creo: CIRC_INTERPOLATION)."
-            raise _FaultError(problem, advice, int(row[1]))
+            raise _FaultError(*_AMBIGUOUS, int(row[1]))
+        if pending.several and count == len(row):
+            self.closed = pending.circle  # a further GOTO, written in another form, may belong to the arc too
         for n in range(count):
             self._turn(int(row[n]), pending.circle, end[n], axis[n], pending.angle)
         return count
@@ -347,6 +355,8 @@ class _Walk:
             self._insert(row)
             return
         major, slash, rest = code.partition("/")
+        if major != "GOTO":
+            self.closed = None
         if code.startswith("TOOLPATH/"):
             self._event(row, "comment", text=self._text(row, "TOOL"))
             return
