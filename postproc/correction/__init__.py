@@ -3,7 +3,8 @@
 Reads and writes no files; the command line, `jobs` and CAM hosts share it.
 """
 
+from postproc.correction.commanded import uncorrected
 from postproc.correction.process import process, read
 from postproc.correction.result import HeldFeed, Mode, Result, Statistics, statistics
 
-__all__ = ["HeldFeed", "Mode", "Result", "Statistics", "process", "read", "statistics"]
+__all__ = ["HeldFeed", "Mode", "Result", "Statistics", "process", "read", "statistics", "uncorrected"]

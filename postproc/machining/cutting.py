@@ -1,4 +1,4 @@
-"""Mean and peak cutting forces over a turn, from the edge in material.
+"""Mean cutting forces over a turn, from the edge in material.
 
 Axes: x along the feed, z along the spindle from the tip to the spindle, y = z × x; φ from +y, growing clockwise seen
 from the spindle, so that with M3 a tooth enters a slot at φ = 0 on the left. Forces act on the tool. With M4 everything
@@ -27,10 +27,8 @@ from msgspec import Struct
 from postproc.frames import Array
 from postproc.machining.sampling import Engaged
 from postproc.machining.stock import Floats
-from postproc.machining.tool import Cutter
 from postproc.machining.turn import Turn
 
-_HELIX_PARTS = 6
 _ONE_THREAD = 200_000
 """Products below which OpenBLAS keeps to one thread (its limit is 2^18)."""
 
@@ -78,36 +76,6 @@ def mean(turn: Turn, inside: Engaged, chip: Floats, plunging: Floats) -> Loads:
     wrench[:, 4] += push[:, 0]
     removal = times(inside.length * chip, (turn.radius * turn.width.astype(np.float32))[:, None])[:, 0]
     return Loads(wrench, np.asarray(removal, dtype=float))
-
-
-def peak(turn: Turn, inside: Engaged, chip: Floats, cutter: Cutter) -> tuple[Array, Array]:
-    """Return the largest force [N] and torque [N·m] within a turn, (n,) each, with the helix of the tool."""
-    law, cuts = turn.law.chip(chip), (chip > 0.0).astype(np.float32)
-    step = turn.phase.shape[1]
-
-    def together(where: slice, length: Floats, lag: int) -> Floats:
-        """Forces and torque (n, step·4) of all teeth, at each place of the first within its pitch."""
-        out: Floats = np.zeros(1, dtype=np.float32)
-        for coefficients, factor in ((turn.cut, law), (turn.rub, cuts)):
-            each = coefficients[where][:, [0, 1, 2, 5]]
-            each = each * np.float32(2.0 * np.pi / cutter.teeth) / turn.width[where].astype(np.float32)[:, None]
-            spread = np.roll(turn.phase[where], lag, axis=1)[:, :, None] * each[:, None, :]
-            out = out + times(length * factor[:, where], spread.reshape(len(each), 4 * step))
-        return out
-
-    level = slice(0, turn.side.start)
-    total = together(level, inside.length[:, level], 0)
-    length = inside.length[:, turn.side]
-    if length.shape[1]:
-        turned = np.tan(cutter.helix) / cutter.radius * step * cutter.teeth / (2.0 * np.pi)  # places by height
-        parts = int(np.clip(np.ceil(float(length.max()) * turned), 1, _HELIX_PARTS))
-        height = length.max() / parts
-        for k in range(parts):
-            layer = np.minimum(np.maximum(length - np.float32(k * height), 0.0), height)
-            total = total + together(turn.side, layer, round((k + 0.5) * float(height) * turned) % step)
-    joined = total.reshape(len(chip), step, 4)
-    force = np.sqrt((joined[..., :3] ** 2).sum(axis=-1)).max(axis=1)
-    return np.asarray(force, dtype=float), np.asarray(np.abs(joined[..., 3]).max(axis=1), dtype=float)
 
 
 def times(one: Floats, other: Floats) -> Floats:

@@ -46,7 +46,6 @@ class ProcessForces(Struct, frozen=True, eq=False):
 
     :param along: the forces along its cutting motions.
     :param cuts: wrench and engagement at stations on them, as many as their changes need, see `Cuts`.
-    :param peak: (M, 2) largest force [N] and torque [N·m] within a turn on each motion.
     :param power: (M,) largest mean power of the spindle on each motion [W].
     :param turning: tool and spindle speed of each motion.
     :param drills: for each of `turning.keys`, whether it is a drill.
@@ -58,7 +57,6 @@ class ProcessForces(Struct, frozen=True, eq=False):
 
     along: AlongMotions
     cuts: Cuts
-    peak: Array
     power: Array
     turning: Running
     drills: tuple[bool, ...]
@@ -147,7 +145,6 @@ def estimate(
     return ProcessForces(
         along=AlongMotions.joined(along),
         cuts=cuts,
-        peak=np.max([sweep.peak for sweep in sweeps], axis=0),
         power=power,
         turning=turning,
         drills=tuple(process.tools[key].shape == "drill" for key in turning.keys),

@@ -11,7 +11,7 @@ import numpy as np
 from postproc import files
 from postproc.cell import Box, Frame, Positive
 from postproc.errors import ForceError
-from postproc.frames import M_PER_MM, RAD_PER_DEG, Array
+from postproc.frames import M_PER_MM, Array
 from postproc.machining.material import CuttingLaw, MaterialTable, law
 from postproc.machining.tool import Cutter
 from postproc.program import ForceFrame
@@ -22,6 +22,7 @@ Newton = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]
 class ToolTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """A cutter.
 
+    :param helix_deg: mean forces over a turn do not depend on it.
     :param rpm: spindle speed if the program does not give it (KRL) [1/min].
     :param spindle: with `rpm`: direction of rotation.
     """
@@ -107,7 +108,7 @@ class Process(ProcessFile, frozen=True):
         given = self.tools[key]
         radius = 0.5 * given.diameter_mm * M_PER_MM
         corner = {"flat": 0.0, "ball": radius, "drill": 0.0}.get(given.shape, given.corner_radius_mm * M_PER_MM)
-        return Cutter(radius, corner, given.flutes, given.shape == "drill", given.helix_deg * RAD_PER_DEG)
+        return Cutter(radius, corner, given.flutes, given.shape == "drill")
 
 
 _EXAMPLE = """For example:

@@ -93,7 +93,6 @@ class Sweep(Struct, eq=False):
 
     :ivar collided: rapid motions through material.
     :ivar stopped: cutting motions through material with the spindle off.
-    :ivar peak: (M, 2) largest force [N] and torque [N·m] within a turn on each motion.
     :ivar contact: whether any cutting move engaged material.
     """
 
@@ -104,7 +103,6 @@ class Sweep(Struct, eq=False):
     law: CuttingLaw
     collided: set[int] = field(default_factory=set)
     stopped: set[int] = field(default_factory=set)
-    peak: Array = field(default_factory=lambda: np.zeros((0, 2)))
     contact: bool = False
     _cutters: dict[int, Cutter] = field(default_factory=dict)
     _edges: dict[int, Edge] = field(default_factory=dict)
@@ -115,7 +113,6 @@ class Sweep(Struct, eq=False):
 
         :param progress: called with the number of segments done.
         """
-        self.peak = np.zeros((len(self.feed), 2))
         top = self.stock.top
         near = self._near(ways, top)
         for begin, end in self._groups(ways, near):
@@ -273,7 +270,6 @@ class Sweep(Struct, eq=False):
             feeds = np.stack([ux, uy], axis=-1)
             return Cuts(motion, t, wrench, feeds, along, zero, zero, nothing, nothing, zero, zero, zero)
         self.contact = True
-        self._note_peaks(turn, inside, chip, cutter, motion, wrench)
         enter, leave, depth, width = _engagement(turn, cuts)
         if cutter.drill:
             # all stations get the depth of the hole, as thinning keeps few; the last one is half a step above the end
@@ -296,18 +292,6 @@ class Sweep(Struct, eq=False):
         x = position[:, 0].astype(np.float32)[:, None] + (ux * ahead - (uy * hand) * aside)
         y = position[:, 1].astype(np.float32)[:, None] + (uy * ahead + (ux * hand) * aside)
         return engaged(self.stock, turn, x, y, position[:, 2].astype(np.float32), descent * cutter.teeth)
-
-    def _note_peaks(
-        self, turn: Turn, inside: Engaged, chip: Floats, cutter: Cutter, motion: Ints, wrench: Array
-    ) -> None:
-        """Record the largest force and torque within a turn, at the largest mean force of each motion."""
-        size = np.einsum("ni,ni->n", wrench[:, :3], wrench[:, :3])
-        new = np.flatnonzero(np.concatenate([[True], motion[1:] != motion[:-1]]))
-        best = [a + int(np.argmax(size[a:b])) for a, b in zip(new, [*new[1:], len(motion)], strict=True)]
-        force, torque = cutting.peak(turn, Engaged(inside.length[best], inside.moment[best]), chip[best], cutter)
-        rows = motion[best]
-        self.peak[rows, 0] = np.maximum(self.peak[rows, 0], force)
-        self.peak[rows, 1] = np.maximum(self.peak[rows, 1], torque)
 
     def _cutter(self, number: int) -> Cutter:
         if number not in self._cutters:

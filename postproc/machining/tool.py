@@ -21,14 +21,12 @@ class Cutter(Struct, frozen=True):
     :param corner: radius of the corner [m]: 0 for a flat tool, `radius` for a ball.
     :param teeth: number of teeth.
     :param drill: True for a drill: it cuts with its end only.
-    :param helix: helix angle [rad]; the mean over a turn does not depend on it, the peak does.
     """
 
     radius: float
     corner: float
     teeth: int
     drill: bool = False
-    helix: float = 0.0
 
     def height(self, distance: Array) -> Array:
         """Return the height of its lower side above the tip [m] at distances from its axis [m], at most the radius."""

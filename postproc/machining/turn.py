@@ -27,7 +27,6 @@ class Turn(Struct, frozen=True, eq=False):
     :param cut: (P, 6) wrench about the tip per engaged length and per chip [N/m², N/m]; on the cylinder without the
         moment due to the height of the force.
     :param rub: (P, 6) the same per engaged length alone [N/m, N].
-    :param phase: (P, B) 1 if a tooth is here for each of B positions of the first tooth within its pitch, else 0.
     :param tall: (P, A) height of the edge over its length for each of A angles of the turn that the point covers, or 0.
     """
 
@@ -47,7 +46,6 @@ class Turn(Struct, frozen=True, eq=False):
     down: Floats
     cut: Floats
     rub: Floats
-    phase: Floats
     tall: Floats
 
     @classmethod
@@ -96,19 +94,16 @@ class Turn(Struct, frozen=True, eq=False):
             law, cutter.teeth, angle, wide_, single(edge.radius[own]), single(edge.low[own]), single(rise),
             single(edge.length[own]), slice(first, second), slice(second, third), slice(third, end),
             single(normal[:, 0]), single(normal[:, 1]), single(-normal[:, 2]), wrench(law.cutting), wrench(law.edge),
-            _covered(angle, wide_, 2 * half // cutter.teeth, 2.0 * np.pi / cutter.teeth),
-            single(_covered(angle, wide_, 2 * half, 2.0 * np.pi) * height),
+            single(_covered(angle, wide_, 2 * half) * height),
         )  # fmt: skip
 
 
-def _covered(phi: Array, width: Array, number: int, turn: float) -> Floats:
-    """Return the covered fraction (P, number) of equal parts of a periodic angle.
+def _covered(phi: Array, width: Array, number: int) -> Floats:
+    """Return which of equal parts of a turn are covered (P, number): 1 or 0.
 
     :param phi: (P,) centre of the covered interval [rad].
-    :param width: (P,) its width [rad]; beyond `turn` it covers parts more than once.
-    :param turn: period of the angle [rad].
+    :param width: (P,) its width [rad].
     """
-    middle = (np.arange(number) + 0.5) * (turn / number)
-    off = np.abs((middle - phi[:, None] + 0.5 * turn) % turn - 0.5 * turn)
-    whole = np.maximum(width / turn, 1.0)[:, None]
-    return np.asarray((off < 0.5 * width[:, None] - 1e-9) * whole, dtype=np.float32)
+    middle = (np.arange(number) + 0.5) * (2.0 * np.pi / number)
+    off = np.abs((middle - phi[:, None] + np.pi) % (2.0 * np.pi) - np.pi)
+    return np.asarray(off < 0.5 * width[:, None] - 1e-9, dtype=np.float32)

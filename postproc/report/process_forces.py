@@ -32,9 +32,7 @@ class ToolSummary(TypedDict):
     tool: str
     max_force_N: float
     max_force_line: int
-    peak_force_N: float
     max_torque_Nm: float
-    peak_torque_Nm: float
     max_power_W: float
     max_depth_mm: float
     max_width_mm: float
@@ -90,7 +88,6 @@ def summary(program: Program, found: ProcessForces | None, by_operation: int) ->
     tools: list[ToolSummary] = []
     for place in np.unique(found.turning.tool[cuts.motion]).tolist():
         rows = found.turning.tool[cuts.motion] == place
-        motions = np.unique(cuts.motion[rows])
         force = np.linalg.norm(cuts.wrench[rows, :3], axis=1)
         worst = int(cuts.motion[rows][int(np.argmax(force))])
         tools.append(
@@ -98,9 +95,7 @@ def summary(program: Program, found: ProcessForces | None, by_operation: int) ->
                 "tool": found.turning.keys[place],
                 "max_force_N": round(float(force.max()), 1),
                 "max_force_line": int(m.line[worst]),
-                "peak_force_N": round(float(found.peak[motions, 0].max()), 1),
                 "max_torque_Nm": round(float(np.abs(cuts.torque[rows]).max()), 3),
-                "peak_torque_Nm": round(float(found.peak[motions, 1].max()), 3),
                 "max_power_W": round(float(cuts.power[rows].max()), 1),
                 "max_depth_mm": round(float(cuts.depth[rows].max()) * MM_PER_M, 3),
                 "max_width_mm": round(float(cuts.width[rows].max()) * MM_PER_M, 3),
@@ -134,10 +129,8 @@ def as_text(content: ForcesSummary) -> str:
     lines = []
     for tool in content.get("tools", []):
         lines.append(
-            f"tool {tool['tool']}: mean force up to {tool['max_force_N']:g} N (line {tool['max_force_line']}), "
-            f"within a turn about {tool['peak_force_N']:g} N (measured up to 1.7 times as much); "
-            f"torque {tool['max_torque_Nm']:g}, peak "
-            f"{tool['peak_torque_Nm']:g} N·m; power {tool['max_power_W']:g} W"
+            f"tool {tool['tool']}: mean force up to {tool['max_force_N']:g} N (line {tool['max_force_line']}); "
+            f"torque {tool['max_torque_Nm']:g} N·m; power {tool['max_power_W']:g} W"
         )
         if "max_feed_force_N" in tool:
             lines.append(

@@ -1,4 +1,4 @@
-"""Mean and peak of a turn against the formulas of the edge, summed finely, and against teeth that turn.
+"""Mean of a turn against the formulas of the edge, summed finely, and against teeth that turn.
 
 What is in material is given here by angles and heights: no map of the stock is asked.
 """
@@ -119,43 +119,6 @@ def test_chips_are_none_where_another_direction_has_none():
     assert (found[0] != cutting.chips(turn, feed, down)[0]).any()
 
 
-def peak_by_turning(cutter, law, feed, descent, begin, end):
-    """Largest force and torque of all teeth: the cutter is turned, pieces of edge lag behind with their height."""
-    distance, height, length, kappa = pieces_of(cutter, 40, face=descent > 0.0)
-    turned = np.linspace(0.0, 2.0 * np.pi / cutter.teeth, 240, endpoint=False)[:, None] + 1e-4
-    lag = np.where(kappa > 1.5707, np.tan(cutter.helix) / cutter.radius * (height - cutter.corner), 0.0)
-    force, torque = np.zeros((240, 3)), np.zeros(240)
-    for tooth in range(cutter.teeth):
-        phi = (turned + 2.0 * np.pi * tooth / cutter.teeth - lag) % (2.0 * np.pi)
-        chip = feed * np.sin(kappa) * np.sin(phi) + descent * np.cos(kappa)
-        own = edge_force(law, chip, phi, kappa) * (length * ((phi > begin) & (phi < end)))[..., None]
-        force += own.sum(axis=1)
-        torque += (distance * (np.sin(phi) * own[..., 1] - np.cos(phi) * own[..., 0])).sum(axis=1)
-    return np.linalg.norm(force, axis=1).max(), np.abs(torque).max()
-
-
-@pytest.mark.parametrize(
-    ("cutter", "feed", "descent", "begin", "end"),
-    [
-        (FLAT, 1e-4, 0.0, 0.0, np.pi), (FLAT, 1e-4, 0.0, 2.2, np.pi), (BULL, 1e-4, 0.0, 0.0, 1.0),
-        (BALL, 1e-4, 0.0, 0.5, 2.0), (Cutter(5e-3, 0.0, 4, helix=0.6), 1e-4, 0.0, 2.4, np.pi),
-        (Cutter(5e-3, 0.0, 2, helix=0.8), 1e-4, 0.0, 0.3, 1.2),
-        (Cutter(5e-3, 0.0, 4, helix=0.2), 1e-4, 0.0, 2.6, np.pi),
-        (Cutter(5e-3, 0.0, 3, helix=0.3), 1e-4, 0.0, 0.4, 0.9), (DRILL, 0.0, 5e-5, 0.0, 2.0 * np.pi),
-        (Cutter(8e-3, 2e-3, 3, helix=0.5), 1e-4, 3e-5, 0.2, 2.5),
-    ],
-)  # fmt: skip
-def test_peak_within_a_turn_is_that_of_teeth_that_turn(cutter, feed, descent, begin, end):
-    turn = turn_of(cutter, step=0.15e-3, descent=descent / np.hypot(feed, descent))
-    n = np.ones(1, dtype=np.float32)
-    chip = cutting.chips(turn, n * np.float32(feed), n * np.float32(descent))
-    force, torque = cutting.peak(turn, engaged_of(turn, begin, end, in_part=False), chip, cutter)
-    most, turning = peak_by_turning(cutter, LINEAR, feed, descent, begin, end)
-    allowed = 0.05 if cutter.helix < 0.4 else 0.12  # the helix is taken in six steps
-    assert force[0] == pytest.approx(most, rel=allowed)
-    assert torque[0] == pytest.approx(turning, rel=allowed)
-
-
 def test_products_in_pieces_are_products():
     rng = np.random.default_rng(1)
     for rows, inner, columns in ((1, 5, 3), (1000, 700, 6), (0, 4, 2), (3, 300_000, 1)):
@@ -189,16 +152,12 @@ def test_the_edge_is_as_long_as_the_profile_and_as_high():
             )
 
 
-@pytest.mark.parametrize("pitch", [2.0 * np.pi, 2.0 * np.pi / 3.0])
-def test_a_place_covers_the_parts_of_a_pitch_whose_middles_are_within_it(pitch):
-    """Places of several pitches; one is as wide as the pitch, and one covers it more than once."""
-    rng = np.random.default_rng(3)
-    phi = np.append(rng.uniform(0.0, 2.0 * np.pi, 12), [1.0, 2.0])
-    width = np.append(rng.uniform(0.05, 0.9, 12) * pitch, [pitch, 1.7 * pitch])
-    found = _covered(phi, width, 24, pitch)
+def test_a_place_covers_the_parts_of_a_turn_whose_middles_are_within_it():
+    rng, turn = np.random.default_rng(3), 2.0 * np.pi
+    phi, width = rng.uniform(0.0, turn, 12), rng.uniform(0.05, 0.9, 12) * turn
+    found = _covered(phi, width, 24)
     for place in range(len(phi)):
         for part in range(24):
-            middle = (part + 0.5) * pitch / 24
-            turns = middle + np.arange(-8, 9) * pitch
-            there = bool((np.abs(turns - phi[place]) < 0.5 * width[place]).any())
-            assert found[place, part] == pytest.approx(there * max(1.0, width[place] / pitch))
+            middles = (part + 0.5) * turn / 24 + np.arange(-8, 9) * turn
+            there = bool((np.abs(middles - phi[place]) < 0.5 * width[place]).any())
+            assert found[place, part] == there
