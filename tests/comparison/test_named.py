@@ -191,6 +191,18 @@ CASES = {
             )
         ],
     ),
+    "turn zero": (
+        [("S 2,T 2", "S 2,T 0")],
+        [
+            (
+                "posture",
+                "status and turn of this target are S 2, T 0 instead of S 2, T 2: the axes may turn another way.",
+                6,
+                6,
+                1,
+            )
+        ],
+    ),
     "turned at a target": (
         [("X 40,Y 30,Z 0,A 180,B 0", "X 40,Y 30,Z 0,A 180,B 0.4"), ("X 80,Y 0,Z 0,A 180", "X 80,Y 0,Z 0,A 179.7")],
         [("orientation", "the tool is turned by 0.4000° from its nominal orientation.", 2, 2, 2)],
@@ -519,3 +531,18 @@ def test_motions_without_a_way_share_it_by_their_number():
     np.testing.assert_array_equal(chain.row, [*rows, rows[2] + 1])
     np.testing.assert_allclose(chain.end, [1 / 3, 2 / 3, 1.0, 2.0])
     np.testing.assert_allclose(chain.begin, [0.0, 1 / 3, 2 / 3, 1.0])
+
+
+def test_a_turn_of_zero_in_both_programs_is_no_difference():
+    text = HEAD + BODY.replace("T 2}", "T 0}")
+    assert named(compare(read(text, "ONE.src"), read(text, "OTHER.src"), ROBOT, CELL)) == []
+
+
+@pytest.mark.parametrize("payload", [0.0, 20.0])
+def test_ways_by_ptp_and_from_where_nothing_is_corrected_are_not_compared_inside(payload):
+    """The robot comes from an axis target to the first pair, and by a PTP to the last but one."""
+    cell = replace(CELL, payload=replace(CELL.payload, mass_kg=payload))
+    side = PlacedProgram.of(read(HEAD + BODY, "ONE.src"), RobotInCell.of(ROBOT, cell))
+    found = _paired(side, side, np.arange(7), np.ones(7, dtype=bool))
+    known = deviations._Ways.of_pairs(found, side, side).known
+    assert known.tolist() == [payload == 0.0, True, True, True, True, False, True]
