@@ -219,3 +219,18 @@ def test_a_geometry_beyond_any_arm_is_a_variant_that_is_left_out():
     parameters = (calibration.GeometryParameter("A1", "sin"),)
     with pytest.raises(MeasurementError, match="geometry cannot be found"):
         calibration._with_geometry(content, parameters, np.array([0.02]), "", None)
+
+
+def test_the_equations_that_configurations_are_left_out_of_have_the_calibration_as_their_solution(tmp_path):
+    """Zero for base and points, which are where they were found, and the values found for the joints."""
+    measured(tmp_path, gear="linear")
+    data = harness.load(tmp_path)
+    content = read_prior(robot.find("kuka_kr270"), None, "")
+    free = calibration.nonredundant(harness.PRIOR.nominal, len(data.points))
+    solution = calibration._solve(content, harness.PRIOR.nominal, "x", data, free)
+    state = np.linalg.lstsq(solution.design, solution.target, rcond=None)[0]
+    known = 6 + 3 * len(data.points)
+    half = 1.96 * np.sqrt(np.diag(solution.covariance))
+    assert (np.abs(solution.values) > 3.0 * half).any()
+    np.testing.assert_allclose(state[:known], 0.0, atol=1e-6)  # m, rad
+    np.testing.assert_allclose((state[known:] - solution.values) / half, 0.0, atol=0.01)

@@ -1,11 +1,14 @@
 """Structures with priors of physical size: nothing that the readings do not excite is free."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
 from postproc import robot
 from postproc.errors import MeasurementError, NotConvergedError
+from postproc.identification import choice
 from postproc.identification.choice import Mean, Member, projection
 from postproc.identification.fit import FACTORS, Linearised, Prior, Regression, learn, prior_of
 from postproc.identification.measurement_model import Structure, locate, predict
@@ -174,3 +177,39 @@ def test_a_load_without_equilibrium_is_named_by_configuration(tmp_path):
     heavy = replace(data, wrench=np.where(np.arange(12)[:, None] == data.loaded[3], 1e4, 1.0) * data.wrench)
     with pytest.raises(NotConvergedError, match="config 4, load 1: "):
         predict(structure, structure.start(), heavy, placement)
+
+
+@pytest.mark.parametrize("compensator", [False, True])
+@pytest.mark.parametrize("gears", [(), ("fading",), ("fading", "breakpoint", "backlash"), choice.GEARS])
+def test_all_structures_whose_parameters_a_robot_has_are_tried(gears, compensator, monkeypatch):
+    """From joint springs alone to all of them together; gears that are not linear bring the sources at rest along."""
+    kinds = ["joint", "link", "end", *(["compensator"] if compensator else ["at rest"]), *gears]
+    learnt = []
+    monkeypatch.setattr(
+        choice, "learn", lambda _, __, columns: (learnt.append(columns), SimpleNamespace(evidence=0.0))[1]
+    )
+    monkeypatch.setattr(choice, "_left_out", lambda *_: np.zeros(CONFIGS * ROWS))
+    monkeypatch.setattr(choice, "_stacked", lambda *_: None)
+    whole = SimpleNamespace(configs=CONFIGS)
+    mean = choice._mean(SimpleNamespace(equations=whole, kinds=tuple(kinds), prior=None, structure=None), compensator)
+    words = {"fading": "stiffen", "breakpoint": "breakpoints", "backlash": "backlash", "lost motion": "lost motion"}
+    expected = [
+        name for name, _ in choice.candidates(compensator)
+        if all(word not in name or kind in gears for kind, word in words.items())
+    ]  # fmt: skip
+    assert [member.name for member in mean.members] == expected
+    richest = "link springs, link ends and base" + (", compensator" if compensator else "")
+    if gears == ("fading", "breakpoint", "backlash"):
+        assert f"{richest}, gears stiffen, with breakpoints and backlash" in expected
+    for member, columns in zip(mean.members, learnt, strict=True):
+        used = {kinds[column] for column in columns}
+        assert ("joint" in used, "link" in used, "end" in used) == (True, "link" in member.name, "ends" in member.name)
+        assert ("at rest" in used) == (not compensator and "gears" in member.name)
+        assert {kind for kind in gears if kind in used} == {k for k in gears if words[k] in member.name}
+
+
+def test_members_count_as_non_linear_by_their_gears():
+    assert choice.candidates(True)[0] == ("joint springs, compensator", ("joint", "compensator"))
+    assert all(
+        ("gears" in name) == (not set(kinds).isdisjoint(choice.GEARS)) for name, kinds in choice.candidates(False)
+    )
