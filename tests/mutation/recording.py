@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import json
+import signal
 import sys
 import time
 from collections.abc import Iterator
@@ -111,6 +112,7 @@ def main() -> None:
     """
     out, count, *names = sys.argv[1:]
     files, tests = names[: int(count)], names[int(count) :]
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # jobs in the background ignore it: tests of it would fail
     recorder = Recorder({str(Path(name).absolute()) for name in files})
     code = pytest.main([*OPTIONS, *tests], plugins=[recorder])
     here = Path.cwd()

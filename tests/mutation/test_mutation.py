@@ -1,6 +1,7 @@
 """The mutation run itself: it finds a weak suite weak, sees all that a good one sees, and says the same again."""
 
 import shutil
+import signal
 import tomllib
 from collections import Counter
 from pathlib import Path
@@ -131,6 +132,19 @@ def test_tests_that_fail_without_a_fault_are_an_error(tmp_path):
     files, tests = sources_and_tests("lever", root)
     with pytest.raises(MutationError, match=r"fail without a fault: .*test_wrong"):
         run(root, files, tests, most=1)
+
+
+def test_tests_of_an_interrupt_pass_in_a_job_in_the_background(tmp_path):
+    """A shell starts such a job with SIGINT ignored, and processes inherit that."""
+    text = "def test_interrupt():\n    with pytest.raises(KeyboardInterrupt):\n        signal.raise_signal(2)\n"
+    root = project(tmp_path / "one", f"import signal\n\n\n{text}    assert weight(np.ones(1)) == 9.81\n")
+    files, tests = sources_and_tests("lever", root)
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        found = run(root, files, tests, seed=3, most=3)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert len(found) == 3
 
 
 def test_what_is_accepted_in_this_repository_is_still_a_mutant():

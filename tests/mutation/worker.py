@@ -56,6 +56,7 @@ def _child(batches: list[list[str]], seconds: dict[str, float], log: str) -> Non
     sys.stdout = sys.stderr = os.fdopen(1, "w", buffering=1)
     for number in (signal.SIGPROF, signal.SIGALRM):
         signal.signal(number, signal.SIG_DFL)
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # as in `recording.main`
     limits = Limits(seconds)
     # collecting counts too: a fault at import may never end
     signal.setitimer(signal.ITIMER_PROF, 120.0)
