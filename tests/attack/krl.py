@@ -69,6 +69,7 @@ def executed(files, seed, program):
     controller.numbers = None
     followed = [(r.source.document.name, r.first, r.last) for r in program.layout.course.inlined]
     motions = controller.run("PART")
+    left = {("part.src", issue.source_line) for issue in program.issues if issue.kind == "motions-elsewhere"}
 
     def is_followed(file, line):
         return file == "part.src" or any(f == file and a < line < b for f, a, b in followed)
@@ -76,7 +77,8 @@ def executed(files, seed, program):
     return [
         motion
         for motion in motions
-        if all(is_followed(*place) for place in (*motion.callers, (motion.file, motion.line)))
+        if left.isdisjoint(motion.callers)
+        and all(is_followed(*place) for place in (*motion.callers, (motion.file, motion.line)))
     ]
 
 
