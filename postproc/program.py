@@ -438,11 +438,13 @@ class Layout(Protocol):
         ...
 
     def places(self, rows: Ints) -> Places | None:
-        """Return files and lines of motions (n,); None: all in the main file, on `Motions.line`."""
+        """Return file and line of motions (n,); None if all are in the main file, where `Motions.line` is the line."""
         ...
 
     def orientation_types(self, rows: Ints) -> NDArray[np.str_] | None:
-        """Return how motions (n,) turn the tool, as the text sets it (`$ORI_TYPE`); None: it has no such setting."""
+        """Return the orientation control of motions (n,) that the text sets (`$ORI_TYPE`); None without such a
+        setting.
+        """
         ...
 
 

@@ -288,7 +288,9 @@ class _Search(Struct, frozen=True, eq=False):
     def _near(
         self, q: Array, carried: Array, length: Array, limits: tuple[Array, Array], enough: float
     ) -> tuple[Array, Array]:
-        """Return the best of the places that Newton's method visits from arc lengths (n,), and the distances (n,)."""
+        """Return arc lengths (n,) on the path nearest to the tip, by Newton's method from start values, and distances
+        (n,).
+        """
         off = self._off(q, carried, length)
         best, distance = length.copy(), norm(off)
         rows = np.flatnonzero(distance > enough)
@@ -310,7 +312,7 @@ class _Search(Struct, frozen=True, eq=False):
         return best, distance
 
     def _anywhere(self, q: Array, carried: Array, limits: tuple[Array, Array]) -> Array:
-        """Return the best of many arc lengths (n,) between limits, by the compliance of the tip at the first of them.
+        """Return the arc lengths (n,) nearest to the tip among many between limits, with the compliance at the first.
 
         The force moves the tip: on a steep ramp the tip may move back while the path goes on.
         """

@@ -238,7 +238,7 @@ def _inserted_turned(found: Comparison, one: PlacedProgram, other: PlacedProgram
 
 
 def _rapid(found: Comparison, one: PlacedProgram) -> Iterator[Difference]:
-    """Yield rapid targets with an offset: they carry no force that would cause one."""
+    """Yield a difference if rapid targets have an offset: no force acts on them that would explain it."""
     off = found.distance if found.cuts is None else np.minimum(found.distance, norm(found.cuts.corrected))
     where = np.flatnonzero((off > one.place.tolerance) & found.rapid)
     if len(where) and not any(each.kind == "base" for each in bases_and_tools(found)):
@@ -248,7 +248,7 @@ def _rapid(found: Comparison, one: PlacedProgram) -> Iterator[Difference]:
 
 
 def _twice(found: Comparison, one: PlacedProgram, other: PlacedProgram) -> Iterator[Difference]:
-    """Yield targets of the second program at which the robot is already: it stops there, approximated or not."""
+    """Yield targets of the second program at the present position of the robot: it stops there even if approximated."""
     still, also = (
         (side.path.way < _NOTHING) & (side.path.turn < _NOTHING) & (side.program.motions.kind != PTP)
         for side in (other, one)

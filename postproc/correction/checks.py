@@ -59,7 +59,7 @@ def _turn_the_tool(program: Program) -> str:
 
 
 def joint_limits(program: Program, robot: RobotModel, sample: Toolpath, q: Array) -> Iterator[Issue]:
-    """Every commanded configuration (N, 6) must lie within the joint limits."""
+    """Yield an issue if commanded joint angles (N, 6) [rad] are beyond the joint limits."""
     for axis in np.flatnonzero(~(kinematics.joint_margin(robot, q) >= -_LIMIT_ROUNDING)).tolist():
         low, high = robot.lower[axis], robot.upper[axis]
         beyond = ~(np.minimum(q[:, axis] - low, high - q[:, axis]) >= -_LIMIT_ROUNDING)
@@ -72,10 +72,10 @@ def joint_limits(program: Program, robot: RobotModel, sample: Toolpath, q: Array
 
 
 def singularities(program: Program, robot: RobotModel, sample: Toolpath, q: Array, apart: Ints) -> Iterator[Issue]:
-    """The path must stay clear of wrist, elbow and shoulder singularities, and no joint may jump.
+    """Yield issues where the path is near a wrist, elbow or shoulder singularity, or a joint turns far between samples.
 
     :param q: (N, 6) commanded [rad].
-    :param apart: motions whose samples are so far apart that a large turn between them is no jump.
+    :param apart: motions with samples far apart, for which a large turn between samples is normal.
     """
     form = kinematics.closed_form(robot)
     linear = program.motions.kind[sample.motion] != PTP
@@ -102,9 +102,10 @@ def singularities(program: Program, robot: RobotModel, sample: Toolpath, q: Arra
 
 
 def half_turns(program: Program, sample: Toolpath, turn: Array, pose: Array) -> Iterator[Issue]:
-    """A motion must not turn the tool by half a circle: the last digit would say which way round, and change it.
+    """Yield an issue if a motion turns the tool by half a circle: rounding of the last digit would decide the
+    direction.
 
-    From the start, or from an axis target, the way is left to the controller in any case: a warning.
+    From the start, or from an axis target, the controller chooses the direction in any case: a warning.
 
     :param turn: (M,) how far each motion turns the tool [rad]; where it turns with the path, that of the path included.
     :param pose: (N, 4, 4) commanded, of the samples in `$BASE`.
@@ -132,7 +133,7 @@ def half_turns(program: Program, sample: Toolpath, turn: Array, pose: Array) -> 
 
 
 def status_and_turn(program: Program, robot: RobotModel, sample: Toolpath, q: Array) -> Iterator[Issue]:
-    """The S and T that PTP targets give must be those of a configuration within the joint limits.
+    """Yield an issue if S and T of a PTP target belong to no configuration within the joint limits.
 
     :param q: (N, 6) joint angles found for the nominal targets [rad].
     """
@@ -151,7 +152,7 @@ def status_and_turn(program: Program, robot: RobotModel, sample: Toolpath, q: Ar
 
 
 def start_joints(program: Program, robot: RobotModel, start: Array) -> Iterator[Issue]:
-    """[start] of the cell (6,) [rad] is driven to, and fixes the branch: it must be within limits and unambiguous."""
+    """Yield issues if [start] of the cell (6,) [rad], which fixes the branch, is beyond a limit or ambiguous."""
     margin = kinematics.joint_margin(robot, start[None])
     if (margin < -_LIMIT_ROUNDING).any():
         name = JOINTS[int(np.argmin(margin))]
@@ -163,7 +164,7 @@ def start_joints(program: Program, robot: RobotModel, start: Array) -> Iterator[
 
 
 def first_move(program: Program, path: JointPath, start: Array) -> Iterator[Issue]:
-    """A first PTP that turns the hand by about half a turn from [start] (6,) [rad] gives a warning."""
+    """Yield a warning if the first PTP turns the hand by about half a turn from [start] (6,) [rad]."""
     m = program.motions
     if m.kind[0] != PTP or np.isfinite(m.joints[0, 0]):
         return
@@ -178,7 +179,7 @@ def first_move(program: Program, path: JointPath, start: Array) -> Iterator[Issu
 
 
 def posture(program: Program, robot: RobotModel, sample: Toolpath, path: JointPath, start: Array) -> Iterator[Issue]:
-    """A PTP may drive the arm into another posture (status S): overhead, elbow or wrist turned over."""
+    """Yield an issue if a PTP changes the posture of the arm (status S): overhead, elbow or wrist turned over."""
     ends = np.flatnonzero(sample.ends & (program.motions.kind[sample.motion] == PTP))
     before = kinematics.status_of(robot, np.where(ends[:, None] > 0, path.q[ends - 1], start))
     after = kinematics.status_of(robot, path.q[ends])
@@ -219,7 +220,7 @@ def joint_speed(program: Program, sample: Toolpath, turn: Array, q: Array, posit
 
 
 def joint_speeds(program: Program, robot: RobotModel, sample: Toolpath, speed: Array) -> Iterator[Issue]:
-    """Joint speeds (N, 6) at the programmed feed must stay within the robot's limits.
+    """Yield issues where joint speeds (N, 6) at the programmed feed exceed the limits of the robot.
 
     If a program relies on the default speed, which may be set differently on the controller, it is only a warning.
     """
@@ -250,7 +251,7 @@ def _rounded_down(value: float) -> str:
 
 
 def meetings(program: Program, sample: Toolpath, pose: Array, wrench: Array) -> Iterator[Issue]:
-    """Branches of which one runs, and it is not known which, must be corrected alike where they meet.
+    """Yield an issue if branches taken at run time have different corrections at a control-flow join.
 
     :param pose: (N, 4, 4) commanded, `wrench` (N, 6), of the samples in `$BASE`.
     """
@@ -280,7 +281,7 @@ def _force(wrench: Array) -> str:
 
 
 def correction_size(program: Program, motion: Ints, correction: Array, allowed: float) -> Iterator[Issue]:
-    """No commanded position may be further from nominal than allowed; distances (N,) [m]."""
+    """Yield an issue if a commanded position is farther from nominal than allowed; distances (N,) [m]."""
     message = (
         f"the correction of {correction.max() * MM_PER_M:.3f} mm is larger than max_correction_mm = "
         f"{allowed * MM_PER_M:g}. Check the forces and the robot model, or raise max_correction_mm in the cell."
@@ -289,7 +290,7 @@ def correction_size(program: Program, motion: Ints, correction: Array, allowed: 
 
 
 def blending(program: Program, motion: Ints, more: Array, tolerance: float) -> Iterator[Issue]:
-    """Rounding of corners by approximation must not grow by more than the tolerance through the correction.
+    """Yield an issue if the correction increases the rounding of a corner by more than the tolerance.
 
     :param more: (K,) by how much the written path is rounded more at each target than the programmed one [m].
     """
@@ -303,7 +304,7 @@ def blending(program: Program, motion: Ints, more: Array, tolerance: float) -> I
 def beyond_measured(
     program: Program, robot: RobotModel, motion: Ints, q: Array, tool: Array, wrench: Array
 ) -> Iterator[Issue]:
-    """Warn of loads that put more torque on a joint than the measurements of the model did.
+    """Yield warnings for loads with more torque on a joint than the measurements of the model had.
 
     :param motion: (K,) of each target.
     :param q: (K, 6) [rad].

@@ -88,7 +88,7 @@ def commanded_speed(path: PathUnderLoad, q: Array, position: Array) -> Array:
 
 _SPACING = 5.0 * RAD_PER_DEG
 _SHARE_OF_SPEED = 0.75
-"""Of a joint's fastest, by the samples: between two that are 60° apart a sine is up to 1 / cos 30° steeper."""
+"""Share of a joint's largest speed at samples: between two that are 60° apart a sine is up to 1 / cos 30° steeper."""
 _TURNED = 10.0 * RAD_PER_DEG
 """Rotation from one sample to the next; a joint turns by more only near a wrist or shoulder singularity."""
 _NEAR_WRIST = 1.0 * RAD_PER_DEG
@@ -97,7 +97,7 @@ _NEAR_ELBOW = 20.0 * RAD_PER_DEG
 _AT_ONCE = 8192
 """Number of places examined in one batch."""
 _STEPS = 2.0
-"""What changes smoothly passes its values at the samples by less than one of its steps between them."""
+"""A smooth quantity exceeds its values at the samples by less than one step between them; two for safety."""
 _LONG, _TURNS = 0.002, 0.5 * RAD_PER_DEG
 """Spacing of the places on a line; pieces that are shorter and turn the tool less are not examined."""
 _NEAREST = 0.15
@@ -106,7 +106,7 @@ unless the arm is nearly singular."""
 _PER_TURN = 6.0
 """Largest ratio of joint rotation to tool rotation, unless the wrist is nearly singular."""
 _ELBOW_PER_M, _ELBOW_PER_TURN = 5.0, 3.0
-"""How much A3 may come nearer to where the arm is stretched within a piece of a line, per way [rad/m] and turn."""
+"""Largest change of A3 towards the stretched arm within a piece of a line, per length [rad/m] and per turn."""
 _REACH_PER_TURN = 0.5
 """How far the wrist may move by turning the tool [m/rad]."""
 
@@ -126,11 +126,11 @@ class Stretches(Struct, frozen=True, eq=False):
 
 
 _WRIST, _SHOULDER, _ELBOW = 6, 7, 8
-"""Rows of what must not come to zero, behind those of the joint angles."""
+"""Rows of the singularity margins, which must not reach zero, after those of the joint angles."""
 
 
 def stretches_to_examine(path: PathUnderLoad, q: Array, speed: Array) -> tuple[Stretches, Stretches]:
-    """Return the arcs, and the pieces of lines between two samples, on which a joint may come to what it cannot do.
+    """Return arcs, and pieces of lines between two samples, on which a joint may reach a limit or a singularity.
 
     :param q: (N, 6) commanded joint angles [rad].
     :param speed: (N, 6) joint speeds on the way to each [rad/s].
@@ -148,7 +148,7 @@ def stretches_to_examine(path: PathUnderLoad, q: Array, speed: Array) -> tuple[S
 
 
 def _arcs(path: PathUnderLoad, room: Array, step: Array, fast: Bools) -> Stretches:
-    """Return arcs that are looked at every 5°."""
+    """Return the arcs to be examined every 5°: their margins are small compared with the steps between samples."""
     m, motion = path.program.motions, path.sample.motion
     rows = np.flatnonzero(m.kind[motion] == CIRC)
     if len(rows):
@@ -165,7 +165,7 @@ def _arcs(path: PathUnderLoad, room: Array, step: Array, fast: Bools) -> Stretch
 
 
 def _near(step: Array) -> Array:
-    """Return what states may come to between samples of an arc (9, n), by their largest steps along it (9, n)."""
+    """Return possible changes of the states between samples of an arc (9, n), from their largest steps on it (9, n)."""
     near = _STEPS * step
     near[_WRIST] = np.maximum(near[_WRIST], _NEAR_WRIST)
     near[_SHOULDER] += checks.SHOULDER
@@ -174,7 +174,7 @@ def _near(step: Array) -> Array:
 
 
 def _lines(path: PathUnderLoad, room: Array, step: Array, fast: Bools) -> Stretches:
-    """Return pieces of lines that are looked at every 2 mm and half a degree."""
+    """Return the pieces of lines to be examined every 2 mm and half a degree."""
     sample, segments = path.sample, path.motions.segments
     first = np.diff(sample.motion, prepend=-1) != 0
     begin = np.where(first, 0.0, np.roll(sample.t, 1))

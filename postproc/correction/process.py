@@ -495,7 +495,7 @@ def _closer(
 
 
 def _commands(task: Task, path: PathUnderLoad) -> Compensation:
-    """Return the commands of all samples, in `$BASE`."""
+    """Return commanded joint angles and poses of all samples, by the mode of the task; poses in `$BASE`."""
     if task.mode == "nominal":
         return as_programmed(path)
     try:

@@ -15,7 +15,7 @@ from typing import TypedDict
 from postproc.errors import InputError
 
 _SHOWN = 5
-"""Number of files that a message names."""
+"""Largest number of files that a message names."""
 
 
 class FileEntry(TypedDict):
@@ -28,7 +28,7 @@ class FileEntry(TypedDict):
 def with_record(
     contents: Mapping[str, bytes | Iterable[bytes]], name: str, render: Callable[[list[FileEntry]], bytes]
 ) -> dict[str, bytes | Iterable[bytes]]:
-    """Return contents for `write_whole`, and behind them their record.
+    """Return contents for `write_whole`, followed by their record.
 
     :param contents: file name → content.
     :param name: of the record.
@@ -51,7 +51,7 @@ def with_record(
 
 
 def foreign(folder: Path, names: Iterable[str], record: str) -> list[Path]:
-    """Return which of some files are there and not as we wrote them.
+    """Return those of the files that exist and are not as postproc wrote them.
 
     :param record: name of the record.
     """
@@ -64,12 +64,12 @@ def foreign(folder: Path, names: Iterable[str], record: str) -> list[Path]:
 
 
 def recorded(record: Path) -> dict[str, str]:
-    """Return which files a record names, and the SHA-256 of each; none if it is not ours."""
+    """Return the files that a record lists: name → SHA-256; empty if it is no record of postproc."""
     return _read(record) or {}
 
 
 def noted(record: Path, key: str) -> list[str]:
-    """Return the names that a record holds under a key; none if it has none, or is not ours."""
+    """Return the names that a record contains under a key; empty without the key, or if it is no record of postproc."""
     try:
         return [str(name) for name in json.loads(record.read_bytes())[key]]
     except (OSError, ValueError, KeyError, TypeError):
@@ -77,13 +77,15 @@ def noted(record: Path, key: str) -> list[str]:
 
 
 def sealed(text: bytes) -> bytes:
-    """Return a text that begins with a line of comment, with the SHA-256 of all below at the end of this line."""
+    """Return a text with the SHA-256 of its other lines added to the first one, which is a comment."""
     head, _, body = text.partition(b"\n")
     return b"%s SHA-256 of what follows: %s\n%s" % (head, hashlib.sha256(body).hexdigest().encode(), body)
 
 
 def foreign_single(path: Path) -> list[Path]:
-    """Return a file if it is there and was not written with `sealed`, or changed since."""
+    """Return the path in a list if the file exists and was not written with `sealed`, or changed since; else no
+    path.
+    """
     if not path.exists():
         return []
     head, _, body = path.read_bytes().partition(b"\n") if path.is_file() else (b"", b"", b"")
@@ -91,7 +93,7 @@ def foreign_single(path: Path) -> list[Path]:
 
 
 def refuse(paths: Sequence[Path]) -> None:
-    """Refuse to replace files that are not ours.
+    """Refuse to replace files that postproc did not write.
 
     :raises InputError: there are some.
     """
@@ -103,13 +105,13 @@ def refuse(paths: Sequence[Path]) -> None:
 
 
 def listed(paths: Sequence[Path]) -> str:
-    """Return paths as text, of many the first."""
+    """Return paths as text: the first ones, and the number of others."""
     more = f" and {len(paths) - _SHOWN} more" if len(paths) > _SHOWN else ""
     return ", ".join(str(path) for path in paths[:_SHOWN]) + more
 
 
 def _read(path: Path) -> dict[str, str] | None:
-    """Return what a record says was written with it; None if it is none of ours."""
+    """Return the files that a record lists: name → SHA-256; None if it is no record of postproc."""
     try:
         return {entry["name"]: entry["sha256"] for entry in json.loads(path.read_bytes())["files"]}
     except (OSError, ValueError, KeyError, TypeError):

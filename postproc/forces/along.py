@@ -128,7 +128,7 @@ _ON_RAPID = "rapid moves carry no force: the row is ignored"
 
 
 def _warning(program: Program, motion: Ints, kind: str, message: str) -> list[Issue]:
-    """Return a warning for motions (n,), or nothing without motions."""
+    """Return one warning for all of the motions (n,) in a list; an empty list without motions."""
     return [program.motions.issue("warning", kind, message, motion)] if len(motion) else []
 
 

@@ -122,7 +122,7 @@ def _places(forces: PathForces, targets: Targets) -> tuple[Ints, Array]:
 
 
 def _shortened(knots: Knots) -> Knots:
-    """Return the knots, with only the last one for pieces on which the force is constant."""
+    """Return fewer knots: of a piece with constant force only the last one."""
     last = np.flatnonzero(np.diff(knots.motion, append=-1) != 0)
     end = last[np.searchsorted(last, np.arange(len(knots)))]
     differs = largest(np.hstack([knots.wrench - knots.wrench[end], knots.sigma - knots.sigma[end]])) > _SAME

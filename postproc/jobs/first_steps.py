@@ -110,14 +110,14 @@ class CellRequest(Struct, frozen=True, kw_only=True):
 def write_cell(request: CellRequest) -> tuple[str, ...]:
     """Write a cell file, and read it back.
 
-    :returns: what the user should look at.
-    :raises InputError: a file is there, or something given cannot be.
+    :returns: warnings for the user.
+    :raises InputError: the file exists, or a value is invalid.
     """
     if request.output.exists() and not request.overwrite:
         raise InputError("this file is there", file=str(request.output), advice="Name another, or give --overwrite.")
     folder = request.output.parent
     known = request.robot in robots.shipped()
-    place = request.robot if known else _way(folder, Path(request.robot))
+    place = request.robot if known else _relative(folder, Path(request.robot))
     robot = load_robot(request.robot)
     start = _six("start joints", request.start, 6)
     beyond = (np.radians(start) < robot.lower) | (np.radians(start) > robot.upper)
@@ -131,7 +131,7 @@ def write_cell(request: CellRequest) -> tuple[str, ...]:
         raise InputError(f"clearance {request.clearance:g} mm", advice="Give a Z of $BASE.")
     base = _frame("BASE_DATA", request.base, request, robot)
     tool = _frame("TOOL_DATA", request.tool, request, robot)
-    config = None if request.config_dat is None else _way(folder, request.config_dat)
+    config = None if request.config_dat is None else _relative(folder, request.config_dat)
     tool_frame = Tool(**dict(zip("XYZABC", tool, strict=True)), axis=request.axis)
     cell = Cell(robot=place, base=Frame(*base), tool=tool_frame, start=msgspec.convert({"joints": start}, Start))
     turn, remarks = _turn_of_tool(cell, robot)
@@ -142,8 +142,8 @@ def write_cell(request: CellRequest) -> tuple[str, ...]:
     return remarks
 
 
-def _way(folder: Path, path: Path) -> str:
-    """Return a path as seen from a folder; unchanged if there is none, as between two drives of Windows."""
+def _relative(folder: Path, path: Path) -> str:
+    """Return a path relative to a folder; the path itself if there is none, as between two drives of Windows."""
     try:
         return Path(relpath(path, folder)).as_posix()
     except ValueError:

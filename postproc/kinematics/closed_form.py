@@ -72,7 +72,7 @@ class ClosedForm(Struct, frozen=True, eq=False):
         return np.asarray(self.shoulder + self.upper_arm * upper + self.forearm * fore)
 
     def elbow(self, q: Array) -> Array:
-        """Return how far A3 (N,) is past where the arm is stretched [rad], from −π to π, at angles (N, 6)."""
+        """Return A3 minus its value for the stretched arm (N,) [rad], from −π to π, at angles (N, 6)."""
         return _wrapped(q[:, 2] - self.elbow_stretched)
 
     def branch_of(self, q: Array) -> Ints:

@@ -279,9 +279,9 @@ def _check_separable(
 
 
 def _not_measured(prior: MaterialTable | None, found: Bools, file: str) -> tuple[Array, Array, list[str]]:
-    """Return values (6,) of coefficients that no reading depends on, their standard deviations (6,), and warnings.
+    """Return values (6,) and standard deviations (6,) from the process for coefficients without readings, and warnings.
 
-    :raises ForceError: the process has no linear material that could supply them.
+    :raises ForceError: the process has no linear material.
     """
     value, sigma = np.zeros(6), np.zeros(6)
     if found.all():

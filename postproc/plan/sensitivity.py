@@ -128,12 +128,12 @@ class Readings(Struct, frozen=True, eq=False):
         return self.information_of(q, self.force * direction(tilt))
 
     def information_of(self, q: Array, load: Array) -> Array:
-        """Return the same (N, p, p) for loads as `rows` takes them."""
+        """Return the information matrix (N, p, p) of each measurement, for loads (N, 3 or 6) as in `rows`."""
         rows = self.rows(q, load)[:, :, list(self.keep)]
         return np.asarray(np.swapaxes(rows, 1, 2) @ rows)
 
     def slope(self, q: Array, tilt: Array, weight: Array) -> Array:
-        """Return ∂ tr(weight·information)/∂(q, tilt), (N, 8), for symmetric weights (N, p, p)."""
+        """Return the gradient (N, 8) of tr(weight·information) by (q, tilt), for symmetric weights (N, p, p)."""
         keep = list(self.keep)
         posed = self.arm.pose(q)
         load = self.force * direction(tilt)

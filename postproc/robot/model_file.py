@@ -65,7 +65,7 @@ class JointSpring(Sourced, frozen=True, kw_only=True):
 
     @property
     def fades(self) -> float:
-        """How much of the compliance fades or ends with load [µrad/(N·m)]."""
+        """Part of the compliance at small torque that vanishes at larger ones [µrad/(N·m)]."""
         return sum(part.compliance_urad_per_Nm for part in (*self.stiffening, *self.knees))
 
 

@@ -110,7 +110,11 @@ class Toolpath(Struct, frozen=True, eq=False):
 
 
 def starts(program: Program, end: Callable[[Ints], Array], start_flange_in_root: Array) -> Starts:
-    """Return the start poses of motions: `end` returns their ends (n, 4, 4); the flange is at a pose (4, 4) first."""
+    """Return the start poses of all motions, each in the `$BASE` and with the `$TOOL` of its motion.
+
+    :param end: returns the poses (n, 4, 4) at the ends of motions (n,) [m].
+    :param start_flange_in_root: (4, 4) pose of the flange before the first motion [m].
+    """
     m = program.motions
     if program.carriage is not None:
         start_flange_in_root = start_flange_in_root.copy()
@@ -119,7 +123,7 @@ def starts(program: Program, end: Callable[[Ints], Array], start_flange_in_root:
 
 
 def segments(program: Program, start_flange_in_root: Array) -> Segments:
-    """Return where each motion starts and how long it is.
+    """Return the start poses and lengths of all motions.
 
     :param start_flange_in_root: (4, 4) pose of the flange before the first motion [m].
     """

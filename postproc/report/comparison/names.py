@@ -27,7 +27,7 @@ class Names(Struct, frozen=True):
         return f"{self.prefix}{where[0]}:{where[1]}"
 
     def line(self, where: tuple[str, int]) -> str:
-        """Return a line in the form used in tables: with its file if there are several."""
+        """Return a line number for tables, preceded by its file if a program has several."""
         return self.place(where) if self.several else str(where[1])
 
 

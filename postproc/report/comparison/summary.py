@@ -363,7 +363,7 @@ def _largest(found: Comparison, names: Sequence[Names]) -> list[PairEntry]:
 
 
 def _lines(found: Comparison, names: Sequence[Names], pair: int) -> Lines:
-    """Return files and lines of a pair."""
+    """Return file and line of both targets of a pair, as keys of the report."""
     places = (p.places(found.pair[pair, k : k + 1]).of(0) for k, p in enumerate((found.nominal, found.corrected)))
     (one, line), (other, other_line) = places
     return {

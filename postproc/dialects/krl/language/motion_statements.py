@@ -71,7 +71,7 @@ class MotionStatement(Struct, frozen=True, eq=False):
 
     @property
     def via_incomplete(self) -> bool:
-        """Whether the auxiliary point takes some of X, Y, Z from where the circle begins."""
+        """Whether the auxiliary point omits X, Y or Z; they are those of the start of the circle."""
         return self.via is not None and any(value != value for value in self.via.position.values[:3])
 
     @property

@@ -64,7 +64,7 @@ from postproc.errors import ProgramError
 
 
 def statement(source: Source, line: int) -> Statement:
-    """Return the statement on a 1-based line; it is read when it is first needed."""
+    """Return the statement on a 1-based line; it is parsed at the first call and stored."""
     found = source.statements.get(line)
     if not isinstance(found, Statement):
         found = source.statements[line] = statement_in(source, *source.code_span(line))

@@ -106,7 +106,7 @@ class Place(NamedTuple):
     line: int
 
     def __str__(self) -> str:
-        """Say where: ``line 12``, and in which file if that is not the program itself."""
+        """Return the place for messages: ``line 12``, with the file if it is not the main one."""
         if self.source.origins is not None:
             return str(self.source.origin(self.line))
         return f"line {self.line}" if self.source.index == 0 else f"{self.source.document.name}, line {self.line}"

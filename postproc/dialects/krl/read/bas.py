@@ -95,7 +95,7 @@ class Bas:
         return Reference(name, None, field, start, start)
 
     def _path_data(self, state: State, at: Place) -> State:
-        """Return the state behind #CP_DAT; what LDAT_ACT says nothing of stays."""
+        """Return the state after BAS(#CP_DAT): fields of LDAT_ACT replace settings, others stay."""
         data = self._data("LDAT_ACT", at)
         for name, field in (("$APO", "APO_DIST"), ("$ORI_TYPE", "ORI_TYP"), ("$CIRC_TYPE", "CIRC_TYP")):
             value = self._component("LDAT_ACT", field, at)

@@ -130,7 +130,7 @@ class Analysis:
         return self._all[routine]
 
     def reached(self, module: Module, routine: Routine) -> set[Routine]:
-        """Return a routine and all that it calls, actions of interrupts and triggers included."""
+        """Return the routine and all routines that it may call, directly or not, also by interrupts and triggers."""
         return {other for _, other in self._reached([(module, routine)])}
 
     def names(self, module: Module, routine: Routine) -> frozenset[str]:

@@ -646,7 +646,7 @@ class _Counter:
         return max(0, (self.last - self.now()) // self.step + 1)
 
     def within(self) -> bool:
-        """Return whether it is within its last value."""
+        """Return whether the loop runs another round: its variable has not passed the end value."""
         now = self.now()
         return now <= self.last if self.step > 0 else now >= self.last
 

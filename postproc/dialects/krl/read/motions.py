@@ -182,9 +182,8 @@ def _elements(rows: MotionColumns, rounds: ElementMotions) -> Elements:
 
 
 def _states(settings: Settings, line: Ints, own_states: list[State]) -> tuple[list[State], Ints, Ints, Ints]:
-    """Return all states; the index of the state in force, for plain lines and then statements; and its first line.
-
-    The last is given for plain lines only.
+    """Return all states, the state index of plain lines (n,) and of statements (k,), and the lines (n,) that set the
+    states of plain lines.
     """
     states = [state for _, state in settings.changes]
     changes = np.array([line for line, _ in settings.changes])

@@ -44,7 +44,8 @@ class PathSettings:
         self.variables, self.reasons, self.carried = variables, reasons, carried
 
     def speed(self, state: State, at: Place, field: str | None, value: Value | Known) -> State:
-        """Return the state behind ``$VEL.CP = value``, or ``$VEL = {…}`` without a field; other fields do not matter.
+        """Return the state after ``$VEL.CP = value``, or after ``$VEL = {…}`` if `field` is None; other fields are
+        ignored.
 
         :raises ProgramError: no path can be driven at that speed.
         """
@@ -61,7 +62,9 @@ class PathSettings:
         return state.with_known(speed=number, assumed=False)
 
     def distance(self, state: State, at: Place, field: str | None, value: Value | Known) -> State:
-        """Return the state behind ``$APO.CDIS = value``, or ``$APO = {…}`` without a field; likewise."""
+        """Return the state after ``$APO.CDIS = value``, or after ``$APO = {…}`` if `field` is None; other fields are
+        ignored.
+        """
         if isinstance(value, Call) and value.name in _OF_PTP:
             return state
         if isinstance(value, Call) and value.name == "SAPO" and field in (None, "CDIS"):
@@ -78,7 +81,7 @@ class PathSettings:
         return state.with_known(cdis=number * M_PER_MM)
 
     def mode(self, state: State, at: Place, name: str, value: Value | Known) -> State:
-        """Return the state behind ``$ORI_TYPE = value``, and so on for the `MODES`.
+        """Return the state after ``$ORI_TYPE = value``, or an assignment to another of the `MODES`.
 
         :raises ProgramError: the robot moves the workpiece then.
         """

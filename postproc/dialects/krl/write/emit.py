@@ -146,14 +146,14 @@ class _Emitter:
                 self.new.before[k].append(f"$VEL.{name}={number(speed) if speed else f'$VEL_MA.{name}'}")
 
     def _print(self, kind: int, approximated: Bools) -> bytes:
-        """Return the lines of all targets of a kind."""
+        """Print the motion lines of all targets of a kind, in chunks."""
         k = np.flatnonzero(self.targets.kind == kind)
         parts = map(k.__getitem__, chunks(len(k)))
         printed = (self._lines(kind, rows, approximated[rows]) for rows in parts if len(rows))
         return b"".join([without_trailing_zeros(text) for text in printed])
 
     def _lines(self, kind: int, k: Ints, approximated: Bools) -> bytes:
-        """Return the lines of some targets of a kind."""
+        """Print the motion lines of targets (k,) of a kind, with all decimals."""
         numbers = xyzabc_from_pose(self.targets.pose.take(k, axis=0))
         end = _aggregate(numbers)
         spline = b"S" if self.cell.gcode.motions == "SLIN" else b""

@@ -70,7 +70,9 @@ class NamedPoints(Struct, eq=False):
                 self._separate(changed, aggregate)
 
     def _alone(self, uses: list[Use], aggregate: Aggregate) -> bool:
-        """Return whether the numbers of a point can be changed in place."""
+        """Return whether the numbers of a point can be replaced in its declaration: all its uses have one
+        correction.
+        """
         name = uses[0].operand.name
         if name not in self._elsewhere:
             known = self.layout.understood
@@ -81,12 +83,12 @@ class NamedPoints(Struct, eq=False):
         return same and not shared and aggregate.source.index < len(self.sources)
 
     def _correct(self, use: Use, aggregate: Aggregate) -> None:
-        """Change the numbers of a point in place."""
+        """Replace the numbers of a point in its declaration by the corrected ones."""
         for piece in replaced_numbers(literal_of(aggregate), use.texts or {}):
             self.replacements[aggregate.source.index].add(*piece)
 
     def _separate(self, uses: list[Use], aggregate: Aggregate) -> None:
-        """Give each different correction a point of its own; the old one stays for those who use it as it is."""
+        """Declare a point for each different correction; the old one stays for uncorrected uses."""
         names: dict[str, str] = {}
         for use in uses:
             text = self.sources[0].text[use.operand.start : use.operand.stop]
