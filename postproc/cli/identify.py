@@ -134,7 +134,7 @@ def geometry(output: Path, as_json: bool, **request: Any) -> None:
 @identify.command()
 @click.argument("model", type=_FILE, metavar="MODEL_DIR")
 @click.argument("measurements", type=_FILE)
-@click.option("--experiment", type=_FILE, required=True, help="TOML file: robot, sigma_mm, load point, points.")
+@click.option("--experiment", type=_FILE, help="TOML file of tracker readings: robot, sigma_mm, points.")
 @click.option("--cell", type=_FILE, help="Cell file of a job: its share that the readings cover is stated.")
 @several_programs("Programs of the job: files, folders, patterns.")
 @click.option("--forces", type=_FILE, help="Cutting forces of the job: a file, or a folder with NAME.csv … for each.")
@@ -144,7 +144,7 @@ def validate(
     ctx: click.Context,
     model: Path,
     measurements: Path,
-    experiment: Path,
+    experiment: Path | None,
     cell: Path | None,
     programs: tuple[str, ...],
     more: tuple[str, ...],
@@ -167,6 +167,9 @@ def validate(
     configurations or more have its sign on that joint and one of them at least its size, and if the torque on the most
     loaded joint is no less than under the smallest loads.
 
+    MEASUREMENTS may also be the probing.csv of a test part, filled in. Then give --cell, --process and --program of the
+    part, without --experiment: the model is checked as by `identify part --compare`.
+
     Exit codes: 0 the model holds, and for a job at least 95 % of it is covered; 1 the readings cannot be used; 3 the
     model does not hold, or this cannot be decided, or it states no bound.
 
@@ -175,10 +178,18 @@ def validate(
       postproc identify validate my_robot validation.csv --experiment experiment.toml
       postproc identify validate my_robot validation.csv --experiment experiment.toml \\
           --cell cell.toml --program part.nc --process part.process.toml
+      postproc identify validate my_robot probing.csv --cell cell.toml --process testpart.process.toml \\
+          --program testpart.nc
     """  # noqa: D301 - click: keep these lines as they are
-    from postproc.jobs.identification_files import Work, validate_model
+    from postproc.testpart.probing import is_probed
 
     programs += more  # --program a.nc b.nc
+    if is_probed(measurements):
+        if experiment or forces or cell is None or process is None or len(programs) != 1:
+            raise click.UsageError("A probed part needs --cell, --process and one --program, and nothing else.")
+        ctx.exit(0 if _holds_for_part(model, measurements, cell, process, Path(programs[0])) else 3)
+    if experiment is None:
+        raise click.UsageError("Tracker readings need --experiment.")
     if (cell is None) != (not programs):
         raise click.UsageError("Give --cell and --program together.")
     if forces is not None and process is not None:
@@ -187,6 +198,8 @@ def validate(
         raise click.UsageError("--forces and --process need --cell and --program.")
     if process is not None and process.suffix.lower() != ".toml":
         raise click.BadParameter(f"{process} is no .toml file.", param_hint="--process")
+    from postproc.jobs.identification_files import Work, validate_model
+
     work = None if cell is None else Work(cell=cell, programs=programs, forces=process or forces)
     result, text = validate_model(model, measurements, experiment, work)
     click.echo(text)
@@ -194,6 +207,17 @@ def validate(
         click.echo(f"warning: {warning}", err=True)
     if not result.holds:
         ctx.exit(3)
+
+
+def _holds_for_part(model: Path, probed: Path, cell: Path, process: Path, program: Path) -> bool:
+    """Print how a model agrees with a probed part; return whether it holds."""
+    from postproc.jobs.testpart_files import PartRequest, compare_part
+    from postproc.report.testpart import agreement_lines
+
+    data, compared = compare_part(PartRequest(probed=probed, cell=cell, process=process, program=program), str(model))
+    for text in agreement_lines(data, compared):
+        click.echo(text)
+    return compared.holds
 
 
 @identify.command()

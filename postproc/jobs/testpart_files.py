@@ -36,7 +36,7 @@ from postproc.testpart.design import Design, Tests
 from postproc.testpart.features import Cutting
 from postproc.testpart.fit import Fit, Prior, Readings, fit
 from postproc.testpart.job import forces_of
-from postproc.testpart.model import PartIdentification, agreement, material, model_file, summary
+from postproc.testpart.model import Agreement, PartIdentification, agreement, material, model_file, summary
 from postproc.under_load import RobotInCell
 
 _CHIP = 0.006
@@ -258,7 +258,6 @@ class PartFiles(Struct, frozen=True, eq=False):
     """A model from a test part; `written` is empty if it was only compared."""
 
     data: PartIdentification
-    fit: Fit
     written: tuple[Path, ...]
 
 
@@ -296,6 +295,18 @@ def _given(request: PartRequest, model: str | None = None) -> _Given:
     return _Given(prior, Readings(probed, where, request.sigma_mm * M_PER_MM), setting, process, program)
 
 
+def compare_part(request: PartRequest, model: str | None = None) -> tuple[PartIdentification, Agreement]:
+    """Compare a model with a probed part.
+
+    :param model: name or folder of the model, instead of that of the cell.
+    :raises PostprocError: an input is unusable.
+    """
+    given = _given(request, model)
+    found, left_out = given.fit(given.prior.widened())
+    compared = agreement(found, given.prior)
+    return replace(summary(found, left_out), agreement=compared), compared
+
+
 def identify_part(request: PartRequest, output: Path | None, *, overwrite: bool = False) -> PartFiles:
     """Identify a model from a probed part, and write the model folder.
 
@@ -309,11 +320,9 @@ def identify_part(request: PartRequest, output: Path | None, *, overwrite: bool 
             model_folder.protect(output)
         if output.resolve() == folder.resolve():
             raise InputError("would overwrite the prior model", file=str(output), advice="Give another folder with -o.")
-    given = _given(request)
     if output is None:
-        found, left_out = given.fit(given.prior.widened())
-        data = replace(summary(found, left_out), agreement=agreement(found, given.prior))
-        return PartFiles(data, found, ())
+        return PartFiles(compare_part(request)[0], ())
+    given = _given(request)
     found, left_out = given.fit(given.prior)
     data = summary(found, left_out)
     prior = files.read_toml(folder / "model.toml", ModelFile, ModelError)
@@ -330,4 +339,4 @@ def identify_part(request: PartRequest, output: Path | None, *, overwrite: bool 
     def rendered(entries: list[FileEntry]) -> bytes:
         return replace(data, files=entries).as_json()
 
-    return PartFiles(data, found, tuple(files.write_whole(output, files.with_record(contents, record.NAME, rendered))))
+    return PartFiles(data, tuple(files.write_whole(output, files.with_record(contents, record.NAME, rendered))))

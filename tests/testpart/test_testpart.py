@@ -167,6 +167,9 @@ def test_a_model_that_is_known_well_and_has_drifted_does_not_hold(folder, cut):
     assert not compared.holds
     assert compared.chi2 > 10 * agreement(found, vague).chi2
     assert identify(folder, "--compare").output.startswith("the model holds")
+    given = ("--cell", CELL, "--process", folder / "testpart.process.toml", "--program", folder / "testpart.nc")
+    done = run("identify", "validate", "kuka_kr270", folder / "probed.csv", *given)
+    assert done.output.startswith("the model holds")
 
 
 def test_derivatives_are_those_of_finite_differences(folder, cut):
