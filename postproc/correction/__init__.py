@@ -3,8 +3,7 @@
 Reads and writes no files; the command line, `jobs` and CAM hosts share it.
 """
 
-from postproc.correction.commanded import uncorrected
-from postproc.correction.process import process, read
+from postproc.correction.process import process, read, uncorrected
 from postproc.correction.result import HeldFeed, Mode, Result, Statistics, statistics
 
 __all__ = ["HeldFeed", "Mode", "Result", "Statistics", "process", "read", "statistics", "uncorrected"]
