@@ -22,6 +22,7 @@ _COMMANDS = {
     "identify": "postproc.cli.identify:identify",
     "init": "postproc.cli.first_steps:init",
     "install-post": "postproc.cli.install_post:install_post",
+    "place": "postproc.cli.place:place",
     "plan": "postproc.cli.plan:plan",
     "predict": "postproc.cli.convert:predict",
     "robots": "postproc.cli.robots:robots",

@@ -72,6 +72,14 @@ def plate(folder: Path) -> None:
     screenshot(folder / "plate.report.html", PICTURES / "plate.png", 1440, 1560, "cut")
 
 
+def place(folder: Path) -> None:
+    """Take the map of places of a part."""
+    region = "X=1000:2600,Y=-900:900,Z=400:1000,A=-90:90"
+    forces = SAMPLES / "freeform.forces.csv"
+    invoke("place", SAMPLES / "freeform.nc", "--cell", CELL, "--forces", forces, "--region", region, "-o", folder)
+    screenshot(folder / "place.html", PICTURES / "place.png", 1200, 1200, "map")
+
+
 def identification(folder: Path) -> None:
     """Take the head of the report of an identified model."""
     simulator = runpy.run_path(str(SAMPLES / "paper_study" / "simulator.py"))
@@ -195,7 +203,7 @@ def moving(folder: Path) -> None:
 
 
 ALL: dict[str, Callable[[Path], None]] = {
-    **{each.__name__: each for each in (pocket, plate, identification, moving)},
+    **{each.__name__: each for each in (pocket, plate, place, identification, moving)},
     "testpart": testpart,
     "testpart-model": testpart_model,
     **{name: gallery(name) for name in PARTS},

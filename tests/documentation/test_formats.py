@@ -176,6 +176,10 @@ def results(readme, tmp_path_factory):
             *("--configurations", "2", "--q2-levels", "2", "--test-poses", "4", "-o", of["plan.csv"]),
         ],
         ["plan", "compensator", *experiment, "--angles", "3", "-o", of["p.csv"]],
+        [
+            *("place", str(samples / "pocket.nc"), "--cell", str(samples / "cell_kr270.toml")),
+            *("--region", "X=1400:2900", "-o", str(folder / "place")),
+        ],
     ):
         result = CliRunner().invoke(main, arguments)
         assert result.exit_code == 0, result.output
@@ -204,6 +208,7 @@ def results(readme, tmp_path_factory):
         ],
         "plan.json": [readme[0] / "plan.json", folder / "plan.json"],
         "compensator.json": [folder / "p.json"],
+        "place.json": [folder / "place" / "place.json"],
         "plan.csv": [readme[0] / "plan.csv"],
     }
 
@@ -276,6 +281,7 @@ def _forces_with_a_warning(folder: Path) -> Path:
         "identification.json",
         "plan.json",
         "compensator.json",
+        "place.json",
     ],
 )
 def test_every_key_of_a_result_is_described(results, title):
@@ -301,6 +307,7 @@ PAGES = {
     "part.compare.report.html": ("comparison",),
     "report.html of a model folder": ("identification.py",),
     "plan.html": ("plan.py",),
+    "place.html": ("placement.py",),
     "index.html": ("index.py",),
 }
 """Page and what makes it, below `postproc/report`."""
@@ -327,6 +334,7 @@ def test_every_section_of_a_page_is_named(readme, results):
         "part.compare.report.html": own.glob("*.compare.report.html"),
         "report.html of a model folder": [folder / "my_robot" / "report.html", own / "model" / "report.html"],
         "plan.html": [folder / "plan.html", own / "plan.html"],
+        "place.html": [own / "place" / "place.html"],
     }
     for page, paths in written.items():
         sections = {
@@ -350,6 +358,11 @@ def leaves(data: object, way: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]
 
 def matches(name: tuple[str, ...], way: tuple[str, ...]) -> bool:
     return len(name) == len(way) and all(a in ("NAME", b) for a, b in zip(name, way, strict=True))
+
+
+def test_columns_of_the_places_are_those_described(results):
+    with results["place.json"][0].with_name("place.csv").open(newline="") as file:
+        assert next(csv.reader(file)) == described("place.csv")
 
 
 def test_columns_of_the_plan_are_those_described(results):

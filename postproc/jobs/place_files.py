@@ -1,0 +1,133 @@
+"""`postproc place`: from programs and a region to the place of the part."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+from msgspec import Struct
+
+from postproc import cell as cells
+from postproc import forces
+from postproc.cell import Cell
+from postproc.errors import InputError
+from postproc.files import foreign, refuse, with_record, write_whole
+from postproc.forces import ForceSource
+from postproc.frames import RAD_PER_DEG
+from postproc.jobs.conversion import read_program
+from postproc.jobs.output_plan import protect
+from postproc.jobs.programs import find_jobs
+from postproc.jobs.settings import load_robot
+from postproc.placement import Keep, PathSamples, region
+from postproc.placement.region import AXES, Region
+from postproc.report import placement as report
+from postproc.robot import RobotModel
+from postproc.under_load import RobotInCell
+
+FILES = ("place.csv", "place.html", "place.toml", "place.json")
+"""Files of a search, the record last."""
+_AROUND = {"X": 400.0, "Y": 400.0, "Z": 200.0, "A": 45.0}
+"""Without a region the place may change by this [mm, deg]."""
+_BOUNDS = re.compile(r"\s*(\w+)\s*=\s*([-+.\deE]+)\s*:\s*([-+.\deE]+)\s*")
+
+
+class PlaceRequest(Struct, frozen=True, kw_only=True):
+    """What a place is looked for with, and where the result is written.
+
+    :param programs: files, folders, patterns.
+    :param forces: file of forces, or a folder of such files; `process` computes them instead.
+    :param region: bounds as ``X=1200:2000,Y=-600:600,A=-90:90``; what is not named stays.
+    :param margin_deg: distance to joint limits to keep.
+    """
+
+    programs: tuple[str, ...]
+    cell: Path
+    output: Path
+    forces: Path | None = None
+    process: Path | None = None
+    region: str | None = None
+    margin_deg: float = 5.0
+    overwrite: bool = False
+
+
+class PlaceFiles(Struct, frozen=True, eq=False):
+    """A search as it was written: its summary, and the files."""
+
+    summary: report.PlaceSummary
+    written: tuple[Path, ...]
+
+
+def make_place(request: PlaceRequest, progress: Callable[[int, int], None] | None = None) -> PlaceFiles:
+    """Look for the best place of the part and write the result, whole or not at all.
+
+    :raises PostprocError: an input is unusable, a program has a `$BASE` of its own, or an output must not be written.
+    """
+    cell = cells.load(request.cell)
+    robot = load_robot(cell.robot, cell.folder)
+    bounds = region_of(request.region, cell)
+    given = [Path(each) for each in request.programs]
+    protect([*given, request.cell, *filter(None, (request.forces, request.process))], request.output, FILES)
+    if not request.overwrite:
+        refuse(foreign(request.output, FILES, FILES[-1]))
+    samples, names = _samples(request, cell, robot)
+    turns = cell.gcode.redundancy != "constant" and not any(each.program.keeps_text for each in samples)
+    programs = region.Programs(samples, Keep(joint=request.margin_deg * RAD_PER_DEG), turns=turns)
+    found = region.search(programs, bounds, progress)
+    content = report.summary(found, cell, names, request.margin_deg, bounds)
+    contents: dict[str, bytes | Iterable[bytes]] = {
+        FILES[0]: report.places_csv(found),
+        FILES[1]: report.page(found, content),
+    }
+    if found.best is not None:
+        contents[FILES[2]] = report.base_toml(found, cell, content)
+    written = write_whole(
+        request.output, with_record(contents, FILES[-1], lambda entries: report.finished(content, entries))
+    )
+    return PlaceFiles(content, tuple(written))
+
+
+def region_of(text: str | None, cell: Cell) -> Region:
+    """Return the region that a text names; what it does not name stays as the cell has it.
+
+    :raises InputError: it cannot be read.
+    """
+    today = {"X": cell.base.X, "Y": cell.base.Y, "Z": cell.base.Z, "A": cell.base.A, "E1": 0.0}
+    low, high = dict(today), dict(today)
+    if text is None:
+        for axis, reach in _AROUND.items():
+            low[axis], high[axis] = today[axis] - reach, today[axis] + reach
+    for part in () if text is None else text.split(","):
+        found = _BOUNDS.fullmatch(part)
+        advice = "Write --region X=1200:2000,Y=-600:600,Z=500:900,A=-90:90 (mm, degrees; E1=0:3000 too)."
+        try:
+            if found is None or found[1] not in AXES:
+                raise ValueError  # noqa: TRY301
+            one, other = float(found[2]), float(found[3])
+            if not one <= other or max(abs(one), abs(other)) > 1e5:
+                raise ValueError  # noqa: TRY301
+        except ValueError:
+            raise InputError(f"--region: {part.strip()!r} cannot be read", advice=advice) from None
+        low[found[1]], high[found[1]] = one, other
+    if high["E1"] > low["E1"] and cell.carriage is None:
+        raise InputError("--region names E1, but the cell has no [external_axes.E1]", advice="Leave E1 out.")
+    return Region(tuple(low[axis] for axis in AXES), tuple(high[axis] for axis in AXES))
+
+
+def _samples(request: PlaceRequest, cell: Cell, robot: RobotModel) -> tuple[Sequence[PathSamples], list[str]]:
+    setting, found, names = RobotInCell.of(robot, cell), [], []
+    for job in find_jobs(list(request.programs), forces=request.forces or request.process):
+        if job.callers:
+            continue
+        program = read_program(job.program, robot, cell, job.dialect)
+        region.check_base(program, setting)
+        source: ForceSource | None = None
+        if job.process is not None:
+            from postproc.jobs import process_forces  # what a cutter does is imported with it
+
+            source = process_forces.read(job.process, cell)
+        elif job.forces is not None:
+            source = forces.read(job.forces)
+        found.append(PathSamples.of(program, setting, source))
+        names.append(job.program.name)
+    return found, names

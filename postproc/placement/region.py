@@ -1,0 +1,404 @@
+"""Where the part should be: places in a region of `$BASE`, evaluated for several programs at once.
+
+A coarse grid over the region, a finer slice around its best place, and a compass search from the best places. A place
+is refused if a pose of any program is out of reach, too near to a limit or a singular pose, or too fast for a joint. Of
+the others the one with the smallest expected error is best.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cache
+
+import numpy as np
+from msgspec import Struct
+
+from postproc import kinematics, toolpath
+from postproc.errors import InputError
+from postproc.frames import MM_PER_M, RAD_PER_DEG, Array, inverse, pose_from_xyzabc, product
+from postproc.kinematics import UnreachableError
+from postproc.placement import drive
+from postproc.placement.drive import FREE, Clearance, Keep, Margins
+from postproc.placement.samples import PathSamples
+from postproc.program import Bools, Ints, Program
+from postproc.under_load import RobotInCell
+
+AXES = ("X", "Y", "Z", "A", "E1")
+"""What a place is given by: mm, A in degrees."""
+_STATIONS = 120
+"""Samples of all programs together that a place is judged by; the best place is judged by all."""
+_COARSE = {"X": 6, "Y": 6, "Z": 4, "A": 5, "E1": 4}
+_SLICE = 15
+"""Places along each side of the finer slice."""
+_STARTS, _HALVINGS = 4, 5
+"""Places from which the compass search starts, and how often its steps are halved."""
+_SAME_FRAME = 1e-6
+_TURNS = np.arange(-180.0, 180.0, 30.0) * RAD_PER_DEG
+"""Turns of the tool tried at each place where the cell leaves it open."""
+_GAIN = 1e-3
+"""Share of the expected error by which a step of the compass search must lower it."""
+_ALIKE = 0.01
+"""Places whose expected errors differ by less than this share are alike: the one with more margin is better."""
+
+
+class Region(Struct, frozen=True):
+    """Bounds (low, high) of each of `AXES` [mm, deg]."""
+
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+
+    @property
+    def free(self) -> list[int]:
+        """Rows of `AXES` that may change."""
+        return [k for k in range(len(AXES)) if self.high[k] > self.low[k]]
+
+    def clipped(self, place: Array) -> Array:
+        """Return the nearest place (5,) in the region."""
+        return np.clip(place, self.low, self.high)
+
+
+class Judged(Struct, frozen=True):
+    """A place and what the programs find there.
+
+    :param place: X, Y, Z, A, E1 [mm, deg].
+    :param reason: row of `drive.REASONS`; 0 = the programs can be driven.
+    :param before: RMS deflection on cuts [m], NaN if refused.
+    :param u95: RMS expected error (95 %) on cuts [m], NaN if refused or if the model has none.
+    :param margin: smallest distance of a joint to its limits [rad], NaN out of reach.
+    :param singular: smallest singular value of the Jacobian, NaN if refused.
+    :param turn: turn of the tool about its axis, added to that of the cell [rad].
+    :param branch: of the inverse kinematics.
+    """
+
+    place: tuple[float, ...]
+    reason: int
+    before: float = np.nan
+    u95: float = np.nan
+    margin: float = np.nan
+    singular: float = np.nan
+    turn: float = 0.0
+    branch: int = -1
+
+    @property
+    def reachable(self) -> bool:
+        """Whether the programs can be driven."""
+        return self.reason == FREE
+
+    @property
+    def cost(self) -> float:
+        """Expected error, or the deflection where the model has none [m]; infinite if refused."""
+        if not self.reachable:
+            return np.inf
+        return self.before if np.isnan(self.u95) else self.u95
+
+
+class Search(Struct, frozen=True, eq=False):
+    """The places that were tried.
+
+    :param today: the place of the cell.
+    :param best: the best place, None if all are refused.
+    :param tried: all places; those of the map first.
+    :param slice: X and Y of the finer slice, at the Z, A and E1 of `around`; empty if X or Y is fixed.
+    :param around: place through which the slice goes.
+    :param clearance_checked: whether collisions were checked.
+    """
+
+    today: Judged
+    best: Judged | None
+    tried: tuple[Judged, ...]
+    slice: tuple[tuple[float, ...], tuple[float, ...]]
+    around: tuple[float, ...]
+    clearance_checked: bool
+
+
+class _Stations(Struct, frozen=True, eq=False):
+    """Samples of one program by which places are judged.
+
+    :param row: (n,) samples; `before` (n,) the ones before them.
+    :param shift: (2n, 3) how far E1 carries the robot [m].
+    :param branch: (2n,) from the program, −1 = that of the start.
+    :param weight: (n,) of cuts; 0 on rapid moves.
+    """
+
+    samples: PathSamples
+    row: Ints
+    before: Ints
+    shift: Array
+    branch: Ints
+    weight: Array
+
+
+class Programs:
+    """Several programs in one cell, to be judged at places."""
+
+    def __init__(
+        self,
+        samples: Sequence[PathSamples],
+        keep: Keep,
+        *,
+        turns: bool = False,
+        branches: Sequence[int] | None = None,
+        clearance: Clearance | None = None,
+    ) -> None:
+        """Choose the stations.
+
+        :param turns: whether the tool may be turned about its axis.
+        :param branches: of the inverse kinematics to try; None = that of `[start]`.
+        :param clearance: see `drive.Clearance`; None = collisions are not checked.
+        """
+        self.samples, self.keep, self.clearance = list(samples), keep, clearance
+        setting = samples[0].setting
+        self.setting, self.robot = setting, setting.robot
+        self.today = inverse(setting.cell.base.pose())
+        self.turns = _TURNS if turns else np.zeros(1)
+        start = int(kinematics.closed_form(self.robot).branch_of(setting.cell.start_joints[None])[0])
+        self.branches = [start] if branches is None else list(branches)
+        total = sum(len(each) for each in samples)
+        self.some = [_stations(each, max(24, _STATIONS * len(each) // total)) for each in samples]
+        self.every = [_stations(each, len(each)) for each in samples]
+
+    def judge(self, place: Array, *, every: bool = False) -> Judged:
+        """Judge a place (5,) [mm, deg] by its stations, or by every sample."""
+        best: Judged | None = None
+        nearest = Judged(tuple(map(float, place)), drive.REACH)
+        for branch in self.branches:
+            for turn in self.turns.tolist():
+                found = self._judge(place, turn, branch, self.every if every else self.some)
+                if found.reachable:
+                    best = found if best is None or _better(found, best) else best
+                elif found.reason > nearest.reason or np.isnan(nearest.margin):
+                    nearest = found
+        return nearest if best is None else best
+
+    def _judge(self, place: Array, turn: float, branch: int, stations: Sequence[_Stations]) -> Judged:
+        moved, carried = self._moved(place)
+        where = tuple(map(float, place))
+        driven: list[tuple[_Stations, Array]] = []
+        margin = np.inf
+        for each in stations:
+            q, reason, own = self._driven(each, moved, carried, turn, branch)
+            margin = min(margin, own)
+            if reason != FREE:
+                return Judged(where, reason, margin=own, turn=turn, branch=branch)
+            driven.append((each, q))
+        before = u95 = weight = 0.0
+        singular = np.inf
+        for each, q in driven:
+            deflected, expected, value = self._errors(each, moved, carried, turn, q)
+            if not np.isfinite(deflected):
+                return Judged(where, drive.SINGULAR, margin=margin, turn=turn, branch=branch)
+            before, u95, weight = before + deflected, u95 + expected, weight + float(each.weight.sum())
+            singular = min(singular, value)
+        scale = 1.0 / max(weight, 1.0)
+        return Judged(
+            where, FREE, float(np.sqrt(before * scale)), float(np.sqrt(u95 * scale)), margin, singular, turn, branch
+        )
+
+    def _moved(self, place: Array) -> tuple[Array, Array]:
+        """Return the motion (4, 4) of the part from its place in the cell, and how far E1 carries the robot (3,)."""
+        base = self.setting.cell.base
+        pose = pose_from_xyzabc([*place[:4], base.B, base.C])
+        direction = self.setting.cell.carriage
+        return pose @ self.today, np.zeros(3) if direction is None else direction * (place[4] / MM_PER_M)
+
+    def _driven(
+        self, each: _Stations, moved: Array, carried: Array, turn: float, branch: int
+    ) -> tuple[Array, int, float]:
+        """Return joint angles (n, 6), the worst reason to refuse, and the smallest joint margin [rad]."""
+        flange = product(moved, self._flange(each, turn))
+        flange[:, :3, 3] -= each.shift + carried
+        branches = np.where(each.branch >= 0, each.branch, branch)
+        one = bool((branches == branches[0]).all())
+        q = drive.solve(self.robot, kinematics.components(flange), int(branches[0]) if one else branches)
+        found, count = drive.margins(self.robot, q), len(each.row)
+        step = np.nan_to_num(drive.wrapped(q[:, count:] - q[:, :count]))
+        speed = drive.timed_speed(self.robot, step, each.samples.time[each.row])
+        jump = np.where(np.isfinite(each.samples.time[each.row]), np.abs(step).max(axis=0), 0.0)
+        own = Margins(*(getattr(found, name)[count:] for name in Margins.__struct_fields__))
+        near = None if self.clearance is None else self.clearance(q[:, count:].T, each.row)
+        reasons = drive.reason(own, speed, jump, self.keep, near)
+        margin = float(np.nanmin(own.joint, initial=np.inf))
+        if count == len(each.samples) and np.isnan(each.samples.program.motions.joints).all():
+            reasons[self._wound(q[:, count:])] = drive.LIMIT
+        bad = reasons[reasons != FREE]
+        return q[:, count:].T, int(bad.min()) if len(bad) else FREE, margin if np.isfinite(margin) else np.nan
+
+    @cache  # noqa: B019 - lives as long as the search
+    def _flange(self, each: _Stations, turn: float) -> Array:
+        """Return the flanges (2n, 4, 4) before stations and at them, in the root at E1 = 0."""
+        rows = np.append(each.before, each.row)
+        flange = each.samples.flange(rows, np.full(len(rows), turn))
+        flange[:, :3, 3] += each.shift
+        return flange
+
+    @cache  # noqa: B019
+    def _load(self, each: _Stations, turn: float) -> tuple[Array, Array | None, Array]:
+        """Return wrench, spread and tool frame at the cuts of stations, in the root at E1 = 0."""
+        cuts = each.weight > 0.0
+        rows = each.row[cuts]
+        wrench, spread, pose = each.samples.load(rows, np.full(len(rows), turn))
+        pose[:, :3, 3] += each.shift[len(each.row) :][cuts]
+        return wrench, spread, pose
+
+    def _wound(self, q: Array) -> Bools:
+        """Return which samples (n,) of a whole program wind A4 or A6 past their limits, counted from the start."""
+        joints = list(drive.WINDING)
+        start = self.setting.cell.start_joints[joints, None]
+        steps = np.nan_to_num(drive.wrapped(np.diff(q[joints], axis=1, prepend=start)))
+        angle = start + np.cumsum(steps, axis=1)
+        low, high = self.robot.lower[joints, None] + self.keep.joint, self.robot.upper[joints, None] - self.keep.joint
+        return np.asarray(((angle < low) | (angle > high)).any(axis=0))
+
+    def _errors(
+        self, each: _Stations, moved: Array, carried: Array, turn: float, q: Array
+    ) -> tuple[float, float, float]:
+        """Return the sums of squared deflection and expected error on cuts [m²], and the smallest singular value."""
+        cuts = np.flatnonzero(each.weight > 0.0)
+        samples = each.samples
+        tool = toolpath.tool_of(samples.program, samples.sample.motion[each.row])
+        singular = float(kinematics.singular_values(self.robot, q, tool).min())
+        if not len(cuts):
+            return 0.0, 0.0, singular
+        weight = each.weight[cuts]
+        wrench, spread, pose = self._load(each, turn)
+        rotation = moved[:3, :3]
+        wrench = (wrench.reshape(-1, 2, 3) @ rotation.T).reshape(-1, 6)
+        if spread is not None:
+            spread = (rotation @ spread.reshape(-1, 2, 3, 6)).reshape(-1, 6, 6)
+        shift = each.shift[len(each.row) :][cuts]
+        pose = product(moved, pose)
+        pose[:, :3, 3] -= shift + carried
+        u95, deflection = drive.errors(
+            self.setting, q[cuts], tool if tool.ndim == 2 else tool[cuts], (wrench, spread, pose)
+        )
+        return float(weight @ deflection**2), float(weight @ u95**2), singular
+
+
+def _stations(samples: PathSamples, most: int) -> _Stations:
+    """Choose samples of a program: evenly along the path, and its outermost places."""
+    m = samples.program.motions
+    motion = samples.sample.motion
+    usable = np.flatnonzero(np.isnan(m.joints[motion, 0]))
+    place = samples.sample.pose[usable, :3, 3]
+    even = np.linspace(0, len(usable) - 1, min(most, len(usable))).astype(np.int64)
+    outer = np.concatenate([place.argmin(axis=0), place.argmax(axis=0)])
+    row = usable[np.unique(np.append(even, outer))]
+    before = np.maximum(row - 1, 0)
+    both = np.append(before, row)
+    carriage = samples.program.carriage
+    shift = np.zeros((len(both), 3))
+    if carriage is not None:
+        shift = carriage.offset(motion[both], samples.sample.t[both])
+    branch = np.full(len(both), -1)
+    if (m.status >= 0).any():
+        try:
+            found = samples.setting.follow(samples.program, motion, samples.sample.t, samples.sample.pose)
+            branch = found.branch[both]
+        except UnreachableError:
+            pass  # the status of targets cannot be resolved at today's place: the branch of the start is taken
+    weight = np.where(samples.cuts[row], np.diff(np.append(row, len(samples))), 0).astype(float)
+    return _Stations(samples, row, before, shift, branch, weight)
+
+
+def check_base(program: Program, setting: RobotInCell) -> None:
+    """Check that a program is in the `$BASE` of the cell.
+
+    :raises InputError: it has frames of its own, which do not move with the cell's.
+    """
+    base = setting.cell.base.pose()
+    for row in np.unique(program.motions.base).tolist():
+        if np.abs(program.bases[row] - base).max() > _SAME_FRAME:
+            line = int(program.motions.line[np.argmax(program.motions.base == row)])
+            raise InputError(
+                f"line {line}: the motions are in a $BASE that is not [base] of the cell, and would not move with it",
+                file=program.documents[0].name,
+                advice="Give [base] the frame of the program, or leave this program out.",
+            )
+
+
+def _better(one: Judged, other: Judged) -> bool:
+    """Return whether a place is better than another: a smaller error, or one that is alike with more margin."""
+    if one.reachable and other.reachable and abs(one.cost - other.cost) <= _ALIKE * min(one.cost, other.cost):
+        return one.margin > other.margin
+    return one.cost < other.cost
+
+
+def search(programs: Programs, region: Region, progress: Callable[[int, int], None] | None = None) -> Search:
+    """Find the best place in a region.
+
+    :param progress: called with places done and in all.
+    """
+    cell = programs.setting.cell
+    today = programs.judge(np.array([cell.base.X, cell.base.Y, cell.base.Z, cell.base.A, 0.0]), every=True)
+    lines = [
+        np.linspace(region.low[k], region.high[k], _COARSE[axis]) if k in region.free else np.array([region.low[k]])
+        for k, axis in enumerate(AXES)
+    ]
+    grid = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, len(AXES))
+    sliced = {0, 1} <= set(region.free)
+    total = len(grid) + (_SLICE**2 if sliced else 0)
+    tried: list[Judged] = []
+
+    def judged(place: Array) -> Judged:
+        tried.append(programs.judge(place))
+        if progress is not None:
+            progress(min(len(tried), total), total)
+        return tried[-1]
+
+    for place in grid:
+        judged(place)
+    best = min(tried, key=lambda each: each.cost)
+    middle = np.array([0.5 * (low + high) for low, high in zip(region.low, region.high, strict=True)])
+    around = np.array(best.place) if best.reachable else middle
+    x = y = np.zeros(0)
+    if sliced:
+        x, y = (np.linspace(region.low[k], region.high[k], _SLICE) for k in (0, 1))
+        for one in x:
+            for other in y:
+                judged(np.array([one, other, *around[2:]]))
+    starts = sorted((each for each in tried if each.reachable), key=lambda each: each.cost)[:_STARTS]
+    steps = np.array([0.5 * (line[1] - line[0]) if len(line) > 1 else 0.0 for line in lines])
+    for start in starts:
+        _descend(judged, region, start, steps)
+    found = _confirmed(programs, tried)
+    return Search(
+        today, found, tuple(tried), (tuple(x.tolist()), tuple(y.tolist())), tuple(around.tolist()),
+        programs.clearance is not None,
+    )  # fmt: skip
+
+
+def _descend(judged: Callable[[Array], Judged], region: Region, start: Judged, steps: Array) -> None:
+    """Go to better neighbours along the axes, with steps that are halved where there are none."""
+    best, free = start, region.free
+    for _ in range(_HALVINGS):
+        moved = True
+        while moved:
+            moved = False
+            for k in free:
+                for sign in (1.0, -1.0):
+                    place = np.array(best.place)
+                    place[k] += sign * steps[k]
+                    place = region.clipped(place)
+                    if abs(place[k] - best.place[k]) < 1e-9:
+                        continue
+                    found = judged(place)
+                    if found.cost < (1.0 - _GAIN) * best.cost:
+                        best, moved = found, True
+                        break
+        steps = 0.5 * steps
+
+
+_MOST_CONFIRMED = 40
+"""Places that are judged by all samples until one can be driven."""
+
+
+def _confirmed(programs: Programs, tried: Sequence[Judged]) -> Judged | None:
+    """Return the best place by every sample of the programs; None if none can be driven."""
+    reachable = sorted((each for each in tried if each.reachable), key=lambda each: each.cost)
+    alike = [each for each in reachable if each.cost <= (1.0 + _ALIKE) * reachable[0].cost]
+    order = sorted(alike, key=lambda each: -each.margin) + [each for each in reachable if each not in alike]
+    for each in order[:_MOST_CONFIRMED]:
+        found = programs.judge(np.array(each.place), every=True)
+        if found.reachable:
+            return found
+    return None

@@ -1,0 +1,271 @@
+"""The place of the part as JSON, CSV, text, `[base]` and page."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from typing import NotRequired, TypedDict
+
+import numpy as np
+
+from postproc.cell import Cell
+from postproc.files import FileEntry
+from postproc.frames import DEG_PER_RAD, MM_PER_M
+from postproc.placement import REASONS
+from postproc.placement.region import AXES, Judged, Region, Search
+from postproc.report.formatting import rounded
+from postproc.report.kit import Axis, Map, Note, Notes, Page, Plot, Points, Row, Section, Table, Tile, Tiles
+
+_COLUMNS = (
+    *AXES,
+    "turn_deg",
+    "before_rms_mm",
+    "u95_rms_mm",
+    "min_joint_margin_deg",
+    "min_singular_value",
+    "reachable",
+    "reason",
+)
+_SAME = 0.01
+"""Share of the expected error below which a gain is none."""
+
+
+class PlaceEntry(TypedDict):
+    """A place [mm, deg] and what the programs find there; null where they cannot be driven."""
+
+    X: float
+    Y: float
+    Z: float
+    A: float
+    E1: float
+    turn_deg: float
+    before_rms_mm: float | None
+    u95_rms_mm: float | None
+    min_joint_margin_deg: float | None
+    min_singular_value: float | None
+    reachable: bool
+    reason: str | None
+
+
+class PlaceSummary(TypedDict):
+    """Content of `place.json`."""
+
+    programs: list[str]
+    robot: str
+    margin_deg: float
+    region: dict[str, list[float]]
+    today: PlaceEntry
+    best: PlaceEntry | None
+    grid: str
+    tried: int
+    reachable: int
+    refused: dict[str, int]
+    collisions: str
+    sentence: str
+    files: NotRequired[list[FileEntry]]
+
+
+def summary(found: Search, cell: Cell, programs: Sequence[str], margin_deg: float, region: Region) -> PlaceSummary:
+    """Return the result as plain data."""
+    reasons = np.bincount([each.reason for each in found.tried], minlength=len(REASONS)).tolist()
+    return PlaceSummary(
+        programs=list(programs),
+        robot=cell.robot,
+        margin_deg=margin_deg,
+        region={axis: [region.low[k], region.high[k]] for k, axis in enumerate(AXES) if k in region.free},
+        today=_entry(found.today),
+        best=None if found.best is None else _entry(found.best),
+        grid="place.csv",
+        tried=len(found.tried),
+        reachable=reasons[0],
+        refused={name: count for name, count in zip(REASONS[1:], reasons[1:], strict=True) if count},
+        collisions="checked" if found.clearance_checked else "not checked",
+        sentence=_sentence(found),
+    )
+
+
+def _entry(place: Judged) -> PlaceEntry:
+    def finite(value: float, decimals: int) -> float | None:
+        return round(value, decimals) if np.isfinite(value) else None
+
+    x, y, z, a, e1 = (round(value, 4) for value in place.place)
+    return PlaceEntry(
+        X=x,
+        Y=y,
+        Z=z,
+        A=a,
+        E1=e1,
+        turn_deg=round(place.turn * DEG_PER_RAD, 3),
+        before_rms_mm=finite(place.before * MM_PER_M, 6),
+        u95_rms_mm=finite(place.u95 * MM_PER_M, 6),
+        min_joint_margin_deg=finite(place.margin * DEG_PER_RAD, 3),
+        min_singular_value=finite(place.singular, 6),
+        reachable=place.reachable,
+        reason=None if place.reachable else REASONS[place.reason],
+    )
+
+
+def _sentence(found: Search) -> str:
+    """Return what to do, in one sentence."""
+    today, best = found.today, found.best
+    if best is None:
+        return "No place in the region can be driven."
+    moves = []
+    for axis, unit, one, other in zip(AXES, ("mm", "mm", "mm", "°", "mm"), today.place, best.place, strict=True):
+        if abs(other - one) > 0.05:
+            moves.append(f"{axis} {other - one:+.4g} {unit}".replace(" °", "°"))
+    move = ", ".join(moves)
+    kind = "deflection" if np.isnan(best.u95) else "expected error (95 %)"
+    error = f"{rounded(best.cost * MM_PER_M)} mm RMS"
+    if not today.reachable:
+        where = f"move the part by {move}" if moves else "the same place with another turn of the tool can be driven"
+        return f"Today's place cannot be driven ({REASONS[today.reason]}): {where}; the {kind} is then {error}."
+    if best.cost >= (1.0 - _SAME) * today.cost or not moves:
+        return f"Today's place is as good as any in the region: the {kind} is {rounded(today.cost * MM_PER_M)} mm RMS."
+    before = rounded(today.cost * MM_PER_M)
+    return f"Moving the part by {move} lowers the {kind} from {before} to {error}."
+
+
+def places_csv(found: Search) -> Iterator[bytes]:
+    """Yield one row for each place that was tried, in order."""
+    yield (",".join(_COLUMNS) + "\n").encode()
+    for place in found.tried:
+        entry = _entry(place)
+        values: list[object] = [entry[name] for name in _COLUMNS[:-2]]  # type: ignore[literal-required]
+        values += [int(place.reachable), entry["reason"]]
+        yield (",".join("" if value is None else str(value) for value in values) + "\n").encode()
+
+
+def base_toml(found: Search, cell: Cell, content: PlaceSummary) -> bytes:
+    """Return the `[base]` of the best place, ready to paste."""
+    best = found.best
+    assert best is not None
+    x, y, z, a, e1 = best.place
+    lines = [f"# {content['sentence']}"]
+    if e1:
+        lines.append(f"# Seen from E1 = 0; E1 is at {e1:.1f} mm, or this much farther than a KRL program has it.")
+    if best.turn:
+        lines.append(f"# With the tool turned by {best.turn * DEG_PER_RAD:+.0f}° about its axis.")
+    lines += ["[base]", *(f"{axis} = {value:.4f}" for axis, value in zip("XYZA", (x, y, z, a), strict=True))]
+    lines += [f"{axis} = {getattr(cell.base, axis):.4f}" for axis in "BC" if getattr(cell.base, axis)]
+    return ("\n".join(lines) + "\n").encode()
+
+
+def finished(content: PlaceSummary, files: list[FileEntry]) -> bytes:
+    """Return `place.json`."""
+    return (json.dumps({**content, "files": files}, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode()
+
+
+def as_text(content: PlaceSummary) -> str:
+    """Return the result as text."""
+    lines = [content["sentence"]]
+    lines += [_line(name, content[name]) for name in ("today", "best")]
+    refused = ", ".join(f"{count} {name}" for name, count in content["refused"].items())
+    lines.append(
+        f"  {content['tried']} places tried, {content['reachable']} can be driven" + (f"; {refused}" if refused else "")
+    )
+    lines.append(f"  kept: {content['margin_deg']:g}° to joint limits; collisions are {content['collisions']}")
+    return "\n".join(lines)
+
+
+def _line(name: str, entry: PlaceEntry | None) -> str:
+    if entry is None:
+        return f"  {name}: none"
+    where = f"X {entry['X']:.1f} Y {entry['Y']:.1f} Z {entry['Z']:.1f} A {entry['A']:.2f}"
+    where += f" E1 {entry['E1']:.1f}" if entry["E1"] else ""
+    if not entry["reachable"]:
+        return f"  {name}: {where}: {entry['reason']}"
+    error = "" if entry["u95_rms_mm"] is None else f"expected error {rounded(entry['u95_rms_mm'])} mm, "
+    deflection = rounded(entry["before_rms_mm"] or 0.0)
+    return (
+        f"  {name}: {where}: {error}deflection {deflection} mm RMS, joint margin {entry['min_joint_margin_deg']:.1f}°"
+    )
+
+
+def page(found: Search, content: PlaceSummary) -> Iterator[bytes]:
+    """Yield `place.html`, one file that loads nothing."""
+    sections = (_verdict(found, content), *_maps(found), _table(content))
+    note = (
+        "Expected errors and deflections are predictions of the elastostatic model of the robot under the forces "
+        f"given, RMS over cuts. Collisions are {content['collisions']}."
+    )
+    yield from Page(
+        kind="Place of the part",
+        title=", ".join(content["programs"]),
+        subtitle=f"{content['robot']} · {content['tried']} places",
+        sections=sections,
+        footer=(Note(note),),
+    ).render()
+
+
+def _verdict(found: Search, content: PlaceSummary) -> Section:
+    tiles = []
+    for title, place in (("Today", found.today), ("Best place", found.best)):
+        if place is None or not place.reachable:
+            tiles.append(Tile(title, "-", "", "none" if place is None else REASONS[place.reason], "warning"))
+            continue
+        x, y, z, a, _ = place.place
+        kind = "deflection" if np.isnan(place.u95) else "expected error, RMS"
+        note = f"{kind}; X {x:.0f} Y {y:.0f} Z {z:.0f} A {a:.1f}; joint margin {place.margin * DEG_PER_RAD:.1f}°"
+        tiles.append(Tile(title, rounded(place.cost * MM_PER_M), "mm", note))
+    notes = Notes((Note(content["sentence"]), Note(f"Collisions are {content['collisions']}.")))
+    return Section("place", "Where the part should be", (notes, Tiles(tuple(tiles))))
+
+
+def _maps(found: Search) -> Iterator[Section]:
+    """Yield the map in X and Y, and that in A and Z, at the place through which they go."""
+    x, y = found.slice
+    if len(x):
+        first = len(found.tried) - len(x) * len(y)
+        for first in range(len(found.tried) - len(x) * len(y) + 1):
+            if found.tried[first].place[:2] == (x[0], y[0]) and _is_slice(found, first):
+                break
+        places = [found.tried[first + i * len(y) : first + (i + 1) * len(y)] for i in range(len(x))]
+        rows = [[column[k] for column in places] for k in range(len(y))]
+        title = f"Map at Z {found.around[2]:.0f}, A {found.around[3]:.1f}°"
+        yield Section("map", title, (_map(found, rows, (0, 1), x, y, title),))
+    grid = [each for each in found.tried if each.place[:2] == found.around[:2] and each.place[4] == found.around[4]]
+    z, a = (sorted({each.place[k] for each in grid}) for k in (2, 3))
+    known = {(each.place[2], each.place[3]): each for each in reversed(grid)}
+    if len(z) > 2 and len(a) > 2 and all((one, other) in known for one in z for other in a):
+        title = f"Map at X {found.around[0]:.0f}, Y {found.around[1]:.0f}"
+        rows = [[known[one, other] for other in a] for one in z]
+        yield Section("map-turn", title, (_map(found, rows, (3, 2), tuple(a), tuple(z), title),))
+
+
+def _is_slice(found: Search, first: int) -> bool:
+    x, y = found.slice
+    last = first + len(x) * len(y) - 1
+    return last < len(found.tried) and found.tried[last].place[:2] == (x[-1], y[-1])
+
+
+def _map(
+    found: Search,
+    rows: list[list[Judged]],
+    axes: tuple[int, int],
+    x: Sequence[float],
+    y: Sequence[float],
+    title: str,
+) -> Plot:
+    values = [[each.cost * MM_PER_M if each.reachable else None for each in row] for row in rows]
+    named = "deflection, mm" if all(np.isnan(each.u95) for row in rows for each in row) else "expected error (95 %), mm"
+    grid = Map(list(x), list(y), values, [[each.reason for each in row] for row in rows], REASONS, named)
+    marks = [Points([found.today.place[axes[0]]], [found.today.place[axes[1]]], "today", "before", hollow=True)]
+    if found.best is not None:
+        marks.append(Points([found.best.place[axes[0]]], [found.best.place[axes[1]]], "best", "warning"))
+    units = ["mm", "mm", "mm", "°", "mm"]
+    return Plot(
+        label=f"{title}: expected error by place, and why places are refused.",
+        traces=[grid, *marks],
+        x=Axis(title=f"{AXES[axes[0]]}, {units[axes[0]]}"),
+        y=Axis(title=f"{AXES[axes[1]]}, {units[axes[1]]}"),
+        height=460,
+        note="Marks are drawn where today's place and the best one are seen from this direction.",
+    )
+
+
+def _table(content: PlaceSummary) -> Section:
+    rows = tuple(Row((name, f"{count}")) for name, count in content["refused"].items())
+    rows = (Row(("can be driven", f"{content['reachable']}")), *rows)
+    table = Table(("What", "places"), rows, "Places that were tried")
+    return Section("refused", "Places that were tried", (table,))

@@ -1,0 +1,172 @@
+"""`postproc place`: the best place against brute force, and what it says of places against an arm of another code."""
+
+from __future__ import annotations
+
+import csv
+import json
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from msgspec.structs import replace
+
+from postproc import correction, robot
+from postproc.cell import ExternalAxis, Frame
+from postproc.cli import main
+from postproc.dialects.text import decode
+from postproc.errors import InputError
+from postproc.jobs.place_files import region_of
+from postproc.placement import Keep, PathSamples, region
+from postproc.placement.region import Region
+from postproc.under_load import RobotInCell
+from tests.oracle.arm import Arm, abc
+from tests.placement.setting import cell, read
+
+SAMPLES = Path(__file__).parents[2] / "samples"
+PART = """G21 G90
+(FORCE FX=-110 FY=-190 FZ=130 FRAME=BASE)
+G0 X0 Y-100 Z60
+G1 Z0 F600
+G1 X200 F2000
+G1 Y100
+G1 X0
+G1 Y-100
+G0 Z60
+"""
+
+
+def programs(own, text=PART, **options):
+    program, model = read(text, own)
+    samples = PathSamples.of(program, RobotInCell.of(model, own), None)
+    return region.Programs([samples], Keep(joint=np.radians(5.0)), **options), program, model
+
+
+def in_line(name="kuka_kr270", base=(1400.0, 0.0, 600.0)):
+    """A cell with its spindle along the flange axis."""
+    own = cell(name, base=base, tool=(0.0, 350.0))
+    return replace(own, tool=replace(own.tool, axis="+Z"), gcode=replace(own.gcode, redundancy_deg=180.0))
+
+
+@pytest.mark.parametrize("name", ["kuka_kr270", "abb_irb6700_200_260"])
+def test_the_best_place_is_within_two_percent_of_a_brute_force_grid(name):
+    judged, _, _ = programs(in_line(name))
+    bounds = Region((700.0, -400.0, 600.0, -30.0, 0.0), (2600.0, 400.0, 600.0, 30.0, 0.0))
+    found = region.search(judged, bounds)
+    sides = [np.linspace(bounds.low[k], bounds.high[k], {0: 9, 1: 7, 2: 1, 3: 5}[k]) for k in range(4)]
+    grid = [judged.judge(np.array([*place, 0.0])) for place in product(*sides)]
+    assert any(not place.reachable for place in grid)
+    assert found.best.cost <= 1.02 * min(place.cost for place in grid)
+
+
+@pytest.mark.parametrize("name", ["kuka_kr270", "abb_irb6700_200_260"])
+def test_a_place_has_the_margin_and_the_deflection_that_an_arm_of_another_code_finds_there(name):
+    own = in_line(name)
+    judged, _, _ = programs(own)
+    place = np.array([1350.0, 150.0, 550.0, 20.0, 0.0])
+    found = judged.judge(place, every=True)
+    arm = Arm.load(robot.find(name))
+    base, tool = abc(*place[:4]), abc(0.0, 0.0, 350.0)
+    samples = judged.samples[0]
+    model = robot.load(robot.find(name))
+    q = np.radians(own.start.joints)
+    squares, margins = [], []
+    for k in range(len(samples)):
+        q = arm.inverse(base @ samples.sample.pose[k], tool, q)
+        margins.append(np.minimum(q - model.lower, model.upper - q).min())
+        if samples.cuts[k] and k % 7 == 0:
+            wrench = samples.along.at(samples.sample.take(np.array([k])))[0]
+            turned = np.concatenate([base[:3, :3] @ wrench[:3], base[:3, :3] @ wrench[3:]])
+            tip = arm.loaded_tcp(q, tool, turned)
+            squares.append(np.sum((tip[:3, 3] - (base @ samples.sample.pose[k])[:3, 3]) ** 2))
+    assert found.margin == pytest.approx(min(margins), abs=1e-6)
+    assert found.before == pytest.approx(np.sqrt(np.mean(squares)), rel=0.02)
+
+
+def test_a_place_is_judged_as_a_program_that_is_converted_there():
+    own = in_line()
+    judged, _, _ = programs(own)
+    place = np.array([1250.0, 200.0, 650.0, -15.0, 0.0])
+    found = judged.judge(place, every=True)
+    there = replace(own, base=Frame(X=1250.0, Y=200.0, Z=650.0, A=-15.0))
+    program, model = read(PART, there)
+    result = correction.process(program, model, there, mode="nominal")
+    cuts = ~result.rapid
+    assert found.margin == pytest.approx(result.joint_margin.min(), abs=2e-3)
+    assert found.u95 == pytest.approx(np.sqrt(np.mean(result.bound[cuts] ** 2)), rel=0.03)
+    assert found.before == pytest.approx(np.sqrt(np.mean(result.before[cuts] ** 2)), rel=0.03)
+
+
+def test_places_out_of_reach_and_next_to_limits_are_refused_with_their_reason():
+    judged, _, _ = programs(in_line())
+    assert region.drive.REASONS[judged.judge(np.array([3200.0, 0.0, 600.0, 0.0, 0.0])).reason] == "out of reach"
+    near = judged.judge(np.array([600.0, 0.0, 600.0, 0.0, 0.0]))
+    assert region.drive.REASONS[near.reason] in ("joint limit", "singular pose")
+    assert np.isnan(near.u95)
+
+
+def test_an_axis_that_carries_the_robot_is_as_moving_the_part_the_other_way():
+    own = replace(in_line(), external_axes={"E1": ExternalAxis(direction=(0.0, 2.0, 0.0))})
+    judged, _, _ = programs(own)
+    carried = judged.judge(np.array([1400.0, 0.0, 600.0, 0.0, 300.0]))
+    moved = judged.judge(np.array([1400.0, -300.0, 600.0, 0.0, 0.0]))
+    assert carried.cost == pytest.approx(moved.cost, rel=1e-9)
+    assert carried.before == pytest.approx(moved.before, rel=1e-6)
+    assert carried.margin == pytest.approx(moved.margin, rel=1e-9)
+
+
+def test_a_region_that_cannot_be_read_is_refused():
+    own = in_line()
+    assert region_of("X=1000:1200,A=-10:10", own).free == [0, 3]
+    for text in ("X=1200:1000", "Q=1:2", "X=1", "X=a:b", "E1=0:100"):
+        with pytest.raises(InputError):
+            region_of(text, own)
+
+
+def test_a_krl_program_with_a_base_of_its_own_is_refused():
+    own = in_line()
+    text = "DEF part()\n$BASE={X 900,Y 0,Z 500,A 0,B 0,C 0}\n$VEL.CP=0.05\nPTP {X 0,Y 0,Z 60,A 180,B 0,C 180}\nEND\n"
+    model = robot.load(robot.find(own.robot))
+    program = correction.read([decode("part.src", text.encode())], model, own, "part", "krl")
+    with pytest.raises(InputError, match="BASE"):
+        region.check_base(program, RobotInCell.of(model, own))
+
+
+def test_the_command_writes_map_table_and_base(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("freeform.nc", "freeform.forces.csv", "cell_kr270.toml", "inline.src", "inline.dat"):
+        (tmp_path / name).write_bytes((SAMPLES / name).read_bytes())
+    lines = (SAMPLES / "freeform.nc").read_text().splitlines()
+    (tmp_path / "freeform.nc").write_text("\n".join([*lines[:200], "G0 Z60", "M30", "%"]) + "\n")
+    command = "place freeform.nc --cell cell_kr270.toml --region X=1200:1800,A=-20:20 -o out"
+    done = CliRunner().invoke(main, command.split())
+    assert done.exit_code == 0, done.output
+    content = json.loads((tmp_path / "out" / "place.json").read_text("utf-8"))
+    rows = list(csv.DictReader((tmp_path / "out" / "place.csv").read_text().splitlines()))
+    assert content["grid"] == "place.csv"
+    assert len(rows) == content["tried"]
+    assert {row["reachable"] for row in rows} <= {"0", "1"}
+    best = content["best"]
+    assert best["reachable"]
+    key = "u95_rms_mm" if best["u95_rms_mm"] is not None else "before_rms_mm"
+    assert best[key] <= 1.02 * min(float(row[key]) for row in rows if row["reachable"] == "1")
+    assert "Collisions are not checked" in (tmp_path / "out" / "place.html").read_text("utf-8")
+    base = (tmp_path / "out" / "place.toml").read_text("utf-8")
+    assert f"X = {best['X']:.4f}" in base
+    assert "collisions are not checked" in done.output
+    again = CliRunner().invoke(main, command.split())
+    assert again.exit_code == 0
+
+
+def test_no_place_in_the_region_is_said_and_is_no_success(tmp_path):
+    (tmp_path / "part.nc").write_text(PART)
+    (tmp_path / "cell.toml").write_bytes((SAMPLES / "cell_kr270.toml").read_bytes())
+    arguments = [str(tmp_path / "part.nc"), "--cell", str(tmp_path / "cell.toml"), "-o", str(tmp_path / "out")]
+    done = CliRunner().invoke(main, ["place", *arguments, "--region", "X=4000:5000,Y=-300:300"])
+    assert done.exit_code == 1
+    assert "No place in the region can be driven" in done.output
+    content = json.loads((tmp_path / "out" / "place.json").read_text("utf-8"))
+    assert content["best"] is None
+    assert content["refused"] == {"out of reach": content["tried"]}
+    assert not (tmp_path / "out" / "place.toml").exists()
