@@ -26,6 +26,8 @@ _OFF = 5e-5
 """Largest distance of a stated point from the surface that the tool makes there [m]."""
 _ALONG = 0.99
 _ACROSS = 0.05
+_STEP = 1e-2
+"""Relative change of a parameter for the derivative by it: the model is linear in each but for the load's stiffness."""
 _SCALED = 1e-3
 """Relative change of the forces for the derivative by their scale."""
 
@@ -150,11 +152,17 @@ class States(Struct, frozen=True, eq=False):
     def derivatives(
         self, setting: RobotInCell, robot: RobotModel, parameters: tuple[Parameter, ...], scale: float
     ) -> tuple[Array, Array, Array]:
-        """Return the twist (n, 6), its derivatives by linear parameters (n, 6, p) [SI], and by the scale (n, 6)."""
-        found, by_parameter = elastostatics.deflection_by_parameter(
-            robot, self.q, self.tool, scale * self.wrench, parameters
-        )
-        twist = twist_between(self.pose, found.pose) + self._of_tool(setting, scale)
+        """Return the twist (n, 6), its derivatives by linear parameters (n, 6, p) [SI], and by the scale (n, 6).
+
+        By differences of equilibria: the exact derivatives need Pinocchio, which is not there on Windows.
+        """
+        twist = self.twist(setting, robot, scale)
+        by_parameter = np.empty((*twist.shape, len(parameters)))
+        for column, parameter in enumerate(parameters):
+            value = robot.value(parameter)
+            step = _STEP * (abs(value) or parameter.usual)
+            changed = robot.with_values({parameter: value + step})
+            by_parameter[:, :, column] = (self.twist(setting, changed, scale) - twist) / step
         more = self.twist(setting, robot, scale + _SCALED)
         return twist, by_parameter, (more - twist) / _SCALED
 
