@@ -192,7 +192,7 @@ class Box(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class HolderTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """A cylinder on the one before it, the first from the tip upwards; or a mesh in the flange frame."""
+    """A cylinder on the one before it, the first, the cutter, from the tip upwards; or a mesh in the flange frame."""
 
     name: str | None = None
     diameter_mm: Positive | None = None
@@ -201,12 +201,16 @@ class HolderTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class ObstacleTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """A mesh [mm] or a box, in the cell's `$BASE` or in the robot root."""
+    """A mesh [mm] or a box, in the cell's `$BASE` or in the robot root.
+
+    :param part: it is the part or the remaining stock, which the cutter may touch.
+    """
 
     name: str | None = None
     mesh: str | None = None
     box: Box | None = None
     frame: Literal["base", "root"] = "base"
+    part: bool = False
 
 
 class Collision(msgspec.Struct, forbid_unknown_fields=True, frozen=True):

@@ -18,13 +18,14 @@ from postproc.robot import JOINTS, RobotModel
 
 FLANGE = len(JOINTS)
 """Carrier of what is fixed to the flange."""
-APART = 3
-"""Bodies of the arm whose carriers are fewer joints apart are not compared: they are joined, or share a wrist."""
+_APART = {"arm": 4, "cutter": 3, "tool": 3}
+"""A body is compared with links that so many joints separate from it: nearer ones are joined to it or share a wrist."""
 _WIDE = (0.075, 0.07, 0.055, 0.045, 0.034, 0.03, 0.026)
 """Radii of the capsules of base and links, of the length of the arm: assumed, as pages draw an arm without meshes."""
 _SIDES = 32
 Kind = Literal["box", "cylinder", "capsule", "mesh"]
-Of = Literal["arm", "tool", "obstacle"]
+Of = Literal["arm", "cutter", "tool", "obstacle", "part"]
+_FIXED = ("obstacle", "part")
 
 
 class Body(Struct, frozen=True, eq=False):
@@ -32,7 +33,7 @@ class Body(Struct, frozen=True, eq=False):
 
     :param name: in messages.
     :param carrier: 0…5: the joint that carries it; 6: the flange; −1: it stands in the robot root.
-    :param of: arm, tool or obstacle.
+    :param of: arm, cutter, tool (shank, holder, spindle), obstacle or part; the cutter may touch the part.
     :param kind: of its shape.
     :param size: of a box its edges, of a cylinder or capsule radius and length along z between the middles of its ends.
     :param pose: (4, 4) of the middle of the shape in the frame of the carrier [m]; of a mesh the unit.
@@ -97,10 +98,9 @@ class Scene(Struct, frozen=True, eq=False):
         """Yield the pairs of bodies whose distance may change and matters; the first one has the later carrier."""
         for i, one in enumerate(self.bodies):
             for j, other in enumerate(self.bodies):
-                if other.of == "obstacle":
-                    if one.of != "obstacle" and one.carrier >= 0:
-                        yield i, j
-                elif one.of != "obstacle" and one.carrier - other.carrier >= APART:
+                if one.of in _FIXED or (one.of == "cutter" and other.of == "part"):
+                    continue
+                if one.carrier - other.carrier >= (1 if other.of in _FIXED else _APART[one.of]):
                     yield i, j
 
 
@@ -141,7 +141,7 @@ def _held(parts: Sequence[HolderTable], tool: Array, axis: str, folder: Path) ->
     up = -(1.0 if sign == "+" else -1.0) * tool[:3, "XYZ".index(letter)]
     tip = tool[:3, 3]
     for number, part in enumerate(parts, 1):
-        name = f"holder {number}" if part.name is None else part.name
+        name = part.name or ("cutter" if number == 1 and part.mesh is None else f"holder {number}")
         if part.mesh is not None:
             points, faces = _read(part.mesh, folder)
             yield _mesh(name, FLANGE, "tool", points, faces)
@@ -149,21 +149,22 @@ def _held(parts: Sequence[HolderTable], tool: Array, axis: str, folder: Path) ->
         assert part.diameter_mm is not None
         assert part.length_mm is not None
         above = tip + up * part.length_mm * M_PER_MM
-        yield cylinder(name, FLANGE, "tool", tip, above, 0.5 * part.diameter_mm * M_PER_MM)
+        yield cylinder(name, FLANGE, "cutter" if number == 1 else "tool", tip, above, 0.5 * part.diameter_mm * M_PER_MM)
         tip = above
 
 
 def _obstacle(table: ObstacleTable, number: int, base: Array, folder: Path) -> Body:
     frame = np.eye(4) if table.frame == "root" else base
+    of: Of = "part" if table.part else "obstacle"
     name = table.name or (f"obstacle {number}" if table.mesh is None else Path(table.mesh).name)
     if table.mesh is not None:
         points, faces = _read(table.mesh, folder)
-        return _mesh(name, -1, "obstacle", points @ frame[:3, :3].T + frame[:3, 3], faces)
+        return _mesh(name, -1, of, points @ frame[:3, :3].T + frame[:3, 3], faces)
     assert table.box is not None
     spans = np.array([table.box.X, table.box.Y, table.box.Z]) * M_PER_MM
     pose = frame.copy()
     pose[:3, 3] += frame[:3, :3] @ spans.mean(axis=1)
-    return box(name, -1, "obstacle", pose, spans[:, 1] - spans[:, 0])
+    return box(name, -1, of, pose, spans[:, 1] - spans[:, 0])
 
 
 def _read(name: str, folder: Path) -> tuple[Array, NDArray[np.int64]]:

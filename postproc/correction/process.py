@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from postproc import elastostatics, forces, kinematics, placement, toolpath
 from postproc.cell import Cell
 from postproc.chunks import in_chunks
-from postproc.correction import checks, inspection
+from postproc.correction import checks, collisions, inspection
 from postproc.correction.result import Doubt, Mode, Result, doubtful
 from postproc.correction.targets import Chosen, CommandedPath, choose_targets, pieces_needed
 from postproc.correction.verify import LARGE_TEXT, ReadBack, Simulated, UnusableTextError, read_back, simulate
@@ -436,7 +436,10 @@ def process(
     if not wrong:
         try:
             task, draft = _settled(task, MotionsUnderLoad.of(program, setting, source))
-            return result_of(task, _as_read(task, draft) if mode == "predict" else draft)
+            smallest, collided = collisions.of_path(draft.path)
+            draft = replace(draft, issues=(*draft.issues, *collided))
+            done = result_of(task, _as_read(task, draft) if mode == "predict" else draft)
+            return replace(done, clearance=smallest)
         except ImpossiblePathError as cause:
             wrong = [cause.issue]
     return Result(program, robot, cell.tool.axis, mode, group_issues([*program.issues, *wrong]))

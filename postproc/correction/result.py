@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 from msgspec import Struct
 
+from postproc.correction.collisions import SmallestClearance
 from postproc.elastostatics import Reversals
 from postproc.errors import Issue
 from postproc.forces import Knots
@@ -100,6 +101,7 @@ class Result(Struct, frozen=True, eq=False):
     :param largest_correction: largest distance between commanded and nominal position [m].
     :param reversals: where joints change the direction of their torque on cutting moves; None if nothing was computed.
     :param causes: causes of deviation from nominal without correction, in words.
+    :param clearance: smallest clearance of arm, tool and obstacles; None if the cell has no [collision].
     :param exact_forces: True if no force states a standard deviation.
     :param held_feed: feeds that were lowered for the tolerance of the part; None: feeds are those of the program.
     :param turn: the turn of the tool about its axis, if it was chosen.
@@ -134,6 +136,7 @@ class Result(Struct, frozen=True, eq=False):
     largest_correction: float = np.nan
     reversals: Reversals | None = None
     causes: tuple[str, ...] = ()
+    clearance: SmallestClearance | None = None
     exact_forces: bool = False
     held_feed: HeldFeed | None = None
     turn: Turn | None = None

@@ -143,6 +143,12 @@ class Redundancy(TypedDict):
     mode: str
     min_deg: float
     max_deg: float
+class Clearance(TypedDict):
+    """The smallest clearance of arm, tool and obstacles; None where there is nothing to compare."""
+
+    min_clearance_mm: float | None
+    bodies: list[str]
+    source_line: int
 
 
 class IssueEntry(TypedDict):
@@ -181,6 +187,7 @@ class Summary(TypedDict):
     max_force_N: float
     limits: Limits
     redundancy: Redundancy | None  # None where the program is KRL or RAPID: its turn is kept
+    collision: Clearance | None  # None where the cell has no [collision]
     reversals: list[Reversal]
     issues: list[IssueEntry]
     verdict: Judged
@@ -240,6 +247,7 @@ def summary(
             "joint_margins_deg": [_finite(float(value)) for value in margin],
         },
         redundancy=_redundancy(result),
+        collision=_clearance(result),
         reversals=_reversals(result),
         issues=[issue_entry(issue) for issue in result.issues],
         verdict={"state": "ok", "reasons": []},
@@ -494,7 +502,7 @@ def verdict(result: Result, content: Summary) -> Verdict:
         near = _near_limits(content)
         surface_doubtful, surface_holds = _on_surface(content)
         doubtful = [*surface_doubtful, *more_doubtful, *near, *doubtful]
-        holds = [*surface_holds, *_expected(content), *([] if near else _margin(content))]
+        holds = [*surface_holds, *_expected(content), *([] if near else _margin(content)), *_free(content)]
     if (kept := nothing_corrected(content)) is not None:
         doubtful.insert(0, Finding(_FIRST, kept))
     if result.robot.measured is not None and result.robot.measured.not_trusted:
@@ -640,6 +648,30 @@ def _on_surface(content: Summary) -> tuple[list[Finding], list[Finding]]:
     return [], [Finding(_WORDS_ONLY, text)]
 
 
+def _clearance(result: Result) -> Clearance | None:
+    found = result.clearance
+    if found is None:
+        return None
+    least = _finite(found.distance * MM_PER_M)
+    return {"min_clearance_mm": least, "bodies": [name for name in found.bodies if name], "source_line": found.line}
+
+
+def _free(content: Summary) -> list[Finding]:
+    """Return what is known of collisions."""
+    return [] if content["collision"] is None else [Finding(_WORDS_ONLY, clearance(content))]
+
+
+def clearance(content: Summary) -> str:
+    """Return the smallest clearance in words."""
+    found = content["collision"]
+    if found is None:
+        return "collisions are not checked: the cell has no [collision]"
+    if found["min_clearance_mm"] is None:
+        return "[collision] names no bodies that could touch"
+    between = " and ".join(found["bodies"])
+    return f"smallest clearance {found['min_clearance_mm']:.3g} mm, of {between} at line {found['source_line']}"
+
+
 def _near_limits(content: Summary) -> list[Finding]:
     margins = content["limits"]["joint_margins_deg"]
     return [
@@ -662,7 +694,10 @@ def assumed(robot: RobotModel) -> tuple[str, ...]:
 
 def _assumptions(result: Result) -> list[str]:
     force = np.abs(result.wrench).max(initial=0.0)
-    out = [f"the elastic model of {result.robot.title or result.robot.name}, as its sources below state it"]
+    bodies = ["no collision: the cell has no [collision], so none is checked"]
+    if result.clearance is not None:
+        bodies = list(result.clearance.scene.remarks)
+    out = [*bodies, f"the elastic model of {result.robot.title or result.robot.name}, as its sources below state it"]
     if force > 0.0:
         out.append("the cutting forces as given, constant in time: no chatter, no dynamics of drives")
         if result.exact_forces and result.robot.covariance is not None:

@@ -10,6 +10,7 @@ from postproc.report.summary import (
     WORDS,
     IssueEntry,
     Summary,
+    clearance,
     improvement,
     nothing_corrected,
     nothing_to_correct,
@@ -80,6 +81,7 @@ def _facts(content: Summary) -> list[str]:
         f"smallest joint margin {number(limits['min_joint_margin_deg'], 1)}°, "
         f"smallest singular value {number(limits['min_singular_value'], 3)}"
     )
+    facts.append(clearance(content))
     return [f"  {fact}" for fact in facts]
 
 

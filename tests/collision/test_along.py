@@ -46,7 +46,7 @@ def test_a_post_between_two_samples_is_not_missed():
     """A1 swings the spindle through a post that both ends of the motion are far from."""
     q = np.radians([[-60.0, -90.0, 90.0, 0.0, 0.0, 0.0], [60.0, -90.0, 90.0, 0.0, 0.0, 0.0]])
     tip = frame(np.radians([0.0, -90.0, 90.0, 0.0, 0.0, 0.0]), 6)[:3, 3]
-    post = bodies.box("post", -1, "obstacle", pose(np.eye(3), [*tip, 0.05, 0, 0]), np.array([0.02, 0.02, 1.0]))
+    post = bodies.box("post", -1, "obstacle", pose(np.eye(3), np.add(tip, [0.05, 0, 0])), np.array([0.02, 0.02, 1.0]))
     spindle = bodies.cylinder("spindle", 6, "tool", np.zeros(3), np.array([0, 0, 0.2]), 0.05)
     assert clearance(scene(spindle, post), q).distance.min() > 1.0
     found = along(scene(spindle, post), q, 0.0)

@@ -6,9 +6,14 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import trimesh
+from msgspec.structs import replace
 
-from postproc.collision import bodies, clearance
+from postproc import cell as cells
+from postproc import robot
+from postproc.cell import Collision, HolderTable
+from postproc.collision import Scene, bodies, clearance
 from tests.collision.setting import KR270, frame, from_box, pose, random_scene, sampled, scene
+from tests.documentation.pages import ROOT
 
 pytest.importorskip("fcl")
 HALF_MM = 0.5e-3
@@ -78,7 +83,7 @@ def test_a_mesh_is_as_far_as_the_solid_that_it_is_made_of():
     body = bodies.Body("ring", -1, "obstacle", "mesh", (), np.eye(4), points, faces)
     for x, expected in ((0.0, 0.15), (0.1, 0.05), (0.25, 0.0)):
         tip = np.array([x, 0.0, 0.0])
-        ball = bodies.capsule("ball", 6, "tool", tip, [*tip, 0, 0, 0.0001], 0.05)
+        ball = bodies.capsule("ball", 6, "tool", tip, np.add(tip, [0, 0, 1e-4]), 0.05)
         assert clearance(scene(ball, body), q).distance[0] == pytest.approx(expected, abs=HALF_MM)
 
 
@@ -87,7 +92,7 @@ def test_what_is_wholly_inside_a_mesh_touches_it():
     ring = trimesh.creation.annulus(r_min=0.2, r_max=0.9, height=1.4, sections=64, transform=frame(q[0], 6))
     body = bodies.Body("r", -1, "obstacle", "mesh", (), np.eye(4), np.asarray(ring.vertices), np.asarray(ring.faces))
     inside = np.array([0.5, 0.0, 0.0])
-    ball = bodies.capsule("ball", 6, "tool", inside, [*inside, 0, 0, 0.01], 0.02)
+    ball = bodies.capsule("ball", 6, "tool", inside, np.add(inside, [0, 0, 0.01]), 0.02)
     assert clearance(scene(ball, body), q).distance[0] == 0.0
     hole = bodies.capsule("ball", 6, "tool", np.zeros(3), np.array([0, 0, 0.01]), 0.02)
     assert clearance(scene(hole, body), q).distance[0] == pytest.approx(0.18, abs=HALF_MM)
@@ -117,3 +122,18 @@ def test_from_box_itself():
     assert from_box(np.array([[2.0, 0, 0], [0, 0, 0], [1.5, 1.5, 0]]), np.eye(4), (2, 2, 2)) == pytest.approx(
         [1.0, 0.0, np.sqrt(0.5)]
     )
+
+
+@pytest.mark.parametrize("name", robot.shipped())
+def test_a_free_arm_does_not_touch_itself(name):
+    """Assumed capsules invent no collision of the arm with itself around the usual pose; a long tool bar does hit."""
+    arm = robot.load(robot.find(name))
+    cell = replace(cells.load(ROOT / "samples" / "cell_kr270.toml"), collision=Collision())
+    rng = np.random.default_rng(1)
+    q = np.radians([0, -80, 100, 0, 60, 0]) + rng.uniform(-1, 1, (60, 6)) * np.radians([60, 35, 35, 60, 50, 90])
+    assert clearance(Scene.of(arm, cell), np.clip(q, arm.lower, arm.upper)).distance.min() > 0.01
+    bar = replace(cell, collision=Collision(holder=[HolderTable(diameter_mm=50, length_mm=3000)]))
+    held = Scene.of(arm, bar, tool=np.diag([1.0, 1.0, 1.0, 1.0]))
+    hits = clearance(held, np.radians([[0, -80, 100, 0, 60, 0]]))
+    assert hits.distance[0] == 0.0
+    assert held.bodies[hits.first[0]].name == "cutter"

@@ -24,7 +24,8 @@ def test_one_program_is_told_as_a_table_of_before_after_and_improvement():
         "  largest correction 1.5 mm\n"
         "  between targets at most 0.0040 mm (tolerance 0.01 mm, held)\n"
         "  compensated 99.98 %\n"
-        "  smallest joint margin 40.0°, smallest singular value 0.210"
+        "  smallest joint margin 40.0°, smallest singular value 0.210\n"
+        "  collisions are not checked: the cell has no [collision]"
     )
 
 

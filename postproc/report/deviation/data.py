@@ -10,6 +10,7 @@ import numpy as np
 from msgspec import Struct
 
 from postproc import kinematics
+from postproc.collision import Body
 from postproc.correction import Result
 from postproc.errors import Issue
 from postproc.forces.feed import across
@@ -54,6 +55,7 @@ class Facts(msgspec.Struct, frozen=True):
     :param placement: of each joint on the link before it, 4×4 by rows [mm]; `axis` about which it turns; `flange`.
     :param links: links that have meshes, in the order of their points: number of the link (0 = base), of its points and
         faces.
+    :param bodies: the same of tool and obstacles, whose points and faces follow; 7 = the flange.
     :param histograms: by column name.
     :param reversals: place and joint of the largest changes of direction of a torque.
     """
@@ -71,6 +73,7 @@ class Facts(msgspec.Struct, frozen=True):
     axis: list[list[float]]
     flange: list[float]
     links: list[tuple[int, int, int]]
+    bodies: list[tuple[int, int, int]]
     histograms: dict[str, Histogram]
     reversals: list[tuple[int, str]]
 
@@ -122,6 +125,12 @@ class Deviation(Struct, frozen=True, dict=True):
     def links(self) -> list[LinkShape]:
         """Shapes of the links that the model folder has; of one that cannot be read a simple one is drawn."""
         return self.result.robot.link_shapes(drawn=True)[0]
+
+    @cached_property
+    def bodies(self) -> list[Body]:
+        """Bodies of the cell that were checked for collisions, without the arm."""
+        found = self.result.clearance
+        return [] if found is None else [body for body in found.scene.bodies if body.of != "arm"]
 
     @cached_property
     def operations(self) -> list[Operation]:
@@ -186,9 +195,10 @@ class Deviation(Struct, frozen=True, dict=True):
         """Return the numbers of the page."""
         out = {"places": self.places.columns, "drawn": self.places.drawn}
         out |= self.stock()
-        if self.links:
-            points = np.concatenate([each.points for each in self.links]) * MM_PER_M
-            faces = np.concatenate([each.faces for each in self.links])
+        shown = [*self.links, *self.bodies]
+        if shown:
+            points, faces = (np.concatenate([getattr(each, of) for each in shown]) for of in ("points", "faces"))
+            points = points * MM_PER_M
             out["link_points"] = Columns.of(dict(zip("xyz", points.T, strict=True)))
             out["link_faces"] = Columns.of(dict(zip("ijk", faces.T, strict=True)))
         if self.surface is not None:
@@ -227,6 +237,7 @@ class Deviation(Struct, frozen=True, dict=True):
             axis=nominal.axis.tolist(),
             flange=_in_mm(nominal.flange),
             links=[(each.carrier + 1, len(each.points), len(each.faces)) for each in self.links],
+            bodies=[(each.carrier + 1, len(each.points), len(each.faces)) for each in self.bodies],
             reversals=self.reversals(),
             histograms={name: _histogram(values[cutting] * MM_PER_M) for name, values in measures.items()},
         )

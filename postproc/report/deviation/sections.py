@@ -470,6 +470,10 @@ def limits(data: Deviation) -> Section | None:
     limits = content["limits"]
     rows.append(("Smallest joint margin", f"{number(limits['min_joint_margin_deg'], 1)}°"))
     rows.append(("Smallest singular value of the Jacobian", f"{number(limits['min_singular_value'], 3)} m/rad"))
+    free = content["collision"]
+    if free is not None and free["min_clearance_mm"] is not None:
+        words = f"{number(free['min_clearance_mm'], 1)} mm, {' and '.join(free['bodies'])}, line {free['source_line']}"
+        rows.append(("Smallest clearance", words))
     return Section("limits", "Tolerance and limits", (Facts(tuple(rows)),), "half")
 
 

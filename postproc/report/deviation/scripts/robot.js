@@ -87,24 +87,35 @@ const robot = (() => {
     }
     return out;
   }
-  // Meshes of links in millimetres, by number of the link.
-  const meshes = (() => {
-    const out = {};
+  // Meshes of links in millimetres, by number of the link; and those of tool and obstacles.
+  const [meshes, added] = (() => {
+    const [out, more] = [{}, []];
+    const ofLinks = facts.links.reduce((sum, [, , faces]) => sum + faces, 0);
     let [point, face] = [0, 0];
-    for (const [link, points, faces] of facts.links) {
+    for (const [link, points, faces] of [...facts.links, ...facts.bodies]) {
       const { link_points: p, link_faces: f } = columns;
       const rows = (count, from, row) => Array.from({ length: count }, (_, k) => row(from + k));
-      out[link] = { vertices: rows(points, point, (k) => [p.x[k], p.y[k], p.z[k]]), faces: rows(faces, face, (k) => [f.i[k], f.j[k], f.k[k]]) };
+      const mesh = { vertices: rows(points, point, (k) => [p.x[k], p.y[k], p.z[k]]), faces: rows(faces, face, (k) => [f.i[k], f.j[k], f.k[k]]) };
+      if (more.length || face >= ofLinks) more.push([link, mesh]); else out[link] = mesh;
       point += points;
       face += faces;
     }
-    return out;
+    return [out, more];
   })();
-  const bodies = Array.from({ length: placement.length + 1 }, (_, k) => (meshes[k] ? [meshes[k]] : solids(k)));
-  const faces = { i: [], j: [], k: [] };
+  const bodies = Array.from({ length: placement.length + 2 }, (_, k) => [
+    ...(k > placement.length ? [] : meshes[k] ? [meshes[k]] : solids(k)),
+    ...added.filter(([link]) => link === k).map(([, mesh]) => mesh)]);
+  const faces = { i: [], j: [], k: [], facecolor: [] };
   let count = 0;
-  for (const part of [...bodies.flat(), frustum([0, 0, 0], [0, 0, 1], 1, 1)]) {
+  const held = added.some(([link]) => link === placement.length + 1); // else the tool is a cone
+  const colour = (part) => {
+    const found = added.find(([, mesh]) => mesh === part);
+    return found === undefined ? "#e8853a" : found[0] === 0 ? "#a9b1b8" : "#66727d";
+  };
+  for (const part of [...bodies.flat(), ...(held ? [] : [frustum([0, 0, 0], [0, 0, 1], 1, 1)])]) {
+    const own = colour(part);
     for (const [a, b, c] of part.faces) {
+      faces.facecolor.push(own);
       faces.i.push(a + count);
       faces.j.push(b + count);
       faces.k.push(c + count);
@@ -118,6 +129,7 @@ const robot = (() => {
     const out = { x: [], y: [], z: [] };
     const push = (point) => ["x", "y", "z"].forEach((axis, r) => out[axis].push(point[r]));
     bodies.forEach((parts, k) => parts.forEach((part) => part.vertices.forEach((point) => push(places.moved(at[k], point)))));
+    if (held) return out;
     const [from, tip] = [origin(at.at(-2)), origin(at.at(-1))];
     const apart = Math.hypot(...sum(tip, scaled(from, -1))) > 1e-3;
     frustum(from, apart ? tip : sum(from, [0, 0, 1]), 0.018 * reach, 0.003 * reach).vertices.forEach(push);
@@ -131,7 +143,9 @@ const robot = (() => {
     for (let i = 0; i < places.count; i += each)
       for (const point of points(i))
         ["x", "y", "z"].forEach((axis, r) => out[axis].push(point[r] - 0.1 * reach, point[r] + 0.1 * reach));
+    for (const [link, { vertices: corners }] of added)
+      if (link === 0) for (const point of corners) ["x", "y", "z"].forEach((axis, r) => out[axis].push(places.moved(root, point)[r]));
     return out;
   }
-  return { root, points, faces, vertices, room };
+  return { root, points, frames, faces, vertices, room };
 })();

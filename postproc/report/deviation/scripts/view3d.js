@@ -133,7 +133,7 @@
       out.push({ ...lines, ...(shown.paths[prefix] ? displaced(prefix) : { x: [null], y: [null], z: [null] }),
         visible: shown.paths[prefix], line: { width: 2, color: colour(path.colour) } });
     if (shown.robot)
-      out.push({ type: "mesh3d", meta: "beyond", ...robot.vertices(here()), ...robot.faces, color: "#e8853a", flatshading: facts.links.length > 0, hoverinfo: "skip",
+      out.push({ type: "mesh3d", meta: "beyond", ...robot.vertices(here()), ...robot.faces, flatshading: facts.links.length + facts.bodies.length > 0, hoverinfo: "skip",
         lighting: { ambient: 0.55, diffuse: 0.6, specular: 0.15, roughness: 0.7 } });
     return out;
   }

@@ -1,0 +1,86 @@
+"""Collisions along the path of a program."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from msgspec import Struct
+
+from postproc import collision
+from postproc.errors import Issue
+from postproc.frames import M_PER_MM, MM_PER_M
+from postproc.program import Ints
+from postproc.under_load import PathUnderLoad
+
+
+class SmallestClearance(Struct, frozen=True, eq=False):
+    """The smallest distance of two bodies along a path.
+
+    :param distance: [m]; 0 where they touch; infinite if there is nothing to compare.
+    :param bodies: their names.
+    :param line: of the motion on which it is reached.
+    :param scene: the bodies.
+    """
+
+    distance: float
+    bodies: tuple[str, str]
+    line: int
+    scene: collision.Scene
+
+
+def of_path(path: PathUnderLoad) -> tuple[SmallestClearance | None, list[Issue]]:
+    """Return the smallest clearance of arm, tool and obstacles, and an error for each two bodies that come too close.
+
+    The tool of a corrected program is on the nominal path, and so is the arm but for its deflection: the joint angles
+    are those of the nominal path, from the start of the program on, proportional between samples.
+
+    :returns: None if the cell has no [collision].
+    :raises CellError: a body cannot be read.
+    """
+    setting = path.setting
+    table = setting.cell.collision
+    if table is None:
+        return None, []
+    program, need = path.program, table.clearance_mm * M_PER_MM
+    line = program.motions.line[path.sample.motion]
+    smallest: SmallestClearance | None = None
+    worst: dict[tuple[str, str], tuple[float, int, set[int]]] = {}
+    for rows, tool in _runs(program.motions.tool[path.sample.motion]):
+        scene = collision.Scene.of(setting.robot, setting.cell, program.tools[tool])
+        before = setting.cell.start_joints if rows.start == 0 else path.joints.q[rows.start - 1]
+        found = collision.along(scene, np.concatenate([before[None], path.joints.q[rows]]), need)
+        own = np.append(line[rows][:1], line[rows])
+        closest = found.closest
+        if smallest is None or (closest is not None and closest.distance < smallest.distance):
+            names = ("", "") if closest is None else _names(scene, closest.first, closest.second)
+            at = 0 if closest is None else closest.row
+            distance = np.inf if closest is None else closest.distance
+            smallest = SmallestClearance(distance, names, int(own[at]), scene)
+        for row, first, second, distance in zip(found.row, found.first, found.second, found.distance, strict=True):
+            key = _names(scene, first, second)
+            least, at, lines = worst.get(key, (np.inf, 0, set()))
+            at, least = (int(own[row]), distance) if distance < least else (at, least)
+            worst[key] = least, at, lines | {int(own[row])}
+    return smallest, [_issue(key, *found, table.clearance_mm) for key, found in worst.items()]
+
+
+def _runs(tool: Ints) -> Iterator[tuple[slice, int]]:
+    """Yield the rows between changes of the tool, and the tool."""
+    ends = np.append(np.flatnonzero(np.diff(tool)) + 1, len(tool))
+    for begin, end in zip(np.append(0, ends[:-1]).tolist(), ends.tolist(), strict=True):
+        yield slice(begin, end), int(tool[begin])
+
+
+def _names(scene: collision.Scene, first: int, second: int) -> tuple[str, str]:
+    return scene.bodies[int(first)].name, scene.bodies[int(second)].name
+
+
+def _issue(names: tuple[str, str], distance: float, line: int, lines: set[int], need_mm: float) -> Issue:
+    first, second = names
+    how = "touches or is inside" if distance == 0.0 else f"comes within {distance * MM_PER_M:.2g} mm of"
+    message = (
+        f"collision: {first} {how} {second}; [collision] asks for {need_mm:g} mm. Move the part, turn the tool, or "
+        "correct the bodies in the cell"
+    )
+    return Issue("error", "collision", message, line, count=len(lines), subject=f"{first}, {second}")
