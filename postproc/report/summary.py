@@ -143,6 +143,8 @@ class Redundancy(TypedDict):
     mode: str
     min_deg: float
     max_deg: float
+
+
 class Clearance(TypedDict):
     """The smallest clearance of arm, tool and obstacles; None where there is nothing to compare."""
 

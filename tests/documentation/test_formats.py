@@ -157,7 +157,7 @@ def results(readme, tmp_path_factory):
     cell = (samples / "cell_kr270.toml").read_text(encoding="utf-8").replace('"kuka_kr270"', '"model"')
     (folder / "cell.toml").write_text(cell, encoding="utf-8")
     for arguments in (
-        ["convert", str(_with_settings(folder)), "--cell", str(samples / "cell_kr270.toml"), "-o", str(folder)],
+        ["convert", str(_with_settings(folder)), "--cell", str(_with_bodies(folder)), "-o", str(folder)],
         ["convert", str(samples / "inline.src"), "--cell", str(samples / "cell_kr270.toml"), "-o", str(folder)],
         [
             *("convert", str(samples / "plate.nc"), "--cell", str(samples / "cell_kr270.toml")),
@@ -220,6 +220,15 @@ def _with_settings(folder: Path) -> Path:
     path = folder / "in" / "settled.src"
     path.write_text("DEF settled( )\nsettings( )\nPTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}\nEND\n")
     return path
+
+
+def _with_bodies(folder: Path) -> Path:
+    """Return a cell with a spindle and an obstacle."""
+    box = "{ X = [0, 9], Y = [0, 9], Z = [0, 9] }"
+    bodies = f"holder = [ {{ diameter_mm = 60, length_mm = 300 }} ]\nobstacles = [ {{ box = {box} }} ]"
+    cell = (ROOT / "samples" / "cell_kr270.toml").read_text(encoding="utf-8")
+    (folder / "bodies.toml").write_text(f"{cell}\n[collision]\n{bodies}\n", encoding="utf-8")
+    return folder / "bodies.toml"
 
 
 def _with_an_unusable_model(folder: Path, cell: str) -> Path:
@@ -286,10 +295,11 @@ def _forces_with_a_warning(folder: Path) -> Path:
 )
 def test_every_key_of_a_result_is_described(results, title):
     found = {way for path in results[title] for way in leaves(json.loads(path.read_text(encoding="utf-8")))}
-    # no issues, no reversals; a model that states no uncertainty, or is usable; nobody edited it; all is told
+    # no issues, reversals, bodies; a model that states no uncertainty, or is usable; nobody edited it; all is told
     found -= {
         ("issues",),
         ("reversals",),
+        ("collision",),
         ("u95",),
         ("u95", "unusable"),
         ("redundancy",),
