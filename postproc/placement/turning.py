@@ -10,17 +10,22 @@ from msgspec.structs import replace
 
 from postproc.errors import Issue
 from postproc.forces import ForceSource
-from postproc.frames import DEG_PER_RAD, RAD_PER_DEG, Array, rotation_from_vector
+from postproc.frames import DEG_PER_RAD, RAD_PER_DEG, Array, norm, rotation_from_vector
 from postproc.placement import drive, turn_line, turn_map
 from postproc.placement.drive import BARE, REASONS, Clearance, Keep
 from postproc.placement.samples import AXIS, PathSamples
 from postproc.placement.turn_line import Blocked, Line
 from postproc.placement.turn_map import Blocks, TurnMap
-from postproc.program import Bools, Program, read_only
+from postproc.program import PTP, Bools, Program, read_only
 from postproc.under_load import RobotInCell
 
 Mode = Literal["best", "path"]
 _COARSE = 5.0 * RAD_PER_DEG
+_STILL = 1e-6
+_TILTED = (
+    'redundancy = "path": this move tilts the tool, and turning it about its axis on the way would make it lean. Set '
+    '[gcode] redundancy = "best".'
+)
 _FINE = np.arange(-6.0, 7.0) * RAD_PER_DEG
 
 
@@ -78,6 +83,8 @@ def chosen(
     :raises ForceError: the forces do not match the motions.
     """
     samples = PathSamples.of(program, setting, source)
+    if mode == "path" and program.swivel is None and (tilting := _tilting(samples)).any():
+        return None, (program.motions.issue("error", "redundancy", _TILTED, np.flatnonzero(tilting)),)
     blocks = Blocks.of(samples)
     branch = turn_map.branch_of_start(samples)
     whole = turn_map.evaluate(
@@ -97,6 +104,14 @@ def chosen(
         return turn, (_said(turn),)
     assert blocked is not None
     return None, (_why(samples, whole, blocked, mode),)
+
+
+def _tilting(samples: PathSamples) -> Bools:
+    """Return which motions (M,) at feed tilt the tool axis by one rotation: a turn in addition would make it lean."""
+    m = samples.program.motions
+    end = m.target[:, :3, :3] @ samples.axis
+    begin = samples.segments.start.at(np.arange(len(m)))[:, :3, :3] @ samples.axis
+    return np.asarray(~m.rapid & (m.kind != PTP) & (norm(end - begin) > _STILL))
 
 
 def _find(

@@ -11,6 +11,7 @@ from msgspec.structs import replace
 
 from postproc import correction, placement, robot
 from postproc.cell import Rotary
+from postproc.frames import rotation_from_vector
 from postproc.report import summary
 from postproc.under_load import RobotInCell
 from tests.oracle import cell_sim
@@ -174,3 +175,18 @@ def test_the_text_of_a_robot_program_keeps_its_turn():
     result = correction.process(program, model, own, mode="predict")
     assert result.turn is None
     assert summary(result)["redundancy"] is None
+
+
+def test_a_cut_that_tilts_the_tool_without_rotary_axes_is_not_turned_on_the_way():
+    """One rotation that tilts and turns would make the tool lean from its programmed direction between the ends."""
+    own = cell(base=(0.0, 0.0, 500.0))
+    program, model = read("G21 G90\nG0 X1300 Y-300 Z60\nG1 Z0 F600\nG1 Y300 F2000\n", own)
+    target = program.motions.target.copy()
+    target[2, :3, :3] = rotation_from_vector(np.array([[0.0, 0.2, 0.0]]))[0] @ target[2, :3, :3]
+    tilted = replace(program, motions=replace(program.motions, target=target))
+    setting = RobotInCell.of(model, own)
+    turn, said = placement.chosen(tilted, setting, None, "path")
+    assert turn is None
+    assert said[0].level == "error"
+    assert said[0].source_line == 4
+    assert placement.chosen(tilted, setting, None, "best")[0] is not None
