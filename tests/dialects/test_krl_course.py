@@ -614,6 +614,14 @@ def test_a_variable_that_changes_at_any_time_does_so_under_the_name_of_a_paramet
         read(body(*lines, LINE_TO.format("Z")) + two, DATA)
 
 
+@pytest.mark.parametrize("action", ["Z=3", "SUB(Z)", "GONE(Z)"])
+def test_an_action_changes_variables_of_the_routine_that_declares_it(action):
+    lines = ["DECL REAL Z", FULL, "Z=2", f"TRIGGER WHEN DISTANCE=0 DELAY=0 DO {action}", FULL]
+    with pytest.raises(ProgramError, match="component X is not a number"):
+        read(body(*lines, LINE_TO.format("Z")) + ALIASED.format(""))
+    assert len(read(body(*lines, FULL) + ALIASED.format("")).motions) == 3
+
+
 def test_a_global_point_is_corrected_by_numbers_where_another_file_uses_it(tmp_path):
     files = files_of(["cut()", "LIN XG", "LIN XG"], "")
     files["part.dat"] = DATA.replace("ENDDAT", "DECL GLOBAL E6POS XG={X 8,Y 3,Z 3,A 0,B 0,C 0}\r\nENDDAT")

@@ -160,13 +160,13 @@ class Analysis:
             self._noted[source] = noted_lines(source)
         return self._noted[source]
 
-    def of_action(self, module: Module, routine: Routine, place: Place, event: Event) -> Effects:
-        """Return the effects of an interrupt or a trigger in a routine.
+    def of_action(self, module: Module, routine: Routine, place: Place, event: Event, scope: Scope) -> Effects:
+        """Return the effects of an interrupt or a trigger in a routine that runs, on its own variables too.
 
         Motions back to where an interrupt has stopped the robot leave its path as it is: they are not among them.
         """
         direct, total = _Direct(), Effects()
-        _Statement(self, module, routine, place, direct.later, direct.called_later).read_event(event)
+        _Statement(self, module, routine, place, direct.later, direct.called_later, scope).read_event(event)
         self._add_later(total, direct)
         return total
 
@@ -230,6 +230,7 @@ class _Statement(Struct, eq=False):
     place: Place
     effects: Effects
     called: list[Called]
+    running: Scope | None = None
 
     def read_event(self, event: Event) -> None:
         """Note the effects of an INTERRUPT or a TRIGGER: its action, and functions in condition, PATH and DELAY."""
@@ -268,7 +269,9 @@ class _Statement(Struct, eq=False):
     def writes(self, name: str) -> None:
         """Note that a variable may get another value."""
         name = name.upper()
-        if name not in self.routine.local:
+        if self.running is not None:
+            self.effects.writes.setdefault(self.running.stored(name), self.place)
+        elif name not in self.routine.local:
             scope = self.analysis.scope_of(self.module, self.routine)
             self.effects.writes.setdefault(scope.stored(name), self.place)
 

@@ -248,7 +248,8 @@ class Interpreter:
 
     def _event(self, at: Place, here: tree.Event) -> None:
         """Note what an INTERRUPT or a TRIGGER may change from now on."""
-        effects = self.run.analysis.of_action(self.run.level.module, self.run.level.routine, at, here)
+        scope = self.run.variables.scope
+        effects = self.run.analysis.of_action(self.run.level.module, self.run.level.routine, at, here, scope)
         if effects.motion is not None:
             raise at.error(f"{here.word} moves the robot ({effects.motion})", _IN_ORDER)
         self.calls.notice(at, f"{here.word} in {at}", effects)
