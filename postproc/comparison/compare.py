@@ -80,8 +80,9 @@ def compare(
         found = _with_inserted(replace(found, cuts=cuts), np.isin(found.only_corrected, ends))
     else:
         if same_origin:
-            found = replace(found, passed=np.append(found.passed, found.only_nominal), only_nominal=one.rows[:0])
-            found = replace(found, missed=found.missed[:0])
+            rows, by = (found.passed, found.only_nominal), (found.passed_by, found.missed)
+            found = replace(found, passed=np.concatenate(rows), passed_by=np.concatenate(by))
+            found = replace(found, only_nominal=one.rows[:0], missed=found.missed[:0])
             found = _with_inserted(found, np.ones(len(found.only_corrected), dtype=bool))
         if corrected.notes:
             first, two = found.pair.T
@@ -170,6 +171,7 @@ def _paired(one: PlacedProgram, other: PlacedProgram, partner: Ints, certain: Bo
         pair=pair,
         inserted=rest[on_path],
         passed=one.rows[:0],
+        passed_by=np.zeros(0),
         only_nominal=one.rows[~has],
         missed=np.full(int((~has).sum()), np.nan),
         only_corrected=rest[~on_path],
@@ -186,7 +188,8 @@ def _judged(found: Comparison, one: PlacedProgram, other: PlacedProgram, load: P
     """Return the comparison with nominal targets without partner divided into passed and missing ones."""
     missed, passed = _missing(found, one, other, load)
     rows = found.only_nominal
-    return replace(found, passed=rows[passed], only_nominal=rows[~passed], missed=missed[~passed])
+    found = replace(found, passed=rows[passed], passed_by=missed[passed])
+    return replace(found, only_nominal=rows[~passed], missed=missed[~passed])
 
 
 def _moved_alone(found: Comparison, one: PlacedProgram, other: PlacedProgram) -> Ints:

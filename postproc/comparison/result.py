@@ -73,7 +73,8 @@ class Comparison(Struct, frozen=True, eq=False):
     :param robot: name of the robot model.
     :param pair: (P, 2) rows of `nominal.motions` and of `corrected.motions`, in order.
     :param inserted: rows of `corrected.motions` on the path between two pairs.
-    :param passed: rows of `nominal.motions` without a partner that the second path passes.
+    :param passed: rows of `nominal.motions` without a partner that the second path passes; `passed_by` (n,) at which
+        distance [m], NaN for PTP.
     :param only_nominal: rows of `nominal.motions` that are missing; `missed` (n,) by how much the second path misses
         each [m], NaN for PTP.
     :param only_corrected: rows of `corrected.motions` without a partner that are not on the path.
@@ -92,6 +93,7 @@ class Comparison(Struct, frozen=True, eq=False):
     pair: Ints
     inserted: Ints
     passed: Ints
+    passed_by: Array
     only_nominal: Ints
     missed: Array
     only_corrected: Ints

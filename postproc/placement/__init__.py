@@ -7,10 +7,11 @@ is chosen on a map of path × angle (`turn_map`, `turn_line`), the place of the 
 from postproc.placement.drive import FREE, REASONS, Clearance, Keep
 from postproc.placement.samples import PathSamples
 from postproc.placement.turn_map import TurnMap
-from postproc.placement.turning import Turn, bin_turns, chosen, turned
+from postproc.placement.turning import NO_CLEARANCE, Turn, bin_turns, chosen, turned
 
 __all__ = [
     "FREE",
+    "NO_CLEARANCE",
     "REASONS",
     "Clearance",
     "Keep",

@@ -18,7 +18,7 @@ from postproc.errors import InputError
 from postproc.frames import MM_PER_M, RAD_PER_DEG, Array, inverse, pose_from_xyzabc, product
 from postproc.kinematics import UnreachableError
 from postproc.placement import drive
-from postproc.placement.drive import FREE, Clearance, Keep, Margins
+from postproc.placement.drive import FREE, Keep, Margins
 from postproc.placement.samples import PathSamples
 from postproc.program import Bools, Ints, Program
 from postproc.under_load import RobotInCell
@@ -100,7 +100,6 @@ class Search(Struct, frozen=True, eq=False):
     :param tried: all places; those of the map first.
     :param slice: X and Y of the finer slice, at the Z, A and E1 of `around`; empty if X or Y is fixed.
     :param around: place through which the slice goes.
-    :param clearance_checked: whether collisions were checked.
     """
 
     today: Judged
@@ -108,7 +107,6 @@ class Search(Struct, frozen=True, eq=False):
     tried: tuple[Judged, ...]
     slice: tuple[tuple[float, ...], tuple[float, ...]]
     around: tuple[float, ...]
-    clearance_checked: bool
 
 
 class _Stations(Struct, frozen=True, eq=False):
@@ -138,15 +136,13 @@ class Programs:
         *,
         turns: bool = False,
         branches: Sequence[int] | None = None,
-        clearance: Clearance | None = None,
     ) -> None:
         """Choose the stations.
 
         :param turns: whether the tool may be turned about its axis.
         :param branches: of the inverse kinematics to try; None = that of `[start]`.
-        :param clearance: see `drive.Clearance`; None = collisions are not checked.
         """
-        self.samples, self.keep, self.clearance = list(samples), keep, clearance
+        self.samples, self.keep = list(samples), keep
         setting = samples[0].setting
         self.setting, self.robot = setting, setting.robot
         self.today = inverse(setting.cell.base.pose())
@@ -215,8 +211,7 @@ class Programs:
         speed = drive.timed_speed(self.robot, step, each.samples.time[each.row])
         jump = np.where(np.isfinite(each.samples.time[each.row]), np.abs(step).max(axis=0), 0.0)
         own = Margins(*(getattr(found, name)[count:] for name in Margins.__struct_fields__))
-        near = None if self.clearance is None else self.clearance(q[:, count:].T, each.row)
-        reasons = drive.reason(own, speed, jump, self.keep, near)
+        reasons = drive.reason(own, speed, jump, self.keep)
         margin = float(np.nanmin(own.joint, initial=np.inf))
         if count == len(each.samples) and np.isnan(each.samples.program.motions.joints).all():
             reasons[self._wound(q[:, count:])] = drive.LIMIT
@@ -361,10 +356,7 @@ def search(programs: Programs, region: Region, progress: Callable[[int, int], No
     for start in starts:
         _descend(judged, region, start, steps)
     found = _confirmed(programs, tried)
-    return Search(
-        today, found, tuple(tried), (tuple(x.tolist()), tuple(y.tolist())), tuple(around.tolist()),
-        programs.clearance is not None,
-    )  # fmt: skip
+    return Search(today, found, tuple(tried), (tuple(x.tolist()), tuple(y.tolist())), tuple(around.tolist()))
 
 
 def _descend(judged: Callable[[Array], Judged], region: Region, start: Judged, steps: Array) -> None:

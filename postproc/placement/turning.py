@@ -26,6 +26,9 @@ _TILTED = (
     'redundancy = "path": this move tilts the tool, and turning it about its axis on the way would make it lean. Set '
     '[gcode] redundancy = "best".'
 )
+NO_CLEARANCE = (
+    "Collisions do not count in this choice; the chosen path is checked for them if the cell has [collision]."
+)
 _FINE = np.arange(-6.0, 7.0) * RAD_PER_DEG
 
 
@@ -155,7 +158,7 @@ def _said(turn: Turn) -> Issue:
     else:
         message = f"The tool is turned about its axis along the path, from {low:.0f}° to {high:.0f}°."
     if turn.map.clearance is None:
-        message += " Collisions are not checked."
+        message += f" {NO_CLEARANCE}"
     return Issue("info", "redundancy", message)
 
 

@@ -26,6 +26,7 @@ _COLUMNS = (
     "reachable",
     "reason",
 )
+_COLLISIONS = "Collisions do not count in this choice; convert checks the path for them if the cell has [collision]."
 _SAME = 0.01
 """Share of the expected error below which a gain is none."""
 
@@ -79,7 +80,7 @@ def summary(found: Search, cell: Cell, programs: Sequence[str], margin_deg: floa
         tried=len(found.tried),
         reachable=reasons[0],
         refused={name: count for name, count in zip(REASONS[1:], reasons[1:], strict=True) if count},
-        collisions="checked" if found.clearance_checked else "not checked",
+        collisions="not checked",
         sentence=_sentence(found),
     )
 
@@ -164,7 +165,8 @@ def as_text(content: PlaceSummary) -> str:
     lines.append(
         f"  {content['tried']} places tried, {content['reachable']} can be driven" + (f"; {refused}" if refused else "")
     )
-    lines.append(f"  kept: {content['margin_deg']:g}° to joint limits; collisions are {content['collisions']}")
+    lines.append(f"  kept: {content['margin_deg']:g}° to joint limits")
+    lines.append(f"  {_COLLISIONS}")
     return "\n".join(lines)
 
 
@@ -187,7 +189,7 @@ def page(found: Search, content: PlaceSummary) -> Iterator[bytes]:
     sections = (_verdict(found, content), *_maps(found), _table(content))
     note = (
         "Expected errors and deflections are predictions of the elastostatic model of the robot under the forces "
-        f"given, RMS over cuts. Collisions are {content['collisions']}."
+        f"given, RMS over cuts. {_COLLISIONS}"
     )
     yield from Page(
         kind="Place of the part",
@@ -208,7 +210,7 @@ def _verdict(found: Search, content: PlaceSummary) -> Section:
         kind = "deflection" if np.isnan(place.u95) else "expected error, RMS"
         note = f"{kind}; X {x:.0f} Y {y:.0f} Z {z:.0f} A {a:.1f}; joint margin {place.margin * DEG_PER_RAD:.1f}°"
         tiles.append(Tile(title, rounded(place.cost * MM_PER_M), "mm", note))
-    notes = Notes((Note(content["sentence"]), Note(f"Collisions are {content['collisions']}.")))
+    notes = Notes((Note(content["sentence"]), Note(_COLLISIONS)))
     return Section("place", "Where the part should be", (notes, Tiles(tuple(tiles))))
 
 

@@ -98,9 +98,34 @@ def test_a_point_of_a_line_or_an_arc_may_be_left_out():
     ]  # fmt: skip
     content = compared(program("ONE", *divided), program("OTHER", *whole))
     assert (content["pairs"], content["only_nominal"], content["verdict"]["state"]) == (4, 0, "ok")
+    assert content["passed"] == 2
+    assert content["passed_within_mm"] < 0.001
+    assert "every target has its partner, or the path passes it" in content["verdict"]["reasons"]
     content = compared(program("ONE", *whole), program("OTHER", *divided))
     assert (content["pairs"], content["inserted"], content["only_corrected"]) == (4, 2, 0)
     assert content["verdict"]["state"] == "ok"
+
+
+@pytest.mark.parametrize(("bulges", "words"), [((0.008,), "1 target"), ((0.003, 0.008), "2 targets")])
+def test_targets_that_are_left_out_and_passed_are_stated_with_their_distance(bulges, words):
+    """Points of a line that is not quite straight: a line through its ends passes them."""
+    points = [(20.0 * k, bulge) for k, bulge in enumerate(bulges, 1)]
+    ends = [lin(0, 0), lin(80, 0), lin(80, 40)]
+    one, other = program("ONE", ends[0], *(lin(*spot) for spot in points), *ends[1:]), program("OTHER", *ends)
+    content = compared(one, other)
+    assert (content["passed"], content["only_nominal"]) == (len(bulges), 0)
+    assert content["passed_within_mm"] == pytest.approx(0.008, abs=1e-6)
+    is_not, them = ("is not", "it") if len(bulges) == 1 else ("are not", "them")
+    sentence = f"{words} of the nominal program {is_not} in the corrected one; its path passes {them} within 0.0080 mm"
+    assert sentence in run("compare", one, other, "-o", "found", "--overwrite", code=0)
+    assert sentence in next(Path("found").glob("*.compare.report.html")).read_text("utf-8")
+
+
+def test_nothing_is_said_of_passed_targets_if_every_target_has_its_partner():
+    one, other = (program(name, *(lin(*spot) for spot in SQUARE)) for name in ("ONE", "OTHER"))
+    content = compared(one, other)
+    assert (content["passed"], content["passed_within_mm"]) == (0, None)
+    assert "passes" not in run("compare", one, other, "-o", "found", "--overwrite", code=0)
 
 
 def test_a_slit_that_is_left_out_fails_though_the_path_stays_on_the_nominal_one():

@@ -144,7 +144,7 @@ def test_no_clearance_is_checked_without_a_function_and_a_function_closes_cells(
     setting = RobotInCell.of(model, own)
     free, said = placement.chosen(program, setting, None, "best")
     assert free.map.clearance is None
-    assert "Collisions are not checked" in said[0].message
+    assert "Collisions do not count in this choice; the chosen path is checked" in said[0].message
     chosen = np.degrees(free.of_motion[3])
 
     def clearance(q, rows):

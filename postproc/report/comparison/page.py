@@ -13,7 +13,7 @@ from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm, xyzabc_from_pose
 from postproc.program import Ints
 from postproc.report.comparison.names import Names, names_of
 from postproc.report.comparison.summary import ComparisonSummary, where_of
-from postproc.report.comparison.text import WORDS, counted, of_splines
+from postproc.report.comparison.text import WORDS, counted, of_passed, of_splines
 from postproc.report.formatting import millimetres
 from postproc.report.kit import (
     Axis,
@@ -126,9 +126,10 @@ def _numbers(content: ComparisonSummary) -> Section:
         largest = (millimetres(between["nominal_max_mm"]), millimetres(between["corrected_max_mm"]))
         rows += (Row(("Maximum between targets, from the path", "-", *largest)),)
     parts: list[Part] = [Tiles(tuple(tiles)), Table(tuple(head), rows, "Numbers")]
-    if content["splines"]:
-        words = of_splines(content)
-        parts.append(Notes((Note(f"{words[:1].upper()}{words[1:]}."),)))
+    shown = (("passed", of_passed), ("splines", of_splines))
+    texts = [words(content) for key, words in shown if content[key]]  # type: ignore[literal-required]
+    if texts:
+        parts.append(Notes(tuple(Note(f"{text[:1].upper()}{text[1:]}.") for text in texts)))
     return Section("numbers", "Offsets and deviations, mm", tuple(parts))
 
 

@@ -145,6 +145,8 @@ class ComparisonSummary(TypedDict):
     inserted: int
     splines: int
     only_nominal: int
+    passed: int
+    passed_within_mm: float | None
     only_corrected: int
     offset: Distances
     rotation: Rotations
@@ -183,6 +185,8 @@ def comparison_summary(found: Comparison, made: MadeFrom, tolerance: float, limi
         inserted=len(found.inserted),
         splines=int(np.count_nonzero(found.spline)),
         only_nominal=len(found.only_nominal),
+        passed=len(found.passed),
+        passed_within_mm=_passed_within(found),
         only_corrected=len(found.only_corrected),
         offset=_distances(distance, rapid),
         rotation={"max_deg": turned.largest * DEG_PER_RAD, "rms_deg": turned.rms * DEG_PER_RAD},
@@ -203,7 +207,8 @@ def comparison_summary(found: Comparison, made: MadeFrom, tolerance: float, limi
         verdict={"state": "ok", "reasons": []},
     )
     failed, doubtful = [*_failed(content, limit * MM_PER_M, made)], [*_doubtful(content, made)]
-    holds = ["every target has its partner", *(["the text is as postproc wrote it"] if state == "intact" else [])]
+    every = "every target has its partner" + (", or the path passes it" if len(found.passed) else "")
+    holds = [every, *(["the text is as postproc wrote it"] if state == "intact" else [])]
     if content["cut"] is not None:
         holds.append(
             f"the corrected program stays within {content['tolerance_mm']:g} mm at its targets under the forces given"
@@ -218,6 +223,12 @@ def comparison_summary(found: Comparison, made: MadeFrom, tolerance: float, limi
         "reasons": failed + doubtful or holds,
     }
     return content
+
+
+def _passed_within(found: Comparison) -> float | None:
+    """Return the largest distance at which the second path passes targets that it leaves out [mm]; None if unknown."""
+    known = found.passed_by[np.isfinite(found.passed_by)]
+    return float(known.max()) * MM_PER_M if len(known) else None
 
 
 def _entry(each: Difference, nominal: Names, corrected: Names) -> DifferenceEntry:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from postproc.report.comparison.summary import ComparisonSummary
-from postproc.report.formatting import PLAIN, Display, State, millimetres
+from postproc.report.formatting import PLAIN, ROUNDING_MM, Display, State, millimetres
 
 WORDS: dict[State, str] = {
     "ok": "They belong together.",
@@ -42,6 +42,8 @@ def of_comparison(content: ComparisonSummary, display: Display = PLAIN) -> str:
             f"  on the way between targets: {millimetres(apart['max_mm'])} mm at most, before "
             f"{apart['nominal_file']}:{apart['nominal_line']} and {apart['corrected_file']}:{apart['corrected_line']}"
         )
+    if content["passed"]:
+        lines.append(f"  {of_passed(content)}")
     if content["splines"]:
         lines.append(f"  {of_splines(content)}")
     for pair in content["largest"][:_SHOWN]:
@@ -65,6 +67,15 @@ def of_splines(content: ComparisonSummary) -> str:
     """Return a sentence on splines, of which only the targets are compared."""
     count = content["splines"]
     return f"of splines ({count} SPL) the targets are compared, the way between them is not"
+
+
+def of_passed(content: ComparisonSummary) -> str:
+    """Return a sentence on nominal targets that the second program leaves out and whose path passes them."""
+    count, within = content["passed"], content["passed_within_mm"]
+    what, it = ("1 target", "it") if count == 1 else (f"{count} targets", "them")
+    verb = "is" if count == 1 else "are"
+    passes = f"its path passes {it}" + ("" if within is None else f" within {max(within, ROUNDING_MM):.4f} mm")
+    return f"{what} of the nominal program {verb} not in the corrected one; {passes}"
 
 
 def counted(content: ComparisonSummary) -> str:

@@ -6,7 +6,7 @@ import numpy as np
 
 from postproc import placement
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array
-from postproc.placement import FREE, REASONS, Turn
+from postproc.placement import FREE, NO_CLEARANCE, REASONS, Turn
 from postproc.report.deviation.data import Deviation
 from postproc.report.formatting import rounded
 from postproc.report.kit import Axis, Curve, Map, Note, Notes, Part, Plot, Section
@@ -54,7 +54,7 @@ def turn(data: Deviation) -> Section | None:
     parts: list[Part] = [plot]
     notes = [f"Chosen: {how}, from {low:.0f}° to {high:.0f}°.", *_gain(found, chosen)]
     if found.map.clearance is None:
-        notes.append("Collisions are not checked.")
+        notes.append(NO_CLEARANCE)
     parts.append(Notes(tuple(Note(text) for text in notes)))
     return Section("turn", "Turn about the tool axis", tuple(parts))
 
