@@ -14,7 +14,7 @@ from postproc.program import Ints
 from postproc.report.comparison.names import Names, names_of
 from postproc.report.comparison.summary import ComparisonSummary, where_of
 from postproc.report.comparison.text import WORDS, counted, of_passed, of_splines
-from postproc.report.formatting import millimetres
+from postproc.report.formatting import ROUNDING_MM, millimetres
 from postproc.report.kit import (
     Axis,
     Cell,
@@ -225,7 +225,7 @@ def _path(found: Comparison, rows: Ints) -> Section:
     nominal, offset, place = _drawn(found, rows)
     extent = float(np.ptp(nominal, axis=0).max())
     largest = float(norm(offset).max())
-    factor = _round(0.1 * extent / largest) if largest > 0.0 and extent > 0.0 else 1.0
+    factor = _round(0.1 * extent / largest) if largest * MM_PER_M > ROUNDING_MM and extent > 0.0 else 1.0
     larger = f", offsets {factor:g} times larger" if factor > 1.0 else ""
     traces = [
         _line(nominal, "nominal", "before", place),
