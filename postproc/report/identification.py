@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from postproc.identification.record import Identified, Parameter
+from postproc.report.formatting import places
 from postproc.report.kit import (
     Axis,
     Bars,
@@ -175,7 +176,7 @@ def _intervals(entries: Mapping[str, Parameter], note: str) -> tuple[Part, ...]:
         note=note,
     )
     rows = tuple(
-        Row((title, *_valued(entry), _judged(entry))) for title, entry in zip(titles, entries.values(), strict=True)
+        Row((title, *valued(entry), _judged(entry))) for title, entry in zip(titles, entries.values(), strict=True)
     )
     table = Table(("Parameter", "Value", "95 %", "Unit", ""), rows, "Values and intervals", texts=(3, 4))
     return plot, table
@@ -185,11 +186,16 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:.2g} %" if share < 1.0 else f"{100.0 * share:.0f} %"
 
 
-def _valued(entry: Parameter) -> tuple[str, str, str]:
-    """Return value, interval and unit; large values in millions of it."""
+def valued(entry: Parameter) -> tuple[str, str, str]:
+    """Return value, interval and unit as texts: as many decimals as the interval has, large values in millions."""
     large = entry.value is not None and abs(entry.value) >= _LARGE
     scale, unit = (1e6, f"10⁶ {entry.unit}") if large else (1.0, entry.unit)
-    value = "-" if entry.value is None else f"{entry.value / scale:.5g}"
+    if entry.value is None:
+        value = "-"
+    elif entry.ci95 is None:
+        value = f"{entry.value / scale:.3g}"
+    else:
+        value = f"{entry.value / scale:.{places(entry.ci95 / scale)}f}"
     return (
         value,
         "prior" if entry.ci95 is None else f"± {entry.ci95 / scale:.2g}",

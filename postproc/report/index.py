@@ -125,7 +125,7 @@ def _table(entries: Sequence[Entry], written: Sequence[Summary]) -> Table:
                     str(content["targets"]),
                     estimate(content["before"]["max_mm"], u95),
                     estimate(content["after"]["max_mm"], u95),
-                    "unknown" if u95 is None else rounded(u95),
+                    "unknown" if u95 is None else rounded(u95) if u95 > 0.0 else "-",
                     percent(content["compensated_percent"]),
                     number(content["limits"]["min_joint_margin_deg"], 1),
                 )

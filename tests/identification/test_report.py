@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from postproc.identification import identify_folder
-from postproc.report.identification import page
+from postproc.identification.record import Parameter
+from postproc.report.identification import page, valued
 from postproc.robot import parameters
 from samples.paper_study import simulator
 from tests.html_page import read_page
@@ -34,3 +35,18 @@ def test_report_shows_every_configuration_and_parameter_and_loads_nothing(tmp_pa
         assert f"{entry.name} is not observable" in read.text("to-know")
     assert ("structures" in read.ids) == (kind == "hard")
     assert "correlations" in read.ids
+
+
+@pytest.mark.parametrize(
+    ("value", "ci95", "shown"),
+    [
+        (2.34943, 0.3412, ("2.35", "± 0.34", "µrad/(N·m)")),
+        (0.00091659, 0.048, ("0.001", "± 0.048", "µrad/(N·m)")),
+        (0.0000459, 2.6, ("0.0", "± 2.6", "µrad/(N·m)")),
+        (715_312.0, 140_000.0, ("0.72", "± 0.14", "10⁶ µrad/(N·m)")),
+        (0.123456, None, ("0.123", "prior", "µrad/(N·m)")),
+        (None, None, ("-", "prior", "µrad/(N·m)")),
+    ],
+)
+def test_a_value_has_the_decimals_of_its_interval(value, ci95, shown):
+    assert valued(Parameter(value, ci95, "urad/(N·m)", True)) == shown

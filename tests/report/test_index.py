@@ -33,6 +33,13 @@ def test_programs_in_trouble_come_first_the_worst_of_them_first():
     assert "500 targets in 5 programs" in text
 
 
+def test_a_program_without_forces_states_no_expected_error():
+    entries = [_entry("idle", wrench=np.zeros((100, 6)), bound=np.zeros(100)), _entry("fair", bound=np.full(100, 2e-4))]
+    text = read_page(index_page(entries, "out")).text("programs")
+    assert " 100 1.5 0.0002 - 99.98 % " in text
+    assert " 100 1.50 0.0002 0.20 99.98 % " in text
+
+
 def test_names_lead_to_their_reports():
     content = index_page([_entry("my part")], "out")
     assert b'href="my%20part.report.html">my part.nc</a>' in content
