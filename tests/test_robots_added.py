@@ -223,6 +223,15 @@ def test_a_flange_that_is_turned_about_its_axis_is_told_and_kukas_is_taken():
     )
 
 
+@pytest.mark.parametrize("name", ["kuka_kr270", "kuka_kr16_2", "kuka_kr120_r2700_2"])
+def test_the_urdf_of_a_shipped_model_is_read_with_z_of_its_flange_pointing_out(name):
+    shipped = robot.find(name)
+    added = robot.load(add_robot(shipped / "robot.urdf", "mine").folder).nominal
+    angles = np.radians([[0, -90, 90, 0, 0, 0], [30, -70, 110, 40, 50, -20]])
+    expected = robot.load(shipped).nominal.joint_frames(angles)[1]
+    np.testing.assert_allclose(added.joint_frames(angles)[1], expected, atol=1e-9)
+
+
 def test_line_ends_and_byte_order_mark_of_windows_are_read():
     text = ros_urdf(robot.load(robot.find("kuka_kr270")), SIGNS[0])
     Path("arm.urdf").write_bytes(b"\xef\xbb\xbf" + text.replace("\n", "\r\n").encode())

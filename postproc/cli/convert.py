@@ -47,7 +47,7 @@ def shared_options(command: _Command) -> _Command:
             "--dialect",
             metavar="NAME",
             callback=_dialect,
-            help="Format of the input: gcode, krl or rapid; default: by the extension.",
+            help="Format of the input: apt, gcode, krl or rapid; default: by the extension.",
         ),
         click.option(
             "-o",

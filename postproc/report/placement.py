@@ -29,6 +29,7 @@ _COLUMNS = (
 _COLLISIONS = "Collisions do not count in this choice; convert checks the path for them if the cell has [collision]."
 _SAME = 0.01
 """Share of the expected error below which a gain is none."""
+_UNLOADED = "No cutting move carries a force, so the error is not compared: give --forces or --process."
 
 
 class PlaceEntry(TypedDict):
@@ -118,9 +119,14 @@ def _sentence(found: Search) -> str:
     move = ", ".join(moves)
     kind = "deflection" if np.isnan(best.u95) else "expected error (95 %)"
     error = f"{rounded(best.cost * MM_PER_M)} mm RMS"
+    unloaded = best.cost == 0.0
     if not today.reachable:
         where = f"move the part by {move}" if moves else "the same place with another turn of the tool can be driven"
+        if unloaded:
+            return f"Today's place cannot be driven ({REASONS[today.reason]}): {where}. {_UNLOADED}"
         return f"Today's place cannot be driven ({REASONS[today.reason]}): {where}; the {kind} is then {error}."
+    if unloaded:
+        return f"Today's place can be driven. {_UNLOADED}"
     if best.cost >= (1.0 - _SAME) * today.cost or not moves:
         return f"Today's place is as good as any in the region: the {kind} is {rounded(today.cost * MM_PER_M)} mm RMS."
     before = rounded(today.cost * MM_PER_M)

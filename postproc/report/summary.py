@@ -571,10 +571,16 @@ def _judged(result: Result, content: Summary) -> tuple[list[Finding], list[Findi
         error = above(part["expected_mm"], part["tolerance_mm"])
         text = (
             f"the expected error on the part is up to {error} mm (95 %), more than the {part['tolerance_mm']:g} mm of "
-            f"[part] tolerance_mm, at {part['beyond_percent']:.2g} % of the cutting targets"
+            f"[part] tolerance_mm, at {_two_digits(part['beyond_percent'])} % of the cutting targets"
         )
         (doubtful if predicted else failed).append(Finding(part["expected_mm"], _at(text, part["source_line"])))
     return failed, doubtful
+
+
+def _two_digits(percent: float | None) -> str:
+    """Return a percentage with two significant digits, from 10 on without decimals; only 100 is 100."""
+    assert percent is not None
+    return f"{percent:.2g}" if percent < 9.95 else f"{percent if percent == 100.0 else min(percent, 99.0):.0f}"
 
 
 def _without_forces(result: Result, content: Summary) -> str:

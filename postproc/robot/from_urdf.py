@@ -205,13 +205,17 @@ def _pose_of_base(arm: AnyArm, file: str) -> Array:
 
 
 def _pose_of_flange(arm: AnyArm, file: str) -> Array:
-    """Return KUKA's flange in the frame of the last joint; of `flange`, X points out, of `tool0` Z does."""
+    """Return KUKA's flange in the frame of the last joint.
+
+    Z of `tool0` points out. X of `flange` does, or Z, as in the models of this package: the axis of A6 tells which.
+    """
     out = np.eye(4)
     out[:3, :3] = _FLANGE_AXES
     for wanted, turn in (("tool0", np.eye(4)), (FLANGE, out)):
         found = _frame(arm, wanted, len(JOINTS) - 1, file)
         if found is not None:
-            return found @ turn
+            along = wanted == FLANGE and abs(found[:3, 2] @ arm.chain.axis[-1]) > 1.0 - _SAME**2
+            return found if along else found @ turn
     raise ModelError(
         "no link named tool0 or flange behind the last joint", file=file, advice="It says where the flange is: add it."
     )
@@ -250,7 +254,7 @@ def _check_zero(axis: Array, origin: Array, flange: Array, file: str) -> None:
         raise ModelError(
             "stretched out, the flange does not point along +X",
             file=file,
-            advice="Z of tool0 (X of flange) must point out.",
+            advice="Z of tool0 (X or Z of flange) must point out.",
         )
 
 

@@ -171,3 +171,14 @@ def test_no_place_in_the_region_is_said_and_is_no_success(tmp_path):
     assert content["best"] is None
     assert content["refused"] == {"out of reach": content["tried"]}
     assert not (tmp_path / "out" / "place.toml").exists()
+
+
+def test_without_forces_no_error_is_claimed(tmp_path):
+    (tmp_path / "part.nc").write_text("G21 G90\nG0 X20 Y20 Z20\nG1 Z-3 F600\nX60\nG0 Z20\n")
+    (tmp_path / "cell.toml").write_bytes((SAMPLES / "cell_kr270.toml").read_bytes())
+    arguments = [str(tmp_path / "part.nc"), "--cell", str(tmp_path / "cell.toml"), "-o", str(tmp_path / "out")]
+    done = CliRunner().invoke(main, ["place", *arguments, "--region", "X=1400:1600"])
+    assert done.exit_code == 0, done.output
+    sentence = json.loads((tmp_path / "out" / "place.json").read_text("utf-8"))["sentence"]
+    assert sentence.startswith("Today's place can be driven. No cutting move carries a force")
+    assert "--forces" in sentence

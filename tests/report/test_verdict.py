@@ -84,6 +84,13 @@ def test_the_part_is_judged_by_bound_corners_and_path_together(tolerance, held):
     assert ("tolerance_mm = 0.26 is held" in reason) if held else reason.startswith("line 63: the expected error")
 
 
+@pytest.mark.parametrize(("targets", "percent"), [(1, "1"), (12, "12"), (95, "99"), (96, "100")])
+def test_the_share_beyond_the_tolerance_of_the_part_is_a_plain_number(targets, percent):
+    rank = np.cumsum(~fabricated.result().rapid)
+    reason = _verdict(part=2e-4, bound=np.where(rank <= targets, 3e-4, 1e-4))["reasons"][0]
+    assert f"at {percent} % of the cutting targets" in reason
+
+
 def test_a_bound_that_exceeds_what_it_corrects_fails_with_its_cause():
     doubt = Doubt(60, 2.4e-3, 1.1e-3, "the model of A3")
     verdict = _verdict(doubt=doubt)
