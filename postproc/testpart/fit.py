@@ -50,6 +50,8 @@ _UNMEASURED = 0.3
 """Relative standard deviation of a parameter of a robot that may have changed."""
 _GAMMA = 0.005
 """Median of γ before any reading."""
+_FACTOR = 5.0
+"""Probed deviations beyond this factor of the predicted ones, or below its inverse, are a mistake of the user's."""
 _LEAST = 0.02
 """Least value of a compliance, and of the scale of the forces, as a share of its prior."""
 
@@ -261,6 +263,7 @@ def fit(
     left_out: list[str] = []
     most = int(_MOST_OUTLIERS * len(readings.probed))
     here = states(prior.robot, 1.0)
+    _check_size(readings, linearised(prior, readings, here, setting, z, scale))
     at_prior = None
     rows, change = np.arange(len(readings.probed)), np.inf
     for _ in range(_ROUNDS):
@@ -328,6 +331,25 @@ def fit(
         ),
         tuple(left_out),
     )
+
+
+def _check_size(readings: Readings, local: _Linear) -> None:
+    """Refuse deviations that no robot near the model can make: of the other sign, of another unit, or none at all.
+
+    :raises MeasurementError: they are not between a fifth of what the model predicts and five times that.
+    """
+    weighted = np.linalg.solve(_noise(readings, local, _GAMMA), local.value)
+    share = float(weighted @ readings.probed.deviation) / float(weighted @ local.value)
+    if 1.0 / _FACTOR <= share <= _FACTOR:
+        return
+    if share < -1.0 / _FACTOR:
+        advice = "deviation_mm is positive where material is left: is the sign the other way?"
+    elif share > _FACTOR:
+        advice = "Is deviation_mm in millimetres? Are program and process those that the part was cut with?"
+    else:
+        advice = "The part shows hardly any deflection. Was testpart.src cut as it was written, not corrected?"
+    what = f"the probed deviations are {share:.2g} times what the model predicts"
+    raise MeasurementError(what, file=readings.probed.file, advice=advice)
 
 
 def _noise(readings: Readings, local: _Linear, gamma: float) -> Array:

@@ -158,6 +158,20 @@ def test_a_gross_error_is_named_and_left_out(folder, cut):
     assert found.gamma < 0.02
 
 
+@pytest.mark.parametrize(
+    ("factor", "advice"),
+    [(-1.0, "positive where material is left"), (1000.0, "in millimetres?"), (0.0, "hardly any deflection")],
+)
+def test_deviations_of_another_sign_or_unit_are_named(folder, cut, factor, advice):
+    rows = [line.rpartition(",") for line in (folder / "probed.csv").read_text().splitlines()]
+    head, body = "".join(rows[0]), [f"{place},{factor * float(value):.5f}" for place, _, value in rows[1:]]
+    (folder / "mistaken.csv").write_text("\n".join([head, *body]) + "\n")
+    given, setting, states = readings(folder, "mistaken.csv")
+    with pytest.raises(MeasurementError, match=r"times what the model predicts") as error:
+        fit(Prior.of(setting.robot, 0.1), given, setting, states())
+    assert advice in str(error.value)
+
+
 def test_a_model_that_is_known_well_and_has_drifted_does_not_hold(folder, cut):
     given, setting, states = readings(folder, "probed.csv")
     vague = Prior.of(setting.robot, 0.1)
