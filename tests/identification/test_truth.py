@@ -300,10 +300,10 @@ def test_a_model_without_a_bound_holds_for_nothing():
 def test_a_factor_is_no_division_by_noise():
     covered = coverage(np.zeros((0, 6)), np.zeros(0, dtype=np.int64))
     level = validated_level(1.0, (0.8, 1.0))
-    assert not level.told_from_noise
+    assert not level.above_noise
     assert level.factor == pytest.approx(1e-3 / np.sqrt(2e-10))
     clear = replace(level, left=np.hypot(70e-6, 50e-6))
-    assert clear.told_from_noise
+    assert clear.above_noise
     assert clear.factor == pytest.approx(1e-3 / 50e-6)
     assert "> 70.7" in table(Validation((level,), 10, covered, (), ()))
     assert "> " not in table(Validation((clear,), 10, covered, (), ()))
