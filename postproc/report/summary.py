@@ -569,9 +569,11 @@ def _judged(result: Result, content: Summary) -> tuple[list[Finding], list[Findi
         failed.append(Finding(unusable["u95_mm"], _at(text, unusable["source_line"])))
     if part["held"] is False and part["expected_mm"] is not None and part["tolerance_mm"] is not None:
         error = above(part["expected_mm"], part["tolerance_mm"])
+        of = "predicted deviation included" if predicted else "corners and path included"
         text = (
-            f"the expected error on the part is up to {error} mm (95 %), more than the {part['tolerance_mm']:g} mm of "
-            f"[part] tolerance_mm, at {_two_digits(part['beyond_percent'])} % of the cutting targets"
+            f"the expected error on the part is up to {error} mm (95 %, {of}), more than the "
+            f"{part['tolerance_mm']:g} mm of [part] tolerance_mm, at "
+            f"{_two_digits(part['beyond_percent'])} % of the cutting targets"
         )
         (doubtful if predicted else failed).append(Finding(part["expected_mm"], _at(text, part["source_line"])))
     return failed, doubtful
@@ -601,7 +603,8 @@ def _expected(content: Summary) -> list[Finding]:
     found = []
     bound, part, blending = content["u95"], content["part"], content["blending"]
     if bound is not None:
-        text = f"expected error on the part (95 %): up to {rounded(bound['max_mm'])} mm, {bound['basis']}"
+        what = "uncertainty of the prediction" if content["mode"] == "predict" else "expected error on the part"
+        text = f"{what} (95 %): up to {rounded(bound['max_mm'])} mm, {bound['basis']}"
         found.append(Finding(bound["max_mm"], text))
     if part["held"] and part["expected_mm"] is not None:
         text = (

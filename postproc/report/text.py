@@ -115,7 +115,8 @@ def _expected(content: Summary) -> list[str]:
             if bound is None
             else f"up to {rounded(bound['max_mm'])} mm, {bound['basis']}"
         )
-        facts.append(f"expected error on the part (95 %): {bounded}")
+        what = "uncertainty of the prediction" if content["mode"] == "predict" else "expected error on the part"
+        facts.append(f"{what} (95 %): {bounded}")
     if content["mode"] == "convert" and content["max_correction_mm"] is not None:
         facts.append(f"largest correction {rounded(content['max_correction_mm'])} mm")
     if content["mode"] != "predict" and content["between_max_mm"] is not None:

@@ -30,8 +30,11 @@ def test_one_program_is_told_as_a_table_of_before_after_and_improvement():
 
 
 def test_a_prediction_has_one_column():
-    text = of_one(summary(fabricated.result(mode="predict")))
+    content = summary(fabricated.result(mode="predict"))
+    text = of_one(content)
     assert "predicted" in text
+    assert "expected error on the part" not in text  # what is predicted is left on the part, and is not in the bound
+    assert "uncertainty of the prediction (95 %): " in text + "".join(content["verdict"]["reasons"])
     assert "improvement" not in text
 
 

@@ -82,6 +82,7 @@ def test_the_part_is_judged_by_bound_corners_and_path_together(tolerance, held):
     assert content["verdict"]["state"] == ("ok" if held else "failed")
     reason = content["verdict"]["reasons"][0]
     assert ("tolerance_mm = 0.26 is held" in reason) if held else reason.startswith("line 63: the expected error")
+    assert "corners and path included" in reason
 
 
 @pytest.mark.parametrize(("targets", "percent"), [(1, "1"), (12, "12"), (95, "99"), (96, "100")])
