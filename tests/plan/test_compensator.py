@@ -6,6 +6,7 @@ import re
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from msgspec.structs import replace
 
 from postproc import robot
 from postproc.cli import main
@@ -78,6 +79,25 @@ def test_no_angles_at_random_are_better_and_the_papers_are_not():
     paper = expected_intervals(TRUE, np.clip(PAPER_Q2, *np.radians([lower, upper])), plan.beta, SIGMA, 3)
     assert cost(paper) > 1.2 * found
     assert paper[1] / paper[0] > 4.0  # Table 1: a_x is ten times less certain than L
+
+
+@pytest.mark.parametrize("range_of_a2", [(-100.0, -20.0), (-60.0, 0.0)])
+def test_no_other_whole_degree_for_one_angle_is_better(range_of_a2):
+    """Those at the limits of A2 among them, which are whole degrees here."""
+    lower, upper = (np.insert(np.zeros(5), 1, np.radians(limit)) for limit in range_of_a2)
+    narrow = replace(ROBOT, lower=lower, upper=upper)
+    plan = plan_compensator(narrow, SIGMA, CompensatorOptions(angles=3, margin=0.0))
+    cost = lambda q2: float(np.sum(expected_intervals(TRUE, q2, plan.beta, SIGMA, 3) ** 2))  # noqa: E731
+    found = cost(plan.q2)
+    angles = np.degrees(plan.q2)
+    np.testing.assert_allclose(angles, np.round(angles), atol=1e-9)
+    assert angles.min() >= range_of_a2[0] - 1e-9
+    assert angles.max() <= range_of_a2[1] + 1e-9
+    for place in range(3):
+        others = np.delete(angles, place)
+        for angle in np.arange(range_of_a2[0], range_of_a2[1] + 1.0):
+            if np.abs(others - angle).min() >= 10.0 - 1e-9:
+                assert cost(np.radians(np.insert(others, place, angle))) > found * (1.0 - 1e-3)
 
 
 def test_four_markers_are_the_papers_opposite_pairs_a_quarter_turn_apart():

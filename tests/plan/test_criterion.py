@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from postproc.plan import search
-from postproc.plan.criterion import Criterion, Joint2
+from postproc.plan.criterion import Criterion, Joint2, expected_accuracy, not_visible
 from postproc.plan.sensitivity import Readings, direction, direction_slope
 from tests.plan import setting
 
@@ -100,3 +100,89 @@ def test_k2_between_the_levels_follows_the_compensator():
     changed = replace(law, compensator=replace(spring, stiffness=spring.stiffness * 1.001, free_length=0.4581))
     carried = law.from_levels(levels, q2) @ (changed.relative(levels) - law.relative(levels))
     assert np.abs(carried / (changed.relative(q2) - law.relative(q2)) - 1).max() < 1e-3
+
+
+def spring_of_joint_2(q2, parameters):
+    """k2 at angles (n,) of A2 for 1/K⁰_θ2, K_c, s₀K_c: second difference of the energy of a spring between two points.
+
+    P1 is on link 2, at L from the axis; P0 on link 1.
+    """
+    compliance, stiffness, preload = parameters
+    law = setting.ROBOT.compensator
+
+    def energy(angle):
+        length = np.abs(law.L * np.exp(1j * angle) + law.ax + 1j * law.ay)
+        return 0.5 * stiffness * length**2 - preload * length
+
+    h = 1e-3
+    bent = (energy(q2 - h) - 2.0 * energy(q2) + energy(q2 + h)) / h**2
+    return 1.0 / (1.0 / compliance + bent)
+
+
+@pytest.mark.parametrize("free", [False, True])
+def test_the_expected_accuracy_is_that_of_a_thousand_errors_of_an_independent_fit(readings, free):
+    """Gauss–Markov by the oracle's positions and differences; errors of the parameters drawn with its covariance."""
+    readings, site = readings
+    q, tilt, *_ = plan(site, levels=(-2.3, -1.6, -0.9, -0.2), each=3, seed=2)
+    tests = setting.job(3).take(np.array([0, 70, 200]), np.array([0.5, 0.2, 0.3]))
+    law, k = setting.ROBOT.compensator, setting.ROBOT.compliance
+    prior = np.array([k[1], law.stiffness, law.stiffness * law.free_length])[: 3 if free else 1]
+    scale = np.concatenate([np.delete(k, 1), prior])
+
+    def columns(rows, q2):
+        """Columns of k1, k3 … k6 and of the parameters of joint 2, of columns (n, r, 6) of k1 … k6."""
+        of_two = setting.differences(
+            lambda x: spring_of_joint_2(q2, np.concatenate([x, np.ones(3)])[:3] * whole), np.ones(len(prior)), h=1e-4
+        )
+        return np.concatenate(
+            [rows[:, :, [0, 2, 3, 4, 5]] * np.delete(k, 1), rows[:, :, 1:2] * of_two[:, None]], axis=2
+        )
+
+    whole = np.array([k[1], law.stiffness, law.stiffness * law.free_length])
+    force = site.rig.force * direction(tilt)
+    design = np.array(
+        [setting.regressor(*one, setting.LOAD_POINT, setting.POINTS.values()) for one in zip(q, force, strict=True)]
+    )
+    design = columns(design, q[:, 1]).reshape(-1, len(scale))
+    covariance = VARIANCE * np.linalg.inv(design.T @ design)
+    work = columns(setting.milling_regressors(tests), tests.q[:, 1])
+    found = expected_accuracy(tests, readings, Joint2.of(setting.ROBOT, free), q, readings.information_of(q, force))
+    np.testing.assert_allclose(found.poses, np.sqrt(np.einsum("tka,ab,tkb->t", work, covariance, work)), rtol=1e-3)
+    half = 1.96 * np.sqrt(np.diag(covariance))
+    names = [parameter.name for parameter in found.parameters]
+    for name, relative in zip(("k1", "k3", "k4", "k5", "k6", "k2", "K_c", "s_0"), half, strict=False):
+        assert found.relative[names.index(name)] == pytest.approx(relative, rel=2e-3), name
+    assert len(names) == len(half)
+    drawn = np.random.default_rng(0).multivariate_normal(np.zeros(len(half)), covariance, 4000)
+    rms = np.sqrt(np.einsum("t,ntk->n", tests.weight, np.einsum("tka,na->ntk", work, drawn) ** 2))
+    assert found.rms == pytest.approx(np.sqrt(np.mean(rms**2)), rel=0.02)
+    # one χ² in place of a sum of many: its lower end is the less exact one
+    low, high = np.quantile(rms, [0.025, 0.975])
+    assert found.interval == (pytest.approx(low, rel=0.35), pytest.approx(high, rel=0.06))
+
+
+def test_earlier_readings_count_as_poses_of_the_plan(readings):
+    from postproc.plan.criterion import Measured
+
+    readings, site = readings
+    q, tilt, level, q2 = plan(site)
+    information, tests = readings.information(q, tilt), setting.job(3)
+    known, new = Measured(q[:5], q2[:2], information[:5], level[:5]), slice(5, None)
+    joint2 = Joint2.of(setting.ROBOT, free=False)
+    whole = expected_accuracy(tests, readings, joint2, q, information)
+    parts = expected_accuracy(tests, readings, joint2, q[new], information[new], known)
+    np.testing.assert_allclose(parts.poses, whole.poses, rtol=1e-9)
+    for grouped in (False, True):
+        alone, more = (Criterion.of(tests, readings, joint2, q2, grouped, each) for each in (None, known))
+        assert more.value(information[new], level[new]) == pytest.approx(alone.value(information, level), rel=1e-9)
+
+
+@pytest.mark.parametrize(("share", "missing"), [(1.1, ()), (0.9, (3,))])
+def test_a_compliance_is_hidden_if_all_poses_together_leave_it_wider_than_half_its_value(readings, share, missing):
+    """Readings of one pose know it to 1/√information; half the value is the limit of the identification."""
+    readings, _ = readings
+    each = np.full((7, 6, 6), 100.0 * np.eye(6))
+    enough = (1.96 / 0.5) ** 2 / 8  # of eight poses, all as good as the best one
+    each[:, 3, 3] = 0.1 * share * enough
+    each[4, 3, 3] = share * enough
+    assert not_visible(readings, each, 8) == missing

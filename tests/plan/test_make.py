@@ -1,11 +1,14 @@
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
 from postproc.errors import PlanError
 from postproc.identification.readings import read, read_experiment
 from postproc.plan import Options, constraints, plan_measurements, planning, search
+from postproc.plan.sensitivity import Readings
 from postproc.robot import JOINT_COMPLIANCES, CompensatorStiffness
 from samples.paper_study import simulator
 from tests.plan import setting
@@ -153,6 +156,50 @@ def test_more_than_can_be_determined_is_refused(tmp_path):
     one_point = BASIC[: BASIC.index("[points.P2]")]
     with pytest.raises(PlanError, match=r"2 poses of 1 points on a level are 6 .* for 6|are 3 coordinates for 6"):
         setting.quick(tmp_path, text=one_point + RIG, configurations=4, levels=4, grouped=True)
+
+
+@pytest.mark.parametrize(
+    ("options", "points", "keep", "enough"),
+    [
+        # pooled: k1, k3 … k6 and a k2 for each level
+        ({"configurations": 3, "levels": 3}, 1, 6, True),  # 9 coordinates for 5 + 3
+        ({"configurations": 3, "levels": 3}, 1, 5, True),
+        ({"configurations": 2, "levels": 2}, 1, 6, False),  # 6 for 7
+        ({"configurations": 2, "levels": 2}, 1, 5, True),  # 6 for 6
+        ({"configurations": 2, "levels": 1}, 1, 6, True),  # 6 for 6
+        ({"configurations": 1, "levels": 1}, 2, 6, True),
+        ({"configurations": 1, "levels": 1}, 1, 6, False),
+        # grouped: six for each level, by the poses that every level has
+        ({"configurations": 7, "levels": 4, "grouped": True}, 1, 6, False),  # 1 pose on some level
+        ({"configurations": 8, "levels": 4, "grouped": True}, 1, 6, True),
+        ({"configurations": 7, "levels": 4, "grouped": True}, 2, 6, True),
+        ({"configurations": 4, "levels": 4, "grouped": True}, 1, 3, True),
+        ({"configurations": 4, "levels": 4, "grouped": True}, 1, 4, False),
+    ],
+)
+def test_coordinates_that_are_read_are_counted_against_compliances(tmp_path, options, points, keep, enough):
+    place = setting.site(tmp_path)
+    scale = np.ones(6)
+    readings = Readings(place.arm, place.load_point, place.points, 1.0, 1.0, scale, tuple(range(6))[:keep])
+    arguments = Options(**options), readings, points, options["levels"]
+    if enough:
+        planning._check_number(*arguments, None)
+        return
+    with pytest.raises(PlanError, match=rf"of {points} points .* coordinates for \d+ compliances"):
+        planning._check_number(*arguments, None)
+
+
+@pytest.mark.parametrize(("joint", "advice"), [(0, "by a cable over a pulley"), (2, "heavier"), (5, "on a bracket")])
+def test_the_share_of_the_deflection_that_a_hidden_compliance_makes_is_stated(tmp_path, joint, advice):
+    """By the positions of an independent arm, differences, and the robot's own compliance."""
+    tests = setting.job(4).take(np.array([0, 70, 200]), np.array([0.5, 0.2, 0.3]))
+    site = setting.site(tmp_path, BASIC + "\n[rig]\nmass_kg = 275\n")
+    (text,) = planning.hidden_by_rig(site, tests, setting.ROBOT.compliance, (joint,))
+    own = setting.milling_regressors(tests)[:, :, joint] * setting.ROBOT.compliance[joint]
+    share = np.sqrt(np.sum(tests.weight[:, None] * own**2)) * 1e3
+    assert text.startswith(f"k{joint + 1} is not observable with this rig: ")
+    assert advice in text
+    assert float(re.search(r"; (\S+) mm \(RMS\)", text)[1]) == pytest.approx(share, rel=0.006, abs=1e-9)
 
 
 def measured_so_far(folder, count=6):

@@ -9,17 +9,35 @@ from postproc.identification.readings import Box, MeshFile
 from postproc.plan.site import BoxShape, MeshShape, along, between_segments
 
 
-def test_distances_between_segments_are_those_of_a_fine_grid():
+def point_to_segment(p, a, b):
+    size = (b - a) @ (b - a)
+    t = 0.0 if size == 0.0 else min(max((p - a) @ (b - a) / size, 0.0), 1.0)
+    return float(np.linalg.norm(p - a - t * (b - a)))
+
+
+def segment_distance(a, b, c, d):
+    """Least distance by cases: an end of one and the other, or the common perpendicular if both feet are inside."""
+    found = [
+        point_to_segment(a, c, d), point_to_segment(b, c, d), point_to_segment(c, a, b), point_to_segment(d, a, b)
+    ]  # fmt: skip
+    normal = np.cross(b - a, d - c)
+    if np.linalg.norm(normal) > 1e-9:
+        s, t, height = np.linalg.solve(np.column_stack([b - a, c - d, normal]), c - a)
+        if 0.0 <= s <= 1.0 and 0.0 <= t <= 1.0:
+            found.append(abs(height) * float(np.linalg.norm(normal)))
+    return min(found)
+
+
+def test_distances_between_segments_are_those_of_their_ends_or_of_the_common_perpendicular():
     rng = np.random.default_rng(0)
-    p, pe, r, re = rng.uniform(-1, 1, (4, 30, 3))
-    pe[0], re[1] = p[0], r[1]  # points
-    pe[2], re[2] = p[2], r[2]
-    re[3] = r[3] + (pe[3] - p[3])  # parallel
-    t = np.linspace(0, 1, 301)[:, None]
-    for row, distance in enumerate(between_segments(p, pe, r, re)):
-        one, other = p[row] + t * (pe[row] - p[row]), r[row] + t * (re[row] - r[row])
-        grid = np.linalg.norm(one[:, None] - other[None], axis=2).min()
-        assert grid - 0.01 < distance <= grid + 1e-12
+    p, p_end, r, r_end = rng.uniform(-1, 1, (4, 400, 3))
+    p_end[:20], r_end[10:40] = p[:20], r[10:40]  # points, ten times both
+    r_end[40:80] = r[40:80] + rng.uniform(-2, 2, (40, 1)) * (p_end[40:80] - p[40:80])  # parallel
+    r[80:100] = p[80:100] + rng.uniform(-1, 2, (20, 1)) * (p_end[80:100] - p[80:100])  # on one line
+    r_end[80:100] = p[80:100] + rng.uniform(-1, 2, (20, 1)) * (p_end[80:100] - p[80:100])
+    expected = [segment_distance(*row) for row in zip(p, p_end, r, r_end, strict=True)]
+    np.testing.assert_allclose(between_segments(p, p_end, r, r_end), expected, atol=1e-9)
+    np.testing.assert_allclose(between_segments(r, r_end, p_end, p), expected, atol=1e-9)
 
 
 def test_points_along_segments_are_evenly_spaced_close_enough_and_hold_both_ends():
@@ -59,6 +77,16 @@ def test_a_line_of_sight_is_blocked_by_a_box_between_and_by_nothing_else():
     eye = np.array([3.0, 0.0, 0.0])
     ends = np.array([[0.0, 0.0, 0.0], [0.0, 0.5, 0.0], [1.5, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.8]])
     assert shape.blocks(np.broadcast_to(eye, ends.shape), ends).tolist() == [True, False, False, True, False]
+
+
+def test_lines_of_sight_at_random_are_blocked_where_a_point_of_them_is_in_the_box():
+    shape = box(A=35.0, B=20.0)
+    start, end = np.random.default_rng(5).uniform([0.4, -0.6, -0.6], [1.6, 0.6, 0.6], (2, 300, 3))
+    share = np.linspace(0.0, 1.0, 1201)[:, None]
+    depth = np.array([shape.distance(a + share * (b - a)).min() for a, b in zip(start, end, strict=True)])
+    clear = np.abs(depth) > 1e-3  # points are 2 mm apart
+    assert 30 < np.count_nonzero(depth[clear] < 0.0) < 250
+    np.testing.assert_array_equal(shape.blocks(start, end)[clear], depth[clear] < 0.0)
 
 
 @pytest.fixture
