@@ -53,23 +53,29 @@ class Knots(Struct, frozen=True, eq=False):
         sigma = np.zeros_like(wrench) if sigma is None else sigma
         return cls(motion, t, wrench, frame, sigma, np.zeros(len(motion), dtype=np.bool_))
 
+    @classmethod
+    def joined(cls, parts: list[Knots]) -> Knots:
+        """Return the knots of several parts of a program, in order; without the issues."""
+        columns: list[Any] = [np.concatenate([getattr(part, name) for part in parts]) for name in cls._columns()]
+        return cls(*columns)
+
     def __len__(self) -> int:
         return len(self.motion)
 
     def take(self, rows: Ints | Bools) -> Knots:
         """Return some of the knots, without the issues."""
-        return Knots(*(values[rows] for values in self._arrays().values()))
+        columns: list[Any] = [getattr(self, name)[rows] for name in self._columns()]
+        return Knots(*columns)
 
     def over(self, other: Knots) -> Knots:
         """Return these knots, plus those of `other` for motions without a knot here; without the issues."""
         kept = other.take(~np.isin(other.motion, self.motion))
         order = np.argsort(np.append(self.motion, kept.motion), kind="stable")  # those of one motion are in order
-        mine, others = self._arrays(), kept._arrays()
-        both: list[Any] = [np.concatenate([mine[name], others[name]])[order] for name in mine]
-        return Knots(*both)
+        return Knots.joined([self, kept]).take(order)
 
-    def _arrays(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in self.__struct_fields__ if name != "issues"}
+    @classmethod
+    def _columns(cls) -> tuple[str, ...]:
+        return tuple(name for name in cls.__struct_fields__ if name != "issues")
 
     def checked(self, program: Program, name: str) -> Knots:
         """Return these knots if they can be used for a program.

@@ -5,20 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-import numpy as np
 from msgspec import Struct
 
 from postproc import cell as cells
 from postproc import machining, toolpath
 from postproc.errors import InputError, Issue
 from postproc.files import foreign, refuse, with_record, write_whole
-from postproc.frames import Array
+from postproc.forces import Knots
 from postproc.jobs.conversion import read_program
 from postproc.jobs.output_plan import protect
 from postproc.jobs.settings import load_robot
 from postproc.machining import Process, ProcessForces
 from postproc.machining.stock import as_trimesh
-from postproc.program import Ints, Program
+from postproc.program import Program
 from postproc.report import process_forces
 from postproc.under_load import RobotInCell
 
@@ -81,10 +80,10 @@ def make_forces(request: ForcesRequest, progress: Callable[[int, int], None] | N
             base_axes=request.base_axes,
             progress=progress,
         )
-    knots = _joined(program, process, found)
-    content = process_forces.summary(program, found, int(np.isnan(knots[1]).sum()))
+    knots = _knots(program, process, found)
+    content = process_forces.summary(program, found, int(knots.ramped.sum()))
     rows = machining.one_move_a_line(program, path, place.spindle, knots)
-    contents: dict[str, bytes | Iterable[bytes]] = {names[0]: process_forces.forces_csv(program, *rows)}
+    contents: dict[str, bytes | Iterable[bytes]] = {names[0]: process_forces.forces_csv(program, rows)}
     if request.stock_out is not None:
         if found is None:
             raise InputError(
@@ -111,16 +110,8 @@ def _names(request: ForcesRequest) -> tuple[Path, list[str]]:
     return folder, [*names, f"{request.output.stem}.json"]
 
 
-def _joined(program: Program, process: Process, found: ProcessForces | None) -> tuple[Ints, Array, Array, Ints, Array]:
-    """Return motion, t, wrench, frame and sigma of all places: an operation's own force wins."""
-    parts: list[tuple[Ints, Array, Array, Ints, Array]] = []
-    if process.operations:
-        own = machining.by_operation(program, process)
-        parts.append((own.motion, np.full(len(own.motion), np.nan), own.wrench, own.frame, own.sigma))
-    if found is not None:
-        own_ = found.along
-        rest = np.ones(len(own_.t), dtype=bool) if not parts else ~np.isin(own_.motion, parts[0][0])
-        parts.append((own_.motion[rest], own_.t[rest], own_.wrench[rest], own_.frame[rest], own_.sigma[rest]))
-    motion, t, wrench, frame, sigma = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-    order = np.lexsort((t, motion))
-    return motion[order], t[order], wrench[order], frame[order], sigma[order]
+def _knots(program: Program, process: Process, found: ProcessForces | None) -> Knots:
+    """Return the forces of all moves; those of operations take precedence."""
+    if found is None:
+        return machining.by_operation(program, process)
+    return machining.by_operation(program, process).over(found.along) if process.operations else found.along

@@ -4,19 +4,17 @@
 them from a small table instead. Both use the process that `load` reads from process.toml.
 """
 
-from postproc.machining.by_lines import one_move_a_line
 from postproc.machining.estimate import ProcessForces, estimate
 from postproc.machining.material import Entry, table
-from postproc.machining.operations import OperationForces, by_operation
 from postproc.machining.process import Process, load
-from postproc.machining.source import ProcessSource
+from postproc.machining.profiles import one_move_a_line
+from postproc.machining.source import ProcessSource, by_operation
 from postproc.machining.sweep import Cuts
-from postproc.machining.ways import Shift
+from postproc.machining.tool_path import Shift
 
 __all__ = [
     "Cuts",
     "Entry",
-    "OperationForces",
     "Process",
     "ProcessForces",
     "ProcessSource",

@@ -12,17 +12,24 @@ from numpy.typing import NDArray
 
 from postproc import files
 from postproc.errors import MOST, ForceError, Issue, together
+from postproc.forces import Knots
 from postproc.frames import M_PER_MM, Array, inverse
 from postproc.machining import stock as stocks
-from postproc.machining.continuous import AlongMotions, without_steps
 from postproc.machining.material import CuttingLaw
 from postproc.machining.process import Process, box_corners
-from postproc.machining.running import Running, running
+from postproc.machining.profiles import thinned, without_steps
 from postproc.machining.stock import Stock
 from postproc.machining.sweep import Cuts, Sweep
-from postproc.machining.thinning import thinned
-from postproc.machining.unseen import kept, refuse_unseen
-from postproc.machining.ways import Shift, Ways, spindle, ways
+from postproc.machining.tool_path import (
+    Shift,
+    StraightSegments,
+    ToolStates,
+    refuse_unread_cuts,
+    straight_segments,
+    tool_states,
+    towards_spindle,
+    unread_cuts,
+)
 from postproc.program import Bools, Ints, Program, distinct
 from postproc.toolpath import Segments
 
@@ -47,18 +54,18 @@ class ProcessForces(Struct, frozen=True, eq=False):
     :param along: the forces along its cutting motions.
     :param cuts: wrench and engagement at stations on them, as many as their changes need, see `Cuts`.
     :param power: (M,) largest mean power of the spindle on each motion [W].
-    :param turning: tool and spindle speed of each motion.
-    :param drills: for each of `turning.keys`, whether it is a drill.
+    :param tools: tool and spindle speed of each motion.
+    :param drills: for each of `tools.keys`, whether it is a drill.
     :param stock: the remaining stock, in the frame of `map_in_base`.
     :param map_in_base: (4, 4) frame of the map of the stock in `$BASE` of the first cutting motion.
     :param removed: volume [m³].
     :param issues: warnings and notes for the user.
     """
 
-    along: AlongMotions
+    along: Knots
     cuts: Cuts
     power: Array
-    turning: Running
+    tools: ToolStates
     drills: tuple[bool, ...]
     stock: Stock
     map_in_base: Array
@@ -97,18 +104,18 @@ def estimate(
     :raises ForceError: missing data in the process, unusable stock, no contact at all, the spindle is off while the
         tool cuts, the tool changes its direction while it cuts.
     """
-    refuse_unseen(program)
+    refuse_unread_cuts(program)
     law = process.law()
-    turning = running(program, process)
+    tools = tool_states(program, process)
     cell = process.stock.resolution_mm * M_PER_MM
     setups = _setups(program, axis)
     material, issues = _stock(process, setups[0].frame, cell, stock)
     start, removed = material.volume(), 0.0
     bounds = (*material.bounds, material.top)
-    every = ways(program, path, turning, setups[0].frame, cell, shift)
-    _check_speed(program, every, turning)
-    teeth = np.array([process.tools[key].flutes for key in turning.keys])[turning.tool]
-    per_tooth = np.nan_to_num(program.motions.feed) * 60.0 / np.maximum(turning.rpm * teeth, 1.0)
+    every = straight_segments(program, path, tools, setups[0].frame, cell, shift)
+    _check_speed(program, every, tools)
+    teeth = np.array([process.tools[key].flutes for key in tools.keys])[tools.tool]
+    per_tooth = np.nan_to_num(program.motions.feed) * 60.0 / np.maximum(tools.rpm * teeth, 1.0)
     rise = np.maximum(0.5 * per_tooth, _LEAST_RISE)
     total = len(every.motion)
     done, parts, sweeps, along = 0, [], [], []
@@ -119,8 +126,8 @@ def estimate(
             material = _turned(material, setups[number - 1].frame, setup.frame, cell)
             start = material.volume()
             issues += _hollows(start, left)
-        steps = ways(program, path, turning, setup.frame, cell, shift).of(setup.motions)
-        sweep = Sweep(material, process, turning, program.motions.feed, law)
+        steps = straight_segments(program, path, tools, setup.frame, cell, shift).of(setup.motions)
+        sweep = Sweep(material, process, tools, program.motions.feed, law)
         cuts = _thinned(sweep, steps, _offset(progress, done, total))
         done += len(steps.motion)
         sweeps.append(sweep)
@@ -137,17 +144,17 @@ def estimate(
     # on rapid moves the tip still springs back from its deflection: contact there is no collision
     collided = set[int]() if shift is not None else set[int]().union(*(sweep.collided for sweep in sweeps))
     stopped = set[int]().union(*(sweep.stopped for sweep in sweeps))
-    issues += kept(program)
+    issues += unread_cuts(program)
     issues += _out_of_scale(every, bounds)
-    issues += _issues(program, (collided, stopped), law, cuts, turning, process)
+    issues += _issues(program, (collided, stopped), law, cuts, tools, process)
     power = np.zeros(len(program.motions))
     np.maximum.at(power, cuts.motion, cuts.power)
     return ProcessForces(
-        along=AlongMotions.joined(along),
+        along=Knots.joined(along),
         cuts=cuts,
         power=power,
-        turning=turning,
-        drills=tuple(process.tools[key].shape == "drill" for key in turning.keys),
+        tools=tools,
+        drills=tuple(process.tools[key].shape == "drill" for key in tools.keys),
         stock=material,
         map_in_base=setups[-1].frame,
         removed=removed + start - material.volume(),
@@ -159,7 +166,7 @@ def _offset(progress: Callable[[int, int], None] | None, before: int, total: int
     return None if progress is None else lambda done: progress(before + done, total)
 
 
-def _thinned(sweep: Sweep, steps: Ways, progress: Callable[[int], None] | None) -> Cuts:
+def _thinned(sweep: Sweep, steps: StraightSegments, progress: Callable[[int], None] | None) -> Cuts:
     """Return the stations that are needed. They are thinned out batch by batch to limit memory."""
     done: list[Cuts] = []
     open_: list[Cuts] = []
@@ -195,7 +202,7 @@ def _setups(program: Program, axis: str) -> list[_Setup]:
 
     :raises ForceError: the tool changes its direction while it cuts, or from one cutting move to the next.
     """
-    towards, cuts = spindle(program, axis), ~program.motions.rapid
+    towards, cuts = towards_spindle(program, axis), ~program.motions.rapid
     if not cuts.any():
         raise ForceError("no cutting move in this program", file=program.documents[0].name)
     turned = np.ones(len(towards))
@@ -299,13 +306,13 @@ def _mesh(path: Path) -> Any:
     return mesh
 
 
-def _check_speed(program: Program, steps: Ways, turning: Running) -> None:
+def _check_speed(program: Program, steps: StraightSegments, tools: ToolStates) -> None:
     """Refuse a program without spindle speed.
 
     :raises ForceError: no cutting move has a spindle speed.
     """
     motion = np.unique(steps.motion[steps.cutting])
-    if len(motion) and not (turning.rpm[motion] > 0.0).any():
+    if len(motion) and not (tools.rpm[motion] > 0.0).any():
         spun = [event for event in program.events if event.kind in ("spindle_on", "spindle_ccw")]
         first = int(program.motions.line[motion[0]])
         name = program.documents[0].name
@@ -318,7 +325,12 @@ def _check_speed(program: Program, steps: Ways, turning: Running) -> None:
 
 
 def _issues(
-    program: Program, met: tuple[set[int], set[int]], law: CuttingLaw, cuts: Cuts, turning: Running, process: Process
+    program: Program,
+    met: tuple[set[int], set[int]],
+    law: CuttingLaw,
+    cuts: Cuts,
+    tools: ToolStates,
+    process: Process,
 ) -> list[Issue]:
     """Return warnings and notes for the user.
 
@@ -350,9 +362,9 @@ def _issues(
         )
         issues.append(Issue("info", "no-axial-force", message))
     issues += _too_strong(cuts, lines, process.spindle.power_kW)
-    diameter = np.array([process.tools[key].diameter_mm * M_PER_MM for key in turning.keys])
-    drill = np.array([process.tools[key].shape == "drill" for key in turning.keys])
-    place = turning.tool[cuts.motion]
+    diameter = np.array([process.tools[key].diameter_mm * M_PER_MM for key in tools.keys])
+    drill = np.array([process.tools[key].shape == "drill" for key in tools.keys])
+    place = tools.tool[cuts.motion]
     issues += _drilled_by_mills(program, cuts, drill[place])
     deep = np.flatnonzero((cuts.depth > _DEEP * diameter[place]) & ~drill[place])
     if len(deep):
@@ -400,7 +412,7 @@ def _drilled_by_mills(program: Program, cuts: Cuts, drill: Bools) -> list[Issue]
     return [m.issue("warning", "drilled-by-mill", message, cut[in_cycle])]
 
 
-def _out_of_scale(steps: Ways, bounds: tuple[float, ...]) -> list[Issue]:
+def _out_of_scale(steps: StraightSegments, bounds: tuple[float, ...]) -> list[Issue]:
     """Warn if the path is many times as large as the stock, although they touch."""
     x0, x1, y0, y1, _ = bounds
     low = np.minimum(steps.begin, steps.end)[steps.cutting, :2].min(axis=0)
@@ -415,7 +427,7 @@ def _out_of_scale(steps: Ways, bounds: tuple[float, ...]) -> list[Issue]:
 
 
 def _no_contact(
-    program: Program, steps: Ways, bounds: tuple[float, ...], process: Process, stock: Path | None
+    program: Program, steps: StraightSegments, bounds: tuple[float, ...], process: Process, stock: Path | None
 ) -> ForceError:
     """Return the error for a tool that never touches the stock."""
     x0, x1, y0, y1, top = (1e3 * value for value in bounds)

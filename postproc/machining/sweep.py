@@ -14,15 +14,12 @@ from msgspec import Struct, field
 
 from postproc.frames import Array
 from postproc.machining import cutting
-from postproc.machining.material import CuttingLaw
+from postproc.machining.cutting import Engaged, engaged
+from postproc.machining.material import CuttingLaw, Floats
 from postproc.machining.process import Process
-from postproc.machining.removal import depth_of, remove
-from postproc.machining.running import Running
-from postproc.machining.sampling import Engaged, engaged
-from postproc.machining.stock import Floats, Stock
-from postproc.machining.tool import BOTTOM, SIDE, Cutter, Edge, edge, some
-from postproc.machining.turn import Turn
-from postproc.machining.ways import Ways
+from postproc.machining.stock import Stock, depth_of, remove
+from postproc.machining.tool import BOTTOM, SIDE, Cutter, Edge, Turn, edge, some
+from postproc.machining.tool_path import StraightSegments, ToolStates
 from postproc.program import Bools, Ints
 
 _STRAIGHT = np.cos(np.radians(10.0))
@@ -98,7 +95,7 @@ class Sweep(Struct, eq=False):
 
     stock: Stock
     process: Process
-    turning: Running
+    tools: ToolStates
     feed: Array
     law: CuttingLaw
     collided: set[int] = field(default_factory=set)
@@ -108,111 +105,111 @@ class Sweep(Struct, eq=False):
     _edges: dict[int, Edge] = field(default_factory=dict)
     _turns: dict[tuple[int, bool, int, int], Turn] = field(default_factory=dict)
 
-    def run(self, ways: Ways, progress: Callable[[int], None] | None = None) -> Iterator[Cuts]:
+    def run(self, segments: StraightSegments, progress: Callable[[int], None] | None = None) -> Iterator[Cuts]:
         """Yield engagement and loads on the cutting segments in order, and remove their material; see `Cuts`.
 
         :param progress: called with the number of segments done.
         """
         top = self.stock.top
-        near = self._near(ways, top)
-        for begin, end in self._groups(ways, near):
+        near = self._near(segments, top)
+        for begin, end in self._groups(segments, near):
             if progress is not None:
                 progress(end)
             if not near[begin]:
-                if ways.cutting[begin]:
-                    yield self._in_air(ways, begin, end)
+                if segments.cutting[begin]:
+                    yield self._in_air(segments, begin, end)
                 continue
-            number = int(self.turning.tool[ways.motion[begin]])
+            number = int(self.tools.tool[segments.motion[begin]])
             cutter = self._cutter(number)
-            if ways.cutting[begin] and self.turning.rpm[ways.motion[begin]] > 0.0:
-                yield from self._cut(ways, begin, end, number)
-                first = _runs(ways, begin, end)
+            if segments.cutting[begin] and self.tools.rpm[segments.motion[begin]] > 0.0:
+                yield from self._cut(segments, begin, end, number)
+                first = _runs(segments, begin, end)
                 last = np.zeros(len(first), dtype=bool)
-                last[-1] = end == len(near) or not (ways.joined[end] and near[end])
-                remove(self.stock, cutter, ways.begin[first], ways.end[[*(first[1:] - 1), end - 1]], last)
+                last[-1] = end == len(near) or not (segments.joined[end] and near[end])
+                remove(self.stock, cutter, segments.begin[first], segments.end[[*(first[1:] - 1), end - 1]], last)
             else:
-                self._unwanted(ways, begin, end, cutter)
+                self._unwanted(segments, begin, end, cutter)
 
-    def _unwanted(self, ways: Ways, begin: int, end: int, cutter: Cutter) -> None:
+    def _unwanted(self, segments: StraightSegments, begin: int, end: int, cutter: Cutter) -> None:
         """Record motions that touch material without cutting it (rapid, or spindle off), and remove that material."""
         whole = np.ones(1, dtype=bool)
-        if begin > 0 and ways.joined[begin]:  # material that the segment before left for this one
-            remove(self.stock, cutter, ways.begin[[begin]], ways.begin[[begin]], whole)
-        for way in range(begin, end):
-            if depth_of(self.stock, cutter, ways.begin[way], ways.end[way]) > _TOUCHED:
-                (self.stopped if ways.cutting[way] else self.collided).add(int(ways.motion[way]))
-            remove(self.stock, cutter, ways.begin[[way]], ways.end[[way]], whole)
+        if begin > 0 and segments.joined[begin]:  # material that the segment before left for this one
+            remove(self.stock, cutter, segments.begin[[begin]], segments.begin[[begin]], whole)
+        for segment in range(begin, end):
+            if depth_of(self.stock, cutter, segments.begin[segment], segments.end[segment]) > _TOUCHED:
+                (self.stopped if segments.cutting[segment] else self.collided).add(int(segments.motion[segment]))
+            remove(self.stock, cutter, segments.begin[[segment]], segments.end[[segment]], whole)
 
-    def _near(self, ways: Ways, top: float) -> Bools:
+    def _near(self, segments: StraightSegments, top: float) -> Bools:
         """Return which segments (L,) can touch the stock at all."""
         x0, x1, y0, y1 = self.stock.bounds
-        reach = np.zeros(len(ways.motion))
-        for number in np.unique(self.turning.tool[ways.motion]).tolist():
-            reach[self.turning.tool[ways.motion] == number] = self._cutter(number).radius
-        low, high = np.minimum(ways.begin, ways.end), np.maximum(ways.begin, ways.end)
+        reach = np.zeros(len(segments.motion))
+        for number in np.unique(self.tools.tool[segments.motion]).tolist():
+            reach[self.tools.tool[segments.motion] == number] = self._cutter(number).radius
+        low, high = np.minimum(segments.begin, segments.end), np.maximum(segments.begin, segments.end)
         near = (low[:, 2] < top) & (high[:, 0] + reach > x0) & (low[:, 0] - reach < x1)
         return np.asarray(near & (high[:, 1] + reach > y0) & (low[:, 1] - reach < y1))
 
-    def _groups(self, ways: Ways, near: Bools) -> Iterator[tuple[int, int]]:
+    def _groups(self, segments: StraightSegments, near: Bools) -> Iterator[tuple[int, int]]:
         """Yield ranges of segments that are processed together."""
-        motion = ways.motion
-        length = np.linalg.norm(ways.end - ways.begin, axis=1)
-        along = np.hypot(ways.leave[:, 0], ways.leave[:, 1]) < _ALONG
-        down = ways.leave[:, 2] < -1e-6
+        motion = segments.motion
+        length = np.linalg.norm(segments.end - segments.begin, axis=1)
+        along = np.hypot(segments.leave[:, 0], segments.leave[:, 1]) < _ALONG
+        down = segments.leave[:, 2] < -1e-6
         same = np.zeros(len(motion), dtype=bool)
-        running = np.stack([self.turning.tool[motion], self.turning.rpm[motion], self.turning.hand[motion]], axis=1)
-        same[1:] = ways.joined[1:] & (running[1:] == running[:-1]).all(axis=1)
-        same[1:] &= (near[1:] == near[:-1]) & (ways.cutting[1:] == ways.cutting[:-1])
-        same[1:] &= ~near[1:] | (~along[1:] & ~along[:-1] & (down[1:] == down[:-1]) & ways.cutting[1:])
+        running = np.stack([self.tools.tool[motion], self.tools.rpm[motion], self.tools.hand[motion]], axis=1)
+        same[1:] = segments.joined[1:] & (running[1:] == running[:-1]).all(axis=1)
+        same[1:] &= (near[1:] == near[:-1]) & (segments.cutting[1:] == segments.cutting[:-1])
+        same[1:] &= ~near[1:] | (~along[1:] & ~along[:-1] & (down[1:] == down[:-1]) & segments.cutting[1:])
         begin, limit, travelled = 0, 0.0, 0.0
         heading: list[float] | None = None
         lengths, leave, arrive, joins, close = (
-            length.tolist(), ways.leave.tolist(), ways.arrive.tolist(), same.tolist(), near.tolist(),
+            length.tolist(), segments.leave.tolist(), segments.arrive.tolist(), same.tolist(), near.tolist(),
         )  # fmt: skip
-        for way in range(len(motion)):
-            if way > begin or heading is None:
-                ends = heading is None or not joins[way] or travelled > limit
-                if heading is not None and not ends and close[way]:
-                    one, other = leave[way], arrive[way]
+        for segment in range(len(motion)):
+            if segment > begin or heading is None:
+                ends = heading is None or not joins[segment] or travelled > limit
+                if heading is not None and not ends and close[segment]:
+                    one, other = leave[segment], arrive[segment]
                     ends = min(_dot(heading, one), _dot(heading, other)) < _STRAIGHT
                 if ends:
-                    if way > begin:
-                        yield begin, way
-                    begin, travelled, heading = way, 0.0, leave[way]
-                    limit = _LONGEST * self._cutter(int(self.turning.tool[motion[way]])).radius
-            travelled += lengths[way]
+                    if segment > begin:
+                        yield begin, segment
+                    begin, travelled, heading = segment, 0.0, leave[segment]
+                    limit = _LONGEST * self._cutter(int(self.tools.tool[motion[segment]])).radius
+            travelled += lengths[segment]
         if begin < len(motion):
             yield begin, len(motion)
 
-    def _in_air(self, ways: Ways, begin: int, end: int) -> Cuts:
+    def _in_air(self, segments: StraightSegments, begin: int, end: int) -> Cuts:
         """Return stations of segments that cannot touch the stock: one each."""
         n = end - begin
         zero, nothing = np.zeros(n), np.full(n, np.nan)
-        t = 0.5 * (ways.first[begin:end] + ways.last[begin:end])
-        heading = ways.leave[begin:end]
+        t = 0.5 * (segments.first[begin:end] + segments.last[begin:end])
+        heading = segments.leave[begin:end]
         across = np.hypot(heading[:, 0], heading[:, 1])
         along = across < _ALONG
         feed = np.where(along[:, None], [1.0, 0.0], heading[:, :2] / np.where(along, 1.0, across)[:, None])
         return Cuts(
-            ways.motion[begin:end], t, np.zeros((n, 6)), feed, along, zero, zero, nothing, nothing, zero, zero, zero
+            segments.motion[begin:end], t, np.zeros((n, 6)), feed, along, zero, zero, nothing, nothing, zero, zero, zero
         )
 
-    def _cut(self, ways: Ways, begin: int, end: int, number: int) -> Iterator[Cuts]:
+    def _cut(self, segments: StraightSegments, begin: int, end: int, number: int) -> Iterator[Cuts]:
         cell = self.stock.cell
-        length = np.linalg.norm(ways.end[begin:end] - ways.begin[begin:end], axis=1)
+        length = np.linalg.norm(segments.end[begin:end] - segments.begin[begin:end], axis=1)
         count = np.maximum(1, np.ceil(length / cell - 1e-6)).astype(np.int64)
-        way = np.repeat(np.arange(begin, end), count)
-        share = (np.arange(len(way)) - np.repeat(np.cumsum(count) - count, count) + 0.5) / np.repeat(count, count)
-        position = ways.begin[way] + share[:, None] * (ways.end[way] - ways.begin[way])
-        heading = ways.leave[way] + share[:, None] * (ways.arrive[way] - ways.leave[way])
+        segment = np.repeat(np.arange(begin, end), count)
+        share = (np.arange(len(segment)) - np.repeat(np.cumsum(count) - count, count) + 0.5) / np.repeat(count, count)
+        position = segments.begin[segment] + share[:, None] * (segments.end[segment] - segments.begin[segment])
+        heading = segments.leave[segment] + share[:, None] * (segments.arrive[segment] - segments.leave[segment])
         heading /= np.linalg.norm(heading, axis=1)[:, None]
-        t = ways.first[way] + share * (ways.last[way] - ways.first[way])
-        motion = ways.motion[way]
+        t = segments.first[segment] + share * (segments.last[segment] - segments.first[segment])
+        motion = segments.motion[segment]
         turn = self._turn(number, position, heading)
         chunk = max(1, _ELEMENTS // len(turn.phi))
-        for start in range(0, len(way), chunk):
+        for start in range(0, len(segment), chunk):
             rows = slice(start, start + chunk)
-            yield self._loads(turn, number, position[rows], heading[rows], motion[rows], t[rows], ways.leave[begin])
+            yield self._loads(turn, number, position[rows], heading[rows], motion[rows], t[rows], segments.leave[begin])
 
     def _turn(self, number: int, position: Array, heading: Array) -> Turn:
         """Return the sample points of the edge that can be in material at these positions."""
@@ -249,7 +246,7 @@ class Sweep(Struct, eq=False):
         along = across < _ALONG
         ux = np.where(along, 1.0, heading[:, 0] / np.where(along, 1.0, across))
         uy = np.where(along, 0.0, heading[:, 1] / np.where(along, 1.0, across))
-        rpm, hand = self.turning.rpm[motion], self.turning.hand[motion]
+        rpm, hand = self.tools.rpm[motion], self.tools.hand[motion]
         per_tooth = self.feed[motion] * 60.0 / (rpm * cutter.teeth)
         feed = np.where(along, 0.0, per_tooth * across).astype(np.float32)
         descent = (-per_tooth * heading[:, 2]).astype(np.float32)
@@ -295,7 +292,7 @@ class Sweep(Struct, eq=False):
 
     def _cutter(self, number: int) -> Cutter:
         if number not in self._cutters:
-            self._cutters[number] = self.process.cutter(self.turning.keys[number])
+            self._cutters[number] = self.process.cutter(self.tools.keys[number])
         return self._cutters[number]
 
     def _edge(self, number: int) -> Edge:
@@ -304,9 +301,9 @@ class Sweep(Struct, eq=False):
         return self._edges[number]
 
 
-def _runs(ways: Ways, begin: int, end: int) -> Ints:
+def _runs(segments: StraightSegments, begin: int, end: int) -> Ints:
     """Return the first segment of each straight run: the material of a run is removed at once."""
-    chord = ways.end[begin:end] - ways.begin[begin:end]
+    chord = segments.end[begin:end] - segments.begin[begin:end]
     chord /= np.linalg.norm(chord, axis=1)[:, None]
     bends = np.abs(np.diff(chord, axis=0)).max(axis=1, initial=0.0) > _ON_LINE
     return np.concatenate([[begin], np.flatnonzero(bends) + begin + 1])

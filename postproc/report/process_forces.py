@@ -10,9 +10,10 @@ import numpy as np
 
 from postproc.errors import Issue
 from postproc.files import FileEntry
-from postproc.frames import MM_PER_M, Array
+from postproc.forces import Knots
+from postproc.frames import MM_PER_M
 from postproc.machining import Entry, ProcessForces
-from postproc.program import FORCE_FRAMES, Ints, Program
+from postproc.program import FORCE_FRAMES, Program
 from postproc.version import VERSION
 
 COLUMNS = (
@@ -54,24 +55,22 @@ class ForcesSummary(TypedDict):
     tools: NotRequired[list[ToolSummary]]
 
 
-def forces_csv(program: Program, motion: Ints, t: Array, wrench: Array, frame: Ints, sigma: Array) -> Iterator[bytes]:
-    """Yield forces.csv in pieces: places along motions in order.
+def forces_csv(program: Program, knots: Knots) -> Iterator[bytes]:
+    """Yield forces.csv in pieces of some thousand rows.
 
-    :param motion: (K,) rows of `Motions`, one for each line of the program, see `machining.one_move_a_line`.
-    :param t: (K,) places on them; NaN where a row is for the whole motion.
-    :param wrench: (K, 6) [N, N·m] in the axes that `frame` (K,) names; sigma: (K, 6) standard deviations.
+    :param knots: of one motion for each line of the program, see `machining.one_move_a_line`.
     """
     yield (",".join(COLUMNS) + "\n").encode()
-    lines = program.motions.line[motion]
-    for begin in range(0, len(motion), _ROWS):
+    lines, t = program.motions.line[knots.motion], np.where(knots.ramped, np.nan, knots.t)
+    for begin in range(0, len(knots), _ROWS):
         part = slice(begin, begin + _ROWS)
         yield "".join(
             f"{line},{'' if place != place else format(place, '.6f')},"
             f"{w[0]:.3f},{w[1]:.3f},{w[2]:.3f},{w[3]:.4f},{w[4]:.4f},{w[5]:.4f},{FORCE_FRAMES[axes]},"
             f"{s[0]:.3f},{s[1]:.3f},{s[2]:.3f},{s[3]:.4f},{s[4]:.4f},{s[5]:.4f}\n"
             for line, place, w, axes, s in zip(
-                lines[part].tolist(), t[part].tolist(), (wrench[part] + 0.0).tolist(), frame[part].tolist(),
-                sigma[part].tolist(), strict=True,
+                lines[part].tolist(), t[part].tolist(), (knots.wrench[part] + 0.0).tolist(), knots.frame[part].tolist(),
+                knots.sigma[part].tolist(), strict=True,
             )
         ).replace("-0.000,", "0.000,").replace("-0.0000,", "0.0000,").encode()  # fmt: skip
 
@@ -86,13 +85,13 @@ def summary(program: Program, found: ProcessForces | None, by_operation: int) ->
         return {"by_operation": by_operation}
     m, cuts = program.motions, found.cuts
     tools: list[ToolSummary] = []
-    for place in np.unique(found.turning.tool[cuts.motion]).tolist():
-        rows = found.turning.tool[cuts.motion] == place
+    for place in np.unique(found.tools.tool[cuts.motion]).tolist():
+        rows = found.tools.tool[cuts.motion] == place
         force = np.linalg.norm(cuts.wrench[rows, :3], axis=1)
         worst = int(cuts.motion[rows][int(np.argmax(force))])
         tools.append(
             {
-                "tool": found.turning.keys[place],
+                "tool": found.tools.keys[place],
                 "max_force_N": round(float(force.max()), 1),
                 "max_force_line": int(m.line[worst]),
                 "max_torque_Nm": round(float(np.abs(cuts.torque[rows]).max()), 3),

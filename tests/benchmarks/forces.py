@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from postproc.machining import thinning
+from postproc.machining import profiles
 from tests.machining.setting import AL7075, forces, gcode, on_line, process, tool
 from tests.oracle.teeth import Teeth
 
@@ -109,7 +109,7 @@ def cases():
 
 def convergence(folder):
     """Print the RMS of the error over places along the path, and the order; no place is thinned out."""
-    thinning._SHARE = thinning._LEAST = 0.0
+    profiles._SHARE = profiles._LEAST = 0.0
     box = ((-60, 60), (-60, 60), (-20, 0))
     for name, text, cutter, line, places, expected in cases():
         errors = []

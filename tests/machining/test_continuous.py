@@ -7,7 +7,7 @@ import pytest
 from msgspec.structs import replace
 
 from postproc import frames, toolpath
-from postproc.machining.continuous import BASE, FEED, without_steps
+from postproc.machining.profiles import BASE, FEED, without_steps
 from tests.programs import program
 from tests.toolpath.setting import arc, begins, point
 

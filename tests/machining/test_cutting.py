@@ -10,10 +10,9 @@ import pytest
 from scipy.integrate import quad
 
 from postproc.machining import cutting
+from postproc.machining.cutting import Engaged
 from postproc.machining.material import CuttingLaw
-from postproc.machining.sampling import Engaged
-from postproc.machining.tool import Cutter, edge
-from postproc.machining.turn import Turn, _covered
+from postproc.machining.tool import Cutter, Turn, _covered, edge
 
 LINEAR = CuttingLaw((800e6, 500e6, -300e6), (30e3, -20e3, 12e3), 0.0, 0.1, "linear")
 KIENZLE = CuttingLaw((900e6, 400e6, 250e6), (0.0, 0.0, 0.0), 0.25, 0.1, "Kienzle")

@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from postproc.machining.cutting import engaged
 from postproc.machining.material import CuttingLaw
-from postproc.machining.removal import _tool_over
-from postproc.machining.sampling import engaged
-from postproc.machining.stock import Stock
-from postproc.machining.tool import Cutter, edge
-from postproc.machining.turn import Turn
+from postproc.machining.stock import Stock, _tool_over
+from postproc.machining.tool import Cutter, Turn, edge
 
 LAW = CuttingLaw((800e6, 500e6, -300e6), (30e3, -20e3, 12e3), 0.0, 0.1, "linear")
 FLAT, BALL, BULL = Cutter(5e-3, 0.0, 3), Cutter(5e-3, 5e-3, 2), Cutter(8e-3, 2e-3, 5)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from postproc.machining.thinning import thinned
+from postproc.machining.profiles import thinned
 
 
 def between(rows, kept, wrench):

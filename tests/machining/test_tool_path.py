@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from postproc import frames, toolpath
 from postproc.machining.estimate import _no_contact, _out_of_scale
-from postproc.machining.ways import Shift, spindle, ways
+from postproc.machining.tool_path import Shift, straight_segments, towards_spindle
 from tests.toolpath.setting import BASES, START, begins, mixed, point
 
 FRAME = frames.pose_from_xyzabc([12.0, -7.0, 30.0, 25.0, -15.0, 40.0])
@@ -41,7 +41,7 @@ def pieces_of_arc(made, begin, k):
 def test_pieces_of_lines_and_arcs_are_in_the_frame_of_the_map():
     made = mixed()
     begin = begins(made)
-    found = ways(made, toolpath.segments(made, START), SimpleNamespace(tool=TOOL), FRAME, CELL)
+    found = straight_segments(made, toolpath.segments(made, START), SimpleNamespace(tool=TOOL), FRAME, CELL)
     expected = []
     for k in (1, 2, 3, 4, 6):  # no PTP, and no motion without a tool
         count = pieces_of_arc(made, begin, k) if made.motions.kind[k] == 1 else 1
@@ -66,7 +66,7 @@ def test_pieces_are_cut_and_displaced_where_the_tip_is_displaced():
     begin, path = begins(made), toolpath.segments(made, START)
     offset = 1e-3 * np.array([[1, 0, 0], [1, 0, 0], [0, 2, 1], [3, 0, 1], [0, 0, -3], [4, 1, 0]])
     shift = Shift.of(made, np.array([2, 3, 3, 3, 4, 6]), np.array([1.0, 0.25, 0.75, 1.0, 1.0, 0.5]), offset)
-    found = ways(made, path, SimpleNamespace(tool=TOOL), FRAME, CELL, shift)
+    found = straight_segments(made, path, SimpleNamespace(tool=TOOL), FRAME, CELL, shift)
     for k, cuts in ((3, [0.0, 0.25, 0.75, 1.0]), (4, [0.0, 1.0])):
         own = found.motion == k
         np.testing.assert_allclose(found.first[own], cuts[:-1], atol=1e-12)
@@ -98,7 +98,7 @@ def test_a_displacement_keeps_its_direction_where_the_base_changes():
 
 def test_pieces_of_some_motions_are_joined_only_to_those_that_are_left():
     made = mixed()
-    every = ways(made, toolpath.segments(made, START), SimpleNamespace(tool=0 * TOOL), FRAME, CELL)
+    every = straight_segments(made, toolpath.segments(made, START), SimpleNamespace(tool=0 * TOOL), FRAME, CELL)
     some = every.of(np.array([False, True, False, True, False, False, True]))
     assert set(some.motion) == {1, 3, 6}
     starts = np.flatnonzero(np.diff(some.motion, prepend=-1))
@@ -111,7 +111,7 @@ def test_pieces_of_some_motions_are_joined_only_to_those_that_are_left():
 def test_the_spindle_is_given_in_the_base_of_the_first_cutting_motion(axis, column, sign):
     made = mixed()
     m = replace(made.motions, base=np.array([0, 1, 1, 1, 0, 0, 1]))
-    found = spindle(replace(made, motions=m), axis)
+    found = towards_spindle(replace(made, motions=m), axis)
     for k in range(len(m)):
         in_root = BASES[m.base[k], :3, :3] @ (sign * m.target[k, :3, column])
         np.testing.assert_allclose(found[k], BASES[1, :3, :3].T @ in_root, rtol=0, atol=1e-14)

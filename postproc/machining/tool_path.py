@@ -1,15 +1,108 @@
-"""The path of the tool through the stock as straight segments, in the frame of the map."""
+"""The path of the tool through the stock: its tool and spindle speed, and straight segments in the frame of the map."""
 
 from __future__ import annotations
+
+import re
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
+from postproc.errors import MOST, ForceError, Issue, together
 from postproc.frames import Array, inverse, norm
-from postproc.machining.running import Running
+from postproc.machining.process import Process
 from postproc.program import CIRC, PTP, Bools, Ints, Program
 from postproc.toolpath import Segments, positions, tangent
+
+
+class ToolStates(Struct, frozen=True, eq=False):
+    """Tool and spindle speed on each of M motions.
+
+    :param tool: (M,) index in `keys`.
+    :param keys: keys of [tools].
+    :param rpm: (M,) spindle speed [1/min]; 0 while it is off.
+    :param hand: (M,) 1 for M3 (clockwise seen from the spindle), −1 for M4.
+    :param number: (M,) tool number of the program; −1 before the first tool change.
+    """
+
+    tool: Ints
+    keys: tuple[str, ...]
+    rpm: Array
+    hand: NDArray[np.int64]
+    number: Ints
+
+
+def tool_states(program: Program, process: Process) -> ToolStates:
+    """Return tool and spindle speed on each motion.
+
+    :raises ForceError: a tool that cuts is not in [tools].
+    """
+    m = len(program.motions)
+    number, rpm, hand, speed_given = np.full(m, -1), np.zeros(m), np.ones(m, dtype=np.int64), False
+    for event in program.events:
+        rest = slice(event.before, None)
+        if event.kind == "tool_change":
+            number[rest] = int(event.value)
+        elif event.kind in ("spindle_on", "spindle_ccw"):
+            rpm[rest], hand[rest], speed_given = event.value, 1 if event.kind == "spindle_on" else -1, True
+        elif event.kind == "spindle_off":
+            rpm[rest] = 0.0
+    keys = tuple(process.tools)
+    place = np.full(m, -1)
+    for value in np.unique(number).tolist():
+        found = process.tool(value) if value > 0 or str(value) in process.tools else process.tool(None)
+        if found is not None:
+            here = number == value
+            place[here] = keys.index(found[0])
+            if not speed_given and found[1].rpm is not None:
+                rpm[here] = found[1].rpm
+                hand[here] = 1 if found[1].spindle == "M3" else -1
+    missing = (place < 0) & ~program.motions.rapid
+    if missing.any():
+        _refuse(program, process, number, missing)
+    return ToolStates(place, keys, rpm, hand, number)
+
+
+def _refuse(program: Program, process: Process, number: Ints, missing: Bools) -> None:
+    errors = []
+    for value in np.unique(number[missing]).tolist()[: MOST + 1]:
+        line = int(program.motions.line[np.flatnonzero(missing & (number == value))[0]])
+        known = ", ".join(f"[tools.{key}]" for key in process.tools) or "none"
+        if value <= 0:  # T0, and M6 without T, name no tool
+            problem = "no tool number (T… M6) before this move"
+            advice = f"Give [tools.default] in {process.path}; found: {known}."
+        else:
+            problem, advice = f"tool T{value} is not in {process.path}", f"Give [tools.{value}]; found: {known}."
+        errors.append(ForceError(problem, file=program.documents[0].name, line=line, advice=advice))
+    raise together(errors)
+
+
+_RAPID = re.compile(r"\s*S?PTP", re.IGNORECASE)
+
+
+def refuse_unread_cuts(program: Program) -> None:
+    """Refuse routines that cut and are not followed: their motions would remain uncorrected under force.
+
+    :raises ProgramError: there is one; the error names the cause.
+    """
+    if program.unfollowed:
+        raise together(each.error for each in program.unfollowed)
+
+
+def unread_cuts(program: Program) -> list[Issue]:
+    """Return a warning if cutting motions were not read: the stock keeps the material that they remove."""
+    lines = [f"{one.file}, line {one.line}" for one in program.unresolved if not _RAPID.match(one.text)]
+    lines += [f"{each.subject}()" for each in program.issues if each.kind == "motions-elsewhere"]
+    if not lines:
+        return []
+    more = f" and {len(lines) - 1} more" if len(lines) > 1 else ""
+    message = (
+        f"motions that are kept unread remove nothing from the stock: {lines[0]}{more}. If a later motion passes the "
+        "same place, its force is computed for material that was already removed."
+    )
+    return [Issue("warning", "cuts-unseen", message, count=len(lines))]
+
 
 _SAG = 0.1
 """An arc is divided into chords that deviate from it by this share of a cell at most,"""
@@ -18,7 +111,7 @@ _TURN = np.radians(8.0)
 _STILL = 1e-9
 
 
-class Ways(Struct, frozen=True, eq=False):
+class StraightSegments(Struct, frozen=True, eq=False):
     """L straight segments in order; [m], frame of the map (z from the tip to the spindle).
 
     :param motion: (L,) row of `Motions`.
@@ -39,10 +132,10 @@ class Ways(Struct, frozen=True, eq=False):
     cutting: Bools
     joined: Bools
 
-    def of(self, motions: Bools) -> Ways:
+    def of(self, motions: Bools) -> StraightSegments:
         """Return the segments of selected motions (M,); at gaps in the selection `joined` is False."""
         rows = np.flatnonzero(motions[self.motion])
-        out = Ways(*(getattr(self, name)[rows] for name in self.__struct_fields__))
+        out = StraightSegments(*(getattr(self, name)[rows] for name in self.__struct_fields__))
         return replace(out, joined=out.joined & (np.diff(rows, prepend=-2) == 1))
 
 
@@ -76,9 +169,9 @@ class Shift(Struct, frozen=True, eq=False):
         return np.asarray(np.einsum("nji,nj->ni", self.root[self.base[motion]], found))
 
 
-def ways(
-    program: Program, path: Segments, turning: Running, frame: Array, cell: float, shift: Shift | None = None
-) -> Ways:
+def straight_segments(
+    program: Program, path: Segments, tools: ToolStates, frame: Array, cell: float, shift: Shift | None = None
+) -> StraightSegments:
     """Divide the motions of a program into straight segments.
 
     :param frame: (4, 4) frame of the map in `$BASE` of the first cutting motion.
@@ -113,10 +206,10 @@ def ways(
         begin, end = begin + shift.at(motion, first), end + shift.at(motion, last)
     begin, end, leave, arrive = _in_map(program, motion, frame, (begin, end), (leave, arrive))
     joined = np.zeros(len(motion), dtype=bool)
-    joined[1:] = (norm(begin[1:] - end[:-1]) < 1e-6) & (turning.tool[motion[1:]] == turning.tool[motion[:-1]])
-    moves = (norm(end - begin) > _STILL) & (turning.tool[motion] >= 0)
+    joined[1:] = (norm(begin[1:] - end[:-1]) < 1e-6) & (tools.tool[motion[1:]] == tools.tool[motion[:-1]])
+    moves = (norm(end - begin) > _STILL) & (tools.tool[motion] >= 0)
     columns = (motion, first, last, begin, end, leave, arrive, ~m.rapid[motion], joined)
-    return Ways(*(np.asarray(column[moves]) for column in columns))
+    return StraightSegments(*(np.asarray(column[moves]) for column in columns))
 
 
 def _cut_at(motion: Ints, first: Array, last: Array, shift: Shift) -> tuple[Ints, Array, Array]:
@@ -124,11 +217,11 @@ def _cut_at(motion: Ints, first: Array, last: Array, shift: Shift) -> tuple[Ints
     keys = np.unique(np.concatenate([motion + first, shift.motion + shift.t, motion + last]))
     known = np.searchsorted(motion + first, keys, side="right") - 1
     out_motion, out_first, out_last = [], [], []
-    for a, b, way in zip(keys[:-1].tolist(), keys[1:].tolist(), known[:-1].tolist(), strict=True):
-        start = max(float(first[way]), a - motion[way])
-        stop = min(float(last[way]), b - motion[way])
+    for a, b, segment in zip(keys[:-1].tolist(), keys[1:].tolist(), known[:-1].tolist(), strict=True):
+        start = max(float(first[segment]), a - motion[segment])
+        stop = min(float(last[segment]), b - motion[segment])
         if stop - start > 1e-9:
-            out_motion.append(motion[way])
+            out_motion.append(motion[segment])
             out_first.append(start)
             out_last.append(stop)
     return np.array(out_motion, dtype=np.int64), np.array(out_first), np.array(out_last)
@@ -156,7 +249,7 @@ def home_base(program: Program) -> int:
     return int(m.base[np.argmax(~m.rapid)])
 
 
-def spindle(program: Program, axis: str) -> Array:
+def towards_spindle(program: Program, axis: str) -> Array:
     """Return the directions from tip to spindle (M, 3) at the ends of motions, `$BASE` of the first cutting motion."""
     column, sign = {"+Z": (2, -1.0), "-Z": (2, 1.0), "+X": (0, -1.0), "-X": (0, 1.0)}[axis]
     m = program.motions

@@ -1,0 +1,281 @@
+"""Forces along motions as piecewise linear profiles, from the stations of a sweep.
+
+Stations that such a profile does not need are omitted (`thinned`). At the start of a motion the force changes within
+half the feed per tooth (`without_steps`): the mean force is the mean over the tooth pitch, and after a change of
+engagement the next tooth cuts the new chip. The force drops to zero at once when the tool is retracted. A force CSV has
+one profile for all moves of a line (`one_move_a_line`).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from postproc.errors import ForceError
+from postproc.forces import Knots
+from postproc.forces.knots import BASE, FEED
+from postproc.frames import Array, norm
+from postproc.machining.tool_path import home_base
+from postproc.program import CIRC, LIN, Bools, Ints, Program
+from postproc.toolpath import Segments, tangent
+
+_SHARE = 0.01
+"""Tolerance between stations as a share of the largest force and of the largest moment of a motion,"""
+_LEAST = 1.0, 0.1
+"""but at least this [N, N·m]: one newton at 100 mm of tool. Changes at the start of a motion that are smaller than
+this tolerance extend over the whole motion."""
+
+
+def thinned(motion: Ints, wrench: Array) -> NDArray[np.int64]:
+    """Return the rows (K,) of stations that are needed: between them the wrench is linear to within a tolerance.
+
+    The first and the last station of each motion are kept. A motion with a constant wrench keeps one station.
+
+    :param motion: (N,) row of `Motions`, never decreasing.
+    :param wrench: (N, 6) [N, N·m].
+    """
+    if len(motion) == 0:
+        return np.zeros(0, dtype=np.int64)
+    bounds = np.flatnonzero(np.diff(motion, prepend=-1, append=-1))
+    count = np.diff(bounds)
+    halves = np.array(wrench, dtype=float).reshape(-1, 2, 3)
+    allowed = np.maximum(_SHARE * np.maximum.reduceat(norm(halves), bounds[:-1]), _LEAST)
+    halves /= np.repeat(allowed, count, axis=0)[:, :, None]
+    low, high = np.minimum.reduceat(halves, bounds[:-1]), np.maximum.reduceat(halves, bounds[:-1])
+    constant = norm(high - low).max(axis=1) <= 1.0
+    middle = bounds[:-1] + count // 2
+    kept = [middle[constant]]
+    for place in np.flatnonzero(~constant).tolist():
+        begin, end = int(bounds[place]), int(bounds[place + 1])
+        kept.append(begin + np.array(sorted(_places(halves[begin:end])), dtype=np.int64))
+    return np.sort(np.concatenate(kept))
+
+
+def _places(halves: Array) -> Iterator[int]:
+    """Yield the rows to keep of forces and moments (n, 2, 3), each in units of its tolerance.
+
+    Ramer 1972, Douglas and Peucker 1973, over the row number.
+    """
+    last = len(halves) - 1
+    yield from {0, last}
+    todo = [(0, last)]
+    while todo:
+        a, b = todo.pop()
+        if b - a < 2:
+            continue
+        share = ((np.arange(a + 1, b) - a) / (b - a))[:, None, None]
+        off = norm(halves[a + 1 : b] - (halves[a] + share * (halves[b] - halves[a]))).max(axis=1)
+        worst = int(np.argmax(off))
+        if off[worst] > 1.0:
+            yield a + 1 + worst
+            todo += [(a, a + 1 + worst), (a + 1 + worst, b)]
+
+
+def without_steps(
+    program: Program,
+    path: Segments,
+    stations: tuple[Ints, Array, Array],
+    map_in_base: Array,
+    rise: Array,
+    sigma: tuple[float, float],
+    *,
+    base_axes: bool,
+) -> Knots:
+    """Return wrenches that are continuous from motion to motion.
+
+    At the start of a motion the force changes from that at the end of the motion before, zero after a rapid one, to
+    its own; at the end of the motion it acts in full.
+
+    :param stations: rows of `Motions` (n,), places on them, and wrenches (n, 6) in FEED axes; on moves along the
+        spindle in those of the map.
+    :param map_in_base: (4, 4) frame of the map of the stock in `$BASE` of the first cutting motion: z to the spindle.
+    :param rise: (M,) length over which the force changes at the start of a motion [m].
+    :param sigma: standard deviation as a share of the wrench, and that of the axial force as a share of the force
+        across the axis, in addition (0 where axial coefficients are known).
+    :param base_axes: give them in `$BASE`; else in FEED, but for moves along the spindle.
+    """
+    motion, t, wrench = stations
+    first = np.flatnonzero(np.diff(motion, prepend=-1))
+    last = np.append(first[1:], len(motion)) - 1
+    single = first == last
+    own = motion[first]
+    ends = _turn(_axes(program, path, own, np.ones(len(own)), map_in_base)[0], wrench[last])
+    follows = np.flatnonzero(np.diff(own, prepend=-2) == 1)
+    before = np.zeros((len(own), 6))
+    starts, _ = _axes(program, path, own[follows], np.zeros(len(follows)), map_in_base)
+    before[follows] = _turn(np.swapaxes(starts, 1, 2), ends[follows - 1])
+    reach = np.minimum(1.0, rise[own] / np.maximum(path.length[own], 1e-9))
+    every = np.arange(len(own))
+    reach[_alike(before, _at(motion, t, wrench, own, reach), wrench, first)] = 1.0
+    # at 0 the force of the motion before, within a turn its own, then its stations, and its own at the end
+    row = np.repeat(every, last - first + 1)
+    inner = (t > np.where(reach < 1.0, reach, 0.0)[row] + 1e-9) & (t < 1.0) & ~single[row]
+    inner &= (reach < 1.0)[row] | (path.length[own] > rise[own])[row]
+    soon = np.flatnonzero(reach < 1.0)
+    which = np.concatenate([every, soon, row[inner], every])
+    places = np.concatenate([np.zeros(len(own)), reach[soon], t[inner], np.ones(len(own))])
+    order = np.lexsort((places, which))
+    which, places = which[order], places[order]
+    values = _at(motion, t, wrench, own[which], places)
+    begins = np.flatnonzero(np.diff(which, prepend=-1))
+    values[begins] = before
+    missing = sigma[1] * norm(values[:, :2])
+    count = np.diff(begins, append=len(which))
+    motions = own[which]
+    axes, along = _axes(program, path, motions, places, map_in_base)
+    steady = np.repeat(single, count)
+    turning = steady & (program.motions.kind[motions] == CIRC)  # the same in FEED axes: in $BASE it turns
+    in_base = (along[np.repeat(np.cumsum(count) - 1, count)] | base_axes) & ~turning
+    values[in_base] = _turn(_to_base(program, motions[in_base], map_in_base) @ axes[in_base], values[in_base])
+    deviation = np.abs(values) * sigma[0]
+    # on moves along the spindle in $BASE axes: z of $BASE is taken for the axis of the tool
+    deviation[:, 2] = np.hypot(deviation[:, 2], missing)
+    return Knots.along(motions, places, values, np.where(in_base, BASE, FEED), deviation)
+
+
+def _alike(before: Array, own: Array, wrench: Array, first: Ints) -> Bools:
+    """Return which motions begin with a force (k, 6) that is about that at the end of the motion before."""
+    out = np.ones(len(own), dtype=bool)
+    for half, least in zip((slice(0, 3), slice(3, 6)), _LEAST, strict=True):
+        largest = np.maximum.reduceat(norm(wrench[:, half]), first)
+        out &= norm(own[:, half] - before[:, half]) <= np.maximum(_SHARE * largest, least)
+    return out
+
+
+def _at(motion: Ints, t: Array, wrench: Array, own: Ints, places: Array) -> Array:
+    """Return wrenches (k, 6) at places on motions: linear between the stations of each, constant outside of them."""
+    after = np.searchsorted(motion + 0.5 * t, own + 0.5 * places)
+    low, high = np.searchsorted(motion, own, side="left"), np.searchsorted(motion, own, side="right") - 1
+    b = np.clip(after, low, high)
+    a = np.clip(after - 1, low, high)
+    gap = t[b] - t[a]
+    share = np.clip((places - t[a]) / np.where(gap > 0.0, gap, 1.0), 0.0, 1.0)
+    return np.asarray(wrench[a] + share[:, None] * (wrench[b] - wrench[a]))
+
+
+def _axes(program: Program, path: Segments, motion: Ints, t: Array, map_in_base: Array) -> tuple[Array, Bools]:
+    """Return FEED axes (n, 3, 3) as columns in those of the map, and which places lie on moves along the spindle."""
+    direction = tangent(program, path, motion, t)
+    to_map = np.swapaxes(_to_base(program, motion, map_in_base), 1, 2)
+    direction = np.einsum("nij,nj->ni", to_map, direction)
+    across = np.hypot(direction[:, 0], direction[:, 1])
+    along = across < 1e-3
+    u = np.where(along[:, None], [1.0, 0.0], direction[:, :2] / np.where(along, 1.0, across)[:, None])
+    out = np.zeros((len(motion), 3, 3))
+    out[:, 0, 0], out[:, 1, 0] = u[:, 0], u[:, 1]
+    out[:, 0, 1], out[:, 1, 1] = -u[:, 1], u[:, 0]
+    out[:, 2, 2] = 1.0
+    return out, np.asarray(along)
+
+
+def _to_base(program: Program, motion: Ints, map_in_base: Array) -> Array:
+    """Return the axes of the map (n, 3, 3) in the `$BASE` of motions."""
+    base = program.motions.base[motion]
+    home = program.bases[home_base(program), :3, :3]
+    return np.asarray(np.swapaxes(program.bases[base, :3, :3], 1, 2) @ home @ map_in_base[:3, :3])
+
+
+def _turn(rotation: Array, wrench: Array) -> Array:
+    """Return wrenches (n, 6) in other axes."""
+    halves = [np.einsum("nij,nj->ni", rotation, wrench[:, half]) for half in (slice(0, 3), slice(3, 6))]
+    return np.concatenate(halves, axis=1)
+
+
+_SAME = 2e-3
+"""Forces that differ by less [N, N·m] count as equal: the file has three decimals."""
+_ALONG = 1.0 - 1e-6
+"""Cosine of the angle between a move and the spindle above which the move is along it."""
+_COMMENT = re.compile(r"\([^)]*\)|;.*")
+_CALL = re.compile(r"M[ \t]*0*98(?![\d.])|CALL", re.IGNORECASE)
+_ADVICE = "Omit the CSV: `convert --process process.toml` and `predict --process` give each move its own force."
+
+_Profile = tuple[Array, Array, Ints]
+
+
+def one_move_a_line(program: Program, path: Segments, axis: str, knots: Knots) -> Knots:
+    """Return the knots of one representative move for each line, as a force CSV needs them.
+
+    All cutting moves of a line must have the same force along them. A line makes several moves if it is executed
+    several times, or if it calls a routine of another file. For a drilling cycle, the hole or peck with the largest
+    force represents all of them.
+
+    :param path: geometry of the motions.
+    :param axis: axis of the tool frame that points from the spindle to the tip: "+Z", "-Z", "+X" or "-X".
+    :raises ForceError: moves of a line have different forces; the error is for the first such line.
+    """
+    m = program.motions
+    keep = np.ones(len(knots), dtype=np.bool_)
+    cutting = np.flatnonzero(~m.rapid)
+    cutting = cutting[np.argsort(m.line[cutting], kind="stable")]
+    _, begin, count = np.unique(m.line[cutting], return_index=True, return_counts=True)
+    texts = program.documents[0].text.splitlines()
+    size = np.einsum("ni,ni->n", knots.wrench[:, :3], knots.wrench[:, :3])
+    for row in np.flatnonzero(count > 1).tolist():
+        moves = cutting[begin[row] : begin[row] + count[row]]
+        low, high = np.searchsorted(knots.motion, moves), np.searchsorted(knots.motion, moves, side="right")
+        given = high > low
+        if not given.any():
+            continue
+        first = _profile(knots, low[0], high[0])
+        odd = [k for k in range(1, len(moves)) if not _same(first, _profile(knots, low[k], high[k]))]
+        chosen = int(np.argmax(given))
+        if odd:
+            text = texts[int(m.line[moves[0]]) - 1]
+            if not _is_cycle(program, path, "XYZ".index(axis[1]), moves, text):
+                raise _differing(program, moves[[0, odd[0]]], len(moves), text)
+            chosen = int(np.argmax([size[a:b].max(initial=-1.0) for a, b in zip(low, high, strict=True)]))
+        for k in np.flatnonzero(given).tolist():
+            keep[low[k] : high[k]] = k == chosen
+    return knots.take(keep)
+
+
+def _profile(knots: Knots, low: int, high: int) -> _Profile:
+    """Return places on a move (k,), wrenches with standard deviations (k, 12) and their frames (k,); zero if none.
+
+    The place is NaN if one wrench holds for the whole move.
+    """
+    if low == high:
+        return np.zeros(1), np.zeros((1, 12)), np.zeros(1, dtype=np.int64)
+    rows = slice(low, high)
+    t = np.where(knots.ramped[rows], np.nan, knots.t[rows])
+    return t, np.hstack([knots.wrench[rows], knots.sigma[rows]]), knots.frame[rows]
+
+
+def _same(one: _Profile, other: _Profile) -> bool:
+    """Whether the forces along two moves, linear between their places, are equal."""
+    (t, values, frame), (t_, values_, frame_) = one, other
+    if np.abs(values).max() <= _SAME and np.abs(values_).max() <= _SAME:
+        return True
+    if frame[0] != frame_[0] or np.isnan(t[0]) != np.isnan(t_[0]):
+        return False
+    if np.isnan(t[0]):
+        return bool(np.abs(values[0] - values_[0]).max() <= _SAME)
+    at = np.union1d(t, t_)
+    apart = [np.interp(at, t, a) - np.interp(at, t_, b) for a, b in zip(values.T, values_.T, strict=True)]
+    return bool(np.abs(apart).max() <= _SAME)
+
+
+def _is_cycle(program: Program, path: Segments, column: int, moves: Ints, text: str) -> bool:
+    """Whether a line is a drilling cycle: consecutive rapid moves and cuts along the spindle, without a call."""
+    m = program.motions
+    if program.keeps_text or _CALL.search(_COMMENT.sub("", text)):
+        return False
+    rows = np.flatnonzero(m.line == m.line[moves[0]])
+    if len(rows) != rows[-1] - rows[0] + 1 or not m.rapid[rows].any():
+        return False
+    along = np.einsum("ni,ni->n", tangent(program, path, moves, np.ones(len(moves))), m.target[moves, :3, column])
+    return bool(((m.kind[moves] == LIN) & (np.abs(along) > _ALONG)).all())
+
+
+def _differing(program: Program, two: Ints, count: int, text: str) -> ForceError:
+    line, file = int(program.motions.line[two[0]]), program.documents[0].name
+    found = program.places(two)
+    at = [f"{name}:{number}" for name, number in map(found.of, range(2)) if (name, number) != (file, line)]
+    where = f" ({', '.join(at)} …)" if at else ""
+    problem = (
+        f"the {count} cutting moves of this line{where} have different forces: a force CSV has one for all of them"
+    )
+    return ForceError(problem, file=file, line=line, text=text, advice=_ADVICE)
