@@ -66,6 +66,22 @@ def test_the_gradient_of_the_criterion_agrees_with_differences(readings, grouped
     assert np.abs(slope[4] - expected).max() < 1e-5 * np.abs(expected).max()
 
 
+def test_moments_of_the_load_turn_the_joints_too(readings):
+    """Torques are the work of force and moment per angle, by the positions of an independent arm."""
+    readings, site = readings
+    q, _, _, _ = plan(site, each=1)
+    load = np.random.default_rng(6).normal(size=(len(q), 6)) * [900.0, 900, 900, 300, 300, 300]
+    rows = readings.rows(q, load) * readings.noise / readings.scale
+    spots = np.array([[*spot, 1.0] for spot in (setting.LOAD_POINT, *setting.POINTS.values())])
+    for angles, wrench, found in zip(q, load, rows, strict=True):
+        pose = setting.differences(lambda x: setting.ORACLE.frames(x)[-1], angles)  # (4, 4, 6)
+        moved = np.einsum("ijk,pj->pik", pose[:3], spots)
+        turned = np.einsum("ijk,lj->ilk", pose[:3, :3], setting.ORACLE.frames(angles)[-1][:3, :3])
+        turn = np.array([turned[2, 1], turned[0, 2], turned[1, 0]])
+        torque = moved[0].T @ wrench[:3] + turn.T @ wrench[3:]
+        np.testing.assert_allclose(found, (moved[1:] * torque).reshape(-1, 6), atol=1e-5 * np.abs(found).max())
+
+
 def test_an_exchange_is_worth_what_the_changed_plan_is(readings):
     readings, site = readings
     q, tilt, level, q2 = plan(site)

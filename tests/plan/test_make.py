@@ -109,6 +109,21 @@ def test_the_search_never_gets_worse_and_ends_better_than_it_began(tmp_path):
     assert values[-1] < 0.97 * values[2]
 
 
+def test_the_share_done_rises_from_nothing_to_the_whole(tmp_path, monkeypatch):
+    told = []
+    monkeypatch.setattr(planning, "random_values", lambda *_: np.ones(1))
+    monkeypatch.setattr(planning, "by_number", lambda *_: ((count, 1.0, 1.0) for count in range(6)))
+    options = Options(configurations=6, levels=2, starts=2, test_poses=4, rounds=2)
+    plan_measurements(setting.site(tmp_path), setting.job(), options, progress=lambda *each: told.append(each))
+    shares = np.array([share for _, share, _ in told])
+    assert (np.diff(shares) >= 0.0).all()
+    assert (shares[0], shares[-1]) == (0.0, pytest.approx(1.0))
+    assert list(dict.fromkeys(stage for stage, _, _ in told)) == [
+        "drawing poses that can be measured", "searching", "comparing with other plans",
+        "comparing with other numbers of poses",
+    ]  # fmt: skip
+
+
 def test_a_hanging_weight_cannot_show_k1_and_the_plan_says_so_before_anyone_measures(tmp_path):
     result = setting.quick(tmp_path, text=BASIC + "\n[rig]\nmass_kg = 275\n")
     assert JOINT_COMPLIANCES[0] not in result.accuracy.parameters
@@ -235,6 +250,30 @@ def test_next_poses_help_more_than_the_same_number_planned_without_the_measureme
         both = np.vstack([force, place.rig.force * search_direction(drawn[1])])
         random.append(setting.pooled(np.vstack([q, drawn[0]]), both, next_ones.tests, VARIANCE))
     assert next_ones.plan.value < min(random)
+
+
+def test_every_exchange_has_the_value_of_its_plan_and_improves_it(tmp_path):
+    """Of the poses, then of each level: the value that is kept up to date is the criterion of the whole plan."""
+    site, tests = setting.site(tmp_path), setting.job().take(np.array([0, 150]), np.array([0.5, 0.5]))
+    options = Options(configurations=7, levels=3)
+    task = planning._problem(site, tests, setting.ROBOT.compliance, options, None).task
+    rng = np.random.default_rng(2)
+    row, level = search.first_levels(task, rng, spread=False), task.group_of_each(rng)
+    pick = rng.integers(0, task.candidates.q.shape[1], task.count)
+
+    def value(row, level, pick):
+        q, tilt = (each[row[level], pick] for each in (task.candidates.q, task.candidates.tilt))
+        return setting.pooled(q, site.rig.force * search_direction(tilt), tests, VARIANCE)
+
+    criterion = task.criterion_at(task.candidates.q2[row])
+    choice = search._Choice(row, level, pick, criterion, value(row, level, pick))
+    steps = [lambda one, group=group: search._exchange_level(task, one, group) for group in range(3)]
+    for step in (*steps, lambda one: search._exchange_poses(task, one)):
+        found = step(choice)
+        assert found.value == pytest.approx(value(found.row, found.level, found.pick), rel=1e-3)
+        assert found.value <= choice.value
+        choice = found
+    assert choice.value < 0.5 * value(row, level, pick)
 
 
 def test_exchange_keeps_levels_apart(tmp_path):

@@ -55,6 +55,28 @@ def test_a_few_poses_stand_for_all():
     assert np.trace(all_of_them) == pytest.approx(np.trace(those))
 
 
+def test_of_clusters_the_pose_nearest_to_the_mean_is_kept_with_the_weight_of_all():
+    """Three poses far from each other, each under five sizes of force: the middle one stands for them."""
+    q = np.radians([[0, -70, 110, 0, 50, 0], [40, -30, 60, 20, 40, 0], [-60, -110, 130, -30, 70, 0]])
+    tool, scale = setting.CELL.tool.pose(), setting.ROBOT.compliance
+    alone = milling.evaluated(setting.ROBOT, q, tool, np.eye(3, 6), np.ones(3), "units")
+    force = np.eye(3, 6) / np.linalg.norm(alone.regressor * scale, axis=(1, 2))[:, None]  # each counts the same
+    size, pose = np.tile([0.98, 0.99, 1.0, 1.01, 1.02], 3), np.repeat(np.arange(3), 5)
+    weight = np.array([2.0, 1.0, 3.0])[pose]
+    tests = milling.evaluated(setting.ROBOT, q[pose], tool, force[pose] * size[:, None], weight, "three")
+    for seed in range(6):
+        few = milling.thinned(tests, scale, 3, seed)
+        order = [int(np.abs(few.q - each).sum(axis=1).argmin()) for each in q]
+        np.testing.assert_allclose(few.weight[order], np.array([2.0, 1.0, 3.0]) / 6.0)
+        # scaled a little, all by one factor, so that the sum of squares is kept
+        factor = few.wrench[order].sum(axis=1) / force.sum(axis=1)
+        np.testing.assert_allclose(factor, np.sqrt(np.mean(size**2)), rtol=1e-9)
+        np.testing.assert_allclose(
+            few.torque[order], factor[0] * tests.torque[2::5], rtol=1e-9, atol=1e-9 * np.abs(tests.torque).max()
+        )
+        np.testing.assert_allclose(few.deflection[order], factor[0] * tests.deflection[2::5], rtol=1e-9)
+
+
 def test_few_poses_are_left_as_they_are():
     tests = setting.job(7, count=12)
     assert milling.thinned(tests, setting.ROBOT.compliance, 20, 0) is tests

@@ -1,0 +1,143 @@
+"""Every limit of a comparison: what is a fifth below it is no difference, what is a quarter above it is one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from postproc.comparison import compare, deviations
+from postproc.forces import Knots
+from postproc.under_load import RobotInCell
+from tests.comparison.test_named import CELL, FORCE, HEAD, POINT, ROBOT, TURNED, edited, lines, named, nominal, read
+
+TOLERANCE = RobotInCell.of(ROBOT, CELL).tolerance * 1e3
+"""Of the cell [mm]."""
+FORCE_SIZE = float(np.linalg.norm([-150.0, 100.0, 120.0]))
+ARC = f"CIRC {{X 60,Y 50,Z 0}},{{X 80,Y 30,Z 0,{TURNED}}}"
+
+
+def speed(off):
+    return edited((POINT, f"$VEL.CP={0.05 + off * 1e-3:.7f}\n{POINT}"))
+
+
+def approximation(off):
+    return edited(("LIN {X 40,Y 0", f"$APO.CDIS={0.5 + off:.5f}\nLIN {{X 40,Y 0"))
+
+
+def axis_target(off):
+    return edited(("A1 5,A2 -70", f"A1 {5 + off:.6f},A2 -70"))
+
+
+def posture(off):
+    """The tool is vertical, and its axis that of A6: A6 alone turns."""
+    return edited((POINT, POINT.replace("A 180", f"A {180.0 + off:.4f}")))
+
+
+def turned(off):
+    return edited((POINT, POINT.replace("B 0", f"B {off:.6f}")))
+
+
+def turned_where_inserted(off):
+    return edited((POINT, POINT.replace("Y 0", "Y 20").replace("B 0", f"B {off:.6f}") + POINT))
+
+
+def rapid(off):
+    return edited(("X 100,Y 0,Z 40", f"X 100,Y 0,Z {40 + off:.6f}"))
+
+
+def aside(off):
+    return edited((POINT, POINT.replace("X 80,Y 0", f"X {80 + off:.6f},Y 15") + POINT))
+
+
+def beside_an_offset(off):
+    """Pairs on either side are 0.2 mm off, in the same direction."""
+    moved = [line.replace("X 80,", "X 80.2,") for line in (ARC, POINT)]
+    between = POINT.replace("X 80,Y 0", f"X {80 + off:.6f},Y 15")
+    return edited((ARC, moved[0]), (POINT, between + moved[1]))
+
+
+def bulge(off):
+    return edited(("X 60,Y 50", f"X 60,Y {50 + off:.6f}"))
+
+
+def back(off):
+    between = "".join(POINT.replace("Y 0", f"Y {y:.5f}") for y in (15.0, 15.0 + off))
+    return edited((POINT, between + POINT))
+
+
+def comment(force):
+    return lambda off: f"; FORCE FX={-150 - off:.4f} FY=100 FZ=120{force}\n" + edited()
+
+
+DEGREES = np.degrees(TOLERANCE / 100.0)  # the tolerance, at 0.1 m of tool
+LIMITS = {
+    "speed": (speed, 0.05 + 0.001, "speed", ""),  # a thousandth and a micrometre a second [mm/s]
+    "approximation": (approximation, 0.01, "approximation", ""),
+    "axis target": (axis_target, 0.001, "axis-target", ""),
+    "posture": (posture, 20.0, "posture", ""),
+    "orientation": (turned, DEGREES, "orientation", ""),
+    "orientation of an inserted target": (turned_where_inserted, DEGREES, "orientation", ""),
+    "orientation of an inserted target under a force": (turned_where_inserted, DEGREES, "orientation", FORCE),
+    "rapid": (rapid, TOLERANCE, "rapid", ""),
+    "rapid under a force": (rapid, TOLERANCE, "rapid", FORCE),
+    "aside": (aside, 0.1, "only-corrected", ""),
+    "aside of an offset": (beside_an_offset, 0.1 + 3 * 0.2, "only-corrected", ""),
+    "auxiliary point": (bulge, 0.1, "between", ""),
+    "back": (back, 1.0, "back", FORCE),
+    "force": (comment(""), 0.05 + 1e-3 * FORCE_SIZE, "force", FORCE),
+    "force in axes of the tool": (
+        comment(" FRAME=TOOL"),
+        0.05 + 0.05 * FORCE_SIZE,
+        "force",
+        FORCE[:-1] + " FRAME=TOOL\n",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", LIMITS)
+def test_half_below_its_limit_nothing_is_a_difference_and_above_it_is_one(case):
+    edit, limit, kind, force = LIMITS[case]
+    first = nominal(force)
+    own = "" if kind == "force" else force
+    for share, count in ((0.8, 0), (1.25, 1)):
+        found = compare(first, read(HEAD + own + edit(share * limit), "OTHER.src"), ROBOT, CELL)
+        assert [d.kind for d in found.differences if d.kind == kind] == count * [kind], (share, named(found))
+
+
+@pytest.mark.parametrize("share", [0.8, 1.25])
+def test_a_missing_target_is_an_error_beyond_the_tolerance(share):
+    """The middle one of three, that much beside the line through the others."""
+    ends, middle = [(0, 0), (80, 0), (80, 30)], (40, share * TOLERANCE)
+    one, other = lines(ends[0], middle, *ends[1:]).program, lines(*ends).program
+    found = compare(one, other, ROBOT, CELL)
+    assert [d.level for d in found.differences if d.kind == "only-nominal"] == (["error"] if share > 1.0 else [])
+    assert len(found.passed) == int(share < 1.0)
+
+
+class Step:
+    """A force of its own on each motion, from its first place on."""
+
+    name = "steps"
+
+    def __init__(self, forces):
+        self.forces = np.array(forces, dtype=float)
+
+    def along(self, program, path):
+        motion = np.flatnonzero(self.forces.any(axis=1))
+        return Knots.along(motion, np.ones(len(motion)), self.forces[motion], np.zeros(len(motion), dtype=np.int64))
+
+
+def test_behind_a_step_of_the_force_the_new_one_acts_from_the_first_place_on():
+    """The deflection there, against the direction of travel, leaves all of itself; before it there is none."""
+    side = lines((0, 0), (60, 0), (120, 0))
+    load = side.forces(Step([[0] * 6, [0] * 6, [0] * 6, [-900, 300, 200, 0, 0, 0]]))
+    ways = deviations._Ways(
+        side, np.arange(4), side.along[[0, 1, 2, 3]], side.along[[1, 2, 3, 4]],
+        np.stack([side.along[:4], side.along[1:]], axis=1), np.ones(4, dtype=bool),
+    )  # fmt: skip
+    motion, t, begin = np.array([3]), np.array([1e-7]), side.along[[3]]
+    q = side.joints_at(motion, t)
+    off = side.place.tip(q, side.program.tools[0], side.wrench(load, motion))[0] - side.points(begin)[0]
+    assert off[0] < -1e-4  # against the travel along X
+    _, mine, distance = deviations._Search(side, side, load, ways).found(motion, t, q, begin, enough=1e-8)
+    np.testing.assert_allclose([mine[0], distance[0]], np.linalg.norm(off), rtol=1e-3)
