@@ -186,7 +186,7 @@ def thinned(tests: TestPoses, scale: Array, count: int, seed: int) -> TestPoses:
     used = np.unique(owner)
     rows = np.array([np.flatnonzero(owner == c)[distance[owner == c, c].argmin()] for c in used])
     weight = np.bincount(owner, weights=tests.weight, minlength=len(centres))[used]
-    few = tests.take(rows, weight)
+    few = tests.take(rows, np.asarray(weight, dtype=float))
     wanted, got = (np.trace(t.second_moment * np.outer(scale, scale)) for t in (tests, few))
     factor = np.sqrt(wanted / got) if got > 0.0 else 1.0
     return TestPoses(

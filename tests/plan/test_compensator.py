@@ -131,6 +131,7 @@ def test_readings_that_were_filled_in_are_not_replaced_by_a_new_template(tmp_pat
     (tmp_path / "readings.csv").write_text(text.replace(",,,", ",1,2,3"))
     again = planned(tmp_path, "--angles", "3")
     assert again.exit_code == 1
+    assert (text.count("\n"), text[-1]) == (1 + 3 * 5 * 3, "\n")  # three angles, P1 and four markers, three times
     assert "not written by postproc, or changed since" in again.output
     assert ",1,2,3" in (tmp_path / "readings.csv").read_text()
 

@@ -120,6 +120,31 @@ def test_a_mesh_of_the_cell_keeps_the_arm_out(tmp_path):
     assert "mesh press.stl" not in failed(site, np.radians([[90.0, -80, 95, 0, 60, 0]]))
 
 
+@pytest.mark.parametrize(
+    ("one_in", "found", "calls"),
+    [
+        (4, 100, 1),  # of 400 poses drawn at once
+        (8, 100, 2),
+        (200, 80, 40),  # as many as can be found in 40 rounds
+        (0, 0, 10),  # none in 10: there are none
+    ],
+)
+def test_poses_of_a_level_are_drawn_until_there_are_enough_or_none_seem_to_be_possible(
+    tmp_path, monkeypatch, one_in, found, calls
+):
+    asked = []
+
+    def feasible(_, q, __):
+        asked.append(len(q))
+        rows = np.arange(len(q))
+        return rows % one_in == 0 if one_in else rows < 0
+
+    monkeypatch.setattr(constraints, "feasible", feasible)
+    q, tilt = search.feasible_at(setting.site(tmp_path), -1.0, 100, np.random.default_rng(0))
+    assert (len(q), len(tilt), len(asked)) == (found, found, calls)
+    assert (q[:, 1] == -1.0).all()
+
+
 def test_constraints_that_leave_no_pose_say_which_one_blocks(tmp_path):
     text = BASIC.replace("Z = 262\n", "Z = 262\nnormal = [0, 0, 1]\n")
     text = text.replace("Z = 255\n", "Z = 255\nnormal = [0, 0, -1]\n")  # never both towards the tracker
