@@ -66,6 +66,11 @@ STANDARD = words(
 )
 """Programs and functions of the controller that neither move the robot nor change more than their arguments."""
 
+SYNCHRONISING = words("SYNCCMD $SYNC_ID $SYNC_LIST")
+"""What synchronises a robot with others (KUKA.RoboTeam): the program `SYNCCMD`, and the variables of motions that are
+driven with those of the others.
+"""
+
 RESERVED = (
     MOTIONS
     | TYPES

@@ -80,7 +80,7 @@ def starts(
     """
     loop, count = course.endless, len(motions)
     first, beyond = np.searchsorted(line, [loop.first, loop.last]).tolist() if loop is not None else (0, count)
-    row = np.append(np.arange(count), first)
+    row = np.append(np.arange(count), min(first, count - 1))  # of a loop of which no motion is corrected, any
     before = np.append(np.arange(count) - 1 if after is None else after, beyond - 1)
     return Starts.of(
         (motions.base[row], motions.tool[row], *frames), lambda at: motions.target[row[at]], flange, before

@@ -1,16 +1,23 @@
-"""Motions left uncorrected: their target, or whether they run, is not known before run time."""
+"""Motions left uncorrected: their target, or whether they run, is not known before run time, or other robots move in
+time with them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Collection, Iterator
+from itertools import pairwise
 
 import numpy as np
 from msgspec import Struct
 
+from postproc.dialects.krl.course import Enter
+from postproc.dialects.krl.language.names import SYNCHRONISING
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.positions import CARTESIAN
-from postproc.dialects.krl.language.tree import Motion, Statement
-from postproc.dialects.krl.language.values import Aggregate, Reference, walk
+from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.tree import CallStatement, Motion, Statement
+from postproc.dialects.krl.language.values import Aggregate, Call, Reference, Word, walk
 from postproc.dialects.krl.read.main_routine import MainRoutine
 from postproc.dialects.krl.read.motion_reader import HERE
 from postproc.dialects.krl.read.motions import OrderedMotions
@@ -19,6 +26,12 @@ from postproc.dialects.krl.read.state import fields_used
 from postproc.errors import Issue, ProgramError
 from postproc.program import CIRC, PTP, SPL, Ints, Unresolved
 
+_NAMES = re.compile("|".join(map(re.escape, sorted(SYNCHRONISING))), re.IGNORECASE)
+_WAITING, _OTHERWISE = "#PROGSYNC", "?"
+_SYNCHRONISED = (
+    "Motions before the first SYNCCMD of a program and behind the last are corrected; --keep-unresolved leaves those "
+    "between as they are."
+)
 _BEGIN = "where it begins is not known, and its path depends on that"
 _SHIFTED = ". It starts from the current robot position: the correction of the motion before it moves it too"
 _OPEN = (
@@ -46,14 +59,17 @@ def without_unresolved(main: MainRoutine, ordered: OrderedMotions) -> Separated:
     """Take out the motions that stay as they are, where that is wanted.
 
     :param ordered: motions whose targets are known.
-    :raises ProgramError: there are none that can be corrected.
+    :raises ProgramError: there are none that can be corrected; a motion is synchronised with another robot.
     """
     run, rows = main.run, ordered.rows
+    synchronised = list(_synchronised(main, rows.line))
     if not run.keep:
+        if synchronised:
+            raise synchronised[0][1]
         return Separated(ordered)
     lost = dict(run.unresolved)
     dropped = np.zeros(len(rows), dtype=np.bool_)
-    for row, reason in _uncertain(run.settings, ordered):
+    for row, reason in (*_uncertain(run.settings, ordered), *synchronised):
         lost[int(rows.line[row])] = reason
         dropped[row] = True
     if not lost and not run.moved:
@@ -98,6 +114,77 @@ def _uncertain(settings: Settings, ordered: OrderedMotions) -> Iterator[tuple[in
                 settings.refuse_uncertain(used, fields)
             except ProgramError as cause:
                 yield row, cause
+
+
+def _synchronised(main: MainRoutine, line: Ints) -> Iterator[tuple[int, ProgramError]]:
+    """Yield the motions during which another robot may move in time with this one, or with its tool or part.
+
+    These are the motions between two SYNCCMD. `SYNCCMD(#PROGSYNC, …)` lets the programs of the robots wait for each
+    other: behind the last of them each goes on alone. What holds behind any other, also one in a called routine, is
+    taken to hold to the end (KUKA.RoboTeam; its manual is not public).
+
+    :param line: (R,) lines of the motions in the trace.
+    """
+    source, marks = main.run.source, _marks(main)
+    if not marks:
+        return
+    sections = [(begin, until, True) for (begin, _), (until, _) in pairwise(marks)]
+    if not marks[-1][1]:
+        sections.append((marks[-1][0], len(source.starts) + 1, False))
+    for begin, until, closed in sections:
+        behind = f"between SYNCCMD ({source.origin(begin)}) and SYNCCMD ({source.origin(until)})"
+        where = behind if closed else f"behind SYNCCMD ({source.origin(begin)})"
+        for row in np.flatnonzero((line > begin) & (line < until)).tolist():
+            problem = f"the motion is {where}: another robot moves in time with it"
+            yield row, source.line_error(problem, int(line[row]), _SYNCHRONISED)
+
+
+def _marks(main: MainRoutine) -> list[tuple[int, bool]]:
+    """Return the lines of the trace that synchronise robots, in order; True: the programs only wait for each other.
+
+    If there are some in an endless loop, the lines before and behind its round are among them.
+    """
+    run, course = main.run, main.course
+    modules = [run.library.program, *run.library.read()]
+    if not any(_NAMES.search(source.text) for source in (run.source, *(module.source for module in modules))):
+        return []
+    routines = [(module, routine) for module in modules for routine in module.routines.values()]
+    words = {one: {_word(one.source, at) for at in one.lines} - {""} for _, one in routines}
+    own = {one for one, found in words.items() if found}
+    waiting = set().union(*words.values()) <= {_WAITING}
+    names = {one.name.upper() for module, one in routines if not own.isdisjoint(run.analysis.reached(module, one))}
+    entered = {step.line for step in course.steps if isinstance(step, Enter)}
+    found = []
+    for at in range(course.body.first, course.body.last):
+        if course.live is None or course.live[at - 1]:
+            word = _word(run.source, at, names, entered=at in entered)
+            found += [(at, waiting or word == _WAITING)] if word else []
+    loop = course.endless
+    if loop is not None and any(loop.first <= at < loop.last for at, _ in found):
+        found += [(loop.first - 1, True), (loop.last, True)]
+    return sorted(found)
+
+
+def _word(source: Source, line: int, names: Collection[str] = (), *, entered: bool = False) -> str:
+    """Return how a line synchronises robots: the first argument of SYNCCMD, else another word; empty if it does not.
+
+    :param names: of routines that do so.
+    :param entered: the routine that is called is in the trace itself.
+    """
+    start, stop = source.code_span(line)
+    if not (names or _NAMES.search(source.text, start, stop)):
+        return ""
+    here = statement(source, line)
+    try:
+        values = here.call.arguments if entered and isinstance(here, CallStatement) else here.values
+        own = [one for one in walk(values) if isinstance(one, Call | Reference)]
+    except ProgramError:
+        return _OTHERWISE
+    if all(one.name not in SYNCHRONISING and one.name not in names for one in own):
+        return ""
+    call = here.call if isinstance(here, CallStatement) and here.call.name in SYNCHRONISING else None
+    how = call.arguments[0] if call is not None and call.arguments else None
+    return how.text if isinstance(how, Word) else _OTHERWISE
 
 
 def needs_start(ordered: OrderedMotions, row: int, *, arcs: bool = True) -> bool:
