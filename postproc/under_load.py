@@ -185,7 +185,7 @@ class RobotInCell(Struct, frozen=True, eq=False, dict=True):
         robot = self.robot
         return robot.geometry_is_nominal and robot.subtract_reference and self.cell.payload.mass_kg == 0.0
 
-    def softness(self, tool: Array) -> tuple[float, float]:
+    def tip_compliance(self, tool: Array) -> tuple[float, float]:
         """Return the approximate compliance of a tool (4, 4) at the start: per force [m/N] and per moment [m/(N·m)]."""
         force, moment = elastostatics.largest_compliance(self.robot, self.cell.start_joints, tool)
         own = self.cell.tool_compliance.diagonal()
@@ -233,18 +233,18 @@ class MotionsUnderLoad(Struct, frozen=True, eq=False):
     :param setting: the robot in its cell.
     :param segments: start and length of the motions.
     :param forces: the forces along them.
-    :param softness: approximate compliance at the tip per force [m/N] and per moment [m/(N·m)].
+    :param compliance: approximate compliance at the tip per force [m/N] and per moment [m/(N·m)].
     :param estimate: approximate displacement of the tool by the forces.
-    :param swung: places of straight motions that are needed where FEED forces swing: motion (n,) and t (n,).
+    :param swing_places: places of straight motions that are needed where FEED forces swing: motion (n,) and t (n,).
     """
 
     program: Program
     setting: RobotInCell
     segments: Segments
     forces: PathForces
-    softness: tuple[float, float]
+    compliance: tuple[float, float]
     estimate: DisplacementEstimate
-    swung: tuple[Ints, Array]
+    swing_places: tuple[Ints, Array]
 
     @classmethod
     def of(cls, program: Program, setting: RobotInCell, source: ForceSource | None) -> MotionsUnderLoad:
@@ -257,10 +257,12 @@ class MotionsUnderLoad(Struct, frozen=True, eq=False):
         check_ends(program, setting.robot)
         segments = toolpath.segments(program, setting.start_flange)
         check_between(program, setting.robot, segments)
-        along = forces.along(program, segments, source, setting.spindle, setting.ramp)
-        softness = setting.softness(program.tools[0])
-        swung = forces.swung(along, softness, SHARE_OF_TOLERANCE * setting.tolerance)
-        return cls(program, setting, segments, along, softness, forces.estimate(along, softness), swung)
+        along = forces.assign(program, segments, source, setting.spindle, setting.ramp)
+        compliance = setting.tip_compliance(program.tools[0])
+        swing_places = forces.swing_places(along, compliance, SHARE_OF_TOLERANCE * setting.tolerance)
+        return cls(
+            program, setting, segments, along, compliance, forces.displacement_estimate(along, compliance), swing_places
+        )
 
     def pieces(self, *, linearize_arcs: bool) -> Pieces:
         """Return the initial division of the arcs into pieces.
@@ -269,7 +271,7 @@ class MotionsUnderLoad(Struct, frozen=True, eq=False):
         """
         tolerance = self.setting.tolerance
         arcs = toolpath.pieces(self.program, self.segments, tolerance, self.estimate, linearize_arcs=linearize_arcs)
-        return forces.followed(self.forces, arcs, self.estimate, self.softness, SHARE_OF_TOLERANCE * tolerance)
+        return forces.refined_arcs(self.forces, arcs, self.estimate, self.compliance, SHARE_OF_TOLERANCE * tolerance)
 
 
 class PathUnderLoad(Struct, frozen=True, eq=False):
@@ -293,11 +295,11 @@ class PathUnderLoad(Struct, frozen=True, eq=False):
         """Sample the motions as closely as arcs and forces need, and solve the joint angles.
 
         :param arcs: the pieces of the arcs.
-        :param also: places of straight motions that are needed: motion (n,) and t (n,); by default `motions.swung`.
+        :param also: places of straight motions that are needed: motion (n,), t (n,); default: `motions.swing_places`.
         :raises ImpossiblePathError: a sample is out of reach.
         """
         program, setting = motions.program, motions.setting
-        also = motions.swung if also is None else also
+        also = motions.swing_places if also is None else also
         motion, t = toolpath.places(program, motions.segments, setting.tolerance, motions.estimate, arcs, also)
         sample = toolpath.at(program, motions.segments, motion, t)
         try:

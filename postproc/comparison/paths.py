@@ -99,7 +99,7 @@ class PlacedProgram(Struct, frozen=True, eq=False, dict=True):
 
     def forces(self, source: ForceSource | None) -> PathForces:
         """Return the forces along the program: from a source, else from its comments."""
-        return forces.along(self.program, self.path, source, self.place.spindle, self.place.ramp)
+        return forces.assign(self.program, self.path, source, self.place.spindle, self.place.ramp)
 
     def wrench(self, load: PathForces, motion: Ints, t: Array | float = 1.0) -> Array:
         """Return the wrenches (n, 6) at places (motion, t), root axes [N, N·m]."""

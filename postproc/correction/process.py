@@ -460,7 +460,7 @@ def _settled(task: Task, motions: MotionsUnderLoad) -> tuple[Task, Draft]:
 
     :returns: the task, with an issue if rapid moves were slowed, and the draft.
     """
-    pieces, also = _first_pieces(task, motions), motions.swung
+    pieces, also = _first_pieces(task, motions), motions.swing_places
     slow: Issue | None = None
     for _ in range(_ROUNDS):
         draft = _drafted(task, PathUnderLoad.of(motions, pieces, also))

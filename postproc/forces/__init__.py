@@ -1,18 +1,15 @@
 """Cutting forces: their sources, and the wrench anywhere on a tool path.
 
-Every source gives wrenches at places along motions, linear between them (`Knots`). `along` assigns them to the motions
+Every source gives wrenches at places along motions, linear between them (`Knots`). `assign` gives them to the motions
 of a program and returns `PathForces`, which gives the wrench at each sample.
 """
 
-from postproc.forces.along import BEHIND_STEP, PathForces, along
-from postproc.forces.axes import Axes
-from postproc.forces.estimate import estimate
-from postproc.forces.feed import last_travel
-from postproc.forces.followed import followed, swung
-from postproc.forces.knots import ForceSource, Knots
-from postproc.forces.sources import read
+from postproc.forces.axes import Axes, last_travel
+from postproc.forces.output import of_pieces, of_targets, once_a_line
+from postproc.forces.path_forces import BEHIND_STEP, PathForces, assign
+from postproc.forces.refinement import displacement_estimate, refined_arcs, swing_places
+from postproc.forces.sources import ForceSource, Knots, read
 from postproc.forces.table import read_force_csv
-from postproc.forces.written import of_pieces, of_targets, once_a_line
 
 __all__ = [
     "BEHIND_STEP",
@@ -20,14 +17,14 @@ __all__ = [
     "ForceSource",
     "Knots",
     "PathForces",
-    "along",
-    "estimate",
-    "followed",
+    "assign",
+    "displacement_estimate",
     "last_travel",
     "of_pieces",
     "of_targets",
     "once_a_line",
     "read",
     "read_force_csv",
-    "swung",
+    "refined_arcs",
+    "swing_places",
 ]

@@ -1,15 +1,119 @@
-"""Rotate forces from the axes in which they are given into `$BASE` axes, and back."""
+"""Axes of forces: FEED axes (along the travel, along the spindle, square to both), and rotations into `$BASE`."""
 
 from __future__ import annotations
 
 import numpy as np
 from msgspec import Struct
 
-from postproc.forces.feed import feed_axes
-from postproc.forces.knots import FEED, TOOL
-from postproc.frames import Array
-from postproc.program import Ints, Program
-from postproc.toolpath import Segments, Toolpath, at
+from postproc.forces.sources import FEED, TOOL
+from postproc.frames import RAD_PER_DEG, Array, norm
+from postproc.program import CIRC, Bools, Ints, Program
+from postproc.toolpath import Segments, Toolpath, at, tangent
+
+_SPINDLE = {"+Z": (2, 1.0), "-Z": (2, -1.0), "+X": (0, 1.0), "-X": (0, -1.0)}
+_PARALLEL = 1e-3
+"""Sine of the angle between travel and spindle below which the travel has no direction across the spindle."""
+_ACROSS = 45.0 * RAD_PER_DEG
+_NEAR = 0.01
+"""Where an arc is tangent to the spindle, its direction is taken at this distance from there (share of the arc)."""
+
+
+def feed_axes(program: Program, path: Segments, sample: Toolpath, axis: str, last: Array) -> Array:
+    """Return the FEED axes (n, 3, 3) as columns in `$BASE`.
+
+    z along the spindle from the tip to the spindle, x along the component of the travel perpendicular to z, y = z × x.
+
+    :param axis: axis of the tool frame that points from the spindle to the tip: "+Z", "-Z", "+X" or "-X".
+    :param last: (M, 3) x for motions along the spindle, see `last_travel`; where it is NaN, any x perpendicular to z.
+    """
+    z = _towards_spindle(sample, axis)
+    x, sine = _square_to(z, tangent(program, path, sample.motion, sample.t))
+    along = np.flatnonzero(sine < _PARALLEL)
+    if len(along):
+        motion, t = sample.motion[along], sample.t[along]
+        near = tangent(program, path, motion, np.where(t > _NEAR, t - _NEAR, t + _NEAR))
+        other, sine = _square_to(z[along], near)
+        none = np.flatnonzero(sine < _PARALLEL)
+        before, any_other = last[motion[none]], sample.pose[along[none], :3, _SPINDLE[axis][0] - 2]
+        before = np.where(np.isnan(before), any_other, before)
+        other[none] = _square_to(z[along[none]], before)[0]
+        x[along] = other
+    return np.stack([x, np.cross(z, x), z], axis=-1)
+
+
+def runs_across(program: Program, path: Segments, arcs: Ints, axis: str) -> Bools:
+    """Return which arcs (n,), rows of `Motions`, keep 45° from the direction of the spindle.
+
+    On these arcs FEED axes turn about as fast as the travel. Near the direction of the spindle they swing by up to half
+    a turn, the faster the nearer, and at that direction they jump.
+    """
+    m = program.motions
+    z = _towards_spindle(at(program, path, arcs, np.ones(len(arcs))), axis)
+    start = path.start.at(arcs)[:, :3, _SPINDLE[axis][0]]
+    square = [np.arccos(np.minimum(np.abs(np.einsum("ni,ni->n", m.normal[arcs], one)), 1.0)) for one in (z, start)]
+    row = np.searchsorted(path.arcs.motion, arcs)
+    pitch = np.arctan2(norm(path.arcs.climb[row]), norm(path.arcs.radial[row]) * path.arcs.sweep[row])
+    return np.asarray(np.maximum(*square) + 0.5 * path.turn[arcs] + pitch < _ACROSS)
+
+
+def lines_run_across(program: Program, path: Segments, lines: Ints, axis: str) -> Bools:
+    """Return on which straight motions (n,), rows of `Motions`, the travel keeps 45° from the direction of the spindle.
+
+    Nearer to it, FEED axes may swing by up to half a turn while the tool turns a little.
+    """
+    ends = at(program, path, lines, np.ones(len(lines)))
+    travel = tangent(program, path, lines, ends.t)
+    start = path.start.at(lines)[:, :3, _SPINDLE[axis][0]]
+    nearest = np.maximum(*(np.abs(np.einsum("ni,ni->n", z, travel)) for z in (_towards_spindle(ends, axis), start)))
+    return np.asarray(np.arccos(np.minimum(nearest, 1.0)) - 0.5 * path.turn[lines] > _ACROSS)
+
+
+def across(orientation: Array, travel: Array, axis: str) -> tuple[Array, Bools]:
+    """Return the FEED axes (n, 3, 3) of tool orientations (n, 3, 3) and travel directions (n, 3), all in `$BASE`.
+
+    :returns: the axes as columns, and (n,) False where the travel is along the spindle and the axes are undefined.
+    """
+    column, sign = _SPINDLE[axis]
+    z = -sign * orientation[:, :, column]
+    x, sine = _square_to(z, travel)
+    return np.stack([x, np.cross(z, x), z], axis=-1), np.asarray(sine >= _PARALLEL)
+
+
+def last_travel(program: Program, path: Segments, axis: str) -> tuple[Array, Bools]:
+    """Return for each motion the travel direction of the last motion across the spindle before it.
+
+    Programs often begin with a plunge: motions before the first one across the spindle get its direction.
+
+    :returns: (M, 3) unit vectors in `$BASE` of each motion, NaN if there is none; and (M,) True for motions that
+        need it: straight ones along the spindle, and those without travel.
+    """
+    m = program.motions
+    every, end = np.arange(len(m)), np.ones(len(m))
+    z = _towards_spindle(at(program, path, every, end), axis)
+    x, sine = _square_to(z, tangent(program, path, every, end))
+    turning = np.flatnonzero((m.kind == CIRC) & (sine < _PARALLEL))
+    x[turning], sine[turning] = _square_to(z[turning], tangent(program, path, turning, end[turning] - _NEAR))
+    needs = sine < _PARALLEL
+    before = np.concatenate([[-1], np.maximum.accumulate(np.where(needs, -1, every))[:-1]])
+    before[before < 0] = -1 if needs.all() else int(np.argmin(needs))
+    rotation = program.bases[:, :3, :3]
+    in_root = np.einsum("nij,nj->ni", rotation[m.base[before]], x[before])
+    last = np.einsum("nji,nj->ni", rotation[m.base], in_root)
+    last[before < 0] = np.nan
+    last[_square_to(z, last)[1] < _PARALLEL] = np.nan  # the tool has turned into the direction of travel
+    return last, needs
+
+
+def _towards_spindle(sample: Toolpath, axis: str) -> Array:
+    column, sign = _SPINDLE[axis]
+    return np.asarray(-sign * sample.pose[:, :3, column])
+
+
+def _square_to(z: Array, travel: Array) -> tuple[Array, Array]:
+    """Return unit vectors (n, 3) along the component of the travel perpendicular to z, and its length (n,)."""
+    across = travel - np.einsum("ni,ni->n", travel, z)[:, None] * z
+    length = norm(across)
+    return across / np.where(length > 0.0, length, 1.0)[:, None], length
 
 
 class Axes(Struct, frozen=True, eq=False):

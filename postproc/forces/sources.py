@@ -1,17 +1,156 @@
-"""Readers of force files by extension: built-in ones, and those that other packages add."""
+"""Sources of forces: their common format, the comments of a program, and the readers of files by extension."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Protocol
 
-from postproc.errors import ForceError, PostprocError
-from postproc.forces.knots import ForceSource
+import numpy as np
+from msgspec import Struct
+
+from postproc.errors import ForceError, Issue, PostprocError
+from postproc.frames import Array, any_column
+from postproc.program import FORCE_FRAMES, MOST_FORCE, Bools, Ints, Program
+from postproc.toolpath import Segments
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
+
+
+BASE, TOOL, FEED = range(3)
+"""Values of `Knots.frame`: places in `FORCE_FRAMES`."""
+
+
+class Knots(Struct, frozen=True, eq=False):
+    """The wrench at K places along motions: linear from one to the next, constant before the first and after the last.
+
+    Linear in the axes that `frame` names: a FEED wrench turns with the travel, a TOOL wrench with the tool. A motion
+    that has no knot has no force.
+
+    :param motion: (K,) row of `Motions`, never decreasing.
+    :param t: (K,) position on it in [0, 1], increasing along a motion.
+    :param wrench: (K, 6) Fx…Mz on the tool at its tip [N, N·m], in the axes that `frame` names.
+    :param frame: (K,) `BASE`, `TOOL` or `FEED`; one for a motion.
+    :param sigma: (K, 6) standard deviations of `wrench`: components are assumed independent of each other at a knot,
+        and each is assumed fully correlated with itself along the path.
+    :param ramped: (K,) True for the only knot of a motion whose force changes from that of the motion before over its
+        first `force_ramp_mm`; otherwise the force is as given from the start of the motion.
+    :param issues: warnings and notes for the user.
+    """
+
+    motion: Ints
+    t: Array
+    wrench: Array
+    frame: Ints
+    sigma: Array
+    ramped: Bools
+    issues: tuple[Issue, ...] = ()
+
+    @classmethod
+    def throughout(cls, motion: Ints, wrench: Array, frame: Ints, sigma: Array | None = None) -> Knots:
+        """Return one wrench (n, 6) for the whole of each motion (n,), ramped at its start."""
+        sigma = np.zeros_like(wrench) if sigma is None else sigma
+        return cls(motion, np.ones(len(motion)), wrench, frame, sigma, np.ones(len(motion), dtype=np.bool_))
+
+    @classmethod
+    def along(cls, motion: Ints, t: Array, wrench: Array, frame: Ints, sigma: Array | None = None) -> Knots:
+        """Return wrenches (n, 6) at places of motions, without a ramp."""
+        sigma = np.zeros_like(wrench) if sigma is None else sigma
+        return cls(motion, t, wrench, frame, sigma, np.zeros(len(motion), dtype=np.bool_))
+
+    @classmethod
+    def joined(cls, parts: list[Knots]) -> Knots:
+        """Return the knots of several parts of a program, in order; without the issues."""
+        columns: list[Any] = [np.concatenate([getattr(part, name) for part in parts]) for name in cls._columns()]
+        return cls(*columns)
+
+    def __len__(self) -> int:
+        return len(self.motion)
+
+    def take(self, rows: Ints | Bools) -> Knots:
+        """Return some of the knots, without the issues."""
+        columns: list[Any] = [getattr(self, name)[rows] for name in self._columns()]
+        return Knots(*columns)
+
+    def over(self, other: Knots) -> Knots:
+        """Return these knots, plus those of `other` for motions without a knot here; without the issues."""
+        kept = other.take(~np.isin(other.motion, self.motion))
+        order = np.argsort(np.append(self.motion, kept.motion), kind="stable")  # those of one motion are in order
+        return Knots.joined([self, kept]).take(order)
+
+    @classmethod
+    def _columns(cls) -> tuple[str, ...]:
+        return tuple(name for name in cls.__struct_fields__ if name != "issues")
+
+    def checked(self, program: Program, name: str) -> Knots:
+        """Return these knots if they can be used for a program.
+
+        :param name: of the source, for messages.
+        :raises ForceError: knots are not in order, name a motion that the program does not have, are not finite or
+            too large, or have several frames on one motion.
+        """
+        count, shapes = len(self.motion), [np.shape(getattr(self, one)) for one in ("t", "frame", "ramped")]
+        if shapes != [(count,)] * 3 or [np.shape(one) for one in (self.wrench, self.sigma)] != [(count, 6)] * 2:
+            raise ForceError(f"the arrays of the source of forces {name} do not have one row per knot")
+        same = np.diff(self.motion) == 0
+        for wrong, problem in (
+            ((self.motion < 0) | (self.motion >= len(program.motions)), "a motion that does not exist"),
+            (~((self.t >= 0.0) & (self.t <= 1.0)), "a place outside a motion (t in 0…1)"),
+            (
+                any_column(~(np.abs(self.wrench) <= MOST_FORCE)),
+                "a force that is not finite, or larger than any robot carries",
+            ),
+            (
+                any_column(~((self.sigma >= 0.0) & (self.sigma <= MOST_FORCE))),
+                "a standard deviation that is not finite, negative or too large",
+            ),
+            ((self.frame < 0) | (self.frame >= len(FORCE_FRAMES)), "an unknown frame"),
+            (np.append(np.diff(self.motion) < 0, False), "motions out of order"),
+            (np.append(same & (np.diff(self.t) <= 0.0), False), "places on one motion out of order"),
+            (np.append(same & (np.diff(self.frame) != 0), False), "two frames on one motion"),
+            (np.append(same & (self.ramped[1:] | self.ramped[:-1]), False), "a ramped motion with several knots"),
+        ):
+            if np.any(wrong):
+                motion = int(self.motion[int(np.argmax(wrong))])
+                line = int(program.motions.line[motion]) if 0 <= motion < len(program.motions) else None
+                text = f"the source of forces {name} gives {problem}"
+                raise ForceError(text, file=program.documents[0].name, line=line, advice="Report this to its author.")
+        return self
+
+
+class ForceSource(Protocol):
+    """A source of forces: a file, the process and the stock, a measurement."""
+
+    @property
+    def name(self) -> str:
+        """Name in messages, e.g. of its file."""
+
+    def along(self, program: Program, path: Segments) -> Knots:
+        """Return the forces along those motions of a program that this source covers.
+
+        Comments in the program apply to the others. Forces on rapid moves are ignored.
+
+        :param path: geometry of the motions.
+        :raises ForceError: the forces do not match the motions of this program.
+        """
+
+
+def of_comments(program: Program) -> Knots:
+    """Return the force of each motion after the first force comment: that of the last comment executed before it.
+
+    :raises ValueError: the reader of the program has not set the first motion of a comment.
+    """
+    first = [note.before for note in program.notes]
+    if min(first, default=0) < 0:
+        raise ValueError(f"the reader of {program.dialect} leaves ForceNote.before unset")
+    index = np.searchsorted(first, np.arange(len(program.motions)), side="right") - 1
+    motion = np.flatnonzero(index >= 0)
+    values = np.array([note.wrench for note in program.notes]).reshape(-1, 6)
+    frames = np.array([FORCE_FRAMES.index(note.frame) for note in program.notes], dtype=np.int64)
+    return Knots.throughout(motion, values[index[motion]], frames[index[motion]])
+
 
 READERS = {".csv": "postproc.forces.table:read_force_csv"}
 """Readers of `--forces` files by extension, as module:function; imported when such a file is given."""

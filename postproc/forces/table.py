@@ -10,7 +10,7 @@ from msgspec import Struct
 
 from postproc import files
 from postproc.errors import MOST, ForceError, together
-from postproc.forces.knots import Knots
+from postproc.forces.sources import Knots
 from postproc.frames import Array
 from postproc.program import FORCE_FRAMES, MOST_FORCE, WRENCH, Bools, Ints, Program
 from postproc.toolpath import Segments

@@ -67,7 +67,7 @@ def predicted(program: Program, robot: RobotModel, cell: Cell, source: ProcessSo
     while not settled and rounds < _ROUNDS:
         rounds += 1
         cut = source.shifted(Shift.of(program, *here, offset))
-        along = forces.along(program, motions.segments, cut, motions.setting.spindle, motions.setting.ramp)
+        along = forces.assign(program, motions.segments, cut, motions.setting.spindle, motions.setting.ramp)
         deviation = _deviation(replace(path, wrench=along.at(path.sample)))
         residual, before = deviation - offset, residual
         step = _secant(moved, residual - before, step, weight)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from postproc.errors import ForceError
 from postproc.forces import Knots
-from postproc.forces.knots import BASE, FEED
+from postproc.forces.sources import BASE, FEED
 from postproc.frames import Array, norm
 from postproc.machining.tool_path import home_base
 from postproc.program import CIRC, LIN, Bools, Ints, Program

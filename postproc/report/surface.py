@@ -21,7 +21,7 @@ from msgspec import Struct
 from scipy.spatial import cKDTree
 
 from postproc.correction import Result
-from postproc.forces.feed import across
+from postproc.forces.axes import across
 from postproc.frames import MM_PER_M, Array, norm
 from postproc.machining.tool import Cutter
 from postproc.program import Bools, Ints

@@ -197,8 +197,8 @@ def cut(program: Program, setting: RobotInCell, source: ProcessSource, where: Su
     """
     try:
         motions = MotionsUnderLoad.of(program, setting, source)
-        swung, t = motions.swung
-        also = np.concatenate([swung, where.motion]), np.concatenate([t, where.t])
+        swing, t = motions.swing_places
+        also = np.concatenate([swing, where.motion]), np.concatenate([t, where.t])
         path = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False), also)
     except ImpossiblePathError as cause:
         line = cause.issue.source_line

@@ -142,7 +142,7 @@ def loads(kinds: list[Kind], cutting: Cutting, process: Process, setting: RobotI
     stock = StockTable(box=box, resolution_mm=process.stock.resolution_mm)
     source = ProcessSource(replace(process, stock=stock, operations={}), setting.spindle)
     path = toolpath.segments(motions, setting.start_flange)
-    along = forces.along(motions, path, source, setting.spindle, setting.ramp)
+    along = forces.assign(motions, path, source, setting.spindle, setting.ramp)
     motion = np.array([int(np.flatnonzero(motions.motions.line == line)[0]) for line in part.line])
     places = toolpath.at(motions, path, motion, part.t)
     wrench, travel = along.at(places), toolpath.tangent(motions, path, motion, part.t)

@@ -74,7 +74,7 @@ def test_what_is_given_for_the_written_program_holds_between_its_targets_too(tmp
     (tmp_path / "in.csv").write_bytes(report.forces_csv(result))
     program = correction.read(result.documents, ROBOT, CELL, "part", "krl")
     path = toolpath.segments(program, program.motions.target[0])
-    load = forces.along(program, path, forces.read(tmp_path / "in.csv"), "+Z", 1e-3)
+    load = forces.assign(program, path, forces.read(tmp_path / "in.csv"), "+Z", 1e-3)
     begin = np.where(np.diff(result.source_line, prepend=0) == 0, np.roll(result.t, 1), 0.0)
     row = np.searchsorted(program.motions.line, result.output_line)
     for share in (0.01, 0.3, 0.7):

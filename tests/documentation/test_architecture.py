@@ -38,7 +38,7 @@ def test_name_exists(name):
 
 
 def test_a_name_that_is_gone_would_be_noticed():
-    assert found("forces.along")
+    assert found("forces.assign")
     assert not found("forces.no_such_function")
     assert not found("forces.no_such_module.function")
 

@@ -16,7 +16,7 @@ RAMP = 1e-3
 
 
 def put_on(made, source, axis="+Z"):
-    return forces.along(made, toolpath.segments(made, START), source, axis, RAMP)
+    return forces.assign(made, toolpath.segments(made, START), source, axis, RAMP)
 
 
 def along(made, motion, distance_mm, source=None, axis="+Z"):
@@ -158,7 +158,7 @@ def test_where_an_arc_runs_along_the_spindle_its_direction_just_before_is_taken_
         made = [("PTP", -50, 0, 0), ("CIRC", 50, 0, 0, 0, 0, 0, 180.0, (0, 1, 0))]
     made = program(made, notes=[(2, (10.0, 0, 0, 0, 0, 0), "FEED")])
     path = toolpath.segments(made, START)
-    load = forces.along(made, path, None, "+Z", 1e-9)
+    load = forces.assign(made, path, None, "+Z", 1e-9)
     spot = toolpath.at(made, path, np.array([1]), np.array([place or 1e-6]))
     direction = toolpath.tangent(made, path, np.array([1]), np.array([place]))[0]
     assert abs(direction[2]) > 1.0 - 1e-9

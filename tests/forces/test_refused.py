@@ -29,7 +29,7 @@ class Given:
 
 
 def put_on(made, knots):
-    return forces.along(made, toolpath.segments(made, np.eye(4)), Given(knots), "+Z", 1e-3)
+    return forces.assign(made, toolpath.segments(made, np.eye(4)), Given(knots), "+Z", 1e-3)
 
 
 def whole(motion, wrench, frame, sigma=(0.0,) * 6):

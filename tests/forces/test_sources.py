@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from postproc import forces, toolpath
 from postproc.errors import ForceError
 from postproc.forces import sources
-from postproc.forces.knots import BASE, FEED, Knots
+from postproc.forces.sources import BASE, FEED, Knots
 from postproc.jobs import find_jobs
 from tests.programs import program
 
@@ -44,7 +44,7 @@ def rising(**changes):
 
 def put_on(source, notes=()):
     made = program(MOVES, notes=notes)
-    return made, forces.along(made, toolpath.segments(made, np.eye(4)), source, "+Z", 1e-3)
+    return made, forces.assign(made, toolpath.segments(made, np.eye(4)), source, "+Z", 1e-3)
 
 
 def test_a_source_wins_over_comments_for_the_motions_it_knows():

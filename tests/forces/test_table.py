@@ -22,7 +22,7 @@ def write(tmp_path, text):
 
 def put_on(made, tmp_path, text):
     path = toolpath.segments(made, START)
-    return path, forces.along(made, path, forces.read_force_csv(write(tmp_path, text)), "+Z", RAMP)
+    return path, forces.assign(made, path, forces.read_force_csv(write(tmp_path, text)), "+Z", RAMP)
 
 
 def along(made, tmp_path, text, motion, t):

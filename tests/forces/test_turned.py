@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from postproc import forces, frames, toolpath
 from postproc.forces import Knots
-from postproc.forces.feed import lines_run_across, runs_across
+from postproc.forces.axes import lines_run_across, runs_across
 from postproc.program import Targets
 from tests.programs import program
 from tests.toolpath.setting import START, arc, begins, mixed, point, turned, unit
@@ -94,7 +94,7 @@ def test_wrenches_and_deviations_anywhere(seed, spindle):
     rng, made = np.random.default_rng(seed), mixed()
     knots = random_knots(rng, made)
     path = toolpath.segments(made, START)
-    load = forces.along(made, path, Given(knots), spindle, RAMP)
+    load = forces.assign(made, path, Given(knots), spindle, RAMP)
     count = len(made.motions)
     motion = np.repeat(np.arange(1, count), 12)
     t = np.concatenate([np.append(rng.uniform(0.0, 1.0, 11), 1.0) for _ in range(1, count)])
@@ -115,17 +115,17 @@ def test_at_a_knot_and_beyond_the_last_the_wrench_is_its_own():
     wrench = np.arange(18.0).reshape(3, 6)
     knots = Knots.along(np.array([3, 3, 3]), np.array([0.25, 0.5, 0.75]), wrench, np.zeros(3, dtype=int))
     path = toolpath.segments(made, START)
-    load = forces.along(made, path, Given(knots), "+Z", RAMP)
+    load = forces.assign(made, path, Given(knots), "+Z", RAMP)
     at = toolpath.at(made, path, np.full(6, 3), np.array([1e-9, 0.25, 0.5, 0.75, 0.8, 1.0]))
     np.testing.assert_array_equal(load.at(at), wrench[[0, 0, 1, 2, 2, 2]])
 
 
-SOFTNESS = 2e-6, 7e-6
+COMPLIANCE = 2e-6, 7e-6
 
 
 def moves(wrench):
     """How far the tool gives way to wrenches (..., 6), about [m]."""
-    return SOFTNESS[0] * np.linalg.norm(wrench[..., :3], axis=-1) + SOFTNESS[1] * np.linalg.norm(
+    return COMPLIANCE[0] * np.linalg.norm(wrench[..., :3], axis=-1) + COMPLIANCE[1] * np.linalg.norm(
         wrench[..., 3:], axis=-1
     )
 
@@ -139,8 +139,8 @@ def test_the_displacement_by_the_force_is_estimated_from_its_changes(seed):
     keep = knots.motion == 3  # on this line the force goes straight on through its knots, but for one
     knots.wrench[keep] = 50.0 * knots.t[keep, None] + np.where(knots.t[keep, None] > 0.6, 9.0, 0.0)
     path = toolpath.segments(made, START)
-    load = forces.along(made, path, Given(knots), "+Z", RAMP)
-    found = forces.estimate(load, SOFTNESS)
+    load = forces.assign(made, path, Given(knots), "+Z", RAMP)
+    found = forces.displacement_estimate(load, COMPLIANCE)
     begin = np.zeros((len(made.motions), 6))
     rows = []
     for k in range(len(made.motions)):
@@ -221,13 +221,13 @@ def test_lines_run_across_the_spindle_up_to_45_degrees(begin, end):
             assert lines_run_across(made, path, np.array([1]), "+Z")[0] == (nearest > 45.0)
 
 
-def displaced_circle(load, piece, softness, shares):
+def displaced_circle(load, piece, compliance, shares):
     """Places (n, 3) of the tip on a piece (motion, begin, end), displaced as it gives way to the force."""
     k, begin, end = piece
     made, path = load.axes.program, load.axes.path
     sample = toolpath.at(made, path, np.full(len(shares), k), begin + shares * (end - begin))
     wrench = load.at(sample)
-    return sample.pose[:, :3, 3] - softness[0] * wrench[:, :3] - softness[1] * wrench[:, 3:]
+    return sample.pose[:, :3, 3] - compliance[0] * wrench[:, :3] - compliance[1] * wrench[:, 3:]
 
 
 def missed_by_circle(spots, shares):
@@ -244,18 +244,18 @@ def missed_by_circle(spots, shares):
     return np.linalg.norm(spots - on, axis=1).max()
 
 
-@pytest.mark.parametrize("softness", [(4e-6, 0.0), (0.0, 5e-6), (2e-6, -2e-6)])
-def test_pieces_where_the_force_swings_round_are_halved_until_circles_follow_it(softness):
+@pytest.mark.parametrize("compliance", [(4e-6, 0.0), (0.0, 5e-6), (2e-6, -2e-6)])
+def test_pieces_where_the_force_swings_round_are_halved_until_circles_follow_it(compliance):
     """An arc that comes near the direction of the spindle, and one that does not."""
     moves_ = [("PTP", 50, 0, 0), arc((50, 0, 0), unit(0, -1.0, 0.15), (0, 0, 0), 170.0)]
     made = program([*moves_, ("LIN", -60, 0, 0), arc((-60, 0, 0), (0.0, 0.0, 1.0), (0, 0, 0), 90.0)])
     path = toolpath.segments(made, START)
     knots = Knots.throughout(np.array([1, 3]), np.array([[100.0, 40, 20, 60, -50, 10]] * 2), np.full(2, FEED))
-    load = forces.along(made, path, Given(knots), "+Z", RAMP)
-    found, limit = forces.estimate(load, (1e-9, 1e-9)), 2e-6
+    load = forces.assign(made, path, Given(knots), "+Z", RAMP)
+    found, limit = forces.displacement_estimate(load, (1e-9, 1e-9)), 2e-6
     assert found.round.tolist() == [False, True, False, False]
     arcs = toolpath.pieces(made, path, 1e-5, found)
-    halved = forces.followed(load, arcs, found, softness, limit)
+    halved = forces.refined_arcs(load, arcs, found, compliance, limit)
     other = halved.motion == 3
     np.testing.assert_array_equal(halved.number[other], arcs.number[arcs.motion == 3])
     own = halved.take(~other)
@@ -268,37 +268,38 @@ def test_pieces_where_the_force_swings_round_are_halved_until_circles_follow_it(
         long = (end - begin) * path.length[1] > 1e-7
         if long:
             assert (
-                missed_by_circle(displaced_circle(load, (1, begin, end), softness, quarters), quarters) <= limit * 1.001
+                missed_by_circle(displaced_circle(load, (1, begin, end), compliance, quarters), quarters)
+                <= limit * 1.001
             )
         # the piece of which it is a half was too long
         width = end - begin
         parent = begin - width if round(begin / width) % 2 else begin
-        spots = displaced_circle(load, (1, parent, parent + 2 * width), softness, quarters)
+        spots = displaced_circle(load, (1, parent, parent + 2 * width), compliance, quarters)
         if len(own.motion) > 2 and 2 * width <= 0.5:
             assert missed_by_circle(spots, quarters) > limit * 0.999
         if width > 1e-3:
-            spots = displaced_circle(load, (1, begin, end), softness, fine)
+            spots = displaced_circle(load, (1, begin, end), compliance, fine)
             assert missed_by_circle(spots, fine) < 3.0 * limit
 
 
-@pytest.mark.parametrize("softness", [(4e-6, 0.0), (0.0, 5e-6), (3e-6, 1e-6)])
-def test_lines_that_turn_the_tool_through_the_travel_get_places_where_the_force_swings_round(softness):
+@pytest.mark.parametrize("compliance", [(4e-6, 0.0), (0.0, 5e-6), (3e-6, 1e-6)])
+def test_lines_that_turn_the_tool_through_the_travel_get_places_where_the_force_swings_round(compliance):
     made = leaning(-70.0, 80.0, ("PTP", 0, 0, 0), ("LIN", 3, 0, 60), ("LIN", 6, 0, 90))
     turning = made.motions.target.copy()
     turning[1, :3, :3] = turning[0, :3, :3]
     made = replace(made, motions=replace(made.motions, target=turning))
     path = toolpath.segments(made, START)
     knots = Knots.throughout(np.array([1, 2]), np.array([[100.0, 40, 20, 60, -50, 10]] * 2), np.full(2, FEED))
-    load = forces.along(made, path, Given(knots), "+Z", RAMP)
+    load = forces.assign(made, path, Given(knots), "+Z", RAMP)
     limit = 3e-6
-    motion, t = forces.swung(load, softness, limit)
+    motion, t = forces.swing_places(load, compliance, limit)
     assert (np.bincount(motion, minlength=3) > 0).tolist() == [False, False, True]
     places = np.array([0.0, *np.sort(t), 1.0])
     assert (np.diff(places) > 0).all()
 
     def displaced(shares):
         wrench = load.at(toolpath.at(made, path, np.full(len(shares), 2), shares))
-        return np.hstack([softness[0] * wrench[:, :3], softness[1] * wrench[:, 3:]])
+        return np.hstack([compliance[0] * wrench[:, :3], compliance[1] * wrench[:, 3:]])
 
     for a, b in pairwise(places):
         shares = np.linspace(a, b, 5)
@@ -319,9 +320,9 @@ def test_where_the_force_jumps_pieces_of_an_arc_are_halved_down_to_a_tenth_of_a_
     made = program([("PTP", size, 0, 0), arc((size, 0, 0), (0.0, -1.0, 0.0), (0, 0, 0), 250.0)])
     path = toolpath.segments(made, START)
     knots = Knots.throughout(np.array([1]), np.array([[100.0, 0, 0, 0, 0, 0]]), np.array([FEED]))
-    load = forces.along(made, path, Given(knots), "+Z", RAMP)
-    found = forces.estimate(load, (1e-6, 0.0))
-    halved = forces.followed(load, toolpath.pieces(made, path, 1e-5, found), found, (1e-6, 0.0), 1e-6)
+    load = forces.assign(made, path, Given(knots), "+Z", RAMP)
+    found = forces.displacement_estimate(load, (1e-6, 0.0))
+    halved = forces.refined_arcs(load, toolpath.pieces(made, path, 1e-5, found), found, (1e-6, 0.0), 1e-6)
     width = (halved.end - halved.begin).min()
     smallest = width * min(1.0, path.length[1])
     assert 0.5e-7 < smallest <= 1e-7
@@ -336,8 +337,8 @@ def test_where_the_force_jumps_on_a_line_places_are_a_tenth_of_a_micrometre_apar
     knots = Knots.along(
         np.array([1, 1]), np.array([0.0, 1.0]), np.array([[100.0, 0, 0, 0, 0, 0]] * 2), np.full(2, FEED)
     )
-    load = forces.along(made, path, Given(knots), "+Z", RAMP)
-    motion, t = forces.swung(load, (1e-6, 0.0), 1e-6)
+    load = forces.assign(made, path, Given(knots), "+Z", RAMP)
+    motion, t = forces.swing_places(load, (1e-6, 0.0), 1e-6)
     assert (motion == 1).all()
     smallest = np.diff(np.sort(t)).min() * min(1.0, path.length[1])
     assert 0.25e-7 < smallest <= 1e-7
@@ -351,8 +352,8 @@ def test_each_line_on_which_the_force_swings_has_the_places_that_it_has_alone():
         target = made.motions.target.copy()
         target[0, :3, :3], target[2, :3, :3] = target[second, :3, :3].copy(), target[first, :3, :3].copy()
         made = replace(made, motions=replace(made.motions, target=target))
-        load = forces.along(made, toolpath.segments(made, START), Given(knots), "+Z", RAMP)
-        motion, t = forces.swung(load, (4e-6, 1e-6), 3e-6)
+        load = forces.assign(made, toolpath.segments(made, START), Given(knots), "+Z", RAMP)
+        motion, t = forces.swing_places(load, (4e-6, 1e-6), 3e-6)
         assert len(motion) == len(t)
         return [np.sort(t[motion == k]) for k in (1, 2)]
 
@@ -411,7 +412,7 @@ def test_forces_that_go_with_a_divided_program_are_those_of_the_program(seed):
     ]
     path, targets, written = divided(made, cuts)
     knots = random_knots(rng, made)
-    load = forces.along(made, path, Given(knots), "+Z", RAMP)
+    load = forces.assign(made, path, Given(knots), "+Z", RAMP)
     arrive = toolpath.tangent(made, path, targets.motion, targets.t)
     wrench = load.at(toolpath.at(made, path, targets.motion, targets.t))
     at_end = forces.of_targets(load, targets, arrive, wrench)
@@ -421,7 +422,7 @@ def test_forces_that_go_with_a_divided_program_are_those_of_the_program(seed):
     row = np.arange(len(targets))
     travel, _ = forces.last_travel(written, other, "+Z")
     found = forces.of_pieces(load, targets, at_end, forces.Axes(written, other, "+Z", travel), row)
-    carried = forces.along(written, other, Given(replace(found, motion=row[found.motion])), "+Z", RAMP)
+    carried = forces.assign(written, other, Given(replace(found, motion=row[found.motion])), "+Z", RAMP)
     for share in (0.03, 0.3, 0.5, 0.81, 1.0):
         sample = toolpath.at(written, other, row, np.full(len(row), share))
         t = targets.begin + share * (targets.t - targets.begin)
@@ -452,7 +453,7 @@ def test_a_force_that_stays_as_it_is_is_given_once_to_each_piece():
     columns = [np.repeat(values, 2, axis=0) for values in (wrench, sigma)]
     columns[1][5, 3] += 1.0  # a deviation that changes on the third of them
     knots = Knots.along(motion, np.tile([0.2, 0.8], 4), columns[0], np.repeat([FEED, TOOL, FEED, TOOL], 2), columns[1])
-    load = forces.along(made, path, Given(knots), "+Z", RAMP)
+    load = forces.assign(made, path, Given(knots), "+Z", RAMP)
     there = load.at(toolpath.at(made, path, targets.motion, targets.t))
     at_end = forces.of_targets(load, targets, toolpath.tangent(made, path, targets.motion, targets.t), there)
     other = toolpath.segments(written, START)

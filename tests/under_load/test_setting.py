@@ -46,7 +46,7 @@ def test_payload_start_and_output_of_the_cell_are_those_of_its_file_in_si_units(
 def test_holder_and_tool_add_their_largest_compliance_to_that_of_the_arm(own):
     setting = RobotInCell.of(ROBOT, CELL)
     soft = RobotInCell.of(ROBOT, msgspec.structs.replace(CELL, tool_compliance=cells.ToolCompliance(*own)))
-    added = np.subtract(soft.softness(TOOLS[1]), setting.softness(TOOLS[1]))
+    added = np.subtract(soft.tip_compliance(TOOLS[1]), setting.tip_compliance(TOOLS[1]))
     np.testing.assert_allclose(added, [max(own[:3]) * 1e-6, 20e-6], rtol=1e-9)
 
 
@@ -161,9 +161,9 @@ def test_the_loaded_tip_and_the_share_of_the_tool_come_back_in_the_base_of_the_m
 
 def test_places_are_chosen_by_a_share_of_the_tolerance(monkeypatch):
     """Places for forces that swing, and along arcs, are chosen for 0.4 of the tolerance."""
-    asked, swung, followed = [], forces.swung, forces.followed
-    monkeypatch.setattr(forces, "swung", lambda *given: (asked.append(given[-1]), swung(*given))[1])
-    monkeypatch.setattr(forces, "followed", lambda *given: (asked.append(given[-1]), followed(*given))[1])
+    asked, swung, followed = [], forces.swing_places, forces.refined_arcs
+    monkeypatch.setattr(forces, "swing_places", lambda *given: (asked.append(given[-1]), swung(*given))[1])
+    monkeypatch.setattr(forces, "refined_arcs", lambda *given: (asked.append(given[-1]), followed(*given))[1])
     two_frames()
     assert SHARE_OF_TOLERANCE == 0.4
     assert asked == pytest.approx([0.4e-5, 0.4e-5], rel=1e-12)
@@ -182,7 +182,7 @@ def test_where_the_axes_of_the_feed_turn_with_the_tool_there_are_samples_between
     moves = [("PTP", 0, 0, 50), ("LIN", 0, 0, 0), ("LIN", 60, 10, 0)]
     made = program(moves, [(2, (2000.0, -3000.0, 1500.0, 0.0, 0.0, 0.0), "FEED")], orientation=np.array(turned))
     motions = MotionsUnderLoad.of(made, RobotInCell.of(ROBOT, CELL), None)
-    motion, t = motions.swung
+    motion, t = motions.swing_places
     assert len(motion) > 3
     path = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False))
     for one, at in zip(motion, t, strict=True):

@@ -128,8 +128,8 @@ def test_each_of_the_six_compliances_shifts_or_turns_along_its_own_axis_of_the_t
 
 
 def test_the_tool_of_the_cell_adds_to_the_softness_of_the_robot():
-    rigid = RobotInCell.of(ROBOT, CELL).softness(TOOL)
-    soft = SETTING.softness(TOOL)
+    rigid = RobotInCell.of(ROBOT, CELL).tip_compliance(TOOL)
+    soft = SETTING.tip_compliance(TOOL)
     assert np.subtract(soft, rigid) == pytest.approx([0.3e-6, 20e-6], rel=1e-9)
     by_force = [ARM.loaded_tcp(CELL.start_joints, TOOL, unit)[:3, 3] for unit in np.eye(6)]
     away = np.linalg.norm(by_force - ARM.tcp(CELL.start_joints, TOOL)[:3, 3], axis=1)

@@ -13,7 +13,7 @@ from postproc import kinematics
 from postproc.collision import Body
 from postproc.correction import Result
 from postproc.errors import Issue
-from postproc.forces.feed import across
+from postproc.forces.axes import across
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, largest, norm, xyzabc_from_pose
 from postproc.program import CIRC, PTP, WRENCH, Bools, Ints, distinct
 from postproc.report.kit import Columns

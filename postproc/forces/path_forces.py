@@ -6,10 +6,8 @@ import numpy as np
 from msgspec import Struct
 
 from postproc.errors import MOST, ForceError, Issue, together
-from postproc.forces.axes import Axes
-from postproc.forces.comments import of_comments
-from postproc.forces.feed import last_travel
-from postproc.forces.knots import BASE, FEED, ForceSource, Knots
+from postproc.forces.axes import Axes, last_travel
+from postproc.forces.sources import BASE, FEED, ForceSource, Knots, of_comments
 from postproc.frames import Array, any_column, norm
 from postproc.program import SPL, Bools, Ints, Program, distinct
 from postproc.toolpath import Segments, Toolpath, at
@@ -83,7 +81,7 @@ class PathForces(Struct, frozen=True, eq=False):
         return out
 
 
-def along(program: Program, path: Segments, source: ForceSource | None, axis: str, ramp: float) -> PathForces:
+def assign(program: Program, path: Segments, source: ForceSource | None, axis: str, ramp: float) -> PathForces:
     """Assign forces to the motions. A source takes precedence over comments; rapid moves have no force.
 
     :param path: the geometry of the motions.

@@ -12,10 +12,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from postproc.forces.along import PathForces
-from postproc.forces.axes import Axes
-from postproc.forces.feed import across
-from postproc.forces.knots import BASE, FEED, TOOL, Knots
+from postproc.forces.axes import Axes, across
+from postproc.forces.path_forces import PathForces
+from postproc.forces.sources import BASE, FEED, TOOL, Knots
 from postproc.frames import Array, any_column, largest, norm
 from postproc.program import CIRC, Ints, TargetForces, Targets
 from postproc.toolpath import at
