@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import math
 
 import numpy as np
 import pytest
@@ -14,11 +13,9 @@ from postproc.cli import main
 from postproc.errors import MeasurementError
 from postproc.identification import identify_folder
 from postproc.identification.choice import link_springs
-from postproc.identification.coverage import coverage
 from postproc.identification.plausibility import check_frames, check_loads
 from postproc.identification.procedure import identify
-from postproc.identification.uncertainty import left_out_of, levels, unmodelled
-from postproc.identification.validation import ValidatedLevel, Validation, limits, table, validate
+from postproc.identification.validation import validate
 from samples.paper_study import harness, simulator
 from tests import fabricated
 from tests.benchmarks import truth
@@ -87,82 +84,6 @@ def test_masses_and_compensator_that_gears_feel_at_rest_are_looked_for(tmp_path)
     assert model.compensator.stiffness == pytest.approx(done.data.parameters["K_c"].value)
 
 
-def test_a_stated_error_of_the_load_widens_every_interval_by_its_share(tmp_path):
-    fits = row("the model fits: joint springs")
-    truth.experiment(fits, 1, tmp_path)
-    data = harness.load(tmp_path)
-    plain, wider = (identify(harness.PRIOR, replace(data, load_error=share)) for share in (0.0, 0.02))
-    sigma = 0.02 / 1.96  # what is stated is the bound of 95 %
-    for parameter, value, before, after in zip(
-        plain.fit.structure.parameters, plain.fit.values, plain.fit.covariance.diagonal(),
-        wider.fit.covariance.diagonal(), strict=True,
-    ):  # fmt: skip
-        assert after == pytest.approx(before + (sigma * value) ** 2, rel=1e-4), parameter.name
-
-
-def test_a_stated_error_of_the_load_point_is_what_moving_it_does(tmp_path):
-    fits = row("the model fits: joint springs")
-    truth.experiment(fits, 1, tmp_path)
-    data = harness.load(tmp_path)
-    plain = identify(harness.PRIOR, data)
-    step, expected = 2e-3, np.array(plain.fit.covariance)
-    for axis in np.eye(3):
-        # readings taken at a moved point, told as if they were not
-        moved = identify(harness.PRIOR, replace(data, load_point=data.load_point + step * axis))
-        by_step = (moved.fit.values - plain.fit.values) / step
-        expected += 25e-6 * np.outer(by_step, by_step)
-    found = identify(harness.PRIOR, replace(data, load_point_error=5e-3)).fit.covariance
-    np.testing.assert_allclose(np.sqrt(found.diagonal()), np.sqrt(expected.diagonal()), rtol=0.15)
-
-
-def test_configurations_left_out_are_predicted_as_by_fits_without_them(tmp_path):
-    truth.experiment(row("the model fits: joint springs"), 2, tmp_path)
-    result = identify(harness.PRIOR, harness.load(tmp_path))
-    left = left_out_of(result.fit, result.data)
-    fit, config = result.fit, np.repeat(result.data.state_config[result.data.loaded], 9)
-    scale = np.linalg.norm(fit.design, axis=0)
-    keep = config != 4
-    values = np.linalg.lstsq(fit.design[keep] / scale, fit.target[keep], rcond=None)[0] / scale
-    white = fit.target[~keep] - fit.design[~keep] @ values
-    # one load, three repeats with and without it: σ²·(1/3 + 1/3)
-    own = left[result.data.state_config[result.data.loaded] == 4].ravel() / (result.data.sigma * np.sqrt(2 / 3))
-    np.testing.assert_allclose(own, white, rtol=1e-4, atol=1e-5)
-
-
-def test_levels_of_loads_are_told_apart_and_nothing_else():
-    np.testing.assert_array_equal(levels(np.array([540.0, 2700.0, 530.0, 2610.0, 600.0])), [0, 1, 0, 1, 0])
-
-
-def test_discrepancy_does_not_shrink_below_the_measured_loads_and_is_nothing_without_load():
-    off = robot.Discrepancy(np.array([500.0, 2500.0]), np.array([0.04e-3, 0.08e-3]))
-    wrench = np.zeros((6, 6))
-    wrench[:5, 2] = [-1.0, 100.0, 500.0, 1500.0, 5000.0]
-    np.testing.assert_allclose(off.at(wrench) * 1e3, [0.04, 0.04, 0.04, 0.06, 0.16, 0.0])
-    model = replace(harness.PRIOR, covariance=robot.Covariance((), np.zeros((0, 0))), discrepancy=off)
-    bound = elastostatics.position_bound(model, np.tile(JOB[0][0], (6, 1)), harness.TOOL, wrench)
-    np.testing.assert_allclose(bound, off.at(wrench), rtol=0.02)
-
-
-def test_unmodelled_error_is_found_though_some_configurations_are_open():
-    rng = np.random.default_rng(4)
-    blur = np.tile(0.03**2 * np.eye(3), (40, 1, 1))
-    blur[:3] = np.eye(3)  # there the parameters are open: their errors say nothing
-    error = np.einsum("nij,nj->ni", np.linalg.cholesky(blur + 0.04**2 * np.eye(3)), rng.normal(size=(40, 3)))
-    assert unmodelled(error, blur, np.ones(40), 0.003) == pytest.approx(0.04 * 2.795, rel=0.2)
-    noise = np.einsum("nij,nj->ni", np.linalg.cholesky(blur), rng.normal(size=(40, 3)))
-    assert 0.0 < unmodelled(noise, blur, np.ones(40), 0.003) < 0.05
-
-
-def test_unmodelled_error_is_never_zero_is_wider_from_few_configurations_and_has_no_step():
-    rng = np.random.default_rng(5)
-    noise, blur = rng.normal(size=(200, 3)), np.tile(np.eye(3), (200, 1, 1))
-    few, many = (unmodelled(noise[:count], blur[:count], np.ones(count), 0.2) for count in (6, 200))
-    assert few > 1.5 * many > 0.0
-    found = [unmodelled(share * noise, blur, np.ones(200), 0.2) for share in np.linspace(0.9, 1.4, 51)]
-    assert np.all(np.diff(found) > 0.0)
-    assert np.max(np.diff(found)) < 0.06 * max(found)
-
-
 def test_no_spring_of_a_link_stands_for_a_joint_on_the_same_line():
     springs = {spring.name for spring in link_springs(harness.PRIOR, rich=True)}
     # A6 turns about the x axis of link A5, and A1 about the z axis of the base: the same motion
@@ -227,86 +148,6 @@ def test_readings_that_a_model_was_identified_from_do_not_validate_it(tmp_path):
     assert named.exit_code == 0, named.output
     assert "of 15 configurations" in named.output
     assert "the model does not record which torques it was identified with" in named.output
-
-
-def validated_level(inside, limits, reach=0.9):
-    return ValidatedLevel(
-        load=600.0, measured=1e-3, left=70e-6, noise=70e-6, doubt=1e-10, inside=inside, limits=limits, reach=reach,
-        bound=3e-5,
-    )  # fmt: skip
-
-
-def test_limits_of_a_share_are_those_of_independent_displacements_and_wider_where_configurations_are_alike():
-    # one displacement a configuration: Clopper and Pearson's, by sums of binomial probabilities
-    inside = np.array([1.0] * 26 + [0.0] * 4)
-    low, high = limits(inside, np.ones(30), 0.05)
-    tail = [sum(math.comb(30, n) * p**n * (1 - p) ** (30 - n) for n in ns) for p, ns in (
-        (low, range(26, 31)), (high, range(27)))]  # fmt: skip
-    assert tail == pytest.approx([0.05, 0.05], abs=0.01)
-    # three displacements a configuration that are all inside or all outside tell no more than one
-    assert limits(3 * inside, np.full(30, 3.0), 0.05) == pytest.approx((low, high), abs=0.02)
-    # and if each is by itself, as many as there are
-    mixed = np.array([3.0] * 18 + [2.0] * 12)
-    alone = limits(mixed, np.full(30, 3.0), 0.05)
-    assert alone[1] - alone[0] < 0.75 * (high - low)
-    assert limits(np.full(15, 3.0), np.full(15, 3.0), 0.05) == pytest.approx((0.05 ** (1 / 15), 1.0))
-    assert limits(np.array([3.0]), np.array([3.0]), 0.05) == (0.0, 1.0)
-
-
-def test_a_bound_that_holds_is_seldom_refuted_and_one_that_does_not_is():
-    rng = np.random.default_rng(2)
-    refuted = {}
-    for share in (0.95, 0.6):
-        # all points of a configuration together, as its own error makes them
-        found = [limits(3.0 * (rng.random(15) < share), np.full(15, 3.0), 0.05) for _ in range(1000)]
-        refuted[share] = np.mean([high < 0.95 for _, high in found])
-    assert refuted[0.95] < 0.07, "5 % are meant"
-    assert refuted[0.6] > 0.9
-
-
-def test_the_verdict_says_what_the_readings_tell():
-    told = {
-        "holds": ((0.97, (0.8, 1.0)), (1.0, (0.78, 1.0))),
-        "can not tell": ((0.97, (0.8, 1.0)), (0.87, (0.6, 0.98))),
-        "too few": ((1.0, (0.3, 1.0)),),
-        "narrow": ((0.97, (0.8, 1.0)), (0.6, (0.4, 0.8), 1.6)),
-        "wrong": ((0.1, (0.0, 0.3), 7.0),),
-    }
-    line = {}
-    for name, found in told.items():
-        covered = coverage(np.zeros((0, 6)), np.zeros(0, dtype=np.int64))
-        result = Validation(tuple(validated_level(*each) for each in found), 15, covered, (), ())
-        assert result.holds == (name == "holds")
-        line[name] = result.line
-    assert line["holds"].startswith("the model holds for the torques listed below: at 600 N 97%")
-    for name in ("can not tell", "too few"):
-        assert line[name].startswith("IT IS NOT KNOWN whether the model holds")
-    share = "87% of the displacements of 15 configurations are inside its bound, so the share of all is 60% to 98%"
-    assert share in line["can not tell"]
-    for name in ("narrow", "wrong"):
-        assert line[name].startswith("THE MODEL DOES NOT HOLD: at 600 N")
-    assert "use 1.6 times u95" in line["narrow"]
-    assert "payload" not in line["narrow"]
-    assert "reach 7.0 times the bound" in line["wrong"]
-
-
-def test_a_model_without_a_bound_holds_for_nothing():
-    covered = coverage(np.zeros((0, 6)), np.zeros(0, dtype=np.int64))
-    result = Validation((validated_level(float("nan"), (0.0, 1.0)),), 15, covered, (), ())
-    assert not result.holds
-    assert result.line.startswith("the model states no bound")
-
-
-def test_a_factor_is_no_division_by_noise():
-    covered = coverage(np.zeros((0, 6)), np.zeros(0, dtype=np.int64))
-    level = validated_level(1.0, (0.8, 1.0))
-    assert not level.above_noise
-    assert level.factor == pytest.approx(1e-3 / np.sqrt(2e-10))
-    clear = replace(level, left=np.hypot(70e-6, 50e-6))
-    assert clear.above_noise
-    assert clear.factor == pytest.approx(1e-3 / 50e-6)
-    assert "> 70.7" in table(Validation((level,), 10, covered, (), ()))
-    assert "> " not in table(Validation((clear,), 10, covered, (), ()))
 
 
 def test_a_compensator_that_readings_show_is_kept_though_its_value_is_uncertain(tmp_path):

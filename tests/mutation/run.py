@@ -58,12 +58,11 @@ def sources_and_tests(package: str, root: Path) -> tuple[list[Path], list[str]]:
     if not files or not files[0].exists():
         raise MutationError(f"no package or module postproc.{package}")
     listed = tomllib.loads((root / "tests/mutation/packages.toml").read_text())
-    try:
-        return files, listed[package.split(".")[0]]
-    except KeyError:
-        raise MutationError(
-            f"tests/mutation/packages.toml names no tests for {package.split('.')[0]}: add a line there"
-        ) from None
+    names = package.split(".")
+    for count in range(len(names), 0, -1):
+        if tests := listed.get(".".join(names[:count])):
+            return files, tests
+    raise MutationError(f"tests/mutation/packages.toml names no tests for {names[0]}: add a line there")
 
 
 def accepted(root: Path, mutants: Sequence[Mutant]) -> set[Mutant]:

@@ -127,6 +127,19 @@ def test_a_mutant_that_is_accepted_is_not_run_and_a_stale_entry_is_an_error(tmp_
             accepted(root, every)
 
 
+def test_a_package_of_a_package_may_have_tests_of_its_own(tmp_path):
+    root = project(tmp_path / "one", WEAK)
+    (root / "postproc/gear").mkdir()
+    for name in ("__init__", "rack"):
+        (root / f"postproc/gear/{name}.py").write_text("")
+    (root / "tests/mutation/packages.toml").write_text('gear = ["a.py"]\n"gear.rack" = ["b.py"]\n')
+    assert [sources_and_tests(name, root)[1] for name in ("gear", "gear.rack")] == [["a.py"], ["b.py"]]
+    with pytest.raises(MutationError, match="no package or module"):
+        sources_and_tests("wheel", root)
+    with pytest.raises(MutationError, match="names no tests for lever"):
+        sources_and_tests("lever", root)
+
+
 def test_tests_that_fail_without_a_fault_are_an_error(tmp_path):
     root = project(tmp_path / "one", "def test_wrong():\n    assert weight(np.ones(1)) == 3.7\n")
     files, tests = sources_and_tests("lever", root)

@@ -77,6 +77,28 @@ def test_of_clusters_the_pose_nearest_to_the_mean_is_kept_with_the_weight_of_all
         np.testing.assert_allclose(few.deflection[order], factor[0] * tests.deflection[2::5], rtol=1e-9)
 
 
+def test_poses_with_another_angle_of_a2_stand_for_themselves_though_they_are_loaded_alike():
+    """The compliance of A2 depends on that angle, by the compensator."""
+    q = np.zeros((40, 6))
+    q[:, 1] = np.repeat([-1.5, -0.5], 20)
+    same = {"wrench": np.ones((40, 6)), "torque": np.ones((40, 6)), "regressor": np.ones((40, 3, 6))}
+    tests = milling.TestPoses(q=q, weight=np.full(40, 1 / 40), deflection=np.ones(40), source="alike", **same)
+    few = milling.thinned(tests, np.ones(6), 2, 0)
+    assert sorted(few.q[:, 1]) == [-1.5, -0.5]
+
+
+@pytest.mark.parametrize("count", [1, 4000, 4001, 8001, 11999, 12001])
+def test_of_a_long_path_every_nth_sample_has_the_length_of_those_left_out(count):
+    rows, way = 7 + 2 * np.arange(count), np.random.default_rng(count).uniform(0.1, 1.0, count)
+    kept, length = milling._merged(rows, way)
+    step = -(-count // 4000)
+    groups = [range(begin, min(begin + step, count)) for begin in range(0, count, step)]
+    assert len(kept) == len(groups) <= 4000
+    for row, share, group in zip(kept, length, groups, strict=True):
+        assert (row - 7) // 2 in group
+        assert share == pytest.approx(sum(way[k] for k in group), rel=1e-12)
+
+
 def test_few_poses_are_left_as_they_are():
     tests = setting.job(7, count=12)
     assert milling.thinned(tests, setting.ROBOT.compliance, 20, 0) is tests
