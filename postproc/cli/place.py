@@ -22,6 +22,11 @@ _PATH = click.Path(path_type=Path)
 @click.option(
     "--margin-deg", type=click.FloatRange(0, 60), default=5.0, show_default=True, help="To joint limits, in deg."
 )
+@click.option(
+    "--clearance-mm",
+    type=click.FloatRange(0, 1000),
+    help="Between bodies of [collision]; default: clearance_mm of the cell.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @click.option("--overwrite", is_flag=True, help="Replace files that postproc did not write, or not as they are.")
 @click.option("-o", "--output", type=_PATH, default=Path(), help="Folder to write into.")
@@ -29,9 +34,9 @@ def place(as_json: bool, **request: Any) -> None:
     """Find where the part should be.
 
     PROGRAMS are files, folders or patterns; all are to be driven at one place. Places in the region of $BASE are judged
-    by reach, joint limits, singular poses, joint speeds and the expected error under the forces. Writes place.json,
-    place.csv (every place that was tried), place.html (map) and place.toml (the [base] of the best place). The exit
-    code is 1 if no place can be driven.
+    by reach, joint limits, singular poses, joint speeds, collisions (if the cell has [collision]) and the expected
+    error under the forces. Writes place.json, place.csv (every place that was tried), place.html (map) and place.toml
+    (the [base] of the best place). The exit code is 1 if no place can be driven.
 
     \b
     Examples:

@@ -5,8 +5,19 @@ the nominal geometry has it, but for its deflection. Bodies are convex solids an
 (Pan, Chitta, Manocha, "FCL: a general purpose library for collision and proximity queries", ICRA 2012).
 """
 
-from postproc.collision.along import Closest, Hits, along
+from postproc.collision.along import Closest, Hits, along, hits
 from postproc.collision.bodies import Body, Scene
-from postproc.collision.distance import Clearance, clearance
+from postproc.collision.distance import Clearance, Solids, clearance, link_frames
 
-__all__ = ["Body", "Clearance", "Closest", "Hits", "Scene", "along", "clearance"]
+__all__ = [
+    "Body",
+    "Clearance",
+    "Closest",
+    "Hits",
+    "Scene",
+    "Solids",
+    "along",
+    "clearance",
+    "hits",
+    "link_frames",
+]

@@ -14,7 +14,7 @@ from msgspec import Struct
 from postproc.collision.bodies import Scene
 from postproc.collision.distance import Solids, link_frames
 from postproc.frames import Array, norm
-from postproc.program import Ints
+from postproc.program import Bools, Ints
 
 _FIRST = 64
 """Samples of one interval at first."""
@@ -56,22 +56,21 @@ class Hits(Struct, frozen=True, eq=False):
     calls: int
 
 
-def along(scene: Scene, q: Array, need: float) -> Hits:
+def along(scene: Scene, q: Array, need: float, shift: Array | None = None) -> Hits:
     """Return where bodies come closer than allowed along a path, and the smallest distance.
 
-    Between two samples the joints move in proportion.
+    Between two samples the joints move in proportion, and so does E1.
 
     :param q: (n, 6) joint angles [rad].
     :param need: smallest allowed distance [m]; 0: they must not touch.
+    :param shift: (n, 3) how far E1 carries the robot from the root [m].
     :raises InputError: the package python-fcl is not installed.
     """
-    pairs = list(scene.pairs())
-    if not pairs or not len(q):
-        empty = np.zeros(0, dtype=np.int64)
-        return Hits(None, empty, empty, empty, np.zeros(0), 0)
-    search = _Search(scene, q, need)
-    for pair in pairs:
-        search.look(*pair)
+    solids = Solids(scene)
+    search = _Search(solids, q, need, shift, closest=True)
+    if len(q):
+        for pair in solids.pairs:
+            search.look(*pair)
     found = search.hits
     keys = sorted(found)
     rows = np.array(keys, dtype=np.int64).reshape(-1, 3)
@@ -79,17 +78,35 @@ def along(scene: Scene, q: Array, need: float) -> Hits:
     return Hits(search.closest, rows[:, 0], rows[:, 1], rows[:, 2], distance, search.solids.calls)
 
 
-class _Search:
-    """The search of one path; it goes from pair to pair, and prunes by the smallest distance of all so far."""
+def hits(solids: Solids, q: Array, need: float, shift: Array | None = None, *, between: bool = True) -> Bools:
+    """Return at, or before, which samples (n,) of a path two bodies touch or come closer than allowed; see `along`.
 
-    def __init__(self, scene: Scene, q: Array, need: float) -> None:
-        self.scene, self.q, self.need = scene, q, need
-        self.solids = Solids(scene)
-        self.frames = link_frames(scene.robot.nominal, q)
+    :param between: look between samples too; else where they are alone.
+    """
+    search = _Search(solids, q, need, shift, closest=False)
+    out = np.zeros(len(q), dtype=bool)
+    if len(q):
+        for first, second in solids.pairs:
+            search.look(first, second, between=between)
+    out[[row for row, _, _ in search.hits]] = True
+    return out
+
+
+class _Search:
+    """The search of one path; it goes from pair to pair, and prunes by the smallest distance of all so far.
+
+    :param closest: whether the smallest distance is wanted, too, and not only where less is found than allowed.
+    """
+
+    def __init__(self, solids: Solids, q: Array, need: float, shift: Array | None, *, closest: bool) -> None:
+        self.solids, self.q, self.need, self.wanted = solids, q, need, closest
+        self.chain = solids.scene.robot.nominal
+        self.states = q if shift is None else np.concatenate([q, shift], axis=1)
+        self.frames = self._frames(self.states)
         self.closest: Closest | None = None
         self.hits: dict[tuple[int, int, int], float] = {}
 
-    def look(self, first: int, second: int) -> None:
+    def look(self, first: int, second: int, *, between: bool = True) -> None:
         """Search one pair of bodies."""
         count = len(self.q)
         length = np.append(0.0, np.cumsum(self._motion(first, second, self.q, self.frames)))
@@ -100,24 +117,29 @@ class _Search:
             distance[0] = 0.0  # also where one is inside the other
             self._note(first, second, 0, 0.0)
         low, high = ends[:-1], ends[1:]
-        between = []
+        open_rows = []
         while len(low):
             bound = 0.5 * (distance[low] + distance[high] - (length[high] - length[low]))
             open_ = self._open(bound)
             low, high = low[open_], high[open_]
             near = high - low == 1
-            between.append(low[near])
+            open_rows.append(low[near])
             low, high = low[~near], high[~near]
             middle = (low + high) // 2
             self._measure(first, second, np.unique(middle), distance)
             low, high = np.concatenate([low, middle]), np.concatenate([middle, high])
-        rows = np.concatenate(between) if between else np.zeros(0, dtype=np.int64)
-        self._between(first, second, np.sort(rows), distance)
+        if between and open_rows:
+            self._between(first, second, np.sort(np.concatenate(open_rows)), distance)
 
     def _open(self, bound: Array) -> np.ndarray:
         """Return which lower bounds decide neither whether the distance is kept nor that a smaller one was found."""
-        least = np.inf if self.closest is None else self.closest.distance
-        return np.asarray((bound < self.need) | (bound < least - _EXACT))
+        return np.asarray((bound < self.need) | (bound < self._least() - _EXACT))
+
+    def _least(self) -> float:
+        """Return the smallest distance so far [m]; nothing is below it if none is wanted."""
+        if not self.wanted:
+            return -np.inf
+        return np.inf if self.closest is None else self.closest.distance
 
     def _measure(self, first: int, second: int, rows: Ints, distance: Array) -> None:
         """Compute distances at samples where they are not known."""
@@ -142,23 +164,20 @@ class _Search:
 
     def _between(self, first: int, second: int, rows: Ints, distance: Array) -> None:
         """Halve the motions from samples to the next ones."""
-        begin, end = self.q[rows], self.q[rows + 1]
+        begin, end = self.states[rows], self.states[rows + 1]
         one, other = distance[rows], distance[rows + 1]
         while len(rows):
-            frames = link_frames(self.scene.robot.nominal, np.stack([begin, end], axis=1).reshape(-1, 6))
-            pair = np.stack([begin, end], axis=1).reshape(-1, 6)
-            length = self._motion(first, second, pair, frames)[::2]
+            pair = np.stack([begin, end], axis=1).reshape(-1, begin.shape[1])
+            length = self._motion(first, second, pair[:, :6], self._frames(pair))[::2]
             bound = 0.5 * (one + other - length)
             failed = np.minimum(one, other)
             seen = (failed < self.need) | (failed <= 0.0)  # reported already
-            least = np.inf if self.closest is None else self.closest.distance
-            open_ = ((bound < self.need) & ~seen | (bound < least - _EXACT)) & (length > _SHORT)
+            open_ = ((bound < self.need) & ~seen | (bound < self._least() - _EXACT)) & (length > _SHORT)
             rows, begin, end, one, other = rows[open_], begin[open_], end[open_], one[open_], other[open_]
             if not len(rows):
                 return
             middle = 0.5 * (begin + end)
-            frames = link_frames(self.scene.robot.nominal, middle)
-            found = self.solids.distance(first, second, frames, solid=False)
+            found = self.solids.distance(first, second, self._frames(middle), solid=False)
             for k in np.flatnonzero((found < self.need) | (found <= 0.0)).tolist():
                 self._note(first, second, int(rows[k]) + 1, float(found[k]))
             k = int(np.argmin(found))
@@ -167,17 +186,18 @@ class _Search:
             begin, end = np.concatenate([begin, middle]), np.concatenate([middle, end])
             one, other = np.concatenate([one, found]), np.concatenate([found, other])
 
+    def _frames(self, states: Array) -> Array:
+        return link_frames(self.chain, states[:, :6], states[:, 6:] if states.shape[1] > 6 else None)
+
     def _motion(self, first: int, second: int, q: Array, frames: Array) -> Array:
         """Return how far any point of one body moves at most against the other, from pose to pose (n − 1,) [m].
 
         That is the chord of its middle, twice the height of the arc over it, and its rotation times its radius. With
         joints moving in proportion by Δq in all, no point within R of the axes leaves the chord by more than Δq²·R/8.
         """
-        bodies, chain = self.scene.bodies, self.scene.robot.nominal
-        one, other = bodies[first], bodies[second]
-        centre, radius = one.sphere
-        moving = frames[:, one.carrier + 1]
-        still = frames[:, other.carrier + 1]
+        chain, one, other = self.chain, self.solids.bodies[first], self.solids.bodies[second]
+        centre, radius = self.solids.spheres[first]
+        moving, still = self.solids.frame(first, frames), self.solids.frame(second, frames)
         point = moving[:, :3, :3] @ centre + moving[:, :3, 3] - still[:, :3, 3]
         point = np.einsum("nji,nj->ni", still[:, :3, :3], point)
         turning = np.abs(np.diff(q, axis=0))[:, other.carrier + 1 : min(one.carrier, 5) + 1].sum(axis=1)

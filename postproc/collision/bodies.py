@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from postproc import files
@@ -39,6 +40,7 @@ class Body(Struct, frozen=True, eq=False):
     :param pose: (4, 4) of the middle of the shape in the frame of the carrier [m]; of a mesh the unit.
     :param points: (P, 3) corners, in the frame of the carrier [m]; of round shapes of a mesh around them, to be drawn.
     :param faces: (F, 3) rows of `points`.
+    :param with_base: whether it moves with `$BASE`.
     """
 
     name: str
@@ -49,6 +51,17 @@ class Body(Struct, frozen=True, eq=False):
     pose: Array
     points: Array
     faces: NDArray[np.int64]
+    with_base: bool = False
+
+    @property
+    def fixed(self) -> bool:
+        """Whether neither the arm nor an axis that carries it moves the body."""
+        return self.of in _FIXED
+
+    def moved(self, motion: Array) -> Body:
+        """Return the body moved by (4, 4), in the frame of its carrier."""
+        points = self.points @ motion[:3, :3].T + motion[:3, 3]
+        return replace(self, pose=motion @ self.pose, points=points)
 
     @property
     def sphere(self) -> tuple[Array, float]:
@@ -75,32 +88,30 @@ class Scene(Struct, frozen=True, eq=False):
 
         :param tool: (4, 4) `$TOOL` in the flange frame [m]; None: of the cell.
         :param base: (4, 4) `$BASE` in the robot root [m]; None: of the cell.
-        :raises CellError: a mesh cannot be read, or an external axis carries the robot.
+        :raises CellError: a mesh cannot be read.
         :raises ModelError: a shape of the arm cannot be read.
         """
         table = cell.collision
         if table is None:
             return cls(robot, ())
-        if cell.carriage is not None:
-            raise CellError(
-                "[collision]: a robot that [external_axes.E1] carries cannot be checked",
-                advice="Remove [collision], and check the path in the simulation of your CAM system.",
-            )
         tool = cell.tool.pose() if tool is None else tool
         base = cell.base.pose() if base is None else base
         arm, remarks = _arm(robot, table.arm)
         folder = Path(cell.folder)
         held = _held(table.holder, tool, cell.tool.axis, folder)
-        obstacles = [_obstacle(each, number, base, folder) for number, each in enumerate(table.obstacles, 1)]
+        obstacles = [
+            replace(_obstacle(each, number, base, folder), with_base=each.frame == "base")
+            for number, each in enumerate(table.obstacles, 1)
+        ]
         return cls(robot, (*arm, *held, *obstacles), tuple(remarks))
 
     def pairs(self) -> Iterator[tuple[int, int]]:
         """Yield the pairs of bodies whose distance may change and matters; the first one has the later carrier."""
         for i, one in enumerate(self.bodies):
             for j, other in enumerate(self.bodies):
-                if one.of in _FIXED or (one.of == "cutter" and other.of == "part"):
+                if one.fixed or (one.of == "cutter" and other.of == "part"):
                     continue
-                if one.carrier - other.carrier >= (1 if other.of in _FIXED else _APART[one.of]):
+                if one.carrier - other.carrier >= (1 if other.fixed else _APART[one.of]):
                     yield i, j
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -11,10 +12,12 @@ from numpy.typing import NDArray
 from postproc.chunks import in_chunks
 from postproc.collision.bodies import Body, Scene
 from postproc.errors import InputError
-from postproc.frames import Array, rotation_from_vector
+from postproc.frames import Array, inverse, norm, rotation_from_vector
 from postproc.program import Ints
 from postproc.robot.chain import Chain
 
+_TOUCH = 1e-6
+"""Bodies that are certainly farther apart [m] do not touch."""
 _CONVEX = 1e-3
 """A mesh is convex if its volume is at least that of its hull, less this share."""
 
@@ -51,8 +54,11 @@ def clearance(scene: Scene, q: Array) -> Clearance:
     return out
 
 
-def link_frames(chain: Chain, q: Array) -> Array:
-    """Return the frames (n, 8, 4, 4) of the carriers −1, 0…5 and 6 (the flange) in the root [m]: row = carrier + 1."""
+def link_frames(chain: Chain, q: Array, shift: Array | None = None) -> Array:
+    """Return the frames (n, 8, 4, 4) of the carriers −1, 0…5 and 6 (the flange) in the root [m]: row = carrier + 1.
+
+    :param shift: (n, 3) how far E1 carries the robot from the root [m].
+    """
 
     def found(q: Array) -> tuple[Array]:
         before, flange = chain.joint_frames(q)
@@ -63,7 +69,10 @@ def link_frames(chain: Chain, q: Array) -> Array:
         out[:, 1:7, :3, :3] = before[:, :, :3, :3] @ turn
         return (out,)
 
-    return in_chunks(found, q)[0]
+    frames = in_chunks(found, q)[0]
+    if shift is not None:
+        frames[..., :3, 3] += shift[:, None]
+    return frames
 
 
 class Solids:
@@ -78,7 +87,9 @@ class Solids:
                 advice='Install it: pip install "postproc[collision]". Or remove [collision] from the cell.',
             ) from None
         self.fcl = fcl
+        self.scene = scene
         self.bodies = scene.bodies
+        self.pairs = list(scene.pairs())
         self.calls = 0
         self.convex = [body.kind != "mesh" or _is_convex(body) for body in scene.bodies]
         self.objects = [
@@ -86,6 +97,15 @@ class Solids:
             for body, convex in zip(scene.bodies, self.convex, strict=True)
         ]
         self.request = fcl.DistanceRequest(enable_nearest_points=False, enable_signed_distance=False)
+        self.spheres = [body.sphere for body in scene.bodies]
+        self.spans = [_span(body) for body in scene.bodies]
+
+    def with_base(self, motion: Array) -> Solids:
+        """Return the bodies with those that move with `$BASE` moved by (4, 4) in the root."""
+        out = copy(self)
+        out.bodies = tuple(body.moved(motion) if body.with_base else body for body in self.bodies)
+        out.spheres = [body.sphere for body in out.bodies]
+        return out
 
     def _geometry(self, body: Body, convex: bool) -> Any:
         fcl, size = self.fcl, body.size
@@ -107,6 +127,32 @@ class Solids:
         model.endModel()
         return model
 
+    def frame(self, row: int, frames: Array) -> Array:
+        """Return the frames (n, 4, 4) of what carries a body."""
+        body = self.bodies[row]
+        return np.broadcast_to(np.eye(4), (len(frames), 4, 4)) if body.fixed else frames[:, body.carrier + 1]
+
+    def near(self, first: int, second: int, frames: Array, need: float) -> NDArray[np.bool_]:
+        """Return where (n,) two bodies may be closer than `need` [m], by a sphere around one and a box around one."""
+        out = np.ones(len(frames), dtype=bool)
+        for one, other in ((first, second), (second, first)):
+            centre, radius = self.spheres[one]
+            frame, box = self.frame(one, frames), self.frame(other, frames) @ self.bodies[other].pose
+            point = frame[:, :3, :3] @ centre + frame[:, :3, 3] - box[:, :3, 3]
+            local = np.einsum("nji,nj->ni", box[:, :3, :3], point)
+            low, high = self.spans[other]
+            out &= norm(np.maximum(np.maximum(low - local, local - high), 0.0)) - radius < need
+        return out
+
+    def closer(self, frames: Array, need: float) -> bool:
+        """Return whether two bodies touch or are closer than `need` [m] at any of some poses."""
+        for first, second in self.pairs:
+            rows = np.flatnonzero(self.near(first, second, frames, max(need, _TOUCH)))
+            found = self.distance(first, second, frames[rows], solid=True)
+            if ((found < need) | (found <= 0.0)).any():
+                return True
+        return False
+
     def distance(self, first: int, second: int, frames: Array, *, solid: bool) -> Array:
         """Return the distance (n,) of two bodies [m]; 0 where they touch or overlap.
 
@@ -114,7 +160,7 @@ class Solids:
         :param solid: see whether one body is inside the other, too; else only surfaces of meshes count. Bodies whose
             surfaces never touch between poses are not inside each other if they are not at one of them.
         """
-        poses = [frames[:, self.bodies[row].carrier + 1] @ self.bodies[row].pose for row in (first, second)]
+        poses = [self.frame(row, frames) @ self.bodies[row].pose for row in (first, second)]
         one, other = self.objects[first], self.objects[second]
         out = np.empty(len(frames))
         turn, shift = (pose[:, :3, :3] for pose in poses), (pose[:, :3, 3] for pose in poses)
@@ -139,8 +185,8 @@ class Solids:
         Source: van Oosterom and Strackee, "The solid angle of a plane triangle", IEEE Trans. Biomed. Eng. 30, 1983.
         """
         body, mesh = self.bodies[inner], self.bodies[outer]
-        point = (frames[:, body.carrier + 1] @ np.append(body.points[0], 1.0))[:, :3]
-        frame = frames[:, mesh.carrier + 1]
+        point = (self.frame(inner, frames) @ np.append(body.points[0], 1.0))[:, :3]
+        frame = self.frame(outer, frames)
         local = np.einsum("nji,nj->ni", frame[:, :3, :3], point - frame[:, :3, 3])
         low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
         out = ((local > low) & (local < high)).all(axis=1)
@@ -159,3 +205,10 @@ def _is_convex(body: Body) -> bool:
 
     mesh = Trimesh(body.points, body.faces, process=True)
     return bool(mesh.is_watertight and abs(mesh.volume) >= (1.0 - _CONVEX) * mesh.convex_hull.volume)
+
+
+def _span(body: Body) -> tuple[Array, Array]:
+    """Return the smallest and largest coordinates (3,) of a body in its own axes [m]."""
+    own = inverse(body.pose)
+    points = body.points @ own[:3, :3].T + own[:3, 3]
+    return points.min(axis=0), points.max(axis=0)

@@ -9,7 +9,7 @@ from msgspec import Struct
 
 from postproc import collision
 from postproc.errors import Issue
-from postproc.frames import M_PER_MM, MM_PER_M
+from postproc.frames import M_PER_MM, MM_PER_M, Array
 from postproc.program import Ints
 from postproc.under_load import PathUnderLoad
 
@@ -49,7 +49,8 @@ def of_path(path: PathUnderLoad) -> tuple[SmallestClearance | None, list[Issue]]
     for rows, tool in _runs(program.motions.tool[path.sample.motion]):
         scene = collision.Scene.of(setting.robot, setting.cell, program.tools[tool])
         before = setting.cell.start_joints if rows.start == 0 else path.joints.q[rows.start - 1]
-        found = collision.along(scene, np.concatenate([before[None], path.joints.q[rows]]), need)
+        q = np.concatenate([before[None], path.joints.q[rows]])
+        found = collision.along(scene, q, need, _shift(path, rows))
         own = np.append(line[rows][:1], line[rows])
         closest = found.closest
         if smallest is None or (closest is not None and closest.distance < smallest.distance):
@@ -70,6 +71,17 @@ def _runs(tool: Ints) -> Iterator[tuple[slice, int]]:
     ends = np.append(np.flatnonzero(np.diff(tool)) + 1, len(tool))
     for begin, end in zip(np.append(0, ends[:-1]).tolist(), ends.tolist(), strict=True):
         yield slice(begin, end), int(tool[begin])
+
+
+def _shift(path: PathUnderLoad, rows: slice) -> Array | None:
+    """Return how far E1 carries the robot (n + 1, 3) [m] before samples and at them; None if nothing carries it."""
+    carriage = path.program.carriage
+    if carriage is None:
+        return None
+    row = max(rows.start - 1, 0)
+    t = path.sample.t[row : row + 1] if rows.start else np.zeros(1)
+    before = carriage.offset(path.sample.motion[row : row + 1], t)
+    return np.concatenate([before, carriage.offset(path.sample.motion[rows], path.sample.t[rows])])
 
 
 def _names(scene: collision.Scene, first: int, second: int) -> tuple[str, str]:

@@ -39,6 +39,7 @@ class PlaceRequest(Struct, frozen=True, kw_only=True):
     :param forces: file of forces, or a folder of such files; `process` computes them instead.
     :param region: bounds as ``X=1200:2000,Y=-600:600,A=-90:90``; what is not named stays.
     :param margin_deg: distance to joint limits to keep.
+    :param clearance_mm: distance of the bodies of [collision] to keep; None: that of the cell.
     """
 
     programs: tuple[str, ...]
@@ -48,6 +49,7 @@ class PlaceRequest(Struct, frozen=True, kw_only=True):
     process: Path | None = None
     region: str | None = None
     margin_deg: float = 5.0
+    clearance_mm: float | None = None
     overwrite: bool = False
 
 
@@ -72,9 +74,10 @@ def make_place(request: PlaceRequest, progress: Callable[[int, int], None] | Non
         refuse(foreign(request.output, FILES, FILES[-1]))
     samples, names = _samples(request, cell, robot)
     turns = cell.gcode.redundancy != "constant" and not any(each.program.keeps_text for each in samples)
-    programs = region.Programs(samples, Keep(joint=request.margin_deg * RAD_PER_DEG), turns=turns)
+    keep, clearance = Keep(joint=request.margin_deg * RAD_PER_DEG), _clearance(request, cell)
+    programs = region.Programs(samples, keep, turns=turns, clearance_mm=clearance)
     found = region.search(programs, bounds, progress)
-    content = report.summary(found, cell, names, request.margin_deg, bounds)
+    content = report.summary(found, cell, names, request.margin_deg, clearance, bounds)
     contents: dict[str, bytes | Iterable[bytes]] = {
         FILES[0]: report.places_csv(found),
         FILES[1]: report.page(found, content),
@@ -85,6 +88,16 @@ def make_place(request: PlaceRequest, progress: Callable[[int, int], None] | Non
         request.output, with_record(contents, FILES[-1], lambda entries: report.finished(content, entries))
     )
     return PlaceFiles(content, tuple(written))
+
+
+def _clearance(request: PlaceRequest, cell: Cell) -> float | None:
+    """Return the distance to keep [mm]; None: the cell has no bodies."""
+    if cell.collision is not None:
+        return cell.collision.clearance_mm if request.clearance_mm is None else request.clearance_mm
+    if request.clearance_mm is not None:
+        advice = "Describe holder and obstacles under [collision] in the cell, or leave --clearance-mm out."
+        raise InputError("--clearance-mm: the cell has no [collision]", file=str(request.cell), advice=advice)
+    return None
 
 
 def region_of(text: str | None, cell: Cell) -> Region:

@@ -5,8 +5,6 @@ Arrays of joint angles are (6, n) here, the sample index last, as in `kinematics
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from msgspec import Struct
 
@@ -26,9 +24,6 @@ FREE, REACH, LIMIT, SINGULAR, SPEED, COLLISION = range(6)
 WINDING = (3, 5)
 """A4 and A6: the joints that may turn by more than a whole turn."""
 
-Clearance = Callable[[Array, Ints], Array]
-"""Returns the clearance (n,) [m] between bodies at joint angles (n, 6) [rad] of samples (n,)."""
-
 
 class Keep(Struct, frozen=True):
     """Margins to keep.
@@ -39,7 +34,6 @@ class Keep(Struct, frozen=True):
     :param shoulder: distance of the wrist centre from the axis of A1 [m].
     :param speed: largest share of a joint's speed.
     :param jump: largest turn of a joint between neighbouring samples [rad].
-    :param clearance: between bodies [m].
     """
 
     joint: float = 2.0 * RAD_PER_DEG
@@ -48,7 +42,6 @@ class Keep(Struct, frozen=True):
     shoulder: float = 0.02
     speed: float = 0.95
     jump: float = 40.0 * RAD_PER_DEG
-    clearance: float = 0.0
 
 
 BARE = Keep(0.01 * RAD_PER_DEG, 0.25 * RAD_PER_DEG, 0.25 * RAD_PER_DEG, 0.006, 0.98, 44.0 * RAD_PER_DEG)
@@ -96,16 +89,16 @@ def margins(robot: RobotModel, q: Array) -> Margins:
         )
 
 
-def reason(margin: Margins, speed: Array, jump: Array, keep: Keep, clearance: Array | None = None) -> Ints:
+def reason(margin: Margins, speed: Array, jump: Array, keep: Keep, hit: Bools | None = None) -> Ints:
     """Return the first reason (...,) in `REASONS` to refuse configurations, 0 = none.
 
     :param speed: (...,) largest joint speed as a share of its limit; `jump` (...,) largest turn of a joint from the
-        sample before [rad]; `clearance` (...,) [m], None = not checked.
+        sample before [rad]; `hit` (...,) whether bodies come too close, None = not checked.
     """
     with np.errstate(invalid="ignore"):
         out = np.zeros(margin.joint.shape, dtype=np.int64)
-        if clearance is not None:
-            out[~(clearance >= keep.clearance)] = COLLISION
+        if hit is not None:
+            out[hit] = COLLISION
         out[~(speed <= keep.speed)] = SPEED
         singular = ~((margin.wrist >= keep.wrist) & (margin.elbow >= keep.elbow) & (margin.shoulder >= keep.shoulder))
         out[singular | ~(jump <= keep.jump)] = SINGULAR

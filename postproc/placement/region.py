@@ -1,8 +1,8 @@
 """Where the part should be: places in a region of `$BASE`, evaluated for several programs at once.
 
 A coarse grid over the region, a finer slice around its best place, and a compass search from the best places. A place
-is refused if a pose of any program is out of reach, too near to a limit or a singular pose, or too fast for a joint. Of
-the others the one with the smallest expected error is best.
+is refused if a pose of any program is out of reach, too near to a limit or a singular pose, or too fast for a joint, or
+if bodies come too close there. Of the others the one with the smallest expected error is best.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from postproc.errors import InputError
 from postproc.frames import MM_PER_M, RAD_PER_DEG, Array, inverse, pose_from_xyzabc, product
 from postproc.kinematics import UnreachableError
 from postproc.placement import drive
+from postproc.placement.bodies import Bodies
 from postproc.placement.drive import FREE, Keep, Margins
 from postproc.placement.samples import PathSamples
 from postproc.program import Bools, Ints, Program
@@ -136,10 +137,13 @@ class Programs:
         *,
         turns: bool = False,
         branches: Sequence[int] | None = None,
+        clearance_mm: float | None = None,
     ) -> None:
         """Choose the stations.
 
         :param turns: whether the tool may be turned about its axis.
+        :param clearance_mm: smallest allowed distance of the bodies of [collision]; None: they are not compared.
+        :raises CellError: a body cannot be read.
         :param branches: of the inverse kinematics to try; None = that of `[start]`.
         """
         self.samples, self.keep = list(samples), keep
@@ -149,6 +153,7 @@ class Programs:
         self.turns = _TURNS if turns else np.zeros(1)
         start = int(kinematics.closed_form(self.robot).branch_of(setting.cell.start_joints[None])[0])
         self.branches = [start] if branches is None else list(branches)
+        self.bodies = None if clearance_mm is None else [Bodies(each, clearance_mm) for each in samples]
         total = sum(len(each) for each in samples)
         self.some = [_stations(each, max(24, _STATIONS * len(each) // total)) for each in samples]
         self.every = [_stations(each, len(each)) for each in samples]
@@ -177,6 +182,10 @@ class Programs:
             if reason != FREE:
                 return Judged(where, reason, margin=own, turn=turn, branch=branch)
             driven.append((each, q))
+        if self.bodies is not None:
+            for bodies, (each, q) in zip(self.bodies, driven, strict=True):
+                if self._collides(bodies, each, q, moved, carried):
+                    return Judged(where, drive.COLLISION, margin=margin, turn=turn, branch=branch)
         before = u95 = weight = 0.0
         singular = np.inf
         for each, q in driven:
@@ -234,6 +243,18 @@ class Programs:
         wrench, spread, pose = each.samples.load(rows, np.full(len(rows), turn))
         pose[:, :3, 3] += each.shift[len(each.row) :][cuts]
         return wrench, spread, pose
+
+    def _collides(self, bodies: Bodies, each: _Stations, q: Array, moved: Array, carried: Array) -> bool:
+        """Return whether bodies come too close at stations; between them too if these are all samples of a program."""
+        count = len(each.row)
+        shift = each.shift[count:] + carried
+        if bodies.closer(q, each.row, shift, moved):
+            return True
+        if count < len(each.samples):
+            return False
+        start, first = self.setting.cell.start_joints[None], shift[:1]
+        path, shift, rows = np.concatenate([start, q]), np.concatenate([first, shift]), np.append(0, each.row)
+        return bool(bodies.along(path, rows, np.zeros(len(path), dtype=bool), shift, moved).any())
 
     def _wound(self, q: Array) -> Bools:
         """Return which samples (n,) of a whole program wind A4 or A6 past their limits, counted from the start."""

@@ -61,19 +61,15 @@ def find(
     *,
     turn_at_feed: bool,
     closed: bool,
-    forbidden: Bools | None = None,
 ) -> Line | Blocked:
     """Find the cheapest line.
 
     :param start: (6,) joint angles before the program [rad]: A4 and A6 are counted from there.
     :param turn_at_feed: whether the turn may change on cuts; else on rapid moves only.
     :param closed: whether the map is a whole circle of turns.
-    :param forbidden: (K, J) cells to avoid in addition.
     """
     reasons = found.reasons(keep)
     bad = drive.any_bad(reasons)
-    if forbidden is not None:
-        bad |= forbidden
     cost = _cell_cost(found, bad)
     blocks = found.blocks
     step = float(found.offset[1] - found.offset[0])

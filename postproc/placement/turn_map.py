@@ -14,9 +14,10 @@ from postproc import kinematics
 from postproc.frames import Array, inverse
 from postproc.kinematics.components import components, product
 from postproc.placement import drive
-from postproc.placement.drive import WINDING, Clearance, Keep, Margins
+from postproc.placement.bodies import Bodies
+from postproc.placement.drive import WINDING, Keep, Margins
 from postproc.placement.samples import PathSamples
-from postproc.program import PTP, Ints
+from postproc.program import PTP, Bools, Ints
 from postproc.toolpath import flange_from_tcp
 
 _BLOCK = 0.010
@@ -27,6 +28,8 @@ _BINS = 6
 _MOST_BINS = 2500
 _CHUNK = 4096
 """Samples solved together."""
+_MOST_POSES = 20_000
+"""Samples of a path at which collisions are looked for with every turn; more only where the line goes."""
 
 
 class Blocks(Struct, frozen=True, eq=False):
@@ -134,7 +137,7 @@ class TurnMap(Struct, frozen=True, eq=False):
     :param speed: (K, J) largest joint speed at the programmed feed with this turn, as a share of its limit.
     :param jump: (K, J) largest turn of a joint between samples [rad].
     :param rate: (K, J) largest joint speed per turn speed, as a share of its limit [s/rad].
-    :param clearance: (K, J) smallest clearance [m], or None.
+    :param hit: (K, J) whether bodies come too close, or None: not checked.
     :param q: (K, J, 6) joint angles at the end of each bin [rad].
     :param winding: (K, J, 2, 3) A4 and A6 along the bin: how far they turn in all, least and most [rad].
     :param u95: (K, J) expected error in the middle of the bin [m]; NaN where there is none.
@@ -148,7 +151,7 @@ class TurnMap(Struct, frozen=True, eq=False):
     speed: Array
     jump: Array
     rate: Array
-    clearance: Array | None
+    hit: Bools | None
     q: Array
     winding: Array
     u95: Array
@@ -156,7 +159,7 @@ class TurnMap(Struct, frozen=True, eq=False):
 
     def reasons(self, keep: Keep) -> Ints:
         """Return why cells (K, J) are refused, see `drive.REASONS`."""
-        return drive.reason(self.margin, self.speed, self.jump, keep, self.clearance)
+        return drive.reason(self.margin, self.speed, self.jump, keep, self.hit)
 
     @property
     def error(self) -> Array:
@@ -170,19 +173,22 @@ def evaluate(
     branch: int,
     base: Array,
     offset: Array,
-    clearance: Clearance | None = None,
+    bodies: Bodies | None = None,
 ) -> TurnMap:
     """Evaluate every sample at every turn.
 
     :param branch: of the inverse kinematics.
     :param base: (N,) turn of each sample [rad]; `offset` (J,) added to it.
-    :param clearance: see `drive.Clearance`; None = collisions are not checked.
+    :param bodies: None = collisions are not checked.
     """
     robot = samples.setting.robot
     count, many = len(blocks.first), len(offset)
     shape = (count, many)
     worst = Margins(*(np.full(shape, np.nan) for _ in range(4)))
-    speed, jump, rate, near = (np.zeros(shape) for _ in range(4))
+    speed, jump, rate = (np.zeros(shape) for _ in range(3))
+    hit = np.zeros(shape, dtype=bool)
+    every = np.arange(0, len(samples), max(1, len(samples) // _MOST_POSES))
+    every = np.unique(np.concatenate([every, blocks.last, [len(samples) - 1]]))
     ends, middles = np.empty((count, many, 6)), np.empty((count, many, 6))
     winding = np.zeros((count, many, 2, 3))
     free = samples.program.motions.kind[samples.sample.motion] == PTP
@@ -202,6 +208,7 @@ def evaluate(
         starts = blocks.first[from_bin:to_bin] - begin
         part = slice(from_bin, to_bin)
         still = free[begin:end]
+        picked = every[slice(*np.searchsorted(every, [begin, end]))] - begin
         joints = samples.program.motions.joints[motion]
         axis_targets = np.isfinite(joints[:, 0])
         fixed = axis_targets[lead:]
@@ -229,8 +236,11 @@ def evaluate(
             ends[part, j] = q[:, bounds[from_bin + 1 : to_bin + 1] - 1 - begin].T
             middles[part, j] = q[:, middle[part] - begin].T
             winding[part, j] = _wound(step[list(WINDING)], starts)
-            if clearance is not None:
-                near[part, j] = np.minimum.reduceat(clearance(q.T, rows[lead:]), starts)
+            if bodies is not None:
+                struck = np.zeros(end - begin, dtype=bool)
+                found = bodies.along(q[:, picked].T, rows[lead:][picked], still[picked], between=False)
+                struck[picked] = found
+                hit[part, j] = np.logical_or.reduceat(struck, starts)
         from_bin = to_bin
     gap = drive.wrapped(np.roll(ends, -1, axis=1) - ends)
     if many > 1:
@@ -245,7 +255,7 @@ def evaluate(
         speed,
         jump,
         rate,
-        None if clearance is None else near,
+        None if bodies is None else hit,
         ends,
         winding,
         u95,

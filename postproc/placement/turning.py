@@ -11,8 +11,10 @@ from msgspec.structs import replace
 from postproc.errors import Issue
 from postproc.forces import ForceSource
 from postproc.frames import DEG_PER_RAD, RAD_PER_DEG, Array, norm, rotation_from_vector
+from postproc.kinematics.components import components
 from postproc.placement import drive, turn_line, turn_map
-from postproc.placement.drive import BARE, REASONS, Clearance, Keep
+from postproc.placement.bodies import Bodies
+from postproc.placement.drive import BARE, REASONS, Keep
 from postproc.placement.samples import AXIS, PathSamples
 from postproc.placement.turn_line import Blocked, Line
 from postproc.placement.turn_map import Blocks, TurnMap
@@ -26,9 +28,9 @@ _TILTED = (
     'redundancy = "path": this move tilts the tool, and turning it about its axis on the way would make it lean. Set '
     '[gcode] redundancy = "best".'
 )
-NO_CLEARANCE = (
-    "Collisions do not count in this choice; the chosen path is checked for them if the cell has [collision]."
-)
+NO_CLEARANCE = "Collisions do not count in this choice: the cell has no [collision]."
+_ROUNDS = 8
+"""How often a line with collisions that the map did not show is replaced."""
 _FINE = np.arange(-6.0, 7.0) * RAD_PER_DEG
 
 
@@ -76,37 +78,85 @@ def turned(program: Program, axis: str, turn: Array) -> Program:
 
 
 def chosen(
-    program: Program, setting: RobotInCell, source: ForceSource | None, mode: Mode, clearance: Clearance | None = None
+    program: Program, setting: RobotInCell, source: ForceSource | None, mode: Mode
 ) -> tuple[Turn | None, tuple[Issue, ...]]:
-    """Choose the turn of the tool.
+    """Choose the turn of the tool; with [collision] in the cell, one at which no bodies come too close.
 
     :param source: forces in addition to those of the program.
-    :param clearance: see `drive.Clearance`; None = collisions are not checked.
     :returns: the turn, None if no turn can be driven; issues.
     :raises ForceError: the forces do not match the motions.
+    :raises CellError: a body of [collision] cannot be read.
     """
     samples = PathSamples.of(program, setting, source)
     if mode == "path" and program.swivel is None and (tilting := _tilting(samples)).any():
         return None, (program.motions.issue("error", "redundancy", _TILTED, np.flatnonzero(tilting)),)
     blocks = Blocks.of(samples)
     branch = turn_map.branch_of_start(samples)
-    whole = turn_map.evaluate(
-        samples, blocks, branch, np.zeros(len(samples)), turn_map.whole_circle(_COARSE), clearance
-    )
+    table = setting.cell.collision
+    bodies = None if table is None else Bodies(samples, table.clearance_mm)
+    whole = turn_map.evaluate(samples, blocks, branch, np.zeros(len(samples)), turn_map.whole_circle(_COARSE), bodies)
     blocked: Blocked | None = None
     for keep in (Keep(), BARE):
-        line = _find(samples, whole, keep, mode, closed=True)
+        line, whole = _free_line(samples, whole, branch, keep, mode, bodies)
         if isinstance(line, Blocked):
             blocked = blocked if blocked is not None and blocked.block > line.block else line
             continue
-        fine = _refined(samples, blocks, branch, line, keep, mode, clearance)
-        line = fine if fine is not None else line
         of_motion = blocks.turn_of_motions(samples, line.knots)
         constant = setting.cell.gcode.redundancy_deg * RAD_PER_DEG
         turn = Turn(mode, whole, keep, constant, line.knots, of_motion)
         return turn, (_said(turn),)
     assert blocked is not None
     return None, (_why(samples, whole, blocked, mode),)
+
+
+def _free_line(
+    samples: PathSamples, whole: TurnMap, branch: int, keep: Keep, mode: Mode, bodies: Bodies | None
+) -> tuple[Line | Blocked, TurnMap]:
+    """Return the cheapest line, and the map, on which cells are closed where every sample of a line shows collisions.
+
+    The map looks at some samples of long paths, and at no joint interpolations: they depend on both turns. A line that
+    still has collisions after some rounds is returned: the path is checked again when it is converted.
+    """
+    for _ in range(_ROUNDS):
+        line = _find(samples, whole, keep, mode, closed=True)
+        if isinstance(line, Blocked):
+            return line, whole
+        fine = _refined(samples, whole.blocks, branch, line, keep, mode, bodies)
+        if bodies is None:
+            return line if fine is None else fine, whole
+        for each in (line,) if fine is None else (fine, line):
+            struck = _struck(samples, whole.blocks, branch, each, bodies)
+            if not struck.any():
+                return each, whole
+            whole = _closed(samples, whole, each, struck)
+    return line, whole
+
+
+def _struck(samples: PathSamples, blocks: Blocks, branch: int, line: Line, bodies: Bodies) -> Bools:
+    """Return at, or before, which samples (N,) of a line bodies come too close, from [start] on."""
+    setting, motion = samples.setting, samples.sample.motion
+    rows = np.arange(len(samples))
+    turn = _at_samples(samples, blocks, line.knots)
+    q = drive.solve(setting.robot, components(samples.flange(rows, turn)), branch).T
+    joints = samples.program.motions.joints[motion]
+    known = np.isfinite(joints[:, 0])
+    q[known] = joints[known]
+    q = np.concatenate([setting.cell.start_joints[None], q])
+    return bodies.along(q, np.append(0, rows), np.zeros(len(q), dtype=bool))[1:]
+
+
+def _closed(samples: PathSamples, whole: TurnMap, line: Line, struck: Bools) -> TurnMap:
+    """Return the map with the cells closed, and those next to them, where samples (N,) of a line have collisions."""
+    turn = _at_samples(samples, whole.blocks, line.knots)
+    rows = np.flatnonzero(struck)
+    bins = np.searchsorted(whole.blocks.first, rows, side="right") - 1
+    step = whole.offset[1] - whole.offset[0]
+    place = (turn[rows] - whole.offset[0]) / step
+    assert whole.hit is not None
+    hit = whole.hit.copy()
+    for column in (np.floor(place), np.ceil(place)):
+        hit[bins, column.astype(np.int64) % len(whole.offset)] = True
+    return replace(whole, hit=hit)
 
 
 def _tilting(samples: PathSamples) -> Bools:
@@ -117,11 +167,9 @@ def _tilting(samples: PathSamples) -> Bools:
     return np.asarray(~m.rapid & (m.kind != PTP) & (norm(end - begin) > _STILL))
 
 
-def _find(
-    samples: PathSamples, found: TurnMap, keep: Keep, mode: Mode, *, closed: bool, forbidden: Bools | None = None
-) -> Line | Blocked:
+def _find(samples: PathSamples, found: TurnMap, keep: Keep, mode: Mode, *, closed: bool) -> Line | Blocked:
     robot, start = samples.setting.robot, samples.setting.cell.start_joints
-    return turn_line.find(robot, found, keep, start, turn_at_feed=mode == "path", closed=closed, forbidden=forbidden)
+    return turn_line.find(robot, found, keep, start, turn_at_feed=mode == "path", closed=closed)
 
 
 def _refined(
@@ -131,11 +179,11 @@ def _refined(
     line: Line,
     keep: Keep,
     mode: Mode,
-    clearance: Clearance | None,
+    bodies: Bodies | None,
 ) -> Line | None:
     """Return the cheapest line next to one, on a fine map around it; None if there is none."""
     base = _at_samples(samples, blocks, line.knots)
-    near = turn_map.evaluate(samples, blocks, branch, base, _FINE, clearance)
+    near = turn_map.evaluate(samples, blocks, branch, base, _FINE, bodies)
     found = _find(samples, near, keep, mode, closed=False)
     return None if isinstance(found, Blocked) else found
 
@@ -157,7 +205,7 @@ def _said(turn: Turn) -> Issue:
         message = f"The tool is turned about its axis by one angle for each operation, from {low:.0f}° to {high:.0f}°."
     else:
         message = f"The tool is turned about its axis along the path, from {low:.0f}° to {high:.0f}°."
-    if turn.map.clearance is None:
+    if turn.map.hit is None:
         message += f" {NO_CLEARANCE}"
     return Issue("info", "redundancy", message)
 

@@ -26,7 +26,7 @@ _COLUMNS = (
     "reachable",
     "reason",
 )
-_COLLISIONS = "Collisions do not count in this choice; convert checks the path for them if the cell has [collision]."
+_NO_BODIES = "Collisions do not count in this choice: the cell has no [collision]."
 _SAME = 0.01
 """Share of the expected error below which a gain is none."""
 _UNLOADED = "No cutting move carries a force, so the error is not compared: give --forces or --process."
@@ -55,6 +55,7 @@ class PlaceSummary(TypedDict):
     programs: list[str]
     robot: str
     margin_deg: float
+    clearance_mm: float | None
     region: dict[str, list[float]]
     today: PlaceEntry
     best: PlaceEntry | None
@@ -62,18 +63,23 @@ class PlaceSummary(TypedDict):
     tried: int
     reachable: int
     refused: dict[str, int]
-    collisions: str
     sentence: str
     files: NotRequired[list[FileEntry]]
 
 
-def summary(found: Search, cell: Cell, programs: Sequence[str], margin_deg: float, region: Region) -> PlaceSummary:
-    """Return the result as plain data."""
+def summary(
+    found: Search, cell: Cell, programs: Sequence[str], margin_deg: float, clearance_mm: float | None, region: Region
+) -> PlaceSummary:
+    """Return the result as plain data.
+
+    :param clearance_mm: distance of bodies that was kept; None: they were not compared.
+    """
     reasons = np.bincount([each.reason for each in found.tried], minlength=len(REASONS)).tolist()
     return PlaceSummary(
         programs=list(programs),
         robot=cell.robot,
         margin_deg=margin_deg,
+        clearance_mm=clearance_mm,
         region={axis: [region.low[k], region.high[k]] for k, axis in enumerate(AXES) if k in region.free},
         today=_entry(found.today),
         best=None if found.best is None else _entry(found.best),
@@ -81,7 +87,6 @@ def summary(found: Search, cell: Cell, programs: Sequence[str], margin_deg: floa
         tried=len(found.tried),
         reachable=reasons[0],
         refused={name: count for name, count in zip(REASONS[1:], reasons[1:], strict=True) if count},
-        collisions="not checked",
         sentence=_sentence(found),
     )
 
@@ -171,8 +176,10 @@ def as_text(content: PlaceSummary) -> str:
     lines.append(
         f"  {content['tried']} places tried, {content['reachable']} can be driven" + (f"; {refused}" if refused else "")
     )
-    lines.append(f"  kept: {content['margin_deg']:g}° to joint limits")
-    lines.append(f"  {_COLLISIONS}")
+    kept = f"  kept: {content['margin_deg']:g}° to joint limits"
+    if content["clearance_mm"] is not None:
+        return "\n".join([*lines, f"{kept}, {content['clearance_mm']:g} mm between bodies of [collision]"])
+    lines += [kept, f"  {_NO_BODIES}"]
     return "\n".join(lines)
 
 
@@ -195,7 +202,7 @@ def page(found: Search, content: PlaceSummary) -> Iterator[bytes]:
     sections = (_verdict(found, content), *_maps(found), _table(content))
     note = (
         "Expected errors and deflections are predictions of the elastostatic model of the robot under the forces "
-        f"given, RMS over cuts. {_COLLISIONS}"
+        f"given, RMS over cuts. {_collisions(content)}"
     )
     yield from Page(
         kind="Place of the part",
@@ -204,6 +211,13 @@ def page(found: Search, content: PlaceSummary) -> Iterator[bytes]:
         sections=sections,
         footer=(Note(note),),
     ).render()
+
+
+def _collisions(content: PlaceSummary) -> str:
+    need = content["clearance_mm"]
+    if need is None:
+        return _NO_BODIES
+    return f"Places where bodies of [collision] come closer than {need:g} mm, or touch, are refused."
 
 
 def _verdict(found: Search, content: PlaceSummary) -> Section:
@@ -216,7 +230,7 @@ def _verdict(found: Search, content: PlaceSummary) -> Section:
         kind = "deflection" if np.isnan(place.u95) else "expected error, RMS"
         note = f"{kind}; X {x:.0f} Y {y:.0f} Z {z:.0f} A {a:.1f}; joint margin {place.margin * DEG_PER_RAD:.1f}°"
         tiles.append(Tile(title, rounded(place.cost * MM_PER_M), "mm", note))
-    notes = Notes((Note(content["sentence"]), Note(_COLLISIONS)))
+    notes = Notes((Note(content["sentence"]), Note(_collisions(content))))
     return Section("place", "Where the part should be", (notes, Tiles(tuple(tiles))))
 
 

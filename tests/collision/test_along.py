@@ -38,8 +38,8 @@ def check(rng) -> str:
 
 def test_random_scenes_against_dense_samples():
     rng = np.random.default_rng(33)
-    kinds = [check(rng) for _ in range(60)]
-    assert 10 < kinds.count("hit") < 55
+    kinds = [check(rng) for _ in range(24)]
+    assert 4 < kinds.count("hit") < 22
 
 
 def test_a_post_between_two_samples_is_not_missed():

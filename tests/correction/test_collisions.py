@@ -33,13 +33,13 @@ def folder(tmp_path, monkeypatch):
     Path("part.nc").write_text(PROGRAM)
 
 
-def converted(collision: str | None, *more: str):
+def converted(collision: str | None, *more: str, program: str = "part.nc"):
     """Exit code, output and report of `convert` in the cell of the samples with this [collision]."""
     text = (
         (ROOT / "samples" / "cell_kr270.toml").read_text().replace("[0, -70, 110, 0, 50, 0]", "[0, -90, 100, 0, 80, 0]")
     )
     Path("cell.toml").write_text(text if collision is None else f"{text}\n[collision]\n{collision}\n")
-    done = CliRunner().invoke(main, ["convert", "part.nc", "--cell", "cell.toml", "-o", "out", *more])
+    done = CliRunner().invoke(main, ["convert", program, "--cell", "cell.toml", "-o", "out", *more])
     report = Path("out/part.report.json")
     return done.exit_code, done.output, json.loads(report.read_text()) if report.exists() else None
 
@@ -108,3 +108,18 @@ def test_a_body_that_is_none_is_refused(wrong, advice):
     code, output, _ = converted(wrong)
     assert code == 1
     assert advice in output
+
+
+@pytest.mark.parametrize("carried", [100, 0])
+def test_a_robot_that_an_axis_carries_holds_the_tool_where_the_program_says(carried):
+    """The cutter, D 63, ends at Y = 100 before a vice at Y = 150: 18.5 mm, wherever the axis stands."""
+    Path("part.src").write_text(
+        "DEF part()\n$VEL.CP=0.05\nPTP {A1 0,A2 -90,A3 100,A4 0,A5 80,A6 0,E1 0}\n"
+        f"LIN {{X 0,Y 0,Z 5,A 0,B 0,C 180,E1 0}}\nLIN {{X 0,Y 100,Z 5,A 0,B 0,C 180,E1 {carried}}}\nEND\n"
+    )
+    vice = "{ name = 'vice', box = { X = [-20, 20], Y = [150, 190], Z = [-20, 60] } }"
+    axis = "[external_axes.E1]\ndirection = [0, 1, 0]"
+    code, output, report = converted(f"{HOLDER}\nobstacles = [ {vice} ]\n{axis}", program="part.src")
+    assert code == 0, output
+    assert report["collision"]["min_clearance_mm"] == pytest.approx(18.5, abs=0.5)
+    assert report["collision"]["bodies"] == ["cutter", "vice"]

@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from msgspec.structs import replace
 
 from postproc import correction, robot
-from postproc.cell import ExternalAxis, Frame
+from postproc.cell import Box, Collision, ExternalAxis, Frame, HolderTable, ObstacleTable
 from postproc.cli import main
 from postproc.dialects.text import decode
 from postproc.errors import InputError
@@ -106,6 +106,50 @@ def test_places_out_of_reach_and_next_to_limits_are_refused_with_their_reason():
     assert np.isnan(near.u95)
 
 
+POST = ObstacleTable(name="post", frame="root", box=Box((1150, 1250), (-60, 60), (0, 900)))
+VICE = ObstacleTable(name="vice", box=Box((-60, -20), (-150, 150), (-50, 200)))
+
+
+def with_bodies(own, *obstacles):
+    held = [HolderTable(diameter_mm=20, length_mm=60), HolderTable(diameter_mm=120, length_mm=250)]
+    return replace(own, collision=Collision(holder=held, obstacles=list(obstacles)))
+
+
+@pytest.mark.parametrize("obstacle", [POST, VICE], ids=["in the cell", "on the part"])
+def test_a_place_is_refused_for_a_collision_where_convert_refuses_it(obstacle):
+    pytest.importorskip("fcl")
+    own = with_bodies(in_line(), obstacle)
+    seen = set()
+    for need, places in ((5.0, [(1300.0, -250.0), (1100.0, 0.0)]), (40.0, [(1500.0, 60.0)])):
+        judged, _, _ = programs(own, clearance_mm=need)
+        for x, y in places:
+            place = np.array([x, y, 650.0, 20.0, 0.0])
+            table = replace(own.collision, clearance_mm=need)
+            there = replace(own, collision=table, base=Frame(X=x, Y=y, Z=650.0, A=20.0))
+            program, model = read(PART, there)
+            result = correction.process(program, model, there, mode="nominal")
+            found = region.drive.REASONS[judged.judge(place, every=True).reason]
+            assert (found == "collision") == any(issue.kind == "collision" for issue in result.issues), (x, y, need)
+            seen.add(found)
+    assert "collision" in seen
+    assert obstacle is VICE or "free" in seen
+
+
+def test_an_axis_that_carries_the_robot_moves_it_by_what_stands_in_the_cell():
+    pytest.importorskip("fcl")
+    own = replace(with_bodies(in_line(), POST), external_axes={"E1": ExternalAxis(direction=(0.0, 2.0, 0.0))})
+    beside = replace(POST, box=Box((1150, 1250), (-360, -240), (0, 900)))
+    judged = programs(own, clearance_mm=20.0)[0]
+    other = programs(with_bodies(in_line(), beside), clearance_mm=20.0)[0]
+    reasons = set()
+    for y in (0.0, 300.0, 450.0):
+        carried = judged.judge(np.array([1250.0, y, 650.0, 0.0, 300.0]), every=True)
+        moved = other.judge(np.array([1250.0, y - 300.0, 650.0, 0.0, 0.0]), every=True)
+        assert carried.reason == moved.reason
+        reasons.add(region.drive.REASONS[carried.reason])
+    assert reasons == {"free", "collision"}
+
+
 def test_an_axis_that_carries_the_robot_is_as_moving_the_part_the_other_way():
     own = replace(in_line(), external_axes={"E1": ExternalAxis(direction=(0.0, 2.0, 0.0))})
     judged, _, _ = programs(own)
@@ -151,13 +195,37 @@ def test_the_command_writes_map_table_and_base(tmp_path, monkeypatch):
     assert best["reachable"]
     key = "u95_rms_mm" if best["u95_rms_mm"] is not None else "before_rms_mm"
     assert best[key] <= 1.02 * min(float(row[key]) for row in rows if row["reachable"] == "1")
-    collisions = "Collisions do not count in this choice; convert checks the path"
+    collisions = "Collisions do not count in this choice: the cell has no [collision]"
+    assert content["clearance_mm"] is None
     assert collisions in (tmp_path / "out" / "place.html").read_text("utf-8")
     base = (tmp_path / "out" / "place.toml").read_text("utf-8")
     assert f"X = {best['X']:.4f}" in base
     assert collisions in done.output
     again = CliRunner().invoke(main, command.split())
     assert again.exit_code == 0
+
+
+def test_the_command_keeps_a_clearance_and_asks_for_bodies_if_there_are_none(tmp_path):
+    pytest.importorskip("fcl")
+    (tmp_path / "part.nc").write_text(PART)
+    text = (SAMPLES / "cell_kr270.toml").read_text()
+    (tmp_path / "bare.toml").write_text(text)
+    box = "[[collision.obstacles]]\nname = 'vice'\nbox = { X = [-80, -40], Y = [-150, 150], Z = [-50, 200] }\n"
+    (tmp_path / "cell.toml").write_text(
+        f"{text}\n[collision]\nholder = [ {{ diameter_mm = 20, length_mm = 90 }} ]\n{box}"
+    )
+    command = ["place", str(tmp_path / "part.nc"), "--region", "X=1400:1450", "-o", str(tmp_path / "out")]
+    done = CliRunner().invoke(main, [*command, "--cell", str(tmp_path / "bare.toml"), "--clearance-mm", "10"])
+    assert done.exit_code == 1
+    assert "the cell has no [collision]" in done.output
+    for need, code in (("10", 0), ("45", 1)):
+        done = CliRunner().invoke(main, [*command, "--cell", str(tmp_path / "cell.toml"), "--clearance-mm", need])
+        assert done.exit_code == code, done.output
+        assert f"{need} mm between bodies of [collision]" in done.output
+        content = json.loads((tmp_path / "out" / "place.json").read_text("utf-8"))
+        assert content["clearance_mm"] == float(need)
+        assert content["refused"].get("collision", 0) == (0 if code == 0 else content["tried"])
+        assert f"closer than {need} mm" in (tmp_path / "out" / "place.html").read_text("utf-8")
 
 
 def test_no_place_in_the_region_is_said_and_is_no_success(tmp_path):

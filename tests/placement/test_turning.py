@@ -10,8 +10,9 @@ import pytest
 from msgspec.structs import replace
 
 from postproc import correction, placement, robot
-from postproc.cell import Rotary
+from postproc.cell import Box, Collision, HolderTable, ObstacleTable, Rotary
 from postproc.frames import rotation_from_vector
+from postproc.placement import REASONS, turn_map
 from postproc.report import summary
 from postproc.under_load import RobotInCell
 from tests.oracle import cell_sim
@@ -138,24 +139,49 @@ def _turns(result, lines):
     return np.degrees(np.unwrap(np.arctan2(z[:, 1], z[:, 0])))
 
 
-def test_no_clearance_is_checked_without_a_function_and_a_function_closes_cells():
+def with_bodies(own, *obstacles):
+    """A cell with a spindle, and boxes."""
+    held = [HolderTable(diameter_mm=20, length_mm=60), HolderTable(diameter_mm=120, length_mm=200)]
+    boxes = [ObstacleTable(name="wall", box=Box(*spans)) for spans in obstacles]
+    return replace(own, collision=Collision(holder=held, obstacles=boxes))
+
+
+def test_without_bodies_the_choice_says_that_no_collisions_are_checked():
     own = cell(base=(0.0, 0.0, 500.0))
     program, model = read(POCKETS, own)
-    setting = RobotInCell.of(model, own)
-    free, said = placement.chosen(program, setting, None, "best")
-    assert free.map.clearance is None
-    assert "Collisions do not count in this choice; the chosen path is checked" in said[0].message
-    chosen = np.degrees(free.of_motion[3])
+    free, said = placement.chosen(program, RobotInCell.of(model, own), None, "best")
+    assert free.map.hit is None
+    assert "Collisions do not count in this choice: the cell has no [collision]" in said[0].message
 
-    def clearance(q, rows):
-        """Bodies meet where A6 is within 20° of what was chosen without them."""
-        del rows
-        near = np.degrees(free.map.q[2, :, 5])[round((chosen + 180.0) / 5.0) % 72]
-        return np.where(np.abs((np.degrees(q[:, 5]) - near + 180.0) % 360.0 - 180.0) < 20.0, -0.001, 1.0)
 
-    other, said = placement.chosen(program, setting, None, "best", clearance)
-    assert "Collisions" not in said[0].message
-    assert abs((np.degrees(other.of_motion[3]) - chosen + 180.0) % 360.0 - 180.0) > 5.0
+@pytest.mark.parametrize("mode", ["best", "path"])
+def test_a_turn_that_comes_too_close_to_a_wall_is_not_chosen(mode):
+    """The turn that is best without the wall is an error with it; the chosen one passes the check of the path."""
+    pytest.importorskip("fcl")
+    own = cell(base=(0.0, 0.0, 500.0), redundancy=mode)
+    free = convert(POCKETS, own)
+    wall = with_bodies(own, ((1600, 1650), (-200, 0), (150, 400)))
+    if mode == "best":
+        same = float(np.degrees(free.turn.of_motion[3]))
+        stated = convert(POCKETS, replace(wall, gcode=replace(own.gcode, redundancy="constant", redundancy_deg=same)))
+        assert {issue.kind for issue in stated.issues if issue.level == "error"} == {"collision"}
+    found = convert(POCKETS, wall)
+    assert not found.failed, found.issues
+    assert found.clearance.distance >= 0.005
+    closed = found.turn.map.reasons(found.turn.keep) == REASONS.index("collision")
+    assert 0.02 < closed.mean() < 0.9
+
+
+def test_a_collision_between_samples_of_the_map_is_found_where_the_line_goes(monkeypatch):
+    """A post beside a long cut: with every 1000th sample in the map alone, the line is checked at all of them."""
+    pytest.importorskip("fcl")
+    text = "G21 G90\n(FORCE FX=-110 FY=-190 FZ=130 FRAME=FEED)\nG0 X1300 Y-400 Z60\nG1 Z0 F600\nG1 Y400 F2000\nG0 Z60\n"
+    own = with_bodies(cell(base=(0.0, 0.0, 500.0), redundancy="best"), ((1450, 1470), (-5, 5), (100, 600)))
+    for name, few in (("_MOST_POSES", 1), ("_BINS", 1), ("_MOST_BLOCKS", 1)):
+        monkeypatch.setattr(turn_map, name, few)
+    result = convert(text, own)
+    assert not result.failed, result.issues
+    assert result.clearance.distance >= 0.005
 
 
 def test_a_program_that_no_turn_can_drive_names_the_line_and_the_reason():

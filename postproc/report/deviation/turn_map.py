@@ -53,7 +53,7 @@ def turn(data: Deviation) -> Section | None:
     how = "one turn for each operation" if found.mode == "best" else "a turn that changes along the path"
     parts: list[Part] = [plot]
     notes = [f"Chosen: {how}, from {low:.0f}° to {high:.0f}°.", *_gain(found, chosen)]
-    if found.map.clearance is None:
+    if found.map.hit is None:
         notes.append(NO_CLEARANCE)
     parts.append(Notes(tuple(Note(text) for text in notes)))
     return Section("turn", "Turn about the tool axis", tuple(parts))

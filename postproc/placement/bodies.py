@@ -1,0 +1,76 @@
+"""Where arm, tool and obstacles of a cell come closer than allowed, for the choice of turn and place."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from postproc.collision import Scene, Solids, hits, link_frames
+from postproc.frames import M_PER_MM, Array
+from postproc.placement import drive
+from postproc.placement.samples import PathSamples
+from postproc.program import Bools, Ints
+
+
+class Bodies:
+    """The bodies of a cell with [collision], with each tool of a program."""
+
+    def __init__(self, samples: PathSamples, need_mm: float) -> None:
+        """Read the bodies.
+
+        :param need_mm: smallest allowed distance; 0: no contact.
+        :raises CellError: a body cannot be read.
+        :raises InputError: the package python-fcl is not installed.
+        """
+        program, setting = samples.program, samples.setting
+        self.need = need_mm * M_PER_MM
+        self.chain = setting.robot.nominal
+        self.tool = program.motions.tool[samples.sample.motion]
+        self.solids = {
+            int(tool): Solids(Scene.of(setting.robot, setting.cell, program.tools[tool]))
+            for tool in np.unique(self.tool)
+        }
+
+    def along(
+        self,
+        q: Array,
+        rows: Ints,
+        breaks: Bools,
+        shift: Array | None = None,
+        moved: Array | None = None,
+        *,
+        between: bool = True,
+    ) -> Bools:
+        """Return at, or before, which samples (n,) of a path bodies are too close; False where `q` is NaN.
+
+        :param q: (n, 6) joint angles [rad]; from one sample to the next each joint goes the short way.
+        :param rows: (n,) samples of the program.
+        :param breaks: (n,) where the path does not continue from the sample before.
+        :param shift: (n, 3) how far E1 carries the robot [m].
+        :param moved: (4, 4) motion of `$BASE` from its place in the cell, in the root.
+        :param between: look between samples too.
+        """
+        out = np.zeros(len(rows), dtype=bool)
+        usable = np.asarray(np.isfinite(q).all(axis=1))
+        tool = self.tool[rows]
+        begins = breaks.copy()
+        begins |= ~usable
+        begins[1:] |= ~usable[:-1] | (np.diff(tool) != 0)
+        ends = np.append(np.flatnonzero(begins[1:]) + 1, len(rows))
+        placed = {key: each if moved is None else each.with_base(moved) for key, each in self.solids.items()}
+        for begin, end in zip(np.append(0, ends[:-1]).tolist(), ends.tolist(), strict=True):
+            if begin < end and usable[begin]:
+                part = slice(begin, end)
+                steps = drive.wrapped(np.diff(q[part], axis=0))
+                path = q[begin] + np.concatenate([np.zeros((1, 6)), np.cumsum(steps, axis=0)])
+                carried = None if shift is None else shift[part]
+                out[part] = hits(placed[int(tool[begin])], path, self.need, carried, between=between)
+        return out
+
+    def closer(self, q: Array, rows: Ints, shift: Array, moved: Array) -> bool:
+        """Return whether bodies are too close at any of some poses that do not belong together; see `along`."""
+        tools = self.tool[rows]
+        for tool, solids in self.solids.items():
+            own = tools == tool
+            if own.any() and solids.with_base(moved).closer(link_frames(self.chain, q[own], shift[own]), self.need):
+                return True
+        return False
