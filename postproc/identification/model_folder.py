@@ -124,12 +124,13 @@ def _compensator(
         "source": f"prior, not observable in {source}: {'' if old is None else old.source}",
         "assumed": True,
     } | identified
+    if old is not None:
+        spring["spread_percent"] = old.spread_percent
     return CompensatorEntry(
         L_mm=law.L * MM_PER_M,
         a_x_mm=law.ax * MM_PER_M,
         a_y_mm=law.ay * MM_PER_M,
         sigma_percent=None if old is None or identified else old.sigma_percent,
-        spread_percent=CompensatorEntry.spread_percent if old is None else old.spread_percent,
         geometry_source=geometry_source or ("" if old is None else old.geometry_source),
         **spring,
     )

@@ -103,6 +103,8 @@ def test_gears_that_turn_further_once_and_twice_a_turn_are_found_and_only_those(
         content = msgspec.structs.replace(content, joints=springs)
         found = calibration.identify_geometry(content, harness.PRIOR.nominal, "x", harness.load(tmp_path))
         variants = {name: held for name, (_, held) in found.rms.items()}
+        calibrated = ("calibrated geometry", "calibrated geometry with sag")  # gear terms are sought with these alone
+        assert {name for name in variants if name.endswith(", gears")} == {f"{name}, gears" for name in calibrated}
         if size == 0.0:
             assert found.chosen == "calibrated geometry with sag"
             assert not found.content.transmission

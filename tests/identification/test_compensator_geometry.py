@@ -360,3 +360,15 @@ def test_markers_that_change_their_distance_by_more_than_two_millimetres_are_ref
         return
     with pytest.raises(MeasurementError, match=r"at q2 = -60° .* distances \(2\.1 mm\)\. Measure this angle again"):
         cg.identify(wrong)
+
+
+@pytest.mark.parametrize(("factor", "told"), [(0.8, False), (1.25, True)])
+def test_intervals_wider_than_a_twentieth_of_the_distance_are_a_warning(factor, told):
+    """By their proportion to the noise, from readings with little of it, of a compensator that hardly turned."""
+    q2 = np.radians([-60.0, -64.0, -68.0, -72.0])
+    little = cg.identify(readings(q2, sigma=1e-6)[0])
+    limit = 0.05 * np.hypot(TRUE[1], TRUE[2])
+    sigma = 1e-6 * factor * limit / little.ci95.max()
+    found = cg.identify(readings(q2, sigma=sigma)[0])
+    assert found.ci95.max() == pytest.approx(factor * limit, rel=0.1)  # the same readings, stretched
+    assert any("the compensator turned by only" in text for text in found.warnings) == told
