@@ -250,6 +250,30 @@ def _rounded_down(value: float) -> str:
     return f"{np.floor(value / step * (1.0 + 1e-12)) * step:.6g}"
 
 
+def joints_at_meetings(program: Program, sample: Toolpath, q: Array, start: Array) -> Iterator[Issue]:
+    """Yield an issue if branches, or rounds of an endless loop, reach one pose with a joint a turn apart.
+
+    The tool is in one pose there, but what follows would begin with that joint 360° farther each time.
+
+    :param q: (N, 6) joint angles of the samples, `start` (6,) where the program starts [rad].
+    """
+    end = np.flatnonzero(sample.ends)
+    for rows in program.meetings:
+        angles = np.array([q[end[row]] if row >= 0 else start for row in rows])
+        apart = np.ptp(angles, axis=0)
+        axis = int(apart.argmax())
+        if not apart[axis] > np.pi:
+            continue
+        lines = [int(program.motions.line[row]) for row in rows if row >= 0]
+        reached = " and ".join(f"{angle:.0f}°" for angle in sorted({round(a) for a in angles[:, axis] * DEG_PER_RAD}))
+        message = (
+            f"branches of which it is not known which one runs{_ROUNDS} end with A{axis + 1} at {reached}: what "
+            "follows was checked from one of these only. Turn the tool back the way it came, or give all of A1 … A6 "
+            "there (PTP)."
+        )
+        yield Issue("error", "branch-joints", message, lines[0], count=len(lines), lines=tuple(lines))
+
+
 def meetings(program: Program, sample: Toolpath, pose: Array, wrench: Array) -> Iterator[Issue]:
     """Yield an issue if branches taken at run time have different corrections at a control-flow join.
 

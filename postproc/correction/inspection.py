@@ -312,6 +312,7 @@ def of_path(path: PathUnderLoad, command: Compensation) -> list[Issue]:
         *checks.joint_limits(program, robot, sample, q),
         *checks.singularities(program, robot, sample, q, arcs.motion),
         *checks.joint_speeds(program, robot, sample, speed),
+        *checks.joints_at_meetings(program, sample, q, start),
         *checks.meetings(program, sample, command.pose, path.wrench),
         *checks.correction_size(program, sample.motion, norm(position - sample.pose[:, :3, 3]), allowed),
     ]

@@ -1,5 +1,6 @@
 """Branches of which one runs must be corrected alike where they meet: forces from a file may say otherwise."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -48,3 +49,20 @@ def test_branches_that_end_under_one_force_are_corrected(lines, rows, tmp_path):
     result = processed(lines, rows, tmp_path)
     assert not result.failed, result.issues
     assert "IF $IN[1]" in result.documents[0].text
+
+
+ROUND = "X 50,Y 50,Z 0,A {},B 0,C 180"
+
+
+@pytest.mark.parametrize(("angles", "turned"), [((90, 180, -90, 0), True), ((90, 180, 90, 0), False)])
+def test_a_round_of_an_endless_loop_that_turns_a6_all_the_way_is_refused(angles, turned):
+    """Its second round would begin with A6 one turn farther, the fifth beyond its limit."""
+    first, *_ = lines = [f"LIN {{{ROUND.format(angle)}}}\n" for angle in (0, *angles)]
+    text = f"{HEAD}{first}; FORCE FZ=100\n{first}LOOP\n{''.join(lines[1:])}ENDLOOP\nEND\n"
+    cell = cells.load(SAMPLES / "cell_kr270.toml")
+    model = robot.load(robot.find(cell.robot))
+    program = correction.read([decode("part.src", text.encode())], model, cell, "part", "krl")
+    errors = [issue for issue in correction.process(program, model, cell).issues if issue.level == "error"]
+    assert [error.kind for error in errors] == ["branch-joints"] * turned
+    angles_of = [re.search(r"end with A6 at (-?\d+)° and (-?\d+)°", error.message) for error in errors]
+    assert [float(found[2]) - float(found[1]) for found in angles_of] == [360.0] * turned
