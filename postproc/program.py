@@ -151,6 +151,21 @@ class Swivel(Struct, frozen=True, eq=False):
         return direction(self.axes, angles)
 
 
+class Turning(Protocol):
+    """How motions turn the tool along their path if not by one rotation: see `Swivel`, and `kinematics.ByWrist`."""
+
+    @property
+    def active(self) -> Bools:
+        """(M,) False for motions that turn it by one rotation."""
+
+    @property
+    def travel(self) -> Array:
+        """(M,) largest rotation of the tool [rad]."""
+
+    def at(self, motion: Ints, t: Array) -> Array:
+        """Return the orientation of the tool frame (n, 3, 3) in `$BASE` at places (motion, t)."""
+
+
 def direction(axes: Array, angles: Array) -> Array:
     """Return the direction R₁(a)·R₂(b)·z (n, 3) of a tool on rotary axes (k, 3), for angles (n, k) [rad]."""
     out = np.broadcast_to([0.0, 0.0, 1.0], (len(angles), 3)).copy()
@@ -466,6 +481,8 @@ class Program(Struct, frozen=True, eq=False):
     :param meetings: control-flow joins: rows of motions (−1: the start) that end branches not known before run time, or
         iterations of an endless loop.
     :param swivel: orientation along motions given by rotary axes; None: LIN and CIRC turn it by one rotation.
+    :param by_wrist: (M,) True for lines on which the wrist axes turn the tool (``$ORI_TYPE=#JOINT``); None: on none.
+    :param wrist: how they do so with the robot of the cell, see `under_load.led_by_wrist`.
     :param carriage: the linear axis that carries the robot; None: there is none.
     :param with_path: (M,) True for arcs with whose direction of travel the tool turns: its orientation as seen from
         there is what changes by one rotation. None: there are none.
@@ -490,6 +507,8 @@ class Program(Struct, frozen=True, eq=False):
     after: Ints | None = None
     meetings: tuple[tuple[int, ...], ...] = ()
     swivel: Swivel | None = None
+    by_wrist: Bools | None = None
+    wrist: Turning | None = None
     carriage: Carriage | None = None
     with_path: Bools | None = None
     unforced: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
@@ -498,6 +517,11 @@ class Program(Struct, frozen=True, eq=False):
     needed: tuple[Needed, ...] = ()
     layout: Layout | None = None
     feed_as_read: Array | None = None
+
+    @property
+    def turning(self) -> Turning | None:
+        """How motions turn the tool that do not turn it by one rotation; None: all do."""
+        return self.wrist if self.swivel is None else self.swivel
 
     @property
     def keeps_text(self) -> bool:

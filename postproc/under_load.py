@@ -12,6 +12,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc import elastostatics, forces, kinematics, toolpath
 from postproc.cell import Cell
@@ -19,7 +20,7 @@ from postproc.elastostatics import Compensation, ToolSpring
 from postproc.errors import Issue, PostprocError
 from postproc.forces import ForceSource, PathForces
 from postproc.frames import M_PER_MM, MM_PER_M, Array, norm
-from postproc.kinematics import JointPath, UnreachableError
+from postproc.kinematics import ByWrist, JointPath, UnreachableError
 from postproc.program import CIRC, PTP, Bools, Ints, Program, read_only
 from postproc.robot import RobotModel
 from postproc.toolpath import DisplacementEstimate, Pieces, Segments, Toolpath
@@ -220,6 +221,51 @@ class RobotInCell(Struct, frozen=True, eq=False, dict=True):
             return spring.loaded_tip(self.robot, q, tool, wrench, guess)
         tip = elastostatics.loaded_tip(self.robot, q, tool, wrench, guess)
         return tip, np.zeros_like(tip)
+
+
+_UNCLEAR = np.radians(90.0)
+"""Farther than this no wrist axis may turn on a motion: which way round would not be certain."""
+_STRETCHED = np.radians(1.0)
+"""A5 may not be nearer to 0 where the wrist turns the tool: A4 and A6 are not certain there."""
+_WRIST_ADVICE = "Use $ORI_TYPE=#VAR, or divide the motion."
+
+
+def led_by_wrist(program: Program, setting: RobotInCell) -> Program:
+    """Return a program that knows how its robot turns the tool on the motions on which the wrist axes do so.
+
+    Both ends are on the branch of the path, so that A5 does not pass through 0.
+
+    :raises ImpossiblePathError: a wrist axis turns too far to be certain, or a pose has no solution.
+    """
+    if program.by_wrist is None:
+        return program
+    check_ends(program, setting.robot)
+    m, every = program.motions, np.arange(len(program.motions))
+    motion = np.flatnonzero(program.by_wrist)
+    segments = toolpath.segments(program, setting.start_flange)
+    try:
+        ends = setting.follow(program, every, np.ones(len(every)), m.target).q
+    except UnreachableError as cause:
+        raise ImpossiblePathError(unreachable(program, np.array(cause.rows))) from None
+    before = (every - 1 if program.after is None else program.after)[motion]
+    begin = np.where(before[:, None] >= 0, ends[before], setting.cell.start_joints)
+    change = (ends[motion] - begin + np.pi) % (2.0 * np.pi) - np.pi
+    far = (np.abs(change[:, 3:]) > _UNCLEAR).any(axis=1)
+    far |= np.minimum(np.abs(begin[:, 4]), np.abs(ends[motion, 4])) < _STRETCHED
+    message = (
+        "under $ORI_TYPE=#JOINT this motion begins or ends near the singular pose of the wrist, or a wrist axis turns "
+        f"by more than {np.degrees(_UNCLEAR):g}°: how the controller leads A4 to A6 is not certain. {_WRIST_ADVICE}"
+    )
+    _check(program, motion, far, "wrist-led", message)
+    poses = segments.start.at(motion), m.target[motion]
+    tip = np.stack([toolpath.pose_in_root(program, motion, pose)[:, :3, 3] for pose in poses], axis=1)
+    base = program.bases[m.base[motion], :3, :3]
+    joints = begin, begin + change
+    try:
+        wrist = ByWrist.of(setting.robot, len(m), motion, joints, tip, base, program.tools[m.tool[motion]])
+    except UnreachableError as cause:
+        raise ImpossiblePathError(unreachable(program, np.array(cause.rows))) from None
+    return replace(program, wrist=wrist)
 
 
 SHARE_OF_TOLERANCE = 0.4

@@ -112,8 +112,8 @@ def half_turns(program: Program, sample: Toolpath, turn: Array, pose: Array) -> 
     """
     m = program.motions
     free = m.kind != PTP
-    if program.swivel is not None:
-        free &= ~program.swivel.active
+    if program.turning is not None:
+        free &= ~program.turning.active
     rotation = turn if program.with_path is None else turn - np.where(program.with_path, m.sweep, 0.0)
     motion = np.flatnonzero(free & (rotation > np.pi - _OPEN_WAY))
     if not len(motion):

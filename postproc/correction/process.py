@@ -30,7 +30,14 @@ from postproc.placement import Turn
 from postproc.program import CIRC, Document, Ints, Program, TargetForces, TargetJoints, Written, read_only
 from postproc.robot import RobotModel
 from postproc.toolpath import Pieces
-from postproc.under_load import SHARE_OF_TOLERANCE, ImpossiblePathError, MotionsUnderLoad, PathUnderLoad, RobotInCell
+from postproc.under_load import (
+    SHARE_OF_TOLERANCE,
+    ImpossiblePathError,
+    MotionsUnderLoad,
+    PathUnderLoad,
+    RobotInCell,
+    led_by_wrist,
+)
 
 _NO_BALANCE = "no loaded equilibrium: the pose is singular or the load too large. Move the part or check the forces."
 
@@ -380,12 +387,16 @@ def read(documents: Sequence[Document], robot: RobotModel, cell: Cell, name: str
     """
     if registry.by_name(dialect).writer is not None:
         _check_language(documents[0].name, robot, dialect)
-    program = registry.by_name(dialect).read(documents, cell, RobotInCell.of(robot, cell).forward, name)
+    setting = RobotInCell.of(robot, cell)
+    program = registry.by_name(dialect).read(documents, cell, setting.forward, name)
     if len(program.motions) == 0:
         raise ProgramError("no motion in this program", file=documents[0].name, advice="Nothing can be corrected.")
     if sum(len(document.text) for document in documents) > LARGE_TEXT:
         gc.collect()  # readers leave reference cycles, which hold columns of the text
-    return read_only(program)
+    try:
+        return read_only(led_by_wrist(program, setting))
+    except ImpossiblePathError as cause:
+        raise ProgramError(cause.issue.message, file=documents[0].name, line=cause.issue.source_line) from None
 
 
 def process(

@@ -314,7 +314,7 @@ def choose_targets(
     whole, kept = _unchanged(path, command)
     commanded = CommandedPath.of(path, command)
     kind = np.where(m.kind == CIRC, LIN, m.kind) if linearize_arcs else m.kind
-    every = toolpath.swivel_pieces(program, path.motions.segments, path.setting.tolerance) > 1
+    every = ~whole & (toolpath.swivel_pieces(program, path.motions.segments, path.setting.tolerance) > 1)
     selected = choose(commanded, kind, whole, every, least_arc)
     movable = np.isnan(m.joints[sample.motion[selected[0]], 0])
     row, target_kind, via_row = (each[movable] for each in selected)

@@ -19,7 +19,7 @@ from postproc.forces import BEHIND_STEP
 from postproc.frames import MM_PER_M, Array, angle_between, largest, norm, twist_between
 from postproc.program import CIRC, PTP, SPL, Bools, Ints, Program, Targets, Written
 from postproc.toolpath import Segments
-from postproc.under_load import MotionsUnderLoad, PathUnderLoad
+from postproc.under_load import ImpossiblePathError, MotionsUnderLoad, PathUnderLoad, led_by_wrist
 
 _PRINTED = 1e-6
 """What printing may move a commanded pose by [m, rad], or change a speed by [m/s]; the text has at least 1e-4 mm,
@@ -63,12 +63,15 @@ def read_back(path: PathUnderLoad, chosen: Chosen, text: Written) -> ReadBack:
     try:
         reader = registry.by_name(text.dialect)
         written = reader.read(text.documents, setting.cell, setting.forward, path.program.name)
+        written = led_by_wrist(written, setting)
     except ProgramError as cause:
         message = (
             f"the written program cannot be read back ({cause.problem}: {cause.text or ''!r}). If this is a line of "
             f"[gcode] in the cell, write it there in {text.dialect}; else it is a fault of postproc, please report it."
         )
         raise UnusableTextError(Issue("error", "read-back", message, output_line=cause.line)) from cause
+    except ImpossiblePathError as cause:
+        raise UnusableTextError(cause.issue) from cause
     row = np.flatnonzero(np.isnan(written.motions.joints[:, 0]))
     mismatch = _mismatch(path.program, targets, written, row)
     if mismatch is not None:

@@ -6,8 +6,10 @@ from postproc.kinematics.forward import Posture, gravity_torque, posture, tcp
 from postproc.kinematics.hessian import gravity_stiffness, load_stiffness, require_pinocchio
 from postproc.kinematics.inverse import JointPath, UnreachableError, follow, on_branch, turn_of
 from postproc.kinematics.margins import joint_margin, singular_values, smallest_singular_value
+from postproc.kinematics.wrist import ByWrist
 
 __all__ = [
+    "ByWrist",
     "ClosedForm",
     "JointPath",
     "Posture",

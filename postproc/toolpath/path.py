@@ -136,8 +136,8 @@ def segments(program: Program, start_flange_in_root: Array) -> Segments:
         return begin, norm(other[:, :3, 3] - begin), angle_between(one[:, :3, :3], other[:, :3, :3])
 
     begin, length, turn = in_chunks(chord, np.arange(len(m)))
-    if program.swivel is not None:
-        turn = np.maximum(turn, program.swivel.travel)
+    if program.turning is not None:
+        turn = np.maximum(turn, program.turning.travel)
     if program.with_path is not None:
         rows = np.flatnonzero(program.with_path)
         relative = _turned_back(program, rows, m.sweep[rows], m.target[rows, :3, :3])
@@ -164,8 +164,8 @@ def _arcs(program: Program, begin: Array) -> Arcs:
 def at(program: Program, path: Segments, motion: Ints, t: Array) -> Toolpath:
     """Return the nominal path at places (motion, t).
 
-    LIN: position linear, orientation by one rotation, or as rotary axes turn (`Program.swivel`). CIRC: rotation about
-    the arc's axis with a linear rise, the orientation as for LIN, or so as seen from the path
+    LIN: position linear, orientation by one rotation, or as rotary axes or the wrist turn (`Program.turning`). CIRC:
+    rotation about the arc's axis with a linear rise, the orientation as for LIN, or so as seen from the path
     (`Program.with_path`). PTP: only its end (t = 1) is known here; so it is of a piece of a spline,
     which is represented by its chord.
     """
@@ -177,10 +177,10 @@ def at(program: Program, path: Segments, motion: Ints, t: Array) -> Toolpath:
     if len(still):
         before, after = path.start.at(motion[still])[:, :3, :3], pose[still, :3, :3]
         pose[still, :3, :3] = after + (1.0 - t[still])[:, None, None] * (before - after)
-    if program.swivel is not None:
-        active = program.swivel.active[motion[turning]]
-        swivelling, turning = turning[active], turning[~active]
-        pose[swivelling, :3, :3] = program.swivel.at(motion[swivelling], t[swivelling])
+    if program.turning is not None:
+        active = program.turning.active[motion[turning]]
+        otherwise, turning = turning[active], turning[~active]
+        pose[otherwise, :3, :3] = program.turning.at(motion[otherwise], t[otherwise])
     if program.with_path is not None:
         led = program.with_path[motion[turning]]
         with_path, turning = turning[led], turning[~led]

@@ -20,7 +20,7 @@ _STEP = 0.020
 _REFERENCE_TOLERANCE = 1e-5
 _TURN = 3.0 * RAD_PER_DEG
 _LEVER = 0.1
-"""Length of tool [m] along which it must not lean from where its rotary axes hold it by more than the tolerance."""
+"""Length of tool [m] along which it must not lean from where its axes hold it by more than the tolerance."""
 _MOST_SWIVEL = 60.0 * RAD_PER_DEG
 """Rotary axes turn by at most this on one piece: two rotations of the same ends are then distinct."""
 _LARGEST = 120.0 * RAD_PER_DEG
@@ -222,22 +222,23 @@ def places(
 
 
 def swivel_pieces(program: Program, path: Segments, tolerance: float) -> Ints:
-    """Return into how many pieces (M,) straight motions are divided so that the tool turns as its rotary axes do.
+    """Return into how many pieces (M,) straight motions are divided so that the tool turns as `Program.turning` says.
 
     A robot turns the tool by one rotation along each piece. How far it leans wrongly goes with its length squared;
     over `_LEVER` of the tool that must stay within the tolerance.
     """
-    swivel = program.swivel
+    turning = program.turning
     out = np.ones(len(program.motions), dtype=np.int64)
-    if swivel is None:
+    if turning is None:
         return out
-    rows = np.flatnonzero((swivel.travel > 0.0) & (program.motions.kind == LIN))
+    travel = turning.travel
+    rows = np.flatnonzero((travel > 0.0) & (program.motions.kind == LIN))
     start, end = path.start.at(rows), program.motions.target[rows]
     leans = np.zeros(len(rows))
     for share in (0.25, 0.5, 0.75):
         t = np.full(len(rows), share)
-        leans = np.maximum(leans, angle_between(interpolated(start, end, t)[:, :3, :3], swivel.at(rows, t)))
-    needed = np.maximum(np.sqrt(leans * _LEVER / tolerance), swivel.travel[rows] / _MOST_SWIVEL)
+        leans = np.maximum(leans, angle_between(interpolated(start, end, t)[:, :3, :3], turning.at(rows, t)))
+    needed = np.maximum(np.sqrt(leans * _LEVER / tolerance), travel[rows] / _MOST_SWIVEL)
     out[rows] = np.maximum(1, np.ceil(needed - 1e-9)).astype(np.int64)
     return out
 

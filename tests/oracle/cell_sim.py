@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 
 import numpy as np
+from scipy.optimize import root
 from scipy.spatial.transform import Rotation, Slerp
 
 from tests.oracle.arm import Arm, abc
@@ -80,11 +81,29 @@ class Cell:
                 q = np.radians(move["joints"])
                 continue
             begin = np.linalg.inv(base) @ self.arm.nominal_tcp(q, tool)
+            by_wrist = move["kind"] == "LIN" and move["modes"]["ORI"] == "JOINT"
+            before = q
             for share in shares if move["kind"] != "PTP" else (1.0,):
                 pose = self.between(move, begin, share)
-                q_here = self.arm.inverse(base @ pose, tool, q)
+                if by_wrist:
+                    q_here = self.led_by_wrist(before, base, abc(*move["frame"]), pose, tool, share)
+                    pose = np.linalg.inv(base) @ self.arm.nominal_tcp(q_here, tool)
+                else:
+                    q_here = self.arm.inverse(base @ pose, tool, q)
                 yield index, share, pose, q_here
             q = q_here
+
+    def led_by_wrist(self, begin, base, end, pose, tool, share):
+        """Joint angles with the wrist between those at start and end, and the tip where it is on its line."""
+        last = self.arm.inverse(base @ end, tool, begin)
+        q = begin + share * (last - begin)
+
+        def missed(first):
+            return 1e3 * (self.arm.nominal_tcp(np.append(first, q[3:]), tool)[:3, 3] - (base @ pose)[:3, 3])
+
+        found = root(missed, q[:3], tol=1e-13)
+        assert np.abs(missed(found.x)).max() < 1e-7
+        return np.append(found.x, q[3:])
 
     @staticmethod
     def between(move, begin, share):

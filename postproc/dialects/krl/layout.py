@@ -53,6 +53,7 @@ class Layout(Struct, frozen=True, eq=False):
     :param orientation: (M,) which of `ORIENTATIONS` `$ORI_TYPE` is; of PTP, which knows none, the first.
     :param ignored: (M,) True where it makes the controller ignore A, B, C, and the text says others than are commanded.
     :param with_path: (M,) True for circles with which the tool turns (``$CIRC_TYPE=#PATH``).
+    :param by_wrist: (M,) True for lines on which the wrist axes turn the tool (``$ORI_TYPE=#JOINT``).
     :param unheeded: (M,) True for SCIRC whose A, B, C of the auxiliary point must not count once it is corrected.
     :param distant: (M,) True where `$APO.CDIS` is known, so that inserted targets can be approximated.
     :param passed: (M,) True in spline blocks, where the robot passes the targets without approximation.
@@ -84,6 +85,7 @@ class Layout(Struct, frozen=True, eq=False):
     orientation: Ints
     ignored: Bools
     with_path: Bools
+    by_wrist: Bools
     unheeded: Bools
     distant: Bools
     passed: Bools

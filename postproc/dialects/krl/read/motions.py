@@ -25,7 +25,7 @@ from postproc.dialects.krl.read.spline_blocks import approximated, check_words, 
 from postproc.dialects.krl.read.state import DEFAULT_SPEED, State, fields_used
 from postproc.errors import Issue, ProgramError, together
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, angle_between, any_column, norm
-from postproc.program import CIRC, PTP, Bools, Ints, Motions, Starts, constant, distinct
+from postproc.program import CIRC, LIN, PTP, Bools, Ints, Motions, Starts, constant, distinct
 
 _BY_ROTATION = (FREE, CONSTANT)
 """Values of `$ORI_TYPE` under which the orientation changes by one rotation, or not at all."""
@@ -116,7 +116,7 @@ def motions_and_layout(
     given = rows.numbers[:, :6]
     led = _led(source, rows, states, state)
     ends = end_poses(source, rows.line, given, frames, moves, start_joints, forward, led, carriage, after)
-    _check_orientation(source, rows, states, state, ends)
+    by_wrist = _by_wrist(source, rows, states, state, ends, settings)
     _check_by_wrist(source, rows, states, state, ends, settings)
     centre, normal, sweep, unheeded = _arcs(source, rows, ends, moves, led, settings, (states, state))
 
@@ -157,6 +157,7 @@ def motions_and_layout(
         orientation=np.where(rows.kind == PTP, 0, _column(states, state, lambda s: ORIENTATIONS.index(s.orientation))),
         ignored=ends.ignored,
         with_path=led.with_path,
+        by_wrist=by_wrist,
         unheeded=unheeded,
         distant=_column(states, state, lambda s: all(field != "cdis" for field, _ in s.uncertain)),
         passed=block != "",
@@ -171,7 +172,11 @@ def motions_and_layout(
     )
     assumed = _column(states, state, lambda s: s.assumed) & (rows.kind != PTP)
     assumptions = _assumptions(motions.line, missing, assumed, moves)
-    return motions, layout, [*axis_issues, *assumptions, *_by_speed(source, rows), *told(motions)]
+    return (
+        motions,
+        layout,
+        [*axis_issues, *assumptions, *_by_speed(source, rows), *told(motions), *_wrist(motions, by_wrist)],
+    )
 
 
 def _elements(rows: MotionColumns, rounds: ElementMotions) -> Elements:
@@ -279,22 +284,32 @@ def _led(source: Source, rows: MotionColumns, states: list[State], state: Ints) 
     return Led(constant, round_ & with_path, rows.via)
 
 
-def _check_orientation(source: Source, rows: MotionColumns, states: list[State], state: Ints, ends: EndPoses) -> None:
-    """Refuse motions on which the controller would lead the orientation in a way that is not known."""
+def _by_wrist(
+    source: Source, rows: MotionColumns, states: list[State], state: Ints, ends: EndPoses, settings: Settings
+) -> Bools:
+    """Return the lines (R,) on which the wrist axes turn the tool.
+
+    :raises ProgramError: the controller would lead the orientation in a way that is not known.
+    """
+    led = np.zeros(len(rows), dtype=np.bool_)
     own = np.flatnonzero(_column(states, state, lambda s: s.orientation not in _BY_ROTATION) & (rows.kind != PTP))
     if not len(own):
-        return
+        return led
     kinds = [states[index].orientation for index in state[own]]
     behind = np.minimum(own + 1, len(rows) - 1)
     turned, turned_behind = (
         ~same_orientation(ends.start.at(each)[:, :3, :3], ends.pose[each, :3, :3]) for each in (own, behind)
     )
     turned |= turned_behind & np.array([kind == IGNORE for kind in kinds])
+    wrist = np.array([kind == JOINT for kind in kinds]) & (rows.kind[own] == LIN) & (settings.cell.carriage is None)
+    led[own[turned & wrist]] = True
+    turned &= ~wrist
     if not turned.any():
-        return
+        return led
     first = int(np.argmax(turned))
     problem = {
-        JOINT: "the orientation changes under $ORI_TYPE=#JOINT: it follows the wrist axes, not one rotation",
+        JOINT: "the orientation changes under $ORI_TYPE=#JOINT on another path than a line, or while E1 moves: how the "
+        "wrist axes lead it is not known",
         IGNORE: "the orientation changes at a target under $ORI_TYPE=#IGNORE: the controller chooses it there",
     }[kinds[first]]
     advice = "Use $ORI_TYPE=#VAR: the orientation then changes by one rotation, from target to target."
@@ -395,6 +410,18 @@ def _by_speed(source: Source, rows: MotionColumns) -> list[Issue]:
     line = source.shown(rows.line[found])
     lines = tuple(distinct(line).tolist())
     return [Issue("info", "blending-by-speed", message, int(line[0]), count=len(found), lines=lines)]
+
+
+def _wrist(motions: Motions, by_wrist: Bools) -> list[Issue]:
+    """Return the assumption about lines on which the wrist axes turn the tool."""
+    found = np.flatnonzero(by_wrist)
+    if not len(found):
+        return []
+    message = (
+        "$ORI_TYPE=#JOINT: it is assumed that A4 to A6 turn in proportion to the path length while the tip stays on "
+        "its line. Corrected motions are divided and get $ORI_TYPE=#VAR."
+    )
+    return [motions.issue("warning", "wrist-led", message, found)]
 
 
 def _assumptions(line: Ints, missing: Bools, assumed: Bools, moves: Mapping[int, MotionStatement]) -> list[Issue]:

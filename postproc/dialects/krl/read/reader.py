@@ -196,6 +196,7 @@ class _Reading(Struct, frozen=True, eq=False):
             issues=(*issues, *loop_issues),
             carriage=layout.carriage,
             with_path=layout.with_path if layout.with_path.any() else None,
+            by_wrist=layout.by_wrist if layout.by_wrist.any() else None,
             after=after,
             meetings=(*(meeting.ends for meeting in meetings), *rounds),
             unresolved=resolved.unresolved,
