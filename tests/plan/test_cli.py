@@ -19,6 +19,7 @@ from postproc.kinematics import tcp
 from tests.html_page import read_page
 from tests.plan import setting
 from tests.plan.setting import AROUND, BASIC, RIG
+from tests.plan.test_directions import simulated
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 POSES = """A1,A2,A3,A4,A5,A6,Fx,Fy,Fz
@@ -39,7 +40,9 @@ def run(folder, *arguments, text=BASIC + RIG + AROUND):
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
     folder = tmp_path_factory.mktemp("plan")
-    result = run(folder, "--program", str(SAMPLES / "pocket.nc"), str(SAMPLES / "inline.src"), *QUICK)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("postproc.plan.search._FACTORS", (0.5, 1.0, 2.0))  # three sizes of six
+        result = run(folder, "--program", str(SAMPLES / "pocket.nc"), str(SAMPLES / "inline.src"), *QUICK)
     assert result.exit_code == 0, result.output
     return folder / "out", result
 
@@ -87,6 +90,21 @@ def test_the_summary_says_what_to_expect(written):
     assert all(a["rms_mm"] > b["rms_mm"] for a, b in pairwise(sizes))
     assert "expected error after compensation" in written[1].output
     assert "K_c" in written[1].output
+
+
+def test_torques_stand_in_the_json_and_on_the_terminal(written):
+    """By the simulator's own chain."""
+    q, force = setting.read_plan((written[0] / "plan.csv").read_text())
+    torque = simulated(q, force)
+    shown = json.loads((written[0] / "plan.json").read_text())["torques"]
+    for joint, entry in enumerate(shown):
+        assert entry["joint"] == f"A{joint + 1}"
+        assert entry["negative_Nm"] == pytest.approx(min(torque[:, joint].min(), 0.0), abs=0.5)
+        assert entry["positive_Nm"] == pytest.approx(max(torque[:, joint].max(), 0.0), abs=0.5)
+        assert entry["negative_poses"] >= 2
+        assert entry["positive_poses"] >= 2
+        text = f"A{joint + 1} {entry['negative_Nm']:.0f} … {entry['positive_Nm']:.0f}"
+        assert text in written[1].output
 
 
 def test_the_page_is_self_contained_and_draws_every_pose(written):
@@ -160,6 +178,7 @@ def test_an_input_is_never_overwritten(tmp_path):
 
 def test_a_rig_that_cannot_show_a_parameter_is_told_before_anyone_measures(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("postproc.plan.planning.by_number", lambda *_: ())  # the fixture has those
     result = run(tmp_path, "--poses", "tests.csv", *QUICK, text=BASIC + "\n[rig]\nmass_kg = 275\n")
     assert result.exit_code == 0, result.output
     assert "warning: k1 is not observable with this rig" in result.output

@@ -1,19 +1,15 @@
 """Plans load every joint to both sides, as far as the rig can: torques by the simulator's own chain."""
 
-import json
-
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from msgspec.structs import replace
 
-from postproc.cli import main
 from postproc.identification.coverage import ENOUGH
 from postproc.plan import criterion, milling
 from postproc.plan.criterion import out_of_reach
 from samples.paper_study import simulator
 from tests.plan import setting
-from tests.plan.setting import AROUND, BASIC, RIG
+from tests.plan.setting import BASIC
 
 HANGING = BASIC + "\n[rig]\nmass_kg = 275\n"
 
@@ -113,28 +109,3 @@ def test_what_was_measured_counts(tmp_path):
     measured = np.concatenate([np.full((2, 6), 500.0), np.full((4, 6), -500.0)])
     found = criterion.directions(both, ONE_POSE, 9, measured)  # 15 poses in all: five to each side
     assert found.need.tolist() == [[1, 3]] * 6
-
-
-def test_torques_stand_in_the_json_and_on_the_terminal(tmp_path):
-    setting.experiment(tmp_path, BASIC + RIG + AROUND)
-    (tmp_path / "tests.csv").write_text("A1,A2,A3,A4,A5,A6,Fx,Fy,Fz\n0,-70,110,0,50,0,100,50,300\n")
-    done = CliRunner().invoke(
-        main,
-        [
-            *("plan", "--experiment", str(tmp_path / "experiment.toml"), "--poses", str(tmp_path / "tests.csv")),
-            *("--cell", str(setting.Path(setting.__file__).parents[2] / "samples" / "cell_kr270.toml")),
-            *("--configurations", "6", "--q2-levels", "3", "-o", str(tmp_path / "plan.csv")),
-        ],
-    )
-    assert done.exit_code == 0, done.output
-    q, force = setting.read_plan((tmp_path / "plan.csv").read_text())
-    torque = simulated(q, force)
-    shown = json.loads((tmp_path / "plan.json").read_text())["torques"]
-    for joint, entry in enumerate(shown):
-        assert entry["joint"] == f"A{joint + 1}"
-        assert entry["negative_Nm"] == pytest.approx(min(torque[:, joint].min(), 0.0), abs=0.5)
-        assert entry["positive_Nm"] == pytest.approx(max(torque[:, joint].max(), 0.0), abs=0.5)
-        assert entry["negative_poses"] >= 2
-        assert entry["positive_poses"] >= 2
-        text = f"A{joint + 1} {entry['negative_Nm']:.0f} … {entry['positive_Nm']:.0f}"
-        assert text in done.output
