@@ -22,6 +22,7 @@ Newton = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]
 class ToolTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """A cutter.
 
+    :param helix_deg: a tool table may state it; mean forces over a turn do not depend on it.
     :param rpm: spindle speed if the program does not give it (KRL) [1/min].
     :param spindle: with `rpm`: direction of rotation.
     """
@@ -30,6 +31,7 @@ class ToolTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     flutes: Annotated[int, msgspec.Meta(ge=1, le=100)]
     shape: Literal["flat", "ball", "bull", "drill"] = "flat"
     corner_radius_mm: Annotated[float, msgspec.Meta(ge=0, le=1e6)] = 0.0
+    helix_deg: Annotated[float, msgspec.Meta(ge=0, lt=80)] = 30.0
     rpm: Positive | None = None
     spindle: Literal["M3", "M4"] = "M3"
 
