@@ -46,6 +46,7 @@ class Hits(Struct, frozen=True, eq=False):
     :param first: (h,) the body that moves, `second` the other one: rows of `Scene.bodies`.
     :param distance: (h,) the smallest distance found there [m].
     :param calls: number of distances that were computed.
+    :param less: by how much distances are less at most for what is commanded instead [m].
     """
 
     closest: Closest | None
@@ -54,20 +55,25 @@ class Hits(Struct, frozen=True, eq=False):
     second: Ints
     distance: Array
     calls: int
+    less: float
 
 
-def along(scene: Scene, q: Array, need: float, shift: Array | None = None) -> Hits:
+def along(scene: Scene, q: Array, need: float, shift: Array | None = None, commanded: Array | None = None) -> Hits:
     """Return where bodies come closer than allowed along a path, and the smallest distance.
 
     Between two samples the joints move in proportion, and so does E1.
 
     :param q: (n, 6) joint angles [rad].
+    :param commanded: (n, 6) joint angles that the arm may have instead, or any between [rad]: distances of a body are
+        less by as far as it moves from one to the other at most.
     :param need: smallest allowed distance [m]; 0: they must not touch.
     :param shift: (n, 3) how far E1 carries the robot from the root [m].
     :raises InputError: the package python-fcl is not installed.
     """
     solids = Solids(scene)
     search = _Search(solids, q, need, shift, closest=True)
+    if commanded is not None:
+        search.less = _displaced(solids, q, commanded)
     if len(q):
         for pair in solids.pairs:
             search.look(*pair)
@@ -75,7 +81,9 @@ def along(scene: Scene, q: Array, need: float, shift: Array | None = None) -> Hi
     keys = sorted(found)
     rows = np.array(keys, dtype=np.int64).reshape(-1, 3)
     distance = np.array([found[key] for key in keys])
-    return Hits(search.closest, rows[:, 0], rows[:, 1], rows[:, 2], distance, search.solids.calls)
+    return Hits(
+        search.closest, rows[:, 0], rows[:, 1], rows[:, 2], distance, solids.calls, float(search.less.max(initial=0.0))
+    )
 
 
 def hits(solids: Solids, q: Array, need: float, shift: Array | None = None, *, between: bool = True) -> Bools:
@@ -100,6 +108,7 @@ class _Search:
 
     def __init__(self, solids: Solids, q: Array, need: float, shift: Array | None, *, closest: bool) -> None:
         self.solids, self.q, self.need, self.wanted = solids, q, need, closest
+        self.less = np.zeros(len(solids.bodies))
         self.chain = solids.scene.robot.nominal
         self.states = q if shift is None else np.concatenate([q, shift], axis=1)
         self.frames = self._frames(self.states)
@@ -113,7 +122,7 @@ class _Search:
         distance = np.full(count, np.nan)
         ends = np.unique(np.append(np.arange(0, count, _FIRST), count - 1))
         self._measure(first, second, ends, distance)
-        if self.solids.distance(first, second, self.frames[:1], solid=True)[0] == 0.0:
+        if self._distance(first, second, self.frames[:1], solid=True)[0] == 0.0:
             distance[0] = 0.0  # also where one is inside the other
             self._note(first, second, 0, 0.0)
         low, high = ends[:-1], ends[1:]
@@ -131,6 +140,11 @@ class _Search:
         if between and open_rows:
             self._between(first, second, np.sort(np.concatenate(open_rows)), distance)
 
+    def _distance(self, first: int, second: int, frames: Array, *, solid: bool = False) -> Array:
+        """Return the distances (n,) [m], less by as far as both bodies may be elsewhere."""
+        less = self.less[first] + self.less[second]
+        return np.asarray(np.maximum(self.solids.distance(first, second, frames, solid=solid) - less, 0.0))
+
     def _open(self, bound: Array) -> np.ndarray:
         """Return which lower bounds decide neither whether the distance is kept nor that a smaller one was found."""
         return np.asarray((bound < self.need) | (bound < self._least() - _EXACT))
@@ -144,7 +158,7 @@ class _Search:
     def _measure(self, first: int, second: int, rows: Ints, distance: Array) -> None:
         """Compute distances at samples where they are not known."""
         rows = rows[np.isnan(distance[rows])]
-        distance[rows] = self.solids.distance(first, second, self.frames[rows], solid=False)
+        distance[rows] = self._distance(first, second, self.frames[rows])
         for row in rows[distance[rows] < self.need].tolist():
             self._note(first, second, row, float(distance[row]))
         for row in rows[distance[rows] <= 0.0].tolist():
@@ -177,7 +191,7 @@ class _Search:
             if not len(rows):
                 return
             middle = 0.5 * (begin + end)
-            found = self.solids.distance(first, second, self._frames(middle), solid=False)
+            found = self._distance(first, second, self._frames(middle))
             for k in np.flatnonzero((found < self.need) | (found <= 0.0)).tolist():
                 self._note(first, second, int(rows[k]) + 1, float(found[k]))
             k = int(np.argmin(found))
@@ -195,12 +209,36 @@ class _Search:
         That is the chord of its middle, twice the height of the arc over it, and its rotation times its radius. With
         joints moving in proportion by Δq in all, no point within R of the axes leaves the chord by more than Δq²·R/8.
         """
-        chain, one, other = self.chain, self.solids.bodies[first], self.solids.bodies[second]
+        one, other = self.solids.bodies[first], self.solids.bodies[second]
         centre, radius = self.solids.spheres[first]
         moving, still = self.solids.frame(first, frames), self.solids.frame(second, frames)
         point = moving[:, :3, :3] @ centre + moving[:, :3, 3] - still[:, :3, 3]
         point = np.einsum("nji,nj->ni", still[:, :3, :3], point)
         turning = np.abs(np.diff(q, axis=0))[:, other.carrier + 1 : min(one.carrier, 5) + 1].sum(axis=1)
-        links = np.concatenate([chain.placement[:, :3, 3], chain.flange[None, :3, 3]])
-        reach = norm(links[other.carrier + 1 : one.carrier + 1]).sum() + norm(centre[None])[0] + radius
+        links = norm(np.concatenate([self.chain.placement[:, :3, 3], self.chain.flange[None, :3, 3]]))
+        reach = links[other.carrier + 1 : one.carrier + 1].sum() + norm(centre[None])[0] + radius
         return np.asarray(norm(np.diff(point, axis=0)) + turning * radius + 0.25 * turning**2 * reach)
+
+
+_AT_ONCE = 4096
+
+
+def _displaced(solids: Solids, q: Array, other: Array) -> Array:
+    """Return how far any point of each body (b,) moves at most between joint angles (n, 6) and others [m].
+
+    That is how far its middle moves, and by how much it turns, times its radius; the arc of so short a motion is longer
+    than its chord by less than a thousandth.
+    """
+    chain, out = solids.scene.robot.nominal, np.zeros(len(solids.bodies))
+    for begin in range(0, len(q), _AT_ONCE):
+        one, two = (link_frames(chain, each[begin : begin + _AT_ONCE]) for each in (q, other))
+        for row, (body, (centre, radius)) in enumerate(zip(solids.bodies, solids.spheres, strict=True)):
+            if not body.fixed:
+                change = two[:, body.carrier + 1] - one[:, body.carrier + 1]
+                turn = np.sqrt(0.5 * (change[:, :3, :3] ** 2).sum(axis=(1, 2)))
+                moved = norm(change[:, :3, :3] @ centre + change[:, :3, 3]) + turn * radius
+                out[row] = max(out[row], float(moved.max()))
+    return out * _ARC
+
+
+_ARC = 1.001

@@ -13,6 +13,9 @@ from postproc.frames import M_PER_MM, MM_PER_M, Array
 from postproc.program import Ints
 from postproc.under_load import PathUnderLoad
 
+_NOTHING = 1e-6
+"""Corrections that move bodies by less [m] are not worth a word."""
+
 
 class SmallestClearance(Struct, frozen=True, eq=False):
     """The smallest distance of two bodies along a path.
@@ -21,20 +24,24 @@ class SmallestClearance(Struct, frozen=True, eq=False):
     :param bodies: their names.
     :param line: of the motion on which it is reached.
     :param scene: the bodies.
+    :param remarks: what is assumed, in words.
     """
 
     distance: float
     bodies: tuple[str, str]
     line: int
     scene: collision.Scene
+    remarks: tuple[str, ...] = ()
 
 
-def of_path(path: PathUnderLoad) -> tuple[SmallestClearance | None, list[Issue]]:
+def of_path(path: PathUnderLoad, commanded: Array) -> tuple[SmallestClearance | None, list[Issue]]:
     """Return the smallest clearance of arm, tool and obstacles, and an error for each two bodies that come too close.
 
-    The tool of a corrected program is on the nominal path, and so is the arm but for its deflection: the joint angles
-    are those of the nominal path, from the start of the program on, proportional between samples.
+    Under the cutting forces a corrected arm is on the nominal path, without them on the commanded one. Distances are
+    those of the nominal path, from the start of the program on, less by as far as the correction moves each body at
+    most: a bound for both paths, and for what is between them.
 
+    :param commanded: (N, 6) commanded joint angles at the samples [rad].
     :returns: None if the cell has no [collision].
     :raises CellError: a body cannot be read.
     """
@@ -50,14 +57,17 @@ def of_path(path: PathUnderLoad) -> tuple[SmallestClearance | None, list[Issue]]
         scene = collision.Scene.of(setting.robot, setting.cell, program.tools[tool])
         before = setting.cell.start_joints if rows.start == 0 else path.joints.q[rows.start - 1]
         q = np.concatenate([before[None], path.joints.q[rows]])
-        found = collision.along(scene, q, need, _shift(path, rows))
+        other = np.concatenate([before[None], commanded[rows]])
+        found = collision.along(scene, q, need, _shift(path, rows), None if np.array_equal(q, other) else other)
         own = np.append(line[rows][:1], line[rows])
         closest = found.closest
         if smallest is None or (closest is not None and closest.distance < smallest.distance):
             names = ("", "") if closest is None else _names(scene, closest.first, closest.second)
             at = 0 if closest is None else closest.row
             distance = np.inf if closest is None else closest.distance
-            smallest = SmallestClearance(distance, names, int(own[at]), scene)
+            smallest = SmallestClearance(
+                distance, names, int(own[at]), scene, (*scene.remarks, *_corrected(found.less))
+            )
         for row, first, second, distance in zip(found.row, found.first, found.second, found.distance, strict=True):
             key = _names(scene, first, second)
             least, at, lines = worst.get(key, (np.inf, 0, set()))
@@ -71,6 +81,15 @@ def _runs(tool: Ints) -> Iterator[tuple[slice, int]]:
     ends = np.append(np.flatnonzero(np.diff(tool)) + 1, len(tool))
     for begin, end in zip(np.append(0, ends[:-1]).tolist(), ends.tolist(), strict=True):
         yield slice(begin, end), int(tool[begin])
+
+
+def _corrected(less: float) -> Iterator[str]:
+    """Yield by how much [m] distances are less for the correction."""
+    if less > _NOTHING:
+        yield (
+            f"distances are less by as far as the correction moves a body, {less * MM_PER_M:.2g} mm at most: they hold "
+            "with and without the cutting forces"
+        )
 
 
 def _shift(path: PathUnderLoad, rows: slice) -> Array | None:

@@ -447,7 +447,7 @@ def process(
     if not wrong:
         try:
             task, draft = _settled(task, MotionsUnderLoad.of(program, setting, source))
-            smallest, collided = collisions.of_path(draft.path)
+            smallest, collided = collisions.of_path(draft.path, draft.q)
             draft = replace(draft, issues=(*draft.issues, *collided))
             done = result_of(task, _as_read(task, draft) if mode == "predict" else draft)
             return replace(done, clearance=smallest)

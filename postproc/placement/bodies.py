@@ -10,6 +10,9 @@ from postproc.placement import drive
 from postproc.placement.samples import PathSamples
 from postproc.program import Bools, Ints
 
+_ALLOWANCE = 2.0
+"""How much softer than at the start the arm may be elsewhere, and how much more a body moves than the tip."""
+
 
 class Bodies:
     """The bodies of a cell with [collision], with each tool of a program."""
@@ -17,12 +20,16 @@ class Bodies:
     def __init__(self, samples: PathSamples, need_mm: float) -> None:
         """Read the bodies.
 
-        :param need_mm: smallest allowed distance; 0: no contact.
+        :param need_mm: smallest allowed distance; 0: no contact. What the forces deflect at most is added for the
+            correction, by which distances are less when the path is checked.
         :raises CellError: a body cannot be read.
         :raises InputError: the package python-fcl is not installed.
         """
         program, setting = samples.program, samples.setting
-        self.need = need_mm * M_PER_MM
+        force, moment = setting.tip_compliance(program.tools[0])
+        wrench = np.abs(samples.along.at(samples.sample)).max(axis=0, initial=0.0)
+        deflection = force * float(np.linalg.norm(wrench[:3])) + moment * float(np.linalg.norm(wrench[3:]))
+        self.need = need_mm * M_PER_MM + _ALLOWANCE * deflection
         self.chain = setting.robot.nominal
         self.tool = program.motions.tool[samples.sample.motion]
         self.solids = {

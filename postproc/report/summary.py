@@ -151,6 +151,7 @@ class Clearance(TypedDict):
     min_clearance_mm: float | None
     bodies: list[str]
     source_line: int
+    remarks: list[str]
 
 
 class IssueEntry(TypedDict):
@@ -664,7 +665,8 @@ def _clearance(result: Result) -> Clearance | None:
     if found is None:
         return None
     least = _finite(found.distance * MM_PER_M)
-    return {"min_clearance_mm": least, "bodies": [name for name in found.bodies if name], "source_line": found.line}
+    names = [name for name in found.bodies if name]
+    return {"min_clearance_mm": least, "bodies": names, "source_line": found.line, "remarks": list(found.remarks)}
 
 
 def _free(content: Summary) -> list[Finding]:
@@ -707,7 +709,7 @@ def _assumptions(result: Result) -> list[str]:
     force = np.abs(result.wrench).max(initial=0.0)
     bodies = ["no collision: the cell has no [collision], so none is checked"]
     if result.clearance is not None:
-        bodies = list(result.clearance.scene.remarks)
+        bodies = list(result.clearance.remarks)
     out = [*bodies, f"the elastic model of {result.robot.title or result.robot.name}, as its sources below state it"]
     if force > 0.0:
         out.append("the cutting forces as given, constant in time: no chatter, no dynamics of drives")

@@ -82,6 +82,7 @@ def _facts(content: Summary) -> list[str]:
         f"smallest singular value {number(limits['min_singular_value'], 3)}"
     )
     facts.append(clearance(content))
+    facts += [] if content["collision"] is None else content["collision"]["remarks"]
     return [f"  {fact}" for fact in facts]
 
 

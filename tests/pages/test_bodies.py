@@ -27,7 +27,9 @@ def test_tool_and_obstacles_are_drawn_where_they_are(browser, tmp_path):
         ),
     )
     scene = Scene.of(result.robot, cell, result.program.tools[0], result.program.bases[0])
-    result = fabricated.with_changes(result, clearance=SmallestClearance(0.0123, ("cutter", "vice"), 5, scene))
+    result = fabricated.with_changes(
+        result, clearance=SmallestClearance(0.0123, ("cutter", "vice"), 5, scene, scene.remarks)
+    )
     (tmp_path / "page.html").write_bytes(b"".join(report.page(result)))
     place = 7
     with browsers.opened(browser, tmp_path / "page.html") as page:
