@@ -154,6 +154,13 @@ class RobotInCell(Struct, frozen=True, eq=False, dict=True):
         start = self.cell.start_joints
         return kinematics.follow(self.robot, flange, start, free, m.joints[ptp], m.status[ptp], m.turn[ptp])
 
+    def scaled(self, along: PathForces, motion: Ints) -> Bools:
+        """Return on which motions (n,) the errors of the forces are the factor that the model was identified with."""
+        factor, by_law = self.robot.force_factor, along.by_law
+        if factor is None or by_law is None or not factor.is_of(by_law.numbers):
+            return np.zeros(len(motion), dtype=np.bool_)
+        return np.asarray(np.isin(motion, by_law.motion))
+
     @cached_property
     def tool_spring(self) -> ToolSpring | None:
         """Holder, spindle and tool as a spring at the tip; None where they are rigid."""

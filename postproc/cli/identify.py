@@ -217,6 +217,8 @@ def _holds_for_part(model: Path, probed: Path, cell: Path, process: Path, progra
     data, compared = compare_part(PartRequest(probed=probed, cell=cell, process=process, program=program), str(model))
     for text in agreement_lines(data, compared):
         click.echo(text)
+    for warning in compared.warnings:
+        click.echo(f"warning: {warning}", err=True)
     return compared.holds
 
 
@@ -275,7 +277,7 @@ def part(
         lines = part_lines(done.data) if compared is None else agreement_lines(done.data, compared)
         for text in lines:
             click.echo(text)
-        for warning in done.data.warnings if compared is None else ():
+        for warning in done.data.warnings if compared is None else compared.warnings:
             click.echo(f"warning: {warning}", err=True)
         if done.written:
             click.echo(f"written: {output}")

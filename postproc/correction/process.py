@@ -338,7 +338,8 @@ def _bound(draft: Draft, corrected: Array, turned: Reversals) -> tuple[Array | N
     issues = list(checks.beyond_measured(path.program, robot, draft.chosen.targets.motion, q, tool, wrench))
     turning = np.zeros((len(row), 6), dtype=bool)
     turning[turned.row, turned.joint] = turning[turned.before, turned.joint] = True
-    bound = elastostatics.position_bound(robot, q, tool, wrench, in_root, in_series, turning)
+    scaled = path.setting.scaled(path.motions.forces, path.sample.motion[row])
+    bound = elastostatics.position_bound(robot, q, tool, wrench, in_root, in_series, turning, scaled)
     if bound is None:
         return None, None, issues
     motion = draft.chosen.targets.motion
@@ -355,7 +356,9 @@ def _bound(draft: Draft, corrected: Array, turned: Reversals) -> tuple[Array | N
     one = slice(at, at + 1)
     forces_there, series = (each if each is None else each[one] for each in (in_root, in_series))
     tool = tool[one] if tool.ndim == 3 else tool
-    source = elastostatics.largest_source(robot, q[one], tool, wrench[one], forces_there, series, turning=turning[one])
+    source = elastostatics.largest_source(
+        robot, q[one], tool, wrench[one], forces_there, series, turning=turning[one], scaled=scaled[one]
+    )
     return bound, Doubt(at, float(bound[at]), level, source), issues
 
 

@@ -25,10 +25,11 @@ from postproc.elastostatics.equilibrium import (
 )
 from postproc.elastostatics.reversals import Reversals, reversals
 from postproc.elastostatics.tool_spring import ToolSpring
-from postproc.elastostatics.uncertainty import FORCES, largest_source, position_bound, sensitivity
+from postproc.elastostatics.uncertainty import FORCES, LENGTH_95, largest_source, position_bound, sensitivity
 
 __all__ = [
     "FORCES",
+    "LENGTH_95",
     "Compensation",
     "Deflection",
     "Reversals",

@@ -26,7 +26,7 @@ from postproc.robot import CompensatorTorque, Parameter, RobotModel, Spring, fil
 
 _QUANTILE_95 = 1.6448536
 """Of the normal distribution, one-sided."""
-_LENGTH_95 = 2.7954835
+LENGTH_95 = 2.7954835
 """95 % of vectors of three standard normal numbers are shorter (χ² of three degrees of freedom)."""
 
 
@@ -38,6 +38,7 @@ def position_bound(
     force_spread: Array | None = None,
     in_series: Array | None = None,
     turning: Bools | None = None,
+    scaled: Bools | None = None,
 ) -> Array | None:
     """Return the 95 % bound (N,) [m] on the error of the predicted position of the TCP, or None.
 
@@ -52,23 +53,52 @@ def position_bound(
     :param force_spread: (N, 6, m) L of the covariance L·Lᵀ of the wrench, root axes; None if it is certain.
     :param in_series: (N, 6, 6) compliance in series with the robot's, root axes; None if there is none.
     :param turning: (N, 6) joints whose gears change their flank next to this place (`reversals`); None if not known.
+    :param scaled: (N,) places where the error of the wrench is one factor, `RobotModel.force_factor`, correlated with
+        the parameters; `force_spread` does not count there. None: nowhere.
     :raises ModelError: the covariance is of a parameter that the model does not have.
     """
     if robot.covariance is None:
         return None
-    covariance = robot.covariance
 
-    def bound(q: Array, tool: Array, wrench: Array, turning: Bools, *forces: Array) -> tuple[Array]:
-        s = sensitivity(robot, q, tool, wrench)
-        by_model = s @ covariance.matrix @ np.swapaxes(s, 1, 2)
-        return (length_bound(sum(_others(robot, q, tool, wrench, turning, *forces).values(), by_model)),)
+    def bound(q: Array, tool: Array, wrench: Array, turning: Bools, scaled: Bools, *forces: Array) -> tuple[Array]:
+        forces = _reaction(robot, q, tool, wrench, *forces)
+        s, covariance = _with_factor(robot, sensitivity(robot, q, tool, wrench), wrench, scaled, *forces)
+        by_model = s @ covariance @ np.swapaxes(s, 1, 2)
+        return (length_bound(sum(_others(robot, q, tool, wrench, turning, scaled, *forces).values(), by_model)),)
 
     if turning is None:
         turning = np.zeros((len(q), 6), dtype=bool)
-    forces = (
-        () if force_spread is None else (force_spread, np.zeros((len(q), 6, 6)) if in_series is None else in_series)
-    )
-    return in_chunks(bound, q, np.broadcast_to(tool, (len(q), 4, 4)), wrench, turning, *forces)[0]
+    if scaled is None:
+        scaled = np.zeros(len(q), dtype=bool)
+    forces = _given(q, force_spread, in_series)
+    return in_chunks(bound, q, np.broadcast_to(tool, (len(q), 4, 4)), wrench, turning, scaled, *forces)[0]
+
+
+def _given(q: Array, force_spread: Array | None, in_series: Array | None) -> tuple[Array, ...]:
+    if force_spread is None:
+        return ()
+    return force_spread, np.zeros((len(q), 6, 6)) if in_series is None else in_series
+
+
+def _reaction(robot: RobotModel, q: Array, tool: Array, wrench: Array, *forces: Array) -> tuple[Array, ...]:
+    """Return `force_spread`, and (N, 3, 6) displacement by the wrench; nothing where the forces are certain."""
+    if not forces:
+        return ()
+    spread, compliance = forces
+    return spread, (tangent_compliance(robot, q, tool, wrench) + compliance)[:, :3]
+
+
+def _with_factor(robot: RobotModel, s: Array, wrench: Array, scaled: Bools, *forces: Array) -> tuple[Array, Array]:
+    """Return sensitivities (N, 3, P) to parameters with that to the factor of forces, and their covariance."""
+    assert robot.covariance is not None
+    matrix, factor = robot.covariance.matrix, robot.force_factor
+    if factor is None or not forces or not scaled.any():
+        return s, matrix
+    by_factor = np.einsum("nij,nj->ni", forces[1], wrench) * scaled[:, None]
+    size = len(matrix)
+    joint = np.empty((size + 1, size + 1))
+    joint[:size, :size], joint[size], joint[:, size] = matrix, factor.covariance, factor.covariance
+    return np.concatenate([s, by_factor[:, :, None]], axis=2), joint
 
 
 FORCES = "the cutting forces"
@@ -76,16 +106,16 @@ FORCES = "the cutting forces"
 
 
 def _others(
-    robot: RobotModel, q: Array, tool: Array, wrench: Array, turning: Bools, *forces: Array
+    robot: RobotModel, q: Array, tool: Array, wrench: Array, turning: Bools, scaled: Bools, *forces: Array
 ) -> dict[str, Array]:
     """Return the covariances (N, 3, 3) [m²] of the position that come from other sources than `RobotModel.covariance`.
 
-    :param forces: `force_spread` and `in_series` of `position_bound`; nothing where the forces are certain.
+    :param forces: from `_reaction`.
     """
     out = {}
     if forces:
-        spread, compliance = forces
-        moved = (tangent_compliance(robot, q, tool, wrench) + compliance)[:, :3] @ spread
+        spread, reaction = forces
+        moved = reaction @ spread * ~scaled[:, None, None]
         out[FORCES] = moved @ np.swapaxes(moved, 1, 2)
     out["the calibrated geometry"] = _any_direction(np.full(len(q), robot.geometry_error))
     if robot.discrepancy is not None:
@@ -96,7 +126,7 @@ def _others(
 
 def _any_direction(length: Array) -> Array:
     """Return the covariances (N, 3, 3) of errors whose length stays below `length` (N,) in 95 % of cases."""
-    return np.asarray((length / _LENGTH_95)[:, None, None] ** 2 * np.eye(3))
+    return np.asarray((length / LENGTH_95)[:, None, None] ** 2 * np.eye(3))
 
 
 def largest_source(
@@ -108,22 +138,23 @@ def largest_source(
     in_series: Array | None = None,
     *,
     turning: Bools,
+    scaled: Bools | None = None,
 ) -> str:
     """Return the largest contribution to `position_bound` of one place, in words: a joint or link, the forces, ….
 
     Correlated parameters of one joint count together. Parameters as in `position_bound`, with N = 1.
     """
     assert robot.covariance is not None
-    s = sensitivity(robot, q, tool, wrench)[0]
+    if scaled is None:
+        scaled = np.zeros(1, dtype=bool)
+    forces = _reaction(robot, q, tool, wrench, *_given(q, force_spread, in_series))
+    s, joint = _with_factor(robot, sensitivity(robot, q, tool, wrench), wrench, scaled, *forces)
     variance: dict[str, float] = {}
-    for parameter, each in zip(
-        robot.covariance.parameters, np.einsum("ip,pk,ik->p", s, robot.covariance.matrix, s).tolist(), strict=True
-    ):
-        source = f"the model of {parameter.place}"
+    sources = [*(f"the model of {parameter.place}" for parameter in robot.covariance.parameters), FORCES]
+    for source, each in zip(sources, np.einsum("ip,pk,ik->p", s[0], joint, s[0]).tolist(), strict=False):
         variance[source] = variance.get(source, 0.0) + each
-    forces = () if force_spread is None else (force_spread, np.zeros((1, 6, 6)) if in_series is None else in_series)
-    for source, covariance in _others(robot, q, tool, wrench, turning, *forces).items():
-        variance[source] = float(np.trace(covariance[0]))
+    for source, covariance in _others(robot, q, tool, wrench, turning, scaled, *forces).items():
+        variance[source] = variance.get(source, 0.0) + float(np.trace(covariance[0]))
     return max(variance, key=variance.__getitem__)
 
 

@@ -8,12 +8,13 @@ from postproc.forces.axes import Axes, last_travel
 from postproc.forces.output import of_pieces, of_targets, once_a_line
 from postproc.forces.path_forces import BEHIND_STEP, PathForces, assign
 from postproc.forces.refinement import displacement_estimate, refined_arcs, swing_places
-from postproc.forces.sources import ForceSource, Knots, read
+from postproc.forces.sources import ByLaw, ForceSource, Knots, read
 from postproc.forces.table import read_force_csv
 
 __all__ = [
     "BEHIND_STEP",
     "Axes",
+    "ByLaw",
     "ForceSource",
     "Knots",
     "PathForces",

@@ -7,7 +7,7 @@ from msgspec import Struct
 
 from postproc.errors import MOST, ForceError, Issue, together
 from postproc.forces.axes import Axes, last_travel
-from postproc.forces.sources import BASE, FEED, ForceSource, Knots, of_comments
+from postproc.forces.sources import BASE, FEED, ByLaw, ForceSource, Knots, of_comments
 from postproc.frames import Array, any_column, norm
 from postproc.program import SPL, Bools, Ints, Program, distinct
 from postproc.toolpath import Segments, Toolpath, at
@@ -36,6 +36,7 @@ class PathForces(Struct, frozen=True, eq=False):
     :param ramped: (M,) True if the force builds up over the ramp of the cell.
     :param before: (M, 6) wrench at the end of the motion before, in `$BASE` axes of the motion; zero before the first.
     :param issues: warnings and notes for the user, e.g. cutting moves without a force.
+    :param by_law: motions whose forces a cutting law computes; None if there are none.
     """
 
     axes: Axes
@@ -49,6 +50,7 @@ class PathForces(Struct, frozen=True, eq=False):
     ramped: Bools
     before: Array
     issues: tuple[Issue, ...]
+    by_law: ByLaw | None
 
     def at(self, sample: Toolpath) -> Array:
         """Return the wrench (N, 6) at samples of the path [N, N·m], `$BASE` axes of their motions."""
@@ -91,10 +93,11 @@ def assign(program: Program, path: Segments, source: ForceSource | None, axis: s
         a move along the spindle, without any move across it; a force on a move from [start] of the cell.
     """
     m = program.motions
-    given, issues = of_comments(program), []
+    given, issues, by_law = of_comments(program), [], None
     if source is not None:
         own = source.along(program, path).checked(program, source.name)
         issues += list(own.issues)
+        by_law = own.by_law
         issues += _warning(
             program, own.motion[any_column(own.wrench != 0.0) & m.rapid[own.motion]], "force-on-rapid", _ON_RAPID
         )
@@ -108,7 +111,7 @@ def assign(program: Program, path: Segments, source: ForceSource | None, axis: s
     none = np.flatnonzero(without)
     given = given.over(Knots.throughout(none, np.zeros((len(none), 6)), np.full(len(none), BASE)))
     travel, lead = _travel(program, path, given, axis)
-    return _resolved(given, Axes(program, path, axis, travel), ramp, (*issues, *lead))
+    return _resolved(given, Axes(program, path, axis, travel), ramp, (*issues, *lead), by_law)
 
 
 def _check_start(program: Program, given: Knots) -> None:
@@ -130,7 +133,7 @@ def _warning(program: Program, motion: Ints, kind: str, message: str) -> list[Is
     return [program.motions.issue("warning", kind, message, motion)] if len(motion) else []
 
 
-def _resolved(given: Knots, axes: Axes, ramp: float, issues: tuple[Issue, ...]) -> PathForces:
+def _resolved(given: Knots, axes: Axes, ramp: float, issues: tuple[Issue, ...], by_law: ByLaw | None) -> PathForces:
     """Return the forces from knots that cover every motion, with ramps inserted."""
     motions = np.arange(len(axes.program.motions))
     first = np.searchsorted(given.motion, np.append(motions, len(motions)))
@@ -165,6 +168,7 @@ def _resolved(given: Knots, axes: Axes, ramp: float, issues: tuple[Issue, ...]) 
         ramped,
         before,
         issues,
+        by_law,
     )
 
 

@@ -23,6 +23,13 @@ BASE, TOOL, FEED = range(3)
 """Values of `Knots.frame`: places in `FORCE_FRAMES`."""
 
 
+class ByLaw(Struct, frozen=True, eq=False):
+    """Motions (n,) whose forces a cutting law computes, and its numbers: their errors are one common factor."""
+
+    numbers: tuple[float, ...]
+    motion: Ints
+
+
 class Knots(Struct, frozen=True, eq=False):
     """The wrench at K places along motions: linear from one to the next, constant before the first and after the last.
 
@@ -38,6 +45,7 @@ class Knots(Struct, frozen=True, eq=False):
     :param ramped: (K,) True for the only knot of a motion whose force changes from that of the motion before over its
         first `force_ramp_mm`; otherwise the force is as given from the start of the motion.
     :param issues: warnings and notes for the user.
+    :param by_law: motions whose forces a cutting law computes.
     """
 
     motion: Ints
@@ -47,6 +55,7 @@ class Knots(Struct, frozen=True, eq=False):
     sigma: Array
     ramped: Bools
     issues: tuple[Issue, ...] = ()
+    by_law: ByLaw | None = None
 
     @classmethod
     def throughout(cls, motion: Ints, wrench: Array, frame: Ints, sigma: Array | None = None) -> Knots:
@@ -62,7 +71,7 @@ class Knots(Struct, frozen=True, eq=False):
 
     @classmethod
     def joined(cls, parts: list[Knots]) -> Knots:
-        """Return the knots of several parts of a program, in order; without the issues."""
+        """Return the knots of several parts of a program, in order; without `issues` and `by_law`."""
         columns: list[Any] = [np.concatenate([getattr(part, name) for part in parts]) for name in cls._columns()]
         return cls(*columns)
 
@@ -70,19 +79,19 @@ class Knots(Struct, frozen=True, eq=False):
         return len(self.motion)
 
     def take(self, rows: Ints | Bools) -> Knots:
-        """Return some of the knots, without the issues."""
+        """Return some of the knots, without `issues` and `by_law`."""
         columns: list[Any] = [getattr(self, name)[rows] for name in self._columns()]
         return Knots(*columns)
 
     def over(self, other: Knots) -> Knots:
-        """Return these knots, plus those of `other` for motions without a knot here; without the issues."""
+        """Return these knots, plus those of `other` for motions without a knot here; without `issues` and `by_law`."""
         kept = other.take(~np.isin(other.motion, self.motion))
         order = np.argsort(np.append(self.motion, kept.motion), kind="stable")  # those of one motion are in order
         return Knots.joined([self, kept]).take(order)
 
     @classmethod
     def _columns(cls) -> tuple[str, ...]:
-        return tuple(name for name in cls.__struct_fields__ if name != "issues")
+        return tuple(name for name in cls.__struct_fields__ if name not in ("issues", "by_law"))
 
     def checked(self, program: Program, name: str) -> Knots:
         """Return these knots if they can be used for a program.

@@ -229,7 +229,9 @@ def without_found_springs(content: ModelFile) -> ModelFile:
         name: msgspec.structs.replace(spring, stiffening=[], knees=[], backlash=None, lost_motion=None)
         for name, spring in content.joints.items()
     }
-    return msgspec.structs.replace(content, joints=joints, links={}, covariance=None, discrepancy=None, measured=None)
+    return msgspec.structs.replace(
+        content, joints=joints, links={}, covariance=None, forces=None, discrepancy=None, measured=None
+    )
 
 
 def report_data(result: Identification) -> record.Identified:

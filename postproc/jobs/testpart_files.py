@@ -143,7 +143,7 @@ def make_testpart(request: TestPartRequest, progress: Callable[[str], None] = la
     if not request.overwrite:
         files.refuse(files.foreign(request.output, names[:-1], _RECORD))
     setting = RobotInCell.of(robot, cell)
-    prior = Prior.of(setting.robot, process.law().sigma)
+    prior = _prior(setting, process)
     rpm = tool.rpm or float(np.floor(min(12_000.0, 1e3 * _SPEED / (np.pi * tool.diameter_mm)) / 100.0) * 100.0)
     feed = request.feed_mm_per_min or _CHIP * tool.diameter_mm * tool.flutes * rpm
     cutting = Cutting(
@@ -171,6 +171,11 @@ def make_testpart(request: TestPartRequest, progress: Callable[[str], None] = la
         files.with_record(contents, _RECORD, lambda entries: _json({**data, "files": entries})),
     )
     return TestPartFiles(chosen, prior, cutting, tuple(written))
+
+
+def _prior(setting: RobotInCell, process: Process) -> Prior:
+    law = process.law()
+    return Prior.of(setting.robot, law.sigma, law.numbers)
 
 
 def _json(data: dict[str, object]) -> bytes:
@@ -291,7 +296,7 @@ def _given(request: PartRequest, model: str | None = None) -> _Given:
     setting = RobotInCell.of(robot, cell)
     probed = probing.read(request.probed)
     where = surfaces(program, setting, probed, 0.5 * tool.diameter_mm * M_PER_MM)
-    prior = Prior.of(setting.robot, process.law().sigma)
+    prior = _prior(setting, process)
     return _Given(prior, Readings(probed, where, request.sigma_mm * M_PER_MM), setting, process, program)
 
 
@@ -326,7 +331,7 @@ def identify_part(request: PartRequest, output: Path | None, *, overwrite: bool 
     found, left_out = given.fit(given.prior)
     data = summary(found, left_out)
     prior = files.read_toml(folder / "model.toml", ModelFile, ModelError)
-    content = model_file(found, prior, f"{request.probed.name} (test part)")
+    content = model_file(found, prior, given.process, f"{request.probed.name} (test part)")
     for name, part in (("model.toml", content), (record.NAME, data)):
         model_folder.require_finite(msgspec.to_builtins(part), name)
     contents: dict[str, bytes | Iterable[bytes]] = {

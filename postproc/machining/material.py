@@ -105,6 +105,14 @@ class CuttingLaw(msgspec.Struct, frozen=True):
     warning: str | None = None
     unknown_axial: float = 0.0
 
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """Ktc, Krc, Kac [N/mm²], Kte, Kre, Kae [N/mm], mc, σ [%]; empty where the axial force is unknown."""
+        if self.unknown_axial:
+            return ()
+        cutting, edge = (k / _PER_MM2 for k in self.cutting), (k / _PER_MM for k in self.edge)
+        return (*cutting, *edge, self.exponent, 100.0 * self.sigma)
+
     def chip(self, thickness: Floats) -> Floats:
         """Return the factor of the cutting coefficients [m] for a chip thickness [m]; 0 without a chip."""
         cut = np.maximum(thickness, 0.0)

@@ -10,7 +10,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from postproc.errors import ForceError, together
-from postproc.forces import Knots
+from postproc.forces import ByLaw, Knots
 from postproc.machining.estimate import ProcessForces, estimate
 from postproc.machining.process import OperationTable, Process
 from postproc.machining.tool_path import Shift, refuse_unread_cuts
@@ -165,10 +165,15 @@ class ProcessSource:
         computed = None
         if process.material is not None:
             self.found = estimate(program, path, process, self._axis, stock=self._stock, shift=self._shift)
-            computed = replace(self.found.along, issues=self.found.issues)
+            computed = replace(
+                self.found.along,
+                issues=self.found.issues,
+                by_law=ByLaw(process.law().numbers, np.unique(self.found.along.motion)),
+            )
         if not process.operations:
             return Knots.throughout(*_NONE) if computed is None else computed
         given = by_operation(program, process)
         if computed is None:
             return given
-        return replace(given.over(computed), issues=computed.issues)
+        by_law = ByLaw(process.law().numbers, np.setdiff1d(computed.motion, given.motion))
+        return replace(given.over(computed), issues=computed.issues, by_law=by_law)

@@ -12,7 +12,7 @@ from postproc import elastostatics, kinematics, toolpath
 from postproc.elastostatics import ToolSpring
 from postproc.errors import NotConvergedError
 from postproc.frames import RAD_PER_DEG, Array, norm
-from postproc.placement.samples import PathSamples
+from postproc.placement.samples import Load, PathSamples
 from postproc.program import Bools, Ints
 from postproc.robot import RobotModel
 from postproc.under_load import RobotInCell
@@ -121,20 +121,20 @@ def expected_error(samples: PathSamples, rows: Ints, turn: Array, q: Array) -> t
     return u95, moved
 
 
-def errors(setting: RobotInCell, q: Array, tool: Array, load: tuple[Array, Array | None, Array]) -> tuple[Array, Array]:
+def errors(setting: RobotInCell, q: Array, tool: Array, load: Load) -> tuple[Array, Array]:
     """Return the expected error (95 %) and the deflection (n,) [m] at joint angles (n, 6); NaN without equilibrium.
 
     The expected error is that of the model and the forces, as `u95_mm` of the report has it, but for flanks of lost
     motion that turn on the way; NaN if the model has none.
 
     :param tool: (4, 4) or (n, 4, 4) in the flange frame [m].
-    :param load: wrench, L of its covariance, and tool frame in the root, see `PathSamples.load`.
+    :param load: see `PathSamples.load`.
     """
-    wrench, spread, pose = load
+    wrench, spread, pose, scaled = load
     moved = _deflections(setting, q, tool, wrench, pose)
     series = _in_series(setting.tool_spring, pose)
     with np.errstate(invalid="ignore", divide="ignore"):
-        u95 = elastostatics.position_bound(setting.robot, q, tool, wrench, spread, series)
+        u95 = elastostatics.position_bound(setting.robot, q, tool, wrench, spread, series, scaled=scaled)
     return np.full(len(q), np.nan) if u95 is None else u95, moved
 
 

@@ -20,7 +20,7 @@ from postproc.kinematics import UnreachableError
 from postproc.placement import drive
 from postproc.placement.bodies import Bodies
 from postproc.placement.drive import FREE, Keep, Margins
-from postproc.placement.samples import PathSamples
+from postproc.placement.samples import Load, PathSamples
 from postproc.program import Bools, Ints, Program
 from postproc.under_load import RobotInCell
 
@@ -236,13 +236,13 @@ class Programs:
         return flange
 
     @cache  # noqa: B019
-    def _load(self, each: _Stations, turn: float) -> tuple[Array, Array | None, Array]:
-        """Return wrench, spread and tool frame at the cuts of stations, in the root at E1 = 0."""
+    def _load(self, each: _Stations, turn: float) -> Load:
+        """Return the loads at the cuts of stations, in the root at E1 = 0."""
         cuts = each.weight > 0.0
         rows = each.row[cuts]
-        wrench, spread, pose = each.samples.load(rows, np.full(len(rows), turn))
+        wrench, spread, pose, scaled = each.samples.load(rows, np.full(len(rows), turn))
         pose[:, :3, 3] += each.shift[len(each.row) :][cuts]
-        return wrench, spread, pose
+        return wrench, spread, pose, scaled
 
     def _collides(self, bodies: Bodies, each: _Stations, q: Array, moved: Array, carried: Array) -> bool:
         """Return whether bodies come too close at stations; between them too if these are all samples of a program."""
@@ -276,7 +276,7 @@ class Programs:
         if not len(cuts):
             return 0.0, 0.0, singular
         weight = each.weight[cuts]
-        wrench, spread, pose = self._load(each, turn)
+        wrench, spread, pose, scaled = self._load(each, turn)
         rotation = moved[:3, :3]
         wrench = (wrench.reshape(-1, 2, 3) @ rotation.T).reshape(-1, 6)
         if spread is not None:
@@ -285,7 +285,7 @@ class Programs:
         pose = product(moved, pose)
         pose[:, :3, 3] -= shift + carried
         u95, deflection = drive.errors(
-            self.setting, q[cuts], tool if tool.ndim == 2 else tool[cuts], (wrench, spread, pose)
+            self.setting, q[cuts], tool if tool.ndim == 2 else tool[cuts], (wrench, spread, pose, scaled)
         )
         return float(weight @ deflection**2), float(weight @ u95**2), singular
 

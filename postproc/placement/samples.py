@@ -8,7 +8,7 @@ from msgspec import Struct
 from postproc import forces, toolpath
 from postproc.forces import ForceSource, PathForces
 from postproc.frames import Array, norm, rotation_from_vector
-from postproc.program import PTP, SPL, Ints, Program
+from postproc.program import PTP, SPL, Bools, Ints, Program
 from postproc.toolpath import Segments, Toolpath
 from postproc.under_load import RobotInCell
 
@@ -17,6 +17,10 @@ _STEP = 0.020
 _TURN = np.radians(5.0)
 """Largest rotation of the tool between samples [rad]."""
 AXIS = {"+Z": (0.0, 0.0, 1.0), "-Z": (0.0, 0.0, -1.0), "+X": (1.0, 0.0, 0.0), "-X": (-1.0, 0.0, 0.0)}
+
+
+Load = tuple[Array, Array | None, Array, Bools]
+"""Loads at n places, see `PathSamples.load`."""
 
 
 class PathSamples(Struct, frozen=True, eq=False):
@@ -80,11 +84,11 @@ class PathSamples(Struct, frozen=True, eq=False):
         motion, t = self.sample.motion[rows], self.sample.t[rows]
         return toolpath.flange_from_tcp(self.program, motion, self._turned(rows, turn), t)
 
-    def load(self, rows: Ints, turn: Array) -> tuple[Array, Array | None, Array]:
+    def load(self, rows: Ints, turn: Array) -> Load:
         """Return the load at samples (n,) with the tool turned by angles (n,) [rad], root axes.
 
         :returns: wrench (n, 6) [N, N·m]; L (n, 6, 6) of its covariance L·Lᵀ, None if it is certain; the tool frame
-            (n, 4, 4) in the root [m].
+            (n, 4, 4) in the root [m]; `scaled` (n,) of `elastostatics.position_bound`.
         """
         pose = self._turned(rows, turn)
         motion, t = self.sample.motion[rows], self.sample.t[rows]
@@ -95,7 +99,8 @@ class PathSamples(Struct, frozen=True, eq=False):
             halves = toolpath.columns_in_root(self.program, motion, halves)
             spread = np.zeros((len(rows), 6, 6))
             spread[:, :3, :3], spread[:, 3:, 3:] = halves[:, 0], halves[:, 1]
-        return wrench, spread, toolpath.pose_in_root(self.program, motion, pose, t)
+        scaled = self.setting.scaled(self.along, motion)
+        return wrench, spread, toolpath.pose_in_root(self.program, motion, pose, t), scaled
 
     def _turned(self, rows: Ints, turn: Array) -> Array:
         pose = self.sample.pose.take(rows, axis=0)

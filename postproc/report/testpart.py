@@ -85,14 +85,12 @@ def design_page(chosen: Design, prior: Prior, cutting: Cutting, part: Program, b
 
 
 def _known(chosen: Design, prior: Prior) -> Table:
-    sigma = np.sqrt(np.diag(prior.covariance))
-    values = [p.in_file({o: prior.robot.value(o) for o in prior.order})[0] for p in prior.parameters]
     rows = []
     names = [parameter.title for parameter in prior.parameters]
-    for name, value, own, share in zip(names, values, sigma, chosen.sigma[:-1], strict=True):
+    for name, value, own, share in zip(names, prior.values, prior.sigma[:-1], chosen.sigma[:-1], strict=True):
         before = 100.0 * own / value if value else float("nan")
         rows.append(_row(name, before, before * float(share), float(share)))
-    before = 100.0 * prior.sigma_scale
+    before = 100.0 * float(prior.sigma[-1])
     rows.append(_row("scale of the forces", before, before * float(chosen.sigma[-1]), float(chosen.sigma[-1])))
     return Table(
         ("parameter", "now, σ %", "with the part, σ %", ""),

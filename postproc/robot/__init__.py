@@ -7,9 +7,11 @@ calibrated geometry), the springs, the compensator, the covariance, and the sour
 from postproc.robot.chain import Chain, elastic_chain
 from postproc.robot.folder import assemble, find, load, shipped
 from postproc.robot.model import (
+    FORCES,
     GEAR_TERMS,
     Covariance,
     Discrepancy,
+    ForceFactor,
     Measured,
     RobotModel,
     SourcedValue,
@@ -45,6 +47,7 @@ __all__ = [
     "BASE",
     "COMPENSATOR",
     "FLANGE",
+    "FORCES",
     "GEAR_TERMS",
     "JOINTS",
     "JOINT_COMPLIANCES",
@@ -61,6 +64,7 @@ __all__ = [
     "Discrepancy",
     "Displacement",
     "FadingPart",
+    "ForceFactor",
     "JointCompliance",
     "Knee",
     "LinkMass",

@@ -13,12 +13,20 @@ from postproc.errors import ModelError, did_you_mean
 from postproc.frames import DEG_PER_RAD, M_PER_MM, RAD_PER_DEG, Array, rotation_from_vector
 from postproc.robot import parameters, urdf
 from postproc.robot.chain import Chain
-from postproc.robot.model import Covariance, Discrepancy, Measured, RobotModel, SourcedValue, Transmission
+from postproc.robot.model import (
+    FORCES,
+    Covariance,
+    Discrepancy,
+    ForceFactor,
+    Measured,
+    RobotModel,
+    SourcedValue,
+    Transmission,
+)
 from postproc.robot.model_file import (
     BASE,
     FLANGE,
     JOINTS,
-    CovarianceTable,
     DiscrepancyEntry,
     Displacement,
     Masses,
@@ -78,7 +86,7 @@ def load(folder: str | Path) -> RobotModel:
     for name, spring in content.joints.items():
         if spring.fades > spring.compliance_urad_per_Nm * (1 + 1e-6):
             raise ModelError(f"[joints.{name}]: the sum of the stiffening parts exceeds the compliance", file=where)
-    _check_covariance(content.covariance, where)
+    _check_covariance(content, where)
     if (off := content.discrepancy) is not None and not (
         0 < len(off.load_N) == len(off.u95_mm) and off.load_N[0] > 0.0 and np.all(np.diff(off.load_N) > 0.0)
     ):
@@ -122,6 +130,7 @@ def assemble(name: str, content: ModelFile, nominal: Chain) -> RobotModel:
         upper=nominal.upper,
         speed=nominal.speed,
         covariance=covariance,
+        force_factor=_force_factor(content, covariance),
         sources=tuple(sourced_values(content, nominal)),
         carries_weight=content.gravity.in_gears,
         discrepancy=_discrepancy(content.discrepancy),
@@ -144,7 +153,7 @@ def _covariance(content: ModelFile) -> tuple[Covariance | None, tuple[Parameter,
     identified together: where the table names one of them, the spread of K_c is not used.
     """
     table, law = content.covariance, content.compensator
-    names = [] if table is None else table.parameters
+    names = [] if table is None else [name for name in table.parameters if name != FORCES]
     spreads: dict[Parameter, float] = {
         parameter: spring.sigma_percent / 100.0 * spring.compliance_urad_per_Nm
         for parameter in parameters.JOINT_COMPLIANCES
@@ -158,8 +167,20 @@ def _covariance(content: ModelFile) -> tuple[Covariance | None, tuple[Parameter,
         return None, ()
     matrix = np.diag([0.0] * len(names) + [sigma**2 for sigma in spreads.values()])
     if table is not None and names:
-        matrix[: len(names), : len(names)] = table.matrix
+        rows = [table.parameters.index(name) for name in names]
+        matrix[: len(names), : len(names)] = np.array(table.matrix)[np.ix_(rows, rows)]
     return Covariance.of([*names, *(parameter.name for parameter in spreads)], matrix), tuple(spreads)
+
+
+def _force_factor(content: ModelFile, covariance: Covariance | None) -> ForceFactor | None:
+    law, table = content.forces, content.covariance
+    if law is None or table is None or covariance is None:
+        return None
+    own = table.parameters.index(FORCES)
+    by_name = dict(zip(table.parameters, table.matrix[own], strict=True))
+    known = [by_name.get(parameter.name, 0.0) for parameter in covariance.parameters]
+    numbers = (*law.cutting_N_per_mm2, *law.edge_N_per_mm, law.mc, law.sigma_percent)
+    return ForceFactor(numbers, np.array([*known, by_name[FORCES]]))
 
 
 def _discrepancy(entry: DiscrepancyEntry | None) -> Discrepancy | None:
@@ -173,10 +194,14 @@ def _placement(entry: Displacement) -> Array:
     return pose
 
 
-def _check_covariance(covariance: CovarianceTable | None, where: str) -> None:
+def _check_covariance(content: ModelFile, where: str) -> None:
+    covariance = content.covariance
+    if (content.forces is not None) != (covariance is not None and FORCES in covariance.parameters):
+        advice = "Give both or none: the factor of forces is known for one cutting law."
+        raise ModelError("[forces] and `forces` of [covariance] belong together", file=where, advice=advice)
     if covariance is None:
         return
-    unknown = [name for name in covariance.parameters if parameters.named(name) is None]
+    unknown = [name for name in covariance.parameters if name != FORCES and parameters.named(name) is None]
     if unknown:
         raise ModelError(
             f"[covariance] names {unknown[0]!r}, which is no parameter of the elastic model",

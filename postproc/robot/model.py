@@ -34,6 +34,8 @@ GEAR_TERMS = ("sin", "cos", "sin2", "cos2")
 """Terms of a joint, in the order of `Transmission.amplitude`."""
 _ROUNDS = 60
 _SAME = 1e-14
+_SAME_LAW = 1e-6
+"""Relative difference of the numbers of two cutting laws that are one."""
 
 
 class SourcedValue(Struct, frozen=True):
@@ -66,6 +68,27 @@ class Covariance(Struct, frozen=True, eq=False):
         if unknown:
             raise ModelError(f"[covariance] names {unknown[0]!r}, which is no parameter of the elastic model")
         return cls(tuple(p for p in found.values() if p is not None), np.array(matrix, dtype=float))
+
+
+FORCES = "forces"
+"""Name of the factor of the forces in [covariance]."""
+
+
+class ForceFactor(Struct, frozen=True, eq=False):
+    """Factor of forces that were identified together with the compliances.
+
+    Where it is small the compliances are large: a force and a compliance show as their product.
+
+    :param law: numbers of the cutting law that computes the forces, see `machining.CuttingLaw.numbers`.
+    :param covariance: (n + 1,) with the parameters of `RobotModel.covariance`, in units of files, and its variance.
+    """
+
+    law: tuple[float, ...]
+    covariance: Array
+
+    def is_of(self, law: tuple[float, ...]) -> bool:
+        """Return whether forces are computed with this law."""
+        return len(law) == len(self.law) and bool(np.allclose(law, self.law, rtol=_SAME_LAW, atol=0.0))
 
 
 class Discrepancy(Struct, frozen=True, eq=False):
@@ -158,6 +181,7 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
     :param terms: parameters of springs that are not linear, with their values.
     :param carries_weight: their deflection depends on the torque at rest (weights, compensator) too.
     :param link_springs: springs of the links, in the order of their coordinates.
+    :param force_factor: factor of the forces that were identified together with the covariance, or None.
     :param discrepancy: unmodelled error, or None.
     :param geometry_error: 95 % of the errors of the geometry without load are smaller [m]; 0 if not stated.
     :param measured: range of the measurements, or None.
@@ -187,6 +211,7 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
     terms: tuple[tuple[Spring, float], ...] = ()
     carries_weight: bool = False
     link_springs: tuple[LinkSpring, ...] = ()
+    force_factor: ForceFactor | None = None
     discrepancy: Discrepancy | None = None
     geometry_error: float = 0.0
     measured: Measured | None = None

@@ -175,10 +175,25 @@ class PayloadEntry(Sourced, frozen=True, kw_only=True):
 
 
 class CovarianceTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Covariance of identified parameters by name, in the units of the file (k1…k6 in µrad/(N·m))."""
+    """Covariance of identified parameters by name, in the units of the file (k1…k6 in µrad/(N·m)).
+
+    `forces` is the factor of the forces that `ForcesEntry` computes, about 1.
+    """
 
     parameters: list[str]
     matrix: list[list[Covariant]]
+
+
+class ForcesEntry(Sourced, frozen=True, kw_only=True):
+    """Cutting law whose forces were identified together with the compliances: `forces` of [covariance] is their factor.
+
+    `cutting_N_per_mm2`: Ktc, Krc, Kac; `edge_N_per_mm`: Kte, Kre, Kae; `mc` exponent of Kienzle's law, 0 if linear.
+    """
+
+    cutting_N_per_mm2: tuple[Finite, Finite, Finite]
+    edge_N_per_mm: tuple[Finite, Finite, Finite]
+    mc: NotNegative = 0.0
+    sigma_percent: Positive
 
 
 class DiscrepancyEntry(Sourced, frozen=True, kw_only=True):
@@ -223,6 +238,7 @@ class ModelFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     geometry_nominal: Sourced | None = None
     speeds: Sourced | None = None
     covariance: CovarianceTable | None = None
+    forces: ForcesEntry | None = None
     discrepancy: DiscrepancyEntry | None = None
     geometry_error: GeometryErrorEntry | None = None
     measured: MeasuredEntry | None = None

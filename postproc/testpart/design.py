@@ -257,9 +257,9 @@ def _of_kind(
         return []
     twist, by_parameter, by_scale = states.derivatives(setting, prior.robot, prior.order, 1.0)
     _, at = where.deviation(twist)
-    slopes = np.einsum("nk,nkp->np", at, by_parameter) @ prior.by_file * np.sqrt(np.diag(prior.covariance))
+    slopes = np.einsum("nk,nkp->np", at, by_parameter) @ prior.by_file * prior.sigma[:-1]
     moved = np.linalg.norm(by_scale[:, :3], axis=1).reshape(-1, count)
-    by_force = prior.sigma_scale * np.einsum("nk,nk->n", at, by_scale)
+    by_force = prior.sigma[-1] * np.einsum("nk,nk->n", at, by_scale)
     middle = each(points)[rows] - each(points).mean(axis=0)
     normal = normal[rows]
     position = np.concatenate([_POSITION[0] * normal, _POSITION[1] * np.cross(middle, normal)], axis=1)
@@ -363,8 +363,8 @@ class Criterion(Struct, frozen=True, eq=False):
     def of(cls, prior: Prior, setting: RobotInCell, tests: Tests) -> Criterion:
         """Take the sensitivities of the deflection at test poses."""
         _, by_parameter, by_scale = tests.states.derivatives(setting, prior.robot, prior.order, 1.0)
-        slopes = by_parameter[:, :3] @ prior.by_file * np.sqrt(np.diag(prior.covariance))
-        slopes = np.concatenate([slopes, prior.sigma_scale * by_scale[:, :3, None]], axis=2)
+        slopes = by_parameter[:, :3] @ prior.by_file * prior.sigma[:-1]
+        slopes = np.concatenate([slopes, prior.sigma[-1] * by_scale[:, :3, None]], axis=2)
         size = slopes.shape[2]
         out = np.zeros((size + 7, size + 7))
         out[:size, :size] = np.einsum("t,tip,tiq->pq", tests.weight, slopes, slopes)
@@ -378,8 +378,9 @@ class Criterion(Struct, frozen=True, eq=False):
 
 def _prior_information(prior: Prior, size: int) -> Array:
     """Return the information (m, m) before the part; parameters in units of their prior standard deviations."""
-    sigma = np.sqrt(np.diag(prior.covariance))
-    correlation = prior.covariance / np.outer(sigma, sigma)
+    sigma = prior.sigma
+    both = np.outer(sigma, sigma)
+    correlation = np.divide(prior.covariance, both, out=np.eye(len(sigma)), where=both > 0.0)
     out = np.eye(size)
     out[: len(sigma), : len(sigma)] = np.linalg.pinv(correlation, hermitian=True)
     return out

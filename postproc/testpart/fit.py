@@ -5,19 +5,22 @@ the values and the covariance of the model, and the scale of the forces about 1 
 process. What the part adds is linear and enters by its covariance: the position of the part (six numbers, free), the
 radius of the tool, the path of the robot without force at each feature (three numbers), and the noise of the probe.
 
-An error that the model does not describe is a share γ of the deflection, in any direction. Its size follows from the
-readings: before them γ is log-normal, as the unmodelled error of tracker readings is (`identification.discrepancy`).
+Where passes cut next to nothing, the displacement is known to a share only. An error that the model does not describe
+is a share γ of the deflection, in any direction. Its size follows from the readings: before them γ is log-normal, as
+the unmodelled error of tracker readings is (`identification.discrepancy`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import erfc, sqrt
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc import kinematics
+from postproc.elastostatics import LENGTH_95
 from postproc.errors import MeasurementError, NotConvergedError
 from postproc.frames import Array
 from postproc.identification.uncertainty import WIDTH, levels, unmodelled
@@ -50,9 +53,13 @@ _UNMEASURED = 0.3
 """Relative standard deviation of a parameter of a robot that may have changed."""
 _GAMMA = 0.005
 """Median of γ before any reading."""
+_LIGHT = 0.25
+"""Displacements below this share of the largest are those of light passes."""
+_ROUGHLY = 0.15
+"""Relative error of the displacement by a light pass: its chip is the difference of the deflections before."""
 _FACTOR = 5.0
 """Probed deviations beyond this factor of the predicted ones, or below its inverse, are a mistake of the user's."""
-_LEAST = 0.02
+LEAST = 0.02
 """Least value of a compliance, and of the scale of the forces, as a share of its prior."""
 
 
@@ -63,8 +70,7 @@ class Prior(Struct, frozen=True, eq=False):
     :param parameters: (p,) of its covariance.
     :param order: (o,) these and the linear parameters that their values in files depend on.
     :param by_file: (o, p) linear values (SI) by values in files.
-    :param covariance: (p, p) in units of files.
-    :param sigma_scale: standard deviation of the scale of the forces.
+    :param covariance: (p + 1, p + 1) of the parameters in units of files, and of the scale of the forces.
     """
 
     robot: RobotModel
@@ -72,12 +78,14 @@ class Prior(Struct, frozen=True, eq=False):
     order: tuple[Parameter, ...]
     by_file: Array
     covariance: Array
-    sigma_scale: float
 
     @classmethod
-    def of(cls, robot: RobotModel, sigma_scale: float) -> Prior:
+    def of(cls, robot: RobotModel, sigma_scale: float, law: tuple[float, ...] = ()) -> Prior:
         """Take the prior of a model.
 
+        :param sigma_scale: standard deviation of the scale of the forces.
+        :param law: numbers of the cutting law that computes them; where the model was identified with it, the scale
+            and the compliances are known together.
         :raises MeasurementError: the model states no covariance and no `sigma_percent`.
         """
         if robot.covariance is None or not robot.covariance.parameters:
@@ -90,13 +98,32 @@ class Prior(Struct, frozen=True, eq=False):
         order = tuple(dict.fromkeys([*own, *(p for each in own for p in each.partners())]))
         slopes = file_slopes(order, {parameter: robot.value(parameter) for parameter in order})
         by_file = np.asarray(np.linalg.inv(slopes)[:, [order.index(parameter) for parameter in own]])
-        return cls(robot, own, order, by_file, robot.covariance.matrix, sigma_scale)
+        size = len(own)
+        covariance = np.zeros((size + 1, size + 1))
+        covariance[:size, :size], covariance[size, size] = robot.covariance.matrix, sigma_scale**2
+        if robot.force_factor is not None and robot.force_factor.is_of(law):
+            covariance[size] = covariance[:, size] = robot.force_factor.covariance
+        return cls(robot, own, order, by_file, covariance)
+
+    @property
+    def sigma(self) -> Array:
+        """(p + 1,) standard deviations."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def values(self) -> Array:
+        """(p,) values of the parameters in units of files."""
+        given = {parameter: self.robot.value(parameter) for parameter in self.order}
+        return np.array([parameter.in_file(given)[0] for parameter in self.parameters])
+
+    @property
+    def drift(self) -> Array:
+        """(p + 1,) standard deviations of what may have changed since: not the forces."""
+        return np.append(np.where(self.sigma[:-1] > 0.0, _UNMEASURED * self.values, 0.0), 0.0)
 
     def widened(self) -> Prior:
         """Return the same values, each at least as uncertain as a robot that was never measured."""
-        values = [parameter.in_file({p: self.robot.value(p) for p in self.order})[0] for parameter in self.parameters]
-        wider = np.diag((_UNMEASURED * np.array(values)) ** 2)
-        return replace(self, covariance=np.where(np.diag(self.covariance) > 0.0, self.covariance + wider, 0.0))
+        return replace(self, covariance=self.covariance + np.diag(self.drift**2))
 
     def moved(self, z: Array) -> RobotModel:
         """Return the robot with its parameters changed by z (p,), in units of files; compliances stay positive."""
@@ -104,7 +131,7 @@ class Prior(Struct, frozen=True, eq=False):
         values = {}
         for parameter, change in given.items():
             value = self.robot.value(parameter)
-            least = _LEAST * value if isinstance(parameter, Spring) and value > 0.0 else -np.inf
+            least = LEAST * value if isinstance(parameter, Spring) and value > 0.0 else -np.inf
             values[parameter] = max(value + change, least)
         return self.robot.with_values(values)
 
@@ -147,7 +174,7 @@ class Fit(Struct, frozen=True, eq=False):
     :param z: (p,) change of the parameters, units of files.
     :param scale: of the forces.
     :param covariance: (p + 1, p + 1) of z and the scale.
-    :param free: (p + 1,) what was fitted; the rest keeps its prior.
+    :param free: (p + 1,) what was fitted; the rest keeps its prior value.
     :param before: (n,) deviations predicted by the prior [m].
     :param after: (n,) by the fit, each with the position of the part, the tool's radius and the path without force [m].
     :param load: (n,) size of the force at each point [N].
@@ -181,17 +208,30 @@ class Fit(Struct, frozen=True, eq=False):
         """The fitted robot, without its covariance."""
         return self.prior.moved(self.z)
 
-    def surprise(self, prior: Prior) -> float:
-        """Return the squared distance of the readings from the prediction of a prior; about n where that is right."""
-        noise = self.readings.by_part() + np.diag(self.readings.sigma**2 + (self.gamma * self.moved) ** 2)
-        expected = self.slopes @ _prior_matrix(prior) @ self.slopes.T + noise
-        return float(self.missed @ np.linalg.solve(expected, self.missed))
+    def against(self, prior: Prior) -> Surprise:
+        """Compare the readings with the prediction of a prior: for a fit of `prior.widened()`."""
+        unmodelled = self.gamma * self.moved
+        if (known := prior.robot.discrepancy) is not None:
+            wrench = np.pad(self.load[:, None], ((0, 0), (0, 5)))
+            unmodelled = np.maximum(unmodelled, known.at(wrench) / LENGTH_95)
+        noise = self.readings.by_part() + np.diag(self.readings.sigma**2 + unmodelled**2 + _of_light(self.moved))
+        slopes = self.slopes
+        expected = np.linalg.inv(slopes @ prior.covariance @ slopes.T + noise)
+        by_drift = slopes * prior.drift
+        score = by_drift.T @ expected @ self.missed
+        information = by_drift.T @ expected @ by_drift
+        inside = np.linalg.inv(np.eye(len(information)) + information)
+        return Surprise(
+            float(self.missed @ expected @ self.missed),
+            _chance(float(score @ score), np.asarray(np.linalg.eigvalsh(information), dtype=np.float64)),
+            prior.drift * (inside @ score),
+            prior.drift * np.sqrt(np.maximum(np.diag(inside), 0.0)),
+        )
 
     @property
     def sigma(self) -> Array:
         """(p + 1,) standard deviations after the fit over those before."""
-        whole = _prior_matrix(self.prior)
-        return np.sqrt(np.diag(self.covariance) / np.maximum(np.diag(whole), 1e-300))
+        return np.sqrt(np.diag(self.covariance) / np.maximum(np.diag(self.prior.covariance), 1e-300))
 
     def u95(self) -> tuple[Array, Array]:
         """Return levels of load (m,) [N], and the 95 % bound of the unmodelled error at each (m,) [m]."""
@@ -211,12 +251,33 @@ class Fit(Struct, frozen=True, eq=False):
         return np.array(load), np.maximum.accumulate(bound)
 
 
-def _prior_matrix(prior: Prior) -> Array:
-    size = len(prior.parameters)
-    out = np.zeros((size + 1, size + 1))
-    out[:size, :size] = prior.covariance
-    out[size, size] = prior.sigma_scale**2
-    return out
+class Surprise(Struct, frozen=True, eq=False):
+    """How probed deviations differ from those that a model predicts with its covariance.
+
+    :param chi2: squared distance; about n where the model is right.
+    :param chance: of a score as large as this one in the directions in which a robot changes, where it has not.
+    :param change: (p + 1,) estimated changes of the parameters, units of files, at the forces of the model;
+        `spread` (p + 1,) their standard deviations.
+    """
+
+    chi2: float
+    chance: float
+    change: Array
+    spread: Array
+
+
+def _chance(value: float, weight: Array) -> float:
+    """Return the chance that Σ wᵢ·χ²₁ exceeds a value: a scaled χ² of its first two moments (Satterthwaite 1946).
+
+    The tail of χ² is that of Wilson and Hilferty (1931).
+    """
+    mean, square = float(weight.sum()), float((weight**2).sum())
+    if not square > 0.0:
+        return 1.0
+    freedom = mean**2 / square
+    share = value * mean / square / freedom
+    spread = 2.0 / (9.0 * freedom)
+    return 0.5 * erfc((share ** (1.0 / 3.0) - 1.0 + spread) / sqrt(2.0 * spread))
 
 
 class _Linear(Struct, frozen=True, eq=False):
@@ -257,7 +318,7 @@ def fit(
         under forces times a scale; called once a round.
     :returns: the fit, and the points left out.
     """
-    whole = _prior_matrix(prior)
+    whole = prior.covariance
     free = np.diag(whole) > 0.0
     z, scale, gamma = np.zeros(len(prior.parameters)), 1.0, 0.0
     left_out: list[str] = []
@@ -268,9 +329,8 @@ def fit(
     rows, change = np.arange(len(readings.probed)), np.inf
     for _ in range(_ROUNDS):
         local, z, scale, gamma = _solved(prior, readings, here, setting, z, scale, free)
-        some = whole * np.outer(free, free)
         # with the γ that a gross error makes, it would not be seen
-        error, variance = _left_out(readings, local, _GAMMA, some, z, scale)
+        error, variance = _left_out(readings, local, _GAMMA, whole, z, scale)
         size = np.abs(error) / np.sqrt(variance)
         worst = int(np.argmax(size))
         if len(left_out) < most and size[worst] > _OUTLIER * max(1.0, float(np.median(size)) / _MEDIAN):
@@ -278,7 +338,7 @@ def fit(
             keep = np.delete(np.arange(len(readings.probed)), worst)
             readings, rows, here = readings.take(keep), rows[keep], here.take(keep)
             continue
-        sure = np.sqrt(np.diag(_posterior(readings, local, gamma, some)))
+        sure = np.sqrt(np.diag(_posterior(readings, local, gamma, whole, np.ones_like(free))))
         held = free & (sure > _HELD * np.sqrt(np.diag(whole)))
         held[-1] = False
         if held.any():
@@ -296,9 +356,7 @@ def fit(
         raise MeasurementError(
             "the fit of the test part does not settle", file=readings.probed.file, advice="Check the deviations."
         )
-    covariance = _posterior(readings, local, gamma, some)
-    fixed = np.flatnonzero(~free)
-    covariance[np.ix_(fixed, fixed)] = whole[np.ix_(fixed, fixed)]
+    covariance = _posterior(readings, local, gamma, whole, free)
     noise = _noise(readings, local, gamma)
     gain = readings.by_part() @ np.linalg.inv(noise)
     left = readings.probed.deviation - local.value
@@ -306,7 +364,7 @@ def fit(
     kept = np.searchsorted(at_prior[1], rows)
     before, slopes = at_prior[0].value[kept], at_prior[0].slopes[kept]
     missed = readings.probed.deviation - before
-    error, variance = _left_out(readings, local, gamma, some, z, scale)
+    error, variance = _left_out(readings, local, gamma, whole, z, scale)
     return (
         Fit(
             prior,
@@ -353,15 +411,20 @@ def _check_size(readings: Readings, local: _Linear) -> None:
 
 
 def _noise(readings: Readings, local: _Linear, gamma: float) -> Array:
-    own = np.diag(readings.sigma**2 + (gamma * local.moved) ** 2)
+    own = np.diag(readings.sigma**2 + (gamma * local.moved) ** 2 + _of_light(local.moved))
     return np.asarray(own + readings.by_part())
+
+
+def _of_light(moved: Array) -> Array:
+    """Return the variance (n,) [m²] of displacements (n,) because the chips of light passes are hardly known."""
+    return np.where(moved < _LIGHT * moved.max(), (_ROUGHLY * moved) ** 2, 0.0)
 
 
 def _solved(
     prior: Prior, readings: Readings, states: States, setting: RobotInCell, z: Array, scale: float, free: Bools
 ) -> tuple[_Linear, Array, float, float]:
     """Return the model linearised at the solution for fixed forces, z, the scale and γ there."""
-    whole = _prior_matrix(prior) * np.outer(free, free)
+    whole = prior.covariance
     gamma = 0.0
     for _ in range(_ROUNDS):
         local = linearised(prior, readings, states, setting, z, scale)
@@ -370,8 +433,8 @@ def _solved(
         gamma = _unmodelled_share(readings, local, whole, target)
         noise = _noise(readings, local, gamma)
         expected = local.slopes @ whole @ local.slopes.T + noise
-        found = whole @ local.slopes.T @ np.linalg.solve(expected, target)
-        z, scale = found[:-1], max(1.0 + float(found[-1]), _LEAST)
+        found = free * (whole @ local.slopes.T @ np.linalg.solve(expected, target))
+        z, scale = found[:-1], max(1.0 + float(found[-1]), LEAST)
         if float(np.abs(local.slopes @ (found - x)).max()) < _SOLVED:
             break
     return linearised(prior, readings, states, setting, z, scale), z, scale, gamma
@@ -391,10 +454,17 @@ def _unmodelled_share(readings: Readings, local: _Linear, whole: Array, target: 
     return float(np.sqrt(np.sum(chance * share**2) / chance.sum()))
 
 
-def _posterior(readings: Readings, local: _Linear, gamma: float, whole: Array) -> Array:
+def _posterior(readings: Readings, local: _Linear, gamma: float, whole: Array, free: Bools) -> Array:
+    """Return the covariance (p + 1, p + 1) after the readings.
+
+    A parameter that is not free keeps its value, and its uncertainty counts for those that are: Schmidt, "Application
+    of state-space methods to navigation problems", 1966 (consider covariance).
+    """
     noise = _noise(readings, local, gamma)
     spread = whole @ local.slopes.T
-    return np.asarray(whole - spread @ np.linalg.solve(local.slopes @ spread + noise, spread.T))
+    gain = free[:, None] * np.linalg.solve(local.slopes @ spread + noise, spread.T).T
+    left = np.eye(len(whole)) - gain @ local.slopes
+    return np.asarray(left @ whole @ left.T + gain @ noise @ gain.T)
 
 
 def _left_out(

@@ -15,22 +15,30 @@ from postproc.frames import MM_PER_M, Array
 from postproc.identification.record import Parameter, Unexplained, Verdict
 from postproc.machining import Process
 from postproc.machining.material import CuttingLaw, IdentifiedTable
-from postproc.robot import JointCompliance, file_slopes
+from postproc.machining.material import law as cutting_law
+from postproc.robot import FORCES, JointCompliance, file_slopes
 from postproc.robot.model_file import (
     CovarianceTable,
     DiscrepancyEntry,
+    ForcesEntry,
     MeasuredEntry,
     ModelFile,
 )
-from postproc.testpart.fit import Fit, Prior
+from postproc.testpart.fit import LEAST, Fit, Prior
 
 NORMAL_95 = 1.96
 _DRIFTED = 3.0
-"""Difference between a parameter by the part alone and that of the model, in standard deviations, that is a drift."""
+"""Change of a parameter that is named, in standard deviations."""
+_CHANCE = 0.005
+"""Chance of deviations that look like a drift, below which it is one."""
 _MISFIT = 0.25
 """Unmodelled error, as a share of the deflection, beyond which the model should not be used."""
 _FAR = 4.0
 """Distance of a parameter from its prior, in prior standard deviations, that is not plausible."""
+_TIED = 0.01
+"""Correlation with any other parameter below which one that the part does not determine stays out of [covariance]."""
+_DOUBTFUL = 3.0
+"""Distance of the scale of the forces from 1, in its standard deviations, that is worth a warning."""
 _SURPRISE = 3.29
 """Standard deviations of χ² beyond which the readings do not agree with a model."""
 
@@ -47,21 +55,29 @@ class ProbedPoint(Struct, frozen=True):
 
 
 class Change(Struct, frozen=True):
-    """Difference of a parameter by the part from that of the model: in %, and in standard deviations."""
+    """Change of a parameter since the model was identified: value now over value then, at the same forces.
+
+    `sigmas`: change in its standard deviations.
+    """
 
     name: str
-    percent: float
+    factor: float
     sigmas: float
 
 
 class Agreement(Struct, frozen=True):
-    """How the model before agrees with the part: χ² of the readings, and the parameters that have changed."""
+    """How the model before agrees with the part: χ² of the readings, and the parameters that have changed.
+
+    `chance`: of deviations that look as much like other compliances as these do, if the robot is the same.
+    """
 
     holds: bool
     line: str
     chi2: float
     points: int
+    chance: float
     drifted: list[Change]
+    warnings: list[str]
 
 
 class PartIdentification(Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -96,14 +112,18 @@ class PartIdentification(Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 def in_files(found: Fit) -> tuple[Array, Array]:
-    """Return the values of the parameters in units of files (p,), and their covariance (p, p)."""
+    """Return the values of the parameters in units of files (p,), and the covariance (p + 1, p + 1).
+
+    The last row is that of the relative error of the scale of the forces.
+    """
     prior, robot = found.prior, found.robot
     given = {parameter: robot.value(parameter) for parameter in prior.order}
     values = np.array([parameter.in_file(given)[0] for parameter in prior.parameters])
     rows = [prior.order.index(parameter) for parameter in prior.parameters]
-    slopes = (file_slopes(prior.order, given) @ prior.by_file)[rows]
-    size = len(values)
-    return values, slopes @ found.covariance[:size, :size] @ slopes.T
+    slopes = np.zeros_like(found.covariance)
+    slopes[:-1, :-1] = (file_slopes(prior.order, given) @ prior.by_file)[rows]
+    slopes[-1, -1] = 1.0 / found.scale
+    return values, slopes @ found.covariance @ slopes.T
 
 
 def agreement(found: Fit, prior: Prior) -> Agreement:
@@ -112,35 +132,39 @@ def agreement(found: Fit, prior: Prior) -> Agreement:
     :param found: fit of `prior.widened()`: what the part says by itself.
     :param prior: the model with its own covariance.
     """
-    count, chi2 = len(found.readings.probed), found.surprise(prior)
-    given = {parameter: prior.robot.value(parameter) for parameter in prior.order}
-    changed = np.sqrt(np.diag(prior.covariance) + np.diag(found.covariance)[:-1])
-    drifted = [
-        Change(
-            parameter.name,
-            round(100.0 * float(found.z[k]) / parameter.in_file(given)[0], 1),
-            round(float(found.z[k] / changed[k]), 1),
-        )
-        for k, parameter in enumerate(prior.parameters)
-        if found.free[k] and abs(found.z[k]) > _DRIFTED * changed[k]
-    ]
+    count, off = len(found.readings.probed), found.against(prior)
     most = count + _SURPRISE * float(np.sqrt(2.0 * count)) + 7.0
-    line = f"χ² {chi2:.0f} of {count} points (at most {most:.0f})"
-    if drifted:
-        line += "; changed: " + ", ".join(f"{each.name} {each.percent:+.0f} %" for each in drifted)
-    return Agreement(chi2 <= most and not drifted, line, round(chi2, 2), count, drifted)
+    moved = off.chance < _CHANCE
+    factor = np.maximum(1.0 + off.change[:-1] / prior.values, LEAST)
+    drifted = [
+        Change(parameter.name, round(float(factor[k]), 3), round(float(off.change[k] / off.spread[k]), 1))
+        for k, parameter in enumerate(prior.parameters)
+        if moved and abs(off.change[k]) > _DRIFTED * off.spread[k] > 0.0
+    ]
+    line = f"χ² {off.chi2:.0f} of {count} points (at most {most:.0f})"
+    if moved:
+        names = ", ".join(f"{each.name} × {each.factor:.2f}" for each in drifted)
+        line += f"; the arm deflects otherwise under these forces: {names or 'no joint stands out'}"
+    warnings = []
+    together = prior.covariance[-1, :-1].any()
+    if not together and prior.sigma[-1] > 0.0:
+        warnings.append(
+            "the model was not identified with these forces, so a change of all compliances by one factor is hardly "
+            "seen: give the process with the material.toml of the model"
+        )
+    return Agreement(
+        off.chi2 <= most and not moved, line, round(off.chi2, 2), count, round(off.chance, 4), drifted, warnings
+    )
 
 
 def summary(found: Fit, left_out: tuple[str, ...]) -> PartIdentification:
     """Return the result as plain data, with the verdict."""
     readings, prior = found.readings, found.prior
     values, covariance = in_files(found)
-    half = NORMAL_95 * np.sqrt(np.diag(covariance))
+    half = NORMAL_95 * np.sqrt(np.diag(covariance))[:-1]
     parameters, held = {}, []
-    given = {parameter: prior.robot.value(parameter) for parameter in prior.order}
-    for k, parameter in enumerate(prior.parameters):
+    for k, (parameter, before) in enumerate(zip(prior.parameters, prior.values.tolist(), strict=True)):
         open_ = not found.free[k]
-        before = parameter.in_file(given)[0]
         if open_:
             held.append(parameter.name)
         parameters[parameter.name] = Parameter(
@@ -192,15 +216,15 @@ def _rms(values: Array) -> float:
 
 def _verdict(found: Fit, left_out: tuple[str, ...]) -> Verdict:
     size = len(found.prior.parameters)
-    sigma = np.sqrt(np.diag(found.prior.covariance))
-    far = np.abs(found.z) / np.where(sigma > 0.0, sigma, np.inf)
+    sigma = found.prior.sigma
+    far = np.abs(found.z) / np.where(sigma > 0.0, sigma, np.inf)[:-1]
     reason = ""
     if found.gamma > _MISFIT:
         reason = f"{100 * found.gamma:.0f} % of the deflection are not described by the model: check part and program"
     elif far.max() > _FAR:
         name = found.prior.parameters[int(np.argmax(far))].name
         reason = f"{name} would be {far.max():.1f} standard deviations from its prior: check material and process"
-    elif abs(found.scale - 1.0) > _FAR * found.prior.sigma_scale > 0.0:
+    elif abs(found.scale - 1.0) > _FAR * sigma[-1] > 0.0:
         reason = f"forces would be {found.scale:.2f} times those computed: check material, feed and depth"
     elif found.free[:size].sum() == 0:
         reason = "the part determines no parameter of the robot"
@@ -214,6 +238,11 @@ def _remarks(found: Fit, held: list[str], left_out: tuple[str, ...]) -> list[str
     if held:
         out.append(f"the part does not determine {', '.join(held)}: they keep their prior")
     out += [f"outlier: {name}" for name in left_out]
+    if abs(found.scale - 1.0) > _DOUBTFUL * found.prior.sigma[-1] > 0.0:
+        out.append(
+            f"forces would be {found.scale:.2f} times those computed, more than three standard deviations "
+            f"({300.0 * found.prior.sigma[-1]:.0f} %) off: check material, tool, feed and depth"
+        )
     own = found.covariance
     sigma = np.sqrt(np.diag(own))
     size = len(found.prior.parameters)
@@ -228,16 +257,21 @@ def _remarks(found: Fit, held: list[str], left_out: tuple[str, ...]) -> list[str
     return out
 
 
-def model_file(found: Fit, prior: ModelFile, source: str) -> ModelFile:
-    """Return `model.toml`: identified values with intervals, the prior's where the part determines none."""
+def model_file(found: Fit, prior: ModelFile, process: Process, source: str) -> ModelFile:
+    """Return `model.toml`: identified values with intervals, the prior's where the part determines none.
+
+    Its covariance has the scale of the forces too, for those that are computed with `material`.
+    """
     values, covariance = in_files(found)
-    half = NORMAL_95 * np.sqrt(np.diag(covariance))
+    half = NORMAL_95 * np.sqrt(np.diag(covariance))[:-1]
+    size = np.sqrt(np.diag(covariance))
+    tied = (np.abs(covariance) > _TIED * np.outer(size, size)).sum(axis=0) > 1
     content = msgspec.to_builtins(prior)
     tables: dict[str, Any] = {"joints": {}, "links": {}, "compensator": {}, "masses": {}}
     stated = []
     for k, parameter in enumerate(found.prior.parameters):
         own_spread = parameter in found.prior.robot.stated_spread
-        if not found.free[k] and own_spread:
+        if not found.free[k] and own_spread and not tied[k]:
             continue  # value and spread stay as they are in the file
         stated.append(k)
         if found.free[k]:
@@ -255,11 +289,15 @@ def model_file(found: Fit, prior: ModelFile, source: str) -> ModelFile:
         parameter = found.prior.parameters[k]
         if found.free[k] and isinstance(parameter, JointCompliance):
             content["joints"][parameter.joint] |= {"sigma_percent": None, "assumed": False}
+    names = [found.prior.parameters[k].name for k in stated]
+    forces = _forces(found, process, source)
+    if forces is not None:
+        names.append(FORCES)
+        stated.append(len(found.prior.parameters))
     load, u95 = found.u95()
     extra = {
-        "covariance": CovarianceTable(
-            [found.prior.parameters[k].name for k in stated], covariance[np.ix_(stated, stated)].tolist()
-        ),
+        "covariance": CovarianceTable(names, covariance[np.ix_(stated, stated)].tolist()),
+        "forces": forces,
         "discrepancy": DiscrepancyEntry(source=source, load_N=load.tolist(), u95_mm=(u95 * MM_PER_M).tolist()),
         "measured": MeasuredEntry(
             source=source,
@@ -271,8 +309,27 @@ def model_file(found: Fit, prior: ModelFile, source: str) -> ModelFile:
     return msgspec.structs.replace(msgspec.convert(content, ModelFile), **extra)
 
 
+def _forces(found: Fit, process: Process, source: str) -> ForcesEntry | None:
+    """Return the law of `material`, as its numbers are read; None where the scale is certain or says too little."""
+    numbers = cutting_law(_scaled(found, process, source), process.path).numbers
+    if not numbers or not numbers[-1] > 0.0:
+        return None
+    return ForcesEntry(
+        source=source,
+        cutting_N_per_mm2=(numbers[0], numbers[1], numbers[2]),
+        edge_N_per_mm=(numbers[3], numbers[4], numbers[5]),
+        mc=numbers[6],
+        sigma_percent=numbers[7],
+    )
+
+
 def material(found: Fit, process: Process, source: str) -> bytes:
     """Return `material.toml`: the cutting law of the process with the scale of the forces found."""
+    comment = "Written by `postproc identify part`; process.toml takes it by [material] file."
+    return files.toml({"material": _scaled(found, process, source)}, comment)
+
+
+def _scaled(found: Fit, process: Process, source: str) -> IdentifiedTable:
     law: CuttingLaw = process.law()
     chip, radial, axial, *edge = (found.scale * value for value in (*law.cutting, *law.edge))
     table = IdentifiedTable(
@@ -283,14 +340,11 @@ def material(found: Fit, process: Process, source: str) -> bytes:
         Kae_N_per_mm=edge[2] / 1e3,
     )
     if law.exponent:
-        table = replace(
+        return replace(
             table,
             kc11_N_per_mm2=chip / 1e6,
             mc=law.exponent,
             radial_ratio=law.cutting[1] / law.cutting[0],
             axial_ratio=law.cutting[2] / law.cutting[0],
         )
-    else:
-        table = replace(table, Ktc_N_per_mm2=chip / 1e6, Krc_N_per_mm2=radial / 1e6, Kac_N_per_mm2=axial / 1e6)
-    comment = "Written by `postproc identify part`; process.toml takes it by [material] file."
-    return files.toml({"material": table}, comment)
+    return replace(table, Ktc_N_per_mm2=chip / 1e6, Krc_N_per_mm2=radial / 1e6, Kac_N_per_mm2=axial / 1e6)

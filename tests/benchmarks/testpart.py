@@ -3,6 +3,7 @@
     python -m tests.benchmarks.testpart --robots 40
     python -m tests.benchmarks.testpart --robots 40 --rich      gears that bend, links that are flexible
     python -m tests.benchmarks.testpart --random 200            the chosen part against parts taken at random
+    python -m tests.benchmarks.testpart --drift 20              a smaller part again: nothing, a joint or all changed
 
 Compliances differ from the model by 30 % (log-normal), forces by 10 %, the probe has a noise of 5 µm. The part is cut
 by `tests.testpart.machine`. Errors are those of the deflection on 40 places of other jobs of the cell, under forces
@@ -27,8 +28,12 @@ def main() -> None:
     options.add_argument("--first", type=int, default=0)
     options.add_argument("--rich", action="store_true")
     options.add_argument("--random", type=int, default=0)
+    options.add_argument("--drift", type=int, default=0)
     given = options.parse_args()
     with tempfile.TemporaryDirectory() as folder:
+        if given.drift:
+            drift(trial.part(Path(folder), box=((0, 150), (0, 120), (-40, 0)), count=8), given.first, given.drift)
+            return
         part = trial.part(Path(folder))
         chosen = part.chosen
         print(
@@ -47,7 +52,8 @@ def main() -> None:
             rows.append((one.after / one.before, one.inside))
             print(
                 f"robot {seed}: {1e6 * one.before:.1f} → {1e6 * one.after:.1f} µm of {1e6 * one.size:.0f}, "
-                f"inside {one.inside:.2f}, bound {1e6 * one.bound:.1f}, scale {one.fit.scale / one.scale:.3f}, "
+                f"inside {one.inside:.2f}, "
+                f"bound {1e6 * one.bound:.1f} ({1e6 * one.apart:.1f} apart), scale {one.fit.scale / one.scale:.3f}, "
                 f"γ {one.fit.gamma:.4f}, left out {len(one.left_out)}",
                 flush=True,
             )
@@ -55,6 +61,19 @@ def main() -> None:
             ratio, inside = np.array(rows).T
             print(f"left of the error: median {np.median(ratio):.2f}, worst {ratio.max():.2f}; "
                   f"inside the bound {inside.mean():.3f}, least {inside.min():.2f}")  # fmt: skip
+
+
+def drift(part, first, robots):
+    every = []
+    for seed in range(first, first + robots):
+        every.append(trial.drifts(part, seed))
+        print(
+            f"robot {seed}: " + " ".join(f"{one.chance:.3f}{' ' if one.holds else '!'}" for one in every[-1]),
+            flush=True,
+        )
+    for number, case in enumerate(trial.DRIFTS):
+        off = np.mean([not one[number].holds for one in every])
+        print(f"{case or 'nothing changed'}: {100 * off:.0f} % do not hold")
 
 
 if __name__ == "__main__":

@@ -15,12 +15,12 @@ from postproc.cell import Box
 from postproc.elastostatics import deflect, position_bound
 from postproc.errors import ModelError
 from postproc.machining import ProcessSource
-from postproc.robot import Covariance
 from postproc.robot.model_file import JointSpring, LinkSprings, ModelFile, Stiffening
 from postproc.testpart import design, features, probing
 from postproc.testpart.cut import surfaces
 from postproc.testpart.fit import Prior, Readings, fit
 from postproc.testpart.job import forces_of
+from postproc.testpart.model import agreement, material, model_file
 from postproc.under_load import RobotInCell
 from tests.oracle.arm import Arm
 from tests.oracle.whole_arm import WholeArm, twist
@@ -73,13 +73,16 @@ def content():
     return files.read_toml(FOLDER / "model.toml", ModelFile, ModelError)
 
 
-def truth(rng, kind="joints"):
-    """An arm whose compliances differ by 30 % (log-normal); "rich": gears bend, links are flexible."""
+def truth(rng, kind="joints", drift=None):
+    """An arm whose compliances differ by 30 % (log-normal); "rich": gears bend, links are flexible.
+
+    `drift`: factors of the compliances of some joints, by name.
+    """
     model = content()
     joints = {}
     for name in JOINTS:
         own = model.joints[name]
-        value = own.compliance_urad_per_Nm * float(np.exp(0.3 * rng.normal()))
+        value = own.compliance_urad_per_Nm * float(np.exp(0.3 * rng.normal())) * (drift or {}).get(name, 1.0)
         bend = []
         if kind == "rich":  # a third of the compliance ends at a torque that milling reaches
             bend = [Stiffening(float(np.exp(rng.uniform(np.log(100.0), np.log(600.0)))), 0.33 * value)]
@@ -114,12 +117,40 @@ def probed(part, arm, rng, scale=1.0, sigma=1e3 * SIGMA):
 
 
 def identified(part, path):
+    return fitted(part, path, part.prior, part.setting, part.process)
+
+
+def fitted(part, path, prior, setting, process):
     read = probing.read(path)
-    where = surfaces(part.program, part.setting, read, 0.5 * part.cutting.diameter)
-    source = ProcessSource(part.process, CELL.tool.axis)
-    return fit(
-        part.prior, Readings(read, where, SIGMA), part.setting, forces_of(part.program, part.setting, source, where)
+    where = surfaces(part.program, setting, read, 0.5 * part.cutting.diameter)
+    source = ProcessSource(process, CELL.tool.axis)
+    return fit(prior, Readings(read, where, SIGMA), setting, forces_of(part.program, setting, source, where))
+
+
+def compared(part, path, robot):
+    """How a model that `model` wrote agrees with a part, under the forces that were found with it."""
+    process = msgspec.structs.replace(
+        part.process, material=machining.material.MaterialTable(file=str(part.folder / "found" / "material.toml"))
     )
+    setting, law = RobotInCell.of(robot, CELL), process.law()
+    prior = Prior.of(setting.robot, law.sigma, law.numbers)
+    return agreement(fitted(part, path, prior.widened(), setting, process)[0], prior)
+
+
+DRIFTS = ({}, {}, {"A1": 1.3}, {"A2": 1.3}, {"A3": 1.3}, dict.fromkeys(JOINTS, 1.3), dict.fromkeys(JOINTS, 0.77))
+"""What may have changed from one part to the next: nothing, one joint, all of them."""
+
+
+def drifts(part, seed, cases=DRIFTS):
+    """Identify a robot, let it change, mill and probe the part again: how the model agrees, one for each case."""
+    rng = np.random.default_rng(seed)
+    scale = float(np.exp(0.1 * np.random.default_rng(seed + 10_000).normal()))
+    found, _ = identified(part, probed(part, truth(rng), rng, scale))
+    robot, _ = model(found, part.process, part.folder)
+    return [
+        compared(part, probed(part, truth(np.random.default_rng(seed), drift=case), rng, scale), robot)
+        for case in cases
+    ]
 
 
 def jobs(rng, count=40):
@@ -149,23 +180,26 @@ def predicted(robot, q, force):
     return deflect(robot, q, tool, wrench).twist[:, :3]
 
 
-def bound(found, q, force, sigma_scale=None):
-    """Bound u95 of a fit on a job whose forces are scaled as it found them."""
-    prior, size = found.prior, len(found.prior.parameters)
-    load, u95 = found.u95()
-    robot = msgspec.structs.replace(
-        found.robot,
-        covariance=Covariance(prior.parameters, found.covariance[:size, :size]),
-        discrepancy=robots.Discrepancy(load, u95),
-        stated_spread=(),
-    )
+def model(found, process, folder):
+    """Write the model and the material of a fit; return the model and the numbers of the law as they are read."""
+    name = folder / "found"
+    name.mkdir(exist_ok=True)
+    prior = files.read_toml(FOLDER / "model.toml", ModelFile, ModelError)
+    (name / "model.toml").write_bytes(files.toml(model_file(found, prior, process, "part"), ""))
+    (name / "robot.urdf").write_bytes((FOLDER / "robot.urdf").read_bytes())
+    (name / "material.toml").write_bytes(material(found, process, "part"))
+    law = machining.material.law(machining.material.MaterialTable(file=str(name / "material.toml")), "")
+    return postproc.load_robot(str(name)), law
+
+
+def bound(robot, law, q, force, *, together=True):
+    """Bound u95 on a job under forces of a law, with what is known of model and forces together, or of each."""
     tool = np.eye(4)
     tool[2, 3] = 0.35
-    wrench = np.hstack([found.scale * force, np.zeros((len(q), 3))])
-    sigma = np.sqrt(found.covariance[-1, -1]) if sigma_scale is None else sigma_scale
-    spread = np.zeros((len(q), 6, 1))
-    spread[:, :3, 0] = sigma * force
-    return position_bound(robot, q, tool, wrench, spread)
+    wrench = np.hstack([force, np.zeros((len(q), 3))])
+    spread = law.sigma * np.abs(wrench)[:, :, None] * np.eye(6)
+    scaled = np.full(len(q), together and robot.force_factor.is_of(law.numbers))
+    return position_bound(robot, q, tool, wrench, spread, scaled=scaled)
 
 
 def worth(part, seed, kind="joints"):
@@ -177,9 +211,12 @@ def worth(part, seed, kind="joints"):
     true = deflections(arm, q, scale * force)
     before = np.linalg.norm(predicted(part.setting.robot, q, force) - true, axis=1)
     after = np.linalg.norm(predicted(found.robot, q, found.scale * force) - true, axis=1)
-    limit = bound(found, q, force)
+    own, law = model(found, part.process, part.folder)
+    limit = bound(own, law, q, found.scale * force)
+    apart = bound(own, law, q, found.scale * force, together=False)
     return SimpleNamespace(
         before=float(np.sqrt(np.mean(before**2))), after=float(np.sqrt(np.mean(after**2))),
         inside=float(np.mean(after <= limit)), bound=float(np.sqrt(np.mean(limit**2))),
+        apart=float(np.sqrt(np.mean(apart**2))),
         size=float(np.sqrt(np.mean(true**2) * 3)), fit=found, left_out=left_out, scale=scale,
     )  # fmt: skip
