@@ -49,9 +49,13 @@ class Routine:
 class Generator:
     """Writes one program and the files that it calls."""
 
-    def __init__(self, rng, *, more=False):
-        """:param more: values of other types, structures, functions that give points, frames with gaps."""
-        self.rng, self.more = rng, more
+    def __init__(self, rng, *, more=False, mixed=False, keep=False):
+        """
+        :param more: values of other types, structures, functions that give points, frames with gaps.
+        :param mixed: nested loops with motions, spline blocks, SYNCCMD, #JOINT besides.
+        :param keep: motions that only the running robot knows besides.
+        """
+        self.rng, self.more, self.mixed, self.keep = rng, more, mixed, keep
         self.files = {}
         names = ["SUB1", "SUB2", "NEXT", "FN1", "LIB1", "LIBFN", "POINT", "LIB2"]
         names = names[: int(rng.integers(0, 9 if more else 7))]
@@ -272,7 +276,31 @@ class Generator:
         tail = ["ELSE", *self.statement(depth + 1)] if self.maybe(0.4) else []
         return [f"IF {self.condition()} THEN", *body, *tail, "ENDIF"]
 
+    def combined(self, depth):
+        """What `mixed` and `keep` have besides."""
+        whole = f"LIN {self.aggregate()}"
+        options = [
+            [f'SYNCCMD(#{self.one("PROGSYNC", "ProgSync", "MotionSync")},"A",3)'],
+            [f"$ORI_TYPE={self.one('#JOINT', '#VAR', '#VAR')}"],
+            [self.one("TRIGGER WHEN DISTANCE=0 DELAY=0 DO $OUT[2]=TRUE", "WAIT FOR $IN[2]"), whole],
+        ]
+        if self.in_part() and depth == 0 and self.moving:
+            inner = [self.motion(), *self.statement(2)]
+            options += 2 * [
+                ["FOR I=1 TO 2", f"FOR J={self.one('1 TO 2', 'I TO 2')}", *inner, "ENDFOR", "ENDFOR", whole]
+            ]
+            options.append(["SPLINE", f"SLIN {self.aggregate()}", f"SLIN {self.point()}", "ENDSPLINE"])
+        if self.keep and self.in_part() and depth == 0:
+            options += [
+                ["WHILE $IN[3]", whole, *self.statement(2), "ENDWHILE", whole],
+                ["LIN $POS_ACT:{X 1,Y 2,Z 5,A 0,B 0,C 0}", whole],
+                ["IF $IN[4] THEN", whole, "ENDIF", f"LIN {self.aggregate()}"],
+            ]
+        return options[int(self.rng.integers(len(options)))]
+
     def statement(self, depth=0):
+        if self.mixed and self.maybe(0.15):
+            return self.combined(depth)
         choice = self.rng.random()
         if choice < 0.42:
             return [self.assignment()]

@@ -12,6 +12,7 @@ import copy
 import re
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 
@@ -169,20 +170,28 @@ class Motion:
     cdis: float | None
     force: str
     callers: tuple
+    synchronised: int = 0
+
+
+@lru_cache(100_000)
+def tokens(text):
+    """The tokens of a line."""
+    found, position = [], 0
+    text = text.rstrip()
+    while position < len(text):
+        match = TOKEN.match(text, position)
+        if not match:
+            raise Invalid(f"not understood: {text[position:]}")
+        found.append((match.lastgroup, match[match.lastgroup]))
+        position = match.end()
+    return tuple(found)
 
 
 class Reader:
     """Tokens of one line."""
 
     def __init__(self, text):
-        self.tokens, self.at, position = [], 0, 0
-        text = text.rstrip()
-        while position < len(text):
-            match = TOKEN.match(text, position)
-            if not match:
-                raise Invalid(f"not understood: {text[position:]}")
-            self.tokens.append((match.lastgroup, match[match.lastgroup]))
-            position = match.end()
+        self.tokens, self.at = tokens(text), 0
 
     def peek(self, ahead=0):
         index = self.at + ahead
@@ -223,6 +232,7 @@ class Controller:
         self.shared = {name: Variable("", copy.deepcopy(value)) for name, value in system.items()}
         self.modules, self.motions, self.submit, self.structures = {}, [], [], {}
         self.numbers = None
+        self.synchronised = 0
         self.stood = base, tool
         self.handlers, self.active, self.pending, self.cyclic = {}, set(), [], []
         self.busy, self.steps = False, 0
@@ -396,7 +406,8 @@ class Controller:
             self.frames.pop()
 
     def structure(self, block):
-        word, _, _, line, parts, closing = block
+        word, file, number, line, parts, closing = block
+        self.here = file, number
         reader = Reader(line)
         reader.take(word)
         if word == "IF":
@@ -482,6 +493,8 @@ class Controller:
                 self.cyclic.append((self.place(reader), -5.0, 5.0))
         elif word in ("SIGNAL", "EXT", "WAIT", "HALT", "CONTINUE", "PULSE", "LABEL", "SPLINE", "ENDSPLINE"):
             return
+        elif word == "SYNCCMD":
+            self.synchronised += 1
         elif word == "FORCE":
             self.force = "" if line.upper() == "OFF" else line.upper()
         elif word == "GOTO":
@@ -830,7 +843,7 @@ class Controller:
         kind = KINDS.get(kind, kind)
         cdis = self.cdis if "C_DIS" in rest else None
         force = "" if kind == "PTP" else self.force
-        state = (self.base, self.tool, self.speed, cdis, force, tuple(self.callers))
+        state = (self.base, self.tool, self.speed, cdis, force, tuple(self.callers), self.synchronised)
         if "A1" in value:
             joints = [float(value[f"A{n}"]) for n in range(1, 7)]
             self.numbers = None

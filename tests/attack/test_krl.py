@@ -4,12 +4,13 @@ from collections import Counter
 
 import pytest
 
+from postproc.dialects.krl.read import unresolved
 from postproc.dialects.krl.read.calls import Calls
 from postproc.dialects.krl.read.known import NOTHING
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.variables import Variables
 from postproc.dialects.krl.write.named_points import NamedPoints
-from tests.attack.krl import Wrong, attack, damaged
+from tests.attack.krl import KEPT, MIXED, Wrong, attack, damaged
 
 
 def test_random_programs_do_what_is_read_and_what_is_written():
@@ -20,6 +21,16 @@ def test_random_programs_do_what_is_read_and_what_is_written():
 def test_what_enters_variables_of_other_types_is_what_the_controller_makes_of_it():
     outcomes = Counter(attack(seed) for seed in range(1_000_000, 1_000_200))
     assert outcomes["accepted"] > 40
+
+
+def test_nested_loops_splines_and_synchronised_robots_are_what_the_controller_makes_of_them():
+    outcomes = Counter(attack(seed) for seed in range(MIXED, MIXED + 80))
+    assert outcomes["accepted"] > 25
+
+
+def test_motions_that_stay_are_those_of_the_program():
+    outcomes = Counter(attack(seed) for seed in range(KEPT, KEPT + 50))
+    assert outcomes["kept"] > 5
 
 
 def test_programs_that_were_refused_when_they_were_read_back():
@@ -41,6 +52,12 @@ FAULTS = {
     "branches keep settings": (Settings, "may_become", lambda self, line, state, reason: self.change(line, state)),
     "points are corrected for all who read them": (NamedPoints, "_alone", lambda self, uses, aggregate: True),
 }
+
+
+def test_the_attack_finds_a_reader_that_passes_over_synchronised_robots(monkeypatch):
+    monkeypatch.setattr(unresolved, "_marks", lambda main: [])
+    with pytest.raises(Wrong, match="is between two SYNCCMD"):
+        Counter(attack(seed) for seed in range(MIXED + 280, MIXED + 290))
 
 
 @pytest.mark.parametrize("fault", FAULTS)
