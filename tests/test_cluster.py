@@ -14,7 +14,7 @@ import pytest
 
 from postproc.errors import PostprocError
 from postproc.jobs import Settings, convert_all, find_jobs
-from postproc.jobs.cluster import Cluster
+from postproc.jobs.workers import Cluster
 from tests.processes import CELL_16, Held, programs, written
 
 distributed = pytest.importorskip("distributed", reason="an extra: pip install 'postproc[dask]'")
@@ -65,14 +65,14 @@ def test_what_is_no_address_is_told(address):
 
 def test_without_a_scheduler_it_does_not_wait_for_ever(monkeypatch):
     programs(1)
-    monkeypatch.setattr("postproc.jobs.cluster._PATIENCE", 1.0)
+    monkeypatch.setattr("postproc.jobs.workers._PATIENCE", 1.0)
     with pytest.raises(PostprocError, match="no Dask scheduler answers at tcp://127"):
         work("tcp://127.0.0.1:9")
 
 
 def test_without_workers_it_does_not_wait_for_ever(monkeypatch):
     programs(1)
-    monkeypatch.setattr("postproc.jobs.cluster._PATIENCE", 1.0)
+    monkeypatch.setattr("postproc.jobs.workers._PATIENCE", 1.0)
     with cluster(n_workers=0) as there, pytest.raises(PostprocError, match=r"has no workers\. Start some"):
         work(there.scheduler_address)
     assert not Path("out").exists()
@@ -117,7 +117,7 @@ def test_tls_with_certificates_given_or_of_dasks_configuration(encrypted, certif
 
 
 def test_tls_without_certificates_with_wrong_ones_or_none_at_all_is_an_error(encrypted, certificates, monkeypatch):
-    monkeypatch.setattr("postproc.jobs.cluster._PATIENCE", 2.0)
+    monkeypatch.setattr("postproc.jobs.workers._PATIENCE", 2.0)
     pem, key = certificates / "node.pem", certificates / "node.key"
     programs(1)
     with pytest.raises(PostprocError, match=r"needs certificates\. Give --tls-ca"):
@@ -164,7 +164,7 @@ def test_a_lost_peer_is_told_and_leaves_nothing_half_written(lost):
 def test_workers_with_another_version_are_refused_and_both_versions_named(monkeypatch):
     programs(1)
     with cluster(n_workers=1) as there:
-        monkeypatch.setattr("postproc.jobs.cluster.VERSION", "9.9.9")
+        monkeypatch.setattr("postproc.jobs.workers.VERSION", "9.9.9")
         with pytest.raises(PostprocError, match=r"has postproc \d+\.\d+.*this machine has postproc 9\.9\.9"):
             work(there.scheduler_address)
     assert not Path("out/p00.src").exists()

@@ -16,7 +16,7 @@ from postproc.cli import main
 from postproc.errors import ModelError
 from postproc.files import read_toml
 from postproc.identification import model_folder, record
-from postproc.jobs.robot_files import add_robot
+from postproc.jobs.first_steps import add_robot
 from postproc.robot import shapes
 from postproc.robot.model_file import ModelFile
 from postproc.robot.shapes import LinkShape

@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from postproc import kinematics, robot
 from postproc.cli import main
 from postproc.errors import InputError, ModelError
-from postproc.jobs.robot_files import add_robot
+from postproc.jobs.first_steps import add_robot
 from tests.robot_urdfs import PREFIXED, ROS, ROS_A, ros_urdf
 
 SIGNS = ((1, 1, 1, 1, 1, 1), (-1, 1, -1, 1, -1, 1), (-1, -1, -1, -1, -1, -1))

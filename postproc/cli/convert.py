@@ -14,7 +14,7 @@ from postproc.cli.outcomes import work
 
 if TYPE_CHECKING:
     from postproc.jobs import Job
-    from postproc.jobs.cluster import Cluster
+    from postproc.jobs.workers import Cluster
 
 _PATH = click.Path(path_type=Path)
 _Command = TypeVar("_Command", bound=Callable[..., Any])
@@ -192,7 +192,7 @@ def _check_part(options: dict[str, Any], jobs: Sequence[Job]) -> None:
 
 def _cluster(scheduler: str | None, *certificates: Path | None) -> Cluster | None:
     if scheduler is not None:
-        from postproc.jobs.cluster import Cluster
+        from postproc.jobs.workers import Cluster
 
         return Cluster(scheduler, *certificates)
     if any(certificates):

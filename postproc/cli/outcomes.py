@@ -13,7 +13,7 @@ from postproc.cli.faults import fault_message
 
 if TYPE_CHECKING:
     from postproc.jobs import Job, Outcome, Settings
-    from postproc.jobs.cluster import Cluster
+    from postproc.jobs.workers import Cluster
 
 
 def work(

@@ -103,7 +103,7 @@ def add(urdf: Path, name: str | None, output: Path | None, overwrite: bool) -> N
     Example:
       postproc robots add kr120_r2700_2.urdf --name my_kr120
     """  # noqa: D301 - click: keep these lines as they are
-    from postproc.jobs.robot_files import add_robot
+    from postproc.jobs.first_steps import add_robot
 
     added = add_robot(urdf, name, output, overwrite=overwrite)
     for note in added.notes:

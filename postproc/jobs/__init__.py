@@ -1,15 +1,14 @@
 """What each command does: files in, files out, whole or not at all.
 
 `runs` converts or predicts programs: `programs` finds them, `output_plan` says which files are written, `conversion`
-makes them, in this process, in `workers` or on a `cluster`. Other jobs have a module of their own, such as `plan_files`
-and `identification_files`; they are imported from there: what they need is loaded with them only.
+makes them, in this process or in `workers`. Other jobs have a module of their own, such as `plan_files` and
+`identification_files`; they are imported from there: what they need is loaded with them only.
 """
 
 from postproc.jobs.conversion import read_program
 from postproc.jobs.output_plan import left
-from postproc.jobs.programs import Job, find_jobs, read_documents
+from postproc.jobs.programs import Job, Outcome, Settings, find_jobs, load_robot, load_setup, read_documents
 from postproc.jobs.runs import convert_all
-from postproc.jobs.settings import Outcome, Settings, load_robot, load_setup
 
 __all__ = [
     "Job",

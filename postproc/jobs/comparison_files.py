@@ -7,17 +7,16 @@ from pathlib import Path
 
 from msgspec import Struct
 
-from postproc import forces, provenance
+from postproc import provenance
 from postproc.cell import Cell
 from postproc.comparison import compare
 from postproc.dialects import registry
 from postproc.errors import InputError
 from postproc.files import FileEntry, foreign, refuse, with_record, write_whole
-from postproc.forces import ForceSource
 from postproc.frames import M_PER_MM
-from postproc.jobs.conversion import origin_of, read_program
+from postproc.jobs.conversion import force_source, origin_of, read_program
 from postproc.jobs.output_plan import protect
-from postproc.jobs.settings import EXCEEDED, GOOD, Settings, load_setup
+from postproc.jobs.programs import EXCEEDED, GOOD, Settings, load_setup
 from postproc.program import Program
 from postproc.report import to_json
 from postproc.report.comparison import (
@@ -97,7 +96,7 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
     protect(request.reads(), folder, names)
     if not request.overwrite:
         refuse(foreign(folder, names, record))
-    source = _source(request, cell)
+    source = force_source(request.forces, cell)
     made = _made_from(request, cell, nominal, corrected)
     found = compare(nominal, corrected, robot, cell, source, same_origin=made.same_origin)
     content = comparison_summary(found, made, cell.tolerance, cell.output.max_correction_mm * M_PER_MM)
@@ -112,15 +111,6 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
 
     written = write_whole(folder, with_record(contents, record, rendered))
     return ComparisonFiles(EXCEEDED if content["verdict"]["state"] == "failed" else GOOD, content, tuple(written))
-
-
-def _source(request: CompareRequest, cell: Cell) -> ForceSource | None:
-    """Return the forces of the nominal program: from a file, or computed for a process.toml."""
-    if request.forces is None or request.forces.suffix.lower() != ".toml":
-        return None if request.forces is None else forces.read(request.forces)
-    from postproc.jobs import process_forces  # imports the cutting models
-
-    return process_forces.read(request.forces, cell)
 
 
 def _refuse_part(path: Path, program: Program) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import traceback
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -17,11 +17,10 @@ from postproc.cell import Cell
 from postproc.correction import Result
 from postproc.dialects import registry
 from postproc.errors import InputError, Issue, PostprocError, ProgramError, SubprogramError
+from postproc.forces import ForceSource
 from postproc.frames import M_PER_MM
-from postproc.jobs import held_feed
 from postproc.jobs.output_plan import Task, differing, needed_copies, with_own_copies
-from postproc.jobs.programs import Job, read_documents
-from postproc.jobs.settings import EXCEEDED, FAILED, GOOD, Outcome, Settings
+from postproc.jobs.programs import EXCEEDED, FAILED, GOOD, PROCESS, Job, Outcome, Settings, find_jobs, read_documents
 from postproc.program import Document, Motions, Program
 from postproc.report import Summary
 from postproc.robot import RobotModel
@@ -166,15 +165,41 @@ def read_program(
         raise cause.with_file(path.name, str(path)) from cause
 
 
+def force_source(given: Path | None, cell: Cell) -> ForceSource | None:
+    """Return the source of forces in a file: a table of forces, or a process.toml; None without a file.
+
+    :raises ForceError: the file is unusable.
+    """
+    if given is None or given.suffix.lower() != PROCESS:
+        return None if given is None else forces.read(given)
+    from postproc.jobs import process_forces  # loads the models of cutting
+
+    return process_forces.read(given, cell)
+
+
+def programs_under_force(
+    programs: Sequence[str], given: Path | None, robot: RobotModel, cell: Cell
+) -> Iterator[tuple[Path, Program, ForceSource | None]]:
+    """Yield path, program and source of forces of each program; subprograms that others call are parts of these.
+
+    :param programs: files, folders, patterns.
+    :param given: CSV file of forces, a folder of such files, or process.toml they are computed from.
+    :raises PostprocError: a program or its forces cannot be read.
+    """
+    for job in find_jobs(programs, forces=given):
+        if not job.callers:
+            yield job.program, read_program(job.program, robot, cell, job.dialect), force_source(job.forces, cell)
+
+
 def _result(
     job: Job, settings: Settings, cell: Cell, robot: RobotModel, program: Program
 ) -> tuple[Result, ProcessForces | None]:
     """Return the result, and what a process makes of the program."""
     mode, linearize, found = settings.mode, settings.linearize_arcs, None
     if mode == "convert" and cell.output.feed == "hold":
-        held_feed.check(cell, process=job.process is not None)
+        check_held_feed(cell, process=job.process is not None)
     if job.process is None:
-        source = None if job.forces is None else forces.read(job.forces)
+        source = force_source(job.forces, cell)
         result = correction.process(program, robot, cell, source, mode, linearize_arcs=linearize, to=job.to)
     else:
         from postproc.jobs import process_forces  # what a cutter does is imported with it
@@ -197,6 +222,20 @@ def _result(
         note = f"written as {written}: the controller does not accept the name {job.program.stem!r}, {fault}."
         result = replace(result, issues=(*result.issues, Issue("info", "name", note)))
     return result, found
+
+
+def check_held_feed(cell: Cell, *, process: bool) -> None:
+    """Refuse a cell that asks for held feeds without what they need.
+
+    :param process: whether the forces come from a process.
+    :raises InputError: no tolerance of the part, or no process.
+    """
+    if cell.part_tolerance is None:
+        advice = "Give tolerance_mm in [part] of the cell, or --part-tolerance."
+        raise InputError('[output] feed = "hold" without a tolerance of the part', advice=advice)
+    if not process:
+        advice = 'Give --process process.toml: only it says how forces depend on the feed. Or write feed = "program".'
+        raise InputError('[output] feed = "hold" without a process', advice=advice)
 
 
 def _with_force_file(issue: Issue, job: Job) -> Issue:

@@ -1,4 +1,4 @@
-"""`postproc forces`: from a program and its process to a file of forces."""
+"""Files of `postproc forces` (forces of a program) and of `postproc identify forces` (cutting coefficients)."""
 
 from __future__ import annotations
 
@@ -9,16 +9,18 @@ from msgspec import Struct
 
 from postproc import cell as cells
 from postproc import machining, toolpath
-from postproc.errors import InputError, Issue
-from postproc.files import foreign, refuse, with_record, write_whole
+from postproc.errors import ForceError, InputError, Issue
+from postproc.files import foreign, foreign_single, refuse, with_record, write_whole
 from postproc.forces import Knots
 from postproc.jobs.conversion import read_program
 from postproc.jobs.output_plan import protect
-from postproc.jobs.settings import load_robot
-from postproc.machining import Process, ProcessForces
+from postproc.jobs.programs import load_robot
+from postproc.machining import Process, ProcessForces, identification
+from postproc.machining.identification import IdentifiedMaterial
 from postproc.machining.stock import as_trimesh
 from postproc.program import Program
 from postproc.report import process_forces
+from postproc.report.material import material_page
 from postproc.under_load import RobotInCell
 
 _MESHES = (".stl", ".glb", ".ply", ".obj")
@@ -115,3 +117,44 @@ def _knots(program: Program, process: Process, found: ProcessForces | None) -> K
     if found is None:
         return machining.by_operation(program, process)
     return machining.by_operation(program, process).over(found.along) if process.operations else found.along
+
+
+def identify_forces(
+    measured: Path, process: Path, output: Path, tool: int | None, *, overwrite: bool = False
+) -> tuple[IdentifiedMaterial, list[Path]]:
+    """Identify cutting coefficients, and write them as TOML with a page of the same name.
+
+    :param measured: CSV file of readings.
+    :param process: process.toml with the tool.
+    :param tool: number of the tool; None: the only one.
+    :raises PostprocError: the readings are unusable, or the file must not be replaced.
+    """
+    page = output.with_suffix(".html")
+    protect([measured, process], output.parent, [output.name, page.name])
+    if not overwrite:
+        refuse(foreign_single(output))
+    given = machining.load(process, tools_only=True)
+    _, entry = identification.tool_of(given, tool)
+    readings = identification.read(measured)
+    found = identification.identify(readings, entry, given.material, str(measured))
+    contents = {
+        output.name: identification.as_toml(found, entry, measured.name),
+        page.name: material_page(found, readings, measured.name),
+    }
+    return found, write_whole(output.parent, contents)
+
+
+def propose_cuts(process: Path, output: Path, tool: int | None, *, overwrite: bool = False) -> list[Path]:
+    """Write test cuts as G-code, and the CSV file to fill in next to it.
+
+    :raises PostprocError: the process has no such tool, or a file must not be replaced.
+    """
+    given = machining.load(process, tools_only=True)
+    key, entry = identification.tool_of(given, tool)
+    table = output.with_suffix(".csv")
+    protect([process], output.parent, [output.name, table.name])
+    there = [path for path in (output, table) if path.exists()]
+    if there and not overwrite:
+        raise ForceError("this file exists", file=str(there[0]), advice="Give another name, or --overwrite.")
+    program, rows = identification.proposal(given, key, entry)
+    return write_whole(output.parent, {output.name: program, table.name: rows})

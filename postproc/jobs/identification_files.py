@@ -23,7 +23,7 @@ from postproc.identification.coverage import share
 from postproc.identification.readings import read_experiment
 from postproc.identification.validation import Validation, table, validate
 from postproc.jobs.output_plan import protect
-from postproc.jobs.settings import load_robot
+from postproc.jobs.programs import load_robot
 from postproc.kinematics import require_pinocchio
 from postproc.report.identification import page
 

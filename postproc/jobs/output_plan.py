@@ -29,8 +29,7 @@ from postproc.dialects.dialect import Calling
 from postproc.dialects.text import decode
 from postproc.errors import InputError, PostprocError, ProgramError
 from postproc.files import foreign, foreign_single, listed, noted, recorded, refuse
-from postproc.jobs.programs import Job, read_documents
-from postproc.jobs.settings import FAILED, Outcome, Settings
+from postproc.jobs.programs import FAILED, Job, Outcome, Settings, read_documents
 from postproc.program import Document, Needed
 from postproc.provenance import digest
 

@@ -9,16 +9,13 @@ from pathlib import Path
 from msgspec import Struct
 
 from postproc import cell as cells
-from postproc import forces
 from postproc.cell import Cell
 from postproc.errors import InputError
 from postproc.files import foreign, refuse, with_record, write_whole
-from postproc.forces import ForceSource
 from postproc.frames import RAD_PER_DEG
-from postproc.jobs.conversion import read_program
+from postproc.jobs.conversion import programs_under_force
 from postproc.jobs.output_plan import protect
-from postproc.jobs.programs import find_jobs
-from postproc.jobs.settings import load_robot
+from postproc.jobs.programs import load_robot
 from postproc.placement import Keep, PathSamples, region
 from postproc.placement.region import AXES, Region
 from postproc.report import placement as report
@@ -129,18 +126,8 @@ def region_of(text: str | None, cell: Cell) -> Region:
 
 def _samples(request: PlaceRequest, cell: Cell, robot: RobotModel) -> tuple[Sequence[PathSamples], list[str]]:
     setting, found, names = RobotInCell.of(robot, cell), [], []
-    for job in find_jobs(list(request.programs), forces=request.forces or request.process):
-        if job.callers:
-            continue
-        program = read_program(job.program, robot, cell, job.dialect)
+    for path, program, source in programs_under_force(request.programs, request.forces or request.process, robot, cell):
         region.check_base(program, setting)
-        source: ForceSource | None = None
-        if job.process is not None:
-            from postproc.jobs import process_forces  # what a cutter does is imported with it
-
-            source = process_forces.read(job.process, cell)
-        elif job.forces is not None:
-            source = forces.read(job.forces)
         found.append(PathSamples.of(program, setting, source))
-        names.append(job.program.name)
+        names.append(path.name)
     return found, names

@@ -10,18 +10,16 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc import cell as cells
-from postproc import forces, interrupts
+from postproc import interrupts
 from postproc.cell import Cell
 from postproc.dialects.krl.dialect import KRL
 from postproc.errors import InputError
 from postproc.files import FileEntry, foreign, refuse, with_record, write_whole
-from postproc.forces import ForceSource
 from postproc.frames import RAD_PER_DEG
 from postproc.identification.readings import read, read_experiment
-from postproc.jobs.conversion import read_program
+from postproc.jobs.conversion import programs_under_force
 from postproc.jobs.output_plan import protect
-from postproc.jobs.programs import find_jobs
-from postproc.jobs.settings import load_robot
+from postproc.jobs.programs import load_robot
 from postproc.kinematics import require_pinocchio
 from postproc.plan import Options, PlanResult, compensator, milling, plan_measurements
 from postproc.plan.compensator import CompensatorOptions, CompensatorPlan, plan_compensator
@@ -186,20 +184,10 @@ def cutting_states(programs: Sequence[str], given: Path | None, robot: RobotMode
     :param given: CSV file of forces, a folder of such files, or process.toml they are computed from.
     :raises PostprocError: a program or its forces cannot be read or followed, or none of its moves carries a force.
     """
-    found = []
-    for job in find_jobs(programs, forces=given):
-        if job.callers:
-            continue
-        program = read_program(job.program, robot, cell, job.dialect)
-        source: ForceSource | None = None
-        if job.process is not None:
-            from postproc.jobs import process_forces  # what a cutter does is imported with it
-
-            source = process_forces.read(job.process, cell)
-        elif job.forces is not None:
-            source = forces.read(job.forces)
-        found.append(milling.from_program(program, robot, cell, source))
-    return found
+    return [
+        milling.from_program(program, robot, cell, source)
+        for _, program, source in programs_under_force(programs, given, robot, cell)
+    ]
 
 
 def check_same_arm(measured: RobotModel, mills: RobotModel) -> None:

@@ -13,14 +13,13 @@ from postproc import files, interrupts
 from postproc.cell import Cell
 from postproc.jobs.conversion import convert
 from postproc.jobs.output_plan import OVERVIEW, OutputPlan, Task
-from postproc.jobs.programs import Job
-from postproc.jobs.settings import GOOD, Outcome, Settings, load_setup
+from postproc.jobs.programs import GOOD, Job, Outcome, Settings, load_setup
 from postproc.report.index import Entry, index_page
 from postproc.report.summary import Summary
 from postproc.robot import RobotModel
 
 if TYPE_CHECKING:
-    from postproc.jobs.cluster import Cluster
+    from postproc.jobs.workers import Cluster
 
 _POLL = 0.2
 """Seconds between two looks at whether a signal came: on Windows none ends a wait."""
@@ -96,7 +95,7 @@ def _outcomes(
 ) -> Iterator[Outcome]:
     """Yield the outcomes of a plan until all is done or a signal asks for the end."""
     if cluster is not None:
-        from postproc.jobs.cluster import ClusterWorkers  # imported where there is one, like processes
+        from postproc.jobs.workers import ClusterWorkers  # imported where there is one, like processes
 
         plan.divide(cell)
         yield from _outcomes_of(plan, ClusterWorkers(cluster, settings), settings, cell, robot)

@@ -23,8 +23,7 @@ from postproc.frames import M_PER_MM, MM_PER_M
 from postproc.identification import model_folder, record
 from postproc.jobs.conversion import marked, read_program
 from postproc.jobs.output_plan import protect
-from postproc.jobs.programs import find_jobs
-from postproc.jobs.settings import Settings, load_robot
+from postproc.jobs.programs import Settings, find_jobs, load_robot
 from postproc.machining import Process, ProcessSource
 from postproc.machining.process import ProcessFile, StockTable, ToolTable
 from postproc.program import Program

@@ -21,9 +21,8 @@ import msgspec
 from postproc import files, provenance
 from postproc.dialects import registry
 from postproc.errors import InputError, PostprocError
-from postproc.jobs.programs import Job, find_jobs
+from postproc.jobs.programs import FAILED, Job, Outcome, Settings, find_jobs
 from postproc.jobs.runs import convert_all
-from postproc.jobs.settings import FAILED, Outcome, Settings
 
 QUIET = 1.0
 """Time for which a file must not have changed [s]."""

@@ -19,7 +19,7 @@ from postproc import correction
 from postproc.cell import Part
 from postproc.cli import main
 from postproc.errors import InputError, PostprocError, ProgramError
-from postproc.jobs import held_feed, process_forces
+from postproc.jobs import conversion, process_forces
 from tests.machining.setting import CELL, ROBOT, SAMPLES, gcode, process, read, tool
 
 BOX = ((0, 200), (-40, 60), (-20, 0))
@@ -103,7 +103,7 @@ def test_without_need_nothing_is_lowered_and_nothing_is_tried(tmp_path):
         tried.append(changed)
         return correction.process(changed, ROBOT, given, None)
 
-    result = held_feed.held(program, np.ones(len(program.motions)), given, 0.0, trial)
+    result = process_forces.held(program, np.ones(len(program.motions)), given, 0.0, trial)
     assert tried == [program]
     np.testing.assert_array_equal(result.held_feed.feed, program.motions.feed)
 
@@ -187,9 +187,9 @@ def test_krl_whose_feeds_cannot_be_changed_is_refused_with_the_reason(tmp_path, 
 
 def test_what_it_needs_is_named():
     with pytest.raises(InputError, match="without a tolerance of the part"):
-        held_feed.check(CELL, process=True)
+        conversion.check_held_feed(CELL, process=True)
     with pytest.raises(InputError, match="without a process"):
-        held_feed.check(cell(0.1), process=False)
+        conversion.check_held_feed(cell(0.1), process=False)
 
 
 def test_forces_by_operation_do_not_say_what_a_feed_changes(tmp_path):

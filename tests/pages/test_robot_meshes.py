@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from postproc import report, robot
-from postproc.jobs.robot_files import add_robot
+from postproc.jobs.first_steps import add_robot
 from tests import fabricated
 from tests.pages import browser as browsers
 from tests.test_link_shapes import in_root, meshes_in_a_package, ordered
