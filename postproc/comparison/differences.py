@@ -250,7 +250,7 @@ def _rapid(found: Comparison, one: PlacedProgram) -> Iterator[Difference]:
 def _twice(found: Comparison, one: PlacedProgram, other: PlacedProgram) -> Iterator[Difference]:
     """Yield targets of the second program at the present position of the robot: it stops there even if approximated."""
     still, also = (
-        (side.path.way < _NOTHING) & (side.path.turn < _NOTHING) & (side.program.motions.kind != PTP)
+        (side.path.travel < _NOTHING) & (side.path.turn < _NOTHING) & (side.program.motions.kind != PTP)
         for side in (other, one)
     )
     still[found.pair[also[found.pair[:, 0]], 1]] = False

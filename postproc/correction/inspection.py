@@ -178,7 +178,7 @@ def _lines(path: PathUnderLoad, room: Array, step: Array, fast: Bools) -> Stretc
     sample, segments = path.sample, path.motions.segments
     first = np.diff(sample.motion, prepend=-1) != 0
     begin = np.where(first, 0.0, np.roll(sample.t, 1))
-    way, turn = (each[sample.motion] * (sample.t - begin) for each in (segments.way, segments.turn))
+    way, turn = (each[sample.motion] * (sample.t - begin) for each in (segments.travel, segments.turn))
     rows = np.flatnonzero(
         np.isin(path.program.motions.kind[sample.motion], (LIN, SPL)) & ((way > _LONG) | (turn > _TURNS))
     )

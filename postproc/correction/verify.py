@@ -289,7 +289,7 @@ def _probes(path: PathUnderLoad, chosen: Chosen, back: ReadBack) -> _Probes:
     uneven = np.zeros(len(targets))
     uneven[curved] = _unevenness(path, chosen, back, curved, correction[curved])
     steep = (changed > _STEEP) | (uneven > _UNEVEN * path.setting.tolerance)
-    length, turn = back.segments.way[back.row], back.segments.turn[back.row]
+    length, turn = back.segments.travel[back.row], back.segments.turn[back.row]
     number = np.ones(len(targets), dtype=np.int64)
     number[curved] = 2
     wide = (length > _LONG) | (turn > _TURNED)

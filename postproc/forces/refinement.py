@@ -61,7 +61,7 @@ def displacement_estimate(forces: PathForces, compliance: tuple[float, float]) -
         bent=np.append(bent, np.ones(len(step), dtype=np.bool_))[order],
         turning=turned,
         size=largest_of_own(moves(forces.wrench)),
-        round=swings,
+        swings=swings,
     )
 
 
@@ -114,7 +114,7 @@ def refined_arcs(
     :param compliance: approximate compliance at the tip per force [m/N] and per moment [m/(N·m)].
     :param limit: permitted deviation [m].
     """
-    found = estimate.round[arcs.motion]
+    found = estimate.swings[arcs.motion]
     if not found.any():
         return arcs
     left = arcs.take(found)

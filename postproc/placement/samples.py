@@ -52,7 +52,7 @@ class PathSamples(Struct, frozen=True, eq=False):
         m = program.motions
         segments = toolpath.segments(program, setting.start_flange)
         along = forces.assign(program, segments, source, setting.spindle, setting.ramp)
-        count = np.ceil(np.maximum(segments.way / _STEP, segments.turn / _TURN) - 1e-9)
+        count = np.ceil(np.maximum(segments.travel / _STEP, segments.turn / _TURN) - 1e-9)
         count[(m.kind == PTP) | (m.kind == SPL)] = 1.0
         number = np.maximum(count, 1.0).astype(np.int64)
         motion = np.repeat(np.arange(len(m)), number)

@@ -4,9 +4,18 @@ A place on the path is (motion, t), t in (0, 1] along the motion. Row i of a `To
 motion are consecutive and in order, and its end (t = 1) is always among them.
 """
 
-from postproc.toolpath.circles import circle_through
-from postproc.toolpath.path import Arcs, Segments, Toolpath, at, continues, positions, segments, starts, tangent
-from postproc.toolpath.places import DisplacementEstimate, Pieces, pieces, places, swivel_pieces
+from postproc.toolpath.path import (
+    Arcs,
+    Segments,
+    Toolpath,
+    at,
+    circle_through,
+    continues,
+    positions,
+    segments,
+    starts,
+    tangent,
+)
 from postproc.toolpath.root import (
     base_of,
     columns_in_root,
@@ -18,6 +27,7 @@ from postproc.toolpath.root import (
     tool_of,
     wrench_in_root,
 )
+from postproc.toolpath.sampling import DisplacementEstimate, Pieces, pieces, places, swivel_pieces
 
 __all__ = [
     "Arcs",

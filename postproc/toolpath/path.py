@@ -1,4 +1,4 @@
-"""Poses anywhere on the motions of a program."""
+"""The geometry of motions: poses, positions and directions of travel anywhere on them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Segments(Struct, frozen=True, eq=False):
     :param start: tool frames where the motions start.
     :param begin: (M, 3) positions there [m].
     :param length: (M,) path length of the TCP; 0 for PTP, of a piece of a spline the chord.
-    :param way: (M,) `length`, or how far the robot is carried meanwhile if that is farther [m].
+    :param travel: (M,) `length`, or the travel of the linear axis on this motion if that is longer [m].
     :param turn: (M,) angle between the orientations at start and end [rad], or how far the tool turns at
         most where it turns with the path or by rotary axes.
     :param arcs: the geometry of the arcs among them.
@@ -36,7 +36,7 @@ class Segments(Struct, frozen=True, eq=False):
     start: Starts
     begin: Array
     length: Array
-    way: Array
+    travel: Array
     turn: Array
     arcs: Arcs
 
@@ -145,8 +145,8 @@ def segments(program: Program, start_flange_in_root: Array) -> Segments:
     arcs = _arcs(program, begin)
     length[arcs.motion] = np.hypot(norm(arcs.radial) * arcs.sweep, norm(arcs.climb))
     length[m.kind == PTP] = 0.0
-    way = length if program.carriage is None else np.maximum(length, program.carriage.travel)
-    return Segments(start, begin, length, way, turn, arcs)
+    travel = length if program.carriage is None else np.maximum(length, program.carriage.travel)
+    return Segments(start, begin, length, travel, turn, arcs)
 
 
 def _arcs(program: Program, begin: Array) -> Arcs:
@@ -264,3 +264,24 @@ def continues(program: Program, path: Segments) -> Bools:
     same = (np.einsum("ni,ni->n", before, behind) > np.cos(_SAME_TANGENT)) & (np.abs(other - one) < _SAME_RADIUS * one)
     out[arcs + 1] = same & (np.einsum("ni,ni->n", m.normal[arcs], m.normal[arcs + 1]) > np.cos(_SAME_AXIS))
     return out
+
+
+def circle_through(a: Array, b: Array, c: Array) -> tuple[Array, Array, Array, Array]:
+    """Return the arcs from a through b to c (each (n, 3)).
+
+    :returns: centre (n, 3), radius vector to a (n, 3), the vector square to it in the direction of travel (n, 3), and
+        the angle from a to c (n,) in (0, 2π). Points on one line have none: their radius is zero.
+    """
+    ab, ac = b - a, c - a
+    normal = np.cross(ab, ac)
+    square = np.einsum("ni,ni->n", normal, normal)[:, None]
+    flat = square[:, 0] <= 1e-24 * np.einsum("ni,ni->n", ac, ac) ** 2
+    square = np.where(flat[:, None], 1.0, square)
+    ab2, ac2 = np.einsum("ni,ni->n", ab, ab)[:, None], np.einsum("ni,ni->n", ac, ac)[:, None]
+    centre = a + np.cross(ab2 * ac - ac2 * ab, normal) / (2.0 * square)
+    unit = normal / np.sqrt(square)
+    radial = a - centre
+    across = np.cross(unit, radial)
+    to_c = c - centre
+    angle = np.arctan2(np.einsum("ni,ni->n", to_c, across), np.einsum("ni,ni->n", to_c, radial)) % (2.0 * np.pi)
+    return centre, radial, across, angle

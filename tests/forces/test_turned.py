@@ -173,10 +173,10 @@ def test_the_displacement_by_the_force_is_estimated_from_its_changes(seed):
         across = own * [1, 1, 0, 1, 1, 0]
         assert found.turning[k] == pytest.approx(moves(across).max() if turning else 0.0)
         if not turning:
-            assert not found.round[k]
+            assert not found.swings[k]
         else:
             runs = runs_across(made, path, np.array([k]), "+Z")[0]
-            assert found.round[k] == (across.any() and not runs)
+            assert found.swings[k] == (across.any() and not runs)
         begin[k] = load.before[k]
     rows.sort(key=lambda row: row[:2])
     np.testing.assert_array_equal(found.motion, [row[0] for row in rows])
@@ -253,7 +253,7 @@ def test_pieces_where_the_force_swings_round_are_halved_until_circles_follow_it(
     knots = Knots.throughout(np.array([1, 3]), np.array([[100.0, 40, 20, 60, -50, 10]] * 2), np.full(2, FEED))
     load = forces.assign(made, path, Given(knots), "+Z", RAMP)
     found, limit = forces.displacement_estimate(load, (1e-9, 1e-9)), 2e-6
-    assert found.round.tolist() == [False, True, False, False]
+    assert found.swings.tolist() == [False, True, False, False]
     arcs = toolpath.pieces(made, path, 1e-5, found)
     halved = forces.refined_arcs(load, arcs, found, compliance, limit)
     other = halved.motion == 3

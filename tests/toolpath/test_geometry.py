@@ -66,9 +66,9 @@ def test_lengths_and_turns():
             rise = (target[k, :3, 3] - begin[k, :3, 3]) @ m.normal[k]
             length = np.hypot(m.sweep[k] * np.linalg.norm(begin[k, :3, 3] - foot), rise)
         assert path.length[k] == pytest.approx(0.0 if k == 0 else length, abs=1e-14)
-    np.testing.assert_array_equal(path.way, path.length)
+    np.testing.assert_array_equal(path.travel, path.length)
     carried = with_carriage(made)
-    way = toolpath.segments(carried, START).way
+    way = toolpath.segments(carried, START).travel
     e1 = np.abs(carried.carriage.end - carried.carriage.begin)
     assert (e1 > 2 * path.length).any()
     np.testing.assert_allclose(way, np.maximum(toolpath.segments(carried, START).length, e1), atol=1e-14)

@@ -36,7 +36,7 @@ def _still(made, **changes):
     change, turning, size = (np.full(count, changes.pop(name, 0.0)) for name in ("ramp", "turning", "size"))
     assert not changes
     none = np.zeros(count, dtype=bool)
-    return toolpath.DisplacementEstimate(np.arange(count), ramp_end, change, ramp_end < 1, turning, size, round=none)
+    return toolpath.DisplacementEstimate(np.arange(count), ramp_end, change, ramp_end < 1, turning, size, swings=none)
 
 
 def _places(made, estimate):

@@ -27,7 +27,7 @@ def estimate(made, motion=(), t=(), change=(), bent=(), **of_all):
     turning, size = (np.full(count, of_all.get(name, 0.0)) for name in ("turning", "size"))
     none = np.zeros(count, dtype=bool)
     columns = np.array(motion, dtype=np.int64), np.array(t, float), np.array(change, float), np.array(bent, dtype=bool)
-    return DisplacementEstimate(*columns, turning, size, round=none)
+    return DisplacementEstimate(*columns, turning, size, swings=none)
 
 
 def arc_of(degrees, radius=50.0, climb=0.0, growth=0.0):

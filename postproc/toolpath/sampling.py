@@ -48,7 +48,7 @@ class DisplacementEstimate(Struct, frozen=True, eq=False):
     :param bent: (K,) True inside a motion where the force does not go straight on.
     :param turning: (M,) how large the displacement is that turns with the direction of travel [m].
     :param size: (M,) how large the displacement is at most [m].
-    :param round: (M,) True for arcs that come near the direction of the spindle, where a FEED force swings round.
+    :param swings: (M,) True for arcs that come near the direction of the spindle, where FEED axes turn quickly.
     """
 
     motion: Ints
@@ -57,7 +57,7 @@ class DisplacementEstimate(Struct, frozen=True, eq=False):
     bent: Bools
     turning: Array
     size: Array
-    round: Bools
+    swings: Bools
 
 
 class Pieces(Struct, frozen=True, eq=False):
@@ -147,7 +147,7 @@ def pieces(
     share = end - begin
     angle, radius = arcs.sweep[arc] * share, norm(arcs.radial)[arc]
     step = _STEP * np.sqrt(tolerance / _REFERENCE_TOLERANCE)
-    samples = share * np.maximum(path.way[motion] / step, path.turn[motion] / _TURN)
+    samples = share * np.maximum(path.travel[motion] / step, path.turn[motion] / _TURN)
     if linearize_arcs:
         samples = np.maximum(samples, angle * np.sqrt(radius / tolerance) / 2.0)
     least = np.maximum(1, np.ceil(angle / _LARGEST - 1e-9).astype(np.int64))
@@ -200,7 +200,7 @@ def places(
     """
     m = program.motions
     step = _STEP * np.sqrt(tolerance / _REFERENCE_TOLERANCE)
-    count = np.ceil(np.maximum(path.way / step, path.turn / _TURN) - 1e-9)
+    count = np.ceil(np.maximum(path.travel / step, path.turn / _TURN) - 1e-9)
     count = np.maximum(count, swivel_pieces(program, path, tolerance))
     count[(m.kind == PTP) | (m.kind == SPL)] = 1.0
     straight = np.flatnonzero(m.kind != CIRC)
