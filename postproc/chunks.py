@@ -1,17 +1,40 @@
-"""Large arrays worked on in pieces that fit the cache. What works on a piece does not know that it is one."""
+"""Arrays of many rows: records of columns, and work in chunks that fit the cache.
+
+A function that works on a chunk does not know that it is one.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, Self
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from postproc.errors import NotConvergedError
 
 _ROWS = 8192
 """Rows of a chunk: with their matrices they fit the cache."""
+
+
+class Columns(Struct, frozen=True, eq=False):
+    """Base of records whose arrays have one row for each of the same things. Fields that are no arrays are kept."""
+
+    def take(self, rows: NDArray[Any] | slice) -> Self:
+        """Return some of the rows."""
+        return replace(self, **{name: column[rows] for name, column in self._columns().items()})
+
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """Return the rows of several parts, one after the other; other fields are those of the first part."""
+        columns = [part._columns() for part in parts]
+        return replace(parts[0], **{name: np.concatenate([each[name] for each in columns]) for name in columns[0]})
+
+    def _columns(self) -> dict[str, NDArray[Any]]:
+        fields = {name: getattr(self, name) for name in self.__struct_fields__}
+        return {name: value for name, value in fields.items() if isinstance(value, np.ndarray)}
 
 
 def chunks(count: int) -> Iterator[slice]:

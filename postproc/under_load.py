@@ -283,7 +283,7 @@ class MotionsUnderLoad(Struct, frozen=True, eq=False):
     """The motions of a program with the forces along them, in the cell of a robot.
 
     :param program: the program.
-    :param setting: the robot in its cell.
+    :param robot_in_cell: the robot in its cell.
     :param segments: start and length of the motions.
     :param forces: the forces along them.
     :param compliance: approximate compliance at the tip per force [m/N] and per moment [m/(N·m)].
@@ -292,7 +292,7 @@ class MotionsUnderLoad(Struct, frozen=True, eq=False):
     """
 
     program: Program
-    setting: RobotInCell
+    robot_in_cell: RobotInCell
     segments: Segments
     forces: PathForces
     compliance: tuple[float, float]
@@ -300,21 +300,27 @@ class MotionsUnderLoad(Struct, frozen=True, eq=False):
     swing_places: tuple[Ints, Array]
 
     @classmethod
-    def of(cls, program: Program, setting: RobotInCell, source: ForceSource | None) -> MotionsUnderLoad:
+    def of(cls, program: Program, robot_in_cell: RobotInCell, source: ForceSource | None) -> MotionsUnderLoad:
         """Assign forces to the motions of a program.
 
         :param source: forces that take precedence over the comments of the program.
         :raises ImpossiblePathError: the path is out of reach or implausibly long.
         :raises ForceError: the forces do not match the motions.
         """
-        check_ends(program, setting.robot)
-        segments = toolpath.segments(program, setting.start_flange)
-        check_between(program, setting.robot, segments)
-        along = forces.assign(program, segments, source, setting.spindle, setting.ramp)
-        compliance = setting.tip_compliance(program.tools[0])
-        swing_places = forces.swing_places(along, compliance, SHARE_OF_TOLERANCE * setting.tolerance)
+        check_ends(program, robot_in_cell.robot)
+        segments = toolpath.segments(program, robot_in_cell.start_flange)
+        check_between(program, robot_in_cell.robot, segments)
+        along = forces.assign(program, segments, source, robot_in_cell.spindle, robot_in_cell.ramp)
+        compliance = robot_in_cell.tip_compliance(program.tools[0])
+        swing_places = forces.swing_places(along, compliance, SHARE_OF_TOLERANCE * robot_in_cell.tolerance)
         return cls(
-            program, setting, segments, along, compliance, forces.displacement_estimate(along, compliance), swing_places
+            program,
+            robot_in_cell,
+            segments,
+            along,
+            compliance,
+            forces.displacement_estimate(along, compliance),
+            swing_places,
         )
 
     def pieces(self, *, linearize_arcs: bool) -> Pieces:
@@ -322,7 +328,7 @@ class MotionsUnderLoad(Struct, frozen=True, eq=False):
 
         :param linearize_arcs: replace arcs by chords.
         """
-        tolerance = self.setting.tolerance
+        tolerance = self.robot_in_cell.tolerance
         arcs = toolpath.pieces(self.program, self.segments, tolerance, self.estimate, linearize_arcs=linearize_arcs)
         return forces.refined_arcs(self.forces, arcs, self.estimate, self.compliance, SHARE_OF_TOLERANCE * tolerance)
 
@@ -351,12 +357,12 @@ class PathUnderLoad(Struct, frozen=True, eq=False):
         :param also: places of straight motions that are needed: motion (n,), t (n,); default: `motions.swing_places`.
         :raises ImpossiblePathError: a sample is out of reach.
         """
-        program, setting = motions.program, motions.setting
+        program, robot_in_cell = motions.program, motions.robot_in_cell
         also = motions.swing_places if also is None else also
-        motion, t = toolpath.places(program, motions.segments, setting.tolerance, motions.estimate, arcs, also)
+        motion, t = toolpath.places(program, motions.segments, robot_in_cell.tolerance, motions.estimate, arcs, also)
         sample = toolpath.at(program, motions.segments, motion, t)
         try:
-            joints = setting.follow(program, motion, t, sample.pose)
+            joints = robot_in_cell.follow(program, motion, t, sample.pose)
         except UnreachableError as cause:
             raise ImpossiblePathError(unreachable(program, motion[list(cause.rows)])) from None
         return read_only(cls(motions, arcs, sample, motions.forces.at(sample), joints))
@@ -393,13 +399,13 @@ class PathUnderLoad(Struct, frozen=True, eq=False):
         :raises NotConvergedError: no loaded equilibrium: the load is too large for the springs.
         """
         motion = self.sample.motion[rows]
-        tip, share = self.setting.tip_and_share(q, self.tool(rows), wrench_in_root, guess)
-        if self.setting.tool_spring is not None:
+        tip, share = self.robot_in_cell.tip_and_share(q, self.tool(rows), wrench_in_root, guess)
+        if self.robot_in_cell.tool_spring is not None:
             rotation = toolpath.base_of(self.program, motion)[..., :3, :3]
             share = np.asarray(np.einsum("...i,...ij->...j", share, rotation))
         return toolpath.points_in_base(self.program, motion, tip, self.sample.t[rows]), share
 
     @property
-    def setting(self) -> RobotInCell:
+    def robot_in_cell(self) -> RobotInCell:
         """The robot in its cell."""
-        return self.motions.setting
+        return self.motions.robot_in_cell

@@ -7,6 +7,8 @@ from typing import Any
 
 import click
 
+from postproc.cli import options
+
 _PATH = click.Path(path_type=Path)
 
 
@@ -26,7 +28,7 @@ _PATH = click.Path(path_type=Path)
 )
 @click.option("-o", "--output", type=_PATH, help="Folder to write into; default: corrected/ in the folder of NOMINAL.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
-@click.option("--overwrite", is_flag=True, help="Replace files that postproc did not write, or not as they are.")
+@options.overwrite
 @click.pass_context
 def compare(ctx: click.Context, /, as_json: bool, **request: Any) -> None:
     """Compare CORRECTED with NOMINAL, target by target.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from postproc.cli.completion import complete_files
+from postproc.cli.options import complete_files, overwrite
 from postproc.cli.outcomes import work
 
 if TYPE_CHECKING:
@@ -39,9 +39,7 @@ def _finite(_ctx: click.Context, _param: click.Parameter, value: float | None) -
 def shared_options(command: _Command) -> _Command:
     """Add the options that convert and predict share."""
     for option in (
-        click.option(
-            "--overwrite", is_flag=True, help="Replace files that postproc did not write, or not as they are."
-        ),
+        overwrite,
         click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON."),
         click.option(
             "--dialect",

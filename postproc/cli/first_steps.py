@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from postproc.cli.completion import complete_robots
+from postproc.cli.options import complete_robots
 
 if TYPE_CHECKING:
     from postproc.hosts.robodk_station import Station

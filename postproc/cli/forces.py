@@ -10,6 +10,8 @@ from typing import Any
 
 import click
 
+from postproc.cli import options
+
 _PATH = click.Path(path_type=Path)
 
 
@@ -23,7 +25,7 @@ _PATH = click.Path(path_type=Path)
 @click.option("--dialect", help="Format of the input; default: by the extension.")
 @click.option("--materials", is_flag=True, help="Only list the included materials.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
-@click.option("--overwrite", is_flag=True, help="Replace files that postproc did not write, or not as they are.")
+@options.overwrite
 @click.option("-o", "--output", type=_PATH, help="CSV file to write; a .json of that name is written next to it.")
 def forces(as_json: bool, materials: bool, **request: Any) -> None:
     """Compute the cutting forces of PROGRAM from its process.

@@ -7,15 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from postproc.cli.completion import several_programs
+from postproc.cli import options
 
 if TYPE_CHECKING:
     from postproc.identification import IdentifiedFolder
 
 _FILE = click.Path(path_type=Path)
-_overwrite = click.option(
-    "--overwrite", is_flag=True, help="Replace files that postproc did not write, or not as they are."
-)
 
 
 @click.group()
@@ -35,7 +32,7 @@ def identify() -> None:
 @identify.command()
 @click.argument("markers", type=_FILE)
 @click.option("-o", "--output", type=_FILE, required=True, help="TOML file to write.")
-@_overwrite
+@options.overwrite
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def compensator(markers: Path, output: Path, overwrite: bool, as_json: bool) -> None:
     """Geometry of the gravity compensator: L, a_x, a_y.
@@ -86,7 +83,7 @@ def compensator(markers: Path, output: Path, overwrite: bool, as_json: bool) -> 
 )
 @click.option("--geometry", is_flag=True, help="Calibrate the geometry too, from the readings without load.")
 @click.option("-o", "--output", type=_FILE, required=True, metavar="MODEL_DIR", help="Model folder to write.")
-@_overwrite
+@options.overwrite
 @click.option("--json", "as_json", is_flag=True, help="Print identification.json.")
 def elastostatics(as_json: bool, **request: Any) -> None:
     """Compliances of joints, compensator, links and gears.
@@ -112,7 +109,7 @@ def elastostatics(as_json: bool, **request: Any) -> None:
 @click.option("--experiment", type=_FILE, required=True, help="TOML file: robot, sigma_mm, load point, points.")
 @click.option("--model", type=_FILE, help="Model folder whose springs predict the sag; default: the robot shipped.")
 @click.option("-o", "--output", type=_FILE, required=True, metavar="MODEL_DIR", help="Model folder to write.")
-@_overwrite
+@options.overwrite
 @click.option("--json", "as_json", is_flag=True, help="Print identification.json.")
 def geometry(output: Path, as_json: bool, **request: Any) -> None:
     """Geometry from readings without load.
@@ -136,7 +133,7 @@ def geometry(output: Path, as_json: bool, **request: Any) -> None:
 @click.argument("measurements", type=_FILE)
 @click.option("--experiment", type=_FILE, help="TOML file of tracker readings: robot, sigma_mm, points.")
 @click.option("--cell", type=_FILE, help="Cell file of a job: its share that the readings cover is stated.")
-@several_programs("Programs of the job: files, folders, patterns.")
+@options.several_programs("Programs of the job: files, folders, patterns.")
 @click.option("--forces", type=_FILE, help="Cutting forces of the job: a file, or a folder with NAME.csv … for each.")
 @click.option("--process", type=_FILE, help="Material, tools and stock, from which the forces are computed.")
 @click.pass_context
@@ -228,17 +225,10 @@ def _holds_for_part(model: Path, probed: Path, cell: Path, process: Path, progra
 @click.option("--process", type=_FILE, required=True, help="Process of the part: testpart.process.toml.")
 @click.option("--program", type=_FILE, required=True, help="The program that was cut: testpart.nc.")
 @click.option("--tool", type=int, help="Number of its tool; default: the only one.")
-@click.option(
-    "--sigma",
-    "sigma_mm",
-    type=click.FloatRange(1e-4, 1),
-    default=0.005,
-    show_default=True,
-    help="Noise of the probe, mm.",
-)
+@options.probe_sigma
 @click.option("--compare", is_flag=True, help="Check the model of the cell only; write nothing.")
 @click.option("-o", "--output", type=_FILE, metavar="MODEL_DIR", help="Model folder to write.")
-@_overwrite
+@options.overwrite
 @click.option("--json", "as_json", is_flag=True, help="Print identification.json.")
 @click.pass_context
 def part(
@@ -308,7 +298,7 @@ def _say(message: str) -> None:
 @click.option("--tool", type=int, help="Number of that tool; default: the only one.")
 @click.option("--propose", is_flag=True, help="Write test cuts (G-code) and the CSV file to fill in, nothing else.")
 @click.option("-o", "--output", type=_FILE, required=True, help="TOML file to write; with --propose the program.")
-@_overwrite
+@options.overwrite
 def forces(
     measured: Path | None, process: Path, tool: int | None, propose: bool, output: Path, overwrite: bool
 ) -> None:

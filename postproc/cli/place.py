@@ -10,6 +10,8 @@ from typing import Any
 
 import click
 
+from postproc.cli import options
+
 _PATH = click.Path(path_type=Path)
 
 
@@ -28,7 +30,7 @@ _PATH = click.Path(path_type=Path)
     help="Between bodies of [collision]; default: clearance_mm of the cell.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
-@click.option("--overwrite", is_flag=True, help="Replace files that postproc did not write, or not as they are.")
+@options.overwrite
 @click.option("-o", "--output", type=_PATH, default=Path(), help="Folder to write into.")
 def place(as_json: bool, **request: Any) -> None:
     """Find where the part should be.

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from postproc.cli.completion import several_programs
+from postproc.cli import options
 
 if TYPE_CHECKING:
     from postproc.plan.planning import Progress
@@ -51,7 +51,7 @@ def plan() -> None:
 @click.option("--repeats", type=click.IntRange(1, 100), default=3, show_default=True, help="Readings of each marker.")
 @click.option("--margin", type=click.FloatRange(0, 60), default=5.0, show_default=True, help="To limits of A2, in deg.")
 @click.option("--json", "as_json", is_flag=True, help="Print the plan as JSON.")
-@click.option("--overwrite", is_flag=True, help="Replace files that postproc did not write, or not as they are.")
+@options.overwrite
 @click.option("-o", "--output", type=_PATH, required=True, help="CSV file to write; .json next to it.")
 def compensator(as_json: bool, **request: Any) -> None:
     """Choose angles of A2 and places of the compensator's markers.
@@ -82,7 +82,7 @@ def compensator(as_json: bool, **request: Any) -> None:
 @plan.command()
 @click.option("--experiment", type=_PATH, required=True, help="How it is measured: experiment.toml with [rig].")
 @click.option("--cell", type=_PATH, required=True, help="Cell file of the programs.")
-@several_programs("What will be milled: files, folders, patterns.")
+@options.several_programs("What will be milled: files, folders, patterns.")
 @click.option(
     "--forces",
     type=_PATH,
@@ -106,7 +106,7 @@ def compensator(as_json: bool, **request: Any) -> None:
 @click.option("--margin", type=click.FloatRange(0, 60), default=5.0, show_default=True, help="To joint limits, in deg.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed gives the same plan.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
-@click.option("--overwrite", is_flag=True, help="Replace files that postproc did not write, or not as they are.")
+@options.overwrite
 @click.option(
     "-o", "--output", type=_PATH, required=True, help="CSV file to write; .src, .html and .json are written next to it."
 )

@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 from click.shell_completion import CompletionItem
 
-from postproc.cli.completion import complete_robots
+from postproc.cli.options import complete_robots
 
 _PATH = click.Path(path_type=Path)
 

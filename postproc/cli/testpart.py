@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from postproc.cli.completion import several_programs
+from postproc.cli import options
 
 _PATH = click.Path(path_type=Path)
 
@@ -16,7 +16,7 @@ _PATH = click.Path(path_type=Path)
 @click.option("--cell", type=_PATH, required=True, help="Cell file; its robot is the prior.")
 @click.option("--process", type=_PATH, required=True, help="process.toml: material and a flat end mill.")
 @click.option("--block", help='Block in $BASE, mm: "X=0:300,Y=0:200,Z=-40:0"; default: [stock] box of the process.')
-@several_programs("What will be milled: the part is chosen for it.")
+@options.several_programs("What will be milled: the part is chosen for it.")
 @click.option("--forces", type=_PATH, help="Forces of these programs: a CSV, process.toml, or a folder.")
 @click.option(
     "--features", "count", type=click.IntRange(2, 60), default=12, show_default=True, help="Features at most."
@@ -26,16 +26,9 @@ _PATH = click.Path(path_type=Path)
 )
 @click.option("--feed", "feed_mm_per_min", type=click.FloatRange(1, 50_000), help="Feed of full cuts, mm/min.")
 @click.option("--tool", type=int, help="Number of the tool; default: the only one.")
-@click.option(
-    "--sigma",
-    "sigma_mm",
-    type=click.FloatRange(1e-4, 1),
-    default=0.005,
-    show_default=True,
-    help="Noise of the probe, mm.",
-)
+@options.probe_sigma
 @click.option("-o", "--output", type=_PATH, required=True, metavar="DIR", help="Folder to write.")
-@click.option("--overwrite", is_flag=True, help="Replace files that postproc did not write, or not as they are.")
+@options.overwrite
 @click.option("--json", "as_json", is_flag=True, help="Print testpart.json.")
 def testpart(as_json: bool, programs: tuple[str, ...], more: tuple[str, ...], **request: Any) -> None:
     """Make a part to mill and probe: it identifies the robot.

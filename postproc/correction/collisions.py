@@ -45,8 +45,8 @@ def of_path(path: PathUnderLoad, commanded: Array) -> tuple[SmallestClearance | 
     :returns: None if the cell has no [collision].
     :raises CellError: a body cannot be read.
     """
-    setting = path.setting
-    table = setting.cell.collision
+    robot_in_cell = path.robot_in_cell
+    table = robot_in_cell.cell.collision
     if table is None:
         return None, []
     program, need = path.program, table.clearance_mm * M_PER_MM
@@ -54,8 +54,8 @@ def of_path(path: PathUnderLoad, commanded: Array) -> tuple[SmallestClearance | 
     smallest: SmallestClearance | None = None
     worst: dict[tuple[str, str], tuple[float, int, set[int]]] = {}
     for rows, tool in _runs(program.motions.tool[path.sample.motion]):
-        scene = collision.Scene.of(setting.robot, setting.cell, program.tools[tool])
-        before = setting.cell.start_joints if rows.start == 0 else path.joints.q[rows.start - 1]
+        scene = collision.Scene.of(robot_in_cell.robot, robot_in_cell.cell, program.tools[tool])
+        before = robot_in_cell.cell.start_joints if rows.start == 0 else path.joints.q[rows.start - 1]
         q = np.concatenate([before[None], path.joints.q[rows]])
         other = np.concatenate([before[None], commanded[rows]])
         found = collision.along(scene, q, need, _shift(path, rows), None if np.array_equal(q, other) else other)

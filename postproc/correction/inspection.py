@@ -37,7 +37,7 @@ def slowed(path: PathUnderLoad, q: Array, position: Array) -> tuple[MotionsUnder
 
     :param q: (N, 6) commanded joint angles of the samples [rad], `position` (N, 3) commanded positions [m].
     """
-    program, robot = path.program, path.setting.robot
+    program, robot = path.program, path.robot_in_cell.robot
     m = program.motions
     if program.keeps_text or not (m.rapid & (m.kind == LIN)).any():
         return None
@@ -82,7 +82,7 @@ def commanded_speed(path: PathUnderLoad, q: Array, position: Array) -> Array:
     speed = checks.joint_speed(path.program, path.sample, segments.turn, q, position)
     travel = segments.length[0] * path.sample.t[0]
     if m.kind[0] != PTP and np.isnan(m.joints[0, 0]) and travel > 1e-6 and m.feed[0] > 0.0:
-        speed[0] = np.abs(q[0] - path.setting.cell.start_joints) * m.feed[0] / travel
+        speed[0] = np.abs(q[0] - path.robot_in_cell.cell.start_joints) * m.feed[0] / travel
     return speed
 
 
@@ -135,11 +135,11 @@ def stretches_to_examine(path: PathUnderLoad, q: Array, speed: Array) -> tuple[S
     :param q: (N, 6) commanded joint angles [rad].
     :param speed: (N, 6) joint speeds on the way to each [rad/s].
     """
-    robot, form = path.setting.robot, kinematics.closed_form(path.setting.robot)
+    robot, form = path.robot_in_cell.robot, kinematics.closed_form(path.robot_in_cell.robot)
     # at the start and at each sample (9, N + 1): A1…A6 to their nearer limits [rad]; A5 [rad]; distance of the wrist
     # centre ahead of A1 [m]; A3 measured from the stretched arm [rad]
     state = np.empty((9, len(q) + 1))
-    state[:6, 0], state[:6, 1:] = path.setting.cell.start_joints, q.T
+    state[:6, 0], state[:6, 1:] = path.robot_in_cell.cell.start_joints, q.T
     state[_WRIST], state[_SHOULDER], state[_ELBOW] = state[4], form.reach(state.T), form.elbow(state.T)
     step, room = np.abs(np.diff(state, axis=1)), np.abs(state)
     room[:6] = np.minimum(state[:6] - robot.lower[:, None], robot.upper[:, None] - state[:6])
@@ -201,7 +201,7 @@ def between_samples(
     :param q: (N, 6) commanded joint angles of the samples [rad], `position` (N, 3) commanded positions [m].
     :param apart: motions of whose stretches not all follow each other.
     """
-    program, robot = path.program, path.setting.robot
+    program, robot = path.program, path.robot_in_cell.robot
     try:
         for close, exact, commanded in dense_places(path, q, position, stretches):
             yield from checks.joint_limits(program, robot, close, exact)
@@ -221,7 +221,7 @@ def dense_places(
         correction of both is taken for linear between samples.
     :raises ImpossiblePathError: a place is out of reach.
     """
-    program, robot, sample, joints = path.program, path.setting.robot, path.sample, path.joints
+    program, robot, sample, joints = path.program, path.robot_in_cell.robot, path.sample, path.joints
     if len(stretches.motion) == 0:
         return
     last = np.flatnonzero(sample.ends)
@@ -298,7 +298,7 @@ def of_path(path: PathUnderLoad, command: Compensation) -> list[Issue]:
 
     :param command: commands of the samples, in `$BASE`.
     """
-    program, robot, sample, cell = path.program, path.setting.robot, path.sample, path.setting.cell
+    program, robot, sample, cell = path.program, path.robot_in_cell.robot, path.sample, path.robot_in_cell.cell
     q, position, start = command.q, command.pose[:, :3, 3], cell.start_joints
     speed = commanded_speed(path, q, position)
     arcs, lines = stretches_to_examine(path, q, speed)

@@ -44,7 +44,7 @@ _NO_BALANCE = "no loaded equilibrium: the pose is singular or the load too large
 
 def as_programmed(path: PathUnderLoad) -> Compensation:
     """Return the uncorrected commands of the program; poses in `$BASE`."""
-    return Compensation(path.joints.q, path.sample.pose, np.zeros((len(path), path.setting.robot.actual.nv)))
+    return Compensation(path.joints.q, path.sample.pose, np.zeros((len(path), path.robot_in_cell.robot.actual.nv)))
 
 
 def corrected(path: PathUnderLoad) -> Compensation:
@@ -56,7 +56,7 @@ def corrected(path: PathUnderLoad) -> Compensation:
 
     def in_chunk(row: Ints) -> tuple[Array, Array, Array]:
         pose, q, tool = path.pose_in_root(row), path.joints.q.take(row, axis=0), path.tool(row)
-        found = path.setting.compensate(pose, q, tool, path.wrench_in_root(row))
+        found = path.robot_in_cell.compensate(pose, q, tool, path.wrench_in_root(row))
         motion, t = path.sample.motion[row], path.sample.t[row]
         return found.q, toolpath.pose_in_base(path.program, motion, found.pose, t), found.theta
 
@@ -83,7 +83,7 @@ def uncorrected(path: PathUnderLoad, rows: Ints, theta: Array) -> tuple[Array, .
         q, wrench = path.joints.q.take(row, axis=0), path.wrench_in_root(row)
         tip, by_tool = path.tip_in_base(row, q, wrench, theta.take(row, axis=0))
         deviation = tip - path.sample.pose[row, :3, 3]
-        if path.setting.rest_is_nominal:
+        if path.robot_in_cell.rest_is_nominal:
             return deviation, deviation, by_tool
         rest, _ = path.tip_in_base(row, q, np.zeros_like(wrench), theta[row])
         return deviation, tip - rest, by_tool
@@ -183,7 +183,7 @@ class Draft(Struct, frozen=True, eq=False):
         :raises ProgramError: it cannot be written.
         """
         path, chosen, text = self.path, self.chosen, self._text(task)
-        draft = replace(self, issues=(*self.issues, *text.issues, *_too_large(text, path.setting.cell)))
+        draft = replace(self, issues=(*self.issues, *text.issues, *_too_large(text, path.robot_in_cell.cell)))
         if draft.failed:
             return draft
         try:
@@ -203,7 +203,7 @@ class Draft(Struct, frozen=True, eq=False):
         path, q = self.path, self.q.take(self.chosen.row, axis=0)
         comments = self.forces_at_targets() if path.program.notes and not task.in_file else None
         joints = TargetJoints(q, kinematics.status_of(task.robot, q))
-        return task.writer.write(path.program, self.chosen.targets, joints, path.setting.cell, comments)
+        return task.writer.write(path.program, self.chosen.targets, joints, path.robot_in_cell.cell, comments)
 
 
 def _too_large(text: Written, cell: Cell) -> tuple[Issue, ...]:
@@ -233,7 +233,7 @@ def result_of(task: Task, draft: Draft) -> Result:
     result = Result(
         program=program,
         robot=task.robot,
-        axis=path.setting.spindle,
+        axis=path.robot_in_cell.spindle,
         mode=task.mode,
         issues=group_issues([*draft.issues, *more]),
         motion=targets.motion,
@@ -243,7 +243,7 @@ def result_of(task: Task, draft: Draft) -> Result:
         printed=_numbers(task, draft),
         wrench=_at(path.wrench, row),
         deflection=deflection,
-        deflection_by_tool=None if path.setting.tool_spring is None else by_tool,
+        deflection_by_tool=None if path.robot_in_cell.tool_spring is None else by_tool,
         deviation_before=deviation,
         deviation_after=deviation,
         bound=bound,
@@ -258,7 +258,7 @@ def result_of(task: Task, draft: Draft) -> Result:
         causes=_causes(path),
         exact_forces=path.motions.forces.spread is None,
         turn=task.turn,
-        redundancy_deg=None if program.keeps_text else path.setting.cell.gcode.redundancy_deg,
+        redundancy_deg=None if program.keeps_text else path.robot_in_cell.cell.gcode.redundancy_deg,
         largest_correction=float(norm(targets.pose[:, :3, 3] - path.sample.pose[row, :3, 3]).max(initial=0.0)),
     )
     if (written := draft.simulated) is None:
@@ -282,13 +282,13 @@ def _at(samples: Array, row: Ints) -> Array:
 
 def _causes(path: PathUnderLoad) -> tuple[str, ...]:
     """Return the causes of deviation from nominal, in words."""
-    setting = path.setting
-    robot = setting.robot
+    robot_in_cell = path.robot_in_cell
+    robot = robot_in_cell.robot
     return tuple(
         cause
         for cause, acts in (
             ("the cutting forces", bool(path.wrench.any())),
-            ("the payload", setting.cell.payload.mass_kg > 0.0),
+            ("the payload", robot_in_cell.cell.payload.mass_kg > 0.0),
             ("the calibrated geometry", not robot.geometry_is_nominal),
             ("the weight of the arm", robot.has_weight and not robot.subtract_reference),
         )
@@ -311,7 +311,7 @@ def _numbers(task: Task, draft: Draft) -> Array:
 def _reversals(draft: Draft) -> Reversals:
     """Return where joints change the direction of their torque on cutting moves; rows are those of the targets."""
     path, row = draft.path, draft.chosen.row
-    found = elastostatics.reversals(path.setting.robot, draft.q[row], path.tool(row), path.wrench_in_root(row))
+    found = elastostatics.reversals(path.robot_in_cell.robot, draft.q[row], path.tool(row), path.wrench_in_root(row))
     cuts = ~path.program.motions.rapid[draft.chosen.targets.motion[found.row]]
     return Reversals(found.row[cuts], found.before[cuts], found.joint[cuts], found.step[cuts])
 
@@ -323,7 +323,7 @@ def _bound(draft: Draft, corrected: Array, turned: Reversals) -> tuple[Array | N
     :param turned: torque reversals: at the targets next to one, gears may be on either flank.
     """
     path, row = draft.path, draft.chosen.row
-    robot = path.setting.robot
+    robot = path.robot_in_cell.robot
     spread = path.motions.forces.spread_at(path.sample.take(row))
     if spread is not None and robot.covariance is None:
         return None, None, [Issue("info", "no-bound", _NO_BOUND)]
@@ -332,7 +332,7 @@ def _bound(draft: Draft, corrected: Array, turned: Reversals) -> tuple[Array | N
         halves = toolpath.columns_in_root(path.program, path.sample.motion[row], spread)
         in_root = np.zeros((len(row), 6, 6))
         in_root[:, :3, :3], in_root[:, 3:, 3:] = halves[:, 0], halves[:, 1]
-    spring = path.setting.tool_spring
+    spring = path.robot_in_cell.tool_spring
     in_series = None if spring is None else spring.matrices(path.pose_in_root(row)[:, :3, :3])
     q, wrench, tool = draft.q[row], path.wrench_in_root(row), path.tool(row)
     issues = list(checks.beyond_measured(path.program, robot, draft.chosen.targets.motion, q, tool, wrench))
@@ -438,9 +438,9 @@ def process(
         initial_issues=(*inspection.of_origin(program, mode), *inspection.of_tools(program, cell)),
     )
     wrong = [issue for issue in task.initial_issues if issue.level == "error"]
-    setting = RobotInCell.of(robot, cell)
+    robot_in_cell = RobotInCell.of(robot, cell)
     if not wrong and cell.gcode.redundancy != "constant" and not program.keeps_text:
-        turn, issues = placement.chosen(program, setting, source, cell.gcode.redundancy)
+        turn, issues = placement.chosen(program, robot_in_cell, source, cell.gcode.redundancy)
         task, wrong = (
             replace(task, turn=turn, initial_issues=(*task.initial_issues, *issues)),
             [each for each in issues if turn is None],
@@ -449,7 +449,7 @@ def process(
             program = placement.turned(program, cell.tool.axis, turn.of_motion)
     if not wrong:
         try:
-            task, draft = _settled(task, MotionsUnderLoad.of(program, setting, source))
+            task, draft = _settled(task, MotionsUnderLoad.of(program, robot_in_cell, source))
             smallest, collided = collisions.of_path(draft.path, draft.q)
             draft = replace(draft, issues=(*draft.issues, *collided))
             done = result_of(task, _as_read(task, draft) if mode == "predict" else draft)
@@ -505,7 +505,7 @@ def _closer(
     """Return finer pieces of arcs and more places on straight motions where the path left the tolerance."""
     motion, t, distance = missed
     on_arc = (path.program.motions.kind[motion] == CIRC) & (not task.linearize_arcs)
-    parts = np.sqrt(distance[on_arc] / (SHARE_OF_TOLERANCE * path.setting.tolerance))
+    parts = np.sqrt(distance[on_arc] / (SHARE_OF_TOLERANCE * path.robot_in_cell.tolerance))
     parts = np.clip(np.ceil(parts), 2, _MOST_PARTS).astype(np.int64)
     pieces = path.arcs.finer(motion[on_arc], t[on_arc], parts)
     return pieces, (np.append(also[0], motion[~on_arc]), np.append(also[1], t[~on_arc]))

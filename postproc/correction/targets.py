@@ -51,12 +51,12 @@ class CommandedPath(Struct, frozen=True, eq=False):
         """Return the path of commands, in `$BASE`."""
         ends = np.flatnonzero(path.sample.ends)
         starts = toolpath.starts(
-            path.program, lambda motion: command.pose.take(ends[motion], axis=0), path.setting.start_flange
+            path.program, lambda motion: command.pose.take(ends[motion], axis=0), path.robot_in_cell.start_flange
         )
         position = command.pose[:, :3, 3]
         start = np.roll(position[ends], 1, axis=0)
         start[starts.changed] = starts.pose[:, :3, 3]
-        return cls(path.sample, path.arcs, position, start, SHARE_OF_TOLERANCE * path.setting.tolerance)
+        return cls(path.sample, path.arcs, position, start, SHARE_OF_TOLERANCE * path.robot_in_cell.tolerance)
 
 
 def choose(
@@ -314,7 +314,7 @@ def choose_targets(
     whole, kept = _unchanged(path, command)
     commanded = CommandedPath.of(path, command)
     kind = np.where(m.kind == CIRC, LIN, m.kind) if linearize_arcs else m.kind
-    every = ~whole & (toolpath.swivel_pieces(program, path.motions.segments, path.setting.tolerance) > 1)
+    every = ~whole & (toolpath.swivel_pieces(program, path.motions.segments, path.robot_in_cell.tolerance) > 1)
     selected = choose(commanded, kind, whole, every, least_arc)
     movable = np.isnan(m.joints[sample.motion[selected[0]], 0])
     row, target_kind, via_row = (each[movable] for each in selected)
@@ -323,13 +323,13 @@ def choose_targets(
     if arcs.any():
         via = via.copy()
         via[arcs] = commanded.position[via_row[arcs]]
-    status, turn = _status_and_turn(program, path.setting.robot, motion, command.q.take(row, axis=0))
+    status, turn = _status_and_turn(program, path.robot_in_cell.robot, motion, command.q.take(row, axis=0))
     keep = kept[motion] & (sample.t[row] == 1.0)
     targets = Targets(
         motion, sample.t[row], target_kind, command.pose.take(row, axis=0), via, keep, status, turn, m.blend[motion]
     )
     corners, arrive = corners_of_targets(program, targets, commanded.start)
-    blend = approximation_distances(program, targets, corners, path.setting.cell)
+    blend = approximation_distances(program, targets, corners, path.robot_in_cell.cell)
     programmed = programmed_rounding(program, path.motions.segments, motion)
     return Chosen(replace(targets, blend=blend), row, arrive, programmed)
 

@@ -59,11 +59,11 @@ def read_back(path: PathUnderLoad, chosen: Chosen, text: Written) -> ReadBack:
 
     :raises UnusableTextError: it cannot be read, or says something else.
     """
-    setting, targets = path.setting, chosen.targets
+    robot_in_cell, targets = path.robot_in_cell, chosen.targets
     try:
         reader = registry.by_name(text.dialect)
-        written = reader.read(text.documents, setting.cell, setting.forward, path.program.name)
-        written = led_by_wrist(written, setting)
+        written = reader.read(text.documents, robot_in_cell.cell, robot_in_cell.forward, path.program.name)
+        written = led_by_wrist(written, robot_in_cell)
     except ProgramError as cause:
         message = (
             f"the written program cannot be read back ({cause.problem}: {cause.text or ''!r}). If this is a line of "
@@ -80,7 +80,7 @@ def read_back(path: PathUnderLoad, chosen: Chosen, text: Written) -> ReadBack:
     written = replace(written, documents=(), layout=None)
     if text.size > LARGE_TEXT:
         gc.collect()
-    return ReadBack(text, written, toolpath.segments(written, setting.start_flange), row, numbers)
+    return ReadBack(text, written, toolpath.segments(written, robot_in_cell.start_flange), row, numbers)
 
 
 def _carried_elsewhere(program: Program, targets: Targets, written: Program, row: Ints) -> Bools:
@@ -216,12 +216,12 @@ def simulate(path: PathUnderLoad, chosen: Chosen, theta: Array, back: ReadBack, 
     too_fast = tuple(_joint_speeds(path, chosen, back, probes.target, q, position))
     del q, position
     distance, inside, targets = norm(off), probes.inside, chosen.targets
-    written, m, tolerance = back.program.motions, path.program.motions, path.setting.tolerance
+    written, m, tolerance = back.program.motions, path.program.motions, path.robot_in_cell.tolerance
     rounding = corners_of_motions(back.program, back.segments, back.row).rounding(written.blend[back.row])
     begin, end = targets.begin[probes.target], targets.t[probes.target]
     step = path.motions.forces.behind_step(probes.motion, end) & inside
     # at the start, and at an axis target, no correction was possible
-    uncorrected = np.append(True, np.isfinite(m.joints[:-1, 0])) & (not path.setting.rest_is_nominal)
+    uncorrected = np.append(True, np.isfinite(m.joints[:-1, 0])) & (not path.robot_in_cell.rest_is_nominal)
     settled = ~(uncorrected[probes.motion] & inside) & ~step
     jump = (path.motions.segments.length[probes.motion] * (end - begin) < _AT_ONCE) & inside
     issues: list[Issue] = []
@@ -249,7 +249,7 @@ def _deviation(
 
     :raises UnusableTextError: a commanded pose is out of reach, or there is no equilibrium.
     """
-    setting, written = path.setting, back.program
+    robot_in_cell, written = path.robot_in_cell, back.program
     sample, inside = chosen.row[probes.target], np.flatnonzero(probes.inside)  # the sample there, or the next one
     sample[inside] = np.searchsorted(
         path.sample.motion + path.sample.t, probes.motion[inside] + probes.t[inside] - _HERE
@@ -260,10 +260,10 @@ def _deviation(
         wrench = toolpath.wrench_in_root(written, on, path.motions.forces.at(nominal))
         pose = toolpath.at(written, back.segments, on, share).pose
         flange = toolpath.flange_from_tcp(written, on, pose, share)
-        q = kinematics.on_branch(setting.robot, flange, path.joints.branch[sample])
+        q = kinematics.on_branch(robot_in_cell.robot, flange, path.joints.branch[sample])
         if np.isnan(q).any():
             raise NotConvergedError("a commanded pose is out of reach", np.flatnonzero(np.isnan(q).any(axis=1)))
-        tip = setting.tip(q, toolpath.tool_of(written, on), wrench, theta[sample])
+        tip = robot_in_cell.tip(q, toolpath.tool_of(written, on), wrench, theta[sample])
         return toolpath.points_in_base(written, on, tip, share) - nominal.pose[:, :3, 3], q, pose[:, :3, 3]
 
     try:
@@ -288,7 +288,7 @@ def _probes(path: PathUnderLoad, chosen: Chosen, back: ReadBack) -> _Probes:
     curved = np.flatnonzero((path.program.motions.kind[targets.motion] == CIRC) | (m.kind[back.row] == CIRC))
     uneven = np.zeros(len(targets))
     uneven[curved] = _unevenness(path, chosen, back, curved, correction[curved])
-    steep = (changed > _STEEP) | (uneven > _UNEVEN * path.setting.tolerance)
+    steep = (changed > _STEEP) | (uneven > _UNEVEN * path.robot_in_cell.tolerance)
     length, turn = back.segments.travel[back.row], back.segments.turn[back.row]
     number = np.ones(len(targets), dtype=np.int64)
     number[curved] = 2
@@ -328,7 +328,7 @@ def _left(
     :param step: (n,) just behind the start of a motion whose force begins with a step.
     :param jump: (n,) where the force jumps within a motion, `smooth` (n,) where it does not.
     """
-    wide = ~(distance <= path.setting.tolerance)
+    wide = ~(distance <= path.robot_in_cell.tolerance)
     cases: tuple[tuple[Level, str, Bools, str], ...] = (
         ("warning", "force-step", step & wide, _STEP),
         ("error", "force-jump", jump & wide, _JUMP),
@@ -337,7 +337,7 @@ def _left(
     )
     for level, kind, bad, message in cases:
         if bad.any():
-            left, allowed = np.nanmax(distance[bad]) * MM_PER_M, path.setting.tolerance * MM_PER_M
+            left, allowed = np.nanmax(distance[bad]) * MM_PER_M, path.robot_in_cell.tolerance * MM_PER_M
             message = message.format(left=f"{left:.4f} mm", allowed=f"{allowed:g} mm")
             yield path.program.motions.issue(level, kind, message, probes.motion[bad])
 
@@ -350,7 +350,7 @@ def _joint_speeds(
     :param target: (n,) target at the end of the piece on which each place is.
     :param q: (n, 6) joint angles at places along the written program [rad], in order; `position` (n, 3) there [m].
     """
-    written, robot = back.program, path.setting.robot
+    written, robot = back.program, path.robot_in_cell.robot
 
     def steps(place: Array, next_place: Array, q: Array, next_q: Array) -> tuple[Array, Array]:
         return norm(next_place - place), (np.abs(next_q - q) / robot.speed).max(axis=1, initial=0.0)
@@ -359,7 +359,7 @@ def _joint_speeds(
     feed = np.nan_to_num(written.motions.feed[back.row[target[1:]]])
     if not ((turned * feed > _NEAR * travel) & (travel > _STILL)).any():
         return
-    motions = MotionsUnderLoad.of(written, path.setting, None)
+    motions = MotionsUnderLoad.of(written, path.robot_in_cell, None)
     simulated = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False))
     speed = inspection.commanded_speed(simulated, simulated.joints.q, simulated.sample.pose[:, :3, 3])
     _, lines = inspection.stretches_to_examine(simulated, simulated.joints.q, speed)

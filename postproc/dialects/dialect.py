@@ -6,6 +6,8 @@ from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+from msgspec import Struct
+
 from postproc.cell import Cell
 from postproc.frames import Array
 from postproc.program import Document, Program, TargetForces, TargetJoints, Targets, Written
@@ -102,6 +104,29 @@ class Dialect(Protocol):
         :raises ProgramError: it cannot be interpreted; the message gives file, line, text and advice.
         """
         ...
+
+
+class CamFormat(Struct, frozen=True):
+    """A dialect of CAM systems: a program is one file, and is read only.
+
+    :param reader: reads a document, see `Dialect.read`.
+    :param command_decimals: those of the robot programs written from it.
+    """
+
+    name: str
+    extensions: tuple[str, ...]
+    reader: Callable[[Document, Cell, Callable[[Array], Array], str], Program]
+    command_decimals: tuple[int, ...] = (4, 4, 4, 5, 5, 5)
+    writer: None = None
+
+    def companions(self, path: Path) -> list[Path]:
+        """Return no files."""
+        del path
+        return []
+
+    def read(self, documents: Sequence[Document], cell: Cell, forward: Callable[[Array], Array], name: str) -> Program:
+        """Return a program, see `Dialect.read`."""
+        return self.reader(documents[0], cell, forward, name)
 
 
 @runtime_checkable

@@ -13,6 +13,8 @@ from postproc.toolpath import Segments, Toolpath, at, tangent
 _SPINDLE = {"+Z": (2, 1.0), "-Z": (2, -1.0), "+X": (0, 1.0), "-X": (0, -1.0)}
 _PARALLEL = 1e-3
 """Sine of the angle between travel and spindle below which the travel has no direction across the spindle."""
+TURNS = 1e-6
+"""Rotations of the tool below this [rad] count as none."""
 _ACROSS = 45.0 * RAD_PER_DEG
 _NEAR = 0.01
 """Where an arc is tangent to the spindle, its direction is taken at this distance from there (share of the arc)."""

@@ -12,15 +12,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from postproc.forces.axes import Axes, across
+from postproc.forces.axes import TURNS, Axes, across
 from postproc.forces.path_forces import PathForces
 from postproc.forces.sources import BASE, FEED, TOOL, Knots
 from postproc.frames import Array, any_column, largest, norm
 from postproc.program import CIRC, Ints, TargetForces, Targets
 from postproc.toolpath import at
 
-_TURNS = 1e-6
-"""Rotations of the tool below this [rad] count as none."""
 _APART = 1e-9
 """Positions on a motion that differ by less count as one."""
 _SAME = 1e-6
@@ -135,6 +133,6 @@ def _shortened(knots: Knots) -> Knots:
 def _frame(forces: PathForces, targets: Targets) -> Ints:
     """Return the frame in which the force on each piece (K,) is constant or changes linearly."""
     frame, turn = forces.frame[targets.motion], forces.axes.path.turn[targets.motion]
-    turns = turn > _TURNS
+    turns = turn > TURNS
     turning = (frame == FEED) & ((targets.kind == CIRC) | turns) | (frame == TOOL) & turns
     return np.where(turning, frame, BASE)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from postproc.forces.axes import lines_run_across, runs_across
+from postproc.forces.axes import TURNS, lines_run_across, runs_across
 from postproc.forces.path_forces import BEHIND_STEP, PathForces
 from postproc.forces.sources import FEED
 from postproc.frames import Array, any_column, largest, norm
@@ -101,8 +101,6 @@ def _steps(forces: PathForces) -> Array:
 
 _SHORTEST = 1e-7
 """Length [m] and share of the arc below which no piece is halved: the decimals of a program resolve none shorter."""
-_TURNS = 1e-6
-"""Rotations of the tool below this [rad] count as none."""
 _QUARTERS = (0.0, 0.25, 0.5, 0.75, 1.0)
 
 
@@ -128,7 +126,7 @@ def refined_arcs(
         done.append(left.take(~again))
         left = left.take(again)
         left = left.cut(np.full(len(left.motion), 2))
-    return done[0].joined(*done[1:])
+    return Pieces.joined(done).in_order()
 
 
 def swing_places(forces: PathForces, compliance: tuple[float, float], limit: float) -> tuple[Ints, Array]:
@@ -140,7 +138,7 @@ def swing_places(forces: PathForces, compliance: tuple[float, float], limit: flo
     :param limit: permitted deviation between two places [m].
     """
     program, path = forces.axes.program, forces.axes.path
-    turns = (program.motions.kind == LIN) & (forces.frame == FEED) & (path.turn > _TURNS) & (path.length > 0.0)
+    turns = (program.motions.kind == LIN) & (forces.frame == FEED) & (path.turn > TURNS) & (path.length > 0.0)
     motion = np.flatnonzero(turns)
     motion = motion[~lines_run_across(program, path, motion, forces.axes.spindle)]
     begin, end = np.zeros(len(motion)), np.ones(len(motion))

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from msgspec import Struct
+from msgspec.structs import replace
 
+from postproc.chunks import Columns
 from postproc.errors import ForceError, Issue, PostprocError
 from postproc.frames import Array, any_column
 from postproc.program import FORCE_FRAMES, MOST_FORCE, Bools, Ints, Program

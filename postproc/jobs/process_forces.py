@@ -197,7 +197,7 @@ def predicted(program: Program, robot: RobotModel, cell: Cell, source: ProcessSo
     while not settled and rounds < _ROUNDS:
         rounds += 1
         cut = source.shifted(Shift.of(program, *here, offset))
-        along = forces.assign(program, motions.segments, cut, motions.setting.spindle, motions.setting.ramp)
+        along = forces.assign(program, motions.segments, cut, motions.robot_in_cell.spindle, motions.robot_in_cell.ramp)
         deviation = _deviation(replace(path, wrench=along.at(path.sample)))
         residual, before = deviation - offset, residual
         step = _secant(moved, residual - before, step, weight)
@@ -223,7 +223,7 @@ def predicted(program: Program, robot: RobotModel, cell: Cell, source: ProcessSo
 
 def _deviation(path: PathUnderLoad) -> Array:
     """Return the deviation (N, 3) [m] of the uncorrected tip at the samples of a path, `$BASE`."""
-    theta = np.zeros((len(path), path.setting.robot.actual.nv))
+    theta = np.zeros((len(path), path.robot_in_cell.robot.actual.nv))
     return correction.uncorrected(path, np.arange(len(path)), theta)[0]
 
 

@@ -270,15 +270,15 @@ class _Given(Struct, frozen=True, eq=False):
 
     prior: Prior
     readings: Readings
-    setting: RobotInCell
+    robot_in_cell: RobotInCell
     process: Process
     program: Program
 
     def fit(self, prior: Prior) -> tuple[Fit, tuple[str, ...]]:
         """Fit a model; return the points left out too."""
-        source = ProcessSource(self.process, self.setting.spindle)
-        forces = forces_of(self.program, self.setting, source, self.readings.where)
-        return fit(prior, self.readings, self.setting, forces)
+        source = ProcessSource(self.process, self.robot_in_cell.spindle)
+        forces = forces_of(self.program, self.robot_in_cell, source, self.readings.where)
+        return fit(prior, self.readings, self.robot_in_cell, forces)
 
 
 def _given(request: PartRequest, model: str | None = None) -> _Given:

@@ -180,7 +180,7 @@ def _thinned(sweep: Sweep, steps: StraightSegments, progress: Callable[[int], No
             rest, joined = joined.take(slice(whole, None)), joined.take(slice(None, whole))
             done.append(joined.take(thinned(joined.motion, joined.wrench)))
             open_, waiting = [rest], len(rest.t)
-    joined = Cuts.joined(open_)
+    joined = Cuts.joined([Cuts.none(), *open_])
     return Cuts.joined([*done, joined.take(thinned(joined.motion, joined.wrench))])
 
 

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from msgspec import Struct, field
 
+from postproc.chunks import Columns
 from postproc.frames import Array
 from postproc.machining import cutting
 from postproc.machining.cutting import Engaged, engaged
@@ -42,7 +43,7 @@ _TOUCHED = 2e-5
 """Depth [m] to which a rapid move, or a move with the spindle off, may touch material without a warning."""
 
 
-class Cuts(Struct, frozen=True, eq=False):
+class Cuts(Columns, frozen=True, eq=False):
     """Engagement and loads at N stations of cutting moves, in order. SI.
 
     :param motion: (N,) row of `Motions`.
@@ -72,17 +73,11 @@ class Cuts(Struct, frozen=True, eq=False):
     width: Array
     rate: Array
 
-    def take(self, rows: Ints | slice) -> Cuts:
-        """Return some of the stations."""
-        return Cuts(*(getattr(self, name)[rows] for name in self.__struct_fields__))
-
     @classmethod
-    def joined(cls, parts: list[Cuts]) -> Cuts:
-        """Return the stations of several parts, in order."""
-        if not parts:
-            none = np.zeros(0)
-            return cls(none.astype(np.int64), none, np.zeros((0, 6)), np.zeros((0, 2)), none.astype(bool), *[none] * 7)
-        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in cls.__struct_fields__))
+    def none(cls) -> Cuts:
+        """Return no stations."""
+        none = np.zeros(0)
+        return cls(none.astype(np.int64), none, np.zeros((0, 6)), np.zeros((0, 2)), none.astype(bool), *[none] * 7)
 
 
 class Sweep(Struct, eq=False):
@@ -125,7 +120,7 @@ class Sweep(Struct, eq=False):
                 yield from self._cut(segments, begin, end, number)
                 first = _runs(segments, begin, end)
                 last = np.zeros(len(first), dtype=bool)
-                last[-1] = end == len(near) or not (segments.joined[end] and near[end])
+                last[-1] = end == len(near) or not (segments.continues[end] and near[end])
                 remove(self.stock, cutter, segments.begin[first], segments.end[[*(first[1:] - 1), end - 1]], last)
             else:
                 self._unwanted(segments, begin, end, cutter)
@@ -133,7 +128,7 @@ class Sweep(Struct, eq=False):
     def _unwanted(self, segments: StraightSegments, begin: int, end: int, cutter: Cutter) -> None:
         """Record motions that touch material without cutting it (rapid, or spindle off), and remove that material."""
         whole = np.ones(1, dtype=bool)
-        if begin > 0 and segments.joined[begin]:  # material that the segment before left for this one
+        if begin > 0 and segments.continues[begin]:  # material that the segment before left for this one
             remove(self.stock, cutter, segments.begin[[begin]], segments.begin[[begin]], whole)
         for segment in range(begin, end):
             if depth_of(self.stock, cutter, segments.begin[segment], segments.end[segment]) > _TOUCHED:
@@ -158,7 +153,7 @@ class Sweep(Struct, eq=False):
         down = segments.leave[:, 2] < -1e-6
         same = np.zeros(len(motion), dtype=bool)
         running = np.stack([self.tools.tool[motion], self.tools.rpm[motion], self.tools.hand[motion]], axis=1)
-        same[1:] = segments.joined[1:] & (running[1:] == running[:-1]).all(axis=1)
+        same[1:] = segments.continues[1:] & (running[1:] == running[:-1]).all(axis=1)
         same[1:] &= (near[1:] == near[:-1]) & (segments.cutting[1:] == segments.cutting[:-1])
         same[1:] &= ~near[1:] | (~along[1:] & ~along[:-1] & (down[1:] == down[:-1]) & segments.cutting[1:])
         begin, limit, travelled = 0, 0.0, 0.0

@@ -9,6 +9,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
+from postproc.chunks import Columns
 from postproc.errors import MOST, ForceError, Issue, together
 from postproc.frames import Array, inverse, norm
 from postproc.machining.process import Process
@@ -111,7 +112,7 @@ _TURN = np.radians(8.0)
 _STILL = 1e-9
 
 
-class StraightSegments(Struct, frozen=True, eq=False):
+class StraightSegments(Columns, frozen=True, eq=False):
     """L straight segments in order; [m], frame of the map (z from the tip to the spindle).
 
     :param motion: (L,) row of `Motions`.
@@ -119,7 +120,7 @@ class StraightSegments(Struct, frozen=True, eq=False):
     :param begin: (L, 3) and end: (L, 3) positions of the tip.
     :param leave: (L, 3) and arrive: (L, 3) unit directions of travel there.
     :param cutting: (L,) False for rapid moves.
-    :param joined: (L,) True if the segment begins at the end of the one before, with the same tool.
+    :param continues: (L,) True if the segment begins at the end of the one before, with the same tool.
     """
 
     motion: Ints
@@ -130,13 +131,13 @@ class StraightSegments(Struct, frozen=True, eq=False):
     leave: Array
     arrive: Array
     cutting: Bools
-    joined: Bools
+    continues: Bools
 
     def of(self, motions: Bools) -> StraightSegments:
-        """Return the segments of selected motions (M,); at gaps in the selection `joined` is False."""
+        """Return the segments of selected motions (M,); at gaps in the selection `continues` is False."""
         rows = np.flatnonzero(motions[self.motion])
-        out = StraightSegments(*(getattr(self, name)[rows] for name in self.__struct_fields__))
-        return replace(out, joined=out.joined & (np.diff(rows, prepend=-2) == 1))
+        out = self.take(rows)
+        return replace(out, continues=out.continues & (np.diff(rows, prepend=-2) == 1))
 
 
 class Shift(Struct, frozen=True, eq=False):
@@ -205,10 +206,10 @@ def straight_segments(
     if shift is not None:
         begin, end = begin + shift.at(motion, first), end + shift.at(motion, last)
     begin, end, leave, arrive = _in_map(program, motion, frame, (begin, end), (leave, arrive))
-    joined = np.zeros(len(motion), dtype=bool)
-    joined[1:] = (norm(begin[1:] - end[:-1]) < 1e-6) & (tools.tool[motion[1:]] == tools.tool[motion[:-1]])
+    continues = np.zeros(len(motion), dtype=bool)
+    continues[1:] = (norm(begin[1:] - end[:-1]) < 1e-6) & (tools.tool[motion[1:]] == tools.tool[motion[:-1]])
     moves = (norm(end - begin) > _STILL) & (tools.tool[motion] >= 0)
-    columns = (motion, first, last, begin, end, leave, arrive, ~m.rapid[motion], joined)
+    columns = (motion, first, last, begin, end, leave, arrive, ~m.rapid[motion], continues)
     return StraightSegments(*(np.asarray(column[moves]) for column in columns))
 
 

@@ -117,7 +117,7 @@ def expected_error(samples: PathSamples, rows: Ints, turn: Array, q: Array) -> t
     good = np.flatnonzero(np.isfinite(q).all(axis=1))
     if len(good):
         tool = toolpath.tool_of(samples.program, samples.sample.motion[rows[good]])
-        u95[good], moved[good] = errors(samples.setting, q[good], tool, samples.load(rows[good], turn[good]))
+        u95[good], moved[good] = errors(samples.robot_in_cell, q[good], tool, samples.load(rows[good], turn[good]))
     return u95, moved
 
 

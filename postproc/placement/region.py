@@ -147,11 +147,11 @@ class Programs:
         :param branches: of the inverse kinematics to try; None = that of `[start]`.
         """
         self.samples, self.keep = list(samples), keep
-        setting = samples[0].setting
-        self.setting, self.robot = setting, setting.robot
-        self.today = inverse(setting.cell.base.pose())
+        self.robot_in_cell = samples[0].robot_in_cell
+        self.robot = self.robot_in_cell.robot
+        self.today = inverse(self.robot_in_cell.cell.base.pose())
         self.turns = _TURNS if turns else np.zeros(1)
-        start = int(kinematics.closed_form(self.robot).branch_of(setting.cell.start_joints[None])[0])
+        start = int(kinematics.closed_form(self.robot).branch_of(self.robot_in_cell.cell.start_joints[None])[0])
         self.branches = [start] if branches is None else list(branches)
         self.bodies = None if clearance_mm is None else [Bodies(each, clearance_mm) for each in samples]
         total = sum(len(each) for each in samples)
@@ -201,9 +201,9 @@ class Programs:
 
     def _moved(self, place: Array) -> tuple[Array, Array]:
         """Return the motion (4, 4) of the part from its place in the cell, and how far E1 carries the robot (3,)."""
-        base = self.setting.cell.base
+        base = self.robot_in_cell.cell.base
         pose = pose_from_xyzabc([*place[:4], base.B, base.C])
-        direction = self.setting.cell.carriage
+        direction = self.robot_in_cell.cell.carriage
         return pose @ self.today, np.zeros(3) if direction is None else direction * (place[4] / MM_PER_M)
 
     def _driven(
@@ -259,7 +259,7 @@ class Programs:
     def _wound(self, q: Array) -> Bools:
         """Return which samples (n,) of a whole program wind A4 or A6 past their limits, counted from the start."""
         joints = list(drive.WINDING)
-        start = self.setting.cell.start_joints[joints, None]
+        start = self.robot_in_cell.cell.start_joints[joints, None]
         steps = np.nan_to_num(drive.wrapped(np.diff(q[joints], axis=1, prepend=start)))
         angle = start + np.cumsum(steps, axis=1)
         low, high = self.robot.lower[joints, None] + self.keep.joint, self.robot.upper[joints, None] - self.keep.joint
@@ -285,7 +285,7 @@ class Programs:
         pose = product(moved, pose)
         pose[:, :3, 3] -= shift + carried
         u95, deflection = drive.errors(
-            self.setting, q[cuts], tool if tool.ndim == 2 else tool[cuts], (wrench, spread, pose, scaled)
+            self.robot_in_cell, q[cuts], tool if tool.ndim == 2 else tool[cuts], (wrench, spread, pose, scaled)
         )
         return float(weight @ deflection**2), float(weight @ u95**2), singular
 
@@ -308,7 +308,7 @@ def _stations(samples: PathSamples, most: int) -> _Stations:
     branch = np.full(len(both), -1)
     if (m.status >= 0).any():
         try:
-            found = samples.setting.follow(samples.program, motion, samples.sample.t, samples.sample.pose)
+            found = samples.robot_in_cell.follow(samples.program, motion, samples.sample.t, samples.sample.pose)
             branch = found.branch[both]
         except UnreachableError:
             pass  # the status of targets cannot be resolved at today's place: the branch of the start is taken
@@ -344,7 +344,7 @@ def search(programs: Programs, region: Region, progress: Callable[[int, int], No
 
     :param progress: called with places done and in all.
     """
-    cell = programs.setting.cell
+    cell = programs.robot_in_cell.cell
     today = programs.judge(np.array([cell.base.X, cell.base.Y, cell.base.Z, cell.base.A, 0.0]), every=True)
     lines = [
         np.linspace(region.low[k], region.high[k], _COARSE[axis]) if k in region.free else np.array([region.low[k]])

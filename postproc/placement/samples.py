@@ -27,7 +27,7 @@ class PathSamples(Struct, frozen=True, eq=False):
     """N samples of the nominal path of a program, without joint angles.
 
     :param program: the program.
-    :param setting: the robot in its cell.
+    :param robot_in_cell: the robot in its cell.
     :param segments: start and length of its motions.
     :param along: the forces along them.
     :param sample: the places and their poses in `$BASE`.
@@ -36,7 +36,7 @@ class PathSamples(Struct, frozen=True, eq=False):
     """
 
     program: Program
-    setting: RobotInCell
+    robot_in_cell: RobotInCell
     segments: Segments
     along: PathForces
     sample: Toolpath
@@ -70,7 +70,7 @@ class PathSamples(Struct, frozen=True, eq=False):
     @property
     def axis(self) -> Array:
         """Direction (3,) from the spindle to the tip in the tool frame."""
-        return np.array(AXIS[self.setting.spindle])
+        return np.array(AXIS[self.robot_in_cell.spindle])
 
     def rotation(self, turn: Array) -> Array:
         """Return the rotations (n, 3, 3), in the tool frame, that turn the tool by angles (n,) [rad] about its axis.

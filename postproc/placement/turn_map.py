@@ -181,7 +181,7 @@ def evaluate(
     :param base: (N,) turn of each sample [rad]; `offset` (J,) added to it.
     :param bodies: None = collisions are not checked.
     """
-    robot = samples.setting.robot
+    robot = samples.robot_in_cell.robot
     count, many = len(blocks.first), len(offset)
     shape = (count, many)
     worst = Margins(*(np.full(shape, np.nan) for _ in range(4)))
@@ -305,5 +305,5 @@ def whole_circle(step: float) -> Array:
 
 def branch_of_start(samples: PathSamples) -> int:
     """Return the branch of `[start]` of the cell."""
-    setting = samples.setting
+    setting = samples.robot_in_cell
     return int(kinematics.closed_form(setting.robot).branch_of(setting.cell.start_joints[None])[0])

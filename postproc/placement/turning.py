@@ -168,7 +168,7 @@ def _tilting(samples: PathSamples) -> Bools:
 
 
 def _find(samples: PathSamples, found: TurnMap, keep: Keep, mode: Mode, *, closed: bool) -> Line | Blocked:
-    robot, start = samples.setting.robot, samples.setting.cell.start_joints
+    robot, start = samples.robot_in_cell.robot, samples.robot_in_cell.cell.start_joints
     return turn_line.find(robot, found, keep, start, turn_at_feed=mode == "path", closed=closed)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from msgspec import Struct
 
-from postproc.chunks import in_chunks
+from postproc.chunks import Columns, in_chunks
 from postproc.frames import Array, angle_between, interpolated, norm, rotation_from_vector, sine_and_cosine
 from postproc.program import CIRC, LIN, PTP, SPL, Bools, Ints, Program, Starts
 
@@ -82,7 +82,7 @@ class Arcs(Struct, frozen=True, eq=False):
         return np.asarray(along[:, None] * radial + out[:, None] * across + climb)
 
 
-class Toolpath(Struct, frozen=True, eq=False):
+class Toolpath(Columns, frozen=True, eq=False):
     """N samples of the nominal path.
 
     :param motion: (N,) row of `Motions`.
@@ -98,10 +98,6 @@ class Toolpath(Struct, frozen=True, eq=False):
 
     def __len__(self) -> int:
         return len(self.motion)
-
-    def take(self, rows: Ints | Bools) -> Toolpath:
-        """Return some of the samples."""
-        return Toolpath(self.motion[rows], self.t[rows], self.pose[rows], self.distance[rows])
 
     @property
     def ends(self) -> Bools:

@@ -11,6 +11,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
+from postproc.chunks import Columns
 from postproc.frames import RAD_PER_DEG, Array, angle_between, interpolated, norm
 from postproc.program import CIRC, LIN, PTP, SPL, Bools, Ints, Program
 from postproc.toolpath.path import Segments
@@ -60,7 +61,7 @@ class DisplacementEstimate(Struct, frozen=True, eq=False):
     swings: Bools
 
 
-class Pieces(Struct, frozen=True, eq=False):
+class Pieces(Columns, frozen=True, eq=False):
     """Into how many equal pieces arcs are divided: S stretches of arcs, between the places where the force bends, and
     wherever more of them are needed than elsewhere.
 
@@ -90,15 +91,9 @@ class Pieces(Struct, frozen=True, eq=False):
         """Return the stretches with the numbers (S,) of pieces that are estimated to be enough."""
         return replace(self, number=np.maximum(number, self.least), uncertain=np.zeros(len(self.motion), dtype=bool))
 
-    def take(self, rows: Ints | Bools) -> Pieces:
-        """Return some of the stretches."""
-        return Pieces(*(getattr(self, name)[rows] for name in self.__struct_fields__))
-
-    def joined(self, *others: Pieces) -> Pieces:
-        """Return these stretches and others, in order along the path."""
-        every = (self, *others)
-        out = Pieces(*(np.concatenate([getattr(one, name) for one in every]) for name in self.__struct_fields__))
-        return out.take(np.lexsort((out.begin, out.motion)))
+    def in_order(self) -> Pieces:
+        """Return the stretches in order along the path."""
+        return self.take(np.lexsort((self.begin, self.motion)))
 
     def cut(self, parts: Ints) -> Pieces:
         """Return the stretches cut into equal parts (S,): by their number of pieces each piece is a stretch."""

@@ -83,7 +83,9 @@ def test_speed_is_rotation_over_the_time_of_the_way():
     path = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False))
     q, position = path.joints.q, path.sample.pose[:, :3, 3]
     speed = inspection.commanded_speed(path, q, position)
-    start = motions.setting.start_flange[:3, 3] + motions.setting.start_flange[:3, :3] @ program.tools[0, :3, 3]
+    start = (
+        motions.robot_in_cell.start_flange[:3, 3] + motions.robot_in_cell.start_flange[:3, :3] @ program.tools[0, :3, 3]
+    )
     before = np.vstack([start - program.bases[0, :3, 3], position[:-1]])
     assert not program.bases[0, :3, :3].round(12)[~np.eye(3, dtype=bool)].any()
     seconds = np.linalg.norm(position - before, axis=1) / np.where(path.sample.motion == 0, 0.010, 0.015)

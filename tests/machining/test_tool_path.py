@@ -58,7 +58,7 @@ def test_pieces_of_lines_and_arcs_are_in_the_frame_of_the_map():
         # motion 4 begins with the tool of motion 3 in another base: the tip is elsewhere
         at_start = row == 0 or (found.motion[row] != found.motion[row - 1] and k in (3, 6))
         if k != 4:
-            assert found.joined[row] == (not at_start)
+            assert found.continues[row] == (not at_start)
 
 
 def test_pieces_are_cut_and_displaced_where_the_tip_is_displaced():
@@ -102,8 +102,8 @@ def test_pieces_of_some_motions_are_joined_only_to_those_that_are_left():
     some = every.of(np.array([False, True, False, True, False, False, True]))
     assert set(some.motion) == {1, 3, 6}
     starts = np.flatnonzero(np.diff(some.motion, prepend=-1))
-    assert not some.joined[starts].any()
-    np.testing.assert_array_equal(some.joined[1:][np.diff(some.motion) == 0], True)
+    assert not some.continues[starts].any()
+    np.testing.assert_array_equal(some.continues[1:][np.diff(some.motion) == 0], True)
     np.testing.assert_array_equal(some.begin, every.begin[np.isin(every.motion, [1, 3, 6])])
 
 

@@ -278,7 +278,7 @@ def test_pieces_cut_joined_settled_and_made_finer(seed):
             row += 1
     assert row == len(cut.motion)
     mixed_up = rng.permutation(len(cut.motion))
-    back = cut.take(mixed_up[:5]).joined(cut.take(mixed_up[5:9]), cut.take(mixed_up[9:]))
+    back = type(cut).joined([cut.take(mixed_up[:5]), cut.take(mixed_up[5:9]), cut.take(mixed_up[9:])]).in_order()
     for name in Pieces.__struct_fields__:
         np.testing.assert_array_equal(getattr(back, name), getattr(cut, name))
 

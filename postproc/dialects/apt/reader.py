@@ -12,7 +12,6 @@ post "Common ISO 4343 APT"; files of CATIA V5.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 
 import numpy as np
 from msgspec.structs import replace
@@ -21,6 +20,7 @@ from postproc.cell import Cell
 from postproc.dialects.apt import statements
 from postproc.dialects.apt.statements import Statements
 from postproc.dialects.apt.walk import ARC, RAPID, Course, Part, executed
+from postproc.dialects.dialect import CamFormat
 from postproc.errors import ForceError, InputError, Issue, ProgramError, together
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, inverse, norm
 from postproc.program import (
@@ -235,22 +235,5 @@ def _issues(course: Course, source: Statements, moves: _Moves, kept: Ints) -> It
         yield Issue("warning", "after-end", message, lines[0], count=len(lines), lines=lines)
 
 
-class Apt:
-    """Cutter-location files: APT, CLDATA, CLSF."""
-
-    name = "apt"
-    extensions = (".apt", ".aptsource", ".cls", ".clsf", ".cl", ".clf", ".ncl", ".cldata")
-    command_decimals = (4, 4, 4, 5, 5, 5)  # those of the robot programs written from it
-    writer = None
-
-    def companions(self, path: Path) -> list[Path]:
-        """Return no files: a program is one file."""
-        del path
-        return []
-
-    def read(self, documents: Sequence[Document], cell: Cell, forward: Callable[[Array], Array], name: str) -> Program:
-        """Return a program, see `read`."""
-        return read(documents[0], cell, forward, name)
-
-
-APT = Apt()
+APT = CamFormat("apt", (".apt", ".aptsource", ".cls", ".clsf", ".cl", ".clf", ".ncl", ".cldata"), read)
+"""Cutter-location files: APT, CLDATA, CLSF."""

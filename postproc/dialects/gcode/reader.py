@@ -29,12 +29,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from operator import itemgetter
-from pathlib import Path
 
 import numpy as np
 from msgspec.structs import replace
 
 from postproc.cell import Cell
+from postproc.dialects.dialect import CamFormat
 from postproc.dialects.gcode import words
 from postproc.dialects.gcode.codes import WORK_OFFSETS
 from postproc.dialects.gcode.execution import Executed, executed
@@ -255,22 +255,5 @@ def _issues(path: MotionPath, modes: Modes) -> Iterator[Issue]:
         yield Issue("info", "null-move", message, lines[0], count=len(lines), lines=lines)
 
 
-class GCode:
-    """G-code of milling with three to five axes."""
-
-    name = "gcode"
-    extensions = (".nc", ".ngc", ".tap", ".cnc", ".gcode", ".mpf", ".ptp")
-    command_decimals = (4, 4, 4, 5, 5, 5)  # those of the robot programs written from it
-    writer = None
-
-    def companions(self, path: Path) -> list[Path]:
-        """Return no files: a G-code program is one file."""
-        del path
-        return []
-
-    def read(self, documents: Sequence[Document], cell: Cell, forward: Callable[[Array], Array], name: str) -> Program:
-        """Return a program, see `read`."""
-        return read(documents[0], cell, forward, name)
-
-
-GCODE = GCode()
+GCODE = CamFormat("gcode", (".nc", ".ngc", ".tap", ".cnc", ".gcode", ".mpf", ".ptp"), read)
+"""G-code of milling with three to five axes."""

@@ -1,4 +1,4 @@
-"""Robots and files as options: what the shell completes, and programs of which an option takes several."""
+"""Options that several commands share, and what the shell completes for them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,18 @@ from typing import Any
 
 import click
 from click.shell_completion import CompletionItem
+
+overwrite = click.option(
+    "--overwrite", is_flag=True, help="Replace files that postproc did not write, or not as they are."
+)
+probe_sigma = click.option(
+    "--sigma",
+    "sigma_mm",
+    type=click.FloatRange(1e-4, 1),
+    default=0.005,
+    show_default=True,
+    help="Noise of the probe, mm.",
+)
 
 
 def complete_robots(_ctx: click.Context, _param: click.Parameter | None, incomplete: str) -> list[CompletionItem]:
