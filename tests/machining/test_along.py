@@ -23,7 +23,7 @@ WAYS = (
 def path_forces(program, source):
     place = RobotInCell.of(ROBOT, CELL)
     path = toolpath.segments(program, place.start_flange)
-    return path, force_sources.along(program, path, source, place.spindle, place.ramp)
+    return path, force_sources.assign(program, path, source, place.spindle, place.ramp)
 
 
 def at(program, path, found, share):

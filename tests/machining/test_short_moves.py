@@ -96,7 +96,7 @@ def compared(folder, points, diameter=10.0, spacing=0.4, **given):
     place = RobotInCell.of(ROBOT, CELL)
     path = toolpath.segments(program, place.start_flange)
     source = machining.ProcessSource(machining.load(folder / "process.toml"), place.spindle)
-    found = force_sources.along(program, path, source, place.spindle, place.ramp)
+    found = force_sources.assign(program, path, source, place.spindle, place.ramp)
     exact = front.Path(points, np.arange(len(points) - 1))
     rows = []
     for segment, length in enumerate(exact.length):
