@@ -390,14 +390,14 @@ def read(documents: Sequence[Document], robot: RobotModel, cell: Cell, name: str
     """
     if registry.by_name(dialect).writer is not None:
         _check_language(documents[0].name, robot, dialect)
-    setting = RobotInCell.of(robot, cell)
-    program = registry.by_name(dialect).read(documents, cell, setting.forward, name)
+    robot_in_cell = RobotInCell.of(robot, cell)
+    program = registry.by_name(dialect).read(documents, cell, robot_in_cell.forward, name)
     if len(program.motions) == 0:
         raise ProgramError("no motion in this program", file=documents[0].name, advice="Nothing can be corrected.")
     if sum(len(document.text) for document in documents) > LARGE_TEXT:
         gc.collect()  # readers leave reference cycles, which hold columns of the text
     try:
-        return read_only(led_by_wrist(program, setting))
+        return read_only(led_by_wrist(program, robot_in_cell))
     except ImpossiblePathError as cause:
         raise ProgramError(cause.issue.message, file=documents[0].name, line=cause.issue.source_line) from None
 

@@ -25,7 +25,7 @@ class Bodies:
         :raises CellError: a body cannot be read.
         :raises InputError: the package python-fcl is not installed.
         """
-        program, setting = samples.program, samples.setting
+        program, setting = samples.program, samples.robot_in_cell
         force, moment = setting.tip_compliance(program.tools[0])
         wrench = np.abs(samples.along.at(samples.sample)).max(axis=0, initial=0.0)
         deflection = force * float(np.linalg.norm(wrench[:3])) + moment * float(np.linalg.norm(wrench[3:]))

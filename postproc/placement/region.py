@@ -252,7 +252,7 @@ class Programs:
             return True
         if count < len(each.samples):
             return False
-        start, first = self.setting.cell.start_joints[None], shift[:1]
+        start, first = self.robot_in_cell.cell.start_joints[None], shift[:1]
         path, shift, rows = np.concatenate([start, q]), np.concatenate([first, shift]), np.append(0, each.row)
         return bool(bodies.along(path, rows, np.zeros(len(path), dtype=bool), shift, moved).any())
 

@@ -134,7 +134,7 @@ def _free_line(
 
 def _struck(samples: PathSamples, blocks: Blocks, branch: int, line: Line, bodies: Bodies) -> Bools:
     """Return at, or before, which samples (N,) of a line bodies come too close, from [start] on."""
-    setting, motion = samples.setting, samples.sample.motion
+    setting, motion = samples.robot_in_cell, samples.sample.motion
     rows = np.arange(len(samples))
     turn = _at_samples(samples, blocks, line.knots)
     q = drive.solve(setting.robot, components(samples.flange(rows, turn)), branch).T
