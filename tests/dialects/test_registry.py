@@ -32,14 +32,11 @@ def others(monkeypatch):
 
 
 FANUC = """
-from postproc.dialects.gcode.reader import GCode
+from postproc.dialects.dialect import CamFormat
+from postproc.dialects.gcode.reader import GCODE, read
 
-class Fanuc(GCode):
-    name = "fanuc"
-    extensions = (".fan", ".nc")
-
-FANUC = Fanuc()
-NAMED_OTHERWISE = GCode()
+FANUC = CamFormat("fanuc", (".fan", ".nc"), read)
+NAMED_OTHERWISE = GCODE
 NONE = object()
 """
 
