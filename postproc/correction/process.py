@@ -338,7 +338,7 @@ def _bound(draft: Draft, corrected: Array, turned: Reversals) -> tuple[Array | N
     issues = list(checks.beyond_measured(path.program, robot, draft.chosen.targets.motion, q, tool, wrench))
     turning = np.zeros((len(row), 6), dtype=bool)
     turning[turned.row, turned.joint] = turning[turned.before, turned.joint] = True
-    scaled = path.setting.scaled(path.motions.forces, path.sample.motion[row])
+    scaled = path.robot_in_cell.scaled(path.motions.forces, path.sample.motion[row])
     bound = elastostatics.position_bound(robot, q, tool, wrench, in_root, in_series, turning, scaled)
     if bound is None:
         return None, None, issues

@@ -99,7 +99,7 @@ class PathSamples(Struct, frozen=True, eq=False):
             halves = toolpath.columns_in_root(self.program, motion, halves)
             spread = np.zeros((len(rows), 6, 6))
             spread[:, :3, :3], spread[:, 3:, 3:] = halves[:, 0], halves[:, 1]
-        scaled = self.setting.scaled(self.along, motion)
+        scaled = self.robot_in_cell.scaled(self.along, motion)
         return wrench, spread, toolpath.pose_in_root(self.program, motion, pose, t), scaled
 
     def _turned(self, rows: Ints, turn: Array) -> Array:
