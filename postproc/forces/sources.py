@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
+from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc.chunks import Columns
@@ -31,7 +32,7 @@ class ByLaw(Struct, frozen=True, eq=False):
     motion: Ints
 
 
-class Knots(Struct, frozen=True, eq=False):
+class Knots(Columns, frozen=True, eq=False):
     """The wrench at K places along motions: linear from one to the next, constant before the first and after the last.
 
     Linear in the axes that `frame` names: a FEED wrench turns with the travel, a TOOL wrench with the tool. A motion
@@ -70,29 +71,14 @@ class Knots(Struct, frozen=True, eq=False):
         sigma = np.zeros_like(wrench) if sigma is None else sigma
         return cls(motion, t, wrench, frame, sigma, np.zeros(len(motion), dtype=np.bool_))
 
-    @classmethod
-    def joined(cls, parts: list[Knots]) -> Knots:
-        """Return the knots of several parts of a program, in order; without `issues` and `by_law`."""
-        columns: list[Any] = [np.concatenate([getattr(part, name) for part in parts]) for name in cls._columns()]
-        return cls(*columns)
-
     def __len__(self) -> int:
         return len(self.motion)
-
-    def take(self, rows: Ints | Bools) -> Knots:
-        """Return some of the knots, without `issues` and `by_law`."""
-        columns: list[Any] = [getattr(self, name)[rows] for name in self._columns()]
-        return Knots(*columns)
 
     def over(self, other: Knots) -> Knots:
         """Return these knots, plus those of `other` for motions without a knot here; without `issues` and `by_law`."""
         kept = other.take(~np.isin(other.motion, self.motion))
         order = np.argsort(np.append(self.motion, kept.motion), kind="stable")  # those of one motion are in order
-        return Knots.joined([self, kept]).take(order)
-
-    @classmethod
-    def _columns(cls) -> tuple[str, ...]:
-        return tuple(name for name in cls.__struct_fields__ if name not in ("issues", "by_law"))
+        return replace(Knots.joined([self, kept]).take(order), issues=(), by_law=None)
 
     def checked(self, program: Program, name: str) -> Knots:
         """Return these knots if they can be used for a program.
