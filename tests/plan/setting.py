@@ -84,12 +84,12 @@ def job(seed: int = 0, count: int = 300):
 
 def quick(folder: Path, *, tests=None, text: str = BASIC + RIG + AROUND, data=None, **options):
     chosen = {
-        "starts": 2,
+        "starts": 1,
         "comparisons": False,
         "configurations": 8,
         "levels": 4,
         "test_poses": 8,
-        "rounds": 6,
+        "rounds": 3,
     } | options
     place = site(folder, text)
     return plan_measurements(place, job() if tests is None else tests, Options(**chosen), data)

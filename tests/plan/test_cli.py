@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import functools
 import json
 import math
 import signal
@@ -16,6 +17,7 @@ from postproc.cli import main
 from postproc.dialects import krl
 from postproc.dialects.text import decode
 from postproc.kinematics import tcp
+from postproc.plan import search
 from tests.html_page import read_page
 from tests.plan import setting
 from tests.plan.setting import AROUND, BASIC, RIG
@@ -37,11 +39,17 @@ def run(folder, *arguments, text=BASIC + RIG + AROUND):
     return CliRunner().invoke(main, [*common, *arguments, "-o", str(folder / "out" / "plan.csv")])
 
 
+def briefly(task, seed, *_, rounds):
+    """Search from one start."""
+    return search.improved(task, seed, 1, 1, rounds)
+
+
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
     folder = tmp_path_factory.mktemp("plan")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("postproc.plan.search._FACTORS", (0.5, 1.0, 2.0))  # three sizes of six
+        patch.setattr("postproc.plan.planning.improved", functools.partial(briefly, rounds=8))
         result = run(folder, "--program", str(SAMPLES / "pocket.nc"), str(SAMPLES / "inline.src"), *QUICK)
     assert result.exit_code == 0, result.output
     return folder / "out", result
@@ -179,6 +187,7 @@ def test_an_input_is_never_overwritten(tmp_path):
 def test_a_rig_that_cannot_show_a_parameter_is_told_before_anyone_measures(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("postproc.plan.planning.by_number", lambda *_: ())  # the fixture has those
+    monkeypatch.setattr("postproc.plan.planning.improved", functools.partial(briefly, rounds=1))
     result = run(tmp_path, "--poses", "tests.csv", *QUICK, text=BASIC + "\n[rig]\nmass_kg = 275\n")
     assert result.exit_code == 0, result.output
     assert "warning: k1 is not observable with this rig" in result.output

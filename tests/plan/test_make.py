@@ -62,7 +62,8 @@ def search_direction(tilt):
 
 
 def test_the_same_seed_gives_the_same_plan_and_another_seed_another(tmp_path):
-    one, same, other = (setting.quick(tmp_path, seed=seed, configurations=6, levels=2, rounds=3) for seed in (3, 3, 4))
+    short = {"configurations": 6, "levels": 2, "starts": 1, "rounds": 2}
+    one, same, other = (setting.quick(tmp_path, seed=seed, **short) for seed in (3, 3, 4))
     assert (one.plan.q == same.plan.q).all()
     assert (one.force == same.force).all()
     assert not np.array_equal(one.plan.q, other.plan.q)
@@ -155,11 +156,12 @@ def test_a_load_too_small_to_be_seen_is_refused(tmp_path):
 def test_the_compensator_is_planned_for_only_where_it_can_be_identified(tmp_path, monkeypatch):
     from msgspec.structs import replace
 
-    assert not setting.quick(tmp_path).compensator_free
+    short = {"starts": 1, "rounds": 1}
+    assert not setting.quick(tmp_path, **short).compensator_free
     spring = setting.ROBOT.compensator
     stiff = replace(setting.ROBOT, compensator=replace(spring, stiffness=6e6))
     monkeypatch.setattr(setting, "ROBOT", stiff)
-    result = setting.quick(tmp_path, configurations=15, levels=5)
+    result = setting.quick(tmp_path, configurations=15, levels=5, **short)
     assert result.compensator_free
     assert CompensatorStiffness() in result.accuracy.parameters
     assert np.ptp(result.plan.q[:, 1]) > np.radians(80)
@@ -277,5 +279,5 @@ def test_every_exchange_has_the_value_of_its_plan_and_improves_it(tmp_path):
 
 
 def test_exchange_keeps_levels_apart(tmp_path):
-    result = setting.quick(tmp_path, configurations=12, levels=6)
+    result = setting.quick(tmp_path, configurations=12, levels=6, starts=1, rounds=3)
     assert np.diff(np.sort(result.plan.q2)).min() >= search._APART - 1e-4
