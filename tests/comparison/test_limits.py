@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from postproc.comparison import compare, deviations
+from postproc.comparison.compare import _missing, _paired, _under_force
 from postproc.forces import Knots
 from postproc.under_load import RobotInCell
 from tests.comparison.test_named import CELL, FORCE, HEAD, POINT, ROBOT, TURNED, edited, lines, named, nominal, read
@@ -141,3 +142,54 @@ def test_behind_a_step_of_the_force_the_new_one_acts_from_the_first_place_on():
     assert off[0] < -1e-4  # against the travel along X
     _, mine, distance = deviations._Search(side, side, load, ways).found(motion, t, q, begin, enough=1e-8)
     np.testing.assert_allclose([mine[0], distance[0]], np.linalg.norm(off), rtol=1e-3)
+
+
+@pytest.mark.parametrize(("share", "count"), [(0.8, 0), (1.25, 1)])
+def test_a_slow_speed_may_differ_by_a_micrometre_a_second_more(share, count):
+    """1 mm/s: by a thousandth of it, and a micrometre a second."""
+    texts = [(HEAD + edited()).replace("$VEL.CP=0.05", f"$VEL.CP={0.001 + off:.9f}") for off in (0.0, share * 2e-6)]
+    found = compare(
+        *(read(text, name) for text, name in zip(texts, ("ONE.src", "OTHER.src"), strict=True)), ROBOT, CELL
+    )
+    assert [d.kind for d in found.differences] == count * ["speed"]
+
+
+@pytest.mark.parametrize("first", [0.5, 0.2])
+@pytest.mark.parametrize(("bulge", "passed"), [(1.5, True), (1.7, False)])
+def test_the_larger_offset_next_to_a_point_of_a_line_counts(first, bulge, passed):
+    """Pairs that are 0.5 and 0.2 mm off, in either order: between them 0.1 + 3 · 0.5 mm are allowed."""
+    last = 0.7 - first
+    one = lines((0, 0), (20, 0), (40, 0), (40, 30))
+    offset = np.interp([10, 30], [0, 40], [first, last])
+    other = lines((0, first), (10, offset[0] + bulge), (30, offset[1] + bulge), (40, last), (40, 30 + last))
+    found = _paired(one, other, np.array([0, -1, 3, 4]), np.ones(4, dtype=bool))
+    missed, judged = _missing(found, one, other, None)
+    np.testing.assert_allclose(missed, (bulge - 0.3) * 1e-3, atol=1e-6)  # less what the offsets differ by
+    assert judged.tolist() == [passed]
+
+
+def test_of_many_free_targets_those_near_the_present_partner_are_tried():
+    one = lines((0, 0), (85, 0), (150, 0))
+    other = lines(*((x, 0) for x in range(151)))
+    assert _under_force(one, other, np.array([0, 80, 150]), np.zeros((3, 6))).tolist() == [0, 85, 150]
+
+
+def test_a_missing_last_target_is_missed_by_its_distance_from_where_the_second_path_ends():
+    one, other = (lines((0, 0), (40, 0), (40, 30), *more).program for more in ([(16, -2)], []))
+    (found,) = (d for d in compare(one, other, ROBOT, CELL).differences if d.kind == "only-nominal")
+    assert found.level == "error"
+    assert "by 40.0000 mm there" in found.message  # 24 and 32 mm from (40, 30)
+    assert found.corrected is None
+
+
+def test_a_turned_target_before_the_first_pair_is_no_difference():
+    """There is no pair before it, so it is not known how the tool turns there."""
+    side = lines((0, 0), (40, 0))
+    start = side.path.begin[1] * 1e3  # of the first line, in its $BASE
+    assert np.linalg.norm(start) > 50.0
+    x, y, z = 0.5 * start
+    one = HEAD + edited()
+    point = f"LIN {{X {x:.4f},Y {y:.4f},Z {z:.4f},A 180,B 2,C 180}}\n"
+    found = compare(read(one, "ONE.src"), read(HEAD + point + edited(), "OTHER.src"), ROBOT, CELL)
+    assert len(found.inserted) == 1
+    assert [d.kind for d in found.differences] == []
