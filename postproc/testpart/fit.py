@@ -47,7 +47,7 @@ _MEDIAN = 0.6745
 _OUTLIER = 5.0
 """Error of a point predicted by all others, over its usual size, beyond which it is left out."""
 _MOST_OUTLIERS = 0.05
-_HELD = 0.9
+HELD = 0.9
 """A parameter whose standard deviation stays above this share of the prior one is not determined by the part."""
 _UNMEASURED = 0.3
 """Relative standard deviation of a parameter of a robot that may have changed."""
@@ -339,7 +339,7 @@ def fit(
             readings, rows, here = readings.take(keep), rows[keep], here.take(keep)
             continue
         sure = np.sqrt(np.diag(_posterior(readings, local, gamma, whole, np.ones_like(free))))
-        held = free & (sure > _HELD * np.sqrt(np.diag(whole)))
+        held = free & (sure > HELD * np.sqrt(np.diag(whole)))
         held[-1] = False
         if held.any():
             free = free & ~held

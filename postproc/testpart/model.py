@@ -16,7 +16,7 @@ from postproc.identification.record import Parameter, Unexplained, Verdict
 from postproc.machining import Process
 from postproc.machining.material import CuttingLaw, IdentifiedTable
 from postproc.machining.material import law as cutting_law
-from postproc.robot import FORCES, JointCompliance, file_slopes
+from postproc.robot import FORCES, Discrepancy, JointCompliance, file_slopes
 from postproc.robot.model_file import (
     CovarianceTable,
     DiscrepancyEntry,
@@ -24,7 +24,7 @@ from postproc.robot.model_file import (
     MeasuredEntry,
     ModelFile,
 )
-from postproc.testpart.fit import LEAST, Fit, Prior
+from postproc.testpart.fit import HELD, LEAST, Fit, Prior
 
 NORMAL_95 = 1.96
 _DRIFTED = 3.0
@@ -226,8 +226,8 @@ def _verdict(found: Fit, left_out: tuple[str, ...]) -> Verdict:
         reason = f"{name} would be {far.max():.1f} standard deviations from its prior: check material and process"
     elif abs(found.scale - 1.0) > _FAR * sigma[-1] > 0.0:
         reason = f"forces would be {found.scale:.2f} times those computed: check material, feed and depth"
-    elif found.free[:size].sum() == 0:
-        reason = "the part determines no parameter of the robot"
+    elif not found.free[:size].any() and found.sigma[-1] > HELD:
+        reason = "the part determines neither a parameter of the robot nor the forces"
     if reason:
         return Verdict(True, f"NOT TO BE TRUSTED: {reason}")
     return Verdict(False, "the model may be used, within its bound")
@@ -294,19 +294,33 @@ def model_file(found: Fit, prior: ModelFile, process: Process, source: str) -> M
     if forces is not None:
         names.append(FORCES)
         stated.append(len(found.prior.parameters))
-    load, u95 = found.u95()
+    load, u95 = _discrepancy(found)
+    known = found.prior.robot.measured
+    torque = found.torque if known is None else np.maximum(found.torque, known.torque)
     extra = {
         "covariance": CovarianceTable(names, covariance[np.ix_(stated, stated)].tolist()),
         "forces": forces,
         "discrepancy": DiscrepancyEntry(source=source, load_N=load.tolist(), u95_mm=(u95 * MM_PER_M).tolist()),
         "measured": MeasuredEntry(
             source=source,
-            configurations=len(set(found.readings.probed.group.tolist())),
-            torque_Nm=tuple(found.torque.tolist()),
+            configurations=len(set(found.readings.probed.group.tolist()))
+            + (0 if prior.measured is None else prior.measured.configurations),
+            torque_Nm=tuple(torque.tolist()),
             not_trusted="",
         ),
     }
     return msgspec.structs.replace(msgspec.convert(content, ModelFile), **extra)
+
+
+def _discrepancy(found: Fit) -> tuple[Array, Array]:
+    """Return levels of load [N] and the unmodelled error [m] there: the larger one of the part and the model before."""
+    load, u95 = found.u95()
+    before = found.prior.robot.discrepancy
+    if before is None:
+        return load, u95
+    every = np.union1d(load, before.load)
+    wrench = np.pad(every[:, None], ((0, 0), (0, 5)))
+    return every, np.maximum(Discrepancy(load, u95).at(wrench), before.at(wrench))
 
 
 def _forces(found: Fit, process: Process, source: str) -> ForcesEntry | None:

@@ -180,11 +180,11 @@ def predicted(robot, q, force):
     return deflect(robot, q, tool, wrench).twist[:, :3]
 
 
-def model(found, process, folder):
+def model(found, process, folder, before=FOLDER):
     """Write the model and the material of a fit; return the model and the numbers of the law as they are read."""
     name = folder / "found"
     name.mkdir(exist_ok=True)
-    prior = files.read_toml(FOLDER / "model.toml", ModelFile, ModelError)
+    prior = files.read_toml(before / "model.toml", ModelFile, ModelError)
     (name / "model.toml").write_bytes(files.toml(model_file(found, prior, process, "part"), ""))
     (name / "robot.urdf").write_bytes((FOLDER / "robot.urdf").read_bytes())
     (name / "material.toml").write_bytes(material(found, process, "part"))
