@@ -486,3 +486,25 @@ def test_cutcom_by_wear_offsets_has_no_effect_and_is_reported():
     program = read(HEAD + "CUTCOM/LEFT,1\nGOTO/1,1,1\nCUTCOM/OFF\n", cell)
     assert [issue.kind for issue in program.issues] == ["radius-compensation"]
     assert len(program.motions) == 2
+
+
+def test_a_point_on_the_first_line_is_a_motion_too():
+    with pytest.raises(ProgramError, match=r"part\.apt:1: cutting move without a feed"):
+        read("GOTO/0,0,9\nRAPID\nGOTO/0,0,19\n")
+
+
+def test_an_error_before_the_end_of_an_arc_brings_no_second_one():
+    """What the arc would have been is not known: a word between the two is not understood."""
+    text = HEAD + "GOTO/10,0,9\nCIRCLE/0,0,9,0,0,1,10\n{}GOTO/5,5,9\nGOTO/20,0,9\n"
+    for between, lines in (("UNKNOWN\n", [7]), ("", [7])):  # the end is not on the circle
+        with pytest.raises(ProgramError) as caught:
+            read(text.format(between))
+        assert [error.line for error in (caught.value, *caught.value.others)] == lines
+
+
+def test_tool_number_zero_is_one_and_a_move_to_where_the_tool_is_is_counted():
+    program = read("LOADTL/0\n" + HEAD + "GOTO/1,0,9\nGOTO/1,0,9\nGOTO/2,0,9\nGOTO/2,0,9\n")
+    assert [(e.kind, e.value) for e in program.events if e.kind == "tool_change"] == [("tool_change", 0.0)]
+    assert [(i.kind, i.source_line, i.count, i.lines) for i in program.issues if i.kind == "null-move"] == [
+        ("null-move", 7, 2, (7, 9))
+    ]
