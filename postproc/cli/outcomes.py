@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,8 +32,8 @@ def work(
 
     known: dict[str, Outcome] = {}
     try:
-        found = convert_all(jobs, settings, workers=workers, cluster=cluster, waiting=say)
-        for outcome in _with_progress(found, len(jobs)):
+        run = partial(convert_all, jobs, settings, workers=workers, cluster=cluster, waiting=say)
+        for outcome in _with_progress(run, len(jobs)):
             known[outcome.program] = outcome
     except (KeyboardInterrupt, PostprocError) as cause:
         earlier = left([job for job in jobs if not job.callers and str(job.program) not in known], settings.mode)
@@ -67,12 +68,15 @@ def print_outcome(outcome: Outcome, job: Job) -> None:
         )
 
 
-def _with_progress(outcomes: Iterable[Outcome], count: int) -> Iterator[Outcome]:
-    """Pass outcomes on; on a terminal show how far the work is, on stderr."""
+def _with_progress(run: Callable[..., Iterator[Outcome]], count: int) -> Iterator[Outcome]:
+    """Pass outcomes on; on a terminal show on stderr how far the work is, and the sweep of a stock.
+
+    :param run: `convert_all` of the jobs.
+    """
     import sys
 
     if not sys.stderr.isatty():
-        yield from outcomes
+        yield from run()
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -86,7 +90,12 @@ def _with_progress(outcomes: Iterable[Outcome], count: int) -> Iterator[Outcome]
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("programs", total=count)
-        for outcome in outcomes:
+        sweep = progress.add_task("moves through the stock", visible=False)
+
+        def swept(done: int, of: int) -> None:
+            progress.update(sweep, completed=done, total=of, visible=done < of)
+
+        for outcome in run(progress=swept):
             progress.update(task, advance=1, description=Path(outcome.program).name)
             yield outcome
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import traceback
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -110,11 +110,14 @@ if TYPE_CHECKING:
     from postproc.machining import ProcessForces
 
 
-def convert(task: Task, settings: Settings, cell: Cell, robot: RobotModel) -> Outcome:
+def convert(
+    task: Task, settings: Settings, cell: Cell, robot: RobotModel, progress: Callable[[int, int], None] | None = None
+) -> Outcome:
     """Convert or predict one program and stage its files (`Outcome.staged`).
 
     Whatever goes wrong with this program is its outcome and no exception, a fault of postproc included.
 
+    :param progress: of sweeps of the stock, see `process_forces.read`.
     :raises KeyboardInterrupt: nothing was staged.
     """
     job = task.job
@@ -122,7 +125,7 @@ def convert(task: Task, settings: Settings, cell: Cell, robot: RobotModel) -> Ou
     try:
         name = None if job.keeps_text else job.stem
         program = read_program(job.program, robot, cell, job.dialect, name)
-        result, process = _result(job, settings, cell, robot, program)
+        result, process = _result(job, settings, cell, robot, program, progress)
         if result.failed:
             return Outcome(str(job.program), FAILED, issues=result.issues)
         made = _made(task, settings, cell, robot, result, process)
@@ -192,7 +195,12 @@ def programs_under_force(
 
 
 def _result(
-    job: Job, settings: Settings, cell: Cell, robot: RobotModel, program: Program
+    job: Job,
+    settings: Settings,
+    cell: Cell,
+    robot: RobotModel,
+    program: Program,
+    progress: Callable[[int, int], None] | None,
 ) -> tuple[Result, ProcessForces | None]:
     """Return the result, and what a process makes of the program."""
     mode, linearize, found = settings.mode, settings.linearize_arcs, None
@@ -204,7 +212,7 @@ def _result(
     else:
         from postproc.jobs import process_forces  # what a cutter does is imported with it
 
-        process = process_forces.read(job.process, cell)
+        process = process_forces.read(job.process, cell, progress)
         if mode == "predict":
             result, process = process_forces.predicted(program, robot, cell, process)
         elif mode == "convert" and cell.output.feed == "hold":

@@ -153,20 +153,21 @@ _ROUNDS = 8
 """Largest number of sweeps with a displaced tip."""
 _FIRST = 0.9
 """Share of the deflection on the nominal path that is tried first: the tool that deflects cuts less."""
-_STEPS = 0.2, 1.0
-"""Bounds of the share of the residual by which the tip is moved in a round: a larger step may oscillate at walls."""
+_LARGEST = 0.8
+"""Largest share of the last change of the deflection that is taken back: it oscillates by no more, but at walls."""
 _SETTLED = 2e-6
 """Force and deflection agree when the deflection is known to this [m] RMS along the cutting path,"""
-_SHARE = 0.03
-"""or to this share of it: the cells of the map make about that."""
+_SHARE = 0.05
+"""or to this share of it."""
 
 
-def read(path: Path, cell: Cell) -> ProcessSource:
+def read(path: Path, cell: Cell, progress: Callable[[int, int], None] | None = None) -> ProcessSource:
     """Return the source of forces of a process.
 
+    :param progress: called with the segments of the path done, and their number, in each sweep of the stock.
     :raises ForceError: it is unusable.
     """
-    return ProcessSource(machining.load(path), cell.tool.axis)
+    return ProcessSource(machining.load(path), cell.tool.axis, progress=progress)
 
 
 def stock(found: ProcessForces) -> bytes:
@@ -191,21 +192,20 @@ def predicted(program: Program, robot: RobotModel, cell: Cell, source: ProcessSo
     if source.found is None:
         return correction.process(program, robot, cell, source, "predict"), source
     here, weight = (path.sample.motion, path.sample.t), _weights(path)
-    cut, rounds, settled, step = source, 0, False, _FIRST
-    moved = step * residual
-    offset = moved
+    cut, rounds, settled = source, 0, False
+    deviation, offset, moved = residual, _FIRST * residual, _FIRST * residual
     while not settled and rounds < _ROUNDS:
         rounds += 1
         cut = source.shifted(Shift.of(program, *here, offset))
         along = forces.assign(program, motions.segments, cut, motions.robot_in_cell.spindle, motions.robot_in_cell.ramp)
-        deviation = _deviation(replace(path, wrench=along.at(path.sample)))
+        changed = _deviation(replace(path, wrench=along.at(path.sample))) - deviation
+        deviation = deviation + changed
         residual, before = deviation - offset, residual
-        step = _secant(moved, residual - before, step, weight)
-        # the deflection is nearer to its limit than the tip that was assumed is, by the rate of the contraction
-        left = max(1.0 - step, _STEPS[0]) * _rms(residual, weight)
-        settled = left < max(_SETTLED, _SHARE * _rms(deviation, weight))
-        moved = step * residual
+        rate = _rms(changed, weight) / max(_rms(moved, weight), _SETTLED)
+        moved = residual - _taken_back(residual, residual - before, weight) * changed
         offset = offset + moved
+        left = min(rate, 1.0) * _rms(moved, weight)  # the next round changes the deflection by about this
+        settled = left < max(_SETTLED, _SHARE * _rms(deviation, weight))
     result = correction.process(program, robot, cell, cut, "predict")
     if result.failed or source.found is None:
         return result, cut
@@ -253,15 +253,17 @@ def with_held_feed(
     return held(program, path.length, cell, source.process.law().exponent, trial)
 
 
-def _secant(moved: Array, change: Array, step: float, weight: Array) -> float:
-    """Return the share of the residual to move by next: dynamic relaxation by Irons and Tuck, 1969.
+def _taken_back(residual: Array, change: Array, weight: Array) -> float:
+    """Return the share of the last change of the deflection by which it is beyond its limit.
 
-    :param moved: (n, 3) last step; change: (n, 3) change of the residual by it; step: the share before.
+    Anderson's acceleration of a fixed point with one step of memory (Walker and Ni, SIAM J. Numer. Anal. 49, 2011).
+
+    :param residual: (n, 3) deflection less that assumed for the cut; change: (n, 3) of it in this round.
     :param weight: (n,) of the places.
     """
     square = float(weight @ np.sum(change * change, axis=1))
-    found = -float(weight @ np.sum(moved * change, axis=1)) / square if square > 0.0 else step
-    return float(np.clip(found, *_STEPS))
+    found = float(weight @ np.sum(residual * change, axis=1)) / square if square > 0.0 else 0.0
+    return float(np.clip(found, 0.0, _LARGEST))
 
 
 def _rms(vectors: Array, weight: Array) -> float:

@@ -54,6 +54,7 @@ def convert_all(
     workers: int = 1,
     cluster: Cluster | None = None,
     waiting: Callable[[str], None] | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Iterator[Outcome]:
     """Convert or predict programs; yield each outcome as soon as it is known (not in the order of the jobs).
 
@@ -66,6 +67,7 @@ def convert_all(
     :param workers: number of local processes; 1 = this one, which is also used if no process can be started.
     :param cluster: cluster that is used instead.
     :param waiting: is called with a sentence if another run has to be waited for.
+    :param progress: is called during sweeps of a stock in this process, see `process_forces.read`.
     :raises PostprocError: the cell or the robot is unusable, an output must not be written, or there is no cluster.
     """
     with interrupts.held_back(), contextlib.ExitStack() as lock:
@@ -77,7 +79,7 @@ def convert_all(
             files.remove_leftovers(folder)
         done: list[Outcome] = []
         try:
-            for outcome in _outcomes(plan, settings, cell, robot, workers, cluster):
+            for outcome in _outcomes(plan, settings, cell, robot, workers, cluster, progress):
                 done.append(outcome)
                 yield outcome
         finally:
@@ -91,7 +93,13 @@ def convert_all(
 
 
 def _outcomes(
-    plan: OutputPlan, settings: Settings, cell: Cell, robot: RobotModel, count: int, cluster: Cluster | None
+    plan: OutputPlan,
+    settings: Settings,
+    cell: Cell,
+    robot: RobotModel,
+    count: int,
+    cluster: Cluster | None,
+    progress: Callable[[int, int], None] | None,
 ) -> Iterator[Outcome]:
     """Yield the outcomes of a plan until all is done or a signal asks for the end."""
     if cluster is not None:
@@ -107,7 +115,7 @@ def _outcomes(
     else:
         for task in plan.ready():
             with interrupts.heard():
-                outcome = convert(task, settings, cell, robot)
+                outcome = convert(task, settings, cell, robot, progress)
             yield from plan.finished(task, outcome)
             if interrupts.came():
                 return

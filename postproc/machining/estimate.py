@@ -126,8 +126,9 @@ def estimate(
             material = _turned(material, setups[number - 1].frame, setup.frame, cell)
             start = material.volume()
             issues += _hollows(start, left)
-        steps = straight_segments(program, path, tools, setup.frame, cell, shift).of(setup.motions)
-        sweep = Sweep(material, process, tools, program.motions.feed, law)
+        steps = straight_segments(program, path, tools, setup.frame, cell, shift) if number else every
+        steps = steps.of(setup.motions)
+        sweep = Sweep(material, process, tools, program.motions.feed, law, deflected=shift is not None)
         cuts = _thinned(sweep, steps, _offset(progress, done, total))
         done += len(steps.motion)
         sweeps.append(sweep)
@@ -141,8 +142,7 @@ def estimate(
     if not any(sweep.contact for sweep in sweeps):
         raise _no_contact(program, every, bounds, process, stock)
     cuts = Cuts.joined(parts)
-    # on rapid moves the tip still springs back from its deflection: contact there is no collision
-    collided = set[int]() if shift is not None else set[int]().union(*(sweep.collided for sweep in sweeps))
+    collided = set[int]().union(*(sweep.collided for sweep in sweeps))
     stopped = set[int]().union(*(sweep.stopped for sweep in sweeps))
     issues += unread_cuts(program)
     issues += _out_of_scale(every, bounds)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -130,21 +131,31 @@ class ProcessSource:
     :ivar process: the process; found: the last result, None before the first and without [material].
     """
 
-    def __init__(self, process: Process, axis: str, *, stock: Path | None = None, shift: Shift | None = None) -> None:
+    def __init__(
+        self,
+        process: Process,
+        axis: str,
+        *,
+        stock: Path | None = None,
+        shift: Shift | None = None,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> None:
         """Store a process.
 
         :param axis: axis of the tool frame that points from the spindle to the tip.
         :param stock: mesh of the stock, instead of that of the process.
         :param shift: displacement of the tip, see `Shift`.
+        :param progress: of a sweep, see `estimate`.
         """
         self.process, self._axis, self._stock, self._shift = process, axis, stock, shift
+        self._progress = progress
         self._of: Program | None = None
         self._knots: Knots | None = None
         self.found: ProcessForces | None = None
 
     def shifted(self, shift: Shift) -> ProcessSource:
         """Return the same process with a displaced tip."""
-        return ProcessSource(self.process, self._axis, stock=self._stock, shift=shift)
+        return ProcessSource(self.process, self._axis, stock=self._stock, shift=shift, progress=self._progress)
 
     @property
     def name(self) -> str:
@@ -164,7 +175,9 @@ class ProcessSource:
         process = self.process
         computed = None
         if process.material is not None:
-            self.found = estimate(program, path, process, self._axis, stock=self._stock, shift=self._shift)
+            self.found = estimate(
+                program, path, process, self._axis, stock=self._stock, shift=self._shift, progress=self._progress
+            )
             computed = replace(
                 self.found.along,
                 issues=self.found.issues,

@@ -284,9 +284,9 @@ def remove(stock: Stock, cutter: Cutter, begin: Array, end: Array, last: Bools) 
 
 
 def depth_of(stock: Stock, cutter: Cutter, begin: Array, end: Array) -> float:
-    """Return the largest depth of cut [m] from one tip position to another, (3,) [m], in cells that the tool covers."""
+    """Return the largest depth of cut [m] from tip positions to others, (L, 3) [m], in cells that the tool covers."""
     high, floor, deepest = stock.high.reshape(-1), stock.floor.reshape(-1), 0.0
-    for under in _footprints(stock, cutter, begin[None], end[None], np.ones(1, dtype=bool)):
+    for under in _footprints(stock, cutter, begin, end, np.ones(len(begin), dtype=bool)):
         cut = high[under.cell] - np.maximum(under.level, floor[under.cell])
         deepest = max(deepest, float(cut.max(initial=0.0)))
     return deepest

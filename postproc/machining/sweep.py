@@ -83,7 +83,8 @@ class Cuts(Columns, frozen=True, eq=False):
 class Sweep(Struct, eq=False):
     """A stock, and the tools that cut it.
 
-    :ivar collided: rapid motions through material.
+    :ivar deflected: the tip is displaced: on rapid moves it still springs back, and contact there is no collision.
+    :ivar collided: rapid motions through material; none if `deflected`.
     :ivar stopped: cutting motions through material with the spindle off.
     :ivar contact: whether any cutting move engaged material.
     """
@@ -93,6 +94,7 @@ class Sweep(Struct, eq=False):
     tools: ToolStates
     feed: Array
     law: CuttingLaw
+    deflected: bool = False
     collided: set[int] = field(default_factory=set)
     stopped: set[int] = field(default_factory=set)
     contact: bool = False
@@ -127,13 +129,18 @@ class Sweep(Struct, eq=False):
 
     def _unwanted(self, segments: StraightSegments, begin: int, end: int, cutter: Cutter) -> None:
         """Record motions that touch material without cutting it (rapid, or spindle off), and remove that material."""
-        whole = np.ones(1, dtype=bool)
-        if begin > 0 and segments.continues[begin]:  # material that the segment before left for this one
-            remove(self.stock, cutter, segments.begin[[begin]], segments.begin[[begin]], whole)
-        for segment in range(begin, end):
-            if depth_of(self.stock, cutter, segments.begin[segment], segments.end[segment]) > _TOUCHED:
-                (self.stopped if segments.cutting[segment] else self.collided).add(int(segments.motion[segment]))
-            remove(self.stock, cutter, segments.begin[[segment]], segments.end[[segment]], whole)
+        start, stop = segments.begin[begin:end], segments.end[begin:end]
+        seen = segments.cutting[begin] or not self.deflected
+        if seen and begin > 0 and segments.continues[begin]:  # material that the segment before left for this one
+            remove(self.stock, cutter, start[:1], start[:1], np.ones(1, dtype=bool))
+        if not seen or depth_of(self.stock, cutter, start, stop) <= _TOUCHED:
+            remove(self.stock, cutter, start, stop, np.ones(end - begin, dtype=bool))
+            return
+        for k, motion in enumerate(segments.motion[begin:end].tolist()):
+            one = slice(k, k + 1)
+            if depth_of(self.stock, cutter, start[one], stop[one]) > _TOUCHED:
+                (self.stopped if segments.cutting[begin] else self.collided).add(motion)
+            remove(self.stock, cutter, start[one], stop[one], np.ones(1, dtype=bool))
 
     def _near(self, segments: StraightSegments, top: float) -> Bools:
         """Return which segments (L,) can touch the stock at all."""
@@ -155,11 +162,13 @@ class Sweep(Struct, eq=False):
         running = np.stack([self.tools.tool[motion], self.tools.rpm[motion], self.tools.hand[motion]], axis=1)
         same[1:] = segments.continues[1:] & (running[1:] == running[:-1]).all(axis=1)
         same[1:] &= (near[1:] == near[:-1]) & (segments.cutting[1:] == segments.cutting[:-1])
-        same[1:] &= ~near[1:] | (~along[1:] & ~along[:-1] & (down[1:] == down[:-1]) & segments.cutting[1:])
+        rapid = ~segments.cutting
+        same[1:] &= ~near[1:] | rapid[1:] | ((along[1:] == along[:-1]) & (down[1:] == down[:-1]))
         begin, limit, travelled = 0, 0.0, 0.0
         heading: list[float] | None = None
         lengths, leave, arrive, joins, close = (
-            length.tolist(), segments.leave.tolist(), segments.arrive.tolist(), same.tolist(), near.tolist(),
+            length.tolist(), segments.leave.tolist(), segments.arrive.tolist(), same.tolist(),
+            (near & segments.cutting).tolist(),
         )  # fmt: skip
         for segment in range(len(motion)):
             if segment > begin or heading is None:

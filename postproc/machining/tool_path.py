@@ -110,6 +110,8 @@ _SAG = 0.1
 _TURN = np.radians(8.0)
 """and that turn by this angle at most."""
 _STILL = 1e-9
+_BEFORE_NEXT = 1.0 - 1e-7
+"""The end of a motion is before the start of the next one, where the displacement may differ."""
 
 
 class StraightSegments(Columns, frozen=True, eq=False):
@@ -165,7 +167,7 @@ class Shift(Struct, frozen=True, eq=False):
 
         Linear between the places that are given, also across ends of motions.
         """
-        key, own = motion + 0.999 * t, self.motion + 0.999 * self.t
+        key, own = motion + _BEFORE_NEXT * t, self.motion + _BEFORE_NEXT * self.t
         found = np.stack([np.interp(key, own, self.offset[:, axis]) for axis in range(3)], axis=-1)
         return np.asarray(np.einsum("nji,nj->ni", self.root[self.base[motion]], found))
 
@@ -216,16 +218,12 @@ def straight_segments(
 def _cut_at(motion: Ints, first: Array, last: Array, shift: Shift) -> tuple[Ints, Array, Array]:
     """Divide segments where displacements are given."""
     keys = np.unique(np.concatenate([motion + first, shift.motion + shift.t, motion + last]))
-    known = np.searchsorted(motion + first, keys, side="right") - 1
-    out_motion, out_first, out_last = [], [], []
-    for a, b, segment in zip(keys[:-1].tolist(), keys[1:].tolist(), known[:-1].tolist(), strict=True):
-        start = max(float(first[segment]), a - motion[segment])
-        stop = min(float(last[segment]), b - motion[segment])
-        if stop - start > 1e-9:
-            out_motion.append(motion[segment])
-            out_first.append(start)
-            out_last.append(stop)
-    return np.array(out_motion, dtype=np.int64), np.array(out_first), np.array(out_last)
+    segment = np.searchsorted(motion + first, keys[:-1], side="right") - 1
+    own = motion[segment]
+    begin = np.maximum(first[segment], keys[:-1] - own)
+    end = np.minimum(last[segment], keys[1:] - own)
+    some = end - begin > 1e-9
+    return own[some], begin[some], end[some]
 
 
 def _in_map(

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import json
 import math
+from functools import partial
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 from scipy.optimize import fixed_point
 
-from postproc import correction
-from postproc.cli import main
+from postproc import correction, jobs
+from postproc.cli import main, outcomes
 from postproc.jobs import process_forces
+from postproc.machining import sweep
+from tests.effort import calls
 from tests.machining.setting import AL7075, CELL, ROBOT, SAMPLES, gcode, process, read, tool
 from tests.machining.test_closed_forms import altintas
 
@@ -86,3 +89,71 @@ def test_process_and_forces_exclude_each_other(tmp_path):
 def test_a_process_is_toml(name):
     made = CliRunner().invoke(main, ["predict", "part.nc", "--cell", "cell.toml", "--process", name])
     assert made.exit_code == 2
+
+
+def test_sweeps_of_the_stock_are_shown_on_a_terminal(tmp_path, monkeypatch):
+    """Nominal sweep and those of the deflected tool, each from its first segment to its last."""
+    from rich.progress import Progress
+
+    shown, update = [], Progress.update
+
+    def seen(self, task, **given):
+        if "completed" in given:
+            shown.append((given["completed"], given["total"], given["visible"]))
+        return update(self, task, **given)
+
+    monkeypatch.setattr(Progress, "update", seen)
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    read(tmp_path, TEXT)
+    (tmp_path / "process.toml").write_text(process(tool(16, 3), BOX, 1.0))
+    settings = jobs.Settings(cell=SAMPLES / "cell_kr270.toml", mode="predict")
+    found = jobs.find_jobs([str(tmp_path / "part.nc")], output=tmp_path / "out", forces=tmp_path / "process.toml")
+    (outcome,) = outcomes._with_progress(partial(jobs.convert_all, found, settings), 1)
+    assert outcome.summary is not None
+    ends = [row for row in shown if row[0] == row[1]]
+    assert len(ends) >= 2
+    assert not any(visible for _, _, visible in ends)
+    assert all(visible for done, of, visible in shown if done < of)
+    assert len(shown) > len(ends)
+
+
+def _surface():
+    """A ball cutter over a wavy surface in moves of 3 mm: its deflection changes all the time."""
+    x = np.linspace(-10, 210, 75)
+    z = -6 + 3 * np.sin(x / 20)
+    points = [(a, -4.0 * row, b) for row in range(6) for a, b in list(zip(x, z, strict=True))[:: 1 - 2 * (row % 2)]]
+    return gcode("G0 X-10 Y0 Z5", *(f"G1 X{a:.3f} Y{y:.3f} Z{b:.3f} F3000" for a, y, b in points), "G0 Z20")
+
+
+def _holes():
+    places = [f"X{10 + 15 * (k % 12)} Y{-10 - 10 * (k // 12)}" for k in range(12)]
+    return gcode("G0 X10 Y-10 Z5", f"G98 G83 {places[0]} Z-12 R2 Q3 F400", *places[1:], "G80")
+
+
+@pytest.mark.parametrize(
+    ("text", "cutter"),
+    [(_surface(), tool(10, 4, "ball")), (_holes(), tool(8, 2, "drill")), (TEXT, tool(16, 3))],
+    ids=["surface", "holes", "slot"],
+)
+def test_the_cut_of_a_deflected_tool_costs_three_times_a_conversion_at_most(tmp_path, text, cutter, monkeypatch):
+    """In calls of functions. A displaced path is as many groups of segments as the programmed one."""
+    program, groups = read(tmp_path, text), []
+    (tmp_path / "process.toml").write_text(process(cutter, BOX, 0.5))
+    grouped = sweep.Sweep._groups
+
+    def counted(self, segments, near):
+        found = list(grouped(self, segments, near))
+        groups.append(len(found))
+        return iter(found)
+
+    monkeypatch.setattr(sweep.Sweep, "_groups", counted)
+
+    def source():
+        return process_forces.read(tmp_path / "process.toml", CELL)
+
+    correction.process(program, ROBOT, CELL, source())  # imports
+    convert = calls(lambda: correction.process(program, ROBOT, CELL, source()))
+    groups.clear()
+    predict = calls(lambda: process_forces.predicted(program, ROBOT, CELL, source()))
+    assert predict <= 3.0 * convert
+    assert max(groups) <= 1.25 * groups[0] + 1
