@@ -134,6 +134,8 @@ def fitting(kind, value):
     """What a variable of a type makes of a value."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return value
+    if kind == "INT" and not abs(value) < 2**31:
+        raise Invalid("an INT is too large")
     if kind == "INT":
         return int(np.floor(value + 0.5))
     return float(value) if kind == "REAL" else value

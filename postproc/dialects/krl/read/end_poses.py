@@ -8,7 +8,7 @@ import numpy as np
 from msgspec import Struct
 
 from postproc.chunks import in_chunks
-from postproc.dialects.krl.language.circles import circles, turned
+from postproc.dialects.circles import through
 from postproc.dialects.krl.language.motion_statements import MotionStatement
 from postproc.dialects.krl.language.positions import Position
 from postproc.dialects.krl.language.source import Source
@@ -30,6 +30,8 @@ _SAME = 1e-9
 _LARGEST_B = 90.0
 """Controllers show B from −90° to 90°."""
 _FRAME_ADVICE = "Write all of X, Y, Z, A, B, C in the first target after $BASE or $TOOL is changed."
+_UNCHANGED = 1e-3 * RAD_PER_DEG
+"""Orientations closer than this [rad] are the same."""
 
 
 class Led(Struct, frozen=True, eq=False):
@@ -319,3 +321,31 @@ def _check_ignored(
             int(line[behind[0]]),
             "Write all of A, B, C in this target.",
         )
+
+
+def circles(source: Source, line: Ints, start: Array, via: Array, end: Array) -> tuple[Array, Array, Array]:
+    """Return centres (n, 3), axes (n, 3) and angles (n,) > 0 [rad] of arcs through three points, (n, 3) each [m].
+
+    :param line: (n,) 1-based lines, for messages.
+    :raises ProgramError: the three points lie on a straight line, or two of them coincide.
+    """
+    centre, normal, angle, flat = in_chunks(through, start, via, end)
+    if flat.any():
+        raise source.line_error(
+            "the three points of the circle lie on a line or coincide",
+            int(line[np.argmax(flat)]),
+            "Choose an auxiliary point well between start and end; for a full circle give CA.",
+        )
+    return centre, normal, angle
+
+
+def turned(start: Array, centre: Array, normal: Array, angle: float) -> Array:
+    """Return the point (3,) that a rotation of `start` about an axis through `centre` reaches."""
+    moved: Array = centre + rotation_from_vector(normal * angle) @ (start - centre)
+    return moved
+
+
+def same_orientation(one: Array, other: Array) -> Bools:
+    """Return whether orientations (..., 3, 3) differ by less than 0.001°."""
+    relative = np.einsum("...ij,...ij->...", one, other)  # trace of oneᵀ·other = 1 + 2·cos(angle)
+    return np.asarray(relative > 1.0 + 2.0 * np.cos(_UNCHANGED))

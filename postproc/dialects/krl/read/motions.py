@@ -8,13 +8,12 @@ from typing import NamedTuple
 import numpy as np
 from msgspec.structs import replace
 
-from postproc.dialects.krl.language.circles import circles, same_orientation
 from postproc.dialects.krl.language.motion_statements import MotionStatement, Trigger, triggers
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tokens import words_in
 from postproc.dialects.krl.layout import CONSTANT, FREE, IGNORE, JOINT, ORIENTATIONS, Elements, Layout
 from postproc.dialects.krl.read.auxiliary_points import left_out
-from postproc.dialects.krl.read.end_poses import EndPoses, Led, end_poses
+from postproc.dialects.krl.read.end_poses import EndPoses, Led, circles, end_poses, same_orientation
 from postproc.dialects.krl.read.external_axes import external_axes
 from postproc.dialects.krl.read.main_routine import MainRoutine
 from postproc.dialects.krl.read.motion_columns import MotionColumns, merged

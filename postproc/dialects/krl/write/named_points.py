@@ -1,22 +1,30 @@
-"""Named points: corrected in place when only one motion uses them, given a new name otherwise."""
+"""Named points: corrected in place when only one motion uses them, given a new name otherwise.
+
+Points of an array to which loops move are corrected in place all at once; motions that share one become statements.
+"""
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 
+import numpy as np
 from msgspec import Struct, field
+from msgspec.structs import replace
 
 from postproc.dialects.krl.course import Course
-from postproc.dialects.krl.language.motion_statements import Point
+from postproc.dialects.krl.language.expressions import parse_aggregate
+from postproc.dialects.krl.language.motion_statements import MotionStatement, Point
 from postproc.dialects.krl.language.names import unused
+from postproc.dialects.krl.language.positions import from_aggregate
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.tokens import NAME
+from postproc.dialects.krl.language.tokens import NAME, word_at
 from postproc.dialects.krl.language.values import Aggregate
-from postproc.dialects.krl.layout import Layout
+from postproc.dialects.krl.layout import Elements, Layout
 from postproc.dialects.krl.write.edits import Replacements
 from postproc.dialects.krl.write.target_statements import applied, literal_of, replaced_numbers
 from postproc.errors import Issue
+from postproc.program import Bools, Motions
 
 
 class Use(Struct, frozen=True, eq=False):
@@ -152,3 +160,52 @@ def mentions(source: Source, plain_lines: Sequence[int], course: Course) -> Mapp
             for name in NAME.findall(routine.source.text, *routine.source.code_span(line)):
                 places[name.upper()].append(-1)
     return places
+
+
+def settled(
+    layout: Layout, motions: Motions, mentions: Mapping[str, Sequence[int]], files: int, alone: Bools
+) -> Layout:
+    """Return the layout with those elements only whose numbers can be edited in place; the others are statements.
+
+    :param mentions: see `mentions`.
+    :param files: number of files that are written: the `.src` and its `.dat`.
+    :param alone: (M,) True for motions with one target, all components of which their text has.
+    """
+    if not layout.elements:
+        return layout
+    points = [move.end for move in layout.statements.values()]
+    points += [move.via for move in layout.statements.values() if move.via is not None]
+    used = [(one.source.index, one.start) for one in (point.position.aggregate for point in points) if one is not None]
+    for each in layout.elements:
+        used += [(each.source.index, start) for start in each.literal[:, 0].tolist()]
+    times = Counter(used)
+    left, statements, spans = [], dict(layout.statements), layout.spans.copy()
+    for each in layout.elements:
+        known = all(offset in layout.understood for offset in mentions.get(each.name, ()))
+        own = known and each.name not in layout.public and each.source.index < files and layout.carriage is None
+        once = np.array([times[each.source.index, start] == 1 for start in each.literal[:, 0].tolist()])
+        here = alone[each.row] & once & own
+        left.append(Elements(each.row[here], each.literal[here], each.source, each.name))
+        spans[each.row[~here]] = -1
+        for row, literal in zip(each.row[~here].tolist(), each.literal[~here].tolist(), strict=True):
+            statements[row] = _statement(layout, motions, row, each, literal)
+    return replace(layout, statements=dict(sorted(statements.items())), elements=tuple(left), spans=spans)
+
+
+def _statement(layout: Layout, motions: Motions, row: int, each: Elements, literal: Sequence[int]) -> MotionStatement:
+    start, stop = layout.target[row].tolist()
+    begin, end = layout.tail[row].tolist()
+    keyword = int(layout.keyword[row])
+    position = from_aggregate(parse_aggregate(each.source, *literal))
+    return MotionStatement(
+        int(layout.line[row]),
+        int(motions.kind[row]),
+        (keyword, keyword + len(word_at(layout.course.source.text, keyword, start))),
+        Point(position, start, stop, each.name),
+        "",
+        None,
+        None,
+        begin,
+        end,
+        bool(motions.blend[row] > 0.0),
+    )

@@ -29,10 +29,9 @@ from postproc.dialects.krl.language.parser import is_approximated
 from postproc.dialects.krl.language.positions import CARTESIAN
 from postproc.dialects.krl.language.source import Source, comment_start
 from postproc.dialects.krl.layout import FREE, ORIENTATIONS, Layout
-from postproc.dialects.krl.write.array_points import settled
 from postproc.dialects.krl.write.edits import InsertedLines, Replacements
 from postproc.dialects.krl.write.folding import folded
-from postproc.dialects.krl.write.named_points import NamedPoints, Use, mentions
+from postproc.dialects.krl.write.named_points import NamedPoints, Use, mentions, settled
 from postproc.dialects.krl.write.target_numbers import DECIMALS, target_numbers
 from postproc.dialects.krl.write.target_statements import (
     LED_BY,
