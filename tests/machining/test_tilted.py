@@ -32,7 +32,7 @@ def tilted(degrees):
 
 def expected(teeth, axes, tip, direction, material, per_tooth=0.1):
     return tooth_by_tooth(
-        teeth, axes.T @ tip, axes.T @ direction, per_tooth, lambda p: material(p @ axes.T), steps=360,
+        teeth, axes.T @ tip, axes.T @ direction, per_tooth, lambda p: material(p @ axes.T), steps=180,
     )  # fmt: skip
 
 
@@ -43,7 +43,7 @@ def test_a_tool_askew_along_an_edge(tmp_path, degrees, shape):
     block = "Y50 (here)"
     text = gcode(f"G0 B{degrees} X58 Y-60 Z-1.5", "G1 Y-50 F2400", block)
     program, found = forces(tmp_path, text, process(tool(10, 4, shape), BOX), FIVE)
-    teeth = Teeth(5.0, 5.0 if shape == "ball" else 0.0, 4, AL7075).side(40.0, discs=1500)
+    teeth = Teeth(5.0, 5.0 if shape == "ball" else 0.0, 4, AL7075).side(40.0, discs=500)
     force = expected(teeth, tilted(degrees), np.array([58, 0, -1.5]), np.array([0, 1.0, 0]), in_box)
     close(on_line(program, found, line_of(text, block), 0.5), force)
 
@@ -65,7 +65,7 @@ def test_a_tool_that_is_turned_between_two_cuts_meets_what_is_left(tmp_path):
     """A face of 2 mm, then an edge of what is left with the tool at 30°."""
     text = gcode(*FACE, "G0 B30", "X58 Y-60 Z-3.5", "G1 Y-50 F2400", "Y50 (here)")
     program, found = forces(tmp_path, text, TWO, FIVE)
-    teeth = Teeth(5.0, 0.0, 4, AL7075).side(20.0, discs=1500)
+    teeth = Teeth(5.0, 0.0, 4, AL7075).side(20.0, discs=500)
     force = expected(
         teeth, tilted(30.0), np.array([58, 0, -3.5]), np.array([0, 1.0, 0]), lambda p: in_box(p, -2.0)
     )  # fmt: skip
