@@ -113,11 +113,27 @@ def test_as_many_largest_residuals_as_are_wrong_explain_a_misfit(experiment):
 
     def change(raw):
         for config, point in ((2, 1), (2, 2), (7, 0)):
-            raw[config, 1, :, point] += 0.2 * OFF * (1.0 + point)
+            raw[config, 1, :, point] += 0.2 * OFF * (4.0 - point)
 
     data = loaded(experiment, change, "three")
     fit = procedure._joints(harness.PRIOR, data, locate(harness.PRIOR, data)).fit
     assert [procedure._explained_without(fit, most) for most in (1, 2, 3, 4)] == [False, False, True, True]
+
+
+@pytest.mark.parametrize("method", ["enhanced", "serial"])
+def test_what_was_left_out_and_what_is_not_observable_is_among_the_warnings(experiment, method):
+    """One reading is off by 9 mm; and the stated noise is so large that k6 is not known."""
+
+    def change(raw):
+        raw[6, 1, 1, 1] += 10.0 * OFF
+
+    data = loaded(experiment, change, "warned")
+    result = procedure.identify(harness.PRIOR, data, method)
+    (left_out,) = result.left_out
+    assert f"outlier: {left_out}" in result.warnings
+    noisy = procedure.identify(harness.PRIOR, replace(data, sigma=0.5e-3), method)
+    assert noisy.missing or method == "serial"
+    assert {str(entry) for entry in noisy.missing} <= set(noisy.warnings)
 
 
 def test_some_configurations_are_what_a_file_of_them_alone_gives(experiment):
