@@ -364,19 +364,28 @@ def _check_rotary(rotary: Rotary, file: str) -> None:
 
 
 def _check_collision(collision: Collision, file: str) -> None:
-    for held in collision.holder:
-        if (held.mesh is None) != (held.diameter_mm is not None and held.length_mm is not None):
-            advice = '{ diameter_mm = 63, length_mm = 80 }, from the tip upwards, or { mesh = "spindle.stl" }.'
-            raise CellError("[collision] holder: a part needs diameter and length, or a mesh", file=file, advice=advice)
-    for obstacle in collision.obstacles:
+    for number, held in enumerate(collision.holder, start=1):
+        sizes = {"diameter_mm": held.diameter_mm, "length_mm": held.length_mm}
+        given = [key for key, value in sizes.items() if value is not None]
+        if held.mesh is None and len(given) < len(sizes):
+            problem = f"no {' and no '.join(key for key in sizes if key not in given)}"
+        elif held.mesh is not None and given:
+            problem = f"mesh together with {' and '.join(given)}"
+        else:
+            continue
+        advice = 'Give { diameter_mm = 63, length_mm = 80 }, from the tip upwards, or { mesh = "spindle.stl" }.'
+        raise CellError(f"[collision] holder, part {number}: {problem}", file=file, advice=advice)
+    for number, obstacle in enumerate(collision.obstacles, start=1):
         if (obstacle.mesh is None) == (obstacle.box is None):
-            advice = '{ mesh = "fixture.stl" } or { box = { X = [0, 200], Y = [0, 300], Z = [-60, -20] } }.'
-            raise CellError("[collision] obstacles: each needs a mesh or a box", file=file, advice=advice)
-        if obstacle.box is not None and any(
-            low >= high for low, high in (obstacle.box.X, obstacle.box.Y, obstacle.box.Z)
-        ):
-            advice = "Give the smaller number first."
-            raise CellError("[collision] obstacles: a box has no inside", file=file, advice=advice)
+            problem = "neither mesh nor box" if obstacle.mesh is None else "mesh together with box"
+            advice = 'Give { mesh = "fixture.stl" } or { box = { X = [0, 200], Y = [0, 300], Z = [-60, -20] } }.'
+            raise CellError(f"[collision] obstacles, number {number}: {problem}", file=file, advice=advice)
+        for axis in "XYZ" if obstacle.box is not None else "":
+            low, high = getattr(obstacle.box, axis)
+            if low >= high:
+                problem = f"box {axis} = [{low:g}, {high:g}] has no inside"
+                advice = "Give the smaller number first."
+                raise CellError(f"[collision] obstacles, number {number}: {problem}", file=file, advice=advice)
 
 
 def _portable(path: str) -> str:

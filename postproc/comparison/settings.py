@@ -8,6 +8,7 @@ import numpy as np
 
 from postproc.comparison.paths import SAME_FRAME, PlacedProgram
 from postproc.comparison.result import Comparison, Difference, at_pairs, at_rows, of_line
+from postproc.errors import Issue
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm, twist_between
 from postproc.program import CIRC, FORCE_FRAMES, LIN, PTP, SPL, Ints, Program
 
@@ -92,14 +93,22 @@ def _external_axes(found: Comparison) -> Iterator[Difference]:
         for program in (found.nominal, found.corrected)
     ]
     for axis in sorted({*fixed[0], *fixed[1]}):
-        words = [each[axis].message.partition(":")[0] if axis in each else f"{axis} at 0 or unsaid" for each in fixed]
+        words = [_position(axis, each.get(axis)) for each in fixed]
         if words[0] != words[1]:
-            message = f"{words[1]} in the corrected program, {words[0]} in the nominal one."
+            message = f"{axis} is {words[1]} in the corrected program, and {words[0]} in the nominal one."
             first, second = (
                 of_line(program, each[axis].source_line) if axis in each else None
                 for program, each in zip((found.nominal, found.corrected), fixed, strict=True)
             )
             yield Difference("warning", "external-axis", message, first, second)
+
+
+def _position(axis: str, issue: Issue | None) -> str:
+    """Return the position of an external axis, as the reader of a program reported it."""
+    if issue is None:
+        return "at 0 or not given"
+    stated = issue.message.partition(":")[0].removeprefix(f"{axis} is ")
+    return stated if stated.startswith("at ") else "not given before its first motion"
 
 
 def _posture(found: Comparison, one: PlacedProgram, other: PlacedProgram) -> Iterator[Difference]:

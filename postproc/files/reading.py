@@ -188,12 +188,18 @@ def parse_csv(
                 problem, advice = f"{len(row)} values where the header has {len(header)}", None
                 if len(row) == 1 and len(row[0].split(";")) == len(header):
                     problem, advice = "values separated by semicolons", _COMMAS
+                elif len(row) > len(header):
+                    advice = "Write numbers with a decimal point (0.034), not with a comma, which separates values."
                 wrong.append(error(problem, file=str(path), line=reader.line_num, text=",".join(row), advice=advice))
                 continue
             rows.append(row)
             lines.append(reader.line_num)
     except csv.Error as cause:
         raise error(f"not a valid CSV file: {cause}", file=str(path), line=reader.line_num) from cause
+    if not rows and len(wrong) > 1 and len({each.problem for each in wrong}) == 1:  # one cause, stated once
+        one = wrong[0]
+        problem = f"{one.problem}, in all {len(wrong)} rows"
+        wrong = [error(problem, file=str(path), line=one.line, text=one.text, advice=one.advice)]
     columns = dict(zip(header, zip(*rows, strict=True), strict=True)) if rows else dict.fromkeys(header, ())
     numeric: dict[str, Array] = {}
     for name, values in columns.items():

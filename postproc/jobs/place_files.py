@@ -10,7 +10,7 @@ from msgspec import Struct
 
 from postproc import cell as cells
 from postproc.cell import Cell
-from postproc.errors import InputError
+from postproc.errors import InputError, did_you_mean
 from postproc.files import foreign, refuse, with_record, write_whole
 from postproc.frames import RAD_PER_DEG
 from postproc.jobs.conversion import programs_under_force
@@ -26,6 +26,8 @@ FILES = ("place.csv", "place.html", "place.toml", "place.json")
 """Files of a search, the record last."""
 _AROUND = {"X": 400.0, "Y": 400.0, "Z": 200.0, "A": 45.0}
 """Without a region the place may change by this [mm, deg]."""
+_FARTHEST = 1e5
+"""Largest bound of a region [mm, deg]."""
 _BOUNDS = re.compile(r"\s*(\w+)\s*=\s*([-+.\deE]+)\s*:\s*([-+.\deE]+)\s*")
 
 
@@ -108,20 +110,29 @@ def region_of(text: str | None, cell: Cell) -> Region:
         for axis, reach in _AROUND.items():
             low[axis], high[axis] = today[axis] - reach, today[axis] + reach
     for part in () if text is None else text.split(","):
-        found = _BOUNDS.fullmatch(part)
-        advice = "Write --region X=1200:2000,Y=-600:600,Z=500:900,A=-90:90 (mm, degrees; E1=0:3000 too)."
-        try:
-            if found is None or found[1] not in AXES:
-                raise ValueError  # noqa: TRY301
-            one, other = float(found[2]), float(found[3])
-            if not one <= other or max(abs(one), abs(other)) > 1e5:
-                raise ValueError  # noqa: TRY301
-        except ValueError:
-            raise InputError(f"--region: {part.strip()!r} cannot be read", advice=advice) from None
-        low[found[1]], high[found[1]] = one, other
+        axis, one, other = _bounds(part)
+        low[axis], high[axis] = one, other
     if high["E1"] > low["E1"] and cell.carriage is None:
         raise InputError("--region names E1, but the cell has no [external_axes.E1]", advice="Leave E1 out.")
     return Region(tuple(low[axis] for axis in AXES), tuple(high[axis] for axis in AXES))
+
+
+def _bounds(part: str) -> tuple[str, float, float]:
+    """Return axis, lower and upper bound of one part of --region."""
+    found = _BOUNDS.fullmatch(part)
+    advice = f"Write --region X=1200:2000,Y=-600:600,A=-90:90, the smaller number first; axes: {', '.join(AXES)}."
+    where = f"--region {part.strip()!r}"
+    try:
+        axis, one, other = "" if found is None else found[1], *map(float, () if found is None else found.groups()[1:])
+    except ValueError:
+        raise InputError(f"{where}: not AXIS=LOW:HIGH with numbers in mm or degrees", advice=advice) from None
+    if axis not in AXES:
+        raise InputError(f"{where}: no axis {axis!r}", advice=f"{did_you_mean(axis, AXES)} {advice}".lstrip())
+    if one > other:
+        raise InputError(f"{where}: {one:g} is larger than {other:g}", advice=advice)
+    if max(abs(one), abs(other)) > _FARTHEST:
+        raise InputError(f"{where}: farther than {_FARTHEST:g}", advice=advice)
+    return axis, one, other
 
 
 def _samples(request: PlaceRequest, cell: Cell, robot: RobotModel) -> tuple[Sequence[PathSamples], list[str]]:

@@ -212,8 +212,8 @@ def predicted(program: Program, robot: RobotModel, cell: Cell, source: ProcessSo
     one, other = (float(norm(each[:, :3]).max(initial=0.0)) for each in (path.wrench, result.wrench))
     removed = [0.0 if each.found is None else each.found.removed * 1e9 for each in (source, cut)]
     message = (
-        f"forces of the deflected tool ({rounds} rounds): largest force {other:.0f} N, {one:.0f} N on the "
-        f"nominal path; removed {removed[1]:.0f} mm³ of {removed[0]:.0f}. The corrected program has the nominal "
+        f"forces of the deflected tool ({rounds} round{'s' * (rounds != 1)}): largest force {other:.0f} N, "
+        f"{one:.0f} N on the nominal path; removed {removed[1]:.0f} mm³ of {removed[0]:.0f}. The corrected program has the nominal "
         "engagement."
     )
     note = Issue("info" if settled else "warning", "real-cut", message)

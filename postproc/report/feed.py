@@ -110,12 +110,14 @@ def sentences(feed: FeedSummary, most: int = 5) -> list[str]:
         if not feed["missed_moves"]:
             out = [f"feeds as programmed: they hold {tolerance}"]
     else:
+        moves = "1 cutting move" if feed["cutting_moves"] == 1 else f"{feed['cutting_moves']} cutting moves"
         out = [
-            f"feed lowered on {feed['lowered_moves']} of {feed['cutting_moves']} cutting moves to hold {tolerance}: "
+            f"feed lowered on {feed['lowered_moves']} of {moves} to hold {tolerance}: "
             f"cutting time {seconds(feed['time_before_s'])} → {seconds(feed['time_after_s'])}"
         ]
     if feed["missed_moves"]:
-        out.append(f"{feed['missed_moves']} moves do not hold {tolerance} at any feed from min_feed_mm_per_min up")
+        many = "1 move does not" if feed["missed_moves"] == 1 else f"{feed['missed_moves']} moves do not"
+        out.append(f"{many} hold {tolerance} at any feed from min_feed_mm_per_min up")
         for move in feed["missed"][:most]:
             floor = move["edge_forces_mm"]
             text = (

@@ -144,7 +144,7 @@ def as_text(content: ForcesSummary) -> str:
     if "removed_mm3" in content:
         lines.append(f"removed {content['removed_mm3'] / 1e3:.4g} cm³, left {content['left_mm3'] / 1e3:.4g} cm³")
     if content.get("by_operation"):
-        lines.append(f"forces by operation for {content['by_operation']} moves")
+        lines.append(f"forces by operation for {content['by_operation']} move{'s' * (content['by_operation'] != 1)}")
     return "\n".join(lines)
 
 

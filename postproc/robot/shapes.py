@@ -20,6 +20,8 @@ from postproc.robot.urdf import Geometry
 _FINEST = 1e-3
 """Cells [m] that simplification begins with; each further grid is coarser by `_COARSER`."""
 _COARSER = 1.25
+_SHOWN = 3
+"""Places of a missing mesh that a note names."""
 
 
 class LinkShape(Struct, frozen=True, eq=False):
@@ -74,9 +76,10 @@ def read(geometries: Iterable[Geometry], urdf: Path) -> tuple[list[LinkShape], l
 def _mesh(geometry: Geometry, urdf: Path) -> Any:
     """Return what a geometry is, as a `trimesh.Trimesh` [m]."""
     if geometry.kind == "mesh":
-        path = _located(geometry.file, urdf)
+        places = _places(geometry.file, urdf)
+        path = next((place for place in places if place.is_file()), None)
         if path is None:
-            raise ModelError("there is no such file", file=geometry.file)
+            raise ModelError(f"there is no such file; looked for {_listed(places)}", file=geometry.file)
         mesh = read_mesh(path, ModelError, "mesh")
         if path.suffix.lower() == ".dae":  # the only one of these formats that states its unit
             mesh.convert_units("meters")
@@ -93,8 +96,13 @@ def _mesh(geometry: Geometry, urdf: Path) -> Any:
     raise ModelError("is neither a mesh nor a box, cylinder or sphere")
 
 
-def _located(name: str, urdf: Path) -> Path | None:
-    """Return the file that a URDF names, or None.
+def _listed(places: list[Path]) -> str:
+    more = f", and {len(places) - _SHOWN} more above" if len(places) > _SHOWN else ""
+    return f"{', '.join(str(place) for place in places[:_SHOWN])}{more}"
+
+
+def _places(name: str, urdf: Path) -> list[Path]:
+    """Return where a file that a URDF names may be, the likeliest place first.
 
     `package://NAME/…` is below a folder of that name, which is above the URDF or next to a folder above it; or below
     the folder above it whose package.xml states the name.
@@ -102,9 +110,9 @@ def _located(name: str, urdf: Path) -> Path | None:
     scheme, _, rest = name.rpartition("://")
     rest = rest.replace("\\", "/")
     if scheme not in ("package", "model"):
-        path = Path(rest) if Path(rest).is_absolute() else urdf.parent / rest
-        return path if path.is_file() else None
+        return [Path(rest) if Path(rest).is_absolute() else urdf.parent / rest]
     package, _, inside = rest.partition("/")
+    found = []
     for above in urdf.resolve().parents:
         folders = [above / package]
         description = above / "package.xml"
@@ -113,10 +121,8 @@ def _located(name: str, urdf: Path) -> Path | None:
             and re.search(rf"<name>\s*{re.escape(package)}\s*</name>", description.read_text(errors="replace"))
         ):
             folders.append(above)
-        for folder in folders:
-            if (folder / inside).is_file():
-                return folder / inside
-    return None
+        found += [folder / inside for folder in folders]
+    return found
 
 
 def simplified(surface: LinkShape, most: int) -> tuple[LinkShape, float]:

@@ -484,9 +484,19 @@ def test_a_track_that_one_program_alone_uses_is_reported(first, second, which):
 @pytest.mark.parametrize(
     ("first", "second", "words", "places"),
     [
-        ("E1 300", "E1 310", "E1 is at 310 in the corrected program, E1 is at 300 in the nominal one.", (-1, -1)),
-        ("E1 300", None, "E1 at 0 or unsaid in the corrected program, E1 is at 300 in the nominal one.", (-1, None)),
-        (None, "E2 300", "E2 is at 300 in the corrected program, E2 at 0 or unsaid in the nominal one.", (None, -1)),
+        ("E1 300", "E1 310", "E1 is at 310 in the corrected program, and at 300 in the nominal one.", (-1, -1)),
+        (
+            "E1 300",
+            None,
+            "E1 is at 0 or not given in the corrected program, and at 300 in the nominal one.",
+            (-1, None),
+        ),
+        (
+            None,
+            "E2 300",
+            "E2 is at 300 in the corrected program, and at 0 or not given in the nominal one.",
+            (None, -1),
+        ),
         ("E1 300", "E1 300", None, None),
     ],
 )

@@ -102,9 +102,12 @@ def test_assumed_shapes_of_the_arm_are_named():
 @pytest.mark.parametrize(
     ("wrong", "advice"),
     [
-        ("holder = [ { diameter_mm = 63 } ]", "needs diameter and length, or a mesh"),
-        ("obstacles = [ { name = 'vice' } ]", "needs a mesh or a box"),
-        ("obstacles = [ { box = { X = [1, 0], Y = [0, 1], Z = [0, 1] } } ]", "a box has no inside"),
+        ("holder = [ { diameter_mm = 63 } ]", "[collision] holder, part 1: no length_mm"),
+        ("obstacles = [ { name = 'vice' } ]", "[collision] obstacles, number 1: neither mesh nor box"),
+        (
+            "obstacles = [ { box = { X = [1, 0], Y = [0, 1], Z = [0, 1] } } ]",
+            "[collision] obstacles, number 1: box X = [1, 0] has no inside",
+        ),
         ("obstacles = [ { mesh = 'none.stl' } ]", "no such file: mesh of [collision]"),
     ],
 )
