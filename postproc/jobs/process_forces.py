@@ -213,8 +213,8 @@ def predicted(program: Program, robot: RobotModel, cell: Cell, source: ProcessSo
     removed = [0.0 if each.found is None else each.found.removed * 1e9 for each in (source, cut)]
     message = (
         f"forces of the deflected tool ({rounds} round{'s' * (rounds != 1)}): largest force {other:.0f} N, "
-        f"{one:.0f} N on the nominal path; removed {removed[1]:.0f} mm³ of {removed[0]:.0f}. The corrected program has the nominal "
-        "engagement."
+        f"{one:.0f} N on the nominal path; removed {removed[1]:.0f} mm³ of {removed[0]:.0f}. The corrected "
+        "program has the nominal engagement."
     )
     note = Issue("info" if settled else "warning", "real-cut", message)
     hits = [issue for issue in source.found.issues if issue.kind == "rapid-in-material"]
