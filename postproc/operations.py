@@ -134,7 +134,7 @@ def _starts(program: Program, names: Names) -> Iterator[tuple[int, str, int, int
 
 
 def _on_own_lines(here: list[Event], lines: list[str]) -> list[Event]:
-    """Return the events without comments that follow code on their line."""
+    """Return the tool changes, and the comments that are alone on their line."""
     return [
         event
         for event in here
@@ -146,7 +146,13 @@ def _on_own_lines(here: list[Event], lines: list[str]) -> list[Event]:
 
 
 def _at_retract(program: Program, row: int, here: list[Event], change: int | None, lines: list[str]) -> bool:
-    """Whether the events before motion `row` are between two cuts, or follow a blank line."""
+    """Return whether comments before motion `row` may name an operation: not if they are between two cutting motions.
+
+    They may after a blank line, at a tool change and at the begin of the program even there.
+
+    :param here: the events before the motion; change: index of the tool change among them, or None.
+    :param lines: of the program.
+    """
     rapid = program.motions.rapid
     if row == 0 or change is not None or rapid[row] or rapid[row - 1]:
         return True
@@ -154,7 +160,12 @@ def _at_retract(program: Program, row: int, here: list[Event], change: int | Non
 
 
 def _named(here: list[Event], change: int | None, *, first: bool, explicit: bool) -> Event | None:
-    """Return the comment that names the operation, None if there is none."""
+    """Return the comment that names an operation, or None.
+
+    :param here: comments and tool changes before a motion; change: index of the first tool change among them, or None.
+    :param first: whether the motion is the first of the program.
+    :param explicit: whether the program marks operations with ``begin operation``: other comments then name none.
+    """
     if explicit:
         return next((event for event in reversed(here) if event.kind == "comment" and _BEGIN.match(event.text)), None)
     before: list[Event] = []

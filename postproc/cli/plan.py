@@ -152,7 +152,7 @@ def poses(programs: tuple[str, ...], more: tuple[str, ...], as_json: bool, **req
 
 @contextlib.contextmanager
 def _shown() -> Iterator[Progress | None]:
-    """Show progress on a terminal; none when the output goes elsewhere."""
+    """Yield the function that draws the progress of the search; None if stderr is no terminal."""
     if not sys.stderr.isatty():
         yield None
         return

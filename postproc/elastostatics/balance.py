@@ -106,9 +106,9 @@ class Balance(Struct, frozen=True, eq=False):
 
     @property
     def lost_motion_compliance(self) -> Array:
-        """(nv, n) tangent compliance due to lost motion where τ is not that of the load alone.
+        """(nv, n) tangent compliance of lost motion, which only the torque of the load moves [rad/(N·m)].
 
-        It reacts to the load only, not to weights and compensator.
+        Zero where τ is the torque of the load alone: `slope` then contains lost motion.
         """
         out, load_part = np.zeros_like(self.x), self.load_part
         for parameter, value in () if load_part is self.torque else self.robot.terms:

@@ -199,10 +199,11 @@ def spring_direction(value: Array, q2: Array) -> Array:
 def noise_covariance(q2: Array, p1: Array, p0: Array, variance_p1: Array, variance_p0: Array) -> Array:
     """Return the covariance (3, 3) of L, a_x, a_y by Eq. (6), (7) due to noise, to first order [m²].
 
-    By central differences with respect to every coordinate.
+    Derivatives are central differences by every coordinate.
 
-    :param p1: (m, 3) [m], with the variance (m,) of one coordinate [m²].
-    :param p0: (k, m, 3), with the variance (k, m).
+    :param q2: (m,) angles of joint 2 [rad].
+    :param p1: (m, 3) measured positions of marker P1 on link 2 [m]; variance_p1: (m,) of each coordinate [m²].
+    :param p0: (k, m, 3) measured positions of the k markers on the compensator [m]; variance_p0: (k, m) likewise.
     """
     m, k, step = len(q2), len(p0), 1e-5
     data = np.concatenate([p1.ravel(), p0.ravel()])

@@ -96,7 +96,7 @@ def within_limits(site: Site, q: Array) -> Bools:
 
 
 def arm_parts(site: Site, state: State) -> list[Capsule]:
-    """Return column, link 2, elbow, forearm, hand."""
+    """Return a capsule for each of column, link 2, elbow, forearm and hand at the N configurations."""
     o, along_forearm = state.posed.origin, state.posed.axis[:, 3]
     # where the forearm begins: a URDF may put the origin of A4 anywhere on its axis
     begin = o[:, 3] + np.einsum("ni,ni->n", o[:, 2] - o[:, 3], along_forearm)[:, None] * along_forearm
@@ -106,7 +106,7 @@ def arm_parts(site: Site, state: State) -> list[Capsule]:
 
 
 def tool_parts(site: Site, state: State) -> list[Capsule]:
-    """Return the parts from the flange to load point and markers."""
+    """Return a capsule from the flange to the load point, and one to each marker, at the N configurations."""
     start = state.posed.flange[:, :3, 3]
     ends = state.posed.point(np.vstack([site.load_point, site.points]))
     return [
@@ -115,7 +115,7 @@ def tool_parts(site: Site, state: State) -> list[Capsule]:
 
 
 def load_parts(site: Site, state: State) -> list[Capsule]:
-    """Return rope and weight."""
+    """Return capsules of the rope and the weight at the N configurations; none if nothing hangs from the load point."""
     if state.down is None:
         return []
     start = state.posed.point(site.load_point[None])[:, 0]

@@ -183,7 +183,10 @@ def _verdict_word(content: Summary) -> str:
 
 
 def _why(rows: Sequence[tuple[str, Summary | None, str]]) -> list[str]:
-    """Return the first reason of each verdict that is not good, and the programs that have it."""
+    """Return a line for each different reason of a verdict that is not "ok", with the programs that it concerns.
+
+    :param rows: name and summary of each program (the third entry is not used). Only the first reason counts.
+    """
     programs: dict[str, list[str]] = {}
     for name, content, _ in rows:
         if content is not None and content["verdict"]["state"] != "ok":

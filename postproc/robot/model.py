@@ -291,9 +291,9 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
         return "measured on this robot"
 
     def link_shapes(self, *, drawn: bool) -> tuple[list[LinkShape], list[str]]:
-        """Return the surface of each link that has one, and why shapes could not be read, in words.
+        """Return the surface of each link that has one, and a sentence for each shape that could not be read.
 
-        :param drawn: as it looks (<visual>), else for collisions; links that have only the other kind get that.
+        :param drawn: True for <visual> shapes, False for <collision> shapes; a link with only the other kind has that.
         """
         own = {each.carrier for each in self.geometries if each.drawn == drawn}
         wanted = [each for each in self.geometries if each.drawn == drawn or each.carrier not in own]

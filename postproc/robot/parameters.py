@@ -83,7 +83,7 @@ class Parameter(Struct, frozen=True):
         """Put a value and the half width of its 95 % interval, in units of the file, into tables of model.toml."""
 
     def partners(self) -> tuple[Parameter, ...]:
-        """Return the parameters that its value in files depends on."""
+        """Return the other parameters that its value in model.toml depends on."""
         return ()
 
     def in_file(self, given: Mapping[Parameter, float]) -> tuple[float, dict[Parameter, float]]:
@@ -445,7 +445,7 @@ class CompensatorStiffness(CompensatorTorque, frozen=True):
         return law.stiffness
 
     def partners(self) -> tuple[Parameter, ...]:
-        """Return the preload: files hold K_c together with s₀."""
+        """Return the preload: model.toml states K_c and s₀, the model has K_c and K_c·s₀."""
         return (CompensatorPreload(),)
 
     def effect(self, law: Compensator, q2: Array) -> tuple[Array, Array]:
@@ -488,7 +488,7 @@ class CompensatorPreload(CompensatorTorque, frozen=True):
         return law.stiffness * law.free_length
 
     def partners(self) -> tuple[Parameter, ...]:
-        """Return the stiffness, by which files divide."""
+        """Return the stiffness: model.toml states s₀, which is the preload divided by it."""
         return (CompensatorStiffness(),)
 
     def in_file(self, given: Mapping[Parameter, float]) -> tuple[float, dict[Parameter, float]]:

@@ -56,7 +56,7 @@ class LinkShape(Struct, frozen=True, eq=False):
 
 
 def read(geometries: Iterable[Geometry], urdf: Path) -> tuple[list[LinkShape], list[str]]:
-    """Return the surface of each geometry that can be read, and why others cannot, in words.
+    """Return the surface of each geometry that can be read, and a sentence for each that cannot.
 
     :param urdf: the file that names them: relative names are looked for next to it, `package://` names in its package
         and next to the folders above it.

@@ -110,7 +110,7 @@ class Cycle:
         return steps, done
 
     def _down(self, bottom: Point, r: float, steps: list[Step]) -> None:
-        """Drill to the bottom, in pecks where the cycle has them."""
+        """Append to `steps` the moves from the R plane to the bottom, in pecks where the cycle has them."""
         u, v, z = bottom
         if self.code in (73.0, 83.0):
             peck = self.words["Q"]
@@ -127,7 +127,12 @@ class Cycle:
         steps.append(Step(1.0, bottom, bottom=True))
 
     def _up(self, clear: Point, r: float, steps: list[Step], done: list[CycleEvent], spindle: EventKind) -> None:
-        """Retract from the bottom."""
+        """Append to `steps` the retract from the bottom, and to `done` the dwell and changes of the spindle before it.
+
+        :param clear: end of the retract; r: height of the R plane [mm].
+        :param spindle: state of the spindle before the cycle.
+        :raises BlockError: the cycle needs a spindle that turns.
+        """
         at, dwell = len(steps), self.words.get("P", 0.0)
         if self.code in (82.0, 86.0, 89.0) and dwell > 0.0:
             done.append(CycleEvent(at, "dwell", dwell))

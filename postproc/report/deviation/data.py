@@ -123,7 +123,7 @@ class Deviation(Struct, frozen=True, dict=True):
 
     @cached_property
     def links(self) -> list[LinkShape]:
-        """Shapes of the links that the model folder has; of one that cannot be read a simple one is drawn."""
+        """Shapes of the links from the model folder; a link without a readable file is drawn as a simple solid."""
         return self.result.robot.link_shapes(drawn=True)[0]
 
     @cached_property
