@@ -196,7 +196,7 @@ def test_an_external_axis_that_stands_elsewhere_is_told_without_the_cell_knowing
     one = program("ONE", *moves)
     content, _ = compared(one, program("OTHER", *(move.replace("E2 5.0", "E2 7.5") for move in moves)))
     (issue,) = [issue for issue in content["issues"] if issue["kind"] == "external-axis"]
-    assert issue["message"] == "E2 is at 7.5 in the corrected program, E2 is at 5 in the nominal one."
+    assert issue["message"] == "E2 is at 7.5 in the corrected program, and at 5 in the nominal one."
     content, _ = compared(one, program("LESS", *(move.replace(",E2 5.0", "") for move in moves)))
     (issue,) = [issue for issue in content["issues"] if issue["kind"] == "external-axis"]
     assert "E2 is at 0 or not given in the corrected program" in issue["message"]
