@@ -237,7 +237,7 @@ _STRETCHED = np.radians(1.0)
 _WRIST_ADVICE = "Use $ORI_TYPE=#VAR, or divide the motion."
 
 
-def led_by_wrist(program: Program, setting: RobotInCell) -> Program:
+def led_by_wrist(program: Program, robot_in_cell: RobotInCell) -> Program:
     """Return a program that knows how its robot turns the tool on the motions on which the wrist axes do so.
 
     Both ends are on the branch of the path, so that A5 does not pass through 0.
@@ -246,16 +246,16 @@ def led_by_wrist(program: Program, setting: RobotInCell) -> Program:
     """
     if program.by_wrist is None:
         return program
-    check_ends(program, setting.robot)
+    check_ends(program, robot_in_cell.robot)
     m, every = program.motions, np.arange(len(program.motions))
     motion = np.flatnonzero(program.by_wrist)
-    segments = toolpath.segments(program, setting.start_flange)
+    segments = toolpath.segments(program, robot_in_cell.start_flange)
     try:
-        ends = setting.follow(program, every, np.ones(len(every)), m.target).q
+        ends = robot_in_cell.follow(program, every, np.ones(len(every)), m.target).q
     except UnreachableError as cause:
         raise ImpossiblePathError(unreachable(program, np.array(cause.rows))) from None
     before = (every - 1 if program.after is None else program.after)[motion]
-    begin = np.where(before[:, None] >= 0, ends[before], setting.cell.start_joints)
+    begin = np.where(before[:, None] >= 0, ends[before], robot_in_cell.cell.start_joints)
     change = (ends[motion] - begin + np.pi) % (2.0 * np.pi) - np.pi
     far = (np.abs(change[:, 3:]) > _UNCLEAR).any(axis=1)
     far |= np.minimum(np.abs(begin[:, 4]), np.abs(ends[motion, 4])) < _STRETCHED
@@ -269,7 +269,7 @@ def led_by_wrist(program: Program, setting: RobotInCell) -> Program:
     base = program.bases[m.base[motion], :3, :3]
     joints = begin, begin + change
     try:
-        wrist = ByWrist.of(setting.robot, len(m), motion, joints, tip, base, program.tools[m.tool[motion]])
+        wrist = ByWrist.of(robot_in_cell.robot, len(m), motion, joints, tip, base, program.tools[m.tool[motion]])
     except UnreachableError as cause:
         raise ImpossiblePathError(unreachable(program, np.array(cause.rows))) from None
     return replace(program, wrist=wrist)

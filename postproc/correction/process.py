@@ -399,7 +399,8 @@ def read(documents: Sequence[Document], robot: RobotModel, cell: Cell, name: str
     try:
         return read_only(led_by_wrist(program, robot_in_cell))
     except ImpossiblePathError as cause:
-        raise ProgramError(cause.issue.message, file=documents[0].name, line=cause.issue.source_line) from None
+        problem, line = cause.issue.message.removesuffix("."), cause.issue.source_line
+        raise ProgramError(problem, file=documents[0].name, line=line) from None
 
 
 def process(

@@ -12,6 +12,7 @@ from msgspec import Struct
 
 from postproc.chunks import in_chunks
 from postproc.frames import Array, angle_between, largest
+from postproc.kinematics.closed_form import closed_form
 from postproc.kinematics.components import components, matrices
 from postproc.kinematics.forward import posture
 from postproc.kinematics.inverse import UnreachableError
@@ -65,7 +66,7 @@ class ByWrist(Struct, frozen=True, eq=False):
 
         :param count: M.
         :param joints: angles (W, 6) at start and end.
-        :raises UnreachableError: the tip cannot be held on its line; `rows` are motions.
+        :raises UnreachableError: the tip cannot be held on its line on one branch; `rows` are motions.
         """
         active = np.zeros(count, dtype=np.bool_)
         active[motion] = True
@@ -81,12 +82,13 @@ class ByWrist(Struct, frozen=True, eq=False):
     def at(self, motion: Ints, t: Array) -> Array:
         """Return the orientation of the tool frame (n, 3, 3) in `$BASE` at places (motion, t).
 
-        :raises UnreachableError: the tip cannot be held on its line; `rows` are motions.
+        :raises UnreachableError: the tip cannot be held on its line on one branch; `rows` are motions.
         """
         row = np.searchsorted(self.motion, motion)
-        (pose,) = in_chunks(self._solved, row, t)
+        q, pose = in_chunks(self._solved, row, t)
         off = largest(pose[:, :3, 3] - self._tip(row, t))
-        missed = np.flatnonzero(~(off < _NEAR))
+        form = closed_form(self.robot)
+        missed = np.flatnonzero(~(off < _NEAR) | (form.branch_of(q) != form.branch_of(self.begin[row])))
         if len(missed):
             raise UnreachableError(sorted(set(motion[missed].tolist())))
         return np.asarray(np.swapaxes(self.base[row], 1, 2) @ pose[:, :3, :3])
@@ -94,8 +96,8 @@ class ByWrist(Struct, frozen=True, eq=False):
     def _tip(self, row: Ints, t: Array) -> Array:
         return np.asarray(self.tip[row, 0] + t[:, None] * (self.tip[row, 1] - self.tip[row, 0]))
 
-    def _solved(self, row: Ints, t: Array) -> tuple[Array]:
-        """Return the poses (n, 4, 4) in the root [m].
+    def _solved(self, row: Ints, t: Array) -> tuple[Array, Array]:
+        """Return the joint angles (n, 6) [rad] and the poses (n, 4, 4) in the root [m].
 
         A1 to A3 are found by Newton's method, from the line between their values at start and end.
         """
@@ -111,4 +113,4 @@ class ByWrist(Struct, frozen=True, eq=False):
                 q[:3] += np.linalg.solve(slope, missing.T[..., None])[..., 0].T
             except np.linalg.LinAlgError:
                 break
-        return (matrices(posture(self.robot.nominal, q, tool).pose),)
+        return q.T, matrices(posture(self.robot.nominal, q, tool).pose)

@@ -65,7 +65,7 @@ REFUSED = {
 def test_a_motion_in_time_with_another_robot_is_refused_or_left_as_it_is(case):
     lines, kept, where = REFUSED[case]
     text = body(*lines)
-    with pytest.raises(ProgramError, match="another robot moves in time with it") as caught:
+    with pytest.raises(ProgramError, match="another robot may move in time with it") as caught:
         read(text)
     assert where in str(caught.value)
     assert "--keep-unresolved" in str(caught.value)

@@ -1,5 +1,5 @@
-"""Motions left uncorrected: their target, or whether they run, is not known before run time, or other robots move in
-time with them.
+"""Motions left uncorrected: their target, or whether they run, is not known before run time, or other robots may
+move in time with them.
 """
 
 from __future__ import annotations
@@ -135,7 +135,7 @@ def _synchronised(main: MainRoutine, line: Ints) -> Iterator[tuple[int, ProgramE
         behind = f"between SYNCCMD ({source.origin(begin)}) and SYNCCMD ({source.origin(until)})"
         where = behind if closed else f"behind SYNCCMD ({source.origin(begin)})"
         for row in np.flatnonzero((line > begin) & (line < until)).tolist():
-            problem = f"the motion is {where}: another robot moves in time with it"
+            problem = f"the motion is {where}: another robot may move in time with it"
             yield row, source.line_error(problem, int(line[row]), _SYNCHRONISED)
 
 
