@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from postproc.collision import along, bodies, clearance
-from tests.collision.setting import frame, pose, random_scene, sampled, scene
+from tests.collision.setting import KR270, frame, pose, random_scene, sampled, scene
 
 pytest.importorskip("fcl")
 
@@ -83,3 +83,25 @@ if __name__ == "__main__":
     random = np.random.default_rng(chosen.seed)
     outcomes = [check(random) for _ in range(chosen.count)]
     print(f"{chosen.count} scenes, {outcomes.count('hit')} with hits: none missed")
+
+
+@pytest.mark.parametrize("carrier", [0, 2, 5, 6])
+def test_a_body_may_be_nearer_by_as_far_as_it_moves_to_the_commanded_angles(carrier):
+    """Corners of a box, moved by the joint frames of an arm of another library; no more than by half is too much."""
+    rng = np.random.default_rng(carrier)
+    what = scene(
+        bodies.box("b", carrier, "arm", pose(np.eye(3), [0.1, -0.2, 0.15]), np.array([0.2, 0.3, 0.1])),
+        bodies.box("far", -1, "obstacle", pose(np.eye(3), [20, 0, 0]), np.ones(3)),
+    )
+    q = rng.uniform(KR270.lower, KR270.upper, (30, 6))
+    off = rng.normal(0.0, 1e-3, (30, 6))
+    corners = np.array([[x, y, z] for x in (0.0, 0.2) for y in (-0.35, -0.05) for z in (0.1, 0.2)])
+    moved = []
+    for one, other in zip(q, q + off, strict=True):
+        a, b = (frame(each, carrier) for each in (one, other))
+        moved.append(np.linalg.norm(corners @ (b[:3, :3] - a[:3, :3]).T + b[:3, 3] - a[:3, 3], axis=1).max())
+    found = along(what, q, 0.0, commanded=q + off)
+    assert max(moved) <= found.less <= 1.5 * max(moved)
+    here = along(what, q, 0.0)
+    assert here.less == 0.0
+    assert found.closest.distance == pytest.approx(here.closest.distance - found.less, abs=1e-3)

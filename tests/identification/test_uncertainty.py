@@ -86,3 +86,12 @@ def test_unmodelled_error_is_never_zero_is_wider_from_few_configurations_and_has
     found = [unmodelled(share * noise, blur, np.ones(200), 0.2) for share in np.linspace(0.9, 1.4, 51)]
     assert np.all(np.diff(found) > 0.0)
     assert np.max(np.diff(found)) < 0.06 * max(found)
+
+
+def test_points_of_one_state_that_share_their_error_count_as_one():
+    rng = np.random.default_rng(6)
+    error, blur = 1.5 * rng.normal(size=(20, 3)), np.tile(np.eye(3), (20, 1, 1))
+    alone = unmodelled(error, blur, np.ones(20), 0.2)
+    thrice = unmodelled(np.repeat(error, 3, axis=0), np.repeat(blur, 3, axis=0), np.full(60, 1.0 / 3.0), 0.2)
+    assert thrice == pytest.approx(alone, rel=1e-9)
+    assert unmodelled(np.repeat(error, 3, axis=0), np.repeat(blur, 3, axis=0), np.ones(60), 0.2) != thrice
