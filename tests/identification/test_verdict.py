@@ -1,12 +1,14 @@
 """Verdict of a validation: levels of load, limits of the share inside the bound, factor, and the table shown."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc.identification import validation
+from postproc import robot
+from postproc.identification import joint_springs, validation
 from postproc.identification.coverage import coverage
 from postproc.identification.validation import ValidatedLevel, Validation, limits, table
 
@@ -160,3 +162,28 @@ def test_the_table_has_a_line_for_each_level_in_millimetres():
     assert lines[3].split()[5] == ">"
     assert lines[3].split()[-2:] == ["–", "–"]
     assert len({line.rindex(word) for line, word in zip(lines[1:3], ("all", "99%"), strict=True)}) == 1
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "half", "free_length", "levels", "reason"),
+    [
+        (1e5, 1e3, 0.45, 5, None),
+        (-1e5, 1e3, 0.45, 5, "which no spring has"),
+        (1e5, 1e3, 50.0, 5, "which no spring has"),  # 50 m long
+        (1e5, 1e3, -0.1, 5, "which no spring has"),
+        (1e5, 4.9e4, 0.45, 5, None),
+        (1e5, 5.1e4, 0.45, 5, "too small against the noise"),
+        (1e5, 1e3, 0.45, 3, None),
+        (1e5, 1e3, 0.45, 2, "there are 2 levels of q2"),
+    ],
+)
+def test_why_a_compensator_is_not_observable(stiffness, half, free_length, levels, reason):
+    kind, preload = robot.CompensatorStiffness(), robot.CompensatorPreload()
+    fit = SimpleNamespace(
+        structure=SimpleNamespace(parameters=(kind, preload)), values=np.array([stiffness, stiffness * free_length]),
+        ci95=np.array([half, half]), given={kind: stiffness, preload: stiffness * free_length},
+    )  # fmt: skip
+    data = SimpleNamespace(q=np.outer(np.repeat(np.arange(levels), 4) * -0.4, np.eye(6)[1]))
+    found = joint_springs._compensator(fit, data, 1.0, False)
+    assert (found is None) == (reason is None)
+    assert reason is None or reason in found.reason
