@@ -27,6 +27,13 @@ _PATH = click.Path(path_type=Path)
 @click.option("--feed", "feed_mm_per_min", type=click.FloatRange(1, 50_000), help="Feed of full cuts, mm/min.")
 @click.option("--tool", type=int, help="Number of the tool; default: the only one.")
 @options.probe_sigma
+@click.option(
+    "--weight",
+    "weight_kg",
+    type=click.FloatRange(0, 500),
+    default=0.0,
+    help="Weight that will be hung on the tool under a dial gauge, kg.",
+)
 @click.option("-o", "--output", type=_PATH, required=True, metavar="DIR", help="Folder to write.")
 @options.overwrite
 @click.option("--json", "as_json", is_flag=True, help="Print testpart.json.")
@@ -37,6 +44,9 @@ def testpart(as_json: bool, programs: tuple[str, ...], more: tuple[str, ...], **
     the least error is expected where you mill. Each has a trimmed half, cut with almost no force: the reference. Writes
     testpart.nc, testpart.src (nominal, not corrected), probing.csv to fill in, testpart.process.toml, and
     testpart.html: the drawing, and what each parameter will be known to.
+
+    --weight adds stops above the block at the end of testpart.nc: hang the weight on the tool there, and read with a
+    dial gauge how far the tool moves down. The force is known, so it separates compliances from cutting forces.
 
     Next: `postproc identify part`.
 

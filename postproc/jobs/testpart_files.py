@@ -59,7 +59,8 @@ class TestPartRequest(Struct, frozen=True, kw_only=True):
     :param depth_mm: largest depth of cut.
     :param feed_mm_per_min: of full cuts.
     :param tool: number of the tool; None: the only one.
-    :param sigma_mm: noise of the probe.
+    :param sigma_mm: noise of the probe, and of the gauge.
+    :param weight_kg: of a weight that will be hung on the tool under a dial gauge; 0 for none.
     """
 
     __test__ = False  # not a test of pytest
@@ -75,6 +76,7 @@ class TestPartRequest(Struct, frozen=True, kw_only=True):
     feed_mm_per_min: float | None = None
     tool: int | None = None
     sigma_mm: float = 0.005
+    weight_kg: float = 0.0
     overwrite: bool = False
 
 
@@ -157,8 +159,11 @@ def make_testpart(request: TestPartRequest, progress: Callable[[str], None] = la
     found, cutting = design.candidates(prior, setting, process, cutting, depth, box, request.sigma_mm * M_PER_MM)
     tests = _tests(request, setting, found)
     progress("choice of features")
-    chosen = design.choose(found, prior, setting, tests, request.count)
-    part = features.program(chosen.features, cutting)
+    low, high = (np.array([span[k] for span in (box.X, box.Y, box.Z)]) * M_PER_MM for k in (0, 1))
+    hung = features.hanging_places(low, high, cutting.top) if request.weight_kg else np.zeros((0, 3))
+    weighed = design.weighed(prior, setting, cutting, request.weight_kg, hung, request.sigma_mm * M_PER_MM)
+    chosen = design.choose(found, prior, setting, tests, request.count, weighed)
+    part = features.program(chosen.features, cutting, request.weight_kg, hung)
     contents: dict[str, bytes | Iterable[bytes]] = {design.NAME: part.text.encode()}
     contents |= _krl(request, part.text)
     contents["probing.csv"] = probing.table(part)
@@ -208,7 +213,8 @@ def _tests(request: TestPartRequest, setting: RobotInCell, found: design.Candida
     tool = np.broadcast_to(setting.cell.tool.pose(), (len(rows), 4, 4))
     pose = kinematics.tcp(setting.robot.nominal, poses.q[rows], tool)[0]
     weight = poses.weight[rows] / poses.weight[rows].sum()
-    return Tests(States(poses.q[rows], tool, pose, poses.wrench[rows]), weight, poses.source)
+    states = States(poses.q[rows], tool, pose, poses.wrench[rows], np.zeros((len(rows), 6)))
+    return Tests(states, weight, poses.source)
 
 
 def _krl(request: TestPartRequest, text: str) -> dict[str, bytes]:

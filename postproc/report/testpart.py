@@ -37,7 +37,7 @@ _PRODUCT = (
     "Forces and compliances scale against each other: twice the force on a robot half as compliant leaves the same "
     "surfaces. The part shows their product well; the scale alone is known only by its prior and by those of the "
     "compliances. The model and material.toml belong together. Different depths and directions of feed separate the "
-    "joints, not the scale; a force that is measured (identify forces, with a dynamometer) separates the scale."
+    "joints, not the scale; a weight hung on the tool (--weight) or a measured force (identify forces) separates it."
 )
 
 
@@ -75,7 +75,16 @@ def design_page(chosen: Design, prior: Prior, cutting: Cutting, part: Program, b
         Section("drawing", "Drawing", (_drawing(chosen, cutting, box),)),
         Section("steps", "How to use it", (Notes(steps, marked=True),)),
         Section(
-            "parameters", "What each parameter will be known to", (_known(chosen, prior), Notes((Note(_PRODUCT),)))
+            "parameters",
+            "What each parameter will be known to",
+            (
+                _known(chosen, prior),
+                Notes(
+                    (Note(_PRODUCT),)
+                    if chosen.alone is None
+                    else (Note(_PRODUCT), Note(f"Here {_by_weight(chosen, chosen.alone)}."))
+                ),
+            ),
         ),
         Section("features", "Features", (_features(chosen),)),
     )
@@ -216,7 +225,16 @@ def design_lines(chosen: Design, prior: Prior, cutting: Cutting) -> list[str]:
     ]
     if rest:
         lines.append(f"not shown by this part: {', '.join(rest)}")
+    if chosen.alone is not None:
+        lines.append(_by_weight(chosen, chosen.alone))
     return lines
+
+
+def _by_weight(chosen: Design, alone: Array) -> str:
+    return (
+        f"the weight on the tool leaves {100 * chosen.sigma[-1]:.0f} % of the standard deviation of the forces; "
+        f"without it {100 * alone[-1]:.0f} % would be left"
+    )
 
 
 def part_lines(data: PartIdentification) -> list[str]:

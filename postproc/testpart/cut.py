@@ -12,10 +12,12 @@ from __future__ import annotations
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc import elastostatics, toolpath
 from postproc.errors import MeasurementError
 from postproc.frames import Array, norm, twist_between
+from postproc.kinematics.forward import GRAVITY
 from postproc.machining import ProcessSource, Shift
 from postproc.program import Ints, Program
 from postproc.robot import Parameter, RobotModel
@@ -38,12 +40,14 @@ class Surfaces(Struct, frozen=True, eq=False):
     :param motion: (n,) row of `Motions`, and `t` (n,) the place on it.
     :param weight: (n, 2, 6) deviation by the twist of the tool in the root: the smaller of the two counts.
     :param wall: (n,) 1 for walls, which a larger tool moves into the material, 0 for floors.
+    :param hung: (n, 6) wrench [N, N·m] of a weight hung on the tool, root axes, where a gauge reads its displacement.
     """
 
     motion: Ints
     t: Array
     weight: Array
     wall: Array
+    hung: Array
 
     def deviation(self, twist: Array) -> tuple[Array, Array]:
         """Return the deviations (n,) for twists (n, 6), and their derivatives by the twist (n, 6)."""
@@ -61,11 +65,12 @@ def surfaces(program: Program, setting: RobotInCell, probed: Probed, radius: flo
     """
     m = program.motions
     motion = np.empty(len(probed), dtype=np.int64)
+    hangs = probed.mass > 0.0
     for k, line in enumerate(probed.line.tolist()):
-        found = np.flatnonzero((m.line == line) & ~m.rapid)
+        found = np.flatnonzero((m.line == line) & (m.rapid == hangs[k]))
         if len(found) != 1:
             raise MeasurementError(
-                f"line {line} of the program is not one cutting move",
+                f"line {line} of the program is not one {'rapid' if hangs[k] else 'cutting'} move",
                 file=probed.file,
                 line=int(probed.row[k]),
                 advice="Give the program that the part was cut with, and its probing.csv.",
@@ -83,6 +88,7 @@ def surfaces(program: Program, setting: RobotInCell, probed: Probed, radius: flo
     floor, wall = slope > _ALONG, np.abs(slope) < _ACROSS
     off = np.where(floor, np.abs(height), norm(across + radius * probed.normal))
     wrong = ~(floor | wall) | ~(off < _OFF) | (norm(across) > radius + _OFF) | (height < -_OFF)
+    wrong &= ~hangs  # a gauge may be anywhere on the tool
     if wrong.any():
         k = int(np.argmax(wrong))
         raise MeasurementError(
@@ -92,8 +98,11 @@ def surfaces(program: Program, setting: RobotInCell, probed: Probed, radius: flo
             advice="Points are on walls along the axis of a flat end mill, or on the floor below it.",
         )
     weight = weights(probed.normal, lever, axis, travel, radius)
+    weight[hangs] = np.concatenate([probed.normal, np.cross(lever, probed.normal)], axis=1)[hangs, None]
+    hung = np.zeros((len(motion), 6))
+    hung[:, 2] = -GRAVITY * probed.mass
     rotation = np.broadcast_to(toolpath.base_of(program, motion)[..., :3, :3], (len(motion), 3, 3))
-    return Surfaces(motion, probed.t, turned(rotation, weight), wall.astype(float))
+    return Surfaces(motion, probed.t, turned(rotation, weight), (wall & ~hangs).astype(float), hung)
 
 
 def weights(normal: Array, lever: Array, axis: Array, travel: Array, radius: float) -> Array:
@@ -127,27 +136,26 @@ class States(Struct, frozen=True, eq=False):
     :param tool: (n, 4, 4) `$TOOL` in the flange frame [m].
     :param pose: (n, 4, 4) nominal tool frame in the root [m].
     :param wrench: (n, 6) on the tool at its tip, root axes [N, N·m].
+    :param hung: (n, 6) wrench of a weight hung on the tool, known exactly.
     """
 
     q: Array
     tool: Array
     pose: Array
     wrench: Array
+    hung: Array
 
     def take(self, rows: Ints) -> States:
         """Return some of them."""
-        return States(self.q[rows], self.tool[rows], self.pose[rows], self.wrench[rows])
+        return States(self.q[rows], self.tool[rows], self.pose[rows], self.wrench[rows], self.hung[rows])
 
     def twist(self, setting: RobotInCell, robot: RobotModel, scale: float) -> Array:
         """Return the displacement (n, 6) of the tool from nominal under forces times a scale, root axes [m, rad]."""
-        found = elastostatics.deflect(robot, self.q, self.tool, scale * self.wrench)
-        return twist_between(self.pose, found.pose) + self._of_tool(setting, scale)
-
-    def _of_tool(self, setting: RobotInCell, scale: float) -> Array:
-        spring = setting.tool_spring
-        if spring is None:
-            return np.zeros((len(self.q), 6))
-        return spring.deflection(self.pose[:, :3, :3], scale * self.wrench)
+        wrench = scale * self.wrench + self.hung
+        moved = twist_between(self.pose, elastostatics.deflect(robot, self.q, self.tool, wrench).pose)
+        if (spring := setting.tool_spring) is not None:
+            moved = moved + spring.deflection(self.pose[:, :3, :3], wrench)
+        return moved
 
     def derivatives(
         self, setting: RobotInCell, robot: RobotModel, parameters: tuple[Parameter, ...], scale: float
@@ -209,6 +217,7 @@ def cut(program: Program, setting: RobotInCell, source: ProcessSource, where: Su
         np.broadcast_to(path.tool(rows), (len(path), 4, 4)),
         path.pose_in_root(rows),
         path.wrench_in_root(rows),
+        np.zeros((len(path), 6)),
     )
     motion, t = path.sample.motion, path.sample.t
     index = np.array(
@@ -217,4 +226,4 @@ def cut(program: Program, setting: RobotInCell, source: ProcessSource, where: Su
             for row, share in zip(where.motion.tolist(), where.t.tolist(), strict=True)
         ]
     )
-    return Cut(every.take(index), every, motion, t, program)
+    return Cut(replace(every.take(index), hung=where.hung), every, motion, t, program)

@@ -18,6 +18,7 @@ from postproc.dialects import registry
 from postproc.errors import MeasurementError, PlanError
 from postproc.frames import MM_PER_M, Array
 from postproc.kinematics import UnreachableError
+from postproc.kinematics.forward import GRAVITY
 from postproc.machining import Process, ProcessSource
 from postproc.machining.process import StockTable
 from postproc.program import Bools, Document, Ints, read_only
@@ -94,6 +95,7 @@ class Design(Struct, frozen=True, eq=False):
 
     :param chosen: (k,) rows of the candidates, in the order of cutting.
     :param sigma: (p + 1,) standard deviations of parameters and force scale after the part, over those before.
+    :param alone: the same without the weight that is hung on the tool; None if none is.
     :param before: expected error at the test poses without the part, RMS [m], and `after` with it.
     :param own: RMS deflection at the test poses [m].
     :param seconds: cutting time [s].
@@ -103,6 +105,7 @@ class Design(Struct, frozen=True, eq=False):
     candidates: Candidates
     chosen: Ints
     sigma: Array
+    alone: Array | None
     before: float
     after: float
     own: float
@@ -252,7 +255,8 @@ def _of_kind(
     weight = turned(rotation, weights(normal, lever, axis, travel, 0.5 * cutting.diameter))
     wall = (np.abs(normal[:, 2]) < 0.5).astype(float)
     rows = np.repeat(reached, count)
-    where = Surfaces(np.zeros(int(rows.sum()), dtype=np.int64), np.zeros(int(rows.sum())), weight[rows], wall[rows])
+    none = np.zeros((int(rows.sum()), 6))
+    where = Surfaces(none[:, 0].astype(np.int64), none[:, 0], weight[rows], wall[rows], none)
     if not reached.any():
         return []
     twist, by_parameter, by_scale = states.derivatives(setting, prior.robot, prior.order, 1.0)
@@ -310,6 +314,7 @@ def _states(
         np.broadcast_to(toolpath.tool_of(motions, motion[rows]), (len(rows), 4, 4)),
         toolpath.pose_in_root(motions, motion[rows], pose[rows], t[rows]),
         toolpath.wrench_in_root(motions, motion[rows], wrench[rows]),
+        np.zeros((len(rows), 6)),
     )
     return states, reached, rotation
 
@@ -386,13 +391,41 @@ def _prior_information(prior: Prior, size: int) -> Array:
     return out
 
 
-def choose(found: Candidates, prior: Prior, setting: RobotInCell, tests: Tests, count: int) -> Design:
+def weighed(prior: Prior, setting: RobotInCell, cutting: Cutting, mass: float, places: Array, sigma: float) -> Array:
+    """Return the information (m, m) of a gauge that reads how far a weight moves the tool down.
+
+    It is in the units of `Candidates.information`. The force is known, so it shows compliances without the scale.
+
+    :param mass: of the weight [kg]; `places` (n, 3) of the tip in `$BASE` [m]; `sigma` noise of the gauge [m].
+    :raises PlanError: the robot does not reach a place.
+    """
+    size = len(prior.sigma) + 7
+    if not len(places):
+        return np.zeros((size, size))
+    states, reached, rotation = _states(setting, places, np.zeros((len(places), 6)), cutting, 1)
+    if not reached.all():
+        raise PlanError("the robot does not reach the places of the weight above the block", file="--weight")
+    hung = np.zeros((len(places), 6))
+    hung[:, 2] = -GRAVITY * mass
+    twist, by_parameter, _ = replace(states, hung=hung).derivatives(setting, prior.robot, prior.order, 1.0)
+    down = -rotation[:, :, 2]
+    columns = np.zeros((len(places), size))
+    slopes = np.einsum("nk,nkp->np", down, by_parameter[:, :3])
+    columns[:, : len(prior.parameters)] = slopes @ prior.by_file * prior.sigma[:-1]
+    moved = np.einsum("nk,nk->n", down, twist[:, :3])
+    return np.asarray((columns / (sigma**2 + (_MODEL * moved) ** 2)[:, None]).T @ columns)
+
+
+def choose(
+    found: Candidates, prior: Prior, setting: RobotInCell, tests: Tests, count: int, weighed: Array | float = 0.0
+) -> Design:
     """Choose features.
 
     :param count: number of features at most.
+    :param weighed: information that there is without features, see `weighed`.
     """
     criterion = Criterion.of(prior, setting, tests)
-    start = _prior_information(prior, found.information.shape[1])
+    start = _prior_information(prior, found.information.shape[1]) + weighed
     chosen: list[int] = []
     whole = start
     for _ in range(count):
@@ -417,14 +450,17 @@ def choose(found: Candidates, prior: Prior, setting: RobotInCell, tests: Tests, 
                 chosen[place], changed = best, True
         if not changed:
             break
-    return evaluated(found, prior, setting, tests, np.array(chosen, dtype=np.int64))
+    return evaluated(found, prior, setting, tests, np.array(chosen, dtype=np.int64), weighed)
 
 
-def evaluated(found: Candidates, prior: Prior, setting: RobotInCell, tests: Tests, chosen: Ints) -> Design:
+def evaluated(
+    found: Candidates, prior: Prior, setting: RobotInCell, tests: Tests, chosen: Ints, weighed: Array | float = 0.0
+) -> Design:
     """Return a part of chosen features, with what it promises."""
     criterion = Criterion.of(prior, setting, tests)
     start = _prior_information(prior, found.information.shape[1])
-    after = np.linalg.inv(start + found.information[chosen].sum(axis=0))
+    whole = start + found.information[chosen].sum(axis=0)
+    alone, after = np.linalg.inv(whole), np.linalg.inv(whole + weighed)
     size = len(prior.parameters) + 1
     own = tests.states.twist(setting, prior.robot, 1.0)[:, :3] - tests.states.twist(setting, prior.robot, 0.0)[:, :3]
     if not len(chosen):
@@ -433,6 +469,7 @@ def evaluated(found: Candidates, prior: Prior, setting: RobotInCell, tests: Test
         found,
         chosen[np.lexsort([[found.feature[k].x for k in chosen], [found.feature[k].y for k in chosen]])],
         np.sqrt(np.diag(after)[:size]),
+        np.sqrt(np.diag(alone)[:size]) if np.any(weighed) else None,
         float(np.sqrt(criterion(start))),
         float(np.sqrt(np.sum(after * criterion.weight))),
         float(np.sqrt(np.sum(tests.weight * np.sum(own**2, axis=1)))),

@@ -39,6 +39,8 @@ _WALL = 0.5
 """Wall left between features, in tool diameters."""
 _PLUNGE = 0.5
 """Feed of ramps and entries, as a share of the feed."""
+_ABOVE = 0.2
+"""Height above the block at which a weight is hung on the tool [m]."""
 RAPID = 0.1
 """Speed of rapid moves for the estimate of the time [m/s]."""
 
@@ -218,7 +220,8 @@ class Program(Struct, frozen=True, eq=False):
     :param feature: (n,) names of the probed points, ``F01.left``: feature and surface.
     :param line: (n,) line of the text whose motion makes each point, and `t` (n,) the place on that motion.
     :param point: (n, 3) in `$BASE` [m].
-    :param normal: (n, 3) out of the material.
+    :param normal: (n, 3) out of the material; of a gauge the direction in which it reads positive.
+    :param mass: (n,) of the weight hung on the tool at a reading of a gauge [kg]; 0 at probed points.
     """
 
     text: str
@@ -227,10 +230,20 @@ class Program(Struct, frozen=True, eq=False):
     t: Array
     point: Array
     normal: Array
+    mass: Array
 
 
-def program(features: Iterable[Feature], cutting: Cutting) -> Program:
-    """Return the G-code of features and the points to be probed."""
+def hanging_places(low: Array, high: Array, top: float) -> Array:
+    """Return where the tip is when a weight hangs on the tool (n, 3) in `$BASE`: above a diagonal of the block [m]."""
+    share = np.array([[0.1, 0.1], [0.5, 0.5], [0.9, 0.9]])
+    return np.column_stack([low[:2] + share * (high - low)[:2], np.full(len(share), top + _ABOVE)])
+
+
+def program(features: Iterable[Feature], cutting: Cutting, mass: float = 0.0, hung: Array | None = None) -> Program:
+    """Return the G-code of features and the points to be probed.
+
+    :param mass: of a weight [kg] that is hung on the tool at places `hung` (n, 3) in `$BASE`, after cutting.
+    """
     feed = cutting.feed * MM_PER_M * 60.0
     lines = [
         "(Test part for postproc identify part: cut it uncorrected, with the cell that it was made for)",
@@ -261,5 +274,20 @@ def program(features: Iterable[Feature], cutting: Cutting) -> Program:
             shares.append((probe.point[0] - begin[0]) / (end[0] - begin[0]))
             points.append(placed(feature, cutting.top, np.array([probe.point]))[0])
             normals.append(placed(feature, cutting.top, np.array([probe.normal]), turn_only=True)[0])
-    lines += [f"G0 Z{(cutting.top + 4.0 * _CLEAR) * MM_PER_M:.4f}", "M5", "M30", ""]
-    return Program("\n".join(lines), tuple(names), np.array(at), np.array(shares), np.array(points), np.array(normals))
+    lines += [f"G0 Z{(cutting.top + 4.0 * _CLEAR) * MM_PER_M:.4f}", "M5"]
+    places = np.zeros((0, 3)) if hung is None else hung
+    for number, place in enumerate(places, start=1):
+        x, y, z = (place * MM_PER_M).tolist()
+        lines += [f"(W{number:02d}: set the gauge to 0, hang {mass:g} kg on the tool, read)", f"G0 Z{z:.4f}"]
+        lines += [f"G0 X{x:.4f} Y{y:.4f}", "M0"]
+        names.append(f"W{number:02d}.gauge")
+        at.append(len(lines) - 1)
+        shares.append(1.0)
+        points.append(place)
+        normals.append(np.array([0.0, 0.0, -1.0]))
+    lines += ["M30", ""]
+    weight = np.zeros(len(names))
+    weight[len(names) - len(places) :] = mass
+    return Program(
+        "\n".join(lines), tuple(names), np.array(at), np.array(shares), np.array(points), np.array(normals), weight
+    )

@@ -151,19 +151,18 @@ class Readings(Struct, frozen=True, eq=False):
     def take(self, rows: Ints) -> Readings:
         """Return some of the readings."""
         where = self.where
-        taken = Surfaces(where.motion[rows], where.t[rows], where.weight[rows], where.wall[rows])
+        taken = Surfaces(where.motion[rows], where.t[rows], where.weight[rows], where.wall[rows], where.hung[rows])
         return replace(self, probed=self.probed.take(rows), where=taken)
 
     def by_part(self) -> Array:
         """Return the covariance (n, n) [m²] that the part and the path without force add to the readings."""
         probed = self.probed
         arm = probed.point - probed.point.mean(axis=0)
-        pose = np.concatenate([_SHIFT * probed.normal, _TURN * np.cross(arm, probed.normal)], axis=1)
+        normal = probed.normal * (probed.mass == 0.0)[:, None]  # a gauge reads displacements, wherever it is
+        pose = np.concatenate([_SHIFT * normal, _TURN * np.cross(arm, normal)], axis=1)
         same = probed.group[:, None] == probed.group[None, :]
         radius = RADIUS_ERROR * self.where.wall
-        return np.asarray(
-            pose @ pose.T + PATH_ERROR**2 * same * (probed.normal @ probed.normal.T) + np.outer(radius, radius)
-        )
+        return np.asarray(pose @ pose.T + PATH_ERROR**2 * same * (normal @ normal.T) + np.outer(radius, radius))
 
 
 class Fit(Struct, frozen=True, eq=False):
@@ -214,7 +213,9 @@ class Fit(Struct, frozen=True, eq=False):
         if (known := prior.robot.discrepancy) is not None:
             wrench = np.pad(self.load[:, None], ((0, 0), (0, 5)))
             unmodelled = np.maximum(unmodelled, known.at(wrench) / LENGTH_95)
-        noise = self.readings.by_part() + np.diag(self.readings.sigma**2 + unmodelled**2 + _of_light(self.moved))
+        noise = self.readings.by_part() + np.diag(
+            self.readings.sigma**2 + unmodelled**2 + _of_light(self.readings, self.moved)
+        )
         slopes = self.slopes
         expected = np.linalg.inv(slopes @ prior.covariance @ slopes.T + noise)
         by_drift = slopes * prior.drift
@@ -303,7 +304,8 @@ def linearised(
     value, weight = readings.where.deviation(twist)
     slopes = np.einsum("nk,nkp->np", weight, by_parameter) @ prior.by_file
     slopes = np.column_stack([slopes, np.einsum("nk,nk->n", weight, by_scale)])
-    return _Linear(value, slopes, scale * np.linalg.norm(by_scale[:, :3], axis=1))
+    moved = scale * np.linalg.norm(by_scale[:, :3], axis=1)
+    return _Linear(value, slopes, np.where(readings.probed.mass > 0.0, np.abs(value), moved))
 
 
 def fit(
@@ -411,13 +413,14 @@ def _check_size(readings: Readings, local: _Linear) -> None:
 
 
 def _noise(readings: Readings, local: _Linear, gamma: float) -> Array:
-    own = np.diag(readings.sigma**2 + (gamma * local.moved) ** 2 + _of_light(local.moved))
+    own = np.diag(readings.sigma**2 + (gamma * local.moved) ** 2 + _of_light(readings, local.moved))
     return np.asarray(own + readings.by_part())
 
 
-def _of_light(moved: Array) -> Array:
+def _of_light(readings: Readings, moved: Array) -> Array:
     """Return the variance (n,) [m²] of displacements (n,) because the chips of light passes are hardly known."""
-    return np.where(moved < _LIGHT * moved.max(), (_ROUGHLY * moved) ** 2, 0.0)
+    cut = readings.probed.mass == 0.0
+    return np.where(cut & (moved < _LIGHT * moved.max()), (_ROUGHLY * moved) ** 2, 0.0)
 
 
 def _solved(

@@ -14,6 +14,8 @@ from postproc.program import Ints
 from postproc.testpart.features import Program
 
 COLUMNS = ("source_line", "t", "X", "Y", "Z", "nx", "ny", "nz", "deviation_mm")
+MASS = "mass_kg"
+_MOST_MASS = 500.0
 _UNIT = 1e-3
 _FEWEST = 6
 """Fewest probed points that can be compared: the position of the part alone takes six numbers."""
@@ -27,6 +29,7 @@ class Probed(Struct, frozen=True, eq=False):
     :param point: (n, 3) in `$BASE` [m].
     :param normal: (n, 3) unit vectors out of the material.
     :param deviation: (n,) along the normal, positive where material is left [m].
+    :param mass: (n,) > 0 where a weight was hung on the tool and a gauge read its displacement along the normal [kg].
     :param row: (n,) line of the file.
     :param file: its path.
     """
@@ -37,6 +40,7 @@ class Probed(Struct, frozen=True, eq=False):
     point: Array
     normal: Array
     deviation: Array
+    mass: Array
     row: Ints
     file: str
 
@@ -58,6 +62,7 @@ class Probed(Struct, frozen=True, eq=False):
             self.point[rows],
             self.normal[rows],
             self.deviation[rows],
+            self.mass[rows],
             self.row[rows],
             self.file,
         )
@@ -69,8 +74,12 @@ def read(path: Path) -> Probed:
     :raises MeasurementError: the file is no such table, a normal is no unit vector, or too few points are probed.
     """
     numbers, texts, lines = files.read_csv(
-        path, ("feature", *COLUMNS), (), MeasurementError, ("feature",), ("deviation_mm",)
+        path, ("feature", *COLUMNS), (MASS,), MeasurementError, ("feature",), ("deviation_mm", MASS)
     )
+    mass = np.nan_to_num(numbers.get(MASS, np.zeros(len(lines))))
+    if not ((mass >= 0.0) & (mass <= _MOST_MASS)).all():
+        row = int(lines[np.argmax(~((mass >= 0.0) & (mass <= _MOST_MASS)))])
+        raise MeasurementError(f"{MASS} is not between 0 and {_MOST_MASS:g}", file=str(path), line=row)
     seen = np.flatnonzero(np.isfinite(numbers["deviation_mm"]))
     if len(seen) < _FEWEST:
         raise MeasurementError(
@@ -90,6 +99,7 @@ def read(path: Path) -> Probed:
         np.column_stack([numbers[name] for name in "XYZ"])[seen] * M_PER_MM,
         normal / norm(normal)[:, None],
         numbers["deviation_mm"][seen] * M_PER_MM,
+        mass[seen],
         lines[seen].astype(np.int64),
         str(path),
     )
@@ -105,11 +115,14 @@ def is_probed(path: Path) -> bool:
 
 
 def table(part: Program) -> bytes:
-    """Return `probing.csv`: the points to be probed, with an empty last column."""
-    rows = [",".join(("feature", *COLUMNS))]
-    for name, line, t, point, normal in zip(
-        part.feature, part.line.tolist(), part.t.tolist(), part.point * MM_PER_M, part.normal, strict=True
-    ):
+    """Return `probing.csv`: the points to be probed, with an empty deviation; masses where a weight is hung."""
+    hung = bool(part.mass.any())
+    rows = [",".join(("feature", *COLUMNS, MASS) if hung else ("feature", *COLUMNS))]
+    for name, line, t, point, normal, mass in zip(
+        part.feature, part.line.tolist(), part.t.tolist(), part.point * MM_PER_M, part.normal, part.mass.tolist(),
+        strict=True,
+    ):  # fmt: skip
         place = ",".join(f"{value:.4f}" for value in point + 0.0)
-        rows.append(f"{name},{line},{t:.6f},{place},{','.join(f'{value:.9f}' for value in normal + 0.0)},")
+        end = f",{mass:g}" if hung else ""
+        rows.append(f"{name},{line},{t:.6f},{place},{','.join(f'{value:.9f}' for value in normal + 0.0)},{end}")
     return ("\n".join(rows) + "\n").encode()

@@ -153,6 +153,11 @@ class Machine:
         for row in table:
             point, normal = (np.array([float(row[a]) for a in axes]) for axes in (("X", "Y", "Z"), ("nx", "ny", "nz")))
             name = row["feature"].partition(".")[0]
+            if mass := float(row.get("mass_kg") or 0.0):  # a gauge at the tip, that a weight on the tool moves
+                moved, _ = self.deflected(self.joints(point, self.start), np.array([0.0, 0.0, -9.81 * mass]))
+                noise = 0.0 if rng is None else sigma * rng.normal()
+                row["deviation_mm"] = f"{normal @ moved + noise:.5f}"
+                continue
             off = self.surface(paths[name], point, normal)
             off += normal @ (pose[:3] + np.cross(pose[3:], point) + own[name])
             row["deviation_mm"] = f"{off + (0.0 if rng is None else sigma * rng.normal()):.5f}"

@@ -50,7 +50,7 @@ resolution_mm = {resolution}
 """
 
 
-def part(folder, box=((0, 300), (0, 200), (-40, 0)), count=12, resolution=0.5, depth=3e-3):
+def part(folder, box=((0, 300), (0, 200), (-40, 0)), count=12, resolution=0.5, depth=3e-3, mass=0.0):
     """Design a part; return all that is needed to cut and to identify."""
     (folder / "process.toml").write_text(process_text(box, resolution))
     process = machining.load(folder / "process.toml")
@@ -58,8 +58,11 @@ def part(folder, box=((0, 300), (0, 200), (-40, 0)), count=12, resolution=0.5, d
     prior = Prior.of(setting.robot, process.law().sigma)
     cutting = features.Cutting(0.01, 6000.0, 0.06 * 3 * 6000 / 60e3, 1, 0.0)
     found, cutting = design.candidates(prior, setting, process, cutting, depth, Box(*box), SIGMA)
-    chosen = design.choose(found, prior, setting, design.tests_in_block(found), count)
-    made = features.program(chosen.features, cutting)
+    low, high = (1e-3 * np.array([span[k] for span in box]) for k in (0, 1))
+    hung = features.hanging_places(low, high, cutting.top) if mass else np.zeros((0, 3))
+    weighed = design.weighed(prior, setting, cutting, mass, hung, SIGMA)
+    chosen = design.choose(found, prior, setting, design.tests_in_block(found), count, weighed)
+    made = features.program(chosen.features, cutting, mass, hung)
     (folder / "testpart.nc").write_text(made.text)
     (folder / "probing.csv").write_bytes(probing.table(made))
     program = postproc.read_program(folder / "testpart.nc", ROBOT, CELL)

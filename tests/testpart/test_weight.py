@@ -1,0 +1,112 @@
+"""A weight hung on the tool under a dial gauge: its force is known, and tells compliances from cutting forces."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from postproc.cli import main
+from postproc.errors import MeasurementError
+from postproc.testpart import probing
+from postproc.testpart.cut import surfaces
+from postproc.testpart.fit import Readings, linearised
+from postproc.testpart.job import forces_of
+from tests.oracle.whole_arm import WholeArm
+from tests.testpart import trial
+
+MASS = 30.0
+BLOCK = ((0, 110), (0, 90), (-30, 0))
+
+
+@pytest.fixture(scope="module")
+def part(tmp_path_factory):
+    return trial.part(tmp_path_factory.mktemp("weight"), box=BLOCK, count=4, mass=MASS)
+
+
+def test_the_gauge_reads_what_the_independent_arm_deflects_under_the_weight(part):
+    arm = WholeArm((trial.FOLDER / "robot.urdf").read_text(), trial.content())
+    cutter = trial.machine(arm)
+    table = (part.folder / "probing.csv").read_text()
+    rows = [line for line in table.splitlines() if line.startswith(("feature", "W"))]
+    assert len(rows) == 4
+    names, line, t, mass = [], [], [], []
+    exact = []
+    for row in rows[1:]:
+        fields = row.split(",")
+        names.append(fields[0])
+        line.append(int(fields[1]))
+        t.append(float(fields[2]))
+        mass.append(float(fields[-1]))
+        point = np.array([float(value) for value in fields[3:6]])
+        moved, _ = cutter.deflected(cutter.joints(point, cutter.start), np.array([0.0, 0.0, -9.81 * MASS]))
+        exact.append(-moved[2] * 1e-3)
+    assert mass == [MASS] * 3
+    points = np.array([[float(value) for value in row.split(",")[3:6]] for row in rows[1:]]) * 1e-3
+    down = np.tile([0.0, 0.0, -1.0], (3, 1))
+    read = probing.Probed(
+        tuple(names), np.array(line), np.array(t), points, down, np.array(exact), np.array(mass), np.arange(3) + 2, "x"
+    )
+    where = surfaces(part.program, part.setting, read, 0.005)
+    source = trial.ProcessSource(part.process, trial.CELL.tool.axis)
+    states = forces_of(part.program, part.setting, source, where)(part.setting.robot, 1.0)
+    given = Readings(read, where, trial.SIGMA)
+    found = linearised(part.prior, given, states, part.setting, np.zeros(len(part.prior.parameters)), 1.0)
+    assert min(exact) > 5e-5
+    np.testing.assert_allclose(found.value, exact, atol=2e-7)
+    np.testing.assert_array_equal(found.slopes[:, -1], 0.0)  # the cutting forces have no part in it
+
+
+def test_the_weight_tells_forces_from_compliances(part):
+    """The same part with and without the rows of the gauge."""
+    rng = np.random.default_rng(4)
+    arm, scale = trial.truth(rng), 1.15
+    path = trial.probed(part, arm, rng, scale)
+    found, left_out = trial.identified(part, path)
+    rows = path.read_text().splitlines()
+    (part.folder / "without.csv").write_text("\n".join(row for row in rows if not row.startswith("W")) + "\n")
+    without, _ = trial.identified(part, part.folder / "without.csv")
+    assert not left_out
+    sigma = [float(np.sqrt(each.covariance[-1, -1])) for each in (found, without)]
+    assert sigma[0] < 0.85 * sigma[1]
+    assert abs(found.scale - scale) < 3.0 * sigma[0]
+    assert part.chosen.sigma[-1] < 0.85 * part.chosen.alone[-1]  # the design says so before
+    assert part.chosen.sigma[-1] == pytest.approx(found.sigma[-1], rel=0.3)
+
+
+def test_the_position_of_the_part_does_not_move_the_gauge(part):
+    read = probing.read(trial.probed(part, trial.truth(np.random.default_rng(1)), np.random.default_rng(1)))
+    where = surfaces(part.program, part.setting, read, 0.005)
+    added = Readings(read, where, trial.SIGMA).by_part()
+    hung = read.mass > 0.0
+    assert hung.sum() == 3
+    assert not added[hung].any()
+    assert (np.diag(added)[~hung] > 0.0).all()
+
+
+def test_a_weight_on_a_cutting_move_is_refused(part):
+    rows = (part.folder / "probing.csv").read_text().splitlines()
+    fields = rows[1].split(",")
+    rows[1:] = [",".join([*row.split(",")[:-2], "0.01", row.split(",")[-1]]) for row in rows[1:]]
+    rows[1] = ",".join([*fields[:-2], "0.01", "12"])
+    (part.folder / "wrong.csv").write_text("\n".join(rows) + "\n")
+    with pytest.raises(MeasurementError, match="is not one rapid move"):
+        surfaces(part.program, part.setting, probing.read(part.folder / "wrong.csv"), 0.005)
+    rows[1] = ",".join([*fields[:-2], "0.01", "-3"])
+    (part.folder / "wrong.csv").write_text("\n".join(rows) + "\n")
+    with pytest.raises(MeasurementError, match="mass_kg is not between"):
+        probing.read(part.folder / "wrong.csv")
+
+
+def test_the_command_writes_stops_for_the_weight(tmp_path):
+    (tmp_path / "process.toml").write_text(trial.process_text(BLOCK, 1.0))
+    given = ["--cell", str(trial.SAMPLES / "cell_kr270.toml"), "--process", str(tmp_path / "process.toml")]
+    done = CliRunner().invoke(
+        main, ["testpart", *given, "--features", "2", "--depth", "3", "--weight", "20", "-o", str(tmp_path / "out")]
+    )
+    assert done.exit_code == 0, done.output
+    assert "the weight on the tool leaves" in done.output
+    assert (tmp_path / "out" / "testpart.nc").read_text().count("M0\n") == 3
+    assert (tmp_path / "out" / "testpart.src").read_text().count("HALT") == 4  # one is the tool change
+    assert (tmp_path / "out" / "probing.csv").read_text().splitlines()[-1].endswith(",20")
+    assert "the weight on the tool leaves" in (tmp_path / "out" / "testpart.html").read_text()
