@@ -232,7 +232,7 @@ class CellFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     robot: str
     base: Frame
     tool: Tool
-    start: Start
+    start: Start | None = None
     payload: Payload = Payload()
     tool_compliance: ToolCompliance = ToolCompliance()
     output: Output = Output()
@@ -257,9 +257,24 @@ class Cell(CellFile, frozen=True):
     folder: str = "."
 
     @property
+    def start_angles(self) -> tuple[float, float, float, float, float, float]:
+        """A1…A6 at the start of the program [deg].
+
+        :raises CellError: the cell has no [start].
+        """
+        if self.start is None:
+            raise CellError(
+                "the cell has no [start]", advice="Give A1 to A6: [start] joints = [0, -70, 110, 0, 50, 0]."
+            )
+        return self.start.joints
+
+    @property
     def start_joints(self) -> Array:
-        """A1…A6 at the start of the program, (6,) [rad]."""
-        return np.array(self.start.joints) * RAD_PER_DEG
+        """A1…A6 at the start of the program, (6,) [rad].
+
+        :raises CellError: the cell has no [start].
+        """
+        return np.array(self.start_angles) * RAD_PER_DEG
 
     @property
     def carriage(self) -> Array | None:

@@ -14,7 +14,7 @@ from postproc.dialects import registry
 from postproc.errors import InputError
 from postproc.files import FileEntry, foreign, refuse, with_record, write_whole
 from postproc.frames import M_PER_MM
-from postproc.jobs.conversion import force_source, origin_of, read_program
+from postproc.jobs.conversion import force_source, origin_of, read_program, read_started
 from postproc.jobs.output_plan import protect
 from postproc.jobs.programs import EXCEEDED, GOOD, Settings, load_setup
 from postproc.program import Program
@@ -79,7 +79,7 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
     :raises PostprocError: an input is unusable, or an output must not be written.
     """
     cell, robot = load_setup(request.settings)
-    nominal = read_program(request.nominal, robot, cell)
+    nominal, cell = read_started(request.nominal, robot, cell)
     corrected = read_program(request.corrected, robot, cell)
     if not corrected.keeps_text:
         raise InputError(

@@ -13,17 +13,19 @@ from msgspec.structs import replace
 
 from postproc import correction, files, forces, provenance, report
 from postproc import robot as robots
-from postproc.cell import Cell
+from postproc.cell import Cell, Start
 from postproc.correction import Result
 from postproc.dialects import registry
 from postproc.errors import InputError, Issue, PostprocError, ProgramError, SubprogramError
 from postproc.forces import ForceSource
-from postproc.frames import M_PER_MM
+from postproc.frames import M_PER_MM, Array
 from postproc.jobs.output_plan import Task, differing, needed_copies, with_own_copies
 from postproc.jobs.programs import EXCEEDED, FAILED, GOOD, PROCESS, Job, Outcome, Settings, find_jobs, read_documents
+from postproc.placement import start
 from postproc.program import Document, Motions, Program
 from postproc.report import Summary
 from postproc.robot import RobotModel
+from postproc.under_load import RobotInCell
 from postproc.version import VERSION
 
 _OPTIONS = ("tolerance_mm", "lines_per_file", "linearize_arcs", "keep_unresolved")
@@ -124,7 +126,7 @@ def convert(
     computed = False
     try:
         name = None if job.keeps_text else job.stem
-        program = read_program(job.program, robot, cell, job.dialect, name)
+        program, cell = read_started(job.program, robot, cell, job.dialect, name)
         result, process = _result(job, settings, cell, robot, program, progress)
         if result.failed:
             return Outcome(str(job.program), FAILED, issues=result.issues)
@@ -166,6 +168,39 @@ def read_program(
         return correction.read(documents, robot, cell, path.stem if name is None else name, dialect)
     except InputError as cause:
         raise cause.with_file(path.name, str(path)) from cause
+
+
+_ANYWHERE = Start((0.3257, -88.6413, 91.7269, 2.8391, 43.4173, -1.6427))
+"""A start from which a program is read until its own is known: angles that no program states."""
+
+
+def read_started(
+    path: str | Path, robot: RobotModel, cell: Cell, dialect: str | None = None, name: str | None = None
+) -> tuple[Program, Cell]:
+    """Read a program as `read_program` does; a cell without [start] gets the one that is chosen for the program.
+
+    :raises ProgramError: it is not understood, or its motions depend on where it starts.
+    """
+    if cell.start is not None:
+        return read_program(path, robot, cell, dialect, name), cell
+    anywhere = replace(cell, start=_ANYWHERE)
+    first = read_program(path, robot, anywhere, dialect, name)
+    chosen = start.choose(first, RobotInCell.of(robot, anywhere))
+    cell = replace(cell, start=Start(chosen.joints))
+    program = read_program(path, robot, cell, dialect, name)
+    one, other = first.motions, program.motions
+    same = len(one) == len(other) and _same(one.target, other.target) and _same(one.joints, other.joints)
+    if not same or chosen.joints == _ANYWHERE.joints:
+        raise ProgramError(
+            "the first motions depend on where the program starts, and the cell has no [start]",
+            file=str(path),
+            advice="Give [start] joints, or state in the program where the first move goes.",
+        )
+    return replace(program, issues=(*program.issues, Issue("info", "start", chosen.message))), cell
+
+
+def _same(one: Array, other: Array) -> bool:
+    return bool(np.allclose(one, other, rtol=0.0, atol=1e-9, equal_nan=True))
 
 
 def force_source(given: Path | None, cell: Cell) -> ForceSource | None:

@@ -279,7 +279,7 @@ robot = {_quoted(place)}    # {robot.title}
 axis = "{cell.tool.axis}"                      # axis of the tool frame that points from the spindle to the tip
 
 [start]
-joints = [{", ".join(map(_number, cell.start.joints))}]    # A1 to A6 where programs start: fixes the branch of the arm
+joints = [{", ".join(map(_number, cell.start_angles))}]    # A1 to A6 where programs start: fixes the branch of the arm
 
 [output]
 tolerance_mm = 0.01              # what the predicted path may leave the nominal one by

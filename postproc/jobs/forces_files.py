@@ -12,7 +12,7 @@ from postproc import machining, toolpath
 from postproc.errors import ForceError, InputError, Issue
 from postproc.files import foreign, foreign_single, refuse, with_record, write_whole
 from postproc.forces import Knots
-from postproc.jobs.conversion import read_program
+from postproc.jobs.conversion import read_started
 from postproc.jobs.output_plan import protect
 from postproc.jobs.programs import load_robot
 from postproc.machining import Process, ProcessForces, identification
@@ -64,7 +64,7 @@ def make_forces(request: ForcesRequest, progress: Callable[[int, int], None] | N
     process = machining.load(request.process)
     cell = cells.load(request.cell)
     robot = load_robot(cell.robot, cell.folder)
-    program = read_program(request.program, robot, cell, request.dialect)
+    program, cell = read_started(request.program, robot, cell, request.dialect)
     place = RobotInCell.of(robot, cell)
     path = toolpath.segments(program, place.start_flange)
     folder, names = _names(request)

@@ -13,9 +13,9 @@ from postproc.cell import Cell
 from postproc.errors import InputError, did_you_mean
 from postproc.files import foreign, refuse, with_record, write_whole
 from postproc.frames import RAD_PER_DEG
-from postproc.jobs.conversion import programs_under_force
+from postproc.jobs.conversion import programs_under_force, read_started
 from postproc.jobs.output_plan import protect
-from postproc.jobs.programs import load_robot
+from postproc.jobs.programs import find_jobs, load_robot
 from postproc.placement import Keep, PathSamples, region
 from postproc.placement.region import AXES, Region
 from postproc.report import placement as report
@@ -71,12 +71,13 @@ def make_place(request: PlaceRequest, progress: Callable[[int, int], None] | Non
     protect([*given, request.cell, *filter(None, (request.forces, request.process))], request.output, FILES)
     if not request.overwrite:
         refuse(foreign(request.output, FILES, FILES[-1]))
+    cell, said = _started(request, cell, robot)
     samples, names = _samples(request, cell, robot)
     turns = cell.gcode.redundancy != "constant" and not any(each.program.keeps_text for each in samples)
     keep, clearance = Keep(joint=request.margin_deg * RAD_PER_DEG), _clearance(request, cell)
     programs = region.Programs(samples, keep, turns=turns, clearance_mm=clearance)
     found = region.search(programs, bounds, progress)
-    content = report.summary(found, cell, names, request.margin_deg, clearance, bounds)
+    content = report.summary(found, cell, names, request.margin_deg, clearance, bounds, said)
     contents: dict[str, bytes | Iterable[bytes]] = {
         FILES[0]: report.places_csv(found),
         FILES[1]: report.page(found, content),
@@ -133,6 +134,15 @@ def _bounds(part: str) -> tuple[str, float, float]:
     if max(abs(one), abs(other)) > _FARTHEST:
         raise InputError(f"{where}: farther than {_FARTHEST:g}", advice=advice)
     return axis, one, other
+
+
+def _started(request: PlaceRequest, cell: Cell, robot: RobotModel) -> tuple[Cell, str | None]:
+    """Return a cell with [start]: its own, or the one of the first program, and how that was chosen."""
+    if cell.start is not None:
+        return cell, None
+    job = next(job for job in find_jobs(list(request.programs)) if not job.callers)
+    program, cell = read_started(job.program, robot, cell, job.dialect)
+    return cell, next(issue.message for issue in program.issues if issue.kind == "start")
 
 
 def _samples(request: PlaceRequest, cell: Cell, robot: RobotModel) -> tuple[Sequence[PathSamples], list[str]]:

@@ -56,6 +56,7 @@ class PlaceSummary(TypedDict):
     robot: str
     margin_deg: float
     clearance_mm: float | None
+    start: str | None
     region: dict[str, list[float]]
     today: PlaceEntry
     best: PlaceEntry | None
@@ -68,11 +69,18 @@ class PlaceSummary(TypedDict):
 
 
 def summary(
-    found: Search, cell: Cell, programs: Sequence[str], margin_deg: float, clearance_mm: float | None, region: Region
+    found: Search,
+    cell: Cell,
+    programs: Sequence[str],
+    margin_deg: float,
+    clearance_mm: float | None,
+    region: Region,
+    start: str | None,
 ) -> PlaceSummary:
     """Return the result as plain data.
 
     :param clearance_mm: distance of bodies that was kept; None: they were not compared.
+    :param start: how the start was chosen; None: the cell states it.
     """
     reasons = np.bincount([each.reason for each in found.tried], minlength=len(REASONS)).tolist()
     return PlaceSummary(
@@ -80,6 +88,7 @@ def summary(
         robot=cell.robot,
         margin_deg=margin_deg,
         clearance_mm=clearance_mm,
+        start=start,
         region={axis: [region.low[k], region.high[k]] for k, axis in enumerate(AXES) if k in region.free},
         today=_entry(found.today),
         best=None if found.best is None else _entry(found.best),
@@ -176,6 +185,7 @@ def as_text(content: PlaceSummary) -> str:
     lines.append(
         f"  {content['tried']} places tried, {content['reachable']} can be driven" + (f"; {refused}" if refused else "")
     )
+    lines += [] if content["start"] is None else [f"  {content['start']}"]
     kept = f"  kept: {content['margin_deg']:g}° to joint limits"
     if content["clearance_mm"] is not None:
         return "\n".join([*lines, f"{kept}, {content['clearance_mm']:g} mm between bodies of [collision]"])
@@ -230,7 +240,8 @@ def _verdict(found: Search, content: PlaceSummary) -> Section:
         kind = "deflection" if np.isnan(place.u95) else "expected error, RMS"
         note = f"{kind}; X {x:.0f} Y {y:.0f} Z {z:.0f} A {a:.1f}; joint margin {place.margin * DEG_PER_RAD:.1f}°"
         tiles.append(Tile(title, rounded(place.cost * MM_PER_M), "mm", note))
-    notes = Notes((Note(content["sentence"]), Note(_collisions(content))))
+    said = () if content["start"] is None else (Note(content["start"]),)
+    notes = Notes((Note(content["sentence"]), Note(_collisions(content)), *said))
     return Section("place", "Where the part should be", (notes, Tiles(tuple(tiles))))
 
 

@@ -62,7 +62,7 @@ def krl_program(result: PlanResult, cell: CellFile, name: str) -> Document:
         ";Run it in T1: ways between the poses were checked by coarse shapes only.",
         "BAS (#INITMOV,0 )",
         f"BAS (#VEL_PTP,{_SPEED_PERCENT} )",
-        axis_motion(cell.start.joints, _ANGLE_DECIMALS),
+        axis_motion(cell.start_angles, _ANGLE_DECIMALS),
     ]
     for row, (angles, force) in enumerate(zip(result.plan.q * DEG_PER_RAD, result.force, strict=True)):
         lines += [
@@ -79,7 +79,7 @@ def krl_program(result: PlanResult, cell: CellFile, name: str) -> Document:
             "HALT ;measure all points WITH the second load, then put the whole load on",
             "HALT ;measure all points WITH the whole load, then take it off",
         ]
-    lines.append(axis_motion(cell.start.joints, _ANGLE_DECIMALS))
+    lines.append(axis_motion(cell.start_angles, _ANGLE_DECIMALS))
     return document(name, lines)
 
 

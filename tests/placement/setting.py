@@ -24,9 +24,10 @@ def cell(name="kuka_kr270", base=(0.0, 0.0, 700.0), tool=(350.0, 200.0), **gcode
     return replace(made, gcode=replace(made.gcode, rapid_m_per_s=0.3, **gcode))
 
 
-def read(text, cell):
+def read(text, cell, dialect="gcode"):
     model = robot.load(robot.find(cell.robot))
-    return correction.read([decode("part.nc", text.encode())], model, cell, "part", "gcode"), model
+    name = "part.nc" if dialect == "gcode" else "part.src"
+    return correction.read([decode(name, text.encode())], model, cell, "part", dialect), model
 
 
 def convert(text, cell, **options):

@@ -108,7 +108,7 @@ class _Emitter:
             f"$BASE={_frame(program.bases[base])}",
             f"$TOOL={_frame(program.tools[tool])}",
             *([f"$APO.CDIS={number(MM_PER_M * given[0])}"] if len(given) else []),
-            axis_motion(cell.start.joints, 5),
+            axis_motion(cell.start_angles, 5),
         ]
 
     def _set_frames(self, k: int) -> None:

@@ -1,0 +1,120 @@
+"""Programs in a cell without [start]: where they start, on which branch, and that all that follows agrees."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from msgspec.structs import replace
+
+from postproc import correction, kinematics, robot
+from postproc.cell import Start
+from postproc.cli import main
+from postproc.placement import start
+from postproc.under_load import RobotInCell
+from tests.oracle import cell_sim
+from tests.oracle.arm import Arm
+from tests.placement.setting import ROBOTS, cell, read
+
+SAMPLES = Path(__file__).parents[2] / "samples"
+PART = "G21 G90\nG0 X0 Y-100 Z60\nG1 Z0 F600\nX200 F2000\nY100\nX0\nG0 Z60\nM30\n"
+KRL = "DEF part()\n$VEL.CP=0.05\nPTP {{X 0,Y 0,Z 60,A 0,B 0,C 180{0}}}\nLIN {{X 0,Y 0,Z 5,A 0,B 0,C 180}}\nEND\n"
+
+
+def in_line(name, base=(1200.0, 0.0, 600.0)):
+    own = cell(name, base=base, tool=(0.0, 350.0))
+    return replace(own, tool=replace(own.tool, axis="+Z"), gcode=replace(own.gcode, redundancy_deg=180.0))
+
+
+def margin(result) -> float:
+    """Smallest margin of a converted program: of the joints, and of A5 and A3 from singular poses [rad]."""
+    form = kinematics.closed_form(result.robot)
+    wrist = np.abs((result.q[:, 4] + form.bend + np.pi) % (2 * np.pi) - np.pi)
+    return float(min(result.joint_margin.min(), wrist.min(), np.abs(form.elbow(result.q)).min()))
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_the_branch_is_the_one_with_the_most_margin_of_all_that_convert(name):
+    own = in_line(name)
+    program, model = read(PART, own)
+    found = start.choose(program, RobotInCell.of(model, own))
+    first = kinematics.closed_form(model).branches(_flange(program, model, own)[None])[0]
+    margins = []
+    for q in first[np.isfinite(first).all(axis=1)]:
+        there = replace(own, start=Start(tuple(np.degrees(q))))
+        result = correction.process(read(PART, there)[0], model, there, mode="predict")
+        if not result.failed:
+            margins.append(margin(result))
+    chosen = replace(own, start=Start(found.joints))
+    best = margin(correction.process(read(PART, chosen)[0], model, chosen, mode="predict"))
+    assert len(margins) >= 2
+    assert best == pytest.approx(max(margins), abs=1e-3)
+    assert name != "kuka_kr270" or max(margins) > min(margins) + np.radians(5.0)  # no mere turn of the wrist
+    assert f"{np.degrees(best):.1f}" in found.message
+
+
+def _flange(program, model, own):
+    """Flange at the first target of a program, by an arm of another code."""
+    tool = np.eye(4)
+    tool[2, 3] = 0.35
+    base = own.base.pose()
+    return base @ program.motions.target[0] @ np.linalg.inv(tool)
+
+
+def without_start(tmp_path, name="part.nc", text=PART):
+    (tmp_path / name).write_text(text)
+    whole = (SAMPLES / "cell_kr270.toml").read_text()
+    (tmp_path / "cell.toml").write_text(re.sub(r"\[start\]\njoints.*\n", "", whole))
+    return lambda *command: CliRunner().invoke(
+        main, [command[0], str(tmp_path / command[1]), *command[2:], "--cell", str(tmp_path / "cell.toml")]
+    )
+
+
+def test_what_is_written_starts_there_and_is_read_back_the_same(tmp_path):
+    """The joint angles, S and T of the written program, in the simulator of a controller; predict and compare agree."""
+    run = without_start(tmp_path)
+    done = run("convert", "part.nc", "-o", str(tmp_path / "out"))
+    assert done.exit_code == 0, done.output
+    assert "The cell has no [start]: the program starts at A1…A6" in done.output
+    report = json.loads((tmp_path / "out" / "part.report.json").read_text("utf-8"))
+    assert [issue["kind"] for issue in report["issues"]].count("start") == 1
+    text = (tmp_path / "out" / "part.src").read_text()
+    moves = cell_sim.read(text)
+    line = next(line for line in text.splitlines() if line.startswith("PTP {A1"))
+    angles = [float(each) for each in re.findall(r"A\d ([-\d.]+)", line)]
+    sim = cell_sim.Cell(Arm.load(robot.find("kuka_kr270")), angles, (1500, -200, 700, 0, 0, 0), (0, 0, 350, 0, 0, 0))
+    steps = np.diff([np.degrees(q) for _, _, _, q in sim.run(moves, shares=(0.5, 1.0))], axis=0)
+    assert np.abs(steps).max() < 30.0
+    again = run("predict", "out/part.src", "-o", str(tmp_path / "again"))
+    assert again.exit_code == 0, again.output
+    back = json.loads(next((tmp_path / "again").glob("*.report.json")).read_text("utf-8"))
+    assert back["limits"]["min_joint_margin_deg"] == pytest.approx(report["limits"]["min_joint_margin_deg"], abs=0.01)
+    other = run("compare", "part.nc", str(tmp_path / "out" / "part.src"), "-o", str(tmp_path / "compared"))
+    assert other.exit_code == 0, other.output
+    assert run("place", "part.nc", "--region", "X=1450:1500", "-o", str(tmp_path / "place")).exit_code == 0
+
+
+@pytest.mark.parametrize(("status", "s"), [(",S 2,T 35", 2), (",S 6,T 19", 6)])
+def test_a_program_that_states_status_and_turn_starts_with_them(status, s):
+    own = in_line("kuka_kr270")
+    program, model = read(KRL.format(status), own, "krl")
+    found = start.choose(program, RobotInCell.of(model, own))
+    assert kinematics.status_of(model, np.radians(found.joints)[None])[0] == s
+
+
+def test_a_program_that_depends_on_its_start_is_refused(tmp_path):
+    home = "DEF part()\nPTP HOME\n$VEL.CP=0.05\nLIN {X 0,Y 0,Z 60,A 180,B 0,C 180}\nEND\n"
+    done = without_start(tmp_path, "part.src", home)("convert", "part.src", "-o", str(tmp_path / "out"))
+    assert done.exit_code == 1
+    assert "Give [start] joints" in done.output
+
+
+def test_a_program_out_of_reach_of_all_branches_is_refused():
+    own = in_line("kuka_kr270", base=(5000.0, 0.0, 600.0))
+    program, model = read(PART, own)
+    with pytest.raises(Exception, match="no branch of the arm reaches the first target"):
+        start.choose(program, RobotInCell.of(model, own))
