@@ -855,7 +855,7 @@ ERRORS = [
     (["TRIGGER WHEN DISTANCE=0 DELAY=0 DO $VEL.CP=1"], 4, "TRIGGER in line 4 changes"),
     (["$IPO_MODE=#TCP"], 4, "IPO_MODE"),
     (["FDAT_ACT={TOOL_NO 1,BASE_NO 1,IPO_FRAME #TCP}", "BAS(#FRAMES)"], 5, "IPO_MODE"),
-    (["$ORI_TYPE=#JOINT", FULL], 5, "ORI_TYPE=#JOINT"),
+    ([FULL, "$ORI_TYPE=#JOINT", "CIRC {X 0,Y 0,Z 0},{X 1,Y 5,Z 9,A 50,B 0,C 170}"], 6, "ORI_TYPE=#JOINT"),
     ([FULL, "$ORI_TYPE=#IGNORE", "SLIN {A 11}"], 6, "ORI_TYPE=#IGNORE"),
     ([FULL, "$ORI_TYPE=#IGNORE", "SLIN {X 5}", "$ORI_TYPE=#VAR", "SLIN {A 11}"], 6, "ORI_TYPE=#IGNORE"),
     ([FULL, "$CIRC_TYPE=#CHORD", "CIRC {X 0,Y 0,Z 0},{X 1,Y 5,Z 9}"], 5, "CIRC_TYPE is not known: there is no #CHORD"),
