@@ -46,7 +46,7 @@ class Hits(Struct, frozen=True, eq=False):
     :param first: (h,) the body that moves, `second` the other one: rows of `Scene.bodies`.
     :param distance: (h,) the smallest distance found there [m].
     :param calls: number of distances that were computed.
-    :param less: by how much distances are less at most for what is commanded instead [m].
+    :param less: largest decrease of distances on the commanded path [m].
     """
 
     closest: Closest | None

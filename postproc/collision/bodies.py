@@ -18,9 +18,9 @@ from postproc.frames import M_PER_MM, Array, norm
 from postproc.robot import JOINTS, RobotModel
 
 FLANGE = len(JOINTS)
-"""Carrier of what is fixed to the flange."""
+"""Carrier of bodies that are fixed to the flange."""
 _APART = {"arm": 4, "cutter": 3, "tool": 3}
-"""A body is compared with links that so many joints separate from it: nearer ones are joined to it or share a wrist."""
+"""Joints between a body and the links it is compared with: nearer links are joined to it or share a wrist."""
 _WIDE = (0.075, 0.07, 0.055, 0.045, 0.034, 0.03, 0.026)
 """Radii of the capsules of base and links, of the length of the arm: assumed, as pages draw an arm without meshes."""
 _SIDES = 32
@@ -33,7 +33,7 @@ class Body(Struct, frozen=True, eq=False):
     """A rigid body.
 
     :param name: in messages.
-    :param carrier: 0…5: the joint that carries it; 6: the flange; −1: it stands in the robot root.
+    :param carrier: 0…5: the joint that carries it; 6: the flange; −1: the robot root.
     :param of: arm, cutter, tool (shank, holder, spindle), obstacle or part; the cutter may touch the part.
     :param kind: of its shape.
     :param size: of a box its edges, of a cylinder or capsule radius and length along z between the middles of its ends.
@@ -75,7 +75,7 @@ class Scene(Struct, frozen=True, eq=False):
 
     :param robot: the robot.
     :param bodies: of the arm, its tool and the obstacles.
-    :param remarks: what is assumed of them, in words.
+    :param remarks: assumptions on them, one sentence each.
     """
 
     robot: RobotModel

@@ -24,7 +24,7 @@ class SmallestClearance(Struct, frozen=True, eq=False):
     :param bodies: their names.
     :param line: of the motion on which it is reached.
     :param scene: the bodies.
-    :param remarks: what is assumed, in words.
+    :param remarks: assumptions, one sentence each.
     """
 
     distance: float
@@ -39,7 +39,7 @@ def of_path(path: PathUnderLoad, commanded: Array) -> tuple[SmallestClearance | 
 
     Under the cutting forces a corrected arm is on the nominal path, without them on the commanded one. Distances are
     those of the nominal path, from the start of the program on, less by as far as the correction moves each body at
-    most: a bound for both paths, and for what is between them.
+    most: a bound for both paths, and for all poses between them.
 
     :param commanded: (N, 6) commanded joint angles at the samples [rad].
     :returns: None if the cell has no [collision].

@@ -36,7 +36,7 @@ class PlaceRequest(Struct, frozen=True, kw_only=True):
 
     :param programs: files, folders, patterns.
     :param forces: file of forces, or a folder of such files; `process` computes them instead.
-    :param region: bounds as ``X=1200:2000,Y=-600:600,A=-90:90``; what is not named stays.
+    :param region: bounds as ``X=1200:2000,Y=-600:600,A=-90:90``; other axes stay as in the cell.
     :param margin_deg: distance to joint limits to keep.
     :param clearance_mm: distance of the bodies of [collision] to keep; None: that of the cell.
     """

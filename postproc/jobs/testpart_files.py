@@ -30,11 +30,10 @@ from postproc.program import Program
 from postproc.report.testpart import design_page, part_page
 from postproc.robot.model_file import ModelFile
 from postproc.testpart import design, features, probing
-from postproc.testpart.cut import States, surfaces
+from postproc.testpart.cut import States, forces_of, surfaces
 from postproc.testpart.design import Design, Tests
 from postproc.testpart.features import Cutting
 from postproc.testpart.fit import Fit, Prior, Readings, fit
-from postproc.testpart.job import forces_of
 from postproc.testpart.model import Agreement, PartIdentification, agreement, material, model_file, summary
 from postproc.under_load import RobotInCell
 
@@ -122,7 +121,7 @@ def flat_tool(process: Process, number: int | None) -> tuple[str, ToolTable]:
         raise ForceError(
             f"[tools.{found[0]}] is a {found[1].shape} tool",
             file=process.path,
-            advice="Cut the test part with a flat end mill: its walls and floors are what is probed.",
+            advice="Cut the test part with a flat end mill: its walls and floors are probed.",
         )
     return found
 

@@ -275,7 +275,7 @@ def _column(place: Array, many: int) -> Ints:
 
 _EXACT = 1e-9
 _STEP_MARK = 1_000_000
-"""Added to changes of the turn, to tell them from turns of the block before."""
+"""Added to changes of the turn, to distinguish them from turns of the block before."""
 
 
 def _traced(found: TurnMap, state: Array, back: list[tuple[Ints, Ints, Ints]], base: Array) -> Line:

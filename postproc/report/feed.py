@@ -1,4 +1,4 @@
-"""Feeds that were lowered to hold the tolerance of the part: cutting time before and after, and what is not held."""
+"""Feeds that were lowered to hold the tolerance of the part: cutting times, and moves that do not hold it."""
 
 from __future__ import annotations
 

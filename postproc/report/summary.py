@@ -670,7 +670,7 @@ def _clearance(result: Result) -> Clearance | None:
 
 
 def _free(content: Summary) -> list[Finding]:
-    """Return what is known of collisions."""
+    """Return the smallest clearance as a finding; none if collisions were not checked."""
     return [] if content["collision"] is None else [Finding(_WORDS_ONLY, clearance(content))]
 
 

@@ -207,7 +207,7 @@ def _pose_of_base(arm: AnyArm, file: str) -> Array:
 def _pose_of_flange(arm: AnyArm, file: str) -> Array:
     """Return KUKA's flange in the frame of the last joint.
 
-    Z of `tool0` points out. X of `flange` does, or Z, as in the models of this package: the axis of A6 tells which.
+    Z of `tool0` points out. X of `flange` does, or Z, as in the models of this package: the axis of A6 shows which.
     """
     out = np.eye(4)
     out[:3, :3] = _FLANGE_AXES

@@ -126,7 +126,7 @@ def _places(name: str, urdf: Path) -> list[Path]:
 
 
 def simplified(surface: LinkShape, most: int) -> tuple[LinkShape, float]:
-    """Return a surface with at most so many triangles, and how far its corners have moved at most [m].
+    """Return a surface with at most `most` triangles, and the largest displacement of its corners [m].
 
     Corners in one cell of a grid become one at their mean; the grid is as fine as the number allows. Source: Rossignac
     and Borrel, "Multi-resolution 3D approximations for rendering complex scenes", 1993.

@@ -10,6 +10,8 @@ The forces are those of the deflected tool: it cuts less wide and less deep than
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
@@ -227,3 +229,21 @@ def cut(program: Program, setting: RobotInCell, source: ProcessSource, where: Su
         ]
     )
     return Cut(replace(every.take(index), hung=where.hung), every, motion, t, program)
+
+
+def forces_of(
+    program: Program, setting: RobotInCell, source: ProcessSource, where: Surfaces
+) -> Callable[[RobotModel, float], States]:
+    """Return a function of a model and a scale of the forces: the states where surfaces are made.
+
+    Each call cuts the program once, with the tool deflected as by the forces of the call before.
+    """
+    last = None
+
+    def states(robot: RobotModel, scale: float) -> States:
+        nonlocal last
+        shifted = source if last is None else source.shifted(last.shift(setting, robot, scale))
+        last = cut(program, setting, shifted, where)
+        return last.at
+
+    return states

@@ -71,7 +71,7 @@ class Cutting(Struct, frozen=True):
 
 
 class Kind(Struct, frozen=True):
-    """What is cut at a place: a groove, or a step.
+    """A groove or a step at one place of the part.
 
     :param depth: [m].
     :param side: 0 a groove; 1 a step that is cut down-milling, −1 up-milling.

@@ -64,7 +64,7 @@ LEAST = 0.02
 
 
 class Prior(Struct, frozen=True, eq=False):
-    """What is known before the part is probed.
+    """Knowledge before the part is probed: model, covariance, forces.
 
     :param robot: the model.
     :param parameters: (p,) of its covariance.

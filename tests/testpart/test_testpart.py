@@ -16,9 +16,8 @@ from postproc.cli import main
 from postproc.errors import MeasurementError
 from postproc.machining import ProcessSource
 from postproc.testpart import design, probing
-from postproc.testpart.cut import surfaces
+from postproc.testpart.cut import forces_of, surfaces
 from postproc.testpart.fit import Prior, Readings, fit, linearised
-from postproc.testpart.job import forces_of
 from postproc.testpart.model import agreement, summary
 from tests.oracle.whole_arm import WholeArm
 from tests.testpart import trial

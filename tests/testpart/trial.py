@@ -17,9 +17,8 @@ from postproc.errors import ModelError
 from postproc.machining import ProcessSource
 from postproc.robot.model_file import JointSpring, LinkSprings, ModelFile, Stiffening
 from postproc.testpart import design, features, probing
-from postproc.testpart.cut import surfaces
+from postproc.testpart.cut import forces_of, surfaces
 from postproc.testpart.fit import Prior, Readings, fit
-from postproc.testpart.job import forces_of
 from postproc.testpart.model import agreement, material, model_file
 from postproc.under_load import RobotInCell
 from tests.oracle.arm import Arm

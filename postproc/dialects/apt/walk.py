@@ -49,7 +49,7 @@ _CYCLE_ADVICE = "Let the CAM system write the holes as GOTO statements."
 
 
 class Fault(Struct, frozen=True):
-    """What is wrong with a statement: its row, the problem, the advice."""
+    """A fault of a statement: its row, the problem, the advice."""
 
     row: int
     problem: str
