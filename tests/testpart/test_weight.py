@@ -9,9 +9,8 @@ from click.testing import CliRunner
 from postproc.cli import main
 from postproc.errors import MeasurementError
 from postproc.testpart import probing
-from postproc.testpart.cut import surfaces
+from postproc.testpart.cut import forces_of, surfaces
 from postproc.testpart.fit import Readings, linearised
-from postproc.testpart.job import forces_of
 from tests.oracle.whole_arm import WholeArm
 from tests.testpart import trial
 
