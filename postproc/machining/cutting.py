@@ -191,6 +191,8 @@ def _levels(stock: Stock, around: _Corners, pieces: slice, z: Floats, in_part: b
     return np.asarray(out)
 
 
+_LEVEL = 1e-3
+"""Sine of the angle to the level below which a cut is level."""
 _ONE_THREAD = 200_000
 """Products below which OpenBLAS keeps to one thread (its limit is 2^18)."""
 
@@ -199,10 +201,13 @@ class Loads(Struct, frozen=True, eq=False):
     """Sums over the edge in material in a turn, at n stations.
 
     :param wrench: (n, 6) mean force [N] and moment about the tip [N·m] on the tool, in the axes above.
+    :param deviation: (n, 6) its standard deviation by the covariance of the material, and by what is not known of the
+        rubbing of the end face.
     :param removal: (n,) volume removed in one turn by one tooth [m³].
     """
 
     wrench: Array
+    deviation: Array
     removal: Array
 
 
@@ -224,11 +229,12 @@ def mean(turn: Turn, inside: Engaged, chip: Floats, plunging: Floats) -> Loads:
 
     :param chip: (n, P) from `chips`.
     :param plunging: (n,) sine of the angle by which the feed goes down, 0 … 1: this share of the rubbing of the end
-        face counts. On level cuts published coefficients contain it, on a plunge it acts in full; between, this is
-        an assumption.
+        face counts. On level cuts published coefficients contain it, on a plunge it acts in full; between, it is
+        not known how much of the face rubs: anything from this share to all of it is taken for as likely.
     """
     cutting = inside.length * turn.law.chip(chip)
     rubbing = inside.length * (chip > 0.0)
+    rest = np.where(plunging > _LEVEL, 1.0 - plunging, 0.0)[:, None] * rubbing[:, turn.bottom]
     rubbing[:, turn.bottom] *= plunging[:, None]
     wrench = (times(cutting, turn.cut) + times(rubbing, turn.rub)).astype(float)
     thin = chip[:, turn.side]
@@ -237,7 +243,28 @@ def mean(turn: Turn, inside: Engaged, chip: Floats, plunging: Floats) -> Loads:
     wrench[:, 3] -= push[:, 1]
     wrench[:, 4] += push[:, 0]
     removal = times(inside.length * chip, (turn.radius * turn.width.astype(np.float32))[:, None])[:, 0]
-    return Loads(wrench, np.asarray(removal, dtype=float))
+    square = np.square(times(rest, turn.rub[turn.bottom]).astype(float)) / 3.0  # uniform from none of it to all
+    if turn.law.covariance is not None:
+        of_each = _of_each(turn, inside, (cutting, rubbing), thin)
+        square += np.einsum("kni,kl,lni->ni", of_each, np.array(turn.law.covariance), of_each)
+    return Loads(wrench, np.sqrt(np.maximum(square, 0.0)), np.asarray(removal, dtype=float))
+
+
+def _of_each(turn: Turn, inside: Engaged, edges: tuple[Floats, Floats], thin: Floats) -> Array:
+    """Return the mean wrench (6, n, 6) for 1 of each coefficient: Ktc, Krc, Kac [N/m²], Kte, Kre, Kae [N/m].
+
+    :param edges: (n, P) engaged lengths times chip, and lengths that rub; thin: (n, C) chips on the cylinder.
+    """
+    out = np.zeros((6, len(thin), 6))
+    sides = turn.law.chip(thin), np.asarray(thin > 0.0, np.float32)
+    for half, (edge, side) in enumerate(zip(edges, sides, strict=True)):
+        for axis, unit in enumerate(turn.each):
+            row = out[3 * half + axis]
+            row[:] = times(edge, unit)
+            push = times(inside.moment * side, unit[turn.side, :2])
+            row[:, 3] -= push[:, 1]
+            row[:, 4] += push[:, 0]
+    return out
 
 
 def times(one: Floats, other: Floats) -> Floats:

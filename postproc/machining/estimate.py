@@ -133,11 +133,10 @@ def estimate(
         done += len(steps.motion)
         sweeps.append(sweep)
         parts.append(cuts)
-        stations = cuts.motion, cuts.t, cuts.wrench
+        stations = cuts.motion, cuts.t, cuts.wrench, cuts.deviation
+        sigma = 0.0 if law.covariance is not None else law.sigma
         along.append(
-            without_steps(
-                program, path, stations, setup.frame, rise, (law.sigma, law.unknown_axial), base_axes=base_axes
-            )
+            without_steps(program, path, stations, setup.frame, rise, (sigma, law.unknown_axial), base_axes=base_axes)
         )
     if not any(sweep.contact for sweep in sweeps):
         raise _no_contact(program, every, bounds, process, stock)

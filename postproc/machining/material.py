@@ -95,6 +95,7 @@ class CuttingLaw(msgspec.Struct, frozen=True):
     :param warning: limits of the values, if any.
     :param unknown_axial: standard deviation of the axial force as a share of the force across the axis, where the
         material has no axial coefficients.
+    :param covariance: (6, 6) of `cutting` and `edge`; instead of `sigma`, where they were identified.
     """
 
     cutting: tuple[float, float, float]
@@ -104,6 +105,7 @@ class CuttingLaw(msgspec.Struct, frozen=True):
     name: str
     warning: str | None = None
     unknown_axial: float = 0.0
+    covariance: tuple[tuple[float, ...], ...] | None = None
 
     @property
     def numbers(self) -> tuple[float, ...]:
@@ -152,7 +154,7 @@ def law(given: MaterialTable, file: str) -> CuttingLaw:
 
     :raises ForceError: an unknown name, no coefficients at all, or both kinds of them.
     """
-    known = table()
+    known, covariance = table(), None
     if given.file is not None:
         other = Path(file).parent / given.file
         if given.name or given.Ktc_N_per_mm2 or given.kc11_N_per_mm2:
@@ -161,7 +163,10 @@ def law(given: MaterialTable, file: str) -> CuttingLaw:
         if set(content) != {"material"} or content["material"].file is not None:
             raise ForceError("this file has no [material] of its own, or more than that", file=str(other))
         own = content["material"]
-        given = own if given.sigma_percent is None else replace(own, sigma_percent=given.sigma_percent)
+        if given.sigma_percent is None:
+            given, covariance = own, _covariance(own, str(other))
+        else:
+            given = replace(own, sigma_percent=given.sigma_percent)
     entry: MaterialTable = given
     named = given.name is not None and given.Ktc_N_per_mm2 is None and given.kc11_N_per_mm2 is None
     if named:
@@ -194,4 +199,21 @@ def law(given: MaterialTable, file: str) -> CuttingLaw:
         name=given.name or "given in [material]",
         warning=entry.warning if isinstance(entry, Entry) else None,
         unknown_axial=0.0 if cutting[2] or edge[2] else _AXIAL,
+        covariance=covariance,
     )
+
+
+def _covariance(given: IdentifiedTable, file: str) -> tuple[tuple[float, ...], ...] | None:
+    """Return the covariance of identified coefficients, SI; None if the file states none.
+
+    :raises ForceError: it is no covariance of six coefficients.
+    """
+    if not given.covariance:
+        return None
+    found = np.array(given.covariance) if {len(row) for row in given.covariance} == {6} else np.zeros((0, 0))
+    usable = found.shape == (6, 6) and np.isfinite(found).all() and np.allclose(found, found.T, rtol=1e-4)
+    if not usable or np.linalg.eigvalsh(found / max(float(np.trace(found)), 1e-12))[0] < -1e-4:
+        advice = "Take the file as `identify forces` wrote it, or delete the key: sigma_percent is used then."
+        raise ForceError("[material] covariance is no covariance of six coefficients", file=file, advice=advice)
+    unit = np.repeat([_PER_MM2, _PER_MM], 3)
+    return tuple(tuple(row) for row in (found * np.outer(unit, unit)).tolist())

@@ -77,7 +77,7 @@ def _places(halves: Array) -> Iterator[int]:
 def without_steps(
     program: Program,
     path: Segments,
-    stations: tuple[Ints, Array, Array],
+    stations: tuple[Ints, Array, Array, Array],
     map_in_base: Array,
     rise: Array,
     sigma: tuple[float, float],
@@ -89,24 +89,26 @@ def without_steps(
     At the start of a motion the force changes from that at the end of the motion before, zero after a rapid one, to
     its own; at the end of the motion it acts in full.
 
-    :param stations: rows of `Motions` (n,), places on them, and wrenches (n, 6) in FEED axes; on moves along the
-        spindle in those of the map.
+    :param stations: rows of `Motions` (n,), places on them, and wrenches (n, 6) with standard deviations of their own
+        (n, 6) in FEED axes; on moves along the spindle in those of the map.
     :param map_in_base: (4, 4) frame of the map of the stock in `$BASE` of the first cutting motion: z to the spindle.
     :param rise: (M,) length over which the force changes at the start of a motion [m].
     :param sigma: standard deviation as a share of the wrench, and that of the axial force as a share of the force
-        across the axis, in addition (0 where axial coefficients are known).
+        across the axis (0 where axial coefficients are known); both in addition.
     :param base_axes: give them in `$BASE`; else in FEED, but for moves along the spindle.
     """
-    motion, t, wrench = stations
+    motion, t, wrench, own_deviation = stations
     first = np.flatnonzero(np.diff(motion, prepend=-1))
     last = np.append(first[1:], len(motion)) - 1
     single = first == last
     own = motion[first]
-    ends = _turn(_axes(program, path, own, np.ones(len(own)), map_in_base)[0], wrench[last])
+    at_end = _axes(program, path, own, np.ones(len(own)), map_in_base)[0]
+    ends, loose_ends = _turn(at_end, wrench[last]), _turn_deviation(at_end, own_deviation[last])
     follows = np.flatnonzero(np.diff(own, prepend=-2) == 1)
-    before = np.zeros((len(own), 6))
+    before, loose_before = np.zeros((len(own), 6)), np.zeros((len(own), 6))
     starts, _ = _axes(program, path, own[follows], np.zeros(len(follows)), map_in_base)
     before[follows] = _turn(np.swapaxes(starts, 1, 2), ends[follows - 1])
+    loose_before[follows] = _turn_deviation(np.swapaxes(starts, 1, 2), loose_ends[follows - 1])
     reach = np.minimum(1.0, rise[own] / np.maximum(path.length[own], 1e-9))
     every = np.arange(len(own))
     reach[_alike(before, _at(motion, t, wrench, own, reach), wrench, first)] = 1.0
@@ -119,9 +121,9 @@ def without_steps(
     places = np.concatenate([np.zeros(len(own)), reach[soon], t[inner], np.ones(len(own))])
     order = np.lexsort((places, which))
     which, places = which[order], places[order]
-    values = _at(motion, t, wrench, own[which], places)
+    values, loose = (_at(motion, t, each, own[which], places) for each in (wrench, own_deviation))
     begins = np.flatnonzero(np.diff(which, prepend=-1))
-    values[begins] = before
+    values[begins], loose[begins] = before, loose_before
     missing = sigma[1] * norm(values[:, :2])
     count = np.diff(begins, append=len(which))
     motions = own[which]
@@ -129,8 +131,9 @@ def without_steps(
     steady = np.repeat(single, count)
     turning = steady & (program.motions.kind[motions] == CIRC)  # the same in FEED axes: in $BASE it turns
     in_base = (along[np.repeat(np.cumsum(count) - 1, count)] | base_axes) & ~turning
-    values[in_base] = _turn(_to_base(program, motions[in_base], map_in_base) @ axes[in_base], values[in_base])
-    deviation = np.abs(values) * sigma[0]
+    to_base = _to_base(program, motions[in_base], map_in_base) @ axes[in_base]
+    values[in_base], loose[in_base] = _turn(to_base, values[in_base]), _turn_deviation(to_base, loose[in_base])
+    deviation = np.hypot(np.abs(values) * sigma[0], loose)
     # on moves along the spindle in $BASE axes: z of $BASE is taken for the axis of the tool
     deviation[:, 2] = np.hypot(deviation[:, 2], missing)
     return Knots.along(motions, places, values, np.where(in_base, BASE, FEED), deviation)
@@ -182,6 +185,11 @@ def _turn(rotation: Array, wrench: Array) -> Array:
     """Return wrenches (n, 6) in other axes."""
     halves = [np.einsum("nij,nj->ni", rotation, wrench[:, half]) for half in (slice(0, 3), slice(3, 6))]
     return np.concatenate(halves, axis=1)
+
+
+def _turn_deviation(rotation: Array, deviation: Array) -> Array:
+    """Return standard deviations (n, 6) of independent components in other axes."""
+    return np.asarray(np.sqrt(_turn(rotation * rotation, deviation * deviation)))
 
 
 _SAME = 2e-3

@@ -12,6 +12,7 @@ from msgspec.structs import replace
 
 from postproc.errors import ForceError, together
 from postproc.forces import ByLaw, Knots
+from postproc.frames import any_column
 from postproc.machining.estimate import ProcessForces, estimate
 from postproc.machining.process import OperationTable, Process
 from postproc.machining.tool_path import Shift, refuse_unread_cuts
@@ -181,12 +182,18 @@ class ProcessSource:
             computed = replace(
                 self.found.along,
                 issues=self.found.issues,
-                by_law=ByLaw(process.law().numbers, np.unique(self.found.along.motion)),
+                by_law=ByLaw(process.law().numbers, self._scaled(self.found)),
             )
         if not process.operations:
             return Knots.throughout(*_NONE) if computed is None else computed
         given = by_operation(program, process)
-        if computed is None:
+        if computed is None or self.found is None:
             return given
-        by_law = ByLaw(process.law().numbers, np.setdiff1d(computed.motion, given.motion))
+        by_law = ByLaw(process.law().numbers, np.setdiff1d(self._scaled(self.found), given.motion))
         return replace(given.over(computed), issues=computed.issues, by_law=by_law)
+
+    @staticmethod
+    def _scaled(found: ProcessForces) -> Ints:
+        """Return the motions on which the errors of the forces are one factor: no deviation of their own."""
+        loose = any_column(found.cuts.deviation != 0.0)
+        return np.setdiff1d(found.along.motion, found.cuts.motion[loose])

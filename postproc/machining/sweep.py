@@ -50,6 +50,7 @@ class Cuts(Columns, frozen=True, eq=False):
     :param t: (N,) position on it in [0, 1].
     :param wrench: (N, 6) mean force and moment about the tip on the tool. FEED axes; on moves along the spindle the
         axes of the map.
+    :param deviation: (N, 6) standard deviations of it by covariance and rubbing, see `cutting.Loads`.
     :param feed: (N, 2) direction of travel across the spindle in the axes of the map; (1, 0) along the spindle.
     :param along: (N,) True on moves along the spindle.
     :param torque: (N,) mean torque of the spindle [N·m].
@@ -63,6 +64,7 @@ class Cuts(Columns, frozen=True, eq=False):
     motion: Ints
     t: Array
     wrench: Array
+    deviation: Array
     feed: Array
     along: Bools
     torque: Array
@@ -77,7 +79,8 @@ class Cuts(Columns, frozen=True, eq=False):
     def none(cls) -> Cuts:
         """Return no stations."""
         none = np.zeros(0)
-        return cls(none.astype(np.int64), none, np.zeros((0, 6)), np.zeros((0, 2)), none.astype(bool), *[none] * 7)
+        six, two = np.zeros((0, 6)), np.zeros((0, 2))
+        return cls(none.astype(np.int64), none, six, six, two, none.astype(bool), *[none] * 7)
 
 
 class Sweep(Struct, eq=False):
@@ -188,15 +191,15 @@ class Sweep(Struct, eq=False):
     def _in_air(self, segments: StraightSegments, begin: int, end: int) -> Cuts:
         """Return stations of segments that cannot touch the stock: one each."""
         n = end - begin
-        zero, nothing = np.zeros(n), np.full(n, np.nan)
+        none, zero, nothing = np.zeros((n, 6)), np.zeros(n), np.full(n, np.nan)
         t = 0.5 * (segments.first[begin:end] + segments.last[begin:end])
         heading = segments.leave[begin:end]
         across = np.hypot(heading[:, 0], heading[:, 1])
         along = across < _ALONG
         feed = np.where(along[:, None], [1.0, 0.0], heading[:, :2] / np.where(along, 1.0, across)[:, None])
         return Cuts(
-            segments.motion[begin:end], t, np.zeros((n, 6)), feed, along, zero, zero, nothing, nothing, zero, zero, zero
-        )
+            segments.motion[begin:end], t, none, none, feed, along, zero, zero, nothing, nothing, zero, zero, zero,
+        )  # fmt: skip
 
     def _cut(self, segments: StraightSegments, begin: int, end: int, number: int) -> Iterator[Cuts]:
         cell = self.stock.cell
@@ -269,7 +272,9 @@ class Sweep(Struct, eq=False):
         if not cuts.any():
             nothing, zero = np.full(len(t), np.nan), np.zeros(len(t))
             feeds = np.stack([ux, uy], axis=-1)
-            return Cuts(motion, t, wrench, feeds, along, zero, zero, nothing, nothing, zero, zero, zero)
+            return Cuts(
+                motion, t, wrench, loads.deviation, feeds, along, zero, zero, nothing, nothing, zero, zero, zero
+            )
         self.contact = True
         enter, leave, depth, width = _engagement(turn, cuts)
         if cutter.drill:
@@ -280,8 +285,8 @@ class Sweep(Struct, eq=False):
             depth = np.where(cuts.any(axis=1), max(self._highest(position, cutter.radius) - bottom, 0.0), 0.0)
         torque = wrench[:, 5] * hand
         return Cuts(
-            motion, t, wrench, np.stack([ux, uy], axis=-1), along, torque, torque * rpm * (2.0 * np.pi / 60.0),
-            enter, leave, depth, width, loads.removal * cutter.teeth * rpm / 60.0,
+            motion, t, wrench, loads.deviation, np.stack([ux, uy], axis=-1), along, torque,
+            torque * rpm * (2.0 * np.pi / 60.0), enter, leave, depth, width, loads.removal * cutter.teeth * rpm / 60.0,
         )  # fmt: skip
 
     def _inside(

@@ -114,6 +114,7 @@ class Turn(Struct, frozen=True, eq=False):
     :param cut: (P, 6) wrench about the tip per engaged length and per chip [N/m², N/m]; on the cylinder without the
         moment due to the height of the force.
     :param rub: (P, 6) the same per engaged length alone [N/m, N].
+    :param each: (3, P, 6) the same for a tangential, radial and axial coefficient of 1; (0, P, 6) without a covariance.
     :param tall: (P, A) height of the edge over its length for each of A angles of the turn that the point covers, or 0.
     """
 
@@ -133,6 +134,7 @@ class Turn(Struct, frozen=True, eq=False):
     down: Floats
     cut: Floats
     rub: Floats
+    each: Floats
     tall: Floats
 
     @classmethod
@@ -172,6 +174,9 @@ class Turn(Struct, frozen=True, eq=False):
             force = k[0] * tangential - k[1] * normal + k[2] * along
             return np.asarray(np.concatenate([force, np.cross(point, force)], axis=-1) * share, dtype=np.float32)
 
+        axes = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)) if law.covariance is not None else ()
+        each = np.stack([wrench(axis) for axis in axes]) if axes else np.zeros((0, len(own), 6), dtype=np.float32)
+
         def single(column: Array) -> Floats:
             return np.ascontiguousarray(column, dtype=np.float32)
 
@@ -181,7 +186,7 @@ class Turn(Struct, frozen=True, eq=False):
             law, cutter.teeth, angle, wide_, single(edge.radius[own]), single(edge.low[own]), single(rise),
             single(edge.length[own]), slice(first, second), slice(second, third), slice(third, end),
             single(normal[:, 0]), single(normal[:, 1]), single(-normal[:, 2]), wrench(law.cutting), wrench(law.edge),
-            single(_covered(angle, wide_, 2 * half) * height),
+            each, single(_covered(angle, wide_, 2 * half) * height),
         )  # fmt: skip
 
 

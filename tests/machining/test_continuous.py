@@ -92,7 +92,13 @@ def test_forces_along_motions_follow_on_from_those_before(seed, base_axes):
     path = toolpath.segments(program, np.eye(4))
     given = stations(np.random.default_rng(seed), program)
     found = without_steps(
-        program, path, given, MAP, np.full(len(program.motions), RAMP), (0.2, 0.0), base_axes=base_axes
+        program,
+        path,
+        (*given, 0.0 * given[2]),
+        MAP,
+        np.full(len(program.motions), RAMP),
+        (0.2, 0.0),
+        base_axes=base_axes,
     )
     np.testing.assert_allclose(found.sigma, 0.2 * np.abs(found.wrench))
     assert np.unique(found.motion).tolist() == np.unique(given[0]).tolist()
@@ -117,7 +123,7 @@ def test_a_small_change_is_spread_over_the_motion():
     path = toolpath.segments(program, np.eye(4))
     motion = np.array([2, 3, 4])
     wrench = np.array([[0, 0, 400.0, 0, 0, 0], [0, 0, 403.0, 0, 0, 0], [0, 0, 300.0, 0, 0, 0]])
-    given = motion, np.full(3, 0.5), wrench
+    given = motion, np.full(3, 0.5), wrench, 0.0 * wrench
     found = without_steps(program, path, given, MAP, np.full(10, 1e-4), (0.1, 0.0), base_axes=False)
     assert [found.t[found.motion == k].tolist() for k in (2, 3, 4)] == [
         pytest.approx([0.0, 1e-4 / path.length[2], 1.0]), [0.0, 1.0], pytest.approx([0.0, 1e-4 / path.length[4], 1.0]),

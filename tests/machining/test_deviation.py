@@ -1,0 +1,87 @@
+"""Standard deviations of computed forces: covariance of identified coefficients, rubbing of the end face on ramps."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from postproc.errors import ForceError
+from tests.machining.setting import AL7075, forces, gcode, line_of, process, tool
+
+BOX = ((0, 100), (-40, 40), (-20, 0))
+KEYS = ("Ktc_N_per_mm2", "Krc_N_per_mm2", "Kac_N_per_mm2", "Kte_N_per_mm", "Kre_N_per_mm", "Kae_N_per_mm")
+VALUES = np.array([AL7075[k] for k in (0, 2, 4, 1, 3, 5)])
+
+
+def six(values):
+    return "\n".join(f"{key} = {value!r}" for key, value in zip(KEYS, values.tolist(), strict=True))
+
+
+def knots(folder, text, cutter, material, line, **options):
+    program, found = forces(folder, text, process(cutter, BOX, 0.5, material), **options)
+    (motion,) = np.flatnonzero(program.motions.line == line)
+    rows = found.along.motion == motion
+    return found.along.t[rows], found.along.wrench[rows], found.along.sigma[rows]
+
+
+@pytest.mark.parametrize("base_axes", [False, True])
+@pytest.mark.parametrize("cutter", [tool(10, 4), tool(10, 4, "ball")], ids=["flat", "ball"])
+def test_the_covariance_of_identified_coefficients_is_that_of_the_forces(tmp_path, cutter, base_axes):
+    """Against differences of forces with coefficients that differ: forces are linear in them."""
+    rng = np.random.default_rng(3)
+    root = rng.normal(size=(6, 6)) * (0.1 * VALUES + 0.5)[:, None]
+    covariance = root @ root.T
+    rows = ", ".join(str(row) for row in covariance.tolist())
+    (tmp_path / "material.toml").write_text(f"[material]\n{six(VALUES)}\nsigma_percent = 10.0\ncovariance = [{rows}]\n")
+    block = "X90 (here)"
+    text = gcode("G0 X-10 Y-38.2 Z5", "G1 Z-3 F2400", block)
+    line = line_of(text, block)
+    options = {"base_axes": base_axes}
+    t, wrench, sigma = knots(tmp_path, text, cutter, 'file = "material.toml"', line, **options)
+    middle = int(np.argmin(np.abs(t - 0.6)))
+    each = []
+    for k in range(6):
+        other = VALUES.copy()
+        other[k] += 1.0
+        t_, wrench_, _ = knots(tmp_path, text, cutter, six(other), line, **options)
+        at = np.array([np.interp(t[middle], t_, column) for column in wrench_.T])
+        each.append(at - wrench[middle])
+    expected = np.sqrt(np.einsum("ki,kl,li->i", each, covariance, each))
+    np.testing.assert_allclose(sigma[middle, :3], expected[:3], rtol=0.03, atol=0.03)
+    np.testing.assert_allclose(sigma[middle, 3:], expected[3:], rtol=0.03, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    "covariance",
+    ["[[1.0]]", str([[1.0] * 6] * 5), str((-np.eye(6)).tolist()), str((np.eye(6) + np.eye(6, k=1)).tolist())],
+    ids=["small", "five rows", "negative", "not symmetric"],
+)
+def test_what_is_no_covariance_is_refused(tmp_path, covariance):
+    (tmp_path / "material.toml").write_text(f"[material]\n{six(VALUES)}\ncovariance = {covariance}\n")
+    with pytest.raises(ForceError, match="no covariance of six coefficients"):
+        knots(tmp_path, gcode("G0 X-10 Y0 Z5", "G1 Z-3 F2400", "X90"), tool(10, 4), 'file = "material.toml"', 6)
+
+
+def test_rubbing_of_the_end_face_on_a_ramp_is_within_the_bound(tmp_path):
+    """From the share of the sine of the slope to all of the face, which presses with N R Kre along the spindle."""
+    block = "X90 Z-4 (here)"
+    text = gcode("G0 X10 Y0 Z5", "G1 Z0 F2400", block)
+    material = six(VALUES) + "\nsigma_percent = 0.0"
+    t, wrench, sigma = knots(tmp_path, text, tool(10, 4), material, line_of(text, block))
+    middle = int(np.argmin(np.abs(t - 0.5)))
+    sine = 4 / math.hypot(80, 4)
+    whole = 4 * 5.0 * AL7075[3]
+    least, most = wrench[middle, 2], wrench[middle, 2] + (1.0 - sine) * whole
+    assert sigma[middle, 2] == pytest.approx((most - least) / math.sqrt(3.0), rel=0.01)
+    assert wrench[middle, 2] + 1.96 * sigma[middle, 2] >= most
+
+
+def test_level_cuts_and_plunges_have_no_such_range(tmp_path):
+    text = gcode("G0 X10 Y0 Z5", "G1 Z-3 F600 (down)", "X90 F2400 (level)")
+    material = six(VALUES) + "\nsigma_percent = 0.0"
+    for block in ("G1 Z-3 F600 (down)", "X90 F2400 (level)"):
+        _, wrench, sigma = knots(tmp_path, text, tool(10, 4), material, line_of(text, block))
+        assert np.abs(wrench).max() > 10.0
+        assert sigma[1:].max() == 0.0
