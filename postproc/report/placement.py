@@ -293,7 +293,7 @@ def _map(
         x=Axis(title=f"{AXES[axes[0]]}, {units[axes[0]]}"),
         y=Axis(title=f"{AXES[axes[1]]}, {units[axes[1]]}"),
         height=460,
-        note="Marks are drawn where today's place and the best one are seen from this direction.",
+        note="Ring: today's place; dot: the best one. The other coordinates of both may differ from those of this map.",
     )
 
 

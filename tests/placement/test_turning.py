@@ -53,18 +53,19 @@ def test_a_program_that_no_constant_turn_can_drive_is_driven_along_the_path(name
     assert content["max_deg"] - content["min_deg"] > 20.0
 
 
-FEED = 0.05
+SLOW, BINDING = 3000, 112_000
+"""Feeds [mm/min]: A4 would be too fast at the second one if the line turned a little faster."""
 
 
 @cache
-def driven():
+def driven(feed):
     """The written program by the simulator of a controller.
 
     :returns: the cell, joint angles (n, 6) [rad] in the order of execution, the path since the one before (n,) [m], and
         whether the move is a cut (n,).
     """
     own = cell(redundancy="path")
-    result = convert(around(1900, 150, 31), own)
+    result = convert(around(1900, 150, 31, feed), own)
     moves = cell_sim.read(result.documents[0].to_bytes().decode())
     frame = lambda table: tuple(getattr(table, axis) for axis in "XYZABC")  # noqa: E731
     sim = cell_sim.Cell(Arm.load(robot.find(own.robot)), own.start.joints, frame(own.base), frame(own.tool))
@@ -77,18 +78,26 @@ def driven():
     return own, np.array(q), travel, np.array(cut)
 
 
-def test_the_written_program_stays_within_joint_limits_and_speeds_by_the_simulator():
-    own, q, travel, cut = driven()
+@pytest.mark.parametrize(("feed", "least"), [(SLOW, 0.02), (BINDING, 0.9)])
+def test_the_written_program_stays_within_joint_limits_and_speeds_by_the_simulator(feed, least):
+    own, q, travel, cut = driven(feed)
     model = robot.load(robot.find(own.robot))
     assert (q > model.lower).all()
     assert (q < model.upper).all()
     rows = np.flatnonzero(cut[1:] & cut[:-1] & (travel[1:] > 1e-4)) + 1
     assert len(rows) > 50
-    assert (np.abs(q[rows] - q[rows - 1]) * FEED <= model.speed * travel[rows, None]).all()
+    share = np.abs(q[rows] - q[rows - 1]) * feed / 60_000 / travel[rows, None] / model.speed
+    assert least < share.max() <= 1.0
 
 
-def test_a6_never_jumps_by_the_simulator():
-    _, q, _, cut = driven()
+def test_a_feed_at_which_no_line_keeps_the_joint_speeds_is_refused():
+    found = convert(around(1900, 150, 31, 125_000), cell(redundancy="path"))
+    assert any("joint speed" in issue.message for issue in found.issues if issue.level == "error")
+
+
+@pytest.mark.parametrize("feed", [SLOW, BINDING])
+def test_a6_never_jumps_by_the_simulator(feed):
+    _, q, _, cut = driven(feed)
     steps = np.degrees(np.abs(np.diff(q, axis=0)))[cut[1:] & cut[:-1]]
     assert 0.5 < steps[:, 5].max() < 6.0
     assert np.ptp(np.degrees(q[:, 5])) < 360.0

@@ -11,7 +11,7 @@ const plots = (() => {
     }),
     points: ({ x, y, name, colour: of, half, across, hollow, texts }) => ({
       type: "scatter", x, y, name, mode: "markers", text: texts, hovertemplate: texts ? "%{text}<extra></extra>" : undefined,
-      marker: { color: colour(of), size: 9, symbol: hollow ? "circle-open" : "circle" },
+      marker: { color: colour(of), size: hollow ? 11 : 9, symbol: hollow ? "circle-open" : "circle", line: { width: hollow ? 3 : 0 } },
       [across ? "error_x" : "error_y"]: half ? { type: "data", array: half, color: colour(of), thickness: 2 } : undefined,
     }),
     span: ({ x, low, high }) => ({
