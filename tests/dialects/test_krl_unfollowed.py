@@ -63,6 +63,22 @@ def test_a_call_that_is_not_followed_and_reaches_the_program_itself_is_refused(t
         corrected(tmp_path, files, keep=False)
 
 
+INTERRUPTING = "DEF AWAY()\nGLOBAL INTERRUPT DECL 5 WHEN $IN[1] DO DRIVE()\nINTERRUPT ON 5\nEND\n"
+
+
+@pytest.mark.parametrize("word", ["GLOBAL ", ""])
+def test_interrupts_that_move_the_robot_are_refused_where_the_call_that_declares_them_is_not_followed(tmp_path, word):
+    """A local one ends with the routine that declares it."""
+    away = INTERRUPTING.replace("GLOBAL ", word) + f"DEF DRIVE()\n{HOME}\nEND\n"
+    files = {"part.src": main("WHILE $IN[3]", "AWAY()", "ENDWHILE", FULL, subs=away)}
+    if not word:
+        corrected(tmp_path, files, keep=True)
+        return
+    with pytest.raises(ProgramError, match="GLOBAL interrupt that moves the robot") as caught:
+        corrected(tmp_path, files, keep=True)
+    assert caught.value.line == 6
+
+
 def test_copies_of_functions_are_functions(tmp_path):
     function = "DEFFCT INT FN(N:IN)\nINT N\nLIN {X N*10,Y 2,Z 3,A 0,B 0,C 0}\nRETURN(1)\nENDFCT\n"
     files = {"part.src": main("FN(1)", "FN(2)", subs="GLOBAL " + function), "part.dat": "DEFDAT part\nENDDAT\n"}

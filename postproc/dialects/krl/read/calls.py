@@ -22,6 +22,7 @@ from postproc.dialects.krl.read.variables import converted
 from postproc.errors import Issue, ProgramError
 
 _DEEPEST = 20
+IN_ORDER = "Motions of interrupts cannot be corrected; write them out in order."
 _INLINE_ADVICE = "Put the motions of the subprogram in place of its call."
 
 
@@ -69,6 +70,9 @@ class Calls:
             result = self._executed(at, call, *found, effects)
             if result is not None:
                 return result
+        if effects.interrupting is not None:
+            problem = f"{call.name} is called, and declares a GLOBAL interrupt that moves the robot"
+            raise at.error(f"{problem} ({effects.interrupting})", IN_ORDER)
         self._forget_arguments(at, call, found[1])
         self._may_have_run(at, call.name, effects)
         return unknown

@@ -54,6 +54,7 @@ class Effects(Struct, eq=False):
     :ivar writes: names, as they are stored, that may get another value while it runs, and where.
     :ivar anytime: names that may get another value at any time afterwards: by interrupts, triggers, cyclic statements.
     :ivar motion: where the robot moves; None if it does not.
+    :ivar interrupting: where a GLOBAL interrupt moves the robot that it declares; None if none does.
     :ivar back: motion back to the point at which an interrupt stopped the robot.
     :ivar force: place of a force comment; None if there is none.
     :ivar absent: called programs that are in no file, by name: as they are spelled.
@@ -64,6 +65,7 @@ class Effects(Struct, eq=False):
     writes: dict[str, Place] = {}
     anytime: dict[str, Place] = {}
     motion: Place | None = None
+    interrupting: Place | None = None
     back: Place | None = None
     force: Place | None = None
     absent: dict[str, str] = {}
@@ -102,6 +104,8 @@ class _Direct(Struct, eq=False):
     called: list[Called] = []
     later: Effects = field(default_factory=Effects)
     called_later: list[Called] = []
+    public: list[_Direct] = []
+    """For each GLOBAL interrupt its action alone."""
 
 
 class Analysis:
@@ -125,6 +129,10 @@ class Analysis:
                 direct = self._of_routine(*reached)
                 total.add(direct.now)
                 self._add_later(total, direct)
+                for event in direct.public:
+                    action = Effects()
+                    self._add_later(action, event)
+                    total.interrupting = total.interrupting or action.motion
             total.motion = total.motion or total.back
             self._all[routine] = total
         return self._all[routine]
@@ -212,6 +220,10 @@ class Analysis:
         later = _Statement(self, *where, place, direct.later, direct.called_later)
         if isinstance(here, Event):
             later.read_event(here)
+            if here.public:
+                alone = _Direct()
+                _Statement(self, *where, place, alone.later, alone.called_later).read_event(here)
+                direct.public.append(alone)
         elif isinstance(here, Cyclic):
             later.writes(here.name)
         elif isinstance(here, Imported):

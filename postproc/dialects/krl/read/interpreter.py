@@ -16,7 +16,7 @@ from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.language.structures import LOOPS
 from postproc.dialects.krl.language.values import Call, Opaque, Reference, Unreadable, Value, Word, walk
-from postproc.dialects.krl.read.calls import Calls
+from postproc.dialects.krl.read.calls import IN_ORDER, Calls
 from postproc.dialects.krl.read.data_lists import declare
 from postproc.dialects.krl.read.inexact import inexact
 from postproc.dialects.krl.read.known import NOTHING, Known, Unknown
@@ -31,7 +31,6 @@ _SUPERPOSED = frozenset({"$TECH", "$TECH_C", "$SPL_TECH", "$SPL_TECH_C"})
 _REFERRING = frozenset({"CONST_VEL", "STOP"})
 """Statements of spline motions that count from the start or the end of the motion that follows."""
 _CONDITIONS = frozenset({"FOR", "IF", "WHILE", "UNTIL", "SWITCH"})
-_IN_ORDER = "Motions of interrupts cannot be corrected; write them out in order."
 JUMP = "it is not known before the program runs whether GOTO is run, and with it what runs next"
 JUMP_ADVICE = (
     "Write LOOP with EXIT, FOR, WHILE or IF around the motions instead, or the motions in order; --keep-unresolved "
@@ -251,7 +250,7 @@ class Interpreter:
         scope = self.run.variables.scope
         effects = self.run.analysis.of_action(self.run.level.module, self.run.level.routine, at, here, scope)
         if effects.motion is not None:
-            raise at.error(f"{here.word} moves the robot ({effects.motion})", _IN_ORDER)
+            raise at.error(f"{here.word} moves the robot ({effects.motion})", IN_ORDER)
         self.calls.notice(at, f"{here.word} in {at}", effects)
         declared = at.source.origin(at.line).source
         if here.public or declared is self.run.routine.source:
