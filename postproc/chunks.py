@@ -24,17 +24,23 @@ class Columns(Struct, frozen=True, eq=False):
 
     def take(self, rows: NDArray[Any] | slice) -> Self:
         """Return some of the rows."""
-        return replace(self, **{name: column[rows] for name, column in self._columns().items()})
+        columns = self._columns()
+        some = {name: each.take(rows) if isinstance(each, Columns) else each[rows] for name, each in columns.items()}
+        return replace(self, **some)
 
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:
         """Return the rows of several parts, one after the other; other fields are those of the first part."""
         columns = [part._columns() for part in parts]
-        return replace(parts[0], **{name: np.concatenate([each[name] for each in columns]) for name in columns[0]})
+        whole = {}
+        for name, first in columns[0].items():
+            each = [part[name] for part in columns]
+            whole[name] = first.joined(each) if isinstance(first, Columns) else np.concatenate(each)
+        return replace(parts[0], **whole)
 
-    def _columns(self) -> dict[str, NDArray[Any]]:
+    def _columns(self) -> dict[str, Any]:
         fields = {name: getattr(self, name) for name in self.__struct_fields__}
-        return {name: value for name, value in fields.items() if isinstance(value, np.ndarray)}
+        return {name: value for name, value in fields.items() if isinstance(value, np.ndarray | Columns)}
 
 
 def chunks(count: int) -> Iterator[slice]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from postproc.errors import ForceError, Issue, Level, ProgramError
 from postproc.frames import Array, inverse, norm, rotation_from_vector
+from postproc.poses import Poses
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
@@ -52,8 +53,8 @@ class Motions(Struct, frozen=True, eq=False):
     :param kind: (M,) `LIN`, `CIRC`, `PTP` or `SPL`.
     :param rapid: (M,) True for G0 and PTP: moves that never carry force.
     :param line: (M,) 1-based line of the (first) document that makes the motion.
-    :param target: (M, 4, 4) pose of the tool frame in `$BASE` at the end (for axis targets: by the controller's
-        forward kinematics).
+    :param target: M poses of the tool frame in `$BASE` at the end (for axis targets: by the controller's forward
+        kinematics).
     :param joints: (M, 6) end in joint angles, KUKA signs, for axis targets (PTP {A1 …}); NaN elsewhere.
     :param centre: (M, 3) centre of the arc at the start's height, `$BASE`; NaN unless CIRC.
     :param normal: (M, 3) unit axis of the arc, `$BASE`; NaN unless CIRC.
@@ -72,7 +73,7 @@ class Motions(Struct, frozen=True, eq=False):
     kind: Ints
     rapid: Bools
     line: Ints
-    target: Array
+    target: Poses
     joints: Array
     centre: Array
     normal: Array
@@ -553,7 +554,7 @@ class Targets(Struct, frozen=True, eq=False):
     :param motion: (K,) row of `Motions` that the target belongs to, never decreasing.
     :param t: (K,) place of the target on that motion, in (0, 1]; the last one of each motion has 1.
     :param kind: (K,) `LIN`, `CIRC`, `PTP` or `SPL`; a CIRC motion may be written as several CIRC or LIN targets.
-    :param pose: (K, 4, 4) pose of the tool frame in `$BASE` to be commanded [m].
+    :param pose: K poses of the tool frame in `$BASE` to be commanded [m].
     :param via: (K, 3) auxiliary point of a CIRC target, `$BASE` [m]; NaN elsewhere.
     :param keep: (K,) True where the text of the motion already commands this pose: it is left to the byte.
     :param status: (K,) KUKA S for PTP targets; −1 = unchanged (or none).
@@ -565,7 +566,7 @@ class Targets(Struct, frozen=True, eq=False):
     motion: Ints
     t: Array
     kind: Ints
-    pose: Array
+    pose: Poses
     via: Array
     keep: Bools
     status: Ints

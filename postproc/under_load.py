@@ -21,6 +21,7 @@ from postproc.errors import Issue, PostprocError
 from postproc.forces import ForceSource, PathForces
 from postproc.frames import M_PER_MM, MM_PER_M, Array, norm
 from postproc.kinematics import ByWrist, JointPath, UnreachableError
+from postproc.poses import Poses
 from postproc.program import CIRC, PTP, Bools, Ints, Program, read_only
 from postproc.robot import RobotModel
 from postproc.toolpath import DisplacementEstimate, Pieces, Segments, Toolpath
@@ -82,7 +83,7 @@ def check_between(program: Program, robot: RobotModel, path: Segments) -> None:
     bad = (turns >= 1.0) & ~(radius <= reach)
     wide = np.flatnonzero((turns < 1.0) & (path.length[arcs] > _WIDE * reach))
     for share in (0.25, 0.5, 0.75):
-        spot = toolpath.at(program, path, arcs[wide], np.full(len(wide), share)).pose
+        spot = toolpath.at(program, path, arcs[wide], np.full(len(wide), share)).pose[:]
         bad[wide] |= ~(_away(program, arcs[wide], spot, share) <= reach)
     message = (
         f"out of reach: the arc leaves the reach of the flange, {reach * MM_PER_M:.0f} mm from the robot's root. "
@@ -137,11 +138,11 @@ class RobotInCell(Struct, frozen=True, eq=False, dict=True):
         state = kinematics.posture(self.robot.nominal, np.asarray(q, dtype=float)[:, None])
         return np.asarray(kinematics.matrices(state.pose)[0])
 
-    def follow(self, program: Program, motion: Ints, t: Array, pose: Array) -> JointPath:
+    def follow(self, program: Program, motion: Ints, t: Array, pose: Poses) -> JointPath:
         """Solve the joint angles of a path from where the cell starts, see `kinematics.follow`.
 
-        :param motion: (N,) row of `Motions` of each of its places, in order; `t` (N,) the place on it; `pose` (N, 4, 4)
-            the tool frame in its `$BASE` [m].
+        :param motion: (N,) row of `Motions` of each of its places, in order; `t` (N,) the place on it; `pose` the
+            N tool frames in its `$BASE` [m].
         :raises UnreachableError: a pose has no solution on its branch.
         """
         m = program.motions
@@ -149,7 +150,7 @@ class RobotInCell(Struct, frozen=True, eq=False, dict=True):
         ptp = motion[free]
 
         def flange(rows: Ints) -> Array:
-            return toolpath.flange_from_tcp(program, motion[rows], pose.take(rows, axis=0), t[rows])
+            return toolpath.flange_from_tcp(program, motion[rows], pose[rows], t[rows])
 
         start = self.cell.start_joints
         return kinematics.follow(self.robot, flange, start, free, m.joints[ptp], m.status[ptp], m.turn[ptp])
@@ -382,7 +383,7 @@ class PathUnderLoad(Struct, frozen=True, eq=False):
     def pose_in_root(self, rows: Ints) -> Array:
         """Return the tool frame in the robot root at samples (n,): (n, 4, 4) [m]."""
         motion, t = self.sample.motion[rows], self.sample.t[rows]
-        return toolpath.pose_in_root(self.program, motion, self.sample.pose.take(rows, axis=0), t)
+        return toolpath.pose_in_root(self.program, motion, self.sample.pose[rows], t)
 
     def wrench_in_root(self, rows: Ints) -> Array:
         """Return the wrench in root axes at samples (n,): (n, 6) [N, N·m]."""

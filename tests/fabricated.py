@@ -11,6 +11,7 @@ from postproc import robot
 from postproc.correction import Mode, Result
 from postproc.errors import Issue
 from postproc.frames import Array, pose_from_xyzabc, xyzabc_from_pose
+from postproc.poses import Poses
 from postproc.program import LIN, Document, Motions, Program
 from postproc.robot import RobotModel
 
@@ -26,7 +27,7 @@ def program(count: int = 100) -> Program:
         kind=np.full(count, LIN),
         rapid=index % 25 == 0,
         line=index + 3,
-        target=pose_from_xyzabc(way),
+        target=Poses.of(pose_from_xyzabc(way)),
         joints=np.full((count, 6), np.nan),
         centre=np.full((count, 3), np.nan),
         normal=np.full((count, 3), np.nan),
@@ -50,7 +51,7 @@ def result(count: int = 100, mode: Mode = "convert") -> Result:
     before = np.where(rapid, 0.0, 1e-3 * (1.0 + 0.5 * np.sin(phase)))
     wrench = np.zeros((count, 6))
     wrench[:, 2] = np.where(rapid, 0.0, 200.0 + 100.0 * np.sin(phase))
-    command = made.motions.target.copy()
+    command = made.motions.target[:]
     command[:, 2, 3] += before
     return Result(
         program=made,

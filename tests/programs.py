@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from postproc import frames
+from postproc.poses import Poses
 from postproc.program import CIRC, LIN, PTP, Document, ForceNote, Motions, Program, Targets
 
 DOWN = frames.pose_from_xyzabc([0, 0, 0, 0, 0, 180.0])[:3, :3]
@@ -23,7 +24,7 @@ def program(moves, notes=(), bases=None, tools=None, base=None, orientation=DOWN
         kind=np.array([kinds[m[0]] for m in moves]),
         rapid=np.array([m[0] in ("PTP", "RAPID") for m in moves]),
         line=np.arange(1, n + 1),
-        target=target,
+        target=Poses.of(target),
         joints=np.full((n, 6), nan),
         centre=np.array([np.array(a[4:7], dtype=float) / 1000 for a in arcs]),
         normal=np.array([np.array(a[8], dtype=float) for a in arcs]),
@@ -55,7 +56,7 @@ def ends(motions, pose):
         np.arange(n),
         np.ones(n),
         motions.kind,
-        pose,
+        Poses.of(pose),
         np.full((n, 3), np.nan),
         np.zeros(n, bool),
         none,

@@ -281,7 +281,7 @@ def _on_path(one: PlacedProgram, other: PlacedProgram, pair: Ints, distance: Arr
     between = between[unknown[last + 1] == unknown[before + 1]]
     rows, behind = rows[between], behind[between]
     last, before = pair[behind, 0], np.append(-1, pair[:, 0])[behind]
-    target = toolpath.at(other.program, other.path, rows, np.ones(len(rows))).pose
+    target = toolpath.at(other.program, other.path, rows, np.ones(len(rows))).pose[:]
     pose = toolpath.flange_from_tcp(other.program, rows, target, None) @ toolpath.tool_of(one.program, last)
     spot = pose[:, :3, 3]
     allowed = OFF_PATH + TIMES_OFFSET * np.maximum(np.append(0.0, distance)[behind], distance[behind])

@@ -224,7 +224,7 @@ def _turned_at(one: PlacedProgram, other: PlacedProgram, load: PathForces, lengt
     """
     program, (motion, t) = one.program, one.at(length)
     wrench = one.wrench(load, motion, t)
-    pose = toolpath.pose_in_root(program, motion, toolpath.at(program, one.path, motion, t).pose, t)
+    pose = toolpath.pose_in_root(program, motion, toolpath.at(program, one.path, motion, t).pose[:], t)
     tool = toolpath.tool_of(program, motion)
     try:
         wanted = one.place.compensate(pose, one.joints_at(motion, t), tool, wrench).pose
@@ -369,7 +369,7 @@ def missed_by(
             row, t = other.at(length.ravel())
             tool = toolpath.tool_of(one.program, motion[which])
             if load is None:
-                pose = toolpath.at(other.program, other.path, row, t).pose
+                pose = toolpath.at(other.program, other.path, row, t).pose[:]
                 spot = (toolpath.flange_from_tcp(other.program, row, pose, None) @ tool)[:, :3, 3]
             else:
                 q = other.joints_at(row, t)

@@ -114,7 +114,7 @@ class PlacedProgram(Struct, frozen=True, eq=False, dict=True):
 
     def joints_at(self, motion: Ints, t: Array) -> Array:
         """Return the joint angles (n, 6) at places (motion, t) [rad]; NaN out of reach."""
-        pose = toolpath.at(self.program, self.path, motion, t).pose
+        pose = toolpath.at(self.program, self.path, motion, t).pose[:]
         flange = toolpath.flange_from_tcp(self.program, motion, pose, t)
         return kinematics.on_branch(self.place.robot, flange, self.branch[motion])
 
@@ -231,7 +231,7 @@ class Curves(Struct, frozen=True, eq=False):
         if self._same_tool:
             point = toolpath.positions(second, self.other.path, row, share)
             return toolpath.points_in_base(nominal, motion, in_cell(second, row, point), None)
-        pose = toolpath.at(second, self.other.path, row, share).pose
+        pose = toolpath.at(second, self.other.path, row, share).pose[:]
         return tool_of_nominal(nominal, motion, second, row, pose)[:, :3, 3]
 
     def apart(self) -> Array:

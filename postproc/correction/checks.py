@@ -10,6 +10,7 @@ from postproc import elastostatics, kinematics
 from postproc.errors import Issue, Level
 from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array, largest, norm, rotation_vector, twist_between
 from postproc.kinematics import JointPath
+from postproc.poses import Poses
 from postproc.program import PTP, Bools, Ints, Program
 from postproc.robot import JOINTS, RobotModel
 from postproc.toolpath import Toolpath
@@ -101,14 +102,14 @@ def singularities(program: Program, robot: RobotModel, sample: Toolpath, q: Arra
         yield from _first(program, sample.motion, bad, kind, f"{what}. {advice}")
 
 
-def half_turns(program: Program, sample: Toolpath, turn: Array, pose: Array) -> Iterator[Issue]:
+def half_turns(program: Program, sample: Toolpath, turn: Array, pose: Poses) -> Iterator[Issue]:
     """Yield an issue if a motion turns the tool by half a circle: rounding of the last digit would decide the
     direction.
 
     From the start, or from an axis target, the controller chooses the direction in any case: a warning.
 
     :param turn: (M,) how far each motion turns the tool [rad]; where it turns with the path, that of the path included.
-    :param pose: (N, 4, 4) commanded, of the samples in `$BASE`.
+    :param pose: commanded, of the samples in `$BASE`.
     """
     m = program.motions
     free = m.kind != PTP
@@ -274,10 +275,10 @@ def joints_at_meetings(program: Program, sample: Toolpath, q: Array, start: Arra
         yield Issue("error", "branch-joints", message, lines[0], count=len(lines), lines=tuple(lines))
 
 
-def meetings(program: Program, sample: Toolpath, pose: Array, wrench: Array) -> Iterator[Issue]:
+def meetings(program: Program, sample: Toolpath, pose: Poses, wrench: Array) -> Iterator[Issue]:
     """Yield an issue if branches taken at run time have different corrections at a control-flow join.
 
-    :param pose: (N, 4, 4) commanded, `wrench` (N, 6), of the samples in `$BASE`.
+    :param pose: commanded, `wrench` (N, 6), of the samples in `$BASE`.
     """
     end = np.flatnonzero(sample.ends)
     for rows in program.meetings:

@@ -17,8 +17,8 @@ from postproc import kinematics, toolpath
 from postproc.cell import Cell
 from postproc.correction import checks
 from postproc.correction.result import Mode
+from postproc.correction.targets import Commands
 from postproc.dialects import registry
-from postproc.elastostatics import Compensation
 from postproc.errors import Issue
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, any_column, norm
 from postproc.program import CIRC, LIN, PTP, SPL, Bools, Ints, Program, distinct
@@ -235,7 +235,7 @@ def dense_places(
         begin, end = stretches.begin[which], stretches.end[which]
         motion, t = stretches.motion[which], begin + (end - begin) * (index / (count[which] - 1))
         close = toolpath.at(program, path.motions.segments, motion, t)
-        flange = toolpath.flange_from_tcp(program, motion, close.pose, t)
+        flange = toolpath.flange_from_tcp(program, motion, close.pose[:], t)
         exact = kinematics.on_branch(robot, flange, joints.branch[last[motion]])
         bad = any_column(np.isnan(exact))
         if bad.any():
@@ -293,7 +293,7 @@ def of_tools(program: Program, cell: Cell) -> list[Issue]:
     return [Issue("error", "tool-change", message, second.line)]
 
 
-def of_path(path: PathUnderLoad, command: Compensation) -> list[Issue]:
+def of_path(path: PathUnderLoad, command: Commands) -> list[Issue]:
     """Return the issues of the path as commanded.
 
     :param command: commands of the samples, in `$BASE`.

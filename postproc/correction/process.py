@@ -18,15 +18,16 @@ from postproc.cell import Cell
 from postproc.chunks import in_chunks
 from postproc.correction import checks, collisions, inspection
 from postproc.correction.result import Doubt, Mode, Result, doubtful
-from postproc.correction.targets import Chosen, CommandedPath, choose_targets, pieces_needed
+from postproc.correction.targets import Chosen, CommandedPath, Commands, choose_targets, pieces_needed
 from postproc.correction.verify import LARGE_TEXT, ReadBack, Simulated, UnusableTextError, read_back, simulate
 from postproc.dialects import registry
 from postproc.dialects.dialect import Writer
-from postproc.elastostatics import Compensation, Reversals
+from postproc.elastostatics import Reversals
 from postproc.errors import InputError, Issue, NotConvergedError, ProgramError, group_issues
 from postproc.forces import Axes, ForceSource, Knots
 from postproc.frames import Array, norm, xyzabc_from_pose
 from postproc.placement import Turn
+from postproc.poses import Poses
 from postproc.program import CIRC, Document, Ints, Program, TargetForces, TargetJoints, Written, read_only
 from postproc.robot import RobotModel
 from postproc.toolpath import Pieces
@@ -42,32 +43,35 @@ from postproc.under_load import (
 _NO_BALANCE = "no loaded equilibrium: the pose is singular or the load too large. Move the part or check the forces."
 
 
-def as_programmed(path: PathUnderLoad) -> Compensation:
+def as_programmed(path: PathUnderLoad) -> Commands:
     """Return the uncorrected commands of the program; poses in `$BASE`."""
-    return Compensation(path.joints.q, path.sample.pose, np.zeros((len(path), path.robot_in_cell.robot.actual.nv)))
+    return Commands(path.joints.q, path.sample.pose, np.zeros((len(path), path.robot_in_cell.robot.actual.nv)))
 
 
-def corrected(path: PathUnderLoad) -> Compensation:
+def corrected(path: PathUnderLoad) -> Commands:
     """Return the corrected commands of all samples; poses in `$BASE`. Axis targets are not corrected.
 
     :raises ImpossiblePathError: a sample has no loaded equilibrium.
     """
     movable = np.flatnonzero(np.isnan(path.program.motions.joints[path.sample.motion, 0]))
 
-    def in_chunk(row: Ints) -> tuple[Array, Array, Array]:
+    def in_chunk(row: Ints) -> tuple[Array, Array, Array, Array]:
         pose, q, tool = path.pose_in_root(row), path.joints.q.take(row, axis=0), path.tool(row)
         found = path.robot_in_cell.compensate(pose, q, tool, path.wrench_in_root(row))
         motion, t = path.sample.motion[row], path.sample.t[row]
-        return found.q, toolpath.pose_in_base(path.program, motion, found.pose, t), found.theta
+        command = toolpath.pose_in_base(path.program, motion, found.pose, t)
+        return found.q, command[:, :3, 3], command[:, :3, :3], found.theta
 
     found = _balanced(path, in_chunk, movable)
     if len(movable) < len(path):
         unchanged = as_programmed(path)
-        whole = unchanged.q.copy(), unchanged.pose.copy(), unchanged.theta
+        pose = unchanged.pose
+        whole = unchanged.q.copy(), pose.position.copy(), pose.rotation.copy(), unchanged.theta
         for array, part in zip(whole, found, strict=True):
             array[movable] = part
         found = whole
-    return Compensation(*found)
+    q, position, rotation, theta = found
+    return Commands(q, Poses(position, rotation), theta)
 
 
 def uncorrected(path: PathUnderLoad, rows: Ints, theta: Array) -> tuple[Array, ...]:
@@ -157,7 +161,7 @@ class Draft(Struct, frozen=True, eq=False):
     unlike: tuple[Issue, ...] = ()
 
     @classmethod
-    def of(cls, task: Task, path: PathUnderLoad, command: Compensation, chosen: Chosen) -> Draft:
+    def of(cls, task: Task, path: PathUnderLoad, command: Commands, chosen: Chosen) -> Draft:
         """Return the draft with the issues of the task, the program, its forces and its commanded path."""
         issues = (
             *task.initial_issues,
@@ -239,7 +243,7 @@ def result_of(task: Task, draft: Draft) -> Result:
         motion=targets.motion,
         t=targets.t,
         output_line=program.motions.line[targets.motion],
-        nominal=_at(path.sample.pose, row),
+        nominal=path.sample.pose if len(row) == len(path) else path.sample.pose.take(row),
         printed=_numbers(task, draft),
         wrench=_at(path.wrench, row),
         deflection=deflection,
@@ -301,7 +305,7 @@ def _numbers(task: Task, draft: Draft) -> Array:
     if draft.simulated is not None:
         return draft.simulated.numbers
     targets, program = draft.chosen.targets, draft.path.program
-    numbers = xyzabc_from_pose(targets.pose)
+    numbers = xyzabc_from_pose(targets.pose[:])
     if task.mode == "predict" and program.keeps_text:
         ends = targets.t == 1.0
         numbers[ends] = program.numbers_as_written()[targets.motion[ends]]
@@ -512,7 +516,7 @@ def _closer(
     return pieces, (np.append(also[0], motion[~on_arc]), np.append(also[1], t[~on_arc]))
 
 
-def _commands(task: Task, path: PathUnderLoad) -> Compensation:
+def _commands(task: Task, path: PathUnderLoad) -> Commands:
     """Return commanded joint angles and poses of all samples, by the mode of the task; poses in `$BASE`."""
     if task.mode == "nominal":
         return as_programmed(path)
@@ -545,5 +549,5 @@ def _chosen(task: Task, path: PathUnderLoad) -> Draft:
 def _as_read(task: Task, draft: Draft) -> Draft:
     """Return the draft with the uncorrected commands: the correction only served to place the targets."""
     path, chosen = draft.path, draft.chosen
-    chosen = replace(chosen, targets=replace(chosen.targets, pose=path.sample.pose[chosen.row]))
+    chosen = replace(chosen, targets=replace(chosen.targets, pose=path.sample.pose.take(chosen.row)))
     return Draft.of(task, path, as_programmed(path), chosen)

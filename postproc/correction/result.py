@@ -13,6 +13,7 @@ from postproc.errors import Issue
 from postproc.forces import Knots
 from postproc.frames import Array, norm
 from postproc.placement import Turn
+from postproc.poses import Poses
 from postproc.program import Bools, Document, Ints, Program
 from postproc.robot import RobotModel
 
@@ -81,7 +82,7 @@ class Result(Struct, frozen=True, eq=False):
     :param motion: (K,) row of `program.motions`.
     :param t: (K,) place on that motion, in (0, 1].
     :param output_line: (K,) line of the written program (of the input for "predict").
-    :param nominal: (K, 4, 4) nominal pose of the tool frame.
+    :param nominal: K nominal poses of the tool frame.
     :param printed: (K, 6) X, Y, Z, A, B, C of the command as printed in the written text: mm and degrees.
     :param wrench: (K, 6) force and moment used.
     :param deflection: (K, 3) displacement of the tool tip that the wrench causes at the uncorrected target [m].
@@ -117,7 +118,7 @@ class Result(Struct, frozen=True, eq=False):
     motion: Ints = np.zeros(0, dtype=np.int64)
     t: Array = np.zeros(0)
     output_line: Ints = np.zeros(0, dtype=np.int64)
-    nominal: Array = np.zeros((0, 4, 4))
+    nominal: Poses = Poses(np.zeros((0, 3)), np.zeros((0, 3, 3)))
     printed: Array = np.zeros((0, 6))
     wrench: Array = np.zeros((0, 6))
     deflection: Array = np.zeros((0, 3))

@@ -19,8 +19,8 @@ from msgspec.structs import replace
 from postproc import kinematics, toolpath
 from postproc.cell import Cell
 from postproc.chunks import in_chunks
-from postproc.elastostatics import Compensation
 from postproc.frames import M_PER_MM, Array, largest, norm, sine_and_cosine, twist_between
+from postproc.poses import Poses
 from postproc.program import CIRC, LIN, PTP, SPL, Bools, Ints, Program, Targets
 from postproc.robot import RobotModel
 from postproc.toolpath import Pieces, Segments, Toolpath, circle_through
@@ -28,6 +28,19 @@ from postproc.under_load import SHARE_OF_TOLERANCE, PathUnderLoad
 
 _FLAT = 1e-6
 """Sagitta [m] below which a piece of an arc is written as a line."""
+
+
+class Commands(Struct, frozen=True, eq=False):
+    """Commands of the N samples of a path.
+
+    :param q: (N, 6) joint angles that the controller will hold [rad].
+    :param pose: N commanded tool frames by the nominal geometry, `$BASE` [m].
+    :param theta: (N, nv) deflections of the springs there [rad, m].
+    """
+
+    q: Array
+    pose: Poses
+    theta: Array
 
 
 class CommandedPath(Struct, frozen=True, eq=False):
@@ -47,11 +60,11 @@ class CommandedPath(Struct, frozen=True, eq=False):
     limit: float
 
     @classmethod
-    def of(cls, path: PathUnderLoad, command: Compensation) -> CommandedPath:
+    def of(cls, path: PathUnderLoad, command: Commands) -> CommandedPath:
         """Return the path of commands, in `$BASE`."""
         ends = np.flatnonzero(path.sample.ends)
         starts = toolpath.starts(
-            path.program, lambda motion: command.pose.take(ends[motion], axis=0), path.robot_in_cell.start_flange
+            path.program, lambda motion: command.pose[ends[motion]], path.robot_in_cell.start_flange
         )
         position = command.pose[:, :3, 3]
         start = np.roll(position[ends], 1, axis=0)
@@ -302,7 +315,7 @@ class Chosen(Struct, frozen=True, eq=False):
 
 
 def choose_targets(
-    path: PathUnderLoad, command: Compensation, least_arc: tuple[float, float], *, linearize_arcs: bool
+    path: PathUnderLoad, command: Commands, least_arc: tuple[float, float], *, linearize_arcs: bool
 ) -> Chosen:
     """Choose what to write: as few of the samples as hold the tolerance.
 
@@ -326,7 +339,7 @@ def choose_targets(
     status, turn = _status_and_turn(program, path.robot_in_cell.robot, motion, command.q.take(row, axis=0))
     keep = kept[motion] & (sample.t[row] == 1.0)
     targets = Targets(
-        motion, sample.t[row], target_kind, command.pose.take(row, axis=0), via, keep, status, turn, m.blend[motion]
+        motion, sample.t[row], target_kind, command.pose.take(row), via, keep, status, turn, m.blend[motion]
     )
     corners, arrive = corners_of_targets(program, targets, commanded.start)
     blend = approximation_distances(program, targets, corners, path.robot_in_cell.cell)
@@ -334,7 +347,7 @@ def choose_targets(
     return Chosen(replace(targets, blend=blend), row, arrive, programmed)
 
 
-def _unchanged(path: PathUnderLoad, command: Compensation) -> tuple[Bools, Bools]:
+def _unchanged(path: PathUnderLoad, command: Commands) -> tuple[Bools, Bools]:
     """Return which motions are one target whatever lies between (M,), and which end as their text says (M,).
 
     In a program that keeps its text that is those that need no correction. Where a motion starts matters to straight
@@ -343,7 +356,10 @@ def _unchanged(path: PathUnderLoad, command: Compensation) -> tuple[Bools, Bools
     m, sample = path.program.motions, path.sample
     if not path.program.keeps_text:
         return np.zeros(len(m), dtype=bool), np.zeros(len(m), dtype=bool)
-    moved = largest(twist_between(sample.pose, command.pose)) > _UNCHANGED
+    (moved,) = in_chunks(
+        lambda rows: (largest(twist_between(sample.pose[rows], command.pose[rows])) > _UNCHANGED,),
+        np.arange(len(sample)),
+    )
     first = np.flatnonzero(np.diff(sample.motion, prepend=-1))
     end_moved = moved[sample.ends]
     any_moved = np.maximum.reduceat(moved, first) | np.concatenate([[False], end_moved[:-1]])

@@ -97,11 +97,11 @@ def _mismatch(program: Program, targets: Targets, written: Program, row: Ints) -
     if len(row) != len(targets):
         return Issue("error", "read-back", f"the written program has {len(row)} targets instead of {len(targets)}")
 
-    def apart(row: Ints, pose: Array) -> tuple[Array]:
-        read = m.target.take(row, axis=0)
-        return (np.maximum(largest(read[:, :3, 3] - pose[:, :3, 3]), angle_between(read[:, :3, :3], pose[:, :3, :3])),)
+    def apart(target: Ints) -> tuple[Array]:
+        read, pose = m.target.take(row[target]), targets.pose.take(target)
+        return (np.maximum(largest(read.position - pose.position), angle_between(read.rotation, pose.rotation)),)
 
-    wrong = (m.kind[row] != targets.kind) | (in_chunks(apart, row, targets.pose)[0] > _PRINTED)
+    wrong = (m.kind[row] != targets.kind) | (in_chunks(apart, np.arange(len(row)))[0] > _PRINTED)
     for frames, other, used, wanted in (
         (written.bases, program.bases, m.base[row], nominal.base[targets.motion]),
         (written.tools, program.tools, m.tool[row], nominal.tool[targets.motion]),
@@ -258,7 +258,7 @@ def _deviation(
     def in_chunk(motion: Ints, t: Array, on: Ints, share: Array, sample: Ints) -> tuple[Array, Array, Array]:
         nominal = toolpath.at(path.program, path.motions.segments, motion, t)
         wrench = toolpath.wrench_in_root(written, on, path.motions.forces.at(nominal))
-        pose = toolpath.at(written, back.segments, on, share).pose
+        pose = toolpath.at(written, back.segments, on, share).pose[:]
         flange = toolpath.flange_from_tcp(written, on, pose, share)
         q = kinematics.on_branch(robot_in_cell.robot, flange, path.joints.branch[sample])
         if np.isnan(q).any():

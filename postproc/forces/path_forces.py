@@ -22,8 +22,8 @@ class PathForces(Struct, frozen=True, eq=False):
     """The forces along the M motions of a program: K knots, at least one for each motion, linear between them.
 
     The knots are those of the sources. If the force of a motion is ramped, a knot at its start has the wrench at the
-    end of the motion before, in `$BASE` axes, and its own wrench follows at the end of the ramp. A FEED force that
-    starts with the value at which the one before ends has no ramp: it turns with the path.
+    end of the motion before, in `$BASE` axes, and its own wrench follows at the end of the ramp. A force that starts
+    with the value at which the one before ends has no ramp; in FEED axes it turns with the path.
 
     :param axes: rotates forces into `$BASE` axes.
     :param first: (M + 1,) the knots of motion i are those from first[i] to first[i + 1] (exclusive).
@@ -34,7 +34,6 @@ class PathForces(Struct, frozen=True, eq=False):
     :param spread: (K, 2, 3, 3) L of the covariances L·Lᵀ of force and moment, in the same axes; None if all are zero.
     :param frame: (M,) frame in which the force of each motion is given.
     :param ramped: (M,) True if the force builds up over the ramp of the cell.
-    :param before: (M, 6) wrench at the end of the motion before, in `$BASE` axes of the motion; zero before the first.
     :param issues: warnings and notes for the user, e.g. cutting moves without a force.
     :param by_law: motions whose forces a cutting law computes; None if there are none.
     """
@@ -48,7 +47,6 @@ class PathForces(Struct, frozen=True, eq=False):
     spread: Array | None
     frame: Ints
     ramped: Bools
-    before: Array
     issues: tuple[Issue, ...]
     by_law: ByLaw | None
 
@@ -59,6 +57,10 @@ class PathForces(Struct, frozen=True, eq=False):
     def spread_at(self, sample: Toolpath) -> Array | None:
         """Return L (N, 2, 3, 3) of the covariances L·Lᵀ of force and moment at samples; None if all are zero."""
         return None if self.spread is None else self._between(self.spread, sample)
+
+    def before(self) -> Array:
+        """Return the wrench (M, 6) at the end of the motion before each, `$BASE` axes; zero before the first."""
+        return _before(self.wrench.take(self.first[1:] - 1, axis=0), self.frame, self.axes)
 
     def behind_step(self, motion: Ints, t: Array) -> Bools:
         """Return which places (n,) are just behind the start of a motion whose force may start with a step."""
@@ -139,37 +141,45 @@ def _resolved(given: Knots, axes: Axes, ramp: float, issues: tuple[Issue, ...], 
     first = np.searchsorted(given.motion, np.append(motions, len(motions)))
     last = first[1:] - 1
     ramped, frame = given.ramped[last], given.frame[last]
-    begins = first[:-1][ramped]  # the only knot of each
-    before = axes.at_start(given.wrench.take(last, axis=0).reshape(-1, 2, 3, 1), frame).reshape(-1, 6)
-    start, start_frame = before.copy(), np.full(len(motions), BASE)
-    steady = _continuous(given.wrench.take(last, axis=0), frame, before, axes)
+    own = given.wrench.take(last, axis=0)
+    start, start_frame = _before(own, frame, axes), np.full(len(motions), BASE)
+    steady = _continuous(own, frame, start, axes)
     steady = steady[ramped[steady]]
-    start[steady], start_frame[steady] = given.wrench[last[steady]], frame[steady]
-    spread = None
+    start[steady], start_frame[steady] = own[steady], frame[steady]
+    changes = ramped & (any_column(start != own) | (start_frame != frame))
+    del own
+    spread = at_start = None
     if given.sigma.any():
         spread = given.sigma.reshape(-1, 2, 3, 1) * np.eye(3)
         at_start = axes.at_start(spread[last], frame)
         at_start[steady] = spread[last[steady]]
-        spread = np.insert(spread, begins, at_start[ramped], axis=0)
-    length = axes.path.length[ramped]
+        changes |= ramped & (at_start != spread[last]).any(axis=(1, 2, 3))
+    begins = first[:-1][changes]  # the only knot of each
+    if spread is not None and at_start is not None:
+        spread = np.insert(spread, begins, at_start[changes], axis=0)
+    length = axes.path.length[changes]
     t = given.t.copy()
     t[begins] = np.where(length > ramp, ramp / np.where(length > ramp, length, 1.0), 1.0)
     t = np.insert(t, begins, 0.0)
-    first = first + np.concatenate([[0], np.cumsum(ramped)])
+    first = first + np.concatenate([[0], np.cumsum(changes)])
     return PathForces(
         axes,
         first,
         np.repeat(motions, np.diff(first)) + t,
         t,
-        np.insert(given.wrench, begins, start[ramped], axis=0),
-        np.insert(given.frame, begins, start_frame[ramped]),
+        np.insert(given.wrench, begins, start[changes], axis=0),
+        np.insert(given.frame, begins, start_frame[changes]),
         spread,
         frame,
         ramped,
-        before,
         issues,
         by_law,
     )
+
+
+def _before(wrench: Array, frame: Ints, axes: Axes) -> Array:
+    """Return the wrench (M, 6) before each motion, `$BASE` axes, from that at the end of each, in `frame`."""
+    return axes.at_start(wrench.reshape(-1, 2, 3, 1), frame).reshape(-1, 6)
 
 
 def _continuous(wrench: Array, frame: Ints, before: Array, axes: Axes) -> Ints:

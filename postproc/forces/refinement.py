@@ -14,7 +14,7 @@ from postproc.forces.axes import TURNS, lines_run_across, runs_across
 from postproc.forces.path_forces import BEHIND_STEP, PathForces
 from postproc.forces.sources import FEED
 from postproc.frames import Array, any_column, largest, norm
-from postproc.program import CIRC, LIN, Bools, Ints
+from postproc.program import CIRC, LIN, Bools, Ints, constant
 from postproc.toolpath import DisplacementEstimate, Pieces, at, circle_through
 
 _SAME = 1e-9
@@ -35,17 +35,18 @@ def displacement_estimate(forces: PathForces, compliance: tuple[float, float]) -
         return np.asarray(compliance[0] * norm(wrench[:, :3]) + compliance[1] * norm(wrench[:, 3:]))
 
     begins = np.zeros(len(forces.t), dtype=np.bool_)
-    begins[forces.first[:-1][forces.ramped]] = True  # the force of the motion before
+    first = forces.first[:-1]
+    begins[first[forces.ramped & (forces.t[first] == 0.0)]] = True  # the force of the motion before
 
     def largest_of_own(values: Array) -> Array:
-        return np.asarray(np.maximum.reduceat(np.where(begins, 0.0, values), forces.first[:-1]))
+        return np.asarray(np.maximum.reduceat(np.where(begins, 0.0, values), first))
 
     motion = np.repeat(np.arange(len(m)), np.diff(forces.first))
     change, bent = _changes(forces, motion)
     stepped = moves(_steps(forces))
     step = np.flatnonzero(stepped > _STEP)
     behind = np.minimum(0.5, BEHIND_STEP / np.maximum(path.length[step], BEHIND_STEP))
-    swings, turned = np.zeros(len(m), dtype=np.bool_), np.zeros(len(m))
+    swings, turned = np.zeros(len(m), dtype=np.bool_), constant(0.0, len(m))
     if turning.any():
         across = forces.wrench * (1.0, 1.0, 0.0, 1.0, 1.0, 0.0)  # z, along the spindle, does not turn
         turned = np.where(turning, largest_of_own(moves(across)), 0.0)
@@ -53,12 +54,14 @@ def displacement_estimate(forces: PathForces, compliance: tuple[float, float]) -
         acts[motion[any_column(across != 0.0)]] = True
         found = np.flatnonzero(turning & acts)
         swings[found] = ~runs_across(forces.axes.program, path, found, forces.axes.spindle)
-    order = np.lexsort((np.append(forces.t, behind), np.append(motion, step)))
+    kept = np.flatnonzero(bent | (m.kind[motion] == CIRC))
+    places = np.append(motion[kept], step), np.append(forces.t[kept], behind)
+    order = np.lexsort(places[::-1])
     return DisplacementEstimate(
-        motion=np.append(motion, step)[order],
-        t=np.append(forces.t, behind)[order],
-        change=np.append(moves(change), stepped[step])[order],
-        bent=np.append(bent, np.ones(len(step), dtype=np.bool_))[order],
+        motion=places[0][order],
+        t=places[1][order],
+        change=np.append(moves(change)[kept], stepped[step])[order],
+        bent=np.append(bent[kept], np.ones(len(step), dtype=np.bool_))[order],
         turning=turned,
         size=largest_of_own(moves(forces.wrench)),
         swings=swings,
@@ -92,10 +95,12 @@ def _changes(forces: PathForces, motion: Ints) -> tuple[Array, Bools]:
 
 def _steps(forces: PathForces) -> Array:
     """Return the step of the force (M, 6) at the start of each motion, from the end of the motion before."""
-    out = np.zeros_like(forces.before)
     rows = np.flatnonzero(~forces.ramped)
+    if not len(rows):
+        return np.broadcast_to(0.0, (len(forces.ramped), 6))
+    out, before = np.zeros((len(forces.ramped), 6)), forces.before()
     start = at(forces.axes.program, forces.axes.path, rows, np.zeros(len(rows)))
-    out[rows] = forces.at(start) - forces.before[rows]
+    out[rows] = forces.at(start) - before[rows]
     return out
 
 

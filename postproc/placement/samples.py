@@ -8,6 +8,7 @@ from msgspec import Struct
 from postproc import forces, toolpath
 from postproc.forces import ForceSource, PathForces
 from postproc.frames import Array, norm, rotation_from_vector
+from postproc.poses import Poses
 from postproc.program import PTP, SPL, Bools, Ints, Program
 from postproc.toolpath import Segments, Toolpath
 from postproc.under_load import RobotInCell
@@ -92,7 +93,7 @@ class PathSamples(Struct, frozen=True, eq=False):
         """
         pose = self._turned(rows, turn)
         motion, t = self.sample.motion[rows], self.sample.t[rows]
-        here = Toolpath(motion, t, pose, self.sample.distance[rows])
+        here = Toolpath(motion, t, Poses.of(pose), self.sample.distance[rows])
         wrench = toolpath.wrench_in_root(self.program, motion, self.along.at(here))
         spread, halves = None, self.along.spread_at(here)
         if halves is not None:
@@ -103,7 +104,7 @@ class PathSamples(Struct, frozen=True, eq=False):
         return wrench, spread, toolpath.pose_in_root(self.program, motion, pose, t), scaled
 
     def _turned(self, rows: Ints, turn: Array) -> Array:
-        pose = self.sample.pose.take(rows, axis=0)
+        pose = self.sample.pose[rows]
         if turn.any():
             pose[:, :3, :3] = pose[:, :3, :3] @ self.rotation(turn)
         return pose

@@ -58,7 +58,7 @@ def choose(program: Program, robot_in_cell: RobotInCell) -> ChosenStart:
     if m.status[0] >= 0:
         first = int(np.argmax(samples.sample.t == 1.0))
         part = slice(first, first + 1)
-        found = robot_in_cell.follow(program, motion[part], samples.sample.t[part], samples.sample.pose[part])
+        found = robot_in_cell.follow(program, motion[part], samples.sample.t[part], samples.sample.pose.take(part))
         return _start(found.q[0], "with the status and turn that it states")
     stated = np.flatnonzero(np.isfinite(m.joints[:, 0]) | (m.status >= 0))
     first = int(np.argmax(samples.sample.t == 1.0))  # samples before are on the way from a start that is not known

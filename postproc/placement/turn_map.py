@@ -266,7 +266,7 @@ def evaluate(
 def _untooled(samples: PathSamples, rows: Ints) -> Array:
     """Return the tool frames (3, 4, n) of samples in the root, without turn."""
     motion, t = samples.sample.motion[rows], samples.sample.t[rows]
-    pose = samples.sample.pose.take(rows, axis=0)
+    pose = samples.sample.pose[rows]
     flange = flange_from_tcp(samples.program, motion, pose, t)
     tools = samples.program.tools
     tool = tools[0] if len(tools) == 1 else tools[samples.program.motions.tool[motion]]

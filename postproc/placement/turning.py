@@ -18,6 +18,7 @@ from postproc.placement.drive import BARE, REASONS, Keep
 from postproc.placement.samples import AXIS, PathSamples
 from postproc.placement.turn_line import Blocked, Line
 from postproc.placement.turn_map import Blocks, TurnMap
+from postproc.poses import Poses
 from postproc.program import PTP, Bools, Program, read_only
 from postproc.under_load import RobotInCell
 
@@ -68,8 +69,7 @@ def turned(program: Program, axis: str, turn: Array) -> Program:
     m = program.motions
     about = rotation_from_vector(-turn[:, None] * np.array(AXIS[axis]))
     about[np.isfinite(m.joints[:, 0])] = np.eye(3)
-    target = m.target.copy()
-    target[:, :3, :3] = target[:, :3, :3] @ about
+    target = Poses(m.target.position, m.target.rotation @ about)
     swivel = program.swivel
     if swivel is not None:
         begin = np.append(turn[:1], turn[:-1])

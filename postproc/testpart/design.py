@@ -21,6 +21,7 @@ from postproc.kinematics import UnreachableError
 from postproc.kinematics.forward import GRAVITY
 from postproc.machining import Process, ProcessSource
 from postproc.machining.process import StockTable
+from postproc.poses import Poses
 from postproc.program import Bools, Document, Ints, read_only
 from postproc.program import Program as Motions
 from postproc.testpart import features
@@ -289,8 +290,7 @@ def _states(
     motions = read_text(text, setting)
     last = len(motions.motions) - 1
     motion = np.full(len(tip), last)
-    pose = np.repeat(motions.motions.target[last][None], len(tip), axis=0)
-    pose[:, :3, 3] = tip
+    pose = Poses.fixed(tip, motions.motions.target.rotation[last])
     t = np.full(len(tip), 0.5)
     reached = np.ones(len(tip) // count, dtype=bool)
     rows = np.arange(len(tip))
@@ -300,7 +300,7 @@ def _states(
             q = np.zeros((0, 6))
             break
         try:
-            q = setting.follow(motions, motion[rows], t[rows], pose[rows]).q
+            q = setting.follow(motions, motion[rows], t[rows], pose.take(rows)).q
         except UnreachableError as cause:
             reached[rows[list(cause.rows)] // count] = False
             continue

@@ -9,6 +9,7 @@ from msgspec import Struct
 
 from postproc.chunks import Columns, in_chunks
 from postproc.frames import Array, angle_between, interpolated, norm, rotation_from_vector, sine_and_cosine
+from postproc.poses import Poses
 from postproc.program import CIRC, LIN, PTP, SPL, Bools, Ints, Program, Starts
 
 _STILL = 1e-6
@@ -87,13 +88,13 @@ class Toolpath(Columns, frozen=True, eq=False):
 
     :param motion: (N,) row of `Motions`.
     :param t: (N,) place on the motion, in (0, 1].
-    :param pose: (N, 4, 4) tool frame in the motion's `$BASE` [m].
+    :param pose: N tool frames in the motion's `$BASE` [m].
     :param distance: (N,) travelled from the start of the motion [m].
     """
 
     motion: Ints
     t: Array
-    pose: Array
+    pose: Poses
     distance: Array
 
     def __len__(self) -> int:
@@ -124,12 +125,12 @@ def segments(program: Program, start_flange_in_root: Array) -> Segments:
     :param start_flange_in_root: (4, 4) pose of the flange before the first motion [m].
     """
     m = program.motions
-    start = starts(program, lambda motion: m.target.take(motion, axis=0), start_flange_in_root)
+    start = starts(program, m.target.__getitem__, start_flange_in_root)
 
     def chord(rows: Ints) -> tuple[Array, Array, Array]:
-        one, other = start.at(rows), m.target.take(rows, axis=0)
+        one, end, rotation = start.at(rows), m.target.position[rows], m.target.rotation[rows]
         begin = one[:, :3, 3]
-        return begin, norm(other[:, :3, 3] - begin), angle_between(one[:, :3, :3], other[:, :3, :3])
+        return begin, norm(end - begin), angle_between(one[:, :3, :3], rotation)
 
     begin, length, turn = in_chunks(chord, np.arange(len(m)))
     if program.turning is not None:
@@ -166,26 +167,29 @@ def at(program: Program, path: Segments, motion: Ints, t: Array) -> Toolpath:
     which is represented by its chord.
     """
     m = program.motions
-    pose = m.target.take(motion, axis=0)
+    pose = m.target.take(motion)
     inner = np.flatnonzero((t < 1.0) & (m.kind[motion] != PTP))
     turn = path.turn[motion[inner]]
     still, turning = inner[(turn > 0.0) & (turn < _STILL)], inner[turn >= _STILL]
+    rotation = pose.rotation
+    if pose.is_fixed and len(still) + len(turning):
+        rotation = rotation.copy()
     if len(still):
-        before, after = path.start.at(motion[still])[:, :3, :3], pose[still, :3, :3]
-        pose[still, :3, :3] = after + (1.0 - t[still])[:, None, None] * (before - after)
+        before, after = path.start.at(motion[still])[:, :3, :3], rotation[still]
+        rotation[still] = after + (1.0 - t[still])[:, None, None] * (before - after)
     if program.turning is not None:
         active = program.turning.active[motion[turning]]
         otherwise, turning = turning[active], turning[~active]
-        pose[otherwise, :3, :3] = program.turning.at(motion[otherwise], t[otherwise])
+        rotation[otherwise] = program.turning.at(motion[otherwise], t[otherwise])
     if program.with_path is not None:
         led = program.with_path[motion[turning]]
         with_path, turning = turning[led], turning[~led]
-        pose[with_path, :3, :3] = _with_path(program, path, motion[with_path], t[with_path])
+        rotation[with_path] = _with_path(program, path, motion[with_path], t[with_path])
     if len(turning):
         rows = motion[turning]
-        pose[turning, :3, :3] = interpolated(path.start.at(rows), m.target.take(rows, axis=0), t[turning])[:, :3, :3]
-    _place(program, path, motion, t, pose[:, :3, 3])
-    return Toolpath(motion, t, pose, path.length[motion] * t)
+        rotation[turning] = interpolated(path.start.at(rows), m.target[rows], t[turning])[:, :3, :3]
+    _place(program, path, motion, t, pose.position)
+    return Toolpath(motion, t, Poses(pose.position, rotation), path.length[motion] * t)
 
 
 def _with_path(program: Program, path: Segments, rows: Ints, t: Array) -> Array:
@@ -204,7 +208,7 @@ def _turned_back(program: Program, rows: Ints, angle: Array, orientation: Array)
 
 def positions(program: Program, path: Segments, motion: Ints, t: Array) -> Array:
     """Return where the TCP is nominally (n, 3) at places (motion, t), as `at`."""
-    out = program.motions.target.take(motion, axis=0)[:, :3, 3]
+    out = program.motions.target.position[motion]
     _place(program, path, motion, t, out)
     return out
 
@@ -228,7 +232,7 @@ def tangent(program: Program, path: Segments, motion: Ints, t: Array) -> Array:
     kind = m.kind[motion]
     long = np.flatnonzero(((kind == LIN) | (kind == SPL)) & (path.length[motion] > 0.0))
     rows = motion[long]
-    out[long] = (m.target.take(rows, axis=0)[:, :3, 3] - path.begin.take(rows, axis=0)) / path.length[rows, None]
+    out[long] = (m.target[rows, :3, 3] - path.begin.take(rows, axis=0)) / path.length[rows, None]
     arcs = np.flatnonzero(kind == CIRC)
     if len(arcs):
         velocity = path.arcs.velocity(motion[arcs], t[arcs])

@@ -43,7 +43,8 @@ _CERTAIN = 0.2
 class DisplacementEstimate(Struct, frozen=True, eq=False):
     """Estimated change of the tool's displacement by its force along M motions, to find the places to compute.
 
-    :param motion: (K,) row of `Motions` of each place where the force is given, in order along the path.
+    :param motion: (K,) row of `Motions` of places where the force is given, in order along the path: all of arcs, of
+        other motions those where it bends.
     :param t: (K,) place on it, in [0, 1].
     :param change: (K,) how much the displacement changes since the place before on the motion [m].
     :param bent: (K,) True inside a motion where the force does not go straight on.

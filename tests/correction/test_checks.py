@@ -11,6 +11,7 @@ from msgspec.structs import replace
 from postproc import cell as cells
 from postproc import correction, robot
 from postproc.dialects.text import decode
+from postproc.poses import Poses
 from tests.oracle.arm import Arm
 from tests.programs import program
 
@@ -95,10 +96,9 @@ def test_what_the_text_says_is_what_counts(monkeypatch, factor):
     honest = write.emit
 
     def wrong(made, targets, *others):
-        targets.pose[2:, 0, 3] += 1e-5 * factor
-        written = honest(made, targets, *others)
-        targets.pose[2:, 0, 3] -= 1e-5 * factor
-        return written
+        pose = targets.pose[:]
+        pose[2:, 0, 3] += 1e-5 * factor
+        return honest(made, replace(targets, pose=Poses.of(pose)), *others)
 
     monkeypatch.setattr(write, "emit", wrong)
     result = correction.process(
@@ -149,7 +149,9 @@ def test_turning_the_tool_on_the_spot_under_force_is_not_timed_by_the_feed():
     from scipy.spatial.transform import Rotation
 
     made = program([*FINE, ("LIN", 100, 0, 0)], notes=[(2, (100.0, 50.0, 200.0, 0, 0, 0))], orientation=DOWN)
-    made.motions.target[3, :3, :3] = Rotation.from_euler("y", 3, degrees=True).as_matrix() @ DOWN
+    target = made.motions.target[:]
+    target[3, :3, :3] = Rotation.from_euler("y", 3, degrees=True).as_matrix() @ DOWN
+    made = replace(made, motions=replace(made.motions, target=Poses.of(target)))
     result = correction.process(made, MODEL, CELL)
     assert not [issue for issue in result.issues if issue.kind.startswith("joint-speed")]
     assert not result.failed

@@ -9,8 +9,8 @@ from postproc.dialects.text import decode
 from postproc.robot import find, load
 
 SAMPLES = Path(__file__).parents[2] / "samples"
-MOST = 1800
-"""Bytes for each target at the peak (1720 today): poses, forces, joint angles, texts, and what computing them takes."""
+MOST = 1300
+"""Bytes for each target at the peak (1230 today): poses, forces, joint angles, texts, and what computing them takes."""
 
 
 def peak(count: int) -> int:

@@ -15,6 +15,7 @@ from postproc import correction, robot
 from postproc.cell import ExternalAxis
 from postproc.dialects.krl.dialect import Krl
 from postproc.dialects.text import decode
+from postproc.poses import Poses
 from tests.programs import program
 
 SAMPLES = Path(__file__).parents[2] / "samples"
@@ -156,9 +157,9 @@ def commands(monkeypatch, change):
 
     def wrong(path):
         found = honest(path)
-        pose = found.pose.copy()
+        pose = found.pose[:]
         change(path, pose)
-        return replace(found, pose=pose)
+        return replace(found, pose=Poses.of(pose))
 
     monkeypatch.setattr(stages, "corrected", wrong)
 

@@ -44,5 +44,5 @@ def outcome(text: str, cell: Cell = CELL, *, bulk: bool) -> list[object]:
     except PostprocError as error:
         return [type(error), str(error)]
     motions = program.motions
-    arrays = [getattr(motions, name).tobytes() for name in type(motions).__slots__]
+    arrays = [np.asarray(getattr(motions, name)).tobytes() for name in type(motions).__slots__]
     return [*arrays, program.notes, program.events, program.issues]

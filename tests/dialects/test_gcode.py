@@ -437,9 +437,12 @@ def test_a_hundred_thousand_lines_keep_their_numbers() -> None:
 
 def test_arrays_cannot_be_changed() -> None:
     motions = read(HEAD + "M30\n").motions
-    for name in type(motions).__slots__:
+    columns = {name: getattr(motions, name) for name in type(motions).__slots__}
+    columns |= {"position": motions.target.position, "rotation": motions.target.rotation}
+    del columns["target"]
+    for column in columns.values():
         with pytest.raises(ValueError, match="read-only"):
-            getattr(motions, name)[0] = 0
+            column[0] = 0
 
 
 # ---- errors

@@ -156,7 +156,8 @@ def told(source, *, bulk):
         program = read(source, cell=CELL, bulk=bulk)
     except PostprocError as error:
         return str(error)
-    out = {f"motions.{name}": getattr(program.motions, name) for name in program.motions.__struct_fields__}
+    motions = program.motions
+    out = {f"motions.{name}": np.asarray(getattr(motions, name)) for name in motions.__struct_fields__}
     for name in ("line", "notes", "numbers", "missing", "keyword", "target", "tail", "resumed", "orientation"):
         out[f"layout.{name}"] = getattr(program.layout, name)
     for name in ("ignored", "with_path", "distant", "passed", "triggers", "broken_off"):

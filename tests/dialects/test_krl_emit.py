@@ -12,6 +12,7 @@ from postproc.cell import GCode, Output
 from postproc.dialects import krl
 from postproc.errors import InputError, ProgramError
 from postproc.frames import pose_from_xyzabc
+from postproc.poses import Poses
 from postproc.program import CIRC, LIN, PTP, Document, Event, Motions, Targets
 from tests import programs
 from tests.dialects.krl_programs import CELL, check_commands, forward
@@ -275,8 +276,9 @@ def test_many_targets_are_written_in_bulk():
     pose = pose_from_xyzabc(np.random.default_rng(3).uniform(-170, 170, (20_000, 6)))
 
     def writing(count):
-        motions = Motions(*(np.repeat(getattr(few, name), count, axis=0) for name in Motions.__struct_fields__))
-        motions.target[:] = pose[:count]
+        columns = {name: getattr(few, name) for name in Motions.__struct_fields__ if name != "target"}
+        columns = {name: np.repeat(column, count, axis=0) for name, column in columns.items()}
+        motions = Motions(**columns, target=Poses.of(pose[:count]))
         program = replace(milling(MOVES[:1], ()), motions=motions)
         return partial(krl.emit, program, programs.ends(motions, pose[:count]), MILLING)
 

@@ -44,7 +44,7 @@ def path_of(program, shares):
     motion = np.repeat(np.arange(len(program.motions)), len(shares))
     t = np.tile(np.array(shares), len(program.motions))
     path = toolpath.segments(program, forward(CELL.start_joints))
-    return toolpath.at(program, path, motion, t).pose.reshape(len(program.motions), len(shares), 4, 4)
+    return toolpath.at(program, path, motion, t).pose[:].reshape(len(program.motions), len(shares), 4, 4)
 
 
 @pytest.mark.parametrize(("kind", "circle"), MODES)

@@ -13,6 +13,7 @@ from postproc.cell import Frame, Krl
 from postproc.dialects.krl.read import plain_settings
 from postproc.errors import CellError, ForceError, PostprocError, ProgramError
 from postproc.frames import pose_from_xyzabc, xyzabc_from_pose
+from postproc.poses import Poses
 from postproc.program import CIRC, LIN, PTP
 from tests.dialects.krl_programs import CELL, DATA, body, forward, numbers, read, sources
 from tests.effort import calls_for_each
@@ -30,7 +31,8 @@ def assert_same(one, other):
     for part in ("motions", "layout"):
         for name in getattr(one, part).__struct_fields__:
             a, b = getattr(getattr(one, part), name), getattr(getattr(other, part), name)
-            if isinstance(a, np.ndarray):
+            if isinstance(a, np.ndarray | Poses):
+                a, b = np.asarray(a), np.asarray(b)
                 assert a.dtype == b.dtype, name
                 assert np.array_equal(a, b, equal_nan=True), name
     assert one.issues == other.issues

@@ -550,7 +550,7 @@ def test_long_programs_are_rewritten_in_bulk():
     def prepared(count):
         rows = ("LIN {X %s,Y %s,Z %s,A %s,B %s,C %s} C_DIS" % tuple(row) for row in values[:count])  # noqa: UP031
         program = read(body(*rows))
-        pose = program.motions.target.copy()
+        pose = program.motions.target[:]
         pose[:, :3, 3] += 1e-4
         return program, programs.ends(program.motions, pose)
 

@@ -8,6 +8,7 @@ from msgspec.structs import replace
 
 from postproc import frames, toolpath
 from postproc.machining.profiles import BASE, FEED, without_steps
+from postproc.poses import Poses
 from tests.programs import program
 from tests.toolpath.setting import arc, begins, point
 
@@ -31,7 +32,9 @@ def made():
     to_base = np.array([MAP if base == 0 else np.linalg.inv(BASES[1]) @ BASES[0] @ MAP for base in m.base])
     centre = np.einsum("nij,nj->ni", to_base[:, :3, :3], m.centre) + to_base[:, :3, 3]
     normal = np.einsum("nij,nj->ni", to_base[:, :3, :3], m.normal)
-    return replace(out, motions=replace(m, target=to_base @ m.target, centre=centre, normal=normal)), to_base[:, :3, :3]
+    return replace(
+        out, motions=replace(m, target=Poses.of(to_base @ m.target[:]), centre=centre, normal=normal)
+    ), to_base[:, :3, :3]
 
 
 def stations(rng, program):

@@ -13,6 +13,7 @@ from postproc import correction, placement, robot
 from postproc.cell import Box, Collision, HolderTable, ObstacleTable, Rotary
 from postproc.frames import rotation_from_vector
 from postproc.placement import REASONS, turn_map
+from postproc.poses import Poses
 from postproc.report import summary
 from postproc.under_load import RobotInCell
 from tests.oracle import cell_sim
@@ -216,9 +217,9 @@ def test_a_cut_that_tilts_the_tool_without_rotary_axes_is_not_turned_on_the_way(
     """One rotation that tilts and turns would make the tool lean from its programmed direction between the ends."""
     own = cell(base=(0.0, 0.0, 500.0))
     program, model = read("G21 G90\nG0 X1300 Y-300 Z60\nG1 Z0 F600\nG1 Y300 F2000\n", own)
-    target = program.motions.target.copy()
+    target = program.motions.target[:]
     target[2, :3, :3] = rotation_from_vector(np.array([[0.0, 0.2, 0.0]]))[0] @ target[2, :3, :3]
-    tilted = replace(program, motions=replace(program.motions, target=target))
+    tilted = replace(program, motions=replace(program.motions, target=Poses.of(target)))
     setting = RobotInCell.of(model, own)
     turn, said = placement.chosen(tilted, setting, None, "path")
     assert turn is None

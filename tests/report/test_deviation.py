@@ -9,6 +9,7 @@ from msgspec.structs import replace
 from postproc import cell, robot
 from postproc.correction import read
 from postproc.errors import Issue
+from postproc.poses import Poses
 from postproc.program import CIRC, Document, Event
 from postproc.report import page, summary
 from postproc.report.deviation import data as places
@@ -152,7 +153,7 @@ def test_two_bases_are_shown_in_the_robot_root():
 
 def test_arcs_are_drawn_as_arcs_and_counted_by_their_length():
     base = fabricated.result(3)
-    end = base.nominal.copy()
+    end = base.nominal[:]
     end[0, :3, 3], end[1, :3, 3], end[2, :3, 3] = [0.01, 0, 0], [-0.01, 0, 0.002], [0.01, 0, 0.004]
     motions = replace(
         base.program.motions,
@@ -161,7 +162,7 @@ def test_arcs_are_drawn_as_arcs_and_counted_by_their_length():
         normal=np.tile([0.0, 0.0, 1.0], (3, 1)),
         sweep=np.array([np.nan, np.pi, np.pi]),
     )
-    result = fabricated.with_changes(base, nominal=end, program=replace(base.program, motions=motions))
+    result = fabricated.with_changes(base, nominal=Poses.of(end), program=replace(base.program, motions=motions))
     position, row = drawn_path(result)
     assert np.hypot(position[:, 0], position[:, 1]) == pytest.approx(0.01)
     assert np.all(np.diff(position[:, 2]) > 0.0)

@@ -10,6 +10,7 @@ from msgspec.structs import replace
 from postproc.frames import pose_from_xyzabc
 from postproc.jobs.part_file import read_facets
 from postproc.machining.tool import Cutter
+from postproc.poses import Poses
 from postproc.program import LIN
 from postproc.report.surface import Surface, glb, ply, surface
 from tests import fabricated
@@ -26,12 +27,12 @@ def _result(points, deviation, rapid=None, after=0.01, **changes):
     pose = np.tile(np.diag([-1.0, 1.0, -1.0, 1.0]), (count, 1, 1))
     pose[:, :3, 3] = points
     rapid = np.arange(count) == 0 if rapid is None else rapid
-    motions = replace(base.program.motions, kind=np.full(count, LIN), rapid=rapid, target=pose)
+    motions = replace(base.program.motions, kind=np.full(count, LIN), rapid=rapid, target=Poses.of(pose))
     deviation = np.broadcast_to(deviation, (count, 3))
     return fabricated.with_changes(
         base,
         program=replace(base.program, motions=motions),
-        nominal=pose,
+        nominal=Poses.of(pose),
         deviation_before=deviation,
         deviation_after=after * deviation,
         bound=np.full(count, 2e-5),
@@ -122,12 +123,12 @@ def test_a_part_whose_program_has_two_bases_lies_in_its_own_frame():
     base = (np.arange(len(points)) >= len(points) // 2).astype(np.int64)
     back = np.linalg.inv(np.stack([part, other])) @ part  # from the frame of the part into each $BASE
     pose = back[base] @ one.nominal
-    motions = replace(one.program.motions, target=pose, base=base)
+    motions = replace(one.program.motions, target=Poses.of(pose), base=base)
     turned = np.einsum("kij,kj->ki", back[base][:, :3, :3], off)
     two = fabricated.with_changes(
         one,
         program=replace(one.program, motions=motions, bases=np.stack([part, other])),
-        nominal=pose,
+        nominal=Poses.of(pose),
         deviation_before=turned,
         deviation_after=0.01 * turned,
     )

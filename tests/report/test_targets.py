@@ -32,7 +32,7 @@ def test_every_target_is_a_row_with_its_numbers_in_mm_and_degrees():
     rows, _ = _read(result)
     assert len(rows) == 60
     values = np.array([[float(row[name]) for name in ("X", "Y", "Z", "A", "B", "C")] for row in rows])
-    assert np.abs(values - xyzabc_from_pose(result.nominal)).max() < 1e-6
+    assert np.abs(values - xyzabc_from_pose(result.nominal[:])).max() < 1e-6
     for name, expected, tolerance in (
         ("output_line", result.output_line, 0.0),
         ("source_line", result.source_line, 0.0),

@@ -7,6 +7,7 @@ from msgspec.structs import replace
 from scipy.spatial.transform import Rotation, Slerp
 
 from postproc import frames
+from postproc.poses import Poses
 from postproc.program import Carriage, Swivel
 from tests.programs import program
 
@@ -37,11 +38,13 @@ def mixed():
         arc((0, 0, 50), unit(0, 3, 1), (0, 5, 20), 70.0, climb=3.0),
     ]  # fmt: skip
     made = program(moves, bases=BASES, tools=TOOLS)
-    target = made.motions.target.copy()
+    target = made.motions.target[:]
     target[:, :3, :3] = frames.pose_from_xyzabc([(0, 0, 0, *abc) for abc in ABC])[:, :3, :3]
     # other frames from the fourth motion on
     later = np.array([0, 0, 0, 0, 1, 1, 1])
-    return replace(made, motions=replace(made.motions, target=target, base=later, tool=np.array([0, 0, 0, 1, 1, 0, 0])))
+    return replace(
+        made, motions=replace(made.motions, target=Poses.of(target), base=later, tool=np.array([0, 0, 0, 1, 1, 0, 0]))
+    )
 
 
 def single(made):

@@ -8,6 +8,7 @@ from msgspec.structs import replace
 from scipy.spatial.transform import Rotation
 
 from postproc import toolpath
+from postproc.poses import Poses
 from tests.programs import program
 from tests.toolpath.setting import arc
 
@@ -114,8 +115,8 @@ def test_the_first_motion_of_another_branch_continues_none():
 def test_the_tool_turns_by_as_much_per_length(second, expected):
     """10° over 20 mm, then so many over 30 mm: to within a thousandth of a radian per metre, 0.0017° over 30 mm."""
     made = program([TO, ("LIN", 20, 0, 0), ("LIN", 50, 0, 0)])
-    target = made.motions.target.copy()
+    target = made.motions.target[:]
     for row, angle in ((1, 10.0), (2, 10.0 + second)):
         target[row, :3, :3] = Rotation.from_euler("y", angle, degrees=True).as_matrix() @ target[row, :3, :3]
-    made = replace(made, motions=replace(made.motions, target=target))
+    made = replace(made, motions=replace(made.motions, target=Poses.of(target)))
     assert toolpath.continues(made, toolpath.segments(made, np.eye(4))).tolist() == [False, False, expected]

@@ -8,6 +8,7 @@ from msgspec.structs import replace
 from scipy.spatial.transform import Rotation
 
 from postproc import toolpath
+from postproc.poses import Poses
 from postproc.program import SPL
 from tests.programs import program
 from tests.toolpath.setting import START, begins, mixed, point, swivel, swivelled, turned, with_carriage
@@ -110,10 +111,10 @@ def test_a_line_that_goes_nowhere_has_no_tangent():
 def test_small_turns_are_in_proportion_too(degrees):
     """Below a millionth the matrices are mixed, above they are turned: to 1e-12 it is the same."""
     made = mixed()
-    target = made.motions.target.copy()
+    target = made.motions.target[:]
     small = Rotation.from_rotvec(np.radians(degrees) * np.array([0.6, -0.48, 0.64]))
     target[3, :3, :3] = small.as_matrix() @ begins(made)[3, :3, :3]
-    made = replace(made, motions=replace(made.motions, target=target))
+    made = replace(made, motions=replace(made.motions, target=Poses.of(target)))
     path, begin = toolpath.segments(made, START), begins(made)
     for t in (0.1, 0.5, 0.9):
         found = toolpath.at(made, path, np.array([3]), np.array([t])).pose[0, :3, :3]
@@ -143,10 +144,10 @@ def test_rotary_axes_turn_the_tool_evenly_where_they_are_active():
     made = mixed()
     angles = np.array([(0, 0), (10, 20), (40, -15), (-20, 50), (30, 30), (5, -40), (0, 10), (25, 35)], dtype=float)
     axes = swivel(made, "CB", angles, inactive=(0, 1, 5))
-    target = made.motions.target.copy()
+    target = made.motions.target[:]
     for k in range(len(target)):
         target[k, :3, :3] = axes.frames[axes.frame[k]] @ swivelled(made, "CB", angles[k + 1])
-    made = replace(made, motions=replace(made.motions, target=target), swivel=axes)
+    made = replace(made, motions=replace(made.motions, target=Poses.of(target)), swivel=axes)
     path, motion, t = every_place(made)
     begin = begins(made)
     for k, s, pose in zip(motion, t, toolpath.at(made, path, motion, t).pose, strict=True):

@@ -97,6 +97,6 @@ def test_a_point_of_the_flange_is_the_same_seen_through_its_pose():
     moved = replace(made, bases=np.stack([frame, made.bases[0]]), tools=np.stack([made.tools[0], frame]))
     point = np.array([0.1, -0.2, 0.3])
     for other in (made, replace(made, bases=frame[None], tools=frame[None]), moved):
-        expected = toolpath.flange_from_tcp(other, sample.motion, sample.pose) @ np.append(point, 1.0)
-        found = toolpath.flange_points(other, sample.motion, sample.pose, point)
+        expected = toolpath.flange_from_tcp(other, sample.motion, sample.pose[:]) @ np.append(point, 1.0)
+        found = toolpath.flange_points(other, sample.motion, sample.pose[:], point)
         np.testing.assert_allclose(found, expected[:, :3], atol=1e-12)

@@ -11,6 +11,7 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from postproc import toolpath
+from postproc.poses import Poses
 from postproc.program import SPL, Carriage
 from postproc.toolpath import DisplacementEstimate, Pieces
 from tests.programs import program
@@ -77,9 +78,9 @@ def test_what_turning_and_growing_displacements_miss_is_about_what_circles_miss(
     assert pieces(made, estimate(made)).number.tolist() == [least]
     # a displacement that is large turns over the length of the arm, and grows as the tool turns with it
     for turned_by in (0.0, 40.0):
-        target = made.motions.target.copy()
+        target = made.motions.target[:]
         target[1, :3, :3] = target[0, :3, :3] @ Rotation.from_euler("x", turned_by, degrees=True).as_matrix()
-        leaning = replace(made, motions=replace(made.motions, target=target))
+        leaning = replace(made, motions=replace(made.motions, target=Poses.of(target)))
         assert largest_certain(
             lambda value, leaning=leaning: pieces(leaning, estimate(leaning, size=value)).uncertain[0]
         ) == pytest.approx(1.0 / (0.05 / turning + np.radians(turned_by) / growing), rel=1e-3)
@@ -122,9 +123,9 @@ def test_arcs_are_sampled_as_closely_as_lines(tolerance, degrees):
     """Every 20 mm at 0.01 mm, with its root; the tool turns by 3° at most; their middle is a sample."""
     for radius, turned_by in ((400.0, 0.0), (5.0, 170.0)):
         made = arc_of(degrees, radius)
-        target = made.motions.target.copy()
+        target = made.motions.target[:]
         target[1, :3, :3] = target[0, :3, :3] @ Rotation.from_euler("x", turned_by, degrees=True).as_matrix()
-        made = replace(made, motions=replace(made.motions, target=target))
+        made = replace(made, motions=replace(made.motions, target=Poses.of(target)))
         found = pieces(made, estimate(made), tolerance)
         length = np.radians(degrees) * radius / 1e3
         most = max(length / (0.02 * np.sqrt(tolerance / 1e-5)), turned_by / 3.0)
@@ -204,9 +205,9 @@ def test_places_of_lines_and_what_is_added_to_them():
         ("LIN", 0, 310, 0),
     ]  # fmt: skip
     made = program(moves)
-    target = made.motions.target.copy()
+    target = made.motions.target[:]
     target[5, :3, :3] = target[4, :3, :3] @ Rotation.from_euler("y", 40, degrees=True).as_matrix()
-    made = replace(made, motions=replace(made.motions, kind=np.array([2, 0, 0, 0, SPL, 0]), target=target))
+    made = replace(made, motions=replace(made.motions, kind=np.array([2, 0, 0, 0, SPL, 0]), target=Poses.of(target)))
     path = toolpath.segments(made, START)
     none = estimate(made)
     no_arcs = toolpath.pieces(made, path, TOLERANCE, none)
@@ -314,10 +315,10 @@ def test_lines_on_rotary_axes_are_divided_until_the_tool_leans_less_than_the_tol
     angles = np.array([(0, 10), (10, 20), (40, 15), (20, 50), (30, 10), (5, 40), (170, 40), (200, 10)], dtype=float)
     made = replace(made, motions=replace(made.motions, kind=np.array([2, 0, 0, 0, 0, 0, 1])))
     axes = swivel(made, "CB", angles)
-    target = made.motions.target.copy()
+    target = made.motions.target[:]
     for k in range(len(target)):
         target[k, :3, :3] = axes.frames[axes.frame[k]] @ swivelled(made, "CB", angles[k + 1])
-    made = replace(made, motions=replace(made.motions, target=target), swivel=axes)
+    made = replace(made, motions=replace(made.motions, target=Poses.of(target)), swivel=axes)
     path = toolpath.segments(made, START)
     for tolerance in (1e-5, 1e-4, 1.0):
         found = toolpath.swivel_pieces(made, path, tolerance)

@@ -10,6 +10,7 @@ from msgspec.structs import replace
 
 from postproc import cell as cells
 from postproc import correction, frames, jobs, kinematics, robot, toolpath, under_load
+from postproc.poses import Poses
 from postproc.program import Carriage
 from postproc.under_load import ImpossiblePathError
 from tests.programs import program
@@ -177,6 +178,6 @@ def test_axis_targets_are_not_asked_where_they_are() -> None:
     joints = made.motions.joints.copy()
     joints[1] = 0.1
     assert refused(made) is not None
-    target = made.motions.target.copy()
+    target = made.motions.target[:]
     target[1, :3, 3] = np.nan
-    assert refused(replace(made, motions=replace(made.motions, joints=joints, target=target))) is None
+    assert refused(replace(made, motions=replace(made.motions, joints=joints, target=Poses.of(target)))) is None

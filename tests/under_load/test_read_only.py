@@ -35,7 +35,7 @@ def program(request):
 
 def test_a_program_that_was_read_is_read_only(program):
     found = dict(arrays(program))
-    assert {".motions.target", ".bases", ".tools"} <= set(found)
+    assert {".motions.target.position", ".bases", ".tools"} <= set(found)
     assert [name for name, value in found.items() if value.flags.writeable] == []
     with pytest.raises(ValueError, match="read-only"):
         program.motions.feed[0] = 1.0
@@ -45,5 +45,5 @@ def test_a_path_under_load_is_read_only_with_all_that_it_holds(program):
     motions = MotionsUnderLoad.of(program, RobotInCell.of(ROBOT, CELL), None)
     path = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False))
     found = {name: value for name, value in arrays(path) if ".robot_in_cell." not in name}
-    assert {".wrench", ".joints.q", ".sample.pose", ".motions.forces.wrench", ".arcs.number"} <= set(found)
+    assert {".wrench", ".joints.q", ".sample.pose.position", ".motions.forces.wrench", ".arcs.number"} <= set(found)
     assert [name for name, value in found.items() if value.flags.writeable] == []

@@ -23,6 +23,7 @@ from postproc.dialects.apt.walk import ARC, RAPID, Course, Part, executed
 from postproc.dialects.dialect import CamFormat
 from postproc.errors import ForceError, InputError, Issue, ProgramError, together
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, inverse, norm
+from postproc.poses import Poses
 from postproc.program import (
     CIRC,
     LIN,
@@ -183,7 +184,7 @@ def _motions(
         kind=np.where(free, PTP, np.where(code == ARC, CIRC, LIN)).astype(np.int64),
         rapid=rapid,
         line=source.line[moves.row[kept]],
-        target=target,
+        target=Poses.of(target),
         joints=joints,
         centre=centre,
         normal=normal,

@@ -38,6 +38,7 @@ from postproc.dialects.gcode.moves import (
 from postproc.dialects.gcode.words import Fault
 from postproc.errors import MOST, Level
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, angle_between, any_column, norm
+from postproc.poses import Poses
 from postproc.program import (
     CIRC,
     LIN,
@@ -49,6 +50,7 @@ from postproc.program import (
     constant,
     direction,
     distinct,
+    read_only,
     tilted,
     turning,
 )
@@ -440,14 +442,12 @@ def _motions(
     kind = np.where(free, PTP, np.where(code < 2.0, LIN, CIRC))
     nothing = np.broadcast_to(np.nan, (len(kept), 6))  # takes no memory
     centre, normal, sweep = nothing[:, :3], nothing[:, :3], nothing[:, 0]
-    target = np.zeros((len(kept), 4, 4))
-    target[:, 3, 3] = 1.0
     frames = moves.frames[moves.frame[kept]] if len(moves.frames) > 1 else moves.frames
     if swivel is None:
-        target[:, :3, :3] = frames[:, :3, :3] @ setting.orientation
+        rotation = np.broadcast_to(frames[:, :3, :3] @ setting.orientation, (len(kept), 3, 3))
     else:
-        target[:, :3, :3] = swivel.of(swivel.end, swivel.frame)
-    target[:, :3, 3] = _placed(frames, moves.end[kept])
+        rotation = swivel.of(swivel.end, swivel.frame)
+    target = Poses(_placed(frames, moves.end[kept]), rotation)
     is_arc = np.flatnonzero(kind == CIRC)
     if len(is_arc):
         circular, arcs = circles
@@ -461,7 +461,10 @@ def _motions(
     if home.any() and setting.home is not None:
         joints = nothing.copy()
         joints[home] = speeds.home
-        target[home] = setting.home[moves.tool[kept[home]]]
+        poses = setting.home[moves.tool[kept[home]]]
+        rotation = rotation.copy()
+        rotation[home], target.position[home] = poses[:, :3, :3], poses[:, :3, 3]
+        target = Poses(target.position, rotation)
     per_minute = rows.feed[row].copy()
     timed = rows.inverse_time[row] & ~rapid
     per_minute[timed] *= length[timed]
@@ -492,9 +495,7 @@ def _motions(
         status=unset,
         turn=unset,
     )
-    for name in Motions.__struct_fields__:
-        getattr(motions, name).flags.writeable = False
-    return motions
+    return read_only(motions)
 
 
 def _lengths(moves: Moves, circular: Ints, arcs: Arcs) -> Array:

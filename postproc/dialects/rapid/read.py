@@ -22,6 +22,7 @@ from postproc.dialects.rapid.language import BEGIN, END, NO_EXTERNAL_AXES
 from postproc.dialects.text import line_spans
 from postproc.errors import MOST, InputError, Issue, ProgramError, together
 from postproc.frames import M_PER_MM, Array, inverse, xyzabc_from_pose
+from postproc.poses import Poses
 from postproc.program import (
     CIRC,
     LIN,
@@ -300,7 +301,7 @@ class _Reader:
             kind=kind,
             rapid=kind == PTP,
             line=line,
-            target=pose,
+            target=Poses.of(pose),
             joints=joints,
             centre=centre,
             normal=normal,

@@ -23,6 +23,7 @@ from postproc.frames import (
     rotation_from_vector,
     xyzabc_from_pose,
 )
+from postproc.poses import Poses, poses_from_xyzabc
 from postproc.program import Bools, Carriage, Ints, Starts
 
 _SAME = 1e-9
@@ -60,7 +61,7 @@ class EndPoses(Struct, frozen=True, eq=False):
     """
 
     numbers: Array
-    pose: Array
+    pose: Poses
     joints: Array
     start: Starts
     resumed: Bools
@@ -291,8 +292,8 @@ def end_poses(
         row = at + 1
     follower.absolute(row, len(line))
 
-    (pose,) = in_chunks(lambda numbers: (pose_from_xyzabc(numbers),), follower.numbers)
-    start = Starts.of(frames, lambda motion: pose.take(motion, axis=0), start_flange, after)
+    pose = poses_from_xyzabc(follower.numbers)
+    start = Starts.of(frames, pose.__getitem__, start_flange, after)
     ignored, constant = np.zeros(len(line), dtype=np.bool_), np.flatnonzero(led.constant)
     ignored[constant] = any_column(np.abs(given[constant, 3:] - follower.numbers[constant, 3:]) > _SAME)
     _check_ignored(source, line, given, moves, led.constant, ignored)

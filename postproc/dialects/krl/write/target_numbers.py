@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 from msgspec import Struct
 
+from postproc.chunks import in_chunks
 from postproc.dialects.krl.language.positions import CARTESIAN
 from postproc.dialects.krl.language.values import Number
 from postproc.dialects.krl.layout import FREE, IGNORE, ORIENTATIONS, Layout, Offsets
@@ -66,7 +67,7 @@ def target_numbers(motions: Motions, layout: Layout, targets: Targets, text: str
     row = targets.motion
     last = np.append(row[1:] != row[:-1], True) if len(row) else np.zeros(0, dtype=np.bool_)
     keep = targets.keep & last
-    exact = xyzabc_from_pose(targets.pose)
+    (exact,) = in_chunks(lambda rows: (xyzabc_from_pose(targets.pose[rows]),), np.arange(len(row)))
     exact[:, 3:] = _nearest(exact[:, 3:], layout.numbers[row, 3:])
     decimals = np.maximum(DECIMALS, np.minimum(_decimals(layout, text)[row], MOST_DECIMALS))
     numbers = np.where(keep[:, None], layout.numbers[row], _rounded(exact, decimals))

@@ -1,0 +1,81 @@
+"""Many poses in little memory: the targets of a program often have one orientation."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from postproc.chunks import Columns, in_chunks
+from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, rotation_from_angles
+
+_FIRST_THREE = slice(None, 3)
+
+
+class Poses(Columns, frozen=True, eq=False):
+    """N poses, indexed like an array (N, 4, 4), in less memory: nothing is kept of a constant orientation.
+
+    :param position: (N, 3) [m].
+    :param rotation: (N, 3, 3); of one orientation for all a view without memory of its own, see `fixed`.
+
+    >>> poses = Poses.fixed(np.arange(6.0).reshape(2, 3), np.eye(3))
+    >>> poses[[1], :3, 3].tolist(), poses[[1]].shape, poses.position.nbytes + poses.rotation.base.nbytes
+    ([[3.0, 4.0, 5.0]], (1, 4, 4), 120)
+    """
+
+    position: Array
+    rotation: Array
+
+    @classmethod
+    def of(cls, pose: Array) -> Poses:
+        """Return poses (N, 4, 4)."""
+        rotation = pose[:, :3, :3]
+        same = bool(len(pose)) and bool((rotation[-1] == rotation[0]).all()) and bool((rotation == rotation[0]).all())
+        if same:
+            return cls.fixed(pose[:, :3, 3].copy(), rotation[0].copy())
+        return cls(pose[:, :3, 3].copy(), rotation.copy())
+
+    @classmethod
+    def fixed(cls, position: Array, rotation: Array) -> Poses:
+        """Return poses at positions (N, 3) [m] with one orientation (3, 3)."""
+        return cls(position, np.broadcast_to(rotation, (len(position), 3, 3)))
+
+    @property
+    def is_fixed(self) -> bool:
+        """True if one orientation is kept for all."""
+        return self.rotation.strides[0] == 0
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    def __getitem__(self, key: Any) -> Array:
+        """Return matrices (n, 4, 4) of some rows, or entries of them: `[rows]`, `[rows, :3, 3]`, `[rows, :3, :3]`."""
+        rows, *entries = key if isinstance(key, tuple) else (key,)
+        if entries == [_FIRST_THREE, 3]:
+            return np.asarray(self.position[rows])
+        if entries and entries[0] == _FIRST_THREE and entries[1] in (_FIRST_THREE, 0, 1, 2):
+            return np.asarray(self.rotation[rows][..., entries[1]])
+        position = self.position[rows]
+        out = np.zeros((*position.shape[:-1], 4, 4))
+        out[..., :3, :3], out[..., :3, 3], out[..., 3, 3] = self.rotation[rows], position, 1.0
+        return np.asarray(out[(*[slice(None)] * (out.ndim - 2), *entries)])
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        return np.asarray(self[:], dtype)
+
+    def take(self, rows: NDArray[Any] | slice) -> Poses:
+        """Return some of the poses."""
+        position = self.position[rows]
+        if self.is_fixed:
+            return Poses(position, np.broadcast_to(self.rotation[:1], (len(position), 3, 3)))
+        return Poses(position, self.rotation[rows])
+
+
+def poses_from_xyzabc(xyzabc: Array) -> Poses:
+    """Return the poses of KUKA frames (N, 6) [mm, deg], see `pose_from_xyzabc`."""
+    angles = xyzabc[:, 3:]
+    if len(angles) and (angles[-1] == angles[0]).all() and (angles == angles[0]).all():
+        return Poses.fixed(xyzabc[:, :3] * M_PER_MM, rotation_from_angles(angles[0] * RAD_PER_DEG))
+    (rotation,) = in_chunks(lambda angles: (rotation_from_angles(angles * RAD_PER_DEG),), angles)
+    return Poses(xyzabc[:, :3] * M_PER_MM, rotation)
