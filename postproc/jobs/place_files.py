@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
+import msgspec
 from msgspec import Struct
 
 from postproc import cell as cells
@@ -13,7 +14,7 @@ from postproc.cell import Cell
 from postproc.errors import InputError, did_you_mean
 from postproc.files import foreign, refuse, with_record, write_whole
 from postproc.frames import RAD_PER_DEG
-from postproc.jobs.conversion import programs_under_force, read_started
+from postproc.jobs.conversion import programs_under_force, read_program, read_started
 from postproc.jobs.output_plan import protect
 from postproc.jobs.programs import find_jobs, load_robot
 from postproc.placement import Keep, PathSamples, region
@@ -147,8 +148,10 @@ def _started(request: PlaceRequest, cell: Cell, robot: RobotModel) -> tuple[Cell
 
 def _samples(request: PlaceRequest, cell: Cell, robot: RobotModel) -> tuple[Sequence[PathSamples], list[str]]:
     setting, found, names = RobotInCell.of(robot, cell), [], []
+    elsewhere = msgspec.structs.replace(cell, base=msgspec.structs.replace(cell.base, X=cell.base.X + 1.0))
     for path, program, source in programs_under_force(request.programs, request.forces or request.process, robot, cell):
-        region.check_base(program, setting)
+        moved = read_program(path, robot, elsewhere) if program.keeps_text else None
+        region.check_base(program, setting, moved)
         found.append(PathSamples.of(program, setting, source))
         names.append(path.name)
     return found, names

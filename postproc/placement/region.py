@@ -316,19 +316,22 @@ def _stations(samples: PathSamples, most: int) -> _Stations:
     return _Stations(samples, row, before, shift, branch, weight)
 
 
-def check_base(program: Program, setting: RobotInCell) -> None:
-    """Check that a program is in the `$BASE` of the cell.
+def check_base(program: Program, setting: RobotInCell, moved: Program | None = None) -> None:
+    """Check that a program is in the `$BASE` of the cell, and moves with it.
 
+    :param moved: the program as it is read with another `[base]`; None: its dialect has no frames of its own.
     :raises InputError: it has frames of its own, which do not move with the cell's.
     """
     base = setting.cell.base.pose()
     for row in np.unique(program.motions.base).tolist():
-        if np.abs(program.bases[row] - base).max() > _SAME_FRAME:
-            line = int(program.motions.line[np.argmax(program.motions.base == row)])
+        first = np.argmax(program.motions.base == row)
+        stays = moved is not None and np.array_equal(moved.bases[moved.motions.base[first]], program.bases[row])
+        if stays or np.abs(program.bases[row] - base).max() > _SAME_FRAME:
             raise InputError(
-                f"line {line}: the motions are in a $BASE that is not [base] of the cell, and would not move with it",
+                f"line {program.motions.line[first]}: the motions are in a $BASE that the program sets itself: they "
+                "would not move with [base] of the cell",
                 file=program.documents[0].name,
-                advice="Give [base] the frame of the program, or leave this program out.",
+                advice="Remove what sets $BASE and let [base] give it ([krl] initmov), or leave this program out.",
             )
 
 

@@ -200,11 +200,12 @@ def _at_samples(samples: PathSamples, blocks: Blocks, knots: Array) -> Array:
 
 
 def _said(turn: Turn) -> Issue:
-    low, high = turn.range_deg()
-    if turn.mode == "best":
-        message = f"The tool is turned about its axis by one angle for each operation, from {low:.0f}° to {high:.0f}°."
+    low, high = (f"{angle:.0f}°" for angle in turn.range_deg())
+    how = "by one angle for each operation" if turn.mode == "best" else "along the path"
+    if low == high:
+        message = f"The tool is turned about its axis by {low} everywhere."
     else:
-        message = f"The tool is turned about its axis along the path, from {low:.0f}° to {high:.0f}°."
+        message = f"The tool is turned about its axis {how}, from {low} to {high}."
     if turn.map.hit is None:
         message += f" {NO_CLEARANCE}"
     return Issue("info", "redundancy", message)

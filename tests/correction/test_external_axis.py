@@ -180,6 +180,7 @@ def test_only_such_programs_have_the_column():
         ((START, "LIN_REL {X 100,E1 5,E3 -2}"), RAIL, "E3 moves by -2"),
         (("LIN {X 100,Y 0,Z 0,A 180,B 0,C 180}", START), RAIL, "part.src:5: the position of E1.*Give E1"),
         (("PTP {X 100,Y 0,Z 0,A 180,B 0,C 180}", "LIN_REL {E1 50}"), RAIL, "part.src:5: the position of E1"),
+        ((START, "CIRC {X 50,Y 50},{X 100,Y 0,E1 200},CA 90"), RAIL, "part.src:6: E1 moves along a circle with CA"),
         (("$BASE=EK(MACHINE_DEF[2].ROOT,#EASYS,{X 1})", START), RAIL, "external kinematics"),
     ],
 )

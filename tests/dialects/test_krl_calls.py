@@ -322,11 +322,24 @@ def test_submit_programs_may_write_global_names_at_any_time(tmp_path):
 
 def test_each_program_that_is_nowhere_is_named_with_its_first_line():
     found = program(
-        "MSG()", "MoveSettings()", "RET=RSI_ON()", "IF CHECK(1) THEN", "ENDIF", "MSG()", "X=SIN(3)", "LIN XG"
+        "MSG()", "MoveSettings()", "RET=RSI_CREATE()", "IF CHECK(1) THEN", "ENDIF", "MSG()", "X=SIN(3)", "LIN XG"
     )
-    assert about(found, "external-call") == [("MSG", 4), ("MOVESETTINGS", 5), ("RSI_ON", 6), ("CHECK", 7), ("MSG", 9)]
+    assert about(found, "external-call") == [
+        ("MSG", 4),
+        ("MOVESETTINGS", 5),
+        ("RSI_CREATE", 6),
+        ("CHECK", 7),
+        ("MSG", 9),
+    ]
     assert any(issue.message.startswith("MoveSettings() is in no file") for issue in found.issues)
     assert all("GLOBAL XG" in issue.message for issue in found.issues if issue.kind == "external-call")
+
+
+@pytest.mark.parametrize("call", ["RSI_MOVECORR()", "RET=RSI_ON()", "IF ST_ON1(1,2)==0 THEN\nENDIF"])
+def test_a_sensor_that_moves_the_robot_is_refused(call):
+    with pytest.raises(ProgramError, match="sensor") as caught:
+        read(body(FULL, *call.split("\n"), FULL))
+    assert caught.value.line == 5
 
 
 def test_global_names_that_motions_depend_on_are_named_with_the_calls_that_may_change_them():

@@ -177,6 +177,17 @@ def test_a_krl_program_with_a_base_of_its_own_is_refused():
         region.check_base(program, RobotInCell.of(model, own))
 
 
+def test_a_krl_program_that_sets_the_numbers_of_the_cell_as_its_base_is_refused(tmp_path, monkeypatch):
+    """It would stay where it is when [base] is moved to the place that is found."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "cell.toml").write_bytes((SAMPLES / "cell_kr270.toml").read_bytes())
+    frame = "$BASE={X 1500,Y -200,Z 700,A 0,B 0,C 0}"
+    body = "$VEL.CP=0.05\nPTP {X 0,Y 0,Z 60,A 180,B 0,C 180}\nLIN {X 20}\nEND\n"
+    (tmp_path / "own.src").write_text(f"DEF own()\n{frame}\n{body}")
+    done = CliRunner().invoke(main, ["place", "own.src", "--cell", "cell.toml", "--region", "X=1500:1510", "-o", "out"])
+    assert (done.exit_code, "$BASE that the program sets itself" in done.output) == (1, True), done.output
+
+
 def test_the_command_writes_map_table_and_base(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name in ("freeform.nc", "freeform.forces.csv", "cell_kr270.toml", "inline.src", "inline.dat"):

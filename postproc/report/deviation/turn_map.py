@@ -51,8 +51,10 @@ def turn(data: Deviation) -> Section | None:
         note="Each column is the worst of its piece of the path. Rapid moves count for reach only, not for errors.",
     )
     how = "one turn for each operation" if found.mode == "best" else "a turn that changes along the path"
+    first, last = f"{low:.0f}°", f"{high:.0f}°"
+    what = f"{first} everywhere" if first == last else f"{how}, from {first} to {last}"
     parts: list[Part] = [plot]
-    notes = [f"Chosen: {how}, from {low:.0f}° to {high:.0f}°.", *_gain(found, chosen)]
+    notes = [f"Chosen: {what}.", *_gain(found, chosen)]
     if found.map.hit is None:
         notes.append(NO_CLEARANCE)
     parts.append(Notes(tuple(Note(text) for text in notes)))

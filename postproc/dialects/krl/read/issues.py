@@ -35,11 +35,20 @@ def issues_of(
 
 
 def _absent(main: MainRoutine) -> Iterator[Issue]:
-    """Called programs that are in no file, and what they are assumed not to do."""
+    """Called programs that are in no file, and what they are assumed not to do.
+
+    :raises ProgramError: one is known to move the robot.
+    """
     shared = sorted(main.run.variables.used & main.run.variables.public)
     more = "" if len(shared) <= _MOST_NAMES else f" and {len(shared) - _MOST_NAMES} more"
     points = f", nor the GLOBAL {', '.join(shared[:_MOST_NAMES])}{more}" if shared else ""
     for name, line in main.run.absent:
+        if name.upper() in _BY_SENSOR:
+            raise main.run.source.line_error(
+                f"{name}() moves the robot by what a sensor says: the path is not known",
+                line,
+                "Convert the program without the sensor's correction.",
+            )
         fault = main.run.library.faults.get(name.upper())
         where = f"is in a file that cannot be read ({fault})" if fault else "is in no file that was searched"
         message = (
@@ -91,6 +100,9 @@ def _initial_frames(
             count=len(found),
         )
 
+
+_BY_SENSOR = frozenset({"RSI_ON", "RSI_MOVECORR", "ST_ON", "ST_ON1"})
+"""Routines of KUKA.RobotSensorInterface by which a sensor moves the robot; none has a .src to read."""
 
 _KEEP = "--keep-unresolved leaves motions as they are"
 

@@ -24,7 +24,7 @@ from postproc.dialects.krl.read.spline_blocks import approximated, check_words, 
 from postproc.dialects.krl.read.state import DEFAULT_SPEED, State, fields_used
 from postproc.errors import Issue, ProgramError, together
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, angle_between, any_column, norm
-from postproc.program import CIRC, LIN, PTP, Bools, Ints, Motions, Starts, constant, distinct
+from postproc.program import CIRC, LIN, PTP, Bools, Carriage, Ints, Motions, Starts, constant, distinct
 
 _BY_ROTATION = (FREE, CONSTANT)
 """Values of `$ORI_TYPE` under which the orientation changes by one rotation, or not at all."""
@@ -33,6 +33,8 @@ _LITTLE = 0.5 * RAD_PER_DEG
 of half of it."""
 _AT_THE_END = 1e-6
 """A circle with CA that ends this close [rad] to its end point ends there."""
+_AT_REST = 1e-7
+"""An external axis that moves by less [m] stays where it is: the tenth of a micrometre of the text."""
 _BY_SPEED = frozenset({"C_VEL", "C_ORI"})
 
 
@@ -117,7 +119,7 @@ def motions_and_layout(
     ends = end_poses(source, rows.line, given, frames, moves, start_joints, forward, led, carriage, after)
     by_wrist = _by_wrist(source, rows, states, state, ends, settings)
     _check_by_wrist(source, rows, states, state, ends, settings)
-    centre, normal, sweep, unheeded = _arcs(source, rows, ends, moves, led, settings, (states, state))
+    centre, normal, sweep, unheeded = _arcs(source, rows, ends, moves, led, settings, (states, state), carriage)
 
     speed, cdis = numbers.T
     motions = Motions(
@@ -341,6 +343,7 @@ def _arcs(
     led: Led,
     settings: Settings,
     in_force: tuple[list[State], Ints],
+    carriage: Carriage | None,
 ) -> tuple[Array, Array, Array, Bools]:
     """Return centre (M, 3), normal (M, 3) and sweep (M,) of the circles, NaN elsewhere, and `Layout.unheeded` (M,)."""
     unheeded = np.zeros(len(rows), dtype=np.bool_)
@@ -369,6 +372,15 @@ def _arcs(
             int(line[turning][0]),
             "Give the end of the arc as its end point, without CA, or use $ORI_TYPE=#CONSTANT.",
         )
+    riding = angled & ~(np.abs(own - angle) < _AT_THE_END)
+    if carriage is not None:
+        riding &= np.abs(carriage.end[circular] - carriage.begin[circular]) > _AT_REST
+        if riding.any():
+            raise source.line_error(
+                "E1 moves along a circle with CA: where it reaches its end is not certain",
+                int(line[riding][0]),
+                "Give the end of the arc as its end point, without CA, or move E1 in a motion of its own.",
+            )
     tools = start, ends.pose[circular]
     arcs = centre[circular], axis, via, angle
     states, state = in_force
