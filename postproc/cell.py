@@ -5,6 +5,7 @@ docs/reference/cell.md describes `cell.toml`; `Cell` is its content in SI units,
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 from typing import Annotated, Literal
@@ -119,7 +120,7 @@ class GCode(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
     redundancy_deg: Angle = 0.0
     redundancy: Literal["constant", "best", "path"] = "constant"
-    rapid_m_per_s: Positive = 0.5
+    rapid_m_per_s: Annotated[float, msgspec.Meta(gt=0, le=10)] = 0.5
     approximation_mm: NotNegative = 0.5
     corner_tolerance_mm: NotNegative = 0.05
     motions: Literal["LIN", "SLIN"] = "LIN"
@@ -308,6 +309,11 @@ class Cell(CellFile, frozen=True):
         return orientation
 
 
+def _looks_like_radians(joints: tuple[float, ...]) -> bool:
+    """Return whether all angles are below 2π and one has a fraction: in degrees the arm would be stretched out."""
+    return max(map(abs, joints)) < 2.0 * math.pi and any(angle % 1.0 for angle in joints)
+
+
 _VARIABLE = re.compile(r"[A-Za-z_$][\w$]*(\[[0-9]{1,6}(,[0-9]{1,6}){0,2}\])?", re.ASCII)
 _LARGEST_VALUE = 2**31 - 1
 _EXAMPLE = """The least that a cell needs, for example:
@@ -336,6 +342,9 @@ def load(path: str | Path) -> Cell:
     path = Path(path)
     absent = f"Write one with: postproc init {path}"
     cell = files.read_toml(path, CellFile, CellError, _EXAMPLE, absent)
+    if cell.start is not None and _looks_like_radians(cell.start.joints):
+        advice = "Angles are in degrees: write 110 for 1.92 rad. If degrees are meant, round them."
+        raise CellError(f"[start] joints = {list(cell.start.joints)} look like radians", file=str(path), advice=advice)
     for table, name in ((cell.base_data, "base_data"), (cell.tool_data, "tool_data"), (cell.tools, "tools")):
         for key in table:
             if not (key.isascii() and key.isdecimal() and len(key) <= 4):

@@ -51,6 +51,12 @@ def test_all_unknown_and_missing_keys_are_told_in_one_run(tmp_path: Path) -> Non
         ("X = 1500.0", "X = nan", "base.X is nan"),
         ("X = 1500.0", "X = " + "[" * 5000, "not valid TOML"),
         ("[0, -70, 110, 0, 50, 0]", "[0, -70]", "start.joints: Expected a list of length 6, got 2"),
+        (
+            "[0, -70, 110, 0, 50, 0]",
+            "[0, -1.22, 1.92, 0, 0.87, 0]",
+            r"\[start\] joints = .* look like radians.*degrees",
+        ),
+        ("rapid_m_per_s = 0.3", "rapid_m_per_s = 300", "gcode.rapid_m_per_s: Expected `float` <= 10"),
         ("[base_data.3]", '[base_data."²"]', r"base_data\.²"),
         ("[base_data.3]", f"[base_data.{'3' * 5000}]", "is not a number"),
         ("[work_offsets.G54]", "[work_offsets.G60]", "Valid names: G54"),
