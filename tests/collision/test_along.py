@@ -10,7 +10,7 @@ import argparse
 import numpy as np
 import pytest
 
-from postproc.collision import along, bodies, clearance
+from postproc.collision import Solids, along, bodies, clearance, hits
 from tests.collision.setting import KR270, frame, pose, random_scene, sampled, scene
 
 pytest.importorskip("fcl")
@@ -75,16 +75,6 @@ def test_a_long_path_far_from_everything_costs_little():
     assert along(scene(spindle, post), q, 0.005).calls < 2000
 
 
-if __name__ == "__main__":
-    options = argparse.ArgumentParser(description=__doc__)
-    options.add_argument("--count", type=int, default=1000)
-    options.add_argument("--seed", type=int, default=1)
-    chosen = options.parse_args()
-    random = np.random.default_rng(chosen.seed)
-    outcomes = [check(random) for _ in range(chosen.count)]
-    print(f"{chosen.count} scenes, {outcomes.count('hit')} with hits: none missed")
-
-
 @pytest.mark.parametrize("carrier", [0, 2, 5, 6])
 def test_a_body_may_be_nearer_by_as_far_as_it_moves_to_the_commanded_angles(carrier):
     """Corners of a box, moved by the joint frames of an arm of another library; no more than by half is too much."""
@@ -105,3 +95,23 @@ def test_a_body_may_be_nearer_by_as_far_as_it_moves_to_the_commanded_angles(carr
     here = along(what, q, 0.0)
     assert here.less == 0.0
     assert found.closest.distance == pytest.approx(here.closest.distance - found.less, abs=1e-3)
+
+
+def test_the_way_out_of_a_contact_is_said_at_the_contact_alone():
+    """A1 turns the spindle away from a post that it stands in, or into it: one hit, at the pose in contact."""
+    q = np.radians([[0.0, -90.0, 90.0, 0.0, 0.0, 0.0], [60.0, -90.0, 90.0, 0.0, 0.0, 0.0]])
+    post = bodies.box("post", -1, "obstacle", pose(np.eye(3), frame(q[0], 6)[:3, 3]), np.full(3, 0.2))
+    spindle = bodies.cylinder("spindle", 6, "tool", np.zeros(3), np.array([0, 0, 0.2]), 0.05)
+    solids = Solids(scene(spindle, post))
+    assert hits(solids, q, 0.0).tolist() == [True, False]
+    assert hits(solids, q[::-1], 0.0).tolist() == [False, True]
+
+
+if __name__ == "__main__":
+    options = argparse.ArgumentParser(description=__doc__)
+    options.add_argument("--count", type=int, default=1000)
+    options.add_argument("--seed", type=int, default=1)
+    chosen = options.parse_args()
+    random = np.random.default_rng(chosen.seed)
+    outcomes = [check(random) for _ in range(chosen.count)]
+    print(f"{chosen.count} scenes, {outcomes.count('hit')} with hits: none missed")

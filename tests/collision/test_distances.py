@@ -137,3 +137,34 @@ def test_a_free_arm_does_not_touch_itself(name):
     hits = clearance(held, np.radians([[0, -80, 100, 0, 60, 0]]))
     assert hits.distance[0] == 0.0
     assert held.bodies[hits.first[0]].name == "cutter"
+
+
+def test_obstacles_in_base_are_where_the_given_base_is(tmp_path):
+    """A box and a mesh of it, turned by 90° about Z: (x, y, z) of `$BASE` is (1 − y, 2 + x, 3 + z) of the root."""
+    trimesh.creation.box(bounds=[[100, 200, 300], [400, 600, 800]]).export(tmp_path / "part.stl")
+    text = (ROOT / "samples" / "cell_kr270.toml").read_text(encoding="utf-8")
+    (tmp_path / "cell.toml").write_text(
+        f"{text}\n[collision]\nobstacles = [ {{ frame = 'base', mesh = 'part.stl' }}, "
+        "{ frame = 'base', box = { X = [100, 400], Y = [200, 600], Z = [300, 800] } } ]\n"
+    )
+    base = pose(np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), [1.0, 2.0, 3.0])
+    placed = Scene.of(KR270, cells.load(tmp_path / "cell.toml"), base=base).bodies[-2:]
+    for body in placed:
+        np.testing.assert_allclose(body.points.min(axis=0), [0.4, 2.1, 3.3], atol=1e-6)
+        np.testing.assert_allclose(body.points.max(axis=0), [0.8, 2.4, 3.8], atol=1e-6)
+
+
+def test_cutter_and_tool_are_compared_with_the_links_up_to_a4():
+    """The flange follows A6: the hand, A5 and A6, turns with it; shapes of the arm keep one more link apart."""
+    cube = np.eye(4), np.full(3, 0.1)
+    links = [bodies.box(f"A{carrier + 1}", carrier, "arm", *cube) for carrier in range(6)]
+    held = [bodies.box(of, bodies.FLANGE, of, *cube) for of in ("cutter", "tool")]
+    what = scene(*links, *held)
+    names = [(what.bodies[i].name, what.bodies[j].name) for i, j in what.pairs()]
+    near = ["A1", "A2", "A3", "A4"]
+    assert names == [
+        ("A5", "A1"),
+        ("A6", "A1"),
+        ("A6", "A2"),
+        *((of, link) for of in ("cutter", "tool") for link in near),
+    ]
