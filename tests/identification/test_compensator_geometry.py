@@ -376,3 +376,13 @@ def test_intervals_wider_than_a_twentieth_of_the_distance_are_a_warning():
     )
     assert any(0.8 < share < 1.0 for share in told)
     assert any(1.0 < share < 1.25 for share in told)
+
+
+def test_repeats_of_evenly_spread_markers_narrow_their_intervals_as_they_narrow_those_measured():
+    """Four readings of each of even markers: the intervals of even markers are the markers' own."""
+    exact, _ = simulated(cg.even_angles(3), 0.0, 1)
+    count = np.full((4, 6), 4.0)
+    found = cg.identify(
+        cg.MarkerReadings(PAPER_Q2, ("P01", "P02", "P03"), exact[0], exact[1:], count[0], count[1:], 1e-7, 100)
+    )
+    np.testing.assert_allclose(found.markers.ci95_even, found.ci95, rtol=1e-3)

@@ -4,12 +4,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from msgspec.structs import replace
+from msgspec.structs import astuple, replace
 
 from postproc import robot
 from postproc.compensator import Compensator
 from postproc.elastostatics import sensitivity
 from postproc.identification import model_folder, record, uncertainty
+from postproc.identification.joint_springs import Levels
 from postproc.robot.model_file import CompensatorEntry
 from postproc.robot.parameters import named
 from samples.paper_study import harness
@@ -85,3 +86,23 @@ def test_most_of_a_bound_is_that_of_the_joint_whose_parameters_together_have_mos
         replace(known, covariance=robot.Covariance(parameters, matrix)), q, harness.TOOL, wrench, 2e-5
     )
     assert told == f"most of it comes from A3, whose readings do not determine {parameters[2].title}"
+
+
+def test_levels_of_the_second_joint_are_written_in_degrees_and_microradians_with_two_sided_intervals():
+    """2 and 3 µrad/N·m, standard deviations 0.1 µrad/N·m and unknown: 1.96 standard deviations are 95 %."""
+    levels = Levels(np.radians([-90.0, -30.0]), np.array([2e-6, 3e-6]), np.diag([1e-14, np.inf]))
+    first, second = model_folder._levels(levels)
+    assert astuple(first) == pytest.approx((-90.0, 2.0, 0.19600), rel=1e-4)
+    assert astuple(second)[:2] == pytest.approx((-30.0, 3.0))
+    assert second.ci95 is None
+
+
+def test_the_summary_tells_the_residual():
+    residual = record.Residual(0.0312, 0.0944, 0.8125, 1.0, 50, [])
+    data = record.Identified(
+        method="none", robot="x", sigma_mm=0.03, base={}, points={}, unloaded_rms_mm=0.0, outliers=[], warnings=[],
+        residual=residual,
+    )  # fmt: skip
+    shown = "residual 0.031 mm RMS, 0.094 mm max; displacements 0.812 mm RMS"
+    assert shown in model_folder.summary(data)
+    assert "residual" not in model_folder.summary(replace(data, residual=None))

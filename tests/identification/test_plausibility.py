@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from postproc.errors import MeasurementError
 from postproc.identification import plausibility, procedure
 from postproc.identification.fit import solve
 from postproc.identification.measurement_model import locate
@@ -175,3 +176,13 @@ def test_least_squares_with_a_ridge_are_those_of_a_bounded_solver_even_if_two_co
     twins = design[:, [0, 0, 1]]
     found = solve(twins, design[:, 0] * 3.0, np.full(3, 1e-12))
     assert found[0] + found[1] == pytest.approx(3.0, rel=1e-4)
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1 / 9.81, "kg"), (1 / 30.0, "another unit than N")])
+def test_forces_in_another_unit_than_newton_are_refused(experiment, factor, unit):
+    """Forces that are too small by 9.81 are masses; by 30 they are neither."""
+    data = loaded(experiment, lambda raw: None, "newton")
+    placement = locate(harness.PRIOR, data)
+    plausibility.check_loads(harness.PRIOR, data, placement)
+    with pytest.raises(MeasurementError, match=f"the forces look like {unit}"):
+        plausibility.check_loads(harness.PRIOR, replace(data, wrench=data.wrench * factor), placement)
