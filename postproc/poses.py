@@ -46,6 +46,11 @@ class Poses(Columns, frozen=True, eq=False):
         """True if one orientation is kept for all."""
         return self.rotation.strides[0] == 0
 
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Shape of the array that these poses are indexed like."""
+        return len(self), 4, 4
+
     def __len__(self) -> int:
         return len(self.position)
 
@@ -70,6 +75,11 @@ class Poses(Columns, frozen=True, eq=False):
         if self.is_fixed:
             return Poses(position, np.broadcast_to(self.rotation[:1], (len(position), 3, 3)))
         return Poses(position, self.rotation[rows])
+
+
+def as_poses(pose: Poses | Array) -> Poses:
+    """Return poses as they are, or those of an array (N, 4, 4)."""
+    return pose if isinstance(pose, Poses) else Poses.of(pose)
 
 
 def poses_from_xyzabc(xyzabc: Array) -> Poses:

@@ -12,11 +12,12 @@ from typing import Any, Literal, Protocol, TypeVar
 
 import numpy as np
 from msgspec import Struct, field
+from msgspec.structs import force_setattr
 from numpy.typing import NDArray
 
 from postproc.errors import ForceError, Issue, Level, ProgramError
 from postproc.frames import Array, inverse, norm, rotation_from_vector
-from postproc.poses import Poses
+from postproc.poses import Poses, as_poses
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
@@ -54,7 +55,7 @@ class Motions(Struct, frozen=True, eq=False):
     :param rapid: (M,) True for G0 and PTP: moves that never carry force.
     :param line: (M,) 1-based line of the (first) document that makes the motion.
     :param target: M poses of the tool frame in `$BASE` at the end (for axis targets: by the controller's forward
-        kinematics).
+        kinematics); an array (M, 4, 4) of a reader becomes `Poses`.
     :param joints: (M, 6) end in joint angles, KUKA signs, for axis targets (PTP {A1 …}); NaN elsewhere.
     :param centre: (M, 3) centre of the arc at the start's height, `$BASE`; NaN unless CIRC.
     :param normal: (M, 3) unit axis of the arc, `$BASE`; NaN unless CIRC.
@@ -85,6 +86,9 @@ class Motions(Struct, frozen=True, eq=False):
     rounding: Array
     status: Ints
     turn: Ints
+
+    def __post_init__(self) -> None:
+        force_setattr(self, "target", as_poses(self.target))
 
     def __len__(self) -> int:
         return len(self.line)
