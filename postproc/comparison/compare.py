@@ -68,8 +68,7 @@ def compare(
     missing = np.isin(one.rows, found.only_nominal) & divides
     moved[missing] = partner[missing]
     if (moved >= 0).any():
-        partner = np.maximum(_partner_of(found, one, other), moved)
-        partner[partner <= np.maximum.accumulate(np.append(-1, partner[:-1]))] = -1  # in the same order
+        partner = _in_order(np.maximum(_partner_of(found, one, other), moved))
         found = _judged(_paired(one, other, partner, np.ones(len(partner), dtype=bool)), one, other, load)
     if load is not None:
         kept = np.searchsorted(one.rows, found.pair[:, 0])
@@ -206,6 +205,11 @@ def _moved_alone(found: Comparison, one: PlacedProgram, other: PlacedProgram) ->
     alike = (one.program.motions.kind[first] == PTP) == (other.program.motions.kind[second] == PTP)
     out[np.searchsorted(one.rows, first[alike])] = np.searchsorted(other.rows, second[alike])
     return out
+
+
+def _in_order(partner: Ints) -> Ints:
+    """Return partners (n,) without those that are not behind all partners before them; −1 for none."""
+    return np.where(partner <= np.maximum.accumulate(np.append(-1, partner[:-1])), -1, partner)
 
 
 def _with_inserted(found: Comparison, on_path: Bools) -> Comparison:

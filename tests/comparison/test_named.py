@@ -13,7 +13,7 @@ from postproc import cell as cells
 from postproc import correction, jobs
 from postproc.cell import ExternalAxis
 from postproc.comparison import compare, deviations
-from postproc.comparison.compare import _missing, _paired, _under_force
+from postproc.comparison.compare import _in_order, _missing, _paired, _under_force
 from postproc.comparison.paths import Chain, PlacedProgram, nearest
 from postproc.program import PTP, Document
 from postproc.under_load import RobotInCell
@@ -351,6 +351,21 @@ def test_partners_are_exchanged_for_free_ones_that_bring_the_tip_to_the_target(s
     assert _under_force(one, other, np.array(partner), none).tolist() == found
 
 
+def test_partners_stay_in_order_where_the_path_passes_a_target_twice():
+    """The third target is where the first is: its partner, when it has none, is behind that of the second."""
+    one = lines((0, 0), (20, 0), (40, 0), (20, 0), (40, 20))
+    other = lines((0, 0), (20, 0), (40, 0), (20, 9), (20, 0), (40, 20))
+    for partner in ([0, 1, 2, 3, 5], [0, 1, 2, -1, 5]):
+        assert _under_force(one, other, np.array(partner), np.zeros((5, 6))).tolist() == [0, 1, 2, 4, 5]
+    other = lines((0, 0), (20, 0), (40, 0), (20, 9), (40, 20))
+    for partner in ([0, 1, 2, 3, 4], [0, 1, 2, -1, 4]):  # and not that of the second target
+        assert _under_force(one, other, np.array(partner), np.zeros((5, 6))).tolist() == partner
+
+
+def test_no_target_is_the_partner_of_two_and_none_of_one_behind_a_later_one():
+    assert _in_order(np.array([0, 2, 1, -1, 2, 3, 3])).tolist() == [0, 2, -1, -1, -1, 3, -1]
+
+
 def test_only_free_partners_of_the_same_kind_are_taken():
     text = "\n".join([HEAD, *(f"LIN {{X {x},Y 0,Z 0,{TURNED}}}" for x in (0, 20, 40)), "END", ""])
     one = placed(text)
@@ -425,6 +440,21 @@ def test_a_target_between_two_detours_is_on_the_path():
     found = _paired(one, other, np.array([0, 4, 5]), np.ones(3, dtype=bool))
     assert found.inserted.tolist() == [3]  # row 0 is the axis target
     assert found.only_corrected.tolist() == [2, 4]
+
+
+def test_a_target_behind_the_last_pair_and_one_that_axes_move_to_are_not_inserted():
+    """They are on the nominal line, or on what would be its continuation."""
+    one = lines((0, 0), (40, 0), (40, 30))
+    other = lines((0, 0), (40, 0), (40, 30), (40, 30), (40, 50))
+    found = _paired(one, other, np.array([0, 1, 2]), np.ones(3, dtype=bool))
+    assert (found.inserted.tolist(), found.only_corrected.tolist()) == ([], [4, 5])  # row 0 is the axis target
+    text = "\n".join([HEAD, *(f"LIN {{X {x},Y 0,Z 0,{TURNED}}}" for x in (0, 20, 40)), "END", ""])
+    one, other = (
+        placed(text.replace(f"LIN {{X 20,Y 0,Z 0,{TURNED}}}\n", "")),
+        placed(text.replace("LIN {X 20", "PTP {X 20")),
+    )
+    found = _paired(one, other, np.array([0, 2]), np.ones(2, dtype=bool))
+    assert (found.inserted.tolist(), found.only_corrected.tolist()) == ([], [2])
 
 
 def test_comments_of_the_second_program_alone_count_at_pairs():

@@ -126,6 +126,8 @@ FED = JOB.replace("DEF job( )\n", "DEF job( )\nDECL E6POS q\nDECL INT i\n").repl
         ("Z+5", "Z+50", "LIN q"),
         ("q.Z=q.Z+5\n", "", "LIN q"),
         ("LIN q", "q.X=q.X-5\nLIN q", "LIN q"),
+        ("q.Z=q.Z+5\n", "q.Z=q.Z+5\n; a comment\n\n$VEL.CP=0.04\n", None),  # no statements
+        ("q.Z=q.Z+5\n", "q.Z=q.Z+50\n; a comment\n", "LIN q"),
         ("WHILE $IN[3]", "WHILE NOT $IN[3]", "LIN {X 80"),
     ],
 )
