@@ -365,6 +365,13 @@ def _issues(
     drill = np.array([process.tools[key].shape == "drill" for key in tools.keys])
     place = tools.tool[cuts.motion]
     issues += _drilled_by_mills(program, cuts, drill[place])
+    bored = np.flatnonzero(drill[place])
+    if len(bored):
+        message = (
+            "the feed force of drills is that of their lips: the chisel edge in the middle, which may add as much "
+            "again, is not in it. Measure it, or give forces in a file, where the depth of holes matters."
+        )
+        issues.append(Issue("info", "drill-thrust", message, int(lines[cuts.motion[bored[0]]]), count=len(bored)))
     deep = np.flatnonzero((cuts.depth > _DEEP * diameter[place]) & ~drill[place])
     if len(deep):
         worst = deep[int(np.argmax(cuts.depth[deep]))]

