@@ -70,6 +70,8 @@ SYNCHRONISING = words("SYNCCMD $SYNC_ID $SYNC_LIST")
 """What synchronises a robot with others (KUKA.RoboTeam): the program `SYNCCMD`, and the variables of motions that are
 driven with those of the others.
 """
+BY_SENSOR = words("RSI_ON RSI_MOVECORR ST_ON ST_ON1")
+"""Routines of KUKA.RobotSensorInterface by which a sensor moves the robot; none has a .src to read."""
 
 RESERVED = (
     MOTIONS

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from postproc.dialects.krl.language.names import BY_SENSOR
 from postproc.dialects.krl.layout import Layout
 from postproc.dialects.krl.read.main_routine import MainRoutine
 from postproc.dialects.krl.read.motion_columns import MotionColumns
@@ -43,7 +44,7 @@ def _absent(main: MainRoutine) -> Iterator[Issue]:
     more = "" if len(shared) <= _MOST_NAMES else f" and {len(shared) - _MOST_NAMES} more"
     points = f", nor the GLOBAL {', '.join(shared[:_MOST_NAMES])}{more}" if shared else ""
     for name, line in main.run.absent:
-        if name.upper() in _BY_SENSOR:
+        if name.upper() in BY_SENSOR:
             raise main.run.source.line_error(
                 f"{name}() moves the robot by what a sensor says: the path is not known",
                 line,
@@ -100,9 +101,6 @@ def _initial_frames(
             count=len(found),
         )
 
-
-_BY_SENSOR = frozenset({"RSI_ON", "RSI_MOVECORR", "ST_ON", "ST_ON1"})
-"""Routines of KUKA.RobotSensorInterface by which a sensor moves the robot; none has a .src to read."""
 
 _KEEP = "--keep-unresolved leaves motions as they are"
 
