@@ -319,11 +319,19 @@ def test_rapid_holds_for_one_motion_and_the_vector_stays():
 
 
 def test_feeds_in_their_units():
-    rates = ["600,MMPM", "IPM,10", "0.1,MMPR", "IPR,0.01", "600", "600,PERMIN", "0.2,PERREV"]
+    rates = ["600,MMPM", "IPM,10", "0.1,MMPR", "IPR,0.01", "600", "600,PERMIN", "0.2,PERREV", "0.5,FPM", "0.002,FPR"]
     text = "UNITS/MM\nSPINDL/1000,RPM,CLW\nRAPID\nGOTO/0,0,0\n"
     text += "".join(f"FEDRAT/{rate}\nGOTO/{n},1,0\n" for n, rate in enumerate(rates))
-    expected = [600, 254, 100, 254, 600, 600, 200]
+    expected = [600, 254, 100, 254, 600, 600, 200, 152.4, 609.6]
     np.testing.assert_allclose(read(text).motions.feed[1:] * 60e3, expected)
+
+
+@pytest.mark.parametrize(("unit", "mm"), [("MM", 1.0), ("CM", 10.0), ("INCH", 25.4), ("IN", 25.4), ("INCHES", 25.4)])
+def test_places_and_feeds_are_in_the_unit_of_the_file(unit, mm):
+    program = read(f"UNITS/{unit}\nFROM/1,2,3,0,0.6,0.8\nFEDRAT/20,PERMIN\nGOTO/1,2,1\nGODLTA/0,1,0\n")
+    np.testing.assert_allclose(points(program), np.array([[1, 2, 3], [1, 2, 1], [1, 3, 1]]) * mm, atol=1e-9)
+    np.testing.assert_allclose(program.motions.feed[1:] * 60e3, 20.0 * mm)
+    np.testing.assert_allclose(-program.motions.target[:, :3, 2], [[0, 0.6, 0.8]] * 3, atol=1e-12)
 
 
 def test_from_is_where_the_path_begins_and_a_feed_without_it_comes_from_start():
@@ -407,6 +415,8 @@ def test_events_and_comments_are_kept():
         ("GOHOME", 5, "GOHOME: where it goes"),
         ("RETRCT", 5, "RETRCT: how high"),
         ("FROM/1,2,3", 5, "FROM at another place"),
+        ("FROM/0,0,9,1", 5, "3 or 6 numbers"),
+        ("FROM/0,0,9,0,0,1,0", 5, "3 or 6 numbers"),
         ("MSYS/0,0,0,1,0,0,0,1,0\nMSYS/0,0,5,1,0,0,0,1,0", 6, "MSYS changes"),
         ("MODE/TURN", 5, "MODE is not understood"),
         ("RAPID/MODIFY", 5, "RAPID with values"),
