@@ -38,6 +38,13 @@ def cut(mode, width, chip, depth=DEPTH):
     return wrench[:3], wrench[5] * 1e-3 * RPM * 2 * np.pi / 60
 
 
+PUBLISHED_FEEDS = (0.025, 0.05, 0.075, 0.1, 0.125)
+PUBLISHED = np.array(
+    [(-39.8, 63.0, 55.7), (-60.1, 107.1, 70.9), (-71.6, 137.7, 82.6), (-76.7, 171.3, 85.2), (-78.5, 210.7, 83.5)]
+)
+"""Mean forces [N] over 100 turns in slots at `PUBLISHED_FEEDS` [mm per tooth], FEED axes: an end mill of 25 mm with 2
+teeth, 3 mm deep, 6000/min. Means of the Kistler readings that github.com/leekunhwee/ForceCalculation publishes."""
+
 SLOTS = [("slot", np.nan, chip, *cut("slot", None, chip)) for chip in FEEDS]
 SIDES = [(mode, 2.5, chip, *cut(mode, 2.5, chip)) for mode in ("up", "down") for chip in (0.03, 0.09)]
 
@@ -60,6 +67,25 @@ def identified(*given, prior=None, **options):
     return identification.identify(readings(*given, **options), TOOL, prior, "measured.csv")
 
 
+def of_published():
+    """The published slots as readings, without a stated noise."""
+    n, nothing = len(PUBLISHED_FEEDS), np.full(len(PUBLISHED_FEEDS), np.nan)
+    return identification.CutReadings(
+        ["slot"] * n, np.full(n, 3.0), nothing, np.full(n, 6000.0), np.array(PUBLISHED_FEEDS) * 6000.0 * 2,
+        PUBLISHED, nothing, nothing, np.arange(n) + 2.0,
+    )  # fmt: skip
+
+
+def left_out_of_lines():
+    """Errors (5, 3) [N] of the published mean forces, each feed by straight lines over the feed through the others."""
+    feed = np.array(PUBLISHED_FEEDS)
+    out = np.zeros_like(PUBLISHED)
+    for k in range(len(feed)):
+        others = np.arange(len(feed)) != k
+        out[k] = [np.polyval(np.polyfit(feed[others], of[others], 1), feed[k]) for of in PUBLISHED.T]
+    return out - PUBLISHED
+
+
 def predicted(value, mode, width, chip):
     row = identification.equations(readings([(mode, width, chip, np.zeros(3), 0.0)]), TOOL)
     return row[0, :3] @ value
@@ -74,6 +100,15 @@ def test_without_noise_the_coefficients_are_found(cuts):
         assert found.left_out < 2e-3
     else:  # without one of two feeds the other cannot separate edge and cut
         assert np.isnan(found.left_out)
+
+
+def test_published_slots_are_fitted_and_a_feed_left_out_is_predicted():
+    """A slot's mean forces are straight lines over the feed: fitted here by numpy, without the package."""
+    found = identification.identify(of_published(), ToolTable(diameter_mm=25, flutes=2), None, "published.csv")
+    np.testing.assert_allclose(found.value, (959, 251, 146, 15.8, 19.4, 18.2), rtol=0.005)
+    off = left_out_of_lines()
+    assert found.left_out == pytest.approx(np.sqrt(np.sum(off**2) / np.sum(PUBLISHED**2)), rel=1e-3)
+    assert found.left_out < 0.1
 
 
 def test_narrow_intervals_need_no_warning():
