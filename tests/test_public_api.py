@@ -65,4 +65,4 @@ def test_ten_lines_correct_a_program():
     assert result.before.max() > 1e-4
     assert result.after.max() < 1e-6
     assert result.documents[0].name == "pocket.src"
-    assert postproc.summary(result)["compensated_percent"] > 99.0
+    assert postproc.summary(result).compensated_percent > 99.0

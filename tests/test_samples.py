@@ -75,16 +75,14 @@ def test_sample_is_corrected_within_tolerance_and_far_from_limits(tmp_path, prog
     for path in (*tmp_path.glob("*.src"), *tmp_path.glob("*.dat")):
         check(path.name, without_most_plain_lines(path.read_bytes().decode("cp1252")))
     content = outcome.summary
-    assert content["before"]["max_mm"] > 0.1
-    assert content["after"]["max_mm"] < 0.0011
-    assert content["tolerance_held"] is not False
-    assert content["between_max_mm"] <= content["tolerance_mm"]
-    assert content["blending"]["max_mm"] <= max(
-        0.05, content["blending"]["programmed_max_mm"] + content["tolerance_mm"]
-    )
-    assert content["limits"]["min_joint_margin_deg"] > 10.0
-    assert content["limits"]["min_singular_value"] > 0.2
-    assert {issue["kind"] for issue in content["issues"]} <= {
+    assert content.before.max_mm > 0.1
+    assert content.after.max_mm < 0.0011
+    assert content.tolerance_held is not False
+    assert content.between_max_mm <= content.tolerance_mm
+    assert content.blending.max_mm <= max(0.05, content.blending.programmed_max_mm + content.tolerance_mm)
+    assert content.limits.min_joint_margin_deg > 10.0
+    assert content.limits.min_singular_value > 0.2
+    assert {issue.kind for issue in content.issues} <= {
         "blending",
         "home-from-cell",
         "stop-inserted",

@@ -48,12 +48,11 @@ def compare(ctx: click.Context, /, as_json: bool, **request: Any) -> None:
     """  # noqa: D301 - click: keep these lines as they are
     from postproc.cli.terminal import display
     from postproc.jobs.comparison_files import CompareRequest, compare_programs
-    from postproc.report import to_json
     from postproc.report.comparison import of_comparison
 
     done = compare_programs(CompareRequest(**request))
     if as_json:
-        click.echo(to_json(done.summary).decode(), nl=False)
+        click.echo(done.written[-1].read_text(encoding="utf-8"), nl=False)
     else:
         click.echo(of_comparison(done.summary, display()))
         click.echo(f"written to {done.written[0].parent}: {', '.join(path.name for path in done.written)}")

@@ -39,8 +39,7 @@ def forces(as_json: bool, materials: bool, **request: Any) -> None:
       postproc forces op2.nc --cell cell.toml --process process.toml --stock rest.stl -o op2.forces.csv
       postproc forces --materials
     """  # noqa: D301 - click: keep these lines as they are
-    import json
-
+    from postproc.files import json_bytes
     from postproc.jobs.forces_files import ForcesRequest, make_forces
     from postproc.machining import table
     from postproc.report import issue_entry, issue_line, process_forces
@@ -57,7 +56,7 @@ def forces(as_json: bool, materials: bool, **request: Any) -> None:
     for issue in made.issues:
         click.echo(issue_line(issue_entry(issue), str(asked.program)), err=True)
     if as_json:
-        click.echo(json.dumps(made.summary, indent=2, ensure_ascii=False))
+        click.echo(json_bytes(made.summary).decode(), nl=False)
     else:
         click.echo(process_forces.as_text(made.summary))
         click.echo(f"written: {', '.join(path.name for path in made.written)}")

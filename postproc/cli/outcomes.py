@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+import msgspec
 
 from postproc.cli.faults import fault_message
 
@@ -62,7 +63,7 @@ def print_outcome(outcome: Outcome, job: Job) -> None:
     """Print one line for a program that has been converted, or why it has not."""
     _print_failures([outcome])
     if outcome.summary is not None:
-        after = outcome.summary["verdict"]["reasons"]
+        after = outcome.summary.verdict.reasons
         click.echo(
             f"{Path(outcome.program).name}: {_word(outcome)} to {job.output}. {after[0] if after else ''}".rstrip()
         )
@@ -104,11 +105,12 @@ def _print(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, as_json: bool) -
     """Print what came of the programs: summary on stdout, what failed on stderr."""
     from postproc import report
     from postproc.cli.terminal import display
+    from postproc.files import json_bytes
 
     _print_failures(outcomes)
     if as_json:
         content = {"exit_code": _worst(outcomes), "programs": [_as_entry(outcome) for outcome in outcomes]}
-        click.echo(report.to_json(content).decode(), nl=False)
+        click.echo(json_bytes(content).decode(), nl=False)
     elif len(outcomes) == 1 and outcomes[0].summary is not None:
         click.echo(report.of_one(outcomes[0].summary, display()))
         names = ", ".join(Path(path).name for path in outcomes[0].written)
@@ -141,7 +143,7 @@ def _as_entry(outcome: Outcome) -> dict[str, object]:
 
     entry: dict[str, object] = {"program": outcome.program, "exit_code": outcome.code}
     if outcome.summary is not None:
-        entry |= {**outcome.summary, "program": outcome.program}
+        entry |= {**msgspec.to_builtins(outcome.summary), "program": outcome.program}
     elif outcome.skipped:
         entry["skipped"] = outcome.message
     else:
@@ -153,10 +155,10 @@ def _as_entry(outcome: Outcome) -> dict[str, object]:
 def _word(outcome: Outcome) -> str:
     if outcome.summary is None:
         return "skipped: a subprogram" if outcome.skipped else "FAILED"
-    issues = outcome.summary["issues"]
-    warnings = sum(issue["level"] == "warning" for issue in issues)
+    issues = outcome.summary.issues
+    warnings = sum(issue.level == "warning" for issue in issues)
     word = "not to be run" if outcome.code else "written"
-    renamed = [Path(path).name for path in outcome.written[:1] if any(issue["kind"] == "name" for issue in issues)]
+    renamed = [Path(path).name for path in outcome.written[:1] if any(issue.kind == "name" for issue in issues)]
     return (
         word
         + "".join(f" as {name}" for name in renamed)

@@ -57,7 +57,7 @@ def place(as_json: bool, **request: Any) -> None:
     else:
         click.echo(placement.as_text(made.summary))
         click.echo("written: " + ", ".join(str(path) for path in made.written))
-    if made.summary["best"] is None:
+    if made.summary.best is None:
         sys.exit(1)
 
 

@@ -15,7 +15,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any
 
 import msgspec
 import tomli_w
@@ -29,11 +29,20 @@ _SHOWN = 5
 """Largest number of files that a message names."""
 
 
-class FileEntry(TypedDict):
+class FileEntry(Struct, frozen=True):
     """A file that was written with a record."""
 
     name: str
     sha256: str
+
+
+def json_bytes(content: object) -> bytes:
+    """Return structures, mappings and lists as JSON in UTF-8, indented, with a line end.
+
+    :raises ValueError: a number is NaN or infinite.
+    """
+    plain = msgspec.to_builtins(content)
+    return (json.dumps(plain, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode(errors="backslashreplace")
 
 
 def with_record(
@@ -52,7 +61,7 @@ def with_record(
         for piece in pieces:
             digest.update(piece)
             yield piece
-        entries.append({"name": name, "sha256": digest.hexdigest()})
+        entries.append(FileEntry(name, digest.hexdigest()))
 
     def last() -> Iterator[bytes]:
         yield render(entries)

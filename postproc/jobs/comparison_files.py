@@ -6,19 +6,19 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc import provenance
 from postproc.cell import Cell
 from postproc.comparison import compare
 from postproc.dialects import registry
 from postproc.errors import InputError
-from postproc.files import FileEntry, foreign, refuse, with_record, write_whole
+from postproc.files import foreign, json_bytes, refuse, with_record, write_whole
 from postproc.frames import M_PER_MM
 from postproc.jobs.conversion import force_source, origin_of, read_program, read_started
 from postproc.jobs.output_plan import protect
 from postproc.jobs.programs import EXCEEDED, GOOD, Settings, load_setup
 from postproc.program import Program
-from postproc.report import to_json
 from postproc.report.comparison import (
     ComparisonSummary,
     MadeFrom,
@@ -64,8 +64,8 @@ class ComparisonFiles(Struct, frozen=True):
     """A comparison and its files.
 
     :param code: exit code: 0 good, 3 a tolerance is exceeded or the corrected program was changed.
-    :param summary: content of `part.compare.report.json`.
-    :param written: its files.
+    :param summary: content of `part.compare.report.json`, but for its list of files.
+    :param written: its files; the last one is `part.compare.report.json`.
     """
 
     code: int
@@ -104,13 +104,9 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
         pairs: pairs_csv(found),
         page: comparison_page(found, content),
     }
-
-    def rendered(entries: list[FileEntry]) -> bytes:
-        content["files"] = entries
-        return to_json(content)
-
-    written = write_whole(folder, with_record(contents, record, rendered))
-    return ComparisonFiles(EXCEEDED if content["verdict"]["state"] == "failed" else GOOD, content, tuple(written))
+    whole = with_record(contents, record, lambda entries: json_bytes(replace(content, files=entries)))
+    written = write_whole(folder, whole)
+    return ComparisonFiles(EXCEEDED if content.verdict.state == "failed" else GOOD, content, tuple(written))
 
 
 def _refuse_part(path: Path, program: Program) -> None:

@@ -137,11 +137,11 @@ def convert(
         if isinstance(cause, SubprogramError) and not job.named:
             return Outcome(str(job.program), GOOD, message=f"{cause.file}: {cause.problem}: skipped.")
         return replace(failure(job, cause), keeps_earlier=computed)
-    exceeded = settings.mode != "predict" and made.summary["verdict"]["state"] == "failed"
+    exceeded = settings.mode != "predict" and made.summary.verdict.state == "failed"
     return Outcome(
         str(job.program),
         EXCEEDED if exceeded else GOOD,
-        made.summary,
+        replace(made.summary, files=made.listed),
         copied=tuple(str(job.output / name) for name in made.copied),
         staged=staged,
         shared=made.shared,
@@ -292,7 +292,8 @@ def _with_force_file(issue: Issue, job: Job) -> Issue:
 class _Made(Struct, frozen=True, eq=False):
     """Output of a program, before it is written.
 
-    :param summary: content of `report.json`.
+    :param summary: content of `report.json`, but for its list of files.
+    :param listed: the files that it lists, known when all contents are written.
     :param contents: file name → content.
     :param copied: names of files that the program needs and that are as they were read.
     :param shared: names of files that other programs may need too.
@@ -300,6 +301,7 @@ class _Made(Struct, frozen=True, eq=False):
     """
 
     summary: Summary
+    listed: list[files.FileEntry]
     contents: dict[str, bytes | Iterable[bytes]]
     copied: tuple[str, ...]
     shared: tuple[str, ...]
@@ -342,15 +344,16 @@ def _made(
     documents = result.program.documents
     read = [Path(document.folder) / document.name for document in documents if document.folder]
     still = [Path(each.path).name for each in needed if not each.moves]
-    if unchanged := [file for file in copies if file in still]:
-        content["copied"] = unchanged
+    content = replace(content, copied=[file for file in copies if file in still] or None)
+    listed: list[files.FileEntry] = []
 
     def rendered(entries: list[files.FileEntry]) -> bytes:
-        content["files"] = entries
-        return report.to_json(content)
+        listed.extend(entries)
+        return files.json_bytes(replace(content, files=entries))
 
     return _Made(
         summary=content,
+        listed=listed,
         contents=files.with_record(contents, name, rendered),
         copied=tuple(copies),
         shared=(*called, *copies),

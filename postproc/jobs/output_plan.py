@@ -343,7 +343,7 @@ class OutputPlan:
                     advice="Rename one, or convert them one by one with different -o folders.",
                 )
         self._refuse_called(job, [name for name in more if name not in outcome.shared])
-        sums = {entry["name"]: entry["sha256"] for entry in outcome.summary["files"]}
+        sums = {entry.name: entry.sha256 for entry in outcome.summary.files or ()}
         changed = [name for name in outcome.shared if _sum(job.output / name) not in ("", sums[name])]
         if not self._overwrite:
             found = self._not_ours(job, [name for name in more if name not in outcome.shared or name in changed])
@@ -515,8 +515,8 @@ class _Folder:
         """Record the files of a converted program."""
         assert outcome.staged is not None
         assert outcome.summary is not None
-        sums = {entry["name"]: entry["sha256"] for entry in outcome.summary["files"]}
-        copied = frozenset(outcome.summary.get("copied", ()))
+        sums = {entry.name: entry.sha256 for entry in outcome.summary.files or ()}
+        copied = frozenset(outcome.summary.copied or ())
         self._new[job.report(self._mode)] = Record(job.stem, outcome.staged.path / "new", sums, copied)
 
     def in_place(self, job: Job) -> None:

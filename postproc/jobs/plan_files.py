@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path, PurePath
 
@@ -14,7 +13,7 @@ from postproc import interrupts
 from postproc.cell import Cell
 from postproc.dialects.krl.dialect import KRL
 from postproc.errors import InputError
-from postproc.files import FileEntry, foreign, refuse, with_record, write_whole
+from postproc.files import FileEntry, foreign, json_bytes, refuse, with_record, write_whole
 from postproc.frames import RAD_PER_DEG
 from postproc.identification.readings import read, read_experiment
 from postproc.jobs.conversion import programs_under_force
@@ -164,11 +163,11 @@ def make_compensator_plan(request: CompensatorRequest) -> CompensatorPlanFiles:
     options = CompensatorOptions(request.angles, request.markers, request.repeats, request.margin * RAD_PER_DEG)
     plan = plan_compensator(robot, setup.sigma, options)
 
-    def as_json(files: list[FileEntry]) -> bytes:
-        return (json.dumps({**compensator.summary(plan), "files": files}, indent=2, ensure_ascii=False) + "\n").encode()
+    def rendered(files: list[FileEntry]) -> bytes:
+        return json_bytes({**compensator.summary(plan), "files": files})
 
     contents: dict[str, bytes | Iterable[bytes]] = {csv: compensator.template(plan)}
-    return CompensatorPlanFiles(plan, tuple(write_whole(folder, with_record(contents, record, as_json))))
+    return CompensatorPlanFiles(plan, tuple(write_whole(folder, with_record(contents, record, rendered))))
 
 
 def _test_poses(request: PlanRequest, robot: RobotModel, cell: Cell) -> TestPoses:

@@ -9,13 +9,14 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, Protocol
 
+import msgspec
+
 from postproc import files, interrupts
 from postproc.cell import Cell
 from postproc.jobs.conversion import convert
 from postproc.jobs.output_plan import OVERVIEW, OutputPlan, Task
 from postproc.jobs.programs import GOOD, Job, Outcome, Settings, load_setup
-from postproc.report.index import Entry, index_page
-from postproc.report.summary import Summary
+from postproc.report.index import Entry, Reported, index_page
 from postproc.robot import RobotModel
 
 if TYPE_CHECKING:
@@ -202,9 +203,9 @@ def _reason(outcome: Outcome) -> str:
 def _entry(path: Path) -> Entry | None:
     """Return what a report states; None if it is not that of a program that was written."""
     try:
-        content: Summary = json.loads(path.read_bytes())
-        if content["mode"] == "predict" or content["verdict"]["state"] not in ("ok", "warning", "failed"):
+        content = msgspec.convert(json.loads(path.read_bytes()), Reported)
+        if content.mode == "predict":
             return None
-        return Entry(content["program"], path.name.removesuffix(_REPORT) + ".report.html", content)
-    except (OSError, ValueError, KeyError, TypeError):
+        return Entry(content.program, path.name.removesuffix(_REPORT) + ".report.html", content)
+    except (OSError, ValueError):
         return None

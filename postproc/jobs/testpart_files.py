@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import tempfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -171,7 +170,7 @@ def make_testpart(request: TestPartRequest, progress: Callable[[str], None] = la
     data = _data(chosen, prior, cutting)
     written = files.write_whole(
         request.output,
-        files.with_record(contents, _RECORD, lambda entries: _json({**data, "files": entries})),
+        files.with_record(contents, _RECORD, lambda entries: files.json_bytes({**data, "files": entries})),
     )
     return TestPartFiles(chosen, prior, cutting, tuple(written))
 
@@ -179,10 +178,6 @@ def make_testpart(request: TestPartRequest, progress: Callable[[str], None] = la
 def _prior(setting: RobotInCell, process: Process) -> Prior:
     law = process.law()
     return Prior.of(setting.robot, law.sigma, law.numbers)
-
-
-def _json(data: dict[str, object]) -> bytes:
-    return (json.dumps(data, indent=2, ensure_ascii=False) + "\n").encode()
 
 
 def _data(chosen: Design, prior: Prior, cutting: Cutting) -> dict[str, object]:

@@ -2,7 +2,7 @@
 
 from postproc.report.csv_files import FORCE_COLUMNS, TARGET_COLUMNS, forces_csv, targets_csv
 from postproc.report.deviation import page
-from postproc.report.summary import Summary, issue_entry, summary, to_json
+from postproc.report.summary import Summary, issue_entry, summary
 from postproc.report.text import issue_line, of_many, of_one
 
 __all__ = [
@@ -17,5 +17,4 @@ __all__ = [
     "page",
     "summary",
     "targets_csv",
-    "to_json",
 ]

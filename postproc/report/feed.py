@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TypedDict
-
 import numpy as np
+from msgspec import Struct
 
 from postproc.correction import HeldFeed, Result
 from postproc.frames import MM_PER_M
@@ -15,7 +14,7 @@ _MM_PER_MIN = 60.0 * MM_PER_M
 _MOST_LISTED = 100
 
 
-class OperationFeed(TypedDict):
+class OperationFeed(Struct, frozen=True):
     """One operation: its cutting time at the programmed and at the written feeds, and how many moves were slowed."""
 
     name: str
@@ -26,7 +25,7 @@ class OperationFeed(TypedDict):
     lowest_feed_mm_per_min: float | None
 
 
-class MissedMove(TypedDict):
+class MissedMove(Struct, frozen=True):
     """A move that does not hold the tolerance: expected error at its feed, and as the feed tends to zero."""
 
     source_line: int
@@ -35,7 +34,7 @@ class MissedMove(TypedDict):
     edge_forces_mm: float | None
 
 
-class FeedSummary(TypedDict):
+class FeedSummary(Struct, frozen=True):
     """`feed` of report.json. Times are lengths by feeds of cutting moves; the controller's accelerations are not in."""
 
     tolerance_mm: float
@@ -63,26 +62,26 @@ def feed_summary(result: Result) -> FeedSummary | None:
         own = cuts & (of == place)
         if own.any():
             rows.append(
-                {
-                    "name": operation.name,
-                    "tool": operation.tool,
-                    "time_before_s": float(before[own].sum()),
-                    "time_after_s": float(after[own].sum()),
-                    "lowered_moves": int(np.count_nonzero(held.lowered & own)),
-                    "lowest_feed_mm_per_min": float(held.feed[own].min()) * _MM_PER_MIN,
-                }
+                OperationFeed(
+                    name=operation.name,
+                    tool=operation.tool,
+                    time_before_s=float(before[own].sum()),
+                    time_after_s=float(after[own].sum()),
+                    lowered_moves=int(np.count_nonzero(held.lowered & own)),
+                    lowest_feed_mm_per_min=float(held.feed[own].min()) * _MM_PER_MIN,
+                )
             )
-    return {
-        "tolerance_mm": held.tolerance * MM_PER_M,
-        "min_feed_mm_per_min": held.least * _MM_PER_MIN,
-        "cutting_moves": int(np.count_nonzero(cuts)),
-        "lowered_moves": int(np.count_nonzero(held.lowered & cuts)),
-        "time_before_s": float(before.sum()),
-        "time_after_s": float(after.sum()),
-        "operations": rows,
-        "missed_moves": int(np.count_nonzero(held.missed)),
-        "missed": _missed(result, held),
-    }
+    return FeedSummary(
+        tolerance_mm=held.tolerance * MM_PER_M,
+        min_feed_mm_per_min=held.least * _MM_PER_MIN,
+        cutting_moves=int(np.count_nonzero(cuts)),
+        lowered_moves=int(np.count_nonzero(held.lowered & cuts)),
+        time_before_s=float(before.sum()),
+        time_after_s=float(after.sum()),
+        operations=rows,
+        missed_moves=int(np.count_nonzero(held.missed)),
+        missed=_missed(result, held),
+    )
 
 
 def _missed(result: Result, held: HeldFeed) -> list[MissedMove]:
@@ -91,7 +90,7 @@ def _missed(result: Result, held: HeldFeed) -> list[MissedMove]:
     rows = rows[np.argsort(-held.expected[rows], kind="stable")][:_MOST_LISTED]
     edge = held.without_feed[rows]
     return [
-        {"source_line": line, "feed_mm_per_min": feed, "expected_mm": error, "edge_forces_mm": floor}
+        MissedMove(source_line=line, feed_mm_per_min=feed, expected_mm=error, edge_forces_mm=floor)
         for line, feed, error, floor in zip(
             result.program.motions.line[rows].tolist(),
             (held.feed[rows] * _MM_PER_MIN).tolist(),
@@ -104,25 +103,23 @@ def _missed(result: Result, held: HeldFeed) -> list[MissedMove]:
 
 def sentences(feed: FeedSummary, most: int = 5) -> list[str]:
     """Return what was done to the feeds, and up to `most` moves that are not held, as sentences without full stop."""
-    tolerance = f"{feed['tolerance_mm']:g} mm"
-    if not feed["lowered_moves"]:
+    tolerance = f"{feed.tolerance_mm:g} mm"
+    if not feed.lowered_moves:
         out = [f"feeds as programmed: lowering none of them helps to hold {tolerance}"]
-        if not feed["missed_moves"]:
+        if not feed.missed_moves:
             out = [f"feeds as programmed: they hold {tolerance}"]
     else:
-        moves = "1 cutting move" if feed["cutting_moves"] == 1 else f"{feed['cutting_moves']} cutting moves"
+        moves = "1 cutting move" if feed.cutting_moves == 1 else f"{feed.cutting_moves} cutting moves"
         out = [
-            f"feed lowered on {feed['lowered_moves']} of {moves} to hold {tolerance}: "
-            f"cutting time {seconds(feed['time_before_s'])} → {seconds(feed['time_after_s'])}"
+            f"feed lowered on {feed.lowered_moves} of {moves} to hold {tolerance}: "
+            f"cutting time {seconds(feed.time_before_s)} → {seconds(feed.time_after_s)}"
         ]
-    if feed["missed_moves"]:
-        many = "1 move does not" if feed["missed_moves"] == 1 else f"{feed['missed_moves']} moves do not"
+    if feed.missed_moves:
+        many = "1 move does not" if feed.missed_moves == 1 else f"{feed.missed_moves} moves do not"
         out.append(f"{many} hold {tolerance} at any feed from min_feed_mm_per_min up")
-        for move in feed["missed"][:most]:
-            floor = move["edge_forces_mm"]
-            text = (
-                f"line {move['source_line']}: {rounded(move['expected_mm'])} mm at {move['feed_mm_per_min']:.0f} mm/min"
-            )
+        for move in feed.missed[:most]:
+            floor = move.edge_forces_mm
+            text = f"line {move.source_line}: {rounded(move.expected_mm)} mm at {move.feed_mm_per_min:.0f} mm/min"
             out.append(
                 text + ("" if floor is None else f", {rounded(max(floor, 0.0))} mm of it by edge forces at any feed")
             )

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
-from typing import NotRequired, TypedDict
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc.cell import Cell
-from postproc.files import FileEntry
+from postproc.files import FileEntry, json_bytes
 from postproc.frames import DEG_PER_RAD, MM_PER_M
 from postproc.placement import REASONS
 from postproc.placement.region import AXES, Judged, Region, Search
@@ -32,7 +32,7 @@ _SAME = 0.01
 _UNLOADED = "No cutting move carries a force, so the error is not compared: give --forces or --process."
 
 
-class PlaceEntry(TypedDict):
+class PlaceEntry(Struct, frozen=True):
     """A place [mm, deg] and what the programs find there; null where they cannot be driven."""
 
     X: float
@@ -49,7 +49,7 @@ class PlaceEntry(TypedDict):
     reason: str | None
 
 
-class PlaceSummary(TypedDict):
+class PlaceSummary(Struct, frozen=True, omit_defaults=True, kw_only=True):
     """Content of `place.json`."""
 
     programs: list[str]
@@ -65,7 +65,7 @@ class PlaceSummary(TypedDict):
     reachable: int
     refused: dict[str, int]
     sentence: str
-    files: NotRequired[list[FileEntry]]
+    files: list[FileEntry] | None = None
 
 
 def summary(
@@ -152,8 +152,8 @@ def places_csv(found: Search) -> Iterator[bytes]:
     yield (",".join(_COLUMNS) + "\n").encode()
     for place in found.tried:
         entry = _entry(place)
-        values: list[object] = [entry[name] for name in _COLUMNS[:-2]]  # type: ignore[literal-required]
-        values += [int(place.reachable), entry["reason"]]
+        values: list[object] = [getattr(entry, name) for name in _COLUMNS[:-2]]
+        values += [int(place.reachable), entry.reason]
         yield (",".join("" if value is None else str(value) for value in values) + "\n").encode()
 
 
@@ -162,7 +162,7 @@ def base_toml(found: Search, cell: Cell, content: PlaceSummary) -> bytes:
     best = found.best
     assert best is not None
     x, y, z, a, e1 = best.place
-    lines = [f"# {content['sentence']}"]
+    lines = [f"# {content.sentence}"]
     if e1:
         lines.append(f"# Seen from E1 = 0; E1 is at {e1:.1f} mm, or this much farther than a KRL program has it.")
     if best.turn:
@@ -174,21 +174,21 @@ def base_toml(found: Search, cell: Cell, content: PlaceSummary) -> bytes:
 
 def finished(content: PlaceSummary, files: list[FileEntry]) -> bytes:
     """Return `place.json`."""
-    return (json.dumps({**content, "files": files}, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode()
+    return json_bytes(replace(content, files=files))
 
 
 def as_text(content: PlaceSummary) -> str:
     """Return the result as text."""
-    lines = [content["sentence"]]
-    lines += [_line(name, content[name]) for name in ("today", "best")]
-    refused = ", ".join(f"{count} {name}" for name, count in content["refused"].items())
+    lines = [content.sentence]
+    lines += [_line("today", content.today), _line("best", content.best)]
+    refused = ", ".join(f"{count} {name}" for name, count in content.refused.items())
     lines.append(
-        f"  {content['tried']} places tried, {content['reachable']} can be driven" + (f"; {refused}" if refused else "")
+        f"  {content.tried} places tried, {content.reachable} can be driven" + (f"; {refused}" if refused else "")
     )
-    lines += [] if content["start"] is None else [f"  {content['start']}"]
-    kept = f"  kept: {content['margin_deg']:g}° to joint limits"
-    if content["clearance_mm"] is not None:
-        return "\n".join([*lines, f"{kept}, {content['clearance_mm']:g} mm between bodies of [collision]"])
+    lines += [] if content.start is None else [f"  {content.start}"]
+    kept = f"  kept: {content.margin_deg:g}° to joint limits"
+    if content.clearance_mm is not None:
+        return "\n".join([*lines, f"{kept}, {content.clearance_mm:g} mm between bodies of [collision]"])
     lines += [kept, f"  {_NO_BODIES}"]
     return "\n".join(lines)
 
@@ -196,15 +196,13 @@ def as_text(content: PlaceSummary) -> str:
 def _line(name: str, entry: PlaceEntry | None) -> str:
     if entry is None:
         return f"  {name}: none"
-    where = f"X {entry['X']:.1f} Y {entry['Y']:.1f} Z {entry['Z']:.1f} A {entry['A']:.2f}"
-    where += f" E1 {entry['E1']:.1f}" if entry["E1"] else ""
-    if not entry["reachable"]:
-        return f"  {name}: {where}: {entry['reason']}"
-    error = "" if entry["u95_rms_mm"] is None else f"expected error {rounded(entry['u95_rms_mm'])} mm, "
-    deflection = rounded(entry["before_rms_mm"] or 0.0)
-    return (
-        f"  {name}: {where}: {error}deflection {deflection} mm RMS, joint margin {entry['min_joint_margin_deg']:.1f}°"
-    )
+    where = f"X {entry.X:.1f} Y {entry.Y:.1f} Z {entry.Z:.1f} A {entry.A:.2f}"
+    where += f" E1 {entry.E1:.1f}" if entry.E1 else ""
+    if not entry.reachable:
+        return f"  {name}: {where}: {entry.reason}"
+    error = "" if entry.u95_rms_mm is None else f"expected error {rounded(entry.u95_rms_mm)} mm, "
+    deflection = rounded(entry.before_rms_mm or 0.0)
+    return f"  {name}: {where}: {error}deflection {deflection} mm RMS, joint margin {entry.min_joint_margin_deg:.1f}°"
 
 
 def page(found: Search, content: PlaceSummary) -> Iterator[bytes]:
@@ -216,15 +214,15 @@ def page(found: Search, content: PlaceSummary) -> Iterator[bytes]:
     )
     yield from Page(
         kind="Place of the part",
-        title=", ".join(content["programs"]),
-        subtitle=f"{content['robot']} · {content['tried']} places",
+        title=", ".join(content.programs),
+        subtitle=f"{content.robot} · {content.tried} places",
         sections=sections,
         footer=(Note(note),),
     ).render()
 
 
 def _collisions(content: PlaceSummary) -> str:
-    need = content["clearance_mm"]
+    need = content.clearance_mm
     if need is None:
         return _NO_BODIES
     return f"Places where bodies of [collision] come closer than {need:g} mm, or touch, are refused."
@@ -240,8 +238,8 @@ def _verdict(found: Search, content: PlaceSummary) -> Section:
         kind = "deflection" if np.isnan(place.u95) else "expected error, RMS"
         note = f"{kind}; X {x:.0f} Y {y:.0f} Z {z:.0f} A {a:.1f}; joint margin {place.margin * DEG_PER_RAD:.1f}°"
         tiles.append(Tile(title, rounded(place.cost * MM_PER_M), "mm", note))
-    said = () if content["start"] is None else (Note(content["start"]),)
-    notes = Notes((Note(content["sentence"]), Note(_collisions(content)), *said))
+    said = () if content.start is None else (Note(content.start),)
+    notes = Notes((Note(content.sentence), Note(_collisions(content)), *said))
     return Section("place", "Where the part should be", (notes, Tiles(tuple(tiles))))
 
 
@@ -298,7 +296,7 @@ def _map(
 
 
 def _table(content: PlaceSummary) -> Section:
-    rows = tuple(Row((name, f"{count}")) for name, count in content["refused"].items())
-    rows = (Row(("can be driven", f"{content['reachable']}")), *rows)
+    rows = tuple(Row((name, f"{count}")) for name, count in content.refused.items())
+    rows = (Row(("can be driven", f"{content.reachable}")), *rows)
     table = Table(("What", "places"), rows, "Places that were tried")
     return Section("refused", "Places that were tried", (table,))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Sequence
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from postproc.cell import Cell as CellFile
 from postproc.dialects.krl.write import axis_motion, document, head
-from postproc.files import FileEntry
+from postproc.files import FileEntry, json_bytes
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array
 from postproc.identification.coverage import SIGNS
 from postproc.plan import PlanResult
@@ -178,7 +177,7 @@ def plan_json(result: PlanResult, files: Sequence[FileEntry]) -> bytes:
     :param files: written with it.
     """
     content = {**plan_summary(result), "files": files}
-    return (json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode()
+    return json_bytes(content)
 
 
 def plan_lines(result: PlanResult) -> list[str]:

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
-from typing import NotRequired, TypedDict
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc.errors import Issue
-from postproc.files import FileEntry
+from postproc.files import FileEntry, json_bytes
 from postproc.forces import Knots
 from postproc.frames import MM_PER_M
 from postproc.machining import Entry, ProcessForces
 from postproc.program import FORCE_FRAMES, Program
+from postproc.report.summary import IssueEntry, issue_entry
 from postproc.version import VERSION
 
 COLUMNS = (
@@ -24,7 +25,7 @@ _ROWS = 4096
 _MM3 = 1e9
 
 
-class ToolSummary(TypedDict):
+class ToolSummary(Struct, frozen=True, omit_defaults=True, kw_only=True):
     """Largest values of one tool; `max_force_line` is where.
 
     `max_depth_mm` of a drill is the depth of its deepest hole; `max_feed_force_N` is given for drills only.
@@ -38,21 +39,24 @@ class ToolSummary(TypedDict):
     max_depth_mm: float
     max_width_mm: float
     max_removal_mm3_per_s: float
-    max_feed_force_N: NotRequired[float]
+    max_feed_force_N: float | None = None
 
 
-class ForcesSummary(TypedDict):
-    """Content of forces.json, but for issues and files; without material and stock `by_operation` alone.
+class ForcesSummary(Struct, frozen=True, omit_defaults=True, kw_only=True):
+    """Content of forces.json. Without material and stock, all up to `tools` are left out.
 
-    `by_operation` counts the moves whose force is from the table of operations.
+    `by_operation` counts the moves whose force is from the table of operations. `finished` adds what follows it.
     """
 
+    program: str | None = None
+    places: int | None = None
+    removed_mm3: float | None = None
+    left_mm3: float | None = None
+    tools: list[ToolSummary] | None = None
     by_operation: int
-    program: NotRequired[str]
-    places: NotRequired[int]
-    removed_mm3: NotRequired[float]
-    left_mm3: NotRequired[float]
-    tools: NotRequired[list[ToolSummary]]
+    version: str | None = None
+    issues: list[IssueEntry] | None = None
+    files: list[FileEntry] | None = None
 
 
 def forces_csv(program: Program, knots: Knots) -> Iterator[bytes]:
@@ -82,69 +86,64 @@ def summary(program: Program, found: ProcessForces | None, by_operation: int) ->
     :param by_operation: moves whose force is from the table of operations.
     """
     if found is None:
-        return {"by_operation": by_operation}
+        return ForcesSummary(by_operation=by_operation)
     m, cuts = program.motions, found.cuts
     tools: list[ToolSummary] = []
     for place in np.unique(found.tools.tool[cuts.motion]).tolist():
         rows = found.tools.tool[cuts.motion] == place
         force = np.linalg.norm(cuts.wrench[rows, :3], axis=1)
         worst = int(cuts.motion[rows][int(np.argmax(force))])
+        feed_force = round(float(np.abs(cuts.wrench[rows, 2]).max()), 1)
         tools.append(
-            {
-                "tool": found.tools.keys[place],
-                "max_force_N": round(float(force.max()), 1),
-                "max_force_line": int(m.line[worst]),
-                "max_torque_Nm": round(float(np.abs(cuts.torque[rows]).max()), 3),
-                "max_power_W": round(float(cuts.power[rows].max()), 1),
-                "max_depth_mm": round(float(cuts.depth[rows].max()) * MM_PER_M, 3),
-                "max_width_mm": round(float(cuts.width[rows].max()) * MM_PER_M, 3),
-                "max_removal_mm3_per_s": round(float(cuts.rate[rows].max()) * _MM3, 1),
-            }
+            ToolSummary(
+                tool=found.tools.keys[place],
+                max_force_N=round(float(force.max()), 1),
+                max_force_line=int(m.line[worst]),
+                max_torque_Nm=round(float(np.abs(cuts.torque[rows]).max()), 3),
+                max_power_W=round(float(cuts.power[rows].max()), 1),
+                max_depth_mm=round(float(cuts.depth[rows].max()) * MM_PER_M, 3),
+                max_width_mm=round(float(cuts.width[rows].max()) * MM_PER_M, 3),
+                max_removal_mm3_per_s=round(float(cuts.rate[rows].max()) * _MM3, 1),
+                max_feed_force_N=feed_force if found.drills[place] else None,
+            )
         )
-        if found.drills[place]:
-            tools[-1]["max_feed_force_N"] = round(float(np.abs(cuts.wrench[rows, 2]).max()), 1)
-    return {
-        "program": program.documents[0].name,
-        "places": len(cuts.t),
-        "removed_mm3": round(found.removed * _MM3, 1),
-        "left_mm3": round(found.stock.volume() * _MM3, 1),
-        "tools": tools,
-        "by_operation": by_operation,
-    }
+    return ForcesSummary(
+        program=program.documents[0].name,
+        places=len(cuts.t),
+        removed_mm3=round(found.removed * _MM3, 1),
+        left_mm3=round(found.stock.volume() * _MM3, 1),
+        tools=tools,
+        by_operation=by_operation,
+    )
 
 
 def finished(content: ForcesSummary, issues: Sequence[Issue], entries: list[FileEntry]) -> bytes:
     """Return forces.json."""
-    listed = [
-        {"level": i.level, "kind": i.kind, "message": i.message, "source_line": i.source_line, "count": i.count}
-        for i in issues
-    ]
-    whole = {**content, "version": VERSION, "issues": listed, "files": entries}
-    return (json.dumps(whole, indent=2, ensure_ascii=False) + "\n").encode()
+    return json_bytes(replace(content, version=VERSION, issues=[issue_entry(i) for i in issues], files=entries))
 
 
 def as_text(content: ForcesSummary) -> str:
     """Return the summary as lines to print."""
     lines = []
-    for tool in content.get("tools", []):
+    for tool in content.tools or []:
         lines.append(
-            f"tool {tool['tool']}: mean force up to {tool['max_force_N']:g} N (line {tool['max_force_line']}); "
-            f"torque {tool['max_torque_Nm']:g} N·m; power {tool['max_power_W']:g} W"
+            f"tool {tool.tool}: mean force up to {tool.max_force_N:g} N (line {tool.max_force_line}); "
+            f"torque {tool.max_torque_Nm:g} N·m; power {tool.max_power_W:g} W"
         )
-        if "max_feed_force_N" in tool:
+        if tool.max_feed_force_N is not None:
             lines.append(
-                f"  drilled up to {tool['max_depth_mm']:g} mm deep, feed force up to {tool['max_feed_force_N']:g} N, "
-                f"torque up to {tool['max_torque_Nm']:g} N·m, {tool['max_removal_mm3_per_s'] * 0.06:.3g} cm³/min"
+                f"  drilled up to {tool.max_depth_mm:g} mm deep, feed force up to {tool.max_feed_force_N:g} N, "
+                f"torque up to {tool.max_torque_Nm:g} N·m, {tool.max_removal_mm3_per_s * 0.06:.3g} cm³/min"
             )
             continue
         lines.append(
-            f"  depth of cut up to {tool['max_depth_mm']:g} mm, width {tool['max_width_mm']:g} mm, "
-            f"{tool['max_removal_mm3_per_s'] * 0.06:.3g} cm³/min"
+            f"  depth of cut up to {tool.max_depth_mm:g} mm, width {tool.max_width_mm:g} mm, "
+            f"{tool.max_removal_mm3_per_s * 0.06:.3g} cm³/min"
         )
-    if "removed_mm3" in content:
-        lines.append(f"removed {content['removed_mm3'] / 1e3:.4g} cm³, left {content['left_mm3'] / 1e3:.4g} cm³")
-    if content.get("by_operation"):
-        lines.append(f"forces by operation for {content['by_operation']} move{'s' * (content['by_operation'] != 1)}")
+    if content.removed_mm3 is not None and content.left_mm3 is not None:
+        lines.append(f"removed {content.removed_mm3 / 1e3:.4g} cm³, left {content.left_mm3 / 1e3:.4g} cm³")
+    if content.by_operation:
+        lines.append(f"forces by operation for {content.by_operation} move{'s' * (content.by_operation != 1)}")
     return "\n".join(lines)
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, NotRequired, TypedDict
+from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc import elastostatics, provenance
 from postproc.correction import Mode, Result, Statistics, statistics
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from postproc.report.surface import Surface
 
 
-class Distances(TypedDict):
+class Distances(Struct, frozen=True):
     """Distances of the predicted tool tip from nominal over cutting targets."""
 
     max_mm: float
@@ -34,14 +34,14 @@ class Distances(TypedDict):
     p95_mm: float
 
 
-class Bound(TypedDict):
+class Bound(Struct, frozen=True):
     """Largest and mean of a length over cutting targets."""
 
     max_mm: float
     rms_mm: float
 
 
-class Unusable(TypedDict):
+class Unusable(Struct, frozen=True):
     """The target whose bound exceeds the correction there, and the RMS correction, by most; and the main cause."""
 
     source_line: int
@@ -50,7 +50,7 @@ class Unusable(TypedDict):
     source: str
 
 
-class Expected(Bound):
+class Expected(Bound, frozen=True):
     """Bound (95 %) by what the model and the forces state of their uncertainty, over cutting targets.
 
     `basis` says where the model's uncertainty comes from, `unusable` where the bound is larger than what it corrects.
@@ -60,7 +60,7 @@ class Expected(Bound):
     unusable: Unusable | None
 
 
-class Reversal(TypedDict):
+class Reversal(Struct, frozen=True):
     """A change of the direction of a joint's torque on a cutting move, and the step of the tool by its lost motion."""
 
     joint: str
@@ -68,7 +68,7 @@ class Reversal(TypedDict):
     lost_motion_mm: float
 
 
-class OnPart(TypedDict):
+class OnPart(Struct, frozen=True):
     """Expected error on the part (95 %) at its worst target: bound, rounding of corners and path in one; and tolerance.
 
     `beyond_percent` of the cutting targets exceed the tolerance; None where it, or the bound, is not stated.
@@ -81,7 +81,7 @@ class OnPart(TypedDict):
     beyond_percent: float | None
 
 
-class OnSurface(TypedDict):
+class OnSurface(Struct, frozen=True):
     """What the programmed path does to the mesh of the part, before any deflection.
 
     `cut_into_mm` is the largest depth by which it cuts into the mesh, 0 if it does not, `source_line` where.
@@ -95,21 +95,21 @@ class OnSurface(TypedDict):
     reached_percent: float
 
 
-class Judged(TypedDict):
+class Judged(Struct, frozen=True):
     """The verdict, see `postproc.report.summary`."""
 
     state: State
     reasons: list[str]
 
 
-class Ratios(TypedDict):
+class Ratios(Struct, frozen=True):
     """Before divided by after; None where what remains is but the rounding of the text."""
 
     max: float | None
     rms: float | None
 
 
-class Blending(TypedDict):
+class Blending(Struct, frozen=True):
     """Rounding of the corners of cutting moves by approximate positioning: as written, and of the KRL input.
 
     `by` is what the controller calls it.
@@ -121,7 +121,7 @@ class Blending(TypedDict):
     source_line: int | None
 
 
-class Origin(TypedDict):
+class Origin(Struct, frozen=True):
     """Origin of a KRL program: whether it is as postproc wrote it, mode and version."""
 
     state: provenance.State
@@ -129,7 +129,7 @@ class Origin(TypedDict):
     version: str | None
 
 
-class Limits(TypedDict):
+class Limits(Struct, frozen=True):
     """Margins of the path to the limits of the robot; None where unknown."""
 
     min_joint_margin_deg: float | None
@@ -137,7 +137,7 @@ class Limits(TypedDict):
     joint_margins_deg: list[float | None]
 
 
-class Redundancy(TypedDict):
+class Redundancy(Struct, frozen=True):
     """Turn of the tool about its axis: "constant", "best" or "path", and its range; None where text is kept."""
 
     mode: str
@@ -145,7 +145,7 @@ class Redundancy(TypedDict):
     max_deg: float
 
 
-class Clearance(TypedDict):
+class Clearance(Struct, frozen=True):
     """The smallest clearance of arm, tool and obstacles; None where there is nothing to compare."""
 
     min_clearance_mm: float | None
@@ -154,7 +154,7 @@ class Clearance(TypedDict):
     remarks: list[str]
 
 
-class IssueEntry(TypedDict):
+class IssueEntry(Struct, frozen=True):
     """An issue, grouped."""
 
     level: str
@@ -164,7 +164,7 @@ class IssueEntry(TypedDict):
     count: int
 
 
-class Summary(TypedDict):
+class Summary(Struct, frozen=True, omit_defaults=True, kw_only=True):
     """Content of `report.json`. Numbers that are unknown are None; none is NaN or infinite."""
 
     program: str
@@ -194,9 +194,9 @@ class Summary(TypedDict):
     reversals: list[Reversal]
     issues: list[IssueEntry]
     verdict: Judged
-    surface: NotRequired[OnSurface]  # with a mesh of the part
-    copied: NotRequired[list[str]]  # files that it needs and that are as they were; nothing is called there that moves
-    files: NotRequired[list[FileEntry]]  # written with this report
+    surface: OnSurface | None = None  # with a mesh of the part
+    copied: list[str] | None = None  # files that it needs and that are as they were; nothing is called there that moves
+    files: list[FileEntry] | None = None  # written with this report
 
 
 def summary(
@@ -230,10 +230,10 @@ def summary(
         u95=None if bound is None else _bound_entry(result, bound, part_tolerance or tolerance),
         part=_on_part(result, part_tolerance),
         feed=feed_summary(result),
-        improvement={
-            "max": improvement(before.largest * MM_PER_M, after.largest * MM_PER_M),
-            "rms": improvement(before.rms * MM_PER_M, after.rms * MM_PER_M),
-        },
+        improvement=Ratios(
+            max=improvement(before.largest * MM_PER_M, after.largest * MM_PER_M),
+            rms=improvement(before.rms * MM_PER_M, after.rms * MM_PER_M),
+        ),
         compensated_percent=_compensated(before.rms * MM_PER_M, after.rms * MM_PER_M),
         between_max_mm=_finite(result.between * MM_PER_M),
         tolerance_mm=None if tolerance is None else tolerance * MM_PER_M,
@@ -244,30 +244,28 @@ def summary(
         max_correction_mm=_finite(result.largest_correction * MM_PER_M),
         tool_deflection=_bound(by_tool),
         max_force_N=float(force.max(initial=0.0)),
-        limits={
-            "min_joint_margin_deg": _finite(float(margin.min())),
-            "min_singular_value": _finite(result.singular_value),
-            "joint_margins_deg": [_finite(float(value)) for value in margin],
-        },
+        limits=Limits(
+            min_joint_margin_deg=_finite(float(margin.min())),
+            min_singular_value=_finite(result.singular_value),
+            joint_margins_deg=[_finite(float(value)) for value in margin],
+        ),
         redundancy=_redundancy(result),
         collision=_clearance(result),
         reversals=_reversals(result),
         issues=[issue_entry(issue) for issue in result.issues],
-        verdict={"state": "ok", "reasons": []},
+        verdict=Judged(state="ok", reasons=[]),
+        surface=_surface_entry(result, surface) if surface is not None and len(result) else None,
     )
-    if surface is not None and len(result):
-        content["surface"] = _surface_entry(result, surface)
     judged = verdict(result, content)
-    content["verdict"] = {"state": judged.state, "reasons": list(judged.reasons)}
-    return content
+    return replace(content, verdict=Judged(state=judged.state, reasons=list(judged.reasons)))
 
 
 def _redundancy(result: Result) -> Redundancy | None:
     if result.turn is None:
         constant = result.redundancy_deg
-        return None if constant is None else {"mode": "constant", "min_deg": constant, "max_deg": constant}
+        return None if constant is None else Redundancy(mode="constant", min_deg=constant, max_deg=constant)
     low, high = result.turn.range_deg()
-    return {"mode": result.turn.mode, "min_deg": round(low, 3), "max_deg": round(high, 3)}
+    return Redundancy(mode=result.turn.mode, min_deg=round(low, 3), max_deg=round(high, 3))
 
 
 def _held(result: Result, after: Statistics, tolerance: float | None) -> bool | None:
@@ -287,21 +285,21 @@ def _blending(result: Result) -> Blending:
     dialect = result.program.dialect if written is None else registry.of_file(Path(written)).name
     by = registry.written_in(dialect, None)[1].approximation
     if worst is None or not result.rounding[worst] > 0.0:
-        return {"by": by, "max_mm": 0.0, "programmed_max_mm": 0.0, "source_line": None}
-    return {
-        "by": by,
-        "max_mm": float(result.rounding[worst]) * MM_PER_M,
-        "programmed_max_mm": float(result.programmed[cuts].max()) * MM_PER_M,
-        "source_line": int(result.source_line[worst]),
-    }
+        return Blending(by=by, max_mm=0.0, programmed_max_mm=0.0, source_line=None)
+    return Blending(
+        by=by,
+        max_mm=float(result.rounding[worst]) * MM_PER_M,
+        programmed_max_mm=float(result.programmed[cuts].max()) * MM_PER_M,
+        source_line=int(result.source_line[worst]),
+    )
 
 
 def _origin(result: Result) -> Origin:
     writer = registry.by_name(result.program.dialect).writer
     said = None if writer is None else writer.origin(result.program.documents)
     if said is None or said.state == "none":
-        return {"state": "none", "mode": None, "version": None}
-    return {"state": said.state, "mode": said.mode or None, "version": said.version or None}
+        return Origin(state="none", mode=None, version=None)
+    return Origin(state=said.state, mode=said.mode or None, version=said.version or None)
 
 
 def _cuts(result: Result) -> Bools:
@@ -311,25 +309,13 @@ def _cuts(result: Result) -> Bools:
 
 def issue_entry(issue: Issue) -> IssueEntry:
     """Return an issue as an entry of `report.json`."""
-    return {
-        "level": issue.level,
-        "kind": issue.kind,
-        "message": issue.message,
-        "source_line": issue.source_line,
-        "count": issue.count,
-    }
-
-
-def to_json(content: object) -> bytes:
-    """Return JSON text in UTF-8, indented, with a line end.
-
-    :raises ValueError: a number is NaN or infinite.
-    """
-    return (json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode(errors="backslashreplace")
+    return IssueEntry(
+        level=issue.level, kind=issue.kind, message=issue.message, source_line=issue.source_line, count=issue.count
+    )
 
 
 def _bound(values: Statistics | None) -> Bound | None:
-    return None if values is None else {"max_mm": values.largest * MM_PER_M, "rms_mm": values.rms * MM_PER_M}
+    return None if values is None else Bound(max_mm=values.largest * MM_PER_M, rms_mm=values.rms * MM_PER_M)
 
 
 def _bound_entry(result: Result, bound: Statistics, allowed: float | None) -> Expected:
@@ -338,19 +324,19 @@ def _bound_entry(result: Result, bound: Statistics, allowed: float | None) -> Ex
     :param allowed: tolerance of the part, else of the path [m]: a bound below it is never unusable.
     """
     doubt = result.doubt
-    return {
-        "max_mm": bound.largest * MM_PER_M,
-        "rms_mm": bound.rms * MM_PER_M,
-        "basis": result.robot.basis,
-        "unusable": None
+    return Expected(
+        max_mm=bound.largest * MM_PER_M,
+        rms_mm=bound.rms * MM_PER_M,
+        basis=result.robot.basis,
+        unusable=None
         if doubt is None or allowed is None or doubt.bound <= allowed
-        else {
-            "source_line": int(result.source_line[doubt.row]),
-            "u95_mm": doubt.bound * MM_PER_M,
-            "corrected_mm": doubt.corrected * MM_PER_M,
-            "source": doubt.source,
-        },
-    }
+        else Unusable(
+            source_line=int(result.source_line[doubt.row]),
+            u95_mm=doubt.bound * MM_PER_M,
+            corrected_mm=doubt.corrected * MM_PER_M,
+            source=doubt.source,
+        ),
+    )
 
 
 def _reversals(result: Result) -> list[Reversal]:
@@ -358,11 +344,11 @@ def _reversals(result: Result) -> list[Reversal]:
     if turned is None:
         return []
     return [
-        {
-            "joint": JOINTS[turned.joint[index]],
-            "source_line": int(result.source_line[turned.row[index]]),
-            "lost_motion_mm": float(turned.step[index]) * MM_PER_M,
-        }
+        Reversal(
+            joint=JOINTS[turned.joint[index]],
+            source_line=int(result.source_line[turned.row[index]]),
+            lost_motion_mm=float(turned.step[index]) * MM_PER_M,
+        )
         for index in result.largest_reversals.tolist()
     ]
 
@@ -371,16 +357,16 @@ def _on_part(result: Result, tolerance: float | None) -> OnPart:
     """Return the largest expected error on the part (`Result.expected`), judged by a tolerance [m]."""
     stated, error = None if tolerance is None else tolerance * MM_PER_M, result.expected
     if error is None or result.rapid.all():
-        return {"tolerance_mm": stated, "expected_mm": None, "source_line": None, "held": None, "beyond_percent": None}
+        return OnPart(tolerance_mm=stated, expected_mm=None, source_line=None, held=None, beyond_percent=None)
     worst = int(np.argmax(error))
     beyond = None if tolerance is None else 100.0 * float(np.mean(error[~result.rapid] > tolerance))
-    return {
-        "tolerance_mm": stated,
-        "expected_mm": _finite(float(error[worst]) * MM_PER_M),
-        "source_line": int(result.source_line[worst]),
-        "held": None if tolerance is None else bool(error[worst] <= tolerance),
-        "beyond_percent": beyond,
-    }
+    return OnPart(
+        tolerance_mm=stated,
+        expected_mm=_finite(float(error[worst]) * MM_PER_M),
+        source_line=int(result.source_line[worst]),
+        held=None if tolerance is None else bool(error[worst] <= tolerance),
+        beyond_percent=beyond,
+    )
 
 
 def _surface_entry(result: Result, surface: Surface) -> OnSurface:
@@ -388,21 +374,21 @@ def _surface_entry(result: Result, surface: Surface) -> OnSurface:
     deepest = cut[np.argmin(surface.programmed[cut])] if len(cut) else None
     area, left = surface.area, surface.programmed[surface.touched & (surface.programmed_row < 0)]
     known = left[np.isfinite(left)]
-    return {
-        "cut_into_mm": 0.0 if deepest is None else -float(surface.programmed[deepest]) * MM_PER_M,
-        "source_line": None if deepest is None else int(result.source_line[surface.programmed_row[deepest]]),
-        "left_mm": float(np.median(known)) * MM_PER_M if len(known) else None,
-        "reached_percent": 100.0 * float(area[surface.reached].sum() / max(float(area.sum()), 1e-300)),
-    }
+    return OnSurface(
+        cut_into_mm=0.0 if deepest is None else -float(surface.programmed[deepest]) * MM_PER_M,
+        source_line=None if deepest is None else int(result.source_line[surface.programmed_row[deepest]]),
+        left_mm=float(np.median(known)) * MM_PER_M if len(known) else None,
+        reached_percent=100.0 * float(area[surface.reached].sum() / max(float(area.sum()), 1e-300)),
+    )
 
 
 def _distances(values: Statistics) -> Distances:
-    return {
-        "max_mm": values.largest * MM_PER_M,
-        "rms_mm": values.rms * MM_PER_M,
-        "mean_mm": values.mean * MM_PER_M,
-        "p95_mm": values.p95 * MM_PER_M,
-    }
+    return Distances(
+        max_mm=values.largest * MM_PER_M,
+        rms_mm=values.rms * MM_PER_M,
+        mean_mm=values.mean * MM_PER_M,
+        p95_mm=values.p95 * MM_PER_M,
+    )
 
 
 def improvement(before_mm: float, after_mm: float) -> float | None:
@@ -414,9 +400,9 @@ def nothing_to_correct(content: Summary) -> str | None:
     """Return a sentence that says so if the tool deviates nowhere, with or without correction."""
     if (kept := nothing_corrected(content)) is not None:
         return kept
-    if not (content["targets"] and content["before"]["max_mm"] < NOTHING_MM):
+    if not (content.targets and content.before.max_mm < NOTHING_MM):
         return None
-    why = "no cutting move carries a force" if content["max_force_N"] == 0.0 else "the forces do not move the tool"
+    why = "no cutting move carries a force" if content.max_force_N == 0.0 else "the forces do not move the tool"
     return f"Nothing to correct: {why}, the tool follows the programmed path."
 
 
@@ -499,7 +485,7 @@ def verdict(result: Result, content: Summary) -> Verdict:
         if issue.level == "warning"
     ]
     holds: list[Finding] = []
-    if content["targets"]:
+    if content.targets:
         more_failed, more_doubtful = _judged(result, content)
         failed += more_failed
         near = _near_limits(content)
@@ -510,7 +496,7 @@ def verdict(result: Result, content: Summary) -> Verdict:
         doubtful.insert(0, Finding(_FIRST, kept))
     if result.robot.measured is not None and result.robot.measured.not_trusted:
         doubtful.append(Finding(_FIRST, f"the robot model is not to be trusted: {result.robot.measured.not_trusted}"))
-    if content["mode"] != "predict" and result.documents:
+    if content.mode != "predict" and result.documents:
         holds.append(
             Finding(_WORDS_ONLY, "the program was read back as it is written, and simulated with its rounded numbers")
         )
@@ -524,8 +510,8 @@ def verdict(result: Result, content: Summary) -> Verdict:
 
 def nothing_corrected(content: Summary) -> str | None:
     """Return a sentence that says so if motions stay as they are and no other one was corrected."""
-    kept = sum(issue["count"] for issue in content["issues"] if issue["kind"] in _KEPT)
-    if content["mode"] != "convert" or not kept or content["before"]["max_mm"] >= NOTHING_MM:
+    kept = sum(issue.count for issue in content.issues if issue.kind in _KEPT)
+    if content.mode != "convert" or not kept or content.before.max_mm >= NOTHING_MM:
         return None
     motions = "1 motion or call stays as it is" if kept == 1 else f"{kept} motions and calls stay as they are"
     return f"Nothing was corrected: {motions}."
@@ -543,40 +529,40 @@ def _at(message: str, line: int | None, count: int = 1) -> str:
 def _judged(result: Result, content: Summary) -> tuple[list[Finding], list[Finding]]:
     """Return failures and doubts about path, expected error and forces."""
     failed, doubtful = [], []
-    predicted = content["mode"] == "predict"
-    if content["tolerance_held"] is False and not predicted:
-        reached, tolerance = max(content["between_max_mm"] or 0.0, content["after"]["max_mm"]), content["tolerance_mm"]
+    predicted = content.mode == "predict"
+    if content.tolerance_held is False and not predicted:
+        reached, tolerance = max(content.between_max_mm or 0.0, content.after.max_mm), content.tolerance_mm
         assert tolerance is not None
         text = (
             f"the predicted path leaves the nominal one by {above(reached, tolerance)} mm: more than {tolerance:g} mm"
         )
         failed.append(Finding(reached, text))
-    if content["max_force_N"] == 0.0 and not predicted:
+    if content.max_force_N == 0.0 and not predicted:
         doubtful.append(Finding(_FIRST, _without_forces(result, content)))
-    bound, part = content["u95"], content["part"]
+    bound, part = content.u95, content.part
     if bound is None:
         text = "how far the part will be off is unknown: the robot model states no uncertainty of its parameters"
-        doubtful.append(Finding(content["before"]["max_mm"], text))
-    elif (unusable := bound["unusable"]) is not None:
+        doubtful.append(Finding(content.before.max_mm, text))
+    elif (unusable := bound.unusable) is not None:
         advice = (
             "Give the forces with smaller standard deviations"
-            if unusable["source"] == elastostatics.FORCES
+            if unusable.source == elastostatics.FORCES
             else "Identify the robot with readings that show this, or use another model"
         )
         text = (
-            f"the expected error of {above(unusable['u95_mm'], unusable['corrected_mm'])} mm (95 %) is larger than the "
-            f"{rounded(unusable['corrected_mm'])} mm that are corrected, mostly due to {unusable['source']}. {advice}."
+            f"the expected error of {above(unusable.u95_mm, unusable.corrected_mm)} mm (95 %) is larger than the "
+            f"{rounded(unusable.corrected_mm)} mm that are corrected, mostly due to {unusable.source}. {advice}."
         )
-        failed.append(Finding(unusable["u95_mm"], _at(text, unusable["source_line"])))
-    if part["held"] is False and part["expected_mm"] is not None and part["tolerance_mm"] is not None:
-        error = above(part["expected_mm"], part["tolerance_mm"])
+        failed.append(Finding(unusable.u95_mm, _at(text, unusable.source_line)))
+    if part.held is False and part.expected_mm is not None and part.tolerance_mm is not None:
+        error = above(part.expected_mm, part.tolerance_mm)
         of = "predicted deviation included" if predicted else "corners and path included"
         text = (
             f"the expected error on the part is up to {error} mm (95 %, {of}), more than the "
-            f"{part['tolerance_mm']:g} mm of [part] tolerance_mm, at "
-            f"{_two_digits(part['beyond_percent'])} % of the cutting targets"
+            f"{part.tolerance_mm:g} mm of [part] tolerance_mm, at "
+            f"{_two_digits(part.beyond_percent)} % of the cutting targets"
         )
-        (doubtful if predicted else failed).append(Finding(part["expected_mm"], _at(text, part["source_line"])))
+        (doubtful if predicted else failed).append(Finding(part.expected_mm, _at(text, part.source_line)))
     return failed, doubtful
 
 
@@ -587,69 +573,67 @@ def _two_digits(percent: float | None) -> str:
 
 
 def _without_forces(result: Result, content: Summary) -> str:
-    if content["before"]["max_mm"] < NOTHING_MM:
+    if content.before.max_mm < NOTHING_MM:
         return "no cutting move carries a force: nothing is corrected (postproc forces computes forces)"
-    corrected = content["mode"] == "convert"
+    corrected = content.mode == "convert"
     causes = " and ".join(result.causes) or "the model"
     what = "corrected is" if corrected else "what remains is"
     cause = "cause" if len(result.causes) > 1 else "causes"
     return (
         f"no cutting move carries a force: {what} only what {causes} {cause}, up to "
-        f"{rounded(content['before']['max_mm'])} mm (postproc forces computes forces)"
+        f"{rounded(content.before.max_mm)} mm (postproc forces computes forces)"
     )
 
 
 def _expected(content: Summary) -> list[Finding]:
     """Return what to expect on the part, in millimetres."""
     found = []
-    bound, part, blending = content["u95"], content["part"], content["blending"]
+    bound, part, blending = content.u95, content.part, content.blending
     if bound is not None:
-        what = "uncertainty of the prediction" if content["mode"] == "predict" else "expected error on the part"
-        text = f"{what} (95 %): up to {rounded(bound['max_mm'])} mm, {bound['basis']}"
-        found.append(Finding(bound["max_mm"], text))
-    if part["held"] and part["expected_mm"] is not None:
+        what = "uncertainty of the prediction" if content.mode == "predict" else "expected error on the part"
+        text = f"{what} (95 %): up to {rounded(bound.max_mm)} mm, {bound.basis}"
+        found.append(Finding(bound.max_mm, text))
+    if part.held and part.expected_mm is not None:
         text = (
-            f"[part] tolerance_mm = {part['tolerance_mm']:g} is held: up to {rounded(part['expected_mm'])} mm (95 %), "
+            f"[part] tolerance_mm = {part.tolerance_mm:g} is held: up to {rounded(part.expected_mm)} mm (95 %), "
             "corners and path included"
         )
-        found.append(Finding(part["expected_mm"], text))
-    if content["mode"] == "predict":
-        text = f"predicted as programmed: up to {rounded(content['before']['max_mm'])} mm off at cutting targets"
+        found.append(Finding(part.expected_mm, text))
+    if content.mode == "predict":
+        text = f"predicted as programmed: up to {rounded(content.before.max_mm)} mm off at cutting targets"
         return [Finding(_FIRST, text), *found]
-    if blending["source_line"] is not None:
-        own = blending["programmed_max_mm"]
+    if blending.source_line is not None:
+        own = blending.programmed_max_mm
         itself = f", the program itself by {rounded(own)} mm" if own else ""
-        text = f"{blending['by']} rounds corners by up to {rounded(blending['max_mm'])} mm{itself}"
-        found.append(Finding(blending["max_mm"], _at(text, blending["source_line"])))
-    if content["tolerance_held"] is not False and content["between_max_mm"] is not None and content["tolerance_mm"]:
-        but = ", but for rounded corners" if content["tolerance_held"] is None else ""
-        within = f"{rounded(content['between_max_mm'])} mm of the nominal one, between targets too{but}"
-        text = f"the predicted path stays within {within} (tolerance {content['tolerance_mm']:g} mm)"
-        found.append(Finding(content["between_max_mm"], text))
-    if content["mode"] == "convert" and (content["max_correction_mm"] or 0.0) >= NOTHING_MM:
-        found.append(
-            Finding(_WORDS_ONLY, f"the correction is at most {rounded(content['max_correction_mm'] or 0.0)} mm")
-        )
+        text = f"{blending.by} rounds corners by up to {rounded(blending.max_mm)} mm{itself}"
+        found.append(Finding(blending.max_mm, _at(text, blending.source_line)))
+    if content.tolerance_held is not False and content.between_max_mm is not None and content.tolerance_mm:
+        but = ", but for rounded corners" if content.tolerance_held is None else ""
+        within = f"{rounded(content.between_max_mm)} mm of the nominal one, between targets too{but}"
+        text = f"the predicted path stays within {within} (tolerance {content.tolerance_mm:g} mm)"
+        found.append(Finding(content.between_max_mm, text))
+    if content.mode == "convert" and (content.max_correction_mm or 0.0) >= NOTHING_MM:
+        found.append(Finding(_WORDS_ONLY, f"the correction is at most {rounded(content.max_correction_mm or 0.0)} mm"))
     return found
 
 
 def _on_surface(content: Summary) -> tuple[list[Finding], list[Finding]]:
     """Return doubts and findings about the programmed path and the mesh of the part."""
-    surface = content.get("surface")
+    surface = content.surface
     if surface is None:
         return [], []
-    limit = content["part"]["tolerance_mm"] or content["tolerance_mm"] or CUT_MM
-    reached = f"tools reach {surface['reached_percent']:.0f} % of its surface"
-    if surface["reached_percent"] == 0.0:
+    limit = content.part.tolerance_mm or content.tolerance_mm or CUT_MM
+    reached = f"tools reach {surface.reached_percent:.0f} % of its surface"
+    if surface.reached_percent == 0.0:
         text = "no tool reaches the part: check that its mesh is in mm and in $BASE, and the shapes of the tools"
         return [Finding(_FIRST, text)], []
-    cut, left = surface["cut_into_mm"], surface["left_mm"]
+    cut, left = surface.cut_into_mm, surface.left_mm
     if cut > limit:
         text = (
             f"the programmed path itself cuts {rounded(cut)} mm into the part: check that the mesh is in place and is "
             f"the finished part; {reached}"
         )
-        return [Finding(_FIRST, _at(text, surface["source_line"]))], []
+        return [Finding(_FIRST, _at(text, surface.source_line))], []
     if left is not None and left > max(limit, LEFT_MM):
         text = (
             f"the programmed path itself leaves {rounded(left)} mm on the part: check that the mesh is in place and is "
@@ -666,27 +650,27 @@ def _clearance(result: Result) -> Clearance | None:
         return None
     least = _finite(found.distance * MM_PER_M)
     names = [name for name in found.bodies if name]
-    return {"min_clearance_mm": least, "bodies": names, "source_line": found.line, "remarks": list(found.remarks)}
+    return Clearance(min_clearance_mm=least, bodies=names, source_line=found.line, remarks=list(found.remarks))
 
 
 def _free(content: Summary) -> list[Finding]:
     """Return the smallest clearance as a finding; none if collisions were not checked."""
-    return [] if content["collision"] is None else [Finding(_WORDS_ONLY, clearance(content))]
+    return [] if content.collision is None else [Finding(_WORDS_ONLY, clearance(content))]
 
 
 def clearance(content: Summary) -> str:
     """Return the smallest clearance in words."""
-    found = content["collision"]
+    found = content.collision
     if found is None:
         return "collisions are not checked: the cell has no [collision]"
-    if found["min_clearance_mm"] is None:
+    if found.min_clearance_mm is None:
         return "[collision] names no bodies that could touch"
-    between = " and ".join(found["bodies"])
-    return f"smallest clearance {found['min_clearance_mm']:.3g} mm, of {between} at line {found['source_line']}"
+    between = " and ".join(found.bodies)
+    return f"smallest clearance {found.min_clearance_mm:.3g} mm, of {between} at line {found.source_line}"
 
 
 def _near_limits(content: Summary) -> list[Finding]:
-    margins = content["limits"]["joint_margins_deg"]
+    margins = content.limits.joint_margins_deg
     return [
         Finding(_WORDS_ONLY, f"{name} comes within {margin:.1f}° of a limit")
         for name, margin in zip(JOINTS, margins, strict=True)
@@ -695,7 +679,7 @@ def _near_limits(content: Summary) -> list[Finding]:
 
 
 def _margin(content: Summary) -> list[Finding]:
-    least = content["limits"]["min_joint_margin_deg"]
+    least = content.limits.min_joint_margin_deg
     return [] if least is None else [Finding(_WORDS_ONLY, f"all joints stay {least:.1f}° or more from their limits")]
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from msgspec.structs import astuple
+
 from postproc.report.feed import seconds, sentences
 from postproc.report.formatting import PLAIN, ROUNDING_MM, Display, State, estimate, rounded
 from postproc.report.summary import (
@@ -19,7 +21,8 @@ from postproc.report.summary import (
 _STATES: dict[State, str] = {"failed": "failed", "warning": "to be looked at", "ok": "good"}
 _NO_FORCES = "no forces"
 _REASONS = 8
-_ROWS = (("max", "max_mm"), ("RMS", "rms_mm"), ("mean", "mean_mm"), ("95 %", "p95_mm"))
+_ROWS = ("max", "RMS", "mean", "95 %")
+"""Labels of `summary.Distances`."""
 
 
 def of_one(content: Summary, display: Display = PLAIN) -> str:
@@ -27,80 +30,80 @@ def of_one(content: Summary, display: Display = PLAIN) -> str:
 
     :param display: how it looks.
     """
-    verdict = content["verdict"]
-    word = WORDS[content["mode"] != "predict", verdict["state"]]
+    verdict = content.verdict
+    word = WORDS[content.mode != "predict", verdict.state]
     lines = [
-        f"{content['program']}  on {content['robot']}: {nothing_corrected(content) or targets(content)}",
-        display.verdict(word, verdict["state"]),
+        f"{content.program}  on {content.robot}: {nothing_corrected(content) or targets(content)}",
+        display.verdict(word, verdict.state),
     ]
-    lines += [f"  - {reason}" for reason in verdict["reasons"][:_REASONS]]
-    if len(verdict["reasons"]) > _REASONS:
-        lines.append(f"  - {len(verdict['reasons']) - _REASONS} more reasons: see the report")
+    lines += [f"  - {reason}" for reason in verdict.reasons[:_REASONS]]
+    if len(verdict.reasons) > _REASONS:
+        lines.append(f"  - {len(verdict.reasons) - _REASONS} more reasons: see the report")
     lines.append("")
     nothing = nothing_to_correct(content)
     u95 = _u95(content)
     rows: list[tuple[str, ...]]
     if nothing is not None:
         lines.append(f"  {nothing}")
-    elif content["mode"] == "predict":
-        rows = [(label, estimate(content["before"][key], u95)) for label, key in _ROWS]  # type: ignore[literal-required]
+    elif content.mode == "predict":
+        rows = [(label, estimate(value, u95)) for label, value in zip(_ROWS, astuple(content.before), strict=True)]
         lines.append(display.table(("deviation [mm]", "predicted"), rows, (1,), "  "))
     else:
-        pairs = [(label, content["before"][key], content["after"][key]) for label, key in _ROWS]  # type: ignore[literal-required]
+        pairs = zip(_ROWS, astuple(content.before), astuple(content.after), strict=True)
         rows = [(label, estimate(old, u95), estimate(new, u95), times(old, new)) for label, old, new in pairs]
         lines.append(display.table(("deviation [mm]", "before", "after", "improvement"), rows, range(1, 4), "  "))
     lines += ["", *_facts(content), *_feeds(content, display)]
-    lines += [issue_line(issue, content["program"]) for issue in content["issues"] if issue["level"] == "info"]
+    lines += [issue_line(issue, content.program) for issue in content.issues if issue.level == "info"]
     return "\n".join(lines)
 
 
 def targets(content: Summary) -> str:
     """Return how many targets a program has, and how many of them are not its own."""
-    inserted = content["inserted_targets"]
-    what = "places looked at" if content["mode"] == "predict" and inserted else "targets"
-    own = "between its targets" if content["mode"] == "predict" else "inserted"
-    return f"{content['targets']} {what}" + (f", {inserted} of them {own}" if inserted else "")
+    inserted = content.inserted_targets
+    what = "places looked at" if content.mode == "predict" and inserted else "targets"
+    own = "between its targets" if content.mode == "predict" else "inserted"
+    return f"{content.targets} {what}" + (f", {inserted} of them {own}" if inserted else "")
 
 
 def _facts(content: Summary) -> list[str]:
     """Return facts in addition to the reasons of the verdict."""
-    facts = [] if content["verdict"]["state"] == "ok" else _expected(content)
-    if content["mode"] == "convert" and content["compensated_percent"] is not None:
-        facts.append(f"compensated {percent(content['compensated_percent'])}")
-    if content["mode"] == "predict" and content["between_max_mm"] is not None:
-        facts.append(f"anywhere on the path at most {estimate(content['between_max_mm'], _u95(content))} mm")
-    if content["mode"] == "predict" and content["tolerance_held"] is False:
-        facts.append(f"tolerance {content['tolerance_mm']:g} mm EXCEEDED")
-    origin = content["provenance"]
-    if origin["state"] == "intact":
-        makes_up = origin["mode"] == "corrected" and nothing_to_correct(content) is None
+    facts = [] if content.verdict.state == "ok" else _expected(content)
+    if content.mode == "convert" and content.compensated_percent is not None:
+        facts.append(f"compensated {percent(content.compensated_percent)}")
+    if content.mode == "predict" and content.between_max_mm is not None:
+        facts.append(f"anywhere on the path at most {estimate(content.between_max_mm, _u95(content))} mm")
+    if content.mode == "predict" and content.tolerance_held is False:
+        facts.append(f"tolerance {content.tolerance_mm:g} mm EXCEEDED")
+    origin = content.provenance
+    if origin.state == "intact":
+        makes_up = origin.mode == "corrected" and nothing_to_correct(content) is None
         corrected = ": its targets compensate the deviation predicted here" if makes_up else ""
-        facts.append(f"written by postproc {origin['version']} ({origin['mode']}), unchanged since{corrected}")
-    limits = content["limits"]
+        facts.append(f"written by postproc {origin.version} ({origin.mode}), unchanged since{corrected}")
+    limits = content.limits
     facts.append(
-        f"smallest joint margin {number(limits['min_joint_margin_deg'], 1)}°, "
-        f"smallest singular value {number(limits['min_singular_value'], 3)}"
+        f"smallest joint margin {number(limits.min_joint_margin_deg, 1)}°, "
+        f"smallest singular value {number(limits.min_singular_value, 3)}"
     )
     facts.append(clearance(content))
-    facts += [] if content["collision"] is None else content["collision"]["remarks"]
+    facts += [] if content.collision is None else content.collision.remarks
     return [f"  {fact}" for fact in facts]
 
 
 def _feeds(content: Summary, display: Display) -> list[str]:
     """Return what was done to the feeds, and cutting times by operation."""
-    feed = content["feed"]
+    feed = content.feed
     if feed is None:
         return []
     lines = [f"  {each}" for each in sentences(feed)]
-    if len(feed["operations"]) > 1 and feed["lowered_moves"]:
+    if len(feed.operations) > 1 and feed.lowered_moves:
         rows = [
             (
-                each["name"],
-                seconds(each["time_before_s"]),
-                seconds(each["time_after_s"]),
-                str(each["lowered_moves"]),
+                each.name,
+                seconds(each.time_before_s),
+                seconds(each.time_after_s),
+                str(each.lowered_moves),
             )
-            for each in feed["operations"]
+            for each in feed.operations
         ]
         lines.append(display.table(("cutting time", "before", "after", "moves slowed"), rows, range(1, 4), "  "))
     return lines
@@ -109,34 +112,34 @@ def _feeds(content: Summary, display: Display) -> list[str]:
 def _expected(content: Summary) -> list[str]:
     """Return the expected error, if the verdict is about something else."""
     facts = []
-    if nothing_to_correct(content) is None and content["targets"]:
-        bound = content["u95"]
+    if nothing_to_correct(content) is None and content.targets:
+        bound = content.u95
         bounded = (
             "unknown, the model states no uncertainty"
             if bound is None
-            else f"up to {rounded(bound['max_mm'])} mm, {bound['basis']}"
+            else f"up to {rounded(bound.max_mm)} mm, {bound.basis}"
         )
-        what = "uncertainty of the prediction" if content["mode"] == "predict" else "expected error on the part"
+        what = "uncertainty of the prediction" if content.mode == "predict" else "expected error on the part"
         facts.append(f"{what} (95 %): {bounded}")
-    if content["mode"] == "convert" and content["max_correction_mm"] is not None:
-        facts.append(f"largest correction {rounded(content['max_correction_mm'])} mm")
-    if content["mode"] != "predict" and content["between_max_mm"] is not None:
-        held = {None: ", held but for approximation", True: ", held", False: ", EXCEEDED"}[content["tolerance_held"]]
-        stated = "" if content["tolerance_mm"] is None else f" (tolerance {content['tolerance_mm']:g} mm{held})"
-        facts.append(f"between targets at most {rounded(content['between_max_mm'])} mm{stated}")
-    blending = content["blending"]
-    if blending["source_line"] is not None:
-        own = blending["programmed_max_mm"]
-        where = f"line {blending['source_line']}" + (f"; the program itself by {rounded(own)} mm" if own else "")
-        facts.append(f"{blending['by']} rounds corners by up to {rounded(blending['max_mm'])} mm ({where})")
+    if content.mode == "convert" and content.max_correction_mm is not None:
+        facts.append(f"largest correction {rounded(content.max_correction_mm)} mm")
+    if content.mode != "predict" and content.between_max_mm is not None:
+        held = {None: ", held but for approximation", True: ", held", False: ", EXCEEDED"}[content.tolerance_held]
+        stated = "" if content.tolerance_mm is None else f" (tolerance {content.tolerance_mm:g} mm{held})"
+        facts.append(f"between targets at most {rounded(content.between_max_mm)} mm{stated}")
+    blending = content.blending
+    if blending.source_line is not None:
+        own = blending.programmed_max_mm
+        where = f"line {blending.source_line}" + (f"; the program itself by {rounded(own)} mm" if own else "")
+        facts.append(f"{blending.by} rounds corners by up to {rounded(blending.max_mm)} mm ({where})")
     return facts
 
 
 def issue_line(issue: IssueEntry, program: str) -> str:
     """Return one line about an issue, with its first file and line."""
-    where = program if issue["source_line"] is None else f"{program}:{issue['source_line']}"
-    more = f" ({issue['count']} times)" if issue["count"] > 1 else ""
-    return f"{issue['level']}: {where}: {issue['message']}{more}"
+    where = program if issue.source_line is None else f"{program}:{issue.source_line}"
+    more = f" ({issue.count} times)" if issue.count > 1 else ""
+    return f"{issue.level}: {where}: {issue.message}{more}"
 
 
 def of_many(rows: Sequence[tuple[str, Summary | None, str]], display: Display = PLAIN) -> str:
@@ -152,20 +155,20 @@ def of_many(rows: Sequence[tuple[str, Summary | None, str]], display: Display = 
         if content is None:
             cells.append((name, *("-",) * 7, word))
             continue
-        before, after = content["before"], content["after"]
-        lengths = (before["max_mm"], after["max_mm"], before["rms_mm"], after["rms_mm"])
+        before, after = content.before, content.after
+        lengths = (before.max_mm, after.max_mm, before.rms_mm, after.rms_mm)
         shown = (estimate(length, _u95(content)) for length in lengths)
-        numbers = (str(content["targets"]), *shown, percent(content["compensated_percent"]))
+        numbers = (str(content.targets), *shown, percent(content.compensated_percent))
         cells.append((name, *numbers, _verdict_word(content), word))
     written = [content for _, content, _ in rows if content is not None]
     if len(rows) > 1 and written:
         bound = max((u95 for content in written if (u95 := _u95(content)) is not None), default=None)
-        worst = [max(content[key]["max_mm"] for content in written) for key in ("before", "after")]
+        worst = [max(c.before.max_mm for c in written), max(c.after.max_mm for c in written)]
         words = [_verdict_word(content) for content in written]
         counts = [f"{words.count(word)} {word}" for word in (*_STATES.values(), _NO_FORCES) if word in words]
         if len(rows) > len(written):
             counts.insert(0, f"{len(rows) - len(written)} not written")
-        targets_in_all = str(sum(content["targets"] for content in written))
+        targets_in_all = str(sum(content.targets for content in written))
         total = f"all {len(rows)}, at most"
         cells.append(
             (total, targets_in_all, *(estimate(each, bound) for each in worst), "", "", "", "", ", ".join(counts))
@@ -174,12 +177,12 @@ def of_many(rows: Sequence[tuple[str, Summary | None, str]], display: Display = 
 
 
 def _u95(content: Summary) -> float | None:
-    return None if content["u95"] is None else content["u95"]["max_mm"]
+    return None if content.u95 is None else content.u95.max_mm
 
 
 def _verdict_word(content: Summary) -> str:
-    state = content["verdict"]["state"]
-    return _NO_FORCES if state == "warning" and content["max_force_N"] == 0.0 else _STATES[state]
+    state = content.verdict.state
+    return _NO_FORCES if state == "warning" and content.max_force_N == 0.0 else _STATES[state]
 
 
 def _why(rows: Sequence[tuple[str, Summary | None, str]]) -> list[str]:
@@ -189,8 +192,8 @@ def _why(rows: Sequence[tuple[str, Summary | None, str]]) -> list[str]:
     """
     programs: dict[str, list[str]] = {}
     for name, content, _ in rows:
-        if content is not None and content["verdict"]["state"] != "ok":
-            programs.setdefault(content["verdict"]["reasons"][0], []).append(name)
+        if content is not None and content.verdict.state != "ok":
+            programs.setdefault(content.verdict.reasons[0], []).append(name)
     lines = []
     for reason, names in [*programs.items()][:_REASONS]:
         which = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"

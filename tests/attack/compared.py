@@ -110,8 +110,8 @@ def told(nominal, files, cell, robot, rows):
     except PostprocError as cause:
         return "refused", [str(cause)]
     limit = cell.output.max_correction_mm * M_PER_MM
-    verdict = comparison_summary(found, MadeFrom(Provenance("none"), {}), cell.tolerance, limit)["verdict"]
-    return verdict["state"], verdict["reasons"]
+    verdict = comparison_summary(found, MadeFrom(Provenance("none"), {}), cell.tolerance, limit).verdict
+    return verdict.state, verdict.reasons
 
 
 class Planter:

@@ -140,9 +140,9 @@ def compared(nominal, corrected, forces, folder):
     """Compare two programs: return exit code, state of the verdict and its reasons."""
     request = CompareRequest(nominal=nominal, corrected=corrected, cell=CELL, forces=forces, output=folder)
     request_made = compare_programs(request)
-    verdict = request_made.summary["verdict"]
-    counts = {name: request_made.summary[name] for name in ("only_nominal", "only_corrected")}
-    return request_made.code, verdict["state"], verdict["reasons"], counts
+    verdict = request_made.summary.verdict
+    counts = {name: getattr(request_made.summary, name) for name in ("only_nominal", "only_corrected")}
+    return request_made.code, verdict.state, verdict.reasons, counts
 
 
 def attack(seed, folder):

@@ -121,8 +121,8 @@ def test_rounding_is_that_of_the_written_text_and_small_where_only_the_force_cha
     assert len(inserted) >= 3
     assert 0.0 < inserted.max() <= 0.2 * 1e-5 + 1e-9
     content = report.summary(result, 1e-5)
-    assert content["blending"]["max_mm"] == pytest.approx(1e3 * max(seen), rel=1e-3)
-    assert content["tolerance_held"] is None
+    assert content.blending.max_mm == pytest.approx(1e3 * max(seen), rel=1e-3)
+    assert content.tolerance_held is None
     assert "between targets too, but for rounded corners" in report.of_one(content)
     assert "rounds corners by up to 0.0" in report.of_one(content)
 
@@ -130,7 +130,7 @@ def test_rounding_is_that_of_the_written_text_and_small_where_only_the_force_cha
 def test_held_is_said_where_it_is_held_with_approximation():
     text = f"{HEAD}(FORCE FX=300 FZ=200)\nG1 Z0\nG1 X20\nG1 X40 Y20\nM2\n"
     result = converted(text, corner_tolerance_mm=0.001)
-    assert report.summary(result, 1e-5)["tolerance_held"] is True
+    assert report.summary(result, 1e-5).tolerance_held is True
 
 
 KRL = "DEF part( )\n$VEL.CP=0.05\n$APO.CDIS=2\n;FORCE FX=300 FZ=200\nPTP {X 0,Y 0,Z 10,A 180,B 0,C 180}\n"
@@ -147,13 +147,13 @@ def test_krl_keeps_its_corners_and_stops_at_inserted_targets_only_where_it_stops
     content = report.summary(result, 1e-5)
     if tail:
         corner = 0.25 * 2.0 * np.sqrt(2.0)
-        assert content["blending"]["programmed_max_mm"] == pytest.approx(corner, rel=1e-6)
+        assert content.blending.programmed_max_mm == pytest.approx(corner, rel=1e-6)
         assert "the program itself by 0.71 mm" in report.of_one(content)
         assert re.search("approximation .* rounds the path", " ".join(issue.message for issue in result.issues))
     else:
         assert "stop-inserted" in {issue.kind for issue in result.issues}
-        assert content["blending"]["max_mm"] == 0.0
-        assert content["tolerance_held"] is True
+        assert content.blending.max_mm == 0.0
+        assert content.tolerance_held is True
 
 
 KEPT = """DEF part( )

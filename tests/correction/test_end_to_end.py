@@ -249,8 +249,8 @@ def test_a_tool_that_gives_way_is_corrected_and_told_apart():
     cutting = ~result.rapid
     np.testing.assert_allclose(result.deflection_by_tool[cutting][:, 0], 60e-6, rtol=1e-3)  # 300 N · 0.2 µm/N
     assert result.after[cutting].max() < MICROMETRE
-    assert report.summary(result)["tool_deflection"]["max_mm"] == pytest.approx(0.06, rel=1e-3)
-    assert report.summary(rigid)["tool_deflection"] is None
+    assert report.summary(result).tool_deflection.max_mm == pytest.approx(0.06, rel=1e-3)
+    assert report.summary(rigid).tool_deflection is None
     end = np.flatnonzero(result.t == 1.0)[-2], np.flatnonzero(rigid.t == 1.0)[-2]
     more = result.deflection[end[0]] - rigid.deflection[end[1]]
     np.testing.assert_allclose(more, result.deflection_by_tool[end[0]], atol=1e-7)

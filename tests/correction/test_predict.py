@@ -25,7 +25,7 @@ def test_prediction_has_the_numbers_that_convert_has_before(name: str) -> None:
     csv = SAMPLES / f"{Path(name).stem}.forces.csv"
     rows = read_force_csv(csv) if csv.exists() else None
     corrected, predicted = (correction.process(made, ROBOT, CELL, rows, mode) for mode in ("convert", "predict"))
-    before, as_it_stands = report.summary(corrected)["before"], report.summary(predicted)["before"]
+    before, as_it_stands = report.summary(corrected).before, report.summary(predicted).before
     for key, value in before.items():
         assert as_it_stands[key] == pytest.approx(value, abs=1e-7)  # mm: what the equilibrium is solved to
     np.testing.assert_array_equal(predicted.t, corrected.t)

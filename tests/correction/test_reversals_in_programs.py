@@ -41,13 +41,13 @@ def _convert(model, tmp_path):
 def test_the_step_of_a_reversal_is_listed_with_line_and_joint(tmp_path):
     result = _convert(LOOSE, tmp_path)
     assert not result.failed, result.issues
-    found = summary(result)["reversals"]
-    assert (found[0]["joint"], found[0]["source_line"]) == ("A1", 7)
+    found = summary(result).reversals
+    assert (found[0].joint, found[0].source_line) == ("A1", 7)
     at = int(np.flatnonzero(result.source_line == 7)[0])
     flange = KR270.nominal.joint_frames(result.q[[at]])[1][0]
     tip = (flange @ result.program.tools[0])[:2, 3]
-    assert found[0]["lost_motion_mm"] == pytest.approx(2e3 * 50e-6 * np.linalg.norm(tip), rel=1e-3)
-    assert all(entry["lost_motion_mm"] == 0.0 for entry in found if entry["joint"] != "A1")
+    assert found[0].lost_motion_mm == pytest.approx(2e3 * 50e-6 * np.linalg.norm(tip), rel=1e-3)
+    assert all(entry.lost_motion_mm == 0.0 for entry in found if entry.joint != "A1")
     text = read_page(b"".join(page(result))).text("reversals")
     assert "A1 7 0." in text
 
@@ -64,7 +64,7 @@ def test_the_bound_next_to_the_reversal_holds_the_step_and_elsewhere_it_does_not
 
 def test_a_model_that_states_no_lost_motion_says_so(tmp_path):
     result = _convert(KR270, tmp_path)
-    found = summary(result)["reversals"]
+    found = summary(result).reversals
     assert {"joint": "A1", "source_line": 7, "lost_motion_mm": 0.0} in found
     assert "The robot model states none" in read_page(b"".join(page(result))).text("reversals")
 
@@ -75,4 +75,4 @@ def test_a_force_that_stays_reverses_nothing(tmp_path):
     from postproc.jobs.conversion import read_program
 
     result = correction.process(read_program(path, KR270, CELL), KR270, CELL)
-    assert not [entry for entry in summary(result)["reversals"] if entry["source_line"] == 7]
+    assert not [entry for entry in summary(result).reversals if entry.source_line == 7]

@@ -6,8 +6,8 @@
 
 The inputs are stored too, so that generators and tests may change without changing what is compared. `freeze` writes
 one zip file a group of cases; `compare` prints how many outputs differ by kind (exit code, messages, standard output,
-text, JSON, CSV) with the first lines that do, and ends with 1 if any does. `--quick` runs a share of each group that
-takes about a minute in all. HTML pages are not compared: what they show is in the JSON and CSV files.
+text, JSON, CSV, pages) with the first lines that do, and ends with 1 if any does. `--quick` runs a share of each group
+that takes about a minute in all. Pages are compared without the library that draws plots.
 
 A group is a function of `tests.frozen.groups`, a way to run a case one of `tests.frozen.running`.
 """

@@ -8,14 +8,21 @@ from dataclasses import dataclass
 
 _NUMBER = re.compile(rb"(?<![\w.])[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?")
 _ORIGIN = re.compile(rb"(?m)^([;!]POSTPROC .*? )(version=\S+.*)$")
-KINDS = {"exit": "exit codes", "messages": "messages", "stdout": "standard output", "json": "JSON", "csv": "CSV"}
+KINDS = {
+    "exit": "exit codes",
+    "messages": "messages",
+    "stdout": "standard output",
+    "json": "JSON",
+    "csv": "CSV",
+    "html": "pages",
+}
 
 
 @dataclass(frozen=True, slots=True)
 class Difference:
     """One output that is not the same.
 
-    :ivar kind: exit codes, messages, standard output, JSON, CSV or text.
+    :ivar kind: exit codes, messages, standard output, JSON, CSV, pages or text.
     """
 
     case: str

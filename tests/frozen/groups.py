@@ -20,6 +20,15 @@ ROOT = Path(__file__).parents[2]
 SAMPLES = ROOT / "samples"
 _RECORDED = sorted(str(path.relative_to(ROOT)) for path in (ROOT / "tests" / "dialects").glob("test_krl_*.py"))
 """Tests whose KRL programs are cases."""
+_CUTS = """\
+mode,ap_mm,ae_mm,rpm,feed_mm_per_min,Fx,Fy,Fz,sigma_N
+slot,2.4,,3900,280.8,-72,-118,41,3
+slot,2.4,,3900,561.6,-101,-187,58,3
+slot,2.4,,3900,842.4,-127,-251,70,3
+slot,1.2,,3900,561.6,-54,-90,31,3
+slot,1.2,,3900,842.4,-66,-122,38,3
+"""
+"""Mean forces of slots, made up."""
 
 
 def sample_files(*more: str) -> dict[str, bytes]:
@@ -55,6 +64,32 @@ def samples(_: int) -> Iterator[Case]:
         if "--process" in options:
             steps.append(("postproc", "forces", program, "--cell", cell, *inputs_, "-o", "forces"))
         yield Case(name, files, tuple(steps))
+
+
+def models(_: int) -> Iterator[Case]:
+    """Readings of a simulated robot: plans, identification, validation; the place of a part; test cuts."""
+    with tempfile.TemporaryDirectory() as place:
+        command = [sys.executable, str(SAMPLES / "paper_study" / "simulator.py"), place]
+        subprocess.run(command, check=True, capture_output=True)
+        made = {path.name: path.read_bytes() for path in Path(place).iterdir()}
+    experiment = ("--experiment", "experiment.toml")
+    files = made | sample_files("cell_kr270.toml", "pocket.nc")
+    milled = ("--cell", "cell_kr270.toml", "--program", "pocket.nc")
+    identified = ("postproc", "identify", "elastostatics", "measurements.csv", *experiment, "-o", "my_robot")
+    validated = ("postproc", "identify", "validate", "my_robot", "validation.csv", *experiment, *milled)
+    yield Case("identify", files, (identified, validated))
+    rig = made["experiment.toml"] + b"\n[rig]\nmass_kg = 275\nmax_angle_deg = 30\n"
+    few = ("--configurations", "6", "--q2-levels", "3", "--test-poses", "5")
+    planned = ("postproc", "plan", "poses", *experiment, *milled, *few, "-o", "plan.csv", "--json")
+    yield Case("plan", files | {"experiment.toml": rig}, (planned,))
+    region = ("--region", "X=1500:1700,A=-30:30")
+    placed = ("postproc", "place", "pocket.nc", "--cell", "cell_kr270.toml", *region, "-o", "place")
+    yield Case("place", files, (placed,))
+    process = ("--process", "plate.process.toml")
+    proposed = ("postproc", "identify", "forces", "--propose", *process, "-o", "testcuts.nc")
+    fitted = ("postproc", "identify", "forces", "readings.csv", *process, "-o", "material.toml")
+    files = sample_files("plate.process.toml", "plate.blank.stl") | {"readings.csv": _CUTS.encode()}
+    yield Case("forces", files, (proposed, fitted))
 
 
 def collection(_: int) -> Iterator[Case]:
@@ -163,6 +198,7 @@ def _wide_cell(name: str = "cell_kr270.toml") -> bytes:
 
 GROUPS: dict[str, Callable[[int], Iterator[Case]]] = {
     "samples": samples,
+    "models": models,
     "collection": collection,
     "gcode": gcode,
     "gcode-modes": gcode_modes,

@@ -21,13 +21,13 @@ from postproc.dialects import krl
 from postproc.dialects.krl.write import in_files
 from postproc.dialects.text import decode
 from postproc.errors import PostprocError
+from postproc.report.kit.page import library
 from tests.attack import krl as attack
 from tests.dialects.krl_programs import forward, targets
 from tests.frozen.case import Case
 
 SECONDS = 60
 """A step that takes longer is ended, and its outcome is that."""
-_PAGES = (".html",)
 
 
 class _TooLong(BaseException):
@@ -52,8 +52,9 @@ def run(case: Case) -> Case:
                     outputs[f"{number}/{name}"] = text.replace(str(folder), ".").encode("utf-8", "surrogateescape")
             for path in sorted(folder.rglob("*")):
                 name = path.relative_to(folder).as_posix()
-                if path.is_file() and path.suffix not in _PAGES and case.files.get(name) != path.read_bytes():
-                    outputs[f"files/{name}"] = path.read_bytes().replace(str(folder).encode(), b".")
+                if path.is_file() and case.files.get(name) != path.read_bytes():
+                    text = path.read_bytes().replace(str(folder).encode(), b".")
+                    outputs[f"files/{name}"] = text.replace(library(), b"") if path.suffix == ".html" else text
         finally:
             os.chdir(home)
     return Case(case.name, case.files, case.steps, outputs)

@@ -236,8 +236,8 @@ def test_a_program_is_told_of_torques_beyond_those_measured_and_of_a_model_not_t
         model = replace(harness.PRIOR, measured=robot.Measured(measured, "the set-up moved"))
         issues = list(checks.beyond_measured(program, model, motion, q, harness.TOOL, wrench))
         assert [issue.kind for issue in issues] == expected
-    verdict = summary(replace(fabricated.result(), robot=model), 1e-5)["verdict"]
-    assert verdict["reasons"][0] == "the robot model is not to be trusted: the set-up moved"
+    verdict = summary(replace(fabricated.result(), robot=model), 1e-5).verdict
+    assert verdict.reasons[0] == "the robot model is not to be trusted: the set-up moved"
     assert not list(checks.beyond_measured(program, harness.PRIOR, motion, q, harness.TOOL, wrench))
 
 

@@ -49,9 +49,9 @@ def test_a_program_that_no_constant_turn_can_drive_is_driven_along_the_path(name
     assert 'redundancy = "path"' in next(issue.message for issue in best.issues if issue.level == "error")
     path = convert(text, replace(own, gcode=replace(own.gcode, redundancy="path")))
     assert not path.failed, path.issues
-    content = summary(path)["redundancy"]
-    assert content["mode"] == "path"
-    assert content["max_deg"] - content["min_deg"] > 20.0
+    content = summary(path).redundancy
+    assert content.mode == "path"
+    assert content.max_deg - content.min_deg > 20.0
 
 
 SLOW, BINDING = 3000, 112_000
@@ -210,7 +210,7 @@ def test_the_text_of_a_robot_program_keeps_its_turn():
     program = correction.read(written.documents, model, own, "part", "krl")
     result = correction.process(program, model, own, mode="predict")
     assert result.turn is None
-    assert summary(result)["redundancy"] is None
+    assert summary(result).redundancy is None
 
 
 def test_a_cut_that_tilts_the_tool_without_rotary_axes_is_not_turned_on_the_way():

@@ -53,7 +53,7 @@ def test_the_table_says_what_the_report_says():
     text = _read(result).text("numbers")
     assert "Maximum 1.5 0.0002 7500" in text
     content = summary(result, 1e-5)
-    assert f"RMS {content['before']['rms_mm']:.1f} {content['after']['rms_mm']:.4f}" in text
+    assert f"RMS {content.before.rms_mm:.1f} {content.after.rms_mm:.4f}" in text
 
 
 def test_what_the_model_leaves_and_what_is_to_be_expected_stand_apart():

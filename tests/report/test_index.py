@@ -1,17 +1,19 @@
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 import pytest
 
 from postproc.report import summary
-from postproc.report.index import Entry, index_page
+from postproc.report.index import Entry, Reported, index_page
 from tests import fabricated
 from tests.html_page import read_page
 
 
 def _entry(name, tolerance=1e-5, **changes):
     content = summary(fabricated.with_changes(fabricated.result(), **changes), tolerance)
-    return Entry(f"{name}.nc", f"{name}.report.html", {**content, "program": f"{name}.nc"})
+    written = msgspec.to_builtins(content) | {"program": f"{name}.nc"}
+    return Entry(f"{name}.nc", f"{name}.report.html", msgspec.convert(written, Reported))
 
 
 def test_programs_in_trouble_come_first_the_worst_of_them_first():

@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 from postproc.errors import Issue
-from postproc.report import summary, to_json
+from postproc.files import json_bytes
+from postproc.report import summary
+from postproc.report.summary import Ratios
 from tests import fabricated
 
 
 def test_keys_are_those_of_the_contract():
-    content = summary(fabricated.result())
+    content = json.loads(json_bytes(summary(fabricated.result())))
     assert {
         "program", "robot", "targets", "inserted_targets", "before", "after", "improvement", "compensated_percent",
         "max_correction_mm", "limits", "issues",
@@ -26,32 +28,32 @@ def test_numbers_are_over_cutting_targets_in_mm():
     result = fabricated.result()
     cutting = result.before[~result.rapid] * 1e3
     content = summary(result)
-    assert content["before"]["max_mm"] == pytest.approx(cutting.max())
-    assert content["before"]["rms_mm"] == pytest.approx(np.sqrt(np.mean(cutting**2)))
-    assert content["before"]["mean_mm"] == pytest.approx(cutting.mean())
-    assert content["before"]["p95_mm"] == pytest.approx(np.percentile(cutting, 95))
-    assert content["improvement"]["max"] == pytest.approx(cutting.max() / 2e-4)
-    assert content["compensated_percent"] == pytest.approx(100 * (1 - 2e-4 / content["before"]["rms_mm"]))
-    assert content["max_correction_mm"] == pytest.approx(1.5)
-    assert content["limits"]["min_joint_margin_deg"] == pytest.approx(40.0)
-    assert content["max_force_N"] == pytest.approx(np.abs(result.wrench[:, 2]).max())
+    assert content.before.max_mm == pytest.approx(cutting.max())
+    assert content.before.rms_mm == pytest.approx(np.sqrt(np.mean(cutting**2)))
+    assert content.before.mean_mm == pytest.approx(cutting.mean())
+    assert content.before.p95_mm == pytest.approx(np.percentile(cutting, 95))
+    assert content.improvement.max == pytest.approx(cutting.max() / 2e-4)
+    assert content.compensated_percent == pytest.approx(100 * (1 - 2e-4 / content.before.rms_mm))
+    assert content.max_correction_mm == pytest.approx(1.5)
+    assert content.limits.min_joint_margin_deg == pytest.approx(40.0)
+    assert content.max_force_N == pytest.approx(np.abs(result.wrench[:, 2]).max())
 
 
 def test_inserted_targets_are_those_within_a_motion():
     base = fabricated.result(10)
     t = base.t.copy()
     t[[2, 5]] = 0.5
-    assert summary(fabricated.with_changes(base, t=t))["inserted_targets"] == 2
+    assert summary(fabricated.with_changes(base, t=t)).inserted_targets == 2
 
 
 def test_improvement_is_null_where_nothing_remains_and_share_is_null_where_nothing_was():
     base = fabricated.result()
-    assert summary(fabricated.with_changes(base, after=np.zeros(100)))["improvement"] == {"max": None, "rms": None}
+    assert summary(fabricated.with_changes(base, after=np.zeros(100))).improvement == Ratios(max=None, rms=None)
     nothing = fabricated.with_changes(base, before=np.zeros(100), after=np.zeros(100))
-    assert summary(nothing)["compensated_percent"] is None
+    assert summary(nothing).compensated_percent is None
     rounding = fabricated.with_changes(base, after=np.full(100, 0.9e-7))
-    assert summary(rounding)["improvement"] == {"max": None, "rms": None}
-    assert summary(fabricated.with_changes(base, after=np.full(100, 1.1e-7)))["improvement"]["rms"] > 1000
+    assert summary(rounding).improvement == Ratios(max=None, rms=None)
+    assert summary(fabricated.with_changes(base, after=np.full(100, 1.1e-7))).improvement.rms > 1000
 
 
 def test_text_is_valid_json_whatever_is_unknown():
@@ -63,7 +65,7 @@ def test_text_is_valid_json_whatever_is_unknown():
         largest_correction=np.nan,
         issues=(Issue("error", "unreachable", "out of reach", 7),),
     )
-    text = to_json(summary(unknown, 1e-5)).decode()
+    text = json_bytes(summary(unknown, 1e-5)).decode()
     content = json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} in JSON"))
     assert content["between_max_mm"] is None
     assert content["limits"]["min_joint_margin_deg"] is None
@@ -72,9 +74,9 @@ def test_text_is_valid_json_whatever_is_unknown():
 
 @pytest.mark.parametrize(("tolerance", "held"), [(1e-5, True), (1e-6, False), (None, None)])
 def test_tolerance_is_compared_with_the_path_between_targets_too(tolerance, held):
-    assert summary(fabricated.result(), tolerance)["tolerance_held"] is held
+    assert summary(fabricated.result(), tolerance).tolerance_held is held
 
 
 def test_nan_in_json_is_an_error():
     with pytest.raises(ValueError, match="not JSON compliant"):
-        to_json({"a": float("nan")})
+        json_bytes({"a": float("nan")})

@@ -34,7 +34,7 @@ def test_a_prediction_has_one_column():
     text = of_one(content)
     assert "predicted" in text
     assert "expected error on the part" not in text  # what is predicted is left on the part, and is not in the bound
-    assert "uncertainty of the prediction (95 %): " in text + "".join(content["verdict"]["reasons"])
+    assert "uncertainty of the prediction (95 %): " in text + "".join(content.verdict.reasons)
     assert "improvement" not in text
 
 

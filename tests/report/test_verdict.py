@@ -29,13 +29,13 @@ def _content(tolerance=1e-5, part=None, **changes):
 
 
 def _verdict(tolerance=1e-5, part=None, **changes):
-    return _content(tolerance, part, **changes)["verdict"]
+    return _content(tolerance, part, **changes).verdict
 
 
 def test_a_program_of_which_all_is_known_and_held_is_good():
     verdict = _verdict(bound=np.full(100, 2e-4), rounding=np.full(100, 5e-5))
-    assert verdict["state"] == "ok"
-    assert verdict["reasons"][:4] == [
+    assert verdict.state == "ok"
+    assert verdict.reasons[:4] == [
         "expected error on the part (95 %): up to 0.20 mm, measured on this robot",
         "line 3: approximation (C_DIS) rounds corners by up to 0.050 mm",
         "the predicted path stays within 0.0040 mm of the nominal one, between targets too, but for rounded corners "
@@ -46,10 +46,10 @@ def test_a_program_of_which_all_is_known_and_held_is_good():
 
 def test_a_robot_that_was_not_measured_is_good_too_and_says_what_it_rests_on():
     verdict = _verdict(robot=fabricated.result().robot, bound=np.full(100, 2e-4))
-    assert verdict["state"] == "ok"
-    assert verdict["reasons"][0].endswith("up to 0.20 mm, from published values, not measured on this robot")
+    assert verdict.state == "ok"
+    assert verdict.reasons[0].endswith("up to 0.20 mm, from published values, not measured on this robot")
     assumed = "assumed values of the robot model: compliance A2, compensator spring, joint speeds"
-    assert verdict["reasons"][-1] == assumed
+    assert verdict.reasons[-1] == assumed
 
 
 @pytest.mark.parametrize(
@@ -67,20 +67,20 @@ def test_a_robot_that_was_not_measured_is_good_too_and_says_what_it_rests_on():
 )
 def test_what_needs_a_look_is_a_warning(changes, reason):
     verdict = _verdict(**changes)
-    assert verdict["state"] == "warning"
-    assert any(reason in text for text in verdict["reasons"]), verdict
+    assert verdict.state == "warning"
+    assert any(reason in text for text in verdict.reasons), verdict
 
 
 @pytest.mark.parametrize(("tolerance", "held"), [(2.6e-4, True), (2.5e-4, False)])
 def test_the_part_is_judged_by_bound_corners_and_path_together(tolerance, held):
     bound = np.where(np.arange(100) == 60, 2e-4, 1e-4)
     content = _content(part=tolerance, bound=bound, rounding=np.full(100, 6e-5), programmed=np.full(100, 1e-5))
-    assert content["part"]["expected_mm"] == pytest.approx(0.254)
-    assert content["part"]["source_line"] == 63
-    assert content["part"]["held"] is held
-    assert content["part"]["beyond_percent"] == pytest.approx(0.0 if held else 100.0 / 96)
-    assert content["verdict"]["state"] == ("ok" if held else "failed")
-    reason = content["verdict"]["reasons"][0]
+    assert content.part.expected_mm == pytest.approx(0.254)
+    assert content.part.source_line == 63
+    assert content.part.held is held
+    assert content.part.beyond_percent == pytest.approx(0.0 if held else 100.0 / 96)
+    assert content.verdict.state == ("ok" if held else "failed")
+    reason = content.verdict.reasons[0]
     assert ("tolerance_mm = 0.26 is held" in reason) if held else reason.startswith("line 63: the expected error")
     assert "corners and path included" in reason
 
@@ -88,36 +88,36 @@ def test_the_part_is_judged_by_bound_corners_and_path_together(tolerance, held):
 @pytest.mark.parametrize(("targets", "percent"), [(1, "1"), (12, "12"), (95, "99"), (96, "100")])
 def test_the_share_beyond_the_tolerance_of_the_part_is_a_plain_number(targets, percent):
     rank = np.cumsum(~fabricated.result().rapid)
-    reason = _verdict(part=2e-4, bound=np.where(rank <= targets, 3e-4, 1e-4))["reasons"][0]
+    reason = _verdict(part=2e-4, bound=np.where(rank <= targets, 3e-4, 1e-4)).reasons[0]
     assert f"at {percent} % of the cutting targets" in reason
 
 
 def test_a_bound_that_exceeds_what_it_corrects_fails_with_its_cause():
     doubt = Doubt(60, 2.4e-3, 1.1e-3, "the model of A3")
     verdict = _verdict(doubt=doubt)
-    assert verdict["state"] == "failed"
-    assert verdict["reasons"][0].startswith(
+    assert verdict.state == "failed"
+    assert verdict.reasons[0].startswith(
         "line 63: the expected error of 2.4 mm (95 %) is larger than the 1.1 mm that are corrected, mostly due to the "
         "model of A3. Identify"
     )
-    assert _verdict(doubt=doubt, part=2.5e-3)["state"] == "ok"  # a bound below the tolerance of the part does no harm
-    assert _verdict(doubt=Doubt(60, 0.9e-5, 0.5e-5, "the model of A3"))["state"] == "ok"
+    assert _verdict(doubt=doubt, part=2.5e-3).state == "ok"  # a bound below the tolerance of the part does no harm
+    assert _verdict(doubt=Doubt(60, 0.9e-5, 0.5e-5, "the model of A3")).state == "ok"
 
 
 def test_what_must_not_be_run_has_failed():
-    assert _verdict(tolerance=1e-6)["state"] == "failed"
-    assert "more than 0.001 mm" in _verdict(tolerance=1e-6)["reasons"][0]
+    assert _verdict(tolerance=1e-6).state == "failed"
+    assert "more than 0.001 mm" in _verdict(tolerance=1e-6).reasons[0]
     failed = _verdict(issues=(Issue("error", "joint-limit", "A3 beyond its limit", 9),))
-    assert (failed["state"], failed["reasons"][0]) == ("failed", "A3 beyond its limit")
+    assert (failed.state, failed.reasons[0]) == ("failed", "A3 beyond its limit")
 
 
 def test_the_bound_is_over_cutting_targets():
     base = fabricated.result()
     bound = np.where(base.rapid, 1.0, np.linspace(0.0, 1e-4, 100))
     content = summary(fabricated.with_changes(base, bound=bound))
-    assert content["u95"]["max_mm"] == pytest.approx(0.1)
-    assert content["u95"]["rms_mm"] == pytest.approx(1e3 * np.sqrt(np.mean(bound[~base.rapid] ** 2)))
-    assert summary(base)["u95"] is None
+    assert content.u95.max_mm == pytest.approx(0.1)
+    assert content.u95.rms_mm == pytest.approx(1e3 * np.sqrt(np.mean(bound[~base.rapid] ** 2)))
+    assert summary(base).u95 is None
 
 
 @pytest.mark.parametrize(("written", "word"), [("part.src", "(C_DIS)"), ("part.mod", "(zones)")])

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 
 import msgspec
 import numpy as np
+from msgspec.structs import astuple
 
 from postproc.comparison import Comparison
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm, xyzabc_from_pose
@@ -48,7 +49,7 @@ _BINS = 40
 _KINDS: dict[str, Kind] = {"error": "error", "warning": "warning", "info": "soft"}
 _PLACE = re.compile(r"\S+:\d+")
 """File and line at the beginning of a text: not capitalised."""
-_ROWS = (("Maximum", "max_mm"), ("RMS", "rms_mm"), ("Mean", "mean_mm"), ("95th percentile", "p95_mm"))
+_ROWS = ("Maximum", "RMS", "Mean", "95th percentile")
 
 
 class Facts(msgspec.Struct, frozen=True):
@@ -74,8 +75,8 @@ def comparison_page(found: Comparison, content: ComparisonSummary) -> Iterator[b
         sections += [_operations(found, content, shown, names), _worst_pairs(found, shown, names)]
     yield from Page(
         kind="Comparison",
-        title=f"{content['corrected']} against {content['nominal']}",
-        subtitle=f"{content['robot']} · {counted(content)}",
+        title=f"{content.corrected} against {content.nominal}",
+        subtitle=f"{content.robot} · {counted(content)}",
         sections=(*sections, _issues(found, content, shown, names[0]), *([_place()] if len(shown) else [])),
         footer=(
             Note(
@@ -91,43 +92,42 @@ def comparison_page(found: Comparison, content: ComparisonSummary) -> Iterator[b
 
 
 def _verdict(content: ComparisonSummary) -> Section:
-    judged = content["verdict"]
-    names = (content["nominal"], content["corrected"])
+    judged = content.verdict
+    names = (content.nominal, content.corrected)
     first, *others = (
         (text if text.startswith(names) or _PLACE.match(text) else text[:1].upper() + text[1:]) + "."
-        for text in judged["reasons"]
+        for text in judged.reasons
     )
-    parts: list[Part] = [Verdict(judged["state"], WORDS[judged["state"]], first)]
+    parts: list[Part] = [Verdict(judged.state, WORDS[judged.state], first)]
     if others:
-        kind: Kind = "error" if judged["state"] == "failed" else ""
+        kind: Kind = "error" if judged.state == "failed" else ""
         parts.append(Notes(tuple(Note(text, kind) for text in others), "And", marked=True))
     return Section("verdict", "Verdict", tuple(parts))
 
 
 def _numbers(content: ComparisonSummary) -> Section:
-    cut = content["cut"]
+    cut = content.cut
     tiles = [
-        Tile("Largest offset", millimetres(content["offset"]["max_mm"]), "mm"),
-        Tile("Largest change of orientation", f"{content['rotation']['max_deg']:.4f}", "°"),
+        Tile("Largest offset", millimetres(content.offset.max_mm), "mm"),
+        Tile("Largest change of orientation", f"{content.rotation.max_deg:.4f}", "°"),
     ]
-    if content["between_targets"]["nominal_line"] is not None:
-        tiles.append(
-            Tile("Paths apart between targets, largest", millimetres(content["between_targets"]["max_mm"]), "mm")
-        )
-    head, sources = ["Criterion", "Offset, mm"], [content["offset"]]
+    if content.between_targets.nominal_line is not None:
+        tiles.append(Tile("Paths apart between targets, largest", millimetres(content.between_targets.max_mm), "mm"))
+    head, sources = ["Criterion", "Offset, mm"], [content.offset]
     if cut is not None:
-        tiles.append(Tile("The nominal program cuts, largest", millimetres(cut["nominal"]["max_mm"]), "mm"))
-        tiles.append(Tile("The corrected one, largest", millimetres(cut["corrected"]["max_mm"]), "mm"))
+        tiles.append(Tile("The nominal program cuts, largest", millimetres(cut.nominal.max_mm), "mm"))
+        tiles.append(Tile("The corrected one, largest", millimetres(cut.corrected.max_mm), "mm"))
         head += ["Nominal cuts, mm", "Corrected cuts, mm"]
-        sources += [cut["nominal"], cut["corrected"]]
-    rows = tuple(Row((label, *(millimetres(source[key]) for source in sources))) for label, key in _ROWS)  # type: ignore[literal-required]
-    between = content["between"]
+        sources += [cut.nominal, cut.corrected]
+    measures = zip(_ROWS, *map(astuple, sources), strict=True)
+    rows = tuple(Row((label, *map(millimetres, values))) for label, *values in measures)
+    between = content.between
     if between is not None:
-        largest = (millimetres(between["nominal_max_mm"]), millimetres(between["corrected_max_mm"]))
+        largest = (millimetres(between.nominal_max_mm), millimetres(between.corrected_max_mm))
         rows += (Row(("Maximum between targets, from the path", "-", *largest)),)
     parts: list[Part] = [Tiles(tuple(tiles)), Table(tuple(head), rows, "Numbers")]
-    shown = (("passed", of_passed), ("splines", of_splines))
-    texts = [words(content) for key, words in shown if content[key]]  # type: ignore[literal-required]
+    shown = ((content.passed, of_passed), (content.splines, of_splines))
+    texts = [words(content) for count, words in shown if count]
     if texts:
         parts.append(Notes(tuple(Note(f"{text[:1].upper()}{text[1:]}.") for text in texts)))
     return Section("numbers", "Offsets and deviations, mm", tuple(parts))
@@ -160,8 +160,8 @@ def _worst(found: Comparison) -> Ints:
 
 def _named(found: Comparison, content: ComparisonSummary, nominal: Names) -> Ints:
     """Return the pairs that table rows link to: thinning must keep them."""
-    places = [(each["nominal_file"], each["nominal_line"]) for each in content["operations"]]
-    lines = [*places, *((each["source_file"], each["source_line"]) for each in content["issues"])]
+    places = [(each.nominal_file, each.nominal_line) for each in content.operations]
+    lines = [*places, *((each.source_file, each.source_line) for each in content.issues)]
     rows = (_pair_of(found, nominal, file, line) for file, line in lines)
     return np.array([row for row in rows if row is not None], dtype=np.int64)
 
@@ -190,7 +190,7 @@ def _facts(found: Comparison, content: ComparisonSummary, shown: Ints, names: Se
         [name.prefix + file for file in program.places(found.pair[:1, k]).files] if name.several else []
         for k, (program, name) in enumerate(zip((found.nominal, found.corrected), names, strict=True))
     )
-    return Facts(content["nominal"], content["corrected"], one, other, int(np.argmax(size)))
+    return Facts(content.nominal, content.corrected, one, other, int(np.argmax(size)))
 
 
 def _columns(found: Comparison, shown: Ints) -> Columns:
@@ -294,7 +294,7 @@ def _along(found: Comparison, content: ComparisonSummary, rows: Ints, nominal: N
                 (found.cuts.corrected, "corrected", "after"),
             )
         ]
-        mark = Mark(content["tolerance_mm"], "tolerance", "warning", level=True)
+        mark = Mark(content.tolerance_mm, "tolerance", "warning", level=True)
         parts.append(
             Plot(
                 label="What each program cuts along the path",
@@ -325,19 +325,19 @@ def _histogram(found: Comparison, shown: Ints) -> Section:
 
 def _operations(found: Comparison, content: ComparisonSummary, shown: Ints, names: Sequence[Names]) -> Section:
     head = ["Operation", "Tool", "First line", "Cutting targets", "Offset, mm"]
-    head += ["Nominal cuts, mm", "Corrected cuts, mm"] if content["cut"] is not None else []
+    head += ["Nominal cuts, mm", "Corrected cuts, mm"] if content.cut is not None else []
     rows = []
-    for number, operation in enumerate(content["operations"], 1):
-        cut = operation["cut"]
+    for number, operation in enumerate(content.operations, 1):
+        cut = operation.cut
         cells = [
-            operation["name"] or f"operation {number}",
-            f"T{operation['tool']}" if operation["tool"] else "-",
-            names[0].line((operation["nominal_file"], operation["nominal_line"])),
-            str(operation["pairs"]),
-            millimetres(operation["offset"]["max_mm"]),
-            *([millimetres(cut[key]["max_mm"]) for key in ("nominal", "corrected")] if cut is not None else []),
+            operation.name or f"operation {number}",
+            f"T{operation.tool}" if operation.tool else "-",
+            names[0].line((operation.nominal_file, operation.nominal_line)),
+            str(operation.pairs),
+            millimetres(operation.offset.max_mm),
+            *([millimetres(cut.nominal.max_mm), millimetres(cut.corrected.max_mm)] if cut is not None else []),
         ]
-        where = operation["nominal_file"], operation["nominal_line"]
+        where = operation.nominal_file, operation.nominal_line
         rows.append(Row(tuple(cells), _place_of(found, shown, names[0], *where), where[1]))
     table = Table(
         tuple(head), tuple(rows), "Operations, largest values", texts=(1,), sortable=True, note="Largest values."
@@ -373,20 +373,20 @@ def _worst_pairs(found: Comparison, shown: Ints, names: Sequence[Names]) -> Sect
 
 
 def _issues(found: Comparison, content: ComparisonSummary, shown: Ints, names: Names) -> Section:
-    if not content["issues"]:
+    if not content.issues:
         return Section("issues", "Differences besides positions", (Notes((Note("None.", "good"),)),))
     rows = tuple(
         Row(
             (
-                Cell(issue["level"], _KINDS[issue["level"]]),
-                issue["message"],
+                Cell(issue.level, _KINDS[issue.level]),
+                issue.message,
                 where_of(issue) or "-",
-                str(issue["count"]),
+                str(issue.count),
             ),
-            _place_of(found, shown, names, issue["source_file"], issue["source_line"]),
-            issue["source_line"],
+            _place_of(found, shown, names, issue.source_file, issue.source_line),
+            issue.source_line,
         )
-        for issue in content["issues"]
+        for issue in content.issues
     )
     head = ("Level", "What", "Where first", "Places")
     return Section("issues", "Differences besides positions", (Table(head, rows, "Differences", texts=(1, 2)),))

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
-from typing import NotRequired, TypedDict
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import asdict, replace
 
 from postproc.comparison import Comparison, Difference
 from postproc.correction import statistics
@@ -15,9 +15,10 @@ from postproc.errors import Level
 from postproc.files import FileEntry
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm
 from postproc.program import Bools
-from postproc.provenance import Provenance, State
+from postproc.provenance import Provenance
+from postproc.provenance import State as Origin
 from postproc.report.comparison.names import Names, names_of
-from postproc.report.formatting import above
+from postproc.report.formatting import State, above
 from postproc.report.path import operation_starts
 from postproc.report.summary import Distances, Judged
 
@@ -44,14 +45,14 @@ class MadeFrom(Struct, frozen=True):
     without_forces: bool = False
 
 
-class Rotations(TypedDict):
+class Rotations(Struct, frozen=True):
     """Angles between the orientations of pairs, over cutting targets."""
 
     max_deg: float
     rms_deg: float
 
 
-class Lines(TypedDict):
+class Lines(Struct, frozen=True):
     """Files and lines of a pair."""
 
     nominal_file: str
@@ -60,14 +61,14 @@ class Lines(TypedDict):
     corrected_line: int
 
 
-class PairEntry(Lines):
+class PairEntry(Lines, frozen=True):
     """A pair."""
 
     mm: float
     deg: float
 
 
-class Worst(TypedDict):
+class Worst(Struct, frozen=True):
     """Files and lines of the pair with the largest value; None if there is none."""
 
     nominal_file: str | None
@@ -76,17 +77,17 @@ class Worst(TypedDict):
     corrected_line: int | None
 
 
-_NOWHERE: Worst = {"nominal_file": None, "nominal_line": None, "corrected_file": None, "corrected_line": None}
+_NOWHERE = {"nominal_file": None, "nominal_line": None, "corrected_file": None, "corrected_line": None}
 
 
-class Cut(Worst):
+class Cut(Worst, frozen=True):
     """Distances of the loaded tip from nominal at cutting targets, for each program; worst pair of the second."""
 
     nominal: Distances
     corrected: Distances
 
 
-class Between(TypedDict):
+class Between(Struct, frozen=True):
     """Largest distances of the loaded tip from the nominal path between pairs, for each program."""
 
     nominal_max_mm: float
@@ -95,13 +96,17 @@ class Between(TypedDict):
     corrected_line: int
 
 
-class Apart(Worst):
+class Apart(Struct, frozen=True):
     """Largest distance of the two paths between consecutive pairs, and its place; 0 and None without segments."""
 
     max_mm: float
+    nominal_file: str | None
+    nominal_line: int | None
+    corrected_file: str | None
+    corrected_line: int | None
 
 
-class OperationEntry(TypedDict):
+class OperationEntry(Struct, frozen=True):
     """An operation of the nominal program."""
 
     name: str
@@ -113,7 +118,7 @@ class OperationEntry(TypedDict):
     cut: Cut | None
 
 
-class DifferenceEntry(TypedDict):
+class DifferenceEntry(Struct, frozen=True):
     """A difference other than offsets, or a part that could not be compared, and its first place."""
 
     level: Level
@@ -126,16 +131,16 @@ class DifferenceEntry(TypedDict):
     count: int
 
 
-class OriginEntry(TypedDict):
+class OriginEntry(Struct, frozen=True):
     """The origin of the second program; None where it is unknown."""
 
-    state: State
+    state: Origin
     mode: str | None
     version: str | None
     made_from_these: dict[str, bool]
 
 
-class ComparisonSummary(TypedDict):
+class ComparisonSummary(Struct, frozen=True, omit_defaults=True, kw_only=True):
     """Content of `part.compare.report.json`. Statistics are over cutting targets that are in both programs."""
 
     nominal: str
@@ -160,7 +165,7 @@ class ComparisonSummary(TypedDict):
     provenance: OriginEntry
     issues: list[DifferenceEntry]
     verdict: Judged
-    files: NotRequired[list[FileEntry]]
+    files: list[FileEntry] | None = None
 
 
 def comparison_summary(found: Comparison, made: MadeFrom, tolerance: float, limit: float) -> ComparisonSummary:
@@ -189,7 +194,7 @@ def comparison_summary(found: Comparison, made: MadeFrom, tolerance: float, limi
         passed_within_mm=_passed_within(found),
         only_corrected=len(found.only_corrected),
         offset=_distances(distance, rapid),
-        rotation={"max_deg": turned.largest * DEG_PER_RAD, "rms_deg": turned.rms * DEG_PER_RAD},
+        rotation=Rotations(max_deg=turned.largest * DEG_PER_RAD, rms_deg=turned.rms * DEG_PER_RAD),
         between_targets=_apart(found, names),
         largest=_largest(found, names),
         differences={name.replace("-", "_"): count.get(name, 0) for name in _DIFFERENCES},
@@ -197,32 +202,29 @@ def comparison_summary(found: Comparison, made: MadeFrom, tolerance: float, limi
         between=_between(found, corrected),
         tolerance_mm=tolerance * MM_PER_M,
         operations=[*_operations(found, names)],
-        provenance={
-            "state": state,
-            "mode": made.origin.mode or None,
-            "version": made.origin.version or None,
-            "made_from_these": dict(made.agrees),
-        },
+        provenance=OriginEntry(
+            state=state,
+            mode=made.origin.mode or None,
+            version=made.origin.version or None,
+            made_from_these=dict(made.agrees),
+        ),
         issues=[_entry(each, nominal, corrected) for each in found.differences],
-        verdict={"state": "ok", "reasons": []},
+        verdict=Judged(state="ok", reasons=[]),
     )
     failed, doubtful = [*_failed(content, limit * MM_PER_M, made)], [*_doubtful(content, made)]
     every = "every target has its partner" + (", or the path passes it" if len(found.passed) else "")
     holds = [every, *(["the text is as postproc wrote it"] if state == "intact" else [])]
-    if content["cut"] is not None:
+    if content.cut is not None:
         holds.append(
-            f"the corrected program stays within {content['tolerance_mm']:g} mm at its targets under the forces given"
+            f"the corrected program stays within {content.tolerance_mm:g} mm at its targets under the forces given"
         )
     elif made.without_forces:
         holds.append(
             "both come from the same program, cell and robot model; the forces of the correction are in a file: give "
             "it with --forces to check what remains"
         )
-    content["verdict"] = {
-        "state": "failed" if failed else "warning" if doubtful else "ok",
-        "reasons": failed + doubtful or holds,
-    }
-    return content
+    judged: State = "failed" if failed else "warning" if doubtful else "ok"
+    return replace(content, verdict=Judged(state=judged, reasons=failed + doubtful or holds))
 
 
 def _passed_within(found: Comparison) -> float | None:
@@ -232,93 +234,93 @@ def _passed_within(found: Comparison) -> float | None:
 
 
 def _entry(each: Difference, nominal: Names, corrected: Names) -> DifferenceEntry:
-    return {
-        "level": each.level,
-        "kind": each.kind,
-        "message": each.message,
-        "source_file": None if each.nominal is None else nominal.prefix + each.nominal[0],
-        "source_line": None if each.nominal is None else each.nominal[1],
-        "corrected_file": None if each.corrected is None else corrected.prefix + each.corrected[0],
-        "corrected_line": None if each.corrected is None else each.corrected[1],
-        "count": each.count,
-    }
+    return DifferenceEntry(
+        level=each.level,
+        kind=each.kind,
+        message=each.message,
+        source_file=None if each.nominal is None else nominal.prefix + each.nominal[0],
+        source_line=None if each.nominal is None else each.nominal[1],
+        corrected_file=None if each.corrected is None else corrected.prefix + each.corrected[0],
+        corrected_line=None if each.corrected is None else each.corrected[1],
+        count=each.count,
+    )
 
 
 def where_of(entry: DifferenceEntry) -> str:
     """Return where a difference is first, in both programs; empty if that is not known."""
     places = (
-        (entry["source_file"], entry["source_line"]),
-        (entry["corrected_file"], entry["corrected_line"]),
+        (entry.source_file, entry.source_line),
+        (entry.corrected_file, entry.corrected_line),
     )
     return " and ".join(f"{file}:{line}" for file, line in places if file is not None)
 
 
 def _failed(content: ComparisonSummary, limit_mm: float, made: MadeFrom) -> Iterator[str]:
-    cut, tolerance = content["cut"], content["tolerance_mm"]
-    if content["provenance"]["state"] == "changed":
-        yield f"{content['corrected']} was changed since postproc wrote it: convert the program again"
-    if cut is not None and not cut["corrected"]["max_mm"] <= tolerance:
+    cut, tolerance = content.cut, content.tolerance_mm
+    if content.provenance.state == "changed":
+        yield f"{content.corrected} was changed since postproc wrote it: convert the program again"
+    if cut is not None and not cut.corrected.max_mm <= tolerance:
         yield (
-            f"{_where(cut)}: the corrected program leaves {above(cut['corrected']['max_mm'], tolerance)} mm at this "
+            f"{_where(cut)}: the corrected program leaves {above(cut.corrected.max_mm, tolerance)} mm at this "
             f"target under the forces given (tolerance {tolerance:g} mm)"
         )
-    between = content["between"]
-    if between is not None and not between["corrected_max_mm"] <= tolerance:
+    between = content.between
+    if between is not None and not between.corrected_max_mm <= tolerance:
         yield (
-            f"{between['corrected_file']}:{between['corrected_line']}: between targets it leaves "
-            f"{above(between['corrected_max_mm'], tolerance)} mm to the nominal path under the forces given "
+            f"{between.corrected_file}:{between.corrected_line}: between targets it leaves "
+            f"{above(between.corrected_max_mm, tolerance)} mm to the nominal path under the forces given "
             f"(tolerance {tolerance:g} mm)"
         )
     # without forces the correction is too uncertain to distinguish a target from an inserted one next to it
-    known = content["cut"] is not None or not made.same_origin
-    if known and not content["offset"]["max_mm"] <= limit_mm:
-        offset = above(content["offset"]["max_mm"], limit_mm)
-        where = _where(content["largest"][0])
+    known = content.cut is not None or not made.same_origin
+    if known and not content.offset.max_mm <= limit_mm:
+        offset = above(content.offset.max_mm, limit_mm)
+        where = _where(content.largest[0])
         yield f"{where}: this target is {offset} mm off: more than max_correction_mm = {limit_mm:g}"
-    if not content["pairs"]:
+    if not content.pairs:
         yield "no target of one program belongs to one of the other"
-    yield from (_described(issue) for issue in content["issues"] if issue["level"] == "error")
+    yield from (_described(issue) for issue in content.issues if issue.level == "error")
 
 
 def _where(pair: Lines | Worst) -> str:
     """Return files and lines of a pair in both programs."""
-    return f"{pair['nominal_file']}:{pair['nominal_line']} and {pair['corrected_file']}:{pair['corrected_line']}"
+    return f"{pair.nominal_file}:{pair.nominal_line} and {pair.corrected_file}:{pair.corrected_line}"
 
 
 def _doubtful(content: ComparisonSummary, made: MadeFrom) -> Iterator[str]:
-    origin = content["provenance"]
-    others = [name for name, same in origin["made_from_these"].items() if not same]
+    origin = content.provenance
+    others = [name for name, same in origin.made_from_these.items() if not same]
     if others:
-        yield f"{content['corrected']} was made with {' and '.join(f'another {name}' for name in others)}"
-    if origin["mode"] == "nominal" and content["cut"] is not None:
-        yield f"{content['corrected']} is nominal: it was written without correction"
+        yield f"{content.corrected} was made with {' and '.join(f'another {name}' for name in others)}"
+    if origin.mode == "nominal" and content.cut is not None:
+        yield f"{content.corrected} is nominal: it was written without correction"
     if (
-        content["cut"] is None
+        content.cut is None
         and not made.same_origin
-        and content["offset"]["max_mm"] > content["tolerance_mm"]
-        and not content["differences"]["base"]
+        and content.offset.max_mm > content.tolerance_mm
+        and not content.differences["base"]
     ):
         yield (
-            f"{_where(content['largest'][0])}: this target is {content['offset']['max_mm']:.4f} mm off, and no forces "
+            f"{_where(content.largest[0])}: this target is {content.offset.max_mm:.4f} mm off, and no forces "
             "are known that explain it: give --forces"
         )
-    yield from (_described(issue) for issue in content["issues"] if issue["level"] == "warning")
+    yield from (_described(issue) for issue in content.issues if issue.level == "warning")
 
 
 def _described(issue: DifferenceEntry) -> str:
-    more = f" ({issue['count']} times)" if issue["count"] > 1 else ""
+    more = f" ({issue.count} times)" if issue.count > 1 else ""
     where = where_of(issue)
-    return f"{where}{': ' if where else ''}{issue['message'].rstrip('.')}{more}"
+    return f"{where}{': ' if where else ''}{issue.message.rstrip('.')}{more}"
 
 
 def _distances(values: Array, rapid: Bools) -> Distances:
     found = statistics(values, rapid)
-    return {
-        "max_mm": found.largest * MM_PER_M,
-        "rms_mm": found.rms * MM_PER_M,
-        "mean_mm": found.mean * MM_PER_M,
-        "p95_mm": found.p95 * MM_PER_M,
-    }
+    return Distances(
+        max_mm=found.largest * MM_PER_M,
+        rms_mm=found.rms * MM_PER_M,
+        mean_mm=found.mean * MM_PER_M,
+        p95_mm=found.p95 * MM_PER_M,
+    )
 
 
 def _cut(found: Comparison, names: Sequence[Names], rows: slice) -> Cut | None:
@@ -327,19 +329,16 @@ def _cut(found: Comparison, names: Sequence[Names], rows: slice) -> Cut | None:
     rapid = found.rapid[rows]
     one, other = (norm(off[rows]) for off in (found.cuts.nominal, found.cuts.corrected))
     worst = rows.start + int(np.argmax(np.where(rapid, -1.0, other))) if not rapid.all() else None
-    return {
-        **(_NOWHERE if worst is None else _lines(found, names, worst)),
-        "nominal": _distances(one, rapid),
-        "corrected": _distances(other, rapid),
-    }
+    lines = _NOWHERE if worst is None else asdict(_lines(found, names, worst))
+    return Cut(**lines, nominal=_distances(one, rapid), corrected=_distances(other, rapid))
 
 
 def _apart(found: Comparison, names: Sequence[Names]) -> Apart:
     size = np.where(found.rapid | np.isnan(found.between), -1.0, found.between)
     worst = int(np.argmax(size)) if len(size) else -1
     if worst < 0 or size[worst] < 0.0:
-        return {"max_mm": 0.0, **_NOWHERE}
-    return {"max_mm": float(size[worst]) * MM_PER_M, **_lines(found, names, worst)}
+        return Apart(max_mm=0.0, **_NOWHERE)
+    return Apart(max_mm=float(size[worst]) * MM_PER_M, **asdict(_lines(found, names, worst)))
 
 
 def _between(found: Comparison, corrected: Names) -> Between | None:
@@ -352,23 +351,23 @@ def _between(found: Comparison, corrected: Names) -> Between | None:
     if not cutting[worst]:
         return None
     file, line = found.corrected.places(cuts.row[worst : worst + 1]).of(0)
-    return {
-        "nominal_max_mm": float(cuts.between_nominal[cutting].max()) * MM_PER_M,
-        "corrected_max_mm": float(cuts.between_corrected[worst]) * MM_PER_M,
-        "corrected_file": corrected.prefix + file,
-        "corrected_line": line,
-    }
+    return Between(
+        nominal_max_mm=float(cuts.between_nominal[cutting].max()) * MM_PER_M,
+        corrected_max_mm=float(cuts.between_corrected[worst]) * MM_PER_M,
+        corrected_file=corrected.prefix + file,
+        corrected_line=line,
+    )
 
 
 def _largest(found: Comparison, names: Sequence[Names]) -> list[PairEntry]:
     size = np.where(found.rapid, -1.0, found.distance)
     order = np.argsort(-size, kind="stable")[:_MOST]
     return [
-        {
-            **_lines(found, names, row),
-            "mm": float(found.distance[row]) * MM_PER_M,
-            "deg": float(found.rotation[row]) * DEG_PER_RAD,
-        }
+        PairEntry(
+            **asdict(_lines(found, names, row)),
+            mm=float(found.distance[row]) * MM_PER_M,
+            deg=float(found.rotation[row]) * DEG_PER_RAD,
+        )
         for row in order[size[order] >= 0.0].tolist()
     ]
 
@@ -377,12 +376,12 @@ def _lines(found: Comparison, names: Sequence[Names], pair: int) -> Lines:
     """Return file and line of both targets of a pair, as keys of the report."""
     places = (p.places(found.pair[pair, k : k + 1]).of(0) for k, p in enumerate((found.nominal, found.corrected)))
     (one, line), (other, other_line) = places
-    return {
-        "nominal_file": names[0].prefix + one,
-        "nominal_line": line,
-        "corrected_file": names[1].prefix + other,
-        "corrected_line": other_line,
-    }
+    return Lines(
+        nominal_file=names[0].prefix + one,
+        nominal_line=line,
+        corrected_file=names[1].prefix + other,
+        corrected_line=other_line,
+    )
 
 
 def _operations(found: Comparison, names: Sequence[Names]) -> Iterator[OperationEntry]:
@@ -394,12 +393,12 @@ def _operations(found: Comparison, names: Sequence[Names]) -> Iterator[Operation
             continue
         name, tool = starts[first]
         lines = _lines(found, names, first + int(np.argmin(found.rapid[rows])))
-        yield {
-            "name": name,
-            "tool": tool,
-            "nominal_file": lines["nominal_file"],
-            "nominal_line": lines["nominal_line"],
-            "pairs": cutting,
-            "offset": _distances(found.distance[rows], found.rapid[rows]),
-            "cut": _cut(found, names, rows),
-        }
+        yield OperationEntry(
+            name=name,
+            tool=tool,
+            nominal_file=lines.nominal_file,
+            nominal_line=lines.nominal_line,
+            pairs=cutting,
+            offset=_distances(found.distance[rows], found.rapid[rows]),
+            cut=_cut(found, names, rows),
+        )

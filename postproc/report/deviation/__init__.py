@@ -70,7 +70,7 @@ def page(
     content = data.content
     yield from Page(
         kind="Deviation report",
-        title=content["program"],
+        title=content.program,
         subtitle=f"{result.robot.title or result.robot.name} · {_MODES[result.mode]} · {targets(content)}",
         sections=sections,
         footer=(

@@ -226,7 +226,7 @@ class Deviation(Struct, frozen=True, dict=True):
         return Facts(
             mode=result.mode,
             frame="$BASE" if len(program.bases) == 1 else "robot root",
-            tolerance_mm=self.content["tolerance_mm"],
+            tolerance_mm=self.content.tolerance_mm,
             bounded=result.bound is not None,
             worst=worst,
             lower=(result.robot.lower * DEG_PER_RAD).tolist(),

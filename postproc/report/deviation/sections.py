@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from itertools import groupby
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec.structs import astuple
 
 from postproc.errors import Issue
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm
@@ -60,50 +61,46 @@ def _sentence(text: str) -> str:
     return text[:1].upper() + text[1:] + ("" if text.endswith((".", "?", "!")) else ".")
 
 
-_MEASURES: tuple[tuple[str, Literal["max_mm", "rms_mm", "mean_mm", "p95_mm"]], ...] = (
-    ("Maximum", "max_mm"),
-    ("RMS", "rms_mm"),
-    ("Mean", "mean_mm"),
-    ("95th percentile", "p95_mm"),
-)
+_MEASURES = ("Maximum", "RMS", "Mean", "95th percentile")
 
 
 def numbers(data: Deviation) -> Section | None:
     """Return deviations before and after, the expected error, and the improvement."""
     content = data.content
-    if not content["targets"]:
+    if not content.targets:
         return None
     if data.nothing is not None:
         return Section("numbers", "Deviation of the tool tip", (Notes((Note(data.nothing, "good"),)),))
-    before, after, bound = content["before"], content["after"], content["u95"]
-    u95 = None if bound is None else bound["max_mm"]
-    rms = estimate(before["rms_mm"], u95)
-    tiles = [Tile("As programmed, largest", estimate(before["max_mm"], u95), "mm", f"RMS {rms} mm")]
+    before, after, bound = content.before, content.after, content.u95
+    u95 = None if bound is None else bound.max_mm
+    rms = estimate(before.rms_mm, u95)
+    tiles = [Tile("As programmed, largest", estimate(before.max_mm, u95), "mm", f"RMS {rms} mm")]
     if data.compared:
-        note = f"RMS {estimate(after['rms_mm'], u95)} mm; a statement about the model, not about the part"
-        tiles.append(Tile("What the model leaves, largest", estimate(after["max_mm"], u95), "mm", note))
+        note = f"RMS {estimate(after.rms_mm, u95)} mm; a statement about the model, not about the part"
+        tiles.append(Tile("What the model leaves, largest", estimate(after.max_mm, u95), "mm", note))
     if bound is None:
         note = "the robot model states no uncertainty: identify the robot from measurements"
         tiles.append(Tile("Expected error on the part", "unknown", "", note, "warning"))
     else:
-        note = f"95 % bound, RMS {rounded(bound['rms_mm'])} mm; {bound['basis']}"
-        tiles.append(Tile("Expected error on the part, up to", rounded(bound["max_mm"]), "mm", note))
+        note = f"95 % bound, RMS {rounded(bound.rms_mm)} mm; {bound.basis}"
+        tiles.append(Tile("Expected error on the part, up to", rounded(bound.max_mm), "mm", note))
     parts: list[Part] = [Tiles(tuple(tiles)), _table(data)]
-    share = content["compensated_percent"]
-    if content["mode"] == "convert" and share is not None:
+    share = content.compensated_percent
+    if content.mode == "convert" and share is not None:
         parts.append(Notes((Note(f"Compensated {percent(share)} of the predicted deviation (RMS)."),)))
     return Section("numbers", "Deviation of the tool tip, mm", tuple(parts))
 
 
 def _table(data: Deviation) -> Table:
     content = data.content
-    u95 = None if content["u95"] is None else content["u95"]["max_mm"]
+    u95 = None if content.u95 is None else content.u95.max_mm
     if not data.compared:
-        rows = tuple(Row((label, estimate(content["before"][key], u95))) for label, key in _MEASURES)
+        before = zip(_MEASURES, astuple(content.before), strict=True)
+        rows = tuple(Row((label, estimate(value, u95))) for label, value in before)
         return Table(("Criterion", "Predicted, mm"), rows, "Predicted deviation")
     rows = tuple(
-        Row((label, estimate(before, u95), estimate(after, u95), times(before, after)))
-        for label, before, after in ((label, content["before"][key], content["after"][key]) for label, key in _MEASURES)
+        Row((label, estimate(one, u95), estimate(other, u95), times(one, other)))
+        for label, one, other in zip(_MEASURES, astuple(content.before), astuple(content.after), strict=True)
     )
     head = ("Criterion", "Before compensation, mm", "After compensation, mm", "Improvement factor")
     return Table(head, rows, "Deviation before and after compensation", note=_ROUNDING)
@@ -133,9 +130,10 @@ def view3d(data: Deviation) -> Section | None:
 def surface(data: Deviation) -> Section | None:
     """Return the surface with the largest deviations along its normal, and the gouges beyond the tolerance."""
     surface = data.surface
-    if surface is None or not len(data.result):
+    found = data.content.surface
+    if surface is None or found is None:
         return None
-    touched, found = surface.touched, data.content["surface"]
+    touched = surface.touched
     if not surface.reached.any():
         text = "No tool reaches the part: check that its mesh is in mm and in $BASE, and the shapes of the tools."
         return Section("surface", "Surface of the part", (Notes((Note(text, "warning"),)),))
@@ -152,7 +150,7 @@ def surface(data: Deviation) -> Section | None:
             tiles.append(_depth("Left after, at most", after[touched].max()))
         if surface.bound is not None:
             tiles.append(Tile("Expected error (95 %), up to", rounded(surface.bound[touched].max() * MM_PER_M), "mm"))
-    share = found["reached_percent"]
+    share = found.reached_percent
     tiles.append(Tile("Of the surface reached", f"{share:.0f}", "%", f"no tool reaches {100.0 - share:.0f} %"))
     label = "The part, coloured by the deviation along its outward normal; the table below lists the gouges"
     note = "Below 0 the tool gouges, above it leaves material. Grey: no tool reaches it. Before and after are "
@@ -166,10 +164,10 @@ _DEFLECTION = "from the programmed path"
 
 def _programmed(found: OnSurface, data: Deviation) -> Tile:
     """Return what the programmed path itself does to the mesh."""
-    label, cut, left = "Programmed path cuts into the part", found["cut_into_mm"], found["left_mm"]
-    least = data.content["part"]["tolerance_mm"] or data.content["tolerance_mm"] or CUT_MM
+    label, cut, left = "Programmed path cuts into the part", found.cut_into_mm, found.left_mm
+    least = data.content.part.tolerance_mm or data.content.tolerance_mm or CUT_MM
     if cut > least:
-        note = f"line {found['source_line']}: is the mesh in place, and the finished part?"
+        note = f"line {found.source_line}: is the mesh in place, and the finished part?"
         return Tile(label, rounded(cut), "mm", note, "warning")
     if left is not None and left > max(least, LEFT_MM):
         return Tile("Programmed path leaves", rounded(left), "mm", "on half of what the tools touch", "warning")
@@ -370,21 +368,21 @@ def operations(data: Deviation) -> Section | None:
 
 def feeds(data: Deviation) -> Section | None:
     """Return what was done to the feeds to hold the tolerance of the part."""
-    feed = data.content["feed"]
+    feed = data.content.feed
     if feed is None:
         return None
     rows = [
         Row(
             (
-                each["name"],
-                f"T{each['tool']}" if each["tool"] else "-",
-                seconds(each["time_before_s"]),
-                seconds(each["time_after_s"]),
-                str(each["lowered_moves"]),
-                number(each["lowest_feed_mm_per_min"], 0),
+                each.name,
+                f"T{each.tool}" if each.tool else "-",
+                seconds(each.time_before_s),
+                seconds(each.time_after_s),
+                str(each.lowered_moves),
+                number(each.lowest_feed_mm_per_min, 0),
             )
         )
-        for each in feed["operations"]
+        for each in feed.operations
     ]
     head = ("Operation", "Tool", "Time before", "Time after", "Moves slowed", "Lowest feed, mm/min")
     note = "Time of cutting moves: lengths divided by feeds, without the accelerations of the controller."
@@ -419,18 +417,18 @@ def worst(data: Deviation) -> Section | None:
 
 def reversals(data: Deviation) -> Section | None:
     """Return a table of the largest reversals; only a note where the model states no lost motion."""
-    found = data.content["reversals"]
+    found = data.content.reversals
     if not found:
         return None
-    if not any(entry["lost_motion_mm"] for entry in found):
-        joints = ", ".join(sorted({entry["joint"] for entry in found}))
+    if not any(entry.lost_motion_mm for entry in found):
+        joints = ", ".join(sorted({entry.joint for entry in found}))
         text = (
             f"The torque of {joints} changes its direction while the tool cuts. The tool steps there by the lost "
             "motion of these gears. The robot model states none; plots along the path mark the places."
         )
         return Section("reversals", "Reversals", (Notes((Note(text),)),))
     rows = tuple(
-        Row((entry["joint"], str(entry["source_line"]), rounded(entry["lost_motion_mm"])), place, entry["source_line"])
+        Row((entry.joint, str(entry.source_line), rounded(entry.lost_motion_mm)), place, entry.source_line)
         for entry, (place, _) in zip(found, data.reversals(), strict=True)
     )
     note = (
@@ -448,31 +446,31 @@ _HELD = {None: ("held but for approximation", "warning"), True: ("held", "good")
 def limits(data: Deviation) -> Section | None:
     """Return tolerance and limits, with the margins of the path."""
     content = data.content
-    if not content["targets"]:
+    if not content.targets:
         return None
-    between = content["between_max_mm"]
+    between = content.between_max_mm
     rows: list[tuple[str, Cell | str]] = [
         ("Deviation between targets too, at most", f"{'-' if between is None else millimetres(between)} mm")
     ]
-    if content["tolerance_mm"] is not None:
-        text, kind = _HELD[content["tolerance_held"]]
-        rows.append(("Tolerance", Cell(f"{content['tolerance_mm']:g} mm: {text}", kind)))  # type: ignore[arg-type]
-    blending = content["blending"]
-    if blending["source_line"] is not None:
-        where = f"{number(blending['max_mm'], 3)} mm, line {blending['source_line']}"
-        rows.append((f"{blending['by'][:1].upper()}{blending['by'][1:]} rounds corners by up to", where))
-    if content["mode"] == "convert":
-        rows.append(("Largest correction", f"{number(content['max_correction_mm'], 3)} mm"))
-    if content["tool_deflection"] is not None:
-        share = f"{number(content['tool_deflection']['max_mm'], 3)} mm"
+    if content.tolerance_mm is not None:
+        text, kind = _HELD[content.tolerance_held]
+        rows.append(("Tolerance", Cell(f"{content.tolerance_mm:g} mm: {text}", kind)))  # type: ignore[arg-type]
+    blending = content.blending
+    if blending.source_line is not None:
+        where = f"{number(blending.max_mm, 3)} mm, line {blending.source_line}"
+        rows.append((f"{blending.by[:1].upper()}{blending.by[1:]} rounds corners by up to", where))
+    if content.mode == "convert":
+        rows.append(("Largest correction", f"{number(content.max_correction_mm, 3)} mm"))
+    if content.tool_deflection is not None:
+        share = f"{number(content.tool_deflection.max_mm, 3)} mm"
         rows.append(("Deflection of holder, spindle and tool, up to", share))
-    rows.append(("Largest force", f"{content['max_force_N']:.0f} N"))
-    limits = content["limits"]
-    rows.append(("Smallest joint margin", f"{number(limits['min_joint_margin_deg'], 1)}°"))
-    rows.append(("Smallest singular value of the Jacobian", f"{number(limits['min_singular_value'], 3)} m/rad"))
-    free = content["collision"]
-    if free is not None and free["min_clearance_mm"] is not None:
-        words = f"{number(free['min_clearance_mm'], 1)} mm, {' and '.join(free['bodies'])}, line {free['source_line']}"
+    rows.append(("Largest force", f"{content.max_force_N:.0f} N"))
+    limits = content.limits
+    rows.append(("Smallest joint margin", f"{number(limits.min_joint_margin_deg, 1)}°"))
+    rows.append(("Smallest singular value of the Jacobian", f"{number(limits.min_singular_value, 3)} m/rad"))
+    free = content.collision
+    if free is not None and free.min_clearance_mm is not None:
+        words = f"{number(free.min_clearance_mm, 1)} mm, {' and '.join(free.bodies)}, line {free.source_line}"
         rows.append(("Smallest clearance", words))
     return Section("limits", "Tolerance and limits", (Facts(tuple(rows)),), "half")
 
