@@ -13,7 +13,10 @@ from msgspec.structs import replace
 from msgspec.structs import replace as changed
 
 from postproc import cell as cells
-from postproc import correction, robot, toolpath
+from postproc import correction, kinematics, robot, toolpath
+from postproc.correction import inspection
+from postproc.poses import Poses
+from postproc.program import CIRC, LIN
 from postproc.under_load import MotionsUnderLoad, PathUnderLoad, RobotInCell
 from tests.oracle.arm import Arm
 from tests.programs import program
@@ -128,3 +131,99 @@ def test_a_line_that_passes_a_limit_between_its_samples_is_refused():
         upper = MODEL.upper.copy()
         upper[axis] = 0.5 * (path.joints.q[:, axis].max() + inside[axis])
         assert errors(made, replace(MODEL, upper=upper)) == [f"joint-limit-A{axis + 1}"]
+
+
+def arcs_and_lines():
+    """A path of lines and arcs, one of which turns the tool, under a force in FEED axes."""
+    moves = [
+        ("LIN", 0, 0, 50), ("CIRC", 40, 0, 50, 20, 0, 50, 180.0, (0, 0, 1)), ("LIN", 40, 0, 0), ("LIN", 41, 0, 0),
+        ("CIRC", 61, 20, 0, 41, 20, 0, 90.0, (0, 0, 1)), ("LIN", 61, 120, 0), ("CIRC", 61, 160, 0, 61, 140, 0, 540.0,
+        (0, 0, 1)), ("PTP", 0, 0, 60), ("LIN", 0, 100, 60),
+    ]  # fmt: skip
+    made = program(moves, [(3, (900.0, 500.0, -700.0, 0.0, 0.0, 0.0), "FEED")], orientation=CELL.tool_pose_in_program())
+    turned = made.motions.target[:]
+    turned[8, :3, :3] = turned[8, :3, :3] @ np.array([[np.cos(1), 0, np.sin(1)], [0, 1, 0], [-np.sin(1), 0, np.cos(1)]])
+    made = replace(made, motions=replace(made.motions, target=Poses.of(turned)))
+    motions = MotionsUnderLoad.of(made, RobotInCell.of(MODEL, CELL), None)
+    path = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False))
+    return path
+
+
+@pytest.mark.parametrize("arc", [1, 4, 6])
+@pytest.mark.parametrize("axis", range(6))
+def test_an_arc_at_whose_end_a_joint_comes_near_its_limit_is_examined(arc, axis):
+    """It steps by 5°, to 7.5° before the limit: as near as two more such steps."""
+    path = arcs_and_lines()
+    q = np.tile(np.radians([0.0, -70.0, 110.0, 20.0, 50.0, 0.0]), (len(path), 1))
+    last = np.flatnonzero(path.sample.motion == arc)[-1]
+    for gap, examined in ((7.5, [arc]), (10.5, [])):
+        q[:, axis] = MODEL.upper[axis] - np.radians(gap + 5.0)
+        q[last:, axis] += np.radians(5.0)
+        start = changed(CELL.start, joints=tuple(np.degrees(q[0])))
+        near = RobotInCell.of(MODEL, changed(CELL, start=start))
+        path = replace(path, motions=replace(path.motions, robot_in_cell=near))
+        arcs, _ = inspection.stretches_to_examine(path, q, np.zeros((len(path), 6)))
+        assert arcs.motion.tolist() == examined
+
+
+def test_arcs_and_pieces_of_lines_are_examined_where_joints_limits_and_singularities_are_near():
+    """All joints and speeds by chance; the rules of the module in plain loops, motion by motion."""
+    path = arcs_and_lines()
+    motions, made = path.motions, path.program
+    form, sample, kind = kinematics.closed_form(MODEL), path.sample, made.motions.kind
+    # how near to zero: A5, the wrist ahead of A1 and A3 from the stretched arm
+    step_of = np.array([0.3, 0.3, 0.3, 4.0, 4.0, 4.0])
+    found_arcs, found_lines = 0, 0
+    for seed in range(60):
+        random = np.random.default_rng(seed)
+        q = np.radians([0.0, -70.0, 110.0, 20.0, 50.0, 0.0]) + np.cumsum(
+            np.radians(step_of) * random.normal(size=(len(path), 6)), axis=0
+        ) * random.choice([0.02, 0.2, 2.0])
+        near = random.integers(14)  # which limit or singularity the path is near
+        if near < 6:
+            q[:, near] += random.choice([MODEL.lower, MODEL.upper])[near] - q[random.integers(len(q)), near]
+        elif near == 6:
+            q[:, 4] -= q[random.integers(len(q)), 4]
+        elif near == 7:
+            q[:, 2] -= float(form.elbow(q)[random.integers(len(q))])
+        elif near in (8, 9):
+            q[:, 1:3] += np.radians([-70.0, -67.86]) + random.normal(size=2) * 0.01 - q[random.integers(len(q)), 1:3]
+        speed = MODEL.speed * random.uniform(0.0, 0.8 if seed % 3 == 0 else 0.7, (len(path), 6))
+        cell = changed(CELL, start=changed(CELL.start, joints=tuple(np.degrees(q[0] + random.normal(size=6) * 0.01))))
+        other = replace(path, motions=replace(motions, robot_in_cell=RobotInCell.of(MODEL, cell)))
+        arcs, lines = inspection.stretches_to_examine(other, q, speed)
+
+        states = [cell.start_joints, *q]
+        wrist, ahead, elbow = ([float(of(np.array([x]))[0]) for x in states] for of in (
+            lambda x: x[:, 4], form.reach, form.elbow))  # fmt: skip
+        room = [[*np.minimum(x - MODEL.lower, MODEL.upper - x), abs(a), abs(b), abs(c)]
+                for x, a, b, c in zip(states, wrist, ahead, elbow, strict=True)]  # fmt: skip
+        step = [[*np.abs(states[n + 1] - states[n]), *(abs(of[n + 1] - of[n]) for of in (wrist, ahead, elbow))]
+                for n in range(len(q))]  # fmt: skip
+        fast = (speed > 0.75 * MODEL.speed).any(axis=1)
+        expected = []
+        for motion in np.flatnonzero(kind == CIRC):
+            rows = np.flatnonzero(sample.motion == motion)
+            most = 2.0 * np.max([step[n] for n in rows], axis=0)
+            limit = [*most[:6], max(most[6], np.radians(1.0)), most[7] + 0.005, np.radians(20.0)]
+            close = any((np.array(room[n + 1]) < limit).any() for n in rows)
+            if fast[rows].any() or max(max(step[n][:6]) for n in rows) > np.radians(10.0) or close:
+                expected.append(motion)
+        assert arcs.motion.tolist() == expected, seed
+        assert arcs.count.tolist() == [{1: 37, 4: 19, 6: 109}[motion] for motion in expected]  # every 5°
+        pieces = []
+        for n, (motion, t) in enumerate(zip(sample.motion.tolist(), sample.t.tolist(), strict=True)):
+            begin = sample.t[n - 1] if n and sample.motion[n - 1] == motion else 0.0
+            way, turn = (float(each[motion]) * (t - begin) for each in (motions.segments.travel, motions.segments.turn))
+            if kind[motion] != LIN or (way <= 0.002 and turn <= np.radians(0.5)):
+                continue
+            limit = [*(2.0 * s + way / 0.15 + 6.0 * turn for s in step[n][:7])]
+            limit += [2.0 * step[n][7] + way + 0.5 * turn + 0.005, 5.0 * way + 3.0 * turn]
+            if fast[n] or (np.minimum(room[n], room[n + 1]) < limit).any():
+                pieces.append((motion, begin, t, int(np.ceil(max(way / 0.002, turn / np.radians(0.5)))) + 1))
+        assert (
+            list(zip(*(x.tolist() for x in (lines.motion, lines.begin, lines.end, lines.count)), strict=True)) == pieces
+        )
+        found_arcs, found_lines = found_arcs + len(expected), found_lines + len(pieces)
+    assert 30 < found_arcs < 150
+    assert found_lines > 60
