@@ -182,9 +182,9 @@ def validate(
 
     programs += more  # --program a.nc b.nc
     if is_probed(measurements):
-        if experiment or forces or cell is None or process is None or len(programs) != 1:
-            raise click.UsageError("A probed part needs --cell, --process and one --program, and nothing else.")
-        ctx.exit(0 if _holds_for_part(model, measurements, cell, process, Path(programs[0])) else 3)
+        if experiment or forces or cell is None or process is None or not programs:
+            raise click.UsageError("A probed part needs --cell, --process and --program, and nothing else.")
+        ctx.exit(0 if _holds_for_part(model, measurements, cell, process, tuple(map(Path, programs))) else 3)
     if experiment is None:
         raise click.UsageError("Tracker readings need --experiment.")
     if (cell is None) != (not programs):
@@ -206,12 +206,12 @@ def validate(
         ctx.exit(3)
 
 
-def _holds_for_part(model: Path, probed: Path, cell: Path, process: Path, program: Path) -> bool:
+def _holds_for_part(model: Path, probed: Path, cell: Path, process: Path, programs: tuple[Path, ...]) -> bool:
     """Print how a model agrees with a probed part; return whether it holds."""
     from postproc.jobs.testpart_files import PartRequest, compare_part
     from postproc.report.testpart import agreement_lines
 
-    data, compared = compare_part(PartRequest(probed=probed, cell=cell, process=process, program=program), str(model))
+    data, compared = compare_part(PartRequest(probed=probed, cell=cell, process=process, programs=programs), str(model))
     for text in agreement_lines(data, compared):
         click.echo(text)
     for warning in compared.warnings:
@@ -223,7 +223,7 @@ def _holds_for_part(model: Path, probed: Path, cell: Path, process: Path, progra
 @click.argument("probed", type=_FILE)
 @click.option("--cell", type=_FILE, required=True, help="Cell in which the part was cut; its robot is the prior.")
 @click.option("--process", type=_FILE, required=True, help="Process of the part: testpart.process.toml.")
-@click.option("--program", type=_FILE, required=True, help="The program that was cut: testpart.nc.")
+@options.several_programs("What was cut: testpart.nc, and the programs of further placements.", required=True)
 @click.option("--tool", type=int, help="Number of its tool; default: the only one.")
 @options.probe_sigma
 @click.option("--compare", is_flag=True, help="Check the model of the cell only; write nothing.")
@@ -232,7 +232,15 @@ def _holds_for_part(model: Path, probed: Path, cell: Path, process: Path, progra
 @click.option("--json", "as_json", is_flag=True, help="Print identification.json.")
 @click.pass_context
 def part(
-    ctx: click.Context, /, compare: bool, output: Path | None, overwrite: bool, as_json: bool, **request: Any
+    ctx: click.Context,
+    /,
+    compare: bool,
+    output: Path | None,
+    overwrite: bool,
+    as_json: bool,
+    programs: tuple[str, ...],
+    more: tuple[str, ...],
+    **request: Any,
 ) -> None:
     """Compliances, and the scale of forces, from a probed part.
 
@@ -259,7 +267,8 @@ def part(
 
     if compare == (output is not None):
         raise click.UsageError("Give -o MODEL_DIR, or --compare.")
-    done = identify_part(PartRequest(**request), output, overwrite=overwrite)
+    programs += more  # --program a.nc b.nc
+    done = identify_part(PartRequest(programs=tuple(map(Path, programs)), **request), output, overwrite=overwrite)
     compared = done.data.agreement
     if as_json:
         click.echo(done.data.as_json().decode())

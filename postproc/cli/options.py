@@ -34,7 +34,7 @@ def complete_files(_ctx: click.Context, _param: click.Parameter, incomplete: str
     return [CompletionItem(incomplete, type="file")]
 
 
-def several_programs(text: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def several_programs(text: str, *, required: bool = False) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Return a decorator for ``--program A B …``: the first is in `programs`, the others are in `more`.
 
     :param text: help of the option.
@@ -43,8 +43,9 @@ def several_programs(text: str) -> Callable[[Callable[..., Any]], Callable[..., 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         others = click.argument("more", nargs=-1, metavar="[PROGRAM]...", shell_complete=complete_files)
         option = click.option(
-            "--program", "programs", multiple=True, metavar="PROGRAM...", shell_complete=complete_files, help=text
-        )
+            "--program", "programs", multiple=True, required=required, metavar="PROGRAM...",
+            shell_complete=complete_files, help=text,
+        )  # fmt: skip
         return option(others(command))
 
     return decorate

@@ -16,6 +16,14 @@ _PATH = click.Path(path_type=Path)
 @click.option("--cell", type=_PATH, required=True, help="Cell file; its robot is the prior.")
 @click.option("--process", type=_PATH, required=True, help="process.toml: material and a flat end mill.")
 @click.option("--block", help='Block in $BASE, mm: "X=0:300,Y=0:200,Z=-40:0"; default: [stock] box of the process.')
+@click.option(
+    "--placement",
+    "placements",
+    type=click.IntRange(1, 9999),
+    multiple=True,
+    metavar="N",
+    help="Further placement of the block: [base_data.N] of the cell. May be repeated.",
+)
 @options.several_programs("What will be milled: the part is chosen for it.")
 @click.option("--forces", type=_PATH, help="Forces of these programs: a CSV, process.toml, or a folder.")
 @click.option(
@@ -45,6 +53,9 @@ def testpart(as_json: bool, programs: tuple[str, ...], more: tuple[str, ...], **
     testpart.nc, testpart.src (nominal, not corrected), probing.csv to fill in, testpart.process.toml, and
     testpart.html: the drawing, and what each parameter will be known to.
 
+    The block is at [base] of the cell. --placement adds other places for it, each with a program of its own and its
+    own features: other heights and distances load the joints otherwise.
+
     --weight adds stops above the block at the end of testpart.nc: hang the weight on the tool there, and read with a
     dial gauge how far the tool moves down. The force is known, so it separates compliances from cutting forces.
 
@@ -53,6 +64,7 @@ def testpart(as_json: bool, programs: tuple[str, ...], more: tuple[str, ...], **
     \b
     Example:
       postproc testpart --cell cell.toml --process part.process.toml --block "X=0:300,Y=0:200,Z=-40:0" -o testpart
+      postproc testpart --cell cell.toml --process part.process.toml --placement 3 -o testpart
     """  # noqa: D301 - click: keep these lines as they are
     from postproc.jobs.testpart_files import TestPartRequest, make_testpart
     from postproc.report.testpart import design_lines
@@ -61,6 +73,6 @@ def testpart(as_json: bool, programs: tuple[str, ...], more: tuple[str, ...], **
     if as_json:
         click.echo(made.written[-1].read_text(encoding="utf-8"), nl=False)
         return
-    for line in design_lines(made.design, made.prior, made.cutting):
+    for line in design_lines(made.design, made.prior, made.cutting, made.parts):
         click.echo(line)
     click.echo("written: " + ", ".join(str(path) for path in made.written))

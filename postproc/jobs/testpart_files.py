@@ -14,9 +14,9 @@ from msgspec.structs import replace
 from postproc import cell as cells
 from postproc import correction, files, kinematics, machining
 from postproc import robot as robots
-from postproc.cell import Box
+from postproc.cell import Box, Cell
 from postproc.dialects import registry
-from postproc.errors import ForceError, InputError, ModelError
+from postproc.errors import ForceError, InputError, MeasurementError, ModelError
 from postproc.files import FileEntry
 from postproc.frames import M_PER_MM, MM_PER_M
 from postproc.identification import model_folder, record
@@ -25,15 +25,15 @@ from postproc.jobs.output_plan import protect
 from postproc.jobs.programs import Settings, find_jobs, load_robot
 from postproc.machining import Process, ProcessSource
 from postproc.machining.process import ProcessFile, StockTable, ToolTable
-from postproc.program import Program
 from postproc.report.testpart import design_page, part_page
 from postproc.robot.model_file import ModelFile
 from postproc.testpart import design, features, probing
-from postproc.testpart.cut import States, forces_of, surfaces
+from postproc.testpart.cut import Clamped, States, Surfaces, forces_of, surfaces
 from postproc.testpart.design import Design, Tests
-from postproc.testpart.features import Cutting
+from postproc.testpart.features import Cutting, Placement
 from postproc.testpart.fit import Fit, Prior, Readings, fit
 from postproc.testpart.model import Agreement, PartIdentification, agreement, material, model_file, summary
+from postproc.testpart.probing import Probed
 from postproc.under_load import RobotInCell
 
 _CHIP = 0.006
@@ -51,6 +51,7 @@ _RECORD = "testpart.json"
 class TestPartRequest(Struct, frozen=True, kw_only=True):
     """What a test part is made from, and where it is written.
 
+    :param placements: numbers of `[base_data]`: further placements of the block, besides `[base]` of the cell.
     :param block: ``"X=0:300,Y=0:200,Z=-40:0"`` in `$BASE`, mm; None: the box of the process.
     :param programs: what will be milled, with `forces`; without them, this process all over the block.
     :param count: number of features at most.
@@ -66,6 +67,7 @@ class TestPartRequest(Struct, frozen=True, kw_only=True):
     cell: Path
     process: Path
     output: Path
+    placements: tuple[int, ...] = ()
     block: str | None = None
     programs: tuple[str, ...] = ()
     forces: Path | None = None
@@ -86,6 +88,7 @@ class TestPartFiles(Struct, frozen=True, eq=False):
     design: Design
     prior: Prior
     cutting: Cutting
+    parts: dict[Placement, features.Program]
     written: tuple[Path, ...]
 
 
@@ -137,11 +140,14 @@ def make_testpart(request: TestPartRequest, progress: Callable[[str], None] = la
     box = process.stock.box if request.block is None else block_of(request.block)
     if box is None:
         raise InputError("no block", file=str(request.process), advice="Give --block, or [stock] box in the process.")
-    names = [design.NAME, "testpart.src", "probing.csv", PROCESS, "testpart.html", _RECORD]
+    placements = _placements(cell, request.placements)
+    programs = [name for each in placements for name in (each.name, str(Path(each.name).with_suffix(".src")))]
+    names = [*programs, "probing.csv", PROCESS, "testpart.html", _RECORD]
     protect([request.cell, request.process], request.output, names)
     if not request.overwrite:
         files.refuse(files.foreign(request.output, names[:-1], _RECORD))
-    setting = RobotInCell.of(robot, cell)
+    settings = tuple(RobotInCell.of(robot, each) for each in placements.values())
+    setting = settings[0]
     prior = _prior(setting, process)
     rpm = tool.rpm or float(np.floor(min(12_000.0, 1e3 * _SPEED / (np.pi * tool.diameter_mm)) / 100.0) * 100.0)
     feed = request.feed_mm_per_min or _CHIP * tool.diameter_mm * tool.flutes * rpm
@@ -154,25 +160,32 @@ def make_testpart(request: TestPartRequest, progress: Callable[[str], None] = la
     )
     depth = (request.depth_mm or _DEPTH * tool.diameter_mm) * M_PER_MM
     progress("candidates")
-    found, cutting = design.candidates(prior, setting, process, cutting, depth, box, request.sigma_mm * M_PER_MM)
+    found, cutting = design.candidates(prior, settings, process, cutting, depth, box, request.sigma_mm * M_PER_MM)
     tests = _tests(request, setting, found)
     progress("choice of features")
     low, high = (np.array([span[k] for span in (box.X, box.Y, box.Z)]) * M_PER_MM for k in (0, 1))
     hung = features.hanging_places(low, high, cutting.top) if request.weight_kg else np.zeros((0, 3))
-    weighed = design.weighed(prior, setting, cutting, request.weight_kg, hung, request.sigma_mm * M_PER_MM)
+    weighed = design.weighed(prior, settings, cutting, request.weight_kg, hung, request.sigma_mm * M_PER_MM)
     chosen = design.choose(found, prior, setting, tests, request.count, weighed)
-    part = features.program(chosen.features, cutting, request.weight_kg, hung)
-    contents: dict[str, bytes | Iterable[bytes]] = {design.NAME: part.text.encode()}
-    contents |= _krl(request, part.text)
-    contents["probing.csv"] = probing.table(part)
+    parts = {}
+    contents: dict[str, bytes | Iterable[bytes]] = {}
+    for number, (placement, its_cell) in enumerate(placements.items()):
+        own = [chosen.features[k] for k in np.flatnonzero(chosen.placement == number)]
+        first = 1 + int((chosen.placement < number).sum()), 1 + len(hung) * number
+        where = placement.title if len(placements) > 1 else ""
+        parts[placement] = features.program(own, cutting, request.weight_kg, hung, first=first, where=where)
+        if len(parts[placement].feature):
+            contents[placement.name] = parts[placement].text.encode()
+            contents |= _krl(request, placement.name, parts[placement].text, its_cell)
+    contents["probing.csv"] = probing.table(parts)
     contents[PROCESS] = _process(process, box)
-    contents["testpart.html"] = design_page(chosen, prior, cutting, part, box, cell.robot)
-    data = _data(chosen, prior, cutting)
+    contents["testpart.html"] = design_page(chosen, prior, cutting, parts, box, cell.robot)
+    data = _data(chosen, prior, cutting, parts)
     written = files.write_whole(
         request.output,
         files.with_record(contents, _RECORD, lambda entries: files.json_bytes({**data, "files": entries})),
     )
-    return TestPartFiles(chosen, prior, cutting, tuple(written))
+    return TestPartFiles(chosen, prior, cutting, parts, tuple(written))
 
 
 def _prior(setting: RobotInCell, process: Process) -> Prior:
@@ -180,9 +193,14 @@ def _prior(setting: RobotInCell, process: Process) -> Prior:
     return Prior.of(setting.robot, law.sigma, law.numbers)
 
 
-def _data(chosen: Design, prior: Prior, cutting: Cutting) -> dict[str, object]:
+def _data(
+    chosen: Design, prior: Prior, cutting: Cutting, parts: dict[Placement, features.Program]
+) -> dict[str, object]:
     names = [*(parameter.name for parameter in prior.parameters), "forces"]
     return {
+        "placements": [
+            {"program": each.name, "frame": each.title, "features": made.features} for each, made in parts.items()
+        ],
         "features": len(chosen.features),
         "minutes": round(chosen.seconds / 60.0, 2),
         "feed_mm_per_min": round(cutting.feed * MM_PER_M * 60.0, 1),
@@ -211,13 +229,12 @@ def _tests(request: TestPartRequest, setting: RobotInCell, found: design.Candida
     return Tests(states, weight, poses.source)
 
 
-def _krl(request: TestPartRequest, text: str) -> dict[str, bytes]:
+def _krl(request: TestPartRequest, name: str, text: str, cell: Cell) -> dict[str, bytes]:
     """Return the nominal program in the language of the robot, marked as such."""
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / design.NAME
+        path = Path(folder) / name
         path.write_bytes(text.encode())
         settings = Settings(request.cell, mode="nominal")
-        cell = cells.load(request.cell)
         cell = replace(cell, gcode=replace(cell.gcode, redundancy="constant"))  # as the part was chosen
         robot = load_robot(cell.robot, cell.folder)
         to = robot.language if robot.language and registry.by_name(robot.language).writer is not None else None
@@ -225,7 +242,7 @@ def _krl(request: TestPartRequest, text: str) -> dict[str, bytes]:
         result = correction.process(read_program(path, robot, cell), robot, cell, None, "nominal", to=job.to)
         if result.failed:
             problem = next(issue for issue in result.issues if issue.level == "error")
-            raise InputError(problem.message, file=design.NAME, line=problem.source_line)
+            raise InputError(problem.message, file=name, line=problem.source_line)
         return {document.name: document.to_bytes() for document in marked(result, job, settings, cell).documents}
 
 
@@ -246,14 +263,14 @@ class PartRequest(Struct, frozen=True, kw_only=True):
     :param probed: probing.csv filled in.
     :param cell: the cell in which the part was cut; its robot is the prior.
     :param process: of the part.
-    :param program: testpart.nc.
+    :param programs: testpart.nc, and the programs of further placements of the block.
     :param sigma_mm: noise of the probe.
     """
 
     probed: Path
     cell: Path
     process: Path
-    program: Path
+    programs: tuple[Path, ...]
     tool: int | None = None
     sigma_mm: float = 0.005
 
@@ -270,15 +287,12 @@ class _Given(Struct, frozen=True, eq=False):
 
     prior: Prior
     readings: Readings
-    robot_in_cell: RobotInCell
+    parts: tuple[Clamped, ...]
     process: Process
-    program: Program
 
     def fit(self, prior: Prior) -> tuple[Fit, tuple[str, ...]]:
         """Fit a model; return the points left out too."""
-        source = ProcessSource(self.process, self.robot_in_cell.spindle)
-        forces = forces_of(self.program, self.robot_in_cell, source, self.readings.where)
-        return fit(prior, self.readings, self.robot_in_cell, forces)
+        return fit(prior, self.readings, self.parts[0].setting, forces_of(self.parts))
 
 
 def _given(request: PartRequest, model: str | None = None) -> _Given:
@@ -291,12 +305,65 @@ def _given(request: PartRequest, model: str | None = None) -> _Given:
     robot = load_robot(cell.robot, cell.folder) if model is None else load_robot(model, Path())
     process = machining.load(request.process)
     _, tool = flat_tool(process, request.tool)
-    program = read_program(request.program, robot, cell)
-    setting = RobotInCell.of(robot, cell)
     probed = probing.read(request.probed)
-    where = surfaces(program, setting, probed, 0.5 * tool.diameter_mm * M_PER_MM)
-    prior = _prior(setting, process)
-    return _Given(prior, Readings(probed, where, request.sigma_mm * M_PER_MM), setting, process, program)
+    rows, parts = [], []
+    for path, base in programs_of(probed, request.programs).items():
+        its_cell = clamped(cell, Placement("" if base < 0 else str(base)), probed.file)
+        program, setting = read_program(path, robot, its_cell), RobotInCell.of(robot, its_cell)
+        rows.append(np.flatnonzero(probed.base == base))
+        where = surfaces(program, setting, probed.take(rows[-1]), 0.5 * tool.diameter_mm * M_PER_MM)
+        parts.append(Clamped(program, setting, ProcessSource(process, setting.spindle), where))
+    where = Surfaces.joined([part.where for part in parts])
+    readings = Readings(probed.take(np.concatenate(rows)), where, request.sigma_mm * M_PER_MM)
+    return _Given(_prior(parts[0].setting, process), readings, tuple(parts), process)
+
+
+def _placements(cell: Cell, numbers: tuple[int, ...]) -> dict[Placement, Cell]:
+    out = {Placement(): cell}
+    for placement in map(Placement, map(str, numbers)):
+        if placement in out:
+            raise InputError(f"{placement.title} is given twice", file="--placement", advice="Give each number once.")
+        out[placement] = clamped(cell, placement, "--placement")
+    return out
+
+
+def clamped(cell: Cell, placement: Placement, named_in: str) -> Cell:
+    """Return a cell whose `[base]` is that of a placement of the block.
+
+    :param named_in: file or option that names the placement.
+    :raises InputError: the cell does not know it.
+    """
+    if not placement.number:
+        return cell
+    frame = cell.base_data.get(placement.number)
+    if frame is None:
+        known = ", ".join(f"[base_data.{number}]" for number in cell.base_data) or "none"
+        raise InputError(
+            f"the cell has no {placement.title}",
+            file=named_in,
+            advice=f"Give the frame of the block there in the robot root; found: {known}.",
+        )
+    return replace(cell, base=frame)
+
+
+def programs_of(probed: Probed, given: tuple[Path, ...]) -> dict[Path, int]:
+    """Return the programs that made probed points, and the number of the placement of each, −1 for `[base]`.
+
+    :raises MeasurementError: a program that a row names is not given, or has two placements.
+    """
+    named = dict(zip(probed.program, probed.base.tolist(), strict=True))
+    if named == {"": -1}:
+        if len(given) == 1:
+            return {given[0]: -1}
+        advice = "Give one --program, or the probing.csv with the column program."
+        raise MeasurementError("the rows do not name the program that makes them", file=probed.file, advice=advice)
+    advice = "Give --program once for each name in the column program of probing.csv."
+    by_name = {path.name: path for path in given}
+    for k, (name, base) in enumerate(zip(probed.program, probed.base.tolist(), strict=True)):
+        if name not in by_name or named[name] != base or list(named.values()).count(base) > 1:
+            what = f"program {name!r} is not given" if name not in by_name else f"{name} has two placements"
+            raise MeasurementError(what, file=probed.file, line=int(probed.row[k]), advice=advice)
+    return {by_name[name]: base for name, base in named.items()}
 
 
 def compare_part(request: PartRequest, model: str | None = None) -> tuple[PartIdentification, Agreement]:

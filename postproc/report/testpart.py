@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from postproc.cell import Box
@@ -26,7 +28,7 @@ from postproc.report.kit import (
 )
 from postproc.testpart import features
 from postproc.testpart.design import Design
-from postproc.testpart.features import Cutting, Program
+from postproc.testpart.features import Cutting, Placement, Program
 from postproc.testpart.fit import Prior
 from postproc.testpart.model import Agreement, PartIdentification
 
@@ -41,11 +43,13 @@ _PRODUCT = (
 )
 
 
-def design_page(chosen: Design, prior: Prior, cutting: Cutting, part: Program, box: Box, robot: str) -> bytes:
+def design_page(
+    chosen: Design, prior: Prior, cutting: Cutting, parts: dict[Placement, Program], box: Box, robot: str
+) -> bytes:
     """Return the page of a chosen part: drawing, table of features, and what each parameter will be known to."""
     tiles = (
         Tile("Features", str(len(chosen.features))),
-        Tile("Probed points", str(len(part.feature))),
+        Tile("Probed points", str(sum(len(part.feature) for part in parts.values()))),
         Tile("Cutting time", f"{chosen.seconds / 60.0:.1f}", "min"),
         Tile("Expected error now, RMS", f"{chosen.before * MM_PER_M:.3f}", "mm"),
         Tile(
@@ -60,19 +64,19 @@ def design_page(chosen: Design, prior: Prior, cutting: Cutting, part: Program, b
             f"Clamp a block of X {box.X[0]:g} … {box.X[1]:g}, Y {box.Y[0]:g} … {box.Y[1]:g}, "
             f"Z {box.Z[0]:g} … {box.Z[1]:g} mm in $BASE."
         ),
-        Note("Cut testpart.src, or testpart.nc by your own post: uncorrected, in one clamping, with a sharp tool."),
+        *_cutting_steps(parts),
         Note(
             "Probe the points of probing.csv; fill in deviation_mm: along the normal, positive where material is left."
         ),
         Note("Where the part is probed does not matter: its position is found from the deviations."),
         Note(
             "postproc identify part probing.csv --cell CELL --process testpart.process.toml "
-            "--program testpart.nc -o MODEL"
+            f"--program {' '.join(each.name for each, part in parts.items() if len(part.feature))} -o MODEL"
         ),
     )
     sections = (
         Section("numbers", "What the part will show", (Tiles(tiles),)),
-        Section("drawing", "Drawing", (_drawing(chosen, cutting, box),)),
+        Section("drawing", "Drawing", _drawings(chosen, cutting, parts, box)),
         Section("steps", "How to use it", (Notes(steps, marked=True),)),
         Section(
             "parameters",
@@ -86,7 +90,7 @@ def design_page(chosen: Design, prior: Prior, cutting: Cutting, part: Program, b
                 ),
             ),
         ),
-        Section("features", "Features", (_features(chosen),)),
+        Section("features", "Features", (_features(chosen, parts),)),
     )
     feed = cutting.feed * MM_PER_M * 60.0
     subtitle = f"{robot}, tool {cutting.diameter * MM_PER_M:g} mm, {cutting.rpm:g} 1/min, {feed:.0f} mm/min"
@@ -114,13 +118,31 @@ def _row(name: str, before: float, after: float, share: float) -> Row:
     return Row((name, f"{before:.2g}", f"{after:.2g}", Cell("not shown by this part" if share > 0.9 else "", kind)))
 
 
-def _features(chosen: Design) -> Table:
+def _cutting_steps(parts: dict[Placement, Program]) -> list[Note]:
+    uncorrected = "uncorrected, in one clamping, with a sharp tool."
+    if len(parts) == 1:
+        return [Note(f"Cut testpart.src, or testpart.nc by your own post: {uncorrected}")]
+    return [
+        Note(
+            f"With the block at {each.title} of the cell cut {Path(each.name).stem}.src, or {each.name} by your own "
+            f"post: {uncorrected}"
+        )
+        if len(part.feature)
+        else Note(f"Nothing is cut with the block at {each.title}: the same time shows more elsewhere.")
+        for each, part in parts.items()
+    ]
+
+
+def _features(chosen: Design, parts: dict[Placement, Program]) -> Table:
     rows = []
+    frames = [each.title for each, made in parts.items() for _ in range(made.features)]
+    several = len(parts) > 1
     for number, (feature, row) in enumerate(zip(chosen.features, chosen.chosen.tolist(), strict=True), start=1):
         rows.append(
             Row(
                 (
                     f"F{number:02d}",
+                    *([frames[number - 1]] if several else []),
                     feature.kind.title,
                     f"{feature.kind.depth * MM_PER_M:g}",
                     f"{feature.x * MM_PER_M:.1f}",
@@ -130,12 +152,31 @@ def _features(chosen: Design) -> Table:
                 )
             )
         )
-    head = ("feature", "kind", "depth, mm", "X, mm", "Y, mm", "direction, °", "deflection, mm")
-    return Table(head, tuple(rows), "Features with the largest expected deflection of the tool", texts=(1,))
+    head = ("kind", "depth, mm", "X, mm", "Y, mm", "direction, °", "deflection, mm")
+    title = "Features with the largest expected deflection of the tool"
+    if several:
+        return Table(("feature", "block at", *head), tuple(rows), title, texts=(1, 2))
+    return Table(("feature", *head), tuple(rows), title, texts=(1,))
 
 
-def _drawing(chosen: Design, cutting: Cutting, box: Box) -> Drawing:
-    """Return the plan view of the block: outlines of grooves and trimmed halves, probed points, numbers."""
+def _drawings(chosen: Design, cutting: Cutting, parts: dict[Placement, Program], box: Box) -> tuple[Drawing, ...]:
+    """Return a drawing for each placement of the block."""
+    out, first = [], 0
+    for placement, made in parts.items():
+        own = range(first, first + made.features)
+        if not own:
+            continue
+        where = f"Block at {placement.title}, {placement.name}. " if len(parts) > 1 else ""
+        out.append(_drawing(chosen, own, cutting, box, where))
+        first = own.stop
+    return tuple(out)
+
+
+def _drawing(chosen: Design, own: range, cutting: Cutting, box: Box, where: str) -> Drawing:
+    """Return the plan view of the block: outlines of grooves and trimmed halves, probed points, numbers.
+
+    :param own: features of this placement; of others the outlines are shown.
+    """
     low, high = np.array([box.X[0], box.Y[0]]), np.array([box.X[1], box.Y[1]])
     scale = _WIDE / (high[0] - low[0])
     tall = scale * (high[1] - low[1])
@@ -149,6 +190,11 @@ def _drawing(chosen: Design, cutting: Cutting, box: Box) -> Drawing:
     out = [f'<rect x="0" y="0" width="{_WIDE:.0f}" height="{tall:.0f}" fill="none" stroke="currentColor"/>']
     radius = 0.5 * cutting.diameter
     for number, feature in enumerate(chosen.features, start=1):
+        if number - 1 not in own:
+            for begin, end in _runs(feature, cutting, ""):
+                faint = 'fill="none" stroke="currentColor" stroke-opacity="0.15"'
+                out.append(path(_stadium(feature, begin, end, radius) * MM_PER_M, faint))
+            continue
         for name, style in (
             ("groove", 'fill="currentColor" fill-opacity="0.12" stroke="currentColor"'),
             ("step", 'fill="currentColor" fill-opacity="0.12" stroke="currentColor"'),
@@ -183,7 +229,7 @@ def _drawing(chosen: Design, cutting: Cutting, box: Box) -> Drawing:
     return Drawing(
         svg,
         "Plan view of the block with the features",
-        "Seen from the spindle. Shaded: cut under load; dashed: trimmed by light passes. Dots: probed points, "
+        f"{where}Seen from the spindle. Shaded: cut under load; dashed: trimmed by light passes. Dots: probed points, "
         "hollow ones on reference surfaces. Behind each number the depth in mm.",
     )
 
@@ -193,7 +239,7 @@ def _runs(feature: features.Feature, cutting: Cutting, name: str) -> list[tuple[
     out, before = [], np.zeros(3)
     for move in features.passes(feature.kind, cutting):
         end = np.array(move.end)
-        if move.name.startswith(name):
+        if move.name and move.name.startswith(name):
             out.append((before[:2], end[:2]))
         before = end
     return out
@@ -211,7 +257,7 @@ def _stadium(feature: features.Feature, begin: Array, end: Array, radius: float)
     return features.placed(feature, 0.0, np.column_stack([points, np.zeros(len(points))]))[:, :2]
 
 
-def design_lines(chosen: Design, prior: Prior, cutting: Cutting) -> list[str]:
+def design_lines(chosen: Design, prior: Prior, cutting: Cutting, parts: dict[Placement, Program]) -> list[str]:
     """Return a chosen part as lines to print."""
     names = [*(parameter.name for parameter in prior.parameters), "forces"]
     shown = [f"{name} {100 * share:.0f} %" for name, share in zip(names, chosen.sigma, strict=True) if share <= 0.9]
@@ -223,6 +269,8 @@ def design_lines(chosen: Design, prior: Prior, cutting: Cutting) -> list[str]:
         f"{chosen.after * MM_PER_M:.3f} mm with the part, of {chosen.own * MM_PER_M:.2f} mm deflection (RMS)",
         f"standard deviations left: {', '.join(shown)} of those now",
     ]
+    if len(parts) > 1:
+        lines.insert(1, "block at " + ", ".join(f"{each.title}: {made.features}" for each, made in parts.items()))
     if rest:
         lines.append(f"not shown by this part: {', '.join(rest)}")
     if chosen.alone is not None:

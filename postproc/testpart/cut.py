@@ -10,7 +10,7 @@ The forces are those of the deflected tool: it cuts less wide and less deep than
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from msgspec import Struct
@@ -39,7 +39,7 @@ _SCALED = 1e-3
 class Surfaces(Struct, frozen=True, eq=False):
     """Where n probed surfaces are made.
 
-    :param motion: (n,) row of `Motions`, and `t` (n,) the place on it.
+    :param motion: (n,) row of `Motions` of their program, and `t` (n,) the place on it.
     :param weight: (n, 2, 6) deviation by the twist of the tool in the root: the smaller of the two counts.
     :param wall: (n,) 1 for walls, which a larger tool moves into the material, 0 for floors.
     :param hung: (n, 6) wrench [N, N·m] of a weight hung on the tool, root axes, where a gauge reads its displacement.
@@ -50,6 +50,15 @@ class Surfaces(Struct, frozen=True, eq=False):
     weight: Array
     wall: Array
     hung: Array
+
+    @classmethod
+    def joined(cls, each: Sequence[Surfaces]) -> Surfaces:
+        """Return the surfaces of several programs, one after another."""
+        return cls(*(np.concatenate([getattr(one, name) for one in each]) for name in cls.__struct_fields__))
+
+    def take(self, rows: Ints) -> Surfaces:
+        """Return some of them."""
+        return Surfaces(self.motion[rows], self.t[rows], self.weight[rows], self.wall[rows], self.hung[rows])
 
     def deviation(self, twist: Array) -> tuple[Array, Array]:
         """Return the deviations (n,) for twists (n, 6), and their derivatives by the twist (n, 6)."""
@@ -151,6 +160,11 @@ class States(Struct, frozen=True, eq=False):
         """Return some of them."""
         return States(self.q[rows], self.tool[rows], self.pose[rows], self.wrench[rows], self.hung[rows])
 
+    @classmethod
+    def joined(cls, each: Sequence[States]) -> States:
+        """Return the states of several programs, one after another."""
+        return cls(*(np.concatenate([getattr(one, name) for one in each]) for name in cls.__struct_fields__))
+
     def twist(self, setting: RobotInCell, robot: RobotModel, scale: float) -> Array:
         """Return the displacement (n, 6) of the tool from nominal under forces times a scale, root axes [m, rad]."""
         wrench = scale * self.wrench + self.hung
@@ -231,19 +245,32 @@ def cut(program: Program, setting: RobotInCell, source: ProcessSource, where: Su
     return Cut(replace(every.take(index), hung=where.hung), every, motion, t, program)
 
 
-def forces_of(
-    program: Program, setting: RobotInCell, source: ProcessSource, where: Surfaces
-) -> Callable[[RobotModel, float], States]:
-    """Return a function of a model and a scale of the forces: the states where surfaces are made.
+class Clamped(Struct, frozen=True, eq=False):
+    """A program that is cut with the block in one placement, and where its probed surfaces are made.
 
-    Each call cuts the program once, with the tool deflected as by the forces of the call before.
+    :param setting: the robot in a cell whose `[base]` is that of the block.
+    :param source: the forces of the process.
     """
-    last = None
+
+    program: Program
+    setting: RobotInCell
+    source: ProcessSource
+    where: Surfaces
+
+
+def forces_of(parts: Sequence[Clamped]) -> Callable[[RobotModel, float], States]:
+    """Return a function of a model and a scale of the forces: the states where surfaces are made, part after part.
+
+    Each call cuts the programs once, with the tool deflected as by the forces of the call before.
+    """
+    last: list[Cut] = []
 
     def states(robot: RobotModel, scale: float) -> States:
-        nonlocal last
-        shifted = source if last is None else source.shifted(last.shift(setting, robot, scale))
-        last = cut(program, setting, shifted, where)
-        return last.at
+        made = []
+        for k, part in enumerate(parts):
+            source = part.source.shifted(last[k].shift(part.setting, robot, scale)) if last else part.source
+            made.append(cut(part.program, part.setting, source, part.where))
+        last[:] = made
+        return States.joined([each.at for each in made])
 
     return states

@@ -26,25 +26,27 @@ from postproc.program import Bools, Document, Ints, read_only
 from postproc.program import Program as Motions
 from postproc.testpart import features
 from postproc.testpart.cut import States, Surfaces, turned, weights
-from postproc.testpart.features import Cutting, Feature, Kind
+from postproc.testpart.features import Cutting, Feature, Kind, Placement
 from postproc.testpart.fit import PATH_ERROR, RADIUS_ERROR, Prior
 from postproc.under_load import RobotInCell
 
 _ANGLES = 12
 _MOST_PLACES = 60
+"""Places of features that are tried in the block, over all its placements."""
 _SHARES = (1.0, 0.5)
 """Depths that are tried, as shares of the largest."""
 _UNDER = 2e-3
 """Least thickness of the block below the features [m]."""
 _POSITION = 1e-2, 1e-1
 """Standard deviations of the position of the part where it is probed [m, rad]: free."""
+_POSES = 6
+"""Numbers of a position."""
 _MODEL = 0.005
 """Error of the prediction that is expected besides, as a share of the deflection."""
 _TESTS = 48
 _EXCHANGES = 20
 _TRIM = 1.3
 """First trimming passes take off this multiple of the largest deflection expected."""
-NAME = "testpart.nc"
 
 
 def read_text(text: str, setting: RobotInCell) -> Motions:
@@ -52,7 +54,7 @@ def read_text(text: str, setting: RobotInCell) -> Motions:
 
     :raises ProgramError: the cell does not allow it.
     """
-    document = Document(NAME, text)
+    document = Document(Placement().name, text)
     return read_only(registry.by_name("gcode").read([document], setting.cell, setting.forward, "testpart"))
 
 
@@ -60,8 +62,9 @@ class Candidates(Struct, frozen=True, eq=False):
     """Features that can be cut.
 
     :param feature: (c,) them.
+    :param placement: (c,) number of the placement in which each is cut, from 0.
     :param information: (c, m, m) of the unknowns: parameters and force scale in units of their prior standard
-        deviations, radius of the tool, position of the part.
+        deviations, radius of the tool, position of the part in each placement.
     :param seconds: (c,) time that each takes [s].
     :param apart: (c, c) True where two of them do not touch.
     :param deflection: (c,) largest expected displacement of the tool [m].
@@ -69,6 +72,7 @@ class Candidates(Struct, frozen=True, eq=False):
     """
 
     feature: tuple[Feature, ...]
+    placement: Ints
     information: Array
     seconds: Array
     apart: Bools
@@ -94,7 +98,7 @@ class Tests(Struct, frozen=True, eq=False):
 class Design(Struct, frozen=True, eq=False):
     """A chosen part.
 
-    :param chosen: (k,) rows of the candidates, in the order of cutting.
+    :param chosen: (k,) rows of the candidates, in the order of cutting: one placement after another.
     :param sigma: (p + 1,) standard deviations of parameters and force scale after the part, over those before.
     :param alone: the same without the weight that is hung on the tool; None if none is.
     :param before: expected error at the test poses without the part, RMS [m], and `after` with it.
@@ -117,6 +121,11 @@ class Design(Struct, frozen=True, eq=False):
     def features(self) -> tuple[Feature, ...]:
         """The features."""
         return tuple(self.candidates.feature[k] for k in self.chosen)
+
+    @property
+    def placement(self) -> Ints:
+        """(k,) number of the placement in which each feature is cut, from 0."""
+        return self.candidates.placement[self.chosen]
 
 
 class Loads(Struct, frozen=True, eq=False):
@@ -160,83 +169,127 @@ def loads(kinds: list[Kind], cutting: Cutting, process: Process, setting: RobotI
 
 
 def candidates(
-    prior: Prior, setting: RobotInCell, process: Process, cutting: Cutting, depth: float, box: Box, sigma: float
+    prior: Prior,
+    placements: tuple[RobotInCell, ...],
+    process: Process,
+    cutting: Cutting,
+    depth: float,
+    box: Box,
+    sigma: float,
 ) -> tuple[Candidates, Cutting]:
     """Return the features that fit into a block, and how they are cut: trimmed by more than the tool deflects.
 
+    :param placements: the robot in a cell whose `[base]` is that of the block, for each of its placements.
     :param depth: largest depth of cut [m].
     :param sigma: noise of the probe [m].
-    :raises PlanError: none fits, or the robot reaches none.
+    :raises PlanError: none fits, or the robot reaches none in a placement.
     """
     kinds = [Kind(round(share * depth, 6), side) for share in _SHARES for side in (0, 1, -1)]
     low, high = (np.array([span[k] for span in (box.X, box.Y, box.Z)]) / MM_PER_M for k in (0, 1))
     for _ in range(2):
         if depth + cutting.trims[-1][1] + _UNDER > high[2] - low[2]:
             raise PlanError(f"the block is too thin for grooves of {depth * MM_PER_M:g} mm", file=process.path)
-        given = loads(kinds, cutting, process, setting)
-        found = _placed(prior, setting, kinds, given, cutting, (low, high), sigma)
-        needed = float(np.round(_TRIM * found.deflection.max(), 4))
+        given = loads(kinds, cutting, process, placements[0])
+        every = _inside_block(kinds, cutting, (low, high), _MOST_PLACES // len(placements))
+        of_each = [_placed(prior, setting, kinds, every, given, cutting, sigma) for setting in placements]
+        most = max(moved for found in of_each for _, _, moved, _ in found)
+        needed = float(np.round(_TRIM * most, 4))
         if needed <= cutting.trim:
-            return found, cutting
+            break
         cutting = replace(cutting, trim=needed)
-    return found, cutting
+    return _joined(of_each, cutting), cutting
 
 
-def _placed(
-    prior: Prior,
-    setting: RobotInCell,
-    kinds: list[Kind],
-    given: list[Loads],
-    cutting: Cutting,
-    box: tuple[Array, Array],
-    sigma: float,
-) -> Candidates:
+def _inside_block(kinds: list[Kind], cutting: Cutting, box: tuple[Array, Array], most: int) -> list[Feature]:
+    """Return the features that fit into a block, at some number of places at most.
+
+    :raises PlanError: there is none.
+    """
     long = features.half_length(cutting.diameter)
     size = box[1][:2] - box[0][:2]
-    pitch = max(0.5 * long, float(np.sqrt(size[0] * size[1] / _MOST_PLACES)))
+    pitch = max(0.5 * long, float(np.sqrt(size[0] * size[1] / most)))
     spots = [
         box[0][k] + size[k] * (np.arange(max(1, int(size[k] / pitch))) + 0.5) / max(1, int(size[k] / pitch))
         for k in (0, 1)
     ]
     angles = 2.0 * np.pi * np.arange(_ANGLES) / _ANGLES
     every = [
-        (row, Feature(kind, float(x), float(y), float(angle)))
-        for row, kind in enumerate(kinds)
+        Feature(kind, float(x), float(y), float(angle))
+        for kind in kinds
         for x in spots[0]
         for y in spots[1]
         for angle in angles
-        if _inside(Feature(kind, float(x), float(y), float(angle)), cutting, box)
     ]
-    if not every:
+    inside = [feature for feature in every if _inside(feature, cutting, box)]
+    if not inside:
         raise PlanError(
             f"no feature fits into the block: each takes {2 * long * MM_PER_M:.0f} mm and the tool's diameter",
             file="--block",
             advice="Give a larger block, or a smaller tool.",
         )
-    found: list[tuple[Feature, Array, float, States]] = []
-    for row in range(len(kinds)):
-        own = [feature for index, feature in every if index == row]
-        if own:
-            found += _of_kind(prior, setting, own, given[row], cutting, sigma)
-    if not found:
-        raise PlanError("the robot reaches no place of the block", file="--block", advice="Check [base] of the cell.")
+    return inside
+
+
+_Found = list[tuple[Feature, Array, float, States]]
+"""Reachable features with their information, displacement and most loaded state."""
+
+
+def _joined(of_each: list[_Found], cutting: Cutting) -> Candidates:
+    """Return the candidates of all placements: the position of the part in each is an unknown of its own."""
+    found = [each for placement in of_each for each in placement]
+    number = np.repeat(np.arange(len(of_each)), [len(placement) for placement in of_each])
     chosen = tuple(feature for feature, _, _, _ in found)
-    states = [state for _, _, _, state in found]
-    joined = States(*(np.concatenate([getattr(state, name) for state in states]) for name in States.__struct_fields__))
+    seconds = {kind: features.seconds(kind, cutting) for kind in {feature.kind for feature in chosen}}
+    small = np.array([information for _, information, _, _ in found])
+    common = small.shape[1] - _POSES
+    information = np.zeros((len(found), common + _POSES * len(of_each), common + _POSES * len(of_each)))
+    for k in range(len(of_each)):
+        rows = np.flatnonzero(number == k)
+        unknowns = np.append(np.arange(common), common + _POSES * k + np.arange(_POSES))
+        information[np.ix_(rows, unknowns, unknowns)] = small[rows]
     return Candidates(
         chosen,
-        np.array([information for _, information, _, _ in found]),
-        np.array([features.seconds(feature.kind, cutting) for feature in chosen]),
+        number,
+        information,
+        np.array([seconds[feature.kind] for feature in chosen]),
         _apart(chosen, cutting),
         np.array([moved for _, _, moved, _ in found]),
-        joined,
+        States.joined([state for _, _, _, state in found]),
     )
+
+
+def _placed(
+    prior: Prior,
+    setting: RobotInCell,
+    kinds: list[Kind],
+    every: list[Feature],
+    given: list[Loads],
+    cutting: Cutting,
+    sigma: float,
+) -> _Found:
+    """Return those of the features that the robot reaches in a placement.
+
+    :raises PlanError: there is none.
+    """
+    found: _Found = []
+    for kind, load in zip(kinds, given, strict=True):
+        own = [feature for feature in every if feature.kind == kind]
+        if own:
+            found += _of_kind(prior, setting, own, load, cutting, sigma)
+    if not found:
+        base = setting.cell.base
+        raise PlanError(
+            f"the robot reaches no place of the block at X {base.X:g}, Y {base.Y:g}, Z {base.Z:g}",
+            file="--block",
+            advice="Check [base] and [base_data] of the cell.",
+        )
+    return found
 
 
 def _of_kind(
     prior: Prior, setting: RobotInCell, own: list[Feature], given: Loads, cutting: Cutting, sigma: float
-) -> list[tuple[Feature, Array, float, States]]:
-    """Return the reachable features of one kind with their information, displacement and most loaded state."""
+) -> _Found:
+    """Return the reachable features of one kind."""
     kind = own[0].kind
     probes = features.probes(kind, cutting)
     count = len(probes)
@@ -269,7 +322,7 @@ def _of_kind(
     normal = normal[rows]
     position = np.concatenate([_POSITION[0] * normal, _POSITION[1] * np.cross(middle, normal)], axis=1)
     columns = np.column_stack([slopes, by_force, RADIUS_ERROR * where.wall, position]).reshape(
-        -1, count, slopes.shape[1] + 8
+        -1, count, slopes.shape[1] + 2 + _POSES
     )
     noise = PATH_ERROR**2 * normals @ normals.T + sigma**2 * np.eye(count)
     whole = noise + (_MODEL * moved)[:, :, None] ** 2 * np.eye(count)
@@ -334,7 +387,9 @@ def _inside(feature: Feature, cutting: Cutting, box: tuple[Array, Array]) -> boo
 
 def _apart(chosen: tuple[Feature, ...], cutting: Cutting) -> Bools:
     """Return which features (c, c) do not touch: their middle lines are further apart than their halves are wide."""
-    parts = [_ends(feature, cutting) for feature in chosen]
+    outlines = [(feature.kind.side, feature.x, feature.y, feature.angle) for feature in chosen]
+    distinct = dict(zip(outlines, chosen, strict=True))  # depths and placements have the same outlines
+    parts = [_ends(feature, cutting) for feature in distinct.values()]
     begin, end = (np.array([part[k] for part in parts]) for k in (0, 1))
     half = np.array([part[2] for part in parts])
     out = np.empty((len(parts), len(parts)), dtype=bool)
@@ -347,7 +402,9 @@ def _apart(chosen: tuple[Feature, ...], cutting: Cutting) -> Bools:
         distance = np.linalg.norm(away - along[..., None] * chord[:, None], axis=2).min(axis=1)
         spacing = 0.5 * float(np.linalg.norm(chord[k])) / (len(share) - 1)
         out[k] = distance > half + half[k] + 0.3 * spacing
-    return out & out.T
+    order = {outline: k for k, outline in enumerate(distinct)}
+    row = np.array([order[outline] for outline in outlines])
+    return np.asarray((out & out.T)[np.ix_(row, row)])
 
 
 def tests_in_block(found: Candidates) -> Tests:
@@ -365,13 +422,13 @@ class Criterion(Struct, frozen=True, eq=False):
     weight: Array
 
     @classmethod
-    def of(cls, prior: Prior, setting: RobotInCell, tests: Tests) -> Criterion:
-        """Take the sensitivities of the deflection at test poses."""
+    def of(cls, prior: Prior, setting: RobotInCell, tests: Tests, unknowns: int) -> Criterion:
+        """Take the sensitivities of the deflection at test poses, for information of some number of unknowns."""
         _, by_parameter, by_scale = tests.states.derivatives(setting, prior.robot, prior.order, 1.0)
         slopes = by_parameter[:, :3] @ prior.by_file * prior.sigma[:-1]
         slopes = np.concatenate([slopes, prior.sigma[-1] * by_scale[:, :3, None]], axis=2)
         size = slopes.shape[2]
-        out = np.zeros((size + 7, size + 7))
+        out = np.zeros((unknowns, unknowns))
         out[:size, :size] = np.einsum("t,tip,tiq->pq", tests.weight, slopes, slopes)
         return cls(out)
 
@@ -391,29 +448,34 @@ def _prior_information(prior: Prior, size: int) -> Array:
     return out
 
 
-def weighed(prior: Prior, setting: RobotInCell, cutting: Cutting, mass: float, places: Array, sigma: float) -> Array:
-    """Return the information (m, m) of a gauge that reads how far a weight moves the tool down.
+def weighed(
+    prior: Prior, placements: tuple[RobotInCell, ...], cutting: Cutting, mass: float, places: Array, sigma: float
+) -> Array:
+    """Return the information (m, m) of a gauge that reads how far a weight moves the tool down in each placement.
 
     It is in the units of `Candidates.information`. The force is known, so it shows compliances without the scale.
 
     :param mass: of the weight [kg]; `places` (n, 3) of the tip in `$BASE` [m]; `sigma` noise of the gauge [m].
     :raises PlanError: the robot does not reach a place.
     """
-    size = len(prior.sigma) + 7
+    size = len(prior.sigma) + 1 + _POSES * len(placements)
+    out = np.zeros((size, size))
     if not len(places):
-        return np.zeros((size, size))
-    states, reached, rotation = _states(setting, places, np.zeros((len(places), 6)), cutting, 1)
-    if not reached.all():
-        raise PlanError("the robot does not reach the places of the weight above the block", file="--weight")
+        return out
     hung = np.zeros((len(places), 6))
     hung[:, 2] = -GRAVITY * mass
-    twist, by_parameter, _ = replace(states, hung=hung).derivatives(setting, prior.robot, prior.order, 1.0)
-    down = -rotation[:, :, 2]
-    columns = np.zeros((len(places), size))
-    slopes = np.einsum("nk,nkp->np", down, by_parameter[:, :3])
-    columns[:, : len(prior.parameters)] = slopes @ prior.by_file * prior.sigma[:-1]
-    moved = np.einsum("nk,nk->n", down, twist[:, :3])
-    return np.asarray((columns / (sigma**2 + (_MODEL * moved) ** 2)[:, None]).T @ columns)
+    for setting in placements:
+        states, reached, rotation = _states(setting, places, np.zeros((len(places), 6)), cutting, 1)
+        if not reached.all():
+            raise PlanError("the robot does not reach the places of the weight above the block", file="--weight")
+        twist, by_parameter, _ = replace(states, hung=hung).derivatives(setting, prior.robot, prior.order, 1.0)
+        down = -rotation[:, :, 2]
+        columns = np.zeros((len(places), size))
+        slopes = np.einsum("nk,nkp->np", down, by_parameter[:, :3])
+        columns[:, : len(prior.parameters)] = slopes @ prior.by_file * prior.sigma[:-1]
+        moved = np.einsum("nk,nk->n", down, twist[:, :3])
+        out += (columns / (sigma**2 + (_MODEL * moved) ** 2)[:, None]).T @ columns
+    return out
 
 
 def choose(
@@ -424,8 +486,9 @@ def choose(
     :param count: number of features at most.
     :param weighed: information that there is without features, see `weighed`.
     """
-    criterion = Criterion.of(prior, setting, tests)
-    start = _prior_information(prior, found.information.shape[1]) + weighed
+    unknowns = found.information.shape[1]
+    criterion = Criterion.of(prior, setting, tests, unknowns)
+    start = _prior_information(prior, unknowns) + weighed
     chosen: list[int] = []
     whole = start
     for _ in range(count):
@@ -457,8 +520,9 @@ def evaluated(
     found: Candidates, prior: Prior, setting: RobotInCell, tests: Tests, chosen: Ints, weighed: Array | float = 0.0
 ) -> Design:
     """Return a part of chosen features, with what it promises."""
-    criterion = Criterion.of(prior, setting, tests)
-    start = _prior_information(prior, found.information.shape[1])
+    unknowns = found.information.shape[1]
+    criterion = Criterion.of(prior, setting, tests, unknowns)
+    start = _prior_information(prior, unknowns)
     whole = start + found.information[chosen].sum(axis=0)
     alone, after = np.linalg.inv(whole), np.linalg.inv(whole + weighed)
     size = len(prior.parameters) + 1
@@ -467,7 +531,10 @@ def evaluated(
         raise MeasurementError("no feature was chosen", file="--block", advice="Give a larger block.")
     return Design(
         found,
-        chosen[np.lexsort([[found.feature[k].x for k in chosen], [found.feature[k].y for k in chosen]])],
+        np.array(
+            sorted(chosen.tolist(), key=lambda k: (found.placement[k], found.feature[k].y, found.feature[k].x)),
+            dtype=np.int64,
+        ),
         np.sqrt(np.diag(after)[:size]),
         np.sqrt(np.diag(alone)[:size]) if np.any(weighed) else None,
         float(np.sqrt(criterion(start))),

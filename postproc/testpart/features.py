@@ -213,10 +213,30 @@ def placed(feature: Feature, top: float, vectors: Array, *, turn_only: bool = Fa
     return np.asarray(turned if turn_only else turned + np.array([feature.x, feature.y, top]))
 
 
+class Placement(Struct, frozen=True):
+    """Where the block is clamped while a program runs.
+
+    :param number: of `[base_data]` in the cell; empty: its `[base]`.
+    """
+
+    number: str = ""
+
+    @property
+    def name(self) -> str:
+        """Return the name of its program."""
+        return f"testpart_{self.number}.nc" if self.number else "testpart.nc"
+
+    @property
+    def title(self) -> str:
+        """Return its frame as a table of the cell."""
+        return f"[base_data.{self.number}]" if self.number else "[base]"
+
+
 class Program(Struct, frozen=True, eq=False):
     """A test part as text.
 
     :param text: G-code.
+    :param features: their number.
     :param feature: (n,) names of the probed points, ``F01.left``: feature and surface.
     :param line: (n,) line of the text whose motion makes each point, and `t` (n,) the place on that motion.
     :param point: (n, 3) in `$BASE` [m].
@@ -225,6 +245,7 @@ class Program(Struct, frozen=True, eq=False):
     """
 
     text: str
+    features: int
     feature: tuple[str, ...]
     line: Array
     t: Array
@@ -239,21 +260,32 @@ def hanging_places(low: Array, high: Array, top: float) -> Array:
     return np.column_stack([low[:2] + share * (high - low)[:2], np.full(len(share), top + _ABOVE)])
 
 
-def program(features: Iterable[Feature], cutting: Cutting, mass: float = 0.0, hung: Array | None = None) -> Program:
+def program(
+    features: Iterable[Feature],
+    cutting: Cutting,
+    mass: float = 0.0,
+    hung: Array | None = None,
+    *,
+    first: tuple[int, int] = (1, 1),
+    where: str = "",
+) -> Program:
     """Return the G-code of features and the points to be probed.
 
     :param mass: of a weight [kg] that is hung on the tool at places `hung` (n, 3) in `$BASE`, after cutting.
+    :param first: numbers of the first feature and of the first of these places.
+    :param where: the placement of the block, for the operator.
     """
     feed = cutting.feed * MM_PER_M * 60.0
     lines = [
         "(Test part for postproc identify part: cut it uncorrected, with the cell that it was made for)",
+        *([f"(The block is at {where})"] if where else []),
         "G21 G90 G17 G94",
         f"T{cutting.tool} M6",
         f"S{cutting.rpm:g} M3",
     ]
-    names, at, shares, points, normals = [], [], [], [], []
-    for number, feature in enumerate(features, start=1):
-        kind, name = feature.kind, f"F{number:02d}"
+    names, at, shares, points, normals, count = [], [], [], [], [], 0
+    for number, feature in enumerate(features, start=first[0]):
+        kind, name, count = feature.kind, f"F{number:02d}", count + 1
         lines.append(f"({name}: {kind.title}, depth {kind.depth * MM_PER_M:g} mm, {np.degrees(feature.angle):g} deg)")
         made: dict[str, tuple[int, Array, Array]] = {}
         before = np.zeros(3)
@@ -276,7 +308,7 @@ def program(features: Iterable[Feature], cutting: Cutting, mass: float = 0.0, hu
             normals.append(placed(feature, cutting.top, np.array([probe.normal]), turn_only=True)[0])
     lines += [f"G0 Z{(cutting.top + 4.0 * _CLEAR) * MM_PER_M:.4f}", "M5"]
     places = np.zeros((0, 3)) if hung is None else hung
-    for number, place in enumerate(places, start=1):
+    for number, place in enumerate(places, start=first[1]):
         x, y, z = (place * MM_PER_M).tolist()
         lines += [f"(W{number:02d}: set the gauge to 0, hang {mass:g} kg on the tool, read)", f"G0 Z{z:.4f}"]
         lines += [f"G0 X{x:.4f} Y{y:.4f}", "M0"]
@@ -289,5 +321,12 @@ def program(features: Iterable[Feature], cutting: Cutting, mass: float = 0.0, hu
     weight = np.zeros(len(names))
     weight[len(names) - len(places) :] = mass
     return Program(
-        "\n".join(lines), tuple(names), np.array(at), np.array(shares), np.array(points), np.array(normals), weight
+        "\n".join(lines),
+        count,
+        tuple(names),
+        np.array(at),
+        np.array(shares),
+        np.array(points).reshape(-1, 3),
+        np.array(normals).reshape(-1, 3),
+        weight,
     )

@@ -2,8 +2,9 @@
 
 Maximum a posteriori by Gauss–Newton (Tarantola, "Inverse Problem Theory", 2005, ch. 3): parameters of the robot about
 the values and the covariance of the model, and the scale of the forces about 1 with the standard deviation of the
-process. What the part adds is linear and enters by its covariance: the position of the part (six numbers, free), the
-radius of the tool, the path of the robot without force at each feature (three numbers), and the noise of the probe.
+process. What the part adds is linear and enters by its covariance: the position of the part (six numbers, free, for
+each placement of the block), the radius of the tool, the path of the robot without force at each feature (three
+numbers), and the noise of the probe.
 
 Where passes cut next to nothing, the displacement is known to a share only. An error that the model does not describe
 is a share γ of the deflection, in any direction. Its size follows from the readings: before them γ is log-normal, as
@@ -153,19 +154,21 @@ class Readings(Struct, frozen=True, eq=False):
 
     def take(self, rows: Ints) -> Readings:
         """Return some of the readings."""
-        where = self.where
-        taken = Surfaces(where.motion[rows], where.t[rows], where.weight[rows], where.wall[rows], where.hung[rows])
-        return replace(self, probed=self.probed.take(rows), where=taken)
+        return replace(self, probed=self.probed.take(rows), where=self.where.take(rows))
 
     def by_part(self) -> Array:
         """Return the covariance (n, n) [m²] that the part and the path without force add to the readings."""
         probed = self.probed
-        arm = probed.point - probed.point.mean(axis=0)
         normal = probed.normal * (probed.mass == 0.0)[:, None]  # a gauge reads displacements, wherever it is
-        pose = np.concatenate([_SHIFT * normal, _TURN * np.cross(arm, normal)], axis=1)
+        pose = []
+        for base in np.unique(probed.base):
+            here = (probed.base == base)[:, None]
+            arm = probed.point - probed.point.mean(axis=0, where=here)
+            pose += [_SHIFT * normal * here, _TURN * np.cross(arm, normal) * here]
+        by_pose = np.concatenate(pose, axis=1)
         same = probed.group[:, None] == probed.group[None, :]
         radius = RADIUS_ERROR * self.where.wall
-        return np.asarray(pose @ pose.T + PATH_ERROR**2 * same * (normal @ normal.T) + np.outer(radius, radius))
+        return np.asarray(by_pose @ by_pose.T + PATH_ERROR**2 * same * (normal @ normal.T) + np.outer(radius, radius))
 
 
 class Fit(Struct, frozen=True, eq=False):

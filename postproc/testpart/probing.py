@@ -11,8 +11,9 @@ from postproc import files
 from postproc.errors import MeasurementError
 from postproc.frames import M_PER_MM, MM_PER_M, Array, norm
 from postproc.program import Ints
-from postproc.testpart.features import Program
+from postproc.testpart.features import Placement, Program
 
+PROGRAM, BASE = "program", "base"
 COLUMNS = ("source_line", "t", "X", "Y", "Z", "nx", "ny", "nz", "deviation_mm")
 MASS = "mass_kg"
 _MOST_MASS = 500.0
@@ -30,6 +31,8 @@ class Probed(Struct, frozen=True, eq=False):
     :param normal: (n, 3) unit vectors out of the material.
     :param deviation: (n,) along the normal, positive where material is left [m].
     :param mass: (n,) > 0 where a weight was hung on the tool and a gauge read its displacement along the normal [kg].
+    :param program: (n,) name of the program that makes each point, where there is one for each placement of the block.
+    :param base: (n,) number of the placement: `[base_data]` of the cell, −1 for its `[base]`.
     :param row: (n,) line of the file.
     :param file: its path.
     """
@@ -41,6 +44,8 @@ class Probed(Struct, frozen=True, eq=False):
     normal: Array
     deviation: Array
     mass: Array
+    program: tuple[str, ...]
+    base: Ints
     row: Ints
     file: str
 
@@ -63,6 +68,8 @@ class Probed(Struct, frozen=True, eq=False):
             self.normal[rows],
             self.deviation[rows],
             self.mass[rows],
+            tuple(self.program[k] for k in rows),
+            self.base[rows],
             self.row[rows],
             self.file,
         )
@@ -74,12 +81,21 @@ def read(path: Path) -> Probed:
     :raises MeasurementError: the file is no such table, a normal is no unit vector, or too few points are probed.
     """
     numbers, texts, lines = files.read_csv(
-        path, ("feature", *COLUMNS), (MASS,), MeasurementError, ("feature",), ("deviation_mm", MASS)
+        path,
+        ("feature", *COLUMNS),
+        (PROGRAM, BASE, MASS),
+        MeasurementError,
+        ("feature", PROGRAM),
+        ("deviation_mm", BASE, MASS),
     )
     mass = np.nan_to_num(numbers.get(MASS, np.zeros(len(lines))))
     if not ((mass >= 0.0) & (mass <= _MOST_MASS)).all():
         row = int(lines[np.argmax(~((mass >= 0.0) & (mass <= _MOST_MASS)))])
         raise MeasurementError(f"{MASS} is not between 0 and {_MOST_MASS:g}", file=str(path), line=row)
+    base = np.nan_to_num(numbers.get(BASE, np.full(len(lines), -1.0)), nan=-1.0)
+    if (PROGRAM in texts) != (BASE in numbers) or (base % 1.0).any():
+        advice = "Keep the columns program and base."
+        raise MeasurementError("the rows do not name program and placement", file=str(path), line=1, advice=advice)
     seen = np.flatnonzero(np.isfinite(numbers["deviation_mm"]))
     if len(seen) < _FEWEST:
         raise MeasurementError(
@@ -100,6 +116,8 @@ def read(path: Path) -> Probed:
         normal / norm(normal)[:, None],
         numbers["deviation_mm"][seen] * M_PER_MM,
         mass[seen],
+        tuple(texts[PROGRAM][k] for k in seen) if PROGRAM in texts else ("",) * len(seen),
+        base[seen].astype(np.int64),
         lines[seen].astype(np.int64),
         str(path),
     )
@@ -114,15 +132,23 @@ def is_probed(path: Path) -> bool:
         return False
 
 
-def table(part: Program) -> bytes:
-    """Return `probing.csv`: the points to be probed, with an empty deviation; masses where a weight is hung."""
-    hung = bool(part.mass.any())
-    rows = [",".join(("feature", *COLUMNS, MASS) if hung else ("feature", *COLUMNS))]
-    for name, line, t, point, normal, mass in zip(
-        part.feature, part.line.tolist(), part.t.tolist(), part.point * MM_PER_M, part.normal, part.mass.tolist(),
-        strict=True,
-    ):  # fmt: skip
-        place = ",".join(f"{value:.4f}" for value in point + 0.0)
-        end = f",{mass:g}" if hung else ""
-        rows.append(f"{name},{line},{t:.6f},{place},{','.join(f'{value:.9f}' for value in normal + 0.0)},{end}")
+def table(parts: dict[Placement, Program]) -> bytes:
+    """Return `probing.csv`: the points to be probed, with an empty deviation; masses where a weight is hung.
+
+    :param parts: the program of each placement of the block; where there is more than `[base]`, each row names it.
+    """
+    hung = any(part.mass.any() for part in parts.values())
+    several = any(placement.number for placement in parts)
+    head = ["feature", *((PROGRAM, BASE) if several else ()), *COLUMNS, *((MASS,) if hung else ())]
+    rows = [",".join(head)]
+    for placement, part in parts.items():
+        made_by = f",{placement.name},{placement.number}" if several else ""
+        for name, line, t, point, normal, mass in zip(
+            part.feature, part.line.tolist(), part.t.tolist(), part.point * MM_PER_M, part.normal, part.mass.tolist(),
+            strict=True,
+        ):  # fmt: skip
+            place = ",".join(f"{value:.4f}" for value in point + 0.0)
+            end = f",{mass:g}" if hung else ""
+            direction = ",".join(f"{value:.9f}" for value in normal + 0.0)
+            rows.append(f"{name}{made_by},{line},{t:.6f},{place},{direction},{end}")
     return ("\n".join(rows) + "\n").encode()

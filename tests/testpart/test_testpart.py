@@ -16,7 +16,7 @@ from postproc.cli import main
 from postproc.errors import MeasurementError
 from postproc.machining import ProcessSource
 from postproc.testpart import design, probing
-from postproc.testpart.cut import forces_of, surfaces
+from postproc.testpart.cut import Clamped, forces_of, surfaces
 from postproc.testpart.fit import Prior, Readings, fit, linearised
 from postproc.testpart.model import agreement, summary
 from tests.oracle.whole_arm import WholeArm
@@ -81,7 +81,7 @@ def readings(folder, name):
     read = probing.read(folder / name)
     where = surfaces(program, setting, read, 5e-3)
     source = ProcessSource(machining.load(folder / "testpart.process.toml"), trial.CELL.tool.axis)
-    return Readings(read, where, trial.SIGMA), setting, lambda: forces_of(program, setting, source, where)
+    return Readings(read, where, trial.SIGMA), setting, lambda: forces_of([Clamped(program, setting, source, where)])
 
 
 def identify(folder, *options, code=0):

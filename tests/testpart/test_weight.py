@@ -9,7 +9,7 @@ from click.testing import CliRunner
 from postproc.cli import main
 from postproc.errors import MeasurementError
 from postproc.testpart import probing
-from postproc.testpart.cut import forces_of, surfaces
+from postproc.testpart.cut import Clamped, forces_of, surfaces
 from postproc.testpart.fit import Readings, linearised
 from tests.oracle.whole_arm import WholeArm
 from tests.testpart import trial
@@ -21,6 +21,11 @@ BLOCK = ((0, 110), (0, 90), (-30, 0))
 @pytest.fixture(scope="module")
 def part(tmp_path_factory):
     return trial.part(tmp_path_factory.mktemp("weight"), box=BLOCK, count=4, mass=MASS)
+
+
+def only(part):
+    (program,) = part.programs.values()
+    return program
 
 
 def test_the_gauge_reads_what_the_independent_arm_deflects_under_the_weight(part):
@@ -44,11 +49,12 @@ def test_the_gauge_reads_what_the_independent_arm_deflects_under_the_weight(part
     points = np.array([[float(value) for value in row.split(",")[3:6]] for row in rows[1:]]) * 1e-3
     down = np.tile([0.0, 0.0, -1.0], (3, 1))
     read = probing.Probed(
-        tuple(names), np.array(line), np.array(t), points, down, np.array(exact), np.array(mass), np.arange(3) + 2, "x"
-    )
-    where = surfaces(part.program, part.setting, read, 0.005)
+        tuple(names), np.array(line), np.array(t), points, down, np.array(exact), np.array(mass), ("",) * 3,
+        np.full(3, -1), np.arange(3) + 2, "x",
+    )  # fmt: skip
+    where = surfaces(only(part), part.setting, read, 0.005)
     source = trial.ProcessSource(part.process, trial.CELL.tool.axis)
-    states = forces_of(part.program, part.setting, source, where)(part.setting.robot, 1.0)
+    states = forces_of([Clamped(only(part), part.setting, source, where)])(part.setting.robot, 1.0)
     given = Readings(read, where, trial.SIGMA)
     found = linearised(part.prior, given, states, part.setting, np.zeros(len(part.prior.parameters)), 1.0)
     assert min(exact) > 5e-5
@@ -75,7 +81,7 @@ def test_the_weight_tells_forces_from_compliances(part):
 
 def test_the_position_of_the_part_does_not_move_the_gauge(part):
     read = probing.read(trial.probed(part, trial.truth(np.random.default_rng(1)), np.random.default_rng(1)))
-    where = surfaces(part.program, part.setting, read, 0.005)
+    where = surfaces(only(part), part.setting, read, 0.005)
     added = Readings(read, where, trial.SIGMA).by_part()
     hung = read.mass > 0.0
     assert hung.sum() == 3
@@ -90,7 +96,7 @@ def test_a_weight_on_a_cutting_move_is_refused(part):
     rows[1] = ",".join([*fields[:-2], "0.01", "12"])
     (part.folder / "wrong.csv").write_text("\n".join(rows) + "\n")
     with pytest.raises(MeasurementError, match="is not one rapid move"):
-        surfaces(part.program, part.setting, probing.read(part.folder / "wrong.csv"), 0.005)
+        surfaces(only(part), part.setting, probing.read(part.folder / "wrong.csv"), 0.005)
     rows[1] = ",".join([*fields[:-2], "0.01", "-3"])
     (part.folder / "wrong.csv").write_text("\n".join(rows) + "\n")
     with pytest.raises(MeasurementError, match="mass_kg is not between"):

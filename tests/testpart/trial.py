@@ -11,13 +11,13 @@ import numpy as np
 import postproc
 from postproc import files, machining
 from postproc import robot as robots
-from postproc.cell import Box
+from postproc.cell import Box, Frame
 from postproc.elastostatics import deflect, position_bound
 from postproc.errors import ModelError
 from postproc.machining import ProcessSource
 from postproc.robot.model_file import JointSpring, LinkSprings, ModelFile, Stiffening
 from postproc.testpart import design, features, probing
-from postproc.testpart.cut import forces_of, surfaces
+from postproc.testpart.cut import Clamped, Surfaces, forces_of, surfaces
 from postproc.testpart.fit import Prior, Readings, fit
 from postproc.testpart.model import agreement, material, model_file
 from postproc.under_load import RobotInCell
@@ -49,25 +49,37 @@ resolution_mm = {resolution}
 """
 
 
-def part(folder, box=((0, 300), (0, 200), (-40, 0)), count=12, resolution=0.5, depth=3e-3, mass=0.0):
-    """Design a part; return all that is needed to cut and to identify."""
+def part(folder, box=((0, 300), (0, 200), (-40, 0)), count=12, resolution=0.5, depth=3e-3, mass=0.0, further=()):
+    """Design a part; return all that is needed to cut and to identify.
+
+    `further`: X, Y, Z [mm] and A [deg] of `$BASE` for further placements of the block.
+    """
     (folder / "process.toml").write_text(process_text(box, resolution))
     process = machining.load(folder / "process.toml")
-    setting = RobotInCell.of(ROBOT, CELL)
+    cells = {features.Placement(): CELL}
+    for number, place in enumerate(further, start=1):
+        base = Frame(**dict(zip("XYZA", map(float, place), strict=True)))
+        cells[features.Placement(str(number))] = msgspec.structs.replace(CELL, base=base)
+    settings = tuple(RobotInCell.of(ROBOT, cell) for cell in cells.values())
+    setting = settings[0]
     prior = Prior.of(setting.robot, process.law().sigma)
     cutting = features.Cutting(0.01, 6000.0, 0.06 * 3 * 6000 / 60e3, 1, 0.0)
-    found, cutting = design.candidates(prior, setting, process, cutting, depth, Box(*box), SIGMA)
+    found, cutting = design.candidates(prior, settings, process, cutting, depth, Box(*box), SIGMA)
     low, high = (1e-3 * np.array([span[k] for span in box]) for k in (0, 1))
     hung = features.hanging_places(low, high, cutting.top) if mass else np.zeros((0, 3))
-    weighed = design.weighed(prior, setting, cutting, mass, hung, SIGMA)
+    weighed = design.weighed(prior, settings, cutting, mass, hung, SIGMA)
     chosen = design.choose(found, prior, setting, design.tests_in_block(found), count, weighed)
-    made = features.program(chosen.features, cutting, mass, hung)
-    (folder / "testpart.nc").write_text(made.text)
+    made, programs = {}, {}
+    for number, (placement, cell) in enumerate(cells.items()):
+        own = [chosen.features[k] for k in np.flatnonzero(chosen.placement == number)]
+        first = 1 + int((chosen.placement < number).sum()), 1 + len(hung) * number
+        made[placement] = features.program(own, cutting, mass, hung, first=first)
+        (folder / placement.name).write_text(made[placement].text)
+        programs[placement] = postproc.read_program(folder / placement.name, ROBOT, cell)
     (folder / "probing.csv").write_bytes(probing.table(made))
-    program = postproc.read_program(folder / "testpart.nc", ROBOT, CELL)
     return SimpleNamespace(
         folder=folder, process=process, setting=setting, prior=prior, cutting=cutting, found=found, chosen=chosen,
-        made=made, program=program,
+        made=made, programs=programs, cells=cells,
     )  # fmt: skip
 
 
@@ -100,21 +112,26 @@ def truth(rng, kind="joints", drift=None):
     return WholeArm((FOLDER / "robot.urdf").read_text(), model)
 
 
-def machine(arm, scale=1.0, radius=5.0):
+def machine(arm, scale=1.0, radius=5.0, base=(1500, -200, 700)):
     return Machine(
-        arm, Arm.load(FOLDER), [0, -70, 110, 0, 50, 0], (1500, -200, 700), (0, 0, 350), 180.0,
+        arm, Arm.load(FOLDER), [0, -70, 110, 0, 50, 0], base, (0, 0, 350), 180.0,
         tuple(scale * k for k in AL7075), radius, 3,
     )  # fmt: skip
 
 
 def probed(part, arm, rng, scale=1.0, sigma=1e3 * SIGMA):
     """Cut and probe; return the name of the file."""
-    cutter = machine(arm, scale, 5.0 + 0.01 * rng.normal())
-    text = cutter.probed(
-        (part.folder / "testpart.nc").read_text(), (part.folder / "probing.csv").read_text(), rng, sigma
-    )
+    radius = 5.0 + 0.01 * rng.normal()
+    head, *rows = (part.folder / "probing.csv").read_text().splitlines()
+    out = [head]
+    for placement, cell in part.cells.items():
+        own = [row for row in rows if len(part.cells) == 1 or row.split(",")[1] == placement.name]
+        base = cell.base
+        cutter = machine(arm, scale, radius, (base.X, base.Y, base.Z, base.A))
+        text = (part.folder / placement.name).read_text()
+        out += cutter.probed(text, "\n".join([head, *own, ""]), rng, sigma).splitlines()[1:]
     path = part.folder / "probed.csv"
-    path.write_text(text)
+    path.write_text("\n".join([*out, ""]))
     return path
 
 
@@ -123,10 +140,20 @@ def identified(part, path):
 
 
 def fitted(part, path, prior, setting, process):
-    read = probing.read(path)
-    where = surfaces(part.program, setting, read, 0.5 * part.cutting.diameter)
-    source = ProcessSource(process, CELL.tool.axis)
-    return fit(prior, Readings(read, where, SIGMA), setting, forces_of(part.program, setting, source, where))
+    read, parts = probing.read(path), clamped(part, path, setting.robot, process)
+    where = Surfaces.joined([each.where for each in parts])
+    return fit(prior, Readings(read, where, SIGMA), setting, forces_of(parts))
+
+
+def clamped(part, path, robot, process):
+    """Return the programs of all placements of the block, for points that are in their order."""
+    read, parts = probing.read(path), []
+    for placement, program in part.programs.items():
+        setting = RobotInCell.of(robot, part.cells[placement])
+        rows = np.flatnonzero(read.base == int(placement.number or -1))
+        where = surfaces(program, setting, read.take(rows), 0.5 * part.cutting.diameter)
+        parts.append(Clamped(program, setting, ProcessSource(process, CELL.tool.axis), where))
+    return parts
 
 
 def compared(part, path, robot):
