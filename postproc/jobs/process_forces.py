@@ -158,7 +158,10 @@ _LARGEST = 0.8
 _SETTLED = 2e-6
 """Force and deflection agree when the deflection is known to this [m] RMS along the cutting path,"""
 _SHARE = 0.05
-"""or to this share of it."""
+"""or to this share of it;"""
+_CONTACT = 0.05
+"""after two rounds without this share of the path, where it differs most: where a drill meets the bottom of the last
+peck, its thrust pushes it back out of contact, and no deflection agrees with its force."""
 
 
 def read(path: Path, cell: Cell, progress: Callable[[int, int], None] | None = None) -> ProcessSource:
@@ -201,11 +204,12 @@ def predicted(program: Program, robot: RobotModel, cell: Cell, source: ProcessSo
         changed = _deviation(replace(path, wrench=along.at(path.sample))) - deviation
         deviation = deviation + changed
         residual, before = deviation - offset, residual
-        rate = _rms(changed, weight) / max(_rms(moved, weight), _SETTLED)
-        moved = residual - _taken_back(residual, residual - before, weight) * changed
-        offset = offset + moved
-        left = min(rate, 1.0) * _rms(moved, weight)  # the next round changes the deflection by about this
-        settled = left < max(_SETTLED, _SHARE * _rms(deviation, weight))
+        moves = residual - _taken_back(residual, residual - before, weight) * changed
+        enough = max(_SETTLED, _SHARE * _rms(deviation, weight))
+        settled = _next(changed, moved, moves, weight) < enough
+        if rounds > 1 and not settled:
+            settled = _next(changed, moved, moves, _without_contact(weight, residual)) < enough
+        moved, offset = moves, offset + moves
     result = correction.process(program, robot, cell, cut, "predict")
     if result.failed or source.found is None:
         return result, cut
@@ -264,6 +268,24 @@ def _taken_back(residual: Array, change: Array, weight: Array) -> float:
     square = float(weight @ np.sum(change * change, axis=1))
     found = float(weight @ np.sum(residual * change, axis=1)) / square if square > 0.0 else 0.0
     return float(np.clip(found, 0.0, _LARGEST))
+
+
+def _next(changed: Array, moved: Array, moves: Array, weight: Array) -> float:
+    """Return by about how much [m] the next round changes the deflection.
+
+    :param changed: (n, 3) change of the deflection in this round, when the cut was displaced by `moved` (n, 3) more.
+    :param moves: (n, 3) by how much it is displaced next.
+    """
+    rate = _rms(changed, weight) / max(_rms(moved, weight), _SETTLED)
+    return min(rate, 1.0) * _rms(moves, weight)
+
+
+def _without_contact(weight: Array, residual: Array) -> Array:
+    """Return the weights (n,) with 0 at the places where the residual (n, 3) is largest, see `_CONTACT`."""
+    order = np.argsort(-norm(residual))
+    out = weight.copy()
+    out[order[: np.searchsorted(np.cumsum(weight[order]), _CONTACT * weight.sum(), side="right")]] = 0.0
+    return out
 
 
 def _rms(vectors: Array, weight: Array) -> float:

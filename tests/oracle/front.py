@@ -51,6 +51,35 @@ def forces(path, radius, teeth, depth, per_tooth, k, in_stock, places, angles=24
     return out
 
 
+def area(path, radius, box, step=0.05):
+    """Return the area of a box ((x0, x1), (y0, y1)) that is within the radius of the path: by lines along x."""
+    (x0, x1), (y0, y1) = box
+    total = 0.0
+    begin, end = path.points[:-1], path.points[1:]
+    along, normal = path.unit * path.length[:, None], np.stack([-path.unit[:, 1], path.unit[:, 0]], axis=-1)
+    for y in np.arange(y0 + 0.5 * step, y1, step):
+        low, high = np.full(len(begin), np.inf), np.full(len(begin), -np.inf)
+        for centre in (begin, end):
+            square = radius**2 - (y - centre[:, 1]) ** 2
+            half = np.sqrt(np.maximum(square, 0.0))
+            low = np.where(square > 0.0, np.minimum(low, centre[:, 0] - half), low)
+            high = np.where(square > 0.0, np.maximum(high, centre[:, 0] + half), high)
+        for side in (-radius, radius):  # the straight edges of the way of the disc
+            corner = begin + side * normal
+            with np.errstate(divide="ignore", invalid="ignore"):
+                share = (y - corner[:, 1]) / along[:, 1]
+            x = corner[:, 0] + share * along[:, 0]
+            crosses = (share >= 0.0) & (share <= 1.0)
+            low, high = np.where(crosses, np.minimum(low, x), low), np.where(crosses, np.maximum(high, x), high)
+        low, high = np.maximum(low, x0), np.minimum(high, x1)
+        order = np.argsort(low[high > low])
+        low, high = low[high > low][order], high[high > low][order]
+        if len(low):
+            reached = np.maximum.accumulate(high)
+            total += step * np.sum(np.maximum(high - np.maximum(low, np.concatenate([[-np.inf], reached[:-1]])), 0.0))
+    return total
+
+
 def _cut(path, segment, share, point, radius, slack=1e-7):
     """Which points are within the radius of the path before a place."""
     begin, unit, length = path.points[:segment], path.unit[:segment], path.length[:segment]
