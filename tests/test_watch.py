@@ -12,9 +12,9 @@ from threading import Event, Thread
 
 import pytest
 
-from postproc.cli.serving import server
 from postproc.errors import InputError, PostprocError
 from postproc.jobs import Settings, watching
+from postproc.jobs.watching import server
 from tests.documentation.pages import ROOT
 
 CELL = ROOT / "samples" / "cell_kr270.toml"

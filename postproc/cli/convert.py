@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from postproc.cli.options import complete_files, overwrite
+from postproc.cli.options import complete_files, conversion_options, of_files, shared_options
 from postproc.cli.outcomes import work
 
 if TYPE_CHECKING:
@@ -17,94 +16,6 @@ if TYPE_CHECKING:
     from postproc.jobs.workers import Cluster
 
 _PATH = click.Path(path_type=Path)
-_Command = TypeVar("_Command", bound=Callable[..., Any])
-
-
-def _dialect(_ctx: click.Context, _param: click.Parameter, value: str | None) -> str | None:
-    from postproc.dialects import registry
-    from postproc.errors import InputError
-
-    try:
-        return None if value is None else registry.by_name(value).name
-    except InputError as cause:
-        raise click.BadParameter(str(cause)) from None
-
-
-def _finite(_ctx: click.Context, _param: click.Parameter, value: float | None) -> float | None:
-    if value is not None and not (math.isfinite(value) and value > 0.0):
-        raise click.BadParameter("give a length in mm, larger than 0")
-    return value
-
-
-def shared_options(command: _Command) -> _Command:
-    """Add the options that convert and predict share."""
-    for option in (
-        overwrite,
-        click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON."),
-        click.option(
-            "--dialect",
-            metavar="NAME",
-            callback=_dialect,
-            help="Format of the input: apt, gcode, krl or rapid; default: by the extension.",
-        ),
-        click.option(
-            "-o",
-            "--output",
-            type=_PATH,
-            help="Folder to write into; default: corrected/ in the folder of the program.",
-        ),
-        click.option(
-            "--keep-unresolved",
-            is_flag=True,
-            help="Leave KRL motions unchanged whose targets, or whether they run, are only known at run time.",
-        ),
-        click.option(
-            "--part-tolerance",
-            "part_tolerance_mm",
-            type=float,
-            callback=_finite,
-            metavar="MM",
-            help="What the part may be off (95 %), by which the verdict judges; replaces tolerance_mm of [part].",
-        ),
-        click.option("--part", type=_PATH, help="Mesh of the part (STL …, mm, $BASE): shows what its surface will be."),
-        click.option(
-            "--forces",
-            type=_PATH,
-            help="File of cutting forces (CSV, or what a package adds), or a folder with NAME.csv … for each program.",
-        ),
-        click.option(
-            "--process", type=_PATH, help="Material, tools and stock, from which the forces are computed: process.toml."
-        ),
-        click.option("--cell", type=_PATH, required=True, help="Cell file: robot, base, tool, tolerances."),
-    ):
-        command = option(command)
-    return command
-
-
-def conversion_options(command: _Command) -> _Command:
-    """Add the options that convert and watch share."""
-    for option in (
-        click.option("--linearize-arcs", is_flag=True, help="Write arcs as lines."),
-        click.option(
-            "--to", metavar="NAME", callback=_dialect, help="Language to write G-code in: krl (default) or rapid."
-        ),
-        click.option(
-            "--lines-per-file",
-            type=click.IntRange(min=0),
-            metavar="N",
-            help="Divide KRL of more lines, 0: never; replaces lines_per_file of the cell.",
-        ),
-        click.option(
-            "--tolerance",
-            "tolerance_mm",
-            type=float,
-            callback=_finite,
-            metavar="MM",
-            help="What the predicted path may leave the nominal one by; replaces tolerance_mm of the cell.",
-        ),
-    ):
-        command = option(command)
-    return shared_options(command)
 
 
 @click.command()
@@ -166,21 +77,6 @@ def convert(
         raise click.BadParameter(f"the controller does not accept {name!r}: {fault}.", param_hint="--name")
     settings = Settings(mode="nominal" if nominal else "convert", **more)
     work(ctx, found, settings, as_json=as_json, workers=jobs, cluster=cluster)
-
-
-def of_files(options: dict[str, Any]) -> dict[str, Any]:
-    """Move the options of `find_jobs` (dialect, target language, forces, output) out of the options of a run.
-
-    The process file becomes the force file. All other options stay: they are the settings.
-    """
-    process = options.pop("process")
-    if process is not None:
-        if options["forces"] is not None:
-            raise click.UsageError("--forces and --process exclude each other.")
-        if process.suffix.lower() != ".toml":
-            raise click.BadParameter(f"{process} is no .toml file.", param_hint="--process")
-        options["forces"] = process
-    return {name: options.pop(name) for name in ("dialect", "to", "forces", "output") if name in options}
 
 
 def _check_part(options: dict[str, Any], jobs: Sequence[Job]) -> None:

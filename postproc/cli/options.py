@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from typing import Any
+from pathlib import Path
+from typing import Any, TypeVar
 
 import click
 from click.shell_completion import CompletionItem
+
+_PATH = click.Path(path_type=Path)
+_Command = TypeVar("_Command", bound=Callable[..., Any])
 
 overwrite = click.option(
     "--overwrite", is_flag=True, help="Replace files that postproc did not write, or not as they are."
@@ -49,3 +54,105 @@ def several_programs(text: str, *, required: bool = False) -> Callable[[Callable
         return option(others(command))
 
     return decorate
+
+
+def _dialect(_ctx: click.Context, _param: click.Parameter, value: str | None) -> str | None:
+    from postproc.dialects import registry
+    from postproc.errors import InputError
+
+    try:
+        return None if value is None else registry.by_name(value).name
+    except InputError as cause:
+        raise click.BadParameter(str(cause)) from None
+
+
+def _finite(_ctx: click.Context, _param: click.Parameter, value: float | None) -> float | None:
+    if value is not None and not (math.isfinite(value) and value > 0.0):
+        raise click.BadParameter("give a length in mm, larger than 0")
+    return value
+
+
+def shared_options(command: _Command) -> _Command:
+    """Add the options that convert and predict share."""
+    for option in (
+        overwrite,
+        click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON."),
+        click.option(
+            "--dialect",
+            metavar="NAME",
+            callback=_dialect,
+            help="Format of the input: apt, gcode, krl or rapid; default: by the extension.",
+        ),
+        click.option(
+            "-o",
+            "--output",
+            type=_PATH,
+            help="Folder to write into; default: corrected/ in the folder of the program.",
+        ),
+        click.option(
+            "--keep-unresolved",
+            is_flag=True,
+            help="Leave KRL motions unchanged whose targets, or whether they run, are only known at run time.",
+        ),
+        click.option(
+            "--part-tolerance",
+            "part_tolerance_mm",
+            type=float,
+            callback=_finite,
+            metavar="MM",
+            help="What the part may be off (95 %), by which the verdict judges; replaces tolerance_mm of [part].",
+        ),
+        click.option("--part", type=_PATH, help="Mesh of the part (STL …, mm, $BASE): shows what its surface will be."),
+        click.option(
+            "--forces",
+            type=_PATH,
+            help="File of cutting forces (CSV, or what a package adds), or a folder with NAME.csv … for each program.",
+        ),
+        click.option(
+            "--process", type=_PATH, help="Material, tools and stock, from which the forces are computed: process.toml."
+        ),
+        click.option("--cell", type=_PATH, required=True, help="Cell file: robot, base, tool, tolerances."),
+    ):
+        command = option(command)
+    return command
+
+
+def conversion_options(command: _Command) -> _Command:
+    """Add the options that convert and watch share."""
+    for option in (
+        click.option("--linearize-arcs", is_flag=True, help="Write arcs as lines."),
+        click.option(
+            "--to", metavar="NAME", callback=_dialect, help="Language to write G-code in: krl (default) or rapid."
+        ),
+        click.option(
+            "--lines-per-file",
+            type=click.IntRange(min=0),
+            metavar="N",
+            help="Divide KRL of more lines, 0: never; replaces lines_per_file of the cell.",
+        ),
+        click.option(
+            "--tolerance",
+            "tolerance_mm",
+            type=float,
+            callback=_finite,
+            metavar="MM",
+            help="What the predicted path may leave the nominal one by; replaces tolerance_mm of the cell.",
+        ),
+    ):
+        command = option(command)
+    return shared_options(command)
+
+
+def of_files(options: dict[str, Any]) -> dict[str, Any]:
+    """Move the options of `find_jobs` (dialect, target language, forces, output) out of the options of a run.
+
+    The process file becomes the force file. All other options stay: they are the settings.
+    """
+    process = options.pop("process")
+    if process is not None:
+        if options["forces"] is not None:
+            raise click.UsageError("--forces and --process exclude each other.")
+        if process.suffix.lower() != ".toml":
+            raise click.BadParameter(f"{process} is no .toml file.", param_hint="--process")
+        options["forces"] = process
+    return {name: options.pop(name) for name in ("dialect", "to", "forces", "output") if name in options}

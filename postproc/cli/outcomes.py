@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-import msgspec
 
 from postproc.cli.faults import fault_message
 
@@ -139,6 +138,8 @@ def _print_failures(outcomes: Iterable[Outcome]) -> None:
 
 
 def _as_entry(outcome: Outcome) -> dict[str, object]:
+    import msgspec
+
     from postproc.report import issue_entry
 
     entry: dict[str, object] = {"program": outcome.program, "exit_code": outcome.code}

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from postproc.cli.convert import conversion_options, of_files
+from postproc.cli.options import conversion_options, of_files
 
 
 @click.command()
@@ -34,6 +34,7 @@ def watch(ctx: click.Context, /, folder: Path, jobs: int, serve: bool, port: int
     """  # noqa: D301 - click: keep these lines as they are
     from postproc.cli.outcomes import print_outcome, say
     from postproc.jobs import Settings
+    from postproc.jobs.watching import server
     from postproc.jobs.watching import watch as watched
 
     more.pop("as_json")
@@ -41,8 +42,6 @@ def watch(ctx: click.Context, /, folder: Path, jobs: int, serve: bool, port: int
     output = options.pop("output", None) or folder / "corrected"
     stop = Event()
     if serve:
-        from postproc.cli.serving import server
-
         there = server(output, port)
         Thread(target=there.serve_forever, daemon=True).start()
         click.echo(f"overview: http://127.0.0.1:{there.server_address[1]}")

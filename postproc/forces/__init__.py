@@ -5,11 +5,16 @@ of a program and returns `PathForces`, which gives the wrench at each sample.
 """
 
 from postproc.forces.axes import Axes, last_travel
-from postproc.forces.output import of_pieces, of_targets, once_a_line
-from postproc.forces.path_forces import BEHIND_STEP, PathForces, assign
-from postproc.forces.refinement import displacement_estimate, refined_arcs, swing_places
+from postproc.forces.path_forces import (
+    BEHIND_STEP,
+    PathForces,
+    assign,
+    displacement_estimate,
+    refined_arcs,
+    swing_places,
+)
 from postproc.forces.sources import ByLaw, ForceSource, Knots, read
-from postproc.forces.table import read_force_csv
+from postproc.forces.table import of_pieces, of_targets, once_a_line, read_force_csv
 
 __all__ = [
     "BEHIND_STEP",

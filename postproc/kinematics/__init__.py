@@ -4,8 +4,16 @@ from postproc.kinematics.closed_form import ClosedForm, closed_form, status_of
 from postproc.kinematics.components import components, matrices, twist_between
 from postproc.kinematics.forward import Posture, gravity_torque, posture, tcp
 from postproc.kinematics.hessian import gravity_stiffness, load_stiffness, require_pinocchio
-from postproc.kinematics.inverse import JointPath, UnreachableError, follow, on_branch, turn_of
-from postproc.kinematics.margins import joint_margin, singular_values, smallest_singular_value
+from postproc.kinematics.inverse import (
+    JointPath,
+    UnreachableError,
+    follow,
+    joint_margin,
+    on_branch,
+    singular_values,
+    smallest_singular_value,
+    turn_of,
+)
 from postproc.kinematics.wrist import ByWrist
 
 __all__ = [

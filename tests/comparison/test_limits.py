@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from postproc.comparison import compare, deviations
-from postproc.comparison.compare import _missing, _paired, _under_force
+from postproc.comparison import compare
+from postproc.comparison.compare import _missing, _paired, _Search, _under_force, _Ways
 from postproc.forces import Knots
 from postproc.under_load import RobotInCell
 from tests.comparison.test_named import CELL, FORCE, HEAD, POINT, ROBOT, TURNED, edited, lines, named, nominal, read
@@ -132,7 +132,7 @@ def test_behind_a_step_of_the_force_the_new_one_acts_from_the_first_place_on():
     """The deflection there, against the direction of travel, leaves all of itself; before it there is none."""
     side = lines((0, 0), (60, 0), (120, 0))
     load = side.forces(Step([[0] * 6, [0] * 6, [0] * 6, [-900, 300, 200, 0, 0, 0]]))
-    ways = deviations._Ways(
+    ways = _Ways(
         side, np.arange(4), side.along[[0, 1, 2, 3]], side.along[[1, 2, 3, 4]],
         np.stack([side.along[:4], side.along[1:]], axis=1), np.ones(4, dtype=bool),
     )  # fmt: skip
@@ -140,7 +140,7 @@ def test_behind_a_step_of_the_force_the_new_one_acts_from_the_first_place_on():
     q = side.joints_at(motion, t)
     off = side.place.tip(q, side.program.tools[0], side.wrench(load, motion))[0] - side.points(begin)[0]
     assert off[0] < -1e-4  # against the travel along X
-    _, mine, distance = deviations._Search(side, side, load, ways).found(motion, t, q, begin, enough=1e-8)
+    _, mine, distance = _Search(side, side, load, ways).found(motion, t, q, begin, enough=1e-8)
     np.testing.assert_allclose([mine[0], distance[0]], np.linalg.norm(off), rtol=1e-3)
 
 

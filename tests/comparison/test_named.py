@@ -12,8 +12,8 @@ from msgspec.structs import replace
 from postproc import cell as cells
 from postproc import correction, jobs
 from postproc.cell import ExternalAxis
-from postproc.comparison import compare, deviations
-from postproc.comparison.compare import _in_order, _missing, _paired, _under_force
+from postproc.comparison import compare
+from postproc.comparison.compare import _in_order, _missing, _paired, _Search, _spread, _under_force, _Ways
 from postproc.comparison.paths import Chain, PlacedProgram, nearest
 from postproc.program import PTP, Document
 from postproc.under_load import RobotInCell
@@ -307,7 +307,7 @@ def test_lines_and_arcs_are_looked_at_every_centimetre_and_short_ones_at_least()
     arcs = [f"CIRC {{X {x + 1},Y 1,Z 0}},{{X {x + 2},Y 0,Z 0,{TURNED}}}" for x in (29,)]
     arcs.append(f"CIRC {{X 61,Y 30,Z 0}},{{X 91,Y 0,Z 0,{TURNED}}}")
     side = placed("\n".join([HEAD, *lines, *arcs, "END", ""]))
-    row, t = deviations._spread(side, np.arange(2, 6))
+    row, t = _spread(side, np.arange(2, 6))
     parts = {2: 2, 3: 3, 4: 4, 5: 10}  # 4 mm, 25 mm, arcs of 3 and 94 mm
     for piece, count in parts.items():
         np.testing.assert_allclose(t[row == piece], np.arange(1, count) / count, rtol=1e-12)
@@ -320,7 +320,7 @@ def test_the_nearest_place_is_sought_on_its_way_alone(share):
     side = placed("\n".join([HEAD, *lines, "END", ""]))
     motion, t = np.array([3]), np.array([share])
     load = side.forces(None)
-    search = deviations._Search(side, side, load, None)
+    search = _Search(side, side, load, None)
     low, high = side.along[[3]], side.along[[4]]
     found = search._anywhere(side.joints_at(motion, t), np.zeros((1, 3)), (low, high))
     np.testing.assert_allclose(found, low + share * (high - low), atol=1e-3)  # 120 mm in 64 parts, refined
@@ -403,7 +403,7 @@ def test_pieces_begin_where_the_one_before_ends():
     one = lines((0, 0), (40, 0), (40, 30))
     other = lines((0, 0), (10, 0), (30, 0), (40, 0), (40, 12), (40, 30))
     found = _paired(one, other, np.array([0, 3, 5]), np.ones(3, dtype=bool))
-    ways = deviations._Ways.of_pairs(found, one, other)
+    ways = _Ways.of_pairs(found, one, other)
     ends = np.array([0.0, 10.0, 30.0, 40.0, 52.0, 70.0]) * 1e-3
     place = np.append(np.nan, one.along[2] + ends)  # row 0 is the axis target
     begins = ways.begins(np.arange(2, 7), place)
@@ -584,5 +584,5 @@ def test_ways_by_ptp_and_from_where_nothing_is_corrected_are_not_compared_inside
     cell = replace(CELL, payload=replace(CELL.payload, mass_kg=payload))
     side = PlacedProgram.of(read(HEAD + BODY, "ONE.src"), RobotInCell.of(ROBOT, cell))
     found = _paired(side, side, np.arange(7), np.ones(7, dtype=bool))
-    known = deviations._Ways.of_pairs(found, side, side).known
+    known = _Ways.of_pairs(found, side, side).known
     assert known.tolist() == [payload == 0.0, True, True, True, True, False, True]

@@ -20,9 +20,8 @@ import numpy as np
 from msgspec import Struct, field
 
 from postproc.cell import Cell
-from postproc.dialects.apt import words
 from postproc.dialects.apt.arcs import Circle, belonging, leaving
-from postproc.dialects.apt.statements import Statements, values
+from postproc.dialects.apt.statements import TEXT, WITHOUT_EFFECT, Statements, refusal, values
 from postproc.errors import MOST, Level
 from postproc.frames import Array, norm
 from postproc.program import EventKind, Ints
@@ -345,7 +344,7 @@ class _Walk:
 
     def _obey(self, row: int, code: str) -> None:
         """Execute a statement that is not a plain GOTO."""
-        for word in words.TEXT:
+        for word in TEXT:
             if code.startswith(word):
                 if word == "PARTNO" and self.parted < 0:
                     self.parted = row
@@ -363,14 +362,14 @@ class _Walk:
         if major == "TLON,GOFWD":
             self._along(row, rest)
             return
-        if major in words.WITHOUT_EFFECT:
+        if major in WITHOUT_EFFECT:
             return
         given = values(rest) if slash else []
         if major in ("ORIGIN", "TRANS") and given and all(value == 0.0 for value in given):
             return
         handler = _HANDLERS.get(major)
         if handler is None or (major == "GODLTA" and len(given) != 3):
-            raise _FaultError(*words.refusal(major))
+            raise _FaultError(*refusal(major))
         handler(self, row, given)
 
     def _text(self, row: int, word: str) -> str:

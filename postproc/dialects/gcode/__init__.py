@@ -2,7 +2,7 @@
 
 - `words`: text to words; plain motion blocks in bulk, other blocks by pygcode
 - `codes`: which G and M codes are read
-- `expressions`, `control`, `execution`: parameters, O-words and subprograms; lines in the order of execution
+- `expressions`, `execution`: parameters, O-words and subprograms; lines in the order of execution
 - `modes`: modal state, tools, spindle, origins and machine positions
 - `cycles`, `arcs`, `moves`, `path`: from lines to motions in `$BASE`
 - `reader`: from a document to a `Program`

@@ -12,9 +12,16 @@ from msgspec.structs import astuple
 from postproc.comparison import Comparison
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm, xyzabc_from_pose
 from postproc.program import Ints
-from postproc.report.comparison.names import Names, names_of
-from postproc.report.comparison.summary import ComparisonSummary, where_of
-from postproc.report.comparison.text import WORDS, counted, of_passed, of_splines
+from postproc.report.comparison.summary import (
+    WORDS,
+    ComparisonSummary,
+    Names,
+    counted,
+    names_of,
+    of_passed,
+    of_splines,
+    where_of,
+)
 from postproc.report.formatting import ROUNDING_MM, millimetres
 from postproc.report.kit import (
     Axis,

@@ -1,26 +1,80 @@
-"""`part.compare.report.json`: how two programs differ, in numbers, and the verdict."""
+"""How two programs differ: numbers and verdict (`part.compare.report.json`), pairs as CSV, text for a terminal."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 from msgspec import Struct
-from msgspec.structs import asdict, replace
+from msgspec.structs import asdict, astuple, replace
+from numpy.typing import NDArray
 
+from postproc.chunks import chunks
 from postproc.comparison import Comparison, Difference
 from postproc.correction import statistics
+from postproc.decimals import Number, rows_of_csv
 from postproc.errors import Level
 from postproc.files import FileEntry
-from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm
-from postproc.program import Bools
+from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm, xyzabc_from_pose
+from postproc.program import Bools, Ints, Program
 from postproc.provenance import Provenance
 from postproc.provenance import State as Origin
-from postproc.report.comparison.names import Names, names_of
-from postproc.report.formatting import State, above
+from postproc.report.formatting import PLAIN, ROUNDING_MM, Display, State, above, millimetres
 from postproc.report.path import operation_starts
 from postproc.report.summary import Distances, Judged
+
+
+class Names(Struct, frozen=True):
+    """Display names of the files of a program.
+
+    :param main: the main file.
+    :param prefix: text before file names: empty, or folders with a trailing slash.
+    :param several: True if its motions are in several files.
+    """
+
+    main: str
+    prefix: str
+    several: bool
+
+    def place(self, where: tuple[str, int]) -> str:
+        """Return file and line in the form used in messages."""
+        return f"{self.prefix}{where[0]}:{where[1]}"
+
+    def line(self, where: tuple[str, int]) -> str:
+        """Return a line number for tables, preceded by its file if a program has several."""
+        return self.place(where) if self.several else str(where[1])
+
+
+def names_of(found: Comparison) -> tuple[Names, Names]:
+    """Return the display names of the files of both programs."""
+    programs = found.nominal, found.corrected
+    files = [{document.name.lower() for document in program.documents} for program in programs]
+    prefixes = (
+        _distinct_ends(*(program.documents[0].folder for program in programs)) if files[0] & files[1] else ("", "")
+    )
+    one, other = (
+        Names(prefix + program.documents[0].name, prefix, _several(program, rows))
+        for program, prefix, rows in zip(programs, prefixes, found.pair.T, strict=True)
+    )
+    return one, other
+
+
+def _several(program: Program, rows: Ints) -> bool:
+    places = program.places(rows)
+    return bool(len(places.file)) and bool((places.file != places.file[0]).any())
+
+
+def _distinct_ends(one: str, other: str) -> tuple[str, str]:
+    """Return the shortest distinct ends of two folders, with a trailing slash; empty if they are the same folder."""
+    folders = [Path(folder).resolve().parts for folder in (one, other)]
+    if folders[0] == folders[1]:
+        return "", ""
+    last = next(n for n in range(1, max(map(len, folders)) + 1) if folders[0][-n:] != folders[1][-n:])
+    first, second = ("/".join(part.strip("/\\") for part in folder[-last:]) + "/" for folder in folders)
+    return first, second
+
 
 _MOST = 20
 _DIFFERENCES = (
@@ -402,3 +456,160 @@ def _operations(found: Comparison, names: Sequence[Names]) -> Iterator[Operation
             offset=_distances(found.distance[rows], found.rapid[rows]),
             cut=_cut(found, names, rows),
         )
+
+
+_XYZABC = ("X", "Y", "Z", "A", "B", "C")
+_NUMBERS = (
+    *(f"{name}_nominal" for name in _XYZABC),
+    *(f"{name}_corrected" for name in _XYZABC),
+    "offset_mm", "rotation_deg", "speed_nominal_mm_per_s", "speed_corrected_mm_per_s",
+    "cut_nominal_mm", "cut_corrected_mm", "between_mm",
+)  # fmt: skip
+_PLACES = (6,) * 13 + (6, 3, 3, 6, 6, 6)
+PAIR_COLUMNS = ("state", "nominal_file", "nominal_line", "corrected_file", "corrected_line", "rapid", *_NUMBERS)
+"""Columns of the file, in order."""
+_STATES = ("pair", "inserted", "only_nominal", "only_corrected", "passed")
+
+
+def pairs_csv(found: Comparison) -> Iterator[bytes]:
+    """Yield the file in pieces: in the order of the second program, targets of the first alone behind their neighbour.
+
+    Numbers that a target does not have are empty. Poses are in the nominal `$BASE` for pairs, else in their own.
+    """
+    yield (",".join(PAIR_COLUMNS) + "\n").encode()
+    one, other = found.nominal.motions, found.corrected.motions
+    pair, alone = found.pair, np.append(found.only_nominal, found.passed)
+    nominal = np.concatenate(
+        [pair[:, 0], np.full(len(found.inserted), -1), alone, np.full(len(found.only_corrected), -1)]
+    )
+    corrected = np.concatenate([pair[:, 1], found.inserted, np.full(len(alone), -1), found.only_corrected])
+    counts = len(pair), len(found.inserted), len(found.only_nominal), len(found.passed), len(found.only_corrected)
+    state = np.repeat([0, 1, 2, 4, 3], counts)
+    before = np.append(-1, pair[:, 1])[np.searchsorted(pair[:, 0], alone)]
+    order = np.lexsort((np.isin(state, (2, 4)), np.concatenate([corrected[state < 2], before, found.only_corrected])))
+    unknown = np.full(len(order), np.nan)
+    poses = [np.full((len(order), 6), np.nan) for _ in range(2)]
+    poses[0][nominal >= 0] = xyzabc_from_pose(one.target[nominal[nominal >= 0]])
+    poses[1][: len(pair)] = xyzabc_from_pose(found.pose)
+    rest = np.flatnonzero((corrected >= 0) & (state != 0))
+    poses[1][rest] = xyzabc_from_pose(other.target[corrected[rest]])
+
+    def of_pairs(values: Array | None) -> Array:
+        out = unknown.copy()
+        if values is not None:
+            out[: len(pair)] = values
+        return out
+
+    speeds = (np.where(rows >= 0, m.feed[rows], np.nan) * MM_PER_M for m, rows in ((one, nominal), (other, corrected)))
+    cuts = (None, None) if found.cuts is None else (found.cuts.nominal, found.cuts.corrected)
+    numbers = np.column_stack(
+        [
+            *poses,
+            of_pairs(found.distance * MM_PER_M),
+            of_pairs(found.rotation * DEG_PER_RAD),
+            *speeds,
+            *(of_pairs(None if off is None else norm(off) * MM_PER_M) for off in cuts),
+            of_pairs(found.between * MM_PER_M),
+        ]
+    )[order]
+    rapid = np.where(nominal >= 0, one.rapid[nominal], other.rapid[corrected]).astype(float)[order]
+    names = _words(_STATES, state[order])
+    (file, line), (file_two, line_two) = (
+        _places(program, rows[order]) for program, rows in ((found.nominal, nominal), (found.corrected, corrected))
+    )
+    for part in chunks(len(order)):
+        columns: list[Number | NDArray[np.uint8]] = [
+            names[part], file[part], Number.of(line[part], 0), file_two[part], Number.of(line_two[part], 0),
+            Number.of(rapid[part], 0),
+            *(Number.of(numbers[part, index], places) for index, places in enumerate(_PLACES)),
+        ]  # fmt: skip
+        yield rows_of_csv(columns)
+
+
+def _places(program: Program, rows: Ints) -> tuple[NDArray[np.uint8], Array]:
+    """Return file and line of motions (n,) as columns; empty where there is none (−1)."""
+    there = rows >= 0
+    places = program.places(rows[there])
+    line, file = np.full(len(rows), np.nan), np.full(len(rows), len(places.files))
+    line[there], file[there] = places.line, places.file
+    return _words([*places.files, ""], file), line
+
+
+def _words(words: Sequence[str], which: Ints) -> NDArray[np.uint8]:
+    """Return words as a column of texts (n, width), padded with zeros; quoted where CSV needs it."""
+    quoted = ['"' + word.replace('"', '""') + '"' if set(word) & set(',"\r\n') else word for word in words]
+    return np.char.encode(quoted, "utf-8").view(np.uint8).reshape(len(quoted), -1)[which]
+
+
+WORDS: dict[State, str] = {
+    "ok": "They belong together.",
+    "warning": "Look at the differences.",
+    "failed": "Do not run the corrected one.",
+}
+"""Sentence for each verdict."""
+_ROWS = ("max", "RMS", "mean", "95 %")
+_SHOWN = 5
+
+
+def of_comparison(content: ComparisonSummary, display: Display = PLAIN) -> str:
+    """Return the summary of a comparison, at most one screen.
+
+    :param display: style of the text.
+    """
+    verdict, cut = content.verdict, content.cut
+    lines = [
+        f"{content.corrected} against {content.nominal}  on {content.robot}: {counted(content)}",
+        display.verdict(WORDS[verdict.state], verdict.state),
+        *(f"  - {reason}" for reason in verdict.reasons),
+        "",
+    ]
+    head = ["at cutting targets [mm]", "offset"] + (["nominal cuts", "corrected cuts"] if cut is not None else [])
+    sources = [content.offset] + ([cut.nominal, cut.corrected] if cut is not None else [])
+    rows = [(label, *map(millimetres, values)) for label, *values in zip(_ROWS, *map(astuple, sources), strict=True)]
+    if between := content.between:
+        rows.append(("max between", "-", millimetres(between.nominal_max_mm), millimetres(between.corrected_max_mm)))
+    lines += [display.table(head, rows, range(1, len(head)), "  "), ""]
+    lines.append(f"  orientation: {content.rotation.max_deg:.4f}° at most")
+    apart = content.between_targets
+    if apart.nominal_line is not None:
+        lines.append(
+            f"  on the way between targets: {millimetres(apart.max_mm)} mm at most, before "
+            f"{apart.nominal_file}:{apart.nominal_line} and {apart.corrected_file}:{apart.corrected_line}"
+        )
+    if content.passed:
+        lines.append(f"  {of_passed(content)}")
+    if content.splines:
+        lines.append(f"  {of_splines(content)}")
+    for pair in content.largest[:_SHOWN]:
+        if pair.mm > 0.0:
+            where = f"{pair.nominal_file}:{pair.nominal_line} and {pair.corrected_file}:{pair.corrected_line}"
+            lines.append(f"  {millimetres(pair.mm)} mm between {where}")
+    origin = content.provenance
+    if origin.state == "none":
+        lines.append(f"  {content.corrected} does not say that postproc wrote it")
+    elif origin.version is not None:
+        since = "unchanged since" if origin.state == "intact" else "changed since"
+        lines.append(f"  {content.corrected} was written by postproc {origin.version} ({origin.mode}), {since}")
+    return "\n".join(lines)
+
+
+def of_splines(content: ComparisonSummary) -> str:
+    """Return a sentence on splines, of which only the targets are compared."""
+    count = content.splines
+    return f"of splines ({count} SPL) the targets are compared, the way between them is not"
+
+
+def of_passed(content: ComparisonSummary) -> str:
+    """Return a sentence on nominal targets that the second program leaves out and whose path passes them."""
+    count, within = content.passed, content.passed_within_mm
+    what, it = ("1 target", "it") if count == 1 else (f"{count} targets", "them")
+    verb = "is" if count == 1 else "are"
+    passes = f"its path passes {it}" + ("" if within is None else f" within {max(within, ROUNDING_MM):.4f} mm")
+    return f"{what} of the nominal program {verb} not in the corrected one; {passes}"
+
+
+def counted(content: ComparisonSummary) -> str:
+    """Return the numbers of paired and unpaired targets in words."""
+    text = f"{content.pairs} pairs, {content.inserted} inserted"
+    text += f", {content.only_nominal} missing" if content.only_nominal else ""
+    return text + (f", {content.only_corrected} added" if content.only_corrected else "")

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 from postproc.correction import Result
-from postproc.report.deviation import sections, turn_map
+from postproc.report.deviation import sections
 from postproc.report.deviation.data import Deviation
 from postproc.report.kit import Note, Page, Section
 from postproc.report.text import targets
@@ -21,7 +21,7 @@ SECTIONS: tuple[Callable[[Deviation], Section | None], ...] = (
     sections.view3d,
     sections.surface,
     sections.along,
-    turn_map.turn,
+    sections.turn,
     sections.cut,
     sections.histogram,
     sections.operations,
