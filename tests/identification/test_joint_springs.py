@@ -1,5 +1,7 @@
 """Joint springs from readings without noise: the serial method, the compensator by levels, priors, and refusals."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -8,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from postproc import robot
 from postproc.compensator import Compensator
 from postproc.errors import MeasurementError
-from postproc.identification import joint_springs, plausibility, procedure, uncertainty
+from postproc.identification import joint_springs, plausibility, procedure, uncertainty, validation
 from postproc.identification.measurement_model import Placement, locate
 from postproc.identification.readings import Measurements
 from samples.paper_study import harness
@@ -141,6 +143,8 @@ def test_a_joint_without_torque_keeps_the_springs_of_the_prior_in_the_serial_mod
     prior = replace(harness.PRIOR, covariance=stated)
     result = procedure._serial(prior, on_axis, placed(on_axis), [], [])
     assert [entry.parameter for entry in result.missing] == [robot.JOINT_COMPLIANCES[5]]
+    assert "on A6 (they act on its axis)" in result.missing[0].reason
+    assert "on a bracket" in result.missing[0].advice
     assert result.fit.values[5] == prior.compliance[5]
     np.testing.assert_allclose(result.fit.values[:5], SPRINGS[:5], rtol=5e-3)
     np.testing.assert_allclose(result.fit.covariance[5], [0, 0, 0, 0, 0, (0.6e-6) ** 2])
@@ -331,3 +335,57 @@ def test_frames_and_points_are_found_from_a_guess_with_the_covariance_of_small_e
     without = replace(data, used=~((data.state == 4) & (data.point == 0)))
     np.testing.assert_allclose(locate(harness.PRIOR, without).points, true, atol=1e-9)
     assert (locate(harness.PRIOR, without).residual[2, 0] == 0.0).all()
+
+
+def test_vertical_loads_say_nothing_of_a1_and_that_is_the_reason():
+    wrench = forces(10)
+    wrench[:, :2] = 0.0
+    data = readings(wrench)
+    result = procedure._serial(harness.PRIOR, data, placed(data), [], [])
+    assert robot.JOINT_COMPLIANCES[0] in [entry.parameter for entry in result.missing]
+    reason = next(entry for entry in result.missing if entry.parameter == robot.JOINT_COMPLIANCES[0])
+    assert "on A1 (they are vertical, parallel to its axis)" in reason.reason
+    assert "sideways" in reason.advice
+
+
+@pytest.mark.parametrize(
+    ("dof", "chi2", "unexplained"),
+    [(50, 50 + 3.29 * 10 + 7 - 0.1, False), (50, 50 + 3.29 * 10 + 7 + 0.1, True), (0, 1e9, False), (-3, 1e9, False)],
+)
+def test_squares_beyond_three_standard_deviations_of_their_sum_and_seven_are_unexplained(dof, chi2, unexplained):
+    """χ² of 50 degrees of freedom has a standard deviation of 10."""
+    assert procedure._unexplained(SimpleNamespace(dof=dof, chi2=chi2)) == unexplained
+
+
+def test_what_is_proportional_to_the_load_and_what_is_not():
+    """A load cell that is wrong by a share makes compliances wrong by it, those of a spring by its opposite."""
+    shares = {
+        robot.JOINT_COMPLIANCES[2]: 1.0,
+        robot.LinkSpring("A2", robot.LINK_AXES[0]): 1.0,
+        robot.CompensatorStiffness(): -1.0,
+        robot.CompensatorPreload(): -1.0,
+        robot.LinkMass("A3"): 0.0,
+        robot.CompensatorSize(): 0.0,
+        robot.Backlash("A2", 30.0): 0.0,
+        robot.LostMotion("A2", 30.0): 0.0,
+    }
+    assert {parameter: uncertainty._share(parameter) for parameter in shares} == shares
+
+
+def test_displacements_and_bounds_of_a_point_are_the_same_from_whichever_point_the_load_is_given():
+    """The moment about the point is that about the load point less the lever times the force."""
+    sigma = np.array([2.0, 5.0, 3.0, 9.0, 4.0, 8.0]) * 1e-2 * harness.PRIOR.compliance * 1e6
+    model = replace(harness.PRIOR, covariance=robot.Covariance(robot.JOINT_COMPLIANCES, np.diag(sigma**2)))
+    wrench = forces(4, 900.0, 200.0)
+    data = readings(wrench, count=4)
+    moved, bound = validation._predicted(model, data, placed(data))
+    assert bound.min() > 1e-6
+    for index, point in enumerate(POINTS):
+        about = data.wrench.copy()
+        for n, angles in enumerate(data.q):
+            lever = ARM.tcp(angles, np.eye(4))[:3, :3] @ (point - LOAD_POINT)
+            about[2 * n + 1, 3:] -= np.cross(lever, wrench[n, :3])
+        there = validation._predicted(model, replace(data, wrench=about, load_point=point), placed(data))
+        np.testing.assert_allclose(bound[:, index], there[1][:, index], rtol=1e-9)
+        # the moment turns with the arm from there on: a small share of what it moves
+        np.testing.assert_allclose(there[0][:, index], moved[:, index], atol=5e-3 * np.abs(moved).max())

@@ -170,7 +170,13 @@ def _line_of(one: Found, number: int, count: int) -> str:
 
 
 def _environment(copy: Path) -> dict[str, str]:
-    return os.environ | {"PYTHONPATH": str(copy), "OMP_NUM_THREADS": "1", "PYTHONHASHSEED": "0"}
+    """Return the environment of a process in a copy; it keeps what it has compiled, or each mutant would compile all.
+
+    The time for that would count as time of the test.
+    """
+    return os.environ | {
+        "PYTHONPATH": str(copy), "OMP_NUM_THREADS": "1", "PYTHONHASHSEED": "0", "PYTHONDONTWRITEBYTECODE": "",
+    }  # fmt: skip
 
 
 def _record(root: Path, copies: Sequence[Path], files: Sequence[str], tests: Sequence[str]) -> dict[str, Any]:
@@ -248,6 +254,9 @@ def _work(
 ) -> None:
     """Take mutants until none is left, or the time `end` has come."""
     log = copy.parent / f"{copy.name}.log"
+    slowest: dict[str, float] = defaultdict(float)  # of each file: another test may have paid for a shared fixture
+    for name, test in recorded["tests"].items():
+        slowest[name.split("::")[0]] = max(slowest[name.split("::")[0]], test["seconds"])
     with subprocess.Popen(
         [sys.executable, "-m", "tests.mutation.worker"], cwd=copy, env=_environment(copy), text=True,
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
@@ -268,7 +277,7 @@ def _work(
             seconds = {name: recorded["tests"][name]["seconds"] for name in names}
             request = {
                 "file": mutant.file, "text": mutant.text(source).decode(), "batches": batches(seconds),
-                "seconds": seconds, "log": str(log),
+                "seconds": {name: slowest[name.split("::")[0]] for name in names}, "log": str(log),
             }  # fmt: skip
             process.stdin.write(json.dumps(request) + "\n")
             process.stdin.flush()

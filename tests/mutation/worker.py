@@ -37,7 +37,7 @@ class Limits(WithoutChance):
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
         """Set the limits of a test: the signals end the process."""
-        limit = 5.0 + 5.0 * self.seconds.get(item.nodeid, 1.0)
+        limit = 10.0 + 5.0 * self.seconds.get(item.nodeid, 1.0)
         signal.setitimer(signal.ITIMER_PROF, limit)
         signal.setitimer(signal.ITIMER_REAL, 10.0 * limit + 30.0)
         try:
