@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from postproc import frames, toolpath
 from postproc.machining.estimate import _no_contact, _out_of_scale
-from postproc.machining.tool_path import Shift, straight_segments, towards_spindle
+from postproc.machining.tool_path import Shift, straight_segments, tool_states, towards_spindle
 from tests.toolpath.setting import BASES, START, begins, mixed, point
 
 FRAME = frames.pose_from_xyzabc([12.0, -7.0, 30.0, 25.0, -15.0, 40.0])
@@ -158,3 +158,47 @@ def test_a_path_five_times_as_large_as_the_stock_is_a_warning():
             found = _out_of_scale(cutting(end, begin, begin + 9.0), BOUNDS)
             assert [issue.kind for issue in found] == expected
             assert not found or "the path is 5 times as large as the stock" in found[0].message
+
+
+class Tools:
+    """A process of two tools, and one for all other numbers: (rpm, spindle) of each."""
+
+    path = "part.process.toml"
+
+    def __init__(self, **of_key):
+        self.tools = {key: SimpleNamespace(rpm=rpm, spindle=spindle) for key, (rpm, spindle) in of_key.items()}
+
+    def tool(self, number):
+        key = str(number) if str(number) in self.tools else "default"
+        return (key, self.tools[key]) if key in self.tools else None
+
+
+TOOLS_OF = Tools(**{"1": (5000.0, "M4"), "2": (None, "M3"), "default": (700.0, "M3")})
+
+
+@pytest.mark.parametrize("speeds", [False, True], ids=["of the process", "of the program"])
+@pytest.mark.parametrize("seed", range(6))
+def test_tool_speed_and_hand_of_each_motion_are_those_of_the_last_statements_before_it(seed, speeds):
+    """By a loop over motions; speeds of the process count only if the program gives none."""
+    random, made = np.random.default_rng(seed), mixed()
+    kinds = ["tool_change"] + (["spindle_on", "spindle_ccw", "spindle_off"] if speeds else ["spindle_off"])
+    places = np.sort(random.integers(0, 7, 6))
+    events = []
+    for n, (kind, place) in enumerate(zip(random.choice(kinds, 6), places, strict=True)):
+        value = float(random.integers(1, 4)) if kind == "tool_change" else 900.0 + n
+        events.append(SimpleNamespace(kind=kind, before=int(place), value=value))
+    given = any(event.kind in ("spindle_on", "spindle_ccw") for event in events)
+    found = tool_states(replace(made, events=tuple(events)), TOOLS_OF)
+    for k in range(7):
+        number, rpm, hand = -1, 0.0, 1
+        for event in events:
+            if event.before <= k and event.kind == "tool_change":
+                number = int(event.value)
+            elif event.before <= k and event.kind == "spindle_off":
+                rpm = 0.0
+            elif event.before <= k:
+                rpm, hand = event.value, -1 if event.kind == "spindle_ccw" else 1
+        key, tool = TOOLS_OF.tool(number)
+        if not given and tool.rpm is not None:
+            rpm, hand = tool.rpm, -1 if tool.spindle == "M4" else 1
+        assert (found.keys[found.tool[k]], found.rpm[k], found.hand[k], found.number[k]) == (key, rpm, hand, number)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from msgspec.structs import replace
+from scipy.stats import t as student
 
 from postproc import robot
 from postproc.cli import main
@@ -148,3 +149,15 @@ def test_options_without_a_command_plan_poses():
     assert done.exit_code == 2
     assert "Usage: main plan poses" in done.output
     assert "Missing option '--experiment'" in done.output
+
+
+@pytest.mark.parametrize(
+    ("m", "k", "repeats", "dof"),
+    [(3, 2, 1, (9 - 7) + (12 - 4 - 4)), (3, 2, 2, 6 + 27), (4, 3, 3, (12 - 7) + (24 - 6 - 4) + 2 * 48)],
+)
+def test_intervals_count_what_the_circles_and_the_repeats_leave(m, k, repeats, dof):
+    """Coordinates of P1 and of the markers in their planes, less the unknowns; of each further repeat all three."""
+    q2, beta = np.radians(np.linspace(-130.0, -20.0, m)), cg.even_angles(k)
+    wide = expected_intervals(TRUE, q2, beta, SIGMA, repeats)
+    one = np.sqrt(np.diag(cg.expected_covariance(TRUE, q2, np.full(k, 0.15), beta, SIGMA**2 / repeats)))
+    np.testing.assert_allclose(wide / one, student.ppf(0.975, dof), rtol=1e-5)
