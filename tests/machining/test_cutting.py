@@ -13,6 +13,7 @@ from postproc.machining import cutting
 from postproc.machining.cutting import Engaged
 from postproc.machining.material import CuttingLaw
 from postproc.machining.tool import Cutter, Turn, _covered, edge
+from tests.machining.setting import forces, gcode, process, tool
 
 LINEAR = CuttingLaw((800e6, 500e6, -300e6), (30e3, -20e3, 12e3), 0.0, 0.1, "linear")
 KIENZLE = CuttingLaw((900e6, 400e6, 250e6), (0.0, 0.0, 0.0), 0.25, 0.1, "Kienzle")
@@ -160,3 +161,27 @@ def test_a_place_covers_the_parts_of_a_turn_whose_middles_are_within_it():
             middles = (part + 0.5) * turn / 24 + np.arange(-8, 9) * turn
             there = bool((np.abs(middles - phi[place]) < 0.5 * width[place]).any())
             assert found[place, part] == there
+
+
+@pytest.mark.parametrize(
+    ("shape", "block", "cells"),
+    [
+        ("flat", "G1 X20 F2400", 0.5),  # the cylinder alone: finer
+        ("ball", "G1 X20 F2400", 1.0),
+        ("flat", "G1 X20 Z-4 F2400", 1.0),  # on a ramp the end face cuts too
+    ],
+)
+def test_points_of_the_edge_are_a_cell_apart_at_the_rim_and_half_of_one_on_a_cylinder(
+    tmp_path, monkeypatch, shape, block, cells
+):
+    steps, honest = [], Turn.of.__func__
+
+    def of(cls, *given):
+        steps.append(given[3])
+        return honest(cls, *given)
+
+    monkeypatch.setattr(Turn, "of", classmethod(of))
+    text = gcode("G0 X-10 Y-3 Z5", "G0 Z-3", block)
+    forces(tmp_path, text, process(tool(10, 2, shape), ((0, 40), (-20, 20), (-20, 0)), resolution=0.5))
+    assert steps
+    np.testing.assert_allclose(steps, cells * 0.5e-3)
