@@ -5,19 +5,23 @@ the nominal geometry has it, but for its deflection. Bodies are convex solids an
 (Pan, Chitta, Manocha, "FCL: a general purpose library for collision and proximity queries", ICRA 2012).
 """
 
-from postproc.collision.along import Closest, Hits, along, hits
-from postproc.collision.bodies import Body, Scene
+from postproc.collision.along import Closest, Hits, along, among, hits
+from postproc.collision.bodies import Body, Cylinder, Scene, cylinders, inside
 from postproc.collision.distance import Clearance, Solids, clearance, link_frames
 
 __all__ = [
     "Body",
     "Clearance",
     "Closest",
+    "Cylinder",
     "Hits",
     "Scene",
     "Solids",
     "along",
+    "among",
     "clearance",
+    "cylinders",
     "hits",
+    "inside",
     "link_frames",
 ]

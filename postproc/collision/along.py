@@ -70,7 +70,11 @@ def along(scene: Scene, q: Array, need: float, shift: Array | None = None, comma
     :param shift: (n, 3) how far E1 carries the robot from the root [m].
     :raises InputError: the package python-fcl is not installed.
     """
-    solids = Solids(scene)
+    return among(Solids(scene), q, need, shift, commanded)
+
+
+def among(solids: Solids, q: Array, need: float, shift: Array | None = None, commanded: Array | None = None) -> Hits:
+    """Return what `along` does, for the pairs of some bodies."""
     search = _Search(solids, q, need, shift, closest=True)
     if commanded is not None:
         search.less = _displaced(solids, q, commanded)

@@ -24,6 +24,8 @@ _APART = {"arm": 4, "cutter": 3, "tool": 3}
 _WIDE = (0.075, 0.07, 0.055, 0.045, 0.034, 0.03, 0.026)
 """Radii of the capsules of base and links, of the length of the arm: assumed, as pages draw an arm without meshes."""
 _SIDES = 32
+ACCURACY = 0.5e-3
+"""To which distances are computed [m]."""
 Kind = Literal["box", "cylinder", "capsule", "mesh"]
 Of = Literal["arm", "cutter", "tool", "obstacle", "part"]
 _FIXED = ("obstacle", "part")
@@ -146,22 +148,41 @@ def _capsules(robot: RobotModel) -> Iterator[Body]:
                 yield capsule(_link(carrier), carrier, "arm", begin, to, radius)
 
 
+class Cylinder(Struct, frozen=True):
+    """A cylinder of the tool along its axis: `begin` and `end` above the tip [m]; `cuts`: it is the cutter."""
+
+    name: str
+    radius: float
+    begin: float
+    end: float
+    cuts: bool
+
+
+def cylinders(parts: Sequence[HolderTable]) -> Iterator[Cylinder]:
+    """Yield the cylinders of [collision] holder, from the tip upwards."""
+    height = 0.0
+    for number, part in enumerate(parts, 1):
+        if part.mesh is None:
+            assert part.diameter_mm is not None
+            assert part.length_mm is not None
+            above = height + part.length_mm * M_PER_MM
+            name = part.name or ("cutter" if number == 1 else f"holder {number}")
+            yield Cylinder(name, 0.5 * part.diameter_mm * M_PER_MM, height, above, number == 1)
+            height = above
+
+
 def _held(parts: Sequence[HolderTable], tool: Array, axis: str, folder: Path) -> Iterator[Body]:
     """Yield what the flange carries: cylinders stacked from the tip upwards, and meshes in the flange frame."""
     sign, letter = axis[0], axis[1]
     up = -(1.0 if sign == "+" else -1.0) * tool[:3, "XYZ".index(letter)]
     tip = tool[:3, 3]
+    for each in cylinders(parts):
+        of: Of = "cutter" if each.cuts else "tool"
+        yield cylinder(each.name, FLANGE, of, tip + up * each.begin, tip + up * each.end, each.radius)
     for number, part in enumerate(parts, 1):
-        name = part.name or ("cutter" if number == 1 and part.mesh is None else f"holder {number}")
         if part.mesh is not None:
             points, faces = _read(part.mesh, folder)
-            yield _mesh(name, FLANGE, "tool", points, faces)
-            continue
-        assert part.diameter_mm is not None
-        assert part.length_mm is not None
-        above = tip + up * part.length_mm * M_PER_MM
-        yield cylinder(name, FLANGE, "cutter" if number == 1 else "tool", tip, above, 0.5 * part.diameter_mm * M_PER_MM)
-        tip = above
+            yield _mesh(part.name or f"holder {number}", FLANGE, "tool", points, faces)
 
 
 def _obstacle(table: ObstacleTable, number: int, base: Array, folder: Path) -> Body:
@@ -203,6 +224,14 @@ def cylinder(name: str, carrier: int, of: Of, begin: Array, end: Array, radius: 
     around = radius / np.cos(np.pi / _SIDES)
     mesh = creation.cylinder(radius=around, height=length, sections=_SIDES, transform=pose)
     return _round(name, carrier, of, "cylinder", (radius, length), pose, mesh)
+
+
+def inside(cutter: Body) -> Body:
+    """Return the capsule in a cutter whose shape is not known: with a round end, and smaller by the accuracy [m]."""
+    radius, length = cutter.size
+    half = max(0.5 * length - radius, 1e-4)
+    begin, end = (cutter.pose[:3, 3] + sign * half * cutter.pose[:3, 2] for sign in (-1.0, 1.0))
+    return capsule(cutter.name, cutter.carrier, "tool", begin, end, max(min(radius, 0.5 * length) - ACCURACY, 1e-4))
 
 
 def capsule(name: str, carrier: int, of: Of, begin: Array, end: Array, radius: float) -> Body:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from copy import copy
 from typing import Any
 
@@ -78,7 +79,12 @@ def link_frames(chain: Chain, q: Array, shift: Array | None = None) -> Array:
 class Solids:
     """The bodies of a scene as FCL has them."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, pairs: Iterable[tuple[int, int]] | None = None) -> None:
+        """Make the solids.
+
+        :param pairs: rows of bodies to compare, the one that moves first; None: all pairs that matter.
+        :raises InputError: the package python-fcl is not installed.
+        """
         try:
             import fcl
         except ImportError:
@@ -89,7 +95,7 @@ class Solids:
         self.fcl = fcl
         self.scene = scene
         self.bodies = scene.bodies
-        self.pairs = list(scene.pairs())
+        self.pairs = list(scene.pairs() if pairs is None else pairs)
         self.calls = 0
         self.convex = [body.kind != "mesh" or _is_convex(body) for body in scene.bodies]
         self.objects = [
@@ -99,6 +105,15 @@ class Solids:
         self.request = fcl.DistanceRequest(enable_nearest_points=False, enable_signed_distance=False)
         self.spheres = [body.sphere for body in scene.bodies]
         self.spans = [_span(body) for body in scene.bodies]
+
+    def with_last(self, body: Body) -> Solids:
+        """Return the bodies with another mesh in place of the last one."""
+        out = copy(self)
+        out.bodies = (*self.bodies[:-1], body)
+        out.convex = [*self.convex[:-1], False]
+        out.objects = [*self.objects[:-1], self.fcl.CollisionObject(self._geometry(body, convex=False))]
+        out.spheres, out.spans = [*self.spheres[:-1], body.sphere], [*self.spans[:-1], _span(body)]
+        return out
 
     def with_base(self, motion: Array) -> Solids:
         """Return the bodies with those that move with `$BASE` moved by (4, 4) in the root."""

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import chain
 
 import numpy as np
 from msgspec import Struct
 
 from postproc import collision
+from postproc.correction.stock_contact import States, with_parts, with_stock
 from postproc.errors import Issue
-from postproc.frames import M_PER_MM, MM_PER_M, Array
-from postproc.program import Ints
+from postproc.forces import StockInTime
+from postproc.frames import M_PER_MM, MM_PER_M, Array, norm
+from postproc.placement.samples import AXIS
+from postproc.program import Bools, Ints
 from postproc.under_load import PathUnderLoad
 
+_ALONG = 1e-4
+"""Steps whose cosine of the angle to the tool axis is less than 1 by this at most are along it."""
 _NOTHING = 1e-6
 """Corrections that move bodies by less [m] are not worth a word."""
 
@@ -52,28 +58,70 @@ def of_path(path: PathUnderLoad, commanded: Array) -> tuple[SmallestClearance | 
     program, need = path.program, table.clearance_mm * M_PER_MM
     line = program.motions.line[path.sample.motion]
     smallest: SmallestClearance | None = None
-    worst: dict[tuple[str, str], tuple[float, int, set[int]]] = {}
+    worst = _Worst()
+    stock = path.motions.forces.stock
     for rows, tool in _runs(program.motions.tool[path.sample.motion]):
         scene = collision.Scene.of(robot_in_cell.robot, robot_in_cell.cell, program.tools[tool])
         before = robot_in_cell.cell.start_joints if rows.start == 0 else path.joints.q[rows.start - 1]
         q = np.concatenate([before[None], path.joints.q[rows]])
         other = np.concatenate([before[None], commanded[rows]])
-        found = collision.along(scene, q, need, _shift(path, rows), None if np.array_equal(q, other) else other)
+        corrected = None if np.array_equal(q, other) else other
+        shift = _shift(path, rows)
+        found = collision.along(scene, q, need, shift, corrected)
         own = np.append(line[rows][:1], line[rows])
         closest = found.closest
         if smallest is None or (closest is not None and closest.distance < smallest.distance):
             names = ("", "") if closest is None else _names(scene, closest.first, closest.second)
             at = 0 if closest is None else closest.row
             distance = np.inf if closest is None else closest.distance
-            smallest = SmallestClearance(
-                distance, names, int(own[at]), scene, (*scene.remarks, *_corrected(found.less))
-            )
+            remarks = (*scene.remarks, *_of_stock(scene, stock), *_corrected(found.less))
+            smallest = SmallestClearance(distance, names, int(own[at]), scene, remarks)
         for row, first, second, distance in zip(found.row, found.first, found.second, found.distance, strict=True):
-            key = _names(scene, first, second)
-            least, at, lines = worst.get(key, (np.inf, 0, set()))
-            at, least = (int(own[row]), distance) if distance < least else (at, least)
-            worst[key] = least, at, lines | {int(own[row])}
-    return smallest, [_issue(key, *found, table.clearance_mm) for key, found in worst.items()]
+            worst.note(_names(scene, first, second), float(distance), int(own[row]), need)
+        states = States(path.sample.motion[rows], q, corrected, shift)
+        contacts = with_parts(scene, states, program.motions.rapid[states.motion] & ~_retracts(path, rows))
+        if stock is not None:
+            contacts = chain(contacts, with_stock(scene, states, stock, need))
+        for each in contacts:
+            worst.note(each.names, each.distance, int(program.motions.line[each.motion]), each.need)
+    return smallest, worst.issues()
+
+
+def _retracts(path: PathUnderLoad, rows: slice) -> Bools:
+    """Return at which samples (n,) the tool comes along its own axis, away from the part: it leaves its cut."""
+    pose = path.sample.pose
+    before = np.maximum(np.arange(rows.start, rows.stop) - 1, 0)
+    step = pose[rows, :3, 3] - pose[before, :3, 3]
+    up = -pose[rows, :3, :3] @ np.array(AXIS[path.robot_in_cell.spindle])
+    return np.asarray(np.einsum("ni,ni->n", step, up) >= (1.0 - _ALONG) * norm(step))
+
+
+class _Worst:
+    """The smallest distance of each two bodies that come too close, and the lines on which they do."""
+
+    def __init__(self) -> None:
+        self._of: dict[tuple[str, str], tuple[float, int, set[int], float]] = {}
+
+    def note(self, names: tuple[str, str], distance: float, line: int, need: float) -> None:
+        """Note a distance [m] that is less than what is needed."""
+        least, at, lines, _ = self._of.get(names, (np.inf, 0, set(), need))
+        at, least = (line, distance) if distance < least else (at, least)
+        self._of[names] = least, at, lines | {line}, need
+
+    def issues(self) -> list[Issue]:
+        """Return an error for each two bodies."""
+        return [_issue(names, *found) for names, found in self._of.items()]
+
+
+def _of_stock(scene: collision.Scene, stock: StockInTime | None) -> Iterator[str]:
+    """Yield what is known of the stock, in words."""
+    if stock is not None:
+        yield (
+            "the stock of the process counts as it is at each move, for arm and meshes rounded up to cells of "
+            f"{stock.accuracy * MM_PER_M:.2g} mm; it is not in the smallest clearance"
+        )
+    elif not any(body.of == "part" for body in scene.bodies):
+        yield "the stock is not checked: there is no process with [material], and no obstacle with part = true"
 
 
 def _runs(tool: Ints) -> Iterator[tuple[slice, int]]:
@@ -107,8 +155,9 @@ def _names(scene: collision.Scene, first: int, second: int) -> tuple[str, str]:
     return scene.bodies[int(first)].name, scene.bodies[int(second)].name
 
 
-def _issue(names: tuple[str, str], distance: float, line: int, lines: set[int], need_mm: float) -> Issue:
+def _issue(names: tuple[str, str], distance: float, line: int, lines: set[int], need: float) -> Issue:
     first, second = names
+    need_mm = need * MM_PER_M
     how = "touches or is inside" if distance == 0.0 else f"comes within {distance * MM_PER_M:.2g} mm of"
     message = (
         f"collision: {first} {how} {second}; [collision] asks for {need_mm:g} mm. Move the part, turn the tool, or "

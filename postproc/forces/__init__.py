@@ -13,7 +13,7 @@ from postproc.forces.path_forces import (
     refined_arcs,
     swing_places,
 )
-from postproc.forces.sources import ByLaw, ForceSource, Knots, read
+from postproc.forces.sources import ByLaw, ForceSource, Knots, StockInTime, read
 from postproc.forces.table import of_pieces, of_targets, once_a_line, read_force_csv
 
 __all__ = [
@@ -23,6 +23,7 @@ __all__ = [
     "ForceSource",
     "Knots",
     "PathForces",
+    "StockInTime",
     "assign",
     "displacement_estimate",
     "last_travel",

@@ -11,10 +11,11 @@ from __future__ import annotations
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc.errors import MOST, ForceError, Issue, together
 from postproc.forces.axes import TURNS, Axes, last_travel, lines_run_across, runs_across
-from postproc.forces.sources import BASE, FEED, ByLaw, ForceSource, Knots, of_comments
+from postproc.forces.sources import BASE, FEED, ByLaw, ForceSource, Knots, StockInTime, of_comments
 from postproc.frames import Array, any_column, largest, norm
 from postproc.program import CIRC, LIN, SPL, Bools, Ints, Program, constant, distinct
 from postproc.toolpath import DisplacementEstimate, Pieces, Segments, Toolpath, at, circle_through
@@ -43,6 +44,7 @@ class PathForces(Struct, frozen=True, eq=False):
     :param ramped: (M,) True if the force builds up over the ramp of the cell.
     :param issues: warnings and notes for the user, e.g. cutting moves without a force.
     :param by_law: motions whose forces a cutting law computes; None if there are none.
+    :param stock: the stock over time, if the source of forces knows it.
     """
 
     axes: Axes
@@ -56,6 +58,7 @@ class PathForces(Struct, frozen=True, eq=False):
     ramped: Bools
     issues: tuple[Issue, ...]
     by_law: ByLaw | None
+    stock: StockInTime | None = None
 
     def at(self, sample: Toolpath) -> Array:
         """Return the wrench (N, 6) at samples of the path [N, N·m], `$BASE` axes of their motions."""
@@ -102,11 +105,11 @@ def assign(program: Program, path: Segments, source: ForceSource | None, axis: s
         a move along the spindle, without any move across it; a force on a move from [start] of the cell.
     """
     m = program.motions
-    given, issues, by_law = of_comments(program), [], None
+    given, issues, by_law, stock = of_comments(program), [], None, None
     if source is not None:
         own = source.along(program, path).checked(program, source.name)
         issues += list(own.issues)
-        by_law = own.by_law
+        by_law, stock = own.by_law, own.stock
         issues += _warning(
             program, own.motion[any_column(own.wrench != 0.0) & m.rapid[own.motion]], "force-on-rapid", _ON_RAPID
         )
@@ -120,7 +123,8 @@ def assign(program: Program, path: Segments, source: ForceSource | None, axis: s
     none = np.flatnonzero(without)
     given = given.over(Knots.throughout(none, np.zeros((len(none), 6)), np.full(len(none), BASE)))
     travel, lead = _travel(program, path, given, axis)
-    return _resolved(given, Axes(program, path, axis, travel), ramp, (*issues, *lead), by_law)
+    resolved = _resolved(given, Axes(program, path, axis, travel), ramp, (*issues, *lead), by_law)
+    return replace(resolved, stock=stock)
 
 
 def _check_start(program: Program, given: Knots) -> None:

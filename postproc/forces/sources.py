@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from postproc.chunks import Columns
 from postproc.errors import ForceError, Issue, PostprocError
@@ -32,6 +33,21 @@ class ByLaw(Struct, frozen=True, eq=False):
     motion: Ints
 
 
+class StockInTime(Protocol):
+    """The stock of a program over time, as an upper bound of what is there."""
+
+    @property
+    def compared(self) -> Bools:
+        """(M,) motions on which the parts of the tool along its axis were compared with the stock."""
+
+    @property
+    def accuracy(self) -> float:
+        """By how much the bound is larger than the stock at most [m]."""
+
+    def mesh(self, motion: int) -> tuple[Array, NDArray[np.int64]]:
+        """Return all material when a motion begins: vertices (V, 3) in the robot root [m], faces (F, 3)."""
+
+
 class Knots(Columns, frozen=True, eq=False):
     """The wrench at K places along motions: linear from one to the next, constant before the first and after the last.
 
@@ -48,6 +64,7 @@ class Knots(Columns, frozen=True, eq=False):
         first `force_ramp_mm`; otherwise the force is as given from the start of the motion.
     :param issues: warnings and notes for the user.
     :param by_law: motions whose forces a cutting law computes.
+    :param stock: the stock over time, if the source knows it.
     """
 
     motion: Ints
@@ -58,6 +75,7 @@ class Knots(Columns, frozen=True, eq=False):
     ramped: Bools
     issues: tuple[Issue, ...] = ()
     by_law: ByLaw | None = None
+    stock: StockInTime | None = None
 
     @classmethod
     def throughout(cls, motion: Ints, wrench: Array, frame: Ints, sigma: Array | None = None) -> Knots:
@@ -75,10 +93,10 @@ class Knots(Columns, frozen=True, eq=False):
         return len(self.motion)
 
     def over(self, other: Knots) -> Knots:
-        """Return these knots, plus those of `other` for motions without a knot here; without `issues` and `by_law`."""
+        """Return these knots, plus those of `other` for motions without a knot here; without what else sources give."""
         kept = other.take(~np.isin(other.motion, self.motion))
         order = np.argsort(np.append(self.motion, kept.motion), kind="stable")  # those of one motion are in order
-        return replace(Knots.joined([self, kept]).take(order), issues=(), by_law=None)
+        return replace(Knots.joined([self, kept]).take(order), issues=(), by_law=None, stock=None)
 
     def checked(self, program: Program, name: str) -> Knots:
         """Return these knots if they can be used for a program.

@@ -12,17 +12,20 @@ conversion: swept, corrected, written, read back and simulated.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from msgspec.structs import replace
 
 from postproc import correction, forces, machining, toolpath
-from postproc.cell import Cell
+from postproc.cell import Cell, Collision
+from postproc.collision import cylinders
 from postproc.correction import HeldFeed, Result
 from postproc.errors import InputError, Issue
-from postproc.frames import MM_PER_M, Array, norm
+from postproc.frames import M_PER_MM, MM_PER_M, Array, norm
 from postproc.machining import ProcessForces, ProcessSource, Shift
+from postproc.machining.remaining import Guard, Part
 from postproc.machining.stock import as_trimesh
 from postproc.program import Bools, Program
 from postproc.robot import RobotModel
@@ -170,7 +173,14 @@ def read(path: Path, cell: Cell, progress: Callable[[int, int], None] | None = N
     :param progress: called with the segments of the path done, and their number, in each sweep of the stock.
     :raises ForceError: it is unusable.
     """
-    return ProcessSource(machining.load(path), cell.tool.axis, progress=progress)
+    guard = None if cell.collision is None else partial(_guard, cell.collision)
+    return ProcessSource(machining.load(path), cell.tool.axis, guard=guard, progress=progress)
+
+
+def _guard(table: Collision) -> Guard:
+    """Return what must stay clear of the stock: the cylinders of the tool above the cutter."""
+    parts = [Part(each.name, each.radius, each.begin) for each in cylinders(table.holder) if not each.cuts]
+    return Guard(parts, table.clearance_mm * M_PER_MM)
 
 
 def stock(found: ProcessForces) -> bytes:
@@ -221,7 +231,7 @@ def predicted(program: Program, robot: RobotModel, cell: Cell, source: ProcessSo
         "program has the nominal engagement."
     )
     note = Issue("info" if settled else "warning", "real-cut", message)
-    hits = [issue for issue in source.found.issues if issue.kind == "rapid-in-material"]
+    hits = [issue for issue in source.found.issues if issue.kind in ("rapid-in-material", "collision")]
     return replace(result, issues=(*result.issues, *hits, note)), cut
 
 

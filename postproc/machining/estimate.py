@@ -8,22 +8,25 @@ from typing import Any
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from postproc import files
 from postproc.errors import MOST, ForceError, Issue, together
 from postproc.forces import Knots
-from postproc.frames import M_PER_MM, Array, inverse
+from postproc.frames import M_PER_MM, MM_PER_M, Array, inverse
 from postproc.machining import stock as stocks
 from postproc.machining.material import CuttingLaw
 from postproc.machining.process import Process, box_corners
 from postproc.machining.profiles import thinned, without_steps
+from postproc.machining.remaining import Ceiling, Guard, StockInTime
 from postproc.machining.stock import Stock
 from postproc.machining.sweep import Cuts, Sweep
 from postproc.machining.tool_path import (
     Shift,
     StraightSegments,
     ToolStates,
+    home_base,
     refuse_unread_cuts,
     straight_segments,
     tool_states,
@@ -60,6 +63,7 @@ class ProcessForces(Struct, frozen=True, eq=False):
     :param map_in_base: (4, 4) frame of the map of the stock in `$BASE` of the first cutting motion.
     :param removed: volume [m³].
     :param issues: warnings and notes for the user.
+    :param over_time: the stock over time, if it was swept with a guard.
     """
 
     along: Knots
@@ -71,6 +75,7 @@ class ProcessForces(Struct, frozen=True, eq=False):
     map_in_base: Array
     removed: float
     issues: tuple[Issue, ...]
+    over_time: StockInTime | None
 
     def mesh(self, most_cells: int = 250_000) -> tuple[Array, NDArray[np.int64]]:
         """Return the remaining stock as a closed mesh in `$BASE`: vertices (V, 3) [m], faces (F, 3).
@@ -90,6 +95,7 @@ def estimate(
     stock: Path | None = None,
     base_axes: bool = False,
     shift: Shift | None = None,
+    guard: Guard | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> ProcessForces:
     """Return the cutting forces of a program.
@@ -99,6 +105,8 @@ def estimate(
     :param stock: mesh of the stock, instead of that of the process.
     :param base_axes: give all wrenches in `$BASE` axes.
     :param shift: displacement of the tip, see `Shift`.
+    :param guard: parts of the tool that must stay clear of the stock: where they, or cutters in rapid moves, do not,
+        is an error.
     :param progress: called with the number of straight segments done, and their total number.
     :raises ProgramError: a routine that cuts is not followed.
     :raises ForceError: missing data in the process, unusable stock, no contact at all, the spindle is off while the
@@ -128,7 +136,8 @@ def estimate(
             issues += _hollows(start, left)
         steps = straight_segments(program, path, tools, setup.frame, cell, shift) if number else every
         steps = steps.of(setup.motions)
-        sweep = Sweep(material, process, tools, program.motions.feed, law, deflected=shift is not None)
+        ceiling = None if guard is None else Ceiling(material)
+        sweep = Sweep(material, process, tools, program.motions.feed, law, shift is not None, guard, ceiling)
         cuts = _thinned(sweep, steps, _offset(progress, done, total))
         done += len(steps.motion)
         sweeps.append(sweep)
@@ -141,11 +150,12 @@ def estimate(
     if not any(sweep.contact for sweep in sweeps):
         raise _no_contact(program, every, bounds, process, stock)
     cuts = Cuts.joined(parts)
-    collided = set[int]().union(*(sweep.collided for sweep in sweeps))
+    collided = {motion: depth for sweep in sweeps for motion, depth in sweep.collided.items()}
     stopped = set[int]().union(*(sweep.stopped for sweep in sweeps))
     issues += unread_cuts(program)
     issues += _out_of_scale(every, bounds)
-    issues += _issues(program, (collided, stopped), law, cuts, tools, process)
+    issues += _issues(program, stopped, law, cuts, tools, process)
+    issues += _collisions(program, collided, guard)
     power = np.zeros(len(program.motions))
     np.maximum.at(power, cuts.motion, cuts.power)
     return ProcessForces(
@@ -158,6 +168,21 @@ def estimate(
         map_in_base=setups[-1].frame,
         removed=removed + start - material.volume(),
         issues=tuple(issues),
+        over_time=None if guard is None else _over_time(program, setups, sweeps, every),
+    )
+
+
+def _over_time(program: Program, setups: list[_Setup], sweeps: list[Sweep], every: StraightSegments) -> StockInTime:
+    """Return the stock over time of swept set-ups."""
+    compared = np.zeros(len(program.motions), dtype=bool)
+    compared[every.motion] = True
+    compared &= np.any([setup.motions for setup in setups], axis=0)
+    base = program.bases[home_base(program)]
+    return StockInTime(
+        tuple(int(np.argmax(setup.motions)) for setup in setups),
+        tuple(base @ setup.frame for setup in setups),
+        tuple(sweep.ceiling for sweep in sweeps if sweep.ceiling is not None),
+        compared,
     )
 
 
@@ -325,7 +350,7 @@ def _check_speed(program: Program, steps: StraightSegments, tools: ToolStates) -
 
 def _issues(
     program: Program,
-    met: tuple[set[int], set[int]],
+    stopped: set[int],
     law: CuttingLaw,
     cuts: Cuts,
     tools: ToolStates,
@@ -333,11 +358,10 @@ def _issues(
 ) -> list[Issue]:
     """Return warnings and notes for the user.
 
-    :param met: motions in contact with material: rapid ones, and those with the spindle off.
+    :param stopped: motions through material with the spindle off.
     :raises ForceError: the spindle is off on cutting moves in contact with material.
     """
     lines, name = program.motions.line, program.documents[0].name
-    collided, stopped = met
     if stopped:
         advice = "Start the spindle (M3 S…) before the cut, or lift the tool."
         raise together(
@@ -345,12 +369,6 @@ def _issues(
             for line in sorted({int(lines[motion]) for motion in stopped})[: MOST + 1]
         )
     issues = []
-    if collided:
-        hit = sorted({int(lines[motion]) for motion in collided})
-        message = (
-            f"a rapid move goes through material (line {', '.join(map(str, hit[:5]))}{' …' if len(hit) > 5 else ''})"
-        )
-        issues.append(Issue("warning", "rapid-in-material", message, hit[0], count=len(hit)))
     if law.warning is not None:
         issues.append(Issue("warning", "material", law.warning))
     if law.unknown_axial:
@@ -381,6 +399,41 @@ def _issues(
         )
         issues.append(Issue("warning", "deep-cut", message, int(lines[cuts.motion[worst]]), count=len(deep)))
     return issues
+
+
+def _collisions(program: Program, collided: dict[int, float], guard: Guard | None) -> list[Issue]:
+    """Return the issues of what touches the stock and does not cut: errors if there is a guard.
+
+    :param collided: rapid motions through material, and how deep [m].
+    """
+    m, out = program.motions, []
+    if collided:
+        motion = np.array(sorted(collided))
+        hit = distinct(m.line[motion]).tolist()
+        deep = f"{max(collided.values()) * MM_PER_M:.2g} mm deep"
+        if guard is None:
+            where = f"line {', '.join(map(str, hit[:5]))}{' …' if len(hit) > 5 else ''}"
+            message = f"a rapid move goes through material ({where}), {deep}"
+            out.append(Issue("warning", "rapid-in-material", message, hit[0], count=len(hit)))
+        else:
+            message = f"collision: cutter goes {deep} into the stock in a rapid move. Retract, or cut here first"
+            out.append(replace(m.issue("error", "collision", message, motion), subject="cutter, stock"))
+    if guard is None:
+        return out
+    for part in guard.parts:
+        near = {motion: distance for (name, motion), distance in guard.close.items() if name == part.name}
+        if near:
+            worst = min(near, key=lambda motion: (near[motion], motion))
+            distance = near[worst] * MM_PER_M
+            how = "touches the stock" if distance == 0.0 else f"comes within {distance:.2g} mm of the stock"
+            message = (
+                f"collision: {part.name} {how} that is left here; [collision] asks for {guard.need * MM_PER_M:g} mm. "
+                "Use a longer tool, cut here first, or correct the holder in the cell"
+            )
+            lines = tuple(distinct(m.line[np.array(sorted(near))]).tolist())
+            issue = Issue("error", "collision", message, int(m.line[worst]), count=len(near), lines=lines)
+            out.append(replace(issue, subject=f"{part.name}, stock"))
+    return out
 
 
 def _too_strong(cuts: Cuts, lines: Ints, limit: float | None) -> list[Issue]:

@@ -15,6 +15,7 @@ from postproc.forces import ByLaw, Knots
 from postproc.frames import any_column
 from postproc.machining.estimate import ProcessForces, estimate
 from postproc.machining.process import OperationTable, Process
+from postproc.machining.remaining import Guard
 from postproc.machining.tool_path import Shift, refuse_unread_cuts
 from postproc.operations import Operation, ended, operations, title
 from postproc.program import FORCE_FRAMES, Ints, Program
@@ -139,6 +140,7 @@ class ProcessSource:
         *,
         stock: Path | None = None,
         shift: Shift | None = None,
+        guard: Callable[[], Guard] | None = None,
         progress: Callable[[int, int], None] | None = None,
     ) -> None:
         """Store a process.
@@ -146,10 +148,11 @@ class ProcessSource:
         :param axis: axis of the tool frame that points from the spindle to the tip.
         :param stock: mesh of the stock, instead of that of the process.
         :param shift: displacement of the tip, see `Shift`.
+        :param guard: makes what must stay clear of the stock, see `estimate`; None: nothing is compared with it.
         :param progress: of a sweep, see `estimate`.
         """
         self.process, self._axis, self._stock, self._shift = process, axis, stock, shift
-        self._progress = progress
+        self._progress, self._guard = progress, guard
         self._of: Program | None = None
         self._knots: Knots | None = None
         self.found: ProcessForces | None = None
@@ -177,12 +180,20 @@ class ProcessSource:
         computed = None
         if process.material is not None:
             self.found = estimate(
-                program, path, process, self._axis, stock=self._stock, shift=self._shift, progress=self._progress
+                program,
+                path,
+                process,
+                self._axis,
+                stock=self._stock,
+                shift=self._shift,
+                guard=None if self._guard is None else self._guard(),
+                progress=self._progress,
             )
             computed = replace(
                 self.found.along,
                 issues=self.found.issues,
                 by_law=ByLaw(process.law().numbers, self._scaled(self.found)),
+                stock=self.found.over_time,
             )
         if not process.operations:
             return Knots.throughout(*_NONE) if computed is None else computed
@@ -190,7 +201,7 @@ class ProcessSource:
         if computed is None or self.found is None:
             return given
         by_law = ByLaw(process.law().numbers, np.setdiff1d(self._scaled(self.found), given.motion))
-        return replace(given.over(computed), issues=computed.issues, by_law=by_law)
+        return replace(given.over(computed), issues=computed.issues, by_law=by_law, stock=computed.stock)
 
     @staticmethod
     def _scaled(found: ProcessForces) -> Ints:

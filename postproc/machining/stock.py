@@ -294,7 +294,15 @@ def depth_of(stock: Stock, cutter: Cutter, begin: Array, end: Array) -> float:
 
 def _footprints(stock: Stock, cutter: Cutter, begin: Array, end: Array, last: Bools) -> Iterator[_Footprint]:
     """Yield the cells under segments, a few segments at a time, small ones first."""
-    reach, cell = cutter.radius + stock.cell, stock.cell
+    for rows, corner, window in windows(stock, cutter.radius + stock.cell, begin, end):
+        under = _under(stock, cutter, (begin[rows], end[rows], last[rows]), corner, window)
+        if under is not None:
+            yield under
+
+
+def windows(stock: Stock, reach: float, begin: Array, end: Array) -> Iterator[tuple[Ints, Ints, Ints]]:
+    """Yield some segments at a time, small ones first: rows (k,), corners (k, 2) and size (2,) of parts of the map."""
+    cell = stock.cell
     origin = np.array([stock.x, stock.y])
     most = np.array(stock.high.shape[::-1])
     low = np.minimum(begin[:, :2], end[:, :2]) - reach - origin
@@ -311,9 +319,7 @@ def _footprints(stock: Stock, cutter: Cutter, begin: Array, end: Array, last: Bo
         done += len(rows)
         window = np.minimum(count[rows].max(axis=0), most)
         corner = np.minimum(first[rows], most - window)
-        under = _under(stock, cutter, (begin[rows], end[rows], last[rows]), corner, window)
-        if under is not None:
-            yield under
+        yield rows, corner, window
 
 
 def _under(
@@ -321,18 +327,13 @@ def _under(
 ) -> _Footprint | None:
     """Return the cells under segments (L, 3), each within a window of the map that begins at `corner` (L, 2)."""
     begin, end, last = segments
-    cell, columns = stock.cell, stock.high.shape[1]
-    column = corner[:, 0, None, None] + np.arange(window[0])
-    row = corner[:, 1, None, None] + np.arange(window[1])[:, None]
-    index = row * columns + column
+    cell = stock.cell
+    index, row, column = cells(stock, corner, window)
     lowest = np.minimum(begin[:, 2], end[:, 2])
     top = float(stock.high[int(row.min()) : int(row.max()) + 1, int(column.min()) : int(column.max()) + 1].max())
     if top <= float(lowest.min()):
         return None
-    origin = (begin[:, :2] - (stock.x, stock.y) - 0.5 * cell)[:, :, None, None]
-    px = (column * cell - origin[:, 0]).astype(np.float32)
-    py = (row * cell - origin[:, 1]).astype(np.float32)
-    away, level, ahead = _tool_over(cutter, begin, end, px, py)
+    away, level, ahead = tool_over(cutter, begin, end, *middles(stock, begin, row, column))
     inner = np.float32(cutter.radius - 0.5 * cell)
     wall = lowest + cutter.corner < top
     full = away < np.where(wall, inner, np.float32(cutter.radius)).astype(np.float32)[:, None, None]
@@ -348,7 +349,20 @@ def _under(
     return _Footprint(index[full], level[full], rim, covered, rim_level)
 
 
-def _tool_over(cutter: Cutter, begin: Array, end: Array, px: Floats, py: Floats) -> tuple[Floats, Floats, Bools]:
+def cells(stock: Stock, corner: Ints, window: Ints) -> tuple[Ints, Ints, Ints]:
+    """Return the cells (L, h, w) in windows as places in the flat map, with their rows and columns."""
+    column = corner[:, 0, None, None] + np.arange(window[0])
+    row = corner[:, 1, None, None] + np.arange(window[1])[:, None]
+    return row * stock.high.shape[1] + column, row, column
+
+
+def middles(stock: Stock, begin: Array, row: Ints, column: Ints) -> tuple[Floats, Floats]:
+    """Return x and y (L, h, w) of the middles of cells from the starts (L, 3) of segments [m]."""
+    origin = (begin[:, :2] - (stock.x, stock.y) - 0.5 * stock.cell)[:, :, None, None]
+    return (column * stock.cell - origin[:, 0]).astype(np.float32), (row * stock.cell - origin[:, 1]).astype(np.float32)
+
+
+def tool_over(cutter: Cutter, begin: Array, end: Array, px: Floats, py: Floats) -> tuple[Floats, Floats, Bools]:
     """Return for the cells of each segment, all (L, h, w): their distance from it [m], the lowest level of the tool
     above them [m], and whether they lie ahead of its end. Positions of cells are relative to the start of the segment.
 

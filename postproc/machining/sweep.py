@@ -18,6 +18,7 @@ from postproc.machining import cutting
 from postproc.machining.cutting import Engaged, engaged
 from postproc.machining.material import CuttingLaw, Floats
 from postproc.machining.process import Process
+from postproc.machining.remaining import Ceiling, Guard
 from postproc.machining.stock import Stock, depth_of, remove
 from postproc.machining.tool import BOTTOM, SIDE, Cutter, Edge, Turn, edge, some
 from postproc.machining.tool_path import StraightSegments, ToolStates
@@ -87,7 +88,9 @@ class Sweep(Struct, eq=False):
     """A stock, and the tools that cut it.
 
     :ivar deflected: the tip is displaced: on rapid moves it still springs back, and contact there is no collision.
-    :ivar collided: rapid motions through material; none if `deflected`.
+    :ivar guard: parts of the tool that must stay clear of the stock; None: they are not compared.
+    :ivar ceiling: with a guard, the stock over time.
+    :ivar collided: rapid motions through material, and how deep [m]; none if `deflected`.
     :ivar stopped: cutting motions through material with the spindle off.
     :ivar contact: whether any cutting move engaged material.
     """
@@ -98,7 +101,9 @@ class Sweep(Struct, eq=False):
     feed: Array
     law: CuttingLaw
     deflected: bool = False
-    collided: set[int] = field(default_factory=set)
+    guard: Guard | None = None
+    ceiling: Ceiling | None = None
+    collided: dict[int, float] = field(default_factory=dict)
     stopped: set[int] = field(default_factory=set)
     contact: bool = False
     _cutters: dict[int, Cutter] = field(default_factory=dict)
@@ -115,6 +120,7 @@ class Sweep(Struct, eq=False):
         for begin, end in self._groups(segments, near):
             if progress is not None:
                 progress(end)
+            self._guarded(segments, begin, end)
             if not near[begin]:
                 if segments.cutting[begin]:
                     yield self._in_air(segments, begin, end)
@@ -129,6 +135,15 @@ class Sweep(Struct, eq=False):
                 remove(self.stock, cutter, segments.begin[first], segments.end[[*(first[1:] - 1), end - 1]], last)
             else:
                 self._unwanted(segments, begin, end, cutter)
+            if self.ceiling is not None:
+                self.ceiling.sink(*_extent(segments, begin, end, cutter), int(segments.motion[end - 1]))
+
+    def _guarded(self, segments: StraightSegments, begin: int, end: int) -> None:
+        """Compare the parts of the tool that do not cut with the stock, before segments remove material."""
+        if self.guard is not None and self.ceiling is not None:
+            cutter = self._cutter(int(self.tools.tool[segments.motion[begin]]))
+            cuts = bool(segments.cutting[begin])
+            self.guard.check(self.ceiling, segments, slice(begin, end), cutter, removes=cuts)
 
     def _unwanted(self, segments: StraightSegments, begin: int, end: int, cutter: Cutter) -> None:
         """Record motions that touch material without cutting it (rapid, or spindle off), and remove that material."""
@@ -141,8 +156,11 @@ class Sweep(Struct, eq=False):
             return
         for k, motion in enumerate(segments.motion[begin:end].tolist()):
             one = slice(k, k + 1)
-            if depth_of(self.stock, cutter, start[one], stop[one]) > _TOUCHED:
-                (self.stopped if segments.cutting[begin] else self.collided).add(motion)
+            depth = depth_of(self.stock, cutter, start[one], stop[one])
+            if depth > _TOUCHED and segments.cutting[begin]:
+                self.stopped.add(motion)
+            elif depth > _TOUCHED:
+                self.collided[motion] = max(depth, self.collided.get(motion, 0.0))
             remove(self.stock, cutter, start[one], stop[one], np.ones(1, dtype=bool))
 
     def _near(self, segments: StraightSegments, top: float) -> Bools:
@@ -308,6 +326,12 @@ class Sweep(Struct, eq=False):
         if number not in self._edges:
             self._edges[number] = edge(self._cutter(number), self.stock.cell)
         return self._edges[number]
+
+
+def _extent(segments: StraightSegments, begin: int, end: int, cutter: Cutter) -> tuple[Array, Array]:
+    """Return the corners (3,) of a box around what a tool sweeps [m]."""
+    ends = np.concatenate([segments.begin[begin:end], segments.end[begin:end]])
+    return ends.min(axis=0) - cutter.radius, ends.max(axis=0) + cutter.radius
 
 
 def _runs(segments: StraightSegments, begin: int, end: int) -> Ints:

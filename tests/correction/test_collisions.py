@@ -130,3 +130,80 @@ def test_a_robot_that_an_axis_carries_holds_the_tool_where_the_program_says(carr
     assert code == 0, output
     assert report["collision"]["min_clearance_mm"] == pytest.approx(18.5, abs=0.5)
     assert report["collision"]["bodies"] == ["cutter", "vice"]
+
+
+MILLED = """G21 G90 G17 G94
+T1 M6
+S9000 M3
+G0 X-30 Y0 Z40
+{first}
+{then}
+G0 Z40
+M30
+"""
+SLOT = "G0 Z-5\nG1 X110 F3000\nG0 Z40\nG0 X-30"
+WAY = "G0 Z-5\nG0 X110\nG0 Z40\nG0 X-30"
+MILL = "holder = [ { diameter_mm = 20, length_mm = 60 }, { name = 'spindle', diameter_mm = 120, length_mm = 180 } ]"
+
+
+def milled(first: str, then: str, collision: str = MILL, command: str = "convert"):
+    """Exit code and output for a program through a block of 100 × 60 × 30 mm."""
+    Path("part.nc").write_text(MILLED.format(first=first, then=then))
+    Path("process.toml").write_text(
+        '[material]\nname = "al_7075_t6_carbide"\n[tools.1]\ndiameter_mm = 20\nflutes = 4\n[stock]\n'
+        "box = { X = [0, 100], Y = [-30, 30], Z = [-30, 0] }\nresolution_mm = 1.0\n"
+    )
+    text = (ROOT / "samples" / "cell_kr270.toml").read_text()
+    text = text.replace("[0, -70, 110, 0, 50, 0]", "[0, -90, 100, 0, 80, 0]")
+    Path("cell.toml").write_text(f"{text}\n[collision]\n{collision}\n")
+    arguments = [command, "part.nc", "--cell", "cell.toml", "-o", "out", "--process", "process.toml", "--overwrite"]
+    done = CliRunner().invoke(main, arguments)
+    return done.exit_code, done.output
+
+
+def test_a_rapid_through_stock_is_an_error_until_the_stock_was_cut():
+    code, output = milled(SLOT, WAY)
+    assert code == 0, output
+    assert "the stock of the process counts as it is at each move" in output
+    code, output = milled(WAY, SLOT.replace("Z-5", "Z-8"))
+    assert code == 1
+    assert "part.nc:6: collision: cutter goes 5 mm deep into the stock in a rapid move" in output
+
+
+def test_the_spindle_that_goes_into_a_wall_is_an_error_with_millimetres():
+    """The spindle, D 120, begins 12 mm above the tip: in a slot 8 deep it is 4 mm above the top."""
+    short = MILL.replace("length_mm = 60", "length_mm = 12")
+    deep = SLOT.replace("Z-5", "Z-8")
+    code, output = milled(deep, "", f"clearance_mm = 3.9\n{short}")
+    assert code == 0, output
+    code, output = milled(deep, "", f"clearance_mm = 4.5\n{short}")
+    assert code == 1
+    assert "spindle comes within 4 mm of the stock that is left here; [collision] asks for 4.5 mm" in output
+    assert "part.nc:5: collision" in output  # at X-30 it is over the block already
+
+
+def test_a_mesh_of_the_spindle_is_compared_with_the_stock_at_its_time():
+    """A box around the tool, 4 mm above the top in a slot 8 deep, less what the correction moves it by."""
+    tool = trimesh.creation.box(bounds=[[-60, -60, 0], [60, 60, 338]])  # the tip is at Z = 350 of the flange
+    tool.export("spindle.stl")
+    held = "holder = [ { diameter_mm = 20, length_mm = 60 }, { name = 'spindle', mesh = 'spindle.stl' } ]"
+    deep = SLOT.replace("Z-5", "Z-8")
+    code, output = milled(deep, "", f"clearance_mm = 1\n{held}")
+    assert code == 0, output
+    less = float(re.search(r"less by as far as the correction moves a body, ([\d.]+) mm", output)[1])
+    code, output = milled(deep, "", f"clearance_mm = 4.5\n{held}")
+    assert code == 1
+    found = float(re.search(r"part.nc:[567]: collision: spindle comes within ([\d.]+) mm of stock", output)[1])
+    assert found == pytest.approx(4.0 - less, abs=0.1)
+
+
+def test_a_rapid_of_the_cutter_through_a_stated_part_is_an_error_without_a_process():
+    trimesh.creation.box(bounds=[[0, -50, -20], [100, 50, 8]]).export("blank.stl")
+    through = PROGRAM.replace("G0 Z30\nM30", "G0 X200\nM30")
+    part = f"{HOLDER}\nobstacles = [ {{ mesh = 'blank.stl', part = true }} ]"
+    code, output, _ = converted(part)
+    assert code == 0, output
+    Path("part.nc").write_text(through.replace("G1 X100", "G1 X10"))
+    code, output, _ = converted(part, "--overwrite")
+    assert code == 1
+    assert "part.nc:8: collision: cutter touches or is inside blank.stl" in output

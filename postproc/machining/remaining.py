@@ -1,0 +1,294 @@
+"""The stock over time, as an upper bound in coarse cells, and the parts of the tool that must stay clear of it.
+
+What does not cut must not touch the material that is there at that time. Parts of the tool along its axis (shank,
+holder, spindle) are compared with the map of the stock while it is swept: before the material of a group of segments is
+removed, the map is an upper bound of what is there. Where that is not enough, the group is divided, and its material is
+removed piece by piece. For all other bodies the coarse cells and the times at which they sink are kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from msgspec import Struct, field
+from msgspec.structs import replace
+from numpy.typing import NDArray
+
+from postproc.frames import Array
+from postproc.machining.material import Floats
+from postproc.machining.stock import Stock, cells, middles, remove, tool_over, windows
+from postproc.machining.tool import Cutter
+from postproc.machining.tool_path import StraightSegments
+from postproc.program import Bools, Ints
+
+_MOST = 128
+"""Coarse cells along a side of the stock."""
+_HALF_DIAGONAL = 0.7072
+_FLUSH = 1e-6
+"""Bodies that reach into material by less [m] are flush with it."""
+_EXACT = 5e-5
+"""To which the distance of a part that is too close is found [m]."""
+_MOST_HITS = 20
+"""Motions on which a part of the tool is too close, after which it is not compared any more."""
+_LEVELS = 0.5
+"""Levels of a mesh are rounded up to multiples of this share of a coarse cell."""
+
+
+class Part(Struct, frozen=True):
+    """A cylinder of the tool that does not cut.
+
+    :param name: in messages.
+    :param radius: [m].
+    :param height: of its lower end above the tip [m].
+    """
+
+    name: str
+    radius: float
+    height: float
+
+
+def touches(stock: Stock, body: Cutter, begin: Array, end: Array) -> Bools:
+    """Return on which segments (L,) a body along z reaches into material. It goes on upwards without an end.
+
+    A cell counts as a whole, up to its higher level, if the body covers any of it.
+
+    :param begin: (L, 3) lower end of the body where a segment begins; end: (L, 3) where it ends [m].
+    """
+    out = np.zeros(len(begin), dtype=bool)
+    wide = replace(body, radius=body.radius + _HALF_DIAGONAL * stock.cell)
+    high, floor = stock.high.reshape(-1), stock.floor.reshape(-1)
+    for rows, corner, window in windows(stock, wide.radius + stock.cell, begin, end):
+        index, row, column = cells(stock, corner, window)
+        away, level, _ = tool_over(wide, begin[rows], end[rows], *middles(stock, begin[rows], row, column))
+        there = high[index]
+        inside = (away < np.float32(wide.radius)) & (there > level + np.float32(_FLUSH)) & (there > floor[index])
+        out[rows] = inside.any(axis=(1, 2))
+    return out
+
+
+class Ceiling:
+    """Upper bound of the stock in coarse cells, and when it sinks.
+
+    :ivar stock: its map, which is changed in place.
+    :ivar cell: width of a coarse cell [m].
+    """
+
+    def __init__(self, stock: Stock) -> None:
+        """Begin with the stock as it is."""
+        self.stock = stock
+        self._factor = max(1, -(-max(stock.high.shape) // _MOST))
+        self.cell = self._factor * stock.cell
+        self._level = self._highest(slice(None), slice(None))
+        self._first = self._level.copy()
+        self._sunk: list[tuple[int, Ints, Floats]] = []
+
+    def _highest(self, rows: slice, columns: slice) -> Floats:
+        """Return the highest material of coarse cells; slices of fine cells from multiples of the factor on."""
+        high, floor = self.stock.high[rows, columns], self.stock.floor[rows, columns]
+        high = np.where(high > floor, high, -np.inf)
+        for axis in (0, 1):
+            high = np.maximum.reduceat(high, np.arange(0, high.shape[axis], self._factor), axis=axis)
+        return np.asarray(high, dtype=np.float32)
+
+    def _window(self, low: Array, high: Array) -> tuple[slice, slice]:
+        """Return rows and columns of the coarse cells between two points [m]."""
+        origin = np.array([self.stock.x, self.stock.y])
+        most = self._level.shape[::-1]
+        first = np.clip(np.floor((low[:2] - origin) / self.cell).astype(int), 0, most)
+        last = np.clip(np.floor((high[:2] - origin) / self.cell).astype(int) + 1, 0, most)
+        return slice(int(first[1]), int(last[1])), slice(int(first[0]), int(last[0]))
+
+    def top(self, low: Array, high: Array) -> float:
+        """Return the highest material between two points [m]; minus infinity without any."""
+        return float(self._level[self._window(low, high)].max(initial=-np.inf))
+
+    def sink(self, low: Array, high: Array, motion: int) -> None:
+        """Note that material between two points was removed before the end of a motion."""
+        rows, columns = self._window(low, high)
+        before = self._level[rows, columns]
+        if not before.size:
+            return
+        k = self._factor
+        now = self._highest(slice(rows.start * k, rows.stop * k), slice(columns.start * k, columns.stop * k))
+        row, column = np.nonzero(now < before)
+        if len(row):
+            index = (row + rows.start) * self._level.shape[1] + column + columns.start
+            self._sunk.append((motion, index, now[row, column]))
+            self._level[rows, columns] = now
+
+    def before(self, motion: int) -> Floats:
+        """Return the highest material (ny, nx) of the coarse cells when a motion begins [m]."""
+        level = self._first.copy()
+        flat = level.reshape(-1)
+        for last, index, low in self._sunk:
+            if last >= motion:
+                break
+            flat[index] = low
+        return level
+
+    def mesh(self, motion: int) -> tuple[Array, NDArray[np.int64]]:
+        """Return boxes that hold all material when a motion begins: vertices (V, 3) [m], faces (F, 3)."""
+        level = self.before(motion).astype(float)
+        solid = np.isfinite(level)
+        step, top = _LEVELS * self.cell, float(level.max(initial=-np.inf))
+        level[solid] = top - step * np.floor((top - level[solid]) / step + 1e-9)
+        boxes = np.array(_boxes(level), dtype=float).reshape(-1, 5)
+        low = np.stack([self.stock.x + self.cell * boxes[:, 0], self.stock.y + self.cell * boxes[:, 2]], axis=1)
+        high = np.stack([self.stock.x + self.cell * boxes[:, 1], self.stock.y + self.cell * boxes[:, 3]], axis=1)
+        low = np.column_stack([low, np.full(len(boxes), float(self.stock.floor.min()))])
+        high = np.column_stack([high, boxes[:, 4]])
+        corners = np.where(_CORNERS, high[:, None], low[:, None])
+        faces = np.arange(len(boxes))[:, None, None] * len(_CORNERS) + _FACES
+        return corners.reshape(-1, 3), faces.reshape(-1, 3).astype(np.int64)
+
+
+class StockInTime(Struct, frozen=True, eq=False):
+    """The stock of a program over time, as an upper bound. Implements `forces.StockInTime`.
+
+    :param first: first motion of each set-up, ascending; `frame` of its map in the robot root (4, 4); its `ceiling`.
+    :param compared: (M,) motions on which the parts of the tool along its axis were compared with the stock.
+    """
+
+    first: tuple[int, ...]
+    frame: tuple[Array, ...]
+    ceiling: tuple[Ceiling, ...]
+    compared: Bools
+
+    @property
+    def accuracy(self) -> float:
+        """By how much the bound is larger than the stock at most, across and along the tool [m]."""
+        return float(max(each.cell for each in self.ceiling))
+
+    def mesh(self, motion: int) -> tuple[Array, NDArray[np.int64]]:
+        """Return boxes that hold all material when a motion begins: vertices (V, 3) in the root [m], faces (F, 3)."""
+        setup = int(np.searchsorted(self.first[1:], motion, side="right"))
+        vertices, faces = self.ceiling[setup].mesh(motion)
+        frame = self.frame[setup]
+        return vertices @ frame[:3, :3].T + frame[:3, 3], faces
+
+
+_CORNERS = np.array([[k & 1, k >> 1 & 1, k >> 2] for k in range(8)], dtype=bool)
+_FACES = np.array([
+    [0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4],
+    [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5],
+])  # fmt: skip
+
+
+def _boxes(level: Array) -> list[tuple[float, ...]]:
+    """Return rectangles of cells with one level: columns and rows from, to (exclusive), and the level."""
+    out: list[tuple[float, ...]] = []
+    begun: dict[tuple[int, int, float], int] = {}
+    for row, line in enumerate([*level, np.full(level.shape[1], -np.inf)]):
+        ends = np.append(np.flatnonzero(line[1:] != line[:-1]) + 1, len(line))
+        starts = np.append(0, ends[:-1])
+        runs = {(int(a), int(b), float(line[a])) for a, b in zip(starts, ends, strict=True) if np.isfinite(line[a])}
+        for run in [run for run in begun if run not in runs]:
+            out.append((run[0], run[1], begun.pop(run), row, run[2]))
+        for run in runs:
+            begun.setdefault(run, row)
+    return out
+
+
+class Guard(Struct, eq=False):
+    """Parts of the tool that must stay clear of the stock.
+
+    :ivar parts: that do not cut, from the cutter upwards.
+    :ivar need: smallest allowed distance [m]; 0: they must not touch.
+    :ivar close: for parts and motions that come closer, the smallest distance [m]; 0 where they touch.
+    """
+
+    parts: Sequence[Part]
+    need: float
+    close: dict[tuple[str, int], float] = field(default_factory=dict)
+
+    def check(
+        self, ceiling: Ceiling, segments: StraightSegments, rows: slice, cutter: Cutter, *, removes: bool
+    ) -> None:
+        """Note where parts are closer to the stock than allowed, on segments whose material is not removed yet.
+
+        :param removes: whether the segments remove material.
+        """
+        begin, end = segments.begin[rows], segments.end[rows]
+        low, high = np.minimum(begin, end).min(axis=0), np.maximum(begin, end).max(axis=0)
+        for part in self.parts:
+            reach, cell = part.radius + self.need + ceiling.cell, ceiling.stock.cell
+            if ceiling.top(low - reach, high + reach) <= low[2] + part.height - self.need:
+                continue
+            if self._behind(part, cutter, cell) or sum(name == part.name for name, _ in self.close) >= _MOST_HITS:
+                continue
+            if touches(ceiling.stock, *self._swept(part, begin, end, self.need)).any():
+                self._divided(part, ceiling.stock, segments, rows, cutter, removes=removes)
+
+    def _behind(self, part: Part, cutter: Cutter, cell: float) -> bool:
+        """Return whether a part and all that is too close to it are within what the cutter sweeps at the same time."""
+        reach = part.radius + self.need
+        if reach > cutter.radius - 2.0 * cell:
+            return False
+        return part.height - self.need >= float(cutter.height(np.array([reach]))[0])
+
+    def _swept(self, part: Part, begin: Array, end: Array, need: float) -> tuple[Cutter, Array, Array]:
+        """Return all points within `need` [m] of a part as a body along z, and the path of its lower end."""
+        up = np.array([0.0, 0.0, part.height - need])
+        return Cutter(part.radius + need, need, 1), begin + up, end + up
+
+    def _divided(
+        self, part: Part, stock: Stock, segments: StraightSegments, rows: slice, cutter: Cutter, *, removes: bool
+    ) -> None:
+        """Compare a part piece by piece, removing the material of each piece from a copy of the map.
+
+        The map still has the material that the front of the cutter has removed where the segments begin, see `remove`.
+        """
+        begin, end, motion = segments.begin[rows], segments.end[rows], segments.motion[rows]
+        reach = max(part.radius + self.need, cutter.radius) + 3.0 * stock.cell
+        left = _copy(stock, np.minimum(begin, end).min(axis=0) - reach, np.maximum(begin, end).max(axis=0) + reach)
+        if segments.continues[rows.start]:
+            remove(left, cutter, begin[:1], begin[:1], np.ones(1, dtype=bool))
+        step = max(stock.cell, 0.5 * (part.height - self.need))
+        for one, other, of in zip(begin, end, motion.tolist(), strict=True):
+            if not removes:
+                self._note(part, left, of, (one[None], other[None]))
+                continue
+            for piece in _pieces(one, other, step):
+                if touches(left, *self._swept(part, *piece, self.need))[0]:
+                    for little in _pieces(piece[0][0], piece[1][0], stock.cell):
+                        self._note(part, left, of, little)
+                        remove(left, cutter, *little, np.ones(1, dtype=bool))
+                else:
+                    remove(left, cutter, *piece, np.ones(1, dtype=bool))
+
+    def _note(self, part: Part, stock: Stock, motion: int, segment: tuple[Array, Array]) -> None:
+        """Note how close a part comes on a segment, if that is closer than allowed and than before on its motion."""
+        key = part.name, motion
+
+        def hit(need: float) -> bool:
+            return bool(touches(stock, *self._swept(part, *segment, need))[0])
+
+        near, far = 0.0, self.close.get(key, self.need)
+        if not hit(far):
+            return
+        if hit(near):
+            far = near
+        while far - near > _EXACT:
+            middle = 0.5 * (near + far)
+            near, far = (near, middle) if hit(middle) else (middle, far)
+        self.close[key] = far
+
+
+def _pieces(begin: Array, end: Array, step: float) -> Iterator[tuple[Array, Array]]:
+    """Yield the parts of a segment, (1, 3) each, that are no longer than a step [m]."""
+    count = max(1, int(np.ceil(np.sqrt(np.sum((end - begin) ** 2)) / step - 1e-9)))
+    places = begin + np.linspace(0.0, 1.0, count + 1)[:, None] * (end - begin)
+    for k in range(count):
+        yield places[k : k + 1], places[k + 1 : k + 2]
+
+
+def _copy(stock: Stock, low: Array, high: Array) -> Stock:
+    """Return a copy of the map between two points [m]."""
+    origin = np.array([stock.x, stock.y])
+    first = np.floor((low[:2] - origin) / stock.cell).astype(int).clip(0)
+    last = np.ceil((high[:2] - origin) / stock.cell).astype(int).clip(0) + 1
+    part = slice(int(first[1]), int(last[1])), slice(int(first[0]), int(last[0]))
+    upper, lower, share, floor = (each[part].copy() for each in (stock.high, stock.low, stock.share, stock.floor))
+    x, y = origin + first * stock.cell
+    return Stock(float(x), float(y), stock.cell, upper, lower, share, floor, stock.ground)

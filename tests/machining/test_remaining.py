@@ -1,0 +1,160 @@
+"""What does not cut against the stock that remains: closed forms of cylinders and walls, and planted contacts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from postproc import machining, toolpath
+from postproc.machining import stock as stocks
+from postproc.machining.remaining import Ceiling, Guard, Part, touches
+from postproc.machining.tool import Cutter
+from postproc.under_load import RobotInCell
+from tests.machining.setting import CELL, ROBOT, gcode, process, read, tool
+
+CELL_MM = 0.5
+BOX = ([0, 60], [0, 60], [-40, 0])
+
+
+def swept(folder, text, parts, need=0.0, box=BOX, cutter=None, resolution=CELL_MM):
+    """Program, `ProcessForces` and guard; parts are (name, diameter, height above the tip) in mm."""
+    program = read(folder, text)
+    (folder / "process.toml").write_text(process(cutter or tool(20, 4), box, resolution))
+    guard = Guard([Part(name, 0.5e-3 * wide, 1e-3 * high) for name, wide, high in parts], 1e-3 * need)
+    place = RobotInCell.of(ROBOT, CELL)
+    path = toolpath.segments(program, place.start_flange)
+    found = machining.estimate(program, path, machining.load(folder / "process.toml"), place.spindle, guard=guard)
+    return program, found, guard
+
+
+def collisions(found):
+    return [issue for issue in found.issues if issue.kind == "collision"]
+
+
+def test_a_cylinder_over_beside_and_off_the_edge_of_a_block():
+    """Distance of a cylinder from a block, by the drawing: held where it is more than is asked for, and not else."""
+    block = stocks.from_box(np.array([0, 0, -0.04]), np.array([0.1, 0.06, 0.0]), 0.5e-3)
+    radius, cell = 0.02, 0.5e-3
+    rng = np.random.default_rng(3)
+    seen = []
+    for _ in range(300):
+        x, y, z = rng.uniform([-0.04, -0.04, -0.01], [0.14, 0.1, 0.02])
+        beside = np.hypot(max(-x, x - 0.1, 0.0), max(-y, y - 0.06, 0.0))
+        distance = np.hypot(max(beside - radius, 0.0), max(z, 0.0))
+        need = rng.uniform(0.0, 0.01)
+        body = Cutter(radius + need, need, 1)
+        place = np.array([[x, y, z - need]])
+        hit = bool(touches(block, body, place, place)[0])
+        seen.append(hit)
+        if distance < need - 1e-5 or (distance == 0.0 and z < -1e-5):
+            assert hit, (x, y, z, need)
+        if hit:
+            assert distance < need + 1.5 * cell, (x, y, z, need)
+    assert 50 < sum(seen) < 250
+
+
+def test_a_motion_past_a_block_against_dense_poses():
+    """What a body touches anywhere on a straight motion is what it touches at poses every 0.1 mm."""
+    block = stocks.from_box(np.array([0, 0, -0.04]), np.array([0.1, 0.06, 0.0]), 1e-3)
+    rng, seen = np.random.default_rng(4), []
+    for _ in range(30):
+        begin, end = rng.uniform([-0.04, -0.04, -0.008], [0.14, 0.1, 0.03], (2, 3))
+        body = Cutter(0.015, float(rng.choice([0.0, 0.004])), 1)
+        places = begin + np.linspace(0, 1, 600)[:, None] * (end - begin)
+        dense = touches(block, body, places, places).any()
+        hit = touches(block, body, begin[None], end[None])[0]
+        deeper = touches(block, body, places - [0, 0, 4e-4], places - [0, 0, 4e-4]).any()
+        assert dense <= hit <= deeper
+        seen.append(hit)
+    assert 5 < sum(seen) < 28
+
+
+@pytest.mark.parametrize("wide", [4, 12, 17, 24])
+def test_a_shank_beside_a_wall_is_as_far_as_drawn(tmp_path, wide):
+    """The last pass of a shoulder has its axis 10 mm from the wall, so the shank is 10 − wide / 2 from it."""
+    text = gcode("G0 X-30 Y-10 Z5", "G1 Z-10 F2400", "X90", "Y0", "X-30")
+    _, found, guard = swept(tmp_path, text, [("shank", wide, 6.0)], need=9.0)
+    expected = min(max(10.0 - 0.5 * wide, 0.0), 6.0)  # the floor is 6 mm below it
+    least = 1e3 * min(guard.close.values())
+    assert expected - 2.5 * CELL_MM <= least <= expected + 0.05
+    (issue,) = collisions(found)
+    assert f"within {least:.2g} mm" in issue.message or least == 0.0
+
+
+def test_a_holder_above_the_top_is_as_far_as_drawn(tmp_path):
+    """6 mm above the tip, 4 below the top: 2 mm are left. They are held if 1.9 are asked for."""
+    text = gcode("G0 X-30 Y30 Z5", "G1 Z-4 F2400", "X90")
+    _, found, guard = swept(tmp_path, text, [("holder", 60, 6.0)], need=3.0)
+    assert 1e3 * min(guard.close.values()) == pytest.approx(2.0, abs=0.05)
+    assert (
+        "holder comes within 2 mm of the stock that is left here; [collision] asks for 3 mm"
+        in collisions(found)[0].message
+    )
+    _, found, _ = swept(tmp_path, text, [("holder", 60, 6.0)], need=1.9)
+    assert collisions(found) == []
+
+
+def test_a_shank_in_its_own_hole_is_free_and_a_wider_one_is_not(tmp_path):
+    """A plunge of 30 mm with a cutter of 20: what is wider than the cutter, 15 above the tip, meets the top."""
+    text = gcode("G0 X30 Y30 Z5", "G1 Z-30 F600", "G0 Z5")
+    for wide, expected in ((18, False), (30, True)):
+        _, found, guard = swept(tmp_path, text, [("shank", wide, 15.0)])
+        assert bool(guard.close) == expected
+        assert len(collisions(found)) == expected
+    (issue,) = collisions(found)
+    assert issue.level == "error"
+    assert issue.source_line == 5
+    assert "shank touches the stock" in issue.message
+
+
+def test_the_holder_is_compared_with_what_is_left_at_that_time(tmp_path):
+    """A deep pass is free where shallow passes made room before it, and not where it comes first."""
+    room = ["G0 Y10 Z5", "G1 Z-8 F2400", "X90", "G0 Z5", "X-30", "Y30", "G1 Z-8", "X90", "G0 Z5", "X-30",
+            "Y50", "G1 Z-8", "X90", "G0 Z5", "X-30"]  # fmt: skip
+    deep = ["G0 Y30 Z5", "G1 Z-16 F2400", "X90", "G0 Z5"]
+    holder = [("holder", 36, 10.0)]  # 6 below the top at Z-16
+    start = "G0 X-30 Y30 Z5"
+    _, found, _ = swept(tmp_path, gcode(start, *room, *deep), holder, need=1.0)
+    assert collisions(found) == []
+    program, found, guard = swept(tmp_path, gcode(start, *deep), holder, need=1.0)
+    (issue,) = collisions(found)
+    assert issue.subject == "holder, stock"
+    assert program.motions.line[min(motion for _, motion in guard.close)] == 7
+
+
+def test_a_rapid_through_stock_is_refused_until_it_was_cut(tmp_path):
+    """The way across the block at Z-5, as a rapid move: before the slot is cut, and after it."""
+    slot = ["G1 Z-5 F2400", "X90", "G0 Z5", "X-30"]
+    way = ["G0 Z-5", "X90", "Z5"]
+    start = "G0 X-30 Y30 Z5"
+    _, found, _ = swept(tmp_path, gcode(start, *slot, *way), [])
+    assert collisions(found) == []
+    deeper = ["G1 Z-8 F2400", *slot[1:]]
+    program, found, _ = swept(tmp_path, gcode(start, *way, "X-30", *deeper), [])
+    (issue,) = collisions(found)
+    assert issue.level == "error"
+    assert "cutter goes 5 mm deep into the stock in a rapid move" in issue.message
+    assert program.documents[0].text.splitlines()[issue.source_line - 1] == "X90"
+
+
+def test_the_coarse_stock_is_never_below_the_map_and_follows_it(tmp_path):
+    """Before each motion the coarse cells hold the map that a sweep of the motions before it leaves."""
+    blocks = ["G0 X-30 Y20 Z5", "G1 Z-4 F2400", "X90", "G0 Z5", "G0 X-30", "Y35", "G1 Z-9", "X40", "G0 Z5"]
+    program, found, _ = swept(tmp_path, gcode(*blocks), [])
+    over = found.over_time
+    for count in range(4, len(blocks) + 1):
+        text = gcode(*blocks[:count])
+        part, left, _ = swept(tmp_path, text, []) if count > 2 else (None, None, None)
+        own = Ceiling(left.stock)
+        level = over.ceiling[0].before(len(part.motions))
+        before = np.where(np.isfinite(own.before(0)), own.before(0), -np.inf)
+        assert (level >= before).all()
+        assert (level == before).mean() > 0.9  # the front of a cut is removed with the next motion
+    assert over.compared.all() or (~over.compared).sum() <= 1
+    points, faces = over.mesh(0)
+    base = program.bases[0]
+    local = (points - base[:3, 3]) @ base[:3, :3] * 1e3
+    np.testing.assert_allclose(local.min(axis=0), [0, 0, -40], atol=2 * over.accuracy * 1e3)
+    np.testing.assert_allclose(local.max(axis=0), [60, 60, 0], atol=2 * over.accuracy * 1e3)
+    assert local[:, 2].max() == pytest.approx(0.0, abs=1e-6)
+    assert faces.max() == len(points) - 1
