@@ -29,7 +29,7 @@ from postproc.report.testpart import design_page, part_page
 from postproc.robot.model_file import ModelFile
 from postproc.testpart import design, features, probing
 from postproc.testpart.cut import Clamped, States, Surfaces, forces_of, surfaces
-from postproc.testpart.design import Design, Tests
+from postproc.testpart.design import MOST_CHANGE, Design, Tests
 from postproc.testpart.features import Cutting, Placement
 from postproc.testpart.fit import Fit, Prior, Readings, fit
 from postproc.testpart.model import Agreement, PartIdentification, agreement, material, model_file, summary
@@ -211,6 +211,10 @@ def _data(
         "expected_before_mm": round(chosen.before * MM_PER_M, 4),
         "expected_after_mm": round(chosen.after * MM_PER_M, 4),
         "known_to": {name: round(float(share), 3) for name, share in zip(names, chosen.sigma, strict=True)},
+        "change_seen_percent": {
+            name: round(100.0 * float(change), 1) if change < MOST_CHANGE else None
+            for name, change in zip(names[:-1], chosen.change, strict=True)
+        },
     }
 
 

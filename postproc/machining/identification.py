@@ -29,6 +29,9 @@ _RANK = 1e-6
 """Singular value, as a share of the largest, below which a combination of coefficients is not excited."""
 _LEAST_RANGE = 1.3
 """Ratio of largest to smallest feed per tooth below which edge and cutting coefficients cannot be separated."""
+_LEAST_SCATTER = 1e-3
+"""Least scatter of readings that do not state theirs, as a share of their RMS. Assumed: the linearity of dynamometers
+is 0.1 to 0.5 % of their range."""
 _LEAST_SIGMA = 2.0
 """Minimum standard deviation [%] of forces from identified coefficients."""
 
@@ -192,6 +195,14 @@ def identify(readings: CutReadings, tool: ToolTable, prior: MaterialTable | None
     from scipy.special import stdtrit
 
     factor = 1.96
+    if not known:
+        least = _LEAST_SCATTER**2 * float(np.mean((measured / sigma) ** 2))
+        if scale < least:
+            scale = least
+            warnings.append(
+                "the readings scatter less than any sensor does: were they computed? The intervals are those of a "
+                f"scatter of {100.0 * _LEAST_SCATTER:g} %; state sigma_N"
+            )
     if not known or scale > 1.0:
         spread = spread * scale
         factor = float(stdtrit(freedom, 0.975))
@@ -308,7 +319,7 @@ def as_toml(found: IdentifiedMaterial, tool: ToolTable, name: str) -> bytes:
         f"{tool.diameter_mm:g} mm, {tool.flutes} teeth"
     )
     if np.isfinite(found.residual):
-        table["residual_N"] = float(f"{found.residual:.4g}")
+        table["residual_N"] = float(f"{round(found.residual, 6):.4g}")
     table["ci95"] = {name: float(f"{v:.4g}") for name, v in zip(NAMES, found.half, strict=True)}
     table["covariance"] = [[float(f"{v:.6g}") for v in row] for row in found.covariance]
     comment = 'Cutting coefficients, identified by `postproc identify forces`. In process.toml: [material] file = "…".'

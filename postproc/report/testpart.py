@@ -27,7 +27,7 @@ from postproc.report.kit import (
     Verdict,
 )
 from postproc.testpart import features
-from postproc.testpart.design import Design
+from postproc.testpart.design import MOST_CHANGE, Design
 from postproc.testpart.features import Cutting, Placement, Program
 from postproc.testpart.fit import Prior
 from postproc.testpart.model import Agreement, PartIdentification
@@ -35,6 +35,8 @@ from postproc.testpart.model import Agreement, PartIdentification
 _WIDE = 900.0
 """Width of the drawing [px]."""
 _ARC = 24
+_MUCH = 0.3
+"""Relative change of a joint that a part should show."""
 _PRODUCT = (
     "Forces and compliances scale against each other: twice the force on a robot half as compliant leaves the same "
     "surfaces. The part shows their product well; the scale alone is known only by its prior and by those of the "
@@ -83,11 +85,7 @@ def design_page(
             "What each parameter will be known to",
             (
                 _known(chosen, prior),
-                Notes(
-                    (Note(_PRODUCT),)
-                    if chosen.alone is None
-                    else (Note(_PRODUCT), Note(f"Here {_by_weight(chosen, chosen.alone)}."))
-                ),
+                Notes(tuple(Note(text) for text in _remarks(chosen, prior))),
             ),
         ),
         Section("features", "Features", (_features(chosen, parts),)),
@@ -97,25 +95,55 @@ def design_page(
     return b"".join(Page("Test part", "testpart", subtitle, sections).render())
 
 
+def _remarks(chosen: Design, prior: Prior) -> list[str]:
+    out = [_PRODUCT]
+    if chosen.alone is not None:
+        out.append(f"Here {_by_weight(chosen, chosen.alone)}.")
+    if (hidden := _hidden(chosen, prior)) is not None:
+        out.append(f"{hidden[0].upper()}{hidden[1:]}.")
+    return out
+
+
 def _known(chosen: Design, prior: Prior) -> Table:
     rows = []
     names = [parameter.title for parameter in prior.parameters]
-    for name, value, own, share in zip(names, prior.values, prior.sigma[:-1], chosen.sigma[:-1], strict=True):
+    for name, value, own, share, change in zip(
+        names, prior.values, prior.sigma[:-1], chosen.sigma[:-1], chosen.change.tolist(), strict=True
+    ):
         before = 100.0 * own / value if value else float("nan")
-        rows.append(_row(name, before, before * float(share), float(share)))
+        later = f"{100.0 * change:.0f}" if change < MOST_CHANGE else "not seen"
+        rows.append(_row(name, before, before * float(share), float(share), later))
     before = 100.0 * float(prior.sigma[-1])
-    rows.append(_row("scale of the forces", before, before * float(chosen.sigma[-1]), float(chosen.sigma[-1])))
+    rows.append(_row("scale of the forces", before, before * float(chosen.sigma[-1]), float(chosen.sigma[-1]), ""))
     return Table(
-        ("parameter", "now, σ %", "with the part, σ %", ""),
+        ("parameter", "now, σ %", "with the part, σ %", "change seen later, %", ""),
         tuple(rows),
-        "Standard deviations of the parameters before and after the part",
-        texts=(3,),
+        "Standard deviations of the parameters before and after the part, and the smallest change that the same part "
+        "shows later",
+        texts=(4,),
     )
 
 
-def _row(name: str, before: float, after: float, share: float) -> Row:
+def _row(name: str, before: float, after: float, share: float, later: str) -> Row:
     kind: Kind = "soft" if share > 0.9 else ""
-    return Row((name, f"{before:.2g}", f"{after:.2g}", Cell("not shown by this part" if share > 0.9 else "", kind)))
+    text = Cell("not shown by this part" if share > 0.9 else "", kind)
+    return Row((name, f"{before:.2g}", f"{after:.2g}", later, text))
+
+
+def _hidden(chosen: Design, prior: Prior) -> str | None:
+    """Return which joints may change by 30 % unseen although the part shows them, and what shows them."""
+    names = [
+        f"{parameter.name} ({100.0 * change:.0f} %)" if change < MOST_CHANGE else parameter.name
+        for parameter, change, share in zip(prior.parameters, chosen.change.tolist(), chosen.sigma[:-1], strict=True)
+        if change > _MUCH and share <= 0.9
+    ]
+    if not names:
+        return None
+    return (
+        f"a change of 30 % from one part to the next would not be seen for sure in {', '.join(names)}: cutting forces "
+        "load them little here. A weight on the tool (--weight), the block higher and further away (--placement), or "
+        "more depth shows more"
+    )
 
 
 def _cutting_steps(parts: dict[Placement, Program]) -> list[Note]:
@@ -273,6 +301,8 @@ def design_lines(chosen: Design, prior: Prior, cutting: Cutting, parts: dict[Pla
         lines.insert(1, "block at " + ", ".join(f"{each.title}: {made.features}" for each, made in parts.items()))
     if rest:
         lines.append(f"not shown by this part: {', '.join(rest)}")
+    if (hidden := _hidden(chosen, prior)) is not None:
+        lines.append(hidden)
     if chosen.alone is not None:
         lines.append(_by_weight(chosen, chosen.alone))
     return lines

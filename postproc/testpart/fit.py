@@ -225,14 +225,12 @@ class Fit(Struct, frozen=True, eq=False):
         )
         slopes = self.slopes
         expected = np.linalg.inv(slopes @ prior.covariance @ slopes.T + noise)
-        by_drift = slopes * prior.drift
-        score = by_drift.T @ expected @ self.missed
-        information = by_drift.T @ expected @ by_drift
-        inside = np.linalg.inv(np.eye(len(information)) + information)
+        score, information = slopes.T @ expected @ self.missed, slopes.T @ expected @ slopes
+        inside = np.linalg.inv(np.eye(len(information)) + np.outer(prior.drift, prior.drift) * information)
         return Surprise(
             float(self.missed @ expected @ self.missed),
-            _chance(float(score @ score), np.asarray(np.linalg.eigvalsh(information), dtype=np.float64)),
-            prior.drift * (inside @ score),
+            _chance(score, information),
+            prior.drift * (inside @ (prior.drift * score)),
             prior.drift * np.sqrt(np.maximum(np.diag(inside), 0.0)),
         )
 
@@ -264,7 +262,7 @@ class Surprise(Struct, frozen=True, eq=False):
     """How probed deviations differ from those that a model predicts with its covariance.
 
     :param chi2: squared distance; about n where the model is right.
-    :param chance: of a score as large as this one in the directions in which a robot changes, where it has not.
+    :param chance: of deviations that look as much like a change of one parameter, or of all, where none has changed.
     :param change: (p + 1,) estimated changes of the parameters, units of files, at the forces of the model;
         `spread` (p + 1,) their standard deviations.
     """
@@ -275,18 +273,16 @@ class Surprise(Struct, frozen=True, eq=False):
     spread: Array
 
 
-def _chance(value: float, weight: Array) -> float:
-    """Return the chance that Σ wᵢ·χ²₁ exceeds a value: a scaled χ² of its first two moments (Satterthwaite 1946).
+def _chance(score: Array, information: Array) -> float:
+    """Return the chance of scores as large as the largest of these, in its standard deviations, if nothing changed.
 
-    The tail of χ² is that of Wilson and Hilferty (1931).
+    Each unknown by itself is tested, so that a small effect is seen next to large ones; the scale of the forces stands
+    for all compliances together. The number of tests counts (Bonferroni).
     """
-    mean, square = float(weight.sum()), float((weight**2).sum())
-    if not square > 0.0:
-        return 1.0
-    freedom = mean**2 / square
-    share = value * mean / square / freedom
-    spread = 2.0 / (9.0 * freedom)
-    return 0.5 * erfc((share ** (1.0 / 3.0) - 1.0 + spread) / sqrt(2.0 * spread))
+    variance = np.diag(information)
+    seen = variance > 1e-9 * variance.max()
+    most = float((np.abs(score[seen]) / np.sqrt(variance[seen])).max(initial=0.0))
+    return min(1.0, int(seen.sum()) * erfc(most / sqrt(2.0)))
 
 
 class _Linear(Struct, frozen=True, eq=False):

@@ -68,7 +68,7 @@ class Change(Struct, frozen=True):
 class Agreement(Struct, frozen=True):
     """How the model before agrees with the part: χ² of the readings, and the parameters that have changed.
 
-    `chance`: of deviations that look as much like other compliances as these do, if the robot is the same.
+    `chance`: of deviations that look as much like a change of one parameter, or of all, if the robot is the same.
     """
 
     holds: bool

@@ -102,6 +102,19 @@ def test_without_noise_the_coefficients_are_found(cuts):
         assert np.isnan(found.left_out)
 
 
+def test_exact_readings_do_not_give_intervals_of_nothing():
+    """Forces that were computed with six coefficients, as a user may copy them: no sensor is that exact."""
+    exact = [(mode, width, chip, predicted(TRUE, mode, width, chip), 0.0) for mode, width, chip, *_ in [*SLOTS, *SIDES]]
+    found = identified(exact, sigma=None)
+    assert any("scatter less than any sensor" in text for text in found.warnings)
+    assert (found.half > 1e-4 * np.abs(TRUE)).all()
+    table = tomllib.loads(identification.as_toml(found, TOOL, "measured.csv").decode())["material"]
+    assert np.diag(table["covariance"]).min() > 1e-9
+    assert table["residual_N"] == 0.0
+    real = identification.identify(of_published(), ToolTable(diameter_mm=25, flutes=2), None, "published.csv")
+    assert not any("scatter less" in text for text in real.warnings)
+
+
 def test_published_slots_are_fitted_and_a_feed_left_out_is_predicted():
     """A slot's mean forces are straight lines over the feed: fitted here by numpy, without the package."""
     found = identification.identify(of_published(), ToolTable(diameter_mm=25, flutes=2), None, "published.csv")

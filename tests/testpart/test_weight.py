@@ -8,7 +8,8 @@ from click.testing import CliRunner
 
 from postproc.cli import main
 from postproc.errors import MeasurementError
-from postproc.testpart import probing
+from postproc.report.testpart import design_lines
+from postproc.testpart import design, probing
 from postproc.testpart.cut import Clamped, forces_of, surfaces
 from postproc.testpart.fit import Readings, linearised
 from tests.oracle.whole_arm import WholeArm
@@ -77,6 +78,16 @@ def test_the_weight_tells_forces_from_compliances(part):
     assert abs(found.scale - scale) < 3.0 * sigma[0]
     assert part.chosen.sigma[-1] < 0.85 * part.chosen.alone[-1]  # the design says so before
     assert part.chosen.sigma[-1] == pytest.approx(found.sigma[-1], rel=0.3)
+
+
+def test_the_weight_shows_changes_of_joint_2_that_cutting_hides(part):
+    tests = design.tests_in_block(part.found)
+    without = design.evaluated(part.found, part.prior, part.setting, tests, part.chosen.chosen)
+    (k2,) = [k for k, parameter in enumerate(part.prior.parameters) if parameter.name == "k2"]
+    assert part.chosen.change[k2] < 0.3 < 0.6 < without.change[k2]
+    said = [" ".join(design_lines(each, part.prior, part.cutting, part.made)) for each in (part.chosen, without)]
+    assert "would not be seen for sure in k2" in said[1]
+    assert "k2 (" not in said[0]
 
 
 def test_the_position_of_the_part_does_not_move_the_gauge(part):

@@ -74,6 +74,8 @@ def part(folder, box=((0, 300), (0, 200), (-40, 0)), count=12, resolution=0.5, d
         own = [chosen.features[k] for k in np.flatnonzero(chosen.placement == number)]
         first = 1 + int((chosen.placement < number).sum()), 1 + len(hung) * number
         made[placement] = features.program(own, cutting, mass, hung, first=first)
+        if not made[placement].feature:
+            continue
         (folder / placement.name).write_text(made[placement].text)
         programs[placement] = postproc.read_program(folder / placement.name, ROBOT, cell)
     (folder / "probing.csv").write_bytes(probing.table(made))
@@ -124,7 +126,8 @@ def probed(part, arm, rng, scale=1.0, sigma=1e3 * SIGMA):
     radius = 5.0 + 0.01 * rng.normal()
     head, *rows = (part.folder / "probing.csv").read_text().splitlines()
     out = [head]
-    for placement, cell in part.cells.items():
+    for placement in part.programs:
+        cell = part.cells[placement]
         own = [row for row in rows if len(part.cells) == 1 or row.split(",")[1] == placement.name]
         base = cell.base
         cutter = machine(arm, scale, radius, (base.X, base.Y, base.Z, base.A))
