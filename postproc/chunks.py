@@ -43,6 +43,47 @@ class Columns(Struct, frozen=True, eq=False):
         return {name: value for name, value in fields.items() if isinstance(value, np.ndarray | Columns)}
 
 
+class Runs(Struct, frozen=True, eq=False):
+    """An array of N rows, indexed like one, of which rows that equal the one before are not kept.
+
+    :param values: (R, ...) first row of each run of equal rows.
+    :param run: (N,) run of each row.
+
+    >>> runs = Runs.of(np.array([[1.0, 2.0], [1.0, 2.0], [3.0, 4.0]]))
+    >>> len(runs.values), runs.take([1, 2]).tolist(), runs[:, 0].tolist()
+    (2, [[1.0, 2.0], [3.0, 4.0]], [1.0, 1.0, 3.0])
+    """
+
+    values: NDArray[np.float64]
+    run: NDArray[np.int32]
+
+    @classmethod
+    def of(cls, array: Runs | NDArray[np.float64]) -> Runs:
+        """Return an array in this form."""
+        if isinstance(array, Runs):
+            return array
+        begins = np.ones(len(array), dtype=np.bool_)
+        for part in chunks(len(array)):
+            start = max(part.start, 1)
+            own = array[start : part.stop]
+            begins[start : part.stop] = (own != array[start - 1 : start - 1 + len(own)]).any(axis=1)
+        return cls(array[begins], np.cumsum(begins, dtype=np.int32) - 1)
+
+    def take(self, rows: Any) -> NDArray[np.float64]:
+        """Return some of the rows."""
+        return np.asarray(self.values.take(self.run[rows], axis=0))
+
+    def __len__(self) -> int:
+        return len(self.run)
+
+    def __getitem__(self, key: Any) -> NDArray[np.float64]:
+        rows, *entries = key if isinstance(key, tuple) else (key,)
+        return np.asarray(self.values[(self.run[rows], *entries)])
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        return np.asarray(self[:], dtype)
+
+
 def chunks(count: int) -> Iterator[slice]:
     """Yield the rows of each chunk of `count` rows; one, empty, for none."""
     return (slice(start, start + _ROWS) for start in range(0, max(1, count), _ROWS))

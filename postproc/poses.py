@@ -8,16 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from postproc.chunks import Columns, in_chunks
-from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, rotation_from_angles
+from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, rotation_from_angles, xyzabc_from_pose
 
 _FIRST_THREE = slice(None, 3)
 
 
 class Poses(Columns, frozen=True, eq=False):
-    """N poses, indexed like an array (N, 4, 4), in less memory: nothing is kept of a constant orientation.
+    """N poses, indexed like an array (N, 4, 4), in less memory: a constant orientation is kept once, others by angles.
 
     :param position: (N, 3) [m].
-    :param rotation: (N, 3, 3); of one orientation for all a view without memory of its own, see `fixed`.
+    :param orientation: (N, 3) angles A, B, C [deg], from which matrices are computed where they are needed; or the
+        matrices (N, 3, 3), of one orientation for all a view without memory of its own, see `fixed`.
 
     >>> poses = Poses.fixed(np.arange(6.0).reshape(2, 3), np.eye(3))
     >>> poses[[1], :3, 3].tolist(), poses[[1]].shape, poses.position.nbytes + poses.rotation.base.nbytes
@@ -25,7 +26,7 @@ class Poses(Columns, frozen=True, eq=False):
     """
 
     position: Array
-    rotation: Array
+    orientation: Array
 
     @classmethod
     def of(cls, pose: Array) -> Poses:
@@ -44,7 +45,20 @@ class Poses(Columns, frozen=True, eq=False):
     @property
     def is_fixed(self) -> bool:
         """True if one orientation is kept for all."""
-        return self.rotation.strides[0] == 0
+        return self.orientation.ndim == 3 and self.orientation.strides[0] == 0
+
+    @property
+    def rotation(self) -> Array:
+        """(N, 3, 3) orientations, to be read only."""
+        if self.orientation.ndim == 3:
+            return self.orientation
+        return in_chunks(lambda angles: (rotation_from_angles(angles * RAD_PER_DEG),), self.orientation)[0]
+
+    def xyzabc(self, rows: NDArray[Any] | slice) -> Array:
+        """Return X, Y, Z [mm], A, B, C [deg] (n, 6) of some of the poses."""
+        if self.orientation.ndim == 3:
+            return xyzabc_from_pose(self[rows])
+        return np.hstack([self.position[rows] / M_PER_MM, self.orientation[rows]])
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -60,10 +74,10 @@ class Poses(Columns, frozen=True, eq=False):
         if entries == [_FIRST_THREE, 3]:
             return np.asarray(self.position[rows])
         if entries and entries[0] == _FIRST_THREE and entries[1] in (_FIRST_THREE, 0, 1, 2):
-            return np.asarray(self.rotation[rows][..., entries[1]])
+            return np.asarray(self._rotation(rows)[..., entries[1]])
         position = self.position[rows]
         out = np.zeros((*position.shape[:-1], 4, 4))
-        out[..., :3, :3], out[..., :3, 3], out[..., 3, 3] = self.rotation[rows], position, 1.0
+        out[..., :3, :3], out[..., :3, 3], out[..., 3, 3] = self._rotation(rows), position, 1.0
         return np.asarray(out[(*[slice(None)] * (out.ndim - 2), *entries)])
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
@@ -73,8 +87,12 @@ class Poses(Columns, frozen=True, eq=False):
         """Return some of the poses."""
         position = self.position[rows]
         if self.is_fixed:
-            return Poses(position, np.broadcast_to(self.rotation[:1], (len(position), 3, 3)))
-        return Poses(position, self.rotation[rows])
+            return Poses(position, np.broadcast_to(self.orientation[:1], (len(position), 3, 3)))
+        return Poses(position, self.orientation[rows])
+
+    def _rotation(self, rows: Any) -> Array:
+        some = self.orientation[rows]
+        return some if self.orientation.ndim == 3 else rotation_from_angles(some * RAD_PER_DEG)
 
 
 def as_poses(pose: Poses | Array) -> Poses:
@@ -87,5 +105,4 @@ def poses_from_xyzabc(xyzabc: Array) -> Poses:
     angles = xyzabc[:, 3:]
     if len(angles) and (angles[-1] == angles[0]).all() and (angles == angles[0]).all():
         return Poses.fixed(xyzabc[:, :3] * M_PER_MM, rotation_from_angles(angles[0] * RAD_PER_DEG))
-    (rotation,) = in_chunks(lambda angles: (rotation_from_angles(angles * RAD_PER_DEG),), angles)
-    return Poses(xyzabc[:, :3] * M_PER_MM, rotation)
+    return Poses(xyzabc[:, :3] * M_PER_MM, angles)

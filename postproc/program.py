@@ -558,7 +558,7 @@ class Targets(Struct, frozen=True, eq=False):
     :param motion: (K,) row of `Motions` that the target belongs to, never decreasing.
     :param t: (K,) place of the target on that motion, in (0, 1]; the last one of each motion has 1.
     :param kind: (K,) `LIN`, `CIRC`, `PTP` or `SPL`; a CIRC motion may be written as several CIRC or LIN targets.
-    :param pose: K poses of the tool frame in `$BASE` to be commanded [m].
+    :param pose: K poses of the tool frame in `$BASE` to be commanded [m]; an array (K, 4, 4) becomes `Poses`.
     :param via: (K, 3) auxiliary point of a CIRC target, `$BASE` [m]; NaN elsewhere.
     :param keep: (K,) True where the text of the motion already commands this pose: it is left to the byte.
     :param status: (K,) KUKA S for PTP targets; −1 = unchanged (or none).
@@ -576,6 +576,9 @@ class Targets(Struct, frozen=True, eq=False):
     status: Ints
     turn: Ints
     blend: Array
+
+    def __post_init__(self) -> None:
+        force_setattr(self, "pose", as_poses(self.pose))
 
     def __len__(self) -> int:
         return len(self.motion)

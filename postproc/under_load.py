@@ -12,10 +12,11 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 from msgspec import Struct
-from msgspec.structs import replace
+from msgspec.structs import force_setattr, replace
 
 from postproc import elastostatics, forces, kinematics, toolpath
 from postproc.cell import Cell
+from postproc.chunks import Runs
 from postproc.elastostatics import Compensation, ToolSpring
 from postproc.errors import Issue, PostprocError
 from postproc.forces import ForceSource, PathForces
@@ -340,15 +341,18 @@ class PathUnderLoad(Struct, frozen=True, eq=False):
     :param motions: the motions and the forces along them.
     :param arcs: the pieces of its arcs.
     :param sample: the places and their poses in `$BASE`.
-    :param wrench: (N, 6) wrench on the tool at its tip [N, N·m], `$BASE` axes.
+    :param wrench: (N, 6) wrench on the tool at its tip [N, N·m], `$BASE` axes; an array becomes `Runs`.
     :param joints: joint angles by the controller's nominal geometry, and their branch.
     """
 
     motions: MotionsUnderLoad
     arcs: Pieces
     sample: Toolpath
-    wrench: Array
+    wrench: Runs
     joints: JointPath
+
+    def __post_init__(self) -> None:
+        force_setattr(self, "wrench", Runs.of(self.wrench))
 
     @classmethod
     def of(cls, motions: MotionsUnderLoad, arcs: Pieces, also: tuple[Ints, Array] | None = None) -> PathUnderLoad:
@@ -366,7 +370,7 @@ class PathUnderLoad(Struct, frozen=True, eq=False):
             joints = robot_in_cell.follow(program, motion, t, sample.pose)
         except UnreachableError as cause:
             raise ImpossiblePathError(unreachable(program, motion[list(cause.rows)])) from None
-        return read_only(cls(motions, arcs, sample, motions.forces.at(sample), joints))
+        return read_only(cls(motions, arcs, sample, Runs.of(motions.forces.at(sample)), joints))
 
     def __len__(self) -> int:
         return len(self.sample)
@@ -387,7 +391,7 @@ class PathUnderLoad(Struct, frozen=True, eq=False):
 
     def wrench_in_root(self, rows: Ints) -> Array:
         """Return the wrench in root axes at samples (n,): (n, 6) [N, N·m]."""
-        return toolpath.wrench_in_root(self.program, self.sample.motion[rows], self.wrench.take(rows, axis=0))
+        return toolpath.wrench_in_root(self.program, self.sample.motion[rows], self.wrench.take(rows))
 
     def tip_in_base(self, rows: Ints, q: Array, wrench_in_root: Array, guess: Array) -> tuple[Array, Array]:
         """Return the loaded tip (n, 3) at samples (n,), and the deflection of holder, spindle and tool (n, 3).

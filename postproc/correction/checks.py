@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from postproc import elastostatics, kinematics
+from postproc.chunks import Runs
 from postproc.errors import Issue, Level
 from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array, largest, norm, rotation_vector, twist_between
 from postproc.kinematics import JointPath
@@ -275,7 +276,7 @@ def joints_at_meetings(program: Program, sample: Toolpath, q: Array, start: Arra
         yield Issue("error", "branch-joints", message, lines[0], count=len(lines), lines=tuple(lines))
 
 
-def meetings(program: Program, sample: Toolpath, pose: Poses, wrench: Array) -> Iterator[Issue]:
+def meetings(program: Program, sample: Toolpath, pose: Poses, wrench: Runs) -> Iterator[Issue]:
     """Yield an issue if branches taken at run time have different corrections at a control-flow join.
 
     :param pose: commanded, `wrench` (N, 6), of the samples in `$BASE`.

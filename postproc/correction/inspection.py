@@ -15,6 +15,7 @@ from msgspec.structs import replace
 
 from postproc import kinematics, toolpath
 from postproc.cell import Cell
+from postproc.chunks import in_chunks
 from postproc.correction import checks
 from postproc.correction.result import Mode
 from postproc.correction.targets import Commands
@@ -135,30 +136,44 @@ def stretches_to_examine(path: PathUnderLoad, q: Array, speed: Array) -> tuple[S
     :param q: (N, 6) commanded joint angles [rad].
     :param speed: (N, 6) joint speeds on the way to each [rad/s].
     """
+    fast = np.asarray((speed > _SHARE_OF_SPEED * path.robot_in_cell.robot.speed).any(axis=1))
+    return _arcs(path, q, fast), _lines(path, q, fast)
+
+
+def _states(path: PathUnderLoad, q: Array, rows: Ints) -> tuple[Array, Array, Array]:
+    """Return margins before and at samples (n,), and how much the angles and margins change between: (9, n) each.
+
+    Rows are A1…A6 to their nearer limits [rad]; A5 [rad]; the distance of the wrist centre ahead of A1 [m]; A3 measured
+    from the stretched arm [rad].
+    """
     robot, form = path.robot_in_cell.robot, kinematics.closed_form(path.robot_in_cell.robot)
-    # at the start and at each sample (9, N + 1): A1…A6 to their nearer limits [rad]; A5 [rad]; distance of the wrist
-    # centre ahead of A1 [m]; A3 measured from the stretched arm [rad]
-    state = np.empty((9, len(q) + 1))
-    state[:6, 0], state[:6, 1:] = path.robot_in_cell.cell.start_joints, q.T
-    state[_WRIST], state[_SHOULDER], state[_ELBOW] = state[4], form.reach(state.T), form.elbow(state.T)
-    step, room = np.abs(np.diff(state, axis=1)), np.abs(state)
-    room[:6] = np.minimum(state[:6] - robot.lower[:, None], robot.upper[:, None] - state[:6])
-    fast = np.asarray((speed > _SHARE_OF_SPEED * robot.speed).any(axis=1))
-    return _arcs(path, room, step, fast), _lines(path, room, step, fast)
+    states, margins = [], []
+    for at in (rows - 1, rows):
+        state = np.empty((9, len(rows)))
+        state[:6] = q.take(at, axis=0).T
+        state[:6, at < 0] = path.robot_in_cell.cell.start_joints[:, None]
+        state[_WRIST], state[_SHOULDER], state[_ELBOW] = state[4], form.reach(state.T), form.elbow(state.T)
+        room = np.abs(state)
+        room[:6] = np.minimum(state[:6] - robot.lower[:, None], robot.upper[:, None] - state[:6])
+        states.append(state)
+        margins.append(room)
+    return margins[0], margins[1], np.abs(states[1] - states[0])
 
 
-def _arcs(path: PathUnderLoad, room: Array, step: Array, fast: Bools) -> Stretches:
+def _arcs(path: PathUnderLoad, q: Array, fast: Bools) -> Stretches:
     """Return the arcs to be examined every 5°: their margins are small compared with the steps between samples."""
     m, motion = path.program.motions, path.sample.motion
     rows = np.flatnonzero(m.kind[motion] == CIRC)
     if len(rows):
-        certain = motion[rows[fast[rows] | (step[:6, rows].max(axis=0) > _TURNED)]]
+        _, room, step = _states(path, q, rows)
+        certain = motion[rows[fast[rows] | (step[:6].max(axis=0) > _TURNED)]]
         # what comes near by the largest step of any arc may come near by that of its own
-        rows = rows[(room[:, rows + 1] < _near(step[:, rows].max(axis=1, keepdims=True))).any(axis=0)]
-        rows = np.flatnonzero(np.isin(motion, motion[rows]))
+        may_be = (room < _near(step.max(axis=1, keepdims=True))).any(axis=0)
+        own = np.isin(motion[rows], motion[rows[may_be]])
+        rows, room, step = rows[own], room[:, own], step[:, own]
         first = np.flatnonzero(np.diff(motion[rows], prepend=-1))
-        near = _near(np.maximum.reduceat(step[:, rows], first, axis=1))
-        close = (np.minimum.reduceat(room[:, rows + 1], first, axis=1) < near).any(axis=0)
+        near = _near(np.maximum.reduceat(step, first, axis=1))
+        close = (np.minimum.reduceat(room, first, axis=1) < near).any(axis=0)
         rows = distinct(np.append(certain, motion[rows[first[close]]]))
     count = np.ceil(m.sweep[rows] / _SPACING - 1e-9).astype(np.int64) + 1
     return Stretches(rows, np.zeros(len(rows)), np.ones(len(rows)), count)
@@ -173,7 +188,7 @@ def _near(step: Array) -> Array:
     return near
 
 
-def _lines(path: PathUnderLoad, room: Array, step: Array, fast: Bools) -> Stretches:
+def _lines(path: PathUnderLoad, q: Array, fast: Bools) -> Stretches:
     """Return the pieces of lines to be examined every 2 mm and half a degree."""
     sample, segments = path.sample, path.motions.segments
     first = np.diff(sample.motion, prepend=-1) != 0
@@ -183,11 +198,16 @@ def _lines(path: PathUnderLoad, room: Array, step: Array, fast: Bools) -> Stretc
         np.isin(path.program.motions.kind[sample.motion], (LIN, SPL)) & ((way > _LONG) | (turn > _TURNS))
     )
     way, turn = way[rows], turn[rows]
-    near = _STEPS * step[:, rows]
-    near[:_SHOULDER] += way / _NEAREST + _PER_TURN * turn
-    near[_SHOULDER] += way + _REACH_PER_TURN * turn + checks.SHOULDER
-    near[_ELBOW] = _ELBOW_PER_M * way + _ELBOW_PER_TURN * turn
-    close = (np.minimum(room[:, rows], room[:, rows + 1]) < near).any(axis=0) | fast[rows]
+
+    def near_something(rows: Ints, way: Array, turn: Array) -> tuple[Bools]:
+        before, room, step = _states(path, q, rows)
+        near = _STEPS * step
+        near[:_SHOULDER] += way / _NEAREST + _PER_TURN * turn
+        near[_SHOULDER] += way + _REACH_PER_TURN * turn + checks.SHOULDER
+        near[_ELBOW] = _ELBOW_PER_M * way + _ELBOW_PER_TURN * turn
+        return (np.asarray((np.minimum(before, room) < near).any(axis=0)),)
+
+    close = in_chunks(near_something, rows, way, turn)[0] | fast[rows]
     rows, way, turn = rows[close], way[close], turn[close]
     count = np.ceil(np.maximum(way / _LONG, turn / _TURNS)).astype(np.int64) + 1
     return Stretches(sample.motion[rows], begin[rows], sample.t[rows], count)

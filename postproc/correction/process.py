@@ -60,18 +60,19 @@ def corrected(path: PathUnderLoad) -> Commands:
         found = path.robot_in_cell.compensate(pose, q, tool, path.wrench_in_root(row))
         motion, t = path.sample.motion[row], path.sample.t[row]
         command = toolpath.pose_in_base(path.program, motion, found.pose, t)
-        return found.q, command[:, :3, 3], command[:, :3, :3], found.theta
+        return found.q, command[:, :3, 3], xyzabc_from_pose(command)[:, 3:], found.theta
 
     found = _balanced(path, in_chunk, movable)
     if len(movable) < len(path):
         unchanged = as_programmed(path)
         pose = unchanged.pose
-        whole = unchanged.q.copy(), pose.position.copy(), pose.rotation.copy(), unchanged.theta
+        angles = pose.xyzabc(slice(None))[:, 3:]
+        whole = unchanged.q.copy(), pose.position.copy(), angles, unchanged.theta
         for array, part in zip(whole, found, strict=True):
             array[movable] = part
         found = whole
-    q, position, rotation, theta = found
-    return Commands(q, Poses(position, rotation), theta)
+    q, position, angles, theta = found
+    return Commands(q, Poses(position, angles), theta)
 
 
 def uncorrected(path: PathUnderLoad, rows: Ints, theta: Array) -> tuple[Array, ...]:
@@ -179,7 +180,9 @@ class Draft(Struct, frozen=True, eq=False):
     def forces_at_targets(self) -> TargetForces:
         """Return the wrench at each target in the form that the written program needs."""
         chosen = self.chosen
-        return forces.of_targets(self.path.motions.forces, chosen.targets, chosen.arrive, self.path.wrench[chosen.row])
+        return forces.of_targets(
+            self.path.motions.forces, chosen.targets, chosen.arrive, self.path.wrench.take(chosen.row)
+        )
 
     def written(self, task: Task) -> Draft:
         """Return the draft written, read back and simulated, as far as possible.
@@ -245,7 +248,7 @@ def result_of(task: Task, draft: Draft) -> Result:
         output_line=program.motions.line[targets.motion],
         nominal=path.sample.pose if len(row) == len(path) else path.sample.pose.take(row),
         printed=_numbers(task, draft),
-        wrench=_at(path.wrench, row),
+        wrench=path.wrench.take(row),
         deflection=deflection,
         deflection_by_tool=None if path.robot_in_cell.tool_spring is None else by_tool,
         deviation_before=deviation,
@@ -291,7 +294,7 @@ def _causes(path: PathUnderLoad) -> tuple[str, ...]:
     return tuple(
         cause
         for cause, acts in (
-            ("the cutting forces", bool(path.wrench.any())),
+            ("the cutting forces", bool(path.wrench.values.any())),
             ("the payload", robot_in_cell.cell.payload.mass_kg > 0.0),
             ("the calibrated geometry", not robot.geometry_is_nominal),
             ("the weight of the arm", robot.has_weight and not robot.subtract_reference),
@@ -305,7 +308,7 @@ def _numbers(task: Task, draft: Draft) -> Array:
     if draft.simulated is not None:
         return draft.simulated.numbers
     targets, program = draft.chosen.targets, draft.path.program
-    numbers = xyzabc_from_pose(targets.pose[:])
+    numbers = targets.pose.xyzabc(slice(None))
     if task.mode == "predict" and program.keeps_text:
         ends = targets.t == 1.0
         numbers[ends] = program.numbers_as_written()[targets.motion[ends]]

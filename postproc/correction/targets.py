@@ -19,9 +19,10 @@ from msgspec.structs import replace
 from postproc import kinematics, toolpath
 from postproc.cell import Cell
 from postproc.chunks import in_chunks
+from postproc.forces.sources import FEED
 from postproc.frames import M_PER_MM, Array, largest, norm, sine_and_cosine, twist_between
 from postproc.poses import Poses
-from postproc.program import CIRC, LIN, PTP, SPL, Bools, Ints, Program, Targets
+from postproc.program import CIRC, LIN, PTP, SPL, Bools, Ints, Program, Targets, constant
 from postproc.robot import RobotModel
 from postproc.toolpath import Pieces, Segments, Toolpath, circle_through
 from postproc.under_load import SHARE_OF_TOLERANCE, PathUnderLoad
@@ -255,9 +256,9 @@ def programmed_rounding(program: Program, path: Segments, motion: Ints) -> Array
 
     :param motion: (K,) motion of each target, never decreasing.
     """
-    out = np.zeros(len(motion))
     if not program.keeps_text:
-        return out
+        return constant(0.0, len(motion))
+    out = np.zeros(len(motion))
     last = np.append(np.diff(motion) != 0, True)[: len(motion)]
     own = motion[last]
     out[last] = corners_of_motions(program, path, own).rounding(program.motions.blend[own])
@@ -304,7 +305,8 @@ class Chosen(Struct, frozen=True, eq=False):
 
     :param targets: targets to be written.
     :param row: (K,) sample of each target.
-    :param arrive: (K, 3) direction of travel at the end of the piece to each, `$BASE`.
+    :param arrive: (K, 3) direction of travel at the end of the piece to each, `$BASE`; (0, 3) without forces in FEED
+        axes.
     :param programmed: (K,) how far the program as read rounds its path there [m], see `Result`.
     """
 
@@ -343,6 +345,8 @@ def choose_targets(
     )
     corners, arrive = corners_of_targets(program, targets, commanded.start)
     blend = approximation_distances(program, targets, corners, path.robot_in_cell.cell)
+    if not (path.motions.forces.frame == FEED).any():
+        arrive = arrive[:0]
     programmed = programmed_rounding(program, path.motions.segments, motion)
     return Chosen(replace(targets, blend=blend), row, arrive, programmed)
 

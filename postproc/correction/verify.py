@@ -44,14 +44,19 @@ class ReadBack(Struct, frozen=True, eq=False):
     :param program: as read, without its text.
     :param segments: the geometry of its motions.
     :param row: (K,) motion that ends at each target.
-    :param numbers: (K, 6) X, Y, Z, A, B, C as printed in the text [mm, deg].
+    :param numbers_of_motions: (M, 6) X, Y, Z, A, B, C of its motions as printed in the text [mm, deg].
     """
 
     text: Written
     program: Program
     segments: Segments
     row: Ints
-    numbers: Array
+    numbers_of_motions: Array
+
+    @property
+    def numbers(self) -> Array:
+        """(K, 6) X, Y, Z, A, B, C of the targets as printed in the text [mm, deg]."""
+        return self.numbers_of_motions[self.row]
 
 
 def read_back(path: PathUnderLoad, chosen: Chosen, text: Written) -> ReadBack:
@@ -76,7 +81,7 @@ def read_back(path: PathUnderLoad, chosen: Chosen, text: Written) -> ReadBack:
     mismatch = _mismatch(path.program, targets, written, row)
     if mismatch is not None:
         raise UnusableTextError(mismatch)
-    numbers = written.numbers_as_written()[row]
+    numbers = written.numbers_as_written()
     written = replace(written, documents=(), layout=None)
     if text.size > LARGE_TEXT:
         gc.collect()

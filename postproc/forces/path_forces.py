@@ -9,10 +9,13 @@ response of the robot.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
+from postproc.chunks import Runs, in_chunks
 from postproc.errors import MOST, ForceError, Issue, together
 from postproc.forces.axes import TURNS, Axes, last_travel, lines_run_across, runs_across
 from postproc.forces.sources import BASE, FEED, ByLaw, ForceSource, Knots, StockInTime, of_comments
@@ -51,7 +54,7 @@ class PathForces(Struct, frozen=True, eq=False):
     first: Ints
     place: Array
     t: Array
-    wrench: Array
+    wrench: Runs
     knot_frame: Ints
     spread: Array | None
     frame: Ints
@@ -62,31 +65,42 @@ class PathForces(Struct, frozen=True, eq=False):
 
     def at(self, sample: Toolpath) -> Array:
         """Return the wrench (N, 6) at samples of the path [N, N·m], `$BASE` axes of their motions."""
-        return self._between(self.wrench.reshape(-1, 2, 3, 1), sample).reshape(-1, 6)
+
+        def wrench(knots: Ints) -> Array:
+            return self.wrench.take(knots).reshape(-1, 2, 3, 1)
+
+        def in_chunk(rows: Ints) -> tuple[Array]:
+            return (self._between(wrench, sample.take(rows)).reshape(-1, 6),)
+
+        return in_chunks(in_chunk, np.arange(len(sample)))[0]
 
     def spread_at(self, sample: Toolpath) -> Array | None:
         """Return L (N, 2, 3, 3) of the covariances L·Lᵀ of force and moment at samples; None if all are zero."""
-        return None if self.spread is None else self._between(self.spread, sample)
+        spread = self.spread
+        return None if spread is None else self._between(lambda knots: spread.take(knots, axis=0), sample)
 
     def before(self) -> Array:
         """Return the wrench (M, 6) at the end of the motion before each, `$BASE` axes; zero before the first."""
-        return _before(self.wrench.take(self.first[1:] - 1, axis=0), self.frame, self.axes)
+        return _before(self.wrench.take(self.first[1:] - 1), self.frame, self.axes)
 
     def behind_step(self, motion: Ints, t: Array) -> Bools:
         """Return which places (n,) are just behind the start of a motion whose force may start with a step."""
         return np.asarray(~self.ramped[motion] & (self.axes.path.length[motion] * t < 1.5 * BEHIND_STEP))
 
-    def _between(self, columns: Array, sample: Toolpath) -> Array:
-        """Return columns (N, 2, 3, m) of force and moment in `$BASE` axes at samples; (K, 2, 3, m) at the knots."""
+    def _between(self, columns: Callable[[Ints], Array], sample: Toolpath) -> Array:
+        """Return columns (N, 2, 3, m) of force and moment in `$BASE` axes at samples.
+
+        :param columns: returns those (n, 2, 3, m) at knots (n,).
+        """
         motion, t = sample.motion, sample.t
         first, last = self.first[motion], self.first[motion + 1] - 1
         right = np.clip(np.searchsorted(self.place, motion + t), first, last)
         left = np.where(self.t[right] > t, np.maximum(right - 1, first), right)
-        out, frame = columns.take(right, axis=0), self.knot_frame[right]
+        out, frame = columns(right), self.knot_frame[right]
         inner = np.flatnonzero(left != right)
         left, right = left[inner], right[inner]
         share = ((t[inner] - self.t[left]) / (self.t[right] - self.t[left]))[:, None, None, None]
-        begin = columns.take(left, axis=0)
+        begin = columns(left)
         alike = self.knot_frame[left] == frame[inner]
         same, ramp = inner[alike], inner[~alike]
         out[same] = begin[alike] + share[alike] * (out[same] - begin[alike])
@@ -178,7 +192,7 @@ def _resolved(given: Knots, axes: Axes, ramp: float, issues: tuple[Issue, ...], 
         first,
         np.repeat(motions, np.diff(first)) + t,
         t,
-        np.insert(given.wrench, begins, start[changes], axis=0),
+        Runs.of(np.insert(given.wrench, begins, start[changes], axis=0)),
         np.insert(given.frame, begins, start_frame[changes]),
         spread,
         frame,
@@ -272,7 +286,7 @@ def displacement_estimate(forces: PathForces, compliance: tuple[float, float]) -
     behind = np.minimum(0.5, BEHIND_STEP / np.maximum(path.length[step], BEHIND_STEP))
     swings, turned = np.zeros(len(m), dtype=np.bool_), constant(0.0, len(m))
     if turning.any():
-        across = forces.wrench * (1.0, 1.0, 0.0, 1.0, 1.0, 0.0)  # z, along the spindle, does not turn
+        across = forces.wrench[:] * (1.0, 1.0, 0.0, 1.0, 1.0, 0.0)  # z, along the spindle, does not turn
         turned = np.where(turning, largest_of_own(moves(across)), 0.0)
         acts = np.zeros(len(m), dtype=np.bool_)
         acts[motion[any_column(across != 0.0)]] = True
@@ -287,7 +301,7 @@ def displacement_estimate(forces: PathForces, compliance: tuple[float, float]) -
         change=np.append(moves(change)[kept], stepped[step])[order],
         bent=np.append(bent[kept], np.ones(len(step), dtype=np.bool_))[order],
         turning=turned,
-        size=largest_of_own(moves(forces.wrench)),
+        size=largest_of_own(moves(forces.wrench[:])),
         swings=swings,
     )
 
@@ -297,7 +311,7 @@ def _changes(forces: PathForces, motion: Ints) -> tuple[Array, Bools]:
     t, count = forces.t, len(forces.t)
     follows = np.append(False, np.diff(motion) == 0)
     alike = follows & (np.diff(forces.knot_frame, prepend=0) == 0)
-    change = np.diff(forces.wrench, axis=0, prepend=forces.wrench[:1])
+    change = np.diff(forces.wrench[:], axis=0, prepend=forces.wrench[:1])
     change[~alike] = 0.0
     rows = np.flatnonzero(follows & ~alike)
     place = at(forces.axes.program, forces.axes.path, motion[rows], t[rows])

@@ -231,7 +231,7 @@ def of_targets(forces: PathForces, targets: Targets, arrive: Array, wrench: Arra
 
     :param forces: those of the program as read.
     :param targets: the targets to write.
-    :param arrive: (K, 3) direction of travel at the end of each piece, `$BASE`.
+    :param arrive: (K, 3) direction of travel at the end of each piece, `$BASE`; (0, 3) without forces in FEED axes.
     :param wrench: (K, 6) wrench that acts there [N, N·m], `$BASE` axes.
     """
     frame = np.where(any_column(wrench != 0.0), _frame(forces, targets), BASE)

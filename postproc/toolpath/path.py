@@ -19,7 +19,7 @@ from postproc.frames import (
     sine_and_cosine,
 )
 from postproc.poses import Poses
-from postproc.program import CIRC, LIN, PTP, SPL, Bools, Ints, Program, Starts
+from postproc.program import CIRC, LIN, PTP, SPL, Bools, Ints, Program, Starts, constant
 
 _STILL = 1e-6
 """Angle [rad] below which matrices of rotation may be interpolated entry by entry: its square is rounding."""
@@ -142,9 +142,12 @@ def segments(program: Program, start_flange_in_root: Array) -> Segments:
         return begin, norm(end - begin), angle_between(one[:, :3, :3], rotation)
 
     begin, length, turn = in_chunks(chord, np.arange(len(m)))
+    if not turn.any():
+        turn = constant(0.0, len(m))
     if program.turning is not None:
         turn = np.maximum(turn, program.turning.travel)
     if program.with_path is not None:
+        turn = turn.copy()
         rows = np.flatnonzero(program.with_path)
         relative = _turned_back(program, rows, m.sweep[rows], m.target[rows, :3, :3])
         turn[rows] = m.sweep[rows] + angle_between(start.at(rows)[:, :3, :3], relative)

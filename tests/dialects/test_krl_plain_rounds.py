@@ -111,10 +111,12 @@ def test_a_round_costs_no_more_calls_than_a_plain_line_a_few_times_over():
     def making(count):
         points = "".join(f"P[{n}]={{X {n % 90},Y 2,Z 3,A 0,B 0,C 180}}\r\n" for n in range(1, count + 1))
         text = f"DEFDAT part\r\nDECL INT I=1\r\nDECL E6POS P[{count}]\r\n{points}ENDDAT\r\n"
+        source = body(START, f"FOR I=1 TO {count}", "LIN P[I] C_DIS", "ENDFOR")
+        program = read(source, text)
+        moved = targets(program, np.full((len(program.motions), 3), 1e-3))
 
         def work():
-            program = read(body(START, f"FOR I=1 TO {count}", "LIN P[I] C_DIS", "ENDFOR"), text)
-            krl.rewrite(program, targets(program, np.full((len(program.motions), 3), 1e-3)))
+            krl.rewrite(read(source, text), moved)
 
         return work
 

@@ -489,7 +489,7 @@ def _motions(
         sweep=sweep,
         feed=feed,
         base=constant(0, len(kept)),
-        tool=moves.tool[kept],
+        tool=moves.tool[kept] if moves.tool.any() else constant(0, len(kept)),
         blend=blend,
         rounding=rounding,
         status=unset,

@@ -76,9 +76,9 @@ class Layout(Struct, frozen=True, eq=False):
     numbers: Array
     missing: Bools
     spans: Offsets
-    keyword: Ints
-    target: Ints
-    tail: Ints
+    keyword: Offsets
+    target: Offsets
+    tail: Offsets
     via_spans: Offsets
     via_target: Ints
     resumed: Bools

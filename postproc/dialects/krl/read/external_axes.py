@@ -26,7 +26,7 @@ def external_axes(
     :param after: (R,) the motion at whose end each begins, see `Program.after`.
     :raises ProgramError: another axis moves, or the position of E1 is not known.
     """
-    external = rows.numbers[:, 8:]
+    external = rows.external
     if np.isnan(external).all():
         return [], None
     steps = np.zeros(external.shape)

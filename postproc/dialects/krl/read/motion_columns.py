@@ -17,8 +17,6 @@ from postproc.frames import Array
 from postproc.program import Bools, Ints
 
 _BATCH = 1000
-NUMBERS = len(COLUMNS) + 6
-"""Those and E1 … E6."""
 
 
 class MotionColumns(Struct, frozen=True, eq=False):
@@ -26,7 +24,8 @@ class MotionColumns(Struct, frozen=True, eq=False):
 
     :param line: (R,) 1-based line.
     :param kind: (R,) `LIN`, `CIRC` or `PTP`.
-    :param numbers: (R, 14) X, Y, Z [mm], A, B, C [deg], S, T, E1…E6 as the text gives them; NaN where missing.
+    :param numbers: (R, 6) X, Y, Z [mm], A, B, C [deg] as the text gives them; NaN where missing.
+    :param posture: (R, 2) S and T, and `external` (R, 6) E1…E6, likewise.
     :param spans: (R, 8, 2) spans of the texts of X…T in the line; −1 where missing.
     :param keyword: (R,) offset of the instruction.
     :param target: (R, 2) span of the target.
@@ -40,10 +39,12 @@ class MotionColumns(Struct, frozen=True, eq=False):
     line: Ints
     kind: Ints
     numbers: Array
+    posture: Array
+    external: Array
     spans: Offsets
-    keyword: Ints
-    target: Ints
-    tail: Ints
+    keyword: Offsets
+    target: Offsets
+    tail: Offsets
     approximated: Bools
     via: Array
     via_spans: Offsets
@@ -96,11 +97,11 @@ class MotionCollector:
         Numbers of axis and relative targets are left out, except E1…E6.
         """
         self._convert()
-        return merged(self._done, np.arange(len(self.states)))
+        return merged([*self._done], np.arange(len(self.states)))
 
 
 def _of_moves(moves: Sequence[MotionStatement]) -> MotionColumns:
-    numbers = np.full((len(moves), NUMBERS), np.nan)
+    numbers, posture, external = (np.full((len(moves), count), np.nan) for count in (6, 2, 6))
     spans = np.full((len(moves), len(COLUMNS), 2), -1, dtype=np.int32)
     via, via_spans, via_target = no_circles(len(moves))
     if any(move.via is not None for move in moves):
@@ -108,13 +109,13 @@ def _of_moves(moves: Sequence[MotionStatement]) -> MotionColumns:
     for row, move in enumerate(moves):
         position = move.end.position
         if not position.axis and not move.relative:
-            numbers[row, :6] = position.values
+            numbers[row] = position.values
         if position.external:
-            numbers[row, 8:] = position.external
+            external[row] = position.external
         if position.status >= 0:
-            numbers[row, 6] = position.status
+            posture[row, 0] = position.status
         if position.turn >= 0:
-            numbers[row, 7] = position.turn
+            posture[row, 1] = position.turn
         if move.plain and position.aggregate is not None:
             for column, name in enumerate(COLUMNS):
                 item = position.aggregate.items.get(name)
@@ -126,19 +127,27 @@ def _of_moves(moves: Sequence[MotionStatement]) -> MotionColumns:
                 via_target[row] = move.via.start, move.via.stop
                 items = move.via.position.aggregate.items
                 via_spans[row] = [(items[name].start, items[name].stop) for name in COLUMNS[:3]]
+    posture, external = (given(each) for each in (posture, external))
     return MotionColumns(
         _ints([move.line for move in moves]),
         _ints([move.kind for move in moves]),
         numbers,
+        posture,
+        external,
         spans,
-        _ints([move.keyword[0] for move in moves]),
-        _ints([(move.end.start, move.end.stop) for move in moves]).reshape(-1, 2),
-        _ints([(move.tail, move.stop) for move in moves]).reshape(-1, 2),
+        _offsets([move.keyword[0] for move in moves]),
+        _offsets([(move.end.start, move.end.stop) for move in moves]).reshape(-1, 2),
+        _offsets([(move.tail, move.stop) for move in moves]).reshape(-1, 2),
         np.array([move.approximated for move in moves], dtype=np.bool_),
         via,
         via_spans,
         via_target,
     )
+
+
+def given(column: Array) -> Array:
+    """Return a column; instead of one that is NaN throughout, one that takes no memory."""
+    return np.broadcast_to(np.nan, column.shape) if np.isnan(column).all() else column.copy()
 
 
 def no_circles(count: int) -> tuple[Array, Offsets, Ints]:
@@ -155,26 +164,39 @@ def _ints(values: Sequence[object]) -> Ints:
     return np.array(values, dtype=np.int64)
 
 
-def merged(parts: Sequence[MotionColumns], place: Ints) -> MotionColumns:
+def _offsets(values: Sequence[object]) -> Offsets:
+    return np.array(values, dtype=np.int32)
+
+
+def merged(parts: list[MotionColumns], place: Ints) -> MotionColumns:
     """Return the motions of some parts (at least one) at the places (R,) that they have among all of them.
+
+    The list is emptied, so that each column of the parts can be released when it has been copied.
 
     :param place: for the motions of the first part, then for those of the next, …
     """
-    columns = [_room(len(place), values) for values in zip(*(rows.columns() for rows in parts), strict=True)]
-    begin = 0
+    where, begin = [], 0
     for rows in parts:
-        where: Ints | slice = place[begin : begin + len(rows)]
-        if len(rows) and place[begin + len(rows) - 1] - place[begin] == len(rows) - 1:  # nothing between them
-            where = slice(place[begin], place[begin] + len(rows))
-        for column, values in zip(columns, rows.columns(), strict=True):
-            if column.flags.writeable:
-                column[where] = values
-        begin += len(rows)
-    return MotionColumns(*columns)
+        end = begin + len(rows)
+        together = len(rows) > 0 and place[end - 1] - place[begin] == len(rows) - 1  # nothing between them
+        where.append(slice(place[begin], place[begin] + len(rows)) if together else place[begin:end])
+        begin = end
+    waiting = [rows.columns()[::-1] for rows in parts]
+    parts.clear()
+    del rows
+    done = []
+    while waiting[0]:
+        values = [columns.pop() for columns in waiting]
+        column = _room(len(place), values)
+        if column.flags.writeable:
+            for there, one in zip(where, values, strict=True):
+                column[there] = one
+        done.append(column)
+    return MotionColumns(*done)
 
 
 def _room(count: int, parts: Sequence[Any]) -> Any:
-    """Return a column of `count` motions to be filled; that of `no_circles` if no part has circles."""
+    """Return a column of `count` motions to be filled; one that takes no memory if all parts have such."""
     filled = [values for values in parts if len(values)]
     if filled and all(values.strides[0] == 0 for values in filled):
         return np.broadcast_to(filled[0][0], (count, *filled[0].shape[1:]))

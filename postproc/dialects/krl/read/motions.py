@@ -60,10 +60,10 @@ def ordered_motions(main: MainRoutine, plain: list[MotionColumns]) -> OrderedMot
     """Put plain lines and statements in order.
 
     :param main: has followed all lines that are not plain.
-    :param plain: plain motions, in parts.
+    :param plain: plain motions, in parts; the list is emptied, see `merged`.
     """
     statements = main.motions
-    plain = [*plain, *(each.rows for each in main.rounds)]
+    plain += [each.rows for each in main.rounds]
     line = np.concatenate([rows.line for rows in plain])
     states, state_plain, state_moves, changed = _states(main.run.settings, line, statements.states)
     others = statements.rows()
@@ -79,7 +79,8 @@ def ordered_motions(main: MainRoutine, plain: list[MotionColumns]) -> OrderedMot
         own = numbers[place_plain, row]
         numbers[place_plain, row] = main.run.settings.coming.at(row, line, changed, own)
     moves = {int(place[index]): move for index, move in statements.special}
-    return OrderedMotions(merged([*plain, others], places), states, state, numbers, moves)
+    plain.append(others)
+    return OrderedMotions(merged(plain, places), states, state, numbers, moves)
 
 
 def motions_and_layout(
@@ -114,7 +115,7 @@ def motions_and_layout(
     placed[[row for row, move in moves.items() if move.end.position.axis]] = False
     axis_issues, carriage = external_axes(source, rows, relative, placed, settings.cell.carriage, after)
     frames = base, tool, np.stack(settings.frames.bases), np.stack(settings.frames.tools)
-    given = rows.numbers[:, :6]
+    given = rows.numbers
     led = _led(source, rows, states, state)
     ends = end_poses(source, rows.line, given, frames, moves, start_joints, forward, led, carriage, after)
     by_wrist = _by_wrist(source, rows, states, state, ends, settings)
@@ -136,8 +137,8 @@ def motions_and_layout(
         tool=tool,
         blend=np.where(rows.approximated, cdis, 0.0),
         rounding=constant(np.inf, len(rows)),
-        status=_whole(rows.numbers[:, 6]),
-        turn=_whole(rows.numbers[:, 7]),
+        status=_whole(rows.posture[:, 0]),
+        turn=_whole(rows.posture[:, 1]),
     )
     missing = np.isnan(given)
     missing[[row for row, move in moves.items() if move.end.position.axis or move.relative]] = False

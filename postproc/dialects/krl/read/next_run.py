@@ -6,7 +6,7 @@ followed once more from there. If it then moves differently, the output holds on
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -26,16 +26,20 @@ _MOST_NAMES = 10
 
 
 def changed_data_issues(
-    main: MainRoutine, first: OrderedMotions, plain: Plain, start_joints: tuple[float, ...]
+    main: MainRoutine,
+    kept: Mapping[str, str],
+    first: OrderedMotions,
+    plain: Plain,
+    start_joints: tuple[float, ...],
 ) -> Iterator[Issue]:
     """Yield a warning if the next run, with the values that this one leaves, moves differently or is not known.
 
     :param main: has followed the program.
+    :param kept: values that it leaves to the next run, see `kept_values`.
     :param first: its motions.
     :param plain: its plain lines.
     :param start_joints: joint angles at the start [deg].
     """
-    kept = _used(main, main.run.settings.variables.kept())
     if not kept:
         return
     cell, library, routine = main.run.settings.cell, main.run.library, main.run.routine
@@ -66,9 +70,9 @@ def changed_data_issues(
     yield Issue("warning", "changed-data", message, line, subject=", ".join(list(kept)[:_MOST_NAMES]))
 
 
-def _used(main: MainRoutine, kept: dict[str, str]) -> dict[str, str]:
-    """Return the values left by a run that the next one may use: not counters that it sets first."""
-    run = main.run
+def kept_values(main: MainRoutine) -> dict[str, str]:
+    """Return the values left by a run that the next one may use, and where: not counters that it sets first."""
+    run, kept = main.run, main.run.settings.variables.kept()
     uses = Uses(run, run.routine.source, run.nodes(run.routine)) if kept else None
     changing = run.settings.variables.changing
     return {name: where for name, where in kept.items() if uses is None or name in changing or uses.uses(name)}
@@ -89,6 +93,8 @@ def _first_difference(one: Settings, first: OrderedMotions, other: Settings, sec
     same = np.ones(len(first.rows), dtype=np.bool_)
     for a, b in (
         (first.rows.numbers, second.rows.numbers),
+        (first.rows.posture, second.rows.posture),
+        (first.rows.external, second.rows.external),
         (first.rows.via, second.rows.via),
         (_in_force(one, first)[first.state], _in_force(other, second)[second.state]),
         (first.numbers, second.numbers),

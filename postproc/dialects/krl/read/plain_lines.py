@@ -17,7 +17,7 @@ import numpy as np
 from postproc.decimals import Bytes, numbers_in, parsed
 from postproc.dialects.krl.language.positions import COLUMNS
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.read.motion_columns import NUMBERS, MotionColumns, no_circles, none
+from postproc.dialects.krl.read.motion_columns import MotionColumns, given, no_circles, none
 from postproc.frames import Array, any_column
 from postproc.program import CIRC, LIN, PTP, Bools, Ints
 
@@ -59,8 +59,10 @@ _NUMBER = bytes.maketrans(b"\1" + b"0123456789+-.", b"?" + b"\1" * 13)
 _OWN = re.compile(rb"[SsTtEe][ \t]*\x01")
 """Components that may have certain values or names only, so that lines with them are decided one by one."""
 _COMMENT = re.compile(rb";[^\r\n]*")
+_NUMBERS = len(COLUMNS) + 6
+"""X … T, and E1 … E6."""
 _COLUMN = np.full(256, -1, dtype=np.int64)
-_COLUMN[np.frombuffer(b"XYZABCST123456", dtype=np.uint8)] = np.arange(NUMBERS)
+_COLUMN[np.frombuffer(b"XYZABCST123456", dtype=np.uint8)] = np.arange(_NUMBERS)
 _COLUMN[np.frombuffer(b"xyzabcst", dtype=np.uint8)] = np.arange(8)
 _KEPT = bytes(byte if byte in b"0123456789+-.eE" else 32 for byte in range(256))
 _BLANK = np.zeros(256, dtype=np.bool_)
@@ -89,9 +91,11 @@ def _plain(text: str, starts: Ints, lines: int, characters: int) -> MotionColumn
     if plain is None:  # something that looks like a number is none, such as 1.2.3
         strict = [index for index in alike.tolist() if _is_plain(text, int(starts[index]), _STRICT)]
         plain = _scan(codes, starts, np.array(strict, dtype=np.int64), lines, characters) or none()
-    endless = [np.isinf(values) for values in (plain.numbers, plain.via)]  # 1E999: refused where statements are read
+    endless = [
+        np.isinf(values) for values in (plain.numbers, plain.external, plain.via)
+    ]  # 1E999: refused where statements are read
     if any(each.any() for each in endless):
-        plain = plain.take(~(any_column(endless[0]) | any_column(endless[1])))
+        plain = plain.take(~np.logical_or.reduce([any_column(each) for each in endless]))
     return plain
 
 
@@ -146,9 +150,9 @@ def _scan(codes: bytes, line_starts: Ints, index: Ints, lines: int, characters: 
         line = np.searchsorted(begins, points[:, 0], side="right") - 1
         target = np.append(line[1:] != line[:-1], True)
         column += np.repeat(
-            np.where(target, NUMBERS, 0), np.diff(np.searchsorted(starts, points[:, 0]), append=len(starts))
+            np.where(target, _NUMBERS, 0), np.diff(np.searchsorted(starts, points[:, 0]), append=len(starts))
         )
-    numbers = np.full((len(index), NUMBERS * (1 + circles)), np.nan)
+    numbers = np.full((len(index), _NUMBERS * (1 + circles)), np.nan)
     spans = np.full((*numbers.shape, 2), -1, dtype=np.int32)
     row, column = _places(column, begins, starts)
     offset, shape = (shift[:, None], (len(index), -1)) if isinstance(row, slice) else (shift[row], (-1,))
@@ -157,8 +161,8 @@ def _scan(codes: bytes, line_starts: Ints, index: Ints, lines: int, characters: 
     spans[row, column, 1] = stops.reshape(shape) + offset
     via, via_spans, via_target = no_circles(len(index))
     if circles:
-        via, via_spans = numbers[:, :3], spans[:, :3]
-        numbers, spans = numbers[:, NUMBERS:], spans[:, NUMBERS:]
+        via, via_spans = numbers[:, :3].copy(), spans[:, :3].copy()
+        numbers, spans = numbers[:, _NUMBERS:], spans[:, _NUMBERS:]
         via_target = via_target.copy()
         via_target[line[~target]] = points[~target] + shift[line[~target], None]
         points = points[target]
@@ -171,11 +175,13 @@ def _scan(codes: bytes, line_starts: Ints, index: Ints, lines: int, characters: 
     return MotionColumns(
         line=index + 1 + lines,
         kind=np.where(ptp, PTP, np.where(letter == ord("c"), CIRC, LIN)),
-        numbers=numbers,
+        numbers=numbers[:, :6].copy(),
+        posture=given(numbers[:, 6:8]),
+        external=given(numbers[:, 8:]),
         spans=spans[:, : len(COLUMNS)].copy(),
-        keyword=keyword + shift,
-        target=points + shift[:, None],
-        tail=np.stack([points[:, 1], stop], axis=1) + shift[:, None],
+        keyword=(keyword + shift).astype(np.int32),
+        target=(points + shift[:, None]).astype(np.int32),
+        tail=(np.stack([points[:, 1], stop], axis=1) + shift[:, None]).astype(np.int32),
         approximated=_approximated(raw, begins, ptp),
         via=via,
         via_spans=via_spans,

@@ -18,6 +18,7 @@ from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.structures import Block
 from postproc.dialects.krl.language.tree import For, Motion, Statement
 from postproc.dialects.krl.language.values import Reference, walk
+from postproc.dialects.krl.layout import Offsets
 from postproc.dialects.krl.read import plain_lines
 from postproc.dialects.krl.read.motion_columns import MotionColumns, merged
 from postproc.dialects.krl.read.motion_reader import HERE, KINDS, MotionReader
@@ -104,7 +105,7 @@ def _motions(run: Run, reader: MotionReader, rounds: PlainRounds, at: int, here:
     lines = Source(replace(source.document, text=text), text, source.index, starts, ends - 1)
     points = plain_lines.scan(lines)
     rows = merged(points, np.arange(sum(map(len, points))))
-    if len(rows) != rounds.count or (np.abs(rows.numbers[:, :6]) > FARTHEST).any():
+    if len(rows) != rounds.count or (np.abs(rows.numbers) > FARTHEST).any():
         return None
     shift = np.array([start for start, _ in spans]) - starts - len(_BEFORE)
     kind = KINDS[here.word]
@@ -112,8 +113,8 @@ def _motions(run: Run, reader: MotionReader, rounds: PlainRounds, at: int, here:
     line = rounds.line(at)
     begin = run.source.starts[line - 1] - rounds.source.starts[at - 1]
 
-    def moved(start: int, stop: int) -> Ints:
-        return np.asarray(begin[:, None] + np.array([start, stop]))
+    def moved(start: int, stop: int) -> Offsets:
+        return np.asarray(begin[:, None] + np.array([start, stop]), dtype=np.int32)
 
     literal = rows.target + shift[:, None]
     rows = replace(
@@ -121,7 +122,7 @@ def _motions(run: Run, reader: MotionReader, rounds: PlainRounds, at: int, here:
         line=line,
         kind=np.full(rounds.count, kind),
         spans=np.where(rows.spans >= 0, rows.spans + shift[:, None, None], -1).astype(np.int32),
-        keyword=begin + here.start,
+        keyword=(begin + here.start).astype(np.int32),
         target=moved(here.end.start, here.end.stop),
         tail=moved(here.tail.start, here.tail.stop),
         approximated=np.full(rounds.count, approximated),

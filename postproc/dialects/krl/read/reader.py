@@ -15,6 +15,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc.cell import Cell
+from postproc.chunks import in_chunks
 from postproc.dialects.krl.course import Occasion
 from postproc.dialects.krl.language.positions import FARTHEST
 from postproc.dialects.krl.language.routines import Module, Routine, routines
@@ -31,7 +32,7 @@ from postproc.dialects.krl.read.main_routine import MainRoutine, course_of
 from postproc.dialects.krl.read.motion_columns import MotionColumns, merged
 from postproc.dialects.krl.read.motion_reader import MotionReader
 from postproc.dialects.krl.read.motions import OrderedMotions, motions_and_layout, ordered_motions, unsettled
-from postproc.dialects.krl.read.next_run import changed_data_issues
+from postproc.dialects.krl.read.next_run import changed_data_issues, kept_values
 from postproc.dialects.krl.read.plain import Plain, plain_of
 from postproc.dialects.krl.read.remarks import remarks
 from postproc.dialects.krl.read.settings import Settings
@@ -142,9 +143,11 @@ class _Reading(Struct, frozen=True, eq=False):
             raise ProgramError(
                 "there are no motions", file=self.documents[0].name, advice="Check that this is the program."
             )
-        ordered = ordered_motions(main, plain.motions)
-        changed = list(changed_data_issues(main, ordered, plain, start))
-        del plain  # what follows needs the memory
+        kept = kept_values(main)
+        parts = [*plain.motions] if kept else plain.motions  # emptied; a second run needs them
+        ordered = ordered_motions(main, parts)
+        changed = list(changed_data_issues(main, kept, ordered, plain, start))
+        del plain, parts  # what follows needs the memory
         resolved = without_unresolved(main, ordered)
         ordered = resolved.ordered
         free = frozenset() if cell.carriage is not None else free_joins(course, ordered)
@@ -281,11 +284,14 @@ def _folders(document: Document, cell: Cell) -> list[Path]:
 
 def _check_size(source: Source, rows: MotionColumns) -> None:
     """Refuse coordinates that no robot reaches."""
-    size = [np.abs(values) for values in (rows.numbers[:, :6], rows.via)]
-    beyond = np.flatnonzero(any_column(size[0] > FARTHEST) | any_column(size[1] > FARTHEST))
-    if len(beyond):
-        row = beyond[0]
-        largest = max(float(np.nanmax(values[row], initial=0.0)) for values in size)
+    (beyond,) = in_chunks(
+        lambda numbers, via: (any_column(np.abs(numbers) > FARTHEST) | any_column(np.abs(via) > FARTHEST),),
+        rows.numbers,
+        rows.via,
+    )
+    if beyond.any():
+        row = int(np.argmax(beyond))
+        largest = max(float(np.nanmax(np.abs(values[row]), initial=0.0)) for values in (rows.numbers, rows.via))
         raise out_of_reach(Place(source, int(rows.line[row])), largest)
 
 

@@ -199,7 +199,7 @@ def needs_start(ordered: OrderedMotions, row: int, *, arcs: bool = True) -> bool
         return True
     if move is not None:
         return not move.end.position.complete
-    return bool(np.isnan(ordered.rows.numbers[row, :6]).any())
+    return bool(np.isnan(ordered.rows.numbers[row]).any())
 
 
 def _reported(main: MainRoutine, lost: dict[int, ProgramError]) -> tuple[tuple[Unresolved, ...], list[Issue]]:

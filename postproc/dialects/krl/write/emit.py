@@ -154,7 +154,7 @@ class _Emitter:
 
     def _lines(self, kind: int, k: Ints, approximated: Bools) -> bytes:
         """Print the motion lines of targets (k,) of a kind, with all decimals."""
-        numbers = xyzabc_from_pose(self.targets.pose[k])
+        numbers = self.targets.pose.xyzabc(k)
         end = _aggregate(numbers)
         spline = b"S" if self.cell.gcode.motions == "SLIN" else b""
         approximated = approximated & (not spline or kind != PTP)

@@ -11,7 +11,7 @@ from postproc.chunks import in_chunks
 from postproc.dialects.krl.language.positions import CARTESIAN
 from postproc.dialects.krl.language.values import Number
 from postproc.dialects.krl.layout import FREE, IGNORE, ORIENTATIONS, Layout, Offsets
-from postproc.frames import MM_PER_M, Array, any_column, xyzabc_from_pose
+from postproc.frames import MM_PER_M, Array, any_column
 from postproc.program import Bools, Ints, Motions, Targets
 
 DECIMALS = np.array([4, 4, 4, 5, 5, 5])
@@ -67,7 +67,7 @@ def target_numbers(motions: Motions, layout: Layout, targets: Targets, text: str
     row = targets.motion
     last = np.append(row[1:] != row[:-1], True) if len(row) else np.zeros(0, dtype=np.bool_)
     keep = targets.keep & last
-    (exact,) = in_chunks(lambda rows: (xyzabc_from_pose(targets.pose[rows]),), np.arange(len(row)))
+    (exact,) = in_chunks(lambda rows: (targets.pose.xyzabc(rows),), np.arange(len(row)))
     exact[:, 3:] = _nearest(exact[:, 3:], layout.numbers[row, 3:])
     decimals = np.maximum(DECIMALS, np.minimum(_decimals(layout, text)[row], MOST_DECIMALS))
     numbers = np.where(keep[:, None], layout.numbers[row], _rounded(exact, decimals))
