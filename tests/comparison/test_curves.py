@@ -111,7 +111,7 @@ def seen(one, other, pairs, u):
 def test_both_programs_send_the_nominal_tool_where_frames_and_lengths_say(frames_of_second):
     one, other = Path(ONE, TURNED), Path(TWO, ALSO, **frames_of_second)
     curves = Curves.of(one.placed, other.placed, PAIRS)
-    u = np.concatenate([np.linspace(0.013, 5.0, 60), [1.0, 2.0, 3.0, 4.0, 5.0]])
+    u = np.concatenate([np.linspace(0.013, 5.0, 40), [1.0, 2.0, 3.0, 4.0, 5.0]])
     expected = np.array([seen(one, other, PAIRS, each) for each in u])
     np.testing.assert_allclose(np.stack(curves.at(u), axis=1), expected, atol=1e-9)
     inside = (one.base[:3, :3] @ expected[:, 1].T).T + one.base[:3, 3]
@@ -119,7 +119,7 @@ def test_both_programs_send_the_nominal_tool_where_frames_and_lengths_say(frames
     largest = np.zeros(6)
     for each in [
         *np.arange(5) + 1e-9,
-        *np.linspace(0.0125, 5.0, 400),
+        *np.linspace(0.05, 5.0, 100),
         *corners(one, PAIRS[:, 0]),
         *corners(other, PAIRS[:, 1]),
     ]:
@@ -127,7 +127,7 @@ def test_both_programs_send_the_nominal_tool_where_frames_and_lengths_say(frames
         largest[pair] = max(largest[pair], np.linalg.norm(np.diff(seen(one, other, PAIRS, each), axis=0)))
     found = curves.apart()
     assert np.isnan(found[0])
-    np.testing.assert_allclose(found[1:], largest[1:], rtol=2e-4)
+    np.testing.assert_allclose(found[1:], largest[1:], rtol=1e-3)
 
 
 def test_ways_by_ptp_are_unknown_in_either_program():

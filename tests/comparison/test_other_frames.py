@@ -85,8 +85,7 @@ TURNED_TOOL = (0.0, 0.0, 350.0, 25.0, 0.0, 0.0)
     [
         (TURNED_BASE, TOOL, False, True),
         (TURNED_BASE, TOOL, False, False),
-        (TURNED_BASE, TOOL, True, True),
-        (TURNED_BASE, TURNED_TOOL, False, True),
+        (TURNED_BASE, TURNED_TOOL, True, True),
     ],
 )
 def test_another_base_turns_what_is_in_its_axes_and_changes_nothing_else(base, tool, e1, forces):
