@@ -97,6 +97,8 @@ def some(edge: Edge, pieces: NDArray[np.bool_]) -> Edge:
     return Edge(edge.part[pieces], *(column[pieces] for column in columns))
 
 
+DRILL_THRUST = 0.5
+"""Radial by tangential coefficient of a drill: see `postproc.machining.cutting`."""
 _LEAST = 8
 """Minimum number of sample points in half a turn."""
 
@@ -120,6 +122,7 @@ class Turn(Struct, frozen=True, eq=False):
 
     law: CuttingLaw
     teeth: int
+    drill: bool
     phi: Array
     width: Array
     radius: Floats
@@ -171,7 +174,8 @@ class Turn(Struct, frozen=True, eq=False):
         share = (cutter.teeth * wide_ / (2.0 * np.pi))[:, None]
 
         def wrench(k: tuple[float, float, float]) -> Floats:
-            force = k[0] * tangential - k[1] * normal + k[2] * along
+            radial = DRILL_THRUST * k[0] if cutter.drill else k[1]
+            force = k[0] * tangential - radial * normal + k[2] * along
             return np.asarray(np.concatenate([force, np.cross(point, force)], axis=-1) * share, dtype=np.float32)
 
         axes = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)) if law.covariance is not None else ()
@@ -183,8 +187,8 @@ class Turn(Struct, frozen=True, eq=False):
         first, second, third, end = np.searchsorted(part, [BOTTOM, CORNER, SIDE, SIDE + 1]).tolist()
         height = (np.where(np.isfinite(rise), rise, 1.0) / edge.length[own])[:, None]
         return cls(
-            law, cutter.teeth, angle, wide_, single(edge.radius[own]), single(edge.low[own]), single(rise),
-            single(edge.length[own]), slice(first, second), slice(second, third), slice(third, end),
+            law, cutter.teeth, cutter.drill, angle, wide_, single(edge.radius[own]), single(edge.low[own]),
+            single(rise), single(edge.length[own]), slice(first, second), slice(second, third), slice(third, end),
             single(normal[:, 0]), single(normal[:, 1]), single(-normal[:, 2]), wrench(law.cutting), wrench(law.edge),
             each, single(_covered(angle, wide_, 2 * half) * height),
         )  # fmt: skip
