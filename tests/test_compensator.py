@@ -25,6 +25,21 @@ def test_gradient_and_stiffness_are_derivatives_of_the_energy():
     np.testing.assert_allclose(LAW.stiffness_about_joint(Q2), curve, rtol=1e-7, atol=1e-3)
 
 
+@pytest.mark.parametrize("shape", [(30,), (5, 6), ()])
+def test_columns_are_the_shares_of_stiffness_and_preload_for_angles_of_any_shape(shape):
+    """Of gradient and stiffness, which are linear in both: springs of one of them alone."""
+    q2 = np.resize(Q2, shape)
+    for column, spring in enumerate((LAW.with_spring(1.0, 0.0), LAW.with_spring(1e-3, 1.0))):
+        rest = 0.0 if column == 0 else 1e-3  # of the stiffness that it needs to have a length
+        for columns, of in (
+            (LAW.gradient_columns, spring.gradient),
+            (LAW.stiffness_columns, spring.stiffness_about_joint),
+        ):
+            found = columns(q2)
+            assert found.shape == (*shape, 2)
+            np.testing.assert_allclose(found[..., column] + rest * found[..., 0], of(q2), rtol=1e-9, atol=1e-12)
+
+
 def test_the_assumed_spring_of_the_kr_270_2_balances_about_5_kNm():
     assert 4e3 < np.abs(LAW.gradient(Q2)).max() < 9e3
 

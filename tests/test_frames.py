@@ -67,6 +67,16 @@ def test_displaced_and_twist_between_are_inverse():
     np.testing.assert_allclose(frames.twist_between(pose, frames.displaced(pose, twist)), twist, atol=1e-12)
 
 
+@pytest.mark.parametrize("size", [0.0, 1e-9, 1e-4, 4.9e-3, 5.1e-3, 0.02, 0.09, 0.5, 3.0])
+def test_rotations_of_vectors_are_those_of_scipy_whatever_their_size(size):
+    """Ten of one size at once: small ones are computed by a series."""
+    vector = np.random.default_rng(8).normal(size=(10, 3))
+    vector *= size / np.linalg.norm(vector, axis=1, keepdims=True)
+    expected = Rotation.from_rotvec(vector).as_matrix()
+    np.testing.assert_allclose(frames.rotation_from_vector(vector), expected, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(frames.rotation_vector(expected), vector, rtol=0, atol=1e-14)
+
+
 def test_inverse_undoes_a_pose():
     pose = frames.pose_from_xyzabc([[100.0, 200, 300, 10, 20, 30]])
     np.testing.assert_allclose(frames.inverse(pose) @ pose, np.eye(4)[None], atol=1e-15)
