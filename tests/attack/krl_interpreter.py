@@ -344,7 +344,7 @@ class Controller:
                 stack.append(block[4][-1])
             elif word in OPENING.values():
                 stack.pop()
-                stack[-1][-1][5] = line
+                stack[-1][-1][5] = line, number
             else:
                 stack[-1].append((word, file, number, line))
 
@@ -388,24 +388,33 @@ class Controller:
                 float(self.rng.uniform(low, high)) if name.variable.kind != "INT" else int(self.rng.integers(1, 4))
             )
         for number in sorted(self.active & self.handlers.keys()):
-            if self.rng.random() < 0.2:
-                self.action(*self.handlers[number])
+            public, *handler = self.handlers[number]
+            declared = public or any(handler[0] is frame for frame in self.frames)  # KSS 8, INTERRUPT DECL: GLOBAL
+            if declared and self.rng.random() < 0.2:
+                self.action(*handler)
         for routine in self.submit:
             if self.rng.random() < 0.2:
                 self.call(routine, [])
         for action in list(self.pending):
             if self.rng.random() < 0.4:
                 self.pending.remove(action)
+                count = len(self.motions)
                 self.action(*action)
+                if len(self.motions) > count:
+                    raise Invalid("a TRIGGER moves the robot")
         self.busy = False
 
-    def action(self, frame, file, number, line):
+    def action(self, frame, callers, file, number, line):
+        """Run what a TRIGGER or an INTERRUPT does: it belongs to the calls in which it was declared."""
         self.frames.append(frame)
+        present = self.callers, self.here
+        self.callers = callers
         word = re.match(r"[\w$]+", line)[0].upper()
         try:
             self.statement(word, file, number, line)
         finally:
             self.frames.pop()
+            self.callers, self.here = present
 
     def structure(self, block):
         word, file, number, line, parts, closing = block
@@ -437,6 +446,7 @@ class Controller:
         elif word == "WHILE":
             text = line
             while True:
+                self.here = file, number
                 reader = Reader(text)
                 reader.take("WHILE")
                 if not self.expression(reader):
@@ -458,7 +468,9 @@ class Controller:
                 except _Exit:
                     return
                 self.chance()
-                reader = Reader(closing)
+                text, number = closing
+                self.here = file, number
+                reader = Reader(text)
                 reader.take("UNTIL")
                 if self.expression(reader):
                     return
@@ -487,7 +499,7 @@ class Controller:
             action = re.search(r"(?i)\bDO\b\s*(.*?)(?:\s+PRIO\s*=.*)?$", line)[1]
             if re.match(r"[\w$]+", action)[0].upper() in self.frames[-1][1]:
                 raise Invalid("a trigger must not assign to a variable of the routine")  # KSS 8, TRIGGER: DO
-            self.pending.append((self.frames[-1], file, number, action))
+            self.pending.append((self.frames[-1], list(self.callers), file, number, action))
         elif word in ("ANIN", "DIGIN"):
             reader = Reader(line)
             reader.take(word)
@@ -517,7 +529,9 @@ class Controller:
     def interrupt(self, file, number, line):
         declaration = re.match(r"(?i)(?:GLOBAL\s+)?INTERRUPT\s+DECL\s+(\d+)\s+WHEN\s+.*?\bDO\b\s*(.*)$", line)
         if declaration:
-            self.handlers[int(declaration[1])] = (self.frames[-1], file, number, declaration[2])
+            public = line.upper().startswith("GLOBAL")
+            action = (self.frames[-1], list(self.callers), file, number, declaration[2])
+            self.handlers[int(declaration[1])] = public, *action
             return
         switch = re.match(r"(?i)INTERRUPT\s+(ON|OFF)\s+(\d+)", line)
         (self.active.add if switch[1].upper() == "ON" else self.active.discard)(int(switch[2]))
@@ -664,7 +678,7 @@ class Controller:
             return fitting(routine.result, result.args[0])
         finally:
             self.frames.pop()
-            self.callers.pop()
+            self.here = self.callers.pop()
         return None
 
     # --- expressions ---------------------------------------------------------------------------------------------

@@ -87,3 +87,36 @@ def test_copies_of_functions_are_functions(tmp_path):
     written, _ = corrected(tmp_path, {"part.src": files["part.src"]}, keep=False)
     assert "GLOBAL DEFFCT INT FN_2(N:IN)\n" in written["part.src"]
     assert written["part.src"].count(" FN(N:IN)") == 1
+
+
+SLOW = "DEFFCT INT SLOW()\nBAS(#VEL_CP,0.1)\n$TOOL=TOOL_DATA[2]\nRETURN(2)\nENDFCT\n"
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ["IF $IN[4] THEN", "LIN {X SLOW(),Y 55}", "ENDIF"],
+        ["LIN {X SLOW(),Y 55}"],
+        ["SPLINE", "SLIN {X SLOW(),Y 55}", "SLIN {X 5,Y 60}", "ENDSPLINE"],
+    ],
+)
+def test_what_the_target_of_a_motion_that_stays_calls_may_change_what_later_motions_depend_on(tmp_path, lines):
+    (tmp_path / "part.src").write_text(main(*lines, HOME, FULL, subs=SLOW))
+    cell = replace(CELL, folder=str(tmp_path), krl=replace(CELL.krl, keep_unresolved=True))
+    document = replace(decode("part.src", (tmp_path / "part.src").read_bytes()), folder=str(tmp_path))
+    program = krl.read_program([document], cell, forward, "part")
+    left = {one.line for one in program.unresolved}
+    assert max(left) == 6 + len(lines)  # LIN behind them: its speed and tool are not known
+    assert len(program.motions) == 2  # the first LIN, and the PTP to joint angles
+
+
+def test_a_call_whose_argument_moves_the_robot_stays_as_it_is(tmp_path):
+    function = "DEFFCT INT FN()\nLIN {X 7}\nRETURN(1)\nENDFCT\n"
+    files = {
+        "part.src": main("OTHER(FN())", HOME, FULL, subs=function),
+        "other.src": CUT.replace("CUT()", "OTHER(N:IN)\nINT N"),
+    }
+    written, _ = corrected(tmp_path, files, keep=True)
+    assert "other.src" not in written
+    assert "LIN {X 1.0000,Y 0.0000,Z 300.0000" in written["part.src"]
+    assert "\nOTHER(FN())\n" in written["part.src"]

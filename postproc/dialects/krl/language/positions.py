@@ -60,7 +60,12 @@ class Position(Struct, frozen=True, eq=False):
 
 
 class NotANumberError(ProgramError):
-    """A component of a position is no number before the program runs."""
+    """A component of a position is no number before the program runs.
+
+    :ivar component: its name.
+    """
+
+    component = ""
 
 
 def from_pose(pose: Array) -> Position:
@@ -110,7 +115,9 @@ def _wrong_component(aggregate: Aggregate, name: str, known: frozenset[str]) -> 
     error = aggregate.source.error(problem, aggregate.start, advice)
     if name not in known:
         return error
-    return NotANumberError(error.problem, file=error.file, line=error.line, text=error.text, advice=error.advice)
+    found = NotANumberError(error.problem, file=error.file, line=error.line, text=error.text, advice=error.advice)
+    found.component = name
+    return found
 
 
 def _bits(aggregate: Aggregate, name: str, value: float | None, highest: int) -> int:

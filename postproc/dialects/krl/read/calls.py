@@ -14,6 +14,7 @@ from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.language.values import Aggregate, Call, Opaque, Reference, Value, writable
 from postproc.dialects.krl.read.effects import Effects
+from postproc.dialects.krl.read.explanations import why_unknown
 from postproc.dialects.krl.read.inexact import inexact
 from postproc.dialects.krl.read.known import NOTHING, Known, Scope, Unknown
 from postproc.dialects.krl.read.run import SETTING_ADVICE, Apart, Level, Run
@@ -50,7 +51,7 @@ class Calls:
         if isinstance(known, Aggregate) and not (isinstance(value, Aggregate) and self.run.in_main):
             return replace(known, computed=True)  # the text of its numbers belongs to another variable
         if known == NOTHING and not (isinstance(value, Reference) and value.name[0] != "$"):
-            return Unknown(str(at))
+            return Unknown(f"{at}: {why_unknown(self.run.variables, at.source, value)}")
         return known
 
     def call(self, at: Place, call: Call, *, certain: bool) -> Known:

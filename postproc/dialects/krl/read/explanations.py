@@ -4,9 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from postproc.dialects.krl.language.names import PURE
 from postproc.dialects.krl.language.positions import Position
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.values import Call, Chain, Condition, Opaque, Operation, Reference, Value, walk
+from postproc.dialects.krl.language.values import (
+    Call,
+    Chain,
+    Condition,
+    Number,
+    Opaque,
+    Operation,
+    Reference,
+    Value,
+    walk,
+)
 from postproc.dialects.krl.read.known import NOTHING, Known, Unknown
 from postproc.dialects.krl.read.variables import Variables
 
@@ -37,10 +48,16 @@ def why_unknown(variables: Variables, source: Source, value: Value | Known) -> s
     text = source.text[value.start : value.stop].strip()[:80]
     if not text and isinstance(value, Reference):  # one that a program of the controller reads
         text = value.name if value.field is None else f"{value.name}.{value.field}"
+    sides = [side for side in (value.left, value.right) if side is not None] if isinstance(value, Operation) else []
+    if isinstance(value, Call) and value.name in PURE:
+        sides = list(value.arguments)
+    for side in sides:
+        if isinstance(variables.evaluate(side), Unknown):
+            return why_unknown(variables, source, side)
     if isinstance(value, Operation):
-        for side in (value.left, value.right):
-            if side is not None and isinstance(variables.evaluate(side), Unknown):
-                return why_unknown(variables, source, side)
+        numbers = [variables.evaluate(side) for side in sides]
+        if value.operator == "/" and all(isinstance(one, Number) and one.integer for one in numbers):
+            return f"{text} divides two INTs with a remainder (write one of them as a REAL, with a decimal point)"
     if isinstance(value, Opaque | Condition | Call | Operation) or (
         isinstance(value, Reference) and value.name[0] == "$"
     ):
@@ -56,3 +73,13 @@ def why_unknown(variables: Variables, source: Source, value: Value | Known) -> s
         if isinstance(known, Unknown):
             return f"{text} has no value in the program, its .dat, the $config.dat or [krl.values] of the cell"
     return f"{text} has the wrong type here"
+
+
+def why_not_decided(variables: Variables, source: Source, values: Iterable[Value]) -> str:
+    """Return why the values in a condition are not known, for a message; empty if each of them is known."""
+    for value in values:
+        for one in walk([value]):
+            known = variables.looked_up(one) if isinstance(one, Reference) else None
+            if isinstance(known, Unknown) and known.where:
+                return why_unknown(variables, source, one)
+    return ""

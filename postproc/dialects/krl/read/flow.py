@@ -18,7 +18,7 @@ from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.structures import LOOPS, Block, Node
 from postproc.dialects.krl.language.values import Call, Number, Value
 from postproc.dialects.krl.read.conditions import chosen, constant_cases, truth
-from postproc.dialects.krl.read.explanations import without_value
+from postproc.dialects.krl.read.explanations import why_not_decided, without_value
 from postproc.dialects.krl.read.inexact import InexactError, inexact
 from postproc.dialects.krl.read.interpreter import JUMP, JUMP_ADVICE, LOOP_ADVICE, Interpreter
 from postproc.dialects.krl.read.least_statements import ENDS_LOOPS, LeastStatements
@@ -218,7 +218,7 @@ class Flow:
         if trace is None or not run.level.traced or not run.certain:
             return False
         found = self.interpreter.calls.moving(call)
-        if found is None:
+        if found is None or any(self._moves_robot(inner) for inner in calls(call.arguments)):
             return False
         _, routine = found
         self._check_least(at, self._least.of_call(*found))
@@ -235,6 +235,10 @@ class Flow:
             undo()
             raise
         return True
+
+    def _moves_robot(self, call: Call) -> bool:
+        found = self.interpreter.calls.moving(call)
+        return found is not None and self.run.analysis.of(*found).motion is not None
 
     def _undoing(self, trace: Trace) -> Callable[[], None]:
         """Return a function that restores the present state of the run."""
@@ -606,7 +610,8 @@ class Flow:
     def _unknown(self, at: Place) -> InexactError:
         here = statement(at.source, at.line)
         asked = [call.spelt(at.source) for call in calls(here.values)]
-        why = f": it asks {asked[0]}()" if asked else ""
+        reason = f"it asks {asked[0]}()" if asked else why_not_decided(self.run.variables, at.source, here.values)
+        why = f": {reason}" if reason else ""
         names = without_value(self.run.variables, at.source, here.values)
         given = f" Or say in [krl.values] of the cell what {', '.join(names)} will be." if names else ""
         problem = f"motion inside {here.word}: its condition is not known before the program runs{why}"

@@ -18,6 +18,7 @@ from postproc.dialects.krl.language.structures import LOOPS
 from postproc.dialects.krl.language.values import Call, Opaque, Reference, Unreadable, Value, Word, walk
 from postproc.dialects.krl.read.calls import IN_ORDER, Calls
 from postproc.dialects.krl.read.data_lists import declare
+from postproc.dialects.krl.read.explanations import why_unknown
 from postproc.dialects.krl.read.inexact import inexact
 from postproc.dialects.krl.read.known import NOTHING, Known, Unknown
 from postproc.dialects.krl.read.run import SETTING_ADVICE, Run
@@ -212,9 +213,8 @@ class Interpreter:
         elif value != NOTHING:
             self.run.variables.set(key, value, str(at))
         elif name != "$H_POS":
-            text = at.source.text[given.start : given.stop].strip()[:80]
-            why = "not known" if "(" in text else "in no file of the program"
-            self.run.variables.set(key, Unknown(f"{at}: {text} is {why}"), str(at))
+            why = why_unknown(self.run.variables, at.source, given)
+            self.run.variables.set(key, Unknown(f"{at}: {why}"), str(at))
 
     def _which_element(self, at: Place, target: Reference, given: Value) -> str:
         """Return why it is not known which element an assignment writes: what it calls changes the index.

@@ -315,6 +315,8 @@ class MainRoutine:
 
         :raises ProgramError: it is not understood, not certain, or its target is not known before the program runs.
         """
+        for call in calls(here.values):
+            self._flow.interpreter.calls.call(at, call, certain=False)
         if not isinstance(here, Motion):
             self.splines.statement(at, here)
             return
@@ -328,8 +330,6 @@ class MainRoutine:
                 self._refused.add(opened)
                 raise at.error(f"motion inside {opener} (line {opened})", LOOP_ADVICE)
             return
-        for call in calls(here.values):
-            self._flow.interpreter.calls.call(at, call, certain=False)
         try:
             move, state, names = self.reader.read(at, here)
         except UnresolvedError as cause:

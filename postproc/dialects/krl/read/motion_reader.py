@@ -7,9 +7,9 @@ from msgspec.structs import replace
 from postproc.dialects.krl.language.motion_statements import MotionStatement, Point
 from postproc.dialects.krl.language.names import CIRCLES
 from postproc.dialects.krl.language.positions import FARTHEST, NotANumberError, Position
-from postproc.dialects.krl.language.source import Place
+from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.tree import Assignment, Motion, Spline, Tail
-from postproc.dialects.krl.language.values import Reference, Unreadable, Value
+from postproc.dialects.krl.language.values import Aggregate, Reference, Unreadable, Value
 from postproc.dialects.krl.read.explanations import why_unknown
 from postproc.dialects.krl.read.frames import out_of_reach
 from postproc.dialects.krl.read.inexact import unresolved
@@ -122,7 +122,7 @@ class MotionReader:
         try:
             position = self.variables.position(value)
         except NotANumberError as cause:
-            raise unresolved(cause) from None
+            raise unresolved(self._explained(source, value, cause)) from None
         if position is None and name in _HOME and self.variables.evaluate(value) == NOTHING:
             self.home_used = self.home_used or at.line
             position = Position(self.home, axis=True)
@@ -132,6 +132,14 @@ class MotionReader:
         if position.farthest > FARTHEST:
             raise out_of_reach(at, position.farthest)
         return Point(position, value.start, value.stop, name)
+
+    def _explained(self, source: Source, value: Value, cause: NotANumberError) -> ProgramError:
+        """Return the error of a component that is not a number, with the reason why it is none."""
+        item = value.items.get(cause.component) if isinstance(value, Aggregate) else None
+        if item is None:
+            return cause
+        problem = f"{cause.problem}: {why_unknown(self.variables, source, item)}"
+        return source.error(problem, item.start, cause.advice)
 
     def _angle(self, at: Place, value: Value) -> float:
         angle = self.variables.number(value)

@@ -16,8 +16,9 @@ from postproc.dialects.krl.language.tokens import word_at
 from postproc.dialects.krl.language.tree import EndSpline, Spline, Statement
 from postproc.dialects.krl.read.motion_columns import MotionColumns
 from postproc.dialects.krl.read.motion_reader import MotionReader
+from postproc.dialects.krl.read.run import SETTING_ADVICE
 from postproc.dialects.krl.read.settings import Settings
-from postproc.dialects.krl.read.state import State
+from postproc.dialects.krl.read.state import FIELDS, State
 from postproc.errors import Issue
 from postproc.program import SPL, Bools, Motions
 
@@ -27,10 +28,17 @@ class Opened(Struct, frozen=True):
 
     :ivar line: of its first line.
     :ivar before: state in force outside of it.
+    :ivar inside: state in force behind its first line.
     """
 
     line: int
     before: State
+    inside: State
+
+    def changed(self, now: State) -> list[str]:
+        """Return the fields of the state that changed inside, by functions that its motions call."""
+        fields = {field for field in FIELDS.values() if getattr(now, field) != getattr(self.inside, field)}
+        return sorted(fields | {field for field, _ in set(now.uncertain) - set(self.inside.uncertain)})
 
 
 class SplineBlocks:
@@ -56,7 +64,7 @@ class SplineBlocks:
             if self.open is not None:
                 raise at.error(f"{here.word} inside of a spline block (line {self.open.line})")
             state = self.reader.block(at, here)
-            self.open = Opened(at.line, self.settings.state)
+            self.open = Opened(at.line, self.settings.state, state)
             self.settings.change(at.line, state)
             return
         if self.open is None:
@@ -66,7 +74,10 @@ class SplineBlocks:
             raise at.error(f"{tail!r} is not understood")
         if tail:
             self.approximated.append(at.line)
+        changed = self.open.changed(self.settings.state)
         self.settings.change(at.line, self.open.before)
+        problem = "a function that a motion of the spline block calls changes what motions depend on"
+        self.settings.make_uncertain(at.line, changed, at.error(problem, SETTING_ADVICE))
         self.ended.append(at.line)
         self.open = None
 

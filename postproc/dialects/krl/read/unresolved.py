@@ -16,7 +16,7 @@ from postproc.dialects.krl.language.names import SYNCHRONISING
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.positions import CARTESIAN
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.tree import CallStatement, Motion, Statement
+from postproc.dialects.krl.language.tree import CallStatement, Event, Motion, Statement
 from postproc.dialects.krl.language.values import Aggregate, Call, Reference, Word, walk
 from postproc.dialects.krl.read.main_routine import MainRoutine
 from postproc.dialects.krl.read.motion_reader import HERE
@@ -142,6 +142,7 @@ def _synchronised(main: MainRoutine, line: Ints) -> Iterator[tuple[int, ProgramE
 def _marks(main: MainRoutine) -> list[tuple[int, bool]]:
     """Return the lines of the trace that synchronise robots, in order; True: the programs only wait for each other.
 
+    A SYNCCMD in the action of an INTERRUPT or a TRIGGER may run at any time behind its declaration.
     If there are some in an endless loop, the lines before and behind its round are among them.
     """
     run, course = main.run, main.course
@@ -151,8 +152,12 @@ def _marks(main: MainRoutine) -> list[tuple[int, bool]]:
     routines = [(module, routine) for module in modules for routine in module.routines.values()]
     words = {one: {_word(one.source, at) for at in one.lines} - {""} for _, one in routines}
     own = {one for one, found in words.items() if found}
-    waiting = set().union(*words.values()) <= {_WAITING}
     names = {one.name.upper() for module, one in routines if not own.isdisjoint(run.analysis.reached(module, one))}
+    waiting = set().union(*words.values()) <= {_WAITING} and not any(
+        isinstance(statement(one.source, at), Event) and _word(one.source, at, names)
+        for _, one in routines
+        for at in one.lines
+    )
     entered = {step.line for step in course.steps if isinstance(step, Enter)}
     found = []
     for at in range(course.body.first, course.body.last):
