@@ -67,6 +67,7 @@ def design_page(
             f"Z {box.Z[0]:g} … {box.Z[1]:g} mm in $BASE."
         ),
         *_cutting_steps(parts),
+        *_weight_steps(parts),
         Note(
             "Probe the points of probing.csv; fill in deviation_mm: along the normal, positive where material is left."
         ),
@@ -126,7 +127,7 @@ def _known(chosen: Design, prior: Prior) -> Table:
 
 def _row(name: str, before: float, after: float, share: float, later: str) -> Row:
     kind: Kind = "soft" if share > 0.9 else ""
-    text = Cell("not shown by this part" if share > 0.9 else "", kind)
+    text = Cell("value not shown by this part" if share > 0.9 else "", kind)
     return Row((name, f"{before:.2g}", f"{after:.2g}", later, text))
 
 
@@ -158,6 +159,19 @@ def _cutting_steps(parts: dict[Placement, Program]) -> list[Note]:
         if len(part.feature)
         else Note(f"Nothing is cut with the block at {each.title}: the same time shows more elsewhere.")
         for each, part in parts.items()
+    ]
+
+
+def _weight_steps(parts: dict[Placement, Program]) -> list[Note]:
+    hung = [float(part.mass.max(initial=0.0)) for part in parts.values()]
+    if not max(hung) > 0.0:
+        return []
+    return [
+        Note(
+            f"At each stop (M0) at the end: set a dial gauge under the tool to 0, hang {max(hung):g} kg on the tool, "
+            "and write how far it moves down, in mm, into the row W01.gauge, W02.gauge … of probing.csv. Take the "
+            "weight off before you go on."
+        )
     ]
 
 

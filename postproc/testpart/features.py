@@ -291,10 +291,9 @@ def program(
         before = np.zeros(3)
         for index, move in enumerate(passes(kind, cutting)):
             end = placed(feature, cutting.top, np.array([move.end]))[0] * MM_PER_M
-            # the first move of a feature comes from anywhere: first above its place, as the moves before end
-            words = f"X{end[0]:.4f} Y{end[1]:.4f}" + ("" if index == 0 else f" Z{end[2]:.4f}")
-            if index == 0:
-                lines.append(f"G0 Z{end[2]:.4f}")
+            # features begin and end at one height; the first move of a program states it
+            known = index == 0 and number > first[0]
+            words = f"X{end[0]:.4f} Y{end[1]:.4f}" + ("" if known else f" Z{end[2]:.4f}")
             lines.append(f"G0 {words}" if move.feed == 0.0 else f"G1 {words} F{move.feed * feed:.1f}")
             if move.name:
                 made[move.name] = len(lines), before, np.array(move.end)
@@ -310,8 +309,8 @@ def program(
     places = np.zeros((0, 3)) if hung is None else hung
     for number, place in enumerate(places, start=first[1]):
         x, y, z = (place * MM_PER_M).tolist()
-        lines += [f"(W{number:02d}: set the gauge to 0, hang {mass:g} kg on the tool, read)", f"G0 Z{z:.4f}"]
-        lines += [f"G0 X{x:.4f} Y{y:.4f}", "M0"]
+        lines += [f"(W{number:02d}: set the gauge to 0, hang {mass:g} kg on the tool, read)"]
+        lines += [*([f"G0 Z{z:.4f}"] if number == first[1] else []), f"G0 X{x:.4f} Y{y:.4f}", "M0"]
         names.append(f"W{number:02d}.gauge")
         at.append(len(lines) - 1)
         shares.append(1.0)

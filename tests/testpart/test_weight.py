@@ -125,4 +125,8 @@ def test_the_command_writes_stops_for_the_weight(tmp_path):
     assert (tmp_path / "out" / "testpart.nc").read_text().count("M0\n") == 3
     assert (tmp_path / "out" / "testpart.src").read_text().count("HALT") == 4  # one is the tool change
     assert (tmp_path / "out" / "probing.csv").read_text().splitlines()[-1].endswith(",20")
-    assert "the weight on the tool leaves" in (tmp_path / "out" / "testpart.html").read_text()
+    page = (tmp_path / "out" / "testpart.html").read_text()
+    assert "the weight on the tool leaves" in page
+    assert "hang 20 kg on the tool" in page
+    converted = CliRunner().invoke(main, ["convert", str(tmp_path / "out" / "testpart.nc"), *given[:2], "--nominal"])
+    assert "info:" not in converted.output
