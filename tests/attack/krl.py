@@ -294,6 +294,8 @@ def main():
         except Wrong as cause:
             outcomes["wrong"] += 1
             print(cause)
+        except KeyboardInterrupt:
+            break
         seed += 1
     print(f"{sum(outcomes.values())} programs: {dict(outcomes)}; next seed {seed}")
     return outcomes["wrong"] > 0
