@@ -321,8 +321,9 @@ def blending(program: Program, motion: Ints, more: Array, tolerance: float) -> I
     :param more: (K,) by how much the written path is rounded more at each target than the programmed one [m].
     """
     message = (
-        "approximation (C_DIS) rounds the path at corrected targets by more than the tolerance beyond what it does at "
-        "nominal ones. Use a smaller approximation distance where this matters."
+        f"approximation (C_DIS) rounds the corrected path by up to {np.max(more, initial=0.0) * MM_PER_M:.3f} mm more "
+        f"than the programmed one; tolerance_mm is {tolerance * MM_PER_M:g}. Use a smaller approximation distance "
+        "where this matters."
     )
     yield from _first(program, motion, more > tolerance, "blending", message, "warning")
 

@@ -149,7 +149,7 @@ def test_krl_keeps_its_corners_and_stops_at_inserted_targets_only_where_it_stops
         corner = 0.25 * 2.0 * np.sqrt(2.0)
         assert content.blending.programmed_max_mm == pytest.approx(corner, rel=1e-6)
         assert "the program itself by 0.71 mm" in report.of_one(content)
-        assert re.search("approximation .* rounds the path", " ".join(issue.message for issue in result.issues))
+        assert re.search("rounds the corrected path", " ".join(issue.message for issue in result.issues))
     else:
         assert "stop-inserted" in {issue.kind for issue in result.issues}
         assert content.blending.max_mm == 0.0
