@@ -162,16 +162,13 @@ class Staged(Struct, frozen=True):
     names: tuple[str, ...]
 
 
-def write_whole(
-    folder: Path, contents: Mapping[str, bytes | Iterable[bytes]], obsolete: Sequence[str] = ()
-) -> list[Path]:
+def write_whole(folder: Path, contents: Mapping[str, bytes | Iterable[bytes]]) -> list[Path]:
     """Write files so that all are replaced, or none, also where several processes write into a folder.
 
     A signal interrupts while the files are made, and is held back while they are replaced.
 
     :param folder: made if needed.
     :param contents: file name → bytes, or pieces of bytes, which may be made only as they are written, in this order.
-    :param obsolete: names of files that are removed with those that are replaced, if they are there.
     :returns: the paths written.
     :raises InputError: the folder or a file cannot be written; the message names it.
     """
@@ -182,7 +179,7 @@ def write_whole(
         with lock:
             with interrupts.heard():
                 staged = stage(folder, contents)
-            return replace(folder, [staged], obsolete)
+            return replace(folder, [staged])
 
 
 def stage(folder: Path, contents: Mapping[str, bytes | Iterable[bytes]]) -> Staged:

@@ -1,6 +1,6 @@
 """Fits of the elastic parameters: weighted least squares, and Bayesian regression with priors of physical size.
 
-**Least squares** (`gauss_newton`): Gauss–Newton on the equilibrium, free or with bounds and a ridge.
+**Least squares** (`gauss_newton`): Gauss–Newton on the equilibrium.
 
 **Linear equations** (`linearise`): the model is linear in its parameters to 0.3 %, so the derivatives at one point
 predict fits without some configurations; no new models are needed.
@@ -115,12 +115,13 @@ def gauss_newton(
     data: Measurements,
     placement: Placement,
     start: Array | None = None,
-    ridge: Array | None = None,
     iterations: int = _ITERATIONS,
 ) -> Fit:
     """Fit the parameters to loaded − unloaded displacements.
 
-    :param ridge: (p,) weights r: the sum of (r·p)² is added and all parameters are kept ≥ 0 (regularised fit).
+    :param start: (p,) values to begin with, SI; None: those of the robot.
+    :param iterations: the most that are made.
+    :raises NotConvergedError: no equilibrium at the start.
     """
     values = structure.start() if start is None else start.copy()
     displacement, w = measured_displacements(data, placement), whitening(data)
@@ -131,17 +132,17 @@ def gauss_newton(
             moved, slopes = predict(structure, values, data, placement)
             cost = float(np.sum(whiten(w, displacement - moved) ** 2))
         except NotConvergedError:
-            if values is previous or ridge is not None:
+            if values is previous:
                 raise
             cost = np.inf
-        if cost > _WORSE * smallest and ridge is None:  # a step too far, perhaps without equilibrium: halve it
+        if cost > _WORSE * smallest:  # a step too far, perhaps without equilibrium: halve it
             values = 0.5 * (previous + values)
             continue
         previous, smallest = values, min(cost, smallest)
         design = whiten(w, slopes).reshape(-1, size)
         design[:, np.linalg.norm(design, axis=0) * structure.usual() < _DEAD] = 0.0
         target = whiten(w, displacement - moved).ravel() + design @ values
-        new = solve(design, target, ridge)
+        new = solve(design, target)
         scale = np.linalg.norm(design, axis=0)
         change = float(np.max(np.abs((new - values) * scale), initial=0.0))
         values = new
@@ -154,7 +155,7 @@ def gauss_newton(
     return Fit(
         structure,
         values,
-        covariance_of(design, structure.usual(), ridge),
+        covariance_of(design, structure.usual()),
         left,
         float(white @ white),
         int(np.count_nonzero(np.linalg.norm(design, axis=1) > 0.0)) - size,
@@ -163,26 +164,16 @@ def gauss_newton(
     )
 
 
-def solve(design: Array, target: Array, ridge: Array | None = None) -> Array:
-    """Return the least-squares parameters; with a ridge the non-negative ones (Lawson and Hanson 1974)."""
+def solve(design: Array, target: Array) -> Array:
+    """Return the least-squares parameters (p,) of design (r, p) and target (r,); columns are scaled to length 1."""
     scale = np.linalg.norm(design, axis=0)
     scale[scale == 0.0] = 1.0
-    if ridge is None:
-        values, *_ = np.linalg.lstsq(design / scale, target, rcond=1e-9)
-        return np.asarray(values / scale)
-    from scipy.optimize import nnls
-
-    rows = np.vstack([design / scale, np.diag(ridge / scale)])
-    square = rows.T @ rows  # p×p instead of rows×p: the active-set loop is then small
-    right = rows.T @ np.concatenate([target, np.zeros(len(ridge))])
-    jitter = 1e-12 * np.trace(square) / len(square)
-    factor = np.linalg.cholesky(square + jitter * np.eye(len(square)))
-    values, _ = nnls(factor.T, np.linalg.solve(factor, right), maxiter=50 * len(ridge))
+    values, *_ = np.linalg.lstsq(design / scale, target, rcond=1e-9)
     return np.asarray(values / scale)
 
 
-def covariance_of(design: Array, typical: Array, ridge: Array | None = None) -> Array:
-    """Return (DᵀD + R²)⁻¹; directions that the data do not determine get infinite variance.
+def covariance_of(design: Array, typical: Array) -> Array:
+    """Return (DᵀD)⁻¹ (p, p) of a design D (r, p); directions that the data do not determine get infinite variance.
 
     :param typical: (p,) usual sizes of the parameters: one that then moves the readings by less than 10⁻⁶ σ is dead.
     """
@@ -190,8 +181,6 @@ def covariance_of(design: Array, typical: Array, ridge: Array | None = None) -> 
     dead = scale * typical < _DEAD
     safe = np.where(dead, 1.0, scale)
     rows = design / safe
-    if ridge is not None:
-        rows = np.vstack([rows, np.diag(ridge / safe)])
     _, singular, vt = np.linalg.svd(rows, full_matrices=False)
     good = singular > 1e-8 * singular.max(initial=0.0)
     inverse = (vt[good].T / singular[good] ** 2) @ vt[good]

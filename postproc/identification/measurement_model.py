@@ -62,15 +62,13 @@ def kabsch(source: Array, target: Array) -> Array:
     return pose
 
 
-def locate(robot: RobotModel, data: Measurements, flange: Array | None = None) -> Placement:
+def locate(robot: RobotModel, data: Measurements) -> Placement:
     """Locate the root in the device frame and the points in the flange frame by the readings without load.
 
-    :param flange: (C, 4, 4) poses of the flange without load in the root frame, if not those of the geometry.
     :raises MeasurementError: fewer readings than unknowns, or points and configurations that do not determine the
         frames.
     """
-    if flange is None:
-        flange = unloaded_flange(robot, data.q)
+    flange = unloaded_flange(robot, data.q)
     mean, count = data.means()
     seen, weight = mean[data.unloaded], count[data.unloaded]
     configs, points = seen.shape[:2]

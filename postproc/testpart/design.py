@@ -570,14 +570,3 @@ def _visible(prior: Prior, information: Array) -> Array:
     both = once - once @ np.linalg.inv(_prior_information(prior, size) + 2.0 * once) @ once
     seen = np.sqrt(np.maximum(np.diag(both)[:-1], 0.0)) * prior.values
     return np.asarray(np.divide(_SEEN * prior.sigma[:-1], seen, out=np.full(size - 1, np.inf), where=seen > 0.0))
-
-
-def at_random(found: Candidates, seconds: float, rng: np.random.Generator) -> Ints:
-    """Return a part of features taken at random, one after another, until they take as long as another part [s]."""
-    chosen: list[int] = []
-    for row in rng.permutation(len(found.feature)).tolist():
-        if found.apart[row, chosen].all():
-            chosen.append(row)
-            if found.seconds[chosen].sum() >= seconds:
-                break
-    return np.array(chosen, dtype=np.int64)

@@ -6,7 +6,6 @@ from msgspec.structs import replace
 
 from postproc.errors import MeasurementError
 from postproc.identification import plausibility, procedure
-from postproc.identification.fit import solve
 from postproc.identification.measurement_model import locate
 from postproc.identification.readings import Measurements
 from samples.paper_study import harness, simulator
@@ -162,20 +161,6 @@ def test_a_loop_has_the_half_width_by_which_the_gear_lags(experiment, loop):
     (told,) = plausibility.loops(harness.PRIOR, data, locate(harness.PRIOR, data))
     assert told.endswith("backlash or friction in A4")
     assert float(told.split("looks like ")[1].split(" ")[0]) == pytest.approx(loop * 1e3, rel=0.1, abs=0.0006)
-
-
-def test_least_squares_with_a_ridge_are_those_of_a_bounded_solver_even_if_two_columns_are_one():
-    from scipy.optimize import lsq_linear
-
-    rng = np.random.default_rng(1)
-    design, ridge = rng.normal(size=(40, 5)) * [1.0, 10.0, 0.1, 3.0, 1.0], np.array([0.1, 1.0, 0.01, 0.3, 0.2])
-    target = design @ [2.0, -0.5, 3.0, 0.2, -1.0] + rng.normal(0.0, 0.1, 40)
-    rows, right = np.vstack([design, np.diag(ridge)]), np.append(target, np.zeros(5))
-    expected = lsq_linear(rows, right, bounds=(0.0, np.inf), tol=1e-12).x
-    np.testing.assert_allclose(solve(design, target, ridge), expected, rtol=1e-5, atol=1e-7)
-    twins = design[:, [0, 0, 1]]
-    found = solve(twins, design[:, 0] * 3.0, np.full(3, 1e-12))
-    assert found[0] + found[1] == pytest.approx(3.0, rel=1e-4)
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1 / 9.81, "kg"), (1 / 30.0, "another unit than N")])

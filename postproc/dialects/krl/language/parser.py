@@ -240,9 +240,9 @@ def _point(source: Source, start: int, stop: int) -> tuple[Value, int]:
         return unreadable(source, start, stop, error), -1
 
 
-def is_approximated(text: str, start: int, stop: int) -> bool:
+def is_approximated(text: str) -> bool:
     """Return whether a motion, or the end of one, has a word of approximation: C_DIS, C_VEL …"""
-    return any(word in APPROXIMATIONS for word, _ in words_in(text, start, stop))
+    return any(word in APPROXIMATIONS for word, _ in words_in(text, 0, len(text)))
 
 
 def _is_approximation(text: str, start: int, stop: int) -> bool:

@@ -262,7 +262,7 @@ class _Rewriter:
             if not self.last[k]:
                 text = self.statements.inserted(int(self.row[k]), k)
                 lines.add(before, text, k)
-                if not self.layout.passed[self.row[k]] and not is_approximated(text, 0, len(text)):
+                if not self.layout.passed[self.row[k]] and not is_approximated(text):
                     why = _ROUNDED if self.layout.distant[self.row[k]] else _UNSURE
                     self._report("stop-inserted", why, int(line[k]))
             if k in bound:

@@ -237,7 +237,7 @@ class TargetStatements:
         statement = self.statement(row, k)
         tail = self.tail(row, k)
         passed = layout.passed[row] or not layout.distant[row]
-        if self.targets.blend[k] > 0.0 and not passed and not is_approximated(tail, 0, len(tail)):
+        if self.targets.blend[k] > 0.0 and not passed and not is_approximated(tail):
             tail += " C_SPL" if statement[:1] in "sS" else " C_PTP" if self.targets.kind[k] == PTP else " C_DIS"
         return self.text[self.source.starts[line - 1] : keyword] + statement + tail + self.line_end(line)
 
