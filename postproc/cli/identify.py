@@ -250,7 +250,7 @@ def part(
     covariance, material.toml with the forces as found (for `[material] file`), and a page of measured against predicted
     deviations. What the part does not determine keeps its prior and is named.
 
-    --compare checks the model of the cell by the part, every month for example: it tells whether the deviations agree
+    --compare checks the model of the cell by the part, every month for example: it states whether the deviations agree
     with the model, and which parameters have changed.
 
     Exit codes: 0 the model may be used, or holds; 1 the readings cannot be used; 3 refused, or does not hold.

@@ -170,8 +170,8 @@ def parse_csv(
     :param error: kind of the errors.
     :param text_columns: those of the columns that hold text.
     :param may_be_empty: those of the numeric columns whose cells may be empty: NaN.
-    :returns: numeric columns by name (each (n,)), text columns by name, the 1-based line of each row (n,), and what is
-        wrong in single rows: a row of wrong length, which is left out, or a value that is no finite number, NaN here.
+    :returns: numeric columns by name (each (n,)), text columns by name, the 1-based line of each row (n,), and the
+        faults of single rows: a row of wrong length, which is left out, or a value that is no finite number, NaN here.
     :raises InputError: (`error`) the file cannot be read, or its header line cannot be used.
     """
     import csv

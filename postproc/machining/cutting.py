@@ -206,8 +206,8 @@ class Loads(Struct, frozen=True, eq=False):
     """Sums over the edge in material in a turn, at n stations.
 
     :param wrench: (n, 6) mean force [N] and moment about the tip [N·m] on the tool, in the axes above.
-    :param deviation: (n, 6) its standard deviation by the covariance of the material, and by what is not known of the
-        rubbing of the end face and of the chisel edge of a drill.
+    :param deviation: (n, 6) its standard deviation by the covariance of the material, and by the unknown
+        rubbing of the end face and thrust of the chisel edge of a drill.
     :param removal: (n,) volume removed in one turn by one tooth [m³].
     """
 

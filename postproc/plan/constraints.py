@@ -12,10 +12,11 @@ import numpy as np
 from msgspec import Struct
 
 from postproc import kinematics
+from postproc.chunks import Columns
 from postproc.frames import Array
 from postproc.plan.sensitivity import Posed, direction
 from postproc.plan.site import BoxShape, MeshShape, Site, along, between_segments
-from postproc.program import Bools, Ints
+from postproc.program import Bools
 
 _ROPE = 0.01
 _STRETCHED = 0.8
@@ -31,7 +32,7 @@ class Capsule(Struct, frozen=True, eq=False):
     radius: float
 
 
-class State(Struct, frozen=True, eq=False):
+class State(Columns, frozen=True, eq=False):
     """N configurations with their loads.
 
     :param q: (N, 6) [rad].
@@ -47,12 +48,6 @@ class State(Struct, frozen=True, eq=False):
     def of(cls, site: Site, q: Array, tilt: Array | None) -> State:
         """Pose the arm; `tilt` (N, 2) [rad] of the load, None without load."""
         return cls(q, None if tilt is None else direction(tilt), site.arm.pose(q))
-
-    def take(self, rows: Ints) -> State:
-        """Return some of the configurations."""
-        p = self.posed
-        down = None if self.down is None else self.down[rows]
-        return State(self.q[rows], down, Posed(p.origin[rows], p.axis[rows], p.flange[rows]))
 
 
 def feasible(site: Site, q: Array, tilt: Array) -> Bools:

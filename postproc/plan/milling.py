@@ -9,10 +9,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc import files, kinematics
 from postproc.cell import Cell
+from postproc.chunks import Columns
 from postproc.elastostatics import linear_deflection
 from postproc.errors import PlanError
 from postproc.forces import ForceSource
@@ -27,7 +28,7 @@ _SHARE_OF_Q2 = 0.3
 _FORCES = WRENCH[:3]
 
 
-class TestPoses(Struct, frozen=True, eq=False):
+class TestPoses(Columns, frozen=True, eq=False):
     """T poses at which the error after compensation counts.
 
     :param q: (T, 6) joint angles [rad].
@@ -56,18 +57,6 @@ class TestPoses(Struct, frozen=True, eq=False):
     def second_moment(self) -> Array:
         """Σ w A₀ᵀA₀ (6, 6): the criterion depends on the test poses by this and by q2 alone."""
         return np.asarray(np.einsum("t,tki,tkj->ij", self.weight, self.regressor, self.regressor))
-
-    def take(self, rows: Ints, weight: Array) -> TestPoses:
-        """Return some of the poses with other weights."""
-        return TestPoses(
-            q=self.q[rows],
-            wrench=self.wrench[rows],
-            weight=weight,
-            torque=self.torque[rows],
-            regressor=self.regressor[rows],
-            deflection=self.deflection[rows],
-            source=self.source,
-        )
 
 
 def evaluated(robot: RobotModel, q: Array, tool: Array, wrench: Array, weight: Array, source: str) -> TestPoses:
@@ -186,7 +175,7 @@ def thinned(tests: TestPoses, scale: Array, count: int, seed: int) -> TestPoses:
     used = np.unique(owner)
     rows = np.array([np.flatnonzero(owner == c)[distance[owner == c, c].argmin()] for c in used])
     weight = np.bincount(owner, weights=tests.weight, minlength=len(centres))[used]
-    few = tests.take(rows, np.asarray(weight, dtype=float))
+    few = replace(tests.take(rows), weight=np.asarray(weight, dtype=float))
     wanted, got = (np.trace(t.second_moment * np.outer(scale, scale)) for t in (tests, few))
     factor = np.sqrt(wanted / got) if got > 0.0 else 1.0
     return TestPoses(

@@ -12,6 +12,7 @@ import numpy as np
 from msgspec import Struct
 
 from postproc import kinematics
+from postproc.chunks import Columns
 from postproc.frames import Array
 from postproc.robot import Chain, RobotModel
 
@@ -36,7 +37,7 @@ class Arm(Struct, frozen=True, eq=False):
         return Posed(origin, axis, kinematics.matrices(state.pose))
 
 
-class Posed(Struct, frozen=True, eq=False):
+class Posed(Columns, frozen=True, eq=False):
     """The arm in N configurations, root frame.
 
     :param origin: (N, 6, 3) of the joints [m].

@@ -373,7 +373,7 @@ def part_page(data: PartIdentification, name: str) -> bytes:
     sections = [
         Section("verdict", "Verdict", (verdict, Tiles(tiles))),
         Section("measured", "Measured and predicted", (_against(data),), "half"),
-        Section("errors", "What is left", (_errors(data),), "half"),
+        Section("errors", "Remaining errors", (_errors(data),), "half"),
         Section("parameters", "Parameters", (_intervals(data), _values(data))),
         Section("issues", "What to know", (Notes(tuple(known), marked=True),)),
         Section("points", "Probed points", (_points(data),)),

@@ -17,6 +17,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc import elastostatics, toolpath
+from postproc.chunks import Columns
 from postproc.errors import MeasurementError
 from postproc.frames import Array, norm, twist_between
 from postproc.kinematics.forward import GRAVITY
@@ -36,7 +37,7 @@ _SCALED = 1e-3
 """Relative change of the forces for the derivative by their scale."""
 
 
-class Surfaces(Struct, frozen=True, eq=False):
+class Surfaces(Columns, frozen=True, eq=False):
     """Where n probed surfaces are made.
 
     :param motion: (n,) row of `Motions` of their program, and `t` (n,) the place on it.
@@ -50,15 +51,6 @@ class Surfaces(Struct, frozen=True, eq=False):
     weight: Array
     wall: Array
     hung: Array
-
-    @classmethod
-    def joined(cls, each: Sequence[Surfaces]) -> Surfaces:
-        """Return the surfaces of several programs, one after another."""
-        return cls(*(np.concatenate([getattr(one, name) for one in each]) for name in cls.__struct_fields__))
-
-    def take(self, rows: Ints) -> Surfaces:
-        """Return some of them."""
-        return Surfaces(self.motion[rows], self.t[rows], self.weight[rows], self.wall[rows], self.hung[rows])
 
     def deviation(self, twist: Array) -> tuple[Array, Array]:
         """Return the deviations (n,) for twists (n, 6), and their derivatives by the twist (n, 6)."""
@@ -140,7 +132,7 @@ def turned(rotation: Array, weight: Array) -> Array:
     return np.asarray(np.einsum("nij,nkhj->nkhi", rotation, weight.reshape(-1, 2, 2, 3))).reshape(-1, 2, 6)
 
 
-class States(Struct, frozen=True, eq=False):
+class States(Columns, frozen=True, eq=False):
     """The robot at n places of a program.
 
     :param q: (n, 6) joint angles [rad].
@@ -155,15 +147,6 @@ class States(Struct, frozen=True, eq=False):
     pose: Array
     wrench: Array
     hung: Array
-
-    def take(self, rows: Ints) -> States:
-        """Return some of them."""
-        return States(self.q[rows], self.tool[rows], self.pose[rows], self.wrench[rows], self.hung[rows])
-
-    @classmethod
-    def joined(cls, each: Sequence[States]) -> States:
-        """Return the states of several programs, one after another."""
-        return cls(*(np.concatenate([getattr(one, name) for one in each]) for name in cls.__struct_fields__))
 
     def twist(self, setting: RobotInCell, robot: RobotModel, scale: float) -> Array:
         """Return the displacement (n, 6) of the tool from nominal under forces times a scale, root axes [m, rad]."""

@@ -21,11 +21,12 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc import kinematics
+from postproc.chunks import Columns
 from postproc.elastostatics import LENGTH_95
 from postproc.errors import MeasurementError, NotConvergedError
 from postproc.frames import Array
 from postproc.identification.uncertainty import WIDTH, levels, unmodelled
-from postproc.program import Bools, Ints
+from postproc.program import Bools
 from postproc.robot import Parameter, RobotModel, Spring, file_slopes
 from postproc.testpart.cut import States, Surfaces
 from postproc.testpart.probing import Probed
@@ -140,7 +141,7 @@ class Prior(Struct, frozen=True, eq=False):
         return self.robot.with_values(values)
 
 
-class Readings(Struct, frozen=True, eq=False):
+class Readings(Columns, frozen=True, eq=False):
     """Probed deviations and where they come from.
 
     :param probed: the points.
@@ -151,10 +152,6 @@ class Readings(Struct, frozen=True, eq=False):
     probed: Probed
     where: Surfaces
     sigma: float
-
-    def take(self, rows: Ints) -> Readings:
-        """Return some of the readings."""
-        return replace(self, probed=self.probed.take(rows), where=self.where.take(rows))
 
     def by_part(self) -> Array:
         """Return the covariance (n, n) [m²] that the part and the path without force add to the readings."""

@@ -144,7 +144,7 @@ def agreement(found: Fit, prior: Prior) -> Agreement:
     line = f"χ² {off.chi2:.0f} of {count} points (at most {most:.0f})"
     if moved:
         names = ", ".join(f"{each.name} × {each.factor:.2f}" for each in drifted)
-        line += f"; the arm deflects otherwise under these forces: {names or 'no joint stands out'}"
+        line += f"; the arm deflects otherwise under these forces: {names or 'no single joint'}"
     warnings = []
     together = prior.covariance[-1, :-1].any()
     if not together and prior.sigma[-1] > 0.0:

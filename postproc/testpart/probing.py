@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any, Self
 
 import numpy as np
-from msgspec import Struct
+from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from postproc import files
+from postproc.chunks import Columns
 from postproc.errors import MeasurementError
 from postproc.frames import M_PER_MM, MM_PER_M, Array, norm
 from postproc.program import Ints
@@ -22,7 +25,7 @@ _FEWEST = 6
 """Fewest probed points that can be compared: the position of the part alone takes six numbers."""
 
 
-class Probed(Struct, frozen=True, eq=False):
+class Probed(Columns, frozen=True, eq=False):
     """Probed points of n surfaces.
 
     :param name: (n,) ``F01.left``: feature and surface.
@@ -58,21 +61,11 @@ class Probed(Struct, frozen=True, eq=False):
         features = [name.partition(".")[0] for name in self.name]
         return np.unique(features, return_inverse=True)[1].astype(np.int64)
 
-    def take(self, rows: Ints) -> Probed:
+    def take(self, rows: NDArray[Any] | slice) -> Self:
         """Return some of the points."""
-        return Probed(
-            tuple(self.name[k] for k in rows),
-            self.line[rows],
-            self.t[rows],
-            self.point[rows],
-            self.normal[rows],
-            self.deviation[rows],
-            self.mass[rows],
-            tuple(self.program[k] for k in rows),
-            self.base[rows],
-            self.row[rows],
-            self.file,
-        )
+        which = np.arange(len(self))[rows].tolist()
+        name, program = (tuple(each[k] for k in which) for each in (self.name, self.program))
+        return replace(super().take(rows), name=name, program=program)
 
 
 def read(path: Path) -> Probed:

@@ -39,7 +39,7 @@ def test_weights_are_shares_of_the_way_cut():
 
 
 def test_regressor_is_that_of_an_independent_arm():
-    tests = setting.job(2).take(np.array([0, 99]), np.ones(2) / 2)
+    tests = setting.job(2).take(np.array([0, 99]))
     expected = setting.milling_regressors(tests)
     assert np.abs(tests.regressor - expected).max() < 1e-6 * np.abs(expected).max()
 

@@ -235,7 +235,7 @@ REFUSED = {
     "GODLTA": "Write GODLTA/dx,dy,dz.",
     "THREAD": _EXPAND,
     "ARC": "Write CIRCLE, or GOTO statements.",
-    "DNTCUT": "Remove DNTCUT, CUT and what is between them if the tool must not move there.",
+    "DNTCUT": "Remove DNTCUT, CUT and the statements between them if the tool must not move there.",
     "PREFUN": "It is a G code of one control. Remove it if it does not move the tool.",
     "TURRET": "Only milling programs are supported.",
     "SET": "Let the CAM system write absolute coordinates.",

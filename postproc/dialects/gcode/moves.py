@@ -204,9 +204,9 @@ class Moves(Struct, frozen=True, eq=False):
         return replace(self, **{name: getattr(self, name)[which] for name in names}, events=events)
 
 
-def moves_of(rows: LineStates, modes: Modes, setting: CellFrames) -> Moves:
+def moves_of(rows: LineStates, modes: Modes, cell_frames: CellFrames) -> Moves:
     """Return the moves of a program; the positions of those on lines of `Moves.unknown` are meaningless."""
-    return _Walk(rows, modes, setting).moves()
+    return _Walk(rows, modes, cell_frames).moves()
 
 
 def goes_up_first(rows: LineStates, first: int, complete: int) -> bool:
@@ -220,14 +220,14 @@ def goes_up_first(rows: LineStates, first: int, complete: int) -> bool:
 
 
 class _Walk:
-    def __init__(self, rows: LineStates, modes: Modes, setting: CellFrames) -> None:
-        self.rows, self.modes, self.setting = rows, modes, setting
+    def __init__(self, rows: LineStates, modes: Modes, cell_frames: CellFrames) -> None:
+        self.rows, self.modes, self.cell_frames = rows, modes, cell_frames
         self.count = len(rows.motion)
         self.offset = in_force(modes.changes["offset"], codes.WORK_OFFSETS[0], self.count)
-        self.places = dict(setting.offsets)
+        self.places = dict(cell_frames.offsets)
         self.shift, self.kept_shift = np.zeros(3), np.zeros(3)
         self.frames = [np.eye(4)]
-        self.position = setting.start[:3, 3] / M_PER_MM
+        self.position = cell_frames.start[:3, 3] / M_PER_MM
         self.known = np.zeros(3, dtype=bool)
         self.angles = np.zeros(rows.rotary.shape[1])
         self.tool = 0
@@ -404,7 +404,7 @@ class _Walk:
 
     def _direction(self) -> Array:
         """Return the unit direction from the tip to the spindle in the program frame (3,)."""
-        return np.asarray(direction(self.setting.axes, self.angles[None] * RAD_PER_DEG)[0])
+        return np.asarray(direction(self.cell_frames.axes, self.angles[None] * RAD_PER_DEG)[0])
 
     def _spindle(self, begin: int, end: int) -> list[EventKind]:
         """Return the state of the spindle on lines."""
@@ -413,7 +413,7 @@ class _Walk:
 
     def _return(self, row: int, to: Return) -> None:
         """Add the moves to a machine position."""
-        setting = self.setting
+        cell_frames = self.cell_frames
         self.cycle.end()
         named = np.zeros(3, dtype=bool)
         named[list(to.axes) or [0, 1, 2]] = True
@@ -425,14 +425,14 @@ class _Walk:
             if np.abs(via - self.position).max() > _FEWEST:
                 self._go(row, via)
         upwards = not named[:2].any()
-        if setting.clearance is not None and self.known.all():
-            self._retract(row, setting.clearance)
-        if setting.home is None or (to.code == codes.MACHINE and upwards and setting.clearance is not None):
+        if cell_frames.clearance is not None and self.known.all():
+            self._retract(row, cell_frames.clearance)
+        if cell_frames.home is None or (to.code == codes.MACHINE and upwards and cell_frames.clearance is not None):
             if not self.known.all():
                 message = "A retract before X, Y and Z are known is left out: the robot is at [start]."
                 self.remarks.append((row, "info", "start-position", message))
             return
-        if setting.clearance is None:
+        if cell_frames.clearance is None:
             message = "From home the robot goes to the next position by a joint motion, without an approach from above."
             self.remarks.append((row, "warning", "approach", f"{message} Give [machine] clearance_Z."))
         self.homes.append(self.number)
@@ -458,7 +458,7 @@ class _Walk:
 
     def _mount(self, row: int, number: float) -> None:
         """Change the tool; its tip moves to the position of the last tip, where the next move starts."""
-        new = self.setting.tools[number]
+        new = self.cell_frames.tools[number]
         if new != self.tool:
             self.tool = new
             if self.known.all():
@@ -573,7 +573,7 @@ class _Walk:
         at = np.flatnonzero(code == codes.CANCEL_CYCLE)
         if not len(at):
             return
-        tool = direction(self.setting.axes, turn[at, 1] * RAD_PER_DEG)
+        tool = direction(self.cell_frames.axes, turn[at, 1] * RAD_PER_DEG)
         step = end[at] - begin[at]
         along = np.einsum("ni,ni->n", step, tool)
         aside = np.abs(step - along[:, None] * tool).max(axis=1)

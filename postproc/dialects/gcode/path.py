@@ -68,25 +68,25 @@ def arrivals(moves: Moves) -> tuple[Bools, Bools]:
     return held_back, arriving
 
 
-def approached(moves: Moves, setting: CellFrames) -> tuple[Moves, Bools, Bools]:
+def approached(moves: Moves, cell_frames: CellFrames) -> tuple[Moves, Bools, Bools]:
     """Return the moves with separate approaches, and the result of `arrivals` for them.
 
     The first move from `[start]` has no separate approach: the user chose that position.
     """
     held_back, arriving = arrivals(moves)
     back = arriving & (moves.row >= min((first for first, _ in moves.unknown[1:]), default=np.inf))
-    if setting.clearance is None or not back.any():
+    if cell_frames.clearance is None or not back.any():
         return moves, held_back, arriving
     frames = moves.frames[moves.frame]
-    tool = direction(setting.axes, moves.turn[:, 1] * RAD_PER_DEG)
+    tool = direction(cell_frames.axes, moves.turn[:, 1] * RAD_PER_DEG)
     tool_z = np.einsum("ni,ni->n", frames[:, 2, :3], tool)
     z = np.einsum("ni,ni->n", frames[:, 2, :3], moves.end) + frames[:, 2, 3] / M_PER_MM
-    split = back & (z < setting.clearance - _NEAR_MM) & (tool_z > LEVEL)
+    split = back & (z < cell_frames.clearance - _NEAR_MM) & (tool_z > LEVEL)
     count = 1 + split.astype(np.int64)
     above = np.cumsum(count)[split] - 2
     out = moves.repeated(count)
     begin, end = out.begin.copy(), out.end.copy()
-    end[above] += tool[split] * ((setting.clearance - z[split]) / tool_z[split])[:, None]
+    end[above] += tool[split] * ((cell_frames.clearance - z[split]) / tool_z[split])[:, None]
     begin[above + 1] = end[above]
     turn = out.turn.copy()
     turn[above + 1, 0] = turn[above, 1]
@@ -156,7 +156,7 @@ def turned(moves: Moves, axes: Array) -> Array:
     return out
 
 
-def swivel_of(moves: Moves, rows: LineStates, kept: Ints, free: Bools, alone: Bools, setting: CellFrames) -> Swivel:
+def swivel_of(moves: Moves, rows: LineStates, kept: Ints, free: Bools, alone: Bools, cell_frames: CellFrames) -> Swivel:
     """Return the rotation of the tool in the kept motions.
 
     :param free: (M,) motions by joint interpolation.
@@ -171,14 +171,14 @@ def swivel_of(moves: Moves, rows: LineStates, kept: Ints, free: Bools, alone: Bo
         row = moves.row[kept[at]]
         degrees = norm(moves.turn[kept[at], 1] - moves.turn[kept[at], 0])
         minutes = np.where(rows.inverse_time[row], 1.0, degrees) / rows.rate[row]
-        rate[at] = _way(setting.axes, begin[at], end[at]) / (minutes * _S_PER_MIN)
+        rate[at] = _way(cell_frames.axes, begin[at], end[at]) / (minutes * _S_PER_MIN)
     return Swivel(
         begin=begin,
         end=end,
-        axes=setting.axes,
+        axes=cell_frames.axes,
         frame=moves.frame[kept],
         frames=moves.frames[:, :3, :3],
-        tool=setting.orientation,
+        tool=cell_frames.orientation,
         active=active,
         rate=rate,
     )
@@ -366,7 +366,7 @@ class MotionPath(Struct, frozen=True, eq=False):
 
 
 def read_path(
-    columns: Mapping[str, Array], modes: Modes, setting: CellFrames, speeds: Speeds, rotary: Rotary | None
+    columns: Mapping[str, Array], modes: Modes, cell_frames: CellFrames, speeds: Speeds, rotary: Rotary | None
 ) -> MotionPath | list[Fault]:
     """Return the motions of a program, or its faults in order of lines.
 
@@ -374,12 +374,12 @@ def read_path(
     :param modes: modal state and events of the other blocks.
     """
     rows = line_states_of(columns, modes, rotary)
-    moves, held_back, arriving = approached(moves_of(rows, modes, setting), setting)
+    moves, held_back, arriving = approached(moves_of(rows, modes, cell_frames), cell_frames)
     circular = np.flatnonzero(moves.code >= 2.0)
     arcs = _arcs(rows, moves, circular)
     faults = faults_of(rows, moves, modes, moves.row[circular], arcs.faults)
     if not faults and rotary is not None:
-        faults = check_turning(rows, moves, held_back, setting.axes, " or ".join(rotary.tcp_on))
+        faults = check_turning(rows, moves, held_back, cell_frames.axes, " or ".join(rotary.tcp_on))
     if faults:
         return faults
     length = _lengths(moves, circular, arcs)
@@ -388,13 +388,15 @@ def read_path(
     whole = count[circular] == 1
     circular, arcs = np.flatnonzero(moves.code >= 2.0), arcs.of(whole)
     other_tool = np.diff(moves.tool, prepend=moves.tool[:1]) != 0
-    turns = turned(moves, setting.axes) > _STILL
+    turns = turned(moves, cell_frames.axes) > _STILL
     stays = ~turns & (length <= SAME_MM) & (moves.code < 2.0) & ~moves.home & ~other_tool & ~arriving & ~held_back
     kept = np.flatnonzero(~stays & ~held_back)
     free = arriving[kept] | moves.home[kept]
     alone = turns[kept] & (length[kept] <= SAME_MM) & (moves.code[kept] == 1.0) & ~free
-    swivel = None if rotary is None else swivel_of(moves, rows, kept, free, alone, setting)
-    motions = _motions(rows, moves, (circular, arcs), kept, free, (swivel, alone, length[kept]), modes, setting, speeds)
+    swivel = None if rotary is None else swivel_of(moves, rows, kept, free, alone, cell_frames)
+    motions = _motions(
+        rows, moves, (circular, arcs), kept, free, (swivel, alone, length[kept]), modes, cell_frames, speeds
+    )
     events = [(int(np.searchsorted(kept, at)), row, event) for at, row, event in moves.events]
     away = moves.row[held_back]
     still = distinct(np.concatenate([away, moves.row[stays]]))
@@ -428,7 +430,7 @@ def _motions(
     free: Bools,
     turning: tuple[Swivel | None, Bools, Array],
     modes: Modes,
-    setting: CellFrames,
+    cell_frames: CellFrames,
     speeds: Speeds,
 ) -> Motions:
     """Return the kept moves as motions in `$BASE`.
@@ -444,7 +446,7 @@ def _motions(
     centre, normal, sweep = nothing[:, :3], nothing[:, :3], nothing[:, 0]
     frames = moves.frames[moves.frame[kept]] if len(moves.frames) > 1 else moves.frames
     if swivel is None:
-        rotation = np.broadcast_to(frames[:, :3, :3] @ setting.orientation, (len(kept), 3, 3))
+        rotation = np.broadcast_to(frames[:, :3, :3] @ cell_frames.orientation, (len(kept), 3, 3))
     else:
         rotation = swivel.of(swivel.end, swivel.frame)
     target = Poses(_placed(frames, moves.end[kept]), rotation)
@@ -458,10 +460,10 @@ def _motions(
         normal[is_arc] = np.einsum("nij,nj->ni", np.broadcast_to(own[:, :3, :3], (len(at), 3, 3)), arcs.normal[at])
         sweep[is_arc] = arcs.sweep[at]
     joints = nothing
-    if home.any() and setting.home is not None:
+    if home.any() and cell_frames.home is not None:
         joints = nothing.copy()
         joints[home] = speeds.home
-        poses = setting.home[moves.tool[kept[home]]]
+        poses = cell_frames.home[moves.tool[kept[home]]]
         rotation = rotation.copy()
         rotation[home], target.position[home] = poses[:, :3, :3], poses[:, :3, 3]
         target = Poses(target.position, rotation)

@@ -85,7 +85,7 @@ def _read(document: Document, cell: Cell, forward: Callable[[Array], Array], nam
         tools.append(cell.tools[f"{number:g}"].pose())
     offsets = {code: cell.work_offsets.get(f"G{code:g}") for code in WORK_OFFSETS}
     home = np.array(cell.machine.home or np.full(6, np.nan)) * RAD_PER_DEG
-    setting = CellFrames(
+    cell_frames = CellFrames(
         start=inverse(base) @ forward(cell.start_joints) @ tools[0],
         orientation=cell.tool_pose_in_program(),
         offsets={code: np.eye(4) if frame is None else frame.pose() for code, frame in offsets.items()},
@@ -101,7 +101,7 @@ def _read(document: Document, cell: Cell, forward: Callable[[Array], Array], nam
         home=home,
         chord=CHORD * cell.output.tolerance_mm,
     )
-    path = read_path(columns, modes, setting, speeds, cell.rotary)
+    path = read_path(columns, modes, cell_frames, speeds, cell.rotary)
     comments, wrong = _comments(run, modes.rows)
     faults = path if isinstance(path, list) else []
     if not modes.complete:

@@ -117,7 +117,7 @@ class Deviation(Struct, frozen=True, dict=True):
         return self.result.mode != "predict"
 
     @cached_property
-    def places(self) -> Places:
+    def places(self) -> ShownTargets:
         """The places that the page shows; only where there are targets."""
         return places(self.result, self._named())
 
@@ -294,7 +294,7 @@ _SINGULAR_AT = 1_000
 """Places at which the Jacobian is decomposed at most; between them its smallest singular value is interpolated."""
 
 
-class Places(Struct, frozen=True, eq=False):
+class ShownTargets(Struct, frozen=True, eq=False):
     """The places of a page. Row i of `columns` is place i.
 
     :param row: (P,) row of the result that each place is.
@@ -345,7 +345,7 @@ def kept(result: Result, named: Ints) -> Ints:
     return distinct(np.concatenate(rows))
 
 
-def places(result: Result, named: Ints) -> Places:
+def places(result: Result, named: Ints) -> ShownTargets:
     """Return the places of a result that has some.
 
     :param named: rows that tables of the page lead to.
@@ -386,7 +386,7 @@ def places(result: Result, named: Ints) -> Places:
             columns[f"{name}{axis}"] = vector[:, index] * MM_PER_M
         for index, axis in enumerate(("along", "across", "normal")):
             columns[f"{name}_{axis}"] = along[:, index] * MM_PER_M
-    return Places(row, travelled, seconds, Columns.of(columns), _drawn(result, position, leads_to, row))
+    return ShownTargets(row, travelled, seconds, Columns.of(columns), _drawn(result, position, leads_to, row))
 
 
 _NAMES = {

@@ -243,13 +243,13 @@ class Flow:
     def _undoing(self, trace: Trace) -> Callable[[], None]:
         """Return a function that restores the present state of the run."""
         run, entered = self.run, self.interpreter.calls.entered
-        marks, mark, here = run.marks(), trace.mark(), run.standing()
+        marks, mark, here = run.marks(), trace.mark(), run.position()
         calls_open, depth = len(entered), len(self._way)
 
         def undo() -> None:
             run.back_to(marks)
             trace.back_to(mark)
-            run.stand(here)
+            run.return_to(here)
             del entered[calls_open:], self._way[depth:]
 
         return undo

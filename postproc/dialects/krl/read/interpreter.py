@@ -38,8 +38,8 @@ JUMP_ADVICE = (
     "cannot leave it as it is."
 )
 LOOP_ADVICE = (
-    "Motions in loops and branches are corrected where it is known before the program runs what is executed, and how "
-    "often: write them out in order, or leave them as they are by --keep-unresolved."
+    "Motions in loops and branches are corrected where the statements that run, and how often, are known before the "
+    "program runs: write them out in order, or leave them as they are by --keep-unresolved."
 )
 
 

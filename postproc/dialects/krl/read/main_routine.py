@@ -37,7 +37,7 @@ from postproc.dialects.krl.read.motion_columns import MotionCollector
 from postproc.dialects.krl.read.motion_reader import MotionReader
 from postproc.dialects.krl.read.plain import Plain
 from postproc.dialects.krl.read.plain_rounds import ElementMotions, motions_of
-from postproc.dialects.krl.read.plain_settings import Coming
+from postproc.dialects.krl.read.plain_settings import Coming, PlainSettings
 from postproc.dialects.krl.read.run import Run
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.spline_blocks import SplineBlocks
@@ -187,7 +187,8 @@ class MainRoutine:
             if isinstance(step, Lines):
                 found[step], own = _one_by_one(self.run.source, *self._between(step))
                 free[own] = True
-        self.run.settings.coming = Coming(self._given.take(free[self._given.line]))
+        later = free[self._given.line]
+        self.run.settings.coming = Coming(PlainSettings(self._given.line[later], self._given.values[:, later]))
         return found
 
     def _run(self, step: Lines, lines: Sequence[int]) -> None:

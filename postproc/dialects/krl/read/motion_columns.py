@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from msgspec import Struct
 
+from postproc.chunks import Columns
 from postproc.dialects.krl.language.motion_statements import MotionStatement
 from postproc.dialects.krl.language.positions import COLUMNS
 from postproc.dialects.krl.language.values import Number
@@ -19,7 +19,7 @@ from postproc.program import Bools, Ints
 _BATCH = 1000
 
 
-class MotionColumns(Struct, frozen=True, eq=False):
+class MotionColumns(Columns, frozen=True, eq=False):
     """R motions.
 
     :param line: (R,) 1-based line.
@@ -52,10 +52,6 @@ class MotionColumns(Struct, frozen=True, eq=False):
 
     def __len__(self) -> int:
         return len(self.line)
-
-    def take(self, index: Ints | Bools) -> MotionColumns:
-        """Return some rows."""
-        return MotionColumns(*(values[index] for values in self.columns()))
 
     def columns(self) -> list[Any]:
         """Return all columns."""

@@ -20,7 +20,7 @@ from postproc.dialects.krl.read.motion_columns import MotionColumns, merged
 from postproc.dialects.krl.read.plain_rounds import ElementMotions
 from postproc.dialects.krl.read.plain_settings import NUMBERS
 from postproc.dialects.krl.read.settings import Settings
-from postproc.dialects.krl.read.spline_blocks import approximated, check_words, told
+from postproc.dialects.krl.read.spline_blocks import approximated, check_words, path_unknown
 from postproc.dialects.krl.read.state import DEFAULT_SPEED, State, fields_used
 from postproc.errors import Issue, ProgramError, together
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, angle_between, any_column, norm
@@ -177,7 +177,7 @@ def motions_and_layout(
     return (
         motions,
         layout,
-        [*axis_issues, *assumptions, *_by_speed(source, rows), *told(motions), *_wrist(motions, by_wrist)],
+        [*axis_issues, *assumptions, *_by_speed(source, rows), *path_unknown(motions), *_wrist(motions, by_wrist)],
     )
 
 
@@ -416,8 +416,8 @@ def _by_speed(source: Source, rows: MotionColumns) -> list[Issue]:
     if not found:
         return []
     message = (
-        "C_VEL and C_ORI blend by speed and orientation: how far that rounds corners is not known, and is left out of "
-        "what is said of the tolerance."
+        "C_VEL and C_ORI blend by speed and orientation: how far that rounds corners is not known, and "
+        "does not count in the check of the tolerance."
     )
     line = source.shown(rows.line[found])
     lines = tuple(distinct(line).tolist())

@@ -1,7 +1,7 @@
 """Loops over the points of an array: ``LIN P[I] C_DIS`` in FOR, a hundred thousand rounds taken as columns.
 
 The body does nothing but move, and each point is an element of a data list that is written there as one literal.
-What is otherwise is followed round by round (`main_routine`), and so could these loops be.
+Other loops are followed round by round (`main_routine`), and so could these be.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from msgspec import Struct
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.read.path_settings import FASTEST
 from postproc.frames import M_PER_MM, Array
-from postproc.program import Bools, Ints
+from postproc.program import Ints
 
 _NUMBER = r"[0-9]{1,6}+(?:\.[0-9]{0,9}+)?+"
 _SETTING = re.compile(
@@ -39,10 +39,6 @@ class PlainSettings(Struct, frozen=True, eq=False):
 
     line: Ints
     values: Array
-
-    def take(self, index: Bools) -> PlainSettings:
-        """Return some of them."""
-        return PlainSettings(self.line[index], self.values[:, index])
 
     def given(self, row: int) -> tuple[Ints, Array]:
         """Return the lines (G,) on which one of the `NUMBERS` is given, and what (G,)."""

@@ -219,12 +219,12 @@ class Run:
         """Whether a branch is being followed that may not be taken."""
         return bool(self._forks)
 
-    def standing(self) -> tuple[Level, int, Scope, int, bool, int]:
-        """Return the present routine and depth of the run, for `stand`."""
+    def position(self) -> tuple[Level, int, Scope, int, bool, int]:
+        """Return the present routine and depth of the run, for `return_to`."""
         level = self.level
         return level, len(self.stack), self.variables.scope, level.loops, level.left, len(self._forks)
 
-    def stand(self, where: tuple[Level, int, Scope, int, bool, int]) -> None:
+    def return_to(self, where: tuple[Level, int, Scope, int, bool, int]) -> None:
         """Return to that routine and depth."""
         self.level, depth, self.variables.scope, self.level.loops, self.level.left, forks = where
         del self.stack[depth:], self._forks[forks:]

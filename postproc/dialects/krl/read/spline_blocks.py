@@ -111,8 +111,8 @@ def approximated(rows: MotionColumns, inside: Bools, ends: list[int]) -> Bools:
     return np.asarray(out)
 
 
-def told(motions: Motions) -> list[Issue]:
-    """Return the warning about splines."""
+def path_unknown(motions: Motions) -> list[Issue]:
+    """Return the warning that the path of SPL motions is not known between their points; empty without any."""
     found = np.flatnonzero(motions.kind == SPL)
     if not len(found):
         return []

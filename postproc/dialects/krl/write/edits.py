@@ -133,7 +133,7 @@ class InsertedLines(Struct, eq=False):
         self._target.append(target)
 
     def behind(self, line: int, text: str) -> None:
-        """Put a text without line end on a line of its own behind a line, before what is put before the next."""
+        """Insert a text without line end as a line after a line, before any text inserted before the next one."""
         stop = int(self.source.stops[line - 1])
         self.replacements.add(stop, stop, self.source.text[stop : self.source.starts[line]] + text)
         self._at.append(line + 1)
