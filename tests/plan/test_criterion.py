@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from postproc.plan import search
 from postproc.plan.criterion import Criterion, Joint2, expected_accuracy, not_visible
@@ -30,7 +31,7 @@ def plan(site, levels=(-2.2, -1.4, -0.5, -0.2), each=3, seed=1):
 def test_the_pooled_criterion_is_that_of_finite_differences_of_an_independent_arm(readings):
     readings, site = readings
     q, tilt, level, q2 = plan(site)
-    tests = setting.job(3).take(np.array([0, 70, 200]), np.array([0.5, 0.2, 0.3]))
+    tests = replace(setting.job(3).take(np.array([0, 70, 200])), weight=np.array([0.5, 0.2, 0.3]))
     criterion = Criterion.of(tests, readings, Joint2.of(setting.ROBOT, free=False), q2, grouped=False)
     own = criterion.value(readings.information(q, tilt), level)
     independent = setting.pooled(q, site.rig.force * direction(tilt), tests, VARIANCE)
@@ -40,7 +41,7 @@ def test_the_pooled_criterion_is_that_of_finite_differences_of_an_independent_ar
 def test_the_grouped_criterion_is_the_printed_formula_by_finite_differences(readings):
     readings, site = readings
     q, tilt, level, q2 = plan(site)
-    tests = setting.job(4).take(np.array([10, 150]), np.array([0.6, 0.4]))
+    tests = replace(setting.job(4).take(np.array([10, 150])), weight=np.array([0.6, 0.4]))
     criterion = Criterion.of(tests, readings, Joint2.of(setting.ROBOT, free=False), q2, grouped=True)
     own = criterion.value(readings.information(q, tilt), level)
     independent = setting.grouped(q, site.rig.force * direction(tilt), tests, VARIANCE)
@@ -140,7 +141,7 @@ def test_the_expected_accuracy_is_that_of_a_thousand_errors_of_an_independent_fi
     """Gauss–Markov by the oracle's positions and differences; errors of the parameters drawn with its covariance."""
     readings, site = readings
     q, tilt, *_ = plan(site, levels=(-2.3, -1.6, -0.9, -0.2), each=3, seed=2)
-    tests = setting.job(3).take(np.array([0, 70, 200]), np.array([0.5, 0.2, 0.3]))
+    tests = replace(setting.job(3).take(np.array([0, 70, 200])), weight=np.array([0.5, 0.2, 0.3]))
     law, k = setting.ROBOT.compensator, setting.ROBOT.compliance
     prior = np.array([k[1], law.stiffness, law.stiffness * law.free_length])[: 3 if free else 1]
     scale = np.concatenate([np.delete(k, 1), prior])

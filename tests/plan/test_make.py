@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from postproc.errors import PlanError
 from postproc.identification.readings import read, read_experiment
@@ -209,7 +210,7 @@ def test_coordinates_that_are_read_are_counted_against_compliances(tmp_path, opt
 @pytest.mark.parametrize(("joint", "advice"), [(0, "by a cable over a pulley"), (2, "heavier"), (5, "on a bracket")])
 def test_the_share_of_the_deflection_that_a_hidden_compliance_makes_is_stated(tmp_path, joint, advice):
     """By the positions of an independent arm, differences, and the robot's own compliance."""
-    tests = setting.job(4).take(np.array([0, 70, 200]), np.array([0.5, 0.2, 0.3]))
+    tests = replace(setting.job(4).take(np.array([0, 70, 200])), weight=np.array([0.5, 0.2, 0.3]))
     site = setting.site(tmp_path, BASIC + "\n[rig]\nmass_kg = 275\n")
     (text,) = planning.hidden_by_rig(site, tests, setting.ROBOT.compliance, (joint,))
     own = setting.milling_regressors(tests)[:, :, joint] * setting.ROBOT.compliance[joint]
@@ -256,7 +257,7 @@ def test_next_poses_help_more_than_the_same_number_planned_without_the_measureme
 
 def test_every_exchange_has_the_value_of_its_plan_and_improves_it(tmp_path):
     """Of the poses, then of each level: the value that is kept up to date is the criterion of the whole plan."""
-    site, tests = setting.site(tmp_path), setting.job().take(np.array([0, 150]), np.array([0.5, 0.5]))
+    site, tests = setting.site(tmp_path), replace(setting.job().take(np.array([0, 150])), weight=np.array([0.5, 0.5]))
     options = Options(configurations=7, levels=3)
     task = planning._problem(site, tests, setting.ROBOT.compliance, options, None).task
     rng = np.random.default_rng(2)

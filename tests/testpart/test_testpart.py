@@ -304,7 +304,7 @@ def test_derivatives_are_those_of_finite_differences(folder, cut):
 def test_the_chosen_part_is_better_than_parts_at_random(folder):
     (found, prior, setting, tests, *_), chosen = CHOICE
     rng = np.random.default_rng(1)
-    others = [design.at_random(found, chosen.seconds, rng) for _ in range(60)]
+    others = [trial.at_random(found, chosen.seconds, rng) for _ in range(60)]
     assert chosen.after < min(design.evaluated(found, prior, setting, tests, other).after for other in others)
 
 

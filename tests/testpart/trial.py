@@ -252,3 +252,14 @@ def worth(part, seed, kind="joints"):
         apart=float(np.sqrt(np.mean(apart**2))),
         size=float(np.sqrt(np.mean(true**2) * 3)), fit=found, left_out=left_out, scale=scale,
     )  # fmt: skip
+
+
+def at_random(found, seconds, rng):
+    """A part of features taken at random, one after another, until they take as long as another part [s]."""
+    chosen = []
+    for row in rng.permutation(len(found.feature)).tolist():
+        if found.apart[row, chosen].all():
+            chosen.append(row)
+            if found.seconds[chosen].sum() >= seconds:
+                break
+    return np.array(chosen, dtype=np.int64)
