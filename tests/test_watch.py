@@ -11,7 +11,9 @@ from pathlib import Path
 from threading import Event, Thread
 
 import pytest
+from click.testing import CliRunner
 
+from postproc.cli import main
 from postproc.errors import InputError, PostprocError
 from postproc.jobs import Settings, watching
 from postproc.jobs.watching import server
@@ -120,7 +122,10 @@ def test_a_folder_that_vanishes_is_waited_for(watcher, tmp_path):
 
 def test_a_folder_that_is_not_there_is_an_error(tmp_path):
     with pytest.raises(InputError, match="no such folder"):
-        next(watching.watch(tmp_path / "none", tmp_path / "out", Settings(CELL), {}))
+        watching.watch(tmp_path / "none", tmp_path / "out", Settings(CELL), {})
+    done = CliRunner().invoke(main, ["watch", str(tmp_path / "none"), "--cell", str(CELL)])
+    assert done.exit_code == 1
+    assert done.output.startswith(f"Error: {tmp_path / 'none'}: no such folder")
 
 
 def test_other_files_and_those_of_editors_are_left_alone(watcher, tmp_path):

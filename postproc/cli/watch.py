@@ -41,14 +41,15 @@ def watch(ctx: click.Context, /, folder: Path, jobs: int, serve: bool, port: int
     options = of_files(more)
     output = options.pop("output", None) or folder / "corrected"
     stop = Event()
+    settings = Settings(mode="convert", **more)
+    outcomes = watched(folder, output, settings, options, workers=jobs, say=say, stop=stop)
     if serve:
         there = server(output, port)
         Thread(target=there.serve_forever, daemon=True).start()
         click.echo(f"overview: http://127.0.0.1:{there.server_address[1]}")
     click.echo(f"watching {folder}; results: {output}. Ctrl-C ends it.")
-    settings = Settings(mode="convert", **more)
     try:
-        for outcome, job in watched(folder, output, settings, options, workers=jobs, say=say, stop=stop):
+        for outcome, job in outcomes:
             print_outcome(outcome, job)
     except KeyboardInterrupt:
         click.echo("ended.")

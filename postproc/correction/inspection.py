@@ -21,7 +21,7 @@ from postproc.correction.result import Mode
 from postproc.correction.targets import Commands
 from postproc.dialects import registry
 from postproc.errors import Issue
-from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, any_column, norm
+from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, any_column, norm, xyzabc_from_pose
 from postproc.program import CIRC, LIN, PTP, SPL, Bools, Ints, Program, distinct
 from postproc.robot import JOINTS
 from postproc.toolpath import Toolpath
@@ -311,6 +311,23 @@ def of_tools(program: Program, cell: Cell) -> list[Issue]:
         'lines. Give [gcode] tool_change = ["…"], or tool_change = [] if the tool is changed by hand, without a line.'
     )
     return [Issue("error", "tool-change", message, second.line)]
+
+
+_SAME_BASE = 1e-6
+"""Entries of frames that differ by less [m, 1] are equal."""
+
+
+def of_base(program: Program, cell: Cell) -> list[Issue]:
+    """Return a note if the `$BASE` of a robot program is its own, and not that of the cell."""
+    m = program.motions
+    own = np.abs(program.bases - cell.base.pose()).max(axis=(1, 2)) > _SAME_BASE
+    motion = np.flatnonzero(own[m.base] & np.isnan(m.joints[:, 0]))
+    if not program.keeps_text or not len(motion):
+        return []
+    base = (xyzabc_from_pose(program.bases[m.base[motion[0]]]).round(4) + 0.0).tolist()
+    frame = ", ".join(f"{name} {value:.8g}" for name, value in zip("XYZABC", base, strict=True))
+    message = f"$BASE is {{{frame}}} by the program; [base] of the cell, which is another, is not used there."
+    return [m.issue("info", "own-base", message, motion)]
 
 
 def of_path(path: PathUnderLoad, command: Commands) -> list[Issue]:

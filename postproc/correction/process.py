@@ -443,7 +443,11 @@ def process(
         linearize_arcs=linearize_arcs,
         writer=writer,
         in_file=source is not None,
-        initial_issues=(*inspection.of_origin(program, mode), *inspection.of_tools(program, cell)),
+        initial_issues=(
+            *inspection.of_origin(program, mode),
+            *inspection.of_tools(program, cell),
+            *inspection.of_base(program, cell),
+        ),
     )
     wrong = [issue for issue in task.initial_issues if issue.level == "error"]
     robot_in_cell = RobotInCell.of(robot, cell)

@@ -56,7 +56,7 @@ def watch(
     say: Callable[[str], None] = lambda _: None,
     stop: Event | None = None,
 ) -> Iterator[tuple[Outcome, Job]]:
-    """Convert programs of a folder as they arrive or change, until `stop` is set; yield each outcome.
+    """Convert programs of a folder as they arrive or change, until `stop` is set; return an iterator of the outcomes.
 
     :param output: folder to write into.
     :param options: further arguments of `find_jobs`: dialect, forces, to.
@@ -68,8 +68,11 @@ def watch(
     if not folder.is_dir():
         raise InputError("no such folder", file=str(folder), advice="Give the folder into which programs are written.")
     watcher = _Watcher(folder, output, settings, options, workers, say)
-    stop = Event() if stop is None else stop
-    pause = _pause(folder, stop)
+    return _outcomes(watcher, Event() if stop is None else stop)
+
+
+def _outcomes(watcher: _Watcher, stop: Event) -> Iterator[tuple[Outcome, Job]]:
+    pause = _pause(watcher.folder, stop)
     while not stop.is_set():
         ready = watcher.scan(time.monotonic())
         if ready:

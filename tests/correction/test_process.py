@@ -91,3 +91,15 @@ def test_a_circle_with_an_angle_is_corrected_after_a_start_that_rounding_moves(a
     m = result.program.motions
     on = [np.linalg.norm(row[:2] - m.centre[2, :2]) for row in result.nominal[result.motion >= 2][:, :3, 3]]
     np.testing.assert_allclose(on, np.linalg.norm(m.target[1, :2, 3] - m.centre[2, :2]), atol=1e-8)
+
+
+def test_a_base_that_is_not_that_of_the_cell_is_stated_with_its_numbers():
+    def said(base):
+        result, _ = converted(base, "PTP XS", "LIN XP", dat=POINTS)
+        return [(issue.source_line, issue.count, issue.message) for issue in result.issues if issue.kind == "own-base"]
+
+    here = f"$BASE={{X {CELL.base.X},Y {CELL.base.Y},Z {CELL.base.Z},A 0,B 0,C 0}}"
+    assert said(here) == []
+    ((line, count, message),) = said("$BASE={X 1400.5,Y -200,Z 700,A 0.25,B 0,C 0}")
+    assert (line, count) == (4, 2)
+    assert "{X 1400.5, Y -200, Z 700, A 0.25, B 0, C 0}" in message

@@ -171,7 +171,7 @@ class _Follower:
         )
         wrong = np.flatnonzero(changed & incomplete)
         if len(wrong):
-            problem = "components are missing right after $BASE or $TOOL changed: their values are not certain"
+            problem = "components are missing right after $BASE or $TOOL changed: the values they keep are not certain"
             raise self.source.line_error(problem, int(self.line[first + wrong[0]]), _FRAME_ADVICE)
 
     def special(self, row: int, move: MotionStatement | None) -> None:

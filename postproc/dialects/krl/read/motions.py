@@ -443,7 +443,11 @@ def _assumptions(line: Ints, missing: Bools, assumed: Bools, moves: Mapping[int,
     for row, move in moves.items():
         incomplete[row] = not move.end.position.complete or move.via_incomplete
     for rows, kind, message in (
-        (incomplete, "missing-components", "Missing components keep their previous value (in relative motions: 0)."),
+        (
+            incomplete,
+            "missing-components",
+            "components are missing: they keep their previous value (in relative motions: 0).",
+        ),
         (assumed, "default-speed", f"$VEL.CP is not set before: the controller's {DEFAULT_SPEED:g} m/s is assumed."),
     ):
         found = np.flatnonzero(rows)

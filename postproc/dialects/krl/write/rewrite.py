@@ -46,9 +46,9 @@ from postproc.dialects.text import line_spans
 from postproc.errors import Issue, ProgramError, group_issues
 from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, TargetForces, Targets, Written
 
-_STOP = "The robot stops at an inserted target, as it does at the end of this motion: "
-_ROUNDED = f"{_STOP}approximation (C_DIS) might round the path there by too much."
-_UNSURE = f"{_STOP}$APO.CDIS is not known there, by which approximation (C_DIS) would round the path."
+_STOP = "The robot stops at an inserted target, as it does at the end of this motion, which has no C_DIS: "
+_ROUNDED = f"{_STOP}approximation might round the path there by too much."
+_UNSURE = f"{_STOP}$APO.CDIS is not known there, by which approximation would round the path."
 
 
 def rewrite(program: Program, targets: Targets, carried: TargetForces | None = None) -> Written:
