@@ -7,7 +7,7 @@ long_lin.src         KRL of a CAM post: thousands of LIN with numbers; long_lin.
 cell_kr270.toml      cell of pocket, freeform and inline
 cell_kr16.toml       cell of long_lin and pocket
 cell_irb6700.toml    cell of pocket with an ABB arm, for `convert --to rapid`
-gallery/             a drilled block, a dome in five axes, a long plate: programs of the gallery of the documentation
+gallery/             drilled block, dome in five axes, saddle as cutter locations, long plate: for docs/gallery.md
 """
 
 from __future__ import annotations
@@ -561,6 +561,34 @@ def dome() -> str:
     return "\n".join(out) + "\n"
 
 
+def saddle() -> str:
+    """A saddle, finished in rows by a tool that stays normal to it: cutter locations as Creo writes them."""
+    out = ["$$ SADDLE, FIVE AXES BY TOOL VECTOR", "PARTNO / SADDLE", "UNITS / MM", "LOADTL / 1", "MULTAX / ON"]
+    out += [
+        "SPINDL / RPM, 14000.000000, CLW",
+        "RAPID",
+        "GOTO / -10.0000, -10.0000, 60.0000, 0.000000, 0.000000, 1.000000",
+    ]
+    rows, steps, bend = 16, 41, 12.0
+    for row in range(rows):
+        for step in range(steps):
+            u = 2.0 * step / (steps - 1) - 1.0
+            u, v = (u, 2.0 * row / (rows - 1) - 1.0) if row % 2 == 0 else (-u, 2.0 * row / (rows - 1) - 1.0)
+            x, y, z = 80.0 + 80.0 * u, 60.0 + 60.0 * v, bend * (u * u - v * v) - 20.0
+            i, j = -2.0 * bend * u / 80.0, 2.0 * bend * v / 60.0  # minus the slopes of the surface
+            length = math.sqrt(i * i + j * j + 1.0)
+            i, j, k = i / length, j / length, 1.0 / length
+            vector = f"{i:.6f}, {j:.6f}, {k:.6f}"
+            if row == step == 0:
+                above = f"{x + 50.0 * i:.4f}, {y + 50.0 * j:.4f}, {z + 50.0 * k:.4f}, {vector}"
+                out += ["RAPID", f"GOTO / {above}", "$$ FORCE FX=0 FY=0 FZ=-60 FRAME=TOOL", "FEDRAT / 600.000000, MMPM"]
+            out.append(f"GOTO / {x:.4f}, {y:.4f}, {z:.4f}, {vector}")
+            if row == step == 0:
+                out += ["$$ FORCE FX=-35 FY=-60 FZ=90 FRAME=FEED", "FEDRAT / 1500.000000, MMPM"]
+    out += ["$$ FORCE OFF", "RAPID", f"GOTO / {x + 60.0 * i:.4f}, {y + 60.0 * j:.4f}, {z + 60.0 * k:.4f}, {vector}"]
+    return "\n".join([*out, "SPINDL / OFF", "FINI"]) + "\n"
+
+
 CELL_FIVE_AXES = (
     CELL_KR270
     + """
@@ -617,6 +645,7 @@ def make() -> dict[str, str]:
         "gallery/drilling.process.toml": DRILLING_PROCESS,
         "gallery/dome.nc": dome(),
         "gallery/cell_five_axes.toml": CELL_FIVE_AXES,
+        "gallery/saddle.apt": saddle(),
         "gallery/long_plate.nc": long_plate(),
         "gallery/long_plate.process.toml": LONG_PLATE_PROCESS,
     }

@@ -23,7 +23,7 @@ def _script():
 def test_samples_are_what_the_script_writes():
     """Numbers may differ by one in the last place where another processor rounds otherwise."""
     made = _script()["make"]()
-    kinds = (".nc", ".csv", ".src", ".dat", ".toml", ".stl")
+    kinds = (".nc", ".apt", ".csv", ".src", ".dat", ".toml", ".stl")
     found = (path for folder in (SAMPLES, SAMPLES / "gallery") for path in folder.iterdir())
     there = {path.relative_to(SAMPLES).as_posix() for path in found if path.suffix in kinds}
     assert there == set(made)
@@ -99,6 +99,7 @@ def test_the_gallery_states_what_its_conversions_print(tmp_path):
         "pocket": ("pocket.nc", "cell_kr270.toml", None),
         "drilling": ("gallery/drilling.nc", "cell_kr270.toml", "gallery/drilling.process.toml"),
         "dome-five-axes": ("gallery/dome.nc", "gallery/cell_five_axes.toml", None),
+        "saddle-cutter-locations": ("gallery/saddle.apt", "cell_kr270.toml", None),
         "long-plate": ("gallery/long_plate.nc", "cell_kr270.toml", "gallery/long_plate.process.toml"),
     }
     assert set(parts) | {"freeform"} == set(shown)

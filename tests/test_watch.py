@@ -1,11 +1,17 @@
-"""`postproc watch`: programs are converted as they arrive, each once, whatever happens to files, folder and process."""
+"""`postproc watch`: programs are converted as they arrive, each once, whatever happens to files, folder and process.
+
+python -m tests.test_watch [--files 500] [--kills 5] [--seed 1]        # on demand: more files, killed more often
+"""
 
 from __future__ import annotations
 
+import argparse
 import http.client
+import random
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 from threading import Event, Thread
@@ -135,38 +141,58 @@ def test_other_files_and_those_of_editors_are_left_alone(watcher, tmp_path):
     assert converted(watcher()) == []
 
 
-def test_killed_and_started_again_each_is_converted_once(tmp_path):
-    (tmp_path / "in").mkdir()
-    command = [sys.executable, "-m", "postproc", "watch", str(tmp_path / "in"), "--cell", str(CELL)]
-    log = tmp_path / "log"
-    count = 12
+def arriving(folder: Path, count: int, kills: int, pause: float, seed: int) -> tuple[list[str], set[str]]:
+    """Run `watch` while programs arrive at random times, killing and starting it again; it must end by itself.
+
+    :param pause: longest time between two programs [s].
+    :returns: names that were reported as written, in order; names of the programs in the output folder.
+    """
+    chance = random.Random(seed)
+    (folder / "in").mkdir()
+    command = [sys.executable, "-m", "postproc", "watch", str(folder / "in"), "--cell", str(CELL)]
+    log = folder / "log"
 
     def start() -> subprocess.Popen[bytes]:
         with log.open("ab") as output:
-            return subprocess.Popen([*command, "-o", str(tmp_path / "out")], stdout=output, stderr=subprocess.STDOUT)
+            return subprocess.Popen([*command, "-o", str(folder / "out")], stdout=output, stderr=subprocess.STDOUT)
+
+    def done() -> int:
+        return len(list((folder / "out").glob("*.report.json")))
 
     process = start()
-    for number in range(count):
-        put(tmp_path, f"p{number}.nc", PART.format(x=number + 1))
-        time.sleep(0.15)
-        if number == count // 2:
-            while not list((tmp_path / "out").glob("*.report.json")):
-                time.sleep(0.05)
-            process.kill()
-            process.wait()
-            process = start()
+    killed = sorted(chance.sample(range(count // 4, count), kills))
     try:
-        end = time.monotonic() + 120.0
-        while len(list((tmp_path / "out").glob("*.report.json"))) < count and time.monotonic() < end:
+        for number in range(count):
+            put(folder, f"p{number}.nc", PART.format(x=number + 1))
+            time.sleep(pause * chance.random())
+            if number in killed:
+                before = done()
+                while done() == before < number:
+                    time.sleep(0.05)
+                process.kill()
+                process.wait()
+                process = start()
+        waited = 0
+        while done() < count and waited < 1200 + 40 * count:
             time.sleep(0.1)
+            waited += 1
         time.sleep(1.5)
         process.send_signal(signal.SIGINT)
         assert process.wait(30) == 130
     finally:
         process.kill()
     said = [line.partition(":")[0] for line in log.read_text().splitlines() if ".nc: written" in line]
-    assert len(said) == len(set(said)) >= count - 1  # of the one that was being converted, nothing may have been said
-    assert {path.stem for path in (tmp_path / "out").glob("*.src")} == {f"p{number}" for number in range(count)}
+    return said, {path.stem for path in (folder / "out").glob("*.src")}
+
+
+def check_arrived(said: list[str], written: set[str], count: int, kills: int) -> None:
+    """Each program was written once; of the one that was being converted at a kill, nothing may have been said."""
+    assert len(said) == len(set(said)) >= count - kills
+    assert written == {f"p{number}" for number in range(count)}
+
+
+def test_killed_and_started_again_each_is_converted_once(tmp_path):
+    check_arrived(*arriving(tmp_path, 12, 1, 0.3, 1), 12, 1)
 
 
 def test_the_overview_is_served_on_this_machine_and_reloads_itself(tmp_path):
@@ -219,3 +245,14 @@ def test_it_ends_when_it_is_told_to(tmp_path, monkeypatch, library):
         done.append(outcome.code)
         stop.set()
     assert done == [0]
+
+
+if __name__ == "__main__":
+    options = argparse.ArgumentParser()
+    for option, default in (("--files", 500), ("--kills", 5), ("--seed", 1)):
+        options.add_argument(option, type=int, default=default)
+    asked = options.parse_args()
+    with tempfile.TemporaryDirectory() as place:
+        found = arriving(Path(place), asked.files, asked.kills, 0.3, asked.seed)
+    check_arrived(*found, asked.files, asked.kills)
+    print(f"{asked.files} programs arrived, {asked.kills} times killed: {len(found[1])} written, each once")

@@ -119,7 +119,7 @@ def testpart_model(folder: Path) -> None:
 class Part:
     """A part of the gallery: its program and how it is converted.
 
-    :param program: below `samples`, without the extension.
+    :param program: below `samples`.
     :param options: of `convert`, files below `samples`.
     :param enlarged: factor by which deviations are drawn.
     """
@@ -130,14 +130,15 @@ class Part:
 
 
 PARTS = {
-    "gallery-pocket": Part("pocket", ("--cell", "cell_kr270.toml"), 25),
-    "gallery-freeform": Part("freeform", ("--cell", "cell_kr270.toml", "--forces", "freeform.forces.csv"), 30),
+    "gallery-pocket": Part("pocket.nc", ("--cell", "cell_kr270.toml"), 25),
+    "gallery-freeform": Part("freeform.nc", ("--cell", "cell_kr270.toml", "--forces", "freeform.forces.csv"), 30),
     "gallery-drilling": Part(
-        "gallery/drilling", ("--cell", "cell_kr270.toml", "--process", "gallery/drilling.process.toml"), 20
+        "gallery/drilling.nc", ("--cell", "cell_kr270.toml", "--process", "gallery/drilling.process.toml"), 20
     ),
-    "gallery-dome": Part("gallery/dome", ("--cell", "gallery/cell_five_axes.toml"), 60),
+    "gallery-dome": Part("gallery/dome.nc", ("--cell", "gallery/cell_five_axes.toml"), 60),
+    "gallery-saddle": Part("gallery/saddle.apt", ("--cell", "cell_kr270.toml"), 60),
     "gallery-long-plate": Part(
-        "gallery/long_plate", ("--cell", "cell_kr270.toml", "--process", "gallery/long_plate.process.toml"), 200
+        "gallery/long_plate.nc", ("--cell", "cell_kr270.toml", "--process", "gallery/long_plate.process.toml"), 200
     ),
 }
 
@@ -145,8 +146,8 @@ PARTS = {
 def report_of(part: Part, folder: Path) -> Path:
     """Convert a part of the gallery; return its report."""
     options = [option if option.startswith("--") else SAMPLES / option for option in part.options]
-    invoke("convert", SAMPLES / f"{part.program}.nc", *options, "-o", folder)
-    return folder / f"{Path(part.program).name}.report.html"
+    invoke("convert", SAMPLES / part.program, *options, "-o", folder)
+    return folder / f"{Path(part.program).stem}.report.html"
 
 
 def shown(page, *, path: str, enlarged: float) -> Image.Image:
