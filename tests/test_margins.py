@@ -61,10 +61,9 @@ def test_the_narrowest_place_of_a_long_path_is_found_between_the_rows_looked_at_
     assert found == pytest.approx(smallest(q[place], TOOL), rel=1e-9)
 
 
-@pytest.mark.parametrize("place", range(5))
+@pytest.mark.parametrize("place", range(1, 9))
 def test_every_row_of_a_short_path_is_looked_at(place):
-    """One row alone has A5 near zero; those next to it say nothing of it."""
-    q = np.tile(np.radians([0.0, -70.0, 110.0, 0.0, 50.0, 0.0]), (5, 1))
-    q[:, 0] += np.radians(np.arange(5))
-    q[place, 4] = np.radians(3.0)
+    """One row alone has A5 near zero; those next to it say nothing of it, and the first one has a smaller value."""
+    q = np.tile(np.radians([0.0, -70.0, 110.0, 0.0, 50.0, 0.0]), (9, 1))
+    q[0, 4], q[place, 4] = np.radians(20.0), np.radians(3.0)
     assert kinematics.smallest_singular_value(ROBOT, q, TOOL) == pytest.approx(smallest(q[place], TOOL), rel=1e-9)

@@ -6,6 +6,7 @@ The programs have frames of their own, turned and displaced, and turn the tool a
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,8 @@ from msgspec.structs import replace
 from scipy.spatial.transform import Rotation, Slerp
 
 from postproc import frames, robot
+from postproc.comparison.compare import _paired, _Ways
+from postproc.comparison.differences import _distance_of_way
 from postproc.comparison.paths import Chain, Curves, PlacedProgram, nearest
 from postproc.poses import Poses
 from postproc.program import CIRC, PTP
@@ -235,3 +238,38 @@ def test_the_nearest_place_of_a_curve_is_that_of_many():
     np.testing.assert_allclose(place, tried[np.arange(30), apart.argmin(axis=1)], atol=2e-3)
     assert ((place >= begin) & (place <= end)).all()
     np.testing.assert_allclose(np.linalg.norm(helix(place) - wanted, axis=1), distance, atol=1e-12)
+
+
+def test_ways_begin_at_the_start_or_behind_the_pair_before_and_end_with_their_own():
+    """In both programs; the first way has targets of the second program before its pair."""
+    one, other = Path(ONE).placed, Path(TWO).placed
+    pair = np.array([[1, 2], [2, 3], [5, 6]])
+    found = SimpleNamespace(pair=pair)
+    ways = _Ways.of_pairs(found, one, other)
+    np.testing.assert_array_equal(ways.begin, [0.0, one.along[2], one.along[3]])
+    np.testing.assert_array_equal(ways.end, one.along[[2, 3, 6]])
+    np.testing.assert_array_equal(ways.second, [[0.0, other.along[3]], other.along[[3, 4]], other.along[[4, 7]]])
+    assert ways.way.tolist() == [0, 0, 0, 1, 2, 2, 2, 3]
+    share = other.along[2] / other.along[3]
+    np.testing.assert_allclose(ways.guess(np.array([1])), share * one.along[2])
+    assert ways.begins(np.array([0, 3]), np.arange(8) * 1.0).tolist() == [0.0, 2.0]
+
+
+@pytest.mark.parametrize(("inside", "found"), [(0.6, 0.0), (0.65, 0.0), (0.2, 0.0)])
+def test_what_inserted_targets_are_off_is_no_distance_of_the_way(inside, found):
+    """Pairs are 0.2 mm off, so that inserted targets may be 0.7 mm off: the path through them is not off it."""
+    one = Path([("LIN", 0, 0, 0), ("LIN", 80, 0, 0), ("LIN", 80, 40, 0)]).placed
+    other = Path([("LIN", 0, 0.2, 0), ("LIN", 40, inside, 0), ("LIN", 80, 0.2, 0), ("LIN", 80, 40.2, 0)]).placed
+    made = _paired(one, other, np.array([0, 2, 3]), np.ones(3, dtype=bool))
+    assert made.inserted.tolist() == [1]
+    assert _distance_of_way(made, one, other, 1) == found
+    bulge = [
+        ("LIN", 0, 0.2, 0),
+        ("LIN", 20, 0.2, 0),
+        ("CIRC", 60, 0.2, 0, 40, 0.2, 0, 180.0, (0, 0, -1)),
+        ("LIN", 80, 0.2, 0),
+    ]
+    other = Path([*bulge, ("LIN", 80, 40.2, 0)]).placed
+    made = _paired(one, other, np.array([0, 3, 4]), np.ones(3, dtype=bool))
+    assert made.inserted.tolist() == [1, 2]
+    assert _distance_of_way(made, one, other, 1) == pytest.approx(20.2e-3, abs=2e-5)
