@@ -14,7 +14,9 @@ The error of a cutting target is that of the tip; errors of the geometry without
 Prints JSON: the share of cutting targets inside u95 if the six coefficients are drawn
 
 - `each`: independently of each other, `one`: as one factor, both normal with the σ of the material;
-- `published`: as one of the other published sets of the alloy.
+- `published`: as one of the other published sets of the alloy;
+
+and the forces then grow by wear of the tool, by 0 to 25 %.
 
 `draws` has one set of coefficients for each robot and program, `all` as many as --materials.
 """
@@ -46,6 +48,8 @@ MATERIAL = "al_7075_t6_carbide"
 OTHERS = ("al_7075_hss", "al_7075_carbide_2", "al_7075_t6_carbide_3", "al_7075_d25")
 KEYS = ("Ktc_N_per_mm2", "Kte_N_per_mm", "Krc_N_per_mm2", "Kre_N_per_mm", "Kac_N_per_mm2", "Kae_N_per_mm")
 """In the order of `front.forces`."""
+WEAR = 0.25
+"""Largest growth of the forces by wear of the tool."""
 LEAST_FORCE = 1.0
 """Targets with a smaller force [N] do not cut."""
 MOST = 60
@@ -64,11 +68,11 @@ def drawn(rng: np.random.Generator, materials: int) -> dict[str, np.ndarray]:
     stated = coefficients(MATERIAL)
     sigma = 0.01 * machining.table()[MATERIAL].sigma_percent
     each, one = rng.normal(size=(materials, 6)), rng.normal(size=(materials, 1))
-    return {
-        "each": stated * np.maximum(1.0 + sigma * each, 0.0),
-        "one": stated * np.maximum(1.0 + sigma * one, 0.0),
-        "published": np.array([coefficients(name) for name in rng.permutation(OTHERS)]),
-    }
+    each = stated * np.maximum(1.0 + sigma * each, 0.0)
+    one = stated * np.maximum(1.0 + sigma * one, 0.0)
+    published = np.array([coefficients(name) for name in rng.permutation(OTHERS)])
+    kinds = {"each": each, "one": one, "published": published}
+    return {name: values * (1.0 + rng.uniform(0.0, WEAR, (len(values), 1))) for name, values in kinds.items()}
 
 
 def fronts(points: np.ndarray, motion: np.ndarray, t: np.ndarray) -> np.ndarray:
