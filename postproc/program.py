@@ -483,7 +483,7 @@ class Program(Struct, frozen=True, eq=False):
     :param issues: issues of the reader; none of level error (a reader raises instead).
     :param after: (M,) row of the motion at whose end each begins, −1 for the start of the program; its own row if its
         start is unknown: it is assumed to begin at its end. None: each begins where the one before ends.
-    :param meetings: control-flow joins: rows of motions (−1: the start) that end branches not known before run time, or
+    :param joins: control-flow joins: rows of motions (−1: the start) that end branches not known before run time, or
         iterations of an endless loop.
     :param swivel: orientation along motions given by rotary axes; None: LIN and CIRC turn it by one rotation.
     :param by_wrist: (M,) True for lines on which the wrist axes turn the tool (``$ORI_TYPE=#JOINT``); None: on none.
@@ -510,7 +510,7 @@ class Program(Struct, frozen=True, eq=False):
     still: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     issues: tuple[Issue, ...] = ()
     after: Ints | None = None
-    meetings: tuple[tuple[int, ...], ...] = ()
+    joins: tuple[tuple[int, ...], ...] = ()
     swivel: Swivel | None = None
     by_wrist: Bools | None = None
     wrist: Turning | None = None

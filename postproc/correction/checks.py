@@ -252,15 +252,15 @@ def _rounded_down(value: float) -> str:
     return f"{np.floor(value / step * (1.0 + 1e-12)) * step:.6g}"
 
 
-def joints_at_meetings(program: Program, sample: Toolpath, q: Array, start: Array) -> Iterator[Issue]:
-    """Yield an issue if branches, or rounds of an endless loop, reach one pose with a joint a turn apart.
+def joints_at_joins(program: Program, sample: Toolpath, q: Array, start: Array) -> Iterator[Issue]:
+    """Yield an issue if branches, or rounds of an endless loop, end in one pose with a joint one turn apart.
 
-    The tool is in one pose there, but what follows would begin with that joint 360° farther each time.
+    The pose of the tool is the same, but the motions after it would begin with that joint 360° farther each time.
 
     :param q: (N, 6) joint angles of the samples, `start` (6,) where the program starts [rad].
     """
     end = np.flatnonzero(sample.ends)
-    for rows in program.meetings:
+    for rows in program.joins:
         angles = np.array([q[end[row]] if row >= 0 else start for row in rows])
         apart = np.ptp(angles, axis=0)
         axis = int(apart.argmax())
@@ -276,13 +276,13 @@ def joints_at_meetings(program: Program, sample: Toolpath, q: Array, start: Arra
         yield Issue("error", "branch-joints", message, lines[0], count=len(lines), lines=tuple(lines))
 
 
-def meetings(program: Program, sample: Toolpath, pose: Poses, wrench: Runs) -> Iterator[Issue]:
+def joins(program: Program, sample: Toolpath, pose: Poses, wrench: Runs) -> Iterator[Issue]:
     """Yield an issue if branches taken at run time have different corrections at a control-flow join.
 
     :param pose: commanded, `wrench` (N, 6), of the samples in `$BASE`.
     """
     end = np.flatnonzero(sample.ends)
-    for rows in program.meetings:
+    for rows in program.joins:
         motions = np.array([row for row in rows if row >= 0], dtype=np.int64)
         moved = twist_between(sample.pose[end[motions]], pose[end[motions]])
         if len(motions) < len(rows):

@@ -349,8 +349,8 @@ def of_path(path: PathUnderLoad, command: Commands) -> list[Issue]:
         *checks.joint_limits(program, robot, sample, q),
         *checks.singularities(program, robot, sample, q, arcs.motion),
         *checks.joint_speeds(program, robot, sample, speed),
-        *checks.joints_at_meetings(program, sample, q, start),
-        *checks.meetings(program, sample, command.pose, path.wrench),
+        *checks.joints_at_joins(program, sample, q, start),
+        *checks.joins(program, sample, command.pose, path.wrench),
         *checks.correction_size(program, sample.motion, norm(position - sample.pose[:, :3, 3]), allowed),
     ]
     known = {issue.kind for issue in found}

@@ -60,9 +60,9 @@ class ReadBack(Struct, frozen=True, eq=False):
 
 
 def read_back(path: PathUnderLoad, chosen: Chosen, text: Written) -> ReadBack:
-    """Read a written program, and see that it says what was to be written.
+    """Read a written program with the reader of its dialect, and check that it has the chosen targets.
 
-    :raises UnusableTextError: it cannot be read, or says something else.
+    :raises UnusableTextError: it cannot be read, or has other targets.
     """
     robot_in_cell, targets = path.robot_in_cell, chosen.targets
     try:

@@ -205,6 +205,6 @@ class ProcessSource:
 
     @staticmethod
     def _scaled(found: ProcessForces) -> Ints:
-        """Return the motions on which the errors of the forces are one factor: no deviation of their own."""
+        """Return the motions whose forces have no deviation of their own: one factor scales all their errors."""
         loose = any_column(found.cuts.deviation != 0.0)
         return np.setdiff1d(found.along.motion, found.cuts.motion[loose])

@@ -237,7 +237,10 @@ class Programs:
 
     @cache  # noqa: B019
     def _load(self, each: _Stations, turn: float) -> Load:
-        """Return the loads at the cuts of stations, in the root at E1 = 0."""
+        """Return wrenches, their standard deviations and poses of the stations that cut, in the root at E1 = 0.
+
+        :param turn: of the tool about its axis [rad].
+        """
         cuts = each.weight > 0.0
         rows = each.row[cuts]
         wrench, spread, pose, scaled = each.samples.load(rows, np.full(len(rows), turn))

@@ -105,7 +105,10 @@ def from_program(program: Program, robot: RobotModel, cell: Cell, source: ForceS
 
 
 def _merged(rows: Ints, way: Array) -> tuple[Ints, Array]:
-    """Keep every n-th sample of a long path; it gets the length of those left out."""
+    """Return every n-th of the rows (n,) of a long path, and the lengths [m] with those of the rows left out.
+
+    :param way: (n,) length before each row [m].
+    """
     step = -(-len(rows) // _SAMPLES)
     begin = np.arange(0, len(rows), step)
     return rows[np.minimum(begin + step // 2, len(rows) - 1)], np.add.reduceat(way, begin)

@@ -147,7 +147,7 @@ class _OfJoint(Spring, frozen=True):
 
     @property
     def place(self) -> str:
-        """Return the joint."""
+        """Return the name of the joint, ``A1`` … ``A6``."""
         return self.joint
 
 
@@ -167,7 +167,7 @@ class JointCompliance(_OfJoint, frozen=True):
 
     @property
     def index(self) -> int:
-        """Return the number of the joint, from 0."""
+        """Return the index of the joint, from 0."""
         return JOINTS.index(self.joint)
 
     @property
@@ -519,12 +519,12 @@ class LinkMass(Parameter, frozen=True):
 
     @property
     def index(self) -> int:
-        """Return the number of the joint, from 0."""
+        """Return the index of the joint, from 0."""
         return JOINTS.index(self.joint)
 
     @property
     def place(self) -> str:
-        """Return the joint."""
+        """Return the name of the joint, ``A1`` … ``A6``."""
         return self.joint
 
     @property
@@ -534,7 +534,7 @@ class LinkMass(Parameter, frozen=True):
 
     @property
     def title(self) -> str:
-        """Return the link in words."""
+        """Return the parameter in words."""
         return f"mass of the link of {self.joint}"
 
     @property

@@ -162,7 +162,7 @@ def told(source, *, bulk):
         out[f"layout.{name}"] = getattr(program.layout, name)
     for name in ("ignored", "with_path", "distant", "passed", "triggers", "broken_off"):
         out[f"layout.{name}"] = getattr(program.layout, name)
-    for name in ("bases", "tools", "notes", "still", "issues", "after", "meetings", "events"):
+    for name in ("bases", "tools", "notes", "still", "issues", "after", "joins", "events"):
         out[name] = getattr(program, name)
     return out
 

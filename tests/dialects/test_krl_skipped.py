@@ -60,7 +60,7 @@ def test_what_is_skipped_on_an_unknown_condition_is_a_branch(name):
 def test_what_follows_a_skipped_part_begins_where_its_branch_begins():
     program = read(job(line(1), FAULT[0], line(9), *FAULT[2:], line(2), "FAULT:", HOME, line(4)))
     assert program.after.tolist() == [-1, 0, 1, 1, 2, 4]
-    assert program.meetings == ()
+    assert program.joins == ()
 
 
 @pytest.mark.parametrize(

@@ -609,7 +609,7 @@ def turn(data: Deviation) -> Section | None:
 
 
 def _values(found: Turn) -> tuple[Array, str]:
-    """Return the values (K, J) that colour the map, and what they are."""
+    """Return the values (K, J) that colour the map, and their title: expected error, deflection or joint margin."""
     error = found.map.error * MM_PER_M
     if np.nanmax(error, initial=0.0) > _COLOURED * MM_PER_M:
         cuts = found.map.blocks.cuts[found.map.blocks.block]

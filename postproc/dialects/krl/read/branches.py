@@ -38,7 +38,7 @@ class BranchError(ProgramError):
     occasions: frozenset[Occasion]
 
 
-class Meeting(NamedTuple):
+class JoinedEnds(NamedTuple):
     """A control-flow join: the line of its fork in the trace, and the last motions of the branches (−1: none yet)."""
 
     fork: int
@@ -67,7 +67,7 @@ def _to_joints(ordered: OrderedMotions, row: int) -> bool:
 
 def branching(
     course: Course, ordered: OrderedMotions, after: Ints | None, kept: Sequence[int], free: Set[Join]
-) -> tuple[Ints | None, list[Meeting]]:
+) -> tuple[Ints | None, list[JoinedEnds]]:
     """Return the motion at whose end each motion begins, see `Program.after`, and the control-flow joins.
 
     :param after: the same without branches.
@@ -82,7 +82,7 @@ def branching(
     line, count = ordered.rows.line, len(ordered.rows)
     out = np.arange(count) - 1 if after is None else after.copy()
     open_: list[tuple[int, int, list[int], bool]] = []
-    meetings: list[Meeting] = []
+    joins: list[JoinedEnds] = []
     fork_of = np.full(count + 1, 0)
     faults: list[BranchError] = []
     now, done = -1, 0
@@ -112,7 +112,7 @@ def branching(
             elif step not in free and (ordered.rows.kind[rows] == PTP).any():
                 faults.append(_error(course, forks, fork, "PTP is inside a branch"))
             if step not in free:
-                meetings.append(Meeting(fork, tuple(sorted(set(ends)))))
+                joins.append(JoinedEnds(fork, tuple(sorted(set(ends)))))
             now = min(ends)
     run_to(count)
     _raise(faults)
@@ -121,12 +121,12 @@ def branching(
             problem = f"{_why(ordered, row)} where branches begin or meet"
             faults.append(_error(course, forks, int(fork_of[row]), problem, _WHOLE))
     _raise(faults)
-    return out, meetings
+    return out, joins
 
 
-def check_meetings(
+def check_joins(
     course: Course,
-    meetings: Sequence[Meeting],
+    joins: Sequence[JoinedEnds],
     motions: Motions,
     carriage: Carriage | None,
     frames: tuple[Array, Array],
@@ -141,7 +141,7 @@ def check_meetings(
     """
     bases, tools = frames
     forks, faults = _forks(course), []
-    for fork, ends in meetings:
+    for fork, ends in joins:
         flanges = [
             start if row < 0 else bases[motions.base[row]] @ motions.target[row] @ inverse(tools[motions.tool[row]])
             for row in ends

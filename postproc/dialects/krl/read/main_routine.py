@@ -138,7 +138,7 @@ class MainRoutine:
         self._lines = main.others if course.straight else self._apart_from_rounds()
 
     def follow(self, faults: Sequence[ProgramError]) -> None:
-        """Follow the course.
+        """Run the statements of the execution trace in order: collect motions, settings and errors.
 
         :param faults: errors in the bounds of routines.
         :raises ProgramError: something that changes motion is not understood; all such lines together.

@@ -83,7 +83,7 @@ class PathSettings:
     def mode(self, state: State, at: Place, name: str, value: Value | Known) -> State:
         """Return the state after ``$ORI_TYPE = value``, or an assignment to another of the `MODES`.
 
-        :raises ProgramError: the robot moves the workpiece then.
+        :raises ProgramError: ``$IPO_MODE`` of a robot that moves the workpiece.
         """
         given: Value | Known | None = value
         if isinstance(value, Call) and value.name in _MODE_OF:

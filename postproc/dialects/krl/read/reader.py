@@ -20,7 +20,7 @@ from postproc.dialects.krl.course import Occasion
 from postproc.dialects.krl.language.positions import FARTHEST
 from postproc.dialects.krl.language.routines import Module, Routine, routines
 from postproc.dialects.krl.language.source import Place, Source
-from postproc.dialects.krl.read.branches import BranchError, branching, check_meetings, free_joins
+from postproc.dialects.krl.read.branches import BranchError, branching, check_joins, free_joins
 from postproc.dialects.krl.read.data_lists import read_data, read_shared
 from postproc.dialects.krl.read.endless_loops import check_round, starts
 from postproc.dialects.krl.read.folder import FolderFiles, Library, code_of, needed
@@ -155,7 +155,7 @@ class _Reading(Struct, frozen=True, eq=False):
         if not cell.krl.keep_unresolved:
             refuse_loaded(main.run, notes)
         lost = [line for line, _ in main.run.unresolved]
-        after, meetings = branching(course, ordered, resolved.after, lost, free)
+        after, joins = branching(course, ordered, resolved.after, lost, free)
         _check_size(source, ordered.rows)
         _check_starts(main, ordered)
         motions, layout, assumptions = motions_and_layout(source, main, ordered, cell.start_joints, self.forward, after)
@@ -177,7 +177,7 @@ class _Reading(Struct, frozen=True, eq=False):
             message = f"Values of [krl.values] in the cell: {values}. The output holds for these values only."
             issues.append(Issue("warning", "values-from-cell", message))
         frames = np.stack(settings.frames.bases), np.stack(settings.frames.tools)
-        check_meetings(course, meetings, motions, layout.carriage, frames, self.forward(cell.start_joints))
+        check_joins(course, joins, motions, layout.carriage, frames, self.forward(cell.start_joints))
         begins = starts(course, layout.line, motions, frames, self.forward(cell.start_joints), after)
         loop_issues, rounds = check_round(course, layout.line, motions, begins, layout.carriage, notes, settings)
         own = (d for d in self.documents if d.name == self.documents[0].name or _belongs(d, self.documents[0]))
@@ -201,7 +201,7 @@ class _Reading(Struct, frozen=True, eq=False):
             with_path=layout.with_path if layout.with_path.any() else None,
             by_wrist=layout.by_wrist if layout.by_wrist.any() else None,
             after=after,
-            meetings=(*(meeting.ends for meeting in meetings), *rounds),
+            joins=(*(join.ends for join in joins), *rounds),
             unresolved=resolved.unresolved,
             unfollowed=() if cell.krl.keep_unresolved else unfollowed(main.run),
             needed=needed(documents, code, library.files, moving),
