@@ -18,6 +18,14 @@ ABOUT_THE_PRIOR = "about the prior"
 """Source of values that were fitted with the prior's value as their mean."""
 
 
+class Record(Struct, frozen=True):
+    """Content of an `identification.json`."""
+
+    def as_json(self) -> bytes:
+        """Return the content of the file."""
+        return msgspec.json.format(msgspec.json.encode(self), indent=2)
+
+
 class Verdict(Struct, frozen=True):
     """Whether the model may be used, and in one line why not."""
 
@@ -177,7 +185,7 @@ class TorqueRange(Struct, frozen=True):
     positive_configurations: int
 
 
-class Identified(Struct, frozen=True, omit_defaults=True, kw_only=True):
+class Identified(Record, frozen=True, omit_defaults=True, kw_only=True):
     """Content of `identification.json`; without loads there is only geometry."""
 
     verdict: Verdict | None = None
@@ -206,10 +214,6 @@ class Identified(Struct, frozen=True, omit_defaults=True, kw_only=True):
     torque_Nm: list[float] | None = None
     torques: list[TorqueRange] | None = None
     files: list[FileEntry] | None = None
-
-    def as_json(self) -> bytes:
-        """Return the content of the file."""
-        return msgspec.json.format(msgspec.json.encode(self), indent=2)
 
 
 class Measured(Struct, frozen=True):

@@ -12,7 +12,8 @@ from msgspec.structs import replace
 from postproc import files
 from postproc.files import FileEntry
 from postproc.frames import MM_PER_M, Array
-from postproc.identification.record import Parameter, Unexplained, Verdict
+from postproc.identification.fit import NORMAL_95
+from postproc.identification.record import Parameter, Record, Unexplained, Verdict
 from postproc.machining import Process
 from postproc.machining.material import CuttingLaw, IdentifiedTable
 from postproc.machining.material import law as cutting_law
@@ -26,7 +27,6 @@ from postproc.robot.model_file import (
 )
 from postproc.testpart.fit import HELD, LEAST, Fit, Prior
 
-NORMAL_95 = 1.96
 _DRIFTED = 3.0
 """Change of a parameter that is named, in standard deviations."""
 _CHANCE = 0.005
@@ -80,7 +80,7 @@ class Agreement(Struct, frozen=True):
     warnings: list[str]
 
 
-class PartIdentification(Struct, frozen=True, kw_only=True, omit_defaults=True):
+class PartIdentification(Record, frozen=True, kw_only=True, omit_defaults=True):
     """Content of `identification.json` of a model from a test part.
 
     `force_scale`: measured forces over those computed. `agreement`: of the model before, where it is compared.
@@ -105,10 +105,6 @@ class PartIdentification(Struct, frozen=True, kw_only=True, omit_defaults=True):
     outliers: list[str]
     warnings: list[str]
     files: list[FileEntry] | None = None
-
-    def as_json(self) -> bytes:
-        """Return the content of the file."""
-        return msgspec.json.format(msgspec.json.encode(self), indent=2)
 
 
 def in_files(found: Fit) -> tuple[Array, Array]:
