@@ -197,7 +197,7 @@ def candidates(
         if depth + cutting.trims[-1][1] + _UNDER > high[2] - low[2]:
             raise PlanError(f"the block is too thin for grooves of {depth * MM_PER_M:g} mm", file=process.path)
         given = loads(kinds, cutting, process, placements[0])
-        every = _inside_block(kinds, cutting, (low, high), _MOST_PLACES // len(placements))
+        every = _inside_block(kinds, cutting, (low, high), max(1, _MOST_PLACES // len(placements)))
         of_each = [_placed(prior, setting, kinds, every, given, cutting, sigma) for setting in placements]
         most = max(moved for found in of_each for _, _, moved, _ in found)
         needed = float(np.round(_TRIM * most, 4))
@@ -417,7 +417,10 @@ def _apart(chosen: tuple[Feature, ...], cutting: Cutting) -> Bools:
 def tests_in_block(found: Candidates) -> Tests:
     """Return test poses all over the block: the most loaded places of features, evenly taken."""
     rows = np.unique(np.linspace(0, len(found.feature) - 1, _TESTS).astype(np.int64))
-    return Tests(found.loaded.take(rows), np.full(len(rows), 1.0 / len(rows)), "this process all over the block")
+    where = " in all its placements" if found.placement.any() else ""
+    return Tests(
+        found.loaded.take(rows), np.full(len(rows), 1.0 / len(rows)), f"this process all over the block{where}"
+    )
 
 
 class Criterion(Struct, frozen=True, eq=False):
