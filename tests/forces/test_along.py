@@ -8,6 +8,8 @@ from msgspec.structs import replace
 
 from postproc import forces, frames, toolpath
 from postproc.errors import ForceError
+from postproc.forces import Knots, path_forces
+from postproc.poses import Poses
 from postproc.program import parse_force_note
 from tests.programs import program
 
@@ -220,6 +222,35 @@ def test_cutting_moves_without_a_force_are_counted():
     assert (issue.kind, issue.count, issue.source_line, issue.level) == ("no-force", 2, 2, "warning")
 
 
+def test_no_force_on_a_rapid_is_nothing_to_tell(tmp_path):
+    rows = forces.read_force_csv(write(tmp_path, "line,Fx,Fy,Fz,line_end\n1,0,0,0,1\n2,5,5,5,3\n4,0,0,0,4\n"))
+    assert put_on(program(SQUARE), rows).issues == ()
+
+
+def test_a_force_on_a_move_from_start_is_refused_with_its_line():
+    notes = [(2, (10.0, 0, 0, 0, 0, 0))]
+    assert put_on(replace(program(SQUARE, notes=notes), unforced=np.array([0])), None)
+    with pytest.raises(ForceError, match=r"a force on a move from \[start\] of the cell") as caught:
+        put_on(replace(program(SQUARE, notes=notes), unforced=np.array([1])), None)
+    assert caught.value.line == 2
+
+
+@pytest.mark.parametrize("axis", ["+Z", "-Z", "+X", "-X"])
+def test_a_force_along_the_spindle_of_plunges_alone_needs_no_travel_across_it(axis):
+    """FEED axes have z along the spindle; any x will do."""
+    made = program(
+        [("PTP", 0, 0, 20), ("LIN", 0, 0, 5), ("LIN", 0, 0, 0)], notes=[(2, (0, 0, 90.0, 0, 0, 4.0), "FEED")]
+    )
+    down = {"+Z": np.diag([1.0, -1, -1]), "-Z": np.eye(3)}
+    side = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
+    turned = down.get(axis, side if axis == "+X" else -side @ np.diag([1.0, -1, 1]))
+    target = made.motions.target[:]
+    target[:, :3, :3] = turned
+    made = replace(made, motions=replace(made.motions, target=Poses.of(target)))
+    end = toolpath.at(made, toolpath.segments(made, START), np.array([2]), np.ones(1))
+    np.testing.assert_allclose(put_on(made, None, axis).at(end)[0], [0, 0, 90, 0, 0, 4], atol=1e-9)
+
+
 def test_a_force_on_a_rapid_is_ignored_and_told(tmp_path):
     rows = forces.read_force_csv(write(tmp_path, "line,Fx,Fy,Fz,line_end\n1,5,5,5,4\n"))
     load = put_on(program(SQUARE), rows)
@@ -336,3 +367,38 @@ def test_rows_for_another_program_are_one_error_that_says_which_program_they_may
     assert told.count("no motion starts") == 1
     assert "60 rows of 61" in told
     assert "not to the original" in told
+
+
+class OfKnots:
+    """Forces in $BASE at given places of motions: {motion: [(t, wrench), …]}."""
+
+    name = "knots"
+
+    def __init__(self, knots):
+        self.knots = knots
+
+    def along(self, program, path):
+        motion = np.repeat(list(self.knots), [len(rows) for rows in self.knots.values()])
+        t, wrench = (np.array([row[k] for rows in self.knots.values() for row in rows]) for k in (0, 1))
+        return Knots.along(motion, t, wrench, np.zeros(len(motion), dtype=np.int64))
+
+
+def test_places_at_which_the_rate_of_the_force_changes_are_those_off_the_line_between_their_neighbours():
+    """Uneven places: on one motion the force grows evenly, on the others each component bends at one place."""
+    made = program([("LIN", 0, 0, 0), *(("LIN", 100 * n, 50, 0) for n in range(1, 6))])
+    places, slope = np.array([0.0, 0.1, 0.35, 0.6, 0.9, 1.0]), np.array([300.0, -200, 100, 9, -7, 5])
+    expected, knots = [], {}
+    for motion in range(1, 6):
+        values = 40.0 + places[:, None] * slope
+        if motion > 1:
+            values[motion:, motion] += 80.0 * (places[motion:] - places[motion - 1])  # bends at the knot before
+            expected.append((motion, places[motion - 1]))
+        knots[motion] = list(zip(places, values, strict=True))
+    load = put_on(made, OfKnots(knots))
+    motion = np.repeat(np.arange(6), np.diff(load.first))
+    change, bent = path_forces._changes(load, motion)
+    assert [(int(m), float(t)) for m, t in zip(motion[bent], load.t[bent], strict=True)] == expected
+    for row in range(1, len(motion)):
+        same = motion[row] == motion[row - 1]
+        wanted = load.wrench[:][row] - load.wrench[:][row - 1] if same else np.zeros(6)
+        np.testing.assert_allclose(change[row], wanted, atol=1e-12)

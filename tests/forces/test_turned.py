@@ -16,7 +16,7 @@ from postproc import forces, frames, toolpath
 from postproc.forces import Knots
 from postproc.forces.axes import lines_run_across, runs_across
 from postproc.poses import Poses
-from postproc.program import CIRC, Targets
+from postproc.program import CIRC, ForceNote, Targets
 from tests.programs import program
 from tests.toolpath.setting import START, arc, begins, mixed, point, turned, unit
 
@@ -461,6 +461,21 @@ def test_a_force_that_stays_as_it_is_is_given_once_to_each_piece():
     axes = forces.Axes(written, other, "+Z", forces.last_travel(written, other, "+Z")[0])
     found = forces.of_pieces(load, targets, at_end, axes, np.arange(len(targets)))
     assert np.bincount(found.motion).tolist() == [1, 1, 1, 1, 1, 3, 3, 1, 1]
+
+
+def test_a_piece_with_one_force_has_that_of_its_target_in_a_file():
+    """That of the comment at the same target, to the last digit: both are one record."""
+    made = replace(plain(), notes=(ForceNote(1, (50.0, -20.0, 30.0, 1.0, 2.0, 3.0), "TOOL", before=0),))
+    path, targets, written = divided(made, [np.array([1.0]), *[np.array([0.5, 1.0])] * 4])
+    load = forces.assign(made, path, None, "+Z", RAMP)
+    there = load.at(toolpath.at(made, path, targets.motion, targets.t))
+    at_end = forces.of_targets(load, targets, toolpath.tangent(made, path, targets.motion, targets.t), there)
+    at_end = replace(at_end, wrench=at_end.wrench + 1.0)
+    other = toolpath.segments(written, START)
+    axes = forces.Axes(written, other, "+Z", forces.last_travel(written, other, "+Z")[0])
+    found = forces.of_pieces(load, targets, at_end, axes, np.arange(len(targets)))
+    assert load.ramped[targets.motion].all()
+    np.testing.assert_array_equal(found.wrench, at_end.wrench[found.motion])
 
 
 def test_on_a_plunge_the_travel_of_another_base_keeps_its_direction_in_the_root():
