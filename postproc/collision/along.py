@@ -117,12 +117,13 @@ class _Search:
         self.states = q if shift is None else np.concatenate([q, shift], axis=1)
         self.frames = self._frames(self.states)
         self.closest: Closest | None = None
+        self._lengths: dict[tuple[int, int | None], Array] = {}
         self.hits: dict[tuple[int, int, int], float] = {}
 
     def look(self, first: int, second: int, *, between: bool = True) -> None:
         """Search one pair of bodies."""
         count = len(self.q)
-        length = np.append(0.0, np.cumsum(self._motion(first, second, self.q, self.frames)))
+        length = self._length(first, second)
         distance = np.full(count, np.nan)
         ends = np.unique(np.append(np.arange(0, count, _FIRST), count - 1))
         self._measure(first, second, ends, distance)
@@ -143,6 +144,15 @@ class _Search:
             low, high = np.concatenate([low, middle]), np.concatenate([middle, high])
         if between and open_rows:
             self._between(first, second, np.sort(np.concatenate(open_rows)), distance)
+
+    def _length(self, first: int, second: int) -> Array:
+        """Return how far one body has moved against the other at each sample (n,) [m], the same for all fixed ones."""
+        other = self.solids.bodies[second]
+        key = first, None if other.fixed else second
+        if key not in self._lengths:
+            moved = self._motion(first, second, self.q, self.frames)
+            self._lengths[key] = np.append(0.0, np.cumsum(moved))
+        return self._lengths[key]
 
     def _distance(self, first: int, second: int, frames: Array, *, solid: bool = False) -> Array:
         """Return the distances (n,) [m], less by as far as both bodies may be elsewhere."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from postproc.collision import Scene, Solids, hits, link_frames
+from postproc.collision import Clearance, Scene, Solids, clearance, hits, link_frames
 from postproc.frames import M_PER_MM, Array
 from postproc.placement import drive
 from postproc.placement.samples import PathSamples
@@ -72,6 +72,14 @@ class Bodies:
                 carried = None if shift is None else shift[part]
                 out[part] = hits(placed[int(tool[begin])], path, self.need, carried, between=between)
         return out
+
+    def clearance(self, q: Array, rows: Ints) -> Clearance:
+        """Return the smallest distance of bodies at poses (n, 6) that are at samples (n,) with one tool."""
+        return clearance(self.solids[int(self.tool[rows[0]])].scene, q)
+
+    def name(self, row: int) -> str:
+        """Return the name of a body; it does not depend on the tool."""
+        return next(iter(self.solids.values())).bodies[row].name
 
     def closer(self, q: Array, rows: Ints, shift: Array, moved: Array) -> bool:
         """Return whether bodies are too close at any of some poses that do not belong together; see `along`."""

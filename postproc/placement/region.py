@@ -38,6 +38,8 @@ _TURNS = np.arange(-180.0, 180.0, 30.0) * RAD_PER_DEG
 """Turns of the tool tried at each place where the cell leaves it open."""
 _GAIN = 1e-3
 """Share of the expected error by which a step of the compass search must lower it."""
+_REAL = 0.02
+"""Share of the expected error that another place must save, or the part stays: the search is exact to that."""
 _ALIKE = 0.01
 """Places whose expected errors differ by less than this share are alike: the one with more margin is better."""
 
@@ -383,6 +385,8 @@ def search(programs: Programs, region: Region, progress: Callable[[int, int], No
     for start in starts:
         _descend(judged, region, start, steps)
     found = _confirmed(programs, tried)
+    if found is not None and _inside(region, today) and today.cost <= (1.0 + _REAL) * found.cost:
+        found = today
     return Search(today, found, tuple(tried), (tuple(x.tolist()), tuple(y.tolist())), tuple(around.tolist()))
 
 
@@ -405,6 +409,11 @@ def _descend(judged: Callable[[Array], Judged], region: Region, start: Judged, s
                         best, moved = found, True
                         break
         steps = 0.5 * steps
+
+
+def _inside(region: Region, place: Judged) -> bool:
+    """Return whether a place is in a region."""
+    return bool(np.allclose(region.clipped(np.array(place.place)), place.place, rtol=0.0, atol=1e-9))
 
 
 _MOST_CONFIRMED = 40

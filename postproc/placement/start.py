@@ -2,7 +2,7 @@
 
 The margin of a branch is the smallest along the program: distance of each joint to its limits, of A5 from where A4 and
 A6 are in line, of A3 from the stretched arm. Where the cell leaves the turn of the tool open, the best turn counts at
-each sample.
+each sample. Branches on which bodies of [collision] come too close are taken only if there is no other.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from postproc.errors import ProgramError
 from postproc.frames import DEG_PER_RAD, RAD_PER_DEG, Array
 from postproc.kinematics.components import components
 from postproc.placement import drive
+from postproc.placement.bodies import Bodies
 from postproc.placement.samples import PathSamples
 from postproc.program import Ints, Program
 from postproc.under_load import RobotInCell
@@ -23,6 +24,8 @@ _MOST = 4000
 _TURNS = np.arange(-180.0, 180.0, 30.0) * RAD_PER_DEG
 _BRANCHES = 8
 _FAR = 100.0
+_MOST_COMPARED = 120
+"""Samples at which branches are looked at for collisions."""
 _DECIMALS = 4
 """Of the joint angles [deg]."""
 _NO_WAY = (
@@ -74,17 +77,45 @@ def choose(program: Program, robot_in_cell: RobotInCell) -> ChosenStart:
     easy = [
         -np.abs(np.nan_to_num(q[0][[3, 5], 0], nan=_FAR)).sum() for q in found_q
     ]  # of branches alike: A4, A6 near 0
-    order = sorted(range(_BRANCHES), key=lambda k: (round(float(worst[k]), 6), reached[k], easy[k]), reverse=True)
+    free = _free_of_collisions(samples, rows, found_q, worst)
+    order = sorted(
+        range(_BRANCHES), key=lambda k: (free[k], round(float(worst[k]), 6), reached[k], easy[k]), reverse=True
+    )
     best = order[0]
     if not np.isfinite(margin[best, :, 0]).any():
         raise ProgramError(_NO_WAY, file=program.documents[0].name, line=int(m.line[0]))
     q = found_q[best][int(margin[best, :, 0].argmax())]
     if not np.isfinite(worst[best]):
         return _start(q[:, 0], "on the branch that reaches most of the program")
-    words = f"on the branch with the most margin to joint limits and singular poses, {worst[best] * DEG_PER_RAD:.1f}°"
-    if np.isfinite(worst[order[1]]):
+    among = (
+        " of those without collisions" if not all(free[k] for k in range(_BRANCHES) if np.isfinite(worst[k])) else ""
+    )
+    words = (
+        f"on the branch{among} with the most margin to joint limits and singular poses, "
+        f"{worst[best] * DEG_PER_RAD:.1f}°"
+    )
+    if np.isfinite(worst[order[1]]) and free[order[1]]:
         words += f" (the next best has {worst[order[1]] * DEG_PER_RAD:.1f}°)"
     return _start(_unwound(robot_in_cell, q) if len(turns) == 1 else q[:, 0], words)
+
+
+def _free_of_collisions(samples: PathSamples, rows: Ints, found_q: list[list[Array]], worst: Array) -> list[bool]:
+    """Return on which branches some turn of the tool is without collision at each of some samples.
+
+    All are if the cell has no [collision], or if none is: the check of the path then names the bodies.
+    """
+    table = samples.robot_in_cell.cell.collision
+    able = [k for k in range(_BRANCHES) if np.isfinite(worst[k])]
+    if table is None or len(able) < 2:
+        return [True] * _BRANCHES
+    bodies = Bodies(samples, table.clearance_mm)
+    some = np.unique(np.linspace(0, len(rows) - 1, min(_MOST_COMPARED, len(rows))).astype(np.int64))
+    apart = np.ones(len(some), dtype=bool)
+    out = [False] * _BRANCHES
+    for k in able:
+        struck = [bodies.along(q[:, some].T, rows[some], apart, between=False) for q in found_q[k]]
+        out[k] = not np.logical_and.reduce(struck).any()
+    return out if any(out) else [True] * _BRANCHES
 
 
 def _start(q: Array, how: str) -> ChosenStart:

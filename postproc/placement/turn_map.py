@@ -28,7 +28,7 @@ _BINS = 6
 _MOST_BINS = 2500
 _CHUNK = 4096
 """Samples solved together."""
-_MOST_POSES = 20_000
+_MOST_POSES = 2500
 """Samples of a path at which collisions are looked for with every turn; more only where the line goes."""
 
 

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from postproc.errors import Issue
 from postproc.forces import ForceSource
-from postproc.frames import DEG_PER_RAD, RAD_PER_DEG, Array, norm, rotation_from_vector
+from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array, norm, rotation_from_vector
 from postproc.kinematics.components import components
 from postproc.placement import drive, turn_line, turn_map
 from postproc.placement.bodies import Bodies
@@ -19,7 +19,7 @@ from postproc.placement.samples import AXIS, PathSamples
 from postproc.placement.turn_line import Blocked, Line
 from postproc.placement.turn_map import Blocks, TurnMap
 from postproc.poses import Poses
-from postproc.program import PTP, Bools, Program, read_only
+from postproc.program import PTP, Bools, Ints, Program, read_only
 from postproc.under_load import RobotInCell
 
 Mode = Literal["best", "path"]
@@ -32,6 +32,8 @@ _TILTED = (
 NO_CLEARANCE = "Collisions do not count in this choice: the cell has no [collision]."
 _ROUNDS = 8
 """How often a line with collisions that the map did not show is replaced."""
+_MOST_NAMED = 8
+"""Samples of a bin of the map at which the bodies of an error are looked for."""
 _FINE = np.arange(-6.0, 7.0) * RAD_PER_DEG
 
 
@@ -106,7 +108,7 @@ def chosen(
         turn = Turn(mode, whole, keep, constant, line.knots, of_motion)
         return turn, (_said(turn),)
     assert blocked is not None
-    return None, (_why(samples, whole, blocked, mode),)
+    return None, (_why(samples, whole, blocked, mode, branch, bodies),)
 
 
 def _free_line(
@@ -211,8 +213,10 @@ def _said(turn: Turn) -> Issue:
     return Issue("info", "redundancy", message)
 
 
-def _why(samples: PathSamples, whole: TurnMap, blocked: Blocked, mode: Mode) -> Issue:
-    """Return the error that names the motion that no line passes, and the reasons there."""
+def _why(
+    samples: PathSamples, whole: TurnMap, blocked: Blocked, mode: Mode, branch: int, bodies: Bodies | None
+) -> Issue:
+    """Return the error that names the motion that no line passes, the reasons there, and bodies that are too close."""
     blocks = whole.blocks
     rows = np.flatnonzero(blocks.block == blocked.block)
     reasons = whole.reasons(BARE)[rows]
@@ -222,6 +226,9 @@ def _why(samples: PathSamples, whole: TurnMap, blocked: Blocked, mode: Mode) -> 
     many = reasons.shape[1]
     parts = [f"{REASONS[k]} at {100.0 * n / many:.0f} % of all turns" for k, n in enumerate(counts) if k and n]
     motion = np.array([int(samples.sample.motion[blocks.first[rows[row]]])])
+    if bodies is not None and counts[drive.COLLISION]:
+        columns = np.flatnonzero(reasons[row] == drive.COLLISION)
+        parts[-1] += f": {_closest(samples, whole, int(rows[row]), columns, branch, bodies)}"
     if closed.any():
         what = f"no turn of the tool about its axis can be driven here ({', '.join(parts)}). Move the part or [start]."
     elif mode == "best":
@@ -237,6 +244,23 @@ def _why(samples: PathSamples, whole: TurnMap, blocked: Blocked, mode: Mode) -> 
             + ". Lower the feed, move the part or choose other [start] joints."
         )
     return samples.program.motions.issue("error", "redundancy", what, motion)
+
+
+def _closest(samples: PathSamples, whole: TurnMap, row: int, columns: Ints, branch: int, bodies: Bodies) -> str:
+    """Return in words which bodies are too close in a bin of the map, at that of some turns where they are farthest."""
+    first = whole.blocks.first
+    last = int(first[row + 1]) if row + 1 < len(first) else len(samples)
+    inside = np.unique(np.linspace(first[row], last - 1, _MOST_NAMED).astype(np.int64))
+    rows, column = (each.ravel() for each in np.meshgrid(inside, columns, indexing="ij"))
+    turn = whole.base[rows] + whole.offset[column]
+    flange = components(samples.flange(rows, turn))
+    found = bodies.clearance(drive.solve(samples.robot_in_cell.robot, flange, branch).T, rows)
+    distance = found.distance.reshape(len(inside), -1)
+    best = int(distance.min(axis=0).argmax())
+    k = int(distance[:, best].argmin()) * len(columns) + best
+    one, other = (bodies.name(int(each[k])) for each in (found.first, found.second))
+    how = f"{found.distance[k] * MM_PER_M:.2g} mm from" if found.distance[k] > 0.0 else "in contact with"
+    return f"{one} {how} {other} at best, where {bodies.need * MM_PER_M:.2g} mm are kept"
 
 
 def bin_turns(turn: Turn) -> Array:

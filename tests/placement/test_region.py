@@ -160,6 +160,21 @@ def test_an_axis_that_carries_the_robot_is_as_moving_the_part_the_other_way():
     assert carried.margin == pytest.approx(moved.margin, rel=1e-9)
 
 
+def test_the_part_stays_where_it_is_unless_another_place_saves_two_percent():
+    """At the best place as today's, the part stays; in a region without today's place, the best one is taken."""
+    bounds = Region((900.0, 0.0, 600.0, 0.0, 0.0), (1700.0, 0.0, 600.0, 0.0, 0.0))
+    judged, _, _ = programs(in_line())
+    far = region.search(judged, bounds)
+    assert far.best.cost < 0.98 * far.today.cost
+    x = far.best.place[0]
+    near, _, _ = programs(in_line(base=(x + 10.0, 0.0, 600.0)))
+    found = region.search(near, bounds)
+    assert found.best == found.today
+    assert found.today.cost <= 1.02 * far.best.cost
+    beyond = region.search(near, Region((x + 11.0, *bounds.low[1:]), bounds.high))
+    assert beyond.best.place[0] >= x + 11.0
+
+
 def test_a_region_that_cannot_be_read_is_refused():
     own = in_line()
     assert region_of("X=1000:1200,A=-10:10", own).free == [0, 3]

@@ -12,8 +12,9 @@ from click.testing import CliRunner
 from msgspec.structs import replace
 
 from postproc import correction, kinematics, robot
-from postproc.cell import Start
+from postproc.cell import Box, Collision, ObstacleTable, Start
 from postproc.cli import main
+from postproc.collision import link_frames
 from postproc.placement import start
 from postproc.under_load import RobotInCell
 from tests.oracle import cell_sim
@@ -55,6 +56,26 @@ def test_the_branch_is_the_one_with_the_most_margin_of_all_that_convert(name):
     assert best == pytest.approx(max(margins), abs=1e-3)
     assert name != "kuka_kr270" or max(margins) > min(margins) + np.radians(5.0)  # no mere turn of the wrist
     assert f"{np.degrees(best):.1f}" in found.message
+
+
+def test_a_branch_with_a_collision_is_taken_only_if_there_is_no_other():
+    """A box at the elbow of the branch with the most margin, beyond it: the other one is taken, and drives."""
+    pytest.importorskip("fcl")
+    own = in_line("kuka_kr270")
+    program, model = read(PART, own)
+    first = start.choose(program, RobotInCell.of(model, own))
+    beyond = link_frames(model.nominal, np.radians(first.joints)[None])[0, 3, :3, 3] * 1e3 + [150.0, 0.0, 130.0]
+    spans = [(float(at - 50), float(at + 50)) for at in beyond]
+    box = ObstacleTable(name="beam", frame="root", box=Box(*spans))
+    inside = replace(own, collision=Collision(obstacles=[box]))
+    found = start.choose(program, RobotInCell.of(model, inside))
+    assert found.joints != first.joints
+    assert "on the branch of those without collisions" in found.message
+    there = replace(inside, start=Start(found.joints))
+    result = correction.process(read(PART, there)[0], model, there, mode="predict")
+    assert not result.failed, result.issues
+    both = replace(own, collision=Collision(obstacles=[box, ObstacleTable(name="part", box=Box(*[(-300, 300)] * 3))]))
+    assert start.choose(program, RobotInCell.of(model, both)).joints == first.joints
 
 
 def _flange(program, model, own):

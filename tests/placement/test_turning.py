@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from functools import cache
 
 import numpy as np
@@ -200,6 +201,22 @@ def test_a_program_that_no_turn_can_drive_names_the_line_and_the_reason():
     issue = next(issue for issue in result.issues if issue.level == "error")
     assert issue.source_line in (4, 5)
     assert "joint limit" in issue.message or "out of reach" in issue.message
+
+
+@pytest.mark.parametrize("mode", ["best", "path"])
+def test_a_program_that_collides_with_every_turn_names_bodies_and_millimetres(mode):
+    """The tip is at Z 0 and 60 mm of cutter below the spindle: a plate over the part is 20 mm below the spindle."""
+    pytest.importorskip("fcl")
+    own = with_bodies(cell(base=(0.0, 0.0, 500.0), redundancy=mode), ((1000, 2000), (-600, 600), (39, 40)))
+    held = [own.collision.holder[0], HolderTable(name="spindle", diameter_mm=120, length_mm=200)]
+    own = replace(own, collision=replace(own.collision, holder=held, clearance_mm=30.0))
+    text = "G21 G90\n(FORCE FX=-110 FY=-190 FZ=130 FRAME=FEED)\nG0 X1300 Y0 Z200\nG1 Z62 F600\nG1 Y100 F2000\nG0 Z200\n"
+    issue = next(issue for issue in convert(text, own).issues if issue.level == "error")
+    assert issue.kind == "redundancy"
+    found = re.search(r"collision at \d+ % of all turns: (\w+) ([\d.]+) mm from wall at best", issue.message)
+    assert found, issue.message
+    assert found[1] == "cutter"
+    assert float(found[2]) == pytest.approx(22.0, abs=8.0)
 
 
 def test_the_text_of_a_robot_program_keeps_its_turn():
