@@ -130,7 +130,8 @@ _SIGMA_PERCENT = 33.0
 """Default, if neither the user nor the table gives it: the spread of published values for one alloy."""
 _WEAR_PERCENT = 25.0
 """Largest growth of the forces as a tool wears: Machinery's Handbook, 28th ed., "Tool Wear Factors", has 1.10 for end
-milling and 1.10 to 1.25 for light and medium face milling. Anything up to it is taken for as likely."""
+milling and 1.10 to 1.25 for light and medium face milling, quoted without the book at hand: assumed until it is looked
+up. Anything up to it is taken for as likely."""
 _AXIAL = 0.7
 """RMS of the missing axial force: measured values in slots are 40 to 90 % of the force across the feed."""
 
