@@ -120,3 +120,11 @@ def test_the_tool_turns_by_as_much_per_length(second, expected):
         target[row, :3, :3] = Rotation.from_euler("y", angle, degrees=True).as_matrix() @ target[row, :3, :3]
     made = replace(made, motions=replace(made.motions, target=Poses.of(target)))
     assert toolpath.continues(made, toolpath.segments(made, np.eye(4))).tolist() == [False, False, expected]
+
+
+def test_lines_far_from_the_origin_continue_too():
+    """The same three lines, displaced: the second continues the first, the third does not."""
+    for x, y in ((0, 0), (70, -300)):
+        made = program([("LIN", x, y, 5), ("LIN", x + 10, y + 5, 5), ("LIN", x + 30, y + 15, 5), ("LIN", x + 30, y, 5)])
+        found = toolpath.continues(made, toolpath.segments(made, np.eye(4)))
+        assert found.tolist()[2:] == [True, False]
