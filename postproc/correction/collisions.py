@@ -9,7 +9,7 @@ import numpy as np
 from msgspec import Struct
 
 from postproc import collision
-from postproc.correction.stock_contact import States, with_parts, with_stock
+from postproc.correction.stock_contact import STOCK, States, with_parts, with_stock
 from postproc.errors import Issue
 from postproc.forces import StockInTime
 from postproc.frames import M_PER_MM, MM_PER_M, Array, norm
@@ -157,10 +157,10 @@ def _names(scene: collision.Scene, first: int, second: int) -> tuple[str, str]:
 
 def _issue(names: tuple[str, str], distance: float, line: int, lines: set[int], need: float) -> Issue:
     first, second = names
-    need_mm = need * MM_PER_M
     how = "touches or is inside" if distance == 0.0 else f"comes within {distance * MM_PER_M:.2g} mm of"
-    message = (
-        f"collision: {first} {how} {second}; [collision] asks for {need_mm:g} mm. Move the part, turn the tool, or "
-        "correct the bodies in the cell"
-    )
+    asks = f"[collision] asks for {need * MM_PER_M:g} mm" if need > 0.0 else "it may not touch it here"
+    advice = "Move the part, turn the tool, or correct the bodies in the cell"
+    if second == STOCK:
+        advice = "Lift the tool before it moves rapidly, begin elsewhere ([start]), or correct the bodies in the cell"
+    message = f"collision: {first} {how} {second}; {asks}. {advice}"
     return Issue("error", "collision", message, line, count=len(lines), subject=f"{first}, {second}")

@@ -371,17 +371,17 @@ def _issues(
     issues = []
     if law.warning is not None:
         issues.append(Issue("warning", "material", law.warning))
-    if law.unknown_axial:
+    issues += _too_strong(cuts, lines, process.spindle.power_kW)
+    diameter = np.array([process.tools[key].diameter_mm * M_PER_MM for key in tools.keys])
+    drill = np.array([process.tools[key].shape == "drill" for key in tools.keys])
+    place = tools.tool[cuts.motion]
+    if law.unknown_axial and not drill[place].all():
         message = (
             "the material has no axial coefficients: the axial force is missing. Measured axial forces are 40 to 90 % "
             f"of the force across the feed; the bound includes {100 * law.unknown_axial:.0f} % of it. Give "
             "axial_ratio, or Kac and Kae, or measure them (identify forces)."
         )
         issues.append(Issue("info", "no-axial-force", message))
-    issues += _too_strong(cuts, lines, process.spindle.power_kW)
-    diameter = np.array([process.tools[key].diameter_mm * M_PER_MM for key in tools.keys])
-    drill = np.array([process.tools[key].shape == "drill" for key in tools.keys])
-    place = tools.tool[cuts.motion]
     issues += _drilled_by_mills(program, cuts, drill[place])
     bored = np.flatnonzero(drill[place])
     if len(bored):
@@ -390,7 +390,8 @@ def _issues(
             "edge in the middle: the bound includes half of it more or less. Measure it, or give forces in a file, "
             "where the depth of holes matters."
         )
-        issues.append(Issue("info", "drill-thrust", message, int(lines[cuts.motion[bored[0]]]), count=len(bored)))
+        at = np.unique(lines[cuts.motion[bored]])
+        issues.append(Issue("info", "drill-thrust", message, int(at[0]), count=len(at)))
     deep = np.flatnonzero((cuts.depth > _DEEP * diameter[place]) & ~drill[place])
     if len(deep):
         worst = deep[int(np.argmax(cuts.depth[deep]))]
