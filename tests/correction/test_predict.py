@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import asdict
 
 from postproc import cell as cells
 from postproc import correction, jobs, report
@@ -26,8 +27,8 @@ def test_prediction_has_the_numbers_that_convert_has_before(name: str) -> None:
     rows = read_force_csv(csv) if csv.exists() else None
     corrected, predicted = (correction.process(made, ROBOT, CELL, rows, mode) for mode in ("convert", "predict"))
     before, as_it_stands = report.summary(corrected).before, report.summary(predicted).before
-    for key, value in before.items():
-        assert as_it_stands[key] == pytest.approx(value, abs=1e-7)  # mm: what the equilibrium is solved to
+    for key, value in asdict(before).items():
+        assert getattr(as_it_stands, key) == pytest.approx(value, abs=1e-7)  # mm: what the equilibrium is solved to
     np.testing.assert_array_equal(predicted.t, corrected.t)
     assert predicted.between >= max(predicted.before) > 0.0
     assert predicted.largest_correction == 0.0

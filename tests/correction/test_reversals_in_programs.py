@@ -65,7 +65,7 @@ def test_the_bound_next_to_the_reversal_holds_the_step_and_elsewhere_it_does_not
 def test_a_model_that_states_no_lost_motion_says_so(tmp_path):
     result = _convert(KR270, tmp_path)
     found = summary(result).reversals
-    assert {"joint": "A1", "source_line": 7, "lost_motion_mm": 0.0} in found
+    assert ("A1", 7, 0.0) in [(entry.joint, entry.source_line, entry.lost_motion_mm) for entry in found]
     assert "The robot model states none" in read_page(b"".join(page(result))).text("reversals")
 
 

@@ -1,10 +1,12 @@
 """Runs of settings, assignments and comments between motions: read in bulk they mean what they mean line by line."""
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from postproc import dialects
 from postproc.errors import PostprocError
 from tests.dialects.krl_programs import CELL, read
 from tests.dialects.test_krl_reading import FULL
@@ -191,3 +193,14 @@ def test_runs_of_settings_mean_in_bulk_what_they_mean_line_by_line(part):
         assert not differing(one, other), f"seed {seed}: {differing(one, other)}\n{source}"
         read_ += not isinstance(one, str)
     assert read_ > PROGRAMS // 8  # of a half of them: the others hold what is refused
+
+
+POSSESSIVE = re.compile(r"\)(?:[?*+]|\{[0-9,]*\})\+")
+
+
+def test_no_expression_repeats_a_group_possessively():
+    """CPython before 3.11.5 finds matches of such expressions that are none (gh-106052): ``LIN {X 1 Y 2}`` was one."""
+    assert POSSESSIVE.search(r"(?:,[ ]*+)?+")
+    files = list(Path(dialects.__file__).parent.parent.rglob("*.py"))
+    assert len(files) > 200
+    assert [file.name for file in files if POSSESSIVE.search(file.read_text())] == []

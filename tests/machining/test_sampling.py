@@ -7,7 +7,7 @@ import pytest
 
 from postproc.machining.cutting import engaged
 from postproc.machining.material import CuttingLaw
-from postproc.machining.stock import Stock, _tool_over
+from postproc.machining.stock import Stock, tool_over
 from postproc.machining.tool import Cutter, Turn, edge
 
 LAW = CuttingLaw((800e6, 500e6, -300e6), (30e3, -20e3, 12e3), 0.0, 0.1, "linear")
@@ -105,10 +105,10 @@ def test_edge_in_material_is_that_by_loops_over_places_and_cells(cutter, parts, 
 @pytest.mark.parametrize(
     "end", [(8e-3, 3e-3, 0.0), (8e-3, 3e-3, -4e-3), (-5e-3, 6e-3, 7e-3), (0, 0, -2e-3), (0, 0, 2e-3)]
 )
-def test_the_lowest_level_of_a_tool_over_a_cell_is_that_of_many_places_along_its_way(cutter, end):
+def test_the_lowest_level_of_atool_over_a_cell_is_that_of_many_places_along_its_way(cutter, end):
     begin, end = np.array([[1.0, 2.0, 5e-3]]), np.array([[1.0, 2.0, 5e-3]]) + end
     px, py = np.meshgrid(np.linspace(-14e-3, 16e-3, 21), np.linspace(-13e-3, 15e-3, 19))
-    away, level, ahead = _tool_over(cutter, begin, end, px[None].astype(np.float32), py[None].astype(np.float32))
+    away, level, ahead = tool_over(cutter, begin, end, px[None].astype(np.float32), py[None].astype(np.float32))
     share = np.linspace(0.0, 1.0, 4001)[:, None, None]
     chord = end[0] - begin[0]
     distance = np.hypot(px - share * chord[0], py - share * chord[1])

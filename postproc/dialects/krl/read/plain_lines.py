@@ -23,7 +23,7 @@ from postproc.program import CIRC, LIN, PTP, Bools, Ints
 
 _LINES = 8192
 """Lines read at once: the arrays of more lines do not fit the cache."""
-_STRICT = r"[-+]?+(?:[0-9]++(?:\.[0-9]*+)?+|\.[0-9]++)(?:[eE][-+]?+[0-9]++)?+"
+_STRICT = r"[-+]?+(?:[0-9]++(?:\.[0-9]*+)?|\.[0-9]++)(?:[eE][-+]?+[0-9]++)?"
 _LOOSE = r"[-+.0-9][-+.0-9eE]*+"
 _STRAIGHT = r"[ \t]*+[Ss]?+(?:[Ll][Ii][Nn]|[Pp][Tt][Pp])"
 _NEXT = r"[ \t]*+(?:,[ \t]*+(?=[A-Za-z])|(?=\}))"
@@ -38,13 +38,13 @@ def _line_of(number: str, *, circle: bool) -> re.Pattern[str]:
     position = [rf"[{name}{name.lower()}][ \t]++{number}" for name in "XYZABC"]
     components = [r"[Ss][ \t]++(?:[12][0-9]|3[01]|[0-9])", r"[Tt][ \t]++(?:[1-5][0-9]|6[0-3]|[0-9])"]
     components += [rf"[Ee]{axis}[ \t]++{number}" for axis in range(1, 7)]
-    begin = r"\{[ \t]*+(?:(?i:E6POS|POS|FRAME)[ \t]*+:[ \t]*+)?+(?=[XYZABCxyzabc])"
+    begin = r"\{[ \t]*+(?:(?i:E6POS|POS|FRAME)[ \t]*+:[ \t]*+)?(?=[XYZABCxyzabc])"
     given = 3 if circle else 0
     point = begin + "".join(f"{component}{_NEXT}" for component in position[:given])
-    point += "".join(f"(?:{component}{_NEXT})?+" for component in position[given:])
-    rest = "".join(f"(?:{component}{_NEXT})?+" for component in components) + r"\}"
+    point += "".join(f"(?:{component}{_NEXT})?" for component in position[given:])
+    rest = "".join(f"(?:{component}{_NEXT})?" for component in components) + r"\}"
     before = rf"{_CIRCLE.pattern}[ \t]*+{point}\}}[ \t]*+,[ \t]*+" if circle else rf"{_STRAIGHT}[ \t]*+"
-    behind = r"(?:[ \t]++(?i:C_(?:DIS|VEL|ORI|PTP|SPL))){0,2}+[ \t]*+(?:;[^\r\n]*+)?+\r{0,2}+\n"
+    behind = r"(?:[ \t]++(?i:C_(?:DIS|VEL|ORI|PTP|SPL))){0,2}[ \t]*+(?:;[^\r\n]*+)?\r{0,2}+\n"
     return re.compile(f"{before}{point}{rest}{behind}")
 
 

@@ -17,13 +17,13 @@ from postproc.dialects.krl.read.path_settings import FASTEST
 from postproc.frames import M_PER_MM, Array
 from postproc.program import Ints
 
-_NUMBER = r"[0-9]{1,6}+(?:\.[0-9]{0,9}+)?+"
+_NUMBER = r"[0-9]{1,6}+(?:\.[0-9]{0,9}+)?"
 _SETTING = re.compile(
     rf"""\$(?:
     (VEL\.CP | APO\.CDIS)[ \t]*+=[ \t]*+({_NUMBER})
     | (?:VEL\.ORI[12] | APO\.(?:CVEL|CPTP|CORI) | ACC\.(?:CP|ORI[12]))[ \t]*+=[ \t]*+{_NUMBER}
     | (?:OUT|ANOUT|VEL_AXIS|ACC_AXIS)\[[0-9]{{1,4}}+\][ \t]*+=[ \t]*+(?:TRUE | FALSE | {_NUMBER})
-    )[ \t]*+(?:;[^\r\n]*+)?+[\r\n]""",
+    )[ \t]*+(?:;[^\r\n]*+)?[\r\n]""",
     re.ASCII | re.IGNORECASE | re.VERBOSE,
 )
 NUMBERS = ("speed", "cdis")
