@@ -12,7 +12,7 @@ from postproc.dialects.krl.read.frames import Frames
 from postproc.dialects.krl.read.known import Known
 from postproc.dialects.krl.read.path_settings import MODES, PathSettings
 from postproc.dialects.krl.read.plain_settings import Coming, no_settings
-from postproc.dialects.krl.read.state import FIELDS, Reasons, State
+from postproc.dialects.krl.read.state import Reasons, State
 from postproc.dialects.krl.read.variables import Variables
 from postproc.errors import ProgramError
 
@@ -50,8 +50,8 @@ class Settings:
 
     def may_become(self, line: int, state: State, reason: ProgramError) -> None:
         """Make uncertain what differs in another state, which may or may not come into force."""
-        fields = {field for field in FIELDS.values() if getattr(self.state, field) != getattr(state, field)}
-        self.make_uncertain(line, sorted(fields | {field for field, _ in state.uncertain}), reason)
+        fields = self.state.differing(state) | {field for field, _ in state.uncertain}
+        self.make_uncertain(line, sorted(fields), reason)
 
     def make_uncertain(self, line: int, fields: Iterable[str], reason: ProgramError) -> None:
         """Note that fields of the state are not known from a line of the program on."""

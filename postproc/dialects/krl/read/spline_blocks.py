@@ -18,7 +18,7 @@ from postproc.dialects.krl.read.motion_columns import MotionColumns
 from postproc.dialects.krl.read.motion_reader import MotionReader
 from postproc.dialects.krl.read.run import SETTING_ADVICE
 from postproc.dialects.krl.read.settings import Settings
-from postproc.dialects.krl.read.state import FIELDS, State
+from postproc.dialects.krl.read.state import State
 from postproc.errors import Issue
 from postproc.program import SPL, Bools, Motions
 
@@ -34,11 +34,6 @@ class Opened(Struct, frozen=True):
     line: int
     before: State
     inside: State
-
-    def changed(self, now: State) -> list[str]:
-        """Return the fields of the state that changed inside, by functions that its motions call."""
-        fields = {field for field in FIELDS.values() if getattr(now, field) != getattr(self.inside, field)}
-        return sorted(fields | {field for field, _ in set(now.uncertain) - set(self.inside.uncertain)})
 
 
 class SplineBlocks:
@@ -74,10 +69,12 @@ class SplineBlocks:
             raise at.error(f"{tail!r} is not understood")
         if tail:
             self.approximated.append(at.line)
-        changed = self.open.changed(self.settings.state)
+        inside, now = self.open.inside, self.settings.state
+        changed = inside.differing(now) | {field for field, _ in set(now.uncertain) - set(inside.uncertain)}
         self.settings.change(at.line, self.open.before)
-        problem = "a function that a motion of the spline block calls changes what motions depend on"
-        self.settings.make_uncertain(at.line, changed, at.error(problem, SETTING_ADVICE))
+        if changed:
+            problem = "a function that a motion of the spline block calls changes what motions depend on"
+            self.settings.make_uncertain(at.line, sorted(changed), at.error(problem, SETTING_ADVICE))
         self.ended.append(at.line)
         self.open = None
 

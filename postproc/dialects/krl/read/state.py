@@ -70,6 +70,10 @@ class State(Struct, frozen=True):
         uncertain = tuple(one for one in self.uncertain if one[0] not in fields)
         return replace(self, initial=initial, uncertain=uncertain, **fields)
 
+    def differing(self, other: State) -> set[str]:
+        """Return the fields with another value in another state."""
+        return {field for field in FIELDS.values() if getattr(self, field) != getattr(other, field)}
+
 
 class Reasons:
     """Why something in force is not known.
