@@ -1,6 +1,9 @@
 """Random KRL against a controller that executes it: what is accepted, and what is written, must be what it does.
 
-    python -m tests.attack.krl --minutes 60 [--seed 0]
+    python -m tests.attack.krl --minutes 60 [--seed 100000000] [--programs 110000] [--keep-going]
+
+Seeds below 2·10⁸ are ordinary programs; after ten of them comes one with `--keep-unresolved`, of the seed 2·10⁸ higher.
+From 2·10⁸ on all are programs with `--keep-unresolved`. Counts are printed for each of the two.
 
 A program is read by the package; if it is accepted, the controller runs it several times, with other chance each time.
 All runs must make the motions that the package read: targets, `$BASE`, `$TOOL`, speeds, approximation. Then its targets
@@ -10,6 +13,7 @@ are moved and divided, and the program that the package writes runs too: its tar
 from __future__ import annotations
 
 import argparse
+import itertools
 import tempfile
 import time
 from collections import Counter
@@ -20,7 +24,7 @@ from msgspec.structs import replace
 
 from postproc.cell import Frame, Krl, Tool
 from postproc.dialects import krl
-from postproc.dialects.krl.course import Fork
+from postproc.dialects.krl.course import Enter, Fork
 from postproc.dialects.krl.read import flow
 from postproc.dialects.text import decode
 from postproc.errors import PostprocError
@@ -32,17 +36,23 @@ from tests.dialects.krl_programs import CELL, forward, targets
 from tests.oracle.arm import abc
 from tests.oracle.krl_grammar import check, takes
 
-flow._MOST_TRACED = flow._MOST_STATEMENTS = 10_000
+flow._MOST_TRACED = flow._MOST_STATEMENTS = 3_000  # the controller ends there too
 KINDS = {"LIN": LIN, "PTP": PTP, "CIRC": CIRC}
 FRAMES = {1: (900, 50, 600, 0, 0, 10), 2: (1000, 0, 500, 5, 0, 0), 3: (1200, 100, 650, 30, 0, 0)}
 TOOLS = {1: (0, 0, 200, 0, 0, 0), 2: (20, 0, 280, 0, 90, 0)}
 RUNS, MOST_RUNS = 3, 30
 MORE, MIXED, KEPT = 1_000_000, 100_000_000, 200_000_000
 """From these seeds on programs have more kinds of values; nested loops, splines, SYNCCMD; and motions that stay."""
+_ORDINARY = 10
+"""So many ordinary programs to one with motions that stay."""
 _CHECKED = 4, 16
 """Of so many programs below `MORE`, and of others, one is checked by the grammar, which takes as long as all else."""
 _WRITTEN = 2e-4
 """Half of the last digits that are printed, in mm and in degrees, several times over."""
+
+
+_MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None
+"""A folder in memory: to make and remove one on a disk takes a tenth of the time of a program."""
 
 
 class Wrong(AssertionError):
@@ -61,33 +71,38 @@ def cell(folder, *, keep=False):
 
 
 def executed(files, seed, program):
-    """The motions that the controller makes in the program and in what it calls, but for those left as they are."""
+    """The motions that the controller makes in the program and in what it calls, but for those left as they are.
+
+    :returns: motions, and whether chance had a part in them.
+    """
     named = {Path(name).name: text for name, text in files.items()}
     data = {
         "BASE_DATA": {n: dict(zip("XYZABC", map(float, v), strict=True)) for n, v in {**FRAMES, 0: (0,) * 6}.items()},
         "TOOL_DATA": {n: dict(zip("XYZABC", map(float, v), strict=True)) for n, v in {**TOOLS, 0: (0,) * 6}.items()},
     }
     base, tool = CELL.base, CELL.tool
-    controller = Controller(
-        named, np.random.default_rng(seed), abc(base.X, base.Y, base.Z), abc(tool.X, tool.Y, tool.Z), data
-    )
-    controller.numbers = None
-    followed = [(r.source.document.name, r.first, r.last) for r in program.layout.course.inlined]
+    rng = np.random.default_rng(seed)
+    before = rng.bit_generator.state
+    controller = Controller(named, rng, abc(base.X, base.Y, base.Z), abc(tool.X, tool.Y, tool.Z), data)
     motions = controller.run("PART")
-    left = {("part.src", issue.source_line) for issue in program.issues if issue.kind == "motions-elsewhere"}
+    course = program.layout.course
+    origins = [(course.source.origin(each.line), each.routine) for each in course.steps if isinstance(each, Enter)]
+    followed = {(at.source.document.name, at.line, routine.name.upper()) for at, routine in origins}
+    reported = {("part.src", issue.source_line) for issue in program.issues if issue.kind == "motions-elsewhere"}
     stay = {(one.file, one.line) for one in program.unresolved}
-
-    def is_followed(file, line):
-        return file == "part.src" or any(f == file and a < line < b for f, a, b in followed)
-
     made = []
     for motion in motions:
-        places = (*motion.callers, (motion.file, motion.line))
-        if left.isdisjoint(motion.callers) and stay.isdisjoint(places) and all(is_followed(*each) for each in places):
-            if 0 < motion.synchronised < controller.synchronised:
-                raise Wrong(f"the motion in line {motion.line} is between two SYNCCMD")
-            made.append(motion)
-    return made
+        calls = {(file, line) for file, line, _ in motion.callers}
+        if not stay.isdisjoint({*calls, (motion.file, motion.line)}):
+            continue
+        if not followed.issuperset(motion.callers):
+            if reported.isdisjoint(calls):
+                raise Wrong(f"the motion in line {motion.line} of {motion.file} is neither followed nor reported")
+            continue
+        if 0 < motion.synchronised < controller.synchronised:
+            raise Wrong(f"the motion in line {motion.line} is between two SYNCCMD")
+        made.append(motion)
+    return made, rng.bit_generator.state != before
 
 
 def compare(program, motions, numbers, joints, kinds, tolerance, lines=None):
@@ -179,14 +194,17 @@ def confirmed(program, files, folder, rng, *, keep=False, checked=True):
         return "branches"  # not one list of motions: what they are is tested with programs made for it
     if {(one.file, one.line) for one in program.unresolved} & set(places_of(program)):
         return "in some rounds"  # likewise
-    runs = 0
-    for chance in range(RUNS):
+    runs, numbers = 0, program.numbers_as_written()
+    for seed in range(RUNS):
         try:
-            done = executed(files, chance, program)
+            done, by_chance = executed(files, seed, program)
         except Invalid:
             continue
+        compare(program, done, numbers, m.joints, m.kind, 1e-6, m.line)
         runs += 1
-        compare(program, done, program.numbers_as_written(), m.joints, m.kind, 1e-6, m.line)
+        if not by_chance:
+            runs = RUNS
+            break
     if not runs:
         return "invalid"
     if not np.isnan(m.joints[:, 0]).any():
@@ -211,14 +229,15 @@ def confirmed(program, files, folder, rng, *, keep=False, checked=True):
         raise Wrong("other motions stay as they are in what is written")
     pose, joints, kinds = in_order(program, wanted)
     finished = 0
-    for chance in range(RUNS if runs < RUNS else MOST_RUNS):  # what chance gives an index may stop a program too
+    numbers = xyzabc_from_pose(pose)
+    for seed in range(RUNS if runs < RUNS else MOST_RUNS):  # what chance gives an index may stop a program too
         try:
-            done = executed(new, chance, again)
+            done, by_chance = executed(new, seed, again)
         except Invalid:
             continue
         finished += 1
-        compare(program, done, xyzabc_from_pose(pose), joints, kinds, _WRITTEN)
-        if finished == RUNS:
+        compare(program, done, numbers, joints, kinds, _WRITTEN)
+        if finished == RUNS or not by_chance:
             break
     if runs == RUNS and not finished:
         raise Wrong("what is written stops")
@@ -233,7 +252,7 @@ def places_of(program):
 
 def attack(seed):
     """Try the program of a seed; what goes wrong is told with its files."""
-    with tempfile.TemporaryDirectory() as name:
+    with tempfile.TemporaryDirectory(dir=_MEMORY) as name:
         try:
             return attempt(seed, Path(name))
         except Exception as cause:
@@ -281,24 +300,46 @@ def damaged(seed):
     return "read"
 
 
+def seeds(first):
+    """Yield seeds from one on: after ten ordinary ones, one of a program with motions that stay."""
+    for count in itertools.count():
+        yield first + count
+        if first < KEPT and count % _ORDINARY == _ORDINARY - 1:
+            yield KEPT + first + count
+
+
 def main():
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--minutes", type=float, default=1.0)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--keep-going", action="store_true")
+    parser.add_argument("--programs", type=int, help="end after so many")
+    parser.add_argument("--keep-going", action="store_true", help="count wrong programs instead of stopping")
     arguments = parser.parse_args()
-    end, seed, outcomes = time.monotonic() + 60.0 * arguments.minutes, arguments.seed, Counter()
-    while time.monotonic() < end and (arguments.keep_going or not outcomes["wrong"]):
-        try:
-            outcomes[attack(seed)] += 1
-        except Wrong as cause:
-            outcomes["wrong"] += 1
-            print(cause)
-        except KeyboardInterrupt:
-            break
-        seed += 1
-    print(f"{sum(outcomes.values())} programs: {dict(outcomes)}; next seed {seed}")
-    return outcomes["wrong"] > 0
+    end, begun = time.monotonic() + 60.0 * arguments.minutes, time.process_time()
+    outcomes = {False: Counter(), True: Counter()}
+    last = 0
+    try:
+        for seed in itertools.islice(seeds(arguments.seed), arguments.programs):
+            kind = outcomes[seed >= KEPT]
+            try:
+                kind[attack(seed)] += 1
+            except Wrong as cause:
+                kind["wrong"] += 1
+                print(cause, flush=True)
+                if not arguments.keep_going:
+                    break
+            last = seed if seed < KEPT or arguments.seed >= KEPT else last
+            if time.monotonic() > end:
+                break
+    except KeyboardInterrupt:
+        pass
+    for keep, counts in outcomes.items():
+        others = ", ".join(f"{number} {outcome}" for outcome, number in counts.most_common() if outcome != "wrong")
+        name = "with --keep-unresolved" if keep else "ordinary"
+        print(f"{counts.total():7} {name}: {counts['wrong']} wrong" + (f", {others}" if others else ""))
+    total = sum(counts.total() for counts in outcomes.values())
+    print(f"{1e3 * (time.process_time() - begun) / max(total, 1):.1f} ms of processor time each; next seed {last + 1}")
+    return any(counts["wrong"] for counts in outcomes.values())
 
 
 if __name__ == "__main__":

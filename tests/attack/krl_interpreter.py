@@ -177,30 +177,33 @@ class Motion:
 
 @lru_cache(100_000)
 def tokens(text):
-    """The tokens of a line."""
-    found, position = [], 0
+    """Kinds and tokens of a line, upper case; and the index of the first geometric operator."""
+    kinds, found, position = [], [], 0
     text = text.rstrip()
     while position < len(text):
         match = TOKEN.match(text, position)
         if not match:
             raise Invalid(f"not understood: {text[position:]}")
-        found.append((match.lastgroup, match[match.lastgroup]))
+        kinds.append(match.lastgroup)
+        found.append(match[match.lastgroup].upper())
         position = match.end()
-    return tuple(found)
+    return tuple(kinds), tuple(found), found.index(":") if ":" in found else len(found)
 
 
 class Reader:
     """Tokens of one line."""
 
     def __init__(self, text):
-        self.tokens, self.at = tokens(text), 0
+        (self.kinds, self.tokens, self.chain), self.at = tokens(text), 0
+        self.count = len(self.tokens)
 
     def peek(self, ahead=0):
         index = self.at + ahead
-        return self.tokens[index][1].upper() if index < len(self.tokens) else ""
+        return self.tokens[index] if index < self.count else ""
 
-    def kind(self):
-        return self.tokens[self.at][0] if self.at < len(self.tokens) else ""
+    def kind(self, ahead=0):
+        index = self.at + ahead
+        return self.kinds[index] if index < self.count else ""
 
     def take(self, *expected):
         token = self.peek()
@@ -267,7 +270,7 @@ class Controller:
             self.structure_type(reader)
             return
         kind = ""
-        if len(reader.tokens) > reader.at + 1 and reader.tokens[reader.at + 1][0] == "name":
+        if reader.kind(1) == "name":
             kind = reader.take()
         while True:
             name, index = reader.take(), None
@@ -548,7 +551,10 @@ class Controller:
         place = self.place(reader)
         reader.take("=")
         value = self.expression(reader)
-        if self.rng is not None and self.rng.random() < 0.5:  # when the index is evaluated is not documented
+        indexed = any(isinstance(step, int) for step in place.path)
+        if (
+            indexed and self.rng is not None and self.rng.random() < 0.5
+        ):  # when the index is evaluated is not documented
             place = self.place(Reader(line))
         place.set(value)
 
@@ -671,14 +677,14 @@ class Controller:
             else:
                 local[name] = arguments[index]
         self.frames.append((routine, local))
-        self.callers.append(self.here)
+        self.callers.append((*self.here, routine.name))
         try:
             self.block(routine.body)
         except _Return as result:
             return fitting(routine.result, result.args[0])
         finally:
             self.frames.pop()
-            self.here = self.callers.pop()
+            self.here = self.callers.pop()[:2]
         return None
 
     # --- expressions ---------------------------------------------------------------------------------------------
@@ -779,9 +785,7 @@ class Controller:
         """A value; of a chain of frames, variables must have all components."""
         named = reader.kind() == "name"
         value = self.primary(reader)
-        chained = reader.peek() == ":" or (
-            reader.at > 1 and any(token == ":" for _, token in reader.tokens[: reader.at])
-        )
+        chained = reader.peek() == ":" or (reader.at > 1 and reader.chain < reader.at)
         return self.complete(value) if named and chained and isinstance(value, dict) and "A1" not in value else value
 
     def primary(self, reader):
@@ -854,7 +858,7 @@ class Controller:
             via = self.target(self.sign(reader))[:3]
             reader.take(",")
         value = self.sign(reader)
-        rest = " ".join(token.upper() for _, token in reader.tokens[reader.at :])
+        rest = " ".join(reader.tokens[reader.at :])
         kind = word.removesuffix("_REL")
         kind = KINDS.get(kind, kind)
         cdis = self.cdis if "C_DIS" in rest else None

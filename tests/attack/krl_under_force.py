@@ -148,7 +148,7 @@ def compare(nominal, corrected, kept, text):
     lost = False
     for number, motion in enumerate(nominal):
         where = f"motion {number} of line {motion.line} in {motion.file}"
-        stays = not kept.isdisjoint({*motion.callers, (motion.file, motion.line)})
+        stays = not kept.isdisjoint({*((file, line) for file, line, _ in motion.callers), (motion.file, motion.line)})
         if motion.joints is not None:
             made = next(todo, None)
             if made is None or made.joints != motion.joints:

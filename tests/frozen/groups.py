@@ -166,6 +166,17 @@ def krl_random(seeds: int) -> Iterator[Case]:
         yield Case(f"{seed:05d}", data, (("krl", "cell.json", "part.src", "part.dat"),))
 
 
+def krl_combined(seeds: int) -> Iterator[Case]:
+    """Random KRL that combines features, read and rewritten; every other program with motions that stay."""
+    for seed in range(seeds):
+        keep = seed % 2 == 1
+        rng = np.random.default_rng(seed + (krl.KEPT if keep else krl.MIXED))
+        files = krl_generator.Generator(rng, more=True, mixed=True, keep=keep).programs()
+        cell = msgspec.json.encode(krl.cell(".", keep=keep))
+        data = {name: text.encode() for name, text in files.items()} | {"cell.json": cell}
+        yield Case(f"{seed:05d}", data, (("krl", "cell.json", "part.src", "part.dat"),))
+
+
 def krl_tests(_: int) -> Iterator[Case]:
     """KRL programs that the tests read, recorded while they run."""
     with tempfile.TemporaryDirectory() as place:
@@ -206,7 +217,8 @@ GROUPS: dict[str, Callable[[int], Iterator[Case]]] = {
     "krl-lines": krl_lines,
     "krl-jobs": krl_jobs_,
     "krl-random": krl_random,
+    "krl-combined": krl_combined,
     "krl-tests": krl_tests,
 }
-QUICK = {"krl-random": 400, "krl-tests": 500, "krl-jobs": 25, "krl-lines": 25}
+QUICK = {"krl-random": 400, "krl-combined": 200, "krl-tests": 500, "krl-jobs": 25, "krl-lines": 25}
 """Cases of a group that `--quick` runs; of others 12."""
