@@ -9,6 +9,7 @@ import re
 import pytest
 from click.testing import CliRunner
 
+from postproc import load_cell, load_robot, process, read_program
 from postproc.cli import main
 from postproc.dialects.krl.dialect import KRL
 from postproc.dialects.text import decode
@@ -99,6 +100,69 @@ def test_predict_tells_whether_the_text_is_what_was_written(written):
     assert "unchanged" not in output
     assert "line 5: this program was changed since postproc" in output
     assert json.loads((written / "p" / "part.predict.report.json").read_text())["provenance"]["state"] == "changed"
+
+
+def issues(path, mode, cell=CELL):
+    """Level, kind and line of the issues of where a program comes from, and whether anything would be written."""
+    settings = load_cell(cell)
+    robot = load_robot(settings.robot)
+    result = process(read_program(path, robot, settings), robot, settings, mode=mode)
+    kinds = ("part-of-program", "corrected-before", "changed-since")
+    found = [(issue.level, issue.kind, issue.source_line) for issue in result.issues if issue.kind in kinds]
+    assert bool(result.documents) == (mode != "predict" and not result.failed)
+    return found
+
+
+def test_the_issue_of_a_corrected_program_names_its_kind_and_line(written):
+    src = written / "out" / "part.src"
+    for mode in ("convert", "nominal"):
+        assert issues(src, mode) == [("error", "corrected-before", 5)]
+    assert issues(src, "predict") == []
+    src.write_bytes(src.read_bytes().replace(b"$VEL.CP=0.01", b"$VEL.CP=0.02"))
+    for mode in ("convert", "nominal"):
+        assert issues(src, mode) == [("error", "corrected-before", 5)]
+    assert issues(src, "predict") == [("warning", "changed-since", 5)]
+
+
+def test_the_issue_of_a_nominal_program_that_was_edited_is_a_warning(written):
+    run("convert", written / "part.nc", "--cell", CELL, "-o", written / "nominal", "--nominal")
+    src = written / "nominal" / "part.src"
+    for mode in ("convert", "nominal", "predict"):
+        assert issues(src, mode) == []
+    src.write_bytes(src.read_bytes().replace(b"$VEL.CP=0.01", b"$VEL.CP=0.02"))
+    for mode in ("convert", "nominal", "predict"):
+        assert issues(src, mode) == [("warning", "changed-since", 5)]
+
+
+def test_the_issue_of_a_subprogram_that_was_corrected_names_its_kind(tmp_path):
+    """It has no line: the call is right, the file that it calls is not."""
+    program = (
+        "DEF {name}( )\nBAS(#INITMOV,0)\n$VEL.CP=0.05\nPTP {{A1 0,A2 -70,A3 110,A4 0,A5 50,A6 20}}\n"
+        ";FORCE FX=200 FY=100 FZ=-100\nLIN {{X 0,Y 0,Z 10,A 0,B 0,C 180}}\nsub()\nEND\n"
+    )
+    for name in ("one", "two"):
+        (tmp_path / f"{name}.src").write_text(program.format(name=name))
+    (tmp_path / "sub.src").write_text("DEF sub()\nLIN {X 20,Y 20,Z 0,A 0,B 0,C 180}\nEND\n")
+    run("convert", tmp_path / "one.src", "--cell", CELL, "-o", tmp_path / "out")
+    two = tmp_path / "out" / "two.src"
+    two.write_text((tmp_path / "two.src").read_text())
+    assert issues(tmp_path / "two.src", "convert") == []
+    assert issues(two, "convert") == [("error", "corrected-before", None)]
+    assert issues(two, "predict") == []
+
+
+def test_the_issue_of_a_part_of_a_program_names_its_kind_and_line(written):
+    cell = written / "cell.toml"
+    cell.write_text(CELL.read_text().replace("[output]", "[output]\nlines_per_file = 8"))
+    run("convert", written / "part.nc", "--cell", cell, "-o", written / "parts")
+    parts = sorted(path for path in (written / "parts").glob("part*.src") if path.stem != "partMain")
+    assert len(parts) > 1
+    for part in parts:  # a part that sets no speed cannot be read alone
+        lines = part.read_text().splitlines()
+        (line,) = [number for number, text in enumerate(lines, 1) if text.startswith(";POSTPROC 1 part=")]
+        assert lines[line - 1].endswith(" of=partMain")
+        for mode in ("convert", "nominal", "predict"):
+            assert issues(part, mode, cell) == [("error", "part-of-program", line)]
 
 
 def test_a_program_that_comes_back_byte_for_byte_is_not_marked(tmp_path):
