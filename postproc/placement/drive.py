@@ -21,6 +21,8 @@ _TURN = 2.0 * np.pi
 REASONS = ("free", "out of reach", "joint limit", "singular pose", "joint speed", "collision")
 """Why a pose is refused, in the order in which they are checked."""
 FREE, REACH, LIMIT, SINGULAR, SPEED, COLLISION = range(6)
+REAL = 0.02
+"""Share of the expected error that another place or turn must save, or today's stays."""
 WINDING = (3, 5)
 """A4 and A6: the joints that may turn by more than a whole turn."""
 

@@ -38,8 +38,6 @@ _TURNS = np.arange(-180.0, 180.0, 30.0) * RAD_PER_DEG
 """Turns of the tool tried at each place where the cell leaves it open."""
 _GAIN = 1e-3
 """Share of the expected error by which a step of the compass search must lower it."""
-_REAL = 0.02
-"""Share of the expected error that another place must save, or the part stays: the search is exact to that."""
 _ALIKE = 0.01
 """Places whose expected errors differ by less than this share are alike: the one with more margin is better."""
 
@@ -138,7 +136,6 @@ class Programs:
         keep: Keep,
         *,
         turns: bool = False,
-        branches: Sequence[int] | None = None,
         clearance_mm: float | None = None,
     ) -> None:
         """Choose the stations.
@@ -146,31 +143,35 @@ class Programs:
         :param turns: whether the tool may be turned about its axis.
         :param clearance_mm: smallest allowed distance of the bodies of [collision]; None: they are not compared.
         :raises CellError: a body cannot be read.
-        :param branches: of the inverse kinematics to try; None = that of `[start]`.
         """
         self.samples, self.keep = list(samples), keep
         self.robot_in_cell = samples[0].robot_in_cell
         self.robot = self.robot_in_cell.robot
         self.today = inverse(self.robot_in_cell.cell.base.pose())
         self.turns = _TURNS if turns else np.zeros(1)
-        start = int(kinematics.closed_form(self.robot).branch_of(self.robot_in_cell.cell.start_joints[None])[0])
-        self.branches = [start] if branches is None else list(branches)
+        self.branch = int(kinematics.closed_form(self.robot).branch_of(self.robot_in_cell.cell.start_joints[None])[0])
         self.bodies = None if clearance_mm is None else [Bodies(each, clearance_mm) for each in samples]
         total = sum(len(each) for each in samples)
         self.some = [_stations(each, max(24, _STATIONS * len(each) // total)) for each in samples]
         self.every = [_stations(each, len(each)) for each in samples]
 
     def judge(self, place: Array, *, every: bool = False) -> Judged:
-        """Judge a place (5,) [mm, deg] by its stations, or by every sample."""
+        """Judge a place (5,) [mm, deg] by its stations, or by every sample.
+
+        The tool keeps the turn of the cell where that can be driven and no other turn saves enough.
+        """
         best: Judged | None = None
+        own: Judged | None = None
         nearest = Judged(tuple(map(float, place)), drive.REACH)
-        for branch in self.branches:
-            for turn in self.turns.tolist():
-                found = self._judge(place, turn, branch, self.every if every else self.some)
-                if found.reachable:
-                    best = found if best is None or _better(found, best) else best
-                elif found.reason > nearest.reason or np.isnan(nearest.margin):
-                    nearest = found
+        for turn in self.turns.tolist():
+            found = self._judge(place, turn, self.branch, self.every if every else self.some)
+            if found.reachable:
+                best = found if best is None or _better(found, best) else best
+                own = found if turn == 0.0 else own
+            elif found.reason > nearest.reason or np.isnan(nearest.margin):
+                nearest = found
+        if best is not None and own is not None and own.cost <= (1.0 + drive.REAL) * best.cost:
+            return own
         return nearest if best is None else best
 
     def _judge(self, place: Array, turn: float, branch: int, stations: Sequence[_Stations]) -> Judged:
@@ -385,7 +386,7 @@ def search(programs: Programs, region: Region, progress: Callable[[int, int], No
     for start in starts:
         _descend(judged, region, start, steps)
     found = _confirmed(programs, tried)
-    if found is not None and _inside(region, today) and today.cost <= (1.0 + _REAL) * found.cost:
+    if found is not None and _inside(region, today) and today.cost <= (1.0 + drive.REAL) * found.cost:
         found = today
     return Search(today, found, tuple(tried), (tuple(x.tolist()), tuple(y.tolist())), tuple(around.tolist()))
 

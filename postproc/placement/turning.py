@@ -35,6 +35,8 @@ _ROUNDS = 8
 _MOST_NAMED = 8
 """Samples of a bin of the map at which the bodies of an error are looked for."""
 _FINE = np.arange(-6.0, 7.0) * RAD_PER_DEG
+_ONE = np.zeros(1)
+"""A map of one turn."""
 
 
 class Turn(Struct, frozen=True, eq=False):
@@ -103,6 +105,8 @@ def chosen(
         if isinstance(line, Blocked):
             blocked = blocked if blocked is not None and blocked.block > line.block else line
             continue
+        if keep is not BARE and _today_is_as_good(samples, whole, branch, keep, line, bodies):
+            line = Line(np.zeros(len(line.knots)), line.cost)
         of_motion = blocks.turn_of_motions(samples, line.knots)
         constant = setting.cell.gcode.redundancy_deg * RAD_PER_DEG
         turn = Turn(mode, whole, keep, constant, line.knots, of_motion)
@@ -132,6 +136,27 @@ def _free_line(
                 return each, whole
             whole = _closed(samples, whole, each, struck)
     return line, whole
+
+
+def _today_is_as_good(
+    samples: PathSamples, whole: TurnMap, branch: int, keep: Keep, line: Line, bodies: Bodies | None
+) -> bool:
+    """Return whether the turn of the cell keeps the margins everywhere, and a line saves too little to change it."""
+    own = np.zeros(len(samples))
+    at_line = _at_samples(samples, whole.blocks, line.knots)
+    cuts = whole.blocks.cuts[whole.blocks.block]
+    weight = np.where(cuts, np.diff(np.append(whole.blocks.first, len(samples))), 0)
+    today, best = (
+        turn_map.evaluate(samples, whole.blocks, branch, base, _ONE, None).error[:, 0] for base in (own, at_line)
+    )
+    if not np.sqrt(weight @ today**2) <= (1.0 + drive.REAL) * np.sqrt(weight @ best**2):
+        return False
+    others = np.broadcast_to(np.abs(drive.wrapped(whole.offset)) > _STILL, whole.u95.shape)
+    refused = others if whole.hit is None else whole.hit | others
+    only = _find(samples, replace(whole, hit=refused), keep, "best", closed=True)
+    if isinstance(only, Blocked):
+        return False
+    return bodies is None or not _struck(samples, whole.blocks, branch, only, bodies).any()
 
 
 def _struck(samples: PathSamples, blocks: Blocks, branch: int, line: Line, bodies: Bodies) -> Bools:

@@ -27,6 +27,7 @@ _COLUMNS = (
     "reason",
 )
 _NO_BODIES = "Collisions do not count in this choice: the cell has no [collision]."
+_NO_STOCK = "Stock is not among these bodies: convert checks it, with --process."
 _SAME = 0.01
 """Share of the expected error below which a gain is none."""
 _UNLOADED = "No cutting move carries a force, so the error is not compared: give --forces or --process."
@@ -188,7 +189,9 @@ def as_text(content: PlaceSummary) -> str:
     lines += [] if content.start is None else [f"  {content.start}"]
     kept = f"  kept: {content.margin_deg:g}° to joint limits"
     if content.clearance_mm is not None:
-        return "\n".join([*lines, f"{kept}, {content.clearance_mm:g} mm between bodies of [collision]"])
+        return "\n".join(
+            [*lines, f"{kept}, {content.clearance_mm:g} mm between bodies of [collision]", f"  {_NO_STOCK}"]
+        )
     lines += [kept, f"  {_NO_BODIES}"]
     return "\n".join(lines)
 
@@ -198,6 +201,7 @@ def _line(name: str, entry: PlaceEntry | None) -> str:
         return f"  {name}: none"
     where = f"X {entry.X:.1f} Y {entry.Y:.1f} Z {entry.Z:.1f} A {entry.A:.2f}"
     where += f" E1 {entry.E1:.1f}" if entry.E1 else ""
+    where += f", tool turned by {entry.turn_deg:+.0f}°" if entry.turn_deg else ""
     if not entry.reachable:
         return f"  {name}: {where}: {entry.reason}"
     error = "" if entry.u95_rms_mm is None else f"expected error {rounded(entry.u95_rms_mm)} mm, "
@@ -225,7 +229,7 @@ def _collisions(content: PlaceSummary) -> str:
     need = content.clearance_mm
     if need is None:
         return _NO_BODIES
-    return f"Places where bodies of [collision] come closer than {need:g} mm, or touch, are refused."
+    return f"Places where bodies of [collision] come closer than {need:g} mm, or touch, are refused. {_NO_STOCK}"
 
 
 def _verdict(found: Search, content: PlaceSummary) -> Section:
@@ -236,7 +240,9 @@ def _verdict(found: Search, content: PlaceSummary) -> Section:
             continue
         x, y, z, a, _ = place.place
         kind = "deflection" if np.isnan(place.u95) else "expected error, RMS"
-        note = f"{kind}; X {x:.0f} Y {y:.0f} Z {z:.0f} A {a:.1f}; joint margin {place.margin * DEG_PER_RAD:.1f}°"
+        turn = f"; tool turned by {place.turn * DEG_PER_RAD:+.0f}°" if place.turn else ""
+        where = f"X {x:.0f} Y {y:.0f} Z {z:.0f} A {a:.1f}{turn}"
+        note = f"{kind}; {where}; joint margin {place.margin * DEG_PER_RAD:.1f}°"
         tiles.append(Tile(title, rounded(place.cost * MM_PER_M), "mm", note))
     said = () if content.start is None else (Note(content.start),)
     notes = Notes((Note(content.sentence), Note(_collisions(content)), *said))

@@ -666,7 +666,8 @@ def clearance(content: Summary) -> str:
     if found.min_clearance_mm is None:
         return "[collision] names no bodies that could touch"
     between = " and ".join(found.bodies)
-    return f"smallest clearance {found.min_clearance_mm:.3g} mm, of {between} at line {found.source_line}"
+    where = f"of {between} at line {found.source_line}; stock not counted"
+    return f"smallest clearance {found.min_clearance_mm:.3g} mm, {where}"
 
 
 def _near_limits(content: Summary) -> list[Finding]:

@@ -248,10 +248,33 @@ def test_the_command_keeps_a_clearance_and_asks_for_bodies_if_there_are_none(tmp
         done = CliRunner().invoke(main, [*command, "--cell", str(tmp_path / "cell.toml"), "--clearance-mm", need])
         assert done.exit_code == code, done.output
         assert f"{need} mm between bodies of [collision]" in done.output
+        assert "Stock is not among these bodies: convert checks it, with --process." in done.output
         content = json.loads((tmp_path / "out" / "place.json").read_text("utf-8"))
         assert content["clearance_mm"] == float(need)
         assert content["refused"].get("collision", 0) == (0 if code == 0 else content["tried"])
         assert f"closer than {need} mm" in (tmp_path / "out" / "place.html").read_text("utf-8")
+
+
+@pytest.mark.parametrize(("stated", "turned"), [(180.0, True), (0.0, False)])
+def test_the_command_prints_the_turn_of_the_tool_and_keeps_that_of_the_cell_if_no_other_saves_enough(
+    tmp_path, stated, turned
+):
+    """The spindle is across the flange: with a turn of 180° the flange is on the far side of the part."""
+    (tmp_path / "part.nc").write_text(PART)
+    (tmp_path / "cell.toml").write_text(
+        f'robot = "kuka_kr270"\n[base]\nX = 1400\nZ = 600\n[tool]\nX = 350\nZ = 200\naxis = "+X"\n[start]\n'
+        f'joints = [0, -90, 110, 0, 60, 0]\n[gcode]\nredundancy = "best"\nredundancy_deg = {stated}\n'
+    )
+    command = ["place", str(tmp_path / "part.nc"), "--region", "X=1400:1410", "-o", str(tmp_path / "out")]
+    done = CliRunner().invoke(main, [*command, "--cell", str(tmp_path / "cell.toml")])
+    assert done.exit_code == 0, done.output
+    turn = json.loads((tmp_path / "out" / "place.json").read_text("utf-8"))["best"]["turn_deg"]
+    assert (turn != 0.0) == turned
+    (line,) = [line for line in done.output.splitlines() if line.startswith("  best: ")]
+    page = (tmp_path / "out" / "place.html").read_text("utf-8")
+    for text, before in ((line, ", "), (page, "; ")):
+        assert (f"{before}tool turned by {turn:+.0f}°" in text) == turned
+        assert ("tool turned by" in text) == turned
 
 
 def test_no_place_in_the_region_is_said_and_is_no_success(tmp_path):
