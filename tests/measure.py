@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 import ast
 import re
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,34 +28,50 @@ _REGEX = re.compile(r"\bre\.(compile|match|fullmatch|search|sub|finditer|findall
 
 @dataclass
 class Module:
-    """A module: its lines, lines of imports, the modules it imports, regular expressions, idioms."""
+    """A module: its lines, lines of imports, the modules it uses, regular expressions, idioms.
+
+    A door has no function and no class: the file of a package that re-exports names.
+    """
 
     lines: int
     imports: int
     targets: set[str]
     regexes: int
     idioms: int
+    door: bool
 
 
 def modules_of(folder: Path) -> dict[str, Module]:
     """The modules of a package, by dotted name."""
     names = {_dotted(folder, path): path for path in sorted(folder.rglob("*.py"))}
     out = {}
+    exported = _exported(names)
     for name, path in names.items():
         text = path.read_text(encoding="utf-8")
-        nodes = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Import | ast.ImportFrom)]
+        tree = ast.parse(text)
+        nodes = [node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom)]
         targets = {target for node in nodes for target in _targets(node, names)} - {name}
+        targets |= _by_package(tree, nodes, exported) - {name}
         lines = sum((node.end_lineno or node.lineno) - node.lineno + 1 for node in nodes)
         count = len(text.splitlines())
-        out[name] = Module(count, lines, targets, len(_REGEX.findall(text)), len(IDIOMS.findall(_spaced(text))))
+        regexes, idioms = len(_REGEX.findall(text)), len(IDIOMS.findall(_spaced(text)))
+        door = not any(isinstance(node, ast.FunctionDef | ast.ClassDef) for node in tree.body)
+        out[name] = Module(count, lines, targets, regexes, idioms, door)
     return out
 
 
 def single_clients(modules: dict[str, Module]) -> set[str]:
-    """The modules, packages' own files apart, that exactly one other module imports."""
-    clients: Counter[str] = Counter(target for module in modules.values() for target in module.targets)
+    """The modules, packages' own files apart, that exactly one other module uses.
+
+    A package that only re-exports the names of a module is no client of it: those are that import the names from the
+    package. It counts where there are none, since such a module is loaded by name.
+    """
     packages = {name.rpartition(".")[0] for name in modules}
-    return {name for name in modules if clients[name] == 1 and name not in packages}
+    users = {name: {user for user in modules if name in modules[user].targets} for name in modules}
+    doors = {
+        name: {user for user in users[name] if name.startswith(f"{user}.") and modules[user].door} for name in users
+    }
+    return {name for name in users if len(users[name] - doors[name] or users[name]) == 1 and name not in packages}
 
 
 def prose(text: str) -> tuple[int, float, int, int]:
@@ -102,6 +118,44 @@ def _targets(node: ast.Import | ast.ImportFrom, names: dict[str, Path]) -> set[s
     inner = {f"{node.module}.{alias.name}" for alias in node.names}
     own = {str(node.module)} if any(name not in names for name in inner) else set()
     return {name for name in inner | own if name in names}
+
+
+def _exported(names: dict[str, Path]) -> dict[str, dict[str, str]]:
+    """The names that packages re-export: for each package, the module that each name comes from."""
+    out: dict[str, dict[str, str]] = {}
+    for package, path in names.items():
+        if path.name == "__init__.py":
+            found = [
+                node for node in ast.parse(path.read_text(encoding="utf-8")).body if isinstance(node, ast.ImportFrom)
+            ]
+            out[package] = {
+                alias.asname or alias.name: str(node.module)
+                for node in found
+                for alias in node.names
+                if node.module in names and f"{node.module}.{alias.name}" not in names
+            }
+    return out
+
+
+def _by_package(tree: ast.Module, nodes: Sequence[ast.AST], exported: dict[str, dict[str, str]]) -> set[str]:
+    """The modules of which a module uses names that a package re-exports."""
+    used = set()
+    packages = {}
+    for node in nodes:
+        if isinstance(node, ast.ImportFrom):
+            used |= {(str(node.module), alias.name) for alias in node.names}
+            packages |= {alias.asname or alias.name: f"{node.module}.{alias.name}" for alias in node.names}
+        elif isinstance(node, ast.Import):
+            packages |= {alias.asname: alias.name for alias in node.names if alias.asname}
+    for part in ast.walk(tree):
+        if isinstance(part, ast.Attribute) and isinstance(part.value, ast.Name) and part.value.id in packages:
+            used.add((packages[part.value.id], part.attr))
+    found = set()
+    for package, name in used:
+        while name in exported.get(package, {}):
+            package = exported[package][name]
+            found.add(package)
+    return found
 
 
 def _spaced(text: str) -> str:
