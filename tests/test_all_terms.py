@@ -14,7 +14,7 @@ import pytest
 from msgspec.structs import replace
 
 from postproc import elastostatics, files, frames, kinematics, robot
-from postproc.elastostatics import balance, compensation, equilibrium
+from postproc.elastostatics import balance, equilibrium
 from postproc.elastostatics.equilibrium import springs_at_target
 from postproc.errors import ModelError, NotConvergedError
 from postproc.robot import parameters, urdf
@@ -324,7 +324,7 @@ def test_a_singular_pose_has_no_step_and_others_have_theirs():
     square = np.random.default_rng(3).normal(size=(6, 6, 3))
     square[:, 2, 1] = 0.0
     twist_of = np.ones((6, 3))
-    step = compensation._newton(square, twist_of)
+    step = equilibrium._newton(square, twist_of)
     assert np.isnan(step[:, 1]).all()
     for row in (0, 2):
         np.testing.assert_allclose(square[..., row] @ step[:, row], twist_of[:, row], rtol=1e-9)
@@ -332,10 +332,10 @@ def test_a_singular_pose_has_no_step_and_others_have_theirs():
 
 @pytest.mark.parametrize("row", range(6))
 def test_a_command_is_not_done_while_any_component_of_the_pose_is_off(row):
-    most = compensation._POSITION_TOLERANCE if row < 3 else compensation._ROTATION_TOLERANCE
+    most = equilibrium._AT_TARGET if row < 3 else equilibrium._ALIGNED
     left = np.zeros((6, 3))
     left[row] = np.array([0.0, 0.999, 1.001]) * most
-    assert compensation._beyond(left).tolist() == [False, False, True]
+    assert equilibrium._beyond(left).tolist() == [False, False, True]
 
 
 def test_links_that_hardly_deflect_do_not_end_the_search_before_the_tool_is_at_its_target():
@@ -377,8 +377,8 @@ def test_a_compensator_stiffer_than_its_joint_is_solved(gravity):
 @pytest.mark.parametrize(("seed", "most"), [(0, 4), (1, 4), (7, 4)])
 def test_commands_converge_in_a_few_steps_to_the_last_digits(seed, most, monkeypatch):
     model, arm, q, wrench = arms(seed, GRAVITIES[1])
-    target, rounds, solve = np.array([arm.nominal(row, TOOL) for row in q]), [], compensation._newton
-    monkeypatch.setattr(compensation, "_newton", lambda *given: (rounds.append(1), solve(*given))[1])
+    target, rounds, solve = np.array([arm.nominal(row, TOOL) for row in q]), [], equilibrium._newton
+    monkeypatch.setattr(equilibrium, "_newton", lambda *given: (rounds.append(1), solve(*given))[1])
     found = elastostatics.compensate(model, target, q, TOOL, wrench)
     assert len(rounds) <= most
     x = balance.elastic_coordinates(model, found.q.T) + found.theta.T

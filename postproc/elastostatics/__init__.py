@@ -12,10 +12,11 @@ moment [N·m] on the tool, root axes. These functions take and return rows of sa
 """
 
 from postproc.elastostatics.balance import coordinates
-from postproc.elastostatics.compensation import Compensation, compensate
 from postproc.elastostatics.equilibrium import (
+    Compensation,
     Deflection,
     cartesian_stiffness,
+    compensate,
     deflect,
     deflection_by_parameter,
     largest_compliance,

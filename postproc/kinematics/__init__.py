@@ -5,6 +5,7 @@ from postproc.kinematics.components import components, matrices, twist_between
 from postproc.kinematics.forward import Posture, gravity_torque, posture, tcp
 from postproc.kinematics.hessian import gravity_stiffness, load_stiffness, require_pinocchio
 from postproc.kinematics.inverse import (
+    ByWrist,
     JointPath,
     UnreachableError,
     follow,
@@ -14,7 +15,6 @@ from postproc.kinematics.inverse import (
     smallest_singular_value,
     turn_of,
 )
-from postproc.kinematics.wrist import ByWrist
 
 __all__ = [
     "ByWrist",
