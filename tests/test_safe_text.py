@@ -3,7 +3,7 @@
 import pytest
 
 from postproc.dialects.krl.write.emit import _WORDS as KRL
-from postproc.dialects.rapid.write import WORDS as RAPID
+from postproc.dialects.rapid.dialect import WORDS as RAPID
 from postproc.safe_text import LONGEST, LONGEST_STRING, one_line, string_content
 
 ENDS = ["\n", "\r", "\r\n", "\v", "\f", "\x1a", "\x1c", "\x85", "\u2028", "\u2029", "\0"]

@@ -10,7 +10,7 @@ into joint angles q by its nominal geometry; the tool is then at g_actual(q + θ
 Fig. 1) finds the pose for which this is the target, in position and orientation, to convergence. The actual coordinates
 x = q + θ at the target are known from inverse kinematics of the actual geometry. So the load on each spring is known,
 and with it θ (`springs_at_target`). If the geometry is nominal and only joints deflect, one evaluation solves the
-problem. Otherwise Newton's steps move the joints to the target, and the coordinates of link springs to their deflections.
+problem. Otherwise Newton's steps move the joints to the target, and coordinates of link springs to their deflections.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from postproc import robot as robots
 from postproc.compensator import Compensator
 from postproc.errors import InputError, MeasurementError, ModelError
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm
-from postproc.identification import calibration, compensator_geometry, coverage, plausibility, record
+from postproc.identification import calibration, compensator_geometry, plausibility, record, validation
 from postproc.identification.fit import NORMAL_95, to_file_units
 from postproc.identification.joint_springs import Levels, SpringOfJoint2
 from postproc.identification.measurement_model import LEAST, describe, describe_points, joint_torques
@@ -269,7 +269,7 @@ def report_data(result: Identification) -> record.Identified:
         correlation=record.Correlation([parameter.name for parameter in known], _correlation(covariance)),
         states=_states(result.data),
         torque_Nm=np.abs(joint_torques(result.prior, result.data)).max(axis=0).tolist(),
-        torques=coverage.as_record(coverage.of_readings(result.prior, result.data)),
+        torques=validation.torque_record(validation.coverage_of(result.prior, result.data)),
     )
 
 

@@ -19,9 +19,8 @@ from postproc.identification import (
     model_folder,
 )
 from postproc.identification.compensator_geometry import CompensatorGeometry
-from postproc.identification.coverage import share
 from postproc.identification.readings import read_experiment
-from postproc.identification.validation import Validation, table, validate
+from postproc.identification.validation import Validation, job_share, table, validate
 from postproc.jobs.output_plan import protect
 from postproc.jobs.programs import load_robot
 from postproc.kinematics import require_pinocchio
@@ -125,7 +124,7 @@ def validate_model(
         cell = cells.load(work.cell)
         check_same_arm(robot, load_robot(cell.robot, cell.folder))
         jobs = [
-            share(states.source, states.torque, states.weight, result.covered)
+            job_share(states.source, states.torque, states.weight, result.covered)
             for states in cutting_states(work.programs, work.forces, robot, cell)
         ]
         result = replace(result, jobs=tuple(jobs))

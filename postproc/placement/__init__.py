@@ -1,7 +1,7 @@
 """Place of the part and turn of the tool about its axis: what the robot can drive, and how exactly it cuts there.
 
 `drive` evaluates joint angles: reach, limits, singular poses, joint speeds, expected error. The turn of the tool
-is chosen on a map of path × angle (`turn_map`, `turn_line`), the place of the part in a region of `$BASE` (`region`).
+is chosen on a map of path × angle (`turn_map`), the place of the part in a region of `$BASE` (`region`).
 """
 
 from postproc.placement.drive import FREE, REASONS, Keep

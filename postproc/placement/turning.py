@@ -12,12 +12,11 @@ from postproc.errors import Issue
 from postproc.forces import ForceSource
 from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array, norm, rotation_from_vector
 from postproc.kinematics.components import components
-from postproc.placement import drive, turn_line, turn_map
+from postproc.placement import drive, turn_map
 from postproc.placement.bodies import Bodies
 from postproc.placement.drive import BARE, REASONS, Keep
 from postproc.placement.samples import AXIS, PathSamples
-from postproc.placement.turn_line import Blocked, Line
-from postproc.placement.turn_map import Blocks, TurnMap
+from postproc.placement.turn_map import Blocked, Blocks, Line, TurnMap
 from postproc.poses import Poses
 from postproc.program import PTP, Bools, Ints, Program, read_only
 from postproc.under_load import RobotInCell
@@ -196,7 +195,7 @@ def _tilting(samples: PathSamples) -> Bools:
 
 def _find(samples: PathSamples, found: TurnMap, keep: Keep, mode: Mode, *, closed: bool) -> Line | Blocked:
     robot, start = samples.robot_in_cell.robot, samples.robot_in_cell.cell.start_joints
-    return turn_line.find(robot, found, keep, start, turn_at_feed=mode == "path", closed=closed)
+    return turn_map.line_through(robot, found, keep, start, turn_at_feed=mode == "path", closed=closed)
 
 
 def _refined(

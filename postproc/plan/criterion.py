@@ -29,11 +29,11 @@ from msgspec.structs import replace
 
 from postproc.compensator import Compensator
 from postproc.frames import Array
-from postproc.identification.coverage import ENOUGH, LEAST_TORQUE, SIGNS, signed
 from postproc.identification.fit import NORMAL_95
 from postproc.identification.joint_springs import UNCERTAIN
 from postproc.identification.measurement_model import levels_of
 from postproc.identification.readings import Measurements
+from postproc.identification.validation import ENOUGH, LEAST_TORQUE, SIGNS, signed
 from postproc.plan.milling import TestPoses
 from postproc.plan.sensitivity import Readings
 from postproc.program import Bools, Ints

@@ -11,7 +11,7 @@ from postproc.cell import Cell as CellFile
 from postproc.dialects.krl.write import axis_motion, document, head
 from postproc.files import FileEntry, json_bytes
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array
-from postproc.identification.coverage import SIGNS
+from postproc.identification.validation import SIGNS
 from postproc.plan import PlanResult
 from postproc.plan.site import BoxShape
 from postproc.program import WRENCH, Document, Ints

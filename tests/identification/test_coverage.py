@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc.identification.coverage import Coverage, as_record, coverage, inside, share, table
+from postproc.identification.validation import Coverage, coverage, inside, job_share, torque_lines, torque_record
 from postproc.robot import JOINTS
 
 SIGNS = (-1.0, 1.0)
@@ -50,7 +50,7 @@ def test_what_loads_cover(seed):
     assert not found.refuted.any()
     refuted = np.random.default_rng(seed).random((6, 2)) < 0.3
     np.testing.assert_array_equal(coverage(torque, config, refuted).covered, (count >= 5) & ~refuted)
-    for entry, name, sizes, number in zip(as_record(found), JOINTS, largest, count, strict=True):
+    for entry, name, sizes, number in zip(torque_record(found), JOINTS, largest, count, strict=True):
         assert (entry.joint, entry.negative_Nm, entry.positive_Nm) == (name, pytest.approx(-sizes[0]), sizes[1])
         assert (entry.negative_configurations, entry.positive_configurations) == tuple(number)
 
@@ -97,7 +97,7 @@ def test_a_job_is_inside_where_no_joint_is_in_a_direction_or_of_a_size_that_is_n
         for one in wrong:
             reasons[one] = reasons.get(one, 0.0) + part
     assert inside(job, found).tolist() == wanted
-    result = share("part", job, weight, found)
+    result = job_share("part", job, weight, found)
     assert (result.program, result.share) == ("part", pytest.approx(weight[wanted].sum()))
     assert {one.reason: one.share for one in result.outside} == pytest.approx(reasons)
     assert [one.share for one in result.outside] == sorted((one.share for one in result.outside), reverse=True)
@@ -109,7 +109,7 @@ def test_the_table_says_what_is_covered_by_joint_and_sign():
     refuted = np.zeros((6, 2), dtype=bool)
     refuted[2, 1] = True
     found = Coverage(largest, count, refuted, 0.1)
-    lines = table(found, ())
+    lines = torque_lines(found, ())
     assert lines[1].split() == ["negative", "positive"]
     assert [line.split() for line in lines[2:5]] == [
         ["A1", "-10", "(5)", "20", "(6)"],
@@ -120,8 +120,8 @@ def test_the_table_says_what_is_covered_by_joint_and_sign():
         "the model does not record which torques it was identified with",
         "not covered: torques on A2 negative and positive, A3 positive",
     ]
-    own = table(
-        replace(found, configurations=np.full((6, 2), 5), refuted=np.zeros((6, 2), dtype=bool)), as_record(found)
+    own = torque_lines(
+        replace(found, configurations=np.full((6, 2), 5), refuted=np.zeros((6, 2), dtype=bool)), torque_record(found)
     )
     assert own[1].split() == ["negative", "positive", "identified", "with"]
     assert own[2].split() == ["A1", "-10", "(5)", "20", "(5)", "-10", "…", "20"]

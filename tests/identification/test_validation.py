@@ -10,8 +10,7 @@ from click.testing import CliRunner
 from postproc import elastostatics, robot
 from postproc.cli import main
 from postproc.identification import Choices, identify_folder
-from postproc.identification.coverage import ENOUGH, coverage, inside, job_lines, share, table
-from postproc.identification.validation import validate
+from postproc.identification.validation import ENOUGH, coverage, inside, job_lines, job_share, torque_lines, validate
 from samples.paper_study import harness, simulator
 from tests.documentation.pages import ROOT
 
@@ -93,7 +92,7 @@ def test_a_job_that_turns_a_gear_over_is_not_assured_by_readings_that_never_do(o
         error = elastostatics.deflect(model, q, harness.TOOL, wrench).twist[:, :3] - harness.true_deflection(true, q, f)
         kept[sign] = np.linalg.norm(error, axis=1) <= elastostatics.position_bound(model, q, harness.TOOL, wrench)
         torque = load_torques(q, f, harness.TOOL[:3, 3])
-        shares[sign] = share("part.nc", torque, np.full(len(q), 1.0 / len(q)), result.covered)
+        shares[sign] = job_share("part.nc", torque, np.full(len(q), 1.0 / len(q)), result.covered)
         if sign > 0:
             kept[sign] = kept[sign][inside(torque, result.covered)]
     assert len(kept[1]) >= 15
@@ -154,7 +153,7 @@ def test_torques_of_the_identification_are_recorded_and_shown(one_sided):
     np.testing.assert_allclose([each["negative_Nm"] for each in recorded], np.minimum(torque.min(axis=0), 0), rtol=1e-3)
     a4 = recorded[_A4]
     assert (a4["negative_Nm"], a4["negative_configurations"], a4["positive_configurations"]) == (0.0, 0, 30)
-    line = next(line for line in table(result.covered, result.identified) if line.strip().startswith("A4"))
+    line = next(line for line in torque_lines(result.covered, result.identified) if line.strip().startswith("A4"))
     assert line.split()[1] == "none"
     assert line.split()[-3:] == ["0", "…", f"{a4['positive_Nm']:.0f}"]
 
@@ -166,7 +165,7 @@ def both_signs(count=10, size=100.0):
 
 
 def shares(covered, *torques):
-    return [share("p", np.atleast_2d(np.array(each, dtype=float)), np.ones(1), covered) for each in torques]
+    return [job_share("p", np.atleast_2d(np.array(each, dtype=float)), np.ones(1), covered) for each in torques]
 
 
 def test_a_sign_and_a_size_that_readings_had_are_covered_and_others_are_not():
@@ -202,7 +201,7 @@ def test_fewer_configurations_than_needed_do_not_cover_a_sign():
 def test_the_share_of_a_job_is_that_of_its_path():
     covered = coverage(*both_signs())
     torque = np.array([[50.0] * 6, [150.0] * 6, [5.0] * 6])
-    found = share("part.nc", torque, np.array([0.6, 0.3, 0.1]), covered)
+    found = job_share("part.nc", torque, np.array([0.6, 0.3, 0.1]), covered)
     assert found.share == pytest.approx(0.6)
     lines = job_lines([found])
     assert lines[0] == "part.nc: 60% of the cutting path is inside these torques"

@@ -9,8 +9,7 @@ from msgspec.structs import replace
 
 from postproc import robot
 from postproc.identification import joint_springs, validation
-from postproc.identification.coverage import coverage
-from postproc.identification.validation import ValidatedLevel, Validation, limits, table
+from postproc.identification.validation import ValidatedLevel, Validation, coverage, limits, table
 
 
 def validated_level(inside, limits, reach=0.9):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc.identification.coverage import ENOUGH
+from postproc.identification.validation import ENOUGH
 from postproc.plan import criterion, milling
 from postproc.plan.criterion import out_of_reach
 from samples.paper_study import simulator

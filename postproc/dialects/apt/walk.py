@@ -7,8 +7,19 @@
 - **CYCLE/DRILL**, FACE and CSINK with DEPTH and CLEAR: the GOTO statements behind it are the tops of holes. The tool
   goes in rapid to CLEAR above the top, at feed to DEPTH below it, waits (DWELL), and goes back to CLEAR or RETURN.
   RAPTO is a further rapid towards the top. Source: PTC, Creo NC, "CL Output for Holemaking Cycles".
+- ``CIRCLE/x,y,z,i,j,k,r`` turns right-handed about i, j, k. Source: PTC, Creo NC, "CL Output for Circular
+  Interpolation".
+- ``CIRCLE/x,y,z,i,j,k,r,t,f,d,e`` of Siemens NX turns *clockwise* about i, j, k (t, f: tolerances; d, e: the tool).
+  Source: the NX documentation of the CLSF Manager, and CLSF files with rounded corners.
+- ``MOVARC/x,y,z,i,j,k,r,ANGLE,a`` turns right-handed by a [deg]. Source: Autodesk's post "Common ISO 4343 APT".
+- ``INDIRV/i,j,k`` and ``TLON,GOFWD/(CIRCLE/x,y,z,r),ON,(LINE/…)`` of CATIA and Creo (APT_FORMAT) turn so that they
+  leave the start along i, j, k. The line leads from the centre to the end. ``ON,2,INTOF`` is the end
+  beyond half a turn.
 - **LOADTL** selects the tool of this number in `[tools]`, stops the spindle, and leaves the tip where it is.
 - **GOHOME** and **RETRCT** go where `[machine]` of the cell says, as G28 and G53 do.
+
+The end of an arc is that of the GOTO that follows, or of the line. Heights of start and end along the axis may differ:
+a helix.
 """
 
 from __future__ import annotations
@@ -20,8 +31,8 @@ import numpy as np
 from msgspec import Struct, field
 
 from postproc.cell import Cell
-from postproc.dialects.apt.arcs import Circle, belonging, leaving
 from postproc.dialects.apt.statements import TEXT, WITHOUT_EFFECT, Statements, refusal, values
+from postproc.dialects.circles import Circle, belonging, leaving
 from postproc.errors import MOST, Level
 from postproc.frames import Array, norm
 from postproc.program import EventKind, Ints

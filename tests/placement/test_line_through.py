@@ -9,10 +9,8 @@ import pytest
 from msgspec.structs import replace
 
 from postproc import robot
-from postproc.placement import turn_line
 from postproc.placement.drive import Keep, Margins, wrapped
-from postproc.placement.turn_line import Blocked
-from postproc.placement.turn_map import Blocks, TurnMap, whole_circle
+from postproc.placement.turn_map import Blocked, Blocks, TurnMap, line_through, whole_circle
 
 ROBOT = robot.load(robot.find("kuka_kr270"))
 COLUMNS = 12
@@ -67,7 +65,7 @@ def every_line(found, wide, start=0.0):
 @pytest.mark.parametrize("seed", range(12))
 def test_no_line_of_a_small_map_has_a_smaller_error_beyond_what_margin_and_steadiness_may_cost(seed):
     found = made(seed)
-    line = turn_line.find(ROBOT, found, Keep(), np.zeros(6), turn_at_feed=True, closed=True)
+    line = line_through(ROBOT, found, Keep(), np.zeros(6), turn_at_feed=True, closed=True)
     rms: dict[tuple[int, ...], float] = {}
     for columns, own in every_line(found, 2):
         rms[tuple(columns)] = min(own, rms.get(tuple(columns), np.inf))
@@ -86,17 +84,17 @@ def test_a_line_never_winds_a6_past_its_limits():
     for k in range(24):
         ring[k, [(k - 1) % COLUMNS, k % COLUMNS]] = 1.0
     found = replace(found, margin=replace(found.margin, joint=ring))
-    line = turn_line.find(ROBOT, found, Keep(), np.zeros(6), turn_at_feed=True, closed=True)
+    line = line_through(ROBOT, found, Keep(), np.zeros(6), turn_at_feed=True, closed=True)
     assert isinstance(line, Blocked)
     wide = replace(ROBOT, upper=ROBOT.upper + np.radians(200.0))
-    assert not isinstance(turn_line.find(wide, found, Keep(), np.zeros(6), turn_at_feed=True, closed=True), Blocked)
+    assert not isinstance(line_through(wide, found, Keep(), np.zeros(6), turn_at_feed=True, closed=True), Blocked)
 
 
 def test_one_turn_for_each_operation_changes_on_rapid_moves_alone():
     found = made(3, blocks=5, closed=0.0)
     blocks = replace(found.blocks, cuts=np.array([False, True, False, True, True]))
     found = replace(found, blocks=blocks)
-    line = turn_line.find(ROBOT, found, Keep(), np.zeros(6), turn_at_feed=False, closed=True)
+    line = line_through(ROBOT, found, Keep(), np.zeros(6), turn_at_feed=False, closed=True)
     assert line.knots[0] == pytest.approx(line.knots[1])
     assert line.knots[2] == pytest.approx(line.knots[3]) == pytest.approx(line.knots[4])
     assert line.knots[1] != pytest.approx(line.knots[2])
