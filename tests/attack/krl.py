@@ -18,6 +18,7 @@ import tempfile
 import time
 from collections import Counter
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 from msgspec.structs import replace
@@ -31,18 +32,20 @@ from postproc.errors import PostprocError
 from postproc.frames import pose_from_xyzabc, xyzabc_from_pose
 from postproc.program import CIRC, LIN, PTP
 from tests.attack.krl_generator import Generator
-from tests.attack.krl_interpreter import Controller, Invalid
+from tests.attack.krl_interpreter import MOST_STEPS, Controller, Invalid
 from tests.dialects.krl_programs import CELL, forward, targets
 from tests.oracle.arm import abc
 from tests.oracle.krl_grammar import check, takes
 
-flow._MOST_TRACED = flow._MOST_STATEMENTS = 3_000  # the controller ends there too
+flow._MOST_TRACED = flow._MOST_STATEMENTS = 10_000
 KINDS = {"LIN": LIN, "PTP": PTP, "CIRC": CIRC}
 FRAMES = {1: (900, 50, 600, 0, 0, 10), 2: (1000, 0, 500, 5, 0, 0), 3: (1200, 100, 650, 30, 0, 0)}
 TOOLS = {1: (0, 0, 200, 0, 0, 0), 2: (20, 0, 280, 0, 90, 0)}
 RUNS, MOST_RUNS = 3, 30
 MORE, MIXED, KEPT = 1_000_000, 100_000_000, 200_000_000
 """From these seeds on programs have more kinds of values; nested loops, splines, SYNCCMD; and motions that stay."""
+HARDER = 50_000_000
+"""From so much behind `MIXED`, and behind its multiples, programs have functions in targets and bounds, GOTO … too."""
 _ORDINARY = 10
 """So many ordinary programs to one with motions that stay."""
 _CHECKED = 4, 16
@@ -165,7 +168,8 @@ def attempt(seed, folder):
     """
     rng = np.random.default_rng(seed)
     keep = seed >= KEPT
-    files = Generator(rng, more=seed >= MORE, mixed=seed >= MIXED, keep=keep).programs()
+    harder = seed >= MIXED and seed % MIXED >= HARDER
+    files = Generator(rng, more=seed >= MORE, mixed=seed >= MIXED, keep=keep, harder=harder).programs()
     try:
         program = read(files, folder, keep=keep)
     except PostprocError:
@@ -252,7 +256,8 @@ def places_of(program):
 
 def attack(seed):
     """Try the program of a seed; what goes wrong is told with its files."""
-    with tempfile.TemporaryDirectory(dir=_MEMORY) as name:
+    limits = patch.multiple(flow, _MOST_TRACED=MOST_STEPS, _MOST_STATEMENTS=MOST_STEPS)
+    with limits, tempfile.TemporaryDirectory(dir=_MEMORY) as name:
         try:
             return attempt(seed, Path(name))
         except Exception as cause:

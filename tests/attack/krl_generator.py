@@ -29,6 +29,14 @@ DECL BOOL OK=TRUE
 ENDDAT
 """
 STRUCTURE = "STRUC PT INT N,REAL R\nDECL PT SX={N 1,R 2.5}\nENDDAT"
+RECORDS = """STRUC PT INT N,REAL R
+DECL PT SX={N 1,R 2.5}
+DECL PT SA[3]
+SA[1]={N 1,R 1.5}
+SA[2]={N 2,R 2.5}
+SA[3]={N 3,R 3.5}
+DECL CONST INT NC=2
+ENDDAT"""
 OTHER_DATA = """DEFDAT other
 DECL E6POS XP1={X 1,Y 1,Z 1,A 0,B 0,C 0}
 DECL INT I=2
@@ -49,13 +57,15 @@ class Routine:
 class Generator:
     """Writes one program and the files that it calls."""
 
-    def __init__(self, rng, *, more=False, mixed=False, keep=False):
+    def __init__(self, rng, *, more=False, mixed=False, keep=False, harder=False):
         """
         :param more: values of other types, structures, functions that give points, frames with gaps.
         :param mixed: nested loops with motions, spline blocks, SYNCCMD, #JOINT besides.
         :param keep: motions that only the running robot knows besides.
+        :param harder: functions in targets and bounds, arrays of structures, GOTO, nested EXIT, WITH besides.
         """
-        self.rng, self.more, self.mixed, self.keep = rng, more, mixed, keep
+        self.rng, self.more, self.mixed, self.keep, self.harder = rng, more, mixed, keep, harder
+        self.labels = 0
         self.files = {}
         names = ["SUB1", "SUB2", "NEXT", "FN1", "LIB1", "LIBFN", "POINT", "LIB2"]
         names = names[: int(rng.integers(0, 9 if more else 7))]
@@ -90,7 +100,14 @@ class Generator:
             found = (*found, *own, *own)
         return found
 
+    def member(self, kind):
+        """A member of a structure, often of an element of an array."""
+        index = self.one("1", "2", "3", *self.names("INT"))
+        return f"{self.one('SX', f'SA[{index}]')}.{'N' if kind == 'INT' else 'R'}"
+
     def integer(self, depth=0):
+        if self.harder and self.in_part() and self.maybe(0.12):
+            return self.one("NC", self.member("INT"))
         choice = int(self.rng.integers(8 if depth < 2 else 4))
         if choice < 3:
             return str(int(self.rng.integers(1, 4)))
@@ -154,6 +171,8 @@ class Generator:
         return self.aggregate()
 
     def argument(self, kind):
+        if self.harder and self.in_part() and kind != "E6POS" and self.maybe(0.2):
+            return self.one(self.member(kind), f"{self.point()}.{self.one('X', 'Y')}")
         if kind == "E6POS":
             return self.element() if self.more and self.maybe(0.3) else self.point()
         if self.more and self.maybe(0.1):
@@ -296,7 +315,50 @@ class Generator:
                 ["LIN $POS_ACT:{X 1,Y 2,Z 5,A 0,B 0,C 0}", whole],
                 ["IF $IN[4] THEN", whole, "ENDIF", f"LIN {self.aggregate()}"],
             ]
+        if self.harder and self.maybe(0.7):
+            options = self.hard(depth, whole)
         return options[int(self.rng.integers(len(options)))]
+
+    def hard(self, depth, whole):
+        """What `harder` programs have besides."""
+        self.labels += 1
+        label = f"L{self.labels}"
+        asked = self.function_call() or self.integer()
+        moves = [self.motion()] if self.moving and depth == 0 and self.in_part() else []
+        body = [*moves, *self.statement(2)]
+        jump = [f"IF {self.condition()} THEN", *self.statement(2), f"GOTO {label}", "ENDIF", *body, f"{label}:"]
+        left = [f"IF {self.condition()} THEN", *(self.statement(2) if self.maybe(0.4) else []), "EXIT", "ENDIF"]
+        counter, other = self.one(*self.names("INT")), self.one(*self.names("INT"))
+        bounds = f"{self.integer(1)} TO {asked if self.maybe(0.3) else self.integer(1)}"
+        selected = asked if self.maybe(0.3) else self.integer()
+        step, end = f"{counter}={counter}+1", self.one("2", "3")
+        options = [
+            [
+                "SWITCH " + selected,
+                "CASE 1",
+                *body,
+                "CASE 2,3",
+                *left[1:-2],
+                "DEFAULT",
+                *self.statement(2),
+                "ENDSWITCH",
+            ],
+            [f"FOR {counter}={bounds}", *body, *(left if self.maybe(0.5) else []), "ENDFOR"],
+            ["REPEAT", "LOOP", *body, *left, step, "ENDLOOP", f"{other}={other}+1", f"UNTIL {other}>{end}"],
+            [f"{counter}=1", "REPEAT", f"FOR {other}=1 TO 3", *left, *body, "ENDFOR", step, f"UNTIL {counter}>2"],
+            jump,
+            jump,
+        ]
+        if self.in_part():
+            options.append([f"{self.member('INT')}={self.integer()}", f"{self.member('REAL')}={self.real()}"])
+            options.append([f"SA[{self.integer(1)}]={self.one('SX', 'SA[1]', 'SA[I]')}"])
+        if moves:
+            speed = f"WITH $VEL.CP={self.speed()}"
+            block, line = (f"{word} {self.one('', speed)}".rstrip() for word in ("SPLINE", f"SLIN {self.point()}"))
+            options.append([block, "S" + whole, line, "S" + whole, "ENDSPLINE"])
+            options.append([f"SLIN {self.point()} {speed}", whole])
+            options.append([f"LIN P[{asked}]", whole])
+        return options
 
     def statement(self, depth=0):
         if self.mixed and self.maybe(0.15):
@@ -375,7 +437,7 @@ class Generator:
         for routine in self.routines:
             if routine.file == "part":
                 main += self.written(routine)
-        data = DATA.replace("ENDDAT", STRUCTURE) if self.more else DATA
+        data = DATA.replace("ENDDAT", RECORDS if self.harder else STRUCTURE) if self.more else DATA
         files = {"part.src": main, "part.dat": data.splitlines()}
         others = [r for r in self.routines if r.file == "other"]
         for routine in others:

@@ -37,6 +37,7 @@ KINDS = {"SLIN": "LIN", "SPTP": "PTP", "SCIRC": "CIRC"}
 FORCE = re.compile(r"\s*;\s*FORCE\s+(OFF|[FM][XYZ]\s*=.*)$", re.IGNORECASE)
 LABEL = re.compile(r"([A-Za-z_]\w*)\s*:$")
 CARTESIAN = "XYZABC"
+MOST_STEPS = 3000
 FUNCTIONS = {
     "ABS": abs,
     "SQRT": lambda x: float(np.sqrt(abs(x))),
@@ -238,6 +239,7 @@ class Controller:
         self.modules, self.motions, self.submit, self.structures = {}, [], [], {}
         self.numbers = None
         self.synchronised = 0
+        self.outside = 0.0
         self.stood = base, tool
         self.handlers, self.active, self.pending, self.cyclic = {}, set(), [], []
         self.busy, self.steps = False, 0
@@ -381,7 +383,7 @@ class Controller:
     def chance(self):
         """Let happen what may happen between two statements."""
         self.steps += 1
-        if self.steps > 3000:
+        if self.steps > MOST_STEPS:
             raise Invalid("too long")
         if self.busy or self.choices is not None:
             return
@@ -508,8 +510,13 @@ class Controller:
             reader.take(word)
             if reader.take("ON", "OFF") == "ON":
                 self.cyclic.append((self.place(reader), -5.0, 5.0))
-        elif word in ("SIGNAL", "EXT", "WAIT", "HALT", "CONTINUE", "PULSE", "LABEL", "SPLINE", "ENDSPLINE"):
+        elif word in ("SIGNAL", "EXT", "WAIT", "HALT", "CONTINUE", "PULSE", "LABEL"):
             return
+        elif word == "SPLINE":
+            self.outside = self.speed
+            self.with_settings(line)
+        elif word == "ENDSPLINE":
+            self.speed = self.outside
         elif word == "SYNCCMD":
             self.synchronised += 1
         elif word == "FORCE":
@@ -528,6 +535,11 @@ class Controller:
             self.declare(self.frames[-1][1], line)
         else:
             self.assignment_or_call(line)
+
+    def with_settings(self, line):
+        """Follow the settings behind WITH, which hold for one spline motion or one block."""
+        for given in filter(None, re.split(r"(?i)\bWITH\b", line)[1:]):
+            self.system(Reader(given.strip()))
 
     def interrupt(self, file, number, line):
         declaration = re.match(r"(?i)(?:GLOBAL\s+)?INTERRUPT\s+DECL\s+(\d+)\s+WHEN\s+.*?\bDO\b\s*(.*)$", line)
@@ -862,8 +874,11 @@ class Controller:
         kind = word.removesuffix("_REL")
         kind = KINDS.get(kind, kind)
         cdis = self.cdis if "C_DIS" in rest else None
+        outside = self.speed
+        self.with_settings(line)
         force = "" if kind == "PTP" else self.force
         state = (self.base, self.tool, self.speed, cdis, force, tuple(self.callers), self.synchronised)
+        self.speed = outside
         if "A1" in value:
             joints = [float(value[f"A{n}"]) for n in range(1, 7)]
             self.numbers = None

@@ -35,6 +35,11 @@ REFUSED = {
         "behind SYNCCMD (line 5)",
     ),
     "rounds": (["INT I", lin(1), "FOR I=1 TO 2", lin(2), WAIT, "ENDFOR", lin(3)], (7,), "between SYNCCMD (line 8)"),
+    "rounds to the end": (
+        ["INT I", lin(1), "FOR I=1 TO 2", lin(2), DRIVE, "ENDFOR", lin(3)],
+        (7, 10),
+        "between SYNCCMD (line 8) and SYNCCMD (line 8)",
+    ),
     "an endless loop": ([lin("1.0"), "LOOP", lin(2), WAIT, lin(1), "ENDLOOP"], (6, 8), "between SYNCCMD"),
     "routines": (
         [lin(1), "MEET()", lin(2), "MEET()", lin(3), *routine("MEET", WAIT)],

@@ -66,7 +66,7 @@ class Source(Struct, frozen=True, eq=False):
 
     def origin(self, line: int) -> Place:
         """Return where a 1-based line comes from."""
-        if self.origins is None or line > len(self.origins.line):
+        if self.origins is None:
             return Place(self, line)
         return Place(self.origins.sources[self.origins.source[line - 1]], int(self.origins.line[line - 1]))
 

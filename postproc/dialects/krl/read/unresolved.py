@@ -128,12 +128,14 @@ def _synchronised(main: MainRoutine, line: Ints) -> Iterator[tuple[int, ProgramE
     source, marks = main.run.source, _marks(main)
     if not marks:
         return
-    sections = [(begin, until, True) for (begin, _), (until, _) in pairwise(marks)]
-    if not marks[-1][1]:
-        sections.append((marks[-1][0], len(source.starts) + 1, False))
-    for begin, until, closed in sections:
-        behind = f"between SYNCCMD ({source.origin(begin)}) and SYNCCMD ({source.origin(until)})"
-        where = behind if closed else f"behind SYNCCMD ({source.origin(begin)})"
+    sections = [
+        (begin, until, f"between SYNCCMD ({source.origin(begin)}) and SYNCCMD ({source.origin(until)})")
+        for (begin, _), (until, _) in pairwise(marks)
+    ]
+    last, waits = marks[-1]
+    if not waits:
+        sections.append((last, len(source.starts) + 1, f"behind SYNCCMD ({source.origin(last)})"))
+    for begin, until, where in sections:
         for row in np.flatnonzero((line > begin) & (line < until)).tolist():
             problem = f"the motion is {where}: another robot may move in time with it"
             yield row, source.line_error(problem, int(line[row]), _SYNCHRONISED)
