@@ -6,18 +6,19 @@ something that it does not know (G43.4, G187, no M2), or are for something else.
 
 from __future__ import annotations
 
-import re
+from functools import cache
 from pathlib import Path
 
-import numpy as np
 import pytest
 from msgspec.structs import replace
 
 from postproc.cell import Frame, Machine, Rotary
 from postproc.errors import ProgramError
-from postproc.program import CIRC, PTP, Program
+from postproc.program import Program
+from tests.attack import collected
+from tests.attack.collected import difference
 from tests.dialects.gcode_reading import CELL, read
-from tests.oracle.rs274 import Move, RejectedError, canonical, needs_rs274
+from tests.oracle.rs274 import Move, RejectedError, needs_rs274
 
 COLLECTION = Path(__file__).parent / "collection"
 NAMES = sorted(path.name for path in COLLECTION.iterdir())
@@ -86,8 +87,6 @@ REFUSED = {
     "solidcam_g68.nc": (6, "G68.2 is not supported"),
     "xy_only_2d.nc": (3, "cutting move before the position is known"),
 }
-OTHER_WAY = ("easel.nc", "jscut.gcode")
-"""Programs that go up by G1 first, which rs274 does at zero, and the robot on its way to where X and Y are known."""
 
 
 def here(name: str) -> Program:
@@ -109,63 +108,34 @@ def test_what_is_refused_says_where_why_and_what_to_do(name: str) -> None:
 def test_what_is_converted_cuts_what_rs274_cuts(name: str) -> None:
     program = here(name)
     assert (~program.motions.rapid).any()
-    if name not in OTHER_WAY:
-        compare(name, program)
+    compare(name, program)
 
 
 @needs_rs274
 def test_most_of_them_are_compared() -> None:
-    compared = [
-        name for name in NAMES if name not in REFUSED and name not in OTHER_WAY and cuts_there(name) is not None
-    ]
+    compared = [name for name in NAMES if name not in REFUSED and there(name) is not None]
     assert len(NAMES) > 100
     assert len(compared) >= 40
 
 
 def compare(name: str, program: Program) -> None:
-    """Compare places, feeds and arcs of all cutting moves, in order."""
-    expected = cuts_there(name)
-    if expected is None:
-        return
-    m = program.motions
-    rows = np.flatnonzero(~m.rapid & (m.kind != PTP))
-    assert len(rows) == len(expected)
-    for row, (end, centre, feed, digits) in zip(rows.tolist(), expected, strict=True):
-        np.testing.assert_allclose(m.target[row, :3, 3] * 1e3, end, atol=digits)
-        assert m.feed[row] * 60e3 == pytest.approx(feed, rel=1e-4)
-        assert (m.kind[row] == CIRC) == (centre is not None)
-        if centre is not None:
-            across = np.abs(m.normal[row]) < 0.5
-            np.testing.assert_allclose((m.centre[row] * 1e3)[across], centre[across], atol=10.0 * digits)
+    """Compare cutting moves, rapids and what is switched; nothing if rs274 refuses the program."""
+    found = there(name)
+    if found is not None:
+        text = (COLLECTION / name).read_bytes().decode()
+        assert difference(program, found, text, turning=name in AXES) == ""
 
 
-def cuts_there(name: str) -> list[tuple[np.ndarray, np.ndarray | None, float, float]] | None:
-    """Return end, centre, feed and printed digits of the cutting moves of rs274; None if it refuses the program."""
-    text = (COLLECTION / name).read_bytes().decode()
+@cache
+def there(name: str) -> list[Move] | None:
+    """Return the moves of rs274; None if it refuses the program."""
     try:
-        moves = canonical(text)
-    except RejectedError as cause:
-        if "no percent sign or program end" not in str(cause):
-            return None
-        moves = canonical(text + "\nM2\n")
-    digits = 6e-5 * (25.4 if re.search(r"(?i)G20|G70", text) else 1.0)
-    out, last = [], np.zeros(3)
-    for move in moves:
-        end = _placed(move, move.end)
-        if move.command == "ARC_FEED":
-            out.append((end, _placed(move, move.centre), move.feed, digits))
-        elif move.command == "STRAIGHT_FEED" and np.abs(end - last).max() > 1e-9:
-            out.append((end, None, move.feed, digits))
-        last = end
-    return out
-
-
-def _placed(move: Move, point: np.ndarray) -> np.ndarray:
-    return move.frame[:3, :3] @ point + move.frame[:3, 3]
+        return collected.moves_there(COLLECTION / name, alone=True)
+    except RejectedError:
+        return None
 
 
 @needs_rs274
 def test_a_wrong_program_would_be_noticed() -> None:
-    program = here("gibbscam.nc")
     with pytest.raises(AssertionError):
-        compare("edgecam.nc", program)
+        compare("edgecam.nc", here("gibbscam.nc"))

@@ -97,6 +97,14 @@ def test_other_radius_compensation_is_refused(code):
         assert "write D0" in str(caught.value)
 
 
+@pytest.mark.parametrize("code", ["G41.1 D3", "G42.1 D#1", "G41.1"])
+def test_a_diameter_in_the_program_is_refused_even_where_offsets_hold_wear(code):
+    cell = replace(CELL, gcode=replace(CELL.gcode, radius_offsets="wear"))
+    with pytest.raises(ProgramError, match=r"G4[12]\.1 is not supported.*diameter in the program"):
+        read(f"#1=.5\nG0 X0 Y0 Z5\n{code}\nG1 X9 F90\nM2\n", cell)
+    assert len(read("#1=0\nG0 X0 Y0 Z5\nG41.1 D#1\nG1 X9 F90\nM2\n", cell).motions) == 2
+
+
 @pytest.mark.parametrize(
     "comment", ["(4x (M6) holes)", "( from (48.5, 53.5) to (59.5, 71) )", "(depth cut(s) at 0.3mm)"]
 )
@@ -135,3 +143,16 @@ def test_radius_compensation_by_wear_offsets_has_no_effect_and_is_reported(words
     np.testing.assert_array_equal(program.motions.target, without.motions.target)
     remark = "with D0" if words.endswith("D0") else "offsets that hold wear only"
     assert [remark in issue.message for issue in program.issues if issue.kind == "radius-compensation"] == [True]
+
+
+@pytest.mark.parametrize(
+    ("line", "what"),
+    [
+        ("G1 X[#<scale>*4] Y5 F9", "cutting move before the position is known"),  # SCALE is Siemens
+        ("G1 X5 M67 E2 Q25", "M67 is not supported"),  # E is an output, not an extruder
+    ],
+)
+def test_words_of_linuxcnc_are_not_taken_for_another_control(line, what):
+    with pytest.raises(ProgramError) as caught:
+        read(f"#<scale>=2\n{line}\nM2\n")
+    assert caught.value.problem == what

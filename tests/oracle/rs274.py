@@ -7,7 +7,7 @@ import shutil
 import subprocess
 import tempfile
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -54,15 +54,17 @@ class Move(NamedTuple):
     """(4, 4) the program frame in that of the machine as rs274 reports it: G54 …, G10 R, G92 [mm]."""
 
 
-def canonical(text: str, variables: str = "", files: Mapping[str, str] = {}) -> list[Move]:
+def canonical(text: str, variables: str = "", files: Mapping[str, str] = {}, tools: Iterable[int] = ()) -> list[Move]:
     """Run rs274 on a program (that ends with M2) and return its moves.
 
     :param variables: content of its variable file: a number and its value on each line.
     :param files: further files of the folder, their names and texts.
+    :param tools: the tools of its table in addition to 1 to 9, without length and diameter.
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        (folder / "tool.tbl").write_text("".join(f"T{n} P{n} D0 Z0\n" for n in range(1, 10)))
+        order = sorted({*range(1, 10), *tools})
+        (folder / "tool.tbl").write_text("".join(f"T{n} P{n} D0 Z0\n" for n in order))
         (folder / "part.ngc").write_text(text, newline="")
         (folder / "part.var").write_text(variables)
         for other, content in files.items():
@@ -81,7 +83,7 @@ def canonical(text: str, variables: str = "", files: Mapping[str, str] = {}) -> 
     if result.returncode:
         assert result.returncode == 1, result
         raise RejectedError(result.stdout + result.stderr)
-    return list(_moves(result.stdout))
+    return list(_moves(result.stdout, order))
 
 
 def accepts(text: str) -> bool:
@@ -96,11 +98,11 @@ def accepts(text: str) -> bool:
 SPINDLE = {"START_SPINDLE_CLOCKWISE": "cw", "START_SPINDLE_COUNTERCLOCKWISE": "ccw", "STOP_SPINDLE_TURNING": ""}
 
 
-def _moves(output: str) -> Iterator[Move]:
+def _moves(output: str, tools: list[int]) -> Iterator[Move]:
     unit, plane, feed, offset, end = 1.0, "XY", 0.0, 1, np.zeros(3)
     origin, shift, turn = np.zeros(3), np.zeros(3), 0.0
-    spindle, speed, coolant, dwells, stops, tool, selected = "", 0.0, False, 0.0, 0, 0.0, 0.0
-    for command, arguments in re.findall(r"^ *\d+ N\S* +(\w+)\((.*)\)$", output, re.MULTILINE):
+    spindle, speed, coolant, dwells, stops, tool = "", 0.0, False, 0.0, 0, 0.0
+    for command, arguments in re.findall(r"^ *\d+ N(?:\.+|\d+) *(\w+)\((.*)\)$", output, re.MULTILINE):
         numbers = [float(n) for n in re.findall(r"-?\d+(?:\.\d+)?", arguments)]
         state = (spindle, speed if spindle else 0.0, coolant, dwells, stops, tool)
         if command == "USE_LENGTH_UNITS":
@@ -125,10 +127,8 @@ def _moves(output: str) -> Iterator[Move]:
             dwells += numbers[0]
         elif command in ("PROGRAM_STOP", "OPTIONAL_PROGRAM_STOP"):
             stops += 1
-        elif command == "SELECT_TOOL":
-            selected = numbers[0]
-        elif command == "CHANGE_TOOL":
-            tool = numbers[0] if numbers else selected
+        elif command == "CHANGE_TOOL":  # the row of the table
+            tool = float(tools[int(numbers[0]) - 1]) if numbers and numbers[0] else 0.0
         elif command in ("STRAIGHT_TRAVERSE", "STRAIGHT_FEED"):
             end = np.array(numbers[:3]) * unit
             yield Move(command, end, None, plane, 0, feed, offset, state, _frame(origin, shift, turn))

@@ -59,10 +59,15 @@ ACCEPTED_G = frozenset(
 )
 ACCEPTED_M = frozenset((*STOP, *END, *SPINDLE, CHANGE, *COOLANT, *_IGNORED_M))
 
-RADIUS = (41.0, 42.0, 41.1, 42.1)
+RADIUS_BY_OFFSET = (41.0, 42.0)
+RADIUS = (*RADIUS_BY_OFFSET, 41.1, 42.1)
 _COMPENSATION = (
     "Radius compensation is not supported: set the CAM system to output the tool centre line. If the offset holds wear "
     'only, the path is the centre line already: write D0, or radius_offsets = "wear" in [gcode] of the cell.'
+)
+_DIAMETER = (
+    "Radius compensation by a diameter in the program is not supported: set the CAM system to output the tool centre "
+    "line, or write D0 if the path is the centre line already."
 )
 _CYCLE = "This cycle needs an oriented or reversed spindle: set the CAM system to expand it to G0 and G1."
 _FIVE_AXIS = "Give the rotary axes in the cell, [rotary], for a program with tool-centre-point control."
@@ -88,7 +93,8 @@ _ADVICE_G = {
     **dict.fromkeys((16.0, 51.0, 51.1, 68.0, 68.2), _TURNED),
     **dict.fromkeys((17.1, 18.1, 19.1), "Planes of U, V, W are not supported."),
     **dict.fromkeys((31.0, 33.0, 33.1, 38.2, 38.3, 38.4, 38.5), _PROBE),
-    **dict.fromkeys(RADIUS, _COMPENSATION),
+    **dict.fromkeys(RADIUS_BY_OFFSET, _COMPENSATION),
+    **dict.fromkeys((41.1, 42.1), _DIAMETER),
     **dict.fromkeys((43.1, 43.2, 44.0), _TOOL),
     **dict.fromkeys((43.4, 43.5), _FIVE_AXIS),
     54.1: "Only nine work offsets are supported: use G54…G59.3.",

@@ -688,8 +688,8 @@ def _block(code: str) -> Block:
 
 
 def _word(letter: str, value: float) -> str:
-    """Return a word with its computed number; codes and counts must be whole, as in rs274."""
-    if letter in "MNTLDHO":
+    """Return a word with its computed number; codes and counts must be whole, as in rs274, but D may be a diameter."""
+    if letter in "MNTLHO":
         return f"{letter}{whole(value)}"
     if letter == "G":
         return f"G{whole(10.0 * value) / 10.0:g}"

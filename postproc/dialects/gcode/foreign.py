@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 _POST = "In the CAM system choose a post-processor for LinuxCNC, or for plain Fanuc (ISO) without cycles and macros"
-_ASIDE = re.compile(r'\([^()"]*\)|;.*')
+_ASIDE = re.compile(r'\([^()"]*\)|;.*|(?<=[#Oo])<[^<>]*>')
+"""What is not searched: comments, and the names of parameters and subprograms."""
 _ENOUGH = 300
 """Number of characters of a line that are searched."""
 
@@ -80,7 +81,7 @@ FOREIGN = (
     Foreign(
         "slicer (3-D printing)",
         re.compile(
-            r".*((?<![A-Z])G0*[0123](?!\d).*\sE-?\.?\d|(?<![A-Z])(M(82|83|10[4679]|140)(?!\d)|M190\s*[SR]))",
+            r"(?!.*M6[78]).*((?<![A-Z])G0*[0123](?!\d).*\sE-?\.?\d|(?<![A-Z])(M(82|83|10[4679]|140)(?!\d)|M190\s*[SR]))",
             re.IGNORECASE,
         ),
         f"It is for extrusion. {_POST}, and convert a milling program.",

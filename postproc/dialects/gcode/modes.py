@@ -522,10 +522,13 @@ class _Reader:
                 self._remark("warning", "dwell", message, row)
 
     def _radius(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
-        """Read G41 and G42: without effect with D0, which is no radius, and with offsets that hold wear only."""
+        """Read G41 and G42: without effect with D0, which is no radius, and with offsets that hold wear only.
+
+        D of G41.1 and G42.1 is a diameter, which no offset of the control replaces.
+        """
         wear = self.cell.gcode.radius_offsets == "wear"
         for code in g:
-            if code in codes.RADIUS and values.get("D") != 0.0 and not wear:
+            if code in codes.RADIUS and values.get("D") != 0.0 and not (wear and code in codes.RADIUS_BY_OFFSET):
                 raise BlockError(*codes.refusal("G", code))
             if code in codes.RADIUS:
                 zero = values.pop("D", None) == 0.0

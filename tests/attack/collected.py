@@ -1,0 +1,269 @@
+"""Programs of a folder against rs274: the same motions and the same switching.
+
+    python -m tests.attack.collected FOLDER... [--list]
+
+Reads each G-code program below the folders in a bare cell and in the cell of a shop: with `[machine]`, all tools, work
+offsets. Runs rs274 on those that are read. It has no machine zero and no tool lengths, so what is compared is: places,
+arcs and feeds of all cutting moves; between them the rapids; what is switched before. Rapids from and to machine
+positions (G28, G30, G53), those before the first cut, and those of cycles without G98 or G99 (here to the height before
+the cycle, there to R) count by the place where they end. Prints what came of each
+program with `--list`, and the reasons of refusals with the number of programs. Ends with 1 if motions differ.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import signal
+import sys
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from msgspec.structs import replace
+
+from postproc.cell import Cell, Frame, Machine, Rotary
+from postproc.dialects import gcode
+from postproc.dialects.gcode.reader import GCODE
+from postproc.dialects.text import decode
+from postproc.errors import InputError
+from postproc.frames import Array
+from postproc.program import CIRC, Program
+from tests.dialects.gcode_reading import CELL, forward
+from tests.oracle.rs274 import Move, RejectedError, _states, canonical
+
+SECONDS = 60
+"""Time for one program."""
+NAMES = {*GCODE.extensions, ".ncc", ".eia", ".min", ".spf", ".prg", ".din", ".fnc", ".cnc", ".nct"}
+OFFSETS = ("G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3")
+BARE = replace(CELL, base=Frame(), machine=Machine(), work_offsets={}, tools={})
+SHOP = replace(
+    BARE,
+    gcode=replace(CELL.gcode, spindle_on=["; on"], spindle_ccw=["; backwards"]),
+    machine=Machine(home=(0.0, -90.0, 100.0, 0.0, 20.0, 0.0), clearance_Z=200.0),
+    work_offsets=dict.fromkeys(OFFSETS, Frame()),
+)
+_TOOL = re.compile(r"(?i)T0*(\d{1,5})(?!\d)")
+_ASIDE_TEXT = re.compile(r"\([^()]*\)|;.*")
+_TAPS_ASIDE, _ASIDE = re.compile(r"(?i)G\s*84(?![\d.])"), re.compile(r"(?i)G\s*1[89](?![\d.])")
+_RETRACT = re.compile(r"(?i)G\s*9[89](?![\d.])")
+_MACHINE = re.compile(r"(?i)G\s*0*(?:28|30|53)(?![\d.])")
+_MACHINE_OR_CYCLE = re.compile(r"(?i)G\s*0*(?:28|30|53|73|8[1-9])(?![\d.])")
+
+
+class Outcome(NamedTuple):
+    """What came of a program: a word, and the reason."""
+
+    word: str
+    reason: str = ""
+
+
+class Cut(NamedTuple):
+    """A cutting move, and the rapids before it: [mm], [mm/min].
+
+    :param line: of the program, 0 where it is not known.
+    :param state: what is switched, as in `Move.state`.
+    """
+
+    end: Array
+    centre: Array | None
+    normal: Array | None
+    feed: float
+    rapids: list[Array]
+    state: tuple[object, ...]
+    line: int = 0
+
+
+def shop(text: str, axes: Sequence[str] = ()) -> Cell:
+    """Return the cell of a shop that has all tools of a program."""
+    tools = {number: Frame(Z=350.0) for number in dict.fromkeys(_TOOL.findall(text))}
+    return replace(SHOP, tools=tools, rotary=Rotary(axes=list(axes)) if axes else None)
+
+
+def read(path: Path, cell: Cell) -> Program | InputError:
+    """Read a program, or return why not."""
+    try:
+        document = replace(decode(path.name, path.read_bytes()), folder=str(path.parent))
+        return gcode.read(document, cell, forward, "part")
+    except InputError as error:
+        return error
+
+
+def tried(path: Path) -> tuple[str, Outcome]:
+    """Return what came of a program: in a bare cell (a word), and in that of a shop."""
+    text = path.read_bytes().decode("latin-1")
+    bare = read(path, BARE)
+    axes = [axis for axis in "CBA" if re.search(rf"(?im)(?<![A-Z#]){axis}-?[\d.]", _ASIDE_TEXT.sub("", text))]
+    program = read(path, shop(text))
+    if isinstance(program, InputError) and axes and "word without a code" in program.problem:
+        turned = read(path, shop(text, axes))
+        program = program if isinstance(turned, InputError) and "word without a code" in turned.problem else turned
+    word = "refused" if isinstance(bare, InputError) else "read"
+    moves: list[Move] | str
+    try:
+        moves = moves_there(path)
+    except RejectedError as cause:
+        moves = _said(str(cause))
+    if isinstance(program, InputError):
+        return word, Outcome("refused by both" if isinstance(moves, str) else "refused here only", reason(program))
+    if isinstance(moves, str):
+        return word, Outcome("not read by rs274", moves)
+    if _TAPS_ASIDE.search(text) and _ASIDE.search(text):
+        return word, Outcome("not comparable", "rs274 confuses the axes of G84 in G18 and G19")
+    found = difference(program, moves, text, turning=program.swivel is not None)
+    return word, Outcome("differs", found) if found else Outcome("same")
+
+
+def reason(error: InputError) -> str:
+    """Return the problem of an error, without the names of subprograms and parameters."""
+    return re.sub(r"O?<[^<>]*>", "O<…>", error.problem)
+
+
+def _said(output: str) -> str:
+    lines = [line for line in output.splitlines() if line.strip() and not re.match(r" *\d+ N\S* ", line)]
+    return " / ".join(lines[-3:])
+
+
+def moves_there(path: Path, *, alone: bool = False) -> list[Move]:
+    """Run rs274; the end of the program is added if it has none.
+
+    :param alone: without the other programs of the folder, which it may call.
+    """
+    text = path.read_bytes().decode("latin-1")
+    others = [one for one in path.parent.iterdir() if one.suffix.lower() in NAMES and one != path and not alone]
+    files = {one.name: one.read_bytes().decode("latin-1") for one in others[:200]}
+    tools = {int(number) for number in _TOOL.findall(text)}
+    try:
+        return canonical(text, files=files, tools=tools)
+    except RejectedError as cause:
+        if "no percent sign or program end" not in str(cause):
+            raise
+        return canonical(text.rstrip() + "\nM2\n", files=files, tools=tools)
+
+
+def difference(program: Program, moves: list[Move], text: str, *, turning: bool = False) -> str:
+    """Return the first difference between the motions of a program and those of rs274; empty if there is none.
+
+    :param turning: whether rotary axes turn: feeds are then not those of the tip.
+    """
+    digits = 6e-5 * (25.4 if re.search(r"(?i)G\s*[27]0(?![\d.])", text) else 1.0)
+    lines = text.splitlines()
+    free = _MACHINE if _RETRACT.search(text) else _MACHINE_OR_CYCLE
+    somewhere = bool(free.search(text))
+    ours, theirs = [*_ours(program)], [*_theirs(moves, digits)]
+    while len(theirs) > len(ours) and (theirs[0].end[:2] == 0.0).all() and not theirs[0].rapids:
+        del theirs[0]  # hobby posts go up by G1 first: from zero there, on the way to the first place here
+    for n, (mine, other) in enumerate(zip(ours, theirs, strict=False)):
+        where = f"cut {n + 1} (line {mine.line})"
+        if np.abs(mine.end - other.end).max() > digits:
+            return f"{where}: end {mine.end} instead of {other.end}"
+        if not turning and abs(mine.feed - other.feed) > 1e-4 * other.feed + 1e-3:
+            return f"{where}: feed {mine.feed:.3f} instead of {other.feed:.3f}"
+        if (mine.centre is None) != (other.centre is None):
+            return f"{where}: an arc on one side only"
+        if mine.centre is not None and other.centre is not None:
+            assert mine.normal is not None
+            assert other.normal is not None
+            across = np.abs(other.normal) < 0.5
+            if np.abs(mine.centre - other.centre)[across].max() > 10.0 * digits:
+                return f"{where}: centre {mine.centre} instead of {other.centre}"
+            if mine.normal @ other.normal < 0.999:
+                return f"{where}: the arc turns the other way"
+        if mine.state != other.state:
+            return f"{where}: switched {mine.state} instead of {other.state}"
+        before = ours[n - 1].line if n else 0
+        between = lines[before : mine.line] if before < mine.line else lines
+        last = n == 0 or (somewhere and any(free.search(line) for line in between))
+        a, b = (one[-1:] if last else one for one in (mine.rapids, other.rapids))
+        if len(a) != len(b) or any(np.abs(p - q).max() > digits for p, q in zip(a, b, strict=True)):
+            return f"{where}: rapids {[p.tolist() for p in a]} instead of {[p.tolist() for p in b]}"
+    if len(ours) != len(theirs):
+        return f"{len(ours)} cuts instead of {len(theirs)}"
+    return ""
+
+
+def _ours(program: Program) -> Iterator[Cut]:
+    m = program.motions
+    end, kind, rapid, lines = m.target[:, :3, 3] * 1e3, m.kind, m.rapid, m.line
+    rapids: list[Array] = []
+    for n, state in enumerate(_states(program)):
+        if rapid[n]:
+            if n == 0 or (end[n] != end[n - 1]).any():  # a change of the tool turns the flange alone
+                rapids.append(end[n])
+            continue
+        arc = kind[n] == CIRC
+        if n and not arc and (end[n] == end[n - 1]).all():  # rotary axes alone
+            continue
+        centre, normal = (m.centre[n] * 1e3, m.normal[n]) if arc else (None, None)
+        yield Cut(end[n], centre, normal, float(m.feed[n]) * 60e3, rapids, state, int(lines[n]))
+        rapids = []
+
+
+def _theirs(moves: list[Move], digits: float) -> Iterator[Cut]:
+    rapids: list[Array] = []
+    last, moved = np.zeros(3), False
+    for move in moves:
+        end = _placed(move, move.end)
+        if move.command == "STRAIGHT_TRAVERSE":
+            if not moved or np.abs(end - last).max() > digits / 2.0:
+                rapids.append(end)
+        elif move.centre is not None:
+            axis = {"XY": 2, "XZ": 1, "YZ": 0}[move.plane]
+            normal = move.frame[:3, axis] * np.sign(move.rotation)
+            yield Cut(end, _placed(move, move.centre), normal, move.feed, rapids, move.state)
+            rapids = []
+        elif np.abs(end - last).max() > digits / 2.0:
+            yield Cut(end, None, None, move.feed, rapids, move.state)
+            rapids = []
+        last, moved = end, True
+
+
+def _placed(move: Move, point: Array) -> Array:
+    return np.asarray(move.frame[:3, :3] @ point + move.frame[:3, 3])
+
+
+def programs(folders: Sequence[str]) -> list[Path]:
+    """Return the G-code programs below folders."""
+    found = [path for folder in folders for path in [Path(folder), *Path(folder).rglob("*")]]
+    return sorted(path for path in found if path.is_file() and path.suffix.lower() in NAMES)
+
+
+def main() -> None:
+    """Try all programs and print what came of them."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folders", nargs="+", metavar="FOLDER")
+    parser.add_argument("--list", action="store_true", help="print what came of each program")
+    options = parser.parse_args()
+    count: Counter[str] = Counter()
+    reasons: Counter[str] = Counter()
+
+    def too_long(*_: object) -> None:
+        raise TimeoutError
+
+    signal.signal(signal.SIGALRM, too_long)
+    for path in programs(options.folders):
+        signal.alarm(SECONDS)
+        try:
+            bare, outcome = tried(path)
+        except TimeoutError:
+            bare, outcome = "", Outcome(f"not done in {SECONDS} s")
+        except Exception as error:
+            bare, outcome = "", Outcome("FAULT", repr(error))
+        signal.alarm(0)
+        count[f"bare cell: {bare}"] += 1
+        count[f"shop cell: {outcome.word}"] += 1
+        if outcome.word.startswith("refused"):
+            reasons[f"{outcome.reason} ({outcome.word[8:]})"] += 1
+        if options.list or outcome.word in ("differs", "FAULT"):
+            print(f"{path}: {outcome.word}{': ' * bool(outcome.reason)}{outcome.reason}", flush=True)
+    for table in (count, reasons):
+        print()
+        for what, number in table.most_common():
+            print(f"{number:6d} {what}")
+    sys.exit(1 if count["shop cell: differs"] + count["shop cell: FAULT"] else 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,81 @@
+"""The comparison of collected programs with rs274, and some of the programs that LinuxCNC installs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.attack.collected import Outcome, difference, read, shop, tried
+from tests.oracle.rs274 import canonical, needs_rs274
+
+pytestmark = needs_rs274
+
+PROGRAM = (
+    "G21 G90 G17 G98\nT3 M6\nM3 S900\nG0 X0 Y0 Z20\nZ2\nG1 Z-1 F100\nX10 F400\nG2 X20 Y10 I0 J10\nG0 Z20\nX40 Y0\n"
+    "Z5\nG81 Z-4 R1 F90\nX50\nG80\nG53 G0 Z0\nG0 X5\nZ1\nG1 Z-2\nM2\n"
+)
+CHANGES = {
+    "an end": ("X10 F400", "X10.001 F400", "end"),
+    "a feed": ("X10 F400", "X10 F401", "feed"),
+    "a centre": ("G2 X20 Y10 I0 J10", "G2 X20 Y10 I10 J0", "centre"),
+    "a direction": ("G2 X20", "G3 X20", "turns the other way"),
+    "a line": ("G2 X20 Y10 I0 J10", "G1 X20 Y10", "an arc on one side only"),
+    "a rapid": ("G0 Z20\nX40 Y0", "G0 Z19\nX40 Y0", "rapids"),
+    "a rapid missing": ("Z20\nX40 Y0\nZ5", "Z20\nX40 Y0", "rapids"),
+    "a rapid as a cut": ("G0 Z20\nX40", "G1 Z20\nG0 X40", "cut 4 "),
+    "a place after the retract": ("G0 X5\nZ1", "G0 X6\nZ1", "end"),
+    "a tool": ("T3", "T4", "switched"),
+    "a spindle": ("S900", "S901", "switched"),
+    "a hole missing": ("X50\n", "", ""),
+    "the last cut": ("G1 Z-2\n", "", "cuts instead of"),
+}
+
+
+def differing(tmp_path: Path, text: str, other: str) -> str:
+    path = tmp_path / "part.ngc"
+    path.write_text(text)
+    program = read(path, shop(text))
+    assert not isinstance(program, Exception)
+    return difference(program, canonical(other), text)
+
+
+def test_the_same_program_is_the_same(tmp_path):
+    assert differing(tmp_path, PROGRAM, PROGRAM) == ""
+
+
+@pytest.mark.parametrize(("old", "new", "said"), CHANGES.values(), ids=CHANGES)
+def test_what_differs_is_noticed(tmp_path, old, new, said):
+    assert old in PROGRAM
+    found = differing(tmp_path, PROGRAM, PROGRAM.replace(old, new))
+    assert found
+    assert said in found
+
+
+@pytest.mark.parametrize(
+    ("text", "outcome"),
+    [
+        (PROGRAM, Outcome("same")),
+        ("G0 X0 Y0 Z5 U0\nG1 X9 F90\nM2\n", "not read by rs274"),
+        ("G0 X0 Y0 Z5\nG1 X9 F90\nM64 P0\nM2\n", Outcome("refused here only", "M64 is not supported")),
+        ("G0 X0 Y0 Z5\nG1 X9 F90\nG200\nM2\n", Outcome("refused by both", "G200 is not known")),
+        ("G0 X0 Y0 Z5\nG1 X9 A10 F90\nZ1\nM2\n", Outcome("same")),
+    ],
+)
+def test_what_came_of_a_program_is_said(tmp_path, text, outcome):
+    path = tmp_path / "part.ngc"
+    path.write_text(text)
+    bare, found = tried(path)
+    assert outcome in (found, found.word)
+    assert bare == ("refused" if "refused" in found.word or "A10" in text or "G53" in text else "read")
+
+
+def test_numbers_of_six_digits_are_lines_too(tmp_path):
+    text = "G0 X0 Y0 Z5\nN100110 G1 X9 F90\nN1001100 G1 X5\nM2\n"
+    assert differing(tmp_path, text, text) == ""
+    assert len(canonical(text)) == 3
+
+
+@pytest.mark.parametrize("name", ["arcspiral", "b-index", "cds", "daisy", "flowsnake", "skeleton", "tort"])
+def test_programs_that_linuxcnc_installs_are_read_as_rs274_reads_them(name):
+    assert tried(Path(f"/usr/share/linuxcnc/ncfiles/{name}.ngc"))[1] == Outcome("same")
