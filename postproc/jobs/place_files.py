@@ -147,11 +147,11 @@ def _started(request: PlaceRequest, cell: Cell, robot: RobotModel) -> tuple[Cell
 
 
 def _samples(request: PlaceRequest, cell: Cell, robot: RobotModel) -> tuple[Sequence[PathSamples], list[str]]:
-    setting, found, names = RobotInCell.of(robot, cell), [], []
+    robot_in_cell, found, names = RobotInCell.of(robot, cell), [], []
     elsewhere = msgspec.structs.replace(cell, base=msgspec.structs.replace(cell.base, X=cell.base.X + 1.0))
     for path, program, source in programs_under_force(request.programs, request.forces or request.process, robot, cell):
         moved = read_program(path, robot, elsewhere) if program.keeps_text else None
-        region.check_base(program, setting, moved)
-        found.append(PathSamples.of(program, setting, source))
+        region.check_base(program, robot_in_cell, moved)
+        found.append(PathSamples.of(program, robot_in_cell, source))
         names.append(path.name)
     return found, names

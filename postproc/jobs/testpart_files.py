@@ -146,9 +146,9 @@ def make_testpart(request: TestPartRequest, progress: Callable[[str], None] = la
     protect([request.cell, request.process], request.output, names)
     if not request.overwrite:
         files.refuse(files.foreign(request.output, names[:-1], _RECORD))
-    settings = tuple(RobotInCell.of(robot, each) for each in placements.values())
-    setting = settings[0]
-    prior = _prior(setting, process)
+    placed = tuple(RobotInCell.of(robot, each) for each in placements.values())
+    robot_in_cell = placed[0]
+    prior = _prior(robot_in_cell, process)
     rpm = tool.rpm or float(np.floor(min(12_000.0, 1e3 * _SPEED / (np.pi * tool.diameter_mm)) / 100.0) * 100.0)
     feed = request.feed_mm_per_min or _CHIP * tool.diameter_mm * tool.flutes * rpm
     cutting = Cutting(
@@ -160,13 +160,13 @@ def make_testpart(request: TestPartRequest, progress: Callable[[str], None] = la
     )
     depth = (request.depth_mm or _DEPTH * tool.diameter_mm) * M_PER_MM
     progress("candidates")
-    found, cutting = design.candidates(prior, settings, process, cutting, depth, box, request.sigma_mm * M_PER_MM)
-    tests = _tests(request, setting, found)
+    found, cutting = design.candidates(prior, placed, process, cutting, depth, box, request.sigma_mm * M_PER_MM)
+    tests = _tests(request, robot_in_cell, found)
     progress("choice of features")
     low, high = (np.array([span[k] for span in (box.X, box.Y, box.Z)]) * M_PER_MM for k in (0, 1))
     hung = features.hanging_places(low, high, cutting.top) if request.weight_kg else np.zeros((0, 3))
-    weighed = design.weighed(prior, settings, cutting, request.weight_kg, hung, request.sigma_mm * M_PER_MM)
-    chosen = design.choose(found, prior, setting, tests, request.count, weighed)
+    weighed = design.weighed(prior, placed, cutting, request.weight_kg, hung, request.sigma_mm * M_PER_MM)
+    chosen = design.choose(found, prior, robot_in_cell, tests, request.count, weighed)
     parts = {}
     contents: dict[str, bytes | Iterable[bytes]] = {}
     for number, (placement, its_cell) in enumerate(placements.items()):
@@ -188,9 +188,9 @@ def make_testpart(request: TestPartRequest, progress: Callable[[str], None] = la
     return TestPartFiles(chosen, prior, cutting, parts, tuple(written))
 
 
-def _prior(setting: RobotInCell, process: Process) -> Prior:
+def _prior(robot_in_cell: RobotInCell, process: Process) -> Prior:
     law = process.law()
-    return Prior.of(setting.robot, law.sigma, law.numbers)
+    return Prior.of(robot_in_cell.robot, law.sigma, law.numbers)
 
 
 def _data(
@@ -218,16 +218,16 @@ def _data(
     }
 
 
-def _tests(request: TestPartRequest, setting: RobotInCell, found: design.Candidates) -> Tests:
+def _tests(request: TestPartRequest, robot_in_cell: RobotInCell, found: design.Candidates) -> Tests:
     if not request.programs:
         return design.tests_in_block(found)
     from postproc.jobs.plan_files import cutting_states  # readers of programs come with it
     from postproc.plan import milling
 
-    poses = milling.joined(cutting_states(request.programs, request.forces, setting.robot, setting.cell))
+    poses = milling.joined(cutting_states(request.programs, request.forces, robot_in_cell.robot, robot_in_cell.cell))
     rows = np.arange(0, len(poses), max(1, len(poses) // _MOST_TESTS))
-    tool = np.broadcast_to(setting.cell.tool.pose(), (len(rows), 4, 4))
-    pose = kinematics.tcp(setting.robot.nominal, poses.q[rows], tool)[0]
+    tool = np.broadcast_to(robot_in_cell.cell.tool.pose(), (len(rows), 4, 4))
+    pose = kinematics.tcp(robot_in_cell.robot.nominal, poses.q[rows], tool)[0]
     weight = poses.weight[rows] / poses.weight[rows].sum()
     states = States(poses.q[rows], tool, pose, poses.wrench[rows], np.zeros((len(rows), 6)))
     return Tests(states, weight, poses.source)
@@ -296,7 +296,7 @@ class _Given(Struct, frozen=True, eq=False):
 
     def fit(self, prior: Prior) -> tuple[Fit, tuple[str, ...]]:
         """Fit a model; return the points left out too."""
-        return fit(prior, self.readings, self.parts[0].setting, forces_of(self.parts))
+        return fit(prior, self.readings, self.parts[0].robot_in_cell, forces_of(self.parts))
 
 
 def _given(request: PartRequest, model: str | None = None) -> _Given:
@@ -313,13 +313,13 @@ def _given(request: PartRequest, model: str | None = None) -> _Given:
     rows, parts = [], []
     for path, base in programs_of(probed, request.programs).items():
         its_cell = clamped(cell, Placement("" if base < 0 else str(base)), probed.file)
-        program, setting = read_program(path, robot, its_cell), RobotInCell.of(robot, its_cell)
+        program, robot_in_cell = read_program(path, robot, its_cell), RobotInCell.of(robot, its_cell)
         rows.append(np.flatnonzero(probed.base == base))
-        where = surfaces(program, setting, probed.take(rows[-1]), 0.5 * tool.diameter_mm * M_PER_MM)
-        parts.append(Clamped(program, setting, ProcessSource(process, setting.spindle), where))
+        where = surfaces(program, robot_in_cell, probed.take(rows[-1]), 0.5 * tool.diameter_mm * M_PER_MM)
+        parts.append(Clamped(program, robot_in_cell, ProcessSource(process, robot_in_cell.spindle), where))
     where = Surfaces.joined([part.where for part in parts])
     readings = Readings(probed.take(np.concatenate(rows)), where, request.sigma_mm * M_PER_MM)
-    return _Given(_prior(parts[0].setting, process), readings, tuple(parts), process)
+    return _Given(_prior(parts[0].robot_in_cell, process), readings, tuple(parts), process)
 
 
 def _placements(cell: Cell, numbers: tuple[int, ...]) -> dict[Placement, Cell]:

@@ -25,15 +25,15 @@ class Bodies:
         :raises CellError: a body cannot be read.
         :raises InputError: the package python-fcl is not installed.
         """
-        program, setting = samples.program, samples.robot_in_cell
-        force, moment = setting.tip_compliance(program.tools[0])
+        program, robot_in_cell = samples.program, samples.robot_in_cell
+        force, moment = robot_in_cell.tip_compliance(program.tools[0])
         wrench = np.abs(samples.along.at(samples.sample)).max(axis=0, initial=0.0)
         deflection = force * float(np.linalg.norm(wrench[:3])) + moment * float(np.linalg.norm(wrench[3:]))
         self.need = need_mm * M_PER_MM + _ALLOWANCE * deflection
-        self.chain = setting.robot.nominal
+        self.chain = robot_in_cell.robot.nominal
         self.tool = program.motions.tool[samples.sample.motion]
         self.solids = {
-            int(tool): Solids(Scene.of(setting.robot, setting.cell, program.tools[tool]))
+            int(tool): Solids(Scene.of(robot_in_cell.robot, robot_in_cell.cell, program.tools[tool]))
             for tool in np.unique(self.tool)
         }
 

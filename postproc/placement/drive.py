@@ -123,7 +123,7 @@ def expected_error(samples: PathSamples, rows: Ints, turn: Array, q: Array) -> t
     return u95, moved
 
 
-def errors(setting: RobotInCell, q: Array, tool: Array, load: Load) -> tuple[Array, Array]:
+def errors(robot_in_cell: RobotInCell, q: Array, tool: Array, load: Load) -> tuple[Array, Array]:
     """Return the expected error (95 %) and the deflection (n,) [m] at joint angles (n, 6); NaN without equilibrium.
 
     The expected error is that of the model and the forces, as `u95_mm` of the report has it, but for flanks of lost
@@ -133,10 +133,10 @@ def errors(setting: RobotInCell, q: Array, tool: Array, load: Load) -> tuple[Arr
     :param load: see `PathSamples.load`.
     """
     wrench, spread, pose, scaled = load
-    moved = _deflections(setting, q, tool, wrench, pose)
-    series = _in_series(setting.tool_spring, pose)
+    moved = _deflections(robot_in_cell, q, tool, wrench, pose)
+    series = _in_series(robot_in_cell.tool_spring, pose)
     with np.errstate(invalid="ignore", divide="ignore"):
-        u95 = elastostatics.position_bound(setting.robot, q, tool, wrench, spread, series, scaled=scaled)
+        u95 = elastostatics.position_bound(robot_in_cell.robot, q, tool, wrench, spread, series, scaled=scaled)
     return np.full(len(q), np.nan) if u95 is None else u95, moved
 
 
@@ -144,14 +144,14 @@ def _in_series(spring: ToolSpring | None, pose: Array) -> Array | None:
     return None if spring is None else spring.matrices(pose[:, :3, :3])
 
 
-def _deflections(setting: RobotInCell, q: Array, tool: Array, wrench: Array, pose: Array) -> Array:
+def _deflections(robot_in_cell: RobotInCell, q: Array, tool: Array, wrench: Array, pose: Array) -> Array:
     """Return how far the tip is from nominal (n,) [m] if nothing is corrected; NaN without equilibrium."""
     out = np.full(len(q), np.nan)
     left = np.arange(len(q))
     while len(left):
         tools = tool if tool.ndim == 2 else tool[left]
         try:
-            tip = setting.tip(q[left], tools, wrench[left])
+            tip = robot_in_cell.tip(q[left], tools, wrench[left])
         except NotConvergedError as cause:
             left = np.delete(left, list(cause.rows))
             continue

@@ -322,13 +322,13 @@ def _stations(samples: PathSamples, most: int) -> _Stations:
     return _Stations(samples, row, before, shift, branch, weight)
 
 
-def check_base(program: Program, setting: RobotInCell, moved: Program | None = None) -> None:
+def check_base(program: Program, robot_in_cell: RobotInCell, moved: Program | None = None) -> None:
     """Check that a program is in the `$BASE` of the cell, and moves with it.
 
     :param moved: the program as it is read with another `[base]`; None: its dialect has no frames of its own.
     :raises InputError: it has frames of its own, which do not move with the cell's.
     """
-    base = setting.cell.base.pose()
+    base = robot_in_cell.cell.base.pose()
     for row in np.unique(program.motions.base).tolist():
         first = np.argmax(program.motions.base == row)
         stays = moved is not None and np.array_equal(moved.bases[moved.motions.base[first]], program.bases[row])

@@ -44,15 +44,15 @@ class PathSamples(Struct, frozen=True, eq=False):
     time: Array
 
     @classmethod
-    def of(cls, program: Program, setting: RobotInCell, source: ForceSource | None) -> PathSamples:
+    def of(cls, program: Program, robot_in_cell: RobotInCell, source: ForceSource | None) -> PathSamples:
         """Sample a program: the end of every motion, and places between.
 
         :param source: forces that take precedence over the comments of the program.
         :raises ForceError: the forces do not match the motions.
         """
         m = program.motions
-        segments = toolpath.segments(program, setting.start_flange)
-        along = forces.assign(program, segments, source, setting.spindle, setting.ramp)
+        segments = toolpath.segments(program, robot_in_cell.start_flange)
+        along = forces.assign(program, segments, source, robot_in_cell.spindle, robot_in_cell.ramp)
         count = np.ceil(np.maximum(segments.travel / _STEP, segments.turn / _TURN) - 1e-9)
         count[(m.kind == PTP) | (m.kind == SPL)] = 1.0
         number = np.maximum(count, 1.0).astype(np.int64)
@@ -63,7 +63,7 @@ class PathSamples(Struct, frozen=True, eq=False):
         feed = m.feed[motion]
         timed = ~m.rapid[motion] & (m.kind[motion] != PTP) & (travel > 1e-6) & (feed > 0.0)
         time = np.where(timed, travel / np.where(timed, feed, 1.0), np.inf)
-        return cls(program, setting, segments, along, sample, time)
+        return cls(program, robot_in_cell, segments, along, sample, time)
 
     def __len__(self) -> int:
         return len(self.sample)

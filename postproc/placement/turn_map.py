@@ -328,8 +328,8 @@ def whole_circle(step: float) -> Array:
 
 def branch_of_start(samples: PathSamples) -> int:
     """Return the branch of `[start]` of the cell."""
-    setting = samples.robot_in_cell
-    return int(kinematics.closed_form(setting.robot).branch_of(setting.cell.start_joints[None])[0])
+    robot_in_cell = samples.robot_in_cell
+    return int(kinematics.closed_form(robot_in_cell.robot).branch_of(robot_in_cell.cell.start_joints[None])[0])
 
 
 class Line(Struct, frozen=True, eq=False):

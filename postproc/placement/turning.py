@@ -81,7 +81,7 @@ def turned(program: Program, axis: str, turn: Array) -> Program:
 
 
 def chosen(
-    program: Program, setting: RobotInCell, source: ForceSource | None, mode: Mode
+    program: Program, robot_in_cell: RobotInCell, source: ForceSource | None, mode: Mode
 ) -> tuple[Turn | None, tuple[Issue, ...]]:
     """Choose the turn of the tool; with [collision] in the cell, one at which no bodies come too close.
 
@@ -90,12 +90,12 @@ def chosen(
     :raises ForceError: the forces do not match the motions.
     :raises CellError: a body of [collision] cannot be read.
     """
-    samples = PathSamples.of(program, setting, source)
+    samples = PathSamples.of(program, robot_in_cell, source)
     if mode == "path" and program.swivel is None and (tilting := _tilting(samples)).any():
         return None, (program.motions.issue("error", "redundancy", _TILTED, np.flatnonzero(tilting)),)
     blocks = Blocks.of(samples)
     branch = turn_map.branch_of_start(samples)
-    table = setting.cell.collision
+    table = robot_in_cell.cell.collision
     bodies = None if table is None else Bodies(samples, table.clearance_mm)
     whole = turn_map.evaluate(samples, blocks, branch, np.zeros(len(samples)), turn_map.whole_circle(_COARSE), bodies)
     blocked: Blocked | None = None
@@ -107,7 +107,7 @@ def chosen(
         if keep is not BARE and _today_is_as_good(samples, whole, branch, keep, line, bodies):
             line = Line(np.zeros(len(line.knots)), line.cost)
         of_motion = blocks.turn_of_motions(samples, line.knots)
-        constant = setting.cell.gcode.redundancy_deg * RAD_PER_DEG
+        constant = robot_in_cell.cell.gcode.redundancy_deg * RAD_PER_DEG
         turn = Turn(mode, whole, keep, constant, line.knots, of_motion)
         return turn, (_said(turn),)
     assert blocked is not None
@@ -160,14 +160,14 @@ def _today_is_as_good(
 
 def _struck(samples: PathSamples, blocks: Blocks, branch: int, line: Line, bodies: Bodies) -> Bools:
     """Return at, or before, which samples (N,) of a line bodies come too close, from [start] on."""
-    setting, motion = samples.robot_in_cell, samples.sample.motion
+    robot_in_cell, motion = samples.robot_in_cell, samples.sample.motion
     rows = np.arange(len(samples))
     turn = _at_samples(samples, blocks, line.knots)
-    q = drive.solve(setting.robot, components(samples.flange(rows, turn)), branch).T
+    q = drive.solve(robot_in_cell.robot, components(samples.flange(rows, turn)), branch).T
     joints = samples.program.motions.joints[motion]
     known = np.isfinite(joints[:, 0])
     q[known] = joints[known]
-    q = np.concatenate([setting.cell.start_joints[None], q])
+    q = np.concatenate([robot_in_cell.cell.start_joints[None], q])
     return bodies.along(q, np.append(0, rows), np.zeros(len(q), dtype=bool))[1:]
 
 

@@ -60,7 +60,7 @@ class Surfaces(Columns, frozen=True, eq=False):
         return both[rows, which], self.weight[rows, which]
 
 
-def surfaces(program: Program, setting: RobotInCell, probed: Probed, radius: float) -> Surfaces:
+def surfaces(program: Program, robot_in_cell: RobotInCell, probed: Probed, radius: float) -> Surfaces:
     """Find where on the path of a program its probed surfaces are made.
 
     :param radius: of the tool, a flat end mill [m].
@@ -79,10 +79,10 @@ def surfaces(program: Program, setting: RobotInCell, probed: Probed, radius: flo
                 advice="Give the program that the part was cut with, and its probing.csv.",
             )
         motion[k] = found[0]
-    segments = toolpath.segments(program, setting.start_flange)
+    segments = toolpath.segments(program, robot_in_cell.start_flange)
     place = toolpath.at(program, segments, motion, probed.t)
     travel = toolpath.tangent(program, segments, motion, probed.t)
-    column, sign = {"+Z": (2, -1.0), "-Z": (2, 1.0), "+X": (0, -1.0), "-X": (0, 1.0)}[setting.spindle]
+    column, sign = {"+Z": (2, -1.0), "-Z": (2, 1.0), "+X": (0, -1.0), "-X": (0, 1.0)}[robot_in_cell.spindle]
     axis = sign * place.pose[:, :3, column]
     lever = probed.point - place.pose[:, :3, 3]
     height = np.einsum("ni,ni->n", lever, axis)
@@ -148,29 +148,29 @@ class States(Columns, frozen=True, eq=False):
     wrench: Array
     hung: Array
 
-    def twist(self, setting: RobotInCell, robot: RobotModel, scale: float) -> Array:
+    def twist(self, robot_in_cell: RobotInCell, robot: RobotModel, scale: float) -> Array:
         """Return the displacement (n, 6) of the tool from nominal under forces times a scale, root axes [m, rad]."""
         wrench = scale * self.wrench + self.hung
         moved = twist_between(self.pose, elastostatics.deflect(robot, self.q, self.tool, wrench).pose)
-        if (spring := setting.tool_spring) is not None:
+        if (spring := robot_in_cell.tool_spring) is not None:
             moved = moved + spring.deflection(self.pose[:, :3, :3], wrench)
         return moved
 
     def derivatives(
-        self, setting: RobotInCell, robot: RobotModel, parameters: tuple[Parameter, ...], scale: float
+        self, robot_in_cell: RobotInCell, robot: RobotModel, parameters: tuple[Parameter, ...], scale: float
     ) -> tuple[Array, Array, Array]:
         """Return the twist (n, 6), its derivatives by linear parameters (n, 6, p) [SI], and by the scale (n, 6).
 
         By differences of equilibria: the exact derivatives need Pinocchio, which is not there on Windows.
         """
-        twist = self.twist(setting, robot, scale)
+        twist = self.twist(robot_in_cell, robot, scale)
         by_parameter = np.empty((*twist.shape, len(parameters)))
         for column, parameter in enumerate(parameters):
             value = robot.value(parameter)
             step = _STEP * (abs(value) or parameter.usual)
             changed = robot.with_values({parameter: value + step})
-            by_parameter[:, :, column] = (self.twist(setting, changed, scale) - twist) / step
-        more = self.twist(setting, robot, scale + _SCALED)
+            by_parameter[:, :, column] = (self.twist(robot_in_cell, changed, scale) - twist) / step
+        more = self.twist(robot_in_cell, robot, scale + _SCALED)
         return twist, by_parameter, (more - twist) / _SCALED
 
 
@@ -189,21 +189,21 @@ class Cut(Struct, frozen=True, eq=False):
     t: Array
     program: Program
 
-    def shift(self, setting: RobotInCell, robot: RobotModel, scale: float) -> Shift:
+    def shift(self, robot_in_cell: RobotInCell, robot: RobotModel, scale: float) -> Shift:
         """Return the displacement of the tip along the path, for the forces of the deflected tool."""
-        moved = self.path.twist(setting, robot, scale)[:, :3]
+        moved = self.path.twist(robot_in_cell, robot, scale)[:, :3]
         program = self.program
         return Shift(self.motion, self.t, moved, program.bases[:, :3, :3], program.motions.base)
 
 
-def cut(program: Program, setting: RobotInCell, source: ProcessSource, where: Surfaces) -> Cut:
+def cut(program: Program, robot_in_cell: RobotInCell, source: ProcessSource, where: Surfaces) -> Cut:
     """Return a program under the forces of a source.
 
     :raises MeasurementError: the robot cannot follow the program.
     :raises ForceError: the process cannot be used for it.
     """
     try:
-        motions = MotionsUnderLoad.of(program, setting, source)
+        motions = MotionsUnderLoad.of(program, robot_in_cell, source)
         swing, t = motions.swing_places
         also = np.concatenate([swing, where.motion]), np.concatenate([t, where.t])
         path = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False), also)
@@ -231,12 +231,12 @@ def cut(program: Program, setting: RobotInCell, source: ProcessSource, where: Su
 class Clamped(Struct, frozen=True, eq=False):
     """A program that is cut with the block in one placement, and where its probed surfaces are made.
 
-    :param setting: the robot in a cell whose `[base]` is that of the block.
+    :param robot_in_cell: the robot in a cell whose `[base]` is that of the block.
     :param source: the forces of the process.
     """
 
     program: Program
-    setting: RobotInCell
+    robot_in_cell: RobotInCell
     source: ProcessSource
     where: Surfaces
 
@@ -251,8 +251,8 @@ def forces_of(parts: Sequence[Clamped]) -> Callable[[RobotModel, float], States]
     def states(robot: RobotModel, scale: float) -> States:
         made = []
         for k, part in enumerate(parts):
-            source = part.source.shifted(last[k].shift(part.setting, robot, scale)) if last else part.source
-            made.append(cut(part.program, part.setting, source, part.where))
+            source = part.source.shifted(last[k].shift(part.robot_in_cell, robot, scale)) if last else part.source
+            made.append(cut(part.program, part.robot_in_cell, source, part.where))
         last[:] = made
         return States.joined([each.at for each in made])
 

@@ -54,13 +54,13 @@ _TRIM = 1.3
 """First trimming passes take off this multiple of the largest deflection expected."""
 
 
-def read_text(text: str, setting: RobotInCell) -> Motions:
+def read_text(text: str, robot_in_cell: RobotInCell) -> Motions:
     """Read G-code made here.
 
     :raises ProgramError: the cell does not allow it.
     """
     document = Document(Placement().name, text)
-    return read_only(registry.by_name("gcode").read([document], setting.cell, setting.forward, "testpart"))
+    return read_only(registry.by_name("gcode").read([document], robot_in_cell.cell, robot_in_cell.forward, "testpart"))
 
 
 class Candidates(Struct, frozen=True, eq=False):
@@ -146,7 +146,7 @@ class Loads(Struct, frozen=True, eq=False):
     travel: Array
 
 
-def loads(kinds: list[Kind], cutting: Cutting, process: Process, setting: RobotInCell) -> list[Loads]:
+def loads(kinds: list[Kind], cutting: Cutting, process: Process, robot_in_cell: RobotInCell) -> list[Loads]:
     """Compute the forces on each kind of feature once, in a block of its own.
 
     :raises ForceError: the process cannot be used.
@@ -155,14 +155,14 @@ def loads(kinds: list[Kind], cutting: Cutting, process: Process, setting: RobotI
     pitch = 4.0 * cutting.diameter
     row = [Feature(kind, 0.0, k * pitch, 0.0) for k, kind in enumerate(kinds)]
     part = features.program(row, cutting)
-    motions = read_text(part.text, setting)
+    motions = read_text(part.text, robot_in_cell)
     deep = max(kind.depth for kind in kinds) + 5e-3
     spans = (-2.0 * long, 2.0 * long), (-pitch, len(kinds) * pitch), (cutting.top - deep, cutting.top)
     box = Box(*((low * MM_PER_M, high * MM_PER_M) for low, high in spans))
     stock = StockTable(box=box, resolution_mm=process.stock.resolution_mm)
-    source = ProcessSource(replace(process, stock=stock, operations={}), setting.spindle)
-    path = toolpath.segments(motions, setting.start_flange)
-    along = forces.assign(motions, path, source, setting.spindle, setting.ramp)
+    source = ProcessSource(replace(process, stock=stock, operations={}), robot_in_cell.spindle)
+    path = toolpath.segments(motions, robot_in_cell.start_flange)
+    along = forces.assign(motions, path, source, robot_in_cell.spindle, robot_in_cell.ramp)
     motion = np.array([int(np.flatnonzero(motions.motions.line == line)[0]) for line in part.line])
     places = toolpath.at(motions, path, motion, part.t)
     wrench, travel = along.at(places), toolpath.tangent(motions, path, motion, part.t)
@@ -198,7 +198,7 @@ def candidates(
             raise PlanError(f"the block is too thin for grooves of {depth * MM_PER_M:g} mm", file=process.path)
         given = loads(kinds, cutting, process, placements[0])
         every = _inside_block(kinds, cutting, (low, high), max(1, _MOST_PLACES // len(placements)))
-        of_each = [_placed(prior, setting, kinds, every, given, cutting, sigma) for setting in placements]
+        of_each = [_placed(prior, robot_in_cell, kinds, every, given, cutting, sigma) for robot_in_cell in placements]
         most = max(moved for found in of_each for _, _, moved, _ in found)
         needed = float(np.round(_TRIM * most, 4))
         if needed <= cutting.trim:
@@ -267,7 +267,7 @@ def _joined(of_each: list[_Found], cutting: Cutting) -> Candidates:
 
 def _placed(
     prior: Prior,
-    setting: RobotInCell,
+    robot_in_cell: RobotInCell,
     kinds: list[Kind],
     every: list[Feature],
     given: list[Loads],
@@ -282,9 +282,9 @@ def _placed(
     for kind, load in zip(kinds, given, strict=True):
         own = [feature for feature in every if feature.kind == kind]
         if own:
-            found += _of_kind(prior, setting, own, load, cutting, sigma)
+            found += _of_kind(prior, robot_in_cell, own, load, cutting, sigma)
     if not found:
-        base = setting.cell.base
+        base = robot_in_cell.cell.base
         raise PlanError(
             f"the robot reaches no place of the block at X {base.X:g}, Y {base.Y:g}, Z {base.Z:g}",
             file="--block",
@@ -294,7 +294,7 @@ def _placed(
 
 
 def _of_kind(
-    prior: Prior, setting: RobotInCell, own: list[Feature], given: Loads, cutting: Cutting, sigma: float
+    prior: Prior, robot_in_cell: RobotInCell, own: list[Feature], given: Loads, cutting: Cutting, sigma: float
 ) -> _Found:
     """Return the reachable features of one kind."""
     kind = own[0].kind
@@ -311,7 +311,7 @@ def _of_kind(
     wrench = np.concatenate(
         [each(given.wrench[:, :3], turn_only=True), each(given.wrench[:, 3:], turn_only=True)], axis=1
     )
-    states, reached, rotation = _states(setting, tip, wrench, cutting, count)
+    states, reached, rotation = _states(robot_in_cell, tip, wrench, cutting, count)
     axis = np.broadcast_to([0.0, 0.0, 1.0], normal.shape)
     weight = turned(rotation, weights(normal, lever, axis, travel, 0.5 * cutting.diameter))
     wall = (np.abs(normal[:, 2]) < 0.5).astype(float)
@@ -320,7 +320,7 @@ def _of_kind(
     where = Surfaces(none[:, 0].astype(np.int64), none[:, 0], weight[rows], wall[rows], none)
     if not reached.any():
         return []
-    twist, by_parameter, by_scale = states.derivatives(setting, prior.robot, prior.order, 1.0)
+    twist, by_parameter, by_scale = states.derivatives(robot_in_cell, prior.robot, prior.order, 1.0)
     _, at = where.deviation(twist)
     slopes = np.einsum("nk,nkp->np", at, by_parameter) @ prior.by_file * prior.sigma[:-1]
     moved = np.linalg.norm(by_scale[:, :3], axis=1).reshape(-1, count)
@@ -343,11 +343,11 @@ def _of_kind(
 
 
 def _states(
-    setting: RobotInCell, tip: Array, wrench: Array, cutting: Cutting, count: int
+    robot_in_cell: RobotInCell, tip: Array, wrench: Array, cutting: Cutting, count: int
 ) -> tuple[States, Bools, Array]:
     """Return the states at tips (n, 3) of features of `count` places each, which features are reached, and `$BASE`."""
     text = f"G21 G90 G17 G94\nT{cutting.tool} M6\nG0 X0 Y0 Z0\nG1 X0 Y0 Z1 F100\n"
-    motions = read_text(text, setting)
+    motions = read_text(text, robot_in_cell)
     last = len(motions.motions) - 1
     motion = np.full(len(tip), last)
     pose = Poses.fixed(tip, motions.motions.target.rotation[last])
@@ -360,11 +360,11 @@ def _states(
             q = np.zeros((0, 6))
             break
         try:
-            q = setting.follow(motions, motion[rows], t[rows], pose.take(rows)).q
+            q = robot_in_cell.follow(motions, motion[rows], t[rows], pose.take(rows)).q
         except UnreachableError as cause:
             reached[rows[list(cause.rows)] // count] = False
             continue
-        inside = ((q >= setting.robot.lower) & (q <= setting.robot.upper)).all(axis=1)
+        inside = ((q >= robot_in_cell.robot.lower) & (q <= robot_in_cell.robot.upper)).all(axis=1)
         if inside.all():
             break
         reached[rows[~inside] // count] = False
@@ -432,9 +432,9 @@ class Criterion(Struct, frozen=True, eq=False):
     weight: Array
 
     @classmethod
-    def of(cls, prior: Prior, setting: RobotInCell, tests: Tests, unknowns: int) -> Criterion:
+    def of(cls, prior: Prior, robot_in_cell: RobotInCell, tests: Tests, unknowns: int) -> Criterion:
         """Take the sensitivities of the deflection at test poses, for information of some number of unknowns."""
-        _, by_parameter, by_scale = tests.states.derivatives(setting, prior.robot, prior.order, 1.0)
+        _, by_parameter, by_scale = tests.states.derivatives(robot_in_cell, prior.robot, prior.order, 1.0)
         slopes = by_parameter[:, :3] @ prior.by_file * prior.sigma[:-1]
         slopes = np.concatenate([slopes, prior.sigma[-1] * by_scale[:, :3, None]], axis=2)
         size = slopes.shape[2]
@@ -474,11 +474,11 @@ def weighed(
         return out
     hung = np.zeros((len(places), 6))
     hung[:, 2] = -GRAVITY * mass
-    for setting in placements:
-        states, reached, rotation = _states(setting, places, np.zeros((len(places), 6)), cutting, 1)
+    for robot_in_cell in placements:
+        states, reached, rotation = _states(robot_in_cell, places, np.zeros((len(places), 6)), cutting, 1)
         if not reached.all():
             raise PlanError("the robot does not reach the places of the weight above the block", file="--weight")
-        twist, by_parameter, _ = replace(states, hung=hung).derivatives(setting, prior.robot, prior.order, 1.0)
+        twist, by_parameter, _ = replace(states, hung=hung).derivatives(robot_in_cell, prior.robot, prior.order, 1.0)
         down = -rotation[:, :, 2]
         columns = np.zeros((len(places), size))
         slopes = np.einsum("nk,nkp->np", down, by_parameter[:, :3])
@@ -489,7 +489,7 @@ def weighed(
 
 
 def choose(
-    found: Candidates, prior: Prior, setting: RobotInCell, tests: Tests, count: int, weighed: Array | float = 0.0
+    found: Candidates, prior: Prior, robot_in_cell: RobotInCell, tests: Tests, count: int, weighed: Array | float = 0.0
 ) -> Design:
     """Choose features.
 
@@ -497,7 +497,7 @@ def choose(
     :param weighed: information that there is without features, see `weighed`.
     """
     unknowns = found.information.shape[1]
-    criterion = Criterion.of(prior, setting, tests, unknowns)
+    criterion = Criterion.of(prior, robot_in_cell, tests, unknowns)
     start = _prior_information(prior, unknowns) + weighed
     chosen: list[int] = []
     whole = start
@@ -523,20 +523,28 @@ def choose(
                 chosen[place], changed = best, True
         if not changed:
             break
-    return evaluated(found, prior, setting, tests, np.array(chosen, dtype=np.int64), weighed)
+    return evaluated(found, prior, robot_in_cell, tests, np.array(chosen, dtype=np.int64), weighed)
 
 
 def evaluated(
-    found: Candidates, prior: Prior, setting: RobotInCell, tests: Tests, chosen: Ints, weighed: Array | float = 0.0
+    found: Candidates,
+    prior: Prior,
+    robot_in_cell: RobotInCell,
+    tests: Tests,
+    chosen: Ints,
+    weighed: Array | float = 0.0,
 ) -> Design:
     """Return a part of chosen features, with what it promises."""
     unknowns = found.information.shape[1]
-    criterion = Criterion.of(prior, setting, tests, unknowns)
+    criterion = Criterion.of(prior, robot_in_cell, tests, unknowns)
     start = _prior_information(prior, unknowns)
     whole = start + found.information[chosen].sum(axis=0)
     alone, after = np.linalg.inv(whole), np.linalg.inv(whole + weighed)
     size = len(prior.parameters) + 1
-    own = tests.states.twist(setting, prior.robot, 1.0)[:, :3] - tests.states.twist(setting, prior.robot, 0.0)[:, :3]
+    own = (
+        tests.states.twist(robot_in_cell, prior.robot, 1.0)[:, :3]
+        - tests.states.twist(robot_in_cell, prior.robot, 0.0)[:, :3]
+    )
     if not len(chosen):
         raise MeasurementError("no feature was chosen", file="--block", advice="Give a larger block.")
     return Design(

@@ -291,7 +291,7 @@ class _Linear(Struct, frozen=True, eq=False):
 
 
 def linearised(
-    prior: Prior, readings: Readings, states: States, setting: RobotInCell, z: Array, scale: float
+    prior: Prior, readings: Readings, states: States, robot_in_cell: RobotInCell, z: Array, scale: float
 ) -> _Linear:
     """Return predicted deviations and their derivatives at values of the unknowns.
 
@@ -299,7 +299,7 @@ def linearised(
     """
     robot = prior.moved(z)
     try:
-        twist, by_parameter, by_scale = states.derivatives(setting, robot, prior.order, scale)
+        twist, by_parameter, by_scale = states.derivatives(robot_in_cell, robot, prior.order, scale)
     except NotConvergedError as cause:
         raise MeasurementError(f"no equilibrium under the cutting forces: {cause}", file=readings.probed.file) from None
     value, weight = readings.where.deviation(twist)
@@ -312,7 +312,7 @@ def linearised(
 def fit(
     prior: Prior,
     readings: Readings,
-    setting: RobotInCell,
+    robot_in_cell: RobotInCell,
     states: Callable[[RobotModel, float], States],
 ) -> tuple[Fit, tuple[str, ...]]:
     """Fit the model, leave out gross errors, and hold parameters that the part does not determine.
@@ -327,11 +327,11 @@ def fit(
     left_out: list[str] = []
     most = int(_MOST_OUTLIERS * len(readings.probed))
     here = states(prior.robot, 1.0)
-    _check_size(readings, linearised(prior, readings, here, setting, z, scale))
+    _check_size(readings, linearised(prior, readings, here, robot_in_cell, z, scale))
     at_prior = None
     rows, change = np.arange(len(readings.probed)), np.inf
     for _ in range(_ROUNDS):
-        local, z, scale, gamma = _solved(prior, readings, here, setting, z, scale, free)
+        local, z, scale, gamma = _solved(prior, readings, here, robot_in_cell, z, scale, free)
         # with the γ that a gross error makes, it would not be seen
         error, variance = _left_out(readings, local, _GAMMA, whole, z, scale)
         size = np.abs(error) / np.sqrt(variance)
@@ -350,8 +350,8 @@ def fit(
             continue
         here = states(prior.moved(z), scale).take(rows)
         if at_prior is None:  # the tool of the prior model deflects by nearly as much
-            at_prior = linearised(prior, readings, here, setting, np.zeros_like(z), 1.0), rows
-        again = linearised(prior, readings, here, setting, z, scale).value
+            at_prior = linearised(prior, readings, here, robot_in_cell, np.zeros_like(z), 1.0), rows
+        again = linearised(prior, readings, here, robot_in_cell, z, scale).value
         change = float(np.sqrt(np.mean((again - local.value) ** 2)))
         if change < _SETTLED:
             break
@@ -425,13 +425,13 @@ def _of_light(readings: Readings, moved: Array) -> Array:
 
 
 def _solved(
-    prior: Prior, readings: Readings, states: States, setting: RobotInCell, z: Array, scale: float, free: Bools
+    prior: Prior, readings: Readings, states: States, robot_in_cell: RobotInCell, z: Array, scale: float, free: Bools
 ) -> tuple[_Linear, Array, float, float]:
     """Return the model linearised at the solution for fixed forces, z, the scale and γ there."""
     whole = prior.covariance
     gamma = 0.0
     for _ in range(_ROUNDS):
-        local = linearised(prior, readings, states, setting, z, scale)
+        local = linearised(prior, readings, states, robot_in_cell, z, scale)
         x = np.append(z, scale - 1.0)
         target = readings.probed.deviation - local.value + local.slopes @ x
         gamma = _unmodelled_share(readings, local, whole, target)
@@ -441,7 +441,7 @@ def _solved(
         z, scale = found[:-1], max(1.0 + float(found[-1]), LEAST)
         if float(np.abs(local.slopes @ (found - x)).max()) < _SOLVED:
             break
-    return linearised(prior, readings, states, setting, z, scale), z, scale, gamma
+    return linearised(prior, readings, states, robot_in_cell, z, scale), z, scale, gamma
 
 
 def _unmodelled_share(readings: Readings, local: _Linear, whole: Array, target: Array) -> float:

@@ -90,15 +90,17 @@ def test_the_model_predicts_the_surfaces_of_both_placements(folder):
     cell = trial.postproc.load_cell(folder.parent / "cell.toml")
     for name, number in NUMBERS.items():
         own = trial.msgspec.structs.replace(cell, base=cell.base if number < 0 else cell.base_data[str(number)])
-        setting = trial.RobotInCell.of(trial.ROBOT, own)
+        robot_in_cell = trial.RobotInCell.of(trial.ROBOT, own)
         program = trial.postproc.read_program(folder / name, trial.ROBOT, own)
-        where = surfaces(program, setting, read.take(np.flatnonzero(read.base == number)), 5e-3)
-        parts.append(Clamped(program, setting, trial.ProcessSource(process, own.tool.axis), where))
+        where = surfaces(program, robot_in_cell, read.take(np.flatnonzero(read.base == number)), 5e-3)
+        parts.append(Clamped(program, robot_in_cell, trial.ProcessSource(process, own.tool.axis), where))
     given = Readings(read, Surfaces.joined([part.where for part in parts]), trial.SIGMA)
-    prior = Prior.of(setting.robot, 0.1)
+    prior = Prior.of(robot_in_cell.robot, 0.1)
     states = forces_of(parts)
-    states(setting.robot, 1.0)
-    found = linearised(prior, given, states(setting.robot, 1.0), setting, np.zeros(len(prior.parameters)), 1.0)
+    states(robot_in_cell.robot, 1.0)
+    found = linearised(
+        prior, given, states(robot_in_cell.robot, 1.0), robot_in_cell, np.zeros(len(prior.parameters)), 1.0
+    )
     off = found.value - read.deviation
     for number in NUMBERS.values():
         here = read.base == number

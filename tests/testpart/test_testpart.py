@@ -77,11 +77,15 @@ def cut(folder):
 
 def readings(folder, name):
     program = trial.postproc.read_program(folder / "testpart.nc", trial.ROBOT, trial.CELL)
-    setting = trial.RobotInCell.of(trial.ROBOT, trial.CELL)
+    robot_in_cell = trial.RobotInCell.of(trial.ROBOT, trial.CELL)
     read = probing.read(folder / name)
-    where = surfaces(program, setting, read, 5e-3)
+    where = surfaces(program, robot_in_cell, read, 5e-3)
     source = ProcessSource(machining.load(folder / "testpart.process.toml"), trial.CELL.tool.axis)
-    return Readings(read, where, trial.SIGMA), setting, lambda: forces_of([Clamped(program, setting, source, where)])
+    return (
+        Readings(read, where, trial.SIGMA),
+        robot_in_cell,
+        lambda: forces_of([Clamped(program, robot_in_cell, source, where)]),
+    )
 
 
 def identify(folder, *options, code=0):
@@ -106,12 +110,12 @@ def test_the_model_predicts_the_surfaces_that_the_simulator_cuts(folder):
     arm = WholeArm((trial.FOLDER / "robot.urdf").read_text(), trial.content())
     exact = trial.machine(arm).probed((folder / "testpart.nc").read_text(), (folder / "probing.csv").read_text())
     (folder / "exact.csv").write_text(exact)
-    given, setting, states = readings(folder, "exact.csv")
-    prior = Prior.of(setting.robot, 0.1)
+    given, robot_in_cell, states = readings(folder, "exact.csv")
+    prior = Prior.of(robot_in_cell.robot, 0.1)
     zero = np.zeros(len(prior.parameters))
     states = states()
-    states(setting.robot, 1.0)
-    found = linearised(prior, given, states(setting.robot, 1.0), setting, zero, 1.0)
+    states(robot_in_cell.robot, 1.0)
+    found = linearised(prior, given, states(robot_in_cell.robot, 1.0), robot_in_cell, zero, 1.0)
     off = found.value - given.probed.deviation
     assert np.abs(given.probed.deviation).max() > 3e-4
     assert np.sqrt(np.mean(off**2)) < 4e-6
@@ -200,8 +204,8 @@ def test_a_gross_error_is_named_and_left_out(folder, cut):
     fields = rows[4].split(",")
     rows[4] = ",".join([*fields[:-1], f"{float(fields[-1]) + 0.2:.5f}"])
     (folder / "wrong.csv").write_text("\n".join(rows) + "\n")
-    given, setting, states = readings(folder, "wrong.csv")
-    found, left_out = fit(Prior.of(setting.robot, 0.1), given, setting, states())
+    given, robot_in_cell, states = readings(folder, "wrong.csv")
+    found, left_out = fit(Prior.of(robot_in_cell.robot, 0.1), given, robot_in_cell, states())
     assert left_out == (fields[0],)
     assert found.gamma < 0.02
 
@@ -214,18 +218,18 @@ def test_deviations_of_another_sign_or_unit_are_named(folder, cut, factor, advic
     rows = [line.rpartition(",") for line in (folder / "probed.csv").read_text().splitlines()]
     head, body = "".join(rows[0]), [f"{place},{factor * float(value):.5f}" for place, _, value in rows[1:]]
     (folder / "mistaken.csv").write_text("\n".join([head, *body]) + "\n")
-    given, setting, states = readings(folder, "mistaken.csv")
+    given, robot_in_cell, states = readings(folder, "mistaken.csv")
     with pytest.raises(MeasurementError, match=r"times what the model predicts") as error:
-        fit(Prior.of(setting.robot, 0.1), given, setting, states())
+        fit(Prior.of(robot_in_cell.robot, 0.1), given, robot_in_cell, states())
     assert advice in str(error.value)
 
 
 def test_true_values_are_where_the_covariance_says(folder, cut):
     """Compliances and scale of the simulated robot: 99.9 % are nearer than this to the values found (χ² of 8)."""
     _, scale = cut
-    given, setting, states = readings(folder, "probed.csv")
-    prior = Prior.of(setting.robot, 0.1)
-    found, _ = fit(prior, given, setting, states())
+    given, robot_in_cell, states = readings(folder, "probed.csv")
+    prior = Prior.of(robot_in_cell.robot, 0.1)
+    found, _ = fit(prior, given, robot_in_cell, states())
     true = prior.values.copy()
     for k, parameter in enumerate(prior.parameters):
         if isinstance(parameter, robot.JointCompliance):
@@ -261,8 +265,8 @@ def test_compare_says_that_it_is_blind_to_a_common_factor_if_the_forces_are_of_a
 
 
 def test_forces_far_from_their_prior_are_a_warning(folder, cut):
-    given, setting, states = readings(folder, "probed.csv")
-    found, left_out = fit(Prior.of(setting.robot, 0.1), given, setting, states())
+    given, robot_in_cell, states = readings(folder, "probed.csv")
+    found, left_out = fit(Prior.of(robot_in_cell.robot, 0.1), given, robot_in_cell, states())
     for scale, doubt in ((1.29, False), (1.31, True), (0.69, True), (0.71, False)):
         data = summary(msgspec.structs.replace(found, scale=scale), left_out)
         assert any("more than three standard deviations" in text for text in data.warnings) == doubt
@@ -272,11 +276,11 @@ def test_forces_far_from_their_prior_are_a_warning(folder, cut):
 
 def test_a_factor_is_never_below_zero(folder, cut):
     """A prior that is sure and far too large: the change is a factor of the compliance, and more than none."""
-    given, setting, states = readings(folder, "probed.csv")
-    prior = Prior.of(setting.robot, 0.1)
+    given, robot_in_cell, states = readings(folder, "probed.csv")
+    prior = Prior.of(robot_in_cell.robot, 0.1)
     less = np.full(len(prior.parameters) + 1, 0.01)
     sure = msgspec.structs.replace(prior, covariance=prior.covariance * np.outer(less, less))
-    found, _ = fit(sure.widened(), given, setting, states())
+    found, _ = fit(sure.widened(), given, robot_in_cell, states())
     off = msgspec.structs.replace(found, missed=-20.0 * found.before)
     compared = agreement(off, sure)
     assert not compared.holds
@@ -285,16 +289,17 @@ def test_a_factor_is_never_below_zero(folder, cut):
 
 
 def test_derivatives_are_those_of_finite_differences(folder, cut):
-    given, setting, states = readings(folder, "probed.csv")
-    prior = Prior.of(setting.robot, 0.1)
-    at = states()(setting.robot, 1.0)
+    given, robot_in_cell, states = readings(folder, "probed.csv")
+    prior = Prior.of(robot_in_cell.robot, 0.1)
+    at = states()(robot_in_cell.robot, 1.0)
     sigma = prior.sigma[:-1]
     z = 0.2 * sigma
-    slopes = linearised(prior, given, at, setting, z, 1.1).slopes
+    slopes = linearised(prior, given, at, robot_in_cell, z, 1.1).slopes
     for k in range(len(z) + 1):
         step = np.append(sigma, 1.0) * 0.02 * (np.arange(len(z) + 1) == k)
         more, less = (
-            linearised(prior, given, at, setting, z + sign * step[:-1], 1.1 + sign * step[-1]).value for sign in (1, -1)
+            linearised(prior, given, at, robot_in_cell, z + sign * step[:-1], 1.1 + sign * step[-1]).value
+            for sign in (1, -1)
         )
         expected = (more - less) / (2.0 * step[k])
         solved = 1e-9 / step[k]  # what the equilibrium is known to
@@ -302,10 +307,10 @@ def test_derivatives_are_those_of_finite_differences(folder, cut):
 
 
 def test_the_chosen_part_is_better_than_parts_at_random(folder):
-    (found, prior, setting, tests, *_), chosen = CHOICE
+    (found, prior, robot_in_cell, tests, *_), chosen = CHOICE
     rng = np.random.default_rng(1)
     others = [trial.at_random(found, chosen.seconds, rng) for _ in range(60)]
-    assert chosen.after < min(design.evaluated(found, prior, setting, tests, other).after for other in others)
+    assert chosen.after < min(design.evaluated(found, prior, robot_in_cell, tests, other).after for other in others)
 
 
 def test_what_the_tool_does_not_make_is_refused(folder):

@@ -43,8 +43,10 @@ def robots(tmp_path_factory):
     )
     part = trial.part(folder, box=BLOCK, count=4)
     path = trial.probed(part, arm, rng, SCALE)
-    setting, law = RobotInCell.of(tracked, trial.CELL), part.process.law()
-    together = trial.fitted(part, path, Prior.of(setting.robot, law.sigma, law.numbers), setting, part.process)
+    robot_in_cell, law = RobotInCell.of(tracked, trial.CELL), part.process.law()
+    together = trial.fitted(
+        part, path, Prior.of(robot_in_cell.robot, law.sigma, law.numbers), robot_in_cell, part.process
+    )
     return arm, tracked, trial.identified(part, path), together, part, folder
 
 

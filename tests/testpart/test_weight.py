@@ -53,11 +53,11 @@ def test_the_gauge_reads_what_the_independent_arm_deflects_under_the_weight(part
         tuple(names), np.array(line), np.array(t), points, down, np.array(exact), np.array(mass), ("",) * 3,
         np.full(3, -1), np.arange(3) + 2, "x",
     )  # fmt: skip
-    where = surfaces(only(part), part.setting, read, 0.005)
+    where = surfaces(only(part), part.robot_in_cell, read, 0.005)
     source = trial.ProcessSource(part.process, trial.CELL.tool.axis)
-    states = forces_of([Clamped(only(part), part.setting, source, where)])(part.setting.robot, 1.0)
+    states = forces_of([Clamped(only(part), part.robot_in_cell, source, where)])(part.robot_in_cell.robot, 1.0)
     given = Readings(read, where, trial.SIGMA)
-    found = linearised(part.prior, given, states, part.setting, np.zeros(len(part.prior.parameters)), 1.0)
+    found = linearised(part.prior, given, states, part.robot_in_cell, np.zeros(len(part.prior.parameters)), 1.0)
     assert min(exact) > 5e-5
     np.testing.assert_allclose(found.value, exact, atol=2e-7)
     np.testing.assert_array_equal(found.slopes[:, -1], 0.0)  # the cutting forces have no part in it
@@ -82,7 +82,7 @@ def test_the_weight_tells_forces_from_compliances(part):
 
 def test_the_weight_shows_changes_of_joint_2_that_cutting_hides(part):
     tests = design.tests_in_block(part.found)
-    without = design.evaluated(part.found, part.prior, part.setting, tests, part.chosen.chosen)
+    without = design.evaluated(part.found, part.prior, part.robot_in_cell, tests, part.chosen.chosen)
     (k2,) = [k for k, parameter in enumerate(part.prior.parameters) if parameter.name == "k2"]
     assert part.chosen.change[k2] < 0.3 < 0.6 < without.change[k2]
     said = [" ".join(design_lines(each, part.prior, part.cutting, part.made)) for each in (part.chosen, without)]
@@ -92,7 +92,7 @@ def test_the_weight_shows_changes_of_joint_2_that_cutting_hides(part):
 
 def test_the_position_of_the_part_does_not_move_the_gauge(part):
     read = probing.read(trial.probed(part, trial.truth(np.random.default_rng(1)), np.random.default_rng(1)))
-    where = surfaces(only(part), part.setting, read, 0.005)
+    where = surfaces(only(part), part.robot_in_cell, read, 0.005)
     added = Readings(read, where, trial.SIGMA).by_part()
     hung = read.mass > 0.0
     assert hung.sum() == 3
@@ -107,7 +107,7 @@ def test_a_weight_on_a_cutting_move_is_refused(part):
     rows[1] = ",".join([*fields[:-2], "0.01", "12"])
     (part.folder / "wrong.csv").write_text("\n".join(rows) + "\n")
     with pytest.raises(MeasurementError, match="is not one rapid move"):
-        surfaces(only(part), part.setting, probing.read(part.folder / "wrong.csv"), 0.005)
+        surfaces(only(part), part.robot_in_cell, probing.read(part.folder / "wrong.csv"), 0.005)
     rows[1] = ",".join([*fields[:-2], "0.01", "-3"])
     (part.folder / "wrong.csv").write_text("\n".join(rows) + "\n")
     with pytest.raises(MeasurementError, match="mass_kg is not between"):

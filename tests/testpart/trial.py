@@ -61,14 +61,14 @@ def part(folder, box=((0, 300), (0, 200), (-40, 0)), count=12, resolution=0.5, d
         base = Frame(**dict(zip("XYZA", map(float, place), strict=True)))
         cells[features.Placement(str(number))] = msgspec.structs.replace(CELL, base=base)
     settings = tuple(RobotInCell.of(ROBOT, cell) for cell in cells.values())
-    setting = settings[0]
-    prior = Prior.of(setting.robot, process.law().sigma)
+    robot_in_cell = settings[0]
+    prior = Prior.of(robot_in_cell.robot, process.law().sigma)
     cutting = features.Cutting(0.01, 6000.0, 0.06 * 3 * 6000 / 60e3, 1, 0.0)
     found, cutting = design.candidates(prior, settings, process, cutting, depth, Box(*box), SIGMA)
     low, high = (1e-3 * np.array([span[k] for span in box]) for k in (0, 1))
     hung = features.hanging_places(low, high, cutting.top) if mass else np.zeros((0, 3))
     weighed = design.weighed(prior, settings, cutting, mass, hung, SIGMA)
-    chosen = design.choose(found, prior, setting, design.tests_in_block(found), count, weighed)
+    chosen = design.choose(found, prior, robot_in_cell, design.tests_in_block(found), count, weighed)
     made, programs = {}, {}
     for number, (placement, cell) in enumerate(cells.items()):
         own = [chosen.features[k] for k in np.flatnonzero(chosen.placement == number)]
@@ -80,8 +80,8 @@ def part(folder, box=((0, 300), (0, 200), (-40, 0)), count=12, resolution=0.5, d
         programs[placement] = postproc.read_program(folder / placement.name, ROBOT, cell)
     (folder / "probing.csv").write_bytes(probing.table(made))
     return SimpleNamespace(
-        folder=folder, process=process, setting=setting, prior=prior, cutting=cutting, found=found, chosen=chosen,
-        made=made, programs=programs, cells=cells,
+        folder=folder, process=process, robot_in_cell=robot_in_cell, prior=prior, cutting=cutting, found=found,
+        chosen=chosen, made=made, programs=programs, cells=cells,
     )  # fmt: skip
 
 
@@ -139,23 +139,23 @@ def probed(part, arm, rng, scale=1.0, sigma=1e3 * SIGMA):
 
 
 def identified(part, path):
-    return fitted(part, path, part.prior, part.setting, part.process)
+    return fitted(part, path, part.prior, part.robot_in_cell, part.process)
 
 
-def fitted(part, path, prior, setting, process):
-    read, parts = probing.read(path), clamped(part, path, setting.robot, process)
+def fitted(part, path, prior, robot_in_cell, process):
+    read, parts = probing.read(path), clamped(part, path, robot_in_cell.robot, process)
     where = Surfaces.joined([each.where for each in parts])
-    return fit(prior, Readings(read, where, SIGMA), setting, forces_of(parts))
+    return fit(prior, Readings(read, where, SIGMA), robot_in_cell, forces_of(parts))
 
 
 def clamped(part, path, robot, process):
     """Return the programs of all placements of the block, for points that are in their order."""
     read, parts = probing.read(path), []
     for placement, program in part.programs.items():
-        setting = RobotInCell.of(robot, part.cells[placement])
+        robot_in_cell = RobotInCell.of(robot, part.cells[placement])
         rows = np.flatnonzero(read.base == int(placement.number or -1))
-        where = surfaces(program, setting, read.take(rows), 0.5 * part.cutting.diameter)
-        parts.append(Clamped(program, setting, ProcessSource(process, CELL.tool.axis), where))
+        where = surfaces(program, robot_in_cell, read.take(rows), 0.5 * part.cutting.diameter)
+        parts.append(Clamped(program, robot_in_cell, ProcessSource(process, CELL.tool.axis), where))
     return parts
 
 
@@ -164,9 +164,9 @@ def compared(part, path, robot):
     process = msgspec.structs.replace(
         part.process, material=machining.material.MaterialTable(file=str(part.folder / "found" / "material.toml"))
     )
-    setting, law = RobotInCell.of(robot, CELL), process.law()
-    prior = Prior.of(setting.robot, law.sigma, law.numbers)
-    return agreement(fitted(part, path, prior.widened(), setting, process)[0], prior)
+    robot_in_cell, law = RobotInCell.of(robot, CELL), process.law()
+    prior = Prior.of(robot_in_cell.robot, law.sigma, law.numbers)
+    return agreement(fitted(part, path, prior.widened(), robot_in_cell, process)[0], prior)
 
 
 DRIFTS = ({}, {}, {"A1": 1.3}, {"A2": 1.3}, {"A3": 1.3}, dict.fromkeys(JOINTS, 1.3), dict.fromkeys(JOINTS, 0.77))
@@ -241,7 +241,7 @@ def worth(part, seed, kind="joints"):
     found, left_out = identified(part, probed(part, arm, rng, scale))
     q, force = jobs(rng)
     true = deflections(arm, q, scale * force)
-    before = np.linalg.norm(predicted(part.setting.robot, q, force) - true, axis=1)
+    before = np.linalg.norm(predicted(part.robot_in_cell.robot, q, force) - true, axis=1)
     after = np.linalg.norm(predicted(found.robot, q, found.scale * force) - true, axis=1)
     own, law = model(found, part.process, part.folder)
     limit = bound(own, law, q, found.scale * force)
