@@ -44,7 +44,7 @@ class Columns(Struct, frozen=True, eq=False):
 
 
 class Runs(Struct, frozen=True, eq=False):
-    """An array of N rows, indexed like one, of which rows that equal the one before are not kept.
+    """An array of N rows, indexed like one, of which rows that equal the one before (NaN too) are not kept.
 
     :param values: (R, ...) first row of each run of equal rows.
     :param run: (N,) run of each row.
@@ -66,12 +66,24 @@ class Runs(Struct, frozen=True, eq=False):
         for part in chunks(len(array)):
             start = max(part.start, 1)
             own = array[start : part.stop]
-            begins[start : part.stop] = (own != array[start - 1 : start - 1 + len(own)]).any(axis=1)
+            before = array[start - 1 : start - 1 + len(own)]
+            begins[start : part.stop] = ((own != before) & ~(np.isnan(own) & np.isnan(before))).any(axis=1)
+        if np.count_nonzero(begins) == 1:
+            return cls(array[:1].copy(), np.broadcast_to(np.int32(0), (len(array),)))
         return cls(array[begins], np.cumsum(begins, dtype=np.int32) - 1)
 
     def take(self, rows: Any) -> NDArray[np.float64]:
         """Return some of the rows."""
         return np.asarray(self.values.take(self.run[rows], axis=0))
+
+    def of_rows(self, rows: Any) -> Runs:
+        """Return some of the rows in this form."""
+        return Runs(self.values, self.run[rows])
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the array."""
+        return len(self.run), *self.values.shape[1:]
 
     def __len__(self) -> int:
         return len(self.run)
@@ -84,13 +96,37 @@ class Runs(Struct, frozen=True, eq=False):
         return np.asarray(self[:], dtype)
 
 
+class Computed(Struct, frozen=True, eq=False):
+    """Rows of an array that are computed each time they are indexed, and take no memory.
+
+    :param row: (n,) the rows.
+    :param of: returns some of them (m, ...).
+    """
+
+    row: NDArray[np.int64]
+    of: Callable[[NDArray[np.int64]], NDArray[np.float64]]
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+    def __getitem__(self, key: Any) -> NDArray[np.float64]:
+        return self.of(self.row[key])
+
+
+def rows_of(array: NDArray[Any], rows: NDArray[Any]) -> NDArray[Any]:
+    """Return rows (n,) of an array, in increasing order; without a copy if they follow one another."""
+    if len(rows) and rows[-1] - rows[0] == len(rows) - 1:
+        return array[rows[0] : rows[-1] + 1]
+    return np.asarray(array.take(rows, axis=0))
+
+
 def chunks(count: int) -> Iterator[slice]:
     """Yield the rows of each chunk of `count` rows; one, empty, for none."""
     return (slice(start, start + _ROWS) for start in range(0, max(1, count), _ROWS))
 
 
 def in_chunks(
-    function: Callable[..., tuple[NDArray[Any], ...]], first: NDArray[Any], *others: NDArray[Any]
+    function: Callable[..., tuple[NDArray[Any], ...]], first: NDArray[Any] | Computed, *others: NDArray[Any] | Computed
 ) -> tuple[NDArray[Any], ...]:
     """Return `function(first, *others)`, worked on in chunks of the arrays' first axis.
 

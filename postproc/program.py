@@ -15,6 +15,7 @@ from msgspec import Struct, field
 from msgspec.structs import force_setattr
 from numpy.typing import NDArray
 
+from postproc.chunks import Runs
 from postproc.errors import ForceError, Issue, Level, ProgramError
 from postproc.frames import Array, inverse, norm, rotation_from_vector
 from postproc.poses import Poses, as_poses
@@ -56,7 +57,8 @@ class Motions(Struct, frozen=True, eq=False):
     :param line: (M,) 1-based line of the (first) document that makes the motion.
     :param target: M poses of the tool frame in `$BASE` at the end (for axis targets: by the controller's forward
         kinematics); an array (M, 4, 4) of a reader becomes `Poses`.
-    :param joints: (M, 6) end in joint angles, KUKA signs, for axis targets (PTP {A1 …}); NaN elsewhere.
+    :param joints: (M, 6) end in joint angles, KUKA signs, for axis targets (PTP {A1 …}); NaN elsewhere. An array
+        becomes `Runs`.
     :param centre: (M, 3) centre of the arc at the start's height, `$BASE`; NaN unless CIRC.
     :param normal: (M, 3) unit axis of the arc, `$BASE`; NaN unless CIRC.
     :param sweep: (M,) angle turned about `normal` (right hand, > 0); NaN unless CIRC. A helix rises along
@@ -75,7 +77,7 @@ class Motions(Struct, frozen=True, eq=False):
     rapid: Bools
     line: Ints
     target: Poses
-    joints: Array
+    joints: Runs
     centre: Array
     normal: Array
     sweep: Array
@@ -89,6 +91,7 @@ class Motions(Struct, frozen=True, eq=False):
 
     def __post_init__(self) -> None:
         force_setattr(self, "target", as_poses(self.target))
+        force_setattr(self, "joints", Runs.of(self.joints))
 
     def __len__(self) -> int:
         return len(self.line)
@@ -283,10 +286,14 @@ class Starts(Struct, frozen=True, eq=False):
     def at(self, motion: Ints) -> Array:
         """Return the tool frames (n, 4, 4) at the start of motions (n,), in their `$BASE` [m]."""
         out = self.end(motion - 1)
-        place = np.searchsorted(self.changed, motion)
-        own = np.append(self.changed, -1)[place] == motion
+        place, own = self.changed_among(motion)
         out[own] = self.pose[place[own]]
         return out
+
+    def changed_among(self, motion: Ints) -> tuple[Ints, Bools]:
+        """Return the place (n,) of motions in `changed`, and which (n,) have one."""
+        place = np.searchsorted(self.changed, motion)
+        return place, np.append(self.changed, -1)[place] == motion
 
 
 ForceFrame = Literal["BASE", "TOOL", "FEED"]

@@ -76,7 +76,7 @@ class PlacedProgram(Struct, frozen=True, eq=False, dict=True):
         """Return the Cartesian targets in the root, displaced by offsets (n, 3) in their `$BASE` [m]."""
         m, rows = self.program.motions, self.rows
         pose = m.target[rows]
-        step = np.where(m.kind[rows] == PTP, norm(pose[:, :3, 3] - self.path.begin[rows]), self.path.length[rows])
+        step = np.where(m.kind[rows] == PTP, norm(pose[:, :3, 3] - self.path.begin(rows)), self.path.length[rows])
         pose[:, :3, 3] += offset
         position = toolpath.pose_in_root(self.program, rows, pose, None)[:, :3, 3]
         return Track(position, step, m.kind[rows] == PTP, self.continued[rows])

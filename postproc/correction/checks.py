@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from postproc import elastostatics, kinematics
-from postproc.chunks import Runs
+from postproc.chunks import Computed, Runs, in_chunks
 from postproc.errors import Issue, Level
 from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array, largest, norm, rotation_vector, twist_between
 from postproc.kinematics import JointPath
@@ -329,7 +329,7 @@ def blending(program: Program, motion: Ints, more: Array, tolerance: float) -> I
 
 
 def beyond_measured(
-    program: Program, robot: RobotModel, motion: Ints, q: Array, tool: Array, wrench: Array
+    program: Program, robot: RobotModel, motion: Ints, q: Array | Computed, tool: Array, wrench: Array | Computed
 ) -> Iterator[Issue]:
     """Yield warnings for loads with more torque on a joint than the measurements of the model had.
 
@@ -340,8 +340,12 @@ def beyond_measured(
     """
     if robot.measured is None:
         return
-    _, jacobian = kinematics.tcp(robot.actual, elastostatics.coordinates(robot, q), tool)
-    torque = np.abs(np.einsum("kij,ki->kj", jacobian, wrench))[:, list(robot.actuated)]
+
+    def torques(q: Array, tool: Array, wrench: Array) -> tuple[Array]:
+        _, jacobian = kinematics.tcp(robot.actual, elastostatics.coordinates(robot, q), tool)
+        return (np.abs(np.einsum("kij,ki->kj", jacobian, wrench))[:, list(robot.actuated)],)
+
+    torque = in_chunks(torques, q, np.broadcast_to(tool, (len(q), 4, 4)), wrench)[0]
     beyond = torque > _BEYOND * robot.measured.torque
     for joint in np.flatnonzero(beyond.any(axis=0)).tolist():
         message = (

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from postproc import elastostatics, forces, kinematics, placement, toolpath
 from postproc.cell import Cell
-from postproc.chunks import in_chunks
+from postproc.chunks import Computed, in_chunks, rows_of
 from postproc.correction import checks, collisions, inspection
 from postproc.correction.result import Doubt, Mode, Result, doubtful
 from postproc.correction.targets import Chosen, CommandedPath, Commands, choose_targets, pieces_needed
@@ -28,7 +28,7 @@ from postproc.forces import Axes, ForceSource, Knots
 from postproc.frames import Array, norm, xyzabc_from_pose
 from postproc.placement import Turn
 from postproc.poses import Poses
-from postproc.program import CIRC, Document, Ints, Program, TargetForces, TargetJoints, Written, read_only
+from postproc.program import CIRC, Bools, Document, Ints, Program, TargetForces, TargetJoints, Written, read_only
 from postproc.robot import RobotModel
 from postproc.toolpath import Pieces
 from postproc.under_load import (
@@ -45,7 +45,8 @@ _NO_BALANCE = "no loaded equilibrium: the pose is singular or the load too large
 
 def as_programmed(path: PathUnderLoad) -> Commands:
     """Return the uncorrected commands of the program; poses in `$BASE`."""
-    return Commands(path.joints.q, path.sample.pose, np.zeros((len(path), path.robot_in_cell.robot.actual.nv)))
+    theta = np.broadcast_to(0.0, (len(path), path.robot_in_cell.robot.actual.nv))
+    return Commands(path.joints.q, path.sample.pose, theta)
 
 
 def corrected(path: PathUnderLoad) -> Commands:
@@ -67,7 +68,7 @@ def corrected(path: PathUnderLoad) -> Commands:
         unchanged = as_programmed(path)
         pose = unchanged.pose
         angles = pose.xyzabc(slice(None))[:, 3:]
-        whole = unchanged.q.copy(), pose.position.copy(), angles, unchanged.theta
+        whole = unchanged.q.copy(), pose.position.copy(), angles, unchanged.theta.copy()
         for array, part in zip(whole, found, strict=True):
             array[movable] = part
         found = whole
@@ -75,25 +76,25 @@ def corrected(path: PathUnderLoad) -> Commands:
     return Commands(q, Poses(position, angles), theta)
 
 
-def uncorrected(path: PathUnderLoad, rows: Ints, theta: Array) -> tuple[Array, ...]:
+def uncorrected(path: PathUnderLoad, rows: Ints, theta: Array) -> tuple[Array, Array, Array | None]:
     """Return the deviation and displacement of the tool at samples (n,) without correction, `$BASE` [m].
 
     :param theta: (N, nv) approximate deflections of the springs: start values.
     :returns: (n, 3) deviation of the tip from nominal; (n, 3) its displacement by the wrench alone; (n, 3) of that,
-        the deflection of holder, spindle and tool.
+        the deflection of holder, spindle and tool, or None if they are rigid.
     :raises ImpossiblePathError: there is no equilibrium somewhere.
     """
+    rigid, rest_is_nominal = path.robot_in_cell.tool_spring is None, path.robot_in_cell.rest_is_nominal
 
-    def in_chunk(row: Ints) -> tuple[Array, Array, Array]:
-        q, wrench = path.joints.q.take(row, axis=0), path.wrench_in_root(row)
-        tip, by_tool = path.tip_in_base(row, q, wrench, theta.take(row, axis=0))
+    def in_chunk(row: Ints) -> tuple[Array, ...]:
+        q, wrench, guess = path.joints.q.take(row, axis=0), path.wrench_in_root(row), theta.take(row, axis=0)
+        tip, by_tool = path.tip_in_base(row, q, wrench, guess)
         deviation = tip - path.sample.pose[row, :3, 3]
-        if path.robot_in_cell.rest_is_nominal:
-            return deviation, deviation, by_tool
-        rest, _ = path.tip_in_base(row, q, np.zeros_like(wrench), theta[row])
-        return deviation, tip - rest, by_tool
+        by_wrench = () if rest_is_nominal else (tip - path.tip_in_base(row, q, np.zeros_like(wrench), guess)[0],)
+        return (deviation, *by_wrench) if rigid else (deviation, *by_wrench, by_tool)
 
-    return _balanced(path, in_chunk, rows)
+    found = _balanced(path, in_chunk, rows)
+    return found[0], found[0 if rest_is_nominal else 1], None if rigid else found[-1]
 
 
 def _balanced(path: PathUnderLoad, function: Callable[[Ints], tuple[Array, ...]], rows: Ints) -> tuple[Array, ...]:
@@ -230,11 +231,13 @@ def result_of(task: Task, draft: Draft) -> Result:
     """Return the result of a draft; a program that is not written is predicted without correction."""
     path, row, targets, program = draft.path, draft.chosen.row, draft.chosen.targets, draft.path.program
     rows = np.arange(len(path)) if task.mode == "predict" else row
-    without = uncorrected(path, rows, draft.theta)
-    between = float(norm(without[0]).max(initial=0.0))
+    deviation, deflection, by_tool = uncorrected(path, rows, draft.theta)
+    between = float(norm(deviation).max(initial=0.0))
     if task.mode == "predict":
-        without = tuple(each[row] for each in without)
-    deviation, deflection, by_tool = without
+        same = deflection is deviation
+        deviation = rows_of(deviation, row)
+        deflection = deviation if same else rows_of(deflection, row)
+        by_tool = by_tool if by_tool is None else rows_of(by_tool, row)
     turned = _reversals(draft)
     bound, doubt, more = _bound(draft, norm(deviation), turned)
     result = Result(
@@ -248,16 +251,16 @@ def result_of(task: Task, draft: Draft) -> Result:
         output_line=program.motions.line[targets.motion],
         nominal=path.sample.pose if len(row) == len(path) else path.sample.pose.take(row),
         printed=_numbers(task, draft),
-        wrench=path.wrench.take(row),
+        wrench=path.wrench.of_rows(row),
         deflection=deflection,
-        deflection_by_tool=None if path.robot_in_cell.tool_spring is None else by_tool,
+        deflection_by_tool=by_tool,
         deviation_before=deviation,
         deviation_after=deviation,
         bound=bound,
         doubt=doubt if task.mode == "convert" else None,
-        q=_at(draft.q, row),
+        q=rows_of(draft.q, row),
         joint_margin=kinematics.joint_margin(task.robot, draft.q),
-        singular_value=kinematics.smallest_singular_value(task.robot, draft.q[row], path.tool(row)),
+        singular_value=kinematics.smallest_singular_value(task.robot, rows_of(draft.q, row), path.tool(row)),
         between=between,
         rounding=draft.chosen.programmed,
         programmed=draft.chosen.programmed,
@@ -280,11 +283,6 @@ def result_of(task: Task, draft: Draft) -> Result:
         rounding=written.rounding,
         carried=draft.carried,
     )
-
-
-def _at(samples: Array, row: Ints) -> Array:
-    """Return rows (K,) of an array of samples; the array itself, without a copy, if these are all of them."""
-    return samples if len(row) == len(samples) else samples.take(row, axis=0)
 
 
 def _causes(path: PathUnderLoad) -> tuple[str, ...]:
@@ -315,10 +313,16 @@ def _numbers(task: Task, draft: Draft) -> Array:
     return numbers
 
 
+def _loads(draft: Draft) -> tuple[Computed, Array, Computed]:
+    """Return joint angles (K, 6) [rad], tool (4, 4) or (K, 4, 4) [m] and wrench (K, 6) [N, N·m] in the root."""
+    path, row = draft.path, draft.chosen.row
+    return Computed(row, lambda rows: draft.q.take(rows, axis=0)), path.tool(row), Computed(row, path.wrench_in_root)
+
+
 def _reversals(draft: Draft) -> Reversals:
     """Return where joints change the direction of their torque on cutting moves; rows are those of the targets."""
-    path, row = draft.path, draft.chosen.row
-    found = elastostatics.reversals(path.robot_in_cell.robot, draft.q[row], path.tool(row), path.wrench_in_root(row))
+    path = draft.path
+    found = elastostatics.reversals(path.robot_in_cell.robot, *_loads(draft))
     cuts = ~path.program.motions.rapid[draft.chosen.targets.motion[found.row]]
     return Reversals(found.row[cuts], found.before[cuts], found.joint[cuts], found.step[cuts])
 
@@ -331,25 +335,25 @@ def _bound(draft: Draft, corrected: Array, turned: Reversals) -> tuple[Array | N
     """
     path, row = draft.path, draft.chosen.row
     robot = path.robot_in_cell.robot
-    spread = path.motions.forces.spread_at(path.sample.take(row))
-    if spread is not None and robot.covariance is None:
+    if path.motions.forces.spread is not None and robot.covariance is None:
         return None, None, [Issue("info", "no-bound", _NO_BOUND)]
-    in_root = None
-    if spread is not None:
-        halves = toolpath.columns_in_root(path.program, path.sample.motion[row], spread)
-        in_root = np.zeros((len(row), 6, 6))
-        in_root[:, :3, :3], in_root[:, 3:, 3:] = halves[:, 0], halves[:, 1]
-    spring = path.robot_in_cell.tool_spring
-    in_series = None if spring is None else spring.matrices(path.pose_in_root(row)[:, :3, :3])
-    q, wrench, tool = draft.q[row], path.wrench_in_root(row), path.tool(row)
-    issues = list(checks.beyond_measured(path.program, robot, draft.chosen.targets.motion, q, tool, wrench))
+    motion = draft.chosen.targets.motion
+    issues = list(checks.beyond_measured(path.program, robot, motion, *_loads(draft)))
+    if robot.covariance is None:
+        return None, None, issues
     turning = np.zeros((len(row), 6), dtype=bool)
     turning[turned.row, turned.joint] = turning[turned.before, turned.joint] = True
     scaled = path.robot_in_cell.scaled(path.motions.forces, path.sample.motion[row])
-    bound = elastostatics.position_bound(robot, q, tool, wrench, in_root, in_series, turning, scaled)
-    if bound is None:
-        return None, None, issues
-    motion = draft.chosen.targets.motion
+
+    def loaded(row: Ints) -> tuple[Array, Array, Array, Array | None, Array | None]:
+        return draft.q.take(row, axis=0), path.tool(row), path.wrench_in_root(row), *_uncertain(path, row)
+
+    def in_chunk(row: Ints, turning: Bools, scaled: Bools) -> tuple[Array]:
+        found = elastostatics.position_bound(robot, *loaded(row), turning, scaled)
+        assert found is not None
+        return (found,)
+
+    bound = in_chunks(in_chunk, row, turning, scaled)[0]
     if not np.isfinite(bound).all():
         return (
             None,
@@ -361,12 +365,18 @@ def _bound(draft: Draft, corrected: Array, turned: Reversals) -> tuple[Array | N
         return bound, None, issues
     at, level = found
     one = slice(at, at + 1)
-    forces_there, series = (each if each is None else each[one] for each in (in_root, in_series))
-    tool = tool[one] if tool.ndim == 3 else tool
-    source = elastostatics.largest_source(
-        robot, q[one], tool, wrench[one], forces_there, series, turning=turning[one], scaled=scaled[one]
-    )
+    source = elastostatics.largest_source(robot, *loaded(row[one]), turning=turning[one], scaled=scaled[one])
     return bound, Doubt(at, float(bound[at]), level, source), issues
+
+
+def _uncertain(path: PathUnderLoad, row: Ints) -> tuple[Array | None, Array | None]:
+    """Return spread of the wrench and compliance of the tool (n, 6, 6) at samples, root axes; None: there is none."""
+    spread, spring, in_root = path.motions.forces.spread_at(path.sample.take(row)), path.robot_in_cell.tool_spring, None
+    if spread is not None:
+        halves = toolpath.columns_in_root(path.program, path.sample.motion[row], spread)
+        in_root = np.zeros((len(row), 6, 6))
+        in_root[:, :3, :3], in_root[:, 3:, 3:] = halves[:, 0], halves[:, 1]
+    return in_root, None if spring is None else spring.matrices(path.pose_in_root(row)[:, :3, :3])
 
 
 def _carried(draft: Draft, back: ReadBack) -> tuple[Knots | None, tuple[Issue, ...]]:

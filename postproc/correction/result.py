@@ -6,7 +6,9 @@ from typing import Literal
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import force_setattr
 
+from postproc.chunks import Runs
 from postproc.correction.collisions import SmallestClearance
 from postproc.elastostatics import Reversals
 from postproc.errors import Issue
@@ -84,7 +86,7 @@ class Result(Struct, frozen=True, eq=False):
     :param output_line: (K,) line of the written program (of the input for "predict").
     :param nominal: K nominal poses of the tool frame.
     :param printed: (K, 6) X, Y, Z, A, B, C of the command as printed in the written text: mm and degrees.
-    :param wrench: (K, 6) force and moment used.
+    :param wrench: (K, 6) force and moment used; an array becomes `Runs`.
     :param deflection: (K, 3) displacement of the tool tip that the wrench causes at the uncorrected target [m].
     :param deflection_by_tool: (K, 3) share of holder, spindle and tool in `deflection` [m]; None if they are rigid.
     :param deviation_before: (K, 3) predicted tip minus nominal position if nothing is corrected [m].
@@ -120,7 +122,7 @@ class Result(Struct, frozen=True, eq=False):
     output_line: Ints = np.zeros(0, dtype=np.int64)
     nominal: Poses = Poses(np.zeros((0, 3)), np.zeros((0, 3, 3)))
     printed: Array = np.zeros((0, 6))
-    wrench: Array = np.zeros((0, 6))
+    wrench: Runs = Runs.of(np.zeros((0, 6)))
     deflection: Array = np.zeros((0, 3))
     deflection_by_tool: Array | None = None
     deviation_before: Array = np.zeros((0, 3))
@@ -143,6 +145,9 @@ class Result(Struct, frozen=True, eq=False):
     turn: Turn | None = None
     redundancy_deg: float | None = None
 
+    def __post_init__(self) -> None:
+        force_setattr(self, "wrench", Runs.of(self.wrench))
+
     def __len__(self) -> int:
         return len(self.motion)
 
@@ -160,6 +165,11 @@ class Result(Struct, frozen=True, eq=False):
     def rapid(self) -> Bools:
         """(K,) True for moves without cutting force."""
         return np.asarray(self.program.motions.rapid[self.motion])
+
+    @property
+    def force(self) -> Array:
+        """(K,) size of the force used [N]."""
+        return np.asarray(norm(self.wrench.values[:, :3])[self.wrench.run])
 
     @property
     def before(self) -> Array:

@@ -346,7 +346,7 @@ def choose_targets(
     corners, arrive = corners_of_targets(program, targets, commanded.start)
     blend = approximation_distances(program, targets, corners, path.robot_in_cell.cell)
     if not (path.motions.forces.frame == FEED).any():
-        arrive = arrive[:0]
+        arrive = np.zeros((0, 3))
     programmed = programmed_rounding(program, path.motions.segments, motion)
     return Chosen(replace(targets, blend=blend), row, arrive, programmed)
 
@@ -379,8 +379,10 @@ def _unchanged(path: PathUnderLoad, command: Commands) -> tuple[Bools, Bools]:
 def _status_and_turn(program: Program, robot: RobotModel, motion: Ints, q: Array) -> tuple[Ints, Ints]:
     """Return S and T of targets (K,): of PTP, where the program gives them if it keeps its text; else −1."""
     m = program.motions
-    status, turn = np.full(len(motion), -1), np.full(len(motion), -1)
     ptp = np.flatnonzero(m.kind[motion] == PTP)
+    if not len(ptp):
+        return constant(-1, len(motion)), constant(-1, len(motion))
+    status, turn = np.full(len(motion), -1), np.full(len(motion), -1)
     status[ptp], turn[ptp] = kinematics.status_of(robot, q[ptp]), kinematics.turn_of(q[ptp])
     if program.keeps_text:
         for new, given, bits in ((status, m.status[motion], 7), (turn, m.turn[motion], 63)):

@@ -10,7 +10,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc import kinematics, toolpath
-from postproc.chunks import in_chunks
+from postproc.chunks import in_chunks, rows_of
 from postproc.correction import checks, inspection
 from postproc.correction.targets import Chosen, corners_of_motions
 from postproc.dialects import registry
@@ -44,19 +44,14 @@ class ReadBack(Struct, frozen=True, eq=False):
     :param program: as read, without its text.
     :param segments: the geometry of its motions.
     :param row: (K,) motion that ends at each target.
-    :param numbers_of_motions: (M, 6) X, Y, Z, A, B, C of its motions as printed in the text [mm, deg].
+    :param numbers: (K, 6) X, Y, Z, A, B, C of the targets as printed in the text [mm, deg].
     """
 
     text: Written
     program: Program
     segments: Segments
     row: Ints
-    numbers_of_motions: Array
-
-    @property
-    def numbers(self) -> Array:
-        """(K, 6) X, Y, Z, A, B, C of the targets as printed in the text [mm, deg]."""
-        return self.numbers_of_motions[self.row]
+    numbers: Array
 
 
 def read_back(path: PathUnderLoad, chosen: Chosen, text: Written) -> ReadBack:
@@ -81,7 +76,7 @@ def read_back(path: PathUnderLoad, chosen: Chosen, text: Written) -> ReadBack:
     mismatch = _mismatch(path.program, targets, written, row)
     if mismatch is not None:
         raise UnusableTextError(mismatch)
-    numbers = written.numbers_as_written()
+    numbers = rows_of(written.numbers_as_written(), row)
     written = replace(written, documents=(), layout=None)
     if text.size > LARGE_TEXT:
         gc.collect()

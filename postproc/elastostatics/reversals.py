@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from msgspec import Struct
 
-from postproc.chunks import in_chunks
+from postproc.chunks import Computed, in_chunks
 from postproc.elastostatics.balance import Balance, at_rest
 from postproc.frames import Array, norm
 from postproc.program import Bools, Ints
@@ -38,7 +38,7 @@ class Reversals(Struct, frozen=True, eq=False):
     step: Array
 
 
-def reversals(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Reversals:
+def reversals(robot: RobotModel, q: Array | Computed, tool: Array, wrench: Array | Computed) -> Reversals:
     """Return the changes of direction of the joints' torques along a path of N places.
 
     The torque is the sum of load, payload, weights of the links and compensator. Where the model states backlash or
@@ -50,28 +50,28 @@ def reversals(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Revers
     """
     terms = _flanks(robot)
 
-    def in_chunk(q: Array, tool: Array, wrench: Array) -> tuple[Array, Array, Array]:
-        state = at_rest(robot, q, tool, wrench)
-        joints = list(robot.actuated)
-        total = np.broadcast_to(state.torque - state.balanced, state.torque.shape)[joints].T
-        stated = (
-            np.stack([_moving_torque(state, parameter) for parameter, _ in terms], axis=1) if terms else total[:, :0]
-        )
-        lever = norm(np.moveaxis(state.jacobian[:3, joints], 0, -1))  # (6, n)
-        return total, stated, lever.T
-
-    total, stated, lever = in_chunks(in_chunk, q, np.broadcast_to(tool, (len(q), 4, 4)), wrench)
-    rows, before, joints, steps = [], [], [], []
     known = [robot.actuated.index(robot.row(parameter)) for parameter, _ in terms]
-    signals = [(joint, total[:, joint], 0.0, _NO_TORQUE) for joint in range(6) if joint not in known]
-    for joint, torque, (parameter, value) in zip(known, stated.T, terms, strict=True):
-        signals.append((joint, torque, value, parameter.torque))
-    for joint, torque, value, least in signals:
-        first, second = _changes(torque, max(least, _NO_DIRECTION * float(np.abs(torque).max(initial=0.0))))
+    others = [joint for joint in range(6) if joint not in known]
+
+    def torques(q: Array, tool: Array, wrench: Array) -> tuple[Array]:
+        state = at_rest(robot, q, tool, wrench)
+        total = np.broadcast_to(state.torque - state.balanced, state.torque.shape)[[robot.actuated[j] for j in others]]
+        return (np.stack([*total, *(_moving_torque(state, parameter) for parameter, _ in terms)], axis=1),)
+
+    tools = np.broadcast_to(tool, (len(q), 4, 4))
+    torque = in_chunks(torques, q, tools, wrench)[0]
+    rows, before, joints, steps = [], [], [], []
+    signals = [(joint, 0.0, _NO_TORQUE) for joint in others]
+    signals += [(joint, value, parameter.torque) for joint, (parameter, value) in zip(known, terms, strict=True)]
+    for own, (joint, value, least) in zip(torque.T, signals, strict=True):
+        first, second = _changes(own, max(least, _NO_DIRECTION * float(np.abs(own).max(initial=0.0))))
         rows.append(second)
         before.append(first)
         joints.append(np.full(len(second), joint))
-        steps.append(2.0 * value * lever[second, joint])
+        steps.append(np.zeros(len(second)))
+        if value > 0.0:
+            state = at_rest(robot, q[second], tools[second], wrench[second])
+            steps[-1] = 2.0 * value * norm(np.moveaxis(state.jacobian[:3, robot.actuated[joint]], 0, -1))
     row = np.concatenate(rows)
     order = np.argsort(row, kind="stable")
     return Reversals(row[order], *(np.concatenate(column)[order] for column in (before, joints, steps)))

@@ -189,7 +189,7 @@ def read_started(
     cell = replace(cell, start=Start(chosen.joints))
     program = read_program(path, robot, cell, dialect, name)
     one, other = first.motions, program.motions
-    same = len(one) == len(other) and _same(one.target[:], other.target[:]) and _same(one.joints, other.joints)
+    same = len(one) == len(other) and _same(one.target[:], other.target[:]) and _same(one.joints[:], other.joints[:])
     if not same or chosen.joints == _ANYWHERE.joints:
         raise ProgramError(
             "the first motions depend on where the program starts, and the cell has no [start]",

@@ -237,7 +237,7 @@ def predicted(program: Program, robot: RobotModel, cell: Cell, source: ProcessSo
 
 def _deviation(path: PathUnderLoad) -> Array:
     """Return the deviation (N, 3) [m] of the uncorrected tip at the samples of a path, `$BASE`."""
-    theta = np.zeros((len(path), path.robot_in_cell.robot.actual.nv))
+    theta = np.broadcast_to(0.0, (len(path), path.robot_in_cell.robot.actual.nv))
     return correction.uncorrected(path, np.arange(len(path)), theta)[0]
 
 

@@ -193,7 +193,7 @@ def straight_segments(
     first, last = inside / count[motion], (inside + 1) / count[motion]
     if shift is not None:
         motion, first, last = _cut_at(motion, first, last, shift)
-    begin = path.begin[motion].copy()
+    begin = path.begin(motion)
     later = first > 0.0
     begin[later] = positions(program, path, motion[later], first[later])
     end = positions(program, path, motion, last)

@@ -110,7 +110,7 @@ def operations(result: Result) -> list[Operation]:
                 before=statistics(norm(result.deviation_before[rows]), rapid),
                 after=statistics(norm(result.deviation_after[rows]), rapid),
                 bound=None if result.bound is None else statistics(result.bound[rows], rapid),
-                force=float(norm(result.wrench[rows, :3]).max(initial=0.0)),
+                force=float(result.force[rows].max(initial=0.0)),
             )
         )
     return found

@@ -214,7 +214,7 @@ def summary(
     """
     before, after = statistics(result.before, result.rapid), statistics(result.after, result.rapid)
     margin = result.joint_margin * DEG_PER_RAD
-    force = norm(result.wrench[:, :3])
+    force = result.force
     bound = None if result.bound is None else statistics(result.bound, result.rapid)
     by_tool = None
     if result.deflection_by_tool is not None:
@@ -691,7 +691,7 @@ def assumed(robot: RobotModel) -> tuple[str, ...]:
 
 
 def _assumptions(result: Result) -> list[str]:
-    force = np.abs(result.wrench).max(initial=0.0)
+    force = np.abs(result.wrench.values).max(axis=1)[result.wrench.run].max(initial=0.0)
     bodies = ["no collision: the cell has no [collision], so none is checked"]
     if result.clearance is not None:
         bodies = list(result.clearance.remarks)

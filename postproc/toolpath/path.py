@@ -35,7 +35,7 @@ class Segments(Struct, frozen=True, eq=False):
     """The geometry of M motions: where each starts, how long it is. `$BASE` of the motion, metres.
 
     :param start: tool frames where the motions start.
-    :param begin: (M, 3) positions there [m].
+    :param end: (M, 3) positions where they end [m]: those of the program, shared with it.
     :param length: (M,) path length of the TCP; 0 for PTP, of a piece of a spline the chord.
     :param travel: (M,) `length`, or the travel of the linear axis on this motion if that is longer [m].
     :param turn: (M,) angle between the orientations at start and end [rad], or how far the tool turns at
@@ -44,11 +44,18 @@ class Segments(Struct, frozen=True, eq=False):
     """
 
     start: Starts
-    begin: Array
+    end: Array
     length: Array
     travel: Array
     turn: Array
     arcs: Arcs
+
+    def begin(self, motion: Ints) -> Array:
+        """Return the positions (n, 3) where motions (n,) start [m]."""
+        out = self.end.take(motion - 1, axis=0)
+        place, own = self.start.changed_among(motion)
+        out[own] = self.start.pose[place[own], :3, 3]
+        return out
 
 
 class Arcs(Struct, frozen=True, eq=False):
@@ -136,12 +143,11 @@ def segments(program: Program, start_flange_in_root: Array) -> Segments:
     m = program.motions
     start = starts(program, m.target.__getitem__, start_flange_in_root)
 
-    def chord(rows: Ints) -> tuple[Array, Array, Array]:
-        one, end, rotation = start.at(rows), m.target.position[rows], m.target.rotation[rows]
-        begin = one[:, :3, 3]
-        return begin, norm(end - begin), angle_between(one[:, :3, :3], rotation)
+    def chord(rows: Ints) -> tuple[Array, Array]:
+        one, end = start.at(rows), m.target.take(rows)
+        return norm(end.position - one[:, :3, 3]), angle_between(one[:, :3, :3], end.rotation)
 
-    begin, length, turn = in_chunks(chord, np.arange(len(m)))
+    length, turn = in_chunks(chord, np.arange(len(m)))
     if not turn.any():
         turn = constant(0.0, len(m))
     if program.turning is not None:
@@ -151,17 +157,17 @@ def segments(program: Program, start_flange_in_root: Array) -> Segments:
         rows = np.flatnonzero(program.with_path)
         relative = _turned_back(program, rows, m.sweep[rows], m.target[rows, :3, :3])
         turn[rows] = m.sweep[rows] + angle_between(start.at(rows)[:, :3, :3], relative)
-    arcs = _arcs(program, begin)
+    arcs = _arcs(program, start)
     length[arcs.motion] = np.hypot(norm(arcs.radial) * arcs.sweep, norm(arcs.climb))
     length[m.kind == PTP] = 0.0
     travel = length if program.carriage is None else np.maximum(length, program.carriage.travel)
-    return Segments(start, begin, length, travel, turn, arcs)
+    return Segments(start, m.target.position, length, travel, turn, arcs)
 
 
-def _arcs(program: Program, begin: Array) -> Arcs:
+def _arcs(program: Program, start: Starts) -> Arcs:
     m = program.motions
     motion = np.flatnonzero(m.kind == CIRC)
-    begin, end, normal = begin[motion], m.target[motion, :3, 3], m.normal[motion]
+    begin, end, normal = start.at(motion)[:, :3, 3], m.target[motion, :3, 3], m.normal[motion]
     height = np.einsum("ni,ni->n", begin - m.centre[motion], normal)[:, None] * normal
     climb = np.einsum("ni,ni->n", end - begin, normal)[:, None] * normal
     centre = m.centre[motion] + height
@@ -231,7 +237,7 @@ def _place(program: Program, path: Segments, motion: Ints, t: Array, spot: Array
     kind = program.motions.kind[motion[inner]]
     lines, arcs = inner[(kind == LIN) | (kind == SPL)], inner[kind == CIRC]
     if len(lines):
-        begin = path.begin.take(motion[lines], axis=0)
+        begin = path.begin(motion[lines])
         spot[lines] = begin + t[lines, None] * (spot[lines] - begin)
     if len(arcs):
         spot[arcs] = path.arcs.position(motion[arcs], t[arcs])
@@ -244,7 +250,7 @@ def tangent(program: Program, path: Segments, motion: Ints, t: Array) -> Array:
     kind = m.kind[motion]
     long = np.flatnonzero(((kind == LIN) | (kind == SPL)) & (path.length[motion] > 0.0))
     rows = motion[long]
-    out[long] = (m.target[rows, :3, 3] - path.begin.take(rows, axis=0)) / path.length[rows, None]
+    out[long] = (m.target[rows, :3, 3] - path.begin(rows)) / path.length[rows, None]
     arcs = np.flatnonzero(kind == CIRC)
     if len(arcs):
         velocity = path.arcs.velocity(motion[arcs], t[arcs])
@@ -266,7 +272,7 @@ def continues(program: Program, path: Segments) -> Bools:
     if program.after is not None:
         smooth &= program.after[1:] == np.arange(len(m) - 1)
     lines, arcs = (np.flatnonzero(smooth & (m.kind[1:] == kind)) for kind in (LIN, CIRC))
-    begin, between, end = path.begin[lines], m.target[lines, :3, 3], m.target[lines + 1, :3, 3]
+    begin, between, end = path.begin(lines), m.target[lines, :3, 3], m.target[lines + 1, :3, 3]
     chord = end - begin
     aside = norm(np.cross(between - begin, chord)) / np.maximum(norm(chord), _SAME_LINE)
     out[lines + 1] = (aside < _SAME_LINE) & (np.einsum("ni,ni->n", between - begin, end - between) > 0.0)

@@ -185,7 +185,7 @@ def test_a_missing_last_target_is_missed_by_its_distance_from_where_the_second_p
 def test_a_turned_target_before_the_first_pair_is_no_difference():
     """There is no pair before it, so it is not known how the tool turns there."""
     side = lines((0, 0), (40, 0))
-    start = side.path.begin[1] * 1e3  # of the first line, in its $BASE
+    start = side.path.begin(np.array([1]))[0] * 1e3  # of the first line, in its $BASE
     assert np.linalg.norm(start) > 50.0
     x, y, z = 0.5 * start
     one = HEAD + edited()

@@ -165,7 +165,7 @@ def test_half_a_turn_is_an_error_where_either_of_its_ends_is_corrected(axis):
 
 
 def test_half_a_turn_from_the_start_or_from_an_axis_target_is_a_warning():
-    joints = MADE.motions.joints.copy()
+    joints = MADE.motions.joints[:]
     joints[1] = Q
     from_axes = replace(MADE, motions=replace(MADE.motions, joints=joints))
     assert half_turn([(3, 0, 1e-3)], from_axes) == [("half-turn", "warning", (3,))]

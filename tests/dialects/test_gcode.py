@@ -439,6 +439,7 @@ def test_arrays_cannot_be_changed() -> None:
     motions = read(HEAD + "M30\n").motions
     columns = {name: getattr(motions, name) for name in type(motions).__slots__}
     columns |= {"position": motions.target.position, "rotation": motions.target.rotation}
+    columns |= {"joints": motions.joints.values, "run": motions.joints.run}
     del columns["target"]
     for column in columns.values():
         with pytest.raises(ValueError, match="read-only"):

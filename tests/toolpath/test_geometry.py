@@ -26,7 +26,7 @@ def every_place(made):
 def test_motions_start_where_the_robot_stands(made):
     path = toolpath.segments(made, START)
     np.testing.assert_allclose(path.start.at(np.arange(len(made.motions))), begins(made), atol=1e-14)
-    np.testing.assert_allclose(path.begin, begins(made)[:, :3, 3], atol=1e-14)
+    np.testing.assert_allclose(path.begin(np.arange(len(made.motions))), begins(made)[:, :3, 3], atol=1e-14)
 
 
 def test_positions_and_orientations_on_the_way():

@@ -175,7 +175,7 @@ def test_the_longest_path_is_some_thousand_times_the_reach(monkeypatch) -> None:
 
 def test_axis_targets_are_not_asked_where_they_are() -> None:
     made = program([("PTP", 0, 0, 50), ("PTP", 9e6, 0, 0)], orientation=DOWN)
-    joints = made.motions.joints.copy()
+    joints = made.motions.joints[:]
     joints[1] = 0.1
     assert refused(made) is not None
     target = made.motions.target[:]

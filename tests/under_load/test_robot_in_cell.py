@@ -72,7 +72,7 @@ def test_rest_is_nominal_only_of_a_calibrated_robot_of_nominal_geometry_without_
 def test_joint_angles_of_a_ptp_are_taken_at_its_end_alone():
     axes = np.radians([20.0, -60, 100, 30, 40, -200])
     made = program([("PTP", 0, 0, 50), ("PTP", 0, 0, 60), ("LIN", 0, 0, 40)], orientation=DOWN)
-    joints = made.motions.joints.copy()
+    joints = made.motions.joints[:]
     joints[1] = axes
     made = replace(made, motions=replace(made.motions, joints=joints))
     setting = RobotInCell.of(ROBOT, CELL)

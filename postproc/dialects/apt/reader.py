@@ -17,6 +17,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from postproc.cell import Cell
+from postproc.chunks import Runs
 from postproc.dialects.apt import statements
 from postproc.dialects.apt.statements import Statements
 from postproc.dialects.apt.walk import ARC, RAPID, Course, Part, executed
@@ -185,7 +186,7 @@ def _motions(
         rapid=rapid,
         line=source.line[moves.row[kept]],
         target=Poses.of(target),
-        joints=joints,
+        joints=Runs.of(joints),
         centre=centre,
         normal=normal,
         sweep=sweep,

@@ -22,6 +22,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc.cell import Rotary
+from postproc.chunks import Runs
 from postproc.dialects.gcode.arcs import SAME_MM, ArcFault, Arcs, ArcWords, read_arcs
 from postproc.dialects.gcode.cycles import CycleEvent
 from postproc.dialects.gcode.modes import Modes
@@ -485,7 +486,7 @@ def _motions(
         rapid=rapid,
         line=row + 1,
         target=target,
-        joints=joints,
+        joints=Runs.of(joints),
         centre=centre,
         normal=normal,
         sweep=sweep,

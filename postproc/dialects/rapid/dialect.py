@@ -28,7 +28,7 @@ from msgspec.structs import replace
 
 from postproc import provenance
 from postproc.cell import Cell
-from postproc.chunks import chunks
+from postproc.chunks import Runs, chunks
 from postproc.decimals import Number, Part, lines
 from postproc.dialects import circles, force_comments
 from postproc.dialects.force_comments import where
@@ -530,7 +530,7 @@ class _Reader:
             rapid=kind == PTP,
             line=line,
             target=Poses.of(pose),
-            joints=joints,
+            joints=Runs.of(joints),
             centre=centre,
             normal=normal,
             sweep=sweep,

@@ -330,7 +330,7 @@ def kept(result: Result, named: Ints) -> Ints:
     count = len(result)
     if count <= MOST:
         return np.arange(count)
-    measures = [result.before, result.after, norm(correction(result)), norm(result.wrench[:, :3])]
+    measures = [result.before, result.after, norm(correction(result)), result.force]
     if result.bound is not None:
         measures.append(result.bound)
     runs = MOST // (len(measures) + 1)

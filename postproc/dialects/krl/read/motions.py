@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from msgspec.structs import replace
 
+from postproc.chunks import Runs
 from postproc.dialects.krl.language.motion_statements import MotionStatement, Trigger, triggers
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tokens import words_in
@@ -128,7 +129,7 @@ def motions_and_layout(
         rapid=rows.kind == PTP,
         line=source.shown(rows.line),
         target=ends.pose,
-        joints=ends.joints,
+        joints=Runs.of(ends.joints),
         centre=centre,
         normal=normal,
         sweep=sweep,
