@@ -370,13 +370,9 @@ def _bound(draft: Draft, corrected: Array, turned: Reversals) -> tuple[Array | N
 
 
 def _uncertain(path: PathUnderLoad, row: Ints) -> tuple[Array | None, Array | None]:
-    """Return spread of the wrench and compliance of the tool (n, 6, 6) at samples, root axes; None: there is none."""
-    spread, spring, in_root = path.motions.forces.spread_at(path.sample.take(row)), path.robot_in_cell.tool_spring, None
-    if spread is not None:
-        halves = toolpath.columns_in_root(path.program, path.sample.motion[row], spread)
-        in_root = np.zeros((len(row), 6, 6))
-        in_root[:, :3, :3], in_root[:, 3:, 3:] = halves[:, 0], halves[:, 1]
-    return in_root, None if spring is None else spring.matrices(path.pose_in_root(row)[:, :3, :3])
+    """Return spread of the wrench, see `position_bound`, and compliance of the tool (n, 6, 6) at samples, root axes."""
+    spread, spring = path.motions.forces.spread_in_root(path.sample.take(row)), path.robot_in_cell.tool_spring
+    return spread, None if spring is None else spring.matrices(path.pose_in_root(row)[:, :3, :3])
 
 
 def _carried(draft: Draft, back: ReadBack) -> tuple[Knots | None, tuple[Issue, ...]]:

@@ -47,10 +47,18 @@ def position_bound(
     (`RobotModel.discrepancy`), in any direction; the unknown flanks of gears with lost motion (`flank_covariance`); and
     the error of a calibrated geometry without load (`RobotModel.geometry_error`).
 
+    **Correlated forces.** If the components of a wrench w are off by one factor of standard deviation f (a harder
+    material, a worn tool), their displacements C·w add up with their signs: the covariance is f²·(C w)(C w)ᵀ (JCGM
+    100:2008, "Guide to the expression of uncertainty in measurement", 5.2.2: inputs with correlation +1 add
+    linearly). If they are independent, it is f²·C diag(w²) Cᵀ. With a correlation ρ between, it is ρ times the former
+    plus 1 − ρ times the latter. ρ is not known, since published sets of coefficients differ in size and in ratios. The
+    covariance is linear in ρ, so its trace is largest at one of the two ends: the larger of their bounds counts.
+
     :param q: (N, 6) joint angles [rad].
     :param tool: (4, 4) or (N, 4, 4) tool in the flange frame [m].
     :param wrench: (N, 6) at the TCP, root axes [N, N·m].
-    :param force_spread: (N, 6, m) L of the covariance L·Lᵀ of the wrench, root axes; None if it is certain.
+    :param force_spread: (N, 6, 6) L of the covariance L·Lᵀ of the wrench, root axes; None if it is certain. (N, 6, 13)
+        where errors may also be one factor: then six columns L for independent components, and seven for one factor.
     :param in_series: (N, 6, 6) compliance in series with the robot's, root axes; None if there is none.
     :param turning: (N, 6) joints whose gears change their flank next to this place (`reversals`); None if not known.
     :param scaled: (N,) places where the error of the wrench is one factor, `RobotModel.force_factor`, correlated with
@@ -64,7 +72,8 @@ def position_bound(
         forces = _reaction(robot, q, tool, wrench, *forces)
         s, covariance = _with_factor(robot, sensitivity(robot, q, tool, wrench), wrench, scaled, *forces)
         by_model = s @ covariance @ np.swapaxes(s, 1, 2)
-        return (length_bound(sum(_others(robot, q, tool, wrench, turning, scaled, *forces).values(), by_model)),)
+        rest = sum(_others(robot, q, tool, wrench, turning).values(), by_model)
+        return (np.max([length_bound(rest + each) for each in _by_forces(scaled, *forces)], axis=0),)
 
     if turning is None:
         turning = np.zeros((len(q), 6), dtype=bool)
@@ -105,23 +114,31 @@ FORCES = "the cutting forces"
 """Source of uncertainty, see `largest_source`."""
 
 
-def _others(
-    robot: RobotModel, q: Array, tool: Array, wrench: Array, turning: Bools, scaled: Bools, *forces: Array
-) -> dict[str, Array]:
-    """Return the covariances (N, 3, 3) [m²] of the position that come from other sources than `RobotModel.covariance`.
-
-    :param forces: from `_reaction`.
-    """
+def _others(robot: RobotModel, q: Array, tool: Array, wrench: Array, turning: Bools) -> dict[str, Array]:
+    """Return the covariances (N, 3, 3) [m²] of the position that come from neither parameters nor forces."""
     out = {}
-    if forces:
-        spread, reaction = forces
-        moved = reaction @ spread * ~scaled[:, None, None]
-        out[FORCES] = moved @ np.swapaxes(moved, 1, 2)
     out["the calibrated geometry"] = _any_direction(np.full(len(q), robot.geometry_error))
     if robot.discrepancy is not None:
         out["the unmodelled error of the robot model"] = _any_direction(robot.discrepancy.at(wrench))
     out["lost motion of the gears"] = flank_covariance(robot, q, tool, wrench, turning)
     return out
+
+
+_COMPONENTS = 6
+"""Columns of `force_spread` for independent components of the wrench."""
+
+
+def _by_forces(scaled: Bools, *forces: Array) -> list[Array]:
+    """Return the covariance (N, 3, 3) [m²] of the position by the forces for each correlation that is possible.
+
+    :param forces: from `_reaction`.
+    """
+    if not forces:
+        return [np.zeros((len(scaled), 3, 3))]
+    spread, reaction = forces
+    moved = reaction @ spread * ~scaled[:, None, None]
+    ends = [moved[:, :, :_COMPONENTS], moved[:, :, _COMPONENTS:]][: 1 if spread.shape[2] == _COMPONENTS else 2]
+    return [each @ np.swapaxes(each, 1, 2) for each in ends]
 
 
 def _any_direction(length: Array) -> Array:
@@ -153,8 +170,10 @@ def largest_source(
     sources = [*(f"the model of {parameter.place}" for parameter in robot.covariance.parameters), FORCES]
     for source, each in zip(sources, np.einsum("ip,pk,ik->p", s[0], joint, s[0]).tolist(), strict=False):
         variance[source] = variance.get(source, 0.0) + each
-    for source, covariance in _others(robot, q, tool, wrench, turning, scaled, *forces).items():
+    for source, covariance in _others(robot, q, tool, wrench, turning).items():
         variance[source] = variance.get(source, 0.0) + float(np.trace(covariance[0]))
+    by_forces = max(float(np.trace(each[0])) for each in _by_forces(scaled, *forces))
+    variance[FORCES] = variance.get(FORCES, 0.0) + by_forces
     return max(variance, key=variance.__getitem__)
 
 

@@ -21,7 +21,7 @@ from postproc.forces.axes import TURNS, Axes, last_travel, lines_run_across, run
 from postproc.forces.sources import BASE, FEED, ByLaw, ForceSource, Knots, StockInTime, of_comments
 from postproc.frames import Array, any_column, largest, norm
 from postproc.program import CIRC, LIN, SPL, Bools, Ints, Program, constant, distinct
-from postproc.toolpath import DisplacementEstimate, Pieces, Segments, Toolpath, at, circle_through
+from postproc.toolpath import DisplacementEstimate, Pieces, Segments, Toolpath, at, circle_through, columns_in_root
 
 BEHIND_STEP = 1e-5
 """Distance behind a force step at which the path is sampled [m]: the correction changes over that length."""
@@ -43,6 +43,7 @@ class PathForces(Struct, frozen=True, eq=False):
     :param wrench: (K, 6) Fx…Mz [N, N·m] on the tool at its tip, in the axes that `knot_frame` names.
     :param knot_frame: (K,) `BASE`, `TOOL` or `FEED`.
     :param spread: (K, 2, 3, 3) L of the covariances L·Lᵀ of force and moment, in the same axes; None if all are zero.
+    :param factor: (K,) standard deviation of one factor of the whole wrench, see `Knots`.
     :param frame: (M,) frame in which the force of each motion is given.
     :param ramped: (M,) True if the force builds up over the ramp of the cell.
     :param issues: warnings and notes for the user, e.g. cutting moves without a force.
@@ -57,6 +58,7 @@ class PathForces(Struct, frozen=True, eq=False):
     wrench: Runs
     knot_frame: Ints
     spread: Array | None
+    factor: Array
     frame: Ints
     ramped: Bools
     issues: tuple[Issue, ...]
@@ -79,6 +81,42 @@ class PathForces(Struct, frozen=True, eq=False):
         spread = self.spread
         return None if spread is None else self._between(lambda knots: spread.take(knots, axis=0), sample)
 
+    def factor_at(self, sample: Toolpath) -> Array:
+        """Return `factor` (N,) at samples: that of the next knot."""
+        return np.asarray(self.factor[self._next(sample)])
+
+    def spread_in_root(self, sample: Toolpath) -> Array | None:
+        """Return L of covariances L·Lᵀ of the wrench at samples, root axes; None if forces are certain.
+
+        :returns: (N, 6, 6) if components are independent. (N, 6, 13) if their errors may also be one factor, with two
+            covariances, see `elastostatics.position_bound`: the first six columns are for independent components, the
+            other seven for that factor and what is not part of it.
+        """
+        independent = self.spread_at(sample)
+        if independent is None:
+            return None
+        halves = [independent]
+        if self.factor.any():
+            halves += [self._between(self._without_factor, sample), self._between(self._by_factor, sample)]
+        in_root = [columns_in_root(self.axes.program, sample.motion, each) for each in halves]
+        out = np.zeros((len(sample), 6, 13 if len(halves) > 1 else 6))
+        for place, each in enumerate(in_root[:2]):
+            out[:, :3, 6 * place : 6 * place + 3] = each[:, 0]
+            out[:, 3:, 6 * place + 3 : 6 * place + 6] = each[:, 1]
+        if len(halves) > 1:
+            out[:, :, 12] = in_root[2].reshape(-1, 6)
+        return out
+
+    def _by_factor(self, knots: Ints) -> Array:
+        """Return the change (n, 2, 3, 1) of the wrench at knots for one standard deviation of its factor."""
+        return np.asarray((self.wrench.take(knots) * self.factor[knots, None]).reshape(-1, 2, 3, 1))
+
+    def _without_factor(self, knots: Ints) -> Array:
+        """Return L (n, 2, 3, 3) at knots without the part of the deviation that is one factor."""
+        assert self.spread is not None
+        square = np.sum(np.square(self.spread.take(knots, axis=0)), axis=3) - np.square(self._by_factor(knots))[..., 0]
+        return np.asarray(np.sqrt(np.maximum(square, 0.0))[..., None] * np.eye(3))
+
     def before(self) -> Array:
         """Return the wrench (M, 6) at the end of the motion before each, `$BASE` axes; zero before the first."""
         return _before(self.wrench.take(self.first[1:] - 1), self.frame, self.axes)
@@ -87,15 +125,18 @@ class PathForces(Struct, frozen=True, eq=False):
         """Return which places (n,) are just behind the start of a motion whose force may start with a step."""
         return np.asarray(~self.ramped[motion] & (self.axes.path.length[motion] * t < 1.5 * BEHIND_STEP))
 
+    def _next(self, sample: Toolpath) -> Ints:
+        """Return the knot (N,) at or after each sample on its motion, the last one where there is none."""
+        first, last = self.first[sample.motion], self.first[sample.motion + 1] - 1
+        return np.clip(np.searchsorted(self.place, sample.motion + sample.t), first, last)
+
     def _between(self, columns: Callable[[Ints], Array], sample: Toolpath) -> Array:
         """Return columns (N, 2, 3, m) of force and moment in `$BASE` axes at samples.
 
         :param columns: returns those (n, 2, 3, m) at knots (n,).
         """
-        motion, t = sample.motion, sample.t
-        first, last = self.first[motion], self.first[motion + 1] - 1
-        right = np.clip(np.searchsorted(self.place, motion + t), first, last)
-        left = np.where(self.t[right] > t, np.maximum(right - 1, first), right)
+        t, right = sample.t, self._next(sample)
+        left = np.where(self.t[right] > t, np.maximum(right - 1, self.first[sample.motion]), right)
         out, frame = columns(right), self.knot_frame[right]
         inner = np.flatnonzero(left != right)
         left, right = left[inner], right[inner]
@@ -180,6 +221,11 @@ def _resolved(given: Knots, axes: Axes, ramp: float, issues: tuple[Issue, ...], 
         at_start[steady] = spread[last[steady]]
         changes |= ramped & (at_start != spread[last]).any(axis=(1, 2, 3))
     begins = first[:-1][changes]  # the only knot of each
+    factor = given.factor
+    if factor.any():
+        factor = np.insert(factor, begins, np.append(0.0, given.factor[last])[:-1][changes])
+    else:
+        factor = constant(0.0, len(factor) + len(begins))
     if spread is not None and at_start is not None:
         spread = np.insert(spread, begins, at_start[changes], axis=0)
     length = axes.path.length[changes]
@@ -195,6 +241,7 @@ def _resolved(given: Knots, axes: Axes, ramp: float, issues: tuple[Issue, ...], 
         Runs.of(np.insert(given.wrench, begins, start[changes], axis=0)),
         np.insert(given.frame, begins, start_frame[changes]),
         spread,
+        factor,
         frame,
         ramped,
         issues,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from postproc.chunks import Columns
 from postproc.errors import ForceError, Issue, PostprocError
 from postproc.frames import Array, any_column
-from postproc.program import FORCE_FRAMES, MOST_FORCE, Bools, Ints, Program
+from postproc.program import FORCE_FRAMES, MOST_FORCE, Bools, Ints, Program, constant
 from postproc.toolpath import Segments
 
 if TYPE_CHECKING:
@@ -60,6 +60,8 @@ class Knots(Columns, frozen=True, eq=False):
     :param frame: (K,) `BASE`, `TOOL` or `FEED`; one for a motion.
     :param sigma: (K, 6) standard deviations of `wrench`: components are assumed independent of each other at a knot,
         and each is assumed fully correlated with itself along the path.
+    :param factor: (K,) the part of `sigma` that may be one factor of the whole wrench, as of a harder material or a
+        worn tool: its standard deviation, so that |wrench|·factor is contained in `sigma`; 0 where there is none.
     :param ramped: (K,) True for the only knot of a motion whose force changes from that of the motion before over its
         first `force_ramp_mm`; otherwise the force is as given from the start of the motion.
     :param issues: warnings and notes for the user.
@@ -72,22 +74,36 @@ class Knots(Columns, frozen=True, eq=False):
     wrench: Array
     frame: Ints
     sigma: Array
+    factor: Array
     ramped: Bools
     issues: tuple[Issue, ...] = ()
     by_law: ByLaw | None = None
     stock: StockInTime | None = None
 
     @classmethod
-    def throughout(cls, motion: Ints, wrench: Array, frame: Ints, sigma: Array | None = None) -> Knots:
+    def throughout(
+        cls, motion: Ints, wrench: Array, frame: Ints, sigma: Array | None = None, factor: Array | None = None
+    ) -> Knots:
         """Return one wrench (n, 6) for the whole of each motion (n,), ramped at its start."""
-        sigma = np.zeros_like(wrench) if sigma is None else sigma
-        return cls(motion, np.ones(len(motion)), wrench, frame, sigma, np.ones(len(motion), dtype=np.bool_))
+        return replace(
+            cls.along(motion, np.ones(len(motion)), wrench, frame, sigma, factor),
+            ramped=np.ones(len(motion), dtype=np.bool_),
+        )
 
     @classmethod
-    def along(cls, motion: Ints, t: Array, wrench: Array, frame: Ints, sigma: Array | None = None) -> Knots:
+    def along(
+        cls,
+        motion: Ints,
+        t: Array,
+        wrench: Array,
+        frame: Ints,
+        sigma: Array | None = None,
+        factor: Array | None = None,
+    ) -> Knots:
         """Return wrenches (n, 6) at places of motions, without a ramp."""
         sigma = np.zeros_like(wrench) if sigma is None else sigma
-        return cls(motion, t, wrench, frame, sigma, np.zeros(len(motion), dtype=np.bool_))
+        factor = constant(0.0, len(motion)) if factor is None else factor
+        return cls(motion, t, wrench, frame, sigma, factor, np.zeros(len(motion), dtype=np.bool_))
 
     def __len__(self) -> int:
         return len(self.motion)
@@ -105,8 +121,8 @@ class Knots(Columns, frozen=True, eq=False):
         :raises ForceError: knots are not in order, name a motion that the program does not have, are not finite or
             too large, or have several frames on one motion.
         """
-        count, shapes = len(self.motion), [np.shape(getattr(self, one)) for one in ("t", "frame", "ramped")]
-        if shapes != [(count,)] * 3 or [np.shape(one) for one in (self.wrench, self.sigma)] != [(count, 6)] * 2:
+        count, shapes = len(self.motion), [np.shape(getattr(self, one)) for one in ("t", "frame", "ramped", "factor")]
+        if shapes != [(count,)] * 4 or [np.shape(one) for one in (self.wrench, self.sigma)] != [(count, 6)] * 2:
             raise ForceError(f"the arrays of the source of forces {name} do not have one row per knot")
         same = np.diff(self.motion) == 0
         for wrong, problem in (
@@ -117,7 +133,8 @@ class Knots(Columns, frozen=True, eq=False):
                 "a force that is not finite, or larger than any robot carries",
             ),
             (
-                any_column(~((self.sigma >= 0.0) & (self.sigma <= MOST_FORCE))),
+                any_column(~((self.sigma >= 0.0) & (self.sigma <= MOST_FORCE)))
+                | ~((self.factor >= 0.0) & (self.factor < np.inf)),
                 "a standard deviation that is not finite, negative or too large",
             ),
             ((self.frame < 0) | (self.frame >= len(FORCE_FRAMES)), "an unknown frame"),

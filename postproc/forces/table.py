@@ -29,7 +29,8 @@ from postproc.toolpath import Segments, at
 _REQUIRED = ("line", *WRENCH[:3])
 _SIGMAS = tuple(f"s{name}" for name in WRENCH)
 """Columns of the standard deviations of the wrench."""
-_OPTIONAL = (*WRENCH[3:], "frame", "line_end", "t", *_SIGMAS, "sigma_percent")
+_PERCENT = ("sigma_percent", "factor_percent")
+_OPTIONAL = (*WRENCH[3:], "frame", "line_end", "t", *_SIGMAS, *_PERCENT)
 _MOST_LINES = 1e9
 _SHOWN = 5
 
@@ -44,6 +45,7 @@ class ForceTable(Struct, frozen=True, eq=False):
     :param wrench: (R, 6) [N, N·m].
     :param frame: (R,) index in `FORCE_FRAMES`.
     :param sigma: (R, 6) standard deviations of the wrench.
+    :param factor: (R,) the part of them that may be one factor, see `Knots`.
     """
 
     file: str
@@ -54,6 +56,7 @@ class ForceTable(Struct, frozen=True, eq=False):
     wrench: Array
     frame: Ints
     sigma: Array
+    factor: Array
 
     @property
     def name(self) -> str:
@@ -81,7 +84,8 @@ class ForceTable(Struct, frozen=True, eq=False):
         row = np.repeat(begins[block[motion]], count) + inside
         throughout = np.isnan(self.t[row])
         t = np.where(throughout, 1.0, self.t[row])
-        return Knots(np.repeat(motion, count), t, self.wrench[row], self.frame[row], self.sigma[row], throughout)
+        own, wrench, frame = np.repeat(motion, count), self.wrench[row], self.frame[row]
+        return Knots(own, t, wrench, frame, self.sigma[row], self.factor[row], throughout)
 
     def _find_each(self, program: Program) -> None:
         """Check that every row names at least one line on which a motion starts."""
@@ -101,7 +105,7 @@ class ForceTable(Struct, frozen=True, eq=False):
 
 
 def read_force_csv(path: Path) -> ForceTable:
-    """Read `line,Fx,Fy,Fz[,Mx,My,Mz][,frame][,line_end][,t][,sFx,sFy,sFz…|,sigma_percent]`.
+    """Read `line,Fx,Fy,Fz[,Mx,My,Mz][,frame][,line_end][,t][,sFx,sFy,sFz…[,factor_percent]|,sigma_percent]`.
 
     :raises ForceError: missing or unknown column, a value that is not finite or out of range, a line number that
         is not a positive integer, `line_end` before `line`, an unknown frame, two rows for one line without t, places
@@ -109,11 +113,11 @@ def read_force_csv(path: Path) -> ForceTable:
         (`errors.together`).
     """
     numbers, texts, at, wrong = files.parse_csv(
-        path, _REQUIRED, _OPTIONAL, ForceError, ("frame",), ("line_end", "t", *_SIGMAS, "sigma_percent")
+        path, _REQUIRED, _OPTIONAL, ForceError, ("frame",), ("line_end", "t", *_SIGMAS, *_PERCENT)
     )
     columns = _Columns(str(path), at.astype(np.int64), numbers, texts.get("frame", []), wrong)
     first, last, usable = columns.lines()
-    wrench, sigma = columns.wrench()
+    wrench, sigma, factor = columns.wrench()
     frame = columns.frame()
     t = columns.places()
     begin, end = (np.where(usable, column, 0.0).astype(np.int64) for column in (first, last))
@@ -122,8 +126,9 @@ def read_force_csv(path: Path) -> ForceTable:
     if wrong:
         raise together(wrong)
     return ForceTable(
-        str(path), columns.row[order], begin[order], end[order], t[order], wrench[order], frame[order], sigma[order]
-    )
+        str(path), columns.row[order], begin[order], end[order], t[order], wrench[order], frame[order], sigma[order],
+        factor[order],
+    )  # fmt: skip
 
 
 class _Columns(Struct, frozen=True, eq=False):
@@ -149,18 +154,22 @@ class _Columns(Struct, frozen=True, eq=False):
         self.check(usable & (last < first), "line_end is before line", last)
         return first, last, usable
 
-    def wrench(self) -> tuple[Array, Array]:
-        """Return wrenches and their standard deviations, both (n, 6)."""
+    def wrench(self) -> tuple[Array, Array, Array]:
+        """Return wrenches and their standard deviations, both (n, 6), and those (n,) of one factor."""
         wrench, sigma = np.zeros((len(self.row), 6)), np.zeros((len(self.row), 6))
         for index, name in enumerate(WRENCH):
             if name in self.numbers:
                 wrench[:, index] = self.numbers[name]
                 advice = "This is more than any robot carries: give newtons and newton metres."
                 self.check(np.abs(wrench[:, index]) > MOST_FORCE, f"{name} is {{:g}}", wrench[:, index], advice)
-        percent = self.numbers.get("sigma_percent", np.full(len(self.row), np.nan))
-        self.check(~((percent >= 0.0) | np.isnan(percent)), "sigma_percent is {:g}", percent, _NOT_NEGATIVE)
-        sigma += np.abs(wrench) * (np.nan_to_num(percent) / 100.0)[:, None]
-        twice = np.zeros(len(self.row), dtype=np.bool_)
+        percent, by_factor = (self.numbers.get(name, np.full(len(self.row), np.nan)) for name in _PERCENT)
+        for name, given in zip(_PERCENT, (percent, by_factor), strict=True):
+            self.check(
+                ~((given >= 0.0) & (given < np.inf) | np.isnan(given)), f"{name} is {{:g}}", given, _NOT_NEGATIVE
+            )
+        factor = np.nan_to_num(np.where(np.isnan(percent), by_factor, percent)) / 100.0
+        sigma += np.abs(wrench) * factor[:, None]
+        twice = np.isfinite(percent) & np.isfinite(by_factor)
         for index, name in enumerate(_SIGMAS):
             given = self.numbers.get(name, np.full(len(self.row), np.nan))
             self.check(
@@ -169,7 +178,7 @@ class _Columns(Struct, frozen=True, eq=False):
             twice |= np.isfinite(given) & np.isfinite(percent)
             sigma[:, index] = np.where(np.isnan(given), sigma[:, index], given)
         self.check(twice, "standard deviations in addition to sigma_percent = {:g}", percent, "Give one or the other.")
-        return wrench, sigma
+        return wrench, sigma, factor
 
     def frame(self) -> Ints:
         """Return the frames (n,)."""
@@ -271,7 +280,7 @@ def of_pieces(forces: PathForces, targets: Targets, at_end: TargetForces, writte
     sigma = np.zeros_like(wrench)
     if spread is not None:
         sigma = norm(written.out_of_base(spread, frame, there)).reshape(-1, 6)
-    return _shortened(Knots(target, share, wrench, frame, sigma, whole))
+    return _shortened(Knots(target, share, wrench, frame, sigma, forces.factor_at(nominal), whole))
 
 
 def once_a_line(knots: Knots, line: Ints) -> tuple[Knots, Ints]:
@@ -291,7 +300,9 @@ def once_a_line(knots: Knots, line: Ints) -> tuple[Knots, Ints]:
         if same:
             a, b = (slice(begin[i], begin[i] + count[i]) for i in (k, one))
             same = bool((knots.frame[a] == knots.frame[b]).all())
-            for values, least in ((knots.t, _APART), (knots.wrench, _ROUNDED), (knots.sigma, _ROUNDED)):
+            for values, least in (
+                (knots.t, _APART), (knots.wrench, _ROUNDED), (knots.sigma, _ROUNDED), (knots.factor, _APART)
+            ):  # fmt: skip
                 same &= bool(np.abs(values[a] - values[b]).max() <= least)
         if not same:
             differ.append(target[k])
@@ -320,7 +331,8 @@ def _shortened(knots: Knots) -> Knots:
     """Return fewer knots: of a piece with constant force only the last one."""
     last = np.flatnonzero(np.diff(knots.motion, append=-1) != 0)
     end = last[np.searchsorted(last, np.arange(len(knots)))]
-    differs = largest(np.hstack([knots.wrench - knots.wrench[end], knots.sigma - knots.sigma[end]])) > _SAME
+    columns = np.hstack([knots.wrench, knots.sigma, knots.factor[:, None]])
+    differs = largest(columns - columns[end]) > _SAME
     changes = np.zeros(len(knots), dtype=np.bool_)
     changes[end[differs]] = True
     keep = changes[end]

@@ -19,7 +19,7 @@ from postproc.forces import Knots
 from postproc.forces.sources import BASE, FEED
 from postproc.frames import Array, norm
 from postproc.machining.tool_path import home_base
-from postproc.program import CIRC, LIN, Bools, Ints, Program
+from postproc.program import CIRC, LIN, Bools, Ints, Program, constant
 from postproc.toolpath import Segments, tangent
 
 _SHARE = 0.01
@@ -93,8 +93,8 @@ def without_steps(
         (n, 6) in FEED axes; on moves along the spindle in those of the map.
     :param map_in_base: (4, 4) frame of the map of the stock in `$BASE` of the first cutting motion: z to the spindle.
     :param rise: (M,) length over which the force changes at the start of a motion [m].
-    :param sigma: standard deviation as a share of the wrench, and that of the axial force as a share of the force
-        across the axis (0 where axial coefficients are known); both in addition.
+    :param sigma: standard deviation as a share of the wrench, which may be one factor of it; and that of the axial
+        force as a share of the force across the axis (0 where axial coefficients are known), in addition.
     :param base_axes: give them in `$BASE`; else in FEED, but for moves along the spindle.
     """
     motion, t, wrench, own_deviation = stations
@@ -136,7 +136,8 @@ def without_steps(
     deviation = np.hypot(np.abs(values) * sigma[0], loose)
     # on moves along the spindle in $BASE axes: z of $BASE is taken for the axis of the tool
     deviation[:, 2] = np.hypot(deviation[:, 2], missing)
-    return Knots.along(motions, places, values, np.where(in_base, BASE, FEED), deviation)
+    factor = constant(sigma[0], len(motions))
+    return Knots.along(motions, places, values, np.where(in_base, BASE, FEED), deviation, factor)
 
 
 def _alike(before: Array, own: Array, wrench: Array, first: Ints) -> Bools:

@@ -60,7 +60,7 @@ def by_operation(program: Program, process: Process) -> Knots:
     frame = np.array([FORCE_FRAMES.index(entry.frame) for entry in entries], dtype=np.int64)
     share = np.array([entry.sigma_percent / 100.0 for entry in entries])
     rows = place[motion]
-    return Knots.throughout(motion, wrench[rows], frame[rows], np.abs(wrench[rows]) * share[rows, None])
+    return Knots.throughout(motion, wrench[rows], frame[rows], np.abs(wrench[rows]) * share[rows, None], share[rows])
 
 
 _Mark = tuple[int, int, int]

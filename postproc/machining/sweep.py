@@ -351,10 +351,11 @@ def _engagement(turn: Turn, cuts: Floats) -> tuple[Array, Array, Array, Array]:
     found = cuts > _LITTLE * np.where(np.isfinite(turn.rise), turn.length, 0.0)
     found[:, turn.side] &= cuts[:, turn.side] > _LITTLE * cuts[:, turn.side].max(axis=1, keepdims=True, initial=0.0)
     some_ = found.any(axis=1)
-    half, aside = 0.5 * turn.width, np.cos(turn.phi) * turn.radius
+    half, outer = 0.5 * turn.width, turn.radius + np.where(turn.down > 0.0, 0.5 * turn.length * turn.down, 0.0)
+    aside = outer * np.cos([turn.phi - half, turn.phi, turn.phi + half])
     ends = [
         (np.where(found, low, np.inf).min(axis=1), np.where(found, high, -np.inf).max(axis=1))
-        for low, high in ((turn.phi - half, turn.phi + half), (aside, aside))
+        for low, high in ((turn.phi - half, turn.phi + half), (aside.min(axis=0), aside.max(axis=0)))
     ]
     enter, leave = (np.where(some_, angle, np.nan) for angle in ends[0])
     depth = cutting.times(cuts, turn.tall).max(axis=1) if turn.side.start > 0 else cuts.max(axis=1)

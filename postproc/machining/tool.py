@@ -97,7 +97,7 @@ def some(edge: Edge, pieces: NDArray[np.bool_]) -> Edge:
     return Edge(edge.part[pieces], *(column[pieces] for column in columns))
 
 
-DRILL_THRUST = 0.5
+DRILL_THRUST = 0.65
 """Radial by tangential coefficient of a drill: see `postproc.machining.cutting`."""
 _LEAST = 8
 """Minimum number of sample points in half a turn."""

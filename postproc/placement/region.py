@@ -286,7 +286,7 @@ class Programs:
         rotation = moved[:3, :3]
         wrench = (wrench.reshape(-1, 2, 3) @ rotation.T).reshape(-1, 6)
         if spread is not None:
-            spread = (rotation @ spread.reshape(-1, 2, 3, 6)).reshape(-1, 6, 6)
+            spread = (rotation @ spread.reshape(len(spread), 2, 3, -1)).reshape(spread.shape)
         shift = each.shift[len(each.row) :][cuts]
         pose = product(moved, pose)
         pose[:, :3, 3] -= shift + carried

@@ -88,18 +88,14 @@ class PathSamples(Struct, frozen=True, eq=False):
     def load(self, rows: Ints, turn: Array) -> Load:
         """Return the load at samples (n,) with the tool turned by angles (n,) [rad], root axes.
 
-        :returns: wrench (n, 6) [N, N·m]; L (n, 6, 6) of its covariance L·Lᵀ, None if it is certain; the tool frame
-            (n, 4, 4) in the root [m]; `scaled` (n,) of `elastostatics.position_bound`.
+        :returns: wrench (n, 6) [N, N·m]; `force_spread` of `elastostatics.position_bound`; the tool frame (n, 4, 4) in
+            the root [m]; `scaled` (n,) of `position_bound`.
         """
         pose = self._turned(rows, turn)
         motion, t = self.sample.motion[rows], self.sample.t[rows]
         here = Toolpath(motion, t, Poses.of(pose), self.sample.distance[rows])
         wrench = toolpath.wrench_in_root(self.program, motion, self.along.at(here))
-        spread, halves = None, self.along.spread_at(here)
-        if halves is not None:
-            halves = toolpath.columns_in_root(self.program, motion, halves)
-            spread = np.zeros((len(rows), 6, 6))
-            spread[:, :3, :3], spread[:, 3:, 3:] = halves[:, 0], halves[:, 1]
+        spread = self.along.spread_in_root(here)
         scaled = self.robot_in_cell.scaled(self.along, motion)
         return wrench, spread, toolpath.pose_in_root(self.program, motion, pose, t), scaled
 

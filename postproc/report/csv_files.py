@@ -101,6 +101,7 @@ def forces_csv(result: Result) -> bytes | None:
     knots = result.carried.take(result.program.motions.kind[result.motion[result.carried.motion]] != PTP)
     halves = [half for wrench in (knots.wrench, knots.sigma) for half in np.split(wrench, 2, axis=1)]
     values = np.hstack([np.round(half, places) for half, places in zip(halves, _DECIMALS[[0, 3, 0, 3]], strict=True)])
+    values = np.column_stack([values, np.round(100.0 * knots.factor, 3)])
     first, last = _shared(knots, values)
     line = result.output_line[knots.motion].astype(float)
     names = np.array([list(name.ljust(4).encode()) for name in FORCE_FRAMES], dtype=np.uint8)
@@ -115,6 +116,9 @@ def forces_csv(result: Result) -> bytes | None:
         if values[:, 6 + index].any():
             header.append(name)
             columns.append(Number.of(values[first, 6 + index], int(_DECIMALS[index])))
+    if values[:, 12].any():
+        header.append("factor_percent")
+        columns.append(Number.of(values[first, 12], 3))
     return (",".join(header) + "\n").encode() + rows_of_csv(columns)
 
 

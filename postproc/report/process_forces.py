@@ -19,6 +19,7 @@ from postproc.version import VERSION
 
 COLUMNS = (
     "line", "t", "Fx", "Fy", "Fz", "Mx", "My", "Mz", "frame", "sFx", "sFy", "sFz", "sMx", "sMy", "sMz",
+    "factor_percent",
 )  # fmt: skip
 """Columns of forces.csv, in order."""
 _ROWS = 4096
@@ -71,10 +72,10 @@ def forces_csv(program: Program, knots: Knots) -> Iterator[bytes]:
         yield "".join(
             f"{line},{'' if place != place else format(place, '.6f')},"
             f"{w[0]:.3f},{w[1]:.3f},{w[2]:.3f},{w[3]:.4f},{w[4]:.4f},{w[5]:.4f},{FORCE_FRAMES[axes]},"
-            f"{s[0]:.3f},{s[1]:.3f},{s[2]:.3f},{s[3]:.4f},{s[4]:.4f},{s[5]:.4f}\n"
-            for line, place, w, axes, s in zip(
+            f"{s[0]:.3f},{s[1]:.3f},{s[2]:.3f},{s[3]:.4f},{s[4]:.4f},{s[5]:.4f},{100.0 * factor:.3f}\n"
+            for line, place, w, axes, s, factor in zip(
                 lines[part].tolist(), t[part].tolist(), (knots.wrench[part] + 0.0).tolist(), knots.frame[part].tolist(),
-                knots.sigma[part].tolist(), strict=True,
+                knots.sigma[part].tolist(), knots.factor[part].tolist(), strict=True,
             )
         ).replace("-0.000,", "0.000,").replace("-0.0000,", "0.0000,").encode()  # fmt: skip
 

@@ -18,7 +18,9 @@ Prints JSON: the share of cutting targets inside u95 if the six coefficients are
 
 and the forces then grow by wear of the tool, by 0 to 25 %.
 
-`draws` has one set of coefficients for each robot and program, `all` as many as --materials.
+`draws` has one set of coefficients for each robot and program, `all` as many as --materials. One draw moves all targets
+of a program at once, so targets are no independent trials. `standard_error` is that of a mean over draws, and for
+`all` of one over robots.
 """
 
 from __future__ import annotations
@@ -157,6 +159,10 @@ def main() -> None:
         out[kind] = {
             "draws": share(np.array([each[kind][0] for each in every]), weight),
             "all": share(mean, weight),
+            "standard_error": {
+                "draws": error(np.array([each[kind][0] for each in every]), weight),
+                "all": error(mean.reshape(-1, len(PROGRAMS)), weight.reshape(-1, len(PROGRAMS))),
+            },
             "by program": {
                 name: share(mean[k :: len(PROGRAMS)], weight[k :: len(PROGRAMS)]) for k, name in enumerate(PROGRAMS)
             },
@@ -168,6 +174,12 @@ def main() -> None:
 
 def share(inside: np.ndarray, weight: np.ndarray) -> float:
     return round(float(np.average(inside, weights=weight)), 3)
+
+
+def error(inside: np.ndarray, weight: np.ndarray) -> float:
+    """Return the standard error of the weighted mean over independent rows (n,) or (n, k)."""
+    off = (weight * (inside - np.average(inside, weights=weight))).reshape(len(inside), -1).sum(axis=1)
+    return round(float(np.sqrt(np.sum(off**2)) / weight.sum()), 3)
 
 
 def rms(values: list[Any]) -> float:

@@ -119,6 +119,35 @@ def test_the_bound_counts_the_deviation_of_the_forces(tmp_path):
     assert result.bound[row] == pytest.approx(np.quantile(moved, 0.95), rel=0.03)
 
 
+@pytest.mark.parametrize("force", ["300,-100,150", "300,300,300", "20,-10,400"])
+def test_the_bound_holds_whether_components_share_one_error_or_have_their_own(tmp_path, force):
+    """Against draws of 15 % put on an arm that shares no code: one factor, or one for each component."""
+    known = replace(ROBOT, covariance=Covariance.of(["k1"], [[1e-12]]))
+    text = f"line,Fx,Fy,Fz,frame,sigma_percent\n{LINE},{force},FEED,15\n"
+    program = correction.read([decode("part.nc", TEXT.encode())], known, CELL, "part", "gcode")
+    result = correction.process(program, known, CELL, source(tmp_path, text))
+    (row,) = np.flatnonzero((result.source_line == LINE) & (result.t == 1.0))
+    sim, moves = simulator("cell_kr270.toml"), written(result)
+    move = moves[row + len(moves) - len(result)]
+    each = np.eye(3, 6) * result.wrench[row, :3, None]
+    ends = [[sim.tip(move, result.q[row], result.wrench[row] + s * step) for step in each] for s in (0.5, -0.5)]
+    slopes = np.subtract(*map(np.array, ends))
+    rng = np.random.default_rng(96)
+    own = 0.15 * rng.normal(size=(200_000, 3)) @ slopes
+    shared = 0.15 * rng.normal(size=(200_000, 1)) * slopes.sum(axis=0)
+    own_, shared_ = (np.quantile(np.linalg.norm(moved, axis=1), 0.95) for moved in (own, shared))
+    assert result.bound[row] == pytest.approx(max(own_, shared_), rel=0.03)
+
+
+def test_a_factor_of_the_force_goes_with_the_program(tmp_path):
+    text = f"line,line_end,Fx,Fy,Fz,sFx,sFy,sFz,factor_percent\n{LINE},{BACK},300,-100,150,80,40,50,20\n"
+    result = convert("part.nc", TEXT, rows=source(tmp_path, text))
+    (tmp_path / "out.csv").write_bytes(report.forces_csv(result))
+    rows = forces.read(tmp_path / "out.csv")
+    assert np.unique(rows.sigma[rows.wrench.any(axis=1)], axis=0).tolist() == [[80, 40, 50, 0, 0, 0]]
+    assert set(rows.factor[rows.wrench.any(axis=1)].tolist()) == {0.2}
+
+
 def test_a_model_that_knows_nothing_of_itself_has_no_bound_but_tells(tmp_path):
     text = f"line,Fx,Fy,Fz,sigma_percent\n{LINE},300,-100,150,15\n"
     unsure = replace(ROBOT, covariance=None)

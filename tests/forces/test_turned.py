@@ -46,7 +46,7 @@ def random_knots(rng, made):
         rows += [(k, t, frame, ramped) for t in places]
     motion, t, frame, ramped = (np.array(column) for column in zip(*rows, strict=True))
     wrench, sigma = rng.normal(0.0, 100.0, (len(t), 6)), rng.uniform(0.0, 9.0, (len(t), 6))
-    return Knots(motion, t.astype(float), wrench, frame, sigma, ramped)
+    return Knots(motion, t.astype(float), wrench, frame, sigma, rng.uniform(0.0, 0.5, len(t)), ramped)
 
 
 def axes_at(made, k, t, frame, spindle="+Z"):
@@ -103,12 +103,19 @@ def test_wrenches_and_deviations_anywhere(seed, spindle):
     sample = toolpath.at(made, path, motion, t)
     found, spread = load.at(sample), load.spread_at(sample)
     sigma = knots.sigma.reshape(-1, 2, 3, 1) * np.eye(3)
+    by_factor = (knots.factor[:, None] * knots.wrench).reshape(-1, 2, 3, 1)
+    in_root = load.spread_in_root(sample)
     for row, (k, place) in enumerate(zip(motion, t, strict=True)):
         values = knots.wrench.reshape(-1, 2, 3, 1)
         expected = columns_at(made, knots, path.length, k, place, values, spindle).reshape(6)
         np.testing.assert_allclose(found[row], expected, atol=1e-4)
         expected = columns_at(made, knots, path.length, k, place, sigma, spindle)
         np.testing.assert_allclose(spread[row], expected, atol=1e-5)
+        root = made.bases[made.motions.base[k], :3, :3]
+        np.testing.assert_allclose(in_root[row, :3, :3], root @ expected[0], atol=1e-5)
+        np.testing.assert_allclose(in_root[row, 3:, 3:6], root @ expected[1], atol=1e-5)
+        expected = columns_at(made, knots, path.length, k, place, by_factor, spindle)[..., 0] @ root.T
+        np.testing.assert_allclose(in_root[row, :, 12], expected.reshape(6), atol=1e-4)
 
 
 def test_at_a_knot_and_beyond_the_last_the_wrench_is_its_own():

@@ -70,8 +70,8 @@ def pieces_of(cutter, count, *, face):
 
 def mean_by_sums(cutter, law, feed, descent, begin, end, rubbing):
     """Mean wrench about the tip (6,) and the volume that a tooth takes in a turn [m³]."""
-    if cutter.drill:  # half the tangential force: the feed force of tool makers
-        cut, rub = ((tangential, 0.5 * tangential, axial) for tangential, _, axial in (law.cutting, law.edge))
+    if cutter.drill:  # 1.3 times the feed force of tool makers, half the tangential force
+        cut, rub = ((tangential, 0.65 * tangential, axial) for tangential, _, axial in (law.cutting, law.edge))
         law = replace(law, cutting=cut, edge=rub)
     distance, height, length, kappa = pieces_of(cutter, 30, face=descent > 0.0)
     count = 360

@@ -157,14 +157,15 @@ HOLES = ("G0 X20 Y20 Z30", "G98 G83 X20 Y20 Z-12 R2 Q5 F200", "X40 Z-6", "G80")
 
 
 def test_drills_have_depth_feed_force_and_torque(tmp_path):
-    """Deepest hole 12 mm below the surface although it is pecked; torque of a full edge, thrust 0.5 kc fn D/2."""
+    """Deepest hole 12 mm below the surface although it is pecked; torque of a full edge, thrust 0.65 kc fn D/2."""
     program, found = forces(tmp_path, gcode(*HOLES), process(tool(8, 2, "drill"), BOX))
     (summary,) = process_forces.summary(program, found, 0).tools
     assert summary.max_depth_mm == pytest.approx(12.0, abs=0.02)
     chip = 200 / 6000 / 2
-    thrust, torque = 0.5 * 2 * 4.0 * (767.01 * chip + 27.7), 2 * 4.0**2 * (767.01 * chip + 27.7) / 2 / 1e3
+    thrust, torque = 0.65 * 2 * 4.0 * (767.01 * chip + 27.7), 2 * 4.0**2 * (767.01 * chip + 27.7) / 2 / 1e3
     assert summary.max_feed_force_N == pytest.approx(thrust, rel=0.02)
     assert summary.max_torque_Nm == pytest.approx(torque, rel=0.02)
+    assert summary.max_width_mm == pytest.approx(8.0, abs=0.001)
     text = process_forces.as_text(process_forces.summary(program, found, 0))
     assert "drilled up to 12 mm deep, feed force up to" in text
     kinds = {issue.kind for issue in found.issues}
