@@ -32,6 +32,16 @@ def did_you_mean(name: str, valid: Iterable[str]) -> str:
     return f"Did you mean `{known[near[0]]}`?" if near else ""
 
 
+def choices(name: str, valid: Iterable[str], what: str = "Valid names") -> str:
+    """Return the advice for an unknown name: the nearest valid one as a question, then all valid ones.
+
+    >>> choices("FEDE", ["BASE", "TOOL", "FEED"], "Valid frames")
+    'Did you mean `FEED`? Valid frames: BASE, TOOL, FEED.'
+    """
+    names = list(valid)
+    return f"{did_you_mean(name, names)} {what}: {', '.join(names)}.".lstrip()
+
+
 class PostprocError(Exception):
     """Base of all exceptions of this package; pickling keeps all attributes."""
 

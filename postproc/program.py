@@ -16,7 +16,7 @@ from msgspec.structs import force_setattr
 from numpy.typing import NDArray
 
 from postproc.chunks import Runs
-from postproc.errors import ForceError, Issue, Level, ProgramError
+from postproc.errors import ForceError, Issue, Level, ProgramError, choices
 from postproc.frames import Array, inverse, norm, rotation_from_vector
 from postproc.poses import Poses, as_poses
 
@@ -362,9 +362,10 @@ def parse_force_note(comment: str, line: int, file: str) -> ForceNote | None:
                     raise ValueError  # noqa: TRY301
                 wrench[part[1].upper()] = value
         except ValueError:
-            raise ForceError(
-                "force comment cannot be read", file=file, line=line, text=comment, advice=advice
-            ) from None
+            problem = "force comment cannot be read"
+            if part is not None and part[3]:
+                problem, advice = f"unknown frame {part[3]!r}", choices(part[3], FORCE_FRAMES, "Valid frames")
+            raise ForceError(problem, file=file, line=line, text=comment, advice=advice) from None
         position = part.end()
     if not wrench:
         raise ForceError("force comment without a component", file=file, line=line, text=comment, advice=advice)

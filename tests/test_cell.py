@@ -42,7 +42,11 @@ def test_all_unknown_and_missing_keys_are_told_in_one_run(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("force_ramp_mm = 1.0", 'controller = "KRC5"', "output.controller: .*'KRC5'. Valid values: 'KRC2', 'KRC4'."),
+        (
+            "force_ramp_mm = 1.0",
+            'controller = "KRC5"',
+            r"output.controller: .*'KRC5'. Did you mean `KRC4`\? Valid values: 'KRC2', 'KRC4'.",
+        ),
         ('axis = "+Z"', 'axis = "up"', r"tool.axis: .*'up'. Valid values: '\+X', '\+Z', '-X', '-Z'."),
         ("X = 1500.0", 'X = "1500"', "base.X: Expected `float`, got `str`"),
         ("X = 1500.0", "X = 1e300", "base.X: Expected `float` <= 1000000.0"),

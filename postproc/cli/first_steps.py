@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from postproc.cli.options import complete_robots
+from postproc.cli.options import Choice, complete_robots
 
 if TYPE_CHECKING:
     from postproc.hosts.robodk_station import Station
@@ -78,7 +78,7 @@ def _parsed(kind: Any) -> Any:
 )
 @click.option(
     "--axis",
-    type=click.Choice(["+Z", "-Z", "+X", "-X"]),
+    type=Choice(["+Z", "-Z", "+X", "-X"]),
     default="+Z",
     show_default=True,
     help="Axis of the tool frame that points from the spindle to the tip.",

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from postproc.cli import options
+from postproc.cli.options import Choice
 
 if TYPE_CHECKING:
     from postproc.identification import IdentifiedFolder
@@ -69,14 +70,14 @@ def compensator(markers: Path, output: Path, overwrite: bool, as_json: bool) -> 
 @click.option("--compensator", type=_FILE, help="Geometry from `identify compensator`.")
 @click.option(
     "--method",
-    type=click.Choice(["enhanced", "serial"]),
+    type=Choice(["enhanced", "serial"]),
     default="enhanced",
     show_default=True,
     help="enhanced: partial poses, compensator; serial: the strict serial chain of Dumas et al. 2011.",
 )
 @click.option(
     "--structure",
-    type=click.Choice(["auto", "joints"]),
+    type=Choice(["auto", "joints"]),
     default="auto",
     show_default=True,
     help="auto: look for springs of links and stiffening gears where joint springs do not explain the readings.",

@@ -6,9 +6,11 @@ from pathlib import Path
 
 import click
 
+from postproc.cli.options import Choice
+
 
 @click.command("install-post")
-@click.argument("host", type=click.Choice(["freecad", "robodk"]))
+@click.argument("host", type=Choice(["freecad", "robodk"]))
 @click.option("--dir", "folder", type=click.Path(path_type=Path), help="Folder of posts; default: the usual one.")
 @click.option("--remove", is_flag=True, help="Remove the post instead.")
 def install_post(host: str, folder: Path | None, remove: bool) -> None:

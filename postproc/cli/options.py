@@ -26,6 +26,23 @@ probe_sigma = click.option(
 )
 
 
+class Choice(click.Choice[str]):
+    """Values of an option or argument; the error for another one offers the nearest."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """Return the value.
+
+        :raises click.BadParameter: it is none of them.
+        """
+        try:
+            return super().convert(value, param, ctx)
+        except click.BadParameter as cause:
+            from postproc.errors import did_you_mean
+
+            near = did_you_mean(str(value), [str(choice) for choice in self.choices])
+            raise click.BadParameter(f"{cause.message} {near}".rstrip(), ctx, param) from cause
+
+
 def complete_robots(_ctx: click.Context, _param: click.Parameter | None, incomplete: str) -> list[CompletionItem]:
     """Return the shipped robots whose names begin so, and let the shell look for model folders."""
     from postproc.robot import shipped

@@ -23,8 +23,8 @@ class _PlanGroup(click.Group):
     """A group whose command `poses` is the default: ``plan --experiment …`` is ``plan poses --experiment …``."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Put the default command in front of arguments that name none."""
-        if args and args[0] not in {*self.commands, *ctx.help_option_names}:
+        """Put the default command in front of options."""
+        if args and args[0].startswith("-") and args[0] not in ctx.help_option_names:
             args = ["poses", *args]
         return super().parse_args(ctx, args)
 

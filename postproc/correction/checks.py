@@ -269,9 +269,8 @@ def joints_at_joins(program: Program, sample: Toolpath, q: Array, start: Array) 
         lines = [int(program.motions.line[row]) for row in rows if row >= 0]
         reached = " and ".join(f"{angle:.0f}°" for angle in sorted({round(a) for a in angles[:, axis] * DEG_PER_RAD}))
         message = (
-            f"branches of which it is not known which one runs{_ROUNDS} end with A{axis + 1} at {reached}: what "
-            "follows was checked from one of these only. Turn the tool back the way it came, or give all of A1 … A6 "
-            "there (PTP)."
+            f"{_BRANCHES} end with A{axis + 1} at {reached}: what follows was checked from one of these angles only. "
+            "Turn the tool back the way it came, or give all of A1 … A6 there (PTP)."
         )
         yield Issue("error", "branch-joints", message, lines[0], count=len(lines), lines=tuple(lines))
 
@@ -292,14 +291,13 @@ def joins(program: Program, sample: Toolpath, pose: Poses, wrench: Runs) -> Iter
         lines = program.motions.line[motions].tolist()
         forces = [f"line {line}: {_force(wrench[end[row]])}" for line, row in zip(lines, motions.tolist(), strict=True)]
         message = (
-            f"branches of which it is not known which one runs{_ROUNDS} end under different forces "
-            f"({', '.join(forces)}) and would be corrected differently where they meet: what follows begins there. "
-            "Give the last motions of all of them the same force in $BASE."
+            f"{_BRANCHES} end under different forces ({', '.join(forces)}): the next motion would begin at different "
+            "corrected places. Give their last motions the same force in $BASE."
         )
         yield Issue("error", "branch-forces", message, lines[0], count=len(lines), lines=tuple(lines))
 
 
-_ROUNDS = ", or what precedes a LOOP without EXIT and its rounds,"
+_BRANCHES = "branches that are chosen at run time, or the rounds of a LOOP without EXIT,"
 
 
 def _force(wrench: Array) -> str:

@@ -88,7 +88,7 @@ def of_path(path: PathUnderLoad, commanded: Array) -> tuple[SmallestClearance | 
 
 
 def _retracts(path: PathUnderLoad, rows: slice) -> Bools:
-    """Return at which samples (n,) the tool comes along its own axis, away from the part: it leaves its cut."""
+    """Return at which samples (n,) the tool moves along its own axis, away from the part: it leaves its cut."""
     pose = path.sample.pose
     before = np.maximum(np.arange(rows.start, rows.stop) - 1, 0)
     step = pose[rows, :3, 3] - pose[before, :3, 3]
@@ -103,7 +103,7 @@ class _Worst:
         self._of: dict[tuple[str, str], tuple[float, int, set[int], float]] = {}
 
     def note(self, names: tuple[str, str], distance: float, line: int, need: float) -> None:
-        """Note a distance [m] that is less than what is needed."""
+        """Note a distance [m] that is smaller than the clearance."""
         least, at, lines, _ = self._of.get(names, (np.inf, 0, set(), need))
         at, least = (line, distance) if distance < least else (at, least)
         self._of[names] = least, at, lines | {line}, need
@@ -114,7 +114,7 @@ class _Worst:
 
 
 def _of_stock(scene: collision.Scene, stock: StockInTime | None) -> Iterator[str]:
-    """Yield what is known of the stock, in words."""
+    """Yield sentences on the stock: how it was compared, and how exactly."""
     if stock is not None:
         yield (
             "the stock of the process counts as it is at each move, for arm and meshes rounded up to cells of "

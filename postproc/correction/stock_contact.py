@@ -22,7 +22,7 @@ from postproc.program import Bools, Ints
 
 STOCK = "stock"
 _MOST = 200
-"""Stocks of one group of bodies that are compared; what is not decided by then counts as too close."""
+"""Stocks of one group of bodies that are compared; pairs not decided by then count as too close."""
 
 
 class States(Struct, frozen=True, eq=False):

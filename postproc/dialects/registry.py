@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from postproc.dialects.dialect import Dialect, Writer
-from postproc.errors import InputError, ProgramError, did_you_mean
+from postproc.errors import InputError, ProgramError, choices
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -63,7 +63,7 @@ def by_name(name: str) -> Dialect:
     if found is None:
         raise InputError(
             f"unknown dialect {name!r}",
-            advice=f"{did_you_mean(name, names())} There are {', '.join(names())}.".lstrip(),
+            advice=choices(name, names(), "There are"),
         )
     if isinstance(found, str):
         raise InputError(f"the dialect {name!r} cannot be used: {found}", advice="Mend or remove its package.")

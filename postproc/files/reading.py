@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from postproc.errors import MOST, InputError, did_you_mean, together
+from postproc.errors import MOST, InputError, choices, did_you_mean, together
 from postproc.frames import Array
 
 T = TypeVar("T")
@@ -79,7 +79,7 @@ def convert(data: object, structure: type[T], file: str, error: type[InputError]
         if " - at `$" in message:
             message, at = message.split(" - at `$")
             message = f"{at.removeprefix('.')}: {message}"
-        valid = _choices(kind, at)
+        valid = _valid_values(kind, at, re.search(r"enum value '(.*)'", message))
         for old, new in (("`object`", "a table"), ("`array`", "a list"), ("Invalid enum value", "no such value:")):
             message = message.replace(old, new)
         raise error(message, file=file, advice=valid) from cause
@@ -110,8 +110,7 @@ def _wrong_keys(data: object, kind: Any, at: str) -> Iterator[tuple[str, str | N
         where = f" in [{at}]" if at else ""
         for name in data:
             if name not in fields and kind.forbid_unknown_fields:
-                near = did_you_mean(str(name), fields)
-                yield f"unknown key {name!r}{where}", f"{near} Valid keys: {', '.join(fields)}.".lstrip()
+                yield f"unknown key {name!r}{where}", choices(str(name), fields, "Valid keys")
         missing = [name for name, field in fields.items() if field.required and name not in data]
         if missing:
             yield f"missing {'key' if len(missing) == 1 else 'keys'}{where}: {', '.join(missing)}", None
@@ -127,8 +126,8 @@ def _inner(kind: Any) -> Any:
     return kind
 
 
-def _choices(kind: Any, at: str) -> str | None:
-    """Return the values that a key may have, if they are a list."""
+def _valid_values(kind: Any, at: str, given: re.Match[str] | None) -> str | None:
+    """Return the values that a key may have, if they are a list; first the nearest to the given one."""
     for part in at.replace("[...]", ".[...]").split("."):
         kind = _inner(kind)
         if part == "[...]" and isinstance(kind, msgspec.inspect.DictType):
@@ -136,7 +135,9 @@ def _choices(kind: Any, at: str) -> str | None:
         elif isinstance(kind, msgspec.inspect.StructType):
             kind = next((f.type for f in kind.fields if f.encode_name == part), kind)
     if isinstance(_inner(kind), msgspec.inspect.LiteralType):
-        return f"Valid values: {', '.join(map(repr, _inner(kind).values))}."
+        values = _inner(kind).values
+        near = did_you_mean(given[1], map(str, values)) if given else ""
+        return f"{near} Valid values: {', '.join(map(repr, values))}.".lstrip()
     return None
 
 
@@ -233,13 +234,15 @@ def _header(
     for separator, name in ((";", "semicolons"), ("\t", "tabs")):
         if len(header) == 1 and separator in header[0]:
             raise error(f"columns separated by {name}", file=str(path), line=1, text=row[0], advice=_COMMAS)
-    wrong = [f"unknown column {name!r}" for name in dict.fromkeys(header) if name not in known]
+    unknown = [name for name in dict.fromkeys(header) if name not in known]
+    wrong = [f"unknown column {name!r}" for name in unknown]
     wrong += [f"column {name!r} is given twice" for name in dict.fromkeys(header) if header.count(name) > 1]
     missing = [name for name in required if name not in header]
     if missing:
         wrong.append(f"missing column {', '.join(missing)}")
     if wrong:
-        raise error("; ".join(wrong), file=str(path), line=1, advice=valid)
+        near = [did_you_mean(name, [other for other in known if other not in header]) for name in unknown]
+        raise error("; ".join(wrong), file=str(path), line=1, advice=" ".join([*filter(None, near), valid]))
     return header
 
 

@@ -34,7 +34,7 @@ class ByLaw(Struct, frozen=True, eq=False):
 
 
 class StockInTime(Protocol):
-    """The stock of a program over time, as an upper bound of what is there."""
+    """The stock of a program over time, as an upper bound of the material."""
 
     @property
     def compared(self) -> Bools:

@@ -18,7 +18,7 @@ import numpy as np
 from msgspec import Struct
 
 from postproc import files
-from postproc.errors import MOST, ForceError, together
+from postproc.errors import MOST, ForceError, choices, together
 from postproc.forces.axes import TURNS, Axes, across
 from postproc.forces.path_forces import PathForces
 from postproc.forces.sources import BASE, FEED, TOOL, Knots
@@ -185,7 +185,7 @@ class _Columns(Struct, frozen=True, eq=False):
         names = [name.upper() or "BASE" for name in self.frames] or ["BASE"] * len(self.row)
         code: dict[str, int] = {name: place for place, name in enumerate(FORCE_FRAMES)}
         frame = np.array([code.get(name, -1) for name in names], dtype=np.int64)
-        self.check(frame < 0, "unknown frame {!r}", names, f"Valid frames: {', '.join(FORCE_FRAMES)}.")
+        self.check(frame < 0, "unknown frame {!r}", names, valid=FORCE_FRAMES)
         return frame
 
     def places(self) -> Array:
@@ -215,11 +215,19 @@ class _Columns(Struct, frozen=True, eq=False):
             shown[order] = column
             self.check(back, problem, shown, advice)
 
-    def check(self, wrong: Bools, problem: str, values: Sequence[object] | Array, advice: str | None = None) -> None:
-        """Add an error for each wrong row."""
+    def check(
+        self,
+        wrong: Bools,
+        problem: str,
+        values: Sequence[object] | Array,
+        advice: str | None = None,
+        valid: Sequence[str] = (),
+    ) -> None:
+        """Add an error for each wrong row; `valid` are the names that the value may be."""
         for place in np.flatnonzero(wrong)[: MOST + 1].tolist():
             text = problem.format(values[place])
-            self.wrong.append(ForceError(text, file=self.file, line=int(self.row[place]), advice=advice))
+            own = choices(str(values[place]), valid, "Valid frames") if valid else advice
+            self.wrong.append(ForceError(text, file=self.file, line=int(self.row[place]), advice=own))
 
 
 _NOT_NEGATIVE = "Give a standard deviation, 0 or larger, in newtons, newton metres or percent."

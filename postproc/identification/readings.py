@@ -19,7 +19,7 @@ from msgspec.structs import replace
 
 from postproc import files
 from postproc.cell import Frame
-from postproc.errors import MeasurementError
+from postproc.errors import MeasurementError, choices
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array
 from postproc.program import WRENCH, Bools, Ints
 from postproc.robot import JOINTS
@@ -286,7 +286,7 @@ def read(path: Path, experiment: Experiment, loads: bool = True) -> Measurements
                 f"unknown point {name!r}",
                 file=where,
                 line=int(lines[row]),
-                advice=f"The experiment names {', '.join(names)}.",
+                advice=choices(name, names, "Points of the experiment"),
             )
     angles = np.column_stack([numbers[name] for name in JOINTS])
     wrench = np.column_stack([numbers[name] for name in WRENCH])

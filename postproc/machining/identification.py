@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import Struct
 
 from postproc import files
-from postproc.errors import ForceError
+from postproc.errors import ForceError, choices
 from postproc.frames import Array
 from postproc.machining.material import MaterialTable, six_numbers
 from postproc.machining.process import Process, ToolTable
@@ -101,7 +101,7 @@ def read(path: Path) -> CutReadings:
     for k, mode in enumerate(texts["mode"]):
         problem = advice = None
         if mode not in _MODES:
-            problem, advice = f"unknown mode {mode!r}", "Modes are slot, up and down."
+            problem, advice = f"unknown mode {mode!r}", choices(mode, _MODES, "Valid modes")
         elif mode != "slot" and not column["ae_mm"][k] > 0.0:
             problem, advice = f"mode {mode} without ae_mm", "Give the radial width of cut."
         elif min(column[name][k] for name in ("ap_mm", "rpm", "feed_mm_per_min")) <= 0.0:

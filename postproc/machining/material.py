@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from postproc import files
-from postproc.errors import ForceError
+from postproc.errors import ForceError, choices
 
 Floats = NDArray[np.float32]
 
@@ -209,7 +209,7 @@ def law(given: MaterialTable, file: str) -> CuttingLaw:
     named = given.name is not None and given.Ktc_N_per_mm2 is None and given.kc11_N_per_mm2 is None
     if named:
         if given.name not in known:
-            advice = f"Known: {', '.join(known)}; or give Ktc_N_per_mm2 … or kc11_N_per_mm2 and mc."
+            advice = f"{choices(str(given.name), known)} Or give Ktc_N_per_mm2 … or kc11_N_per_mm2 and mc."
             raise ForceError(f"[material] name: no material {given.name!r}", file=file, advice=advice)
         entry = known[given.name]
     linear, kienzle = entry.Ktc_N_per_mm2, entry.kc11_N_per_mm2

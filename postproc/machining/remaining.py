@@ -2,7 +2,7 @@
 
 What does not cut must not touch the material that is there at that time. Parts of the tool along its axis (shank,
 holder, spindle) are compared with the map of the stock while it is swept: before the material of a group of segments is
-removed, the map is an upper bound of what is there. Where that is not enough, the group is divided, and its material is
+removed, the map is an upper bound of the material. Where that is not enough, the group is divided, and its material is
 removed piece by piece. For all other bodies the coarse cells and the times at which they sink are kept.
 """
 

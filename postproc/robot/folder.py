@@ -9,7 +9,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from postproc import files
-from postproc.errors import ModelError, did_you_mean
+from postproc.errors import ModelError, choices, did_you_mean
 from postproc.frames import DEG_PER_RAD, M_PER_MM, RAD_PER_DEG, Array, rotation_from_vector
 from postproc.robot import parameters, urdf
 from postproc.robot.chain import Chain
@@ -79,7 +79,7 @@ def load(folder: str | Path) -> RobotModel:
     ):
         wrong = [name for name in table if name not in valid]
         if wrong:
-            raise ModelError(f"unknown joint {wrong[0]!r}", file=where, advice=f"Valid: {', '.join(valid)}.")
+            raise ModelError(f"unknown joint {wrong[0]!r}", file=where, advice=choices(wrong[0], valid))
     missing = [name for name in JOINTS if name not in content.joints]
     if missing:
         raise ModelError(f"no [joints.{missing[0]}]", file=where, advice="Every joint needs a compliance.")

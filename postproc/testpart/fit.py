@@ -273,8 +273,8 @@ class Surprise(Struct, frozen=True, eq=False):
 def _chance(score: Array, information: Array) -> float:
     """Return the chance of scores as large as the largest of these, in its standard deviations, if nothing changed.
 
-    Each unknown by itself is tested, so that a small effect is seen next to large ones; the scale of the forces stands
-    for all compliances together. The number of tests counts (Bonferroni).
+    Each unknown by itself is tested, so that a small effect is seen next to large ones. The scale of the forces is the
+    test of all compliances together. The number of tests counts (Bonferroni).
     """
     variance = np.diag(information)
     seen = variance > 1e-9 * variance.max()

@@ -1,4 +1,4 @@
-"""Branches of which one runs must be corrected alike where they meet: forces from a file may say otherwise."""
+"""Branches that are chosen at run time must be corrected alike at their join: forces from a file may say otherwise."""
 
 import re
 from pathlib import Path

@@ -362,7 +362,7 @@ def test_other_programs_that_call_a_corrected_file_are_named_and_their_names_not
     assert "next.src of its folders call it too" in told.message
 
 
-# --- branches of which it is not known which one runs ----------------------------------------------------------------
+# --- branches chosen at run time --------------------------------------------------------------------------------------
 
 MEET = "LIN {X 9,Y 9,Z 9,A 0,B 0,C 0}"
 BRANCHES = [
