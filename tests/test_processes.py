@@ -13,7 +13,9 @@ import time
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
+from postproc.cli import main
 from tests.plan import setting
 from tests.processes import CELL_16, COMMAND, ENDINGS, LONG, SAMPLES, Held, programs, written
 
@@ -38,6 +40,12 @@ def folder(tmp_path, monkeypatch):
 
 def run(*arguments: str, **options) -> subprocess.CompletedProcess[str]:
     return subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, timeout=LONG, check=False, **options)
+
+
+def converted() -> None:
+    """Convert all programs in this process, where nothing is to happen to it."""
+    done = CliRunner().invoke(main, CONVERT, catch_exceptions=False)
+    assert done.exit_code == 0, done.output
 
 
 def said(stderr: str) -> tuple[int, int]:
@@ -112,7 +120,7 @@ def test_workers_of_a_killed_process_end_by_themselves_and_leave_nothing_half_wr
     held.signal(signal.SIGKILL)
     held.end()
     assert len(written()) <= 2
-    assert run(*CONVERT).returncode == 0
+    converted()
     assert len(written()) == 4
     assert not [path for path in Path("out").iterdir() if path.name.startswith(".")]
 
@@ -151,14 +159,14 @@ def test_a_process_killed_while_it_writes_leaves_no_program_and_the_next_run_cle
     held.signal(signal.SIGKILL)
     held.end()
     assert {path.suffix for path in Path("out").iterdir()} == {".tmp", ".lock"}
-    assert run(*CONVERT).returncode == 0
+    converted()
     assert written() == {"p00"}
 
 
 @pytest.mark.parametrize("at", ["os:rename:1", "os:rename:2", "os:rename:4", "os:replace:1", "os:replace:4"])
 def test_a_process_killed_between_two_files_leaves_no_program_to_reports_of_another(at):
     programs(1)
-    assert run(*CONVERT).returncode == 0
+    converted()
     source = Path("p00.src")
     source.write_text(source.read_text().replace("FX=80", "FX=160"))
     held = Held(at, *CONVERT)
@@ -211,7 +219,7 @@ def test_without_shared_memory_several_processes_do_the_same():
 @pytest.mark.parametrize("earlier", [False, True])
 def test_a_full_disk_leaves_what_was_there_names_the_file_and_says_what_is_of_an_earlier_run(earlier, missing):
     programs(1)
-    assert run(*CONVERT).returncode == 0
+    converted()
     sizes = [path.stat().st_size for path in Path("out").iterdir()]
     need = sum(-(-size // 4096) for size in sizes)
     Path("out").rename("earlier")
@@ -238,7 +246,7 @@ def test_a_full_disk_leaves_what_was_there_names_the_file_and_says_what_is_of_an
 @pytest.mark.parametrize("ending", ENDINGS)
 def test_a_file_that_cannot_be_replaced_keeps_all_of_the_earlier_run(ending):
     programs(1)
-    assert run(*CONVERT).returncode == 0
+    converted()
     before = {path.name: path.read_bytes() for path in Path("out").iterdir()}
     source = Path("p00.src")
     source.write_text(source.read_text().replace("FX=80", "FX=160"))
