@@ -14,13 +14,13 @@ from tests.attack.krl import KEPT, MIXED, Wrong, attack, damaged
 
 
 def test_random_programs_do_what_is_read_and_what_is_written():
-    outcomes = Counter(attack(seed) for seed in range(400))
-    assert outcomes["accepted"] > 100
+    outcomes = Counter(attack(seed) for seed in range(120))
+    assert outcomes["accepted"] > 30
 
 
 def test_what_enters_variables_of_other_types_is_what_the_controller_makes_of_it():
-    outcomes = Counter(attack(seed) for seed in range(1_000_000, 1_000_200))
-    assert outcomes["accepted"] > 40
+    outcomes = Counter(attack(seed) for seed in range(1_000_000, 1_000_060))
+    assert outcomes["accepted"] > 12
 
 
 def test_nested_loops_splines_and_synchronised_robots_are_what_the_controller_makes_of_them():
@@ -42,9 +42,9 @@ def test_programs_that_call_one_routine_both_followed_and_not_followed():
 
 
 def test_damaged_programs_are_refused_with_a_message_or_read():
-    outcomes = Counter(damaged(seed) for seed in range(500))
-    assert outcomes["read"] > 20
-    assert outcomes["refused: True"] > 200
+    outcomes = Counter(damaged(seed) for seed in range(150))
+    assert outcomes["read"] > 6
+    assert outcomes["refused: True"] > 60
     assert outcomes["refused: False"] == 0
 
 

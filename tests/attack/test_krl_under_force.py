@@ -15,11 +15,11 @@ from tests.attack.krl_under_force import Wrong, attack
 
 
 def test_the_loaded_tool_goes_where_the_job_said_whatever_inputs_say():
-    outcomes = Counter(attack(seed).partition(":")[0] for seed in range(80))
-    assert sum(number for name, number in outcomes.items() if "straight" in name) > 40
-    assert sum(number for name, number in outcomes.items() if "branches" in name) > 5
-    assert sum(number for name, number in outcomes.items() if "in files" in name) > 10
-    assert sum(number for name, number in outcomes.items() if "no forces" in name) > 3
+    outcomes = Counter(attack(seed).partition(":")[0] for seed in range(31))
+    assert sum(number for name, number in outcomes.items() if "straight" in name) > 15
+    assert sum(number for name, number in outcomes.items() if "branches" in name) > 2
+    assert sum(number for name, number in outcomes.items() if "in files" in name) > 4
+    assert sum(number for name, number in outcomes.items() if "no forces" in name) >= 1
     assert outcomes["kept"] >= 1
 
 
