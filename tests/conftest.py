@@ -16,6 +16,14 @@ settings.load_profile("postproc")
 
 
 @pytest.fixture(scope="session", autouse=True)
+def disk_is_not_waited_for():
+    """Files of tests need not survive a power cut."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda _: None)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
 def signals_are_heard():
     """Whoever starts the tests with signals ignored (nohup, a background job) has them heard by what these start."""
     numbers = [getattr(signal, name) for name in ("SIGHUP", "SIGINT", "SIGTERM") if hasattr(signal, name)]

@@ -18,7 +18,7 @@ URDF = {name: (folder / "robot.urdf").read_text(encoding="utf-8") for name, fold
 CONTENT = {name: files.read_toml(folder / "model.toml", ModelFile, ModelError) for name, folder in FOLDERS.items()}
 TOOL = frames.pose_from_xyzabc([130.0, -20.0, 350.0, 10.0, -20.0, 30.0])
 SEEDS = st.integers(0, 2**32 - 1)
-MANY = settings(max_examples=60, deadline=None)
+MANY = settings(max_examples=30, deadline=None)
 
 
 def origin(rng):

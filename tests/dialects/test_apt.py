@@ -458,7 +458,7 @@ def test_line_ends_a_byte_order_mark_and_lower_case_change_nothing(end):
 WORDS = st.sampled_from(["0", "1.5", "-2", "+.25", "12.0000000001", "1E1", "", "x", "1.2.3", "--1", "7."])
 
 
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=60)
 @given(lines=st.lists(st.lists(WORDS, min_size=2, max_size=7), min_size=1, max_size=8))
 def test_plain_points_mean_the_same_in_bulk_and_one_by_one(lines):
     text = HEAD + "".join(f"GOTO/{','.join(words)}\n" for words in lines)

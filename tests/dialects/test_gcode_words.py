@@ -40,7 +40,7 @@ ENDS = st.sampled_from(["\n", "\r\n", "\r\r\n", "\r"])
 HEAD = "G21 G90 G0 X1 Y2 Z3 F100"
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(st.lists(st.tuples(PLAIN, ENDS), max_size=8).map(lambda lines: "".join(map("".join, lines))))
 def test_plain_blocks_have_the_words_that_pygcode_reads(text: str) -> None:
     source = split(HEAD + "\n" + text)
@@ -54,7 +54,7 @@ def test_plain_blocks_have_the_words_that_pygcode_reads(text: str) -> None:
         assert np.isnan(column[odd]).all()
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(st.lists(st.tuples(PLAIN | SCRAPS, ENDS), max_size=6).map(lambda lines: "".join(map("".join, lines))))
 @example("N1N2X1\n")
 @example("X1.2.3Y4\n")

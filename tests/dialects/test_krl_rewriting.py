@@ -54,7 +54,7 @@ def kinds(written):
 # --- properties --------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=50, deadline=None, suppress_health_check=list(HealthCheck))
 @given(sources(), st.data())
 def test_the_written_program_commands_the_targets(source, data):
     try:
@@ -78,7 +78,7 @@ def test_the_written_program_commands_the_targets(source, data):
         assert [d.text for d in written.documents] == [source, DATA]
 
 
-@settings(max_examples=80, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=30, deadline=None, suppress_health_check=list(HealthCheck))
 @given(sources())
 def test_rewriting_again_with_the_same_targets_changes_nothing(source):
     try:

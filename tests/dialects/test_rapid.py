@@ -109,7 +109,7 @@ def test_an_angle_that_is_a_quadrants_beginning_but_for_rounding_is_in_it():
     assert conventions.configuration(TargetJoints(q, np.array([2]))).tolist() == [[0, 1, -1, 0]]
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(st.lists(st.floats(-1, 1), min_size=3, max_size=3), st.sampled_from([1e-9, 1e-3, 1.0, 3.0, np.pi - 1e-9, np.pi]))
 def test_quaternions_are_those_of_scipy(axis, angle):
     axis = np.array(axis) if np.linalg.norm(axis) > 1e-3 else np.array([0.0, 0.0, 1.0])
@@ -383,7 +383,7 @@ def test_what_is_not_as_it_is_written_is_refused_with_its_line(tmp_path, old, ne
 _TEXT: list[str] = []
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(
     st.floats(0, 1),
     st.integers(0, 3),

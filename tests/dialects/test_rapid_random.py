@@ -63,7 +63,7 @@ def programs_and_targets(draw):
     return program, targets, TargetJoints(q, status)
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=50, deadline=None, suppress_health_check=list(HealthCheck))
 @given(programs_and_targets())
 def test_a_random_program_is_written_target_by_target(made):
     program, targets, joints = made
@@ -129,7 +129,7 @@ def _check_order(program, code, text):
     assert text.count("! words") == sum(event.kind == "comment" for event in program.events)
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
 @given(programs_and_targets())
 def test_a_random_program_is_read_back_as_it_was_meant(made):
     """The controller's single precision is the largest error: 6e-5 mm at 1 m, 6e-8 of a quaternion."""

@@ -2,7 +2,7 @@
 equilibrium as the stationary point of the potential V(θ) of "The model" in docs/architecture.md, derivatives by complex
 step.
 
-SI units, root frame, KUKA signs. One configuration at a time; slow and simple on purpose.
+SI units, root frame, KUKA signs. Simple on purpose: joint angles are (6,), or (n, 6) for derivatives by all of them.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ G = 9.81
 def rot(axis, angle):
     """Rodrigues' formula, safe for complex angles."""
     k, square = _hat(*axis)
+    angle = np.asarray(angle)[..., None, None]
     return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * square
 
 
@@ -96,10 +97,12 @@ class Arm:
 
     def frames(self, q, origins=None):
         """Poses of the six joints (after their rotation) and of the flange."""
-        pose, out = np.eye(4, dtype=np.result_type(np.asarray(q).dtype, float)), []
-        for origin, axis, angle in zip(origins or self.origins, self.axes, q, strict=True):
-            turn = np.eye(4, dtype=pose.dtype)
-            turn[:3, :3] = rot(axis, angle)
+        q = np.asarray(q)
+        pose, out = np.eye(4), []
+        for origin, axis, angle in zip(origins or self.origins, self.axes, np.moveaxis(q, -1, 0), strict=True):
+            turn = np.zeros((*angle.shape, 4, 4), dtype=np.result_type(q.dtype, float))
+            turn[..., :3, :3] = rot(axis, angle)
+            turn[..., 3, 3] = 1.0
             pose = pose @ origin @ turn
             out.append(pose)
         return [*out, pose @ self.flange]
@@ -111,11 +114,13 @@ class Arm:
         return self.frames(q, self.nominal_origins)[-1] @ tool
 
     def weight_energy(self, q, payload=True):
-        frames = self.frames(q)
-        energy = sum(m * G * (f @ [*c, 1.0])[2] for m, f, c in zip(self.masses, frames[:6], self.centres, strict=True))
+        return self.weight_energy_at(self.frames(q), payload)
+
+    def weight_energy_at(self, frames, payload=True):
+        bodies = list(zip(self.masses, frames[:6], self.centres, strict=True))
         if payload:
-            energy = energy + self.payload[0] * G * (frames[6] @ [*self.payload[1], 1.0])[2]
-        return energy
+            bodies.append((self.payload[0], frames[6], self.payload[1]))
+        return sum(m * G * (f @ [*c, 1.0])[..., 2] for m, f, c in bodies)
 
     def spring_energy(self, q2):
         c = self.comp
@@ -130,32 +135,29 @@ class Arm:
     def potential(self, theta, q, tool, force, reference):
         """V(θ) without the moment, whose work is no function of θ; `reference`: gradient at q of what is balanced."""
         x = q + theta
-        value = 0.5 * np.sum(self.stiffness * theta**2) + self.spring_energy(x[1]) + self.weight_energy(x)
-        return value - reference @ theta - np.dot(force, self.tcp(x, tool)[:3, 3])
+        frames = self.frames(x)
+        value = 0.5 * np.sum(self.stiffness * theta**2, axis=-1) + self.spring_energy(x[..., 1])
+        value = value + self.weight_energy_at(frames)
+        return value - theta @ reference - (frames[-1] @ tool)[..., :3, 3] @ force
 
     def gradient(self, fun, at, h=1e-30):
-        out = np.empty(len(at))
-        for i in range(len(at)):
-            x = np.array(at, dtype=complex)
-            x[i] += 1j * h
-            out[i] = np.imag(fun(x)) / h
-        return out
+        """Derivatives of a function of (n,) by each of the n."""
+        return np.array([np.imag(fun(x)) / h for x in at + 1j * h * np.eye(len(at))])
+
+    def slopes(self, fun, at, h=1e-30):
+        """The same of a function that takes all n at once, (n, n)."""
+        return np.imag(fun(at + 1j * h * np.eye(len(at)))) / h
 
     def reference(self, q):
         if self.rigid:
             return np.zeros(6)
-        return self.gradient(lambda x: self.spring_energy(x[1]) + self.weight_energy(x, payload=False), q)
+        return self.slopes(lambda x: self.spring_energy(x[..., 1]) + self.weight_energy(x, payload=False), q)
 
     def moment_torque(self, x, moment, h=1e-30):
         """J_ωᵀ M: the rotation rate of each joint by the complex step on the rotation matrix."""
-        out = np.empty(6)
-        for i in range(6):
-            z = np.array(x, dtype=complex)
-            z[i] += 1j * h
-            r = self.frames(z)[-1][:3, :3]
-            w = np.imag(r) / h @ np.real(r).T
-            out[i] = np.dot(moment, [w[2, 1], w[0, 2], w[1, 0]])
-        return out
+        r = self.frames(x + 1j * h * np.eye(6))[-1][:, :3, :3]
+        w = np.imag(r) / h @ np.real(r).swapaxes(1, 2)
+        return np.stack([w[:, 2, 1], w[:, 0, 2], w[:, 1, 0]], axis=1) @ moment
 
     def equilibrium(self, q, tool, wrench):
         """θ at which the potential is stationary under a dead force and moment at the TCP (root axes)."""
@@ -163,7 +165,7 @@ class Arm:
 
         def residual(scaled):
             theta = scaled / self.stiffness
-            slope = self.gradient(lambda t: self.potential(t, q, tool, wrench[:3], reference), theta)
+            slope = self.slopes(lambda t: self.potential(t, q, tool, wrench[:3], reference), theta)
             return slope - self.moment_torque(q + theta, wrench[3:])
 
         solution = root(residual, np.zeros(6), method="hybr", options={"xtol": 1e-13})
@@ -178,11 +180,10 @@ class Arm:
 
         def error(q):
             here = self.nominal_tcp(q, tool)
-            r = here[:3, :3].T @ pose[:3, :3]
-            return np.concatenate(
-                [here[:3, 3] - pose[:3, 3], [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]]
-            )
+            r = here[..., :3, :3].swapaxes(-1, -2) @ pose[:3, :3]
+            turned = [r[..., i, j] - r[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0))]
+            return np.concatenate([here[..., :3, 3] - pose[:3, 3], np.stack(turned, axis=-1)], axis=-1)
 
-        found = least_squares(error, guess, xtol=1e-15, ftol=1e-15, gtol=1e-15)
+        found = least_squares(error, guess, lambda q: self.slopes(error, q).T, xtol=1e-15, ftol=1e-15, gtol=1e-15)
         assert np.abs(found.fun).max() < 1e-9, found.fun
         return found.x

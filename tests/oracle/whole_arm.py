@@ -35,6 +35,8 @@ def _backlash(torque, rest, scale):
 class WholeArm:
     """The arm of a URDF and the content of a model file; `payload` (mass [kg], centre in the flange frame [m]).
 
+    Its chains are built once, and once more for arms with other masses.
+
     What tests change: `linear` (nv,) compliances, `parts` [function, coordinate, torque, value], `stiffness` and
     `preload` of the compensator, `heavier` (6,) factors of the masses.
     """
@@ -53,7 +55,7 @@ class WholeArm:
                 if value:
                     self.springs.append((link, axis))
                     values.append(value * 1e-6)
-        self.heavier = np.ones(6)
+        self.heavier, self.built = np.ones(6), None
         rows = self.chains()[1].actuated
         self.rows, count = rows, 6 + len(values)
         self.linear, self.parts = np.zeros(count), []
@@ -80,13 +82,17 @@ class WholeArm:
     def but(self, **changes):
         """Return the arm with other values."""
         other = copy.copy(self)
+        if not changes.keys() <= {"linear", "parts", "stiffness", "preload"}:
+            other.built = None
         other.__dict__ |= changes
         return other
 
     def chains(self):
         """The chain with payload, and without."""
-        loaded = self.payload if self.payload[0] else None
-        return [Chain(self.urdf, self.displaced, self.springs, p, self.heavier) for p in (loaded, None)]
+        if self.built is None:
+            loaded = self.payload if self.payload[0] else None
+            self.built = [Chain(self.urdf, self.displaced, self.springs, p, self.heavier) for p in (loaded, None)]
+        return self.built
 
     def held_by_motors(self, q):
         """Coordinates (nv,) without deflection for joint angles (6,) that the controller holds."""
@@ -150,12 +156,16 @@ class WholeArm:
     def equilibrium(self, q, tool, wrench):
         """Return θ (nv,), and the pose of the tool there."""
         given, tcp = self.given(q, tool, wrench)
-        theta = np.zeros(len(self.linear))
-        for _ in range(40):
+        theta, before = np.zeros(len(self.linear)), 0.0
+        for _ in range(80):
             missed = given(theta) - theta
-            if np.abs(missed).max() < 1e-14:
+            size = np.abs(missed).max()
+            if size < 1e-14:
                 return theta, tcp(theta)[0]
-            theta = theta + np.linalg.solve(np.eye(len(theta)) - slopes(given, theta, 1e-7), missed)
+            if not size < 0.1 * before:  # the slopes of an earlier step serve as long as they lead there quickly
+                matrix = np.eye(len(theta)) - slopes(given, theta, 1e-7)
+            before = size
+            theta = theta + np.linalg.solve(matrix, missed)
         assert np.abs(missed).max() < 1e-12, missed
         return theta, tcp(theta)[0]
 
