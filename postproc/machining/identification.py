@@ -29,6 +29,8 @@ _RANK = 1e-6
 """Singular value, as a share of the largest, below which a combination of coefficients is not excited."""
 _LEAST_RANGE = 1.3
 """Ratio of largest to smallest feed per tooth below which edge and cutting coefficients cannot be separated."""
+_ROUNDED = 1e-9
+"""Correlations below this are rounding errors."""
 _LEAST_SCATTER = 1e-3
 """Least scatter of readings that do not state theirs, as a share of their RMS. Assumed: the linearity of dynamometers
 is 0.1 to 0.5 % of their range."""
@@ -321,7 +323,9 @@ def as_toml(found: IdentifiedMaterial, tool: ToolTable, name: str) -> bytes:
     if np.isfinite(found.residual):
         table["residual_N"] = float(f"{round(found.residual, 6):.4g}")
     table["ci95"] = {name: float(f"{v:.4g}") for name, v in zip(NAMES, found.half, strict=True)}
-    table["covariance"] = [[float(f"{v:.6g}") for v in row] for row in found.covariance]
+    size = np.sqrt(np.diag(found.covariance))
+    stated = np.where(np.abs(found.covariance) > _ROUNDED * np.outer(size, size), found.covariance, 0.0)
+    table["covariance"] = [[float(f"{v:.6g}") for v in row] for row in stated]
     comment = 'Cutting coefficients, identified by `postproc identify forces`. In process.toml: [material] file = "…".'
     return files.sealed(files.toml({"material": table}, comment))
 

@@ -136,6 +136,55 @@ def test_removed_volume_and_what_is_left_are_those_of_trimesh(tmp_path):
     assert mesh.volume == pytest.approx(100 * 80 * 20 - (math.pi * 25 + 400) * 3, rel=1e-3)
 
 
+@pytest.mark.parametrize(("rake", "thickness", "share"), [(12.0, 0.05, 0.01), (12.0, 0.1, 0.01)])
+def test_the_titanium_set_is_that_of_its_orthogonal_data(rake, thickness, share):
+    """Armarego's oblique transformation, 12° rake and 30° helix; the chip thickness matters little."""
+    entry = table()["ti_6al_4v_carbide"]
+    helix, a = math.radians(30.0), math.radians(rake)
+    beta = math.radians(19.1 + 0.29 * rake)
+    ratio = (1.755 - 0.028 * rake) * thickness ** (0.331 - 0.0082 * rake)
+    phi = math.atan(ratio * math.cos(a) / (1.0 - ratio * math.sin(a)))
+    lean = math.hypot(math.cos(phi + beta - a), math.tan(helix) * math.sin(beta))
+    size = 613.0 / math.sin(phi) / lean
+    expected = (
+        size * (math.cos(beta - a) + math.tan(helix) ** 2 * math.sin(beta)),
+        size * math.sin(beta - a) / math.cos(helix),
+        size * math.tan(helix) * (math.cos(beta - a) - math.sin(beta)),
+    )
+    given = entry.Ktc_N_per_mm2, entry.Krc_N_per_mm2, entry.Kac_N_per_mm2
+    np.testing.assert_allclose(given, expected, rtol=share)
+
+
+SHORT = ((0, 20), (-10, 10), (-20, 0))
+
+
+@pytest.mark.parametrize("downhill", [True, False])
+@pytest.mark.parametrize("degrees", [3.0, 10.0])
+def test_the_volume_of_a_ball_on_a_slope_is_the_analytic_one(tmp_path, degrees, downhill):
+    """Its path leaves half a cylinder of its radius, whose axis is tilted: below the axis by √(R² − y²)/cos θ."""
+    slope, radius, least = math.tan(math.radians(degrees)), 5.0, 0.5
+    ends = [f"X{x} Z{-least - slope * x:.9f}" for x in (-10, 30)][:: 1 if downhill else -1]
+    text = gcode(f"G0 {ends[0].split()[0]} Y0 Z10", f"G1 {ends[0].split()[1]} F600", ends[1])
+    _, found = forces(tmp_path, text, process(tool(2 * radius, 2, "ball"), SHORT))
+    x, y = ((np.arange(4000) + 0.5) / 4000 for _ in range(2))
+    x, y = 20.0 * x[:, None], radius * (2.0 * y - 1.0)
+    below = np.sqrt(radius**2 - y**2) / math.cos(math.radians(degrees)) - (radius - least - slope * x)
+    expected = np.maximum(below, 0.0).mean() * 20.0 * 2.0 * radius
+    assert found.removed * 1e9 == pytest.approx(expected, rel=0.005)
+
+
+@pytest.mark.parametrize("downhill", [True, False])
+@pytest.mark.parametrize("degrees", [3.0, 10.0])
+def test_the_volume_of_a_ramp_is_the_analytic_one(tmp_path, degrees, downhill):
+    """A flat end leaves at each place the depth that its rim reaches √(R² − y²) farther down the ramp."""
+    slope, radius, length, least = math.tan(math.radians(degrees)), 5.0, 20.0, 0.5
+    ends = [f"X{x} Z{-least - slope * x:.9f}" for x in (-8, 28)][:: 1 if downhill else -1]
+    text = gcode(f"G0 {ends[0].split()[0]} Y0 Z10", f"G1 {ends[0].split()[1]} F600", ends[1])
+    _, found = forces(tmp_path, text, process(tool(2 * radius, 4), SHORT))
+    expected = 2 * radius * length * (least + slope * length / 2) + slope * length * math.pi * radius**2 / 2
+    assert found.removed * 1e9 == pytest.approx(expected, rel=0.005)
+
+
 def test_a_slot_cut_through_leaves_two_closed_parts(tmp_path):
     text = gcode("G0 X-10 Y0 Z5", "G1 Z-21 F2400", "X110")
     _, found = forces(tmp_path, text, process(tool(10, 4), BOX, 0.5))

@@ -110,6 +110,9 @@ def test_exact_readings_do_not_give_intervals_of_nothing():
     assert (found.half > 1e-4 * np.abs(TRUE)).all()
     table = tomllib.loads(identification.as_toml(found, TOOL, "measured.csv").decode())["material"]
     assert np.diag(table["covariance"]).min() > 1e-9
+    size = np.sqrt(np.diag(table["covariance"]))
+    correlation = np.abs(table["covariance"] / np.outer(size, size))
+    assert not correlation[(correlation < 1e-6)].any()
     assert table["residual_N"] == 0.0
     real = identification.identify(of_published(), ToolTable(diameter_mm=25, flutes=2), None, "published.csv")
     assert not any("scatter less" in text for text in real.warnings)
