@@ -18,7 +18,7 @@ from msgspec.structs import replace
 
 from postproc import kinematics, toolpath
 from postproc.cell import Cell
-from postproc.chunks import in_chunks
+from postproc.chunks import Computed, chunks, in_chunks
 from postproc.forces.sources import FEED
 from postproc.frames import M_PER_MM, Array, largest, norm, sine_and_cosine, twist_between
 from postproc.poses import Poses
@@ -57,7 +57,7 @@ class CommandedPath(Struct, frozen=True, eq=False):
     sample: Toolpath
     arcs: Pieces
     position: Array
-    start: Array
+    start: Array | Computed
     limit: float
 
     @classmethod
@@ -68,8 +68,14 @@ class CommandedPath(Struct, frozen=True, eq=False):
             path.program, lambda motion: command.pose[ends[motion]], path.robot_in_cell.start_flange
         )
         position = command.pose[:, :3, 3]
-        start = np.roll(position[ends], 1, axis=0)
-        start[starts.changed] = starts.pose[:, :3, 3]
+
+        def begin(motion: Ints) -> Array:
+            out = position.take(ends[motion - 1], axis=0)
+            place, own = starts.changed_among(motion)
+            out[own] = starts.pose[place[own], :3, 3]
+            return out
+
+        start = Computed(np.arange(len(ends)), begin)
         return cls(path.sample, path.arcs, position, start, SHARE_OF_TOLERANCE * path.robot_in_cell.tolerance)
 
 
@@ -194,16 +200,17 @@ class Corners(Struct, frozen=True):
         return np.asarray(0.25 * np.minimum(distance, self.reach) * self.sharp)
 
 
-def _corners(arrive: Array, leave: Array, length: Array, joined: Bools) -> Corners:
+def _corners(bend: Array, length: Array, joined: Bools) -> Corners:
     """Return corners.
 
-    :param arrive: (K, 3) unit direction at the end of each piece; `leave` at its start; zero where it has none.
+    :param bend: (K − 1,) distance between the unit directions at the end of each piece and at the start of the next,
+        which are zero where a piece has none.
     :param length: (K,) [m].
     :param joined: (K,) whether the next piece follows at once, in the same frames.
     """
     sharp, reach = np.zeros(len(length)), np.zeros(len(length))
     reach[:-1] = 0.5 * np.minimum(length[:-1], length[1:])
-    sharp[:-1] = np.where(joined[:-1] & (reach[:-1] > 0.0), norm(leave[1:] - arrive[:-1]), 0.0)
+    sharp[:-1] = np.where(joined[:-1] & (reach[:-1] > 0.0), bend, 0.0)
     return Corners(sharp, reach)
 
 
@@ -217,38 +224,49 @@ def _joined(program: Program, motion: Ints, kind: Ints) -> Bools:
     return np.asarray((after >= 0) & same & path & np.append(path[1:], False))
 
 
-def corners_of_targets(program: Program, targets: Targets, start: Array) -> tuple[Corners, Array]:
+def corners_of_targets(program: Program, targets: Targets, start: Array | Computed) -> tuple[Corners, Array]:
     """Return the corners of a path as it is to be written, and the direction in which it comes to them (K, 3).
 
     :param start: (M, 3) commanded position at the start of each motion, `$BASE` [m].
     """
-    end, start = (np.round(spot, _PRINTED) for spot in (targets.pose[:, :3, 3], start))
-    first = np.append(True, np.diff(targets.motion) != 0)[: len(end)]
-    begin = np.where(first[:, None], start[targets.motion], np.roll(end, 1, axis=0))
+    bend, length, arrive = np.zeros(len(targets)), np.zeros(len(targets)), np.zeros((len(targets), 3))
+    for part in chunks(len(targets)):
+        row = np.arange(max(part.start - 1, 0), min(part.stop, len(targets)))  # from the last one of the part before
+        leave, arrive[row], length[row] = _pieces(targets, start, row)
+        bend[row[1:]] = norm(leave[1:] - arrive[row[:-1]])
+    return _corners(bend[1:], length, _joined(program, targets.motion, targets.kind)), arrive
+
+
+def _pieces(targets: Targets, start: Array | Computed, row: Ints) -> tuple[Array, Array, Array]:
+    """Return the unit directions (n, 3) at the start and at the end of the pieces to targets (n,), and lengths [m]."""
+    motion, before = targets.motion[row], np.maximum(row - 1, 0)
+    end, last = (np.round(targets.pose[each, :3, 3], _PRINTED) for each in (row, before))
+    first = (row == 0) | (targets.motion[before] != motion)
+    begin = np.where(first[:, None], np.round(start[motion], _PRINTED), last)
     step = end - begin
     length = norm(step)
     leave = step / np.where(length > 0.0, length, 1.0)[:, None]
     arrive = leave.copy()
-    arcs = np.flatnonzero(targets.kind == CIRC)
+    arcs = np.flatnonzero(targets.kind[row] == CIRC)
     if len(arcs):
-        _, radial, across, angle = circle_through(begin[arcs], np.round(targets.via[arcs], _PRINTED), end[arcs])
+        _, radial, across, angle = circle_through(begin[arcs], np.round(targets.via[row[arcs]], _PRINTED), end[arcs])
         radius, (sine, cosine) = norm(radial), sine_and_cosine(angle[:, None])
         leave[arcs] = across / radius[:, None]
         arrive[arcs] = (cosine * across - sine * radial) / radius[:, None]
         length[arcs] = radius * angle
-    return _corners(arrive, leave, length, _joined(program, targets.motion, targets.kind)), arrive
+    return leave, arrive, length
 
 
 def corners_of_motions(program: Program, path: Segments, motion: Ints) -> Corners:
     """Return the corners at the ends of some motions (n,), in order."""
     kind = program.motions.kind[motion]
 
-    def at_ends(motion: Ints) -> tuple[Array, Array]:
-        begin, end = np.zeros(len(motion)), np.ones(len(motion))
-        return toolpath.tangent(program, path, motion, end), toolpath.tangent(program, path, motion, begin)
+    def bends(motion: Ints, following: Ints) -> tuple[Array]:
+        arrive = toolpath.tangent(program, path, motion, np.ones(len(motion)))
+        return (norm(toolpath.tangent(program, path, following, np.zeros(len(motion))) - arrive),)
 
-    arrive, leave = in_chunks(at_ends, motion)
-    return _corners(arrive, leave, path.length[motion], _joined(program, motion, kind))
+    (bend,) = in_chunks(bends, motion[:-1], motion[1:])
+    return _corners(bend, path.length[motion], _joined(program, motion, kind))
 
 
 def programmed_rounding(program: Program, path: Segments, motion: Ints) -> Array:

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from postproc import kinematics, toolpath
 from postproc.chunks import in_chunks, rows_of
@@ -191,7 +192,7 @@ class _Probes(Struct, frozen=True, eq=False):
     :param motion: (n,) motion of the nominal program, and `t` (n,) the place on it.
     """
 
-    target: Ints
+    target: NDArray[np.int32]
     share: Array
     motion: Ints
     t: Array
@@ -212,9 +213,8 @@ def simulate(path: PathUnderLoad, chosen: Chosen, theta: Array, back: ReadBack, 
     :raises UnusableTextError: it cannot be simulated.
     """
     probes = _probes(path, chosen, back)
-    off, q, position = _deviation(path, chosen, theta, back, probes)
-    too_fast = tuple(_joint_speeds(path, chosen, back, probes.target, q, position))
-    del q, position
+    off, near_limit = _deviation(path, chosen, theta, back, probes)
+    too_fast = tuple(_joint_speeds(path, chosen, back)) if near_limit else ()
     distance, inside, targets = norm(off), probes.inside, chosen.targets
     written, m, tolerance = back.program.motions, path.program.motions, path.robot_in_cell.tolerance
     rounding = corners_of_motions(back.program, back.segments, back.row).rounding(written.blend[back.row])
@@ -234,7 +234,7 @@ def simulate(path: PathUnderLoad, chosen: Chosen, theta: Array, back: ReadBack, 
     return Simulated(
         back.text,
         back.numbers,
-        off[~inside],
+        off[~inside] if inside.any() else off,
         float(distance[settled].max(initial=0.0)),
         rounding,
         (probes.motion[bad], probes.t[bad], distance[bad]),
@@ -244,8 +244,8 @@ def simulate(path: PathUnderLoad, chosen: Chosen, theta: Array, back: ReadBack, 
 
 def _deviation(
     path: PathUnderLoad, chosen: Chosen, theta: Array, back: ReadBack, probes: _Probes
-) -> tuple[Array, Array, Array]:
-    """Return the loaded tip (n, 3) from nominal, `$BASE` [m], joint angles (n, 6) [rad], written positions (n, 3) [m].
+) -> tuple[Array, bool]:
+    """Return the loaded tip (n, 3) from nominal, `$BASE` [m], and whether a joint comes near its largest speed.
 
     :raises UnusableTextError: a commanded pose is out of reach, or there is no equilibrium.
     """
@@ -255,7 +255,10 @@ def _deviation(
         path.sample.motion + path.sample.t, probes.motion[inside] + probes.t[inside] - _HERE
     )
 
-    def in_chunk(motion: Ints, t: Array, on: Ints, share: Array, sample: Ints) -> tuple[Array, Array, Array]:
+    before: tuple[Array, Array] | None = None  # joint angles and position at the end of the chunk before
+
+    def in_chunk(motion: Ints, t: Array, on: Ints, share: Array, sample: Ints) -> tuple[Array, Bools]:
+        nonlocal before
         nominal = toolpath.at(path.program, path.motions.segments, motion, t)
         wrench = toolpath.wrench_in_root(written, on, path.motions.forces.at(nominal))
         pose = toolpath.at(written, back.segments, on, share).pose[:]
@@ -264,15 +267,21 @@ def _deviation(
         if np.isnan(q).any():
             raise NotConvergedError("a commanded pose is out of reach", np.flatnonzero(np.isnan(q).any(axis=1)))
         tip = robot_in_cell.tip(q, toolpath.tool_of(written, on), wrench, theta[sample])
-        return toolpath.points_in_base(written, on, tip, share) - nominal.pose[:, :3, 3], q, pose[:, :3, 3]
+        position = pose[:, :3, 3]
+        last_q, last_position = (q[:1], position[:1]) if before is None else before
+        travel = norm(np.diff(position, axis=0, prepend=last_position))
+        turned = (np.abs(np.diff(q, axis=0, prepend=last_q)) / robot_in_cell.robot.speed).max(axis=1, initial=0.0)
+        fast = (turned * np.nan_to_num(written.motions.feed[on]) > _NEAR * travel) & (travel > _STILL)
+        before = q[-1:], position[-1:]
+        return toolpath.points_in_base(written, on, tip, share) - nominal.pose[:, :3, 3], fast
 
     try:
-        off, q, position = in_chunks(in_chunk, probes.motion, probes.t, back.row[probes.target], probes.share, sample)
+        off, fast = in_chunks(in_chunk, probes.motion, probes.t, back.row[probes.target], probes.share, sample)
     except NotConvergedError as cause:
         line = int(path.program.motions.line[probes.motion[cause.rows[0]]])
         message = f"the written program cannot be simulated: {cause}"
         raise UnusableTextError(Issue("error", "read-back", message, source_line=line)) from None
-    return off, q, position
+    return off, bool(fast.any())
 
 
 def _probes(path: PathUnderLoad, chosen: Chosen, back: ReadBack) -> _Probes:
@@ -283,21 +292,26 @@ def _probes(path: PathUnderLoad, chosen: Chosen, back: ReadBack) -> _Probes:
     """
     targets, m = chosen.targets, back.program.motions
     begin = targets.begin
-    correction = targets.pose[:, :3, 3] - path.sample.pose[chosen.row, :3, 3]
-    changed = norm(np.diff(correction, axis=0, prepend=correction[:1]))
+
+    def correction(target: Ints) -> Array:
+        return targets.pose[target, :3, 3] - path.sample.pose[chosen.row[target], :3, 3]
+
+    every = np.arange(len(targets))
+    changed = in_chunks(lambda one: (norm(correction(one) - correction(np.maximum(one - 1, 0))),), every)[0]
     curved = np.flatnonzero((path.program.motions.kind[targets.motion] == CIRC) | (m.kind[back.row] == CIRC))
     uneven = np.zeros(len(targets))
-    uneven[curved] = _unevenness(path, chosen, back, curved, correction[curved])
+    uneven[curved] = _unevenness(path, chosen, back, curved, correction(curved))
     steep = (changed > _STEEP) | (uneven > _UNEVEN * path.robot_in_cell.tolerance)
     length, turn = back.segments.travel[back.row], back.segments.turn[back.row]
-    number = np.ones(len(targets), dtype=np.int64)
+    number = np.ones(len(targets), dtype=np.int32)
     number[curved] = 2
     wide = (length > _LONG) | (turn > _TURNED)
-    number[wide] = np.maximum(2, np.ceil(np.maximum(length[wide] / _SPACING, turn[wide] / _TURNED))).astype(np.int64)
+    number[wide] = np.maximum(2, np.ceil(np.maximum(length[wide] / _SPACING, turn[wide] / _TURNED))).astype(np.int32)
     number[steep] = np.maximum(number[steep], _ON_RAMPS)
     number[(m.kind[back.row] == PTP) | (m.kind[back.row] == SPL)] = 1
-    target = np.repeat(np.arange(len(targets)), number)
-    inside = np.arange(len(target)) - np.repeat(np.cumsum(number) - number, number) + 1
+    del changed, uneven, steep, length, turn, wide
+    target = np.repeat(every.astype(np.int32), number)
+    inside = np.arange(len(target), dtype=np.int32) - np.repeat(np.cumsum(number, dtype=np.int32) - number, number) + 1
     share = inside / number[target]
     t = np.where(share == 1.0, targets.t[target], begin[target] + share * (targets.t - begin)[target])
     return _Probes(target, share, targets.motion[target], t)
@@ -342,23 +356,9 @@ def _left(
             yield path.program.motions.issue(level, kind, message, probes.motion[bad])
 
 
-def _joint_speeds(
-    path: PathUnderLoad, chosen: Chosen, back: ReadBack, target: Ints, q: Array, position: Array
-) -> Iterator[Issue]:
-    """Yield the joint speeds of the written program beyond the limits, as a prediction of it finds them.
-
-    :param target: (n,) target at the end of the piece on which each place is.
-    :param q: (n, 6) joint angles at places along the written program [rad], in order; `position` (n, 3) there [m].
-    """
+def _joint_speeds(path: PathUnderLoad, chosen: Chosen, back: ReadBack) -> Iterator[Issue]:
+    """Yield the joint speeds of the written program beyond the limits, as a prediction of it finds them."""
     written, robot = back.program, path.robot_in_cell.robot
-
-    def steps(place: Array, next_place: Array, q: Array, next_q: Array) -> tuple[Array, Array]:
-        return norm(next_place - place), (np.abs(next_q - q) / robot.speed).max(axis=1, initial=0.0)
-
-    travel, turned = in_chunks(steps, position[:-1], position[1:], q[:-1], q[1:])
-    feed = np.nan_to_num(written.motions.feed[back.row[target[1:]]])
-    if not ((turned * feed > _NEAR * travel) & (travel > _STILL)).any():
-        return
     motions = MotionsUnderLoad.of(written, path.robot_in_cell, None)
     simulated = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False))
     speed = inspection.commanded_speed(simulated, simulated.joints.q, simulated.sample.pose[:, :3, 3])

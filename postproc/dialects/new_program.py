@@ -13,7 +13,7 @@ from postproc.cell import Cell
 from postproc.chunks import chunks
 from postproc.errors import Issue, ProgramError
 from postproc.frames import DEG_PER_RAD, Array
-from postproc.program import CIRC, LIN, PTP, Event, Ints, Program, Targets
+from postproc.program import CIRC, LIN, PTP, Event, Ints, Program, Targets, distinct
 from postproc.safe_text import one_line
 
 LINE_END = "\r\n"
@@ -182,33 +182,45 @@ class NewProgram:
         rate = swivel.rate[self.row] * DEG_PER_RAD
         return np.asarray(np.where(rate < _FASTEST_TURN, np.maximum(rate, 10.0**-_DECIMALS), np.nan))
 
-    def joined(self, head: Sequence[str], printed: dict[int, bytes], end: Sequence[str]) -> tuple[str, Ints]:
+    def joined(
+        self, head: Sequence[str], printed: Callable[[int, Ints], bytes], end: Sequence[str]
+    ) -> tuple[str, Ints]:
         """Return the text of the program, and the line of each target (K,).
 
         :param head: lines before the first target.
-        :param printed: kind of targets → the lines of all of them, in order.
+        :param printed: returns the lines of targets (n,) of a kind, in order.
         :param end: lines after the last target.
         """
         count = len(self.row)
-        kind = self.targets.kind
-        rank = np.zeros(count, dtype=np.int64)
-        ends = {}
+        noted = np.array(sorted(self.before), dtype=np.int64)
+        step = np.ones(count + 1, dtype=np.int64)
+        step[noted] += np.array([len(self.before[k]) for k in noted.tolist()], dtype=np.int64)
+        parts = ["".join(line + LINE_END for line in head)]
+        for part in chunks(count):
+            rows = np.arange(part.start, min(part.stop, count))
+            parts.append(self._chunk(rows, printed, noted[(noted >= part.start) & (noted < part.stop)]))
+        parts += [line + LINE_END for line in (*self.before.get(count, ()), *end)]
+        return "".join(parts), len(head) + np.cumsum(step[:count])
+
+    def _chunk(self, rows: Ints, printed: Callable[[int, Ints], bytes], noted: Ints) -> str:
+        """Return the lines of consecutive targets (n,), with those before targets `noted` (m,) of them."""
+        kind = self.targets.kind[rows]
+        rank = np.zeros(len(rows), dtype=np.int64)
+        texts, ends = {}, {}
         for value in (LIN, CIRC, PTP):
-            rank[kind == value] = np.arange(np.count_nonzero(kind == value))
-            ends[value] = np.flatnonzero(np.frombuffer(printed[value], dtype=np.uint8) == ord("\n")) + 1
-        cuts = set(self.before) | set((np.flatnonzero(np.diff(kind) != 0) + 1).tolist()) | {0, count}
-        parts = [line + LINE_END for line in head]
-        extra = np.zeros(count + 1, dtype=np.int64)
-        for first, last in pairwise([*sorted(cuts), count]):
-            parts += [line + LINE_END for line in self.before.get(first, ())]
-            extra[first] = len(self.before.get(first, ()))
-            if first < last:
-                own = int(kind[first])
-                begin = int(ends[own][rank[first] - 1]) if rank[first] else 0
-                parts.append(printed[own][begin : int(ends[own][rank[last - 1]])].decode("ascii"))
-        parts += [line + LINE_END for line in end]
-        line = len(head) + np.cumsum(extra[:count]) + np.arange(count) + 1
-        return "".join(parts), line
+            own = np.flatnonzero(kind == value)
+            rank[own] = np.arange(len(own))
+            texts[value] = printed(value, rows[own]) if len(own) else b""
+            ends[value] = np.flatnonzero(np.frombuffer(texts[value], dtype=np.uint8) == ord("\n")) + 1
+        changes = np.flatnonzero(np.diff(kind) != 0) + 1
+        cuts = distinct(np.concatenate([[0], noted - rows[:1], changes, [len(rows)]])) if len(rows) else rows
+        parts = []
+        for first, last in pairwise(cuts.tolist()):
+            parts += [line + LINE_END for line in self.before.get(int(rows[first]), ())]
+            value = int(kind[first])
+            begin = int(ends[value][rank[first] - 1]) if rank[first] else 0
+            parts.append(texts[value][begin : int(ends[value][rank[last - 1]])].decode("ascii"))
+        return "".join(parts)
 
 
 def check_name(

@@ -28,7 +28,7 @@ from msgspec.structs import replace
 
 from postproc import provenance
 from postproc.cell import Cell
-from postproc.chunks import Runs, chunks
+from postproc.chunks import Runs
 from postproc.decimals import Number, Part, lines
 from postproc.dialects import circles, force_comments
 from postproc.dialects.force_comments import where
@@ -131,8 +131,7 @@ class _NewModule:
         speeds = self._speeds()
         self._note_forces()
         head = self._head(zones, speeds)
-        printed = {kind: self._print(kind) for kind in (LIN, CIRC, PTP)}
-        text, output_line = new.joined(head, printed, [*(f"    {line}" for line in END), "  ENDPROC", "ENDMODULE"])
+        text, output_line = new.joined(head, self._lines, [*(f"    {line}" for line in END), "  ENDPROC", "ENDMODULE"])
         limit = self.cell.output.lines_per_file
         if limit and text.count("\n") > limit:
             message = f"The module has more than {limit} lines: lines_per_file divides only KRL."
@@ -215,11 +214,6 @@ class _NewModule:
         )
         self.new.issues.append(Issue("warning", "tool-load", message))
         return _NO_LOAD
-
-    def _print(self, kind: int) -> bytes:
-        """Return the lines of all targets of a kind."""
-        k = np.flatnonzero(self.targets.kind == kind)
-        return b"".join([self._lines(kind, k[part]) for part in chunks(len(k)) if len(k[part])])
 
     def _lines(self, kind: int, k: Ints) -> bytes:
         """Return the lines of some targets of a kind."""

@@ -17,7 +17,6 @@ from pathlib import PurePath
 import numpy as np
 
 from postproc.cell import Cell
-from postproc.chunks import chunks
 from postproc.decimals import Number, Part, lines, without_trailing_zeros
 from postproc.dialects import force_comments
 from postproc.dialects.force_comments import where
@@ -28,7 +27,7 @@ from postproc.dialects.krl.write.target_statements import aggregate_text
 from postproc.dialects.new_program import LINE_END, NewProgram, Words, check_name, number
 from postproc.errors import group_issues
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, xyzabc_from_pose
-from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, TargetForces, Targets, Written
+from postproc.program import CIRC, PTP, Bools, Document, Ints, Program, TargetForces, Targets, Written
 from postproc.version import VERSION
 
 _FRAME_DECIMALS = 6
@@ -87,8 +86,9 @@ class _Emitter:
         self._set_turning()
         if self.carried is not None:
             self.noted = force_comments.needed(self.carried, self.targets.kind, np.full(count, -1), (), np.nan)
-        printed = {kind: self._print(kind, distances > 0.0) for kind in (LIN, CIRC, PTP)}
-        text, output_line = new.joined(head, printed, ["END"])
+        text, output_line = new.joined(
+            head, lambda kind, rows: without_trailing_zeros(self._lines(kind, rows, distances[rows] > 0.0)), ["END"]
+        )
         encoding = "ascii" if text.isascii() else "cp1252"  # the same bytes, but much faster
         document = Document(f"{self.program.name}.src", text, encoding)
         return Written((document,), output_line, "krl", group_issues(new.issues))
@@ -144,13 +144,6 @@ class _Emitter:
         for k, speed in zip(path[changed].tolist(), speeds[changed].tolist(), strict=True):
             for name in ("ORI1", "ORI2"):
                 self.new.before[k].append(f"$VEL.{name}={number(speed) if speed else f'$VEL_MA.{name}'}")
-
-    def _print(self, kind: int, approximated: Bools) -> bytes:
-        """Print the motion lines of all targets of a kind, in chunks."""
-        k = np.flatnonzero(self.targets.kind == kind)
-        parts = map(k.__getitem__, chunks(len(k)))
-        printed = (self._lines(kind, rows, approximated[rows]) for rows in parts if len(rows))
-        return b"".join([without_trailing_zeros(text) for text in printed])
 
     def _lines(self, kind: int, k: Ints, approximated: Bools) -> bytes:
         """Print the motion lines of targets (k,) of a kind, with all decimals."""
