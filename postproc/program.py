@@ -321,7 +321,7 @@ class ForceNote(Struct, frozen=True):
 
 
 FORCE_COMMENT = re.compile(
-    r"[ \t]*FORCE(?:\b|\w?[ \t]*OFF\b)|(?![ \t]*FOLD\b)[^\r\n;]*?\bF[XYZ][ \t]*=[ \t]*[-+.\d]", re.IGNORECASE
+    r"[ \t(]*FORCE(?:\b|\w?[ \t]*OFF\b)|(?![ \t]*FOLD\b)[^\r\n;]*?\bF[XYZ][ \t]*=[ \t]*[-+.\d]", re.IGNORECASE
 )
 """The beginning of a comment that is about forces, or was meant to be: it begins with the word FORCE, or gives FX, FY
 or FZ a number. (The inline forms of KRL, ``;FOLD …``, give their parameters in the same way.)"""
@@ -340,6 +340,10 @@ def parse_force_note(comment: str, line: int, file: str) -> ForceNote | None:
         return None
     advice = "Write FORCE FX=120 FY=-40.5 FZ=300 [MX= MY= MZ=] [FRAME=BASE|TOOL|FEED], or FORCE OFF (N, N·m)."
     begin = _FORCE_WORD.match(comment)
+    if begin is None and comment.lstrip(" \t").startswith("("):
+        raise ForceError(
+            "the force comment is in brackets", file=file, line=line, text=comment, advice=f"Leave them out. {advice}"
+        )
     if begin is None:
         problem = "looks like a force comment, but does not begin with the word FORCE"
         raise ForceError(problem, file=file, line=line, text=comment, advice=advice)

@@ -185,12 +185,12 @@ REFUSED = [
     (["IF OK THEN", "SETV()", "ENDIF", FULL], "DEF SETV()\n$VEL.CP=0.1\nEND\n", 5, r"may change \$VEL"),
     (["INTERRUPT DECL 5 WHEN $IN[1] DO SETV()", FULL], "DEF SETV()\n$VEL.CP=0.1\nEND\n", 4, r"\$VEL"),
     (["SETV($VEL.CP)", FULL], "DEF SETV(V:OUT)\nREAL V\nV=0.1\nEND\n", 4, r"\$VEL"),
-    (["I=I/2", "LIN P[I]"], "", 5, "I is changed"),
+    (["I=I/2", "LIN P[I]"], "", 5, "I is set to .*I/2 divides two INTs"),
     (["XP1={X 5}", "LIN XP1"], "", 5, "not all of its components"),
     (["IF OK THEN", "M()", "ENDIF", "XP1=XP3", "LIN XP1"], LATER, 8, "XP1 is changed .*by M"),
     (["M()", FULL, "XP1=XP3", "LIN XP1"], LATER, 7, "XP1 is changed .*by "),
     (["M()", FULL], LATER.replace("XP1.X", "$VEL.CP"), 4, r"\$VEL"),
-    (["XP1.X=XP1.X+$POS_ACT.X", "LIN XP1"], "", 5, "XP1 is changed"),
+    (["XP1.X=XP1.X+$POS_ACT.X", "LIN XP1"], "", 5, r"XP1 is set to .*POS_ACT\.X is computed"),
 ]
 
 

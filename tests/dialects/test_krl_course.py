@@ -199,7 +199,7 @@ TOO_MUCH = {
             for n in range(19)
         )
         + "DEFFCT INT F19(X:IN)\r\nINT X\r\nRETURN (X)\r\nENDFCT\r\n",
-        "K is changed",
+        "K is set to .*F0.. gives is not known",
     ),
     "branches": (
         body(FULL, "FOR I=1 TO 20000", "IF $IN[1] THEN", FULL, "ENDIF", "ENDFOR"),
@@ -592,7 +592,7 @@ LINE_TO = "LIN {{X {},Y 1,Z 2,A 0,B 0,C 0}}"
 def test_a_variable_that_a_routine_also_knows_under_its_own_name_is_not_followed_under_two():
     deep = f"DEF DEEP()\r\n{LINE_TO.format('Z')}\r\nEND\r\n"
     for sub in (ALIASED.format(LINE_TO.format("Z")), ALIASED.format("DEEP()") + deep):
-        with pytest.raises(ProgramError, match="cannot be followed"):
+        with pytest.raises(ProgramError, match="cannot be followed: Z has two names in it"):
             read(body(FULL, "SUB(Z)") + sub, DATA)
     with pytest.raises(ProgramError, match="K is changed"):
         read(body(FULL, "SUB(Z)", "LIN P[K]") + ALIASED.format("K=Z"), DATA)

@@ -806,6 +806,9 @@ def test_force_comments_are_read_wherever_they_stand():
     ]
     with pytest.raises(ForceError, match=r"part\.src:4"):
         read(body("; FORCE FX=abc", FULL))
+    for comment in (";(FORCE FX=1 FY=2 FZ=3)", "; ( FORCE OFF)"):
+        with pytest.raises(ForceError, match="in brackets.*Leave them out"):
+            read(body(comment, FULL))
 
 
 # --- errors ------------------------------------------------------------------------------------------------------
@@ -836,11 +839,11 @@ ERRORS = [
     (["LIN $POS_ACT:{Z 5}"], 4, "computed while the program runs"),
     (["LIN P[1]:$POS_ACT"], 4, "computed while the program runs"),
     (["XP1=$POS_ACT", "XP1.X=5", "LIN XP1"], 6, "changed while the program runs"),
-    (["XP1.X=XP1.X+$IN[1]", "LIN XP1"], 5, r"changed while the program runs \(line 4\)"),
+    (["XP1.X=XP1.X+$IN[1]", "LIN XP1"], 5, r"XP1 is set to .* \(line 4: \$IN\[1\] is computed"),
     (["LIN P[1]+5"], 4, "computed"),
     (["LIN CALC(3)"], 4, "computed"),
     (["FOR I=1 TO $ANIN[1]", FULL, "ENDFOR"], 4, "inside FOR: its bounds"),
-    (["FOR I=1 TO 9", "XP1={X 5}", "ENDFOR", "LIN XP1"], 7, "changed while the program runs"),
+    (["FOR I=1 TO 9", "XP1={X 5}", "ENDFOR", "LIN XP1"], 7, "XP1 is set to .*not all of its components are given"),
     (["WHILE TRUE", "LIN P[1]", "ENDWHILE"], 4, "WHILE never ends"),
     (["LOOP", FULL, "ENDLOOP"], 4, "LOOP never ends"),
     (["REPEAT", FULL, "UNTIL $IN[2]"], 6, "inside UNTIL"),
@@ -884,7 +887,7 @@ ERRORS = [
     (
         [FULL, "XHOME=REST", "PTP XHOME", "LIN {X 1}"],
         6,
-        "XHOME is changed while the program runs .line 5: REST has no value",
+        "XHOME is set to a value that is not known .line 5: REST has no value",
     ),
     ([FULL, "$CIRC_TYPE=#PATH", "CIRC {X 0,Y 0,Z 0},{X 1,Y 5,Z 9},CA 100"], 6, "circle with CA"),
     ([FULL, "$ORI_TYPE=#CONSTANT", "LIN {A 5}", "$ORI_TYPE=#VAR", "LIN {X 5}"], 8, "A, B, C are missing behind"),
@@ -895,9 +898,19 @@ ERRORS = [
     (["$BASE=CALC()", FULL], 4, "BASE is not known"),
     (["BAS(#FRAMES)", FULL], 4, "FDAT_ACT"),
     (["$ROBROOT={X 5}"], 4, "ROBROOT"),
-    ([FULL, "V1=7/2", "LIN {X V1}"], 6, r"X is not a number: V1 is changed .*\(line 5: 7/2 divides two INTs"),
-    (["P1=CALC(2)", "LIN P1"], 5, r"P1 is changed while the program runs .line 4: CALC\(\) is in no file"),
+    ([FULL, "V1=7/2", "LIN {X V1}"], 6, r"X is not a number: V1 is set to .*\(line 5: 7/2 divides two INTs"),
+    (["P1=CALC(2)", "LIN P1"], 5, r"P1 is set to a value that is not known .line 4: CALC\(\) is in no file"),
     (["V1=SIN(V0)", "$VEL.CP=V1", FULL], 5, r"line 4: V0 has no value"),
+    (["I=1", "LOOP", "IF I/2>1 THEN", "EXIT", "ENDIF", FULL, "ENDLOOP"], 7, r"IF \(line 6\) is not known: I/2 divides"),
+    (
+        ["LOOP", "IF $IN[1] THEN", "EXIT", "ENDIF", FULL, "ENDLOOP"],
+        6,
+        r"loop is left here: .* IF \(line 5\) is not known",
+    ),
+    (["I=3", "FOR J=1 TO I/2", FULL, "ENDFOR"], 5, "its bounds are not known .*I/2 divides two INTs"),
+    (["FOR I=1 TO 2.5", FULL, "ENDFOR"], 4, "one of its bounds is a REAL, 2.5"),
+    (["FOR I=1 TO CALC(2)", FULL, "ENDFOR"], 4, r"its bounds are not known .*: it asks CALC\(\)"),
+    (["FOR I=1 TO MANY", FULL, "ENDFOR"], 4, r"krl.values\] of the cell what MANY will be"),
     (["IF CALC(2)>1 THEN", FULL, "ENDIF"], 4, r"condition is not known before the program runs: it asks CALC\(\)"),
     ([FULL, "$ORI_TYPE=#CONSTANT", "IF $IN[1] THEN", "LIN {X 7}", FULL, "ENDIF"], 6, "ORI_TYPE=#CONSTANT keeps"),
     ([FULL, "IF $IN[1] THEN", FULL, "ENDIF", "LIN_REL {X 5}"], 5, "a relative motion where branches"),

@@ -51,24 +51,24 @@ class Calls:
         if isinstance(known, Aggregate) and not (isinstance(value, Aggregate) and self.run.in_main):
             return replace(known, computed=True)  # the text of its numbers belongs to another variable
         if known == NOTHING and not (isinstance(value, Reference) and value.name[0] != "$"):
-            return Unknown(f"{at}: {why_unknown(self.run.variables, at.source, value)}")
+            return Unknown(str(at), why_unknown(self.run.variables, at.source, value))
         return known
 
     def call(self, at: Place, call: Call, *, certain: bool) -> Known:
         """Follow a call; return the value of a function."""
         found = self.run.library.find(call.name, self.run.level.module)
-        unknown = Unknown(f"{at}: what {call.spelt(at.source)}() gives is not known")
+        unknown = Unknown(str(at), f"what {call.spelt(at.source)}() gives is not known")
         if found is None:
             self._absent(at, call)
             ours = call.name in PURE or call.name in STANDARD
-            return unknown if ours else Unknown(f"{at}: {call.spelt(at.source)}() is in no file of the program")
+            return unknown if ours else Unknown(str(at), f"{call.spelt(at.source)}() is in no file of the program")
         effects = self.run.analysis.of(*found)
         self.notice(at, call.name, effects)
         self._check_motion(at, call, *found, effects)
         if found[0] is self.run.library.program:
             self.run.reached |= {found[1]}
-        if certain and not effects.jumps and not self.run.resumable:
-            result = self._executed(at, call, *found, effects)
+        if certain and not self._obstacle(at, call, *found, effects):
+            result = self._executed(at, call, *found)
             if result is not None:
                 return result
         if effects.interrupting is not None:
@@ -182,26 +182,19 @@ class Calls:
         self.notice(at, call.name, effects)
         if module is self.run.library.program:
             self.run.reached |= {routine}
-        bound = None
-        if not effects.jumps and not self.run.resumable:
-            bound = self._bound(at, call, module, routine, effects)
-        if bound is None:
-            broken = ": RESUME of an interrupt may break it off" if self.run.resumable else ""
-            why = ": it calls itself" if routine in self.run.stack else broken
-            problem = f"{call.name} is called, which moves the robot, in a way that cannot be followed{why}"
+        if why := self._obstacle(at, call, module, routine, effects):
+            problem = f"{call.name} is called, which moves the robot, in a way that cannot be followed: {why}"
             raise inexact(at, problem, _INLINE_ADVICE, routine)
-        self.entered.append(bound)
-        self._begin(bound, traced=True)
+        self.entered.append(self._bound(at, call, module, routine))
+        self._begin(self.entered[-1], traced=True)
 
     def leave(self) -> None:
         """Return from the routine that was entered last."""
         self._end(self.entered.pop())
 
-    def _executed(self, at: Place, call: Call, module: Module, routine: Routine, effects: Effects) -> Known | None:
+    def _executed(self, at: Place, call: Call, module: Module, routine: Routine) -> Known | None:
         """Run a routine; None if that cannot be done exactly."""
-        bound = self._bound(at, call, module, routine, effects)
-        if bound is None:
-            return None
+        bound = self._bound(at, call, module, routine)
         level = self._begin(bound, traced=False)
         try:
             self._called()
@@ -211,18 +204,34 @@ class Calls:
         self._end(bound)
         return level.result if level.result != NOTHING else Unknown(str(at))
 
-    def _bound(self, at: Place, call: Call, module: Module, routine: Routine, effects: Effects) -> _Bound | None:
-        """Return a call with the values of its parameters; None if it cannot be run exactly."""
-        if routine in self.run.stack or len(self.run.stack) > _DEEPEST:
-            return None
+    def _obstacle(self, at: Place, call: Call, module: Module, routine: Routine, effects: Effects) -> str:
+        """Return why a call cannot be run exactly, for a message; empty if it can."""
+        if routine in self.run.stack:
+            return "it calls itself"
+        if self.run.resumable:
+            return "RESUME of an interrupt may break it off"
+        if effects.jumps is not None:
+            return f"it jumps ({effects.jumps})"
+        if len(self.run.stack) > _DEEPEST:
+            return f"more than {_DEEPEST} calls are within each other"
+        if len(call.arguments) > len(routine.parameters):
+            return f"it takes {len(routine.parameters)} arguments, {len(call.arguments)} are given"
+        seen: set[str] = set()
+        for _, reference in self._by_reference(at, call, routine):
+            name, root = at.source.text[reference.start : reference.stop], self.run.stored(reference.name)
+            if reference.indices == ():
+                return f"{name} is a whole array that it may change"
+            if root in seen or root in effects.writes or root in RELEVANT:
+                return f"{name} has two names in it, one as its parameter"
+            seen.add(root)
+        if seen and (twice := self.run.analysis.names(module, routine) & seen):
+            return f"{min(twice)} has two names in it, one as its parameter"
+        return ""
+
+    def _bound(self, at: Place, call: Call, module: Module, routine: Routine) -> _Bound:
+        """Return a call with the values of its parameters."""
         written = self._by_reference(at, call, routine)
         roots = [self.run.stored(reference.name) for _, reference in written]
-        if len(set(roots)) < len(roots) or not (effects.writes.keys() | RELEVANT).isdisjoint(roots):
-            return None  # one variable under two names
-        if roots and not self.run.analysis.names(module, routine).isdisjoint(roots):
-            return None  # the same
-        if any(reference.indices == () for _, reference in written) or len(call.arguments) > len(routine.parameters):
-            return None
         self.run.calls += 1
         scope = self.run.scopes.of_call(module, routine, self.run.calls)
         given: dict[int, Known] = {}

@@ -58,7 +58,7 @@ class Effects(Struct, eq=False):
     :ivar back: motion back to the point at which an interrupt stopped the robot.
     :ivar force: place of a force comment; None if there is none.
     :ivar absent: called programs that are in no file, by name: as they are spelled.
-    :ivar jumps: True if it may not run line by line: GOTO, RESUME.
+    :ivar jumps: GOTO or RESUME, so that it may not run line by line; None if there is none.
     :ivar resumes: RESUME that may break off the running routine; None if there is none.
     """
 
@@ -69,7 +69,7 @@ class Effects(Struct, eq=False):
     back: Place | None = None
     force: Place | None = None
     absent: dict[str, str] = {}
-    jumps: bool = False
+    jumps: Place | None = None
     resumes: Place | None = None
 
     def add(self, other: Effects) -> None:
@@ -209,7 +209,8 @@ class Analysis:
                 known.now.force = Place(routine.source, noted[first])
             for line in routine.lines:
                 here, place = statement(routine.source, line), Place(routine.source, line)
-                known.now.jumps |= isinstance(here, Goto) or here.word == "RESUME"
+                if isinstance(here, Goto) or here.word == "RESUME":
+                    known.now.jumps = known.now.jumps or place
                 if here.word == "RESUME":
                     known.now.resumes = known.now.resumes or place
                 self._read(known, here, (module, routine), place)

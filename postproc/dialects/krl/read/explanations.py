@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
+from postproc.dialects.krl.language.expressions import calls
 from postproc.dialects.krl.language.names import PURE
 from postproc.dialects.krl.language.positions import Position
 from postproc.dialects.krl.language.source import Source
@@ -68,18 +69,23 @@ def why_unknown(variables: Variables, source: Source, value: Value | Known) -> s
             why = f": {why_unknown(variables, source, unknown[0])}" if unknown else ""
             return f"the index of {text} is not known before the program runs{why}"
         known = variables.looked_up(value)
-        if isinstance(known, Unknown) and known.where:
-            return f"{text} is changed while the program runs ({known.where})"
         if isinstance(known, Unknown):
-            return f"{text} has no value in the program, its .dat, the $config.dat or [krl.values] of the cell"
+            return known.said(text)
     return f"{text} has the wrong type here"
 
 
-def why_not_decided(variables: Variables, source: Source, values: Iterable[Value]) -> str:
-    """Return why the values in a condition are not known, for a message; empty if each of them is known."""
-    for value in values:
-        for one in walk([value]):
-            known = variables.looked_up(one) if isinstance(one, Reference) else None
-            if isinstance(known, Unknown) and known.where:
-                return why_unknown(variables, source, one)
+def why_not_decided(variables: Variables, source: Source, values: Sequence[Value]) -> str:
+    """Return why the values in a condition or in bounds are not known, for a message: ``: reason``.
+
+    :returns: empty if each of them is known.
+    """
+    for call in calls(values):
+        return f": it asks {call.spelt(source)}()"
+    for one in walk(values):
+        known = variables.looked_up(one) if isinstance(one, Reference) else NOTHING
+        if isinstance(known, Unknown) and known != NOTHING:
+            return f": {why_unknown(variables, source, one)}"
+    for one in walk(values):
+        if isinstance(one, Operation) and not isinstance(variables.evaluate(one), Number):
+            return f": {why_unknown(variables, source, one)}"
     return ""

@@ -7,7 +7,7 @@ no motions, every variable that it may write becomes unknown; if it holds motion
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 from postproc.dialects.krl.course import Branch, Fork, Join, Occasion, PlainRounds, Repeated
 from postproc.dialects.krl.language import tree
@@ -467,10 +467,10 @@ class Flow:
         if isinstance(here, tree.If):
             holds = truth(self.run.variables, here.condition)
             if holds is None:
-                raise self._unknown(at)
+                raise _undecided(self.run, at)
             return 0 if holds else 1 if len(block.parts) > 1 else -1
         if not isinstance(here, tree.Switch) or calls(here.values):
-            raise self._unknown(at)
+            raise _undecided(self.run, at)
         known = self.run.variables.evaluate(here.value)
         if self._still or not self.run.level.traced:
             self.run.steps += len(block.parts) // _CASES
@@ -487,7 +487,7 @@ class Flow:
             values = case.cases if isinstance(case, tree.Case) else ()
             found = case.word == "DEFAULT" or chosen(self.run.variables, known, values)
             if found is None:
-                raise self._unknown(at)
+                raise _undecided(self.run, at)
             if found:
                 return index
         return -1
@@ -604,18 +604,20 @@ class Flow:
         if isinstance(here, tree.While):
             holds = truth(self.run.variables, here.condition)
         if holds is None:
-            raise self._unknown(Place(source, line))
+            raise _undecided(self.run, Place(source, line))
         return holds
 
-    def _unknown(self, at: Place) -> InexactError:
-        here = statement(at.source, at.line)
-        asked = [call.spelt(at.source) for call in calls(here.values)]
-        reason = f"it asks {asked[0]}()" if asked else why_not_decided(self.run.variables, at.source, here.values)
-        why = f": {reason}" if reason else ""
-        names = without_value(self.run.variables, at.source, here.values)
-        given = f" Or say in [krl.values] of the cell what {', '.join(names)} will be." if names else ""
-        problem = f"motion inside {here.word}: its condition is not known before the program runs{why}"
-        return inexact(at, problem, LOOP_ADVICE + given)
+
+def _undecided(run: Run, at: Place, bounds: Sequence[Value] = ()) -> InexactError:
+    """Return the error for a condition, or for the bounds of a FOR, that are not known before run time."""
+    here = statement(at.source, at.line)
+    values = bounds or here.values
+    why = why_not_decided(run.variables, at.source, values)
+    names = without_value(run.variables, at.source, values)
+    given = f" Or say in [krl.values] of the cell what {', '.join(names)} will be." if names else ""
+    what = "bounds are" if here.word == "FOR" else "condition is"
+    problem = f"motion inside {here.word}: its {what} not known before the program runs{why}"
+    return inexact(at, problem, LOOP_ADVICE + given)
 
 
 class _Counter:
@@ -629,13 +631,13 @@ class _Counter:
         here = statement(source, line)
         if isinstance(here, tree.For) and here.error is not None:
             raise here.error
-        if not isinstance(here, tree.For) or here.counter is None:
-            raise self._unknown()
+        if not isinstance(here, tree.For) or here.counter is None or here.bounds is None:
+            raise _undecided(run, self.at)
         self.here = here
         self.name = source.text[here.counter.start : here.counter.stop]
         key = run.variables.key_of(here.counter)
-        if key is None or here.bounds is None:
-            raise self._unknown()
+        if key is None:
+            raise _undecided(run, self.at, [here.counter])
         self.key, self.given = key, here.bounds
         self.last, self.step = self._bounds()
         self._set(self._whole(self.given[0]))
@@ -686,8 +688,11 @@ class _Counter:
 
     def _whole(self, value: Value) -> int:
         known = self.run.variables.evaluate(value)
-        if not isinstance(known, Number) or not known.integer:
+        if not isinstance(known, Number):
             raise self._unknown()
+        if not known.integer:
+            problem = f"motion inside FOR: one of its bounds is a REAL, {known.value:g}"
+            raise inexact(self.at, problem, "Give whole numbers, as they are or by an INT.")
         return int(known.value)
 
     def _set(self, number: int) -> None:
@@ -702,4 +707,4 @@ class _Counter:
         return int(value.value)
 
     def _unknown(self) -> InexactError:
-        return inexact(self.at, "motion inside FOR: its bounds are not known before the program runs", LOOP_ADVICE)
+        return _undecided(self.run, self.at, [one for one in self.given if one is not None])

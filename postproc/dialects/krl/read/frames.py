@@ -108,10 +108,10 @@ class Frames:
             raise out_of_reach(at, position.farthest)
         if position is None:
             known = self.variables.evaluate(reference)
-            why = "is neither in the cell nor in the $config.dat"
-            if isinstance(known, Unknown) and known.where:
-                why = f"is changed while the program runs ({known.where})"
-            return self.unknown(state, name, at, f"{key} {why}")
+            why = f"{key} is neither in the cell nor in the $config.dat"
+            if isinstance(known, Unknown) and known != NOTHING:
+                why = known.said(key)
+            return self.unknown(state, name, at, why)
         if not position.complete:
             return self.unknown(state, name, at, f"{_lacking(position)} in {key}")
         return self._put(state, name, position)

@@ -18,7 +18,7 @@ from postproc.dialects.krl.language.structures import LOOPS
 from postproc.dialects.krl.language.values import Call, Opaque, Reference, Unreadable, Value, Word, walk
 from postproc.dialects.krl.read.calls import IN_ORDER, Calls
 from postproc.dialects.krl.read.data_lists import declare
-from postproc.dialects.krl.read.explanations import why_unknown
+from postproc.dialects.krl.read.explanations import why_not_decided, why_unknown
 from postproc.dialects.krl.read.inexact import inexact
 from postproc.dialects.krl.read.known import NOTHING, Known, Unknown
 from postproc.dialects.krl.read.run import SETTING_ADVICE, Run
@@ -169,7 +169,12 @@ class Interpreter:
         """Note that a loop that is followed may be left."""
         level = self.run.level
         if level.loops and not any(word in LOOPS for word, _ in level.open):
-            raise inexact(at, "it is not known whether the loop is left here")
+            word, line = level.open[-1]
+            why = why_not_decided(self.run.variables, at.source, statement(at.source, line).values)
+            problem = "it is not known before the program runs whether the loop is left here: "
+            raise inexact(
+                at, f"{problem}the condition of {word} ({Place(at.source, line)}) is not known{why}", LOOP_ADVICE
+            )
 
     def _bas(self, at: Place, here: tree.Statement) -> None:
         if isinstance(here, tree.Faulty):
@@ -214,7 +219,7 @@ class Interpreter:
             self.run.variables.set(key, value, str(at))
         elif name != "$H_POS":
             why = why_unknown(self.run.variables, at.source, given)
-            self.run.variables.set(key, Unknown(f"{at}: {why}"), str(at))
+            self.run.variables.set(key, Unknown(str(at), why), str(at))
 
     def _which_element(self, at: Place, target: Reference, given: Value) -> str:
         """Return why it is not known which element an assignment writes: what it calls changes the index.

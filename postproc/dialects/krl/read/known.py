@@ -15,9 +15,19 @@ class Unknown(Struct, frozen=True):
     """A variable whose value is not known before run time.
 
     :param where: what changes it, as text for a message; empty if it has no value at all.
+    :param why: why the value that it is set to there is not known.
     """
 
     where: str = ""
+    why: str = ""
+
+    def said(self, name: str) -> str:
+        """Return for a message that a variable has no known value, and why."""
+        if self.why:
+            return f"{name} is set to a value that is not known ({': '.join(filter(None, (self.where, self.why)))})"
+        if self.where:
+            return f"{name} is changed while the program runs ({self.where})"
+        return f"{name} has no value in the program, its .dat, the $config.dat or [krl.values] of the cell"
 
 
 NOTHING = Unknown()

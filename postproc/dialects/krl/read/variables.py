@@ -117,7 +117,7 @@ class Variables:
         if isinstance(value, Number):
             value = converted(value, self.types.get(name, ""))
         elif isinstance(value, Aggregate) and self._ambiguous(key, value):
-            value = Unknown(f"{where}: not all of its components are given, and it had others")
+            value = Unknown(where, "not all of its components are given, and it had others")
         self.put(key, value)
 
     def _ambiguous(self, key: str, new: Aggregate) -> bool:
@@ -138,20 +138,21 @@ class Variables:
         """Give one component of a variable a value (``XP1.X=5``)."""
         whole = self.value(key)
         self.changed.setdefault(key.partition("[")[0], where)
+        unknown = Unknown(where, value.why if isinstance(value, Unknown) else "")
         first = field.partition(".")[0].partition("[")[0]
         if isinstance(whole, Position) and field in CARTESIAN and not whole.axis and isinstance(value, Number):
             values = list(whole.values)
             values[CARTESIAN.index(field)] = value.value
             self.put(key, replace(whole, values=tuple(values)))
         elif not isinstance(whole, Aggregate):
-            self.put(key, Unknown(where))
+            self.put(key, unknown)
         elif first == field and isinstance(value, Number | Word):
             self.put(key, replace(whole, items={**whole.items, field: value}, computed=True))
         elif first not in _COMPONENTS:
             items = {**whole.items, first: Opaque(whole.start, whole.stop)}
             self.put(key, replace(whole, items=items, computed=True))
         else:
-            self.put(key, Unknown(where))
+            self.put(key, unknown)
 
     def forget(self, name: str, where: str) -> None:
         """Note that a variable (all its elements) has a value that is not known."""
@@ -420,7 +421,7 @@ def converted(value: Known, kind: str) -> Known:
         return replace(value, integer=False) if isinstance(value, Number) else value
     whole = value.value == int(value.value)
     if kind == "INT" and not whole:
-        return Unknown(f"{value.value:g} is rounded to an INT")
+        return Unknown(why=f"{value.value:g} is rounded to an INT")
     return replace(value, integer=whole)
 
 
