@@ -21,8 +21,8 @@ IDIOMS = re.compile(
     r"|so many|comes? along|came along|spared|houses?|lies off|a stranger|nobody)\b",
     re.IGNORECASE,
 )
-TOKENS = {"tokens", "bulk", "plain_lines", "plain_settings", "words"}
-"""Modules that split text into tokens: regular expressions belong there."""
+TOKENS = {"tokens", "bulk", "plain_lines", "plain_settings", "scan", "words"}
+"""Modules that split text into tokens, or search whole files in bulk: regular expressions belong there."""
 _REGEX = re.compile(r"\bre\.(compile|match|fullmatch|search|sub|finditer|findall|split)\(")
 
 

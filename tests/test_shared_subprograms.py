@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from postproc import cell
 from postproc.cli import main
-from postproc.dialects.krl.callers import callers
+from postproc.dialects.krl.dialect import callers
 from postproc.jobs import Job, conversion, find_jobs, output_plan
 
 CELL = Path(__file__).parents[1] / "samples" / "cell_kr270.toml"

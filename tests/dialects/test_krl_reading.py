@@ -807,7 +807,7 @@ def test_force_comments_are_read_wherever_they_stand():
     with pytest.raises(ForceError, match=r"part\.src:4"):
         read(body("; FORCE FX=abc", FULL))
     for comment in (";(FORCE FX=1 FY=2 FZ=3)", "; ( FORCE OFF)"):
-        with pytest.raises(ForceError, match="in brackets.*Leave them out"):
+        with pytest.raises(ForceError, match=r"in brackets.*Leave them out"):
             read(body(comment, FULL))
 
 

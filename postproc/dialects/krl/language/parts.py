@@ -21,10 +21,10 @@ from postproc.dialects.krl.language import scan
 from postproc.dialects.krl.language.declarations import DataLine, data_lines
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.tokens import after_sign
+from postproc.dialects.krl.language.tokens import FORCE, after_sign
 from postproc.dialects.krl.language.tree import CallStatement, Definition
 from postproc.errors import ProgramError
-from postproc.program import FORCE_COMMENT, Document, Unresolved
+from postproc.program import Document, Unresolved
 
 MAIN = "Main"
 """What the name of the program that calls the others ends with."""
@@ -34,7 +34,6 @@ _END = "END ;\x04\r\n"
 """Added to the joined text if no routines follow its parts: it has no END of its own then."""
 _UNENDED_LINE = re.compile(f"{_UNENDED}([^\r\n]*)\n")
 _PART_OF = re.compile(r"^;POSTPROC[ \t]+\d+[ \t]+part=\d+[ \t]+of=([\w$]+)[ \t]*\r?$", re.MULTILINE | re.ASCII)
-_FORCE = re.compile(f";(?:{FORCE_COMMENT.pattern})", re.IGNORECASE)
 
 
 class Joined(Struct, frozen=True, eq=False):
@@ -159,7 +158,7 @@ def _main_text(main: Document, calls: Sequence[int]) -> str:
     source = Source.of(main, 0)
     _only_def(source)
     for line in range(calls[0], len(source.starts) + 1):
-        if _FORCE.match(source.text[source.starts[line - 1] : source.stops[line - 1]].strip()):
+        if FORCE.match(source.text[source.starts[line - 1] : source.stops[line - 1]].strip()):
             advice = "Write it into the program that is called."
             raise source.line_error("a force comment between the calls of the parts", line, advice)
     end = max(line for line in range(calls[-1], len(source.starts) + 1) if _is_end(source, line))

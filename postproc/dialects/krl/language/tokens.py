@@ -7,6 +7,8 @@ from collections.abc import Iterator
 
 from msgspec import Struct
 
+from postproc.program import FORCE_COMMENT
+
 NAME = re.compile(r"[A-Za-z_$][\w$]*", re.ASCII)
 BLANKS = " \t"
 _WORD = re.compile(r"\"[^\"]*\"?|(?<![\w$#.])[A-Za-z_$][\w$]*", re.ASCII)
@@ -43,6 +45,8 @@ MORE_DECLARED = re.compile(r"[}\d'\"][ \t]*,[ \t]*[A-Za-z_$][\w$]*[ \t]*(?:\[[^\
 """Behind an initial value: another name with one."""
 _COLON = re.compile(r"[ \t]*:")
 _OPEN = re.compile(r"[ \t]*\(")
+FORCE = re.compile(f";(?:{FORCE_COMMENT.pattern})", re.IGNORECASE)
+"""The beginning of a comment about forces."""
 _FOLD = re.compile(r"[ \t]*;[ \t]*(END)?FOLD\b", re.IGNORECASE)
 
 

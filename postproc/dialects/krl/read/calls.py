@@ -15,8 +15,7 @@ from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.language.values import Aggregate, Call, Opaque, Reference, Value, writable
 from postproc.dialects.krl.read.effects import Effects
 from postproc.dialects.krl.read.explanations import why_unknown
-from postproc.dialects.krl.read.inexact import inexact
-from postproc.dialects.krl.read.known import NOTHING, Known, Scope, Unknown
+from postproc.dialects.krl.read.known import NOTHING, Known, Scope, Unknown, inexact
 from postproc.dialects.krl.read.run import SETTING_ADVICE, Apart, Level, Run
 from postproc.dialects.krl.read.state import FIELDS, RELEVANT
 from postproc.dialects.krl.read.variables import converted

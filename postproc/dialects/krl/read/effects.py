@@ -35,8 +35,8 @@ from postproc.dialects.krl.language.tree import (
 )
 from postproc.dialects.krl.language.values import Call, Reference, Value, writable
 from postproc.dialects.krl.read.bas import BAS_SETS, command_of
+from postproc.dialects.krl.read.comments import noted_lines
 from postproc.dialects.krl.read.folder import Library
-from postproc.dialects.krl.read.force_notes import noted_lines
 from postproc.dialects.krl.read.known import Scope
 from postproc.dialects.krl.read.state import RELEVANT
 from postproc.errors import ProgramError

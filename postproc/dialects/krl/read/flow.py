@@ -19,8 +19,8 @@ from postproc.dialects.krl.language.structures import LOOPS, Block, Node
 from postproc.dialects.krl.language.values import Call, Number, Value
 from postproc.dialects.krl.read.conditions import chosen, constant_cases, truth
 from postproc.dialects.krl.read.explanations import why_not_decided, without_value
-from postproc.dialects.krl.read.inexact import InexactError, inexact
 from postproc.dialects.krl.read.interpreter import JUMP, JUMP_ADVICE, LOOP_ADVICE, Interpreter
+from postproc.dialects.krl.read.known import InexactError, inexact
 from postproc.dialects.krl.read.least_statements import ENDS_LOOPS, LeastStatements
 from postproc.dialects.krl.read.plain_rounds import plain_motions
 from postproc.dialects.krl.read.rounds import carried_over

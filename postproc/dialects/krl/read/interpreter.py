@@ -19,8 +19,7 @@ from postproc.dialects.krl.language.values import Call, Opaque, Reference, Unrea
 from postproc.dialects.krl.read.calls import IN_ORDER, Calls
 from postproc.dialects.krl.read.data_lists import declare
 from postproc.dialects.krl.read.explanations import why_not_decided, why_unknown
-from postproc.dialects.krl.read.inexact import inexact
-from postproc.dialects.krl.read.known import NOTHING, Known, Unknown
+from postproc.dialects.krl.read.known import NOTHING, Known, Unknown, inexact
 from postproc.dialects.krl.read.run import SETTING_ADVICE, Run
 from postproc.dialects.krl.read.state import RELEVANT, State
 from postproc.dialects.krl.read.variables import converted

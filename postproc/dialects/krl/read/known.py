@@ -1,4 +1,4 @@
-"""Values as known before run time, and the scopes that resolve names to variables."""
+"""Values as known before run time, the scopes that resolve names to variables, and errors for what is not known."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from collections.abc import Mapping
 from msgspec import Struct, field
 
 from postproc.dialects.krl.language.positions import Position
-from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.routines import Routine
+from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.values import Aggregate, Number, Word
+from postproc.errors import ProgramError
 
 
 class Unknown(Struct, frozen=True):
@@ -60,3 +62,29 @@ class Scope(Struct, frozen=True):
         """Return the name under which a variable (upper case) is stored."""
         local = self.local.get(name)
         return local if local is not None else self.prefix + name if name in self.own else name
+
+
+class InexactError(ProgramError):
+    """The branch taken, or the number of iterations, is not known before run time.
+
+    :ivar routine: the called routine; None if the error is not about a call.
+    """
+
+    routine: Routine | None = None
+
+
+class UnresolvedError(ProgramError):
+    """A value that a motion depends on is not known before run time."""
+
+
+def unresolved(cause: ProgramError) -> UnresolvedError:
+    """Return the error as an `UnresolvedError`."""
+    return UnresolvedError(cause.problem, file=cause.file, line=cause.line, text=cause.text, advice=cause.advice)
+
+
+def inexact(at: Place, problem: str, advice: str | None = None, routine: Routine | None = None) -> InexactError:
+    """Return the `InexactError` for a line."""
+    base = at.error(problem, advice)
+    error = InexactError(base.problem, file=base.file, line=base.line, text=base.text, advice=base.advice)
+    error.routine = routine
+    return error

@@ -31,11 +31,11 @@ from postproc.dialects.krl.language.tokens import NAME
 from postproc.dialects.krl.language.tree import CallStatement, Goto, Motion, Statement
 from postproc.dialects.krl.read.flow import Flow
 from postproc.dialects.krl.read.folder import Library
-from postproc.dialects.krl.read.inexact import UnresolvedError
 from postproc.dialects.krl.read.interpreter import JUMP_ADVICE, LOOP_ADVICE
+from postproc.dialects.krl.read.known import UnresolvedError
 from postproc.dialects.krl.read.motion_columns import MotionCollector
 from postproc.dialects.krl.read.motion_reader import MotionReader
-from postproc.dialects.krl.read.plain import Plain
+from postproc.dialects.krl.read.plain_lines import Plain
 from postproc.dialects.krl.read.plain_rounds import ElementMotions, motions_of
 from postproc.dialects.krl.read.plain_settings import Coming, PlainSettings
 from postproc.dialects.krl.read.run import Run

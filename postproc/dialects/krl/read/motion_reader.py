@@ -12,8 +12,7 @@ from postproc.dialects.krl.language.tree import Assignment, Motion, Spline, Tail
 from postproc.dialects.krl.language.values import Aggregate, Reference, Unreadable, Value
 from postproc.dialects.krl.read.explanations import why_unknown
 from postproc.dialects.krl.read.frames import out_of_reach
-from postproc.dialects.krl.read.inexact import unresolved
-from postproc.dialects.krl.read.known import NOTHING
+from postproc.dialects.krl.read.known import NOTHING, unresolved
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.state import RELEVANT, State, fields_used
 from postproc.errors import ProgramError

@@ -15,7 +15,7 @@ from postproc.dialects.krl.language.positions import Position
 from postproc.dialects.krl.read.main_routine import MainRoutine, course_of
 from postproc.dialects.krl.read.motion_reader import MotionReader
 from postproc.dialects.krl.read.motions import OrderedMotions, ordered_motions
-from postproc.dialects.krl.read.plain import Plain
+from postproc.dialects.krl.read.plain_lines import Plain
 from postproc.dialects.krl.read.rounds import Uses
 from postproc.dialects.krl.read.settings import Settings
 from postproc.errors import Issue, ProgramError

@@ -13,11 +13,14 @@ import warnings
 from functools import cache
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.decimals import Bytes, numbers_in, parsed
 from postproc.dialects.krl.language.positions import COLUMNS
 from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.read import plain_settings
 from postproc.dialects.krl.read.motion_columns import MotionColumns, given, no_circles, none
+from postproc.dialects.krl.read.plain_settings import PlainSettings, no_settings
 from postproc.frames import Array, any_column
 from postproc.program import CIRC, LIN, PTP, Bools, Ints
 
@@ -243,3 +246,31 @@ def _approximated(raw: Bytes, begins: Ints, ptp: Bools) -> Bools:
     out[row[letter == ord("d")]] = True
     out[row[(letter == ord("s")) & ~ptp[row]]] = True
     return out
+
+
+class Plain(Struct, frozen=True):
+    """Plain lines of a text.
+
+    :ivar motions: in parts.
+    :ivar settings: assignments.
+    """
+
+    motions: list[MotionColumns]
+    settings: PlainSettings
+
+    @property
+    def moving(self) -> Ints:
+        """(P,) 1-based lines of the motions."""
+        return np.concatenate([rows.line for rows in self.motions])
+
+    def others(self, count: int) -> Bools:
+        """Return which of the lines 1 … count are neither (count,)."""
+        out = np.ones(count, dtype=np.bool_)
+        out[self.moving - 1] = False
+        out[self.settings.line - 1] = False
+        return out
+
+
+def plain_of(source: Source, *, bulk: bool = True) -> Plain:
+    """Return the plain lines of a text; not `bulk`: none, so that all are read one by one."""
+    return Plain(scan(source), plain_settings.scan(source)) if bulk else Plain([none()], no_settings())

@@ -4,7 +4,6 @@ move in time with them.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Iterator
 from itertools import pairwise
 
@@ -26,7 +25,6 @@ from postproc.dialects.krl.read.state import fields_used
 from postproc.errors import Issue, ProgramError
 from postproc.program import CIRC, PTP, SPL, Ints, Unresolved
 
-_NAMES = re.compile("|".join(map(re.escape, sorted(SYNCHRONISING))), re.IGNORECASE)
 _WAITING, _OTHERWISE = "#PROGSYNC", "?"
 _SYNCHRONISED = (
     "Motions before the first SYNCCMD of a program and behind the last are corrected; --keep-unresolved leaves those "
@@ -149,7 +147,7 @@ def _marks(main: MainRoutine) -> list[tuple[int, bool]]:
     """
     run, course = main.run, main.course
     modules = [run.library.program, *run.library.read()]
-    if not any(_NAMES.search(source.text) for source in (run.source, *(module.source for module in modules))):
+    if not any(_synchronises(source.text) for source in (run.source, *(module.source for module in modules))):
         return []
     routines = [(module, routine) for module in modules for routine in module.routines.values()]
     words = {one: {_word(one.source, at) for at in one.lines} - {""} for _, one in routines}
@@ -172,6 +170,12 @@ def _marks(main: MainRoutine) -> list[tuple[int, bool]]:
     return sorted(found)
 
 
+def _synchronises(text: str) -> bool:
+    """Return whether a text has one of the words that synchronise robots, also in comments and strings."""
+    upper = text.upper()
+    return any(name in upper for name in SYNCHRONISING)
+
+
 def _word(source: Source, line: int, names: Collection[str] = (), *, entered: bool = False) -> str:
     """Return how a line synchronises robots: the first argument of SYNCCMD, else another word; empty if it does not.
 
@@ -179,7 +183,7 @@ def _word(source: Source, line: int, names: Collection[str] = (), *, entered: bo
     :param entered: the routine that is called is in the trace itself.
     """
     start, stop = source.code_span(line)
-    if not (names or _NAMES.search(source.text, start, stop)):
+    if not (names or _synchronises(source.text[start:stop])):
         return ""
     here = statement(source, line)
     try:

@@ -1,7 +1,7 @@
-"""Force comments of KRL: their lines, and the one in force at each motion.
+"""Comments of KRL: those about forces and the one in force at each motion; and remarks that may name operations.
 
-A comment holds until the next one, in execution order. A control structure or a called routine with one is therefore
-followed like one with motions; after code that cannot be followed the force is not known until the next comment.
+A force comment holds until the next one, in execution order. A control structure or a called routine with one is
+therefore followed like one with motions; after code that cannot be followed the force is not known until the next comment.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ import numpy as np
 
 from postproc.dialects.krl.course import Branch, Course, Fork, Join, Kept
 from postproc.dialects.krl.language.source import Source, comment_start
-from postproc.program import FORCE_COMMENT, Bools, ForceNote, Ints, parse_force_note
+from postproc.dialects.krl.language.tokens import FORCE
+from postproc.program import FORCE_COMMENT, Bools, Event, ForceNote, Ints, parse_force_note
 
-_FORCE = re.compile(f";(?:{FORCE_COMMENT.pattern})", re.IGNORECASE)
 _Force = ForceNote | str | None
 _SAME = 0.01
 """Forces that differ by less [N, N·m] count as equal: they deflect the tool by a few nanometres."""
@@ -188,9 +188,44 @@ def _force_of(held: _Force) -> tuple[Any, ...]:
 def _places(source: Source) -> tuple[Ints, Ints]:
     """Return where force comments begin, and their lines."""
     text = source.text
-    places = np.array([match.start() for match in _FORCE.finditer(text)], dtype=np.int64)
+    places = np.array([match.start() for match in FORCE.finditer(text)], dtype=np.int64)
     lines = np.searchsorted(source.starts, places, side="right")
     starts, stops = source.starts[lines - 1].tolist(), source.stops[lines - 1].tolist()
     begins = [comment_start(text, *span) for span in zip(starts, stops, strict=True)]
     real = np.array(begins, dtype=np.int64) == places  # else the semicolon is inside a string or a comment
     return places[real], lines[real]
+
+
+_COMMENT = re.compile(r";[^\r\n;]*")  # begins with a character that is found fast
+_OF_THE_EDITOR = re.compile(
+    rf";\s*(?:{FORCE_COMMENT.pattern}|ENDFOLD|POSTPROC\b|Params\b|Make your|%|\*|"
+    r"FOLD\s*(?:$|%|INI\b|BASISTECH|USER\b|S?PTP\b|S?LIN|S?CIRC|OUT\b|WAIT|SET_|Moduleparameters|DECLARATIONS))",
+    re.IGNORECASE,
+)
+"""Forces, our own line, and what KUKA's editor writes."""
+_FOLD = re.compile(r"\A;\s*(?:FOLD\b)?\s*", re.IGNORECASE)
+_BLANKS = " \t"
+_MOST = 2000
+"""Of more comments than this none names an operation."""
+
+
+def remarks(source: Source, motions: Ints) -> tuple[Event, ...]:
+    """Return the comments of a file, each before the first motion (M,), by its line, that is behind it."""
+    text = source.text
+    starts = np.array([match.start() for match in _COMMENT.finditer(text)], dtype=np.int64)
+    lines = np.searchsorted(source.starts, starts, side="right")
+    begins = source.starts[lines - 1]
+    alone = begins == starts
+    behind = np.flatnonzero(~alone)
+    for k, begin, start in zip(behind.tolist(), begins[behind].tolist(), starts[behind].tolist(), strict=True):
+        alone[k] = text[begin] in _BLANKS and not text[begin:start].strip(_BLANKS)
+    if np.count_nonzero(alone) > _MOST:
+        return ()
+    out = []
+    for start, line in zip(starts[alone].tolist(), lines[alone].tolist(), strict=True):
+        comment = _COMMENT.match(text, start)
+        name = _FOLD.sub("", comment[0]).strip(" \t-=*") if comment else ""
+        if comment and name and not _OF_THE_EDITOR.match(comment[0].rstrip()):
+            shown = int(source.shown(np.array([line]))[0])
+            out.append(Event(int(np.searchsorted(motions, line)), "comment", shown, 0.0, name))
+    return tuple(out)
