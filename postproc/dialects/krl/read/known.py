@@ -1,4 +1,4 @@
-"""Values as known before run time, the scopes that resolve names to variables, and errors for what is not known."""
+"""Values as known before run time, the scopes that resolve names to variables, and errors where values are unknown."""
 
 from __future__ import annotations
 
