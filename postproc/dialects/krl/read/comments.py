@@ -1,7 +1,8 @@
 """Comments of KRL: those about forces and the one in force at each motion; and remarks that may name operations.
 
 A force comment holds until the next one, in execution order. A control structure or a called routine with one is
-therefore followed like one with motions; after code that cannot be followed the force is not known until the next comment.
+therefore followed like one with motions; after code that cannot be followed the force is not known until the next
+comment.
 """
 
 from __future__ import annotations
