@@ -102,6 +102,7 @@ def test_an_element_whose_index_is_changed_by_the_call_that_gives_its_value_is_n
 
 
 SPOT = "LIN {X SPD*10,Y 2,Z 3,A 0,B 0,C 0}"
+SETR = "DEF SETR(V:OUT,H:IN)\nREAL V,H\nV=H\nXP1.X=V*10\nEND\n"
 
 
 @pytest.mark.parametrize(
@@ -114,6 +115,10 @@ SPOT = "LIN {X SPD*10,Y 2,Z 3,A 0,B 0,C 0}"
         (["K[2]=?", SPOT.replace("SPD", "K[2]")], ""),
         (["SPD=?", "COUNT(SPD)", SPOT], "DEF COUNT(N:OUT)\nINT N\nEND\n"),
         (["FOR I=? TO 2", SPOT.replace("SPD", "I"), "ENDFOR"], ""),
+        (["SETR(I,?)", "LIN XP1"], SETR),  # whether V is 2.5 then, or what I makes of it, is documented nowhere
+        (["SETR(K[2],?)", "LIN XP1"], SETR),
+        (["SETR(S.N,?)", "LIN XP1"], SETR),
+        (["PASS(I,?)", "LIN XP1"], SETR + "DEF PASS(V:OUT,H:IN)\nREAL V,H\nSETR(V,H)\nEND\n"),
     ],
 )
 def test_whatever_enters_an_int_must_be_a_whole_number(lines, subs):
@@ -394,6 +399,27 @@ def test_a_counter_that_the_program_sets_first_needs_no_second_run(monkeypatch):
     for before in ("LIN P[I]", "IF $IN[1] THEN\r\nI=1\r\nENDIF", "SHOW()"):
         with pytest.raises(AssertionError):
             program(before, *loop, subs="DEF SHOW()\r\n$OUT[I]=TRUE\r\nEND\r\n")
+
+
+@pytest.mark.parametrize(
+    ("kind", "lasting"),
+    [
+        ("OUT", "ANIN ON V=0.1*$ANIN[1]+0"),
+        ("OUT", "INTERRUPT DECL 4 WHEN $IN[1] DO V=5"),
+        ("OUT", "INTERRUPT DECL 4 WHEN $IN[1] DO BUMP(V)"),
+        ("IN", "ANIN ON V=0.1*$ANIN[1]+0"),
+    ],
+)
+def test_a_parameter_that_changes_at_any_time_is_refused_since_the_variable_given_for_it_does(kind, lasting):
+    subs = f"DEF SUB1(V:{kind})\nREAL V\n{lasting}\nEND\nDEF BUMP(W)\nREAL W\nW=W+1\nEND\n"
+    lines = ["SUB1(SPD)", "LIN XP1"]
+    if kind == "IN":
+        assert x_y_z(program(*lines, subs=subs)) == UNTOUCHED
+        return
+    for through in ("", "DEF SUB2(V)\nREAL V\nSUB1(V)\nEND\n"):
+        called = ["SUB2(SPD)", "LIN XP1"] if through else lines
+        with pytest.raises(ProgramError, match="a parameter that changes at any time"):
+            program(*called, subs=subs + through)
 
 
 def test_functions_in_the_conditions_of_events_count_as_called():

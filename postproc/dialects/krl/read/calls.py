@@ -93,8 +93,11 @@ class Calls:
     def notice(self, at: Place, what: str, effects: Effects) -> None:
         """Note routines that are in no file, and variables that may change at any time from now on.
 
-        :raises ProgramError: frames or speeds may change so.
+        :raises ProgramError: frames or speeds may change so, or a variable that a caller gave.
         """
+        if effects.lasting is not None:
+            problem = f"{what} has a parameter that changes at any time from then on ({effects.lasting})"
+            raise at.error(problem, "Change a variable of a .dat there, or make the parameter :IN.")
         self.run.absent += [(name, self.run.here) for name in effects.absent.values()]
         self.run.resumable |= effects.resumes is not None
         relevant = sorted(RELEVANT.intersection(effects.anytime))
@@ -247,12 +250,17 @@ class Calls:
             for (index, _), root in zip(written, roots, strict=True)
             if index < len(routine.parameters) and root in self.run.variables.changing
         }
-        return _Bound(at, module, routine, scope, arguments, given, changing, self.run.level, self.run.variables.scope)
+        integers = frozenset(index for index, reference in written if self.run.variables.kind(reference) == "INT")
+        return _Bound(
+            at, module, routine, scope, arguments, given, integers, changing, self.run.level, self.run.variables.scope
+        )
 
     def _begin(self, bound: _Bound, *, traced: bool) -> Level:
         """Make a routine the running one."""
         for index, parameter in enumerate(bound.routine.parameters):
             stored, kind = bound.scope.stored(parameter.name), bound.routine.types.get(parameter.name, "")
+            if kind == "REAL" and index in bound.integers:
+                kind = "INT"
             if kind:
                 self.run.variables.types[stored] = kind
             given = bound.given.get(index, NOTHING)
@@ -302,6 +310,8 @@ class _Bound(Struct, frozen=True, eq=False):
     """A call.
 
     :param written: arguments that the routine may write; `given` the values of all, by place.
+    :param integers: places of those that are INT. A REAL parameter is read as INT there: no source says whether the
+        routine sees what it assigned or what the variable keeps of it. As INT a value is not known where these differ.
     :param changing: stored names of parameters whose arguments may change at any time, and what changes them.
     """
 
@@ -311,6 +321,7 @@ class _Bound(Struct, frozen=True, eq=False):
     scope: Scope
     written: list[_Argument]
     given: dict[int, Known]
+    integers: frozenset[int]
     changing: dict[str, Unknown]
     caller: Level
     caller_scope: Scope

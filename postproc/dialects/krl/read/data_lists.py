@@ -108,7 +108,8 @@ def declare(variables: Variables, source: Source, here: Declaration) -> tuple[De
 def _noted(variables: Variables, one: Declared, *, fill: bool = False) -> str:
     """Note type and scope of a declared name; return the key of its value."""
     name = variables.scope.stored(one.name)
-    if one.kind and not (fill and name in variables.types):
+    by_call = one.name in variables.scope.local  # parameters have their types from the call
+    if one.kind and not ((fill or by_call) and name in variables.types):
         variables.types[name] = one.kind
         if one.public:
             variables.public.add(name)

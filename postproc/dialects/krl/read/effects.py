@@ -60,6 +60,8 @@ class Effects(Struct, eq=False):
     :ivar absent: called programs that are in no file, by name: as they are spelled.
     :ivar jumps: GOTO or RESUME, so that it may not run line by line; None if there is none.
     :ivar resumes: RESUME that may break off the running routine; None if there is none.
+    :ivar parameter: where a parameter without :IN is written; None if none is.
+    :ivar lasting: where such a parameter, and so the variable given for it, is said to change at any time from then on.
     """
 
     writes: dict[str, Place] = {}
@@ -71,6 +73,8 @@ class Effects(Struct, eq=False):
     absent: dict[str, str] = {}
     jumps: Place | None = None
     resumes: Place | None = None
+    parameter: Place | None = None
+    lasting: Place | None = None
 
     def add(self, other: Effects) -> None:
         """Add the effects of a called routine."""
@@ -180,10 +184,12 @@ class Analysis:
 
     def _add_later(self, total: Effects, direct: _Direct) -> None:
         total.add_action(direct.later)
+        total.lasting = total.lasting or direct.later.parameter
         for reached in self._reached(direct.called_later):
             other = self._of_routine(*reached)
             total.add_action(other.now)
             total.add_action(other.later)
+            total.lasting = total.lasting or other.later.parameter
 
     def _reached(self, first: list[Called]) -> Iterator[Called]:
         """Yield routines and all that they call, the actions that they declare included."""
@@ -287,6 +293,8 @@ class _Statement(Struct, eq=False):
         elif name not in self.routine.local:
             scope = self.analysis.scope_of(self.module, self.routine)
             self.effects.writes.setdefault(scope.stored(name), self.place)
+        elif any(parameter.name == name and not parameter.by_value for parameter in self.routine.parameters):
+            self.effects.parameter = self.effects.parameter or self.place
 
     def _called(self, call: Call) -> None:
         found = self.analysis.library.find(call.name, self.module)

@@ -362,11 +362,15 @@ class Variables:
 
     def _member(self, reference: Reference, number: Number) -> Known:
         """Return a number converted to the type of a member of a structure."""
-        if reference.field in _REAL:
-            return replace(number, integer=False)
-        members = self.structures.get(self.types.get(self.scope.stored(reference.name), ""), {})
-        kind = members.get(reference.field or "")
-        return number if kind is None else converted(number, kind)
+        kind = self.kind(reference)
+        return converted(number, kind) if kind else number
+
+    def kind(self, reference: Reference) -> str:
+        """Return the declared type of a variable, an element or a member, upper case; empty if it is not known."""
+        kind = self.types.get(self.scope.stored(reference.name), "")
+        if reference.field is None:
+            return kind
+        return "REAL" if reference.field in _REAL else self.structures.get(kind, {}).get(reference.field, "")
 
     def position(self, value: Value | Known) -> Position | None:
         """Return the position that a value gives, or None when it is not known before the program runs.
