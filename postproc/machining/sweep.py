@@ -352,6 +352,7 @@ def _engagement(turn: Turn, cuts: Floats) -> tuple[Array, Array, Array, Array]:
     found[:, turn.side] &= cuts[:, turn.side] > _LITTLE * cuts[:, turn.side].max(axis=1, keepdims=True, initial=0.0)
     some_ = found.any(axis=1)
     half, outer = 0.5 * turn.width, turn.radius + np.where(turn.down > 0.0, 0.5 * turn.length * turn.down, 0.0)
+    outer = np.minimum(outer, turn.radius[turn.side].max(initial=0.0) or np.inf)  # that of the corner is straight
     aside = outer * np.cos([turn.phi - half, turn.phi, turn.phi + half])
     ends = [
         (np.where(found, low, np.inf).min(axis=1), np.where(found, high, -np.inf).max(axis=1))

@@ -19,11 +19,21 @@ def as_text(found: IdentifiedMaterial) -> str:
         for k, (name, value, half, own) in enumerate(zip(NAMES, found.value, found.half, found.identified, strict=True))
     ]
     if np.isfinite(found.residual):
-        lines.append(f"residual {found.residual:.3g} N RMS")
+        lines.append(f"residual {_residual(found)} N RMS")
     if np.isfinite(found.left_out):
-        lines.append(f"error by leaving one feed out: {100 * found.left_out:.2g} %")
+        lines.append(f"error by leaving one feed out: {_left_out(found)} %")
     lines.append(f"forces computed with them: sigma {found.sigma_percent:.2g} %")
     return "\n".join(lines)
+
+
+def _residual(found: IdentifiedMaterial) -> str:
+    """Return the RMS residual [N] as text, without rounding errors of exact readings."""
+    return f"{round(found.residual, 6):.3g}"
+
+
+def _left_out(found: IdentifiedMaterial) -> str:
+    """Return the error of a feed left out [%] as text, without rounding errors of exact readings."""
+    return f"{round(100 * found.left_out, 6):.2g}"
 
 
 def material_page(found: IdentifiedMaterial, readings: CutReadings, name: str) -> bytes:
@@ -31,9 +41,9 @@ def material_page(found: IdentifiedMaterial, readings: CutReadings, name: str) -
 
     :param name: of the file of readings.
     """
-    tiles = [Tile("Residual, RMS", f"{found.residual:.3g}", "N")] if np.isfinite(found.residual) else []
+    tiles = [Tile("Residual, RMS", _residual(found), "N")] if np.isfinite(found.residual) else []
     if np.isfinite(found.left_out):
-        tiles.append(Tile("Error by leaving one feed out", f"{100 * found.left_out:.2g}", "%"))
+        tiles.append(Tile("Error by leaving one feed out", _left_out(found), "%"))
     tiles.append(Tile("Sigma of computed forces", f"{found.sigma_percent:.2g}", "%"))
     sections = [Section("numbers", "How well it fits", (Tiles(tuple(tiles)),))]
     if found.warnings:

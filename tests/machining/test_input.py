@@ -172,6 +172,14 @@ def test_drills_have_depth_feed_force_and_torque(tmp_path):
     assert ("drill-thrust" in kinds, "drilled-by-mill" in kinds) == (True, False)
 
 
+@pytest.mark.parametrize(("shape", "depth"), [("flat", 2.0), ("ball", 6.0), ("bull", 3.0)])
+def test_the_width_of_a_slot_is_the_diameter(tmp_path, shape, depth):
+    text = gcode("G0 X-10 Y0 Z5", f"G1 Z-{depth} F2400", "X110")
+    program, found = forces(tmp_path, text, process(tool(8, 2, shape, 1.0), BOX))
+    (summary,) = process_forces.summary(program, found, 0).tools
+    assert summary.max_width_mm == pytest.approx(8.0, abs=0.001)
+
+
 def test_a_drilling_cycle_with_a_milling_tool_is_named(tmp_path):
     _, found = forces(tmp_path, gcode(*HOLES), process(tool(8, 2), BOX))
     (issue,) = [issue for issue in found.issues if issue.kind == "drilled-by-mill"]
