@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path, PurePath
 
 from lark import Lark, Token, Tree
@@ -34,8 +34,11 @@ class Refused(AssertionError):
     """The text is no KRL that a controller takes."""
 
 
+@lru_cache(maxsize=8)
 def check(name, text):
     """Raise `Refused` unless the text of a file, `.src`, `.sub` or `.dat`, is KRL; return its tree.
+
+    The last trees are kept: a text is asked about several times, before and after it is written.
 
     :param name: of the file: its main routine, or its data list, must have it.
     """
