@@ -59,7 +59,7 @@ class Runs(Struct, frozen=True, eq=False):
 
     @classmethod
     def of(cls, array: Runs | NDArray[np.float64]) -> Runs:
-        """Return an array in this form."""
+        """Return an array as runs of equal rows."""
         if isinstance(array, Runs):
             return array
         begins = np.ones(len(array), dtype=np.bool_)
@@ -77,7 +77,7 @@ class Runs(Struct, frozen=True, eq=False):
         return np.asarray(self.values.take(self.run[rows], axis=0))
 
     def of_rows(self, rows: Any) -> Runs:
-        """Return some of the rows in this form."""
+        """Return the chosen rows as runs of equal rows, without writing them out."""
         return Runs(self.values, self.run[rows])
 
     @property
@@ -128,7 +128,7 @@ def chunks(count: int) -> Iterator[slice]:
 def in_chunks(
     function: Callable[..., tuple[NDArray[Any], ...]], first: NDArray[Any] | Computed, *others: NDArray[Any] | Computed
 ) -> tuple[NDArray[Any], ...]:
-    """Return `function(first, *others)`, worked on in chunks of the arrays' first axis.
+    """Return `function(first, *others)`, computed for chunks of the rows of all arrays and joined.
 
     :param function: takes arrays of n rows and returns arrays of n rows, each row made from the same row only.
     :raises NotConvergedError: of the function; `rows` are then those of the whole.

@@ -13,8 +13,9 @@ from click.testing import CliRunner
 from postproc.cli import main
 from postproc.correction.process import process
 from postproc.errors import InputError
+from postproc.files import read_facets
 from postproc.jobs import Settings, load_setup, read_program
-from postproc.jobs.part_file import read_facets, surface_of
+from postproc.jobs.conversion import surface_of
 from tests.html_page import read_page
 
 CELL = str(Path(__file__).parents[1] / "samples" / "cell_kr270.toml")

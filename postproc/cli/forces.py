@@ -40,7 +40,7 @@ def forces(as_json: bool, materials: bool, **request: Any) -> None:
       postproc forces --materials
     """  # noqa: D301 - click: keep these lines as they are
     from postproc.files import json_bytes
-    from postproc.jobs.forces_files import ForcesRequest, make_forces
+    from postproc.jobs.process_forces import ForcesRequest, make_forces
     from postproc.machining import table
     from postproc.report import issue_entry, issue_line, process_forces
 

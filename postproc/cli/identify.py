@@ -324,7 +324,7 @@ def forces(
       postproc identify forces --propose --process process.toml -o testcuts.nc
       postproc identify forces testcuts.csv --process process.toml -o material.toml
     """  # noqa: D301 - click: keep these lines as they are
-    from postproc.jobs.forces_files import identify_forces, propose_cuts
+    from postproc.jobs.process_forces import identify_forces, propose_cuts
     from postproc.report.material import as_text
 
     if propose == (measured is not None):

@@ -37,7 +37,7 @@ class Clearance(Struct, frozen=True, eq=False):
 
 
 def clearance(scene: Scene, q: Array) -> Clearance:
-    """Return the smallest distance of the bodies at poses that do not belong together.
+    """Return the smallest distance of the bodies at poses that are independent of each other.
 
     :param q: (n, 6) joint angles of the controller [rad].
     :raises InputError: the package python-fcl is not installed.
@@ -80,7 +80,7 @@ class Solids:
     """The bodies of a scene as FCL has them."""
 
     def __init__(self, scene: Scene, pairs: Iterable[tuple[int, int]] | None = None) -> None:
-        """Make the solids.
+        """Make the FCL objects of the bodies of a scene.
 
         :param pairs: rows of bodies to compare, the one that moves first; None: all pairs that matter.
         :raises InputError: the package python-fcl is not installed.
@@ -143,7 +143,7 @@ class Solids:
         return model
 
     def frame(self, row: int, frames: Array) -> Array:
-        """Return the frames (n, 4, 4) of what carries a body."""
+        """Return the frames (n, 4, 4) of the link that carries a body."""
         body = self.bodies[row]
         return np.broadcast_to(np.eye(4), (len(frames), 4, 4)) if body.fixed else frames[:, body.carrier + 1]
 

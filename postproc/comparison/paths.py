@@ -108,7 +108,7 @@ class PlacedProgram(Struct, frozen=True, eq=False, dict=True):
         return toolpath.wrench_in_root(self.program, motion, wrench)
 
     def carried(self, motion: Ints, t: Array | float = 1.0) -> Array:
-        """Return how far E1 has carried the robot (n, 3) at places (motion, t) [m]."""
+        """Return the displacement (n, 3) [m] of the robot by E1 at places (motion, t)."""
         carriage = self.program.carriage
         return np.zeros((len(motion), 3)) if carriage is None else carriage.offset(motion, t)
 
@@ -215,7 +215,7 @@ class Curves(Struct, frozen=True, eq=False):
         return cls(Chain.of(one, pair[:, 0]), Chain.of(other, pair[:, 1])) if len(pair) > 1 else None
 
     def at(self, u: Array) -> tuple[Array, Array]:
-        """Return where both programs command the nominal tool (n, 3) at u (n,), nominal `$BASE` [m]."""
+        """Return the positions (n, 3) of the nominal tool that each program commands at u (n,) in the nominal `$BASE` [m]."""
         motion, t = self.one.at(u)
         mine = toolpath.positions(self.one.program, self.one.path, motion, t)
         return mine, self._second(*self.other.at(u), motion)
@@ -235,7 +235,7 @@ class Curves(Struct, frozen=True, eq=False):
         return tool_of_nominal(nominal, motion, second, row, pose)[:, :3, 3]
 
     def apart(self) -> Array:
-        """Return the largest distance of the paths, at the same u, on the way to each pair (P,) [m].
+        """Return the largest distance (P,) [m] of both paths at the same u, between each pair and the pair before.
 
         NaN for the first pair, and where a PTP is between.
         """
@@ -254,7 +254,7 @@ class Curves(Struct, frozen=True, eq=False):
         return out
 
     def parts(self, angle: float) -> Ints:
-        """Return the number of chords (P,) to draw the way to each pair with, one per `angle` of an arc [rad]."""
+        """Return the number of chords (P,) that draw the path to each pair, one for each `angle` of an arc [rad]."""
         out = np.ones(int(self.one.end[-1]) + 1, dtype=np.int64)
         for chain in (self.one, self.other):
             arc = np.flatnonzero(chain.program.motions.kind[chain.row] == CIRC)
@@ -274,7 +274,7 @@ class Curves(Struct, frozen=True, eq=False):
         return len(tools[0]) == len(tools[1]) == 1 and bool(np.abs(twist_between(*tools)).max() <= SAME_FRAME)
 
     def _curved(self, u: Array) -> Bools:
-        """Return where (n,) the distance may be largest between the ends of a piece: not for two straight lines."""
+        """Return where (n,) the distance of the paths may be largest inside a piece: at arcs, not between two lines."""
         if not self._same_tool:
             return np.ones(len(u), dtype=bool)
         motion, row = self.one.at(u)[0], self.other.at(u)[0]

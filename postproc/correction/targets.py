@@ -107,7 +107,7 @@ def choose(
 
 
 def pieces_needed(path: CommandedPath) -> Pieces:
-    """Return how many pieces of arcs are needed, by what circles through twice as large ones miss."""
+    """Return the number of pieces that arcs need, from the error of circles through pieces twice as large."""
     arcs, command = path.arcs, path.position
     stretch = np.flatnonzero(arcs.uncertain)
     begin, middle_row, end_row = _ends(path, stretch)
@@ -141,7 +141,7 @@ def _ends(path: CommandedPath, stretch: Ints) -> tuple[Array, Ints, Ints]:
 
 
 def _divided(path: CommandedPath, motions: Ints) -> Ints:
-    """Divide lines where they are missed most until every piece fits; return the samples (n,) where pieces end."""
+    """Divide lines at their largest error until every piece fits; return the samples (n,) at which pieces end."""
     count = np.bincount(path.sample.motion, minlength=len(path.start))
     size = count[motions] + 1  # the start of each motion is put before its samples
     first = np.cumsum(size) - size
@@ -196,7 +196,7 @@ class Corners(Struct, frozen=True):
     reach: Array
 
     def rounding(self, distance: Array) -> Array:
-        """Return how far each corner is passed at (K,) [m] for approximation distances (K,) [m]."""
+        """Return the distance (K,) [m] of each corner from the rounded path, by approximation distances (K,) [m]."""
         return np.asarray(0.25 * np.minimum(distance, self.reach) * self.sharp)
 
 
@@ -225,7 +225,7 @@ def _joined(program: Program, motion: Ints, kind: Ints) -> Bools:
 
 
 def corners_of_targets(program: Program, targets: Targets, start: Array | Computed) -> tuple[Corners, Array]:
-    """Return the corners of a path as it is to be written, and the direction in which it comes to them (K, 3).
+    """Return the corners of a path to be written, and its direction (K, 3) before each of them.
 
     :param start: (M, 3) commanded position at the start of each motion, `$BASE` [m].
     """
@@ -284,7 +284,7 @@ def programmed_rounding(program: Program, path: Segments, motion: Ints) -> Array
 
 
 def approximation_distances(program: Program, targets: Targets, corners: Corners, cell: Cell) -> Array:
-    """Return with which distance each target is approximated (K,) [m]; 0: an exact stop.
+    """Return the approximation distance (K,) [m] of each target; 0: an exact stop.
 
     The end of a motion has the distance that the program gives it, unless blending would round it by more than
     `Motions.rounding` allows: then it is an exact stop. The robot does not stop at inserted targets. Where one of them
@@ -337,7 +337,7 @@ class Chosen(Struct, frozen=True, eq=False):
 def choose_targets(
     path: PathUnderLoad, command: Commands, least_arc: tuple[float, float], *, linearize_arcs: bool
 ) -> Chosen:
-    """Choose what to write: as few of the samples as hold the tolerance.
+    """Choose the targets to write: the fewest samples that hold the tolerance.
 
     :param command: commands of the samples, in `$BASE`.
     :param least_arc: see `dialects.dialect.Writer`.
@@ -370,7 +370,7 @@ def choose_targets(
 
 
 def _unchanged(path: PathUnderLoad, command: Commands) -> tuple[Bools, Bools]:
-    """Return which motions are one target whatever lies between (M,), and which end as their text says (M,).
+    """Return which motions (M,) become a single target, and which (M,) keep the end that their text states.
 
     In a program that keeps its text that is those that need no correction. Where a motion starts matters to straight
     lines, which may then have to be divided, and to circles, which are other circles then; a PTP ends where it ends.

@@ -120,7 +120,7 @@ class CamFormat(Struct, frozen=True):
     writer: None = None
 
     def companions(self, path: Path) -> list[Path]:
-        """Return no files."""
+        """Return no other files: a program is one file."""
         del path
         return []
 

@@ -18,13 +18,13 @@ _BASE = FORCE_FRAMES.index("BASE")
 
 
 def rounded(wrench: Array) -> Array:
-    """Return wrenches (n, 6) as they are printed."""
+    """Return wrenches (n, 6) rounded to the decimals of a comment."""
     scale = 10.0**_DECIMALS
     return np.asarray(np.rint(wrench * scale) / scale + 0.0)
 
 
 def needed(forces: TargetForces, kind: Ints, note: Ints, notes: Sequence[ForceNote], start: float) -> Bools:
-    """Return which targets need a comment (K,): those for which another force is in force than they are to have.
+    """Return which targets (K,) need a comment: those whose force is not that of the last comment before them.
 
     :param kind: (K,) PTP targets carry none, and change nothing.
     :param note: (K,) the last of the program's own `notes` at each target, −1 before the first.

@@ -1,7 +1,7 @@
 """Strict reading of TOML and CSV, reading of meshes; sets of files that are replaced together (atomically)."""
 
 from postproc.files.locking import locked
-from postproc.files.reading import convert, parse_csv, read_csv, read_mesh, read_text, read_toml
+from postproc.files.reading import convert, parse_csv, read_csv, read_facets, read_mesh, read_text, read_toml
 from postproc.files.writing import (
     FileEntry,
     Staged,
@@ -35,6 +35,7 @@ __all__ = [
     "noted",
     "parse_csv",
     "read_csv",
+    "read_facets",
     "read_mesh",
     "read_text",
     "read_toml",

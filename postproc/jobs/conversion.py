@@ -21,7 +21,7 @@ from postproc.forces import ForceSource
 from postproc.frames import M_PER_MM, Array
 from postproc.jobs.output_plan import Task, differing, needed_copies, with_own_copies
 from postproc.jobs.programs import EXCEEDED, FAILED, GOOD, PROCESS, Job, Outcome, Settings, find_jobs, read_documents
-from postproc.placement import start
+from postproc.placement.turning import chosen_start
 from postproc.program import Document, Motions, Program
 from postproc.report import Summary
 from postproc.robot import RobotModel
@@ -110,6 +110,8 @@ def origin_of(
 
 if TYPE_CHECKING:
     from postproc.machining import ProcessForces
+    from postproc.machining.tool import Cutter
+    from postproc.report.surface import Surface
 
 
 def convert(
@@ -185,7 +187,7 @@ def read_started(
         return read_program(path, robot, cell, dialect, name), cell
     anywhere = replace(cell, start=_ANYWHERE)
     first = read_program(path, robot, anywhere, dialect, name)
-    chosen = start.choose(first, RobotInCell.of(robot, anywhere))
+    chosen = chosen_start(first, RobotInCell.of(robot, anywhere))
     cell = replace(cell, start=Start(chosen.joints))
     program = read_program(path, robot, cell, dialect, name)
     one, other = first.motions, program.motions
@@ -329,7 +331,6 @@ def _made(
     contents[f"{stem}targets.csv"] = report.targets_csv(result)
     surface = None
     if settings.part is not None and len(result):
-        from postproc.jobs.part_file import surface_of  # meshes and trees of points are imported with it
         from postproc.report.surface import glb, ply
 
         surface = surface_of(result, settings.part, job.process, cell.part_in_root())
@@ -359,6 +360,36 @@ def _made(
         shared=(*called, *copies),
         read=tuple(map(str, [*read, *(each.path for each in needed)])),
     )
+
+
+def surface_of(result: Result, part: Path, process: Path | None, placed: Array | None = None) -> Surface:
+    """Return the deviations along the surface of a part.
+
+    :param part: mesh in mm (STL, PLY, OBJ …).
+    :param process: process.toml whose [tools] say the shapes; None: the nearest place of the path counts.
+    :param placed: (4, 4) frame of the mesh in the robot root [m]; None: it is in the `$BASE` of the program.
+    :raises InputError: the mesh or the process is unusable, or its frame is not stated and there are several `$BASE`.
+    """
+    corners, coarse = files.read_facets(part)
+    if placed is None and len(result.program.bases) > 1:
+        raise InputError(
+            "the program has several $BASE: to which the part belongs is not known",
+            file=str(part),
+            advice="State the frame of the mesh in the robot root in the cell: [part] with X, Y, Z, A, B, C.",
+        )
+    from postproc.report.surface import surface  # trees of points are imported with it
+
+    cutters: dict[int, Cutter] | None = None
+    if process is not None:
+        from postproc import machining
+        from postproc.machining.tool import Cutter
+
+        cutters = {}
+        for name, tool in machining.load(process).tools.items():
+            radius = 0.5 * tool.diameter_mm * M_PER_MM
+            corner = radius if tool.shape == "ball" else tool.corner_radius_mm * M_PER_MM
+            cutters[0 if name == "default" else int(name)] = Cutter(radius, corner, tool.flutes)
+    return surface(result, corners, cutters, placed, coarse)
 
 
 def _with_subprograms(

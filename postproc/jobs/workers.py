@@ -59,12 +59,12 @@ class LocalWorkers:
         return self._threads.submit(self._work, task)
 
     def outcome(self, future: Future[Outcome], task: Task) -> Outcome | None:
-        """Return what came of a task; None if no process could be started for it."""
+        """Return the outcome of a task that has ended; None if no process could be started for it."""
         del task
         return None if isinstance(future.exception(), OSError) else future.result()
 
     def lost(self, task: Task) -> None:
-        """Return None: a process that ends is noticed at once."""
+        """Return no failure: `outcome` of a task ends as soon as its process does."""
 
     def end(self) -> None:
         """End the processes at once."""
@@ -99,7 +99,7 @@ class LocalWorkers:
 
 
 def work_alone(task: Task, settings: Settings) -> Outcome:
-    """Return what comes of a task in a process of its own."""
+    """Run a task in a process of its own; return its outcome."""
     process = _Process()
     try:
         return process.work(task, settings)
@@ -131,7 +131,7 @@ class _Process:
         )
 
     def work(self, task: Task, settings: Settings) -> Outcome:
-        """Let it work on a task, and wait for the outcome.
+        """Send a task to the process, and wait for the outcome.
 
         :raises EOFError: the process ended instead.
         """
@@ -146,11 +146,11 @@ class _Process:
         return outcome
 
     def kill(self) -> None:
-        """End it at once."""
+        """End the process at once."""
         self._process.kill()
 
     def wait(self) -> int:
-        """Wait for its end and return its exit code; negative: the signal that ended it."""
+        """Wait until the process ends; return its exit code, or minus the signal that ended it."""
         code = self._process.wait()
         for pipe in (self._process.stdin, self._process.stdout):
             if pipe is not None:
@@ -256,7 +256,7 @@ class ClusterWorkers:
         return future
 
     def outcome(self, future: Any, task: Task) -> Outcome:
-        """Return what came of a task, with the name that the user knows."""
+        """Return the outcome of a task that has ended, under the name that the user knows."""
         self._alive = time.monotonic()
         if future.cancelled():
             return self._gone(task)
@@ -274,7 +274,7 @@ class ClusterWorkers:
         return self._gone(task) if time.monotonic() > self._alive + _PATIENCE else None
 
     def end(self) -> None:
-        """Cancel what waits; the cluster finishes what it has begun, and leaves staged files."""
+        """Cancel tasks that have not begun; the cluster finishes the others, and leaves their staged files."""
         with suppress(Exception):
             self._client.cancel([future for future in self._begun if not future.done()])
         self._client.close(timeout=2)

@@ -161,7 +161,7 @@ def _with_wear(sigma: float) -> float:
 
 
 def _below(error: float, sigma: float) -> float:
-    """Return the probability that a normal number of deviation `sigma` is at most `error`."""
+    """Return the probability that a normally distributed error of deviation `sigma` is at most `error`."""
     return 0.5 * (1.0 + math.erf(error / (math.sqrt(2.0) * sigma))) if sigma > 0.0 else float(error >= 0.0)
 
 

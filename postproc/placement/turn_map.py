@@ -358,7 +358,7 @@ def line_through(
     turn_at_feed: bool,
     closed: bool,
 ) -> Line | Blocked:
-    """Find the cheapest line.
+    """Find the line through the map with the smallest expected error, under the limits of the joints.
 
     :param start: (6,) joint angles before the program [rad]: A4 and A6 are counted from there.
     :param turn_at_feed: whether the turn may change on cuts; else on rapid moves only.

@@ -81,10 +81,10 @@ def hidden_by_rig(site: Site, tests: TestPoses, scale: Array, missing: tuple[int
 
 
 def second_load(site: Site, tests: TestPoses) -> float:
-    """Return the second load of each pose over its first: as near to the force of the work as makes sense.
+    """Return the ratio of the second load of each pose to its first.
 
-    Gears that stiffen, knees and backlash show in how displacements under two loads differ, and near the force of the
-    work as the work feels them.
+    Stiffening gears, knees and backlash are seen in the difference of displacements under two loads. The second load is
+    close to the cutting force, so that they are measured where milling excites them.
     """
     work = float(np.sqrt(tests.weight @ np.sum(tests.wrench[:, :3] ** 2, axis=1)))
     return float(np.clip(work / site.rig.force, _LEAST_SHARE, _LARGEST_SHARE))

@@ -33,7 +33,7 @@ _LENGTH, _ANGLE, _PLACE = 6, 5, 9
 
 
 def targets_csv(result: Result) -> Iterator[bytes]:
-    """Yield the file in pieces of some thousand rows.
+    """Yield targets.csv, one row for each written target, in pieces of some thousand rows.
 
     Units: mm, degrees, N, N·m; `t` in (0, 1]; `u95_mm` is empty where the model has no covariance.
     """
@@ -92,7 +92,7 @@ _PLACE = 9
 
 
 def forces_csv(result: Result) -> bytes | None:
-    """Return the file: read with the written program, it gives each piece the force that it was corrected for.
+    """Return forces.csv of a written program: the force that each of its pieces was corrected for.
 
     Neighbouring lines with the same force share a row. None where the program needs no such file.
     """
@@ -123,7 +123,7 @@ def forces_csv(result: Result) -> bytes | None:
 
 
 def _shared(knots: Knots, values: Array) -> tuple[Ints, Ints]:
-    """Return the first and the last knot of each row of the file.
+    """Return the first and the last knot of each row of forces.csv.
 
     Neighbouring targets share one if each has but one knot, and these are the same.
     """

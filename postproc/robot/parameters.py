@@ -294,7 +294,7 @@ class Backlash(_Nonlinear, frozen=True):
 
     @property
     def title(self) -> str:
-        """Return the joint in words."""
+        """Return the name of the joint for headings."""
         return f"{self.key.replace('_', ' ')} of {self.joint}"
 
     @property
@@ -358,12 +358,12 @@ class LinkSpring(Spring, frozen=True):
 
     @property
     def slides(self) -> bool:
-        """Return whether it is a translation."""
+        """Return whether the spring moves the link along its axis, not about it."""
         return self.axis in LINK_AXES[:3]
 
     @property
     def at_end(self) -> bool:
-        """Return whether it is at the end of the link."""
+        """Return whether the spring is at the end of the link, not at its joint."""
         return self.axis in LINK_AXES[6:]
 
     @property
@@ -388,7 +388,7 @@ class LinkSpring(Spring, frozen=True):
 
     @property
     def usual(self) -> float:
-        """Usual compliance [m/N, rad/(N·m)]."""
+        """Usual compliance of a link [m/N, rad/(N·m)]."""
         return 1e-8 if self.slides else 1e-6
 
     @property
@@ -441,7 +441,7 @@ class CompensatorStiffness(CompensatorTorque, frozen=True):
         tables["compensator"] |= {"stiffness_N_per_m": max(value, 0.0), "source": source, "assumed": False}
 
     def of(self, law: Compensator) -> float:
-        """Return K_c."""
+        """Return the stiffness K_c of the spring [N/m]."""
         return law.stiffness
 
     def partners(self) -> tuple[Parameter, ...]:
@@ -484,7 +484,7 @@ class CompensatorPreload(CompensatorTorque, frozen=True):
         tables["compensator"]["free_length_mm"] = max(value, 0.0)
 
     def of(self, law: Compensator) -> float:
-        """Return K_c·s₀."""
+        """Return the preload K_c·s₀ of the spring [N]."""
         return law.stiffness * law.free_length
 
     def partners(self) -> tuple[Parameter, ...]:
@@ -534,7 +534,7 @@ class LinkMass(Parameter, frozen=True):
 
     @property
     def title(self) -> str:
-        """Return the parameter in words."""
+        """Return the heading: the mass of a link."""
         return f"mass of the link of {self.joint}"
 
     @property
@@ -570,7 +570,7 @@ class CompensatorSize(CompensatorStiffness, frozen=True):
     """K_c at a constant free length s₀ [N/m]: the size of the compensator's torque."""
 
     def partners(self) -> tuple[Parameter, ...]:
-        """Return none."""
+        """Return no parameters: the mass in model.toml depends on no other value."""
         return ()
 
     def effect(self, law: Compensator, q2: Array) -> tuple[Array, Array]:

@@ -19,7 +19,7 @@ from postproc import kinematics, robot
 from postproc.cell import load as load_cell
 from postproc.cli import main
 from postproc.dialects import krl
-from postproc.dialects.rapid import conventions, language
+from postproc.dialects.rapid import language
 from postproc.dialects.rapid.dialect import RAPID
 from postproc.dialects.text import decode
 from postproc.errors import PostprocError, ProgramError
@@ -80,16 +80,16 @@ def test_the_model_folder_is_the_arm_of_the_data_sheet_in_abb_axes():
     model = robot.load(robot.find(MODEL))
     q = np.random.default_rng(3).uniform(model.lower, model.upper, (200, 6))
     poses, _ = kinematics.tcp(model.nominal, q, np.eye(4))
-    for angles, pose in zip(conventions.abb_from_joints(q), poses, strict=True):
+    for angles, pose in zip(language.abb_from_joints(q), poses, strict=True):
         tool0 = elbow_and_wrist(angles)[2]
         np.testing.assert_allclose(pose[:3, 3] * 1e3, tool0[:3, 3], atol=1e-6)
         np.testing.assert_allclose(pose[:3, :3], tool0[:3, :3], atol=1e-9)
-    np.testing.assert_allclose(conventions.joints_from_abb(conventions.abb_from_joints(q)), q, atol=1e-12)
+    np.testing.assert_allclose(language.joints_from_abb(language.abb_from_joints(q)), q, atol=1e-12)
 
 
 def test_joint_limits_are_those_of_the_data_sheet():
     model = robot.load(robot.find(MODEL))
-    ends = conventions.abb_from_joints(np.array([model.lower, model.upper]))
+    ends = language.abb_from_joints(np.array([model.lower, model.upper]))
     expected = [[-170, 170], [-65, 85], [-180, 70], [-300, 300], [-130, 130], [-360, 360]]
     np.testing.assert_allclose(np.sort(ends, axis=0).T, expected, atol=1e-6)
 
@@ -97,16 +97,16 @@ def test_joint_limits_are_those_of_the_data_sheet():
 def test_confdata_tell_the_branch_on_which_the_arm_stands():
     model = robot.load(robot.find(MODEL))
     q = np.random.default_rng(4).uniform(model.lower, model.upper, (500, 6))
-    found = conventions.configuration(TargetJoints(q, kinematics.status_of(model, q)))
-    expected = [confdata(angles) for angles in conventions.abb_from_joints(q)]
+    found = language.configuration(TargetJoints(q, kinematics.status_of(model, q)))
+    expected = [confdata(angles) for angles in language.abb_from_joints(q)]
     assert found.tolist() == expected
     assert {row[3] for row in expected} == set(range(8))
-    assert conventions.status_from_cfx(found[:, 3]).tolist() == kinematics.status_of(model, q).tolist()
+    assert language.status_from_cfx(found[:, 3]).tolist() == kinematics.status_of(model, q).tolist()
 
 
 def test_an_angle_that_is_a_quadrants_beginning_but_for_rounding_is_in_it():
-    q = conventions.joints_from_abb(np.array([[-1e-12, 10.0, 0.0, 90.0 - 1e-12, 30.0, -90.0 - 1e-12]]))
-    assert conventions.configuration(TargetJoints(q, np.array([2]))).tolist() == [[0, 1, -1, 0]]
+    q = language.joints_from_abb(np.array([[-1e-12, 10.0, 0.0, 90.0 - 1e-12, 30.0, -90.0 - 1e-12]]))
+    assert language.configuration(TargetJoints(q, np.array([2]))).tolist() == [[0, 1, -1, 0]]
 
 
 @settings(max_examples=80, deadline=None)
@@ -114,11 +114,11 @@ def test_an_angle_that_is_a_quadrants_beginning_but_for_rounding_is_in_it():
 def test_quaternions_are_those_of_scipy(axis, angle):
     axis = np.array(axis) if np.linalg.norm(axis) > 1e-3 else np.array([0.0, 0.0, 1.0])
     rotation = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis))
-    q = conventions.quaternions(rotation.as_matrix()[None])[0]
+    q = language.quaternions(rotation.as_matrix()[None])[0]
     expected = np.roll(rotation.as_quat(), 1)
     assert min(np.abs(q - expected).max(), np.abs(q + expected).max()) < 1e-12
     assert q[0] >= 0.0
-    np.testing.assert_allclose(conventions.rotations(q[None])[0], rotation.as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(language.rotations(q[None])[0], rotation.as_matrix(), atol=1e-12)
 
 
 # --- what is written -------------------------------------------------------------------------------------------------
@@ -133,7 +133,7 @@ def test_every_target_is_where_its_joint_angles_bring_abbs_arm(pocket):
     for line, _, arguments, work_object in moves:
         *_, (position, orientation, conf, external), _speed, _zone, tool = arguments
         row = rows[line]
-        angles = conventions.abb_from_joints(np.radians([row[f"A{axis}"] for axis in range(1, 7)]))
+        angles = language.abb_from_joints(np.radians([row[f"A{axis}"] for axis in range(1, 7)]))
         tcp = elbow_and_wrist(angles)[2] @ frame(data[tool][1][1])
         wobj = data[work_object][1]
         target = frame(wobj[3]) @ frame(wobj[4]) @ frame([position, orientation])

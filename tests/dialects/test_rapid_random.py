@@ -10,8 +10,8 @@ from msgspec.structs import replace as changed
 from scipy.spatial.transform import Rotation
 
 from postproc.cell import GCode
-from postproc.dialects.rapid.conventions import abb_from_joints
 from postproc.dialects.rapid.dialect import RAPID
+from postproc.dialects.rapid.language import abb_from_joints
 from postproc.errors import ProgramError
 from postproc.frames import pose_from_xyzabc
 from postproc.program import CIRC, LIN, PTP, Document, Event, TargetJoints, Targets

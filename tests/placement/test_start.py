@@ -15,7 +15,7 @@ from postproc import correction, kinematics, robot
 from postproc.cell import Box, Collision, ObstacleTable, Start
 from postproc.cli import main
 from postproc.collision import link_frames
-from postproc.placement import start
+from postproc.placement.turning import chosen_start
 from postproc.under_load import RobotInCell
 from tests.oracle import cell_sim
 from tests.oracle.arm import Arm
@@ -42,7 +42,7 @@ def margin(result) -> float:
 def test_the_branch_is_the_one_with_the_most_margin_of_all_that_convert(name):
     own = in_line(name)
     program, model = read(PART, own)
-    found = start.choose(program, RobotInCell.of(model, own))
+    found = chosen_start(program, RobotInCell.of(model, own))
     first = kinematics.closed_form(model).branches(_flange(program, model, own)[None])[0]
     margins = []
     for q in first[np.isfinite(first).all(axis=1)]:
@@ -63,19 +63,19 @@ def test_a_branch_with_a_collision_is_taken_only_if_there_is_no_other():
     pytest.importorskip("fcl")
     own = in_line("kuka_kr270")
     program, model = read(PART, own)
-    first = start.choose(program, RobotInCell.of(model, own))
+    first = chosen_start(program, RobotInCell.of(model, own))
     beyond = link_frames(model.nominal, np.radians(first.joints)[None])[0, 3, :3, 3] * 1e3 + [150.0, 0.0, 130.0]
     spans = [(float(at - 50), float(at + 50)) for at in beyond]
     box = ObstacleTable(name="beam", frame="root", box=Box(*spans))
     inside = replace(own, collision=Collision(obstacles=[box]))
-    found = start.choose(program, RobotInCell.of(model, inside))
+    found = chosen_start(program, RobotInCell.of(model, inside))
     assert found.joints != first.joints
     assert "on the branch of those without collisions" in found.message
     there = replace(inside, start=Start(found.joints))
     result = correction.process(read(PART, there)[0], model, there, mode="predict")
     assert not result.failed, result.issues
     both = replace(own, collision=Collision(obstacles=[box, ObstacleTable(name="part", box=Box(*[(-300, 300)] * 3))]))
-    assert start.choose(program, RobotInCell.of(model, both)).joints == first.joints
+    assert chosen_start(program, RobotInCell.of(model, both)).joints == first.joints
 
 
 def _flange(program, model, own):
@@ -123,7 +123,7 @@ def test_what_is_written_starts_there_and_is_read_back_the_same(tmp_path):
 def test_a_program_that_states_status_and_turn_starts_with_them(status, s):
     own = in_line("kuka_kr270")
     program, model = read(KRL.format(status), own, "krl")
-    found = start.choose(program, RobotInCell.of(model, own))
+    found = chosen_start(program, RobotInCell.of(model, own))
     assert kinematics.status_of(model, np.radians(found.joints)[None])[0] == s
 
 
@@ -138,4 +138,4 @@ def test_a_program_out_of_reach_of_all_branches_is_refused():
     own = in_line("kuka_kr270", base=(5000.0, 0.0, 600.0))
     program, model = read(PART, own)
     with pytest.raises(Exception, match="no branch of the arm reaches the first target"):
-        start.choose(program, RobotInCell.of(model, own))
+        chosen_start(program, RobotInCell.of(model, own))

@@ -7,8 +7,8 @@ import pytest
 import trimesh
 from msgspec.structs import replace
 
+from postproc.files import read_facets
 from postproc.frames import pose_from_xyzabc
-from postproc.jobs.part_file import read_facets
 from postproc.machining.tool import Cutter
 from postproc.poses import Poses
 from postproc.program import LIN

@@ -34,15 +34,20 @@ from postproc.dialects import circles, force_comments
 from postproc.dialects.force_comments import where
 from postproc.dialects.new_program import NewProgram, Words, check_name, number
 from postproc.dialects.rapid import language
-from postproc.dialects.rapid.conventions import (
+from postproc.dialects.rapid.language import (
+    BEGIN,
+    END,
+    NO_EXTERNAL_AXES,
+    PREFIX,
     abb_from_joints,
     configuration,
+    fault_of,
     joints_from_abb,
     poses,
     quaternions,
     status_from_cfx,
+    valid,
 )
-from postproc.dialects.rapid.language import BEGIN, END, NO_EXTERNAL_AXES, PREFIX, fault_of, valid
 from postproc.dialects.text import line_spans
 from postproc.errors import MOST, CellError, InputError, Issue, ProgramError, group_issues, together
 from postproc.frames import M_PER_MM, MM_PER_M, RAD_PER_DEG, Array, inverse, xyzabc_from_pose

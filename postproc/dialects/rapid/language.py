@@ -1,9 +1,26 @@
-"""RAPID as a language: names that the controller accepts, and instructions that are safe between moves."""
+"""RAPID as a language: names that the controller accepts, instructions that are safe between moves, frames and angles.
+
+The joints A1…A6 of every model folder have KUKA's signs, and at zero the arm is stretched out along +X. ABB's axes
+turn about +Z, +Y, +Y, +X, +Y, +X, and at zero the upper arm is vertical and the forearm along +X. For a serial arm:
+
+    J1 = −A1    J2 = A2 + 90°    J3 = A3 − 90°    J4 = −A4    J5 = A5    J6 = −A6
+
+With a parallelogram (IRB 6660, 7600 with rod, palletisers) ABB measures axis 3 from the floor, not from the upper arm.
+Such arms are not serial, and model folders cannot describe them. Robot root and
+flange are those of ABB: base frame, and `tool0` with Z out of the flange and X downwards at zero.
+
+A `num` of RAPID has single precision; so have positions, orientations and joint angles.
+"""
 
 from __future__ import annotations
 
 import re
 import unicodedata
+
+import numpy as np
+
+from postproc.frames import DEG_PER_RAD, M_PER_MM, RAD_PER_DEG, Array
+from postproc.program import Ints, TargetJoints
 
 PREFIX = "mod_"
 """Prefix of the module's name, which must differ from the procedure's."""
@@ -12,99 +29,32 @@ _NAME = re.compile(r"[A-Za-z]\w*", re.ASCII)
 _UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "ß": "ss"})
 
 WORDS = frozenset(
-    [
-        "ALIAS",
-        "AND",
-        "BACKWARD",
-        "CASE",
-        "CONNECT",
-        "CONST",
-        "DEFAULT",
-        "DIV",
-        "DO",
-        "ELSE",
-        "ELSEIF",
-        "ENDFOR",
-        "ENDFUNC",
-        "ENDIF",
-        "ENDMODULE",
-        "ENDPROC",
-        "ENDRECORD",
-        "ENDTEST",
-        "ENDTRAP",
-        "ENDWHILE",
-        "ERROR",
-        "EXIT",
-        "FALSE",
-        "FOR",
-        "FROM",
-        "FUNC",
-        "GOTO",
-        "IF",
-        "INOUT",
-        "LOCAL",
-        "MOD",
-        "MODULE",
-        "NOSTEPIN",
-        "NOT",
-        "NOVIEW",
-        "OR",
-        "PERS",
-        "PROC",
-        "RAISE",
-        "READONLY",
-        "RECORD",
-        "RETRY",
-        "RETURN",
-        "STEP",
-        "SYSMODULE",
-        "TEST",
-        "THEN",
-        "TO",
-        "TRAP",
-        "TRUE",
-        "TRYNEXT",
-        "UNDO",
-        "VAR",
-        "VIEWONLY",
-        "WHILE",
-        "WITH",
-        "XOR",
-    ]
-)
+    {
+        "ALIAS", "AND", "BACKWARD", "CASE", "CONNECT", "CONST", "DEFAULT", "DIV", "DO", "ELSE", "ELSEIF", "ENDFOR",
+        "ENDFUNC", "ENDIF", "ENDMODULE", "ENDPROC", "ENDRECORD", "ENDTEST", "ENDTRAP", "ENDWHILE", "ERROR", "EXIT",
+        "FALSE", "FOR", "FROM", "FUNC", "GOTO", "IF", "INOUT", "LOCAL", "MOD", "MODULE", "NOSTEPIN", "NOT", "NOVIEW",
+        "OR", "PERS", "PROC", "RAISE", "READONLY", "RECORD", "RETRY", "RETURN", "STEP", "SYSMODULE", "TEST", "THEN",
+        "TO", "TRAP", "TRUE", "TRYNEXT", "UNDO", "VAR", "VIEWONLY", "WHILE", "WITH", "XOR",
+    }
+)  # fmt: skip
 """Reserved words."""
 HARMLESS = frozenset(
-    [
-        "CLKRESET",
-        "CLKSTART",
-        "CLKSTOP",
-        "DECR",
-        "INCR",
-        "INVERTDO",
-        "PULSEDO",
-        "RESET",
-        "SET",
-        "SETAO",
-        "SETDO",
-        "SETGO",
-        "STOP",
-        "TPERASE",
-        "TPWRITE",
-        "WAITAI",
-        "WAITDI",
-        "WAITDO",
-        "WAITGI",
-        "WAITROB",
-        "WAITTIME",
+    {
+        "CLKRESET", "CLKSTART", "CLKSTOP", "DECR", "INCR", "INVERTDO", "PULSEDO", "RESET", "SET", "SETAO", "SETDO",
+        "SETGO", "STOP", "TPERASE", "TPWRITE", "WAITAI", "WAITDI", "WAITDO", "WAITGI", "WAITROB", "WAITTIME",
         "WAITUNTIL",
-    ]
-)
+    }
+)  # fmt: skip
 """Instructions that neither move the robot nor change the meaning of moves."""
 MOVING = re.compile(
     "MOVE|TRIGG|SEARCH|STARTMOVE|STOPMOVE|CLEARPATH|RESTOPATH|STOREPATH|IND[ACDR]|CONF[JL]|CIRPATH|SINGAREA|PDISP|EOFFS|"
     "SOFT|CORR|ACCSET|VELSET|PATHACC|GRIPLOAD|MECHUNITLOAD|WORLDACC"
 )
 """First letters of instructions that move the robot or change how it moves."""
+_SIGN = np.array([-1.0, 1.0, 1.0, -1.0, 1.0, -1.0])
+_ZERO = np.array([0.0, 90.0, -90.0, 0.0, 0.0, 0.0])
+_SAME_QUADRANT = 1e-6
+"""An angle this close below a quadrant [deg] counts as its beginning (rounding)."""
 
 
 def fault_of(name: str) -> str | None:
@@ -174,3 +124,78 @@ def procedure(line: str) -> str | None:
     """Return the name of a procedure of the user that a line calls; None for known instructions."""
     match = None if _ASSIGNMENT.fullmatch(line) else _INSTRUCTION.fullmatch(line)
     return None if match is None or match[1].upper() in HARMLESS else match[1]
+
+
+def abb_from_joints(q: Array) -> Array:
+    """Return ABB's J1…J6 (…, 6) [deg] of joint angles A1…A6 (…, 6) [rad]."""
+    return np.asarray(_SIGN * q * DEG_PER_RAD + _ZERO)
+
+
+def joints_from_abb(angles: Array) -> Array:
+    """Return joint angles A1…A6 (…, 6) [rad] of ABB's J1…J6 (…, 6) [deg]."""
+    return np.asarray(_SIGN * (angles - _ZERO) * RAD_PER_DEG)
+
+
+def configuration(joints: TargetJoints) -> Ints:
+    """Return cf1, cf4, cf6, cfx (K, 4) of robtargets.
+
+    cf1, cf4 and cf6 are the quadrants of J1, J4, J6: 0 from 0° to 90°, −1 from −90° to 0°, and so on. cfx, 0…7, is the
+    sum of 4 if the wrist centre is behind axis 1, 2 if it is behind the lower arm, 1 if J5 is negative. The status S of
+    KUKA has the same bits, but its bit 1 is set if the wrist centre is *in front of* the line through axes 2 and 3.
+    (ABB, data type confdata.)
+    """
+    quadrant = np.floor((abb_from_joints(joints.q)[:, [0, 3, 5]] + _SAME_QUADRANT) / 90.0).astype(np.int64)
+    s = joints.status
+    cfx = 4 * (s & 1) + 2 * (1 - (s >> 1 & 1)) + (s >> 2 & 1)
+    return np.column_stack([quadrant, cfx])
+
+
+def status_from_cfx(cfx: Ints) -> Ints:
+    """Return the status S of KUKA (n,) for cfx (n,)."""
+    return np.asarray((cfx >> 2 & 1) + 2 * (1 - (cfx >> 1 & 1)) + 4 * (cfx & 1))
+
+
+def quaternions(rotation: Array) -> Array:
+    """Return q1…q4 (n, 4), q1 ≥ 0 the real part, of rotations (n, 3, 3).
+
+    The largest of the four is computed first and the others from it, which is accurate near half turns (Shepperd 1978).
+    """
+    r = np.asarray(rotation).reshape(-1, 3, 3)
+    trace = np.einsum("nii->n", r)
+    diagonal = np.einsum("nii->ni", r)
+    square = np.column_stack([1.0 + trace, 1.0 - trace[:, None] + 2.0 * diagonal])  # 4·qᵢ²
+    column = np.empty((len(r), 4, 4))  # row i: 4·qᵢ·q
+    x, y, z = r[:, 2, 1] - r[:, 1, 2], r[:, 0, 2] - r[:, 2, 0], r[:, 1, 0] - r[:, 0, 1]
+    xy, xz, yz = r[:, 0, 1] + r[:, 1, 0], r[:, 0, 2] + r[:, 2, 0], r[:, 1, 2] + r[:, 2, 1]
+    column[:, 0] = np.column_stack([square[:, 0], x, y, z])
+    column[:, 1] = np.column_stack([x, square[:, 1], xy, xz])
+    column[:, 2] = np.column_stack([y, xy, square[:, 2], yz])
+    column[:, 3] = np.column_stack([z, xz, yz, square[:, 3]])
+    q = column[np.arange(len(r)), np.argmax(square, axis=1)]
+    q /= np.sqrt(np.einsum("ni,ni->n", q, q))[:, None]
+    return np.asarray(np.where(q[:, :1] < 0.0, -q, q))
+
+
+def rotations(q: Array) -> Array:
+    """Return rotations (n, 3, 3) of quaternions (n, 4); they need not be normalised to the last digit."""
+    w, x, y, z = (q / np.sqrt(np.einsum("ni,ni->n", q, q))[:, None]).T
+    return np.moveaxis(
+        np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+            ]
+        ),
+        2,
+        0,
+    )
+
+
+def poses(numbers: Array) -> Array:
+    """Return poses (n, 4, 4) [m] of x, y, z [mm], q1…q4 (n, 7), as the controller stores these numbers."""
+    held = numbers.astype(np.float32).astype(np.float64)
+    out = np.broadcast_to(np.eye(4), (len(numbers), 4, 4)).copy()
+    out[:, :3, :3] = rotations(held[:, 3:])
+    out[:, :3, 3] = held[:, :3] * M_PER_MM
+    return out
