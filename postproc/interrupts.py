@@ -38,7 +38,7 @@ class _State:
 
 
 def leave_at_once() -> None:
-    """From now on end the process with a word and without a traceback: nothing is at stake before the work begins.
+    """Let Ctrl-C end the process with one line and no traceback, until the work begins.
 
     For a process that is ours alone. Signals that its starter had it ignore (nohup) stay ignored.
     """

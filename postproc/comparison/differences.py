@@ -317,9 +317,9 @@ def _checked(found: Comparison) -> Ints:
 
 
 def _distance_of_way(found: Comparison, one: PlacedProgram, other: PlacedProgram, k: int) -> float:
-    """Return the largest distance of the second path from the nominal one on the way to a pair k > 0 [m].
+    """Return the largest distance [m] of the second path from the nominal one, between pair k − 1 and pair k > 0.
 
-    Less what its inserted targets are off: these are on the path.
+    0 unless it clearly exceeds the distance of the inserted targets: corrections move those off the nominal path.
     """
     assert found.curves is not None
     u = k - 1.0 + np.linspace(1e-9, 1.0, _PLACES)

@@ -215,7 +215,7 @@ class Curves(Struct, frozen=True, eq=False):
         return cls(Chain.of(one, pair[:, 0]), Chain.of(other, pair[:, 1])) if len(pair) > 1 else None
 
     def at(self, u: Array) -> tuple[Array, Array]:
-        """Return the positions (n, 3) of the nominal tool that each program commands at u (n,) in the nominal `$BASE` [m]."""
+        """Return the positions (n, 3) [m] of the nominal tool that each program commands at u (n,), nominal `$BASE`."""
         motion, t = self.one.at(u)
         mine = toolpath.positions(self.one.program, self.one.path, motion, t)
         return mine, self._second(*self.other.at(u), motion)

@@ -183,12 +183,12 @@ def whitening(data: Measurements) -> Array:
 
 
 def whiten(w: Array, values: Array) -> Array:
-    """Apply (P, L, L) to the states of values (L, P, …)."""
+    """Return values (L, P, …) of L states at P points, each point multiplied by its matrix in w (P, L, L)."""
     return np.asarray(np.einsum("plm,mp...->lp...", w, values))
 
 
 def unwhiten(w: Array, values: Array) -> Array:
-    """Undo `whiten` for values (L, P, …)."""
+    """Return the values (L, P, …) of which `whiten` makes the given ones."""
     return np.stack(
         [
             np.linalg.solve(w[point], values[:, point].reshape(len(values), -1)).reshape(values[:, point].shape)

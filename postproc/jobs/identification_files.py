@@ -88,7 +88,7 @@ def identify_geometry(
 
 
 def _check_installed(experiment: Path) -> None:
-    """Refuse at once what needs a package that is not installed."""
+    """Raise an error before any work if the experiment needs a package that is not installed."""
     robot = load_robot(read_experiment(experiment).robot, experiment.parent)
     if robot.has_weight:
         require_pinocchio(robot.title)

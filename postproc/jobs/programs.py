@@ -334,7 +334,7 @@ def load_setup(settings: Settings) -> tuple[Cell, RobotModel]:
 
 
 def as_stated(cell: Cell, settings: Settings) -> Cell:
-    """Return a cell with what settings replace."""
+    """Return a cell with the values that the settings of a run replace."""
     stated = {name: getattr(settings, name) for name in ("tolerance_mm", "lines_per_file")}
     stated = {name: value for name, value in stated.items() if value is not None}
     if stated:

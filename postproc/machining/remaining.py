@@ -221,7 +221,7 @@ class Guard(Struct, eq=False):
                 self._divided(part, ceiling.stock, segments, rows, cutter, removes=removes)
 
     def _behind(self, part: Part, cutter: Cutter, cell: float) -> bool:
-        """Return whether a part and all that is too close to it are within what the cutter sweeps at the same time."""
+        """Return whether a part, with its clearance, is inside the volume that the cutter sweeps at the same time."""
         reach = part.radius + self.need
         if reach > cutter.radius - 2.0 * cell:
             return False

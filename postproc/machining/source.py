@@ -205,6 +205,6 @@ class ProcessSource:
 
     @staticmethod
     def _scaled(found: ProcessForces) -> Ints:
-        """Return the motions whose forces have no deviation of their own: one factor scales all their errors."""
+        """Return the motions of which all force errors are one common factor, that of the cutting law."""
         loose = any_column(found.cuts.deviation != 0.0)
         return np.setdiff1d(found.along.motion, found.cuts.motion[loose])

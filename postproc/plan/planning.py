@@ -193,8 +193,8 @@ def _improved(tour: list[int], cost: Array) -> list[int] | None:
 def detours(site: Site, q: Array, hit: Ints) -> tuple[tuple[Array, ...], Ints]:
     """Return the via configurations (k, 6) to each pose, and the rows without a free path.
 
-    A blocked move goes through the start position, or with the arm as there, or folded, turned by A1 to where it
-    comes from and to where it goes.
+    A blocked move goes through the start position. If that is blocked too, the arm takes the shape of the start
+    position, or folds, then turns by A1 from the direction of the first pose to that of the second, and unfolds.
 
     :param hit: rows whose direct move is blocked.
     """
