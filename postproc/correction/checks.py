@@ -124,11 +124,11 @@ def half_turns(program: Program, sample: Toolpath, turn: Array, pose: Poses) -> 
     ends = np.flatnonzero(sample.ends)[np.stack([motion, before])]
     corrected = np.abs(twist_between(sample.pose[ends], pose[ends])).max(axis=2) > _MOVED
     changed = corrected.any(axis=0) & (before >= 0) & np.isnan(m.joints[before, 0])
-    what = "this move turns the tool by about 180°: which way round is left to the last digit"
-    advice = "Write a target between that says the way."
+    what = "this move turns the tool by about 180°: rounding decides the direction"
+    advice = "Add a target between that fixes the direction."
     cases: tuple[tuple[Bools, Level, str], ...] = (
-        (changed, "error", "so that a corrected target may send it the other way"),
-        (~changed, "warning", "and the joints were looked at for one of them"),
+        (changed, "error", "and a correction may reverse it"),
+        (~changed, "warning", "and the joints were checked for one direction only"),
     )
     for bad, level, then in cases:
         yield from _first(program, motion, bad, "half-turn", f"{what}, {then}. {advice}", level)

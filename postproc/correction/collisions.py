@@ -127,8 +127,8 @@ def _of_stock(scene: collision.Scene, stock: StockInTime | None) -> Iterator[str
     """Yield sentences on the stock: how it was compared, and how exactly."""
     if stock is not None:
         yield (
-            "the stock of the process counts as it is at each move, for arm and meshes rounded up to cells of "
-            f"{stock.accuracy * MM_PER_M:.2g} mm; it is not in the smallest clearance"
+            "the stock of the process is compared as it is at each move, for arm and meshes rounded up to cells of "
+            f"{stock.accuracy * MM_PER_M:.2g} mm; the smallest clearance does not include it"
         )
     elif not any(body.of == "part" for body in scene.bodies):
         yield "the stock is not checked: there is no process with [material], and no obstacle with part = true"
@@ -142,11 +142,11 @@ def _runs(tool: Ints) -> Iterator[tuple[slice, int]]:
 
 
 def _corrected(less: float) -> Iterator[str]:
-    """Yield by how much [m] distances are less for the correction."""
+    """Yield a sentence on the reduction of distances [m] for the correction."""
     if less > _NOTHING:
         yield (
-            f"distances are less by as far as the correction moves a body, {less * MM_PER_M:.2g} mm at most: they hold "
-            "with and without the cutting forces"
+            f"distances are reduced by the motion of the bodies due to the correction, {less * MM_PER_M:.2g} mm at "
+            "most: they are valid with and without the cutting forces"
         )
 
 

@@ -107,10 +107,7 @@ def _balanced(path: PathUnderLoad, function: Callable[[Ints], tuple[Array, ...]]
 
 
 _MB = 1e6
-_NO_BOUND = (
-    "the forces have standard deviations, but the robot model has no covariance: there is no bound (u95_mm) to which "
-    "they could be added."
-)
+_NO_BOUND = "the forces have standard deviations, but the robot model has no covariance: u95_mm is not computed."
 
 _NOT_FINITE = (
     "the expected error of the tool position (u95_mm) is not a number here: the pose is singular, or [covariance] of "

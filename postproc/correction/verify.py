@@ -149,17 +149,17 @@ _HERE = 1e-10
 """Places of a motion (t) that are no farther apart are the same."""
 
 _STEP = (
-    "the force of this move begins with a step from that at the end of the move before: there the tool leaves its path "
-    f"by up to {{left}} for the {BEHIND_STEP * MM_PER_M:g} mm over which the correction follows. Let the move begin (t "
-    "= 0) with the force with which the one before ends; or give one force without t: it comes up over force_ramp_mm."
+    "the force changes abruptly from the end of the move before to the start of this one: the tool leaves its path by "
+    f"up to {{left}} for {BEHIND_STEP * MM_PER_M:g} mm, until the correction follows. Give the same force at the start "
+    "of the move (t = 0) as at the end of the one before, or one force without t, which rises over force_ramp_mm."
 )
 _JUMP = (
     "the force jumps within this move, as one in FEED axes does where the travel passes the direction of the spindle: "
-    "it leaves {left} (allowed {allowed}), however close the targets. Divide the move there and give each part its "
-    "force, or give the force in BASE or TOOL axes."
+    "an error of {left} remains (allowed {allowed}), however close the targets. Divide the move there and give each "
+    "part its force, or give the force in BASE or TOOL axes."
 )
-_NOT_HELD = f"simulating the written program leaves {{left}} at a target (allowed {_HELD * MM_PER_M:g} mm)"
-_NOT_BETWEEN = "simulating the written program leaves {left} between targets (allowed {allowed})"
+_NOT_HELD = f"the simulated program misses a target by {{left}} (allowed {_HELD * MM_PER_M:g} mm)"
+_NOT_BETWEEN = "the simulated program leaves its path between targets by {left} (allowed {allowed})"
 
 
 class Simulated(Struct, frozen=True, eq=False):

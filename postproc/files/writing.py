@@ -253,7 +253,7 @@ def _naming(folder: Path, names: Collection[str]) -> Iterator[list[Path]]:
         raise InputError(
             f"cannot be written ({cause.strerror or cause})",
             file=str(folder / name if name in names else at[-1]),
-            advice="Nothing was written, what was there is as it was. Check the folder, its rights and the free "
+            advice="Nothing was written; existing files are unchanged. Check the folder, its rights and the free "
             "space, and that no other program has the file open.",
         ) from cause
 

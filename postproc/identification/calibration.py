@@ -395,7 +395,7 @@ def contradictions(result: Geometry) -> list[str]:
     return [
         "the geometry is that of a weightless robot, in which weights load the gears too; the gears of "
         f"{', '.join(bent)} were identified with the load alone, and their prediction changes. Identify them "
-        'from a robot whose model.toml says [gravity] reference = "rigid", or go without the geometry.'
+        'from a robot whose model.toml says [gravity] reference = "rigid", or leave out --geometry.'
     ]
 
 

@@ -444,8 +444,8 @@ def _notes(data: Measurements, fit: Fit, choice: Choice | None) -> list[str]:
     if choice is not None:
         if int(levels(load).max()) == 0:
             notes.append(
-                f"one level of loads ({np.median(load):.0f} N): gears that stiffen or have breakpoints show near the "
-                "force of the work. Measure each configuration under a second load of about that force."
+                f"one level of loads ({np.median(load):.0f} N): gears that stiffen or have breakpoints are seen only "
+                "near the cutting force. Measure each configuration under a second load of about that force."
             )
         notes += _held(choice)
     for parameter, value in fit.given.items():

@@ -303,7 +303,7 @@ def _closest(samples: PathSamples, whole: TurnMap, row: int, columns: Ints, bran
     k = int(distance[:, best].argmin()) * len(columns) + best
     one, other = (bodies.name(int(each[k])) for each in (found.first, found.second))
     how = f"{found.distance[k] * MM_PER_M:.2g} mm from" if found.distance[k] > 0.0 else "in contact with"
-    return f"{one} {how} {other} at best, where {bodies.need * MM_PER_M:.2g} mm are kept"
+    return f"{one} {how} {other} at best, and {bodies.need * MM_PER_M:.2g} mm are needed"
 
 
 def bin_turns(turn: Turn) -> Array:

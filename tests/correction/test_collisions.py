@@ -164,7 +164,7 @@ def milled(first: str, then: str, collision: str = MILL, command: str = "convert
 def test_a_rapid_through_stock_is_an_error_until_the_stock_was_cut():
     code, output = milled(SLOT, WAY)
     assert code == 0, output
-    assert "the stock of the process counts as it is at each move" in output
+    assert "the stock of the process is compared as it is at each move" in output
     assert re.search(r"smallest clearance [\d.]+ mm, of .* at line \d+; stock not counted", output)
     code, output = milled(WAY, SLOT.replace("Z-5", "Z-8"))
     assert code == 1
