@@ -49,7 +49,7 @@ def test_the_smallest_clearance_is_that_of_the_drawing():
     """The cutter, D 63, passes at Y = 0 a vice that ends at Y = -40: 8.5 mm, less the correction of some 0.3 mm."""
     code, output, report = converted(f"{HOLDER}\nobstacles = [ {VICE} ]")
     assert code == 0, output
-    less = re.search(r"less by as far as the correction moves a body, ([\d.]+) mm", output)
+    less = re.search(r"motion of the bodies due to the correction, ([\d.]+) mm", output)
     assert report["max_correction_mm"] <= float(less[1]) <= 3.0 * report["max_correction_mm"]
     assert 8.5 - float(less[1]) - 0.01 <= report["collision"]["min_clearance_mm"] < 8.5
     assert "capsules of assumed radius" in output
@@ -191,7 +191,7 @@ def test_a_mesh_of_the_spindle_is_compared_with_the_stock_at_its_time():
     deep = SLOT.replace("Z-5", "Z-8")
     code, output = milled(deep, "", f"clearance_mm = 1\n{held}")
     assert code == 0, output
-    less = float(re.search(r"less by as far as the correction moves a body, ([\d.]+) mm", output)[1])
+    less = float(re.search(r"motion of the bodies due to the correction, ([\d.]+) mm", output)[1])
     code, output = milled(deep, "", f"clearance_mm = 4.5\n{held}")
     assert code == 1
     found = float(re.search(r"part.nc:[567]: collision: spindle comes within ([\d.]+) mm of stock", output)[1])

@@ -178,8 +178,8 @@ def test_a_command_that_does_not_hold_the_tip_at_a_target(monkeypatch, axis, by,
     assert (result.documents == ()) is refused
     if refused:
         (issue,) = (issue for issue in result.issues if issue.kind == "tolerance")
-        assert "at a target" in issue.message
-        assert 0.0015 < float(re.search(r"leaves ([\d.]+) mm", issue.message)[1]) < 0.0025
+        assert "misses a target" in issue.message
+        assert 0.0015 < float(re.search(r"by ([\d.]+) mm", issue.message)[1]) < 0.0025
 
 
 def test_a_correction_the_other_way_round_is_refused(monkeypatch):
