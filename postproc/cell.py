@@ -136,7 +136,7 @@ class GCode(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 class Machine(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Meaning of G28, G30 and G53 on this robot.
 
-    :param home: A1…A6 [deg] where G28 and G30 go; None: nowhere.
+    :param home: A1…A6 [deg] where G28 and G30 go; None: the tool stays above its place.
     :param clearance_Z: Z of `$BASE` [mm] to which G53 Z… retracts, and G28 Z… where there is no `home`.
     """
 

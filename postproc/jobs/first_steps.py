@@ -298,7 +298,7 @@ corner_tolerance_mm = 0.05       # a corner that approximation would round by mo
 
 [machine]                        # G28, G30 and G53, by which most CAM systems retract
 clearance_Z = {_number(request.clearance)}              # Z of $BASE to which they retract: above part and clamps
-# home = [0, -90, 90, 0, 0, 0]   # A1 to A6: G28 and G30 go there
+# home = [0, -90, 90, 0, 0, 0]   # A1 to A6: G28 and G30 go there; without it the tool stays above its place
 {_tools(tools)}
 # [work_offsets.G55]             # G54 is $BASE itself; others must be given to be used
 # X = 0.0

@@ -2,12 +2,13 @@
 
     python -m tests.attack.collected FOLDER... [--list]
 
-Reads each G-code program below the folders in a bare cell and in the cell of a shop: with `[machine]`, all tools, work
-offsets. Runs rs274 on those that are read. It has no machine zero and no tool lengths, so what is compared is: places,
-arcs and feeds of all cutting moves; between them the rapids; what is switched before. Rapids from and to machine
-positions (G28, G30, G53), those before the first cut, and those of cycles without G98 or G99 (here to the height before
-the cycle, there to R) count by the place where they end. Prints what came of each
-program with `--list`, and the reasons of refusals with the number of programs. Ends with 1 if motions differ.
+Reads each G-code program below the folders in a bare cell and in the cell of a shop: with `[machine] clearance_Z`, all
+tools, work offsets. Runs rs274 on those that are read. It has no machine zero and no tool lengths, so what is compared
+is: places, arcs and feeds of all cutting moves; between them the rapids; what is switched before. Rapids from and to
+machine positions (G28, G30, G53), those before the first cut, and those of cycles without G98 or G99 (here to the
+height before the cycle, there to R) count by the place where they end. F in a block that changes the units is in the
+new ones here. Prints what came of each program with `--list`, and the reasons of refusals with the number of programs.
+Ends with 1 if motions differ.
 """
 
 from __future__ import annotations
@@ -42,13 +43,14 @@ BARE = replace(CELL, base=Frame(), machine=Machine(), work_offsets={}, tools={})
 SHOP = replace(
     BARE,
     gcode=replace(CELL.gcode, spindle_on=["; on"], spindle_ccw=["; backwards"]),
-    machine=Machine(home=(0.0, -90.0, 100.0, 0.0, 20.0, 0.0), clearance_Z=200.0),
+    machine=Machine(clearance_Z=200.0),
     work_offsets=dict.fromkeys(OFFSETS, Frame()),
 )
 _TOOL = re.compile(r"(?i)T0*(\d{1,5})(?!\d)")
 _ASIDE_TEXT = re.compile(r"\([^()]*\)|;.*")
 _TAPS_ASIDE, _ASIDE = re.compile(r"(?i)G\s*84(?![\d.])"), re.compile(r"(?i)G\s*1[89](?![\d.])")
 _RETRACT = re.compile(r"(?i)G\s*9[89](?![\d.])")
+_UNITS_WITH_F = re.compile(r"(?im)^[^(;\n]*(?:G\s*2[01](?![\d.])[^(;\n]*F|F[^(;\n]*G\s*2[01](?![\d.]))")
 _MACHINE = re.compile(r"(?i)G\s*0*(?:28|30|53)(?![\d.])")
 _MACHINE_OR_CYCLE = re.compile(r"(?i)G\s*0*(?:28|30|53|73|8[1-9])(?![\d.])")
 
@@ -148,18 +150,21 @@ def difference(program: Program, moves: list[Move], text: str, *, turning: bool 
 
     :param turning: whether rotary axes turn: feeds are then not those of the tip.
     """
-    digits = 6e-5 * (25.4 if re.search(r"(?i)G\s*[27]0(?![\d.])", text) else 1.0)
+    unit = 25.4 if re.search(r"(?i)G\s*[27]0(?![\d.])", text) else 1.0
+    digits = 6e-5 * unit
     lines = text.splitlines()
     free = _MACHINE if _RETRACT.search(text) else _MACHINE_OR_CYCLE
     somewhere = bool(free.search(text))
-    ours, theirs = [*_ours(program)], [*_theirs(moves, digits)]
+    ours, theirs = [*_ours(program, unit)], [*_theirs(moves, digits)]
     while len(theirs) > len(ours) and (theirs[0].end[:2] == 0.0).all() and not theirs[0].rapids:
         del theirs[0]  # hobby posts go up by G1 first: from zero there, on the way to the first place here
+    times = (1.0, 25.4, 1.0 / 25.4) if _UNITS_WITH_F.search(text) else (1.0,)
+    _drop_unseen(ours, theirs, 8.0 * digits)
     for n, (mine, other) in enumerate(zip(ours, theirs, strict=False)):
         where = f"cut {n + 1} (line {mine.line})"
         if np.abs(mine.end - other.end).max() > digits:
             return f"{where}: end {mine.end} instead of {other.end}"
-        if not turning and abs(mine.feed - other.feed) > 1e-4 * other.feed + 1e-3:
+        if not turning and all(abs(mine.feed * factor - other.feed) > 1e-4 * other.feed + 1e-3 for factor in times):
             return f"{where}: feed {mine.feed:.3f} instead of {other.feed:.3f}"
         if (mine.centre is None) != (other.centre is None):
             return f"{where}: an arc on one side only"
@@ -184,17 +189,32 @@ def difference(program: Program, moves: list[Move], text: str, *, turning: bool 
     return ""
 
 
-def _ours(program: Program) -> Iterator[Cut]:
+def _drop_unseen(ours: list[Cut], theirs: list[Cut], shortest: float) -> None:
+    """Remove (in place) lines so short that only one side has them: rs274 prints four decimals."""
+    n = 1
+    while n < min(len(ours), len(theirs)):
+        if np.abs(ours[n].end - theirs[n].end).max() > shortest / 8.0:
+            for side in (ours, theirs):
+                if side[n].centre is None and np.abs(side[n].end - side[n - 1].end).max() < shortest:
+                    del side[n]
+                    break
+            else:
+                return
+        else:
+            n += 1
+
+
+def _ours(program: Program, unit: float) -> Iterator[Cut]:
     m = program.motions
     end, kind, rapid, lines = m.target[:, :3, 3] * 1e3, m.kind, m.rapid, m.line
     rapids: list[Array] = []
+    printed = np.round(end / unit, 4)  # shorter moves are not seen in what rs274 prints
     for n, state in enumerate(_states(program)):
-        if rapid[n]:
-            if n == 0 or (end[n] != end[n - 1]).any():  # a change of the tool turns the flange alone
-                rapids.append(end[n])
-            continue
         arc = kind[n] == CIRC
-        if n and not arc and (end[n] == end[n - 1]).all():  # rotary axes alone
+        if n and not arc and (printed[n] == printed[n - 1]).all():
+            continue
+        if rapid[n]:
+            rapids.append(end[n])
             continue
         centre, normal = (m.centre[n] * 1e3, m.normal[n]) if arc else (None, None)
         yield Cut(end[n], centre, normal, float(m.feed[n]) * 60e3, rapids, state, int(lines[n]))

@@ -156,3 +156,68 @@ def test_words_of_linuxcnc_are_not_taken_for_another_control(line, what):
     with pytest.raises(ProgramError) as caught:
         read(f"#<scale>=2\n{line}\nM2\n")
     assert caught.value.problem == what
+
+
+INIT = replace(CELL, machine=replace(CELL.machine, clearance_Z=200.0))
+"""As `postproc init` writes it: a height to retract to, but no home."""
+CUT = "G0 X10 Y20\nZ5\nG1 Z-1 F90\n"
+
+
+@pytest.mark.parametrize(
+    "park", ["G28 G91 X0 Y0\nG90", "G53 G0 X-300 Y0", "G28", "G53 G0 X-300 Y0 Z0", "G30 G91 Y0\nG90"]
+)
+def test_without_home_the_tool_parks_above_its_place(park):
+    program = read(f"{CUT}{park}\nG0 X50 Y60\nZ5\nG1 Z-2\n{park}\nM30\n", INIT)
+    expected = [[10, 20, 5], [10, 20, -1], [10, 20, 200], [50, 60, 200], [50, 60, 5], [50, 60, -2], [50, 60, 200]]
+    np.testing.assert_allclose(ends(program), expected, atol=1e-9)
+    assert program.motions.rapid.tolist() == [True, False, True, True, True, False, True]
+    assert [issue.level for issue in program.issues if issue.kind == "parked"] == ["info"] * 2
+    assert INIT.machine.home is None
+
+
+@pytest.mark.parametrize(
+    "after",
+    [
+        "Z5",
+        "G0 X1 Z5",
+        "G0 X1\nZ5",
+        "G0 X1 Y2 Z5",
+        "G1 X1 Y2 F90",
+        "G91 G0 X1 Y2",
+        "G81 X1 Y2 Z-1 R1 F90",
+        "G2 X1 Y2 I5",
+    ],
+)
+def test_after_parking_x_and_y_are_programmed_first(after):
+    """The machine would go on from another place."""
+    for park in ("G28 G91 X0 Y0\nG90", "G53 G0 X-300 Y0"):
+        with pytest.raises(ProgramError, match="must be programmed again after G28, G30 or G53"):
+            read(f"{CUT}{park}\n{after}\nM30\n", INIT)
+    assert len(read(f"{CUT}G28 G91 Z0\nG90\n{after if after[0] == 'Z' else 'X1'}\nM30\n", INIT).motions) == 4
+
+
+def test_only_the_axes_that_park_are_programmed_again():
+    program = read(f"{CUT}G28 G91 Y0\nG90\nG0 Y7\nZ5\nG1 X3\nM30\n", INIT)
+    np.testing.assert_allclose(ends(program)[2:], [[10, 20, 200], [10, 7, 200], [10, 7, 5], [3, 7, 5]], atol=1e-9)
+
+
+def test_commands_of_a_sender_are_not_cutter_locations():
+    with pytest.raises(ProgramError) as caught:
+        read("$H\n$$\n" + CUT)
+    assert caught.value.problem == "unexpected character '$'"
+    with pytest.raises(ProgramError, match="APT cutter-location"):
+        read("$$ PART 7\nGOTO/1,2,3\n")
+
+
+@pytest.mark.parametrize(
+    ("line", "what"), [("DEF REAL WIDTH=5", "a Siemens"), ("DEF INT N", "a Siemens"), ("DEF part( )", "a KUKA KRL")]
+)
+def test_def_of_siemens_is_not_that_of_krl(line, what):
+    with pytest.raises(ProgramError, match=f"but {what}"):
+        read(f"{line}\n{CUT}")
+
+
+def test_a_second_post_with_comments_in_square_brackets_is_told_where_comments_go():
+    with pytest.raises(ProgramError) as caught:
+        read("[MACHINES WITH WINCNC CONTROL ONLY]\n" + CUT)
+    assert "( )" in str(caught.value.advice)

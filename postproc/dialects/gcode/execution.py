@@ -679,7 +679,7 @@ def _block(code: str) -> Block:
             parts.append(literal[0])
             reader.at = literal.end()
         elif code[reader.at] == "[":
-            raise BlockError("an expression without a word before it", None)
+            raise BlockError("an expression without a word before it", "Write comments in ( ), or after a semicolon.")
         else:
             letter = code[reader.at]
             reader.at += 1

@@ -64,7 +64,7 @@ FOREIGN = (
     Foreign(
         "APT cutter-location (CLSF)",
         re.compile(
-            r"\s*(PARTNO|LOADTL|MULTAX|PPRINT|END-OF-PATH|TLDATA|CATMAT|\$\$|RAPID\s*$"
+            r"\s*(PARTNO|LOADTL|MULTAX|PPRINT|END-OF-PATH|TLDATA|CATMAT|\$\$\s*[^\s=]|RAPID\s*$"
             r"|(GOTO|GODLTA|FEDRAT|SPINDL|FROM|CUTTER|TOOL PATH|MSYS|PAINT|LOAD|COOLNT|CIRCLE|UNITS|INTOL|OUTTOL)\s*/)",
             re.IGNORECASE,
         ),
@@ -73,7 +73,7 @@ FOREIGN = (
     Foreign(
         "KUKA KRL",
         re.compile(
-            r"\s*(&(ACCESS|REL|PARAM|COMMENT)\b|(GLOBAL\s+)?DEF(FCT|DAT)?\s+\w+|S?(LIN|PTP|CIRC)(_REL)?\s+[{\w]|BAS\s*\(#)",
+            r"\s*(&(ACCESS|REL|PARAM|COMMENT)\b|(GLOBAL\s+)?DEF(FCT|DAT)?(?!\s+(REAL|INT|BOOL|STRING|CHAR|AXIS|FRAME)\b(?!\s+\w+\s*\())\s+\w+|S?(LIN|PTP|CIRC)(_REL)?\s+[{\w]|BAS\s*\(#)",
             re.IGNORECASE,
         ),
         "Rename it to .src, or add --dialect krl.",

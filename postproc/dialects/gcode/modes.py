@@ -25,7 +25,7 @@ Decisions where controls differ:
   without M6 its H selects the tool. Nearly every CAM program has a G43.
 - A new S while the spindle turns is an event like M3 with that speed.
 - **G28, G30, G53** go to positions of the machine; `[machine]` of the cell says what they mean on the robot. Words of
-  G28 and G30 define an intermediate point only.
+  G28 and G30 define an intermediate point only. Without `home` the tool stays above its place.
 """
 
 from __future__ import annotations
@@ -265,9 +265,6 @@ class FrameCodes:
         if not axes and code == codes.MACHINE:
             advice = "It has no effect on most controls: remove it, or write it in the block that it is for."
             raise BlockError("G53 without X, Y or Z", advice)
-        if machine.home is None and set(axes) != {2}:
-            advice = "[machine] clearance_Z defines Z only: give home too, or set the CAM system to retract in Z only."
-            raise BlockError(f"{name} with axes other than Z", advice)
         self.returns[row] = Return(row, code, axes)
 
     def _store(self, row: int, axes: Mapping[int, float], values: dict[str, float]) -> None:

@@ -241,6 +241,7 @@ class _Walk:
         self.number = 0
         self.events: list[tuple[int, int, CycleEvent]] = []
         self.losses: list[tuple[int, Bools]] = [(0, np.ones(3, dtype=bool))]
+        self.parked: list[tuple[int, Bools]] = []
         self.faults: list[tuple[int, str, str | None]] = []
         self.remarks: list[tuple[int, Level, str, str]] = []
 
@@ -265,6 +266,7 @@ class _Walk:
                 self._drill(begin, end)
             else:
                 self._straight(begin, end)
+        self._check_parked()
         return self._written()
 
     def _bounds(self, origins: Mapping[int, object], tools: Mapping[int, object]) -> list[int]:
@@ -431,6 +433,10 @@ class _Walk:
             if not self.known.all():
                 message = "A retract before X, Y and Z are known is left out: the robot is at [start]."
                 self.remarks.append((row, "info", "start-position", message))
+            if cell_frames.home is None and not upwards:
+                message = "The tool retracts to clearance_Z and stays above its place: [machine] home is not given."
+                self.remarks.append((row, "info", "parked", message))
+                self.parked.append((row, named & [True, True, False]))
             return
         if cell_frames.clearance is None:
             message = "From home the robot goes to the next position by a joint motion, without an approach from above."
@@ -455,6 +461,26 @@ class _Walk:
             self.faults.append((row, "retract with a nearly horizontal tool", advice))
             return
         self._go(row, self.position + along * ((clearance - z) / rise))
+
+    def _check_parked(self) -> None:
+        """Check that X and Y are programmed, at the height of the retract, after G28 and G53 have moved them away.
+
+        The machine is elsewhere then, and the robot is not.
+        """
+        given = ~np.isnan(self.rows.xyz)
+        safe = (self.rows.motion == 0.0) & ~self.rows.incremental & ~given[:, 2]
+        for row, axes in self.parked:
+            missing = axes.copy()
+            for at in (row + 1 + np.flatnonzero(self.rows.placed[row + 1 :])).tolist():
+                if not safe[at]:
+                    names = " and ".join("XYZ"[axis] for axis in np.flatnonzero(missing).tolist())
+                    problem = f"{names} must be programmed again after G28, G30 or G53, before this move"
+                    advice = "Program X and Y by G0 in G90, without Z, or give [machine] home in the cell."
+                    self.faults.append((at, problem, advice))
+                    break
+                missing &= ~given[at]
+                if not missing.any():
+                    break
 
     def _mount(self, row: int, number: float) -> None:
         """Change the tool; its tip moves to the position of the last tip, where the next move starts."""

@@ -217,7 +217,8 @@ _CHARACTERS = {
     "/": "Write / at the beginning of the block.",
     "@": "Polar coordinates are not read: let the CAM system write X and Y.",
     "^": "Polar coordinates are not read: let the CAM system write X and Y.",
-    "$": "Only one spindle is supported: remove $ and its number.",
+    ":": "Write the number of the program as O1001 or :1001.",
+    "$": "Remove commands to a sender ($H, $$), and the number of a spindle ($1).",
 }
 _O_ADVICE = "Write an O number in a line of its own."
 
@@ -300,11 +301,11 @@ def _plain(letter: str, number: str) -> str:
 
 
 def _not_a_word(rest: str) -> tuple[str, str | None]:
-    character, following = rest[0], rest[1:2]
+    character = rest[0]
     if character in "()":
         return "a bracket outside of comments", "Close each comment in its line. Do not nest comments."
     if character.isalpha():
-        return f"{character} without a number", "Write words like X1.5." if following == "=" else None
+        return f"{character} without a number", "Write each letter with its number, like X1.5."
     if character == "?":
         return "a question mark or a character that is not ASCII outside of comments", None
     return f"unexpected character {character!r}", _CHARACTERS.get(character)
