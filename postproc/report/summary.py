@@ -545,7 +545,7 @@ def _judged(result: Result, content: Summary) -> tuple[list[Finding], list[Findi
         doubtful.append(Finding(content.before.max_mm, text))
     elif (unusable := bound.unusable) is not None:
         advice = (
-            "Give the forces with smaller standard deviations"
+            "Measure the forces, or the cutting coefficients (postproc identify forces)"
             if unusable.source == elastostatics.FORCES
             else "Identify the robot with readings that show this, or use another model"
         )
