@@ -332,10 +332,11 @@ class Generator:
         bounds = f"{self.integer(1)} TO {asked if self.maybe(0.3) else self.integer(1)}"
         selected = asked if self.maybe(0.3) else self.integer()
         step, end = f"{counter}={counter}+1", self.one("2", "3")
+        case = f"CASE {self.one('1', '1', self.integer(1))}"
         options = [
             [
                 "SWITCH " + selected,
-                "CASE 1",
+                case,
                 *body,
                 "CASE 2,3",
                 *left[1:-2],

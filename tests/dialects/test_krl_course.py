@@ -38,6 +38,19 @@ PROGRAMS = [
     (["FOR I=2 TO 1", FULL, "ENDFOR", "LIN P[I]"], "", [2]),
     (["FOR I=1 TO 2", "FOR K=1 TO 2", "LIN {X I*10+K}", "ENDFOR", "$OUT[1]=TRUE", "ENDFOR"], "", [11, 12, 21, 22]),
     (["FOR I=1 TO 2", "LIN {X 5,Y 5,Z 5}", "LIN {X 6}", "ENDFOR"], "", [5, 6, 5, 6]),
+    (
+        ["I=2", "K=2", "SWITCH I", "CASE 1", "LIN {X 1}", "CASE K", "LIN {X 2}", "DEFAULT", "LIN {X 3}", "ENDSWITCH"],
+        "",
+        [2],
+    ),
+    (["K=5", "SWITCH I", "CASE K,K+1", "LIN {X 1}", "ENDSWITCH", "LIN {X 9}"], "", [9]),
+    (["SWITCH OK", "CASE FALSE", "LIN {X 1}", "CASE TRUE", "LIN {X 2}", "ENDSWITCH"], "", [2]),
+    (["DECL HUE H", "H=#RED", "SWITCH H", "CASE #BLUE", "LIN {X 1}", "CASE #RED", "LIN {X 2}", "ENDSWITCH"], "", [2]),
+    (
+        ["DECL HUE H", "H=#RED", "IF H==#RED THEN", "LIN {X 1}", "ENDIF", "IF H<>#RED THEN", "LIN {X 2}", "ENDIF"],
+        "",
+        [1],
+    ),
     (["WHILE K<3", "K=K+1", "LIN {X K}", "ENDWHILE"], "", [1, 2, 3]),
     (["REPEAT", "K=K+2", "LIN {X K}", "UNTIL K>=4"], "", [2, 4]),
     (["Z=1.5", "REPEAT", "LIN {X Z}", "Z=Z-0.5", "UNTIL Z<0.25"], "", [1.5, 1, 0.5]),
@@ -587,6 +600,30 @@ def test_a_called_file_that_cannot_be_followed_is_an_error_in_the_line_of_its_ca
 
 ALIASED = "DEF SUB(r)\r\nREAL r\r\nr=3\r\n{}\r\nEND\r\n"
 LINE_TO = "LIN {{X {},Y 1,Z 2,A 0,B 0,C 0}}"
+
+
+@pytest.mark.parametrize("condition", ["NOT I==1", "OK==TRUE AND I==1", "I==1==OK", "OK AND (NOT I==1)"])
+def test_a_condition_that_depends_on_the_rank_of_its_operators_is_refused(condition):
+    with pytest.raises(ProgramError, match="whose condition is not known"):
+        read(body(FULL, f"IF {condition} THEN", AWAY, "ENDIF", FULL), DATA)
+
+
+NESTED = "".join(f"DEF D{n}()\r\nD{n + 1}()\r\nEND\r\n" for n in range(25)) + f"DEF D25()\r\n{AWAY}\r\nEND\r\n"
+
+
+@pytest.mark.parametrize(
+    ("call", "subs", "why"),
+    [
+        ("SUB(1,2)", SUB, "it takes 1 arguments, 2 are given"),
+        ("SUB(P[])", f"DEF SUB(A[]:OUT)\r\nDECL E6POS A[]\r\n{AWAY}\r\nEND\r\n", r"P\[\] is a whole array"),
+        ("D0()", NESTED, "more than 20 calls are within each other"),
+        ("SUB()", f"DEF SUB()\r\nGOTO A\r\n{AWAY}\r\nA:\r\nEND\r\n", r"it jumps \(line 9\)"),
+        ("SUB(K,K)", f"DEF SUB(a:OUT,b:OUT)\r\nDECL INT a,b\r\n{AWAY}\r\nEND\r\n", "K has two names in it"),
+    ],
+)
+def test_a_call_that_cannot_be_followed_is_refused_with_its_cause(call, subs, why):
+    with pytest.raises(ProgramError, match=f"in a way that cannot be followed: {why}"):
+        read(body(FULL, call, FULL) + subs, DATA)
 
 
 def test_a_variable_that_a_routine_also_knows_under_its_own_name_is_not_followed_under_two():
