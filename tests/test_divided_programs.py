@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-from postproc.cli import main
+from tests import commands
 
 CELL = Path(__file__).parents[1] / "samples" / "cell_kr270.toml"
 HEAD = "G21 G90 G17\nG0 X0 Y0 Z10\nG1 Z-1 F600\n"
@@ -31,10 +31,7 @@ def program(count: int, name: str = "part.nc", forces: bool = True) -> None:
     Path(name).write_text(HEAD + force + lines + "G0 Z10\nM2\n")
 
 
-def run(*arguments: str, code: int = 0):
-    done = CliRunner().invoke(main, [*arguments, "--cell", "cell.toml"])
-    assert done.exit_code == code, done.output
-    return done
+run = partial(commands.run, cell="cell.toml")
 
 
 def sources(where: str = "out") -> set[str]:

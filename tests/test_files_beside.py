@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import shutil
+from functools import partial
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-from postproc.cli import main
+from tests import commands
 
 CELL = Path(__file__).parents[1] / "samples" / "cell_kr270.toml"
 START = "BAS(#INITMOV,0)\n$VEL.CP=0.05\nPTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 20}\n"
@@ -33,10 +33,7 @@ def program(name: str, *lines: str, force: int = 200, to: float = 50) -> None:
     Path(f"in/{name}.src").write_text(f"DEF {name}( )\n{START}" + "\n".join([*lines, *cut]))
 
 
-def run(*arguments: str, code: int = 0):
-    done = CliRunner().invoke(main, [*arguments, "--cell", "cell.toml"])
-    assert done.exit_code == code, done.output
-    return done
+run = partial(commands.run, cell="cell.toml")
 
 
 def names(folder: str = "out") -> set[str]:

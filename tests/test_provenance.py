@@ -7,13 +7,12 @@ import json
 import re
 
 import pytest
-from click.testing import CliRunner
 
 from postproc import load_cell, load_robot, process, read_program
-from postproc.cli import main
 from postproc.dialects.krl.dialect import KRL
 from postproc.dialects.text import decode
 from postproc.provenance import Origin
+from tests.commands import printed
 from tests.correction.test_end_to_end import SAMPLES
 
 CELL = SAMPLES / "cell_kr270.toml"
@@ -21,17 +20,11 @@ GCODE = "G90 G21\n(FORCE FX=300 FZ=200)\nS1000 F600\nG0 X0 Y0 Z10\nG1 Z0\nG1 X20
 ORIGIN = Origin("9.9", "corrected", "a" * 64, "b" * 64, "c" * 64)
 
 
-def run(*arguments, code=0):
-    result = CliRunner().invoke(main, [str(argument) for argument in arguments])
-    assert result.exit_code == code, result.output
-    return result.output
-
-
 @pytest.fixture
 def written(tmp_path):
     """Folder with part.nc and out/part.src."""
     (tmp_path / "part.nc").write_text(GCODE)
-    run("convert", tmp_path / "part.nc", "--cell", CELL, "-o", tmp_path / "out")
+    printed("convert", tmp_path / "part.nc", "--cell", CELL, "-o", tmp_path / "out")
     return tmp_path
 
 
@@ -53,7 +46,7 @@ def test_the_line_holds_the_sums_of_the_files_it_names(written):
     assert said["forces"] == "-"
     forces = written / "f.csv"
     forces.write_text("line,Fx,Fy,Fz\n6,1,2,3\n")
-    run("convert", written / "part.nc", "--cell", CELL, "-o", written / "out", "--forces", forces)
+    printed("convert", written / "part.nc", "--cell", CELL, "-o", written / "out", "--forces", forces)
     assert f"forces={sha(forces.read_bytes())}" in (written / "out" / "part.src").read_text()
 
 
@@ -69,17 +62,17 @@ def test_a_corrected_program_is_not_corrected_again_even_when_it_was_edited(writ
     src = written / "out" / "part.src"
     for change in ("", "; a comment more\n"):
         src.write_text(src.read_text() + change)
-        output = run("convert", src, "--cell", CELL, "-o", written / "again", code=1)
+        output = printed("convert", src, "--cell", CELL, "-o", written / "again", code=1)
         assert "part.src:5: this program was corrected" in output
         assert "corrected twice" in output
         assert not (written / "again" / "part.src").exists()
 
 
 def test_a_nominal_program_can_be_corrected_and_says_so_then(written):
-    run("convert", written / "part.nc", "--cell", CELL, "-o", written / "nominal", "--nominal")
+    printed("convert", written / "part.nc", "--cell", CELL, "-o", written / "nominal", "--nominal")
     src = written / "nominal" / "part.src"
     assert " mode=nominal " in src.read_text()
-    run("convert", src, "--cell", CELL, "-o", written / "again")
+    printed("convert", src, "--cell", CELL, "-o", written / "again")
     text = (written / "again" / "part.src").read_text()
     assert text.count(";POSTPROC") == 1
     assert " mode=corrected " in text
@@ -89,14 +82,14 @@ def test_a_nominal_program_can_be_corrected_and_says_so_then(written):
 
 def test_predict_tells_whether_the_text_is_what_was_written(written):
     src = written / "out" / "part.src"
-    output = run("predict", src, "--cell", CELL, "-o", written / "p")
+    output = printed("predict", src, "--cell", CELL, "-o", written / "p")
     assert "written by postproc" in output
     assert "(corrected), unchanged since" in output
     said = json.loads((written / "p" / "part.predict.report.json").read_text())["provenance"]
     assert said["state"] == "intact"
     assert said["mode"] == "corrected"
     src.write_bytes(src.read_bytes().replace(b"$VEL.CP=0.01", b"$VEL.CP=0.02"))
-    output = run("predict", src, "--cell", CELL, "-o", written / "p")
+    output = printed("predict", src, "--cell", CELL, "-o", written / "p")
     assert "unchanged" not in output
     assert "line 5: this program was changed since postproc" in output
     assert json.loads((written / "p" / "part.predict.report.json").read_text())["provenance"]["state"] == "changed"
@@ -125,7 +118,7 @@ def test_the_issue_of_a_corrected_program_names_its_kind_and_line(written):
 
 
 def test_the_issue_of_a_nominal_program_that_was_edited_is_a_warning(written):
-    run("convert", written / "part.nc", "--cell", CELL, "-o", written / "nominal", "--nominal")
+    printed("convert", written / "part.nc", "--cell", CELL, "-o", written / "nominal", "--nominal")
     src = written / "nominal" / "part.src"
     for mode in ("convert", "nominal", "predict"):
         assert issues(src, mode) == []
@@ -143,7 +136,7 @@ def test_the_issue_of_a_subprogram_that_was_corrected_names_its_kind(tmp_path):
     for name in ("one", "two"):
         (tmp_path / f"{name}.src").write_text(program.format(name=name))
     (tmp_path / "sub.src").write_text("DEF sub()\nLIN {X 20,Y 20,Z 0,A 0,B 0,C 180}\nEND\n")
-    run("convert", tmp_path / "one.src", "--cell", CELL, "-o", tmp_path / "out")
+    printed("convert", tmp_path / "one.src", "--cell", CELL, "-o", tmp_path / "out")
     two = tmp_path / "out" / "two.src"
     two.write_text((tmp_path / "two.src").read_text())
     assert issues(tmp_path / "two.src", "convert") == []
@@ -154,7 +147,7 @@ def test_the_issue_of_a_subprogram_that_was_corrected_names_its_kind(tmp_path):
 def test_the_issue_of_a_part_of_a_program_names_its_kind_and_line(written):
     cell = written / "cell.toml"
     cell.write_text(CELL.read_text().replace("[output]", "[output]\nlines_per_file = 8"))
-    run("convert", written / "part.nc", "--cell", cell, "-o", written / "parts")
+    printed("convert", written / "part.nc", "--cell", cell, "-o", written / "parts")
     parts = sorted(path for path in (written / "parts").glob("part*.src") if path.stem != "partMain")
     assert len(parts) > 1
     for part in parts:  # a part that sets no speed cannot be read alone
@@ -169,7 +162,7 @@ def test_a_program_that_comes_back_byte_for_byte_is_not_marked(tmp_path):
     src = b"DEF part( )\r\n$VEL.CP=0.05\r\nLIN {X 100,Y 0,Z 50,A 180,B 0,C 180}\r\nEND\r\n"
     (tmp_path / "part.src").write_bytes(src)
     for options in ([], ["--nominal"]):
-        run("convert", tmp_path / "part.src", "--cell", CELL, "-o", tmp_path / "out", *options)
+        printed("convert", tmp_path / "part.src", "--cell", CELL, "-o", tmp_path / "out", *options)
         assert (tmp_path / "out" / "part.src").read_bytes() == src
 
 

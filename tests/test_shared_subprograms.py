@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import json
 import shutil
+from functools import partial
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 from msgspec.structs import replace
 
 from postproc import cell
-from postproc.cli import main
 from postproc.dialects.krl.dialect import callers
 from postproc.jobs import Job, conversion, find_jobs, output_plan
+from tests import commands
 
 CELL = Path(__file__).parents[1] / "samples" / "cell_kr270.toml"
 START = "BAS(#INITMOV,0)\n$VEL.CP=0.05\nPTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 20}\n"
@@ -35,10 +35,7 @@ def program(name: str, force: int) -> None:
     )
 
 
-def run(*arguments: str, code: int = 0):
-    done = CliRunner().invoke(main, [*arguments, "--cell", "cell.toml"])
-    assert done.exit_code == code, done.output
-    return done
+run = partial(commands.run, cell="cell.toml")
 
 
 def alone(name: str) -> None:

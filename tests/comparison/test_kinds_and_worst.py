@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import re
+from functools import partial
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-from postproc.cli import main
+from tests import commands
 
 CELL = str(Path(__file__).parents[2] / "samples" / "cell_kr270.toml")
 TURNED = "A 180,B 0,C 180"
@@ -44,15 +44,12 @@ def folder(tmp_path, monkeypatch):
     Path("nominal/part.src").write_text(PART)
 
 
-def run(*arguments, codes=(0, 3)):
-    done = CliRunner().invoke(main, [*arguments, "--cell", CELL])
-    assert done.exit_code in codes, done.output
-    return done.output
+run = partial(commands.printed, cell=CELL, code=(0, 3))
 
 
 def lines(*options):
     """Correct the program; return its lines without the one that says where it comes from."""
-    run("convert", "nominal/part.src", "-o", "out", *options, codes=(0,))
+    run("convert", "nominal/part.src", "-o", "out", *options, code=(0,))
     return [line for line in Path("out/part.src").read_text().splitlines() if not line.startswith(";POSTPROC")]
 
 
@@ -120,8 +117,8 @@ def test_the_worst_target_is_named_with_its_lines_in_both_programs(off):
 
 
 def test_a_nominal_program_that_was_corrected_is_refused():
-    run("convert", "nominal/part.src", "-o", "out", codes=(0,))
-    said = run("compare", "out/part.src", "out/part.src", "-o", "found", codes=(1,))
+    run("convert", "nominal/part.src", "-o", "out", code=(0,))
+    said = run("compare", "out/part.src", "out/part.src", "-o", "found", code=(1,))
     assert "out/part.src:" in said
     assert "was corrected by postproc" in said
     assert "as NOMINAL" in said

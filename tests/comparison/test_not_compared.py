@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-from postproc.cli import main
+from tests import commands
 
 CELL = Path(__file__).parents[2] / "samples" / "cell_kr270.toml"
 TURNED = "A 180,B 0,C 180"
@@ -38,10 +38,7 @@ def folder(tmp_path, monkeypatch):
     Path("nominal/job.src").write_text(JOB)
 
 
-def run(*arguments, code=0, cell=CELL):
-    done = CliRunner().invoke(main, [*arguments, "--cell", str(cell)])
-    assert done.exit_code == code, done.output
-    return done.output
+run = partial(commands.printed, cell=CELL)
 
 
 def compared(*more, code=0, cell=CELL):

@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import math
 import re
+from functools import partial
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-from postproc.cli import main
+from tests import commands
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 CELL = str(SAMPLES / "cell_kr270.toml")
@@ -43,10 +43,7 @@ def circ(via, end):
     return f"CIRC {{X {via[0]:.4f},Y {via[1]:.4f},Z 0}},{{X {end[0]:.4f},Y {end[1]:.4f},Z 0,{TURNED}}}"
 
 
-def run(*arguments, code):
-    done = CliRunner().invoke(main, [*map(str, arguments), "--cell", CELL])
-    assert done.exit_code == code, done.output
-    return done.output
+run = partial(commands.printed, cell=CELL)
 
 
 def compared(nominal, corrected, *more, code=0):

@@ -5,12 +5,12 @@ from __future__ import annotations
 import csv
 import json
 import re
+from functools import partial
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-from postproc.cli import main
+from tests import commands
 from tests.html_page import read_page
 
 CELL = str(Path(__file__).parents[2] / "samples" / "cell_kr270.toml")
@@ -29,10 +29,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-def run(*arguments, code=0):
-    done = CliRunner().invoke(main, [*map(str, arguments), "--cell", CELL])
-    assert done.exit_code == code, done.output
-    return done.output
+run = partial(commands.printed, cell=CELL)
 
 
 def compared(nominal, corrected, *more, code=0):

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import json
 import re
+from functools import partial
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-from postproc.cli import main
+from tests import commands
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 CELL = (SAMPLES / "cell_kr270.toml").read_text(encoding="utf-8")
@@ -90,10 +90,7 @@ def line_of(text, part):
     return next(number for number, line in enumerate(text.splitlines(), 1) if part in line)
 
 
-def run(*arguments):
-    done = CliRunner().invoke(main, [*arguments, "--cell", "cell.toml"])
-    assert done.exit_code in (0, 3), done.output
-    return done.output
+run = partial(commands.printed, cell="cell.toml", code=(0, 3))
 
 
 def compared(corrected, *more, nominal="Milling.src"):

@@ -6,17 +6,17 @@ import csv
 import json
 import re
 import shutil
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from postproc import cell as cells
 from postproc import correction, jobs
 from postproc import robot as robots
-from postproc.cli import main
 from postproc.comparison import compare
+from tests import commands
 from tests.attack.compared import HEAD, TURNED
 
 SAMPLES = Path(__file__).parents[2] / "samples"
@@ -48,10 +48,7 @@ def folder(tmp_path, monkeypatch):
     Path("part.src").write_text(PROGRAM)
 
 
-def run(*arguments, codes=(0, 3)):
-    done = CliRunner().invoke(main, [*arguments, "--cell", "cell.toml"])
-    assert done.exit_code in codes, done.output
-    return done.output
+run = partial(commands.printed, cell="cell.toml", code=(0, 3))
 
 
 def compared(corrected, nominal="part.src"):
@@ -60,7 +57,7 @@ def compared(corrected, nominal="part.src"):
 
 def corrected():
     """Correct the program; return its text without the line that says where it comes from."""
-    run("convert", "part.src", "-o", "out", codes=(0,))
+    run("convert", "part.src", "-o", "out", code=(0,))
     return re.sub(r"^;POSTPROC .*\n", "", Path("out/part.src").read_text(), flags=re.MULTILINE)
 
 
@@ -187,7 +184,7 @@ def test_a_program_corrected_for_a_process_is_compared_under_its_forces():
     nominal, process = (str(SAMPLES / name) for name in ("plate.nc", "plate.process.toml"))
     run("convert", nominal, "--process", process, "-o", "out")
     arguments = ("compare", nominal, "out/plate.src", "--forces", process, "-o", "found", "--json")
-    content = json.loads(run(*arguments, codes=(0,)))
+    content = json.loads(run(*arguments, code=(0,)))
     assert content["verdict"]["state"] == "ok"
     assert content["provenance"]["made_from_these"]["force file"] is True
     assert content["cut"]["corrected"]["max_mm"] < 0.001 < 0.1 < content["cut"]["nominal"]["max_mm"]

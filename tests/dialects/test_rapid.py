@@ -10,14 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from postproc import kinematics, robot
 from postproc.cell import load as load_cell
-from postproc.cli import main
 from postproc.dialects import krl
 from postproc.dialects.rapid import language
 from postproc.dialects.rapid.dialect import RAPID
@@ -25,6 +23,7 @@ from postproc.dialects.text import decode
 from postproc.errors import PostprocError, ProgramError
 from postproc.program import CIRC, LIN, PTP, TargetJoints
 from postproc.under_load import RobotInCell
+from tests.commands import printed
 from tests.dialects.rapid_grammar import confdata, elbow_and_wrist, frame, parse
 from tests.oracle.arm import Arm
 
@@ -37,15 +36,9 @@ GCODE = (
 )
 
 
-def run(*arguments, code=0):
-    result = CliRunner().invoke(main, [str(argument) for argument in arguments])
-    assert result.exit_code == code, result.output
-    return result.output
-
-
 def convert(folder, text=GCODE, *options, cell=CELL, code=0):
     (folder / "part.nc").write_text(text)
-    said = run(
+    said = printed(
         "convert", folder / "part.nc", "--cell", cell, "--to", "rapid", "-o", folder / "out", *options, code=code
     )
     return said if code else (folder / "out" / "part.mod").read_bytes().decode("ascii")
@@ -55,7 +48,7 @@ def convert(folder, text=GCODE, *options, cell=CELL, code=0):
 def pocket(tmp_path_factory):
     """Folder with pocket.mod and what goes with it."""
     folder = tmp_path_factory.mktemp("pocket")
-    run("convert", SAMPLES / "pocket.nc", "--cell", CELL, "--to", "rapid", "-o", folder)
+    printed("convert", SAMPLES / "pocket.nc", "--cell", CELL, "--to", "rapid", "-o", folder)
     return folder
 
 
@@ -244,10 +237,10 @@ def test_the_module_says_where_it_comes_from_and_is_not_converted_again(tmp_path
     line = text.split("\r\n")[1]
     assert line.startswith("!POSTPROC 1 ")
     module = tmp_path / "out" / "part.mod"
-    said = run("convert", module, "--cell", CELL, "-o", tmp_path / "twice", code=1)
+    said = printed("convert", module, "--cell", CELL, "-o", tmp_path / "twice", code=1)
     assert "corrected by postproc" in said
     convert(tmp_path, GCODE, "--nominal")
-    said = run("convert", module, "--cell", CELL, "-o", tmp_path / "twice", code=1)
+    said = printed("convert", module, "--cell", CELL, "-o", tmp_path / "twice", code=1)
     assert "Convert the G-code" in said
     module.write_text(text.replace("MoveL", "MoveL  ", 1))
     assert RAPID.writer.origin([decode("part.mod", module.read_bytes())]).state == "changed"
@@ -255,7 +248,7 @@ def test_the_module_says_where_it_comes_from_and_is_not_converted_again(tmp_path
 
 def test_prediction_of_what_was_written_says_what_its_targets_make_up_for(tmp_path):
     convert(tmp_path)
-    run("predict", tmp_path / "out" / "part.mod", "--cell", CELL, "-o", tmp_path / "seen")
+    printed("predict", tmp_path / "out" / "part.mod", "--cell", CELL, "-o", tmp_path / "seen")
     report = json.loads((tmp_path / "seen" / "part.predict.report.json").read_text())
     corrected = json.loads((tmp_path / "out" / "part.report.json").read_text())
     assert corrected["after"]["max_mm"] < 0.001
@@ -264,9 +257,11 @@ def test_prediction_of_what_was_written_says_what_its_targets_make_up_for(tmp_pa
 
 def test_a_name_that_rapid_does_not_allow_is_made_valid(tmp_path):
     (tmp_path / "1-stop.nc").write_text(GCODE)
-    run("convert", tmp_path / "1-stop.nc", "--cell", CELL, "--to", "rapid", "-o", tmp_path)
+    printed("convert", tmp_path / "1-stop.nc", "--cell", CELL, "--to", "rapid", "-o", tmp_path)
     assert "PROC P1_stop()" in (tmp_path / "P1_stop.mod").read_text()
-    run("convert", tmp_path / "1-stop.nc", "--cell", CELL, "--to", "rapid", "-o", tmp_path, "--name", "while", code=2)
+    printed(
+        "convert", tmp_path / "1-stop.nc", "--cell", CELL, "--to", "rapid", "-o", tmp_path, "--name", "while", code=2
+    )
 
 
 def test_names_are_those_of_rapid():
@@ -305,7 +300,7 @@ def test_lines_of_the_cell_that_cannot_stand_there_are_refused(tmp_path, line, w
 
 
 def test_krl_is_not_written_as_rapid(tmp_path):
-    said = run("convert", SAMPLES / "inline.src", "--cell", CELL, "--to", "rapid", "-o", tmp_path, code=1)
+    said = printed("convert", SAMPLES / "inline.src", "--cell", CELL, "--to", "rapid", "-o", tmp_path, code=1)
     assert "krl is written in krl again" in said
 
 
@@ -323,7 +318,7 @@ def test_what_is_written_is_read_as_the_same_program_in_krl(tmp_path):
         'robot = "any"\n' + "".join(line for line in CELL.read_text().splitlines(True) if not line.startswith(own))
     )
     text = convert(tmp_path, GCODE, "--nominal", cell=cell)
-    run("convert", tmp_path / "part.nc", "--cell", cell, "--nominal", "-o", tmp_path / "krl")
+    printed("convert", tmp_path / "part.nc", "--cell", cell, "--nominal", "-o", tmp_path / "krl")
     other = krl.read_program(
         [decode("part.src", (tmp_path / "krl" / "part.src").read_bytes())], place().cell, place().forward, "part"
     )

@@ -8,27 +8,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from postproc import machining, robot
-from postproc.cli import main
 from postproc.errors import MeasurementError
 from postproc.jobs.testpart_files import programs_of
 from postproc.testpart import probing
 from postproc.testpart.cut import Clamped, Surfaces, forces_of, surfaces
 from postproc.testpart.fit import Prior, Readings, linearised
+from tests.commands import run
 from tests.oracle.whole_arm import WholeArm
 from tests.testpart import trial
 
 BLOCK = ((0, 110), (0, 90), (-30, 0))
 BASES = {"testpart.nc": (1500.0, -200.0, 700.0, 0.0), "testpart_4.nc": (1400.0, 100.0, 1150.0, 30.0)}
 NUMBERS = {"testpart.nc": -1, "testpart_4.nc": 4}
-
-
-def run(*arguments, code=0):
-    done = CliRunner().invoke(main, [str(argument) for argument in arguments])
-    assert done.exit_code == code, done.output
-    return done
 
 
 @pytest.fixture(scope="module")

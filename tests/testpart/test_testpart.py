@@ -9,16 +9,15 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from postproc import correction, machining, robot
-from postproc.cli import main
 from postproc.errors import MeasurementError
 from postproc.machining import ProcessSource
 from postproc.testpart import design, probing
 from postproc.testpart.cut import Clamped, forces_of, surfaces
 from postproc.testpart.fit import Prior, Readings, fit, linearised
 from postproc.testpart.model import agreement, summary
+from tests.commands import run
 from tests.oracle.whole_arm import WholeArm
 from tests.testpart import trial
 
@@ -26,12 +25,6 @@ CELL = str(trial.SAMPLES / "cell_kr270.toml")
 BLOCK = ((0, 110), (0, 90), (-30, 0))
 FEATURES = 4
 SEED = 4
-
-
-def run(*arguments, code=0):
-    done = CliRunner().invoke(main, [str(argument) for argument in arguments])
-    assert done.exit_code == code, done.output
-    return done
 
 
 TRUE = {}
