@@ -190,8 +190,10 @@ def read(path: Path, cell: Cell, progress: Callable[[int, int], None] | None = N
 
 def _guard(table: Collision) -> Guard:
     """Return what must stay clear of the stock: the cylinders of the tool above the cutter."""
-    parts = [Part(each.name, each.radius, each.begin) for each in cylinders(table.holder) if not each.cuts]
-    return Guard(parts, table.clearance_mm * M_PER_MM)
+    held = list(cylinders(table.holder))
+    parts = [Part(each.name, each.radius, each.begin) for each in held if not each.cuts]
+    cutter = next((2.0 * each.radius for each in held if each.cuts), None)
+    return Guard(parts, table.clearance_mm * M_PER_MM, cutter)
 
 
 def stock(found: ProcessForces) -> bytes:

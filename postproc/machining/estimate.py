@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +43,8 @@ _HOLLOW = 0.02
 """Warn if the map of the stock exceeds its volume by more than this share."""
 _LARGE = 5.0
 """Warn if the path is this many times as large as the stock in X and in Y."""
+_SAME_DIAMETER = 1e-6
+"""Diameters of one tool differ by less [m]."""
 _DEEP = 4.0
 """Warn beyond this depth of cut, in tool diameters: no cutter cuts that deep."""
 _LEAST_RISE = 2e-5
@@ -155,7 +157,7 @@ def estimate(
     issues += unread_cuts(program)
     issues += _out_of_scale(every, bounds)
     issues += _issues(program, stopped, law, cuts, tools, process)
-    issues += _collisions(program, collided, guard)
+    issues += [*_collisions(program, collided, guard), *_other_cutter(program, tools, process, guard)]
     power = np.zeros(len(program.motions))
     np.maximum.at(power, cuts.motion, cuts.power)
     return ProcessForces(
@@ -401,6 +403,23 @@ def _issues(
         )
         issues.append(Issue("warning", "deep-cut", message, int(lines[cuts.motion[worst]]), count=len(deep)))
     return issues
+
+
+def _other_cutter(program: Program, tools: ToolStates, process: Process, guard: Guard | None) -> Iterator[Issue]:
+    """Warn if the cutter of [collision] has another diameter than the tools of the process."""
+    if guard is None or guard.cutter is None:
+        return
+    used = [tools.keys[n] for n in distinct(tools.tool[~program.motions.rapid]).tolist()]
+    wide = {key: process.tools[key].diameter_mm for key in used}
+    other = [key for key, diameter in wide.items() if abs(diameter * M_PER_MM - guard.cutter) > _SAME_DIAMETER]
+    if other:
+        found = ", ".join(f"tools.{key} of the process has {wide[key]:g} mm" for key in other)
+        message = (
+            f"[collision] holder begins with a cutter of {guard.cutter * MM_PER_M:g} mm, but {found}: "
+            "arm and obstacles are compared with that of holder. Give the cylinders of the tool that "
+            "this program uses"
+        )
+        yield Issue("warning", "other-cutter", message)
 
 
 def _collisions(program: Program, collided: dict[int, float], guard: Guard | None) -> list[Issue]:

@@ -195,11 +195,13 @@ class Guard(Struct, eq=False):
 
     :ivar parts: that do not cut, from the cutter upwards.
     :ivar need: smallest allowed distance [m]; 0: they must not touch.
+    :ivar cutter: diameter with which arm and obstacles are compared [m]; None: there is none.
     :ivar close: for parts and motions that come closer, the smallest distance [m]; 0 where they touch.
     """
 
     parts: Sequence[Part]
     need: float
+    cutter: float | None = None
     close: dict[tuple[str, int], float] = field(default_factory=dict)
 
     def check(
