@@ -130,9 +130,10 @@ class CuttingLaw(msgspec.Struct, frozen=True):
 _SIGMA_PERCENT = 33.0
 """Default, if neither the user nor the table gives it: the spread of published values for one alloy."""
 _WEAR_PERCENT = 25.0
-"""Largest growth of the forces as a tool wears: Machinery's Handbook, 28th ed., "Tool Wear Factors", has 1.10 for end
-milling and 1.10 to 1.25 for light and medium face milling, quoted without the book at hand: assumed until it is looked
-up. Anything up to it is taken for as likely."""
+"""Largest growth of the forces as a tool wears. "Tool Wear Factors" of machining power in Machinery's Handbook are 1.10
+for end milling and 1.10 to 1.25 for light and medium face milling, as two public extracts of that table quote them; the
+book was not looked up. Drilling (1.30) and heavy face milling (1.30 to 1.60) are above it. Anything up to the value is
+taken for as likely."""
 _WORN = 41
 """Number of states of wear over which a probability is averaged."""
 _TWO_SIDED_95 = 1.959964
