@@ -90,7 +90,7 @@ class PathForces(Struct, frozen=True, eq=False):
 
         :returns: (N, 6, 6) if components are independent. (N, 6, 13) if their errors may also be one factor, with two
             covariances, see `elastostatics.position_bound`: the first six columns are for independent components, the
-            other seven for that factor and what is not part of it.
+            other seven for that factor and the errors that it does not contain.
         """
         independent = self.spread_at(sample)
         if independent is None:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 _POST = "In the CAM system choose a post-processor for LinuxCNC, or for plain Fanuc (ISO) without cycles and macros"
 _ASIDE = re.compile(r'\([^()"]*\)|;.*|(?<=[#Oo])<[^<>]*>')
-"""What is not searched: comments, and the names of parameters and subprograms."""
+"""Parts of a line that are not searched: comments, and the names of parameters and subprograms."""
 _ENOUGH = 300
 """Number of characters of a line that are searched."""
 
