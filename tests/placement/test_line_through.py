@@ -98,3 +98,56 @@ def test_one_turn_for_each_operation_changes_on_rapid_moves_alone():
     assert line.knots[0] == pytest.approx(line.knots[1])
     assert line.knots[2] == pytest.approx(line.knots[3]) == pytest.approx(line.knots[4])
     assert line.knots[1] != pytest.approx(line.knots[2])
+
+
+def opened(found, *columns):
+    """The map with no other cells than these of its columns, one tuple for each block."""
+    margin = np.full(found.margin.joint.shape, -1.0)
+    for block, free in enumerate(columns):
+        margin[block, list(free)] = 1.0
+    return replace(found, margin=replace(found.margin, joint=margin))
+
+
+@pytest.mark.parametrize(("steady", "chosen"), [(1.9, 3), (1.75, 4)])
+def test_of_two_turns_the_one_with_the_smaller_sum_of_squared_errors_is_taken(steady, chosen):
+    """1 and 2.4 against 1.9 twice and 1.75 twice: cubes would take the second at both, sums the first at both."""
+    found = opened(made(4, blocks=3), (3, 4), (3, 4), (3, 4))
+    error = np.full(found.u95.shape, 1e-4)
+    error[1:, 3], error[1:, 4] = (1e-4, 2.4e-4), steady * 1e-4
+    found = replace(found, u95=error, deflection=error)
+    line = line_through(ROBOT, found, Keep(), np.zeros(6), turn_at_feed=False, closed=True)
+    assert np.rint((line.knots - found.offset[0]) / STEP).tolist() == [chosen] * 3
+
+
+@pytest.mark.parametrize(("length", "driven"), [(9.9, False), (10.1, True)])
+def test_on_rapid_moves_the_turn_changes_by_three_degrees_per_millimetre_at_most(length, driven):
+    found = opened(made(5, blocks=4), (5,), (5,), (5, 6), (6,))
+    cuts = np.array([False, True, False, True])
+    blocks = replace(found.blocks, cuts=cuts, length=np.where(cuts, 0.1, 1e-3 * length))
+    line = line_through(ROBOT, replace(found, blocks=blocks), Keep(), np.zeros(6), turn_at_feed=False, closed=True)
+    assert isinstance(line, Blocked) != driven
+
+
+@pytest.mark.parametrize("axis", [3, 5])
+@pytest.mark.parametrize(("start", "driven"), [(-60.0, True), (300.0, False)])
+def test_a4_and_a6_are_counted_from_the_start_each_by_itself(axis, start, driven):
+    """The line turns the joint by 90°: from 300° that is past its limit, though the pose at -60° is the same."""
+    found = opened(made(6, blocks=4), (4,), (4, 5), (5, 6), (6, 7))
+    q = found.q.copy()
+    q[..., [3, 5]] = 0.0
+    q[..., axis] = found.offset
+    found = replace(found, q=q, winding=np.zeros_like(found.winding))
+    begin = np.zeros(6)
+    begin[axis] = np.radians(start)
+    line = line_through(ROBOT, found, Keep(), begin, turn_at_feed=True, closed=True)
+    assert isinstance(line, Blocked) != driven
+
+
+@pytest.mark.parametrize(("lengths", "columns"), [((35.0, 350.0), [5, 5, 6, 6]), ((350.0, 35.0), [5, 6, 6, 6])])
+def test_of_lines_with_one_error_the_one_that_turns_on_the_longer_piece_is_taken(lengths, columns):
+    found = opened(made(7, blocks=4), (5,), (5, 6), (5, 6), (6,))
+    blocks = replace(found.blocks, length=1e-3 * np.array([10.0, *lengths, 10.0]))
+    error = np.full(found.u95.shape, 1e-4)
+    found = replace(found, blocks=blocks, u95=error, deflection=error)
+    line = line_through(ROBOT, found, Keep(), np.zeros(6), turn_at_feed=True, closed=True)
+    assert np.rint((line.knots - found.offset[0]) / STEP).tolist() == columns

@@ -78,6 +78,22 @@ def test_a_branch_with_a_collision_is_taken_only_if_there_is_no_other():
     assert chosen_start(program, RobotInCell.of(model, both)).joints == first.joints
 
 
+@pytest.mark.parametrize("axis", [3, 5])
+@pytest.mark.parametrize(
+    ("first", "last", "expected"), [(60, 380, -300), (-60, -380, 300), (60, 200, 60), (0, -300, 0)]
+)
+def test_a4_and_a6_start_with_the_whole_turn_that_leaves_the_most_room_along_the_path(axis, first, last, expected):
+    """Their limits are ±350°."""
+    own = in_line("kuka_kr270")
+    _, model = read(PART, own)
+    q = np.radians(np.tile([[0.0], [-90.0], [100.0], [0.0], [80.0], [0.0]], 33))
+    q[axis] = np.radians((np.linspace(first, last, 33) + 180.0) % 360.0 - 180.0)
+    found = np.degrees(start._unwound(RobotInCell.of(model, own), q))
+    wanted = [0.0, -90.0, 100.0, 0.0, 80.0, 0.0]
+    wanted[axis] = expected
+    np.testing.assert_allclose(found, wanted, atol=1e-9)
+
+
 def _flange(program, model, own):
     """Flange at the first target of a program, by an arm of another code."""
     tool = np.eye(4)
