@@ -221,3 +221,21 @@ def test_a_second_post_with_comments_in_square_brackets_is_told_where_comments_g
     with pytest.raises(ProgramError) as caught:
         read("[MACHINES WITH WINCNC CONTROL ONLY]\n" + CUT)
     assert "( )" in str(caught.value.advice)
+
+
+@pytest.mark.parametrize(
+    ("block", "feed", "lines"),
+    [
+        ("G20 F6", 152.4, [1]),
+        ("F6 G20", 152.4, [1]),
+        ("G21 F6", 6.0, []),
+        ("G20\nF6", 152.4, []),
+        ("G20\nG21 F6", 6.0, [2]),
+    ],
+)
+def test_a_feed_in_the_block_that_changes_units_is_in_the_new_ones_and_is_reported(block, feed, lines):
+    """rs274 takes it in the units before: the control of a shop may have inches from the start."""
+    program = read(f"{block}\nG0 X0 Y0 Z1\nG1 X2\nM2\n")
+    assert program.motions.feed[1] * 60e3 == pytest.approx(feed)
+    found = [(issue.level, issue.source_line) for issue in program.issues if issue.kind == "feed-units"]
+    assert found == [("warning", line) for line in lines]

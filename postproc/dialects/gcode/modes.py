@@ -457,6 +457,9 @@ class _Reader:
             elif group is not None:
                 self.changes[group].append((row, code))
                 if group == "units":
+                    if "F" in values and MM_PER_UNIT[code] != self.mm_per_unit:
+                        message = "F in the block of G20 or G21 is in the new units. LinuxCNC reads it in those before."
+                        self._remark("warning", "feed-units", message, row)
                     self.mm_per_unit = MM_PER_UNIT[code]
             elif code in codes.MOVING or (code == codes.CANCEL_CYCLE and not set(g) & set(codes.MOVING)):
                 self.columns["G"][row] = code
