@@ -113,6 +113,21 @@ class Computed(Struct, frozen=True, eq=False):
         return self.of(self.row[key])
 
 
+def compact(column: NDArray[Any], kind: type[np.integer[Any]]) -> NDArray[Any]:
+    """Return a column of whole numbers in a smaller type that holds them; one of one value takes no memory as before.
+
+    :raises OverflowError: the type does not hold them.
+    """
+    if column.dtype == kind:
+        return column
+    if len(column) and column.strides[0] == 0:
+        return np.broadcast_to(compact(column[:1].copy(), kind)[0], column.shape)
+    limits = np.iinfo(kind)
+    if len(column) and not (limits.min <= column.min() and column.max() <= limits.max):
+        raise OverflowError(f"a number that does not fit {kind.__name__}")
+    return column.astype(kind)
+
+
 def rows_of(array: NDArray[Any], rows: NDArray[Any]) -> NDArray[Any]:
     """Return rows (n,) of an array, in increasing order; without a copy if they follow one another."""
     if len(rows) and rows[-1] - rows[0] == len(rows) - 1:

@@ -15,7 +15,7 @@ from msgspec import Struct, field
 from msgspec.structs import force_setattr
 from numpy.typing import NDArray
 
-from postproc.chunks import Runs
+from postproc.chunks import Runs, compact
 from postproc.errors import ForceError, Issue, Level, ProgramError, choices
 from postproc.frames import Array, inverse, norm, rotation_from_vector
 from postproc.poses import Poses, as_poses
@@ -47,6 +47,12 @@ class Document(Struct, frozen=True, eq=False):
     def to_bytes(self) -> bytes:
         """Return the content of the file."""
         return self.bom + self.text.encode(self.encoding)
+
+
+def _make_compact(record: Struct, **kinds: type[np.integer[Any]]) -> None:
+    """Give columns of whole numbers smaller types."""
+    for name, kind in kinds.items():
+        force_setattr(record, name, compact(np.asarray(getattr(record, name)), kind))
 
 
 class Motions(Struct, frozen=True, eq=False):
@@ -92,6 +98,7 @@ class Motions(Struct, frozen=True, eq=False):
     def __post_init__(self) -> None:
         force_setattr(self, "target", as_poses(self.target))
         force_setattr(self, "joints", Runs.of(self.joints))
+        _make_compact(self, kind=np.int8, line=np.int32, base=np.int32, tool=np.int32, status=np.int16, turn=np.int16)
 
     def __len__(self) -> int:
         return len(self.line)
@@ -591,6 +598,7 @@ class Targets(Struct, frozen=True, eq=False):
 
     def __post_init__(self) -> None:
         force_setattr(self, "pose", as_poses(self.pose))
+        _make_compact(self, motion=np.int32, kind=np.int8, status=np.int16, turn=np.int16)
 
     def __len__(self) -> int:
         return len(self.motion)
@@ -637,6 +645,9 @@ class Written(Struct, frozen=True, eq=False):
     output_line: Ints
     dialect: str
     issues: tuple[Issue, ...] = ()
+
+    def __post_init__(self) -> None:
+        _make_compact(self, output_line=np.int32)
 
     @property
     def size(self) -> int:

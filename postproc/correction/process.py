@@ -205,9 +205,9 @@ class Draft(Struct, frozen=True, eq=False):
         return replace(draft, carried=carried, unlike=unlike)
 
     def _text(self, task: Task) -> Written:
-        path, q = self.path, self.q.take(self.chosen.row, axis=0)
+        path, q = self.path, rows_of(self.q, self.chosen.row)
         comments = self.forces_at_targets() if path.program.notes and not task.in_file else None
-        joints = TargetJoints(q, kinematics.status_of(task.robot, q))
+        joints = TargetJoints(q, in_chunks(lambda q: (kinematics.status_of(task.robot, q),), q)[0])
         return task.writer.write(path.program, self.chosen.targets, joints, path.robot_in_cell.cell, comments)
 
 
@@ -237,6 +237,11 @@ def result_of(task: Task, draft: Draft) -> Result:
         by_tool = by_tool if by_tool is None else rows_of(by_tool, row)
     turned = _reversals(draft)
     bound, doubt, more = _bound(draft, norm(deviation), turned)
+    q = rows_of(draft.q, row)
+
+    def corrections(target: Ints) -> tuple[Array]:
+        return (norm(targets.pose[target, :3, 3] - path.sample.pose[row[target], :3, 3]),)
+
     result = Result(
         program=program,
         robot=task.robot,
@@ -255,9 +260,9 @@ def result_of(task: Task, draft: Draft) -> Result:
         deviation_after=deviation,
         bound=bound,
         doubt=doubt if task.mode == "convert" else None,
-        q=rows_of(draft.q, row),
+        q=q,
         joint_margin=kinematics.joint_margin(task.robot, draft.q),
-        singular_value=kinematics.smallest_singular_value(task.robot, rows_of(draft.q, row), path.tool(row)),
+        singular_value=kinematics.smallest_singular_value(task.robot, q, path.tool(row)),
         between=between,
         rounding=draft.chosen.programmed,
         programmed=draft.chosen.programmed,
@@ -266,7 +271,7 @@ def result_of(task: Task, draft: Draft) -> Result:
         exact_forces=path.motions.forces.spread is None,
         turn=task.turn,
         redundancy_deg=None if program.keeps_text else path.robot_in_cell.cell.gcode.redundancy_deg,
-        largest_correction=float(norm(targets.pose[:, :3, 3] - path.sample.pose[row, :3, 3]).max(initial=0.0)),
+        largest_correction=float(in_chunks(corrections, np.arange(len(row)))[0].max(initial=0.0)),
     )
     if (written := draft.simulated) is None:
         return result

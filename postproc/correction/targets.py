@@ -18,7 +18,7 @@ from msgspec.structs import replace
 
 from postproc import kinematics, toolpath
 from postproc.cell import Cell
-from postproc.chunks import Computed, chunks, in_chunks
+from postproc.chunks import Computed, chunks, compact, in_chunks
 from postproc.forces.sources import FEED
 from postproc.frames import M_PER_MM, Array, largest, norm, sine_and_cosine, twist_between
 from postproc.poses import Poses
@@ -356,7 +356,7 @@ def choose_targets(
     if arcs.any():
         via = via.copy()
         via[arcs] = commanded.position[via_row[arcs]]
-    status, turn = _status_and_turn(program, path.robot_in_cell.robot, motion, command.q.take(row, axis=0))
+    status, turn = _status_and_turn(program, path.robot_in_cell.robot, motion, Computed(row, command.q.__getitem__))
     keep = kept[motion] & (sample.t[row] == 1.0)
     targets = Targets(
         motion, sample.t[row], target_kind, command.pose.take(row), via, keep, status, turn, m.blend[motion]
@@ -366,7 +366,7 @@ def choose_targets(
     if not (path.motions.forces.frame == FEED).any():
         arrive = np.zeros((0, 3))
     programmed = programmed_rounding(program, path.motions.segments, motion)
-    return Chosen(replace(targets, blend=blend), row, arrive, programmed)
+    return Chosen(replace(targets, blend=blend), compact(row, np.int32), arrive, programmed)
 
 
 def _unchanged(path: PathUnderLoad, command: Commands) -> tuple[Bools, Bools]:
@@ -394,7 +394,7 @@ def _unchanged(path: PathUnderLoad, command: Commands) -> tuple[Bools, Bools]:
     return np.where(m.kind == LIN, ~any_moved, kept), kept
 
 
-def _status_and_turn(program: Program, robot: RobotModel, motion: Ints, q: Array) -> tuple[Ints, Ints]:
+def _status_and_turn(program: Program, robot: RobotModel, motion: Ints, q: Computed) -> tuple[Ints, Ints]:
     """Return S and T of targets (K,): of PTP, where the program gives them if it keeps its text; else −1."""
     m = program.motions
     ptp = np.flatnonzero(m.kind[motion] == PTP)

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from postproc import kinematics, toolpath
-from postproc.chunks import in_chunks, rows_of
+from postproc.chunks import compact, in_chunks, rows_of
 from postproc.correction import checks, inspection
 from postproc.correction.targets import Chosen, corners_of_motions
 from postproc.dialects import registry
@@ -73,7 +73,7 @@ def read_back(path: PathUnderLoad, chosen: Chosen, text: Written) -> ReadBack:
         raise UnusableTextError(Issue("error", "read-back", message, output_line=cause.line)) from cause
     except ImpossiblePathError as cause:
         raise UnusableTextError(cause.issue) from cause
-    row = np.flatnonzero(np.isnan(written.motions.joints[:, 0]))
+    row = compact(np.flatnonzero(np.isnan(written.motions.joints[:, 0])), np.int32)
     mismatch = _mismatch(path.program, targets, written, row)
     if mismatch is not None:
         raise UnusableTextError(mismatch)

@@ -94,12 +94,12 @@ class NewProgram:
         words = self.words
         for event in self._in_order():
             if isinstance(event, int):
-                k = int(np.searchsorted(self.row, event))
+                k = self._first(event)
                 self.before[k].append(words.axis_motion(self.program.motions.joints[event]))
                 self.stops.add(k)
                 waiting = -1
                 continue
-            k = int(np.searchsorted(self.row, event.before))
+            k = self._first(event.before)
             if event.kind == "comment":
                 self.before[k].append(f"{words.comment} {words.printable(event.text)}".rstrip())
             elif event.kind in ("dwell", "stop"):
@@ -120,6 +120,10 @@ class NewProgram:
             message = f"The cell has no lines for {names} in [gcode]: the program does nothing there."
             first, count = self.without_lines[0].line, len(self.without_lines)
             self.issues.append(Issue("warning", "no-lines", message, first, count=count))
+
+    def _first(self, motion: int) -> int:
+        """Return the first target of a motion, or of the next one that has targets."""
+        return int(np.searchsorted(self.row, self.row.dtype.type(motion)))  # another type would convert all rows
 
     def _in_order(self) -> Iterator[Event | int]:
         """Yield events, and the rows of motions to joint angles, which have no target, in order."""

@@ -15,7 +15,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from postproc.chunks import Runs, in_chunks
+from postproc.chunks import Runs, compact, in_chunks
 from postproc.errors import MOST, ForceError, Issue, together
 from postproc.forces.axes import TURNS, Axes, last_travel, lines_run_across, runs_across
 from postproc.forces.sources import BASE, FEED, ByLaw, ForceSource, Knots, StockInTime, of_comments
@@ -235,14 +235,14 @@ def _resolved(given: Knots, axes: Axes, ramp: float, issues: tuple[Issue, ...], 
     first = first + np.concatenate([[0], np.cumsum(changes)])
     return PathForces(
         axes,
-        first,
+        compact(first, np.int32),
         np.repeat(motions, np.diff(first)) + t,
         t,
         Runs.of(np.insert(given.wrench, begins, start[changes], axis=0)),
-        np.insert(given.frame, begins, start_frame[changes]),
+        compact(np.insert(given.frame, begins, start_frame[changes]), np.int8),
         spread,
         factor,
-        frame,
+        compact(frame, np.int8),
         ramped,
         issues,
         by_law,

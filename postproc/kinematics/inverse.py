@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from msgspec import Struct
 
-from postproc.chunks import in_chunks
+from postproc.chunks import compact, in_chunks
 from postproc.errors import PostprocError
 from postproc.frames import Array, angle_between, any_column, largest
 from postproc.kinematics.closed_form import closed_form, status_of
@@ -85,7 +85,7 @@ def follow(
     jumps, status, turn = np.flatnonzero(free), status.astype(np.int64), turn.astype(np.int64)
     by_axes = np.isfinite(axis_target[:, 0])
     slots = _branches_along(robot, flange(jumps), start, axis_target, status)
-    branch = np.repeat(slots, np.diff(jumps, prepend=0, append=len(free)))
+    branch = np.repeat(compact(slots, np.int8), np.diff(jumps, prepend=0, append=len(free)))
 
     def solved(rows: Ints, branch: Ints) -> tuple[Array]:
         return (on_branch(robot, flange(rows), branch),)

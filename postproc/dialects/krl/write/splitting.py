@@ -111,10 +111,10 @@ def in_files(
     before = joined(documents) if documents else None
     if before is not None:
         return _as_before(documents, written, limit)
-    if not limit or written.documents[0].text.count("\n") < limit:
-        source = Source.of(written.documents[0], 0)
-        if not limit or len(source.starts) <= limit:
-            return written
+    if not limit or (
+        written.documents[0].text.count("\n") < limit and len(Source.of(written.documents[0], 0).starts) <= limit
+    ):
+        return written
     if broken_off:
         raise undivided(Source.of(written.documents[0], 0), f"{_RESUME}, in {broken_off}", 1)
     return _Splitter(name, written, limit, taken).written()
