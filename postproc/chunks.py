@@ -5,7 +5,7 @@ A function that works on a chunk does not know that it is one.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Self
 
 import numpy as np
@@ -72,6 +72,13 @@ class Runs(Struct, frozen=True, eq=False):
             return cls(array[:1].copy(), np.broadcast_to(np.int32(0), (len(array),)))
         return cls(array[begins], np.cumsum(begins, dtype=np.int32) - 1)
 
+    @classmethod
+    def few(cls, shape: tuple[int, int], given: Mapping[int, NDArray[np.float64]]) -> Runs:
+        """Return an array (N, n) of NaN in which some rows are given (n,)."""
+        run = np.zeros(shape[0], dtype=np.int32)
+        run[list(given)] = np.arange(1, len(given) + 1)
+        return cls(np.stack([np.full(shape[1], np.nan), *given.values()]), run)
+
     def take(self, rows: Any) -> NDArray[np.float64]:
         """Return some of the rows."""
         return np.asarray(self.values.take(self.run[rows], axis=0))
@@ -114,7 +121,9 @@ class Computed(Struct, frozen=True, eq=False):
 
 
 def compact(column: NDArray[Any], kind: type[np.integer[Any]]) -> NDArray[Any]:
-    """Return a column of whole numbers in a smaller type that holds them; one of one value takes no memory as before.
+    """Return a column of whole numbers in a smaller type that holds them.
+
+    One of one value still takes no memory, and one that is read-only stays so.
 
     :raises OverflowError: the type does not hold them.
     """
@@ -125,7 +134,9 @@ def compact(column: NDArray[Any], kind: type[np.integer[Any]]) -> NDArray[Any]:
     limits = np.iinfo(kind)
     if len(column) and not (limits.min <= column.min() and column.max() <= limits.max):
         raise OverflowError(f"a number that does not fit {kind.__name__}")
-    return column.astype(kind)
+    smaller = column.astype(kind)
+    smaller.setflags(write=column.flags.writeable)
+    return smaller
 
 
 def rows_of(array: NDArray[Any], rows: NDArray[Any]) -> NDArray[Any]:

@@ -30,3 +30,31 @@ def test_an_error_names_the_rows_of_the_whole(monkeypatch):
     with pytest.raises(NotConvergedError, match="not found") as found:
         chunks.in_chunks(fails, np.arange(40))
     assert found.value.rows == (16,)
+
+
+def test_whole_numbers_in_a_smaller_type_are_the_same_or_refused():
+    column = np.array([-1, 127, 5])
+    column.setflags(write=False)
+    small = chunks.compact(column, np.int8)
+    assert (small.dtype, small.tolist(), small.flags.writeable) == (np.int8, [-1, 127, 5], False)
+    assert chunks.compact(np.broadcast_to(np.array(-1), (9,)), np.int8).strides == (0,)
+    with pytest.raises(OverflowError, match="int8"):
+        chunks.compact(np.array([0, 128]), np.int8)
+    with pytest.raises(OverflowError, match="int8"):
+        chunks.compact(np.broadcast_to(np.array(300), (9,)), np.int8)
+
+
+def test_an_array_with_few_rows_and_rows_computed_on_demand_are_indexed_like_arrays():
+    rows = {3: np.array([1.0, 2.0]), 1: np.array([5.0, 6.0])}
+    whole = np.full((5, 2), np.nan)
+    for row, values in rows.items():
+        whole[row] = values
+    np.testing.assert_array_equal(chunks.Runs.few((5, 2), rows)[:], whole)
+    np.testing.assert_array_equal(chunks.Runs.of(whole)[:], whole)
+    again = chunks.Computed(np.array([4, 3, 1]), whole.__getitem__)
+    np.testing.assert_array_equal(chunks.in_chunks(lambda part: (part,), again)[0], whole[[4, 3, 1]])
+
+
+def test_a_column_without_a_change_is_one_run():
+    runs = chunks.Runs.of(np.full((20_000, 2), np.nan))
+    assert (len(runs.values), runs.run.strides, runs.shape) == (1, (0,), (20_000, 2))

@@ -10,8 +10,8 @@ from postproc.dialects.text import decode
 from postproc.robot import find, load
 
 SAMPLES = Path(__file__).parents[2] / "samples"
-MOST = 880
-"""Bytes for each target at the peak (833 today): poses, forces, joint angles, texts, and what computing them takes."""
+MOST = 760
+"""Bytes for each target at the peak (719 today): poses, forces, joint angles, texts, and what computing them takes."""
 
 
 def peak(count: int) -> int:

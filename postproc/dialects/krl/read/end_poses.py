@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from msgspec import Struct
 
-from postproc.chunks import in_chunks
+from postproc.chunks import Runs, in_chunks
 from postproc.dialects.circles import through
 from postproc.dialects.krl.language.motion_statements import MotionStatement
 from postproc.dialects.krl.language.positions import Position
@@ -62,7 +62,7 @@ class EndPoses(Struct, frozen=True, eq=False):
 
     numbers: Array
     pose: Poses
-    joints: Array
+    joints: Runs
     start: Starts
     resumed: Bools
     ignored: Bools
@@ -104,7 +104,7 @@ class _Follower:
         self.base, self.tool, self.bases, self.tools = frames
         self.present = present
         self.numbers = given.copy()
-        self.joints = np.broadcast_to(np.nan, given.shape)  # takes no memory
+        self.joints: dict[int, Array] = {}
         self.resumed = np.zeros(len(given), dtype=np.bool_)
 
     def flange(self) -> Array:
@@ -283,8 +283,6 @@ def end_poses(
     follower.numbers[led.constant, 3:] = np.nan  # missing components keep their previous value
     special = {at for at, move in moves.items() if move.end.position.axis or move.relative or move.angle is not None}
     anew = np.append(True, (np.diff(frames[0]) != 0) | (np.diff(frames[1]) != 0))[: len(line)]
-    if special:
-        follower.joints = follower.joints.copy()
     row = 0
     for at in sorted(special | set(np.flatnonzero(led.constant & (anew | led.with_path)).tolist())):
         follower.absolute(row, at)
@@ -297,7 +295,8 @@ def end_poses(
     ignored, constant = np.zeros(len(line), dtype=np.bool_), np.flatnonzero(led.constant)
     ignored[constant] = any_column(np.abs(given[constant, 3:] - follower.numbers[constant, 3:]) > _SAME)
     _check_ignored(source, line, given, moves, led.constant, ignored)
-    return EndPoses(follower.numbers, pose, follower.joints, start, follower.resumed, ignored, follower.circles)
+    joints = Runs.few(given.shape, follower.joints)
+    return EndPoses(follower.numbers, pose, joints, start, follower.resumed, ignored, follower.circles)
 
 
 def _check_ignored(

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from postproc.chunks import Columns
+from postproc.chunks import Columns, compact
 from postproc.dialects.krl.language.motion_statements import MotionStatement
 from postproc.dialects.krl.language.positions import COLUMNS
 from postproc.dialects.krl.language.values import Number
@@ -125,8 +125,8 @@ def _of_moves(moves: Sequence[MotionStatement]) -> MotionColumns:
                 via_spans[row] = [(items[name].start, items[name].stop) for name in COLUMNS[:3]]
     posture, external = (given(each) for each in (posture, external))
     return MotionColumns(
-        _ints([move.line for move in moves]),
-        _ints([move.kind for move in moves]),
+        compact(np.array([move.line for move in moves], dtype=np.int64), np.int32),
+        compact(np.array([move.kind for move in moves], dtype=np.int64), np.int8),
         numbers,
         posture,
         external,
@@ -154,10 +154,6 @@ def no_circles(count: int) -> tuple[Array, Offsets, Ints]:
         np.broadcast_to(spans, (count, 3, 2)),
         np.broadcast_to(target, (count, 2)),
     )
-
-
-def _ints(values: Sequence[object]) -> Ints:
-    return np.array(values, dtype=np.int64)
 
 
 def _offsets(values: Sequence[object]) -> Offsets:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from msgspec.structs import replace
 
-from postproc.chunks import Runs
+from postproc.chunks import compact
 from postproc.dialects.krl.language.motion_statements import MotionStatement, Trigger, triggers
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tokens import words_in
@@ -75,12 +75,14 @@ def ordered_motions(main: MainRoutine, plain: list[MotionColumns]) -> OrderedMot
     places = np.concatenate([place_plain, place])
     state = np.empty(len(places), dtype=np.int64)
     state[places] = np.concatenate([state_plain, state_moves])
+    state = compact(state, np.int32)
     numbers = np.array([[getattr(one, field) for field in NUMBERS] for one in states])[state]
     for row in range(len(NUMBERS)):
         own = numbers[place_plain, row]
         numbers[place_plain, row] = main.run.settings.coming.at(row, line, changed, own)
     moves = {int(place[index]): move for index, move in statements.special}
     plain.append(others)
+    del line, order, place_plain, own, changed, state_plain  # what follows needs the memory
     return OrderedMotions(merged(plain, places), states, state, numbers, moves)
 
 
@@ -129,7 +131,7 @@ def motions_and_layout(
         rapid=rows.kind == PTP,
         line=source.shown(rows.line),
         target=ends.pose,
-        joints=Runs.of(ends.joints),
+        joints=ends.joints,
         centre=centre,
         normal=normal,
         sweep=sweep,

@@ -15,6 +15,7 @@ from functools import cache
 import numpy as np
 from msgspec import Struct
 
+from postproc.chunks import compact
 from postproc.decimals import Bytes, numbers_in, parsed
 from postproc.dialects.krl.language.positions import COLUMNS
 from postproc.dialects.krl.language.source import Source
@@ -176,8 +177,8 @@ def _scan(codes: bytes, line_starts: Ints, index: Ints, lines: int, characters: 
     stop = _skip_blanks(raw, ends - 1, -1) + 1
     ptp = letter == ord("p")
     return MotionColumns(
-        line=index + 1 + lines,
-        kind=np.where(ptp, PTP, np.where(letter == ord("c"), CIRC, LIN)),
+        line=compact(index + 1 + lines, np.int32),
+        kind=compact(np.where(ptp, PTP, np.where(letter == ord("c"), CIRC, LIN)), np.int8),
         numbers=numbers[:, :6].copy(),
         posture=given(numbers[:, 6:8]),
         external=given(numbers[:, 8:]),
