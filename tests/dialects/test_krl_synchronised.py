@@ -29,6 +29,11 @@ REFUSED = {
     "a variable": ([lin(1), "$SYNC_LIST='B0011'", lin(2)], (6,), "behind SYNCCMD (line 5)"),
     "a branch": ([lin(1), "IF $IN[1] THEN", WAIT, "ENDIF", lin(2), WAIT, lin(3)], (8,), "SYNCCMD (line 6) and SYNCCMD"),
     "an interrupt": ([lin(1), f"INTERRUPT DECL 3 WHEN $IN[1] DO {WAIT}", lin(2)], (6,), "behind SYNCCMD (line 5)"),
+    "an interrupt, and a SYNCCMD behind it": (
+        [lin(1), f"INTERRUPT DECL 3 WHEN $IN[1] DO {WAIT}", lin(2), WAIT, lin(3)],
+        (6, 8),
+        "between SYNCCMD (line 5) and SYNCCMD (line 7)",
+    ),
     "an interrupt of a routine": (
         [lin(1), "GLOBAL INTERRUPT DECL 3 WHEN $IN[1] DO MEET()", "INTERRUPT ON 3", lin(2), *routine("MEET", WAIT)],
         (7,),

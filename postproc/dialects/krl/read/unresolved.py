@@ -153,7 +153,8 @@ def _marks(main: MainRoutine) -> list[tuple[int, bool]]:
     words = {one: {_word(one.source, at) for at in one.lines} - {""} for _, one in routines}
     own = {one for one, found in words.items() if found}
     names = {one.name.upper() for module, one in routines if not own.isdisjoint(run.analysis.reached(module, one))}
-    waiting = set().union(*words.values()) <= {_WAITING} and not any(
+    waiting = set().union(*words.values()) <= {_WAITING}
+    at_any_time = any(
         isinstance(statement(one.source, at), Event) and _word(one.source, at, names)
         for _, one in routines
         for at in one.lines
@@ -163,7 +164,7 @@ def _marks(main: MainRoutine) -> list[tuple[int, bool]]:
     for at in range(course.body.first, course.body.last):
         if course.live is None or course.live[at - 1]:
             word = _word(run.source, at, names, entered=at in entered)
-            found += [(at, waiting or word == _WAITING)] if word else []
+            found += [(at, not at_any_time and (waiting or word == _WAITING))] if word else []
     loop = course.endless
     if loop is not None and any(loop.first <= at < loop.last for at, _ in found):
         found += [(loop.first - 1, True), (loop.last, True)]
