@@ -2,7 +2,8 @@
 
 - `words`: text to words; plain motion blocks in bulk, other blocks by pygcode
 - `codes`: which G and M codes are read
-- `expressions`, `execution`: parameters, O-words and subprograms; lines in the order of execution
+- `expressions`, `structure`: parameters; O-words, subprograms, loops and branches of a file
+- `execution`: lines in the order of execution
 - `modes`: modal state, tools, spindle, origins and machine positions
 - `cycles`, `arcs`, `moves`, `path`: from lines to motions in `$BASE`
 - `reader`: from a document to a `Program`

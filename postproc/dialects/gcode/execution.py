@@ -2,11 +2,7 @@
 
 Subprograms, loops and branches are expanded. The result is a program of plain lines, which is then read like any other;
 each of its lines knows its file and line number. Lines without parameters and O-words are copied in runs, so a program
-whose subprograms are paths costs little.
-
-`Unit` is the structure of a file by O-words, M98 and M99. Labels of IF, WHILE, DO and REPEAT are local to their
-subprogram; the label of RETURN has no meaning. A number alone (``O100``) begins a subprogram in Fanuc style, which M98
-calls and M99 ends. ``O100 SUB`` … ``O100 ENDSUB`` is LinuxCNC style.
+whose subprograms are paths costs little. `structure` reads what the lines with O-words and expressions mean.
 
 A subprogram is in the file that calls it, in the main program, or in another file of the folder. ``O<name> CALL`` is
 searched for in ``name.ngc``, M98 P100 in ``100.ngc``, ``O100.nc``, ``o0100.nc`` and so on, first with the extension of
@@ -16,7 +12,7 @@ the program.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,11 +20,12 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from postproc.dialects.gcode.expressions import ARGUMENTS, Key, Parameters, Reader, Value, key_of, whole
+from postproc.dialects.gcode.expressions import Parameters, whole
+from postproc.dialects.gcode.structure import Block, Order, Unit, is_controlled, ordered
 from postproc.dialects.gcode.words import CUT_SHORT, MARK, BlockError, Fault, Source, split
 from postproc.dialects.text import decode, line_starts
 from postproc.errors import MOST, ProgramError, SubprogramError
-from postproc.program import Document, Ints, distinct
+from postproc.program import Document, Ints
 
 
 class Executed(Struct, frozen=True, eq=False):
@@ -441,267 +438,3 @@ class _Run:
         self._leave()
         self.known.put("_value", value)
         self.known.put("_value_returned", float(len(order.values)))
-
-
-_CALLS = re.compile(rb"M0*9[89](?![\d.])")
-_O_WORD = re.compile(rb"\n[\x01/]*(?:N\d+)?[\x01/]*O(?!\d+\x01*\n)")
-_NOTABLE = re.compile(rb"[#\[O%]|M0*(?:2|30|98|99)(?![\d.])")
-_HEAD = re.compile(r"(?:/[1-9]?)?(?:N\d+)?O(?=[\d#\[<])")
-_LABEL = re.compile(r"<([^<>#]+)>|(\d+)")
-_KEYWORD = re.compile("SUB|ENDSUB|CALL|DO|WHILE|REPEAT|IF|ELSEIF|ELSE|ENDIF|BREAK|CONTINUE|ENDWHILE|ENDREPEAT|RETURN|$")
-_LITERAL = re.compile(
-    r"[^#\[A-Z]+|[A-Z][+-]?(?:\d+\.?\d*|\.\d+)"
-    r"|[A-Z](?![#\[+-]|(?:ABS|ACOS|ASIN|ATAN|COS|EXISTS|EXP|FIX|FUP|LN|ROUND|SIN|SQRT|TAN)\[)"
-)
-_ORDER = re.compile(r"M0*(2|30|98|99)(?![\d.])")
-_SAYS_NOTHING = re.compile(r"[\x01/%]*(?:N\d+)?\x01*(?:M0*(?:2|30))?\x01*")
-_NUMBERED = re.compile(r"[Oo]?(\d+)")
-_TESTED = ("IF", "ELSEIF", "WHILE", "REPEAT")
-_OPENED_BY = {
-    "ENDSUB": ("SUB",),
-    "ELSEIF": ("IF",),
-    "ELSE": ("IF",),
-    "ENDIF": ("IF",),
-    "ENDWHILE": ("WHILE",),
-    "ENDREPEAT": ("REPEAT",),
-    "RETURN": ("SUB",),
-    "BREAK": ("WHILE", "DO"),
-    "CONTINUE": ("WHILE", "DO"),
-}
-
-
-def is_controlled(source: Source) -> bool:
-    """Return whether a program has expressions, or jumps, loops or calls that change the execution order."""
-    code = source.code
-    if b"#" in code or b"[" in code or _CALLS.search(code) is not None:
-        return True
-    return b"O" in code and _O_WORD.search(code) is not None
-
-
-class Block(Struct, frozen=True):
-    """A line whose words are computed when it is executed.
-
-    :param settings: parameters that the line sets, after all its values have been evaluated.
-    :param parts: text, or a letter with the expression of its value.
-    """
-
-    settings: tuple[tuple[Callable[[Parameters], Key], Value], ...]
-    parts: tuple[str | tuple[str, Value], ...]
-
-    def text(self, known: Parameters) -> str:
-        """Set the parameters of the line, and return its words with numbers in place of expressions.
-
-        :raises BlockError: a value is not known or not valid.
-        """
-        text = "".join([part if isinstance(part, str) else _word(part[0], part[1](known)) for part in self.parts])
-        if self.settings:
-            for key, value in [(key(known), value(known)) for key, value in self.settings]:
-                known.put(key, value)
-        return text
-
-
-class Order(Struct, frozen=True):
-    """A line with an O-word.
-
-    :param keyword: ``SUB``, ``CALL`` …; empty for a number alone.
-    :param label: its name; for a call possibly an expression.
-    :param values: the condition or count; the arguments of a call; the return value of a subprogram.
-    """
-
-    keyword: str
-    label: str | Value
-    values: tuple[Value, ...] = ()
-
-
-class Unit(Struct, eq=False):
-    """A file with the structure of its subprograms, loops and branches.
-
-    :ivar following: (L + 1,) from each row on, the next row with an O-word, a parameter, an expression, a % or an
-        M code that affects the execution order; L where there is none.
-    :ivar subs: label of each subprogram in LinuxCNC style → its row; `numbers`: the same in Fanuc style.
-    :ivar links: row of an O-word → rows of the O-words of its structure, first to last.
-    :ivar faults: faults of its O-words.
-    """
-
-    document: Document
-    source: Source
-    lines: dict[int, Order | Block | None] = {}
-    following: list[int] = []
-    subs: dict[str, int] = {}
-    numbers: dict[str, int] = {}
-    links: dict[int, tuple[int, ...]] = {}
-    faults: list[Fault] = []
-
-    @classmethod
-    def of(cls, document: Document, source: Source) -> Unit:
-        """Find the structure of a file."""
-        unit = cls(document, source)
-        at = np.array([match.start() for match in _NOTABLE.finditer(source.code)], dtype=np.int64)
-        notable = distinct(np.searchsorted(source.ends, at) - 1)
-        rows = np.append(notable, len(source))
-        unit.following = rows[np.searchsorted(notable, np.arange(len(source) + 1))].tolist()
-        unit._connect(notable)
-        return unit
-
-    def at(self, row: int) -> Order | Block | None:
-        """Return the parsed line of a row of `following`; None for %.
-
-        :raises BlockError: the line cannot be read.
-        """
-        if row not in self.lines:
-            self.lines[row] = _read(self.source.line(row).replace(MARK, ""))
-        return self.lines[row]
-
-    def only_defines(self) -> str | None:
-        """Return the name of the first subprogram if the file only defines subprograms; else None.
-
-        In LinuxCNC style all lines are within SUB … ENDSUB. In Fanuc style the file ends with M99, and its
-        name is a number.
-        """
-        inside = np.zeros(len(self.source), dtype=np.bool_)
-        for first in self.subs.values():
-            inside[first : self.links.get(first, (first,))[-1] + 1] = True
-        outside = np.flatnonzero(~inside).tolist()
-        if self.subs and all(_SAYS_NOTHING.fullmatch(self.source.line(row)) for row in outside):
-            return f"O<{next(iter(self.subs))}>"
-        number = _NUMBERED.fullmatch(self.document.name.partition(".")[0])
-        if number:
-            ends = {end for row in outside if self.following[row] == row for end in ordered(self.source.line(row))}
-            return f"O{int(number[1])}" if "99" in ends and not ends & {"2", "30"} else None
-        return None
-
-    def _connect(self, notable: Ints) -> None:
-        """Connect the O-words of each loop, branch and subprogram."""
-        open_: list[tuple[str, str, list[int]]] = []
-        for row, order in self._orders(notable):
-            label, keyword = str(order.label), order.keyword
-            if keyword == "":
-                self.numbers.setdefault(label, row)
-            elif keyword == "SUB":
-                if label in self.subs or any(word == "SUB" for word, *_ in open_):
-                    problem = "a second subprogram of this name" if label in self.subs else "a subprogram in another"
-                    self.faults.append(Fault(row, f"O{label} SUB: {problem}"))
-                self.subs.setdefault(label, row)
-            own = [at for at, (word, name, _) in enumerate(open_) if name == label and word != "SUB"]
-            if keyword == "WHILE" and own and open_[own[-1]][0] == "DO":
-                self._close(row, open_, own[-1])
-            elif keyword in ("SUB", "IF", "WHILE", "DO", "REPEAT"):
-                open_.append((keyword, label, [row]))
-            elif keyword in _OPENED_BY:
-                wanted = _OPENED_BY[keyword]
-                fits = [
-                    n
-                    for n, (word, name, _) in enumerate(open_)
-                    if word in wanted and (name == label or keyword == "RETURN")
-                ]
-                at = fits[-1] if fits else -1
-                if at < 0:
-                    self.faults.append(
-                        Fault(row, f"O{label} {keyword} without O{label} {' or '.join(wanted)} before it")
-                    )
-                elif keyword in ("ELSEIF", "ELSE"):
-                    open_[at][2].append(row)
-                elif keyword.startswith("END"):
-                    self._close(row, open_, at)
-                elif keyword != "RETURN":
-                    self.links[row] = (open_[at][2][0],)
-        for keyword, label, rows in open_:
-            self.faults.append(Fault(rows[0], f"O{label} {keyword} without its end"))
-        for row, (opening,) in [(row, link) for row, link in self.links.items() if len(link) == 1]:
-            self.links[row] = self.links.get(opening, (row, row))
-
-    def _close(self, row: int, open_: list[tuple[str, str, list[int]]], at: int) -> None:
-        for keyword, label, rows in open_[at + 1 :]:
-            self.faults.append(Fault(rows[0], f"O{label} {keyword} without its end"))
-        link = (*open_[at][2], row)
-        self.links.update(dict.fromkeys(link, link))
-        del open_[at:]
-
-    def _orders(self, notable: Ints) -> Iterator[tuple[int, Order]]:
-        for row in notable.tolist():
-            if "O" in self.source.line(row):
-                try:
-                    order = self.at(row)
-                except BlockError:
-                    continue  # reported when the line is executed
-                if isinstance(order, Order):
-                    yield row, order
-
-
-def _read(code: str) -> Order | Block | None:
-    if code.startswith("%"):
-        return None
-    head = _HEAD.match(code)
-    return _block(code) if head is None else _order(code, head.end())
-
-
-def _order(code: str, at: int) -> Order:
-    reader = Reader(code, at)
-    name = _LABEL.match(code, at)
-    label: str | Value
-    if name is not None:
-        reader.at = name.end()
-        label = key_of(name[1]) if name[1] else str(int(name[2]))
-    else:
-        label = reader.value()
-    keyword = _KEYWORD.match(code, reader.at)
-    if keyword is None:
-        raise BlockError("an O word among other words", "Write an O number in a line of its own.")
-    reader.at = keyword.end()
-    if not isinstance(label, str) and keyword[0] != "CALL":
-        raise BlockError(f"O with a computed name before {keyword[0] or 'the end of the line'}", "Only CALL takes one.")
-    values: list[Value] = []
-    while reader.at < len(code):
-        values.append(reader.expression())
-    least, most = {"CALL": (0, ARGUMENTS), "RETURN": (0, 1), "ENDSUB": (0, 1)}.get(keyword[0], (0, 0))
-    if keyword[0] in _TESTED:
-        least = most = 1
-    if not least <= len(values) <= most:
-        problem = "too many values" if len(values) > most else "a value in [ ] is missing"
-        raise BlockError(f"{keyword[0] or 'O number'}: {problem}", None)
-    return Order(keyword[0], label, tuple(values))
-
-
-def _block(code: str) -> Block:
-    settings: list[tuple[Callable[[Parameters], Key], Value]] = []
-    parts: list[str | tuple[str, Value]] = []
-    reader = Reader(code)
-    while reader.at < len(code):
-        if code[reader.at] == "#":
-            key = reader.parameter()
-            if not code.startswith("=", reader.at):
-                raise BlockError("a parameter without a word before it", "Write #1=… to set it, X#1 to use it.")
-            reader.at += 1
-            settings.append((key, reader.value()))
-            continue
-        literal = _LITERAL.match(code, reader.at)
-        if literal is not None:
-            parts.append(literal[0])
-            reader.at = literal.end()
-        elif code[reader.at] == "[":
-            raise BlockError("an expression without a word before it", "Write comments in ( ), or after a semicolon.")
-        else:
-            letter = code[reader.at]
-            reader.at += 1
-            parts.append((letter, reader.value()))
-    return Block(tuple(settings), tuple(parts))
-
-
-def _word(letter: str, value: float) -> str:
-    """Return a word with its computed number; codes and counts must be whole, as in rs274, but D may be a diameter."""
-    if letter in "MNTLHO":
-        return f"{letter}{whole(value)}"
-    if letter == "G":
-        return f"G{whole(10.0 * value) / 10.0:g}"
-    return letter + number(value)
-
-
-def number(value: float) -> str:
-    """Return a number as G-code text, with more digits than any control resolves."""
-    text = f"{value:.8f}" if abs(value) >= 1.0 else f"{value:.12f}"
-    return text.rstrip("0").rstrip(".") or "0"
-
-
-def ordered(text: str) -> Mapping[str, str]:
-    """Return the M2, M30, M98 and M99 in a line of plain words: number → the text of the word."""
-    return {match[1]: match[0] for match in _ORDER.finditer(text)}
