@@ -513,7 +513,7 @@ resolution_mm = 0.5
 LONG_PLATE_PROCESS = """# Forces of long_plate.nc: an end mill in an aluminium plate of 1.6 m.
 [material]
 name = "al_6082_t6_carbide"
-sigma_percent = 25              # of coefficients that a test cut confirmed; published ones: 40 with wear
+sigma_percent = 25              # assumed here: a test cut in your material states it; published: 33, with wear 40
 
 [tools.1]
 diameter_mm = 16
