@@ -211,7 +211,8 @@ def _ours(program: Program, unit: float) -> Iterator[Cut]:
     printed = np.round(end / unit, 4)  # shorter moves are not seen in what rs274 prints
     for n, state in enumerate(_states(program)):
         arc = kind[n] == CIRC
-        if n and not arc and (printed[n] == printed[n - 1]).all():
+        before = printed[n - 1] if n else np.where(rapid[:1], np.inf, np.zeros(3))  # rs274 begins at zero
+        if not arc and (printed[n] == before).all():
             continue
         if rapid[n]:
             rapids.append(end[n])
