@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import csv
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -373,6 +374,14 @@ def test_what_is_not_as_it_is_written_is_refused_with_its_line(tmp_path, old, ne
         read(text.replace(old, new, 1))
     assert caught.value.line
     assert caught.value.advice
+
+
+def test_the_orientation_at_a_point_on_a_circle_is_a_unit_quaternion_too(tmp_path):
+    text = convert(tmp_path, GCODE, "--nominal")
+    changed = re.sub(r"(MoveC \[\[[^]]*\],\[)[^]]*\]", r"\g<1>0,0,0,0]", text, count=1)
+    assert changed != text
+    with pytest.raises(ProgramError, match="unit quaternion"):
+        read(changed)
 
 
 _TEXT: list[str] = []

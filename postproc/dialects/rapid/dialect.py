@@ -576,7 +576,9 @@ class _Reader:
             np.full(len(line), np.nan),
         )
         if len(rows):
-            via = poses(_floats([self.moves.via[row] for row in rows.tolist()])[:, :7])[:, :3, 3]
+            given = _floats([self.moves.via[row] for row in rows.tolist()])
+            self._check_quaternions(given, line[rows])
+            via = poses(given[:, :7])[:, :3, 3]
             start = starts.at(rows)[:, :3, 3]
             centre[rows], normal[rows], sweep[rows], flat = circles.through(start, via, pose[rows, :3, 3])
             if flat.any():
