@@ -1,5 +1,7 @@
 """``$ORI_TYPE=#JOINT``: the wrist axes lead the orientation; against a cell that shares no code with the package."""
 
+import re
+
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -135,7 +137,36 @@ def test_what_is_not_certain_is_refused_with_its_line(lines, message):
     assert caught.value.line == 10 + lines[0].startswith("SPLINE")
 
 
+RAIL = replace(setup()[1], external_axes={"E1": ExternalAxis((0.0, 1.0, 0.0))})
+
+
+def on_rail(*lines, e1):
+    """The program of `read` with E1 in every target, `$BASE` as far along the rail."""
+    model, _ = setup()
+    base = BASE.replace("Y -200", f"Y {e1 - 200}")
+    moves = [
+        line.replace("}", f",E1 {e1}}}") if "LIN" in line else line for line in (BEGIN, "$ORI_TYPE=#JOINT", *lines)
+    ]
+    home = f"PTP {{A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0,E1 {e1}}}"
+    text = body(home, base, TOOL, "$VEL.CP=0.05", *moves)
+    return text, correction.read([decode("part.src", text.encode())], model, RAIL, "part", "krl")
+
+
+@pytest.mark.parametrize("e1", [0, 300])
+def test_where_e1_stands_still_the_wrist_leads_as_without_it(e1):
+    lines = (FORCE, LINES[0], "LIN {X 240,Y -60,Z 10,A 165,B 25,C 160}")
+    _, _, without = corrected(*lines)
+    _, program = on_rail(*lines, e1=e1)
+    assert program.by_wrist.sum() == 2
+    result = correction.process(program, setup()[0], RAIL)
+    assert not result.failed, result.issues
+    written = re.sub(rf",\s*E1 {e1}(\.0*)?(?=[,}}])", "", result.documents[0].text)
+    written = written.replace(f"Y {e1 - 200}", "Y -200")
+    for got, wanted in zip(cell_sim.read(written)[1:], cell_sim.read(without.documents[0].text)[1:], strict=True):
+        np.testing.assert_allclose(got["frame"], wanted["frame"], atol=2e-3)
+
+
 def test_lines_while_the_robot_is_carried_are_refused():
-    rail = replace(setup()[1], external_axes={"E1": ExternalAxis((0.0, 1.0, 0.0))})
-    with pytest.raises(ProgramError, match="or while E1 moves"):
-        read(LINES[0], cell=rail)
+    with pytest.raises(ProgramError, match="or while E1 moves") as caught:
+        read(LINES[0].replace("}", ",E1 5}"), cell=RAIL)
+    assert caught.value.line == 10

@@ -371,6 +371,8 @@ def test_blending_tolerance_is_in_the_units_of_the_program() -> None:
         ("G0 X0 Y0 Z0\nM30\n", "units", "info", None),
         ("G21 G0 X0 Y0 Z0\n(no end)\n", "program-end", "warning", 2),
         ("G21 G0 X0 Y0 Z0\nG4 P500\nM30\n", "dwell", "warning", 2),
+        ("G21 G0 X0 Y0 Z5\nG82 X5 Y5 Z-3 R2 P500 F100\nX9\nX12\nX15\nM30\n", "dwell", "warning", 2),
+        ("G21 G0 X0 Y0 Z5\nG89 X5 Y5 Z-3 R2 P1 F100\nX9 P2000\nM30\n", "dwell", "warning", 3),
         ("G21 G0 X0 Y0 Z0\nM3\nM30\n", "spindle-speed", "warning", 2),
         ("G21 G0 X0 Y0 Z0\nT1 M6\nT1 M6\nT2 M6\nM30\n", "tool-change", "warning", 4),
     ],

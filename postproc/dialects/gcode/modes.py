@@ -286,6 +286,13 @@ _OPENING = re.compile(rf"[\n{MARK}]*\n{MARK}*%".encode())
 _DELETE = re.compile(rf"{MARK}*/[1-9]?")
 
 
+def long_dwell(seconds: float) -> str | None:
+    """Return a warning about a dwell that looks like milliseconds; None: it is short."""
+    if seconds <= _LONG_DWELL_S:
+        return None
+    return f"Dwell of {seconds:g} s: P is in seconds. Check it if your control counts milliseconds."
+
+
 class Modes(Struct, frozen=True, eq=False):
     """Modal state, events and remarks of the blocks that are not plain.
 
@@ -517,8 +524,7 @@ class _Reader:
             self.dwells.append(row)
             seconds = values.pop("P")
             self.switching.dwell(row, seconds)
-            if seconds > _LONG_DWELL_S:
-                message = f"Dwell of {seconds:g} s: P is in seconds. Check it if your control counts milliseconds."
+            if (message := long_dwell(seconds)) is not None:
                 self._remark("warning", "dwell", message, row)
 
     def _radius(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:

@@ -22,7 +22,7 @@ from postproc.cell import Rotary
 from postproc.dialects.gcode import codes
 from postproc.dialects.gcode.arcs import PLANE_AXES
 from postproc.dialects.gcode.cycles import Cycle, CycleEvent, Step
-from postproc.dialects.gcode.modes import MM_PER_UNIT, Modes, Origin, Return
+from postproc.dialects.gcode.modes import MM_PER_UNIT, Modes, Origin, Return, long_dwell
 from postproc.dialects.gcode.words import BlockError
 from postproc.errors import Level
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, any_column, inverse, pose_from_xyzabc
@@ -356,6 +356,9 @@ class _Walk:
         except BlockError as cause:
             self.faults.append((row, *cause.args))
             return [], []
+        dwell = max((event.value for event in done if event.kind == "dwell"), default=0.0)
+        if "P" in given and (message := long_dwell(dwell)) is not None:
+            self.remarks.append((row, "warning", "dwell", message))
         places = np.empty((len(steps), 3))
         places[:, axes] = [step.end for step in steps]
         self._drilled(np.full(len(steps), row), places, steps, done)

@@ -121,7 +121,7 @@ def motions_and_layout(
     given = rows.numbers
     led = _led(source, rows, states, state)
     ends = end_poses(source, rows.line, given, frames, moves, start_joints, forward, led, carriage, after)
-    by_wrist = _by_wrist(source, rows, states, state, ends, settings)
+    by_wrist = _by_wrist(source, rows, states, state, ends, carriage)
     _check_by_wrist(source, rows, states, state, ends, settings)
     centre, normal, sweep, unheeded = _arcs(source, rows, ends, moves, led, settings, (states, state), carriage)
 
@@ -290,7 +290,12 @@ def _led(source: Source, rows: MotionColumns, states: list[State], state: Ints) 
 
 
 def _by_wrist(
-    source: Source, rows: MotionColumns, states: list[State], state: Ints, ends: EndPoses, settings: Settings
+    source: Source,
+    rows: MotionColumns,
+    states: list[State],
+    state: Ints,
+    ends: EndPoses,
+    carriage: Carriage | None,
 ) -> Bools:
     """Return the lines (R,) on which the wrist axes turn the tool.
 
@@ -306,7 +311,9 @@ def _by_wrist(
         ~same_orientation(ends.start.at(each)[:, :3, :3], ends.pose[each, :3, :3]) for each in (own, behind)
     )
     turned |= turned_behind & np.array([kind == IGNORE for kind in kinds])
-    wrist = np.array([kind == JOINT for kind in kinds]) & (rows.kind[own] == LIN) & (settings.cell.carriage is None)
+    wrist = np.array([kind == JOINT for kind in kinds]) & (rows.kind[own] == LIN)
+    if carriage is not None:
+        wrist &= carriage.travel[own] <= _AT_REST
     led[own[turned & wrist]] = True
     turned &= ~wrist
     if not turned.any():
