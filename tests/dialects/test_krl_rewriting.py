@@ -220,6 +220,17 @@ def test_added_numbers_have_all_the_digits_they_need():
     assert lines[4:6] == ["LIN {X 7,Z 3.12345678}", "LIN {X 8}"]
 
 
+def test_a_divided_motion_with_b_beyond_90_has_all_of_a_b_c():
+    """The piece before it is printed with such a B too, and then a missing A is not certain."""
+    last = "LIN {Y 27.699,B 144.334,C -55.800}"
+    program = read(body("LIN {X 1,Y 2,Z 3,A 73.876,B -84.061,C -64.199}", last))
+    for fraction in (0.1, 0.5, 0.95):
+        wanted = targets(program, np.zeros((2, 3)), pieces={1: np.array([fraction])})
+        written = krl.rewrite(program, wanted)
+        assert "A 73.876" in written.documents[0].text.splitlines()[5]
+        check_commands(program, wanted, written)
+
+
 def test_a_target_behind_an_axis_target_keeps_what_the_controller_fills_in():
     axis = "PTP {A1 0,A2 -90,A3 90,A4 0,A5 10,A6 0}"
     (lines, *_), _ = rewritten(body(FULL, axis, "LIN {X 7}", "LIN {X 8}"), raised=[0])

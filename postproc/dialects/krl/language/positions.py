@@ -23,6 +23,8 @@ _AXIS_TAGS = ("", "E6AXIS", "E3AXIS", "AXIS")
 MAX_STATUS, MAX_TURN = 31, 63
 FARTHEST = 1e6
 """Largest coordinate [mm, deg] that is read: beyond it, numbers are slips."""
+LARGEST_B = 90.0
+"""Controllers show B from −90° to 90°; beyond, a second set of angles describes the same orientation."""
 _NAN = float("nan")
 
 

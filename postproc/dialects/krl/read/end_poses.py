@@ -10,7 +10,7 @@ from msgspec import Struct
 from postproc.chunks import Runs, in_chunks
 from postproc.dialects.circles import through
 from postproc.dialects.krl.language.motion_statements import MotionStatement
-from postproc.dialects.krl.language.positions import Position
+from postproc.dialects.krl.language.positions import LARGEST_B, Position
 from postproc.dialects.krl.language.source import Source
 from postproc.frames import (
     M_PER_MM,
@@ -28,8 +28,6 @@ from postproc.program import Bools, Carriage, Ints, Starts
 
 _SAME = 1e-9
 """Angles that differ by less [deg] count as equal."""
-_LARGEST_B = 90.0
-"""Controllers show B from −90° to 90°."""
 _FRAME_ADVICE = "Write all of X, Y, Z, A, B, C in the first target after $BASE or $TOOL is changed."
 _UNCHANGED = 1e-3 * RAD_PER_DEG
 """Orientations closer than this [rad] are the same."""
@@ -153,7 +151,7 @@ class _Follower:
         :param before: (n,) the previous B [deg]; beyond ±90 the controller may keep A ± 180, ±180 − B, C ± 180.
         """
         partly = any_column(missing) & ~missing.all(axis=1)
-        wrong = np.flatnonzero(partly & (np.abs(before) > _LARGEST_B))
+        wrong = np.flatnonzero(partly & (np.abs(before) > LARGEST_B))
         if len(wrong):
             problem = f"A, B or C is missing, and the previous B is {before[wrong[0]]:g}°: beyond 90° it is not certain"
             problem += " which angles the controller keeps"

@@ -8,7 +8,7 @@ import numpy as np
 from msgspec import Struct
 
 from postproc.chunks import in_chunks
-from postproc.dialects.krl.language.positions import CARTESIAN
+from postproc.dialects.krl.language.positions import CARTESIAN, LARGEST_B
 from postproc.dialects.krl.language.values import Number
 from postproc.dialects.krl.layout import FREE, IGNORE, ORIENTATIONS, Layout, Offsets
 from postproc.frames import MM_PER_M, Array, any_column
@@ -90,6 +90,9 @@ def target_numbers(motions: Motions, layout: Layout, targets: Targets, text: str
     added = layout.missing[row] & (np.abs(numbers - before) > _EQUAL)
     incomplete = layout.ignored | any_column(layout.missing[:, 3:])
     added[:, 3:] |= (freed & incomplete)[row, None]
+    angles = layout.missing[row, 3:]
+    several = any_column(angles) & ~angles.all(axis=1) & (np.abs(before[:, 4]) > LARGEST_B)
+    added[:, 3:] |= angles & several[:, None]
     written = np.where(keep[:, None], added, ~layout.missing[row] | added)
     return TargetNumbers(
         numbers,
