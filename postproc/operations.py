@@ -34,6 +34,8 @@ _NO_NAME = re.compile(
     re.IGNORECASE,
 )
 """Comments that are no names: tools, headers of files, dates, assignments, and remarks on single moves."""
+_MILLED = re.compile(r"end ?mill(?:ing)? +\D+$", re.IGNORECASE)
+"""What is milled with an end mill: a name after a retract, though comments that begin with "end" are none."""
 _ALONE = re.compile(r"\s*/?\s*(?:N\s*\d+)?\s*[(;]", re.IGNORECASE)
 _MOST = 60
 """More operations than this are remarks on single moves."""
@@ -97,6 +99,33 @@ def ended(comment: str) -> str | None:
     return None if match is None else " ".join(match[1].split())
 
 
+def passed_over(program: Program) -> tuple[Event, ...]:
+    """Return comments that begin no operation of ``operations(at_retracts=True)``, but could be names.
+
+    Those are alone on their line and, after a retract, read like remarks ("pass 2"); or they read like names, and are
+    between two cutting motions. Programs that mark operations with ``begin operation`` have none.
+    """
+    rows = len(program.motions)
+    comments = [event for event in program.events if event.kind == "comment" and 0 < event.before < rows]
+    lines = program.documents[0].text.splitlines() if program.documents else []
+    out: list[Event] = []
+    if any(_BEGIN.match(event.text) for event in comments):
+        return ()
+    for event in _on_own_lines(comments, lines):
+        name = title(event.text)
+        named = _named([event], None, first=False, explicit=False) is not None
+        remark = name and not named and not FORCE_COMMENT.match(event.text) and not _END.match(event.text)
+        if named != _at_retract(program, event.before, [event], None, lines) and (named or remark):
+            out.append(event)
+    return tuple(out)
+
+
+def _is_name(comment: str) -> bool:
+    """Return whether a comment reads like the name of an operation."""
+    other = _NO_NAME.match(title(comment)) or FORCE_COMMENT.match(comment) or _END.match(comment)
+    return bool(comment.strip()) and not other
+
+
 def _starts(program: Program, names: Names) -> Iterator[tuple[int, str, int, int]]:
     """Yield row of the first motion, name (empty: none), tool and line where operations may begin.
 
@@ -113,7 +142,7 @@ def _starts(program: Program, names: Names) -> Iterator[tuple[int, str, int, int
     tool, tools = 0, {0: 0}
     for row, group in groupby(sorted(marks, key=lambda event: event.before), key=lambda event: event.before):
         here = list(group)
-        change = next((k for k, event in enumerate(here) if event.kind == "tool_change"), None)
+        change = max((k for k, event in enumerate(here) if event.kind == "tool_change"), default=None)
         for event in here:
             if event.kind == "tool_change":
                 tool = int(event.value)
@@ -162,7 +191,7 @@ def _at_retract(program: Program, row: int, here: list[Event], change: int | Non
 def _named(here: list[Event], change: int | None, *, first: bool, explicit: bool) -> Event | None:
     """Return the comment that names an operation, or None.
 
-    :param here: comments and tool changes before a motion; change: index of the first tool change among them, or None.
+    :param here: comments and tool changes before a motion; change: index of the last tool change among them, or None.
     :param first: whether the motion is the first of the program.
     :param explicit: whether the program marks operations with ``begin operation``: other comments then name none.
     """
@@ -170,14 +199,13 @@ def _named(here: list[Event], change: int | None, *, first: bool, explicit: bool
         return next((event for event in reversed(here) if event.kind == "comment" and _BEGIN.match(event.text)), None)
     before: list[Event] = []
     after: list[Event] = []
-    seen = False
-    for event in here:
+    for place, event in enumerate(here):
         if event.kind == "tool_change":
-            seen = True
-        elif _STRONG.match(event.text):
+            continue
+        if _STRONG.match(event.text):
             return event
-        elif event.text.strip() and not _NO_NAME.match(title(event.text)) and not FORCE_COMMENT.match(event.text):
-            (after if seen else before).append(event)
+        elif _is_name(event.text) or (change is None and not first and _MILLED.match(title(event.text))):
+            (before if change is None or place < change else after).append(event)
     if change is not None:
         return before[-1] if before else (after[0] if after else None)
     return None if not before else before[-1] if first else before[0]

@@ -384,7 +384,7 @@ def make_forces(request: ForcesRequest, progress: Callable[[int, int], None] | N
             )
         mesh = as_trimesh(*found.mesh())
         contents[names[1]] = bytes(mesh.export(file_type=request.stock_out.suffix[1:].lower()))
-    issues = () if found is None else found.issues
+    issues = (*(() if found is None else found.issues), *knots.issues)
     record = with_record(contents, names[-1], lambda entries: process_forces.finished(content, issues, entries))
     return ForcesFiles(content, issues, tuple(write_whole(folder, record)))
 

@@ -4,29 +4,28 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 from msgspec.structs import replace
 
-from postproc.errors import ForceError, together
+from postproc.errors import ForceError, Issue, together
 from postproc.forces import ByLaw, Knots
 from postproc.frames import any_column
 from postproc.machining.estimate import ProcessForces, estimate
 from postproc.machining.process import OperationTable, Process
 from postproc.machining.remaining import Guard
 from postproc.machining.tool_path import Shift, refuse_unread_cuts
-from postproc.operations import Operation, ended, operations, title
-from postproc.program import FORCE_FRAMES, Ints, Program
+from postproc.operations import Operation, ended, operations, passed_over, title
+from postproc.program import FORCE_FRAMES, Event, Ints, Program
 from postproc.toolpath import Segments
 
 _TOOL = re.compile(r"T0*(\d+)", re.IGNORECASE)
 _BLOCK = re.compile(r"N0*(\d+)", re.IGNORECASE)
 _N_WORD = re.compile(r"\s*/?\s*N\s*0*(\d+)", re.IGNORECASE)
-_FINISH = re.compile(r"(?:finish|end)\b", re.IGNORECASE)
-"""Comments that name the end of an operation, or its finishing pass."""
 _MOST_LISTED = 20
+_MOST_PASSED = 3
 
 
 def by_operation(program: Program, process: Process) -> Knots:
@@ -34,8 +33,9 @@ def by_operation(program: Program, process: Process) -> Knots:
 
     An entry is named like a comment of the program, with which the operation begins (before or after its tool change);
     like a tool, T3; or like the N word of the block in which it begins, N120. It holds until the next operation that
-    begins at a retract, see `postproc.operations`, or until ``finish operation: NAME`` of its own name; "finish" in any
-    other comment ends nothing. Comments and blocks take precedence over tools.
+    begins at a tool change or retract, whatever its name is, see `postproc.operations`; or until
+    ``finish operation: NAME`` of its own name. Comments between cutting motions end nothing, whatever they say.
+    Comments and blocks take precedence over tools. A note lists comments after which a force goes on.
 
     :raises ForceError: an entry matches nothing in the program; the message lists the operations found.
     :raises ProgramError: a routine that cuts is not followed.
@@ -60,7 +60,9 @@ def by_operation(program: Program, process: Process) -> Knots:
     frame = np.array([FORCE_FRAMES.index(entry.frame) for entry in entries], dtype=np.int64)
     share = np.array([entry.sigma_percent / 100.0 for entry in entries])
     rows = place[motion]
-    return Knots.throughout(motion, wrench[rows], frame[rows], np.abs(wrench[rows]) * share[rows, None], share[rows])
+    sigma = np.abs(wrench[rows]) * share[rows, None]
+    issues = tuple(_passed(program, by_name, names))
+    return replace(Knots.throughout(motion, wrench[rows], frame[rows], sigma, share[rows]), issues=issues)
 
 
 _Mark = tuple[int, int, int]
@@ -71,18 +73,24 @@ def _named(
     program: Program, found: tuple[Operation, ...], titles: dict[str, int], blocks: dict[str, int]
 ) -> list[_Mark]:
     """Return where entries that a comment or an N word names begin and end."""
-    marks = [(each.first, 1, titles.get(_plain(each.name), -1)) for each in found if not _FINISH.match(each.name)]
-    running = -1
-    for event in program.events:
-        if event.kind != "comment":
-            continue
-        which = titles.get(_plain(title(event.text)), titles.get(_plain(event.text), -1))
-        finished = ended(event.text)
-        if which >= 0:
-            marks.append((event.before, 2, which))
-            running = which
-        elif finished is not None and running >= 0 and titles.get(_plain(finished)) == running:
-            marks.append((event.before, 0, -1))
+    marks = [(each.first, 1, titles.get(_plain(each.name), -1)) for each in found]
+    cuts = _cuts_before(program)
+    row, running = 0, -1  # the last comment that names an entry
+    changed: float | None = None  # the tool changed to since then
+    for event in _with_tools(program):
+        if event.kind == "tool_change":
+            if cuts[event.before] > cuts[row] or changed not in (None, event.value):
+                marks.append((event.before, 2 if running >= 0 and row == event.before else 0, -1))
+                running = -1
+            changed = event.value
+        elif event.kind == "comment":
+            which = titles.get(_plain(title(event.text)), titles.get(_plain(event.text), -1))
+            finished = ended(event.text)
+            if which >= 0:
+                marks.append((event.before, 2, which))
+                row, running, changed = event.before, which, None
+            elif finished is not None and running >= 0 and titles.get(_plain(finished)) == running:
+                marks.append((event.before, 0, -1))
     line = program.motions.line
     for number, text in enumerate(program.documents[0].text.splitlines() if blocks else (), start=1):
         match = _N_WORD.match(text)
@@ -92,9 +100,53 @@ def _named(
     return marks
 
 
+def _with_tools(program: Program) -> list[Event]:
+    """Return the events of a program; without tool changes, those of `$TOOL` count as such (KRL, G43 without M6)."""
+    m, events = program.motions, list(program.events)
+    if any(event.kind == "tool_change" for event in events):
+        return events
+    rows = (np.flatnonzero(np.diff(m.tool)) + 1).tolist()
+    events += [Event(row, "tool_change", int(m.line[row]), value=float(m.tool[row])) for row in rows]
+    return sorted(events, key=lambda event: event.before)
+
+
+def _cuts_before(program: Program) -> Ints:
+    """Return the number of cutting motions before each motion, and of all (M + 1,)."""
+    return np.concatenate([[0], np.cumsum(~program.motions.rapid)])
+
+
+def _passed(program: Program, place: Ints, names: list[str]) -> Iterator[Issue]:
+    """Yield a note for each entry whose force goes on after comments that could be names of operations.
+
+    Those are alone on their line and after a retract, but are remarks to `postproc.operations` ("pass 2"); or they are
+    between two cutting motions.
+
+    :param place: (M,) entry of each motion that a comment or a block names, −1: none.
+    """
+    cutting = np.flatnonzero(~program.motions.rapid)
+    cuts, over = _cuts_before(program), dict[int, list[Event]]()
+    for each in passed_over(program):
+        after = int(cuts[each.before])
+        if 0 < after < len(cutting):
+            before, behind = place[cutting[after - 1]], place[cutting[after]]
+            if before == behind >= 0:
+                over.setdefault(int(before), []).append(each)
+    for which, passed in over.items():
+        shown = ", ".join(f"{title(each.text)!r} (line {each.line})" for each in passed[:_MOST_PASSED])
+        more = f" and {len(passed) - _MOST_PASSED} more" if len(passed) > _MOST_PASSED else ""
+        message = (
+            f"the force of [operations.{names[which]!r}] goes on after the comment {shown}{more}. If an operation "
+            "begins there, give it an entry with its forces"
+        )
+        yield Issue("info", "operation-goes-on", message, passed[0].line, count=len(passed), subject=names[which])
+
+
 def _since(marks: list[_Mark], count: int) -> Ints:
-    """Return the entry (M,) of the last mark at or before each motion, −1 before the first mark."""
-    ordered = [(-1, 0, -1), *sorted(marks)]
+    """Return the entry (M,) of the last mark at or before each motion, −1 before the first mark.
+
+    :param marks: those of one row and rank in the order in which they count, the last one wins.
+    """
+    ordered = [(-1, 0, -1), *sorted(marks, key=lambda mark: mark[:2])]
     last = np.searchsorted([row for row, _, _ in ordered], np.arange(count), side="right") - 1
     return np.array([which for _, _, which in ordered], dtype=np.int64)[last]
 
@@ -201,7 +253,9 @@ class ProcessSource:
         if computed is None or self.found is None:
             return given
         by_law = ByLaw(process.law().numbers, np.setdiff1d(self._scaled(self.found), given.motion))
-        return replace(given.over(computed), issues=computed.issues, by_law=by_law, stock=computed.stock)
+        return replace(
+            given.over(computed), issues=(*computed.issues, *given.issues), by_law=by_law, stock=computed.stock
+        )
 
     @staticmethod
     def _scaled(found: ProcessForces) -> Ints:

@@ -169,6 +169,112 @@ def test_a_comment_before_a_tool_change_names_the_operation_after_it(tmp_path):
     }  # fmt: skip
 
 
+FRAMES = "$BASE={X 1500,Y -200,Z 700,A 0,B 0,C 0}", "$TOOL={X 0,Y 0,Z 350,A 0,B 0,C 0}", "$VEL.CP=0.02"
+DRIVES = "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}"
+
+
+def in_krl(name, y):
+    """A cut of two straight motions after a retract, under a comment."""
+    places = [f"{{X {x},Y {y},Z {z},A 180,B 0,C 180}}" for x, z in ((60, 30), (60, 0), (90, 0), (90, 30))]
+    return f"; {name}", *(f"{word} {place}" for word, place in zip(("PTP", "LIN", "LIN", "PTP"), places, strict=True))
+
+
+def in_gcode(y):
+    return f"G0 X60 Y{y} Z30", "G1 Z0 F900", "X90", "G0 Z30"
+
+
+@pytest.fixture
+def driven(tmp_path):
+    """Forces Fx by line of a program, and the messages, of a table of operations."""
+
+    def of(name, lines, table):
+        program = read(tmp_path, "\n".join((*lines, "")), name)
+        (tmp_path / "process.toml").write_text(table)
+        own = machining.by_operation(program, machining.load(tmp_path / "process.toml"))
+        return dict(zip(program.motions.line[own.motion].tolist(), own.wrench[:, 0].tolist(), strict=True)), own.issues
+
+    return of
+
+
+NAMES = ("FINISH", "Finish pass", "Finishing", "END MILL SLOT", "SECOND")
+ROUGH = "[operations.ROUGH]\nFx = 400\n"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_operation_after_a_retract_ends_the_one_before_whatever_its_name(driven, name):
+    lines = ("DEF min()", *FRAMES, DRIVES, *in_krl("ROUGH", 40), *in_krl(name, 60), "END")
+    assert driven("min.src", lines, ROUGH) == ({8: 400.0, 9: 400.0}, ())
+    lines = ("G21 G90", "(ROUGH)", "T1 M6", "S6000 M3", *in_gcode(40), f"({name})", *in_gcode(60), "M30")
+    assert driven("part.nc", lines, ROUGH) == ({6: 400.0, 7: 400.0}, ())
+
+
+@pytest.mark.parametrize("name", [*NAMES, "pass 2", ""])
+@pytest.mark.parametrize("tool", [1, 3])
+@pytest.mark.parametrize("after", [False, True])
+def test_a_tool_change_ends_an_operation_also_without_a_name_and_for_the_same_tool(driven, name, tool, after):
+    change = [f"T{tool} M6", "S6000 M3", f"({name})"]
+    change = change if after else [change[2], *change[:2]]
+    lines = ["G21 G90", "(ROUGH)", "T1 M6", "S6000 M3", *in_gcode(40), *change, *in_gcode(60), "M30"]
+    assert driven("part.nc", lines, ROUGH) == ({6: 400.0, 7: 400.0}, ())
+    own = ROUGH + "[operations.T3]\nFx = 7\n"
+    if tool == 3:
+        assert driven("part.nc", lines, own)[0] == {6: 400.0, 7: 400.0, 13: 7.0, 14: 7.0}
+    if name in NAMES:
+        assert driven("part.nc", lines, f"{ROUGH}[operations.'{name}']\nFx = -9\n")[0] == {
+            6: 400.0, 7: 400.0, 13: -9.0, 14: -9.0,
+        }  # fmt: skip
+
+
+def test_a_move_to_the_tool_changer_does_not_end_the_operation_that_is_named_before_it(driven):
+    lines = ["G21 G90", "(ROUGH)", "G0 X0 Y0 Z90", "T1 M6", "S6000 M3", *in_gcode(40), "M30"]
+    assert driven("part.nc", lines, ROUGH)[0] == {7: 400.0, 8: 400.0}
+    lines = ["G21 G90", "(ROUGH)", "T1 M6", "(SLOT)", "T2 M6", "S6000 M3", *in_gcode(40), "M30"]
+    assert driven("part.nc", lines, ROUGH)[0] == {}
+    assert driven("part.nc", lines, ROUGH + "[operations.SLOT]\nFx = 5\n")[0] == {8: 5.0, 9: 5.0}
+
+
+def test_another_tool_of_a_robot_program_ends_an_operation(driven):
+    other = "$TOOL={X 0,Y 0,Z 300,A 0,B 0,C 0}"
+    lines = ("DEF min()", *FRAMES, DRIVES, *in_krl("ROUGH", 40), other, *in_krl("pass 2", 60), "END")
+    assert driven("min.src", lines, ROUGH)[0] == {8: 400.0, 9: 400.0}
+
+
+def test_comments_within_an_operation_end_nothing_and_a_note_lists_them(driven):
+    inside = ("(finish with 0.2 mm left)", "X70", "(END CUT)", "X75", "(End mill side)", "X80", "(SLOT)", "X85")
+    lines = ("G21 G90", "(ROUGH)", "T1 M6", "S6000 M3", *in_gcode(40)[:2], *inside, "G0 Z30", "M30")
+    found, issues = driven("part.nc", lines, ROUGH)
+    assert found == dict.fromkeys((6, 8, 10, 12, 14), 400.0)
+    assert [(issue.level, issue.source_line, issue.count) for issue in issues] == [("info", 7, 3)]
+    listed = "'finish with 0.2 mm left' (line 7), 'End mill side' (line 11), 'SLOT' (line 13)"
+    assert f"goes on after the comment {listed}" in issues[0].message
+    lines = ("G21 G90", "(ROUGH)", "T1 M6", "S6000 M3", *in_gcode(40), "(pass 2)", *in_gcode(60), "M30")
+    found, issues = driven("part.nc", lines, ROUGH)
+    assert found == dict.fromkeys((6, 7, 11, 12), 400.0)
+    assert "after the comment 'pass 2' (line 9)" in issues[0].message
+    assert driven("part.nc", lines, "[operations.T1]\nFx = 5\n") == (dict.fromkeys((6, 7, 11, 12), 5.0), ())
+
+
+def test_a_force_by_hand_replaces_computed_ones_in_its_operation_only(tmp_path):
+    cut = "G0 X-10 Y0 Z5", "G1 Z-3 F2400", "X30", "G0 Z5"
+    last = "G0 X-10 Y20 Z5", "G1 Z-3 F2400", "X30", "G0 Z5"
+    text = gcode("(DRILL1)", "T1 M6", "S6000 M3", *cut, "(FINISH)", "T3 M6", "S6000 M3", *last)
+    program = read(tmp_path, text)
+    two = process(tool(10, 4), BOX, 0.5) + f"[tools.3]\n{tool(10, 4, 'ball')}"
+    place = RobotInCell.of(ROBOT, CELL)
+    path = toolpath.segments(program, place.start_flange)
+    found = []
+    for table in (two, two + "[operations.DRILL1]\nFz = 500\n"):
+        (tmp_path / "process.toml").write_text(table)
+        found.append(machining.ProcessSource(machining.load(tmp_path / "process.toml"), place.spindle))
+    computed, given = (source.along(program, path) for source in found)
+    own = program.motions.line[given.motion] < text.splitlines().index("(FINISH)") + 1
+    np.testing.assert_array_equal(given.wrench[own], [[0, 0, 500, 0, 0, 0]] * 2)
+    rest = program.motions.line[computed.motion] > text.splitlines().index("(FINISH)")
+    np.testing.assert_array_equal(given.wrench[~own], computed.wrench[rest])
+    assert np.abs(computed.wrench[rest]).max() > 100.0
+    assert given.by_law.motion.tolist() == np.unique(computed.motion[rest]).tolist()
+
+
 def test_an_operation_that_is_not_there(tmp_path):
     program = read(tmp_path, gcode("(2D Pocket1)", *WAYS, "(Contour 2)", *WAYS))
     (tmp_path / "process.toml").write_text('[operations."2D pocket"]\nFx = -110\n')
