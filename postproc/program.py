@@ -451,10 +451,18 @@ class Needed(Struct, frozen=True):
 
     :param path: of the file.
     :param moves: True if the routine called there moves the robot.
+    :param uncorrected: True if the file has motions.
+    :param program: name of a program with motions to which a data file belongs, which is not written for its GLOBAL
+        variables alone; empty: the file is written.
+    :param variables: names of the variables that the program takes from there, if `program` is given; empty if a
+        data list imports some.
     """
 
     path: str
     moves: bool
+    uncorrected: bool = False
+    program: str = ""
+    variables: tuple[str, ...] = ()
 
 
 class Unfollowed(Struct, frozen=True, eq=False):

@@ -133,7 +133,7 @@ def test_programs_of_one_folder_share_them(jobs):
     needs("two")
     Path("in/more.SRC").write_bytes(MORE.replace(b"1500", b"1501"))
     told = run("convert", "in/two.src", "-o", "out", code=1).stderr
-    assert "out/more.SRC: this file was written for one, which calls it too, and stays as it is for two" in told
+    assert "out/more.SRC: this file was written for one, which needs it too, and stays as it is for two" in told
     run("convert", "in/one.src", "in/two.src", "-o", "out", "--jobs", jobs)
     assert names() - {f"two.{kind}.old" for kind in ("src", "report.json", "report.html", "targets.csv")} == {
         *("one.src", "two.src"),  # which failed in between
@@ -243,3 +243,86 @@ def test_a_global_point_that_only_a_subprogram_names_is_known(through):
     assert Path("out/points.dat").read_text() == POINTS
     rows = Path("out/one.targets.csv").read_text().splitlines()
     assert ["50.000000", "0.000000", "30.000000"] in [row.split(",")[4:7] for row in rows]
+
+
+HELD = "$BASE={X 1500,Y -200,Z 700,A 0,B 0,C 0}\n$TOOL={X 0,Y 0,Z 350,A 0,B 0,C 0}\n$VEL.CP=0.02\n"
+JOINTS = "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}\n"
+CUT = ";FORCE FX=-100 FY=50 FZ=80\nLIN XP1\n"
+THERE = "{X 60,Y 40,Z 0,A 180,B 0,C 180}"
+
+
+def another() -> None:
+    """A program of its own, whose GLOBAL point others may use."""
+    Path("in/a.src").write_text(f"DEF a( )\n{HELD}{JOINTS}{CUT}LIN PA\nEND\n")
+    Path("in/a.dat").write_text(
+        "DEFDAT a PUBLIC\nDECL GLOBAL E6POS XP1={X 160,Y 40,Z 0,A 180,B 0,C 180}\nDECL GLOBAL REAL X=1.0\n"
+        "DECL GLOBAL INT MODE=1\nDECL POS PA={X 150,Y 40,Z 0,A 180,B 0,C 180}\nENDDAT\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "data"),
+    [
+        (f"DEF b( )\n{HELD}{JOINTS}{CUT}END\n", f"DEFDAT b\nDECL E6POS XP1={THERE}\nENDDAT\n"),
+        (f"DEF b( )\nDECL E6POS XP1\n{HELD}{JOINTS}XP1={THERE}\n{CUT}END\n", ""),
+        (f"DEF b( )\n{HELD}{JOINTS}{CUT.replace('XP1', THERE)}END\n", ""),  # X of a position is not that variable
+        (f"DEF b( )\n{HELD}$ORI_TYPE=#VAR\n{JOINTS}{CUT.replace('XP1', THERE)}$ADVANCE=3 ;XP1 a( )\nEND\n", ""),
+        (f"DEF b( )\n{HELD}{JOINTS}{CUT.replace('XP1', THERE)}a( )\nEND\nDEF a( )\nEND\n", ""),
+    ],
+)
+def test_names_of_its_own_need_nothing_of_the_program_that_has_global_ones(text, data):
+    another()
+    Path("in/b.src").write_text(text)
+    if data:
+        Path("in/b.dat").write_text(data)
+    done = run("convert", "in/b.src", "-o", "out")
+    assert names() == {"b.src", *(["b.dat"] if data else [])}
+    assert "a.src" not in done.output
+    assert "a.dat" not in done.output
+    run("convert", "in/a.src", "-o", "out")
+    corrected = {name: Path("out", name).read_bytes() for name in ("a.src", "a.dat")}
+    run("convert", "in/b.src", "-o", "out")
+    assert {name: Path("out", name).read_bytes() for name in corrected} == corrected
+
+
+def test_a_local_point_does_not_begin_with_the_value_of_a_global_one():
+    another()
+    Path("in/b.src").write_text(f"DEF b( )\nDECL E6POS XP1\n{HELD}{JOINTS}XP1.X=70\n{CUT}END\n")
+    told = run("convert", "in/b.src", "-o", "out", code=1).stderr
+    assert "b.src:9: the target is not known: XP1" in told
+
+
+def test_the_routine_of_a_called_file_hides_a_program_of_its_name():
+    another()
+    Path("in/sub.src").write_text(f"DEF sub( )\na( )\nLIN {THERE}\nEND\nDEF a( )\n$VEL.CP=0.02\nEND\n")
+    Path("in/b.src").write_text(f"DEF b( )\n{HELD}{JOINTS};FORCE FX=-100 FY=50 FZ=80\nsub( )\nEND\n")
+    run("convert", "in/b.src", "-o", "out")
+    assert names() == {"b.src", "sub.src"}
+
+
+def test_the_points_of_another_program_are_not_written_next_to_one_that_uses_a_global_one_of_them():
+    another()
+    Path("in/b.src").write_text(f"DEF b( )\n{HELD}{JOINTS}{CUT}PTP XP1\nEND\n")
+    done = run("convert", "in/b.src", "-o", "out")
+    assert names() == {"b.src"}
+    warning = "a.dat, from which b takes XP1, is not written: it belongs to a.src, which moves the robot"
+    assert warning in done.output
+    assert warning in Path("out/b.report.html").read_text()
+    run("convert", "in/a.src", "-o", "out")
+    corrected = {name: Path("out", name).read_bytes() for name in ("a.src", "a.dat")}
+    assert b"XP1={X 160,Y 40,Z 0" in corrected["a.dat"]  # GLOBAL points are not corrected in place
+    assert corrected["a.dat"] != Path("in/a.dat").read_bytes()
+    done = run("convert", "in/b.src", "-o", "out")
+    assert "is not written" not in done.output
+    assert {name: Path("out", name).read_bytes() for name in corrected} == corrected
+    assert "unchanged since" in run("predict", "out/b.src", "-o", "told").output
+
+
+def test_a_file_with_motions_that_only_the_controller_needs_is_named_as_uncorrected():
+    another()
+    Path("in/b.src").write_text(f"DEF b( )\n{HELD}{JOINTS}{CUT.replace('XP1', THERE)}END\nDEF never( )\na( )\nEND\n")
+    done = run("convert", "in/b.src", "-o", "out")
+    assert names() == {"b.src", "a.src", "a.dat"}
+    warning = "a.src is written uncorrected, as it was read, and has motions"
+    assert warning in done.output
+    assert warning in Path("out/b.report.html").read_text()

@@ -83,7 +83,7 @@ def test_a_subprogram_that_cannot_have_another_name_is_not_replaced(more, sub, t
     run("convert", "one.src", "-o", "out")
     before = {path.name: path.read_bytes() for path in Path("out").iterdir()}
     told = run("convert", "two.src", "-o", "out", *more, code=1).stderr
-    assert "out/sub.src: this file was written for one, which calls it too, and is corrected differently" in told
+    assert "out/sub.src: this file was written for one, which needs it too, and is corrected differently" in told
     assert "another folder with -o" in told
     assert {path.name: path.read_bytes() for path in Path("out").iterdir()} == before
 

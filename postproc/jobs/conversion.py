@@ -19,7 +19,7 @@ from postproc.dialects import registry
 from postproc.errors import InputError, Issue, PostprocError, ProgramError, SubprogramError
 from postproc.forces import ForceSource
 from postproc.frames import M_PER_MM, Array
-from postproc.jobs.output_plan import Task, differing, needed_copies, with_own_copies
+from postproc.jobs.output_plan import Task, differing, needed_copies, needed_warnings, with_own_copies
 from postproc.jobs.programs import EXCEEDED, FAILED, GOOD, PROCESS, Job, Outcome, Settings, find_jobs, read_documents
 from postproc.placement.turning import chosen_start
 from postproc.program import Document, Motions, Program
@@ -411,7 +411,8 @@ def _with_subprograms(
         copies = needed_copies(task, result.program.needed, [*texts, *own_names.values()])
         others = differing(task, texts | copies if job.keeps_text else copies, called, copies, read)
         if not others:
-            return written, called, copies
+            warnings = needed_warnings(task, result.program.needed, copies, texts | copies)
+            return replace(written, issues=(*written.issues, *warnings)), called, copies
         documents, more = with_own_copies(task, result.documents, others, called, copies)
         _check_same_motions(result, documents, robot, cell)
         own_names |= {new: own_names.get(old, old) for new, old in more.items()}

@@ -14,7 +14,7 @@ program it is written under a name of its own, and that program calls this copy.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path, PurePath
 
@@ -27,7 +27,7 @@ from postproc.correction import Mode
 from postproc.dialects import registry
 from postproc.dialects.dialect import Calling
 from postproc.dialects.text import decode
-from postproc.errors import InputError, PostprocError, ProgramError
+from postproc.errors import InputError, Issue, PostprocError, ProgramError
 from postproc.files import foreign, foreign_single, listed, noted, recorded, refuse
 from postproc.jobs.programs import FAILED, Job, Outcome, Settings, read_documents
 from postproc.program import Document, Needed
@@ -85,7 +85,7 @@ def needed_copies(task: Task, needed: Sequence[Needed], written: Collection[str]
     found: dict[str, bytes] = {}
     for each in needed:
         path = Path(each.path)
-        if path.name.lower() in taken or path.stem.lower() in task.names:
+        if each.program or path.name.lower() in taken or path.stem.lower() in task.names:
             continue
         if path.parent.resolve() == job.output.resolve():
             continue
@@ -93,6 +93,39 @@ def needed_copies(task: Task, needed: Sequence[Needed], written: Collection[str]
         if each.moves or not _corrected_from(task, group):
             found[path.name] = path.read_bytes()
     return found
+
+
+def needed_warnings(
+    task: Task, needed: Sequence[Needed], copies: Collection[str], contents: Mapping[str, bytes]
+) -> Iterator[Issue]:
+    """Yield warnings of files that a program needs: those with uncorrected motions, and those that are not written.
+
+    :param copies: names of the files that are written unchanged.
+    :param contents: all files that are written: name → content.
+    """
+    job = task.job
+    for each in needed:
+        path = Path(each.path)
+        if each.uncorrected and path.name in copies:
+            message = (
+                f"{path.name} is written uncorrected, as it was read, and has motions. Do not load it over a corrected "
+                "one."
+            )
+            yield Issue("warning", "uncorrected-file", message, subject=path.name)
+        there = path.stem.lower() in task.names or (job.output / path.name).exists()
+        if each.program and not there and _named(each.variables, contents):
+            names = ", ".join(each.variables) or "variables"
+            message = (
+                f"{path.name}, from which {job.stem} takes {names}, is not written: it belongs to {each.program}, "
+                "which moves the robot. The controller needs both: load them too, corrected or not."
+            )
+            yield Issue("warning", "data-not-written", message, subject=path.name)
+
+
+def _named(names: Sequence[str], contents: Mapping[str, bytes]) -> bool:
+    """Return whether files may name one of some variables; True if none is given."""
+    text = b"\n".join(contents.values()).upper()
+    return not names or any(name.upper().encode() in text for name in names)
 
 
 def _corrected_from(task: Task, paths: Sequence[Path]) -> bool:
@@ -173,7 +206,7 @@ def with_own_copies(
     name, other = next(iter(others.items()))
     how = "stays as it is" if name in copied else "is corrected differently"
     raise InputError(
-        f"this file was written for {other}, which calls it too, and {how} for {job.stem}",
+        f"this file was written for {other}, which needs it too, and {how} for {job.stem}",
         file=str(job.output / name),
         advice="Nothing was written. Write this program into another folder with -o, or give each of the programs "
         f"a {name} of its own.",

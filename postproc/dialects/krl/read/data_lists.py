@@ -121,12 +121,15 @@ def _noted(variables: Variables, one: Declared, *, fill: bool = False) -> str:
     return f"{name}[{','.join(str(int(index)) for index in indices)}]"
 
 
-def read_shared(variables: Variables, code: str, own: Collection[str], files: FolderFiles) -> None:
+def read_shared(
+    variables: Variables, code: str, own: Collection[str], files: FolderFiles, local: Set[str] = frozenset()
+) -> None:
     """Take GLOBAL variables that a program uses from other `.dat` files; not those that several of them declare.
 
     :param code: all code of the program that may contain names, called routines included.
     :param own: names of its files.
     :param files: where to look.
+    :param local: names that the main routine declares: they hide GLOBAL ones.
     """
     mine = {name.upper() for name in own}
     others = [path for name, path in files.paths.items() if name.endswith(".DAT") and name not in mine]
@@ -136,7 +139,7 @@ def read_shared(variables: Variables, code: str, own: Collection[str], files: Fo
     times = Counter(name for names in declared.values() for name in names)
     used = set().union(*(NAME.findall(reached) for reached in files.reached(code)))
     known = ({name.upper() for name in used} | set(variables.types.values())) - variables.types.keys()
-    wanted = {name for name in known if times[name] == 1}
+    wanted = {name for name in known - local if times[name] == 1}
     for path, names in declared.items():
         if not wanted.isdisjoint(names):
             with suppress(ProgramError):  # they have no values then, and a motion that needs one says so

@@ -2,24 +2,27 @@
 
 A controller knows a module as a whole: a name that is nowhere stops it, even in a routine that is not called. Files of
 the controller's own (``$config.dat``), submit programs, and the folders that the cell names, which belong to the
-controller too, are not copied.
+controller too, are not copied. Nor is a `.dat` of which only GLOBAL variables are used, if its `.src` moves the robot:
+it would replace the corrected points of that program on the controller. Correction changes no GLOBAL point.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence, Set
 from contextlib import suppress
 from functools import cache, cached_property, lru_cache
 from pathlib import Path, PurePath
 
 import numpy as np
+from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc.dialects.krl.language import scan
+from postproc.dialects.krl.language.declarations import declared_names
 from postproc.dialects.krl.language.names import PURE, RESERVED, STANDARD
 from postproc.dialects.krl.language.routines import Module, Routine, routines
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.tokens import NAME
+from postproc.dialects.krl.language.tokens import occurrences
 from postproc.dialects.krl.read import plain_lines
 from postproc.dialects.text import decode
 from postproc.errors import ProgramError, together
@@ -59,9 +62,12 @@ class FolderFiles:
                 found.setdefault(name, path)
         return found
 
-    def called(self, code: str) -> set[Path]:
-        """Return the `.src` files that code without comments may call."""
-        paths = {name: self.paths.get(f"{name}.SRC") for name in scan.called(code) - _OF_THE_CONTROLLER}
+    def called(self, code: str, own: Set[str] = frozenset()) -> set[Path]:
+        """Return the `.src` files that code without comments may call.
+
+        :param own: names, upper case, of the other routines of its file: they come first.
+        """
+        paths = {name: self.paths.get(f"{name}.SRC") for name in scan.called(code) - own - _OF_THE_CONTROLLER}
         found = {self._public.get(name) if path is None else path for name, path in paths.items()}
         return {path for path in found if path is not None}
 
@@ -263,7 +269,7 @@ def module_of(source: Source, data: Source | None = None) -> Module:
 
 
 def needed(
-    documents: Sequence[Document], code: Sequence[str], files: FolderFiles, moving: Collection[str]
+    documents: Sequence[Document], code: Sequence[Code], files: FolderFiles, moving: Collection[str]
 ) -> tuple[Needed, ...]:
     """Return the files that a program needs from its folder, sorted by name.
 
@@ -282,16 +288,11 @@ def needed(
         return ()
     links = _Links(siblings, files)
     data = (document.text for document in documents if PurePath(document.name).suffix.upper() == ".DAT")
-    found = set().union(*map(links.of_code, code), *map(links.of_data, data))
-    new = sorted(found)
-    while new:
-        name = new.pop()
-        with suppress(ProgramError):  # it is needed all the same
-            text = files.source(siblings[name]).text
-            more = (links.of_data(text) if name.endswith(".DAT") else links.of_code(text)) - found
-            found |= more
-            new += sorted(more)
-    return tuple(Needed(str(siblings[name]), moves=name in moving) for name in sorted(found))
+    for one in code:
+        links.follow(one)
+    for text in data:
+        links.follow_data(text)
+    return tuple(links.needed(name, moving) for name in sorted(links.called | links.used))
 
 
 def code_of(source: Source, lines: Iterable[int]) -> str:
@@ -299,29 +300,106 @@ def code_of(source: Source, lines: Iterable[int]) -> str:
     return "\n".join(source.text[source.starts[line - 1] : source.stops[line - 1]] for line in lines)
 
 
+class Code(Struct, frozen=True):
+    """The code of a routine.
+
+    :param text: its lines.
+    :param names: names of variables, upper case, that it or the `.dat` of its file declares: they hide GLOBAL ones.
+    :param routines: names, upper case, of the routines of its file: they hide those of other files.
+    """
+
+    text: str
+    names: frozenset[str]
+    routines: frozenset[str]
+
+
+def codes_of(module: Module) -> Iterator[Code]:
+    """Yield the code of the routines of a file."""
+    own = frozenset() if module.data is None else frozenset().union(*declared_names(module.data))
+    routines_ = frozenset(module.routines)
+    for routine in module.routines.values():
+        yield Code(code_of(routine.source, routine.others), own | routine.local, routines_)
+
+
 class _Links:
-    """Says which files a text names."""
+    """Finds the files that code names, one through the other.
+
+    :ivar called: names, upper case, of files with called routines, and of the data lists of these.
+    :ivar used: names of data lists of which variables are used.
+    :ivar imported: those of these from which data lists import variables.
+    :ivar named: names of the GLOBAL variables that code names.
+    """
 
     def __init__(self, siblings: dict[str, Path], files: FolderFiles) -> None:
         self.siblings, self.files = siblings, files
+        self.called: set[str] = set()
+        self.used: set[str] = set()
+        self.named: set[str] = set()
+        self.imported: set[str] = set()
         self.variables: dict[str, set[str]] = {}
         for name, path in siblings.items():
             for own in files.declared(path, scan.global_variables) if name.endswith(".DAT") else ():
                 self.variables.setdefault(own, set()).add(name)
 
-    def of_code(self, text: str) -> set[str]:
-        """Return the names of the files that code names, and of those that belong to them."""
-        code = scan.without_comments(text)
-        stems = {path.stem.upper() for path in self.files.called(code)}
+    def follow(self, code: Code) -> None:
+        """Note the files that code names."""
+        text = scan.without_comments(code.text)
+        for path in sorted(self.files.called(text, code.routines)):
+            name = f"{path.stem.upper()}.SRC"
+            if name in self.siblings and name not in self.called:
+                self.called.add(name)
+                self._follow_file(name)
         if self.variables:
-            used = {name.upper() for name in NAME.findall(code)} & self.variables.keys()
-            stems |= {PurePath(file).stem for name in used for file in self.variables[name]}
-        return set(self._files(stems))
+            names = {one.name for one in occurrences(text, 0, len(text))}
+            named = (names & self.variables.keys()) - code.names
+            self.named |= named
+            for name in sorted(named):
+                self._use(self.variables[name])
 
-    def of_data(self, text: str) -> set[str]:
-        """Return the names of the files from which a data list takes variables, and of those that belong to them."""
-        return set(self._files(scan.imported(text)))
+    def follow_data(self, text: str) -> None:
+        """Note the files from which a data list takes variables."""
+        found = {name for stem in scan.imported(text) if (name := f"{stem}.DAT") in self.siblings}
+        self.imported |= found
+        self._use(found)
 
-    def _files(self, stems: Collection[str]) -> Iterator[str]:
-        for stem in stems:
-            yield from (name for name in (f"{stem}.SRC", f"{stem}.DAT") if name in self.siblings)
+    def needed(self, name: str, moving: Collection[str]) -> Needed:
+        """Return a file that was found, as the program needs it."""
+        path, source = self.siblings[name], self.siblings.get(f"{PurePath(name).stem}.SRC")
+        if name in self.called:
+            uncorrected = name.endswith(".SRC") and scan.moves(scan.without_comments(self._text(path)))
+            return Needed(str(path), moves=name in moving, uncorrected=uncorrected)
+        if source is None or not self._moves(source):
+            return Needed(str(path), moves=False)
+        variables = tuple(sorted(own for own in self.named if name in self.variables[own]))
+        variables = () if name in self.imported else variables
+        return Needed(str(path), moves=False, program=source.name, variables=variables)
+
+    def _use(self, names: Collection[str]) -> None:
+        for name in sorted(set(names) - self.used):
+            self.used.add(name)
+            self.follow_data(self._text(self.siblings[name]))
+
+    def _follow_file(self, name: str) -> None:
+        data = self.siblings.get(f"{PurePath(name).stem}.DAT")
+        if data is not None:
+            self.called.add(data.name.upper())
+            self.follow_data(self._text(data))
+        try:
+            module = module_of(
+                self.files.source(self.siblings[name]), None if data is None else self.files.source(data)
+            )
+        except ProgramError:  # it is needed all the same
+            self.follow(Code(self._text(self.siblings[name]), frozenset(), frozenset()))
+            return
+        for code in codes_of(module):
+            self.follow(code)
+
+    def _moves(self, path: Path) -> bool:
+        """Return whether a file moves the robot, or one that it calls."""
+        return any(map(scan.moves, self.files.reached(self._text(path))))
+
+    def _text(self, path: Path) -> str:
+        try:
+            return self.files.source(path).text
+        except ProgramError:  # it is needed all the same
+            return ""

@@ -24,7 +24,7 @@ from postproc.dialects.krl.read.branches import BranchError, branching, check_jo
 from postproc.dialects.krl.read.comments import notes_of, remarks
 from postproc.dialects.krl.read.data_lists import read_data, read_shared
 from postproc.dialects.krl.read.endless_loops import check_round, starts
-from postproc.dialects.krl.read.folder import FolderFiles, Library, code_of, needed
+from postproc.dialects.krl.read.folder import FolderFiles, Library, code_of, codes_of, needed
 from postproc.dialects.krl.read.frames import out_of_reach
 from postproc.dialects.krl.read.issues import issues_of, refuse_loaded, refuse_noted, unfollowed
 from postproc.dialects.krl.read.known import InexactError
@@ -183,8 +183,7 @@ class _Reading(Struct, frozen=True, eq=False):
         documents = *own, *course.files
         files = {document.name for document in course.files}
         others = (module for module in library.read() if module.source.document.name in files)
-        routines_ = (routine for module in others for routine in module.routines.values())
-        code = [self.code, *(code_of(routine.source, routine.others) for routine in routines_)]
+        code = [code for module in (self._with_data(library.program), *others) for code in codes_of(module)]
         moving = {m.source.document.name.upper() for m, r in library.found() if main.run.analysis.of(m, r).motion}
         return Program(
             self.name,
@@ -207,6 +206,11 @@ class _Reading(Struct, frozen=True, eq=False):
             layout=replace(layout, notes=tuple(line for line, _ in notes)),
         )
 
+    def _with_data(self, program: Module) -> Module:
+        """Return the file of the program with its `.dat`."""
+        data = [document for document in self.documents[1:] if _belongs(document, self.documents[0])]
+        return replace(program, data=Source.of(data[0], 1)) if data else program
+
     def _variables(self) -> Variables:
         """Return the variables with the values that they have first."""
         variables = Variables(self.cell)
@@ -217,7 +221,7 @@ class _Reading(Struct, frozen=True, eq=False):
             read_data(variables, _config(self.cell, self.cell.config_dat), fill=True, shared=True)
         program = self.documents[0]
         own = [program.name, *(document.name for document in self.documents if _belongs(document, program))]
-        read_shared(variables, self.code, own, self.library.files)
+        read_shared(variables, self.code, own, self.library.files, self.entry.local)
         variables.take_given()
         return variables
 
