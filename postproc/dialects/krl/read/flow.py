@@ -557,7 +557,7 @@ class Flow:
     def _endless(self, source: Source, block: Block, trace: Trace | None) -> None:
         """Follow one iteration of a LOOP without EXIT; nothing after it is reached.
 
-        `endless_loops` checks later that the iteration ends in the pose and with the settings with which it began.
+        `joins` checks later that the iteration ends in the pose and with the settings with which it began.
 
         :raises InexactError: it is in another loop, a branch or a called routine, or an iteration changes a variable
             that the next one may use.

@@ -20,13 +20,19 @@ from postproc.dialects.krl.course import Occasion
 from postproc.dialects.krl.language.positions import FARTHEST
 from postproc.dialects.krl.language.routines import Module, Routine, routines
 from postproc.dialects.krl.language.source import Place, Source
-from postproc.dialects.krl.read.branches import BranchError, branching, check_joins, free_joins
 from postproc.dialects.krl.read.comments import notes_of, remarks
 from postproc.dialects.krl.read.data_lists import read_data, read_shared
-from postproc.dialects.krl.read.endless_loops import check_round, starts
 from postproc.dialects.krl.read.folder import FolderFiles, Library, code_of, codes_of, needed
 from postproc.dialects.krl.read.frames import out_of_reach
 from postproc.dialects.krl.read.issues import issues_of, refuse_loaded, refuse_noted, unfollowed
+from postproc.dialects.krl.read.joins import (
+    BranchError,
+    branching,
+    check_joins,
+    check_round,
+    free_joins,
+    starts,
+)
 from postproc.dialects.krl.read.known import InexactError
 from postproc.dialects.krl.read.main_routine import MainRoutine, course_of
 from postproc.dialects.krl.read.motion_columns import MotionColumns, merged

@@ -1,4 +1,8 @@
-"""Branches not known before run time: each is corrected from the fork to the control-flow join."""
+"""Where paths meet: branches not known before run time at their join, a LOOP without EXIT at its start.
+
+Each branch is corrected from the fork to the join, and the loop as one round that repeats. All that leads to one
+motion must end in the same pose; a round must end in the state in which it began, too.
+"""
 
 from __future__ import annotations
 
@@ -7,26 +11,28 @@ from typing import NamedTuple
 
 import numpy as np
 
-from postproc.dialects.krl.course import Branch, Course, Fork, Join, Occasion
+from postproc.dialects.krl.course import Branch, Course, Fork, Join, Occasion, Repeated
 from postproc.dialects.krl.layout import CONSTANT
-from postproc.dialects.krl.read.motions import OrderedMotions
+from postproc.dialects.krl.read.motions import OrderedMotions, settings_at
+from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.unresolved import needs_start
-from postproc.errors import ProgramError
+from postproc.errors import Issue, ProgramError
 from postproc.frames import Array, inverse
-from postproc.program import PTP, SPL, Carriage, Ints, Motions
+from postproc.program import PTP, SPL, Carriage, ForceNote, Ints, Motions, Starts
 
 _APART = 1e-6
-"""Branches whose ends differ by less [m, rad] end in one pose."""
-_ADVICE = (
+"""Poses that differ by less [m, rad] count as equal."""
+_BRANCH_ADVICE = (
     "Branches whose condition is not known are corrected if they meet in one pose. Let them, say in "
     "[krl.values] of the cell what the condition asks, or leave them as they are by --keep-unresolved."
 )
-
-
 _WHOLE = (
     "Begin there with a LIN to all of X, Y, Z, A, B, C under $ORI_TYPE=#VAR, or leave the branches as they are by "
     "--keep-unresolved."
 )
+_LOOP_ADVICE = "Begin and end each round of the LOOP in one pose, for example with a PTP to all of A1 … A6."
+_SETTING_ADVICE = "Set before the LOOP what its rounds set."
+_FORCE_ADVICE = "Write a force comment before the first motion of the LOOP."
 
 
 class BranchError(ProgramError):
@@ -108,9 +114,9 @@ def branching(
             ends = [*ends, now, *([] if step.complete else [entry])]
             rows = slice(*np.searchsorted(line, [fork, step.line], side="right"))
             if any(fork < inside <= step.line for inside in kept):
-                faults.append(_error(course, forks, fork, "an uncorrected motion is inside a branch"))
+                faults.append(_branch_error(course, forks, fork, "an uncorrected motion is inside a branch"))
             elif step not in free and (ordered.rows.kind[rows] == PTP).any():
-                faults.append(_error(course, forks, fork, "PTP is inside a branch"))
+                faults.append(_branch_error(course, forks, fork, "PTP is inside a branch"))
             if step not in free:
                 joins.append(JoinedEnds(fork, tuple(sorted(set(ends)))))
             now = min(ends)
@@ -119,7 +125,7 @@ def branching(
     for row in np.flatnonzero(out != np.arange(count) - 1).tolist():
         if out[row] != row and needs_start(ordered, row, arcs=False):
             problem = f"{_why(ordered, row)} where branches begin or meet"
-            faults.append(_error(course, forks, int(fork_of[row]), problem, _WHOLE))
+            faults.append(_branch_error(course, forks, int(fork_of[row]), problem, _WHOLE))
     _raise(faults)
     return out, joins
 
@@ -147,11 +153,11 @@ def check_joins(
             for row in ends
         ]
         if any(np.abs(flange - flanges[0]).max() > _APART for flange in flanges[1:]):
-            faults.append(_error(course, forks, fork, "the branches end in different places"))
+            faults.append(_branch_error(course, forks, fork, "the branches end in different places"))
         elif carriage is not None:
             places = np.append(carriage.end, carriage.begin[0])[list(ends)]  # −1: the start
             if np.ptp(places) > _APART:
-                faults.append(_error(course, forks, fork, "E1 differs between the ends of the branches"))
+                faults.append(_branch_error(course, forks, fork, "E1 differs between the ends of the branches"))
     _raise(faults)
 
 
@@ -185,11 +191,100 @@ def _why(ordered: OrderedMotions, row: int) -> str:
     return "components are missing"
 
 
-def _error(
-    course: Course, forks: Mapping[int, set[Occasion]], fork: int, problem: str, advice: str = _ADVICE
+def _branch_error(
+    course: Course, forks: Mapping[int, set[Occasion]], fork: int, problem: str, advice: str = _BRANCH_ADVICE
 ) -> BranchError:
     source = course.source
     base = source.line_error(f"motion in branches whose condition is not known: {problem}", fork, advice)
     error = BranchError(base.problem, file=base.file, line=base.line, text=base.text, advice=base.advice)
     error.occasions = frozenset(forks[fork])
     return error
+
+
+def check_round(
+    course: Course,
+    line: Ints,
+    motions: Motions,
+    start: Starts,
+    carriage: Carriage | None,
+    notes: Sequence[tuple[int, ForceNote]],
+    settings: Settings,
+) -> tuple[list[Issue], tuple[tuple[int, ...], ...]]:
+    """Return the issues about the LOOP without EXIT at the end of a program, and the motions before its iterations.
+
+    The latter are the motion before the loop (−1: the start) and its last; both are empty if there is no such loop.
+
+    :param line: (M,) lines of the motions in the trace.
+    :param start: start poses of the motions, and one more after the last: the first motion of the second iteration.
+    :param carriage: the linear axis that carries the robot.
+    :param notes: force comments by lines of the trace.
+    :param settings: settings in force, by line.
+    :raises ProgramError: an iteration ends in another pose, with other settings or under another force than it began.
+    """
+    loop = course.endless
+    if loop is None:
+        return [], ()
+    first, beyond = np.searchsorted(line, [loop.first, loop.last]).tolist()
+    if first < beyond:
+        problem = _moved(first, beyond - 1, motions, start, carriage)
+        if problem:
+            raise _loop_error(course, loop, f"its round ends {problem}", _LOOP_ADVICE)
+        before, behind = settings_at(settings, np.array([loop.first, loop.last]))
+        if before[0] != behind[0] or not all(np.array_equal(a, b) for a, b in zip(before[1:], behind[1:], strict=True)):
+            raise _loop_error(course, loop, "leaves other frames, speeds or modes than it begins with", _SETTING_ADVICE)
+        _check_force(course, loop, int(line[first]), notes)
+    message = "LOOP has no EXIT: one round is corrected, and is what all rounds do. What follows it is never reached."
+    issues = [Issue("info", "endless-loop", message, _line(course, loop))]
+    return issues, (((first - 1, beyond - 1),) if first < beyond and np.isnan(motions.joints[first, 0]) else ())
+
+
+def _moved(first: int, last: int, motions: Motions, start: Starts, carriage: Carriage | None) -> str:
+    """Return how the end of an iteration differs from its begin, as text; empty if it does not."""
+    if carriage is not None and abs(carriage.end[last] - carriage.begin[first]) > _APART:
+        return "with E1 elsewhere than it began"
+    if not np.isnan(motions.joints[first, 0]):
+        return ""  # it leads to joint angles, from wherever it starts
+    begin, again = start.at(np.array([first, len(motions)]))
+    if np.abs(again[:3] - begin[:3]).max() < _APART:
+        return ""
+    away = 1e3 * float(np.linalg.norm(again[:3, 3] - begin[:3, 3]))
+    return f"{away:.3f} mm from where it began" if away > 1e3 * _APART else "in another orientation than it began"
+
+
+def starts(
+    course: Course, line: Ints, motions: Motions, frames: tuple[Array, Array], flange: Array, after: Ints | None
+) -> Starts:
+    """Return the start poses of motions, and one more: the first motion of an endless loop in its second iteration.
+
+    :param frames: `$BASE` in the robot root and `$TOOL` in the flange frame, by the rows of motions.
+    :param flange: (4, 4) in the root where the program starts.
+    """
+    loop, count = course.endless, len(motions)
+    first, beyond = np.searchsorted(line, [loop.first, loop.last]).tolist() if loop is not None else (0, count)
+    row = np.append(np.arange(count), min(first, count - 1))  # of a loop of which no motion is corrected, any
+    before = np.append(np.arange(count) - 1 if after is None else after, beyond - 1)
+    return Starts.of(
+        (motions.base[row], motions.tool[row], *frames), lambda at: motions.target[row[at]], flange, before
+    )
+
+
+def _check_force(course: Course, loop: Repeated, line: int, notes: Sequence[tuple[int, ForceNote]]) -> None:
+    """Refuse a loop whose first motion has another force in the second iteration.
+
+    :param line: of its first motion.
+    """
+    if any(loop.first <= at <= line for at, _ in notes):
+        return
+    held = [[note for at, note in notes if at < until][-1:] for until in (loop.first, loop.last)]
+    begin, end = ([(note.wrench, note.frame) for note in some if any(note.wrench)] for some in held)
+    if begin != end:
+        raise _loop_error(course, loop, "its round ends under another force than it began with", _FORCE_ADVICE)
+
+
+def _line(course: Course, loop: Repeated) -> int:
+    """Return the line of a LOOP in its file, which precedes its body."""
+    return course.source.origin(loop.first).line - 1
+
+
+def _loop_error(course: Course, loop: Repeated, problem: str, advice: str) -> ProgramError:
+    return course.main.source.line_error(f"LOOP never ends, and {problem}", _line(course, loop), advice)
