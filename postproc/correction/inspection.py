@@ -21,7 +21,7 @@ from postproc.correction.result import Mode
 from postproc.correction.targets import Commands
 from postproc.dialects import registry
 from postproc.errors import Issue
-from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, any_column, norm, xyzabc_from_pose
+from postproc.frames import M_PER_MM, MM_PER_M, RAD_PER_DEG, Array, any_column, norm, xyzabc_from_pose
 from postproc.program import CIRC, LIN, PTP, SPL, Bools, Ints, Program, distinct
 from postproc.robot import JOINTS
 from postproc.toolpath import Toolpath
@@ -311,6 +311,29 @@ def of_tools(program: Program, cell: Cell) -> list[Issue]:
         'lines. Give [gcode] tool_change = ["…"], or tool_change = [] if the tool is changed by hand, without a line.'
     )
     return [Issue("error", "tool-change", message, second.line)]
+
+
+_SAME_LENGTH = 1e-4
+"""Tips of tools that are less [m] apart count as one."""
+
+
+def of_holder(program: Program, cell: Cell) -> list[Issue]:
+    """Return a warning if tools with other tips share the cylinders of [collision], which are placed from the tip."""
+    if cell.collision is None or sum(part.mesh is None for part in cell.collision.holder) < 2:
+        return []
+    m, tip = program.motions, program.tools[:, :3, 3]
+    cutting = np.flatnonzero(~m.rapid)
+    apart = norm(tip[m.tool[cutting]] - tip[m.tool[cutting[:1]]])
+    other = cutting[apart > _SAME_LENGTH]
+    if not len(other):
+        return []
+    message = (
+        "[collision] holder is placed from the tip upwards, but the tips of the tools are "
+        f"{apart.max() * MM_PER_M:.4g} mm apart at the flange: with one of them, holder and spindle are checked that "
+        "far from where they are. Give them as meshes, which are placed from the flange, or divide the program by "
+        "tools, with a cell for each"
+    )
+    return [m.issue("warning", "holder-of-tools", message, other)]
 
 
 _SAME_BASE = 1e-6

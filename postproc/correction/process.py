@@ -455,6 +455,7 @@ def process(
             *inspection.of_origin(program, mode),
             *inspection.of_tools(program, cell),
             *inspection.of_base(program, cell),
+            *inspection.of_holder(program, cell),
         ),
     )
     wrong = [issue for issue in task.initial_issues if issue.level == "error"]

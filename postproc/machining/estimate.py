@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from postproc import files
 from postproc.errors import MOST, ForceError, Issue, together
 from postproc.forces import Knots
-from postproc.frames import M_PER_MM, MM_PER_M, Array, inverse
+from postproc.frames import M_PER_MM, MM_PER_M, Array, inverse, norm
 from postproc.machining import stock as stocks
 from postproc.machining.material import CuttingLaw
 from postproc.machining.process import Process, box_corners
@@ -432,12 +432,15 @@ def _collisions(program: Program, collided: dict[int, float], guard: Guard | Non
         motion = np.array(sorted(collided))
         hit = distinct(m.line[motion]).tolist()
         deep = f"{max(collided.values()) * MM_PER_M:.2g} mm deep"
+        longer = _longer(program, max(collided, key=lambda each: (collided[each], -each)))
         if guard is None:
             where = f"line {', '.join(map(str, hit[:5]))}{' …' if len(hit) > 5 else ''}"
-            message = f"a rapid move goes through material ({where}), {deep}"
+            message = f"a rapid move goes through material ({where}), {deep}{longer}"
             out.append(Issue("warning", "rapid-in-material", message, hit[0], count=len(hit)))
         else:
-            message = f"collision: cutter goes {deep} into the stock in a rapid move. Retract, or cut here first"
+            message = (
+                f"collision: cutter goes {deep} into the stock in a rapid move. Retract, or cut here first{longer}"
+            )
             out.append(replace(m.issue("error", "collision", message, motion), subject="cutter, stock"))
     if guard is None:
         return out
@@ -455,6 +458,16 @@ def _collisions(program: Program, collided: dict[int, float], guard: Guard | Non
             issue = Issue("error", "collision", message, int(m.line[worst]), count=len(near), lines=lines)
             out.append(replace(issue, subject=f"{part.name}, stock"))
     return out
+
+
+def _longer(program: Program, motion: int) -> str:
+    """Return what to add to a message on a rapid motion that a longer tool begins: its tip is lower from the start."""
+    tool = program.motions.tool
+    reach = norm(program.tools[:, :3, 3])
+    more = reach[tool[motion]] - reach[tool[motion - 1]] if motion else 0.0
+    if more <= 0.0:
+        return ""
+    return f". The new tool is {more * MM_PER_M:.4g} mm longer: retract further before the tool change"
 
 
 def _too_strong(cuts: Cuts, lines: Ints, limit: float | None) -> list[Issue]:

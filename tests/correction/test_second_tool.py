@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import pytest
 from msgspec.structs import replace
 
 import postproc
+from postproc.cell import Collision, Frame, HolderTable
+from postproc.correction.inspection import of_holder
 from tests.machining.setting import CELL, ROBOT
 
 TWO = "G21 G90 G17\nT1 M6\nG0 X0 Y0 Z50\nG1 X20 F900\n(more)\nT2 M6\nG1 X40\nM30\n"
@@ -32,3 +35,25 @@ def test_a_tool_changed_by_hand_or_by_lines_is_written(tmp_path):
     assert not any("tool_change" in issue.message for issue in by_hand.issues)
     assert "HALT ;2" in written(tmp_path, TWO, ["HALT ;{T}"])["convert"].documents[0].text
     assert not written(tmp_path, TWO.replace("T2", "T1"), None)["convert"].failed
+
+
+CUTTER, SPINDLE = HolderTable(diameter_mm=10, length_mm=40), HolderTable(diameter_mm=120, length_mm=180)
+
+
+@pytest.mark.parametrize(
+    ("second", "holder", "lines"),
+    [
+        ({"Z": 390.0}, [CUTTER, SPINDLE], (7,)),
+        ({"Z": 350.0}, [CUTTER, SPINDLE], ()),
+        ({"Z": 390.0}, [CUTTER, HolderTable(mesh="spindle.stl")], ()),
+        ({"Z": 390.0}, [], ()),
+    ],
+    ids=["longer", "same", "a mesh is placed from the flange", "no holder"],
+)
+def test_tools_of_other_lengths_share_no_holder(tmp_path, second, holder, lines):
+    cell = replace(CELL, tools={"1": Frame(Z=350.0), "2": Frame(**second)}, collision=Collision(holder=holder))
+    (tmp_path / "part.nc").write_text(TWO)
+    program = postproc.read_program(tmp_path / "part.nc", ROBOT, cell)
+    found = of_holder(program, cell)
+    assert [(each.level, each.source_line) for each in found] == [("warning", line) for line in lines]
+    assert all("are 40 mm apart" in each.message for each in found)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from postproc import machining, toolpath
+from postproc.cell import Frame
 from postproc.machining import stock as stocks
 from postproc.machining.remaining import Ceiling, Guard, Part, touches
 from postproc.machining.tool import Cutter
@@ -173,3 +175,23 @@ def test_a_cutter_of_the_cell_unlike_that_of_the_process_is_a_warning(tmp_path, 
     issues = [issue for issue in found.issues if issue.kind == "other-cutter"]
     assert [issue.level for issue in issues] == ["warning"] * len(said)
     assert all(text in issue.message for issue, text in zip(issues, said, strict=True))
+
+
+@pytest.mark.parametrize(("length", "longer"), [(370.0, True), (330.0, False)])
+def test_a_rapid_move_that_a_longer_tool_begins_in_the_stock_says_so(tmp_path, length, longer):
+    """After the change the flange is where it was: the tip of a tool 20 mm longer is 15 mm below the top."""
+    cell = replace(CELL, tools={"1": Frame(Z=350.0), "3": Frame(Z=length)})
+    text = gcode(
+        "G0 X-30 Y30 Z5", "G1 X30 F2400", "Z-1", "G0 Z5", "T3 M6", "S6000 M3", "G0 Z40", "G1 X31 Z-1", "G0 Z40"
+    )
+    program = read(tmp_path, text, cell=cell)
+    (tmp_path / "process.toml").write_text(process(tool(20, 4), BOX, CELL_MM).replace("[tools.1]", "[tools.default]"))
+    place = RobotInCell.of(ROBOT, cell)
+    path = toolpath.segments(program, place.start_flange)
+    given = machining.load(tmp_path / "process.toml")
+    for guard, kind in ((None, "rapid-in-material"), (Guard([], 0.0), "collision")):
+        found = machining.estimate(program, path, given, place.spindle, guard=guard)
+        said = [issue.message for issue in found.issues if issue.kind == kind]
+        assert ["The new tool is 20 mm longer" in message for message in said] == [True] * longer
+    text = gcode("G0 X-30 Y30 Z5", "G1 X30 F2400", "Z-1", "G0 X35", "Z5")
+    assert "longer" not in collisions(swept(tmp_path, text, [])[1])[0].message
