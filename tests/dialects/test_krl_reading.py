@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from postproc.cell import Frame, Krl
+from postproc.cell import Frame, Krl, Tool
 from postproc.dialects.krl.read import plain_settings
 from postproc.errors import CellError, ForceError, PostprocError, ProgramError
 from postproc.frames import pose_from_xyzabc, xyzabc_from_pose
@@ -487,18 +487,86 @@ def test_frames_change_from_motion_to_motion():
 
 def test_a_config_dat_gives_frames_that_the_cell_does_not(tmp_path):
     (tmp_path / "$config.dat").write_bytes(
-        b"DEFDAT $CONFIG PUBLIC\r\nBASE_DATA[3]={X 1.0,Y 0.0,Z 0.0,A 0.0,B 0.0,C 0.0}\r\n"
+        b"DEFDAT $CONFIG PUBLIC\r\nBASE_DATA[3]={X 1200.0004,Y 100.0,Z 650.0,A 30.0,B 0.0,C -360.0}\r\n"
         b"BASE_DATA[5]={X 55.0,Y 0.0,Z 0.0,A 0.0,B 0.0,C 0.0} ;table\r\n"
         b"DECL E6AXIS XHOME={A1 5.0,A2 -90.0,A3 90.0,A4 0.0,A5 0.0,A6 0.0,E1 0.0}\r\nENDDAT\r\n"
     )
     cell = replace(CELL, config_dat="$config.dat", folder=str(tmp_path))
     assert base_of("$BASE=BASE_DATA[5]", FULL, cell=cell)[0] == 55
-    assert base_of("$BASE=BASE_DATA[3]", FULL, cell=cell)[0] == 1200  # the cell's own comes first
+    assert base_of("$BASE=BASE_DATA[3]", FULL, cell=cell)[0] == 1200  # equal within rounding: the cell's
     program = read(body("PTP XHOME", FULL), cell=cell)
     assert np.degrees(program.motions.joints[0, 0]) == pytest.approx(5)
     assert "home-from-cell" not in kinds(program)
     with pytest.raises(CellError, match="config_dat"):
         read(body(FULL), cell=replace(cell, config_dat="other.dat"))
+
+
+FRAME = "{X 2100.0,Y 100.0,Z 650.0,A 30.0,B 0.0,C 0.0}"
+CELLS_OWN = r"\{X 1200, Y 100, Z 650, A 30, B 0, C 0\} by \[base_data\.3\] of the cell"
+
+
+def _two_frames(folder, where: str, text: str):
+    """The program and the cell where one more file says something about frames by number."""
+    data = f"DEFDAT {where}\n{text}\nENDDAT\n"
+    (folder / f"{where}.dat").write_text(data)
+    (folder / "sub.src").write_text("DEF sub( )\n$VEL.CP=0.02\nEND\n")
+    krl = Krl(initmov="cell", search=["."])
+    cell = replace(CELL, folder=str(folder), krl=krl, config_dat="config.dat" if where == "config" else None)
+    own = data if where == "part" else None
+    return lambda cell=cell: read(body("sub( )", "$BASE=BASE_DATA[3]", FULL), own, cell=cell)
+
+
+@pytest.mark.parametrize("where", ["config", "part", "sub"])
+@pytest.mark.parametrize("form", ["BASE_DATA[3]={}", "DECL FRAME BASE_DATA[3]={}", "DECL GLOBAL FRAME BASE_DATA[3]={}"])
+def test_a_file_that_contradicts_a_frame_of_the_cell_is_an_error_with_both(where, form, tmp_path):
+    with pytest.raises(CellError, match=CELLS_OWN) as caught:
+        _two_frames(tmp_path, where, form.format(FRAME))()
+    assert f"{{X 2100, Y 100, Z 650, A 30, B 0, C 0}} by {where}.dat, line 2" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("value", "agrees"),
+    [
+        ("{X 1200,Y 100,Z 650,A 30,B 0,C 0}", True),
+        ("{X 1200,Y 100,Z 650,A -150,B 180,C 180}", True),  # the same orientation
+        ("{X 1200.0009,Y 100,Z 650,A 30.0009,B 0,C 0}", True),
+        ("{X 1200,Y 100,Z 650}", True),  # what is missing is the cell's
+        ("{X 1200.002,Y 100,Z 650,A 30,B 0,C 0}", False),
+        ("{X 1200,Y 100,Z 650,A 30,B 0.002,C 0}", False),
+        ("{X 0,Y 0,Z 0,A 0,B 0,C 0}", False),
+        ("{A1 0,A2 0,A3 0,A4 0,A5 0,A6 0}", False),
+    ],
+)
+def test_frames_by_number_may_differ_by_their_rounding(value, agrees, tmp_path):
+    program = _two_frames(tmp_path, "config", f"BASE_DATA[3]={value}")
+    if agrees:
+        np.testing.assert_allclose(program().bases[1], CELL.base_data["3"].pose(), atol=1e-12)
+    else:
+        with pytest.raises(CellError, match=r"BASE_DATA\[3\] has two values"):
+            program()
+
+
+@pytest.mark.parametrize(
+    ("tables", "message"),
+    [
+        ({"tool_data": {"2": Tool(Z=150.0)}}, r"TOOL_DATA\[2\] has two values: .*Z 150.*\[tool_data\.2\].*Z 350"),
+        ({"base_data": {"3": Frame(X=1.0), "03": Frame(X=2.0)}}, r"\[base_data\.3\] of the cell, and .*base_data\.03"),
+        ({"base_data": {"0": Frame(X=1.0)}}, r"number 0 is \$NULLFRAME, and \{X 1,.*\[base_data\.0\]"),
+    ],
+)
+def test_tools_and_tables_of_the_cell_contradict_too(tables, message, tmp_path):
+    read_it = _two_frames(tmp_path, "config", "TOOL_DATA[2]={X 0,Y 0,Z 350,A 0,B 0,C 0}")
+    cell = replace(CELL, folder=str(tmp_path), config_dat="config.dat", **{"tool_data": {}, **tables})
+    with pytest.raises(CellError, match=message):
+        read_it(cell)
+
+
+def test_a_frame_that_the_program_changes_is_no_contradiction(tmp_path):
+    text = "{X 1200,Y 100,Z 650,A 30,B 0,C 0}"
+    _two_frames(tmp_path, "sub", f"DECL GLOBAL FRAME BASE_DATA[3]={text}")
+    cell = replace(CELL, folder=str(tmp_path), krl=Krl(initmov="cell", search=["."]))
+    program = read(body(f"BASE_DATA[3]={FRAME}", "sub( )", "$BASE=BASE_DATA[3]", FULL), cell=cell)
+    assert program.bases[1][0, 3] == pytest.approx(2.1)
 
 
 def test_a_frame_number_that_nobody_knows_names_the_line_that_sets_it():

@@ -15,7 +15,7 @@ from postproc.dialects.krl.language.tokens import DECLARATION, ELEMENT, INDEX, M
 from postproc.dialects.krl.language.tree import Declaration
 from postproc.dialects.krl.read.folder import FolderFiles
 from postproc.dialects.krl.read.known import Unread
-from postproc.dialects.krl.read.variables import Variables
+from postproc.dialects.krl.read.variables import FRAME_ARRAYS, Variables
 from postproc.errors import ProgramError
 
 
@@ -32,6 +32,7 @@ def read_data(
     :param shared: all of them are GLOBAL, as those of the `$config.dat`.
     :param only: the names to take; None: all.
     :raises ProgramError: DEFDAT or ENDDAT is missing.
+    :raises CellError: it contradicts another source of BASE_DATA or TOOL_DATA.
     """
     text = source.text
     opened = closed = False
@@ -42,7 +43,10 @@ def read_data(
         if each and (element := ELEMENT.match(text, start, stop)):
             name = variables.scope.stored(element[1].upper())
             variables.initial.add(name)
-            variables.put(f"{name}[{int(element[2])}]", Unread(source, element.end(), stop))
+            key, value = f"{name}[{int(element[2])}]", Unread(source, element.end(), stop)
+            if name in FRAME_ARRAYS:
+                variables.state_frame(key, value, f"{source.document.name}, line {line}")
+            variables.put(key, value)
             continue
         first = text[start : start + 1]
         if first in ("", ";", "&", "\r"):
@@ -89,6 +93,8 @@ def _declare(
         name = _noted(variables, replace(one, public=one.public or shared), fill=fill)
         if one.kind == "STRUC" and (found := structure(source, *source.code_span(line))):
             variables.structures.setdefault(*found)
+        if one.value >= 0 and name.partition("[")[0] in FRAME_ARRAYS:
+            variables.state_frame(name, Unread(source, one.value, stop), f"{source.document.name}, line {line}")
         if one.value >= 0 and not (fill and name in variables):
             variables.initial.add(variables.scope.stored(one.name))
             variables.put(name, Unread(source, one.value, stop))

@@ -68,7 +68,8 @@ def read_program(
     :raises ProgramError: the program is not complete, something that changes motion is not understood or not known
         before the program runs; it names file, line, text and what to do.
     :raises ForceError: a force comment cannot be read.
-    :raises CellError: the `$config.dat` that the cell names cannot be read.
+    :raises CellError: the `$config.dat` that the cell names cannot be read, or the cell and the files give different
+        frames for one number.
     """
     source = Source.of(documents[0], 0)
     plain = plain_of(source, bulk=_bulk)

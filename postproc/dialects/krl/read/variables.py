@@ -29,6 +29,7 @@ from postproc.dialects.krl.language.values import (
     parts,
 )
 from postproc.dialects.krl.read.known import NOTHING, Known, Scope, Unknown, Unread
+from postproc.errors import CellError, ProgramError
 from postproc.frames import inverse
 
 _COMPONENTS = frozenset({*CARTESIAN, *AXES, "S", "T"})
@@ -43,6 +44,12 @@ _FUNCTIONS: dict[str, Callable[..., float]] = {
     "ATAN2": lambda y, x: math.degrees(math.atan2(y, x)),
 }
 _ZERO = Position((0.0,) * 6)
+FRAME_ARRAYS = frozenset({"BASE_DATA", "TOOL_DATA"})
+"""Frames by number, which the cell and files may give."""
+_SAME_PLACE = 1e-6
+"""Frames closer than this [m] are equal: files and displays give three decimals of a millimetre."""
+_SAME_ANGLE = math.radians(1e-3)
+"""The same for orientations [rad]."""
 
 
 class Variables:
@@ -72,15 +79,42 @@ class Variables:
         self.changing: dict[str, Unknown] = {}
         self.used: set[str] = set()
         self.changed: dict[str, str] = {}
-        self.initial = {"BASE_DATA", "TOOL_DATA"}
+        self.initial = set(FRAME_ARRAYS)
+        self._stated = {f"{name}[0]": (_ZERO, "the controller, whose number 0 is $NULLFRAME") for name in FRAME_ARRAYS}
         self.given = {key.upper(): _from_cell(value) for key, value in cell.krl.values.items()}
         self.relied: set[str] = set()
         for number, base in cell.base_data.items():
-            self.put(f"BASE_DATA[{int(number)}]", from_pose(base.pose()))
+            self._put_frame(f"BASE_DATA[{int(number)}]", from_pose(base.pose()), f"[base_data.{number}] of the cell")
         for number, tool in cell.tool_data.items():
-            self.put(f"TOOL_DATA[{int(number)}]", from_pose(tool.pose()))
+            self._put_frame(f"TOOL_DATA[{int(number)}]", from_pose(tool.pose()), f"[tool_data.{number}] of the cell")
         for name in ("$NULLFRAME", "$WORLD", "$ROBROOT", "BASE_DATA[0]", "TOOL_DATA[0]"):
             self._values.setdefault(name, _ZERO)
+
+    def _put_frame(self, key: str, frame: Position, where: str) -> None:
+        self.state_frame(key, frame, where)
+        self.put(key, frame)
+
+    def state_frame(self, key: str, value: Known | Unread, where: str) -> None:
+        """Note the frame that the cell or a file gives for ``BASE_DATA[n]`` or ``TOOL_DATA[n]``.
+
+        Components that one of two frames lacks do not count. A value that cannot be read is not noted.
+
+        :param where: for a message: the file and line, or the table of the cell.
+        :raises CellError: another place gives another frame.
+        """
+        try:
+            read = value_at(value.source, value.start, value.stop)[0] if isinstance(value, Unread) else value
+            frame = self.position(read)
+        except ProgramError:  # an error where it is used
+            return
+        if frame is None:
+            return
+        first, other = self._stated.setdefault(key, (frame, where))
+        if not _agree(first, frame):
+            raise CellError(
+                f"{key} has two values: {_shown(first)} by {other}, and {_shown(frame)} by {where}",
+                advice="Make them equal, or remove the one that the controller does not have.",
+            )
 
     def copied(self) -> Variables:
         """Return the same values, for another run."""
@@ -408,6 +442,23 @@ class Variables:
         """Refuse a name that is longer than the controller accepts."""
         if len(reference.name) > MAX_LENGTH:
             raise source.error(f"the name {reference.name} is longer than {MAX_LENGTH} characters", reference.start)
+
+
+def _agree(one: Position, other: Position) -> bool:
+    """Return whether two frames are equal within rounding."""
+    if one.axis or other.axis:
+        return False
+    pairs = list(zip(one.values, other.values, strict=True))
+    a = Position(tuple(x if x == x else y for x, y in pairs)).pose()
+    b = Position(tuple(y if y == y else x for x, y in pairs)).pose()
+    apart = np.abs(a - b)
+    return bool(apart[:3, 3].max() < _SAME_PLACE and apart[:3, :3].max() < _SAME_ANGLE)
+
+
+def _shown(frame: Position) -> str:
+    names = AXES if frame.axis else CARTESIAN
+    given = [f"{name} {value + 0.0:.10g}" for name, value in zip(names, np.round(frame.values, 6), strict=True)]
+    return f"{{{', '.join(one for one in given if not one.endswith('nan'))}}}"
 
 
 def _from_cell(value: float) -> Number | Word:
