@@ -446,7 +446,7 @@ def _solved(
 
 def _unmodelled_share(readings: Readings, local: _Linear, whole: Array, target: Array) -> float:
     """Return γ: the root of its mean square, given the readings."""
-    off = np.linspace(-4.0, 4.0, 33)
+    off = np.linspace(-4.0, 4.0, 97)  # fine enough for γ from 200 readings
     share = _GAMMA * np.exp(WIDTH * off)
     fixed = local.slopes @ whole @ local.slopes.T + _noise(readings, local, 0.0)
     likely = np.empty(len(share))
