@@ -152,17 +152,22 @@ def test_an_arc_that_runs_along_the_spindle_at_one_place_keeps_its_direction_the
 
 @pytest.mark.parametrize("place", [0.0, 0.6, 1.0])
 def test_where_an_arc_runs_along_the_spindle_its_direction_just_before_is_taken_and_at_its_start_just_after(place):
-    """Arcs in the plane of X and Z that run up or down there, and towards +X before it (at the start, after it)."""
+    """Arcs in the plane of X and Z that run up or down there, and towards +X before it (at the start, after it).
+
+    The move before the arc is towards −Y, another direction than that of the arc.
+    """
     if place == 0.6:
         begin = (50 * np.cos(1.2 * np.pi), 0.0, -50 * np.sin(1.2 * np.pi))
-        made = [("PTP", *begin), ("CIRC", *begin, 0, 0, 0, 360.0, (0, -1, 0))]
+        arc = ("CIRC", *begin, 0, 0, 0, 360.0, (0, -1, 0))
     else:
-        made = [("PTP", -50, 0, 0), ("CIRC", 50, 0, 0, 0, 0, 0, 180.0, (0, 1, 0))]
-    made = program(made, notes=[(2, (10.0, 0, 0, 0, 0, 0), "FEED")])
+        begin = (-50.0, 0.0, 0.0)
+        arc = ("CIRC", 50, 0, 0, 0, 0, 0, 180.0, (0, 1, 0))
+    before = ("PTP", begin[0], 40.0, begin[2])
+    made = program([before, ("LIN", *begin), arc], notes=[(3, (10.0, 0, 0, 0, 0, 0), "FEED")])
     path = toolpath.segments(made, START)
     load = forces.assign(made, path, None, "+Z", 1e-9)
-    spot = toolpath.at(made, path, np.array([1]), np.array([place or 1e-6]))
-    direction = toolpath.tangent(made, path, np.array([1]), np.array([place]))[0]
+    spot = toolpath.at(made, path, np.array([2]), np.array([place or 1e-6]))
+    direction = toolpath.tangent(made, path, np.array([2]), np.array([place]))[0]
     assert abs(direction[2]) > 1.0 - 1e-9
     found = load.at(spot)[0]
     np.testing.assert_allclose(found[:3], [10, 0, 0], atol=1e-6)
