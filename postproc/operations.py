@@ -35,7 +35,7 @@ _NO_NAME = re.compile(
 )
 """Comments that are no names: tools, headers of files, dates, assignments, and remarks on single moves."""
 _MILLED = re.compile(r"end ?mill(?:ing)? +\D+$", re.IGNORECASE)
-"""What is milled with an end mill: a name after a retract, though comments that begin with "end" are none."""
+"""Milling with an end mill: a name after a retract, though comments that begin with "end" are none."""
 _ALONE = re.compile(r"\s*/?\s*(?:N\s*\d+)?\s*[(;]", re.IGNORECASE)
 _MOST = 60
 """More operations than this are remarks on single moves."""
