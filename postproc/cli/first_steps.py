@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from postproc.jobs.first_steps import Numbers
 
 _PATH = click.Path(path_type=Path)
-_START = "0,-70,110,0,50,0"
 
 
 def _numbers(text: str) -> Numbers:
@@ -84,7 +83,10 @@ def _parsed(kind: Any) -> Any:
     help="Axis of the tool frame that points from the spindle to the tip.",
 )
 @click.option(
-    "--start", callback=_parsed(_numbers), metavar="A1,…,A6", help=f"Where programs start, in deg; default: {_START}."
+    "--start",
+    callback=_parsed(_numbers),
+    metavar="A1,…,A6",
+    help="Where programs start, in deg; default: the tip 50 mm above --clearance, over the origin of $BASE.",
 )
 @click.option("--config-dat", type=_PATH, help="$config.dat of the controller: --base and --tool may be numbers then.")
 @click.option(
@@ -117,7 +119,7 @@ def init(cell: Path, robodk: str | None, **given: Any) -> None:
     \b
     Examples:
       postproc init
-      postproc init my_cell.toml --robot kuka_kr270 --base 1500,-200,700 --tool 0,0,350 --start 0,-70,110,0,50,0
+      postproc init my_cell.toml --robot kuka_kr270 --base 1500,-200,700 --tool 0,0,350
       postproc init --robot kuka_kr270 --base 1500,0,700 --tools 1=0,0,350 --tools 2=0,0,412.5 --clearance 150
       postproc init --robot kuka_kr210_r2700_2 --config-dat '$config.dat' --base 3 --tool 2
       postproc init --robodk milling.rdk
@@ -188,7 +190,9 @@ def _asked(given: dict[str, Any]) -> dict[str, Any]:
     if missing and not given["tools"]:
         text = "Tools that programs change to, such as 1=0,0,350 2=0,0,412.5 (empty: $TOOL holds for all)"
         given["tools"] = click.prompt(text, default="", show_default=False, value_proc=_tools_line)
-    ask("start", "Joints where programs start: A1,…,A6", _START, _numbers)
+    if missing and given["start"] is None:
+        text = "Joints where programs start: A1,…,A6 (empty: chosen with the tip above the part)"
+        given["start"] = click.prompt(text, default="", show_default=False, value_proc=_numbers) or None
     ask("clearance", "Z of $BASE to which programs retract (G28, G30, G53)", f"{first_steps.CLEARANCE_MM:g}", _number)
     text = "Tool change: hand (the program stops), none, or a line that calls the changer, with {T}"
     ask("tool_change", text, first_steps.BY_HAND, str)

@@ -34,6 +34,8 @@ _OPEN_WAY = 0.2 * RAD_PER_DEG
 """Turns by 180° less this may become turns the other way by the correction, which turns the tool by less than that."""
 _HALF_TURN = 150.0 * RAD_PER_DEG
 _LIMIT_ROUNDING = 1e-9
+_START_BELOW = 1e-3
+"""Starts that are lower than they should be by less [m] are not reported."""
 _ORIENTATION_SPEED = 200.0 * RAD_PER_DEG
 """$VEL.ORI1 and $VEL.ORI2 of a KUKA controller by default [rad/s]."""
 _BEYOND = 1.1
@@ -178,6 +180,30 @@ def first_move(program: Program, path: JointPath, start: Array) -> Iterator[Issu
                 f"the cell. Check cables and hoses; {_turn_the_tool(program)} or choose other [start] joints."
             )
             yield Issue("warning", f"first-move-{JOINTS[axis]}", message, source_line=int(m.line[0]))
+
+
+def height_of_start(program: Program, tip: Array, clearance: float | None) -> Iterator[Issue]:
+    """Yield an issue if the first move of a CAM program goes up from [start]: it may pass through part or table.
+
+    A warning if the tip is below `clearance_Z`, which is above part and clamps; a note if the cell does not have it.
+
+    :param tip: (3,) position of the tip at [start] in `$BASE` [m].
+    :param clearance: [machine] clearance_Z [m].
+    """
+    m = program.motions
+    if program.keeps_text or m.kind[0] != PTP or np.isfinite(m.joints[0, 0]):
+        return
+    target = float(m.target.position[0, 2])
+    limit, name = (clearance, "clearance_Z") if clearance is not None else (target, "the first target")
+    limit, name = (target, "the first target") if target > limit else (limit, name)
+    below = limit - float(tip[2])
+    if below > _START_BELOW:
+        message = (
+            f"The first move begins below {name}: at [start] the tip is at Z {tip[2] * MM_PER_M:.1f} mm of $BASE, "
+            f"{below * MM_PER_M:.1f} mm below it. Choose [start] joints with the tip above the part, or check that the "
+            "way from there is free."
+        )
+        yield Issue("info" if clearance is None else "warning", "start-below", message, int(m.line[0]))
 
 
 def posture(program: Program, robot: RobotModel, sample: Toolpath, path: JointPath, start: Array) -> Iterator[Issue]:

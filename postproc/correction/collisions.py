@@ -21,7 +21,7 @@ from postproc.errors import Issue
 from postproc.forces import StockInTime
 from postproc.frames import M_PER_MM, MM_PER_M, Array, norm
 from postproc.placement.samples import AXIS
-from postproc.program import Bools, Ints
+from postproc.program import PTP, Bools, Ints
 from postproc.under_load import PathUnderLoad
 
 _ALONG = 1e-4
@@ -72,6 +72,7 @@ def of_path(path: PathUnderLoad, commanded: Array) -> tuple[SmallestClearance | 
     stock = path.motions.forces.stock
     for rows, tool in _runs(program.motions.tool[path.sample.motion]):
         scene = collision.Scene.of(robot_in_cell.robot, robot_in_cell.cell, program.tools[tool])
+        from_start = rows.start == 0 and program.motions.kind[0] == PTP
         before = robot_in_cell.cell.start_joints if rows.start == 0 else path.joints.q[rows.start - 1]
         q = np.concatenate([before[None], path.joints.q[rows]])
         other = np.concatenate([before[None], commanded[rows]])
@@ -87,13 +88,15 @@ def of_path(path: PathUnderLoad, commanded: Array) -> tuple[SmallestClearance | 
             remarks = (*scene.remarks, *_of_stock(scene, stock), *_corrected(found.less))
             smallest = SmallestClearance(distance, names, int(own[at]), scene, remarks)
         for row, first, second, distance in zip(found.row, found.first, found.second, found.distance, strict=True):
-            worst.note(_names(scene, first, second), float(distance), int(own[row]), need)
+            begins = from_start and bool(path.sample.motion[rows][max(int(row) - 1, 0)] == 0)
+            worst.note(_names(scene, first, second), float(distance), int(own[row]), need, begins)
         states = States(path.sample.motion[rows], q, corrected, shift)
         contacts = with_parts(scene, states, program.motions.rapid[states.motion] & ~_retracts(path, rows))
         if stock is not None:
             contacts = chain(contacts, with_stock(scene, states, stock, need))
         for each in contacts:
-            worst.note(each.names, each.distance, int(program.motions.line[each.motion]), each.need)
+            begins = from_start and each.motion == 0
+            worst.note(each.names, each.distance, int(program.motions.line[each.motion]), each.need, begins)
     return smallest, worst.issues()
 
 
@@ -110,13 +113,13 @@ class _Worst:
     """The smallest distance of each two bodies that come too close, and the lines on which they do."""
 
     def __init__(self) -> None:
-        self._of: dict[tuple[str, str], tuple[float, int, set[int], float]] = {}
+        self._of: dict[tuple[str, str], tuple[float, int, set[int], float, bool]] = {}
 
-    def note(self, names: tuple[str, str], distance: float, line: int, need: float) -> None:
-        """Note a distance [m] that is smaller than the clearance."""
-        least, at, lines, _ = self._of.get(names, (np.inf, 0, set(), need))
-        at, least = (line, distance) if distance < least else (at, least)
-        self._of[names] = least, at, lines | {line}, need
+    def note(self, names: tuple[str, str], distance: float, line: int, need: float, begins: bool) -> None:
+        """Note a distance [m] that is smaller than the clearance; `begins`: on the way from [start]."""
+        least, at, lines, _, first = self._of.get(names, (np.inf, 0, set(), need, begins))
+        at, least, first = (line, distance, begins) if distance < least else (at, least, first)
+        self._of[names] = least, at, lines | {line}, need, first
 
     def issues(self) -> list[Issue]:
         """Return an error for each two bodies."""
@@ -165,14 +168,18 @@ def _names(scene: collision.Scene, first: int, second: int) -> tuple[str, str]:
     return scene.bodies[int(first)].name, scene.bodies[int(second)].name
 
 
-def _issue(names: tuple[str, str], distance: float, line: int, lines: set[int], need: float) -> Issue:
+def _issue(names: tuple[str, str], distance: float, line: int, lines: set[int], need: float, begins: bool) -> Issue:
     first, second = names
     how = "touches or is inside" if distance == 0.0 else f"comes within {distance * MM_PER_M:.2g} mm of"
     asks = f"[collision] asks for {need * MM_PER_M:g} mm" if need > 0.0 else "it may not touch it here"
     advice = "Move the part, turn the tool, or correct the bodies in the cell"
     if second == STOCK:
         advice = "Lift the tool before it moves rapidly, begin elsewhere ([start]), or correct the bodies in the cell"
-    message = f"collision: {first} {how} {second}; {asks}. {advice}"
+    where = ""
+    if begins:
+        where = " on the way from [start] to the first target"
+        advice = "Choose [start] joints with the tip above the part, lift the first target, or correct the bodies"
+    message = f"collision: {first} {how} {second}{where}; {asks}. {advice}"
     return Issue("error", "collision", message, line, count=len(lines), subject=f"{first}, {second}")
 
 

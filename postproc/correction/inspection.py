@@ -363,9 +363,11 @@ def of_path(path: PathUnderLoad, command: Commands) -> list[Issue]:
     speed = commanded_speed(path, q, position)
     arcs, lines = stretches_to_examine(path, q, speed)
     allowed = cell.output.max_correction_mm * M_PER_MM
+    first, clearance = path.motions.segments.start.at(np.array([0]))[0], cell.machine.clearance_Z
     found = [
         *checks.start_joints(program, robot, start),
         *checks.first_move(program, path.joints, start),
+        *checks.height_of_start(program, first[:3, 3], None if clearance is None else clearance * M_PER_MM),
         *checks.half_turns(program, sample, path.motions.segments.turn, command.pose),
         *checks.posture(program, robot, sample, path.joints, start),
         *checks.status_and_turn(program, robot, sample, path.joints.q),

@@ -77,8 +77,14 @@ PART_TOLERANCE_MM = 0.5
 LARGEST_MM = 1e6
 BY_HAND, NO_LINES = "hand", "none"
 """Tool changes: the program stops, or does nothing; anything else is a line of the cell."""
+USUAL_START = (0.0, -70.0, 110.0, 0.0, 50.0, 0.0)
+"""A1…A6 [deg] of the branch on which programs start unless something else is given: ahead, elbow up, A5 > 0."""
+_ABOVE_MM = 50.0
+"""The tip starts by this much above `clearance` unless something else is given [mm]."""
 _ZERO = (0.0,) * 6
 _TURNS = (0.0, 90.0, 180.0, -90.0)
+_MARGIN = np.radians(10.0)
+"""A chosen start is not nearer to a joint limit."""
 
 
 class CellRequest(Struct, frozen=True, kw_only=True):
@@ -89,7 +95,7 @@ class CellRequest(Struct, frozen=True, kw_only=True):
     :param base: `$BASE` in the robot root: X, Y, Z[, A, B, C] in mm and degrees, or the number of a BASE_DATA.
     :param tool: `$TOOL` in the flange frame, likewise, or the number of a TOOL_DATA.
     :param axis: of the tool frame that points from the spindle to the tip.
-    :param start: A1…A6 where programs start [deg].
+    :param start: A1…A6 where programs start [deg]; None: above the origin of `$BASE`, `_ABOVE_MM` above `clearance`.
     :param config_dat: `$config.dat` of the controller, for frames by number.
     :param clearance: Z of `$BASE` to which G28, G30 and G53 retract [mm].
     :param tool_change: `BY_HAND`, `NO_LINES`, or the line that calls the tool changer, with {T}.
@@ -102,7 +108,7 @@ class CellRequest(Struct, frozen=True, kw_only=True):
     robot: str
     base: Numbers | int
     tool: Numbers | int
-    start: Numbers
+    start: Numbers | None = None
     axis: ToolAxis = "+Z"
     config_dat: Path | None = None
     clearance: float = CLEARANCE_MM
@@ -124,7 +130,7 @@ def write_cell(request: CellRequest) -> tuple[str, ...]:
     known = request.robot in robots.shipped()
     place = request.robot if known else _relative(folder, Path(request.robot))
     robot = load_robot(request.robot)
-    start = _six("start joints", request.start, 6)
+    start = USUAL_START if request.start is None else _six("start joints", request.start, 6)
     beyond = (np.radians(start) < robot.lower) | (np.radians(start) > robot.upper)
     if beyond.any():
         joint = int(np.argmax(beyond))
@@ -139,7 +145,10 @@ def write_cell(request: CellRequest) -> tuple[str, ...]:
     config = None if request.config_dat is None else _relative(folder, request.config_dat)
     tool_frame = Tool(**dict(zip("XYZABC", tool, strict=True)), axis=request.axis)
     cell = Cell(robot=place, base=Frame(*base), tool=tool_frame, start=msgspec.convert({"joints": start}, Start))
+    if request.start is None and (above := _start_above(cell, robot, request.clearance + _ABOVE_MM)) is not None:
+        cell = msgspec.structs.replace(cell, start=msgspec.convert({"joints": above}, Start))
     turn, remarks = _turn_of_tool(cell, robot)
+    remarks = (*remarks, *_low_start(cell, robot, request.clearance))
     tools = {number: Frame(*_six(f"$TOOL of T{number}", words, 3)) for number, words in request.tools.items()}
     text = _text(place, robot, cell, turn, config, request, tools)
     files.write_whole(folder, {request.output.name: text.encode()})
@@ -212,19 +221,59 @@ def _frame_of(config: Path, array: str, number: int, robot: RobotModel) -> Numbe
     return tuple(float(value) for value in np.round(found.ravel(), 6) + 0.0)
 
 
+def _upright(cell: Cell, robot: RobotModel, turn: float, height: float) -> Array:
+    """Return the joints (6,) [rad] with the tool upright above the origin of `$BASE`, on the branch of the start.
+
+    :param turn: of the tool about its axis [deg].
+    :param height: Z of the tip in `$BASE` [mm].
+    :returns: NaN if it is out of reach.
+    """
+    form = kinematics.closed_form(robot)
+    pose = cell.base.pose()
+    pose[:3, 3] += pose[:3, 2] * (height / MM_PER_M)
+    pose[:3, :3] = pose[:3, :3] @ msgspec.structs.replace(cell, gcode=GCode(redundancy_deg=turn)).tool_pose_in_program()
+    found: Array = form.branches((pose @ inverse(cell.tool.pose()))[None])[
+        0, form.branch_of(cell.start_joints[None])[0]
+    ]
+    return found
+
+
+def _start_above(cell: Cell, robot: RobotModel, height: float) -> tuple[float, ...] | None:
+    """Return A1…A6 [deg] with the tip above the origin of `$BASE`, A4 and A6 near 0; None if it is out of reach.
+
+    :param height: Z of the tip in `$BASE` [mm].
+    """
+    reached = []
+    for turn in _TURNS:
+        joints = _upright(cell, robot, turn, height)
+        if np.isfinite(joints).all() and (kinematics.joint_margin(robot, joints[None]) > _MARGIN).all():
+            reached.append(joints)
+    if not reached:
+        return None
+    nearest = min(reached, key=lambda joints: float(np.abs(joints[[3, 5]]).max()))
+    return tuple((np.round(nearest * DEG_PER_RAD, 1) + 0.0).tolist())
+
+
+def _low_start(cell: Cell, robot: RobotModel, clearance: float) -> Iterator[str]:
+    """Yield a warning if the tip starts below the height to which programs retract [mm]."""
+    tip = kinematics.tcp(robot.nominal, cell.start_joints[None], cell.tool.pose())[0][0]
+    x, y, z = (inverse(cell.base.pose()) @ tip)[:3, 3] * MM_PER_M
+    if z < clearance:
+        yield (
+            f"at [start] the tip is at X {x:.0f}, Y {y:.0f}, Z {z:.0f} of $BASE, {clearance - z:.0f} mm below "
+            "clearance_Z: the first move comes from below. Give [start] joints with the tip above part and clamps."
+        )
+
+
 def _turn_of_tool(cell: Cell, robot: RobotModel) -> tuple[float, tuple[str, ...]]:
     """Return the quarter turn of the tool about its axis that is nearest to how the arm starts, and the problems found.
 
     The pose is that of the tool upright on the origin of `$BASE`, the arm on the branch of its start.
     """
-    form = kinematics.closed_form(robot)
     start = cell.start_joints
     away = []
     for turn in _TURNS:
-        turned = msgspec.structs.replace(cell, gcode=GCode(redundancy_deg=turn))
-        pose = cell.base.pose()
-        pose[:3, :3] = pose[:3, :3] @ turned.tool_pose_in_program()
-        found = form.branches((pose @ inverse(cell.tool.pose()))[None])[0, form.branch_of(start[None])[0]]
+        found = _upright(cell, robot, turn, 0.0)
         far = np.abs((found - start + np.pi) % (2.0 * np.pi) - np.pi)
         away.append(float(far[[3, 5]].max()) if np.isfinite(far).all() else np.inf)
     best = int(np.argmin(away))

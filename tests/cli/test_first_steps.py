@@ -16,6 +16,7 @@ from postproc import cell as cells
 from postproc import robot
 from postproc.cli import main
 from tests.documentation.pages import ROOT
+from tests.oracle.arm import Arm, abc
 
 CONFIG = """&ACCESS RVO
 DEFDAT  $CONFIG
@@ -192,6 +193,45 @@ def test_a_model_folder_on_another_drive_is_named_as_it_stands(monkeypatch):
     assert Path(cells.load("cell.toml").robot) == Path("mödel 🤖").absolute()
 
 
+def tip_at_start(cell):
+    """X, Y and Z of the tip in `$BASE` [mm] at [start], by another arm."""
+    arm = Arm.load(robot.find(cell.robot))
+    pose = arm.nominal_tcp(np.radians(cell.start.joints), abc(*keys(cell.tool)))
+    return (1e3 * (np.linalg.inv(abc(*keys(cell.base))) @ pose)[:3, 3]).tolist()
+
+
+@pytest.mark.parametrize("name", ["kuka_kr270", "kuka_kr6_r900_2", "abb_irb6700_200_260"])
+def test_programs_start_above_the_height_of_retracts_unless_joints_are_given(name):
+    base = "500,-100,200,30,0,0" if name == "kuka_kr6_r900_2" else "1500,-200,700,30,0,0"
+    frames = ("--robot", name, "--base", base, "--tool", "0,0,150", "--clearance", "120")
+    done = run("init", *frames)
+    assert (done.exit_code, done.stderr) == (0, "")
+    assert tip_at_start(cells.load("cell.toml")) == pytest.approx([0, 0, 170], abs=5)
+    Path("part.nc").write_text("G21 G90 G17\nG28 G91 Z0\nG90\nG0 X50 Y100\nZ5\nG1 Z-2 F300\nX60 F900\nM30\n")
+    to = ["--to", "rapid"] if name.startswith("abb") else []
+    done = run("convert", "part.nc", "--cell", "cell.toml", "-o", "out", *to)
+    assert done.exit_code == 0, done.output
+    assert "first move" not in done.output
+
+
+def test_a_start_below_the_height_of_retracts_is_reported():
+    done = run("init", "--robot", "kuka_kr270", "--base", "1500,-200,700", "--tool", "0,0,350",
+               "--clearance", "150", "--start", "0,-70,110,0,50,0")  # fmt: skip
+    assert done.exit_code == 0
+    assert "the tip is at X 85, Y 200, Z -105 of $BASE, 255 mm below clearance_Z" in done.stderr
+    Path("part.nc").write_text("G21 G90 G17\nG28 G91 Z0\nG90\nG0 X50 Y100\nZ5\nG1 Z-2 F300\nX60 F900\nM30\n")
+    done = run("convert", "part.nc", "--cell", "cell.toml", "-o", "out")
+    assert done.exit_code == 0, done.output
+    where = "The first move begins below clearance_Z: at [start] the tip is at Z -104.6 mm of $BASE, 254.6 mm below it."
+    assert where in " ".join(done.output.split())
+    text = Path("cell.toml").read_text()
+    Path("cell.toml").write_text(text.replace("clearance_Z = 150.0", ""))
+    Path("part.nc").write_text("G21 G90 G17\nG0 X50 Y100 Z5\nG1 Z-2 F300\nX60 F900\nM30\n")
+    done = run("convert", "part.nc", "--cell", "cell.toml", "-o", "out", "--overwrite")
+    assert "info: part.nc:2: The first move begins below the first target" in done.output
+    assert "109.6 mm below it" in done.output
+
+
 def test_without_a_terminal_what_is_missing_is_wrong_usage():
     done = run("init", "--base", "0,0,0")
     assert done.exit_code == 2
@@ -210,7 +250,7 @@ def test_on_a_terminal_it_asks_and_takes_what_stands_in_brackets(monkeypatch):
     assert "no robot 'KR270'" in done.output
     cell = cells.load("cell.toml")
     assert (cell.robot, keys(cell.base)[:3], cell.tool.Z) == ("kuka_kr270", [900, 0, 600], 350)
-    assert cell.start.joints == (0, -70, 110, 0, 50, 0)
+    assert tip_at_start(cell) == pytest.approx([0, 0, 250], abs=5)
     assert (cell.machine.clearance_Z, cell.part.tolerance_mm, cell.tools) == (200.0, 0.5, {})
     assert cell.gcode.tool_change == ["; tool {T} by hand", "HALT"]
 

@@ -208,3 +208,21 @@ def test_a_rapid_of_the_cutter_through_a_stated_part_is_an_error_without_a_proce
     code, output, _ = converted(part, "--overwrite")
     assert code == 1
     assert "part.nc:8: collision: cutter touches or is inside blank.stl" in output
+
+
+def test_a_collision_on_the_way_from_the_start_says_so():
+    part = "obstacles = [ { name = 'blank', box = { X = [0, 300], Y = [0, 300], Z = [-60, 0] } } ]"
+    text = (ROOT / "samples" / "cell_kr270.toml").read_text()  # the tip starts 105 mm below the origin of $BASE
+    Path("cell.toml").write_text(f"{text}\n[collision]\n{HOLDER}\n{part}\n")
+    Path("part.nc").write_text("G21 G90 G17\nG0 X50 Y100 Z40\nX60\nM30\n")
+    done = CliRunner().invoke(main, ["convert", "part.nc", "--cell", "cell.toml", "-o", "out"])
+    assert done.exit_code == 1
+    assert "part.nc:2: collision: cutter touches or is inside blank on the way from [start] to the first" in done.output
+    Path("part.nc").write_text("G21 G90 G17\nG0 X50 Y100 Z40\nZ-30\nM30\n")
+    higher = (
+        (ROOT / "samples" / "cell_kr270.toml").read_text().replace("[0, -70, 110, 0, 50, 0]", "[0, -90, 100, 0, 80, 0]")
+    )
+    Path("cell.toml").write_text(f"{higher}\n[collision]\n{HOLDER}\n{part}\n")
+    done = CliRunner().invoke(main, ["convert", "part.nc", "--cell", "cell.toml", "-o", "out"])
+    assert done.exit_code == 1
+    assert "part.nc:3: collision: cutter touches or is inside blank; " in done.output
