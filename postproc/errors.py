@@ -111,9 +111,12 @@ def together(errors: Iterable[AnyInputError]) -> AnyInputError:
     """Return all errors of one input as one: the first in order of lines, with the others as `others`.
 
     :param errors: at least one, in any order and without others of their own; those of one file follow each other, in
-        the order in which files are first named.
+        the order in which files are first named. Of equal ones the first counts.
     """
-    found = list(errors)
+    unique: dict[str, AnyInputError] = {}
+    for error in errors:
+        unique.setdefault(str(error), error)
+    found = list(unique.values())
     files = list(dict.fromkeys(error.file for error in found))
     first, *others = sorted(found, key=lambda error: (files.index(error.file), error.line or 0))
     if not others:

@@ -22,6 +22,11 @@ def test_errors_of_the_first_file_come_first() -> None:
     assert [(e.file, e.line) for e in (error, *error.others)] == [("part.src", 5), ("part.src", 7), ("part.dat", 3)]
 
 
+def test_equal_errors_are_printed_once() -> None:
+    assert str(together([_error(7), _error(3), _error(7)])) == str(together([_error(3), _error(7)]))
+    assert str(together([_error(7), _error(7)])) == str(_error(7))
+
+
 def test_one_error_stays_what_it_is() -> None:
     error = _error(3)
     assert together([error]) is error

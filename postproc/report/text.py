@@ -38,7 +38,7 @@ def of_one(content: Summary, display: Display = PLAIN) -> str:
     ]
     lines += [f"  - {reason}" for reason in verdict.reasons[:_REASONS]]
     if len(verdict.reasons) > _REASONS:
-        lines.append(f"  - {len(verdict.reasons) - _REASONS} more reasons: see the report")
+        lines.append(f"  - {_more_reasons(len(verdict.reasons))}: see the report")
     lines.append("")
     nothing = nothing_to_correct(content)
     u95 = _u95(content)
@@ -199,8 +199,13 @@ def _why(rows: Sequence[tuple[str, Summary | None, str]]) -> list[str]:
         which = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
         lines.append(f"  - {which}: {reason}")
     if len(programs) > _REASONS:
-        lines.append(f"  - {len(programs) - _REASONS} more reasons: see the overview")
+        lines.append(f"  - {_more_reasons(len(programs))}: see the overview")
     return lines
+
+
+def _more_reasons(count: int) -> str:
+    more = count - _REASONS
+    return f"{more} more reason{'s' if more > 1 else ''}"
 
 
 def number(value: float | None, places: int) -> str:
