@@ -128,7 +128,7 @@ def marked(
         **origin.options,
     }
     line = f"{comment}POSTPROC {FORMAT} " + " ".join(f"{name}={value}" for name, value in said.items()) + end
-    text = main.text[:start] + line + main.text[stop:]
+    text = main.text.replace(main.text[:stop], main.text[:start] + line, 1)  # copies a long text only once
     moved = 0 if old else _line_at(main.text, start)
     return (replace(main, text=text), *others), moved
 
@@ -156,6 +156,8 @@ def _text(documents: Sequence[Document], line: re.Match[str]) -> str:
 
 
 def _without(document: Document, start: int, stop: int) -> bytes:
+    if start == stop:
+        return document.to_bytes()
     return replace(document, text=document.text[:start] + document.text[stop:]).to_bytes()
 
 

@@ -407,9 +407,10 @@ def _with_subprograms(
         called = subprograms(result, job, own_names)
         if not written.documents or settings.mode == "predict":
             return written, called, {}
-        texts = {document.name: document.to_bytes() for document in written.documents}
-        copies = needed_copies(task, result.program.needed, [*texts, *own_names.values()])
-        others = differing(task, texts | copies if job.keeps_text else copies, called, copies, read)
+        names = [document.name for document in written.documents]
+        copies = needed_copies(task, result.program.needed, [*names, *own_names.values()])
+        texts = {document.name: document.to_bytes() for document in written.documents} if job.keeps_text else {}
+        others = differing(task, texts | copies, called, copies, read)
         if not others:
             warnings = needed_warnings(task, result.program.needed, copies, texts | copies)
             return replace(written, issues=(*written.issues, *warnings)), called, copies

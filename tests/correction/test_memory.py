@@ -12,6 +12,25 @@ from postproc.robot import find, load
 SAMPLES = Path(__file__).parents[2] / "samples"
 MOST = 760
 """Bytes for each target at the peak (719 today): poses, forces, joint angles, texts, and what computing them takes."""
+READING = 200
+"""Bytes for each line at the peak of reading KRL (183 today), the text not included: its columns, and its motions."""
+
+
+def peak_of_reading(count: int) -> int:
+    """Return the largest memory that reading a KRL program of `count` lines takes [bytes]."""
+    gc.collect()
+    cell, robot = load_cell(SAMPLES / "cell_kr270.toml"), load(find("kuka_kr270"))
+    lines = "".join(f"LIN {{X {0.1 * n:.4f},Y 50,Z 5,A 0,B 0,C 180}} C_DIS\r\n" for n in range(count))
+    head = "DEF part( )\r\n$APO.CDIS=0.02\r\n$VEL.CP=0.01\r\n"
+    document = decode("part.src", f"{head}{lines}END\r\n".encode())
+    tracemalloc.start()
+    try:
+        program = correction.read([document], robot, cell, "part", "krl")
+        most = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert len(program.motions) == count
+    return most
 
 
 def peak(count: int) -> int:
@@ -36,3 +55,9 @@ def test_memory_for_each_target_is_bounded():
     peak(100)  # imports what is needed, fills caches
     small, large = peak(8_000), peak(40_000)
     assert (large - small) / 32_000 < MOST
+
+
+def test_memory_for_each_line_of_krl_that_is_read_is_bounded():
+    peak_of_reading(100)
+    small, large = peak_of_reading(8_000), peak_of_reading(40_000)
+    assert (large - small) / 32_000 < READING

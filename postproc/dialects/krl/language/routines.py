@@ -6,12 +6,14 @@ from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from pathlib import PurePath
 
+import numpy as np
 from msgspec import Struct
 
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tree import Declaration, Definition, Motion, Parameter
 from postproc.errors import ProgramError
+from postproc.program import Ints
 
 _INCOMPLETE = "Check that the file was transferred completely."
 
@@ -25,7 +27,7 @@ class Routine(Struct, frozen=True, eq=False):
     :param public: True for GLOBAL.
     :param first: line of DEF.
     :param last: line of END.
-    :param plain: lines of plain motions between, in order.
+    :param plain: (P,) lines of plain motions between, in order.
     :param settings: lines of plain settings.
     :param others: other lines with code.
     :param local: names that it declares, parameters included.
@@ -39,7 +41,7 @@ class Routine(Struct, frozen=True, eq=False):
     public: bool
     first: int
     last: int
-    plain: Sequence[int]
+    plain: Ints
     settings: Sequence[int]
     others: Sequence[int]
     local: frozenset[str]
@@ -54,7 +56,7 @@ class Routine(Struct, frozen=True, eq=False):
     @property
     def motion(self) -> int:
         """Line of the first plain motion in it; 0 if there is none."""
-        return self.plain[0] if self.plain else 0
+        return int(self.plain[0]) if len(self.plain) else 0
 
 
 class Module(Struct, frozen=True, eq=False):
@@ -88,12 +90,12 @@ class _Begun(Struct, eq=False):
 
 
 def routines(
-    source: Source, lines: Sequence[int], plain: Sequence[int], settings: Sequence[int] = ()
+    source: Source, lines: Sequence[int], plain: Ints, settings: Sequence[int] = ()
 ) -> tuple[dict[str, Routine], list[ProgramError]]:
     """Return the routines of a file, and the errors in their bounds: no END, a motion outside of DEF … END.
 
     :param lines: 1-based lines that are neither plain motions nor plain settings.
-    :param plain: those that are plain motions, in order.
+    :param plain: (P,) those that are plain motions, in order.
     :param settings: those that are known to assign something to system variables and to do nothing else, in order.
     """
     found: dict[str, Routine] = {}
@@ -123,13 +125,14 @@ def routines(
     return found, faults
 
 
-def _ended(source: Source, begun: _Begun, line: int, plain: Sequence[int], settings: Sequence[int]) -> Routine:
+def _ended(source: Source, begun: _Begun, line: int, plain: Ints, settings: Sequence[int]) -> Routine:
     types: dict[str, str] = {}
     for inside in begun.lines:
         here = statement(source, inside)
         if isinstance(here, Declaration) and not here.public and here.word != "STRUC":
             types |= {one.name: one.kind for one in here.names}
-    plain, settings = (some[bisect_left(some, begun.line) : bisect_left(some, line)] for some in (plain, settings))
+    plain = plain[slice(*np.searchsorted(plain, [begun.line, line]).tolist())]
+    settings = settings[bisect_left(settings, begun.line) : bisect_left(settings, line)]
     return Routine(
         source,
         begun.name,

@@ -160,7 +160,7 @@ class Analysis:
     def cuts(self, module: Module, routine: Routine) -> bool:
         """Return whether a routine, or one that it calls, moves by other than PTP, which carries no force."""
         for _, reached in self._reached([(module, routine)]):
-            for line in (*reached.plain, *reached.lines):
+            for line in (*reached.plain.tolist(), *reached.lines):
                 here = statement(reached.source, line)
                 if isinstance(here, Motion | Spline) and not here.word.startswith(_RAPID):
                     return True

@@ -9,6 +9,8 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Sequence
 
+import numpy as np
+
 from postproc.dialects.krl.course import Branch, Fork, Join, Occasion, PlainRounds, Repeated
 from postproc.dialects.krl.language import tree
 from postproc.dialects.krl.language.expressions import calls
@@ -134,8 +136,9 @@ class Flow:
         module = self.run.level.module
         key = node, module
         if key not in self._moving:
-            plain = self.run.level.routine.plain if source is self.run.level.routine.source else ()
-            found = bisect_left(plain, node.first) < bisect_left(plain, node.last)
+            own = source is self.run.level.routine.source
+            begin, end = np.searchsorted(self.run.level.routine.plain, [node.first, node.last])
+            found = own and bool(begin < end)
             self._moving[key] = found or any(self._statement_moves(source, line) for line in node.lines())
         return self._moving[key]
 

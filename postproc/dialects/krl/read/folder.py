@@ -262,7 +262,7 @@ def module_of(source: Source, data: Source | None = None) -> Module:
     plain = np.concatenate([rows.line for rows in plain_lines.scan(source)])
     others = np.ones(len(source.starts), dtype=np.bool_)
     others[plain - 1] = False
-    found, faults = routines(source, (np.flatnonzero(others) + 1).tolist(), plain.tolist())
+    found, faults = routines(source, (np.flatnonzero(others) + 1).tolist(), plain)
     if faults:
         raise together(faults)
     return Module(source, found, data)

@@ -203,6 +203,7 @@ def _branch_error(
 
 def check_round(
     course: Course,
+    loop: Repeated,
     line: Ints,
     motions: Motions,
     start: Starts,
@@ -212,8 +213,9 @@ def check_round(
 ) -> tuple[list[Issue], tuple[tuple[int, ...], ...]]:
     """Return the issues about the LOOP without EXIT at the end of a program, and the motions before its iterations.
 
-    The latter are the motion before the loop (−1: the start) and its last; both are empty if there is no such loop.
+    The latter are the motion before the loop (−1: the start) and its last.
 
+    :param loop: the LOOP.
     :param line: (M,) lines of the motions in the trace.
     :param start: start poses of the motions, and one more after the last: the first motion of the second iteration.
     :param carriage: the linear axis that carries the robot.
@@ -221,9 +223,6 @@ def check_round(
     :param settings: settings in force, by line.
     :raises ProgramError: an iteration ends in another pose, with other settings or under another force than it began.
     """
-    loop = course.endless
-    if loop is None:
-        return [], ()
     first, beyond = np.searchsorted(line, [loop.first, loop.last]).tolist()
     if first < beyond:
         problem = _moved(first, beyond - 1, motions, start, carriage)
@@ -252,15 +251,16 @@ def _moved(first: int, last: int, motions: Motions, start: Starts, carriage: Car
 
 
 def starts(
-    course: Course, line: Ints, motions: Motions, frames: tuple[Array, Array], flange: Array, after: Ints | None
+    loop: Repeated, line: Ints, motions: Motions, frames: tuple[Array, Array], flange: Array, after: Ints | None
 ) -> Starts:
     """Return the start poses of motions, and one more: the first motion of an endless loop in its second iteration.
 
+    :param line: (M,) lines of the motions in the trace.
     :param frames: `$BASE` in the robot root and `$TOOL` in the flange frame, by the rows of motions.
     :param flange: (4, 4) in the root where the program starts.
     """
-    loop, count = course.endless, len(motions)
-    first, beyond = np.searchsorted(line, [loop.first, loop.last]).tolist() if loop is not None else (0, count)
+    count = len(motions)
+    first, beyond = np.searchsorted(line, [loop.first, loop.last]).tolist()
     row = np.append(np.arange(count), min(first, count - 1))  # of a loop of which no motion is corrected, any
     before = np.append(np.arange(count) - 1 if after is None else after, beyond - 1)
     return Starts.of(

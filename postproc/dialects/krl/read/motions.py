@@ -159,7 +159,7 @@ def motions_and_layout(
         via_spans=rows.via_spans,
         via_target=rows.via_target,
         resumed=ends.resumed,
-        orientation=np.where(rows.kind == PTP, 0, _column(states, state, lambda s: ORIENTATIONS.index(s.orientation))),
+        orientation=_column(states, state, lambda s: ORIENTATIONS.index(s.orientation)) * (rows.kind != PTP),
         ignored=ends.ignored,
         with_path=led.with_path,
         by_wrist=by_wrist,
@@ -226,8 +226,9 @@ def _number(row: int) -> Callable[[State], object]:
 
 
 def _column(states: list[State], state: Ints, value: Callable[[State], object]) -> np.ndarray:
-    """Return one property of the states in force."""
-    return np.array([value(s) for s in states])[state]
+    """Return one property of the states in force; whole numbers in 4 bytes each."""
+    values = np.array([value(s) for s in states])
+    return (compact(values, np.int32) if values.dtype.kind == "i" else values)[state]
 
 
 def _whole(numbers: Array) -> Ints:

@@ -184,8 +184,13 @@ class _Reading(Struct, frozen=True, eq=False):
             issues.append(Issue("warning", "values-from-cell", message))
         frames = np.stack(settings.frames.bases), np.stack(settings.frames.tools)
         check_joins(course, joins, motions, layout.carriage, frames, self.forward(cell.start_joints))
-        begins = starts(course, layout.line, motions, frames, self.forward(cell.start_joints), after)
-        loop_issues, rounds = check_round(course, layout.line, motions, begins, layout.carriage, notes, settings)
+        loop_issues: list[Issue] = []
+        rounds: tuple[tuple[int, ...], ...] = ()
+        if (loop := course.endless) is not None:
+            begins = starts(loop, layout.line, motions, frames, self.forward(cell.start_joints), after)
+            loop_issues, rounds = check_round(
+                course, loop, layout.line, motions, begins, layout.carriage, notes, settings
+            )
         own = (d for d in self.documents if d.name == self.documents[0].name or _belongs(d, self.documents[0]))
         documents = *own, *course.files
         files = {document.name for document in course.files}
@@ -274,7 +279,7 @@ def _config(cell: Cell, path: str) -> Source:
 def _main(source: Source, plain: Plain, name: str) -> tuple[Module, Routine, list[ProgramError]]:
     """Return the routines, the one to follow (that of the program's name, else the first), and faults of bounds."""
     others = np.flatnonzero(plain.others(len(source.starts))) + 1
-    found, faults = routines(source, others.tolist(), plain.moving.tolist(), plain.settings.line.tolist())
+    found, faults = routines(source, others.tolist(), plain.moving, plain.settings.line.tolist())
     module = Module(source, found)
     main = module.main(name)
     if main is None and faults:

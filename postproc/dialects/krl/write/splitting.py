@@ -156,7 +156,7 @@ class _Splitter:
         self.whole, self.limit, self.issues = written, limit, list(written.issues)
         self.source = Source.of(written.documents[0], 0)
         lines = range(1, len(self.source.starts) + 1)
-        found, faults = routines(self.source, lines, ())
+        found, faults = routines(self.source, lines, np.zeros(0, dtype=np.int64))
         if faults:
             raise together(faults)
         main = Module(self.source, found).main(PurePath(written.documents[0].name).stem)
