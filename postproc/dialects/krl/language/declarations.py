@@ -10,8 +10,16 @@ from msgspec.structs import replace
 
 from postproc.dialects.krl.language.expressions import split, value_at
 from postproc.dialects.krl.language.names import DECLARING
-from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.tokens import DECLARATION, NAME, NEXT_DECLARED, after_word, key_word, word_at
+from postproc.dialects.krl.language.source import Source, code_span
+from postproc.dialects.krl.language.tokens import (
+    DECLARATION,
+    ELEMENT,
+    NAME,
+    NEXT_DECLARED,
+    after_word,
+    key_word,
+    word_at,
+)
 from postproc.errors import ProgramError
 
 
@@ -89,8 +97,11 @@ def declared_names(source: Source) -> tuple[frozenset[str], frozenset[str]]:
     """Return the names that a `.dat` declares for its own program, and those that are GLOBAL."""
     own: set[str] = set()
     public: set[str] = set()
-    for line in range(1, len(source.starts) + 1):
-        start, stop = source.code_span(line)
+    for begin, end in zip(source.starts.tolist(), source.stops.tolist(), strict=True):
+        if element := ELEMENT.match(source.text, begin, end):  # most lines of long data lists
+            own.add(element[1].upper())
+            continue
+        start, stop = code_span(source.text, begin, end)
         if start < stop and source.text[start] != "&":
             for one in declared(source, start, stop):
                 (public if one.public else own).add(one.name)
