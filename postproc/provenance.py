@@ -146,7 +146,8 @@ def _lines(text: str, comment: str) -> list[re.Match[str]]:
 @cache
 def _patterns(comment: str) -> tuple[re.Pattern[str], re.Pattern[str]]:
     """Return the expressions for the word that such a line begins with, and for the line."""
-    word = rf"{re.escape(comment)}[ \t]*(?i:POSTPROC)\b"
+    # the number of the format, or nothing, follows: others may write "Postproc: KRC4" or "Postproc version 3"
+    word = rf"{re.escape(comment)}[ \t]*(?i:POSTPROC)(?=[ \t]+\d+\b|[ \t]*[\r\n]|[ \t]*\Z)"
     line = rf"(?:\A|(?<=[\r\n]))[ \t]*{word}([^\r\n]*)(?:\r{{0,2}}\n|\r|\Z)"
     return re.compile(word), re.compile(line)
 

@@ -207,3 +207,12 @@ def test_any_change_is_noticed_in_either_file():
     )
     assert KRL.writer.origin(documents(src.replace("1 version", "1  version"), dat)).state == "intact"
     assert KRL.writer.origin(documents(text.replace("LIN", ";POSTPROCESSED\r\nLIN"))).state == "none"
+
+
+@pytest.mark.parametrize("comment", ["; Postproc: KRC4 mill V3", ";POSTPROC VERSION 3", "; postproc - 5 axes"])
+def test_a_comment_of_another_post_processor_is_only_a_comment(comment):
+    text = f"DEF part( )\r\n{comment}\r\nLIN {{X 1}}\r\nEND\r\n"
+    assert KRL.writer.origin(documents(text)).state == "none"
+    marked, _ = KRL.writer.marked(documents(text), ORIGIN)
+    assert comment in marked[0].text.splitlines()
+    assert KRL.writer.origin(marked).state == "intact"
