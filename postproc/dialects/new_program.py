@@ -53,6 +53,7 @@ class NewProgram:
 
     :ivar before: lines before each target; the key K (number of targets) means the end of the program.
     :ivar stops: targets before which the robot must stop.
+    :ivar own: lines of the cell before each target that has some.
     :ivar issues: warnings for the user.
     """
 
@@ -61,6 +62,7 @@ class NewProgram:
         self.row = targets.motion
         self.before: defaultdict[int, list[str]] = defaultdict(list)
         self.stops: set[int] = {len(self.row)}
+        self.own: defaultdict[int, list[str]] = defaultdict(list)
         self.issues: list[Issue] = []
         self.without_lines: list[Event] = []
 
@@ -113,6 +115,7 @@ class NewProgram:
                     waiting = k
                 if own:
                     self.stops.add(k)
+                    self.own[k] += own
                 nothing = f"{words.comment} {event.kind} {number(event.value)}: no lines for it in the cell"
                 self.before[k] += own or [nothing]
         if self.without_lines:

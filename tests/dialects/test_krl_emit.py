@@ -15,8 +15,10 @@ from postproc.frames import pose_from_xyzabc
 from postproc.poses import Poses
 from postproc.program import CIRC, LIN, PTP, Document, Event, Motions, Targets
 from tests import programs
+from tests.attack.krl_interpreter import Controller
 from tests.dialects.krl_programs import CELL, check_commands, forward
 from tests.effort import calls_for_each
+from tests.oracle.arm import abc
 
 MILLING = changed(
     CELL,
@@ -108,7 +110,10 @@ KRC4 = (
     "TOOL_CHANGE(3)\r\n"
     "$ANOUT[1]=18000/24000.0\r\n"
     "$OUT[1]=TRUE\r\n"
+    "$BASE={{X 1500,Y -200,Z 700,A 0,B 0,C 0}}\r\n"
+    "$TOOL={{X 0,Y 0,Z 350,A 0,B 0,C 0}}\r\n"
     "PTP {{X 10,Y 20,Z 51,A 0,B 0,C 180,S 2,T 34}}\r\n"
+    "$APO.CDIS=0.5\r\n"
     "$VEL.CP=0.050000\r\n"
     "LIN {{X 10,Y 20,Z 0,A 0,B 0,C 180}} C_DIS\r\n"
     "; cut\r\n"
@@ -183,6 +188,53 @@ def test_outputs_switch_when_the_robot_stands():
     )
     part = text[text.index("WAIT SEC 0\r\n") :].split("\r\n")
     assert part[:5] == ["WAIT SEC 0", "$OUT[2]=TRUE", "$ANOUT[1]=100.5/24000.0", "$OUT[1]=TRUE", "WAIT SEC 2"]
+
+
+CHANGER = """DEF TOOL_CHANGE(n :IN)
+INT n
+$BASE={X 0,Y 0,Z 0,A 0,B 0,C 0}
+$TOOL={X 0,Y 0,Z 99,A 0,B 0,C 0}
+$VEL.CP=0.1
+$APO.CDIS=7
+PTP {A1 90,A2 -70,A3 110,A4 0,A5 50,A6 0}
+END
+"""
+
+
+def test_after_a_routine_that_changes_the_tool_all_is_as_programmed():
+    """Executed by the interpreter of the tests: the changer drives with frames and speeds of its own."""
+    moves = [("PTP", 0, 0, 50), ("LIN", 0, 0, 0), ("LIN", 50, 0, 0), ("LIN", 50, 9, 0), ("LIN", 0, 9, 0)]
+    frames = pose_from_xyzabc([[0.0, 0, 350, 0, 0, 0], [0.0, 0, 412.5, 0, 0, 0]])
+    program = changed(milling(moves, [Event(0, "tool_change", 1, 1.0), Event(3, "tool_change", 3, 2.0)]), tools=frames)
+    program.motions.tool[:] = [0, 0, 0, 1, 1]
+    text, wanted, _ = emitted(program)
+    start = np.eye(4), np.eye(4)
+    done = Controller({"PART.SRC": text, "TOOL_CHANGE.SRC": CHANGER}, np.random.default_rng(1), *start, {}).run("PART")
+    assert [motion.file for motion in done].count("TOOL_CHANGE.SRC") == 2
+    own = [motion for motion in done if motion.numbers]
+    assert len(own) == len(wanted)
+    for k, motion in enumerate(own):
+        np.testing.assert_allclose(motion.base, abc(1500, -200, 700), atol=1e-12)
+        np.testing.assert_allclose(motion.tool, frames[program.motions.tool[k]], atol=1e-12)
+        if motion.kind == "LIN":
+            assert (motion.speed, motion.cdis) in ((0.05, 0.5), (0.05, None))
+    assert [motion.cdis for motion in own][3] == 0.5
+
+
+@pytest.mark.parametrize("own", [["; tool {T} by hand", "HALT"], ["$OUT[{T}]=TRUE", ""], ["WAIT FOR ($IN[1])"]])
+def test_frames_follow_the_lines_of_a_tool_change_and_are_not_repeated_without_a_call(own):
+    frames = pose_from_xyzabc([[0.0, 0, 350, 0, 0, 0], [0.0, 0, 412.5, 0, 0, 0]])
+    events = [Event(0, "tool_change", 1, 1.0), Event(2, "tool_change", 2, 2.0)]
+    program = changed(milling(MOVES[:3], events), tools=frames)
+    program.motions.tool[:] = [0, 0, 1]
+    lines = emitted(program, changed(MILLING, gcode=changed(MILLING.gcode, tool_change=own)))[0].split("\r\n")
+    assert [line for line in lines if line.startswith(("$BASE", "$APO", "$VEL"))] == [
+        "$BASE={X 1500,Y -200,Z 700,A 0,B 0,C 0}",
+        "$APO.CDIS=0.5",
+        "$VEL.CP=0.050000",
+    ]
+    (at,) = [n for n, line in enumerate(lines) if line.startswith("$TOOL={X 0,Y 0,Z 412.5")]
+    assert lines[at - len(own) : at] == [line.replace("{T}", "2") for line in own]
 
 
 def test_events_without_lines_in_the_cell_are_warned_about_and_written_as_comments():

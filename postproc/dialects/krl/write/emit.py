@@ -6,6 +6,8 @@ Decisions, where KUKA leaves a choice:
   no C_DIS: the advance run stops there, so that outputs switch once the robot stops, not up to three motions early.
 - With ``[gcode] motions = "SLIN"`` path motions are SLIN and SCIRC with C_SPL, which keep the programmed path at any
   speed. PTP gets no C_DIS then: spline and other motions are not approximated into each other.
+- Frames are set after these lines, and what a program called by them may have changed is set again: `$BASE`, `$TOOL`,
+  `$APO.CDIS` and speeds. A routine that changes the tool drives to the magazine with frames of its own.
 - C_DIS is also left out before a dwell, a HALT, a change of `$BASE` or `$TOOL`, a PTP, and at the end.
 """
 
@@ -21,7 +23,10 @@ from postproc.decimals import Number, Part, lines, without_trailing_zeros
 from postproc.dialects import force_comments
 from postproc.dialects.force_comments import where
 from postproc.dialects.krl.language.names import fault_of, valid
+from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.positions import CARTESIAN
+from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.tree import CallStatement
 from postproc.dialects.krl.write.target_numbers import DECIMALS, printed
 from postproc.dialects.krl.write.target_statements import aggregate_text
 from postproc.dialects.new_program import LINE_END, NewProgram, Words, check_name, number
@@ -72,14 +77,17 @@ class _Emitter:
         self.program, self.targets, self.cell, self.carried = program, targets, cell, carried
         self.new = NewProgram(program, targets, cell, _WORDS)
         self.noted = np.zeros(len(targets), dtype=np.bool_)
+        self.called: list[int] = []
 
     def written(self) -> Written:
         """Return the document."""
         new, count = self.new, len(self.targets)
         head = self._head()
-        for k in new.frame_changes():
-            self._set_frames(k)
         new.events()
+        self.called = [k for k, own in sorted(new.own.items()) if k < count and _calls(own)]
+        changes = set(new.frame_changes())
+        for k in sorted(changes.union(self.called)):
+            self._set_frames(k)
         distances = new.distances()
         self._set_distances(distances)
         self._set_speeds()
@@ -112,27 +120,33 @@ class _Emitter:
         ]
 
     def _set_frames(self, k: int) -> None:
-        """Set the frames that change before a target."""
+        """Set the frames that change before a target; both if a program was called there."""
         base, tool = self.new.frames(k)
-        old_base, old_tool = self.new.frames(k - 1)
+        old_base, old_tool = (-1, -1) if k in self.called else self.new.frames(k - 1)
         if base != old_base:
             self.new.before[k].append(f"$BASE={_frame(self.program.bases[base])}")
         if tool != old_tool:
             self.new.before[k].append(f"$TOOL={_frame(self.program.tools[tool])}")
+
+    def _again(self, rows: Ints) -> Bools:
+        """Return which of some targets (n,), in order, are the first behind a program that was called."""
+        first = np.searchsorted(rows, np.array(self.called, dtype=np.int64))
+        return np.isin(np.arange(len(rows)), first)
 
     def _set_distances(self, distances: Array) -> None:
         """Set `$APO.CDIS` anew where it changes."""
         given = np.flatnonzero(distances > 0.0)
         first = self.targets.blend
         current = first[first > 0.0][:1]
-        changed = given[np.append(current, distances[given])[:-1] != distances[given]] if len(given) else given
+        changed = np.append(current, distances[given])[: len(given)] != distances[given]
+        changed = given[changed | self._again(given)]
         for k in changed.tolist():
             self.new.before[k].append(f"$APO.CDIS={number(MM_PER_M * distances[k])}")
 
     def _set_speeds(self) -> None:
         """Set `$VEL.CP` where it changes."""
         path, speeds = self.new.speeds()
-        changed = np.flatnonzero(np.diff(speeds, prepend=0.0) != 0.0)
+        changed = np.flatnonzero((np.diff(speeds, prepend=0.0) != 0.0) | self._again(path))
         for k, speed in zip(path[changed].tolist(), speeds[changed].tolist(), strict=True):
             self.new.before[k].append(f"$VEL.CP={speed / 1e6:.6f}")
 
@@ -140,7 +154,7 @@ class _Emitter:
         """Set `$VEL.ORI1` and `$VEL.ORI2` where the program says how fast the tool turns, else as INITMOV does."""
         path = np.flatnonzero(self.targets.kind != PTP)
         speeds = np.nan_to_num(self.new.turning_speeds()[path])
-        changed = np.flatnonzero(np.diff(speeds, prepend=0.0) != 0.0)
+        changed = np.flatnonzero((np.diff(speeds, prepend=0.0) != 0.0) | (self._again(path) & speeds.any()))
         for k, speed in zip(path[changed].tolist(), speeds[changed].tolist(), strict=True):
             for name in ("ORI1", "ORI2"):
                 self.new.before[k].append(f"$VEL.{name}={number(speed) if speed else f'$VEL_MA.{name}'}")
@@ -163,6 +177,12 @@ class _Emitter:
             via = _aggregate(self.targets.via[k] * MM_PER_M)
             return lines([spline + b"CIRC ", *via, b",", *end, *tail])
         return lines([spline + b"LIN ", *end, *tail])
+
+
+def _calls(own: Sequence[str]) -> bool:
+    """Return whether lines of the cell call a program."""
+    source = Source.of(Document("cell.toml", "\n".join(own)), 0)
+    return any(isinstance(statement(source, line + 1), CallStatement) for line in range(len(source.starts)))
 
 
 def _aggregate(numbers: Array) -> list[Part]:
