@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import http.client
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -35,8 +36,10 @@ def watcher(tmp_path, monkeypatch):
     said: list[str] = []
     monkeypatch.setattr(watching, "SCAN", 0.02)
 
-    def make(**options):
-        known = watching._Watcher(tmp_path / "in", tmp_path / "out", Settings(CELL), options, 1, said.append)
+    def make(cell=CELL, tolerance_mm=None, **options):
+        said.clear()
+        settings = Settings(cell, tolerance_mm=tolerance_mm)
+        known = watching._Watcher(tmp_path / "in", tmp_path / "out", settings, options, 1, said.append)
         known.said = said
         return known
 
@@ -96,6 +99,93 @@ def test_one_that_fails_stops_no_other_and_is_tried_again_when_it_changes(watche
     assert {path.name for path in (tmp_path / "out").glob("*.src")} == {"a.src", "c.src"}
     put(tmp_path, "b.nc", PART.format(x=5))
     assert converted(known, (20.0, 22.0)) == ["b.nc"]
+
+
+def test_after_a_change_of_the_cell_all_programs_are_converted_again(watcher, tmp_path):
+    """Also those that failed: the cell is what most of them need changed. Not while it is being written."""
+    cell = tmp_path / "cell.toml"
+    text = CELL.read_text()
+    cell.write_text(text)
+    text += "\n[machine]\nclearance_Z = 200.0\n"
+    put(tmp_path, "a.nc", PART.format(x=5))
+    put(tmp_path, "b.nc", PART.format(x=6).replace("M30", "G28 Z0\nM30"))
+    known = watcher(cell=cell)
+    assert sorted(converted(known)) == ["a.nc", "b.nc"]
+    assert {path.name for path in (tmp_path / "out").glob("*.src")} == {"a.src"}
+    before = (tmp_path / "out" / "a.src").read_text()
+    assert converted(known, (2.0, 4.0)) == []
+    cell.write_text(text.replace("Z = 700.0", "Z = 650.0"))
+    assert converted(known, (5.0, 5.9)) == []
+    assert sorted(converted(known, (6.1, 7.2))) == ["a.nc", "b.nc"]
+    assert known.said == ["The cell, or a file used with it, has changed: all programs are converted again."]
+    assert {path.name for path in (tmp_path / "out").glob("*.src")} == {"a.src", "b.src"}
+    after = (tmp_path / "out" / "a.src").read_text()
+    assert "Z 700" in before
+    assert "Z 650" in after
+    assert converted(known, (8.0, 10.0)) == []
+    cell.write_text(text)  # while it is not running
+    again = watcher(cell=cell)
+    assert sorted(converted(again)) == ["a.nc", "b.nc"]
+    (tmp_path / "out" / watching.STATE).unlink()  # the record is lost: the reports are of this cell
+    assert converted(watcher(cell=cell)) == []
+    cell.write_text(text.replace("Z = 700.0", "Z = 650.0"))
+    assert sorted(converted(watcher(cell=cell))) == ["a.nc", "b.nc"]
+
+
+@pytest.mark.parametrize("changed", ["process.toml", "material.toml", "stock.stl", "robot/model.toml", "--tolerance"])
+def test_what_all_programs_are_converted_with_counts_as_the_cell_does(watcher, tmp_path, changed):
+    shutil.copytree(ROOT / "robot_models" / "kuka_kr270", tmp_path / "robot")
+    (tmp_path / "cell.toml").write_text(CELL.read_text().replace('"kuka_kr270"', '"robot"'))
+    (tmp_path / "process.toml").write_text('[material]\nfile = "material.toml"\n[stock]\nfile = "stock.stl"\n')
+    for name in ("material.toml", "stock.stl"):
+        (tmp_path / name).write_text("not read here")
+    options = {"cell": tmp_path / "cell.toml", "forces": tmp_path / "process.toml"}
+    put(tmp_path, "a.nc", PART.format(x=5))
+    assert converted(watcher(**options)) == ["a.nc"]
+    assert converted(watcher(**options)) == []
+    if changed == "--tolerance":
+        options["tolerance_mm"] = 0.02
+    else:
+        with (tmp_path / changed).open("a") as file:
+            file.write("# changed\n")
+    assert converted(watcher(**options)) == ["a.nc"]
+    assert converted(watcher(**options)) == []
+
+
+def test_the_overview_lists_programs_that_came_one_by_one_also_those_that_failed(watcher, tmp_path):
+    known = watcher()
+    page = tmp_path / "out" / "index.html"
+    put(tmp_path, "a.nc", PART.format(x=5))
+    assert converted(known) == ["a.nc"]
+    assert "a.nc" in page.read_text()
+    put(tmp_path, "b.nc", "G999\n")
+    assert converted(known, (2.0, 4.0)) == ["b.nc"]
+    put(tmp_path, "c.nc", PART.format(x=7))
+    assert converted(known, (5.0, 7.0)) == ["c.nc"]
+    text = page.read_text()
+    assert all(name in text for name in ("a.nc", "b.nc", "c.nc", "G999"))
+    put(tmp_path, "b.nc", PART.format(x=6))
+    assert converted(watcher()) == ["b.nc"]
+    assert "G999" not in page.read_text()
+    page.write_text("<p>mine")
+    put(tmp_path, "d.nc", PART.format(x=8))
+    other = watcher()
+    assert converted(other) == ["d.nc"]
+    assert page.read_text() == "<p>mine"
+    assert other.said == [f"{page} was not written by postproc: there is no overview."]
+
+
+def test_an_output_folder_that_cannot_be_written_is_waited_for_and_a_removed_one_is_filled_again(watcher, tmp_path):
+    known = watcher()
+    put(tmp_path, "a.nc", PART.format(x=5))
+    (tmp_path / "out").write_text("a file of this name")
+    assert converted(known, (0.0, 2.0, 3.0)) == []
+    assert known.said == [f"{tmp_path / 'out'} cannot be written at present. Waiting for it."]
+    (tmp_path / "out").unlink()
+    assert converted(known, (4.0,)) == ["a.nc"]
+    shutil.rmtree(tmp_path / "out")
+    assert converted(known, (5.0, 6.5)) == ["a.nc"]
+    assert (tmp_path / "out" / "a.src").is_file()
 
 
 def test_a_locked_file_is_waited_for(watcher, tmp_path, monkeypatch):

@@ -187,16 +187,25 @@ def _write_overviews(folders: Sequence[Path], jobs: Sequence[Job], outcomes: Seq
     for folder in folders:
         here = [known[str(job.program)] for job in jobs if job.output == folder]
         entries = [
-            Entry(Path(outcome.program).name, "", None, _reason(outcome), called=outcome.skipped)
+            Entry(Path(outcome.program).name, "", None, reason(outcome), called=outcome.skipped)
             for outcome in here
             if outcome.summary is None
         ]
-        entries += [entry for path in sorted(folder.glob(f"*{_REPORT}")) if (entry := _entry(path)) is not None]
-        content = files.sealed(_HEAD + index_page(entries, folder.resolve().name))
-        files.write_whole(folder, {OVERVIEW: content})
+        write_overview(folder, entries)
 
 
-def _reason(outcome: Outcome) -> str:
+def write_overview(folder: Path, others: Sequence[Entry]) -> None:
+    """Write the overview of a folder: the programs that were written to it, and others.
+
+    :raises InputError: it cannot be written.
+    """
+    reports = [entry for path in sorted(folder.glob(f"*{_REPORT}")) if (entry := _entry(path)) is not None]
+    content = files.sealed(_HEAD + index_page([*others, *reports], folder.resolve().name))
+    files.write_whole(folder, {OVERVIEW: content})
+
+
+def reason(outcome: Outcome) -> str:
+    """Return why a program was not written."""
     return outcome.message or "; ".join(issue.message for issue in outcome.issues if issue.level == "error")
 
 

@@ -3,14 +3,16 @@
 The folder is scanned: what a scan finds is what counts, so that nothing is lost if a notification is, as on network
 drives. The library watchfiles, where it is installed, only shortens the time to the next scan. A program is converted
 once it has not changed for `QUIET` and can be opened. What has been converted is in a file of the output folder, with
-the sums of the contents; after a crash the reports there say it. `server` shows the overview on this machine: it
-listens on 127.0.0.1 and only reads the folder.
+the sums of the contents, and of the cell and the other files that all programs are converted with: after a change of
+these all are converted again. After a crash the reports say what has been converted. The overview lists all programs,
+also those that could not be. `server` shows it on this machine: it listens on 127.0.0.1 and only reads the folder.
 """
 
 from __future__ import annotations
 
 import json
 import re
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
@@ -21,18 +23,24 @@ from typing import Any
 
 import msgspec
 
+from postproc import cell as cells
 from postproc import files, provenance
+from postproc import robot as robots
 from postproc.dialects import registry
 from postproc.errors import InputError, PostprocError
-from postproc.jobs.programs import FAILED, Job, Outcome, Settings, find_jobs
-from postproc.jobs.runs import convert_all
+from postproc.jobs.conversion import options_of
+from postproc.jobs.output_plan import OVERVIEW
+from postproc.jobs.programs import FAILED, GOOD, PROCESS, Job, Outcome, Settings, find_jobs
+from postproc.jobs.runs import convert_all, reason, write_overview
+from postproc.machining import process
+from postproc.report import index
 
 QUIET = 1.0
 """Time for which a file must not have changed [s]."""
 SCAN = 0.5
 """Time between two scans [s]."""
 STATE = ".postproc-watch.json"
-_SOURCE = re.compile(rb"POSTPROC \d+ .*\bsource=([0-9a-f]{64})")
+_SOURCE = re.compile(rb"POSTPROC \d+ .*\bsource=([0-9a-f]{64}) cell=([0-9a-f]{64})")
 _HEAD = 4000
 """Number of bytes of a written program that are searched for where it comes from."""
 
@@ -40,10 +48,18 @@ Signature = tuple[tuple[str, int, int], ...]
 
 
 class Entry(msgspec.Struct, frozen=True):
-    """A program that has been converted, or could not be: sum of its contents, and exit code."""
+    """A program that has been converted, or could not be.
+
+    :param sum: of its contents.
+    :param code: exit code.
+    :param setup: sum of what all programs are converted with, see `_Watcher.setup`.
+    :param reason: why nothing was written.
+    """
 
     sum: str
     code: int
+    setup: str = ""
+    reason: str = ""
 
 
 def watch(
@@ -99,8 +115,20 @@ def _pause(folder: Path, stop: Event) -> Callable[[], object]:
     return wait
 
 
+def _status(path: Path) -> tuple[int, int]:
+    """Return size and time of a file; zeros if it is not there."""
+    try:
+        status = path.stat()
+    except OSError:
+        return 0, 0
+    return status.st_size, status.st_mtime_ns
+
+
 class _Watcher:
-    """State of the programs of a folder."""
+    """State of the programs of a folder.
+
+    :ivar setup: sum of the cell, robot, process, other files and options that all programs are converted with.
+    """
 
     def __init__(
         self,
@@ -117,6 +145,10 @@ class _Watcher:
         self.finished: dict[Path, Signature] = {}
         self.entries = self._known()
         self.reported: set[str] = set()
+        self.setup = ""
+        self.setup_paths: list[Path] = []
+        self.setup_status: tuple[tuple[int, int], ...] = ()
+        self.setup_since, self.setup_read = 0.0, False
 
     def scan(self, now: float) -> list[Path]:
         """Return the programs that are new or have changed, and are quiet and readable.
@@ -129,6 +161,10 @@ class _Watcher:
             self._say_once(f"{self.folder} cannot be read at present. Waiting for it.")
             return []
         self.reported.discard(f"{self.folder} cannot be read at present. Waiting for it.")
+        quiet = self._is_setup_quiet(now)
+        if self.entries and not (self.output / STATE).is_file():  # the output was removed
+            self.entries = {}
+            self.finished.clear()
         for gone in self.seen.keys() - found.keys():
             self.seen.pop(gone)
             self.finished.pop(gone, None)
@@ -141,7 +177,66 @@ class _Watcher:
                 self.seen[path] = (signature, now)
             elif now - since >= QUIET and self._is_new(path, signature):
                 ready.append(path)
-        return ready
+        return ready if quiet and ready and self._can_write() else []
+
+    def _can_write(self) -> bool:
+        """Return whether the output folder can be written at present."""
+        waiting = f"{self.output} cannot be written at present. Waiting for it."
+        try:
+            self.output.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=self.output):
+                self.reported.discard(waiting)
+                return True
+        except OSError:
+            self._say_once(waiting)
+            return False
+
+    def _is_setup_quiet(self, now: float) -> bool:
+        """Return whether the files that all programs are converted with have not changed for a while.
+
+        If they have changed, all programs are converted again.
+        """
+        if tuple(map(_status, self.setup_paths)) != self.setup_status or not self.setup:
+            self.setup_paths = self._setup_paths()
+            self.setup_status = tuple(map(_status, self.setup_paths))
+            self.setup_since, self.setup_read = now, False
+        if self.setup_read:
+            return True
+        if self.setup and now - self.setup_since < QUIET:
+            return False
+        given = {**options_of(self.settings), **{name: str(value) for name, value in sorted(self.options.items())}}
+        try:
+            contents = [path.read_bytes() for path in self.setup_paths if path.is_file()]
+        except OSError:
+            return False
+        self.setup_read, before = True, self.setup
+        self.setup = provenance.digest([json.dumps(given).encode(), *contents])
+        if ({before} if before else {entry.setup for entry in self.entries.values()}) - {self.setup}:
+            self.say("The cell, or a file used with it, has changed: all programs are converted again.")
+            self.finished.clear()
+        return True
+
+    def _setup_paths(self) -> list[Path]:
+        """Return the files that all programs are converted with, as far as they can be read."""
+        settings, forces = self.settings, self.options.get("forces")
+        paths = [settings.cell, *([] if settings.part is None else [settings.part])]
+        try:
+            cell = cells.load(settings.cell)
+            paths += [] if cell.config_dat is None else [Path(cell.folder) / cell.config_dat]
+            model = robots.find(cell.robot, Path(cell.folder))
+            paths += [model / "robot.urdf", model / "model.toml"]
+        except PostprocError:
+            pass
+        if forces is not None and not forces.is_dir():
+            paths.append(forces)
+        if forces is not None and forces.suffix.lower() == PROCESS:
+            try:
+                given = process.load(forces)
+                named = (given.stock.file, None if given.material is None else given.material.file)
+                paths += [forces.parent / name for name in named if name is not None]
+            except PostprocError:
+                pass
+        return paths
 
     def convert(self, ready: Sequence[Path]) -> Iterator[tuple[Outcome, Job]]:
         """Convert programs, and record each as soon as it is in its place."""
@@ -152,7 +247,8 @@ class _Watcher:
         except PostprocError as cause:
             if len(ready) == 1:
                 failed = Outcome(str(ready[0]), FAILED, message=str(cause))
-                self._record(ready[0], FAILED, *before[ready[0]])
+                self._record(ready[0], failed, *before[ready[0]])
+                self._write_overview()
                 yield failed, Job(ready[0], "", self.output)
                 return
             for path in ready:
@@ -160,7 +256,23 @@ class _Watcher:
                     yield from self.convert([path])
         for path in ready:  # called by others, and converted with them
             if self.finished.get(path) != before[path][0]:
-                self._record(path, 0, *before[path])
+                self._record(path, Outcome(str(path), GOOD), *before[path])
+        self._write_overview()
+
+    def _write_overview(self) -> None:
+        """Write the overview of the output folder, with the programs that could not be converted."""
+        if files.foreign_single(self.output / OVERVIEW) and not self.settings.overwrite:
+            self._say_once(f"{self.output / OVERVIEW} was not written by postproc: there is no overview.")
+            return
+        failed = [
+            index.Entry(name, "", None, entry.reason)
+            for name, entry in self.entries.items()
+            if entry.reason and (self.folder / name).is_file()
+        ]
+        try:
+            write_overview(self.output, failed)
+        except InputError as cause:
+            self._say_once(str(cause))
 
     def _converted(
         self, jobs: Sequence[Job], before: Mapping[Path, tuple[Signature, str | None]]
@@ -169,7 +281,7 @@ class _Watcher:
         for outcome in convert_all(jobs, self.settings, workers=self.workers, waiting=self.say):
             job = by_name[outcome.program]
             if job.program in before:
-                self._record(job.program, outcome.code, *before[job.program])
+                self._record(job.program, outcome, *before[job.program])
             yield outcome, job
 
     def _jobs(self, ready: Sequence[Path]) -> list[Job]:
@@ -222,27 +334,34 @@ class _Watcher:
         if total is None:
             return False
         entry = self.entries.get(path.name)
-        if (entry is None or entry.sum != total) and not self._has_report(path):
+        if entry is None or entry.setup == self.setup:
+            new = (entry is None or entry.sum != total) and not self._has_report(path)
+        else:
+            new = True
+        if new:
             return True
         self.finished[path] = signature
         return False
 
     def _has_report(self, path: Path) -> bool:
-        """Return whether a report in the output folder is that of the program as it is."""
+        """Return whether a report in the output folder is that of the program and the cell as they are."""
         try:
             content = json.loads((self.output / f"{path.stem}.report.json").read_bytes())
             source = provenance.digest(one.read_bytes() for one in self._reads(path) if one.suffix.lower() != ".csv")
+            made_from = source, provenance.digest([self.settings.cell.read_bytes()])
             written = [self.output / entry["name"] for entry in content["files"]]
             marks = (_SOURCE.search(one.read_bytes()[:_HEAD]) for one in written if one.suffix in (".src", ".mod"))
-            return content["program"] == path.name and source in {mark[1].decode() for mark in marks if mark}
+            found = {(mark[1].decode(), mark[2].decode()) for mark in marks if mark}
+            return content["program"] == path.name and made_from in found
         except (OSError, ValueError, KeyError, TypeError):
             return False
 
-    def _record(self, path: Path, code: int, signature: Signature, total: str | None) -> None:
+    def _record(self, path: Path, outcome: Outcome, signature: Signature, total: str | None) -> None:
         """Record that a program has been converted, or could not be."""
         self.finished[path] = signature
         if total is not None:
-            self.entries[path.name] = Entry(total, code)
+            why = reason(outcome) if outcome.summary is None and outcome.code == FAILED else ""
+            self.entries[path.name] = Entry(total, outcome.code, self.setup, why)
             files.write_whole(self.output, {STATE: msgspec.json.encode(self.entries)})
 
     def _known(self) -> dict[str, Entry]:
