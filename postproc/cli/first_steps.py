@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -53,6 +54,35 @@ def _tools_line(text: str) -> dict[int, Numbers]:
     return _tools(text.split())
 
 
+def _work_offsets(texts: Sequence[str]) -> dict[str, Numbers]:
+    """Return frames in $BASE by the code of the work offset from texts such as ``G55=300,0,0``."""
+    offsets: dict[str, Numbers] = {}
+    for text in texts:
+        name, _, words = text.partition("=")
+        found = _numbers(words)
+        code = name.strip().upper()
+        if not re.fullmatch(r"G5[4-9]|G59\.[1-3]", code) or not found:
+            raise click.BadParameter(f"{text!r}: give G54 to G59.3 and its frame in $BASE, such as G55=300,0,0")
+        offsets[code] = found
+    return offsets
+
+
+def _work_offsets_line(text: str) -> dict[str, Numbers]:
+    return _work_offsets(text.split())
+
+
+def _m_codes(texts: Sequence[str]) -> list[str]:
+    """Return M codes from texts such as ``M31`` or ``31``."""
+    names = [text.strip().upper().removeprefix("M").lstrip("0") for text in texts]
+    if wrong := [text for text, name in zip(texts, names, strict=True) if not name.isdecimal()]:
+        raise click.BadParameter(f"{wrong[0]!r}: give an M code, such as M31")
+    return [f"M{name}" for name in names]
+
+
+def _m_codes_line(text: str) -> list[str]:
+    return _m_codes(text.replace(",", " ").split())
+
+
 def _robot(text: str) -> str:
     from postproc.errors import ModelError
     from postproc.robot import find
@@ -102,6 +132,29 @@ def _parsed(kind: Any) -> Any:
     metavar="N=X,Y,Z[,A,B,C]",
     help="$TOOL after T n M6, or its Z alone; once for each tool. Default: --tool for all.",
 )
+@click.option(
+    "--work-offset",
+    "work_offsets",
+    multiple=True,
+    callback=lambda _ctx, _param, texts: _work_offsets(texts),
+    metavar="G55=X,Y,Z[,A,B,C]",
+    help="Frame of a work offset in $BASE; once for each. G54 is $BASE itself.",
+)
+@click.option(
+    "--m-code",
+    "m_codes",
+    multiple=True,
+    callback=lambda _ctx, _param, texts: _m_codes(texts),
+    metavar="M31",
+    help="M code of the machine that has no effect on the robot; once for each.",
+)
+@click.option(
+    "--radius-offsets",
+    type=Choice(["radius", "wear"]),
+    default="radius",
+    show_default=True,
+    help="What D of G41 and G42 holds. With wear the path of the program is that of the tool centre.",
+)
 @click.option("--part-tolerance", type=float, metavar="MM", help="What the part may be off (95 %); default: 0.5.")
 @click.option(
     "--robodk",
@@ -121,6 +174,7 @@ def init(cell: Path, robodk: str | None, **given: Any) -> None:
       postproc init
       postproc init my_cell.toml --robot kuka_kr270 --base 1500,-200,700 --tool 0,0,350
       postproc init --robot kuka_kr270 --base 1500,0,700 --tools 1=0,0,350 --tools 2=0,0,412.5 --clearance 150
+      postproc init --robot kuka_kr270 --base 1500,0,700 --tool 0,0,350 --work-offset G55=300,0,0 --m-code M31
       postproc init --robot kuka_kr210_r2700_2 --config-dat '$config.dat' --base 3 --tool 2
       postproc init --robodk milling.rdk
     """  # noqa: D301 - click: keep these lines as they are
@@ -190,6 +244,12 @@ def _asked(given: dict[str, Any]) -> dict[str, Any]:
     if missing and not given["tools"]:
         text = "Tools that programs change to, such as 1=0,0,350 2=0,0,412.5 (empty: $TOOL holds for all)"
         given["tools"] = click.prompt(text, default="", show_default=False, value_proc=_tools_line)
+    if missing and not given["work_offsets"]:
+        text = "Work offsets that programs use in addition to G54, such as G55=300,0,0 (empty: none)"
+        given["work_offsets"] = click.prompt(text, default="", show_default=False, value_proc=_work_offsets_line)
+    if missing and not given["m_codes"]:
+        text = "M codes that have no effect on the robot, such as M31 M33 (empty: none)"
+        given["m_codes"] = click.prompt(text, default="", show_default=False, value_proc=_m_codes_line)
     if missing and given["start"] is None:
         text = "Joints where programs start: A1,…,A6 (empty: chosen with the tip above the part)"
         given["start"] = click.prompt(text, default="", show_default=False, value_proc=_numbers) or None

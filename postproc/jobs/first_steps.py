@@ -100,6 +100,9 @@ class CellRequest(Struct, frozen=True, kw_only=True):
     :param clearance: Z of `$BASE` to which G28, G30 and G53 retract [mm].
     :param tool_change: `BY_HAND`, `NO_LINES`, or the line that calls the tool changer, with {T}.
     :param tools: T number → `$TOOL` in the flange frame, as `tool`; none: `tool` holds for all.
+    :param work_offsets: code of a work offset (``G55``) → its frame in `$BASE`, as `base`.
+    :param m_codes: M codes that programs use and that have no effect on the robot (``M31``).
+    :param radius_offsets: what the radius offsets (D) of the control hold: "radius" or "wear".
     :param part_tolerance: what the part may be off, 95 % [mm].
     :param overwrite: replace a file that is there.
     """
@@ -114,6 +117,9 @@ class CellRequest(Struct, frozen=True, kw_only=True):
     clearance: float = CLEARANCE_MM
     tool_change: str = BY_HAND
     tools: Mapping[int, Numbers] = {}
+    work_offsets: Mapping[str, Numbers] = {}
+    m_codes: Sequence[str] = ()
+    radius_offsets: str = "radius"
     part_tolerance: float = PART_TOLERANCE_MM
     overwrite: bool = False
 
@@ -338,6 +344,7 @@ max_correction_mm = 8.0          # a larger correction is an error
 tolerance_mm = {_number(request.part_tolerance)}               # error allowed on the part (95 %)
 
 [gcode]                          # how G-code becomes {language.upper()}
+radius_offsets = {_quoted(request.radius_offsets)}        # "wear": D holds wear, the path is of the tool centre
 redundancy_deg = {_number(turn)}             # turn of the tool about its axis: so that A4 and A6 stay near their start
 rapid_m_per_s = 0.5              # speed of G0
 approximation_mm = 0.5           # $APO.CDIS, or the zone; 0: exact stops
@@ -349,8 +356,8 @@ corner_tolerance_mm = 0.05       # a corner that approximation would round by mo
 clearance_Z = {_number(request.clearance)}              # Z of $BASE to which they retract: above part and clamps
 # home = [0, -90, 90, 0, 0, 0]   # A1 to A6: G28 and G30 go there; without it the tool stays above its place
 {_tools(tools)}
-# [work_offsets.G55]             # G54 is $BASE itself; others must be given to be used
-# X = 0.0
+{_work_offsets(request.work_offsets)}
+{_m_codes(request.m_codes)}
 
 # [payload]                      # carried in addition to the state that the robot model was calibrated in
 # mass_kg = 0.0
@@ -368,8 +375,33 @@ def _tools(tools: Mapping[int, Frame]) -> str:
 """
 
 
+def _work_offsets(given: Mapping[str, Numbers]) -> str:
+    """Return the tables of work offsets, or an example of one."""
+    frames = {code: Frame(*_six(code, words, 3)) for code, words in given.items()}
+    tables = "\n".join(f"\n[work_offsets.{_table_key(code)}]\n{_keys(frame)}" for code, frame in frames.items())
+    if tables:
+        return f"# frames in $BASE after G55 and so on; G54 is $BASE itself{tables}"
+    return """\
+# [work_offsets.G55]             # G54 is $BASE itself; others must be given to be used
+# X = 0.0"""
+
+
+def _m_codes(given: Sequence[str]) -> str:
+    """Return the table of M codes without effect, or an example of one."""
+    if given:
+        lines = "\n".join(f"{code} = []" for code in dict.fromkeys(given))
+        return f"[m_codes]                        # lines for M codes of the machine; []: without effect here\n{lines}"
+    return """\
+# [m_codes]                      # lines for M codes of the machine; []: without effect here
+# M31 = []"""
+
+
 def _keys(frame: Frame) -> str:
     return "\n".join(f"{key} = {_number(getattr(frame, key))}" for key in "XYZABC")
+
+
+def _table_key(name: str) -> str:
+    return _quoted(name) if "." in name else name
 
 
 def _quoted(text: str) -> str:

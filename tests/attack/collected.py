@@ -6,8 +6,9 @@ Reads each G-code program below the folders in a bare cell and in the cell of a 
 tools, work offsets. Runs rs274 on those that are read. It has no machine zero and no tool lengths, so what is compared
 is: places, arcs and feeds of all cutting moves; between them the rapids; what is switched before. Rapids from and to
 machine positions (G28, G30, G53), those before the first cut, and those of cycles without G98 or G99 (here to the
-height before the cycle, there to R) count by the place where they end. F in a block that changes the units is in the
-new ones here. Prints what came of each program with `--list`, and the reasons of refusals with the number of programs.
+height before the cycle, there to R) count by the place where they end. An axis that is still at `[start]` here is at
+zero there. F in a block that changes the units is in the new ones here. Prints what came of each program with `--list`,
+and the reasons of refusals with the number of programs.
 Ends with 1 if motions differ.
 """
 
@@ -39,13 +40,16 @@ SECONDS = 60
 """Time for one program."""
 NAMES = {*GCODE.extensions, ".ncc", ".eia", ".min", ".spf", ".prg", ".din", ".fnc", ".cnc", ".nct"}
 OFFSETS = ("G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3")
+CLEARANCE_MM = 200.0
 BARE = replace(CELL, base=Frame(), machine=Machine(), work_offsets={}, tools={})
 SHOP = replace(
     BARE,
     gcode=replace(CELL.gcode, spindle_on=["; on"], spindle_ccw=["; backwards"]),
-    machine=Machine(clearance_Z=200.0),
+    machine=Machine(clearance_Z=CLEARANCE_MM),
     work_offsets=dict.fromkeys(OFFSETS, Frame()),
 )
+START_MM = (forward(SHOP.start_joints) @ SHOP.tool.pose())[:3, 3] * 1e3
+"""Where moves at feed begin if X, Y, Z are not known."""
 _TOOL = re.compile(r"(?i)T0*(\d{1,5})(?!\d)")
 _ASIDE_TEXT = re.compile(r"\([^()]*\)|;.*")
 _TAPS_ASIDE, _ASIDE = re.compile(r"(?i)G\s*84(?![\d.])"), re.compile(r"(?i)G\s*1[89](?![\d.])")
@@ -154,15 +158,20 @@ def difference(program: Program, moves: list[Move], text: str, *, turning: bool 
     digits = 6e-5 * unit
     lines = text.splitlines()
     free = _MACHINE if _RETRACT.search(text) else _MACHINE_OR_CYCLE
-    somewhere = bool(free.search(text))
+    machine, somewhere = bool(_MACHINE.search(text)), bool(free.search(text))
     ours, theirs = [*_ours(program, unit)], [*_theirs(moves, digits)]
+    if _begins_at_start(program) and theirs:
+        theirs[0] = theirs[0]._replace(rapids=[place for place in theirs[0].rapids if place.any()])
     while len(theirs) > len(ours) and (theirs[0].end[:2] == 0.0).all() and not theirs[0].rapids:
         del theirs[0]  # hobby posts go up by G1 first: from zero there, on the way to the first place here
     times = (1.0, 25.4, 1.0 / 25.4) if _UNITS_WITH_F.search(text) else (1.0,)
     _drop_unseen(ours, theirs, 8.0 * digits)
     for n, (mine, other) in enumerate(zip(ours, theirs, strict=False)):
         where = f"cut {n + 1} (line {mine.line})"
-        if np.abs(mine.end - other.end).max() > digits:
+        apart = np.abs(mine.end - other.end)
+        retracted = machine and mine.end[2] == CLEARANCE_MM  # there at the height of the machine position
+        count = 2 if retracted else 3
+        if apart[:count].max() > digits:
             return f"{where}: end {mine.end} instead of {other.end}"
         if not turning and all(abs(mine.feed * factor - other.feed) > 1e-4 * other.feed + 1e-3 for factor in times):
             return f"{where}: feed {mine.feed:.3f} instead of {other.feed:.3f}"
@@ -182,7 +191,7 @@ def difference(program: Program, moves: list[Move], text: str, *, turning: bool 
         between = lines[before : mine.line] if before < mine.line else lines
         last = n == 0 or (somewhere and any(free.search(line) for line in between))
         a, b = (one[-1:] if last else one for one in (mine.rapids, other.rapids))
-        if len(a) != len(b) or any(np.abs(p - q).max() > digits for p, q in zip(a, b, strict=True)):
+        if len(a) != len(b) or any(np.abs(p - q)[:count].max() > digits for p, q in zip(a, b, strict=True)):
             return f"{where}: rapids {[p.tolist() for p in a]} instead of {[p.tolist() for p in b]}"
     if len(ours) != len(theirs):
         return f"{len(ours)} cuts instead of {len(theirs)}"
@@ -190,23 +199,50 @@ def difference(program: Program, moves: list[Move], text: str, *, turning: bool 
 
 
 def _drop_unseen(ours: list[Cut], theirs: list[Cut], shortest: float) -> None:
-    """Remove (in place) lines so short that only one side has them: rs274 prints four decimals."""
+    """Remove (in place) lines so short that only one side has them: rs274 prints four decimals.
+
+    Where the ends differ, the fewest lines are removed after which they are the same again.
+    """
     n = 1
     while n < min(len(ours), len(theirs)):
         if np.abs(ours[n].end - theirs[n].end).max() > shortest / 8.0:
-            for side in (ours, theirs):
-                if side[n].centre is None and np.abs(side[n].end - side[n - 1].end).max() < shortest:
-                    del side[n]
-                    break
-            else:
+            most = [_short_lines(side, n, shortest) for side in (ours, theirs)]
+            found = [
+                (i, j)
+                for i in range(most[0] + 1)
+                for j in range(most[1] + 1)
+                if max(n + i - len(ours), n + j - len(theirs)) < 0
+                and np.abs(ours[n + i].end - theirs[n + j].end).max() <= shortest / 8.0
+            ]
+            if not found:
                 return
-        else:
-            n += 1
+            i, j = min(found, key=sum)
+            del ours[n : n + i], theirs[n : n + j]
+        n += 1
+
+
+_MOST_SHORT = 8
+
+
+def _short_lines(side: Sequence[Cut], n: int, shortest: float) -> int:
+    """Return how many lines from `n` on are short and follow each other without rapids."""
+    count = 0
+    for before, cut in zip(side[n - 1 :], side[n : n + _MOST_SHORT], strict=False):
+        if cut.centre is not None or cut.rapids or np.abs(cut.end - before.end).max() >= shortest:
+            break
+        count += 1
+    return count
+
+
+def _begins_at_start(program: Program) -> bool:
+    return any(issue.kind == "from-start" for issue in program.issues)
 
 
 def _ours(program: Program, unit: float) -> Iterator[Cut]:
     m = program.motions
     end, kind, rapid, lines = m.target[:, :3, 3] * 1e3, m.kind, m.rapid, m.line
+    if _begins_at_start(program):  # rs274 begins at zero
+        end = np.where(np.logical_and.accumulate(np.abs(end - START_MM) < 1e-6), 0.0, end)
     rapids: list[Array] = []
     printed = np.round(end / unit, 4)  # shorter moves are not seen in what rs274 prints
     for n, state in enumerate(_states(program)):

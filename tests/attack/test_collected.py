@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.attack.collected import Outcome, difference, read, shop, tried
@@ -68,6 +69,24 @@ def test_what_came_of_a_program_is_said(tmp_path, text, outcome):
     bare, found = tried(path)
     assert outcome in (found, found.word)
     assert bare == ("refused" if "refused" in found.word or "A10" in text or "G53" in text else "read")
+
+
+@pytest.mark.parametrize("n", [1, 20, 40])
+def test_lines_shorter_than_the_digits_of_rs274_are_left_out_on_both_sides(tmp_path, n):
+    x = [0.0, *np.cumsum(np.tile([3e-5, 1.3e-4, 6e-5, 9e-5], 12)).tolist(), 0.5, 0.7]
+    lines = [f"G1 X{one:.6f} Y{0.0809 + 0.4 * one:.6f}" for one in x]
+    text = "\n".join(["G20 G90 G17 F6", "G0 X0 Y0 Z0", *lines, "M2\n"])
+    assert differing(tmp_path, text, text) == ""
+    wrong = text.replace(lines[n], f"G1 X{x[n]:.6f} Y{0.0819 + 0.4 * x[n]:.6f}")
+    assert "end" in differing(tmp_path, text, wrong)
+    assert "end" in differing(tmp_path, wrong, text)
+
+
+def test_moves_that_begin_at_start_here_and_at_zero_there_are_the_same(tmp_path):
+    text = "G21 G90\nG53 G0 Z0\nG1 X20 Y5 F900\nG0 Z9\nG1 Z-2 F100\nX50\nG53 G0 Z0\nG1 X7 F900\nM2\n"
+    assert differing(tmp_path, text, text) == ""
+    for line, wrong in (("X20 Y5", "X21 Y5"), ("Z-2", "Z-3"), ("X50", "X51"), ("X7", "X8")):
+        assert "end" in differing(tmp_path, text, text.replace(line, wrong))
 
 
 def test_numbers_of_six_digits_are_lines_too(tmp_path):

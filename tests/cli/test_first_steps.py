@@ -242,10 +242,10 @@ def test_without_a_terminal_what_is_missing_is_wrong_usage():
 def test_on_a_terminal_it_asks_and_takes_what_stands_in_brackets(monkeypatch):
     monkeypatch.setattr("postproc.cli.first_steps._terminal", lambda: True)
     for name in robot.shipped():
-        done = run("init", f"{name}.toml", input=f"{name}\n\n0,0,100\n\n\n\n\n\n")
+        done = run("init", f"{name}.toml", input=f"{name}\n\n0,0,100\n\n\n\n\n\n\n\n")
         assert done.exit_code == 0, done.output
         assert "out of reach" not in done.stderr
-    done = run("init", input="KR270\n\nnonsense\n900,0,600\n\n\n\n\n\n\n")
+    done = run("init", input="KR270\n\nnonsense\n900,0,600\n\n\n\n\n\n\n\n\n")
     assert done.exit_code == 0, done.output
     assert "no robot 'KR270'" in done.output
     cell = cells.load("cell.toml")
@@ -263,6 +263,10 @@ def test_answers_for_retract_tools_tool_change_and_tolerance_are_in_the_cell(mon
         "",
         "T1=310 1.5=3 2=1,2,412.5",
         "1=310 2=1,2,412.5",
+        "G60=1,2,3",
+        "G55=300,0,0 g59.1=0,250,-20,90",
+        "M31 coolant",
+        "M31, m08 33",
         "",
         "high",
         "150",
@@ -273,12 +277,47 @@ def test_answers_for_retract_tools_tool_change_and_tolerance_are_in_the_cell(mon
     assert done.exit_code == 0, done.output
     assert "'high' is not a number" in done.output
     assert "'1.5=3': give the number of the tool" in done.output
+    assert "'G60=1,2,3': give G54 to G59.3" in done.output
+    assert "'coolant': give an M code" in done.output
     cell = cells.load("cell.toml")
     assert {number: (tool.X, tool.Y, tool.Z) for number, tool in cell.tools.items()} == {
         "1": (0, 0, 310), "2": (1, 2, 412.5)
     }  # fmt: skip
     assert (cell.machine.clearance_Z, cell.part.tolerance_mm) == (150.0, 0.2)
     assert cell.gcode.tool_change == ["CHANGE({T})"]
+    assert {code: keys(frame) for code, frame in cell.work_offsets.items()} == {
+        "G55": [300, 0, 0, 0, 0, 0], "G59.1": [0, 250, -20, 90, 0, 0]
+    }  # fmt: skip
+    assert cell.m_codes == {"M31": [], "M8": [], "M33": []}
+
+
+def test_a_new_cell_converts_a_program_with_work_offsets_m_codes_and_radius_compensation():
+    Path("part.nc").write_text(
+        "G21 G90 G17\nM31\nT1 M6\nS9000 M3\nG55 G0 X0 Y0\nG43 H1 Z50.\nG1 Z-2. F300\nG41 D1 X5.\nX40. F900\n"
+        "G40 X50.\nG0 Z50.\nM30\n"
+    )
+    options = ("--robot", "kuka_kr270", *FRAMES, "--overwrite")
+    more = ("--work-offset", "G55=300,-40,0", "--m-code", "31", "--radius-offsets", "wear")
+    for left_out, message in zip(
+        (more[2:], more[:2] + more[4:], more[:4]),
+        ("work offset G55 is not in the cell", "M31 is not known", "G41 is not supported"),
+        strict=True,
+    ):
+        assert run("init", *options, *left_out).exit_code == 0
+        done = run("convert", "part.nc", "--cell", "cell.toml", "-o", "out")
+        assert message in done.output
+    assert run("init", *options, *more).exit_code == 0
+    done = run("convert", "part.nc", "--cell", "cell.toml", "-o", "out")
+    assert done.exit_code == 0, done.output
+    assert "X 340,Y -40,Z -2," in Path("out/part.src").read_text()
+
+
+@pytest.mark.parametrize("words", [("--work-offset", "G55"), ("--work-offset", "G53=0,0,0"), ("--m-code", "G31")])
+def test_work_offsets_and_m_codes_that_cannot_be_are_wrong_usage(words):
+    done = run("init", "--robot", "kuka_kr270", *FRAMES, *words)
+    assert done.exit_code == 2
+    assert f"{words[1]!r}: give" in done.stderr
+    assert not Path("cell.toml").exists()
 
 
 def test_a_new_cell_converts_a_program_that_retracts_and_changes_tools():
