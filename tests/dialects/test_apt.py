@@ -250,6 +250,76 @@ FINI
     assert moves[0] == moves[1]
 
 
+@pytest.mark.parametrize(
+    ("heights", "back"),
+    [
+        ("RAPTO,3.0,FEDTO,-15.0,RTRCTO,AUTO", 30.0),  # as high as before: G98
+        ("CLEAR,3.0,FEDTO,-15.0,RTRCTO,AUTO", 30.0),
+        ("RAPTO,3.0,FEDTO,-15.0", None),  # G99
+        ("RAPTO,3.0,FEDTO,-15.0,RTRCTO,3.0", None),
+    ],
+)
+def test_holes_of_siemens_nx_are_those_of_gcode(heights, back):
+    apt = f"""UNITS/MM
+LOAD/TOOL,3,ADJUST,3
+SPINDL/RPM,1500,CLW
+RAPID
+GOTO/0,0,30,0,0,1
+CYCLE/DRILL,{heights},MMPM,120.0
+GOTO/10,10,0
+PAINT/COLOR,31
+GOTO/30,10,-2
+CYCLE/OFF
+RAPID
+GOTO/30,10,50
+END-OF-PATH
+"""
+    end = "G98" if back else "G99"
+    gcode = f"G21 G90 G94\nT3 M6\nS1500 M3\nG0 X0 Y0 Z30\n{end} G81 X10 Y10 Z-15 R3 F120\nX30 Y10 Z-17 R1\nG80\nG0 Z50"
+    program = read(apt)
+    same(program, read_gcode(gcode))
+    assert points(program)[:, 2].min() == pytest.approx(-17.0)
+
+
+CREO = """$$*         Pro/CLfile  Version 12.0
+$$-> MFGNO / PART1
+PARTNO / PART1
+UNITS / MM
+$$-> CSYS / {row}, $
+           0.0000000000, 1.0000000000, 0.0000000000, 0.0000000000, $
+           0.0000000000, 0.0000000000, 1.0000000000, 0.0000000000
+RAPID
+GOTO / 0.0000000000, 0.0000000000, 9.0000000000
+FEDRAT / 200.000000,  MMPM
+GOTO / 0.0000000000, 0.0000000000, -3.0000000000
+$$-> CUTTER / 12.000000 $
+GOTO / 5.0000000000, 0.0000000000, -3.0000000000
+$$-> END /
+FINI
+"""
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "  \n", "\r"])
+def test_the_matrix_in_a_comment_of_creo_is_no_statement(end):
+    text = CREO.format(row="1.0000000000, 0.0000000000, 0.0000000000, 0.0000000000").replace("\n", end)
+    program = read(text)
+    np.testing.assert_allclose(points(program), [[0, 0, 9], [0, 0, -3], [5, 0, -3]])
+    assert program.motions.line.tolist() == [9, 11, 13]
+    assert [issue.kind for issue in program.issues] == []
+    (matrix,) = [event.text for event in program.events if "CSYS" in event.text]
+    assert matrix.startswith("-> CSYS / 1.0000000000, 0.0")
+    assert matrix.endswith("1.0000000000, 0.0000000000")
+    assert "\n" not in matrix
+    assert "$" not in matrix
+
+
+def test_a_sequence_of_creo_with_another_coordinate_system_is_a_warning():
+    program = read(CREO.format(row="1.0000000000, 0.0000000000, 0.0000000000, 25.0000000000"))
+    (issue,) = program.issues
+    assert (issue.level, issue.kind, issue.source_line) == ("warning", "coordinate-system", 5)
+    assert "COORDINATE_OUTPUT" in issue.message
+
+
 # ---- rules of single systems
 
 
@@ -404,7 +474,17 @@ def test_events_and_comments_are_kept():
         ("UNITS/FURLONGS", 5, "UNITS is not understood"),
         ("CYCLE/DRILL,10,5,100,MMPM\nGOTO/1,1,1", 5, "CYCLE/DRILL with these values"),
         ("CYCLE/DEEP,DEPTH,10,STEP,2,MMPM,100,CLEAR,3\nGOTO/1,1,1", 5, "CYCLE/DEEP with these values"),
-        ("CYCLE/DRILL,FEDTO,-72.0,CLEAR,3.0,MMPM,250\nGOTO/1,1,1", 5, "CYCLE/DRILL with these values"),
+        (
+            "CYCLE/DRILL,DEEP,STEP,2,CLEAR,3,FEDTO,-9,RTRCTO,AUTO,MMPM,250\nGOTO/1,1,1",
+            5,
+            "CYCLE/DRILL with these values",
+        ),
+        ("CYCLE/DRILL,STEP,2,CLEAR,3,FEDTO,-9,MMPM,250\nGOTO/1,1,1", 5, "CYCLE/DRILL with these values"),
+        ("CYCLE/DRILL,RAPTO,3,CLEAR,5,FEDTO,-9,MMPM,250\nGOTO/1,1,1", 5, "CYCLE/DRILL with these values"),
+        ("CYCLE/DRILL,RAPTO,3,FEDTO,-9,RTRCTO,MANUAL,MMPM,250\nGOTO/1,1,1", 5, "CYCLE/DRILL with these values"),
+        ("CYCLE/DRILL,DEPTH,9,CLEAR,3,RTRCTO,AUTO,MMPM,250\nGOTO/1,1,1", 5, "CYCLE/DRILL with these values"),
+        ("CYCLE/DRILL,RAPTO,3,FEDTO,9,MMPM,250\nGOTO/1,1,1", 5, "the heights of the cycle contradict"),
+        ("CYCLE/DRILL,RAPTO,3,FEDTO,-9,RTRCTO,2,MMPM,250\nGOTO/1,1,1", 5, "the heights of the cycle contradict"),
         ("CYCLE/DRILL,DEPTH,9,MMPM,100,CLEAR,3\nGOTO/1,1,1,0,.6,.8", 6, "the tool turns in a cycle"),
         ("CUTCOM/LEFT,1", 5, "the radius of the tool is in the control"),
         ("INSERT G28 Z0", 5, "'G28 Z0' is for one control"),

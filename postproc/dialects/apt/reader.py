@@ -222,9 +222,23 @@ def _events(
         yield Event(at, kind, line, value, text)  # type: ignore[arg-type]
 
 
+def _is_moved(comment: str) -> bool:
+    """Return whether a comment of Creo states another coordinate system than that of the machine, in rows of four."""
+    word, _, rest = comment.removeprefix("->").partition("/")
+    given = statements.values("".join(rest.split()))
+    return comment.startswith("->") and word.strip() == "CSYS" and given != np.eye(3, 4).ravel().tolist()
+
+
 def _issues(course: Course, source: Statements, moves: _Moves, kept: Ints) -> Iterator[Issue]:
     if not course.stated:
         yield Issue("info", "units", "No UNITS are programmed: millimetres are assumed.")
+    turned = [line for line, text in source.comments if _is_moved(text)]
+    if turned:
+        message = (
+            "The coordinate system of an NC sequence is not that of the machine: coordinates are read as those of the "
+            "machine, as Creo writes them. Check that COORDINATE_OUTPUT is MACHINE_CSYS."
+        )
+        yield Issue("warning", "coordinate-system", message, turned[0], count=len(turned), lines=tuple(turned))
     for row, level, kind, message in course.remarks:
         yield Issue(level, kind, message, int(source.line[row]))
     nowhere = distinct(source.line[np.delete(moves.row, kept)])

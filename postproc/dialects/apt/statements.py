@@ -19,7 +19,9 @@ from postproc.errors import did_you_mean
 from postproc.frames import Array
 from postproc.program import Document, Ints, distinct
 
-_COMMENT = re.compile(rb"\$\$[^\r\n]*")
+# a matrix in a comment of Creo, "$$-> CSYS / 1.0, 0.0, $", goes on in lines of numbers
+_COMMENT = re.compile(rb"\$\$(?:->[^\r\n$]*(?:\$[ \t]*[\r\n]{1,3}[-+0-9.,EeDd \t]*)+|[^\r\n]*)")
+_CONTINUED = re.compile(r"\$?\s+")
 _LF, _BLANK, _DOLLAR, _COMMA = (ord(c) for c in "\n $,")
 _GOTO = b"GOTO/"
 _NUMERIC = np.frombuffer(bytes(c in b"0123456789+-.,\n" for c in range(256)), dtype=np.bool_)
@@ -76,7 +78,7 @@ def split(document: Document) -> Statements:
         chars[begin:end] = _BLANK
     at = np.searchsorted(starts, np.array([begin for begin, _ in found], dtype=np.int64), side="right").tolist()
     comments = tuple(
-        (line, document.text[begin + 2 : end].strip()) for line, (begin, end) in zip(at, found, strict=True)
+        (line, _comment(document.text[begin + 2 : end])) for line, (begin, end) in zip(at, found, strict=True)
     )
     keep = ~_SPACE[chars]
     keep[stops] = True
@@ -88,6 +90,11 @@ def split(document: Document) -> Statements:
     empty = np.diff(ends) == 1
     empty[points] = True
     return Statements(document, code, ends, line, np.flatnonzero(~empty), points, numbers, comments, (starts, stops))
+
+
+def _comment(text: str) -> str:
+    """Return a comment as one line."""
+    return _CONTINUED.sub(" ", text).strip() if "\n" in text or "\r" in text else text.strip()
 
 
 def _joined(chars: np.typing.NDArray[np.uint8]) -> tuple[bytes, Ints]:

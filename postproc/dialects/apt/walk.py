@@ -7,6 +7,8 @@
 - **CYCLE/DRILL**, FACE and CSINK with DEPTH and CLEAR: the GOTO statements behind it are the tops of holes. The tool
   goes in rapid to CLEAR above the top, at feed to DEPTH below it, waits (DWELL), and goes back to CLEAR or RETURN.
   RAPTO is a further rapid towards the top. Source: PTC, Creo NC, "CL Output for Holemaking Cycles".
+- With FEDTO the cycle is one of Siemens NX: RAPTO (or CLEAR), FEDTO and RTRCTO are signed heights above the top, FEDTO
+  below zero. ``RTRCTO,AUTO`` goes back to the height at which the tool was before the hole. Source: CLSF files.
 - ``CIRCLE/x,y,z,i,j,k,r`` turns right-handed about i, j, k. Source: PTC, Creo NC, "CL Output for Circular
   Interpolation".
 - ``CIRCLE/x,y,z,i,j,k,r,t,f,d,e`` of Siemens NX turns *clockwise* about i, j, k (t, f: tolerances; d, e: the tool).
@@ -122,12 +124,12 @@ class _FaultError(Exception):
 
 
 class _Cycle(Struct, frozen=True):
-    """A drilling cycle [mm, mm/min, s]: depth below the top, and heights above it."""
+    """A drilling cycle [mm, mm/min, s]: depth below the top, and heights above it; `back` None: as high as before."""
 
     depth: float
     clear: float
     rapid_to: float
-    back: float
+    back: float | None
     feed: float
     dwell: float
 
@@ -334,7 +336,7 @@ class _Walk:
         self._one(row, top - axis * cycle.depth, axis, LINE, cycle.feed, exact=True)
         if cycle.dwell > 0.0:
             self._event(row, "dwell", cycle.dwell)
-        self._one(row, top + axis * cycle.back, axis, RAPID, 0.0)
+        self._one(row, top + axis * (height if cycle.back is None else cycle.back), axis, RAPID, 0.0)
 
     def _swing(self, row: int, axis: Array) -> None:
         """Refuse a direction of the tool that changes on the way to a hole."""
@@ -576,10 +578,13 @@ class _Walk:
             self.cycle = None
             return
         name, *rest = given or [""]
+        before = False
+        if "FEDTO" in rest[0::2] and len(rest) % 2 == 0:
+            rest, before = _heights_of_nx(rest)
         couplets: dict[str, float] = {}
         names, numbers = rest[0::2], rest[1::2]
         allowed = {"DEPTH", "CLEAR", "RAPTO", "RETURN", "DWELL", *_PER_MINUTE, *_PER_TURN}
-        good = len(names) == len(numbers) and all(isinstance(value, float) for value in numbers)
+        good = len(names) == len(numbers) == len(set(names)) and all(isinstance(value, float) for value in numbers)
         good &= name in ("DRILL", "FACE", "CSINK") and {str(word) for word in names} <= allowed
         for word, value in zip(names, numbers, strict=False):
             couplets[str(word)] = float(value) if isinstance(value, float) else 0.0
@@ -602,7 +607,7 @@ class _Walk:
         near = clear - couplets.get("RAPTO", 0.0) * self.unit
         if not (depth > 0.0 and clear > 0.0 and clear >= near >= 0.0 and back >= clear):
             raise _FaultError("the heights of the cycle contradict each other", _CYCLE_ADVICE)
-        self.cycle = _Cycle(depth, clear, near, back, feed, couplets.get("DWELL", 0.0))
+        self.cycle = _Cycle(depth, clear, near, None if before else back, feed, couplets.get("DWELL", 0.0))
 
     def _spin(self, row: int, given: list[float | str]) -> None:
         unknown = {value for value in given if isinstance(value, str)} - _SPINDLE
@@ -719,6 +724,19 @@ class _Walk:
         del row, given
 
 
+def _heights_of_nx(couplets: list[float | str]) -> tuple[list[float | str], bool]:
+    """Return a cycle of Siemens NX in the words of the others, and whether it goes back to the height before."""
+    given = list(zip(couplets[0::2], couplets[1::2], strict=True))
+    before = ("RTRCTO", "AUTO") in given
+    out: list[float | str] = []
+    for word, value in given:
+        if (word, value) != ("RTRCTO", "AUTO"):
+            depth = word == "FEDTO" and isinstance(value, float)
+            out += [_OF_NX.get(str(word), word), -value if depth else value]  # type: ignore[operator]
+    return out, before
+
+
+_OF_NX = {"RAPTO": "CLEAR", "FEDTO": "DEPTH", "RTRCTO": "RETURN"}
 _HEIGHTS = ("DEPTH", "CLEAR", "RAPTO", "RETURN", "DWELL")
 _SPINDLE = {"RPM", "CLW", "CCLW", "ON", "OFF"}
 _HANDLERS: Mapping[str, Any] = {
