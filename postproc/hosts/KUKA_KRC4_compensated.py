@@ -43,6 +43,7 @@ class RobotPost:
     def __init__(self, robotpost: str = "", robotname: str = "", robot_axes: int = 6, **kwargs: Any) -> None:
         self.robot = robotname
         self.axes = robot_axes
+        self.given: dict[str, str] = {}  # names of programs in the station, by those of KRL in lower case
         self.programs: dict[str, list[Block]] = {}
         self.joints: dict[str, dict[int, list[float]]] = {}
         self.name = ""
@@ -52,8 +53,17 @@ class RobotPost:
         self.LOG = ""
 
     def ProgStart(self, progname: str) -> None:
-        """Begin a program; RoboDK may begin several before it saves."""
+        """Begin a program; RoboDK may begin several before it saves.
+
+        :raises HostError: the controller would take its name for that of another one of them.
+        """
         self.name = _name(progname)
+        other = self.given.setdefault(self.name.lower(), progname)
+        if other != progname:
+            _refuse(
+                f"The programs {one_line(other)!r} and {one_line(progname)!r} would both be {self.name} in KRL: names "
+                "have at most 24 letters, digits and _ there. Rename one of them in the station."
+            )
         self.programs[self.name] = []
         self.joints[self.name] = {}
         self._line(f"DEF {self.name}()")
@@ -178,8 +188,8 @@ class RobotPost:
         if not is_function_call:
             self._code(code, "RunCode")
             return
-        call = one_line(code).replace(" ", "_")
-        self._line(call if call.endswith(")") else f"{call}()", "RunCode")
+        name, bracket, arguments = one_line(code).partition("(")
+        self._line(f"{_name(name.strip())}{bracket}{arguments}" if bracket else f"{_name(name)}()", "RunCode")
 
     def RunMessage(self, message: str, iscomment: bool = False) -> None:
         """Show a message, or insert a comment."""
@@ -332,6 +342,15 @@ def _ask(folder: str, name: str) -> str:
     if not chosen:
         raise HostError("No folder was chosen: nothing is written.")
     return str(chosen)
+
+
+def _refuse(message: str) -> None:
+    """Show a message and raise it.
+
+    :raises HostError: always.
+    """
+    _show(f"Nothing is written.\n{message}")
+    raise HostError(message)
 
 
 def _show(message: str) -> None:

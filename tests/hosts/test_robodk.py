@@ -117,6 +117,42 @@ def test_two_programs_and_one_without_motion(post, tmp_path):
     assert {path.name for path in out.glob("*.report.json")} == {"Roughing.report.json", "Finishing.report.json"}
 
 
+def test_a_call_has_the_name_that_the_program_gets(post, tmp_path):
+    names = ("Finishing of the side, left 1", "1001-b", "Pocket 2")
+    post.ProgStart("Main")
+    for name in names:
+        post.RunCode(name, True)
+    post.RunCode("Gripper (1, TRUE)", True)
+    post.ProgFinish("Main")
+    for name in names:
+        _begin(post, name)
+        _mill(post, 3)
+        post.ProgFinish(name)
+    out = tmp_path / "out"
+    out.mkdir()
+    post.ProgSave(str(out), "Main")
+    _, *calls, gripper, _ = (out / "Main.src").read_text().splitlines()
+    assert calls == ["Finishing_of_the_side__l()", "P1001_b()", "Pocket_2()"]
+    assert gripper == "Gripper(1, TRUE)"
+    assert {f"{path.stem}()" for path in out.glob("*.src")} == {*calls, "Main()"}
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ("Finishing of the left side 1", "Finishing of the left side 2"),
+        ("Pocket-1", "Pocket 1"),
+        ("Pocket", "POCKET"),
+    ],
+)
+def test_two_programs_that_would_get_one_name_are_refused(post, tmp_path, capsys, one, other):
+    """The second one replaced the first, and was called in its place."""
+    _begin(post, one)
+    with pytest.raises(Exception, match=f"{one}' and '{other}' would both be"):
+        post.ProgStart(other)
+    assert "Rename one of them in the station" in capsys.readouterr().err
+
+
 def test_a_limit_of_lines_divides_programs_and_those_that_call_them_call_the_main_one(post, tmp_path, capsys):
     assert _limited(post, 1e9).MAX_LINES_X_PROG == _limited(post, None).MAX_LINES_X_PROG == 0
     post = _limited(post, 40)
