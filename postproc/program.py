@@ -15,7 +15,7 @@ from msgspec import Struct, field
 from msgspec.structs import force_setattr
 from numpy.typing import NDArray
 
-from postproc.chunks import Runs, compact
+from postproc.chunks import Rows, Runs, compact
 from postproc.errors import ForceError, Issue, Level, ProgramError, choices
 from postproc.frames import Array, inverse, norm, rotation_from_vector
 from postproc.poses import Poses, as_poses
@@ -624,7 +624,7 @@ class TargetJoints(Struct, frozen=True, eq=False):
     :param status: (K,) KUKA S.
     """
 
-    q: Array
+    q: Rows
     status: Ints
 
 

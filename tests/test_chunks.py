@@ -58,3 +58,29 @@ def test_an_array_with_few_rows_and_rows_computed_on_demand_are_indexed_like_arr
 def test_a_column_without_a_change_is_one_run():
     runs = chunks.Runs.of(np.full((20_000, 2), np.nan))
     assert (len(runs.values), runs.run.strides, runs.shape) == (1, (0,), (20_000, 2))
+
+
+@pytest.mark.parametrize("count", [1, 9, 40, 200])
+def test_rows_in_a_file_are_indexed_like_an_array(monkeypatch, count):
+    monkeypatch.setattr(chunks, "_ROWS", 8)
+    monkeypatch.setattr(chunks, "MANY", 0)
+    rng = np.random.default_rng(count)
+    array, kept = np.zeros((count, 3)), chunks.many_rows(count, 3)
+    assert isinstance(kept, chunks.InFile)
+    assert (len(kept), kept.shape) == (count, (count, 3))
+    for rows in (slice(0, count // 2), slice(count // 3, None), np.arange(0, count, 2), np.zeros(0, dtype=np.int64)):
+        values = rng.normal(size=array[rows].shape)
+        array[rows] = kept[rows] = values
+    somewhere = rng.integers(-count, count, 3 * count)
+    keys = (slice(None), slice(2, 7), slice(None, None, 3), somewhere, somewhere[:0], np.arange(count)[::-1])
+    for key in (*keys, (slice(None), 1), (somewhere, slice(None, 2)), (slice(1, 5), slice(None, 2))):
+        np.testing.assert_array_equal(kept[key], array[key])
+        np.testing.assert_array_equal(chunks.Computed(np.arange(count), kept.take)[key], array[key])
+    for key in (0, -1, (0, 2)):
+        np.testing.assert_array_equal(kept[key], array[key])
+    np.testing.assert_array_equal(np.asarray(kept), array)
+    np.testing.assert_array_equal(chunks.rows_of(kept, np.arange(0, count, 3))[:], array[::3])
+
+
+def test_few_rows_are_an_array():
+    assert isinstance(chunks.many_rows(chunks.MANY, 2), np.ndarray)

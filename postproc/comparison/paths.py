@@ -70,7 +70,7 @@ class PlacedProgram(Struct, frozen=True, eq=False, dict=True):
         size = np.where(still, np.maximum(_PER_RADIAN * path.turn, _LEAST), path.length)
         along = np.append(0.0, np.cumsum(size))
         ends = _ends(program, place)
-        return cls(program, place, path, size, along, np.flatnonzero(np.isnan(m.joints[:, 0])), ends.q, ends.branch)
+        return cls(program, place, path, size, along, np.flatnonzero(np.isnan(m.joints[:, 0])), ends.q[:], ends.branch)
 
     def track(self, offset: Array | float = 0.0) -> Track:
         """Return the Cartesian targets in the root, displaced by offsets (n, 3) in their `$BASE` [m]."""

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from postproc import elastostatics, kinematics
-from postproc.chunks import Computed, Runs, in_chunks
+from postproc.chunks import Rows, Runs, in_chunks
 from postproc.errors import Issue, Level
 from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array, largest, norm, rotation_vector, twist_between
 from postproc.kinematics import JointPath
@@ -62,7 +62,7 @@ def _turn_the_tool(program: Program) -> str:
     return f"turn the tool about its axis ([gcode] redundancy_deg){home}"
 
 
-def joint_limits(program: Program, robot: RobotModel, sample: Toolpath, q: Array) -> Iterator[Issue]:
+def joint_limits(program: Program, robot: RobotModel, sample: Toolpath, q: Rows) -> Iterator[Issue]:
     """Yield an issue if commanded joint angles (N, 6) [rad] are beyond the joint limits."""
     for axis in np.flatnonzero(~(kinematics.joint_margin(robot, q) >= -_LIMIT_ROUNDING)).tolist():
         low, high = robot.lower[axis], robot.upper[axis]
@@ -75,7 +75,7 @@ def joint_limits(program: Program, robot: RobotModel, sample: Toolpath, q: Array
         yield from _first(program, sample.motion, beyond, f"joint-limit-{JOINTS[axis]}", message)
 
 
-def singularities(program: Program, robot: RobotModel, sample: Toolpath, q: Array, apart: Ints) -> Iterator[Issue]:
+def singularities(program: Program, robot: RobotModel, sample: Toolpath, q: Rows, apart: Ints) -> Iterator[Issue]:
     """Yield issues where the path is near a wrist, elbow or shoulder singularity, or a joint turns far between samples.
 
     :param q: (N, 6) commanded [rad].
@@ -83,12 +83,19 @@ def singularities(program: Program, robot: RobotModel, sample: Toolpath, q: Arra
     """
     form = kinematics.closed_form(robot)
     linear = program.motions.kind[sample.motion] != PTP
-    wrist = linear & (np.abs(q[:, 4]) < _WRIST)
-    elbow = linear & (np.abs(form.elbow(q)) < _ELBOW)
-    shoulder = linear & (np.abs(form.reach(q)) < SHOULDER)
-    jump = np.zeros(len(q), dtype=np.bool_)
-    jump[1:] = largest(np.diff(q, axis=0)) > _JUMP
-    jump &= linear & (np.diff(sample.motion, prepend=sample.motion[:1]) <= 1) & ~(wrist | elbow | shoulder)
+
+    def near(rows: Ints) -> tuple[Bools, ...]:
+        here = q[rows]
+        far = largest(here - q[np.maximum(rows - 1, 0)]) > _JUMP
+        return (
+            np.abs(here[:, 4]) < _WRIST,
+            np.abs(form.elbow(here)) < _ELBOW,
+            np.abs(form.reach(here)) < SHOULDER,
+            np.asarray(far),
+        )
+
+    wrist, elbow, shoulder, jump = (linear & each for each in in_chunks(near, np.arange(len(q))))
+    jump &= (np.diff(sample.motion, prepend=sample.motion[:1]) <= 1) & ~(wrist | elbow | shoulder)
     if len(apart):
         jump &= ~np.isin(sample.motion, apart)
     rows, flip = np.flatnonzero(jump), np.zeros(len(q), dtype=np.bool_)
@@ -136,7 +143,7 @@ def half_turns(program: Program, sample: Toolpath, turn: Array, pose: Poses) -> 
         yield from _first(program, motion, bad, "half-turn", f"{what}, {then}. {advice}", level)
 
 
-def status_and_turn(program: Program, robot: RobotModel, sample: Toolpath, q: Array) -> Iterator[Issue]:
+def status_and_turn(program: Program, robot: RobotModel, sample: Toolpath, q: Rows) -> Iterator[Issue]:
     """Yield an issue if S and T of a PTP target belong to no configuration within the joint limits.
 
     :param q: (N, 6) joint angles found for the nominal targets [rad].
@@ -247,7 +254,7 @@ def joint_speed(program: Program, sample: Toolpath, turn: Array, q: Array, posit
     return speed
 
 
-def joint_speeds(program: Program, robot: RobotModel, sample: Toolpath, speed: Array) -> Iterator[Issue]:
+def joint_speeds(program: Program, robot: RobotModel, sample: Toolpath, speed: Rows) -> Iterator[Issue]:
     """Yield issues where joint speeds (N, 6) at the programmed feed exceed the limits of the robot.
 
     If a program relies on the default speed, which may be set differently on the controller, it is only a warning.
@@ -255,18 +262,20 @@ def joint_speeds(program: Program, robot: RobotModel, sample: Toolpath, speed: A
     level: Level = "warning" if any(issue.kind == "default-speed" for issue in program.issues) else "error"
     rapid = program.motions.rapid[sample.motion]
     feed = np.nan_to_num(program.motions.feed[sample.motion])
+    (beyond,) = in_chunks(lambda speed: (np.asarray(speed > robot.speed),), speed)
     for axis, name in enumerate(JOINTS):
         for rows, at, advice in (
             (~rapid, "the programmed feed", "Lower the feed to {feed} mm/min"),
             (rapid, "the speed of rapid moves", "Lower rapid_m_per_s in [gcode] of the cell"),
         ):
-            fast = rows & (speed[:, axis] > robot.speed[axis])
+            fast = rows & beyond[:, axis]
             if not fast.any():
                 continue
-            least = float((feed[fast] * robot.speed[axis] / speed[fast, axis]).min()) * _MM_PER_MIN
+            turning = speed[np.flatnonzero(fast), axis]
+            least = float((feed[fast] * robot.speed[axis] / turning).min()) * _MM_PER_MIN
             advice = advice.format(feed=_rounded_down(least))
             message = (
-                f"{name} would turn at {speed[fast, axis].max(initial=0.0) * DEG_PER_RAD:.0f}°/s at {at} (limit "
+                f"{name} would turn at {turning.max() * DEG_PER_RAD:.0f}°/s at {at} (limit "
                 f"{robot.speed[axis] * DEG_PER_RAD:.0f}°/s). {advice} or turn the tool about its axis."
             )
             yield from _first(program, sample.motion, fast, f"{JOINT_SPEED}{name}", message, level)
@@ -278,7 +287,7 @@ def _rounded_down(value: float) -> str:
     return f"{np.floor(value / step * (1.0 + 1e-12)) * step:.6g}"
 
 
-def joints_at_joins(program: Program, sample: Toolpath, q: Array, start: Array) -> Iterator[Issue]:
+def joints_at_joins(program: Program, sample: Toolpath, q: Rows, start: Array) -> Iterator[Issue]:
     """Yield an issue if branches, or rounds of an endless loop, end in one pose with a joint one turn apart.
 
     The pose of the tool is the same, but the motions after it would begin with that joint 360° farther each time.
@@ -353,7 +362,7 @@ def blending(program: Program, motion: Ints, more: Array, tolerance: float) -> I
 
 
 def beyond_measured(
-    program: Program, robot: RobotModel, motion: Ints, q: Array | Computed, tool: Array, wrench: Array | Computed
+    program: Program, robot: RobotModel, motion: Ints, q: Rows, tool: Array, wrench: Rows
 ) -> Iterator[Issue]:
     """Yield warnings for loads with more torque on a joint than the measurements of the model had.
 

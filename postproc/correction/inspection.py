@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from postproc import kinematics, toolpath
 from postproc.cell import Cell
-from postproc.chunks import in_chunks
+from postproc.chunks import Rows, chunks, in_chunks, many_rows
 from postproc.correction import checks
 from postproc.correction.result import Mode
 from postproc.correction.targets import Commands
@@ -31,7 +31,7 @@ _USED = 0.98
 """Share of a joint's largest speed that slowed rapid moves use."""
 
 
-def slowed(path: PathUnderLoad, q: Array, position: Array) -> tuple[MotionsUnderLoad, Issue] | None:
+def slowed(path: PathUnderLoad, q: Rows, position: Array) -> tuple[MotionsUnderLoad, Issue] | None:
     """Return the motions with rapid moves slowed to what the joints can do, and the remark; None if none is too fast.
 
     Only programs whose text is written anew have rapid straight moves with a speed of their own.
@@ -54,7 +54,8 @@ def slowed(path: PathUnderLoad, q: Array, position: Array) -> tuple[MotionsUnder
         rows = rows[worst[rows] > share[motion[rows]]]
         share[motion[rows]], joint[motion[rows]] = worst[rows], of_limit[rows].argmax(axis=1)
 
-    take(path.sample.motion, speed)
+    for part in chunks(len(path)):
+        take(path.sample.motion[part], speed[part])
     _, lines = stretches_to_examine(path, q, speed)
     for close, exact, position_there in dense_places(path, q, position, lines):
         take(close.motion, checks.joint_speed(program, close, path.motions.segments.turn, exact, position_there))
@@ -72,7 +73,7 @@ def slowed(path: PathUnderLoad, q: Array, position: Array) -> tuple[MotionsUnder
     return replace(path.motions, program=slow), issue
 
 
-def commanded_speed(path: PathUnderLoad, q: Array, position: Array) -> Array:
+def commanded_speed(path: PathUnderLoad, q: Rows, position: Array) -> Rows:
     """Return how fast the joints turn at the programmed feed on the way to each sample (N, 6) [rad/s].
 
     The first sample is reached from `[start]` of the cell.
@@ -80,10 +81,14 @@ def commanded_speed(path: PathUnderLoad, q: Array, position: Array) -> Array:
     :param q: (N, 6) commanded joint angles of the samples [rad], `position` (N, 3) commanded positions [m].
     """
     m, segments = path.program.motions, path.motions.segments
-    speed = checks.joint_speed(path.program, path.sample, segments.turn, q, position)
+    speed = many_rows(len(path), 6)
+    for part in chunks(len(path)):
+        before = slice(max(part.start - 1, 0), part.stop)
+        found = checks.joint_speed(path.program, path.sample.take(before), segments.turn, q[before], position[before])
+        speed[part] = found[part.start - before.start :]
     travel = segments.length[0] * path.sample.t[0]
     if m.kind[0] != PTP and np.isnan(m.joints[0, 0]) and travel > 1e-6 and m.feed[0] > 0.0:
-        speed[0] = np.abs(q[0] - path.robot_in_cell.cell.start_joints) * m.feed[0] / travel
+        speed[:1] = np.abs(q[:1] - path.robot_in_cell.cell.start_joints) * m.feed[0] / travel
     return speed
 
 
@@ -130,17 +135,18 @@ _WRIST, _SHOULDER, _ELBOW = 6, 7, 8
 """Rows of the singularity margins, which must not reach zero, after those of the joint angles."""
 
 
-def stretches_to_examine(path: PathUnderLoad, q: Array, speed: Array) -> tuple[Stretches, Stretches]:
+def stretches_to_examine(path: PathUnderLoad, q: Rows, speed: Rows) -> tuple[Stretches, Stretches]:
     """Return arcs, and pieces of lines between two samples, on which a joint may reach a limit or a singularity.
 
     :param q: (N, 6) commanded joint angles [rad].
     :param speed: (N, 6) joint speeds on the way to each [rad/s].
     """
-    fast = np.asarray((speed > _SHARE_OF_SPEED * path.robot_in_cell.robot.speed).any(axis=1))
+    limit = _SHARE_OF_SPEED * path.robot_in_cell.robot.speed
+    fast = in_chunks(lambda speed: (np.asarray((speed > limit).any(axis=1)),), speed)[0]
     return _arcs(path, q, fast), _lines(path, q, fast)
 
 
-def _states(path: PathUnderLoad, q: Array, rows: Ints) -> tuple[Array, Array, Array]:
+def _states(path: PathUnderLoad, q: Rows, rows: Ints) -> tuple[Array, Array, Array]:
     """Return margins before and at samples (n,), and how much the angles and margins change between: (9, n) each.
 
     Rows are A1…A6 to their nearer limits [rad]; A5 [rad]; the distance of the wrist centre ahead of A1 [m]; A3 measured
@@ -150,7 +156,7 @@ def _states(path: PathUnderLoad, q: Array, rows: Ints) -> tuple[Array, Array, Ar
     states, margins = [], []
     for at in (rows - 1, rows):
         state = np.empty((9, len(rows)))
-        state[:6] = q.take(at, axis=0).T
+        state[:6] = q[at].T
         state[:6, at < 0] = path.robot_in_cell.cell.start_joints[:, None]
         state[_WRIST], state[_SHOULDER], state[_ELBOW] = state[4], form.reach(state.T), form.elbow(state.T)
         room = np.abs(state)
@@ -160,7 +166,7 @@ def _states(path: PathUnderLoad, q: Array, rows: Ints) -> tuple[Array, Array, Ar
     return margins[0], margins[1], np.abs(states[1] - states[0])
 
 
-def _arcs(path: PathUnderLoad, q: Array, fast: Bools) -> Stretches:
+def _arcs(path: PathUnderLoad, q: Rows, fast: Bools) -> Stretches:
     """Return the arcs to be examined every 5°: their margins are small compared with the steps between samples."""
     m, motion = path.program.motions, path.sample.motion
     rows = np.flatnonzero(m.kind[motion] == CIRC)
@@ -188,7 +194,7 @@ def _near(step: Array) -> Array:
     return near
 
 
-def _lines(path: PathUnderLoad, q: Array, fast: Bools) -> Stretches:
+def _lines(path: PathUnderLoad, q: Rows, fast: Bools) -> Stretches:
     """Return the pieces of lines to be examined every 2 mm and half a degree."""
     sample, segments = path.sample, path.motions.segments
     first = np.diff(sample.motion, prepend=-1) != 0
@@ -214,7 +220,7 @@ def _lines(path: PathUnderLoad, q: Array, fast: Bools) -> Stretches:
 
 
 def between_samples(
-    path: PathUnderLoad, q: Array, position: Array, stretches: Stretches, apart: Ints
+    path: PathUnderLoad, q: Rows, position: Array, stretches: Stretches, apart: Ints
 ) -> Iterator[Issue]:
     """Yield issues of joint limits, singularities and joint speeds between samples.
 
@@ -233,7 +239,7 @@ def between_samples(
 
 
 def dense_places(
-    path: PathUnderLoad, q: Array, position: Array, stretches: Stretches
+    path: PathUnderLoad, q: Rows, position: Array, stretches: Stretches
 ) -> Iterator[tuple[Toolpath, Array, Array]]:
     """Yield places on stretches with commanded joint angles (n, 6) [rad] and positions (n, 3) [m].
 
@@ -246,7 +252,6 @@ def dense_places(
         return
     last = np.flatnonzero(sample.ends)
     known = sample.motion + sample.t
-    values = np.column_stack([joints.q, q - joints.q, position - sample.pose[:, :3, 3]])
     count = stretches.count
     group = np.cumsum(count) // _AT_ONCE
     for part in np.split(np.arange(len(count)), np.flatnonzero(np.diff(group)) + 1):
@@ -260,7 +265,11 @@ def dense_places(
         bad = any_column(np.isnan(exact))
         if bad.any():
             raise ImpossiblePathError(unreachable(program, motion[bad]))
-        between = np.column_stack([np.interp(motion + t, known, column) for column in values.T])
+        first, last_near = np.searchsorted(known, [(motion + t).min(), (motion + t).max()]).tolist()
+        near = slice(max(first - 1, 0), last_near + 1)
+        nominal, at = joints.q[near], position[near] - sample.pose[near, :3, 3]
+        values = np.column_stack([nominal, q[near] - nominal, at])
+        between = np.column_stack([np.interp(motion + t, known[near], column) for column in values.T])
         exact += 2.0 * np.pi * np.round((between[:, :6] - exact) / (2.0 * np.pi)) + between[:, 6:12]
         yield close, exact, close.pose[:, :3, 3] + between[:, 12:]
 

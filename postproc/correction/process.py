@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from postproc import elastostatics, forces, kinematics, placement, toolpath
 from postproc.cell import Cell
-from postproc.chunks import Computed, in_chunks, rows_of
+from postproc.chunks import Computed, Rows, in_chunks, many_rows, rows_of
 from postproc.correction import checks, collisions, inspection
 from postproc.correction.result import Doubt, Mode, Result, doubtful
 from postproc.correction.targets import Chosen, CommandedPath, Commands, choose_targets, pieces_needed
@@ -54,29 +54,29 @@ def corrected(path: PathUnderLoad) -> Commands:
 
     :raises ImpossiblePathError: a sample has no loaded equilibrium.
     """
-    movable = np.flatnonzero(np.isnan(path.program.motions.joints[path.sample.motion, 0]))
+    stays = np.isfinite(path.program.motions.joints[path.sample.motion, 0])
+    q = many_rows(len(path), 6)
+    theta = many_rows(len(path), path.robot_in_cell.robot.actual.nv)
 
-    def in_chunk(row: Ints) -> tuple[Array, Array, Array, Array]:
-        pose, q, tool = path.pose_in_root(row), path.joints.q.take(row, axis=0), path.tool(row)
-        found = path.robot_in_cell.compensate(pose, q, tool, path.wrench_in_root(row))
+    def in_chunk(row: Ints) -> tuple[Array, Array]:
+        pose, tool, wrench = path.pose_in_root(row), path.tool(row), path.wrench_in_root(row)
+        found = path.robot_in_cell.compensate(pose, path.joints.q[row], tool, wrench)
         motion, t = path.sample.motion[row], path.sample.t[row]
         command = toolpath.pose_in_base(path.program, motion, found.pose, t)
-        return found.q, command[:, :3, 3], xyzabc_from_pose(command)[:, 3:], found.theta
+        q[row], theta[row] = found.q, found.theta
+        return command[:, :3, 3], xyzabc_from_pose(command)[:, 3:]
 
-    found = _balanced(path, in_chunk, movable)
-    if len(movable) < len(path):
-        unchanged = as_programmed(path)
-        pose = unchanged.pose
-        angles = pose.xyzabc(slice(None))[:, 3:]
-        whole = unchanged.q.copy(), pose.position.copy(), angles, unchanged.theta.copy()
-        for array, part in zip(whole, found, strict=True):
-            array[movable] = part
-        found = whole
-    q, position, angles, theta = found
+    movable, unmoved = np.flatnonzero(~stays), np.flatnonzero(stays)
+    position, angles = _balanced(path, in_chunk, movable)
+    if len(unmoved):
+        q[unmoved] = path.joints.q[unmoved]
+        parts, nominal = (position, angles), path.sample.pose
+        position, angles = nominal.position.copy(), nominal.xyzabc(slice(None))[:, 3:]
+        position[movable], angles[movable] = parts
     return Commands(q, Poses(position, angles), theta)
 
 
-def uncorrected(path: PathUnderLoad, rows: Ints, theta: Array) -> tuple[Array, Array, Array | None]:
+def uncorrected(path: PathUnderLoad, rows: Ints, theta: Rows) -> tuple[Array, Array, Array | None]:
     """Return the deviation and displacement of the tool at samples (n,) without correction, `$BASE` [m].
 
     :param theta: (N, nv) approximate deflections of the springs: start values.
@@ -87,7 +87,7 @@ def uncorrected(path: PathUnderLoad, rows: Ints, theta: Array) -> tuple[Array, A
     rigid, rest_is_nominal = path.robot_in_cell.tool_spring is None, path.robot_in_cell.rest_is_nominal
 
     def in_chunk(row: Ints) -> tuple[Array, ...]:
-        q, wrench, guess = path.joints.q.take(row, axis=0), path.wrench_in_root(row), theta.take(row, axis=0)
+        q, wrench, guess = path.joints.q[row], path.wrench_in_root(row), theta[row]
         tip, by_tool = path.tip_in_base(row, q, wrench, guess)
         deviation = tip - path.sample.pose[row, :3, 3]
         by_wrench = () if rest_is_nominal else (tip - path.tip_in_base(row, q, np.zeros_like(wrench), guess)[0],)
@@ -151,8 +151,8 @@ class Draft(Struct, frozen=True, eq=False):
     """
 
     path: PathUnderLoad
-    q: Array
-    theta: Array
+    q: Rows
+    theta: Rows
     chosen: Chosen
     issues: tuple[Issue, ...]
     simulated: Simulated | None = None
@@ -315,10 +315,10 @@ def _numbers(task: Task, draft: Draft) -> Array:
     return numbers
 
 
-def _loads(draft: Draft) -> tuple[Computed, Array, Computed]:
+def _loads(draft: Draft) -> tuple[Rows, Array, Computed]:
     """Return joint angles (K, 6) [rad], tool (4, 4) or (K, 4, 4) [m] and wrench (K, 6) [N, N·m] in the root."""
     path, row = draft.path, draft.chosen.row
-    return Computed(row, lambda rows: draft.q.take(rows, axis=0)), path.tool(row), Computed(row, path.wrench_in_root)
+    return rows_of(draft.q, row), path.tool(row), Computed(row, path.wrench_in_root)
 
 
 def _reversals(draft: Draft) -> Reversals:
@@ -348,7 +348,7 @@ def _bound(draft: Draft, corrected: Array, turned: Reversals) -> tuple[Array | N
     scaled = path.robot_in_cell.scaled(path.motions.forces, path.sample.motion[row])
 
     def loaded(row: Ints) -> tuple[Array, Array, Array, Array | None, Array | None]:
-        return draft.q.take(row, axis=0), path.tool(row), path.wrench_in_root(row), *_uncertain(path, row)
+        return draft.q[row], path.tool(row), path.wrench_in_root(row), *_uncertain(path, row)
 
     def in_chunk(row: Ints, turning: Bools, scaled: Bools) -> tuple[Array]:
         found = elastostatics.position_bound(robot, *loaded(row), turning, scaled)

@@ -8,7 +8,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import force_setattr
 
-from postproc.chunks import Runs
+from postproc.chunks import Rows, Runs
 from postproc.correction.collisions import SmallestClearance
 from postproc.elastostatics import Reversals
 from postproc.errors import Issue
@@ -129,7 +129,7 @@ class Result(Struct, frozen=True, eq=False):
     deviation_after: Array = np.zeros((0, 3))
     bound: Array | None = None
     doubt: Doubt | None = None
-    q: Array = np.zeros((0, 6))
+    q: Rows = np.zeros((0, 6))
     joint_margin: Array = np.full(6, np.nan)
     singular_value: float = np.nan
     between: float = np.nan

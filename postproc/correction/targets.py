@@ -18,7 +18,7 @@ from msgspec.structs import replace
 
 from postproc import kinematics, toolpath
 from postproc.cell import Cell
-from postproc.chunks import Computed, chunks, compact, in_chunks
+from postproc.chunks import Computed, Rows, chunks, compact, in_chunks
 from postproc.forces.sources import FEED
 from postproc.frames import M_PER_MM, Array, largest, norm, sine_and_cosine, twist_between
 from postproc.poses import Poses
@@ -39,9 +39,9 @@ class Commands(Struct, frozen=True, eq=False):
     :param theta: (N, nv) deflections of the springs there [rad, m].
     """
 
-    q: Array
+    q: Rows
     pose: Poses
-    theta: Array
+    theta: Rows
 
 
 class CommandedPath(Struct, frozen=True, eq=False):
@@ -57,7 +57,7 @@ class CommandedPath(Struct, frozen=True, eq=False):
     sample: Toolpath
     arcs: Pieces
     position: Array
-    start: Array | Computed
+    start: Rows
     limit: float
 
     @classmethod
@@ -224,7 +224,7 @@ def _joined(program: Program, motion: Ints, kind: Ints) -> Bools:
     return np.asarray((after >= 0) & same & path & np.append(path[1:], False))
 
 
-def corners_of_targets(program: Program, targets: Targets, start: Array | Computed) -> tuple[Corners, Array]:
+def corners_of_targets(program: Program, targets: Targets, start: Rows) -> tuple[Corners, Array]:
     """Return the corners of a path to be written, and its direction (K, 3) before each of them.
 
     :param start: (M, 3) commanded position at the start of each motion, `$BASE` [m].
@@ -237,7 +237,7 @@ def corners_of_targets(program: Program, targets: Targets, start: Array | Comput
     return _corners(bend[1:], length, _joined(program, targets.motion, targets.kind)), arrive
 
 
-def _pieces(targets: Targets, start: Array | Computed, row: Ints) -> tuple[Array, Array, Array]:
+def _pieces(targets: Targets, start: Rows, row: Ints) -> tuple[Array, Array, Array]:
     """Return the unit directions (n, 3) at the start and at the end of the pieces to targets (n,), and lengths [m]."""
     motion, before = targets.motion[row], np.maximum(row - 1, 0)
     end, last = (np.round(targets.pose[each, :3, 3], _PRINTED) for each in (row, before))

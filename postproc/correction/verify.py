@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from postproc import kinematics, toolpath
-from postproc.chunks import compact, in_chunks, rows_of
+from postproc.chunks import Rows, compact, in_chunks, rows_of
 from postproc.correction import checks, inspection
 from postproc.correction.targets import Chosen, corners_of_motions
 from postproc.dialects import registry
@@ -203,7 +203,7 @@ class _Probes(Struct, frozen=True, eq=False):
         return np.asarray(self.share < 1.0)
 
 
-def simulate(path: PathUnderLoad, chosen: Chosen, theta: Array, back: ReadBack, *, corrected: bool) -> Simulated:
+def simulate(path: PathUnderLoad, chosen: Chosen, theta: Rows, back: ReadBack, *, corrected: bool) -> Simulated:
     """Simulate a written program against the nominal path of the program it was made from.
 
     :param chosen: what was to be written.
@@ -242,9 +242,7 @@ def simulate(path: PathUnderLoad, chosen: Chosen, theta: Array, back: ReadBack, 
     )
 
 
-def _deviation(
-    path: PathUnderLoad, chosen: Chosen, theta: Array, back: ReadBack, probes: _Probes
-) -> tuple[Array, bool]:
+def _deviation(path: PathUnderLoad, chosen: Chosen, theta: Rows, back: ReadBack, probes: _Probes) -> tuple[Array, bool]:
     """Return the loaded tip (n, 3) from nominal, `$BASE` [m], and whether a joint comes near its largest speed.
 
     :raises UnusableTextError: a commanded pose is out of reach, or there is no equilibrium.

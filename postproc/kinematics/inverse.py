@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from msgspec import Struct
 
-from postproc.chunks import compact, in_chunks
+from postproc.chunks import Rows, chunks, compact, in_chunks, many_rows
 from postproc.errors import PostprocError
 from postproc.frames import Array, angle_between, any_column, largest
 from postproc.kinematics.closed_form import closed_form, status_of
@@ -50,7 +50,7 @@ class JointPath(Struct, frozen=True, eq=False):
     :param branch: (N,) branch 0…7 of the closed form.
     """
 
-    q: Array
+    q: Rows
     branch: Ints
 
 
@@ -86,18 +86,24 @@ def follow(
     by_axes = np.isfinite(axis_target[:, 0])
     slots = _branches_along(robot, flange(jumps), start, axis_target, status)
     branch = np.repeat(compact(slots, np.int8), np.diff(jumps, prepend=0, append=len(free)))
-
-    def solved(rows: Ints, branch: Ints) -> tuple[Array]:
-        return (on_branch(robot, flange(rows), branch),)
-
-    q = in_chunks(solved, np.arange(len(branch)), branch)[0]
-    q[jumps[by_axes]] = axis_target[by_axes]
-    unreached = np.flatnonzero(any_column(np.isnan(q)))
-    if len(unreached):
-        raise UnreachableError(unreached.tolist())
-    given = np.flatnonzero(~by_axes & (turn >= 0))
-    q[jumps[given]] = _turned(robot, q[jumps[given]], turn[given])
-    return JointPath(_continuous(start, q, jumps[by_axes | (turn >= 0)]), branch)
+    q = many_rows(len(branch), 6)
+    before, wound = np.asarray(start, dtype=float), np.zeros(6)
+    unreached: list[int] = []
+    for part in chunks(len(branch)):
+        rows = np.arange(part.start, min(part.stop, len(branch)))
+        exact = on_branch(robot, flange(rows), branch[part])
+        among = slice(*np.searchsorted(jumps, (part.start, part.stop)))
+        at, fixed = jumps[among] - part.start, by_axes[among]
+        exact[at[fixed]] = axis_target[among][fixed]
+        unreached += (part.start + np.flatnonzero(any_column(np.isnan(exact)))).tolist()
+        given = ~fixed & (turn[among] >= 0)
+        exact[at[given]] = _turned(robot, exact[at[given]], turn[among][given])
+        if len(rows) and not unreached:
+            q[part], wound = _continuous(exact, before, wound, at[fixed | given])
+            before = exact[-1]
+    if unreached:
+        raise UnreachableError(unreached)
+    return JointPath(q, branch)
 
 
 def _branches_along(robot: RobotModel, flange: Array, start: Array, axis_target: Array, status: Ints) -> Ints:
@@ -116,16 +122,22 @@ def _branches_along(robot: RobotModel, flange: Array, start: Array, axis_target:
     return np.asarray(known[last])
 
 
-def _continuous(start: Array, q: Array, held: Ints) -> Array:
-    """Return angles (N, 6) with the whole turns that make them continuous from the start; those `held` stay."""
-    turns = np.round(np.diff(q, axis=0, prepend=np.asarray(start, dtype=float)[None]) / _TURN)
-    if not turns.any():
-        return q
+def _continuous(q: Array, before: Array, wound: Array, held: Ints) -> tuple[Array, Array]:
+    """Return angles (n, 6) with the whole turns that make them continuous; those `held` stay.
+
+    :param before: (6,) angles before the first of them, without whole turns.
+    :param wound: (6,) whole turns taken off there; returned for the last of them.
+    """
+    turns = np.round(np.diff(q, axis=0, prepend=before[None]) / _TURN)
+    if not turns.any() and not wound.any():
+        return q, wound
     turns[held] = 0.0
-    total = np.append(np.cumsum(turns, axis=0), np.zeros((1, 6)), axis=0)  # its last row: before all
+    total = wound + np.cumsum(turns, axis=0)
     since = np.full(len(q), -1)
     since[held] = held
-    return q - _TURN * (total[:-1] - total[np.maximum.accumulate(since)])
+    since = np.maximum.accumulate(since)
+    taken = total - np.where(since[:, None] >= 0, total[since], 0.0)
+    return q - _TURN * taken, taken[-1]
 
 
 def on_branch(robot: RobotModel, pose_flange_in_root: Array, branch: Ints) -> Array:
@@ -149,13 +161,14 @@ _LOOKED_AT = 2_000
 """Rows of a path that are evaluated in the first pass."""
 
 
-def joint_margin(robot: RobotModel, q: Array) -> Array:
+def joint_margin(robot: RobotModel, q: Rows) -> Array:
     """Return the smallest distance (6,) [rad] of each joint to its limits, negative beyond them; q: (N, 6), N ≥ 1."""
-    low, high = np.array([(angle.min(), angle.max()) for angle in q.T]).T  # much faster than along short rows
-    return np.asarray(np.minimum(low - robot.lower, robot.upper - high))
+    parts = (q[part].T for part in chunks(len(q)))  # by columns: much faster than along short rows
+    ends = np.array([[(angle.min(), angle.max()) for angle in part] for part in parts])
+    return np.asarray(np.minimum(ends[..., 0].min(axis=0) - robot.lower, robot.upper - ends[..., 1].max(axis=0)))
 
 
-def smallest_singular_value(robot: RobotModel, q: Array, tool: Array) -> float:
+def smallest_singular_value(robot: RobotModel, q: Rows, tool: Array) -> float:
     """Return the smallest singular value of the tool's Jacobian along a path: metres and radians per radian.
 
     It changes slowly along a dense path. Of more than `_LOOKED_AT` rows, every n-th is evaluated first, then all rows

@@ -212,7 +212,7 @@ def cut(program: Program, robot_in_cell: RobotInCell, source: ProcessSource, whe
         raise MeasurementError(cause.issue.message, file=program.documents[0].name, line=line) from None
     rows = np.arange(len(path))
     every = States(
-        path.joints.q,
+        path.joints.q[:],
         np.broadcast_to(path.tool(rows), (len(path), 4, 4)),
         path.pose_in_root(rows),
         path.wrench_in_root(rows),

@@ -360,7 +360,7 @@ def _states(
             q = np.zeros((0, 6))
             break
         try:
-            q = robot_in_cell.follow(motions, motion[rows], t[rows], pose.take(rows)).q
+            q = robot_in_cell.follow(motions, motion[rows], t[rows], pose.take(rows)).q[:]
         except UnreachableError as cause:
             reached[rows[list(cause.rows)] // count] = False
             continue

@@ -144,7 +144,7 @@ def configuration(joints: TargetJoints) -> Ints:
     KUKA has the same bits, but its bit 1 is set if the wrist centre is *in front of* the line through axes 2 and 3.
     (ABB, data type confdata.)
     """
-    quadrant = np.floor((abb_from_joints(joints.q)[:, [0, 3, 5]] + _SAME_QUADRANT) / 90.0).astype(np.int64)
+    quadrant = np.floor((abb_from_joints(joints.q[:])[:, [0, 3, 5]] + _SAME_QUADRANT) / 90.0).astype(np.int64)
     s = joints.status
     cfx = 4 * (s & 1) + 2 * (1 - (s >> 1 & 1)) + (s >> 2 & 1)
     return np.column_stack([quadrant, cfx])
