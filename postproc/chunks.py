@@ -116,12 +116,12 @@ class Computed(Struct, frozen=True, eq=False):
     """
 
     row: NDArray[np.int64]
-    of: Callable[[NDArray[np.int64]], NDArray[np.float64]]
+    of: Callable[[NDArray[np.int64]], NDArray[Any]]
 
     def __len__(self) -> int:
         return len(self.row)
 
-    def __getitem__(self, key: Any) -> NDArray[np.float64]:
+    def __getitem__(self, key: Any) -> NDArray[Any]:
         rows, *entries = key if isinstance(key, tuple) else (key,)
         found = self.of(self.row[rows])
         return np.asarray(found[(..., *entries)]) if entries else found

@@ -15,7 +15,7 @@ from msgspec import Struct, field
 from msgspec.structs import force_setattr
 from numpy.typing import NDArray
 
-from postproc.chunks import Rows, Runs, compact
+from postproc.chunks import Computed, Rows, Runs, compact
 from postproc.errors import ForceError, Issue, Level, ProgramError, choices
 from postproc.frames import Array, inverse, norm, rotation_from_vector
 from postproc.poses import Poses, as_poses
@@ -620,23 +620,29 @@ class Targets(Struct, frozen=True, eq=False):
 class TargetJoints(Struct, frozen=True, eq=False):
     """Joint angles at K targets by the controller's nominal geometry: they select the branch of the inverse kinematics.
 
+    They may be computed where they are indexed: not every writer needs them.
+
     :param q: (K, 6) KUKA signs, turns counted [rad].
     :param status: (K,) KUKA S.
     """
 
     q: Rows
-    status: Ints
+    status: Ints | Computed
 
 
 class TargetForces(Struct, frozen=True, eq=False):
     """The wrench at each of K targets, in the form that a written program needs.
 
-    :param wrench: (K, 6) Fx…Mz [N, N·m] in the axes that `frame` names.
+    :param wrench: (K, 6) Fx…Mz [N, N·m] in the axes that `frame` names; an array becomes `Runs`.
     :param frame: (K,) place in `FORCE_FRAMES`.
     """
 
-    wrench: Array
+    wrench: Runs
     frame: Ints
+
+    def __post_init__(self) -> None:
+        force_setattr(self, "wrench", Runs.of(self.wrench))
+        _make_compact(self, frame=np.int8)
 
 
 class Written(Struct, frozen=True, eq=False):

@@ -179,7 +179,7 @@ class Draft(Struct, frozen=True, eq=False):
         """Return the wrench at each target in the form that the written program needs."""
         chosen = self.chosen
         return forces.of_targets(
-            self.path.motions.forces, chosen.targets, chosen.arrive, self.path.wrench.take(chosen.row)
+            self.path.motions.forces, chosen.targets, chosen.arrive, self.path.wrench.of_rows(chosen.row)
         )
 
     def written(self, task: Task) -> Draft:
@@ -205,9 +205,10 @@ class Draft(Struct, frozen=True, eq=False):
         return replace(draft, carried=carried, unlike=unlike)
 
     def _text(self, task: Task) -> Written:
-        path, q = self.path, rows_of(self.q, self.chosen.row)
+        path, row = self.path, self.chosen.row
         comments = self.forces_at_targets() if path.program.notes and not task.in_file else None
-        joints = TargetJoints(q, in_chunks(lambda q: (kinematics.status_of(task.robot, q),), q)[0])
+        status = Computed(row, lambda rows: kinematics.status_of(task.robot, self.q[rows]))
+        joints = TargetJoints(rows_of(self.q, row), status)
         return task.writer.write(path.program, self.chosen.targets, joints, path.robot_in_cell.cell, comments)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from postproc import decimals
+from postproc.chunks import in_chunks
 from postproc.decimals import Bytes, Number, Part
 from postproc.frames import Array
 from postproc.program import FORCE_FRAMES, PTP, Bools, ForceNote, Ints, TargetForces
@@ -30,18 +31,24 @@ def needed(forces: TargetForces, kind: Ints, note: Ints, notes: Sequence[ForceNo
     :param note: (K,) the last of the program's own `notes` at each target, −1 before the first.
     :param start: values before the first of these: 0, or NaN where they are unknown.
     """
-    out = np.zeros(len(kind), dtype=np.bool_)
+    given = np.array([(FORCE_FRAMES.index(own.frame), *own.wrench) for own in notes]).reshape(-1, 7)
+    given[:, 0] = np.where(given[:, 1:].any(axis=1) & (given[:, 0] != _BASE), np.nan, _BASE)  # turns with the path
+
+    def wanted(row: Ints) -> Array:
+        return np.column_stack([forces.frame[row], rounded(forces.wrench[row])])
+
+    def in_chunk(row: Ints, before: Ints) -> tuple[Bools]:
+        """Return which targets (n,) need one; `before` (n,) is the one before each, −1 for none."""
+        none = before < 0
+        state = wanted(before)
+        state[none] = start
+        fresh = note[row] != np.where(none, -1, note[before])
+        state[fresh] = given[note[row[fresh]]]
+        return (np.asarray(~(np.abs(wanted(row) - state) <= [0.0, *(0.6 * 0.1**_DECIMALS)]).all(axis=1)),)
+
     rows = np.flatnonzero(kind != PTP)
-    if not len(rows):
-        return out
-    wanted = np.column_stack([forces.frame, rounded(forces.wrench)])[rows]
-    state = np.concatenate([np.full((1, 7), start), wanted[:-1]])
-    fresh = np.flatnonzero(np.diff(note[rows], prepend=-1) != 0)
-    if len(fresh):
-        given = np.array([(FORCE_FRAMES.index(own.frame), *own.wrench) for own in notes])[note[rows[fresh]]]
-        given[:, 0] = np.where(given[:, 1:].any(axis=1) & (given[:, 0] != _BASE), np.nan, _BASE)  # turns with the path
-        state[fresh] = given
-    out[rows] = ~(np.abs(wanted - state) <= [0.0, *(0.6 * 0.1**_DECIMALS)]).all(axis=1)
+    out = np.zeros(len(kind), dtype=np.bool_)
+    out[rows] = in_chunks(in_chunk, rows, np.append(-1, rows)[:-1])[0]
     return out
 
 

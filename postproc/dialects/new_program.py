@@ -200,14 +200,15 @@ class NewProgram:
         """
         count = len(self.row)
         noted = np.array(sorted(self.before), dtype=np.int64)
-        step = np.ones(count + 1, dtype=np.int64)
-        step[noted] += np.array([len(self.before[k]) for k in noted.tolist()], dtype=np.int64)
-        parts = ["".join(line + LINE_END for line in head)]
+        step = np.ones(count + 1, dtype=np.int32)
+        step[noted] += np.array([len(self.before[k]) for k in noted.tolist()], dtype=np.int32)
+        step[0] += len(head)
+        text = "".join(line + LINE_END for line in head)
         for part in chunks(count):
             rows = np.arange(part.start, min(part.stop, count))
-            parts.append(self._chunk(rows, printed, noted[(noted >= part.start) & (noted < part.stop)]))
-        parts += [line + LINE_END for line in (*self.before.get(count, ()), *end)]
-        return "".join(parts), len(head) + np.cumsum(step[:count])
+            text += self._chunk(rows, printed, noted[(noted >= part.start) & (noted < part.stop)])  # extended in place
+        text += "".join(line + LINE_END for line in (*self.before.get(count, ()), *end))
+        return text, np.cumsum(step[:count], dtype=step.dtype)
 
     def _chunk(self, rows: Ints, printed: Callable[[int, Ints], bytes], noted: Ints) -> str:
         """Return the lines of consecutive targets (n,), with those before targets `noted` (m,) of them."""

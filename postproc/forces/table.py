@@ -18,6 +18,7 @@ import numpy as np
 from msgspec import Struct
 
 from postproc import files
+from postproc.chunks import Runs
 from postproc.errors import MOST, ForceError, choices, together
 from postproc.forces.axes import TURNS, Axes, across
 from postproc.forces.path_forces import PathForces
@@ -243,7 +244,7 @@ _ROUNDED = 2e-3
 """Forces of two passes of a line that differ by less [N, N·m] count as equal: the file has three decimals."""
 
 
-def of_targets(forces: PathForces, targets: Targets, arrive: Array, wrench: Array) -> TargetForces:
+def of_targets(forces: PathForces, targets: Targets, arrive: Array, wrench: Runs) -> TargetForces:
     """Return the wrench at each target for the comments of the written program.
 
     :param forces: those of the program as read.
@@ -251,8 +252,10 @@ def of_targets(forces: PathForces, targets: Targets, arrive: Array, wrench: Arra
     :param arrive: (K, 3) direction of travel at the end of each piece, `$BASE`; (0, 3) without forces in FEED axes.
     :param wrench: (K, 6) wrench that acts there [N, N·m], `$BASE` axes.
     """
-    frame = np.where(any_column(wrench != 0.0), _frame(forces, targets), BASE)
-    out = wrench.copy()
+    frame = np.where(any_column(wrench.values != 0.0)[wrench.run], _frame(forces, targets), BASE)
+    if (frame == BASE).all():
+        return TargetForces(wrench, frame)
+    out = wrench[:]
     for code in (TOOL, FEED):
         rows = np.flatnonzero(frame == code)
         axes = targets.pose[rows, :3, :3]
@@ -261,8 +264,8 @@ def of_targets(forces: PathForces, targets: Targets, arrive: Array, wrench: Arra
             frame[rows[~found]] = BASE
             rows, axes = rows[found], axes[found]
         for half in (slice(0, 3), slice(3, 6)):
-            out[rows, half] = np.einsum("nji,nj->ni", axes, wrench[rows, half])
-    return TargetForces(out, frame)
+            out[rows, half] = np.einsum("nji,nj->ni", axes, out[rows, half])
+    return TargetForces(Runs.of(out), frame)
 
 
 def of_pieces(forces: PathForces, targets: Targets, at_end: TargetForces, written: Axes, row: Ints) -> Knots:

@@ -13,7 +13,7 @@ from postproc.dialects import krl
 from postproc.errors import InputError, ProgramError
 from postproc.frames import pose_from_xyzabc
 from postproc.poses import Poses
-from postproc.program import CIRC, LIN, PTP, Document, Event, Motions, Targets
+from postproc.program import CIRC, FORCE_FRAMES, LIN, PTP, Document, Event, Motions, TargetForces, Targets
 from tests import programs
 from tests.attack.krl_interpreter import Controller
 from tests.dialects.krl_programs import CELL, check_commands, forward
@@ -321,6 +321,23 @@ def test_a_program_that_only_waits_is_still_one():
     text, *_ = emitted(program)
     assert "$APO" not in text
     assert text.endswith("S 2,T 34}\r\nWAIT SEC 1\r\nEND\r\n")
+
+
+@pytest.mark.parametrize("rows", [1, 2, 3, 100])
+def test_a_force_is_a_comment_where_it_changes_whatever_chunks_are_written_at_once(monkeypatch, rows):
+    monkeypatch.setattr("postproc.chunks._ROWS", rows)
+    program = milling(
+        [("PTP", 0, 0, 0), *[("LIN", x, 0, 0) for x in (1, 2, 3)], ("PTP", 3, 0, 9), ("LIN", 3, 0, 0)], ()
+    )
+    wrench, frame = np.zeros((6, 6)), np.full(6, FORCE_FRAMES.index("BASE"))
+    wrench[[1, 2, 3], 0] = 60.0, 60.0, 60.0004  # N: the last digit is not written
+    wrench[5, 1], frame[5] = -4.0, FORCE_FRAMES.index("TOOL")
+    wanted = targets(program)
+    written = krl.emit(program, wanted, MILLING, TargetForces(wrench, frame))
+    lines = written.documents[0].text.split("\r\n")
+    notes = [lines[line - 1].partition(" ;")[2] for line in written.output_line]
+    force = "FORCE FX=60 FY=0 FZ=0"
+    assert notes == ["", force, "", "", "", "FORCE FX=0 FY=-4 FZ=0 FRAME=TOOL"]
 
 
 def test_many_targets_are_written_in_bulk():

@@ -22,7 +22,7 @@ from postproc.dialects.rapid import language
 from postproc.dialects.rapid.dialect import RAPID
 from postproc.dialects.text import decode
 from postproc.errors import PostprocError, ProgramError
-from postproc.program import CIRC, LIN, PTP, TargetJoints
+from postproc.program import CIRC, LIN, PTP
 from postproc.under_load import RobotInCell
 from tests.commands import printed
 from tests.dialects.rapid_grammar import confdata, elbow_and_wrist, frame, parse
@@ -91,7 +91,7 @@ def test_joint_limits_are_those_of_the_data_sheet():
 def test_confdata_tell_the_branch_on_which_the_arm_stands():
     model = robot.load(robot.find(MODEL))
     q = np.random.default_rng(4).uniform(model.lower, model.upper, (500, 6))
-    found = language.configuration(TargetJoints(q, kinematics.status_of(model, q)))
+    found = language.configuration(q, kinematics.status_of(model, q))
     expected = [confdata(angles) for angles in language.abb_from_joints(q)]
     assert found.tolist() == expected
     assert {row[3] for row in expected} == set(range(8))
@@ -100,7 +100,7 @@ def test_confdata_tell_the_branch_on_which_the_arm_stands():
 
 def test_an_angle_that_is_a_quadrants_beginning_but_for_rounding_is_in_it():
     q = language.joints_from_abb(np.array([[-1e-12, 10.0, 0.0, 90.0 - 1e-12, 30.0, -90.0 - 1e-12]]))
-    assert language.configuration(TargetJoints(q, np.array([2]))).tolist() == [[0, 1, -1, 0]]
+    assert language.configuration(q, np.array([2])).tolist() == [[0, 1, -1, 0]]
 
 
 @settings(max_examples=80, deadline=None)

@@ -13,6 +13,7 @@ import pytest
 from msgspec.structs import replace
 
 from postproc import forces, frames, toolpath
+from postproc.chunks import Runs
 from postproc.forces import Knots
 from postproc.forces.axes import lines_run_across, runs_across
 from postproc.poses import Poses
@@ -423,7 +424,7 @@ def test_forces_that_go_with_a_divided_program_are_those_of_the_program(seed):
     load = forces.assign(made, path, Given(knots), "+Z", RAMP)
     arrive = toolpath.tangent(made, path, targets.motion, targets.t)
     wrench = load.at(toolpath.at(made, path, targets.motion, targets.t))
-    at_end = forces.of_targets(load, targets, arrive, wrench)
+    at_end = forces.of_targets(load, targets, arrive, Runs.of(wrench))
     acts = wrench.any(axis=1)  # every motion turns the tool: forces keep their axes
     np.testing.assert_array_equal(at_end.frame, np.where(acts, load.frame[targets.motion], BASE))
     other = toolpath.segments(written, START)
@@ -463,7 +464,7 @@ def test_a_force_that_stays_as_it_is_is_given_once_to_each_piece():
     knots = Knots.along(motion, np.tile([0.2, 0.8], 4), columns[0], np.repeat([FEED, TOOL, FEED, TOOL], 2), columns[1])
     load = forces.assign(made, path, Given(knots), "+Z", RAMP)
     there = load.at(toolpath.at(made, path, targets.motion, targets.t))
-    at_end = forces.of_targets(load, targets, toolpath.tangent(made, path, targets.motion, targets.t), there)
+    at_end = forces.of_targets(load, targets, toolpath.tangent(made, path, targets.motion, targets.t), Runs.of(there))
     other = toolpath.segments(written, START)
     axes = forces.Axes(written, other, "+Z", forces.last_travel(written, other, "+Z")[0])
     found = forces.of_pieces(load, targets, at_end, axes, np.arange(len(targets)))
@@ -476,8 +477,8 @@ def test_a_piece_with_one_force_has_that_of_its_target_in_a_file():
     path, targets, written = divided(made, [np.array([1.0]), *[np.array([0.5, 1.0])] * 4])
     load = forces.assign(made, path, None, "+Z", RAMP)
     there = load.at(toolpath.at(made, path, targets.motion, targets.t))
-    at_end = forces.of_targets(load, targets, toolpath.tangent(made, path, targets.motion, targets.t), there)
-    at_end = replace(at_end, wrench=at_end.wrench + 1.0)
+    at_end = forces.of_targets(load, targets, toolpath.tangent(made, path, targets.motion, targets.t), Runs.of(there))
+    at_end = replace(at_end, wrench=at_end.wrench[:] + 1.0)
     other = toolpath.segments(written, START)
     axes = forces.Axes(written, other, "+Z", forces.last_travel(written, other, "+Z")[0])
     found = forces.of_pieces(load, targets, at_end, axes, np.arange(len(targets)))

@@ -67,6 +67,7 @@ from postproc.program import (
     TargetJoints,
     Targets,
     Written,
+    constant,
     parse_force_note,
 )
 from postproc.version import VERSION
@@ -118,9 +119,8 @@ class _NewModule:
     def __init__(
         self, program: Program, targets: Targets, joints: TargetJoints, cell: Cell, carried: TargetForces | None
     ) -> None:
-        self.program, self.targets, self.cell, self.carried = program, targets, cell, carried
+        self.program, self.targets, self.joints, self.cell, self.carried = program, targets, joints, cell, carried
         self.new = NewProgram(program, targets, cell, WORDS)
-        self.configuration = configuration(joints)
 
     def written(self) -> Written:
         """Return the document."""
@@ -170,7 +170,7 @@ class _NewModule:
         """Put force comments before the targets that need one."""
         if self.carried is None:
             return
-        none = np.full(len(self.targets), -1)
+        none = constant(-1, len(self.targets))
         rows = np.flatnonzero(force_comments.needed(self.carried, self.targets.kind, none, (), np.nan))
         for k, text in zip(rows.tolist(), force_comments.texts(b"!", self.carried, rows), strict=True):
             self.new.before[k].append(f"    {text}")
@@ -224,7 +224,8 @@ class _NewModule:
         """Return the lines of some targets of a kind."""
         motions, motion = self.program.motions, self.targets.motion[k]
         target = [b",", *_columns(quaternions(self.targets.pose[k, :3, :3]), _QUATERNION)]
-        target += [b",", *_columns(self.configuration[k].astype(np.float64), 0), f",{NO_EXTERNAL_AXES}]".encode()]
+        branch = configuration(self.joints.q[k], self.joints.status[k])
+        target += [b",", *_columns(branch.astype(np.float64), 0), f",{NO_EXTERNAL_AXES}]".encode()]
         end = [b"[", *_columns(self.targets.pose[k, :3, 3] * MM_PER_M, _MILLIMETRES), *target]
         via: list[Part] = []
         if kind == CIRC:

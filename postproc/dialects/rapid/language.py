@@ -20,7 +20,7 @@ import unicodedata
 import numpy as np
 
 from postproc.frames import DEG_PER_RAD, M_PER_MM, RAD_PER_DEG, Array
-from postproc.program import Ints, TargetJoints
+from postproc.program import Ints
 
 PREFIX = "mod_"
 """Prefix of the module's name, which must differ from the procedure's."""
@@ -136,17 +136,18 @@ def joints_from_abb(angles: Array) -> Array:
     return np.asarray(_SIGN * (angles - _ZERO) * RAD_PER_DEG)
 
 
-def configuration(joints: TargetJoints) -> Ints:
-    """Return cf1, cf4, cf6, cfx (K, 4) of robtargets.
+def configuration(q: Array, status: Ints) -> Ints:
+    """Return cf1, cf4, cf6, cfx (n, 4) of robtargets.
 
     cf1, cf4 and cf6 are the quadrants of J1, J4, J6: 0 from 0° to 90°, −1 from −90° to 0°, and so on. cfx, 0…7, is the
     sum of 4 if the wrist centre is behind axis 1, 2 if it is behind the lower arm, 1 if J5 is negative. The status S of
     KUKA has the same bits, but its bit 1 is set if the wrist centre is *in front of* the line through axes 2 and 3.
     (ABB, data type confdata.)
+
+    :param q: (n, 6) joint angles, KUKA signs [rad]; `status` (n,) KUKA S.
     """
-    quadrant = np.floor((abb_from_joints(joints.q[:])[:, [0, 3, 5]] + _SAME_QUADRANT) / 90.0).astype(np.int64)
-    s = joints.status
-    cfx = 4 * (s & 1) + 2 * (1 - (s >> 1 & 1)) + (s >> 2 & 1)
+    quadrant = np.floor((abb_from_joints(q)[:, [0, 3, 5]] + _SAME_QUADRANT) / 90.0).astype(np.int64)
+    cfx = 4 * (status & 1) + 2 * (1 - (status >> 1 & 1)) + (status >> 2 & 1)
     return np.column_stack([quadrant, cfx])
 
 

@@ -32,7 +32,7 @@ from postproc.dialects.krl.write.target_statements import aggregate_text
 from postproc.dialects.new_program import LINE_END, NewProgram, Words, check_name, number
 from postproc.errors import group_issues
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, xyzabc_from_pose
-from postproc.program import CIRC, PTP, Bools, Document, Ints, Program, TargetForces, Targets, Written
+from postproc.program import CIRC, PTP, Bools, Document, Ints, Program, TargetForces, Targets, Written, constant
 from postproc.version import VERSION
 
 _FRAME_DECIMALS = 6
@@ -93,7 +93,7 @@ class _Emitter:
         self._set_speeds()
         self._set_turning()
         if self.carried is not None:
-            self.noted = force_comments.needed(self.carried, self.targets.kind, np.full(count, -1), (), np.nan)
+            self.noted = force_comments.needed(self.carried, self.targets.kind, constant(-1, count), (), np.nan)
         text, output_line = new.joined(
             head, lambda kind, rows: without_trailing_zeros(self._lines(kind, rows, distances[rows] > 0.0)), ["END"]
         )
