@@ -154,7 +154,7 @@ def write_cell(request: CellRequest) -> tuple[str, ...]:
     if request.start is None and (above := _start_above(cell, robot, request.clearance + _ABOVE_MM)) is not None:
         cell = msgspec.structs.replace(cell, start=msgspec.convert({"joints": above}, Start))
     turn, remarks = _turn_of_tool(cell, robot)
-    remarks = (*remarks, *_low_start(cell, robot, request.clearance))
+    remarks = (*_upside_down(cell), *remarks, *_low_start(cell, robot, request.clearance))
     tools = {number: Frame(*_six(f"$TOOL of T{number}", words, 3)) for number, words in request.tools.items()}
     text = _text(place, robot, cell, turn, config, request, tools)
     files.write_whole(folder, {request.output.name: text.encode()})
@@ -258,6 +258,20 @@ def _start_above(cell: Cell, robot: RobotModel, height: float) -> tuple[float, .
         return None
     nearest = min(reached, key=lambda joints: float(np.abs(joints[[3, 5]]).max()))
     return tuple((np.round(nearest * DEG_PER_RAD, 1) + 0.0).tolist())
+
+
+_DOWN = -0.1
+"""Largest Z component, in the robot root, of a Z axis that points down."""
+
+
+def _upside_down(cell: Cell) -> Iterator[str]:
+    """Yield a warning if Z of `$BASE` points down, so that the tool comes from below."""
+    if cell.base.pose()[2, 2] < _DOWN:
+        angles = f"A {cell.base.A:g}, B {cell.base.B:g}, C {cell.base.C:g}"
+        yield (
+            f"Z of $BASE points down ({angles}): the tool would come from below the part. Check "
+            "the angles of $BASE: A turns about Z, B about Y, C about X."
+        )
 
 
 def _low_start(cell: Cell, robot: RobotModel, clearance: float) -> Iterator[str]:

@@ -232,6 +232,17 @@ def test_a_start_below_the_height_of_retracts_is_reported():
     assert "109.6 mm below it" in done.output
 
 
+@pytest.mark.parametrize("angles", ["0,180,0", "0,0,180", "30,-100,0"])
+def test_a_base_upside_down_gets_a_warning(angles):
+    done = run("init", "--robot", "kuka_kr270", "--base", f"1500,0,700,{angles}", "--tool", "0,0,350")
+    assert done.exit_code == 0
+    a, b, c = angles.split(",")
+    assert f"warning: Z of $BASE points down (A {a}, B {b}, C {c}): the tool would come from below" in done.stderr
+    for usual in ("180,0,0", "0,90,0", "90,0,-60"):
+        done = run("init", "--robot", "kuka_kr270", "--base", f"1500,0,700,{usual}", "--tool", "0,0,350", "--overwrite")
+        assert "points down" not in done.stderr
+
+
 def test_without_a_terminal_what_is_missing_is_wrong_usage():
     done = run("init", "--base", "0,0,0")
     assert done.exit_code == 2

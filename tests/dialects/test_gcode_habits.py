@@ -201,6 +201,137 @@ def test_only_the_axes_that_park_are_programmed_again():
     np.testing.assert_allclose(ends(program)[2:], [[10, 20, 200], [10, 7, 200], [10, 7, 5], [3, 7, 5]], atol=1e-9)
 
 
+@pytest.mark.parametrize("park", ["G91 G28 X0 Y0 Z0\nG90", "G53 G0 Z0\nG53 G0 X-300 Y0", "G91 G30 Z0\nG28 X0 Y0\nG90"])
+@pytest.mark.parametrize(
+    ("code", "axes"), [("G92 X0 Y0", "X"), ("G92 Z100", "Z"), ("G10 L20 P1 X0 Y0 Z0", "X and Y and Z"), ("G92 Y3", "Y")]
+)
+def test_the_place_of_a_machine_after_a_retract_is_no_origin(park, code, axes):
+    """G92 and G10 L20 give coordinates to the place of the machine (NIST RS274NGC 3.5.18), which is not the robot's."""
+    with pytest.raises(ProgramError) as caught:
+        read(f"{CUT}{park}\n{code}\nG0 X50 Y60\nZ5\nG1 Z-2\nM30\n", INIT)
+    assert f"{axes} after G28, G30 or G53" in caught.value.problem
+    assert caught.value.text == code
+    again = f"{CUT}{park}\nG0 X50 Y60\nZ5\n{code}\nG0 X7 Y8\nZ9\nG1 Z6\nM30\n"
+    x, y, z = ends(read(again, INIT))[-1]
+    assert [x, y, z] == {
+        "G92 X0 Y0": [57, 68, 6],
+        "G92 Z100": [7, 8, -89],
+        "G10 L20 P1 X0 Y0 Z0": [57, 68, 11],
+        "G92 Y3": [7, 65, 6],
+    }[code]
+
+
+@pytest.mark.parametrize("home", [None, [0.0, -90.0, 90.0, 0.0, 10.0, 0.0]])
+@pytest.mark.parametrize(
+    ("park", "after"),
+    [
+        ("G28 Y0", "G0 Y0\nG1 X20"),  # Z of the machine is still at -1, the robot is at clearance_Z
+        ("G28 X0\nG28 Y0", "G0 X0 Y0\nG2 X20 I10"),
+        ("G53 G0 X0 Y0", "G0 X0 Y0\nG91 G1 Z-5"),
+        ("G28 X0 Y0", "G0 X0 Y0\nG92 Z0\nG1 X9"),
+    ],
+)
+def test_a_height_that_depends_on_the_retract_of_the_robot_is_refused(home, park, after):
+    cell = replace(INIT, machine=replace(INIT.machine, home=home))
+    with pytest.raises(ProgramError, match=r"Z (must be programmed again )?after G28, G30 or G53") as caught:
+        read(f"{CUT}{park}\n{after}\nM30\n", cell)
+    assert str(caught.value.text) in after
+    program = read(f"{CUT}{park}\nG0 X0 Y0\nZ-1\n{after}\nM30\n", cell)
+    assert not program.motions.rapid[-1]
+
+
+@pytest.mark.parametrize("retract", ["G91 G28 Z0\nG90", "G53 G0 Z0"])
+def test_increments_from_the_height_of_a_retract_are_refused(retract):
+    for after in ("G91 G0 Z-195\nG1 Z-5", "G91 G81 X5 Z-3 R-18 F100", "G91 G1 X5 Z-200"):
+        with pytest.raises(ProgramError, match="Z must be programmed again") as caught:
+            read(f"{CUT}{retract}\n{after}\nM30\n", INIT)
+        assert str(caught.value.text) == after.partition("\n")[0]
+        assert len(read(f"{CUT}{retract}\nG0 Z5\n{after}\nM30\n", INIT).motions) > 4
+    program = read(f"{CUT}{retract}\nG91 G0 X5 Z0\nG90 G0 Z5\nG1 Z-2\nM30\n", INIT)
+    np.testing.assert_allclose(ends(program)[-1], [15, 20, -2], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("block", "seconds"),
+    [("G4 P2.5", 2.5), ("G4 X2.5", 2.5), ("G04 U.5", 0.5), ("G4 F3", 3.0), ("G4 S2", 2.0), ("G4 P1 S300", 1.0)],
+)
+def test_the_time_of_a_dwell_is_in_the_word_that_the_control_reads(block, seconds):
+    """Fanuc: X, U or P; Sinumerik: F, the feed before stays; Marlin: S."""
+    program = read(f"M3 S900\n{CUT}F250\n{block}\nX70\nM30\n")
+    events = [(event.kind, event.value) for event in program.events if event.kind in ("dwell", "spindle_on")]
+    assert ("dwell", seconds) in events
+    assert ("spindle_on", 2.0) not in events
+    assert program.motions.feed[-1] * 60e3 == pytest.approx(250.0)
+    np.testing.assert_allclose(ends(program)[-1], [70, 20, -1], atol=1e-9)
+    assert [issue.kind for issue in program.issues if issue.source_line == 6] == ["dwell"] * (block == "G4 S2")
+
+
+@pytest.mark.parametrize(
+    ("block", "problem"),
+    [
+        ("G4", "G4 without a time"),
+        ("G4 X-1", "G4 without a time"),
+        ("G0 G4 X5", "G4 X in one block with a motion code"),
+        ("T1.1", "T1.1 is not a whole number"),
+        ("M8.1", "M8.1 is not a whole number"),
+        ("M29 S500", "M29 is not supported"),
+        ("M3 P50 X5", "I, J, K, R or P without an arc"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(block, problem):
+    with pytest.raises(ProgramError) as caught:
+        read(f"{CUT}{block}\nX70\nM30\n")
+    assert caught.value.problem.startswith(problem)
+    assert caught.value.advice or block == "M3 P50 X5"
+
+
+def test_a_share_of_the_full_speed_is_read_unless_a_line_of_the_cell_needs_rpm():
+    """Snapmaker: M3 P0 to P100, in percent."""
+    text = f"{CUT}M3 P100\nX70\nM4 P50 S9000\nX80\nM30\n"
+    program = read(text)
+    kinds = [(event.kind, event.value) for event in program.events]
+    assert kinds == [("spindle_on", 0.0), ("spindle_ccw", 9000.0), ("spindle_off", 0.0)]
+    told = [issue.message for issue in program.issues if issue.kind == "spindle-speed" and issue.level == "warning"]
+    assert told[0].startswith("P100 of M3 is ignored")
+    lines = {"spindle_on": ["; on {S}"], "spindle_ccw": ["; off"]}
+    with pytest.raises(ProgramError, match=r"M3 P100: the speed is a share") as caught:
+        read(text, replace(CELL, gcode=replace(CELL.gcode, **lines)))
+    assert caught.value.text == "M3 P100"
+
+
+@pytest.mark.parametrize("text", ["tool (1); G0 X500", "", "%", "#1=2 G81"])
+def test_a_message_of_eding_cnc_is_a_comment(text):
+    program = read(f'msg "{text}"\n{CUT}N10 MSG "{text}" X60\nM30\n')
+    np.testing.assert_allclose(ends(program)[-1], [60, 20, -1], atol=1e-9)
+    assert [event.text for event in program.events if event.kind == "comment"] == [text] * 2
+    with pytest.raises(ProgramError) as caught:
+        read('G0 X1 Y1 Z1\nMSG "open\nG1 X2 F9\nM30\n')
+    assert caught.value.line == 2
+
+
+@pytest.mark.parametrize("code", ["G41.2", "G42.2"])
+def test_radius_compensation_in_three_dimensions_has_no_effect_if_offsets_hold_wear(code):
+    text = f"{CUT}{code} D4 X70\nM30\n"
+    with pytest.raises(ProgramError, match=f"{code} is not supported") as caught:
+        read(text)
+    assert "radius_offsets" in str(caught.value.advice)
+    program = read(text, replace(CELL, gcode=replace(CELL.gcode, radius_offsets="wear")))
+    np.testing.assert_allclose(ends(program)[-1], [70, 20, -1], atol=1e-9)
+
+
+def test_decimal_commas_are_refused_with_what_to_write():
+    with pytest.raises(ProgramError) as caught:
+        read(CUT + "X1,5\nM30\n")
+    assert (caught.value.line, caught.value.text) == (4, "X1,5")
+    assert "X10.5" in str(caught.value.advice)
+
+
+def test_line_numbers_of_a_program_with_cr_alone_are_those_of_its_lines():
+    with pytest.raises(ProgramError) as caught:
+        read(f"{CUT}(a)\nG77 ; b\nM30\n".replace("\n", "\r"))
+    assert (caught.value.line, caught.value.text) == (5, "G77 ; b")
+
+
 def test_commands_of_a_sender_are_not_cutter_locations():
     with pytest.raises(ProgramError) as caught:
         read("$H\n$$\n" + CUT)

@@ -10,6 +10,8 @@ CYCLES = (73.0, 81.0, 82.0, 83.0, 84.0, 85.0, 86.0, 89.0)
 MOVING = (*MOTION, *CYCLES)
 CANCEL_CYCLE = 80.0
 DWELL = 4.0
+DWELL_WORDS = "PXUFS"
+"""Words with the time of G4 [s]: the first one that the block has."""
 TOOL_LENGTH = 43.0
 BLENDING = 64.0
 EXACT = (61.0, 61.1)
@@ -59,7 +61,8 @@ ACCEPTED_G = frozenset(
 )
 ACCEPTED_M = frozenset((*STOP, *END, *SPINDLE, CHANGE, *COOLANT, *_IGNORED_M))
 
-RADIUS_BY_OFFSET = (41.0, 42.0)
+RADIUS_BY_OFFSET = (41.0, 42.0, 41.2, 42.2)
+"""Radius compensation by D of the control; G41.2 and G42.2 in three dimensions (Fanuc)."""
 RADIUS = (*RADIUS_BY_OFFSET, 41.1, 42.1)
 _COMPENSATION = (
     "Radius compensation is not supported: set the CAM system to output the tool centre line. If the offset holds wear "
@@ -104,6 +107,10 @@ _ADVICE_G = {
     96.0: "Constant surface speed needs a lathe: write G97 with S in rpm.",
 }
 _ADVICE_M = {
+    29.0: (
+        "It begins rigid tapping, which needs a spindle in step with the feed. Take a tap holder with length "
+        "compensation, write M3 before G84, and remove M29; or let the CAM system mill the thread."
+    ),
     19.0: "The spindle cannot be oriented: remove the block.",
     60.0: "There is no pallet: use M0 to stop.",
     61.0: "Write T and M6.",

@@ -3,7 +3,8 @@
 Decisions where controls differ:
 
 - **P** of a cycle and of **G4** is in seconds, as in LinuxCNC. More than a minute in G4 gives a warning, because some
-  controls count milliseconds.
+  controls count milliseconds. Without P the seconds of G4 are X or U (Fanuc), F (Sinumerik) or S (Marlin), which then
+  set neither feed nor speed.
 - **/** (block delete): the block is executed, as with the switch off, the default of rs274. An issue says so.
 - **G61, G61.1** switch approximate positioning off, **G64** switches it on again. ``G64 P`` allows the path to leave a
   corner by P. The approximation distance is then at most 2·P: the parabola of the controller leaves the corner by half
@@ -33,6 +34,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 
+import numpy as np
 from msgspec import Struct
 
 from postproc.cell import Cell
@@ -85,6 +87,7 @@ class Switching:
         :raises BlockError: a code is unknown or impossible.
         """
         self._tool = values.pop("T", self._tool)
+        self._power(row, m, values)
         if codes.CHANGE in m:
             self._change(row)
         self._turn(row, m, values.pop("S", None))
@@ -147,6 +150,18 @@ class Switching:
         elif len(self._mounted) > 1:
             message = "The program uses several tools, but the cell has only [tool]. Give [tools.n] for each."
             self._remark("warning", "tool-change", message, row)
+
+    def _power(self, row: int, m: Sequence[float], values: dict[str, float]) -> None:
+        """Read M3 P of Snapmaker: a share of the full speed, which is not known here."""
+        if "P" not in values or not set(m) & set(codes.SPINDLE[:2]) or set(values) - {"P", "S"}:
+            return
+        if any("{S}" in line for line in (*self.cell.gcode.spindle_on, *self.cell.gcode.spindle_ccw)):
+            problem = f"M3 P{values['P']:g}: the speed is a share of the full one (Snapmaker)"
+            raise BlockError(problem, "Write S with the speed in rpm instead of P: spindle_on of the cell needs it.")
+        message = (
+            f"P{values.pop('P'):g} of M3 is ignored: a share of the full speed (Snapmaker). Set the speed by hand."
+        )
+        self._remark("warning", "spindle-speed", message, row)
 
     def _turn(self, row: int, m: Sequence[float], speed: float | None) -> None:
         if speed is not None:
@@ -516,16 +531,23 @@ class _Reader:
         return False
 
     def _dwell(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
-        if codes.DWELL in g:
-            if not values.get("P", -1.0) >= 0.0:
-                raise BlockError("G4 without a time", "Write G4 P with the time in seconds.")
-            if self.columns["G"][row] in (2.0, 3.0):
-                raise BlockError("G4 in one block with an arc", "Write one block for each.")
-            self.dwells.append(row)
-            seconds = values.pop("P")
-            self.switching.dwell(row, seconds)
-            if (message := long_dwell(seconds)) is not None:
-                self._remark("warning", "dwell", message, row)
+        if codes.DWELL not in g:
+            return
+        if self.columns["G"][row] in (2.0, 3.0):
+            raise BlockError("G4 in one block with an arc", "Write one block for each.")
+        letter = next((letter for letter in codes.DWELL_WORDS if letter in values), None)
+        if letter is None or not values[letter] >= 0.0:
+            raise BlockError("G4 without a time", "Write G4 P with the time in seconds.")
+        if letter != "P" and not np.isnan(self.columns["G"][row]):
+            raise BlockError(f"G4 {letter} in one block with a motion code", "Write one block for each.")
+        seconds = values.pop(letter)
+        self.dwells.append(row)
+        self.switching.dwell(row, seconds)
+        if letter == "S":
+            message = f"G4 S{seconds:g} is read as seconds (Marlin). Sinumerik controls count turns of the spindle."
+            self._remark("info", "dwell", message, row)
+        if (warning := long_dwell(seconds)) is not None:
+            self._remark("warning", "dwell", warning, row)
 
     def _radius(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
         """Read G41 and G42: without effect with D0, which is no radius, and with offsets that hold wear only.

@@ -220,6 +220,13 @@ def goes_up_first(rows: LineStates, first: int, complete: int) -> bool:
 
 
 class _Walk:
+    """State of the machine from line to line.
+
+    :ivar known: (3,) whether X, Y, Z have been programmed.
+    :ivar away: (3,) along which the machine is at another place than the robot since G28, G30 or G53.
+    :ivar lifted: whether the robot has retracted by a code that does not move Z of the machine.
+    """
+
     def __init__(self, rows: LineStates, modes: Modes, cell_frames: CellFrames) -> None:
         self.rows, self.modes, self.cell_frames = rows, modes, cell_frames
         self.count = len(rows.motion)
@@ -229,6 +236,8 @@ class _Walk:
         self.frames = [np.eye(4)]
         self.position = cell_frames.start[:3, 3] / M_PER_MM
         self.known = np.zeros(3, dtype=bool)
+        self.away = np.zeros(3, dtype=bool)
+        self.lifted = False
         self.angles = np.zeros(rows.rotary.shape[1])
         self.tool = 0
         self.cycle = Cycle()
@@ -291,6 +300,7 @@ class _Walk:
             else:
                 after[:, axis] = carried(words, self.position[axis])
                 self.known[axis] |= not np.isnan(words).all()
+        self._check_height(begin, end)
         before = np.concatenate([self.position[None], after[:-1]])
         turn = self._turned(begin, end)
         moving = np.flatnonzero(rows.moving[begin:end])
@@ -318,6 +328,7 @@ class _Walk:
     def _drill(self, begin: int, end: int) -> None:
         """Process lines with cycles; after the second hole, lines with positions only are processed together."""
         self._check_drilling(begin, end)
+        self._check_height(begin, end)
         spindle = self._spindle(begin, end)
         alike = self._alike(begin, end, spindle)
         others = np.append(np.flatnonzero(~alike), end - begin) + begin
@@ -431,11 +442,15 @@ class _Walk:
                 self._go(row, via)
         upwards = not named[:2].any()
         if cell_frames.clearance is not None and self.known.all():
+            before = self.number
             self._retract(row, cell_frames.clearance)
+            self.lifted = not named[2] and (self.lifted or self.number > before)
+            self.away[2] |= self.lifted
         if cell_frames.home is None or (to.code == codes.MACHINE and upwards and cell_frames.clearance is not None):
             if not self.known.all():
                 message = "A retract before X, Y and Z are known is left out: the robot is at [start]."
                 self.remarks.append((row, "info", "start-position", message))
+            self.away |= named
             if cell_frames.home is None and not upwards:
                 message = "The tool retracts to clearance_Z and stays above its place: [machine] home is not given."
                 self.remarks.append((row, "info", "parked", message))
@@ -464,6 +479,23 @@ class _Walk:
             self.faults.append((row, "retract with a nearly horizontal tool", advice))
             return
         self._go(row, self.position + along * ((clearance - z) / rise))
+
+    def _check_height(self, begin: int, end: int) -> None:
+        """Check that Z is programmed in G90 before lines of G0 to G3 or cycles whose height depends on a retract."""
+        rows = self.rows
+        given = ~np.isnan(rows.xyz[begin:end])
+        if rows.incremental[begin]:
+            wrong = self.away[2] & ((given[:, 2] & (rows.xyz[begin:end, 2] != 0.0)) | rows.drilling[begin:end])
+        else:
+            wrong = self.lifted & rows.moving[begin:end] & (rows.motion[begin:end] > 0.0)
+            wrong &= ~np.logical_or.accumulate(given[:, 2])
+            self.away &= ~given.any(axis=0)
+            self.lifted &= bool(self.away[2])
+        if wrong.any():
+            problem = "Z must be programmed again after G28, G30 or G53, before this move"
+            advice = "Program Z in G90: the robot is at clearance_Z of the cell, the machine at another height."
+            self.faults.append((begin + int(np.argmax(wrong)), problem, advice))
+            self.away[2] = self.lifted = False
 
     def _check_parked(self) -> None:
         """Check that X and Y are programmed, at the height of the retract, after G28 and G53 have moved them away.
@@ -523,14 +555,26 @@ class _Walk:
             shift[:] = 0.0
         else:
             for axis, word in origin.axes.items():
-                if origin.code == codes.SHIFT and not self.known[axis]:
-                    advice = "Program X, Y and Z in rapid moves before, or give the origin as G54 … in the cell."
-                    self.faults.append((origin.row, "G92 before the position is known", advice))
+                if origin.code == codes.SHIFT:
+                    self._check_known(origin, "G92", [axis])
                 shift[axis] = word if origin.code == codes.LOCAL else shift[axis] + self.position[axis] - word
         self.shift = shift
         if origin.code != codes.SHIFT_OFF:
             self.kept_shift = shift.copy()
         self._reframe(current)
+
+    def _check_known(self, origin: Origin, name: str, axes: Sequence[int]) -> None:
+        """Check that the position is known that a code gives coordinates to."""
+        advice = (
+            "Remove it if X, Y, Z of the program are those of $BASE, or give the origin in the cell, "
+            "[work_offsets.G55]. Else program X, Y and Z by G0 in G90 before."
+        )
+        if not self.known[axes].all():
+            self.faults.append((origin.row, f"{name} before the position is known", advice))
+        elif self.away[axes].any():
+            names = " and ".join("XYZ"[axis] for axis in axes if self.away[axis])
+            problem = f"{name} {names} after G28, G30 or G53: the machine is at another place than the robot"
+            self.faults.append((origin.row, problem, advice))
 
     def _store(self, origin: Origin, current: float) -> None:
         """Set a work offset (G10): by its frame in `$BASE` (L2), or by coordinates of the current position (L20)."""
@@ -539,8 +583,7 @@ class _Walk:
         if origin.turn is not None:
             place[:3, :3] = pose_from_xyzabc([0.0, 0.0, 0.0, origin.turn, 0.0, 0.0])[:3, :3]
         if origin.here:
-            if not self.known[list(origin.axes)].all():
-                self.faults.append((origin.row, "G10 L20 before the position is known", "Use L2, or [work_offsets]."))
+            self._check_known(origin, "G10 L20", list(origin.axes))
             old = self.frames[-1]
             base = old[:3, :3] @ self.position * M_PER_MM + old[:3, 3]
             there = place[:3, :3].T @ (base - place[:3, 3]) / M_PER_MM - self.shift

@@ -35,8 +35,8 @@ Bytes = NDArray[np.uint8]
 MARK = "\x01"
 """Replaces a comment in `Source.code`."""
 
-_COMMENTS = {"(": r"\(([^()\r\n]*)\)", ";": r";([^\r\n]*)"}
-"""First character of a comment → its pattern. Most programs use one form, and a search for one pattern is fast."""
+_COMMENTS = {"(": r"\(([^()\r\n]*)\)", ";": r";([^\r\n]*)", '"': r"[Mm][Ss][Gg][ \t]*\"([^\"\r\n]*)\""}
+"""Character of a comment → its pattern. Most programs use one form, and a search for one pattern is fast."""
 _NESTED = re.compile(r"\([^()\r\n]*\(")
 _COMMENTS_NESTED = r"\(((?:[^()\r\n]|\([^()\r\n]*\))*)\)"
 _INNER = re.compile(r"\([^()]*\)")
@@ -215,10 +215,15 @@ _MOST_WORDS = 100
 """More words than all letters and modal groups together: such a block is refused."""
 _CHARACTERS = {
     "/": "Write / at the beginning of the block.",
+    ",": "Write decimals with a point: X10.5. Corners (,R and ,C) are not read: let the CAM system write them out.",
     "@": "Polar coordinates are not read: let the CAM system write X and Y.",
     "^": "Polar coordinates are not read: let the CAM system write X and Y.",
     ":": "Write the number of the program as O1001 or :1001.",
     "$": "Remove commands to a sender ($H, $$), and the number of a spindle ($1).",
+}
+_WHOLE = {
+    "M": "Write one M code for each function.",
+    "T": "Write the number of the tool alone, like T1: $TOOL contains its length (Fagor: the offset after the point).",
 }
 _O_ADVICE = "Write an O number in a line of its own."
 
@@ -280,6 +285,8 @@ def _split(code: str) -> list[tuple[str, str]]:
             raise BlockError(*_not_a_word(code[position:].lstrip(MARK)))
         if match[1] in "LNT" and len(match[2]) > 15:
             raise BlockError(f"{match[0].lstrip(MARK)[:20]}… has too many digits", None)
+        if match[1] in "MT" and "." in _plain(match[1], match[2]):
+            raise BlockError(f"{match[1]}{match[2]} is not a whole number", _WHOLE[match[1]])
         if match[1] == "O":
             raise BlockError("an O word among other words", _O_ADVICE)
         own.append((match[1], _plain(match[1], match[2])))
