@@ -571,9 +571,26 @@ def test_files_as_catia_and_nx_write_them(name, kinds):
     np.testing.assert_allclose(points(program)[0], [10, 20, {"catia_apt.nc": 30, "nx_clsf.nc": 50}[name]], atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("GOTO/1,1,1\nFINI", None),
+        ("GOTO/1,1,1\nEND\n", None),
+        ("GOTO/1,1,1\nEND-OF-PATH\n$$ made by NX\n\n", None),
+        ("GOTO/1,1,1\n", 5),
+        ("END-OF-PATH\nRAPID\nGOTO/1,1,1", 7),
+        ("END-OF-PATH\nGOTO/1,1,1\nGOTO/1,1,12", 7),
+        ("END-OF-PATH\nSPINDL/OFF", 6),
+    ],
+)
+def test_a_file_without_an_end_may_be_cut_off(text, line):
+    told = [issue for issue in read(HEAD + text).issues if issue.kind == "program-end"]
+    assert [(issue.level, issue.source_line) for issue in told] == ([] if line is None else [("warning", line)])
+
+
 def test_cutcom_by_wear_offsets_has_no_effect_and_is_reported():
     cell = replace(CELL, gcode=replace(CELL.gcode, radius_offsets="wear"))
-    program = read(HEAD + "CUTCOM/LEFT,1\nGOTO/1,1,1\nCUTCOM/OFF\n", cell)
+    program = read(HEAD + "CUTCOM/LEFT,1\nGOTO/1,1,1\nCUTCOM/OFF\nFINI\n", cell)
     assert [issue.kind for issue in program.issues] == ["radius-compensation"]
     assert len(program.motions) == 2
 

@@ -170,6 +170,7 @@ class _Walk:
         self.ended = -1
         self.doubt = False
         self.parted = -1
+        self.path_ended = False
 
     def run(self) -> Course:
         """Execute all statements."""
@@ -196,6 +197,9 @@ class _Walk:
         elif self.parted >= 0 and not course.faults:
             problem = "the program begins with PARTNO but ends without FINI"
             course.faults.append(Fault(len(of) - 1, problem, "Check that the file was transferred completely."))
+        elif not course.faults and not self.path_ended:
+            message = "The program ends without FINI, END or END-OF-PATH. Check that the file is complete."
+            course.remarks.append((len(of) - 1, "warning", "program-end", message))
         if self.inches is not None and not course.stated:
             course.faults.append(
                 Fault(self.inches, "a feed in inches, but no UNITS", "Write UNITS/MM or UNITS/INCHES.")
@@ -207,6 +211,7 @@ class _Walk:
         of = self.statements
         first, last = np.searchsorted(of.points, [begin, end]).tolist()
         if first < last and self.ended < 0:
+            self.path_ended = False
             try:
                 self._goto(of.points[first:last], of.numbers[first:last])
             except _FaultError as cause:
@@ -367,6 +372,7 @@ class _Walk:
             self._insert(row)
             return
         major, slash, rest = code.partition("/")
+        self.path_ended = major == "END-OF-PATH"
         if major != "GOTO":
             self.closed = None
         if code.startswith("TOOLPATH/"):
