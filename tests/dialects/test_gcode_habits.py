@@ -35,6 +35,14 @@ def test_moves_at_feed_before_the_position_is_known_begin_at_start():
     assert [(issue.level, issue.source_line) for issue in told] == [("warning", 7)]
 
 
+def test_a_first_block_at_feed_that_gives_all_axes_begins_at_start_too():
+    program = read("G1 X10 Y20 Z15 F5000\nZ-1 F300\nM2\n", CELL_HERE)
+    assert program.unforced.tolist() == [0]
+    told = [issue for issue in program.issues if issue.kind == "from-start"]
+    assert [(issue.level, issue.source_line) for issue in told] == [("warning", 1)]
+    np.testing.assert_allclose(ends(program), [[10, 20, 15], [10, 20, -1]], atol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("text", "problem"),
     [

@@ -682,7 +682,6 @@ class _Walk:
             or (rows.moving[here] & (rows.motion[here] >= 2.0)).any()
             or rows.drilling[here].any()
             or (self.offset[here][placed] != self.offset[here][placed][0]).any()
-            or last == first + int(np.argmax(placed))
             or rows.motion[first + int(np.argmax(placed))] != 1.0
             or goes_up_first(rows, first, last)
         ):
