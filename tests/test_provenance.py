@@ -50,6 +50,18 @@ def test_the_line_holds_the_sums_of_the_files_it_names(written):
     assert f"forces={sha(forces.read_bytes())}" in (written / "out" / "part.src").read_text()
 
 
+def test_the_deviation_that_its_targets_make_up_for_is_no_error_of_the_part(written):
+    """`predict` warns of it for a program as it was written by hand, not for the corrected one."""
+    part = written / "out" / "part.src"
+    given = ["predict", part, "--cell", CELL, "-o", written / "again", "--part-tolerance", 0.9]
+    warning = "the expected error on the part is up to"
+    said = printed(*given)
+    assert "its targets compensate the deviation predicted here" in said
+    assert warning not in said
+    part.write_bytes(b"".join(line for line in part.read_bytes().splitlines(keepends=True) if b";POSTPROC" not in line))
+    assert warning in printed(*given)
+
+
 def test_lines_of_the_targets_are_those_of_the_marked_text(written):
     text = (written / "out" / "part.src").read_text().splitlines()
     rows = (written / "out" / "part.targets.csv").read_text().splitlines()[1:]

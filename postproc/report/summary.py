@@ -554,7 +554,9 @@ def _judged(result: Result, content: Summary) -> tuple[list[Finding], list[Findi
             f"{rounded(unusable.corrected_mm)} mm that are corrected, mostly due to {unusable.source}. {advice}."
         )
         failed.append(Finding(unusable.u95_mm, _at(text, unusable.source_line)))
-    if part.held is False and part.expected_mm is not None and part.tolerance_mm is not None:
+    origin = content.provenance
+    compensated = predicted and origin.state == "intact" and origin.mode == "corrected"
+    if part.held is False and part.expected_mm is not None and part.tolerance_mm is not None and not compensated:
         error = above(part.expected_mm, part.tolerance_mm)
         of = "predicted deviation included" if predicted else "corners and path included"
         text = (
