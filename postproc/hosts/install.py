@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import platform
+import re
 import shutil
 import sys
 from dataclasses import dataclass
@@ -23,7 +24,8 @@ class Host:
 
     :param title: its name.
     :param post: file of the post.
-    :param folders: where it looks for posts, the usual place first; those that exist are candidates.
+    :param folders: where it looks for posts, the usual place first; those that exist are candidates. A place with `*`
+        has a folder for each version, the newest of which is meant.
     :param use: what to do in the host afterwards.
     """
 
@@ -38,14 +40,16 @@ HOSTS = {
         "FreeCAD",
         "kuka_compensated_post.py",
         (
+            "~/.local/share/FreeCAD/v*/Macro",
+            "~/Library/Application Support/FreeCAD/v*/Macro",
+            "~/AppData/Roaming/FreeCAD/v*/Macro",
             "~/.local/share/FreeCAD/Macro",
-            "~/.local/share/FreeCAD/v1-1/Macro",
             "~/.FreeCAD/Macro",
             "~/Library/Application Support/FreeCAD/Macro",
             "~/AppData/Roaming/FreeCAD/Macro",
-            "~/AppData/Roaming/FreeCAD/v1-1/Macro",
         ),
-        "In the job's Output tab choose the processor kuka_compensated, with the arguments --cell CELL.toml.",
+        "In the job's Output tab choose the processor kuka_compensated, with the arguments --cell CELL.toml --material "
+        "NAME: stock and tools of the job give the forces (postproc forces --materials lists the names).",
     ),
     "robodk": Host(
         "RoboDK",
@@ -67,14 +71,25 @@ def _folder(host: Host, folder: Path | None) -> Path:
             raise InputError(f"{folder}: no such folder")
         return folder
     for usual in host.folders:
-        path = Path(usual).expanduser()
-        if path.is_dir():
-            return path
-    first = Path(host.folders[0]).expanduser()
+        for path in _places(usual):
+            if path.is_dir() or "*" in usual:  # a version has its folder, and none for posts before its first macro
+                return path
+    first = next(Path(usual).expanduser() for usual in host.folders if "*" not in usual)
     if first.parent.is_dir() and not first.anchor.startswith("C:"):
         return first
     places = ", ".join(host.folders)
     raise InputError(f"{host.title} is in none of its usual places ({places}): name its folder of posts with --dir")
+
+
+def _places(usual: str) -> list[Path]:
+    """Return the places that a name with `~` and `*` means, the newest version first."""
+    parent = Path(usual).expanduser().parent
+
+    def version(found: Path) -> list[int]:
+        return [int(number) for number in re.findall(r"\d+", found.name)]
+
+    found = sorted(parent.parent.glob(parent.name), key=version, reverse=True) if "*" in usual else [parent]
+    return [folder / Path(usual).name for folder in found]
 
 
 def install_post(name: str, folder: Path | None = None) -> list[Path]:

@@ -16,8 +16,10 @@ from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
 import pytest
+from click.testing import CliRunner
 
 from postproc import hosts
+from postproc.cli import main
 from postproc.hosts import install_post
 
 CELL = (Path(__file__).parents[2] / "samples" / "cell_kr270.toml").resolve()
@@ -265,3 +267,34 @@ def test_freecad_1_2_posts_a_job_with_and_without_a_machine_to_the_same_program(
 
 def test_freecad_1_2_would_write_the_path_without_correction_by_its_own_wrapper():
     assert "not corrected" in WrapperPost.export2(SimpleNamespace())[0][1]
+
+
+@pytest.mark.parametrize(
+    ("there", "taken"),
+    [
+        (["Macro"], "Macro"),
+        (["Macro", "v1-1/Macro"], "v1-1/Macro"),
+        (["Macro", "v1-1/Macro", "v1-2", "v1-10/Macro"], "v1-10/Macro"),
+        (["Macro", "v1-2"], "v1-2/Macro"),  # no macro was written yet
+        (["Mod"], "Macro"),
+    ],
+)
+def test_the_post_goes_where_the_newest_freecad_looks(tmp_path, monkeypatch, there, taken):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("USERPROFILE", str(tmp_path))
+    own = tmp_path / ".local" / "share" / "FreeCAD"
+    for folder in there:
+        (own / folder).mkdir(parents=True)
+    done = CliRunner().invoke(main, ["install-post", "freecad"])
+    assert done.exit_code == 0, done.output
+    assert (own / taken / "kuka_compensated_post.py").is_file()
+    assert "--cell CELL.toml --material NAME" in done.output
+
+
+def test_without_freecad_the_message_says_where_it_was_looked_for(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("USERPROFILE", str(tmp_path))
+    done = CliRunner().invoke(main, ["install-post", "freecad"])
+    assert done.exit_code == 1
+    assert "FreeCAD is in none of its usual places (~/.local/share/FreeCAD/v*/Macro" in done.output
+    assert "--dir" in done.output
