@@ -327,11 +327,17 @@ class ForceNote(Struct, frozen=True):
     before: int = -1
 
 
-FORCE_COMMENT = re.compile(
-    r"[ \t(]*FORCE(?:\b|\w?[ \t]*OFF\b)|(?![ \t]*FOLD\b)[^\r\n;]*?\bF[XYZ][ \t]*=[ \t]*[-+.\d]", re.IGNORECASE
+_PROSE = (
+    r"[ \t-]+(?![^\r\n]*(?:[\d=]|\b(?:OFF|ON|NO|NOT|NONE|NULL|ZERO|END|STOP|AUS|F[XYZ]|M[XYZ]|FRAME)\b))"
+    r"[^\W\d_]{3,}[ \t-]+[^\W\d_]"
 )
-"""The beginning of a comment that is about forces, or was meant to be: it begins with the word FORCE, or gives FX, FY
-or FZ a number. (The inline forms of KRL, ``;FOLD …``, give their parameters in the same way.)"""
+"""What follows FORCE in a comment such as "Force exact path": two words, and nothing that gives or ends a force."""
+FORCE_COMMENT = re.compile(
+    rf"[ \t(]*FORCE(?!{_PROSE})(?:\b|\w?[ \t]*OFF\b)|(?![ \t]*FOLD\b)[^\r\n;]*?\bF[XYZ][ \t]*=[ \t]*[-+.\d]",
+    re.IGNORECASE,
+)
+"""The beginning of a comment that is about forces, or was meant to be: it begins with the word FORCE, unless prose
+follows, or gives FX, FY or FZ a number. (The inline forms of KRL, ``;FOLD …``, give their parameters in this way.)"""
 _FORCE_WORD = re.compile(r"\s*FORCE\b", re.IGNORECASE)
 _FORCE_PART = re.compile(r"\s*(?:(F[XYZ]|M[XYZ])\s*=\s*([^\s=]+)|FRAME\s*=\s*(\w+))", re.IGNORECASE)
 

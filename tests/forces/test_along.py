@@ -338,6 +338,16 @@ def test_force_comments_are_read_in_any_case_and_others_are_left_alone():
         "Froce fx = -100.5",
         "CUTTING FORCE FX=100",
         "FX=100 FY=20 FZ=0",
+        "FORCE NONE HERE",
+        "FORCE switched off",
+        "FORCE IS ZERO",
+        "FORCE NOT GIVEN YET",
+        "FORCE in the frame",
+        "FORCE about 100 N",
+        "FORCE unknown FX",
+        "FORCE exact path FX=100",
+        "FORCE feed",
+        "FORCE fx fy",
     ],
 )
 def test_a_force_comment_that_cannot_be_read_is_an_error_with_its_line(text):
@@ -345,7 +355,19 @@ def test_a_force_comment_that_cannot_be_read_is_an_error_with_its_line(text):
         parse_force_note(text, 7, "a.nc")
 
 
-@pytest.mark.parametrize("text", ["FOLD PTP P1 FX=100", "reinforce", "FX 6000 spindle", "AFX=1", "FORCED COOLING OFF"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "FOLD PTP P1 FX=100",
+        "reinforce",
+        "FX 6000 spindle",
+        "AFX=1",
+        "FORCED COOLING OFF",
+        "Force exact path (without look-ahead)",
+        " Force-torque sensor ready",
+        "(Force gripper öffnen)",
+    ],
+)
 def test_comments_about_other_things_are_no_force_comments(text):
     assert parse_force_note(text, 7, "a.nc") is None
 
