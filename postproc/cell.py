@@ -99,7 +99,10 @@ class Output(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     tolerance_mm: Positive = 0.01
     max_correction_mm: Positive = 8.0
     force_ramp_mm: Positive = 1.0
-    controller: Literal["KRC4", "KRC2"] = "KRC4"
+    controller: Annotated[
+        Literal["KRC4", "KRC2"],
+        msgspec.Meta(description="A KR C5 with KSS 8.7 reads KRL for a KRC4; iiQKA.OS was not tried."),
+    ] = "KRC4"
     lines_per_file: Annotated[int, msgspec.Meta(ge=0, le=1_000_000)] = 0
     program_memory_MB: Positive = 4.0  # noqa: N815 - key of the file
     feed: Literal["program", "hold"] = "program"

@@ -45,7 +45,7 @@ def test_all_unknown_and_missing_keys_are_told_in_one_run(tmp_path: Path) -> Non
         (
             "force_ramp_mm = 1.0",
             'controller = "KRC5"',
-            r"output.controller: .*'KRC5'. Did you mean `KRC4`\? Valid values: 'KRC2', 'KRC4'.",
+            r"output.controller: .*'KRC5'. Did you mean `KRC4`\? Valid values: 'KRC2', 'KRC4'. A KR C5 with KSS",
         ),
         ('axis = "+Z"', 'axis = "up"', r"tool.axis: .*'up'. Valid values: '\+X', '\+Z', '-X', '-Z'."),
         ("X = 1500.0", 'X = "1500"', "base.X: Expected `float`, got `str`"),

@@ -127,17 +127,22 @@ def _inner(kind: Any) -> Any:
 
 
 def _valid_values(kind: Any, at: str, given: re.Match[str] | None) -> str | None:
-    """Return the values that a key may have, if they are a list; first the nearest to the given one."""
+    """Return the values that a key may have, if they are a list; the nearest to the given one first, their
+    description last.
+    """
     for part in at.replace("[...]", ".[...]").split("."):
         kind = _inner(kind)
         if part == "[...]" and isinstance(kind, msgspec.inspect.DictType):
             kind = kind.value_type
         elif isinstance(kind, msgspec.inspect.StructType):
             kind = next((f.type for f in kind.fields if f.encode_name == part), kind)
+    more = ""
+    if isinstance(kind, msgspec.inspect.Metadata):
+        kind, more = kind.type, f" {(kind.extra_json_schema or {})['description']}"
     if isinstance(_inner(kind), msgspec.inspect.LiteralType):
         values = _inner(kind).values
         near = did_you_mean(given[1], map(str, values)) if given else ""
-        return f"{near} Valid values: {', '.join(map(repr, values))}.".lstrip()
+        return f"{near} Valid values: {', '.join(map(repr, values))}.{more}".lstrip()
     return None
 
 
