@@ -187,7 +187,10 @@ def read_started(
         return read_program(path, robot, cell, dialect, name), cell
     anywhere = replace(cell, start=_ANYWHERE)
     first = read_program(path, robot, anywhere, dialect, name)
-    chosen = chosen_start(first, RobotInCell.of(robot, anywhere))
+    try:
+        chosen = chosen_start(first, RobotInCell.of(robot, anywhere))
+    except ProgramError as cause:
+        raise cause.with_file(Path(path).name, str(path)) from cause
     cell = replace(cell, start=Start(chosen.joints))
     program = read_program(path, robot, cell, dialect, name)
     one, other = first.motions, program.motions

@@ -17,6 +17,7 @@ from msgspec.structs import replace
 from postproc.errors import Issue, ProgramError
 from postproc.forces import ForceSource
 from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array, norm, rotation_from_vector
+from postproc.kinematics import UnreachableError
 from postproc.kinematics.components import components
 from postproc.placement import drive, turn_map
 from postproc.placement.bodies import Bodies
@@ -51,9 +52,9 @@ _MOST_COMPARED = 120
 """Samples at which branches are looked at for collisions."""
 _DECIMALS = 4
 """Of the joint angles [deg]."""
-_NO_WAY = (
-    "the cell has no [start], and no branch of the arm reaches the first target of the program. Move the part, or give "
-    "[start] joints."
+_NO_WAY = "the cell has no [start], and no branch of the arm reaches the first target of the program"
+_NO_STATUS = (
+    "the cell has no [start], and the first target of the program is out of reach with the status S that it states"
 )
 
 
@@ -325,13 +326,18 @@ class ChosenStart(Struct, frozen=True):
     message: str
 
 
+def _at_first_target(program: Program, problem: str, advice: str) -> ProgramError:
+    file, line = program.places(np.zeros(1, dtype=np.int64)).of(0)
+    return ProgramError(problem, file=file, line=line, advice=advice)
+
+
 def chosen_start(program: Program, robot_in_cell: RobotInCell) -> ChosenStart:
     """Choose the joint angles at the first target of a program.
 
     A program that states them, or status and turn of its first target, starts there.
 
     :param robot_in_cell: the robot in a cell with any [start].
-    :raises ProgramError: the first target is out of reach on all branches.
+    :raises ProgramError: the first target is out of reach, on all branches or with the status that it states.
     """
     m = program.motions
     if np.isfinite(m.joints[0]).all():
@@ -341,7 +347,10 @@ def chosen_start(program: Program, robot_in_cell: RobotInCell) -> ChosenStart:
     if m.status[0] >= 0:
         first = int(np.argmax(samples.sample.t == 1.0))
         part = slice(first, first + 1)
-        found = robot_in_cell.follow(program, motion[part], samples.sample.t[part], samples.sample.pose.take(part))
+        try:
+            found = robot_in_cell.follow(program, motion[part], samples.sample.t[part], samples.sample.pose.take(part))
+        except UnreachableError as cause:
+            raise _at_first_target(program, _NO_STATUS, "Move the part, or correct S, $BASE and $TOOL.") from cause
         return _start(found.q[0], "with the status and turn that it states")
     stated = np.flatnonzero(np.isfinite(m.joints[:, 0]) | (m.status >= 0))
     first = int(np.argmax(samples.sample.t == 1.0))  # samples before are on the way from a start that is not known
@@ -363,7 +372,7 @@ def chosen_start(program: Program, robot_in_cell: RobotInCell) -> ChosenStart:
     )
     best = order[0]
     if not np.isfinite(margin[best, :, 0]).any():
-        raise ProgramError(_NO_WAY, file=program.documents[0].name, line=int(m.line[0]))
+        raise _at_first_target(program, _NO_WAY, "Move the part, or give [start] joints.")
     q = found_q[best][int(margin[best, :, 0].argmax())]
     if not np.isfinite(worst[best]):
         return _start(q[:, 0], "on the branch that reaches most of the program")

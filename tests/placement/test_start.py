@@ -156,3 +156,19 @@ def test_a_program_out_of_reach_of_all_branches_is_refused():
     program, model = read(PART, own)
     with pytest.raises(Exception, match="no branch of the arm reaches the first target"):
         chosen_start(program, RobotInCell.of(model, own))
+
+
+def test_status_that_is_out_of_reach_names_the_line(tmp_path):
+    far = "DEF part()\n$VEL.CP=0.05\nPTP {X 5000,Y 0,Z 60,A 180,B 0,C 180,S 2,T 35}\nEND\n"
+    done = without_start(tmp_path, "part.src", far)("convert", "part.src", "-o", str(tmp_path / "out"))
+    assert done.exit_code == 1
+    assert f"{tmp_path / 'part.src'}:3: " in done.output
+    assert "out of reach with the status S that it states. Move the part, or correct S, $BASE and $TOOL." in done.output
+
+
+def test_a_first_target_out_of_reach_names_the_file_by_its_path(tmp_path):
+    far = "G21 G90\nG0 X5000 Y-100 Z60\nG1 X200 F2000\nM30\n"
+    done = without_start(tmp_path, "part.nc", far)("convert", str(tmp_path / "part.nc"), "-o", str(tmp_path / "out"))
+    assert done.exit_code == 1
+    assert f"{tmp_path / 'part.nc'}:2: the cell has no [start]" in done.output
+    assert "reaches the first target of the program. Move the part, or give [start] joints.\n" in done.output
