@@ -6,7 +6,8 @@ from msgspec.structs import replace
 
 from postproc.cell import Frame, Krl, Tool
 from postproc.dialects import krl
-from postproc.dialects.krl.read import next_run
+from postproc.dialects.krl.language.declarations import declared_names
+from postproc.dialects.krl.read import folder, next_run
 from postproc.dialects.krl.read import read_program as read_documents
 from postproc.dialects.text import decode
 from postproc.errors import ProgramError
@@ -305,6 +306,15 @@ def test_motions_in_another_file_that_cannot_be_known_leave_the_start_of_the_nex
     assert about(found, "motions-elsewhere") == [("JOB", 4)]
 
 
+def test_names_of_the_data_list_are_looked_up_only_if_other_files_may_declare_them_too(tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr(folder, "declared_names", lambda data: asked.append(data) or declared_names(data))
+    in_folder(tmp_path, body("LIN XP1"), {})
+    assert not asked
+    in_folder(tmp_path, body("LIN XP1"), {"other.dat": "DEFDAT other PUBLIC\nDECL GLOBAL INT XP1=3\nENDDAT\n"})
+    assert [data.document.name for data in asked] == ["part.dat"]
+
+
 def test_a_file_that_is_not_understood_does_at_worst_what_it_may(tmp_path):
     files = {"odd.src": "DEF odd()\nXG.Z=5\nTHIS IS ODD (\nEND\n"}
     with pytest.raises(ProgramError, match=r"XG is changed while the program runs \(odd\.src, line 2\)"):
@@ -316,6 +326,41 @@ def test_a_file_that_cannot_be_read_is_told(tmp_path):
     found = in_folder(tmp_path, body("odd()", FULL), {"odd.src": "DEF odd()\n$OUT[1]=TRUE\n"})
     (issue,) = (issue for issue in found.issues if issue.kind == "external-call")
     assert "no END" in issue.message
+
+
+PICK = "DEF pick()\nLIN XP2\nLIN XP3\nEND\n"
+CHANGES = "DEF pick()\nLIN XP2\nLIN XP3\nXP2.X=XP2.X+5\nEND\n"
+PICKED = """DEFDAT pick
+E6POS XP2={X 7,Y 2,Z 3,A 10,B 20,C 170}
+E6POS XP3={X 100,Y 20,Z 30,A 10,B 20,C 170}
+ENDDAT
+"""
+BRANCHES = ("IF $IN[1] THEN", "pick()", "ELSE", "WAIT SEC 1", "pick()", "ENDIF", "pick()")
+
+
+def test_points_of_another_file_are_the_same_in_each_round_of_a_loop_without_exit(tmp_path):
+    lines = (FULL, "LOOP", "pick()", "ENDLOOP")
+    found = in_folder(tmp_path, body(*lines), {"pick.src": PICK, "pick.dat": PICKED})
+    assert numbers(found)[:, 0].tolist() == [100, 7, 100]
+    with pytest.raises(ProgramError, match=r"rounds differ: each one changes PICK/XP2 for the next"):
+        in_folder(tmp_path, body(*lines), {"pick.src": CHANGES, "pick.dat": PICKED})
+
+
+def test_points_of_another_file_are_the_same_in_all_branches_and_behind_them(tmp_path):
+    files = {"pick.src": PICK, "pick.dat": PICKED}
+    assert numbers(in_folder(tmp_path, body(FULL, *BRANCHES), files))[:, 0].tolist() == [100, 7, 100, 7, 100, 7, 100]
+    one = (*BRANCHES[:2], "ENDIF", "pick()")
+    assert numbers(in_folder(tmp_path, body(FULL, *one), files))[:, 0].tolist() == [100, 7, 100, 7, 100]
+
+
+@pytest.mark.parametrize("branch", [1, 4])
+def test_a_point_of_another_file_that_one_branch_changes_is_not_known_behind_them(tmp_path, branch):
+    lines = list(BRANCHES)
+    lines[branch] = "change()"
+    source = PICK + "GLOBAL DEF change()\n{}\nLIN XP2\nLIN XP3\nEND\n"
+    in_folder(tmp_path, body(FULL, *lines), {"pick.src": source.format("$OUT[1]=TRUE"), "pick.dat": PICKED})
+    with pytest.raises(ProgramError, match="is called, which moves the robot"):
+        in_folder(tmp_path, body(FULL, *lines), {"pick.src": source.format("XP2.X=XP2.X+5"), "pick.dat": PICKED})
 
 
 def test_submit_programs_may_write_global_names_at_any_time(tmp_path):

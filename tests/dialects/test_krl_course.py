@@ -254,10 +254,24 @@ def test_the_least_number_of_statements_counts_none_that_may_not_run():
         assert len(read(body(FULL, *lines, FULL) + sub, DATA.replace("INT K=0", "INT K=1")).motions) >= 2
 
 
+@pytest.mark.parametrize(
+    ("lines", "why"),
+    [
+        (["IF $IN[1] THEN", "GOTO A", "ENDIF", FULL], "what runs next: the condition of IF (line 5) is not known. "),
+        (["LOOP", FULL, "GOTO A", "ENDLOOP"], "what runs next. "),
+    ],
+)
+def test_a_jump_in_kept_motions_names_the_condition_that_is_not_known(lines, why):
+    with pytest.raises(ProgramError) as caught:
+        read(body("A:", *lines), DATA, KEEPING)
+    assert why in str(caught.value)
+
+
 ENDLESS = {
     "ends where it began": ([FULL, "LOOP", AWAY, FULL, "ENDLOOP"], 3),
     "begins at joint angles": ([FULL, "LOOP", AXES, FULL, AWAY, "ENDLOOP", FULL], 4),
     "counts": ([FULL, "LOOP", "K=K+1", AWAY, FULL, "ENDLOOP"], 3),
+    "waits for the start key": ([FULL, "LOOP", AWAY, FULL, "IF $IN[1] THEN", "HALT", "ENDIF", "ENDLOOP"], 3),
     "counter of its own": ([FULL, "LOOP", "FOR I=1 TO 2", AWAY, FULL, "ENDFOR", "ENDLOOP"], 5),
     "speed as before": (["$VEL.CP=0.1", FULL, "LOOP", "$VEL.CP=0.1", AWAY, FULL, "ENDLOOP"], 3),
     "calls": ([FULL, "LOOP", "SUB()", FULL, "ENDLOOP"], 3),
@@ -283,6 +297,10 @@ def test_a_loop_without_exit_is_one_round_that_repeats(what):
 @pytest.mark.parametrize(
     ("lines", "problem"),
     [
+        (
+            [FULL, "LOOP", *(f"LIN {{X {name}}}\r\n{name}={name}+1" for name in "RSTUVWKIZ"), FULL, "ENDLOOP"],
+            r"each one changes I, K, R, S, T, U, V, W and 1 more for the next",
+        ),
         ([FULL, "LOOP", AWAY, "ENDLOOP"], "its round ends 8.000 mm from where it began"),
         ([FULL, "LOOP", "LIN_REL {Z 1}", "ENDLOOP"], "its round ends 1.000 mm from where it began"),
         ([FULL, "LOOP", "LIN {A 9}", "ENDLOOP"], "its round ends in another orientation than it began"),

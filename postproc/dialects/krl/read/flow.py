@@ -21,7 +21,7 @@ from postproc.dialects.krl.language.structures import LOOPS, Block, Node
 from postproc.dialects.krl.language.values import Call, Number, Value
 from postproc.dialects.krl.read.conditions import chosen, constant_cases, truth
 from postproc.dialects.krl.read.explanations import why_not_decided, without_value
-from postproc.dialects.krl.read.interpreter import JUMP, JUMP_ADVICE, LOOP_ADVICE, Interpreter
+from postproc.dialects.krl.read.interpreter import LOOP_ADVICE, Interpreter, undecided_jump
 from postproc.dialects.krl.read.known import InexactError, inexact
 from postproc.dialects.krl.read.least_statements import ENDS_LOOPS, LeastStatements
 from postproc.dialects.krl.read.plain_rounds import plain_motions
@@ -40,6 +40,8 @@ _CASES = 4
 """Number of CASEs that count as one statement."""
 _MOST_FORKS = 4000
 """Most forks followed whose branch taken is not known before run time."""
+_MOST_NAMES = 8
+"""Variables named in a message."""
 _TOO_MUCH = "Divide the program, or give its loops fewer rounds and its subprograms fewer calls."
 _FORCE_ADVICE = "Write force comments outside of loops and branches whose conditions are not known."
 
@@ -376,7 +378,7 @@ class Flow:
             run.branch()
             self.follow(source, part.nodes)
             if level.jump:
-                raise inexact(Place(source, level.jump), JUMP, JUMP_ADVICE)
+                raise inexact(Place(source, level.jump), *undecided_jump(run.variables, Place(source, block.first)))
             if level.broken_off:
                 raise why
             trace.run_to(part.beyond - 1)
@@ -441,7 +443,7 @@ class Flow:
         self.run.branch()
         self.follow(source, nodes, last=last)
         if level.broken_off:
-            raise inexact(Place(source, level.jump or level.returned), JUMP, JUMP_ADVICE)
+            raise inexact(Place(source, level.jump or level.returned), *undecided_jump(self.run.variables, None))
 
     def _target(
         self, source: Source, nodes: tuple[Node, ...], index: int, jump: tuple[Node, ...], *, last: bool
@@ -578,7 +580,10 @@ class Flow:
         trace.end(loop, block, None)
         self._way.pop()
         if names := carried_over(run, source, block, before):
-            problem = f"LOOP never ends, and its rounds differ: each one changes {', '.join(names)} for the next"
+            own = sorted(names, key=lambda name: (name[0] == "$", name))  # those that the program declares first
+            more = "" if len(own) <= _MOST_NAMES else f" and {len(own) - _MOST_NAMES} more"
+            changed = f"{', '.join(own[:_MOST_NAMES])}{more}"
+            problem = f"LOOP never ends, and its rounds differ: each one changes {changed} for the next"
             raise inexact(at, problem, "Set it at the beginning of each round.")
         level.returned = block.last
 

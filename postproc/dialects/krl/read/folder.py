@@ -269,12 +269,12 @@ def module_of(source: Source, data: Source | None = None) -> Module:
 
 
 def needed(
-    documents: Sequence[Document], code: Sequence[Code], files: FolderFiles, moving: Collection[str]
+    documents: Sequence[Document], code: Iterable[Code], files: FolderFiles, moving: Collection[str]
 ) -> tuple[Needed, ...]:
     """Return the files that a program needs from its folder, sorted by name.
 
     :param documents: its files, with those that are written with it; the main one first.
-    :param code: all code of its `.src` files that may name other files.
+    :param code: all code of its `.src` files that may name other files; not asked for in a folder without other files.
     :param moving: names, upper case, of files with routines that it calls and that move the robot.
     """
     folder = Path(documents[0].folder)

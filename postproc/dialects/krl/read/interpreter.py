@@ -18,11 +18,11 @@ from postproc.dialects.krl.language.structures import LOOPS
 from postproc.dialects.krl.language.values import Call, Opaque, Reference, Unreadable, Value, Word, walk
 from postproc.dialects.krl.read.calls import IN_ORDER, Calls
 from postproc.dialects.krl.read.data_lists import declare
-from postproc.dialects.krl.read.explanations import why_not_decided, why_unknown
+from postproc.dialects.krl.read.explanations import why_not_decided, why_unknown, without_value
 from postproc.dialects.krl.read.known import NOTHING, Known, Unknown, inexact
 from postproc.dialects.krl.read.run import SETTING_ADVICE, Run
 from postproc.dialects.krl.read.state import RELEVANT, State
-from postproc.dialects.krl.read.variables import converted
+from postproc.dialects.krl.read.variables import Variables, converted
 
 _CLOSING = {closing: opening for opening, closing in OPENING.items()} | {"UNTIL": "REPEAT"}
 _ASYNCHRONOUS = frozenset({"ASYPTP", "ASYCONT", "ASYSTOP", "ASYCANCEL"})
@@ -31,15 +31,29 @@ _SUPERPOSED = frozenset({"$TECH", "$TECH_C", "$SPL_TECH", "$SPL_TECH_C"})
 _REFERRING = frozenset({"CONST_VEL", "STOP"})
 """Statements of spline motions that count from the start or the end of the motion that follows."""
 _CONDITIONS = frozenset({"FOR", "IF", "WHILE", "UNTIL", "SWITCH"})
-JUMP = "it is not known before the program runs whether GOTO is run, and with it what runs next"
 JUMP_ADVICE = (
     "Write LOOP with EXIT, FOR, WHILE or IF around the motions instead, or the motions in order; --keep-unresolved "
     "cannot leave it as it is."
 )
+_JUMP = "it is not known before the program runs whether GOTO is run, and with it what runs next"
 LOOP_ADVICE = (
     "Motions in loops and branches are corrected where the statements that run, and how often, are known before the "
     "program runs: write them out in order, or leave them as they are by --keep-unresolved."
 )
+
+
+def undecided_jump(variables: Variables, control: Place | None) -> tuple[str, str]:
+    """Return problem and advice where it is not known whether a GOTO is run.
+
+    :param control: the IF or SWITCH whose condition is not known.
+    """
+    if control is None:
+        return _JUMP, JUMP_ADVICE
+    here = statement(control.source, control.line)
+    why = why_not_decided(variables, control.source, here.values)
+    names = without_value(variables, control.source, here.values)
+    given = f" Or say in [krl.values] of the cell what {', '.join(names)} will be." if names else ""
+    return f"{_JUMP}: the condition of {here.word} ({control}) is not known{why}", f"{JUMP_ADVICE}{given}"
 
 
 class Interpreter:
@@ -83,7 +97,9 @@ class Interpreter:
                 raise at.error(f"{word} without {_CLOSING[word]}")
             level.open.pop()
         elif isinstance(here, tree.Goto):
-            raise at.error(JUMP, JUMP_ADVICE)
+            lines = [line for word, line in level.open if word in _CONDITIONS]
+            control = Place(at.source, lines[-1]) if lines else None
+            raise at.error(*undecided_jump(self.run.variables, control))
         elif isinstance(here, tree.Return):
             self._return(at, here)
         elif isinstance(here, tree.Timed):
@@ -212,13 +228,15 @@ class Interpreter:
             self.run.variables.forget(self.run.stored(name), self._which_element(at, target, given))
         elif not self.run.certain or key is None or target.indices == ():
             self.run.variables.forget(self.run.stored(name), str(at))
-        elif target.field is not None:
-            self.run.variables.set_field(key, target.field, value, str(at))
-        elif value != NOTHING:
-            self.run.variables.set(key, value, str(at))
-        elif name != "$H_POS":
-            why = why_unknown(self.run.variables, at.source, given)
-            self.run.variables.set(key, Unknown(str(at), why), str(at))
+        elif value == NOTHING and name == "$H_POS" and target.field is None:
+            return
+        else:
+            if value == NOTHING:
+                value = Unknown(str(at), why_unknown(self.run.variables, at.source, given))
+            if target.field is None:
+                self.run.variables.set(key, value, str(at))
+            else:
+                self.run.variables.set_field(key, target.field, value, str(at))
 
     def _which_element(self, at: Place, target: Reference, given: Value) -> str:
         """Return why it is not known which element an assignment writes: what it calls changes the index.

@@ -18,7 +18,7 @@ from postproc.dialects.krl.language.values import Call, Number
 from postproc.dialects.krl.read.run import Run
 from postproc.errors import ProgramError
 
-ENDS_LOOPS = frozenset({"EXIT", "RETURN", "GOTO", "HALT"})
+ENDS_LOOPS = frozenset({"EXIT", "RETURN", "GOTO"})
 _DEEPEST = 25
 """Calls in calls that are counted; deeper ones are not followed."""
 

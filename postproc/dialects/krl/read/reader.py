@@ -195,7 +195,7 @@ class _Reading(Struct, frozen=True, eq=False):
         documents = *own, *course.files
         files = {document.name for document in course.files}
         others = (module for module in library.read() if module.source.document.name in files)
-        code = [code for module in (self._with_data(library.program), *others) for code in codes_of(module)]
+        code = (code for module in (self._with_data(library.program), *others) for code in codes_of(module))
         moving = {m.source.document.name.upper() for m, r in library.found() if main.run.analysis.of(m, r).motion}
         return Program(
             self.name,

@@ -63,10 +63,10 @@ class Scopes:
         hidden = (frozenset(variables.types) - variables.public) | self.main.local
         scope = Scope(own=(hidden | own) - public - _OF_THE_CONTROLLER, prefix=f"{module.name}/")
         if data is not None:
-            before, variables.scope = variables.scope, scope
+            before, variables.scope, variables.reading_late = variables.scope, scope, True
             with suppress(ProgramError):  # its variables have no values then
                 read_data(variables, data, fill=True)
-            variables.scope = before
+            variables.scope, variables.reading_late = before, False
         return scope
 
 

@@ -66,6 +66,9 @@ class Variables:
     :ivar given: values that the cell gives, by key.
     :ivar relied: keys of these that were asked for.
     :ivar initial: names that keep their values from run to run: those of data lists, BASE_DATA and TOOL_DATA.
+    :ivar late: first values, by key, of data lists that are read when the program first calls their file: they held
+        from its beginning.
+    :ivar reading_late: True while such a list is read.
     """
 
     def __init__(self, cell: Cell) -> None:
@@ -80,6 +83,8 @@ class Variables:
         self.used: set[str] = set()
         self.changed: dict[str, str] = {}
         self.initial = set(FRAME_ARRAYS)
+        self.late: dict[str, Known | Unread] = {}
+        self.reading_late = False
         self._stated = {f"{name}[0]": (_ZERO, "the controller, whose number 0 is $NULLFRAME") for name in FRAME_ARRAYS}
         self.given = {key.upper(): _from_cell(value) for key, value in cell.krl.values.items()}
         self.relied: set[str] = set()
@@ -125,6 +130,7 @@ class Variables:
         other.types, other.structures, other.public = dict(self.types), dict(self.structures), set(self.public)
         other.changing, other.changed = dict(self.changing), dict(self.changed)
         other.used, other.initial, other.relied = set(self.used), set(self.initial), set(self.relied)
+        other.late = dict(self.late)
         return other
 
     def take_given(self, name: str = "") -> None:
@@ -137,6 +143,8 @@ class Variables:
     def put(self, key: str, value: Known | Unread) -> None:
         """Give a variable its first value."""
         self.changes += self._values.get(key) != value
+        if self.reading_late:
+            self.late[key] = value
         if key not in self._values and key.endswith("]"):
             self._elements[key[: key.index("[")]].append(key)
         self._values[key] = value
@@ -200,11 +208,11 @@ class Variables:
 
     def as_then(self, then: tuple[dict[str, Known | Unread], dict[str, Unknown]]) -> None:
         """Give all variables the values that they had."""
-        self._values, self.changing = dict(then[0]), dict(then[1])
+        self._values, self.changing = self.late | then[0], dict(then[1])
 
     def meet(self, other: tuple[dict[str, Known | Unread], dict[str, Unknown]], where: str) -> None:
         """Merge with the values of another branch: those that differ become unknown."""
-        values, changing = other
+        values, changing = self.late | other[0], other[1]
         self.changing = changing | self.changing
         for key in self._values.keys() | values.keys():
             if not self._same(self._values.get(key), values.get(key)):
@@ -212,7 +220,7 @@ class Variables:
 
     def differing(self, then: tuple[dict[str, Known | Unread], dict[str, Unknown]]) -> frozenset[str]:
         """Return the names of variables whose values are not what they were."""
-        values, changing = then
+        values, changing = self.late | then[0], then[1]
         keys = (key for key in self._values.keys() | values.keys())
         found = {key.partition("[")[0] for key in keys if not self._same(self._values.get(key), values.get(key))}
         return frozenset(found | (self.changing.keys() ^ changing.keys()))
@@ -262,7 +270,7 @@ class Variables:
         later = copy(self)
         later._values = {key: value for key, value in self._values.items() if self._persists(key)}
         later._elements = self._elements.copy()
-        later.scope, later.changing, later.used, later.changed = Scope(), {}, set(), {}
+        later.scope, later.changing, later.used, later.changed, later.late = Scope(), {}, set(), {}, {}
         for name in self.initial & self.changing.keys():
             later.forget(name, self.changing[name].where)
         for name in {key.partition("[")[0] for key in self.given} - self.initial:
