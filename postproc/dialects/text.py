@@ -73,8 +73,3 @@ def line_spans(text: str) -> tuple[Ints, Ints]:
     else:
         stops = np.concatenate([stops, [len(units)]])
     return starts.astype(np.int64), stops.astype(np.int64)
-
-
-def line_starts(text: str) -> Ints:
-    """Return the offset of the first character of each line, (L,); see `line_spans`."""
-    return line_spans(text)[0]

@@ -1,24 +1,27 @@
 """The bulk reading of plain blocks equals pygcode's reading of every block."""
 
+import random
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 from pygcode.block import Block
 
+from postproc.cell import Rotary
 from postproc.dialects import gcode
 from postproc.dialects.gcode import words
 from postproc.dialects.gcode.words import words_of
-from postproc.dialects.text import decode, line_starts
+from postproc.dialects.text import decode
 from postproc.program import Document
 from tests.dialects.gcode_reading import CELL, forward, outcome, read
 from tests.effort import calls_for_each
 
 
 def split(text: str) -> words.Source:
-    return words.split(Document("part.nc", text), line_starts(text))
+    return words.split(Document("part.nc", text))
 
 
 NUMBERS = st.one_of(
@@ -44,14 +47,15 @@ HEAD = "G21 G90 G0 X1 Y2 Z3 F100"
 @given(st.lists(st.tuples(PLAIN, ENDS), max_size=8).map(lambda lines: "".join(map("".join, lines))))
 def test_plain_blocks_have_the_words_that_pygcode_reads(text: str) -> None:
     source = split(HEAD + "\n" + text)
-    columns, odd = words.read_plain(source)
+    found, odd = words.read_plain(source)
     for row in set(range(len(source))) - set(odd.tolist()):
         code = source.line(row).replace(words.MARK, " ").replace("+", "").replace(".G", " G")
         expected = {word.letter: float(word.value) for word in Block(code).words if word.letter != "N"}
-        found = {letter: column[row] for letter, column in columns.items() if not np.isnan(column[row])}
-        assert found == expected, code
-    for column in columns.values():
-        assert np.isnan(column[odd]).all()
+        columns = {letter: found.column(letter)[row] for letter in words.COLUMNS}
+        words_of_line = {letter: value for letter, value in columns.items() if not np.isnan(value)}
+        assert words_of_line == expected, code
+    for letter in words.COLUMNS:
+        assert np.isnan(found.column(letter)[odd]).all()
 
 
 @settings(max_examples=100, deadline=None)
@@ -71,12 +75,36 @@ def test_programs_read_the_same_with_and_without_the_bulk_path(text: str) -> Non
     assert outcome(text, bulk=True) == outcome(text, bulk=False)
 
 
+@pytest.mark.parametrize("rotary", [None, Rotary(["C", "B"], [1, 1], ["G43.4"], ["G49"])])
+@pytest.mark.parametrize("seed", range(30))
+def test_lines_read_a_few_at_a_time_give_the_same(
+    seed: int, rotary: Rotary | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text, cell = random_program(seed, rotary), replace(CELL, rotary=rotary)
+    together = outcome(text, cell, bulk=True)
+    monkeypatch.setattr("postproc.chunks._ROWS", 3)
+    assert outcome(text, cell, bulk=True) == together
+
+
+def random_program(seed: int, rotary: Rotary | None) -> str:
+    """Return a program in which modal words, incremental moves, and rotary axes go on over many lines."""
+    rng = random.Random(seed)
+    lines = [HEAD, "G43.4" if rotary and rng.random() < 0.7 else ""]
+    for _ in range(40):
+        letters = rng.sample("XYZ", rng.randrange(4)) + (rng.sample("BC", rng.randrange(3)) if rotary else [])
+        words = [f"{letter}{rng.choice([0, 0, 5, 10, -20])}" for letter in letters]
+        arc = f"{rng.choice(['G2', 'G3'])} X{rng.randrange(9)} Y{rng.randrange(9)} R20"
+        odd = rng.choice(["(c)", "G91", "G90", "G20", "G55", "G54", "M8", arc, "G81 X1 Z-1 R2", "G80", "N5 G49"])
+        lines.append(odd if rng.random() < 0.15 else f"{rng.choice(['', '', 'G1 ', 'G0 '])}{' '.join(words)}")
+    return "\n".join(lines) + "\nM2\n"
+
+
 def test_numbers_in_bulk_are_rounded_like_float() -> None:
     rng = np.random.default_rng(1)
     texts = [f"{x:.{n}f}" for x, n in zip(rng.normal(size=5000) * 1e3, rng.integers(0, 25, 5000), strict=True)]
-    columns, odd = words.read_plain(split("".join(f"X{text}\n" for text in texts)))
+    found, odd = words.read_plain(split("".join(f"X{text}\n" for text in texts)))
     assert len(odd) == 0
-    np.testing.assert_array_equal(columns["X"], [float(text) for text in texts])
+    np.testing.assert_array_equal(found.column("X"), [float(text) for text in texts])
 
 
 def test_words_of_a_block_keep_their_order_and_lose_the_line_number() -> None:

@@ -1,6 +1,5 @@
 import re
 
-import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
@@ -32,7 +31,6 @@ def test_lines_are_those_of_the_regular_expression_that_defines_them(content: st
     if expected[-1] == "":
         expected.pop()
     assert lines(content) == expected
-    assert np.array_equal(text.line_starts(content), text.line_spans(content)[0])
 
 
 @given(st.binary(min_size=1))

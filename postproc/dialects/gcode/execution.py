@@ -20,12 +20,13 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
+from postproc.chunks import compact
 from postproc.dialects.gcode.expressions import Parameters, whole
 from postproc.dialects.gcode.structure import Block, Order, Unit, is_controlled, ordered
-from postproc.dialects.gcode.words import CUT_SHORT, MARK, BlockError, Fault, Source, split
-from postproc.dialects.text import decode, line_starts
+from postproc.dialects.gcode.words import CUT_SHORT, MARK, BlockError, Fault, Source, line_feeds, split
+from postproc.dialects.text import decode
 from postproc.errors import MOST, ProgramError, SubprogramError
-from postproc.program import Document, Ints
+from postproc.program import Document, Ints, constant
 
 
 class Executed(Struct, frozen=True, eq=False):
@@ -72,8 +73,7 @@ def put_together(units: Sequence[Unit], pieces: Sequence[Piece], faults: Sequenc
     row = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count - first, count)
     document, main = np.repeat(unit, count), np.repeat(main, count)
     comments, rows = _comments(units, document, row)
-    ends = np.flatnonzero(np.frombuffer(code, dtype=np.uint8) == ord("\n"))
-    source, line = Source(code, ends, comments, rows + 1), row + 1
+    source, line = Source(code, line_feeds(code), comments, rows + 1), row + 1
     documents = tuple(unit.document for unit in units)
     after_end = np.setdiff1d(units[0].source.coordinates(end), row[document == 0]) + 1
     main = np.where(main < 0, line, main + 1)
@@ -155,7 +155,7 @@ class Library:
             raise BlockError(f"subprogram O{label}: {path.name} cannot be read ({cause.strerror})", None) from cause
         except ProgramError as cause:
             raise BlockError(f"subprogram O{label}: {cause.problem}", None) from cause
-        unit = Unit.of(document, split(document, line_starts(document.text)))
+        unit = Unit.of(document, split(document))
         if unit.faults:
             problem, line = unit.faults[0].problem, unit.faults[0].row + 1
             raise BlockError(f"subprogram O{label}: {path.name}:{line}: {problem}", None)
@@ -198,7 +198,7 @@ def executed(document: Document) -> Executed:
 
     :raises SubprogramError: the file only defines subprograms.
     """
-    source = split(document, line_starts(document.text))
+    source = split(document)
     if is_controlled(source):
         unit = Unit.of(document, source)
         name = None if unit.faults else unit.only_defines()
@@ -209,8 +209,8 @@ def executed(document: Document) -> Executed:
                 advice="Convert the program that calls it.",
             )
         return _Run(unit).result()
-    line = np.arange(1, len(source) + 1)
-    return Executed(source, (document,), np.zeros(len(source), dtype=np.int64), line, line)
+    line = compact(np.arange(1, len(source) + 1), np.int32)
+    return Executed(source, (document,), constant(0, len(source)), line, line)
 
 
 class _Frame(Struct, frozen=True):

@@ -37,11 +37,11 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from msgspec import Struct
 
-from postproc.cell import Cell
+from postproc.cell import Cell, Rotary
 from postproc.dialects.gcode import codes
-from postproc.dialects.gcode.words import COLUMNS, CUT_SHORT, MARK, BlockError, Fault, Source, words_of
+from postproc.dialects.gcode.words import COLUMNS, CUT_SHORT, MARK, BlockError, Fault, Source, Words, words_of
 from postproc.errors import MOST, Issue, Level
-from postproc.frames import M_PER_MM, Array
+from postproc.frames import M_PER_MM
 from postproc.program import EventKind, Ints
 
 _SPINDLE: dict[float, EventKind] = {3.0: "spindle_on", 4.0: "spindle_ccw", 5.0: "spindle_off"}
@@ -193,6 +193,27 @@ class Switching:
         self.issues.append(Issue(level, kind, message, row + 1, subject=subject))
 
 
+class TipControl:
+    """State of tool-centre-point control, line by line.
+
+    :ivar changes: (row, 1 if it is on, else 0), in order.
+    """
+
+    def __init__(self, rotary: Rotary | None) -> None:
+        self.changes: list[tuple[int, float]] = []
+        self._on, self._off = ((), ()) if rotary is None else (tuple(rotary.tcp_on), tuple(rotary.tcp_off))
+        if rotary is not None and not rotary.tcp_on:
+            self._on, self._off = ("G43.4", "M128"), ("M129",)
+
+    def read(self, row: int, code: str) -> bool:
+        """Read a code that switches it; return whether it is one."""
+        on = code in self._on
+        if on or code in self._off:
+            self.changes.append((row, float(on)))
+            return True
+        return False
+
+
 class Origin(Struct, frozen=True):
     """A change of the program frame by G10, G52 or G92…; lengths in mm.
 
@@ -341,19 +362,17 @@ class Modes(Struct, frozen=True, eq=False):
     complete: bool = True
 
 
-def read_modes(
-    source: Source, odd: Ints, columns: Mapping[str, Array], cell: Cell, known: Sequence[Fault] = ()
-) -> Modes:
-    """Read the lines `odd` and put their coordinates, feeds and motion codes into `columns`.
+def read_modes(source: Source, odd: Ints, words: Words, cell: Cell, known: Sequence[Fault] = ()) -> Modes:
+    """Read the lines `odd` and put their coordinates, feeds and motion codes into `words`.
 
     :param odd: (n,) rows of the lines to read, ascending.
-    :param columns: as `words.read_plain` returns them; rows of `odd` are filled in.
+    :param words: as `words.read_plain` returns them; rows of `odd` are filled in.
     :param cell: work offsets, tools, M-codes, approximation distance, meaning of G28 and G53.
     :param known: faults found when the program was executed.
     """
     opening = _OPENING.match(source.code)
     tape = -1 if opening is None else opening[0].count(b"\n") - 1
-    reader = _Reader(columns, cell, tape)
+    reader = _Reader(words, cell, tape)
     faults: list[Fault] = []
     rows = len(source)
     for row in odd.tolist():
@@ -380,7 +399,7 @@ def read_modes(
         origins=reader.frame_codes.origins,
         returns=reader.frame_codes.returns,
         tools=reader.switching.tools,
-        tip=reader.tip,
+        tip=reader.tip.changes,
         dwells=reader.dwells,
         row_events=reader.switching.events,
         issues=reader.issues,
@@ -392,8 +411,8 @@ def read_modes(
 class _Reader:
     """Reader of single blocks, with the modal state and the results so far."""
 
-    def __init__(self, columns: Mapping[str, Array], cell: Cell, tape: int) -> None:
-        self.columns, self.cell, self.tape = columns, cell, tape
+    def __init__(self, words: Words, cell: Cell, tape: int) -> None:
+        self.words, self.cell, self.tape = words, cell, tape
         self.approximation = cell.gcode.approximation_mm * M_PER_MM
         self.changes: dict[str, list[tuple[int, float]]] = {group: [] for group in codes.GROUPS}
         self.blends: list[tuple[int, float]] = []
@@ -401,13 +420,9 @@ class _Reader:
         self.dwells: list[int] = []
         self.smooth: set[int] = set()
         self.issues: list[Issue] = []
-        self.frame_codes, self.switching = FrameCodes(cell), Switching(cell, self.issues, self._tip)
+        self.tip = TipControl(cell.rotary)
+        self.frame_codes, self.switching = FrameCodes(cell), Switching(cell, self.issues, self.tip.read)
         self.letters = [letter for letter in COLUMNS if letter not in "ABC" or letter in self.frame_codes.rotary]
-        self.tip: list[tuple[int, float]] = []
-        rotary = cell.rotary
-        self.tip_on, self.tip_off = ((), ()) if rotary is None else (tuple(rotary.tcp_on), tuple(rotary.tcp_off))
-        if rotary is not None and not rotary.tcp_on:
-            self.tip_on, self.tip_off = ("G43.4", "M128"), ("M129",)
         self.mm_per_unit = 1.0
         self.taped = False
 
@@ -460,7 +475,7 @@ class _Reader:
         backwards = values.get("F", 0.0) < 0.0 and values.pop("F") < 0.0
         for letter in self.letters:
             if letter in values:
-                self.columns[letter][row] = values.pop(letter)
+                self.words.put(letter, row, values.pop(letter))
         for letter in values:
             raise BlockError(f"{letter} word without a code that uses it", codes.WORD_ADVICE.get(letter))
         if backwards:
@@ -484,12 +499,12 @@ class _Reader:
                         self._remark("warning", "feed-units", message, row)
                     self.mm_per_unit = MM_PER_UNIT[code]
             elif code in codes.MOVING or (code == codes.CANCEL_CYCLE and not set(g) & set(codes.MOVING)):
-                self.columns["G"][row] = code
+                self.words.put("G", row, code)
                 if code == 84.0 and self.cell.gcode.spindle_on and not self.cell.gcode.spindle_ccw:
                     advice = "Give spindle_ccw in [gcode] of the cell: KRL lines that reverse the spindle."
                     raise BlockError("G84 reverses the spindle at the bottom, but the cell has no spindle_ccw", advice)
             elif (
-                self._tip(row, f"G{code:g}")
+                self.tip.read(row, f"G{code:g}")
                 or self._said_before(code)
                 or code in codes.RADIUS
                 or (row in self.smooth and code in codes.SMOOTHING)
@@ -501,7 +516,7 @@ class _Reader:
             raise BlockError(*refused)
 
     def _frames(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
-        self.frame_codes.read(row, g, float(self.columns["G"][row]), values, self.mm_per_unit)
+        self.frame_codes.read(row, g, self._motion(row), values, self.mm_per_unit)
 
     def _switching(self, row: int, _: Sequence[float], m: Sequence[float], values: dict[str, float]) -> None:
         self.switching.read(row, m, values)
@@ -522,23 +537,19 @@ class _Reader:
         """Return whether G70 or G71 repeats the last G20 or G21, as Vectric's posts write it."""
         return bool(self.changes["units"]) and self.changes["units"][-1][1] == _UNITS_AGAIN.get(code)
 
-    def _tip(self, row: int, code: str) -> bool:
-        """Read a code that switches tool-centre-point control; return whether it is one."""
-        on = code in self.tip_on
-        if on or code in self.tip_off:
-            self.tip.append((row, float(on)))
-            return True
-        return False
+    def _motion(self, row: int) -> float:
+        """Return the motion code of a block, or NaN."""
+        return float(self.words.column("G")[row])
 
     def _dwell(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
         if codes.DWELL not in g:
             return
-        if self.columns["G"][row] in (2.0, 3.0):
+        if self._motion(row) in (2.0, 3.0):
             raise BlockError("G4 in one block with an arc", "Write one block for each.")
         letter = next((letter for letter in codes.DWELL_WORDS if letter in values), None)
         if letter is None or not values[letter] >= 0.0:
             raise BlockError("G4 without a time", "Write G4 P with the time in seconds.")
-        if letter != "P" and not np.isnan(self.columns["G"][row]):
+        if letter != "P" and not np.isnan(self._motion(row)):
             raise BlockError(f"G4 {letter} in one block with a motion code", "Write one block for each.")
         seconds = values.pop(letter)
         self.dwells.append(row)

@@ -13,20 +13,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from postproc.cell import Rotary
+from postproc.chunks import chunks, compact
 from postproc.dialects.gcode import codes
 from postproc.dialects.gcode.arcs import PLANE_AXES
 from postproc.dialects.gcode.cycles import Cycle, CycleEvent, Step
 from postproc.dialects.gcode.modes import MM_PER_UNIT, Modes, Origin, Return, long_dwell
-from postproc.dialects.gcode.words import BlockError
+from postproc.dialects.gcode.words import BlockError, Words
 from postproc.errors import Level
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, any_column, inverse, pose_from_xyzabc
-from postproc.program import Bools, EventKind, Ints, direction
+from postproc.program import Bools, EventKind, Ints, constant, direction
 
 
 class LineStates(Struct, frozen=True, eq=False):
@@ -48,7 +51,7 @@ class LineStates(Struct, frozen=True, eq=False):
     ijk: Array
     radius: Array
     turns: Array
-    motion: Array
+    motion: NDArray[np.int8]
     named: Bools
     feed: Array
     rate: Array
@@ -68,8 +71,12 @@ class LineStates(Struct, frozen=True, eq=False):
 
 def carried(values: Array, initial: float) -> Array:
     """Return values (L,) with NaN replaced by the last value before, or by `initial`."""
-    last = np.maximum.accumulate(np.where(np.isnan(values), 0, np.arange(1, len(values) + 1)))
-    out: Array = np.concatenate([[initial], values])[last]
+    out = np.empty(len(values))
+    for part in chunks(len(values)):
+        own = np.append(initial, values[part])
+        last = np.maximum.accumulate(np.where(np.isnan(own), 0, np.arange(len(own))))
+        out[part] = own[last[1:]]
+        initial = own[last[-1]]
     return out
 
 
@@ -77,38 +84,54 @@ def in_force(changes: Sequence[tuple[int, float]], initial: float, rows: int) ->
     """Return the active value of each line (rows,), from changes (row, value) in order of rows."""
     at = [0, *(row for row, _ in changes if row < rows), rows]
     values = [initial, *(value for row, value in changes if row < rows)]
+    if len(set(values)) == 1:
+        return constant(initial, rows)
     return np.repeat(np.array(values, dtype=float), np.diff(at))
 
 
-def line_states_of(columns: Mapping[str, Array], modes: Modes, rotary: Rotary | None) -> LineStates:
+def taken(column: NDArray[Any], rows: Ints) -> NDArray[Any]:
+    """Return rows (n,) of a column; one of one value still takes no memory."""
+    if len(column) and column.strides[0] == 0:
+        return np.broadcast_to(column[0], (len(rows), *column.shape[1:]))
+    return np.asarray(column[rows])
+
+
+def line_states_of(words: Words, modes: Modes, rotary: Rotary | None) -> LineStates:
     """Return words and modal state of all lines of a program."""
     count = modes.rows
     state = {group: in_force(modes.changes[group], valid[0], count) for group, valid in codes.GROUPS.items()}
-    factor = np.where(state["units"] == 20.0, MM_PER_UNIT[20.0], MM_PER_UNIT[21.0])
-    mm = {letter: columns[letter][:count] * factor for letter in "XYZIJKRFQ"}
-    xyz, ijk = np.stack([mm[a] for a in "XYZ"], axis=1), np.stack([mm[a] for a in "IJK"], axis=1)
-    code = columns["G"][:count]
-    motion = carried(code, codes.CANCEL_CYCLE)
+    inches = state["units"] == 20.0
+    factor = np.where(inches, MM_PER_UNIT[20.0], MM_PER_UNIT[21.0])[:, None] if inches.any() else None
+
+    def mm(group: str) -> Array:
+        own = words[group][:count]
+        return own if factor is None or not own.strides[0] else own * factor
+
+    xyz, ijk = mm("XYZ"), mm("IJK")
+    code = words.column("G")[:count]
+    motion = carried(code, codes.CANCEL_CYCLE).astype(np.int8)
     circular = (motion == 2.0) | (motion == 3.0)
     named = ~np.isnan(code) & (code != codes.CANCEL_CYCLE)
     letters = [] if rotary is None else rotary.axes
-    turned = np.stack([columns[letter][:count] for letter in letters], axis=1) if letters else np.zeros((count, 0))
-    placed = np.logical_or.reduce([~np.isnan(words) for words in xyz.T])
+    turned = np.stack([words.column(letter)[:count] for letter in letters], axis=1) if letters else np.zeros((count, 0))
+    placed = any_column(~np.isnan(xyz))
     axes = placed | ~np.isnan(turned).all(axis=1)
     always = rotary is None or not rotary.tcp_on
     drilling = np.isin(motion, codes.CYCLES) & axes
     moving = ~drilling & (axes | (circular & (named | any_column(~np.isnan(ijk)))))
     inverse_time = state["feed"] == 93.0
+    rate = carried(words.column("F")[:count], 0.0)
+    converted = factor is not None or inverse_time.any()
     return LineStates(
         xyz=xyz,
         placed=placed,
         ijk=ijk,
-        radius=mm["R"],
-        turns=columns["P"][:count],
+        radius=mm("R")[:, 0],
+        turns=words.column("P")[:count],
         motion=motion,
         named=named,
-        feed=_feeds(mm["F"], columns["F"][:count], inverse_time),
-        rate=carried(columns["F"][:count], 0.0),
+        feed=_feeds(mm("F")[:, 0], words.column("F")[:count], inverse_time) if converted else rate,
+        rate=rate,
         plane=state["plane"],
         units=state["units"],
         incremental=state["distance"] == 91.0,
@@ -119,8 +142,8 @@ def line_states_of(columns: Mapping[str, Array], modes: Modes, rotary: Rotary | 
         tip=np.ones(count, dtype=bool) if always else in_force(modes.tip, 0.0, count) > 0.0,
         inverse_time=inverse_time,
         to_r=state["retract"] == 99.0,
-        pecks=mm["Q"],
-        repeats=columns["L"][:count],
+        pecks=mm("Q")[:, 0],
+        repeats=words.column("L")[:count],
     )
 
 
@@ -164,7 +187,8 @@ class Moves(Struct, frozen=True, eq=False):
 
     :param row: (N,) row of the line, never decreasing.
     :param code: (N,) 0 to 3.
-    :param begin: (N, 3) start and `end` (N, 3) of each move.
+    :param end: (N, 3) where each ends; it begins where the one before ends, except `first`.
+    :param first: (S,) moves that begin elsewhere, ascending, and `start` (S, 3) where.
     :param frame: (N,) row of `frames`; `tool`: (N,) row of `$TOOL`.
     :param turn: (N, 2, k) angles of the rotary axes at begin and end [deg].
     :param bottom: (N,) True where a cycle reverses.
@@ -179,9 +203,10 @@ class Moves(Struct, frozen=True, eq=False):
     """
 
     row: Ints
-    code: Array
-    begin: Array
+    code: NDArray[np.int8]
     end: Array
+    first: Ints
+    start: Array
     frame: Ints
     tool: Ints
     turn: Array
@@ -195,13 +220,22 @@ class Moves(Struct, frozen=True, eq=False):
     faults: Sequence[tuple[int, str, str | None]]
     remarks: Sequence[tuple[int, Level, str, str]]
 
+    def begin(self, move: Ints) -> Array:
+        """Return the starts (n, 3) of moves (n,)."""
+        out = self.end[move - 1]
+        place = np.searchsorted(self.first, move)
+        own = np.append(self.first, -1)[place] == move
+        out[own] = self.start[place[own]]
+        return out
+
     def repeated(self, count: Ints) -> Moves:
-        """Return the moves, each repeated `count` (N,) times."""
+        """Return the moves, each repeated `count` (N,) times: as they end there, the first of each begins as before."""
         which = np.repeat(np.arange(len(count)), count)
-        before = np.concatenate([[0], np.cumsum(count)]).tolist()
-        names = ("row", "code", "begin", "end", "frame", "tool", "turn", "bottom", "home")
-        events = [(before[at], row, event) for at, row, event in self.events]
-        return replace(self, **{name: getattr(self, name)[which] for name in names}, events=events)
+        before = np.append(0, np.cumsum(count))
+        names = ("row", "code", "end", "frame", "tool", "turn", "bottom", "home")
+        columns = {name: taken(getattr(self, name), which) for name in names}
+        events = [(int(before[at]), row, event) for at, row, event in self.events]
+        return replace(self, **columns, first=before[self.first], events=events)
 
 
 def moves_of(rows: LineStates, modes: Modes, cell_frames: CellFrames) -> Moves:
@@ -217,6 +251,11 @@ def goes_up_first(rows: LineStates, first: int, complete: int) -> bool:
     z = rows.xyz[first:complete, 2]
     z = z[~np.isnan(z)]
     return bool(len(z)) and not rows.incremental.any() and bool(z[-1] >= np.nanmax(rows.xyz[:, 2]))
+
+
+def _repeated(values: Sequence[int], count: Ints) -> Ints:
+    """Return whole numbers, each `count` (n,) times, n ≥ 1."""
+    return constant(values[0], int(count.sum())) if len(set(values)) == 1 else np.repeat(values, count)
 
 
 class _Walk:
@@ -244,7 +283,9 @@ class _Walk:
         switched = [h for h in modes.row_events if h.kind in ("spindle_on", "spindle_ccw", "spindle_off")]
         self.spindle_rows = [h.row for h in switched]
         self.spindle_kinds: list[EventKind] = ["spindle_off", *(h.kind for h in switched)]
-        self.parts: list[tuple[Ints, Array, Array, Array, Array, int, int]] = []
+        self.parts: dict[str, list[NDArray[Any]]] = {name: [] for name in ("row", "code", "end", "turn")}
+        self.first: list[int] = []
+        self.starts: list[tuple[Array, int, int]] = []
         self.bottoms: list[int] = []
         self.homes: list[int] = []
         self.number = 0
@@ -280,7 +321,7 @@ class _Walk:
 
     def _bounds(self, origins: Mapping[int, object], tools: Mapping[int, object]) -> list[int]:
         rows = self.rows
-        changed = (np.diff(self.offset) != 0.0) | (rows.incremental[1:] != rows.incremental[:-1])
+        changed = (self.offset[1:] != self.offset[:-1]) | (rows.incremental[1:] != rows.incremental[:-1])
         changed |= rows.drilling[1:] != rows.drilling[:-1]
         single = [row for row in (*origins, *tools, *self.modes.returns) if row < self.count]
         after = [row + 1 for row in self.modes.returns if row + 1 < self.count]
@@ -291,26 +332,31 @@ class _Walk:
         rows = self.rows
         if (rows.named[begin:end]).any() or (rows.motion[begin:end] == codes.CANCEL_CYCLE).any():
             self.cycle.end()
+        swung = max(self._some(begin + part.start, min(begin + part.stop, end)) for part in chunks(end - begin))
+        if swung >= 0 and not self.angles.any():  # without tool-centre-point control the tip may be anywhere
+            row = swung + 1
+            self.losses.append((row, np.ones(3, dtype=bool)))
+            self.known = np.asarray(~np.isnan(rows.xyz[row:end]).all(axis=0))
+
+    def _some(self, begin: int, end: int) -> int:
+        """Add the moves of some lines; return the last on which axes turn without tool-centre-point control, or −1."""
+        rows = self.rows
         after = np.empty((end - begin, 3))
         for axis in range(3):
             words = rows.xyz[begin:end, axis]
             if rows.incremental[begin]:
-                steps = np.concatenate([self.position[axis : axis + 1], np.where(np.isnan(words), 0.0, words)])
+                steps = np.append(self.position[axis], np.where(np.isnan(words), 0.0, words))
                 after[:, axis] = np.cumsum(steps)[1:]
             else:
                 after[:, axis] = carried(words, self.position[axis])
                 self.known[axis] |= not np.isnan(words).all()
         self._check_height(begin, end)
-        before = np.concatenate([self.position[None], after[:-1]])
         turn = self._turned(begin, end)
         moving = np.flatnonzero(rows.moving[begin:end])
-        self._add(begin + moving, rows.motion[begin + moving], before[moving], after[moving], turn[moving])
-        self.position = after[-1]
+        self._add(begin + moving, rows.motion[begin + moving], after[moving], turn[moving])
+        self.position = after[-1].copy()
         swung = np.flatnonzero(~rows.tip[begin:end] & (turn[:, 0] != turn[:, 1]).any(axis=1))
-        if len(swung) and not self.angles.any():  # without tool-centre-point control the position of the tip is unknown
-            row = begin + int(swung[-1]) + 1
-            self.losses.append((row, np.ones(3, dtype=bool)))
-            self.known = np.asarray(~np.isnan(rows.xyz[row:end]).all(axis=0))
+        return begin + int(swung[-1]) if len(swung) else -1
 
     def _turned(self, begin: int, end: int) -> Array:
         """Return the angles of the rotary axes (n, 2, k) before and after lines."""
@@ -318,11 +364,11 @@ class _Walk:
         after = np.empty((end - begin, len(self.angles)))
         for axis, angle in enumerate(self.angles.tolist()):
             if self.rows.incremental[begin]:
-                after[:, axis] = angle + np.cumsum(np.nan_to_num(words[:, axis]))
+                after[:, axis] = np.cumsum(np.append(angle, np.nan_to_num(words[:, axis])))[1:]
             else:
                 after[:, axis] = carried(words[:, axis], angle)
         before = np.concatenate([self.angles[None], after[:-1]])
-        self.angles = after[-1]
+        self.angles = after[-1].copy()
         return np.stack([before, after], axis=1)
 
     def _drill(self, begin: int, end: int) -> None:
@@ -401,8 +447,7 @@ class _Walk:
             self.events += [(begin + one.after, at, one) for begin, at in holes for one in done]
         bottom = [n for n, step in enumerate(steps) if step.bottom]
         self.bottoms += (first[:, None] + np.array(bottom, dtype=np.int64)).ravel().tolist()
-        begin = np.concatenate([self.position[None], places[:-1]])
-        self._add(row, np.tile([step.code for step in steps], len(first)), begin, places)
+        self._add(row, np.tile([step.code for step in steps], len(first)), places)
         self.position = places[-1].copy()
 
     def _check_drilling(self, begin: int, end: int) -> None:
@@ -526,13 +571,18 @@ class _Walk:
                 self._go(row, self.position)
 
     def _go(self, row: int, place: Array) -> None:
-        self._add(np.array([row]), np.zeros(1), self.position[None], place[None])
+        self._add(np.array([row]), np.zeros(1), place[None])
         self.position = place
 
-    def _add(self, row: Ints, code: Array, begin: Array, end: Array, turn: Array | None = None) -> None:
+    def _add(self, row: Ints, code: Array | NDArray[np.int8], end: Array, turn: Array | None = None) -> None:
+        """Add moves (n,) one after the other, the first from the current position."""
         if turn is None:
             turn = np.broadcast_to(self.angles, (len(row), 2, len(self.angles)))
-        self.parts.append((row, code, begin, end, turn, len(self.frames) - 1, self.tool))
+        columns: tuple[NDArray[Any], ...] = compact(row, np.int32), code.astype(np.int8), end, turn
+        for parts, column in zip(self.parts.values(), columns, strict=True):
+            parts.append(column)
+        self.first.append(self.number)
+        self.starts.append((self.position, len(self.frames) - 1, self.tool))
         self.number += len(row)
 
     def _reframe(self, offset: float) -> None:
@@ -600,22 +650,19 @@ class _Walk:
         flags = np.zeros((2, self.number), dtype=bool)
         flags[0, self.bottoms] = True
         flags[1, self.homes] = True
-        if not self.parts:
-            self._add(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)))
-        parts = self.parts
-        row = np.concatenate([part[0] for part in parts])
-        code, begin, end, turn = (np.concatenate([part[n] for part in parts]) for n in (1, 2, 3, 4))
-        frame, tool = (np.repeat([part[n] for part in parts], [len(part[0]) for part in parts]) for n in (5, 6))
+        if not self.first:
+            self._add(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 3)))
+        columns = {name: np.concatenate(self.parts.pop(name)) for name in list(self.parts)}
+        position, frame, tool = zip(*self.starts, strict=True)
+        count = np.diff(self.first, append=self.number)
         unknown, started = self._from_start(self._unknown())
-        self._after_g80(row, code, begin, end, turn, frame, flags[0], unknown)
-        return Moves(
-            row=row,
-            code=code,
-            begin=begin,
-            end=end,
-            frame=frame,
-            tool=tool,
-            turn=turn,
+        own = np.flatnonzero(count)
+        moves = Moves(
+            **columns,
+            first=np.array(self.first)[own],
+            start=np.stack(position)[own],
+            frame=_repeated(frame, count),
+            tool=_repeated(tool, count),
             bottom=flags[0],
             home=flags[1],
             frames=np.stack(self.frames),
@@ -626,41 +673,32 @@ class _Walk:
             faults=self.faults,
             remarks=self.remarks,
         )
+        self._after_g80(moves)
+        return moves
 
-    def _after_g80(
-        self,
-        row: Ints,
-        code: Array,
-        begin: Array,
-        end: Array,
-        turn: Array,
-        frame: Ints,
-        bottom: Bools,
-        unknown: Sequence[tuple[int, int]],
-    ) -> None:
-        """Turn coordinates after G80 without a motion code into rapids (in place) where that is safe; refuse others.
-
-        :param row: (N,), and so on: see `Moves`.
-        """
-        at = np.flatnonzero(code == codes.CANCEL_CYCLE)
+    def _after_g80(self, moves: Moves) -> None:
+        """Turn coordinates after G80 without a motion code into rapids (in place) where that is safe; refuse others."""
+        at = np.flatnonzero(moves.code == codes.CANCEL_CYCLE)
         if not len(at):
             return
+        row, turn = moves.row, moves.turn
         tool = direction(self.cell_frames.axes, turn[at, 1] * RAD_PER_DEG)
-        step = end[at] - begin[at]
+        step = moves.end[at] - moves.begin(at)
         along = np.einsum("ni,ni->n", step, tool)
         aside = np.abs(step - along[:, None] * tool).max(axis=1)
         safe = (along > 0.0) & (aside < _FEWEST)
         if not turn.any() and all(np.array_equal(self.frames[0][:3, :3], one[:3, :3]) for one in self.frames[1:]):
-            height = end[:, 2] + np.array([one[:3, 2] @ one[:3, 3] for one in self.frames])[frame] / M_PER_MM
-            rapid = (code == 0.0) & ~bottom
-            for first, last in unknown:
+            origin = np.array([one[:3, 2] @ one[:3, 3] for one in self.frames])
+            height = moves.end[:, 2] + origin[moves.frame] / M_PER_MM
+            rapid = (moves.code == 0.0) & ~moves.bottom
+            for first, last in moves.unknown:
                 rapid &= (row < first) | (row >= last)
             lowest = np.minimum.accumulate(np.where(rapid, height, np.inf))[at]
             safe |= np.isfinite(lowest) & (height[at] >= lowest - _FEWEST)
         safe &= (turn[at, 0] == turn[at, 1]).all(axis=1)
-        for first, last in unknown:
+        for first, last in moves.unknown:
             safe &= (row[at] < first) | (row[at] > last)
-        code[at[safe]] = 0.0
+        moves.code[at[safe]] = 0
         message = "Coordinates without G0 after G80 are read as a rapid, as on Fanuc controls."
         self.remarks += [(int(n), "info", "motion-after-g80", message) for n in row[at[safe]]]
         advice = "Write the motion code. A rapid is assumed only at heights to which the program has moved in rapid."

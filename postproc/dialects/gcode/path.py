@@ -15,14 +15,14 @@ time is √(ΔA² + ΔB² + ΔC²) / F.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc.cell import Rotary
-from postproc.chunks import Runs
+from postproc.chunks import Runs, compact, in_chunks, rows_of
 from postproc.dialects.gcode.arcs import SAME_MM, ArcFault, Arcs, ArcWords, read_arcs
 from postproc.dialects.gcode.cycles import CycleEvent
 from postproc.dialects.gcode.modes import Modes
@@ -33,8 +33,8 @@ from postproc.dialects.gcode.moves import (
     Moves,
     goes_up_first,
     in_force,
-    line_states_of,
     moves_of,
+    taken,
 )
 from postproc.dialects.gcode.words import Fault
 from postproc.errors import MOST, Level
@@ -78,22 +78,22 @@ def approached(moves: Moves, cell_frames: CellFrames) -> tuple[Moves, Bools, Boo
     back = arriving & (moves.row >= min((first for first, _ in moves.unknown[1:]), default=np.inf))
     if cell_frames.clearance is None or not back.any():
         return moves, held_back, arriving
-    frames = moves.frames[moves.frame]
-    tool = direction(cell_frames.axes, moves.turn[:, 1] * RAD_PER_DEG)
+    at = np.flatnonzero(back)
+    frames = moves.frames[moves.frame[at]]
+    tool = direction(cell_frames.axes, moves.turn[at, 1] * RAD_PER_DEG)
     tool_z = np.einsum("ni,ni->n", frames[:, 2, :3], tool)
-    z = np.einsum("ni,ni->n", frames[:, 2, :3], moves.end) + frames[:, 2, 3] / M_PER_MM
-    split = back & (z < cell_frames.clearance - _NEAR_MM) & (tool_z > LEVEL)
-    count = 1 + split.astype(np.int64)
-    above = np.cumsum(count)[split] - 2
+    z = np.einsum("ni,ni->n", frames[:, 2, :3], moves.end[at]) + frames[:, 2, 3] / M_PER_MM
+    split = (z < cell_frames.clearance - _NEAR_MM) & (tool_z > LEVEL)
+    count = np.ones(len(moves.row), dtype=np.int64)
+    count[at[split]] = 2
+    above = np.cumsum(count)[at[split]] - 2
     out = moves.repeated(count)
-    begin, end = out.begin.copy(), out.end.copy()
+    end, turn = out.end.copy(), out.turn.copy()
     end[above] += tool[split] * ((cell_frames.clearance - z[split]) / tool_z[split])[:, None]
-    begin[above + 1] = end[above]
-    turn = out.turn.copy()
     turn[above + 1, 0] = turn[above, 1]
     arriving = np.repeat(arriving, count)
     arriving[above + 1] = False
-    return replace(out, begin=begin, end=end, turn=turn), np.repeat(held_back, count), arriving
+    return replace(out, end=end, turn=turn), np.repeat(held_back, count), arriving
 
 
 def chords(moves: Moves, circular: Ints, arcs: Arcs, tolerance: float) -> tuple[Moves, Ints]:
@@ -106,22 +106,23 @@ def chords(moves: Moves, circular: Ints, arcs: Arcs, tolerance: float) -> tuple[
     turns = (moves.turn[circular, 0] != moves.turn[circular, 1]).any(axis=1)
     if not turns.any():
         return moves, count
-    radial = moves.begin[circular] - arcs.centre
+    begin = moves.begin(circular)
+    radial = begin - arcs.centre
     angle = np.sqrt(8.0 * tolerance / np.maximum(norm(radial), tolerance))
     count[circular[turns]] = np.ceil(arcs.sweep[turns] / angle[turns] - 1e-9).astype(np.int64)
     out = moves.repeated(count)
-    code, begin, end, turn = out.code.copy(), out.begin.copy(), out.end.copy(), out.turn.copy()
+    code, end, turn = out.code.copy(), out.end.copy(), out.turn.copy()
     first = np.cumsum(count) - count
     for n in np.flatnonzero(turns).tolist():
         move = circular[n]
         rows = slice(first[move], first[move] + count[move])
         share = np.linspace(0.0, 1.0, count[move] + 1)[:, None]
-        path = _along(moves.begin[move], moves.end[move], radial[n], arcs.normal[n], arcs.sweep[n] * share)
+        path = _along(begin[n], moves.end[move], radial[n], arcs.normal[n], arcs.sweep[n] * share)
         path[-1] = moves.end[move]
         angles = moves.turn[move, 0] + share * (moves.turn[move, 1] - moves.turn[move, 0])
-        code[rows], begin[rows], end[rows] = 1.0, path[:-1], path[1:]
+        code[rows], end[rows] = 1, path[1:]
         turn[rows] = np.stack([angles[:-1], angles[1:]], axis=1)
-    return replace(out, code=code, begin=begin, end=end, turn=turn), count
+    return replace(out, code=code, end=end, turn=turn), count
 
 
 def _along(begin: Array, end: Array, radial: Array, normal: Array, angle: Array) -> Array:
@@ -153,7 +154,8 @@ def turned(moves: Moves, axes: Array) -> Array:
     out = np.zeros(len(moves.row))
     rows = np.flatnonzero((moves.turn[:, 0] != moves.turn[:, 1]).any(axis=1))
     if len(rows):
-        out[rows] = turning(axes, moves.turn[rows, 0] * RAD_PER_DEG, moves.turn[rows, 1] * RAD_PER_DEG)
+        turns = moves.turn[rows] * RAD_PER_DEG
+        out[rows] = in_chunks(lambda turn: (turning(axes, turn[:, 0], turn[:, 1]),), turns)[0]
     return out
 
 
@@ -204,11 +206,13 @@ def check_turning(rows: LineStates, moves: Moves, held_back: Bools, axes: Array,
     """
     tilt = (moves.turn != 0.0).any(axis=(1, 2))
     placed = ~np.isnan(rows.xyz[moves.row]).all(axis=1) | (moves.code > 0.0)
-    angles = np.concatenate([moves.turn[:, 0], moves.turn[:, 1]]) * RAD_PER_DEG
-    upwards = (direction(axes, angles)[:, 2] < _UPWARDS).reshape(2, -1).any(axis=0)
+
+    def away(turn: Array) -> tuple[Bools]:
+        return (any_column(np.stack([direction(axes, turn[:, n] * RAD_PER_DEG)[:, 2] < _UPWARDS for n in (0, 1)], 1)),)
+
     faults: dict[int, Fault] = {}
     for wrong, problem, advice in (
-        (upwards, "the tool points away from the part", "Check axes and signs in [rotary]."),
+        (in_chunks(away, moves.turn)[0], "the tool points away from the part", "Check axes and signs in [rotary]."),
         (
             tilt & placed & ~rows.tip[moves.row] & ~moves.home & ~held_back,
             "coordinates with tilted axes, but without tool-centre-point control",
@@ -367,14 +371,13 @@ class MotionPath(Struct, frozen=True, eq=False):
 
 
 def read_path(
-    columns: Mapping[str, Array], modes: Modes, cell_frames: CellFrames, speeds: Speeds, rotary: Rotary | None
+    rows: LineStates, modes: Modes, cell_frames: CellFrames, speeds: Speeds, rotary: Rotary | None
 ) -> MotionPath | list[Fault]:
     """Return the motions of a program, or its faults in order of lines.
 
-    :param columns: words of all lines, see `postproc.dialects.gcode.words.read_plain`.
-    :param modes: modal state and events of the other blocks.
+    :param rows: words and modal state of all lines.
+    :param modes: modal state and events of the blocks that are not plain.
     """
-    rows = line_states_of(columns, modes, rotary)
     moves, held_back, arriving = approached(moves_of(rows, modes, cell_frames), cell_frames)
     circular = np.flatnonzero(moves.code >= 2.0)
     arcs = _arcs(rows, moves, circular)
@@ -409,7 +412,7 @@ def _arcs(rows: LineStates, moves: Moves, circular: Ints) -> Arcs:
     row = moves.row[circular]
     return read_arcs(
         ArcWords(
-            start=moves.begin[circular],
+            start=moves.begin(circular),
             end=moves.end[circular],
             given=~np.isnan(rows.xyz[row]),
             offset=rows.ijk[row],
@@ -442,23 +445,24 @@ def _motions(
     swivel, alone, length = turning
     row, code, home = moves.row[kept], moves.code[kept], moves.home[kept]
     rapid = code == 0.0
-    kind = np.where(free, PTP, np.where(code < 2.0, LIN, CIRC))
+    kind = compact(np.where(free, PTP, np.where(code < 2.0, LIN, CIRC)), np.int8)
     nothing = np.broadcast_to(np.nan, (len(kept), 6))  # takes no memory
     centre, normal, sweep = nothing[:, :3], nothing[:, :3], nothing[:, 0]
-    frames = moves.frames[moves.frame[kept]] if len(moves.frames) > 1 else moves.frames
-    if swivel is None:
-        rotation = np.broadcast_to(frames[:, :3, :3] @ cell_frames.orientation, (len(kept), 3, 3))
+    frames, frame = moves.frames, taken(moves.frame, kept)
+    if swivel is not None:
+        rotation = in_chunks(lambda angles, frame: (swivel.of(angles, frame),), swivel.end, swivel.frame)[0]
+    elif len(frames) > 1:
+        rotation = (frames[:, :3, :3] @ cell_frames.orientation)[frame]
     else:
-        rotation = swivel.of(swivel.end, swivel.frame)
-    target = Poses(_placed(frames, moves.end[kept]), rotation)
+        rotation = np.broadcast_to(frames[0, :3, :3] @ cell_frames.orientation, (len(kept), 3, 3))
+    target = Poses(_placed(frames, frame, rows_of(moves.end, kept)), rotation)
     is_arc = np.flatnonzero(kind == CIRC)
     if len(is_arc):
         circular, arcs = circles
         at = np.searchsorted(circular, kept[is_arc])
-        own = frames[is_arc] if len(frames) > 1 else frames
         centre, normal, sweep = centre.copy(), normal.copy(), sweep.copy()
-        centre[is_arc] = _placed(own, arcs.centre[at])
-        normal[is_arc] = np.einsum("nij,nj->ni", np.broadcast_to(own[:, :3, :3], (len(at), 3, 3)), arcs.normal[at])
+        centre[is_arc] = _placed(frames, frame[is_arc], arcs.centre[at])
+        normal[is_arc] = np.einsum("nij,nj->ni", frames[frame[is_arc], :3, :3], arcs.normal[at])
         sweep[is_arc] = arcs.sweep[at]
     joints = nothing
     if home.any() and cell_frames.home is not None:
@@ -468,21 +472,22 @@ def _motions(
         rotation = rotation.copy()
         rotation[home], target.position[home] = poses[:, :3, :3], poses[:, :3, 3]
         target = Poses(target.position, rotation)
-    per_minute = rows.feed[row].copy()
+    per_minute = rows.feed[row]
     timed = rows.inverse_time[row] & ~rapid
     per_minute[timed] *= length[timed]
     per_minute[timed & alone] = speeds.rapid * _S_PER_MIN / M_PER_MM  # the speed of rotation counts
     feed = np.where(rapid, speeds.rapid, per_minute * (M_PER_MM / _S_PER_MIN))
     feed[kind == PTP] = np.nan
-    blend = in_force(modes.blends, speeds.approximation, modes.rows)[row]
-    blend[moves.bottom[kept]] = 0.0
-    limit = in_force(modes.roundings, np.nan, modes.rows)[row]
-    unset = constant(-1, len(kept))
-    rounding = (
-        np.where(np.isnan(limit), speeds.rounding, limit) if modes.roundings else constant(speeds.rounding, len(kept))
-    )
+    blend = taken(in_force(modes.blends, speeds.approximation, modes.rows), row)
+    bottom = moves.bottom[kept]
+    if bottom.any():
+        blend = np.where(bottom, 0.0, blend)
+    rounding, unset = constant(speeds.rounding, len(kept)), constant(-1, len(kept))
+    if modes.roundings:
+        limit = in_force(modes.roundings, np.nan, modes.rows)[row]
+        rounding = np.where(np.isnan(limit), speeds.rounding, limit)
     motions = Motions(
-        kind=kind.astype(np.int64),
+        kind=kind,
         rapid=rapid,
         line=row + 1,
         target=target,
@@ -492,7 +497,7 @@ def _motions(
         sweep=sweep,
         feed=feed,
         base=constant(0, len(kept)),
-        tool=moves.tool[kept] if moves.tool.any() else constant(0, len(kept)),
+        tool=taken(moves.tool, kept),
         blend=blend,
         rounding=rounding,
         status=unset,
@@ -503,16 +508,22 @@ def _motions(
 
 def _lengths(moves: Moves, circular: Ints, arcs: Arcs) -> Array:
     """Return the lengths of moves (N,) [mm]."""
-    out = norm(moves.end - moves.begin)
+    (out,) = in_chunks(lambda move: (norm(moves.end[move] - moves.begin(move)),), np.arange(len(moves.row)))
     if len(circular):
-        along = np.einsum("ni,ni->n", moves.end[circular] - moves.begin[circular], arcs.normal)
-        out[circular] = np.hypot(norm(moves.begin[circular] - arcs.centre) * arcs.sweep, along)
+        begin = moves.begin(circular)
+        along = np.einsum("ni,ni->n", moves.end[circular] - begin, arcs.normal)
+        out[circular] = np.hypot(norm(begin - arcs.centre) * arcs.sweep, along)
     return out
 
 
-def _placed(frames: Array, mm: Array) -> Array:
-    """Return points (n, 3) [mm] of program frames, one or (n, 4, 4), in `$BASE` [m]."""
+def _placed(frames: Array, frame: Ints, mm: Array) -> Array:
+    """Return points (n, 3) [mm] of program frames, by their rows (n,) of `frames` (nf, 4, 4), in `$BASE` [m]."""
     if len(frames) == 1:
         placed: Array = np.einsum("nj,ij->ni", mm, frames[0, :3, :3] * M_PER_MM) + frames[0, :3, 3]
         return placed
-    return np.asarray(np.einsum("nij,nj->ni", frames[:, :3, :3] * M_PER_MM, mm) + frames[:, :3, 3])
+
+    def some(frame: Ints, mm: Array) -> tuple[Array]:
+        own = frames[frame]
+        return (np.einsum("nij,nj->ni", own[:, :3, :3] * M_PER_MM, mm) + own[:, :3, 3],)
+
+    return in_chunks(some, frame, mm)[0]

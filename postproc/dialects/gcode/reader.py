@@ -42,7 +42,7 @@ from postproc.dialects.gcode import words
 from postproc.dialects.gcode.codes import WORK_OFFSETS
 from postproc.dialects.gcode.execution import Executed, executed
 from postproc.dialects.gcode.modes import Modes, read_modes
-from postproc.dialects.gcode.moves import CellFrames
+from postproc.dialects.gcode.moves import CellFrames, line_states_of
 from postproc.dialects.gcode.path import CHORD, MotionPath, Speeds, axes_of, read_path
 from postproc.dialects.gcode.words import Fault
 from postproc.dialects.text import decode, line_spans
@@ -80,8 +80,10 @@ def _read(document: Document, cell: Cell, forward: Callable[[Array], Array], nam
     run = executed(document)
     source = run.source
     rotary = "" if cell.rotary is None else "".join(cell.rotary.axes)
-    columns, odd = words.read_plain(source, rotary) if bulk else words.leave_all(source)
-    modes = read_modes(source, odd, columns, cell, run.faults)
+    plain, odd = words.read_plain(source, rotary) if bulk else words.leave_all(source)
+    modes = read_modes(source, odd, plain, cell, run.faults)
+    rows = line_states_of(plain, modes, cell.rotary)
+    del plain, odd  # what follows needs the memory
     base, tools, numbers = cell.base.pose(), [cell.tool.pose()], {}
     for number in dict.fromkeys(number for _, number in modes.tools):
         numbers[number] = len(tools)
@@ -104,7 +106,7 @@ def _read(document: Document, cell: Cell, forward: Callable[[Array], Array], nam
         home=home,
         chord=CHORD * cell.output.tolerance_mm,
     )
-    path = read_path(columns, modes, cell_frames, speeds, cell.rotary)
+    path = read_path(rows, modes, cell_frames, speeds, cell.rotary)
     comments, wrong = _comments(run, modes.rows)
     faults = path if isinstance(path, list) else []
     if not modes.complete:
@@ -226,12 +228,11 @@ def _events(
     noted = [(row, note) for row, note in comments if isinstance(note, ForceNote)]
     before = np.searchsorted(path.row, [row + (order == 2) for row, order, *_ in ordered]).tolist()
     first = np.searchsorted(path.row, [row for row, _ in noted]).tolist()
-    main = run.main.tolist() if ordered or noted else []
     events = (
-        replace(event, before=at if own is None else own, line=main[row])
+        replace(event, before=at if own is None else own, line=int(run.main[row]))
         for at, (row, _, own, event) in zip(before, ordered, strict=True)
     )
-    notes = (replace(note, before=at, line=main[row]) for at, (row, note) in zip(first, noted, strict=True))
+    notes = (replace(note, before=at, line=int(run.main[row])) for at, (row, note) in zip(first, noted, strict=True))
     return tuple(notes), tuple(events)
 
 

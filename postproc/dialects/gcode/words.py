@@ -22,11 +22,15 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from postproc.chunks import chunks, compact
 from postproc.decimals import numbers_in, parsed
 from postproc.frames import Array
 from postproc.program import Document, Ints, distinct
 
-COLUMNS = "GXYZABCIJKRFPQL"
+GROUPS = "G", "XYZ", "A", "B", "C", "IJK", "R", "F", "P", "Q", "L"
+"""Letters whose words are kept, in groups."""
+COLUMNS = "".join(GROUPS)
+_PLACE = {letter: (group, column) for group in GROUPS for column, letter in enumerate(group)}
 _PLAIN = "GXYZABCIJKRF"
 LIMIT = 1e7
 """Words of this magnitude or more (10 km, in mm) are refused as mistakes."""
@@ -97,17 +101,44 @@ class Source(Struct, frozen=True, eq=False):
         return ends and _COORDINATE.search(self.code, int(self.ends[row + 1])) is not None
 
 
-def split(document: Document, line_starts: Ints) -> Source:
+class Words:
+    """Values of the words in L lines, in the units of the program. A group without words takes no memory."""
+
+    def __init__(self, rows: int) -> None:
+        self._rows = rows
+        self._values: dict[str, Array] = {}
+
+    def __getitem__(self, group: str) -> Array:
+        """Return the values (L, n) of a group of letters, one of `GROUPS`; NaN where a line has no such word."""
+        found = self._values.get(group)
+        return np.broadcast_to(np.nan, (self._rows, len(group))) if found is None else found
+
+    def column(self, letter: str) -> Array:
+        """Return the values (L,) of a letter."""
+        group, column = _PLACE[letter]
+        return self[group][:, column]
+
+    def put(self, letter: str, rows: Ints | int, values: Array | float) -> None:
+        """Give lines (n,) the values (n,) of a letter."""
+        group, column = _PLACE[letter]
+        if group not in self._values:
+            self._values[group] = np.full((self._rows, len(group)), np.nan)
+        self._values[group][rows, column] = values
+
+    def remove(self, rows: Ints) -> None:
+        """Remove all words of lines (n,)."""
+        for values in self._values.values():
+            values[rows] = np.nan
+
+
+def split(document: Document) -> Source:
     """Return a program in upper case, without comments and white space.
 
     A bracket outside comments (not closed in its line) stays in the code. Brackets in a comment belong to it unless a
     control that ends the comment at the first closing bracket could read a block behind that.
-
-    :param line_starts: as `postproc.dialects.text.line_starts` gives them for the text.
     """
     text = document.text.replace(MARK, "?")
     comments: tuple[str, ...] = ()
-    at = np.empty(0, dtype=np.int64)
     nested = _NESTED.search(text) is not None
     forms = [form for begin, form in _COMMENTS.items() if begin in text]
     if nested:
@@ -115,24 +146,33 @@ def split(document: Document, line_starts: Ints) -> Source:
     if forms:
         parts: list[str] = []
         found: list[str] = []
-        starts: list[int] = []
         after = 0
         for match in re.finditer("|".join(forms), text):
             if nested and not _is_comment(match[0]):
                 continue
-            starts.append(match.start())
             found.append(match[match.lastindex or 1])
-            parts.append(text[after : starts[-1]])
+            parts.append(text[after : match.start()])
             after = match.end()
-        comments, at = tuple(found), np.array(starts, dtype=np.int64)
+        comments = tuple(found)
         text = MARK.join([*parts, text[after:]])
+        del parts
     packed = text.encode("ascii", "replace")
+    del text  # what follows needs the memory
     if b"\r" in packed:
         packed = packed.replace(b"\r\r\n", b"\0").replace(b"\r\n", b"\0")
     packed = packed.translate(_PACK, b" \t")
     code = b"\n" + packed if packed.endswith(b"\n") else b"\n" + packed + b"\n"
-    ends = np.flatnonzero(np.frombuffer(code, dtype=np.uint8) == ord("\n"))
-    return Source(code, ends, comments, np.searchsorted(line_starts, at, side="right"))
+    del packed
+    ends = line_feeds(code)
+    marks = (
+        np.flatnonzero(np.frombuffer(code, dtype=np.uint8) == ord(MARK)) if comments else np.zeros(0, dtype=np.int64)
+    )
+    return Source(code, ends, comments, np.searchsorted(ends, marks))
+
+
+def line_feeds(code: bytes) -> Ints:
+    """Return the positions of the line feeds in packed code."""
+    return compact(np.flatnonzero(np.frombuffer(code, dtype=np.uint8) == ord("\n")), np.int32)
 
 
 def _is_comment(text: str) -> bool:
@@ -141,21 +181,31 @@ def _is_comment(text: str) -> bool:
     return _BLOCK.fullmatch("".join(behind.split())) is None
 
 
-def read_plain(source: Source, rotary: str = "") -> tuple[dict[str, Array], Ints]:
+def read_plain(source: Source, rotary: str = "") -> tuple[Words, Ints]:
     """Read the plain motion blocks of a program in bulk.
 
     :param rotary: letters of rotary axes; lines with others of A, B, C are not plain.
-    :returns: one column (L,) for each letter of `COLUMNS`, with the value of its word in each line or NaN, in the units
-        of the program; and the rows (n,) of the lines that are not plain, in which all columns are NaN.
+    :returns: the words of these blocks, and the rows (n,) of the lines that are not plain, which have none.
     """
-    code = _LINE_NUMBER.sub(b"\n", source.code) if b"\nN" in source.code else source.code
+    words = Words(len(source))
+    odd = [
+        _read_lines(source, lines.start, min(lines.stop, len(source)), rotary, words) for lines in chunks(len(source))
+    ]
+    return words, np.concatenate(odd)
+
+
+def _read_lines(source: Source, first: int, last: int, rotary: str, words: Words) -> Ints:
+    """Read the plain blocks of some rows (`last` exclusive); return the rows (n,) of the lines that are not plain."""
+    count = last - first
+    code = source.code[source.ends[first] : source.ends[last] + 1]
+    code = _LINE_NUMBER.sub(b"\n", code) if b"\nN" in code else code
     kind = np.frombuffer(code.translate(_CLASS), dtype=np.uint8)
     ends = np.flatnonzero(kind == _END)
-    odd = np.zeros(len(source), dtype=bool)
+    odd = np.zeros(count, dtype=bool)
     odd[np.searchsorted(ends, _malformed(kind), side="left") - 1] = True
 
     letters = np.flatnonzero(kind == _LETTER)
-    row = np.repeat(np.arange(len(source)), np.diff(np.searchsorted(letters, ends)))
+    row = np.repeat(np.arange(count), np.diff(np.searchsorted(letters, ends)))
     if odd.any():
         plain = ~odd[row]
         letters, row = letters[plain], row[plain]
@@ -170,22 +220,23 @@ def read_plain(source: Source, rotary: str = "") -> tuple[dict[str, Array], Ints
     if value is None:
         value = np.fromstring(digits, sep=" ")
 
-    present = [name for name in _PLAIN if name not in "ABC" or name.encode() in code]
-    by_letter = {name: np.flatnonzero(letter == ord(name)) for name in present}
-    refused = [row[words] for name, words in by_letter.items() if name in "ABC" and name not in rotary]
-    refused += [row[np.abs(value) >= LIMIT], row[by_letter["F"]][value[by_letter["F"]] < 0.0]]
-    g = by_letter["G"]
-    refused.append(row[g][~np.isin(value[g], (0.0, 1.0, 2.0, 3.0)) | np.signbit(value[g])])
-    columns = {name: np.full(len(source), np.nan) for name in COLUMNS}
-    for name, words in by_letter.items():
-        rows = row[words]
-        columns[name][rows] = value[words]
+    by_letter = {name: np.flatnonzero(letter == ord(name)) for name in _PLAIN if name.encode() in code}
+    refused = [row[np.abs(value) >= LIMIT]]
+    for name, at in by_letter.items():
+        rows, own = row[at], value[at]
+        if name in "ABC" and name not in rotary:
+            refused.append(rows)
+            continue
+        words.put(name, first + rows, own)
         refused.append(rows[1:][rows[1:] == rows[:-1]])  # the same letter twice
+        if name == "F":
+            refused.append(rows[own < 0.0])
+        elif name == "G":
+            refused.append(rows[~np.isin(own, (0.0, 1.0, 2.0, 3.0)) | np.signbit(own)])
     again = np.concatenate(refused)
-    for column in columns.values():
-        column[again] = np.nan
+    words.remove(first + again)
     odd[again] = True
-    return columns, np.flatnonzero(odd)
+    return first + np.flatnonzero(odd)
 
 
 def _malformed(kind: Bytes) -> Ints:
@@ -201,10 +252,10 @@ def _malformed(kind: Bytes) -> Ints:
     return np.concatenate(found)
 
 
-def leave_all(source: Source) -> tuple[dict[str, Array], Ints]:
+def leave_all(source: Source) -> tuple[Words, Ints]:
     """Return the result of `read_plain` with no line taken as plain, so that pygcode reads all lines with words."""
     rows = [row for row in range(len(source)) if source.line(row).strip(MARK)]
-    return {name: np.full(len(source), np.nan) for name in COLUMNS}, np.array(rows, dtype=np.int64)
+    return Words(len(source)), np.array(rows, dtype=np.int64)
 
 
 _WORD = re.compile(rf"{MARK}*([A-Z])([+-]?(?:\d+\.?\d*|\.\d+))")
