@@ -327,6 +327,21 @@ def test_radius_compensation_in_three_dimensions_has_no_effect_if_offsets_hold_w
     np.testing.assert_allclose(ends(program)[-1], [70, 20, -1], atol=1e-9)
 
 
+@pytest.mark.parametrize("block", ["G53", "G53 G90 G91.1 G40", "G53 G0", "G53 G49 M5"])
+def test_g53_without_axes_has_no_effect(block):
+    """G53 is not modal: it holds for the block in which it is written (Fanuc, Haas, Mach3)."""
+    program = read(f"{CUT}{block}\nG1 X70\nZ9\nM30\n")
+    np.testing.assert_allclose(ends(program)[-3:], [[10, 20, -1], [70, 20, -1], [70, 20, 9]], atol=1e-9)
+    assert [issue.level for issue in program.issues if issue.kind == "machine-position"] == ["info"]
+
+
+def test_older_fanuc_controls_take_h_for_the_radius():
+    cell = replace(CELL, gcode=replace(CELL.gcode, radius_offsets="wear"))
+    np.testing.assert_allclose(ends(read(f"{CUT}G42 H19 X70\nM30\n", cell))[-1], [70, 20, -1], atol=1e-9)
+    with pytest.raises(ProgramError, match="G42 is not supported"):
+        read(f"{CUT}G42 H19 X70\nM30\n")
+
+
 def test_decimal_commas_are_refused_with_what_to_write():
     with pytest.raises(ProgramError) as caught:
         read(CUT + "X1,5\nM30\n")

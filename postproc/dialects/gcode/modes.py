@@ -298,9 +298,6 @@ class FrameCodes:
         if code == codes.MACHINE and motion in (1.0, 2.0, 3.0):
             advice = "Use G53 with G0 only, or write the move in coordinates of the part."
             raise BlockError(f"{name} with G{motion:g}", advice)
-        if not axes and code == codes.MACHINE:
-            advice = "It has no effect on most controls: remove it, or write it in the block that it is for."
-            raise BlockError("G53 without X, Y or Z", advice)
         self.returns[row] = Return(row, code, axes)
 
     def _store(self, row: int, axes: Mapping[int, float], values: dict[str, float]) -> None:
@@ -516,6 +513,10 @@ class _Reader:
             raise BlockError(*refused)
 
     def _frames(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
+        if codes.MACHINE in g and not set(values) & {"X", "Y", "Z", *self.frame_codes.rotary}:
+            g = [code for code in g if code != codes.MACHINE]
+            message = "G53 without X, Y or Z has no effect: it holds for its own block only."
+            self._remark("info", "machine-position", message, row)
         self.frame_codes.read(row, g, self._motion(row), values, self.mm_per_unit)
 
     def _switching(self, row: int, _: Sequence[float], m: Sequence[float], values: dict[str, float]) -> None:
@@ -571,6 +572,8 @@ class _Reader:
                 raise BlockError(*codes.refusal("G", code))
             if code in codes.RADIUS:
                 zero = values.pop("D", None) == 0.0
+                if codes.TOOL_LENGTH not in g:
+                    values.pop("H", None)  # the offset of older Fanuc controls
                 which = "with D0" if zero else "by offsets that hold wear only ([gcode] radius_offsets)"
                 message = f"Radius compensation {which} has no effect: the path is read as that of the tool centre."
                 self._remark("info", "radius-compensation", message, row)
