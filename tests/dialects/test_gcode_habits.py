@@ -35,6 +35,13 @@ def test_moves_at_feed_before_the_position_is_known_begin_at_start():
     assert [(issue.level, issue.source_line) for issue in told] == [("warning", 7)]
 
 
+def test_coordinates_without_a_motion_code_are_one_error():
+    """Not one for each line: the others were called arcs without I, J, K or R."""
+    with pytest.raises(ProgramError) as caught:
+        read("G17 G21 G90\nX1 Y2 F100\nX2 Y3\nX3 Y3 Z1\nM2\n", CELL_HERE)
+    assert (caught.value.line, caught.value.problem) == (2, "coordinates without G0, G1, G2 or G3")
+
+
 def test_a_first_block_at_feed_that_gives_all_axes_begins_at_start_too():
     program = read("G1 X10 Y20 Z15 F5000\nZ-1 F300\nM2\n", CELL_HERE)
     assert program.unforced.tolist() == [0]

@@ -698,7 +698,7 @@ class _Walk:
         safe &= (turn[at, 0] == turn[at, 1]).all(axis=1)
         for first, last in moves.unknown:
             safe &= (row[at] < first) | (row[at] > last)
-        moves.code[at[safe]] = 0
+        moves.code[at] = 0  # the others are refused here, once, and not as arcs too
         message = "Coordinates without G0 after G80 are read as a rapid, as on Fanuc controls."
         self.remarks += [(int(n), "info", "motion-after-g80", message) for n in row[at[safe]]]
         advice = "Write the motion code. A rapid is assumed only at heights to which the program has moved in rapid."
