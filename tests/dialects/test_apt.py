@@ -281,6 +281,26 @@ END-OF-PATH
     assert points(program)[:, 2].min() == pytest.approx(-17.0)
 
 
+@pytest.mark.parametrize(
+    ("apt", "code"),
+    [
+        ("CYCLE / DEEP, DEPTH, 15, STEP, 4, MMPM, 120, CLEAR, 3", "G99 G83"),
+        ("CYCLE / BRKCHP, DEPTH, 15, STEP, 4, MMPM, 120, CLEAR, 3", "G99 G73"),
+        ("CYCLE / DEEP, DEPTH, 15, STEP, 4, MMPM, 120, CLEAR, 3, RETURN, 0", "G98 G83"),
+        ("CYCLE/DRILL,DEEP,STEP,4,CLEAR,3,FEDTO,-15,RTRCTO,AUTO,MMPM,120", "G98 G83"),
+        ("CYCLE/DRILL,BRKCHP,STEP,4,RAPTO,3,FEDTO,-15,MMPM,120", "G99 G73"),
+        ("CYCLE / DRILL, DEPTH, 15, MMPM, 120, CLEAR, 3, RETURN, 0", "G98 G81"),
+    ],
+)
+def test_pecked_holes_and_a_return_to_the_height_before_are_those_of_gcode(apt, code):
+    program = read(f"UNITS/MM\nRAPID\nGOTO/0,0,30\n{apt}\nGOTO/10,10,0\nGOTO/30,10,-2\nCYCLE/OFF\nFINI\n")
+    peck = " Q4" if code[-2:] != "81" else ""
+    same(
+        program, read_gcode(f"G21 G90 G94\nG0 X0 Y0 Z30\n{code} X10 Y10 Z-15 R3{peck} F120\nX30 Y10 Z-17 R1\nG80\nM2\n")
+    )
+    assert (points(program)[:, 2] == 30.0).sum() == (5 if "G98" in code else 2)  # from there, above each hole, and back
+
+
 CREO = """$$*         Pro/CLfile  Version 12.0
 $$-> MFGNO / PART1
 PARTNO / PART1
@@ -473,11 +493,15 @@ def test_events_and_comments_are_kept():
         ("UNITS/INCHES", 5, "UNITS change"),
         ("UNITS/FURLONGS", 5, "UNITS is not understood"),
         ("CYCLE/DRILL,10,5,100,MMPM\nGOTO/1,1,1", 5, "CYCLE/DRILL with these values"),
-        ("CYCLE/DEEP,DEPTH,10,STEP,2,MMPM,100,CLEAR,3\nGOTO/1,1,1", 5, "CYCLE/DEEP with these values"),
+        ("CYCLE/DEEP,DEPTH,10,MMPM,100,CLEAR,3\nGOTO/1,1,1", 5, "CYCLE/DEEP with these values"),
+        ("CYCLE/TAP,DEPTH,10,MMPM,100,CLEAR,3\nGOTO/1,1,1", 5, "CYCLE/TAP with these values"),
+        ("CYCLE/DEEP,DEPTH,10,STEP,0,MMPM,100,CLEAR,3\nGOTO/1,1,1", 5, "STEP 0 is not a valid depth"),
+        ("CYCLE/BRKCHP,DEPTH,10,STEP,.001,MMPM,100,CLEAR,3\nGOTO/1,1,1", 5, "STEP 0.001 is not a valid depth"),
+        ("CYCLE/BRKCHP,DEPTH,10,STEP,2,MMPM,100,CLEAR,3,TIMES,2\nGOTO/1,1,1", 5, "CYCLE/BRKCHP with these values"),
         (
-            "CYCLE/DRILL,DEEP,STEP,2,CLEAR,3,FEDTO,-9,RTRCTO,AUTO,MMPM,250\nGOTO/1,1,1",
+            "CYCLE/DRILL,DEEP,CLEAR,3,FEDTO,-9,RTRCTO,AUTO,MMPM,250\nGOTO/1,1,1",
             5,
-            "CYCLE/DRILL with these values",
+            "CYCLE/DEEP with these values",
         ),
         ("CYCLE/DRILL,STEP,2,CLEAR,3,FEDTO,-9,MMPM,250\nGOTO/1,1,1", 5, "CYCLE/DRILL with these values"),
         ("CYCLE/DRILL,RAPTO,3,CLEAR,5,FEDTO,-9,MMPM,250\nGOTO/1,1,1", 5, "CYCLE/DRILL with these values"),

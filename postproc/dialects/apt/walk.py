@@ -6,7 +6,9 @@
 - **FROM** states where the tool is when the program begins: it becomes a joint motion to that place.
 - **CYCLE/DRILL**, FACE and CSINK with DEPTH and CLEAR: the GOTO statements behind it are the tops of holes. The tool
   goes in rapid to CLEAR above the top, at feed to DEPTH below it, waits (DWELL), and goes back to CLEAR or RETURN.
-  RAPTO is a further rapid towards the top. Source: PTC, Creo NC, "CL Output for Holemaking Cycles".
+  RAPTO is a further rapid towards the top. ``RETURN,0`` goes back to the height at which the tool was before the hole.
+  DEEP and BRKCHP are pecked by STEP, with a return to CLEAR or to just above the last depth, as G83 and G73 are.
+  Source: PTC, Creo NC, "CL Output for Holemaking Cycles".
 - With FEDTO the cycle is one of Siemens NX: RAPTO (or CLEAR), FEDTO and RTRCTO are signed heights above the top, FEDTO
   below zero. ``RTRCTO,AUTO`` goes back to the height at which the tool was before the hole. Source: CLSF files.
 - ``CIRCLE/x,y,z,i,j,k,r`` turns right-handed about i, j, k. Source: PTC, Creo NC, "CL Output for Circular
@@ -50,6 +52,9 @@ _PER_TURN = {"MMPR": 1.0, "IPR": _MM_PER_INCH, "FPR": 12 * _MM_PER_INCH}
 _UNITS = {"MM": 1.0, "INCH": _MM_PER_INCH, "INCHES": _MM_PER_INCH, "IN": _MM_PER_INCH, "CM": 10.0}
 _UNIT_LENGTH = 1e-3
 _NEAR_MM = 1e-6
+_ABOVE_CHIPS_MM = 0.254
+"""Height above the last depth from which a peck goes on, as in G73 and G83 (LinuxCNC)."""
+_MOST_PECKS = 10_000
 _LEVEL = 0.2
 """Least z of the tool direction for a retract along the tool."""
 _ARC_ADVICE = "Let the CAM system write arcs as GOTO statements."
@@ -124,7 +129,11 @@ class _FaultError(Exception):
 
 
 class _Cycle(Struct, frozen=True):
-    """A drilling cycle [mm, mm/min, s]: depth below the top, and heights above it; `back` None: as high as before."""
+    """A drilling cycle [mm, mm/min, s]: depth below the top, and heights above it.
+
+    :param back: height to which it returns; None: that before the hole.
+    :param step: depth of a peck; 0 = none. `deep`: each peck ends at `clear`.
+    """
 
     depth: float
     clear: float
@@ -132,6 +141,8 @@ class _Cycle(Struct, frozen=True):
     back: float | None
     feed: float
     dwell: float
+    step: float
+    deep: bool
 
 
 class _Pending(Struct, frozen=True, eq=False):
@@ -338,6 +349,12 @@ class _Walk:
         height = max(above, cycle.clear)
         for to in (height, cycle.clear, cycle.rapid_to):
             self._one(row, top + axis * to, axis, RAPID, 0.0)
+        reached = cycle.rapid_to - cycle.step
+        while cycle.step > 0.0 and reached > -cycle.depth:
+            self._one(row, top + axis * reached, axis, LINE, cycle.feed, exact=True)
+            for to in (*[cycle.clear] * cycle.deep, reached + _ABOVE_CHIPS_MM):
+                self._one(row, top + axis * to, axis, RAPID, 0.0, exact=True)
+            reached -= cycle.step
         self._one(row, top - axis * cycle.depth, axis, LINE, cycle.feed, exact=True)
         if cycle.dwell > 0.0:
             self._event(row, "dwell", cycle.dwell)
@@ -584,14 +601,17 @@ class _Walk:
             self.cycle = None
             return
         name, *rest = given or [""]
+        if name == "DRILL" and rest[:1] in (["DEEP"], ["BRKCHP"]):
+            name, *rest = rest
         before = False
         if "FEDTO" in rest[0::2] and len(rest) % 2 == 0:
             rest, before = _heights_of_nx(rest)
         couplets: dict[str, float] = {}
         names, numbers = rest[0::2], rest[1::2]
-        allowed = {"DEPTH", "CLEAR", "RAPTO", "RETURN", "DWELL", *_PER_MINUTE, *_PER_TURN}
+        allowed = {*_HEIGHTS, *_PER_MINUTE, *_PER_TURN}
         good = len(names) == len(numbers) == len(set(names)) and all(isinstance(value, float) for value in numbers)
-        good &= name in ("DRILL", "FACE", "CSINK") and {str(word) for word in names} <= allowed
+        good &= name in (*_PLAIN, *_PECKED) and {str(word) for word in names} <= allowed
+        good &= ("STEP" in names) == (name in _PECKED)
         for word, value in zip(names, numbers, strict=False):
             couplets[str(word)] = float(value) if isinstance(value, float) else 0.0
         rates: list[float | str] = [
@@ -599,7 +619,10 @@ class _Walk:
         ]
         if not good or not {"DEPTH", "CLEAR"} <= set(couplets) or len(rates) > 2:
             problem = f"CYCLE/{name} with these values is not supported"
-            advice = f"{_CYCLE_ADVICE} Read are DRILL, FACE and CSINK with DEPTH, a feed, CLEAR, RAPTO, RETURN, DWELL."
+            advice = (
+                f"{_CYCLE_ADVICE} Read are DRILL, FACE and CSINK with DEPTH, a feed, CLEAR, RAPTO, RETURN, DWELL, and "
+                "DEEP and BRKCHP with STEP too."
+            )
             raise _FaultError(problem, advice)
         if rates:
             rate, per_turn = self._rate(row, rates, "the feed of the cycle")
@@ -609,11 +632,16 @@ class _Walk:
         if not feed > 0.0:
             raise _FaultError("a feed per turn, but no speed of the spindle", "Write SPINDL/n,RPM before.")
         depth, clear = couplets["DEPTH"] * self.unit, couplets["CLEAR"] * self.unit
-        back = couplets.get("RETURN", 0.0) * self.unit or clear
+        back = couplets["RETURN"] * self.unit if "RETURN" in couplets else clear
+        step = couplets.get("STEP", 0.0) * self.unit
+        before |= couplets.get("RETURN") == 0.0
         near = clear - couplets.get("RAPTO", 0.0) * self.unit
-        if not (depth > 0.0 and clear > 0.0 and clear >= near >= 0.0 and back >= clear):
+        if not (depth > 0.0 and clear > 0.0 and clear >= near >= 0.0 and (before or back >= clear)):
             raise _FaultError("the heights of the cycle contradict each other", _CYCLE_ADVICE)
-        self.cycle = _Cycle(depth, clear, near, None if before else back, feed, couplets.get("DWELL", 0.0))
+        if name in _PECKED and not step > (depth + near) / _MOST_PECKS:
+            raise _FaultError(f"STEP {couplets['STEP']:g} is not a valid depth of a peck", _CYCLE_ADVICE)
+        returned = None if before else back
+        self.cycle = _Cycle(depth, clear, near, returned, feed, couplets.get("DWELL", 0.0), step, name == "DEEP")
 
     def _spin(self, row: int, given: list[float | str]) -> None:
         unknown = {value for value in given if isinstance(value, str)} - _SPINDLE
@@ -743,7 +771,8 @@ def _heights_of_nx(couplets: list[float | str]) -> tuple[list[float | str], bool
 
 
 _OF_NX = {"RAPTO": "CLEAR", "FEDTO": "DEPTH", "RTRCTO": "RETURN"}
-_HEIGHTS = ("DEPTH", "CLEAR", "RAPTO", "RETURN", "DWELL")
+_HEIGHTS = ("DEPTH", "CLEAR", "RAPTO", "RETURN", "DWELL", "STEP")
+_PLAIN, _PECKED = ("DRILL", "FACE", "CSINK"), ("DEEP", "BRKCHP")
 _SPINDLE = {"RPM", "CLW", "CCLW", "ON", "OFF"}
 _HANDLERS: Mapping[str, Any] = {
     "GOTO": _Walk._goto_odd,
