@@ -328,6 +328,25 @@ def test_a_file_that_cannot_be_read_is_told(tmp_path):
     assert "no END" in issue.message
 
 
+@pytest.mark.parametrize(
+    ("effect", "problem"),
+    [
+        ("$TOOL={X 0,Y 0,Z 99,A 0,B 0,C 0}", r"N may change \$TOOL"),
+        ("XG.X=XG.X+1", r"XG is changed while the program runs \(job\.src, line 5\)"),
+        ("$OUT[1]=TRUE", ""),
+    ],
+)
+def test_functions_in_targets_of_motions_elsewhere_change_what_they_write(tmp_path, effect, problem):
+    job = f"DEF job()\nLIN Q[N()]\nEND\nDEFFCT INT N()\n{effect}\nRETURN 1\nENDFCT\n"
+    files = {"job.src": job, "job.dat": "DEFDAT job\nDECL E6POS Q[1]\nENDDAT\n"}
+    lines = ("job()", "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}", "LIN XG")
+    if problem:
+        with pytest.raises(ProgramError, match=problem):
+            in_folder(tmp_path, body(*lines), files)
+    else:
+        assert len(numbers(in_folder(tmp_path, body(*lines), files))) == 2
+
+
 PICK = "DEF pick()\nLIN XP2\nLIN XP3\nEND\n"
 CHANGES = "DEF pick()\nLIN XP2\nLIN XP3\nXP2.X=XP2.X+5\nEND\n"
 PICKED = """DEFDAT pick

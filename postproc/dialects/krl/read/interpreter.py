@@ -84,6 +84,8 @@ class Interpreter:
         if isinstance(here, tree.Motion | tree.Spline | tree.EndSpline):
             if self.run.in_main:
                 self._motion(at, here)
+            else:
+                self._inner_calls(at, here.values)
         elif not self._control(at, here):
             self._other(at, here)
 
@@ -231,7 +233,7 @@ class Interpreter:
         elif value == NOTHING and name == "$H_POS" and target.field is None:
             return
         else:
-            if value == NOTHING:
+            if value == NOTHING or (target.field is not None and isinstance(value, Unknown) and not value.why):
                 value = Unknown(str(at), why_unknown(self.run.variables, at.source, given))
             if target.field is None:
                 self.run.variables.set(key, value, str(at))
