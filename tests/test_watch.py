@@ -224,6 +224,19 @@ def test_a_folder_that_is_not_there_is_an_error(tmp_path):
     assert done.output.startswith(f"Error: {tmp_path / 'none'}: no such folder")
 
 
+def test_a_name_that_is_not_utf8_stops_nothing(watcher, tmp_path):
+    """As on a network drive on which names are in the code page of old programs."""
+    put(tmp_path, "good.nc", PART.format(x=5))
+    name = "au\udcdfen.nc"
+    try:
+        put(tmp_path, name, PART.format(x=6))
+    except OSError:
+        pytest.skip("this file system has no such names")
+    known = watcher()
+    assert converted(known, (0.0, 2.0, 4.0)) == ["good.nc"]
+    assert known.said == [f"{tmp_path / 'in' / name}: its name is not UTF-8. Rename the file."]
+
+
 def test_other_files_and_those_of_editors_are_left_alone(watcher, tmp_path):
     for name in (".a.nc.swp", "~a.nc", ".b.nc", "readme.txt"):
         put(tmp_path, name, PART.format(x=5))

@@ -102,6 +102,11 @@ class Job(Struct, frozen=True):
         return registry.written_in(self.dialect, self.to)[1]
 
 
+def is_utf8(name: str) -> bool:
+    """Return whether the name of a file is text, as Python decoded it: other bytes are surrogates."""
+    return not any("\ud800" <= letter <= "\udfff" for letter in name)
+
+
 def find_jobs(
     inputs: Sequence[str],
     *,
@@ -135,7 +140,7 @@ def find_jobs(
         raise InputError(f"one name for {len(own)} programs", advice="Give --name with one program.")
     jobs = []
     for path in programs:
-        if any("\ud800" <= letter <= "\udfff" for letter in path.name):  # what Python makes of bytes that are no text
+        if not is_utf8(path.name):
             raise InputError("its name is not UTF-8", file=str(path), advice="Rename the file.")
         folder = path.parent / "corrected" if output is None else output
         read_as = dialect or registry.of_file(path).name

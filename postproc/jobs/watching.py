@@ -30,7 +30,7 @@ from postproc.dialects import registry
 from postproc.errors import InputError, PostprocError
 from postproc.jobs.conversion import options_of
 from postproc.jobs.output_plan import OVERVIEW
-from postproc.jobs.programs import FAILED, GOOD, PROCESS, Job, Outcome, Settings, find_jobs
+from postproc.jobs.programs import FAILED, GOOD, PROCESS, Job, Outcome, Settings, find_jobs, is_utf8
 from postproc.jobs.runs import convert_all, reason, write_overview
 from postproc.machining import process
 from postproc.report import index
@@ -299,11 +299,14 @@ class _Watcher:
 
     def _programs(self) -> list[Path]:
         known = registry.extensions()
-        return [
-            path
-            for path in self.folder.iterdir()
-            if path.suffix.lower() in known and not path.name.startswith((".", "~")) and path.is_file()
-        ]
+        programs = []
+        for path in self.folder.iterdir():
+            if path.suffix.lower() in known and not path.name.startswith((".", "~")) and path.is_file():
+                if is_utf8(path.name):
+                    programs.append(path)
+                else:
+                    self._say_once(f"{path}: its name is not UTF-8. Rename the file.")
+        return programs
 
     def _reads(self, path: Path) -> list[Path]:
         """Return the files that belong to a program: it, those read with it, its forces."""
