@@ -442,6 +442,14 @@ def test_gohome_goes_where_the_cell_says():
     assert np.isfinite(program.motions.joints[3]).all()
 
 
+@pytest.mark.parametrize(
+    ("value", "kind"), [("ON", "on"), ("FLOOD", "on"), ("MIST,ON", "on"), ("OFF", "off"), ("FLOOD,OFF", "off")]
+)
+def test_coolant_is_off_where_a_kind_of_it_is(value, kind):
+    program = read(f"{HEAD}COOLNT/{value}\nGOTO/1,0,9\nEND-OF-PATH\n")
+    assert [event.kind for event in program.events] == [f"coolant_{kind}"]
+
+
 def test_events_and_comments_are_kept():
     program = read(
         "$$ made by hand\nPARTNO LEFT WING $$ aside\nPPRINT/'op 1'\nTOOL PATH/MILL_1,TOOL,D10\nUNITS/MM\n"

@@ -662,7 +662,7 @@ class _Walk:
         self._event(row, "spindle_ccw" if self.spindle == "spindle_ccw" else "spindle_on", self.speed)
 
     def _cool(self, row: int, given: list[float | str]) -> None:
-        self.coolant = given[:1] != ["OFF"]
+        self.coolant = "OFF" not in given
         self._event(row, "coolant_on" if self.coolant else "coolant_off")
 
     def _load(self, row: int, given: list[float | str]) -> None:
