@@ -224,6 +224,12 @@ def test_a_folder_that_is_not_there_is_an_error(tmp_path):
     assert done.output.startswith(f"Error: {tmp_path / 'none'}: no such folder")
 
 
+def test_results_into_the_folder_that_is_watched_are_refused(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match=r"would be taken for programs that arrive. Give another folder with -o"):
+        watching.watch(tmp_path, Path(), Settings(CELL), {})
+
+
 def test_a_name_that_is_not_utf8_stops_nothing(watcher, tmp_path):
     """As on a network drive on which names are in the code page of old programs."""
     put(tmp_path, "good.nc", PART.format(x=5))

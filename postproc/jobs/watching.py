@@ -78,11 +78,14 @@ def watch(
     :param options: further arguments of `find_jobs`: dialect, forces, to.
     :param workers: local processes.
     :param say: is called with what the user should know: a folder that is gone, a locked file.
-    :raises InputError: the folder is not there at the beginning.
+    :raises InputError: the folder is not there at the beginning, or it is that of the results.
     :raises PostprocError: the cell or the robot is unusable.
     """
     if not folder.is_dir():
         raise InputError("no such folder", file=str(folder), advice="Give the folder into which programs are written.")
+    if output.resolve() == folder.resolve():
+        problem = "results in the folder that is watched would be taken for programs that arrive"
+        raise InputError(problem, file=str(output), advice="Give another folder with -o.")
     watcher = _Watcher(folder, output, settings, options, workers, say)
     return _outcomes(watcher, Event() if stop is None else stop)
 
