@@ -347,6 +347,29 @@ def test_functions_in_targets_of_motions_elsewhere_change_what_they_write(tmp_pa
         assert len(numbers(in_folder(tmp_path, body(*lines), files))) == 2
 
 
+SHARED = "DEFDAT shared PUBLIC\nDECL GLOBAL E6POS XS={X 1,Y 2,Z 3,A 0,B 0,C 0}\nDECL GLOBAL INT NS=1\nENDDAT\n"
+SETS = "DEF calc()\nIF NS==3 THEN\n  xs.X = 5\nENDIF\nNS=2\nEND\n"
+
+
+@pytest.mark.parametrize(
+    ("lines", "calc", "names"),
+    [
+        (("LIN XS",), SETS, ["XS"]),
+        (("LIN {X NS,Y 2,Z 3,A 0,B 0,C 0}", "LIN XS"), SETS, ["NS, XS"]),
+        (("LIN XS",), "DEF calc()\nDECL E6POS XS\nXS.X=5\nEND\n", []),  # its own
+        (("LIN XS",), "DEF calc()\nIF XS.X==5 THEN\nENDIF\nLIN XS\n;XS.X=5\nEND\n", []),
+        (("calc()", "LIN {X NS,Y 2,Z 3,A 0,B 0,C 0}"), "DEF calc()\nNS=2\nEND\n", []),  # followed
+        (("NS=4", "LIN {X NS,Y 2,Z 3,A 0,B 0,C 0}"), SETS, []),  # set by the program itself
+        ((FULL,), SETS, []),
+    ],
+)
+def test_shared_points_that_other_programs_change_are_named(tmp_path, lines, calc, names):
+    found = in_folder(tmp_path, body(*lines), {"shared.dat": SHARED, "calc.src": calc})
+    issues = [issue for issue in found.issues if issue.kind == "changed-elsewhere"]
+    assert [issue.subject for issue in issues] == names
+    assert all(f"{name} (calc.src)" in issues[0].message for each in names for name in each.split(", "))
+
+
 PICK = "DEF pick()\nLIN XP2\nLIN XP3\nEND\n"
 CHANGES = "DEF pick()\nLIN XP2\nLIN XP3\nXP2.X=XP2.X+5\nEND\n"
 PICKED = """DEFDAT pick

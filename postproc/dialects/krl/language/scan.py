@@ -33,6 +33,8 @@ _GLOBAL = re.compile(rf"{_BEGINS}(?:DECL[ \t]+)?GLOBAL\b[^;\r\n]*", _FLAGS)
 _GLOBAL_VARIABLE = re.compile(
     rf"{_BEGINS}(?:(?:DECL|CONST)[ \t]+)*GLOBAL[ \t]+(?:(?:DECL|CONST)[ \t]+)*\w+[ \t]+(\w+)", _FLAGS
 )
+_ASSIGNED = re.compile(rf"{_BEGINS}([A-Za-z_]\w*)[^=\r\n;\"']*=(?!=)", _FLAGS)
+_DECLARATION = re.compile(rf"{_BEGINS}(?:DECL|INT|REAL|BOOL|CHAR|POS|E6POS|FRAME|AXIS|E6AXIS)\b[^;=\r\n]*", _FLAGS)
 _IMPORTED = re.compile(r"/R1/(\w+)[ \t]*\.\.", _FLAGS)
 _WORD = re.compile(r"\"[^\"\r\n]*\"|;[^\r\n]*|[A-Za-z_$][\w$]*", re.ASCII)
 
@@ -72,6 +74,12 @@ def global_routines(text: str) -> frozenset[str]:
 def global_variables(text: str) -> frozenset[str]:
     """Return the names, upper case, of GLOBAL variables that a `.dat` declares."""
     return frozenset(name.upper() for name in _GLOBAL_VARIABLE.findall(text))
+
+
+def assigned(text: str) -> frozenset[str]:
+    """Return the names, upper case, of variables that statements of a `.src` set and it does not declare itself."""
+    own = {name.upper() for line in _DECLARATION.findall(text) for name in NAME.findall(line)}
+    return frozenset(name.upper() for name in _ASSIGNED.findall(text)) - own
 
 
 def global_lines(text: str) -> list[str]:

@@ -217,6 +217,16 @@ class Library:
             found[file] = tuple(sorted({*found.get(file, ()), *users}))
         return found
 
+    def writers(self, names: Set[str]) -> dict[str, tuple[str, ...]]:
+        """Return which programs that were not read set variables that all files share, by the names of these."""
+        read = {module.source.document.name.upper() for module in (self.program, *self.read())}
+        found: dict[str, list[str]] = {}
+        for file, path in self.files.paths.items() if names else ():
+            if file.endswith(".SRC") and file not in read and path.stem.upper() not in _OF_THE_CONTROLLER:
+                for name in names & self.files.declared(path, scan.assigned):
+                    found.setdefault(name, []).append(path.name)
+        return {name: tuple(sorted(found[name])) for name in sorted(found)}
+
     def _search(self, name: str) -> tuple[Module, Routine] | None:
         program = self.program.routines.get(name)
         if program is not None and (program.public or name == self.program.name):

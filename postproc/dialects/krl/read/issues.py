@@ -21,6 +21,8 @@ from postproc.program import ForceNote, Ints, Unfollowed
 
 _MOST_NAMES = 10
 """Most names of points in one message."""
+_MOST_FILES = 3
+"""Most files named for one of them."""
 
 
 def issues_of(
@@ -32,6 +34,7 @@ def issues_of(
     """
     yield from _absent(main)
     yield from _uncalled(main)
+    yield from _changed_elsewhere(main)
     yield from _initial_frames(main, states, state, rows, layout)
 
 
@@ -74,6 +77,21 @@ def _uncalled(main: MainRoutine) -> Iterator[Issue]:
             f"DEF {routine.name} has motions but {main.run.routine.name} does not call it; they are left as they are."
         )
         yield Issue("warning", "uncalled-motions", message, motion.line, subject=routine.name)
+
+
+def _changed_elsewhere(main: MainRoutine) -> Iterator[Issue]:
+    """GLOBAL variables with values of files that other programs change, perhaps before this one runs."""
+    variables = main.run.variables
+    found = main.run.library.writers((variables.used & variables.public) - variables.changed.keys())
+    if not found:
+        return
+    names = [f"{name} ({', '.join(files[:_MOST_FILES])})" for name, files in list(found.items())[:_MOST_NAMES]]
+    more = "" if len(found) <= _MOST_NAMES else f" and {len(found) - _MOST_NAMES} more"
+    message = (
+        f"Programs that this one does not call change what its motions depend on: {', '.join(names)}{more}. The output "
+        "holds for the values in the files. If they run before it, convert the program that calls both."
+    )
+    yield Issue("warning", "changed-elsewhere", message, subject=", ".join(list(found)[:_MOST_NAMES]))
 
 
 def _initial_frames(
