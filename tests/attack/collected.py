@@ -54,6 +54,14 @@ _TOOL = re.compile(r"(?i)T0*(\d{1,5})(?!\d)")
 _ASIDE_TEXT = re.compile(r"\([^()]*\)|;.*")
 _TAPS_ASIDE, _ASIDE = re.compile(r"(?i)G\s*84(?![\d.])"), re.compile(r"(?i)G\s*1[89](?![\d.])")
 _RETRACT = re.compile(r"(?i)G\s*9[89](?![\d.])")
+_HOMES = re.compile(r"(?i)G\s*(?:28|30)(?![\d.])")
+_MOTION_CODE = re.compile(r"(?i)G\s*0*[01](?![\d.])")
+_ANY_MOTION = re.compile(r"(?i)G\s*(?:0*[0-3]|73|8[1-9])(?![\d.])")
+_G80 = re.compile(r"(?i)G\s*80(?![\d.])")
+_NUMBERED = re.compile(r"(?i)\s*(?:N\s*\d+)?\s*")
+_ONLY_PLACES = re.compile(r"(?i)\s*(?:N\s*\d+)?(?:\s*[XYZ]\s*-?[\d.]+)+\s*")
+_NOTHING = re.compile(r"(?i)G\s*50(?![\d.])|K\s*-?(?:0+\.?0*|\.0+)(?![\d.])(?=[^()]*$)")
+_CYCLE = re.compile(r"(?i)G\s*(?:73|8[1-9])(?![\d.])")
 _UNITS_WITH_F = re.compile(r"(?im)^[^(;\n]*(?:G\s*2[01](?![\d.])[^(;\n]*F|F[^(;\n]*G\s*2[01](?![\d.]))")
 _MACHINE = re.compile(r"(?i)G\s*0*(?:28|30|53)(?![\d.])")
 _MACHINE_OR_CYCLE = re.compile(r"(?i)G\s*0*(?:28|30|53|73|8[1-9])(?![\d.])")
@@ -141,12 +149,38 @@ def moves_there(path: Path, *, alone: bool = False) -> list[Move]:
     others = [one for one in path.parent.iterdir() if one.suffix.lower() in NAMES and one != path and not alone]
     files = {one.name: one.read_bytes().decode("latin-1") for one in others[:200]}
     tools = {int(number) for number in _TOOL.findall(text)}
-    try:
-        return canonical(text, files=files, tools=tools)
-    except RejectedError as cause:
-        if "no percent sign or program end" not in str(cause):
-            raise
-        return canonical(text.rstrip() + "\nM2\n", files=files, tools=tools)
+    cause: RejectedError | None = None
+    for version in (text, (plain := _as_rs274_takes_it(text)), plain.rstrip() + "\nM2\n"):
+        try:
+            return canonical(version, files=files, tools=tools)
+        except RejectedError as rejected:
+            cause = rejected if cause is None or "no percent sign or program end" in str(cause) else cause
+    assert cause is not None
+    raise cause
+
+
+def _as_rs274_takes_it(text: str) -> str:
+    """Return a program, line by line, without what has no effect but is refused by rs274.
+
+    That is a byte order mark, a % without an opening one, the motion code of a block with G28 or G30, G50, and an
+    offset of zero across the plane of an arc. Coordinates after G80 become rapids.
+    """
+    lines = text.removeprefix("\xef\xbb\xbf").splitlines()
+    if "%" not in next((line for line in lines if line.strip()), ""):
+        lines = ["" if line.strip().startswith("%") else line for line in lines]
+    out: list[str] = []
+    ended = False
+    for line in lines:
+        words = _ASIDE_TEXT.sub("", line)
+        if _HOMES.search(words):
+            line = _MOTION_CODE.sub("", words)
+        if ended and _ONLY_PLACES.fullmatch(words):
+            line = f"{_NUMBERED.match(words)[0]}G0 {_NUMBERED.sub('', words)}"
+        if _ANY_MOTION.search(words):
+            ended = False
+        ended |= _G80.search(words) is not None
+        out.append(_NOTHING.sub("", line))
+    return "\n".join([*out, ""])
 
 
 def difference(program: Program, moves: list[Move], text: str, *, turning: bool = False) -> str:
@@ -159,6 +193,7 @@ def difference(program: Program, moves: list[Move], text: str, *, turning: bool 
     lines = text.splitlines()
     free = _MACHINE if _RETRACT.search(text) else _MACHINE_OR_CYCLE
     machine, somewhere = bool(_MACHINE.search(text)), bool(free.search(text))
+    levels_differ = free is _MACHINE_OR_CYCLE and _CYCLE.search(text) is not None
     ours, theirs = [*_ours(program, unit)], [*_theirs(moves, digits)]
     if _begins_at_start(program) and theirs:
         theirs[0] = theirs[0]._replace(rapids=[place for place in theirs[0].rapids if place.any()])
@@ -189,7 +224,7 @@ def difference(program: Program, moves: list[Move], text: str, *, turning: bool 
             return f"{where}: switched {mine.state} instead of {other.state}"
         before = ours[n - 1].line if n else 0
         between = lines[before : mine.line] if before < mine.line else lines
-        last = n == 0 or (somewhere and any(free.search(line) for line in between))
+        last = n == 0 or levels_differ or (somewhere and any(free.search(line) for line in between))
         a, b = (one[-1:] if last else one for one in (mine.rapids, other.rapids))
         if len(a) != len(b) or any(np.abs(p - q)[:count].max() > digits for p, q in zip(a, b, strict=True)):
             return f"{where}: rapids {[p.tolist() for p in a]} instead of {[p.tolist() for p in b]}"

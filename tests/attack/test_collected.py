@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.attack.collected import Outcome, difference, read, shop, tried
+from tests.attack.collected import Outcome, _as_rs274_takes_it, difference, read, shop, tried
 from tests.oracle.rs274 import canonical, needs_rs274
 
 pytestmark = needs_rs274
@@ -87,6 +87,20 @@ def test_moves_that_begin_at_start_here_and_at_zero_there_are_the_same(tmp_path)
     assert differing(tmp_path, text, text) == ""
     for line, wrong in (("X20 Y5", "X21 Y5"), ("Z-2", "Z-3"), ("X50", "X51"), ("X7", "X8")):
         assert "end" in differing(tmp_path, text, text.replace(line, wrong))
+
+
+def test_what_rs274_refuses_without_an_effect_is_left_out_for_it(tmp_path):
+    text = (
+        "\ufeffG21 G90 G50\nG0 X0 Y0 Z20\nG2 X5 I2.5 K0. F90\nN4 G0 G91 G28 Z0.\nG90 G0 Z9\nG98 G81 X5 Y5 Z-1 R2\nG80\n"
+        "N8 Z30.\nX6 (Z)\nG1 Z2\nX9\n%\n"
+    )
+    path = tmp_path / "part.ngc"
+    path.write_text(text, encoding="utf-8")
+    assert tried(path)[1] == Outcome("same")
+    changed = canonical(_as_rs274_takes_it(path.read_bytes().decode("latin-1").replace("X9", "X8")) + "M2\n")
+    program = read(path, shop(text))
+    assert not isinstance(program, Exception)
+    assert "end" in difference(program, changed, text)
 
 
 def test_numbers_of_six_digits_are_lines_too(tmp_path):

@@ -125,6 +125,20 @@ def test_cycles_that_cannot_be_are_told(text: str, problem: str) -> None:
     assert caught.value.line == 2
 
 
+@pytest.mark.parametrize(("first", "then"), [("G91", "G90"), ("G90", "G91")])
+@pytest.mark.parametrize("more", ["", "R2", "Z-3"])
+def test_a_cycle_does_not_take_its_heights_into_the_other_distance_mode(first: str, then: str, more: str) -> None:
+    """R-98 is 2 mm above the part in G91 from Z100, and 98 mm below its zero in G90."""
+    r = {"G91": "R-98", "G90": "R2"}
+    start = f"{HEAD}G0 Z100\n{first} G81 X5 Y0 Z-3 {r[first]} F100\n"
+    with pytest.raises(ProgramError, match=f"given in {first}, used in {then}") as caught:
+        read(f"{start}{then} X5 {more}\nG80\nM2")
+    assert str(caught.value.text).startswith(then)
+    depth = ends(read(f"{start}{then} X5 Z-3 {r[then]}\nG80\nM2"))[:, 2].min()
+    assert depth == pytest.approx(-3.0)
+    assert len(read(f"{start}{then}\n{first} X9\nG80\nM2").motions) > 7
+
+
 def test_a_tap_is_not_drawn_out_by_a_spindle_that_turns_on() -> None:
     lines = {"spindle_on": ["$OUT[1]=TRUE"], "spindle_off": ["$OUT[1]=FALSE"]}
     text = f"{HEAD}M3 S200\nG84 X1 Y1 Z-4 R2 F100\nG80\nM2\n"

@@ -1,9 +1,10 @@
 """Canned cycles G73, G81 to G86, G89: the moves of a hole, by the rules of LinuxCNC (`interp_cycles.cc`).
 
-R, Z, P and Q are modal until the cycle ends. In G91, R is relative to the initial level and Z to R. The initial level
-is the height before the first cycle of a series; G98 retracts to it, G99 to R. A tool below R first goes up to R. After
-each peck, G73 and G83 return to 0.254 mm (0.010 inch) above the last depth. G84 reverses the spindle at the bottom, G86
-stops it there.
+R, Z, P and Q are modal until the cycle ends. After a change between G90 and G91, R and Z must be given again: LinuxCNC
+keeps the numbers, and the hole is at another height. In G91, R is relative to the initial level and Z to R. The initial
+level is the height before the first cycle of a series; G98 retracts to it, G99 to R. A tool below R first goes up to R.
+After each peck, G73 and G83 return to 0.254 mm (0.010 inch) above the last depth. G84 reverses the spindle at the
+bottom, G86 stops it there.
 
 Without G98 or G99 holes return to the initial level, the higher of the two.
 """
@@ -19,6 +20,7 @@ from postproc.program import EventKind
 
 _CLEARANCE_MM = 0.254
 _MOST_PECKS = 10_000
+_MODES = ("G90", "G91")
 _NEEDS: Mapping[float, str] = {73.0: "Q", 82.0: "P", 83.0: "Q", 86.0: "P", 89.0: "P"}
 
 Point = tuple[float, float, float]
@@ -44,12 +46,14 @@ class Cycle:
     """The modal words of a cycle, and the initial level.
 
     :ivar words: letter → number: Z and R in mm as programmed, P in s, Q in mm.
+    :ivar relative: letter → whether it was given in G91.
     :ivar lifts: whether the tool first goes up to R.
     """
 
     def __init__(self) -> None:
         self.code = 0.0
         self.words: dict[str, float] = {}
+        self.relative: dict[str, bool] = {}
         self.level: float | None = None
         self.lifts = False
 
@@ -74,9 +78,14 @@ class Cycle:
             self.code = code
         self.words.update({letter: given[letter] for letter in "ZRPQ" if letter in given})
         relative, to_r = modes
+        self.relative.update(dict.fromkeys(given, relative))
         missing = [letter for letter in ("Z", "R", *_NEEDS.get(code, "")) if letter not in self.words]
         if missing:
             raise BlockError(f"G{code:g} without {' and '.join(missing)}", None)
+        other = [letter for letter in "RZ" if self.relative[letter] != relative]
+        if other:
+            problem = f"{' and '.join(other)} of the cycle: given in {_MODES[not relative]}, used in {_MODES[relative]}"
+            raise BlockError(problem, "Give R and Z again after G90 or G91: controls differ in what they keep.")
         repeats = given.get("L", 1.0)
         if repeats < 1.0 or repeats != round(repeats):
             raise BlockError(f"L{repeats:g} of a cycle is not a number of holes", None)
