@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import http.client
+import json
 import random
 import shutil
 import signal
@@ -228,6 +229,27 @@ def test_results_into_the_folder_that_is_watched_are_refused(tmp_path, monkeypat
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match=r"would be taken for programs that arrive. Give another folder with -o"):
         watching.watch(tmp_path, Path(), Settings(CELL), {})
+
+
+@pytest.mark.parametrize("text", [PART.format(x=5), "G999\n"], ids=["written", "failed"])
+def test_with_json_each_program_is_one_line(tmp_path, monkeypatch, text):
+    (tmp_path / "in").mkdir()
+    put(tmp_path, "a.nc", text)
+    monkeypatch.setattr(watching, "QUIET", 0.05)
+    endless = watching.watch
+
+    def until_the_first(*given, stop, **more):
+        for pair in endless(*given, stop=stop, **more):
+            yield pair
+            stop.set()
+
+    monkeypatch.setattr(watching, "watch", until_the_first)
+    done = CliRunner().invoke(main, ["watch", str(tmp_path / "in"), "--cell", str(CELL), "--json"])
+    (line,) = done.stdout.splitlines()
+    entry = json.loads(line)
+    assert entry["program"] == str(tmp_path / "in" / "a.nc")
+    assert (entry["exit_code"], len(entry["written"])) == ((0, 4) if "G1" in text else (1, 0))
+    assert f"watching {tmp_path / 'in'}" in done.stderr
 
 
 def test_a_name_that_is_not_utf8_stops_nothing(watcher, tmp_path):

@@ -58,10 +58,14 @@ def say(sentence: str) -> None:
     click.echo(sentence, err=True)
 
 
-def print_outcome(outcome: Outcome, job: Job) -> None:
+def print_outcome(outcome: Outcome, job: Job, *, as_json: bool = False) -> None:
     """Print one line for a program that has been converted, or why it has not."""
     _print_failures([outcome])
-    if outcome.summary is not None:
+    if as_json:
+        import json
+
+        click.echo(json.dumps(_as_entry(outcome), allow_nan=False))
+    elif outcome.summary is not None:
         after = outcome.summary.verdict.reasons
         click.echo(
             f"{Path(outcome.program).name}: {_word(outcome)} to {job.output}. {after[0] if after else ''}".rstrip()

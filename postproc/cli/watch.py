@@ -20,12 +20,13 @@ from postproc.cli.options import conversion_options, of_files
 )
 @click.option("--port", type=click.IntRange(0, 65535), default=8350, show_default=True, help="Port of --serve.")
 @click.pass_context
-def watch(ctx: click.Context, /, folder: Path, jobs: int, serve: bool, port: int, **more: Any) -> None:
+def watch(ctx: click.Context, /, folder: Path, jobs: int, serve: bool, port: int, as_json: bool, **more: Any) -> None:
     """Convert programs as they arrive in FOLDER, until Ctrl-C.
 
     A program is converted when it has not changed for a second. Programs that have been converted before are left as
     they are, also after a restart. Subfolders are not watched. Network drives may be watched. With --serve,
-    http://127.0.0.1:8350 shows the overview, which reloads itself; other machines cannot open it.
+    http://127.0.0.1:8350 shows the overview, which reloads itself; other machines cannot open it. With --json each
+    program is one line of JSON.
 
     \b
     Examples:
@@ -37,7 +38,6 @@ def watch(ctx: click.Context, /, folder: Path, jobs: int, serve: bool, port: int
     from postproc.jobs.watching import server
     from postproc.jobs.watching import watch as watched
 
-    more.pop("as_json")
     options = of_files(more)
     output = options.pop("output", None) or folder / "corrected"
     stop = Event()
@@ -46,11 +46,11 @@ def watch(ctx: click.Context, /, folder: Path, jobs: int, serve: bool, port: int
     if serve:
         there = server(output, port)
         Thread(target=there.serve_forever, daemon=True).start()
-        click.echo(f"overview: http://127.0.0.1:{there.server_address[1]}")
-    click.echo(f"watching {folder}; results: {output}. Ctrl-C ends it.")
+        click.echo(f"overview: http://127.0.0.1:{there.server_address[1]}", err=as_json)
+    click.echo(f"watching {folder}; results: {output}. Ctrl-C ends it.", err=as_json)
     try:
         for outcome, job in outcomes:
-            print_outcome(outcome, job)
+            print_outcome(outcome, job, as_json=as_json)
     except KeyboardInterrupt:
-        click.echo("ended.")
+        click.echo("ended.", err=as_json)
         ctx.exit(130)
