@@ -5,6 +5,9 @@ A function that works on a chunk does not know that it is one.
 
 from __future__ import annotations
 
+import ctypes
+import gc
+import os
 import tempfile
 import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -30,22 +33,46 @@ class Columns(Struct, frozen=True, eq=False):
     def take(self, rows: NDArray[Any] | slice) -> Self:
         """Return some of the rows."""
         columns = self._columns()
-        some = {name: each.take(rows) if isinstance(each, Columns) else each[rows] for name, each in columns.items()}
+        some = {
+            name: each.take(rows) if isinstance(each, Columns) else _rows(each, rows) for name, each in columns.items()
+        }
         return replace(self, **some)
 
     @classmethod
-    def joined(cls, parts: Sequence[Self]) -> Self:
-        """Return the rows of several parts, one after the other; other fields are those of the first part."""
+    def joined(cls, parts: Sequence[Self], order: NDArray[Any] | slice = slice(None)) -> Self:
+        """Return the rows of several parts, one after the other; other fields are those of the first part.
+
+        :param order: rows of all of them, in another order.
+        """
         columns = [part._columns() for part in parts]
         whole = {}
         for name, first in columns[0].items():
             each = [part[name] for part in columns]
-            whole[name] = first.joined(each) if isinstance(first, Columns) else np.concatenate(each)
+            whole[name] = first.joined(each, order) if isinstance(first, Columns) else _rows(_joined(each), order)
         return replace(parts[0], **whole)
 
     def _columns(self) -> dict[str, Any]:
         fields = {name: getattr(self, name) for name in self.__struct_fields__}
         return {name: value for name, value in fields.items() if isinstance(value, np.ndarray | Columns)}
+
+
+def _rows(array: NDArray[Any], rows: NDArray[Any] | slice) -> NDArray[Any]:
+    """Return some rows of an array; one of one value takes no memory then too."""
+    if any(array.strides) or not array.size:
+        return np.asarray(array[rows])
+    count = len(np.broadcast_to(np.False_, len(array))[rows])
+    return np.broadcast_to(array[0], (count, *array.shape[1:]))
+
+
+def _joined(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Return arrays one after the other; if all have the same one value, the result takes no memory either."""
+    filled = [part for part in parts if len(part)] or parts[:1]
+    first = filled[0]
+    if first.size and not any(
+        any(part.strides) or part.flat[0] != first.flat[0] or part.dtype != first.dtype for part in filled
+    ):
+        return np.broadcast_to(first[0], (sum(map(len, filled)), *first.shape[1:]))
+    return np.concatenate(parts)
 
 
 class Runs(Struct, frozen=True, eq=False):
@@ -202,6 +229,29 @@ Rows: TypeAlias = NDArray[np.float64] | InFile | Computed
 def many_rows(count: int, columns: int) -> NDArray[np.float64] | InFile:
     """Return an array of zeros to be filled; of more than `MANY` rows in a file."""
     return np.zeros((count, columns)) if count <= MANY else InFile(count, columns)
+
+
+def release(count: int) -> None:
+    """Give memory back to the operating system between the steps of a program of more than `MANY` rows.
+
+    Readers leave reference cycles, which hold columns. And glibc keeps what is freed for itself.
+    """
+    if count <= MANY:
+        return
+    gc.collect()
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
+    if trim is not None:
+        trim(0)
+
+
+def set_aside(array: Rows) -> Rows:
+    """Return an array (N, n); one of more than `MANY` rows in a file."""
+    if len(array) <= MANY:
+        return array
+    kept = InFile(len(array), array[:1].shape[1])
+    for part in chunks(len(array)):
+        kept[part] = array[part]
+    return kept
 
 
 def compact(column: NDArray[Any], kind: type[np.integer[Any]]) -> NDArray[Any]:

@@ -6,7 +6,6 @@ tolerance, targets are inserted and the next draft is made.
 
 from __future__ import annotations
 
-import gc
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -15,11 +14,11 @@ from msgspec.structs import replace
 
 from postproc import elastostatics, forces, kinematics, placement, toolpath
 from postproc.cell import Cell
-from postproc.chunks import Computed, Rows, in_chunks, many_rows, rows_of
+from postproc.chunks import Computed, Rows, in_chunks, many_rows, release, rows_of
 from postproc.correction import checks, collisions, inspection
 from postproc.correction.result import Doubt, Mode, Result, doubtful
 from postproc.correction.targets import Chosen, CommandedPath, Commands, choose_targets, pieces_needed
-from postproc.correction.verify import LARGE_TEXT, ReadBack, Simulated, UnusableTextError, read_back, simulate
+from postproc.correction.verify import ReadBack, Simulated, UnusableTextError, read_back, simulate
 from postproc.dialects import registry
 from postproc.dialects.dialect import Writer
 from postproc.elastostatics import Reversals
@@ -191,6 +190,7 @@ class Draft(Struct, frozen=True, eq=False):
         draft = replace(self, issues=(*self.issues, *text.issues, *_too_large(text, path.robot_in_cell.cell)))
         if draft.failed:
             return draft
+        release(len(path))
         try:
             back = read_back(path, chosen, text)
             simulated = simulate(path, chosen, self.theta, back, corrected=task.mode != "nominal")
@@ -228,6 +228,7 @@ def _too_large(text: Written, cell: Cell) -> tuple[Issue, ...]:
 def result_of(task: Task, draft: Draft) -> Result:
     """Return the result of a draft; a program that is not written is predicted without correction."""
     path, row, targets, program = draft.path, draft.chosen.row, draft.chosen.targets, draft.path.program
+    release(len(path))
     rows = np.arange(len(path)) if task.mode == "predict" else row
     deviation, deflection, by_tool = uncorrected(path, rows, draft.theta)
     between = float(norm(deviation).max(initial=0.0))
@@ -304,7 +305,7 @@ def _causes(path: PathUnderLoad) -> tuple[str, ...]:
     )
 
 
-def _numbers(task: Task, draft: Draft) -> Array:
+def _numbers(task: Task, draft: Draft) -> Rows:
     """Return X, Y, Z, A, B, C (K, 6) of the targets [mm, deg] as printed in the written (or unchanged) text."""
     if draft.simulated is not None:
         return draft.simulated.numbers
@@ -410,8 +411,7 @@ def read(documents: Sequence[Document], robot: RobotModel, cell: Cell, name: str
     program = registry.by_name(dialect).read(documents, cell, robot_in_cell.forward, name)
     if len(program.motions) == 0:
         raise ProgramError("no motion in this program", file=documents[0].name, advice="Nothing can be corrected.")
-    if sum(len(document.text) for document in documents) > LARGE_TEXT:
-        gc.collect()  # readers leave reference cycles, which hold columns of the text
+    release(len(program.motions))
     try:
         return read_only(led_by_wrist(program, robot_in_cell))
     except ImpossiblePathError as cause:
@@ -559,6 +559,7 @@ def _drafted(task: Task, path: PathUnderLoad) -> Draft:
 def _chosen(task: Task, path: PathUnderLoad) -> Draft:
     """Draft the program with targets at some of the samples."""
     command = _commands(task, path)
+    release(len(path))
     chosen = choose_targets(path, command, task.writer.least_arc, linearize_arcs=task.linearize_arcs)
     return Draft.of(task, path, command, chosen)
 

@@ -121,7 +121,7 @@ class Result(Struct, frozen=True, eq=False):
     t: Array = np.zeros(0)
     output_line: Ints = np.zeros(0, dtype=np.int64)
     nominal: Poses = Poses(np.zeros((0, 3)), np.zeros((0, 3, 3)))
-    printed: Array = np.zeros((0, 6))
+    printed: Rows = np.zeros((0, 6))
     wrench: Runs = Runs.of(np.zeros((0, 6)))
     deflection: Array = np.zeros((0, 3))
     deflection_by_tool: Array | None = None

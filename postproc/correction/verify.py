@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 from collections.abc import Iterator
 
 import numpy as np
@@ -11,7 +10,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from postproc import kinematics, toolpath
-from postproc.chunks import Rows, compact, in_chunks, rows_of
+from postproc.chunks import Rows, compact, in_chunks, release, rows_of, set_aside
 from postproc.correction import checks, inspection
 from postproc.correction.targets import Chosen, corners_of_motions
 from postproc.dialects import registry
@@ -25,9 +24,6 @@ from postproc.under_load import ImpossiblePathError, MotionsUnderLoad, PathUnder
 _PRINTED = 1e-6
 """What printing may move a commanded pose by [m, rad], or change a speed by [m/s]; the text has at least 1e-4 mm,
 1e-5° and 1e-3 mm/s."""
-
-LARGE_TEXT = 200_000
-"""Characters of a program after whose reading memory is released at once."""
 
 
 class UnusableTextError(PostprocError):
@@ -52,7 +48,7 @@ class ReadBack(Struct, frozen=True, eq=False):
     program: Program
     segments: Segments
     row: Ints
-    numbers: Array
+    numbers: Rows
 
 
 def read_back(path: PathUnderLoad, chosen: Chosen, text: Written) -> ReadBack:
@@ -77,10 +73,9 @@ def read_back(path: PathUnderLoad, chosen: Chosen, text: Written) -> ReadBack:
     mismatch = _mismatch(path.program, targets, written, row)
     if mismatch is not None:
         raise UnusableTextError(mismatch)
-    numbers = rows_of(written.numbers_as_written(), row)
+    numbers = set_aside(rows_of(written.numbers_as_written(), row))
     written = replace(written, documents=(), layout=None)
-    if text.size > LARGE_TEXT:
-        gc.collect()
+    release(len(targets))
     return ReadBack(text, written, toolpath.segments(written, robot_in_cell.start_flange), row, numbers)
 
 
@@ -176,7 +171,7 @@ class Simulated(Struct, frozen=True, eq=False):
     """
 
     text: Written
-    numbers: Array
+    numbers: Rows
     deviation: Array
     between: float
     rounding: Array

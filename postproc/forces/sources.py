@@ -87,7 +87,7 @@ class Knots(Columns, frozen=True, eq=False):
         """Return one wrench (n, 6) for the whole of each motion (n,), ramped at its start."""
         return replace(
             cls.along(motion, np.ones(len(motion)), wrench, frame, sigma, factor),
-            ramped=np.ones(len(motion), dtype=np.bool_),
+            ramped=np.broadcast_to(np.True_, len(motion)),
         )
 
     @classmethod
@@ -101,7 +101,7 @@ class Knots(Columns, frozen=True, eq=False):
         factor: Array | None = None,
     ) -> Knots:
         """Return wrenches (n, 6) at places of motions, without a ramp."""
-        sigma = np.zeros_like(wrench) if sigma is None else sigma
+        sigma = np.broadcast_to(0.0, np.shape(wrench)) if sigma is None else sigma
         factor = constant(0.0, len(motion)) if factor is None else factor
         return cls(motion, t, wrench, frame, sigma, factor, np.zeros(len(motion), dtype=np.bool_))
 
@@ -112,7 +112,7 @@ class Knots(Columns, frozen=True, eq=False):
         """Return these knots, plus those of `other` for motions without a knot here; without what else sources give."""
         kept = other.take(~np.isin(other.motion, self.motion))
         order = np.argsort(np.append(self.motion, kept.motion), kind="stable")  # those of one motion are in order
-        return replace(Knots.joined([self, kept]).take(order), issues=(), by_law=None, stock=None)
+        return replace(Knots.joined([self, kept], order), issues=(), by_law=None, stock=None)
 
     def checked(self, program: Program, name: str) -> Knots:
         """Return these knots if they can be used for a program.
