@@ -37,11 +37,12 @@ REFUSED_HERE = re.compile(
     r"is not supported|is not known|not in the cell|has no value|O word|neither in this file|without its end|without O"
     r"|outside of O|has not set|levels deep|M98|M99|word without a code that uses it|G4 in one block with an arc"
     r"|before the position is known|out of range|too many digits|moves nothing|G80 G80|force comment"
+    r"|after G28, G30 or G53|of the cycle: given in G9"
 )
 """What rs274 may accept and the reader refuses, see `postproc.dialects.gcode`."""
 ACCEPTED_HERE = re.compile(
     r"(?i)too many m codes|[IJK] word given for arc|mixed radius|no percent sign or program end|tool"
-    r"|axis values without a g code"
+    r"|axis values without a g code|nested comment|dwell time missing|two g codes that both use axis values"
 )
 """What rs274 may refuse and the reader accepts."""
 ONLY_OTHER_AXIS = re.compile(r"(?im)^/?(n\d+)? *[ab] *0\.? *([(;].*)?$")

@@ -714,6 +714,9 @@ def test_programs_for_other_controls_are_named(name: str, text: str) -> None:
         "G0 X=5",
         "#1=#2",
         "G5 X1 E",
+        "#ROTATE 90",
+        "G6 TRANSFER",
+        "G6 SOFTEN",
     ],
 )
 def test_a_word_in_a_comment_or_a_single_mistake_makes_no_other_control(block: str) -> None:

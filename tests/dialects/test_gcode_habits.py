@@ -290,6 +290,7 @@ def test_the_time_of_a_dwell_is_in_the_word_that_the_control_reads(block, second
         ("T1.1", "T1.1 is not a whole number"),
         ("M8.1", "M8.1 is not a whole number"),
         ("M29 S500", "M29 is not supported"),
+        ("M13 S500", "M13 is not supported"),
         ("M3 P50 X5", "I, J, K, R or P without an arc"),
     ],
 )

@@ -107,6 +107,9 @@ _ADVICE_G = {
     96.0: "Constant surface speed needs a lathe: write G97 with S in rpm.",
 }
 _ADVICE_M = {
+    **dict.fromkeys(
+        (13.0, 14.0), "It switches spindle and coolant on (DIN 66025), but not on all machines: write M3 or M4, and M8."
+    ),
     29.0: (
         "It begins rigid tapping, which needs a spindle in step with the feed. Take a tap holder with length "
         "compensation, write M3 before G84, and remove M29; or let the CAM system mill the thread."
