@@ -267,6 +267,12 @@ def test_a_jump_in_kept_motions_names_the_condition_that_is_not_known(lines, why
     assert why in str(caught.value)
 
 
+def test_a_program_whose_motions_all_stay_in_this_run_but_not_in_the_next_is_refused():
+    lines = ["DECL REAL R", "R=1", "WHILE K<1", "R=$IN[1]", "K=K+1", "ENDWHILE", "LIN {X R,Y 0,Z 300,A 10,B 20,C 170}"]
+    with pytest.raises(ProgramError, match=r"R is set to a value that is not known \(line 7"):
+        read(body(*lines), DATA, KEEPING)
+
+
 ENDLESS = {
     "ends where it began": ([FULL, "LOOP", AWAY, FULL, "ENDLOOP"], 3),
     "begins at joint angles": ([FULL, "LOOP", AXES, FULL, AWAY, "ENDLOOP", FULL], 4),

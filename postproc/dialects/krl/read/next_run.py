@@ -89,7 +89,7 @@ def _elsewhere(one: Course, other: Course) -> int | None:
 def _first_difference(one: Settings, first: OrderedMotions, other: Settings, second: OrderedMotions) -> int | None:
     """Return the first line whose motion is not the same in both runs."""
     if len(first.rows) != len(second.rows):
-        return int(first.rows.line[0])
+        return int((first.rows if len(first.rows) else second.rows).line[0])
     same = np.ones(len(first.rows), dtype=np.bool_)
     for a, b in (
         (first.rows.numbers, second.rows.numbers),
