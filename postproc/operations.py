@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from itertools import groupby
+from itertools import groupby, islice
 from typing import Literal
 
 import numpy as np
@@ -39,6 +39,8 @@ _MILLED = re.compile(r"end ?mill(?:ing)? +\D+$", re.IGNORECASE)
 _ALONE = re.compile(r"\s*/?\s*(?:N\s*\d+)?\s*[(;]", re.IGNORECASE)
 _MOST = 60
 """More operations than this are remarks on single moves."""
+_PIECE = 2**20
+"""Characters of a text that are divided into lines at once."""
 
 
 Names = Literal["all", "retracts", "none"]
@@ -107,7 +109,7 @@ def passed_over(program: Program) -> tuple[Event, ...]:
     """
     rows = len(program.motions)
     comments = [event for event in program.events if event.kind == "comment" and 0 < event.before < rows]
-    lines = program.documents[0].text.splitlines() if program.documents else []
+    lines = _lines(program, comments)
     out: list[Event] = []
     if any(_BEGIN.match(event.text) for event in comments):
         return ()
@@ -135,7 +137,7 @@ def _starts(program: Program, names: Names) -> Iterator[tuple[int, str, int, int
     marks = [event for event in program.events if event.kind in ("comment", "tool_change") and event.before < len(m)]
     explicit = any(event.kind == "comment" and _BEGIN.match(event.text) for event in marks)
     changes = any(event.kind == "tool_change" for event in marks)
-    lines = program.documents[0].text.splitlines() if program.documents else []
+    lines = _lines(program, marks)
     found: dict[int, tuple[str, int]] = {0: ("", 1)}
     frames = np.flatnonzero((np.diff(m.base) != 0) | (np.diff(m.tool) != 0)) + 1
     found.update({row: ("", int(m.line[row])) for row in frames.tolist()})
@@ -162,30 +164,46 @@ def _starts(program: Program, names: Names) -> Iterator[tuple[int, str, int, int
         yield row, name, own if changes else int(m.tool[row]) + 1 if program.keeps_text else 0, line
 
 
-def _on_own_lines(here: list[Event], lines: list[str]) -> list[Event]:
+def _lines(program: Program, events: list[Event]) -> dict[int, str]:
+    """Return the lines of some events, and those before them: number → text."""
+    wanted = {line for event in events for line in (event.line - 1, event.line)}
+    numbered = enumerate(_split(program.documents[0].text) if program.documents else (), start=1)
+    return {number: line for number, line in islice(numbered, max(wanted, default=0)) if number in wanted}
+
+
+def _split(text: str) -> Iterator[str]:
+    """Yield the lines of a text; of a long one there are never all at once."""
+    start = 0
+    while start < len(text):
+        stop = text.find("\n", start + _PIECE) + 1 or len(text)
+        yield from text[start:stop].splitlines()
+        start = stop
+
+
+def _on_own_lines(here: list[Event], lines: dict[int, str]) -> list[Event]:
     """Return the tool changes, and the comments that are alone on their line."""
     return [
         event
         for event in here
         if event.kind == "tool_change"
-        or not 0 < event.line <= len(lines)
-        or event.text not in lines[event.line - 1]
-        or _ALONE.match(lines[event.line - 1])
+        or event.line not in lines
+        or event.text not in lines[event.line]
+        or _ALONE.match(lines[event.line])
     ]
 
 
-def _at_retract(program: Program, row: int, here: list[Event], change: int | None, lines: list[str]) -> bool:
+def _at_retract(program: Program, row: int, here: list[Event], change: int | None, lines: dict[int, str]) -> bool:
     """Return whether comments before motion `row` may name an operation: not if they are between two cutting motions.
 
     They may after a blank line, at a tool change and at the begin of the program even there.
 
     :param here: the events before the motion; change: index of the tool change among them, or None.
-    :param lines: of the program.
+    :param lines: of the events, and those before them: number → text.
     """
     rapid = program.motions.rapid
     if row == 0 or change is not None or rapid[row] or rapid[row - 1]:
         return True
-    return any(2 <= event.line <= len(lines) and not lines[event.line - 2].strip() for event in here)
+    return any(event.line in lines and not lines.get(event.line - 1, "none").strip() for event in here)
 
 
 def _named(here: list[Event], change: int | None, *, first: bool, explicit: bool) -> Event | None:

@@ -7,7 +7,7 @@ physics. The text stays in `Document`s to the byte; `Motions` says what the line
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, Literal, Protocol, TypeVar
 
 import numpy as np
@@ -28,6 +28,10 @@ LIN, CIRC, PTP, SPL = 0, 1, 2, 3
 a spline, of whose path only the end is known."""
 
 
+_PIECE = 2**20
+"""Characters of a piece of a document."""
+
+
 class Document(Struct, frozen=True, eq=False):
     """One file of a program, lossless: ``text`` encoded with ``encoding`` (BOM first if it had one) is the file.
 
@@ -46,7 +50,13 @@ class Document(Struct, frozen=True, eq=False):
 
     def to_bytes(self) -> bytes:
         """Return the content of the file."""
-        return self.bom + self.text.encode(self.encoding)
+        return b"".join(self.pieces())
+
+    def pieces(self) -> Iterator[bytes]:
+        """Yield the content of the file in pieces, so that a long text is not held twice."""
+        yield self.bom
+        for start in range(0, len(self.text), _PIECE):
+            yield self.text[start : start + _PIECE].encode(self.encoding)
 
 
 def _make_compact(record: Struct, **kinds: type[np.integer[Any]]) -> None:

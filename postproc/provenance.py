@@ -78,6 +78,11 @@ def digest(contents: Iterable[bytes]) -> str:
     return total.hexdigest()
 
 
+def digest_of(documents: Iterable[Document]) -> str:
+    """Return the SHA-256 of the files of a program, one behind the other, in hexadecimal digits."""
+    return digest(piece for document in documents for piece in document.pieces())
+
+
 def of(documents: Sequence[Document], comment: str) -> Provenance:
     """Return what the files of a program, the main one first, say of where they come from.
 
@@ -120,7 +125,7 @@ def marked(
     said = {
         "version": origin.version,
         "mode": origin.mode,
-        "text": digest([_without(main, start, stop), *(document.to_bytes() for document in others)]),
+        "text": digest_of([_without(main, start, stop), *others]),
         "source": origin.source,
         "cell": origin.cell,
         "model": origin.model,
@@ -153,13 +158,13 @@ def _patterns(comment: str) -> tuple[re.Pattern[str], re.Pattern[str]]:
 
 
 def _text(documents: Sequence[Document], line: re.Match[str]) -> str:
-    return digest([_without(documents[0], *line.span()), *(document.to_bytes() for document in documents[1:])])
+    return digest_of([_without(documents[0], *line.span()), *documents[1:]])
 
 
-def _without(document: Document, start: int, stop: int) -> bytes:
+def _without(document: Document, start: int, stop: int) -> Document:
     if start == stop:
-        return document.to_bytes()
-    return replace(document, text=document.text[:start] + document.text[stop:]).to_bytes()
+        return document
+    return replace(document, text=document.text[:start] + document.text[stop:])
 
 
 def _line_at(text: str, offset: int) -> int:

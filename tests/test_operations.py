@@ -51,6 +51,12 @@ def test_names_and_tools(tmp_path, lines, expected):
     assert found(tmp_path, lines)[1] == expected
 
 
+@pytest.mark.parametrize("size", [1, 20])
+def test_names_do_not_depend_on_how_a_long_text_is_divided(tmp_path, monkeypatch, size):
+    monkeypatch.setattr("postproc.operations._PIECE", size)
+    assert found(tmp_path, FUSION)[1] == [("2D Adaptive1", 1), ("2D Contour2", 1), ("Drill3", 2)]
+
+
 def test_many_comments_within_cuts_name_nothing(tmp_path):
     remarks = "|".join(f"(piece {k}a)|X{k}" for k in range(100))
     _, names = found(tmp_path, f"(Face)|T1 M6|G0 X0 Y0 Z5|G1 Z-1 F900|{remarks}|G0 Z5|(Bore)|{CUT}")

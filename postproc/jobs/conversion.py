@@ -46,8 +46,7 @@ def marked(
 
     :param own_names: names of copies of subprograms → names as they were read.
     """
-    source = [document.to_bytes() for document in result.program.documents]
-    if not result.documents or [document.to_bytes() for document in result.documents] == source:
+    if not result.documents or _contents(result.documents) == _contents(result.program.documents):
         return result
     mode: Literal["corrected", "nominal"] = "nominal" if settings.mode == "nominal" else "corrected"
     origin = origin_of(result.program.documents, settings.cell, cell, job.forces, mode)
@@ -55,6 +54,11 @@ def marked(
     documents, moved = job.writer.marked(_subprograms_marked(result, job, origin, own_names or {}), origin)
     line = result.output_line
     return replace(result, documents=documents, output_line=line + (line >= moved) if moved else line)
+
+
+def _contents(documents: Sequence[Document]) -> list[tuple[bytes, str, str]]:
+    """Return the contents of files, to be compared without copies."""
+    return [(document.bom, document.encoding, document.text) for document in documents]
 
 
 def subprograms(result: Result, job: Job, own_names: Mapping[str, str]) -> list[str]:
@@ -81,7 +85,7 @@ def _subprograms_marked(
         files = [other for other in after if Path(other).stem.lower() == Path(name).stem.lower()]
         files.sort(key=lambda other: other != name)
         if Path(name).suffix.lower() == job.writer.extension and any(after[n].text != read(n).text for n in files):
-            source = provenance.digest(read(other).to_bytes() for other in files)
+            source = provenance.digest_of(read(other) for other in files)
             own, _ = job.writer.marked(
                 [after[other] for other in files], replace(origin, source=source, forces="-", options={})
             )
@@ -101,7 +105,7 @@ def origin_of(
     return provenance.Origin(
         version=VERSION,
         mode=mode,
-        source=provenance.digest(document.to_bytes() for document in source),
+        source=provenance.digest_of(source),
         cell=provenance.digest([path.read_bytes()]),
         model=provenance.digest((folder / name).read_bytes() for name in ("robot.urdf", "model.toml")),
         forces="-" if forces is None else provenance.digest([forces.read_bytes()]),
@@ -132,7 +136,9 @@ def convert(
         result, process = _result(job, settings, cell, robot, program, progress)
         if result.failed:
             return Outcome(str(job.program), FAILED, issues=result.issues)
-        made = _made(task, settings, cell, robot, result, process)
+        result, called, copies = _with_subprograms(task, settings, cell, robot, result)
+        made = _made(job, settings, cell, result, called, copies, process)
+        del result, program  # so that each file goes with the last content that is made from it
         computed = True
         staged = files.stage(job.output, made.contents)
     except Exception as cause:
@@ -314,19 +320,25 @@ class _Made(Struct, frozen=True, eq=False):
 
 
 def _made(
-    task: Task, settings: Settings, cell: Cell, robot: RobotModel, result: Result, process: ProcessForces | None
+    job: Job,
+    settings: Settings,
+    cell: Cell,
+    result: Result,
+    called: Sequence[str],
+    copies: Mapping[str, bytes],
+    process: ProcessForces | None,
 ) -> _Made:
     """Return the output.
 
-    :raises InputError: files of subprograms would replace those of another program.
+    :param called: names of the files of subprograms.
+    :param copies: files that are written as they were read: name → content.
     """
-    job, mode, needed = task.job, settings.mode, result.program.needed
+    mode, needed = settings.mode, result.program.needed
     stated = mode == "convert" or settings.tolerance_mm is not None
     tolerance = cell.output.tolerance_mm * M_PER_MM if stated else None
-    result, called, copies = _with_subprograms(task, settings, cell, robot, result)
     name = job.report(mode)
     stem = name.removesuffix("report.json")
-    contents: dict[str, bytes | Iterable[bytes]] = {doc.name: doc.to_bytes() for doc in result.documents}
+    contents: dict[str, bytes | Iterable[bytes]] = {doc.name: doc.pieces() for doc in result.documents}
     contents |= copies
     carried = report.forces_csv(result)
     if carried is not None:

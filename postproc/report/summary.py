@@ -239,7 +239,7 @@ def summary(
         tolerance_mm=None if tolerance is None else tolerance * MM_PER_M,
         tolerance_held=_held(result, after, tolerance),
         blending=_blending(result),
-        size_bytes=sum(len(document.to_bytes()) for document in result.documents) or None,
+        size_bytes=sum(len(piece) for document in result.documents for piece in document.pieces()) or None,
         provenance=_origin(result),
         max_correction_mm=_finite(result.largest_correction * MM_PER_M),
         tool_deflection=_bound(by_tool),

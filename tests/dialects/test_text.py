@@ -33,6 +33,15 @@ def test_lines_are_those_of_the_regular_expression_that_defines_them(content: st
     assert lines(content) == expected
 
 
+@pytest.mark.parametrize("size", [1, 3, 100])
+def test_a_document_is_written_in_pieces_of_its_text(monkeypatch: pytest.MonkeyPatch, size: int) -> None:
+    monkeypatch.setattr("postproc.program._PIECE", size)
+    content = b"\xef\xbb\xbf" + "N1 (Fräsen €)\r\nN2\r\n".encode()
+    document = text.decode("part.nc", content)
+    assert all(len(piece.decode()) <= size for piece in document.pieces())
+    assert b"".join(document.pieces()) == document.to_bytes() == content
+
+
 @given(st.binary(min_size=1))
 def test_a_decoded_file_encodes_back_to_its_bytes_or_is_refused(data: bytes) -> None:
     try:

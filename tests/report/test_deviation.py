@@ -123,6 +123,14 @@ def test_thinning_never_hides_the_worst_and_bounds_the_size(worst):
     assert len(read.columns("drawn")["x"]) <= 2 * places.MOST
 
 
+def test_a_page_does_not_depend_on_where_the_chunks_end(monkeypatch):
+    result = fabricated.result(50)
+    monkeypatch.setattr(places, "MOST", 20)
+    whole = b"".join(page(result, 1e-5))
+    monkeypatch.setattr("postproc.chunks._ROWS", 7)
+    assert b"".join(page(result, 1e-5)) == whole
+
+
 def test_the_worst_lines_are_listed_once_each_the_worst_first():
     result = fabricated.result(300)
     rows = [row for row in _read(result).rows if row["in"] == "worst"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ import numpy as np
 from msgspec import Struct
 
 from postproc import kinematics
+from postproc.chunks import in_chunks
 from postproc.collision import Body
 from postproc.correction import Result
 from postproc.errors import Issue
@@ -299,14 +301,12 @@ class ShownTargets(Struct, frozen=True, eq=False):
 
     :param row: (P,) row of the result that each place is.
     :param travelled: (K,) length of the path up to each target of the result [m].
-    :param seconds: (K,) time up to there, without accelerations [s].
     :param columns: the values at each place; millimetres, degrees, newtons.
     :param drawn: points of the nominal path for the view in space: X, Y, Z [mm] and the place that each leads to.
     """
 
     row: Ints
     travelled: Array
-    seconds: Array
     columns: Columns
     drawn: Columns
 
@@ -315,9 +315,9 @@ class ShownTargets(Struct, frozen=True, eq=False):
         return min(int(np.searchsorted(self.row, row)), len(self.row) - 1)
 
 
-def correction(result: Result) -> Array:
-    """Return commanded minus nominal positions (K, 3) [m], `$BASE`, as printed."""
-    return np.asarray(result.printed[:, :3] / MM_PER_M - result.nominal[:, :3, 3])
+def correction(result: Result, row: Ints) -> Array:
+    """Return commanded minus nominal positions (n, 3) of targets (n,) [m], `$BASE`, as printed."""
+    return np.asarray(result.printed[row, :3] / MM_PER_M - result.nominal[row, :3, 3])
 
 
 def kept(result: Result, named: Ints) -> Ints:
@@ -330,19 +330,25 @@ def kept(result: Result, named: Ints) -> Ints:
     count = len(result)
     if count <= MOST:
         return np.arange(count)
-    measures = [result.before, result.after, norm(correction(result)), result.force]
-    if result.bound is not None:
-        measures.append(result.bound)
-    runs = MOST // (len(measures) + 1)
+    runs = MOST // (5 if result.bound is None else 6)
     begin = distinct(np.linspace(0, count, runs, endpoint=False).astype(np.int64))
-    run = np.repeat(np.arange(len(begin)), np.diff(begin, append=count))
+    length = np.diff(begin, append=count)
     rows = [begin, np.array([count - 1]), named]
-    for measure in measures:
+    for measure in _measures(result):
         value = np.nan_to_num(measure, nan=np.inf)
-        largest = np.maximum.reduceat(value, begin)
-        at = np.flatnonzero(value == largest[run])
-        rows.append(at[np.concatenate([[True], np.diff(run[at]) != 0])])
+        at = np.flatnonzero(value == np.repeat(np.maximum.reduceat(value, begin), length))
+        rows.append(at[np.diff(np.searchsorted(begin, at, side="right"), prepend=0) != 0])
     return distinct(np.concatenate(rows))
+
+
+def _measures(result: Result) -> Iterator[Array]:
+    """Yield values (K,) of which the page shows the largest."""
+    yield result.before
+    yield result.after
+    yield in_chunks(lambda row: (norm(correction(result, row)),), np.arange(len(result)))[0]
+    yield result.force
+    if result.bound is not None:
+        yield result.bound
 
 
 def places(result: Result, named: Ints) -> ShownTargets:
@@ -352,13 +358,12 @@ def places(result: Result, named: Ints) -> ShownTargets:
     """
     m, motion = result.program.motions, result.motion
     position, leads_to = drawn_path(result)
-    step = np.zeros(len(leads_to))
-    step[1:] = norm(np.diff(position, axis=0))
-    last = np.flatnonzero(np.diff(leads_to, append=len(result)))
-    travelled = np.cumsum(step)[last]
+    points = np.arange(len(leads_to))
+    step = in_chunks(lambda point: (norm(position[point] - position[np.maximum(point - 1, 0)]),), points)[0]
+    travelled = np.cumsum(step)[np.flatnonzero(np.diff(leads_to, append=len(result)))]
     seconds = np.cumsum(_durations(result, np.diff(travelled, prepend=0.0)))
     row = kept(result, named)
-    moved, at = correction(result)[row] * MM_PER_M, xyzabc_from_pose(result.nominal[row])
+    moved, at = correction(result, row) * MM_PER_M, xyzabc_from_pose(result.nominal[row])
     axes = _feed_axes(result, row)
     columns: dict[str, Array | Ints | Bools] = {
         "source_line": result.source_line[row],
@@ -386,7 +391,7 @@ def places(result: Result, named: Ints) -> ShownTargets:
             columns[f"{name}{axis}"] = vector[:, index] * MM_PER_M
         for index, axis in enumerate(("along", "across", "normal")):
             columns[f"{name}_{axis}"] = along[:, index] * MM_PER_M
-    return ShownTargets(row, travelled, seconds, Columns.of(columns), _drawn(result, position, leads_to, row))
+    return ShownTargets(row, travelled, Columns.of(columns), _drawn(result, position, leads_to, row))
 
 
 _NAMES = {
@@ -411,12 +416,15 @@ def _drawn(result: Result, position: Array, leads_to: Ints, row: Ints) -> Column
 
 def _durations(result: Result, length: Array) -> Array:
     """Return seconds (K,) that each target takes: at the feed, or with the slowest joint at its full speed."""
-    feed = result.program.motions.feed[result.motion]
-    turned = np.zeros((len(result), 6))
-    turned[1:] = np.abs(np.diff(result.q, axis=0))
-    joints = largest(turned / result.robot.speed)
-    fed = (result.program.motions.kind[result.motion] != PTP) & (feed > 0.0)
-    return np.where(fed, length / np.where(fed, feed, 1.0), joints)
+
+    def in_chunk(row: Ints, length: Array) -> tuple[Array]:
+        motion = result.motion[row]
+        feed, kind = result.program.motions.feed[motion], result.program.motions.kind[motion]
+        joints = largest((result.q[row] - result.q[np.maximum(row - 1, 0)]) / result.robot.speed)
+        fed = (kind != PTP) & (feed > 0.0)
+        return (np.where(fed, length / np.where(fed, feed, 1.0), joints),)
+
+    return in_chunks(in_chunk, np.arange(len(result)), length)[0]
 
 
 def _feed_axes(result: Result, row: Ints) -> Array:

@@ -401,7 +401,7 @@ def worst(data: Deviation) -> Section | None:
         return None
     measures = [result.before] + ([result.after] if data.compared else [])
     rows = data.worst_rows
-    force, moved = result.force[rows], norm(correction(result)[rows]) * MM_PER_M
+    force, moved = result.force[rows], norm(correction(result, rows)) * MM_PER_M
     head = ["Source line", "Output line", "On the move", "Before, mm" if data.compared else "Predicted, mm"]
     head += ["After, mm"] if data.compared else []
     head += [] if result.bound is None else ["On the part (95 %), mm"]
