@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from postproc import files
-from postproc.errors import CellError
+from postproc.errors import CellError, argument
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, pose_from_xyzabc
 
 Positive = Annotated[float, msgspec.Meta(gt=0, le=1e6)]
@@ -343,7 +343,7 @@ def load(path: str | Path) -> Cell:
         names the key and its valid values.
     """
     path = Path(path)
-    absent = f"Write one with: postproc init {path}"
+    absent = f"Write one with: postproc init {argument(path)}"
     cell = files.read_toml(path, CellFile, CellError, _EXAMPLE, absent)
     if cell.start is not None and _looks_like_radians(cell.start.joints):
         advice = "Angles are in degrees: write 110 for 1.92 rad. If degrees are meant, round them."

@@ -18,6 +18,16 @@ MOST = 20
 """Largest number of errors shown for one input; a reader may stop after as many."""
 
 
+def argument(path: object) -> str:
+    """Return a path as an argument to type: in double quotes if there is a blank in it.
+
+    >>> argument("cell.toml"), argument("my cell.toml")
+    ('cell.toml', '"my cell.toml"')
+    """
+    text = str(path)
+    return f'"{text}"' if " " in text else text
+
+
 def did_you_mean(name: str, valid: Iterable[str]) -> str:
     """Return a question with the valid name that is nearest to an unknown one; empty if none is near.
 

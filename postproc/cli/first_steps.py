@@ -178,6 +178,7 @@ def init(cell: Path, robodk: str | None, **given: Any) -> None:
       postproc init --robot kuka_kr210_r2700_2 --config-dat '$config.dat' --base 3 --tool 2
       postproc init --robodk milling.rdk
     """  # noqa: D301 - click: keep these lines as they are
+    from postproc.errors import argument
     from postproc.jobs import load_robot
     from postproc.jobs.first_steps import CellRequest, write_cell
 
@@ -188,7 +189,7 @@ def init(cell: Path, robodk: str | None, **given: Any) -> None:
         remarks = (*remarks, *_of_station(station, asked["robot"]))
     language = load_robot(asked["robot"]).language
     to = f" --to {language}" if language not in ("", "krl") else ""
-    click.echo(f"written: {cell}. Look it over, then: postproc convert PROGRAM --cell {cell}{to}")
+    click.echo(f"written: {cell}. Look it over, then: postproc convert PROGRAM --cell {argument(cell)}{to}")
     for remark in remarks:
         click.echo(f"warning: {remark}", err=True)
 
@@ -277,8 +278,10 @@ def samples(folder: Path, overwrite: bool) -> None:
     Example:
       postproc samples my_samples
     """  # noqa: D301 - click: keep these lines as they are
+    from postproc.errors import argument
     from postproc.jobs.first_steps import copy_samples
 
     written = copy_samples(folder, overwrite=overwrite)
     click.echo(f"written: {len(written)} files in {folder}. To try them:")
-    click.echo(f"  postproc convert {folder / 'pocket.nc'} --cell {folder / 'cell_kr270.toml'} -o out")
+    program, cell = argument(folder / "pocket.nc"), argument(folder / "cell_kr270.toml")
+    click.echo(f"  postproc convert {program} --cell {cell} -o out")

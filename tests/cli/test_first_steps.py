@@ -404,3 +404,14 @@ def test_python_m_postproc_is_the_command():
         [sys.executable, "-m", "postproc", "robots", "--json"], capture_output=True, text=True, check=True
     )
     assert "kuka_kr270" in done.stdout
+
+
+def test_commands_to_type_have_names_with_blanks_in_quotes(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    missing = CliRunner().invoke(main, ["convert", "part.nc", "--cell", "my cell.toml"])
+    given = ["--robot", "kuka_kr270", "--base", "1500,-200,700", "--tool", "0,0,350"]
+    written = CliRunner().invoke(main, ["init", "my cell.toml", *given])
+    samples = CliRunner().invoke(main, ["samples", "my samples"])
+    assert 'Write one with: postproc init "my cell.toml"' in missing.output
+    assert 'postproc convert PROGRAM --cell "my cell.toml"' in written.output
+    assert f'postproc convert "{Path("my samples", "pocket.nc")}" --cell "' in samples.output
