@@ -370,6 +370,16 @@ def test_shared_points_that_other_programs_change_are_named(tmp_path, lines, cal
     assert all(f"{name} (calc.src)" in issues[0].message for each in names for name in each.split(", "))
 
 
+def test_a_point_that_two_data_lists_declare_global_is_not_known_and_both_are_named(tmp_path):
+    files = {
+        f"{name}.dat": f"DEFDAT {name}\nDECL GLOBAL E6POS XS={{X {x},Y 2,Z 3}}\nENDDAT\n" for x, name in enumerate("ba")
+    }
+    files["a.src"] = "DEF a()\n$OUT[1]=TRUE\nEND\n"
+    for lines in (("LIN XS",), ("a()", "LIN XS")):
+        with pytest.raises(ProgramError, match=r"XS is .* \(it is GLOBAL in more than one \.dat: a\.dat, b\.dat\)"):
+            in_folder(tmp_path, body(*lines), files)
+
+
 PICK = "DEF pick()\nLIN XP2\nLIN XP3\nEND\n"
 CHANGES = "DEF pick()\nLIN XP2\nLIN XP3\nXP2.X=XP2.X+5\nEND\n"
 PICKED = """DEFDAT pick

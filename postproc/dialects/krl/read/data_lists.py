@@ -14,7 +14,7 @@ from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tokens import DECLARATION, ELEMENT, INDEX, MORE_DECLARED, NAME
 from postproc.dialects.krl.language.tree import Declaration
 from postproc.dialects.krl.read.folder import FolderFiles
-from postproc.dialects.krl.read.known import Unread
+from postproc.dialects.krl.read.known import Unknown, Unread
 from postproc.dialects.krl.read.variables import FRAME_ARRAYS, Variables
 from postproc.errors import ProgramError
 
@@ -146,6 +146,9 @@ def read_shared(
     used = set().union(*(NAME.findall(reached) for reached in files.reached(code)))
     known = ({name.upper() for name in used} | set(variables.types.values())) - variables.types.keys()
     wanted = {name for name in known - local if times[name] == 1}
+    for name in (name for name in known - local if times[name] > 1):
+        among = ", ".join(sorted(path.name for path, names in declared.items() if name in names))
+        variables.put(name, Unknown(why=f"it is GLOBAL in more than one .dat: {among}"))
     for path, names in declared.items():
         if not wanted.isdisjoint(names):
             with suppress(ProgramError):  # they have no values then, and a motion that needs one says so
