@@ -125,6 +125,40 @@ def test_cycles_that_cannot_be_are_told(text: str, problem: str) -> None:
     assert caught.value.line == 2
 
 
+FIRST_PLACE = "G0 Z50\nG81 R2 Z-1 F100 X5 Y6\nX7\nG99 X9 Y3\nG80\nG0 Z50\nX1 Y1 Z1\n"
+
+
+@needs_rs274
+@pytest.mark.parametrize("plane", ["G17", "G18", "G19"])
+@pytest.mark.parametrize("home", [None, [0.0, -90.0, 90.0, 0.0, 10.0, 0.0]])
+def test_a_cycle_may_give_the_first_place_above_the_part(plane: str, home: list[float] | None) -> None:
+    """pcb2gcode: Z is known by a rapid, the cycle begins with a rapid to X and Y at that height."""
+    letters = dict(zip("XYZ", {"G17": "XYZ", "G18": "ZXY", "G19": "YZX"}[plane], strict=True))
+    text = f"G21 G90 {plane} G98\n" + "".join(letters.get(one, one) for one in FIRST_PLACE) + "M2\n"
+    program = read(text, replace(CELL, machine=replace(CELL.machine, home=home, clearance_Z=90.0)))
+    there = [move.end.tolist() for move in canonical(text)][1:]
+    np.testing.assert_allclose(ends(program), there, atol=1e-4)
+    assert program.motions.kind[0] == PTP
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("G81 R2 Z-1 F100 X5 Y6", "cutting move before the position is known"),
+        ("G0 Z1\nG81 R2 Z-1 F100 X5 Y6", "a cycle that begins below R before the position is known"),
+        ("G0 Z50\nG81 R2 Z-1 F100 X5\nY6", "cutting move before the position is known"),
+        ("G0 X5 Y6\nG81 R2 Z-1 F100 X5 Y6", "cutting move before the position is known"),
+        ("G0 Z50\nG91 G81 R-48 Z-3 F100 X5 Y6", "incremental move before the position is known"),
+    ],
+)
+def test_a_cycle_without_a_place_above_the_part_is_refused(text: str, problem: str) -> None:
+    with pytest.raises(ProgramError) as caught:
+        read(f"G21 G90 G17\n{text}\nG80\nG0 Z50\nM2\n")
+    assert caught.value.problem == problem
+    assert "G81" in str(caught.value.text)
+    assert caught.value.advice
+
+
 @pytest.mark.parametrize(("first", "then"), [("G91", "G90"), ("G90", "G91")])
 @pytest.mark.parametrize("more", ["", "R2", "Z-3"])
 def test_a_cycle_does_not_take_its_heights_into_the_other_distance_mode(first: str, then: str, more: str) -> None:

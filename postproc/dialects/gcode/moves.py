@@ -3,7 +3,7 @@
 Lines between two changes of mode are processed together. Rapid moves are held back until X, Y and Z have all been
 programmed, and again after G28 for the axes that it sends home. If the program begins with moves at feed instead
 (Fusion: "Using high feed G1 F5000. instead of G0."), all moves begin at `[start]` of the cell, and no force may act
-until X, Y and Z have been programmed.
+until X, Y and Z have been programmed. A cycle with X and Y may be the first that gives them (pcb2gcode).
 
 After G80 a Fanuc control takes coordinates without a motion code as a rapid, LinuxCNC refuses them. They are read as
 a rapid if they retract along the tool, or stay at or above a height to which the program has moved in rapid before.
@@ -413,6 +413,11 @@ class _Walk:
         except BlockError as cause:
             self.faults.append((row, *cause.args))
             return [], []
+        if self.cycle.lifts and not self.known[axes[:2]].all():
+            advice = "Program X and Y by G0 before, or Z above R: the tool goes up to R where it is."
+            self.faults.append((row, "a cycle that begins below R before the position is known", advice))
+        if not modes[0]:
+            self.known[axes[:2]] |= ~np.isnan(rows.xyz[row][axes[:2]])
         dwell = max((event.value for event in done if event.kind == "dwell"), default=0.0)
         if "P" in given and (message := long_dwell(dwell)) is not None:
             self.remarks.append((row, "warning", "dwell", message))
@@ -733,7 +738,9 @@ class _Walk:
 
     def _unknown(self) -> list[tuple[int, int]]:
         """Return ranges of rows with an unknown position: each lasts until every lost axis is programmed again."""
-        given = ~np.isnan(self.rows.xyz) & ~self.rows.drilling[:, None]
+        given = ~np.isnan(self.rows.xyz)
+        for plane, axes in PLANE_AXES.items():  # the word across the plane is the bottom of the hole
+            given[:, axes[2]] &= ~(self.rows.drilling & (self.rows.plane == plane))
         out: list[tuple[int, int]] = []
         missing = np.zeros(3, dtype=bool)
         ends = [row for row, _ in self.losses[1:]] + [self.count]

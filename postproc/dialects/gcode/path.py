@@ -285,7 +285,7 @@ def _check_unknown(rows: LineStates, moves: Moves, doubt: _Doubt, check: Callabl
         check(early & rows.incremental, problem, advice, first=True)
         begin = first + int(np.argmax(axes[first:])) if axes[first:].any() else first
         above = begin == complete or goes_up_first(rows, first, complete)
-        cutting = early & (straight & (not above) | rows.drilling) & ~doubt.motion
+        cutting = early & (straight & (not above) | (rows.drilling & (line < complete))) & ~doubt.motion
         check(cutting, "cutting move before the position is known", advice, first=True)
         turning = rows.moving & arc & within & ~doubt.motion & ~doubt.position
         check(turning, "arc before the position is known", advice, first=True)
