@@ -627,10 +627,10 @@ class Targets(Struct, frozen=True, eq=False):
     def __len__(self) -> int:
         return len(self.motion)
 
-    @property
-    def begin(self) -> Array:
-        """(K,) where on its motion the piece to each target begins."""
-        return np.where(np.diff(self.motion, prepend=-1) != 0, 0.0, np.roll(self.t, 1))
+    def begin(self, row: Ints) -> Array:
+        """Return where on its motion the piece to each of some targets (n,) begins."""
+        before = np.maximum(row - 1, 0)
+        return np.where((row == 0) | (self.motion[row] != self.motion[before]), 0.0, self.t[before])
 
 
 class TargetJoints(Struct, frozen=True, eq=False):

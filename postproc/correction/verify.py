@@ -207,29 +207,23 @@ def simulate(path: PathUnderLoad, chosen: Chosen, theta: Rows, back: ReadBack, *
     :param corrected: the program claims to hold the tolerance.
     :raises UnusableTextError: it cannot be simulated.
     """
-    probes = _probes(path, chosen, back)
-    off, near_limit = _deviation(path, chosen, theta, back, probes)
-    too_fast = tuple(_joint_speeds(path, chosen, back)) if near_limit else ()
-    distance, inside, targets = norm(off), probes.inside, chosen.targets
-    written, m, tolerance = back.program.motions, path.program.motions, path.robot_in_cell.tolerance
+    targets, written, tolerance = chosen.targets, back.program.motions, path.robot_in_cell.tolerance
     rounding = corners_of_motions(back.program, back.segments, back.row).rounding(written.blend[back.row])
-    begin, end = targets.begin[probes.target], targets.t[probes.target]
-    step = path.motions.forces.behind_step(probes.motion, end) & inside
-    # at the start, and at an axis target, no correction was possible
-    uncorrected = np.append(True, np.isfinite(m.joints[:-1, 0])) & (not path.robot_in_cell.rest_is_nominal)
-    settled = ~(uncorrected[probes.motion] & inside) & ~step
-    jump = (path.motions.segments.length[probes.motion] * (end - begin) < _AT_ONCE) & inside
+    probes = _probes(path, chosen, back)
+    deviation, distance, near_limit = _deviation(path, chosen, theta, back, probes)
+    too_fast = tuple(_joint_speeds(path, chosen, back)) if near_limit else ()
+    step, jump, settled = _special(path, targets, probes)
     issues: list[Issue] = []
     if corrected:
         issues += _left(path, probes, distance, step=step, jump=settled & jump, smooth=settled & ~jump)
         if path.program.keeps_text:
             issues += checks.blending(path.program, targets.motion, rounding - chosen.programmed, tolerance)
     issues += too_fast
-    bad = settled & inside & ~(distance <= _SAFE * tolerance) & ~jump
+    bad = settled & probes.inside & ~(distance <= _SAFE * tolerance) & ~jump
     return Simulated(
         back.text,
         back.numbers,
-        off[~inside] if inside.any() else off,
+        deviation,
         float(distance[settled].max(initial=0.0)),
         rounding,
         (probes.motion[bad], probes.t[bad], distance[bad]),
@@ -237,21 +231,39 @@ def simulate(path: PathUnderLoad, chosen: Chosen, theta: Rows, back: ReadBack, *
     )
 
 
-def _deviation(path: PathUnderLoad, chosen: Chosen, theta: Rows, back: ReadBack, probes: _Probes) -> tuple[Array, bool]:
-    """Return the loaded tip (n, 3) from nominal, `$BASE` [m], and whether a joint comes near its largest speed.
+def _special(path: PathUnderLoad, targets: Targets, probes: _Probes) -> tuple[Bools, Bools, Bools]:
+    """Return which places (n,) are behind a step of the force, before a jump of it, and settled: held to nominal."""
+    m, forces, length = path.program.motions, path.motions.forces, path.motions.segments.length
+    # at the start, and at an axis target, no correction was possible
+    uncorrected = np.append(True, np.isfinite(m.joints[:-1, 0])) & (not path.robot_in_cell.rest_is_nominal)
 
+    def in_chunk(target: Ints, share: Array, motion: Ints) -> tuple[Bools, Bools, Bools]:
+        inside, end = share < 1.0, targets.t[target]
+        step = forces.behind_step(motion, end) & inside
+        jump = (length[motion] * (end - targets.begin(target)) < _AT_ONCE) & inside
+        return step, jump, ~(uncorrected[motion] & inside) & ~step
+
+    step, jump, settled = in_chunks(in_chunk, probes.target, probes.share, probes.motion)
+    return step, jump, settled
+
+
+def _deviation(
+    path: PathUnderLoad, chosen: Chosen, theta: Rows, back: ReadBack, probes: _Probes
+) -> tuple[Array, Array, bool]:
+    """Return how far the loaded tip is from nominal, and whether a joint comes near its largest speed.
+
+    :returns: (K, 3) at the targets, `$BASE` [m]; the distance at all places (n,) [m]; True if a joint does.
     :raises UnusableTextError: a commanded pose is out of reach, or there is no equilibrium.
     """
     robot_in_cell, written = path.robot_in_cell, back.program
-    sample, inside = chosen.row[probes.target], np.flatnonzero(probes.inside)  # the sample there, or the next one
-    sample[inside] = np.searchsorted(
-        path.sample.motion + path.sample.t, probes.motion[inside] + probes.t[inside] - _HERE
-    )
-
+    place = path.sample.motion + path.sample.t
+    deviation = np.zeros((len(chosen.targets), 3))
     before: tuple[Array, Array] | None = None  # joint angles and position at the end of the chunk before
 
-    def in_chunk(motion: Ints, t: Array, on: Ints, share: Array, sample: Ints) -> tuple[Array, Bools]:
+    def in_chunk(target: Ints, motion: Ints, t: Array, share: Array) -> tuple[Array, Bools]:
         nonlocal before
+        on, sample, inner = back.row[target], chosen.row[target], share < 1.0  # the sample there, or the next one
+        sample[inner] = np.searchsorted(place, motion[inner] + t[inner] - _HERE)
         nominal = toolpath.at(path.program, path.motions.segments, motion, t)
         wrench = toolpath.wrench_in_root(written, on, path.motions.forces.at(nominal))
         pose = toolpath.at(written, back.segments, on, share).pose[:]
@@ -266,15 +278,17 @@ def _deviation(path: PathUnderLoad, chosen: Chosen, theta: Rows, back: ReadBack,
         turned = (np.abs(np.diff(q, axis=0, prepend=last_q)) / robot_in_cell.robot.speed).max(axis=1, initial=0.0)
         fast = (turned * np.nan_to_num(written.motions.feed[on]) > _NEAR * travel) & (travel > _STILL)
         before = q[-1:], position[-1:]
-        return toolpath.points_in_base(written, on, tip, share) - nominal.pose[:, :3, 3], fast
+        off = toolpath.points_in_base(written, on, tip, share) - nominal.pose[:, :3, 3]
+        deviation[target[~inner]] = off[~inner]
+        return norm(off), fast
 
     try:
-        off, fast = in_chunks(in_chunk, probes.motion, probes.t, back.row[probes.target], probes.share, sample)
+        distance, fast = in_chunks(in_chunk, probes.target, probes.motion, probes.t, probes.share)
     except NotConvergedError as cause:
         line = int(path.program.motions.line[probes.motion[cause.rows[0]]])
         message = f"the written program cannot be simulated: {cause}"
         raise UnusableTextError(Issue("error", "read-back", message, source_line=line)) from None
-    return off, bool(fast.any())
+    return deviation, distance, bool(fast.any())
 
 
 def _probes(path: PathUnderLoad, chosen: Chosen, back: ReadBack) -> _Probes:
@@ -284,30 +298,40 @@ def _probes(path: PathUnderLoad, chosen: Chosen, back: ReadBack) -> _Probes:
     are long or turn, and pieces of arcs, are looked at between; closer where the correction changes much over the run.
     """
     targets, m = chosen.targets, back.program.motions
-    begin = targets.begin
 
     def correction(target: Ints) -> Array:
         return targets.pose[target, :3, 3] - path.sample.pose[chosen.row[target], :3, 3]
 
     every = np.arange(len(targets))
-    changed = in_chunks(lambda one: (norm(correction(one) - correction(np.maximum(one - 1, 0))),), every)[0]
     curved = np.flatnonzero((path.program.motions.kind[targets.motion] == CIRC) | (m.kind[back.row] == CIRC))
-    uneven = np.zeros(len(targets))
-    uneven[curved] = _unevenness(path, chosen, back, curved, correction(curved))
-    steep = (changed > _STEEP) | (uneven > _UNEVEN * path.robot_in_cell.tolerance)
-    length, turn = back.segments.travel[back.row], back.segments.turn[back.row]
-    number = np.ones(len(targets), dtype=np.int32)
-    number[curved] = 2
-    wide = (length > _LONG) | (turn > _TURNED)
-    number[wide] = np.maximum(2, np.ceil(np.maximum(length[wide] / _SPACING, turn[wide] / _TURNED))).astype(np.int32)
-    number[steep] = np.maximum(number[steep], _ON_RAMPS)
-    number[(m.kind[back.row] == PTP) | (m.kind[back.row] == SPL)] = 1
-    del changed, uneven, steep, length, turn, wide
+    is_curved, uneven = np.zeros((2, len(targets)), dtype=np.bool_)
+    is_curved[curved] = True
+    limit = _UNEVEN * path.robot_in_cell.tolerance
+    uneven[curved] = _unevenness(path, chosen, back, curved, correction(curved)) > limit
+
+    def places(target: Ints) -> tuple[Ints]:
+        on = back.row[target]
+        length, turn, kind = back.segments.travel[on], back.segments.turn[on], m.kind[on]
+        changed = norm(correction(target) - correction(np.maximum(target - 1, 0)))
+        number = np.where(is_curved[target], 2, 1)
+        wide = (length > _LONG) | (turn > _TURNED)
+        number[wide] = np.maximum(2, np.ceil(np.maximum(length[wide] / _SPACING, turn[wide] / _TURNED)))
+        steep = (changed > _STEEP) | uneven[target]
+        number[steep] = np.maximum(number[steep], _ON_RAMPS)
+        number[(kind == PTP) | (kind == SPL)] = 1
+        return (number.astype(np.int32),)
+
+    (number,) = in_chunks(places, every)
     target = np.repeat(every.astype(np.int32), number)
     inside = np.arange(len(target), dtype=np.int32) - np.repeat(np.cumsum(number, dtype=np.int32) - number, number) + 1
     share = inside / number[target]
-    t = np.where(share == 1.0, targets.t[target], begin[target] + share * (targets.t - begin)[target])
-    return _Probes(target, share, targets.motion[target], t)
+    del inside, number
+
+    def place(target: Ints, share: Array) -> tuple[Array]:
+        begin, end = targets.begin(target), targets.t[target]
+        return (np.where(share == 1.0, end, begin + share * (end - begin)),)
+
+    return _Probes(target, share, targets.motion[target], in_chunks(place, target, share)[0])
 
 
 def _unevenness(path: PathUnderLoad, chosen: Chosen, back: ReadBack, curved: Ints, correction: Array) -> Array:
@@ -323,7 +347,7 @@ def _unevenness(path: PathUnderLoad, chosen: Chosen, back: ReadBack, curved: Int
         return (np.maximum(one, other),)
 
     targets = chosen.targets
-    pieces = targets.motion[curved], targets.begin[curved], targets.t[curved], back.row[curved]
+    pieces = targets.motion[curved], targets.begin(curved), targets.t[curved], back.row[curved]
     return in_chunks(in_chunk, *pieces, correction)[0]
 
 

@@ -281,7 +281,7 @@ def of_pieces(forces: PathForces, targets: Targets, at_end: TargetForces, writte
     target, share = _places(forces, targets)
     whole = ramped[target]
     frame = np.where(whole, at_end.frame[target], _frame(forces, targets)[target])
-    begin, end = targets.begin[target], targets.t[target]
+    begin, end = targets.begin(target), targets.t[target]
     program, path = forces.axes.program, forces.axes.path
     nominal = at(program, path, targets.motion[target], np.where(share == 1.0, end, begin + share * (end - begin)))
     there = at(written.program, written.path, row[target], share)
@@ -326,7 +326,7 @@ def _places(forces: PathForces, targets: Targets) -> tuple[Ints, Array]:
 
     That is the end of the piece if the force is ramped, else its start, its end and the knots between.
     """
-    begin, end = targets.begin, targets.t
+    begin, end = targets.begin(np.arange(len(targets))), targets.t
     low = np.searchsorted(forces.place, targets.motion + begin + _APART)
     high = np.maximum(np.searchsorted(forces.place, targets.motion + end - _APART), low)
     count = np.where(forces.ramped[targets.motion], 1, high - low + 2)

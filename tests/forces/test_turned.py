@@ -392,7 +392,7 @@ def divided(made, cuts):
     )
     columns = {name: getattr(m, name)[motion] for name in m.__struct_fields__}
     columns["target"] = Poses.of(pose)
-    columns["sweep"] = m.sweep[motion] * (t - targets.begin)
+    columns["sweep"] = m.sweep[motion] * (t - targets.begin(np.arange(len(targets))))
     return path, targets, replace(made, motions=replace(m, **columns))
 
 
@@ -434,7 +434,8 @@ def test_forces_that_go_with_a_divided_program_are_those_of_the_program(seed):
     carried = forces.assign(written, other, Given(replace(found, motion=row[found.motion])), "+Z", RAMP)
     for share in (0.03, 0.3, 0.5, 0.81, 1.0):
         sample = toolpath.at(written, other, row, np.full(len(row), share))
-        t = targets.begin + share * (targets.t - targets.begin)
+        begin = targets.begin(np.arange(len(targets)))
+        t = begin + share * (targets.t - begin)
         nominal = toolpath.at(made, path, targets.motion, t)
         np.testing.assert_allclose(sample.pose[:, :3, 3], nominal.pose[:, :3, 3], atol=1e-12)
         expected, have = load.at(nominal), carried.at(sample)
