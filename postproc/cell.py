@@ -92,6 +92,7 @@ class Output(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """How strict to be and how to write; mm. Programs of more lines than `lines_per_file` are divided; 0: never.
 
     :param program_memory_MB: memory of the controller for programs [MB]; a larger program gets a warning.
+    :param divide_into_modules: such a program becomes several, which are loaded and run one after another.
     :param feed: "hold": the feed of cutting moves is lowered where the tolerance of the part would be exceeded, but not
         below `min_feed_mm_per_min`; needs a process. "program": feeds are those of the program.
     """
@@ -105,6 +106,7 @@ class Output(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     ] = "KRC4"
     lines_per_file: Annotated[int, msgspec.Meta(ge=0, le=1_000_000)] = 0
     program_memory_MB: Positive = 4.0  # noqa: N815 - key of the file
+    divide_into_modules: bool = False
     feed: Literal["program", "hold"] = "program"
     min_feed_mm_per_min: Positive = 300.0
 

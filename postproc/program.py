@@ -661,6 +661,19 @@ class TargetForces(Struct, frozen=True, eq=False):
         _make_compact(self, frame=np.int8)
 
 
+class Modules(Struct, frozen=True, eq=False):
+    """A program of K targets as n self-contained programs, which are loaded and run one after another.
+
+    :param documents: (n) files, in order.
+    :param first: (n,) row of the first target of each.
+    :param output_line: (K,) 1-based line of each target; lines count on from file to file.
+    """
+
+    documents: tuple[Document, ...]
+    first: tuple[int, ...]
+    output_line: Ints
+
+
 class Written(Struct, frozen=True, eq=False):
     """A program as text, before it is released.
 
@@ -669,12 +682,14 @@ class Written(Struct, frozen=True, eq=False):
         named point the statement that uses it).
     :param dialect: name of their dialect.
     :param issues: issues of the writer.
+    :param modules: the same program as modules, which are released in place of `documents`; None if it is in one piece.
     """
 
     documents: tuple[Document, ...]
     output_line: Ints
     dialect: str
     issues: tuple[Issue, ...] = ()
+    modules: Modules | None = None
 
     def __post_init__(self) -> None:
         _make_compact(self, output_line=np.int32)

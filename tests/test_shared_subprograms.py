@@ -361,7 +361,7 @@ def test_what_fails_leaves_the_file_of_its_name_that_another_program_calls():
     run("convert", "one.src", "-o", "out")
     before = {path.name: path.read_bytes() for path in Path("out").iterdir()}
     assert (
-        "out/sub.src: this file was written for one, which calls it"
+        "out/sub.src: this file was written for one, which needs it"
         in run("convert", "sub.src", "-o", "out", code=1).stderr
     )
     assert {path.name: path.read_bytes() for path in Path("out").iterdir()} == before
@@ -380,7 +380,7 @@ def test_g_code_does_not_replace_the_subprogram_of_its_name_that_another_program
     before = {path.name: path.read_bytes() for path in Path("out").iterdir()}
     Path("sub.nc").write_text(G_CODE)
     told = run("convert", "sub.nc", "-o", "out", *more, code=1).stderr
-    assert "out/sub.src: this file was written for one, which calls it" in told
+    assert "out/sub.src: this file was written for one, which needs it" in told
     assert "--name" in told
     assert {path.name: path.read_bytes() for path in Path("out").iterdir()} == before
     run("convert", "sub.nc", "-o", "out", "--name", "pocket", *more)

@@ -213,14 +213,17 @@ class Draft(Struct, frozen=True, eq=False):
 
 
 def _too_large(text: Written, cell: Cell) -> tuple[Issue, ...]:
-    """Return a warning if a written program is larger than the memory of the controller."""
+    """Return a warning if a written program in one piece is larger than the memory of the controller."""
     size, memory = text.size / _MB, cell.output.program_memory_MB
-    if size <= memory:
+    if size <= memory or text.modules is not None:
         return ()
+    option = "set divide_into_modules = true in [output] (KRL from G-code or APT)"
+    if cell.output.divide_into_modules:
+        option = "convert G-code or APT to KRL: divide_into_modules divides no other programs"
     message = (
         f"the program has {size:.3g} MB, {size / memory:.2g} times program_memory_MB = {memory:g} of [output]: the "
-        "controller may not load it. Raise tolerance_mm, give forces as a file instead of comments, or divide "
-        "the job into several programs, one for each operation."
+        "controller may not load it. Raise tolerance_mm, give forces as a file instead of comments, divide "
+        f"the job into several programs, one for each operation, or {option}."
     )
     return (Issue("warning", "program-memory", message),)
 
@@ -277,11 +280,13 @@ def result_of(task: Task, draft: Draft) -> Result:
     )
     if (written := draft.simulated) is None:
         return result
+    text = written.text.modules or written.text
     return replace(
         result,
         issues=group_issues([*result.issues, *draft.unlike]),
-        documents=() if draft.failed else written.text.documents,
-        output_line=written.text.output_line,
+        documents=() if draft.failed else text.documents,
+        output_line=text.output_line,
+        modules=() if isinstance(text, Written) else text.first,
         deviation_after=written.deviation,
         between=written.between,
         rounding=written.rounding,

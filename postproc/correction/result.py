@@ -109,6 +109,7 @@ class Result(Struct, frozen=True, eq=False):
     :param held_feed: feeds that were lowered for the tolerance of the part; None: feeds are those of the program.
     :param turn: the turn of the tool about its axis, if it was chosen.
     :param redundancy_deg: turn that the cell states for all of a program; None if the program states orientations.
+    :param modules: row of the first target of each of `documents`, if they are modules; empty if not.
     """
 
     program: Program
@@ -144,6 +145,7 @@ class Result(Struct, frozen=True, eq=False):
     held_feed: HeldFeed | None = None
     turn: Turn | None = None
     redundancy_deg: float | None = None
+    modules: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         force_setattr(self, "wrench", Runs.of(self.wrench))

@@ -17,13 +17,16 @@ from postproc.dialects import registry
 from postproc.errors import Issue, Level, NotConvergedError, PostprocError, ProgramError
 from postproc.forces import BEHIND_STEP
 from postproc.frames import MM_PER_M, Array, angle_between, largest, norm, twist_between
-from postproc.program import CIRC, PTP, SPL, Bools, Ints, Program, Targets, Written
+from postproc.program import CIRC, PTP, SPL, Bools, Ints, Modules, Program, Targets, Written
 from postproc.toolpath import Segments
 from postproc.under_load import ImpossiblePathError, MotionsUnderLoad, PathUnderLoad, led_by_wrist
 
 _PRINTED = 1e-6
 """What printing may move a commanded pose by [m, rad], or change a speed by [m/s]; the text has at least 1e-4 mm,
 1e-5° and 1e-3 mm/s."""
+
+_START = 1e-5
+"""How far a module may begin from where the one before ends [m, rad]: joint angles have 5 decimals."""
 
 
 class UnusableTextError(PostprocError):
@@ -73,10 +76,41 @@ def read_back(path: PathUnderLoad, chosen: Chosen, text: Written) -> ReadBack:
     mismatch = _mismatch(path.program, targets, written, row)
     if mismatch is not None:
         raise UnusableTextError(mismatch)
+    if text.modules is not None and (other := _other_module(path, written, row, text.modules, text.dialect)):
+        message = f"{other} moves differently from the program in one piece: a fault of postproc, please report it"
+        raise UnusableTextError(Issue("error", "read-back", message))
     numbers = set_aside(rows_of(written.numbers_as_written(), row))
     written = replace(written, documents=(), layout=None)
     release(len(targets))
     return ReadBack(text, written, toolpath.segments(written, robot_in_cell.start_flange), row, numbers)
+
+
+def _other_module(path: PathUnderLoad, whole: Program, row: Ints, modules: Modules, dialect: str) -> str | None:
+    """Return the name of the first module whose motions are not those of the program in one piece, to the last digit.
+
+    Each must begin where the one before ends, at an exact stop.
+
+    :param whole: the program in one piece, as read; `row` (K,) its motions that end at targets.
+    """
+    robot_in_cell, m = path.robot_in_cell, whole.motions
+    begins = [0, *(int(row[first - 1]) for first in modules.first[1:])]
+    fields = [name for name in m.__struct_fields__ if name not in ("line", "base", "tool")]
+    for document, begin, end in zip(modules.documents, begins, [*begins[1:], len(m) - 1], strict=True):
+        try:
+            module = registry.by_name(dialect).read((document,), robot_in_cell.cell, robot_in_cell.forward, "module")
+        except ProgramError:
+            return document.name
+        own, rows = led_by_wrist(module, robot_in_cell).motions, np.arange(begin, end + 1)
+        pairs = [(getattr(own, name)[1:], getattr(m, name)[rows[1:]]) for name in fields]
+        pairs += [
+            (module.bases[own.base], whole.bases[m.base[rows]]),
+            (module.tools[own.tool], whole.tools[m.tool[rows]]),
+        ]
+        same = all(np.array_equal(found, wanted, equal_nan=True) for found, wanted in pairs)
+        joined = np.abs(own.target[:1] - m.target[rows[:1]]).max() <= _START
+        if not (same and joined and m.blend[begin] == 0.0):
+            return document.name
+    return None
 
 
 def _carried_elsewhere(program: Program, targets: Targets, written: Program, row: Ints) -> Bools:

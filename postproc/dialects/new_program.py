@@ -101,7 +101,7 @@ class NewProgram:
                 self.stops.add(k)
                 waiting = -1
                 continue
-            k = self._first(event.before)
+            k = self.first_target(event)
             if event.kind == "comment":
                 self.before[k].append(f"{words.comment} {words.printable(event.text)}".rstrip())
             elif event.kind in ("dwell", "stop"):
@@ -124,6 +124,10 @@ class NewProgram:
             first, count = self.without_lines[0].line, len(self.without_lines)
             self.issues.append(Issue("warning", "no-lines", message, first, count=count))
 
+    def first_target(self, event: Event) -> int:
+        """Return the target before which an event takes place; their number at the end."""
+        return self._first(event.before)
+
     def _first(self, motion: int) -> int:
         """Return the first target of a motion, or of the next one that has targets."""
         return int(np.searchsorted(self.row, self.row.dtype.type(motion)))  # another type would convert all rows
@@ -139,16 +143,22 @@ class NewProgram:
 
     def _own_lines(self, event: Event) -> list[str]:
         """Return the cell's lines for an event, with its value inserted; warn if there are none."""
-        gcode = self.cell.gcode
-        if event.kind == "m_code":
-            return [self.words.printable(line) for line in self.cell.m_codes[f"M{number(event.value)}"]]
-        own: Sequence[str] = getattr(gcode, event.kind) or []
-        if event.kind == "spindle_ccw" and not own and gcode.spindle_on:
-            own = gcode.spindle_on
+        gcode, own = self.cell.gcode, self.lines_of(event)
+        if event.kind == "spindle_ccw" and own and not gcode.spindle_ccw:
             message = "M4 uses the lines of spindle_on: give spindle_ccw in [gcode] if the direction is to change."
             self.issues.append(Issue("warning", "spindle-direction", message, event.line))
-        if not own and not (event.kind == "tool_change" and gcode.tool_change is not None):
+        switched = event.kind != "m_code" and not (event.kind == "tool_change" and gcode.tool_change is not None)
+        if not own and switched:
             self.without_lines.append(event)
+        return own
+
+    def lines_of(self, event: Event) -> list[str]:
+        """Return the cell's lines for an event, with its value inserted; those of M3 for M4 without own ones."""
+        if event.kind == "m_code":
+            return [self.words.printable(line) for line in self.cell.m_codes[f"M{number(event.value)}"]]
+        own: Sequence[str] = getattr(self.cell.gcode, event.kind) or []
+        if event.kind == "spindle_ccw":
+            own = own or self.cell.gcode.spindle_on
         value = number(event.value)
         return [self.words.printable(line.replace("{S}", value).replace("{T}", value)) for line in own]
 

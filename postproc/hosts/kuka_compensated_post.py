@@ -100,6 +100,12 @@ def _posted(FreeCAD: Any, objects: list[Any], filename: str, argstring: str) -> 
     done = convert(blocks, folder, name, "nc", flags, more_files)
     for warning in done.warnings:
         FreeCAD.Console.PrintWarning(f"{warning}\n")
+    if "modules" in done.summary:
+        names = ", ".join(module["name"] for module in done.summary["modules"])
+        raise HostError(
+            f"The program is larger than the memory of the controller, and FreeCAD takes one text. It is in {folder} "
+            f"as {names}: load these files one after another. Delete the file that FreeCAD may write."
+        )
     program = done.files[0]
     text: str = program.read_bytes().decode("utf-8")
     message = f"{program}: {_result(done.summary)}; report: {program.with_suffix('.report.html')}\n"

@@ -110,8 +110,17 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
 
 
 def _refuse_part(path: Path, program: Program) -> None:
-    """Raise for a file that is only a part of a divided program."""
-    whole = _origin(program).part_of
+    """Raise for a file that is only a part of a divided program, or one of its modules."""
+    origin = _origin(program)
+    if "module" in origin.options:
+        raise InputError(
+            f"this is module {origin.options['module']} of {origin.options.get('modules')}, not a whole program",
+            file=str(path),
+            line=origin.line,
+            advice="Convert with divide_into_modules = false in [output] of the cell, into another folder, and compare "
+            "that program: it has the same motions. `predict` takes a module.",
+        )
+    whole = origin.part_of
     if whole:
         raise InputError(
             f"this file is a part of {whole}, which calls it", file=str(path), advice=f"Name {whole} instead."

@@ -51,6 +51,8 @@ def marked(
     mode: Literal["corrected", "nominal"] = "nominal" if settings.mode == "nominal" else "corrected"
     origin = origin_of(result.program.documents, settings.cell, cell, job.forces, mode)
     origin = replace(origin, options=options_of(settings))
+    if result.modules:
+        return _modules_marked(result, job, origin)
     documents, moved = job.writer.marked(_subprograms_marked(result, job, origin, own_names or {}), origin)
     line = result.output_line
     return replace(result, documents=documents, output_line=line + (line >= moved) if moved else line)
@@ -59,6 +61,16 @@ def marked(
 def _contents(documents: Sequence[Document]) -> list[tuple[bytes, str, str]]:
     """Return the contents of files, to be compared without copies."""
     return [(document.bom, document.encoding, document.text) for document in documents]
+
+
+def _modules_marked(result: Result, job: Job, origin: provenance.Origin) -> Result:
+    """Return a result each of whose modules states where it comes from, and which of them it is."""
+    documents, line, count = list[Document](), result.output_line.copy(), len(result.modules)
+    for index, (document, first) in enumerate(zip(result.documents, result.modules, strict=True)):
+        options = {**origin.options, "module": str(index + 1), "modules": str(count)}
+        documents += job.writer.marked([document], replace(origin, options=options))[0]
+        line[first:] += 1
+    return replace(result, documents=tuple(documents), output_line=line)
 
 
 def subprograms(result: Result, job: Job, own_names: Mapping[str, str]) -> list[str]:
@@ -340,8 +352,9 @@ def _made(
     stem = name.removesuffix("report.json")
     contents: dict[str, bytes | Iterable[bytes]] = {doc.name: doc.pieces() for doc in result.documents}
     contents |= copies
-    carried = report.forces_csv(result)
-    if carried is not None:
+    if result.modules:
+        contents |= report.forces_by_module(result)
+    elif (carried := report.forces_csv(result)) is not None:
         contents[f"{stem}forces.csv"] = carried
     contents[f"{stem}targets.csv"] = report.targets_csv(result)
     surface = None

@@ -349,7 +349,7 @@ class OutputPlan:
             owner = self._folders[job.output].caller(job, path)
             if owner is not None:
                 raise InputError(
-                    f"this file was written for {owner.program}, which calls it",
+                    f"this file was written for {owner.program}, which needs it",
                     file=str(path),
                     advice=f"Nothing was written. Write {job.program} into another folder with -o, or under another "
                     "name with --name.",
@@ -622,8 +622,15 @@ def protect(inputs: Iterable[Path], folder: Path, names: Iterable[str]) -> None:
 
 def left(jobs: Iterable[Job], mode: Mode) -> str:
     """Return a sentence on programs of earlier runs in the output folders; empty if there are none."""
-    existing = [job.output / name for job in jobs for name in _existing(job, job.mains(mode))]
+    existing = [job.output / name for job in jobs for name in _programs(job, mode)]
     return f"There before, not of this run: {listed(existing)}." if existing else ""
+
+
+def _programs(job: Job, mode: Mode) -> list[str]:
+    """Return the names of earlier programs of a job that exist: the main file, or its modules."""
+    written = recorded(job.output / job.report(mode))
+    modules = [name for name in written if name.endswith(job.writer.extension)]
+    return _existing(job, job.mains(mode)) or _existing(job, modules)
 
 
 def _overviews(jobs: Sequence[Job]) -> list[Path]:

@@ -239,7 +239,8 @@ def _krl(request: TestPartRequest, name: str, text: str, cell: Cell) -> dict[str
         path = Path(folder) / name
         path.write_bytes(text.encode())
         settings = Settings(request.cell, mode="nominal")
-        cell = replace(cell, gcode=replace(cell.gcode, redundancy="constant"))  # as the part was chosen
+        gcode = replace(cell.gcode, redundancy="constant")  # as the part was chosen
+        cell = replace(cell, gcode=gcode, output=replace(cell.output, divide_into_modules=False))  # one file
         robot = load_robot(cell.robot, cell.folder)
         to = robot.language if robot.language and registry.by_name(robot.language).writer is not None else None
         (job,) = find_jobs([str(path)], output=request.output, to=to)

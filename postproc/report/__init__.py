@@ -1,6 +1,6 @@
 """Results as text, JSON, CSV and HTML: pure functions of a result; no file is read or written here."""
 
-from postproc.report.csv_files import FORCE_COLUMNS, TARGET_COLUMNS, forces_csv, targets_csv
+from postproc.report.csv_files import FORCE_COLUMNS, TARGET_COLUMNS, forces_by_module, forces_csv, targets_csv
 from postproc.report.deviation import page
 from postproc.report.summary import Summary, issue_entry, summary
 from postproc.report.text import issue_line, of_many, of_one
@@ -9,6 +9,7 @@ __all__ = [
     "FORCE_COLUMNS",
     "TARGET_COLUMNS",
     "Summary",
+    "forces_by_module",
     "forces_csv",
     "issue_entry",
     "issue_line",

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 
@@ -96,14 +98,36 @@ def forces_csv(result: Result) -> bytes | None:
 
     Neighbouring lines with the same force share a row. None where the program needs no such file.
     """
+    knots = _carried(result)
+    return None if knots is None else _forces(knots, result.output_line)
+
+
+def forces_by_module(result: Result) -> dict[str, bytes]:
+    """Return forces.csv of each module of a written program, by its own lines: file name → content."""
+    contents, above, knots = dict[str, bytes](), 0, _carried(result)
+    if knots is None:
+        return contents
+    for document, (first, last) in zip(result.documents, pairwise((*result.modules, len(result))), strict=True):
+        own = knots.take((knots.motion >= first) & (knots.motion < last))
+        contents[f"{Path(document.name).stem}.forces.csv"] = _forces(own, result.output_line - above)
+        above += document.text.count("\n")
+    return contents
+
+
+def _carried(result: Result) -> Knots | None:
+    """Return the forces that a file must give to the written program."""
     if result.carried is None:
         return None
-    knots = result.carried.take(result.program.motions.kind[result.motion[result.carried.motion]] != PTP)
+    return result.carried.take(result.program.motions.kind[result.motion[result.carried.motion]] != PTP)
+
+
+def _forces(knots: Knots, output_line: Ints) -> bytes:
+    """Return the rows of forces.csv for knots, by lines (K,) of their targets in the file."""
     halves = [half for wrench in (knots.wrench, knots.sigma) for half in np.split(wrench, 2, axis=1)]
     values = np.hstack([np.round(half, places) for half, places in zip(halves, _DECIMALS[[0, 3, 0, 3]], strict=True)])
     values = np.column_stack([values, np.round(100.0 * knots.factor, 3)])
     first, last = _shared(knots, values)
-    line = result.output_line[knots.motion].astype(float)
+    line = output_line[knots.motion].astype(float)
     names = np.array([list(name.ljust(4).encode()) for name in FORCE_FRAMES], dtype=np.uint8)
     columns: list[Number | Bytes] = [Number.of(line[rows], 0) for rows in (first, last)]
     columns += [Number.of(values[first, index], int(places)) for index, places in enumerate(_DECIMALS)]

@@ -154,6 +154,14 @@ class Clearance(Struct, frozen=True):
     remarks: list[str]
 
 
+class ModuleEntry(Struct, frozen=True):
+    """A module of a program that is larger than the memory: in the order in which they run; `source_line` begins it."""
+
+    name: str
+    size_bytes: int
+    source_line: int
+
+
 class IssueEntry(Struct, frozen=True):
     """An issue, grouped."""
 
@@ -194,6 +202,7 @@ class Summary(Struct, frozen=True, omit_defaults=True, kw_only=True):
     reversals: list[Reversal]
     issues: list[IssueEntry]
     verdict: Judged
+    modules: list[ModuleEntry] | None = None  # in place of one program that is larger than the memory
     surface: OnSurface | None = None  # with a mesh of the part
     copied: list[str] | None = None  # files that it needs and that are as they were; nothing is called there that moves
     files: list[FileEntry] | None = None  # written with this report
@@ -254,10 +263,18 @@ def summary(
         reversals=_reversals(result),
         issues=[issue_entry(issue) for issue in result.issues],
         verdict=Judged(state="ok", reasons=[]),
+        modules=_modules(result) or None,
         surface=_surface_entry(result, surface) if surface is not None and len(result) else None,
     )
     judged = verdict(result, content)
     return replace(content, verdict=Judged(state=judged.state, reasons=list(judged.reasons)))
+
+
+def _modules(result: Result) -> list[ModuleEntry]:
+    return [
+        ModuleEntry(name=document.name, size_bytes=len(document.to_bytes()), source_line=int(result.source_line[first]))
+        for document, first in zip(result.documents if result.modules else (), result.modules, strict=True)
+    ]
 
 
 def _redundancy(result: Result) -> Redundancy | None:

@@ -200,6 +200,7 @@ def results(readme, tmp_path_factory):
             folder / "pocket.predict.report.json",
             unsure,
             _with_held_feeds(folder),
+            _in_modules(folder),
         ],
         "part.compare.report.json": [folder / f"{name}.compare.report.json" for name in ("inline", "faster")],
         "identification.json": [
@@ -262,6 +263,19 @@ def _with_held_feeds(folder: Path) -> Path:
     result = CliRunner().invoke(main, arguments)
     assert result.exit_code == 3, result.output
     return folder / "held" / "held.report.json"
+
+
+def _in_modules(folder: Path) -> Path:
+    """Return the report of a program that is written as modules."""
+    stated = (ROOT / "samples" / "cell_kr270.toml").read_text(encoding="utf-8")
+    small = "\n[output]\ndivide_into_modules = true\nprogram_memory_MB = 0.0075\n"
+    (folder / "small.toml").write_text(stated.replace("\n[output]\n", small), encoding="utf-8")
+    cut = "G1 Z-1 F500\n" + "".join(f"X{n} Y{n % 2}\n" for n in range(100)) + "G0 Z50\n"
+    (folder / "slots.nc").write_text(f"G21 G90\nG0 X0 Y0 Z50\n{cut}X0\n{cut}M2\n")
+    arguments = ["convert", str(folder / "slots.nc"), "--cell", str(folder / "small.toml"), "-o", str(folder / "slots")]
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 0, result.output
+    return folder / "slots" / "slots.report.json"
 
 
 def _forces_with_a_warning(folder: Path) -> Path:

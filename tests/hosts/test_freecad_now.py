@@ -193,6 +193,20 @@ def test_a_fault_names_operation_and_command(freecad, tmp_path):
     assert list((tmp_path / "corrected").glob("*")) == []
 
 
+def test_modules_are_not_given_to_freecad_as_one_text(freecad, tmp_path):
+    posts, document, said = freecad
+    operations, tools = job()
+    operations[0].Path.Commands = 20 * operations[0].Path.Commands
+    in_document(document, operations, "/parts/bracket.src")
+    cell = tmp_path / "small.toml"
+    small = "[output]\ndivide_into_modules = true\nprogram_memory_MB = 0.008"
+    cell.write_text(CELL.read_text().replace("[output]", small))
+    with pytest.raises(Exception, match="FreeCAD takes one text"):
+        post(posts, f"--cell {cell}", [section(operations[0], tools[0], wrapped=True)])
+    assert (tmp_path / "corrected" / "bracket_2.src").exists()
+    assert any("as bracket_1.src, bracket_2.src" in line for line in said)
+
+
 @pytest.mark.parametrize(
     ("before", "after", "force", "sentence"),
     [

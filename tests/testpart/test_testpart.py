@@ -50,8 +50,10 @@ def folder(tmp_path_factory):
 
 
 def _write(folder):
-    run("testpart", "--cell", CELL, "--process", folder / "process.toml", "--features", FEATURES, "--depth", 3,
-        "-o", folder / "out")  # fmt: skip
+    small = "[output]\ndivide_into_modules = true\nprogram_memory_MB = 0.001"  # a test part stays in one program
+    (folder / "small.toml").write_text(Path(CELL).read_text().replace("[output]", small))
+    inputs = ["--cell", folder / "small.toml", "--process", folder / "process.toml"]
+    run("testpart", *inputs, "--features", FEATURES, "--depth", 3, "-o", folder / "out")
 
 
 @pytest.fixture(scope="module")

@@ -92,12 +92,10 @@ class _Writer:
     def write(
         self, program: Program, targets: Targets, joints: TargetJoints, cell: Cell, comments: TargetForces | None
     ) -> Written:
-        """Return a program as text, see `write.rewrite`, `write.emit` and `write.in_files`."""
-        del joints  # S and T of the targets say which branch is meant
+        """Return a program as text, see `write.rewrite`, `write.in_modules` and `write.in_files`."""
         if not isinstance(program.layout, Layout):
-            return write.in_files(
-                program.name, (), write.emit(program, targets, cell, comments), cell.output.lines_per_file
-            )
+            new = write.in_modules(program, targets, joints, cell, comments)
+            return write.in_files(program.name, (), new, cell.output.lines_per_file) if new.modules is None else new
         apart = {document.name for document in program.layout.course.files}
         whole = write.rewrite(program, targets, comments)
         own = replace(whole, documents=tuple(d for d in whole.documents if d.name not in apart))

@@ -1,0 +1,273 @@
+"""A new program larger than the memory of the controller: modules that are loaded and run one after another.
+
+A controller holds all modules in its memory at once, so that a program that calls others needs as much. KUKA.DirLoader,
+or the operator, loads one module, runs it, and replaces it by the next one. The robot interpreter is stopped meanwhile.
+
+Decisions, where KUKA leaves a choice:
+
+- Each module is a program of its own: header, initialisation, and the system variables as they are at its start.
+- It begins with a PTP to the joint angles at which the module before ends, and ends with an exact stop. So the robot
+  does not move between two modules. If it was moved, this PTP returns to a position above everything that is cut.
+- The spindle and the coolant are switched off at the end of a module, and on again at the start of the next one. An
+  operator may load it next to the tool, and no program watches over a spindle that turns between two programs.
+- Outputs that other lines of the cell switch keep their state, such as those of a clamp.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+
+import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
+
+from postproc.cell import Cell
+from postproc.dialects.krl.language.names import MAX_LENGTH
+from postproc.dialects.krl.write.emit import Emitter, axis_motion, calls
+from postproc.dialects.new_program import LINE_END, number
+from postproc.errors import Issue, ProgramError
+from postproc.frames import DEG_PER_RAD, norm
+from postproc.program import (
+    CIRC,
+    Document,
+    Event,
+    EventKind,
+    Ints,
+    Modules,
+    Program,
+    TargetForces,
+    TargetJoints,
+    Targets,
+    Written,
+)
+
+_MB = 1e6
+_RESERVE = 2000
+"""Bytes for what a module has in addition: system variables, comments, and the line that says where it comes from."""
+_SAME_HEIGHT = 1e-4
+"""Places of a retract whose heights differ by less [m] are equally high."""
+_STATE = re.compile(r"\s*(\$[\w.]+)\s*=")
+"""A line that sets a system variable. Outputs, flags and timers have an index, and keep their values."""
+_WHILE_RUNNING = re.compile(r"\s*(INTERRUPT|ANIN|ANOUT)\b", re.IGNORECASE)
+"""A statement whose effect ends with the program."""
+_SPINDLE: tuple[EventKind, ...] = ("spindle_on", "spindle_ccw", "spindle_off")
+_COOLANT: tuple[EventKind, ...] = ("coolant_on", "coolant_off")
+_AXES = {"+Z": (2, -1.0), "-Z": (2, 1.0), "+X": (0, -1.0), "-X": (0, 1.0)}
+"""Column of a tool frame, and sign, that point from the tip to the spindle."""
+_WHERE = "between two rapid moves, with the tool above everything that the program cuts"
+
+
+def in_modules(
+    program: Program, targets: Targets, joints: TargetJoints, cell: Cell, carried: TargetForces | None = None
+) -> Written:
+    """Return a program read from G-code as KRL, see `emit`; in modules if it is too large and the cell wants them.
+
+    :param joints: joint angles at the targets.
+    :raises ProgramError: it cannot be divided so that each module fits.
+    """
+    whole = Emitter(program, targets, cell, carried)
+    written = whole.written()
+    if not cell.output.divide_into_modules or written.size <= cell.output.program_memory_MB * _MB:
+        return written
+    starts = _starts(program, targets, cell, whole, written)
+    emitter = Emitter(program, targets, cell, carried, starts)
+    return _Divider(emitter, emitter.written(), starts, joints).written()
+
+
+def _ends(written: Written) -> Ints:
+    """Return where the lines (n,) of the targets end: offsets of the characters behind them."""
+    content = np.frombuffer(written.documents[0].to_bytes(), dtype=np.uint8)
+    return np.asarray(np.flatnonzero(content == ord("\n"))[written.output_line - 1] + 1)
+
+
+def _starts(program: Program, targets: Targets, cell: Cell, emitter: Emitter, written: Written) -> list[int]:
+    """Return the targets before which new modules begin: as few as possible.
+
+    :raises ProgramError: what is between two places is too large for one module.
+    """
+    motion = _places(program, cell)
+    place = np.searchsorted(targets.motion, motion.astype(targets.motion.dtype), side="right")
+    motion, place = motion[(place > 0) & (place < len(targets))], place[(place > 0) & (place < len(targets))]
+    ends = _ends(written)
+    after = np.append(ends[place - 1], written.size)
+    lines = [line for kind in (*_SPINDLE, *_COOLANT) for line in getattr(cell.gcode, kind)]
+    head = sum(len(line) + 2 for line in emitter.header(program.name))
+    most = cell.output.program_memory_MB * _MB - head - _RESERVE - 2 * sum(map(len, lines))
+    starts: list[int] = []
+    begin, index = head, -1
+    while after[-1] - begin > most:
+        last = int(np.searchsorted(after, begin + most, side="right")) - 1
+        if last <= index:
+            number_of = program.motions.line
+            first = number_of[0] if index < 0 else number_of[motion[index] + 1]
+            until = number_of[motion[index + 1]] if index + 1 < len(motion) else number_of[-1]
+            size = (after[index + 1] - begin + cell.output.program_memory_MB * _MB - most) / _MB
+            raise ProgramError(
+                f"the moves from here to line {until} alone need a module of {size:.2g} MB, more than "
+                f"program_memory_MB = {cell.output.program_memory_MB:g} of [output]: a module may not end in them",
+                file=program.documents[0].name,
+                line=int(first),
+                advice=f"A module ends {_WHERE}. Program a retract there, raise tolerance_mm, or divide the job in the "
+                "CAM system.",
+            )
+        index, begin = last, int(after[last])
+        starts.append(int(place[last]))
+    return starts
+
+
+def _places(program: Program, cell: Cell) -> Ints:
+    """Return the motions (n,) after which a module may end: of consecutive rapid moves, the one that ends highest.
+
+    Height is counted along the tool axis there, above everything that the program cuts; below 0 there is none. After
+    the last rapid move before a cut there is none.
+    """
+    m = program.motions
+    cartesian = np.isnan(m.joints[:, 0])
+    inside = np.flatnonzero(m.rapid[:-1] & m.rapid[1:] & cartesian[:-1])
+    if not len(inside):
+        return inside
+    base = program.bases[m.base]
+    column, sign = _AXES[cell.tool.axis]
+    position = np.einsum("nij,nj->ni", base[:, :3, :3], m.target.position) + base[:, :3, 3]
+    up = sign * np.einsum("nij,nj->ni", base[inside, :3, :3], m.target[inside, :3, :3][:, :, column])
+    cuts = np.flatnonzero(~m.rapid)
+    arcs = np.flatnonzero(m.kind == CIRC)
+    centre = np.einsum("nij,nj->ni", base[arcs, :3, :3], m.centre[arcs]) + base[arcs, :3, 3]
+    normal = np.einsum("nij,nj->ni", base[arcs, :3, :3], m.normal[arcs])
+    radius = norm(np.cross(m.normal[arcs], m.target.position[arcs] - m.centre[arcs]))
+    height = np.empty(len(inside))
+    axes, which = np.unique(up.round(6), axis=0, return_inverse=True)
+    for row, axis in enumerate(axes):
+        own = np.flatnonzero(which.ravel() == row)
+        on_arcs = centre @ axis + radius * norm(np.cross(normal, axis))
+        most = max((position[cuts] @ axis).max(initial=-np.inf), on_arcs.max(initial=-np.inf))
+        height[own] = position[inside[own]] @ axis - most
+    run = np.cumsum(~m.rapid)[inside]
+    best = np.lexsort((inside, -np.floor(height / _SAME_HEIGHT), run))
+    best = best[np.diff(run[best], prepend=-1) != 0]
+    return np.asarray(np.sort(inside[best[height[best] > _SAME_HEIGHT]]))
+
+
+class _Switched(Struct, frozen=True):
+    """Spindle or coolant that is on where a module ends: lines of the cell to switch it on and off."""
+
+    event: Event
+    on: list[str]
+    off: list[str]
+
+
+class _Divider:
+    """Divides the text of a program at its targets `starts`."""
+
+    def __init__(self, emitter: Emitter, whole: Written, starts: Sequence[int], joints: TargetJoints) -> None:
+        self.new, self.emitter, self.whole, self.joints = emitter.new, emitter, whole, joints
+        self.first = (0, *starts)
+        name, tail = emitter.program.name, len(str(len(self.first))) + 1
+        self.names = [f"{name[: MAX_LENGTH - tail]}_{index}" for index in range(1, len(self.first) + 1)]
+        self.event_at = [self.new.first_target(event) for event in emitter.program.events]
+        for event in emitter.program.events:
+            if event.kind in ("m_code", "tool_change") and any(map(_WHILE_RUNNING.match, self.new.lines_of(event))):
+                raise ProgramError(
+                    "the lines of the cell for this block have an effect that ends with each module",
+                    file=emitter.program.documents[0].name,
+                    line=event.line,
+                    advice="INTERRUPT, ANIN and ANOUT hold while a program runs. Remove them from the cell, or write "
+                    "divide_into_modules = false.",
+                )
+
+    def written(self) -> Written:
+        """Return the program in one piece, and in modules."""
+        text, ends = self.whole.documents[0].text, _ends(self.whole)
+        head = sum(len(line) + len(LINE_END) for line in self.emitter.header(self.emitter.program.name))
+        documents, lines, before = [], [], 0
+        own = self.whole.output_line
+        for index, (a, b) in enumerate(pairwise((*self.first, len(own)))):
+            top = self.emitter.header(self.names[index], self._order(index))
+            skipped = len(self.emitter.header(self.emitter.program.name)) if a == 0 else int(own[a - 1])
+            top += [] if a == 0 else self._begin(a)
+            body = text[head if a == 0 else ends[a - 1] : ends[b - 1] if b < len(own) else len(text)]
+            bottom = [*self._off(b), "END"] if b < len(own) else []
+            whole = "".join(line + LINE_END for line in top) + body + "".join(line + LINE_END for line in bottom)
+            documents.append(Document(f"{self.names[index]}.src", whole, self.whole.documents[0].encoding))
+            lines.append(own[a:b] - skipped + len(top) + before)
+            before += whole.count("\n")
+        modules = Modules(tuple(documents), self.first, np.concatenate(lines))
+        return replace(self.whole, modules=modules, issues=(*self.whole.issues, self._issue(documents)))
+
+    def _order(self, index: int) -> str:
+        """Return the comment of a module on its place among the others."""
+        before = f", run after {self.names[index - 1]}" if index else ""
+        after = f", next is {self.names[index + 1]}" if index + 1 < len(self.names) else ""
+        return f"module {index + 1} of {len(self.names)}{before}{after}"
+
+    def _issue(self, documents: Sequence[Document]) -> Issue:
+        sizes = ", ".join(f"{document.name} ({len(document.text) / _MB:.2g} MB)" for document in documents)
+        message = (
+            f"the program is larger than program_memory_MB = {self.emitter.cell.output.program_memory_MB:g} of "
+            f"[output], and is written as {len(documents)} modules. Load and run them one after another in this order, "
+            f"each in place of the one before: {sizes}. Between two modules the robot stays where it is, and the lines "
+            "of [gcode] switch spindle and coolant off."
+        )
+        return Issue("info", "modules", message)
+
+    def _begin(self, k: int) -> list[str]:
+        """Return the start of a module before a target: system variables, joint angles, and what is switched on."""
+        state: dict[str, str] = {}
+        earlier = (line for at in sorted(self.new.before) if at < k for line in self.new.before[at])
+        for line in (*self.emitter.begin(), *earlier):
+            found = _STATE.match(line)
+            if found:
+                state[found[1].upper()] = line
+        lines, own = [*state.values(), axis_motion(self.joints.q[k - 1] * DEG_PER_RAD, 5)], list[str]()
+        for each in self._switched(k):
+            if self._switches(each.event, k):
+                continue  # the program itself switches it here
+            event = each.event
+            nothing = f"; {event.kind} {number(event.value)}: no lines for it in the cell"
+            own += each.on
+            lines += [self.new.words.wait, *each.on] if each.on else [nothing]
+            lines += [self.new.words.dwell.format(number(dwell.value)) for dwell in self._dwells(event)]
+        return [*lines, *(state.values() if calls(own) else ())]  # a program that is called may have set others
+
+    def _off(self, k: int) -> list[str]:
+        """Return the lines that switch off, at the end of a module, what is on before a target."""
+        lines = [line for each in self._switched(k) for line in each.off]
+        return [self.new.words.wait, *lines] if lines else []
+
+    def _switched(self, k: int) -> Iterator[_Switched]:
+        """Yield spindle and coolant if they are on before a target.
+
+        :raises ProgramError: the cell has lines to switch it on, and none to switch it off.
+        """
+        for kinds in (_SPINDLE, _COOLANT):
+            own = [
+                e
+                for e, at in zip(self.emitter.program.events, self.event_at, strict=True)
+                if at < k and e.kind in kinds
+            ]
+            if not own or own[-1].kind == kinds[-1]:
+                continue
+            on, off = self.new.lines_of(own[-1]), self.new.lines_of(Event(0, kinds[-1], 0))
+            if on and not off:
+                raise ProgramError(
+                    f"a module would end with the {kinds[-1].removesuffix('_off')} that this line switches on: the "
+                    "cell has no lines to switch it off",
+                    file=self.emitter.program.documents[0].name,
+                    line=own[-1].line,
+                    advice=f"Give {kinds[-1]} in [gcode] of the cell.",
+                )
+            yield _Switched(own[-1], on, off if on else [])
+
+    def _switches(self, event: Event, k: int) -> bool:
+        """Return whether the program switches what an event does at a target too."""
+        kinds = _SPINDLE if event.kind in _SPINDLE else _COOLANT
+        events = zip(self.emitter.program.events, self.event_at, strict=True)
+        return any(at == k and other.kind in kinds for other, at in events)
+
+    def _dwells(self, event: Event) -> Iterator[Event]:
+        """Yield the waits that follow an event at its place: until the spindle has its speed."""
+        events, at = self.emitter.program.events, self.event_at
+        index = max(i for i, other in enumerate(events) if other is event)
+        return (e for i, e in enumerate(events) if i > index and at[i] == at[index] and e.kind == "dwell")
