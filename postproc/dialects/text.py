@@ -14,6 +14,8 @@ from postproc.errors import ProgramError
 from postproc.program import Document, Ints
 
 _LF, _CR = 10, 13
+_PIECE = 1_000_000
+"""Characters whose lines are looked for at once: the arrays of a whole text would take several times its memory."""
 _ENCODINGS = ("utf-8", "cp1252", "latin-1")
 
 
@@ -49,6 +51,19 @@ def line_spans(text: str) -> tuple[Ints, Ints]:
 
     The line end is not part of the line. What follows the last line end is a line only if it is not empty.
     """
+    starts, stops, at = [], [], 0
+    while True:
+        behind = text.find("\n", at + _PIECE) + 1 or len(text)  # a line end of several characters ends with LF
+        first, last = _spans(text[at:behind])
+        starts.append(first + at)
+        stops.append(last + at)
+        at = behind
+        if at == len(text):
+            return np.concatenate(starts), np.concatenate(stops)
+
+
+def _spans(text: str) -> tuple[Ints, Ints]:
+    """Return the spans of the lines of a piece of text, which begins with a line."""
     try:
         units = np.frombuffer(text.encode("latin-1"), dtype=np.uint8)
     except UnicodeEncodeError:

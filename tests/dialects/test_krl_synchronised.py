@@ -5,6 +5,7 @@ import pytest
 from msgspec.structs import replace
 
 from postproc.dialects import krl
+from postproc.dialects.krl.read import unresolved
 from postproc.errors import ProgramError
 from tests.dialects.krl_programs import CELL, body, read, targets
 
@@ -118,3 +119,10 @@ def test_motions_driven_with_those_of_another_robot_are_refused():
     motion = "S" + lin(2) + " WITH $VEL=SVEL_CP(0.1,,L1),$SYNC_ID[]=\"AutoSync\",$SYNC_LIST='B0011' C_SPL"
     with pytest.raises(ProgramError, match=r"\$SYNC_ID in WITH is not understood"):
         read(body(lin(1), motion))
+
+
+@pytest.mark.parametrize("before", range(9))
+def test_a_word_that_synchronises_is_found_wherever_it_is_in_a_text(before: int, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(unresolved, "_PIECE", 4)
+    assert unresolved._synchronises(" " * before + "SyncCmd(#X)")
+    assert not unresolved._synchronises(" " * before + "SyncCm(#X)")

@@ -42,6 +42,15 @@ def test_a_document_is_written_in_pieces_of_its_text(monkeypatch: pytest.MonkeyP
     assert b"".join(document.pieces()) == document.to_bytes() == content
 
 
+@pytest.mark.parametrize("piece", [1, 2, 5])
+@given(st.text(alphabet="a\r\né€"))
+def test_lines_found_in_pieces_are_those_of_the_whole_text(piece: int, content: str) -> None:
+    whole = lines(content)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(text, "_PIECE", piece)
+        assert lines(content) == whole
+
+
 @given(st.binary(min_size=1))
 def test_a_decoded_file_encodes_back_to_its_bytes_or_is_refused(data: bytes) -> None:
     try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from msgspec import Struct
@@ -42,8 +43,9 @@ class Layout(Struct, frozen=True, eq=False):
     :param numbers: (M, 6) X, Y, Z [mm], A, B, C [deg] that the text commands, missing ones filled in with what the
         controller keeps; for axis and relative targets the Cartesian numbers they amount to.
     :param missing: (M, 6) True where the text does not give the component.
-    :param spans: (M, 8, 2) spans of the texts of X, Y, Z, A, B, C, S, T; −1 where missing, and throughout for
-        motions in `statements` (their numbers may be elsewhere). Of `elements` they are offsets in the data list.
+    :param begin: (M,) offset of the target; of `elements` that of the point in the data list.
+    :param within: (M, 8, 2) spans of the texts of X, Y, Z, A, B, C, S, T from there, see `spans`; 0 where missing, and
+        throughout for motions in `statements` (their numbers may be elsewhere).
     :param keyword: (M,) offset of the instruction.
     :param target: (M, 2) span of the target in the statement: ``{…}``, a name or a chain.
     :param tail: (M, 2) span of what follows the target and holds for inserted targets too: approximation, WITH.
@@ -75,7 +77,8 @@ class Layout(Struct, frozen=True, eq=False):
     notes: tuple[int, ...]
     numbers: Array
     missing: Bools
-    spans: Offsets
+    begin: Offsets
+    within: NDArray[np.unsignedinteger[Any]]
     keyword: Offsets
     target: Offsets
     tail: Offsets
@@ -99,6 +102,14 @@ class Layout(Struct, frozen=True, eq=False):
     broken_off: str = ""
     documents: tuple[Document, ...] = ()
     files: tuple[tuple[str, int], ...] = ()
+
+    def spans(self, rows: Ints | slice, columns: slice = slice(None)) -> Offsets:
+        """Return the spans of the texts of X … T of motions (n, 8, 2), or of some of these columns; −1 where missing.
+
+        Of `elements` they are offsets in the data list.
+        """
+        within = self.within[rows, columns].astype(np.int32)
+        return np.where(within > 0, within + self.begin[rows, None, None], -1)
 
     def places(self, rows: Ints) -> Places | None:
         """Return the files and lines of motions (n,); None: all in the main file."""

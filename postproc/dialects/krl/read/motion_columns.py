@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from postproc.chunks import Columns, compact
 from postproc.dialects.krl.language.motion_statements import MotionStatement
@@ -26,7 +27,7 @@ class MotionColumns(Columns, frozen=True, eq=False):
     :param kind: (R,) `LIN`, `CIRC` or `PTP`.
     :param numbers: (R, 6) X, Y, Z [mm], A, B, C [deg] as the text gives them; NaN where missing.
     :param posture: (R, 2) S and T, and `external` (R, 6) E1…E6, likewise.
-    :param spans: (R, 8, 2) spans of the texts of X…T in the line; −1 where missing.
+    :param within: (R, 8, 2) spans of the texts of X…T within the target; 0 where missing. In as few bytes as they need.
     :param keyword: (R,) offset of the instruction.
     :param target: (R, 2) span of the target.
     :param tail: (R, 2) span of what follows it: approximation, WITH.
@@ -41,7 +42,7 @@ class MotionColumns(Columns, frozen=True, eq=False):
     numbers: Array
     posture: Array
     external: Array
-    spans: Offsets
+    within: NDArray[np.unsignedinteger[Any]]
     keyword: Offsets
     target: Offsets
     tail: Offsets
@@ -98,7 +99,7 @@ class MotionCollector:
 
 def _of_moves(moves: Sequence[MotionStatement]) -> MotionColumns:
     numbers, posture, external = (np.full((len(moves), count), np.nan) for count in (6, 2, 6))
-    spans = np.full((len(moves), len(COLUMNS), 2), -1, dtype=np.int32)
+    within = np.zeros((len(moves), len(COLUMNS), 2), dtype=np.int32)
     via, via_spans, via_target = no_circles(len(moves))
     if any(move.via is not None for move in moves):
         via, via_spans, via_target = via.copy(), via_spans.copy(), via_target.copy()
@@ -116,7 +117,7 @@ def _of_moves(moves: Sequence[MotionStatement]) -> MotionColumns:
             for column, name in enumerate(COLUMNS):
                 item = position.aggregate.items.get(name)
                 if isinstance(item, Number):
-                    spans[row, column] = item.start, item.stop
+                    within[row, column] = item.start - move.end.start, item.stop - move.end.start
         if move.via is not None:
             via[row] = move.via.position.values[:3]
             if move.plain and move.via.position.aggregate is not None:
@@ -130,7 +131,7 @@ def _of_moves(moves: Sequence[MotionStatement]) -> MotionColumns:
         numbers,
         posture,
         external,
-        spans,
+        narrow(within),
         _offsets([move.keyword[0] for move in moves]),
         _offsets([(move.end.start, move.end.stop) for move in moves]).reshape(-1, 2),
         _offsets([(move.tail, move.stop) for move in moves]).reshape(-1, 2),
@@ -144,6 +145,11 @@ def _of_moves(moves: Sequence[MotionStatement]) -> MotionColumns:
 def given(column: Array) -> Array:
     """Return a column; instead of one that is NaN throughout, one that takes no memory."""
     return np.broadcast_to(np.nan, column.shape) if np.isnan(column).all() else column.copy()
+
+
+def narrow(numbers: NDArray[Any]) -> NDArray[np.unsignedinteger[Any]]:
+    """Return whole numbers ≥ 0 in as few bytes as they need."""
+    return np.asarray(numbers.astype(np.min_scalar_type(int(numbers.max(initial=0)))))
 
 
 def no_circles(count: int) -> tuple[Array, Offsets, Ints]:
@@ -192,7 +198,7 @@ def _room(count: int, parts: Sequence[Any]) -> Any:
     filled = [values for values in parts if len(values)]
     if filled and all(values.strides[0] == 0 for values in filled):
         return np.broadcast_to(filled[0][0], (count, *filled[0].shape[1:]))
-    return np.empty((count, *parts[0].shape[1:]), parts[0].dtype)
+    return np.empty((count, *parts[0].shape[1:]), np.result_type(*parts))
 
 
 def none() -> MotionColumns:

@@ -12,7 +12,7 @@ from postproc.chunks import compact
 from postproc.dialects.krl.language.motion_statements import MotionStatement, Trigger, triggers
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tokens import words_in
-from postproc.dialects.krl.layout import CONSTANT, FREE, IGNORE, JOINT, ORIENTATIONS, Elements, Layout
+from postproc.dialects.krl.layout import CONSTANT, FREE, IGNORE, JOINT, ORIENTATIONS, Elements, Layout, Offsets
 from postproc.dialects.krl.read.auxiliary_points import left_out
 from postproc.dialects.krl.read.end_poses import EndPoses, Led, circles, end_poses, same_orientation
 from postproc.dialects.krl.read.external_axes import external_axes
@@ -152,7 +152,8 @@ def motions_and_layout(
         notes=(),
         numbers=ends.numbers,
         missing=missing,
-        spans=rows.spans,
+        begin=_begins(rows.target[:, 0], elements),
+        within=rows.within,
         keyword=rows.keyword,
         target=rows.target,
         tail=rows.tail,
@@ -189,6 +190,14 @@ def _elements(rows: MotionColumns, rounds: ElementMotions) -> Elements:
     row = np.searchsorted(rows.line, rounds.rows.line)
     there = rows.line[np.minimum(row, len(rows) - 1)] == rounds.rows.line
     return Elements(row[there], rounds.literal[there], rounds.source, rounds.name)
+
+
+def _begins(target: Offsets, elements: tuple[Elements, ...]) -> Offsets:
+    """Return the beginnings (R,) of the points of motions: of their targets, or of those in data lists."""
+    out = target.copy() if elements else target
+    for each in elements:
+        out[each.row] = each.literal[:, 0]
+    return out
 
 
 def _states(settings: Settings, line: Ints, own_states: list[State]) -> tuple[list[State], Ints, Ints, Ints]:

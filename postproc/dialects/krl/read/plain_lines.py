@@ -20,7 +20,7 @@ from postproc.decimals import Bytes, numbers_in, parsed
 from postproc.dialects.krl.language.positions import COLUMNS
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.read import plain_settings
-from postproc.dialects.krl.read.motion_columns import MotionColumns, given, no_circles, none
+from postproc.dialects.krl.read.motion_columns import MotionColumns, given, narrow, no_circles, none
 from postproc.dialects.krl.read.plain_settings import PlainSettings, no_settings
 from postproc.frames import Array, any_column
 from postproc.program import CIRC, LIN, PTP, Bools, Ints
@@ -182,7 +182,7 @@ def _scan(codes: bytes, line_starts: Ints, index: Ints, lines: int, characters: 
         numbers=numbers[:, :6].copy(),
         posture=given(numbers[:, 6:8]),
         external=given(numbers[:, 8:]),
-        spans=spans[:, : len(COLUMNS)].copy(),
+        within=narrow(np.where(spans < 0, 0, spans - points[:, :1, None] - shift[:, None, None])[:, : len(COLUMNS)]),
         keyword=(keyword + shift).astype(np.int32),
         target=(points + shift[:, None]).astype(np.int32),
         tail=(np.stack([points[:, 1], stop], axis=1) + shift[:, None]).astype(np.int32),

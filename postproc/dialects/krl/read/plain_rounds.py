@@ -121,7 +121,6 @@ def _motions(run: Run, reader: MotionReader, rounds: PlainRounds, at: int, here:
         rows,
         line=line,
         kind=np.full(rounds.count, kind),
-        spans=np.where(rows.spans >= 0, rows.spans + shift[:, None, None], -1).astype(np.int32),
         keyword=(begin + here.start).astype(np.int32),
         target=moved(here.end.start, here.end.stop),
         tail=moved(here.tail.start, here.tail.stop),

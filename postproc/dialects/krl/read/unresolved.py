@@ -26,6 +26,8 @@ from postproc.errors import Issue, ProgramError
 from postproc.program import CIRC, PTP, SPL, Ints, Unresolved
 
 _WAITING, _OTHERWISE = "#PROGSYNC", "?"
+_PIECE = 1_000_000
+"""Characters of a text that are searched at once."""
 _SYNCHRONISED = (
     "Motions before the first SYNCCMD of a program and behind the last are corrected; --keep-unresolved leaves those "
     "between as they are."
@@ -173,8 +175,8 @@ def _marks(main: MainRoutine) -> list[tuple[int, bool]]:
 
 def _synchronises(text: str) -> bool:
     """Return whether a text has one of the words that synchronise robots, also in comments and strings."""
-    upper = text.upper()
-    return any(name in upper for name in SYNCHRONISING)
+    pieces = (text[at : at + _PIECE + max(map(len, SYNCHRONISING))].upper() for at in range(0, len(text), _PIECE))
+    return any(name in piece for piece in pieces for name in SYNCHRONISING)
 
 
 def _word(source: Source, line: int, names: Collection[str] = (), *, entered: bool = False) -> str:

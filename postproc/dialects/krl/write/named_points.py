@@ -179,17 +179,17 @@ def settled(
     for each in layout.elements:
         used += [(each.source.index, start) for start in each.literal[:, 0].tolist()]
     times = Counter(used)
-    left, statements, spans = [], dict(layout.statements), layout.spans.copy()
+    left, statements, within = [], dict(layout.statements), layout.within.copy()
     for each in layout.elements:
         known = all(offset in layout.understood for offset in mentions.get(each.name, ()))
         own = known and each.name not in layout.public and each.source.index < files and layout.carriage is None
         once = np.array([times[each.source.index, start] == 1 for start in each.literal[:, 0].tolist()])
         here = alone[each.row] & once & own
         left.append(Elements(each.row[here], each.literal[here], each.source, each.name))
-        spans[each.row[~here]] = -1
+        within[each.row[~here]] = 0
         for row, literal in zip(each.row[~here].tolist(), each.literal[~here].tolist(), strict=True):
             statements[row] = _statement(layout, motions, row, each, literal)
-    return replace(layout, statements=dict(sorted(statements.items())), elements=tuple(left), spans=spans)
+    return replace(layout, statements=dict(sorted(statements.items())), elements=tuple(left), within=within)
 
 
 def _statement(layout: Layout, motions: Motions, row: int, each: Elements, literal: Sequence[int]) -> MotionStatement:

@@ -167,7 +167,7 @@ class _Rewriter:
         file = np.zeros(len(self.program.motions), dtype=np.int64)
         for elements in self.layout.elements:
             file[elements.row] = elements.source.index
-        spans = self.layout.spans[self.row[k], :6].astype(np.int64)
+        spans = self.layout.spans(self.row[k], slice(6)).astype(np.int64)
         for index, replacements in enumerate(self.replacements):
             there = (spans[:, :, 0] >= 0) & (file[self.row[k]] == index)[:, None]
             replacements.add_numbers(

@@ -161,12 +161,12 @@ def _nearest(abc: Array, reference: Array) -> Array:
 
 def _decimals(layout: Layout, text: str) -> Ints:
     """Return how many decimals the numbers of M motions have in the input, (M, 6); 0 where there are none."""
-    spans = layout.spans[:, :6].copy()
+    spans = layout.spans(slice(None), slice(6))
     for elements in layout.elements:
         spans[elements.row] = -1
     decimals = _decimals_in(text, spans)
     for elements in layout.elements:
-        decimals[elements.row] = _decimals_in(elements.source.text, layout.spans[elements.row, :6])
+        decimals[elements.row] = _decimals_in(elements.source.text, layout.spans(elements.row, slice(6)))
     for row, move in layout.statements.items():
         aggregate = move.end.position.aggregate
         if aggregate is not None and not move.end.position.axis:

@@ -113,7 +113,7 @@ class TargetStatements:
         move = self.layout.statements.get(row)
         if move is not None:
             return None if move.relative else self.inline(move.end)
-        spans = self.layout.spans[row].tolist()
+        spans = self.layout.spans(slice(row, row + 1))[0].tolist()
         places = {name: (start, stop) for name, (start, stop) in zip(COLUMNS, spans, strict=True) if start >= 0}
         start, stop = self.layout.target[row].tolist()
         if self.layout.carriage is not None:
