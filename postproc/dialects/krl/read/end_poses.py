@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from msgspec import Struct
 
-from postproc.chunks import Runs, in_chunks
+from postproc.chunks import Runs, chunks, in_chunks
 from postproc.dialects.circles import through
 from postproc.dialects.krl.language.motion_statements import MotionStatement
 from postproc.dialects.krl.language.positions import LARGEST_B, Position
@@ -101,7 +101,7 @@ class _Follower:
         self.circles: dict[int, Array] = {}
         self.base, self.tool, self.bases, self.tools = frames
         self.present = present
-        self.numbers = given.copy()
+        self.numbers = given
         self.joints: dict[int, Array] = {}
         self.resumed = np.zeros(len(given), dtype=np.bool_)
 
@@ -131,17 +131,20 @@ class _Follower:
         if first == last:
             return
         self.resumed[first] = self.present.numbers is None
+        for part in chunks(last - first):
+            self._some(first + part.start, min(first + part.stop, last))
+
+    def _some(self, first: int, last: int) -> None:
         block = self.numbers[first:last]
         missing = np.isnan(block)
         if missing.any():
             self._check_frames(first, last, any_column(missing))
-            given = block.copy()
-            block[0] = np.where(missing[0], self.here(first), block[0])
-            missing[0] = False
+            here = self.here(first)
+            filled = np.where(missing[:1], here, block[:1])
             latest = np.maximum.accumulate(np.where(missing, 0, np.arange(len(block))[:, None]), axis=0)
-            before = np.vstack([self.here(first), np.take_along_axis(block, latest, axis=0)])
+            before = np.vstack([here, np.take_along_axis(np.vstack([filled, block[1:]]), latest, axis=0)])
             block[:] = before[1:]
-            self._check_angles(first, np.isnan(given[:, 3:]), before[:-1, 4])
+            self._check_angles(first, missing[:, 3:], before[:-1, 4])
         self.arrive(last - 1)
 
     def _check_angles(self, first: int, missing: Bools, before: Array) -> None:
@@ -260,7 +263,8 @@ def end_poses(
     """Return the targets of M motions.
 
     :param line: (M,) 1-based lines, for messages.
-    :param given: (M, 6) X…C as the text gives them, NaN where missing; NaN for axis and relative targets.
+    :param given: (M, 6) X…C as the text gives them, NaN where missing; NaN for axis and relative targets. They are
+        completed in place.
     :param frames: base (M,) and tool (M,): rows of `$BASE` in the robot root (nb, 4, 4) and `$TOOL` in the flange
         frame (nt, 4, 4).
     :param moves: row → statement, for axis and relative targets and circles with CA.
@@ -278,7 +282,8 @@ def end_poses(
     follower = _Follower(
         source, line, given, frames, _RobotPosition(start_flange, start_joints), forward, carriage, led
     )
-    follower.numbers[led.constant, 3:] = np.nan  # missing components keep their previous value
+    own, lacking = given[led.constant, 3:], any_column(np.isnan(given[:, 3:]))
+    given[led.constant, 3:] = np.nan  # missing components keep their previous value
     special = {at for at, move in moves.items() if move.end.position.axis or move.relative or move.angle is not None}
     anew = np.append(True, (np.diff(frames[0]) != 0) | (np.diff(frames[1]) != 0))[: len(line)]
     row = 0
@@ -288,17 +293,17 @@ def end_poses(
         row = at + 1
     follower.absolute(row, len(line))
 
-    pose = poses_from_xyzabc(follower.numbers)
+    pose = poses_from_xyzabc(given)
     start = Starts.of(frames, pose.__getitem__, start_flange, after)
     ignored, constant = np.zeros(len(line), dtype=np.bool_), np.flatnonzero(led.constant)
-    ignored[constant] = any_column(np.abs(given[constant, 3:] - follower.numbers[constant, 3:]) > _SAME)
-    _check_ignored(source, line, given, moves, led.constant, ignored)
+    ignored[constant] = any_column(np.abs(own - given[constant, 3:]) > _SAME)
+    _check_ignored(source, line, lacking, moves, led.constant, ignored)
     joints = Runs.few(given.shape, follower.joints)
-    return EndPoses(follower.numbers, pose, joints, start, follower.resumed, ignored, follower.circles)
+    return EndPoses(given, pose, joints, start, follower.resumed, ignored, follower.circles)
 
 
 def _check_ignored(
-    source: Source, line: Ints, given: Array, moves: Mapping[int, MotionStatement], constant: Bools, ignored: Bools
+    source: Source, line: Ints, missing: Bools, moves: Mapping[int, MotionStatement], constant: Bools, ignored: Bools
 ) -> None:
     """Refuse missing A, B, C after ignored ones: which of them the controller keeps is not certain.
 
@@ -309,7 +314,6 @@ def _check_ignored(
     row = np.arange(len(line))
     last_ignored = np.maximum.accumulate(np.where(ignored, row, -1))
     last_free = np.maximum.accumulate(np.where(constant, -1, row))
-    missing = any_column(np.isnan(given[:, 3:]))
     missing[[at for at, move in moves.items() if move.end.position.axis]] = False
     behind = np.flatnonzero(missing[1:] & ~constant[1:] & (last_ignored > last_free)[:-1]) + 1
     if len(behind):

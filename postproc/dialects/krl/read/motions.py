@@ -118,12 +118,14 @@ def motions_and_layout(
     placed[[row for row, move in moves.items() if move.end.position.axis]] = False
     axis_issues, carriage = external_axes(source, rows, relative, placed, settings.cell.carriage, after)
     frames = base, tool, np.stack(settings.frames.bases), np.stack(settings.frames.tools)
-    given = rows.numbers
     led = _led(source, rows, states, state)
-    ends = end_poses(source, rows.line, given, frames, moves, start_joints, forward, led, carriage, after)
+    missing, arc_ends = np.isnan(rows.numbers), rows.numbers[rows.kind == CIRC, :3]
+    ends = end_poses(source, rows.line, rows.numbers, frames, moves, start_joints, forward, led, carriage, after)
     by_wrist = _by_wrist(source, rows, states, state, ends, carriage)
     _check_by_wrist(source, rows, states, state, ends, settings)
-    centre, normal, sweep, unheeded = _arcs(source, rows, ends, moves, led, settings, (states, state), carriage)
+    centre, normal, sweep, unheeded = _arcs(
+        source, rows, ends, arc_ends, moves, led, settings, (states, state), carriage
+    )
 
     speed, cdis = numbers.T
     motions = Motions(
@@ -143,7 +145,6 @@ def motions_and_layout(
         status=_whole(rows.posture[:, 0]),
         turn=_whole(rows.posture[:, 1]),
     )
-    missing = np.isnan(given)
     missing[[row for row, move in moves.items() if move.end.position.axis or move.relative]] = False
     elements = tuple(_elements(rows, each) for each in main.rounds)
     layout = Layout(
@@ -360,13 +361,17 @@ def _arcs(
     source: Source,
     rows: MotionColumns,
     ends: EndPoses,
+    given_ends: Array,
     moves: Mapping[int, MotionStatement],
     led: Led,
     settings: Settings,
     in_force: tuple[list[State], Ints],
     carriage: Carriage | None,
 ) -> tuple[Array, Array, Array, Bools]:
-    """Return centre (M, 3), normal (M, 3) and sweep (M,) of the circles, NaN elsewhere, and `Layout.unheeded` (M,)."""
+    """Return centre (M, 3), normal (M, 3) and sweep (M,) of the circles, NaN elsewhere, and `Layout.unheeded` (M,).
+
+    :param given_ends: (n, 3) X, Y, Z of the ends of the n circles as the text gives them [mm].
+    """
     unheeded = np.zeros(len(rows), dtype=np.bool_)
     nothing = np.broadcast_to(np.nan, (len(rows), 3))  # takes no memory
     circular = np.flatnonzero(rows.kind == CIRC)
@@ -374,7 +379,7 @@ def _arcs(
         return nothing, nothing, nothing[:, 0], unheeded
     centre, normal, sweep = nothing.copy(), nothing.copy(), nothing[:, 0].copy()
     line, start = rows.line[circular], ends.start.at(circular)
-    given = rows.via[circular] * M_PER_MM, rows.numbers[circular, :3] * M_PER_MM
+    given = rows.via[circular] * M_PER_MM, given_ends * M_PER_MM
     for row, points in ends.circles.items():
         at = np.searchsorted(circular, row)
         given[0][at], given[1][at] = points * M_PER_MM
