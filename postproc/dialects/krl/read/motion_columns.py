@@ -26,7 +26,7 @@ class MotionColumns(Columns, frozen=True, eq=False):
     :param line: (R,) 1-based line.
     :param kind: (R,) `LIN`, `CIRC` or `PTP`.
     :param numbers: (R, 6) X, Y, Z [mm], A, B, C [deg] as the text gives them; NaN where missing.
-    :param posture: (R, 2) S and T, and `external` (R, 6) E1…E6, likewise.
+    :param external: (R, 6) E1…E6, likewise; `posture` (R, 2) S and T, −1 where missing.
     :param within: (R, 8, 2) spans of the texts of X…T within the target; 0 where missing. In as few bytes as they need.
     :param keyword: (R,) offset of the instruction.
     :param target: (R, 2) span of the target.
@@ -40,7 +40,7 @@ class MotionColumns(Columns, frozen=True, eq=False):
     line: Ints
     kind: Ints
     numbers: Array
-    posture: Array
+    posture: Ints
     external: Array
     within: NDArray[np.unsignedinteger[Any]]
     keyword: Offsets
@@ -98,7 +98,7 @@ class MotionCollector:
 
 
 def _of_moves(moves: Sequence[MotionStatement]) -> MotionColumns:
-    numbers, posture, external = (np.full((len(moves), count), np.nan) for count in (6, 2, 6))
+    numbers, external = (np.full((len(moves), 6), np.nan) for _ in range(2))
     within = np.zeros((len(moves), len(COLUMNS), 2), dtype=np.int32)
     via, via_spans, via_target = no_circles(len(moves))
     if any(move.via is not None for move in moves):
@@ -109,10 +109,6 @@ def _of_moves(moves: Sequence[MotionStatement]) -> MotionColumns:
             numbers[row] = position.values
         if position.external:
             external[row] = position.external
-        if position.status >= 0:
-            posture[row, 0] = position.status
-        if position.turn >= 0:
-            posture[row, 1] = position.turn
         if move.plain and position.aggregate is not None:
             for column, name in enumerate(COLUMNS):
                 item = position.aggregate.items.get(name)
@@ -124,13 +120,12 @@ def _of_moves(moves: Sequence[MotionStatement]) -> MotionColumns:
                 via_target[row] = move.via.start, move.via.stop
                 items = move.via.position.aggregate.items
                 via_spans[row] = [(items[name].start, items[name].stop) for name in COLUMNS[:3]]
-    posture, external = (given(each) for each in (posture, external))
     return MotionColumns(
         compact(np.array([move.line for move in moves], dtype=np.int64), np.int32),
         compact(np.array([move.kind for move in moves], dtype=np.int64), np.int8),
         numbers,
-        posture,
-        external,
+        postures(np.array([(move.end.position.status, move.end.position.turn) for move in moves]).reshape(-1, 2)),
+        given(external),
         narrow(within),
         _offsets([move.keyword[0] for move in moves]),
         _offsets([(move.end.start, move.end.stop) for move in moves]).reshape(-1, 2),
@@ -145,6 +140,11 @@ def _of_moves(moves: Sequence[MotionStatement]) -> MotionColumns:
 def given(column: Array) -> Array:
     """Return a column; instead of one that is NaN throughout, one that takes no memory."""
     return np.broadcast_to(np.nan, column.shape) if np.isnan(column).all() else column.copy()
+
+
+def postures(numbers: NDArray[Any]) -> Ints:
+    """Return S and T (R, 2) in two bytes each; in none if all are −1."""
+    return compact(np.broadcast_to(np.int64(-1), numbers.shape) if (numbers == -1).all() else numbers, np.int16)
 
 
 def narrow(numbers: NDArray[Any]) -> NDArray[np.unsignedinteger[Any]]:

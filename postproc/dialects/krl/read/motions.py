@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
-from postproc.chunks import compact
+from postproc.chunks import Runs, compact
 from postproc.dialects.krl.language.motion_statements import MotionStatement, Trigger, triggers
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tokens import words_in
@@ -45,15 +46,15 @@ class OrderedMotions(NamedTuple):
     :param rows: (R,) motions.
     :param states: all states that are in force anywhere.
     :param state: (R,) which of them.
-    :param numbers: (R, 2) of these, speed and distance of approximation, see `plain_settings.NUMBERS`: plain settings
-        have no states of their own.
+    :param numbers: (R, 2) of these, speed and distance of approximation, see `plain_settings.NUMBERS`, as runs of equal
+        ones: plain settings have no states of their own.
     :param moves: row → statement, of those that are not plain.
     """
 
     rows: MotionColumns
     states: list[State]
     state: Ints
-    numbers: Array
+    numbers: Runs
     moves: dict[int, MotionStatement]
 
 
@@ -68,22 +69,22 @@ def ordered_motions(main: MainRoutine, plain: list[MotionColumns]) -> OrderedMot
     line = np.concatenate([rows.line for rows in plain])
     states, state_plain, state_moves, changed = _states(main.run.settings, line, statements.states)
     others = statements.rows()
-    order = np.argsort(line, kind="stable")
+    order = compact(np.argsort(line, kind="stable"), np.int32)
     place = np.searchsorted(line, others.line, sorter=order) + np.arange(len(others))
     place_plain = np.empty_like(line)
     place_plain[order] = np.delete(np.arange(len(line) + len(others)), place)
-    places = np.concatenate([place_plain, place])
-    state = np.empty(len(places), dtype=np.int64)
+    places = compact(np.concatenate([place_plain, place]), np.int32)
+    state: NDArray[Any] = np.empty(len(places), dtype=np.int32)
     state[places] = np.concatenate([state_plain, state_moves])
-    state = compact(state, np.int32)
     numbers = np.array([[getattr(one, field) for field in NUMBERS] for one in states])[state]
     for row in range(len(NUMBERS)):
         own = numbers[place_plain, row]
         numbers[place_plain, row] = main.run.settings.coming.at(row, line, changed, own)
     moves = {int(place[index]): move for index, move in statements.special}
     plain.append(others)
-    del line, order, place_plain, own, changed, state_plain  # what follows needs the memory
-    return OrderedMotions(merged(plain, places), states, state, numbers, moves)
+    runs = Runs.of(numbers)
+    del line, order, place_plain, own, changed, state_plain, numbers  # what follows needs the memory
+    return OrderedMotions(merged(plain, places), states, state, runs, moves)
 
 
 def motions_and_layout(
@@ -112,7 +113,7 @@ def motions_and_layout(
     base = _column(states, state, lambda s: s.base)
     tool = _column(states, state, lambda s: s.tool)
     _check_settings(settings, rows, states, state, moves)
-    base[base < 0], tool[tool < 0] = 0, 0  # of axis targets
+    base, tool = (np.where(each < 0, 0, each) if (each < 0).any() else each for each in (base, tool))  # of axis targets
     relative = np.array([row for row, move in moves.items() if move.relative], dtype=np.int64)
     placed = np.ones(len(rows), dtype=np.bool_)
     placed[[row for row, move in moves.items() if move.end.position.axis]] = False
@@ -127,7 +128,6 @@ def motions_and_layout(
         source, rows, ends, arc_ends, moves, led, settings, (states, state), carriage
     )
 
-    speed, cdis = numbers.T
     motions = Motions(
         kind=rows.kind,
         rapid=rows.kind == PTP,
@@ -137,13 +137,13 @@ def motions_and_layout(
         centre=centre,
         normal=normal,
         sweep=sweep,
-        feed=np.where(rows.kind == PTP, np.nan, speed),
+        feed=np.where(rows.kind == PTP, np.nan, numbers[:, 0]),
         base=base,
         tool=tool,
-        blend=np.where(rows.approximated, cdis, 0.0),
+        blend=np.where(rows.approximated, numbers[:, 1], 0.0),
         rounding=constant(np.inf, len(rows)),
-        status=_whole(rows.posture[:, 0]),
-        turn=_whole(rows.posture[:, 1]),
+        status=rows.posture[:, 0],
+        turn=rows.posture[:, 1],
     )
     missing[[row for row, move in moves.items() if move.end.position.axis or move.relative]] = False
     elements = tuple(_elements(rows, each) for each in main.rounds)
@@ -161,7 +161,7 @@ def motions_and_layout(
         via_spans=rows.via_spans,
         via_target=rows.via_target,
         resumed=ends.resumed,
-        orientation=_column(states, state, lambda s: ORIENTATIONS.index(s.orientation)) * (rows.kind != PTP),
+        orientation=np.where(rows.kind == PTP, np.int8(0), _column(states, state, _orientation)),
         ignored=ends.ignored,
         with_path=led.with_path,
         by_wrist=by_wrist,
@@ -214,8 +214,8 @@ def _states(settings: Settings, line: Ints, own_states: list[State]) -> tuple[li
             index[state] = len(states)
             states.append(state)
         own.append(index[state])
-    plain = np.searchsorted(changes, line) - 1
-    return states, plain, np.array(own, dtype=np.int64), changes[plain]
+    plain = compact(np.searchsorted(changes, line) - 1, np.int32)
+    return states, plain, compact(np.array(own, dtype=np.int64), np.int32), compact(changes, np.int32)[plain]
 
 
 def settings_at(settings: Settings, line: Ints) -> list[tuple[State, Array, Array]]:
@@ -235,16 +235,16 @@ def _number(row: int) -> Callable[[State], object]:
     return lambda state: getattr(state, NUMBERS[row])
 
 
+def _orientation(state: State) -> object:
+    return np.int8(ORIENTATIONS.index(state.orientation))
+
+
 def _column(states: list[State], state: Ints, value: Callable[[State], object]) -> np.ndarray:
-    """Return one property of the states in force; whole numbers in 4 bytes each."""
+    """Return one property of the states in force, to be read only; whole numbers in at most 4 bytes each."""
     values = np.array([value(s) for s in states])
-    return (compact(values, np.int32) if values.dtype.kind == "i" else values)[state]
-
-
-def _whole(numbers: Array) -> Ints:
-    if np.isnan(numbers).all():
-        return constant(-1, len(numbers))
-    return np.where(np.isnan(numbers), -1.0, numbers).astype(np.int64)
+    if len(values) and (values == values[0]).all():
+        return np.broadcast_to(values[0], (len(state),))
+    return (compact(values, np.int32) if values.dtype == np.int64 else values)[state]
 
 
 def _check_settings(

@@ -97,7 +97,7 @@ def _first_difference(one: Settings, first: OrderedMotions, other: Settings, sec
         (first.rows.external, second.rows.external),
         (first.rows.via, second.rows.via),
         (_in_force(one, first)[first.state], _in_force(other, second)[second.state]),
-        (first.numbers, second.numbers),
+        (first.numbers[:], second.numbers[:]),
     ):
         same &= ((a == b) | (np.isnan(a) & np.isnan(b))).all(axis=1)
     for row, move in first.moves.items():

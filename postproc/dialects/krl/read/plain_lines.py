@@ -20,7 +20,7 @@ from postproc.decimals import Bytes, numbers_in, parsed
 from postproc.dialects.krl.language.positions import COLUMNS
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.read import plain_settings
-from postproc.dialects.krl.read.motion_columns import MotionColumns, given, narrow, no_circles, none
+from postproc.dialects.krl.read.motion_columns import MotionColumns, given, narrow, no_circles, none, postures
 from postproc.dialects.krl.read.plain_settings import PlainSettings, no_settings
 from postproc.frames import Array, any_column
 from postproc.program import CIRC, LIN, PTP, Bools, Ints
@@ -180,7 +180,7 @@ def _scan(codes: bytes, line_starts: Ints, index: Ints, lines: int, characters: 
         line=compact(index + 1 + lines, np.int32),
         kind=compact(np.where(ptp, PTP, np.where(letter == ord("c"), CIRC, LIN)), np.int8),
         numbers=numbers[:, :6].copy(),
-        posture=given(numbers[:, 6:8]),
+        posture=postures(np.nan_to_num(numbers[:, 6:8], nan=-1.0).astype(np.int64)),
         external=given(numbers[:, 8:]),
         within=narrow(np.where(spans < 0, 0, spans - points[:, :1, None] - shift[:, None, None])[:, : len(COLUMNS)]),
         keyword=(keyword + shift).astype(np.int32),

@@ -95,7 +95,7 @@ def without_unresolved(main: MainRoutine, ordered: OrderedMotions) -> Separated:
     after[begins] = begins
     moves = {int(new[row]): move for row, move in ordered.moves.items() if not dropped[row]}
     left = OrderedMotions(
-        rows.take(~dropped), ordered.states, ordered.state[~dropped], ordered.numbers[~dropped], moves
+        rows.take(~dropped), ordered.states, ordered.state[~dropped], ordered.numbers.of_rows(~dropped), moves
     )
     unresolved, issues = _reported(main, lost)
     return Separated(left, after, unresolved, (*issues, *_opened(main, left, begins)))
