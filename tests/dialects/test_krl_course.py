@@ -273,6 +273,22 @@ def test_a_program_whose_motions_all_stay_in_this_run_but_not_in_the_next_is_ref
         read(body(*lines), DATA, KEEPING)
 
 
+@pytest.mark.parametrize("within", [True, False])
+def test_statements_that_stay_in_each_round_count_in_loops_that_do_not_end(within):
+    """A kept branch of 500 statements in a loop of unknown length, around motions and in a called routine."""
+    loop = [
+        "WHILE OK",
+        "K=K+1",
+        "IF GONE()==1 THEN",
+        *["Z=Z+1"] * 500,
+        *([AWAY, FULL] if within else []),
+        "ENDIF",
+        "ENDWHILE",
+    ]
+    text = body(FULL, *loop) if within else body("SUB()", FULL) + "\r\n".join(["DEF SUB()", *loop, "END", ""])
+    assert calls(lambda: read(text, DATA, KEEPING)) < 4_000_000
+
+
 ENDLESS = {
     "ends where it began": ([FULL, "LOOP", AWAY, FULL, "ENDLOOP"], 3),
     "begins at joint angles": ([FULL, "LOOP", AXES, FULL, AWAY, "ENDLOOP", FULL], 4),

@@ -316,6 +316,10 @@ class Flow:
     def roughly(self, source: Source, block: Block) -> None:
         """Mark all variables that a control structure may write as unknown, for any number of iterations."""
         lines = list(block.lines())
+        if self._still or not self.run.level.traced:
+            self.run.steps += len(lines)
+        else:
+            self._traced += len(lines)
         marks = self.run.marks()
         for _ in range(1 + (block.word in LOOPS)):  # once more with the values that its own statements leave
             self.run.back_to(marks)
