@@ -434,12 +434,32 @@ def test_from_is_where_the_path_begins_and_a_feed_without_it_comes_from_start():
     assert "from-start" in [issue.kind for issue in program.issues]
 
 
+def test_rapid_before_a_hole_does_not_hold_behind_the_cycle():
+    cycle = "CYCLE/DRILL,DEPTH,5,MMPM,100,CLEAR,3\nRAPID\nGOTO/10,10,0\nCYCLE/OFF\nGOTO/20,10,5\nFINI\n"
+    program = read(HEAD + cycle)
+    assert not program.motions.rapid[-1]
+    assert program.motions.feed[-1] * 60e3 == pytest.approx(600.0)
+
+
+def test_a_direction_counts_in_numbers_of_any_form():
+    plain, other = (read(f"{HEAD}GOTO/{x},0,9,0,0.6,0.8\nFINI\n") for x in ("10", "1.0E1"))
+    same(plain, other)
+    np.testing.assert_allclose(-other.motions.target[-1, :3, 2], [0, 0.6, 0.8], atol=1e-12)
+
+
+def test_the_end_of_an_arc_may_have_a_direction_in_numbers_of_any_form():
+    text = HEAD + "GOTO/10,0,9\nCIRCLE/0,0,9,0,0,1,10\nGOTO/0,{},9,0,0,1\nFINI\n"
+    plain, other = (read(text.format(y)) for y in ("10", "1.0E1"))
+    same(plain, other)
+    assert plain.motions.kind.tolist() == [PTP, LIN, CIRC]
+
+
 def test_gohome_goes_where_the_cell_says():
     machine = Machine(home=(0.0, -90.0, 90.0, 0.0, 10.0, 0.0), clearance_Z=100.0)
     program = read(HEAD + "GOTO/1,0,9\nGOHOME\nRAPID\nGOTO/5,0,9\nFINI\n", replace(CELL, machine=machine))
     assert program.motions.kind.tolist() == [PTP, LIN, LIN, PTP, PTP, LIN]
     np.testing.assert_allclose(points(program)[[2, 4, 5]], [[1, 0, 100], [5, 0, 100], [5, 0, 9]], atol=1e-9)
-    assert np.isfinite(program.motions.joints[3]).all()
+    np.testing.assert_allclose(np.rad2deg(program.motions.joints[3]), machine.home, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -533,6 +553,8 @@ def test_events_and_comments_are_kept():
         ("MODE/TURN", 5, "MODE is not understood"),
         ("RAPID/MODIFY", 5, "RAPID with values"),
         ("SPINDL/100,SFM", 5, "SPINDL with SFM"),
+        ("SPINDL/CLW", 5, "SPINDL without one speed"),
+        ("SPINDL/100,200,RPM", 5, "SPINDL without one speed"),
         ("LOADTL", 5, "the tool without a number"),
         ("PARTNO X\nGOTO/1,1,1", 6, "ends without FINI"),
         ("DNTCUT", 5, "DNTCUT is not supported"),
