@@ -73,15 +73,15 @@ def read_back(path: PathUnderLoad, chosen: Chosen, text: Written) -> ReadBack:
     except ImpossiblePathError as cause:
         raise UnusableTextError(cause.issue) from cause
     row = compact(np.flatnonzero(np.isnan(written.motions.joints[:, 0])), np.int32)
+    numbers = set_aside(rows_of(written.numbers_as_written(), row))
+    written = replace(written, documents=(), layout=None)
+    release(len(targets))
     mismatch = _mismatch(path.program, targets, written, row)
     if mismatch is not None:
         raise UnusableTextError(mismatch)
     if text.modules is not None and (other := _other_module(path, written, row, text.modules, text.dialect)):
         message = f"{other} moves differently from the program in one piece: a fault of postproc, please report it"
         raise UnusableTextError(Issue("error", "read-back", message))
-    numbers = set_aside(rows_of(written.numbers_as_written(), row))
-    written = replace(written, documents=(), layout=None)
-    release(len(targets))
     return ReadBack(text, written, toolpath.segments(written, robot_in_cell.start_flange), row, numbers)
 
 
