@@ -133,6 +133,23 @@ def test_after_a_change_of_the_cell_all_programs_are_converted_again(watcher, tm
     assert sorted(converted(watcher(cell=cell))) == ["a.nc", "b.nc"]
 
 
+def test_after_an_error_of_the_cell_what_is_of_an_earlier_run_is_named(watcher, tmp_path):
+    cell = tmp_path / "cell.toml"
+    cell.write_text(CELL.read_text())
+    known = watcher(cell=cell)
+    put(tmp_path, "a.nc", PART.format(x=5))
+    assert converted(known) == ["a.nc"]
+    cell.write_text(CELL.read_text().replace('"kuka_kr270"', '"nope"'))
+    put(tmp_path, "a.nc", PART.format(x=6))
+    put(tmp_path, "b.nc", PART.format(x=7))
+    ready = [path for moment in (5.0, 6.1, 7.2) for path in known.scan(1e6 + moment)]
+    (old, _), (new, _) = known.convert(ready)
+    assert old.message == new.message
+    assert "nope" in old.message
+    assert old.earlier == f"There before, not of this run: {tmp_path / 'out' / 'a.src'}."
+    assert new.earlier == ""
+
+
 @pytest.mark.parametrize("changed", ["process.toml", "material.toml", "stock.stl", "robot/model.toml", "--tolerance"])
 def test_what_all_programs_are_converted_with_counts_as_the_cell_does(watcher, tmp_path, changed):
     shutil.copytree(ROOT / "robot_models" / "kuka_kr270", tmp_path / "robot")

@@ -29,7 +29,7 @@ from postproc import robot as robots
 from postproc.dialects import registry
 from postproc.errors import InputError, PostprocError
 from postproc.jobs.conversion import options_of
-from postproc.jobs.output_plan import OVERVIEW
+from postproc.jobs.output_plan import OVERVIEW, left
 from postproc.jobs.programs import FAILED, GOOD, PROCESS, Job, Outcome, Settings, find_jobs, is_utf8
 from postproc.jobs.runs import convert_all, reason, write_overview
 from postproc.machining import process
@@ -244,12 +244,14 @@ class _Watcher:
     def convert(self, ready: Sequence[Path]) -> Iterator[tuple[Outcome, Job]]:
         """Convert programs, and record each as soon as it is in its place."""
         before = {path: (self.seen[path][0], self._sum(path)) for path in ready}
+        jobs: list[Job] = []
         try:
             jobs = self._jobs(ready)
             yield from self._converted(jobs, before)
         except PostprocError as cause:
             if len(ready) == 1:
-                failed = Outcome(str(ready[0]), FAILED, message=str(cause))
+                earlier = left(jobs, self.settings.mode)
+                failed = Outcome(str(ready[0]), FAILED, message=str(cause), earlier=earlier)
                 self._record(ready[0], failed, *before[ready[0]])
                 self._write_overview()
                 yield failed, Job(ready[0], "", self.output)
