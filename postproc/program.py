@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from postproc.chunks import Computed, Rows, Runs, compact
 from postproc.errors import ForceError, Issue, Level, ProgramError, choices
 from postproc.frames import Array, inverse, norm, rotation_from_vector
-from postproc.poses import Poses, as_poses
+from postproc.poses import Poses, PosesInFile, as_poses
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
@@ -613,7 +613,7 @@ class Targets(Struct, frozen=True, eq=False):
     motion: Ints
     t: Array
     kind: Ints
-    pose: Poses
+    pose: Poses | PosesInFile
     via: Array
     keep: Bools
     status: Ints

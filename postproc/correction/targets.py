@@ -357,16 +357,15 @@ def choose_targets(
         via = via.copy()
         via[arcs] = commanded.position[via_row[arcs]]
     status, turn = _status_and_turn(program, path.robot_in_cell.robot, motion, Computed(row, command.q.__getitem__))
-    keep = kept[motion] & (sample.t[row] == 1.0)
-    targets = Targets(
-        motion, sample.t[row], target_kind, command.pose.take(row), via, keep, status, turn, m.blend[motion]
-    )
+    keep, pose = kept[motion] & (sample.t[row] == 1.0), command.pose.take(row)
+    targets = Targets(motion, sample.t[row], target_kind, pose, via, keep, status, turn, m.blend[motion])
     corners, arrive = corners_of_targets(program, targets, commanded.start)
     blend = approximation_distances(program, targets, corners, path.robot_in_cell.cell)
     if not (path.motions.forces.frame == FEED).any():
         arrive = np.zeros((0, 3))
     programmed = programmed_rounding(program, path.motions.segments, motion)
-    return Chosen(replace(targets, blend=blend), compact(row, np.int32), arrive, programmed)
+    targets = replace(targets, blend=blend, pose=pose.set_aside())
+    return Chosen(targets, compact(row, np.int32), arrive, programmed)
 
 
 def _unchanged(path: PathUnderLoad, command: Commands) -> tuple[Bools, Bools]:

@@ -91,16 +91,16 @@ def test_a_result_with_an_error_holds_no_documents():
 @pytest.mark.parametrize("factor", [0.5, 1.5])
 def test_what_the_text_says_is_what_counts(monkeypatch, factor):
     """If the writer wrote other numbers than computed, the program is not released."""
-    from postproc.dialects.krl import write
+    from postproc.dialects.krl.write import modules
 
-    honest = write.in_modules
+    honest = modules.emit
 
     def wrong(made, targets, *others):
         pose = targets.pose[:]
         pose[2:, 0, 3] += 1e-5 * factor
         return honest(made, replace(targets, pose=Poses.of(pose)), *others)
 
-    monkeypatch.setattr(write, "in_modules", wrong)
+    monkeypatch.setattr(modules, "emit", wrong)
     result = correction.process(
         program(FINE, notes=[(2, (0.0, 50.0, 90.0, 0, 0, 0))], orientation=DOWN), MODEL, CELL, mode="convert"
     )
@@ -110,16 +110,16 @@ def test_what_the_text_says_is_what_counts(monkeypatch, factor):
 
 
 def test_a_speed_that_the_text_does_not_say_is_told(monkeypatch):
-    from postproc.dialects.krl import write
+    from postproc.dialects.krl.write import modules
 
-    honest = write.in_modules
+    honest = modules.emit
 
     def wrong(made, targets, *others):
         feed = made.motions.feed.copy()
         feed[-2] += 1e-4
         return honest(replace(made, motions=replace(made.motions, feed=feed)), targets, *others)
 
-    monkeypatch.setattr(write, "in_modules", wrong)
+    monkeypatch.setattr(modules, "emit", wrong)
     result = correction.process(
         program(FINE, notes=[(2, (0.0, 50.0, 90.0, 0, 0, 0))], orientation=DOWN), MODEL, CELL, mode="convert"
     )

@@ -6,6 +6,7 @@ import pytest
 
 from postproc.dialects import krl
 from postproc.dialects.krl import write
+from postproc.dialects.krl.write import modules
 from tests.oracle.krl_grammar import check, takes, unknown_names
 
 JOINED = "\x01"
@@ -45,6 +46,7 @@ def written_krl_passes_an_independent_grammar(monkeypatch, request):
     in_files = checked(write.in_files, lambda name, documents, written, *_: [*documents, *written.documents])
     for module in (krl, write):
         monkeypatch.setattr(module, "rewrite", rewrite)
+    for module in (krl, modules):
         monkeypatch.setattr(module, "emit", emit)
     for module in (write, request.module):
         if hasattr(module, "in_files"):

@@ -25,7 +25,7 @@ from msgspec.structs import replace
 
 from postproc.cell import Cell
 from postproc.dialects.krl.language.names import MAX_LENGTH
-from postproc.dialects.krl.write.emit import Emitter, axis_motion, calls
+from postproc.dialects.krl.write.emit import Emitter, axis_motion, calls, emit
 from postproc.dialects.new_program import LINE_END, number
 from postproc.errors import Issue, ProgramError
 from postproc.frames import DEG_PER_RAD, norm
@@ -67,11 +67,11 @@ def in_modules(
     :param joints: joint angles at the targets.
     :raises ProgramError: it cannot be divided so that each module fits.
     """
-    whole = Emitter(program, targets, cell, carried)
-    written = whole.written()
+    written = emit(program, targets, cell, carried)
     if not cell.output.divide_into_modules or written.size <= cell.output.program_memory_MB * _MB:
         return written
-    starts = _starts(program, targets, cell, whole, written)
+    whole = Emitter(program, targets, cell, carried)
+    starts = _starts(program, targets, cell, whole, whole.written())
     emitter = Emitter(program, targets, cell, carried, starts)
     return _Divider(emitter, emitter.written(), starts, joints).written()
 
