@@ -157,6 +157,10 @@ class Computed(Struct, frozen=True, eq=False):
         return np.asarray(self[:], dtype)
 
 
+_FILES = 6
+"""Arrays of a program that are in files at the same time."""
+
+
 class InFile:
     """An array (N, n) of numbers in a temporary file, indexed like an array: rows are read when they are needed.
 
@@ -164,12 +168,18 @@ class InFile:
     """
 
     def __init__(self, count: int, columns: int) -> None:
-        """Make an array of zeros."""
+        """Make an array of zeros.
+
+        :raises OSError: there is no room for the file; assignments raise it too.
+        """
         self.shape = (count, columns)
         self._row = columns * np.dtype(np.float64).itemsize
-        self._file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 - closed with the array
-        weakref.finalize(self, self._file.close)
-        self._file.truncate(count * self._row)
+        try:
+            self._file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 - closed with the array
+            weakref.finalize(self, self._file.close)
+            self._file.truncate(count * self._row)
+        except OSError as cause:
+            raise self._no_room(cause) from cause
 
     def __len__(self) -> int:
         return self.shape[0]
@@ -181,8 +191,11 @@ class InFile:
         for begin, end in pairwise([*begins, len(at)]):
             self._file.seek(int(at[begin]) * self._row)
             data = np.ascontiguousarray(values[begin:end], dtype=np.float64).data.cast("B")
-            while len(data):  # an unbuffered file may take less than it is given
-                data = data[self._file.write(data) :]
+            try:
+                while len(data):  # an unbuffered file may take less than it is given
+                    data = data[self._file.write(data) :]
+            except OSError as cause:
+                raise self._no_room(cause) from cause
 
     def __getitem__(self, key: Any) -> NDArray[np.float64]:
         rows, *entries = key if isinstance(key, tuple) else (key,)
@@ -212,6 +225,13 @@ class InFile:
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         return np.asarray(self[:], dtype)
+
+    def _no_room(self, cause: OSError) -> OSError:
+        return OSError(
+            f"no room for temporary files in {tempfile.gettempdir()} ({cause.strerror}). Free about "
+            f"{_FILES * len(self) * self._row / 1e6:.0f} MB there, or let the environment variable TMPDIR name a "
+            "folder with more."
+        )
 
     def _read(self, begin: int, end: int) -> NDArray[np.float64]:
         out = np.empty((max(0, end - begin), self.shape[1]))

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+import io
+import os
+
 import numpy as np
 import pytest
 
@@ -84,3 +88,21 @@ def test_rows_in_a_file_are_indexed_like_an_array(monkeypatch, count):
 
 def test_few_rows_are_an_array():
     assert isinstance(chunks.many_rows(chunks.MANY, 2), np.ndarray)
+
+
+@pytest.mark.parametrize("call", ["truncate", "write"])
+def test_without_room_for_files_it_is_said_where_and_how_much(monkeypatch, tmp_path, call):
+    monkeypatch.setattr(chunks, "MANY", 0)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+
+    class Full(io.BytesIO):
+        pass
+
+    def full(self, _):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    setattr(Full, call, full)
+    monkeypatch.setattr("tempfile.TemporaryFile", lambda **_: Full())
+    with pytest.raises(OSError, match="no room for temporary files") as found:
+        chunks.many_rows(1_000_000, 6)[:2] = np.ones((2, 6))
+    assert all(part in str(found.value) for part in (str(tmp_path), "288 MB", "TMPDIR", os.strerror(errno.ENOSPC)))
