@@ -24,7 +24,7 @@ from postproc_host.safe_text import one_line, string_content
 
 del sys.path[0]
 
-_CALL = re.compile(r"(\w+)\(\)$")
+_CALL = re.compile(r"\s*(\w+)\s*\(\s*\)")
 _MOTION = re.compile(r"\s*(S?(PTP|LIN|CIRC)(_REL)?\b|SPLINE\b)", re.IGNORECASE)
 _AXES = ("A1", "A2", "A3", "A4", "A5", "A6", "E1", "E2", "E3", "E4", "E5", "E6")
 
@@ -43,7 +43,7 @@ class RobotPost:
     def __init__(self, robotpost: str = "", robotname: str = "", robot_axes: int = 6, **kwargs: Any) -> None:
         self.robot = robotname
         self.axes = robot_axes
-        self.given: dict[str, str] = {}  # names of programs in the station, by those of KRL in lower case
+        self.given: dict[str, str] = {}  # names in the station, also of called programs, by those of KRL in lower case
         self.programs: dict[str, list[Block]] = {}
         self.joints: dict[str, dict[int, list[float]]] = {}
         self.name = ""
@@ -57,13 +57,7 @@ class RobotPost:
 
         :raises HostError: the controller would take its name for that of another one of them.
         """
-        self.name = _name(progname)
-        other = self.given.setdefault(self.name.lower(), progname)
-        if other != progname:
-            _refuse(
-                f"The programs {one_line(other)!r} and {one_line(progname)!r} would both be {self.name} in KRL: names "
-                "have at most 24 letters, digits and _ there. Rename one of them in the station."
-            )
+        self.name = self._valid(progname)
         self.programs[self.name] = []
         self.joints[self.name] = {}
         self._line(f"DEF {self.name}()")
@@ -83,7 +77,7 @@ class RobotPost:
         if self.MAX_LINES_X_PROG:
             flags.append(("--lines-per-file", str(self.MAX_LINES_X_PROG)))
         files: dict[str, list[Path]] = {}
-        names: dict[str, str] = {}  # of programs that are written as several files, which another one calls
+        names: dict[str, str] = {}  # of the files that calls are to name, by names of programs in lower case
         try:
             for name in _callees_first(self.programs):
                 blocks = [_calling(block, names) for block in self.programs[name]]
@@ -91,7 +85,7 @@ class RobotPost:
                     done = convert(blocks, target, name, "src", flags)
                     _compare_postures(done, self.joints[name])
                     files[name] = [path for path in done.files if path.suffix.lower() in (".src", ".dat")]
-                    names[name] = files[name][0].stem
+                    names[name.lower()] = files[name][0].stem
                     self.addlog("\n".join(done.warnings))
                 else:
                     path = target / f"{name}.src"
@@ -184,12 +178,16 @@ class RobotPost:
         self._line(f"WAIT FOR {_signal('IN', io_var)}=={_truth(io_value)}")
 
     def RunCode(self, code: str, is_function_call: bool = False) -> None:
-        """Call a program, or insert lines of KRL."""
+        """Call a program, or insert lines of KRL.
+
+        :raises HostError: the controller would take the called program for another one.
+        """
         if not is_function_call:
             self._code(code, "RunCode")
             return
-        name, bracket, arguments = one_line(code).partition("(")
-        self._line(f"{_name(name.strip())}{bracket}{arguments}" if bracket else f"{_name(name)}()", "RunCode")
+        name, bracket, arguments = code.partition("(")
+        called = self._valid(name.strip() if bracket else name)
+        self._line(f"{called}({one_line(arguments)}" if bracket else f"{called}()", "RunCode")
 
     def RunMessage(self, message: str, iscomment: bool = False) -> None:
         """Show a message, or insert a comment."""
@@ -202,6 +200,23 @@ class RobotPost:
     def addlog(self, newline: str) -> None:
         """Note what the user should know."""
         self.LOG = f"{self.LOG}{newline}\n" if newline else self.LOG
+
+    def _valid(self, name: str) -> str:
+        """Return the name that a program of the station has in KRL.
+
+        :raises HostError: it has no name, or another program has the same one in KRL.
+        """
+        if not name.strip():
+            where = f"A call in program {self.name}" if self.name else "A program"
+            _refuse(f"{where} has no name of a program: enter it in the station.")
+        valid = _name(name)
+        other = self.given.setdefault(valid.lower(), name)
+        if other != name:
+            _refuse(
+                f"The programs {one_line(other)!r} and {one_line(name)!r} would both be {valid} in KRL: names have at "
+                "most 24 letters, digits and _ there, and case does not count. Rename one of them in the station."
+            )
+        return valid
 
     def _end(self) -> str:
         return " C_DIS" if self.blended else ""
@@ -231,14 +246,15 @@ def _limit(lines: Any, default: int) -> int:
 def _callees_first(programs: dict[str, list[Block]]) -> list[str]:
     """Return the names of programs, each behind those that it calls."""
     order: list[str] = []
+    by_call = {name.lower(): name for name in programs}
 
     def add(name: str, above: tuple[str, ...]) -> None:
         if name in order or name in above:
             return
         for block in programs[name]:
             match = _CALL.match(block.text)
-            if match and match[1] in programs:
-                add(match[1], (*above, name))
+            if match and match[1].lower() in by_call:
+                add(by_call[match[1].lower()], (*above, name))
         order.append(name)
 
     for name in programs:
@@ -247,11 +263,14 @@ def _callees_first(programs: dict[str, list[Block]]) -> list[str]:
 
 
 def _calling(block: Block, names: dict[str, str]) -> Block:
-    """Return a line that calls a program by the name under which it was written."""
+    """Return a line that calls a program by the name under which it was written.
+
+    :param names: by the called names in lower case.
+    """
     match = _CALL.match(block.text)
-    if match is None or match[1] not in names:
+    if match is None or match[1].lower() not in names:
         return block
-    return block._replace(text=names[match[1]] + block.text[match.end(1) :])
+    return block._replace(text=names[match[1].lower()] + block.text[match.end(1) :])
 
 
 def _pose(pose: Any, joints: Sequence[float] = ()) -> str:

@@ -153,6 +153,55 @@ def test_two_programs_that_would_get_one_name_are_refused(post, tmp_path, capsys
     assert "Rename one of them in the station" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("one", "other"), [("Größe", "Grüße"), ("Open gripper", "Open-gripper(1)"), ("Gripper", "gripper (2)")]
+)
+@pytest.mark.parametrize("calls", [(True, True), (False, True), (True, False)])
+def test_a_call_that_would_reach_another_program_is_refused(post, capsys, one, other, calls):
+    """The call of a program of the controller ran that of the station, or one for two."""
+    names = [text.partition("(")[0].strip() for text in (one, other)]
+    first, second = (
+        (lambda text=text: post.RunCode(text, True)) if called else (lambda name=name: post.ProgStart(name))
+        for text, name, called in zip((one, other), names, calls, strict=True)
+    )
+    post.ProgStart("Main")
+    first()
+    with pytest.raises(Exception, match="case does not count"):
+        second()
+    message = capsys.readouterr().err
+    assert all(repr(name) in message for name in names)
+
+
+@pytest.mark.parametrize("name", ["", " ", "(1)"])
+def test_a_call_without_a_name_is_refused(post, name):
+    """It became P()."""
+    post.ProgStart("Main")
+    with pytest.raises(Exception, match="A call in program Main has no name of a program"):
+        post.RunCode(name, True)
+
+
+def test_a_program_without_a_name_is_refused(post):
+    with pytest.raises(Exception, match="A program has no name of a program"):
+        post.ProgStart("")
+
+
+@pytest.mark.parametrize("call", ["ROUGHING()", "  Roughing ( ) ; first"])
+def test_inserted_krl_in_other_case_calls_a_divided_program_by_its_main_one(post, tmp_path, call):
+    """Its call kept the name under which no program was written."""
+    post = _limited(post, 40)
+    post.ProgStart("Job")
+    post.RunCode(call)
+    post.ProgFinish("Job")
+    _begin(post, "Roughing")
+    _mill(post)
+    post.ProgFinish("Roughing")
+    out = tmp_path / "out"
+    out.mkdir()
+    post.ProgSave(str(out), "Job")
+    assert (out / "Job.src").read_text().splitlines()[1].startswith("RoughingMain")
+    assert (out / "RoughingMain.src").is_file()
+
+
 def test_a_limit_of_lines_divides_programs_and_those_that_call_them_call_the_main_one(post, tmp_path, capsys):
     assert _limited(post, 1e9).MAX_LINES_X_PROG == _limited(post, None).MAX_LINES_X_PROG == 0
     post = _limited(post, 40)
