@@ -29,7 +29,7 @@ def test_pieces_are_replaced_as_slicing_would(text, wishes, chunk):
     for start, stop, new in reversed(pieces):
         edits.add(start, stop, new)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "_CHUNK", chunk)
+        patch.setattr(module, "_PIECES", chunk)
         assert edits.applied(text) == expected + text[done:]
 
 

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from postproc.chunks import compact
 from postproc.decimals import Bytes, fixed
 from postproc.dialects.krl.language.source import Source
 from postproc.frames import Array
 from postproc.program import Ints, distinct
 
-_CHUNK = 1 << 21
+Codes: TypeAlias = NDArray[np.uint8] | NDArray[np.uint32]
+_PIECES = 1 << 16
+"""Number of pieces that are replaced at once."""
 
 
 class Replacements(Struct, eq=False):
@@ -41,9 +46,9 @@ class Replacements(Struct, eq=False):
             rows = np.flatnonzero(decimals == places)
             digits = fixed(values[rows], places)
             used = digits != 0
-            self._starts.append(starts[rows])
-            self._stops.append(stops[rows])
-            self._lengths.append(used.sum(axis=1))
+            self._starts.append(compact(starts[rows], np.int32))
+            self._stops.append(compact(stops[rows], np.int32))
+            self._lengths.append(used.sum(axis=1, dtype=np.int32))
             self._numbers.append(digits[used])
 
     def __bool__(self) -> bool:
@@ -68,49 +73,44 @@ class Replacements(Struct, eq=False):
             return text
         new = "".join(piece for _, _, piece in self._single)
         ascii_only = text.isascii() and new.isascii()
-        starts = np.concatenate([*self._starts, np.array([start for start, _, _ in self._single], dtype=np.int64)])
-        stops = np.concatenate([*self._stops, np.array([stop for _, stop, _ in self._single], dtype=np.int64)])
-        lengths = [*self._lengths, np.array([len(piece) for _, _, piece in self._single], dtype=np.int64)]
-        length = np.concatenate(lengths)
+        starts = np.concatenate([*self._starts, np.array([start for start, _, _ in self._single], dtype=np.int32)])
+        stops = np.concatenate([*self._stops, np.array([stop for _, stop, _ in self._single], dtype=np.int32)])
+        length = np.concatenate(
+            [*self._lengths, np.array([len(piece) for _, _, piece in self._single], dtype=np.int32)]
+        )
+        begin = np.cumsum(length, dtype=np.int64) - length
         order = np.lexsort((stops, starts))
-        pool = np.concatenate([_codes(text, ascii_only), *self._numbers, _codes(new, ascii_only)])
-        begin = len(text) + np.cumsum(length) - length
-        return _joined(pool, len(text), starts[order], stops[order], begin[order], length[order], ascii_only)
+        codes = np.concatenate([*self._numbers, _codes(new, ascii_only)])
+        parts, at = [], 0
+        for first in range(0, len(order), _PIECES):
+            some = order[first : first + _PIECES]
+            end = int(stops[some[-1]])
+            own = _codes(text[at:end], ascii_only)
+            joined = _joined(own, starts[some] - at, stops[some] - at, codes, begin[some], length[some])
+            parts.append(joined.tobytes().decode("ascii" if ascii_only else "utf-32-le"))
+            at = end
+        return "".join([*parts, text[at:]])
 
 
-def _codes(text: str, ascii_only: bool) -> NDArray[np.uint8] | NDArray[np.uint32]:
+def _codes(text: str, ascii_only: bool) -> Codes:
     if ascii_only:
         return np.frombuffer(text.encode("ascii"), dtype=np.uint8)
     return np.frombuffer(text.encode("utf-32-le"), dtype="<u4")
 
 
-def _joined(
-    pool: NDArray[np.uint8] | NDArray[np.uint32],
-    size: int,
-    starts: Ints,
-    stops: Ints,
-    begin: Ints,
-    length: Ints,
-    ascii_only: bool,
-) -> str:
-    """Join what remains of the first `size` codes of the pool with the pieces that follow them."""
-    first = np.empty(2 * len(starts) + 1, dtype=np.int64)
+def _joined(text: Codes, starts: Ints, stops: Ints, pieces: Codes, begin: Ints, length: Ints) -> Codes:
+    """Return a text with other pieces, which are ``pieces[begin : begin + length]``, for ``text[starts:stops]``."""
+    first = np.empty(2 * len(starts), dtype=np.int64)
     count = np.empty_like(first)
-    first[0::2] = np.concatenate([[0], stops])
-    count[0::2] = np.concatenate([starts, [size]]) - first[0::2]
+    first[0::2] = np.append(0, stops[:-1])
+    count[0::2] = starts - first[0::2]
     first[1::2], count[1::2] = begin, length
-    parts = []
     total = np.cumsum(count)
-    segment = 0
-    while segment < len(first):
-        done = total[segment - 1] if segment else 0
-        last = max(int(np.searchsorted(total, done + _CHUNK, side="right")), segment + 1)
-        here = slice(segment, last)
-        offset = np.repeat(first[here] - (total[here] - count[here]), count[here])
-        codes = pool[offset + np.arange(done, total[last - 1])]
-        parts.append(codes.tobytes().decode("ascii" if ascii_only else "utf-32-le"))
-        segment = last
-    return "".join(parts)
+    place = np.repeat(first - (total - count), count) + np.arange(total[-1])
+    new = np.repeat(np.arange(len(first)) % 2 == 1, count)
+    out = np.empty(len(place), dtype=text.dtype)
+    out[~new], out[new] = text[place[~new]], pieces[place[new]]
+    return out
 
 
 class InsertedLines(Struct, eq=False):

@@ -23,6 +23,7 @@ from pathlib import PurePath
 import numpy as np
 from msgspec.structs import replace
 
+from postproc.chunks import chunks
 from postproc.dialects.force_comments import needed, texts
 from postproc.dialects.krl.language.motion_statements import MotionStatement, Point, Trigger
 from postproc.dialects.krl.language.parser import is_approximated
@@ -164,18 +165,17 @@ class _Rewriter:
 
     def _replace_numbers(self, k: Ints) -> None:
         """Replace the numbers in plain lines, and of points of arrays, all at once."""
-        file = np.zeros(len(self.program.motions), dtype=np.int64)
+        file = np.zeros(len(self.program.motions), dtype=np.int32)
         for elements in self.layout.elements:
             file[elements.row] = elements.source.index
-        spans = self.layout.spans(self.row[k], slice(6)).astype(np.int64)
-        for index, replacements in enumerate(self.replacements):
-            there = (spans[:, :, 0] >= 0) & (file[self.row[k]] == index)[:, None]
-            replacements.add_numbers(
-                spans[:, :, 0][there],
-                spans[:, :, 1][there],
-                self.commanded.numbers[k][there],
-                self.commanded.decimals[k][there],
-            )
+        for part in chunks(len(k)):
+            some = k[part]
+            spans = self.layout.spans(self.row[some], slice(6)).astype(np.int64)
+            numbers, decimals = self.commanded.numbers[some], self.commanded.decimals[some]
+            for index, replacements in enumerate(self.replacements):
+                there = (spans[:, :, 0] >= 0) & (file[self.row[some]] == index)[:, None]
+                starts, stops = spans[:, :, 0][there], spans[:, :, 1][there]
+                replacements.add_numbers(starts, stops, numbers[there], decimals[there])
         circles = k[self.targets.kind[k] == CIRC]
         spans = self.layout.via_spans[self.row[circles]].astype(np.int64).reshape(-1, 2)
         decimals = np.tile(DECIMALS[:3], len(circles))

@@ -96,8 +96,8 @@ def target_numbers(motions: Motions, layout: Layout, targets: Targets, text: str
     written = np.where(keep[:, None], added, ~layout.missing[row] | added)
     return TargetNumbers(
         numbers,
-        np.where(keep[:, None], MOST_DECIMALS, decimals),
-        np.where(keep[:, None], DECIMALS, decimals),
+        np.where(keep[:, None], MOST_DECIMALS, decimals).astype(np.int8),
+        np.where(keep[:, None], DECIMALS, decimals).astype(np.int8),
         written,
         _rounded(targets.via * MM_PER_M, DECIMALS[:3]),
         ~keep | any_column(added),
