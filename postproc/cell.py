@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -319,6 +320,32 @@ def _looks_like_radians(joints: tuple[float, ...]) -> bool:
     return max(map(abs, joints)) < 2.0 * math.pi and any(angle % 1.0 for angle in joints)
 
 
+_IN_GCODE = "Give its lines in [gcode]: "
+FIXED_M_CODES: Mapping[int, str] = {
+    **dict.fromkeys((0, 1), "The program stops there: leave it out."),
+    **dict.fromkeys((2, 30), "The program ends there: leave it out."),
+    3: f"{_IN_GCODE}spindle_on.",
+    4: f"{_IN_GCODE}spindle_ccw.",
+    5: f"{_IN_GCODE}spindle_off.",
+    6: f"{_IN_GCODE}tool_change, [] for none.",
+    **dict.fromkeys((7, 8), f"{_IN_GCODE}coolant_on."),
+    9: f"{_IN_GCODE}coolant_off.",
+    **dict.fromkeys((61, 70, 71, 72, 73, 97), "It changes how later lines are read: leave it out."),
+    **dict.fromkeys((98, 99), "Subprograms are followed: leave it out."),
+}
+"""M codes that `[m_codes]` cannot give another meaning, with what to do instead."""
+
+
+def m_code_fault(key: str) -> tuple[str, str] | None:
+    """Return problem and advice for a key that `[m_codes]` does not take."""
+    if not (key[:1] == "M" and key[1:].isascii() and key[1:].isdecimal() and len(key) <= 5):
+        return key, "Valid names: M10, M111 …"
+    number = int(key[1:])
+    if number in FIXED_M_CODES:
+        return f"{key} has a meaning already", FIXED_M_CODES[number]
+    return None if key == f"M{number}" else (key, f"Write M{number}.")
+
+
 _VARIABLE = re.compile(r"[A-Za-z_$][\w$]*(\[[0-9]{1,6}(,[0-9]{1,6}){0,2}\])?", re.ASCII)
 _LARGEST_VALUE = 2**31 - 1
 _EXAMPLE = """The least that a cell needs, for example:
@@ -358,8 +385,8 @@ def load(path: str | Path) -> Cell:
         if key not in {"G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3"}:
             raise CellError(f"[work_offsets.{key}]", file=str(path), advice="Valid names: G54 … G59, G59.1 … G59.3.")
     for key in cell.m_codes:
-        if not (key[:1] == "M" and key[1:].isascii() and key[1:].isdecimal() and len(key) <= 5):
-            raise CellError(f"[m_codes] {key}", file=str(path), advice="Valid names: M10, M111 …")
+        if fault := m_code_fault(key):
+            raise CellError(f"[m_codes] {fault[0]}", file=str(path), advice=fault[1])
     for key, value in cell.krl.values.items():
         if not _VARIABLE.fullmatch(key) or abs(value) > _LARGEST_VALUE:
             advice = 'Give numbers or true and false for names and elements: lnActSt = 1, "$IN[5]" = false.'

@@ -64,6 +64,13 @@ def test_all_unknown_and_missing_keys_are_told_in_one_run(tmp_path: Path) -> Non
         ("[base_data.3]", '[base_data."²"]', r"base_data\.²"),
         ("[base_data.3]", f"[base_data.{'3' * 5000}]", "is not a number"),
         ("[work_offsets.G54]", "[work_offsets.G60]", "Valid names: G54"),
+        ("[work_offsets.G54]", "[m_codes]\nM8000x = []\n[work_offsets.G54]", "Valid names: M10"),
+        ("[work_offsets.G54]", "[m_codes]\nM031 = []\n[work_offsets.G54]", "M031. Write M31"),
+        ("[work_offsets.G54]", "[m_codes]\nM1 = []\n[work_offsets.G54]", "M1 has a meaning already. The program stops"),
+        ("[work_offsets.G54]", "[m_codes]\nM03 = []\n[work_offsets.G54]", "M03 has a meaning already. .*: spindle_on"),
+        ("[work_offsets.G54]", "[m_codes]\nM6 = []\n[work_offsets.G54]", "M6 has a meaning already. .*: tool_change"),
+        ("[work_offsets.G54]", "[m_codes]\nM9 = []\n[work_offsets.G54]", "M9 has a meaning already. .*: coolant_off"),
+        ("[work_offsets.G54]", "[m_codes]\nM98 = []\n[work_offsets.G54]", "M98 has a meaning already"),
         ('robot = "kuka_kr270"', 'robot = "kuka_kr270"\nfolder = "elsewhere"', "unknown key 'folder'"),
     ],
 )

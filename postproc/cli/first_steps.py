@@ -73,10 +73,17 @@ def _work_offsets_line(text: str) -> dict[str, Numbers]:
 
 def _m_codes(texts: Sequence[str]) -> list[str]:
     """Return M codes from texts such as ``M31`` or ``31``."""
-    names = [text.strip().upper().removeprefix("M").lstrip("0") for text in texts]
-    if wrong := [text for text, name in zip(texts, names, strict=True) if not name.isdecimal()]:
-        raise click.BadParameter(f"{wrong[0]!r}: give an M code, such as M31")
-    return [f"M{name}" for name in names]
+    from postproc.cell import m_code_fault
+
+    codes = []
+    for text in texts:
+        name = text.strip().upper().removeprefix("M")
+        if not (name.isascii() and name.isdecimal()):
+            raise click.BadParameter(f"{text!r}: give an M code, such as M31")
+        codes.append(f"M{int(name)}")
+        if fault := m_code_fault(codes[-1]):
+            raise click.BadParameter(f"{text!r}: {fault[0]}. {fault[1]}")
+    return codes
 
 
 def _m_codes_line(text: str) -> list[str]:

@@ -278,6 +278,7 @@ def test_answers_for_retract_tools_tool_change_and_tolerance_are_in_the_cell(mon
         "G55=300,0,0 g59.1=0,250,-20,90",
         "M31 coolant",
         "M31, m08 33",
+        "M31, m010 33",
         "",
         "high",
         "150",
@@ -290,6 +291,7 @@ def test_answers_for_retract_tools_tool_change_and_tolerance_are_in_the_cell(mon
     assert "'1.5=3': give the number of the tool" in done.output
     assert "'G60=1,2,3': give G54 to G59.3" in done.output
     assert "'coolant': give an M code" in done.output
+    assert "'m08': M8 has a meaning already. Give its lines in [gcode]: coolant_on." in done.output
     cell = cells.load("cell.toml")
     assert {number: (tool.X, tool.Y, tool.Z) for number, tool in cell.tools.items()} == {
         "1": (0, 0, 310), "2": (1, 2, 412.5)
@@ -299,7 +301,7 @@ def test_answers_for_retract_tools_tool_change_and_tolerance_are_in_the_cell(mon
     assert {code: keys(frame) for code, frame in cell.work_offsets.items()} == {
         "G55": [300, 0, 0, 0, 0, 0], "G59.1": [0, 250, -20, 90, 0, 0]
     }  # fmt: skip
-    assert cell.m_codes == {"M31": [], "M8": [], "M33": []}
+    assert cell.m_codes == {"M31": [], "M10": [], "M33": []}
 
 
 def test_a_new_cell_converts_a_program_with_work_offsets_m_codes_and_radius_compensation():
@@ -328,6 +330,14 @@ def test_work_offsets_and_m_codes_that_cannot_be_are_wrong_usage(words):
     done = run("init", "--robot", "kuka_kr270", *FRAMES, *words)
     assert done.exit_code == 2
     assert f"{words[1]!r}: give" in done.stderr
+    assert not Path("cell.toml").exists()
+
+
+@pytest.mark.parametrize("code", ["M0", "6", "M30", "m98", "M10000"])
+def test_an_m_code_that_has_a_meaning_already_is_wrong_usage(code):
+    done = run("init", "--robot", "kuka_kr270", *FRAMES, "--m-code", code)
+    assert done.exit_code == 2
+    assert f"{code!r}: M" in done.stderr
     assert not Path("cell.toml").exists()
 
 

@@ -494,6 +494,23 @@ def test_events_and_comments_are_kept():
     ]
 
 
+def test_m_codes_that_have_a_statement_do_what_it_does():
+    program = read(
+        f"{HEAD}SPINDL/900,RPM,CLW\nGOTO/1,0,9\nINSERT M04\nAUXFUN/8\nINSERT M09\nAUXFUN/1\nAUXFUN/5\nINSERT M077\n"
+        "GOTO/2,0,9\nFINI\n",
+        replace(CELL, m_codes={"M77": ["HOOK()"]}),
+    )
+    assert [(event.kind, event.value) for event in program.events if event.kind != "comment"] == [
+        ("spindle_on", 900),
+        ("spindle_ccw", 900),
+        ("coolant_on", 0),
+        ("coolant_off", 0),
+        ("stop", 0),
+        ("spindle_off", 0),
+        ("m_code", 77),
+    ]
+
+
 @pytest.mark.parametrize(
     ("text", "line", "problem"),
     [
@@ -541,6 +558,8 @@ def test_events_and_comments_are_kept():
         ("CUTCOM/LEFT,1", 5, "the radius of the tool is in the control"),
         ("INSERT G28 Z0", 5, "'G28 Z0' is for one control"),
         ("AUXFUN/8000", 5, "'M8000' is for one control"),
+        ("AUXFUN/6", 5, "LOADTL changes the tool"),
+        ("INSERT M03", 5, "SPINDL without one speed"),
         ("TRACUT/1,0,0,5", 5, "TRACUT is not supported"),
         ("TRANS/0,0,5", 5, "TRANS is not supported"),
         ("GOTOO/1,1,1", 5, "unknown statement 'GOTOO'. Text: 'GOTOO/1,1,1'. Did you mean `GOTO`?"),

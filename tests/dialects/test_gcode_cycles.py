@@ -299,6 +299,8 @@ def test_M_codes_of_the_shop_are_its_lines_or_nothing() -> None:
     assert [(e.kind, e.value, e.before) for e in program.events] == [("m_code", 51.0, 1)]
     with pytest.raises(ProgramError, match=r"\[m_codes\] M52"):
         read(HEAD + "M52\nM2", cell)
+    with pytest.raises(ProgramError, match="M61 is not supported"):
+        read(HEAD + "M61\nM2", replace(CELL, m_codes={"M61": []}))
 
 
 @pytest.mark.parametrize("bare", ["Z15.", "G91 Z10", "Z15\nZ20"])

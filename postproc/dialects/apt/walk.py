@@ -28,13 +28,14 @@ a helix.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from msgspec import Struct, field
 
-from postproc.cell import Cell
+from postproc.cell import Cell, m_code_fault
 from postproc.dialects.apt.statements import TEXT, WITHOUT_EFFECT, Statements, refusal, values
 from postproc.dialects.circles import Circle, belonging, leaving
 from postproc.errors import MOST, Level
@@ -711,11 +712,18 @@ class _Walk:
         self._machine_code(row, text)
 
     def _machine_code(self, row: int, code: str) -> None:
+        code = _LEADING_ZEROS.sub("M", code)
+        if code in _STATEMENTS:
+            statement, given = _STATEMENTS[code]
+            statement(self, row, given)
+            return
         own = self.cell.m_codes.get(code)
         if own is None:
             advice = (
                 f"Say what it does: [m_codes] {code} = [] for nothing, or lines of KRL." if code[:1] == "M" else None
             )
+            if m_code_fault(code):
+                advice = "Remove it: LOADTL changes the tool, FINI ends the program."
             raise _FaultError(f"{code[:20]!r} is for one control", advice or "Remove it if it does not move the tool.")
         if own:
             self._event(row, "m_code", float(code[1:]))
@@ -774,6 +782,16 @@ _OF_NX = {"RAPTO": "CLEAR", "FEDTO": "DEPTH", "RTRCTO": "RETURN"}
 _HEIGHTS = ("DEPTH", "CLEAR", "RAPTO", "RETURN", "DWELL", "STEP")
 _PLAIN, _PECKED = ("DRILL", "FACE", "CSINK"), ("DEEP", "BRKCHP")
 _SPINDLE = {"RPM", "CLW", "CCLW", "ON", "OFF"}
+_LEADING_ZEROS = re.compile(r"^M0+(?=\d)")
+_STATEMENTS: Mapping[str, tuple[Any, list[float | str]]] = {
+    **dict.fromkeys(("M0", "M1"), (_Walk._stop, [])),
+    "M3": (_Walk._spin, ["CLW"]),
+    "M4": (_Walk._spin, ["CCLW"]),
+    "M5": (_Walk._spin, ["OFF"]),
+    **dict.fromkeys(("M7", "M8"), (_Walk._cool, ["ON"])),
+    "M9": (_Walk._cool, ["OFF"]),
+}
+"""Statements that do what an M code does which `[m_codes]` does not take."""
 _HANDLERS: Mapping[str, Any] = {
     "GOTO": _Walk._goto_odd,
     "GODLTA": _Walk._step,

@@ -50,9 +50,6 @@ _IGNORED_M = (48.0, 49.0)
 OVERRIDES = (50.0, 51.0, 52.0, 53.0)
 """Override switches of LinuxCNC, with P0 or P1. Other controls use these codes without P for other things."""
 
-READING = (61.0, 70.0, 71.0, 72.0, 73.0, 97.0, 98.0, 99.0)
-"""M codes that change the reading of later lines; `[m_codes]` cannot declare them to be without effect."""
-
 OTHER_AXES = "ABCUVW"
 """Axes of a milling machine in addition to X, Y, Z, which a robot does not have."""
 

@@ -37,7 +37,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from msgspec import Struct
 
-from postproc.cell import Cell, Rotary
+from postproc.cell import FIXED_M_CODES, Cell, Rotary
 from postproc.dialects.gcode import codes
 from postproc.dialects.gcode.words import COLUMNS, CUT_SHORT, MARK, BlockError, Fault, Source, Words, words_of
 from postproc.errors import MOST, Issue, Level
@@ -102,7 +102,7 @@ class Switching:
         for code in m:
             if self.is_known(row, f"M{code:g}"):
                 continue
-            own = None if code in codes.READING else self.cell.m_codes.get(f"M{code:g}")
+            own = None if code in FIXED_M_CODES else self.cell.m_codes.get(f"M{code:g}")
             if own is None and code in codes.OVERRIDES and values.pop("P", -1.0) in (0.0, 1.0):
                 continue
             if own is None and code not in codes.ACCEPTED_M:
