@@ -343,6 +343,44 @@ def test_killed_and_started_again_each_is_converted_once(tmp_path):
     check_arrived(*arriving(tmp_path, 12, 1, 0.3, 1), 12, 1)
 
 
+_ENDED = """
+import sys, time
+if {polling}:
+    sys.modules["watchfiles"] = None
+if {converting}:
+    from postproc.jobs import runs
+    runs.convert = lambda *a, **k: (print("converting", flush=True), time.sleep(120))
+from postproc.__main__ import main
+main()
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("converting", [False, True], ids=["idle", "converting"])
+@pytest.mark.parametrize("polling", [False, True], ids=["notified", "polling"])
+def test_a_signal_ends_it_at_once(tmp_path, polling, converting, number):
+    (tmp_path / "in").mkdir()
+    if converting:
+        put(tmp_path, "a.nc", PART.format(x=5))
+    code = _ENDED.format(polling=polling, converting=converting)
+    command = [sys.executable, "-u", "-c", code, "watch", str(tmp_path / "in"), "--cell", str(CELL), "--serve"]
+    process = subprocess.Popen(
+        [*command, "--port", "0"], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, encoding="utf-8"
+    )
+    try:
+        assert process.stdout is not None
+        wanted = "converting" if converting else "watching"
+        while not (line := process.stdout.readline()).startswith(wanted):
+            assert line
+        time.sleep(0.0 if converting else 2 * watching.SCAN)
+        process.send_signal(number)
+        said, _ = process.communicate(timeout=10)
+    finally:
+        process.kill()
+    assert process.returncode == 128 + number
+    assert said == ("ended.\n" if converting else "Interrupted.\n")
+
+
 def test_the_overview_is_served_on_this_machine_and_reloads_itself(tmp_path):
     (tmp_path / "secret.toml").write_text("x")
     (tmp_path / "part.report.html").write_text("<p>part")

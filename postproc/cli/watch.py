@@ -51,6 +51,6 @@ def watch(ctx: click.Context, /, folder: Path, jobs: int, serve: bool, port: int
     try:
         for outcome, job in outcomes:
             print_outcome(outcome, job, as_json=as_json)
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as cause:
         click.echo("ended.", err=as_json)
-        ctx.exit(130)
+        ctx.exit(128 + getattr(cause, "number", 2))
