@@ -371,6 +371,7 @@ clearance_Z = {_number(request.clearance)}              # Z of $BASE to which th
 # home = [0, -90, 90, 0, 0, 0]   # A1 to A6: G28 and G30 go there; without it the tool stays above its place
 {_tools(tools)}
 {_work_offsets(request.work_offsets)}
+
 {_m_codes(request.m_codes)}
 
 # [payload]                      # carried in addition to the state that the robot model was calibrated in

@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -331,6 +332,15 @@ def test_work_offsets_and_m_codes_that_cannot_be_are_wrong_usage(words):
     assert done.exit_code == 2
     assert f"{words[1]!r}: give" in done.stderr
     assert not Path("cell.toml").exists()
+
+
+def test_tables_of_a_new_cell_have_an_empty_line_between_them():
+    more = ("--tools", "1=350", "--work-offset", "G55=300,0,0", "--work-offset", "G56=1,0,0", "--m-code", "M31")
+    assert run("init", "--robot", "kuka_kr270", *FRAMES, *more).exit_code == 0
+    lines = Path("cell.toml").read_text().splitlines()
+    tables = [k for k, line in enumerate(lines) if line.startswith("[")]
+    assert [lines[k] for k in tables[-4:]][:3] == ["[tools.1]", "[work_offsets.G55]", "[work_offsets.G56]"]
+    assert all("" in lines[first:second] for first, second in pairwise(tables))
 
 
 @pytest.mark.parametrize("code", ["M0", "6", "M30", "m98", "M10000"])
