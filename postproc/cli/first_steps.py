@@ -46,8 +46,16 @@ def _tools(texts: Sequence[str]) -> dict[int, Numbers]:
         name = number.strip().upper().removeprefix("T")
         if not equals or not name.isdecimal() or not found:
             raise click.BadParameter(f"{text!r}: give the number of the tool and its $TOOL, such as 1=0,0,412.5")
-        tools[int(name)] = (0.0, 0.0, *found) if len(found) == 1 else found
+        frame = (0.0, 0.0, *found) if len(found) == 1 else found
+        _once(tools, int(name), frame, f"tool {int(name)}")
     return tools
+
+
+def _once(frames: dict[Any, Numbers], key: Any, frame: Numbers, what: str) -> None:
+    """Add a frame; refuse a second, different one."""
+    if (other := frames.setdefault(key, frame)) != frame:
+        first, second = (",".join(f"{word:g}" for word in words) for words in (other, frame))
+        raise click.BadParameter(f"{what} is given twice, {first} and {second}: leave one of them out")
 
 
 def _tools_line(text: str) -> dict[int, Numbers]:
@@ -63,7 +71,7 @@ def _work_offsets(texts: Sequence[str]) -> dict[str, Numbers]:
         code = name.strip().upper()
         if not re.fullmatch(r"G5[4-9]|G59\.[1-3]", code) or not found:
             raise click.BadParameter(f"{text!r}: give G54 to G59.3 and its frame in $BASE, such as G55=300,0,0")
-        offsets[code] = found
+        _once(offsets, code, found, code)
     return offsets
 
 

@@ -334,6 +334,23 @@ def test_work_offsets_and_m_codes_that_cannot_be_are_wrong_usage(words):
     assert not Path("cell.toml").exists()
 
 
+@pytest.mark.parametrize(
+    ("option", "values", "message"),
+    [
+        ("--tools", ("1=350", "T1=0,0,300"), "tool 1 is given twice, 0,0,350 and 0,0,300: leave one"),
+        ("--work-offset", ("G55=300,0,0", "g55=400,0,0"), "G55 is given twice, 300,0,0 and 400,0,0: leave one"),
+    ],
+)
+def test_options_that_contradict_each_other_are_wrong_usage(option, values, message):
+    """The last one held."""
+    options = ("--robot", "kuka_kr270", *FRAMES, option)
+    done = run("init", *options, values[0], option, values[1])
+    assert done.exit_code == 2
+    assert message in " ".join(done.stderr.split())
+    assert not Path("cell.toml").exists()
+    assert run("init", *options, values[0], option, values[0]).exit_code == 0
+
+
 def test_tables_of_a_new_cell_have_an_empty_line_between_them():
     more = ("--tools", "1=350", "--work-offset", "G55=300,0,0", "--work-offset", "G56=1,0,0", "--m-code", "M31")
     assert run("init", "--robot", "kuka_kr270", *FRAMES, *more).exit_code == 0
