@@ -125,6 +125,32 @@ def test_cycles_that_cannot_be_are_told(text: str, problem: str) -> None:
     assert caught.value.line == 2
 
 
+@pytest.mark.parametrize(
+    ("words", "units", "advice"),
+    [
+        ("K3", "G21", "If K is the number of holes, write L3."),
+        ("K12.", "G20", "If K is the number of holes, write L12."),
+        ("K2.5", "G21", None),
+        ("K0", "G21", None),
+        ("K-2", "G21", None),
+        ("I3", "G21", None),
+        ("I1 K3", "G21", None),
+        ("J1 K3", "G21", None),
+        ("K3 L2", "G21", None),
+    ],
+)
+def test_a_number_of_holes_as_on_fanuc_is_refused_with_what_to_write(
+    words: str, units: str, advice: str | None
+) -> None:
+    lines = f"{HEAD}{units} G98 G81 X1 Y0 Z-4 R2 F100\nG91 X10. Y5. Z-2 R-1 "
+    with pytest.raises(ProgramError, match="I, J or K in a cycle") as caught:
+        read(f"{lines}{words}\nG80\nM2\n")
+    assert (caught.value.line, caught.value.advice) == (3, advice)
+    if advice is not None:
+        right = ends(read(f"{lines}{advice.split()[-1][:-1]}\nG80\nM2\n"))
+        assert len(np.unique(right[:, 0].round(3))) > round(float(words[1:]))
+
+
 FIRST_PLACE = "G0 Z50\nG81 R2 Z-1 F100 X5 Y6\nX7\nG99 X9 Y3\nG80\nG0 Z50\nX1 Y1 Z1\n"
 
 

@@ -25,7 +25,7 @@ from postproc.cell import Rotary
 from postproc.chunks import Runs, compact, in_chunks, rows_of
 from postproc.dialects.gcode.arcs import SAME_MM, ArcFault, Arcs, ArcWords, read_arcs
 from postproc.dialects.gcode.cycles import CycleEvent
-from postproc.dialects.gcode.modes import Modes
+from postproc.dialects.gcode.modes import MM_PER_UNIT, Modes
 from postproc.dialects.gcode.moves import (
     LEVEL,
     CellFrames,
@@ -249,7 +249,8 @@ def faults_of(rows: LineStates, moves: Moves, modes: Modes, circular: Ints, arcs
     check(stray & ~used, "I, J, K, R or P without an arc or a cycle that uses it")
     stray = ~(np.isnan(rows.pecks) & np.isnan(rows.repeats))
     check(stray & (~used | (rows.moving & arc)), "Q or L without a cycle that uses it")
-    check(rows.drilling & centred, "I, J or K in a cycle")
+    for row in np.flatnonzero(rows.drilling & centred)[: MOST + 1].tolist():
+        faults.setdefault(row, Fault(row, "I, J or K in a cycle", _repeats_advice(rows, row)))
     check(dwelling & rows.moving & arc, "G4 in one block with an arc", "Write one block for each.")
     cuts = ((rows.named | rows.moving) & (straight | arc)) | rows.drilling
     no_feed = cuts & ~(rows.feed > 0.0) & ~doubt.motion & ~doubt.feed
@@ -265,6 +266,15 @@ def faults_of(rows: LineStates, moves: Moves, modes: Modes, circular: Ints, arcs
         if not (doubt.motion[row] or (fault.placed and doubt.position[row])):
             faults.setdefault(row, Fault(row, fault.problem, fault.advice))
     return [faults[row] for row in sorted(faults)]
+
+
+def _repeats_advice(rows: LineStates, row: int) -> str | None:
+    """Return what to write for a K that may be the number of holes, as on Fanuc; None for other words."""
+    i, j, k = (rows.ijk[row] / MM_PER_UNIT[float(rows.units[row])]).tolist()
+    count = round(k, 9) if k == k else 0.0
+    if i == i or j == j or count < 1.0 or count != round(count) or rows.repeats[row] == rows.repeats[row]:
+        return None
+    return f"If K is the number of holes, write L{count:g}."
 
 
 def _check_unknown(rows: LineStates, moves: Moves, doubt: _Doubt, check: Callable[..., None]) -> None:
