@@ -270,8 +270,9 @@ class FrameCodes:
         for letter in turned:
             values[letter] = 0.0  # position of the axes at home
         axes = {"XYZ".index(letter): value * mm for letter, value in takes.items()}
-        if len(using) > 1 or set(g) & {2.0, 3.0, *codes.CYCLES}:
-            raise BlockError("two codes of one block use the same words", "Write one block for each.")
+        both = [f"G{code:g}" for code in g if code in using or code in (2.0, 3.0, *codes.CYCLES)]
+        if len(both) > 1:
+            raise BlockError(f"{both[0]} and {both[1]} in one block use the same words", "Write one block for each.")
         code = using[0]
         if code in codes.RETURNS:
             self._return(row, code, motion, axes)
