@@ -934,7 +934,7 @@ ERRORS = [
     (["ENDIF"], 4, "ENDIF without IF"),
     (["IF $IN[1] THEN", "$BASE={X 1}", "ENDIF"], 5, "changed inside IF"),
     (["IF $IN[1] THEN", "BAS(#TOOL,1)", "ENDIF"], 5, "changed inside IF"),
-    (["TRIGGER WHEN DISTANCE=0 DELAY=0 DO $VEL.CP=1"], 4, "TRIGGER in line 4 changes"),
+    (["TRIGGER WHEN DISTANCE=0 DELAY=0 DO $VEL.CP=1"], 4, "TRIGGER changes what motions"),
     (["$IPO_MODE=#TCP"], 4, "IPO_MODE"),
     (["FDAT_ACT={TOOL_NO 1,BASE_NO 1,IPO_FRAME #TCP}", "BAS(#FRAMES)"], 5, "IPO_MODE"),
     ([FULL, "$ORI_TYPE=#JOINT", "CIRC {X 0,Y 0,Z 0},{X 1,Y 5,Z 9,A 50,B 0,C 170}"], 6, "ORI_TYPE=#JOINT"),
@@ -1152,6 +1152,15 @@ def test_what_an_interrupt_changes_is_told_with_its_line_once():
     with pytest.raises(ProgramError) as caught:
         read(body("INTERRUPT DECL 4 WHEN $IN[1]==TRUE DO XP1=XP2", "INTERRUPT ON 4", "LIN XP1"), DATA)
     assert "(by INTERRUPT in line 4)" in str(caught.value)
+
+
+@pytest.mark.parametrize("word", ["INTERRUPT DECL 4 WHEN $IN[1]==TRUE DO", "TRIGGER WHEN DISTANCE=0 DELAY=0 DO"])
+def test_an_event_that_may_change_a_frame_is_named_by_the_line_of_the_error(word):
+    with pytest.raises(ProgramError) as caught:
+        read(body(f"{word} $BASE=BASE_DATA[2]", "LIN XP1"), DATA)
+    assert caught.value.line == 4
+    problem = f"{word.split()[0]} changes what motions depend on at any time: $BASE"
+    assert caught.value.problem == problem
 
 
 def _frame(x, y, z):

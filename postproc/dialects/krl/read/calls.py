@@ -90,9 +90,11 @@ class Calls:
             self.run.absent.append((call.spelt(at.source), self.run.here))
         self._forget_arguments(at, call, None)
 
-    def notice(self, at: Place, what: str, effects: Effects) -> None:
+    def notice(self, at: Place, what: str, effects: Effects, source: str | None = None) -> None:
         """Note routines that are in no file, and variables that may change at any time from now on.
 
+        :param what: the routine or statement, for errors of this line.
+        :param source: the same for errors of later lines.
         :raises ProgramError: frames or speeds may change so, or a variable that a caller gave.
         """
         if effects.lasting is not None:
@@ -103,8 +105,9 @@ class Calls:
         relevant = sorted(RELEVANT.intersection(effects.anytime))
         if relevant:
             problem = f"{what} changes what motions depend on at any time: {', '.join(relevant)}"
-            raise at.error(f"{problem} ({effects.anytime[relevant[0]]})", SETTING_ADVICE)
-        self.run.may_change(effects.anytime, what)
+            place = str(effects.anytime[relevant[0]])
+            raise at.error(problem if place == str(at) else f"{problem} ({place})", SETTING_ADVICE)
+        self.run.may_change(effects.anytime, source or what)
 
     def _forget_arguments(self, at: Place, call: Call, routine: Routine | None) -> None:
         for _, reference in self._by_reference(at, call, routine):

@@ -275,7 +275,7 @@ class Interpreter:
         effects = self.run.analysis.of_action(self.run.level.module, self.run.level.routine, at, here, scope)
         if effects.motion is not None:
             raise at.error(f"{here.word} moves the robot ({effects.motion})", IN_ORDER)
-        self.calls.notice(at, f"{here.word} in {at}", effects)
+        self.calls.notice(at, here.word, effects, f"{here.word} in {at}")
         declared = at.source.origin(at.line).source
         if here.public or declared is self.run.routine.source:
             self.run.resumed = self.run.resumed or effects.resumes
