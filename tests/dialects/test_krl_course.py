@@ -636,7 +636,7 @@ def test_a_called_file_that_cannot_be_followed_is_an_error_in_the_line_of_its_ca
     with pytest.raises(ProgramError, match="CUT changes what motions depend on at any time") as caught:
         read_files(files, tmp_path)
     assert caught.value.line == 8
-    assert caught.value.problem.endswith("$VEL.CP (cut.src, line 2)")
+    assert caught.value.problem.endswith("$VEL (cut.src, line 2)")
 
 
 ALIASED = "DEF SUB(r)\r\nREAL r\r\nr=3\r\n{}\r\nEND\r\n"
