@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -346,6 +346,31 @@ def m_code_fault(key: str) -> tuple[str, str] | None:
     return None if key == f"M{number}" else (key, f"Write M{number}.")
 
 
+_STRING = re.compile('"[^"]*"')
+_CLOSING = {"(": ")", "[": "]", "{": "}"}
+
+
+def lines_fault(lines: Sequence[str]) -> str | None:
+    """Return what is not closed in lines of KRL or RAPID, apart from comments; a statement may take several lines."""
+    opened = ""
+    for line in lines:
+        if line.lstrip().startswith("!"):
+            continue
+        code = _STRING.sub("", line).partition(";")[0]
+        if '"' in code:
+            return f'{line!r}: the string after " has no end'
+        for sign in code:
+            if sign in _CLOSING:
+                opened += sign
+            elif sign in _CLOSING.values():
+                if not opened:
+                    return f"{line!r}: {sign} closes no bracket"
+                if _CLOSING[opened[-1]] != sign:
+                    return f"{line!r}: {opened[-1]} is not closed"
+                opened = opened[:-1]
+    return f"{lines[-1]!r}: {opened[-1]} is not closed" if opened else None
+
+
 _VARIABLE = re.compile(r"[A-Za-z_$][\w$]*(\[[0-9]{1,6}(,[0-9]{1,6}){0,2}\])?", re.ASCII)
 _LARGEST_VALUE = 2**31 - 1
 _EXAMPLE = """The least that a cell needs, for example:
@@ -387,6 +412,10 @@ def load(path: str | Path) -> Cell:
     for key in cell.m_codes:
         if fault := m_code_fault(key):
             raise CellError(f"[m_codes] {fault[0]}", file=str(path), advice=fault[1])
+    for section, values in (("gcode", msgspec.structs.asdict(cell.gcode)), ("m_codes", cell.m_codes)):
+        for key, lines in values.items():
+            if isinstance(lines, list) and (open_end := lines_fault(lines)):
+                raise CellError(f"[{section}] {key}, {open_end}", file=str(path), advice="Correct the line.")
     for key, value in cell.krl.values.items():
         if not _VARIABLE.fullmatch(key) or abs(value) > _LARGEST_VALUE:
             advice = 'Give numbers or true and false for names and elements: lnActSt = 1, "$IN[5]" = false.'

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 import tomllib
 from pathlib import Path
 
@@ -11,6 +13,8 @@ from postproc import cell
 from postproc.errors import CellError
 
 CELL = (Path(__file__).parents[1] / "samples" / "cell_kr270.toml").read_text(encoding="utf-8")
+
+_BARE = 'robot = "kuka_kr270"\n[base]\nX = 1500\n[tool]\nZ = 350\n'
 
 
 def _load(tmp_path: Path, text: str) -> cell.Cell:
@@ -78,6 +82,37 @@ def test_what_a_key_may_hold_is_told(tmp_path: Path, old: str, new: str, message
     assert old in CELL
     with pytest.raises(CellError, match=message):
         _load(tmp_path, CELL.replace(old, new, 1))
+
+
+@pytest.mark.parametrize(
+    ("key", "lines", "message"),
+    [
+        ("tool_change", ["HALT", "CHG({T)"], "'CHG({T)': { is not closed"),
+        ("spindle_on", ["SPIN({S}"], "'SPIN({S}': ( is not closed"),
+        ("spindle_ccw", ["SPIN({S}))"], "'SPIN({S}))': ) closes no bracket"),
+        ("spindle_off", ['MsgNotify("off)'], """'MsgNotify("off)': the string after " has no end"""),
+        ("coolant_on", ["$OUT[1=TRUE"], "'$OUT[1=TRUE': [ is not closed"),
+        ("coolant_off", ["$OUT1]=TRUE"], "'$OUT1]=TRUE': ] closes no bracket"),
+        ("M31", ["HOOK("], "'HOOK(': ( is not closed"),
+    ],
+)
+def test_a_line_that_is_not_closed_is_named_with_its_key(
+    tmp_path: Path, key: str, lines: list[str], message: str
+) -> None:
+    table = "m_codes" if key == "M31" else "gcode"
+    with pytest.raises(CellError, match=re.escape(f"[{table}] {key}, {message}")):
+        _load(tmp_path, f"{_BARE}[{table}]\n{key} = {json.dumps(lines)}\n")
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ["; by hand (see sheet", 'CHG({T}, "a ) ; b") ; 5" ('],
+        ["! by hand (see sheet", "MoveAbsJ [[0,0,0,0,0,0],", "[9E9,9E9,9E9,9E9,9E9,9E9]],v100,fine,tool0;"],
+    ],
+)
+def test_comments_strings_and_statements_of_several_lines_are_lines(tmp_path: Path, lines: list[str]) -> None:
+    assert _load(tmp_path, f"{_BARE}[gcode]\ntool_change = {json.dumps(lines)}\n").gcode.tool_change == lines
 
 
 def test_the_folder_of_a_cell_is_that_of_its_file(tmp_path: Path) -> None:

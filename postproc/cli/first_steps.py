@@ -98,6 +98,15 @@ def _m_codes_line(text: str) -> list[str]:
     return _m_codes(text.replace(",", " ").split())
 
 
+def _line(text: str) -> str:
+    """Return a line of the robot's language in which brackets and strings are closed."""
+    from postproc.cell import lines_fault
+
+    if fault := lines_fault([text]):
+        raise click.BadParameter(fault)
+    return text
+
+
 def _robot(text: str) -> str:
     from postproc.errors import ModelError
     from postproc.robot import find
@@ -138,7 +147,10 @@ def _parsed(kind: Any) -> Any:
     "--clearance", type=float, metavar="Z", help="Z of $BASE to which G28, G30 and G53 retract; default: 200."
 )
 @click.option(
-    "--tool-change", metavar="LINE", help="Line for M6, with {T}; 'hand': the program stops (default); 'none': no line."
+    "--tool-change",
+    callback=_parsed(_line),
+    metavar="LINE",
+    help="Line for M6, with {T}; 'hand': the program stops (default); 'none': no line.",
 )
 @click.option(
     "--tools",
@@ -271,7 +283,7 @@ def _asked(given: dict[str, Any]) -> dict[str, Any]:
         given["start"] = click.prompt(text, default="", show_default=False, value_proc=_numbers) or None
     ask("clearance", "Z of $BASE to which programs retract (G28, G30, G53)", f"{first_steps.CLEARANCE_MM:g}", _number)
     text = "Tool change: hand (the program stops), none, or a line that calls the changer, with {T}"
-    ask("tool_change", text, first_steps.BY_HAND, str)
+    ask("tool_change", text, first_steps.BY_HAND, _line)
     text = "What the part may be off (95 %)"
     ask("part_tolerance", text, f"{first_steps.PART_TOLERANCE_MM:g}", _number)
     return given

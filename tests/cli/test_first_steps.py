@@ -283,6 +283,7 @@ def test_answers_for_retract_tools_tool_change_and_tolerance_are_in_the_cell(mon
         "",
         "high",
         "150",
+        "CHANGE({T)",
         "CHANGE({T})",
         "0.2",
     ]
@@ -292,6 +293,7 @@ def test_answers_for_retract_tools_tool_change_and_tolerance_are_in_the_cell(mon
     assert "'1.5=3': give the number of the tool" in done.output
     assert "'G60=1,2,3': give G54 to G59.3" in done.output
     assert "'coolant': give an M code" in done.output
+    assert "'CHANGE({T)': { is not closed" in done.output
     assert "'m08': M8 has a meaning already. Give its lines in [gcode]: coolant_on." in done.output
     cell = cells.load("cell.toml")
     assert {number: (tool.X, tool.Y, tool.Z) for number, tool in cell.tools.items()} == {
@@ -349,6 +351,14 @@ def test_options_that_contradict_each_other_are_wrong_usage(option, values, mess
     assert message in " ".join(done.stderr.split())
     assert not Path("cell.toml").exists()
     assert run("init", *options, values[0], option, values[0]).exit_code == 0
+
+
+def test_a_line_of_the_tool_change_that_is_not_closed_is_wrong_usage():
+    """It was written, and `convert` called it a fault of its own."""
+    done = run("init", "--robot", "kuka_kr270", *FRAMES, "--tool-change", "CHG({T)")
+    assert done.exit_code == 2
+    assert "'CHG({T)': { is not closed" in done.stderr
+    assert not Path("cell.toml").exists()
 
 
 def test_tables_of_a_new_cell_have_an_empty_line_between_them():
