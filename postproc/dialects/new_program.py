@@ -18,6 +18,8 @@ from postproc.safe_text import one_line
 
 LINE_END = "\r\n"
 _DECIMALS = 6
+_WITHOUT_VALUE = ("spindle_off", "coolant_on", "coolant_off")
+"""Kinds of events whose value says nothing."""
 _FASTEST_TURN = 200.0
 """Largest rotational speed written [deg/s]; above it the controller chooses."""
 _CORRECTED = 1e-9
@@ -116,8 +118,7 @@ class NewProgram:
                 if own:
                     self.stops.add(k)
                     self.own[k] += own
-                nothing = f"{words.comment} {event.kind} {number(event.value)}: no lines for it in the cell"
-                self.before[k] += own or [nothing]
+                self.before[k] += own or [f"{words.comment} {no_lines(event)}"]
         if self.without_lines:
             names = ", ".join(dict.fromkeys(event.kind for event in self.without_lines))
             message = f"The cell has no lines for {names} in [gcode]: the program does nothing there."
@@ -257,6 +258,16 @@ def check_name(
             file=program.documents[0].name,
             advice=f"Rename the file, for example to {valid(program.name)}.",
         )
+
+
+def no_lines(event: Event) -> str:
+    """Return the comment in place of an event that the cell has no lines for.
+
+    >>> no_lines(Event(0, "spindle_on", 1, 9000.0)), no_lines(Event(0, "coolant_on", 1))
+    ('spindle_on 9000: no lines for it in the cell', 'coolant_on: no lines for it in the cell')
+    """
+    value = "" if event.kind in _WITHOUT_VALUE else f" {number(event.value)}"
+    return f"{event.kind}{value}: no lines for it in the cell"
 
 
 def number(value: float) -> str:

@@ -121,7 +121,7 @@ KRC4 = (
     "WAIT SEC 0.25\r\n"
     "CIRC {{X 120,Y 30,Z 0}},{{X 110,Y 40,Z 0,A 0,B 0,C 180}} C_DIS\r\n"
     "LIN {{X 10,Y 40,Z 0,A 0,B 0,C 180}} C_DIS\r\n"
-    "; coolant_off 0: no lines for it in the cell\r\n"
+    "; coolant_off: no lines for it in the cell\r\n"
     "$VEL.CP=0.500000\r\n"
     "LIN {{X 10,Y 40,Z 51,A 0,B 0,C 180}}\r\n"
     "WAIT SEC 0\r\n"
@@ -244,6 +244,7 @@ def test_events_without_lines_in_the_cell_are_warned_about_and_written_as_commen
     assert (issue.level, issue.kind, issue.source_line, issue.count) == ("warning", "no-lines", 5, 4)
     assert "no lines for spindle_on, coolant_on, tool_change, spindle_ccw in [gcode]" in issue.message
     assert "; tool_change 7: no lines for it in the cell\r\n" in text
+    assert "; coolant_on: no lines for it in the cell\r\n" in text
     assert "WAIT" not in text
 
 

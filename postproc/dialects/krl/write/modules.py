@@ -26,7 +26,7 @@ from msgspec.structs import replace
 from postproc.cell import Cell
 from postproc.dialects.krl.language.names import MAX_LENGTH
 from postproc.dialects.krl.write.emit import Emitter, axis_motion, calls, emit
-from postproc.dialects.new_program import LINE_END, number
+from postproc.dialects.new_program import LINE_END, no_lines, number
 from postproc.errors import Issue, ProgramError
 from postproc.frames import DEG_PER_RAD, norm
 from postproc.program import (
@@ -225,9 +225,8 @@ class _Divider:
             if self._switches(each.event, k):
                 continue  # the program itself switches it here
             event = each.event
-            nothing = f"; {event.kind} {number(event.value)}: no lines for it in the cell"
             own += each.on
-            lines += [self.new.words.wait, *each.on] if each.on else [nothing]
+            lines += [self.new.words.wait, *each.on] if each.on else [f"; {no_lines(event)}"]
             lines += [self.new.words.dwell.format(number(dwell.value)) for dwell in self._dwells(event)]
         return [*lines, *(state.values() if calls(own) else ())]  # a program that is called may have set others
 
