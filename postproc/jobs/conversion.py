@@ -21,7 +21,18 @@ from postproc.errors import InputError, Issue, PostprocError, ProgramError, Subp
 from postproc.forces import ForceSource
 from postproc.frames import M_PER_MM, Array
 from postproc.jobs.output_plan import Task, differing, needed_copies, needed_warnings, with_own_copies
-from postproc.jobs.programs import EXCEEDED, FAILED, GOOD, PROCESS, Job, Outcome, Settings, find_jobs, read_documents
+from postproc.jobs.programs import (
+    EXCEEDED,
+    FAILED,
+    GOOD,
+    PROCESS,
+    Job,
+    Outcome,
+    Settings,
+    check_utf8,
+    find_jobs,
+    read_documents,
+)
 from postproc.placement.turning import chosen_start
 from postproc.program import Document, Motions, Program
 from postproc.report import Summary
@@ -144,6 +155,7 @@ def convert(
     job = task.job
     computed = False
     try:
+        check_utf8(job.program)
         name = None if job.keeps_text else job.stem
         program, cell = read_started(job.program, robot, cell, job.dialect, name)
         result, process = _result(job, settings, cell, robot, program, progress)
@@ -250,6 +262,7 @@ def programs_under_force(
     :raises PostprocError: a program or its forces cannot be read.
     """
     for job in find_jobs(programs, forces=given):
+        check_utf8(job.program)
         if not job.callers:
             yield job.program, read_program(job.program, robot, cell, job.dialect), force_source(job.forces, cell)
 

@@ -107,6 +107,15 @@ def is_utf8(name: str) -> bool:
     return not any("\ud800" <= letter <= "\udfff" for letter in name)
 
 
+def check_utf8(path: Path) -> None:
+    """Check that the name of a program is text.
+
+    :raises InputError: it is not.
+    """
+    if not is_utf8(path.name):
+        raise InputError("its name is not UTF-8", file=str(path), advice="Rename the file.")
+
+
 def find_jobs(
     inputs: Sequence[str],
     *,
@@ -128,8 +137,8 @@ def find_jobs(
     :param output: folder to write into; None = a folder `corrected` next to each program.
     :param name: of the written program, for one program; None = that of the file, made valid where it is a new one.
     :param to: dialect to write in; None = that of the program if it is written, else KRL.
-    :raises InputError: an input names nothing or no known kind of program, it cannot be written in that dialect, or
-        the name cannot be given.
+    :raises InputError: an input names nothing or no known kind of program, it cannot be written in that dialect, the
+        name cannot be given, or that of a file given by itself is not UTF-8.
     """
     programs = _unique(path for name in inputs for path in _expand(name, dialect))
     programs = _without_parts(programs, {Path(name).resolve() for name in inputs}, dialect)
@@ -140,8 +149,8 @@ def find_jobs(
         raise InputError(f"one name for {len(own)} programs", advice="Give --name with one program.")
     jobs = []
     for path in programs:
-        if not is_utf8(path.name):
-            raise InputError("its name is not UTF-8", file=str(path), advice="Rename the file.")
+        if str(path) in inputs:
+            check_utf8(path)
         folder = path.parent / "corrected" if output is None else output
         read_as = dialect or registry.of_file(path).name
         written_as, writer = registry.written_in(read_as, to)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import pickle
 import pkgutil
@@ -107,6 +108,25 @@ def test_a_program_whose_name_is_no_text_is_told():
     done = CliRunner().invoke(main, ["convert", ".", "--cell", CELL_16])
     assert done.exit_code == 1
     assert done.stderr == "Error: bad?.nc: its name is not UTF-8. Rename the file.\n"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names that are no text")
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_in_a_folder_a_name_that_is_no_text_fails_alone(jobs):
+    for name in (b"a.nc", b"bad\xff.nc", b"c.nc"):
+        Path(os.fsdecode(name)).write_text("G21 G90\nG0 X0 Y0 Z20\nG1 Z-1 F300\nX5\nG0 Z20\nM30\n")
+    arguments = ["convert", ".", "--cell", CELL_16, "-o", "out", "--jobs", jobs]
+    done = CliRunner().invoke(main, arguments)
+    assert done.exit_code == 1
+    assert done.stderr == "Error: bad?.nc: its name is not UTF-8. Rename the file.\n"
+    assert sorted(path.name for path in Path("out").glob("*.src")) == ["a.src", "c.src"]
+    assert "bad?.nc: its name is not UTF-8" in Path("out/index.html").read_text()
+    entries = json.loads(CliRunner().invoke(main, [*arguments, "--json"]).stdout)["programs"]
+    assert [entry["exit_code"] for entry in entries] == [0, 1, 0]
+    named = CliRunner().invoke(main, ["convert", "a.nc", os.fsdecode(b"bad\xff.nc"), "--cell", CELL_16, "-o", "other"])
+    assert (named.exit_code, Path("other").exists()) == (1, False)
+    placed = CliRunner().invoke(main, ["place", ".", "--cell", CELL_16, "-o", "other"])
+    assert (placed.exit_code, placed.stderr) == (1, done.stderr)
 
 
 def test_an_interrupt_has_an_exit_code_of_its_own(monkeypatch):
