@@ -505,6 +505,8 @@ def test_empty_and_binary_files_are_errors(data: bytes) -> None:
         ("G0 X" + "9" * 400, "is out of range"),
         ("G0 X#5", "parameter #5 has no value"),
         ("G0 X[1+]", "a value was expected"),
+        ("G0 X" + "[" * 3000, "more than 50 brackets or signs one in another"),
+        ("G0 X#" + "-" * 3000 + "1", "more than 50 brackets or signs one in another"),
         ("G80\nX5 Z-9", "coordinates without G0, G1, G2 or G3"),
         ("G4", "G4 without a time"),
         ("G4 X-1", "G4 without a time"),

@@ -155,14 +155,26 @@ def whole(value: float) -> int:
     return round(value)
 
 
+_DEEPEST = 50
+"""Values one in another: a program has a few, a damaged file may have thousands."""
+
+
 class Reader:
     """Parser for values in a packed line, from position `at`."""
 
     def __init__(self, code: str, at: int = 0) -> None:
-        self.code, self.at = code, at
+        self.code, self.at, self._inside = code, at, 0
 
     def value(self) -> Value:
         """Read a value: a number, a parameter, a function or an expression, with signs before it."""
+        if self._inside == _DEEPEST:
+            raise BlockError(f"more than {_DEEPEST} brackets or signs one in another", None)
+        self._inside += 1
+        out = self._value()
+        self._inside -= 1
+        return out
+
+    def _value(self) -> Value:
         number = self._match(_NUMBER)
         if number is not None:
             constant = float(number[0])
