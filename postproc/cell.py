@@ -98,7 +98,7 @@ class Output(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         below `min_feed_mm_per_min`; needs a process. "program": feeds are those of the program.
     """
 
-    tolerance_mm: Positive = 0.01
+    tolerance_mm: Annotated[float, msgspec.Meta(ge=1e-4, le=1e6)] = 0.01  # positions are printed to 1e-4 mm
     max_correction_mm: Positive = 8.0
     force_ramp_mm: Positive = 1.0
     controller: Annotated[

@@ -46,6 +46,7 @@ def test_all_unknown_and_missing_keys_are_told_in_one_run(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
+        ("tolerance_mm = 0.01", "tolerance_mm = 1e-300", "output.tolerance_mm: .*>= 0.0001"),
         (
             "force_ramp_mm = 1.0",
             'controller = "KRC5"',

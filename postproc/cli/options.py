@@ -150,7 +150,7 @@ def conversion_options(command: _Command) -> _Command:
         click.option(
             "--tolerance",
             "tolerance_mm",
-            type=float,
+            type=click.FloatRange(min=1e-4),
             callback=_finite,
             metavar="MM",
             help="What the predicted path may leave the nominal one by; replaces tolerance_mm of the cell.",

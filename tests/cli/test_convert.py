@@ -115,6 +115,7 @@ def test_nominal_beyond_a_stated_tolerance_is_written_and_exits_with_3(folder, c
         ["convert", "part.nc"],
         ["convert", "part.nc", "--cell", "cell.toml", "--tolerance", "-1"],
         ["convert", "part.nc", "--cell", "cell.toml", "--tolerance", "nan"],
+        ["convert", "part.nc", "--cell", "cell.toml", "--tolerance", "1e-9"],
         ["convert", "part.nc", "--cell", "cell.toml", "--tolerance", "inf"],
         ["convert", "part.nc", "--cell", "cell.toml", "--jobs", "0"],
         ["convert", "part.nc", "--cell", "cell.toml", "--jobs", "2", "--scheduler", "tcp://x:1"],
