@@ -238,7 +238,10 @@ class InFile:
         self._file.seek(begin * self._row)
         data = out.data.cast("B") if len(out) else memoryview(b"")
         while len(data):
-            data = data[self._file.readinto(data) :]
+            count = self._file.readinto(data)
+            if not count:
+                raise OSError("a temporary file of postproc has become shorter while it was in use")
+            data = data[count:]
         return out
 
 

@@ -52,6 +52,16 @@ def choices(name: str, valid: Iterable[str], what: str = "Valid names") -> str:
     return f"{did_you_mean(name, names)} {what}: {', '.join(names)}.".lstrip()
 
 
+def first_of(names: Sequence[str], most: int) -> str:
+    """Return the first names of a list in words, and how many more there are.
+
+    >>> first_of(["P1", "P2", "P3"], 2), first_of(["P1", "P2"], 2)
+    ('P1, P2 and 1 more', 'P1, P2')
+    """
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return f"{', '.join(names[:most])}{more}"
+
+
 class PostprocError(Exception):
     """Base of all exceptions of this package; pickling keeps all attributes."""
 

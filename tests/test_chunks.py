@@ -106,3 +106,11 @@ def test_without_room_for_files_it_is_said_where_and_how_much(monkeypatch, tmp_p
     with pytest.raises(OSError, match="no room for temporary files") as found:
         chunks.many_rows(1_000_000, 6)[:2] = np.ones((2, 6))
     assert all(part in str(found.value) for part in (str(tmp_path), "288 MB", "TMPDIR", os.strerror(errno.ENOSPC)))
+
+
+def test_a_file_that_became_shorter_is_an_error_and_no_endless_reading(monkeypatch):
+    monkeypatch.setattr(chunks, "MANY", 0)
+    kept = chunks.many_rows(10, 2)
+    kept._file.truncate(100)
+    with pytest.raises(OSError, match="shorter"):
+        kept[:]

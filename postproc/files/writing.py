@@ -22,7 +22,7 @@ import tomli_w
 from msgspec import Struct
 
 from postproc import interrupts
-from postproc.errors import InputError
+from postproc.errors import InputError, first_of
 from postproc.files.locking import locked
 
 _SHOWN = 5
@@ -126,8 +126,7 @@ def refuse(paths: Sequence[Path]) -> None:
 
 def listed(paths: Sequence[Path]) -> str:
     """Return paths as text: the first ones, and the number of others."""
-    more = f" and {len(paths) - _SHOWN} more" if len(paths) > _SHOWN else ""
-    return ", ".join(str(path) for path in paths[:_SHOWN]) + more
+    return first_of([str(path) for path in paths], _SHOWN)
 
 
 def _read(path: Path) -> dict[str, str] | None:

@@ -27,7 +27,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc import elastostatics, kinematics
-from postproc.errors import NotConvergedError
+from postproc.errors import NotConvergedError, first_of
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm
 from postproc.identification.choice import Choice
 from postproc.identification.fit import NORMAL_95, Fit
@@ -464,10 +464,7 @@ def _held(choice: Choice) -> list[str]:
         kinds.setdefault(kind, []).append(parameter.name)
     if not kinds:
         return []
-    parts = [
-        f"{kind} {', '.join(names[:_NAMED])}{f' and {len(names) - _NAMED} more' if len(names) > _NAMED else ''}"
-        for kind, names in kinds.items()
-    ]
+    parts = [f"{kind} {first_of(names, _NAMED)}" for kind, names in kinds.items()]
     return [
         "not identified, held by a prior of physical size, which counts in the bound: "
         f"{'; '.join(parts)} (all of them: held_by_prior in identification.json)"

@@ -9,7 +9,7 @@ import numpy as np
 from msgspec.structs import astuple
 
 from postproc import placement
-from postproc.errors import Issue
+from postproc.errors import Issue, first_of
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm
 from postproc.placement import FREE, NO_CLEARANCE, REASONS, Turn
 from postproc.program import Ints
@@ -546,8 +546,8 @@ def _ranges(issue: Issue) -> str:
     if not issue.lines:
         return "-" if issue.source_line is None else str(issue.source_line)
     runs = [[line for _, line in run] for _, run in groupby(enumerate(issue.lines), lambda entry: entry[1] - entry[0])]
-    texts = [str(run[0]) if len(run) == 1 else f"{run[0]}–{run[-1]}" for run in runs[:_MOST_LINES]]
-    return ", ".join(texts) + (f" and {len(runs) - _MOST_LINES} more" if len(runs) > _MOST_LINES else "")
+    texts = [str(run[0]) if len(run) == 1 else f"{run[0]}–{run[-1]}" for run in runs]
+    return first_of(texts, _MOST_LINES)
 
 
 def place(data: Deviation) -> Section | None:

@@ -28,7 +28,7 @@ from postproc.dialects.krl.read.plain_rounds import plain_motions
 from postproc.dialects.krl.read.rounds import carried_over
 from postproc.dialects.krl.read.run import Run
 from postproc.dialects.krl.read.tracing import Trace
-from postproc.errors import ProgramError
+from postproc.errors import ProgramError, first_of
 
 _MOST_STATEMENTS = 200_000
 """Most statements without motion followed in loops and called routines; later ones count as uncertain."""
@@ -585,8 +585,7 @@ class Flow:
         self._way.pop()
         if names := carried_over(run, source, block, before):
             own = sorted(names, key=lambda name: (name[0] == "$", name))  # those that the program declares first
-            more = "" if len(own) <= _MOST_NAMES else f" and {len(own) - _MOST_NAMES} more"
-            changed = f"{', '.join(own[:_MOST_NAMES])}{more}"
+            changed = first_of(own, _MOST_NAMES)
             problem = f"LOOP never ends, and its rounds differ: each one changes {changed} for the next"
             raise inexact(at, problem, "Set it at the beginning of each round.")
         level.returned = block.last

@@ -16,7 +16,7 @@ from postproc.dialects.krl.read.main_routine import MainRoutine
 from postproc.dialects.krl.read.motion_columns import MotionColumns
 from postproc.dialects.krl.read.run import Apart, Run
 from postproc.dialects.krl.read.state import State
-from postproc.errors import Issue, ProgramError
+from postproc.errors import Issue, ProgramError, first_of
 from postproc.program import ForceNote, Ints, Unfollowed
 
 _MOST_NAMES = 10
@@ -44,8 +44,7 @@ def _absent(main: MainRoutine) -> Iterator[Issue]:
     :raises ProgramError: one is known to move the robot.
     """
     shared = sorted(main.run.variables.used & main.run.variables.public)
-    more = "" if len(shared) <= _MOST_NAMES else f" and {len(shared) - _MOST_NAMES} more"
-    points = f", nor the GLOBAL {', '.join(shared[:_MOST_NAMES])}{more}" if shared else ""
+    points = f", nor the GLOBAL {first_of(shared, _MOST_NAMES)}" if shared else ""
     for name, line in main.run.absent:
         if name.upper() in BY_SENSOR:
             raise main.run.source.line_error(
@@ -85,10 +84,9 @@ def _changed_elsewhere(main: MainRoutine) -> Iterator[Issue]:
     found = main.run.library.writers((variables.used & variables.public) - variables.changed.keys())
     if not found:
         return
-    names = [f"{name} ({', '.join(files[:_MOST_FILES])})" for name, files in list(found.items())[:_MOST_NAMES]]
-    more = "" if len(found) <= _MOST_NAMES else f" and {len(found) - _MOST_NAMES} more"
+    names = first_of([f"{name} ({', '.join(files[:_MOST_FILES])})" for name, files in found.items()], _MOST_NAMES)
     message = (
-        f"Programs that this one does not call change what its motions depend on: {', '.join(names)}{more}. The output "
+        f"Programs that this one does not call change what its motions depend on: {names}. The output "
         "holds for the values in the files. If they run before it, convert the program that calls both."
     )
     yield Issue("warning", "changed-elsewhere", message, subject=", ".join(list(found)[:_MOST_NAMES]))

@@ -18,7 +18,7 @@ from postproc.dialects.krl.read.motions import OrderedMotions, ordered_motions
 from postproc.dialects.krl.read.plain_lines import Plain
 from postproc.dialects.krl.read.rounds import Uses
 from postproc.dialects.krl.read.settings import Settings
-from postproc.errors import Issue, ProgramError
+from postproc.errors import Issue, ProgramError, first_of
 from postproc.frames import Array
 
 _MOST_NAMES = 10
@@ -60,10 +60,9 @@ def changed_data_issues(
         line = cause.line or main.run.routine.first
     if line is None:
         return
-    names = [f"{name} ({place})" for name, place in list(kept.items())[:_MOST_NAMES]]
-    more = "" if len(kept) <= _MOST_NAMES else f" and {len(kept) - _MOST_NAMES} more"
+    names = first_of([f"{name} ({place})" for name, place in kept.items()], _MOST_NAMES)
     message = (
-        f"The program changes data that stay changed: {', '.join(names)}{more}. The next run begins with the changed "
+        f"The program changes data that stay changed: {names}. The next run begins with the changed "
         "values and moves differently from this line on: the output holds for a run that begins with the values in "
         "the files. Set them at the beginning of the program."
     )

@@ -33,7 +33,7 @@ from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tokens import NAME, word_at
 from postproc.dialects.krl.write.division import bounds, places, undivided
 from postproc.dialects.krl.write.shared_names import Sharing
-from postproc.errors import Issue, together
+from postproc.errors import Issue, first_of, together
 from postproc.program import Document, Ints, Written
 
 
@@ -182,9 +182,8 @@ class _Splitter:
             self.base, self.source, data, self.main, self.others, file_of, self.taken
         ).done()
         if renamed:
-            names = ", ".join(f"{old} is {new}" for old, new in list(renamed.items())[:_MOST_NAMES])
-            more = f" and {len(renamed) - _MOST_NAMES} more" if len(renamed) > _MOST_NAMES else ""
-            message = f"Routines of its own are GLOBAL, for all its files to see them: {names}{more}."
+            names = first_of([f"{old} is {new}" for old, new in renamed.items()], _MOST_NAMES)
+            message = f"Routines of its own are GLOBAL, for all its files to see them: {names}."
             self.issues.append(Issue("info", "global-routines", message))
         documents = [self._document(file, source) for file in files]
         documents[0] = replace(documents[0], text=with_name(documents[0].text, files[0].name))
