@@ -709,3 +709,33 @@ def test_a_global_point_is_corrected_by_numbers_where_another_file_uses_it(tmp_p
     text = {document.name: document.text for document in out.documents}
     assert "LIN {X 11.0000," in text["cut.src"]
     assert "LIN XG_2" in text["part.src"]
+
+
+ROUNDS = ["FOR I=1 TO 100", "LIN {X 1}", "ENDFOR"]
+"""Lines before those of a test: a hundred rounds, so that lines of the file are not lines of the execution trace."""
+
+
+@pytest.mark.parametrize(
+    ("lines", "problem"),
+    [
+        (["IF $IN[1] THEN", "$BASE={X 1,Y 1,Z 1,A 0,B 0,C 0}", "ENDIF", FULL], "changed inside IF (line 8)"),
+        (["SPLINE", "SLIN {X 3}", "SPLINE", "SLIN {X 4}", "ENDSPLINE"], "inside of a spline block (line 8)"),
+        (["RSI_ON( )", FULL], "the path is not known. Text: 'RSI_ON( )'"),
+    ],
+)
+def test_messages_behind_a_loop_name_lines_of_the_file(lines, problem):
+    with pytest.raises(ProgramError) as caught:
+        read(body(FULL, *ROUNDS, *lines), DATA)
+    assert problem in str(caught.value)
+
+
+def test_motions_that_stay_behind_a_loop_name_lines_of_the_file():
+    lines = ["WHILE $IN[1]", "LIN {X 3}", "FOR I=1 TO 2", "LIN {X Q.X*I}", "ENDFOR", "ENDWHILE"]
+    program = read(body(FULL, *ROUNDS, *lines), DATA, KEEPING)
+    assert [stays.why for stays in program.unresolved if stays.line == 11] == ["motion inside FOR (line 10)"]
+
+
+def test_an_uncalled_routine_of_a_program_with_a_loop_is_reported():
+    program = read(body(FULL, *ROUNDS) + "DEF OTHER( )\r\nLIN {X 5}\r\nEND\r\n", DATA)
+    (issue,) = [issue for issue in program.issues if issue.kind == "uncalled-motions"]
+    assert (issue.source_line, issue.subject) == (10, "OTHER")

@@ -206,7 +206,7 @@ class Interpreter:
             self.run.settings.change(self.run.line, state)
         else:
             word, opened = self.run.level.open[-1]
-            problem = f"what motions depend on is changed inside {word} (line {opened})"
+            problem = f"what motions depend on is changed inside {word} ({Place(at.source, opened)})"
             self.run.settings.may_become(self.run.line, state, at.error(problem, SETTING_ADVICE))
 
     def _assign(self, at: Place, target: Reference, given: Value) -> None:

@@ -47,7 +47,7 @@ def _absent(main: MainRoutine) -> Iterator[Issue]:
     points = f", nor the GLOBAL {first_of(shared, _MOST_NAMES)}" if shared else ""
     for name, line in main.run.absent:
         if name.upper() in BY_SENSOR:
-            raise main.run.source.line_error(
+            raise main.run.routine.source.line_error(
                 f"{name}() moves the robot by what a sensor says: the path is not known",
                 line,
                 "Convert the program without the sensor's correction.",
@@ -68,7 +68,7 @@ def _uncalled(main: MainRoutine) -> Iterator[Issue]:
         if routine is main.run.routine or routine in main.run.reached:
             continue
         motion = main.run.analysis.of(program, routine).motion
-        if motion is None or motion.source is not main.run.source:
+        if motion is None or motion.source is not main.run.routine.source:
             continue
         if not routine.first < motion.line < routine.last:
             continue  # reported for the routine that contains it

@@ -324,12 +324,13 @@ class MainRoutine:
         level = self.run.level
         if level.open and not self.reader.stays(here):
             opener, opened = level.open[-1]
+            problem = f"motion inside {opener} ({Place(at.source, opened)})"
             if self.run.keep:
-                self.run.unresolved.append((at.line, at.error(f"motion inside {opener} (line {opened})")))
+                self.run.unresolved.append((at.line, at.error(problem)))
                 return
             if opened not in self._refused:
                 self._refused.add(opened)
-                raise at.error(f"motion inside {opener} (line {opened})", LOOP_ADVICE)
+                raise at.error(problem, LOOP_ADVICE)
             return
         try:
             move, state, names = self.reader.read(at, here)

@@ -57,7 +57,7 @@ class SplineBlocks:
         """
         if isinstance(here, Spline):
             if self.open is not None:
-                raise at.error(f"{here.word} inside of a spline block (line {self.open.line})")
+                raise at.error(f"{here.word} inside of a spline block ({Place(at.source, self.open.line)})")
             state = self.reader.block(at, here)
             self.open = Opened(at.line, self.settings.state, state)
             self.settings.change(at.line, state)
