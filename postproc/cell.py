@@ -150,18 +150,42 @@ class Machine(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     clearance_Z: Length | None = None  # noqa: N815 - key of the file
 
 
+class IndexedAxis(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Axis of a rotary table of the machine, in `$BASE`, with all rotary axes at zero.
+
+    :param point: a point on the axis [mm].
+    :param direction: of the axis: positive angles turn the tool about it relative to the part, by the right-hand rule.
+    """
+
+    point: tuple[Length, Length, Length]
+    direction: tuple[float, float, float]
+
+
 class Rotary(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Rotary axes of a program with tool-centre-point control.
+    """Rotary axes of a program.
 
     :param axes: their letters from the part outwards: A, B, C turn about X, Y, Z.
     :param signs: 1 or −1 for each.
-    :param tcp_on: codes between which (and `tcp_off`) alone X, Y, Z are those of the tip; none: always.
+    :param tcp_on: codes between which (and `tcp_off`) alone X, Y, Z are those of the tip; none: those of the program.
+    :param kind: ``"tcp"``: X, Y, Z are the tool tip in the part; ``"indexed"``: the part turns, X, Y, Z are machine
+        axes; None: not stated, and a program that turns them is refused.
+    :param A: place of the axis on the machine, for ``"indexed"``; `B`, `C`: likewise.
     """
 
     axes: list[Literal["A", "B", "C"]]
     signs: list[Literal[1, -1]] = []
     tcp_on: list[str] = []
     tcp_off: list[str] = []
+    kind: Literal["tcp", "indexed"] | None = None
+    A: IndexedAxis | None = None
+    B: IndexedAxis | None = None
+    C: IndexedAxis | None = None
+
+    @property
+    def places(self) -> list[IndexedAxis | None]:
+        """Places of the axes, in the order of `axes`."""
+        by_letter = {"A": self.A, "B": self.B, "C": self.C}
+        return [by_letter[letter] for letter in self.axes]
 
 
 class Krl(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -431,6 +455,7 @@ def load(path: str | Path) -> Cell:
         raise CellError('[gcode] motions = "SLIN": a KRC2 has no spline motions', file=str(path), advice=advice)
     if cell.rotary is not None:
         _check_rotary(cell.rotary, str(path))
+        _check_indexed(cell.rotary, cell.work_offsets, str(path))
     if cell.collision is not None:
         _check_collision(cell.collision, str(path))
     content = {name: getattr(cell, name) for name in cell.__struct_fields__}
@@ -446,6 +471,27 @@ def _check_rotary(rotary: Rotary, file: str) -> None:
         raise CellError("[rotary] signs", file=file, advice="Give 1 or -1 for each of the axes.")
     if bool(rotary.tcp_on) != bool(rotary.tcp_off):
         raise CellError("[rotary] tcp_on without tcp_off, or the reverse", file=file, advice="Give both, or none.")
+
+
+def _check_indexed(rotary: Rotary, work_offsets: Mapping[str, Frame], file: str) -> None:
+    """Check that indexed axes have a place, and that nothing contradicts them."""
+    if rotary.kind != "indexed":
+        return
+    if rotary.tcp_on:
+        advice = 'Write kind = "tcp", or remove tcp_on and tcp_off.'
+        raise CellError("[rotary] tcp_on with indexed axes", file=file, advice=advice)
+    for letter, place in zip(rotary.axes, rotary.places, strict=True):
+        if place is None or not any(place.direction):
+            problem = f"[rotary] {letter}: {'no place' if place is None else 'direction is zero'}"
+            axis = [int(letter == name) for name in "ABC"]
+            example = f"{letter} = {{ point = [0, 0, -120], direction = {axis} }}"
+            advice = f"Give a point of the axis and its direction in $BASE: {example}."
+            raise CellError(problem, file=file, advice=advice)
+    turned = [name for name, frame in work_offsets.items() if frame.A or frame.B or frame.C]
+    if turned:
+        problem = f"[work_offsets.{turned[0]}] is turned, and the rotary axes are indexed"
+        advice = "X, Y, Z are machine axes there: turn [base] instead, so that its axes are those of the machine."
+        raise CellError(problem, file=file, advice=advice)
 
 
 def _check_collision(collision: Collision, file: str) -> None:

@@ -595,6 +595,7 @@ CELL_FIVE_AXES = (
     + """
 [rotary]                        # five axes: C carries B
 axes = ["C", "B"]
+kind = "tcp"                    # X, Y, Z are the tool tip in the part
 tcp_on = ["G43.4"]
 tcp_off = ["G49"]
 """

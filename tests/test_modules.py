@@ -463,6 +463,7 @@ def test_where_a_module_may_end(text, found):
 ROTARY = """
 [rotary]
 axes = ["B"]
+kind = "tcp"
 """
 
 

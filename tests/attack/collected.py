@@ -93,7 +93,7 @@ class Cut(NamedTuple):
 def shop(text: str, axes: Sequence[str] = ()) -> Cell:
     """Return the cell of a shop that has all tools of a program."""
     tools = {number: Frame(Z=350.0) for number in dict.fromkeys(_TOOL.findall(text))}
-    return replace(SHOP, tools=tools, rotary=Rotary(axes=list(axes)) if axes else None)
+    return replace(SHOP, tools=tools, rotary=Rotary(axes=list(axes), kind="tcp") if axes else None)
 
 
 def read(path: Path, cell: Cell) -> Program | InputError:

@@ -48,7 +48,7 @@ def nominal(axes, degrees, redundancy):
 
 @pytest.mark.parametrize("axes", [["C", "B"], ["A", "B"]], ids="".join)
 def test_the_loaded_tool_stands_in_its_nominal_pose_in_all_six_directions(axes):
-    cell = replace(CELL, rotary=Rotary(axes=axes))
+    cell = replace(CELL, rotary=Rotary(axes=axes, kind="tcp"))
     robot = postproc.load_robot(cell.robot)
     text = "\n".join(line.format(*axes) for line in LINES)
     program = correction.read([decode("five.nc", text.encode())], robot, cell, "five", "gcode")

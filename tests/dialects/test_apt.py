@@ -189,7 +189,7 @@ def test_a_wrong_direction_of_an_arc_would_be_noticed():
 @pytest.mark.parametrize("axes", [["C", "B"], ["A", "C"], ["B", "A"]], ids="".join)
 def test_tool_vectors_give_the_same_targets_as_rotary_axes(axes):
     random = np.random.default_rng(7)
-    cell = replace(CELL, rotary=Rotary(axes=axes))
+    cell = replace(CELL, rotary=Rotary(axes=axes, kind="tcp"))
     gcode, apt = ["G21 G90", f"G0 X0 Y0 Z90 {axes[0]}0 {axes[1]}0"], ["MULTAX/ON", "RAPID", "GOTO/0,0,90,0,0,1"]
     vectors = []
     for n in range(60):

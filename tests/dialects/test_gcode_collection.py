@@ -87,7 +87,7 @@ REFUSED = {
 
 
 def here(name: str) -> Program:
-    cell = replace(HERE, rotary=Rotary(axes=AXES[name])) if name in AXES else HERE
+    cell = replace(HERE, rotary=Rotary(axes=AXES[name], kind="tcp")) if name in AXES else HERE
     return read((COLLECTION / name).read_bytes(), cell)
 
 

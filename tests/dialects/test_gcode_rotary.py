@@ -25,7 +25,7 @@ PAIRS = [[a, b] for a, b in itertools.permutations("ABC", 2)] + [["A"], ["B"], [
 
 
 def cell(axes: list[str], signs: list[int] | None = None, **keys: object) -> Cell:
-    return replace(CELL, rotary=Rotary(axes=axes, signs=signs or [1] * len(axes), **keys))
+    return replace(CELL, rotary=Rotary(axes=axes, signs=signs or [1] * len(axes), **{"kind": "tcp", **keys}))
 
 
 def expected(axes: list[str], signs: list[int], degrees: list[float]) -> np.ndarray:
@@ -144,7 +144,7 @@ def test_the_feed_of_axes_that_turn_alone_is_in_degrees_a_minute(units: str) -> 
 @pytest.mark.parametrize(("to", "turns"), [("krl", "$VEL.ORI1=1.5"), ("rapid", ",1.5,5000,1000]")])
 def test_the_robot_is_told_how_fast_the_tool_turns(to: str, turns: str) -> None:
     own = postproc.load_cell(SAMPLES / ("cell_kr270.toml" if to == "krl" else "cell_irb6700.toml"))
-    own = replace(own, rotary=Rotary(axes=["C", "B"]))
+    own = replace(own, rotary=Rotary(axes=["C", "B"], kind="tcp"))
     robot = postproc.load_robot(own.robot)
     text = "G21 G90\nG0 B0 C0\nG0 X0 Y0 Z50\nG1 X5 F90\nB15\nX9\nM30\n"
     program = five_axes(text, robot, own)
@@ -229,7 +229,7 @@ def five_axes(text: str, robot: RobotModel, own: Cell) -> Program:
 
 
 def test_a_jump_of_the_axis_along_the_tool_is_no_target_of_its_own() -> None:
-    own = replace(postproc.load_cell(SAMPLES / "cell_kr270.toml"), rotary=Rotary(axes=["C", "B"]))
+    own = replace(postproc.load_cell(SAMPLES / "cell_kr270.toml"), rotary=Rotary(axes=["C", "B"], kind="tcp"))
     robot = postproc.load_robot(own.robot)
     program = five_axes("G21 G90\nG0 X0 Y0 Z50\nG1 X5 F900\nC180\nX9 C-180\nX12\nM30\n", robot, own)
     assert len(postproc.process(program, robot, own)) == 4
@@ -237,7 +237,7 @@ def test_a_jump_of_the_axis_along_the_tool_is_no_target_of_its_own() -> None:
 
 def test_targets_are_inserted_so_that_the_robot_turns_the_tool_as_the_axes_do() -> None:
     own = postproc.load_cell(SAMPLES / "cell_kr270.toml")
-    own = replace(own, rotary=Rotary(axes=["C", "B"]), base=Frame(X=1500.0, Y=-200.0, Z=700.0))
+    own = replace(own, rotary=Rotary(axes=["C", "B"], kind="tcp"), base=Frame(X=1500.0, Y=-200.0, Z=700.0))
     robot = postproc.load_robot(own.robot)
     lines = ["G21 G90", "G0 B0 C0", "G0 X0 Y0 Z50", "(FORCE FX=100 FY=50 FZ=80)", "G1 Z0 F1200"]
     lines += ["X40 B20 C30", "X60 Y5 C120 B15", "B0 C180"]

@@ -75,7 +75,7 @@ def test_programs_read_the_same_with_and_without_the_bulk_path(text: str) -> Non
     assert outcome(text, bulk=True) == outcome(text, bulk=False)
 
 
-@pytest.mark.parametrize("rotary", [None, Rotary(["C", "B"], [1, 1], ["G43.4"], ["G49"])])
+@pytest.mark.parametrize("rotary", [None, Rotary(["C", "B"], [1, 1], ["G43.4"], ["G49"], "tcp")])
 @pytest.mark.parametrize("seed", range(30))
 def test_lines_read_a_few_at_a_time_give_the_same(
     seed: int, rotary: Rotary | None, monkeypatch: pytest.MonkeyPatch

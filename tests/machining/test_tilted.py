@@ -15,7 +15,7 @@ from tests.machining.setting import AL7075, CELL, forces, gcode, line_of, on_lin
 from tests.machining.test_against_teeth import close, tooth_by_tooth
 from tests.oracle.teeth import Teeth
 
-FIVE = replace(CELL, rotary=Rotary(axes=["C", "B"], signs=[1, 1]))
+FIVE = replace(CELL, rotary=Rotary(axes=["C", "B"], signs=[1, 1], kind="tcp"))
 BOX = ((0, 60), (-40, 40), (-20, 0))
 
 

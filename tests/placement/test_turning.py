@@ -30,7 +30,7 @@ def test_a_turn_of_all_motions_is_the_turn_that_the_cell_could_state(axes):
     text = "G21 G90\nG0 X1500 Y0 Z60\nG1 Z0 F1500\nG1 X1600 F2000\n"
     if axes is not None:
         text = text.replace("X1600", "X1600 C30 B20").replace("G0 X1500", "G0 C0 B0 X1500")
-    plain = cell() if axes is None else replace(cell(), rotary=Rotary(axes=axes))
+    plain = cell() if axes is None else replace(cell(), rotary=Rotary(axes=axes, kind="tcp"))
     stated = replace(plain, gcode=replace(plain.gcode, redundancy_deg=40.0))
     one, other = read(text, plain)[0], read(text, stated)[0]
     turned = placement.turned(one, "+X", np.full(len(one.motions), np.radians(40.0)))

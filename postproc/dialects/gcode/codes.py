@@ -70,7 +70,10 @@ _DIAMETER = (
     "line, or write D0 if the path is the centre line already."
 )
 _CYCLE = "This cycle needs an oriented or reversed spindle: set the CAM system to expand it to G0 and G1."
-_FIVE_AXIS = "Give the rotary axes in the cell, [rotary], for a program with tool-centre-point control."
+_FIVE_AXIS = (
+    'Give [rotary] in the cell: axes, and kind = "tcp" if X, Y, Z are the tool tip in the part (tool-centre-point '
+    'control), or kind = "indexed" if the part turns and X, Y, Z are machine axes.'
+)
 _LATHE = "Lathe modes are not supported."
 _OUTPUT = (
     "Outputs are not supported: switch them in the KRL program, and remove the block or set [m_codes] M64 = [] in the "

@@ -193,6 +193,12 @@ class Switching:
         self.issues.append(Issue(level, kind, message, row + 1, subject=subject))
 
 
+TCP_ON = ("G43.4", "M128")
+"""Codes that switch tool-centre-point control on (Fanuc, Heidenhain), where the cell names none."""
+TCP_OFF = ("G49", "G43", "M129")
+"""Codes that end it. G43 and G49 are in one modal group with G43.4."""
+
+
 class TipControl:
     """State of tool-centre-point control, line by line.
 
@@ -203,7 +209,7 @@ class TipControl:
         self.changes: list[tuple[int, float]] = []
         self._on, self._off = ((), ()) if rotary is None else (tuple(rotary.tcp_on), tuple(rotary.tcp_off))
         if rotary is not None and not rotary.tcp_on:
-            self._on, self._off = ("G43.4", "M128"), ("M129",)
+            self._on, self._off = TCP_ON, TCP_OFF
 
     def read(self, row: int, code: str) -> bool:
         """Read a code that switches it; return whether it is one."""

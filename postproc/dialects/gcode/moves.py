@@ -7,11 +7,14 @@ until X, Y and Z have been programmed. A cycle with X and Y may be the first tha
 
 After G80 a Fanuc control takes coordinates without a motion code as a rapid, LinuxCNC refuses them. They are read as
 a rapid if they retract along the tool, or stay at or above a height to which the program has moved in rapid before.
+
+Indexed rotary axes turn the program frame with the part. Where the machine turns them, its tool stays; relative to the
+part it moves on an arc about the axis, and so does the robot, in steps of `INDEX_STEP`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -26,10 +29,11 @@ from postproc.dialects.gcode import codes
 from postproc.dialects.gcode.arcs import PLANE_AXES
 from postproc.dialects.gcode.cycles import Cycle, CycleEvent, Step
 from postproc.dialects.gcode.modes import MM_PER_UNIT, Modes, Origin, Return, long_dwell
+from postproc.dialects.gcode.rotary import RotaryAxes
 from postproc.dialects.gcode.words import BlockError, Words
 from postproc.errors import Level
-from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, any_column, inverse, pose_from_xyzabc
-from postproc.program import Bools, EventKind, Ints, constant, direction
+from postproc.frames import M_PER_MM, Array, any_column, inverse, pose_from_xyzabc
+from postproc.program import Bools, EventKind, Ints, constant
 
 
 class LineStates(Struct, frozen=True, eq=False):
@@ -116,7 +120,7 @@ def line_states_of(words: Words, modes: Modes, rotary: Rotary | None) -> LineSta
     turned = np.stack([words.column(letter)[:count] for letter in letters], axis=1) if letters else np.zeros((count, 0))
     placed = any_column(~np.isnan(xyz))
     axes = placed | ~np.isnan(turned).all(axis=1)
-    always = rotary is None or not rotary.tcp_on
+    always = rotary is None or not (rotary.tcp_on or any(on for _, on in modes.tip))
     drilling = np.isin(motion, codes.CYCLES) & axes
     moving = ~drilling & (axes | (circular & (named | any_column(~np.isnan(ijk)))))
     inverse_time = state["feed"] == 93.0
@@ -157,6 +161,8 @@ def _feeds(mm: Array, words: Array, inverse_time: Bools) -> Array:
 
 
 _FEWEST = 1e-6
+INDEX_STEP = 5.0
+"""Largest turn [deg] of indexed axes in one step: a chord is then 0.1 % of the radius inside the arc."""
 LEVEL = 0.2
 """Least Z component in `$BASE` of the tool direction for a retract along the tool."""
 
@@ -170,7 +176,7 @@ class CellFrames(Struct, frozen=True, eq=False):
     :param tools: tool number → row of `$TOOL`.
     :param home: (nt, 4, 4) tool frames in `$BASE` at [machine] home, by row of `$TOOL` [m]; None without.
     :param clearance: Z of `$BASE` to which G53 retracts [mm]; None without.
-    :param axes: (k, 3) directions of the rotary axes in the program frame, from the part outwards, with sign.
+    :param rotary: rotary axes of the machine.
     """
 
     start: Array
@@ -179,7 +185,7 @@ class CellFrames(Struct, frozen=True, eq=False):
     tools: Mapping[float, int]
     home: Array | None
     clearance: float | None
-    axes: Array
+    rotary: RotaryAxes
 
 
 class Moves(Struct, frozen=True, eq=False):
@@ -193,7 +199,7 @@ class Moves(Struct, frozen=True, eq=False):
     :param turn: (N, 2, k) angles of the rotary axes at begin and end [deg].
     :param bottom: (N,) True where a cycle reverses.
     :param home: (N,) True for moves to [machine] home.
-    :param frames: (nf, 4, 4) program frames in `$BASE` [m].
+    :param frames: (nf, 4, 4) program frames in `$BASE` [m]; `machine_frames`: with indexed axes at zero.
     :param events: events of cycles: number of moves before, row, event.
     :param unknown: first and last row of each range of lines in which the position of some axis is unknown.
     :param started: last row of the lines whose moves at feed come from `[start]`; −1 if there are none.
@@ -213,6 +219,7 @@ class Moves(Struct, frozen=True, eq=False):
     bottom: Bools
     home: Bools
     frames: Array
+    machine_frames: Array
     events: Sequence[tuple[int, int, CycleEvent]]
     unknown: Sequence[tuple[int, int]]
     started: int
@@ -272,7 +279,7 @@ class _Walk:
         self.offset = in_force(modes.changes["offset"], codes.WORK_OFFSETS[0], self.count)
         self.places = dict(cell_frames.offsets)
         self.shift, self.kept_shift = np.zeros(3), np.zeros(3)
-        self.frames = [np.eye(4)]
+        self.frames, self.machine_frames = [np.eye(4)], [np.eye(4)]
         self.position = cell_frames.start[:3, 3] / M_PER_MM
         self.known = np.zeros(3, dtype=bool)
         self.away = np.zeros(3, dtype=bool)
@@ -301,8 +308,9 @@ class _Walk:
         for origin in self.modes.origins:
             origins.setdefault(origin.row, []).append(origin)
         tools = dict(self.modes.tools)
+        indexing = set(self._indexing().tolist())
         current = -1.0
-        for begin, end in pairwise(self._bounds(origins, tools)):
+        for begin, end in pairwise(self._bounds(origins, tools, indexing)):
             if self.offset[begin] != current:
                 current = float(self.offset[begin])
                 self._reframe(current)
@@ -314,17 +322,27 @@ class _Walk:
                 self._return(begin, self.modes.returns[begin])
             elif self.rows.drilling[begin]:
                 self._drill(begin, end)
+            elif begin in indexing:
+                self._index(begin)
             else:
                 self._straight(begin, end)
         self._check_parked()
         return self._written()
 
-    def _bounds(self, origins: Mapping[int, object], tools: Mapping[int, object]) -> list[int]:
+    def _indexing(self) -> Ints:
+        """Return the rows (n,) with words of indexed axes."""
+        if not self.cell_frames.rotary.indexed:
+            return np.zeros(0, dtype=np.int64)
+        return np.flatnonzero(any_column(~np.isnan(self.rows.rotary)))
+
+    def _bounds(
+        self, origins: Mapping[int, object], tools: Mapping[int, object], indexing: Collection[int]
+    ) -> list[int]:
         rows = self.rows
         changed = (self.offset[1:] != self.offset[:-1]) | (rows.incremental[1:] != rows.incremental[:-1])
         changed |= rows.drilling[1:] != rows.drilling[:-1]
-        single = [row for row in (*origins, *tools, *self.modes.returns) if row < self.count]
-        after = [row + 1 for row in self.modes.returns if row + 1 < self.count]
+        single = [row for row in (*origins, *tools, *self.modes.returns, *indexing) if row < self.count]
+        after = [row + 1 for row in (*self.modes.returns, *indexing) if row + 1 < self.count]
         return sorted({0, self.count, *(np.flatnonzero(changed) + 1).tolist(), *single, *after})
 
     def _straight(self, begin: int, end: int) -> None:
@@ -357,6 +375,41 @@ class _Walk:
         self.position = after[-1].copy()
         swung = np.flatnonzero(~rows.tip[begin:end] & (turn[:, 0] != turn[:, 1]).any(axis=1))
         return begin + int(swung[-1]) if len(swung) else -1
+
+    def _index(self, row: int) -> None:
+        """Process a line that may turn the part: a rapid, along which the tool moves about the axes."""
+        before, words = self.angles, self.rows.rotary[row]
+        turn = np.nan_to_num(words) if self.rows.incremental[row] else np.where(np.isnan(words), 0.0, words - before)
+        if not turn.any():
+            self._straight(row, row + 1)
+            return
+        if self.rows.motion[row] != 0.0:
+            advice = "Turn indexed axes by G0, or set the CAM system to output tool-centre-point control."
+            self.faults.append((row, "an indexed axis turns in a line that is not a rapid", advice))
+            return
+        if not self.known.all():  # the move from [start] is made when X, Y and Z are known
+            self._turn_part(row, before + turn)
+            if self.rows.placed[row]:
+                self._straight(row, row + 1)
+            return
+        self.cycle.end()
+        self._check_height(row, row + 1)
+        step = self.rows.xyz[row]
+        if not self.rows.incremental[row]:
+            step = step - self.position
+        step = np.nan_to_num(step)
+        start, steps = self.position, int(np.ceil(np.abs(turn).max() / INDEX_STEP))
+        for number in range(1, steps + 1):
+            share = number / steps
+            angles = np.stack([self.angles, before + share * turn])[None]
+            self._turn_part(row, angles[0, 1])
+            self._add(np.array([row]), np.zeros(1), (start + share * step)[None], angles)
+            self.position = start + share * step
+
+    def _turn_part(self, row: int, angles: Array) -> None:
+        """Turn indexed axes to angles (k,) [deg]: the program frame turns, the robot stays."""
+        self.angles = angles
+        self._reframe(float(self.offset[row]))
 
     def _turned(self, begin: int, end: int) -> Array:
         """Return the angles of the rotary axes (n, 2, k) before and after lines."""
@@ -470,7 +523,7 @@ class _Walk:
 
     def _direction(self) -> Array:
         """Return the unit direction from the tip to the spindle in the program frame (3,)."""
-        return np.asarray(direction(self.cell_frames.axes, self.angles[None] * RAD_PER_DEG)[0])
+        return np.asarray(self.cell_frames.rotary.tool_direction(self.angles[None])[0])
 
     def _spindle(self, begin: int, end: int) -> list[EventKind]:
         """Return the state of the spindle on lines."""
@@ -510,14 +563,14 @@ class _Walk:
             message = "From home the robot goes to the next position by a joint motion, without an approach from above."
             self.remarks.append((row, "warning", "approach", f"{message} Give [machine] clearance_Z."))
         self.homes.append(self.number)
-        self.angles = np.where(np.isnan(self.rows.rotary[row]), self.angles, 0.0)
+        self._turn_part(row, np.where(np.isnan(self.rows.rotary[row]), self.angles, 0.0))
         self._go(row, self.position)
         self.known &= ~named
         self.losses.append((row + 1, named))
 
     def _retract(self, row: int, clearance: float) -> None:
         """Retract to a height in `$BASE` [mm], along the tool if it is tilted."""
-        frame, along = self.frames[-1], self._direction()
+        frame, along = self.machine_frames[-1], self._direction()
         z = float(frame[2, :3] @ self.position + frame[2, 3] / M_PER_MM)
         if z >= clearance - _FEWEST:
             return
@@ -592,13 +645,15 @@ class _Walk:
 
     def _reframe(self, offset: float) -> None:
         """Express the position in another program frame."""
-        new = self.places[offset].copy()
-        new[:3, 3] += new[:3, :3] @ self.shift * M_PER_MM
+        machine = self.places[offset].copy()
+        machine[:3, 3] += machine[:3, :3] @ self.shift * M_PER_MM
+        new = self.cell_frames.rotary.part_from_machine(self.angles) @ machine
         old = self.frames[-1]
         if not np.array_equal(new, old):
             at = inverse(new) @ old
             self.position = at[:3, :3] @ self.position + at[:3, 3] / M_PER_MM
             self.frames.append(new)
+            self.machine_frames.append(machine)
 
     def _shift(self, origin: Origin, current: float) -> None:
         shift = self.shift.copy()
@@ -635,7 +690,9 @@ class _Walk:
         """Set a work offset (G10): by its frame in `$BASE` (L2), or by coordinates of the current position (L20)."""
         system = codes.WORK_OFFSETS[origin.system - 1] if origin.system else current
         place = self.places[system].copy()
-        if origin.turn is not None:
+        if origin.turn is not None and self.cell_frames.rotary.indexed:
+            self.faults.append((origin.row, "G10 R with indexed axes", "X, Y, Z are machine axes there: remove R."))
+        elif origin.turn is not None:
             place[:3, :3] = pose_from_xyzabc([0.0, 0.0, 0.0, origin.turn, 0.0, 0.0])[:3, :3]
         if origin.here:
             self._check_known(origin, "G10 L20", list(origin.axes))
@@ -671,6 +728,7 @@ class _Walk:
             bottom=flags[0],
             home=flags[1],
             frames=np.stack(self.frames),
+            machine_frames=np.stack(self.machine_frames),
             events=self.events,
             unknown=unknown,
             started=started,
@@ -687,7 +745,7 @@ class _Walk:
         if not len(at):
             return
         row, turn = moves.row, moves.turn
-        tool = direction(self.cell_frames.axes, turn[at, 1] * RAD_PER_DEG)
+        tool = self.cell_frames.rotary.tool_direction(turn[at, 1])
         step = moves.end[at] - moves.begin(at)
         along = np.einsum("ni,ni->n", step, tool)
         aside = np.abs(step - along[:, None] * tool).max(axis=1)

@@ -9,8 +9,8 @@ height above the position (with a tilted tool: back along the tool), and then st
 **Rotary axes.** With tool-centre-point control X, Y, Z are the tip in the part, and A, B, C tilt the tool about X, Y
 and Z; `[rotary]` gives their order from the part outwards and their signs. Only the direction of the tool
 R₁(a)·R₂(b)·z counts: a robot need not rotate the tool about its own axis as the machine does (`program.Swivel`). Before
-they are programmed, rotary axes are at zero. F of a move that turns axes alone is in deg/min, as in LinuxCNC: its
-time is √(ΔA² + ΔB² + ΔC²) / F.
+they are programmed, rotary axes are at zero. Indexed axes turn the part: see `rotary`. F of a move that turns axes
+alone is in deg/min, as in LinuxCNC: its time is √(ΔA² + ΔB² + ΔC²) / F.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from postproc.cell import Rotary
 from postproc.chunks import Runs, compact, in_chunks, rows_of
 from postproc.dialects.gcode.arcs import SAME_MM, ArcFault, Arcs, ArcWords, read_arcs
 from postproc.dialects.gcode.cycles import CycleEvent
-from postproc.dialects.gcode.modes import MM_PER_UNIT, Modes
+from postproc.dialects.gcode.modes import MM_PER_UNIT, TCP_ON, Modes
 from postproc.dialects.gcode.moves import (
     LEVEL,
     CellFrames,
@@ -36,6 +36,7 @@ from postproc.dialects.gcode.moves import (
     moves_of,
     taken,
 )
+from postproc.dialects.gcode.rotary import kind_faults
 from postproc.dialects.gcode.words import Fault
 from postproc.errors import MOST, Level
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, angle_between, any_column, norm
@@ -79,8 +80,8 @@ def approached(moves: Moves, cell_frames: CellFrames) -> tuple[Moves, Bools, Boo
     if cell_frames.clearance is None or not back.any():
         return moves, held_back, arriving
     at = np.flatnonzero(back)
-    frames = moves.frames[moves.frame[at]]
-    tool = direction(cell_frames.axes, moves.turn[at, 1] * RAD_PER_DEG)
+    frames = moves.machine_frames[moves.frame[at]]
+    tool = cell_frames.rotary.tool_direction(moves.turn[at, 1])
     tool_z = np.einsum("ni,ni->n", frames[:, 2, :3], tool)
     z = np.einsum("ni,ni->n", frames[:, 2, :3], moves.end[at]) + frames[:, 2, 3] / M_PER_MM
     split = (z < cell_frames.clearance - _NEAR_MM) & (tool_z > LEVEL)
@@ -141,14 +142,6 @@ _STEPS = 32
 _S_PER_MIN = 60.0
 
 
-def axes_of(rotary: Rotary | None) -> Array:
-    """Return the directions of the rotary axes (k, 3), from the part outwards, with sign."""
-    if rotary is None:
-        return np.zeros((0, 3))
-    signs = rotary.signs or [1] * len(rotary.axes)
-    return np.array([sign * np.eye(3)["ABC".index(axis)] for axis, sign in zip(rotary.axes, signs, strict=True)])
-
-
 def turned(moves: Moves, axes: Array) -> Array:
     """Return an upper bound of the rotation of the tool in each move (N,) [rad]."""
     out = np.zeros(len(moves.row))
@@ -174,13 +167,13 @@ def swivel_of(moves: Moves, rows: LineStates, kept: Ints, free: Bools, alone: Bo
         row = moves.row[kept[at]]
         degrees = norm(moves.turn[kept[at], 1] - moves.turn[kept[at], 0])
         minutes = np.where(rows.inverse_time[row], 1.0, degrees) / rows.rate[row]
-        rate[at] = _way(cell_frames.axes, begin[at], end[at]) / (minutes * _S_PER_MIN)
+        rate[at] = _way(cell_frames.rotary.directions, begin[at], end[at]) / (minutes * _S_PER_MIN)
     return Swivel(
         begin=begin,
         end=end,
-        axes=cell_frames.axes,
+        axes=cell_frames.rotary.directions,
         frame=moves.frame[kept],
-        frames=moves.frames[:, :3, :3],
+        frames=moves.machine_frames[:, :3, :3],
         tool=cell_frames.orientation,
         active=active,
         rate=rate,
@@ -216,8 +209,7 @@ def check_turning(rows: LineStates, moves: Moves, held_back: Bools, axes: Array,
         (
             tilt & placed & ~rows.tip[moves.row] & ~moves.home & ~held_back,
             "coordinates with tilted axes, but without tool-centre-point control",
-            f"They depend on the machine: program {tip_on} before, retract by G53 Z or G28 Z as [machine] says, or "
-            "leave out [rotary] tcp_on.",
+            f"They depend on the machine: program {tip_on} before, or retract by G53 Z or G28 Z as [machine] says.",
         ),
     ):
         for row in moves.row[wrong][: MOST + 1].tolist():
@@ -393,7 +385,10 @@ def read_path(
     arcs = _arcs(rows, moves, circular)
     faults = faults_of(rows, moves, modes, moves.row[circular], arcs.faults)
     if not faults and rotary is not None:
-        faults = check_turning(rows, moves, held_back, cell_frames.axes, " or ".join(rotary.tcp_on))
+        switched_on = np.array([row for row, on in modes.tip if on], dtype=np.int64)
+        faults = kind_faults(rotary, rows.rotary, switched_on) or check_turning(
+            rows, moves, held_back, cell_frames.rotary.directions, " or ".join(rotary.tcp_on or TCP_ON)
+        )
     if faults:
         return faults
     length = _lengths(moves, circular, arcs)
@@ -402,7 +397,7 @@ def read_path(
     whole = count[circular] == 1
     circular, arcs = np.flatnonzero(moves.code >= 2.0), arcs.of(whole)
     other_tool = np.diff(moves.tool, prepend=moves.tool[:1]) != 0
-    turns = turned(moves, cell_frames.axes) > _STILL
+    turns = turned(moves, cell_frames.rotary.directions) > _STILL
     stays = ~turns & (length <= SAME_MM) & (moves.code < 2.0) & ~moves.home & ~other_tool & ~arriving & ~held_back
     kept = np.flatnonzero(~stays & ~held_back)
     free = arriving[kept] | moves.home[kept]

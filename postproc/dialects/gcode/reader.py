@@ -43,7 +43,8 @@ from postproc.dialects.gcode.codes import WORK_OFFSETS
 from postproc.dialects.gcode.execution import Executed, executed
 from postproc.dialects.gcode.modes import Modes, read_modes
 from postproc.dialects.gcode.moves import CellFrames, line_states_of
-from postproc.dialects.gcode.path import CHORD, MotionPath, Speeds, axes_of, read_path
+from postproc.dialects.gcode.path import CHORD, MotionPath, Speeds, read_path
+from postproc.dialects.gcode.rotary import RotaryAxes
 from postproc.dialects.gcode.words import Fault
 from postproc.dialects.text import decode, line_spans
 from postproc.errors import ForceError, InputError, Issue, ProgramError, together
@@ -97,7 +98,7 @@ def _read(document: Document, cell: Cell, forward: Callable[[Array], Array], nam
         tools=numbers,
         home=None if cell.machine.home is None else inverse(base) @ forward(home) @ np.stack(tools),
         clearance=cell.machine.clearance_Z,
-        axes=axes_of(cell.rotary),
+        rotary=RotaryAxes.of(cell.rotary),
     )
     speeds = Speeds(
         rapid=cell.gcode.rapid_m_per_s,

@@ -1,0 +1,91 @@
+"""Rotary axes of a G-code program: direction of the tool, and place of the part.
+
+With tool-centre-point control X, Y, Z are the tip in the part. Indexed axes turn the part instead: X, Y, Z are machine
+axes, and the tool stays along Z of the machine. A point x of the machine is then at T₁·T₂·x in the part, where Tₖ turns
+by the angle of axis k about its place, from the part outwards (ISO 841: a positive angle turns the tool relative to the
+part by the right-hand rule).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from msgspec import Struct
+
+from postproc.cell import Rotary
+from postproc.dialects.gcode.words import Fault
+from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, rotation_from_vector
+from postproc.program import Ints, direction
+
+NOT_STATED = (
+    'Write in [rotary] of the cell kind = "tcp" if X, Y, Z are the tool tip in the part (tool-centre-point control), '
+    'or kind = "indexed" and the place of each axis if the part turns and X, Y, Z are machine axes.'
+)
+_TCP_OF_INDEXED = 'Write kind = "tcp" in [rotary] of the cell if X, Y, Z are the tool tip in the part.'
+
+
+class RotaryAxes(Struct, frozen=True, eq=False):
+    """Rotary axes of the machine for which a program was written.
+
+    :param directions: (k, 3) unit vectors with sign, from the part outwards: in the program frame, of indexed axes in
+        `$BASE`.
+    :param points: (k, 3) points of indexed axes in `$BASE` [m]; None with tool-centre-point control.
+    """
+
+    directions: Array
+    points: Array | None
+
+    @classmethod
+    def of(cls, rotary: Rotary | None) -> RotaryAxes:
+        """Return the axes that a cell states."""
+        if rotary is None:
+            return cls(np.zeros((0, 3)), None)
+        signs = np.array(rotary.signs or [1] * len(rotary.axes), dtype=float)[:, None]
+        places = [place for place in rotary.places if place is not None]
+        if rotary.kind != "indexed":
+            return cls(signs * np.eye(3)[["ABC".index(letter) for letter in rotary.axes]], None)
+        directions = np.array([place.direction for place in places])
+        unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+        return cls(signs * unit, np.array([place.point for place in places]) * M_PER_MM)
+
+    @property
+    def indexed(self) -> bool:
+        """Whether the axes turn the part, and X, Y, Z are machine axes."""
+        return self.points is not None
+
+    def tool_direction(self, degrees: Array) -> Array:
+        """Return the unit vectors (n, 3) from the tip to the spindle in the program frame, for angles (n, k) [deg].
+
+        The program frame of indexed axes turns with them: the tool is along its Z.
+        """
+        if self.indexed:
+            return np.broadcast_to([0.0, 0.0, 1.0], (len(degrees), 3))
+        return direction(self.directions, degrees * RAD_PER_DEG)
+
+    def part_from_machine(self, degrees: Array) -> Array:
+        """Return the pose (4, 4) [m] that maps points of the machine to the part, in `$BASE`, for angles (k,) [deg].
+
+        It is the identity with tool-centre-point control.
+        """
+        pose = np.eye(4)
+        if self.points is None:
+            return pose
+        for axis, point, angle in zip(self.directions, self.points, degrees * RAD_PER_DEG, strict=True):
+            turn = np.eye(4)
+            turn[:3, :3] = rotation_from_vector(axis * angle)
+            turn[:3, 3] = point - turn[:3, :3] @ point
+            pose = pose @ turn
+        return pose
+
+
+def kind_faults(rotary: Rotary, words: Array, tcp_on: Ints) -> list[Fault]:
+    """Return the fault of a program that turns rotary axes in a way that the cell does not state, or none.
+
+    :param words: (L, k) words of the rotary axes [deg].
+    :param tcp_on: (n,) rows that switch tool-centre-point control on.
+    """
+    if rotary.kind == "indexed" and len(tcp_on):
+        return [Fault(int(tcp_on[0]), "tool-centre-point control, and the rotary axes are indexed", _TCP_OF_INDEXED)]
+    turned = np.flatnonzero(np.nan_to_num(words).any(axis=1))
+    if rotary.kind is None and len(turned):
+        return [Fault(int(turned[0]), "rotary axes turn, and the cell does not say what X, Y, Z are", NOT_STATED)]
+    return []
