@@ -37,6 +37,7 @@ KINDS = {"SLIN": "LIN", "SPTP": "PTP", "SCIRC": "CIRC"}
 FORCE = re.compile(r"\s*;\s*FORCE\s+(OFF|[FM][XYZ]\s*=.*)$", re.IGNORECASE)
 LABEL = re.compile(r"([A-Za-z_]\w*)\s*:$")
 CARTESIAN = "XYZABC"
+_NO_VARIABLES = {"TRUE", "FALSE", "NOT", "$BASE", "$TOOL", "$NULLFRAME", "$VEL", "$APO", "$IN", "$ANIN", "$FLAG"}
 MOST_STEPS = 3000
 FUNCTIONS = {
     "ABS": abs,
@@ -235,6 +236,7 @@ class Controller:
     def __init__(self, files, rng, base, tool, system, choices=None):
         self.rng, self.cell, self.choices, self.force = rng, (base, tool), choices, ""
         self.base, self.tool, self.speed, self.cdis = base, tool, 2.0, 3.0
+        self.modes, self.memory = {"$ORI_TYPE": "#VAR", "$CIRC_TYPE": "#BASE", "$IPO_MODE": "#BASE"}, {}
         self.shared = {name: Variable("", copy.deepcopy(value)) for name, value in system.items()}
         self.modules, self.motions, self.submit, self.structures = {}, [], [], {}
         self.numbers = None
@@ -557,7 +559,7 @@ class Controller:
             self.called(reader)
             return
         name = reader.peek()
-        if name in ("$BASE", "$TOOL", "$VEL", "$APO", "$ADVANCE", "$OUT", "$ORI_TYPE"):
+        if name.startswith("$"):
             self.system(reader)
             return
         place = self.place(reader)
@@ -580,10 +582,10 @@ class Controller:
         return value | {name: float(self.rng.uniform(-9, 9)) for name in missing}
 
     def system(self, reader):
-        name, part = reader.take(), None
+        name, part, index = reader.take(), None, None
         if reader.peek() == "[":
             reader.take()
-            self.sum(reader)
+            index = self.sum(reader)
             reader.take("]")
         if reader.peek() == ".":
             reader.take()
@@ -603,6 +605,10 @@ class Controller:
                 raise Invalid("speed")
         elif name == "$APO" and part in ("CDIS", None):
             self.cdis = float(value if part else value["CDIS"])
+        elif name in self.modes:
+            self.modes[name] = value
+        elif name == "$FLAG":
+            self.memory[name, index] = value
 
     def bas(self, line):
         reader = Reader(line)
@@ -615,6 +621,7 @@ class Controller:
             value = self.expression(reader)
         if command == "#INITMOV":
             self.base, self.tool, self.speed, self.cdis = *self.cell, 2.0, 3.0
+            self.modes |= {"$ORI_TYPE": "#VAR", "$CIRC_TYPE": "#BASE", "$IPO_MODE": "#BASE"}
         elif command == "#VEL_CP":
             self.speed = float(value)
         elif command in ("#BASE", "#TOOL"):
@@ -662,7 +669,7 @@ class Controller:
 
     def argument(self, reader, by_value):
         begin = reader.at
-        if reader.kind() == "name" and reader.peek(1) != "(" and reader.peek() not in ("TRUE", "FALSE", "NOT"):
+        if reader.kind() == "name" and reader.peek(1) != "(" and reader.peek() not in _NO_VARIABLES:
             place = self.place(reader)
             if reader.peek() in (",", ")") and not by_value:
                 return place
@@ -834,18 +841,33 @@ class Controller:
         if token == "$POS_ACT":
             reader.take()
             return self.standing()
-        if token in ("$BASE", "$TOOL", "$NULLFRAME", "$VEL"):
+        if token == "$FLAG":
+            return self.flag(reader)
+        if token in self.modes:
+            return self.modes[reader.take()]
+        if token in ("$VEL", "$APO"):
             reader.take()
-            if token == "$VEL":
-                reader.take(".")
-                reader.take("CP")
-                return self.speed
+            reader.take(".")
+            part = reader.take("CP", "CDIS")
+            return self.speed if part == "CP" else self.cdis
+        if token in ("$BASE", "$TOOL", "$NULLFRAME"):
+            reader.take()
             frame = {"$BASE": self.base, "$TOOL": self.tool, "$NULLFRAME": np.eye(4)}[token]
             if reader.peek() == ".":
                 reader.take()
                 return components(frame)[reader.take()]
             return components(frame)
         return copy.deepcopy(self.place(reader).get())
+
+    def flag(self, reader):
+        """A flag of the controller: what a program wrote, else what chance left there."""
+        reader.take("$FLAG")
+        reader.take("[")
+        index = self.sum(reader)
+        reader.take("]")
+        if ("$FLAG", index) not in self.memory:
+            self.memory["$FLAG", index] = self.choices() if self.rng is None else bool(self.rng.random() < 0.5)
+        return self.memory["$FLAG", index]
 
     def aggregate(self, reader):
         reader.take("{")

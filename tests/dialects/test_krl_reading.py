@@ -906,7 +906,7 @@ ERRORS = [
     (["LIN P[n]"], 4, "index"),
     (["LIN $POS_ACT:{Z 5}"], 4, "computed while the program runs"),
     (["LIN P[1]:$POS_ACT"], 4, "computed while the program runs"),
-    (["XP1=$POS_ACT", "XP1.X=5", "LIN XP1"], 6, "changed while the program runs"),
+    (["XP1=$POS_ACT", "XP1.X=5", "LIN XP1"], 6, r"XP1 is set to .* \(line 4: \$POS_ACT is computed"),
     (["DECL REAL R", "GONE(R)", "XP1.X=R", "LIN XP1"], 7, r"XP1 is set to .* \(line 6: R is changed .* \(line 5\)"),
     (["XP1.X=NOWHERE", "LIN XP1"], 5, r"XP1 is set to .* \(line 4: NOWHERE has no value"),
     (["XP1.X=XP1.X+$IN[1]", "LIN XP1"], 5, r"XP1 is set to .* \(line 4: \$IN\[1\] is computed"),

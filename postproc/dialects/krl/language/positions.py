@@ -25,6 +25,7 @@ FARTHEST = 1e6
 """Largest coordinate [mm, deg] that is read: beyond it, numbers are slips."""
 LARGEST_B = 90.0
 """Controllers show B from −90° to 90°; beyond, a second set of angles describes the same orientation."""
+HALF_TURN = 180.0
 _NAN = float("nan")
 
 

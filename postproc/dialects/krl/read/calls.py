@@ -17,7 +17,7 @@ from postproc.dialects.krl.read.effects import Effects
 from postproc.dialects.krl.read.explanations import why_unknown
 from postproc.dialects.krl.read.known import NOTHING, Known, Scope, Unknown, inexact
 from postproc.dialects.krl.read.run import SETTING_ADVICE, Apart, Level, Run
-from postproc.dialects.krl.read.state import FIELDS, RELEVANT
+from postproc.dialects.krl.read.state import FIELDS, RELEVANT, STORED
 from postproc.dialects.krl.read.variables import converted
 from postproc.errors import Issue, ProgramError
 
@@ -116,7 +116,7 @@ class Calls:
                 self.run.settings.make_uncertain(
                     self.run.line, [FIELDS[reference.name]], at.error(problem, SETTING_ADVICE)
                 )
-            elif reference.name[0] != "$":
+            else:
                 self.run.variables.forget(self.run.stored(reference.name), str(at))
 
     def _by_reference(self, at: Place, call: Call, routine: Routine | None) -> list[tuple[int, Reference]]:
@@ -150,6 +150,9 @@ class Calls:
         self.run.unfollowed |= self.run.analysis.reached(module, routine)
         if self.run.routine in self.run.unfollowed:
             raise at.error(f"{problem} and calls this program again", _INLINE_ADVICE)
+        begins = self.run.analysis.from_here(module, routine)
+        if begins is not None:
+            self.run.shifted.add(self.run.line)
         if self.run.keep and (place.source is self.run.routine.source or self.run.level.open):
             self.run.unresolved.append((self.run.line, at.error(problem)))
             return
@@ -165,6 +168,10 @@ class Calls:
         self.run.moved.append(Apart(self.run.line, reason, name, module, routine, cause))
         why = f"{cause.file}, line {cause.line}: {cause.problem}"
         message = f"{name}() moves the robot ({place}): its motions are not corrected here, because of {why}."
+        if begins is not None:
+            message += (
+                f" They begin from the robot position ({begins}): the correction of the motion before moves them too."
+            )
         self.run.issues.append(Issue("warning", "motions-elsewhere", message, self.run.here, subject=call.name))
 
     def moving(self, call: Call) -> tuple[Module, Routine] | None:
@@ -289,7 +296,7 @@ class Calls:
             value = variables.value(bound.scope.stored(bound.routine.parameters[index].name))
             if value is bound.given[index] or value is None:
                 continue
-            if key is None:
+            if key is None or (reference.name[0] == "$" and reference.name not in STORED):
                 variables.forget(self.run.stored(reference.name), str(at))
             elif reference.field is not None:
                 variables.set_field(key, reference.field, value, str(at))

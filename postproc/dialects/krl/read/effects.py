@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 from msgspec import Struct, field
 
 from postproc.dialects.krl.language.expressions import calls
-from postproc.dialects.krl.language.names import STANDARD
+from postproc.dialects.krl.language.names import OPENING, STANDARD
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place, Source
@@ -38,9 +38,10 @@ from postproc.dialects.krl.read.bas import BAS_SETS, command_of
 from postproc.dialects.krl.read.comments import noted_lines
 from postproc.dialects.krl.read.folder import Library
 from postproc.dialects.krl.read.known import Scope
-from postproc.dialects.krl.read.state import RELEVANT
+from postproc.dialects.krl.read.motion_reader import asks_position, from_here, stays
 from postproc.errors import ProgramError
 
+_CLOSING = frozenset({*OPENING.values(), "UNTIL"})
 _STOPPED = frozenset({"$AXIS_RET", "$POS_RET"})
 """Where the robot left its path when it was stopped by an interrupt (KUKA, System Variables)."""
 _RAPID = ("PTP", "SPTP")
@@ -165,6 +166,34 @@ class Analysis:
                 if isinstance(here, Motion | Spline) and not here.word.startswith(_RAPID):
                     return True
         return False
+
+    def from_here(self, module: Module, routine: Routine) -> Place | None:
+        """Return the statement of a routine, or of one that it calls, whose target depends on where the robot is when
+        the routine begins; None if a complete target precedes all of these.
+        """
+        return self._from_here(module, routine, set())[0]
+
+    def _from_here(self, module: Module, routine: Routine, seen: set[Routine]) -> tuple[Place | None, bool]:
+        """Return that statement, and whether the routine surely moves to a complete target."""
+        seen.add(routine)
+        depth = 0
+        for line in sorted([*routine.plain.tolist(), *routine.others]):
+            here, complete = statement(routine.source, line), False
+            depth += (here.word in OPENING or here.word == "REPEAT") - (here.word in _CLOSING)
+            if isinstance(here, Motion) and stays(here):
+                continue
+            if asks_position(here) or (isinstance(here, Motion) and from_here(here)):
+                return Place(routine.source, line), False
+            if isinstance(here, Motion):
+                complete = True
+            called = self.library.find(here.call.name, module) if isinstance(here, CallStatement) else None
+            if called is not None and called[1] not in seen:
+                place, complete = self._from_here(*called, seen)
+                if place is not None:
+                    return place, False
+            if complete and not depth:
+                return None, True
+        return None, False
 
     def noted(self, source: Source) -> tuple[int, ...]:
         """Return the lines of a file with force comments."""
@@ -302,7 +331,7 @@ class _Statement(Struct, eq=False):
         for index, argument in enumerate(call.arguments):
             by_value = index < len(parameters) and parameters[index].by_value
             reference = None if by_value else writable(argument)
-            if reference is not None and (reference.name[0] != "$" or reference.name in RELEVANT):
+            if reference is not None:
                 self.writes(reference.name)
         if found is not None:
             self.called.append(found)

@@ -20,6 +20,7 @@ from postproc.dialects.krl.language.values import (
     walk,
 )
 from postproc.dialects.krl.read.known import NOTHING, Known, Unknown
+from postproc.dialects.krl.read.state import RELEVANT
 from postproc.dialects.krl.read.variables import Variables
 
 
@@ -27,7 +28,7 @@ def without_value(variables: Variables, source: Source, values: Iterable[Value])
     """Return the variables in some values that have no value: the cell can give them one."""
     found: dict[str, None] = {}
     for value in walk(values):
-        if not isinstance(value, Reference) or value.field is not None:
+        if not isinstance(value, Reference) or value.field is not None or value.name in RELEVANT:
             continue
         key = variables.key_of(value)
         if key is not None and "@" not in key and variables.value(key) in (None, NOTHING):
@@ -59,9 +60,12 @@ def why_unknown(variables: Variables, source: Source, value: Value | Known) -> s
         numbers = [variables.evaluate(side) for side in sides]
         if value.operator == "/" and all(isinstance(one, Number) and one.integer for one in numbers):
             return f"{text} divides two INTs with a remainder (write one of them as a REAL, with a decimal point)"
-    if isinstance(value, Opaque | Condition | Call | Operation) or (
-        isinstance(value, Reference) and value.name[0] == "$"
-    ):
+    if isinstance(value, Reference) and value.name[0] == "$":
+        known = variables.looked_up(value)
+        if isinstance(known, Unknown) and known != NOTHING:
+            return known.said(text)
+        return f"{text} is computed while the program runs"
+    if isinstance(value, Opaque | Condition | Call | Operation):
         return f"{text} is computed while the program runs"
     if isinstance(value, Reference):
         if variables.key_of(value) is None:

@@ -24,6 +24,7 @@ from postproc.dialects.krl.read.explanations import why_not_decided, without_val
 from postproc.dialects.krl.read.interpreter import LOOP_ADVICE, Interpreter, undecided_jump
 from postproc.dialects.krl.read.known import InexactError, inexact
 from postproc.dialects.krl.read.least_statements import ENDS_LOOPS, LeastStatements
+from postproc.dialects.krl.read.motion_reader import stays
 from postproc.dialects.krl.read.plain_rounds import plain_motions
 from postproc.dialects.krl.read.rounds import carried_over
 from postproc.dialects.krl.read.run import Run
@@ -52,7 +53,6 @@ class Flow:
     :param run: the program as far as it has run.
     :param motion: takes a motion of the program.
     :param fault: takes the error of a statement of the program.
-    :param stays: whether a motion statement leads to the current robot position.
     :param trace: records the execution trace; None if a recorded trace is followed.
     """
 
@@ -61,10 +61,9 @@ class Flow:
         run: Run,
         motion: Callable[[Place, tree.Statement], None],
         fault: Callable[[Place, ProgramError], None],
-        stays: Callable[[tree.Motion], bool],
         trace: Trace | None = None,
     ) -> None:
-        self.run, self.trace, self._fault, self._stays = run, trace, fault, stays
+        self.run, self.trace, self._fault = run, trace, fault
         self.interpreter = Interpreter(run, motion, self.called, self._entered)
         self._moving: dict[tuple[Block, Module], bool] = {}
         self._plain: dict[Block, tuple[int, ...]] = {}
@@ -149,7 +148,7 @@ class Flow:
         if isinstance(here, tree.Goto | tree.Spline):
             return True  # the motions after a GOTO depend on it
         if isinstance(here, tree.Motion):
-            return not self._stays(here)
+            return not stays(here)
         if isinstance(here, tree.Event):
             return False
         try:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from postproc.cell import Cell
-from postproc.dialects.krl.language.positions import CARTESIAN, FARTHEST, Position, from_pose
+from postproc.dialects.krl.language.positions import CARTESIAN, FARTHEST, HALF_TURN, LARGEST_B, Position, from_pose
 from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.language.values import Call, Number, Reference, Value
 from postproc.dialects.krl.read.explanations import why_unknown
 from postproc.dialects.krl.read.known import NOTHING, Known, Unknown
 from postproc.dialects.krl.read.state import FIELDS, Reasons, State
-from postproc.dialects.krl.read.variables import Variables
+from postproc.dialects.krl.read.variables import ANGLES, Variables, component, with_component
 from postproc.errors import ProgramError
 from postproc.frames import Array
 
@@ -25,13 +25,18 @@ class Frames:
 
     :ivar bases: `$BASE` in the robot root, row 0 that of the cell.
     :ivar tools: `$TOOL` in the flange frame, row 0 that of the cell.
+    :ivar doubtful: `$BASE` or `$TOOL` where they were read as values though BAS(#INITMOV,0) had set them, and the cell
+        does not say to what.
     """
 
     def __init__(self, variables: Variables, cell: Cell, reasons: Reasons) -> None:
         self.variables, self.reasons = variables, reasons
         self.bases: list[Array] = [cell.base.pose()]
         self.tools: list[Array] = [cell.tool.pose()]
+        self.asks = cell.krl.initmov is None
+        self.doubtful: set[str] = set()
         self._rows: dict[tuple[str, tuple[float, ...]], int] = {}
+        self._folded: set[tuple[str, int]] = set()
 
     def assigned(self, state: State, at: Place, target: Reference, value: Value | Known) -> State:
         """Return the state behind ``$BASE = value`` or ``$TOOL = value``, or that of a component of it.
@@ -53,9 +58,8 @@ class Frames:
         if isinstance(value, Reference) and value.name in ("BASE_DATA", "TOOL_DATA") and value.field is None:
             key = self.variables.key_of(value)
             return self._named(state, at, name, value, key or value.name)
-        self._show(state)
         if target.field is not None:
-            position = self._with_field(state, at, target, value)
+            position = self._with_field(state, target, value)
         else:
             position = self.variables.position(value)
         if position is None or position.axis:
@@ -85,22 +89,28 @@ class Frames:
         frame = self.bases[0] if name == "$BASE" else self.tools[0]
         return position is not None and bool(np.abs(position.pose() - frame).max() < _SAME)
 
-    def _show(self, state: State) -> None:
-        """Let expressions see `$BASE` and `$TOOL`."""
-        for name in ("$BASE", "$TOOL"):
-            self.variables.put(name, self._current(state, name) or NOTHING)
-
-    def _current(self, state: State, name: str) -> Position | None:
+    def current(self, state: State, name: str, field: str | None) -> Known:
+        """Return `$BASE` or `$TOOL` as it is in force, or a component of it."""
         row, frames = (state.base, self.bases) if name == "$BASE" else (state.tool, self.tools)
-        return from_pose(frames[row]) if row >= 0 else None
+        if row < 0:
+            return Unknown(why=self.reasons.errors[-1 - row].problem)
+        if self.asks and name in self.assumed(state):
+            self.doubtful.add(name)
+        position = from_pose(frames[row])
+        if field is None:
+            return position
+        if field in ANGLES and (name, row) in self._folded:
+            return Unknown(why=f"whether {field} is kept as it was given is in no source")
+        return component(position, field) if field in CARTESIAN else NOTHING
 
-    def _with_field(self, state: State, at: Place, target: Reference, value: Value | Known) -> Position | None:
-        current, number = self._current(state, target.name), self.variables.number(value)
-        if current is None or number is None:
+    def _with_field(self, state: State, target: Reference, value: Value | Known) -> Position | None:
+        """Return the frame in force with another component; None if that is not known."""
+        name, field = target.name, target.field or ""
+        whole, number = self.current(state, name, None), self.variables.number(value)
+        folded = field in ANGLES and (name, state.base if name == "$BASE" else state.tool) in self._folded
+        if not isinstance(whole, Position) or number is None or folded:
             return None
-        values = list(current.values)
-        values[CARTESIAN.index(target.field or "")] = number
-        return Position(tuple(values))
+        return with_component(whole, field, number)
 
     def _named(self, state: State, at: Place, name: str, reference: Reference, key: str) -> State:
         position = self.variables.position(reference)
@@ -125,7 +135,15 @@ class Frames:
             if row == len(frames):
                 frames.append(pose)
             self._rows[name, position.values] = row
+        if not _usual(position):
+            self._folded.add((name, row))
         return state.with_known(**{FIELDS[name]: row})
+
+
+def _usual(position: Position) -> bool:
+    """Return whether A, B, C of a frame are the ones by which controllers show its orientation."""
+    a, b, c = position.values[3:]
+    return abs(a) <= HALF_TURN and abs(b) <= LARGEST_B and abs(c) <= HALF_TURN
 
 
 def _numbered(name: str, number: int) -> Reference:

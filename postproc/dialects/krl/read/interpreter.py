@@ -21,7 +21,7 @@ from postproc.dialects.krl.read.data_lists import declare
 from postproc.dialects.krl.read.explanations import why_not_decided, why_unknown, without_value
 from postproc.dialects.krl.read.known import NOTHING, Known, Unknown, inexact
 from postproc.dialects.krl.read.run import SETTING_ADVICE, Run
-from postproc.dialects.krl.read.state import RELEVANT, State
+from postproc.dialects.krl.read.state import RELEVANT, STORED, State
 from postproc.dialects.krl.read.variables import Variables, converted
 
 _CLOSING = {closing: opening for opening, closing in OPENING.items()} | {"UNTIL": "REPEAT"}
@@ -158,6 +158,8 @@ class Interpreter:
                 self.run.triggers.append(at.line)
             self._event(at, here)
         elif isinstance(here, tree.Cyclic | tree.Imported):
+            if here.name in RELEVANT:
+                raise at.error(f"{here.word} changes {here.name} at any time", SETTING_ADVICE)
             self.run.changes_always(at, self.run.stored(here.name))
             if isinstance(here, tree.Imported):
                 self.run.changes_always(at, here.original)
@@ -221,7 +223,8 @@ class Interpreter:
             raise at.error(
                 f"{name} superposes a motion on the path", "Only programs that leave it #OFF are understood."
             )
-        if name.startswith("$") and name != "$H_POS":
+        if name.startswith("$") and name not in STORED:
+            self.run.variables.forget(name, str(at))
             return
         if target.field is None and self.run.in_main:
             self.run.understood.add(target.start)

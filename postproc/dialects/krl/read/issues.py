@@ -101,7 +101,7 @@ def _initial_frames(
     for name, table in (("$BASE", "[base]"), ("$TOOL", "[tool]")):
         assumed = np.array([name in main.run.settings.assumed_frames(one) for one in states])
         found = np.flatnonzero(assumed[state] & ~axis)
-        if not len(found):
+        if not len(found) and name not in main.run.settings.frames.doubtful:
             continue
         real = "BASE(0), that is $ROBROOT" if name == "$BASE" else "TOOL_DATA[1]"
         message = (
@@ -112,7 +112,7 @@ def _initial_frames(
             "warning",
             "initial-frames",
             message,
-            int(main.run.source.shown(rows.line[found])[0]),
+            int(main.run.source.shown(rows.line[found])[0]) if len(found) else None,
             subject=name,
             count=len(found),
         )

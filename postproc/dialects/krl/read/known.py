@@ -60,6 +60,8 @@ class Scope(Struct, frozen=True):
 
     def stored(self, name: str) -> str:
         """Return the name under which a variable (upper case) is stored."""
+        if name[0] == "$":
+            return name  # variables of the controller: no file declares its own
         local = self.local.get(name)
         return local if local is not None else self.prefix + name if name in self.own else name
 

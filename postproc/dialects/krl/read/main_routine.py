@@ -34,7 +34,7 @@ from postproc.dialects.krl.read.folder import Library
 from postproc.dialects.krl.read.interpreter import JUMP_ADVICE, LOOP_ADVICE
 from postproc.dialects.krl.read.known import UnresolvedError
 from postproc.dialects.krl.read.motion_columns import MotionCollector
-from postproc.dialects.krl.read.motion_reader import MotionReader
+from postproc.dialects.krl.read.motion_reader import MotionReader, stays
 from postproc.dialects.krl.read.plain_lines import Plain
 from postproc.dialects.krl.read.plain_rounds import ElementMotions, motions_of
 from postproc.dialects.krl.read.plain_settings import Coming, PlainSettings
@@ -65,9 +65,10 @@ def course_of(
     """
     run = Run(library, main, settings)
     run.elsewhere = elsewhere
+    settings.follows_numbers = False  # plain ones are no statements here
     trace = Trace(main)
     taken = library.programs() if settings.cell.output.lines_per_file else frozenset[str]()
-    flow = Flow(run, _passed, lambda at, cause: None, reader.stays, trace)  # reported when the trace is followed
+    flow = Flow(run, _passed, lambda at, cause: None, trace)  # reported when the trace is followed
     given = np.array(main.settings, dtype=np.int64)
     nodes = nodes_of(main.source, _one_by_one(main.source, main.others, given)[0])
     checked(main.source, nodes)
@@ -123,7 +124,7 @@ class MainRoutine:
     ) -> None:
         self.course = course
         self.run = Run(library, main, settings, course.source)
-        self._flow = Flow(self.run, self._motion, self._fault, reader.stays)
+        self._flow = Flow(self.run, self._motion, self._fault)
         self.reader = reader
         self.splines = SplineBlocks(settings, reader)
         self.motions = MotionCollector()
@@ -322,7 +323,7 @@ class MainRoutine:
             self.splines.statement(at, here)
             return
         level = self.run.level
-        if level.open and not self.reader.stays(here):
+        if level.open and not stays(here):
             opener, opened = level.open[-1]
             problem = f"motion inside {opener} ({Place(at.source, opened)})"
             if self.run.keep:

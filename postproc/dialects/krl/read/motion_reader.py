@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from msgspec.structs import replace
 
 from postproc.dialects.krl.language.motion_statements import MotionStatement, Point
 from postproc.dialects.krl.language.names import CIRCLES
-from postproc.dialects.krl.language.positions import FARTHEST, NotANumberError, Position
+from postproc.dialects.krl.language.positions import AXES, CARTESIAN, FARTHEST, NotANumberError, Position
 from postproc.dialects.krl.language.source import Place, Source
-from postproc.dialects.krl.language.tree import Assignment, Motion, Spline, Tail
-from postproc.dialects.krl.language.values import Aggregate, Reference, Unreadable, Value
+from postproc.dialects.krl.language.tree import Assignment, Motion, Spline, Statement, Tail
+from postproc.dialects.krl.language.values import Aggregate, Reference, Unreadable, Value, walk
 from postproc.dialects.krl.read.explanations import why_unknown
 from postproc.dialects.krl.read.frames import out_of_reach
 from postproc.dialects.krl.read.known import NOTHING, unresolved
@@ -41,6 +43,37 @@ RUN_TIME_ADVICE = (
 )
 
 
+def from_here(here: Motion) -> bool:
+    """Return whether the target of a motion depends on the robot position: it is relative, asks for that, or lacks
+    components.
+    """
+    points = [point for point in (here.via, here.end) if isinstance(point, Aggregate)]
+    cartesian = [point.items.keys() & CARTESIAN for point in points]
+    axes = [point.items.keys() & AXES for point in points]
+    lacking = any(0 < len(names) < len(CARTESIAN) for names in (*cartesian[-1:], *axes))
+    return lacking or here.word.endswith("_REL") or asks_position(here)
+
+
+def stays(here: Motion) -> bool:
+    """Return whether a motion leads to where the robot is: ``PTP $POS_ACT``, ``LIN $POS_ACT``.
+
+    :raises ProgramError: its target cannot be read.
+    """
+    if here.word in CIRCLES or here.word not in KINDS:
+        return False
+    if isinstance(here.end, Unreadable):
+        raise here.end.error
+    return isinstance(here.end, Reference) and here.end.name in HERE and here.end.field is None
+
+
+def asks_position(here: Statement) -> bool:
+    """Return whether a statement asks where the robot is."""
+    try:
+        return any(isinstance(value, Reference) and value.name in HERE for value in walk(here.values))
+    except ProgramError:
+        return False
+
+
 class MotionReader:
     """Reads motion statements.
 
@@ -66,7 +99,7 @@ class MotionReader:
             via = self._point(at, here.via, names)
             if not via or here.end is None:
                 raise at.error(f"{here.word} needs an auxiliary point and an end point")
-        if self.stays(here):
+        if stays(here):
             return None, self.settings.state, names
         end = None if here.end is None else self._point(at, here.end, names)
         if end is None:
@@ -74,7 +107,7 @@ class MotionReader:
             raise unresolved(at.error(problem, RUN_TIME_ADVICE))
         if here.angle is not None:
             angle = self._angle(at, here.angle)
-        state, approximated = self.tail(at, kind, here.tail)
+        state, approximated = self.tail(at, kind, here.tail, (here.end, here.via))
         self._check(at, here.word, kind, end, via)
         try:
             self.settings.refuse_uncertain(state, fields_used(kind, axis=end.position.axis, approximated=approximated))
@@ -95,17 +128,6 @@ class MotionReader:
         """
         state, _ = self.tail(at, LIN, here.tail)
         return replace(state, block=here.word)
-
-    def stays(self, here: Motion) -> bool:
-        """Return whether a motion leads to where the robot is: ``PTP $POS_ACT``, ``LIN $POS_ACT``.
-
-        :raises ProgramError: its target cannot be read.
-        """
-        if here.word in CIRCLES or here.word not in KINDS:
-            return False
-        if isinstance(here.end, Unreadable):
-            raise here.end.error
-        return isinstance(here.end, Reference) and here.end.name in HERE and here.end.field is None
 
     def _point(self, at: Place, value: Value, names: list[int]) -> Point | None:
         """Return a point; None for the present position."""
@@ -150,8 +172,22 @@ class MotionReader:
         if kind != PTP and (end.position.axis or (via and via.position.axis)):
             raise at.error(f"{word} to axis angles", "Write a Cartesian target, or use PTP.")
 
-    def tail(self, at: Place, kind: int, tail: Tail) -> tuple[State, bool]:
-        """Return the settings of a single motion, from its WITH, and whether `$APO.CDIS` applies."""
+    def _check_asked(self, at: Place, what: str, value: Value | None) -> None:
+        """Refuse values of a motion with WITH that ask for what WITH may set.
+
+        :raises ProgramError: it is in no source whether they are those before WITH or behind it.
+        """
+        asked = [one.name for one in walk([] if value is None else [value]) if isinstance(one, Reference)]
+        if not RELEVANT.isdisjoint(asked):
+            name = min(RELEVANT.intersection(asked))
+            problem = f"{what}: whether {name} is the one before WITH or behind it is in no source"
+            raise at.error(problem, f"Assign {name} to a variable in a line before, and use that.")
+
+    def tail(self, at: Place, kind: int, tail: Tail, points: Sequence[Value | None] = ()) -> tuple[State, bool]:
+        """Return the settings of a single motion, from its WITH, and whether `$APO.CDIS` applies.
+
+        :param points: its target and auxiliary point.
+        """
         text, state = at.source.text, self.settings.state
         if tail.error is not None:
             raise tail.error
@@ -161,8 +197,12 @@ class MotionReader:
             if not isinstance(given, Assignment):
                 raise at.error(f"{text[given.start : given.stop]!r} is not understood")
             if given.target.name in RELEVANT:
+                self._check_asked(at, given.target.name, given.value)
                 state = self.settings.assigned(state, at, given.target, given.value)
             elif not given.target.name.startswith(_NO_EFFECT):
                 raise at.error(f"{given.target.name} in WITH is not understood")
+        if state != self.settings.state:
+            for value in points:
+                self._check_asked(at, "WITH", value)
         by_distance = "C_DIS" in tail.approximation or ("C_SPL" in tail.approximation and kind != PTP)
         return state, by_distance

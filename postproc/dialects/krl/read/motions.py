@@ -219,16 +219,23 @@ def _states(settings: Settings, line: Ints, own_states: list[State]) -> tuple[li
 
 
 def settings_at(settings: Settings, line: Ints) -> list[tuple[State, Array, Array]]:
-    """Return the settings in force before lines (n,): the state, and `$BASE` and `$TOOL` (4, 4) instead of its rows."""
+    """Return the settings in force before lines (n,): the state, and `$BASE` and `$TOOL` (4, 4) instead of its rows.
+
+    Of a frame that is not known, the state has the reason, and the matrix is 0.
+    """
     states, state, _, changed = _states(settings, line, [])
     numbers = [settings.coming.at(row, line, changed, _column(states, state, _number(row))) for row in (0, 1)]
     found = []
     for index, *values in zip(state.tolist(), *(each.tolist() for each in numbers), strict=True):
         one = states[index]
-        frames = settings.frames.bases[one.base], settings.frames.tools[one.tool]
+        frames = _frame(settings.frames.bases, one.base), _frame(settings.frames.tools, one.tool)
         known = dict(zip(NUMBERS, values, strict=True))
         found.append((replace(one, base=min(one.base, 0), tool=min(one.tool, 0), assumed=False, **known), *frames))
     return found
+
+
+def _frame(frames: list[Array], row: int) -> Array:
+    return frames[row] if row >= 0 else np.zeros((4, 4))
 
 
 def _number(row: int) -> Callable[[State], object]:

@@ -144,6 +144,7 @@ class Run:
     :ivar triggers: lines of TRIGGER statements of the main routine.
     :ivar moved: calls after which the robot position is not known.
     :ivar unfollowed: routines reached by calls that move the robot and are not followed.
+    :ivar shifted: lines of calls of unfollowed routines whose first target depends on the robot position.
     :ivar unforced: line → reason: after such a line the acting force is not known.
     :ivar understood: offsets of names in the main routine whose use is followed.
     :ivar absent: calls of programs that are in no file: name as spelled, and line.
@@ -168,6 +169,7 @@ class Run:
         self.triggers: list[int] = []
         self.moved: list[Apart] = []
         self.unfollowed: set[Routine] = set()
+        self.shifted: set[int] = set()
         self.unforced: dict[int, str] = {}
         self.understood: set[int] = set()
         self.absent: list[tuple[str, int]] = []

@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from postproc.cell import Cell
+from postproc.dialects.krl.language.positions import CARTESIAN
 from postproc.dialects.krl.language.source import Place
-from postproc.dialects.krl.language.values import Call, Reference, Value
+from postproc.dialects.krl.language.values import Call, Number, Reference, Value, Word
 from postproc.dialects.krl.read.bas import Bas
 from postproc.dialects.krl.read.frames import Frames
-from postproc.dialects.krl.read.known import Known
+from postproc.dialects.krl.read.known import NOTHING, Known, Unknown
 from postproc.dialects.krl.read.path_settings import MODES, PathSettings
 from postproc.dialects.krl.read.plain_settings import Coming, no_settings
-from postproc.dialects.krl.read.state import Reasons, State
-from postproc.dialects.krl.read.variables import Variables
+from postproc.dialects.krl.read.state import FIELDS, Reasons, State
+from postproc.dialects.krl.read.variables import ZERO, Variables, component
 from postproc.errors import ProgramError
+from postproc.frames import M_PER_MM
 
 
 class Settings:
@@ -24,10 +26,13 @@ class Settings:
     :ivar changes: (line of the program, state in force after it), in order.
     :ivar coming: plain assignments: the first and the last of them between two statements each create a state.
     :ivar frames: the frames that are used.
+    :ivar follows_numbers: whether plain assignments are followed; if not, speeds and distances have no values.
     """
 
     def __init__(self, variables: Variables, cell: Cell) -> None:
         self.variables, self.cell = variables, cell
+        variables.current = self.current
+        self.follows_numbers = True
         self.state = State()
         self.changes: list[tuple[int, State]] = [(0, self.state)]
         self.coming = Coming(no_settings())
@@ -35,6 +40,26 @@ class Settings:
         self.frames = Frames(variables, cell, self._reasons)
         self._path = PathSettings(variables, self._reasons, carried=cell.carriage is not None)
         self._bas = Bas(variables, cell, self.frames, self._path)
+
+    def current(self, name: str, field: str | None) -> Known:
+        """Return the present value of one of the `RELEVANT` variables, or of a component of it."""
+        state = self.state
+        if state.block:
+            return Unknown(why="which value it has inside of a spline block is in no source")
+        if name in ("$BASE", "$TOOL"):
+            return self.frames.current(state, name, field)
+        for uncertain, reason in state.uncertain:
+            if uncertain == FIELDS.get(name):
+                return Unknown(why=self._reasons.errors[reason].problem)
+        if name in ("$WORLD", "$ROBROOT"):
+            return ZERO if field is None else component(ZERO, field) if field in CARTESIAN else NOTHING
+        if (name, field) == ("$VEL", "CP") and self.follows_numbers and not state.assumed:
+            return Number(state.speed, 0, 0)
+        if (name, field) == ("$APO", "CDIS") and self.follows_numbers:
+            return Number(state.cdis / M_PER_MM, 0, 0)
+        if field is None and name in MODES:
+            return Word("#BASE" if name == "$IPO_MODE" else str(getattr(state, FIELDS[name])), 0, 0)
+        return NOTHING
 
     def change(self, line: int, state: State) -> None:
         """Put a state into force after a line of the program."""

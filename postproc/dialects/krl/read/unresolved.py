@@ -13,12 +13,11 @@ from msgspec import Struct
 from postproc.dialects.krl.course import Enter
 from postproc.dialects.krl.language.names import SYNCHRONISING
 from postproc.dialects.krl.language.parser import statement
-from postproc.dialects.krl.language.positions import CARTESIAN
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.tree import CallStatement, Event, Motion, Statement
-from postproc.dialects.krl.language.values import Aggregate, Call, Reference, Word, walk
+from postproc.dialects.krl.language.tree import CallStatement, Event, Motion
+from postproc.dialects.krl.language.values import Call, Reference, Word, walk
 from postproc.dialects.krl.read.main_routine import MainRoutine
-from postproc.dialects.krl.read.motion_reader import HERE
+from postproc.dialects.krl.read.motion_reader import HERE, from_here
 from postproc.dialects.krl.read.motions import OrderedMotions
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.state import fields_used
@@ -227,7 +226,7 @@ def _reported(main: MainRoutine, lost: dict[int, ProgramError]) -> tuple[tuple[U
         shown: int | None = int(main.run.source.shown(np.array([line]))[0])
         text = origin.source.text[slice(*origin.source.code_span(origin.line))]
         found[str(origin)] = Unresolved(origin.source.document.name, origin.line, text, reason.problem)
-        shifted = _SHIFTED if _depends(statement(*origin)) else ""
+        shifted = _SHIFTED if _starts_here(main, line, reason) else ""
         elsewhere = origin.source is not main.run.routine.source
         where, shown = (f"{origin}: ", None) if elsewhere else ("", shown)
         message = f"{where}stays as it is, uncorrected: {text!r} ({reason.problem}){shifted}"
@@ -235,13 +234,12 @@ def _reported(main: MainRoutine, lost: dict[int, ProgramError]) -> tuple[tuple[U
     return tuple(found.values()), issues
 
 
-def _depends(here: Statement) -> bool:
-    """Return whether the target of an uncorrected motion depends on the current robot position."""
-    if not isinstance(here, Motion):
-        return False
-    given = here.end.items.keys() & CARTESIAN if isinstance(here.end, Aggregate) else ()
-    from_here = any(isinstance(value, Reference) and value.name in HERE for value in walk(here.values))
-    return from_here or here.word.endswith("_REL") or 0 < len(given) < len(CARTESIAN)
+def _starts_here(main: MainRoutine, line: int, reason: ProgramError) -> bool:
+    """Return whether the target of an uncorrected motion, or of a called routine, depends on the robot position."""
+    here = statement(*main.run.source.origin(line))
+    if line in main.run.shifted or (isinstance(here, Motion) and from_here(here)):
+        return True
+    return isinstance(here, Motion) and any(name in reason.problem.upper() for name in HERE)
 
 
 def _opened(main: MainRoutine, ordered: OrderedMotions, begins: list[int]) -> Iterator[Issue]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from copy import copy
 
 import numpy as np
@@ -29,6 +29,7 @@ from postproc.dialects.krl.language.values import (
     parts,
 )
 from postproc.dialects.krl.read.known import NOTHING, Known, Scope, Unknown, Unread
+from postproc.dialects.krl.read.state import RELEVANT
 from postproc.errors import CellError, ProgramError
 from postproc.frames import inverse
 
@@ -43,7 +44,13 @@ _FUNCTIONS: dict[str, Callable[..., float]] = {
     "ACOS": lambda number: math.degrees(math.acos(number)),
     "ATAN2": lambda y, x: math.degrees(math.atan2(y, x)),
 }
-_ZERO = Position((0.0,) * 6)
+ZERO = Position((0.0,) * 6)
+ANGLES = CARTESIAN[3:]
+_TURN = 1e-3
+"""Angles closer than this [deg] to 90° or 180° may be those of another set: a REAL has seven digits."""
+_SET_BY_PROGRAMS = frozenset({"$OUT", "$ANOUT", "$ACC", "$VEL_AXIS", "$ACC_AXIS", "$ACT_BASE", "$ACT_TOOL", "$LOAD"})
+_MOVING = ("$POS_", "$AXIS_")
+"""What names of variables begin with that say where the robot is."""
 FRAME_ARRAYS = frozenset({"BASE_DATA", "TOOL_DATA"})
 """Frames by number, which the cell and files may give."""
 _SAME_PLACE = 1e-6
@@ -66,6 +73,8 @@ class Variables:
     :ivar given: values that the cell gives, by key.
     :ivar relied: keys of these that were asked for.
     :ivar initial: names that keep their values from run to run: those of data lists, BASE_DATA and TOOL_DATA.
+    :ivar current: present value of one of the `RELEVANT` variables, or of a component of it (name, field); the settings
+        in force have these, see `Settings`.
     :ivar late: first values, by key, of data lists that are read when the program first calls their file: they held
         from its beginning.
     :ivar reading_late: True while such a list is read.
@@ -83,17 +92,19 @@ class Variables:
         self.used: set[str] = set()
         self.changed: dict[str, str] = {}
         self.initial = set(FRAME_ARRAYS)
+        self.current: Callable[[str, str | None], Known] = _not_followed
         self.late: dict[str, Known | Unread] = {}
         self.reading_late = False
-        self._stated = {f"{name}[0]": (_ZERO, "the controller, whose number 0 is $NULLFRAME") for name in FRAME_ARRAYS}
+        self._stated = {f"{name}[0]": (ZERO, "the controller, whose number 0 is $NULLFRAME") for name in FRAME_ARRAYS}
         self.given = {key.upper(): _from_cell(value) for key, value in cell.krl.values.items()}
+        _check_given(self.given)
         self.relied: set[str] = set()
         for number, base in cell.base_data.items():
             self._put_frame(f"BASE_DATA[{int(number)}]", from_pose(base.pose()), f"[base_data.{number}] of the cell")
         for number, tool in cell.tool_data.items():
             self._put_frame(f"TOOL_DATA[{int(number)}]", from_pose(tool.pose()), f"[tool_data.{number}] of the cell")
-        for name in ("$NULLFRAME", "$WORLD", "$ROBROOT", "BASE_DATA[0]", "TOOL_DATA[0]"):
-            self._values.setdefault(name, _ZERO)
+        for name in ("$NULLFRAME", "BASE_DATA[0]", "TOOL_DATA[0]"):
+            self._values.setdefault(name, ZERO)
 
     def _put_frame(self, key: str, frame: Position, where: str) -> None:
         self.state_frame(key, frame, where)
@@ -183,9 +194,10 @@ class Variables:
         unknown = Unknown(where, value.why if isinstance(value, Unknown) else "")
         first = field.partition(".")[0].partition("[")[0]
         if isinstance(whole, Position) and field in CARTESIAN and not whole.axis and isinstance(value, Number):
-            values = list(whole.values)
-            values[CARTESIAN.index(field)] = value.value
-            self.put(key, replace(whole, values=tuple(values)))
+            changed = with_component(whole, field, value.value)
+            self.put(key, unknown if changed is None else changed)
+        elif isinstance(whole, Unknown) and whole.why:
+            return
         elif not isinstance(whole, Aggregate):
             self.put(key, unknown)
         elif first == field and isinstance(value, Number | Word):
@@ -197,7 +209,11 @@ class Variables:
             self.put(key, unknown)
 
     def forget(self, name: str, where: str) -> None:
-        """Note that a variable (all its elements) has a value that is not known."""
+        """Note that a variable (all its elements) has a value that is not known; variables of the controller without a
+        value have none that is.
+        """
+        if name[0] == "$" and name not in self._values and name not in self._elements:
+            return
         self.changed.setdefault(name, where)
         for key in (name, *self._elements.get(name, ())):
             self._values[key] = Unknown(where)
@@ -286,6 +302,8 @@ class Variables:
 
     def value(self, key: str) -> Known | None:
         """Return the value of a variable or an element, None where it has none."""
+        if key[0] == "$" and (root := key.partition("[")[0]) in RELEVANT:
+            return self.current(root, None)
         if self.changing and (name := key.partition("[")[0]) in self.changing:
             return self.changing[name]
         if key in self.given:
@@ -389,12 +407,14 @@ class Variables:
 
     def looked_up(self, reference: Reference) -> Known:
         """Return the present value of a variable, an element or a component of it."""
+        if reference.name in RELEVANT:
+            return self.current(reference.name, reference.field)
         key = self.key_of(reference)
         value = self.value(key) if key is not None else None
         if value is None and key is not None and reference.indices is not None:
             value = self.value(self.scope.stored(reference.name))  # the whole array was changed
         if isinstance(value, Position) and reference.field in CARTESIAN and not value.axis:
-            return Number(value.values[CARTESIAN.index(reference.field)], reference.start, reference.stop, False)
+            return component(value, reference.field)
         if reference.field is not None and not isinstance(value, Unknown):
             item = value.items.get(reference.field) if isinstance(value, Aggregate) else None
             value = self.evaluate(item) if item is not None else None
@@ -450,6 +470,57 @@ class Variables:
         """Refuse a name that is longer than the controller accepts."""
         if len(reference.name) > MAX_LENGTH:
             raise source.error(f"the name {reference.name} is longer than {MAX_LENGTH} characters", reference.start)
+
+
+def _not_followed(name: str, field: str | None) -> Known:
+    return NOTHING
+
+
+def _check_given(given: Iterable[str]) -> None:
+    """Refuse values of the cell for variables that the program sets, or that the reader follows.
+
+    :raises CellError: there is one.
+    """
+    for key in given:
+        name = key.partition("[")[0].partition(".")[0]
+        if name in RELEVANT or name in _SET_BY_PROGRAMS or name.startswith(_MOVING):
+            raise CellError(
+                f"[krl.values] cannot give {key}: the program changes it while it runs",
+                advice="Give inputs such as $IN[5], parameters and variables of the program.",
+            )
+
+
+def component(position: Position, field: str) -> Known:
+    """Return a component of a Cartesian position that was computed.
+
+    A, B and C are known only where one set of them describes the orientation: which of two sets the controller has is
+    in no source.
+    """
+    value = position.values[CARTESIAN.index(field)]
+    if field in ANGLES and not _one_set(position):
+        return Unknown(why=f"two sets of A, B, C describe this orientation, and {field} may be that of either")
+    return Number(value, 0, 0, False)
+
+
+def with_component(position: Position, field: str, value: float) -> Position | None:
+    """Return a Cartesian position that was computed with another component.
+
+    :returns: None if it is an angle, and the others may be those of another set of A, B, C.
+    """
+    if field in ANGLES and not _one_set(position, whole_turns=True):
+        return None
+    values = list(position.values)
+    values[CARTESIAN.index(field)] = value
+    return replace(position, values=tuple(values), aggregate=None)
+
+
+def _one_set(position: Position, *, whole_turns: bool = False) -> bool:
+    """Return whether one set of A, B, C alone describes an orientation.
+
+    :param whole_turns: sets that differ by whole turns of one angle count as one.
+    """
+    a, b, c = position.values[3:]
+    return abs(b) < 90.0 - _TURN and (whole_turns or (abs(a) < 180.0 - _TURN and abs(c) < 180.0 - _TURN))
 
 
 def _agree(one: Position, other: Position) -> bool:
