@@ -18,7 +18,8 @@ from msgspec.structs import replace
 from postproc.chunks import Runs, compact, in_chunks
 from postproc.errors import MOST, ForceError, Issue, together
 from postproc.forces.axes import TURNS, Axes, last_travel, lines_run_across, runs_across
-from postproc.forces.sources import BASE, FEED, ByLaw, ForceSource, Knots, StockInTime, of_comments
+from postproc.forces.precedence import combined, of_comments, small_forces, unused_comments
+from postproc.forces.sources import BASE, FEED, ByLaw, ForceSource, Knots, StockInTime
 from postproc.frames import Array, any_column, largest, norm
 from postproc.program import CIRC, LIN, SPL, Bools, Ints, Program, constant, distinct
 from postproc.toolpath import DisplacementEstimate, Pieces, Segments, Toolpath, at, circle_through, columns_in_root
@@ -151,7 +152,7 @@ class PathForces(Struct, frozen=True, eq=False):
 
 
 def assign(program: Program, path: Segments, source: ForceSource | None, axis: str, ramp: float) -> PathForces:
-    """Assign forces to the motions. A source takes precedence over comments; rapid moves have no force.
+    """Assign forces to the motions. `precedence` states which source counts where; rapid moves have no force.
 
     :param path: the geometry of the motions.
     :param axis: axis of the tool frame that points from the spindle to the tip: "+Z", "-Z", "+X" or "-X".
@@ -160,15 +161,19 @@ def assign(program: Program, path: Segments, source: ForceSource | None, axis: s
         a move along the spindle, without any move across it; a force on a move from [start] of the cell.
     """
     m = program.motions
-    given, issues, by_law, stock = of_comments(program), [], None, None
-    if source is not None:
-        own = source.along(program, path).checked(program, source.name)
-        issues += list(own.issues)
-        by_law, stock = own.by_law, own.stock
-        issues += _warning(
-            program, own.motion[any_column(own.wrench != 0.0) & m.rapid[own.motion]], "force-on-rapid", _ON_RAPID
-        )
-        given = own.over(given)
+    by_law = stock = None
+    if source is None:
+        given, issues = of_comments(program), list[Issue]()
+    else:
+        knots = source.along(program, path).checked(program, source.name)
+        given, issues = combined(program, knots, source.name)
+        issues += knots.issues
+        by_law, stock = knots.by_law, knots.stock
+        loaded = any_column(knots.wrench != 0.0) & m.rapid[knots.motion]
+        issues += _warning(program, knots.motion[loaded], "force-on-rapid", _ON_RAPID)
+    issues += unused_comments(program)
+    if by_law is None:
+        issues += small_forces(program, given)
     without = np.ones(len(m), dtype=np.bool_)
     without[given.motion] = False
     issues = _warning(program, np.flatnonzero(without & ~m.rapid), "no-force", _NONE) + issues

@@ -11,15 +11,16 @@ which turn along the piece.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc import files
 from postproc.chunks import Runs
-from postproc.errors import MOST, ForceError, choices, together
+from postproc.errors import MOST, ForceError, Issue, choices, together
 from postproc.forces.axes import TURNS, Axes, across
 from postproc.forces.path_forces import PathForces
 from postproc.forces.sources import BASE, FEED, TOOL, Knots
@@ -75,8 +76,6 @@ class ForceTable(Struct, frozen=True, eq=False):
                 raise each.error
         self._find_each(program)
         begins = np.flatnonzero(np.diff(self.first, prepend=-1))
-        if len(begins) == 0:
-            return Knots.throughout(begins, self.wrench, self.frame)
         line, number = program.motions.line, np.diff(np.append(begins, len(self.row)))
         block = np.searchsorted(self.first[begins], line, side="right") - 1
         motion = np.flatnonzero((block >= 0) & (line <= self.last[begins[block]]))
@@ -86,7 +85,18 @@ class ForceTable(Struct, frozen=True, eq=False):
         throughout = np.isnan(self.t[row])
         t = np.where(throughout, 1.0, self.t[row])
         own, wrench, frame = np.repeat(motion, count), self.wrench[row], self.frame[row]
-        return Knots(own, t, wrench, frame, self.sigma[row], self.factor[row], throughout)
+        knots = Knots(own, t, wrench, frame, self.sigma[row], self.factor[row], throughout)
+        return replace(knots, issues=tuple(self._on_still(program)))
+
+    def _on_still(self, program: Program) -> Iterator[Issue]:
+        """Yield a warning if rows with a force cover only moves of zero length."""
+        starts = np.sort(program.motions.line)
+        without = np.searchsorted(starts, self.first, side="left") == np.searchsorted(starts, self.last, side="right")
+        rows = np.flatnonzero(without & any_column(self.wrench != 0.0))
+        if len(rows):
+            lines = tuple(dict.fromkeys(self.first[rows].tolist()))
+            message = f"a move of zero length carries no force: its row of {self.name} is not used"
+            yield Issue("warning", "force-on-still", message, lines[0], count=len(lines), lines=lines)
 
     def _find_each(self, program: Program) -> None:
         """Check that every row names at least one line on which a motion starts."""
@@ -108,9 +118,9 @@ class ForceTable(Struct, frozen=True, eq=False):
 def read_force_csv(path: Path) -> ForceTable:
     """Read `line,Fx,Fy,Fz[,Mx,My,Mz][,frame][,line_end][,t][,sFx,sFy,sFz…[,factor_percent]|,sigma_percent]`.
 
-    :raises ForceError: missing or unknown column, a value that is not finite or out of range, a line number that
-        is not a positive integer, `line_end` before `line`, an unknown frame, two rows for one line without t, places
-        t that do not increase along a line, standard deviations below zero or given twice; all of them together
+    :raises ForceError: no rows, missing or unknown column, a value that is not finite or out of range, a line number
+        that is not a positive integer, `line_end` before `line`, an unknown frame, two rows for one line without t,
+        places t that do not increase along a line, standard deviations below zero or given twice; all of them together
         (`errors.together`).
     """
     numbers, texts, at, wrong = files.parse_csv(
@@ -126,6 +136,9 @@ def read_force_csv(path: Path) -> ForceTable:
     columns.check_order(order, (begin, end, t, frame), usable)
     if wrong:
         raise together(wrong)
+    if not len(columns.row):
+        advice = "Add the rows, or convert without this file if the program cuts nothing."
+        raise ForceError("a header without rows: the file states no force", file=str(path), advice=advice)
     return ForceTable(
         str(path), columns.row[order], begin[order], end[order], t[order], wrench[order], frame[order], sigma[order],
         factor[order],

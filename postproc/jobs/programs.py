@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import glob
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import msgspec
@@ -240,32 +240,41 @@ def _forces_for(programs: Sequence[Path], forces: Path | None) -> dict[Path, Pat
                 "for each program, or write the forces into the programs as comments.",
             )
         return dict.fromkeys(programs, forces)
-    known = {file.name.lower(): file for file in sorted(forces.iterdir()) if file.is_file()}
-    ends = extensions()
-    found = {program: _own(program, known, ends) for program in programs}
+    files = force_files(forces)
+    found = {program: force_file(program, files) for program in programs}
     if not any(found.values()):
         raise ForceError(
             "no force file for any of the programs in this folder",
             file=str(forces),
-            advice=f"Looked for {programs[0].stem} and {programs[0].stem}.forces with {', '.join(ends)}, and so on.",
+            advice=f"Looked for {programs[0].stem} and {programs[0].stem}.forces with {', '.join(extensions())} first.",
         )
     return found
 
 
-def _own(program: Path, known: dict[str, Path], ends: Sequence[str]) -> Path | None:
-    """Return the force file of a program among those of a folder: NAME.forces.csv before NAME.csv."""
-    stem = program.stem.lower()
-    found = []
-    for end in ends:
-        own = known.get(f"{stem}.forces{end}", known.get(f"{stem}{end}"))
-        found += [own] if own is not None and own.resolve() != program.resolve() else []
-    if len(found) > 1:
+def force_files(folder: Path) -> dict[str, list[Path]]:
+    """Return the force files of a folder, NAME.csv and NAME.forces.csv, by name of the program in lower case."""
+    files: dict[str, list[Path]] = {}
+    ends = extensions()
+    for file in sorted(folder.iterdir()):
+        if file.suffix.lower() in ends and file.is_file():
+            files.setdefault(file.stem.lower().removesuffix(".forces"), []).append(file)
+    return files
+
+
+def force_file(program: Path, files: Mapping[str, Sequence[Path]]) -> Path | None:
+    """Return the force file of a program; None if there is none.
+
+    :param files: see `force_files`.
+    :raises ForceError: there are several.
+    """
+    own = [file for file in files.get(program.stem.lower(), ()) if file.resolve() != program.resolve()]
+    if len(own) > 1:
         raise ForceError(
-            f"two force files for {program.name}: {' and '.join(file.name for file in found)}",
-            file=str(found[0].parent),
+            f"{len(own)} force files for {program.name}: {' and '.join(file.name for file in own)}",
+            file=str(own[0].parent),
             advice="Leave one of them there.",
         )
-    return found[0] if found else None
+    return own[0] if own else None
 
 
 GOOD, FAILED, EXCEEDED = 0, 1, 3

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from msgspec.structs import replace
 
-from postproc.errors import ForceError, Issue, together
+from postproc.errors import ForceError, Issue, first_of, together
 from postproc.forces import ByLaw, Knots
 from postproc.frames import any_column
 from postproc.machining.estimate import ProcessForces, estimate
@@ -174,6 +174,21 @@ def _wrench(entry: OperationTable) -> tuple[float, ...]:
     return entry.Fx, entry.Fy, entry.Fz, entry.Mx, entry.My, entry.Mz
 
 
+def refuse_comments(program: Program, process: str) -> None:
+    """Refuse a program that states forces in comments: a process computes those of all its moves.
+
+    :raises ForceError: it does.
+    """
+    lines = list(dict.fromkeys(note.line for note in program.notes if any(note.wrench)))
+    if lines:
+        raise ForceError(
+            f"a force comment, and forces from {process}: it is not clear which of them counts",
+            file=program.documents[0].name,
+            line=lines[0],
+            advice=f"Give no --process, or remove the force comments (lines {first_of(list(map(str, lines)), 5)}).",
+        )
+
+
 _NONE = np.zeros(0, dtype=np.int64), np.zeros((0, 6)), np.zeros(0, dtype=np.int64)
 
 
@@ -221,8 +236,9 @@ class ProcessSource:
     def along(self, program: Program, path: Segments) -> Knots:
         """Return the forces along the motions of a program, see `estimate` and `by_operation`.
 
-        :raises ForceError: the process cannot be used for this program.
+        :raises ForceError: the process cannot be used for this program, or it states forces in comments too.
         """
+        refuse_comments(program, self.name)
         if self._knots is None or self._of is not program:
             self._knots, self._of = self._made(program, path), program
         return self._knots

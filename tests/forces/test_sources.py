@@ -107,13 +107,18 @@ def test_a_folder_of_forces_holds_files_of_every_kind_that_is_read(tmp_path, mon
     added(monkeypatch, **{".Dyn": "made_up_reader:read"})
     given = tmp_path / "forces"
     given.mkdir()
-    for name in ("a.nc", "b.nc", "forces/A.dyn", "forces/b.forces.csv", "forces/b.csv"):
+    for name in ("a.nc", "b.nc", "forces/A.dyn", "forces/b.forces.csv"):
         (tmp_path / name).write_text("")
     programs = [str(tmp_path / name) for name in ("a.nc", "b.nc")]
     assert [job.forces.name for job in find_jobs(programs, forces=given)] == ["A.dyn", "b.forces.csv"]
-    (given / "a.csv").write_text("")
-    with pytest.raises(ForceError, match=r"two force files for a\.nc: a\.csv and A\.dyn"):
-        find_jobs(programs, forces=given)
+    for name, message in (
+        ("a.csv", r"2 force files for a\.nc: A\.dyn and a\.csv"),
+        ("b.csv", r"2 force files for b\.nc: b\.csv and b\.forces\.csv"),
+    ):
+        (given / name).write_text("")
+        with pytest.raises(ForceError, match=message):
+            find_jobs(programs, forces=given)
+        (given / name).unlink()
 
 
 def test_a_broken_reader_explains_itself_and_stops_nothing_else(tmp_path, monkeypatch):

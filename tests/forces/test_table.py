@@ -137,7 +137,6 @@ def test_without_deviations_there_is_no_covariance(tmp_path):
     assert covariance(program(MOVES), tmp_path, "line,Fx,Fy,Fz\n2,1,1,1\n", 1, 1.0) is None
 
 
-def test_a_table_without_rows_has_no_forces(tmp_path):
-    made = program(MOVES)
-    load = put_on(made, tmp_path, "line,Fx,Fy,Fz\n")[1]
-    assert not load.at(toolpath.at(made, toolpath.segments(made, START), np.arange(5), np.ones(5))).any()
+def test_a_table_without_rows_is_refused(tmp_path):
+    with pytest.raises(ForceError, match="a header without rows"):
+        forces.read_force_csv(write(tmp_path, "line,Fx,Fy,Fz\n\n"))

@@ -1,0 +1,108 @@
+"""Which source states the force of each motion, and the issues of forces that are stated and not used.
+
+One rule: a source (a file, a process) replaces the comments of the program on the motions that it covers; comments
+hold on the others; rapid moves have no force. A process refuses programs with force comments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from postproc.errors import Issue
+from postproc.forces.sources import Knots
+from postproc.frames import any_column, norm
+from postproc.program import FORCE_FRAMES, Bools, Ints, Program, distinct
+
+_SAME = 2e-3
+"""Forces that differ by less [N, N·m] are the same: comments and files have three decimals."""
+_NEWTONS = 3.0
+"""The largest force of a program is questioned below this [N]. It deflects a milling robot (about 1 µm/N) by a few
+micrometres, a twentieth of what it repeats to; in kN, it is the force of a heavy cut."""
+
+
+def combined(program: Program, source: Knots, name: str) -> tuple[Knots, list[Issue]]:
+    """Return the forces of a source and, on motions that it does not cover, of the comments of a program.
+
+    :param name: of the source, for messages.
+    :returns: the knots, and issues: how many motions have their force from which source, and comments that the source
+        replaces by another force.
+    """
+    comments = of_comments(program)
+    issues = []
+    cutting = ~program.motions.rapid
+    covered = np.zeros(len(cutting), dtype=np.bool_)
+    covered[source.motion] = True
+    stated = _stated(comments, len(cutting)) & cutting
+    if stated.any():
+        by_source, by_comment = int(np.count_nonzero(covered & cutting)), stated & ~covered
+        message = (
+            f"forces: {name} on {by_source} cutting moves, comments of the program on {np.count_nonzero(by_comment)}; "
+            "where both state one, the comment is not used"
+        )
+        issues.append(program.motions.issue("info", "force-sources", message, np.flatnonzero(stated)))
+    replaced = _replaced(source, comments, stated)
+    if len(replaced):
+        message = f"{name} states another force than the comment of the program: the comment is not used here"
+        issues.append(program.motions.issue("warning", "force-replaced", message, replaced))
+    return source.over(comments), issues
+
+
+def of_comments(program: Program) -> Knots:
+    """Return the force of each motion after the first force comment: that of the last comment executed before it.
+
+    :raises ValueError: the reader of the program has not set the first motion of a comment.
+    """
+    index = _notes(program)
+    motion = np.flatnonzero(index >= 0)
+    values = np.array([note.wrench for note in program.notes]).reshape(-1, 6)
+    frames = np.array([FORCE_FRAMES.index(note.frame) for note in program.notes], dtype=np.int64)
+    return Knots.throughout(motion, values[index[motion]], frames[index[motion]])
+
+
+def unused_comments(program: Program) -> Iterator[Issue]:
+    """Yield a warning if force comments hold on no cutting move: their forces are stated and not used."""
+    loaded = {note.line for note in program.notes if any(note.wrench)}
+    used = np.unique(_notes(program)[~program.motions.rapid]) if loaded else np.zeros(0, dtype=np.int64)
+    lines = sorted(loaded - {program.notes[index].line for index in used[used >= 0].tolist()})
+    if lines:
+        message = "a force comment that holds on no cutting move: rapid moves and moves of zero length carry no force"
+        yield Issue("warning", "force-unused", message, lines[0], count=len(lines), lines=tuple(lines))
+
+
+def small_forces(program: Program, given: Knots) -> Iterator[Issue]:
+    """Yield a question if the largest force of the cutting moves is so small that it may be in kilonewtons."""
+    size = norm(given.wrench[:, :3])
+    loaded = ~program.motions.rapid[given.motion] & (size > 0.0)
+    if loaded.any() and not any_column(given.wrench[:, 3:] != 0.0).any() and size[loaded].max() < _NEWTONS:
+        row = int(np.argmax(np.where(loaded, size, 0.0)))
+        message = f"the largest force is {size[row]:.2g} N: are these kN? Forces are read in newtons"
+        yield program.motions.issue("warning", "force-unit", message, given.motion[row : row + 1])
+
+
+def _notes(program: Program) -> Ints:
+    """Return the force comment (M,) that holds on each motion, as index of `Program.notes`; −1 before the first."""
+    first = [note.before for note in program.notes]
+    if min(first, default=0) < 0:
+        raise ValueError(f"the reader of {program.dialect} leaves ForceNote.before unset")
+    return np.asarray(np.searchsorted(first, np.arange(len(program.motions)), side="right") - 1)
+
+
+def _stated(knots: Knots, count: int) -> Bools:
+    """Return which motions (count,) have a force other than zero."""
+    out = np.zeros(count, dtype=np.bool_)
+    out[knots.motion[any_column(knots.wrench != 0.0)]] = True
+    return out
+
+
+def _replaced(source: Knots, comments: Knots, stated: Bools) -> Ints:
+    """Return the motions (n,) on which a source has another force than a comment that states one.
+
+    :param stated: (M,) True where a comment states a force on a cutting move.
+    """
+    if not stated.any() or not len(source):
+        return np.zeros(0, dtype=np.int64)
+    row = np.minimum(np.searchsorted(comments.motion, source.motion), len(comments) - 1)
+    differs = any_column(np.abs(source.wrench - comments.wrench[row]) > _SAME) | (source.frame != comments.frame[row])
+    return distinct(source.motion[differs & stated[source.motion]])
