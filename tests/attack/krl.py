@@ -26,6 +26,7 @@ from msgspec.structs import replace
 from postproc.cell import Frame, Krl, Tool
 from postproc.dialects import krl
 from postproc.dialects.krl.course import Enter, Fork
+from postproc.dialects.krl.dialect import KRL
 from postproc.dialects.krl.read import flow
 from postproc.dialects.text import decode
 from postproc.errors import PostprocError
@@ -33,6 +34,7 @@ from postproc.frames import pose_from_xyzabc, xyzabc_from_pose
 from postproc.program import CIRC, LIN, PTP
 from tests.attack.krl_generator import Generator
 from tests.attack.krl_interpreter import MOST_STEPS, Controller, Invalid
+from tests.attack.krl_states import States
 from tests.dialects.krl_programs import CELL, forward, targets
 from tests.oracle.arm import abc
 from tests.oracle.krl_grammar import check, takes
@@ -46,6 +48,9 @@ MORE, MIXED, KEPT = 1_000_000, 100_000_000, 200_000_000
 """From these seeds on programs have more kinds of values; nested loops, splines, SYNCCMD; and motions that stay."""
 HARDER = 50_000_000
 """From so much behind `MIXED`, and behind its multiples, programs have functions in targets and bounds, GOTO … too."""
+STATES = 25_000_000
+"""Of each two pieces of so many seeds behind `MIXED`, in the second programs read what they set, and some of what is
+written is divided into files."""
 _ORDINARY = 10
 """So many ordinary programs to one with motions that stay."""
 _CHECKED = 4, 16
@@ -73,9 +78,10 @@ def cell(folder, *, keep=False):
     )
 
 
-def executed(files, seed, program):
+def executed(files, seed, program, main="PART"):
     """The motions that the controller makes in the program and in what it calls, but for those left as they are.
 
+    :param main: the program to run: of one that was divided into files, none of whose motions is left, another one.
     :returns: motions, and whether chance had a part in them.
     """
     named = {Path(name).name: text for name, text in files.items()}
@@ -87,7 +93,7 @@ def executed(files, seed, program):
     rng = np.random.default_rng(seed)
     before = rng.bit_generator.state
     controller = Controller(named, rng, abc(base.X, base.Y, base.Z), abc(tool.X, tool.Y, tool.Z), data)
-    motions = controller.run("PART")
+    motions = controller.run(main)
     course = program.layout.course
     origins = [(course.source.origin(each.line), each.routine) for each in course.steps if isinstance(each, Enter)]
     followed = {(at.source.document.name, at.line, routine.name.upper()) for at, routine in origins}
@@ -96,6 +102,9 @@ def executed(files, seed, program):
     made = []
     for motion in motions:
         calls = {(file, line) for file, line, _ in motion.callers}
+        if main != "PART":
+            made.append(motion)
+            continue
         if not stay.isdisjoint({*calls, (motion.file, motion.line)}):
             continue
         if not followed.issuperset(motion.callers):
@@ -169,12 +178,15 @@ def attempt(seed, folder):
     rng = np.random.default_rng(seed)
     keep = seed >= KEPT
     harder = seed >= MIXED and seed % MIXED >= HARDER
-    files = Generator(rng, more=seed >= MORE, mixed=seed >= MIXED, keep=keep, harder=harder).programs()
+    states = seed >= MIXED and seed // STATES % 2 == 1
+    kind = States if states else Generator
+    files = kind(rng, more=seed >= MORE, mixed=seed >= MIXED, keep=keep, harder=harder).programs()
     try:
         program = read(files, folder, keep=keep)
     except PostprocError:
         return "refused"
-    return confirmed(program, files, folder, rng, keep=keep, checked=seed % _CHECKED[seed >= MORE] == 0)
+    lines = int(rng.integers(8, 60)) if states and rng.random() < 0.4 else 0
+    return confirmed(program, files, folder, rng, keep=keep, checked=seed % _CHECKED[seed >= MORE] == 0, lines=lines)
 
 
 def read(files, folder, *, keep=False):
@@ -186,11 +198,12 @@ def read(files, folder, *, keep=False):
     return krl.read_program(documents, cell(folder, keep=keep), forward, "part")
 
 
-def confirmed(program, files, folder, rng, *, keep=False, checked=True):
+def confirmed(program, files, folder, rng, *, keep=False, checked=True, lines=0):
     """``"accepted"`` if a program is what the controller does, before and after its targets were moved; ``"invalid"``.
 
     :param keep: some motions stay as they are.
     :param checked: the grammar reads what is written.
+    :param lines: what is written is divided into files of so many lines; 0: it is not.
     :raises Wrong: it is not.
     """
     m = program.motions
@@ -218,7 +231,8 @@ def confirmed(program, files, folder, rng, *, keep=False, checked=True):
         raise Wrong("what needs no correction is changed")
     wanted = moved(program, rng)
     try:
-        written = krl.rewrite(program, wanted)
+        lines = 0 if program.unresolved or any(one.kind == "motions-elsewhere" for one in program.issues) else lines
+        written = krl.rewrite(program, wanted) if not lines else divided(program, wanted, folder, lines, keep=keep)
     except PostprocError:
         return "accepted"
     if any(issue.level == "error" for issue in written.issues):
@@ -228,7 +242,8 @@ def confirmed(program, files, folder, rng, *, keep=False, checked=True):
             check(document.name, document.text)
     new = {Path(name).name: text for name, text in files.items()}
     new |= {document.name: document.text for document in written.documents}
-    again = krl.read_program(written.documents, cell(folder, keep=keep), forward, "part")
+    again = KRL.read(written.documents, cell(folder, keep=keep), forward, Path(written.documents[0].name).stem)
+    main = Path(written.documents[0].name).stem.upper()
     if {one.text for one in again.unresolved} != {one.text for one in program.unresolved}:  # in copies too
         raise Wrong("other motions stay as they are in what is written")
     pose, joints, kinds = in_order(program, wanted)
@@ -236,7 +251,7 @@ def confirmed(program, files, folder, rng, *, keep=False, checked=True):
     numbers = xyzabc_from_pose(pose)
     for seed in range(RUNS if runs < RUNS else MOST_RUNS):  # what chance gives an index may stop a program too
         try:
-            done, by_chance = executed(new, seed, again)
+            done, by_chance = executed(new, seed, again, main)
         except Invalid:
             continue
         finished += 1
@@ -246,6 +261,13 @@ def confirmed(program, files, folder, rng, *, keep=False, checked=True):
     if runs == RUNS and not finished:
         raise Wrong("what is written stops")
     return "kept" if program.unresolved else "accepted"
+
+
+def divided(program, wanted, folder, lines, *, keep):
+    """What is written, in files of some lines."""
+    whole = cell(folder, keep=keep)
+    limited = replace(whole, output=replace(whole.output, lines_per_file=lines))
+    return KRL.writer.write(program, wanted, None, limited, None)
 
 
 def places_of(program):

@@ -10,7 +10,7 @@ from postproc.dialects.krl.read.known import NOTHING
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.variables import Variables
 from postproc.dialects.krl.write.named_points import NamedPoints
-from tests.attack.krl import KEPT, MIXED, Wrong, attack, damaged
+from tests.attack.krl import KEPT, MIXED, STATES, Wrong, attack, damaged
 
 
 def test_random_programs_do_what_is_read_and_what_is_written():
@@ -26,6 +26,26 @@ def test_what_enters_variables_of_other_types_is_what_the_controller_makes_of_it
 def test_nested_loops_splines_and_synchronised_robots_are_what_the_controller_makes_of_them():
     outcomes = Counter(attack(seed) for seed in range(MIXED, MIXED + 80))
     assert outcomes["accepted"] > 25
+
+
+def test_routines_that_save_change_and_restore_what_the_controller_keeps_do_what_is_read_and_written():
+    outcomes = Counter(attack(seed) for seed in range(MIXED + STATES, MIXED + STATES + 60))
+    assert outcomes["accepted"] > 12
+
+
+def test_the_attack_finds_a_reader_that_reads_the_frame_before(monkeypatch):
+    now = Settings.current
+
+    def before(self, name, field):
+        state, self.state = self.state, self.changes[-2][1] if len(self.changes) > 1 else self.state
+        try:
+            return now(self, name, field)
+        finally:
+            self.state = state
+
+    monkeypatch.setattr(Settings, "current", before)
+    with pytest.raises(Wrong):
+        Counter(attack(seed) for seed in range(MIXED + STATES, MIXED + STATES + 200))
 
 
 def test_motions_that_stay_are_those_of_the_program():
