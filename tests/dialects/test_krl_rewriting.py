@@ -583,6 +583,16 @@ def test_long_programs_of_circles_are_rewritten_in_bulk():
     assert calls_for_each(lambda count: partial(krl.rewrite, *prepared(count)), 1000, 3000) < 0.1
 
 
+def test_angles_behind_a_b_beyond_90_degrees_are_written_together():
+    program = read(body("LIN {X 0,Y 0,Z 0,A 0,B 169.9853,C 0.001}", "LIN {X 1,Y 1,Z 1}"))
+    turn = np.array([1e-6, 0.0])
+    wanted = targets(program, np.zeros((2, 3)), turn)
+    lines = krl.rewrite(program, wanted).documents[0].text.splitlines()
+    (line,) = [line for line in lines if "X 1" in line]
+    assert all(f"{name} " in line for name in "ABC") or not any(f"{name} " in line for name in "ABC")
+    check_commands(program, wanted, krl.rewrite(program, wanted))
+
+
 def test_motions_of_all_kinds_are_where_they_were_said_to_be():
     source = body(
         "PTP {X 1,Y 2,Z 3,A 4,B 5,C 6,S 2,T 10}", START, "CIRC {X 0,Y 10,Z 0},{X -10,Y 0,Z 0}", "LIN_REL {Z 5}"

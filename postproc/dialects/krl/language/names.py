@@ -121,11 +121,28 @@ def valid(name: str) -> str:
 
 def unused(name: str, taken: Iterable[str]) -> str:
     """Return a valid name not among `taken` (upper case): the given one with ``_2``, ``_3`` … behind it."""
-    taken = set(taken)
-    number = 2
-    while True:
-        tail = f"_{number}"
-        candidate = name[: MAX_LENGTH - len(tail)] + tail
-        if candidate.upper() not in taken:
-            return candidate
-        number += 1
+    return Names(set(taken)).unused(name)
+
+
+class Names:
+    """New names, none of which is taken.
+
+    :param taken: names that they must not have, upper case; new ones are added.
+    """
+
+    def __init__(self, taken: set[str]) -> None:
+        self.taken = taken
+        self._next: dict[str, int] = {}
+
+    def unused(self, name: str) -> str:
+        """Return a valid name that is not taken, and take it: the given one with ``_2``, ``_3`` … behind it."""
+        number = self._next.get(name.upper(), 2)
+        while True:
+            tail = f"_{number}"
+            candidate = name[: MAX_LENGTH - len(tail)] + tail
+            number += 1
+            if candidate.upper() not in self.taken:
+                break
+        self._next[name.upper()] = number
+        self.taken.add(candidate.upper())
+        return candidate

@@ -16,7 +16,7 @@ from msgspec import Struct, field
 from msgspec.structs import replace
 
 from postproc.dialects.krl.course import Body, Called, Course, Repeated
-from postproc.dialects.krl.language.names import unused
+from postproc.dialects.krl.language.names import Names
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.routines import Routine
 from postproc.dialects.krl.language.source import Source
@@ -71,11 +71,11 @@ class _Round(NamedTuple):
     own: _Piece
 
 
-class _Version(Struct, eq=False):
-    """A routine as it is written, under one name."""
+class _Version(NamedTuple):
+    """The name under which a routine has a text, and the places of all calls that read so, see `_Piece`."""
 
     name: str
-    piece: _Piece
+    places: list[tuple[int, int, int]]
 
 
 class _Folder(Struct, eq=False):
@@ -83,13 +83,14 @@ class _Folder(Struct, eq=False):
     main: Routine
     text: str
     begins: list[int]
-    versions: defaultdict[Routine, list[_Version]] = field(default_factory=lambda: defaultdict(list))
-    taken: set[str] = set()
+    versions: defaultdict[Routine, dict[str, _Version]] = field(default_factory=lambda: defaultdict(dict))
+    names: Names | None = None
     outside: list[Called] = []
     issues: list[Issue] = []
 
     def folded(self) -> Folded:
-        self.versions[self.main].append(_Version(self.main.name, self._body(self.course.body)))
+        text, places = self._body(self.course.body)
+        self.versions[self.main][text] = _Version(self.main.name, [*places])
         line = np.zeros(len(self.begins), dtype=np.int64)
         inside = np.zeros(len(self.begins), dtype=np.bool_)
         row = np.searchsorted(line_spans(self.text)[0], self.begins)
@@ -190,29 +191,24 @@ class _Folder(Struct, eq=False):
 
     def _version(self, called: Called, piece: _Piece) -> str:
         """Return the name under which a routine reads like some lines."""
-        versions = self.versions[called.routine]
-        routine = called.routine
+        versions, routine = self.versions[called.routine], called.routine
         if routine in self.course.pinned and not versions:
-            own = _Piece(_text(routine.source, routine.first + 1, routine.last - 1))
-            versions.append(_Version(routine.name, own))
-        for version in versions:
-            if version.piece.text == piece.text:
-                version.piece = _joined([version.piece, piece])
-                return version.name
-        name = self._unused(called) if versions else called.routine.name
-        versions.append(_Version(name, piece))
-        return name
+            versions[_text(routine.source, routine.first + 1, routine.last - 1)] = _Version(routine.name, [])
+        if piece.text not in versions:
+            versions[piece.text] = _Version(self._unused(called) if versions else routine.name, [])
+        versions[piece.text].places.extend(piece.places)
+        return versions[piece.text].name
 
     def _unused(self, called: Called) -> str:
         """Return a name for a copy of a routine."""
-        if not self.taken:
+        if self.names is None:
             sources = [self.course.source, self.main.source, *(routine.source for routine in self.versions)]
-            self.taken = {word.upper() for source in sources for word in NAME.findall(source.text)} | self.course.taken
+            words = {word.upper() for source in sources for word in NAME.findall(source.text)}
+            self.names = Names(words | self.course.taken)
         routine = called.routine
         head = statement(routine.source, routine.first)
         spelt = head.name if isinstance(head, Definition) else routine.name
-        name = unused(spelt, self.taken)
-        self.taken.add(name.upper())
+        name = self.names.unused(spelt)
         why = "is corrected differently from call to call"
         if routine in self.course.pinned:
             why = "is also called where calls are not followed, and stays as it is there"
@@ -227,17 +223,17 @@ class _Folder(Struct, eq=False):
         for routine in sorted(self.versions, key=lambda routine: routine.first):
             if routine.source is source:
                 yield _Piece(_text(source, line, routine.first))
-                first, *copies = self.versions[routine]
-                yield first.piece
+                (text, first), *copies = self.versions[routine].items()
+                yield _Piece(text, first.places)
                 end = _text(source, routine.last, routine.last)
                 line = routine.last + 1
                 yield _Piece(end)
                 head = _text(source, routine.first, routine.first)
                 gap = _line_end(head)
-                for version in copies:
+                for text, version in copies:
                     yield _Piece(gap if _line_end(end) else gap + gap)
                     yield _Piece(self._head(routine, version.name))
-                    yield version.piece
+                    yield _Piece(text, version.places)
                     yield _Piece(end if _line_end(end) else end + gap)
         yield _Piece(_text(source, line, len(source.starts)))
 

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from postproc.dialects.krl.course import Course
 from postproc.dialects.krl.language.expressions import parse_aggregate
 from postproc.dialects.krl.language.motion_statements import MotionStatement, Point
-from postproc.dialects.krl.language.names import unused
+from postproc.dialects.krl.language.names import Names
 from postproc.dialects.krl.language.positions import from_aggregate
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tokens import NAME, word_at
@@ -54,7 +54,7 @@ class NamedPoints(Struct, eq=False):
     mentions: Mapping[str, Sequence[int]]
     issues: list[Issue] = []
     _uses: dict[tuple[int, int], list[Use]] = field(default_factory=lambda: defaultdict(list))
-    _taken: set[str] = set()
+    _names: Names | None = None
     _elsewhere: dict[str, bool] = {}
 
     def use(self, use: Use) -> None:
@@ -122,10 +122,9 @@ class NamedPoints(Struct, eq=False):
     def _declare(self, name: str, literal: str, aggregate: Aggregate) -> str:
         """Declare a new point behind the line of another; return its name."""
         source = aggregate.source
-        if not self._taken:
-            self._taken = {word.upper() for known in self.sources for word in NAME.findall(known.text)}
-        new = unused(name, self._taken)
-        self._taken.add(new.upper())
+        if self._names is None:
+            self._names = Names({word.upper() for known in self.sources for word in NAME.findall(known.text)})
+        new = self._names.unused(name)
         line = source.line_at(aggregate.start)
         start, stop, following = int(source.starts[line - 1]), int(source.stops[line - 1]), int(source.starts[line])
         old = source.text[start:stop]

@@ -90,7 +90,7 @@ def target_numbers(motions: Motions, layout: Layout, targets: Targets, text: str
     added = layout.missing[row] & (np.abs(numbers - before) > _EQUAL)
     incomplete = layout.ignored | any_column(layout.missing[:, 3:])
     added[:, 3:] |= (freed & incomplete)[row, None]
-    angles = layout.missing[row, 3:]
+    angles = layout.missing[row, 3:] & ~added[:, 3:]
     several = any_column(angles) & ~angles.all(axis=1) & (np.abs(before[:, 4]) > LARGEST_B)
     added[:, 3:] |= angles & several[:, None]
     written = np.where(keep[:, None], added, ~layout.missing[row] | added)
