@@ -23,7 +23,7 @@ from click.testing import CliRunner
 
 from postproc.cli import main
 from postproc.errors import InputError, PostprocError
-from postproc.jobs import Settings, watching
+from postproc.jobs import Settings, convert_all, find_jobs, watching
 from postproc.jobs.watching import server
 from tests.documentation.pages import ROOT
 
@@ -37,9 +37,9 @@ def watcher(tmp_path, monkeypatch):
     said: list[str] = []
     monkeypatch.setattr(watching, "SCAN", 0.02)
 
-    def make(cell=CELL, tolerance_mm=None, **options):
+    def make(cell=CELL, forces=None, **stated):
         said.clear()
-        settings = Settings(cell, tolerance_mm=tolerance_mm)
+        settings, options = Settings(cell, **stated), {} if forces is None else {"forces": forces}
         known = watching._Watcher(tmp_path / "in", tmp_path / "out", settings, options, 1, said.append)
         known.said = said
         return known
@@ -118,7 +118,7 @@ def test_after_a_change_of_the_cell_all_programs_are_converted_again(watcher, tm
     cell.write_text(text.replace("Z = 700.0", "Z = 650.0"))
     assert converted(known, (5.0, 5.9)) == []
     assert sorted(converted(known, (6.1, 7.2))) == ["a.nc", "b.nc"]
-    assert known.said == ["The cell, or a file used with it, has changed: all programs are converted again."]
+    assert known.said == ["The cell, a file used with it, an option or postproc has changed: all are converted again."]
     assert {path.name for path in (tmp_path / "out").glob("*.src")} == {"a.src", "b.src"}
     after = (tmp_path / "out" / "a.src").read_text()
     assert "Z 700" in before
@@ -168,6 +168,124 @@ def test_what_all_programs_are_converted_with_counts_as_the_cell_does(watcher, t
             file.write("# changed\n")
     assert converted(watcher(**options)) == ["a.nc"]
     assert converted(watcher(**options)) == []
+
+
+ROWS = "line,Fx,Fy,Fz\n3,0,0,{force}\n4,0,0,{force}\n"
+
+
+@pytest.fixture
+def forces(tmp_path):
+    (tmp_path / "forces").mkdir()
+
+    def state(name: str, force: float) -> Path:
+        path = tmp_path / "forces" / name
+        path.write_text(ROWS.format(force=force))
+        return path
+
+    return state
+
+
+def same_as_convert(tmp_path, name: str, text: str, **options) -> None:
+    """Compare a program that was watched with what `convert` makes of the same files."""
+    folder = tmp_path / f"alone {name} {time.monotonic_ns()}"
+    folder.mkdir()
+    (folder / name).write_text(text)
+    (job,) = find_jobs([str(folder / name)], output=folder / "out", **options)
+    (outcome,) = convert_all([job], Settings(CELL))
+    assert outcome.code == 0
+    written = f"{Path(name).stem}.src"
+    assert (tmp_path / "out" / written).read_bytes() == (folder / "out" / written).read_bytes()
+
+
+def test_a_program_waits_for_its_forces_and_follows_their_changes(watcher, tmp_path, forces):
+    known = watcher(forces=tmp_path / "forces")
+    put(tmp_path, "a.nc", PART.format(x=5))
+    put(tmp_path, "b.nc", PART.format(x=6))
+    put(tmp_path, "c.nc", PART.format(x=7).replace("X7", "(FORCE FZ=100)\nX7"))
+    forces("b.csv", 500)
+    assert sorted(converted(known)) == ["b.nc", "c.nc"]  # c states its own
+    waits = f"a.nc waits for its forces: a.csv or a.forces.csv in {tmp_path / 'forces'}."
+    assert [sentence for sentence in known.said if sentence.endswith(waits)] == known.said
+    forces("A.forces.csv", 900)
+    assert converted(known, (2.0, 2.9)) == []  # still being written
+    assert converted(known, (3.1,)) == ["a.nc"]
+    same_as_convert(tmp_path, "a.nc", PART.format(x=5), forces=tmp_path / "forces")
+    forces("b.csv", 800)
+    assert converted(known, (4.0, 5.1)) == ["b.nc"]
+    same_as_convert(tmp_path, "b.nc", PART.format(x=6), forces=tmp_path / "forces")
+    assert converted(watcher(forces=tmp_path / "forces")) == []
+    forces("b.csv", 700)  # while it is not running
+    assert converted(watcher(forces=tmp_path / "forces")) == ["b.nc"]
+
+
+def test_forces_that_are_removed_take_their_result_with_them(watcher, tmp_path, forces):
+    known = watcher(forces=tmp_path / "forces")
+    put(tmp_path, "a.nc", PART.format(x=5))
+    file = forces("a.csv", 900)
+    forces("b.csv", 900)
+    assert converted(known) == ["a.nc"]
+    file.unlink()
+    ready = [path for moment in (5.0, 6.1) for path in known.scan(1e6 + moment)]
+    ((outcome, _),) = known.convert(ready)
+    assert (outcome.code, outcome.message) == (1, f"{file}: no such file.")
+    assert not (tmp_path / "out" / "a.src").is_file()
+    assert (tmp_path / "out" / "a.src.old").is_file()
+    assert converted(known, (7.0, 9.0)) == []
+    forces("a.csv", 900)
+    assert converted(known, (10.0, 11.1)) == ["a.nc"]
+
+
+def test_two_files_of_forces_for_a_program_are_its_error_alone(watcher, tmp_path, forces):
+    known = watcher(forces=tmp_path / "forces")
+    for name in ("a", "b"):
+        put(tmp_path, f"{name}.nc", PART.format(x=5))
+        forces(f"{name}.csv", 900)
+    file = forces("a.forces.csv", 900)
+    ready = [path for moment in (0.0, 1.1) for path in known.scan(1e6 + moment)]
+    outcomes = {job.program.name: outcome for outcome, job in known.convert(ready)}
+    assert {name: outcome.code for name, outcome in outcomes.items()} == {"a.nc": 1, "b.nc": 0}
+    assert "2 force files for a.nc: a.csv and a.forces.csv" in outcomes["a.nc"].message
+    file.unlink()
+    assert converted(known, (5.0, 6.1)) == ["a.nc"]
+
+
+@pytest.mark.parametrize(
+    "changed",
+    ["none", "forces/a.csv", "robot/model.toml", "$config.dat", "--tolerance", "--part-tolerance", "--linearize-arcs"],
+)
+def test_without_its_record_what_the_output_depends_on_is_in_the_written_program(watcher, tmp_path, forces, changed):
+    shutil.copytree(ROOT / "robot_models" / "kuka_kr270", tmp_path / "robot")
+    cell = CELL.read_text().replace('"kuka_kr270"', '"robot"')
+    (tmp_path / "cell.toml").write_text(f'config_dat = "$config.dat"\n{cell}')
+    (tmp_path / "$config.dat").write_text("DEFDAT $CONFIG\nENDDAT\n")
+    options = {"cell": tmp_path / "cell.toml", "forces": tmp_path / "forces"}
+    put(tmp_path, "a.nc", PART.format(x=5))
+    forces("a.csv", 900)
+    assert converted(watcher(**options)) == ["a.nc"]
+    (tmp_path / "out" / watching.STATE).unlink()
+    stated = {
+        "--tolerance": {"tolerance_mm": 0.02},
+        "--part-tolerance": {"part_tolerance_mm": 0.3},
+        "--linearize-arcs": {"linearize_arcs": True},
+    }.get(changed, {})
+    if changed != "none" and not stated:
+        with (tmp_path / changed).open("a") as file:
+            file.write(
+                "4,0,0,1\n".replace("4", "5")
+                if changed.endswith(".csv")
+                else "# changed\n"
+                if "toml" in changed
+                else ";\n"
+            )
+    assert converted(watcher(**options, **stated)) == ([] if changed == "none" else ["a.nc"])
+
+
+def test_other_code_converts_again(watcher, tmp_path, monkeypatch):
+    put(tmp_path, "a.nc", PART.format(x=5))
+    assert converted(watcher()) == ["a.nc"]
+    assert converted(watcher()) == []
+    monkeypatch.setattr("postproc.jobs.inputs.code_sum", lambda: "0" * 64)
+    assert converted(watcher()) == ["a.nc"]
 
 
 def test_the_overview_lists_programs_that_came_one_by_one_also_those_that_failed(watcher, tmp_path):

@@ -12,7 +12,6 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc import correction, files, forces, provenance, report
-from postproc import robot as robots
 from postproc.cell import Cell, Start
 from postproc.chunks import release
 from postproc.correction import Result
@@ -20,6 +19,7 @@ from postproc.dialects import registry
 from postproc.errors import InputError, Issue, PostprocError, ProgramError, SubprogramError
 from postproc.forces import ForceSource
 from postproc.frames import M_PER_MM, Array
+from postproc.jobs import inputs
 from postproc.jobs.output_plan import Task, differing, needed_copies, needed_warnings, with_own_copies
 from postproc.jobs.programs import (
     EXCEEDED,
@@ -40,7 +40,7 @@ from postproc.robot import RobotModel
 from postproc.under_load import RobotInCell
 from postproc.version import VERSION
 
-_OPTIONS = ("tolerance_mm", "lines_per_file", "linearize_arcs", "keep_unresolved")
+_OPTIONS = ("tolerance_mm", "part_tolerance_mm", "lines_per_file", "linearize_arcs", "keep_unresolved")
 """Settings that a written program depends on in addition to its files."""
 
 
@@ -123,16 +123,15 @@ def origin_of(
     """Return the provenance of a program that is made from a source now.
 
     :param path: cell file, `cell` its content.
-    :param forces: CSV file, or None.
+    :param forces: CSV file or process.toml, or None.
     """
-    folder = robots.find(cell.robot, Path(cell.folder))
     return provenance.Origin(
         version=VERSION,
         mode=mode,
         source=provenance.digest_of(source),
-        cell=provenance.digest([path.read_bytes()]),
-        model=provenance.digest((folder / name).read_bytes() for name in ("robot.urdf", "model.toml")),
-        forces="-" if forces is None else provenance.digest([forces.read_bytes()]),
+        cell=inputs.sum_of(inputs.of_cell(path, cell)),
+        model=inputs.sum_of(inputs.of_robot(cell)),
+        forces="-" if forces is None else inputs.sum_of(inputs.of_forces(forces)),
     )
 
 

@@ -14,7 +14,7 @@ import json
 import re
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -22,27 +22,38 @@ from threading import Event
 from typing import Any
 
 import msgspec
+from msgspec.structs import replace
 
 from postproc import cell as cells
 from postproc import files, provenance
-from postproc import robot as robots
 from postproc.dialects import registry
 from postproc.errors import InputError, PostprocError
-from postproc.jobs.conversion import options_of
+from postproc.jobs import inputs
+from postproc.jobs.conversion import options_of, origin_of
 from postproc.jobs.output_plan import OVERVIEW, left
-from postproc.jobs.programs import FAILED, GOOD, PROCESS, Job, Outcome, Settings, find_jobs, is_utf8
+from postproc.jobs.programs import (
+    FAILED,
+    GOOD,
+    Job,
+    Outcome,
+    Settings,
+    find_jobs,
+    force_file,
+    force_files,
+    is_utf8,
+    read_documents,
+)
 from postproc.jobs.runs import convert_all, reason, write_overview
-from postproc.machining import process
 from postproc.report import index
+from postproc.version import VERSION
 
 QUIET = 1.0
 """Time for which a file must not have changed [s]."""
 SCAN = 0.5
 """Time between two scans [s]."""
 STATE = ".postproc-watch.json"
-_SOURCE = re.compile(rb"POSTPROC \d+ .*\bsource=([0-9a-f]{64}) cell=([0-9a-f]{64})")
-_HEAD = 4000
-"""Number of bytes of a written program that are searched for where it comes from."""
+
+_FORCE = re.compile(rb"[;(!][ \t]*FORCE\b|\bPPRINT[^\r\n]{0,80}FORCE\b", re.IGNORECASE)
 
 Signature = tuple[tuple[str, int, int], ...]
 
@@ -118,6 +129,14 @@ def _pause(folder: Path, stop: Event) -> Callable[[], object]:
     return wait
 
 
+def _states_forces(program: Path) -> bool:
+    """Return whether the text of a program seems to have force comments."""
+    try:
+        return _FORCE.search(program.read_bytes()) is not None
+    except OSError:
+        return False
+
+
 def _status(path: Path) -> tuple[int, int]:
     """Return size and time of a file; zeros if it is not there."""
     try:
@@ -130,7 +149,9 @@ def _status(path: Path) -> tuple[int, int]:
 class _Watcher:
     """State of the programs of a folder.
 
-    :ivar setup: sum of the cell, robot, process, other files and options that all programs are converted with.
+    :ivar setup: sum of the code, cell, robot, process, other files and options that all programs are converted with.
+    :ivar force_folder: folder of forces, None if there is none; `force_files`: what the last scan found there, see
+        `programs.force_files`; `plain_options`: arguments of `find_jobs` without the folder.
     """
 
     def __init__(
@@ -143,12 +164,16 @@ class _Watcher:
         say: Callable[[str], None],
     ) -> None:
         self.folder, self.output, self.settings, self.options = folder, output, settings, options
+        given: Path | None = options.get("forces")
+        self.force_folder = given if given is not None and given.is_dir() else None
+        self.plain_options = {**options, "forces": None if self.force_folder else given}
+        self.force_files: dict[str, list[Path]] = {}
         self.workers, self.say = workers, say
         self.seen: dict[Path, tuple[Signature, float]] = {}
         self.finished: dict[Path, Signature] = {}
         self.entries = self._known()
         self.reported: set[str] = set()
-        self.setup = ""
+        self.code, self.setup = inputs.code_sum(), ""
         self.setup_paths: list[Path] = []
         self.setup_status: tuple[tuple[int, int], ...] = ()
         self.setup_since, self.setup_read = 0.0, False
@@ -158,12 +183,14 @@ class _Watcher:
 
         :param now: monotonic time [s].
         """
+        folders = (self.folder, self.force_folder)
         try:
+            self.force_files = {} if self.force_folder is None else force_files(self.force_folder)
             found = {path: self._signature(path) for path in self._programs()}
-        except OSError:
-            self._say_once(f"{self.folder} cannot be read at present. Waiting for it.")
+        except OSError as cause:
+            self._say_once(f"{cause.filename or self.folder} cannot be read at present. Waiting for it.")
             return []
-        self.reported.discard(f"{self.folder} cannot be read at present. Waiting for it.")
+        self.reported -= {f"{folder} cannot be read at present. Waiting for it." for folder in folders}
         quiet = self._is_setup_quiet(now)
         if self.entries and not (self.output / STATE).is_file():  # the output was removed
             self.entries = {}
@@ -178,7 +205,7 @@ class _Watcher:
             before, since = self.seen.get(path, (None, now))
             if before != signature:
                 self.seen[path] = (signature, now)
-            elif now - since >= QUIET and self._is_new(path, signature):
+            elif now - since >= QUIET and not self._waits_for_forces(path) and self._is_new(path, signature):
                 ready.append(path)
         return ready if quiet and ready and self._can_write() else []
 
@@ -213,32 +240,24 @@ class _Watcher:
         except OSError:
             return False
         self.setup_read, before = True, self.setup
-        self.setup = provenance.digest([json.dumps(given).encode(), *contents])
+        self.setup = provenance.digest([self.code.encode(), json.dumps(given).encode(), *contents])
         if ({before} if before else {entry.setup for entry in self.entries.values()}) - {self.setup}:
-            self.say("The cell, or a file used with it, has changed: all programs are converted again.")
+            self.say("The cell, a file used with it, an option or postproc has changed: all are converted again.")
             self.finished.clear()
         return True
 
     def _setup_paths(self) -> list[Path]:
         """Return the files that all programs are converted with, as far as they can be read."""
-        settings, forces = self.settings, self.options.get("forces")
+        settings = self.settings
         paths = [settings.cell, *([] if settings.part is None else [settings.part])]
         try:
             cell = cells.load(settings.cell)
-            paths += [] if cell.config_dat is None else [Path(cell.folder) / cell.config_dat]
-            model = robots.find(cell.robot, Path(cell.folder))
-            paths += [model / "robot.urdf", model / "model.toml"]
+            paths += [*inputs.of_cell(settings.cell, cell)[1:], *inputs.of_robot(cell)]
         except PostprocError:
             pass
-        if forces is not None and not forces.is_dir():
-            paths.append(forces)
-        if forces is not None and forces.suffix.lower() == PROCESS:
-            try:
-                given = process.load(forces)
-                named = (given.stock.file, None if given.material is None else given.material.file)
-                paths += [forces.parent / name for name in named if name is not None]
-            except PostprocError:
-                pass
+        forces: Path | None = self.plain_options["forces"]
+        if forces is not None:
+            paths += inputs.of_forces(forces)
         return paths
 
     def convert(self, ready: Sequence[Path]) -> Iterator[tuple[Outcome, Job]]:
@@ -250,7 +269,7 @@ class _Watcher:
             yield from self._converted(jobs, before)
         except PostprocError as cause:
             if len(ready) == 1:
-                earlier = left(jobs, self.settings.mode)
+                earlier = left(jobs or self._jobs_without_forces(ready[0]), self.settings.mode)
                 failed = Outcome(str(ready[0]), FAILED, message=str(cause), earlier=earlier)
                 self._record(ready[0], failed, *before[ready[0]])
                 self._write_overview()
@@ -291,16 +310,54 @@ class _Watcher:
 
     def _jobs(self, ready: Sequence[Path]) -> list[Job]:
         """Return the jobs of programs; of one that others call, those of its callers."""
-        options = {"output": self.output, **self.options}
+        options = {"output": self.output, **self.plain_options}
         try:
             every = find_jobs([str(self.folder)], **options)
         except PostprocError:  # one of the others cannot be read yet
-            return find_jobs([str(path) for path in ready], **options)
+            return self._with_forces(find_jobs([str(path) for path in ready], **options))
         chosen = set(ready)
         for job in every:
             if job.program in chosen:
                 chosen |= set(job.callers)
-        return [job for job in every if job.program in chosen and not job.callers]
+        return self._with_forces(job for job in every if job.program in chosen and not job.callers)
+
+    def _jobs_without_forces(self, program: Path) -> list[Job]:
+        """Return the job of a program whose forces are unusable; none if the program is the cause."""
+        try:
+            return find_jobs([str(program)], output=self.output, **self.plain_options)
+        except PostprocError:
+            return []
+
+    def _with_forces(self, jobs: Iterable[Job]) -> list[Job]:
+        """Return jobs with their files of forces; one that has none, but should, names the file that is missing."""
+        folder = self.force_folder
+        return (
+            list(jobs)
+            if folder is None
+            else [replace(job, forces=self._forces_of(job.program, folder)) for job in jobs]
+        )
+
+    def _forces_of(self, program: Path, folder: Path) -> Path | None:
+        """Return the file with the forces of a program, which may be missing; None if its comments state them.
+
+        :raises ForceError: there are several.
+        """
+        file = force_file(program, self.force_files)
+        return file if file is not None or _states_forces(program) else folder / f"{program.stem}.csv"
+
+    def _waits_for_forces(self, path: Path) -> bool:
+        """Return whether the forces of a program have not arrived, and nothing has been written for it.
+
+        A program that was written loses its result if its forces are removed: it is tried again, and fails.
+        """
+        if not self.force_files or path.stem.lower() in self.force_files or _states_forces(path):
+            return False
+        if (self.output / f"{path.stem}.report.json").is_file():
+            return False
+        self._say_once(
+            f"{path} waits for its forces: {path.stem}.csv or {path.stem}.forces.csv in {self.force_folder}."
+        )
+        return True
 
     def _programs(self) -> list[Path]:
         known = registry.extensions()
@@ -316,10 +373,7 @@ class _Watcher:
     def _reads(self, path: Path) -> list[Path]:
         """Return the files that belong to a program: it, those read with it, its forces."""
         companions = registry.of_file(path).companions(path) if self.options.get("dialect") is None else []
-        forces = self.options.get("forces")
-        if forces is not None and forces.is_dir():
-            companions += [one for end in (".csv", ".forces.csv") if (one := forces / f"{path.stem}{end}").is_file()]
-        return [path, *companions]
+        return [path, *companions, *self.force_files.get(path.stem.lower(), ())]
 
     def _signature(self, path: Path) -> Signature | None:
         """Return names, sizes and times of the files of a program; None if one is not there any more."""
@@ -342,26 +396,31 @@ class _Watcher:
         if total is None:
             return False
         entry = self.entries.get(path.name)
-        if entry is None or entry.setup == self.setup:
-            new = (entry is None or entry.sum != total) and not self._has_report(path)
-        else:
-            new = True
-        if new:
+        if not self._is_written(path) if entry is None else (entry.sum, entry.setup) != (total, self.setup):
             return True
         self.finished[path] = signature
         return False
 
-    def _has_report(self, path: Path) -> bool:
-        """Return whether a report in the output folder is that of the program and the cell as they are."""
+    def _is_written(self, path: Path) -> bool:
+        """Return whether the output folder has the program as these files and options make it.
+
+        The line of origin in the written program is the evidence. Only pages and tables depend on the mesh of a part.
+        """
+        if self.settings.part is not None:
+            return False
         try:
-            content = json.loads((self.output / f"{path.stem}.report.json").read_bytes())
-            source = provenance.digest(one.read_bytes() for one in self._reads(path) if one.suffix.lower() != ".csv")
-            made_from = source, provenance.digest([self.settings.cell.read_bytes()])
-            written = [self.output / entry["name"] for entry in content["files"]]
-            marks = (_SOURCE.search(one.read_bytes()[:_HEAD]) for one in written if one.suffix in (".src", ".mod"))
-            found = {(mark[1].decode(), mark[2].decode()) for mark in marks if mark}
-            return content["program"] == path.name and made_from in found
-        except (OSError, ValueError, KeyError, TypeError):
+            (job,) = self._with_forces(find_jobs([str(path)], output=self.output, **self.plain_options))
+            content = json.loads((self.output / job.report("convert")).read_bytes())
+            main = next(self.output / name for name in job.mains("convert") if (self.output / name).is_file())
+            written = job.writer.origin(read_documents(main, registry.written_in(job.dialect, job.to)[0]))
+            source = read_documents(path, job.dialect)
+            cell = cells.load(self.settings.cell)
+            here = origin_of(source, self.settings.cell, cell, job.forces, "corrected")
+            sums = {"source": here.source, "cell": here.cell, "model": here.model, "forces": here.forces}
+            options = options_of(self.settings)
+            same = (written.sums, written.options, written.mode) == (sums, options, "corrected")
+            return same and written.version == VERSION and content["program"] == path.name
+        except (PostprocError, OSError, ValueError, KeyError, TypeError, StopIteration):
             return False
 
     def _record(self, path: Path, outcome: Outcome, signature: Signature, total: str | None) -> None:
