@@ -132,6 +132,13 @@ class Place:
         value[last] = fitting(kind, new)
 
 
+def whole(value):
+    """A number that an expression gives; what becomes of an INT beyond 32 bits is in no source."""
+    if isinstance(value, int) and not isinstance(value, bool) and not -(2**31) <= value < 2**31:
+        raise Invalid("an INT is too large")
+    return value
+
+
 def fitting(kind, value):
     """What a variable of a type makes of a value."""
     if isinstance(value, bool) or not isinstance(value, int | float):
@@ -752,10 +759,10 @@ class Controller:
         if reader.peek() == "NOT":
             reader.take()
             return not self.comparison(reader)
-        value = self.sum(reader)
+        value = self.bits(reader)
         if reader.peek() in ("==", "<>", "<", ">", "<=", ">="):
             sign, other = reader.take(), None
-            other = self.sum(reader)
+            other = self.bits(reader)
             value = {
                 "==": lambda: value == other,
                 "<>": lambda: value != other,
@@ -766,12 +773,26 @@ class Controller:
             }[sign]()
         return value
 
+    def bits(self, reader, level=0):
+        """Terms joined by B_OR, B_EXOR, B_AND, of which the last binds most; they rank before comparisons."""
+        words = ("B_OR", "B_EXOR", "B_AND")
+        if level == len(words):
+            return self.sum(reader)
+        value = self.bits(reader, level + 1)
+        while reader.peek() == words[level]:
+            reader.take()
+            other = self.bits(reader, level + 1)
+            if not (isinstance(value, int) and isinstance(other, int)):
+                raise Invalid("bits of what is no INT")
+            value = (value | other, value ^ other, value & other)[level]
+        return value
+
     def sum(self, reader):
         value = self.product(reader)
         while reader.peek() in ("+", "-"):
             sign = reader.take()
             other = self.product(reader)
-            value = value + other if sign == "+" else value - other
+            value = whole(value + other if sign == "+" else value - other)
         return value
 
     def product(self, reader):
@@ -780,7 +801,7 @@ class Controller:
             sign = reader.take()
             other = self.sign(reader)
             if sign == "*":
-                value = value * other
+                value = whole(value * other)
             elif other == 0:
                 raise Invalid("division by zero")
             elif isinstance(value, int) and isinstance(other, int):
@@ -826,6 +847,9 @@ class Controller:
             return self.aggregate(reader)
         if token in ("TRUE", "FALSE"):
             return reader.take() == "TRUE"
+        if token == "B_NOT":
+            reader.take()
+            return ~self.primary(reader)
         if kind != "name":
             raise Invalid(f"{token!r} is no value")
         if reader.peek(1) == "(":

@@ -193,6 +193,9 @@ def operand(source: Source, start: int, stop: int) -> _Read:
         aggregate = parse_aggregate(source, start, stop)
         return aggregate, aggregate.stop
     if match := NAME.match(text, start, stop):
+        if match[0].upper() == "B_NOT":
+            value, end = operand(source, match.end(), stop)
+            return Operation("B_NOT", None, value, start, end), end
         return _variable(source, match, stop)
     if first == "(":
         return _in_brackets(source, start, stop)
@@ -218,7 +221,7 @@ def _in_brackets(source: Source, start: int, stop: int) -> _Read:
         raise value.error
     if isinstance(value, Reference):
         return replace(value, start=start, stop=close + 1, bracketed=True), close + 1
-    if isinstance(value, Number | Operation | Condition | Opaque):
+    if isinstance(value, Number | Operation | Condition | Opaque | Chain):
         return replace(value, start=start, stop=close + 1), close + 1
     return Condition((value,), (False,), (), start, close + 1), close + 1
 

@@ -12,7 +12,7 @@ from postproc.program import FORCE_COMMENT
 NAME = re.compile(r"[A-Za-z_$][\w$]*", re.ASCII)
 BLANKS = " \t"
 _WORD = re.compile(r"\"[^\"]*\"?|(?<![\w$#.])[A-Za-z_$][\w$]*", re.ASCII)
-_OPERATOR = re.compile(r"==|<>|<=|>=|<|>|(?:AND|OR|EXOR)\b", re.IGNORECASE)
+_OPERATOR = re.compile(r"==|<>|<=|>=|<|>|(?:B_)?(?:AND|OR|EXOR)\b", re.IGNORECASE)
 _NOT = re.compile(r"NOT\b", re.IGNORECASE)
 _OCCURRENCE = re.compile(
     r"\"[^\"]*\"|'[BbHh][0-9A-Fa-f]+'|[.#][ \t]*[A-Za-z_]\w*|\d[\w.]*|[A-Za-z_$][\w$]*|[\[\](){},]", re.ASCII

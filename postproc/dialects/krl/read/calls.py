@@ -18,7 +18,7 @@ from postproc.dialects.krl.read.explanations import why_unknown
 from postproc.dialects.krl.read.known import NOTHING, Known, Scope, Unknown, inexact
 from postproc.dialects.krl.read.run import SETTING_ADVICE, Apart, Level, Run
 from postproc.dialects.krl.read.state import FIELDS, RELEVANT, STORED
-from postproc.dialects.krl.read.variables import converted
+from postproc.dialects.krl.read.variables import WHOLE, converted
 from postproc.errors import Issue, ProgramError
 
 _DEEPEST = 20
@@ -35,6 +35,7 @@ class Calls:
 
     def __init__(self, run: Run, called: Callable[[], None]) -> None:
         self.run, self._called = run, called
+        run.variables.functions = _Pure(self)
         self.entered: list[_Bound] = []
 
     def value(self, at: Place, value: Value) -> Known:
@@ -66,6 +67,9 @@ class Calls:
         self._check_motion(at, call, *found, effects)
         if found[0] is self.run.library.program:
             self.run.reached |= {found[1]}
+        if _harmless(effects):
+            result = None if self._obstacle(at, call, *found, effects) else self._executed(at, call, *found)
+            return unknown if result is None else result
         if certain and not self._obstacle(at, call, *found, effects):
             result = self._executed(at, call, *found)
             if result is not None:
@@ -213,6 +217,8 @@ class Calls:
         except ProgramError:
             self._back(bound)
             return None
+        finally:
+            self.run.place = at
         self._end(bound)
         return level.result if level.result != NOTHING else Unknown(str(at))
 
@@ -260,17 +266,18 @@ class Calls:
             for (index, _), root in zip(written, roots, strict=True)
             if index < len(routine.parameters) and root in self.run.variables.changing
         }
-        integers = frozenset(index for index, reference in written if self.run.variables.kind(reference) == "INT")
+        kinds = {index: self.run.variables.kind(reference) for index, reference in written}
         return _Bound(
-            at, module, routine, scope, arguments, given, integers, changing, self.run.level, self.run.variables.scope
+            at, module, routine, scope, arguments, given, kinds, changing, self.run.level, self.run.variables.scope
         )
 
     def _begin(self, bound: _Bound, *, traced: bool) -> Level:
         """Make a routine the running one."""
         for index, parameter in enumerate(bound.routine.parameters):
             stored, kind = bound.scope.stored(parameter.name), bound.routine.types.get(parameter.name, "")
-            if kind == "REAL" and index in bound.integers:
-                kind = "INT"
+            argument = bound.kinds.get(index, kind)
+            if (kind == "REAL" and argument in ("INT", WHOLE)) or (kind == "INT" and argument != "INT"):
+                kind = WHOLE
             if kind:
                 self.run.variables.types[stored] = kind
             given = bound.given.get(index, NOTHING)
@@ -304,6 +311,32 @@ class Calls:
                 variables.set(key, value, str(at))
 
 
+def _harmless(effects: Effects) -> bool:
+    """Return whether a routine does nothing but give a value."""
+    changes = effects.writes or effects.anytime or effects.absent
+    moves = effects.motion or effects.interrupting or effects.force or effects.resumes
+    return not (changes or moves or effects.parameter or effects.lasting or effects.jumps)
+
+
+class _Pure(Struct, frozen=True, eq=False):
+    """The functions of a program that change nothing, see `variables.Functions`."""
+
+    calls: Calls
+
+    def pure(self, call: Call) -> bool:
+        """Return whether a call gives a value and does nothing else; functions in its arguments do not count."""
+        run = self.calls.run
+        if call.name in PURE:
+            return True
+        found = run.library.find(call.name, run.level.module)
+        return found is not None and bool(found[1].result) and _harmless(run.analysis.of(*found))
+
+    def value(self, call: Call) -> Known:
+        """Return what it gives."""
+        at = self.calls.run.place
+        return NOTHING if at is None else self.calls.call(at, call, certain=False)
+
+
 class _Argument(NamedTuple):
     """An argument that a routine may write.
 
@@ -320,8 +353,8 @@ class _Bound(Struct, frozen=True, eq=False):
     """A call.
 
     :param written: arguments that the routine may write; `given` the values of all, by place.
-    :param integers: places of those that are INT. A REAL parameter is read as INT there: no source says whether the
-        routine sees what it assigned or what the variable keeps of it. As INT a value is not known where these differ.
+    :param kinds: types of these. A REAL parameter whose argument is an INT, or the other way round, is `WHOLE`: no
+        source says whether the routine sees what it assigned or what the variable keeps of it.
     :param changing: stored names of parameters whose arguments may change at any time, and what changes them.
     """
 
@@ -331,7 +364,7 @@ class _Bound(Struct, frozen=True, eq=False):
     scope: Scope
     written: list[_Argument]
     given: dict[int, Known]
-    integers: frozenset[int]
+    kinds: dict[int, str]
     changing: dict[str, Unknown]
     caller: Level
     caller_scope: Scope

@@ -6,44 +6,38 @@ matters, a condition counts as known only if comparing first is the only way in 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from operator import and_, or_, xor
 
 import numpy as np
 
-from postproc.dialects.krl.language.expressions import calls
 from postproc.dialects.krl.language.tree import Case, Statement
-from postproc.dialects.krl.language.values import Condition, Number, Value, Word
+from postproc.dialects.krl.language.values import Condition, Number, Word
 from postproc.dialects.krl.read.known import Known
-from postproc.dialects.krl.read.variables import Variables
-from postproc.errors import ProgramError
 
 _LOGIC = ("AND", "EXOR", "OR")
+_BITWISE: dict[str, Callable[[int, int], int]] = {"B_AND": and_, "B_EXOR": xor, "B_OR": or_}
 _CLOSE = 1e-5
 """REALs that differ by less than this share may compare otherwise on a controller, which has fewer digits."""
 
 Term = bool | Number | Word | None
 
 
-def truth(variables: Variables, condition: Value | None) -> bool | None:
-    """Return whether a condition holds; None where that is not known before the program runs."""
-    try:
-        if condition is None or calls([condition]):
-            return None
-        value = _term(variables, condition)
-    except ProgramError:
-        return None
-    return value if isinstance(value, bool) else None
+def joined(known: Sequence[Known], condition: Condition) -> Term:
+    """Return the value of terms joined by operators; None where it is not known.
+
+    :param known: values of the terms of the condition.
+    """
+    terms: list[Term] = []
+    for value, inverse in zip(known, condition.negated, strict=True):
+        term = plain(value)
+        terms.append((not term if isinstance(term, bool) else None) if inverse else term)
+    return _joined(terms, list(condition.negated), list(condition.operators))
 
 
-def chosen(variables: Variables, value: Known, cases: Sequence[Value]) -> bool | None:
-    """Return whether one of the values behind CASE is that of its SWITCH; None where that is not known."""
-    found: bool | None = False
-    for case in cases:
-        same = _compared("==", _plain(value), _term(variables, case))
-        if same:
-            return True
-        found = None if same is None else found
-    return found
+def same(value: Known, case: Known) -> bool | None:
+    """Return whether the value of a SWITCH is one behind CASE; None where that is not known."""
+    return _compared("==", plain(value), plain(case))
 
 
 def constant_cases(heads: Sequence[Statement]) -> dict[float | None, int] | None:
@@ -64,16 +58,9 @@ def constant_cases(heads: Sequence[Statement]) -> dict[float | None, int] | None
     return {None: -2, **table}
 
 
-def _condition(variables: Variables, condition: Condition) -> Term:
-    """Return the value of terms joined by operators."""
-    terms = []
-    for part, inverse in zip(condition.terms, condition.negated, strict=True):
-        term = _term(variables, part)
-        terms.append((not term if isinstance(term, bool) else None) if inverse else term)
-    return _joined(terms, list(condition.negated), list(condition.operators))
-
-
 def _joined(terms: list[Term], negated: list[bool], operators: list[str]) -> Term:
+    if not _by_bits(terms, negated, operators):
+        return None
     mixed = any(operator in _LOGIC for operator in operators)
     index = 0
     while index < len(operators):
@@ -98,6 +85,24 @@ def _joined(terms: list[Term], negated: list[bool], operators: list[str]) -> Ter
     return terms[0]
 
 
+def _by_bits(terms: list[Term], negated: list[bool], operators: list[str]) -> bool:
+    """Join terms by B_AND, B_EXOR and B_OR, in this order; they take INTs alone, so that comparisons cannot be first.
+
+    :returns: False if one of their terms is not known, or is no INT of 32 bits.
+    """
+    for operator, bitwise in _BITWISE.items():
+        while operator in operators:
+            at = operators.index(operator)
+            left, right = terms[at], terms[at + 1]
+            if not (isinstance(left, Number) and isinstance(right, Number) and left.integer and right.integer):
+                return False
+            value = float(bitwise(int(left.value), int(right.value)))
+            terms[at : at + 2] = [Number(value, left.start, right.stop, True)]
+            negated[at : at + 2] = [False]
+            del operators[at]
+    return True
+
+
 def _logical(operator: str, left: Term, right: Term) -> bool | None:
     known = [side for side in (left, right) if isinstance(side, bool)]
     if operator == "AND":
@@ -107,14 +112,8 @@ def _logical(operator: str, left: Term, right: Term) -> bool | None:
     return known[0] != known[1] if len(known) == 2 else None
 
 
-def _term(variables: Variables, term: Value) -> Term:
-    """Return the value of what comparisons and logic join."""
-    if isinstance(term, Condition):
-        return _condition(variables, term)
-    return _plain(variables.evaluate(term))
-
-
-def _plain(known: Known) -> Term:
+def plain(known: Known) -> Term:
+    """Return a BOOL as such, numbers and words as they are, None for all other values."""
     if isinstance(known, Word) and known.text in ("TRUE", "FALSE"):
         return known.text == "TRUE"
     return known if isinstance(known, Number | Word) else None

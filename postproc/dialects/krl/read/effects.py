@@ -129,7 +129,8 @@ class Analysis:
     def of(self, module: Module, routine: Routine) -> Effects:
         """Return the effects of a routine, including all that it calls."""
         if routine not in self._all:
-            total = Effects(jumps=self._of_routine(module, routine).now.jumps)
+            now = self._of_routine(module, routine).now
+            total = Effects(jumps=now.jumps, parameter=now.parameter)
             for reached in self._reached([(module, routine)]):
                 direct = self._of_routine(*reached)
                 total.add(direct.now)

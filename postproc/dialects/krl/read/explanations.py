@@ -56,10 +56,8 @@ def why_unknown(variables: Variables, source: Source, value: Value | Known) -> s
     for side in sides:
         if isinstance(variables.evaluate(side), Unknown):
             return why_unknown(variables, source, side)
-    if isinstance(value, Operation):
-        numbers = [variables.evaluate(side) for side in sides]
-        if value.operator == "/" and all(isinstance(one, Number) and one.integer for one in numbers):
-            return f"{text} divides two INTs with a remainder (write one of them as a REAL, with a decimal point)"
+    if isinstance(value, Operation) and isinstance(known := variables.evaluate(value), Unknown) and known.why:
+        return f"{text}: {known.why}"
     if isinstance(value, Reference) and value.name[0] == "$":
         known = variables.looked_up(value)
         if isinstance(known, Unknown) and known != NOTHING:
@@ -84,6 +82,8 @@ def why_not_decided(variables: Variables, source: Source, values: Sequence[Value
     :returns: empty if each of them is known.
     """
     for call in calls(values):
+        if variables.functions.pure(call):
+            continue
         return f": it asks {call.spelt(source)}()"
     for one in walk(values):
         known = variables.looked_up(one) if isinstance(one, Reference) else NOTHING

@@ -19,7 +19,7 @@ from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.structures import LOOPS, Block, Node
 from postproc.dialects.krl.language.values import Call, Number, Value
-from postproc.dialects.krl.read.conditions import chosen, constant_cases, truth
+from postproc.dialects.krl.read.conditions import constant_cases
 from postproc.dialects.krl.read.explanations import why_not_decided, without_value
 from postproc.dialects.krl.read.interpreter import LOOP_ADVICE, Interpreter, undecided_jump
 from postproc.dialects.krl.read.known import InexactError, inexact
@@ -365,7 +365,7 @@ class Flow:
         """
         run, level = self.run, self.run.level
         heads = [part.head for part in block.parts]
-        if any(calls(statement(source, head).values) for head in heads):
+        if any(self._changing(statement(source, head).values) for head in heads):
             raise why
         self._forks += 1
         if self._forks > _MOST_FORKS:
@@ -401,7 +401,7 @@ class Flow:
         if trace is None or not isinstance(block, Block) or not run.level.traced or run.level.loops or not run.certain:
             return 0
         part = block.parts[0]
-        if block.word != "IF" or len(block.parts) > 1 or calls(statement(source, block.first).values):
+        if block.word != "IF" or len(block.parts) > 1 or self._changing(statement(source, block.first).values):
             return 0
         beyond, end = self._target(source, nodes, index, part.nodes[-1:], last=last)
         if not beyond:
@@ -469,15 +469,20 @@ class Flow:
                 return number + 1, line
         return 0, 0
 
+    def _changing(self, values: Iterable[Value]) -> bool:
+        """Return whether values have calls that may do more than give a value."""
+        return not all(map(self.run.variables.functions.pure, calls(values)))
+
     def _taken(self, source: Source, block: Block) -> int:
         """Return which part of IF or SWITCH runs; −1 for none."""
         at, here = Place(source, block.first), statement(source, block.first)
+        self.run.place = at
         if isinstance(here, tree.If):
-            holds = truth(self.run.variables, here.condition)
+            holds = self.run.variables.truth(here.condition)
             if holds is None:
                 raise _undecided(self.run, at)
             return 0 if holds else 1 if len(block.parts) > 1 else -1
-        if not isinstance(here, tree.Switch) or calls(here.values):
+        if not isinstance(here, tree.Switch) or self._changing(here.values):
             raise _undecided(self.run, at)
         known = self.run.variables.evaluate(here.value)
         if self._still or not self.run.level.traced:
@@ -493,7 +498,7 @@ class Flow:
             if isinstance(case, tree.Faulty):
                 raise case.error
             values = case.cases if isinstance(case, tree.Case) else ()
-            found = case.word == "DEFAULT" or chosen(self.run.variables, known, values)
+            found = case.word == "DEFAULT" or self.run.variables.chosen(known, values)
             if found is None:
                 raise _undecided(self.run, at)
             if found:
@@ -611,8 +616,9 @@ class Flow:
 
     def _holds(self, source: Source, line: int) -> bool:
         here, holds = statement(source, line), None
+        self.run.place = Place(source, line)
         if isinstance(here, tree.While):
-            holds = truth(self.run.variables, here.condition)
+            holds = self.run.variables.truth(here.condition)
         if holds is None:
             raise _undecided(self.run, Place(source, line))
         return holds
@@ -649,6 +655,7 @@ class _Counter:
         if key is None:
             raise _undecided(run, self.at, [here.counter])
         self.key, self.given = key, here.bounds
+        run.place = self.at
         self.last, self.step = self._bounds()
         self._set(self._whole(self.given[0]))
 
@@ -669,6 +676,7 @@ class _Counter:
 
     def advance(self) -> None:
         """Advance by one step."""
+        self.run.place = self.at
         if self._bounds() != (self.last, self.step):
             raise inexact(self.at, "motion inside FOR: its end changes while it runs", LOOP_ADVICE)
         self._set(self.now() + self.step)
@@ -680,7 +688,8 @@ class _Counter:
     def _bounds(self) -> tuple[int, int]:
         """Return its present last value and step."""
         first, last, width = self.given
-        if calls([first, last, *([] if width is None else [width])]):
+        bounds = [first, last, *([] if width is None else [width])]
+        if not all(map(self.run.variables.functions.pure, calls(bounds))):
             raise self._unknown()
         step = 1 if width is None else self._step(width)
         return self._whole(last), step

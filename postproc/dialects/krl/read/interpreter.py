@@ -81,6 +81,7 @@ class Interpreter:
         :raises ProgramError: it is not understood, or its effect on motion is not modelled.
         """
         here = statement(at.source, at.line)
+        self.run.place = at
         if isinstance(here, tree.Motion | tree.Spline | tree.EndSpline):
             if self.run.in_main:
                 self._motion(at, here)
@@ -236,7 +237,8 @@ class Interpreter:
         elif value == NOTHING and name == "$H_POS" and target.field is None:
             return
         else:
-            if value == NOTHING or (target.field is not None and isinstance(value, Unknown) and not value.why):
+            unclear = isinstance(value, Unknown) and not (value.where if value.why else target.field is None)
+            if value == NOTHING or unclear:
                 value = Unknown(str(at), why_unknown(self.run.variables, at.source, given))
             if target.field is None:
                 self.run.variables.set(key, value, str(at))

@@ -135,6 +135,7 @@ class Run:
     :ivar routine: the main routine.
     :ivar source: the execution trace of the program, see `course`.
     :ivar line: present line of the trace.
+    :ivar place: the statement that runs, in the file of its routine.
     :ivar level: the routine that runs.
     :ivar stack: it, and those that called it.
     :ivar steps: statements of called routines that have run.
@@ -161,6 +162,7 @@ class Run:
         self.scopes = Scopes(library.program, routine, self.variables)
         self.analysis = Analysis(library, self.scopes.of)
         self.line = 0
+        self.place: Place | None = None
         self.level = Level(library.program, routine, Scope(), traced=True)
         self.stack: list[Routine] = [routine]
         self.steps = self.calls = 0

@@ -6,12 +6,13 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from copy import copy
+from typing import Protocol
 
 import numpy as np
 from msgspec.structs import replace
 
 from postproc.cell import Cell
-from postproc.dialects.krl.language.expressions import value_at
+from postproc.dialects.krl.language.expressions import calls, value_at
 from postproc.dialects.krl.language.names import MAX_LENGTH
 from postproc.dialects.krl.language.positions import AXES, CARTESIAN, Position, from_aggregate, from_pose
 from postproc.dialects.krl.language.source import Source
@@ -19,6 +20,7 @@ from postproc.dialects.krl.language.values import (
     Aggregate,
     Call,
     Chain,
+    Condition,
     Number,
     Opaque,
     Operation,
@@ -28,6 +30,7 @@ from postproc.dialects.krl.language.values import (
     Word,
     parts,
 )
+from postproc.dialects.krl.read.conditions import joined, plain, same
 from postproc.dialects.krl.read.known import NOTHING, Known, Scope, Unknown, Unread
 from postproc.dialects.krl.read.state import RELEVANT
 from postproc.errors import CellError, ProgramError
@@ -46,6 +49,13 @@ _FUNCTIONS: dict[str, Callable[..., float]] = {
 }
 ZERO = Position((0.0,) * 6)
 ANGLES = CARTESIAN[3:]
+WHOLE = "INT or REAL"
+"""Type of a parameter without ``:IN`` whose argument has the other of these types: no source says which it is."""
+_LARGEST_INT = 2.0**31
+_BEYOND_INT = Unknown(why="what becomes of an INT beyond 32 bits is in no source")
+_HALF = 1e-5
+"""REALs that are closer than this share to the middle between two INTs may be rounded to either: they have fewer
+digits on a controller."""
 _TURN = 1e-3
 """Angles closer than this [deg] to 90° or 180° may be those of another set: a REAL has seven digits."""
 _SET_BY_PROGRAMS = frozenset({"$OUT", "$ANOUT", "$ACC", "$VEL_AXIS", "$ACC_AXIS", "$ACT_BASE", "$ACT_TOOL", "$LOAD"})
@@ -57,6 +67,24 @@ _SAME_PLACE = 1e-6
 """Frames closer than this [m] are equal: files and displays give three decimals of a millimetre."""
 _SAME_ANGLE = math.radians(1e-3)
 """The same for orientations [rad]."""
+
+
+class Functions(Protocol):
+    """The functions that a program declares."""
+
+    def pure(self, call: Call) -> bool:
+        """Return whether a call gives a value and changes nothing, so that it does not matter when and how often."""
+
+    def value(self, call: Call) -> Known:
+        """Return what a call gives that is `pure`."""
+
+
+class _NoFunctions:
+    def pure(self, call: Call) -> bool:
+        return False
+
+    def value(self, call: Call) -> Known:
+        return NOTHING
 
 
 class Variables:
@@ -75,6 +103,7 @@ class Variables:
     :ivar initial: names that keep their values from run to run: those of data lists, BASE_DATA and TOOL_DATA.
     :ivar current: present value of one of the `RELEVANT` variables, or of a component of it (name, field); the settings
         in force have these, see `Settings`.
+    :ivar functions: those of the program, see `calls`.
     :ivar late: first values, by key, of data lists that are read when the program first calls their file: they held
         from its beginning.
     :ivar reading_late: True while such a list is read.
@@ -93,6 +122,7 @@ class Variables:
         self.changed: dict[str, str] = {}
         self.initial = set(FRAME_ARRAYS)
         self.current: Callable[[str, str | None], Known] = _not_followed
+        self.functions: Functions = _NoFunctions()
         self.late: dict[str, Known | Unread] = {}
         self.reading_late = False
         self._stated = {f"{name}[0]": (ZERO, "the controller, whose number 0 is $NULLFRAME") for name in FRAME_ARRAYS}
@@ -333,37 +363,85 @@ class Variables:
             return self._product(value)
         if isinstance(value, Call):
             return self._function(value)
+        if isinstance(value, Condition):
+            return self._decided(value)
         if isinstance(value, Unreadable):
             raise value.error
         return NOTHING
 
     def _resolved(self, aggregate: Aggregate) -> Aggregate:
         """Return an aggregate whose components have the values that they have now."""
-        if not any(isinstance(item, Reference | Operation | Call) for item in aggregate.items.values()):
+        if all(isinstance(item, Number | Word | Opaque) for item in aggregate.items.values()):
             return aggregate
-        items = {}
+        items: dict[str, Value] = {}
         for name, item in aggregate.items.items():
             known = self.evaluate(item)
             items[name] = known if isinstance(known, Number | Word | Aggregate) else Opaque(*_span(item))
+        if all(known is item for known, item in zip(items.values(), aggregate.items.values(), strict=True)):
+            return aggregate
         return replace(aggregate, items=items, computed=True)
 
+    def truth(self, condition: Value | None) -> bool | None:
+        """Return whether a condition holds; None where that is not known before the program runs."""
+        try:
+            if condition is None or not all(map(self.functions.pure, calls([condition]))):
+                return None
+            value = plain(self.evaluate(condition))
+        except ProgramError:
+            return None
+        return value if isinstance(value, bool) else None
+
+    def chosen(self, value: Known, cases: Sequence[Value]) -> bool | None:
+        """Return whether one of the values behind CASE is that of its SWITCH; None where that is not known."""
+        equal: bool | None = False
+        for case in cases:
+            found = same(value, self.evaluate(case))
+            if found:
+                return True
+            equal = None if found is None else equal
+        return equal
+
+    def _decided(self, condition: Condition) -> Known:
+        """Return the value of terms joined by comparisons and logic, or of one alone in brackets."""
+        known = [self.evaluate(term) for term in condition.terms]
+        if not condition.operators and not (condition.negated and condition.negated[0]):
+            return known[0]
+        value = joined(known, condition)
+        if isinstance(value, bool):
+            return Word(str(value).upper(), condition.start, condition.stop)
+        if isinstance(value, Number | Word):
+            return value
+        return next((one for one in known if isinstance(one, Unknown)), NOTHING)
+
     def _computed(self, operation: Operation) -> Known:
-        """Return a sum, difference, product or quotient; two INTs are divided only where nothing remains."""
+        """Return a sum, difference, product or quotient.
+
+        The quotient of two INTs has no decimal places (KUKA, Expert Programming); to which side those of a negative one
+        are cut off is in no source, nor what becomes of an INT beyond 32 bits.
+        """
         left = Number(0.0, 0, 0, True) if operation.left is None else self.evaluate(operation.left)
         right = self.evaluate(operation.right)
         if not isinstance(left, Number) or not isinstance(right, Number):
             return next((side for side in (left, right) if isinstance(side, Unknown)), NOTHING)
         a, b, integer = left.value, right.value, left.integer and right.integer
-        if operation.operator == "/" and (b == 0.0 or (integer and a % b != 0.0)):
+        if operation.operator == "B_NOT":
+            return Number(-1.0 - b, operation.start, operation.stop, True) if right.integer else NOTHING
+        if operation.operator == "/" and b == 0.0:
             return NOTHING
+        if operation.operator == "/" and integer and a % b != 0.0:
+            if a < 0.0 or b < 0.0:
+                return Unknown(why="to which side the quotient of negative INTs is rounded is in no source")
+            return Number(a // b, operation.start, operation.stop, True)
         value = {"+": a + b, "-": a - b, "*": a * b, "/": a / b if b else 0.0}[operation.operator]
+        if integer and abs(value) >= _LARGEST_INT:
+            return _BEYOND_INT
         return Number(value, operation.start, operation.stop, integer) if math.isfinite(value) else NOTHING
 
     def _function(self, call: Call) -> Known:
         """Return what a function of the controller gives (angles in degrees) that depends on nothing else."""
         function = _FUNCTIONS.get(call.name)
         if function is None and call.name != "INV_POS":
-            return NOTHING
+            return self.functions.value(call) if self.functions.pure(call) else NOTHING
         given = [self.evaluate(argument) for argument in call.arguments]
         numbers = [one.value for one in given if isinstance(one, Number)]
         if call.name == "INV_POS" and len(given) == 1:
@@ -453,7 +531,7 @@ class Variables:
         """Note which names a motion, a frame or a speed depends on."""
         if isinstance(value, Reference):
             self.used.add(self.scope.stored(value.name))
-        if isinstance(value, Reference | Chain | Operation | Aggregate):
+        if isinstance(value, Reference | Chain | Operation | Aggregate | Call | Condition):
             for part in parts(value):
                 self.rely(part)
 
@@ -547,15 +625,22 @@ def _from_cell(value: float) -> Number | Word:
 
 
 def converted(value: Known, kind: str) -> Known:
-    """Return a value converted to the type of a variable.
+    """Return a value converted to the type of a variable: a REAL is rounded to an INT (KUKA, Expert Programming).
 
-    :param kind: its type, upper case; empty if that is not known.
+    :param kind: its type, upper case; empty if that is not known; `WHOLE` if it is REAL or INT.
     """
     if not isinstance(value, Number) or kind == "REAL":
         return replace(value, integer=False) if isinstance(value, Number) else value
     whole = value.value == int(value.value)
+    if kind == WHOLE and not whole:
+        return Unknown(why=f"whether {value.value:g} is rounded to an INT is in no source")
+    if kind in ("INT", WHOLE) and abs(value.value) >= _LARGEST_INT:
+        return _BEYOND_INT
     if kind == "INT" and not whole:
-        return Unknown(why=f"{value.value:g} is rounded to an INT")
+        nearest = round(value.value)
+        if abs(abs(value.value - nearest) - 0.5) < _HALF * max(1.0, abs(value.value)):
+            return Unknown(why=f"to which side {value.value:g} is rounded is in no source")
+        return replace(value, value=float(nearest), integer=True)
     return replace(value, integer=whole)
 
 
