@@ -8,7 +8,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from postproc import robot
-from postproc.correction import Mode, Result
+from postproc.correction import ExpectedErrors, Mode, Result
 from postproc.errors import Issue
 from postproc.frames import Array, pose_from_xyzabc, xyzabc_from_pose
 from postproc.poses import Poses
@@ -86,7 +86,18 @@ def with_changes(base: Result, **changes: object) -> Result:
     """The same result with other fields; distances `before` and `after` are taken straight down."""
     for name in {"before", "after"} & set(changes):
         changes[f"deviation_{name}"] = _down(changes.pop(name))
-    return replace(base, **changes)
+    changed = replace(base, **changes)
+    return changed if "errors" in changes else replace(changed, errors=_errors(changed))
+
+
+def _errors(of: Result, chance: float = 0.99) -> ExpectedErrors | None:
+    """Expected errors as if all of the bound were along the deviation, half of its variance by forces."""
+    if of.bound is None:
+        return None
+    more = np.maximum(of.rounding - of.programmed, 0.0) + of.between
+    after = np.where(of.rapid, 0.0, of.bound + more)
+    known = 0.5**0.5 * float(after.max(initial=0.0))
+    return ExpectedErrors(np.where(of.rapid, 0.0, of.before + of.bound), after, chance, known, known)
 
 
 @cache

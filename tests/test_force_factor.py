@@ -65,16 +65,6 @@ def test_rows_count_by_themselves():
     np.testing.assert_allclose(bound(own, [True, False]), [both[1][0], both[0][1]], rtol=1e-9)
 
 
-def test_the_largest_source_is_the_one_whose_share_of_the_variance_is_largest():
-    turning = np.zeros((1, 6), dtype=bool)
-    spread = 0.1 * np.abs(WRENCH[:1])[:, :, None] * np.eye(6)
-    given = Q[:1], TOOL, WRENCH[:1], spread
-    source = elastostatics.largest_source(model(0.0, 0.05), *given, turning=turning, scaled=np.array([True]))
-    assert source == "the cutting forces"
-    source = elastostatics.largest_source(model(0.0, 0.0001), *given, turning=turning, scaled=np.array([True]))
-    assert source.startswith("the model of A")
-
-
 def test_a_law_is_the_same_only_if_all_of_its_numbers_are():
     factor = model(0.0).force_factor
     assert factor.is_of(LAW)

@@ -135,8 +135,8 @@ def main(debug: bool) -> None:  # read in cli/faults.py
       postproc convert part.nc --cell cell.toml --forces part.forces.csv
 
     Exit codes: 0 good; 1 input unusable or a move cannot be done, nothing written for that program; 2 wrong usage;
-    3 written, but the verdict is failed: a stated tolerance is exceeded, or the
-    model is more uncertain than what it corrects; 130 interrupted.
+    3 the verdict is red: a tolerance that you gave is missed, or correction does
+    more harm than good; 130 interrupted.
     """  # noqa: D301 - click: keep these lines as they are
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):

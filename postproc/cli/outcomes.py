@@ -66,10 +66,10 @@ def print_outcome(outcome: Outcome, job: Job, *, as_json: bool = False) -> None:
 
         click.echo(json.dumps(_as_entry(outcome), allow_nan=False))
     elif outcome.summary is not None:
-        after = outcome.summary.verdict.reasons
-        click.echo(
-            f"{Path(outcome.program).name}: {_word(outcome)} to {job.output}. {after[0] if after else ''}".rstrip()
-        )
+        verdict = outcome.summary.verdict
+        reasons = verdict.reasons[:1] if verdict.state != "ok" else []
+        sentences = " ".join([verdict.headline, *reasons])
+        click.echo(f"{Path(outcome.program).name}: {_word(outcome)} to {job.output}. {sentences}")
 
 
 def _with_progress(run: Callable[..., Iterator[Outcome]], count: int) -> Iterator[Outcome]:

@@ -16,7 +16,7 @@ from postproc import elastostatics, forces, kinematics, placement, toolpath
 from postproc.cell import Cell
 from postproc.chunks import Computed, Rows, in_chunks, many_rows, release, rows_of
 from postproc.correction import checks, collisions, inspection
-from postproc.correction.result import Doubt, Mode, Result, doubtful
+from postproc.correction.result import ExpectedErrors, Mode, Result
 from postproc.correction.targets import Chosen, CommandedPath, Commands, choose_targets, pieces_needed
 from postproc.correction.verify import ReadBack, Simulated, UnusableTextError, read_back, simulate
 from postproc.dialects import registry
@@ -113,6 +113,8 @@ _NOT_FINITE = (
     "the robot model is wrong."
 )
 
+_NOTHING = 1e-9
+"""Deviations below this everywhere are noise of the arithmetic [m]."""
 _BY_PASS = (
     "passes of this line have different forces: no force file can hold them, and none is written. `predict` of the "
     "written program needs the process, or forces as comments."
@@ -228,8 +230,11 @@ def _too_large(text: Written, cell: Cell) -> tuple[Issue, ...]:
     return (Issue("warning", "program-memory", message),)
 
 
-def result_of(task: Task, draft: Draft) -> Result:
-    """Return the result of a draft; a program that is not written is predicted without correction."""
+def result_of(task: Task, draft: Draft, corrected: Draft) -> Result:
+    """Return the result of a draft; a program that is not written is predicted without correction.
+
+    :param corrected: the draft with corrected commands; of a nominal program the same one.
+    """
     path, row, targets, program = draft.path, draft.chosen.row, draft.chosen.targets, draft.path.program
     release(len(path))
     rows = np.arange(len(path)) if task.mode == "predict" else row
@@ -240,8 +245,8 @@ def result_of(task: Task, draft: Draft) -> Result:
         deviation = rows_of(deviation, row)
         deflection = deviation if same else rows_of(deflection, row)
         by_tool = by_tool if by_tool is None else rows_of(by_tool, row)
-    turned = _reversals(draft)
-    bound, doubt, more = _bound(draft, norm(deviation), turned)
+    turned = _reversals(corrected)
+    bound, errors, more = _errors(task, corrected, deviation, turned)
     q = rows_of(draft.q, row)
 
     def corrections(target: Ints) -> tuple[Array]:
@@ -264,7 +269,7 @@ def result_of(task: Task, draft: Draft) -> Result:
         deviation_before=deviation,
         deviation_after=deviation,
         bound=bound,
-        doubt=doubt if task.mode == "convert" else None,
+        errors=errors,
         q=q,
         joint_margin=kinematics.joint_margin(task.robot, draft.q),
         singular_value=kinematics.smallest_singular_value(task.robot, q, path.tool(row)),
@@ -273,6 +278,7 @@ def result_of(task: Task, draft: Draft) -> Result:
         programmed=draft.chosen.programmed,
         reversals=turned,
         causes=_causes(path),
+        stock_known=path.motions.forces.by_law is not None,
         exact_forces=path.motions.forces.spread is None,
         turn=task.turn,
         redundancy_deg=None if program.keeps_text else path.robot_in_cell.cell.gcode.redundancy_deg,
@@ -336,46 +342,61 @@ def _reversals(draft: Draft) -> Reversals:
     return Reversals(found.row[cuts], found.before[cuts], found.joint[cuts], found.step[cuts])
 
 
-def _bound(draft: Draft, corrected: Array, turned: Reversals) -> tuple[Array | None, Doubt | None, list[Issue]]:
-    """Return the expected error (K,) by model and forces (95 %), or None; where it exceeds the correction; issues.
+def _errors(
+    task: Task, draft: Draft, deviation: Array, turned: Reversals
+) -> tuple[Array | None, ExpectedErrors | None, list[Issue]]:
+    """Return the bound (K,) of the prediction (95 %), the expected errors on the part, and issues; None where unknown.
 
-    :param corrected: (K,) distance of the uncorrected tip from nominal [m].
+    :param draft: with corrected commands.
+    :param deviation: (K, 3) of the uncorrected tip from nominal, `$BASE` [m].
     :param turned: torque reversals: at the targets next to one, gears may be on either flank.
     """
     path, row = draft.path, draft.chosen.row
-    robot = path.robot_in_cell.robot
+    robot, program = path.robot_in_cell.robot, path.program
     if path.motions.forces.spread is not None and robot.covariance is None:
         return None, None, [Issue("info", "no-bound", _NO_BOUND)]
     motion = draft.chosen.targets.motion
-    issues = list(checks.beyond_measured(path.program, robot, motion, *_loads(draft)))
+    issues = list(checks.beyond_measured(program, robot, motion, *_loads(draft)))
     if robot.covariance is None:
         return None, None, issues
     turning = np.zeros((len(row), 6), dtype=bool)
     turning[turned.row, turned.joint] = turning[turned.before, turned.joint] = True
     scaled = path.robot_in_cell.scaled(path.motions.forces, path.sample.motion[row])
+    written = None if task.mode == "nominal" else draft.simulated
+    left = np.broadcast_to(0.0, deviation.shape) if written is None else written.deviation
+    cuts = ~program.motions.rapid[motion]
+    gain, known, more = elastostatics.ChanceOfGain(), np.zeros(2), _beyond_targets(draft)
 
-    def loaded(row: Ints) -> tuple[Array, Array, Array, Array | None, Array | None]:
-        return draft.q[row], path.tool(row), path.wrench_in_root(row), *_uncertain(path, row)
+    def in_chunk(target: Ints, turning: Bools, scaled: Bools) -> tuple[Array, Array, Array]:
+        here = row[target]
+        load = draft.q[here], path.tool(here), path.wrench_in_root(here), *_uncertain(path, here)
+        sources = elastostatics.sources_of_error(robot, *elastostatics.loads(*load, turning, scaled))
+        pair = [toolpath.directions_in_root(program, motion[target], offset[target]) for offset in (deviation, left)]
+        gain.add(sources, pair[0], pair[1], cuts[target])
+        found = elastostatics.expected_at(sources, pair[0], pair[1])
+        for k, error in enumerate((found.robot_known, found.forces_known)):
+            known[k] = max(known[k], np.max(error + more[target], initial=0.0, where=cuts[target]))
+        return found.bound, found.before, found.after
 
-    def in_chunk(row: Ints, turning: Bools, scaled: Bools) -> tuple[Array]:
-        found = elastostatics.position_bound(robot, *loaded(row), turning, scaled)
-        assert found is not None
-        return (found,)
-
-    bound = in_chunks(in_chunk, row, turning, scaled)[0]
+    bound, before, after = in_chunks(in_chunk, np.arange(len(row)), turning, scaled)
     if not np.isfinite(bound).all():
-        return (
-            None,
-            None,
-            [*issues, path.program.motions.issue("error", "no-bound", _NOT_FINITE, motion[~np.isfinite(bound)])],
-        )
-    found = doubtful(bound, corrected, path.program.motions.rapid[motion])
-    if found is None:
-        return bound, None, issues
-    at, level = found
-    one = slice(at, at + 1)
-    source = elastostatics.largest_source(robot, *loaded(row[one]), turning=turning[one], scaled=scaled[one])
-    return bound, Doubt(at, float(bound[at]), level, source), issues
+        issues.append(program.motions.issue("error", "no-bound", _NOT_FINITE, motion[~np.isfinite(bound)]))
+        return None, None, issues
+    between = 0.0 if written is None else max(written.between - float(norm(written.deviation).max(initial=0.0)), 0.0)
+    errors = ExpectedErrors(
+        np.where(cuts, before + (0.0 if program.keeps_text else more), 0.0),
+        np.where(cuts, after + more + between, 0.0),
+        gain.chance if float(norm(deviation).max(initial=0.0)) > _NOTHING else None,
+        *(known + between).tolist(),
+    )
+    return bound, errors, issues
+
+
+def _beyond_targets(draft: Draft) -> Array:
+    """Return the rounding (K,) at targets by approximate positioning beyond that of the program as read [m]."""
+    if draft.simulated is None:
+        return np.zeros(len(draft.chosen.row))
+    return np.maximum(draft.simulated.rounding - draft.chosen.programmed, 0.0)
 
 
 def _uncertain(path: PathUnderLoad, row: Ints) -> tuple[Array | None, Array | None]:
@@ -479,7 +500,7 @@ def process(
             task, draft = _settled(task, MotionsUnderLoad.of(program, robot_in_cell, source))
             smallest, collided = collisions.of_path(draft.path, draft.q)
             draft = replace(draft, issues=(*draft.issues, *collided))
-            done = result_of(task, _as_read(task, draft) if mode == "predict" else draft)
+            done = result_of(task, _as_read(task, draft) if mode == "predict" else draft, draft)
             return replace(done, clearance=smallest)
         except ImpossiblePathError as cause:
             wrong = [cause.issue]

@@ -24,19 +24,25 @@ _MOST_REVERSALS = 20
 """Largest number of reversals listed."""
 
 
-class Doubt(Struct, frozen=True):
-    """A cutting target whose expected error exceeds its correction: see `doubtful`.
+class ExpectedErrors(Struct, frozen=True, eq=False):
+    """Expected errors on the part (95 %) without and with correction, see `elastostatics.expected_error`.
 
-    :param row: of the target.
-    :param bound: expected error there (95 %) [m].
-    :param corrected: correction there, or its RMS over all cutting targets if that is larger [m].
-    :param source: largest contribution to the bound, in words.
+    Both count the rounding of corners by approximate positioning beyond that of the KRL input. With correction, what
+    the path between the targets leaves beyond the targets counts too.
+
+    :param before: (K,) if nothing is corrected [m]; 0 on rapid moves.
+    :param after: (K,) with correction [m]: of the program as written; of a prediction, as it would be written; of a
+        nominal program, with an exact correction. 0 on rapid moves.
+    :param chance: that correction lowers the RMS error over the cutting targets; None if it changes nothing.
+    :param robot_known: largest of `after` if the errors of the forces were the only ones [m].
+    :param forces_known: largest of `after` if the forces were certain [m].
     """
 
-    row: int
-    bound: float
-    corrected: float
-    source: str
+    before: Array
+    after: Array
+    chance: float | None
+    robot_known: float
+    forces_known: float
 
 
 class HeldFeed(Struct, frozen=True, eq=False):
@@ -92,7 +98,7 @@ class Result(Struct, frozen=True, eq=False):
     :param deviation_before: (K, 3) predicted tip minus nominal position if nothing is corrected [m].
     :param deviation_after: (K, 3) the same with the program as written [m].
     :param bound: (K,) 95 % bound of the predicted position from the model's covariance [m], or None.
-    :param doubt: the cutting target whose bound exceeds its correction by most, or None.
+    :param errors: expected errors on the part without and with correction, or None.
     :param q: (K, 6) commanded joint angles [rad].
     :param joint_margin: (6,) smallest distance of each joint to a limit along the path [rad].
     :param singular_value: smallest singular value of the Jacobian along the path.
@@ -105,6 +111,7 @@ class Result(Struct, frozen=True, eq=False):
     :param reversals: where joints change the direction of their torque on cutting moves; None if nothing was computed.
     :param causes: causes of deviation from nominal without correction, in words.
     :param clearance: smallest clearance of arm, tool and obstacles; None if the cell has no [collision].
+    :param stock_known: True if the stock that the tool cuts is known, and rapid moves through it are found.
     :param exact_forces: True if no force states a standard deviation.
     :param held_feed: feeds that were lowered for the tolerance of the part; None: feeds are those of the program.
     :param turn: the turn of the tool about its axis, if it was chosen.
@@ -129,7 +136,7 @@ class Result(Struct, frozen=True, eq=False):
     deviation_before: Array = np.zeros((0, 3))
     deviation_after: Array = np.zeros((0, 3))
     bound: Array | None = None
-    doubt: Doubt | None = None
+    errors: ExpectedErrors | None = None
     q: Rows = np.zeros((0, 6))
     joint_margin: Array = np.full(6, np.nan)
     singular_value: float = np.nan
@@ -141,6 +148,7 @@ class Result(Struct, frozen=True, eq=False):
     reversals: Reversals | None = None
     causes: tuple[str, ...] = ()
     clearance: SmallestClearance | None = None
+    stock_known: bool = False
     exact_forces: bool = False
     held_feed: HeldFeed | None = None
     turn: Turn | None = None
@@ -185,16 +193,10 @@ class Result(Struct, frozen=True, eq=False):
 
     @property
     def expected(self) -> Array | None:
-        """(K,) expected error on the part (95 %) [m], 0 on rapid moves; None where the model states no uncertainty.
-
-        The sum of the bound, the rounding by approximate positioning beyond that of the KRL input, and the deviation of
-        the path: of a corrected program the largest anywhere, else the one at the target.
-        """
-        if self.bound is None:
+        """(K,) expected error on the part (95 %) by the program as it is [m]; None without covariance."""
+        if self.errors is None:
             return None
-        left = np.full(len(self), self.between) if self.mode == "convert" else self.after
-        error = self.bound + np.maximum(self.rounding - self.programmed, 0.0) + left
-        return np.asarray(np.where(self.rapid, 0.0, error))
+        return self.errors.after if self.mode == "convert" else self.errors.before
 
     @property
     def largest_reversals(self) -> Ints:
@@ -210,25 +212,6 @@ class Result(Struct, frozen=True, eq=False):
     def inserted(self) -> int:
         """Number of targets that the program as read did not have."""
         return int(np.count_nonzero(self.t < 1.0))
-
-
-def doubtful(bound: Array, corrected: Array, rapid: Bools) -> tuple[int, float] | None:
-    """Return the cutting target whose bound exceeds its correction by most, and the correction; None if there is none.
-
-    The correction is the larger of the distance at the target and its RMS over all cutting targets. So a target at
-    which the deflections of joints cancel, or that hardly carries a force, does not count unless its bound is large
-    compared with what the program corrects in all.
-
-    :param bound: (K,) 95 % bound [m].
-    :param corrected: (K,) distance of the uncorrected tip from nominal [m].
-    :param rapid: (K,) targets to leave out.
-    """
-    if rapid.all():
-        return None
-    level = np.maximum(corrected, statistics(corrected, rapid).rms)
-    excess = np.where(rapid, -np.inf, bound - level)
-    row = int(np.argmax(excess))
-    return (row, float(level[row])) if excess[row] > 0.0 else None
 
 
 class Statistics(Struct, frozen=True):

@@ -24,28 +24,40 @@ from postproc.elastostatics.equilibrium import (
     loaded_tip,
     tangent_compliance,
 )
+from postproc.elastostatics.expected_error import ChanceOfGain, ExpectedAt, expected_at
 from postproc.elastostatics.reversals import Reversals, reversals
 from postproc.elastostatics.tool_spring import ToolSpring
-from postproc.elastostatics.uncertainty import FORCES, LENGTH_95, largest_source, position_bound, sensitivity
+from postproc.elastostatics.uncertainty import (
+    LENGTH_95,
+    SourcesOfError,
+    loads,
+    position_bound,
+    sensitivity,
+    sources_of_error,
+)
 
 __all__ = [
-    "FORCES",
     "LENGTH_95",
+    "ChanceOfGain",
     "Compensation",
     "Deflection",
+    "ExpectedAt",
     "Reversals",
+    "SourcesOfError",
     "ToolSpring",
     "cartesian_stiffness",
     "compensate",
     "coordinates",
     "deflect",
     "deflection_by_parameter",
+    "expected_at",
     "largest_compliance",
-    "largest_source",
     "linear_deflection",
     "loaded_tip",
+    "loads",
     "position_bound",
     "reversals",
     "sensitivity",
+    "sources_of_error",
     "tangent_compliance",
 ]

@@ -1,10 +1,12 @@
-"""Uncertainty of the predicted deflection: 95 % bound, sensitivities to parameters, the largest source."""
+"""Uncertainty of the predicted deflection: 95 % bound, its sources, sensitivities to parameters."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from msgspec import Struct
 
 from postproc import kinematics
 from postproc.chunks import in_chunks
@@ -69,18 +71,73 @@ def position_bound(
         return None
 
     def bound(q: Array, tool: Array, wrench: Array, turning: Bools, scaled: Bools, *forces: Array) -> tuple[Array]:
-        forces = _reaction(robot, q, tool, wrench, *forces)
-        s, covariance = _with_factor(robot, sensitivity(robot, q, tool, wrench), wrench, scaled, *forces)
-        by_model = s @ covariance @ np.swapaxes(s, 1, 2)
-        rest = sum(_others(robot, q, tool, wrench, turning).values(), by_model)
-        return (np.max([length_bound(rest + each) for each in _by_forces(scaled, *forces)], axis=0),)
+        errors = sources_of_error(robot, q, tool, wrench, turning, scaled, *forces)
+        return (largest_length(errors.covariances()),)
 
+    return in_chunks(bound, *loads(q, tool, wrench, force_spread, in_series, turning, scaled))[0]
+
+
+def loads(
+    q: Array,
+    tool: Array,
+    wrench: Array,
+    force_spread: Array | None,
+    in_series: Array | None,
+    turning: Bools | None,
+    scaled: Bools | None,
+) -> tuple[Any, ...]:
+    """Return the parameters of `position_bound` with one row for each place, without those that are not known."""
     if turning is None:
         turning = np.zeros((len(q), 6), dtype=bool)
     if scaled is None:
         scaled = np.zeros(len(q), dtype=bool)
     forces = _given(q, force_spread, in_series)
-    return in_chunks(bound, q, np.broadcast_to(tool, (len(q), 4, 4)), wrench, turning, scaled, *forces)[0]
+    return (q, np.broadcast_to(tool, (len(q), 4, 4)), wrench, turning, scaled, *forces)
+
+
+class SourcesOfError(Struct, frozen=True, eq=False):
+    """Errors of the predicted position at n places, at first order, by their sources; root axes [m].
+
+    :param slopes: (n, 3, P) displacement for one unit of each parameter; with a factor of forces it is the last one.
+    :param covariance: (P, P) of the parameters.
+    :param by_forces: for each correlation of the components of a wrench that is possible, (n, 3, k) displacements by
+        one standard deviation of k independent causes; one entry or two.
+    :param other: (n, 3, 3) covariances by sources that are neither parameters nor forces, by name.
+    """
+
+    slopes: Array
+    covariance: Array
+    by_forces: tuple[Array, ...]
+    other: dict[str, Array]
+
+    @property
+    def by_robot(self) -> Array:
+        """(n, 3, 3) covariance by all sources but the forces."""
+        by_parameters = self.slopes @ self.covariance @ np.swapaxes(self.slopes, 1, 2)
+        return sum(self.other.values(), by_parameters)
+
+    def covariances(self) -> list[Array]:
+        """Return the covariance (n, 3, 3) of the position for each correlation of the forces that is possible."""
+        by_robot = self.by_robot
+        return [by_robot + each @ np.swapaxes(each, 1, 2) for each in self.by_forces]
+
+
+def sources_of_error(
+    robot: RobotModel, q: Array, tool: Array, wrench: Array, turning: Bools, scaled: Bools, *forces: Array
+) -> SourcesOfError:
+    """Return the errors of the predicted position by their sources.
+
+    The parameters are those that `loads` returns.
+    """
+    forces = _reaction(robot, q, tool, wrench, *forces)
+    slopes, covariance = _with_factor(robot, sensitivity(robot, q, tool, wrench), wrench, scaled, *forces)
+    other = _others(robot, q, tool, wrench, turning)
+    return SourcesOfError(slopes, covariance, _by_forces(wrench, scaled, *forces), other)
+
+
+def largest_length(covariances: Sequence[Array], mean: Array | None = None) -> Array:
+    """Return the largest 95 % quantile (n,) of the length for several covariances (n, 3, 3), see `length_bound`."""
+    return np.asarray(np.max([length_bound(each, mean) for each in covariances], axis=0))
 
 
 def _given(q: Array, force_spread: Array | None, in_series: Array | None) -> tuple[Array, ...]:
@@ -110,10 +167,6 @@ def _with_factor(robot: RobotModel, s: Array, wrench: Array, scaled: Bools, *for
     return np.concatenate([s, by_factor[:, :, None]], axis=2), joint
 
 
-FORCES = "the cutting forces"
-"""Source of uncertainty, see `largest_source`."""
-
-
 def _others(robot: RobotModel, q: Array, tool: Array, wrench: Array, turning: Bools) -> dict[str, Array]:
     """Return the covariances (N, 3, 3) [m²] of the position that come from neither parameters nor forces."""
     out = {}
@@ -128,17 +181,19 @@ _COMPONENTS = 6
 """Columns of `force_spread` for independent components of the wrench."""
 
 
-def _by_forces(scaled: Bools, *forces: Array) -> list[Array]:
-    """Return the covariance (N, 3, 3) [m²] of the position by the forces for each correlation that is possible.
+def _by_forces(wrench: Array, scaled: Bools, *forces: Array) -> tuple[Array, ...]:
+    """Return the displacements (n, 3, k) by one standard deviation of the forces for each correlation that is possible.
+
+    Each is that of a wrench whose component is larger in size by one standard deviation, whatever its sign.
 
     :param forces: from `_reaction`.
     """
     if not forces:
-        return [np.zeros((len(scaled), 3, 3))]
+        return (np.zeros((len(scaled), 3, 0)),)
     spread, reaction = forces
-    moved = reaction @ spread * ~scaled[:, None, None]
-    ends = [moved[:, :, :_COMPONENTS], moved[:, :, _COMPONENTS:]][: 1 if spread.shape[2] == _COMPONENTS else 2]
-    return [each @ np.swapaxes(each, 1, 2) for each in ends]
+    sign = np.where(np.einsum("nik,ni->nk", spread, wrench) < 0.0, -1.0, 1.0)
+    moved = reaction @ (spread * sign[:, None]) * ~scaled[:, None, None]
+    return (moved[:, :, :_COMPONENTS], moved[:, :, _COMPONENTS:])[: 1 if spread.shape[2] == _COMPONENTS else 2]
 
 
 def _any_direction(length: Array) -> Array:
@@ -146,49 +201,26 @@ def _any_direction(length: Array) -> Array:
     return np.asarray((length / LENGTH_95)[:, None, None] ** 2 * np.eye(3))
 
 
-def largest_source(
-    robot: RobotModel,
-    q: Array,
-    tool: Array,
-    wrench: Array,
-    force_spread: Array | None = None,
-    in_series: Array | None = None,
-    *,
-    turning: Bools,
-    scaled: Bools | None = None,
-) -> str:
-    """Return the largest contribution to `position_bound` of one place, in words: a joint or link, the forces, ….
+def length_bound(covariance: Array, mean: Array | None = None) -> Array:
+    """Return the 95 % quantile (n,) of the length of normal vectors with covariances (n, 3, 3).
 
-    Correlated parameters of one joint count together. Parameters as in `position_bound`, with N = 1.
+    It follows from the first two moments of the squared length. Without mean, |e|² ~ g·χ²_h with g = tr Σ²/tr Σ and
+    h = tr² Σ/tr Σ² (Satterthwaite 1946). With a mean μ the expectation is |μ|² + tr Σ and the variance 2 tr Σ² + 4 μᵀΣμ
+    (Mathai and Provost, "Quadratic forms in random variables", 1992, 3.2b), and χ² is fitted to both in the same way
+    (Patnaik 1949). The quantile of χ² is that of Wilson and Hilferty (1931).
+
+    :param mean: (n, 3) of the vectors; None: zero.
     """
-    assert robot.covariance is not None
-    if scaled is None:
-        scaled = np.zeros(1, dtype=bool)
-    forces = _reaction(robot, q, tool, wrench, *_given(q, force_spread, in_series))
-    s, joint = _with_factor(robot, sensitivity(robot, q, tool, wrench), wrench, scaled, *forces)
-    variance: dict[str, float] = {}
-    sources = [*(f"the model of {parameter.place}" for parameter in robot.covariance.parameters), FORCES]
-    for source, each in zip(sources, np.einsum("ip,pk,ik->p", s[0], joint, s[0]).tolist(), strict=False):
-        variance[source] = variance.get(source, 0.0) + each
-    for source, covariance in _others(robot, q, tool, wrench, turning).items():
-        variance[source] = variance.get(source, 0.0) + float(np.trace(covariance[0]))
-    by_forces = max(float(np.trace(each[0])) for each in _by_forces(scaled, *forces))
-    variance[FORCES] = variance.get(FORCES, 0.0) + by_forces
-    return max(variance, key=variance.__getitem__)
-
-
-def length_bound(covariance: Array) -> Array:
-    """Return the 95 % quantile (N,) of the length of normal vectors with covariances (N, 3, 3).
-
-    It follows from the first two moments: |e|² ~ g·χ²_h with g = tr Σ²/tr Σ, h = tr² Σ/tr Σ² (Satterthwaite 1946), and
-    the quantile of χ² by Wilson and Hilferty (1931), good to 1.5 %.
-    """
-    trace = np.trace(covariance, axis1=1, axis2=2)
-    square = np.sum(covariance**2, axis=(1, 2))
-    h = np.divide(trace**2, square, out=np.ones_like(trace), where=square > 0.0)
-    g = np.divide(square, trace, out=np.zeros_like(trace), where=trace > 0.0)
+    first = np.trace(covariance, axis1=1, axis2=2)
+    half = np.sum(covariance**2, axis=(1, 2))
+    if mean is not None:
+        first = first + np.sum(mean**2, axis=1)
+        half = half + 2.0 * np.einsum("ni,nij,nj->n", mean, covariance, mean)
+    h = np.divide(first**2, half, out=np.ones_like(first), where=half > 0.0)
+    g = np.divide(half, first, out=np.zeros_like(first), where=first > 0.0)
     quantile = h * (1.0 - 2.0 / (9.0 * h) + _QUANTILE_95 * np.sqrt(2.0 / (9.0 * h))) ** 3
-    return np.asarray(np.sqrt(g * quantile))
+    square = np.where(half > 0.0, g * quantile, first)
+    return np.asarray(np.sqrt(square))
 
 
 def sensitivity(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Array:

@@ -22,7 +22,6 @@ from postproc.frames import M_PER_MM, Array
 from postproc.jobs import inputs
 from postproc.jobs.output_plan import Task, differing, needed_copies, needed_warnings, with_own_copies
 from postproc.jobs.programs import (
-    EXCEEDED,
     FAILED,
     GOOD,
     PROCESS,
@@ -170,10 +169,9 @@ def convert(
         if isinstance(cause, SubprogramError) and not job.named:
             return Outcome(str(job.program), GOOD, message=f"{cause.file}: {cause.problem}: skipped.")
         return replace(failure(job, cause), keeps_earlier=computed)
-    exceeded = settings.mode != "predict" and made.summary.verdict.state == "failed"
     return Outcome(
         str(job.program),
-        EXCEEDED if exceeded else GOOD,
+        made.summary.verdict.exit_code,
         replace(made.summary, files=made.listed),
         copied=tuple(str(job.output / name) for name in made.copied),
         staged=staged,

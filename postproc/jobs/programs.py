@@ -310,8 +310,7 @@ class Outcome(Struct, frozen=True):
     """What came of one program.
 
     :param program: its file as the user named it.
-    :param code: 0 good, 1 nothing was written, 3 written, but the verdict is "failed": a stated tolerance is exceeded,
-        or the expected error is larger than the correction.
+    :param code: 0 good, 1 nothing was written, 3 the verdict is "failed", see `postproc.report.answers`.
     :param summary: content of `report.json`; None if nothing was written, with code 0 where nothing was to be.
     :param message: why nothing was written, if `issues` do not state it.
     :param issues: problems of the program, if it was read but not written.

@@ -8,9 +8,9 @@ from urllib.parse import quote
 from msgspec import Struct
 
 from postproc.correction import Mode
-from postproc.report.formatting import estimate, rounded
+from postproc.report.answers import chance_in_words
+from postproc.report.formatting import State, rounded
 from postproc.report.kit import Cell, Kind, Note, Notes, Page, Part, Row, Section, Table, Tile, Tiles
-from postproc.report.summary import Judged
 from postproc.report.text import number, percent
 
 _STATES = ("nothing", "failed", "no forces", "warning", "ok", "called")
@@ -25,16 +25,35 @@ _WORDS: dict[str, tuple[str, Kind]] = {
 }
 
 
-class Longest(Struct, frozen=True):
-    """The largest of some lengths."""
-
-    max_mm: float
-
-
 class Margin(Struct, frozen=True):
     """The smallest distance of a joint from its limits; None where unknown."""
 
     min_joint_margin_deg: float | None
+
+
+class ReportedBetter(Struct, frozen=True):
+    """Expected errors on the part without and with correction; None where unknown."""
+
+    uncorrected_mm: float | None
+    corrected_mm: float | None
+    chance: float | None
+
+
+class ReportedTolerance(Struct, frozen=True):
+    """A tolerance that the user gave, of the "part" or of the "path"."""
+
+    mm: float
+    of: str
+
+
+class ReportedVerdict(Struct, frozen=True):
+    """What the overview shows of a verdict; the answers are None in reports of earlier versions."""
+
+    state: State
+    reasons: list[str]
+    headline: str = ""
+    better: ReportedBetter | None = None
+    tolerance: ReportedTolerance | None = None
 
 
 class Reported(Struct, frozen=True):
@@ -43,14 +62,16 @@ class Reported(Struct, frozen=True):
     program: str
     mode: Mode
     targets: int
-    before: Longest
-    after: Longest
-    u95: Longest | None
     compensated_percent: float | None
-    between_max_mm: float | None
     max_force_N: float
     limits: Margin
-    verdict: Judged
+    verdict: ReportedVerdict
+
+    @property
+    def expected_mm(self) -> tuple[float | None, float | None]:
+        """Expected errors on the part (95 %), uncorrected and corrected; None where unknown."""
+        better = self.verdict.better
+        return (None, None) if better is None else (better.uncorrected_mm, better.corrected_mm)
 
 
 class Entry(Struct, frozen=True):
@@ -78,6 +99,9 @@ class Entry(Struct, frozen=True):
         return "no forces" if state == "warning" and self.content.max_force_N == 0.0 else state
 
 
+_EXPECTED = ("Uncorrected, up to (95 %)", "Corrected, up to (95 %)")
+
+
 def index_page(entries: Sequence[Entry], folder: str) -> bytes:
     """Return the page as HTML in UTF-8: one self-contained file, with links to the reports in its folder.
 
@@ -89,17 +113,10 @@ def index_page(entries: Sequence[Entry], folder: str) -> bytes:
     counts = {state: sum(entry.state == state for entry in entries) for state in _WORDS}
     tiles = [Tile("Programs", str(len(entries)))]
     tiles += [Tile(_WORDS[state][0], str(count), kind=_WORDS[state][1]) for state, count in counts.items() if count]
-    if written:
-        bounds = [content.u95.max_mm for content in written if content.u95 is not None]
-        most = max(bounds, default=None)
-        before, after = (max(each) for each in zip(*((c.before.max_mm, c.after.max_mm) for c in written), strict=True))
-        tiles.append(Tile("Largest deviation before", estimate(before, most), "mm"))
-        tiles.append(Tile("After", estimate(after, most), "mm"))
-        unknown = len(written) - len(bounds)
-        note = f"unknown for {unknown} of {len(written)}" if unknown else ""
-        tiles.append(
-            Tile("On the part (95 %)", "unknown" if most is None else rounded(most), "mm" if bounds else "", note)
-        )
+    for title, lengths in zip(_EXPECTED, zip(*(content.expected_mm for content in written), strict=True), strict=False):
+        known = [length for length in lengths if length is not None]
+        unknown = f"unknown for {len(lengths) - len(known)} of {len(lengths)}" if len(known) < len(lengths) else ""
+        tiles.append(Tile(title, rounded(max(known)) if known else "unknown", "mm" if known else "", unknown))
     parts: list[Part] = [Tiles(tuple(tiles)), _table(ordered, written)]
     failed = [entry for entry in ordered if entry.state == "nothing"]
     sections = [Section("programs", "Programs", tuple(parts))]
@@ -107,7 +124,8 @@ def index_page(entries: Sequence[Entry], folder: str) -> bytes:
         notes = tuple(Note(f"{entry.name}: {entry.message}") for entry in failed)
         sections.append(Section("failed", "Not written", (Notes(notes, marked=True),)))
     footer = Note(
-        "Deviations are predictions over cutting targets, in millimetres. A name leads to the report of the program."
+        "Expected errors on the part (95 %) at cutting targets, in millimetres; the chance that correction makes the "
+        "part better. A name leads to the report of the program."
     )
     return b"".join(Page("Overview", folder, f"{len(entries)} programs", tuple(sections), (footer,)).render())
 
@@ -115,9 +133,8 @@ def index_page(entries: Sequence[Entry], folder: str) -> bytes:
 def _rank(entry: Entry) -> tuple[int, float, str]:
     if entry.content is None:
         return _STATES.index(entry.state), 0.0, entry.name
-    bound = entry.content.u95
-    worst = entry.content.after.max_mm if bound is None else bound.max_mm
-    return _STATES.index(entry.state), -max(worst, entry.content.between_max_mm or 0.0), entry.name
+    worst = entry.content.expected_mm[1]
+    return _STATES.index(entry.state), 0.0 if worst is None else -worst, entry.name
 
 
 def _table(entries: Sequence[Entry], written: Sequence[Reported]) -> Table:
@@ -126,9 +143,10 @@ def _table(entries: Sequence[Entry], written: Sequence[Reported]) -> Table:
         "Verdict",
         "Why",
         "Targets",
-        "Before, mm",
-        "After, mm",
-        "On the part (95 %), mm",
+        "Uncorrected (95 %), mm",
+        "Corrected (95 %), mm",
+        "Better",
+        "Tolerance, mm",
         "Compensated",
         "Margin, °",
     )
@@ -137,10 +155,10 @@ def _table(entries: Sequence[Entry], written: Sequence[Reported]) -> Table:
         word, kind = _WORDS[entry.state]
         name = Cell(entry.name, href=quote(entry.page))
         if entry.content is None:
-            rows.append(Row((name, Cell(word, kind), entry.message if entry.called else "see below", *("-",) * 6)))
+            rows.append(Row((name, Cell(word, kind), entry.message if entry.called else "see below", *("-",) * 7)))
             continue
         content = entry.content
-        u95 = None if content.u95 is None else content.u95.max_mm
+        better, tolerance = content.verdict.better, content.verdict.tolerance
         rows.append(
             Row(
                 (
@@ -148,9 +166,9 @@ def _table(entries: Sequence[Entry], written: Sequence[Reported]) -> Table:
                     Cell(word, kind),
                     content.verdict.reasons[0] if entry.state != "ok" else "",
                     str(content.targets),
-                    estimate(content.before.max_mm, u95),
-                    estimate(content.after.max_mm, u95),
-                    "unknown" if u95 is None else rounded(u95) if u95 > 0.0 else "-",
+                    *("unknown" if length is None else rounded(length) for length in content.expected_mm),
+                    "-" if better is None or better.chance is None else chance_in_words(better.chance),
+                    "-" if tolerance is None or tolerance.of != "part" else f"{tolerance.mm:g}",
                     percent(content.compensated_percent),
                     number(content.limits.min_joint_margin_deg, 1),
                 )

@@ -6,17 +6,11 @@ from collections.abc import Sequence
 
 from msgspec.structs import astuple
 
+from postproc.report.answers import Verdict, chance_in_words, in_words
 from postproc.report.feed import seconds, sentences
 from postproc.report.formatting import PLAIN, ROUNDING_MM, Display, State, estimate, rounded
-from postproc.report.summary import (
-    WORDS,
-    IssueEntry,
-    Summary,
-    clearance,
-    improvement,
-    nothing_corrected,
-    nothing_to_correct,
-)
+from postproc.report.summary import IssueEntry, Summary, improvement
+from postproc.report.verdict import clearance, nothing_corrected, nothing_to_correct
 
 _STATES: dict[State, str] = {"failed": "failed", "warning": "to be looked at", "ok": "good"}
 _NO_FORCES = "no forces"
@@ -31,10 +25,10 @@ def of_one(content: Summary, display: Display = PLAIN) -> str:
     :param display: how it looks.
     """
     verdict = content.verdict
-    word = WORDS[content.mode != "predict", verdict.state]
     lines = [
         f"{content.program}  on {content.robot}: {nothing_corrected(content) or targets(content)}",
-        display.verdict(word, verdict.state),
+        display.verdict(verdict.headline, verdict.state),
+        *answers(verdict),
     ]
     lines += [f"  - {reason}" for reason in verdict.reasons[:_REASONS]]
     if len(verdict.reasons) > _REASONS:
@@ -57,6 +51,11 @@ def of_one(content: Summary, display: Display = PLAIN) -> str:
     return "\n".join(lines)
 
 
+def answers(verdict: Verdict) -> list[str]:
+    """Return a line for each of the three answers."""
+    return [f"  {question} {answer}" for question, answer, _ in in_words(verdict)]
+
+
 def targets(content: Summary) -> str:
     """Return how many targets a program has, and how many of them are not its own."""
     inserted = content.inserted_targets
@@ -67,7 +66,7 @@ def targets(content: Summary) -> str:
 
 def _facts(content: Summary) -> list[str]:
     """Return facts in addition to the reasons of the verdict."""
-    facts = [] if content.verdict.state == "ok" else _expected(content)
+    facts = [] if content.verdict.state == "ok" else _of_path(content)
     if content.mode == "convert" and content.compensated_percent is not None:
         facts.append(f"compensated {percent(content.compensated_percent)}")
     if content.mode == "predict" and content.between_max_mm is not None:
@@ -84,8 +83,7 @@ def _facts(content: Summary) -> list[str]:
         f"smallest joint margin {number(limits.min_joint_margin_deg, 1)}°, "
         f"smallest singular value {number(limits.min_singular_value, 3)}"
     )
-    facts.append(clearance(content))
-    facts += [] if content.collision is None else content.collision.remarks
+    facts += [] if content.collision is None else [clearance(content), *content.collision.remarks]
     return [f"  {fact}" for fact in facts]
 
 
@@ -109,18 +107,9 @@ def _feeds(content: Summary, display: Display) -> list[str]:
     return lines
 
 
-def _expected(content: Summary) -> list[str]:
-    """Return the expected error, if the verdict is about something else."""
+def _of_path(content: Summary) -> list[str]:
+    """Return facts on path and corners, if the verdict is about something else."""
     facts = []
-    if nothing_to_correct(content) is None and content.targets:
-        bound = content.u95
-        bounded = (
-            "unknown, the model states no uncertainty"
-            if bound is None
-            else f"up to {rounded(bound.max_mm)} mm, {bound.basis}"
-        )
-        what = "uncertainty of the prediction" if content.mode == "predict" else "expected error on the part"
-        facts.append(f"{what} (95 %): {bounded}")
     if content.mode == "convert" and content.max_correction_mm is not None:
         facts.append(f"largest correction {rounded(content.max_correction_mm)} mm")
     if content.mode != "predict" and content.between_max_mm is not None:
@@ -143,37 +132,45 @@ def issue_line(issue: IssueEntry, program: str) -> str:
 
 
 def of_many(rows: Sequence[tuple[str, Summary | None, str]], display: Display = PLAIN) -> str:
-    """Return a table of many programs, and below it the first reason of each verdict that is not good.
+    """Return a table of many programs: expected errors (95 %), and the first reason of each verdict that is not good.
 
     :param rows: name, summary (None where it failed) and one word on what came of it.
     :param display: how it looks.
     """
-    lengths_mm = ("max before", "max after", "rms before", "rms after")
-    head = ("program", "targets", *(f"{title} [mm]" for title in lengths_mm), "compensated", "verdict", "result")
+    head = ("program", "targets", "uncorrected [mm]", "corrected [mm]", "better", "tolerance", "verdict", "result")
     cells: list[tuple[str, ...]] = []
     for name, content, word in rows:
         if content is None:
-            cells.append((name, *("-",) * 7, word))
+            cells.append((name, *("-",) * 6, word))
             continue
-        before, after = content.before, content.after
-        lengths = (before.max_mm, after.max_mm, before.rms_mm, after.rms_mm)
-        shown = (estimate(length, _u95(content)) for length in lengths)
-        numbers = (str(content.targets), *shown, percent(content.compensated_percent))
-        cells.append((name, *numbers, _verdict_word(content), word))
+        tolerance = "-" if content.part.tolerance_mm is None else f"{content.part.tolerance_mm:g}"
+        cells.append((name, str(content.targets), *_pair(content.verdict), tolerance, _verdict_word(content), word))
     written = [content for _, content, _ in rows if content is not None]
     if len(rows) > 1 and written:
-        bound = max((u95 for content in written if (u95 := _u95(content)) is not None), default=None)
-        worst = [max(c.before.max_mm for c in written), max(c.after.max_mm for c in written)]
+        known = [better for content in written if (better := content.verdict.better) is not None]
+        worst = (_largest([each.uncorrected_mm for each in known]), _largest([each.corrected_mm for each in known]))
         words = [_verdict_word(content) for content in written]
         counts = [f"{words.count(word)} {word}" for word in (*_STATES.values(), _NO_FORCES) if word in words]
         if len(rows) > len(written):
             counts.insert(0, f"{len(rows) - len(written)} not written")
         targets_in_all = str(sum(content.targets for content in written))
-        total = f"all {len(rows)}, at most"
-        cells.append(
-            (total, targets_in_all, *(estimate(each, bound) for each in worst), "", "", "", "", ", ".join(counts))
-        )
-    return "\n".join([display.table(head, cells, right=range(1, 7)), *_why(rows)])
+        cells.append((f"all {len(rows)}, at most", targets_in_all, *worst, "", "", "", ", ".join(counts)))
+    return "\n".join([display.table(head, cells, right=range(1, 6)), *_why(rows)])
+
+
+def _pair(verdict: Verdict) -> tuple[str, str, str]:
+    """Return both expected errors and the chance; dashes where they are not known."""
+    better = verdict.better
+    if better is None:
+        return "-", "-", "-"
+    chance = "-" if better.chance is None else chance_in_words(better.chance)
+    return _largest([better.uncorrected_mm]), _largest([better.corrected_mm]), chance
+
+
+def _largest(lengths_mm: Sequence[float | None]) -> str:
+    """Return the largest of some lengths; a dash if none is known."""
+    known = [each for each in lengths_mm if each is not None]
+    return rounded(max(known)) if known else "-"
 
 
 def _u95(content: Summary) -> float | None:

@@ -358,6 +358,11 @@ def wrench_in_root(program: Program, motion: Ints, wrench_in_base: Array) -> Arr
     return np.asarray(pairs @ np.swapaxes(rotation, -1, -2)).reshape(-1, 6)
 
 
+def directions_in_root(program: Program, motion: Ints, direction_in_base: Array) -> Array:
+    """Return vectors (n, 3) turned from `$BASE` axes to root axes."""
+    return np.asarray(np.einsum("...ij,...j->...i", base_of(program, motion)[..., :3, :3], direction_in_base))
+
+
 def columns_in_root(program: Program, motion: Ints, columns_in_base: Array) -> Array:
     """Return columns (n, 2, 3, m) of force and moment in root axes of columns in `$BASE` axes."""
     return np.asarray(np.einsum("...ij,...hjm->...him", base_of(program, motion)[..., :3, :3], columns_in_base))

@@ -183,7 +183,7 @@ def results(readme, tmp_path_factory):
     ):
         result = CliRunner().invoke(main, arguments)
         assert result.exit_code == 0, result.output
-    unsure = _with_an_unusable_model(folder, cell)
+    unsure = _with_a_missed_tolerance(folder, cell)
     faster = (folder / "inline.src").read_bytes().replace(b"CP_PARAMS,0.02", b"CP_PARAMS,0.03")
     (folder / "faster.src").write_bytes(faster)
     shutil.copy(folder / "inline.dat", folder / "faster.dat")
@@ -232,19 +232,17 @@ def _with_bodies(folder: Path) -> Path:
     return folder / "bodies.toml"
 
 
-def _with_an_unusable_model(folder: Path, cell: str) -> Path:
-    """Return the report of a program corrected by a model that knows nothing of A3."""
+def _with_a_missed_tolerance(folder: Path, cell: str) -> Path:
+    """Return the report of a program corrected by a model that knows nothing of A3, with a tolerance of the part."""
     arm = folder / "unsure"
     shutil.copytree(ROOT / "robot_models" / "kuka_kr270", arm)
     with (arm / "model.toml").open("a", encoding="utf-8") as file:
         file.write('[covariance]\nparameters = ["k3"]\nmatrix = [[2e7]]\n')
     (folder / "unsure.toml").write_text(cell.replace('"model"', '"unsure"'), encoding="utf-8")
-    program = str(ROOT / "samples" / "pocket.nc")
-    result = CliRunner().invoke(
-        main, ["convert", program, "--cell", str(folder / "unsure.toml"), "-o", str(folder / "unsure_out")]
-    )
+    arguments = ["convert", str(ROOT / "samples" / "pocket.nc"), "--cell", str(folder / "unsure.toml")]
+    result = CliRunner().invoke(main, [*arguments, "--part-tolerance", "0.1", "-o", str(folder / "unsure_out")])
     assert result.exit_code == 3, result.output
-    assert "mostly due to the model of A3" in result.output
+    assert "What would help: measure the robot" in result.output
     return folder / "unsure_out" / "pocket.report.json"
 
 
@@ -309,17 +307,18 @@ def _forces_with_a_warning(folder: Path) -> Path:
 )
 def test_every_key_of_a_result_is_described(results, title):
     found = {way for path in results[title] for way in leaves(json.loads(path.read_text(encoding="utf-8")))}
-    # no issues, reversals, bodies; a model that states no uncertainty, or is usable; nobody edited it; all is told
+    # no issues, reversals, bodies; a model that states no uncertainty; no tolerance; nobody edited it; all is told
     found -= {
         ("issues",),
         ("reversals",),
         ("collision",),
         ("u95",),
-        ("u95", "unusable"),
         ("redundancy",),
         ("provenance", "edited"),
         ("not_observable",),
     }
+    if title == "part.report.json":
+        found -= {("verdict", "tolerance")}
     told = [tuple(name.split(".")) for name in described(title)]
     unknown = {way for way in found if not any(matches(name, way) for name in told)}
     assert unknown == set(), f"docs/reference, {title}: describe these"

@@ -31,15 +31,24 @@ def test_programs_in_trouble_come_first_the_worst_of_them_first():
     assert places == sorted(places)
     assert "gone.nc: gone.nc:3: A3 <beyond> its limit" in read.text("failed")
     assert "nothing written 1 do not run 1 no forces 1 look first 3" in text
-    assert "On the part (95 %) 0.50 mm unknown for 3 of 5" in text
+    assert (
+        "Uncorrected, up to (95 %) 2.0 mm unknown for 3 of 5 Corrected, up to (95 %) 0.50 mm unknown for 3 of 5" in text
+    )
     assert "500 targets in 5 programs" in text
 
 
-def test_a_program_without_forces_states_no_expected_error():
+def test_the_overview_shows_both_expected_errors_the_chance_and_the_tolerance():
     entries = [_entry("idle", wrench=np.zeros((100, 6)), bound=np.zeros(100)), _entry("fair", bound=np.full(100, 2e-4))]
     text = read_page(index_page(entries, "out")).text("programs")
-    assert " 100 1.5 0.0002 - 99.98 % " in text
-    assert " 100 1.50 0.0002 0.20 99.98 % " in text
+    assert " 100 1.5 0.0040 99 % - 99.98 % " in text
+    assert " 100 1.7 0.20 99 % - 99.98 % " in text
+
+
+def test_a_report_of_an_earlier_version_has_no_answers():
+    entry = _entry("old", bound=np.full(100, 2e-4))
+    old = msgspec.to_builtins(entry.content) | {"verdict": {"state": "ok", "reasons": ["good"]}}
+    text = read_page(index_page([Entry("old.nc", "", msgspec.convert(old, Reported))], "out")).text("programs")
+    assert " may be run 100 unknown unknown - - 99.98 % " in text
 
 
 def test_names_lead_to_their_reports():

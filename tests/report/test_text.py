@@ -11,6 +11,10 @@ def test_one_program_is_told_as_a_table_of_before_after_and_improvement():
     assert of_one(summary(fabricated.result(), 1e-5)) == (
         "part.nc  on kuka_kr270: 100 targets\n"
         "Look before you run it.\n"
+        "  May it be driven? yes; not checked: collisions (the cell has no [collision]), moves through material (no "
+        "stock is known: give --process)\n"
+        "  Is it better than uncorrected? not known\n"
+        "  Does it hold your tolerance? none is given\n"
         "  - how far the part will be off is unknown: the robot model states no uncertainty of its parameters\n"
         "  - line 12 and 310 more: cutting moves <without> a force: zero force is assumed\n"
         "\n"
@@ -20,17 +24,15 @@ def test_one_program_is_told_as_a_table_of_before_after_and_improvement():
         "  mean               1.0  0.0002         5021\n"
         "  95 %               1.5  0.0002         7475\n"
         "\n"
-        "  expected error on the part (95 %): unknown, the model states no uncertainty\n"
         "  largest correction 1.5 mm\n"
         "  between targets at most 0.0040 mm (tolerance 0.01 mm, held)\n"
         "  compensated 99.98 %\n"
-        "  smallest joint margin 40.0°, smallest singular value 0.210\n"
-        "  collisions are not checked: the cell has no [collision]"
+        "  smallest joint margin 40.0°, smallest singular value 0.210"
     )
 
 
 def test_a_prediction_has_one_column():
-    content = summary(fabricated.result(mode="predict"))
+    content = summary(fabricated.with_changes(fabricated.result(mode="predict"), bound=np.full(100, 2e-4), issues=()))
     text = of_one(content)
     assert "predicted" in text
     assert "expected error on the part" not in text  # what is predicted is left on the part, and is not in the bound
@@ -74,20 +76,21 @@ def test_an_exceeded_tolerance_is_said_aloud():
 
 
 def test_many_programs_are_a_table_with_failures_in_it():
-    lines = of_many([("a/part.nc", summary(fabricated.result()), "written"), ("b.nc", None, "FAILED")]).splitlines()
+    content = summary(fabricated.with_changes(fabricated.result(), bound=np.full(100, 2e-4)))
+    lines = of_many([("a/part.nc", content, "written"), ("b.nc", None, "FAILED")]).splitlines()
     assert lines[0].split("  ")[0] == "program"
     assert lines[1].startswith("a/part.nc")
     assert lines[1].endswith("written")
     assert lines[2].endswith("FAILED")
-    assert lines[0].count("[mm]") == 4
+    assert lines[0].count("[mm]") == 2
     assert lines[3].split() == [
         "all",
         "2,",
         "at",
         "most",
         "100",
-        "1.5",
-        "0.0002",
+        "1.7",
+        "0.20",
         *["1", "not", "written,", "1", "to", "be", "looked", "at"],
     ]
     assert lines[4].startswith("  - a/part.nc: ")

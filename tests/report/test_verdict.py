@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc.correction.result import Doubt, doubtful
+from postproc.correction import ExpectedErrors
 from postproc.errors import Issue
 from postproc.program import Document
 from postproc.report import of_one, page, summary
+from postproc.report.answers import COLOURS, EXIT_CODES, Remedy
 from postproc.robot import Covariance, JointCompliance
 from tests import fabricated
 from tests.html_page import read_page
@@ -30,6 +31,94 @@ def _content(tolerance=1e-5, part=None, **changes):
 
 def _verdict(tolerance=1e-5, part=None, **changes):
     return _content(tolerance, part, **changes).verdict
+
+
+def _errors(chance=0.99, before=1.5e-3, after=8e-4, robot_known=8e-4, forces_known=8e-4):
+    length = np.where(fabricated.result().rapid, 0.0, 1.0)
+    return ExpectedErrors(before * length, after * length, chance, robot_known, forces_known)
+
+
+def test_state_colour_and_exit_code_are_one_table():
+    assert [(COLOURS[state], EXIT_CODES[state]) for state in ("ok", "warning", "failed")] == [
+        ("green", 0),
+        ("amber", 0),
+        ("red", 3),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("chance", "state", "said"),
+    [
+        (0.99, "ok", "May be run. Uncorrected up to 1.5 mm, corrected up to 0.80 mm (95 %)."),
+        (0.84, "ok", "May be run. Uncorrected up to 1.5 mm, corrected up to 0.80 mm (95 %)."),
+        (
+            0.83,
+            "warning",
+            "Look before you run it. Uncorrected up to 1.5 mm, corrected up to 0.80 mm (95 %), better with",
+        ),
+        (
+            0.5,
+            "warning",
+            "Look before you run it. Uncorrected up to 1.5 mm, corrected up to 0.80 mm (95 %), better with",
+        ),
+        (0.49, "failed", "Do not run it. Uncorrected up to 1.5 mm, corrected up to 0.80 mm (95 %), better with"),
+    ],
+)
+def test_a_wide_bound_alone_is_amber_with_both_numbers_and_harm_on_balance_is_red(chance, state, said):
+    verdict = _verdict(errors=_errors(chance))
+    assert (verdict.state, verdict.better.state, verdict.drive.state) == (state, state, "ok")
+    assert verdict.headline.startswith(said)
+    assert (verdict.better.uncorrected_mm, verdict.better.corrected_mm, verdict.better.chance) == (1.5, 0.8, chance)
+    rms = np.sqrt(np.mean(_errors().after[~fabricated.result().rapid] ** 2)) * 1e3
+    assert verdict.better.corrected_rms_mm == pytest.approx(rms)
+    assert verdict.exit_code == (3 if state == "failed" else 0)
+
+
+def test_a_wide_bound_within_the_tolerance_of_the_part_is_green():
+    assert _verdict(part=9e-4, errors=_errors(0.7)).state == "ok"
+    assert _verdict(part=9e-4, errors=_errors(0.4)).state == "failed"
+
+
+def test_a_missed_tolerance_says_both_numbers_and_what_would_help():
+    errors = _errors(robot_known=3e-4, forces_known=7e-4)
+    result = fabricated.with_changes(_known(fabricated.result()), **_QUIET, errors=errors)
+    content = summary(result, 1e-5, 5e-4, remedies=[Remedy("move the part", 0.5), Remedy("lower the feed", 0.79)])
+    assert content.verdict.headline == (
+        "Do not run it. Uncorrected up to 1.5 mm, corrected up to 0.80 mm (95 %). Your tolerance of 0.5 mm is not "
+        "held. What would help: measure the robot (0.30 mm at best), move the part (0.50 mm at best), measure the "
+        "forces (0.70 mm at best)."
+    )
+    tolerance = content.verdict.tolerance
+    assert (tolerance.mm, tolerance.held, tolerance.beyond_percent) == (0.5, False, 100.0)
+    assert [each.action for each in tolerance.would_help] == [
+        "measure the robot",
+        "measure the forces",
+        "move the part",
+    ]
+
+
+def test_a_prediction_says_what_correction_would_give_and_judges_the_program_as_it_is():
+    result = fabricated.with_changes(_known(fabricated.result(mode="predict")), **_QUIET, errors=_errors(0.3))
+    assert summary(result).verdict.state == "ok"
+    content = summary(result, part_tolerance=9e-4)
+    assert content.verdict.headline.startswith(
+        "Do not run it as it is. Uncorrected up to 1.5 mm; corrected it would be up to 0.80 mm (95 %). Your tolerance "
+        "of 0.9 mm is not held. What would help: correct it (0.80 mm at best)."
+    )
+
+
+def test_what_was_not_checked_is_said_by_name_and_does_not_make_it_amber():
+    verdict = _verdict()
+    assert (verdict.state, verdict.drive.unchecked) == ("ok", ["collisions", "moves through material"])
+    assert _verdict(stock_known=True).drive.unchecked == ["collisions"]
+    assert "not checked: collisions (the cell has no [collision]), moves through material" in of_one(_content())
+
+
+def test_a_warning_on_forces_is_no_reason_not_to_drive():
+    verdict = _verdict(issues=(Issue("warning", "beyond-measured-A3", "more than measured", 7),))
+    assert (verdict.drive.state, verdict.better.state, verdict.state) == ("ok", "warning", "warning")
+    verdict = _verdict(issues=(Issue("warning", "joint-speed-A3", "fast", 7),))
+    assert (verdict.drive.state, verdict.better.state) == ("warning", "ok")
 
 
 def test_a_program_of_which_all_is_known_and_held_is_good():
@@ -92,18 +181,6 @@ def test_the_share_beyond_the_tolerance_of_the_part_is_a_plain_number(targets, p
     assert f"at {percent} % of the cutting targets" in reason
 
 
-def test_a_bound_that_exceeds_what_it_corrects_fails_with_its_cause():
-    doubt = Doubt(60, 2.4e-3, 1.1e-3, "the model of A3")
-    verdict = _verdict(doubt=doubt)
-    assert verdict.state == "failed"
-    assert verdict.reasons[0].startswith(
-        "line 63: the expected error of 2.4 mm (95 %) is larger than the 1.1 mm that are corrected, mostly due to the "
-        "model of A3. Identify"
-    )
-    assert _verdict(doubt=doubt, part=2.5e-3).state == "ok"  # a bound below the tolerance of the part does no harm
-    assert _verdict(doubt=Doubt(60, 0.9e-5, 0.5e-5, "the model of A3")).state == "ok"
-
-
 def test_what_must_not_be_run_has_failed():
     assert _verdict(tolerance=1e-6).state == "failed"
     assert "more than 0.001 mm" in _verdict(tolerance=1e-6).reasons[0]
@@ -128,13 +205,3 @@ def test_rounding_of_corners_is_told_in_the_word_of_the_controller(written, word
     limits = read_page(b"".join(page(result, 1e-5))).text("limits")
     for text, times in ((of_one(content), 1), (limits, 1)):
         assert text.count("rounds corners") == text.count(f"pproximation {word} rounds corners") == times
-
-
-def test_a_bound_is_compared_with_what_the_program_corrects_in_all():
-    corrected = np.array([0.1, 1.0, 1.0, 1.0, 0.0])
-    rapid = np.array([False, False, False, False, True])
-    rms = np.sqrt(3.01 / 4)
-    assert doubtful(np.array([0.8, 0.7, 0.7, 0.7, 9.0]), corrected, rapid) is None  # where deflections cancel
-    assert doubtful(np.array([0.9, 0.7, 0.7, 0.7, 9.0]), corrected, rapid) == (0, pytest.approx(rms))
-    assert doubtful(np.array([0.9, 0.7, 1.4, 1.2, 9.0]), corrected, rapid) == (2, 1.0)
-    assert doubtful(np.ones(5), corrected, np.ones(5, dtype=bool)) is None

@@ -13,7 +13,6 @@ from postproc.comparison import Comparison
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm, xyzabc_from_pose
 from postproc.program import Ints
 from postproc.report.comparison.summary import (
-    WORDS,
     ComparisonSummary,
     Names,
     counted,
@@ -23,6 +22,7 @@ from postproc.report.comparison.summary import (
     where_of,
 )
 from postproc.report.formatting import ROUNDING_MM, millimetres
+from postproc.report.judged import answers, in_two
 from postproc.report.kit import (
     Axis,
     Cell,
@@ -101,14 +101,14 @@ def comparison_page(found: Comparison, content: ComparisonSummary) -> Iterator[b
 def _verdict(content: ComparisonSummary) -> Section:
     judged = content.verdict
     names = (content.nominal, content.corrected)
-    first, *others = (
+    reasons = tuple(
         (text if text.startswith(names) or _PLACE.match(text) else text[:1].upper() + text[1:]) + "."
         for text in judged.reasons
     )
-    parts: list[Part] = [Verdict(judged.state, WORDS[judged.state], first)]
-    if others:
+    parts: list[Part] = [Verdict(judged.state, *in_two(judged)), answers(judged)]
+    if reasons:
         kind: Kind = "error" if judged.state == "failed" else ""
-        parts.append(Notes(tuple(Note(text, kind) for text in others), "And", marked=True))
+        parts.append(Notes(tuple(Note(text, kind) for text in reasons), "Why", marked=True))
     return Section("verdict", "Verdict", tuple(parts))
 
 

@@ -21,9 +21,11 @@ from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm, xyzabc_from_pose
 from postproc.program import Bools, Ints, Program
 from postproc.provenance import Provenance
 from postproc.provenance import State as Origin
+from postproc.report.answers import UNJUDGED, Drive, Tolerance, Verdict, joined
 from postproc.report.formatting import PLAIN, ROUNDING_MM, Display, State, above, millimetres
 from postproc.report.path import operation_starts
-from postproc.report.summary import Distances, Judged
+from postproc.report.summary import Distances
+from postproc.report.text import answers
 
 
 class Names(Struct, frozen=True):
@@ -218,7 +220,7 @@ class ComparisonSummary(Struct, frozen=True, omit_defaults=True, kw_only=True):
     operations: list[OperationEntry]
     provenance: OriginEntry
     issues: list[DifferenceEntry]
-    verdict: Judged
+    verdict: Verdict
     files: list[FileEntry] | None = None
 
 
@@ -263,9 +265,10 @@ def comparison_summary(found: Comparison, made: MadeFrom, tolerance: float, limi
             made_from_these=dict(made.agrees),
         ),
         issues=[_entry(each, nominal, corrected) for each in found.differences],
-        verdict=Judged(state="ok", reasons=[]),
+        verdict=UNJUDGED,
     )
     failed, doubtful = [*_failed(content, limit * MM_PER_M, made)], [*_doubtful(content, made)]
+    drive = Drive("failed" if failed else "warning" if doubtful else "ok", [*failed, *doubtful], [])
     every = "every target has its partner" + (", or the path passes it" if len(found.passed) else "")
     holds = [every, *(["the text is as postproc wrote it"] if state == "intact" else [])]
     if content.cut is not None:
@@ -277,8 +280,8 @@ def comparison_summary(found: Comparison, made: MadeFrom, tolerance: float, limi
             "both come from the same program, cell and robot model; the forces of the correction are in a file: give "
             "it with --forces to check what remains"
         )
-    judged: State = "failed" if failed else "warning" if doubtful else "ok"
-    return replace(content, verdict=Judged(state=judged, reasons=failed + doubtful or holds))
+    judged = joined("convert", drive, None, _tolerance(content), holds, words=WORDS)
+    return replace(content, verdict=judged)
 
 
 def _passed_within(found: Comparison) -> float | None:
@@ -310,21 +313,8 @@ def where_of(entry: DifferenceEntry) -> str:
 
 
 def _failed(content: ComparisonSummary, limit_mm: float, made: MadeFrom) -> Iterator[str]:
-    cut, tolerance = content.cut, content.tolerance_mm
     if content.provenance.state == "changed":
         yield f"{content.corrected} was changed since postproc wrote it: convert the program again"
-    if cut is not None and not cut.corrected.max_mm <= tolerance:
-        yield (
-            f"{_where(cut)}: the corrected program leaves {above(cut.corrected.max_mm, tolerance)} mm at this "
-            f"target under the forces given (tolerance {tolerance:g} mm)"
-        )
-    between = content.between
-    if between is not None and not between.corrected_max_mm <= tolerance:
-        yield (
-            f"{between.corrected_file}:{between.corrected_line}: between targets it leaves "
-            f"{above(between.corrected_max_mm, tolerance)} mm to the nominal path under the forces given "
-            f"(tolerance {tolerance:g} mm)"
-        )
     # without forces the correction is too uncertain to distinguish a target from an inserted one next to it
     known = content.cut is not None or not made.same_origin
     if known and not content.offset.max_mm <= limit_mm:
@@ -334,6 +324,23 @@ def _failed(content: ComparisonSummary, limit_mm: float, made: MadeFrom) -> Iter
     if not content.pairs:
         yield "no target of one program belongs to one of the other"
     yield from (_described(issue) for issue in content.issues if issue.level == "error")
+
+
+def _tolerance(content: ComparisonSummary) -> Tolerance | None:
+    """Return that the tolerance of the path is not held by the second program; None if it is, or is not known."""
+    cut, between, tolerance, reasons = content.cut, content.between, content.tolerance_mm, list[str]()
+    if cut is not None and not cut.corrected.max_mm <= tolerance:
+        reasons.append(
+            f"{_where(cut)}: the corrected program leaves {above(cut.corrected.max_mm, tolerance)} mm at this "
+            f"target under the forces given (tolerance {tolerance:g} mm)"
+        )
+    if between is not None and not between.corrected_max_mm <= tolerance:
+        reasons.append(
+            f"{between.corrected_file}:{between.corrected_line}: between targets it leaves "
+            f"{above(between.corrected_max_mm, tolerance)} mm to the nominal path under the forces given "
+            f"(tolerance {tolerance:g} mm)"
+        )
+    return Tolerance("failed", "path", tolerance, False, None, [], reasons) if reasons else None
 
 
 def _where(pair: Lines | Worst) -> str:
@@ -559,7 +566,8 @@ def of_comparison(content: ComparisonSummary, display: Display = PLAIN) -> str:
     verdict, cut = content.verdict, content.cut
     lines = [
         f"{content.corrected} against {content.nominal}  on {content.robot}: {counted(content)}",
-        display.verdict(WORDS[verdict.state], verdict.state),
+        display.verdict(verdict.headline, verdict.state),
+        *answers(verdict),
         *(f"  - {reason}" for reason in verdict.reasons),
         "",
     ]

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from postproc.correction import Result
+from postproc.report.answers import Remedy
 from postproc.report.deviation import sections
 from postproc.report.deviation.data import Deviation
 from postproc.report.kit import Note, Page, Section
@@ -54,6 +55,7 @@ def page(
     process: ProcessForces | None = None,
     part_tolerance: float | None = None,
     stem: str = "",
+    remedies: Sequence[Remedy] = (),
 ) -> Iterator[bytes]:
     """Yield the report of one program as HTML in UTF-8, one file that loads nothing.
 
@@ -63,8 +65,9 @@ def page(
     :param process: what a process made of the program; None = forces are from elsewhere.
     :param part_tolerance: what the part may be off [m], 95 %; None = not stated.
     :param stem: with which the names of the files begin that are written with the page, such as ``"part."``.
+    :param remedies: what would lower the expected error, see `postproc.report.summary.summary`.
     """
-    data = Deviation(result, tolerance, surface, process, part_tolerance, stem)
+    data = Deviation(result, tolerance, surface, process, part_tolerance, stem, tuple(remedies))
     sections = tuple(found for make in SECTIONS if (found := make(data)) is not None)
     views = len(result) > 0
     content = data.content

@@ -18,9 +18,11 @@ from postproc.errors import Issue
 from postproc.forces.axes import across
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, largest, norm, xyzabc_from_pose
 from postproc.program import CIRC, PTP, WRENCH, Bools, Ints, distinct
+from postproc.report.answers import Remedy
 from postproc.report.kit import Columns
 from postproc.report.path import Operation, drawn_path, operations
-from postproc.report.summary import Summary, Verdict, nothing_to_correct, summary, verdict
+from postproc.report.summary import Summary, summary
+from postproc.report.verdict import nothing_to_correct
 from postproc.robot import JOINTS
 from postproc.robot.shapes import LinkShape
 
@@ -89,6 +91,7 @@ class Deviation(Struct, frozen=True, dict=True):
     :param process: what a process made of the program, where the forces are from one.
     :param part_tolerance: what the part may be off [m], 95 %; None = not stated.
     :param stem: with which the names of the files begin that are written with the page, such as ``"part."``.
+    :param remedies: what would lower the expected error, see `postproc.report.summary.summary`.
     """
 
     result: Result
@@ -97,16 +100,12 @@ class Deviation(Struct, frozen=True, dict=True):
     process: ProcessForces | None = None
     part_tolerance: float | None = None
     stem: str = ""
+    remedies: tuple[Remedy, ...] = ()
 
     @cached_property
     def content(self) -> Summary:
         """Content of `report.json`."""
-        return summary(self.result, self.tolerance, self.part_tolerance, self.surface)
-
-    @cached_property
-    def verdict(self) -> Verdict:
-        """The verdict on it."""
-        return verdict(self.result, self.content)
+        return summary(self.result, self.tolerance, self.part_tolerance, self.surface, self.remedies)
 
     @cached_property
     def nothing(self) -> str | None:

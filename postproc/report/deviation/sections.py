@@ -16,6 +16,7 @@ from postproc.program import Ints
 from postproc.report.deviation.data import Deviation, correction
 from postproc.report.feed import seconds, sentences
 from postproc.report.formatting import estimate, millimetres, rounded
+from postproc.report.judged import answers, in_two, sentence
 from postproc.report.kit import (
     Axis,
     Cell,
@@ -36,8 +37,9 @@ from postproc.report.kit import (
     View,
 )
 from postproc.report.kit.parts import Colour
-from postproc.report.summary import CUT_MM, LEFT_MM, NARROW_DEG, WORDS, OnSurface
+from postproc.report.summary import OnSurface
 from postproc.report.text import number, percent, times
+from postproc.report.verdict import CUT_MM, LEFT_MM, NARROW_DEG
 from postproc.robot import JOINTS, WITH_LINKS
 
 if TYPE_CHECKING:
@@ -45,23 +47,16 @@ if TYPE_CHECKING:
 
 
 def verdict(data: Deviation) -> Section:
-    """Return the verdict with its reasons and assumptions."""
-    judged = data.verdict
-    word = WORDS[data.compared, judged.state]
-    first, *others = judged.reasons
-    parts: list[Part] = [Verdict(judged.state, word, _sentence(first))]
-    if others:
+    """Return the verdict: its headline, the three answers, their reasons, what holds, and the assumptions."""
+    judged = data.content.verdict
+    parts: list[Part] = [Verdict(judged.state, *in_two(judged)), answers(judged)]
+    if judged.state != "ok":
         kind: Kind = "error" if judged.state == "failed" else ""
-        title = "Holds" if judged.state == "ok" else "And"
-        parts.append(Notes(tuple(Note(_sentence(text), kind) for text in others), title, marked=True))
-    if judged.holds and judged.state != "ok":
-        parts.append(Notes(tuple(Note(_sentence(text)) for text in judged.holds), "What holds", marked=True))
-    parts.append(Notes(tuple(Note(_sentence(text)) for text in judged.assumes), "Under these assumptions", marked=True))
+        parts.append(Notes(tuple(Note(sentence(text), kind) for text in judged.reasons), "Why", marked=True))
+    if judged.holds:
+        parts.append(Notes(tuple(Note(sentence(text)) for text in judged.holds), "What holds", marked=True))
+    parts.append(Notes(tuple(Note(sentence(text)) for text in judged.assumes), "Under these assumptions", marked=True))
     return Section("verdict", "Verdict", tuple(parts))
-
-
-def _sentence(text: str) -> str:
-    return text[:1].upper() + text[1:] + ("" if text.endswith((".", "?", "!")) else ".")
 
 
 _MEASURES = ("Maximum", "RMS", "Mean", "95th percentile")
@@ -390,7 +385,7 @@ def feeds(data: Deviation) -> Section | None:
     head = ("Operation", "Tool", "Time before", "Time after", "Moves slowed", "Lowest feed, mm/min")
     note = "Time of cutting moves: lengths divided by feeds, without the accelerations of the controller."
     table = Table(head, tuple(rows), "Cutting time by operation at programmed and written feeds", texts=(1,), note=note)
-    notes = Notes(tuple(Note(_sentence(text)) for text in sentences(feed, 20)))
+    notes = Notes(tuple(Note(sentence(text)) for text in sentences(feed, 20)))
     return Section("feeds", "Feeds that hold the tolerance", (notes, table))
 
 

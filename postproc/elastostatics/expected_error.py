@@ -1,0 +1,120 @@
+"""Expected error on the part without and with correction, and the chance that correction makes the part better.
+
+**One error in both.** The tool is at d + e from its nominal position if nothing is corrected: d is the deviation that
+the model predicts, e the error of the prediction. The corrected program takes d back, but for what it leaves, r: the
+tool is at r + e. Model, forces and pose are the same up to the correction, so e is the same. It is normal with mean
+zero and the covariances of `SourcesOfError`.
+
+**Expected error (95 %)** of both: the 95 % quantile of the length of a normal vector with mean d, or r, and the
+covariance of e (`length_bound`).
+
+**Chance.** The part is better if the RMS over the targets is smaller: Σ|r + e|² < Σ|d + e|². The squares of e cancel:
+
+    Σ (d − r)·e > −½ Σ (|d|² − |r|²)
+
+The left side is linear in e, so it is normal with mean zero. With its standard deviation σ the chance is
+Φ(½ Σ (|d|² − |r|²) / σ). For one unknown factor of relative standard deviation s, e = s·z·d and r = 0, it is Φ(1/(2s)).
+
+σ² adds up over independent sources (JCGM 100:2008, "Guide to the expression of uncertainty in measurement", 5.1.2).
+Within a source the errors at different targets are correlated:
+
+- A parameter of the model has one error for all targets, and so has a factor of all forces: their displacements are
+  added over the targets before they are squared (ibid., 5.2.2). This is exact.
+- Standard deviations of the components of a wrench come without correlation from target to target. One relative error
+  of a component for all targets counts, as of a coefficient or a scale: of independent errors less would remain.
+- Neither is it known for the unmodelled error, for lost motion and for the error of the geometry. σ is then the sum of
+  the standard deviations at the targets, the largest that any correlation gives.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from msgspec import Struct
+
+from postproc.elastostatics.uncertainty import SourcesOfError, largest_length
+from postproc.frames import Array
+from postproc.program import Bools
+
+
+class ExpectedAt(Struct, frozen=True, eq=False):
+    """Expected errors (95 %) on the part at n places (n,) [m].
+
+    :param bound: of the prediction.
+    :param before: if nothing is corrected.
+    :param after: with correction.
+    :param robot_known: with correction, if the errors of the forces were the only ones.
+    :param forces_known: with correction, if the forces were certain.
+    """
+
+    bound: Array
+    before: Array
+    after: Array
+    robot_known: Array
+    forces_known: Array
+
+
+def expected_at(errors: SourcesOfError, deviation: Array, left: Array) -> ExpectedAt:
+    """Return the expected errors at n places.
+
+    :param deviation: (n, 3) from nominal if nothing is corrected, root axes [m]; `left` (n, 3) with correction.
+    """
+    every = errors.covariances()
+    return ExpectedAt(
+        bound=largest_length(every),
+        before=largest_length(every, deviation),
+        after=largest_length(every, left),
+        robot_known=largest_length([each @ np.swapaxes(each, 1, 2) for each in errors.by_forces], left),
+        forces_known=largest_length([errors.by_robot], left),
+    )
+
+
+class ChanceOfGain:
+    """Sums over targets for the chance that correction lowers the RMS error on the part; see the module."""
+
+    def __init__(self) -> None:
+        """Begin without targets."""
+        self._gain = 0.0
+        self._by_parameter: Array | None = None
+        self._covariance = np.zeros((0, 0))
+        self._by_forces: list[Array] = []
+        self._other: dict[str, float] = {}
+
+    def add(self, errors: SourcesOfError, deviation: Array, left: Array, counts: Bools) -> None:
+        """Add n targets.
+
+        :param deviation: (n, 3) from nominal if nothing is corrected, root axes [m]; `left` (n, 3) with correction.
+        :param counts: (n,) targets that count: cutting ones.
+        """
+        deviation, left = deviation[counts], left[counts]
+        change = deviation - left
+        self._gain += 0.5 * float(np.sum(deviation**2) - np.sum(left**2))
+        by_parameter = np.einsum("ni,nip->p", change, errors.slopes[counts])
+        by_forces = [np.einsum("ni,nik->k", change, each[counts]) for each in errors.by_forces]
+        if self._by_parameter is None:
+            self._by_parameter, self._by_forces = np.zeros_like(by_parameter), [np.zeros_like(b) for b in by_forces]
+        self._covariance = errors.covariance
+        self._by_parameter = self._by_parameter + by_parameter
+        self._by_forces = [total + more for total, more in zip(self._by_forces, by_forces, strict=True)]
+        for name, sigma in _along(errors.other, change, counts).items():
+            self._other[name] = self._other.get(name, 0.0) + sigma
+
+    @property
+    def chance(self) -> float | None:
+        """The chance, in [0, 1]; None if correction changes nothing."""
+        if self._gain == 0.0 or self._by_parameter is None:
+            return None
+        variance = float(self._by_parameter @ self._covariance @ self._by_parameter)
+        variance += max(float(np.sum(each**2)) for each in self._by_forces)
+        variance += sum(sigma**2 for sigma in self._other.values())
+        if variance <= 0.0:
+            return float(self._gain > 0.0)
+        return 0.5 * math.erfc(-self._gain / math.sqrt(2.0 * variance))
+
+
+def _along(covariances: Mapping[str, Array], change: Array, counts: Bools) -> dict[str, float]:
+    """Return the sums over targets of the standard deviations of errors along the corrections (n, 3), by source."""
+    squares = {name: np.einsum("ni,nij,nj->n", change, each[counts], change) for name, each in covariances.items()}
+    return {name: float(np.sum(np.sqrt(np.maximum(square, 0.0)))) for name, square in squares.items()}

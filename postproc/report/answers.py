@@ -1,0 +1,228 @@
+"""Three answers on a program: may it be driven, is it better than uncorrected, does it hold the tolerance.
+
+They have one form everywhere: in report.json, on pages, on the terminal, in the hosts. State, colour and exit code
+follow from one table:
+
+| answer | ok | warning | failed |
+|---|---|---|---|
+| drive | nothing is wrong | a warning on motions, or a joint near its limit | it may not be driven |
+| better | the chance is at least `WIDE`, or nothing is left to judge | below, or unknown | below `HARM` |
+| tolerance | held | cannot be judged | not held |
+
+The state of the whole is the worst of the three. A wide bound alone never fails: with both expected errors the user
+can decide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+from msgspec import Struct
+
+from postproc.correction import Mode
+from postproc.report.formatting import State, rounded
+
+HARM = 0.5
+"""Chance below which correction does more harm than good."""
+WIDE = 0.84
+"""Chance below which a bound is wide: the gain is smaller than one standard deviation of itself (Φ(1) = 0.84)."""
+COLOURS: dict[State, str] = {"ok": "green", "warning": "amber", "failed": "red"}
+EXIT_CODES: dict[State, int] = {"ok": 0, "warning": 0, "failed": 3}
+_ORDER: tuple[State, ...] = ("ok", "warning", "failed")
+WORDS: dict[tuple[Mode, State], str] = {
+    ("convert", "ok"): "May be run.",
+    ("convert", "warning"): "Look before you run it.",
+    ("convert", "failed"): "Do not run it.",
+    ("nominal", "ok"): "May be run, without correction.",
+    ("nominal", "warning"): "Without correction. Look before you run it.",
+    ("nominal", "failed"): "Without correction. Do not run it.",
+    ("predict", "ok"): "As programmed.",
+    ("predict", "warning"): "As programmed, with reservations.",
+    ("predict", "failed"): "Do not run it as it is.",
+}
+"""The verdict in a word."""
+UNCHECKED = {
+    "collisions": "the cell has no [collision]",
+    "moves through material": "no stock is known: give --process",
+}
+"""What may be left unchecked, and why."""
+
+
+class Remedy(Struct, frozen=True):
+    """What would lower the expected error on the part, and to what (95 %)."""
+
+    action: str
+    expected_mm: float
+
+
+class Drive(Struct, frozen=True):
+    """May it be driven? `unchecked` names what was not looked at."""
+
+    state: State
+    reasons: list[str]
+    unchecked: list[str]
+
+
+class Better(Struct, frozen=True):
+    """Is it better than the uncorrected program? Expected errors on the part (95 %) over cutting targets.
+
+    `uncorrected_mm` and `corrected_mm` are those of the worst target, the program as read and as corrected; None where
+    the model states no uncertainty. `chance`: that correction makes the part better (RMS); None where nothing changes.
+    """
+
+    state: State
+    uncorrected_mm: float | None
+    corrected_mm: float | None
+    uncorrected_rms_mm: float | None
+    corrected_rms_mm: float | None
+    chance: float | None
+    reasons: list[str]
+
+
+class Tolerance(Struct, frozen=True):
+    """Does it hold the tolerance that the user gave?
+
+    :param mm: the tolerance, and `of` what: the "part", or the "path" between the written targets.
+    :param beyond_percent: share of the cutting targets that exceed it; None where unknown.
+    """
+
+    state: State
+    of: str
+    mm: float
+    held: bool | None
+    beyond_percent: float | None
+    would_help: list[Remedy]
+    reasons: list[str]
+
+
+class Verdict(Struct, frozen=True):
+    """The three answers, and what joins them.
+
+    :param headline: in one or two sentences.
+    :param reasons: what decides the state, the worst first; for "ok" what to expect.
+    :param holds: what to expect and what was checked and holds.
+    :param assumes: assumptions of all of it.
+    """
+
+    state: State
+    headline: str
+    drive: Drive
+    better: Better | None
+    tolerance: Tolerance | None
+    reasons: list[str]
+    holds: list[str]
+    assumes: list[str]
+
+    @property
+    def exit_code(self) -> int:
+        """Exit code of the command that judged it."""
+        return EXIT_CODES[self.state]
+
+
+def worst_state(states: Iterable[State]) -> State:
+    """Return the worst of some states."""
+    return max(states, key=_ORDER.index, default="ok")
+
+
+def joined(
+    mode: Mode,
+    drive: Drive,
+    better: Better | None,
+    tolerance: Tolerance | None,
+    holds: Sequence[str] = (),
+    assumes: Sequence[str] = (),
+    *,
+    words: Mapping[State, str] | None = None,
+) -> Verdict:
+    """Return the verdict that joins three answers.
+
+    :param words: with which the headline begins, by state; None: `WORDS`.
+    """
+    answers = [answer for answer in (drive, better, tolerance) if answer is not None]
+    state = worst_state(answer.state for answer in answers)
+    ordered = sorted(answers, key=lambda answer: -_ORDER.index(answer.state))
+    reasons = [reason for answer in ordered for reason in answer.reasons]
+    word = WORDS[mode, state] if words is None else words[state]
+    sentences = (word, _on_better(mode, better), _on_tolerance(tolerance))
+    headline = " ".join(sentence for sentence in sentences if sentence)
+    return Verdict(state, headline, drive, better, tolerance, reasons or list(holds), list(holds), list(assumes))
+
+
+_FORMS: dict[Mode, str] = {
+    "convert": "Uncorrected up to {} mm, corrected up to {} mm (95 %){}.",
+    "nominal": "Uncorrected, as written, up to {} mm; corrected it would be up to {} mm (95 %){}.",
+    "predict": "Uncorrected up to {} mm; corrected it would be up to {} mm (95 %){}.",
+}
+
+
+def _on_better(mode: Mode, better: Better | None) -> str:
+    """Return a sentence with both expected errors; empty where there is nothing to compare."""
+    if better is None or better.uncorrected_mm is None or better.corrected_mm is None or better.chance is None:
+        return ""
+    chance = "" if better.state == "ok" else f", better with a chance of {chance_in_words(better.chance)}"
+    return _FORMS[mode].format(rounded(better.uncorrected_mm), rounded(better.corrected_mm), chance)
+
+
+def _on_tolerance(tolerance: Tolerance | None) -> str:
+    if tolerance is None or tolerance.of != "part":
+        return ""
+    if tolerance.held:
+        return f"Your tolerance of {tolerance.mm:g} mm is held."
+    missed = f"Your tolerance of {tolerance.mm:g} mm is not held"
+    return f"{missed}. What would help: {remedies(tolerance.would_help)}." if tolerance.would_help else f"{missed}."
+
+
+def remedies(some: Sequence[Remedy]) -> str:
+    """Return remedies in words, the one that helps most first."""
+    ordered = sorted(some, key=lambda each: each.expected_mm)
+    return ", ".join(f"{each.action} ({rounded(each.expected_mm)} mm at best)" for each in ordered)
+
+
+QUESTIONS = ("May it be driven?", "Is it better than uncorrected?", "Does it hold your tolerance?")
+
+
+def in_words(verdict: Verdict) -> list[tuple[str, str, State]]:
+    """Return question, answer and state of each of the three answers."""
+    drive, better, tolerance = verdict.drive, verdict.better, verdict.tolerance
+    answers: tuple[tuple[str, State], ...] = (
+        (_driven(drive), drive.state),
+        (_compared(better), "ok" if better is None else better.state),
+        (_held(tolerance), "ok" if tolerance is None else tolerance.state),
+    )
+    return [(question, *answer) for question, answer in zip(QUESTIONS, answers, strict=True)]
+
+
+def _driven(drive: Drive) -> str:
+    answer = {"ok": "yes", "warning": "see the reasons", "failed": "no"}[drive.state]
+    named = ", ".join(f"{name} ({UNCHECKED[name]})" if name in UNCHECKED else name for name in drive.unchecked)
+    return f"{answer}; not checked: {named}" if named else answer
+
+
+def _compared(better: Better | None) -> str:
+    if better is None or better.uncorrected_mm is None or better.corrected_mm is None:
+        return "not known"
+    if better.chance is None:
+        return f"nothing is corrected; up to {rounded(better.corrected_mm)} mm (95 %)"
+    pair = ((better.uncorrected_mm, better.uncorrected_rms_mm), (better.corrected_mm, better.corrected_rms_mm))
+    before, after = (f"up to {rounded(largest)} mm, RMS {rounded(rms or 0.0)}" for largest, rms in pair)
+    return f"chance {chance_in_words(better.chance)}: uncorrected {before}; corrected {after} (95 %)"
+
+
+def _held(tolerance: Tolerance | None) -> str:
+    if tolerance is None:
+        return "none is given"
+    held = {None: "not known", True: "held", False: "not held"}[tolerance.held]
+    return f"{tolerance.mm:g} mm{' of the path' if tolerance.of == 'path' else ''}: {held}"
+
+
+def chance_in_words(chance: float) -> str:
+    """Return a chance in percent, never 0 or 100.
+
+    >>> chance_in_words(0.834), chance_in_words(0.9999), chance_in_words(0.0)
+    ('83 %', 'over 99 %', 'under 1 %')
+    """
+    return "over 99 %" if chance > 0.99 else "under 1 %" if chance < 0.01 else f"{100.0 * chance:.0f} %"
+
+
+UNJUDGED = joined("convert", Drive("ok", [], []), None, None)
+"""A placeholder until numbers are judged."""

@@ -1,0 +1,26 @@
+"""The three answers on a page."""
+
+from __future__ import annotations
+
+from postproc.report.answers import Verdict, in_words
+from postproc.report.formatting import State
+from postproc.report.kit import Cell, Facts, Kind
+
+_OF_STATES: dict[State, Kind] = {"ok": "good", "warning": "warning", "failed": "error"}
+
+
+def in_two(judged: Verdict) -> tuple[str, str]:
+    """Return the headline of a verdict as its first sentence, and the others."""
+    first, _, others = judged.headline.partition(". ")
+    return (f"{first}.", others) if others else (first, "")
+
+
+def answers(judged: Verdict) -> Facts:
+    """Return the three answers as facts."""
+    rows = ((question, Cell(sentence(answer), _OF_STATES[state])) for question, answer, state in in_words(judged))
+    return Facts(tuple(rows))
+
+
+def sentence(text: str) -> str:
+    """Return a text as a sentence."""
+    return text[:1].upper() + text[1:] + ("" if text.endswith((".", "?", "!")) else ".")

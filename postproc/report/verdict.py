@@ -1,0 +1,375 @@
+"""The verdict on a result: the three answers of `postproc.report.answers`, made here for every command that has one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from msgspec import Struct
+
+from postproc.correction import Mode, Result, statistics
+from postproc.errors import Issue
+from postproc.frames import MM_PER_M
+from postproc.report.answers import (
+    HARM,
+    UNCHECKED,
+    WIDE,
+    Better,
+    Drive,
+    Remedy,
+    Tolerance,
+    Verdict,
+    chance_in_words,
+    joined,
+    remedies,
+)
+from postproc.report.formatting import State, above, rounded
+from postproc.robot import JOINTS, RobotModel
+
+if TYPE_CHECKING:
+    from postproc.report.summary import Summary
+
+NOTHING_MM = 1e-6
+"""Deviations below this everywhere are noise of the arithmetic."""
+_KEPT = ("unresolved", "motions-elsewhere")
+"""Kinds of issues about motions and calls that stay as they are."""
+NARROW_DEG = 5.0
+"""A joint that comes nearer to its limit is something to look at."""
+_FOREMOST: dict[Mode, tuple[str, ...]] = {
+    "convert": ("motions-elsewhere",),
+    "nominal": ("motions-elsewhere",),
+    "predict": ("motions-elsewhere", "external-call"),
+}
+"""Kinds of warnings that come before all others: motions that were not examined, and called files that are missing,
+which may set the frames of a predicted program."""
+_OF_FORCES = frozenset(
+    {
+        "beyond-measured", "cuts-unseen", "deep-cut", "drilled-by-mill", "force-on-rapid", "force-step",
+        "forces-by-pass", "hollow-stock", "material", "no-force", "other-cutter", "real-cut", "stock-scale",
+    }
+)  # fmt: skip
+"""Kinds of warnings about forces and model, which decide whether the part is better, and not whether to drive it."""
+CUT_MM = 0.01
+"""Without a stated tolerance, a cut of the programmed path into the mesh below this is none."""
+LEFT_MM = 0.1
+"""Material that a finishing path may leave on most of a part, between passes and by the facets of the mesh."""
+SOLID = "link masses"
+"""An assumed value that only weights, and with them calibrated geometry, depend on: see `assumed`."""
+_FIRST = np.inf
+"""Cost [mm] of a finding that comes first."""
+_WORDS_ONLY = 0.0
+"""Cost [mm] of a finding without a length."""
+
+
+class Finding(Struct, frozen=True):
+    """One statement of a verdict, and how many millimetres on the part it can cost."""
+
+    cost_mm: float
+    text: str
+
+
+def verdict(result: Result, content: Summary, more: Sequence[Remedy] = ()) -> Verdict:
+    """Return the verdict.
+
+    :param content: of `report.json` but for the verdict.
+    :param more: remedies besides those that the result itself says.
+    """
+    warnings = [issue for issue in result.issues if issue.level == "warning"]
+    of_forces = [issue for issue in warnings if issue.kind.partition("-A")[0] in _OF_FORCES]
+    drive = _drive(result, content, [issue for issue in warnings if issue not in of_forces])
+    tolerance = _tolerance(result, content, more)
+    better = _better(result, content, _of_issues(of_forces, result.mode), tolerance)
+    holds = _holds(result, content)
+    return joined(result.mode, drive, better, tolerance, _texts(holds), _assumptions(result))
+
+
+def _drive(result: Result, content: Summary, warnings: Sequence[Issue]) -> Drive:
+    """Return whether the program may be driven, from its warnings about motions."""
+    errors = [issue.message for issue in result.issues if issue.level == "error"]
+    doubts = _of_issues(warnings, result.mode)
+    if content.targets:
+        doubts = [*_on_surface(content)[0], *_near_limits(content), *doubts]
+    unchecked = [
+        name for name, known in zip(UNCHECKED, (content.collision, result.stock_known), strict=True) if not known
+    ]
+    state: State = "failed" if errors else "warning" if doubts else "ok"
+    return Drive(state, [*errors, *_texts(doubts)], unchecked)
+
+
+def _better(result: Result, content: Summary, doubts: list[Finding], tolerance: Tolerance | None) -> Better:
+    """Return whether the corrected program is better than the uncorrected one.
+
+    :param doubts: about forces and model.
+    """
+    errors, failed = result.errors, list[Finding]()
+    corrects = content.mode != "predict"
+    if (kept := nothing_corrected(content)) is not None:
+        doubts.insert(0, Finding(_FIRST, kept))
+    if content.targets and content.max_force_N == 0.0 and corrects:
+        doubts.append(Finding(_FIRST, _without_forces(result, content)))
+    if content.targets and errors is None:
+        text = "how far the part will be off is unknown: the robot model states no uncertainty of its parameters"
+        doubts.append(Finding(content.before.max_mm, text))
+    if result.robot.measured is not None and result.robot.measured.not_trusted:
+        doubts.append(Finding(_FIRST, f"the robot model is not to be trusted: {result.robot.measured.not_trusted}"))
+    if errors is None or _compensates(content):
+        return Better("warning" if doubts else "ok", None, None, None, None, None, _texts(doubts))
+    before, after = (statistics(error, result.rapid) for error in (errors.before, errors.after))
+    reached = max(content.before.max_mm, content.after.max_mm)
+    counts = content.mode == "convert" and reached > (content.tolerance_mm or CUT_MM)
+    if counts and errors.chance is not None and errors.chance < HARM:
+        failed.append(Finding(_FIRST, _CHANCE.format("does more harm than good", chance_in_words(errors.chance))))
+    elif counts and errors.chance is not None and errors.chance < WIDE and not (tolerance and tolerance.held):
+        wide = _CHANCE.format("is not much larger than its uncertainty", chance_in_words(errors.chance))
+        some = _remedies(result, content)
+        doubts.append(Finding(after.largest * MM_PER_M, f"{wide}. What would help: {remedies(some)}" if some else wide))
+    state: State = "failed" if failed else "warning" if doubts else "ok"
+    return Better(
+        state=state,
+        uncorrected_mm=before.largest * MM_PER_M,
+        corrected_mm=after.largest * MM_PER_M,
+        uncorrected_rms_mm=before.rms * MM_PER_M,
+        corrected_rms_mm=after.rms * MM_PER_M,
+        chance=errors.chance,
+        reasons=[*_texts(failed), *_texts(doubts)],
+    )
+
+
+_CHANCE = "the correction {}: it makes the part better with a chance of {}"
+
+
+def _tolerance(result: Result, content: Summary, more: Sequence[Remedy]) -> Tolerance | None:
+    """Return whether the tolerance of the part is held, or that of the path is not; None if nobody gave one."""
+    part, reasons = content.part, list[str]()
+    if content.targets and content.tolerance_held is False and content.mode != "predict":
+        assert content.tolerance_mm is not None
+        reached = above(max(content.between_max_mm or 0.0, content.after.max_mm), content.tolerance_mm)
+        reasons.append(
+            f"the predicted path leaves the nominal one by {reached} mm: more than {content.tolerance_mm:g} mm"
+        )
+    if part.tolerance_mm is None or _compensates(content):
+        if not reasons or content.tolerance_mm is None:
+            return None
+        beyond = int(np.count_nonzero(result.after[~result.rapid] * MM_PER_M > content.tolerance_mm))
+        percent = 100.0 * beyond / max(int(np.count_nonzero(~result.rapid)), 1)
+        return Tolerance("failed", "path", content.tolerance_mm, False, percent, [], reasons)
+    if part.held is None or part.expected_mm is None:
+        state: State = "failed" if reasons else "warning"
+        return Tolerance(state, "part", part.tolerance_mm, None, None, [], [*reasons, _UNKNOWN])
+    if part.held:
+        return Tolerance("failed" if reasons else "ok", "part", part.tolerance_mm, True, 0.0, [], reasons)
+    some = [each for each in (*_remedies(result, content), *more) if each.expected_mm < _GAIN * part.expected_mm]
+    text = (
+        f"the expected error on the part is up to {above(part.expected_mm, part.tolerance_mm)} mm (95 %, corners and "
+        f"path included), more than the {part.tolerance_mm:g} mm of [part] tolerance_mm, at "
+        f"{_two_digits(part.beyond_percent)} % of the cutting targets"
+    )
+    reasons.insert(0, _at(text, part.source_line))
+    return Tolerance("failed", "part", part.tolerance_mm, False, part.beyond_percent, some, reasons)
+
+
+_UNKNOWN = "whether [part] tolerance_mm is held is unknown: the robot model states no uncertainty of its parameters"
+_GAIN = 0.95
+"""A remedy is named if the expected error is below this share of today's with it."""
+
+
+def _remedies(result: Result, content: Summary) -> list[Remedy]:
+    """Return what would lower the expected error, as far as the result itself says it."""
+    errors = result.errors
+    if errors is None:
+        return []
+    corrected = float(errors.after.max(initial=0.0))
+    known = {"measure the robot": errors.robot_known, "measure the forces": errors.forces_known}
+    some = [Remedy(action, error * MM_PER_M) for action, error in known.items() if error < _GAIN * corrected]
+    return [Remedy("correct it", corrected * MM_PER_M), *some] if content.mode != "convert" else some
+
+
+def _compensates(content: Summary) -> bool:
+    """Return whether a program that is predicted was corrected: its targets are commanded poses."""
+    return content.mode == "predict" and content.provenance.state == "intact" and content.provenance.mode == "corrected"
+
+
+def _holds(result: Result, content: Summary) -> list[Finding]:
+    """Return what to expect, and what was checked and holds."""
+    holds = list[Finding]()
+    if content.targets:
+        holds = [*_on_surface(content)[1], *_expected(content), *_margin(content), *_clear(content)]
+    if content.mode != "predict" and result.documents:
+        text = "the program was read back as it is written, and simulated with its rounded numbers"
+        holds.append(Finding(_WORDS_ONLY, text))
+    if names := assumed(result.robot):
+        holds.append(Finding(_WORDS_ONLY, f"assumed values of the robot model: {', '.join(names)}"))
+    return holds
+
+
+def _of_issues(issues: Sequence[Issue], mode: Mode) -> list[Finding]:
+    return [
+        Finding(
+            _FIRST if issue.kind in _FOREMOST[mode] else _WORDS_ONLY,
+            _at(issue.message, issue.source_line, issue.count),
+        )
+        for issue in issues
+    ]
+
+
+def nothing_corrected(content: Summary) -> str | None:
+    """Return a sentence that says so if motions stay as they are and no other one was corrected."""
+    kept = sum(issue.count for issue in content.issues if issue.kind in _KEPT)
+    if content.mode != "convert" or not kept or content.before.max_mm >= NOTHING_MM:
+        return None
+    motions = "1 motion or call stays as it is" if kept == 1 else f"{kept} motions and calls stay as they are"
+    return f"Nothing was corrected: {motions}."
+
+
+def nothing_to_correct(content: Summary) -> str | None:
+    """Return a sentence that says so if the tool deviates nowhere, with or without correction."""
+    if (kept := nothing_corrected(content)) is not None:
+        return kept
+    if not (content.targets and content.before.max_mm < NOTHING_MM):
+        return None
+    why = "no cutting move carries a force" if content.max_force_N == 0.0 else "the forces do not move the tool"
+    return f"Nothing to correct: {why}, the tool follows the programmed path."
+
+
+def _texts(findings: list[Finding]) -> list[str]:
+    return [finding.text for finding in sorted(findings, key=lambda finding: -finding.cost_mm)]
+
+
+def _at(message: str, line: int | None, count: int = 1) -> str:
+    more = f" and {count - 1} more" if count > 1 else ""
+    return message if line is None else f"line {line}{more}: {message}"
+
+
+def _two_digits(percent: float | None) -> str:
+    """Return a percentage with two significant digits, from 10 on without decimals; only 100 is 100."""
+    assert percent is not None
+    return f"{percent:.2g}" if percent < 9.95 else f"{percent if percent == 100.0 else min(percent, 99.0):.0f}"
+
+
+def _without_forces(result: Result, content: Summary) -> str:
+    if content.before.max_mm < NOTHING_MM:
+        return "no cutting move carries a force: nothing is corrected (postproc forces computes forces)"
+    corrected = content.mode == "convert"
+    causes = " and ".join(result.causes) or "the model"
+    what = "corrected is" if corrected else "what remains is"
+    cause = "cause" if len(result.causes) > 1 else "causes"
+    return (
+        f"no cutting move carries a force: {what} only what {causes} {cause}, up to "
+        f"{rounded(content.before.max_mm)} mm (postproc forces computes forces)"
+    )
+
+
+def _expected(content: Summary) -> list[Finding]:
+    """Return what to expect on the part, in millimetres."""
+    found = []
+    bound, part, blending = content.u95, content.part, content.blending
+    if bound is not None:
+        what = "uncertainty of the prediction" if content.mode == "predict" else "expected error on the part"
+        text = f"{what} (95 %): up to {rounded(bound.max_mm)} mm, {bound.basis}"
+        found.append(Finding(bound.max_mm, text))
+    if part.held and part.expected_mm is not None:
+        text = (
+            f"[part] tolerance_mm = {part.tolerance_mm:g} is held: up to {rounded(part.expected_mm)} mm (95 %), "
+            "corners and path included"
+        )
+        found.append(Finding(part.expected_mm, text))
+    if content.mode == "predict":
+        text = f"predicted as programmed: up to {rounded(content.before.max_mm)} mm off at cutting targets"
+        return [Finding(_FIRST, text), *found]
+    if blending.source_line is not None:
+        own = blending.programmed_max_mm
+        itself = f", the program itself by {rounded(own)} mm" if own else ""
+        text = f"{blending.by} rounds corners by up to {rounded(blending.max_mm)} mm{itself}"
+        found.append(Finding(blending.max_mm, _at(text, blending.source_line)))
+    if content.tolerance_held is not False and content.between_max_mm is not None and content.tolerance_mm:
+        but = ", but for rounded corners" if content.tolerance_held is None else ""
+        within = f"{rounded(content.between_max_mm)} mm of the nominal one, between targets too{but}"
+        text = f"the predicted path stays within {within} (tolerance {content.tolerance_mm:g} mm)"
+        found.append(Finding(content.between_max_mm, text))
+    if content.mode == "convert" and (content.max_correction_mm or 0.0) >= NOTHING_MM:
+        found.append(Finding(_WORDS_ONLY, f"the correction is at most {rounded(content.max_correction_mm or 0.0)} mm"))
+    return found
+
+
+def _on_surface(content: Summary) -> tuple[list[Finding], list[Finding]]:
+    """Return doubts and findings about the programmed path and the mesh of the part."""
+    surface = content.surface
+    if surface is None:
+        return [], []
+    limit = content.part.tolerance_mm or content.tolerance_mm or CUT_MM
+    reached = f"tools reach {surface.reached_percent:.0f} % of its surface"
+    if surface.reached_percent == 0.0:
+        text = "no tool reaches the part: check that its mesh is in mm and in $BASE, and the shapes of the tools"
+        return [Finding(_FIRST, text)], []
+    cut, left = surface.cut_into_mm, surface.left_mm
+    if cut > limit:
+        text = (
+            f"the programmed path itself cuts {rounded(cut)} mm into the part: check that the mesh is in place and is "
+            f"the finished part; {reached}"
+        )
+        return [Finding(_FIRST, _at(text, surface.source_line))], []
+    if left is not None and left > max(limit, LEFT_MM):
+        text = (
+            f"the programmed path itself leaves {rounded(left)} mm on the part: check that the mesh is in place and is "
+            f"what this program makes; {reached}"
+        )
+        return [Finding(_FIRST, text)], []
+    text = f"the programmed path cuts into the part by no more than {limit:g} mm; {reached}"
+    return [], [Finding(_WORDS_ONLY, text)]
+
+
+def clearance(content: Summary) -> str:
+    """Return the smallest clearance in words."""
+    found = content.collision
+    if found is None:
+        return "collisions are not checked: the cell has no [collision]"
+    if found.min_clearance_mm is None:
+        return "[collision] names no bodies that could touch"
+    between = " and ".join(found.bodies)
+    where = f"of {between} at line {found.source_line}; stock not counted"
+    return f"smallest clearance {found.min_clearance_mm:.3g} mm, {where}"
+
+
+def _clear(content: Summary) -> list[Finding]:
+    """Return the smallest clearance as a finding; none if collisions were not checked."""
+    return [] if content.collision is None else [Finding(_WORDS_ONLY, clearance(content))]
+
+
+def _near_limits(content: Summary) -> list[Finding]:
+    margins = content.limits.joint_margins_deg
+    return [
+        Finding(_WORDS_ONLY, f"{name} comes within {margin:.1f}° of a limit")
+        for name, margin in zip(JOINTS, margins, strict=True)
+        if margin is not None and margin < NARROW_DEG
+    ]
+
+
+def _margin(content: Summary) -> list[Finding]:
+    least = content.limits.min_joint_margin_deg
+    return (
+        []
+        if least is None or least < NARROW_DEG
+        else [Finding(_WORDS_ONLY, f"all joints stay {least:.1f}° or more from their limits")]
+    )
+
+
+def assumed(robot: RobotModel) -> tuple[str, ...]:
+    """Return the names of the model's values that are assumed and bear on what the tool does under force."""
+    weights = robot.has_weight and (robot.carries_weight or not robot.subtract_reference)
+    return tuple(entry.name for entry in robot.sources if entry.assumed and (weights or entry.name != SOLID))
+
+
+def _assumptions(result: Result) -> list[str]:
+    force = np.abs(result.wrench.values).max(axis=1)[result.wrench.run].max(initial=0.0)
+    bodies = [] if result.clearance is None else list(result.clearance.remarks)
+    out = [*bodies, f"the elastic model of {result.robot.title or result.robot.name}, as its sources below state it"]
+    if force > 0.0:
+        out.append("the cutting forces as given, constant in time: no chatter, no dynamics of drives")
+        if result.exact_forces and result.robot.covariance is not None:
+            out.append("exact forces: the bound counts no error of theirs (columns sFx, sFy, sFz or sigma_percent)")
+    if result.robot.covariance is None:
+        out.append("exact parameters: the model has no covariance")
+    rigid = "holder, spindle and workpiece" if result.deflection_by_tool is None else "workpiece"
+    out.append(f"{rigid} rigid; frames ($BASE, $TOOL) as the cell states them")
+    return out
