@@ -188,6 +188,15 @@ class Rotary(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         return [by_letter[letter] for letter in self.axes]
 
 
+class Apt(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """How cutter-location files are read.
+
+    :param without_effect: major words, in upper case, that move nothing in this shop: their statements are passed over.
+    """
+
+    without_effect: list[str] = []
+
+
 class Krl(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """How KRL is read.
 
@@ -271,6 +280,7 @@ class CellFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     krl: Krl = Krl()
     machine: Machine = Machine()
     rotary: Rotary | None = None
+    apt: Apt = Apt()
     m_codes: dict[str, list[str]] = {}
     tools: dict[str, Frame] = {}
     work_offsets: dict[str, Frame] = {}

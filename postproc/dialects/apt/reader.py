@@ -2,11 +2,12 @@
 
 X, Y, Z are the tool tip in `$BASE`; i, j, k the direction from the tip to the spindle. The tool is tilted from z to
 that direction by the shortest rotation, as with rotary axes in G-code (`program.tilted`); between two points it turns
-by one rotation. Anything not understood that may move the tool is an error.
+by one rotation. Where it comes straight from below, it is tilted from −z instead. Anything not understood that may move
+the tool is an error.
 
 Sources: ISO 4343:2000 as quoted in public specifications; PTC, Creo NC, "Supported CL Data Commands" and the pages on
 circles and holes; Siemens, NX CLSF Manager (``CIRCLE``); Vericut, "Supported APT-CLS NC Program Records"; Autodesk's
-post "Common ISO 4343 APT"; files of CATIA V5.
+post "Common ISO 4343 APT"; files of CATIA V5, Siemens NX and SolidWorks CAM.
 """
 
 from __future__ import annotations
@@ -44,8 +45,10 @@ from postproc.program import (
 
 _SAME_MM = 1e-6
 _STILL = 1e-9
-_DOWNWARDS = -0.9999
-"""Tool directions with a smaller z are refused: there is no shortest rotation to them."""
+_OPPOSITE = -0.9999
+"""Tool directions with a smaller component along a reference have no shortest rotation from it."""
+_FROM_BELOW = np.diag([1.0, -1.0, -1.0])
+"""Reference orientation of programs whose tool comes from below: half a turn about X."""
 _S_PER_MIN = 60.0
 
 
@@ -65,12 +68,11 @@ def read(document: Document, cell: Cell, forward: Callable[[Array], Array], name
     notes, comments, wrong = _comments(source, course)
     moves = _Moves(course.parts, start)
     faults = list(course.faults)
-    below = np.flatnonzero(moves.axis[:, 2] < _DOWNWARDS)
-    if faults or wrong or len(below):
+    opposite = np.flatnonzero(moves.axis @ _reference(moves.axis)[:, 2] < _OPPOSITE)
+    if faults or wrong or len(opposite):
         texts = [(fault.row, fault.problem, fault.advice) for fault in faults]
-        texts += [
-            (int(moves.row[n]), "the tool points away from the part", "Check i, j, k.") for n in below[:1].tolist()
-        ]
+        problem, advice = "the tool comes from above and from below", "Write one file for each clamping of the part."
+        texts += [(int(moves.row[n]), problem, advice) for n in opposite[:1].tolist()]
         raise together([*(_error(source, *text) for text in texts), *wrong])
     if not course.parts:
         advice = "Check that the file is the right one and complete."
@@ -157,11 +159,12 @@ def _motions(
     target = np.zeros((count, 4, 4))
     target[:, 3, 3] = 1.0
     orientation = cell.tool_pose_in_program()
-    axis = moves.axis[kept]
+    reference = _reference(moves.axis)
+    axis = moves.axis[kept] @ reference
     if (axis == axis[:1]).all():
-        target[:, :3, :3] = tilted(axis[:1])[0] @ orientation
+        target[:, :3, :3] = reference @ tilted(axis[:1])[0] @ orientation
     else:
-        target[:, :3, :3] = tilted(axis) @ orientation
+        target[:, :3, :3] = reference @ tilted(axis) @ orientation
     target[:, :3, 3] = moves.end[kept] * M_PER_MM
     nothing = np.broadcast_to(np.nan, (count, 6))  # takes no memory
     joints, centre, normal, sweep = nothing, nothing[:, :3], nothing[:, :3], nothing[:, 0]
@@ -199,6 +202,14 @@ def _motions(
         turn=unset,
     )
     return kept, read_only(motions)
+
+
+def _reference(axis: Array) -> Array:
+    """Return the orientation (3, 3) from whose z the tool is tilted to its directions (n, 3).
+
+    It is that of `$BASE`, unless the tool comes straight from below somewhere.
+    """
+    return _FROM_BELOW if (axis[:, 2] < _OPPOSITE).any() else np.eye(3)
 
 
 def _placed(notes: Sequence[ForceNote], motions: Motions) -> tuple[ForceNote, ...]:

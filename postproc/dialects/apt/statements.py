@@ -31,6 +31,10 @@ LIMIT = 1e7
 """Numbers of this magnitude or more are refused as mistakes."""
 
 
+class StatementError(Exception):
+    """A statement cannot be executed. Its arguments are problem and advice (or None), and its row if it is another."""
+
+
 class Statements(Struct, frozen=True, eq=False):
     """S statements of a file, in order.
 
@@ -184,7 +188,6 @@ TEXT = ("PARTNO", "PPRINT", "REMARK", "TITLES", "TPRINT", "NOTE")
 
 WITHOUT_EFFECT = frozenset(
     (
-        "CUTTER",
         "TLDATA",
         "PAINT",
         "END-OF-PATH",
@@ -252,7 +255,7 @@ REFUSED = {
 KNOWN = (
     *("GOTO", "GODLTA", "FROM", "GOHOME", "RETRCT", "RAPID", "FEDRAT", "UNITS", "MULTAX", "TLAXIS", "CIRCLE", "MOVARC"),
     *("INDIRV", "TLON", "CYCLE", "SPINDL", "COOLNT", "LOADTL", "LOAD", "DELAY", "STOP", "OPSTOP", "OPSKIP", "AUXFUN"),
-    *("INSERT", "CUTCOM", "MODE", "MSYS", "END", "REWIND", "FINI", *TEXT),
+    *("INSERT", "CUTCOM", "MODE", "MSYS", "CSYS", "TRNTYP", "END", "REWIND", "FINI", *TEXT),
 )
 
 
@@ -261,4 +264,31 @@ def refusal(word: str) -> tuple[str, str]:
     if word in REFUSED:
         return f"{word} is not supported", REFUSED[word]
     near = did_you_mean(word, KNOWN)
-    return f"unknown statement {word[:20]!r}", near or "Remove it if it does not move the tool."
+    name = word[:20]
+    without = f'If it moves nothing, write [apt] without_effect = ["{name}"] in the cell: it holds for all such lines.'
+    return f"unknown statement {name!r}", f"{near} {without}" if near else without
+
+
+_NAMES = re.compile(
+    r"""\((?P<note>.*?)\)?$                         # a comment of the control
+    | (?P<text>
+        \[HOLDER=.*                              # holder, and tool
+        | [\d./]+\s?(MM|IN|")([ /].*)?            # tool, by its diameter
+        | STOCK[ ]SIZE\b.* | STOP\b.*
+      )$""",
+    re.VERBOSE,
+)
+
+
+def inserted_comment(text: str) -> str | None:
+    """Return the comment in the text of an INSERT, in upper case, or None if it may be a code of the control.
+
+    >>> inserted_comment("[HOLDER=C40-M12EM2] 20MM CRB 4FL 38 LOC")
+    '[HOLDER=C40-M12EM2] 20MM CRB 4FL 38 LOC'
+    >>> inserted_comment("G28 Z0") is None
+    True
+    """
+    match = _NAMES.match(text)
+    if match is None:
+        return None
+    return (match["note"] if match["note"] is not None else match["text"]).strip()

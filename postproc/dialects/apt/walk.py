@@ -4,23 +4,26 @@
 - **GOTO/x,y,z,i,j,k** gives the direction from the tip to the spindle. It stays until it is given again, also where a
   GOTO has three numbers (Siemens NX writes it once). ``MULTAX/OFF`` returns it to z.
 - **FROM** states where the tool is when the program begins: it becomes a joint motion to that place.
-- **CYCLE/DRILL**, FACE and CSINK with DEPTH and CLEAR: the GOTO statements behind it are the tops of holes. The tool
-  goes in rapid to CLEAR above the top, at feed to DEPTH below it, waits (DWELL), and goes back to CLEAR or RETURN.
-  RAPTO is a further rapid towards the top. ``RETURN,0`` goes back to the height at which the tool was before the hole.
-  DEEP and BRKCHP are pecked by STEP, with a return to CLEAR or to just above the last depth, as G83 and G73 are.
-  Source: PTC, Creo NC, "CL Output for Holemaking Cycles".
-- With FEDTO the cycle is one of Siemens NX: RAPTO (or CLEAR), FEDTO and RTRCTO are signed heights above the top, FEDTO
-  below zero. ``RTRCTO,AUTO`` goes back to the height at which the tool was before the hole. Source: CLSF files.
+- **CYCLE**: the GOTO statements behind it are the tops of holes, see `cycles`.
+- **CSYS** of SolidWorks CAM (after ``TRNTYP/WORLD``) states the axes of a setup and moves nothing: coordinates are
+  those of the fixture already. Its third column is the direction of the tool. Source: the files. In one, an operation
+  and its copies, turned by 90° and 180°, have CSYS that map each copy onto the first: their coordinates are where the
+  copies are.
+- **INSERT** of text that names a tool, a holder or the stock is a comment; ``INSERT/STOP …`` stops.
 - ``CIRCLE/x,y,z,i,j,k,r`` turns right-handed about i, j, k. Source: PTC, Creo NC, "CL Output for Circular
   Interpolation".
+- ``CIRCLE/x,y,z,i,j,k`` of SolidWorks CAM turns right-handed about i, j, k; the start gives the radius.
 - ``CIRCLE/x,y,z,i,j,k,r,t,f,d,e`` of Siemens NX turns *clockwise* about i, j, k (t, f: tolerances; d, e: the tool).
-  Source: the NX documentation of the CLSF Manager, and CLSF files with rounded corners.
+  ``TIMES,n`` is a helix of n − 1 turns more than the arc to its end: in CLSF files with n of 2 and 3 all helices then
+  have the ramp angles 0.40° or 2.00°. Source: the NX documentation of the CLSF Manager, and CLSF files with rounded
+  corners.
 - ``MOVARC/x,y,z,i,j,k,r,ANGLE,a`` turns right-handed by a [deg]. Source: Autodesk's post "Common ISO 4343 APT".
 - ``INDIRV/i,j,k`` and ``TLON,GOFWD/(CIRCLE/x,y,z,r),ON,(LINE/…)`` of CATIA and Creo (APT_FORMAT) turn so that they
   leave the start along i, j, k. The line leads from the centre to the end. ``ON,2,INTOF`` is the end
   beyond half a turn.
 - **LOADTL** selects the tool of this number in `[tools]`, stops the spindle, and leaves the tip where it is.
-- **GOHOME** and **RETRCT** go where `[machine]` of the cell says, as G28 and G53 do.
+- **GOHOME** and **RETRCT** go where `[machine]` of the cell says, as G28 and G53 do; ``GOHOME/x,y,z`` in rapid to this
+  place.
 
 The end of an arc is that of the GOTO that follows, or of the line. Heights of start and end along the axis may differ:
 a helix.
@@ -34,9 +37,20 @@ from typing import Any
 
 import numpy as np
 from msgspec import Struct, field
+from msgspec.structs import replace
 
 from postproc.cell import Cell, m_code_fault
-from postproc.dialects.apt.statements import TEXT, WITHOUT_EFFECT, Statements, refusal, values
+from postproc.dialects.apt.cycles import Cycle, cycle_words
+from postproc.dialects.apt.statements import (
+    REFUSED,
+    TEXT,
+    WITHOUT_EFFECT,
+    StatementError,
+    Statements,
+    inserted_comment,
+    refusal,
+    values,
+)
 from postproc.dialects.circles import Circle, belonging, leaving
 from postproc.errors import MOST, Level
 from postproc.frames import Array, norm
@@ -52,18 +66,20 @@ _PER_MINUTE = {
 _PER_TURN = {"MMPR": 1.0, "IPR": _MM_PER_INCH, "FPR": 12 * _MM_PER_INCH}
 _UNITS = {"MM": 1.0, "INCH": _MM_PER_INCH, "INCHES": _MM_PER_INCH, "IN": _MM_PER_INCH, "CM": 10.0}
 _UNIT_LENGTH = 1e-3
+_MOST_TURNS = 10_000
 _NEAR_MM = 1e-6
-_ABOVE_CHIPS_MM = 0.254
-"""Height above the last depth from which a peck goes on, as in G73 and G83 (LinuxCNC)."""
-_MOST_PECKS = 10_000
 _LEVEL = 0.2
 """Least z of the tool direction for a retract along the tool."""
+_COMPENSATED = (
+    "the radius of the tool is in the control, not in the program",
+    "Let the CAM system write the path of the tool's centre. If it is, and the offsets of the control hold wear only, "
+    'write radius_offsets = "wear" in [gcode] of the cell.',
+)
 _ARC_ADVICE = "Let the CAM system write arcs as GOTO statements."
 _AMBIGUOUS = (
     "the points behind CIRCLE are all on it: they may be of the arc, or ends of straight lines",
     "Let the CAM system write one GOTO for each arc, or points only (Creo: CIRC_INTERPOLATION).",
 )
-_CYCLE_ADVICE = "Let the CAM system write the holes as GOTO statements."
 
 
 class Fault(Struct, frozen=True):
@@ -125,38 +141,39 @@ class Course(Struct, eq=False):
     after_end: tuple[int, ...] = ()
 
 
-class _FaultError(Exception):
-    """A statement cannot be executed. Its arguments are problem and advice (or None)."""
-
-
-class _Cycle(Struct, frozen=True):
-    """A drilling cycle [mm, mm/min, s]: depth below the top, and heights above it.
-
-    :param back: height to which it returns; None: that before the hole.
-    :param step: depth of a peck; 0 = none. `deep`: each peck ends at `clear`.
-    """
-
-    depth: float
-    clear: float
-    rapid_to: float
-    back: float | None
-    feed: float
-    dwell: float
-    step: float
-    deep: bool
-
-
 class _Pending(Struct, frozen=True, eq=False):
     """A circle for the GOTO that follows.
 
     :param several: whether more than one point may belong to the arc.
     :param angle: stated angle of the arc [rad].
+    :param turns: whole turns in addition to the arc to its end.
     """
 
     row: int
     circle: Circle
     several: bool = False
     angle: float | None = None
+    turns: int = 0
+
+
+class _Compensation(Struct, frozen=True):
+    """Statements between CUTCOM/LEFT or RIGHT and OFF.
+
+    :param side: 1 for LEFT, −1 for RIGHT.
+    :param is_centre: whether the path is known to be that of the tool's centre.
+    """
+
+    row: int
+    side: float
+    is_centre: bool
+
+    def shows_centre(self, circle: Circle, tool: Array, cutter_radius: float) -> bool:
+        """Return whether an arc proves that the path is that of the centre.
+
+        A control cannot follow a contour whose inside arc is smaller than the cutter, as lead-ins are.
+        """
+        inside = self.side * float(circle.axis @ tool) > 0.0
+        return inside and circle.radius < cutter_radius - _NEAR_MM
 
 
 class _Walk:
@@ -175,8 +192,11 @@ class _Walk:
         self.pending: _Pending | None = None
         self.closed: Circle | None = None
         self.leaving: Array | None = None
-        self.cycle: _Cycle | None = None
+        self.cycle: Cycle | None = None
         self.system: list[float | str] | None = None
+        self.in_fixture = self.is_tilted_setup = False
+        self.cutter_radius = np.nan
+        self.compensation: _Compensation | None = None
         self.number = 0
         self.inches: int | None = None
         self.ended = -1
@@ -195,11 +215,12 @@ class _Walk:
                 break
             try:
                 self._obey(row, of.of(row))
-            except _FaultError as cause:
+            except StatementError as cause:
                 course.faults.append(Fault(row, *cause.args))
                 self.doubt = True
         else:
             self._points(previous, len(of))
+        self._end_compensation()
         if self.pending is not None and not course.faults:
             problem = "an arc without a GOTO behind it"
             course.faults.append(Fault(self.pending.row, problem, "Write the end of the arc."))
@@ -226,17 +247,21 @@ class _Walk:
             self.path_ended = False
             try:
                 self._goto(of.points[first:last], of.numbers[first:last])
-            except _FaultError as cause:
+            except StatementError as cause:
                 row = cause.args[2] if len(cause.args) > 2 else int(of.points[first])
                 self.course.faults.append(Fault(row, *cause.args[:2]))
 
     def _goto(self, row: Ints, numbers: Array) -> None:
         """Go to points; numbers (n, 6), the last three NaN where the direction stays."""
+        bare = np.isnan(numbers[:, 3])
+        if self.is_tilted_setup and bare.any():
+            advice = "Let the CAM system write the direction of the tool, i, j, k, in each GOTO."
+            raise StatementError("GOTO without a direction in a tilted CSYS", advice, int(row[np.argmax(bare)]))
         end, axis = numbers[:, :3] * self.unit, self._axes(row, numbers[:, 3:])
         at = 0
         closed, self.closed = self.closed, None
         if closed is not None and closed.fault_at(end[0]) is None:
-            raise _FaultError(*_AMBIGUOUS, int(row[0]))
+            raise StatementError(*_AMBIGUOUS, int(row[0]))
         if self.pending is not None:
             pending, self.pending = self.pending, None
             at = 1 if self.doubt else self._arc(pending, row, end, axis)
@@ -264,7 +289,7 @@ class _Walk:
             advice = "GOTO takes x, y, z, or x, y, z and the direction of the tool i, j, k."
             problem = "the last three numbers are not a direction of length 1"
             self.course.faults += [Fault(n, problem, advice) for n in row[wrong[1:MOST]].tolist()]
-            raise _FaultError(problem, advice, int(row[wrong[0]]))
+            raise StatementError(problem, advice, int(row[wrong[0]]))
         with np.errstate(invalid="ignore"):
             unit = np.concatenate([self.axis[None], given / length[:, None]])
         latest = np.maximum.accumulate(np.append(0, np.where(stated, np.arange(1, len(row) + 1), 0)))
@@ -279,7 +304,7 @@ class _Walk:
         again = bool(self.course.parts)
         if not rapid:
             if again:
-                raise _FaultError("GOTO at feed behind GOHOME", "Write RAPID before: the tool is at home.", row)
+                raise StatementError("GOTO at feed behind GOHOME", "Write RAPID before: the tool is at home.", row)
             message = (
                 "The first GOTO is at feed: it begins at [start] of the cell. Check that the path from there is free."
             )
@@ -299,11 +324,11 @@ class _Walk:
     def _fed(self, row: int) -> float:
         """Return the feed of a move [mm/min]."""
         if not self.feed > 0.0:
-            raise _FaultError("cutting move without a feed", "Write FEDRAT before it.", row)
+            raise StatementError("cutting move without a feed", "Write FEDRAT before it.", row)
         if not self.per_turn:
             return self.feed
         if not self.speed > 0.0:
-            raise _FaultError("a feed per turn, but no speed of the spindle", "Write SPINDL/n,RPM before.", row)
+            raise StatementError("a feed per turn, but no speed of the spindle", "Write SPINDL/n,RPM before.", row)
         return self.feed * self.speed
 
     def _arc(self, pending: _Pending, row: Ints, end: Array, axis: Array) -> int:
@@ -312,50 +337,51 @@ class _Walk:
         if pending.several and len(row) > 1:
             count = belonging(pending.circle, self.place, end)
         if count is None:
-            raise _FaultError(*_AMBIGUOUS, int(row[1]))
+            raise StatementError(*_AMBIGUOUS, int(row[1]))
         if pending.several and count == len(row):
             self.closed = pending.circle  # a further GOTO, written in another form, may belong to the arc too
         for n in range(count):
-            self._turn(int(row[n]), pending.circle, end[n], axis[n], pending.angle)
+            self._turn(int(row[n]), pending, end[n], axis[n])
         return count
 
-    def _turn(self, row: int, circle: Circle, end: Array, axis: Array, stated: float | None) -> None:
-        """Make an arc; `stated`: its angle [rad], if the statement gives it."""
+    def _turn(self, row: int, pending: _Pending, end: Array, axis: Array) -> None:
+        """Make an arc."""
+        circle, stated = pending.circle, pending.angle
         if not self.known:
-            raise _FaultError("arc before the position is known", "Write a GOTO before it.", row)
+            raise StatementError("arc before the position is known", "Write a GOTO before it.", row)
         for name, point in (("start", self.place), ("end", end)):
             fault = circle.fault_at(point)
             if fault:
-                raise _FaultError(f"the {name} of the arc is {fault}", "Check centre, radius and direction.", row)
-        sweep = circle.sweep(self.place, end)
+                raise StatementError(f"the {name} of the arc is {fault}", "Check centre, radius and direction.", row)
+        sweep = circle.sweep(self.place, end) + 2.0 * np.pi * pending.turns
         if stated is not None:
             full = round((stated - sweep) / (2.0 * np.pi)) * 2.0 * np.pi
             if abs(sweep + full - stated) * circle.radius > 0.1 or sweep + full <= 0.0:
                 degrees = f"{np.rad2deg(stated):.3f}° stated, {np.rad2deg(sweep):.3f}° to the end"
-                raise _FaultError(f"the angle of the arc disagrees with its end: {degrees}", _ARC_ADVICE, row)
+                raise StatementError(f"the angle of the arc disagrees with its end: {degrees}", _ARC_ADVICE, row)
             sweep += full
         if self.rapid:
-            raise _FaultError("an arc in rapid", _ARC_ADVICE, row)
+            raise StatementError("an arc in rapid", _ARC_ADVICE, row)
+        if self.compensation is not None and self.compensation.shows_centre(circle, self.axis, self.cutter_radius):
+            self.compensation = replace(self.compensation, is_centre=True)
         own = Circle(circle.at_height_of(self.place), circle.axis, circle.radius)
         self._one(row, end, axis, ARC, self._fed(row), circle=own, sweep=sweep)
 
-    def _drill(self, row: int, top: Array, axis: Array, cycle: _Cycle) -> None:
+    def _drill(self, row: int, top: Array, axis: Array, cycle: Cycle) -> None:
         """Drill a hole."""
         if not self.known:
-            raise _FaultError("a cycle before the position is known", "Write RAPID and a GOTO before it.", row)
+            raise StatementError("a cycle before the position is known", "Write RAPID and a GOTO before it.", row)
         self._swing(row, axis)
         above = float((self.place - top) @ axis)
         if above < cycle.clear - _NEAR_MM:
             self._one(row, self.place + axis * (cycle.clear - above), axis, RAPID, 0.0)
         height = max(above, cycle.clear)
-        for to in (height, cycle.clear, cycle.rapid_to):
+        for to in (height, cycle.clear, cycle.near):
             self._one(row, top + axis * to, axis, RAPID, 0.0)
-        reached = cycle.rapid_to - cycle.step
-        while cycle.step > 0.0 and reached > -cycle.depth:
-            self._one(row, top + axis * reached, axis, LINE, cycle.feed, exact=True)
-            for to in (*[cycle.clear] * cycle.deep, reached + _ABOVE_CHIPS_MM):
+        for bottom in cycle.pecks():
+            self._one(row, top + axis * bottom, axis, LINE, cycle.feed, exact=True)
+            for to in cycle.retracts(bottom):
                 self._one(row, top + axis * to, axis, RAPID, 0.0, exact=True)
-            reached -= cycle.step
         self._one(row, top - axis * cycle.depth, axis, LINE, cycle.feed, exact=True)
         if cycle.dwell > 0.0:
             self._event(row, "dwell", cycle.dwell)
@@ -364,7 +390,7 @@ class _Walk:
     def _swing(self, row: int, axis: Array) -> None:
         """Refuse a direction of the tool that changes on the way to a hole."""
         if norm(np.cross(axis, self.axis)) > _UNIT_LENGTH or axis @ self.axis < 0.0:
-            raise _FaultError("the tool turns in a cycle", "Write a GOTO with the new direction before CYCLE.", row)
+            raise StatementError("the tool turns in a cycle", "Write a GOTO with the new direction before CYCLE.", row)
 
     def _one(self, row: int, end: Array, axis: Array, code: int, feed: float, **more: Any) -> None:
         self._add(np.array([row]), end[None], axis[None], code, feed, **more)
@@ -399,14 +425,16 @@ class _Walk:
         if major == "TLON,GOFWD":
             self._along(row, rest)
             return
-        if major in WITHOUT_EFFECT:
+        if major in WITHOUT_EFFECT or major.startswith("CSI_SET_"):
             return
         given = values(rest) if slash else []
         if major in ("ORIGIN", "TRANS") and given and all(value == 0.0 for value in given):
             return
         handler = _HANDLERS.get(major)
+        if handler is None and major not in REFUSED and major in self.cell.apt.without_effect:
+            return
         if handler is None or (major == "GODLTA" and len(given) != 3):
-            raise _FaultError(*refusal(major))
+            raise StatementError(*refusal(major))
         handler(self, row, given)
 
     def _text(self, row: int, word: str) -> str:
@@ -418,13 +446,13 @@ class _Walk:
         """Return a statement's values, which must be numbers, and as many as one of `counts`."""
         if any(isinstance(value, str) for value in given) or len(given) not in counts:
             wanted = " or ".join(map(str, counts))
-            raise _FaultError(f"{wanted} numbers are needed here", "Check the values behind /.")
+            raise StatementError(f"{wanted} numbers are needed here", "Check the values behind /.")
         return np.array(given, dtype=float)
 
     def _one_number(self, given: list[float | str], what: str) -> float:
         found = [value for value in given if isinstance(value, float)]
         if not found:
-            raise _FaultError(f"{what} without a number", "Check the values behind /.")
+            raise StatementError(f"{what} without a number", "Check the values behind /.")
         return found[0]
 
     def _goto_odd(self, row: int, given: list[float | str]) -> None:
@@ -440,13 +468,13 @@ class _Walk:
     def _guarded(self, row: Ints, numbers: Array) -> None:
         try:
             self._goto(row, numbers)
-        except _FaultError as cause:
-            raise _FaultError(*cause.args[:2]) from cause
+        except StatementError as cause:
+            raise StatementError(*cause.args[:2]) from cause
 
     def _step(self, row: int, given: list[float | str]) -> None:
         step = self._numbers(given, 3) * self.unit
         if not self.known:
-            raise _FaultError("GODLTA before the position is known", "Write RAPID and a GOTO before it.")
+            raise StatementError("GODLTA before the position is known", "Write RAPID and a GOTO before it.")
         self._guarded(np.array([row]), np.append((self.place + step) / self.unit, np.full(3, np.nan))[None])
 
     def _from(self, row: int, given: list[float | str]) -> None:
@@ -454,16 +482,20 @@ class _Walk:
         place = numbers[:3] * self.unit
         if self.known:
             if norm(place - self.place) > _NEAR_MM:
-                raise _FaultError("FROM at another place than the tool", "Write RAPID and GOTO instead.")
+                raise StatementError("FROM at another place than the tool", "Write RAPID and GOTO instead.")
             return
         self.rapid = True
         self._guarded(np.array([row]), np.append(numbers, np.full(6 - len(numbers), np.nan))[None])
 
     def _home(self, row: int, given: list[float | str]) -> None:
         machine = self.cell.machine
-        if given or (machine.home is None and machine.clearance_Z is None):
-            advice = "Give [machine] home or clearance_Z in the cell, and write GOHOME without values."
-            raise _FaultError("GOHOME: where it goes is not known", advice)
+        if given:
+            self.rapid = True
+            self._guarded(np.array([row]), np.append(self._numbers(given, 3), np.full(3, np.nan))[None])
+            return
+        if machine.home is None and machine.clearance_Z is None:
+            advice = "Give [machine] home or clearance_Z in the cell."
+            raise StatementError("GOHOME: where it goes is not known", advice)
         if self.known and machine.clearance_Z is not None:
             self._retract(row, machine.clearance_Z)
         if machine.home is not None:
@@ -474,7 +506,7 @@ class _Walk:
         clearance = self.cell.machine.clearance_Z
         if given or clearance is None:
             advice = "Give [machine] clearance_Z in the cell, and write RETRCT without values."
-            raise _FaultError("RETRCT: how high it goes is not known", advice)
+            raise StatementError("RETRCT: how high it goes is not known", advice)
         if self.known:
             self._retract(row, clearance)
 
@@ -482,14 +514,14 @@ class _Walk:
         if self.place[2] >= clearance - _NEAR_MM:
             return
         if self.axis[2] < _LEVEL:
-            raise _FaultError("retract with a nearly horizontal tool", "Retract along the tool by GOTO before.")
+            raise StatementError("retract with a nearly horizontal tool", "Retract along the tool by GOTO before.")
         rise = (clearance - self.place[2]) / self.axis[2]
         self._one(row, self.place + self.axis * rise, self.axis, RAPID, 0.0)
 
     def _next_rapid(self, row: int, given: list[float | str]) -> None:
         del row
         if given:
-            raise _FaultError("RAPID with values", "Write RAPID alone.")
+            raise StatementError("RAPID with values", "Write RAPID alone.")
         self.rapid = True
 
     def _feed(self, row: int, given: list[float | str]) -> None:
@@ -505,35 +537,35 @@ class _Walk:
         numbers = [value for value in given if isinstance(value, float)]
         known = {**_PER_MINUTE, **_PER_TURN, "PERMIN": self.unit, "PERREV": self.unit}
         if len(numbers) != 1 or len(named) > 1 or not set(named) <= set(known):
-            raise _FaultError(f"{what} is not understood", f"Give one number and one of {', '.join(known)}.")
+            raise StatementError(f"{what} is not understood", f"Give one number and one of {', '.join(known)}.")
         word = named[0] if named else "PERMIN"
         if word.startswith("I") or word.startswith("F"):
             self.inches = row if self.inches is None else self.inches
         if not numbers[0] > 0.0:
-            raise _FaultError(f"{what} is not above zero", None)
+            raise StatementError(f"{what} is not above zero", None)
         return numbers[0] * known[word], word in (*_PER_TURN, "PERREV")
 
     def _units(self, row: int, given: list[float | str]) -> None:
         del row
         unit = _UNITS.get(str(given[0])) if len(given) == 1 else None
         if unit is None:
-            raise _FaultError("UNITS is not understood", f"Write UNITS/ and one of {', '.join(_UNITS)}.")
+            raise StatementError("UNITS is not understood", f"Write UNITS/ and one of {', '.join(_UNITS)}.")
         if unit != self.unit and self.course.parts:
-            raise _FaultError("UNITS change behind a motion", "Write UNITS before all motions.")
+            raise StatementError("UNITS change behind a motion", "Write UNITS before all motions.")
         self.unit = unit
         self.course.stated = True
 
     def _multiaxis(self, row: int, given: list[float | str]) -> None:
         del row
         if given not in ([], ["ON"], ["OFF"]):
-            raise _FaultError("MULTAX is not understood", "Write MULTAX/ON or MULTAX/OFF.")
+            raise StatementError("MULTAX is not understood", "Write MULTAX/ON or MULTAX/OFF.")
         if given == ["OFF"]:
             self._point_along(np.array([0.0, 0.0, 1.0]))
 
     def _tool_axis(self, row: int, given: list[float | str]) -> None:
         axis = self._numbers(given, 3)
         if abs(norm(axis) - 1.0) > _UNIT_LENGTH:
-            raise _FaultError("the direction of the tool does not have length 1", "Check i, j, k.")
+            raise StatementError("the direction of the tool does not have length 1", "Check i, j, k.")
         del row
         self._point_along(axis / norm(axis))
 
@@ -542,28 +574,45 @@ class _Walk:
         self.axis = axis
 
     def _circle(self, row: int, given: list[float | str]) -> None:
+        turns = 1
         if given[-2:-1] == ["TIMES"]:
-            raise _FaultError("a helix of several turns", _ARC_ADVICE)
-        numbers = self._numbers(given, 7, 11)
-        self._pend(row, numbers, right_handed=len(numbers) == 7, several=len(numbers) == 7)
+            turns, given = self._times(given[-1]), given[:-2]
+        numbers = self._numbers(given, *((6, 7, 11) if turns == 1 else (11,)))
+        if len(numbers) == 6:
+            numbers = np.append(numbers, self._radius_from(numbers))
+        is_nx = len(numbers) == 11
+        self._pend(row, numbers, right_handed=not is_nx, several=len(given) == 7, turns=turns - 1)
+
+    def _times(self, count: float | str) -> int:
+        """Return the number of turns of a helix, which is 1 for less than a whole one."""
+        if not isinstance(count, float) or count != int(count) or not 1.0 <= count <= _MOST_TURNS:
+            raise StatementError("TIMES is not a number of turns", _ARC_ADVICE)
+        return int(count)
+
+    def _radius_from(self, numbers: Array) -> float:
+        """Return the distance of the tool from the axis of an arc, in the unit of the file."""
+        if not self.known:
+            raise StatementError("arc before the position is known", "Write a GOTO before it.")
+        axis = numbers[3:6] / np.maximum(norm(numbers[3:6]), _UNIT_LENGTH)
+        return float(norm(np.cross(self.place / self.unit - numbers[:3], axis)))
 
     def _move_arc(self, row: int, given: list[float | str]) -> None:
         if len(given) != 9 or given[7] != "ANGLE":
-            raise _FaultError("MOVARC is not understood", "Write MOVARC/x,y,z,i,j,k,r,ANGLE,a.")
+            raise StatementError("MOVARC is not understood", "Write MOVARC/x,y,z,i,j,k,r,ANGLE,a.")
         numbers = self._numbers([*given[:7], given[8]], 8)
         if not 0.0 < numbers[7] <= 3600.0:
-            raise _FaultError("the angle of the arc is not above zero", _ARC_ADVICE)
+            raise StatementError("the angle of the arc is not above zero", _ARC_ADVICE)
         self._pend(row, numbers[:7], right_handed=True, angle=float(np.deg2rad(numbers[7])))
 
     def _pend(self, row: int, numbers: Array, *, right_handed: bool, **more: Any) -> None:
         """Keep a circle for the GOTO that follows."""
         axis = numbers[3:6]
         if abs(norm(axis) - 1.0) > _UNIT_LENGTH:
-            raise _FaultError("the axis of the arc does not have length 1", "Check i, j, k.")
+            raise StatementError("the axis of the arc does not have length 1", "Check i, j, k.")
         if self.pending is not None or self.cycle is not None:
-            raise _FaultError("an arc where none is possible", "Write a GOTO for the end of the arc before.")
+            raise StatementError("an arc where none is possible", "Write a GOTO for the end of the arc before.")
         if self.rapid:
-            raise _FaultError("an arc in rapid", _ARC_ADVICE)
+            raise StatementError("an arc in rapid", _ARC_ADVICE)
         axis = axis / norm(axis) * (1.0 if right_handed else -1.0)
         self.pending = _Pending(row, Circle(numbers[:3] * self.unit, axis, float(numbers[6]) * self.unit), **more)
 
@@ -577,84 +626,53 @@ class _Walk:
         flat = code.replace("(", "").replace(")", "").replace("CIRCLE/", "").replace("LINE/", "L,")
         given = values(flat.removeprefix("CANON,"))
         if direction is None or not code.startswith("(CIRCLE/") or "ON" not in given or "L" not in given:
-            raise _FaultError("TLON is not understood", f"Only arcs along INDIRV are read. {_ARC_ADVICE}")
+            raise StatementError("TLON is not understood", f"Only arcs along INDIRV are read. {_ARC_ADVICE}")
         on, line = given.index("ON"), given.index("L")
         if given[on + 1 : line] not in ([], [2.0, "INTOF"]):
-            raise _FaultError("TLON is not understood", f"Only arcs along INDIRV are read. {_ARC_ADVICE}")
+            raise StatementError("TLON is not understood", f"Only arcs along INDIRV are read. {_ARC_ADVICE}")
         circle = self._numbers(given[:on], 4, 7) * self.unit
         ends = self._numbers(given[line + 1 :], 6) * self.unit
         if not self.known:
-            raise _FaultError("arc before the position is known", "Write a GOTO before it.")
+            raise StatementError("arc before the position is known", "Write a GOTO before it.")
         found = leaving(self.place, direction, circle[:3], float(circle[-1]))
         if found is None or norm(ends[:3] - circle[:3]) > 1e-3:
-            raise _FaultError("INDIRV, CIRCLE and LINE disagree", _ARC_ADVICE)
+            raise StatementError("INDIRV, CIRCLE and LINE disagree", _ARC_ADVICE)
         beyond = given[on + 1 : line] == [2.0, "INTOF"]
         sweep = found.sweep(self.place, ends[3:])
         if sweep < 2.0 * np.pi and (sweep > np.pi + 1e-6) != beyond and abs(sweep - np.pi) > 1e-3:
-            raise _FaultError("the arc ends on the other side of its line", _ARC_ADVICE)
+            raise StatementError("the arc ends on the other side of its line", _ARC_ADVICE)
         try:
-            self._turn(row, found, ends[3:], self.axis, None)
-        except _FaultError as cause:
-            raise _FaultError(*cause.args[:2]) from cause
+            self._turn(row, _Pending(row, found), ends[3:], self.axis)
+        except StatementError as cause:
+            raise StatementError(*cause.args[:2]) from cause
 
     def _cycles(self, row: int, given: list[float | str]) -> None:
-        if given[:1] == ["OFF"]:
+        if given == ["INIT"]:
+            return
+        if given[:1] in (["OFF"], ["CLEAR"]):
             self.cycle = None
             return
-        name, *rest = given or [""]
-        if name == "DRILL" and rest[:1] in (["DEEP"], ["BRKCHP"]):
-            name, *rest = rest
-        before = False
-        if "FEDTO" in rest[0::2] and len(rest) % 2 == 0:
-            rest, before = _heights_of_nx(rest)
-        couplets: dict[str, float] = {}
-        names, numbers = rest[0::2], rest[1::2]
-        allowed = {*_HEIGHTS, *_PER_MINUTE, *_PER_TURN}
-        good = len(names) == len(numbers) == len(set(names)) and all(isinstance(value, float) for value in numbers)
-        good &= name in (*_PLAIN, *_PECKED) and {str(word) for word in names} <= allowed
-        good &= ("STEP" in names) == (name in _PECKED)
-        for word, value in zip(names, numbers, strict=False):
-            couplets[str(word)] = float(value) if isinstance(value, float) else 0.0
-        rates: list[float | str] = [
-            part for word in couplets if word not in _HEIGHTS for part in (couplets[word], word)
-        ]
-        if not good or not {"DEPTH", "CLEAR"} <= set(couplets) or len(rates) > 2:
-            problem = f"CYCLE/{name} with these values is not supported"
-            advice = (
-                f"{_CYCLE_ADVICE} Read are DRILL, FACE and CSINK with DEPTH, a feed, CLEAR, RAPTO, RETURN, DWELL, and "
-                "DEEP and BRKCHP with STEP too."
-            )
-            raise _FaultError(problem, advice)
-        if rates:
-            rate, per_turn = self._rate(row, rates, "the feed of the cycle")
+        words = cycle_words(given, (*_PER_MINUTE, *_PER_TURN))
+        if words.rates:
+            rate, per_turn = self._rate(row, list(words.rates), "the feed of the cycle")
             feed = rate * self.speed if per_turn else rate
         else:
             feed = self._fed(row)
         if not feed > 0.0:
-            raise _FaultError("a feed per turn, but no speed of the spindle", "Write SPINDL/n,RPM before.")
-        depth, clear = couplets["DEPTH"] * self.unit, couplets["CLEAR"] * self.unit
-        back = couplets["RETURN"] * self.unit if "RETURN" in couplets else clear
-        step = couplets.get("STEP", 0.0) * self.unit
-        before |= couplets.get("RETURN") == 0.0
-        near = clear - couplets.get("RAPTO", 0.0) * self.unit
-        if not (depth > 0.0 and clear > 0.0 and clear >= near >= 0.0 and (before or back >= clear)):
-            raise _FaultError("the heights of the cycle contradict each other", _CYCLE_ADVICE)
-        if name in _PECKED and not step > (depth + near) / _MOST_PECKS:
-            raise _FaultError(f"STEP {couplets['STEP']:g} is not a valid depth of a peck", _CYCLE_ADVICE)
-        returned = None if before else back
-        self.cycle = _Cycle(depth, clear, near, returned, feed, couplets.get("DWELL", 0.0), step, name == "DEEP")
+            raise StatementError("a feed per turn, but no speed of the spindle", "Write SPINDL/n,RPM before.")
+        self.cycle = words.cycle(self.unit, feed)
 
     def _spin(self, row: int, given: list[float | str]) -> None:
         unknown = {value for value in given if isinstance(value, str)} - _SPINDLE
         if unknown:
-            raise _FaultError(f"SPINDL with {min(unknown)} is not supported", "Give the speed as SPINDL/n,RPM,CLW.")
+            raise StatementError(f"SPINDL with {min(unknown)} is not supported", "Give the speed as SPINDL/n,RPM,CLW.")
         if "OFF" in given:
             self.spindle = "spindle_off"
             self._event(row, "spindle_off")
             return
         numbers = [value for value in given if isinstance(value, float)]
         if len(numbers) > 1 or (not numbers and not self.speed):
-            raise _FaultError("SPINDL without one speed", "Give the speed as SPINDL/n,RPM,CLW.")
+            raise StatementError("SPINDL without one speed", "Give the speed as SPINDL/n,RPM,CLW.")
         self.speed = numbers[0] if numbers else self.speed
         if "CCLW" in given:
             self.spindle = "spindle_ccw"
@@ -669,16 +687,18 @@ class _Walk:
     def _load(self, row: int, given: list[float | str]) -> None:
         if given[:1] == ["TOOL"]:
             given = given[1:]
+        if self.cycle is not None:
+            raise StatementError("the tool changes within a cycle", "Write CYCLE/OFF behind the last hole.")
         number = self._one_number(given[:1], "the tool")
         if number < 0.0 or number != int(number):
-            raise _FaultError("the number of the tool is not a whole number", None)
+            raise StatementError("the number of the tool is not a whole number", None)
         if self.spindle != "spindle_off":
             self.spindle = "spindle_off"
             self._event(row, "spindle_off")
         self._event(row, "tool_change", number)
         tools = self.cell.tools
         if tools and f"{number:g}" not in tools:
-            raise _FaultError(f"tool {number:g} is not in the cell", f"Write [tools.{number:g}] in the cell.")
+            raise StatementError(f"tool {number:g} is not in the cell", f"Write [tools.{number:g}] in the cell.")
         if number not in self.course.tools:
             self.course.tools.append(number)
         changed = tools and number != self.tool
@@ -689,7 +709,7 @@ class _Walk:
     def _wait(self, row: int, given: list[float | str]) -> None:
         given = [value for value in given if value != "DWELL"]
         if "REV" in given:
-            raise _FaultError("DELAY in turns", "Give it in seconds.")
+            raise StatementError("DELAY in turns", "Give it in seconds.")
         self._event(row, "dwell", float(self._numbers(given, 1)[0]))
 
     def _stop(self, row: int, given: list[float | str]) -> None:
@@ -706,8 +726,11 @@ class _Walk:
 
     def _insert(self, row: int) -> None:
         text = self._text(row, "INSERT").upper().rstrip(" $")
-        if text.startswith("("):
-            self._event(row, "comment", text=text.strip("() "))
+        comment = inserted_comment(text)
+        if comment is not None:
+            self._event(row, "comment", text=comment)
+            if comment.startswith("STOP"):
+                self._event(row, "stop")
             return
         self._machine_code(row, text)
 
@@ -724,31 +747,65 @@ class _Walk:
             )
             if m_code_fault(code):
                 advice = "Remove it: LOADTL changes the tool, FINI ends the program."
-            raise _FaultError(f"{code[:20]!r} is for one control", advice or "Remove it if it does not move the tool.")
+            raise StatementError(
+                f"{code[:20]!r} is for one control", advice or "Remove it if it does not move the tool."
+            )
         if own:
             self._event(row, "m_code", float(code[1:]))
 
     def _compensate(self, row: int, given: list[float | str]) -> None:
+        self._end_compensation()
         if given[:1] == ["OFF"]:
             return
-        if self.cell.gcode.radius_offsets != "wear":
-            advice = "Let the CAM system write the path of the tool's centre. If it is, and the offsets of the control "
-            advice += 'hold wear only, write radius_offsets = "wear" in [gcode] of the cell.'
-            raise _FaultError("the radius of the tool is in the control, not in the program", advice)
-        message = (
-            "CUTCOM has no effect: the offsets hold wear only ([gcode] radius_offsets), the path is of the centre."
-        )
-        self.course.remarks.append((row, "info", "radius-compensation", message))
+        wear = self.cell.gcode.radius_offsets == "wear"
+        side = next((word for word in ("LEFT", "RIGHT") if word in given), None)
+        if side is None and not wear:
+            raise StatementError(*_COMPENSATED)
+        self.compensation = _Compensation(row, 1.0 if side == "LEFT" else -1.0, is_centre=wear)
+
+    def _end_compensation(self) -> None:
+        """Check that the path since CUTCOM is that of the tool's centre."""
+        compensation, self.compensation = self.compensation, None
+        if compensation is None:
+            return
+        if not compensation.is_centre:
+            self.course.faults.append(Fault(compensation.row, *_COMPENSATED))
+            return
+        message = "CUTCOM has no effect: the path is that of the tool's centre, and the offsets hold wear only."
+        self.course.remarks.append((compensation.row, "info", "radius-compensation", message))
+
+    def _cutter(self, row: int, given: list[float | str]) -> None:
+        del row
+        self.cutter_radius = given[0] * self.unit / 2.0 if given and isinstance(given[0], float) else np.nan
+
+    def _transformed(self, row: int, given: list[float | str]) -> None:
+        del row
+        if given[:1] != ["WORLD"]:
+            raise StatementError("TRNTYP other than WORLD", "Let the CAM system write all coordinates in one system.")
+        self.in_fixture = True
+
+    def _setup(self, row: int, given: list[float | str]) -> None:
+        """Read the axes of a setup: rows of (3, 4), whose third column is the direction of the tool."""
+        del row
+        rows = self._numbers(given, 12).reshape(3, 4)
+        if np.abs(rows[:, :3] @ rows[:, :3].T - np.eye(3)).max() > _UNIT_LENGTH:
+            raise StatementError("CSYS has no axes of length 1 at right angles", "Check its twelve numbers.")
+        if not self.in_fixture and not np.array_equal(rows, np.eye(3, 4)):
+            advice = "Let the CAM system write all coordinates in one system (TRNTYP/WORLD)."
+            raise StatementError("CSYS without TRNTYP: the system of the coordinates is not known", advice)
+        axis = rows[:, 2] / norm(rows[:, 2])
+        self.is_tilted_setup = bool(axis[2] < 1.0 - _UNIT_LENGTH**2)
+        self._point_along(axis)
 
     def _mode(self, row: int, given: list[float | str]) -> None:
         del row
         if given != ["MILL"]:
-            raise _FaultError("MODE is not understood", "Only milling programs (MODE/MILL) are supported.")
+            raise StatementError("MODE is not understood", "Only milling programs (MODE/MILL) are supported.")
 
     def _coordinate_system(self, row: int, given: list[float | str]) -> None:
         if self.system is not None and given != self.system:
             advice = "Write one file for each MSYS, and give its place as [base] of a cell."
-            raise _FaultError("MSYS changes within the program", advice)
+            raise StatementError("MSYS changes within the program", advice)
         if self.system is None:
             message = "MSYS: coordinates are those of this system, which is $BASE of the cell."
             self.course.remarks.append((row, "info", "coordinate-system", message))
@@ -766,21 +823,6 @@ class _Walk:
         del row, given
 
 
-def _heights_of_nx(couplets: list[float | str]) -> tuple[list[float | str], bool]:
-    """Return a cycle of Siemens NX in the words of the others, and whether it goes back to the height before."""
-    given = list(zip(couplets[0::2], couplets[1::2], strict=True))
-    before = ("RTRCTO", "AUTO") in given
-    out: list[float | str] = []
-    for word, value in given:
-        if (word, value) != ("RTRCTO", "AUTO"):
-            depth = word == "FEDTO" and isinstance(value, float)
-            out += [_OF_NX.get(str(word), word), -value if depth else value]  # type: ignore[operator]
-    return out, before
-
-
-_OF_NX = {"RAPTO": "CLEAR", "FEDTO": "DEPTH", "RTRCTO": "RETURN"}
-_HEIGHTS = ("DEPTH", "CLEAR", "RAPTO", "RETURN", "DWELL", "STEP")
-_PLAIN, _PECKED = ("DRILL", "FACE", "CSINK"), ("DEEP", "BRKCHP")
 _SPINDLE = {"RPM", "CLW", "CCLW", "ON", "OFF"}
 _LEADING_ZEROS = re.compile(r"^M0+(?=\d)")
 _STATEMENTS: Mapping[str, tuple[Any, list[float | str]]] = {
@@ -801,6 +843,11 @@ _HANDLERS: Mapping[str, Any] = {
     "RAPID": _Walk._next_rapid,
     "FEDRAT": _Walk._feed,
     "UNITS": _Walk._units,
+    "UNIT": _Walk._units,
+    "CUTTER": _Walk._cutter,
+    "CSYS": _Walk._setup,
+    "TRNTYP": _Walk._transformed,
+    "SETUP": _Walk._nothing,
     "MULTAX": _Walk._multiaxis,
     "TLAXIS": _Walk._tool_axis,
     "CIRCLE": _Walk._circle,

@@ -1,0 +1,139 @@
+"""Drilling cycles of a cutter-location file: from the values of CYCLE to heights above the top of a hole.
+
+- **DRILL**, FACE and CSINK with DEPTH and CLEAR: the tool goes in rapid to CLEAR above the top, at feed to DEPTH below
+  it, waits (DWELL), and goes back to CLEAR or RETURN. RAPTO is a further rapid towards the top. ``RETURN,0`` goes back
+  to the height before the hole. DEEP and BRKCHP are pecked by STEP, with a return to CLEAR or to just above the last
+  depth, as G83 and G73 are. Source: PTC, Creo NC, "CL Output for Holemaking Cycles".
+- With FEDTO the cycle is one of Siemens NX or of SolidWorks CAM: RAPTO (or CLEAR) and RTRCTO are heights above the
+  top. FEDTO is a height below zero in NX, a depth above zero in SolidWorks CAM. ``RTRCTO,AUTO`` goes back to the height
+  before the hole. INCR is the depth of a peck; DEEP2 has 1STPECK for the first and SUBPECK for the others. Source: CLSF
+  and APT files, in which RTRCTO of holes at several depths leads to one plane.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from msgspec import Struct
+
+from postproc.dialects.apt.statements import StatementError
+
+ADVICE = "Let the CAM system write the holes as GOTO statements."
+_READ = (
+    f"{ADVICE} Read are DRILL, FACE and CSINK with DEPTH, a feed, CLEAR, RAPTO, RETURN, DWELL, and DEEP and BRKCHP "
+    "with STEP too."
+)
+_ABOVE_CHIPS_MM = 0.254
+"""Height above the last depth from which a peck goes on, as in G73 and G83 (LinuxCNC)."""
+_MOST_PECKS = 10_000
+_OF_FEDTO = {"RAPTO": "CLEAR", "FEDTO": "DEPTH", "RTRCTO": "RETURN", "INCR": "STEP", "SUBPECK": "STEP"}
+"""Words of cycles with FEDTO: those of the others."""
+_HEIGHTS = ("DEPTH", "CLEAR", "RAPTO", "RETURN", "DWELL", "STEP", "1STPECK")
+_PLAIN, _PECKED = ("DRILL", "FACE", "CSINK"), ("DEEP", "BRKCHP")
+
+
+class Cycle(Struct, frozen=True):
+    """Heights of a cycle [mm], its feed [mm/min] and its dwell [s].
+
+    :param depth: below the top of the hole.
+    :param clear: height above the top to which the tool goes in rapid; `near`: at which the feed begins.
+    :param back: height to which it returns; None: that before the hole.
+    :param step: depth of a peck, 0 = none; `first_step`: of the first one.
+    :param deep: whether each peck ends at `clear`.
+    """
+
+    depth: float
+    clear: float
+    near: float
+    back: float | None
+    feed: float
+    dwell: float
+    step: float
+    first_step: float
+    deep: bool
+
+    def pecks(self) -> Iterator[float]:
+        """Yield the heights of the bottoms of pecks above the last one [mm]."""
+        bottom = self.near - self.first_step
+        while self.step > 0.0 and bottom > -self.depth:
+            yield bottom
+            bottom -= self.step
+
+    def retracts(self, bottom: float) -> tuple[float, ...]:
+        """Return the heights [mm] of the rapids from the bottom of a peck to where the next one begins."""
+        return (*[self.clear] * self.deep, bottom + _ABOVE_CHIPS_MM)
+
+
+class CycleWords(Struct, frozen=True):
+    """Values of a CYCLE statement.
+
+    :param name: DRILL, FACE, CSINK, DEEP or BRKCHP.
+    :param heights: word of `_HEIGHTS` → its number, in the unit of the file.
+    :param rates: number and unit of the feed, or nothing.
+    :param to_height_before: whether the tool returns to the height before the hole.
+    """
+
+    name: str
+    heights: dict[str, float]
+    rates: tuple[float | str, ...]
+    to_height_before: bool
+
+    def cycle(self, unit: float, feed: float) -> Cycle:
+        """Return the cycle.
+
+        :param unit: length of a unit of the file [mm].
+        :param feed: [mm/min].
+        :raises StatementError: the heights contradict each other.
+        """
+        mm = {word: number * unit for word, number in self.heights.items()}
+        depth, clear = mm["DEPTH"], mm["CLEAR"]
+        back, near = mm.get("RETURN", clear), clear - mm.get("RAPTO", 0.0)
+        step = mm.get("STEP", 0.0)
+        if not (depth > 0.0 and clear > 0.0 and clear >= near >= 0.0 and (self.to_height_before or back >= clear)):
+            raise StatementError("the heights of the cycle contradict each other", ADVICE)
+        if self.name in _PECKED and not step > (depth + near) / _MOST_PECKS:
+            raise StatementError(f"STEP {self.heights['STEP']:g} is not a valid depth of a peck", ADVICE)
+        first_step = mm.get("1STPECK", step)
+        if self.name in _PECKED and not first_step > 0.0:
+            raise StatementError("1STPECK is not above zero", ADVICE)
+        returned = None if self.to_height_before else back
+        dwell = self.heights.get("DWELL", 0.0)
+        return Cycle(depth, clear, near, returned, feed, dwell, step, first_step, self.name == "DEEP")
+
+
+def cycle_words(given: Sequence[float | str], rates: Sequence[str]) -> CycleWords:
+    """Return the values behind ``CYCLE/``.
+
+    :param rates: words that may follow a feed.
+    :raises StatementError: a word is not known, missing or repeated.
+    """
+    name, *couplets = given or [""]
+    if name == "DRILL" and couplets[:1] in (["DEEP"], ["BRKCHP"]):
+        name, *couplets = couplets
+    if name in ("DEEP2", "BRKCHP2") and {"1STPECK", "SUBPECK"} <= set(couplets[0::2]):
+        name = str(name)[:-1]
+    to_height_before = False
+    if "FEDTO" in couplets[0::2] and len(couplets) % 2 == 0:
+        couplets, to_height_before = _with_depth(couplets)
+    names, numbers = [str(word) for word in couplets[0::2]], couplets[1::2]
+    good = len(names) == len(numbers) == len(set(names)) and all(isinstance(value, float) for value in numbers)
+    good = good and name in (*_PLAIN, *_PECKED) and set(names) <= {*_HEIGHTS, *rates}
+    good = good and ("STEP" in names) == (name in _PECKED) and {"DEPTH", "CLEAR"} <= set(names)
+    values = {word: value for word, value in zip(names, numbers, strict=False) if isinstance(value, float)}
+    feeds = [part for word, value in values.items() if word not in _HEIGHTS for part in (value, word)]
+    if not good or len(feeds) > 2:
+        raise StatementError(f"CYCLE/{name} with these values is not supported", _READ)
+    heights = {word: value for word, value in values.items() if word in _HEIGHTS}
+    return CycleWords(str(name), heights, tuple(feeds), to_height_before or heights.get("RETURN") == 0.0)
+
+
+def _with_depth(couplets: Sequence[float | str]) -> tuple[list[float | str], bool]:
+    """Return a cycle with FEDTO in the words of the others, and whether it goes back to the height before."""
+    automatic = ("RTRCTO", "AUTO")
+    pairs = list(zip(couplets[0::2], couplets[1::2], strict=True))
+    out: list[float | str] = []
+    for word, value in pairs:
+        if (word, value) != automatic:
+            is_depth = word == "FEDTO" and isinstance(value, float)
+            out += [_OF_FEDTO.get(str(word), word), abs(value) if is_depth else value]  # type: ignore[arg-type]
+    return out, automatic in pairs
