@@ -414,6 +414,14 @@ EventKind = Literal[
 ]
 
 
+SWITCHED_OFF: dict[EventKind, EventKind] = {
+    "spindle_on": "spindle_off",
+    "spindle_ccw": "spindle_off",
+    "coolant_on": "coolant_off",
+}
+"""Kind of an event that switches something on → the kind that switches it off."""
+
+
 class Event(Struct, frozen=True):
     """What a program does besides moving, in order; of G-code it becomes lines of KRL. Of KRL only comments are known.
 

@@ -7,6 +7,7 @@ import json
 import re
 from functools import partial
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from postproc.correction import process, read
 from postproc.dialects.krl import write
 from postproc.dialects.krl.write import modules
 from postproc.dialects.text import decode
+from postproc.program import SWITCHED_OFF, EventKind
 from tests import commands
 from tests.attack.krl_interpreter import Controller
 from tests.oracle import krl_grammar
@@ -160,6 +162,12 @@ def test_spindle_and_coolant_are_off_between_modules():
     assert re.search(both.replace("12000", "9000") + r"WAIT SEC 2.5\n; OPERATION", found[3])  # the second spindle speed
     assert all(text.endswith("}\nWAIT SEC 0\n$OUT[1]=FALSE\nEND\n") for text in found[2:-1])
     assert found[0].endswith("}\nWAIT SEC 0\n$OUT[1]=FALSE\n$OUT[2]=FALSE\nEND\n")
+
+
+def test_each_kind_of_event_is_switched_off_or_leaves_nothing_on():
+    """A new kind that is in neither would be left on between modules."""
+    switching = SWITCHED_OFF.keys() | set(SWITCHED_OFF.values())
+    assert set(get_args(EventKind)) - switching == {"tool_change", "dwell", "stop", "m_code", "comment"}
 
 
 def test_what_the_program_switches_where_a_module_begins_is_not_switched_on_before():

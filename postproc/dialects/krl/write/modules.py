@@ -31,6 +31,7 @@ from postproc.errors import Issue, ProgramError
 from postproc.frames import DEG_PER_RAD, norm
 from postproc.program import (
     CIRC,
+    SWITCHED_OFF,
     Document,
     Event,
     EventKind,
@@ -52,8 +53,8 @@ _STATE = re.compile(r"\s*(\$[\w.]+)\s*=")
 """A line that sets a system variable. Outputs, flags and timers have an index, and keep their values."""
 _WHILE_RUNNING = re.compile(r"\s*(INTERRUPT|ANIN|ANOUT)\b", re.IGNORECASE)
 """A statement whose effect ends with the program."""
-_SPINDLE: tuple[EventKind, ...] = ("spindle_on", "spindle_ccw", "spindle_off")
-_COOLANT: tuple[EventKind, ...] = ("coolant_on", "coolant_off")
+_SWITCHING: dict[EventKind, EventKind] = SWITCHED_OFF | {kind: kind for kind in SWITCHED_OFF.values()}
+"""Kind of an event → the kind that switches off what it switches: equal for all events of one device."""
 _AXES = {"+Z": (2, -1.0), "-Z": (2, 1.0), "+X": (0, -1.0), "-X": (0, 1.0)}
 """Column of a tool frame, and sign, that point from the tip to the spindle."""
 _WHERE = "between two rapid moves, with the tool above everything that the program cuts"
@@ -92,7 +93,7 @@ def _starts(program: Program, targets: Targets, cell: Cell, emitter: Emitter, wr
     motion, place = motion[(place > 0) & (place < len(targets))], place[(place > 0) & (place < len(targets))]
     ends = _ends(written)
     after = np.append(ends[place - 1], written.size)
-    lines = [line for kind in (*_SPINDLE, *_COOLANT) for line in getattr(cell.gcode, kind)]
+    lines = [line for kind in _SWITCHING for line in getattr(cell.gcode, kind)]
     head = sum(len(line) + 2 for line in emitter.header(program.name))
     most = cell.output.program_memory_MB * _MB - head - _RESERVE - 2 * sum(map(len, lines))
     starts: list[int] = []
@@ -240,30 +241,29 @@ class _Divider:
 
         :raises ProgramError: the cell has lines to switch it on, and none to switch it off.
         """
-        for kinds in (_SPINDLE, _COOLANT):
+        for off_kind in dict.fromkeys(SWITCHED_OFF.values()):
             own = [
                 e
                 for e, at in zip(self.emitter.program.events, self.event_at, strict=True)
-                if at < k and e.kind in kinds
+                if at < k and _SWITCHING.get(e.kind) == off_kind
             ]
-            if not own or own[-1].kind == kinds[-1]:
+            if not own or own[-1].kind == off_kind:
                 continue
-            on, off = self.new.lines_of(own[-1]), self.new.lines_of(Event(0, kinds[-1], 0))
+            on, off = self.new.lines_of(own[-1]), self.new.lines_of(Event(0, off_kind, 0))
             if on and not off:
                 raise ProgramError(
-                    f"a module would end with the {kinds[-1].removesuffix('_off')} that this line switches on: the "
+                    f"a module would end with the {off_kind.removesuffix('_off')} that this line switches on: the "
                     "cell has no lines to switch it off",
                     file=self.emitter.program.documents[0].name,
                     line=own[-1].line,
-                    advice=f"Give {kinds[-1]} in [gcode] of the cell.",
+                    advice=f"Give {off_kind} in [gcode] of the cell.",
                 )
             yield _Switched(own[-1], on, off if on else [])
 
     def _switches(self, event: Event, k: int) -> bool:
         """Return whether the program switches what an event does at a target too."""
-        kinds = _SPINDLE if event.kind in _SPINDLE else _COOLANT
-        events = zip(self.emitter.program.events, self.event_at, strict=True)
-        return any(at == k and other.kind in kinds for other, at in events)
+        off_kind, events = _SWITCHING[event.kind], zip(self.emitter.program.events, self.event_at, strict=True)
+        return any(at == k and _SWITCHING.get(other.kind) == off_kind for other, at in events)
 
     def _dwells(self, event: Event) -> Iterator[Event]:
         """Yield the waits that follow an event at its place: until the spindle has its speed."""
