@@ -227,16 +227,10 @@ class Loads(Struct, frozen=True, eq=False):
     removal: Array
 
 
-def chips(turn: Turn, feed: Floats, descent: Floats, other: tuple[Floats, Floats, Floats] | None = None) -> Floats:
-    """Return the chip thickness (n, P) [m]: feed per tooth along x (n,) and down (n,) [m].
-
-    :param other: another feed direction (x, y, down), (n,) each: chips are 0 where this direction would cut none.
-    """
+def chips(turn: Turn, feed: Floats, descent: Floats) -> Floats:
+    """Return the chip thickness (n, P) [m]: feed per tooth along x (n,) and down (n,) [m]."""
     chip = feed[:, None] * turn.front
     chip += descent[:, None] * turn.down
-    if other is not None:
-        x, y, down = (one[:, None] for one in other)
-        chip[x * turn.front + y * turn.across + down * turn.down <= 0.0] = 0.0
     return np.asarray(np.maximum(chip, 0.0, out=chip))
 
 

@@ -105,7 +105,7 @@ def estimate(
     :param path: geometry of its motions.
     :param axis: axis of the tool frame that points from the spindle to the tip: "+Z", "-Z", "+X" or "-X".
     :param stock: mesh of the stock, instead of that of the process.
-    :param base_axes: give all wrenches in `$BASE` axes.
+    :param base_axes: give wrenches in `$BASE` axes, but for arcs.
     :param shift: displacement of the tip, see `Shift`.
     :param guard: parts of the tool that must stay clear of the stock: where they, or cutters in rapid moves, do not,
         is an error.

@@ -95,7 +95,7 @@ def without_steps(
     :param rise: (M,) length over which the force changes at the start of a motion [m].
     :param sigma: standard deviation as a share of the wrench, which may be one factor of it; and that of the axial
         force as a share of the force across the axis (0 where axial coefficients are known), in addition.
-    :param base_axes: give them in `$BASE`; else in FEED, but for moves along the spindle.
+    :param base_axes: give them in `$BASE`, but for arcs; else in FEED, but for moves along the spindle.
     """
     motion, t, wrench, own_deviation = stations
     first = np.flatnonzero(np.diff(motion, prepend=-1))
@@ -129,8 +129,9 @@ def without_steps(
     motions = own[which]
     axes, along = _axes(program, path, motions, places, map_in_base)
     steady = np.repeat(single, count)
-    turning = steady & (program.motions.kind[motions] == CIRC)  # the same in FEED axes: in $BASE it turns
-    in_base = (along[np.repeat(np.cumsum(count) - 1, count)] | base_axes) & ~turning
+    arc = program.motions.kind[motions] == CIRC
+    # stations of arcs are thinned where the wrench is linear in FEED axes: in $BASE it turns between them
+    in_base = (along[np.repeat(np.cumsum(count) - 1, count)] & ~(steady & arc)) | (~arc & base_axes)
     to_base = _to_base(program, motions[in_base], map_in_base) @ axes[in_base]
     values[in_base], loose[in_base] = _turn(to_base, values[in_base]), _turn_deviation(to_base, loose[in_base])
     deviation = np.hypot(np.abs(values) * sigma[0], loose)

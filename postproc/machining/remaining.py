@@ -60,7 +60,7 @@ def touches(stock: Stock, body: Cutter, begin: Array, end: Array) -> Bools:
     high, floor = stock.high.reshape(-1), stock.floor.reshape(-1)
     for rows, corner, window in windows(stock, wide.radius + stock.cell, begin, end):
         index, row, column = cells(stock, corner, window)
-        away, level, _ = tool_over(wide, begin[rows], end[rows], *middles(stock, begin[rows], row, column))
+        away, level = tool_over(wide, begin[rows], end[rows], *middles(stock, begin[rows], row, column))
         there = high[index]
         inside = (away < np.float32(wide.radius)) & (there > level + np.float32(_FLUSH)) & (there > floor[index])
         out[rows] = inside.any(axis=(1, 2))
@@ -245,7 +245,7 @@ class Guard(Struct, eq=False):
         reach = max(part.radius + self.need, cutter.radius) + 3.0 * stock.cell
         left = _copy(stock, np.minimum(begin, end).min(axis=0) - reach, np.maximum(begin, end).max(axis=0) + reach)
         if segments.continues[rows.start]:
-            remove(left, cutter, begin[:1], begin[:1], np.ones(1, dtype=bool))
+            remove(left, cutter, begin[:1], begin[:1])
         step = max(stock.cell, 0.5 * (part.height - self.need))
         for one, other, of in zip(begin, end, motion.tolist(), strict=True):
             if not removes:
@@ -255,9 +255,9 @@ class Guard(Struct, eq=False):
                 if touches(left, *self._swept(part, *piece, self.need))[0]:
                     for little in _pieces(piece[0][0], piece[1][0], stock.cell):
                         self._note(part, left, of, little)
-                        remove(left, cutter, *little, np.ones(1, dtype=bool))
+                        remove(left, cutter, *little)
                 else:
-                    remove(left, cutter, *piece, np.ones(1, dtype=bool))
+                    remove(left, cutter, *piece)
 
     def _note(self, part: Part, stock: Stock, motion: int, segment: tuple[Array, Array]) -> None:
         """Note how close a part comes on a segment, if that is closer than allowed and than before on its motion."""

@@ -250,7 +250,7 @@ _CELLS = 200_000
 """Cells under segments that are processed together."""
 
 
-class _Footprint(Struct, frozen=True, eq=False):
+class Footprint(Struct, frozen=True, eq=False):
     """Cells under some segments, one row for each cell and segment.
 
     :param cell: (n,) index in the flat map of cells that the tool covers fully; level: (n,) its lower side there [m].
@@ -263,39 +263,63 @@ class _Footprint(Struct, frozen=True, eq=False):
     covered: Floats
     rim_level: Floats
 
+    @classmethod
+    def none(cls) -> Footprint:
+        """Return no cells."""
+        cells, levels = np.zeros(0, dtype=np.int64), np.zeros(0, np.float32)
+        return cls(cells, levels, cells, levels, levels)
 
-def remove(stock: Stock, cutter: Cutter, begin: Array, end: Array, last: Bools) -> None:
+    def of(self, cells: Bools, rims: Bools) -> Footprint:
+        """Return selected cells and cells of the rim."""
+        return Footprint(self.cell[cells], self.level[cells], self.rim[rims], self.covered[rims], self.rim_level[rims])
+
+
+def remove(stock: Stock, cutter: Cutter, begin: Array, end: Array, ahead: Array | None = None) -> Footprint:
     """Remove the volume that a tool along z sweeps from tip positions to others, both (L, 3) [m].
 
     The segments make one surface: where several cover a part of one cell, the one that covers most of it counts.
 
-    :param last: (L,) False if the next segment continues here. The half of the tool ahead of the end is then left for
-        it, so that its front meets uncut material and no cells that the end of this segment has partly cut.
+    :param ahead: (2,) direction in which the tool goes on. Cells ahead of the last position are then not cut but
+        returned, see `cut`: the front of the tool must meet uncut material next, not cells that it has partly cut.
     """
-    high = stock.high.reshape(-1)
-    rims = []
-    for under in _footprints(stock, cutter, begin, end, last):
-        np.minimum.at(high, under.cell, under.level)
-        rims.append((under.rim, under.covered, under.rim_level))
-    if rims:
-        cell, covered, level = (np.concatenate(column) for column in zip(*rims, strict=True))
-        if len(cell):
-            _cut_in_part(stock, *_widest(cell, covered, level))
+    parts = list(_footprints(stock, cutter, begin, end))
+    columns = zip(*((part.cell, part.level, part.rim, part.covered, part.rim_level) for part in parts), strict=True)
+    under = Footprint(*(np.concatenate(column) for column in columns)) if parts else Footprint.none()
+    if ahead is None:
+        cut(stock, under)
+        return Footprint.none()
+    left, left_rim = (_is_ahead(stock, cells, end[-1], ahead) for cells in (under.cell, under.rim))
+    cut(stock, under.of(~left, ~left_rim))
+    return under.of(left, left_rim)
+
+
+def cut(stock: Stock, under: Footprint) -> None:
+    """Remove the material of cells under a tool."""
+    np.minimum.at(stock.high.reshape(-1), under.cell, under.level)
+    if len(under.rim):
+        _cut_in_part(stock, *_widest(under.rim, under.covered, under.rim_level))
+
+
+def _is_ahead(stock: Stock, cell: Ints, point: Array, direction: Array) -> Bools:
+    """Return which cells (n,) of the flat map lie ahead of a point (3,) [m] in a direction (2,)."""
+    row, column = np.divmod(cell, stock.high.shape[1])
+    x = stock.x + (column + 0.5) * stock.cell - point[0]
+    return np.asarray(x * direction[0] + (stock.y + (row + 0.5) * stock.cell - point[1]) * direction[1] > 0.0)
 
 
 def depth_of(stock: Stock, cutter: Cutter, begin: Array, end: Array) -> float:
     """Return the largest depth of cut [m] from tip positions to others, (L, 3) [m], in cells that the tool covers."""
     high, floor, deepest = stock.high.reshape(-1), stock.floor.reshape(-1), 0.0
-    for under in _footprints(stock, cutter, begin, end, np.ones(len(begin), dtype=bool)):
+    for under in _footprints(stock, cutter, begin, end):
         cut = high[under.cell] - np.maximum(under.level, floor[under.cell])
         deepest = max(deepest, float(cut.max(initial=0.0)))
     return deepest
 
 
-def _footprints(stock: Stock, cutter: Cutter, begin: Array, end: Array, last: Bools) -> Iterator[_Footprint]:
+def _footprints(stock: Stock, cutter: Cutter, begin: Array, end: Array) -> Iterator[Footprint]:
     """Yield the cells under segments, a few segments at a time, small ones first."""
     for rows, corner, window in windows(stock, cutter.radius + stock.cell, begin, end):
-        under = _under(stock, cutter, (begin[rows], end[rows], last[rows]), corner, window)
+        under = _under(stock, cutter, begin[rows], end[rows], corner, window)
         if under is not None:
             yield under
 
@@ -322,31 +346,24 @@ def windows(stock: Stock, reach: float, begin: Array, end: Array) -> Iterator[tu
         yield rows, corner, window
 
 
-def _under(
-    stock: Stock, cutter: Cutter, segments: tuple[Array, Array, Bools], corner: Ints, window: Ints
-) -> _Footprint | None:
+def _under(stock: Stock, cutter: Cutter, begin: Array, end: Array, corner: Ints, window: Ints) -> Footprint | None:
     """Return the cells under segments (L, 3), each within a window of the map that begins at `corner` (L, 2)."""
-    begin, end, last = segments
     cell = stock.cell
     index, row, column = cells(stock, corner, window)
     lowest = np.minimum(begin[:, 2], end[:, 2])
     top = float(stock.high[int(row.min()) : int(row.max()) + 1, int(column.min()) : int(column.max()) + 1].max())
     if top <= float(lowest.min()):
         return None
-    away, level, ahead = tool_over(cutter, begin, end, *middles(stock, begin, row, column))
+    away, level = tool_over(cutter, begin, end, *middles(stock, begin, row, column))
     inner = np.float32(cutter.radius - 0.5 * cell)
     wall = lowest + cutter.corner < top
     full = away < np.where(wall, inner, np.float32(cutter.radius)).astype(np.float32)[:, None, None]
-    if not last.all():
-        full &= ~ahead | last[:, None, None]
     rim, covered, rim_level = np.zeros(0, dtype=np.int64), np.zeros(0, np.float32), np.zeros(0, np.float32)
     if wall.any():
         part = (away >= inner) & (away < inner + np.float32(cell)) & wall[:, None, None]
-        if not last.all():
-            part &= ~ahead | last[:, None, None]
         rim, rim_level = index[part], level[part]
         covered = np.minimum((inner + np.float32(cell) - away[part]) / np.float32(cell), np.float32(1.0))
-    return _Footprint(index[full], level[full], rim, covered, rim_level)
+    return Footprint(index[full], level[full], rim, covered, rim_level)
 
 
 def cells(stock: Stock, corner: Ints, window: Ints) -> tuple[Ints, Ints, Ints]:
@@ -362,9 +379,9 @@ def middles(stock: Stock, begin: Array, row: Ints, column: Ints) -> tuple[Floats
     return (column * stock.cell - origin[:, 0]).astype(np.float32), (row * stock.cell - origin[:, 1]).astype(np.float32)
 
 
-def tool_over(cutter: Cutter, begin: Array, end: Array, px: Floats, py: Floats) -> tuple[Floats, Floats, Bools]:
-    """Return for the cells of each segment, all (L, h, w): their distance from it [m], the lowest level of the tool
-    above them [m], and whether they lie ahead of its end. Positions of cells are relative to the start of the segment.
+def tool_over(cutter: Cutter, begin: Array, end: Array, px: Floats, py: Floats) -> tuple[Floats, Floats]:
+    """Return for the cells of each segment, (L, h, w): their distance from it [m], and the lowest level of the tool
+    above them [m]. Positions of cells are relative to the start of the segment.
 
     Above a cell the height of the tool is z + slope·t + height(distance at t), which is convex in t.
     """
@@ -380,10 +397,8 @@ def tool_over(cutter: Cutter, begin: Array, end: Array, px: Floats, py: Floats) 
     away = np.sqrt(square + (along - nearest) ** 2)
     z = np.where(still, np.minimum(begin[:, 2], end[:, 2]), begin[:, 2]).astype(np.float32)[:, None, None]
     slope = np.where(still, 0.0, chord[:, 2] / np.where(still, 1.0, run))
-    up = still & (chord[:, 2] >= 0.0)  # or no motion: all of it is left for the next segment
-    ahead = np.where(still[:, None, None], up[:, None, None], along > length)
     if np.abs(slope).max() < 1e-9:
-        return away, np.broadcast_to(z + cutter.height(away).astype(np.float32), away.shape), ahead
+        return away, np.broadcast_to(z + cutter.height(away).astype(np.float32), away.shape)
     slope_ = slope.astype(np.float32)[:, None, None]
     half = np.sqrt(np.maximum(np.float32(cutter.radius**2) - square, 0.0))
     if cutter.corner == 0.0:
@@ -394,7 +409,7 @@ def tool_over(cutter: Cutter, begin: Array, end: Array, px: Floats, py: Floats) 
         t = _lowest(cutter, along, square, half, length, slope_)
     t = np.minimum(np.maximum(t, 0.0), length)
     over = np.sqrt(square + (along - t) ** 2)
-    return away, np.asarray(z + slope_ * t + cutter.height(over), dtype=np.float32), ahead
+    return away, np.asarray(z + slope_ * t + cutter.height(over), dtype=np.float32)
 
 
 def _lowest(cutter: Cutter, along: Floats, square: Floats, half: Floats, length: Floats, slope: Floats) -> Floats:

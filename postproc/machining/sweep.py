@@ -1,8 +1,9 @@
 """Sweep tools through the stock: engagement along the path, and the forces that follow from it.
 
 Segments are processed together as long as the path is nearly straight. Their engagement is found in the stock before
-the first of them: the front of a convex tool on a straight path never reaches material that the tool has just cut.
-Then their material is removed.
+the first of them: the front of a convex tool never reaches material that the tool has just cut on a straight path, nor
+where the path turns with a radius above that of the tool. Then their material is removed, but for that under the front
+of the tool where they end: cells there are only partly cut until the next segments go on.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from postproc.machining.cutting import Engaged, engaged
 from postproc.machining.material import CuttingLaw, Floats
 from postproc.machining.process import Process
 from postproc.machining.remaining import Ceiling, Guard
-from postproc.machining.stock import Stock, depth_of, remove
+from postproc.machining.stock import Footprint, Stock, cut, depth_of, remove
 from postproc.machining.tool import BOTTOM, SIDE, Cutter, Edge, Turn, edge, some
 from postproc.machining.tool_path import StraightSegments, ToolStates
 from postproc.program import Bools, Ints
@@ -115,8 +116,8 @@ class Sweep(Struct, eq=False):
 
         :param progress: called with the number of segments done.
         """
-        top = self.stock.top
-        near = self._near(segments, top)
+        near = self._near(segments, self.stock.top)
+        left = Footprint.none()  # under the front of the tool where a group of segments ends
         for begin, end in self._groups(segments, near):
             if progress is not None:
                 progress(end)
@@ -129,11 +130,16 @@ class Sweep(Struct, eq=False):
             cutter = self._cutter(number)
             if segments.cutting[begin] and self.tools.rpm[segments.motion[begin]] > 0.0:
                 yield from self._cut(segments, begin, end, number)
+                cut(self.stock, left)
                 first = _runs(segments, begin, end)
-                last = np.zeros(len(first), dtype=bool)
-                last[-1] = end == len(near) or not (segments.continues[end] and near[end])
-                remove(self.stock, cutter, segments.begin[first], segments.end[[*(first[1:] - 1), end - 1]], last)
+                goes_on = end < len(near) and segments.continues[end] and near[end]
+                ahead = segments.arrive[end - 1, :2] if goes_on else None
+                left = remove(
+                    self.stock, cutter, segments.begin[first], segments.end[[*(first[1:] - 1), end - 1]], ahead
+                )
             else:
+                cut(self.stock, left)
+                left = Footprint.none()
                 self._unwanted(segments, begin, end, cutter)
             if self.ceiling is not None:
                 self.ceiling.sink(*_extent(segments, begin, end, cutter), int(segments.motion[end - 1]))
@@ -149,10 +155,8 @@ class Sweep(Struct, eq=False):
         """Record motions that touch material without cutting it (rapid, or spindle off), and remove that material."""
         start, stop = segments.begin[begin:end], segments.end[begin:end]
         seen = segments.cutting[begin] or not self.deflected
-        if seen and begin > 0 and segments.continues[begin]:  # material that the segment before left for this one
-            remove(self.stock, cutter, start[:1], start[:1], np.ones(1, dtype=bool))
         if not seen or depth_of(self.stock, cutter, start, stop) <= _TOUCHED:
-            remove(self.stock, cutter, start, stop, np.ones(end - begin, dtype=bool))
+            remove(self.stock, cutter, start, stop)
             return
         for k, motion in enumerate(segments.motion[begin:end].tolist()):
             one = slice(k, k + 1)
@@ -161,7 +165,7 @@ class Sweep(Struct, eq=False):
                 self.stopped.add(motion)
             elif depth > _TOUCHED:
                 self.collided[motion] = max(depth, self.collided.get(motion, 0.0))
-            remove(self.stock, cutter, start[one], stop[one], np.ones(1, dtype=bool))
+            remove(self.stock, cutter, start[one], stop[one])
 
     def _near(self, segments: StraightSegments, top: float) -> Bools:
         """Return which segments (L,) can touch the stock at all."""
@@ -234,7 +238,7 @@ class Sweep(Struct, eq=False):
         chunk = max(1, _ELEMENTS // len(turn.phi))
         for start in range(0, len(segment), chunk):
             rows = slice(start, start + chunk)
-            yield self._loads(turn, number, position[rows], heading[rows], motion[rows], t[rows], segments.leave[begin])
+            yield self._loads(turn, number, position[rows], heading[rows], motion[rows], t[rows])
 
     def _turn(self, number: int, position: Array, heading: Array) -> Turn:
         """Return the sample points of the edge that can be in material at these positions."""
@@ -263,9 +267,7 @@ class Sweep(Struct, eq=False):
         rows = slice(max(0, int((y0 - stock.y) / stock.cell)), max(0, int((y1 - stock.y) / stock.cell) + 1))
         return float(stock.high[rows, columns].max(initial=-np.inf))
 
-    def _loads(
-        self, turn: Turn, number: int, position: Array, heading: Array, motion: Ints, t: Array, first: Array
-    ) -> Cuts:
+    def _loads(self, turn: Turn, number: int, position: Array, heading: Array, motion: Ints, t: Array) -> Cuts:
         cutter = self._cutter(number)
         across = np.hypot(heading[:, 0], heading[:, 1])
         along = across < _ALONG
@@ -276,13 +278,7 @@ class Sweep(Struct, eq=False):
         feed = np.where(along, 0.0, per_tooth * across).astype(np.float32)
         descent = (-per_tooth * heading[:, 2]).astype(np.float32)
         inside = self._inside(turn, cutter, position, (ux, uy, hand), descent)
-        other = None
-        if not along.any():
-            cos, sin = ux * first[0] + uy * first[1], (ux * first[1] - uy * first[0]) * hand
-            other = (cos.astype(np.float32), sin.astype(np.float32), np.full(len(t), -first[2], dtype=np.float32))
-            if abs(sin).max() < 1e-3 and abs(heading[:, 2] - first[2]).max() < 1e-3:
-                other = None
-        chip = cutting.chips(turn, feed, descent, other)
+        chip = cutting.chips(turn, feed, descent)
         loads = cutting.mean(turn, inside, chip, np.maximum(-heading[:, 2], 0.0).astype(np.float32))
         wrench = loads.wrench
         wrench[:, [1, 3, 5]] *= hand[:, None]

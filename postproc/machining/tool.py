@@ -112,7 +112,7 @@ class Turn(Struct, frozen=True, eq=False):
     :param radius: (P,) distance from the axis [m]; low: (P,) height of the lower end of the piece of edge above the
         tip [m]; rise: (P,) its height [m], 0 on the end face, infinite on the cylinder; length: (P,) along it [m].
     :param bottom: slice of the points on the end face, and round, side: of the corner and of the cylinder.
-    :param front: (P,) and across, down: components of the normal along x, y and −z.
+    :param front: (P,) and down: components of the normal along x and −z.
     :param cut: (P, 6) wrench about the tip per engaged length and per chip [N/m², N/m]; on the cylinder without the
         moment due to the height of the force.
     :param rub: (P, 6) the same per engaged length alone [N/m, N].
@@ -133,7 +133,6 @@ class Turn(Struct, frozen=True, eq=False):
     round: slice
     side: slice
     front: Floats
-    across: Floats
     down: Floats
     cut: Floats
     rub: Floats
@@ -189,7 +188,7 @@ class Turn(Struct, frozen=True, eq=False):
         return cls(
             law, cutter.teeth, cutter.drill, angle, wide_, single(edge.radius[own]), single(edge.low[own]),
             single(rise), single(edge.length[own]), slice(first, second), slice(second, third), slice(third, end),
-            single(normal[:, 0]), single(normal[:, 1]), single(-normal[:, 2]), wrench(law.cutting), wrench(law.edge),
+            single(normal[:, 0]), single(-normal[:, 2]), wrench(law.cutting), wrench(law.edge),
             each, single(_covered(angle, wide_, 2 * half) * height),
         )  # fmt: skip
 

@@ -9,6 +9,7 @@ from msgspec.structs import replace
 from postproc import frames, toolpath
 from postproc.machining.profiles import BASE, FEED, without_steps
 from postproc.poses import Poses
+from postproc.program import CIRC
 from tests.programs import program
 from tests.toolpath.setting import arc, begins, point
 
@@ -112,7 +113,7 @@ def test_forces_along_motions_follow_on_from_those_before(seed, base_axes):
         inner = [place for place in given[1][own] if reach + 1e-9 < place] if not steady else []
         np.testing.assert_allclose(t, np.unique([0.0, reach, *inner, 1.0]))
         plunge = k in (1, 8)
-        in_base = plunge or (base_axes and not (steady and program.motions.kind[k] == 1))
+        in_base = plunge or (base_axes and program.motions.kind[k] != CIRC)
         assert found.frame[rows].tolist() == [BASE if in_base else FEED] * rows.sum()
         for place, wrench in zip(t, found.wrench[rows], strict=True):
             expected = expected_at(program, to_base, given, path.length, k, place, linear_in_feed=not in_base)

@@ -107,22 +107,6 @@ def test_mean_wrench_and_volume_are_the_integrals_of_the_formulas(law, cutter, f
     assert found.removal[0] == pytest.approx(volume, rel=0.01)
 
 
-def test_chips_are_none_where_another_direction_has_none():
-    """Where a way bends, material ahead of the first direction is all that is known to be there."""
-    turn, n = turn_of(BULL, descent=0.4), np.ones(2, dtype=np.float32)
-    feed, down = n * np.float32(1e-4), np.array([3e-5, -2e-5], dtype=np.float32)
-    first = np.array([0.8, 0.6]), np.array([0.5, -0.7]), np.array([0.3, -0.2])
-    found = cutting.chips(turn, feed, down, tuple(each.astype(np.float32) for each in first))
-    normal = np.stack([turn.front, turn.across, turn.down], axis=1).astype(float)
-    for k in range(2):
-        chip = 1e-4 * normal[:, 0] + down[k] * normal[:, 2]
-        ahead = normal @ [each[k] for each in first]
-        sure = np.abs(ahead) > 1e-6
-        expected = np.where((ahead > 0) & (chip > 0), chip, 0.0)
-        np.testing.assert_allclose(found[k][sure], expected[sure], atol=1e-9)
-    assert (found[0] != cutting.chips(turn, feed, down)[0]).any()
-
-
 def test_products_in_pieces_are_products():
     rng = np.random.default_rng(1)
     for rows, inner, columns in ((1, 5, 3), (1000, 700, 6), (0, 4, 2), (3, 300_000, 1)):
