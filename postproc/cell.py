@@ -112,6 +112,9 @@ class Output(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     min_feed_mm_per_min: Positive = 300.0
 
 
+DwellUnit = Literal["s", "ms"]
+
+
 class GCode(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Conversion of G-code to KRL. Each list holds KRL lines; {S} is the spindle speed in rpm, {T} the tool number.
 
@@ -122,6 +125,7 @@ class GCode(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     :param motions: path motions of new KRL: LIN and CIRC, or the spline motions SLIN and SCIRC of a KRC4.
     :param radius_offsets: what the control's radius offsets (D) contain: the radius of the tool, or its wear only, so
         that the program has the path of the tool's centre.
+    :param dwell_unit: unit of P of G4 and of cycles; None: short times are seconds, long ones are asked for.
     """
 
     redundancy_deg: Angle = 0.0
@@ -131,6 +135,7 @@ class GCode(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     corner_tolerance_mm: NotNegative = 0.05
     motions: Literal["LIN", "SLIN"] = "LIN"
     radius_offsets: Literal["radius", "wear"] = "radius"
+    dwell_unit: DwellUnit | None = None
     spindle_on: list[str] = []
     spindle_ccw: list[str] = []
     spindle_off: list[str] = []

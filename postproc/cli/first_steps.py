@@ -182,6 +182,11 @@ def _parsed(kind: Any) -> Any:
     show_default=True,
     help="What D of G41 and G42 holds. With wear the path of the program is that of the tool centre.",
 )
+@click.option(
+    "--dwell-unit",
+    type=Choice(["s", "ms"]),
+    help="What the control counts in P of G4 and of cycles: s (LinuxCNC) or ms (Fanuc, Haas, Mach3).",
+)
 @click.option("--part-tolerance", type=float, metavar="MM", help="What the part may be off (95 %); default: 0.5.")
 @click.option(
     "--robodk",

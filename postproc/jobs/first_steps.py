@@ -103,6 +103,7 @@ class CellRequest(Struct, frozen=True, kw_only=True):
     :param work_offsets: code of a work offset (``G55``) → its frame in `$BASE`, as `base`.
     :param m_codes: M codes that programs use and that have no effect on the robot (``M31``).
     :param radius_offsets: what the radius offsets (D) of the control hold: "radius" or "wear".
+    :param dwell_unit: what the control counts in P of G4 and of cycles: "s" or "ms"; None: not stated.
     :param part_tolerance: what the part may be off, 95 % [mm].
     :param overwrite: replace a file that is there.
     """
@@ -120,6 +121,7 @@ class CellRequest(Struct, frozen=True, kw_only=True):
     work_offsets: Mapping[str, Numbers] = {}
     m_codes: Sequence[str] = ()
     radius_offsets: str = "radius"
+    dwell_unit: str | None = None
     part_tolerance: float = PART_TOLERANCE_MM
     overwrite: bool = False
 
@@ -335,6 +337,11 @@ def _text(
     )
     change = {BY_HAND: _TOOL_BY_HAND[language], NO_LINES: []}.get(request.tool_change, [request.tool_change])
     change_line = f"tool_change = [{', '.join(map(_quoted, change))}]"
+    dwell = "s" if request.dwell_unit is None else request.dwell_unit
+    comment = "# " if request.dwell_unit is None else ""
+    dwell_line = (
+        f'{comment}dwell_unit = {_quoted(dwell)}               # P of G4 and cycles: "ms" for Fanuc, Haas, Mach3'
+    )
     return f"""\
 # Cell file of postproc: mm, degrees, N. docs/reference describes every key; what follows # is optional.
 robot = {_quoted(place)}    # {robot.title}
@@ -359,6 +366,7 @@ tolerance_mm = {_number(request.part_tolerance)}               # error allowed o
 
 [gcode]                          # how G-code becomes {language.upper()}
 radius_offsets = {_quoted(request.radius_offsets)}        # "wear": D holds wear, the path is of the tool centre
+{dwell_line}
 redundancy_deg = {_number(turn)}             # turn of the tool about its axis: so that A4 and A6 stay near their start
 rapid_m_per_s = 0.5              # speed of G0
 approximation_mm = 0.5           # $APO.CDIS, or the zone; 0: exact stops

@@ -46,6 +46,7 @@ REFUSED = {
     "carbide_create.nc": (18, "arc without I, J, K or R"),
     "catia_apt.nc": (1, "this is not plain G-code, but an APT cutter-location (CLSF) program"),
     "cura.gcode": (3, "this is not plain G-code, but a slicer (3-D printing) program"),
+    "dwell_ms.nc": (3, "G4 P3000 is 3000 s or 3000 ms: the cell does not say"),
     "eding.nc": (6, "this is not plain G-code, but a Fanuc custom macro (B) program"),
     "fanuc_g41_offset.nc": (1, "an O word among other words"),
     "fanuc_lathe.nc": (4, "this is not plain G-code, but a lathe program"),

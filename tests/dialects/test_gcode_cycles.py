@@ -354,3 +354,62 @@ def test_coordinates_after_g80_at_heights_of_rapid_moves_are_rapids(bare):
 def test_other_coordinates_after_g80_are_refused(bare):
     with pytest.raises(ProgramError, match="coordinates without G0, G1, G2 or G3"):
         read(f"{HEAD}G81 X1 Y1 Z-4 R2 F100\nG80\n{bare}\nM2\n")
+
+
+# ---- the unit of P
+
+
+DWELLS = {
+    "G4": "G0 X0 Y0 Z5\nG4 P{}\nM30\n",
+    "G4 X": "G0 X0 Y0 Z5\nG4 X{}\nM30\n",
+    "G82": "G0 X0 Y0 Z5\nG82 X5 Y5 Z-3 R2 P{} F100\nM30\n",
+    "G84": "G0 X0 Y0 Z5 S100 M3\nG84 X5 Y5 Z-3 R2 P{} F100\nM30\n",
+    "G86": "G0 X0 Y0 Z5 S100 M3\nG86 X5 Y5 Z-3 R2 P{} F100\nM30\n",
+}
+
+
+def _cell(unit):
+    return replace(CELL, gcode=replace(CELL.gcode, dwell_unit=unit))
+
+
+def _waits(text, unit):
+    return [event.value for event in read(f"G21\n{text}", _cell(unit)).events if event.kind == "dwell"]
+
+
+@pytest.mark.parametrize("code", DWELLS)
+def test_the_cell_says_whether_p_is_in_seconds_or_milliseconds(code):
+    assert _waits(DWELLS[code].format("1000"), "ms") == [1.0]
+    assert _waits(DWELLS[code].format("1000"), "s") == [1000.0]
+    assert _waits(DWELLS[code].format("2"), None) == [2.0]
+    assert _waits(DWELLS[code].format("0.5"), "s") == [0.5]
+
+
+def test_p_of_later_holes_is_in_the_unit_of_the_cell_too():
+    text = "G0 X0 Y0 Z5\nG89 X5 Y5 Z-3 R2 P1500 F100\nX9\nX12 P2000\nX15\nM30\n"
+    assert _waits(text, "ms") == [1.5, 1.5, 2.0, 2.0]
+
+
+@pytest.mark.parametrize("code", DWELLS)
+def test_a_time_that_could_be_either_is_a_question_of_its_line(code):
+    with pytest.raises(ProgramError, match="is 500 s or 500 ms: the cell does not say") as caught:
+        read(f"G21\n{DWELLS[code].format('500')}", _cell(None))
+    assert caught.value.line == 3
+    assert 'dwell_unit = "ms"' in caught.value.advice
+
+
+def test_a_cycle_without_a_dwell_has_no_question():
+    assert _waits("G0 X0 Y0 Z5\nG81 X5 Y5 Z-3 R2 P500 F100\nM30\n", None) == []
+
+
+@pytest.mark.parametrize(
+    ("code", "time"), [("G4", "1.5"), ("G4", "10."), ("G82", "0.5"), ("G84", "12.5"), ("G86", "2")]
+)
+def test_seconds_where_the_cell_says_milliseconds_are_an_error(code, time):
+    """Haas reads G4 P10. as ten seconds."""
+    with pytest.raises(ProgramError, match="looks like seconds"):
+        read(f"G21\n{DWELLS[code].format(time)}", _cell("ms"))
+
+
+def test_x_of_a_dwell_with_a_decimal_point_is_in_seconds_on_every_control():
+    for unit in ("s", "ms", None):
+        assert _waits(DWELLS["G4 X"].format("12.5"), unit) == [12.5]

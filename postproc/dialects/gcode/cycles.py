@@ -22,6 +22,8 @@ _CLEARANCE_MM = 0.254
 _MOST_PECKS = 10_000
 _MODES = ("G90", "G91")
 _NEEDS: Mapping[float, str] = {73.0: "Q", 82.0: "P", 83.0: "Q", 86.0: "P", 89.0: "P"}
+DWELLING = (82.0, 84.0, 86.0, 89.0)
+"""Cycles that wait at the bottom, for the time P."""
 
 Point = tuple[float, float, float]
 
@@ -143,22 +145,21 @@ class Cycle:
         :raises BlockError: the cycle needs a spindle that turns.
         """
         at, dwell = len(steps), self.words.get("P", 0.0)
-        if self.code in (82.0, 86.0, 89.0) and dwell > 0.0:
-            done.append(CycleEvent(at, "dwell", dwell))
+        wait = [CycleEvent(at, "dwell", dwell)] if self.code in DWELLING and dwell > 0.0 else []
         if self.code == 84.0:
             if spindle != "spindle_on":
                 raise BlockError("G84 with a spindle that does not turn clockwise", "Start it with M3 before.")
-            done += [CycleEvent(at, "spindle_off"), CycleEvent(at, "spindle_ccw")]
-            done += [CycleEvent(at, "dwell", dwell)] if dwell > 0.0 else []
+            done += [CycleEvent(at, "spindle_off"), CycleEvent(at, "spindle_ccw"), *wait]
             steps.append(Step(1.0, clear, bottom=True))
             done += [CycleEvent(at + 1, "spindle_off"), CycleEvent(at + 1, "spindle_on")]
         elif self.code == 86.0:
             if spindle == "spindle_off":
                 raise BlockError("G86 with a spindle that does not turn", "Start it with M3 before.")
-            done.append(CycleEvent(at, "spindle_off"))
+            done += [*wait, CycleEvent(at, "spindle_off")]
             steps.append(Step(0.0, clear))
             done.append(CycleEvent(at + 1, spindle))
         elif self.code == 85.0:
             steps += [Step(1.0, (clear[0], clear[1], r)), Step(0.0, clear)]
         else:
+            done += wait
             steps.append(Step(1.0 if self.code == 89.0 else 0.0, clear))

@@ -37,7 +37,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from msgspec import Struct
 
-from postproc.cell import FIXED_M_CODES, Cell, Rotary
+from postproc.cell import FIXED_M_CODES, Cell, DwellUnit, Rotary
 from postproc.dialects.gcode import codes
 from postproc.dialects.gcode.words import COLUMNS, CUT_SHORT, MARK, BlockError, Fault, Source, Words, words_of
 from postproc.errors import MOST, Issue, Level
@@ -321,16 +321,35 @@ class FrameCodes:
 
 _UNITS_AGAIN = {70.0: 20.0, 71.0: 21.0}
 MM_PER_UNIT = {20.0: 25.4, 21.0: 1.0}
-_LONG_DWELL_S = 60.0
+_LEAST_IN_MS = 10.0
+"""Least time of a dwell that may be in milliseconds: nobody waits for less than a hundredth of a second."""
+_WITH_POINT = re.compile(r"[PXU][+]?[0-9]*\.")
 _OPENING = re.compile(rf"[\n{MARK}]*\n{MARK}*%".encode())
 _DELETE = re.compile(rf"{MARK}*/[1-9]?")
 
 
-def long_dwell(seconds: float) -> str | None:
-    """Return a warning about a dwell that looks like milliseconds; None: it is short."""
-    if seconds <= _LONG_DWELL_S:
-        return None
-    return f"Dwell of {seconds:g} s: P is in seconds. Check it if your control counts milliseconds."
+def dwell_time(word: str, number: float, unit: DwellUnit | None, *, with_point: bool = False) -> float:
+    """Return the time of a dwell [s].
+
+    LinuxCNC and Grbl count P in seconds; Fanuc, Haas and Mach3 in milliseconds, Fanuc and Haas in seconds where the
+    number has a decimal point.
+
+    :param word: code and letter, for messages.
+    :param unit: what the control counts; None: the cell does not say.
+    :param with_point: whether the number is known to have a decimal point.
+    :raises BlockError: the unit decides on the time and is not stated, or a number is in the other unit.
+    """
+    if unit == "s" or number == 0.0 or (unit is None and number < _LEAST_IN_MS):
+        return number
+    if unit is None:
+        advice = "LinuxCNC reads seconds; Fanuc, Haas and Mach3 read milliseconds. "
+        advice += 'Write dwell_unit = "s" or dwell_unit = "ms" in [gcode] of the cell.'
+        raise BlockError(f"{word}{number:g} is {number:g} s or {number:g} ms: the cell does not say", advice)
+    if with_point or number % 1.0 or number < _LEAST_IN_MS:
+        advice = "Fanuc and Haas read seconds where there is a decimal point. "
+        advice += 'Write whole milliseconds without one, or dwell_unit = "s" in [gcode] of the cell.'
+        raise BlockError(f"{word}{number:g} looks like seconds, but the cell says milliseconds", advice)
+    return 1e-3 * number
 
 
 class Modes(Struct, frozen=True, eq=False):
@@ -344,7 +363,7 @@ class Modes(Struct, frozen=True, eq=False):
     :param returns: row → move to a machine position.
     :param tools: changes (row, tool number), in order.
     :param tip: changes (row, 1 if tool-centre-point control is on, else 0), in order.
-    :param dwells: rows with G4.
+    :param dwells: rows with G4; `dwell_unit`: unit of P of cycles, see `dwell_time`.
     :param row_events: events of the lines, in order.
     :param issues: remarks for the user.
     :param faults: faults of blocks, in order.
@@ -363,6 +382,7 @@ class Modes(Struct, frozen=True, eq=False):
     row_events: Sequence[RowEvent]
     issues: Sequence[Issue]
     faults: Sequence[Fault]
+    dwell_unit: DwellUnit | None = None
     complete: bool = True
 
 
@@ -408,6 +428,7 @@ def read_modes(source: Source, odd: Ints, words: Words, cell: Cell, known: Seque
         row_events=reader.switching.events,
         issues=reader.issues,
         faults=faults,
+        dwell_unit=cell.gcode.dwell_unit,
         complete=complete,
     )
 
@@ -417,6 +438,7 @@ class _Reader:
 
     def __init__(self, words: Words, cell: Cell, tape: int) -> None:
         self.words, self.cell, self.tape = words, cell, tape
+        self.code = ""
         self.approximation = cell.gcode.approximation_mm * M_PER_MM
         self.changes: dict[str, list[tuple[int, float]]] = {group: [] for group in codes.GROUPS}
         self.blends: list[tuple[int, float]] = []
@@ -443,6 +465,7 @@ class _Reader:
         if deleted:
             code = code[deleted.end() :]
             self._remark("info", "block-delete", "Blocks with / are executed (block delete is off).", row)
+        self.code = code
         words = words_of(code)
         g = [value for letter, value in words if letter == "G"]
         m = [value for letter, value in words if letter == "M"]
@@ -560,13 +583,14 @@ class _Reader:
         if letter != "P" and not np.isnan(self._motion(row)):
             raise BlockError(f"G4 {letter} in one block with a motion code", "Write one block for each.")
         seconds = values.pop(letter)
+        with_point = _WITH_POINT.search(self.code) is not None
+        if letter == "P" or (letter in "XU" and not with_point):
+            seconds = dwell_time(f"G4 {letter}", seconds, self.cell.gcode.dwell_unit, with_point=with_point)
         self.dwells.append(row)
         self.switching.dwell(row, seconds)
         if letter == "S":
             message = f"G4 S{seconds:g} is read as seconds (Marlin). Sinumerik controls count turns of the spindle."
             self._remark("info", "dwell", message, row)
-        if (warning := long_dwell(seconds)) is not None:
-            self._remark("warning", "dwell", warning, row)
 
     def _radius(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
         """Read G41 and G42: without effect with D0, which is no radius, and with offsets that hold wear only.

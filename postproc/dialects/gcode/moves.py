@@ -27,8 +27,8 @@ from postproc.cell import Rotary
 from postproc.chunks import chunks, compact
 from postproc.dialects.gcode import codes
 from postproc.dialects.gcode.arcs import PLANE_AXES
-from postproc.dialects.gcode.cycles import Cycle, CycleEvent, Step
-from postproc.dialects.gcode.modes import MM_PER_UNIT, Modes, Origin, Return, long_dwell
+from postproc.dialects.gcode.cycles import DWELLING, Cycle, CycleEvent, Step
+from postproc.dialects.gcode.modes import MM_PER_UNIT, Modes, Origin, Return, dwell_time
 from postproc.dialects.gcode.rotary import RotaryAxes
 from postproc.dialects.gcode.words import BlockError, Words
 from postproc.errors import Level
@@ -40,7 +40,7 @@ class LineStates(Struct, frozen=True, eq=False):
     """Words and modal state of each line, lengths in mm: XYZ, IJK (L, 3); all else (L,).
 
     :param placed: whether X, Y or Z is programmed.
-    :param turns: P; for cycles a dwell [s].
+    :param turns: P; for cycles a dwell.
     :param named: whether the line itself has a motion code.
     :param feed: [mm/min]; in G93 [1/min]. `rate`: F as written, in deg/min for rotary axes alone.
     :param moving: lines that move by G0…G3; `drilling`: by a cycle.
@@ -462,6 +462,8 @@ class _Walk:
         modes = bool(rows.incremental[row]), bool(rows.to_r[row])
         u, v, height = self.position[axes].tolist()
         try:
+            if "P" in given and rows.motion[row] in DWELLING:
+                given["P"] = dwell_time(f"G{rows.motion[row]} P", float(given["P"]), self.modes.dwell_unit)
             steps, done = self.cycle.hole(float(rows.motion[row]), given, (u, v, height), modes, spindle)
         except BlockError as cause:
             self.faults.append((row, *cause.args))
@@ -471,9 +473,6 @@ class _Walk:
             self.faults.append((row, "a cycle that begins below R before the position is known", advice))
         if not modes[0]:
             self.known[axes[:2]] |= ~np.isnan(rows.xyz[row][axes[:2]])
-        dwell = max((event.value for event in done if event.kind == "dwell"), default=0.0)
-        if "P" in given and (message := long_dwell(dwell)) is not None:
-            self.remarks.append((row, "warning", "dwell", message))
         places = np.empty((len(steps), 3))
         places[:, axes] = [step.end for step in steps]
         self._drilled(np.full(len(steps), row), places, steps, done)
