@@ -32,15 +32,19 @@ _USED = 0.98
 
 
 def slowed(path: PathUnderLoad, q: Rows, position: Array) -> tuple[MotionsUnderLoad, Issue] | None:
-    """Return the motions with rapid moves slowed to what the joints can do, and the remark; None if none is too fast.
+    """Return the motions with positioning moves slowed to what the joints can do, and the remark, or None.
 
-    Only programs whose text is written anew have rapid straight moves with a speed of their own.
+    Positioning moves are rapid ones, and those at feed that come from `[start]`: no force may act on them. Only
+    programs whose text is written anew have straight ones with a speed of their own.
 
     :param q: (N, 6) commanded joint angles of the samples [rad], `position` (N, 3) commanded positions [m].
     """
     program, robot = path.program, path.robot_in_cell.robot
     m = program.motions
-    if program.keeps_text or not (m.rapid & (m.kind == LIN)).any():
+    positioning = m.rapid.copy()
+    positioning[program.unforced] = True
+    positioning &= m.kind == LIN
+    if program.keeps_text or not positioning.any():
         return None
     speed = commanded_speed(path, q, position)
     share = np.zeros(len(m))
@@ -49,7 +53,7 @@ def slowed(path: PathUnderLoad, q: Rows, position: Array) -> tuple[MotionsUnderL
     def take(motion: Ints, speed: Array) -> None:
         of_limit = speed / robot.speed
         worst = of_limit.max(axis=1)
-        rows = np.flatnonzero(m.rapid[motion] & (m.kind[motion] == LIN) & (worst > _USED))
+        rows = np.flatnonzero(positioning[motion] & (worst > _USED))
         rows = rows[np.argsort(worst[rows])]
         rows = rows[worst[rows] > share[motion[rows]]]
         share[motion[rows]], joint[motion[rows]] = worst[rows], of_limit[rows].argmax(axis=1)
@@ -65,9 +69,8 @@ def slowed(path: PathUnderLoad, q: Rows, position: Array) -> tuple[MotionsUnderL
     feed = m.feed.copy()
     feed[fast] *= _USED / share[fast]
     names = " and ".join(JOINTS[axis] for axis in np.unique(joint[fast]).tolist())
-    message = (
-        f"Rapid moves in which {names} would turn too fast are slowed, to {feed[fast].min():.3g} m/s at the slowest."
-    )
+    slowest = f"{feed[fast].min():.3g} m/s at the slowest"
+    message = f"Positioning moves in which {names} would turn too fast are slowed, to {slowest}."
     issue = m.issue("info", "rapid-slowed", message, fast)
     slow = replace(program, motions=replace(m, feed=feed))
     return replace(path.motions, program=slow), issue

@@ -68,12 +68,20 @@ def test_the_feed_is_rounded_down(value, text):
     assert checks._rounded_down(value) == text
 
 
-def test_the_first_move_begins_at_start():
-    """A G1 as first move: from [start] to the part in one go, at 60 m/min."""
+def test_a_first_move_at_feed_that_comes_from_start_is_slowed_as_rapid_moves_are():
+    """A G1 as first move: from [start] to the part in one go, at 900 m/min. No force may act on it."""
     text = "G21 G90\nG1 X0 Y0 Z50 F{feed}\nX20 F900\nM30\n"
-    fast = [i for i in converted(text.format(feed=900000), CELL).issues if i.kind.startswith("joint-speed")]
-    assert [issue.source_line for issue in fast[:1]] == [2]
-    assert converted(text.format(feed=900), CELL).documents
+    result = converted(text.format(feed=900000), CELL)
+    assert not [issue for issue in result.issues if issue.kind.startswith("joint-speed")]
+    assert [issue.source_line for issue in result.issues if issue.kind == "rapid-slowed"] == [2]
+    first, second = speeds(result.documents[0].text)[:2]
+    assert 0.1 < first < 15.0
+    assert second == 0.015
+    faster = result.documents[0].text.replace(f"$VEL.CP={first:.6f}", f"$VEL.CP={1.03 * first:.6f}", 1)
+    assert faster != result.documents[0].text
+    again = converted(faster, dialect="krl", mode="predict")
+    assert [issue for issue in again.issues if issue.kind.startswith("joint-speed")]
+    assert "rapid-slowed" not in {issue.kind for issue in converted(text.format(feed=900), CELL).issues}
 
 
 def test_speed_is_rotation_over_the_time_of_the_way():

@@ -401,3 +401,17 @@ def test_a_feed_in_the_block_that_changes_units_is_in_the_new_ones_and_is_report
     assert program.motions.feed[1] * 60e3 == pytest.approx(feed)
     found = [(issue.level, issue.source_line) for issue in program.issues if issue.kind == "feed-units"]
     assert found == [("warning", line) for line in lines]
+
+
+def test_g9_stops_exactly_at_the_end_of_its_block():
+    blend = read("G21 G90\nG0 X0 Y0 Z5 F600\nG1 X1\nG9 X2\nX3\nM2").motions.blend
+    np.testing.assert_allclose(blend[1:] * 1e3, [0.5, 0.0, 0.5])
+    blend = read("G21 G90 G61\nG0 X0 Y0 Z5 F600\nG9 G1 X2\nX3\nM2").motions.blend
+    np.testing.assert_allclose(blend, 0.0)
+
+
+def test_a_percent_sign_behind_the_last_block_ends_the_program():
+    program = read("%\nG21 G90\nG0 X0 Y0 Z5 F600\nG1 X1\nX6 F700.0%\n")
+    assert ends(program)[-1, 0] == pytest.approx(6.0)
+    with pytest.raises(ProgramError, match="the program ends here, but coordinates follow"):
+        read("%\nG21 G90\nG0 X0 Y0 Z5 F600\nG1 X6 F700.0%\nX9\n")

@@ -15,6 +15,8 @@ DWELL_WORDS = "PXUFS"
 TOOL_LENGTH = 43.0
 BLENDING = 64.0
 EXACT = (61.0, 61.1)
+EXACT_BLOCK = 9.0
+"""Exact stop at the end of its own block (Fanuc)."""
 STORE, LOCAL, SHIFT, SHIFT_CLEARED, SHIFT_OFF, SHIFT_ON = 10.0, 52.0, 92.0, 92.1, 92.2, 92.3
 ORIGINS = (STORE, LOCAL, SHIFT, SHIFT_CLEARED, SHIFT_OFF, SHIFT_ON)
 HOME, HOME_2, MACHINE = 28.0, 30.0, 53.0
@@ -54,7 +56,20 @@ OTHER_AXES = "ABCUVW"
 """Axes of a milling machine in addition to X, Y, Z, which a robot does not have."""
 
 ACCEPTED_G = frozenset(
-    (*GROUP_OF, *MOTION, *CYCLES, *ORIGINS, *RETURNS, CANCEL_CYCLE, DWELL, TOOL_LENGTH, BLENDING, *EXACT, *_IGNORED_G)
+    (
+        *GROUP_OF,
+        *MOTION,
+        *CYCLES,
+        *ORIGINS,
+        *RETURNS,
+        CANCEL_CYCLE,
+        DWELL,
+        TOOL_LENGTH,
+        BLENDING,
+        *EXACT,
+        EXACT_BLOCK,
+        *_IGNORED_G,
+    )
 )
 ACCEPTED_M = frozenset((*STOP, *END, *SPINDLE, CHANGE, *COOLANT, *_IGNORED_M))
 

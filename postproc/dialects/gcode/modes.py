@@ -465,6 +465,8 @@ class _Reader:
         if deleted:
             code = code[deleted.end() :]
             self._remark("info", "block-delete", "Blocks with / are executed (block delete is off).", row)
+        if code.endswith("%"):  # the end of the tape in the last block
+            code, self.taped = code[:-1], True
         self.code = code
         words = words_of(code)
         g = [value for letter, value in words if letter == "G"]
@@ -621,3 +623,6 @@ class _Reader:
             self.roundings.append((row, given))
         elif set(g) & set(codes.EXACT):
             self.blends.append((row, 0.0))
+        elif codes.EXACT_BLOCK in g:
+            before = self.blends[-1][1] if self.blends else self.approximation
+            self.blends += [(row, 0.0), (row + 1, before)]

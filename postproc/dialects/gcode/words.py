@@ -96,8 +96,9 @@ class Source(Struct, frozen=True, eq=False):
         return distinct(np.searchsorted(self.ends, np.array(found, dtype=np.int64)) - 1)
 
     def goes_on(self, row: int) -> bool:
-        """Return whether a line begins with %, which ends the program, and coordinates follow it."""
-        ends = self.code[self.ends[row] + 1 : self.ends[row + 1]].strip(MARK.encode())[:1] == b"%"
+        """Return whether a line begins or ends with %, which ends the program, and coordinates follow it."""
+        line = self.code[self.ends[row] + 1 : self.ends[row + 1]].strip(MARK.encode())
+        ends = line.startswith(b"%") or line.endswith(b"%")
         return ends and _COORDINATE.search(self.code, int(self.ends[row + 1])) is not None
 
 
