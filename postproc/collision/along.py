@@ -68,7 +68,6 @@ def along(scene: Scene, q: Array, need: float, shift: Array | None = None, comma
         less by as far as it moves from one to the other at most.
     :param need: smallest allowed distance [m]; 0: they must not touch.
     :param shift: (n, 3) how far E1 carries the robot from the root [m].
-    :raises InputError: the package python-fcl is not installed.
     """
     return among(Solids(scene), q, need, shift, commanded)
 

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from postproc.chunks import in_chunks
 from postproc.collision.bodies import Body, Scene
-from postproc.errors import InputError
 from postproc.frames import Array, inverse, norm, rotation_from_vector
 from postproc.program import Ints
 from postproc.robot.chain import Chain
@@ -40,7 +39,6 @@ def clearance(scene: Scene, q: Array) -> Clearance:
     """Return the smallest distance of the bodies at poses that are independent of each other.
 
     :param q: (n, 6) joint angles of the controller [rad].
-    :raises InputError: the package python-fcl is not installed.
     """
     pairs = list(scene.pairs())
     out = Clearance(np.full(len(q), np.inf), np.full(len(q), -1), np.full(len(q), -1))
@@ -83,15 +81,9 @@ class Solids:
         """Make the FCL objects of the bodies of a scene.
 
         :param pairs: rows of bodies to compare, the one that moves first; None: all pairs that matter.
-        :raises InputError: the package python-fcl is not installed.
         """
-        try:
-            import fcl
-        except ImportError:
-            raise InputError(
-                "[collision] needs the package python-fcl, which is not installed",
-                advice='Install it: pip install "postproc[collision]". Or remove [collision] from the cell.',
-            ) from None
+        import fcl  # programs without [collision] start without it
+
         self.fcl = fcl
         self.scene = scene
         self.bodies = scene.bodies

@@ -88,15 +88,19 @@ def of_path(path: PathUnderLoad, commanded: Rows) -> tuple[SmallestClearance | N
             distance = np.inf if closest is None else closest.distance
             remarks = (*scene.remarks, *_of_stock(scene, stock), *_corrected(found.less))
             smallest = SmallestClearance(distance, names, int(own[at]), scene, remarks)
+        hits = []
         for row, first, second, distance in zip(found.row, found.first, found.second, found.distance, strict=True):
             begins = from_start and bool(path.sample.motion[rows][max(int(row) - 1, 0)] == 0)
-            worst.note(_names(scene, first, second), float(distance), int(own[row]), need, begins)
+            hits.append((_names(scene, first, second), float(distance), int(own[row]), need, begins))
         states = States(path.sample.motion[rows], q, corrected, shift)
+        arrival = _too_close(scene, states.arrival(), stock, need) if from_start else set()
+        for names, distance, at, asked, begins in hits:
+            worst.note(names, distance, at, asked, begins and names not in arrival)
         contacts = with_parts(scene, states, program.motions.rapid[states.motion] & ~_retracts(path, rows))
         if stock is not None:
             contacts = chain(contacts, with_stock(scene, states, stock, need))
         for each in contacts:
-            begins = from_start and each.motion == 0
+            begins = from_start and each.motion == 0 and each.names not in arrival
             worst.note(each.names, each.distance, int(program.motions.line[each.motion]), each.need, begins)
     return smallest, worst.issues()
 
@@ -198,11 +202,28 @@ class States(Struct, frozen=True, eq=False):
     commanded: Array | None
     shift: Array | None
 
+    def arrival(self) -> States:
+        """Return the end of the first motion as a path that stays there."""
+        last = int(np.searchsorted(self.motion, self.motion[0], side="right"))
+        stay = [last, last]
+        commanded, shift = (None if each is None else each[stay] for each in (self.commanded, self.shift))
+        return States(self.motion[:1], self.q[stay], commanded, shift)
+
     def part(self, low: int, high: int) -> States:
         """Return the samples from `low` to `high` (exclusive)."""
         part = slice(low, high + 1)
         commanded, shift = (None if each is None else each[part] for each in (self.commanded, self.shift))
         return States(self.motion[low:high], self.q[part], commanded, shift)
+
+
+def _too_close(scene: Scene, states: States, stock: StockInTime | None, need: float) -> set[tuple[str, str]]:
+    """Return the names of bodies that come closer than allowed along a path that cuts nothing."""
+    found = collision.along(scene, states.q, need, states.shift, states.commanded)
+    out = {_names(scene, first, second) for first, second in zip(found.first, found.second, strict=True)}
+    contacts = with_parts(scene, states, np.ones(len(states.motion), dtype=bool))
+    if stock is not None:
+        contacts = chain(contacts, with_stock(scene, states, stock, need))
+    return out | {each.names for each in contacts}
 
 
 class Contact(Struct, frozen=True):

@@ -406,7 +406,7 @@ def _issues(
 
 
 def _other_cutter(program: Program, tools: ToolStates, process: Process, guard: Guard | None) -> Iterator[Issue]:
-    """Warn if the cutter of [collision] has another diameter than the tools of the process."""
+    """Yield an error if the cutter of [collision] has another diameter than the tools of the process."""
     if guard is None or guard.cutter is None:
         return
     used = [tools.keys[n] for n in distinct(tools.tool[~program.motions.rapid]).tolist()]
@@ -416,10 +416,10 @@ def _other_cutter(program: Program, tools: ToolStates, process: Process, guard: 
         found = ", ".join(f"tools.{key} of the process has {wide[key]:g} mm" for key in other)
         message = (
             f"[collision] holder begins with a cutter of {guard.cutter * MM_PER_M:g} mm, but {found}: "
-            "arm and obstacles are compared with that of holder. Give the cylinders of the tool that "
-            "this program uses"
+            "collisions would be those of another tool. Give the cylinders of the tool that this program uses, and "
+            "divide the program where it changes tools"
         )
-        yield Issue("warning", "other-cutter", message)
+        yield Issue("error", "other-cutter", message)
 
 
 def _collisions(program: Program, collided: dict[int, float], guard: Guard | None) -> list[Issue]:

@@ -23,7 +23,6 @@ class Bodies:
         :param need_mm: smallest allowed distance; 0: no contact. What the forces deflect at most is added for the
             correction, by which distances are less when the path is checked.
         :raises CellError: a body cannot be read.
-        :raises InputError: the package python-fcl is not installed.
         """
         program, robot_in_cell = samples.program, samples.robot_in_cell
         force, moment = robot_in_cell.tip_compliance(program.tools[0])

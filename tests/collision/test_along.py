@@ -13,8 +13,6 @@ import pytest
 from postproc.collision import Solids, along, bodies, clearance, hits
 from tests.collision.setting import KR270, frame, pose, random_scene, sampled, scene
 
-pytest.importorskip("fcl")
-
 
 def check(rng) -> str:
     """Try one scene, and return what it was."""

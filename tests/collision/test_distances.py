@@ -15,7 +15,6 @@ from postproc.collision import Scene, bodies, clearance
 from tests.collision.setting import KR270, frame, from_box, pose, random_scene, sampled, scene
 from tests.documentation.pages import ROOT
 
-pytest.importorskip("fcl")
 HALF_MM = 0.5e-3
 
 

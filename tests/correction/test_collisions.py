@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,6 @@ from click.testing import CliRunner
 from postproc.cli import main
 from tests.documentation.pages import ROOT
 
-pytest.importorskip("fcl")
 PROGRAM = """G21 G90 G17 G94
 T1 M6
 S9000 M3
@@ -226,3 +226,25 @@ def test_a_collision_on_the_way_from_the_start_says_so():
     done = CliRunner().invoke(main, ["convert", "part.nc", "--cell", "cell.toml", "-o", "out"])
     assert done.exit_code == 1
     assert "part.nc:3: collision: cutter touches or is inside blank; " in done.output
+
+
+def test_a_first_target_that_collides_itself_is_not_the_way_from_the_start():
+    """The cutter, D 63, is in a block at the first target, and enters it on the way from [start]."""
+    block = "obstacles = [ { name = 'block', box = { X = [-20, 20], Y = [-80, -10], Z = [-60, 20] } } ]"
+    Path("part.nc").write_text(PROGRAM.replace("G0 X0 Y0 Z30", "G0 X0 Y0 Z10"))
+    code, output, _ = converted(f"{HOLDER}\n{block}")
+    assert code == 1
+    assert "part.nc:4: collision: cutter touches or is inside block; " in output
+    assert "on the way from [start]" not in output
+
+
+def test_a_holder_of_another_tool_than_that_of_the_process_writes_nothing():
+    code, output = milled(SLOT, "", MILL.replace("diameter_mm = 20", "diameter_mm = 16"))
+    assert code == 1
+    assert "begins with a cutter of 16 mm, but tools.1 of the process has 20 mm" in output
+    assert not Path("out/part.src").exists()
+
+
+def test_collisions_are_checked_after_a_plain_installation():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert any(each.startswith("python-fcl") for each in project["dependencies"])

@@ -165,7 +165,7 @@ def test_the_coarse_stock_is_never_below_the_map_and_follows_it(tmp_path):
 @pytest.mark.parametrize(
     ("wide", "said"), [(None, []), (20.0, []), (12.0, ["cutter of 12 mm, but tools.1 of the process has 20 mm"])]
 )
-def test_a_cutter_of_the_cell_unlike_that_of_the_process_is_a_warning(tmp_path, wide, said):
+def test_a_cutter_of_the_cell_unlike_that_of_the_process_is_an_error(tmp_path, wide, said):
     program = read(tmp_path, gcode("G0 X-30 Y0 Z5", "G1 Z-10 F2400", "X90"))
     (tmp_path / "process.toml").write_text(process(tool(20, 4), BOX, CELL_MM))
     guard = Guard([], 0.0, None if wide is None else 1e-3 * wide)
@@ -173,7 +173,7 @@ def test_a_cutter_of_the_cell_unlike_that_of_the_process_is_a_warning(tmp_path, 
     path = toolpath.segments(program, place.start_flange)
     found = machining.estimate(program, path, machining.load(tmp_path / "process.toml"), place.spindle, guard=guard)
     issues = [issue for issue in found.issues if issue.kind == "other-cutter"]
-    assert [issue.level for issue in issues] == ["warning"] * len(said)
+    assert [issue.level for issue in issues] == ["error"] * len(said)
     assert all(text in issue.message for issue, text in zip(issues, said, strict=True))
 
 

@@ -117,7 +117,6 @@ def with_bodies(own, *obstacles):
 
 @pytest.mark.parametrize("obstacle", [POST, VICE], ids=["in the cell", "on the part"])
 def test_a_place_is_refused_for_a_collision_where_convert_refuses_it(obstacle):
-    pytest.importorskip("fcl")
     own = with_bodies(in_line(), obstacle)
     seen = set()
     for need, places in ((5.0, [(1300.0, -250.0), (1100.0, 0.0)]), (40.0, [(1500.0, 60.0)])):
@@ -136,7 +135,6 @@ def test_a_place_is_refused_for_a_collision_where_convert_refuses_it(obstacle):
 
 
 def test_an_axis_that_carries_the_robot_moves_it_by_what_stands_in_the_cell():
-    pytest.importorskip("fcl")
     own = replace(with_bodies(in_line(), POST), external_axes={"E1": ExternalAxis(direction=(0.0, 2.0, 0.0))})
     beside = replace(POST, box=Box((1150, 1250), (-360, -240), (0, 900)))
     judged = programs(own, clearance_mm=20.0)[0]
@@ -232,7 +230,6 @@ def test_the_command_writes_map_table_and_base(tmp_path, monkeypatch):
 
 
 def test_the_command_keeps_a_clearance_and_asks_for_bodies_if_there_are_none(tmp_path):
-    pytest.importorskip("fcl")
     (tmp_path / "part.nc").write_text(PART)
     text = (SAMPLES / "cell_kr270.toml").read_text()
     (tmp_path / "bare.toml").write_text(text)

@@ -61,7 +61,6 @@ def test_the_branch_is_the_one_with_the_most_margin_of_all_that_convert(name):
 
 def test_a_branch_with_a_collision_is_taken_only_if_there_is_no_other():
     """A box at the elbow of the branch with the most margin, beyond it: the other one is taken, and drives."""
-    pytest.importorskip("fcl")
     own = in_line("kuka_kr270")
     program, model = read(PART, own)
     first = chosen_start(program, RobotInCell.of(model, own))

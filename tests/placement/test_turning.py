@@ -168,7 +168,6 @@ def test_without_bodies_the_choice_says_that_no_collisions_are_checked():
 @pytest.mark.parametrize("mode", ["best", "path"])
 def test_a_turn_that_comes_too_close_to_a_wall_is_not_chosen(mode):
     """The turn that is best without the wall is an error with it; the chosen one passes the check of the path."""
-    pytest.importorskip("fcl")
     own = cell(base=(0.0, 0.0, 500.0), redundancy=mode)
     free = convert(POCKETS, own)
     wall = with_bodies(own, ((1600, 1650), (-200, 0), (150, 400)))
@@ -185,7 +184,6 @@ def test_a_turn_that_comes_too_close_to_a_wall_is_not_chosen(mode):
 
 def test_a_collision_between_samples_of_the_map_is_found_where_the_line_goes(monkeypatch):
     """A post beside a long cut: with every 1000th sample in the map alone, the line is checked at all of them."""
-    pytest.importorskip("fcl")
     text = "G21 G90\n(FORCE FX=-110 FY=-190 FZ=130 FRAME=FEED)\nG0 X1300 Y-400 Z60\nG1 Z0 F600\nG1 Y400 F2000\nG0 Z60\n"
     own = with_bodies(cell(base=(0.0, 0.0, 500.0), redundancy="best"), ((1450, 1470), (-5, 5), (100, 600)))
     for name, few in (("_MOST_POSES", 1), ("_BINS", 1), ("_MOST_BLOCKS", 1)):
@@ -206,7 +204,6 @@ def test_a_program_that_no_turn_can_drive_names_the_line_and_the_reason():
 @pytest.mark.parametrize("mode", ["best", "path"])
 def test_a_program_that_collides_with_every_turn_names_bodies_and_millimetres(mode):
     """The tip is at Z 0 and 60 mm of cutter below the spindle: a plate over the part is 20 mm below the spindle."""
-    pytest.importorskip("fcl")
     own = with_bodies(cell(base=(0.0, 0.0, 500.0), redundancy=mode), ((1000, 2000), (-600, 600), (39, 40)))
     held = [own.collision.holder[0], HolderTable(name="spindle", diameter_mm=120, length_mm=200)]
     own = replace(own, collision=replace(own.collision, holder=held, clearance_mm=30.0))
@@ -233,7 +230,6 @@ def test_the_turn_of_the_cell_stays_where_no_other_saves_two_percent():
 
 
 def test_the_turn_of_the_cell_does_not_stay_where_it_comes_too_close_to_a_wall():
-    pytest.importorskip("fcl")
     wall = with_bodies(cell(base=(0.0, 0.0, 500.0), redundancy="best"), ((1600, 1650), (-200, 0), (150, 400)))
     free = float(np.degrees(convert(POCKETS, replace(wall, collision=None)).turn.of_motion[3]))
     found = convert(POCKETS, replace(wall, gcode=replace(wall.gcode, redundancy_deg=free)))
