@@ -86,7 +86,7 @@ class RobotPost:
                     _compare_postures(done, self.joints[name])
                     files[name] = [path for path in done.files if path.suffix.lower() in (".src", ".dat")]
                     names[name.lower()] = files[name][0].stem
-                    self.addlog("\n".join(done.warnings))
+                    self.addlog("\n".join([f"{name}:", *done.verdict, *done.warnings]))
                 else:
                     path = target / f"{name}.src"
                     path.write_text("".join(f"{block.text}\r\n" for block in blocks), encoding="utf-8", newline="")

@@ -56,8 +56,6 @@ TOOLTIP_ARGS = _parser.format_help()
 UNITS = "G21"
 MACHINE_NAME = "KUKA robot"
 
-_ROUNDING_MM = 1e-4
-"""What rounding the numbers of the written program may leave."""
 _WORDS = "XYZABCUVWIJKRQPLFSTHD"
 _names: list[str] = []
 """Of the programs that were asked for without a file name. FreeCAD from 1.0 on loads the post anew for each run, and
@@ -108,19 +106,12 @@ def _posted(FreeCAD: Any, objects: list[Any], filename: str, argstring: str) -> 
         )
     program = done.files[0]
     text: str = program.read_bytes().decode("utf-8")
-    message = f"{program}: {_result(done.summary)}; report: {program.with_suffix('.report.html')}\n"
-    FreeCAD.Console.PrintMessage(message)
+    console = FreeCAD.Console
+    say = {"ok": console.PrintMessage, "warning": console.PrintWarning, "failed": console.PrintError}[done.state]
+    for line in done.verdict:
+        say(f"{line}\n")
+    console.PrintMessage(f"{program}; report: {program.with_suffix('.report.html')}\n")
     return text
-
-
-def _result(summary: dict[str, Any]) -> str:
-    """Return a sentence on the effect of the correction, from report.json."""
-    before, after = (summary[when]["max_mm"] for when in ("before", "after"))
-    if before < _ROUNDING_MM:
-        why = "no cutting move carries a force" if summary["max_force_N"] == 0.0 else "the forces do not move the tool"
-        return f"nothing was corrected: {why} (forces: --material, --process, --forces or comments)"
-    left = f"less than {_ROUNDING_MM:g}" if after < _ROUNDING_MM else f"{after:.2g}"
-    return f"largest deviation {before:.2g} mm before and {left} mm after correction"
 
 
 def _show(FreeCAD: Any, message: str) -> None:

@@ -99,6 +99,7 @@ class Verdict(Struct, frozen=True):
     """The three answers, and what joins them.
 
     :param headline: in one or two sentences.
+    :param answers: each of the three questions with its answer.
     :param reasons: what decides the state, the worst first; for "ok" what to expect.
     :param holds: what to expect and what was checked and holds.
     :param assumes: assumptions of all of it.
@@ -106,6 +107,7 @@ class Verdict(Struct, frozen=True):
 
     state: State
     headline: str
+    answers: list[str]
     drive: Drive
     better: Better | None
     tolerance: Tolerance | None
@@ -145,7 +147,17 @@ def joined(
     word = WORDS[mode, state] if words is None else words[state]
     sentences = (word, _on_better(mode, better), _on_tolerance(tolerance))
     headline = " ".join(sentence for sentence in sentences if sentence)
-    return Verdict(state, headline, drive, better, tolerance, reasons or list(holds), list(holds), list(assumes))
+    return Verdict(
+        state=state,
+        headline=headline,
+        answers=[f"{question} {answer}" for question, answer, _ in in_words(drive, better, tolerance)],
+        drive=drive,
+        better=better,
+        tolerance=tolerance,
+        reasons=reasons or list(holds),
+        holds=list(holds),
+        assumes=list(assumes),
+    )
 
 
 _FORMS: dict[Mode, str] = {
@@ -181,9 +193,8 @@ def remedies(some: Sequence[Remedy]) -> str:
 QUESTIONS = ("May it be driven?", "Is it better than uncorrected?", "Does it hold your tolerance?")
 
 
-def in_words(verdict: Verdict) -> list[tuple[str, str, State]]:
+def in_words(drive: Drive, better: Better | None, tolerance: Tolerance | None) -> list[tuple[str, str, State]]:
     """Return question, answer and state of each of the three answers."""
-    drive, better, tolerance = verdict.drive, verdict.better, verdict.tolerance
     answers: tuple[tuple[str, State], ...] = (
         (_driven(drive), drive.state),
         (_compared(better), "ok" if better is None else better.state),

@@ -17,7 +17,8 @@ def in_two(judged: Verdict) -> tuple[str, str]:
 
 def answers(judged: Verdict) -> Facts:
     """Return the three answers as facts."""
-    rows = ((question, Cell(sentence(answer), _OF_STATES[state])) for question, answer, state in in_words(judged))
+    words = in_words(judged.drive, judged.better, judged.tolerance)
+    rows = ((question, Cell(sentence(answer), _OF_STATES[state])) for question, answer, state in words)
     return Facts(tuple(rows))
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from msgspec.structs import astuple
 
-from postproc.report.answers import Verdict, chance_in_words, in_words
+from postproc.report.answers import Verdict, chance_in_words
 from postproc.report.feed import seconds, sentences
 from postproc.report.formatting import PLAIN, ROUNDING_MM, Display, State, estimate, rounded
 from postproc.report.summary import IssueEntry, Summary, improvement
@@ -28,7 +28,7 @@ def of_one(content: Summary, display: Display = PLAIN) -> str:
     lines = [
         f"{content.program}  on {content.robot}: {nothing_corrected(content) or targets(content)}",
         display.verdict(verdict.headline, verdict.state),
-        *answers(verdict),
+        *(f"  {answer}" for answer in verdict.answers),
     ]
     lines += [f"  - {reason}" for reason in verdict.reasons[:_REASONS]]
     if len(verdict.reasons) > _REASONS:
@@ -49,11 +49,6 @@ def of_one(content: Summary, display: Display = PLAIN) -> str:
     lines += ["", *_facts(content), *_feeds(content, display)]
     lines += [issue_line(issue, content.program) for issue in content.issues if issue.level == "info"]
     return "\n".join(lines)
-
-
-def answers(verdict: Verdict) -> list[str]:
-    """Return a line for each of the three answers."""
-    return [f"  {question} {answer}" for question, answer, _ in in_words(verdict)]
 
 
 def targets(content: Summary) -> str:

@@ -90,7 +90,7 @@ def test_without_the_table_nothing_is_checked_and_the_verdict_says_so():
     code, output, report = converted(None)
     assert code == 0
     assert report["collision"] is None
-    assert "collisions are not checked: the cell has no [collision]" in output
+    assert "not checked: collisions (the cell has no [collision])" in output
     assert "the cell has no [collision]" in Path("out/part.report.html").read_text()
 
 

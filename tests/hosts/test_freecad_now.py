@@ -18,7 +18,6 @@ from types import ModuleType, SimpleNamespace
 import pytest
 from click.testing import CliRunner
 
-from postproc import hosts
 from postproc.cli import main
 from postproc.hosts import install_post
 
@@ -163,7 +162,11 @@ def test_a_job_is_posted_and_its_program_called_as_the_file_that_freecad_writes(
     assert report["before"]["max_mm"] > 0.1
     assert report["after"]["max_mm"] < 0.001
     assert text.index("FORCE FX") < text.index("CIRC {")
-    assert any("largest deviation" in line for line in said)
+    verdict = report["verdict"]
+    assert [line for line in said if line.startswith((verdict["headline"], *verdict["answers"]))] == [
+        f"{line}\n" for line in (verdict["headline"], *verdict["answers"])
+    ]
+    assert "uncorrected up to" in verdict["answers"][1]
 
 
 @pytest.mark.parametrize("wrapped", [False, True], ids=["1.0", "1.1"])
@@ -207,21 +210,34 @@ def test_modules_are_not_given_to_freecad_as_one_text(freecad, tmp_path):
     assert any("as bracket_1.src, bracket_2.src" in line for line in said)
 
 
-@pytest.mark.parametrize(
-    ("before", "after", "force", "sentence"),
-    [
-        (0.0, 0.00006, 0.0, "nothing was corrected: no cutting move carries a force"),
-        (0.5218, 0.00006, 250.0, "largest deviation 0.52 mm before and less than 0.0001 mm after correction"),
-        (0.5218, 0.5218, 250.0, "largest deviation 0.52 mm before and 0.52 mm after correction"),
-    ],
-)
-def test_the_post_says_what_was_corrected(before, after, force, sentence):
-    path = Path(hosts.__file__).parent / "kuka_compensated_post.py"
-    spec = importlib.util.spec_from_file_location("kuka_post_under_test", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    summary = {"before": {"max_mm": before}, "after": {"max_mm": after}, "max_force_N": force}
-    assert module._result(summary).startswith(sentence)
+@pytest.mark.parametrize("state", ["ok", "warning", "failed"])
+def test_a_program_is_posted_with_its_verdict_unless_it_may_not_be_driven(freecad, tmp_path, monkeypatch, state):
+    posts, *_ = freecad
+    spec = importlib.util.spec_from_file_location("postproc_host", posts / "postproc_host" / "__init__.py")
+    host = importlib.util.module_from_spec(spec)
+    monkeypatch.setitem(sys.modules, "postproc_host", host)
+    spec.loader.exec_module(host)
+    run = host._run
+
+    def judged(words):
+        content = run(words)
+        drive = {"state": state, "reasons": ["the spindle hits the vice"], "unchecked": []}
+        answers = ["May it be driven? no", "Is it better?", "Does it hold?"]
+        verdict = {"state": state, "headline": "As judged.", "answers": answers, "drive": drive, "reasons": ["why"]}
+        content["programs"][0]["verdict"] = verdict
+        return content
+
+    monkeypatch.setattr(host, "_run", judged)
+    block = [host.Block(line, "start") for line in ("G90 G21", "G0 X0 Y0 Z50", "G1 Z-1 F500", "G1 X50", "M2")]
+    given = block, tmp_path / "out", "part", "nc", [("--cell", str(CELL))]
+    if state == "failed":
+        with pytest.raises(host.HostError, match=r"As judged.\nthe spindle hits the vice"):
+            host.convert(*given)
+        assert not list((tmp_path / "out").glob("part*"))
+        return
+    done = host.convert(*given)
+    answers = ["As judged.", "May it be driven? no", "Is it better?", "Does it hold?"]
+    assert (done.state, done.verdict) == (state, answers + ([] if state == "ok" else ["why"]))
 
 
 class PostProcessor:

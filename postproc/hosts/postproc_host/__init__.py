@@ -47,11 +47,15 @@ class Converted(NamedTuple):
     :param files: written files: the program first, its moves and additional input files last.
     :param summary: content of its `report.json`.
     :param warnings: warnings for the user, one line each, with the host's names of places.
+    :param state: of the verdict: "ok", "warning" or "failed".
+    :param verdict: its headline, the three answers, and the reasons of a state that is not "ok"; one line each.
     """
 
     files: list[Path]
     summary: dict[str, Any]
     warnings: list[str]
+    state: str
+    verdict: list[str]
 
 
 def command() -> tuple[list[str], bool]:
@@ -91,7 +95,8 @@ def convert(
     :param options: of `postproc convert` and their values; an empty value for a flag. Files are given by path, or
         by name if they are among `inputs`.
     :param inputs: contents of additional input files by name; they are written to the folder too.
-    :raises HostError: nothing was written; the message gives the errors with the host's names of places.
+    :raises HostError: nothing was written, or the program may not be driven; the message gives the errors with the
+        host's names of places.
     """
     text = "\n".join([block.text for block in blocks] + [""]).encode("utf-8")
     with tempfile.TemporaryDirectory(prefix="postproc") as scratch:
@@ -112,13 +117,21 @@ def convert(
     if not entry["written"]:
         faults = [_placed(entry["error"], program, blocks)] if entry["error"] else []
         raise HostError("\n".join(faults + [text for level, text in issues if level == "error"]))
+    verdict = entry["verdict"]
+    written = [_from_linux(path) for path in entry["written"]]
+    if verdict["drive"]["state"] == "failed":
+        for path in written:
+            path.unlink()
+        raise HostError("\n".join([verdict["headline"], *verdict["drive"]["reasons"]]))
     warnings = [text for level, text in issues if level == "warning"]
+    said = [verdict["headline"], *verdict["answers"], *(verdict["reasons"] if verdict["state"] != "ok" else [])]
     moves = folder / f"{name}.moves.txt"
     moves.write_bytes(text)
     for own, content in (inputs or {}).items():
         (folder / own).write_bytes(content)
     left = [moves, *(folder / own for own in inputs or ())]
-    return Converted([*(_from_linux(path) for path in entry["written"]), *left], entry, warnings)
+    said = [_placed(line, program, blocks) for line in said]
+    return Converted([*written, *left], entry, warnings, verdict["state"], said)
 
 
 def _run(words: Sequence[str]) -> dict[str, Any]:

@@ -25,7 +25,6 @@ from postproc.report.answers import UNJUDGED, Drive, Tolerance, Verdict, joined
 from postproc.report.formatting import PLAIN, ROUNDING_MM, Display, State, above, millimetres
 from postproc.report.path import operation_starts
 from postproc.report.summary import Distances
-from postproc.report.text import answers
 
 
 class Names(Struct, frozen=True):
@@ -567,7 +566,7 @@ def of_comparison(content: ComparisonSummary, display: Display = PLAIN) -> str:
     lines = [
         f"{content.corrected} against {content.nominal}  on {content.robot}: {counted(content)}",
         display.verdict(verdict.headline, verdict.state),
-        *answers(verdict),
+        *(f"  {answer}" for answer in verdict.answers),
         *(f"  - {reason}" for reason in verdict.reasons),
         "",
     ]
