@@ -5,7 +5,7 @@ import pytest
 from msgspec.structs import replace
 
 from postproc.dialects import krl
-from postproc.dialects.krl.read import main_routine
+from postproc.dialects.krl.read import flow, main_routine
 from postproc.errors import PostprocError
 from postproc.program import PTP
 from tests.dialects.krl_programs import CELL, body, forward, read, targets
@@ -43,6 +43,14 @@ BODIES = [
     (*LOOP, "Q[1]=P[2]", "LIN Q[1]"),
     ("FOR I=1 TO 4", "LIN P[I]:Q[1]", "ENDFOR"),
     ("FOR I=1 TO 4", "LIN P[I]", "$VEL.CP=0.1", "ENDFOR"),
+    ("FOR I=1 TO 3", "LIN P[I+1] C_DIS", "$OUT[1]=TRUE", "ENDFOR", "LIN Q[I]"),
+    ("FOR I=2 TO 4", "$OUT[2]=FALSE ; open", "LIN P[I-1]", "LIN Q[I]", "$ANOUT[1]=0.5", "ENDFOR"),
+    ("FOR I=2 TO 4", "LIN P[I-1]", "LIN P[I]", "ENDFOR"),
+    ("FOR I=4 TO 2 STEP -1", "PTP P[ I - 1 ]", "ENDFOR"),
+    ("FOR I=1 TO 4", "LIN P[I+1]", "ENDFOR"),
+    ("FOR I=1 TO 3", "LIN P[1+I]", "LIN P[I+K]", "LIN P[I+1.0]", "ENDFOR"),
+    ("FOR I=0 TO 3", "$OUT[I]=TRUE", "LIN P[I+1]", "ENDFOR"),
+    ("FOR I=1 TO 3", "IF $OUT[1] THEN", "LIN P[I]", "ENDIF", "$OUT[1]=TRUE", "ENDFOR"),
     ("FOR I=1 TO 5", "LIN P[I]", "ENDFOR"),
     ("FOR I=1 TO 0", "LIN P[I]", "ENDFOR", "LIN P[1]"),
     ("INTERRUPT DECL 4 WHEN $IN[1] DO P[2]=Q[1]", "INTERRUPT ON 4", *LOOP),
@@ -93,6 +101,9 @@ def test_rounds_taken_at_once_mean_what_they_mean_one_by_one(lines, points, cell
     with monkeypatch.context() as patched:
         patched.setattr(main_routine, "motions_of", lambda *_: None)
         assert at_once == outcome(lines, points, cell), lines
+    with monkeypatch.context() as patched:
+        patched.setattr(flow, "plain_motions", lambda *_: ())
+        assert at_once == outcome(lines, points, cell), lines
 
 
 def test_points_of_a_loop_are_corrected_where_they_are():
@@ -107,11 +118,12 @@ def test_points_of_a_loop_are_corrected_where_they_are():
     np.testing.assert_allclose(again.motions.target[1:, 0, 3], [0.011, 0.022, 0.033, 0.044], atol=1e-12)
 
 
-def test_a_round_costs_no_more_calls_than_a_plain_line_a_few_times_over():
+@pytest.mark.parametrize("lines", [["LIN P[I] C_DIS"], ["LIN P[I+1] C_DIS"], ["LIN P[I] C_DIS", "$OUT[1]=TRUE"]])
+def test_a_round_costs_no_more_calls_than_a_plain_line_a_few_times_over(lines):
     def making(count):
-        points = "".join(f"P[{n}]={{X {n % 90},Y 2,Z 3,A 0,B 0,C 180}}\r\n" for n in range(1, count + 1))
-        text = f"DEFDAT part\r\nDECL INT I=1\r\nDECL E6POS P[{count}]\r\n{points}ENDDAT\r\n"
-        source = body(START, f"FOR I=1 TO {count}", "LIN P[I] C_DIS", "ENDFOR")
+        points = "".join(f"P[{n}]={{X {n % 90},Y 2,Z 3,A 0,B 0,C 180}}\r\n" for n in range(1, count + 2))
+        text = f"DEFDAT part\r\nDECL INT I=1\r\nDECL E6POS P[{count + 1}]\r\n{points}ENDDAT\r\n"
+        source = body(START, f"FOR I=1 TO {count}", *lines, "ENDFOR")
         program = read(source, text)
         moved = targets(program, np.full((len(program.motions), 3), 1e-3))
 

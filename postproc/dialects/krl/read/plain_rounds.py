@@ -1,6 +1,7 @@
-"""Loops over the points of an array: ``LIN P[I] C_DIS`` in FOR, a hundred thousand rounds taken as columns.
+"""Loops over the points of an array: ``LIN P[I+1] C_DIS`` in FOR, a hundred thousand rounds taken as columns.
 
-The body does nothing but move, and each point is an element of a data list that is written there as one literal.
+The body does nothing but move and switch outputs, and each point is an element of a data list that is written there as
+one literal.
 Other loops are followed round by round (`main_routine`), and so could these be.
 """
 
@@ -17,20 +18,24 @@ from postproc.dialects.krl.language.positions import FARTHEST
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.structures import Block
 from postproc.dialects.krl.language.tree import For, Motion, Statement
-from postproc.dialects.krl.language.values import Reference, walk
+from postproc.dialects.krl.language.values import Number, Operation, Reference, Value, walk
 from postproc.dialects.krl.layout import Offsets
-from postproc.dialects.krl.read import plain_lines
+from postproc.dialects.krl.read import plain_lines, plain_settings
 from postproc.dialects.krl.read.motion_columns import MotionColumns, merged
 from postproc.dialects.krl.read.motion_reader import HERE, KINDS, MotionReader
 from postproc.dialects.krl.read.run import Run
 from postproc.program import Ints
 
+_FARTHEST_STEP = 1_000_000
+"""Largest number that is added to the counter: sums of INT stay far from their limits."""
 _BEFORE = "LIN "
 """Put before each point, so that it is read as the line of a motion."""
 
 
 def plain_motions(source: Source, block: Block) -> tuple[int, ...]:
-    """Return the lines of the statements of a FOR if it does nothing but move to elements ``P[I]``; else nothing."""
+    """Return the lines of the motions of a FOR if it does nothing but move to elements ``P[I]`` or ``P[I+1]``, and
+    switch outputs; else nothing.
+    """
     here = statement(source, block.first)
     if not isinstance(here, For) or here.bounds is None or here.counter is None or here.counter.indices is not None:
         return ()
@@ -38,8 +43,9 @@ def plain_motions(source: Source, block: Block) -> tuple[int, ...]:
     if here.counter.field is not None or any(isinstance(v, Reference) and v.name == here.name for v in bounds):
         return ()
     lines = [node for node in block.parts[0].nodes if not isinstance(node, Block)]
-    plain = all(_is_plain(statement(source, line), here.name) for line in lines)
-    return tuple(lines) if plain and len(lines) == len(block.parts[0].nodes) else ()
+    motions = [line for line in lines if not plain_settings.is_without_effect(source, line)]
+    plain = all(_is_plain(statement(source, line), here.name) for line in motions)
+    return tuple(motions) if plain and len(lines) == len(block.parts[0].nodes) else ()
 
 
 def _is_plain(here: Statement, counter: str) -> bool:
@@ -50,8 +56,23 @@ def _is_plain(here: Statement, counter: str) -> bool:
         return False
     if not isinstance(end, Reference) or end.field is not None or end.name in HERE or len(end.name) > MAX_LENGTH:
         return False
-    index = end.indices[0] if end.indices and len(end.indices) == 1 else None
-    return isinstance(index, Reference) and index.name == counter and index.indices is None and index.field is None
+    return _step_from(end, counter) is not None
+
+
+def _step_from(point: Reference, counter: str) -> int | None:
+    """Return k of ``P[I+k]``, 0 of ``P[I]``; None if the index is something else.
+
+    :param counter: name of I, upper case.
+    """
+    index: Value | None = point.indices[0] if point.indices and len(point.indices) == 1 else None
+    step = 0
+    if isinstance(index, Operation) and index.operator in "+-" and isinstance(index.right, Number):
+        number = index.right
+        if not number.integer or not 0 <= number.value <= _FARTHEST_STEP:
+            return None
+        step, index = int(number.value) if index.operator == "+" else -int(number.value), index.left
+    plain = isinstance(index, Reference) and index.name == counter and index.indices is None and index.field is None
+    return step if plain else None
 
 
 class ElementMotions(Struct, frozen=True, eq=False):
@@ -91,9 +112,11 @@ def motions_of(run: Run, reader: MotionReader, rounds: PlainRounds) -> list[Elem
 
 def _motions(run: Run, reader: MotionReader, rounds: PlainRounds, at: int, here: Motion) -> ElementMotions | None:
     """Return the motions of one statement; None if their points are not all literals of one data list."""
-    if not isinstance(here.end, Reference):
+    head = statement(rounds.source, rounds.head)
+    if not isinstance(here.end, Reference) or not isinstance(head, For):
         return None
-    numbers = range(rounds.begin, rounds.begin + rounds.count * rounds.step, rounds.step)
+    begin = rounds.begin + (_step_from(here.end, head.name) or 0)
+    numbers = range(begin, begin + rounds.count * rounds.step, rounds.step)
     found = run.variables.literals(run.stored(here.end.name), numbers)
     if found is None:
         return None

@@ -76,6 +76,13 @@ def scan(source: Source) -> PlainSettings:
     return PlainSettings(line[plain], values[:, plain])
 
 
+def is_without_effect(source: Source, line: int) -> bool:
+    """Return whether a line is a plain assignment that gives none of the `NUMBERS`: ``$OUT[1]=TRUE``."""
+    start, _ = source.code_span(line)
+    match = _SETTING.match(source.text, start)
+    return match is not None and match[1] is None
+
+
 class Coming:
     """Plain assignments, in execution order.
 
