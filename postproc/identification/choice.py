@@ -12,7 +12,9 @@ the model is linear in its parameters the mean is a model of the same kind. Gear
 the evidence is for them.
 
 The posterior covariance is that within the structures and between them. The bound uses a wider one: twice the
-posterior, and the jackknife over configurations. A parameter error is the same at all places where a robot works: of
+posterior times its design effect, and the jackknife over configurations. The design effect (Kish, Survey Sampling,
+1965) is by how much the residuals of a configuration, which share what the model lacks, make the parameters less
+certain than independent residuals of the same size. A parameter error is the same at all places where a robot works: of
 robots whose intervals hold in 95 %, one in twenty would be outside its bound at nearly all of them. Doubled, the bound
 holds for nearly every robot. The jackknife adds the disagreement of configurations: errors that the readings of one
 state share, which the posterior does not contain.
@@ -431,7 +433,6 @@ def _chosen(mean: Mean, settled: _Settled, data: Measurements, placement: Placem
         rows = equations.config == index
         left[rows] = equations.residual(without[index], rows)
     apart = without - without.mean(axis=0)
-    wider = 2.0 * posterior + (len(apart) - 1) / len(apart) * apart.T @ apart
     # springs of links that are zero cost a coordinate each: the remaining ones take their place
     is_link = np.array([isinstance(parameter, LinkSpring) for parameter in parameters])
     keep = np.flatnonzero((spread > 0.0) & ((values != 0.0) | ~is_link))
@@ -443,7 +444,9 @@ def _chosen(mean: Mean, settled: _Settled, data: Measurements, placement: Placem
     white = whiten(w, residual).ravel()
     solved = [(weight, member.regression, member.regression.solve(equations)) for weight, member in mean.taken]
     determined = float(sum(w * regression.degrees_of_freedom(equations, values) for w, regression, values in solved))
-    influence = sum(w * regression.influence(equations, values) for w, regression, values in solved)
+    influence = np.asarray(sum(w * regression.influence(equations, values) for w, regression, values in solved))
+    jackknife = (len(apart) - 1) / len(apart) * apart.T @ apart
+    wider = 2.0 * design_effect(equations, influence, left) * posterior + jackknife
     fit = Fit(
         structure,
         values[keep],
@@ -468,6 +471,20 @@ def _chosen(mean: Mean, settled: _Settled, data: Measurements, placement: Placem
         tuple(parameters[index] for index in np.flatnonzero((spread > 0.0) & ~narrowed)),
         settled.whole.evidence,
     )
+
+
+def design_effect(equations: Linearised, influence: Array, residual: Array) -> float:
+    """Return the variance of the fit by residuals that configurations share, over that by independent ones; 1 at least.
+
+    :param influence: (p, rows) derivatives of the parameters by the whitened readings.
+    :param residual: (rows,) whitened residuals of configurations left out.
+    """
+    shared, independent = 0.0, 0.0
+    for config in range(equations.configs):
+        rows = np.flatnonzero(equations.config == config)
+        effect = (equations.design[rows] @ influence[:, rows]) * np.outer(residual[rows], residual[rows])
+        shared, independent = shared + float(effect.sum()), independent + float(np.trace(effect))
+    return max(1.0, shared / independent) if independent > 0.0 else 1.0
 
 
 def projection(equations: Linearised, keep: Ints, spread: Array) -> Array:

@@ -439,7 +439,7 @@ def identify_folder(
         prior = with_compensator_geometry(prior, choices.compensator)
         marked = f"identified from markers ({choices.compensator.name})"
     result = identify(prior, read(measurements, setup), choices.method, choices.structure, progress)
-    data = report_data(result)
+    data = msgspec.structs.replace(report_data(result), assumptions=setup.assumptions)
     source = f"identified from {measurements.name}, {choices.method}"
     content = model_file(result, before, source, marked)
     if choices.geometry:
@@ -523,6 +523,7 @@ def summary(data: record.Identified) -> str:
     if data.torque_Nm is not None:
         torques = ", ".join(f"{torque:.0f}" for torque in data.torque_Nm)
         lines.append(f"the loads put up to {torques} N·m on A1 … A6: work that puts more is extrapolated")
+    lines += [f"assumed: {text}" for text in data.assumptions or ()]
     if data.residual is not None:
         residual = data.residual
         lines.append(

@@ -27,6 +27,9 @@ from postproc.robot import JOINTS
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0)]
 
+ASSUMED_LOAD_ERROR = 0.01
+"""Common relative error of all loads (95 %) where none is stated: of load cells and scales in shops (assumed)."""
+
 
 class Rig(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """The load on the arm: a hanging weight, or one that pulls over a pulley at up to `max_angle_deg` from the
@@ -113,8 +116,8 @@ class Payload(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 class Experiment(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Content of `experiment.toml`; `sigma_mm`: noise of one coordinate of one reading; from `rig` on, for `plan`.
 
-    `load_error_percent`: 95 % bound of the common relative error of all loads; `load_point_sigma_mm`: standard
-    deviation of the load point, in each direction.
+    `load_error_percent`: 95 % bound of the common relative error of all loads, assumed where it is not stated;
+    `load_point_sigma_mm`: standard deviation of the load point, in each direction.
     """
 
     robot: str
@@ -122,7 +125,7 @@ class Experiment(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     load_point: FlangePoint
     points: dict[str, Marker]
     payload: Payload | None = None
-    load_error_percent: NotNegative = 0.0
+    load_error_percent: NotNegative | None = None
     load_point_sigma_mm: NotNegative = 0.0
     rig: Rig | None = None
     tracker: Tracker | None = None
@@ -135,6 +138,21 @@ class Experiment(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     def sigma(self) -> float:
         """Noise of one coordinate of one reading [m]."""
         return self.sigma_mm * M_PER_MM
+
+    @property
+    def load_error(self) -> float:
+        """95 % bound of the common relative error of all loads."""
+        return ASSUMED_LOAD_ERROR if self.load_error_percent is None else self.load_error_percent / 100.0
+
+    @property
+    def assumptions(self) -> list[str]:
+        """What the experiment does not state and is assumed, one sentence each."""
+        if self.load_error_percent is not None:
+            return []
+        return [
+            f"all loads are right to {ASSUMED_LOAD_ERROR:.0%} together (95 %): set load_error_percent to what the "
+            "certificate of the load cell or the scales states"
+        ]
 
 
 def read_experiment(path: Path) -> Experiment:
@@ -309,7 +327,7 @@ def read(path: Path, experiment: Experiment, loads: bool = True) -> Measurements
         points=names,
         guess=np.array([experiment.points[name].position() for name in names]),
         load_point=experiment.load_point.position(),
-        load_error=experiment.load_error_percent / 100.0,
+        load_error=experiment.load_error,
         load_point_error=experiment.load_point_sigma_mm * M_PER_MM,
         sigma=experiment.sigma,
         state=state,

@@ -209,6 +209,7 @@ class Identified(Record, frozen=True, omit_defaults=True, kw_only=True):
     held_by_prior: list[str] | None = None
     outliers: list[str]
     warnings: list[str]
+    assumptions: list[str] | None = None
     correlation: Correlation | None = None
     states: list[State] | None = None
     torque_Nm: list[float] | None = None

@@ -1,11 +1,12 @@
 """Uncertainty of an identified model: unmodelled error, errors of the set-up, bound in the workspace, verdict.
 
 **Unmodelled error** (`discrepancy`), by load level. Friction, or a breakpoint that the model lacks, shows on
-configurations left out, as an error beyond noise and parameter uncertainty. The error of a point is normal with a
-covariance V + δ²·1, V that of noise and parameters. δ is estimated from the errors, each configuration weighted by its
-precision. Before any reading δ is log-normal about half a thousandth of the displacements at its level, and one
-standard deviation is a factor of 4.5; so it is never zero, and few configurations leave it wide. The result is the 95 %
-quantile of the errors, integrated over the distribution of δ: a smooth function of the readings, without a threshold.
+configurations left out, as an error beyond noise and parameter uncertainty. Points of one state share most of it, but
+not their noise, so the mean of the points of a state is judged. Its error is normal with a covariance V + δ²·1, V that
+of noise and parameters. δ is estimated from the errors, each configuration weighted by its precision. Before any
+reading δ is log-normal about a thousandth of the displacements at its level, and one standard deviation is a
+factor of 4.5; so it is never zero, and few configurations leave it wide. The result is the 95 % quantile of the errors,
+integrated over the distribution of δ: a smooth function of the readings, without a threshold.
 
 **Errors of the set-up** (`with_stated_errors`) that no reading shows, as the experiment states them: of all loads, and
 of the load point. A load cell that is wrong by 2 % makes every spring look 2 % softer without any residual; an error of
@@ -60,7 +61,7 @@ from postproc.robot import (
 
 _SAME_LEVEL = 1.25
 """Sorted loads belong to one level while each is less than this times the one before."""
-_SHARE = 0.0005
+_SHARE = 0.001
 """Median of δ over the displacements (RMS of a component) before any reading."""
 WIDTH = 1.5
 """Standard deviation of the logarithm of δ before any reading."""
@@ -96,43 +97,34 @@ def discrepancy(data: Measurements, placement: Placement, fit: Fit, left_out: Ar
     count = seen.sum(axis=1)
     share = seen / np.maximum(count, 1)[:, None]
     slopes = unwhiten(whitening(data), fit.design.reshape((*left_out.shape, len(fit.values))))
-    noise = noise_of(data)
-    own = slopes @ fit.covariance @ np.swapaxes(slopes, 2, 3)
     middle = np.einsum("lp,lpia->lia", share, slopes)
-    squares = np.array(
-        [
-            np.sum(np.einsum("lp,lpi->li", share, left_out) ** 2, axis=1),
-            np.sum(share**2 * noise, axis=1),
-            np.trace(middle @ fit.covariance @ np.swapaxes(middle, 1, 2), axis1=1, axis2=2),
-        ]
-    )
-    blur = own + noise[..., None, None] / 3.0 * np.eye(3)
+    own = middle @ fit.covariance @ np.swapaxes(middle, 1, 2)
+    noise = np.sum(share**2 * noise_of(data), axis=1)
+    error = np.einsum("lp,lpi->li", share, left_out)
+    blur = own + noise[:, None, None] / 3.0 * np.eye(3)
+    squares = np.array([np.sum(error**2, axis=1), noise, np.trace(own, axis1=1, axis2=2)])
     moved = measured_displacements(data, placement)
-    level = levels(norm(data.wrench[data.loaded]))
+    load = norm(data.wrench[data.loaded])
+    level = levels(load)
     at_level = [np.flatnonzero((level == index) & (count > 0)) for index in range(int(level.max()) + 1)]
     at_level = [rows for rows in at_level if len(rows) > 0]
-    load = np.array([np.median(norm(data.wrench[data.loaded[rows]])) for rows in at_level])
     u95 = [
-        unmodelled(
-            left_out[rows][seen[rows]],
-            blur[rows][seen[rows]],
-            np.repeat(1.0 / count[rows], count[rows]),
-            _SHARE * float(np.sqrt(np.mean(moved[rows][seen[rows]] ** 2))),
-        )
+        unmodelled(error[rows], blur[rows], _SHARE * float(np.sqrt(np.mean(moved[rows][seen[rows]] ** 2))))
         for rows in at_level
     ]
     held_out, of_noise, of_own = np.sqrt([[values[rows].mean() for rows in at_level] for values in squares])
+    median = np.array([np.median(load[rows]) for rows in at_level])
     # an error under a load also exists under a larger one
-    return Discrepancy(load, held_out, of_noise, of_own, np.maximum.accumulate(u95))
+    return Discrepancy(median, held_out, of_noise, of_own, np.maximum.accumulate(u95))
 
 
-def unmodelled(error: Array, blur: Array, weight: Array, median: float) -> float:
+def unmodelled(error: Array, blur: Array, median: float, weight: Array | float = 1.0) -> float:
     """Return the 95 % quantile of the length of unmodelled errors [m].
 
     :param error: (n, 3) errors [m].
     :param blur: (n, 3, 3) their covariance without δ [m²].
-    :param weight: (n,) of each: points of one state share their errors.
     :param median: of δ before any reading [m].
+    :param weight: (n,) of each error; below one where several share what is unmodelled.
     """
     from scipy.special import gammainc
 
@@ -439,7 +431,9 @@ def _numbers_of_a_configuration(data: Measurements) -> float:
 
 
 def _notes(data: Measurements, fit: Fit, choice: Choice | None) -> list[str]:
-    notes, half = [], dict(zip(fit.structure.parameters, fit.ci95.tolist(), strict=True))
+    # the posterior, not the wider covariance of the bound, tells whether a value is there
+    judged = fit if choice is None else choice.fit
+    notes, half = [], dict(zip(judged.structure.parameters, judged.ci95.tolist(), strict=True))
     load = norm(data.wrench[data.loaded])
     if choice is not None:
         if int(levels(load).max()) == 0:
@@ -451,7 +445,7 @@ def _notes(data: Measurements, fit: Fit, choice: Choice | None) -> list[str]:
     for parameter, value in fit.given.items():
         if isinstance(parameter, JointCompliance) and parameter.in_file(fit.given)[0] <= 0.0:
             notes.append(f"{parameter.joint} has no compliance of its own: springs of the links take its place")
-        if isinstance(parameter, Backlash) and value > max(_PLAY, half[parameter] / NORMAL_95):
+        if isinstance(parameter, Backlash) and value > max(_PLAY, half[parameter]):
             notes.append(f"looks like {value * MM_PER_M:.3f} mrad of backlash or friction in {parameter.joint}")
     return notes
 

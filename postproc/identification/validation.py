@@ -361,6 +361,11 @@ def _predicted(robot: RobotModel, data: Measurements, placement: Placement) -> t
     return moved, bound
 
 
+COMMON_LOAD_ERROR = (
+    "not seen by this: an error that all loads share, if they were measured as those of the identification were"
+)
+
+
 def table(result: Validation) -> str:
     """Return the comparison as a table for a terminal."""
     lines = [
@@ -378,7 +383,7 @@ def table(result: Validation) -> str:
             inside, of_all = f"{level.inside:.0%}", "{:.0%} to {:.0%}".format(*level.limits)
         factor = f"{'' if level.above_noise else '> '}{level.factor:.3g}"
         lines.append(f"{level.load:8.0f}{lengths}{factor:>8}{inside:>8}{of_all:>14}")
-    lines += [*torque_lines(result.covered, result.identified), *job_lines(result.jobs)]
+    lines += [*torque_lines(result.covered, result.identified), *job_lines(result.jobs), COMMON_LOAD_ERROR]
     return "\n".join(lines)
 
 

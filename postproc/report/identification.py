@@ -89,9 +89,10 @@ def summary(data: Identified) -> Section | None:
 
 
 def to_know(data: Identified) -> Section:
-    """Return unidentifiable parameters and warnings."""
+    """Return unidentifiable parameters, warnings and assumptions."""
     not_seen = data.not_observable or []
-    if not not_seen and not data.warnings:
+    assumed = tuple(Note(f"Assumed: {text}.") for text in data.assumptions or ())
+    if not not_seen and not data.warnings and not assumed:
         text = "Every parameter is identifiable; no reading was left out."
         return Section("to-know", "What to know", (Notes((Note(text, "good"),)),))
     missing = tuple(
@@ -100,7 +101,7 @@ def to_know(data: Identified) -> Section:
     )
     known = tuple(f"{entry.name} is not observable" for entry in not_seen)
     others = tuple(Note(text, "warning") for text in data.warnings if not text.startswith(known or ("\0",)))
-    return Section("to-know", "What to know", (Notes(missing + others, marked=True),))
+    return Section("to-know", "What to know", (Notes(missing + others + assumed, marked=True),))
 
 
 def configurations(data: Identified) -> Section | None:

@@ -249,7 +249,7 @@ class Fit(Struct, frozen=True, eq=False):
             noise = self.spread[here] ** 2 - (self.gamma * self.moved[here]) ** 2
             least = 0.1 * self.spread[here] ** 2
             variance = np.maximum(noise, least)
-            seen = unmodelled(self.error[here][:, None], variance[:, None, None], share, usual)
+            seen = unmodelled(self.error[here][:, None], variance[:, None, None], usual, share)
             bound.append(float(np.hypot(seen, ELSEWHERE * np.sqrt(np.mean(self.moved[here] ** 2)))))
             load.append(float(np.median(self.load[here])))
         return np.array(load), np.maximum.accumulate(bound)

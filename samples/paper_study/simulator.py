@@ -89,6 +89,10 @@ class TrueRobot:
     backlash: np.ndarray = field(default_factory=lambda: np.zeros(6))  # each gear lies off by ± this with its torque
     lost_motion: np.ndarray = field(default_factory=lambda: np.zeros(6))  # and by ± this with that of the load alone
     waves: np.ndarray = field(default_factory=lambda: np.zeros((6, 4)))  # of sin q, cos q, sin 2q, cos 2q, on top of q
+    coupled: np.ndarray = field(
+        default_factory=lambda: np.zeros((6, 6))
+    )  # deflection of each joint by torques of others
+    by_pose: tuple = ()  # of gears: (shares (6,), turns (6, 6), phases (6,)), see `stiffer`
 
     def __post_init__(self):
         self.chain = []  # (fixed 4×4, "R"/"P", axis, kind, index)
@@ -163,6 +167,13 @@ class TrueRobot:
         x[:, self.joint_rows] = q + self.offsets + gears
         return x
 
+    def stiffer(self, q):
+        """Factor (N, 6) on the stiffness of each gear at a pose: one plus its share of a wave over the joint angles."""
+        if not self.by_pose:
+            return np.ones_like(q)
+        share, turns, phase = self.by_pose
+        return 1.0 + share * np.sin(q @ turns.T + phase)
+
     def position_forces(self, frames, x):
         """Generalised forces of weights and compensator (N, size)."""
         out = np.zeros_like(x)
@@ -181,7 +192,7 @@ class TrueRobot:
 
     def solve(self, q, force, point=LOAD_POINT, moment=None, iterations=40):
         """Flange pose (N, 4, 4) under a dead force (N, 3) at a point of the flange frame."""
-        base = self.commanded(q)
+        base, factor = self.commanded(q), self.stiffer(q)
         rest = np.zeros_like(base)
         if not self.gears_feel_rest:  # the gears stiffen with the load alone: at rest they are balanced
             rest = self.position_forces(self.frames(base), base)
@@ -200,7 +211,8 @@ class TrueRobot:
             # a newton metre or two turn the gear over to its other flank
             slack = self.backlash * np.tanh(g[:, self.joint_rows] / 2.0)
             slack += self.lost_motion * np.tanh(load[:, self.joint_rows] / 2.0)
-            torque, tangent = self.gear.torque(y[:, self.joint_rows] - slack)
+            slack += g[:, self.joint_rows] @ self.coupled
+            torque, tangent = (here * factor for here in self.gear.torque(y[:, self.joint_rows] - slack))
             step = np.zeros_like(y)
             tangent[:, 1] += self._comp(x[:, self.joint_rows[1]])[1]
             step[:, self.joint_rows] = (g[:, self.joint_rows] - torque) / tangent

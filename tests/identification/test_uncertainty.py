@@ -6,7 +6,7 @@ from msgspec.structs import replace
 
 from postproc import elastostatics, robot
 from postproc.identification.procedure import identify
-from postproc.identification.uncertainty import left_out_of, levels, unmodelled
+from postproc.identification.uncertainty import discrepancy, left_out_of, levels, noise_of, unmodelled
 from samples.paper_study import harness
 from tests.benchmarks import truth
 from tests.identification.test_truth import JOB, row
@@ -73,25 +73,30 @@ def test_unmodelled_error_is_found_though_some_configurations_are_open():
     blur = np.tile(0.03**2 * np.eye(3), (40, 1, 1))
     blur[:3] = np.eye(3)  # there the parameters are open: their errors say nothing
     error = np.einsum("nij,nj->ni", np.linalg.cholesky(blur + 0.04**2 * np.eye(3)), rng.normal(size=(40, 3)))
-    assert unmodelled(error, blur, np.ones(40), 0.003) == pytest.approx(0.04 * 2.795, rel=0.2)
+    assert unmodelled(error, blur, 0.003) == pytest.approx(0.04 * 2.795, rel=0.2)
     noise = np.einsum("nij,nj->ni", np.linalg.cholesky(blur), rng.normal(size=(40, 3)))
-    assert 0.0 < unmodelled(noise, blur, np.ones(40), 0.003) < 0.05
+    assert 0.0 < unmodelled(noise, blur, 0.003) < 0.05
 
 
 def test_unmodelled_error_is_never_zero_is_wider_from_few_configurations_and_has_no_step():
     rng = np.random.default_rng(5)
     noise, blur = rng.normal(size=(200, 3)), np.tile(np.eye(3), (200, 1, 1))
-    few, many = (unmodelled(noise[:count], blur[:count], np.ones(count), 0.2) for count in (6, 200))
+    few, many = (unmodelled(noise[:count], blur[:count], 0.2) for count in (6, 200))
     assert few > 1.5 * many > 0.0
-    found = [unmodelled(share * noise, blur, np.ones(200), 0.2) for share in np.linspace(0.9, 1.4, 51)]
+    found = [unmodelled(share * noise, blur, 0.2) for share in np.linspace(0.9, 1.4, 51)]
     assert np.all(np.diff(found) > 0.0)
     assert np.max(np.diff(found)) < 0.06 * max(found)
 
 
-def test_points_of_one_state_that_share_their_error_count_as_one():
-    rng = np.random.default_rng(6)
-    error, blur = 1.5 * rng.normal(size=(20, 3)), np.tile(np.eye(3), (20, 1, 1))
-    alone = unmodelled(error, blur, np.ones(20), 0.2)
-    thrice = unmodelled(np.repeat(error, 3, axis=0), np.repeat(blur, 3, axis=0), np.full(60, 1.0 / 3.0), 0.2)
-    assert thrice == pytest.approx(alone, rel=1e-9)
-    assert unmodelled(np.repeat(error, 3, axis=0), np.repeat(blur, 3, axis=0), np.ones(60), 0.2) != thrice
+def test_an_error_that_the_points_of_a_state_share_is_found_below_the_noise_of_one_point(tmp_path):
+    truth.experiment(row("the model fits: joint springs"), 2, tmp_path)
+    result = identify(harness.PRIOR, harness.load(tmp_path))
+    data = replace(result.data, sigma=0.04e-3)
+    rng, noise = np.random.default_rng(3), np.sqrt(noise_of(data)[0, 0] / 3.0)
+    states, points = len(data.loaded), len(data.points)
+    bounds = []
+    for _ in range(20):
+        left = 20e-6 * rng.normal(size=(states, 1, 3)) + noise * rng.normal(size=(states, points, 3))
+        bounds.append(discrepancy(data, result.placement, result.fit, left).u95[0])
+    assert noise > 30e-6
+    assert np.median(bounds) == pytest.approx(2.795 * 20e-6, rel=0.15)
