@@ -92,9 +92,8 @@ def compare(
                 for side, rows in ((one, first), (other, two))
             )
             found = replace(found, cuts=at_pairs(found, one, other, wrench, *offs))
-    return replace(
-        found, differences=differences(found, one, other, in_file=source is not None, same_origin=same_origin)
-    )
+    options = {"in_file": source is not None, "same_origin": same_origin, "under_forces": load is not None}
+    return replace(found, differences=differences(found, one, other, **options))
 
 
 def _partner_of(found: Comparison, one: PlacedProgram, other: PlacedProgram) -> Ints:

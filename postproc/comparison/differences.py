@@ -45,16 +45,24 @@ _NO_STATEMENT = re.compile(r"\$|&|(?:GLOBAL\s+)?(?:DEF|DEFFCT|DECL|EXT|EXTFCT|IN
 
 
 def differences(
-    found: Comparison, one: PlacedProgram, other: PlacedProgram, *, in_file: bool, same_origin: bool
+    found: Comparison,
+    one: PlacedProgram,
+    other: PlacedProgram,
+    *,
+    in_file: bool,
+    same_origin: bool,
+    under_forces: bool,
 ) -> tuple[Difference, ...]:
     """Return the differences besides offsets.
 
     :param in_file: forces of the nominal program come from a file.
     :param same_origin: one conversion made the second program of the first, or both: only missing or additional targets
         and what the forces show are differences then.
+    :param under_forces: forces of the nominal program are known: pairs are the targets that the loaded tip comes to.
     """
+    uncertain = () if under_forces else tuple(_ambiguous(found, one, other))
     if same_origin:
-        return (*_not_compared(found), *_alone(found, one), *_under_forces(found, one))
+        return (*_not_compared(found), *_alone(found, one), *_under_forces(found, one), *uncertain)
     return (
         *_unresolved(found),
         *_not_compared(found),
@@ -69,6 +77,7 @@ def differences(
         *_orientation(found, one, other),
         *_off_path(found, one, other),
         *_under_forces(found, one),
+        *uncertain,
     )
 
 
@@ -184,6 +193,32 @@ def _alone(found: Comparison, one: PlacedProgram) -> Iterator[Difference]:
     if len(rows):
         message = "an additional target, not on the nominal path."
         yield Difference("warning", "only-corrected", message, None, place_of(found.corrected, rows[0]), len(rows))
+
+
+def _ambiguous(found: Comparison, one: PlacedProgram, other: PlacedProgram) -> Iterator[Difference]:
+    """Yield pairs whose nominal target may as well belong to a target inserted next to its partner.
+
+    Without forces of the nominal program the correction is unknown. Since pairs may be wrong ones, so may their largest
+    offset: a target is possible within twice that.
+    """
+    if not len(found.pair) or not len(found.inserted):
+        return
+    index = np.searchsorted(other.rows, found.pair[:, 1])
+    mine = one.track().position[np.searchsorted(one.rows, found.pair[:, 0])]
+    theirs = other.track().position
+    allowed = OFF_PATH + 2.0 * float(found.distance.max())
+    uncertain = np.zeros(len(index))
+    for step in (-1, 1):
+        near = np.clip(index + step, 0, len(other.rows) - 1)
+        possible = np.isin(other.rows[near], found.inserted) & (norm(theirs[near] - mine) <= allowed)
+        uncertain = np.where(possible, np.maximum(uncertain, norm(theirs[near] - theirs[index])), uncertain)
+    where = np.flatnonzero(uncertain)
+    if len(where):
+        message = (
+            "this target may belong to one that was inserted next to its partner: offsets of such pairs are known to "
+            f"{uncertain.max() * MM_PER_M:.2f} mm only. Give the forces with --forces."
+        )
+        yield at_pairs(found, "pairing", message, where)
 
 
 def _next(found: Comparison, row: int) -> tuple[str, int] | None:

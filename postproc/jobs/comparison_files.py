@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -12,12 +13,14 @@ from postproc import provenance
 from postproc.cell import Cell
 from postproc.comparison import compare
 from postproc.dialects import registry
-from postproc.errors import InputError
+from postproc.errors import InputError, argument
 from postproc.files import foreign, json_bytes, refuse, with_record, write_whole
+from postproc.forces.sources import extensions
 from postproc.frames import M_PER_MM
+from postproc.jobs import inputs
 from postproc.jobs.conversion import force_source, origin_of, read_program, read_started
 from postproc.jobs.output_plan import protect
-from postproc.jobs.programs import EXCEEDED, GOOD, Settings, load_setup
+from postproc.jobs.programs import EXCEEDED, GOOD, PROCESS, Settings, as_stated, load_setup
 from postproc.program import Program
 from postproc.report.comparison import (
     ComparisonSummary,
@@ -90,6 +93,7 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
     for path, program in ((request.nominal, nominal), (request.corrected, corrected)):
         _refuse_part(path, program)
     _refuse_corrected(request.nominal, nominal)
+    cell = _with_stated_tolerance(cell, request, corrected)
     folder = request.output or request.nominal.parent / "corrected"
     stem = f"{request.corrected.stem}.compare"
     names = pairs, page, record = f"{stem}.pairs.csv", f"{stem}.report.html", f"{stem}.report.json"
@@ -98,6 +102,8 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
         refuse(foreign(folder, names, record))
     source = force_source(request.forces, cell)
     made = _made_from(request, cell, nominal, corrected)
+    if made.without_forces:
+        _ask_for_forces(request, made.origin)
     found = compare(nominal, corrected, robot, cell, source, same_origin=made.same_origin)
     content = comparison_summary(found, made, cell.tolerance, cell.output.max_correction_mm * M_PER_MM)
     contents: dict[str, bytes | Iterable[bytes]] = {
@@ -107,6 +113,39 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
     whole = with_record(contents, record, lambda entries: json_bytes(replace(content, files=entries)))
     written = write_whole(folder, whole)
     return ComparisonFiles(EXCEEDED if content.verdict.state == "failed" else GOOD, content, tuple(written))
+
+
+def _with_stated_tolerance(cell: Cell, request: CompareRequest, corrected: Program) -> Cell:
+    """Return the cell with the tolerance that the second program states: it was written to that one.
+
+    :raises InputError: that is no length.
+    """
+    origin = _origin(corrected)
+    stated = origin.options.get("tolerance_mm")
+    if stated is None:
+        return cell
+    try:
+        tolerance = float(stated)
+        if not 0.0 < tolerance < math.inf:
+            raise ValueError  # noqa: TRY301
+    except ValueError:
+        problem, advice = f"its line of origin states tolerance_mm={stated}", "Convert the program again."
+        raise InputError(problem, file=str(request.corrected), line=origin.line, advice=advice) from None
+    return as_stated(cell, replace(request.settings, tolerance_mm=tolerance))
+
+
+def _ask_for_forces(request: CompareRequest, origin: provenance.Provenance) -> None:
+    """Raise if the file of forces that the second program was made with lies next to one of the programs.
+
+    Without it, a target and one that was inserted next to it cannot be told apart: offsets would be wrong.
+    """
+    endings = {*extensions(), PROCESS}
+    for folder in dict.fromkeys((request.nominal.parent, request.corrected.parent)):
+        for file in sorted(path for path in folder.iterdir() if path.suffix.lower() in endings and path.is_file()):
+            if inputs.sum_of(inputs.of_forces(file)) == origin.sums["forces"]:
+                problem = f"it was corrected for the forces in {file}, which are not given"
+                advice = f"Give --forces {argument(file)}."
+                raise InputError(problem, file=str(request.corrected), line=origin.line, advice=advice)
 
 
 def _refuse_part(path: Path, program: Program) -> None:

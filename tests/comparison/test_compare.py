@@ -288,7 +288,13 @@ OPTIONS = {
 def test_a_program_written_with_options_is_intact_or_changed(options):
     run("convert", "part.nc", *OPTIONS[options], "-o", "out")
     main = next(name for name in ("out/partMain.src", "out/part.src") if Path(name).exists())
-    assert compare("part.nc", main, code=3 if options == "all" else 0)["provenance"]["state"] == "intact"
+    assert (
+        compare(
+            "part.nc",
+            main,
+        )["provenance"]["state"]
+        == "intact"
+    )
     path = next(path for path in sorted(Path("out").glob("part*.src")) if "\nLIN" in path.read_text())
     lines = path.read_bytes().decode().splitlines(keepends=True)
     number = [k for k, line in enumerate(lines) if line.startswith("LIN")][-1]
@@ -296,6 +302,35 @@ def test_a_program_written_with_options_is_intact_or_changed(options):
     path.write_bytes("".join(lines).encode())
     content = compare("part.nc", main, code=3)
     assert content["provenance"]["state"] == "changed"
+
+
+def plain_and_forces() -> str:
+    """Write the program without force comments, and its forces as CSV; return the written program's name."""
+    lines = GCODE.splitlines()
+    Path("plain.nc").write_text("\n".join("(-)" if "FORCE" in line else line for line in lines) + "\n")
+    Path("mine.csv").write_text("line,line_end,Fx,Fy,Fz\n5,9,-1000,720,480\n12,14,-360,240,160\n")
+    run("convert", "plain.nc", "--forces", "mine.csv", "-o", "out")
+    return "out/plain.src"
+
+
+def test_a_file_of_forces_that_was_forgotten_is_asked_for_by_its_name():
+    written = plain_and_forces()
+    printed = run("compare", "plain.nc", written, code=1)
+    assert "it was corrected for the forces in mine.csv, which are not given. Give --forces mine.csv." in printed
+    content = compare("plain.nc", written, "--forces", "mine.csv")
+    assert content["verdict"]["state"] == "ok"
+
+
+def test_without_the_forces_pairs_that_may_be_others_are_counted():
+    """Against the pairs under the forces: all that differ are among those that are said to be uncertain."""
+    written = plain_and_forces()
+    known = compare("plain.nc", written, "--forces", "mine.csv")
+    Path("mine.csv").unlink()
+    content = compare("plain.nc", written, "--overwrite", code=(0, 3))
+    (issue,) = [each for each in content["issues"] if each["kind"] == "pairing"]
+    assert issue["level"] == "warning"
+    bound = float(re.search(r"known to ([\d.]+) mm", issue["message"])[1])
+    assert abs(content["offset"]["max_mm"] - known["offset"]["max_mm"]) <= bound + 0.005
 
 
 def test_programs_without_a_common_target_are_told_apart():

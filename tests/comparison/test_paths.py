@@ -157,12 +157,14 @@ def test_forces_in_a_file_that_is_not_given_are_asked_for_in_an_ok_verdict():
     one = program("ONE", *(lin(*spot) for spot in SQUARE))
     Path("forces.csv").write_text("line,Fx,Fy,Fz,line_end\n7,-250,180,120,12\n")
     run("convert", one, "--forces", "forces.csv", "-o", "out", code=0)
+    Path("elsewhere").mkdir()
+    Path("forces.csv").rename("elsewhere/forces.csv")
     content = compared(one, "out/ONE.src")
     assert content["verdict"]["state"] == "ok"
     assert content["offset"]["max_mm"] > 0.1
     assert any("--forces" in reason for reason in content["verdict"]["reasons"])
     assert "force file" not in content["provenance"]["made_from_these"]
-    assert compared(one, "out/ONE.src", "--forces", "forces.csv")["cut"]["corrected"]["max_mm"] < 0.001
+    assert compared(one, "out/ONE.src", "--forces", "elsewhere/forces.csv")["cut"]["corrected"]["max_mm"] < 0.001
     Path("forces.csv").write_text("line,Fx,Fy,Fz,line_end\n7,-100,180,120,12\n")
     content = compared(one, "out/ONE.src", "--forces", "forces.csv", code=3)
     assert "another force file" in " ".join(content["verdict"]["reasons"])
