@@ -136,11 +136,11 @@ class GCode(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     motions: Literal["LIN", "SLIN"] = "LIN"
     radius_offsets: Literal["radius", "wear"] = "radius"
     dwell_unit: DwellUnit | None = None
-    spindle_on: list[str] = []
-    spindle_ccw: list[str] = []
-    spindle_off: list[str] = []
-    coolant_on: list[str] = []
-    coolant_off: list[str] = []
+    spindle_on: list[str] | None = None
+    spindle_ccw: list[str] | None = None
+    spindle_off: list[str] | None = None
+    coolant_on: list[str] | None = None
+    coolant_off: list[str] | None = None
     tool_change: list[str] | None = None
 
 

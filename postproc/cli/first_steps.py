@@ -107,6 +107,29 @@ def _line(text: str) -> str:
     return text
 
 
+def _switch(text: str) -> tuple[list[str], list[str]]:
+    """Return the lines that switch something on and off, of "ON|OFF"; none for "hand"."""
+    from postproc.jobs.first_steps import BY_HAND
+
+    if text.strip() == BY_HAND:
+        return [], []
+    lines = [_line(line.strip()) for line in text.split("|")]
+    if len(lines) != 2 or not all(lines):
+        raise click.BadParameter(
+            f"{text!r}: give both lines with | between, such as $OUT[1]=TRUE|$OUT[1]=FALSE, or hand"
+        )
+    return [lines[0]], [lines[1]]
+
+
+def _tolerance(text: str) -> float | None:
+    """Return a length above 0; None for an empty answer."""
+    if not text.strip():
+        return None
+    if not (length := _number(text)) > 0.0:
+        raise click.BadParameter(f"{text!r}: give a length above 0")
+    return length
+
+
 def _robot(text: str) -> str:
     from postproc.errors import ModelError
     from postproc.robot import find
@@ -187,7 +210,21 @@ def _parsed(kind: Any) -> Any:
     type=Choice(["s", "ms"]),
     help="What the control counts in P of G4 and of cycles: s (LinuxCNC) or ms (Fanuc, Haas, Mach3).",
 )
-@click.option("--part-tolerance", type=float, metavar="MM", help="What the part may be off (95 %); default: 0.5.")
+@click.option(
+    "--part-tolerance", type=float, metavar="MM", help="What the part may be off (95 %); default: not judged."
+)
+@click.option(
+    "--spindle",
+    callback=_parsed(_switch),
+    metavar="ON|OFF",
+    help="Lines for M3, with {S}, and for M5, with | between; 'hand': you start it. Default: a warning.",
+)
+@click.option(
+    "--coolant",
+    callback=_parsed(_switch),
+    metavar="ON|OFF",
+    help="Lines for M7 and M8, and for M9, likewise.",
+)
 @click.option(
     "--robodk",
     metavar="STATION.rdk",
@@ -212,8 +249,9 @@ def init(cell: Path, robodk: str | None, **given: Any) -> None:
     """  # noqa: D301 - click: keep these lines as they are
     from postproc.errors import argument
     from postproc.jobs import load_robot
-    from postproc.jobs.first_steps import CellRequest, write_cell
+    from postproc.jobs.first_steps import CellRequest, check_new, write_cell
 
+    check_new(cell, overwrite=given["overwrite"])
     station = None if robodk is None else _station(robodk, given)
     asked = _asked(given)
     remarks = write_cell(CellRequest(output=cell, **asked))
@@ -289,8 +327,16 @@ def _asked(given: dict[str, Any]) -> dict[str, Any]:
     ask("clearance", "Z of $BASE to which programs retract (G28, G30, G53)", f"{first_steps.CLEARANCE_MM:g}", _number)
     text = "Tool change: hand (the program stops), none, or a line that calls the changer, with {T}"
     ask("tool_change", text, first_steps.BY_HAND, _line)
-    text = "What the part may be off (95 %)"
-    ask("part_tolerance", text, f"{first_steps.PART_TOLERANCE_MM:g}", _number)
+    if missing:
+        if given["spindle"] is None:
+            text = "Spindle: lines for M3, with {S}, and M5, with | between, or hand"
+            given["spindle"] = click.prompt(text, default=first_steps.BY_HAND, value_proc=_switch)
+        if given["coolant"] is None:
+            text = "Coolant: lines for M7 and M8, and for M9, with | between, or hand"
+            given["coolant"] = click.prompt(text, default=first_steps.BY_HAND, value_proc=_switch)
+        if given["part_tolerance"] is None:
+            text = "What the part may be off (95 %) (empty: nothing is judged by it)"
+            given["part_tolerance"] = click.prompt(text, default="", show_default=False, value_proc=_tolerance)
     return given
 
 

@@ -148,10 +148,15 @@ class NewProgram:
         if event.kind == "spindle_ccw" and own and not gcode.spindle_ccw:
             message = "M4 uses the lines of spindle_on: give spindle_ccw in [gcode] if the direction is to change."
             self.issues.append(Issue("warning", "spindle-direction", message, event.line))
-        switched = event.kind != "m_code" and not (event.kind == "tool_change" and gcode.tool_change is not None)
-        if not own and switched:
+        if not own and event.kind != "m_code" and not self._stated(event):
             self.without_lines.append(event)
         return own
+
+    def _stated(self, event: Event) -> bool:
+        """Return whether the cell says what an event needs; an empty list says that it needs nothing."""
+        gcode = self.cell.gcode
+        kinds = ("spindle_ccw", "spindle_on") if event.kind == "spindle_ccw" else (event.kind,)
+        return any(getattr(gcode, kind) is not None for kind in kinds)
 
     def lines_of(self, event: Event) -> list[str]:
         """Return the cell's lines for an event, with its value inserted; those of M3 for M4 without own ones."""
@@ -159,7 +164,7 @@ class NewProgram:
             return [self.words.printable(line) for line in self.cell.m_codes[f"M{number(event.value)}"]]
         own: Sequence[str] = getattr(self.cell.gcode, event.kind) or []
         if event.kind == "spindle_ccw":
-            own = own or self.cell.gcode.spindle_on
+            own = own or self.cell.gcode.spindle_on or []
         value = number(event.value)
         return [self.words.printable(line.replace("{S}", value).replace("{T}", value)) for line in own]
 

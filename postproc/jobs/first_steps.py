@@ -11,6 +11,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from os.path import relpath
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -72,8 +73,6 @@ def _differs(path: Path, content: bytes) -> bool:
 Numbers = tuple[float, ...]
 CLEARANCE_MM = 200.0
 """Z of `$BASE` to which programs retract unless something else is given: usual CAM set-ups are below it [mm]."""
-PART_TOLERANCE_MM = 0.5
-"""Tolerance of the part unless something else is given: ISO 2768-m for lengths of 120 to 400 mm [mm]."""
 LARGEST_MM = 1e6
 BY_HAND, NO_LINES = "hand", "none"
 """Tool changes: the program stops, or does nothing; anything else is a line of the cell."""
@@ -99,12 +98,14 @@ class CellRequest(Struct, frozen=True, kw_only=True):
     :param config_dat: `$config.dat` of the controller, for frames by number.
     :param clearance: Z of `$BASE` to which G28, G30 and G53 retract [mm].
     :param tool_change: `BY_HAND`, `NO_LINES`, or the line that calls the tool changer, with {T}.
+    :param spindle: lines for M3, with {S}, and for M5; empty: by hand; None: not stated.
+    :param coolant: lines for M7 and M8, and for M9; likewise.
     :param tools: T number → `$TOOL` in the flange frame, as `tool`; none: `tool` holds for all.
     :param work_offsets: code of a work offset (``G55``) → its frame in `$BASE`, as `base`.
     :param m_codes: M codes that programs use and that have no effect on the robot (``M31``).
     :param radius_offsets: what the radius offsets (D) of the control hold: "radius" or "wear".
     :param dwell_unit: what the control counts in P of G4 and of cycles: "s" or "ms"; None: not stated.
-    :param part_tolerance: what the part may be off, 95 % [mm].
+    :param part_tolerance: what the part may be off, 95 % [mm]; None: nobody says so, and the cell does not judge by it.
     :param overwrite: replace a file that is there.
     """
 
@@ -117,13 +118,24 @@ class CellRequest(Struct, frozen=True, kw_only=True):
     config_dat: Path | None = None
     clearance: float = CLEARANCE_MM
     tool_change: str = BY_HAND
+    spindle: tuple[Sequence[str], Sequence[str]] | None = None
+    coolant: tuple[Sequence[str], Sequence[str]] | None = None
     tools: Mapping[int, Numbers] = {}
     work_offsets: Mapping[str, Numbers] = {}
     m_codes: Sequence[str] = ()
     radius_offsets: str = "radius"
     dwell_unit: str | None = None
-    part_tolerance: float = PART_TOLERANCE_MM
+    part_tolerance: float | None = None
     overwrite: bool = False
+
+
+def check_new(output: Path, *, overwrite: bool) -> None:
+    """Check that a cell file may be written.
+
+    :raises InputError: it is there already.
+    """
+    if output.exists() and not overwrite:
+        raise InputError("this file is there", file=str(output), advice="Name another, or give --overwrite.")
 
 
 def write_cell(request: CellRequest) -> tuple[str, ...]:
@@ -132,8 +144,7 @@ def write_cell(request: CellRequest) -> tuple[str, ...]:
     :returns: warnings for the user.
     :raises InputError: the file exists, or a value is invalid.
     """
-    if request.output.exists() and not request.overwrite:
-        raise InputError("this file is there", file=str(request.output), advice="Name another, or give --overwrite.")
+    check_new(request.output, overwrite=request.overwrite)
     folder = request.output.parent
     known = request.robot in robots.shipped()
     place = request.robot if known else _relative(folder, Path(request.robot))
@@ -144,7 +155,7 @@ def write_cell(request: CellRequest) -> tuple[str, ...]:
         joint = int(np.argmax(beyond))
         low, high = robot.lower[joint] * DEG_PER_RAD, robot.upper[joint] * DEG_PER_RAD
         raise InputError(f"{JOINTS[joint]} = {start[joint]:g}° is beyond its limits, {low:.4g}° to {high:.4g}°")
-    if not 0.0 < request.part_tolerance <= LARGEST_MM:
+    if request.part_tolerance is not None and not 0.0 < request.part_tolerance <= LARGEST_MM:
         raise InputError(f"part tolerance {request.part_tolerance:g} mm", advice="Give a length above 0.")
     if not abs(request.clearance) <= LARGEST_MM:
         raise InputError(f"clearance {request.clearance:g} mm", advice="Give a Z of $BASE.")
@@ -361,8 +372,7 @@ joints = [{", ".join(map(_number, cell.start_angles))}]    # A1 to A6 where prog
 tolerance_mm = 0.01              # what the predicted path may leave the nominal one by
 max_correction_mm = 8.0          # a larger correction is an error
 
-[part]
-tolerance_mm = {_number(request.part_tolerance)}               # error allowed on the part (95 %)
+{_part(request.part_tolerance)}
 
 [gcode]                          # how G-code becomes {language.upper()}
 radius_offsets = {_quoted(request.radius_offsets)}        # "wear": D holds wear, the path is of the tool centre
@@ -372,7 +382,8 @@ rapid_m_per_s = 0.5              # speed of G0
 approximation_mm = 0.5           # $APO.CDIS, or the zone; 0: exact stops
 corner_tolerance_mm = 0.05       # a corner that approximation would round by more is an exact stop
 {change_line}    # M6; {{T}}: number of the tool
-{_LINES[language]}
+{_switching("spindle", request.spindle, language)}
+{_switching("coolant", request.coolant, language)}
 
 [machine]                        # G28, G30 and G53, by which most CAM systems retract
 clearance_Z = {_number(request.clearance)}              # Z of $BASE to which they retract: above part and clamps
@@ -385,6 +396,25 @@ clearance_Z = {_number(request.clearance)}              # Z of $BASE to which th
 # [payload]                      # carried in addition to the state that the robot model was calibrated in
 # mass_kg = 0.0
 """
+
+
+def _switching(
+    what: Literal["spindle", "coolant"], lines: tuple[Sequence[str], Sequence[str]] | None, language: str
+) -> str:
+    """Return the keys for switching spindle or coolant; a comment with examples where nobody says the lines."""
+    if lines is None:
+        return "\n".join(line for line in _LINES[language].splitlines() if line.startswith(f"# {what}"))
+    by_hand = "" if any(lines) else "    # by hand"
+    keys = zip(("on", "off"), lines, strict=True)
+    return "\n".join(f"{what}_{key} = [{', '.join(map(_quoted, own))}]{by_hand}" for key, own in keys)
+
+
+def _part(tolerance: float | None) -> str:
+    """Return the table of the part; a comment where no tolerance is given."""
+    says = "# error allowed on the part (95 %)"
+    if tolerance is None:
+        return f"# [part]\n# tolerance_mm = 0.5             {says}: the verdict judges by it"
+    return f"[part]\ntolerance_mm = {_number(tolerance)}               {says}"
 
 
 def _tools(tools: Mapping[int, Frame]) -> str:

@@ -254,16 +254,17 @@ def test_without_a_terminal_what_is_missing_is_wrong_usage():
 def test_on_a_terminal_it_asks_and_takes_what_stands_in_brackets(monkeypatch):
     monkeypatch.setattr("postproc.cli.first_steps._terminal", lambda: True)
     for name in robot.shipped():
-        done = run("init", f"{name}.toml", input=f"{name}\n\n0,0,100\n\n\n\n\n\n\n\n")
+        done = run("init", f"{name}.toml", input=f"{name}\n\n0,0,100\n" + 9 * "\n")
         assert done.exit_code == 0, done.output
         assert "out of reach" not in done.stderr
-    done = run("init", input="KR270\n\nnonsense\n900,0,600\n\n\n\n\n\n\n\n\n")
+    done = run("init", input="KR270\n\nnonsense\n900,0,600\n" + 10 * "\n")
     assert done.exit_code == 0, done.output
     assert "no robot 'KR270'" in done.output
     cell = cells.load("cell.toml")
     assert (cell.robot, keys(cell.base)[:3], cell.tool.Z) == ("kuka_kr270", [900, 0, 600], 350)
     assert tip_at_start(cell) == pytest.approx([0, 0, 250], abs=5)
-    assert (cell.machine.clearance_Z, cell.part.tolerance_mm, cell.tools) == (200.0, 0.5, {})
+    assert (cell.machine.clearance_Z, cell.part.tolerance_mm, cell.tools) == (200.0, None, {})
+    assert (cell.gcode.spindle_on, cell.gcode.coolant_off) == ([], [])
     assert cell.gcode.tool_change == ["; tool {T} by hand", "HALT"]
 
 
@@ -285,11 +286,19 @@ def test_answers_for_retract_tools_tool_change_and_tolerance_are_in_the_cell(mon
         "150",
         "CHANGE({T)",
         "CHANGE({T})",
+        "$OUT[1]=TRUE",
+        "SPIN({S})|$OUT[1]=FALSE",
+        "hand",
+        "-1",
         "0.2",
     ]
     done = run("init", input="\n".join([*answers, ""]))
     assert done.exit_code == 0, done.output
     assert "'high' is not a number" in done.output
+    assert "'$OUT[1]=TRUE': give both lines" in done.output
+    assert "'-1': give a length above 0" in done.output
+    gcode = cells.load("cell.toml").gcode
+    assert (gcode.spindle_on, gcode.spindle_off, gcode.coolant_on) == (["SPIN({S})"], ["$OUT[1]=FALSE"], [])
     assert "'1.5=3': give the number of the tool" in done.output
     assert "'G60=1,2,3': give G54 to G59.3" in done.output
     assert "'coolant': give an M code" in done.output
@@ -462,3 +471,22 @@ def test_commands_to_type_have_names_with_blanks_in_quotes(monkeypatch, tmp_path
     assert 'Write one with: postproc init "my cell.toml"' in missing.output
     assert 'postproc convert PROGRAM --cell "my cell.toml"' in written.output
     assert f'postproc convert "{Path("my samples", "pocket.nc")}" --cell "' in samples.output
+
+
+def test_a_file_that_is_there_is_noticed_before_the_first_question(monkeypatch):
+    monkeypatch.setattr("postproc.cli.first_steps._terminal", lambda: True)
+    Path("cell.toml").write_text("mine")
+    done = run("init", input="\n" * 20)
+    assert done.exit_code == 1
+    assert "this file is there" in done.stderr
+    assert "Robot" not in done.output.replace(done.stderr, "")
+
+
+def test_the_cell_that_it_writes_converts_a_clean_program_with_forces_to_green(monkeypatch):
+    monkeypatch.setattr("postproc.cli.first_steps._terminal", lambda: True)
+    assert run("init", input="\n" * 20).exit_code == 0
+    block = "G0 X0 Y0 Z50\nS9000 M3\nM8\n(FORCE FX=120 FY=80 FZ=200)\nG1 Z-1 F500\nG1 X50\nG0 Z50\nM9\nM5\nM30\n"
+    Path("part.nc").write_text(f"G90 G21 G17\n{block}")
+    done = run("convert", "part.nc", "--cell", "cell.toml")
+    assert done.exit_code == 0, done.output
+    assert "\nMay be run. Uncorrected up to " in done.output, done.output

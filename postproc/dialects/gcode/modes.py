@@ -155,7 +155,8 @@ class Switching:
         """Read M3 P of Snapmaker: a share of the full speed, which is not known here."""
         if "P" not in values or not set(m) & set(codes.SPINDLE[:2]) or set(values) - {"P", "S"}:
             return
-        if any("{S}" in line for line in (*self.cell.gcode.spindle_on, *self.cell.gcode.spindle_ccw)):
+        gcode = self.cell.gcode
+        if any("{S}" in line for line in (*(gcode.spindle_on or ()), *(gcode.spindle_ccw or ()))):
             problem = f"M3 P{values['P']:g}: the speed is a share of the full one (Snapmaker)"
             raise BlockError(problem, "Write S with the speed in rpm instead of P: spindle_on of the cell needs it.")
         message = (
