@@ -96,6 +96,7 @@ class Output(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     :param divide_into_modules: such a program becomes several, which are loaded and run one after another.
     :param feed: "hold": the feed of cutting moves is lowered where the tolerance of the part would be exceeded, but not
         below `min_feed_mm_per_min`; needs a process. "program": feeds are those of the program.
+    :param unheld: feed of a move that holds the tolerance at no feed: that of the program, or the lowest one.
     """
 
     tolerance_mm: Annotated[float, msgspec.Meta(ge=1e-4, le=1e6)] = 0.01  # positions are printed to 1e-4 mm
@@ -110,6 +111,7 @@ class Output(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     divide_into_modules: bool = False
     feed: Literal["program", "hold"] = "program"
     min_feed_mm_per_min: Positive = 300.0
+    unheld: Literal["program", "lowest"] = "program"
 
 
 DwellUnit = Literal["s", "ms"]

@@ -50,6 +50,7 @@ class HeldFeed(Struct, frozen=True, eq=False):
 
     :param tolerance: of the part, 95 % [m].
     :param least: smallest feed that was allowed [m/s].
+    :param unheld: feed of motions that hold the tolerance at none: that of the "program", or the "lowest".
     :param programmed: (M,) feed as programmed, and feed: (M,) as written [m/s]; NaN for joint motions.
     :param length: (M,) length of the path [m].
     :param expected: (M,) largest expected error at the written feed [m]; 0 on rapid moves.
@@ -59,6 +60,7 @@ class HeldFeed(Struct, frozen=True, eq=False):
 
     tolerance: float
     least: float
+    unheld: Literal["program", "lowest"]
     programmed: Array
     feed: Array
     length: Array

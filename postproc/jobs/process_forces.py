@@ -5,8 +5,9 @@ Imported only where a process is given: the models of cutting are loaded with it
 Held feeds are as high as those of the program, and as low as the force model says the tolerance of the part needs. The
 force on an edge is that of its rubbing plus a part that grows with the feed f as f^(1 − mc). mc is 0 in the linear
 edge-force model, else Kienzle's exponent (see `machining.material.CuttingLaw`). The expected error is nearly linear in
-that too. So its root is found by false position in f^(1 − mc), each motion for itself. Every trial is a whole
-conversion: swept, corrected, written, read back and simulated.
+that too. So its root is found by false position in f^(1 − mc), each motion for itself, with the step of the Illinois
+method where one end of the bracket stays (Dowell and Jarratt, BIT 11, 1971). Every trial is a whole conversion: swept,
+corrected, written, read back and simulated.
 """
 
 from __future__ import annotations
@@ -49,8 +50,6 @@ _CLOSE = 0.01
 """A feed that could be higher by this share at most is high enough."""
 _BACK = 0.99
 """Share of its feed that a motion gets if it exceeds the tolerance at a feed at which it did not before."""
-_NO_HELP = 0.05
-"""Where the tolerance cannot be held, the feed is lowered until the error is above that at the least feed by this."""
 _ALMOST_NONE = 1e-3
 """Share of the programmed feed at which the errors are taken for those without feed."""
 _STEP = 1e-6
@@ -64,8 +63,7 @@ _MESHES = (".stl", ".glb", ".ply", ".obj")
 def held(program: Program, length: Array, cell: Cell, exponent: float, trial: Trial) -> Result:
     """Return the result with the highest feeds, at most the programmed ones, that hold the tolerance of the part.
 
-    Where the least feed does not hold it, the feed is lowered as far as that helps: until the error is 5 % above the
-    one at the least feed.
+    A motion that the least feed does not hold keeps its feed, or gets the least one: `[output] unheld` of the cell.
 
     :param length: (M,) length of the motions [m].
     :param exponent: mc of the material: chip forces grow with feed^(1 − mc).
@@ -79,40 +77,52 @@ def held(program: Program, length: Array, cell: Cell, exponent: float, trial: Tr
     if result.expected is None or cell.part_tolerance is None:
         advice = 'Give sigma_percent or a covariance in its model.toml, or write feed = "program".'
         raise InputError('[output] feed = "hold": the robot model states no uncertainty', advice=advice)
-    search = _Search(program, cell.part_tolerance, least, 1.0 - exponent, _of_motions(result))
+    lowest = cell.output.unheld == "lowest"
+    search = _Search(program, cell.part_tolerance, least, 1.0 - exponent, _of_motions(result), lowest=lowest)
     without = np.full(len(m), np.nan)
     if search.open.any():
         result = trial(search.program(search.least))
-        if not result.failed and (missed := search.start(_of_motions(result))).any():
+        if not result.failed and (unheld := search.start(_of_motions(result))).any():
             result = trial(search.program(np.maximum(_ALMOST_NONE * m.feed, _STEP)))
-            without[missed] = _of_motions(result)[missed]
+            without[unheld] = _of_motions(result)[unheld]
+            search.give_up(unheld)
         for _ in range(_TRIALS):
             if result.failed:
                 return result
             result = trial(search.program(search.next()))
             if search.settled(_of_motions(result)):
                 break
+        else:
+            result = trial(search.program(search.low))
     error = _of_motions(result)
-    found = HeldFeed(cell.part_tolerance, least, m.feed, result.program.motions.feed, length, error, without)
-    return replace(result, held_feed=found)
+    feed = result.program.motions.feed
+    held_feed = HeldFeed(cell.part_tolerance, least, cell.output.unheld, m.feed, feed, length, error, without)
+    return replace(result, held_feed=held_feed)
 
 
 class _Search:
     """Bounds of the feed of each motion, by false position.
 
     :ivar open: (M,) motions whose feed may be lowered.
-    :ivar limit: (M,) error to stay below; feed: (M,) of the last trial.
-    :ivar low: (M,) feed that stays below it as far as is known, with error_low; high: (M,) feed that does not.
+    :ivar feed: (M,) of the last trial; held_before: (M,) motions that held the tolerance in the trial before it.
+    :ivar low: (M,) feed that holds the tolerance as far as is known, with error_low; high: (M,) feed that does not.
+    :ivar error_low, error_high: (M,) errors there, or what the Illinois method takes for them.
     """
 
-    def __init__(self, program: Program, tolerance: float, least: float, power: float, error: Array) -> None:
-        """Begin with the errors (M,) at the programmed feeds."""
+    def __init__(
+        self, program: Program, tolerance: float, least: float, power: float, error: Array, *, lowest: bool
+    ) -> None:
+        """Begin with the errors (M,) at the programmed feeds.
+
+        :param lowest: motions that no feed holds get the least one; else they keep theirs.
+        """
         m = program.motions
         self.of, self.power, self.feed = program, power, m.feed
-        self.limit = np.full(len(m), tolerance)
+        self.limit, self.lowest = tolerance, lowest
         self.high, self.error_high = m.feed.copy(), error
         self.least = np.minimum(m.feed, np.ceil(least / _STEP) * _STEP)
         self.low, self.error_low = self.least.copy(), np.zeros(len(m))
+        self.held_before, self.missed_before = np.zeros(len(m), dtype=bool), np.zeros(len(m), dtype=bool)
         self.open: Bools = np.asarray(~m.rapid & (error > tolerance) & (self.low < self.high))
 
     def program(self, feed: Array) -> Program:
@@ -122,16 +132,19 @@ class _Search:
         return replace(self.of, motions=replace(self.of.motions, feed=self.feed), feed_as_read=as_read)
 
     def start(self, error: Array) -> Bools:
-        """Take the errors (M,) at the least feeds; where they exceed the tolerance, aim at one that is near them.
+        """Take the errors (M,) at the least feeds.
 
-        :returns: (M,) True there.
+        :returns: (M,) True where they exceed the tolerance.
         """
-        self.error_low = error
-        missed = self.open & (error > self.limit)
-        self.limit[missed] = (1.0 + _NO_HELP) * error[missed]
-        useless = self.open & (self.error_high <= self.limit)
-        self.low[useless], self.error_low[useless] = self.high[useless], self.error_high[useless]
-        return np.asarray(missed)
+        self.error_low = error.copy()
+        return np.asarray(self.open & (error > self.limit))
+
+    def give_up(self, unheld: Bools) -> None:
+        """Settle the feed of motions (M,) that no feed holds."""
+        if self.lowest:
+            self.high[unheld] = self.low[unheld] = self.least[unheld]
+        else:
+            self.open = self.open & ~unheld
 
     def next(self) -> Array:
         """Return the feeds (M,) to try."""
@@ -143,16 +156,32 @@ class _Search:
 
     def settled(self, error: Array) -> bool:
         """Take the errors (M,) at the feeds of the last trial; return whether these feeds are to be written."""
+        fixed = self.low >= self.high
         held = error <= self.limit
-        good, bad = self.open & held, self.open & ~held
-        rate = (self.error_high - error) / np.maximum(self.high - self.feed, _STEP)
-        more = np.minimum((self.limit - error) / np.maximum(rate, 1e-12), self.high - self.feed)
-        self.low[good], self.error_low[good] = self.feed[good], error[good]
+        good, bad = self.open & ~fixed & held, self.open & ~fixed & ~held
+        more = np.minimum(self._reserve(error), self.high - self.feed)
+        close = fixed | (good & (more <= _CLOSE * self.feed))
+        again, over = good & self.held_before, bad & self.missed_before
+        self.error_high[again] = 0.5 * (self.limit + self.error_high[again])
+        self.error_low[over] = 0.5 * (self.limit + self.error_low[over])
         stuck = bad & (self.feed <= self.low)  # the error depends on the motions before, too
-        at_least = stuck & (self.feed <= self.least)
+        unheld = stuck & (self.feed <= self.least)
+        self.low[good], self.error_low[good] = self.feed[good], error[good]
         self.low[stuck] = np.maximum(self.least, _BACK * self.low)[stuck]
         self.high[bad], self.error_high[bad] = self.feed[bad], error[bad]
-        return bool(np.all(~self.open | (good & (more <= _CLOSE * self.feed)) | at_least))
+        self.held_before, self.missed_before = good, bad
+        self.give_up(unheld)
+        return bool(np.all(~self.open | close)) and not (unheld.any() and not self.lowest)
+
+    def _reserve(self, error: Array) -> Array:
+        """Return by how much the feed (M,) could be higher [m/s], by the smaller of the slopes below and above it.
+
+        Where the error bends upwards the slope above is too large, where it bends downwards the one below.
+        """
+        above = (self.error_high - error) / np.maximum(self.high - self.feed, _STEP)
+        below = (error - self.error_low) / np.maximum(self.feed - self.low, _STEP)
+        below = np.where(self.feed > self.low, below, np.inf)
+        return np.asarray((self.limit - error) / np.maximum(np.minimum(above, below), 1e-12))
 
 
 def _of_motions(result: Result) -> Array:

@@ -39,6 +39,7 @@ class FeedSummary(Struct, frozen=True):
 
     tolerance_mm: float
     min_feed_mm_per_min: float
+    unheld: str
     cutting_moves: int
     lowered_moves: int
     time_before_s: float
@@ -74,6 +75,7 @@ def feed_summary(result: Result) -> FeedSummary | None:
     return FeedSummary(
         tolerance_mm=held.tolerance * MM_PER_M,
         min_feed_mm_per_min=held.least * _MM_PER_MIN,
+        unheld=held.unheld,
         cutting_moves=int(np.count_nonzero(cuts)),
         lowered_moves=int(np.count_nonzero(held.lowered & cuts)),
         time_before_s=float(before.sum()),
@@ -116,7 +118,11 @@ def sentences(feed: FeedSummary, most: int = 5) -> list[str]:
         ]
     if feed.missed_moves:
         many = "1 move does not" if feed.missed_moves == 1 else f"{feed.missed_moves} moves do not"
-        out.append(f"{many} hold {tolerance} at any feed from min_feed_mm_per_min up")
+        feeds = "keep the feed of the program" if feed.unheld == "program" else "get the lowest feed"
+        out.append(
+            f"{many} hold {tolerance} at any feed from min_feed_mm_per_min up: such moves {feeds} ([output] unheld = "
+            f'"{feed.unheld}")'
+        )
         for move in feed.missed[:most]:
             floor = move.edge_forces_mm
             text = f"line {move.source_line}: {rounded(move.expected_mm)} mm at {move.feed_mm_per_min:.0f} mm/min"
