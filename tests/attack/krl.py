@@ -118,33 +118,58 @@ def executed(files, seed, program, main="PART"):
 
 
 def compare(program, motions, numbers, joints, kinds, tolerance, lines=None):
-    """Raise `Wrong` unless motions of the controller are those of the package."""
-    if len(motions) != len(kinds):
+    """Raise `Wrong` unless motions of the controller are those of the package.
+
+    Of branches that are chosen at run time the package has all: there, the controller makes some of the motions, in
+    their order.
+    """
+    divided = branching(program)
+    if len(motions) != len(kinds) and not divided:
         raise Wrong(f"{len(kinds)} motions are read, {len(motions)} are executed")
+    row = 0
+    for motion in motions:
+        wrong = ""
+        while row < len(kinds):
+            problem = difference(program, row, motion, numbers, joints, kinds, tolerance, lines)
+            row += 1
+            wrong = wrong or problem
+            if not problem or not divided:
+                break
+        else:
+            problem = wrong or "no motion"
+        if problem:
+            raise Wrong(f"motion {row - 1} in line {motion.line}: {wrong or problem} is read")
+
+
+def branching(program):
+    """Whether a program has branches that are chosen at run time."""
+    return any(isinstance(step, Fork) for step in program.layout.course.steps)
+
+
+def difference(program, row, motion, numbers, joints, kinds, tolerance, lines):
+    """What of a motion of the controller is otherwise in the package; empty if nothing."""
     m = program.motions
-    for row, motion in enumerate(motions):
-        where = f"motion {row} in line {motion.line}"
-        if KINDS[motion.kind] != kinds[row] or (
-            lines is not None and motion.file == "part.src" and lines[row] != motion.line
-        ):
-            raise Wrong(f"{where}: another motion is read")
-        if motion.joints is not None:
-            if not np.allclose(np.degrees(joints[row]), motion.joints):
-                raise Wrong(f"{where}: other joints are read")
-            continue
-        here, there = pose_from_xyzabc(numbers[row]), abc(*motion.numbers)
-        if not np.allclose(here[:3, 3], there[:3, 3], atol=tolerance / 1000) or not np.allclose(
-            here[:3, :3], there[:3, :3], atol=tolerance
-        ):
-            raise Wrong(f"{where}: {numbers[row].round(4).tolist()} is read, {np.round(motion.numbers, 4)} executed")
-        if lines is not None:
-            same = np.allclose(program.bases[m.base[row]], motion.base, atol=1e-9)
-            if not same or not np.allclose(program.tools[m.tool[row]], motion.tool, atol=1e-9):
-                raise Wrong(f"{where}: another $BASE or $TOOL is read")
-            if motion.kind != "PTP" and not np.isclose(m.feed[row], motion.speed, rtol=1e-9):
-                raise Wrong(f"{where}: the speed {m.feed[row]} is read, {motion.speed} executed")
-            if motion.cdis is not None and not np.isclose(m.blend[row] * 1000, motion.cdis):
-                raise Wrong(f"{where}: the approximation {m.blend[row] * 1000} is read, {motion.cdis} executed")
+    if KINDS[motion.kind] != kinds[row] or (
+        lines is not None and motion.file == "part.src" and lines[row] != motion.line
+    ):
+        return "another motion"
+    if motion.joints is not None:
+        return "" if np.allclose(np.degrees(joints[row]), motion.joints) else "another target in joints"
+    here, there = pose_from_xyzabc(numbers[row]), abc(*motion.numbers)
+    if not np.allclose(here[:3, 3], there[:3, 3], atol=tolerance / 1000) or not np.allclose(
+        here[:3, :3], there[:3, :3], atol=tolerance
+    ):
+        return f"{numbers[row].round(4).tolist()}, not {np.round(motion.numbers, 4)},"
+    if lines is None:
+        return ""
+    same = np.allclose(program.bases[m.base[row]], motion.base, atol=1e-9)
+    if not same or not np.allclose(program.tools[m.tool[row]], motion.tool, atol=1e-9):
+        return "another $BASE or $TOOL"
+    if motion.kind != "PTP" and not np.isclose(m.feed[row], motion.speed, rtol=1e-9):
+        return f"the speed {m.feed[row]}, not {motion.speed},"
+    if motion.cdis is not None and not np.isclose(m.blend[row] * 1000, motion.cdis):
+        return f"the approximation {m.blend[row] * 1000}, not {motion.cdis},"
+    return ""
 
 
 def moved(program, rng):
@@ -154,6 +179,8 @@ def moved(program, rng):
     shift = rng.uniform(-2e-3, 2e-3, (count, 3)) * (rng.random(count) < 0.8)[:, None]
     pieces = {row: rng.uniform(0.1, 0.9, 1).round(3) for row in np.flatnonzero(rng.random(count) < 0.25)}
     pieces = {row: t for row, t in pieces.items() if m.kind[row] != PTP}
+    if branching(program):
+        shift[:] = shift[0]  # branches meet
     wanted = targets(program, shift, pieces=pieces)
     keep = (np.abs(shift).sum(axis=1) == 0)[wanted.motion] & (wanted.t == 1.0) & (m.kind[wanted.motion] != CIRC)
     return replace(wanted, keep=keep)
@@ -207,8 +234,6 @@ def confirmed(program, files, folder, rng, *, keep=False, checked=True, lines=0)
     :raises Wrong: it is not.
     """
     m = program.motions
-    if any(isinstance(step, Fork) for step in program.layout.course.steps):
-        return "branches"  # not one list of motions: what they are is tested with programs made for it
     if {(one.file, one.line) for one in program.unresolved} & set(places_of(program)):
         return "in some rounds"  # likewise
     runs, numbers = 0, program.numbers_as_written()
@@ -226,6 +251,7 @@ def confirmed(program, files, folder, rng, *, keep=False, checked=True, lines=0)
         return "invalid"
     if not np.isnan(m.joints[:, 0]).any():
         return "accepted"  # by joint angles alone
+    lines = 0 if branching(program) else lines
     same = krl.rewrite(program, targets(program, keep=True))
     if same.documents != program.documents:
         raise Wrong("what needs no correction is changed")
@@ -260,7 +286,7 @@ def confirmed(program, files, folder, rng, *, keep=False, checked=True, lines=0)
             break
     if runs == RUNS and not finished:
         raise Wrong("what is written stops")
-    return "kept" if program.unresolved else "accepted"
+    return "kept" if program.unresolved else "branches" if branching(program) else "accepted"
 
 
 def divided(program, wanted, folder, lines, *, keep):

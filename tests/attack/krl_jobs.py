@@ -36,12 +36,13 @@ class Job:
 
     :param keep: it may hold motions that only the running robot knows.
     :param forces: it has comments with forces.
+    :param selects: inputs choose jobs that begin and end in the home position.
     :param jumps: it may jump over statements, leave routines early, and call functions that move.
     :ivar files: name → text.
     """
 
-    def __init__(self, rng, *, keep=False, unknown=True, forces=True, jumps=False):
-        self.jumps = jumps
+    def __init__(self, rng, *, keep=False, unknown=True, forces=True, jumps=False, selects=False):
+        self.jumps, self.selects = jumps, selects
         self.rng, self.keep, self.unknown, self.forces = rng, keep, unknown, forces
         self.routines = ["CUT", "DEEP", "FACE"][: int(rng.integers(0, 4))]
         self.labels = 0
@@ -203,6 +204,20 @@ class Job:
         meet = self.line().removesuffix(" C_DIS")
         return [meet, *jump, *self.body(depth, where, below, inner=True), meet, f"{label}:", self.line()]
 
+    def selected(self, depth, where, below):
+        """Jobs chosen by inputs, or a detour; each begins and ends in the home position."""
+        heads = [f"IF $IN[{int(self.rng.integers(1, 9))}] THEN" for _ in range(2)]
+        one, other = ([HOME, *self.body(depth, where, below, inner=True), HOME] for _ in range(2))
+        first = self.pick([], [HOME], ["PTP XS"])
+        ends = self.pick([HOME, self.line()], ["PTP XS"], [self.line()]) if first == [HOME] else [HOME, self.line()]
+        return self.pick(
+            [*first, heads[0], *one, "ELSE", *other, "ENDIF", HOME, self.line()],
+            [*first, heads[0], *one, "ENDIF", heads[1], *other, "ENDIF", HOME, self.line()],
+            [*first, heads[0], *one, "ENDIF", *ends],
+            [HOME, heads[0], *one, "ELSE", heads[1], *other, "ENDIF", "ENDIF", self.line()],
+            [heads[0], HOME, "ENDIF", HOME, self.line()],
+        )
+
     def body(self, depth, where, below, inner=False):
         lines = []
         for _ in range(int(self.rng.integers(1, 4))):
@@ -247,6 +262,8 @@ class Job:
             and depth == 0
         ):
             return self.skipping(depth + 1, where, below)
+        if choice < 9 and self.unknown and self.selects and not self.loops and self.maybe(0.4):
+            return self.selected(depth, where, below)
         if choice < 9 and self.unknown:
             meet = self.line()
             number = int(self.rng.integers(1, 9))

@@ -219,9 +219,9 @@ def every_run(files, main="PART"):
 
 
 def job_of(seed, rng, *, keep):
-    """The job of a seed; those from a million on have jumps too."""
+    """The job of a seed; those from a million on have jumps too, and from ten million on jobs that are chosen."""
     unknown, forces = bool(rng.random() < 0.6), bool(rng.random() < 0.85)
-    return Job(rng, keep=keep, unknown=unknown, forces=forces, jumps=seed >= 1_000_000)
+    return Job(rng, keep=keep, unknown=unknown, forces=forces, jumps=seed >= 1_000_000, selects=seed >= 10_000_000)
 
 
 def prove(seed, folder):

@@ -30,6 +30,11 @@ def test_jumps_over_statements_and_routines_left_early_do_what_the_job_said():
     assert attack(4_000_130) == "kept"  # a function of another file that moves
 
 
+def test_jobs_that_inputs_choose_do_what_they_said_each_from_its_home_position():
+    outcomes = Counter(attack(seed).partition(",")[0] for seed in range(10_000_000, 10_000_030))
+    assert outcomes["branches"] > 2
+
+
 def test_branches_that_stay_in_some_rounds_of_a_loop_only_are_read_back_as_they_were_read():
     assert attack(20409) == "kept, in files"  # its first round is corrected and written out, the others stay a loop
 

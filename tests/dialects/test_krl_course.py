@@ -449,7 +449,7 @@ def test_each_branch_is_corrected_from_where_they_divide_to_where_they_meet(line
 REFUSED = [
     (["IF $IN[1] THEN", "LIN P[1]", "ELSE", "LIN P[2]", "ENDIF", "LIN P[3]"], 5, "end in different places"),
     (["IF $IN[1] THEN", "LIN {X 5}", FULL, "ENDIF", "LIN {X 3}"], 5, "components are missing"),
-    (["IF $IN[1] THEN", "PTP P[1]", FULL, "ENDIF"], 5, "PTP is inside a branch"),
+    (["IF $IN[1] THEN", "PTP P[1]", FULL, "ENDIF", "LIN P[2]"], 5, "PTP to X, Y, Z without S and T is inside a branch"),
     (["IF $IN[1] THEN", "I=3", MEET, "ELSE", "I=2", MEET, "ENDIF", "LIN P[I]"], 12, "I is changed"),
     (["IF $IN[1] THEN", "$VEL.CP=0.3", MEET, "ELSE", MEET, "ENDIF", "LIN P[1]"], 10, "differs behind the branches"),
 ]
@@ -529,7 +529,7 @@ def test_what_only_the_running_robot_knows_is_refused_or_kept_as_it_is(lines, ke
     assert krl.rewrite(program, targets(program, keep=True)).documents == program.documents
 
 
-@pytest.mark.parametrize("lines", [["LIN $POS_ACT:{Z 5}"], ["IF $IN[1] THEN", "LIN P[1]", "ENDIF"]])
+@pytest.mark.parametrize("lines", [["LIN $POS_ACT:{Z 5}"], ["IF $IN[1] THEN", "LIN P[1]", "ENDIF", FULL]])
 def test_the_error_names_the_option_that_keeps_what_is_not_known(lines):
     with pytest.raises(ProgramError, match="--keep-unresolved") as caught:
         read(body(FULL, *lines), DATA)
@@ -599,8 +599,14 @@ def test_a_force_comment_holds_from_where_it_runs(lines, subprograms, forces):
 UNHELD = [
     (["IF $IN[1] THEN", TWO, "ENDIF", FULL], "", CELL, 8, "branches that meet before it leave different ones"),
     ([ONE, "IF $IN[1] THEN", FULL, TWO, "ELSE", FULL, "ENDIF", "PTP Q", FULL], "", CELL, 13, "leave different ones"),
-    ([ONE, "IF $IN[1] THEN", TWO, FULL, ONE, "ELSE", FULL, "ENDIF"], "", CELL, 12, "corrected, they would not meet"),
-    (["PTP Q", ONE, "IF $IN[1] THEN", FULL, "LIN Q", "ENDIF"], "", CELL, 10, "corrected, they would not meet"),
+    (
+        [ONE, "IF $IN[1] THEN", TWO, FULL, ONE, "ELSE", FULL, "ENDIF", FULL],
+        "",
+        CELL,
+        12,
+        "corrected, they would not meet",
+    ),
+    (["PTP Q", ONE, "IF $IN[1] THEN", FULL, "LIN Q", "ENDIF", FULL], "", CELL, 10, "corrected, they would not meet"),
     (["IF $IN[1] THEN", "IF $IN[2] THEN", TWO, "ENDIF", FULL, "ENDIF"], "", CELL, 9, "leave different ones"),
     (["WHILE $IN[1]", TWO, "ENDWHILE", FULL], "", CELL, 5, "force comment is inside WHILE"),
     (["WHILE $IN[1]", "HARD()", "ENDWHILE", FULL], HARD, CELL, 5, "inside WHILE: its condition is not known"),
@@ -739,3 +745,40 @@ def test_an_uncalled_routine_of_a_program_with_a_loop_is_reported():
     program = read(body(FULL, *ROUNDS) + "DEF OTHER( )\r\nLIN {X 5}\r\nEND\r\n", DATA)
     (issue,) = [issue for issue in program.issues if issue.kind == "uncalled-motions"]
     assert (issue.source_line, issue.subject) == (10, "OTHER")
+
+
+HOME = "PTP {A1 10,A2 -80,A3 95,A4 0,A5 45,A6 0}"
+HIGH = "PTP {A1 40,A2 -80,A3 95,A4 0,A5 45,A6 0}"
+TURNED = "PTP {X 9,Y 20,Z 30,A 10,B 20,C 170,S 2,T 10}"
+FIRST, SECOND = ([f"IF $IN[{n}] THEN", HOME, f"LIN P[{n}]"] for n in (1, 2))
+SELECTED = {
+    "jobs that end at home": [*FIRST, HOME, "ENDIF", *SECOND, HOME, "ENDIF", HOME],
+    "jobs that end elsewhere": [*FIRST, "ENDIF", *SECOND, "ENDIF", HOME, "LIN P[2]"],
+    "jobs within jobs": [*FIRST, "ELSE", *SECOND, "ENDIF", "ENDIF", HOME, "LIN P[2]"],
+    "a switch": ["SWITCH $ANIN[1]", "CASE 1", *FIRST[1:], "CASE 2", *SECOND[1:], "DEFAULT", HOME, "ENDSWITCH", HOME],
+    "a detour by joint angles": [HOME, "IF $IN[1] THEN", HIGH, HOME, "ENDIF", "LIN P[1]"],
+    "home before the end": ["IF $IN[1] THEN", HOME, "ENDIF", HOME, "LIN P[2]"],
+    "rounds": ["FOR I=1 TO 2", "IF $IN[1] THEN", HOME, "LIN P[I]", "ENDIF", HOME, "ENDFOR", "LIN P[1]"],
+    "a PTP with S and T": [FULL, "IF $IN[1] THEN", TURNED, FULL, "ENDIF", "LIN P[1]"],
+}
+
+
+@pytest.mark.parametrize("lines", SELECTED.values(), ids=SELECTED)
+def test_branches_by_joint_angles_are_what_a_controller_makes_of_them(tmp_path, lines):
+    files = {"part.src": body(FULL, *lines, end="\n"), "part.dat": DATA}
+    program = read_files(files, tmp_path)
+    assert confirmed(program, files, tmp_path, np.random.default_rng(0)) == "branches"
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ["IF $IN[1] THEN", HOME, "LIN P[1]", "ENDIF", "LIN P[2]", HOME],
+        ["IF $IN[1] THEN", "IF $IN[2] THEN", HOME, "ENDIF", "LIN P[1]", HOME, "ENDIF", HOME],
+        ["IF $IN[1] THEN", HOME, "ENDIF", "IF $IN[2] THEN", "LIN P[1]", "ENDIF", HOME],
+        ["LOOP", FULL, "IF $IN[1] THEN", HOME, "ENDIF", "ENDLOOP"],
+    ],
+)
+def test_a_line_that_begins_in_one_of_two_places_is_refused(lines):
+    with pytest.raises(ProgramError, match="end in different places"):
+        read(body(FULL, *lines), DATA)

@@ -27,6 +27,7 @@ def called(*lines):
 ENDS = {
     "goto before joint angles": (job(line(1), *FAULT, line(2), HOME, line(3), "FAULT:", HOME, line(4)), [1, 2, 3, 4]),
     "goto the end": (job(line(1), *FAULT, line(2), line(3), "FAULT:"), [1, 2, 3]),
+    "joint angles on the way": (job(line(1), *FAULT, line(2), HOME, line(1), "FAULT:", line(4)), [1, 2, 1, 4]),
     "two gotos": (job(line(1), *FAULT, line(2), *FAULT, line(3), "FAULT:", HOME), [1, 2, 3]),
     "goto where both meet": (job(line(1), *FAULT, line(2), line(1), "FAULT:", line(4)), [1, 2, 1, 4]),
     "moving on a fault": (job(line(1), FAULT[0], line(9), *FAULT[2:], line(2), "FAULT:", HOME, line(4)), [1, 9, 2, 4]),
@@ -69,7 +70,10 @@ def test_what_follows_a_skipped_part_begins_where_its_branch_begins():
         (job(line(1), *FAULT, line(2), "FAULT:", line(4)), "end in different places"),
         (job(line(1), *FAULT, line(2), "FAULT:", "PTP {X 5,Y 5,Z 5,A 0,B 0,C 0}"), "end in different places"),
         (job("SUB()", line(4), subs=called(line(1), FAULT[0], "RETURN", "ENDIF", line(2))), "end in different places"),
-        (job(line(1), *FAULT, line(2), HOME, line(1), "FAULT:", line(4)), "PTP is inside a branch"),
+        (
+            job(line(1), *FAULT, line(2), "PTP {X 5,Y 5,Z 9,A 10,B 20,C 170}", line(1), "FAULT:", line(4)),
+            "a PTP to X, Y, Z without S and T is inside a branch",
+        ),
         (job(line(1), *FAULT, "LOOP", line(2), "EXIT", "FAULT:", "ENDLOOP", HOME), "GOTO"),
         (
             job(line(1), *FAULT, "IF $IN[2] THEN", "GOTO OTHER", "ENDIF", line(2), "FAULT:", HOME, "OTHER:", HOME),

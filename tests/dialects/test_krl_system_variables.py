@@ -124,7 +124,7 @@ def test_flags_keep_what_the_program_writes(tmp_path):
     ]
     assert len(read(body(FULL, *lines), DATA).motions) == 2
     with pytest.raises(ProgramError, match="end in different places"):
-        read(body(FULL, "IF $FLAG[4] THEN", "LIN XP1", "ENDIF"), DATA)
+        read(body(FULL, "IF $FLAG[4] THEN", "LIN XP1", "ENDIF", FULL), DATA)
 
 
 def test_a_value_of_the_cell_ends_where_the_program_writes_the_variable():
@@ -133,7 +133,7 @@ def test_a_value_of_the_cell_ends_where_the_program_writes_the_variable():
     assert len(read(body(FULL, *asked), DATA, cell).motions) == 2
     assert len(read(body(FULL, "$FLAG[1]=FALSE", *asked), DATA, cell).motions) == 1
     with pytest.raises(ProgramError, match="end in different places"):
-        read(body(FULL, "$OV_PRO=50", "IF $OV_PRO==100 THEN", "LIN XP1", "ENDIF"), DATA, cell)
+        read(body(FULL, "$OV_PRO=50", "IF $OV_PRO==100 THEN", "LIN XP1", "ENDIF", FULL), DATA, cell)
 
 
 @pytest.mark.parametrize("key", ["$BASE.X", "$ACT_BASE", "$POS_ACT.X", "$VEL.CP", "$OUT[3]"])

@@ -59,12 +59,10 @@ class Join(Struct, frozen=True):
     """Control-flow join: branches end at this line.
 
     :ivar complete: False if possibly none of them runs.
-    :ivar skipped: True if one of them is the code that a GOTO or RETURN skips.
     """
 
     line: int
     complete: bool
-    skipped: bool = False
 
 
 class Enter(Struct, frozen=True):

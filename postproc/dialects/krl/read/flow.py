@@ -427,7 +427,7 @@ class Flow:
             returns = end == run.level.routine.last - 1
             self._branch(source, nodes[index + 1 : beyond], trace, last=returns)
             trace.run_to(end)
-            trace.divide(Join(0, complete=True, skipped=True))
+            trace.divide(Join(0, complete=True))
             run.join(Place(source, block.last), complete=True)
         except InexactError:
             if not run.keep:

@@ -26,6 +26,9 @@ _BRANCH_ADVICE = (
     "Branches whose condition is not known are corrected if they meet in one pose. Let them, say in "
     "[krl.values] of the cell what the condition asks, or leave them as they are by --keep-unresolved."
 )
+_PTP_ADVICE = (
+    "Give it S and T, or joint angles (PTP to all of A1 … A6), or leave the branches as they are by --keep-unresolved."
+)
 _WHOLE = (
     "Begin there with a LIN to all of X, Y, Z, A, B, C under $ORI_TYPE=#VAR, or leave the branches as they are by "
     "--keep-unresolved."
@@ -52,23 +55,78 @@ class JoinedEnds(NamedTuple):
 
 
 def free_joins(course: Course, ordered: OrderedMotions) -> frozenset[Join]:
-    """Return joins after a jump at which poses may differ: nothing follows, or a PTP to joint angles."""
-    steps = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
-    lines, found = ordered.rows.line, []
-    for number, step in enumerate(steps):
-        if isinstance(step, Join) and step.skipped:
-            row = int(np.searchsorted(lines, step.line, side="right"))
-            beyond = int(lines[row]) if row < len(lines) else len(course.source.starts)
-            later = next((other for other in steps[number + 1 :] if not isinstance(other, Join)), None)
-            other = isinstance(later, Branch) and later.line < beyond  # what follows runs in another branch
-            if not other and (row == len(lines) or _to_joints(ordered, row)):
-                found.append(step)
-    return frozenset(found)
+    """Return joins at which poses may differ: what follows, on every path, is a PTP to joint angles, or nothing."""
+    following = _Following(course, ordered)
+    return frozenset(
+        step for number, step in enumerate(following.steps) if isinstance(step, Join) and following.to_joints(number)
+    )
+
+
+class _Following:
+    """The motions that may follow the forks, branches and joins of a trace."""
+
+    def __init__(self, course: Course, ordered: OrderedMotions) -> None:
+        self.steps = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
+        self._course, self._ordered = course, ordered
+        self._known: dict[int, bool] = {}
+
+    def to_joints(self, number: int) -> bool:
+        """Return whether all motions that may be next behind a step lead to joint angles."""
+        if number not in self._known:
+            self._known[number] = self._to_joints(number)
+        return self._known[number]
+
+    def _to_joints(self, number: int) -> bool:
+        lines, step = self._ordered.rows.line, self.steps[number]
+        later = self.steps[number + 1] if number + 1 < len(self.steps) else None
+        row = int(np.searchsorted(lines, step.line, side="right"))
+        if row < len(lines) and (later is None or lines[row] <= later.line):
+            return _to_joints(self._ordered, row)
+        if later is None:
+            return self._next_round()
+        if isinstance(later, Fork):
+            branches, join = self._parts(number + 1)
+            return all(map(self.to_joints, branches if self._complete(join) else [*branches, join]))
+        return self.to_joints(number + 1 if isinstance(later, Join) else self._parts(number)[1])
+
+    def _complete(self, number: int) -> bool:
+        join = self.steps[number]
+        return isinstance(join, Join) and join.complete
+
+    def _parts(self, number: int) -> tuple[list[int], int]:
+        """Return the branches behind a step that are not within others, up to the join that ends them, and that."""
+        depth, branches = 0, list[int]()
+        for index in range(number + 1, len(self.steps)):
+            step = self.steps[index]
+            if isinstance(step, Join) and not depth:
+                return branches, index
+            if isinstance(step, Branch) and not depth:
+                branches.append(index)
+            depth += isinstance(step, Fork) - isinstance(step, Join)
+        return branches, len(self.steps) - 1
+
+    def _next_round(self) -> bool:
+        """Return whether nothing follows the end, or a round of a LOOP that begins with a PTP to joint angles."""
+        loop, lines = self._course.endless, self._ordered.rows.line
+        if loop is None:
+            return True
+        row = int(np.searchsorted(lines, loop.first))
+        first = row < len(lines) and not any(loop.first <= step.line < lines[row] for step in self.steps)
+        return first and _to_joints(self._ordered, row)
 
 
 def _to_joints(ordered: OrderedMotions, row: int) -> bool:
     move = ordered.moves.get(row)
     return move is not None and not move.relative and move.end.position.axis and move.end.position.complete
+
+
+def _by_present_joints(ordered: OrderedMotions, rows: slice) -> int:
+    """Return the first PTP among some motions whose joint angles depend on those before it; −1 if there is none."""
+    for row in np.flatnonzero(ordered.rows.kind[rows] == PTP).tolist():
+        row += rows.start
+        if not _to_joints(ordered, row) and (ordered.rows.posture[row] < 0).any():
+            return int(row)
+    return -1
 
 
 def branching(
@@ -115,8 +173,11 @@ def branching(
             rows = slice(*np.searchsorted(line, [fork, step.line], side="right"))
             if any(fork < inside <= step.line for inside in kept):
                 faults.append(_branch_error(course, forks, fork, "an uncorrected motion is inside a branch"))
-            elif step not in free and (ordered.rows.kind[rows] == PTP).any():
-                faults.append(_branch_error(course, forks, fork, "PTP is inside a branch"))
+            elif step not in free and (row := _by_present_joints(ordered, rows)) >= 0:
+                problem = (
+                    f"a PTP to X, Y, Z without S and T is inside a branch ({course.source.origin(int(line[row]))})"
+                )
+                faults.append(_branch_error(course, forks, fork, problem, _PTP_ADVICE))
             if step not in free:
                 joins.append(JoinedEnds(fork, tuple(sorted(set(ends)))))
             now = min(ends)
