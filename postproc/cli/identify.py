@@ -86,13 +86,17 @@ def compensator(markers: Path, output: Path, overwrite: bool, as_json: bool) -> 
 @click.option("-o", "--output", type=_FILE, required=True, metavar="MODEL_DIR", help="Model folder to write.")
 @options.overwrite
 @click.option("--json", "as_json", is_flag=True, help="Print identification.json.")
-def elastostatics(as_json: bool, **request: Any) -> None:
+@click.pass_context
+def elastostatics(ctx: click.Context, /, as_json: bool, **request: Any) -> None:
     """Compliances of joints, compensator, links and gears.
 
     All have 95 % intervals. MEASUREMENTS is a CSV file of the positions of reference points on the tool, without load
     (load 0) and loaded, in several configurations; the frame of the measuring device is free. Writes a model folder for
     `robot = …` of a cell, with identification.json and report.html in it. What the readings do not determine keeps the
     robot's prior value and is reported together with what to measure instead. Eq. (8) to (10) of the paper.
+
+    Exit codes: 0 the model may be used; 1 the readings cannot be used; 3 the model is written, but may not be used: its
+    bound is larger than the deflection that it corrects, or too few configurations were measured.
 
     \b
     Example:
@@ -102,7 +106,10 @@ def elastostatics(as_json: bool, **request: Any) -> None:
     from postproc.jobs.identification_files import ElastostaticsRequest, identify_elastostatics
 
     asked = ElastostaticsRequest(**request)
-    _show(identify_elastostatics(asked, _say), asked.output, as_json)
+    done = identify_elastostatics(asked, _say)
+    _show(done, asked.output, as_json)
+    if done.data.verdict is not None and done.data.verdict.refused:
+        ctx.exit(3)
 
 
 @identify.command()

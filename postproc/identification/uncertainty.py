@@ -18,7 +18,9 @@ random directions from a small share of the largest load measured up to all of i
 torque than was measured. At small forces every model is worth less: the unmodelled error does not shrink with the
 force. The verdict counts loads that were measured.
 
-**Verdict** (`judge`): whether the model may be used, and notes on gaps of its readings.
+**Verdict** (`judge`): whether the model may be used, by its bound in millimetres against the deflection that it
+corrects, and notes on gaps of its readings. Noise of the measuring device decides nothing: a better one shows more of
+what the model lacks, of the same robot.
 """
 
 from __future__ import annotations
@@ -61,6 +63,8 @@ from postproc.robot import (
 
 _SAME_LEVEL = 1.25
 """Sorted loads belong to one level while each is less than this times the one before."""
+_LOADS = 10
+"""Fewest loads of a level that is part of a wider range without gaps."""
 _SHARE = 0.001
 """Median of δ over the displacements (RMS of a component) before any reading."""
 WIDTH = 1.5
@@ -142,11 +146,16 @@ def unmodelled(error: Array, blur: Array, median: float, weight: Array | float =
 
 
 def levels(load: Array) -> Ints:
-    """Return the level (L,), from 0 up, of loads (L,)."""
+    """Return the level (L,), from 0 up, of loads (L,); loads without gaps form levels of about as many loads each."""
     order = np.argsort(load)
-    step = np.diff(load[order]) > (_SAME_LEVEL - 1.0) * load[order][:-1]
-    out = np.empty(len(load), dtype=np.int64)
-    out[order] = np.concatenate([[0], np.cumsum(step)])
+    gaps = np.flatnonzero(np.diff(load[order]) > (_SAME_LEVEL - 1.0) * load[order][:-1]) + 1
+    out, number = np.empty(len(load), dtype=np.int64), 0
+    for rows in np.split(order, gaps):
+        if len(rows) == 0:
+            continue
+        octaves = max(1, int(np.ceil(np.log2(load[rows[-1]] / load[rows[0]]) - 1e-9)))
+        for part in np.array_split(rows, min(octaves, max(1, len(rows) // _LOADS))):
+            out[part], number = number, number + 1
     return out
 
 
@@ -367,7 +376,7 @@ def _joint(parameter: Parameter) -> str:
 
 
 _MOST_HELD_OUT = 4.0
-"""Mean square cross-validation error, in σ², beyond which the model is incomplete."""
+"""Mean square cross-validation error, in σ², beyond which the model is incomplete: its bound contains what it lacks."""
 _FEWEST = 5
 """Fewest configurations whose scatter can be estimated."""
 _NUMBERS = {1: 3, 2: 5}
@@ -401,13 +410,6 @@ def verdict_line(distrust: str) -> str:
 
 
 def _distrust(data: Measurements, fit: Fit, choice: Choice | None) -> str:
-    held_out = fit.chi2 / max(fit.dof, 1) if choice is None else float(choice.held_out.mean())
-    if held_out > _MOST_HELD_OUT:
-        where = "on configurations left out" if choice is not None else "on the readings"
-        return (
-            f"{where} the mean square error is {held_out:.1f} σ² (noise alone: 1): the robot does something that the "
-            "model does not describe, or the set-up is wrong"
-        )
     number = len(fit.values) if choice is None else choice.determined
     each = _numbers_of_a_configuration(data)
     fewest = max(_FEWEST, int(np.ceil(_SPARE * number / each)))
@@ -435,6 +437,13 @@ def _notes(data: Measurements, fit: Fit, choice: Choice | None) -> list[str]:
     judged = fit if choice is None else choice.fit
     notes, half = [], dict(zip(judged.structure.parameters, judged.ci95.tolist(), strict=True))
     load = norm(data.wrench[data.loaded])
+    held_out = fit.chi2 / max(fit.dof, 1) if choice is None else float(choice.held_out.mean())
+    if held_out > _MOST_HELD_OUT:
+        where = "on configurations left out" if choice is not None else "on the readings"
+        notes.append(
+            f"{where} the mean square error is {held_out:.1f} σ² (noise alone: 1): the robot does something that the "
+            "model does not describe, or the set-up is wrong. The bound contains it."
+        )
     if choice is not None:
         if int(levels(load).max()) == 0:
             notes.append(

@@ -3,9 +3,10 @@
 The share of displacements inside the bound is estimated from a limited number of configurations. Its limits are those
 of Clopper and Pearson (Biometrika 26, 1934) for the number of independent displacements that the scatter between
 configurations implies (Korn and Graubard, Survey Methodology 24, 1998): an error of a configuration shows at all its
-points. They have 95 % confidence for all levels of loads together (Bonferroni). A model does not hold if the upper
-limit is below the promised share; it holds if nearly all displacements are inside and the lower limit is above a half;
-otherwise more configurations are needed.
+points. Each level of loads decides alone, with its own count: the bound is kept there if nearly all displacements are
+inside and the lower limit, of 95 % confidence, is above a half. A model does not hold if the upper limit of a level is
+below the promised share, with 95 % confidence for all levels together (Bonferroni). Otherwise more configurations are
+needed.
 
 The verdict is valid for the torques that the loads put on the joints (`Coverage`): on each joint the range in each
 direction. Gears with lost motion, friction or breakpoints deflect differently if a torque changes its sign or leaves
@@ -66,6 +67,7 @@ class ValidatedLevel(Struct, frozen=True, eq=False):
     :param limits: limits of the share of all displacements.
     :param reach: 95 % quantile of the errors over bound and noise.
     :param bound: RMS of the bound [m].
+    :param configurations: number of configurations with such a load.
     """
 
     load: float
@@ -77,6 +79,7 @@ class ValidatedLevel(Struct, frozen=True, eq=False):
     limits: tuple[float, float]
     reach: float
     bound: float
+    configurations: int
 
     @property
     def refuted(self) -> bool:
@@ -106,7 +109,6 @@ class Validation(Struct, frozen=True, eq=False):
     """A model against readings.
 
     :param levels: by load, ascending.
-    :param configurations: number of configurations compared.
     :param covered: torques that the loads put on the joints.
     :param identified: torques that the model was identified with; empty where it does not record them.
     :param warnings: gross errors of the readings, and states left out.
@@ -114,7 +116,6 @@ class Validation(Struct, frozen=True, eq=False):
     """
 
     levels: tuple[ValidatedLevel, ...]
-    configurations: int
     covered: Coverage
     identified: tuple[record.TorqueRange, ...]
     warnings: tuple[str, ...]
@@ -136,10 +137,11 @@ class Validation(Struct, frozen=True, eq=False):
         if any(np.isnan(level.inside) for level in self.levels):
             return "the model states no bound: nothing can be validated"
         refuted = [level for level in self.levels if level.refuted]
-        worst = min(refuted or self.levels, key=lambda level: level.inside)
+        undecided = [level for level in self.levels if not level.held]
+        worst = min(refuted or undecided or self.levels, key=lambda level: level.inside)
         low, high = worst.limits
         share = (
-            f"at {worst.load:.0f} N {worst.inside:.0%} of the displacements of {self.configurations} configurations "
+            f"at {worst.load:.0f} N {worst.inside:.0%} of the displacements of {worst.configurations} configurations "
             f"are inside its bound, so the share of all is {low:.0%} to {high:.0%}"
         )
         if self.held:
@@ -205,11 +207,9 @@ def validate(model: Path, measurements: Path, experiment: Path) -> Validation:
         )
     if not fresh.all():
         warnings.append(f"{np.count_nonzero(~fresh)} of {len(fresh)} loaded states are the model's own: left out")
-    compared = len(np.unique(data.state_config[data.loaded[fresh]]))
     found = _compared(robot, data, placement, fresh)
     return Validation(
         tuple(_levels(found)),
-        compared,
         _coverage(joint_torques(robot, data), found),
         tuple(own.torques),
         tuple(warnings),
@@ -265,12 +265,14 @@ def _compared(robot: RobotModel, data: Measurements, placement: Placement, fresh
 
 def _levels(found: _Compared) -> list[ValidatedLevel]:
     level = levels(found.load)
-    doubt = _DOUBT / (int(level.max()) + 1)
+    together = _DOUBT / (int(level.max()) + 1)
     left, scaled = found.left, found.scaled
     result = []
     for index in range(int(level.max()) + 1):
         rows = (level == index)[:, None] & found.seen
         if rows.any():
+            alone = _limits(found, rows, _DOUBT)[0] if found.stated else 0.0
+            upper = _limits(found, rows, together)[1] if found.stated else 1.0
             squares = [np.mean(left[state, here] ** 2) for state, here in enumerate(rows) if here.any()]
             result.append(
                 ValidatedLevel(
@@ -280,9 +282,10 @@ def _levels(found: _Compared) -> list[ValidatedLevel]:
                     noise=_rms(np.sqrt(found.noise[rows])),
                     doubt=float(np.std(squares, ddof=1) / np.sqrt(len(squares))) if len(squares) > 1 else np.inf,
                     inside=float(np.mean(scaled[rows] <= 1.0)) if found.stated else float("nan"),
-                    limits=_limits(found, rows, doubt) if found.stated else (0.0, 1.0),
+                    limits=(alone, upper),
                     reach=float(np.quantile(scaled[rows], _PROMISED)) if found.stated else float("nan"),
                     bound=_rms(found.bound[rows]),
+                    configurations=len(np.unique(found.config[rows.any(axis=1)])),
                 )
             )
     return result

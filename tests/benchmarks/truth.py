@@ -13,6 +13,10 @@ gears of other kinds and sizes. On milling jobs at 600 N that nobody measured, e
 - u95 over the 95 % quantile of the true error, all robots together, and that quantile;
 - how many models `identify` refuses, how many identifications failed, and the processor time.
 
+`--verdicts` also measures each robot in 15 configurations more, validates its model by them, and prints a table of
+verdicts and truth: whether 90 % of the places on the jobs are inside u95, and whether the model leaves less than the
+load does.
+
 No test: run it with OMP_NUM_THREADS=1 before and after a change of the identification, and put both tables into the
 commit. A seed that was used to develop the identification proves nothing: `--from` starts at fresh ones.
 """
@@ -31,6 +35,7 @@ import numpy as np
 
 from postproc import elastostatics, robot
 from postproc.identification import Choices, identify_folder
+from postproc.identification.validation import validate
 from samples.paper_study import harness, simulator
 
 SIGMA = 0.05e-3
@@ -229,8 +234,8 @@ class Felt:
         return self.true.solve(q + off, self.pull * force, self.point)
 
 
-def tried(row: Row, seed: int) -> dict[str, Any]:
-    """Identify one robot and hold its model against the truth."""
+def tried(row: Row, seed: int, validated: bool = False) -> dict[str, Any]:
+    """Identify one robot and compare its model with the truth; `validated`: by new readings too."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         true = experiment(row, seed, folder)
@@ -242,6 +247,7 @@ def tried(row: Row, seed: int) -> dict[str, Any]:
             return {"seed": seed, "failed": f"{type(error).__name__}: {error}"}
         used = time.process_time() - began
         model = robot.load(folder / "model")
+        checked = validation_of(row, true, seed, folder) if validated else ""
     moved, left, bound = [], [], []
     for q, f in simulator.milling_jobs(np.random.default_rng(seed)):
         wrench = np.c_[f, 0 * f]
@@ -257,9 +263,36 @@ def tried(row: Row, seed: int) -> dict[str, Any]:
         "error": error,
         "bound": bound,
         "refused": done.data.verdict.refused,
+        "validation": checked,
         "structure": "" if done.data.structure is None else done.data.structure.reason,
         "seconds": used,
     }
+
+
+def validation_of(row: Row, true: simulator.TrueRobot, seed: int, folder: Path) -> str:
+    """Return what `validate` says of the model in a folder by 15 configurations that it was not identified from."""
+    rng = np.random.default_rng(17000 + seed)
+    q, f = simulator.plan(rng, 15, tilt=50.0)
+    felt = Felt(true, 1.0, simulator.LOAD_POINT, row.friction, rng)
+    _, raw = simulator.measure(felt, q, f, rng, SIGMA, levels=row.levels)
+    raw = raw + row.common * rng.normal(size=(*raw.shape[:2], 1, 1, 3))
+    fresh = simulator.write(folder / "fresh", q, f, raw, SIGMA, levels=row.levels, more=row.more)
+    result = validate(folder / "model", fresh / "measurements.csv", fresh / "experiment.toml")
+    if result.held:
+        return "holds"
+    return "does not hold" if any(level.refuted for level in result.levels) else "not known"
+
+
+def print_verdicts(results: list[dict[str, Any]]) -> None:
+    """Print how many robots there are of each verdict and truth."""
+    print(f"\n{'verdict':32}{'bound holds':>14}{'bound too small':>17}{'does harm':>11}")
+    for kind, name in (("refused", "identify"), ("validation", "validate")):
+        for verdict in sorted({str(result[kind]) for result in results}):
+            here = [result for result in results if str(result[kind]) == verdict]
+            said = {"True": "refused", "False": "may be used"}.get(verdict, verdict)
+            holds = sum(result["inside"] >= 0.9 for result in here)
+            harm = sum(result["factor"] < 1.0 for result in here)
+            print(f"{f'{name}: {said}':32}{holds:14d}{len(here) - holds:17d}{harm:11d}")
 
 
 def predicted(model: robot.RobotModel, q: np.ndarray, wrench: np.ndarray) -> np.ndarray:
@@ -309,6 +342,7 @@ def main() -> None:
     parser.add_argument("part", nargs="?", default="", help="of the names of the rows to run")
     parser.add_argument("-v", "--verbose", action="store_true", help="a line for each robot")
     parser.add_argument("--from", dest="first", type=int, default=0, metavar="SEED", help="first seed")
+    parser.add_argument("--verdicts", action="store_true", help="print verdicts against the truth")
     parser.add_argument("--jobs", type=int, default=2, help="processes")
     options = parser.parse_args()
     print(
@@ -318,16 +352,21 @@ def main() -> None:
         f"{'':7}{'error':>8}{'err. µm':>9}{'':16}{'s':>8}",
         flush=True,
     )
+    results: list[dict[str, Any]] = []
     with ProcessPoolExecutor(options.jobs) as pool:
         for row in ROWS:
             if options.part in row.name:
                 count = options.robots or row.robots
                 found = []
-                for one in pool.map(tried, [row] * count, range(options.first, options.first + count)):
+                seeds = range(options.first, options.first + count)
+                for one in pool.map(tried, [row] * count, seeds, [options.verdicts] * count):
                     found.append(one)
                     if options.verbose:
                         print(_of_robot(one), flush=True)
                 print(line(row, found), flush=True)
+                results += [result for result in found if "failed" not in result]
+    if options.verdicts:
+        print_verdicts(results)
 
 
 def _of_robot(one: dict[str, Any]) -> str:

@@ -216,9 +216,24 @@ def test_too_few_configurations_are_refused_in_the_first_line_and_the_model_says
     truth.experiment(few, 0, tmp_path)
     done = identify_folder(tmp_path / "measurements.csv", tmp_path / "experiment.toml", tmp_path / "model")
     assert done.text.startswith("NOT TO BE TRUSTED: ")
+    command = ["identify", "elastostatics", "measurements.csv", "--experiment", "experiment.toml", "-o", "again"]
+    run = CliRunner().invoke(
+        main, [str(tmp_path / word) if "." in word or word == "again" else word for word in command]
+    )
+    assert run.exit_code == 3
+    assert (tmp_path / "again" / "model.toml").is_file()
     assert robot.load(tmp_path / "model").measured.not_trusted
     data = json.loads((tmp_path / "model" / "identification.json").read_text(encoding="utf-8"))
     assert data["verdict"]["refused"]
+
+
+def test_an_error_beyond_the_noise_is_a_warning_and_no_refusal_where_the_bound_is_below_the_deflection(tmp_path):
+    true, done, model = identified(tmp_path, "wrist coupled by 30 %", seed=600)
+    assert not done.data.verdict.refused
+    assert any("σ² (noise alone: 1)" in warning for warning in done.data.warnings)
+    factor, inside, _ = job_error(true, model)
+    assert factor > 5.0
+    assert inside > 0.9
 
 
 def test_a_program_is_told_of_torques_beyond_those_measured_and_of_a_model_not_to_be_trusted():

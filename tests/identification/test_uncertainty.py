@@ -58,6 +58,15 @@ def test_levels_of_loads_are_told_apart_and_nothing_else():
     np.testing.assert_array_equal(levels(np.array([540.0, 2700.0, 530.0, 2610.0, 600.0])), [0, 1, 0, 1, 0])
 
 
+def test_loads_without_gaps_form_levels_of_about_as_many_loads_and_at_most_an_octave_each():
+    load = np.random.default_rng(8).permutation(np.geomspace(120.0, 1130.0, 43))
+    level = levels(load)
+    assert np.bincount(level).tolist() == [11, 11, 11, 10]
+    assert all(load[level == index].max() < 2.0 * load[level == index].min() for index in range(4))
+    assert all(load[level == index].max() < load[level == index + 1].min() for index in range(3))
+    np.testing.assert_array_equal(levels(load[:8] * 0.0 + 500.0), 0)
+
+
 def test_discrepancy_does_not_shrink_below_the_measured_loads_and_is_nothing_without_load():
     off = robot.Discrepancy(np.array([500.0, 2500.0]), np.array([0.04e-3, 0.08e-3]))
     wrench = np.zeros((6, 6))

@@ -15,7 +15,7 @@ from postproc.identification.validation import ValidatedLevel, Validation, cover
 def validated_level(inside, limits, reach=0.9):
     return ValidatedLevel(
         load=600.0, measured=1e-3, left=70e-6, noise=70e-6, doubt=1e-10, inside=inside, limits=limits, reach=reach,
-        bound=3e-5,
+        bound=3e-5, configurations=15,
     )  # fmt: skip
 
 
@@ -58,7 +58,7 @@ def test_the_verdict_says_what_the_readings_tell():
     line = {}
     for name, found in told.items():
         covered = coverage(np.zeros((0, 6)), np.zeros(0, dtype=np.int64))
-        result = Validation(tuple(validated_level(*each) for each in found), 15, covered, (), ())
+        result = Validation(tuple(validated_level(*each) for each in found), covered, (), ())
         assert result.holds == (name == "holds")
         line[name] = result.line
     assert line["holds"].startswith("the model holds for the torques listed below: at 600 N 97%")
@@ -75,7 +75,7 @@ def test_the_verdict_says_what_the_readings_tell():
 
 def test_a_model_without_a_bound_holds_for_nothing():
     covered = coverage(np.zeros((0, 6)), np.zeros(0, dtype=np.int64))
-    result = Validation((validated_level(float("nan"), (0.0, 1.0)),), 15, covered, (), ())
+    result = Validation((validated_level(float("nan"), (0.0, 1.0)),), covered, (), ())
     assert not result.holds
     assert result.line.startswith("the model states no bound")
 
@@ -88,8 +88,8 @@ def test_a_factor_is_no_division_by_noise():
     clear = replace(level, left=np.hypot(70e-6, 50e-6))
     assert clear.above_noise
     assert clear.factor == pytest.approx(1e-3 / 50e-6)
-    assert "> 70.7" in table(Validation((level,), 10, covered, (), ()))
-    assert "> " not in table(Validation((clear,), 10, covered, (), ()))
+    assert "> 70.7" in table(Validation((level,), covered, (), ()))
+    assert "> " not in table(Validation((clear,), covered, (), ()))
 
 
 def compared(seed):
@@ -128,10 +128,12 @@ def test_the_numbers_of_each_level_are_those_of_its_states_by_loops(seed):
         squares = [np.mean([found.left[k, p] ** 2 for p in range(2) if found.seen[k, p]]) for k in states]
         spread = math.sqrt(sum((one - np.mean(squares)) ** 2 for one in squares) / (len(squares) - 1))
         assert level.doubt == pytest.approx(spread / math.sqrt(len(squares)))
-        # a twentieth of doubt is shared by the levels
+        # a level is kept or not by itself; for refusing, a twentieth of doubt is shared by the levels
         good = [sum(found.seen[k, p] and found.scaled[k, p] <= 1.0 for p in range(2)) for k in states]
         there = [int(found.seen[k].sum()) for k in states]
-        assert level.limits == limits(np.array(good, float), np.array(there, float), 0.05 / 3)
+        counts = np.array(good, float), np.array(there, float)
+        assert level.limits == (limits(*counts, 0.05)[0], limits(*counts, 0.05 / 3)[1])
+        assert level.configurations == len({found.config[k] for k in states})
 
 
 def test_a_level_of_one_configuration_and_a_model_without_a_bound_leave_all_open():
@@ -148,10 +150,10 @@ def test_the_table_has_a_line_for_each_level_in_millimetres():
     covered = coverage(np.zeros((0, 6)), np.zeros(0, dtype=np.int64))
     one = ValidatedLevel(
         load=540.4, measured=1.2344e-3, left=0.0512e-3, noise=0.0104e-3, doubt=1e-12, inside=0.96, limits=(0.9, 0.99),
-        reach=0.9, bound=0.0621e-3,
+        reach=0.9, bound=0.0621e-3, configurations=10,
     )  # fmt: skip
     other = replace(one, load=2700.0, inside=float("nan"), limits=(0.0, 1.0), left=0.0104e-3)
-    lines = table(Validation((one, other), 10, covered, (), ())).splitlines()
+    lines = table(Validation((one, other), covered, (), ())).splitlines()
     assert lines[1].split() == [
         "load", "N", "measured", "mm", "left", "mm", "noise", "mm", "bound", "mm", "factor", "inside", "of", "all",
     ]  # fmt: skip
