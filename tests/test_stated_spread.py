@@ -15,7 +15,12 @@ from postproc.robot.folder import assemble
 from postproc.robot.model_file import CovarianceTable, ModelFile
 
 FOLDERS = robot.shipped()
-PUBLISHED = "from published values, not measured on this robot"
+_SCALED = "scaled from another robot's values, not measured on this robot"
+_BASIS = {
+    "kuka_kr270": "from published values, A2 assumed, not measured on this robot",
+    "kuka_kr500_r2830": "from published values, not measured on this robot",
+    "kuka_kr16_2": "assumed, not measured on this robot",
+}
 KR270 = FOLDERS["kuka_kr270"]
 CONTENT = files.read_toml(KR270 / "model.toml", ModelFile, ModelError)
 CHAIN = robot.load(KR270).nominal
@@ -38,7 +43,7 @@ def test_a_shipped_robot_states_the_spread_of_each_compliance_and_has_a_bound(na
     assumed = [joint for joint in tables["joints"].values() if "no published value" in joint["source"]]
     assert all(joint["sigma_percent"] == 40.0 and joint["assumed"] for joint in assumed)
     model = robot.load(FOLDERS[name])
-    assert model.basis == PUBLISHED
+    assert model.basis == _BASIS.get(name, _SCALED)
     q, wrench = np.radians([[10.0, -70.0, 100.0, 20.0, 50.0, 0.0]]), np.array([[300.0, -200.0, 400.0, 0.0, 0.0, 0.0]])
     tool = np.eye(4)
     tool[2, 3] = 0.35
@@ -63,7 +68,7 @@ def test_what_was_measured_counts_instead_of_the_stated_spread():
     assert (found["k3"], found["k1"]) == (4e-6, 9e-6)
     assert found["k2"] == pytest.approx((0.25 * 0.302) ** 2)
     assert model.covariance.matrix[0, 1] == 1e-6
-    assert model.basis == "measured on this robot, but for k2, k4, k5, k6, K_c: from published values"
+    assert model.basis == "measured on this robot, but for k2, k4, k5, k6, K_c: from published values, A2 assumed"
     both = _with(replace(CONTENT, covariance=CovarianceTable(["s_0"], [[25.0]])))
     assert "K_c" not in _variances(both)
 

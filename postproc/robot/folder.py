@@ -15,6 +15,7 @@ from postproc.robot import parameters, urdf
 from postproc.robot.chain import Chain
 from postproc.robot.model import (
     FORCES,
+    Basis,
     Covariance,
     Discrepancy,
     ForceFactor,
@@ -29,6 +30,7 @@ from postproc.robot.model_file import (
     JOINTS,
     DiscrepancyEntry,
     Displacement,
+    JointSpring,
     Masses,
     ModelFile,
     Sourced,
@@ -141,6 +143,7 @@ def assemble(name: str, content: ModelFile, nominal: Chain) -> RobotModel:
         mass_spread=(Masses(source="") if content.masses is None else content.masses).spread_percent / 100.0,
         compensator_spread=0.0 if content.compensator is None else content.compensator.spread_percent / 100.0,
         stated_spread=stated_spread,
+        spring_basis={name: _basis(spring) for name, spring in content.joints.items()},
     )
     springs = [parameter for parameter in values if isinstance(parameter, LinkSpring)]
     return rigid.with_link_springs(springs).with_values(values)
@@ -278,6 +281,11 @@ def sourced_values(content: ModelFile, nominal: Chain) -> Iterator[SourcedValue]
         source = entry_source or Sourced(source="not stated", assumed=True)
         yield SourcedValue(label, value, source.source, source.assumed)
     yield SourcedValue("gravity reference", content.gravity.reference, "model.toml", assumed=False)
+
+
+def _basis(spring: JointSpring) -> Basis:
+    """Return where the compliance of a joint comes from, if it was not identified."""
+    return "scaled" if spring.scaled_from else "assumed" if spring.assumed else "published"
 
 
 def _sigma(percent: float | None) -> str:

@@ -100,6 +100,7 @@ def adopt(text: str, file: str, name: str | None = None) -> Adopted:
             joint: JointSpring(
                 source=f"no published value: {scaled}",
                 assumed=True,
+                scaled_from=_REFERENCE,
                 compliance_urad_per_Nm=value,
                 sigma_percent=_SCALED_SIGMA,
             )

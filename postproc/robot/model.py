@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from msgspec import Struct
@@ -22,6 +23,7 @@ from postproc.robot.parameters import (
     PER_URAD,
     CompensatorSize,
     CompensatorTorque,
+    JointCompliance,
     LinkMass,
     LinkSpring,
     Parameter,
@@ -36,6 +38,15 @@ _ROUNDS = 60
 _SAME = 1e-14
 _SAME_LAW = 1e-6
 """Relative difference of the numbers of two cutting laws that are one."""
+
+
+Basis = Literal["published", "scaled", "assumed"]
+"""Where a compliance comes from that was not identified, the best first."""
+_BASIS_WORDS: dict[Basis, str] = {
+    "published": "from published values",
+    "scaled": "scaled from another robot's values",
+    "assumed": "assumed",
+}
 
 
 class SourcedValue(Struct, frozen=True):
@@ -189,6 +200,7 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
     :param transmission: errors of the gears' transmission, or None.
     :param mass_spread: relative standard deviation of the mass of each link.
     :param compensator_spread: relative standard deviation of the size of the compensator's torque.
+    :param spring_basis: joint → where its compliance comes from, if it was not identified.
     :param stated_spread: parameters of `covariance` whose variance is the spread of published or assumed values.
     :param geometries: shapes of the links that robot.urdf names; their files are read when they are needed.
     :param urdf: the file that names them.
@@ -220,6 +232,7 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
     mass_spread: float = 0.0
     compensator_spread: float = 0.0
     stated_spread: tuple[Parameter, ...] = ()
+    spring_basis: Mapping[str, Basis] = {}
     geometries: tuple[Geometry, ...] = ()
     urdf: str = ""
 
@@ -283,12 +296,24 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
         """Basis of the covariance, in words; empty without covariance."""
         if self.covariance is None:
             return ""
-        if len(self.stated_spread) == len(self.covariance.parameters) and self.stated_spread:
-            return "from published values, not measured on this robot"
-        if self.stated_spread:
-            names = ", ".join(parameter.symbol for parameter in self.stated_spread)
-            return f"measured on this robot, but for {names}: from published values"
-        return "measured on this robot"
+        if not self.stated_spread:
+            return "measured on this robot"
+        stated = self._stated_basis()
+        if len(self.stated_spread) == len(self.covariance.parameters):
+            return f"{stated}, not measured on this robot"
+        names = ", ".join(parameter.symbol for parameter in self.stated_spread)
+        return f"measured on this robot, but for {names}: {stated}"
+
+    def _stated_basis(self) -> str:
+        """Return the basis of the compliances that were not identified, the worst by name."""
+        joints = dict.fromkeys(each.joint for each in self.stated_spread if isinstance(each, JointCompliance))
+        kinds = {joint: self.spring_basis.get(joint, "published") for joint in joints}
+        present = [kind for kind in _BASIS_WORDS if kind in kinds.values()] or ["published"]
+        others = (
+            f"{', '.join(joint for joint, own in kinds.items() if own == kind)} {_BASIS_WORDS[kind]}"
+            for kind in present[1:]
+        )
+        return ", ".join([_BASIS_WORDS[present[0]], *others])
 
     def link_shapes(self, *, drawn: bool) -> tuple[list[LinkShape], list[str]]:
         """Return the surface of each link that has one, and a sentence for each shape that could not be read.

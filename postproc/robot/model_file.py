@@ -52,11 +52,13 @@ class JointSpring(Sourced, frozen=True, kw_only=True):
     """Compliance of one virtual joint spring, at small torque, the spring of its link about the same axis included.
 
     `stiffening` says which parts of it fade with load, `knees` which end beyond a torque (`parameters.Knee`).
-    `sigma_percent`: standard deviation of the whole compliance where readings on this robot give none.
+    `sigma_percent`: standard deviation of the whole compliance where readings on this robot give none. `scaled_from`:
+    the robot whose compliance it is, scaled.
     """
 
     compliance_urad_per_Nm: Positive
     sigma_percent: Positive | None = None
+    scaled_from: str = ""
     ci95: NotNegative | None = None
     stiffening: list[Stiffening] = []
     knees: list[Stiffening] = []

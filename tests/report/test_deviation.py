@@ -63,7 +63,7 @@ def test_what_the_model_leaves_and_what_is_to_be_expected_stand_apart():
     text = _read(bounded).text("numbers")
     assert "What the model leaves, largest 0.0002 mm" in text
     assert "Expected error on the part, up to 0.12 mm" in text
-    assert "from published values, not measured on this robot" in text
+    assert "from published values, A2 assumed, not measured on this robot" in text
 
 
 def test_every_place_has_the_numbers_of_its_target():

@@ -136,7 +136,7 @@ def test_a_program_of_which_all_is_known_and_held_is_good():
 def test_a_robot_that_was_not_measured_is_good_too_and_says_what_it_rests_on():
     verdict = _verdict(robot=fabricated.result().robot, bound=np.full(100, 2e-4))
     assert verdict.state == "ok"
-    assert verdict.reasons[0].endswith("up to 0.20 mm, from published values, not measured on this robot")
+    assert verdict.reasons[0].endswith("up to 0.20 mm, from published values, A2 assumed, not measured on this robot")
     assumed = "assumed values of the robot model: compliance A2, compensator spring, joint speeds"
     assert verdict.reasons[-1] == assumed
 
