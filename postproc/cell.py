@@ -25,6 +25,9 @@ Angle = Annotated[float, msgspec.Meta(ge=-3600, le=3600)]
 ToolAxis = Literal["+Z", "-Z", "+X", "-X"]
 
 
+_AXES, _JOINTS = 3, 6
+
+
 class Frame(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """A KUKA frame as written in a file: mm and degrees."""
 
@@ -149,12 +152,23 @@ class GCode(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 class Machine(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Meaning of G28, G30 and G53 on this robot.
 
-    :param home: A1…A6 [deg] where G28 and G30 go; None: the tool stays above its place.
+    :param home: A1…A6 [deg] where G28 and G30 go; or X, Y, Z of `$BASE` [mm] where the machine is before the first move
+        and after G28, G30 and G53; None: the tool stays above its place.
     :param clearance_Z: Z of `$BASE` [mm] to which G53 Z… retracts, and G28 Z… where there is no `home`.
     """
 
-    home: tuple[Angle, Angle, Angle, Angle, Angle, Angle] | None = None
+    home: Annotated[list[Length], msgspec.Meta(min_length=3, max_length=6)] | None = None
     clearance_Z: Length | None = None  # noqa: N815 - key of the file
+
+    @property
+    def home_joints(self) -> list[float] | None:
+        """A1…A6 [deg] of home, if it is given so."""
+        return self.home if self.home is not None and len(self.home) == _JOINTS else None
+
+    @property
+    def home_place(self) -> list[float] | None:
+        """X, Y, Z of home in `$BASE` [mm], if it is given so."""
+        return self.home if self.home is not None and len(self.home) == _AXES else None
 
 
 class IndexedAxis(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -470,6 +484,9 @@ def load(path: str | Path) -> Cell:
     if cell.gcode.motions == "SLIN" and cell.output.controller == "KRC2":
         advice = 'Write motions = "LIN", or name a KRC4.'
         raise CellError('[gcode] motions = "SLIN": a KRC2 has no spline motions', file=str(path), advice=advice)
+    if cell.machine.home is not None and len(cell.machine.home) not in (_AXES, _JOINTS):
+        advice = "Give A1 to A6 in degrees, or X, Y and Z of $BASE in mm."
+        raise CellError(f"[machine] home has {len(cell.machine.home)} numbers", file=str(path), advice=advice)
     if cell.rotary is not None:
         _check_rotary(cell.rotary, str(path))
         _check_indexed(cell.rotary, cell.work_offsets, str(path))

@@ -79,8 +79,8 @@ def read(document: Document, cell: Cell, forward: Callable[[Array], Array], name
         raise ProgramError("the program moves nothing", file=document.name, advice=advice)
     numbers = {number: row for row, number in enumerate(course.tools, 1)} if cell.tools else {}
     tool_frames += [cell.tools[f"{number:g}"].pose() for number in numbers]
-    home = np.array(cell.machine.home or np.full(6, np.nan)) * RAD_PER_DEG
-    at_home = inverse(base) @ forward(home) @ np.stack(tool_frames) if cell.machine.home else None
+    home = np.array(cell.machine.home_joints or np.full(6, np.nan)) * RAD_PER_DEG
+    at_home = inverse(base) @ forward(home) @ np.stack(tool_frames) if cell.machine.home_joints else None
     kept, motions = _motions(moves, source, cell, numbers, (home, at_home))
     return Program(
         name=name,

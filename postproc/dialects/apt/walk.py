@@ -493,12 +493,12 @@ class _Walk:
             self.rapid = True
             self._guarded(np.array([row]), np.append(self._numbers(given, 3), np.full(3, np.nan))[None])
             return
-        if machine.home is None and machine.clearance_Z is None:
+        if machine.home_joints is None and machine.clearance_Z is None:
             advice = "Give [machine] home or clearance_Z in the cell."
             raise StatementError("GOHOME: where it goes is not known", advice)
         if self.known and machine.clearance_Z is not None:
             self._retract(row, machine.clearance_Z)
-        if machine.home is not None:
+        if machine.home_joints is not None:
             self._one(row, self.place, self.axis, RAPID, 0.0, free=True, home=True)
             self.known = False
 

@@ -272,7 +272,7 @@ class FrameCodes:
             return
         takes = {letter: values.pop(letter) for letter in "XYZ" if letter in values}
         turned = [letter for letter in self.rotary if letter in values]
-        if turned and (using[0] in codes.ORIGINS or self.machine.home is None):
+        if turned and (using[0] in codes.ORIGINS or self.machine.home_joints is None):
             raise BlockError(f"{turned[0]} in a block with G{using[0]:g}", "Write X, Y and Z alone there.")
         for letter in turned:
             values[letter] = 0.0  # position of the axes at home
@@ -301,7 +301,7 @@ class FrameCodes:
     def _return(self, row: int, code: float, motion: float, axes: Mapping[int, float]) -> None:
         machine, name = self.machine, f"G{code:g}"
         if machine.home is None and machine.clearance_Z is None:
-            advice = "Give [machine] clearance_Z or home = [A1 … A6] in the cell, or remove the block."
+            advice = "Give [machine] clearance_Z or home in the cell, or remove the block."
             raise BlockError(f"{name} is not supported without [machine] in the cell", advice)
         if code == codes.MACHINE and motion in (1.0, 2.0, 3.0):
             advice = "Use G53 with G0 only, or write the move in coordinates of the part."

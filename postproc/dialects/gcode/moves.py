@@ -1,7 +1,8 @@
 """From lines to moves: modal state of all lines, then start and end of each move in its program frame.
 
 Lines between two changes of mode are processed together. Rapid moves are held back until X, Y and Z have all been
-programmed, and again after G28 for the axes that it sends home. If the program begins with moves at feed instead
+programmed, and again after G28 for the axes that it sends home. With the place of `[machine] home` all are known: the
+robot goes there first. If the program begins with moves at feed instead
 (Fusion: "Using high feed G1 F5000. instead of G0."), all moves begin at `[start]` of the cell, and no force may act
 until X, Y and Z have been programmed. A cycle with X and Y may be the first that gives them (pcb2gcode).
 
@@ -175,6 +176,8 @@ class CellFrames(Struct, frozen=True, eq=False):
     :param offsets: code of a work offset (54.0 …) → (4, 4) pose of the program frame in `$BASE` [m].
     :param tools: tool number → row of `$TOOL`.
     :param home: (nt, 4, 4) tool frames in `$BASE` at [machine] home, by row of `$TOOL` [m]; None without.
+    :param home_place: (3,) place of the machine before the first move and after G28, G30 and G53, in `$BASE` [mm]; None
+        without.
     :param clearance: Z of `$BASE` to which G53 retracts [mm]; None without.
     :param rotary: rotary axes of the machine.
     """
@@ -184,6 +187,7 @@ class CellFrames(Struct, frozen=True, eq=False):
     offsets: Mapping[float, Array]
     tools: Mapping[float, int]
     home: Array | None
+    home_place: Array | None
     clearance: float | None
     rotary: RotaryAxes
 
@@ -282,6 +286,8 @@ class _Walk:
         self.frames, self.machine_frames = [np.eye(4)], [np.eye(4)]
         self.position = cell_frames.start[:3, 3] / M_PER_MM
         self.known = np.zeros(3, dtype=bool)
+        if cell_frames.home_place is not None:
+            self.position, self.known = cell_frames.home_place, np.ones(3, dtype=bool)
         self.away = np.zeros(3, dtype=bool)
         self.lifted = False
         self.angles = np.zeros(rows.rotary.shape[1])
@@ -297,7 +303,7 @@ class _Walk:
         self.homes: list[int] = []
         self.number = 0
         self.events: list[tuple[int, int, CycleEvent]] = []
-        self.losses: list[tuple[int, Bools]] = [(0, np.ones(3, dtype=bool))]
+        self.losses: list[tuple[int, Bools]] = [(0, ~self.known)]
         self.parked: list[tuple[int, Bools]] = []
         self.faults: list[tuple[int, str, str | None]] = []
         self.remarks: list[tuple[int, Level, str, str]] = []
@@ -314,6 +320,8 @@ class _Walk:
             if self.offset[begin] != current:
                 current = float(self.offset[begin])
                 self._reframe(current)
+            if begin == 0 and self.cell_frames.home_place is not None:
+                self._go(0, self.position)
             for origin in origins.get(begin, ()):
                 self._shift(origin, current)
             if begin in tools:
@@ -542,6 +550,9 @@ class _Walk:
                 via[axis] = word + (via[axis] if relative else 0.0)
             if np.abs(via - self.position).max() > _FEWEST:
                 self._go(row, via)
+        if cell_frames.home_place is not None:
+            self._to_home_place(row, to, named, cell_frames.home_place)
+            return
         upwards = not named[:2].any()
         if cell_frames.clearance is not None and self.known.all():
             before = self.number
@@ -566,6 +577,24 @@ class _Walk:
         self._go(row, self.position)
         self.known &= ~named
         self.losses.append((row + 1, named))
+
+    def _to_home_place(self, row: int, to: Return, named: Bools, home: Array) -> None:
+        """Move the named axes to home, as the machine does. Words of G53 other than 0 are places that are not known."""
+        if self.angles.any() and not self.cell_frames.rotary.indexed:
+            advice = "Turn the rotary axes to zero before, or give A1 to A6 as [machine] home."
+            self.faults.append((row, f"G{to.code:g} with tilted axes, and home is a place", advice))
+            return
+        frame = self.machine_frames[-1]
+        place = frame[:3, :3] @ self.position + frame[:3, 3] / M_PER_MM
+        place[named] = home[named]
+        self._go(row, frame[:3, :3].T @ (place - frame[:3, 3] / M_PER_MM))
+        stray = np.zeros(3, dtype=bool)
+        if to.code == codes.MACHINE:
+            stray[[axis for axis, word in to.axes.items() if word != 0.0]] = True
+        self.away = (self.away & ~named) | stray
+        self.lifted = bool(self.away[2])
+        if stray[:2].any():
+            self.parked.append((row, stray & [True, True, False]))
 
     def _retract(self, row: int, clearance: float) -> None:
         """Retract to a height in `$BASE` [mm], along the tool if it is tilted."""
@@ -803,6 +832,9 @@ class _Walk:
         ends = [row for row, _ in self.losses[1:]] + [self.count]
         for (first, lost), end in zip(self.losses, ends, strict=True):
             missing = missing | lost
+            if not missing.any():  # home is known
+                out.append((first, first - 1))
+                continue
             here = given[first:end]
             complete = np.where(here.any(axis=0), first + here.argmax(axis=0) if len(here) else end, self.count)
             last = int(complete[missing].max(initial=first))

@@ -90,14 +90,16 @@ def _read(document: Document, cell: Cell, forward: Callable[[Array], Array], nam
         numbers[number] = len(tools)
         tools.append(cell.tools[f"{number:g}"].pose())
     offsets = {code: cell.work_offsets.get(f"G{code:g}") for code in WORK_OFFSETS}
-    home = np.array(cell.machine.home or np.full(6, np.nan)) * RAD_PER_DEG
+    machine = cell.machine
+    home = np.array(machine.home_joints or np.full(6, np.nan)) * RAD_PER_DEG
     cell_frames = CellFrames(
         start=inverse(base) @ forward(cell.start_joints) @ tools[0],
         orientation=cell.tool_pose_in_program(),
         offsets={code: np.eye(4) if frame is None else frame.pose() for code, frame in offsets.items()},
         tools=numbers,
-        home=None if cell.machine.home is None else inverse(base) @ forward(home) @ np.stack(tools),
-        clearance=cell.machine.clearance_Z,
+        home=None if machine.home_joints is None else inverse(base) @ forward(home) @ np.stack(tools),
+        home_place=None if machine.home_place is None else np.array(machine.home_place),
+        clearance=machine.clearance_Z,
         rotary=RotaryAxes.of(cell.rotary),
     )
     speeds = Speeds(
