@@ -13,8 +13,9 @@ from pathlib import Path
 import pytest
 
 from postproc.errors import PostprocError
-from postproc.jobs import Settings, convert_all, find_jobs
-from postproc.jobs.workers import Cluster
+from postproc.jobs import Settings, convert_all, find_jobs, inputs
+from postproc.jobs.workers import Cluster, ClusterWorkers
+from postproc.version import VERSION
 from tests.processes import CELL_16, Held, programs, written
 
 distributed = pytest.importorskip("distributed", reason="an extra: pip install 'postproc[dask]'")
@@ -161,10 +162,50 @@ def test_a_lost_peer_is_told_and_leaves_nothing_half_written(lost):
         assert written() == set()  # what is in its place was put there by this process, and reported as written
 
 
-def test_workers_with_another_version_are_refused_and_both_versions_named(monkeypatch):
-    programs(1)
+def test_each_task_is_refused_by_a_worker_with_other_code_which_is_named(monkeypatch):
+    """Also by one that joins after the others: nothing is asked at the connection."""
+    programs(2)
+    Path("out").mkdir()
     with cluster(n_workers=1) as there:
-        monkeypatch.setattr("postproc.jobs.workers.VERSION", "9.9.9")
-        with pytest.raises(PostprocError, match=r"has postproc \d+\.\d+.*this machine has postproc 9\.9\.9"):
-            work(there.scheduler_address)
-    assert not Path("out/p00.src").exists()
+        monkeypatch.setattr("postproc.jobs.inputs.code_sum", lambda: "0" * 64)
+        outcomes = work(there.scheduler_address)
+        (worker,) = there.scheduler_info["workers"]
+    assert [outcome.code for outcome in outcomes.values()] == [1, 1]
+    said = (
+        f"the worker {worker} of the Dask cluster at {there.scheduler_address} has postproc {VERSION} with other code"
+    )
+    assert all(said in outcome.message for outcome in outcomes.values())
+    assert not list(Path("out").glob("*.src"))
+
+
+@pytest.mark.skipif(os.name != "posix", reason="stops a process")
+def test_a_frozen_worker_is_named(monkeypatch):
+    programs(1)
+    for name, seconds in (("_FROZEN", 3.0), ("_LOOK", 0.2)):
+        monkeypatch.setattr(f"postproc.jobs.workers.{name}", seconds)
+    with cluster(n_workers=1) as there:
+        (worker,) = there.scheduler_info["workers"]
+        process = there.workers[0].pid
+        begin = ClusterWorkers.begin
+
+        def frozen(workers, task):
+            os.kill(process, signal.SIGSTOP)
+            return begin(workers, task)
+
+        monkeypatch.setattr(ClusterWorkers, "begin", frozen)
+        try:
+            (outcome,) = work(there.scheduler_address).values()
+        finally:
+            os.kill(process, signal.SIGCONT)
+    assert outcome.code == 1
+    assert f"the worker {worker} of the Dask cluster has given no sign of life for 3 s" in outcome.message
+
+
+def test_the_sum_of_the_code_is_that_of_names_and_contents(tmp_path, monkeypatch):
+    monkeypatch.setattr(inputs, "_PACKAGE", tmp_path)
+    sums = []
+    for name, text in (("a.py", "x"), ("a.py", "y"), ("b.py", "y"), ("b.txt", "z")):
+        (tmp_path / name).write_text(text)
+        sums.append(inputs.code_sum())
+    assert len(set(sums)) == 3
+    assert sums[2] == sums[3]

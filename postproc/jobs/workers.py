@@ -18,6 +18,7 @@ import sys
 import threading
 import time
 import traceback
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from functools import lru_cache
@@ -30,6 +31,7 @@ from msgspec.structs import replace
 
 from postproc.cell import Cell
 from postproc.errors import PostprocError
+from postproc.jobs import inputs
 from postproc.jobs.conversion import convert, failure
 from postproc.jobs.output_plan import Task
 from postproc.jobs.programs import FAILED, Outcome, Settings, load_setup
@@ -211,8 +213,14 @@ def _converted(task: Task, settings: Settings) -> Outcome:
     return convert(task, settings, cell, robot)
 
 
+OtherCode = tuple[str, str]
+"""Address of a worker whose postproc is another one, and its version, empty if it has none."""
 _PATIENCE = 10.0
 """Seconds that are waited for the scheduler, or for a worker, before the work is given up."""
+_FROZEN = 60.0
+"""Seconds without a sign of life of a worker after which its tasks are given up."""
+_LOOK = 5.0
+"""Seconds between two looks at the workers."""
 _ADDRESS = re.compile(r"(tcp|tls)://(\[[\da-fA-F:.]+\]|[\w.-]+):\d{1,5}")
 
 
@@ -234,7 +242,7 @@ class Cluster(Struct, frozen=True):
 
 
 class ClusterWorkers:
-    """Workers of a Dask cluster; each task is done in a process of its own there.
+    """Workers of a Dask cluster; each task is done in a process of its own there, by workers with the same code.
 
     :param settings: settings of all tasks.
     :raises PostprocError: there is no Dask, no scheduler answers, or it has no workers.
@@ -244,39 +252,73 @@ class ClusterWorkers:
         self._cluster = cluster
         self._settings = replace(settings, cell=settings.cell.resolve())
         self._client = _connected(cluster)
-        self._alive = time.monotonic()
-        self._begun: list[Any] = []
+        self._code = inputs.code_sum()
+        self._alive = self._looked = time.monotonic()
+        self._begun: dict[Path, Any] = {}
+        self._signs: dict[str, tuple[float, float]] = {}
+        self._holder: dict[str, str] = {}
 
     def begin(self, task: Task) -> Any:
         """Send a task to the cluster; return its future."""
-        from postproc.jobs.workers import work_alone
-
-        future = self._client.submit(work_alone, _absolute(task), self._settings, pure=False)
-        self._begun.append(future)
+        content = pickle.dumps((_absolute(task), self._settings))
+        future = self._client.submit(_task(), self._code, content, pure=False)
+        self._begun[task.job.program] = future
         return future
 
     def outcome(self, future: Any, task: Task) -> Outcome:
         """Return the outcome of a task that has ended, under the name that the user knows."""
         self._alive = time.monotonic()
+        program = str(task.job.program)
         if future.cancelled():
             return self._gone(task)
         try:
-            outcome: Outcome = future.result(timeout=_PATIENCE)
+            outcome: Outcome | OtherCode = future.result(timeout=_PATIENCE)
         except Exception as cause:
-            message = f"{task.job.program}: the cluster could not convert it: {cause!r}"
-            return Outcome(str(task.job.program), FAILED, message=message, keeps_earlier=True)
-        return replace(outcome, program=str(task.job.program))
+            message = f"{program}: the cluster could not convert it: {cause!r}"
+            return Outcome(program, FAILED, message=message, keeps_earlier=True)
+        if isinstance(outcome, Outcome):
+            return replace(outcome, program=program)
+        worker, version = outcome
+        there = f"postproc {version} with other code" if version else "no postproc"
+        message = (
+            f"{program}: the worker {worker} of the Dask cluster at {self._cluster.address} has {there}, this machine "
+            f"has postproc {VERSION}. Install the same on all of them."
+        )
+        return Outcome(program, FAILED, message=message, keeps_earlier=True)
 
     def lost(self, task: Task) -> Outcome | None:
-        """Return a failure if the cluster has not been there for some time."""
-        if self._client.status == "running" and self._client.scheduler_info()["workers"]:
-            self._alive = time.monotonic()
-        return self._gone(task) if time.monotonic() > self._alive + _PATIENCE else None
+        """Return a failure if the cluster, or the worker that has the task, has not been there for some time."""
+        self._look()
+        if time.monotonic() > self._alive + _PATIENCE:
+            return self._gone(task)
+        worker = self._holder.get(self._begun[task.job.program].key)
+        if worker is None or time.monotonic() < self._signs[worker][1] + _FROZEN:
+            return None
+        message = (
+            f"{task.job.program}: the worker {worker} of the Dask cluster has given no sign of life for {_FROZEN:g} s. "
+            "Restart it, and convert this program again."
+        )
+        return Outcome(str(task.job.program), FAILED, message=message, keeps_earlier=True)
+
+    def _look(self) -> None:
+        """Look, now and then, which workers are there, when each was last seen, and which tasks they have."""
+        now = time.monotonic()
+        if now < self._looked + min(_LOOK, _PATIENCE / 4.0) or self._client.status != "running":
+            return
+        self._looked = now
+        with suppress(Exception):  # the scheduler is gone: then nothing is alive
+            workers = self._client.sync(self._client.scheduler.identity, callback_timeout=_PATIENCE)["workers"]
+            self._alive = now if workers else self._alive
+            for address, worker in workers.items():
+                if self._signs.get(address, (None, now))[0] != worker["last_seen"]:
+                    self._signs[address] = worker["last_seen"], now
+            tasks = self._client.sync(self._client.scheduler.processing, workers=None, callback_timeout=_PATIENCE)
+            self._holder = {key: worker for worker, keys in tasks.items() if worker in self._signs for key in keys}
 
     def end(self) -> None:
         """Cancel tasks that have not begun; the cluster finishes the others, and leaves their staged files."""
         with suppress(Exception):
-            self._client.cancel([future for future in self._begun if not future.done()])
+            self._client.cancel([future for future in self._begun.values() if not future.done()])
         self._client.close(timeout=2)
 
     def _gone(self, task: Task) -> Outcome:
@@ -311,29 +353,31 @@ def _connected(cluster: Cluster) -> Any:
             f"the Dask scheduler at {address} has no workers. Start some on the machines that shall do the work: "
             f"dask worker {address}"
         ) from cause
-    _check_versions(client, cluster)
     return client
 
 
-def _check_versions(client: Any, cluster: Cluster) -> None:
-    """Refuse workers with another version of postproc: their results would not be those of this one."""
+def _task() -> Callable[[str, bytes], Outcome | OtherCode]:
+    """Return what a worker of a cluster does; sent as code, because another postproc there need not know it."""
 
-    def version() -> str:  # sent as code: an older postproc need not know it
+    def work(code: str, content: bytes) -> Any:
+        import pickle
+
+        from distributed import get_worker
+
         try:
-            from postproc import version as there
-        except ImportError:
-            return ""
-        return there.VERSION
+            from postproc.jobs.inputs import code_sum
+            from postproc.version import VERSION
 
-    other = {worker: found for worker, found in client.run(version).items() if found != VERSION}
-    if other:
-        client.close(timeout=2)
-        worker, found = min(other.items())
-        which = f"postproc {found}" if found else "no postproc"
-        raise PostprocError(
-            f"the worker {worker} of the Dask cluster at {cluster.address} has {which}, this machine has postproc "
-            f"{VERSION}. Install the same version on all of them."
-        )
+            same, version = code_sum() == code, VERSION
+        except ImportError:
+            same, version = False, ""
+        if not same:
+            return get_worker().address, version
+        from postproc.jobs.workers import work_alone
+
+        return work_alone(*pickle.loads(content))
+
+    return work
 
 
 def _security(cluster: Cluster) -> Any:
