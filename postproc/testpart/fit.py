@@ -14,6 +14,7 @@ the unmodelled error of tracker readings is (`identification.discrepancy`).
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import combinations
 from math import erfc, sqrt
 
 import numpy as np
@@ -58,6 +59,8 @@ _GAMMA = 0.005
 ELSEWHERE = 0.08
 """Unmodelled error (95 %) at other places than those of the part, as a share of the deflection. Assumed: simulated
 robots whose gears bend and whose links are flexible are off there by 5 % (RMS), which their parts do not show."""
+_SWAPPED = 25.0
+"""Decrease of χ², over the usual χ² of a point, by which two features were probed in each other's place."""
 _LIGHT = 0.25
 """Displacements below this share of the largest are those of light passes."""
 _ROUGHLY = 0.15
@@ -186,6 +189,7 @@ class Fit(Struct, frozen=True, eq=False):
     :param missed: (n,) deviations as measured less those that the prior predicts [m], and `slopes` (n, p + 1) their
         derivatives.
     :param torque: (6,) largest torque of the forces on A1…A6 [N·m].
+    :param swapped: two features whose readings look exchanged.
     """
 
     prior: Prior
@@ -204,6 +208,7 @@ class Fit(Struct, frozen=True, eq=False):
     missed: Array
     slopes: Array
     torque: Array
+    swapped: tuple[str, str] | None = None
 
     @property
     def robot(self) -> RobotModel:
@@ -327,7 +332,9 @@ def fit(
     left_out: list[str] = []
     most = int(_MOST_OUTLIERS * len(readings.probed))
     here = states(prior.robot, 1.0)
-    _check_size(readings, linearised(prior, readings, here, robot_in_cell, z, scale))
+    local = linearised(prior, readings, here, robot_in_cell, z, scale)
+    _check_size(readings, local)
+    exchanged = swapped(prior, readings, local)
     at_prior = None
     rows, change = np.arange(len(readings.probed)), np.inf
     for _ in range(_ROUNDS):
@@ -389,9 +396,37 @@ def fit(
                 axis=0
             )
             * scale,
+            exchanged,
         ),
         tuple(left_out),
     )
+
+
+def swapped(prior: Prior, readings: Readings, local: _Linear) -> tuple[str, str] | None:
+    """Return two features whose readings agree with the model if they are exchanged, and do not as they are.
+
+    :param local: the prior model; χ² counts its covariance, so a robot that differs from it is no exchange.
+    """
+    probed = readings.probed
+    rows: dict[str, dict[str, int]] = {}
+    for row, name in enumerate(probed.name):
+        feature, _, surface = name.partition(".")
+        rows.setdefault(feature, {})[surface] = row
+    expected = local.slopes @ prior.covariance @ local.slopes.T + _noise(readings, local, _GAMMA)
+    inverse = np.linalg.inv(expected)
+    as_read = probed.deviation - local.value
+    least, pair = np.inf, None
+    for first, second in combinations(rows, 2):
+        if rows[first].keys() != rows[second].keys():
+            continue
+        here, there = list(rows[first].values()), [rows[second][surface] for surface in rows[first]]
+        deviation = probed.deviation.copy()
+        deviation[here], deviation[there] = probed.deviation[there], probed.deviation[here]
+        chi2 = float((deviation - local.value) @ inverse @ (deviation - local.value))
+        if chi2 < least:
+            least, pair = chi2, (first, second)
+    decrease = float(as_read @ inverse @ as_read) - least
+    return pair if decrease > _SWAPPED * max(1.0, least / len(probed)) else None
 
 
 def _check_size(readings: Readings, local: _Linear) -> None:

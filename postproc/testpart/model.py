@@ -215,7 +215,14 @@ def _verdict(found: Fit, left_out: tuple[str, ...]) -> Verdict:
     sigma = found.prior.sigma
     far = np.abs(found.z) / np.where(sigma > 0.0, sigma, np.inf)[:-1]
     reason = ""
-    if found.gamma > _MISFIT:
+    if found.swapped is not None:
+        first, second = found.swapped
+        reason = f"{first} and {second} look exchanged: exchange their rows of deviation_mm, or probe both again"
+    elif left_out:
+        reason = (
+            f"{', '.join(left_out)} contradict the other points: probe them again, or leave their deviation_mm empty"
+        )
+    elif found.gamma > _MISFIT:
         reason = f"{100 * found.gamma:.0f} % of the deflection are not described by the model: check part and program"
     elif far.max() > _FAR:
         name = found.prior.parameters[int(np.argmax(far))].name

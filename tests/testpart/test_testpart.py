@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from itertools import combinations
 from pathlib import Path
 
 import msgspec
@@ -15,7 +16,7 @@ from postproc.errors import MeasurementError
 from postproc.machining import ProcessSource
 from postproc.testpart import design, probing
 from postproc.testpart.cut import Clamped, forces_of, surfaces
-from postproc.testpart.fit import Prior, Readings, fit, linearised
+from postproc.testpart.fit import Prior, Readings, fit, linearised, swapped
 from postproc.testpart.model import agreement, summary
 from tests.commands import run
 from tests.oracle.whole_arm import WholeArm
@@ -203,6 +204,32 @@ def test_a_gross_error_is_named_and_left_out(folder, cut):
     found, left_out = fit(Prior.of(robot_in_cell.robot, 0.1), given, robot_in_cell, states())
     assert left_out == (fields[0],)
     assert found.gamma < 0.02
+    verdict = summary(found, left_out).verdict
+    assert verdict.refused
+    assert f"{fields[0]} contradict the other points" in verdict.line
+
+
+def test_features_probed_in_each_others_place_are_named(folder, cut):
+    """No pair is named where none was exchanged; each pair that was exchanged is."""
+    given, robot_in_cell, states = readings(folder, "probed.csv")
+    prior, here = Prior.of(robot_in_cell.robot, 0.1), states()(robot_in_cell.robot, 1.0)
+    local = linearised(prior, given, here, robot_in_cell, np.zeros(len(prior.parameters)), 1.0)
+    assert swapped(prior, given, local) is None
+    rows = {name: row for row, name in enumerate(given.probed.name)}
+    features = sorted({name.partition(".")[0] for name in rows})
+    named = []
+    for pair in combinations(features, 2):
+        surfaces_of = [{name.partition(".")[2] for name in rows if name.startswith(f"{each}.")} for each in pair]
+        if surfaces_of[0] != surfaces_of[1]:
+            continue
+        order = np.arange(len(rows))
+        for surface in surfaces_of[0]:
+            first, second = (rows[f"{each}.{surface}"] for each in pair)
+            order[first], order[second] = second, first
+        probed = msgspec.structs.replace(given.probed, deviation=given.probed.deviation[order])
+        named.append((pair, swapped(prior, msgspec.structs.replace(given, probed=probed), local)))
+    assert named
+    assert all(pair == said for pair, said in named), named
 
 
 @pytest.mark.parametrize(
