@@ -326,7 +326,7 @@ class Cell(CellFile, frozen=True):
         """
         if self.start is None:
             raise CellError(
-                "the cell has no [start]", advice="Give A1 to A6: [start] joints = [0, -70, 110, 0, 50, 0]."
+                "the cell has no [start]", advice="Give A1 to A6: [start] joints = [0, -90, 100, 0, 80, 0]."
             )
         return self.start.joints
 
@@ -441,7 +441,7 @@ Z = 700
 Z = 350
 
 [start]
-joints = [0, -70, 110, 0, 50, 0]        # A1…A6 where the program starts
+joints = [0, -90, 100, 0, 80, 0]        # A1…A6 where the program starts
 """
 
 

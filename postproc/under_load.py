@@ -20,7 +20,7 @@ from postproc.chunks import Runs
 from postproc.elastostatics import Compensation, ToolSpring
 from postproc.errors import Issue, PostprocError
 from postproc.forces import ForceSource, PathForces
-from postproc.frames import M_PER_MM, MM_PER_M, Array, norm
+from postproc.frames import M_PER_MM, MM_PER_M, Array, norm, product
 from postproc.kinematics import ByWrist, JointPath, UnreachableError
 from postproc.poses import Poses
 from postproc.program import CIRC, PTP, Bools, Ints, Program, read_only
@@ -232,6 +232,79 @@ class RobotInCell(Struct, frozen=True, eq=False, dict=True):
         return tip, np.zeros_like(tip)
 
 
+_BETWEEN = 0.5 * np.pi
+"""Motions that turn the tool by more [rad] are followed at places between their ends: no axis gains a turn unseen."""
+
+
+class PtpMoves(Struct, frozen=True, eq=False, dict=True):
+    """The PTP motions of a program in its cell: all axes begin and end together, and move in proportion.
+
+    Synchronous PTP of KUKA controllers: KUKA System Software, operating and programming instructions, "PTP motion". The
+    path does not depend on speed or acceleration; approximated ends are taken as exact ones. Implements
+    `toolpath.JointMoves`.
+
+    :param program: the program.
+    :param robot_in_cell: the robot in its cell.
+    :param segments: start and length of the motions, without their PTPs.
+    """
+
+    program: Program
+    robot_in_cell: RobotInCell
+    segments: Segments
+
+    @cached_property
+    def _ends(self) -> tuple[Ints, Array, Array]:
+        """Rows (P,) of the PTPs, and joint angles (P, 6) where they begin and end [rad].
+
+        :raises ImpossiblePathError: a pose before the last of them is out of reach.
+        """
+        program, cell = self.program, self.robot_in_cell.cell
+        ptp = np.flatnonzero(program.motions.kind == PTP)
+        rows = np.arange(int(ptp[-1]) + 1)
+        linear = program.motions.kind[rows] != PTP
+        count = np.where(linear, np.ceil(self.segments.turn[rows] / _BETWEEN), 1.0).astype(np.int64).clip(1)
+        motion = np.repeat(rows, count)
+        last = np.cumsum(count) - 1
+        t = (np.arange(len(motion)) - (last - count)[motion]) / count[motion]
+        sample = toolpath.at(program, self.segments, motion, t)
+        try:
+            q = self.robot_in_cell.follow(program, motion, t, sample.pose).q[last]
+        except UnreachableError as cause:
+            raise ImpossiblePathError(unreachable(program, motion[list(cause.rows)])) from None
+        before = ptp - 1 if program.after is None else program.after[ptp]
+        begin = np.where(before[:, None] >= 0, q[before], cell.start_joints)
+        return ptp, begin, q[ptp]
+
+    def at(self, motion: Ints, t: Array) -> Array:
+        """Return the tool frames (n, 4, 4) in `$BASE` [m] at places (motion, t) of PTP motions.
+
+        :raises ImpossiblePathError: a pose before the last PTP is out of reach.
+        """
+        ptp, begin, end = self._ends
+        row = np.searchsorted(ptp, motion)
+        q = begin[row] + t[:, None] * (end[row] - begin[row])
+        flange = kinematics.matrices(kinematics.posture(self.robot_in_cell.robot.nominal, q.T).pose)
+        pose = product(flange, toolpath.tool_of(self.program, motion))
+        return toolpath.pose_in_base(self.program, motion, pose, t)
+
+    def turn(self, motion: Ints) -> Array:
+        """Return the sum of the turns of all axes (n,) [rad] on PTP motions.
+
+        :raises ImpossiblePathError: a pose before the last PTP is out of reach.
+        """
+        ptp, begin, end = self._ends
+        row = np.searchsorted(ptp, motion)
+        return np.asarray(np.abs(end[row] - begin[row]).sum(axis=1))
+
+
+def segments_in_cell(program: Program, robot_in_cell: RobotInCell) -> Segments:
+    """Return start and length of the motions of a program, and its PTPs as this robot drives them."""
+    path = toolpath.segments(program, robot_in_cell.start_flange)
+    if not (program.motions.kind == PTP).any():
+        return path
+    return replace(path, joint_moves=PtpMoves(program, robot_in_cell, path))
+
+
 _UNCLEAR = np.radians(90.0)
 """Farther than this no wrist axis may turn on a motion: which way round would not be certain."""
 _STRETCHED = np.radians(1.0)
@@ -310,7 +383,7 @@ class MotionsUnderLoad(Struct, frozen=True, eq=False):
         :raises ForceError: the forces do not match the motions.
         """
         check_ends(program, robot_in_cell.robot)
-        segments = toolpath.segments(program, robot_in_cell.start_flange)
+        segments = segments_in_cell(program, robot_in_cell)
         check_between(program, robot_in_cell.robot, segments)
         along = forces.assign(program, segments, source, robot_in_cell.spindle, robot_in_cell.ramp)
         compliance = robot_in_cell.tip_compliance(program.tools[0])

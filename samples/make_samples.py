@@ -38,7 +38,7 @@ Z = 350.0
 axis = "+Z"
 
 [start]
-joints = [0, -70, 110, 0, 50, 0]
+joints = [0, -90, 100, 0, 80, 0]
 
 [output]
 tolerance_mm = 0.01

@@ -59,9 +59,9 @@ def test_all_unknown_and_missing_keys_are_told_in_one_run(tmp_path: Path) -> Non
         ("X = 1500.0", "X = 1" + "0" * 5000, "not valid TOML"),
         ("X = 1500.0", "X = nan", "base.X is nan"),
         ("X = 1500.0", "X = " + "[" * 5000, "not valid TOML"),
-        ("[0, -70, 110, 0, 50, 0]", "[0, -70]", "start.joints: Expected a list of length 6, got 2"),
+        ("[0, -90, 100, 0, 80, 0]", "[0, -70]", "start.joints: Expected a list of length 6, got 2"),
         (
-            "[0, -70, 110, 0, 50, 0]",
+            "[0, -90, 100, 0, 80, 0]",
             "[0, -1.22, 1.92, 0, 0.87, 0]",
             r"\[start\] joints = .* look like radians.*degrees",
         ),

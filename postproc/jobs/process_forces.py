@@ -40,7 +40,7 @@ from postproc.program import Bools, Program
 from postproc.report import process_forces
 from postproc.report.material import material_page
 from postproc.robot import RobotModel
-from postproc.under_load import ImpossiblePathError, MotionsUnderLoad, PathUnderLoad, RobotInCell
+from postproc.under_load import ImpossiblePathError, MotionsUnderLoad, PathUnderLoad, RobotInCell, segments_in_cell
 
 _TRIALS = 10
 """Largest number of trials between the programmed feeds and the least ones."""
@@ -386,7 +386,7 @@ def make_forces(request: ForcesRequest, progress: Callable[[int, int], None] | N
     robot = load_robot(cell.robot, cell.folder)
     program, cell = read_started(request.program, robot, cell, request.dialect)
     place = RobotInCell.of(robot, cell)
-    path = toolpath.segments(program, place.start_flange)
+    path = segments_in_cell(program, place)
     folder, names = _names(request)
     protect(filter(None, (request.program, request.cell, request.process, request.stock)), folder, names)
     if not request.overwrite:

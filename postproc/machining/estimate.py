@@ -25,6 +25,7 @@ from postproc.machining.sweep import Cuts, Sweep
 from postproc.machining.tool_path import (
     Shift,
     StraightSegments,
+    ToolPoses,
     ToolStates,
     home_base,
     refuse_unread_cuts,
@@ -33,7 +34,7 @@ from postproc.machining.tool_path import (
     towards_spindle,
     unread_cuts,
 )
-from postproc.program import Bools, Ints, Program, distinct
+from postproc.program import PTP, Bools, Ints, Program, distinct
 from postproc.toolpath import Segments
 
 _SAME = np.cos(np.radians(0.5))
@@ -122,13 +123,15 @@ def estimate(
     material, issues = _stock(process, setups[0].frame, cell, stock)
     start, removed = material.volume(), 0.0
     bounds = (*material.bounds, material.top)
-    every = straight_segments(program, path, tools, setups[0].frame, cell, shift)
+    towards = towards_spindle(program, axis)
+    every = straight_segments(program, path, tools, setups[0].frame, cell, shift, towards)
     _check_speed(program, every, tools)
     teeth = np.array([process.tools[key].flutes for key in tools.keys])[tools.tool]
     per_tooth = np.nan_to_num(program.motions.feed) * 60.0 / np.maximum(tools.rpm * teeth, 1.0)
     rise = np.maximum(0.5 * per_tooth, _LEAST_RISE)
     total = len(every.motion)
     done, parts, sweeps, along = 0, [], [], []
+    compared = np.zeros(len(program.motions), dtype=bool)
     for number, setup in enumerate(setups):
         if number:
             removed += start - material.volume()
@@ -136,10 +139,14 @@ def estimate(
             material = _turned(material, setups[number - 1].frame, setup.frame, cell)
             start = material.volume()
             issues += _hollows(start, left)
-        steps = straight_segments(program, path, tools, setup.frame, cell, shift) if number else every
+        steps = every
+        if number:
+            steps = straight_segments(program, path, tools, setup.frame, cell, shift, towards)
         steps = steps.of(setup.motions)
+        compared[steps.motion[~steps.leans]] = True
         ceiling = None if guard is None else Ceiling(material)
-        sweep = Sweep(material, process, tools, program.motions.feed, law, shift is not None, guard, ceiling)
+        poses = ToolPoses(program, path, setup.frame, axis)
+        sweep = Sweep(material, process, tools, program.motions.feed, law, poses, shift is not None, guard, ceiling)
         cuts = _thinned(sweep, steps, _offset(progress, done, total))
         done += len(steps.motion)
         sweeps.append(sweep)
@@ -170,15 +177,15 @@ def estimate(
         map_in_base=setups[-1].frame,
         removed=removed + start - material.volume(),
         issues=tuple(issues),
-        over_time=None if guard is None else _over_time(program, setups, sweeps, every),
+        over_time=None if guard is None else _over_time(program, setups, sweeps, compared),
     )
 
 
-def _over_time(program: Program, setups: list[_Setup], sweeps: list[Sweep], every: StraightSegments) -> StockInTime:
-    """Return the stock over time of swept set-ups."""
-    compared = np.zeros(len(program.motions), dtype=bool)
-    compared[every.motion] = True
-    compared &= np.any([setup.motions for setup in setups], axis=0)
+def _over_time(program: Program, setups: list[_Setup], sweeps: list[Sweep], compared: Bools) -> StockInTime:
+    """Return the stock over time of swept set-ups.
+
+    :param compared: (M,) motions on which the parts of the tool were compared while the stock was swept.
+    """
     base = program.bases[home_base(program)]
     return StockInTime(
         tuple(int(np.argmax(setup.motions)) for setup in setups),
@@ -224,7 +231,7 @@ class _Setup(Struct, frozen=True, eq=False):
 def _setups(program: Program, axis: str) -> list[_Setup]:
     """Divide the program into set-ups with one direction of the tool each, in order.
 
-    Motions that turn the tool without cutting belong to no set-up.
+    Rapid motions between belong to the set-up before them: that is the stock through which they lead.
 
     :raises ForceError: the tool changes its direction while it cuts, or from one cutting move to the next.
     """
@@ -254,7 +261,7 @@ def _setups(program: Program, axis: str) -> list[_Setup]:
             setups.append(_Setup(_frame(now), rows))
             rows, now = np.zeros(len(towards), dtype=bool), towards[motion]
             same = True
-        rows[motion] = same and still[motion]
+        rows[motion] = not cuts[motion] or (same and still[motion])
         fresh = not cuts[motion]
     return [*setups, _Setup(_frame(now), rows)]
 
@@ -435,11 +442,11 @@ def _collisions(program: Program, collided: dict[int, float], guard: Guard | Non
         longer = _longer(program, max(collided, key=lambda each: (collided[each], -each)))
         if guard is None:
             where = f"line {', '.join(map(str, hit[:5]))}{' …' if len(hit) > 5 else ''}"
-            message = f"a rapid move goes through material ({where}), {deep}{longer}"
-            out.append(Issue("warning", "rapid-in-material", message, hit[0], count=len(hit)))
+            message = f"a rapid move goes through material ({where}), {deep}. {_way_out(program, motion)}{longer}"
+            out.append(replace(m.issue("error", "rapid-in-material", message, motion), count=len(hit)))
         else:
             message = (
-                f"collision: cutter goes {deep} into the stock in a rapid move. Retract, or cut here first{longer}"
+                f"collision: cutter goes {deep} into the stock in a rapid move. {_way_out(program, motion)}{longer}"
             )
             out.append(replace(m.issue("error", "collision", message, motion), subject="cutter, stock"))
     if guard is None:
@@ -458,6 +465,19 @@ def _collisions(program: Program, collided: dict[int, float], guard: Guard | Non
             issue = Issue("error", "collision", message, int(m.line[worst]), count=len(near), lines=lines)
             out.append(replace(issue, subject=f"{part.name}, stock"))
     return out
+
+
+def _way_out(program: Program, motion: Ints) -> str:
+    """Return what to do about rapid motions (n,) through material: the first move begins at [start] of the cell."""
+    first = int(motion[0])
+    if first == 0 and program.motions.kind[0] == PTP and not program.keeps_text:
+        return (
+            "On the way from [start] to the first target all axes move at once (PTP): choose [start] joints with the "
+            "tip above the part, or lift the first target"
+        )
+    if (program.motions.kind[motion] == PTP).any():
+        return "All axes move at once on a PTP, not the tip along a line: retract before it, or go there by LIN"
+    return "Retract, or cut here first"
 
 
 def _longer(program: Program, motion: int) -> str:

@@ -17,12 +17,13 @@ from postproc.chunks import Columns
 from postproc.frames import Array
 from postproc.machining import cutting
 from postproc.machining.cutting import Engaged, engaged
+from postproc.machining.leaning import depth_inside
 from postproc.machining.material import CuttingLaw, Floats
 from postproc.machining.process import Process
 from postproc.machining.remaining import Ceiling, Guard
 from postproc.machining.stock import Footprint, Stock, cut, depth_of, remove
 from postproc.machining.tool import BOTTOM, SIDE, Cutter, Edge, Turn, edge, some
-from postproc.machining.tool_path import StraightSegments, ToolStates
+from postproc.machining.tool_path import StraightSegments, ToolPoses, ToolStates
 from postproc.program import Bools, Ints
 
 _STRAIGHT = np.cos(np.radians(10.0))
@@ -41,6 +42,10 @@ _ON_LINE = 1e-6
 """Directions that differ by less count as one straight line."""
 _LITTLE = 0.05
 """Share of an edge in material below which it does not count for angles and width of engagement."""
+_SAGITTA = 1e-3
+"""The path of a tool that leans leaves its chords by less [m]."""
+_ON_CHORD = 4
+"""Smallest number of places on such a chord where the tool is compared with the stock."""
 _TOUCHED = 2e-5
 """Depth [m] to which a rapid move, or a move with the spindle off, may touch material without a warning."""
 
@@ -88,6 +93,7 @@ class Cuts(Columns, frozen=True, eq=False):
 class Sweep(Struct, eq=False):
     """A stock, and the tools that cut it.
 
+    :ivar poses: the tool anywhere on the path.
     :ivar deflected: the tip is displaced: on rapid moves it still springs back, and contact there is no collision.
     :ivar guard: parts of the tool that must stay clear of the stock; None: they are not compared.
     :ivar ceiling: with a guard, the stock over time.
@@ -101,6 +107,7 @@ class Sweep(Struct, eq=False):
     tools: ToolStates
     feed: Array
     law: CuttingLaw
+    poses: ToolPoses
     deflected: bool = False
     guard: Guard | None = None
     ceiling: Ceiling | None = None
@@ -121,6 +128,10 @@ class Sweep(Struct, eq=False):
         for begin, end in self._groups(segments, near):
             if progress is not None:
                 progress(end)
+            if segments.leans[begin]:
+                if near[begin] and not self.deflected:
+                    self._leaning(segments, begin, end)
+                continue
             self._guarded(segments, begin, end)
             if not near[begin]:
                 if segments.cutting[begin]:
@@ -167,15 +178,29 @@ class Sweep(Struct, eq=False):
                 self.collided[motion] = max(depth, self.collided.get(motion, 0.0))
             remove(self.stock, cutter, start[one], stop[one])
 
+    def _leaning(self, segments: StraightSegments, begin: int, end: int) -> None:
+        """Record rapid motions that turn the tool and move it through material, which is left where it is."""
+        length = np.linalg.norm(segments.end[begin:end] - segments.begin[begin:end], axis=1)
+        cutter = self._cutter(int(self.tools.tool[segments.motion[begin]]))
+        for k, pieces in enumerate(np.maximum(_ON_CHORD, np.ceil(length / self.stock.cell)).astype(int).tolist()):
+            row = begin + k
+            t = segments.first[row] + (segments.last[row] - segments.first[row]) * np.linspace(0.0, 1.0, pieces + 1)
+            motion = int(segments.motion[row])
+            depth = depth_inside(self.stock, cutter, *self.poses.at(np.full(len(t), motion), t))
+            if depth > 0.0:
+                self.collided[motion] = max(depth, self.collided.get(motion, 0.0))
+
     def _near(self, segments: StraightSegments, top: float) -> Bools:
-        """Return which segments (L,) can touch the stock at all."""
+        """Return which segments (L,) can touch the stock at all; a tool that leans may do so beside its tip."""
         x0, x1, y0, y1 = self.stock.bounds
         reach = np.zeros(len(segments.motion))
         for number in np.unique(self.tools.tool[segments.motion]).tolist():
             reach[self.tools.tool[segments.motion] == number] = self._cutter(number).radius
         low, high = np.minimum(segments.begin, segments.end), np.maximum(segments.begin, segments.end)
         near = (low[:, 2] < top) & (high[:, 0] + reach > x0) & (low[:, 0] - reach < x1)
-        return np.asarray(near & (high[:, 1] + reach > y0) & (low[:, 1] - reach < y1))
+        near &= (high[:, 1] + reach > y0) & (low[:, 1] - reach < y1)
+        near[segments.leans] = (low[:, 2] - reach - _SAGITTA < top)[segments.leans]
+        return np.asarray(near)
 
     def _groups(self, segments: StraightSegments, near: Bools) -> Iterator[tuple[int, int]]:
         """Yield ranges of segments that are processed together."""
@@ -187,6 +212,7 @@ class Sweep(Struct, eq=False):
         running = np.stack([self.tools.tool[motion], self.tools.rpm[motion], self.tools.hand[motion]], axis=1)
         same[1:] = segments.continues[1:] & (running[1:] == running[:-1]).all(axis=1)
         same[1:] &= (near[1:] == near[:-1]) & (segments.cutting[1:] == segments.cutting[:-1])
+        same[1:] |= segments.leans[1:] & (motion[1:] == motion[:-1]) & (near[1:] == near[:-1])
         rapid = ~segments.cutting
         same[1:] &= ~near[1:] | rapid[1:] | ((along[1:] == along[:-1]) & (down[1:] == down[:-1]))
         begin, limit, travelled = 0, 0.0, 0.0

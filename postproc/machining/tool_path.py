@@ -9,6 +9,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
+from postproc import toolpath
 from postproc.chunks import Columns
 from postproc.errors import MOST, ForceError, Issue, together
 from postproc.frames import Array, inverse, norm
@@ -109,6 +110,11 @@ _SAG = 0.1
 """An arc is divided into chords that deviate from it by this share of a cell at most,"""
 _TURN = np.radians(8.0)
 """and that turn by this angle at most."""
+_LEANS = np.radians(2.0)
+"""Rapid moves that turn the tool are divided into pieces on which no axis turns by more than this: their chords leave
+the path by half a millimetre at most (an arc of 2° with a radius of 3 m)."""
+_TURNS = np.radians(0.5)
+"""Rapid moves that turn the tool by less count as moves of a tool along the spindle axis of the map."""
 _STILL = 1e-9
 _BEFORE_NEXT = 1.0 - 1e-7
 """The end of a motion is before the start of the next one, where the displacement may differ."""
@@ -123,6 +129,8 @@ class StraightSegments(Columns, frozen=True, eq=False):
     :param leave: (L, 3) and arrive: (L, 3) unit directions of travel there.
     :param cutting: (L,) False for rapid moves.
     :param continues: (L,) True if the segment begins at the end of the one before, with the same tool.
+    :param leans: (L,) True for rapid moves on which the tool is not along z of the map, or turns (PTP): chords of
+        their path.
     """
 
     motion: Ints
@@ -134,6 +142,7 @@ class StraightSegments(Columns, frozen=True, eq=False):
     arrive: Array
     cutting: Bools
     continues: Bools
+    leans: Bools
 
     def of(self, motions: Bools) -> StraightSegments:
         """Return the segments of selected motions (M,); at gaps in the selection `continues` is False."""
@@ -173,12 +182,20 @@ class Shift(Struct, frozen=True, eq=False):
 
 
 def straight_segments(
-    program: Program, path: Segments, tools: ToolStates, frame: Array, cell: float, shift: Shift | None = None
+    program: Program,
+    path: Segments,
+    tools: ToolStates,
+    frame: Array,
+    cell: float,
+    shift: Shift | None = None,
+    towards: Array | None = None,
 ) -> StraightSegments:
     """Divide the motions of a program into straight segments.
 
     :param frame: (4, 4) frame of the map in `$BASE` of the first cutting motion.
     :param cell: width of a cell [m].
+    :param towards: (M, 3) directions of the tool at the ends of motions, see `towards_spindle`; default: that of the
+        map.
     :param shift: displacement of the tip; segments are also divided where it is given.
     """
     m = program.motions
@@ -187,7 +204,13 @@ def straight_segments(
     radius = norm(arcs.radial)
     angle = np.minimum(_TURN, np.sqrt(8.0 * _SAG * cell / np.maximum(radius, cell)))
     count[arcs.motion] = np.maximum(1, np.ceil(arcs.sweep / angle)).astype(np.int64)
-    count[m.kind == PTP] = 0
+    leans = _leaning(program, path, frame, towards)
+    turned = path.turn.astype(float)
+    ptp = np.flatnonzero(leans & (m.kind == PTP))
+    if path.joint_moves is not None:
+        turned[ptp] = path.joint_moves.turn(ptp)
+    count[leans] = np.maximum(count[leans], np.ceil(turned[leans] / _LEANS).astype(np.int64))
+    count[(m.kind == PTP) & ~leans] = 0
     motion = np.repeat(np.arange(len(m)), count)
     inside = np.arange(len(motion)) - np.repeat(np.cumsum(count) - count, count)
     first, last = inside / count[motion], (inside + 1) / count[motion]
@@ -210,9 +233,43 @@ def straight_segments(
     begin, end, leave, arrive = _in_map(program, motion, frame, (begin, end), (leave, arrive))
     continues = np.zeros(len(motion), dtype=bool)
     continues[1:] = (norm(begin[1:] - end[:-1]) < 1e-6) & (tools.tool[motion[1:]] == tools.tool[motion[:-1]])
-    moves = (norm(end - begin) > _STILL) & (tools.tool[motion] >= 0)
-    columns = (motion, first, last, begin, end, leave, arrive, ~m.rapid[motion], continues)
+    lean = leans[motion]
+    continues[1:] &= ~lean[1:] & ~lean[:-1]
+    moves = ((norm(end - begin) > _STILL) | lean) & (tools.tool[motion] >= 0)
+    columns = (motion, first, last, begin, end, leave, arrive, ~m.rapid[motion], continues, lean)
     return StraightSegments(*(np.asarray(column[moves]) for column in columns))
+
+
+def _leaning(program: Program, path: Segments, frame: Array, towards: Array | None) -> Bools:
+    """Return the rapid motions (M,) on which the tool turns or leans from z of the map; a PTP if its path is known."""
+    m = program.motions
+    leans = path.turn > _TURNS
+    if towards is not None:
+        leans |= towards @ frame[:3, 2] < np.cos(_TURNS)
+    return np.asarray(m.rapid & np.where(m.kind == PTP, path.joint_moves is not None, leans))
+
+
+class ToolPoses(Struct, frozen=True, eq=False):
+    """The tool anywhere on the motions of a program, in the frame of the map.
+
+    :param program: the program, and `path` the geometry of its motions.
+    :param frame: (4, 4) frame of the map in `$BASE` of the first cutting motion.
+    :param axis: axis of the tool frame that points from the spindle to the tip.
+    """
+
+    program: Program
+    path: Segments
+    frame: Array
+    axis: str
+
+    def at(self, motion: Ints, t: Array) -> tuple[Array, Array]:
+        """Return tip (n, 3) [m] and unit direction from tip to spindle (n, 3) at places (motion, t)."""
+        inner = np.maximum(t, _STILL)  # the start of a motion: `toolpath.at` has places in (0, 1]
+        pose = toolpath.at(self.program, self.path, motion, inner).pose[:]
+        column, sign = _SPINDLE[self.axis]
+        tip, towards = pose[:, :3, 3], sign * pose[:, :3, column]
+        tip, _, towards, _ = _in_map(self.program, motion, self.frame, (tip, tip), (towards, towards))
+        return tip, towards
 
 
 def _cut_at(motion: Ints, first: Array, last: Array, shift: Shift) -> tuple[Ints, Array, Array]:
@@ -242,6 +299,10 @@ def _in_map(
     return out[0], out[1], out[2], out[3]
 
 
+_SPINDLE = {"+Z": (2, -1.0), "-Z": (2, 1.0), "+X": (0, -1.0), "-X": (0, 1.0)}
+"""Column of the tool frame, and its sign, that points from the tip to the spindle, by the axis of the tool."""
+
+
 def home_base(program: Program) -> int:
     """Return the row of `Program.bases` in which the stock is given: that of the first cutting motion."""
     m = program.motions
@@ -250,7 +311,7 @@ def home_base(program: Program) -> int:
 
 def towards_spindle(program: Program, axis: str) -> Array:
     """Return the directions from tip to spindle (M, 3) at the ends of motions, `$BASE` of the first cutting motion."""
-    column, sign = {"+Z": (2, -1.0), "-Z": (2, 1.0), "+X": (0, -1.0), "-X": (0, 1.0)}[axis]
+    column, sign = _SPINDLE[axis]
     m = program.motions
     out = sign * m.target[:, :3, column]
     home = program.bases[home_base(program)]

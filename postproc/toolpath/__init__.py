@@ -6,6 +6,7 @@ motion are consecutive and in order, and its end (t = 1) is always among them.
 
 from postproc.toolpath.path import (
     Arcs,
+    JointMoves,
     Segments,
     Toolpath,
     at,
@@ -31,6 +32,7 @@ from postproc.toolpath.sampling import DisplacementEstimate, Pieces, pieces, pla
 __all__ = [
     "Arcs",
     "DisplacementEstimate",
+    "JointMoves",
     "Pieces",
     "Segments",
     "Toolpath",

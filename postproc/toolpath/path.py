@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 from msgspec import Struct
@@ -31,6 +32,16 @@ _SAME_TANGENT, _SAME_AXIS, _SAME_RADIUS = np.radians(5.0), np.radians(40.0), 0.1
 """It continues an arc if tangent and axis differ by less [rad], and the radius by less than this share."""
 
 
+class JointMoves(Protocol):
+    """The tool on motions along which the axes, not the tool, are interpolated (PTP): see `under_load.PtpMoves`."""
+
+    def at(self, motion: Ints, t: Array) -> Array:
+        """Return the tool frames (n, 4, 4) in `$BASE` [m] at places (motion, t) of PTP motions."""
+
+    def turn(self, motion: Ints) -> Array:
+        """Return the sum of the turns of all axes (n,) [rad] on PTP motions: no part of the arm turns by more."""
+
+
 class Segments(Struct, frozen=True, eq=False):
     """The geometry of M motions: where each starts, how long it is. `$BASE` of the motion, metres.
 
@@ -41,6 +52,7 @@ class Segments(Struct, frozen=True, eq=False):
     :param turn: (M,) angle between the orientations at start and end [rad], or how far the tool turns at
         most where it turns with the path or by rotary axes.
     :param arcs: the geometry of the arcs among them.
+    :param joint_moves: the PTPs among them; None: the robot is not known, and only their ends are.
     """
 
     start: Starts
@@ -49,6 +61,7 @@ class Segments(Struct, frozen=True, eq=False):
     travel: Array
     turn: Array
     arcs: Arcs
+    joint_moves: JointMoves | None = None
 
     def begin(self, motion: Ints) -> Array:
         """Return the positions (n, 3) where motions (n,) start [m]."""
@@ -181,8 +194,8 @@ def at(program: Program, path: Segments, motion: Ints, t: Array) -> Toolpath:
 
     LIN: position linear, orientation by one rotation, or as rotary axes or the wrist turn (`Program.turning`). CIRC:
     rotation about the arc's axis with a linear rise, the orientation as for LIN, or so as seen from the path
-    (`Program.with_path`). PTP: only its end (t = 1) is known here; so it is of a piece of a spline,
-    which is represented by its chord.
+    (`Program.with_path`). PTP: as `Segments.joint_moves`; without them its end everywhere. A piece of a spline is
+    represented by its chord.
     """
     m = program.motions
     pose = m.target.take(motion)
@@ -207,7 +220,18 @@ def at(program: Program, path: Segments, motion: Ints, t: Array) -> Toolpath:
         rows = motion[turning]
         rotation[turning] = interpolated(path.start.at(rows), m.target[rows], t[turning])[:, :3, :3]
     _place(program, path, motion, t, pose.position)
+    axes = _by_axes(program, path, motion, t)
+    if path.joint_moves is not None and len(axes):
+        rotation = rotation.copy() if pose.is_fixed else rotation
+        rotation[axes] = path.joint_moves.at(motion[axes], t[axes])[:, :3, :3]
     return Toolpath(motion, t, Poses(pose.position, rotation), path.length[motion] * t)
+
+
+def _by_axes(program: Program, path: Segments, motion: Ints, t: Array) -> Ints:
+    """Return the rows of places (motion, t) before the end of PTPs whose path is known."""
+    if path.joint_moves is None:
+        return np.zeros(0, dtype=np.int64)
+    return np.flatnonzero((t < 1.0) & (program.motions.kind[motion] == PTP))
 
 
 def _with_path(program: Program, path: Segments, rows: Ints, t: Array) -> Array:
@@ -241,6 +265,9 @@ def _place(program: Program, path: Segments, motion: Ints, t: Array, spot: Array
         spot[lines] = begin + t[lines, None] * (spot[lines] - begin)
     if len(arcs):
         spot[arcs] = path.arcs.position(motion[arcs], t[arcs])
+    axes = _by_axes(program, path, motion, t)
+    if path.joint_moves is not None and len(axes):
+        spot[axes] = path.joint_moves.at(motion[axes], t[axes])[:, :3, 3]
 
 
 def tangent(program: Program, path: Segments, motion: Ints, t: Array) -> Array:

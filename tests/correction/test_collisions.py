@@ -36,9 +36,7 @@ def folder(tmp_path, monkeypatch):
 
 def converted(collision: str | None, *more: str, program: str = "part.nc"):
     """Exit code, output and report of `convert` in the cell of the samples with this [collision]."""
-    text = (
-        (ROOT / "samples" / "cell_kr270.toml").read_text().replace("[0, -70, 110, 0, 50, 0]", "[0, -90, 100, 0, 80, 0]")
-    )
+    text = (ROOT / "samples" / "cell_kr270.toml").read_text()
     Path("cell.toml").write_text(text if collision is None else f"{text}\n[collision]\n{collision}\n")
     done = CliRunner().invoke(main, ["convert", program, "--cell", "cell.toml", "-o", "out", *more])
     report = Path("out/part.report.json")
@@ -154,7 +152,6 @@ def milled(first: str, then: str, collision: str = MILL, command: str = "convert
         "box = { X = [0, 100], Y = [-30, 30], Z = [-30, 0] }\nresolution_mm = 1.0\n"
     )
     text = (ROOT / "samples" / "cell_kr270.toml").read_text()
-    text = text.replace("[0, -70, 110, 0, 50, 0]", "[0, -90, 100, 0, 80, 0]")
     Path("cell.toml").write_text(f"{text}\n[collision]\n{collision}\n")
     arguments = [command, "part.nc", "--cell", "cell.toml", "-o", "out", "--process", "process.toml", "--overwrite"]
     done = CliRunner().invoke(main, arguments)
@@ -212,16 +209,16 @@ def test_a_rapid_of_the_cutter_through_a_stated_part_is_an_error_without_a_proce
 
 def test_a_collision_on_the_way_from_the_start_says_so():
     part = "obstacles = [ { name = 'blank', box = { X = [0, 300], Y = [0, 300], Z = [-60, 0] } } ]"
-    text = (ROOT / "samples" / "cell_kr270.toml").read_text()  # the tip starts 105 mm below the origin of $BASE
+    text = (ROOT / "samples" / "cell_kr270.toml").read_text()
+    # the tip starts 105 mm below the origin of $BASE
+    text = text.replace("[0, -90, 100, 0, 80, 0]", "[0, -70, 110, 0, 50, 0]")
     Path("cell.toml").write_text(f"{text}\n[collision]\n{HOLDER}\n{part}\n")
     Path("part.nc").write_text("G21 G90 G17\nG0 X50 Y100 Z40\nX60\nM30\n")
     done = CliRunner().invoke(main, ["convert", "part.nc", "--cell", "cell.toml", "-o", "out"])
     assert done.exit_code == 1
     assert "part.nc:2: collision: cutter touches or is inside blank on the way from [start] to the first" in done.output
     Path("part.nc").write_text("G21 G90 G17\nG0 X50 Y100 Z40\nZ-30\nM30\n")
-    higher = (
-        (ROOT / "samples" / "cell_kr270.toml").read_text().replace("[0, -70, 110, 0, 50, 0]", "[0, -90, 100, 0, 80, 0]")
-    )
+    higher = (ROOT / "samples" / "cell_kr270.toml").read_text()
     Path("cell.toml").write_text(f"{higher}\n[collision]\n{HOLDER}\n{part}\n")
     done = CliRunner().invoke(main, ["convert", "part.nc", "--cell", "cell.toml", "-o", "out"])
     assert done.exit_code == 1

@@ -78,7 +78,7 @@ def test_krl_with_inline_forms_and_named_points_stands_within_a_micrometre():
     files = {name: (SAMPLES / name).read_bytes() for name in ("inline.src", "inline.dat")}
     result = convert(files, "cell_kr270.toml", "krl")
     assert not result.failed
-    home = [0, -70, 110, 0, 50, 0]  # [start] of the cell: the controller's own home position is in no file
+    home = [0, -90, 100, 0, 80, 0]  # [start] of the cell: the controller's own home position is in no file
     check_targets(result, simulator("cell_kr270.toml"), written(result, home), every=1)
 
 
