@@ -8,6 +8,7 @@ from msgspec.structs import replace
 
 from postproc import cell, robot
 from postproc.correction import read
+from postproc.elastostatics import Reversals
 from postproc.errors import Issue
 from postproc.poses import Poses
 from postproc.program import CIRC, Document, Event
@@ -93,6 +94,31 @@ def test_axes_of_the_feed_lie_along_across_and_normal():
         assert at["b_along"][row] == pytest.approx(0.1 * sign)
         assert at["b_across"][row] == pytest.approx(0.2 * sign)
         assert at["b_normal"][row] == pytest.approx(-0.3)
+
+
+def test_axes_of_the_feed_are_known_on_steps_shorter_than_a_millimetre():
+    """Every step of a finishing program is short; the axes are those of the same path at a thousandth of its size."""
+    base = fabricated.result(30)
+    off = np.tile([1e-4, 2e-4, -3e-4], (30, 1))
+    small = base.nominal[:].copy()
+    small[:, :3, 3] *= 1e-3
+    large, little = (
+        _read(fabricated.with_changes(base, deviation_before=off, nominal=nominal)).columns()
+        for nominal in (base.nominal, Poses.of(small))
+    )
+    for name in ("b_along", "b_across", "b_normal"):
+        np.testing.assert_allclose(little[name][[5, 22, 25]], large[name][[5, 22, 25]], rtol=1e-6)
+
+
+def test_all_reversals_with_lost_motion_are_marked_and_no_others():
+    base = fabricated.result(30)
+    row = np.arange(1, 29)
+    step = np.where(row % 4 == 0, 0.0, 1e-5 * row)
+    turned = Reversals(row=row, before=row - 1, joint=row % 6, step=step)
+    marks = _read(replace(base, reversals=turned)).facts["reversals"]
+    assert marks == [[int(k), f"A{k % 6 + 1}"] for k in row[step > 0.0]]
+    without = replace(base, reversals=replace(turned, step=np.zeros(28)))
+    assert _read(without).facts["reversals"] == []
 
 
 def test_length_and_time_run_along_the_path():

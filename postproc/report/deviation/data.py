@@ -61,7 +61,7 @@ class Facts(msgspec.Struct, frozen=True):
         faces.
     :param bodies: the same of tool and obstacles, whose points and faces follow; 7 = the flange.
     :param histograms: by column name.
-    :param reversals: place and joint of the largest changes of direction of a torque.
+    :param reversals: place and joint of each step by lost motion, where a torque changes its direction.
     """
 
     mode: str
@@ -239,7 +239,7 @@ class Deviation(Struct, frozen=True, dict=True):
             flange=_in_mm(nominal.flange),
             links=[(each.carrier + 1, len(each.points), len(each.faces)) for each in self.links],
             bodies=[(each.carrier + 1, len(each.points), len(each.faces)) for each in self.bodies],
-            reversals=self.reversals(),
+            reversals=self.reversal_marks(),
             histograms={name: _histogram(values[cutting] * MM_PER_M) for name, values in measures.items()},
         )
 
@@ -250,6 +250,16 @@ class Deviation(Struct, frozen=True, dict=True):
             return []
         listed = self.result.largest_reversals.tolist()
         return [(self.places.of(int(turned.row[each])), JOINTS[turned.joint[each]]) for each in listed]
+
+    def reversal_marks(self) -> list[tuple[int, str]]:
+        """Return place and joint of all reversals with lost motion, each place and joint once, in order."""
+        turned = self.result.reversals
+        if turned is None:
+            return []
+        steps = np.flatnonzero(turned.step > 0.0).tolist()
+        return list(
+            dict.fromkeys((self.places.of(int(turned.row[step])), JOINTS[turned.joint[step]]) for step in steps)
+        )
 
 
 def _worst(measure: Array, rapid: Bools, line: Ints) -> Ints:
@@ -438,6 +448,8 @@ def _feed_axes(result: Result, row: Ints) -> Array:
     same = (result.motion[before[arcs]] == motion[arcs]) & (row[arcs] > 0)
     turned = m.sweep[motion[arcs]] * (result.t[row[arcs]] - np.where(same, result.t[before[arcs]], 0.0))
     travel[arcs] = turning + rise / np.where(turned > 0.0, turned, 1.0)[:, None]
+    length = norm(travel)[:, None]  # steps of finishing programs are shorter than a millimetre
+    travel = np.divide(travel, length, out=np.zeros_like(travel), where=length > 0.0)
     axes, meant = across(result.nominal[row, :3, :3], travel, result.axis)
     meant &= m.base[motion] == m.base[result.motion[before]]
     axes[~meant] = np.nan

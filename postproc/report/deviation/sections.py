@@ -422,7 +422,7 @@ def reversals(data: Deviation) -> Section | None:
         joints = ", ".join(sorted({entry.joint for entry in found}))
         text = (
             f"The torque of {joints} changes its direction while the tool cuts. The tool steps there by the lost "
-            "motion of these gears. The robot model states none; plots along the path mark the places."
+            "motion of these gears. The robot model states none, and no plot marks the places."
         )
         return Section("reversals", "Reversals", (Notes((Note(text),)),))
     rows = tuple(
