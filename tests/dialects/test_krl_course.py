@@ -782,3 +782,28 @@ def test_branches_by_joint_angles_are_what_a_controller_makes_of_them(tmp_path, 
 def test_a_line_that_begins_in_one_of_two_places_is_refused(lines):
     with pytest.raises(ProgramError, match="end in different places"):
         read(body(FULL, *lines), DATA)
+
+
+def test_statements_are_parsed_in_their_files_and_not_again_in_the_trace():
+    lines = ["FOR I=1 TO 5", "Z=I", "TRIGGER WHEN PATH=1 DELAY=0 DO $OUT[1]=TRUE", "LIN {X Z,Y 1}", "SUB(I)"]
+    lines += ["IF I>2 THEN", "K=I", "ELSE", "K=0", "ENDIF", "ENDFOR"]
+    program = read(body(FULL, *lines) + SUB, DATA)
+    course = program.layout.course
+    assert len(program.motions) == 11
+    assert len(course.source.starts) > 50
+    assert not course.source.statements
+
+
+@pytest.mark.parametrize("literal", ["{X 4,Y 5,Z 6,A 1,B 2,C 3}", "{E6POS: X 4, Y 5, Z 6, A 1, B 2, C 3, S 2, T 10}"])
+def test_a_point_that_a_call_gives_is_corrected_in_the_call(literal):
+    """Its numbers are in another line than its motion, and at another place in the trace than in the file."""
+    lines = ["FOR I=1 TO 2", f"GO({literal})", "ENDFOR", f"  GO({literal}) ; last"]
+    text = body(FULL, *lines) + "DEF GO(P:IN)\r\nDECL E6POS P\r\nLIN P\r\nEND\r\n"
+    program = read(text, DATA)
+    shift = np.zeros((len(program.motions), 3))
+    shift[1:] = 1e-3
+    wanted = targets(program, shift)
+    written = krl.rewrite(program, wanted)
+    check_commands(program, wanted, written)
+    assert "FOR I=1 TO 2" in written.documents[0].text
+    assert written.documents[0].text.count("5.0000") == 2

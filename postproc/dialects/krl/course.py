@@ -115,6 +115,11 @@ class PlainRounds(Struct, frozen=True, eq=False):
         """Line of the trace behind the last round."""
         return self.first + self.count * self.length
 
+    def number(self, row: int) -> int | None:
+        """Return the counter on a row of the trace that gives it its value; None for other rows."""
+        turn, behind = divmod(row - self.first, self.length)
+        return None if behind else self.begin + turn * self.step
+
     def line(self, motion: int) -> Ints:
         """Return the lines of the trace (count,) with a motion of the body, by its line in the file."""
         return np.asarray(self.first + motion - self.head + self.length * np.arange(self.count))
@@ -167,6 +172,7 @@ class Course(Struct, frozen=True, eq=False):
     :param pinned: inlined routines that are also reached by a call that is not followed: they must stay unchanged.
     :param files: other source and data files of the inlined routines.
     :param taken: names, upper case, of programs and GLOBAL routines of all folders, if new names are needed.
+    :param counts: row with an assignment to the counter of a FOR → its value; those of plain rounds are left out.
     :param users: file of an inlined routine → other programs of the folders that name it.
     """
 
@@ -180,6 +186,7 @@ class Course(Struct, frozen=True, eq=False):
     files: tuple[Document, ...] = ()
     taken: frozenset[str] = frozenset()
     users: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    counts: Mapping[int, int] = field(default_factory=dict)
 
     @property
     def endless(self) -> Repeated | None:

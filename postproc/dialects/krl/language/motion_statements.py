@@ -11,12 +11,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc.dialects.krl.language import tree
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.positions import Position
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.values import Number, Value
+from postproc.dialects.krl.language.values import Number, Value, moved_aggregate
 from postproc.frames import M_PER_MM, Array
 
 
@@ -33,6 +34,13 @@ class Point(Struct, frozen=True, eq=False):
     start: int
     stop: int
     name: str = ""
+
+    def moved(self, source: Source, offset: int) -> Point:
+        """Return the point in another text with the same statement, `offset` characters later."""
+        position, aggregate = self.position, self.position.aggregate
+        if self.inline and aggregate is not None:
+            position = replace(position, aggregate=moved_aggregate(aggregate, source, offset))
+        return Point(position, self.start + offset, self.stop + offset, self.name)
 
     @property
     def inline(self) -> bool:
@@ -68,6 +76,18 @@ class MotionStatement(Struct, frozen=True, eq=False):
     stop: int
     approximated: bool
     behind: tuple[int, int] | None = None
+
+    def moved(self, source: Source, offset: int) -> MotionStatement:
+        """Return the motion in another text with the same statement, `offset` characters later."""
+        return replace(
+            self,
+            keyword=(self.keyword[0] + offset, self.keyword[1] + offset),
+            end=self.end.moved(source, offset),
+            via=None if self.via is None else self.via.moved(source, offset),
+            tail=self.tail + offset,
+            stop=self.stop + offset,
+            behind=None if self.behind is None else (self.behind[0] + offset, self.behind[1] + offset),
+        )
 
     @property
     def via_incomplete(self) -> bool:
@@ -120,7 +140,8 @@ def triggers(source: Source, found: Sequence[tuple[int, int, bool]], length: Arr
     :param length: (n,) of these motions [m].
     """
     for (line, row, attached), metres in zip(found, length.tolist(), strict=True):
-        here = statement(source, line)
+        at = source.origin(line)
+        here, moved = statement(*at), int(source.starts[line - 1]) - int(at.source.starts[at.line - 1])
         if isinstance(here, tree.Timed):
             yield Trigger(line, row, attached, here.from_start, 0.0, None, 0.0, metres)
             continue
@@ -130,7 +151,7 @@ def triggers(source: Source, found: Sequence[tuple[int, int, bool]], length: Arr
             value, delay = _number(here.value), _S_PER_MS * _number(here.delay)
             from_start = here.from_start or (here.distance and value == 0.0)
             if not here.distance:
-                offset, path = value * M_PER_MM, (here.value.start, here.value.stop)
+                offset, path = value * M_PER_MM, (here.value.start + moved, here.value.stop + moved)
             elif value in (0.0, 1.0):
                 offset = 0.0
         yield Trigger(line, row, attached, from_start, offset, path, delay, metres)

@@ -48,6 +48,14 @@ class Block(Struct, frozen=True, eq=False):
     last: int
     parts: tuple[Part, ...]
 
+    def moved(self, shift: int) -> Block:
+        """Return the control structure on other lines, by a number that is added to each."""
+        parts = (
+            Part(part.head + shift, part.beyond + shift, tuple(_moved(node, shift) for node in part.nodes))
+            for part in self.parts
+        )
+        return Block(self.word, self.first + shift, self.last + shift, tuple(parts))
+
     def lines(self) -> Iterator[int]:
         """Yield the lines of its statements and its own, in order."""
         for part in self.parts:
@@ -62,6 +70,10 @@ class Block(Struct, frozen=True, eq=False):
 
 Node = int | Block
 """The line of a statement, or a control structure."""
+
+
+def _moved(node: Node, shift: int) -> Node:
+    return node.moved(shift) if isinstance(node, Block) else node + shift
 
 
 class _Open(Struct, eq=False):

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc.dialects.krl.language.source import Source
 from postproc.errors import ProgramError
@@ -179,3 +180,13 @@ def walk(values: Iterable[Value]) -> Iterator[Value]:
 def writable(argument: Value) -> Reference | None:
     """Return the variable that a routine may write if it gets an argument; None if it is none."""
     return argument if isinstance(argument, Reference) and not argument.bracketed else None
+
+
+def moved_aggregate(aggregate: Aggregate, source: Source, offset: int) -> Aggregate:
+    """Return an aggregate in another text that has it too, `offset` characters later."""
+    items = {
+        name: replace(item, start=item.start + offset, stop=item.stop + offset)
+        for name, item in aggregate.items.items()
+    }
+    start, stop = aggregate.start + offset, aggregate.stop + offset
+    return replace(aggregate, items=items, source=source, start=start, stop=stop)

@@ -50,6 +50,8 @@ class Calls:
         known = self.run.variables.evaluate(value)
         if isinstance(known, Aggregate) and not (isinstance(value, Aggregate) and self.run.in_main):
             return replace(known, computed=True)  # the text of its numbers belongs to another variable
+        if isinstance(known, Aggregate) and not known.computed:
+            return self.run.in_trace(known)
         if known == NOTHING and not (isinstance(value, Reference) and value.name[0] != "$"):
             return Unknown(str(at), why_unknown(self.run.variables, at.source, value))
         return known

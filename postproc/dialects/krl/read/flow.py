@@ -18,7 +18,7 @@ from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.structures import LOOPS, Block, Node
-from postproc.dialects.krl.language.values import Call, Number, Value
+from postproc.dialects.krl.language.values import Call, Number, Reference, Value
 from postproc.dialects.krl.read.conditions import constant_cases
 from postproc.dialects.krl.read.explanations import why_not_decided, without_value
 from postproc.dialects.krl.read.interpreter import LOOP_ADVICE, Interpreter, undecided_jump
@@ -156,12 +156,22 @@ class Flow:
         except ProgramError:
             return False
 
+    def count(self, at: Place, counter: Reference, number: int) -> None:
+        """Give the counter of a FOR its value in a round of a recorded trace."""
+        self._count(at)
+        try:
+            self.interpreter.assign(at, counter, Number(float(number), counter.start, counter.stop, True))
+        except InexactError:
+            raise
+        except ProgramError as cause:
+            self._fault(at, cause)
+
     # --- statements --------------------------------------------------------------------------------------------------
 
     def _statement(self, at: Place) -> None:
         level = self.run.level
         if level.traced:
-            self.run.line = at.line
+            self.run.line = at.line + self.run.shift
         self._count(at)
         word = statement(at.source, at.line).word
         if level.loops and word == "EXIT":
@@ -200,7 +210,7 @@ class Flow:
 
     def _most(self, source: Source) -> int:
         """Return how many statements may run around motions."""
-        return _MOST_TRACED + len(source.starts)
+        return _MOST_TRACED + len((source if self.trace is not None else self.run.source).starts)
 
     def _check_least(self, at: Place, least: int) -> None:
         """Refuse code that runs too many statements, before it is followed.
@@ -324,7 +334,7 @@ class Flow:
             self.run.back_to(marks)
             for line in lines:
                 if self.run.level.traced:
-                    self.run.line = line
+                    self.run.line = line + self.run.shift
                 self._guarded(Place(source, line))
 
     def _exactly(self, source: Source, block: Block, trace: Trace | None) -> None:
@@ -531,7 +541,7 @@ class Flow:
                     problem = f"{block.word} has not ended after {_MOST_UNCOUNTED} statements"
                     raise inexact(Place(source, block.first), problem, "Check its condition, or write FOR instead.")
                 if trace is not None and loop is not None:
-                    trace.repeat(loop, block, counter.text if counter is not None else None)
+                    trace.repeat(loop, block, counter.assigned if counter is not None else None)
                 self.follow(source, part.nodes)
                 going = not (level.returned or level.left)
                 if trace is not None:
@@ -551,7 +561,7 @@ class Flow:
         ended = counter is not None and not (level.returned or level.left)
         level.left = False
         if trace is not None and loop is not None:
-            trace.end(loop, block, counter.text if counter is not None and ended else None)
+            trace.end(loop, block, counter.assigned if counter is not None and ended else None)
 
     def _plainly(self, source: Source, block: Block, counter: _Counter, trace: Trace, loop: Repeated) -> None:
         """Record all rounds of a FOR at once if its body does nothing but move."""
@@ -660,9 +670,9 @@ class _Counter:
         self._set(self._whole(self.given[0]))
 
     @property
-    def text(self) -> str:
-        """An assignment of its present value."""
-        return f"{self.name}={self.now()}"
+    def assigned(self) -> tuple[str, int]:
+        """Its name, as it is spelled, and its present value."""
+        return self.name, self.now()
 
     @property
     def rounds(self) -> int:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from postproc.dialects.krl.language import tree
+from postproc.dialects.krl.language.declarations import Declared
 from postproc.dialects.krl.language.expressions import calls
 from postproc.dialects.krl.language.names import OPENING, WITHOUT_MOTION
 from postproc.dialects.krl.language.parser import statement
@@ -128,7 +129,7 @@ class Interpreter:
         if here.word != "STOP" and not self.run.settings.state.block:
             raise at.error(f"{here.word} outside of a spline block", "Write it between SPLINE and ENDSPLINE.")
         if here.word in _REFERRING:
-            self.run.triggers.append(at.line)
+            self.run.triggers.append(self.run.line)
 
     def _return(self, at: Place, here: tree.Return) -> None:
         level = self.run.level
@@ -156,7 +157,7 @@ class Interpreter:
             self._bas(at, here)
         elif isinstance(here, tree.Event):
             if isinstance(here, tree.Trigger) and self.run.in_main:
-                self.run.triggers.append(at.line)
+                self.run.triggers.append(self.run.line)
             self._event(at, here)
         elif isinstance(here, tree.Cyclic | tree.Imported):
             if here.name in RELEVANT:
@@ -165,9 +166,9 @@ class Interpreter:
             if isinstance(here, tree.Imported):
                 self.run.changes_always(at, here.original)
         elif isinstance(here, tree.Declaration):
-            names = declare(self.run.variables, at.source, here)
+            names = self._declared(at, here)
             if self.run.in_main:
-                self.run.understood.update(one.at for one in names)
+                self.run.understood.update(one.at + self.run.offset for one in names)
         elif here.word == "EXIT":
             self._exit(at)
         elif isinstance(here, tree.Outside):
@@ -175,7 +176,7 @@ class Interpreter:
         elif here.word in WITHOUT_MOTION:
             self._inner_calls(at, here.values)
         elif isinstance(here, tree.Assignment):
-            self._assign(at, here.target, here.value)
+            self.assign(at, here.target, here.value)
         elif isinstance(here, tree.CallStatement):
             self._inner_calls(at, here.call.arguments)
             if not self._entered(at, here.call):
@@ -184,6 +185,16 @@ class Interpreter:
             raise here.error
         elif not isinstance(here, tree.Label):
             raise at.error("the statement is not understood", "Check its spelling.")
+
+    def _declared(self, at: Place, here: tree.Declaration) -> tuple[Declared, ...]:
+        """Take a declaration; return what it declares. Initial values are those of the trace, as the motions are."""
+        initial = self.run.in_main and any(one.value >= 0 for one in here.names)
+        if not initial or self.run.source.origins is None:
+            return declare(self.run.variables, at.source, here)
+        replayed = statement(self.run.source, self.run.line)
+        if isinstance(replayed, tree.Declaration):
+            declare(self.run.variables, self.run.source, replayed)
+        return here.names
 
     def _exit(self, at: Place) -> None:
         """Note that a loop that is followed may be left."""
@@ -212,7 +223,11 @@ class Interpreter:
             problem = f"what motions depend on is changed inside {word} ({Place(at.source, opened)})"
             self.run.settings.may_become(self.run.line, state, at.error(problem, SETTING_ADVICE))
 
-    def _assign(self, at: Place, target: Reference, given: Value) -> None:
+    def assign(self, at: Place, target: Reference, given: Value) -> None:
+        """Follow an assignment.
+
+        :raises ProgramError: its effect on motion is not modelled.
+        """
         self._inner_calls(at, [target])
         name = target.name
         if name in RELEVANT:
@@ -228,7 +243,7 @@ class Interpreter:
             self.run.variables.forget(name, str(at))
             return
         if target.field is None and self.run.in_main:
-            self.run.understood.add(target.start)
+            self.run.understood.add(target.start + self.run.offset)
         key = self.run.variables.key_of(target)
         if key != before:
             self.run.variables.forget(self.run.stored(name), self._which_element(at, target, given))
@@ -281,6 +296,5 @@ class Interpreter:
         if effects.motion is not None:
             raise at.error(f"{here.word} moves the robot ({effects.motion})", IN_ORDER)
         self.calls.notice(at, here.word, effects, f"{here.word} in {at}")
-        declared = at.source.origin(at.line).source
-        if here.public or declared is self.run.routine.source:
+        if here.public or at.source is self.run.routine.source:
             self.run.resumed = self.run.resumed or effects.resumes

@@ -28,7 +28,7 @@ from postproc.dialects.krl.language.routines import Routine
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.structures import Block, Node, checked, nodes_of, outside
 from postproc.dialects.krl.language.tokens import NAME
-from postproc.dialects.krl.language.tree import CallStatement, Goto, Motion, Statement
+from postproc.dialects.krl.language.tree import CallStatement, For, Goto, Motion, Statement
 from postproc.dialects.krl.read.flow import Flow
 from postproc.dialects.krl.read.folder import Library
 from postproc.dialects.krl.read.interpreter import JUMP_ADVICE, LOOP_ADVICE
@@ -131,7 +131,7 @@ class MainRoutine:
         self.still: list[int] = []
         self._errors: list[ProgramError] = []
         self._broken: set[str] = set()
-        self._refused: set[int] = set()
+        self._refused: set[Place] = set()
         self.rounds: list[ElementMotions] = []
         self._plain, self._given = plain.moving, plain.settings
         self._others = plain.others(len(self.run.source.starts))
@@ -144,7 +144,7 @@ class MainRoutine:
         :param faults: errors in the bounds of routines.
         :raises ProgramError: something that changes motion is not understood; all such lines together.
         """
-        run, source = self.run, self.run.source
+        run = self.run
         fault = fault_of(run.routine.name)
         if fault:
             raise run.routine.source.line_error(f"{run.routine.name} is not a valid name: {fault}", run.routine.first)
@@ -168,10 +168,12 @@ class MainRoutine:
         if self.course.straight and run.level.returned:
             errors += self._never_reached(run.level.returned)
         if self.splines.open is not None and not errors:
-            errors.append(source.line_error("the spline block is not closed", self.splines.open.line))
+            errors.append(self.splines.open.at.error("the spline block is not closed"))
         if run.level.open and not errors:
             word, opened = run.level.open[-1]
-            errors.append(source.line_error(f"{word} is not closed", opened, "Check that the file is complete."))
+            errors.append(
+                run.routine.source.line_error(f"{word} is not closed", opened, "Check that the file is complete.")
+            )
         if errors:
             raise together({(error.file, error.line, error.problem): error for error in reversed(errors)}.values())
 
@@ -206,7 +208,7 @@ class MainRoutine:
             if isinstance(node, PlainRounds):
                 self._follow_rounds(node)
                 continue
-            self._flow.follow(run.source, (node,))
+            self._follow(node)
             if run.level.returned:
                 return
         run.settings.come_to(step.last + 1)
@@ -216,15 +218,33 @@ class MainRoutine:
         run = self.run
         found = motions_of(run, self.reader, rounds)
         if found is None:
-            self._follow_lines(np.arange(rounds.first, rounds.beyond))
+            self._follow_lines(np.arange(rounds.first, rounds.beyond), rounds)
             return
         self.rounds += found
-        self._follow_lines(np.array([rounds.first, rounds.beyond - rounds.length]))
+        self._follow_lines(np.array([rounds.first, rounds.beyond - rounds.length]), rounds)
 
-    def _follow_lines(self, lines: Ints) -> None:
+    def _follow(self, node: Node, number: int | None = None) -> None:
+        """Run a row of the trace, or a control structure by its rows.
+
+        :param number: of the counter that the row assigns, if it is one of plain rounds.
+        """
+        row = node.first if isinstance(node, Block) else node
+        at = self.run.come_to(row)
+        if number is None:
+            number = self.course.counts.get(row)
+        if number is None:
+            self._flow.follow(at.source, (node.moved(-self.run.shift) if isinstance(node, Block) else at.line,))
+            return
+        here = statement(at.source, at.line)
+        if isinstance(here, For) and here.counter is not None:
+            before = at.source.code_span(at.line)[0] - int(at.source.starts[at.line - 1])
+            self.run.offset = int(self.run.source.starts[row - 1]) + before - here.counter.start
+            self._flow.count(at, here.counter, number)
+
+    def _follow_lines(self, lines: Ints, rounds: PlainRounds | None = None) -> None:
         for line in _coded(self.run.source, lines[self._others[lines - 1]]):
             self.run.settings.come_to(line)
-            self._flow.follow(self.run.source, (line,))
+            self._follow(line, None if rounds is None else rounds.number(line))
 
     def _apart_from_rounds(self) -> list[int]:
         """Return the lines of a trace that have code and are neither plain nor in plain rounds."""
@@ -277,9 +297,8 @@ class MainRoutine:
         return True
 
     def _enter(self, step: Enter) -> None:
-        at = Place(self.run.source, step.line)
-        self.run.line = step.line
-        here = statement(at.source, step.line)
+        at = self.run.come_to(step.line)
+        here = statement(at.source, at.line)
         if isinstance(here, CallStatement):
             for inner in calls(here.call.arguments):
                 self._flow.interpreter.calls.call(at, inner, certain=False)
@@ -300,7 +319,8 @@ class MainRoutine:
         lines, given = self._between(step)
         for node in nodes_of(source, sorted([*lines, *given.tolist()])):
             if isinstance(node, Block):
-                self._flow.roughly(source, node)
+                at = run.come_to(node.first)
+                self._flow.roughly(at.source, node.moved(-run.shift))
         plain = self._plain[np.searchsorted(self._plain, step.first) : np.searchsorted(self._plain, step.last, "right")]
         run.unresolved += [(line, step.why) for line in plain.tolist()]
         run.unresolved = [*dict(run.unresolved).items()]
@@ -320,31 +340,31 @@ class MainRoutine:
         for call in calls(here.values):
             self._flow.interpreter.calls.call(at, call, certain=False)
         if not isinstance(here, Motion):
-            self.splines.statement(at, here)
+            self.splines.statement(at, here, self.run.line)
             return
         level = self.run.level
         if level.open and not stays(here):
             opener, opened = level.open[-1]
             problem = f"motion inside {opener} ({Place(at.source, opened)})"
             if self.run.keep:
-                self.run.unresolved.append((at.line, at.error(problem)))
+                self.run.unresolved.append((self.run.line, at.error(problem)))
                 return
-            if opened not in self._refused:
-                self._refused.add(opened)
+            if (place := Place(at.source, opened)) not in self._refused:
+                self._refused.add(place)
                 raise at.error(problem, LOOP_ADVICE)
             return
         try:
-            move, state, names = self.reader.read(at, here)
+            move, state, names = self.reader.read(at, here, self.run.line)
         except UnresolvedError as cause:
             if not self.run.keep:
                 raise
-            self.run.unresolved.append((at.line, cause))
+            self.run.unresolved.append((self.run.line, cause))
             return
-        self.run.understood.update(names)
+        self.run.understood.update(name + self.run.offset for name in names)
         if move is None:
-            self.still.append(at.line)
+            self.still.append(self.run.line)
         else:
-            self.motions.add(move, state)
+            self.motions.add(move if self.course.straight else move.moved(self.run.source, self.run.offset), state)
 
 
 def _one_by_one(source: Source, lines: Sequence[int], settings: Ints) -> tuple[Sequence[int], Ints]:

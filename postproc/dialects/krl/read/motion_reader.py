@@ -85,7 +85,7 @@ class MotionReader:
         self.home = home
         self.home_used = 0
 
-    def read(self, at: Place, here: Motion) -> tuple[MotionStatement | None, State, list[int]]:
+    def read(self, at: Place, here: Motion, row: int) -> tuple[MotionStatement | None, State, list[int]]:
         """Return the motion of a statement, or None where it only asks for the present position, and what it names.
 
         :returns: the motion; the settings in force for it; offsets of the names whose values it uses.
@@ -96,12 +96,12 @@ class MotionReader:
         names: list[int] = []
         via = angle = None
         if here.via is not None:
-            via = self._point(at, here.via, names)
+            via = self._point(at, here.via, names, row)
             if not via or here.end is None:
                 raise at.error(f"{here.word} needs an auxiliary point and an end point")
         if stays(here):
             return None, self.settings.state, names
-        end = None if here.end is None else self._point(at, here.end, names)
+        end = None if here.end is None else self._point(at, here.end, names, row)
         if end is None:
             problem = f"{here.word}: the target is not known: it is the current robot position"
             raise unresolved(at.error(problem, RUN_TIME_ADVICE))
@@ -117,7 +117,7 @@ class MotionReader:
         behind = None if here.frame_behind is None else (here.frame_behind.start, here.frame_behind.stop)
         tail = here.tail
         move = MotionStatement(
-            at.line, kind, keyword, end, relative, via, angle, tail.start, tail.stop, approximated, behind
+            row, kind, keyword, end, relative, via, angle, tail.start, tail.stop, approximated, behind
         )
         return move, state, names
 
@@ -129,7 +129,7 @@ class MotionReader:
         state, _ = self.tail(at, LIN, here.tail)
         return replace(state, block=here.word)
 
-    def _point(self, at: Place, value: Value, names: list[int]) -> Point | None:
+    def _point(self, at: Place, value: Value, names: list[int], row: int) -> Point | None:
         """Return a point; None for the present position."""
         source = at.source
         name = ""
@@ -145,7 +145,7 @@ class MotionReader:
         except NotANumberError as cause:
             raise unresolved(self._explained(source, value, cause)) from None
         if position is None and name in _HOME and self.variables.evaluate(value) == NOTHING:
-            self.home_used = self.home_used or at.line
+            self.home_used = self.home_used or row
             position = Position(self.home, axis=True)
         if position is None:
             why = why_unknown(self.variables, source, value)

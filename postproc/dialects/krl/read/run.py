@@ -14,6 +14,7 @@ from postproc.dialects.krl.language.declarations import declared_names
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.structures import Node, checked, nodes_of
+from postproc.dialects.krl.language.values import Aggregate, moved_aggregate
 from postproc.dialects.krl.read.data_lists import read_data
 from postproc.dialects.krl.read.effects import Analysis
 from postproc.dialects.krl.read.folder import Library
@@ -134,7 +135,9 @@ class Run:
 
     :ivar routine: the main routine.
     :ivar source: the execution trace of the program, see `course`.
-    :ivar line: present line of the trace.
+    :ivar line: present row of the trace.
+    :ivar shift: what the row of the present statement has in addition to its line in the file, if it is traced.
+    :ivar offset: the same of the offset of its text in the trace and in the file.
     :ivar place: the statement that runs, in the file of its routine.
     :ivar level: the routine that runs.
     :ivar stack: it, and those that called it.
@@ -161,7 +164,7 @@ class Run:
         self.source, self.variables = source or routine.source, settings.variables
         self.scopes = Scopes(library.program, routine, self.variables)
         self.analysis = Analysis(library, self.scopes.of)
-        self.line = 0
+        self.line = self.shift = self.offset = 0
         self.place: Place | None = None
         self.level = Level(library.program, routine, Scope(), traced=True)
         self.stack: list[Routine] = [routine]
@@ -182,6 +185,19 @@ class Run:
         self.elsewhere: Mapping[Routine | Occasion, ProgramError] = {}
         self._forks: list[_Fork] = []
         self._nodes: dict[Routine, tuple[Node, ...]] = {}
+
+    def come_to(self, row: int) -> Place:
+        """Make a row of the trace the present one; return its place in a file."""
+        at = self.source.origin(row)
+        self.line, self.shift = row, row - at.line
+        self.offset = int(self.source.starts[row - 1]) - int(at.source.starts[at.line - 1])
+        return at
+
+    def in_trace(self, aggregate: Aggregate) -> Aggregate:
+        """Return an aggregate of the present statement as text of the trace, where its numbers are corrected."""
+        if self.source.origins is None:
+            return aggregate
+        return moved_aggregate(aggregate, self.source, self.offset)
 
     def nodes(self, routine: Routine) -> tuple[Node, ...]:
         """Return the statements and control structures of a routine.

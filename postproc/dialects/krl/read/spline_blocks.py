@@ -26,12 +26,13 @@ from postproc.program import SPL, Bools, Motions
 class Opened(Struct, frozen=True):
     """A block that is open.
 
-    :ivar line: of its first line.
+    :ivar row: of the trace, with its first line; `at` the place of that line.
     :ivar before: state in force outside of it.
     :ivar inside: state in force behind its first line.
     """
 
-    line: int
+    row: int
+    at: Place
     before: State
     inside: State
 
@@ -50,17 +51,18 @@ class SplineBlocks:
         self.approximated: list[int] = []
         self.ended: list[int] = []
 
-    def statement(self, at: Place, here: Statement) -> None:
+    def statement(self, at: Place, here: Statement, row: int) -> None:
         """Take a line that opens or closes a block.
 
+        :param row: of the trace.
         :raises ProgramError: it is not understood, or none is open.
         """
         if isinstance(here, Spline):
             if self.open is not None:
-                raise at.error(f"{here.word} inside of a spline block ({Place(at.source, self.open.line)})")
+                raise at.error(f"{here.word} inside of a spline block ({self.open.at})")
             state = self.reader.block(at, here)
-            self.open = Opened(at.line, self.settings.state, state)
-            self.settings.change(at.line, state)
+            self.open = Opened(row, at, self.settings.state, state)
+            self.settings.change(row, state)
             return
         if self.open is None:
             raise at.error("ENDSPLINE without SPLINE")
@@ -68,14 +70,14 @@ class SplineBlocks:
         if tail.upper() not in ("", "C_SPL"):
             raise at.error(f"{tail!r} is not understood")
         if tail:
-            self.approximated.append(at.line)
+            self.approximated.append(row)
         inside, now = self.open.inside, self.settings.state
         changed = inside.differing(now) | {field for field, _ in set(now.uncertain) - set(inside.uncertain)}
-        self.settings.change(at.line, self.open.before)
+        self.settings.change(row, self.open.before)
         if changed:
             problem = "a function that a motion of the spline block calls changes what motions depend on"
-            self.settings.make_uncertain(at.line, sorted(changed), at.error(problem, SETTING_ADVICE))
-        self.ended.append(at.line)
+            self.settings.make_uncertain(row, sorted(changed), at.error(problem, SETTING_ADVICE))
+        self.ended.append(row)
         self.open = None
 
 

@@ -61,6 +61,7 @@ class Trace:
         self._sources: dict[Source, int] = {main.source: 0}
         self._from: list[tuple[int, int, int, int, int, bool]] = []
         self._steps: list[Step] = []
+        self._counts: list[tuple[int, int]] = []
         self._inlined: set[Routine] = set()
         self._files: dict[Document, None] = {}
         self._put(main.source, 1, main.first, 0, live=False)
@@ -92,12 +93,14 @@ class Trace:
         """Return the present length of the trace, for `back_to`."""
         open_ = [(s.cursor, len(s.bodies), [len(body.parts) for body in s.bodies]) for s in self._open]
         last = self._steps[-1] if self._steps else None
-        return self.count, len(self._texts), len(self._steps), last, set(self._inlined), dict(self._files), open_
+        lengths = len(self._texts), len(self._steps), len(self._counts)
+        return self.count, lengths, last, set(self._inlined), dict(self._files), open_
 
     def back_to(self, mark: tuple[Any, ...]) -> None:
         """Drop everything recorded since."""
-        self.count, texts, steps, last, self._inlined, self._files, open_ = mark
+        self.count, (texts, steps, counts), last, self._inlined, self._files, open_ = mark
         del self._texts[texts:], self._from[texts:], self._steps[steps:], self._open[len(open_) :]
+        del self._counts[counts:]
         if steps:
             self._steps[-1] = last
         for each, (cursor, bodies, parts) in zip(self._open, open_, strict=True):
@@ -139,7 +142,7 @@ class Trace:
         self._open[-1].bodies[-1].parts.append(loop)
         return loop
 
-    def repeat(self, loop: Repeated, block: Block, assigned: str | None) -> None:
+    def repeat(self, loop: Repeated, block: Block, assigned: tuple[str, int] | None) -> None:
         """Begin an iteration of a loop."""
         body = Body(self.count + 1)
         loop.bodies.append(body)
@@ -174,7 +177,7 @@ class Trace:
         self.pass_to(block.last - 1, live=False)
         self._open[-1].bodies.pop().last = self.count + 1
 
-    def end(self, loop: Repeated, block: Block, assigned: str | None) -> None:
+    def end(self, loop: Repeated, block: Block, assigned: tuple[str, int] | None) -> None:
         """End a loop."""
         if not loop.bodies:
             self.pass_to(block.last, live=False)
@@ -214,6 +217,7 @@ class Trace:
             frozenset(self._inlined),
             frozenset(self._inlined if self.pinned else self._inlined & reached),
             tuple(self._files),
+            counts=dict(self._counts),
         )
 
     def _next(self, line: int, *, live: bool) -> bool:
@@ -232,16 +236,18 @@ class Trace:
         self._from.append((self._sources.setdefault(source, len(self._sources)), first, last, shown, 0, live))
         self.count += last - first + 1
 
-    def _assign(self, loop: Repeated, block: Block, assigned: str | None) -> None:
+    def _assign(self, loop: Repeated, block: Block, assigned: tuple[str, int] | None) -> None:
         """Record an assignment to the counter of a loop."""
         if assigned is None:
             return
         here = self._open[-1]
-        self._texts.append(f"{indent(loop.opener)}{assigned}{_end(loop.opener)}")
+        name, number = assigned
+        self._texts.append(f"{indent(loop.opener)}{name}={number}{_end(loop.opener)}")
         self._from.append(
             (self._sources.setdefault(here.source, len(self._sources)), 1, 1, here.shown, block.first, True)
         )
         self.count += 1
+        self._counts.append((self.count, number))
         self._run_on(self.count)
 
     def _run_on(self, first: int) -> None:
