@@ -93,7 +93,7 @@ def _starts(program: Program, targets: Targets, cell: Cell, emitter: Emitter, wr
     motion, place = motion[(place > 0) & (place < len(targets))], place[(place > 0) & (place < len(targets))]
     ends = _ends(written)
     after = np.append(ends[place - 1], written.size)
-    lines = [line for kind in _SWITCHING for line in getattr(cell.gcode, kind)]
+    lines = [line for kind in _SWITCHING for line in getattr(cell.gcode, kind) or ()]
     head = sum(len(line) + 2 for line in emitter.header(program.name))
     most = cell.output.program_memory_MB * _MB - head - _RESERVE - 2 * sum(map(len, lines))
     starts: list[int] = []
