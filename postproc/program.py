@@ -338,10 +338,12 @@ class ForceNote(Struct, frozen=True):
 
 
 _PROSE = (
-    r"[ \t-]+(?![^\r\n]*(?:[\d=]|\b(?:OFF|ON|NO|NOT|NONE|NULL|ZERO|END|STOP|AUS|F[XYZ]|M[XYZ]|FRAME)\b))"
+    r"[ \t-]+(?![ \t-])(?![^\r\n]{300})"
+    r"(?![^\r\n]*(?:[\d=]|\b(?:OFF|ON|NO|NOT|NONE|NULL|ZERO|END|STOP|AUS|F[XYZ]|M[XYZ]|FRAME)\b))"
     r"[^\W\d_]{3,}[ \t-]+[^\W\d_]"
 )
-"""What follows FORCE in a comment such as "Force exact path": two words, and nothing that gives or ends a force."""
+"""What follows FORCE in a comment such as "Force exact path": two words, and nothing that gives or ends a force, in
+less than 300 characters: so a line costs no more than its length, however often FORCE is in it."""
 FORCE_COMMENT = re.compile(
     rf"[ \t(]*FORCE(?!{_PROSE})(?:\b|\w?[ \t]*OFF\b)|(?![ \t]*FOLD\b)[^\r\n;]*?\bF[XYZ][ \t]*=[ \t]*[-+.\d]",
     re.IGNORECASE,
@@ -375,8 +377,8 @@ def parse_force_note(comment: str, line: int, file: str) -> ForceNote | None:
         return ForceNote(line, (0.0,) * 6)
     wrench: dict[str, float] = {}
     frame: ForceFrame = "BASE"
-    position = 0
-    while rest[position:].strip():
+    position, end = 0, len(rest.rstrip())
+    while position < end:
         part = _FORCE_PART.match(rest, position)
         try:
             if part is None:

@@ -1,7 +1,16 @@
 """Strict reading of TOML and CSV, reading of meshes; sets of files that are replaced together (atomically)."""
 
 from postproc.files.locking import locked
-from postproc.files.reading import convert, parse_csv, read_csv, read_facets, read_mesh, read_text, read_toml
+from postproc.files.reading import (
+    convert,
+    parse_csv,
+    read_bytes,
+    read_csv,
+    read_facets,
+    read_mesh,
+    read_text,
+    read_toml,
+)
 from postproc.files.writing import (
     FileEntry,
     Staged,
@@ -34,6 +43,7 @@ __all__ = [
     "locked",
     "noted",
     "parse_csv",
+    "read_bytes",
     "read_csv",
     "read_facets",
     "read_mesh",

@@ -7,8 +7,10 @@ import io
 import logging
 import math
 import re
+import stat
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -23,19 +25,44 @@ T = TypeVar("T")
 Error = TypeVar("Error", bound=InputError)
 
 
+MOST_BYTES = 1 << 30
+"""Largest size of an input file: more is no program and no table."""
+
+
+def read_bytes(path: Path, error: type[InputError], absent: str | None = None) -> bytes:
+    """Return the content of a file; `error` names it when it cannot be read.
+
+    :param absent: advice where there is no such file.
+    :raises InputError: (`error`) there is none, it is a device, a pipe or a folder, or larger than `MOST_BYTES`.
+    """
+    try:
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):
+            kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a device or a pipe"
+            raise error(f"{kind}, not a file", file=str(path), advice="Give the path of a file.")
+        if status.st_size > MOST_BYTES:
+            problem = f"a file of {status.st_size / 2**30:.1f} GiB: at most {MOST_BYTES >> 30} GiB are read"
+            raise error(problem, file=str(path), advice="Divide it.")
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise error("no such file", file=str(path), advice=absent) from None
+    except OSError as cause:
+        raise error(f"cannot be read ({cause.strerror})", file=str(path)) from cause
+
+
 def read_text(path: Path, error: type[InputError], absent: str | None = None) -> str:
     """Return the text of a UTF-8 file (BOM allowed); `error` names the file when it cannot be read.
 
     :param absent: advice where there is no such file.
     """
     try:
-        return path.read_bytes().decode("utf-8-sig")
-    except FileNotFoundError:
-        raise error("no such file", file=str(path), advice=absent) from None
-    except OSError as cause:
-        raise error(f"cannot be read ({cause.strerror})", file=str(path)) from cause
+        return read_bytes(path, error, absent).decode("utf-8-sig")
     except UnicodeDecodeError as cause:
         raise error(f"not UTF-8 text (byte {cause.start})", file=str(path), advice="Save the file as UTF-8.") from cause
+
+
+_DEEP_KEY = re.compile(r"""(?<![\w"'-])(?:[\w"'-]+[ \t]*\.[ \t]*){30}""")
+"""tomllib takes a time that grows with the square of the number of parts of a key."""
 
 
 def read_toml(
@@ -50,6 +77,9 @@ def read_toml(
     :param absent: advice where there is no such file.
     """
     text = read_text(path, error, absent)
+    if deep := _DEEP_KEY.search(text):
+        line = text.count("\n", 0, deep.start()) + 1
+        raise error("a key of more than 30 parts", file=str(path), line=line, advice="Correct the key.")
     try:
         data = tomllib.loads(text)
         for key, value in _numbers(data, ""):
@@ -68,7 +98,7 @@ def convert(data: object, structure: type[T], file: str, error: type[InputError]
         return msgspec.convert(data, structure)
     except (msgspec.ValidationError, OverflowError) as cause:
         kind = msgspec.inspect.type_info(structure)
-        found = list(_wrong_keys(data, kind, ""))
+        found = list(islice(_wrong_keys(data, kind, ""), MOST + 1))
         if found:
             is_missing = any(problem.startswith("missing") for problem, _ in found)
             advice = example if example and is_missing else None
@@ -285,6 +315,11 @@ def read_mesh(path: Path, error: type[InputError], kind: str) -> Any:
 
     if not path.is_file():
         raise error(f"no such file: {kind}", file=str(path), advice="Give a mesh in mm: STL, PLY, OBJ or GLB.")
+    if path.suffix.lower().lstrip(".") not in trimesh.available_formats():
+        advice = "Export the body from CAD as binary STL, in mm."
+        raise error(
+            f"the {kind} cannot be read: no reader of {path.suffix} is installed", file=str(path), advice=advice
+        )
     logger = logging.getLogger("trimesh")
     logged, logger.disabled = logger.disabled, True  # faults become the exception below, without a traceback
     try:
@@ -308,11 +343,16 @@ def _plain_stl(content: bytes) -> bytes:
     """Return the bytes of an STL file in a form that trimesh reads: text in ASCII, with normals of zero.
 
     A binary file is returned unchanged.
+
+    :raises ValueError: a binary file ends too early.
     """
     count = int.from_bytes(content[80:84], "little")
     if len(content) >= _BINARY_HEADER and len(content) == _BINARY_HEADER + _BINARY_FACET * count:
         return content
     if content.lstrip()[:5].lower() != b"solid":
+        if len(content) < _BINARY_HEADER + _BINARY_FACET * count:
+            present = max(len(content) - _BINARY_HEADER, 0) // _BINARY_FACET
+            raise ValueError(f"the file ends after {present} of {count} facets")
         return content
     return _NORMAL.sub(b"facet normal 0 0 0", content).decode("ascii", errors="replace").replace("\ufffd", "?").encode()
 

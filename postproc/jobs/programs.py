@@ -18,7 +18,7 @@ from postproc.dialects import Writer, registry
 from postproc.dialects.dialect import Calling
 from postproc.dialects.text import decode
 from postproc.errors import ForceError, InputError, Issue, ProgramError
-from postproc.files import Staged
+from postproc.files import Staged, read_bytes
 from postproc.forces.sources import extensions
 from postproc.program import Document
 from postproc.report import Summary
@@ -167,16 +167,7 @@ def read_documents(path: Path, dialect: str) -> list[Document]:
     :raises ProgramError: a file cannot be read, is empty or binary.
     """
     paths = [path, *registry.by_name(dialect).companions(path)]
-    return [replace(decode(one.name, _bytes(one)), folder=str(one.parent)) for one in paths]
-
-
-def _bytes(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except FileNotFoundError:
-        raise ProgramError("no such file", file=str(path)) from None
-    except OSError as cause:
-        raise ProgramError(f"cannot be read ({cause.strerror})", file=str(path)) from cause
+    return [replace(decode(one.name, read_bytes(one, ProgramError)), folder=str(one.parent)) for one in paths]
 
 
 def _expand(name: str, dialect: str | None) -> Iterator[Path]:

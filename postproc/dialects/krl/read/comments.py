@@ -199,7 +199,7 @@ def _places(source: Source) -> tuple[Ints, Ints]:
 
 _COMMENT = re.compile(r";[^\r\n;]*")  # begins with a character that is found fast
 _OF_THE_EDITOR = re.compile(
-    rf";\s*(?:{FORCE_COMMENT.pattern}|ENDFOLD|POSTPROC\b|Params\b|Make your|%|\*|"
+    rf";\s*(?!\s)(?:{FORCE_COMMENT.pattern}|ENDFOLD|POSTPROC\b|Params\b|Make your|%|\*|"
     r"FOLD\s*(?:$|%|INI\b|BASISTECH|USER\b|S?PTP\b|S?LIN|S?CIRC|OUT\b|WAIT|SET_|Moduleparameters|DECLARATIONS))",
     re.IGNORECASE,
 )
