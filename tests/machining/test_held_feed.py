@@ -81,7 +81,10 @@ def test_brute_force_over_feeds_finds_the_same_time(tmp_path, tolerance, materia
     times = [float(np.sum(held.length[cutting] / np.asarray(f))) for f in (best, held.feed[cutting] * 60e3)]
     assert times[1] == pytest.approx(times[0], rel=0.02)
     np.testing.assert_allclose(held.feed[cutting] * 60e3, best, rtol=0.03)
-    np.testing.assert_allclose(held.expected[cutting] * 1e3, expected(result)[cutting])
+    # what is left between targets counts from what is left at them, which is in both terms of `expected`
+    left_mm = 1e3 * np.linalg.norm(result.deviation_after, axis=1).max()
+    assert left_mm < 1e-3
+    np.testing.assert_allclose(held.expected[cutting] * 1e3, expected(result)[cutting], rtol=0, atol=left_mm)
 
 
 def test_with_blended_corners_no_feeds_that_hold_the_tolerance_are_faster(tmp_path):
