@@ -8,6 +8,9 @@ import pytest
 from msgspec.structs import replace
 
 from postproc.dialects import krl
+from postproc.dialects.krl.read import reader
+from postproc.dialects.krl.read.motion_columns import merged
+from postproc.dialects.krl.read.plain_lines import gathered, plain_of
 from postproc.errors import ProgramError
 from postproc.toolpath.path import starts as starts_of
 from tests.attack.krl import confirmed
@@ -807,3 +810,32 @@ def test_a_point_that_a_call_gives_is_corrected_in_the_call(literal):
     check_commands(program, wanted, written)
     assert "FOR I=1 TO 2" in written.documents[0].text
     assert written.documents[0].text.count("5.0000") == 2
+
+
+CIRCLES = "DEF SUB(n:IN)\r\nDECL INT n\r\n$VEL.CP=0.2 ; slow\r\n"
+CIRCLES += "CIRC {X 5,Y 5,Z 300},{X 0,Y 9,Z 300,A 10,B 20,C 170} C_DIS\r\n"
+CIRCLES += "  lin {x 7, y 1, z 2, a 0, b 0, c 0, s 2, t 10} c_dis ; x\r\n$APO.CDIS=2\r\n"
+CIRCLES += "PTP {X 8,Y 1,Z 2,A 0,B 0,C 0}\r\nEND\r\n"
+
+
+@pytest.mark.parametrize(
+    ("lines", "subs"),
+    [
+        *((lines, subs) for lines, subs, _ in PROGRAMS),
+        (["FOR I=1 TO 3", "SUB(I)", "$VEL.CP=0.1", FULL, "ENDFOR", AWAY, "SUB(2)"], CIRCLES),
+        (["$VEL.CP=0.3", "SUB(1)", "IF $IN[1] THEN", FULL, "ELSE", "SUB(1)", FULL, "ENDIF"], STILL),
+    ],
+)
+@pytest.mark.parametrize("end", ["\r\n", "\n"])
+def test_plain_lines_of_a_trace_are_those_that_a_scan_of_it_finds(lines, subs, end, monkeypatch):
+    def compared(trace, known, *, bulk):
+        found, scanned = gathered(trace, known, bulk=bulk), plain_of(trace)
+        motions = merged([*scanned.motions], np.arange(sum(map(len, scanned.motions))))
+        for ours, theirs in zip(found.motions[0].columns(), motions.columns(), strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+        np.testing.assert_array_equal(found.settings.line, scanned.settings.line)
+        np.testing.assert_array_equal(found.settings.values, scanned.settings.values)
+        return found
+
+    monkeypatch.setattr(reader, "gathered", compared)
+    read((body(FULL, *lines) + subs).replace("\r\n", end), DATA)

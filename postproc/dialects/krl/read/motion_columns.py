@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from postproc.chunks import Columns, compact
@@ -53,6 +54,21 @@ class MotionColumns(Columns, frozen=True, eq=False):
 
     def __len__(self) -> int:
         return len(self.line)
+
+    def moved(self, line: Ints, offset: Offsets) -> MotionColumns:
+        """Return the motions on other lines (R,) of a text, in which theirs begin `offset` (R,) characters later."""
+        spans = np.where(self.via_spans < 0, self.via_spans, self.via_spans + offset[:, None, None])
+        target = np.where(self.via_target < 0, self.via_target, self.via_target + offset[:, None])
+        circles = bool((self.via_target >= 0).any())
+        return replace(
+            self,
+            line=line,
+            keyword=self.keyword + offset,
+            target=self.target + offset[:, None],
+            tail=self.tail + offset[:, None],
+            via_spans=spans if circles else self.via_spans,
+            via_target=target if circles else self.via_target,
+        )
 
     def columns(self) -> list[Any]:
         """Return all columns."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from collections.abc import Mapping
 from functools import cache
 
 import numpy as np
@@ -20,7 +21,7 @@ from postproc.decimals import Bytes, numbers_in, parsed
 from postproc.dialects.krl.language.positions import COLUMNS
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.read import plain_settings
-from postproc.dialects.krl.read.motion_columns import MotionColumns, given, narrow, no_circles, none, postures
+from postproc.dialects.krl.read.motion_columns import MotionColumns, given, merged, narrow, no_circles, none, postures
 from postproc.dialects.krl.read.plain_settings import PlainSettings, no_settings
 from postproc.frames import Array, any_column
 from postproc.program import CIRC, LIN, PTP, Bools, Ints
@@ -275,3 +276,41 @@ class Plain(Struct, frozen=True):
 def plain_of(source: Source, *, bulk: bool = True) -> Plain:
     """Return the plain lines of a text; not `bulk`: none, so that all are read one by one."""
     return Plain(scan(source), plain_settings.scan(source)) if bulk else Plain([none()], no_settings())
+
+
+def gathered(trace: Source, known: Mapping[Source, Plain], *, bulk: bool = True) -> Plain:
+    """Return the plain lines of an execution trace, taken from the plain lines of its files: no line is scanned twice.
+
+    :param known: plain lines of files that were scanned already.
+    :param bulk: see `plain_of`.
+    """
+    origins = trace.origins
+    if origins is None or not bulk:
+        return plain_of(trace, bulk=bulk)
+    motions, settings = [none()], [no_settings()]
+    for index, source in enumerate(origins.sources):
+        plain = known.get(source) or plain_of(source)
+        rows = np.flatnonzero(origins.source == index)
+        lines = origins.line[rows]
+        columns = merged([*plain.motions], np.arange(sum(map(len, plain.motions))))
+        own = _numbers_of(columns.line, len(source.starts))[lines - 1]
+        here = np.flatnonzero(own >= 0)
+        offset = (trace.starts[rows[here]] - source.starts[lines[here] - 1]).astype(np.int32)
+        motions.append(columns.take(own[here]).moved(compact(rows[here] + 1, np.int32), offset))
+        own = _numbers_of(plain.settings.line, len(source.starts))[lines - 1]
+        here = np.flatnonzero(own >= 0)
+        settings.append(PlainSettings(rows[here] + 1, plain.settings.values[:, own[here]]))
+    line = np.concatenate([part.line for part in motions])
+    order = np.empty(len(line), dtype=np.int64)
+    order[np.argsort(line, kind="stable")] = np.arange(len(line))
+    given_line = np.concatenate([part.line for part in settings])
+    values = np.concatenate([part.values for part in settings], axis=1)
+    in_order = np.argsort(given_line, kind="stable")
+    return Plain([merged(motions, order)], PlainSettings(given_line[in_order], values[:, in_order]))
+
+
+def _numbers_of(lines: Ints, count: int) -> Ints:
+    """Return which of some 1-based lines each of the lines 1 … count is (count,); −1 for others."""
+    out = np.full(count, -1, dtype=np.int64)
+    out[lines - 1] = np.arange(len(lines))
+    return out

@@ -39,7 +39,7 @@ from postproc.dialects.krl.read.motion_columns import MotionColumns, merged
 from postproc.dialects.krl.read.motion_reader import MotionReader
 from postproc.dialects.krl.read.motions import OrderedMotions, motions_and_layout, ordered_motions, unsettled
 from postproc.dialects.krl.read.next_run import changed_data_issues, kept_values
-from postproc.dialects.krl.read.plain_lines import Plain, plain_of
+from postproc.dialects.krl.read.plain_lines import Plain, gathered, plain_of
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.unresolved import without_unresolved
 from postproc.dialects.krl.read.variables import Variables
@@ -121,7 +121,7 @@ class _Reading(Struct, frozen=True, eq=False):
         settings, before = (Settings(each, cell) for each in (variables, variables.copied()))
         course = course_of(library, entry, before, MotionReader(settings, start), elsewhere)
         if not course.straight:
-            plain = plain_of(course.source, bulk=bulk)
+            plain = gathered(course.source, {entry.source: plain}, bulk=bulk)
         source = course.source
         moves = MotionReader(settings, start)
         main = MainRoutine(library, entry, settings, moves, course, plain)
