@@ -24,6 +24,7 @@ from postproc.comparison.result import (
     of_line,
     place_of,
 )
+from postproc.correction.targets import corners_of_motions
 from postproc.errors import Issue, Level
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, angle_between, norm, twist_between
 from postproc.program import CIRC, FORCE_FRAMES, LIN, PTP, SPL, Ints, Program
@@ -63,6 +64,7 @@ def differences(
     uncertain = () if under_forces else tuple(_ambiguous(found, one, other))
     if same_origin:
         return (*_not_compared(found), *_alone(found, one), *_under_forces(found, one), *uncertain)
+    between = (*_off_path(found, one, other), *_under_forces(found, one))
     return (
         *_unresolved(found),
         *_not_compared(found),
@@ -75,8 +77,7 @@ def differences(
         *_alone(found, one),
         *axis_targets(found, one, other),
         *_orientation(found, one, other),
-        *_off_path(found, one, other),
-        *_under_forces(found, one),
+        *(between or _cut_corners(found, one, other)),
         *uncertain,
     )
 
@@ -390,6 +391,39 @@ def _under_forces(found: Comparison, one: PlacedProgram) -> Iterator[Difference]
         )
         message += _advice(found, np.array([row]))
         yield at_rows(found, "between", message, (int(found.pair[way[worst], 0]), row), len(np.unique(cuts.row[bad])))
+
+
+def _cut_corners(found: Comparison, one: PlacedProgram, other: PlacedProgram) -> Iterator[Difference]:
+    """Yield targets at which approximation (C_DIS) rounds the second path by more than the first program allows.
+
+    A program of G-code allows what G64 or the cell states, and nothing at exact stops; one of KRL its own rounding,
+    where its approximation distance is the same: other ones are a difference of their own. Nothing is allowed at
+    targets that it does not have.
+    """
+    m, rows = found.nominal.motions, np.union1d(found.pair[:, 1], found.inserted)
+    if not len(rows):
+        return
+    rounding = corners_of_motions(other.program, other.path, rows).rounding(found.corrected.motions.blend[rows])
+    if found.nominal.keeps_text:
+        motion = np.arange(len(m))
+        as_programmed = corners_of_motions(one.program, one.path, motion).rounding(m.blend)
+    else:
+        as_programmed = np.where(m.blend > 0.0, m.rounding, 0.0)
+    allowed, place = np.zeros(len(rows)), np.searchsorted(rows, found.pair[:, 1])
+    allowed[place] = as_programmed[found.pair[:, 0]]
+    if found.nominal.keeps_text:
+        changed = np.abs(found.corrected.motions.blend[found.pair[:, 1]] - m.blend[found.pair[:, 0]]) > _SAME_LENGTH
+        allowed[place[changed]] = np.inf
+    excess = rounding - allowed
+    bad = np.flatnonzero(excess > one.place.tolerance + _BEYOND)
+    if len(bad):
+        worst = bad[np.argmax(excess[bad])]
+        way = min(int(np.searchsorted(found.pair[:, 1], rows[worst])), len(found.pair) - 1)
+        message = (
+            f"approximation (C_DIS) cuts the corner by {rounding[worst] * MM_PER_M:.4f} mm; the nominal program allows "
+            f"{allowed[worst] * MM_PER_M:.4g} mm. Set $APO.CDIS and C_DIS back, or convert again."
+        )
+        yield at_rows(found, "between", message, (int(found.pair[way, 0]), int(rows[worst])), len(bad))
 
 
 def _advice(found: Comparison, rows: Ints) -> str:

@@ -171,6 +171,29 @@ def test_another_approximation_is_told():
     assert compared(one, one)[0]["issues"] == []
 
 
+@pytest.mark.parametrize(
+    ("distance", "everywhere", "corner"),
+    [("20", True, 7.07), ("20", False, 0.113), (None, False, None)],
+)
+def test_corners_that_approximation_cuts_count_against_gcode(distance, everywhere, corner):
+    """Square lines of 40 mm or more, $APO.CDIS = 20: the parabola is 20·√2/4 = 7.07 mm from the corner."""
+    Path("pocket.nc").write_bytes((SAMPLES / "pocket.nc").read_bytes())
+    cell = str(SAMPLES / "cell_kr270.toml")
+    assert CliRunner().invoke(main, ["convert", "pocket.nc", "--cell", cell, "-o", "."]).exit_code == 0
+    lines = Path("pocket.src").read_bytes().decode("cp1252").split("\r\n")
+    lines = [line for line in lines if "postproc" not in line]  # without its origin
+    if distance is not None:
+        lines = [re.sub(r"APO\.CDIS=[0-9.]+", f"APO.CDIS={distance}", line) for line in lines]
+    if everywhere:
+        lines = [re.sub(r"^(LIN \{[^}]*\})(?! C_DIS)", r"\1 C_DIS", line) for line in lines]
+    Path("edited.src").write_bytes("\r\n".join(lines).encode("cp1252"))
+    content, _ = compared("pocket.nc", "edited.src", code=None if corner is None else 3)
+    found = [issue["message"] for issue in content["issues"] if issue["kind"] == "between"]
+    assert len(found) == (corner is not None)
+    if corner is not None:
+        assert float(re.search(r"by ([\d.]+) mm", found[0])[1]) == pytest.approx(corner, rel=2e-3)
+
+
 CARRIED = CELL + "\n[external_axes.E1]\ndirection = [0, 1, 0]\n"
 
 

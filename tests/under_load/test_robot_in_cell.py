@@ -37,7 +37,7 @@ def test_payload_start_and_output_of_the_cell_are_those_of_its_file_in_si_units(
     np.testing.assert_allclose(tip, truth.loaded_tcp(q[0], CELL.tool.pose(), np.zeros(6))[:3, 3], rtol=0, atol=2e-9)
     assert np.linalg.norm(tip - ARM.tcp(q[0], CELL.tool.pose())[:3, 3]) > 1e-4
     np.testing.assert_allclose(setting.forward(q[0]), ARM.nominal_tcp(q[0], np.eye(4)), rtol=0, atol=1e-12)
-    start = ARM.nominal_tcp(np.radians([0.0, -70, 110, 0, 50, 0]), np.eye(4))
+    start = ARM.nominal_tcp(np.radians([0.0, -90, 100, 0, 80, 0]), np.eye(4))
     np.testing.assert_allclose(setting.start_flange, start, rtol=0, atol=1e-12)
     assert (setting.spindle, setting.ramp, setting.tolerance) == ("+Z", pytest.approx(1e-3), pytest.approx(1e-5))
 
