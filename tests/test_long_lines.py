@@ -6,6 +6,7 @@ Files that are no files, or too large, are refused.
 from __future__ import annotations
 
 import os
+import shutil
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,8 @@ from postproc.dialects.krl.read.comments import _OF_THE_EDITOR
 from postproc.errors import MOST, CellError, ForceError, ProgramError
 from postproc.jobs import read_documents
 from postproc.program import FORCE_COMMENT, parse_force_note
+from tests import commands
+from tests.documentation.pages import ROOT
 
 LONG = 100_000
 
@@ -98,6 +101,19 @@ def test_what_is_no_file_is_refused_with_its_cause(tmp_path):
     ):
         with pytest.raises(ProgramError, match=cause):
             read_documents(path, "gcode")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="links of POSIX")
+@pytest.mark.parametrize("loop", ["a.nc", "cell.toml", "f.csv"])
+def test_links_that_lead_to_themselves_are_named(tmp_path, monkeypatch, loop):
+    monkeypatch.chdir(tmp_path)
+    Path("a.nc").write_text("G21 G90\nG0 X0 Y0 Z20\nM30\n")
+    shutil.copy(ROOT / "samples" / "cell_kr270.toml", "cell.toml")
+    Path("f.csv").write_text("line,Fx,Fy,Fz\n2,1,2,3\n")
+    Path(loop).unlink()
+    Path(loop).symlink_to(loop)
+    printed = commands.printed("convert", "a.nc", "--forces", "f.csv", "-o", "out", cell="cell.toml", code=1)
+    assert f"{loop}: cannot be read (Too many levels of symbolic links)" in printed
 
 
 def test_a_mesh_that_ends_too_early_or_has_no_reader_is_named_so(tmp_path):

@@ -10,6 +10,7 @@ from postproc.files.reading import (
     read_mesh,
     read_text,
     read_toml,
+    resolved,
 )
 from postproc.files.writing import (
     FileEntry,
@@ -53,6 +54,7 @@ __all__ = [
     "refuse",
     "remove_leftovers",
     "replace",
+    "resolved",
     "sealed",
     "stage",
     "toml",

@@ -6,6 +6,7 @@ import contextlib
 import io
 import logging
 import math
+import os
 import re
 import stat
 import tomllib
@@ -27,6 +28,14 @@ Error = TypeVar("Error", bound=InputError)
 
 MOST_BYTES = 1 << 30
 """Largest size of an input file: more is no program and no table."""
+
+
+def resolved(path: Path) -> Path:
+    """Return an absolute path without symbolic links; of a link that leads to itself, as far as it leads.
+
+    `Path.resolve` raises for such a link before Python 3.13. To read it is an `OSError` with its cause.
+    """
+    return Path(os.path.realpath(path))
 
 
 def read_bytes(path: Path, error: type[InputError], absent: str | None = None) -> bytes:

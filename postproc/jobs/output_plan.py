@@ -682,7 +682,7 @@ def _intact(job: Job, mode: Mode) -> list[str]:
 
 
 def _key(path: Path) -> str:
-    return str(path.resolve()).lower()
+    return str(files.resolved(path)).lower()
 
 
 def _sum(path: Path) -> str:

@@ -18,7 +18,7 @@ from postproc.dialects import Writer, registry
 from postproc.dialects.dialect import Calling
 from postproc.dialects.text import decode
 from postproc.errors import ForceError, InputError, Issue, ProgramError
-from postproc.files import Staged, read_bytes
+from postproc.files import Staged, read_bytes, resolved
 from postproc.forces.sources import extensions
 from postproc.program import Document
 from postproc.report import Summary
@@ -141,7 +141,7 @@ def find_jobs(
         name cannot be given, or that of a file given by itself is not UTF-8.
     """
     programs = _unique(path for name in inputs for path in _expand(name, dialect))
-    programs = _without_parts(programs, {Path(name).resolve() for name in inputs}, dialect)
+    programs = _without_parts(programs, {resolved(Path(name)) for name in inputs}, dialect)
     callers = _callers([path for path in programs if str(path) not in inputs], programs, dialect)
     own = [path for path in programs if path not in callers]
     csv = _forces_for(own, forces)
@@ -194,8 +194,8 @@ def _without_parts(programs: list[Path], named: set[Path], dialect: str | None) 
     for path in programs if len(programs) > 1 else ():
         name = dialect or (registry.of_file(path).name if path.suffix else None)
         if name is not None:
-            parts |= {other.resolve() for other in registry.by_name(name).companions(path)}
-    return [path for path in programs if path.resolve() in named or path.resolve() not in parts]
+            parts |= {resolved(other) for other in registry.by_name(name).companions(path)}
+    return [path for path in programs if resolved(path) in named or resolved(path) not in parts]
 
 
 def _callers(unnamed: Sequence[Path], programs: Sequence[Path], dialect: str | None) -> dict[Path, list[Path]]:
@@ -214,7 +214,7 @@ def _callers(unnamed: Sequence[Path], programs: Sequence[Path], dialect: str | N
 def _unique(paths: Iterable[Path]) -> list[Path]:
     seen: dict[Path, Path] = {}
     for path in paths:
-        seen.setdefault(path.resolve(), path)
+        seen.setdefault(resolved(path), path)
     return list(seen.values())
 
 
@@ -258,7 +258,7 @@ def force_file(program: Path, files: Mapping[str, Sequence[Path]]) -> Path | Non
     :param files: see `force_files`.
     :raises ForceError: there are several.
     """
-    own = [file for file in files.get(program.stem.lower(), ()) if file.resolve() != program.resolve()]
+    own = [file for file in files.get(program.stem.lower(), ()) if resolved(file) != resolved(program)]
     if len(own) > 1:
         raise ForceError(
             f"{len(own)} force files for {program.name}: {' and '.join(file.name for file in own)}",
