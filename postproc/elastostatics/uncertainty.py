@@ -184,7 +184,8 @@ _COMPONENTS = 6
 def _by_forces(wrench: Array, scaled: Bools, *forces: Array) -> tuple[Array, ...]:
     """Return the displacements (n, 3, k) by one standard deviation of the forces for each correlation that is possible.
 
-    Each is that of a wrench whose component is larger in size by one standard deviation, whatever its sign.
+    Each is that of a wrench whose component is larger in size by one standard deviation, whatever its sign. Where the
+    errors by the cutting law are `RobotModel.force_factor`, those that this factor does not contain are left.
 
     :param forces: from `_reaction`.
     """
@@ -192,8 +193,14 @@ def _by_forces(wrench: Array, scaled: Bools, *forces: Array) -> tuple[Array, ...
         return (np.zeros((len(scaled), 3, 0)),)
     spread, reaction = forces
     sign = np.where(np.einsum("nik,ni->nk", spread, wrench) < 0.0, -1.0, 1.0)
-    moved = reaction @ (spread * sign[:, None]) * ~scaled[:, None, None]
-    return (moved[:, :, :_COMPONENTS], moved[:, :, _COMPONENTS:])[: 1 if spread.shape[2] == _COMPONENTS else 2]
+    moved = reaction @ (spread * sign[:, None])
+    if spread.shape[2] <= _COMPONENTS:
+        return (moved * ~scaled[:, None, None],)
+    independent, by_factor = moved[:, :, :_COMPONENTS], moved[:, :, _COMPONENTS:]
+    by_factor[scaled, :, -1] = 0.0
+    independent[scaled] = 0.0
+    independent[scaled, :, : by_factor.shape[2] - 1] = by_factor[scaled, :, :-1]
+    return independent, by_factor
 
 
 def _any_direction(length: Array) -> Array:

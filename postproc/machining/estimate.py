@@ -50,6 +50,10 @@ _DEEP = 4.0
 """Warn beyond this depth of cut, in tool diameters: no cutter cuts that deep."""
 _LEAST_RISE = 2e-5
 """Minimum length over which the force of a motion builds up [m]."""
+_ENOUGH = 0.05
+"""Standard deviation of forces by the cells of the map that is enough, as a share of them,"""
+_COARSE = 0.055
+"""and beyond which there is a warning: `resolution_mm` is advised to two digits."""
 _BATCH = 200_000
 """Number of stations to collect before they are thinned out."""
 
@@ -164,6 +168,7 @@ def estimate(
     issues += unread_cuts(program)
     issues += _out_of_scale(every, bounds)
     issues += _issues(program, stopped, law, cuts, tools, process)
+    issues += _coarse(tools, sweeps, cell)
     issues += [*_collisions(program, collided, guard), *_other_cutter(program, tools, process, guard)]
     power = np.zeros(len(program.motions))
     np.maximum.at(power, cuts.motion, cuts.power)
@@ -410,6 +415,23 @@ def _issues(
         )
         issues.append(Issue("warning", "deep-cut", message, int(lines[cuts.motion[worst]]), count=len(deep)))
     return issues
+
+
+def _coarse(tools: ToolStates, sweeps: list[Sweep], cell: float) -> Iterator[Issue]:
+    """Warn of tools whose forces are uncertain because their contact is few cells of the map wide.
+
+    :param cell: width of a cell [m].
+    """
+    for number, key in enumerate(tools.keys):
+        sums = np.sum([sweep.by_cells.get(number, np.zeros(2)) for sweep in sweeps], axis=0)
+        share = float(np.sqrt(sums[0] / sums[1])) if sums[1] > 0.0 else 0.0
+        if share > _COARSE:
+            finer = cell * MM_PER_M * _ENOUGH / share
+            message = (
+                f"the contact of [tools.{key}] is few cells of the stock wide: the standard deviation of its forces by "
+                f"that is {100 * share:.0f} % RMS. Give [stock] resolution_mm = {finer:.2g} for {100 * _ENOUGH:.0f} %"
+            )
+            yield Issue("warning", "coarse-stock", message, subject=key)
 
 
 def _other_cutter(program: Program, tools: ToolStates, process: Process, guard: Guard | None) -> Iterator[Issue]:

@@ -12,7 +12,6 @@ from msgspec.structs import replace
 
 from postproc.errors import ForceError, Issue, first_of, together
 from postproc.forces import ByLaw, Knots
-from postproc.frames import any_column
 from postproc.machining.estimate import ProcessForces, estimate
 from postproc.machining.process import OperationTable, Process
 from postproc.machining.remaining import Guard
@@ -273,8 +272,8 @@ class ProcessSource:
             given.over(computed), issues=(*computed.issues, *given.issues), by_law=by_law, stock=computed.stock
         )
 
-    @staticmethod
-    def _scaled(found: ProcessForces) -> Ints:
-        """Return the motions of which all force errors are one common factor, that of the cutting law."""
-        loose = any_column(found.cuts.deviation != 0.0)
-        return np.setdiff1d(found.along.motion, found.cuts.motion[loose])
+    def _scaled(self, found: ProcessForces) -> Ints:
+        """Return the motions of which the errors of the cutting law are one common factor."""
+        law = self.process.law()
+        by_factor = law.covariance is None and law.sigma > 0.0
+        return np.unique(found.along.motion) if by_factor else np.zeros(0, dtype=np.int64)

@@ -14,7 +14,7 @@ import numpy as np
 from msgspec import Struct, field
 
 from postproc.chunks import Columns
-from postproc.frames import Array
+from postproc.frames import Array, norm
 from postproc.machining import cutting
 from postproc.machining.cutting import Engaged, engaged
 from postproc.machining.leaning import depth_inside
@@ -57,7 +57,7 @@ class Cuts(Columns, frozen=True, eq=False):
     :param t: (N,) position on it in [0, 1].
     :param wrench: (N, 6) mean force and moment about the tip on the tool. FEED axes; on moves along the spindle the
         axes of the map.
-    :param deviation: (N, 6) standard deviations of it by covariance and rubbing, see `cutting.Loads`.
+    :param deviation: (N, 6) standard deviations of it by covariance, rubbing and cells, see `cutting.Loads`.
     :param feed: (N, 2) direction of travel across the spindle in the axes of the map; (1, 0) along the spindle.
     :param along: (N,) True on moves along the spindle.
     :param torque: (N,) mean torque of the spindle [N·m].
@@ -100,6 +100,8 @@ class Sweep(Struct, eq=False):
     :ivar collided: rapid motions through material, and how deep [m]; none if `deflected`.
     :ivar stopped: cutting motions through material with the spindle off.
     :ivar contact: whether any cutting move engaged material.
+    :ivar by_cells: for each tool, sums of the squares of the standard deviation of forces by the cells of the map, and
+        of the forces (2,) [N²].
     """
 
     stock: Stock
@@ -114,6 +116,7 @@ class Sweep(Struct, eq=False):
     collided: dict[int, float] = field(default_factory=dict)
     stopped: set[int] = field(default_factory=set)
     contact: bool = False
+    by_cells: dict[int, Array] = field(default_factory=dict)
     _cutters: dict[int, Cutter] = field(default_factory=dict)
     _edges: dict[int, Edge] = field(default_factory=dict)
     _turns: dict[tuple[int, bool, int, int], Turn] = field(default_factory=dict)
@@ -305,7 +308,7 @@ class Sweep(Struct, eq=False):
         descent = (-per_tooth * heading[:, 2]).astype(np.float32)
         inside = self._inside(turn, cutter, position, (ux, uy, hand), descent)
         chip = cutting.chips(turn, feed, descent)
-        loads = cutting.mean(turn, inside, chip, np.maximum(-heading[:, 2], 0.0).astype(np.float32))
+        loads = cutting.mean(turn, inside, chip, np.maximum(-heading[:, 2], 0.0).astype(np.float32), self.stock.cell)
         wrench = loads.wrench
         wrench[:, [1, 3, 5]] *= hand[:, None]
         cuts = inside.length * (chip > 0.0)
@@ -316,6 +319,8 @@ class Sweep(Struct, eq=False):
                 motion, t, wrench, loads.deviation, feeds, along, zero, zero, nothing, nothing, zero, zero, zero
             )
         self.contact = True
+        square = np.square(norm(wrench[:, :3]))
+        self.by_cells[number] = self.by_cells.get(number, 0.0) + np.array([loads.by_cells**2 @ square, square.sum()])
         enter, leave, depth, width = _engagement(turn, cuts)
         if cutter.drill:
             # all stations get the depth of the hole, as thinning keeps few; the last one is half a step above the end

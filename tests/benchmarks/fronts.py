@@ -187,11 +187,13 @@ def applied(folder, case, passes, cell):
 
 
 class Comparison(NamedTuple):
-    """Forces (n, 3) at random places [N], those expected, and which places are clear of entries and exits."""
+    """Forces (n, 3) at random places [N], those expected, which places are clear of entries and exits, and the area of
+    the front in material (n,) [mm²]."""
 
     found: np.ndarray
     expected: np.ndarray
     inner: np.ndarray
+    area: np.ndarray
 
     @property
     def error(self):
@@ -223,10 +225,10 @@ def compared(folder, case, rng, cell=None, count=60):
     deepest = -float(np.minimum(begin, end)[:, 2].min())
     cutter = fronts.Cutter(case.radius, case.corner, case.teeth, 0.02 * case.radius, deepest)
     places, per_tooth = list(zip(move.tolist(), share.tolist(), strict=True)), np.full(len(begin), PER_TOOTH)
-    expected = fronts.forces(cutter, begin, end, places, per_tooth, AL7075, in_stock)
+    expected, area = fronts.forces(cutter, begin, end, places, per_tooth, AL7075, in_stock)
     tip, clear = begin[move] + share[:, None] * (end - begin)[move], np.minimum(case.radius, 4.0)
     inner = np.all([(tip[:, k] > clear) & (tip[:, k] < STOCK[k][1] - clear) for k in (0, 1)], axis=0)
-    return Comparison(wrench[:, :3], expected[:, :3], inner)
+    return Comparison(wrench[:, :3], expected[:, :3], inner, area)
 
 
 def rms(vector):

@@ -8,11 +8,18 @@ import numpy as np
 import pytest
 
 from postproc.errors import ForceError
+from postproc.machining import cutting
 from tests.machining.setting import AL7075, forces, gcode, line_of, process, tool
 
 BOX = ((0, 100), (-40, 40), (-20, 0))
 KEYS = ("Ktc_N_per_mm2", "Krc_N_per_mm2", "Kac_N_per_mm2", "Kte_N_per_mm", "Kre_N_per_mm", "Kae_N_per_mm")
 VALUES = np.array([AL7075[k] for k in (0, 2, 4, 1, 3, 5)])
+
+
+@pytest.fixture
+def exact_map(monkeypatch):
+    """Standard deviations without that by the cells of the map."""
+    monkeypatch.setattr(cutting, "_BY_CELLS", 0.0)
 
 
 def six(values):
@@ -28,7 +35,7 @@ def knots(folder, text, cutter, material, line, **options):
 
 @pytest.mark.parametrize("base_axes", [False, True])
 @pytest.mark.parametrize("cutter", [tool(10, 4), tool(10, 4, "ball")], ids=["flat", "ball"])
-def test_the_covariance_of_identified_coefficients_is_that_of_the_forces(tmp_path, cutter, base_axes):
+def test_the_covariance_of_identified_coefficients_is_that_of_the_forces(exact_map, tmp_path, cutter, base_axes):
     """Against differences of forces with coefficients that differ: forces are linear in them."""
     rng = np.random.default_rng(3)
     root = rng.normal(size=(6, 6)) * (0.1 * VALUES + 0.5)[:, None]
@@ -78,7 +85,7 @@ def test_rubbing_of_the_end_face_on_a_ramp_is_within_the_bound(tmp_path):
     assert wrench[middle, 2] + 1.96 * sigma[middle, 2] >= most
 
 
-def test_level_cuts_and_plunges_have_no_such_range(tmp_path):
+def test_level_cuts_and_plunges_have_no_such_range(exact_map, tmp_path):
     text = gcode("G0 X10 Y0 Z5", "G1 Z-3 F600 (down)", "X90 F2400 (level)")
     material = six(VALUES) + "\nsigma_percent = 0.0"
     for block in ("G1 Z-3 F600 (down)", "X90 F2400 (level)"):
@@ -127,3 +134,23 @@ def test_published_thrusts_of_drills_are_inside_the_bound(tmp_path, diameter, fe
     assert abs(wrench[middle, 2] - thrust) < 1.96 * sigma[middle, 2]
     assert 1.96 * sigma[middle, 2] < 0.45 * wrench[middle, 2]
     assert not sigma[middle, [0, 1, 3, 4, 5]].any()
+
+
+def test_the_deviation_by_cells_is_its_own_and_a_coarse_map_gets_a_warning(tmp_path):
+    """A ball 0.1 mm deep: with four times as many cells half of it; with the advised cells no warning."""
+    text = gcode("G0 X-10 Y0 Z5", "G1 Z-0.1 F2400", "X110 (here)")
+    share, advice = [], ""
+    for cell in (0.25, 0.125):
+        material = 'name = "al_7075_t6_carbide"\nsigma_percent = 0.0'
+        _, found = forces(tmp_path, text, process(tool(6, 2, "ball"), BOX, cell, material))
+        row = int(np.argmax(found.along.wrench[:, 2]))
+        share.append(np.linalg.norm(found.along.sigma[row, :3]) / np.linalg.norm(found.along.wrench[row, :3]))
+        assert not found.along.factor.any()
+        (issue,) = [issue.message for issue in found.issues if issue.kind == "coarse-stock"] or [""]
+        advice = advice or issue
+    area = 0.5 * math.pi * 2 * 3.0 * 0.1  # half a cap of the ball
+    assert share[0] == pytest.approx(0.25 * 0.25 / math.sqrt(area), rel=0.15)
+    assert share[1] == pytest.approx(0.5 * share[0], rel=0.1)
+    finer = float(advice.split("resolution_mm = ")[1].split()[0])
+    _, found = forces(tmp_path, text, process(tool(6, 2, "ball"), BOX, finer))
+    assert "coarse-stock" not in {issue.kind for issue in found.issues}

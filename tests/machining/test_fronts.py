@@ -37,7 +37,7 @@ def test_exact_fronts_are_those_of_teeth(corner, drop):
         distance = np.hypot(off[:, 0] - share * chord[0], off[:, 1])
         return in_stock(point) & ~(off[:, 2] > share * chord[2] + cutter.height(distance) + 1e-6).any(axis=0)
 
-    found = fronts.forces(cutter, begin, end, [(1, 0.5)], np.full(2, 0.1), AL7075, in_stock)[0]
+    found = fronts.forces(cutter, begin, end, [(1, 0.5)], np.full(2, 0.1), AL7075, in_stock)[0][0]
     teeth = Teeth(5.0, corner, 2, AL7075, discs=60).side(
         12.0, discs={0.0: 60, 1.5: 42, 5.0: 35}[corner]
     )  # ends at the top
@@ -61,6 +61,6 @@ def test_a_turning_tool_at_rest_is_an_upright_one():
     moving = fronts.turning_forces(cutter, tip, axes, [461], np.full(522, 0.1), AL7075, in_stock)
     begin = np.concatenate([first[:-1], points[:-1]])
     end = np.concatenate([first[1:], points[1:]])
-    fixed = fronts.forces(cutter, begin, end, [(460, 0.0)], np.full(520, 0.1), AL7075, in_stock)
+    fixed, _ = fronts.forces(cutter, begin, end, [(460, 0.0)], np.full(520, 0.1), AL7075, in_stock)
     assert np.linalg.norm(fixed[0, :3]) > 50.0
     np.testing.assert_allclose(moving, fixed, atol=0.01 * np.linalg.norm(fixed[0, :3]), rtol=0.02)

@@ -43,6 +43,7 @@ class Cutter:
         kappa = np.clip((place - flat) / corner, 0.0, 0.5 * math.pi) if corner > 0.0 else (place > flat) * 0.5 * math.pi
         distance = np.minimum(place, flat) + corner * np.sin(kappa)
         height = corner * (1.0 - np.cos(kappa)) + np.maximum(place - flat - quarter, 0.0)
+        self.area = 2.0 * math.pi * distance * self.weight
         zero, sine, cosine = 0.0 * angle, np.sin(angle), np.cos(angle)
         self.point = np.stack([distance * sine, distance * cosine, height], axis=-1)
         self.normal = np.stack([np.sin(kappa) * sine, np.sin(kappa) * cosine, -np.cos(kappa)], axis=-1)
@@ -120,13 +121,14 @@ def force(cutter, velocity, inside, k, axes=None, rubbing=1.0):
 
 
 def forces(cutter, begin, end, places, per_tooth, k, in_stock):
-    """Return mean wrenches (m, 6) in the axes of the stock, about the tip, at places (move, share) of an upright tool.
+    """Return mean wrenches (m, 6) in the axes of the stock, about the tip, at places (move, share) of an upright tool,
+    and the area of its front in material (m,) [mm²].
 
     :param begin: (n, 3) and end: of the moves of the tip, in order, without gaps in what cuts.
     :param per_tooth: feed per tooth (n,) of each move.
     :param in_stock: of points (n, 3): is there material before the first move?
     """
-    out = np.zeros((len(places), 6))
+    out, area = np.zeros((len(places), 6)), np.zeros(len(places))
     for row, (move, share) in enumerate(places):
         chord = end[move] - begin[move]
         tip, heading = begin[move] + share * chord, chord / np.linalg.norm(chord)
@@ -138,9 +140,10 @@ def forces(cutter, begin, end, places, per_tooth, k, in_stock):
         first = np.vstack([begin[:move], begin[move]])
         last = np.vstack([end[:move], tip])
         inside[inside] = ~_cut(cutter, point[inside], tip, first, last)
+        area[row] = cutter.area[inside].sum()
         velocity = np.broadcast_to(per_tooth[move] * heading, point.shape)
         out[row] = force(cutter, velocity, inside, k, rubbing=max(-heading[2], 0.0))
-    return out
+    return out, area
 
 
 def _cut(cutter, point, tip, begin, end):
