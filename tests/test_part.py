@@ -21,6 +21,7 @@ from tests.html_page import read_page
 CELL = str(Path(__file__).parents[1] / "samples" / "cell_kr270.toml")
 PASSES = "".join(f"G1 X{60 if k % 2 == 0 else 0} Y{4 * k}\nY{4 * k + 4}\n" for k in range(10))
 PROGRAM = f"G21 G90\nT1 M6\nS8000 M3\nG0 X0 Y0 Z5\n(FORCE FX=100 FZ=150)\nG1 Z0 F600\n{PASSES}G0 Z20\n"
+WITHOUT_FORCES = PROGRAM.replace("(FORCE FX=100 FZ=150)", "(the process gives the forces)")
 PROCESS = """[material]
 name = "al_7075_t6_carbide"
 [tools.1]
@@ -142,7 +143,7 @@ def test_a_part_that_cannot_be_looked_at_is_an_error_and_nothing_is_written(argu
 
 def test_the_cut_of_a_process_is_shown_along_the_path():
     twice = "G0 Z5\nX0 Y0\nG1 Z-3 F600\nX60\nG0 Z20"
-    Path("part.nc").write_text(PROGRAM.replace("G1 Z0", "G1 Z-2").replace("G0 Z20", twice))
+    Path("part.nc").write_text(WITHOUT_FORCES.replace("G1 Z0", "G1 Z-2").replace("G0 Z20", twice))
     _run("convert", "part.nc", "--process", "process.toml")
     _run("forces", "part.nc", "--process", "process.toml", "-o", "forces.csv", folder=False)
     (tool,) = json.loads(Path("forces.json").read_text())["tools"]
@@ -177,7 +178,8 @@ def test_a_mesh_that_does_not_fit_is_stated_before_anything_else():
     box = trimesh.creation.box(extents=(50, 30, 13))
     box.apply_translation((30, 20, -3.5))
     box.export("high.stl")
-    for options in ((), ("--process", "process.toml")):
+    for program, options in ((PROGRAM, ()), (WITHOUT_FORCES, ("--process", "process.toml"))):
+        Path("part.nc").write_text(program)
         done = _run("convert", "part.nc", "--part", "high.stl", *options)
         content = json.loads(Path("out/part.report.json").read_text())
         assert content["surface"]["cut_into_mm"] == pytest.approx(3.0, abs=0.02)
@@ -194,6 +196,7 @@ def test_a_mesh_that_does_not_fit_is_stated_before_anything_else():
 
 
 def test_a_mesh_that_fits_is_said_to_fit_and_how_much_of_it_no_tool_reaches():
+    Path("part.nc").write_text(WITHOUT_FORCES)
     Path("process.toml").write_text(PROCESS.replace("-5.0, 0.0", "-5.0, 1.0"))
     _run("convert", "part.nc", "--part", "part.stl", "--process", "process.toml")
     surface = json.loads(Path("out/part.report.json").read_text())["surface"]
@@ -206,6 +209,7 @@ def test_a_mesh_that_fits_is_said_to_fit_and_how_much_of_it_no_tool_reaches():
 
 
 def test_a_mesh_elsewhere_is_not_the_part():
+    Path("part.nc").write_text(WITHOUT_FORCES)
     Path("process.toml").write_text(PROCESS.replace("-5.0, 0.0", "-5.0, 1.0"))
     box = trimesh.creation.box(extents=(5, 5, 1))
     box.apply_translation((500, 500, 0))
