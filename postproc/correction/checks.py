@@ -190,11 +190,12 @@ def first_move(program: Program, path: JointPath, start: Array) -> Iterator[Issu
 
 
 def height_of_start(program: Program, tip: Array, clearance: float | None) -> Iterator[Issue]:
-    """Yield an issue if the first move of a CAM program goes up from [start]: it may pass through part or table.
+    """Yield an issue if the first move of a CAM program goes below its target: it may pass through part or table.
 
-    A warning if the tip is below `clearance_Z`, which is above part and clamps; a note if the cell does not have it.
+    All axes move at once, so the tip may come down on the way although both ends are high. A warning if it comes below
+    `clearance_Z`, which is above part and clamps; a note if the cell does not have it.
 
-    :param tip: (3,) position of the tip at [start] in `$BASE` [m].
+    :param tip: (n, 3) positions of the tip from [start] to the first target in `$BASE` [m].
     :param clearance: [machine] clearance_Z [m].
     """
     m = program.motions
@@ -203,14 +204,20 @@ def height_of_start(program: Program, tip: Array, clearance: float | None) -> It
     target = float(m.target.position[0, 2])
     limit, name = (clearance, "clearance_Z") if clearance is not None else (target, "the first target")
     limit, name = (target, "the first target") if target > limit else (limit, name)
-    below = limit - float(tip[2])
-    if below > _START_BELOW:
-        message = (
-            f"The first move begins below {name}: at [start] the tip is at Z {tip[2] * MM_PER_M:.1f} mm of $BASE, "
-            f"{below * MM_PER_M:.1f} mm below it. Choose [start] joints with the tip above the part, or check that the "
-            "way from there is free."
+    start, lowest = float(tip[0, 2]), float(tip[:, 2].min())
+    if limit - lowest <= _START_BELOW:
+        return
+    what = (
+        f"The first move begins below {name}: at [start] the tip is at Z {start * MM_PER_M:.1f} mm of $BASE, "
+        f"{(limit - start) * MM_PER_M:.1f} mm below it."
+    )
+    if limit - start <= _START_BELOW:
+        what = (
+            f"The first move passes below {name}: all axes move at once from [start], and the tip comes down to Z "
+            f"{lowest * MM_PER_M:.1f} mm of $BASE, {(limit - lowest) * MM_PER_M:.1f} mm below it."
         )
-        yield Issue("info" if clearance is None else "warning", "start-below", message, int(m.line[0]))
+    message = f"{what} Choose [start] joints with the tip above the part, or check that the way from there is free."
+    yield Issue("info" if clearance is None else "warning", "start-below", message, int(m.line[0]))
 
 
 def posture(program: Program, robot: RobotModel, sample: Toolpath, path: JointPath, start: Array) -> Iterator[Issue]:

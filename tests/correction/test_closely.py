@@ -22,6 +22,7 @@ from tests.oracle.arm import Arm
 from tests.programs import program
 
 CELL = cells.load(Path(__file__).parents[2] / "samples/cell_kr270.toml")
+CELL = changed(CELL, start=cells.Start(joints=(0.0, -70.0, 110.0, 0.0, 50.0, 0.0)))
 MODEL = robot.load(robot.find("kuka_kr270"))
 ARM = Arm.load(robot.find("kuka_kr270"))
 TOOL = np.eye(4)

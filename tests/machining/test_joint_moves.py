@@ -6,12 +6,14 @@ where the axis of the tool is: inside the box, or farther from it than the tool 
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
 import postproc
-from postproc import machining
+from postproc import correction, machining
 from postproc.cell import Start
 from postproc.frames import xyzabc_from_pose
 from postproc.machining.leaning import depth_inside
@@ -143,3 +145,22 @@ def test_the_depth_of_a_leaning_tool_is_that_of_its_lowest_corner():
         depth = depth_inside(stock, Cutter(radius, 0.0, 2), np.array([[0.0, 0.0, height]]), towards)
         assert depth == pytest.approx(max(expected, 0.0), abs=cell)
         assert (depth > 0.0) == (expected > 0.0)
+
+
+def test_a_first_move_that_comes_down_on_its_way_names_its_lowest_height(tmp_path):
+    """Both ends are above the first target or at it; the tip, moved by all axes at once, is lower between."""
+    planted = Planted("kuka_kr270", 7)
+    target = [50.0, 40.0, 30.0]
+    end = planted.joints(target)
+    for _ in range(200):
+        begin = end + planted.random.uniform(-0.6, 0.6, 6)
+        heights = [1e3 * planted.in_base(begin + share * (end - begin))[2, 3] for share in np.linspace(0.0, 1.0, 400)]
+        if heights[0] > 40.0 and min(heights) < 15.0:
+            break
+    cell = replace(planted.cell, start=Start(joints=tuple(np.degrees(begin).tolist())))
+    (tmp_path / "part.nc").write_text(gcode("G0 X50 Y40 Z30", "G1 X60 F1000"))
+    program = postproc.read_program(tmp_path / "part.nc", planted.robot, cell)
+    (issue,) = [each for each in correction.process(program, planted.robot, cell).issues if each.kind == "start-below"]
+    assert "passes below the first target" in issue.message
+    lowest = float(re.search(r"comes down to Z (-?[\d.]+) mm", issue.message)[1])
+    assert lowest == pytest.approx(min(heights), abs=0.2)
