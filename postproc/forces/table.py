@@ -68,6 +68,8 @@ class ForceTable(Struct, frozen=True, eq=False):
     def along(self, program: Program, path: Segments) -> Knots:
         """Return the forces of the motions that start on lines of the table, see `ForceSource`.
 
+        On a line that also cuts, as a drilling cycle, rapid motions have no knots: its row is that of the cuts.
+
         :raises ForceError: a row names lines on which no motion starts.
         :raises ProgramError: a row names the line of a call of a routine that cuts and is not followed.
         """
@@ -78,7 +80,9 @@ class ForceTable(Struct, frozen=True, eq=False):
         begins = np.flatnonzero(np.diff(self.first, prepend=-1))
         line, number = program.motions.line, np.diff(np.append(begins, len(self.row)))
         block = np.searchsorted(self.first[begins], line, side="right") - 1
-        motion = np.flatnonzero((block >= 0) & (line <= self.last[begins[block]]))
+        rapid = program.motions.rapid
+        carries = ~rapid | ~np.isin(line, line[~rapid])
+        motion = np.flatnonzero((block >= 0) & (line <= self.last[begins[block]]) & carries)
         count = number[block[motion]]
         inside = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
         row = np.repeat(begins[block[motion]], count) + inside

@@ -263,6 +263,19 @@ def test_a_force_on_a_rapid_is_ignored_and_told(tmp_path):
     assert [issue.kind for issue in load.issues] == ["force-on-rapid"]
 
 
+def test_rapids_of_a_line_that_also_cuts_get_no_warning(tmp_path):
+    """A drilling cycle: approach, cut and retract are one line. The row is that of the cut."""
+    cycle = [("RAPID", 0, 0, 2), ("LIN", 0, 0, -5), ("RAPID", 0, 0, 20), ("RAPID", 50, 0, 20)]
+    made = program(cycle)
+    made = replace(made, motions=replace(made.motions, line=np.array([1, 1, 1, 2])))
+    table = forces.read_force_csv(write(tmp_path, "line,Fx,Fy,Fz\n1,0,0,300\n"))
+    assert not put_on(made, table).issues
+    np.testing.assert_allclose(at_ends(made, table)[:, 2], [0, 300, 0, 0])
+    table = forces.read_force_csv(write(tmp_path, "line,Fx,Fy,Fz\n1,0,0,300\n2,0,0,300\n"))
+    (issue,) = put_on(made, table).issues
+    assert (issue.kind, issue.source_line) == ("force-on-rapid", 2)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -66,6 +68,23 @@ def test_what_is_written_is_what_is_in_memory_and_base_axes_are_the_same(compute
         bound = 1e-2 if not option else 6.0  # in $BASE axes a force that turns on an arc is linear between places
         for share in (0.2, 0.5, 0.77, 1.0):
             np.testing.assert_allclose(at(program, path, found, share), at(program, path, other, share), atol=bound)
+
+
+@pytest.mark.parametrize("cycle", ["G81 X20 Y20 Z-5 R2", "G82 X20 Y20 Z-5 R2 P0.5", "G83 X20 Y20 Z-5 R2 Q2"])
+def test_forces_of_drilling_cycles_give_no_warning_when_they_are_read_again(tmp_path, cycle):
+    (tmp_path / "part.nc").write_text(gcode("G0 X10 Y20 Z20", f"G99 {cycle} F600", "X40", "G80", "G0 Z20"))
+    (tmp_path / "process.toml").write_text(process(tool(8, 2, "drill"), BOX, 0.5))
+    cell = ("--cell", str(SAMPLES / "cell_kr270.toml"))
+    made = ("forces", str(tmp_path / "part.nc"), "--process", str(tmp_path / "process.toml"))
+    for command in (
+        (*made, *cell, "-o", str(tmp_path / "f.csv")),
+        ("convert", str(tmp_path / "part.nc"), "--forces", str(tmp_path / "f.csv"), *cell, "-o", str(tmp_path / "out")),
+    ):
+        result = CliRunner().invoke(main, command)
+        assert result.exit_code == 0, result.output
+    content = json.loads((tmp_path / "out" / "part.report.json").read_text())
+    assert content["max_force_N"] > 100.0
+    assert not [issue for issue in content["issues"] if issue["level"] != "info"]
 
 
 def test_standard_deviations_are_those_of_the_material(tmp_path, monkeypatch):
