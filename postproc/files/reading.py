@@ -6,6 +6,7 @@ import contextlib
 import io
 import logging
 import math
+import operator
 import os
 import re
 import stat
@@ -92,7 +93,7 @@ def read_toml(
     try:
         data = tomllib.loads(text)
         for key, value in _numbers(data, ""):
-            if not math.isfinite(value):
+            if isinstance(value, float) and not math.isfinite(value):
                 raise error(f"{key} is {value}", file=str(path), advice="Give a finite number.")
     except ValueError as cause:  # TOMLDecodeError is one; so is a number of thousands of digits
         raise error(f"not valid TOML: {cause}", file=str(path)) from cause
@@ -117,21 +118,41 @@ def convert(data: object, structure: type[T], file: str, error: type[InputError]
         message, at = str(cause).removesuffix("`"), ""
         if " - at `$" in message:
             message, at = message.split(" - at `$")
-            message = f"{at.removeprefix('.')}: {message}"
+            message = _with_value(f"{at.removeprefix('.')}: {message}", data, at.removeprefix("."))
         valid = _valid_values(kind, at, re.search(r"enum value '(.*)'", message))
         for old, new in (("`object`", "a table"), ("`array`", "a list"), ("Invalid enum value", "no such value:")):
             message = message.replace(old, new)
         raise error(message, file=file, advice=valid) from cause
 
 
-def _numbers(data: object, key: str) -> Iterator[tuple[str, float]]:
+_RANGE = re.compile(r"Expected `(?:float|int)` (?P<relation><=|>=|<|>) (?P<limit>\S+)$")
+_BEYOND = {"<=": operator.gt, ">=": operator.lt, "<": operator.ge, ">": operator.le}
+
+
+def _with_value(message: str, data: object, at: str) -> str:
+    """Return a message about a number out of range with the full key and the number; other messages as they are.
+
+    :param at: key of the number, where `[...]` stands for any name or index.
+    """
+    wrong = _RANGE.search(message)
+    if wrong is None:
+        return message
+    key = re.compile(re.escape(at).replace(re.escape("[...]"), r"(?:\.[^.]+|\[\d+\])"))
+    beyond, limit = _BEYOND[wrong["relation"]], float(wrong["limit"])
+    for name, value in _numbers(data, ""):
+        if key.fullmatch(name) and beyond(value, limit):
+            return f"{name}: {wrong[0]}, not {str(value)[:40]}"
+    return message
+
+
+def _numbers(data: object, key: str) -> Iterator[tuple[str, float | int]]:
     if isinstance(data, Mapping):
         for name, value in data.items():
             yield from _numbers(value, f"{key}.{name}" if key else str(name))
     elif isinstance(data, list):
         for index, value in enumerate(data):
             yield from _numbers(value, f"{key}[{index}]")
-    elif isinstance(data, float):
+    elif isinstance(data, (float, int)) and not isinstance(data, bool):
         yield key, data
 
 

@@ -10,6 +10,7 @@ L·(cos q2, sin q2), and Eq. (3) holds for P0 = −(a_x, a_y): the spring is lon
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
 import msgspec
 import numpy as np
@@ -539,24 +540,44 @@ def text_lines(result: CompensatorGeometry) -> list[str]:
     ]
 
 
-class _Value(msgspec.Struct, frozen=True):
-    value: float
-    ci95: float = 0.0
+_Interval = Annotated[float, msgspec.Meta(ge=0, le=1e4)]
+
+
+class _Arm(msgspec.Struct, frozen=True):
+    """Length on link 2 [mm]: of real compensators 100 to 600, so that metres are outside."""
+
+    value: Annotated[float, msgspec.Meta(ge=10, le=2000)]
+    ci95: _Interval = 0.0
+
+
+class _Offset(msgspec.Struct, frozen=True):
+    """Coordinate of P0 [mm]: it is on link 1, within 5 m of joint 2."""
+
+    value: Annotated[float, msgspec.Meta(ge=-5000, le=5000)]
+    ci95: _Interval = 0.0
 
 
 class _File(msgspec.Struct, frozen=True):
-    L_mm: _Value
-    a_x_mm: _Value
-    a_y_mm: _Value
+    L_mm: _Arm
+    a_x_mm: _Offset
+    a_y_mm: _Offset
 
 
 def load(path: Path) -> Array:
     """Return (3,) L, a_x, a_y [m] from a file that `save` wrote.
 
-    :raises MeasurementError: it is not such a file.
+    :raises MeasurementError: it is not such a file, or no robot has a compensator of this size.
     """
     content = files.read_toml(path, _File, MeasurementError)
-    return np.array([content.L_mm.value, content.a_x_mm.value, content.a_y_mm.value]) * M_PER_MM
+    length, ax, ay = content.L_mm.value, content.a_x_mm.value, content.a_y_mm.value
+    apart = float(np.hypot(ax, ay))
+    if apart <= length:
+        raise MeasurementError(
+            f"a_x_mm and a_y_mm put P0 {apart:g} mm from joint 2, L_mm is {length:g}: expected more than L_mm",
+            file=str(path),
+            advice="Give all three in mm.",
+        )
+    return np.array([length, ax, ay]) * M_PER_MM
 
 
 def save(path: Path, result: CompensatorGeometry, source: str) -> None:

@@ -18,14 +18,17 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc import files
-from postproc.cell import Frame
-from postproc.errors import MeasurementError, choices
+from postproc.cell import Frame, Length
+from postproc.errors import MeasurementError, choices, together
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array
 from postproc.program import WRENCH, Bools, Ints
 from postproc.robot import JOINTS
 
-Positive = Annotated[float, msgspec.Meta(gt=0)]
-NotNegative = Annotated[float, msgspec.Meta(ge=0)]
+Positive = Annotated[float, msgspec.Meta(gt=0, le=1e6)]
+NotNegative = Annotated[float, msgspec.Meta(ge=0, le=1e6)]
+Mass = Annotated[float, msgspec.Meta(gt=0, le=1e4)]
+OnFlange = Annotated[float, msgspec.Meta(ge=-1e4, le=1e4)]
+"""Coordinate in the flange frame [mm]; no tool is longer than 10 m."""
 
 ASSUMED_LOAD_ERROR = 0.01
 """Common relative error of all loads (95 %) where none is stated: of load cells and scales in shops (assumed)."""
@@ -40,7 +43,7 @@ class Rig(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     none.
     """
 
-    mass_kg: Positive
+    mass_kg: Mass
     max_angle_deg: Annotated[float, msgspec.Meta(ge=0, le=90)] = 0.0
     rope_mm: NotNegative = 400.0
     weight_radius_mm: NotNegative = 200.0
@@ -50,16 +53,16 @@ class Rig(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 class Tracker(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Position of the measuring device; the largest angle between a marker (with a normal) and the line of sight."""
 
-    X: float
-    Y: float
-    Z: float
+    X: Length
+    Y: Length
+    Z: Length
     acceptance_deg: Annotated[float, msgspec.Meta(gt=0, le=180)] = 45.0
 
 
 class Floor(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Height of the floor."""
 
-    Z: float = 0.0
+    Z: Length = 0.0
 
 
 class Box(Frame, frozen=True, kw_only=True):
@@ -89,9 +92,9 @@ class Body(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 class FlangePoint(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """A point in the flange frame [mm]."""
 
-    X: float
-    Y: float
-    Z: float
+    X: OnFlange
+    Y: OnFlange
+    Z: OnFlange
 
     def position(self) -> Array:
         """Return the point (3,) [m]."""
@@ -101,16 +104,16 @@ class FlangePoint(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 class Marker(FlangePoint, frozen=True):
     """A reference point; `normal` (flange frame): direction of its reflector, for `plan`; none: turned by hand."""
 
-    normal: tuple[float, float, float] | None = None
+    normal: tuple[Length, Length, Length] | None = None
 
 
 class Payload(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Payload in all readings, in addition to the load: kg, and its centre of mass in the flange frame, mm."""
 
-    mass_kg: Positive
-    X: float = 0.0
-    Y: float = 0.0
-    Z: float = 0.0
+    mass_kg: Mass
+    X: OnFlange = 0.0
+    Y: OnFlange = 0.0
+    Z: OnFlange = 0.0
 
 
 class Experiment(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -121,12 +124,12 @@ class Experiment(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """
 
     robot: str
-    sigma_mm: Positive
+    sigma_mm: Annotated[float, msgspec.Meta(ge=1e-6, le=100)]
     load_point: FlangePoint
     points: dict[str, Marker]
     payload: Payload | None = None
-    load_error_percent: NotNegative | None = None
-    load_point_sigma_mm: NotNegative = 0.0
+    load_error_percent: Annotated[float, msgspec.Meta(ge=0, le=100)] | None = None
+    load_point_sigma_mm: Annotated[float, msgspec.Meta(ge=0, le=1000)] = 0.0
     rig: Rig | None = None
     tracker: Tracker | None = None
     floor: Floor = Floor()
@@ -282,6 +285,13 @@ COLUMNS = (
     *WRENCH,
     *("X", "Y", "Z"),
 )
+_LARGEST = (
+    *((name, 1e9, "") for name in ("config", "load", "repeat")),
+    *((name, 3600.0, " deg") for name in JOINTS),
+    *((name, 1e6, " N" if name.startswith("F") else " N·m") for name in WRENCH),
+    *((axis, 1e6, " mm") for axis in "XYZ"),
+)
+"""Largest size of a cell of each column: beyond it no robot, no load and no measuring device is."""
 _SAME_ANGLE = 1e-3
 _NO_LOAD = 1e-6
 
@@ -297,6 +307,7 @@ def read(path: Path, experiment: Experiment, loads: bool = True) -> Measurements
     where = str(path)
     if len(lines) == 0:
         raise MeasurementError("no readings", file=where)
+    _check_ranges(numbers, lines, where)
     names = tuple(experiment.points)
     for row, name in enumerate(texts["point"]):
         if name not in names:
@@ -340,6 +351,20 @@ def read(path: Path, experiment: Experiment, loads: bool = True) -> Measurements
     _check_units(q, data, where)
     _check_complete(data, where, loads)
     return data
+
+
+def _check_ranges(numbers: dict[str, Array], lines: Array, where: str) -> None:
+    wrong = [
+        MeasurementError(
+            f"column {name} is {numbers[name][row]:g}: expected {-largest:g} to {largest:g}{unit}",
+            file=where,
+            line=int(lines[row]),
+        )
+        for name, largest, unit in _LARGEST
+        for row in np.flatnonzero(np.abs(numbers[name]) > largest)
+    ]
+    if wrong:
+        raise together(wrong)
 
 
 def _check_same(
