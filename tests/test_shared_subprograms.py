@@ -303,7 +303,7 @@ rpm = 8000
 box = { X = [0.0, 100.0], Y = [-40.0, 40.0], Z = [-20.0, 3.0] }
 resolution_mm = 1.0
 """
-AXES = "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 20}"
+AXES = "PTP {A1 0,A2 -90,A3 100,A4 0,A5 80,A6 20}"
 
 
 @pytest.mark.parametrize("command", ["convert", "predict", "forces"])
