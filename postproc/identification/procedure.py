@@ -110,12 +110,10 @@ def identify(
     :raises MeasurementError: the readings are unusable; the message names the row or says what to measure.
     """
     check_points(data)
+    data, left_out = plausibility.without_gross_errors(data)  # one would spoil the means that are judged next
     placement = check_frames(prior, data)
     check_loads(prior, data, placement)
-    data, left_out = plausibility.without_gross_errors(data)
     data, warnings = _noise(data)
-    if left_out:
-        placement = check_frames(prior, data)
     if method == "serial":
         return _serial(prior, data, placement, left_out, warnings)
 

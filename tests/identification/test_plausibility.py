@@ -136,6 +136,21 @@ def test_what_was_left_out_and_what_is_not_observable_is_among_the_warnings(expe
     assert {str(entry) for entry in noisy.missing} <= set(noisy.warnings)
 
 
+@pytest.mark.parametrize(
+    ("share", "off"),
+    [(1.0, (0.03, 0.0, 0.0)), (0.0, (0.0, 0.0, 0.0)), (1e-3, (0.0, 0.0, 0.0)), (1.0, (0.0, 1.0, 0.0))],
+    ids=["30 mm", "zeros", "metres", "another target"],
+)
+@pytest.mark.parametrize("load", [0, 1])
+def test_a_reading_that_is_off_by_far_is_left_out_before_means_are_judged(experiment, share, off, load):
+    def change(raw):
+        raw[6, load, 1, 1] = share * raw[6, load, 1, 1] + np.array(off)
+
+    result = procedure.identify(harness.PRIOR, loaded(experiment, change, "gross"), "serial")
+    (left_out,) = result.left_out
+    assert f"config 7, load {load}, repeat 2, point P2" in left_out
+
+
 def test_some_configurations_are_what_a_file_of_them_alone_gives(experiment):
     _, q, f, raw, place = experiment
     whole, rows = loaded(experiment, lambda _: None, "whole"), np.array([1, 4, 7])
