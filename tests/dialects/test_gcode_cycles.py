@@ -397,12 +397,19 @@ def test_a_time_that_could_be_either_is_a_question_of_its_line(code):
     assert 'dwell_unit = "ms"' in caught.value.advice
 
 
+def test_the_point_of_p_alone_decides_and_on_lines_of_later_holes_too():
+    text = "G0 X0 Y0 Z5\nG82 X5.5 Y5. Z-3. R2. P500 F100.\nX9.\nX12. P{}\nM30\n"
+    assert _waits(text.format("2000"), "ms") == [0.5, 0.5, 2.0]
+    with pytest.raises(ProgramError, match="looks like seconds"):
+        read(f"G21\n{text.format('2000.')}", _cell("ms"))
+
+
 def test_a_cycle_without_a_dwell_has_no_question():
     assert _waits("G0 X0 Y0 Z5\nG81 X5 Y5 Z-3 R2 P500 F100\nM30\n", None) == []
 
 
 @pytest.mark.parametrize(
-    ("code", "time"), [("G4", "1.5"), ("G4", "10."), ("G82", "0.5"), ("G84", "12.5"), ("G86", "2")]
+    ("code", "time"), [("G4", "1.5"), ("G4", "10."), ("G82", "10."), ("G82", "0.5"), ("G84", "12.5"), ("G86", "2")]
 )
 def test_seconds_where_the_cell_says_milliseconds_are_an_error(code, time):
     """Haas reads G4 P10. as ten seconds."""

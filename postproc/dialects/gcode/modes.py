@@ -325,6 +325,7 @@ MM_PER_UNIT = {20.0: 25.4, 21.0: 1.0}
 _LEAST_IN_MS = 10.0
 """Least time of a dwell that may be in milliseconds: nobody waits for less than a hundredth of a second."""
 _WITH_POINT = re.compile(r"[PXU][+]?[0-9]*\.")
+_P_WITH_POINT = re.compile(r"P[+]?[0-9]*\.")
 _OPENING = re.compile(rf"[\n{MARK}]*\n{MARK}*%".encode())
 _DELETE = re.compile(rf"{MARK}*/[1-9]?")
 
@@ -364,7 +365,8 @@ class Modes(Struct, frozen=True, eq=False):
     :param returns: row → move to a machine position.
     :param tools: changes (row, tool number), in order.
     :param tip: changes (row, 1 if tool-centre-point control is on, else 0), in order.
-    :param dwells: rows with G4; `dwell_unit`: unit of P of cycles, see `dwell_time`.
+    :param dwells: rows with G4; `dwell_unit`: unit of P of cycles, see `dwell_time`;
+        `with_point`: rows whose P has a decimal point.
     :param row_events: events of the lines, in order.
     :param issues: remarks for the user.
     :param faults: faults of blocks, in order.
@@ -384,6 +386,7 @@ class Modes(Struct, frozen=True, eq=False):
     issues: Sequence[Issue]
     faults: Sequence[Fault]
     dwell_unit: DwellUnit | None = None
+    with_point: frozenset[int] = frozenset()
     complete: bool = True
 
 
@@ -430,6 +433,7 @@ def read_modes(source: Source, odd: Ints, words: Words, cell: Cell, known: Seque
         issues=reader.issues,
         faults=faults,
         dwell_unit=cell.gcode.dwell_unit,
+        with_point=frozenset(reader.with_point),
         complete=complete,
     )
 
@@ -440,6 +444,7 @@ class _Reader:
     def __init__(self, words: Words, cell: Cell, tape: int) -> None:
         self.words, self.cell, self.tape = words, cell, tape
         self.code = ""
+        self.with_point: set[int] = set()
         self.approximation = cell.gcode.approximation_mm * M_PER_MM
         self.changes: dict[str, list[tuple[int, float]]] = {group: [] for group in codes.GROUPS}
         self.blends: list[tuple[int, float]] = []
@@ -469,6 +474,8 @@ class _Reader:
         if code.endswith("%"):  # the end of the tape in the last block
             code, self.taped = code[:-1], True
         self.code = code
+        if _P_WITH_POINT.search(code):
+            self.with_point.add(row)
         words = words_of(code)
         g = [value for letter, value in words if letter == "G"]
         m = [value for letter, value in words if letter == "M"]

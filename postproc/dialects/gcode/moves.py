@@ -471,7 +471,8 @@ class _Walk:
         u, v, height = self.position[axes].tolist()
         try:
             if "P" in given and rows.motion[row] in DWELLING:
-                given["P"] = dwell_time(f"G{rows.motion[row]} P", float(given["P"]), self.modes.dwell_unit)
+                word, time = f"G{rows.motion[row]} P", float(given["P"])
+                given["P"] = dwell_time(word, time, self.modes.dwell_unit, with_point=row in self.modes.with_point)
             steps, done = self.cycle.hole(float(rows.motion[row]), given, (u, v, height), modes, spindle)
         except BlockError as cause:
             self.faults.append((row, *cause.args))
