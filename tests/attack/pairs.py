@@ -3,7 +3,8 @@
 python -m tests.attack.pairs --count 40 [--seed 0]
 
 Each program is compared with the corrected one, and so is the nominal one that `convert --nominal` writes: both without
-forces and with those that the conversion had. Every verdict must be `ok`.
+forces and with those that the conversion had. Every verdict must be `ok`; without the forces `compare` may ask
+for them.
 """
 
 from __future__ import annotations
