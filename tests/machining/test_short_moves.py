@@ -16,6 +16,7 @@ from postproc import forces as force_sources
 from postproc import machining, toolpath
 from postproc.frames import norm
 from postproc.under_load import RobotInCell
+from tests.benchmarks.fronts import divided
 from tests.machining.setting import AL7075, CELL, ROBOT, gcode, process, read, tool
 from tests.oracle import front
 from tests.oracle.teeth import Teeth
@@ -29,35 +30,25 @@ def in_box(point):
     return (point[:, 0] > 0) & (point[:, 0] < 80) & (np.abs(point[:, 1]) < 30)
 
 
-def polyline(points, length):
-    """Points with none farther than `length` apart."""
-    out = [np.asarray(points[0], float)]
-    for point in np.asarray(points, float)[1:]:
-        number = max(1, math.ceil(np.linalg.norm(point - out[-1]) / length - 1e-9))
-        begin = out[-1]
-        out += [begin + (point - begin) * (k + 1) / number for k in range(number)]
-    return np.array(out)
-
-
 def circle(centre, radius, begin, end, step=0.05):
     angle = np.linspace(begin, end, max(2, math.ceil(abs(end - begin) * radius / step)))
     return np.stack([centre[0] + radius * np.cos(angle), centre[1] + radius * np.sin(angle)], axis=-1)
 
 
 def slot(length):
-    return polyline([(-8, 1.3), (20, 1.3)], length)
+    return divided([(-8, 1.3), (20, 1.3)], length)
 
 
 def pocket(length):
     points = [(-8, -6), (24, -6), (24, 7), (9, 7), (9, 0.5), (20, 0.5), (20, 3), (12, 3)]
-    return polyline(points, length)
+    return divided(points, length)
 
 
 def diagonal(length):
     """A contour askew to the cells, with widths of cut of 2.2 mm at its sides and sharp corners."""
     turn = np.array([[math.cos(0.4), -math.sin(0.4)], [math.sin(0.4), math.cos(0.4)]])
     square = [(-9, -9), (9, -9), (9, 9), (-9, 9), (-9, -6.8), (6.8, -6.8), (6.8, 6.8), (-6.8, 6.8)]
-    return polyline(np.array(square) @ turn.T + (40, 0), length)
+    return divided(np.array(square) @ turn.T + (40, 0), length)
 
 
 def adaptive(length, radius=6.0, step=1.2):
@@ -77,7 +68,7 @@ def retreats(length):
     for _ in range(5):
         points += [(x + 6.0, 0.0), (x + 5.6, 0.0)]
         x += 5.6
-    return polyline(points, length)
+    return divided(points, length)
 
 
 CASES = {
