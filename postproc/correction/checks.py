@@ -190,10 +190,11 @@ def first_move(program: Program, path: JointPath, start: Array) -> Iterator[Issu
 
 
 def height_of_start(program: Program, tip: Array, clearance: float | None) -> Iterator[Issue]:
-    """Yield an issue if the first move of a CAM program goes below its target: it may pass through part or table.
+    """Yield an issue if the first move of a CAM program may pass through part or table.
 
-    All axes move at once, so the tip may come down on the way although both ends are high. A warning if it comes below
-    `clearance_Z`, which is above part and clamps; a note if the cell does not have it.
+    It begins below `clearance_Z`, which is above part and clamps, or below its target. Or it passes below its target:
+    all axes move at once, so the tip may come down on the way although both ends are high. Coming down to a target
+    below `clearance_Z` is what the program asks for. A warning if the cell has `clearance_Z`, a note if not.
 
     :param tip: (n, 3) positions of the tip from [start] to the first target in `$BASE` [m].
     :param clearance: [machine] clearance_Z [m].
@@ -202,21 +203,26 @@ def height_of_start(program: Program, tip: Array, clearance: float | None) -> It
     if program.keeps_text or m.kind[0] != PTP or np.isfinite(m.joints[0, 0]):
         return
     target = float(m.target.position[0, 2])
-    limit, name = (clearance, "clearance_Z") if clearance is not None else (target, "the first target")
-    limit, name = (target, "the first target") if target > limit else (limit, name)
     start, lowest = float(tip[0, 2]), float(tip[:, 2].min())
-    if limit - lowest <= _START_BELOW:
-        return
-    what = (
-        f"The first move begins below {name}: at [start] the tip is at Z {start * MM_PER_M:.1f} mm of $BASE, "
-        f"{(limit - start) * MM_PER_M:.1f} mm below it."
-    )
-    if limit - start <= _START_BELOW:
-        what = (
-            f"The first move passes below {name}: all axes move at once from [start], and the tip comes down to Z "
-            f"{lowest * MM_PER_M:.1f} mm of $BASE, {(limit - lowest) * MM_PER_M:.1f} mm below it."
+    start_limit, start_name = target, "the first target"
+    if clearance is not None and clearance > target:
+        start_limit, start_name = clearance, "clearance_Z"
+    way_limit, way_name = target, "the first target"
+    if clearance is not None and clearance < target:
+        way_limit, way_name = clearance, "clearance_Z"
+    if start_limit - start > _START_BELOW:
+        problem = (
+            f"The first move begins below {start_name}: at [start] the tip is at Z {start * MM_PER_M:.1f} mm of $BASE, "
+            f"{(start_limit - start) * MM_PER_M:.1f} mm below it."
         )
-    message = f"{what} Choose [start] joints with the tip above the part, or check that the way from there is free."
+    elif way_limit - lowest > _START_BELOW:
+        problem = (
+            f"The first move passes below {way_name}: all axes move at once from [start], and the tip comes down to Z "
+            f"{lowest * MM_PER_M:.1f} mm of $BASE, {(way_limit - lowest) * MM_PER_M:.1f} mm below it."
+        )
+    else:
+        return
+    message = f"{problem} Choose [start] joints with the tip above the part, or check that the way from there is free."
     yield Issue("info" if clearance is None else "warning", "start-below", message, int(m.line[0]))
 
 
