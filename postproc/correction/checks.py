@@ -190,17 +190,17 @@ def first_move(program: Program, path: JointPath, start: Array) -> Iterator[Issu
 
 
 def height_of_start(program: Program, tip: Array, clearance: float | None) -> Iterator[Issue]:
-    """Yield an issue if the first move of a CAM program may pass through part or table.
+    """Yield a warning if the first move of a CAM program may pass through part or table.
 
     It begins below `clearance_Z`, which is above part and clamps, or below its target. Or it passes below its target:
     all axes move at once, so the tip may come down on the way although both ends are high. Coming down to a target
-    below `clearance_Z` is what the program asks for. A warning if the cell has `clearance_Z`, a note if not.
+    below `clearance_Z` is what the program asks for.
 
     :param tip: (n, 3) positions of the tip from [start] to the first target in `$BASE` [m].
     :param clearance: [machine] clearance_Z [m].
     """
     m = program.motions
-    if program.keeps_text or m.kind[0] != PTP or np.isfinite(m.joints[0, 0]):
+    if program.keeps_text or np.isfinite(m.joints[0, 0]):
         return
     target = float(m.target.position[0, 2])
     start, lowest = float(tip[0, 2]), float(tip[:, 2].min())
@@ -223,7 +223,7 @@ def height_of_start(program: Program, tip: Array, clearance: float | None) -> It
     else:
         return
     message = f"{problem} Choose [start] joints with the tip above the part, or check that the way from there is free."
-    yield Issue("info" if clearance is None else "warning", "start-below", message, int(m.line[0]))
+    yield Issue("warning", "start-below", message, int(m.line[0]))
 
 
 def posture(program: Program, robot: RobotModel, sample: Toolpath, path: JointPath, start: Array) -> Iterator[Issue]:

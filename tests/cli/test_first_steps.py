@@ -229,7 +229,7 @@ def test_a_start_below_the_height_of_retracts_is_reported():
     Path("cell.toml").write_text(text.replace("clearance_Z = 150.0", ""))
     Path("part.nc").write_text("G21 G90 G17\nG0 X50 Y100 Z5\nG1 Z-2 F300\nX60 F900\nM30\n")
     done = run("convert", "part.nc", "--cell", "cell.toml", "-o", "out", "--overwrite")
-    assert "info: part.nc:2: The first move begins below the first target" in done.output
+    assert "- line 2: The first move begins below the first target" in done.output
     assert "109.6 mm below it" in done.output
 
 

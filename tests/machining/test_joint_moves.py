@@ -164,3 +164,17 @@ def test_a_first_move_that_comes_down_on_its_way_names_its_lowest_height(tmp_pat
     assert "passes below the first target" in issue.message
     lowest = float(re.search(r"comes down to Z (-?[\d.]+) mm", issue.message)[1])
     assert lowest == pytest.approx(min(heights), abs=0.2)
+
+
+def test_a_first_target_below_the_clearance_is_no_fault_of_the_start(tmp_path):
+    """A program that begins with G0 to a place near the part comes down to it; only a start that is low is a fault."""
+    planted = Planted("kuka_kr270", 7)
+    above, below = ([50.0, 40.0, height] for height in (250.0, 150.0))
+    (tmp_path / "part.nc").write_text(gcode("G0 X60 Y40 Z30", "G1 X70 F1000"))
+    machine = replace(planted.cell.machine, clearance_Z=200.0)
+    for place, faults in ((above, 0), (below, 1)):
+        start = Start(joints=tuple(np.degrees(planted.joints(place)).tolist()))
+        cell = replace(planted.cell, start=start, machine=machine)
+        program = postproc.read_program(tmp_path / "part.nc", planted.robot, cell)
+        issues = correction.process(program, planted.robot, cell).issues
+        assert [each.level for each in issues if each.kind == "start-below"] == ["warning"] * faults, issues
