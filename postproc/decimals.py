@@ -51,11 +51,11 @@ class Number(Struct, frozen=True, eq=False):
         """Columns that the text takes, padded in front with 0 bytes."""
         return 1 + 4 * self.groups + (1 + self.decimals if self.decimals else 0)
 
-    def put(self, out: Bytes, at: int) -> None:
+    def put(self, text: Bytes, at: int) -> None:
         """Write the text into columns of (n, w) bytes from column `at` on; never ``-0.000``."""
         if len(self) > 1 and (self.scaled == self.scaled[0]).all():
-            Number(self.scaled[:1], self.decimals, self.groups).put(out[:1], at)
-            out[1:, at : at + self.width] = out[0, at : at + self.width]
+            Number(self.scaled[:1], self.decimals, self.groups).put(text[:1], at)
+            text[1:, at : at + self.width] = text[0, at : at + self.width]
             return
         empty = np.isnan(self.scaled)
         none = bool(empty.any())
@@ -68,9 +68,9 @@ class Number(Struct, frozen=True, eq=False):
             rest = _narrow(digits - whole * np.uint64(10**self.decimals), 10**self.decimals)
             for stop in range(end, point + 1, -4):
                 higher = rest // rest.dtype.type(10_000)
-                _fours(out, stop)[...] = _FOUR.take(rest - higher * rest.dtype.type(10_000))
+                _fours(text, stop)[...] = _FOUR.take(rest - higher * rest.dtype.type(10_000))
                 rest = higher
-            out[:, point] = ord(".")
+            text[:, point] = ord(".")
         rest = _narrow(whole, 10 ** (4 * self.groups))
         for stop in range(point, at + 1, -4):
             higher = rest // rest.dtype.type(10_000)
@@ -80,11 +80,11 @@ class Number(Struct, frozen=True, eq=False):
                 four = np.where(higher > 0, _FOUR.take(low), four)
                 if stop < point:
                     four[rest == 0] = _ABSENT
-            _fours(out, stop)[...] = four
+            _fours(text, stop)[...] = four
             rest = higher
-        np.multiply((self.scaled < 0.0).view(np.uint8), np.uint8(ord("-")), out=out[:, at])
+        np.multiply((self.scaled < 0.0).view(np.uint8), np.uint8(ord("-")), out=text[:, at])
         if none:
-            out[empty, at:end] = _ABSENT
+            text[empty, at:end] = _ABSENT
 
 
 def fixed(values: Array, decimals: int) -> Bytes:
@@ -94,15 +94,15 @@ def fixed(values: Array, decimals: int) -> Bytes:
     ['1.500', '0.000', '']
     """
     number = Number.of(values, decimals)
-    out = np.empty((len(number), number.width), dtype=np.uint8)
-    number.put(out, 0)
-    return out
+    text = np.empty((len(number), number.width), dtype=np.uint8)
+    number.put(text, 0)
+    return text
 
 
-_EACH = np.arange(10_000)[:, None]
-_DIGITS = (_EACH // [1000, 100, 10, 1] % 10 + ord("0")).astype(np.uint8)
+_FOUR_DIGIT_NUMBERS = np.arange(10_000)[:, None]
+_DIGITS = (_FOUR_DIGIT_NUMBERS // [1000, 100, 10, 1] % 10 + ord("0")).astype(np.uint8)
 _FOUR = _DIGITS.view(np.uint32)[:, 0]
-_FOUR_STRIPPED = (_DIGITS * (_EACH >= [1000, 100, 10, 0])).view(np.uint32)[:, 0]
+_FOUR_STRIPPED = (_DIGITS * (_FOUR_DIGIT_NUMBERS >= [1000, 100, 10, 0])).view(np.uint32)[:, 0]
 
 
 def _narrow(numbers: NDArray[np.uint64], limit: int) -> NDArray[np.uint64] | NDArray[np.uint32]:
@@ -110,9 +110,9 @@ def _narrow(numbers: NDArray[np.uint64], limit: int) -> NDArray[np.uint64] | NDA
     return numbers.astype(np.uint32) if limit <= 2**32 else numbers
 
 
-def _fours(out: Bytes, end: int) -> NDArray[np.uint32]:
+def _fours(digits: Bytes, end: int) -> NDArray[np.uint32]:
     """Return the four bytes before column `end` of each row (n,) as one number each."""
-    return np.ndarray(len(out), np.uint32, out, end - 4, out.shape[1:])
+    return np.ndarray(len(digits), np.uint32, digits, end - 4, digits.shape[1:])
 
 
 def numbers_in(text: Bytes) -> tuple[Ints, Ints]:
@@ -147,13 +147,15 @@ def parsed(text: Bytes, starts: Ints, stops: Ints) -> Array | None:
     digits = whole + places
     if not ((whole <= 8) & (places <= 8) & (digits > 0) & (digits <= 15)).all():
         return None
-    padded = np.concatenate([np.full(8, ord("0"), dtype=np.uint8), text])
-    words = np.ndarray(len(text) + 1, np.uint64, padded, 0, (1,))  # of the eight bytes before each offset
-    before, behind = words[points] & _LAST[whole], words[stops] & _LAST[places]
-    if ((before ^ _ZEROS & _LAST[whole]) & _HIGH).any() or ((behind ^ _ZEROS & _LAST[places]) & _HIGH).any():
+    padded_text = np.concatenate([np.full(8, ord("0"), dtype=np.uint8), text])
+    words = np.ndarray(len(text) + 1, np.uint64, padded_text, 0, (1,))  # of the eight bytes before each offset
+    whole_digits, decimal_digits = words[points] & _LAST[whole], words[stops] & _LAST[places]
+    if ((whole_digits ^ _ZEROS & _LAST[whole]) & _HIGH).any() or (
+        (decimal_digits ^ _ZEROS & _LAST[places]) & _HIGH
+    ).any():
         return None
     scale = _POWER[places]
-    value: Array = (_number(before) * scale + _number(behind)).astype(np.float64) / scale
+    value: Array = (_number(whole_digits) * scale + _number(decimal_digits)).astype(np.float64) / scale
     return np.where(negative, -value, value)
 
 
@@ -197,19 +199,19 @@ def lines(parts: Sequence[Part]) -> bytes:
         b"".join(part if isinstance(part, bytes) else bytes(width) for part, width in zip(parts, widths, strict=True))
     )
     text *= count  # the constant texts of all rows, with room for the others
-    out = np.frombuffer(text, dtype=np.uint8).reshape(count, -1)
+    columns_of_text = np.frombuffer(text, dtype=np.uint8).reshape(count, -1)
     at = 0
     for part, width in zip(parts, widths, strict=True):
         if isinstance(part, Number):
-            part.put(out, at)
+            part.put(columns_of_text, at)
         elif not isinstance(part, bytes):
-            out[:, at : at + width] = part
+            columns_of_text[:, at : at + width] = part
         at += width
     return bytes(text.translate(None, b"\0"))
 
 
 _AFTER_NUMBER = bytes(c in b",} \r\n" for c in range(256))
-_LONGEST = 9
+_MAX_DECIMALS = 9
 """Decimals of a number in lines, at most."""
 
 
@@ -223,17 +225,17 @@ def without_trailing_zeros(text: bytes) -> bytes:
     point = np.flatnonzero(data == ord("."))
     if not len(point):
         return text
-    after = np.flatnonzero(np.frombuffer(text.translate(_AFTER_NUMBER), dtype=np.bool_))
-    last = after[np.searchsorted(after, point)] - 1
-    out = data.copy()
-    for _ in range(_LONGEST):
+    number_ends = np.flatnonzero(np.frombuffer(text.translate(_AFTER_NUMBER), dtype=np.bool_))
+    last = number_ends[np.searchsorted(number_ends, point)] - 1
+    kept_bytes = data.copy()
+    for _ in range(_MAX_DECIMALS):
         ends = (data[last] == ord("0")) & (last > point)
         if not ends.any():
             break
-        out[last[ends]] = 0
+        kept_bytes[last[ends]] = 0
         last = last - ends
-    out[point[last == point]] = 0
-    return out.tobytes().translate(None, b"\0")
+    kept_bytes[point[last == point]] = 0
+    return kept_bytes.tobytes().translate(None, b"\0")
 
 
 def _width(part: Part) -> int:

@@ -36,30 +36,32 @@ def did_you_mean(name: str, valid: Iterable[str]) -> str:
     """
     from difflib import get_close_matches  # needed where something is wrong
 
-    known = {other.lower(): other for other in valid}
-    near = get_close_matches(name.lower(), known, n=1, cutoff=0.7)
-    near = near or [other for other in known if len(name) > 3 and name.lower() in other][:1]
-    return f"Did you mean `{known[near[0]]}`?" if near else ""
+    name_of_lowercase = {valid_name.lower(): valid_name for valid_name in valid}
+    nearest = get_close_matches(name.lower(), name_of_lowercase, n=1, cutoff=0.7)
+    nearest = (
+        nearest or [valid_name for valid_name in name_of_lowercase if len(name) > 3 and name.lower() in valid_name][:1]
+    )
+    return f"Did you mean `{name_of_lowercase[nearest[0]]}`?" if nearest else ""
 
 
-def choices(name: str, valid: Iterable[str], what: str = "Valid names") -> str:
+def choices(name: str, valid: Iterable[str], heading: str = "Valid names") -> str:
     """Return the advice for an unknown name: the nearest valid one as a question, then all valid ones.
 
     >>> choices("FEDE", ["BASE", "TOOL", "FEED"], "Valid frames")
     'Did you mean `FEED`? Valid frames: BASE, TOOL, FEED.'
     """
     names = list(valid)
-    return f"{did_you_mean(name, names)} {what}: {', '.join(names)}.".lstrip()
+    return f"{did_you_mean(name, names)} {heading}: {', '.join(names)}.".lstrip()
 
 
-def first_of(names: Sequence[str], most: int) -> str:
+def first_of(names: Sequence[str], limit: int) -> str:
     """Return the first names of a list in words, and how many more there are.
 
     >>> first_of(["P1", "P2", "P3"], 2), first_of(["P1", "P2"], 2)
     ('P1, P2 and 1 more', 'P1, P2')
     """
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return f"{', '.join(names[:most])}{more}"
+    suffix = f" and {len(names) - limit} more" if len(names) > limit else ""
+    return f"{', '.join(names[:limit])}{suffix}"
 
 
 class PostprocError(Exception):
@@ -102,15 +104,15 @@ class InputError(PostprocError):
     ) -> None:
         self.problem, self.file, self.line, self.text, self.advice = problem, file, line, text, advice
         self.others = tuple(others)
-        where = "" if file is None else f"{file}: " if line is None else f"{file}:{line}: "
+        place = "" if file is None else f"{file}: " if line is None else f"{file}:{line}: "
         if file is None and line is not None:
-            where = f"line {line}: "
-        quoted = "" if text is None else f" Text: {text.strip()[:160]!r}."
-        own = f"{where}{problem}.{quoted}{'' if advice is None else ' ' + advice}"
-        shown = [own, *map(str, self.others[: MOST - 1])]
+            place = f"line {line}: "
+        quotation = "" if text is None else f" Text: {text.strip()[:160]!r}."
+        first_message = f"{place}{problem}.{quotation}{'' if advice is None else ' ' + advice}"
+        messages = [first_message, *map(str, self.others[: MOST - 1])]
         if len(self.others) >= MOST:
-            shown.append(f"There are more errors: these are the first {MOST}.")
-        super().__init__("\n".join(shown))
+            messages.append(f"There are more errors: these are the first {MOST}.")
+        super().__init__("\n".join(messages))
 
     def with_file(self, name: str, path: str) -> Self:
         """Return the same error with file `path` where it says `name`, in all `others` too."""
@@ -120,7 +122,7 @@ class InputError(PostprocError):
             line=self.line,
             text=self.text,
             advice=self.advice,
-            others=[other.with_file(name, path) for other in self.others],
+            others=[error.with_file(name, path) for error in self.others],
         )
 
 
@@ -128,7 +130,7 @@ AnyInputError = TypeVar("AnyInputError", bound=InputError)
 
 
 def together(errors: Iterable[AnyInputError]) -> AnyInputError:
-    """Return all errors of one input as one: the first in order of lines, with the others as `others`.
+    """Return all errors of one input as one: the first in order of lines, with the others as `later_errors`.
 
     :param errors: at least one, in any order and without others of their own; those of one file follow each other, in
         the order in which files are first named. Of equal ones the first counts.
@@ -136,13 +138,13 @@ def together(errors: Iterable[AnyInputError]) -> AnyInputError:
     unique: dict[str, AnyInputError] = {}
     for error in errors:
         unique.setdefault(str(error), error)
-    found = list(unique.values())
-    files = list(dict.fromkeys(error.file for error in found))
-    first, *others = sorted(found, key=lambda error: (files.index(error.file), error.line or 0))
-    if not others:
+    distinct = list(unique.values())
+    files = list(dict.fromkeys(error.file for error in distinct))
+    first, *later_errors = sorted(distinct, key=lambda error: (files.index(error.file), error.line or 0))
+    if not later_errors:
         return first
     return type(first)(
-        first.problem, file=first.file, line=first.line, text=first.text, advice=first.advice, others=others
+        first.problem, file=first.file, line=first.line, text=first.text, advice=first.advice, others=later_errors
     )
 
 
@@ -208,13 +210,13 @@ class Issue(Struct, frozen=True):
 
 def group_issues(issues: Iterable[Issue]) -> tuple[Issue, ...]:
     """Return one issue per (level, kind, subject), the first found, with count and lines of all; errors first."""
-    grouped: dict[tuple[str, str, str], list[Issue]] = {}
+    groups: dict[tuple[str, str, str], list[Issue]] = {}
     for issue in issues:
-        grouped.setdefault((issue.level, issue.kind, issue.subject), []).append(issue)
+        groups.setdefault((issue.level, issue.kind, issue.subject), []).append(issue)
     order = {"error": 0, "warning": 1, "info": 2}
-    return tuple(sorted(map(_together, grouped.values()), key=lambda issue: order[issue.level]))
+    return tuple(sorted(map(_together, groups.values()), key=lambda issue: order[issue.level]))
 
 
-def _together(alike: Sequence[Issue]) -> Issue:
-    lines = {line for issue in alike for line in (issue.lines or (issue.source_line,)) if line is not None}
-    return replace(alike[0], count=sum(issue.count for issue in alike), lines=tuple(sorted(lines)))
+def _together(issues: Sequence[Issue]) -> Issue:
+    lines = {line for issue in issues for line in (issue.lines or (issue.source_line,)) if line is not None}
+    return replace(issues[0], count=sum(issue.count for issue in issues), lines=tuple(sorted(lines)))

@@ -48,11 +48,11 @@ def rotation_from_angles(angles: Array) -> Array:
     """Return Rz(a)·Ry(b)·Rx(c) (..., 3, 3) of angles a, b, c (..., 3) [rad]."""
     sin, cos = sine_and_cosine(angles)
     (sa, sb, sc), (ca, cb, cc) = np.moveaxis(sin, -1, 0), np.moveaxis(cos, -1, 0)
-    out = np.empty((*angles.shape, 3))
-    out[..., 0, 0], out[..., 0, 1], out[..., 0, 2] = ca * cb, ca * sb * sc - sa * cc, ca * sb * cc + sa * sc
-    out[..., 1, 0], out[..., 1, 1], out[..., 1, 2] = sa * cb, sa * sb * sc + ca * cc, sa * sb * cc - ca * sc
-    out[..., 2, 0], out[..., 2, 1], out[..., 2, 2] = -sb, cb * sc, cb * cc
-    return out
+    matrix = np.empty((*angles.shape, 3))
+    matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 0, 2] = ca * cb, ca * sb * sc - sa * cc, ca * sb * cc + sa * sc
+    matrix[..., 1, 0], matrix[..., 1, 1], matrix[..., 1, 2] = sa * cb, sa * sb * sc + ca * cc, sa * sb * cc - ca * sc
+    matrix[..., 2, 0], matrix[..., 2, 1], matrix[..., 2, 2] = -sb, cb * sc, cb * cc
+    return matrix
 
 
 def xyzabc_from_pose(pose: Array) -> Array:
@@ -83,12 +83,12 @@ def inverse(pose: Array) -> Array:
     >>> (xyzabc_from_pose(inverse(pose_from_xyzabc([0, 0, 1000, 0, 90, 0]))).round(6) + 0.0).tolist()
     [1000.0, 0.0, 0.0, 0.0, -90.0, 0.0]
     """
-    out = np.zeros_like(pose)
+    inverse_pose = np.zeros_like(pose)
     rotation = np.swapaxes(pose[..., :3, :3], -1, -2)
-    out[..., :3, :3] = rotation
-    out[..., :3, 3] = -np.einsum("...ij,...j->...i", rotation, pose[..., :3, 3])
-    out[..., 3, 3] = 1.0
-    return out
+    inverse_pose[..., :3, :3] = rotation
+    inverse_pose[..., :3, 3] = -np.einsum("...ij,...j->...i", rotation, pose[..., :3, 3])
+    inverse_pose[..., 3, 3] = 1.0
+    return inverse_pose
 
 
 def product(left: Array, pose: Array, right: Array = _SAME) -> Array:
@@ -144,11 +144,11 @@ def _near_half_turn(rotation: Array, sine: Array) -> Array:
     `sine` (n, 3), sin·a, its sign. At the half turn itself, where both signs mean the same, the largest entry is
     positive.
     """
-    every = np.arange(len(rotation))
+    row = np.arange(len(rotation))
     cosine = 0.5 * (np.trace(rotation, axis1=1, axis2=2) - 1.0)
     largest_entry = np.argmax(np.einsum("nii->ni", rotation), axis=1)
-    axis = 0.5 * (rotation[every, :, largest_entry] + rotation[every, largest_entry])
-    axis[every, largest_entry] -= cosine
+    axis = 0.5 * (rotation[row, :, largest_entry] + rotation[row, largest_entry])
+    axis[row, largest_entry] -= cosine
     axis /= norm(axis)[:, None]
     axis *= np.where(np.einsum("ni,ni->n", axis, sine) < 0.0, -1.0, 1.0)[:, None]
     return np.asarray(axis * np.arctan2(norm(sine), cosine)[:, None])
@@ -160,14 +160,14 @@ def sine_and_cosine(angle: Array) -> tuple[Array, Array]:
     Computed from the tangent of half the angle, which takes less time than both functions.
     """
     half = np.tan(0.5 * angle)
-    rest = 2.0 / (1.0 + half * half)
-    return half * rest, rest - 1.0
+    scale = 2.0 / (1.0 + half * half)
+    return half * scale, scale - 1.0
 
 
-def angle_between(one: Array, other: Array) -> Array:
+def angle_between(rotation_a: Array, rotation_b: Array) -> Array:
     """Return the angles (n,) [rad] between rotations (n, 3, 3): ‖R₁ − R₂‖² = 8·sin²(θ/2)."""
-    apart = (one - other).reshape(-1, 9)
-    return np.asarray(2.0 * np.arcsin(np.minimum(norm(apart) / np.sqrt(8.0), 1.0)))
+    difference = (rotation_a - rotation_b).reshape(-1, 9)
+    return np.asarray(2.0 * np.arcsin(np.minimum(norm(difference) / np.sqrt(8.0), 1.0)))
 
 
 def norm(vector: Array) -> Array:
@@ -191,11 +191,11 @@ def hat(vector: Array) -> Array:
     >>> (hat(np.array([1.0, 0.0, 0.0])) @ [0.0, 1.0, 0.0]).tolist()
     [0.0, 0.0, 1.0]
     """
-    out = np.zeros((*vector.shape, 3))
+    skew = np.zeros((*vector.shape, 3))
     x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
-    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -z, y, -x
-    out[..., 1, 0], out[..., 2, 0], out[..., 2, 1] = z, -y, x
-    return out
+    skew[..., 0, 1], skew[..., 0, 2], skew[..., 1, 2] = -z, y, -x
+    skew[..., 1, 0], skew[..., 2, 0], skew[..., 2, 1] = z, -y, x
+    return skew
 
 
 def rotation_from_vector(vector: Array) -> Array:
@@ -216,20 +216,20 @@ def twist_between(pose_from: Array, pose_to: Array) -> Array:
     """Return (..., 6) the displacement that carries one pose to another: translation [m] of the origin and
     rotation vector [rad], both in the axes of the frame in which the poses are given.
     """
-    out = np.empty((*np.broadcast_shapes(pose_from.shape, pose_to.shape)[:-2], 6))
-    out[..., :3] = pose_to[..., :3, 3] - pose_from[..., :3, 3]
+    twist = np.empty((*np.broadcast_shapes(pose_from.shape, pose_to.shape)[:-2], 6))
+    twist[..., :3] = pose_to[..., :3, 3] - pose_from[..., :3, 3]
     relative = pose_to[..., :3, :3] @ np.swapaxes(pose_from[..., :3, :3], -1, -2)
-    out[..., 3:] = rotation_vector(relative)
-    return out
+    twist[..., 3:] = rotation_vector(relative)
+    return twist
 
 
 def displaced(pose: Array, twist: Array) -> Array:
     """Return the poses moved by twists (inverse of `twist_between`): (..., 4, 4) and (..., 6)."""
-    out = np.zeros((*np.broadcast_shapes(pose.shape[:-2], twist.shape[:-1]), 4, 4))
-    out[..., :3, 3] = pose[..., :3, 3] + twist[..., :3]
-    out[..., :3, :3] = rotation_from_vector(twist[..., 3:]) @ pose[..., :3, :3]
-    out[..., 3, 3] = 1.0
-    return out
+    moved_pose = np.zeros((*np.broadcast_shapes(pose.shape[:-2], twist.shape[:-1]), 4, 4))
+    moved_pose[..., :3, 3] = pose[..., :3, 3] + twist[..., :3]
+    moved_pose[..., :3, :3] = rotation_from_vector(twist[..., 3:]) @ pose[..., :3, :3]
+    moved_pose[..., 3, 3] = 1.0
+    return moved_pose
 
 
 def interpolated(pose_from: Array, pose_to: Array, t: Array) -> Array:

@@ -64,11 +64,11 @@ def held_back() -> Iterator[None]:
                 if number is not None:
                     raise Interrupt(number)
         return
-    before, _State.hearing = _State.hearing, False
+    was_hearing, _State.hearing = _State.hearing, False
     try:
         yield
     finally:
-        if before:
+        if was_hearing:
             _hear()
 
 
@@ -81,7 +81,7 @@ def heard() -> Iterator[None]:
     if not _State.holding or threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = _State.hearing
+    was_hearing = _State.hearing
     try:
         _hear()
         yield
@@ -89,7 +89,7 @@ def heard() -> Iterator[None]:
         _State.hearing = False
         if _State.number is not None:
             raise Interrupt(_State.number)
-        _State.hearing = before
+        _State.hearing = was_hearing
 
 
 @contextlib.contextmanager

@@ -34,9 +34,9 @@ _NO_NAME = re.compile(
     re.IGNORECASE,
 )
 """Comments that are no names: tools, headers of files, dates, assignments, and remarks on single moves."""
-_MILLED = re.compile(r"end ?mill(?:ing)? +\D+$", re.IGNORECASE)
+_END_MILLING = re.compile(r"end ?mill(?:ing)? +\D+$", re.IGNORECASE)
 """Milling with an end mill: a name after a retract, though comments that begin with "end" are none."""
-_ALONE = re.compile(r"\s*/?\s*(?:N\s*\d+)?\s*[(;]", re.IGNORECASE)
+_LINE_OF_COMMENT = re.compile(r"\s*/?\s*(?:N\s*\d+)?\s*[(;]", re.IGNORECASE)
 _MOST = 60
 """More operations than this are remarks on single moves."""
 _PIECE = 2**20
@@ -69,18 +69,18 @@ def operations(program: Program, *, at_retracts: bool = False) -> tuple[Operatio
 
     :param at_retracts: leave out comments between two cutting motions, unless a blank line precedes them.
     """
-    found: tuple[Operation, ...] = ()
+    candidates: tuple[Operation, ...] = ()
     choices: tuple[Names, ...] = ("retracts",) if at_retracts else ("all", "retracts", "none")
     for names in choices:
-        found = tuple(_joined(program, list(_starts(program, names))))
-        if len(found) <= _MOST:
+        candidates = tuple(_joined(program, list(_starts(program, names))))
+        if len(candidates) <= _MOST:
             break
-    return found
+    return candidates
 
 
-def of_motions(found: tuple[Operation, ...], motion: Ints) -> Ints:
-    """Return the place in `found` of the operation of each motion (n,)."""
-    return np.asarray(np.searchsorted([each.first for each in found], motion, side="right") - 1)
+def of_motions(operations_in_order: tuple[Operation, ...], motion: Ints) -> Ints:
+    """Return the place in `operations_in_order` of the operation of each motion (n,)."""
+    return np.asarray(np.searchsorted([operation.first for operation in operations_in_order], motion, side="right") - 1)
 
 
 def title(comment: str) -> str:
@@ -110,22 +110,22 @@ def passed_over(program: Program) -> tuple[Event, ...]:
     rows = len(program.motions)
     comments = [event for event in program.events if event.kind == "comment" and 0 < event.before < rows]
     lines = _lines(program, comments)
-    out: list[Event] = []
+    comments_without_operation: list[Event] = []
     if any(_BEGIN.match(event.text) for event in comments):
         return ()
     for event in _on_own_lines(comments, lines):
         name = title(event.text)
-        named = _named([event], None, first=False, explicit=False) is not None
-        remark = name and not named and not FORCE_COMMENT.match(event.text) and not _END.match(event.text)
-        if named != _at_retract(program, event.before, [event], None, lines) and (named or remark):
-            out.append(event)
-    return tuple(out)
+        is_name = _named([event], None, first=False, explicit=False) is not None
+        is_remark = name and not is_name and not FORCE_COMMENT.match(event.text) and not _END.match(event.text)
+        if is_name != _at_retract(program, event.before, [event], None, lines) and (is_name or is_remark):
+            comments_without_operation.append(event)
+    return tuple(comments_without_operation)
 
 
 def _is_name(comment: str) -> bool:
     """Return whether a comment reads like the name of an operation."""
-    other = _NO_NAME.match(title(comment)) or FORCE_COMMENT.match(comment) or _END.match(comment)
-    return bool(comment.strip()) and not other
+    remark = _NO_NAME.match(title(comment)) or FORCE_COMMENT.match(comment) or _END.match(comment)
+    return bool(comment.strip()) and not remark
 
 
 def _starts(program: Program, names: Names) -> Iterator[tuple[int, str, int, int]]:
@@ -138,37 +138,39 @@ def _starts(program: Program, names: Names) -> Iterator[tuple[int, str, int, int
     explicit = any(event.kind == "comment" and _BEGIN.match(event.text) for event in marks)
     changes = any(event.kind == "tool_change" for event in marks)
     lines = _lines(program, marks)
-    found: dict[int, tuple[str, int]] = {0: ("", 1)}
+    starts: dict[int, tuple[str, int]] = {0: ("", 1)}
     frames = np.flatnonzero((np.diff(m.base) != 0) | (np.diff(m.tool) != 0)) + 1
-    found.update({row: ("", int(m.line[row])) for row in frames.tolist()})
+    starts.update({row: ("", int(m.line[row])) for row in frames.tolist()})
     tool, tools = 0, {0: 0}
     for row, group in groupby(sorted(marks, key=lambda event: event.before), key=lambda event: event.before):
-        here = list(group)
-        change = max((k for k, event in enumerate(here) if event.kind == "tool_change"), default=None)
-        for event in here:
+        events_at_row = list(group)
+        change = max((k for k, event in enumerate(events_at_row) if event.kind == "tool_change"), default=None)
+        for event in events_at_row:
             if event.kind == "tool_change":
                 tool = int(event.value)
                 tools[row] = tool
-        named = None
+        name_event = None
         if names != "none":
-            spots = here if explicit else _on_own_lines(here, lines)
+            spots = events_at_row if explicit else _on_own_lines(events_at_row, lines)
             if names == "retracts" and not explicit and not _at_retract(program, row, spots, change, lines):
                 spots = []
-            named = _named(spots, change, first=row == 0, explicit=explicit)
-        if named is not None:
-            found[row] = (title(named.text), named.line)
+            name_event = _named(spots, change, first=row == 0, explicit=explicit)
+        if name_event is not None:
+            starts[row] = (title(name_event.text), name_event.line)
         elif change is not None:
-            found[row] = ("", here[change].line)
-    number = np.array(list(tools.values()))[np.searchsorted(list(tools), sorted(found), side="right") - 1]
-    for (row, (name, line)), own in zip(sorted(found.items()), number.tolist(), strict=True):
-        yield row, name, own if changes else int(m.tool[row]) + 1 if program.keeps_text else 0, line
+            starts[row] = ("", events_at_row[change].line)
+    number = np.array(list(tools.values()))[np.searchsorted(list(tools), sorted(starts), side="right") - 1]
+    for (row, (name, line)), tool_number in zip(sorted(starts.items()), number.tolist(), strict=True):
+        yield row, name, tool_number if changes else int(m.tool[row]) + 1 if program.keeps_text else 0, line
 
 
 def _lines(program: Program, events: list[Event]) -> dict[int, str]:
     """Return the lines of some events, and those before them: number → text."""
-    wanted = {line for event in events for line in (event.line - 1, event.line)}
-    numbered = enumerate(_split(program.documents[0].text) if program.documents else (), start=1)
-    return {number: line for number, line in islice(numbered, max(wanted, default=0)) if number in wanted}
+    line_numbers = {line for event in events for line in (event.line - 1, event.line)}
+    numbered_lines = enumerate(_split(program.documents[0].text) if program.documents else (), start=1)
+    return {
+        number: line for number, line in islice(numbered_lines, max(line_numbers, default=0)) if number in line_numbers
+    }
 
 
 def _split(text: str) -> Iterator[str]:
@@ -180,53 +182,55 @@ def _split(text: str) -> Iterator[str]:
         start = stop
 
 
-def _on_own_lines(here: list[Event], lines: dict[int, str]) -> list[Event]:
+def _on_own_lines(events: list[Event], lines: dict[int, str]) -> list[Event]:
     """Return the tool changes, and the comments that are alone on their line."""
     return [
         event
-        for event in here
+        for event in events
         if event.kind == "tool_change"
         or event.line not in lines
         or event.text not in lines[event.line]
-        or _ALONE.match(lines[event.line])
+        or _LINE_OF_COMMENT.match(lines[event.line])
     ]
 
 
-def _at_retract(program: Program, row: int, here: list[Event], change: int | None, lines: dict[int, str]) -> bool:
+def _at_retract(program: Program, row: int, events: list[Event], change: int | None, lines: dict[int, str]) -> bool:
     """Return whether comments before motion `row` may name an operation: not if they are between two cutting motions.
 
     They may after a blank line, at a tool change and at the begin of the program even there.
 
-    :param here: the events before the motion; change: index of the tool change among them, or None.
+    :param events: the events before the motion; change: index of the tool change among them, or None.
     :param lines: of the events, and those before them: number → text.
     """
     rapid = program.motions.rapid
     if row == 0 or change is not None or rapid[row] or rapid[row - 1]:
         return True
-    return any(event.line in lines and not lines.get(event.line - 1, "none").strip() for event in here)
+    return any(event.line in lines and not lines.get(event.line - 1, "none").strip() for event in events)
 
 
-def _named(here: list[Event], change: int | None, *, first: bool, explicit: bool) -> Event | None:
+def _named(events: list[Event], change: int | None, *, first: bool, explicit: bool) -> Event | None:
     """Return the comment that names an operation, or None.
 
-    :param here: comments and tool changes before a motion; change: index of the last tool change among them, or None.
+    :param events: comments and tool changes before a motion; change: index of the last tool change among them, or None.
     :param first: whether the motion is the first of the program.
     :param explicit: whether the program marks operations with ``begin operation``: other comments then name none.
     """
     if explicit:
-        return next((event for event in reversed(here) if event.kind == "comment" and _BEGIN.match(event.text)), None)
-    before: list[Event] = []
-    after: list[Event] = []
-    for place, event in enumerate(here):
+        return next((event for event in reversed(events) if event.kind == "comment" and _BEGIN.match(event.text)), None)
+    names_before_change: list[Event] = []
+    names_after_change: list[Event] = []
+    for place, event in enumerate(events):
         if event.kind == "tool_change":
             continue
         if _STRONG.match(event.text):
             return event
-        elif _is_name(event.text) or (change is None and not first and _MILLED.match(title(event.text))):
-            (before if change is None or place < change else after).append(event)
+        elif _is_name(event.text) or (change is None and not first and _END_MILLING.match(title(event.text))):
+            (names_before_change if change is None or place < change else names_after_change).append(event)
     if change is not None:
-        return before[-1] if before else (after[0] if after else None)
-    return None if not before else before[-1] if first else before[0]
+        return (
+            names_before_change[-1] if names_before_change else (names_after_change[0] if names_after_change else None)
+        )
+    return None if not names_before_change else names_before_change[-1] if first else names_before_change[0]
 
 
 def _joined(program: Program, starts: list[tuple[int, str, int, int]]) -> Iterator[Operation]:
@@ -234,25 +238,25 @@ def _joined(program: Program, starts: list[tuple[int, str, int, int]]) -> Iterat
     cuts = np.concatenate([[0], np.cumsum(~program.motions.rapid)])
     total = len(program.motions)
     ends = [start[0] for start in starts[1:]] + [total]
-    kept: list[tuple[int, str, int, int]] = []
-    begin, name, tool_before, waits = 0, "", -1, False
-    for (row, given, tool, line), end in zip(starts, ends, strict=True):
-        if tool != tool_before:
+    cutting_starts: list[tuple[int, str, int, int]] = []
+    begin, name, last_tool, waits = 0, "", -1, False
+    for (row, start_name, tool, line), end in zip(starts, ends, strict=True):
+        if tool != last_tool:
             # between a comment and its tool change there may be a move to home
-            name, tool_before = name if waits else "", tool
-        name = given or name  # a change of frames goes on with the operation
-        waits = waits or bool(given)
+            name, last_tool = name if waits else "", tool
+        name = start_name or name  # a change of frames goes on with the operation
+        waits = waits or bool(start_name)
         if cuts[end] == cuts[row] and end < total:
             continue
         waits = False
-        kept.append((begin, name, tool, line))
+        cutting_starts.append((begin, name, tool, line))
         begin = end
-    if not kept:
+    if not cutting_starts:
         return
-    runs = [kept[0]]
-    for each in kept[1:]:
-        if each[1:3] != runs[-1][1:3]:
-            runs.append(each)
-    ends = [*(each[0] for each in runs[1:]), total]
+    runs = [cutting_starts[0]]
+    for run in cutting_starts[1:]:
+        if run[1:3] != runs[-1][1:3]:
+            runs.append(run)
+    ends = [*(run[0] for run in runs[1:]), total]
     for number, ((first, name, tool, line), end) in enumerate(zip(runs, ends, strict=True), start=1):
         yield Operation(name or (f"T{tool}" if tool else f"operation {number}"), tool, first, end - 1, line)

@@ -88,20 +88,20 @@ def of(documents: Sequence[Document], comment: str) -> Provenance:
 
     :param comment: what comments begin with: ``;`` in KRL.
     """
-    found = _lines(documents[0].text, comment)
-    if not found:
+    provenance_lines = _lines(documents[0].text, comment)
+    if not provenance_lines:
         return Provenance("none")
-    line = _line_at(documents[0].text, found[0].start())
-    content = _CONTENT.fullmatch(found[0][1])
-    if content is None or len(found) > 1 or int(content[1]) != FORMAT:
+    line = _line_at(documents[0].text, provenance_lines[0].start())
+    content = _CONTENT.fullmatch(provenance_lines[0][1])
+    if content is None or len(provenance_lines) > 1 or int(content[1]) != FORMAT:
         return Provenance("changed", line=line)
-    said = dict(part.split("=", 1) for part in content[2].split())
-    if "of" in said:
-        return Provenance("none", line=line, part_of=said["of"])
-    state: State = "intact" if said.get("text") == _text(documents, found[0]) else "changed"
-    sums = {name: value for name, value in said.items() if name in ("source", "cell", "model", "forces")}
-    options = {name: value for name, value in said.items() if name not in (*sums, "text", "mode", "version")}
-    return Provenance(state, said.get("mode", ""), said.get("version", ""), line, sums, options)
+    entries = dict(part.split("=", 1) for part in content[2].split())
+    if "of" in entries:
+        return Provenance("none", line=line, part_of=entries["of"])
+    state: State = "intact" if entries.get("text") == _text(documents, provenance_lines[0]) else "changed"
+    sums = {name: value for name, value in entries.items() if name in ("source", "cell", "model", "forces")}
+    options = {name: value for name, value in entries.items() if name not in (*sums, "text", "mode", "version")}
+    return Provenance(state, entries.get("mode", ""), entries.get("version", ""), line, sums, options)
 
 
 def marked(
@@ -114,38 +114,38 @@ def marked(
     :returns: the files, and the 1-based line from which on lines of the main one have moved down by one; 0 if none
         has.
     """
-    main, *others = documents
+    main, *other_documents = documents
     old = _lines(main.text, comment)
     if old:
         start, stop, end = old[0].start(), old[0].end(), _ending(old[0][0])
     else:
-        above = head.search(main.text)
-        start = stop = above.end() if above else 0
-        end = above[1] if above else "\r\n"
-    said = {
+        head_line = head.search(main.text)
+        start = stop = head_line.end() if head_line else 0
+        end = head_line[1] if head_line else "\r\n"
+    entries = {
         "version": origin.version,
         "mode": origin.mode,
-        "text": digest_of([_without(main, start, stop), *others]),
+        "text": digest_of([_without(main, start, stop), *other_documents]),
         "source": origin.source,
         "cell": origin.cell,
         "model": origin.model,
         "forces": origin.forces,
         **origin.options,
     }
-    line = f"{comment}POSTPROC {FORMAT} " + " ".join(f"{name}={value}" for name, value in said.items()) + end
+    line = f"{comment}POSTPROC {FORMAT} " + " ".join(f"{name}={value}" for name, value in entries.items()) + end
     text = main.text.replace(main.text[:stop], main.text[:start] + line, 1)  # copies a long text only once
-    moved = 0 if old else _line_at(main.text, start)
-    return (replace(main, text=text), *others), moved
+    first_moved_line = 0 if old else _line_at(main.text, start)
+    return (replace(main, text=text), *other_documents), first_moved_line
 
 
 def _lines(text: str, comment: str) -> list[re.Match[str]]:
     """Return the lines that say where a program comes from."""
     word, line = _patterns(comment)
     lines = []
-    for found in word.finditer(text):  # found fast, unlike lines
-        start = max(text.rfind(end, 0, found.start()) for end in "\r\n") + 1
+    for match in word.finditer(text):  # found fast, unlike lines
+        start = max(text.rfind(end, 0, match.start()) for end in "\r\n") + 1
         lines.append(line.match(text, start))
-    return [found for found in lines if found is not None]
+    return [match for match in lines if match is not None]
 
 
 @cache

@@ -18,10 +18,10 @@ _CONTROL = re.compile("[\x00-\x08\x0a-\x1f\x7f-\x9f\u2028\u2029\u200b-\u200f\u20
 _IN_STRING = str.maketrans({'"': "'", "{": "(", "}": ")", "\t": " "})
 
 
-def one_line(text: str, longest: int = LONGEST) -> str:
+def one_line(text: str, max_length: int = LONGEST) -> str:
     """Return a text as one line: control characters become blanks, and the rest is cut off."""
     line = _CONTROL.sub(" ", text).strip()
-    return line if len(line) <= longest else line[: longest - 1] + "…"
+    return line if len(line) <= max_length else line[: max_length - 1] + "…"
 
 
 def string_content(text: str) -> str:

@@ -15,11 +15,11 @@ _NAME = ".postproc.lock"
 _POSIX = os.name == "posix"
 _POLL = 0.1
 """Seconds between two attempts to take a lock that another process has."""
-_SILENT = 3
+_ATTEMPTS_BEFORE_MESSAGE = 3
 """Attempts before a message is shown."""
-_VANISHED = 100
+_ATTEMPTS_WITHOUT_FOLDER = 100
 """Attempts to lock a folder that does not exist: on a missing drive it cannot be made."""
-_held: set[Path] = set()
+_locked_folders: set[Path] = set()
 """Folders that this process has locked, resolved."""
 
 
@@ -34,9 +34,11 @@ def locked(folders: Iterable[Path], waiting: Callable[[str], None] | None = None
 
     :param waiting: is called once with a sentence when another process has a lock.
     """
-    with contextlib.ExitStack() as held:
-        for folder in sorted({folder.resolve() for folder in folders} - _held):  # the same order in each process
-            held.enter_context(_locked(folder, waiting))
+    with contextlib.ExitStack() as locks:
+        for folder in sorted(
+            {folder.resolve() for folder in folders} - _locked_folders
+        ):  # the same order in each process
+            locks.enter_context(_locked(folder, waiting))
         yield
 
 
@@ -44,9 +46,9 @@ def locked(folders: Iterable[Path], waiting: Callable[[str], None] | None = None
 def _locked(folder: Path, waiting: Callable[[str], None] | None) -> Iterator[None]:
     from filelock import FileLock, Timeout  # takes 15 ms, where files are written only
 
-    made = _missing(folder)
+    new_folders = _missing(folder)
     lock = FileLock(folder / _NAME)
-    attempts = vanished = 0
+    attempts = attempts_without_folder = 0
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of a drive without locks
         while True:
@@ -56,23 +58,23 @@ def _locked(folder: Path, waiting: Callable[[str], None] | None) -> Iterator[Non
                 break
             except Timeout:
                 attempts += 1
-                if attempts == _SILENT and waiting is not None:
+                if attempts == _ATTEMPTS_BEFORE_MESSAGE and waiting is not None:
                     waiting(f"{folder}: waiting for {_holder(folder)}, which writes into this folder.")
                 time.sleep(_POLL)
             except FileNotFoundError:  # another process has just removed the empty folder, or it cannot be made
-                vanished += 1
-                if vanished > _VANISHED:
+                attempts_without_folder += 1
+                if attempts_without_folder > _ATTEMPTS_WITHOUT_FOLDER:
                     break
             except OSError:
                 break
-    _held.add(folder)
+    _locked_folders.add(folder)
     try:
         if lock.is_locked and lock.__class__ is FileLock:  # else the file has the content that makes it a lock
             with contextlib.suppress(OSError):
                 (folder / _NAME).write_text(_this_process(), encoding="utf-8")
         yield
     finally:
-        _held.discard(folder)
+        _locked_folders.discard(folder)
         if lock.is_locked:
             if _POSIX:  # removed while locked: a process that has it open notices, and makes another
                 with contextlib.suppress(OSError):
@@ -81,7 +83,7 @@ def _locked(folder: Path, waiting: Callable[[str], None] | None) -> Iterator[Non
         if not _POSIX:
             with contextlib.suppress(OSError):
                 (folder / _NAME).unlink()
-        for path in made:
+        for path in new_folders:
             with contextlib.suppress(OSError):
                 path.rmdir()  # where nothing was written
 
@@ -99,9 +101,11 @@ def _this_process() -> str:
 def _holder(folder: Path) -> str:
     """Return the description of the process that holds the lock, from the lock file."""
     with contextlib.suppress(OSError, UnicodeDecodeError):
-        said = (folder / _NAME).read_text(encoding="utf-8").strip()
-        if said.startswith("process "):
-            return said
-        if said.split()[:1] and said.split()[0].isdecimal():  # as filelock writes it where there are no locks
-            return f"process {said.split()[0]} on {' '.join(said.split()[1:2])}"
+        description = (folder / _NAME).read_text(encoding="utf-8").strip()
+        if description.startswith("process "):
+            return description
+        if (
+            description.split()[:1] and description.split()[0].isdecimal()
+        ):  # as filelock writes it where there are no locks
+            return f"process {description.split()[0]} on {' '.join(description.split()[1:2])}"
     return "another process"

@@ -108,25 +108,27 @@ def convert(data: object, structure: type[T], file: str, error: type[InputError]
         return msgspec.convert(data, structure)
     except (msgspec.ValidationError, OverflowError) as cause:
         kind = msgspec.inspect.type_info(structure)
-        found = list(islice(_wrong_keys(data, kind, ""), MOST + 1))
-        if found:
-            is_missing = any(problem.startswith("missing") for problem, _ in found)
+        wrong_keys = list(islice(_wrong_keys(data, kind, ""), MOST + 1))
+        if wrong_keys:
+            is_missing = any(problem.startswith("missing") for problem, _ in wrong_keys)
             advice = example if example and is_missing else None
-            errors = [error(problem, file=file, advice=valid) for problem, valid in found]
-            errors[-1] = error(found[-1][0], file=file, advice="\n".join(filter(None, (found[-1][1], advice))) or None)
+            errors = [error(problem, file=file, advice=valid) for problem, valid in wrong_keys]
+            errors[-1] = error(
+                wrong_keys[-1][0], file=file, advice="\n".join(filter(None, (wrong_keys[-1][1], advice))) or None
+            )
             raise together(errors) from cause
-        message, at = str(cause).removesuffix("`"), ""
+        message, key = str(cause).removesuffix("`"), ""
         if " - at `$" in message:
-            message, at = message.split(" - at `$")
-            message = _with_value(f"{at.removeprefix('.')}: {message}", data, at.removeprefix("."))
-        valid = _valid_values(kind, at, re.search(r"enum value '(.*)'", message))
+            message, key = message.split(" - at `$")
+            message = _with_value(f"{key.removeprefix('.')}: {message}", data, key.removeprefix("."))
+        valid = _valid_values(kind, key, re.search(r"enum value '(.*)'", message))
         for old, new in (("`object`", "a table"), ("`array`", "a list"), ("Invalid enum value", "no such value:")):
             message = message.replace(old, new)
         raise error(message, file=file, advice=valid) from cause
 
 
 _RANGE = re.compile(r"Expected `(?:float|int)` (?P<relation><=|>=|<|>) (?P<limit>\S+)$")
-_BEYOND = {"<=": operator.gt, ">=": operator.lt, "<": operator.ge, ">": operator.le}
+_OUT_OF_RANGE = {"<=": operator.gt, ">=": operator.lt, "<": operator.ge, ">": operator.le}
 
 
 def _with_value(message: str, data: object, at: str) -> str:
@@ -134,14 +136,14 @@ def _with_value(message: str, data: object, at: str) -> str:
 
     :param at: key of the number, where `[...]` stands for any name or index.
     """
-    wrong = _RANGE.search(message)
-    if wrong is None:
+    range_message = _RANGE.search(message)
+    if range_message is None:
         return message
     key = re.compile(re.escape(at).replace(re.escape("[...]"), r"(?:\.[^.]+|\[\d+\])"))
-    beyond, limit = _BEYOND[wrong["relation"]], float(wrong["limit"])
+    is_out_of_range, limit = _OUT_OF_RANGE[range_message["relation"]], float(range_message["limit"])
     for name, value in _numbers(data, ""):
-        if key.fullmatch(name) and beyond(value, limit):
-            return f"{name}: {wrong[0]}, not {str(value)[:40]}"
+        if key.fullmatch(name) and is_out_of_range(value, limit):
+            return f"{name}: {range_message[0]}, not {str(value)[:40]}"
     return message
 
 
@@ -167,13 +169,13 @@ def _wrong_keys(data: object, kind: Any, at: str) -> Iterator[tuple[str, str | N
             yield from _wrong_keys(value, kind.item_type, at)
     elif isinstance(kind, msgspec.inspect.StructType) and isinstance(data, Mapping):
         fields = {field.encode_name: field for field in kind.fields}
-        where = f" in [{at}]" if at else ""
+        table = f" in [{at}]" if at else ""
         for name in data:
             if name not in fields and kind.forbid_unknown_fields:
-                yield f"unknown key {name!r}{where}", choices(str(name), fields, "Valid keys")
-        missing = [name for name, field in fields.items() if field.required and name not in data]
-        if missing:
-            yield f"missing {'key' if len(missing) == 1 else 'keys'}{where}: {', '.join(missing)}", None
+                yield f"unknown key {name!r}{table}", choices(str(name), fields, "Valid keys")
+        missing_keys = [name for name, field in fields.items() if field.required and name not in data]
+        if missing_keys:
+            yield f"missing {'key' if len(missing_keys) == 1 else 'keys'}{table}: {', '.join(missing_keys)}", None
         for name, field in fields.items():
             if name in data:
                 yield from _wrong_keys(data[name], field.type, f"{at}.{name}" if at else name)
@@ -186,7 +188,7 @@ def _inner(kind: Any) -> Any:
     return kind
 
 
-def _valid_values(kind: Any, at: str, given: re.Match[str] | None) -> str | None:
+def _valid_values(kind: Any, at: str, invalid_value: re.Match[str] | None) -> str | None:
     """Return the values that a key may have, if they are a list; the nearest to the given one first, their
     description last.
     """
@@ -196,13 +198,13 @@ def _valid_values(kind: Any, at: str, given: re.Match[str] | None) -> str | None
             kind = kind.value_type
         elif isinstance(kind, msgspec.inspect.StructType):
             kind = next((f.type for f in kind.fields if f.encode_name == part), kind)
-    more = ""
+    description = ""
     if isinstance(kind, msgspec.inspect.Metadata):
-        kind, more = kind.type, f" {(kind.extra_json_schema or {})['description']}"
+        kind, description = kind.type, f" {(kind.extra_json_schema or {})['description']}"
     if isinstance(_inner(kind), msgspec.inspect.LiteralType):
         values = _inner(kind).values
-        near = did_you_mean(given[1], map(str, values)) if given else ""
-        return f"{near} Valid values: {', '.join(map(repr, values))}.{more}".lstrip()
+        question = did_you_mean(invalid_value[1], map(str, values)) if invalid_value else ""
+        return f"{question} Valid values: {', '.join(map(repr, values))}.{description}".lstrip()
     return None
 
 
@@ -262,10 +264,12 @@ def parse_csv(
             lines.append(reader.line_num)
     except csv.Error as cause:
         raise error(f"not a valid CSV file: {cause}", file=str(path), line=reader.line_num) from cause
-    if not rows and len(wrong) > 1 and len({each.problem for each in wrong}) == 1:  # one cause, stated once
-        one = wrong[0]
-        problem = f"{one.problem}, in all {len(wrong)} rows"
-        wrong = [error(problem, file=str(path), line=one.line, text=one.text, advice=one.advice)]
+    if not rows and len(wrong) > 1 and len({row_error.problem for row_error in wrong}) == 1:  # one cause, stated once
+        first_error = wrong[0]
+        problem = f"{first_error.problem}, in all {len(wrong)} rows"
+        wrong = [
+            error(problem, file=str(path), line=first_error.line, text=first_error.text, advice=first_error.advice)
+        ]
     columns = dict(zip(header, zip(*rows, strict=True), strict=True)) if rows else dict.fromkeys(header, ())
     numeric: dict[str, Array] = {}
     for name, values in columns.items():
@@ -292,22 +296,25 @@ def _header(
 ) -> list[str]:
     """Return the names of the columns, each known, none twice, all required ones there."""
     header = [name.strip() for name in row]
-    known = [*required, *optional]
-    valid = f"Valid columns: {', '.join(known)}."
+    valid_names = [*required, *optional]
+    valid = f"Valid columns: {', '.join(valid_names)}."
     if not any(header):
         raise error("empty file", file=str(path), advice=valid)
     for separator, name in ((";", "semicolons"), ("\t", "tabs")):
         if len(header) == 1 and separator in header[0]:
             raise error(f"columns separated by {name}", file=str(path), line=1, text=row[0], advice=_COMMAS)
-    unknown = [name for name in dict.fromkeys(header) if name not in known]
+    unknown = [name for name in dict.fromkeys(header) if name not in valid_names]
     wrong = [f"unknown column {name!r}" for name in unknown]
     wrong += [f"column {name!r} is given twice" for name in dict.fromkeys(header) if header.count(name) > 1]
-    missing = [name for name in required if name not in header]
-    if missing:
-        wrong.append(f"missing column {', '.join(missing)}")
+    missing_names = [name for name in required if name not in header]
+    if missing_names:
+        wrong.append(f"missing column {', '.join(missing_names)}")
     if wrong:
-        near = [did_you_mean(name, [other for other in known if other not in header]) for name in unknown]
-        raise error("; ".join(wrong), file=str(path), line=1, advice=" ".join([*filter(None, near), valid]))
+        questions = [
+            did_you_mean(name, [valid_name for valid_name in valid_names if valid_name not in header])
+            for name in unknown
+        ]
+        raise error("; ".join(wrong), file=str(path), line=1, advice=" ".join([*filter(None, questions), valid]))
     return header
 
 
@@ -351,7 +358,7 @@ def read_mesh(path: Path, error: type[InputError], kind: str) -> Any:
             f"the {kind} cannot be read: no reader of {path.suffix} is installed", file=str(path), advice=advice
         )
     logger = logging.getLogger("trimesh")
-    logged, logger.disabled = logger.disabled, True  # faults become the exception below, without a traceback
+    was_disabled, logger.disabled = logger.disabled, True  # faults become the exception below, without a traceback
     try:
         if path.suffix.lower() == ".stl":
             mesh: Any = trimesh.load(io.BytesIO(_plain_stl(path.read_bytes())), file_type="stl", force="mesh")
@@ -362,7 +369,7 @@ def read_mesh(path: Path, error: type[InputError], kind: str) -> Any:
         advice = "Export it anew from CAD, in mm, as binary STL."
         raise error(f"the {kind} cannot be read ({cause})", file=str(path), advice=advice) from None
     finally:
-        logger.disabled = logged
+        logger.disabled = was_disabled
     if len(corners) == 0 or not np.isfinite(corners).all():
         advice = "Export the body from CAD as binary STL."
         raise error(f"the {kind} has no surface, or corners that are no numbers", file=str(path), advice=advice)
@@ -390,7 +397,7 @@ def _plain_stl(content: bytes) -> bytes:
 _MOST_FACETS = 60_000
 _EDGE = np.radians(30.0)
 """Facets that meet at a smaller angle belong to one smooth surface."""
-_ALONG = 60.0
+_SIDES_PER_PART = 60.0
 """Facets are divided until the longest is this share of the part, or there are too many."""
 
 
@@ -427,14 +434,14 @@ def _chord_heights(mesh: Any) -> Array:
 
 def _divided(corners: Array, coarse: Array) -> tuple[Array, Array]:
     """Return facets whose longest side is short compared with the part, up to a number of them, and their `coarse`."""
-    limit = float(np.ptp(corners.reshape(-1, 3), axis=0).max()) / _ALONG
+    limit = float(np.ptp(corners.reshape(-1, 3), axis=0).max()) / _SIDES_PER_PART
     while True:
         side = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)  # from corner i to i + 1
-        longest = np.argmax(side, axis=1)
+        longest_side = np.argmax(side, axis=1)
         split = side.max(axis=1) > limit
         if not split.any() or len(corners) + np.count_nonzero(split) > _MOST_FACETS:
             return corners, coarse
-        rows, first = np.flatnonzero(split), longest[split]
+        rows, first = np.flatnonzero(split), longest_side[split]
         a, b, c = (corners[rows, (first + k) % 3] for k in range(3))
         middle = 0.5 * (a + b)
         halves = [np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)]

@@ -66,8 +66,8 @@ def with_record(
     def last() -> Iterator[bytes]:
         yield render(entries)
 
-    made = {n: digested(n, [c] if isinstance(c, bytes) else c) for n, c in contents.items()}
-    return {**made, name: last()}
+    digested_contents = {n: digested(n, [c] if isinstance(c, bytes) else c) for n, c in contents.items()}
+    return {**digested_contents, name: last()}
 
 
 def foreign(folder: Path, names: Iterable[str], record: str) -> list[Path]:
@@ -75,11 +75,11 @@ def foreign(folder: Path, names: Iterable[str], record: str) -> list[Path]:
 
     :param record: name of the record.
     """
-    known = _read(folder / record)
+    digests = _read(folder / record)
     return [
         path
         for path in (folder / name for name in names)
-        if path.exists() and (known is None or (path.name != record and known.get(path.name) != _digest(path)))
+        if path.exists() and (digests is None or (path.name != record and digests.get(path.name) != _digest(path)))
     ]
 
 
@@ -217,16 +217,16 @@ def replace(folder: Path, staged: Sequence[Staged], obsolete: Sequence[str] = ()
     :returns: the paths written.
     :raises InputError: a file cannot be replaced; the message names it.
     """
-    firsts = [each.names[0] for each in staged]
-    names = list(dict.fromkeys([*firsts, *(name for each in staged for name in each.names)]))
+    firsts = [file_set.names[0] for file_set in staged]
+    names = list(dict.fromkeys([*firsts, *(name for file_set in staged for name in file_set.names)]))
     with interrupts.held_back():
         try:
             with _naming(folder, names):
                 _replace(staged, folder, names, obsolete)
         finally:
-            for each in staged:
-                discard(each)
-    return [folder / name for each in staged for name in each.names]
+            for file_set in staged:
+                discard(file_set)
+    return [folder / name for file_set in staged for name in file_set.names]
 
 
 def discard(staged: Staged) -> None:
@@ -266,22 +266,22 @@ def _write(path: Path, content: bytes | Iterable[bytes]) -> None:
 
 def _replace(staged: Sequence[Staged], folder: Path, names: Sequence[str], obsolete: Sequence[str]) -> None:
     """Put new files in the place of old ones; a single one in one step."""
-    source = {name: each.path / "new" / name for each in staged for name in each.names}
-    aside: list[str] = []
-    placed: list[str] = []
+    source = {name: file_set.path / "new" / name for file_set in staged for name in file_set.names}
+    set_aside: list[str] = []
+    new_names: list[str] = []
     old = staged[0].path / "old"
     try:
         for name in (*obsolete, *(names if len(names) > 1 or obsolete else ())):
             if (folder / name).exists() or (folder / name).is_symlink():
                 (folder / name).rename(old / name)
-                aside.append(name)
+                set_aside.append(name)
         for name in reversed(names):
             source[name].replace(folder / name)
-            placed.append(name)
+            new_names.append(name)
     except BaseException as cause:
-        for name in placed:
+        for name in new_names:
             (folder / name).unlink(missing_ok=True)
-        for name in aside:
+        for name in set_aside:
             with contextlib.suppress(OSError):
                 (old / name).rename(folder / name)
         left = sorted(path.name for path in old.iterdir())
@@ -303,7 +303,11 @@ def toml(content: object, comment: str) -> bytes:
 def _plain(value: Any) -> Any:
     if isinstance(value, msgspec.Struct):
         fields = ((field, getattr(value, field.name)) for field in msgspec.structs.fields(value))
-        return {field.encode_name: _plain(own) for field, own in fields if field.required or own != _default(field)}
+        return {
+            field.encode_name: _plain(field_value)
+            for field, field_value in fields
+            if field.required or field_value != _default(field)
+        }
     if isinstance(value, Mapping):
         return {name: _plain(entry) for name, entry in value.items()}
     if isinstance(value, (list, tuple)):
