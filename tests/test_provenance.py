@@ -51,15 +51,15 @@ def test_the_line_holds_the_sums_of_the_files_it_names(written):
 
 
 def test_the_deviation_that_its_targets_make_up_for_is_no_error_of_the_part(written):
-    """`predict` warns of it for a program as it was written by hand, not for the corrected one."""
+    """`predict` refuses a program as it was written by hand for it, not the corrected one."""
     part = written / "out" / "part.src"
-    given = ["predict", part, "--cell", CELL, "-o", written / "again", "--part-tolerance", 0.9]
-    warning = "the expected error on the part is up to"
-    said = printed(*given)
-    assert "its targets compensate the deviation predicted here" in said
-    assert warning not in said
+    command = ["predict", part, "--cell", CELL, "-o", written / "again", "--part-tolerance", 0.6]
+    reason = "the expected error on the part is up to"
+    output = printed(*command)
+    assert "its targets compensate the deviation predicted here" in output
+    assert reason not in output
     part.write_bytes(b"".join(line for line in part.read_bytes().splitlines(keepends=True) if b";POSTPROC" not in line))
-    assert warning in printed(*given)
+    assert reason in printed(*command, code=3)
 
 
 def test_lines_of_the_targets_are_those_of_the_marked_text(written):
