@@ -67,12 +67,12 @@ def summary(data: Identified) -> Section | None:
     if residual is None or data.parameters is None:
         return None
     shares = [entry.share for entry in data.parameters.values() if entry.share is not None]
-    good, rough, known = (sum(share <= limit for share in shares) for limit in (_GOOD, _ROUGH, _KNOWN))
+    good, rough, determined = (sum(share <= limit for share in shares) for limit in (_GOOD, _ROUGH, _KNOWN))
     words = [
         f"{good} to {_GOOD * 100:.0f} %",
         f"{rough - good} more to {_ROUGH * 100:.0f} %",
-        *([f"{known - rough} barely"] if known > rough else []),
-        *([f"{len(shares) - known} only together with others"] if len(shares) > known else []),
+        *([f"{determined - rough} barely"] if determined > rough else []),
+        *([f"{len(shares) - determined} only together with others"] if len(shares) > determined else []),
         *(
             [f"{len(data.parameters) - len(shares)} not seen: prior value"]
             if len(shares) < len(data.parameters)
@@ -83,25 +83,27 @@ def summary(data: Identified) -> Section | None:
     tiles = (
         Tile("Displacement under load, RMS", f"{residual.before_rms_mm:.3f}", "mm"),
         Tile("Residual on these readings, RMS", f"{residual.rms_mm:.3f}", "mm", f"{gain:.0f} times less"),
-        Tile("Parameters determined", str(known), f"of {len(data.parameters)}", "; ".join(words)),
+        Tile("Parameters determined", str(determined), f"of {len(data.parameters)}", "; ".join(words)),
     )
     return Section("summary", "Results", (Tiles(tiles),))
 
 
 def to_know(data: Identified) -> Section:
     """Return unidentifiable parameters, warnings and assumptions."""
-    not_seen = data.not_observable or []
-    assumed = tuple(Note(f"Assumed: {text}.") for text in data.assumptions or ())
-    if not not_seen and not data.warnings and not assumed:
+    unobservable = data.not_observable or []
+    assumptions = tuple(Note(f"Assumed: {text}.") for text in data.assumptions or ())
+    if not unobservable and not data.warnings and not assumptions:
         text = "Every parameter is identifiable; no reading was left out."
         return Section("to-know", "What to know", (Notes((Note(text, "good"),)),))
-    missing = tuple(
+    unobservable_notes = tuple(
         Note(f"{entry.name} is not observable: {entry.reason}. {entry.advice} The model keeps the prior value.")
-        for entry in not_seen
+        for entry in unobservable
     )
-    known = tuple(f"{entry.name} is not observable" for entry in not_seen)
-    others = tuple(Note(text, "warning") for text in data.warnings if not text.startswith(known or ("\0",)))
-    return Section("to-know", "What to know", (Notes(missing + others + assumed, marked=True),))
+    stated_beginnings = tuple(f"{entry.name} is not observable" for entry in unobservable)
+    warnings = tuple(
+        Note(text, "warning") for text in data.warnings if not text.startswith(stated_beginnings or ("\0",))
+    )
+    return Section("to-know", "What to know", (Notes(unobservable_notes + warnings + assumptions, marked=True),))
 
 
 def configurations(data: Identified) -> Section | None:
@@ -110,15 +112,15 @@ def configurations(data: Identified) -> Section | None:
         return None
     rows = data.residual.per_configuration
     at = [row.config for row in rows]
-    before = [max(row.before_mm, _LEAST_MM) for row in rows]
-    after = [max(row.after_mm, _LEAST_MM) for row in rows]
+    displacement = [max(row.before_mm, _LEAST_MM) for row in rows]
+    residual = [max(row.after_mm, _LEAST_MM) for row in rows]
     texts = [f"config {row.config:g}: {row.before_mm:.3f} → {row.after_mm:.4f} mm" for row in rows]
     plot = Plot(
         label="Displacement under load and residual of the model, for each configuration; the table has the numbers",
         traces=[
-            Span(at, after, before),
-            Points(at, before, "displacement under load", "before", texts=texts),
-            Points(at, after, "residual of the model", "after", texts=texts),
+            Span(at, residual, displacement),
+            Points(at, displacement, "displacement under load", "before", texts=texts),
+            Points(at, residual, "residual of the model", "after", texts=texts),
         ],
         x=Axis(title="configuration"),
         y=Axis(title="distance, RMS over the points, mm", logarithmic=True),
@@ -138,27 +140,27 @@ def parameters(data: Identified) -> Section | None:
 
 def _intervals(entries: Mapping[str, Parameter], note: str) -> tuple[Part, ...]:
     titles = [_title(name) for name in entries]
-    shown = [(row, share) for row, entry in enumerate(entries.values()) if (share := entry.share) is not None]
+    shares = [(row, share) for row, entry in enumerate(entries.values()) if (share := entry.share) is not None]
     priors = [
         (row, abs(entry.prior / entry.value - 1.0))
         for row, entry in enumerate(entries.values())
         if entry.prior is not None and entry.value and entry.share is not None
     ]
-    least = min([_LEAST, *(share for _, share in shown)])
-    most = max([1.0, *(share for _, share in shown)])
-    texts = [f"{titles[row]}: known to {_percent(share)}" for row, share in shown]
+    smallest = min([_LEAST, *(share for _, share in shares)])
+    largest = max([1.0, *(share for _, share in shares)])
+    texts = [f"{titles[row]}: known to {_percent(share)}" for row, share in shares]
     traces: list[Traced] = [
         Points(
-            [100.0 * min(max(off, least), most) for _, off in priors],
+            [100.0 * min(max(prior_error, smallest), largest) for _, prior_error in priors],
             [float(row) for row, _ in priors],
             "prior value off by",
             "soft",
             hollow=True,
-            texts=[f"{titles[row]}: prior value off by {_percent(off)}" for row, off in priors],
+            texts=[f"{titles[row]}: prior value off by {_percent(prior_error)}" for row, prior_error in priors],
         ),
         Points(
-            [100.0 * share for _, share in shown],
-            [float(row) for row, _ in shown],
+            [100.0 * share for _, share in shares],
+            [float(row) for row, _ in shares],
             "half width of the interval",
             "after",
             texts=texts,
@@ -169,7 +171,9 @@ def _intervals(entries: Mapping[str, Parameter], note: str) -> tuple[Part, ...]:
         label="Half width of each 95 % interval in per cent of the value; the table has the numbers",
         traces=traces,
         x=Axis(
-            title="half width of the interval, % of the value", logarithmic=True, range=(80.0 * least, 130.0 * most)
+            title="half width of the interval, % of the value",
+            logarithmic=True,
+            range=(80.0 * smallest, 130.0 * largest),
         ),
         y=Axis(categories=titles),
         marks=marks,
@@ -253,21 +257,21 @@ def structures(data: Identified) -> Section | None:
     """Return the structures tried."""
     if data.structure is None:
         return None
-    tried = data.structure.tried
-    lengths = [max(row.held_out_sigma2, 0.1) for row in tried]
+    rows = data.structure.tried
+    lengths = [max(row.held_out_sigma2, 0.1) for row in rows]
     plot = Plot(
         label="Mean square error of each structure on configurations left out, in units of the noise",
         traces=[
             Bars(
                 lengths,
-                [f"{row.held_out_sigma2:.2f} σ² · {row.active} parameters" for row in tried],
-                [r.chosen for r in tried],
+                [f"{row.held_out_sigma2:.2f} σ² · {row.active} parameters" for row in rows],
+                [r.chosen for r in rows],
             )
         ],
         x=Axis(title="mean square error, σ²", logarithmic=True),
-        y=Axis(categories=[row.structure for row in tried]),
+        y=Axis(categories=[row.structure for row in rows]),
         marks=[Mark(1.0, "noise alone", "soft")],
-        height=80 + 34 * len(tried),
+        height=80 + 34 * len(rows),
         note=f"{data.structure.reason}.",
     )
     return Section("structures", "Structures tried: error on configurations left out", (plot,))
@@ -350,7 +354,7 @@ def page(data: Identified, name: str) -> bytes:
     :param name: of the model that was written.
     """
     count = "" if data.residual is None else f"{len(data.residual.per_configuration)} configurations · "
-    found = tuple(section for make in SECTIONS if (section := make(data)) is not None)
+    sections = tuple(section for make in SECTIONS if (section := make(data)) is not None)
     footer = (
         Note(
             "Intervals are 95 %, from the noise of the readings; what the structure of the model does not describe "
@@ -358,4 +362,4 @@ def page(data: Identified, name: str) -> bytes:
         ),
     )
     subtitle = f"found from {data.robot}, method {data.method} · {count}noise σ {data.sigma_mm:.3g} mm a coordinate"
-    return b"".join(Page("Identification report", name, subtitle, found, footer).render())
+    return b"".join(Page("Identification report", name, subtitle, sections, footer).render())

@@ -108,20 +108,31 @@ def index_page(entries: Sequence[Entry], folder: str) -> bytes:
     :param entries: in any order.
     :param folder: its name.
     """
-    ordered = sorted(entries, key=_rank)
-    written = [entry.content for entry in entries if entry.content is not None]
+    sorted_entries = sorted(entries, key=_rank)
+    reports = [entry.content for entry in entries if entry.content is not None]
     counts = {state: sum(entry.state == state for entry in entries) for state in _WORDS}
     tiles = [Tile("Programs", str(len(entries)))]
     tiles += [Tile(_WORDS[state][0], str(count), kind=_WORDS[state][1]) for state, count in counts.items() if count]
-    for title, lengths in zip(_EXPECTED, zip(*(content.expected_mm for content in written), strict=True), strict=False):
-        known = [length for length in lengths if length is not None]
-        unknown = f"unknown for {len(lengths) - len(known)} of {len(lengths)}" if len(known) < len(lengths) else ""
-        tiles.append(Tile(title, rounded(max(known)) if known else "unknown", "mm" if known else "", unknown))
-    parts: list[Part] = [Tiles(tuple(tiles)), _table(ordered, written)]
-    failed = [entry for entry in ordered if entry.state == "nothing"]
+    for title, lengths in zip(_EXPECTED, zip(*(content.expected_mm for content in reports), strict=True), strict=False):
+        known_lengths = [length for length in lengths if length is not None]
+        unknown = (
+            f"unknown for {len(lengths) - len(known_lengths)} of {len(lengths)}"
+            if len(known_lengths) < len(lengths)
+            else ""
+        )
+        tiles.append(
+            Tile(
+                title,
+                rounded(max(known_lengths)) if known_lengths else "unknown",
+                "mm" if known_lengths else "",
+                unknown,
+            )
+        )
+    parts: list[Part] = [Tiles(tuple(tiles)), _table(sorted_entries, reports)]
+    failures = [entry for entry in sorted_entries if entry.state == "nothing"]
     sections = [Section("programs", "Programs", tuple(parts))]
-    if failed:
-        notes = tuple(Note(f"{entry.name}: {entry.message}") for entry in failed)
+    if failures:
+        notes = tuple(Note(f"{entry.name}: {entry.message}") for entry in failures)
         sections.append(Section("failed", "Not written", (Notes(notes, marked=True),)))
     footer = Note(
         "Expected errors on the part (95 %) at cutting targets, in millimetres; the chance that correction makes the "
@@ -137,7 +148,7 @@ def _rank(entry: Entry) -> tuple[int, float, str]:
     return _STATES.index(entry.state), 0.0 if worst is None else -worst, entry.name
 
 
-def _table(entries: Sequence[Entry], written: Sequence[Reported]) -> Table:
+def _table(entries: Sequence[Entry], reports: Sequence[Reported]) -> Table:
     head = (
         "Program",
         "Verdict",
@@ -174,6 +185,6 @@ def _table(entries: Sequence[Entry], written: Sequence[Reported]) -> Table:
                 )
             )
         )
-    targets = sum(content.targets for content in written)
-    note = f"{targets} targets in {len(written)} programs; largest values of each. Failed ones come first."
+    targets = sum(content.targets for content in reports)
+    note = f"{targets} targets in {len(reports)} programs; largest values of each. Failed ones come first."
     return Table(head, tuple(rows), "Programs of the folder", texts=(1, 2), sortable=True, note=note)

@@ -9,15 +9,15 @@ from postproc.report.kit import Cell, Facts, Kind
 _OF_STATES: dict[State, Kind] = {"ok": "good", "warning": "warning", "failed": "error"}
 
 
-def in_two(judged: Verdict) -> tuple[str, str]:
+def in_two(verdict: Verdict) -> tuple[str, str]:
     """Return the headline of a verdict as its first sentence, and the others."""
-    first, _, others = judged.headline.partition(". ")
-    return (f"{first}.", others) if others else (first, "")
+    first, _, later_sentences = verdict.headline.partition(". ")
+    return (f"{first}.", later_sentences) if later_sentences else (first, "")
 
 
-def answers(judged: Verdict) -> Facts:
+def answers(verdict: Verdict) -> Facts:
     """Return the three answers as facts."""
-    words = in_words(judged.drive, judged.better, judged.tolerance)
+    words = in_words(verdict.drive, verdict.better, verdict.tolerance)
     rows = ((question, Cell(sentence(answer), _OF_STATES[state])) for question, answer, state in words)
     return Facts(tuple(rows))
 

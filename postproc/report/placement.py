@@ -70,7 +70,7 @@ class PlaceSummary(Struct, frozen=True, omit_defaults=True, kw_only=True):
 
 
 def summary(
-    found: Search,
+    search: Search,
     cell: Cell,
     programs: Sequence[str],
     margin_deg: float,
@@ -83,7 +83,7 @@ def summary(
     :param clearance_mm: distance of bodies that was kept; None: they were not compared.
     :param start: how the start was chosen; None: the cell states it.
     """
-    reasons = np.bincount([each.reason for each in found.tried], minlength=len(REASONS)).tolist()
+    reasons = np.bincount([place.reason for place in search.tried], minlength=len(REASONS)).tolist()
     return PlaceSummary(
         programs=list(programs),
         robot=cell.robot,
@@ -91,13 +91,13 @@ def summary(
         clearance_mm=clearance_mm,
         start=start,
         region={axis: [region.low[k], region.high[k]] for k, axis in enumerate(AXES) if k in region.free},
-        today=_entry(found.today),
-        best=None if found.best is None else _entry(found.best),
+        today=_entry(search.today),
+        best=None if search.best is None else _entry(search.best),
         grid="place.csv",
-        tried=len(found.tried),
+        tried=len(search.tried),
         reachable=reasons[0],
         refused={name: count for name, count in zip(REASONS[1:], reasons[1:], strict=True) if count},
-        sentence=_sentence(found),
+        sentence=_sentence(search),
     )
 
 
@@ -122,45 +122,47 @@ def _entry(place: Judged) -> PlaceEntry:
     )
 
 
-def _sentence(found: Search) -> str:
+def _sentence(search: Search) -> str:
     """Return what to do, in one sentence."""
-    today, best = found.today, found.best
+    today, best = search.today, search.best
     if best is None:
         return "No place in the region can be driven."
     moves = []
-    for axis, unit, one, other in zip(AXES, ("mm", "mm", "mm", "°", "mm"), today.place, best.place, strict=True):
-        if abs(other - one) > 0.05:
-            moves.append(f"{axis} {other - one:+.4g} {unit}".replace(" °", "°"))
+    for axis, unit, today_value, best_value in zip(
+        AXES, ("mm", "mm", "mm", "°", "mm"), today.place, best.place, strict=True
+    ):
+        if abs(best_value - today_value) > 0.05:
+            moves.append(f"{axis} {best_value - today_value:+.4g} {unit}".replace(" °", "°"))
     move = ", ".join(moves)
     kind = "deflection" if np.isnan(best.u95) else "expected error (95 %)"
     error = f"{rounded(best.cost * MM_PER_M)} mm RMS"
-    unloaded = best.cost == 0.0
+    is_unloaded = best.cost == 0.0
     if not today.reachable:
-        where = f"move the part by {move}" if moves else "the same place with another turn of the tool can be driven"
-        if unloaded:
-            return f"Today's place cannot be driven ({REASONS[today.reason]}): {where}. {_UNLOADED}"
-        return f"Today's place cannot be driven ({REASONS[today.reason]}): {where}; the {kind} is then {error}."
-    if unloaded:
+        advice = f"move the part by {move}" if moves else "the same place with another turn of the tool can be driven"
+        if is_unloaded:
+            return f"Today's place cannot be driven ({REASONS[today.reason]}): {advice}. {_UNLOADED}"
+        return f"Today's place cannot be driven ({REASONS[today.reason]}): {advice}; the {kind} is then {error}."
+    if is_unloaded:
         return f"Today's place can be driven. {_UNLOADED}"
     if best.cost >= (1.0 - _SAME) * today.cost or not moves:
         return f"Today's place is as good as any in the region: the {kind} is {rounded(today.cost * MM_PER_M)} mm RMS."
-    before = rounded(today.cost * MM_PER_M)
-    return f"Moving the part by {move} lowers the {kind} from {before} to {error}."
+    today_error = rounded(today.cost * MM_PER_M)
+    return f"Moving the part by {move} lowers the {kind} from {today_error} to {error}."
 
 
-def places_csv(found: Search) -> Iterator[bytes]:
+def places_csv(search: Search) -> Iterator[bytes]:
     """Yield one row for each place that was tried, in order."""
     yield (",".join(_COLUMNS) + "\n").encode()
-    for place in found.tried:
+    for place in search.tried:
         entry = _entry(place)
         values: list[object] = [getattr(entry, name) for name in _COLUMNS[:-2]]
         values += [int(place.reachable), entry.reason]
         yield (",".join("" if value is None else str(value) for value in values) + "\n").encode()
 
 
-def base_toml(found: Search, cell: Cell, content: PlaceSummary) -> bytes:
+def base_toml(search: Search, cell: Cell, content: PlaceSummary) -> bytes:
     """Return the `[base]` of the best place, ready to paste."""
-    best = found.best
+    best = search.best
     assert best is not None
     x, y, z, a, e1 = best.place
     lines = [f"# {content.sentence}"]
@@ -182,36 +184,36 @@ def as_text(content: PlaceSummary) -> str:
     """Return the result as text."""
     lines = [content.sentence]
     lines += [_line("today", content.today), _line("best", content.best)]
-    refused = ", ".join(f"{count} {name}" for name, count in content.refused.items())
+    refusals = ", ".join(f"{count} {name}" for name, count in content.refused.items())
     lines.append(
-        f"  {content.tried} places tried, {content.reachable} can be driven" + (f"; {refused}" if refused else "")
+        f"  {content.tried} places tried, {content.reachable} can be driven" + (f"; {refusals}" if refusals else "")
     )
     lines += [] if content.start is None else [f"  {content.start}"]
-    kept = f"  kept: {content.margin_deg:g}° to joint limits"
+    margins = f"  kept: {content.margin_deg:g}° to joint limits"
     if content.clearance_mm is not None:
         return "\n".join(
-            [*lines, f"{kept}, {content.clearance_mm:g} mm between bodies of [collision]", f"  {_NO_STOCK}"]
+            [*lines, f"{margins}, {content.clearance_mm:g} mm between bodies of [collision]", f"  {_NO_STOCK}"]
         )
-    lines += [kept, f"  {_NO_BODIES}"]
+    lines += [margins, f"  {_NO_BODIES}"]
     return "\n".join(lines)
 
 
 def _line(name: str, entry: PlaceEntry | None) -> str:
     if entry is None:
         return f"  {name}: none"
-    where = f"X {entry.X:.1f} Y {entry.Y:.1f} Z {entry.Z:.1f} A {entry.A:.2f}"
-    where += f" E1 {entry.E1:.1f}" if entry.E1 else ""
-    where += f", tool turned by {entry.turn_deg:+.0f}°" if entry.turn_deg else ""
+    place = f"X {entry.X:.1f} Y {entry.Y:.1f} Z {entry.Z:.1f} A {entry.A:.2f}"
+    place += f" E1 {entry.E1:.1f}" if entry.E1 else ""
+    place += f", tool turned by {entry.turn_deg:+.0f}°" if entry.turn_deg else ""
     if not entry.reachable:
-        return f"  {name}: {where}: {entry.reason}"
+        return f"  {name}: {place}: {entry.reason}"
     error = "" if entry.u95_rms_mm is None else f"expected error {rounded(entry.u95_rms_mm)} mm, "
     deflection = rounded(entry.before_rms_mm or 0.0)
-    return f"  {name}: {where}: {error}deflection {deflection} mm RMS, joint margin {entry.min_joint_margin_deg:.1f}°"
+    return f"  {name}: {place}: {error}deflection {deflection} mm RMS, joint margin {entry.min_joint_margin_deg:.1f}°"
 
 
-def page(found: Search, content: PlaceSummary) -> Iterator[bytes]:
+def page(search: Search, content: PlaceSummary) -> Iterator[bytes]:
     """Yield `place.html`, one file that loads nothing."""
-    sections = (_verdict(found, content), *_maps(found), _table(content))
+    sections = (_verdict(search, content), *_maps(search), _table(content))
     note = (
         "Expected errors and deflections are predictions of the elastostatic model of the robot under the forces "
         f"given, RMS over cuts. {_collisions(content)}"
@@ -232,64 +234,76 @@ def _collisions(content: PlaceSummary) -> str:
     return f"Places where bodies of [collision] come closer than {need:g} mm, or touch, are refused. {_NO_STOCK}"
 
 
-def _verdict(found: Search, content: PlaceSummary) -> Section:
+def _verdict(search: Search, content: PlaceSummary) -> Section:
     tiles = []
-    for title, place in (("Today", found.today), ("Best place", found.best)):
+    for title, place in (("Today", search.today), ("Best place", search.best)):
         if place is None or not place.reachable:
             tiles.append(Tile(title, "-", "", "none" if place is None else REASONS[place.reason], "warning"))
             continue
         x, y, z, a, _ = place.place
         kind = "deflection" if np.isnan(place.u95) else "expected error, RMS"
         turn = f"; tool turned by {place.turn * DEG_PER_RAD:+.0f}°" if place.turn else ""
-        where = f"X {x:.0f} Y {y:.0f} Z {z:.0f} A {a:.1f}{turn}"
-        note = f"{kind}; {where}; joint margin {place.margin * DEG_PER_RAD:.1f}°"
+        place_text = f"X {x:.0f} Y {y:.0f} Z {z:.0f} A {a:.1f}{turn}"
+        note = f"{kind}; {place_text}; joint margin {place.margin * DEG_PER_RAD:.1f}°"
         tiles.append(Tile(title, rounded(place.cost * MM_PER_M), "mm", note))
-    said = () if content.start is None else (Note(content.start),)
-    notes = Notes((Note(content.sentence), Note(_collisions(content)), *said))
+    start_notes = () if content.start is None else (Note(content.start),)
+    notes = Notes((Note(content.sentence), Note(_collisions(content)), *start_notes))
     return Section("place", "Where the part should be", (notes, Tiles(tuple(tiles))))
 
 
-def _maps(found: Search) -> Iterator[Section]:
+def _maps(search: Search) -> Iterator[Section]:
     """Yield the map in X and Y, and that in A and Z, at the place through which they go."""
-    x, y = found.slice
+    x, y = search.slice
     if len(x):
-        first = len(found.tried) - len(x) * len(y)
-        for first in range(len(found.tried) - len(x) * len(y) + 1):
-            if found.tried[first].place[:2] == (x[0], y[0]) and _is_slice(found, first):
+        first = len(search.tried) - len(x) * len(y)
+        for first in range(len(search.tried) - len(x) * len(y) + 1):
+            if search.tried[first].place[:2] == (x[0], y[0]) and _is_slice(search, first):
                 break
-        places = [found.tried[first + i * len(y) : first + (i + 1) * len(y)] for i in range(len(x))]
+        places = [search.tried[first + i * len(y) : first + (i + 1) * len(y)] for i in range(len(x))]
         rows = [[column[k] for column in places] for k in range(len(y))]
-        title = f"Map at Z {found.around[2]:.0f}, A {found.around[3]:.1f}°"
-        yield Section("map", title, (_map(found, rows, (0, 1), x, y, title),))
-    grid = [each for each in found.tried if each.place[:2] == found.around[:2] and each.place[4] == found.around[4]]
-    z, a = (sorted({each.place[k] for each in grid}) for k in (2, 3))
-    known = {(each.place[2], each.place[3]): each for each in reversed(grid)}
-    if len(z) > 2 and len(a) > 2 and all((one, other) in known for one in z for other in a):
-        title = f"Map at X {found.around[0]:.0f}, Y {found.around[1]:.0f}"
-        rows = [[known[one, other] for other in a] for one in z]
-        yield Section("map-turn", title, (_map(found, rows, (3, 2), tuple(a), tuple(z), title),))
+        title = f"Map at Z {search.around[2]:.0f}, A {search.around[3]:.1f}°"
+        yield Section("map", title, (_map(search, rows, (0, 1), x, y, title),))
+    grid = [
+        judged_place
+        for judged_place in search.tried
+        if judged_place.place[:2] == search.around[:2] and judged_place.place[4] == search.around[4]
+    ]
+    z, a = (sorted({judged_place.place[k] for judged_place in grid}) for k in (2, 3))
+    place_at = {(judged_place.place[2], judged_place.place[3]): judged_place for judged_place in reversed(grid)}
+    if len(z) > 2 and len(a) > 2 and all((height, angle) in place_at for height in z for angle in a):
+        title = f"Map at X {search.around[0]:.0f}, Y {search.around[1]:.0f}"
+        rows = [[place_at[height, angle] for angle in a] for height in z]
+        yield Section("map-turn", title, (_map(search, rows, (3, 2), tuple(a), tuple(z), title),))
 
 
-def _is_slice(found: Search, first: int) -> bool:
-    x, y = found.slice
+def _is_slice(search: Search, first: int) -> bool:
+    x, y = search.slice
     last = first + len(x) * len(y) - 1
-    return last < len(found.tried) and found.tried[last].place[:2] == (x[-1], y[-1])
+    return last < len(search.tried) and search.tried[last].place[:2] == (x[-1], y[-1])
 
 
 def _map(
-    found: Search,
+    search: Search,
     rows: list[list[Judged]],
     axes: tuple[int, int],
     x: Sequence[float],
     y: Sequence[float],
     title: str,
 ) -> Plot:
-    values = [[each.cost * MM_PER_M if each.reachable else None for each in row] for row in rows]
-    named = "deflection, mm" if all(np.isnan(each.u95) for row in rows for each in row) else "expected error (95 %), mm"
-    grid = Map(list(x), list(y), values, [[each.reason for each in row] for row in rows], REASONS, named)
-    marks = [Points([found.today.place[axes[0]]], [found.today.place[axes[1]]], "today", "before", hollow=True)]
-    if found.best is not None:
-        marks.append(Points([found.best.place[axes[0]]], [found.best.place[axes[1]]], "best", "warning"))
+    values = [
+        [judged_place.cost * MM_PER_M if judged_place.reachable else None for judged_place in row] for row in rows
+    ]
+    quantity = (
+        "deflection, mm"
+        if all(np.isnan(judged_place.u95) for row in rows for judged_place in row)
+        else "expected error (95 %), mm"
+    )
+    grid = Map(
+        list(x), list(y), values, [[judged_place.reason for judged_place in row] for row in rows], REASONS, quantity
+    )
+    marks = [Points([search.today.place[axes[0]]], [search.today.place[axes[1]]], "today", "before", hollow=True)]
+    if search.best is not None:
+        marks.append(Points([search.best.place[axes[0]]], [search.best.place[axes[1]]], "best", "warning"))
     units = ["mm", "mm", "mm", "°", "mm"]
     return Plot(
         label=f"{title}: expected error by place, and why places are refused.",

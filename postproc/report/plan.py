@@ -91,9 +91,9 @@ def plan_summary(result: PlanResult) -> dict[str, object]:
 
     Criteria are given as square roots: the RMS distance that remains after compensation.
     """
-    own = float(np.sqrt(result.plan.value)) * MM_PER_M
+    criterion = float(np.sqrt(result.plan.value)) * MM_PER_M
     random = np.sqrt(result.random) * MM_PER_M
-    out: dict[str, object] = {
+    content: dict[str, object] = {
         "robot": result.robot,
         "configurations": len(result.plan),
         "q2_levels_deg": sorted(round(float(value), 3) for value in result.plan.q2 * DEG_PER_RAD),
@@ -116,7 +116,7 @@ def plan_summary(result: PlanResult) -> dict[str, object]:
                 JOINTS, *extremes(result), poses_by_side(result), result.directions.work, strict=True
             )
         ],
-        "criterion": {"kind": "grouped" if result.options.grouped else "pooled", "rms_mm": own},
+        "criterion": {"kind": "grouped" if result.options.grouped else "pooled", "rms_mm": criterion},
         "expected": {
             "rms_mm": result.accuracy.rms * MM_PER_M,
             "interval95_mm": [value * MM_PER_M for value in result.accuracy.interval],
@@ -136,21 +136,23 @@ def plan_summary(result: PlanResult) -> dict[str, object]:
         "warnings": list(result.warnings),
     }
     if result.before is not None:
-        known = math.isfinite(result.before.rms)  # not while a parameter is unidentifiable from the readings so far
-        out["measured_so_far"] = {"rms_mm": result.before.rms * MM_PER_M if known else None}
+        is_determined = math.isfinite(
+            result.before.rms
+        )  # not while a parameter is unidentifiable from the readings so far
+        content["measured_so_far"] = {"rms_mm": result.before.rms * MM_PER_M if is_determined else None}
     if len(random):
-        out["random"] = {
+        content["random"] = {
             "plans": len(random),
             "best_rms_mm": float(random.min()),
             "median_rms_mm": float(np.median(random)),
-            "gain_over_best": float(random.min()) / own,
-            "gain_over_median": float(np.median(random)) / own,
+            "gain_over_best": float(random.min()) / criterion,
+            "gain_over_median": float(np.median(random)) / criterion,
         }
     if result.serial is not None:
         serial = float(np.sqrt(result.serial.value)) * MM_PER_M
-        out["serial_approach"] = {"rms_mm": serial, "gain": serial / own}
+        content["serial_approach"] = {"rms_mm": serial, "gain": serial / criterion}
     if result.sizes:
-        out["sizes"] = [
+        content["sizes"] = [
             {
                 "configurations": size.configurations,
                 "rms_mm": float(np.sqrt(size.value)) * MM_PER_M,
@@ -158,7 +160,7 @@ def plan_summary(result: PlanResult) -> dict[str, object]:
             }
             for size in result.sizes
         ]
-    return out
+    return content
 
 
 def poses_by_side(result: PlanResult) -> Ints:
@@ -183,7 +185,7 @@ def plan_json(result: PlanResult, files: Sequence[FileEntry]) -> bytes:
 def plan_lines(result: PlanResult) -> list[str]:
     """Return a summary as lines of text."""
     low, high = (value * MM_PER_M for value in result.accuracy.interval)
-    own = float(np.sqrt(result.plan.value)) * MM_PER_M
+    criterion = float(np.sqrt(result.plan.value)) * MM_PER_M
     uncompensated = float(np.sqrt(result.tests.weight @ result.tests.deflection**2)) * MM_PER_M
     levels = ", ".join(f"{value:.1f}" for value in np.sort(np.unique(result.plan.q[:, 1])) * DEG_PER_RAD)
     lines = [
@@ -198,19 +200,21 @@ def plan_lines(result: PlanResult) -> list[str]:
         f"(95 %: {low:.3g} … {high:.3g}); without compensation: {uncompensated:.3g} mm",
     ]
     if result.before is not None:
-        alone = f"{result.before.rms * MM_PER_M:.3g} mm RMS"
+        error = f"{result.before.rms * MM_PER_M:.3g} mm RMS"
         if not math.isfinite(result.before.rms):
-            alone = "unknown, it does not determine every parameter"
-        lines.append(f"with what was measured so far alone: {alone}")
+            error = "unknown, it does not determine every parameter"
+        lines.append(f"with what was measured so far alone: {error}")
     if len(result.random):
         random = np.sqrt(result.random) * MM_PER_M
         lines.append(
-            f"criterion {own:.3g} mm; {len(random)} random plans: best {random.min():.3g}, median "
-            f"{np.median(random):.3g} mm ({np.median(random) / own:.2f} × the plan's)"
+            f"criterion {criterion:.3g} mm; {len(random)} random plans: best {random.min():.3g}, median "
+            f"{np.median(random):.3g} mm ({np.median(random) / criterion:.2f} × the plan's)"
         )
     if result.serial is not None:
         serial = float(np.sqrt(result.serial.value)) * MM_PER_M
-        lines.append(f"semi-intuitive plan of the serial approach: {serial:.3g} mm ({serial / own:.2f} × the plan's)")
+        lines.append(
+            f"semi-intuitive plan of the serial approach: {serial:.3g} mm ({serial / criterion:.2f} × the plan's)"
+        )
     if result.interrupted:
         lines.append("interrupted: this is the best plan so far")
     return lines
@@ -229,22 +233,22 @@ _EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count(
 def poses(result: PlanResult) -> Section:
     """Return all poses in one view, with a slider that shows them one by one."""
     site, count = result.site, len(result.plan)
-    posed = site.arm.pose(result.plan.q)
-    origin = posed.origin
+    arm_poses = site.arm.pose(result.plan.q)
+    origin = arm_poses.origin
     base = np.zeros_like(origin[:, :1])
     column = np.concatenate([base[..., :2], origin[:, 1:2, 2:]], axis=2)
-    hook = posed.point(site.load_point[None])
-    arms = np.concatenate([base, column, origin[:, 1:5], posed.flange[:, None, :3, 3], hook], axis=1)
+    hook = arm_poses.point(site.load_point[None])
+    arms = np.concatenate([base, column, origin[:, 1:5], arm_poses.flange[:, None, :3, 3], hook], axis=1)
     pull = result.force / np.linalg.norm(result.force, axis=1, keepdims=True)
     loads = np.stack([hook[:, 0], hook[:, 0] + _ARROW * pull], axis=1)
-    points = posed.point(site.points)
-    around = []
+    points = arm_poses.point(site.points)
+    surroundings = []
     if site.obstacles:
         edges = [_box(thing)[[a, b]] for thing in site.obstacles for a, b in _EDGES]
-        around.append(_line(edges, "obstacles", "warning", 2.0))
+        surroundings.append(_line(edges, "obstacles", "warning", 2.0))
     if site.tracker is not None:
-        around.append(_line([site.tracker[None]], "tracker", "force", 6.0, dots=True))
-    alone = [
+        surroundings.append(_line([site.tracker[None]], "tracker", "force", 6.0, dots=True))
+    single_poses = [
         trace
         for pose in range(count)
         for trace in (
@@ -253,12 +257,12 @@ def poses(result: PlanResult) -> Section:
             _line([points[pose]], "reference points", "ink", 3.0, dots=True),
         )
     ]
-    every = [_line(list(arms), "arms", "after", 5.0), _line(list(loads), "pull of the loads", "before", 3.0)]
-    traces = [*around, *every, *alone]
-    fixed = list(range(len(around)))
-    begin = len(fixed) + len(every)
-    steps = [[*fixed, len(fixed), len(fixed) + 1]]
-    steps += [[*fixed, *(begin + 3 * pose + index for index in range(3))] for pose in range(count)]
+    all_poses = [_line(list(arms), "arms", "after", 5.0), _line(list(loads), "pull of the loads", "before", 3.0)]
+    traces = [*surroundings, *all_poses, *single_poses]
+    surrounding_rows = list(range(len(surroundings)))
+    begin = len(surrounding_rows) + len(all_poses)
+    steps = [[*surrounding_rows, len(surrounding_rows), len(surrounding_rows) + 1]]
+    steps += [[*surrounding_rows, *(begin + 3 * pose + index for index in range(3))] for pose in range(count)]
     plot = Plot(
         label="The arm in all poses of the plan, and in each; angles and loads are in the table below",
         traces=list(traces),
@@ -274,8 +278,8 @@ def poses(result: PlanResult) -> Section:
 def _line(pieces: list[Array], name: str, colour: Colour, width: float, *, dots: bool = False) -> Lines:
     """Return pieces (k, 3) [m] as one line with gaps."""
     gap = np.full((1, 3), np.nan)
-    joined = np.concatenate([part for piece in pieces for part in (piece, gap)] or [gap])
-    x, y, z = (joined[:, axis].tolist() for axis in range(3))
+    points = np.concatenate([part for piece in pieces for part in (piece, gap)] or [gap])
+    x, y, z = (points[:, axis].tolist() for axis in range(3))
     return Lines(x, y, z, name, colour, width, dots)
 
 
@@ -327,15 +331,18 @@ def comparison(result: PlanResult) -> Section | None:
     if not len(result.random):
         return None
     random = np.sqrt(result.random) * MM_PER_M
-    own = float(np.sqrt(result.plan.value)) * MM_PER_M
+    criterion = float(np.sqrt(result.plan.value)) * MM_PER_M
     serial = None if result.serial is None else float(np.sqrt(result.serial.value)) * MM_PER_M
     # some random plans are hopeless: the picture ends where 97 % of them are in
-    top = max(float(np.quantile(random, 0.97)), serial or 0.0, own) * 1.05
+    top = max(float(np.quantile(random, 0.97)), serial or 0.0, criterion) * 1.05
     counts, edges = np.histogram(np.clip(random, 0.0, top), bins=_BINS, range=(0.0, top))
     median = float(np.median(random))
-    marks = [Mark(own, f"this plan {own:.3g}", "after"), Mark(median, f"median of random plans {median:.3g}", "before")]
+    marks = [
+        Mark(criterion, f"this plan {criterion:.3g}", "after"),
+        Mark(median, f"median of random plans {median:.3g}", "before"),
+    ]
     marks += [] if serial is None else [Mark(serial, f"semi-intuitive plan {serial:.3g}", "before")]
-    best = f"The best of {len(random)} random plans has {random.min():.3g} mm, this one {own:.3g} mm"
+    best = f"The best of {len(random)} random plans has {random.min():.3g} mm, this one {criterion:.3g} mm"
     intuitive = "" if serial is None else f", the semi-intuitive plan of the serial approach {serial:.3g} mm"
     plot = Plot(
         label="Histogram of the criterion of random plans; this plan is marked",
@@ -354,16 +361,16 @@ def sizes(result: PlanResult) -> Section | None:
     if len(result.sizes) < 2:
         return None
     number = [float(size.configurations) for size in result.sizes]
-    own = (np.sqrt([size.value for size in result.sizes]) * MM_PER_M).tolist()
+    criterion = (np.sqrt([size.value for size in result.sizes]) * MM_PER_M).tolist()
     random = (np.sqrt([size.random for size in result.sizes]) * MM_PER_M).tolist()
-    chosen = [(n, value) for n, value in zip(number, own, strict=True) if n == len(result.plan)]
-    high = min(max(random), 4.0 * max(own)) * 1.05
+    plan_point = [(n, value) for n, value in zip(number, criterion, strict=True) if n == len(result.plan)]
+    high = min(max(random), 4.0 * max(criterion)) * 1.05
     plot = Plot(
         label="Criterion against the number of poses, for the best plans found and for random ones",
         traces=[
             Curve(number, random, "random plans, median", "before", dots=True, dashed=True),
-            Curve(number, own, "best plan found", "after", dots=True),
-            Points([n for n, _ in chosen], [v for _, v in chosen], "this plan", "ink", hollow=True),
+            Curve(number, criterion, "best plan found", "after", dots=True),
+            Points([n for n, _ in plan_point], [v for _, v in plan_point], "this plan", "ink", hollow=True),
         ],
         x=Axis(title="number of poses"),
         y=Axis(title="criterion (root), mm", range=(0.0, high)),
@@ -467,27 +474,27 @@ def plan_page(result: PlanResult, name: str) -> bytes:
 
     :param name: of the plan.
     """
-    how = (
+    criterion_text = (
         "Criterion as printed in the paper: each level of q2 identified alone."
         if result.options.grouped
         else "Criterion: covariance of Eq. (8), shared by the levels; k2 at a test pose from them by Eq. (9), (10)."
     )
     footer = (
         Note(
-            f"{how} The expected accuracy is that of an identification which weights all readings by their noise. It "
-            "counts the noise of the readings only: what the model does not describe comes on top. "
+            f"{criterion_text} The expected accuracy is that of an identification which weights all readings by their noise. "
+            "It counts the noise of the readings only: what the model does not describe comes on top. "
             f"Seed {result.options.seed}; the same seed and files give the same plan."
         ),
     )
-    found = tuple(section for make in SECTIONS if (section := make(result)) is not None)
-    return b"".join(Page("Plan of measurements", name, _subtitle(result), found, footer).render())
+    sections = tuple(section for make in SECTIONS if (section := make(result)) is not None)
+    return b"".join(Page("Plan of measurements", name, _subtitle(result), sections, footer).render())
 
 
 def _subtitle(result: PlanResult) -> str:
     levels = len(np.unique(result.plan.level))
-    stopped = " · search interrupted: the best plan so far" if result.interrupted else ""
-    more = " in addition to those measured" if result.before is not None else ""
+    interruption = " · search interrupted: the best plan so far" if result.interrupted else ""
+    addition = " in addition to those measured" if result.before is not None else ""
     return (
-        f"{result.robot} · {len(result.plan)} poses{more} on {levels} levels of q2 · "
-        f"load {result.site.rig.force:.0f} N · test poses from {result.tests.source}{stopped}"
+        f"{result.robot} · {len(result.plan)} poses{addition} on {levels} levels of q2 · "
+        f"load {result.site.rig.force:.0f} N · test poses from {result.tests.source}{interruption}"
     )

@@ -46,19 +46,19 @@ _PRODUCT = (
 
 
 def design_page(
-    chosen: Design, prior: Prior, cutting: Cutting, parts: dict[Placement, Program], box: Box, robot: str
+    design: Design, prior: Prior, cutting: Cutting, parts: dict[Placement, Program], box: Box, robot: str
 ) -> bytes:
     """Return the page of a chosen part: drawing, table of features, and what each parameter will be known to."""
     tiles = (
-        Tile("Features", str(len(chosen.features))),
+        Tile("Features", str(len(design.features))),
         Tile("Probed points", str(sum(len(part.feature) for part in parts.values()))),
-        Tile("Cutting time", f"{chosen.seconds / 60.0:.1f}", "min"),
-        Tile("Expected error now, RMS", f"{chosen.before * MM_PER_M:.3f}", "mm"),
+        Tile("Cutting time", f"{design.seconds / 60.0:.1f}", "min"),
+        Tile("Expected error now, RMS", f"{design.before * MM_PER_M:.3f}", "mm"),
         Tile(
             "Expected error with the part, RMS",
-            f"{chosen.after * MM_PER_M:.3f}",
+            f"{design.after * MM_PER_M:.3f}",
             "mm",
-            note=f"deflection {chosen.own * MM_PER_M:.2f} mm: {chosen.tests}",
+            note=f"deflection {design.own * MM_PER_M:.2f} mm: {design.tests}",
         ),
     )
     steps = (
@@ -74,48 +74,50 @@ def design_page(
         Note("Where the part is probed does not matter: its position is found from the deviations."),
         Note(
             "postproc identify part probing.csv --cell CELL --process testpart.process.toml "
-            f"--program {' '.join(each.name for each, part in parts.items() if len(part.feature))} -o MODEL"
+            f"--program {' '.join(placement.name for placement, part in parts.items() if len(part.feature))} -o MODEL"
         ),
     )
     sections = (
         Section("numbers", "What the part will show", (Tiles(tiles),)),
-        Section("drawing", "Drawing", _drawings(chosen, cutting, parts, box)),
+        Section("drawing", "Drawing", _drawings(design, cutting, parts, box)),
         Section("steps", "How to use it", (Notes(steps, marked=True),)),
         Section(
             "parameters",
             "What each parameter will be known to",
             (
-                _known(chosen, prior),
-                Notes(tuple(Note(text) for text in _remarks(chosen, prior))),
+                _known(design, prior),
+                Notes(tuple(Note(text) for text in _remarks(design, prior))),
             ),
         ),
-        Section("features", "Features", (_features(chosen, parts),)),
+        Section("features", "Features", (_features(design, parts),)),
     )
     feed = cutting.feed * MM_PER_M * 60.0
     subtitle = f"{robot}, tool {cutting.diameter * MM_PER_M:g} mm, {cutting.rpm:g} 1/min, {feed:.0f} mm/min"
     return b"".join(Page("Test part", "testpart", subtitle, sections).render())
 
 
-def _remarks(chosen: Design, prior: Prior) -> list[str]:
+def _remarks(design: Design, prior: Prior) -> list[str]:
     out = [_PRODUCT]
-    if chosen.alone is not None:
-        out.append(f"Here {_by_weight(chosen, chosen.alone)}.")
-    if (hidden := _hidden(chosen, prior)) is not None:
+    if design.alone is not None:
+        out.append(f"Here {_by_weight(design, design.alone)}.")
+    if (hidden := _hidden(design, prior)) is not None:
         out.append(f"{hidden[0].upper()}{hidden[1:]}.")
     return out
 
 
-def _known(chosen: Design, prior: Prior) -> Table:
+def _known(design: Design, prior: Prior) -> Table:
     rows = []
     names = [parameter.title for parameter in prior.parameters]
-    for name, value, own, share, change in zip(
-        names, prior.values, prior.sigma[:-1], chosen.sigma[:-1], chosen.change.tolist(), strict=True
+    for name, value, sigma, share, change in zip(
+        names, prior.values, prior.sigma[:-1], design.sigma[:-1], design.change.tolist(), strict=True
     ):
-        before = 100.0 * own / value if value else float("nan")
-        later = f"{100.0 * change:.0f}" if change < MOST_CHANGE else "not seen"
-        rows.append(_row(name, before, before * float(share), float(share), later))
-    before = 100.0 * float(prior.sigma[-1])
-    rows.append(_row("scale of the forces", before, before * float(chosen.sigma[-1]), float(chosen.sigma[-1]), ""))
+        sigma_percent = 100.0 * sigma / value if value else float("nan")
+        change_text = f"{100.0 * change:.0f}" if change < MOST_CHANGE else "not seen"
+        rows.append(_row(name, sigma_percent, sigma_percent * float(share), float(share), change_text))
+    sigma_percent = 100.0 * float(prior.sigma[-1])
+    rows.append(
+        _row("scale of the forces", sigma_percent, sigma_percent * float(design.sigma[-1]), float(design.sigma[-1]), "")
+    )
     return Table(
         ("parameter", "now, σ %", "with the part, σ %", "change seen later, %", ""),
         tuple(rows),
@@ -125,17 +127,17 @@ def _known(chosen: Design, prior: Prior) -> Table:
     )
 
 
-def _row(name: str, before: float, after: float, share: float, later: str) -> Row:
+def _row(name: str, sigma_now: float, sigma_with_part: float, share: float, change_text: str) -> Row:
     kind: Kind = "soft" if share > 0.9 else ""
     text = Cell("value not shown by this part" if share > 0.9 else "", kind)
-    return Row((name, f"{before:.2g}", f"{after:.2g}", later, text))
+    return Row((name, f"{sigma_now:.2g}", f"{sigma_with_part:.2g}", change_text, text))
 
 
-def _hidden(chosen: Design, prior: Prior) -> str | None:
+def _hidden(design: Design, prior: Prior) -> str | None:
     """Return which joints may change by 30 % unseen although the part shows them, and what shows them."""
     names = [
         f"{parameter.name} ({100.0 * change:.0f} %)" if change < MOST_CHANGE else parameter.name
-        for parameter, change, share in zip(prior.parameters, chosen.change.tolist(), chosen.sigma[:-1], strict=True)
+        for parameter, change, share in zip(prior.parameters, design.change.tolist(), design.sigma[:-1], strict=True)
         if change > _MUCH and share <= 0.9
     ]
     if not names:
@@ -153,71 +155,71 @@ def _cutting_steps(parts: dict[Placement, Program]) -> list[Note]:
         return [Note(f"Cut testpart.src, or testpart.nc by your own post: {uncorrected}")]
     return [
         Note(
-            f"With the block at {each.title} of the cell cut {Path(each.name).stem}.src, or {each.name} by your own "
-            f"post: {uncorrected}"
+            f"With the block at {placement.title} of the cell cut {Path(placement.name).stem}.src, or {placement.name} by "
+            f"your own post: {uncorrected}"
         )
         if len(part.feature)
-        else Note(f"Nothing is cut with the block at {each.title}: the same time shows more elsewhere.")
-        for each, part in parts.items()
+        else Note(f"Nothing is cut with the block at {placement.title}: the same time shows more elsewhere.")
+        for placement, part in parts.items()
     ]
 
 
 def _weight_steps(parts: dict[Placement, Program]) -> list[Note]:
-    hung = [float(part.mass.max(initial=0.0)) for part in parts.values()]
-    if not max(hung) > 0.0:
+    masses = [float(part.mass.max(initial=0.0)) for part in parts.values()]
+    if not max(masses) > 0.0:
         return []
     return [
         Note(
-            f"At each stop (M0) at the end: set a dial gauge under the tool to 0, hang {max(hung):g} kg on the tool, "
+            f"At each stop (M0) at the end: set a dial gauge under the tool to 0, hang {max(masses):g} kg on the tool, "
             "and write how far it moves down, in mm, into the row W01.gauge, W02.gauge … of probing.csv. Take the "
             "weight off before you go on."
         )
     ]
 
 
-def _features(chosen: Design, parts: dict[Placement, Program]) -> Table:
+def _features(design: Design, parts: dict[Placement, Program]) -> Table:
     rows = []
-    frames = [each.title for each, made in parts.items() for _ in range(made.features)]
-    several = len(parts) > 1
-    for number, (feature, row) in enumerate(zip(chosen.features, chosen.chosen.tolist(), strict=True), start=1):
+    frames = [placement.title for placement, program in parts.items() for _ in range(program.features)]
+    has_placements = len(parts) > 1
+    for number, (feature, row) in enumerate(zip(design.features, design.chosen.tolist(), strict=True), start=1):
         rows.append(
             Row(
                 (
                     f"F{number:02d}",
-                    *([frames[number - 1]] if several else []),
+                    *([frames[number - 1]] if has_placements else []),
                     feature.kind.title,
                     f"{feature.kind.depth * MM_PER_M:g}",
                     f"{feature.x * MM_PER_M:.1f}",
                     f"{feature.y * MM_PER_M:.1f}",
                     f"{np.degrees(feature.angle):.0f}",
-                    f"{chosen.candidates.deflection[row] * MM_PER_M:.3f}",
+                    f"{design.candidates.deflection[row] * MM_PER_M:.3f}",
                 )
             )
         )
     head = ("kind", "depth, mm", "X, mm", "Y, mm", "direction, °", "deflection, mm")
     title = "Features with the largest expected deflection of the tool"
-    if several:
+    if has_placements:
         return Table(("feature", "block at", *head), tuple(rows), title, texts=(1, 2))
     return Table(("feature", *head), tuple(rows), title, texts=(1,))
 
 
-def _drawings(chosen: Design, cutting: Cutting, parts: dict[Placement, Program], box: Box) -> tuple[Drawing, ...]:
+def _drawings(design: Design, cutting: Cutting, parts: dict[Placement, Program], box: Box) -> tuple[Drawing, ...]:
     """Return a drawing for each placement of the block."""
-    out, first = [], 0
-    for placement, made in parts.items():
-        own = range(first, first + made.features)
-        if not own:
+    drawings, first = [], 0
+    for placement, program in parts.items():
+        feature_numbers = range(first, first + program.features)
+        if not feature_numbers:
             continue
-        where = f"Block at {placement.title}, {placement.name}. " if len(parts) > 1 else ""
-        out.append(_drawing(chosen, own, cutting, box, where))
-        first = own.stop
-    return tuple(out)
+        caption = f"Block at {placement.title}, {placement.name}. " if len(parts) > 1 else ""
+        drawings.append(_drawing(design, feature_numbers, cutting, box, caption))
+        first = feature_numbers.stop
+    return tuple(drawings)
 
 
-def _drawing(chosen: Design, own: range, cutting: Cutting, box: Box, where: str) -> Drawing:
+def _drawing(design: Design, feature_numbers: range, cutting: Cutting, box: Box, caption: str) -> Drawing:
     """Return the plan view of the block: outlines of grooves and trimmed halves, probed points, numbers.
 
-    :param own: features of this placement; of others the outlines are shown.
+    :param feature_numbers: features of this placement; of others the outlines are shown.
     """
     low, high = np.array([box.X[0], box.Y[0]]), np.array([box.X[1], box.Y[1]])
     scale = _WIDE / (high[0] - low[0])
@@ -229,13 +231,13 @@ def _drawing(chosen: Design, own: range, cutting: Cutting, box: Box, where: str)
     def path(points: Array, style: str) -> str:
         return f'<path d="M{" L".join(f"{x:.1f} {y:.1f}" for x, y in xy(points).tolist())}Z" {style}/>'
 
-    out = [f'<rect x="0" y="0" width="{_WIDE:.0f}" height="{tall:.0f}" fill="none" stroke="currentColor"/>']
+    shapes = [f'<rect x="0" y="0" width="{_WIDE:.0f}" height="{tall:.0f}" fill="none" stroke="currentColor"/>']
     radius = 0.5 * cutting.diameter
-    for number, feature in enumerate(chosen.features, start=1):
-        if number - 1 not in own:
+    for number, feature in enumerate(design.features, start=1):
+        if number - 1 not in feature_numbers:
             for begin, end in _runs(feature, cutting, ""):
                 faint = 'fill="none" stroke="currentColor" stroke-opacity="0.15"'
-                out.append(path(_stadium(feature, begin, end, radius) * MM_PER_M, faint))
+                shapes.append(path(_stadium(feature, begin, end, radius) * MM_PER_M, faint))
             continue
         for name, style in (
             ("groove", 'fill="currentColor" fill-opacity="0.12" stroke="currentColor"'),
@@ -243,14 +245,14 @@ def _drawing(chosen: Design, own: range, cutting: Cutting, box: Box, where: str)
             ("trim", 'fill="none" stroke="currentColor" stroke-dasharray="4 3"'),
         ):
             for begin, end in _runs(feature, cutting, name):
-                out.append(path(_stadium(feature, begin, end, radius) * MM_PER_M, style))
+                shapes.append(path(_stadium(feature, begin, end, radius) * MM_PER_M, style))
         for probe in features.probes(feature.kind, cutting):
             points = features.placed(feature, 0.0, np.array([probe.point]))[:, :2] * MM_PER_M
             x, y = xy(points)[0].tolist()
             shade = "none" if probe.name.startswith("ref") else "currentColor"
-            out.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="{shade}" stroke="currentColor"/>')
+            shapes.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="{shade}" stroke="currentColor"/>')
         x, y = xy(np.array([[feature.x, feature.y]]) * MM_PER_M)[0].tolist()
-        out.append(
+        shapes.append(
             f'<text x="{x:.1f}" y="{y + 5:.1f}" text-anchor="middle" font-size="15" font-weight="bold" '
             'fill="currentColor" paint-order="stroke" stroke="var(--card)" stroke-width="4">'
             f"F{number:02d} · {feature.kind.depth * MM_PER_M:g}</text>"
@@ -261,71 +263,75 @@ def _drawing(chosen: Design, own: range, cutting: Cutting, box: Box, where: str)
         (f"Y {box.Y[0]:g}", -6.0, tall, "end"),
         (f"Y {box.Y[1]:g}", -6.0, 12.0, "end"),
     ):
-        out.append(
+        shapes.append(
             f'<text x="{x:.0f}" y="{y:.0f}" text-anchor="{anchor}" font-size="13" fill="currentColor">{text}</text>'
         )
     svg = (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="-60 -8 {_WIDE + 70:.0f} {tall + 34:.0f}" '
-        f'style="width:100%;max-height:40rem">{"".join(out)}</svg>'
+        f'style="width:100%;max-height:40rem">{"".join(shapes)}</svg>'
     )
     return Drawing(
         svg,
         "Plan view of the block with the features",
-        f"{where}Seen from the spindle. Shaded: cut under load; dashed: trimmed by light passes. Dots: probed points, "
-        "hollow ones on reference surfaces. Behind each number the depth in mm.",
+        f"{caption}Seen from the spindle. Shaded: cut under load; dashed: trimmed by light passes. Dots: probed "
+        "points, hollow ones on reference surfaces. Behind each number the depth in mm.",
     )
 
 
 def _runs(feature: features.Feature, cutting: Cutting, name: str) -> list[tuple[Array, Array]]:
     """Return the straight runs (u, v) of the passes that make the surfaces of a name."""
-    out, before = [], np.zeros(3)
+    runs, start = [], np.zeros(3)
     for move in features.passes(feature.kind, cutting):
         end = np.array(move.end)
         if move.name and move.name.startswith(name):
-            out.append((before[:2], end[:2]))
-        before = end
-    return out
+            runs.append((start[:2], end[:2]))
+        start = end
+    return runs
 
 
 def _stadium(feature: features.Feature, begin: Array, end: Array, radius: float) -> Array:
     """Return the outline (n, 2) in `$BASE` of what a tool covers on a straight run [m]."""
-    along = np.arctan2(*(end - begin)[::-1])
+    direction = np.arctan2(*(end - begin)[::-1])
     turn = np.pi * (np.arange(_ARC + 1) / _ARC - 0.5)
     ends = [
         centre + radius * np.column_stack([np.cos(angle + turn), np.sin(angle + turn)])
-        for centre, angle in ((end, along), (begin, along + np.pi))
+        for centre, angle in ((end, direction), (begin, direction + np.pi))
     ]
     points = np.concatenate(ends)
     return features.placed(feature, 0.0, np.column_stack([points, np.zeros(len(points))]))[:, :2]
 
 
-def design_lines(chosen: Design, prior: Prior, cutting: Cutting, parts: dict[Placement, Program]) -> list[str]:
+def design_lines(design: Design, prior: Prior, cutting: Cutting, parts: dict[Placement, Program]) -> list[str]:
     """Return a chosen part as lines to print."""
     names = [*(parameter.name for parameter in prior.parameters), "forces"]
-    shown = [f"{name} {100 * share:.0f} %" for name, share in zip(names, chosen.sigma, strict=True) if share <= 0.9]
-    rest = [name for name, share in zip(names, chosen.sigma, strict=True) if share > 0.9]
+    sigma_texts = [
+        f"{name} {100 * share:.0f} %" for name, share in zip(names, design.sigma, strict=True) if share <= 0.9
+    ]
+    names_not_shown = [name for name, share in zip(names, design.sigma, strict=True) if share > 0.9]
     lines = [
-        f"{len(chosen.features)} features, {chosen.seconds / 60.0:.1f} min of cutting, "
+        f"{len(design.features)} features, {design.seconds / 60.0:.1f} min of cutting, "
         f"full cuts at {cutting.feed * MM_PER_M * 60:.0f} mm/min",
-        f"expected error where you mill ({chosen.tests}): {chosen.before * MM_PER_M:.3f} mm now, "
-        f"{chosen.after * MM_PER_M:.3f} mm with the part, of {chosen.own * MM_PER_M:.2f} mm deflection (RMS)",
-        f"standard deviations left: {', '.join(shown)} of those now",
+        f"expected error where you mill ({design.tests}): {design.before * MM_PER_M:.3f} mm now, "
+        f"{design.after * MM_PER_M:.3f} mm with the part, of {design.own * MM_PER_M:.2f} mm deflection (RMS)",
+        f"standard deviations left: {', '.join(sigma_texts)} of those now",
     ]
     if len(parts) > 1:
-        lines.insert(1, "block at " + ", ".join(f"{each.title}: {made.features}" for each, made in parts.items()))
-    if rest:
-        lines.append(f"not shown by this part: {', '.join(rest)}")
-    if (hidden := _hidden(chosen, prior)) is not None:
-        lines.append(hidden)
-    if chosen.alone is not None:
-        lines.append(_by_weight(chosen, chosen.alone))
+        lines.insert(
+            1, "block at " + ", ".join(f"{placement.title}: {program.features}" for placement, program in parts.items())
+        )
+    if names_not_shown:
+        lines.append(f"not shown by this part: {', '.join(names_not_shown)}")
+    if (hidden_changes := _hidden(design, prior)) is not None:
+        lines.append(hidden_changes)
+    if design.alone is not None:
+        lines.append(_by_weight(design, design.alone))
     return lines
 
 
-def _by_weight(chosen: Design, alone: Array) -> str:
+def _by_weight(design: Design, sigma_without_weight: Array) -> str:
     return (
-        f"the weight on the tool leaves {100 * chosen.sigma[-1]:.0f} % of the standard deviation of the forces; "
-        f"without it {100 * alone[-1]:.0f} % would be left"
+        f"the weight on the tool leaves {100 * design.sigma[-1]:.0f} % of the standard deviation of the forces; "
+        f"without it {100 * sigma_without_weight[-1]:.0f} % would be left"
     )
 
 
@@ -347,11 +353,11 @@ def part_lines(data: PartIdentification) -> list[str]:
     return lines
 
 
-def agreement_lines(data: PartIdentification, compared: Agreement) -> list[str]:
+def agreement_lines(data: PartIdentification, agreement: Agreement) -> list[str]:
     """Return how the model of the cell agrees with the part, as lines to print."""
-    state = "the model holds" if compared.holds else "THE MODEL DOES NOT HOLD"
+    state = "the model holds" if agreement.holds else "THE MODEL DOES NOT HOLD"
     return [
-        f"{state}: {compared.line}",
+        f"{state}: {agreement.line}",
         f"deviations {data.deviation_mm:.4f} mm RMS, of which the model leaves {data.without_mm:.4f}; "
         f"probe {data.sigma_mm:.4f}",
     ]
@@ -359,8 +365,8 @@ def agreement_lines(data: PartIdentification, compared: Agreement) -> list[str]:
 
 def part_page(data: PartIdentification, name: str) -> bytes:
     """Return the page of a model from a test part as HTML in UTF-8."""
-    refused = data.verdict.refused
-    verdict = Verdict("failed" if refused else "ok", "Refused" if refused else "Usable", data.verdict.line)
+    is_refused = data.verdict.refused
+    verdict = Verdict("failed" if is_refused else "ok", "Refused" if is_refused else "Usable", data.verdict.line)
     tiles = (
         Tile("Deviations, RMS", f"{data.deviation_mm:.3f}", "mm"),
         Tile("Left by the model before", f"{data.without_mm:.4f}", "mm"),
@@ -368,29 +374,29 @@ def part_page(data: PartIdentification, name: str) -> bytes:
         Tile("Forces over those computed", f"{data.force_scale.value:.3f}", note=f"± {data.force_scale.ci95:.2g}"),
         Tile("Unmodelled error", f"{data.unmodelled_percent:.2g}", "%", note="of the deflection"),
     )
-    known = [Note(f"{text}.", "warning") for text in data.warnings]
-    known.append(Note(_PRODUCT))
+    notes = [Note(f"{text}.", "warning") for text in data.warnings]
+    notes.append(Note(_PRODUCT))
     sections = [
         Section("verdict", "Verdict", (verdict, Tiles(tiles))),
         Section("measured", "Measured and predicted", (_against(data),), "half"),
         Section("errors", "Remaining errors", (_errors(data),), "half"),
         Section("parameters", "Parameters", (_intervals(data), _values(data))),
-        Section("issues", "What to know", (Notes(tuple(known), marked=True),)),
+        Section("issues", "What to know", (Notes(tuple(notes), marked=True),)),
         Section("points", "Probed points", (_points(data),)),
     ]
     return b"".join(Page("Model from a test part", name, f"{len(data.points)} probed points", tuple(sections)).render())
 
 
 def _against(data: PartIdentification) -> Plot:
-    measured = [point.measured_mm for point in data.points]
+    measured_mm = [point.measured_mm for point in data.points]
     names = [point.feature for point in data.points]
-    span = [min(measured), max(measured)]
+    span = [min(measured_mm), max(measured_mm)]
     return Plot(
         label="Measured over predicted deviation of each probed point",
         traces=[
             Curve(span, span, "measured = predicted", "soft", dashed=True),
-            Points([p.before_mm for p in data.points], measured, "model before", "before", hollow=True, texts=names),
-            Points([p.after_mm for p in data.points], measured, "this model", "after", texts=names),
+            Points([p.before_mm for p in data.points], measured_mm, "model before", "before", hollow=True, texts=names),
+            Points([p.after_mm for p in data.points], measured_mm, "this model", "after", texts=names),
         ],
         x=Axis(title="predicted, mm"),
         y=Axis(title="measured, mm"),
@@ -420,7 +426,7 @@ def _errors(data: PartIdentification) -> Plot:
 
 def _intervals(data: PartIdentification) -> Plot:
     """Return each parameter over its prior value, with its interval."""
-    names, x, half, before = [], [], [], []
+    names, x, half, prior_changes = [], [], [], []
     entries = {**data.parameters, "forces": data.force_scale}
     for name, entry in entries.items():
         if entry.value is None or entry.ci95 is None or not entry.prior:
@@ -428,7 +434,7 @@ def _intervals(data: PartIdentification) -> Plot:
         names.append(name)
         x.append(100.0 * (entry.value / entry.prior - 1.0))
         half.append(100.0 * entry.ci95 / abs(entry.prior))
-        before.append(0.0)
+        prior_changes.append(0.0)
     rows = [float(k) for k in range(len(names))]
     return Plot(
         label="Change of each parameter against the model before, with its 95 % interval",
