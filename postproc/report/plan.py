@@ -481,8 +481,8 @@ def plan_page(result: PlanResult, name: str) -> bytes:
     )
     footer = (
         Note(
-            f"{criterion_text} The expected accuracy is that of an identification which weights all readings by their noise. "
-            "It counts the noise of the readings only: what the model does not describe comes on top. "
+            f"{criterion_text} The expected accuracy is that of an identification which weights all readings by their "
+            "noise. It counts the noise of the readings only: what the model does not describe comes on top. "
             f"Seed {result.options.seed}; the same seed and files give the same plan."
         ),
     )

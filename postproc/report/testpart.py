@@ -155,8 +155,8 @@ def _cutting_steps(parts: dict[Placement, Program]) -> list[Note]:
         return [Note(f"Cut testpart.src, or testpart.nc by your own post: {uncorrected}")]
     return [
         Note(
-            f"With the block at {placement.title} of the cell cut {Path(placement.name).stem}.src, or {placement.name} by "
-            f"your own post: {uncorrected}"
+            f"With the block at {placement.title} of the cell cut {Path(placement.name).stem}.src, or {placement.name} "
+            f"by your own post: {uncorrected}"
         )
         if len(part.feature)
         else Note(f"Nothing is cut with the block at {placement.title}: the same time shows more elsewhere.")
