@@ -248,7 +248,7 @@ class Controller:
         self.modules, self.motions, self.submit, self.structures = {}, [], [], {}
         self.numbers = None
         self.synchronised = 0
-        self.outside = 0.0
+        self.outside = base, tool, 0.0
         self.stood = base, tool
         self.handlers, self.active, self.pending, self.cyclic = {}, set(), [], []
         self.busy, self.steps = False, 0
@@ -522,10 +522,10 @@ class Controller:
         elif word in ("SIGNAL", "EXT", "WAIT", "HALT", "CONTINUE", "PULSE", "LABEL"):
             return
         elif word == "SPLINE":
-            self.outside = self.speed
+            self.outside = self.base, self.tool, self.speed
             self.with_settings(line)
         elif word == "ENDSPLINE":
-            self.speed = self.outside
+            self.base, self.tool, self.speed = self.outside
         elif word == "SYNCCMD":
             self.synchronised += 1
         elif word == "FORCE":
@@ -909,6 +909,12 @@ class Controller:
     # --- motions -------------------------------------------------------------------------------------------------
 
     def motion(self, word, file, number, line):
+        outside = self.base, self.tool, self.speed
+        self.with_settings(line)
+        self.moved(word, file, number, line)
+        self.base, self.tool, self.speed = outside
+
+    def moved(self, word, file, number, line):
         reader = Reader(line)
         reader.take(word)
         via = None
@@ -920,11 +926,8 @@ class Controller:
         kind = word.removesuffix("_REL")
         kind = KINDS.get(kind, kind)
         cdis = self.cdis if "C_DIS" in rest else None
-        outside = self.speed
-        self.with_settings(line)
         force = "" if kind == "PTP" else self.force
         state = (self.base, self.tool, self.speed, cdis, force, tuple(self.callers), self.synchronised)
-        self.speed = outside
         if "A1" in value:
             joints = [float(value[f"A{n}"]) for n in range(1, 7)]
             self.numbers = None

@@ -120,6 +120,8 @@ class States(Generator):
             return self.one(
                 ["OLD=$BASE", f"$BASE={self.frame()}", *inner, "$BASE=OLD"],
                 ["OLDT=$TOOL", "$TOOL=TOOL_DATA[2]", *inner, "$TOOL=OLDT"],
+                [f"WHILE $BASE.Z<{self.one('640', '720')}", "$BASE.Z=$BASE.Z+40.5", *inner[1:], "ENDWHILE"],
+                ["REPEAT", "$TOOL=$TOOL:{X 0,Y 0,Z 30.5,A 0,B 0,C 0}", *inner[1:], "UNTIL $TOOL.Z>260"],
                 ["OLDV=$VEL.CP", f"$VEL.CP={self.speed()}", *inner, "$VEL.CP=OLDV"],
             )
         return super().statement(depth)
@@ -129,6 +131,9 @@ class States(Generator):
             own = [f"OLD:{self.point()}", f"INV_POS($BASE):OLD:{self.point()}"] if self.in_part() else []
             tail = self.one("", " C_DIS")
             chain = self.one(f"$BASE:{self.point()}", f"INV_POS($BASE):{self.point()}", *own)
+            if self.maybe(0.3):
+                frame = self.one("$BASE=BASE_DATA[2]", "$BASE=F1", "$TOOL=TOOL_DATA[2]", "$VEL.CP=0.25")
+                return f"SLIN {self.point()} WITH {frame}"
             return f"LIN {self.one(chain, self.read_point())}{tail}"
         return super().motion()
 

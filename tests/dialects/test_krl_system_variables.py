@@ -54,6 +54,9 @@ READS = {
     "rounds of a loop": ["FOR N=1 TO 3", "$BASE=$BASE:{X 10,Y 0,Z 0,A 5,B 0,C 0}", FULL, "ENDFOR"],
     "a speed that is restored": ["$VEL.CP=0.2", "V=$VEL.CP", "$VEL.CP=0.1", FULL, "$VEL.CP=V", FULL],
     "a speed set by a routine": ["$VEL.CP=0.2", "SLOW( )", FULL],
+    "a loop that ends by a component": ["WHILE $BASE.Z<640", "$BASE.Z=$BASE.Z+40.5", FULL, "ENDWHILE", "LIN XP1"],
+    "a loop that ends by a tool": ["REPEAT", "$TOOL.Z=$TOOL.Z+20", FULL, "UNTIL $TOOL.Z>290", "LIN XP1"],
+    "settings of one spline motion": ["SLIN XP1 WITH $BASE=BASE_DATA[2]", "OLD=$BASE", "$BASE=OLD", FULL],
     "a mode": ["IF $ORI_TYPE==#VAR THEN", FULL, "ENDIF", "IF $IPO_MODE==#TCP THEN", "LIN XP1", "ENDIF", FULL],
     "a distance": ["$APO.CDIS=2.5", "V=$APO.CDIS", "$APO.CDIS=1", FULL + " C_DIS", "$APO.CDIS=V", FULL + " C_DIS"],
     "both ends of a branch": [

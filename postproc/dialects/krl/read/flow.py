@@ -536,7 +536,7 @@ class Flow:
             while self._again(source, block, counter):
                 self._count(Place(source, block.first))
                 self._way[depth] = Place(source, block.first), self._way[depth][1] + 1
-                before = self.run.variables.changes
+                before = self._changes()
                 if counter is None and self._traced - began > _MOST_UNCOUNTED:
                     problem = f"{block.word} has not ended after {_MOST_UNCOUNTED} statements"
                     raise inexact(Place(source, block.first), problem, "Check its condition, or write FOR instead.")
@@ -552,7 +552,7 @@ class Flow:
                     break
                 if counter is not None:
                     counter.advance()
-                elif self.run.variables.changes == before:
+                elif self._changes() == before:
                     problem = f"{block.word} never ends: no variable of its condition changes from round to round"
                     raise inexact(Place(source, block.first), problem, LOOP_ADVICE)
         finally:
@@ -562,6 +562,10 @@ class Flow:
         level.left = False
         if trace is not None and loop is not None:
             trace.end(loop, block, counter.assigned if counter is not None and ended else None)
+
+    def _changes(self) -> tuple[int, int]:
+        """Return how often variables, and how often frames, speeds and modes, have changed."""
+        return self.run.variables.changes, len(self.run.settings.changes)
 
     def _plainly(self, source: Source, block: Block, counter: _Counter, trace: Trace, loop: Repeated) -> None:
         """Record all rounds of a FOR at once if its body does nothing but move."""
