@@ -2,155 +2,53 @@
 
 from __future__ import annotations
 
-import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from postproc.cli.options import Choice, complete_robots
+from postproc.cli.options import Choice, complete_files, complete_robots
+from postproc.cli.terminal import is_terminal
 
 if TYPE_CHECKING:
     from postproc.hosts.robodk_station import Station
-    from postproc.jobs.first_steps import Numbers
+    from postproc.jobs.first_steps import CellRequest
 
 _PATH = click.Path(path_type=Path)
+_HOME = "Where X, Y, Z are before the first move and after G28 and G53, in $BASE"
 
 
-def _numbers(text: str) -> Numbers:
-    try:
-        return tuple(float(word) for word in text.replace(";", ",").split(",") if word.strip())
-    except ValueError:
-        raise click.BadParameter(f"{text!r}: give numbers with commas between, such as 1500,-200,700") from None
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise click.BadParameter(f"{text!r} is not a number") from None
-
-
-def _frame(text: str) -> Numbers | int:
-    return int(text) if text.strip().isdecimal() else _numbers(text)
-
-
-def _tools(texts: Sequence[str]) -> dict[int, Numbers]:
-    """Return $TOOL by T number from texts such as ``1=0,0,412.5`` or ``1=412.5``, which is its Z."""
-    tools: dict[int, Numbers] = {}
-    for text in texts:
-        number, equals, words = text.partition("=")
-        found = _numbers(words)
-        name = number.strip().upper().removeprefix("T")
-        if not equals or not name.isdecimal() or not found:
-            raise click.BadParameter(f"{text!r}: give the number of the tool and its $TOOL, such as 1=0,0,412.5")
-        frame = (0.0, 0.0, *found) if len(found) == 1 else found
-        _once(tools, int(name), frame, f"tool {int(name)}")
-    return tools
-
-
-def _once(frames: dict[Any, Numbers], key: Any, frame: Numbers, what: str) -> None:
-    """Add a frame; refuse a second, different one."""
-    if (other := frames.setdefault(key, frame)) != frame:
-        first, second = (",".join(f"{word:g}" for word in words) for words in (other, frame))
-        raise click.BadParameter(f"{what} is given twice, {first} and {second}: leave one of them out")
-
-
-def _tools_line(text: str) -> dict[int, Numbers]:
-    return _tools(text.split())
-
-
-def _work_offsets(texts: Sequence[str]) -> dict[str, Numbers]:
-    """Return frames in $BASE by the code of the work offset from texts such as ``G55=300,0,0``."""
-    offsets: dict[str, Numbers] = {}
-    for text in texts:
-        name, _, words = text.partition("=")
-        found = _numbers(words)
-        code = name.strip().upper()
-        if not re.fullmatch(r"G5[4-9]|G59\.[1-3]", code) or not found:
-            raise click.BadParameter(f"{text!r}: give G54 to G59.3 and its frame in $BASE, such as G55=300,0,0")
-        _once(offsets, code, found, code)
-    return offsets
-
-
-def _work_offsets_line(text: str) -> dict[str, Numbers]:
-    return _work_offsets(text.split())
-
-
-def _m_codes(texts: Sequence[str]) -> list[str]:
-    """Return M codes from texts such as ``M31`` or ``31``."""
-    from postproc.cell import m_code_fault
-
-    codes = []
-    for text in texts:
-        name = text.strip().upper().removeprefix("M")
-        if not (name.isascii() and name.isdecimal()):
-            raise click.BadParameter(f"{text!r}: give an M code, such as M31")
-        codes.append(f"M{int(name)}")
-        if fault := m_code_fault(codes[-1]):
-            raise click.BadParameter(f"{text!r}: {fault[0]}. {fault[1]}")
-    return codes
-
-
-def _m_codes_line(text: str) -> list[str]:
-    return _m_codes(text.replace(",", " ").split())
-
-
-def _line(text: str) -> str:
-    """Return a line of the robot's language in which brackets and strings are closed."""
-    from postproc.cell import lines_fault
-
-    if fault := lines_fault([text]):
-        raise click.BadParameter(fault)
-    return text
-
-
-def _switch(text: str) -> tuple[list[str], list[str]]:
-    """Return the lines that switch something on and off, of "ON|OFF"; none for "hand"."""
-    from postproc.jobs.first_steps import BY_HAND
-
-    if text.strip() == BY_HAND:
-        return [], []
-    lines = [_line(line.strip()) for line in text.split("|")]
-    if len(lines) != 2 or not all(lines):
-        raise click.BadParameter(
-            f"{text!r}: give both lines with | between, such as $OUT[1]=TRUE|$OUT[1]=FALSE, or hand"
-        )
-    return [lines[0]], [lines[1]]
-
-
-def _tolerance(text: str) -> float | None:
-    """Return a length above 0; None for an empty answer."""
-    if not text.strip():
-        return None
-    if not (length := _number(text)) > 0.0:
-        raise click.BadParameter(f"{text!r}: give a length above 0")
-    return length
-
-
-def _robot(text: str) -> str:
-    from postproc.errors import ModelError
-    from postproc.robot import find
+def _checked(kind: str, text: Any) -> Any:
+    """Return the value of a text, by the function of this name in `jobs.answers`; the error is one of the option."""
+    from postproc.errors import InputError
+    from postproc.jobs import answers
 
     try:
-        find(text)
-    except ModelError as cause:
-        raise click.BadParameter(str(cause)) from None
-    return text
+        return getattr(answers, kind)(text)
+    except InputError as cause:
+        raise click.BadParameter(str(cause).removesuffix(".")) from None
 
 
-def _parsed(kind: Any) -> Any:
-    return lambda _ctx, _param, text: None if text is None else kind(text)
+def _words(kind: str) -> Callable[[str], Any]:
+    """Return a function for texts with blanks or commas between, see `_checked`."""
+    return lambda text: _checked(kind, text.split())
+
+
+def _parsed(kind: str) -> Any:
+    return lambda _ctx, _param, text: None if text is None else _checked(kind, text)
 
 
 @click.command()
-@click.argument("cell", type=_PATH, default="cell.toml")
+@click.argument("files", nargs=-1, type=_PATH, metavar="[CELL] [PROGRAM]...", shell_complete=complete_files)
 @click.option("--robot", shell_complete=complete_robots, help="Robot: a name of `postproc robots`, or a model folder.")
-@click.option("--base", callback=_parsed(_frame), metavar="X,Y,Z[,A,B,C]", help="$BASE in the robot root, or a number.")
 @click.option(
-    "--tool", callback=_parsed(_frame), metavar="X,Y,Z[,A,B,C]", help="$TOOL in the flange frame, or a number."
+    "--base", callback=_parsed("frame"), metavar="X,Y,Z[,A,B,C]", help="$BASE in the robot root, or a number."
+)
+@click.option(
+    "--tool", callback=_parsed("frame"), metavar="X,Y,Z[,A,B,C]", help="$TOOL in the flange frame, or a number."
 )
 @click.option(
     "--axis",
@@ -161,7 +59,7 @@ def _parsed(kind: Any) -> Any:
 )
 @click.option(
     "--start",
-    callback=_parsed(_numbers),
+    callback=_parsed("numbers"),
     metavar="A1,…,A6",
     help="Where programs start, in deg; default: the tip 50 mm above --clearance, over the origin of $BASE.",
 )
@@ -171,14 +69,14 @@ def _parsed(kind: Any) -> Any:
 )
 @click.option(
     "--tool-change",
-    callback=_parsed(_line),
+    callback=_parsed("line"),
     metavar="LINE",
     help="Line for M6, with {T}; 'hand': the program stops (default); 'none': no line.",
 )
 @click.option(
     "--tools",
     multiple=True,
-    callback=lambda _ctx, _param, texts: _tools(texts),
+    callback=lambda _ctx, _param, texts: _checked("tools", texts),
     metavar="N=X,Y,Z[,A,B,C]",
     help="$TOOL after T n M6, or its Z alone; once for each tool. Default: --tool for all.",
 )
@@ -186,7 +84,7 @@ def _parsed(kind: Any) -> Any:
     "--work-offset",
     "work_offsets",
     multiple=True,
-    callback=lambda _ctx, _param, texts: _work_offsets(texts),
+    callback=lambda _ctx, _param, texts: _checked("work_offsets", texts),
     metavar="G55=X,Y,Z[,A,B,C]",
     help="Frame of a work offset in $BASE; once for each. G54 is $BASE itself.",
 )
@@ -194,7 +92,7 @@ def _parsed(kind: Any) -> Any:
     "--m-code",
     "m_codes",
     multiple=True,
-    callback=lambda _ctx, _param, texts: _m_codes(texts),
+    callback=lambda _ctx, _param, texts: _checked("m_codes", texts),
     metavar="M31",
     help="M code of the machine that has no effect on the robot; once for each.",
 )
@@ -210,18 +108,29 @@ def _parsed(kind: Any) -> Any:
     type=Choice(["s", "ms"]),
     help="What the control counts in P of G4 and of cycles: s (LinuxCNC) or ms (Fanuc, Haas, Mach3).",
 )
+@click.option("--home", callback=_parsed("place"), metavar="X,Y,Z", help=f"{_HOME}.")
+@click.option("--rotary", callback=_parsed("rotary_axes"), metavar="C,B", help="Rotary axes from the part outwards.")
+@click.option("--rotary-kind", type=Choice(["tcp", "indexed"]), help="What X, Y, Z are where rotary axes turn.")
+@click.option(
+    "--rotary-point",
+    "rotary_points",
+    multiple=True,
+    callback=lambda _ctx, _param, texts: _checked("points", texts),
+    metavar="A=X,Y,Z",
+    help="A point of an indexed axis in $BASE; once for each.",
+)
 @click.option(
     "--part-tolerance", type=float, metavar="MM", help="What the part may be off (95 %); default: not judged."
 )
 @click.option(
     "--spindle",
-    callback=_parsed(_switch),
+    callback=_parsed("switch"),
     metavar="ON|OFF",
     help="Lines for M3, with {S}, and for M5, with | between; 'hand': you start it. Default: a warning.",
 )
 @click.option(
     "--coolant",
-    callback=_parsed(_switch),
+    callback=_parsed("switch"),
     metavar="ON|OFF",
     help="Lines for M7 and M8, and for M9, likewise.",
 )
@@ -231,17 +140,19 @@ def _parsed(kind: Any) -> Any:
     help="Station of RoboDK, which must be on this machine: robot, base, tool and start; 'open': the one that is open.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace a file that is there.")
-def init(cell: Path, robodk: str | None, **given: Any) -> None:
+def init(files: tuple[Path, ...], robodk: str | None, **given: Any) -> None:
     """Write a cell file with comments, by options or by questions.
 
-    CELL is the file to write, cell.toml by default. On a terminal it asks for what no option says. Lengths are mm,
-    angles degrees. With --config-dat, --base 3 takes BASE_DATA[3] and --tool 2 takes TOOL_DATA[2]. With --robodk,
-    RoboDK is asked for its robot, the active frame and tool, and the joint angles; options win.
+    CELL is the file to write, cell.toml by default. On a terminal it asks for what no option says; with PROGRAM, for
+    what these programs need and nothing else, and then says whether they convert. Lengths are mm, angles degrees.
+    With --config-dat, --base 3 takes BASE_DATA[3] and --tool 2 takes TOOL_DATA[2]. With --robodk, RoboDK is asked for
+    its robot, the active frame and tool, and the joint angles; options win.
 
     \b
     Examples:
       postproc init
       postproc init my_cell.toml --robot kuka_kr270 --base 1500,-200,700 --tool 0,0,350
+      postproc init part.nc
       postproc init --robot kuka_kr270 --base 1500,0,700 --tools 1=0,0,350 --tools 2=0,0,412.5 --clearance 150
       postproc init --robot kuka_kr270 --base 1500,0,700 --tool 0,0,350 --work-offset G55=300,0,0 --m-code M31
       postproc init --robot kuka_kr210_r2700_2 --config-dat '$config.dat' --base 3 --tool 2
@@ -251,17 +162,112 @@ def init(cell: Path, robodk: str | None, **given: Any) -> None:
     from postproc.jobs import load_robot
     from postproc.jobs.first_steps import CellRequest, check_new, write_cell
 
+    cell, programs = _cell_and_programs(files)
     check_new(cell, overwrite=given["overwrite"])
     station = None if robodk is None else _station(robodk, given)
-    asked = _asked(given)
-    remarks = write_cell(CellRequest(output=cell, **asked))
+    if given["tool"] is None and given["tools"]:
+        given["tool"] = next(iter(given["tools"].values()))
+    if programs:
+        request = _for_programs(cell, programs, given)
+    else:
+        asked = {key: value for key, value in _asked(given).items() if not key.startswith("rotary")}
+        request = CellRequest(
+            output=cell, **asked | {"m_codes": {code: [] for code in given["m_codes"]}}, **_rotary(given)
+        )
+    remarks = write_cell(request)
     if station is not None:
-        remarks = (*remarks, *_of_station(station, asked["robot"]))
-    language = load_robot(asked["robot"]).language
+        remarks = (*remarks, *_of_station(station, request.robot))
+    language = load_robot(request.robot).language
     to = f" --to {language}" if language not in ("", "krl") else ""
-    click.echo(f"written: {cell}. Look it over, then: postproc convert PROGRAM --cell {argument(cell)}{to}")
+    named = " ".join(argument(program) for program in programs) or "PROGRAM"
+    click.echo(f"written: {cell}. Look it over, then: postproc convert {named} --cell {argument(cell)}{to}")
     for remark in remarks:
         click.echo(f"warning: {remark}", err=True)
+    if programs and not _all_convert(programs, cell, language):
+        sys.exit(1)
+
+
+def _cell_and_programs(files: tuple[Path, ...]) -> tuple[Path, list[Path]]:
+    """Return the cell file to write and the programs that it is for."""
+    from postproc.dialects import registry
+
+    known = registry.extensions()
+    programs = [file for file in files if file.suffix.lower() in known]
+    cells = [file for file in files if file not in programs]
+    if len(cells) > 1:
+        raise click.UsageError(f"Two cell files: {cells[0]} and {cells[1]}. Name one, and programs with an extension.")
+    return next(iter(cells), Path("cell.toml")), programs
+
+
+def _rotary(given: dict[str, Any]) -> dict[str, Any]:
+    """Return the field of `CellRequest` for rotary axes; none where no option names them."""
+    from postproc.jobs import answers
+
+    if given["rotary"] is None:
+        return {}
+    if given["rotary_kind"] is None:
+        raise click.UsageError("Give --rotary-kind tcp or indexed with --rotary.")
+    return {"rotary": answers.rotary(given["rotary"], given["rotary_kind"], given["rotary_points"])}
+
+
+_SAME = ("robot", "base", "tool", "clearance", "tool_change", "spindle", "coolant", "part_tolerance", "home")
+"""Options whose answers have their name."""
+
+
+def _for_programs(cell: Path, programs: list[Path], given: dict[str, Any]) -> CellRequest:
+    """Return the request for a cell that these programs need; ask for what no option says."""
+    from postproc.cli.start import print_needs, prompted
+    from postproc.jobs import guided_start
+    from postproc.jobs.program_needs import needs_of
+
+    each = [needs_of(program) for program in programs]
+    for needs in each:
+        print_needs(needs)
+        if needs.refusal:
+            click.echo(f"no answer makes this program readable: {needs.refusal}", err=True)
+    needs = guided_start.merged(each)
+    answers = guided_start.Answers()
+    answers.values |= {name: given[name] for name in _SAME if given[name] is not None}
+    answers.values |= {f"tool.{number}": frame for number, frame in given["tools"].items()}
+    answers.values |= {f"work_offset.{code}": frame for code, frame in given["work_offsets"].items()}
+    answers.values |= {f"m_code.{code}": "none" for code in given["m_codes"]}
+    answers.values |= {f"rotary_point.{letter}": point for letter, point in given["rotary_points"].items()}
+    stated = {"rotary_axes": given["rotary"], "rotary_kind": given["rotary_kind"], "dwell_unit": given["dwell_unit"]}
+    stated |= {"radius_offsets": given["radius_offsets"]} if _is_stated("radius_offsets") else {}
+    answers.values |= {name: value for name, value in stated.items() if value is not None}
+    missing: list[guided_start.Question] = []
+    while question := guided_start.next_question(needs, answers, {each.key for each in missing}, process=False):
+        if is_terminal():
+            answers.put(question, prompted(question, first=not answers.texts))
+        elif question.optional and question.default is not None:
+            answers.put(question, question.default)
+        else:
+            missing.append(question)
+    if missing:
+        lines = [f"  {question.option}    {question.text}" for question in missing]
+        raise click.UsageError("\n".join(["Missing, and there is no terminal to ask on:", *lines]))
+    others = {name: given[name] for name in ("axis", "start", "config_dat", "overwrite")}
+    return guided_start.cell_request(cell, answers, **others)
+
+
+def _is_stated(name: str) -> bool:
+    source = click.get_current_context().get_parameter_source(name)
+    return source is not None and source.name not in ("DEFAULT", "DEFAULT_MAP")
+
+
+def _all_convert(programs: list[Path], cell: Path, language: str) -> bool:
+    """Try each program with the cell, without its forces; say what comes of it."""
+    from postproc.jobs.guided_start import problems_of
+
+    good = True
+    for program in programs:
+        problems = problems_of(program, cell, None if language in ("", "krl") else language)
+        good = good and not problems
+        if problems:
+            click.echo("\n  ".join([f"{program.name}: it does not convert yet.", *problems]), err=True)
+        else:
+            click.echo(f"{program.name}: it converts.")
+    return good
 
 
 def _station(robodk: str, given: dict[str, Any]) -> Station:
@@ -289,17 +295,19 @@ def _of_station(station: Station, robot: str) -> tuple[str, ...]:
 
 def _asked(given: dict[str, Any]) -> dict[str, Any]:
     """Ask for values without an option; without a terminal take the default, or raise if there is none."""
-    from postproc.jobs import first_steps
+    from postproc.jobs import answers, first_steps
 
-    if given["tool"] is None and given["tools"]:
-        given["tool"] = next(iter(given["tools"].values()))
     missing = [name for name in ("robot", "base", "tool") if given[name] is None]
-    if missing and not _terminal():
+    if missing and not is_terminal():
         raise click.UsageError(f"Give {', '.join(f'--{name}' for name in missing)} (there is no terminal to ask on).")
 
-    def ask(name: str, text: str, default: Any, parse: Any) -> None:
+    def ask(name: str, text: str, default: Any, kind: str) -> None:
         if given[name] is None:
-            given[name] = click.prompt(text, default=default, value_proc=parse) if missing else parse(str(default))
+            given[name] = (
+                click.prompt(text, default=default, value_proc=partial(_checked, kind))
+                if missing
+                else _checked(kind, str(default))
+            )
 
     if missing:
         click.echo("Lengths in mm, angles in degrees. Enter takes the value in brackets.")
@@ -307,41 +315,46 @@ def _asked(given: dict[str, Any]) -> dict[str, Any]:
         from postproc.robot import shipped
 
         click.echo(f"Robots: {', '.join(shipped())}")
-    ask("robot", "Robot, or the path of a model folder", "kuka_kr270", _robot)
+    ask("robot", "Robot, or the path of a model folder", "kuka_kr270", "robot")
     if given["base"] is None:
         usual = ",".join(f"{value:g}" for value in first_steps.usual_base(given["robot"]))
-        ask("base", "$BASE in the robot root: X,Y,Z[,A,B,C]", usual, _frame)
-    ask("tool", "$TOOL, the tool tip in the flange frame: X,Y,Z[,A,B,C]", "0,0,350", _frame)
+        ask("base", "$BASE in the robot root: X,Y,Z[,A,B,C]", usual, "frame")
+    ask("tool", "$TOOL, the tool tip in the flange frame: X,Y,Z[,A,B,C]", "0,0,350", "frame")
     if missing and not given["tools"]:
         text = "Tools that programs change to, such as 1=0,0,350 2=0,0,412.5 (empty: $TOOL holds for all)"
-        given["tools"] = click.prompt(text, default="", show_default=False, value_proc=_tools_line)
+        given["tools"] = click.prompt(text, default="", show_default=False, value_proc=_words("tools"))
     if missing and not given["work_offsets"]:
         text = "Work offsets that programs use in addition to G54, such as G55=300,0,0 (empty: none)"
-        given["work_offsets"] = click.prompt(text, default="", show_default=False, value_proc=_work_offsets_line)
+        given["work_offsets"] = click.prompt(text, default="", show_default=False, value_proc=_words("work_offsets"))
     if missing and not given["m_codes"]:
         text = "M codes that have no effect on the robot, such as M31 M33 (empty: none)"
-        given["m_codes"] = click.prompt(text, default="", show_default=False, value_proc=_m_codes_line)
+        given["m_codes"] = click.prompt(
+            text,
+            default="",
+            show_default=False,
+            value_proc=lambda text: _checked("m_codes", text.replace(",", " ").split()),
+        )
     if missing and given["start"] is None:
         text = "Joints where programs start: A1,…,A6 (empty: chosen with the tip above the part)"
-        given["start"] = click.prompt(text, default="", show_default=False, value_proc=_numbers) or None
-    ask("clearance", "Z of $BASE to which programs retract (G28, G30, G53)", f"{first_steps.CLEARANCE_MM:g}", _number)
+        given["start"] = (
+            click.prompt(text, default="", show_default=False, value_proc=partial(_checked, "numbers")) or None
+        )
+    ask("clearance", "Z of $BASE to which programs retract (G28, G30, G53)", f"{first_steps.CLEARANCE_MM:g}", "number")
     text = "Tool change: hand (the program stops), none, or a line that calls the changer, with {T}"
-    ask("tool_change", text, first_steps.BY_HAND, _line)
+    ask("tool_change", text, answers.BY_HAND, "line")
     if missing:
         if given["spindle"] is None:
             text = "Spindle: lines for M3, with {S}, and M5, with | between, or hand"
-            given["spindle"] = click.prompt(text, default=first_steps.BY_HAND, value_proc=_switch)
+            given["spindle"] = click.prompt(text, default=answers.BY_HAND, value_proc=partial(_checked, "switch"))
         if given["coolant"] is None:
             text = "Coolant: lines for M7 and M8, and for M9, with | between, or hand"
-            given["coolant"] = click.prompt(text, default=first_steps.BY_HAND, value_proc=_switch)
+            given["coolant"] = click.prompt(text, default=answers.BY_HAND, value_proc=partial(_checked, "switch"))
         if given["part_tolerance"] is None:
             text = "What the part may be off (95 %) (empty: nothing is judged by it)"
-            given["part_tolerance"] = click.prompt(text, default="", show_default=False, value_proc=_tolerance)
+            given["part_tolerance"] = click.prompt(
+                text, default="", show_default=False, value_proc=partial(_checked, "tolerance")
+            )
     return given
-
-
-def _terminal() -> bool:
-    return sys.stdin.isatty()
 
 
 @click.command()

@@ -27,6 +27,20 @@ def work(
     cluster: Cluster | None = None,
 ) -> None:
     """Work through jobs and print what came of them; end the command with the exit code of the worst."""
+    outcomes = work_through(ctx, jobs, settings, as_json=as_json, workers=workers, cluster=cluster)
+    ctx.exit(worst_code(outcomes))
+
+
+def work_through(
+    ctx: click.Context,
+    jobs: Sequence[Job],
+    settings: Settings,
+    *,
+    as_json: bool,
+    workers: int = 1,
+    cluster: Cluster | None = None,
+) -> list[Outcome]:
+    """Work through jobs, print what came of them and return it; an interrupt ends the command."""
     from postproc.errors import PostprocError
     from postproc.jobs import convert_all, left
 
@@ -50,7 +64,7 @@ def work(
         ctx.exit(128 + getattr(cause, "number", 2))
     outcomes = [known[str(job.program)] for job in jobs]
     _print(outcomes, jobs, as_json=as_json)
-    ctx.exit(_worst(outcomes))
+    return outcomes
 
 
 def say(sentence: str) -> None:
@@ -112,7 +126,7 @@ def _print(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, as_json: bool) -
 
     _print_failures(outcomes)
     if as_json:
-        content = {"exit_code": _worst(outcomes), "programs": [_as_entry(outcome) for outcome in outcomes]}
+        content = {"exit_code": worst_code(outcomes), "programs": [_as_entry(outcome) for outcome in outcomes]}
         click.echo(json_bytes(content).decode(), nl=False)
     elif len(outcomes) == 1 and outcomes[0].summary is not None:
         click.echo(report.of_one(outcomes[0].summary, display()))
@@ -171,7 +185,7 @@ def _word(outcome: Outcome) -> str:
     )
 
 
-def _worst(outcomes: Iterable[Outcome]) -> int:
+def worst_code(outcomes: Iterable[Outcome]) -> int:
     """Return the exit code for all: a failure is worse than an exceeded tolerance."""
     codes = {outcome.code for outcome in outcomes}
     return 1 if 1 in codes else max(codes, default=0)

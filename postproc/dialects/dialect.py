@@ -106,10 +106,34 @@ class Dialect(Protocol):
         ...
 
 
+class Survey(Struct, frozen=True):
+    """What the text of a CAM program shows before it is read: the basis for the questions of `start` and `init`.
+
+    :param comments: 1-based line and text of each.
+    :param tool_changes: line and tool number of each change, in order of lines.
+    :param work_offsets: codes of work offsets other than the first, such as ``"G55"``.
+    :param m_codes: M codes that only the machine knows, such as ``"M31"``.
+    :param rotary: letters of the rotary axes that have words.
+    :param tip_controlled: it switches tool-centre-point control on.
+    :param switches: what it switches on: ``"spindle"``, ``"coolant"``.
+    :param inches: its lengths are inches.
+    """
+
+    comments: tuple[tuple[int, str], ...] = ()
+    tool_changes: tuple[tuple[int, int], ...] = ()
+    work_offsets: tuple[str, ...] = ()
+    m_codes: tuple[str, ...] = ()
+    rotary: tuple[str, ...] = ()
+    tip_controlled: bool = False
+    switches: frozenset[str] = frozenset()
+    inches: bool = False
+
+
 class CamFormat(Struct, frozen=True):
     """A dialect of CAM systems: a program is one file, and is read only.
 
     :param reader: reads a document, see `Dialect.read`.
+    :param survey: looks over a document without a cell; None: nothing is known of its text.
     :param command_decimals: those of the robot programs written from it.
     """
 
@@ -118,6 +142,7 @@ class CamFormat(Struct, frozen=True):
     reader: Callable[[Document, Cell, Callable[[Array], Array], str], Program]
     command_decimals: tuple[int, ...] = (4, 4, 4, 5, 5, 5)
     writer: None = None
+    survey: Callable[[Document], Survey] | None = None
 
     def companions(self, path: Path) -> list[Path]:
         """Return no other files: a program is one file."""

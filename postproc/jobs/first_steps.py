@@ -19,11 +19,12 @@ from msgspec import Struct
 
 from postproc import correction, files, kinematics
 from postproc import robot as robots
-from postproc.cell import Cell, Frame, GCode, Start, Tool, ToolAxis, load
+from postproc.cell import Cell, Frame, GCode, Rotary, Start, Tool, ToolAxis, load
 from postproc.dialects.text import decode
 from postproc.errors import InputError, ModelError, ProgramError
 from postproc.files import listed, read_text, toml, write_whole
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, inverse, xyzabc_from_pose
+from postproc.jobs.answers import BY_HAND, NO_LINES, Numbers
 from postproc.jobs.output_plan import protect
 from postproc.jobs.programs import load_robot
 from postproc.robot import JOINTS, RobotModel, shapes
@@ -70,12 +71,9 @@ def _differs(path: Path, content: bytes) -> bool:
     return path.exists() and not (path.is_file() and path.read_bytes() == content)
 
 
-Numbers = tuple[float, ...]
 CLEARANCE_MM = 200.0
 """Z of `$BASE` to which programs retract unless something else is given: usual CAM set-ups are below it [mm]."""
 LARGEST_MM = 1e6
-BY_HAND, NO_LINES = "hand", "none"
-"""Tool changes: the program stops, or does nothing; anything else is a line of the cell."""
 USUAL_START = (0.0, -70.0, 110.0, 0.0, 50.0, 0.0)
 """A1…A6 [deg] of the branch on which programs start unless something else is given: ahead, elbow up, A5 > 0."""
 _ABOVE_MM = 50.0
@@ -102,7 +100,9 @@ class CellRequest(Struct, frozen=True, kw_only=True):
     :param coolant: lines for M7 and M8, and for M9; likewise.
     :param tools: T number → `$TOOL` in the flange frame, as `tool`; none: `tool` holds for all.
     :param work_offsets: code of a work offset (``G55``) → its frame in `$BASE`, as `base`.
-    :param m_codes: M codes that programs use and that have no effect on the robot (``M31``).
+    :param m_codes: M codes that programs use (``M31``) → lines to write for them; none: no effect on the robot.
+    :param home: X, Y, Z of `$BASE` where the machine is first, and after G28 and G53 [mm]; None: not stated.
+    :param rotary: rotary axes of the programs; None: there are none.
     :param radius_offsets: what the radius offsets (D) of the control hold: "radius" or "wear".
     :param dwell_unit: what the control counts in P of G4 and of cycles: "s" or "ms"; None: not stated.
     :param part_tolerance: what the part may be off, 95 % [mm]; None: nobody says so, and the cell does not judge by it.
@@ -122,7 +122,9 @@ class CellRequest(Struct, frozen=True, kw_only=True):
     coolant: tuple[Sequence[str], Sequence[str]] | None = None
     tools: Mapping[int, Numbers] = {}
     work_offsets: Mapping[str, Numbers] = {}
-    m_codes: Sequence[str] = ()
+    m_codes: Mapping[str, Sequence[str]] = {}
+    home: Numbers | None = None
+    rotary: Rotary | None = None
     radius_offsets: str = "radius"
     dwell_unit: str | None = None
     part_tolerance: float | None = None
@@ -147,7 +149,7 @@ def write_cell(request: CellRequest) -> tuple[str, ...]:
     check_new(request.output, overwrite=request.overwrite)
     folder = request.output.parent
     known = request.robot in robots.shipped()
-    place = request.robot if known else _relative(folder, Path(request.robot))
+    place = request.robot if known else relative_path(folder, Path(request.robot))
     robot = load_robot(request.robot)
     start = USUAL_START if request.start is None else _six("start joints", request.start, 6)
     beyond = (np.radians(start) < robot.lower) | (np.radians(start) > robot.upper)
@@ -161,7 +163,7 @@ def write_cell(request: CellRequest) -> tuple[str, ...]:
         raise InputError(f"clearance {request.clearance:g} mm", advice="Give a Z of $BASE.")
     base = _frame("BASE_DATA", request.base, request, robot)
     tool = _frame("TOOL_DATA", request.tool, request, robot)
-    config = None if request.config_dat is None else _relative(folder, request.config_dat)
+    config = None if request.config_dat is None else relative_path(folder, request.config_dat)
     tool_frame = Tool(**dict(zip("XYZABC", tool, strict=True)), axis=request.axis)
     cell = Cell(robot=place, base=Frame(*base), tool=tool_frame, start=msgspec.convert({"joints": start}, Start))
     if request.start is None and (above := _start_above(cell, robot, request.clearance + _ABOVE_MM)) is not None:
@@ -175,7 +177,7 @@ def write_cell(request: CellRequest) -> tuple[str, ...]:
     return remarks
 
 
-def _relative(folder: Path, path: Path) -> str:
+def relative_path(folder: Path, path: Path) -> str:
     """Return a path relative to a folder; the path itself if there is none, as between two drives of Windows."""
     try:
         return Path(relpath(path, folder)).as_posix()
@@ -387,10 +389,10 @@ corner_tolerance_mm = 0.05       # a corner that approximation would round by mo
 
 [machine]                        # G28, G30 and G53, by which most CAM systems retract
 clearance_Z = {_number(request.clearance)}              # Z of $BASE to which they retract: above part and clamps
-# home = [0, -90, 90, 0, 0, 0]   # A1 to A6: G28 and G30 go there; without it the tool stays above its place
+{_home(request.home)}
 {_tools(tools)}
 {_work_offsets(request.work_offsets)}
-
+{_rotary(request.rotary)}
 {_m_codes(request.m_codes)}
 
 # [payload]                      # carried in addition to the state that the robot model was calibrated in
@@ -439,10 +441,31 @@ def _work_offsets(given: Mapping[str, Numbers]) -> str:
 # X = 0.0"""
 
 
-def _m_codes(given: Sequence[str]) -> str:
-    """Return the table of M codes without effect, or an example of one."""
-    if given:
-        lines = "\n".join(f"{code} = []" for code in dict.fromkeys(given))
+def _home(place: Numbers | None) -> str:
+    """Return the key of the home place, or a comment with an example."""
+    if place is None:
+        example = "# home = [0, -90, 90, 0, 0, 0]   # A1 to A6: G28 and G30 go there"
+        return f"{example}; without it the tool stays above its place"
+    return f"home = [{', '.join(map(_number, place))}]    # X, Y, Z before the first move, and after G28 and G53"
+
+
+def _rotary(rotary: Rotary | None) -> str:
+    """Return the table of rotary axes; empty where there are none."""
+    if rotary is None:
+        return ""
+    lines = ["", "[rotary]                         # rotary axes from the part outwards; A, B, C turn about X, Y, Z"]
+    lines += [f"axes = [{', '.join(map(_quoted, rotary.axes))}]", f"kind = {_quoted(rotary.kind or '')}"]
+    for letter, axis in zip(rotary.axes, rotary.places, strict=True):
+        if axis is not None:
+            point, direction = (", ".join(map(_number, values)) for values in (axis.point, axis.direction))
+            lines.append(f"{letter} = {{ point = [{point}], direction = [{direction}] }}    # in $BASE, mm")
+    return "\n".join(lines) + "\n"
+
+
+def _m_codes(codes: Mapping[str, Sequence[str]]) -> str:
+    """Return the table of M codes, or an example of one."""
+    if codes:
+        lines = "\n".join(f"{code} = [{', '.join(map(_quoted, texts))}]" for code, texts in codes.items())
         return f"[m_codes]                        # lines for M codes of the machine; []: without effect here\n{lines}"
     return """\
 # [m_codes]                      # lines for M codes of the machine; []: without effect here

@@ -252,7 +252,7 @@ def test_without_a_terminal_what_is_missing_is_wrong_usage():
 
 
 def test_on_a_terminal_it_asks_and_takes_what_stands_in_brackets(monkeypatch):
-    monkeypatch.setattr("postproc.cli.first_steps._terminal", lambda: True)
+    monkeypatch.setattr("postproc.cli.first_steps.is_terminal", lambda: True)
     for name in robot.shipped():
         done = run("init", f"{name}.toml", input=f"{name}\n\n0,0,100\n" + 9 * "\n")
         assert done.exit_code == 0, done.output
@@ -269,7 +269,7 @@ def test_on_a_terminal_it_asks_and_takes_what_stands_in_brackets(monkeypatch):
 
 
 def test_answers_for_retract_tools_tool_change_and_tolerance_are_in_the_cell(monkeypatch):
-    monkeypatch.setattr("postproc.cli.first_steps._terminal", lambda: True)
+    monkeypatch.setattr("postproc.cli.first_steps.is_terminal", lambda: True)
     answers = [
         "",
         "1000,0,500",
@@ -474,7 +474,7 @@ def test_commands_to_type_have_names_with_blanks_in_quotes(monkeypatch, tmp_path
 
 
 def test_a_file_that_is_there_is_noticed_before_the_first_question(monkeypatch):
-    monkeypatch.setattr("postproc.cli.first_steps._terminal", lambda: True)
+    monkeypatch.setattr("postproc.cli.first_steps.is_terminal", lambda: True)
     Path("cell.toml").write_text("mine")
     done = run("init", input="\n" * 20)
     assert done.exit_code == 1
@@ -483,7 +483,7 @@ def test_a_file_that_is_there_is_noticed_before_the_first_question(monkeypatch):
 
 
 def test_the_cell_that_it_writes_converts_a_clean_program_with_forces_to_green(monkeypatch):
-    monkeypatch.setattr("postproc.cli.first_steps._terminal", lambda: True)
+    monkeypatch.setattr("postproc.cli.first_steps.is_terminal", lambda: True)
     assert run("init", input="\n" * 20).exit_code == 0
     block = "G0 X0 Y0 Z50\nS9000 M3\nM8\n(FORCE FX=120 FY=80 FZ=200)\nG1 Z-1 F500\nG1 X50\nG0 Z50\nM9\nM5\nM30\n"
     Path("part.nc").write_text(f"G90 G21 G17\n{block}")

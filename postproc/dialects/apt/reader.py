@@ -21,6 +21,7 @@ from postproc.cell import Cell
 from postproc.chunks import Runs
 from postproc.dialects.apt import statements
 from postproc.dialects.apt.statements import Statements
+from postproc.dialects.apt.survey import survey
 from postproc.dialects.apt.walk import ARC, RAPID, Course, Part, executed
 from postproc.dialects.dialect import CamFormat
 from postproc.errors import ForceError, InputError, Issue, ProgramError, together
@@ -262,5 +263,5 @@ def _issues(course: Course, source: Statements, moves: _Moves, kept: Ints) -> It
         yield Issue("warning", "after-end", message, lines[0], count=len(lines), lines=lines)
 
 
-APT = CamFormat("apt", (".apt", ".aptsource", ".cls", ".clsf", ".cl", ".clf", ".ncl", ".cldata"), read)
+APT = CamFormat("apt", (".apt", ".aptsource", ".cls", ".clsf", ".cl", ".clf", ".ncl", ".cldata"), read, survey=survey)
 """Cutter-location files: APT, CLDATA, CLSF."""

@@ -7,6 +7,7 @@
 - `modes`: modal state, tools, spindle, origins and machine positions
 - `cycles`, `arcs`, `moves`, `path`: from lines to motions in `$BASE`
 - `reader`: from a document to a `Program`
+- `survey`: what the text shows before it is read: tools, offsets, M codes
 - `foreign`: programs for other controls
 """
 

@@ -45,6 +45,7 @@ from postproc.dialects.gcode.modes import Modes, read_modes
 from postproc.dialects.gcode.moves import CellFrames, line_states_of
 from postproc.dialects.gcode.path import CHORD, MotionPath, Speeds, read_path
 from postproc.dialects.gcode.rotary import RotaryAxes
+from postproc.dialects.gcode.survey import survey
 from postproc.dialects.gcode.words import Fault
 from postproc.dialects.text import decode, line_spans
 from postproc.errors import ForceError, InputError, Issue, ProgramError, together
@@ -262,5 +263,5 @@ def _issues(path: MotionPath, modes: Modes) -> Iterator[Issue]:
         yield Issue("info", "null-move", message, lines[0], count=len(lines), lines=lines)
 
 
-GCODE = CamFormat("gcode", (".nc", ".ngc", ".tap", ".cnc", ".gcode", ".mpf", ".ptp"), read)
+GCODE = CamFormat("gcode", (".nc", ".ngc", ".tap", ".cnc", ".gcode", ".mpf", ".ptp"), read, survey=survey)
 """G-code of milling with three to five axes."""

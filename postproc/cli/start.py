@@ -1,0 +1,264 @@
+"""`postproc start`: from a program to a corrected one, by questions or by options."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from postproc.cli.options import complete_files, complete_robots
+from postproc.cli.terminal import is_terminal
+
+if TYPE_CHECKING:
+    from postproc.jobs import Outcome
+    from postproc.jobs.guided_start import Answers, Question
+    from postproc.jobs.program_needs import ProgramNeeds
+
+_PATH = click.Path(path_type=Path)
+_KEYS = {"rotary": "rotary_axes"}
+"""Options whose answers have another name."""
+_NUMBERED = {"tools": "tool", "work_offset": "work_offset", "m_code": "m_code", "rotary_point": "rotary_point",
+             "cutter": "cutter", "flutes": "flutes", "rpm": "rpm"}  # fmt: skip
+"""Options that may be given several times: option → first part of the name of its answers."""
+_OF_PROCESS = ("material", "cutter", "flutes", "rpm", "stock")
+
+
+@click.command()
+@click.argument("program", type=_PATH, shell_complete=complete_files)
+@click.option("-o", "--output", type=_PATH, help="Folder to write into; default: corrected/ next to the program.")
+@click.option("--cell", "own_cell", type=_PATH, help="Cell file that is there: nothing is asked about the cell.")
+@click.option("--process", "own_process", type=_PATH, help="Process file that is there: nothing is asked about it.")
+@click.option("--forces", type=_PATH, help="File of cutting forces, instead of a process.")
+@click.option("--robot", shell_complete=complete_robots, help="Robot: a name of `postproc robots`, or a model folder.")
+@click.option("--base", metavar="X,Y,Z[,A,B,C]", help="$BASE in the robot root.")
+@click.option("--tool", metavar="X,Y,Z[,A,B,C]", help="$TOOL in the flange frame.")
+@click.option("--tools", multiple=True, metavar="N=X,Y,Z", help="$TOOL of tool N; once for each that is changed to.")
+@click.option("--work-offset", multiple=True, metavar="G55=X,Y,Z", help="Frame of a work offset in $BASE.")
+@click.option("--m-code", multiple=True, metavar="M31[=LINE]", help="M code: without effect, or the line to write.")
+@click.option("--rotary", metavar="C,B", help="Rotary axes from the part outwards.")
+@click.option("--rotary-kind", metavar="KIND", help="What X, Y, Z are: tcp or indexed.")
+@click.option("--rotary-point", multiple=True, metavar="A=X,Y,Z", help="A point of an indexed axis in $BASE.")
+@click.option("--home", metavar="X,Y,Z", help="Where X, Y, Z are before the first move and after G28, G53.")
+@click.option("--radius-offsets", metavar="WEAR", help="What D of G41 and G42 holds: wear or radius.")
+@click.option("--dwell-unit", metavar="UNIT", help="P of G4 and of cycles: s or ms.")
+@click.option("--clearance", metavar="Z", help="Z of $BASE to which G28, G30 and G53 retract.")
+@click.option("--tool-change", metavar="LINE", help="Line for M6, with {T}; hand or none. Default: hand.")
+@click.option("--spindle", metavar="ON|OFF", help="Lines for M3, with {S}, and M5; default: hand.")
+@click.option("--coolant", metavar="ON|OFF", help="Lines for M7 and M8, and for M9; default: hand.")
+@click.option("--part-tolerance", metavar="MM", help="What the part may be off (95 %); default: not judged.")
+@click.option("--material", metavar="NAME", help="Material: a name of `postproc forces --materials`.")
+@click.option("--cutter", multiple=True, metavar="[N=]SHAPE,D[,R]", help="Cutter: flat,12; ball,6; bull,12,1; drill,8.")
+@click.option("--flutes", multiple=True, metavar="[N=]COUNT", help="Cutting edges, of tool N or of all.")
+@click.option("--rpm", multiple=True, metavar="[N=]RPM", help="Spindle speed where the program states none.")
+@click.option("--stock", metavar="BOX|STL", help="Stock: X=0:100,Y=0:80,Z=-20:0 in $BASE, or a mesh.")
+@click.option("--to", metavar="NAME", help="Language to write; default: that of the robot.")
+@click.option("--no-open", is_flag=True, help="Do not open the report.")
+@click.option("--overwrite", is_flag=True, help="Replace a cell and a process that were edited, and results.")
+@click.pass_context
+def start(ctx: click.Context, /, program: Path, output: Path | None, no_open: bool, **given: Any) -> None:
+    """Correct a first program: asks for what is missing, then converts it and opens the report.
+
+    Tools, work offsets, spindle speeds and M codes are read from the program and from the comments of the CAM system.
+    Each answer is checked at once and kept in NAME.answers.toml: an interrupted start goes on where it was. Writes a
+    cell and a process file with comments, next to the results. Without a terminal all answers are options, and what
+    is missing is listed.
+
+    \b
+    Examples:
+      postproc start part.nc
+      postproc start samples/plate.nc --robot kuka_kr270 --base 1500,-200,700 --tool 0,0,350 \\
+        --material al_6082_t6_carbide --flutes 3 -o first
+    """  # noqa: D301 - click: keep these lines as they are
+    from postproc.jobs.guided_start import Answers, is_edited, load_answers, write_files
+    from postproc.jobs.program_needs import needs_of
+
+    needs = needs_of(program)
+    print_needs(needs)
+    if needs.refusal:
+        raise click.ClickException(f"{needs.refusal}\nNo answer makes this program readable: nothing was asked.")
+    folder = program.parent / "corrected" if output is None else output
+    kept_at = folder / f"{program.stem}.answers.toml"
+    kept = load_answers(kept_at, program)
+    cell, process = given["own_cell"], given["own_process"] or given["forces"]
+    keep_cell = cell is not None or (is_edited(folder / "cell.toml", kept) and not given["overwrite"])
+    cell = cell or folder / "cell.toml"
+    own_process = folder / f"{program.stem}.process.toml"
+    keep_process = process is not None or (is_edited(own_process, kept) and not given["overwrite"])
+    if process is None and (keep_process or not needs.forces_stated):
+        process = own_process
+    for path in (cell, process):
+        if path in (folder / "cell.toml", own_process) and is_edited(path, kept) and not given["overwrite"]:
+            click.echo(f"{path} is used as it is.")
+    answers = Answers()
+    asking = {"cell": not keep_cell, "process": not keep_process and process is not None}
+    _ask(needs, answers, kept, kept_at, _stated(given, needs), asking)
+    made = write_files(needs, answers, kept, cell=cell, process=process, keep_cell=keep_cell, keep_process=keep_process)
+    _keep(kept_at, kept)
+    for remark in made.remarks:
+        click.echo(f"warning: {remark}", err=True)
+    outcome = _converted(ctx, program, folder, made.cell, made.process, given)
+    _advise_place(outcome, program, made.cell, made.process)
+    page = folder / f"{Path(outcome.written[0]).name.partition('.')[0]}.report.html" if outcome.written else None
+    if page is not None and page.is_file() and not no_open and sys.stdout.isatty():
+        click.launch(str(page))
+    ctx.exit(outcome.code)
+
+
+def print_needs(needs: ProgramNeeds) -> None:
+    """Print what the program shows."""
+    parts = [
+        f"T{number}" + (f" ({cutter.text})" if (cutter := needs.cutters.get(number)) else "") for number in needs.tools
+    ]
+    facts = [f"tools: {', '.join(parts)}"] if parts else []
+    facts += [f"work offsets: G54, {', '.join(needs.work_offsets)}"] if needs.work_offsets else []
+    facts += [f"rotary axes: {', '.join(needs.rotary)}"] if needs.rotary else []
+    facts += [f"M codes of the machine: {', '.join(needs.m_codes)}"] if needs.m_codes else []
+    facts += ["cutting forces in comments"] if needs.forces_stated else []
+    if needs.span is not None:
+        spans = (f"{axis} {low:g} to {high:g}" for axis, low, high in zip("XYZ", *needs.span, strict=True))
+        facts.append(f"cuts {', '.join(spans)} mm")
+    click.echo("\n  ".join([f"{needs.file.name}:", *facts]))
+
+
+def _stated(given: Mapping[str, Any], needs: ProgramNeeds) -> dict[str, str]:
+    """Return the answers that options give, as texts by name."""
+    texts = {_KEYS.get(name, name): value for name, value in given.items() if isinstance(value, str) and name != "to"}
+    for option, name in _NUMBERED.items():
+        for text in given[option]:
+            texts |= dict(_numbered(option, name, text, needs))
+    return texts
+
+
+def _numbered(option: str, name: str, text: str, needs: ProgramNeeds) -> Iterator[tuple[str, str]]:
+    key, equals, value = text.partition("=")
+    key = key.strip().upper()
+    if option == "m_code":
+        yield f"{name}.{key}", value or "none"
+    elif not equals and option in _OF_PROCESS:
+        for number in needs.tools or (0,):
+            yield f"{name}.{number}", text
+    elif not equals:
+        raise click.BadParameter(f"{text!r}: write NAME=VALUE.", param_hint=f"--{option.replace('_', '-')}")
+    else:
+        key = key.removeprefix("T") if option in ("tools", *_OF_PROCESS) else key
+        yield f"{name}.{key}", f"0,0,{value}" if option == "tools" and "," not in value else value
+
+
+def _ask(
+    needs: ProgramNeeds,
+    answers: Answers,
+    kept: Any,
+    kept_at: Path,
+    stated: Mapping[str, str],
+    asking: Mapping[str, bool],
+) -> None:
+    """Fill the answers from options, from an earlier start, and from questions; keep each as it is given."""
+    from postproc.errors import InputError
+    from postproc.jobs.guided_start import next_question
+
+    on_terminal = is_terminal()
+    missing: list[Question] = []
+    asked: set[str] = set()
+    while question := next_question(needs, answers, {each.key for each in missing}, **asking):
+        asked.add(question.key)
+        text = stated.get(question.key, kept.answers.get(question.key))
+        if text is None and on_terminal:
+            text = prompted(question, first=not answers.values)
+        elif text is None and question.optional and question.default is not None:
+            text = question.default
+        if text is None:
+            missing.append(question)
+            continue
+        try:
+            answers.put(question, text)
+        except InputError as cause:
+            source = question.option.split()[0] if question.key in stated else str(kept_at)
+            raise click.BadParameter(str(cause), param_hint=source) from None
+        if on_terminal or question.key in stated:
+            kept.answers[question.key] = text
+            _keep(kept_at, kept)
+    for name in stated.keys() - asked:
+        click.echo(f"note: this program needs no answer about {name}: it is not used", err=True)
+    if missing:
+        lines = [f"  {each.option}    {each.text}" for each in missing]
+        raise click.UsageError("\n".join(["Missing, and there is no terminal to ask on:", *lines]))
+
+
+def _keep(path: Path, kept: Any) -> None:
+    from postproc.jobs.guided_start import save_answers
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    save_answers(path, kept)
+
+
+def prompted(question: Question, *, first: bool) -> str:
+    """Ask on the terminal until the answer can be used; return its text."""
+    if first:
+        click.echo("Lengths in mm, angles in degrees. Enter takes the value in brackets. Ctrl-C keeps the answers.")
+    if question.hint:
+        click.echo(question.hint)
+    answer: str = click.prompt(
+        question.text,
+        default=question.default,
+        show_default=bool(question.default),
+        value_proc=_checking(question.parse),
+    )
+    return answer
+
+
+def _checking(parse: Callable[[str], Any]) -> Callable[[str], str]:
+    """Return a function that passes texts on that `parse` takes."""
+    from postproc.errors import InputError
+
+    def check(text: str) -> str:
+        try:
+            parse(text)
+        except InputError as cause:
+            raise click.BadParameter(str(cause)) from None
+        return text
+
+    return check
+
+
+def _converted(
+    ctx: click.Context, program: Path, folder: Path, cell: Path, process: Path | None, given: Mapping[str, Any]
+) -> Outcome:
+    """Convert the program, print what came of it, and return it."""
+    from postproc.cli.outcomes import work_through
+    from postproc.jobs import Settings, find_jobs
+    from postproc.jobs.programs import load_setup
+
+    language = load_setup(Settings(cell=cell))[1].language
+    to = given["to"] or (language if language not in ("", "krl") else None)
+    jobs = find_jobs([str(program)], forces=process, output=folder, to=to)
+    settings = Settings(cell=cell, overwrite=given["overwrite"])
+    (outcome,) = work_through(ctx, jobs, settings, as_json=False)
+    return outcome
+
+
+def _advise_place(outcome: Outcome, program: Path, cell: Path, process: Path | None) -> None:
+    """Offer `place` where another place of the part would gain."""
+    from postproc.errors import argument
+
+    if (reason := _gain_of_place(outcome)) is None:
+        return
+    forces = "" if process is None else f" --{'process' if process.suffix == '.toml' else 'forces'} {argument(process)}"
+    command = f"postproc place {argument(program)} --cell {argument(cell)}{forces} -o {argument(cell.parent / 'place')}"
+    click.echo(f"{reason}: another place of the part may help. Look for one with\n  {command}")
+
+
+_OF_PLACE = ("joint-limit", "joint-speed", "singular", "reach", "branch", "collision")
+"""Beginnings of the kinds of issues that another place of the part may mend."""
+
+
+def _gain_of_place(outcome: Outcome) -> str | None:
+    issues = outcome.issues if outcome.summary is None else outcome.summary.issues
+    if any(issue.kind.startswith(_OF_PLACE) and issue.level != "info" for issue in issues):
+        return "The robot is near a limit here"
+    verdict = None if outcome.summary is None else outcome.summary.verdict
+    if verdict is not None and verdict.tolerance is not None and not verdict.tolerance.held:
+        return "The tolerance is not held"
+    return None

@@ -1,0 +1,32 @@
+"""What the text of a cutter-location file shows before it is read with a cell: tools, cutters, spindle, coolant."""
+
+from __future__ import annotations
+
+import re
+
+from postproc.dialects.apt.statements import split
+from postproc.dialects.dialect import Survey
+from postproc.program import Document
+
+_LOAD = re.compile(r"(?:LOADTL/|LOAD/TOOL,)(\d+)")
+
+
+def survey(document: Document) -> Survey:
+    """Return what the text shows. ``CUTTER/`` is a comment of its line, as it describes the tool that follows."""
+    statements = split(document)
+    comments, changes, switches = list(statements.comments), [], set()
+    inches = False
+    for row in statements.others.tolist():
+        text, line = statements.of(row), int(statements.line[row])
+        if found := _LOAD.match(text):
+            changes.append((line, int(found[1])))
+        elif text.startswith("CUTTER/"):
+            comments.append((line, text))
+        elif text.startswith("SPINDL/") and not text.endswith("OFF"):
+            switches.add("spindle")
+        elif text.startswith("COOLNT/") and not text.endswith("OFF"):
+            switches.add("coolant")
+        elif text.startswith("UNITS/"):
+            inches = "INCH" in text
+    comments.sort(key=lambda comment: comment[0])
+    return Survey(comments=tuple(comments), tool_changes=tuple(changes), switches=frozenset(switches), inches=inches)

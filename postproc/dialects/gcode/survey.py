@@ -1,0 +1,73 @@
+"""What the text of a G-code program shows before it is read with a cell: tools, offsets, M codes, rotary axes."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from postproc.cell import FIXED_M_CODES
+from postproc.dialects.dialect import Survey
+from postproc.dialects.gcode import codes
+from postproc.dialects.gcode.modes import TCP_ON
+from postproc.dialects.gcode.words import Source, split
+from postproc.program import Document
+
+_CODES = re.compile(rb"[GMT]0*\d[\d.]*")
+_CODE_LINE = re.compile(rb"[^\n]*[MT]0*\d[^\n]*")
+_ROTARY = re.compile(rb"([ABC])[-+]?\d")
+_FLOW = re.compile(rb"M0*(?:98|99)(?!\d)")
+_OFFSETS = {f"G{code:g}" for code in codes.WORK_OFFSETS[1:]}
+
+
+def survey(document: Document) -> Survey:
+    """Return what the text shows; nothing is executed, so words of expressions and loops are not seen."""
+    source = split(document)
+    words = {_normal(found[0]) for found in _CODES.finditer(source.code)}
+    own = sorted((word for word in words if word[0] == "M" and _is_of_machine(float(word[1:]))), key=_order)
+    rotary = tuple(sorted({found[1].decode() for found in _ROTARY.finditer(source.code)}))
+    switches = {name for name, group in (("spindle", codes.SPINDLE[:2]), ("coolant", codes.COOLANT[:2]))
+                if words & {f"M{code:g}" for code in group}}  # fmt: skip
+    return Survey(
+        comments=tuple(zip(source.comment_lines.tolist(), source.comments, strict=True)),
+        tool_changes=tuple(_tool_changes(source)),
+        work_offsets=tuple(sorted(words & _OFFSETS, key=_order)),
+        m_codes=tuple(own),
+        rotary=rotary,
+        tip_controlled=bool(words & set(TCP_ON)),
+        switches=frozenset(switches),
+        inches="G20" in words,
+    )
+
+
+def _is_of_machine(code: float) -> bool:
+    if code in codes.ACCEPTED_M or code in codes.OVERRIDES or code != int(code):
+        return False
+    return int(code) not in FIXED_M_CODES
+
+
+def _tool_changes(source: Source) -> Iterator[tuple[int, int]]:
+    """Yield line and number of each M6, with the T in force; of a program without M6, those of each T."""
+    changes, selections, tool = [], [], None
+    for found in _CODE_LINE.finditer(source.code):
+        words = [_normal(word[0]) for word in _CODES.finditer(found[0])]
+        line = source.code.count(b"\n", 0, found.start())
+        for word in words:
+            if word[0] == "T" and float(word[1:]) == int(float(word[1:])):
+                tool = int(float(word[1:]))
+                selections.append((line, tool))
+        if f"M{codes.CHANGE:g}" in words and tool is not None:
+            changes.append((line, tool))
+    yield from changes or selections
+
+
+def _normal(word: bytes) -> str:
+    """Return a word as codes are written: ``G54`` for ``G054.0``; the letter alone where there is no number."""
+    text = word.decode("ascii")
+    try:
+        return f"{text[0]}{float(text[1:]):g}"
+    except ValueError:
+        return f"{text[0]}-1"
+
+
+def _order(word: str) -> float:
+    return float(word[1:])

@@ -1,0 +1,441 @@
+"""From a program to a cell and a process: the questions that are open, their answers, the files that they make.
+
+`postproc start` and `postproc init PROGRAM` ask the same questions about the cell. Each question depends on the program
+(`program_needs.ProgramNeeds`) and on earlier answers, so `next_question` is called again after each answer.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Collection, Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import tomli_w
+from msgspec import Struct, field
+
+from postproc import files
+from postproc import robot as robots
+from postproc.cell import Box
+from postproc.errors import InputError
+from postproc.jobs import answers as parse
+from postproc.jobs.answers import BY_HAND, CutterShape, Numbers, box_text
+from postproc.jobs.first_steps import CLEARANCE_MM, CellRequest, relative_path, usual_base, write_cell
+from postproc.jobs.program_needs import ProgramNeeds
+from postproc.jobs.programs import Settings, find_jobs
+from postproc.jobs.runs import convert_all
+from postproc.machining.material import table
+from postproc.machining.process import StockTable
+from postproc.machining.process import load as load_process
+from postproc.machining.tool_comments import CommentedTool
+
+_ABOVE_MM = 50.0
+"""Retract this much above the highest cutting move unless something else is said [mm]."""
+_CELLS_ACROSS = 500.0
+"""The map of the stock has at most this many cells across, between the limits of `_RESOLUTIONS` [mm]."""
+_RESOLUTIONS = (0.25, 1.0)
+NO_NUMBER = 0
+"""Number of the tool of a program that names none: ``[tools.default]``."""
+MACHINE_QUESTION = "m_code."
+
+
+class Question(Struct, frozen=True):
+    """A question to the user.
+
+    :param key: name of the answer, such as ``"robot"``, ``"cutter.3"``.
+    :param text: the question.
+    :param option: the option that answers it, with an example.
+    :param parse: text → value; raises `InputError` with what to write instead.
+    :param default: text that is offered; None: there is none.
+    :param optional: without a terminal the default is taken.
+    :param hint: a line before the question; empty: none.
+    """
+
+    key: str
+    text: str
+    option: str
+    parse: Callable[[str], Any]
+    default: str | None = None
+    optional: bool = False
+    hint: str = ""
+
+
+class Answers(Struct):
+    """Answers so far: values by key, and the texts that they were read from."""
+
+    values: dict[str, Any] = field(default_factory=dict)
+    texts: dict[str, str] = field(default_factory=dict)
+
+    def put(self, question: Question, text: str) -> None:
+        """Take a text as answer.
+
+        :raises InputError: it is none.
+        """
+        self.values[question.key] = question.parse(text)
+        self.texts[question.key] = text
+
+    def numbered(self, name: str) -> dict[int, Any]:
+        """Return the values of ``name.N`` by N."""
+        return {int(key.partition(".")[2]): value for key, value in self.values.items() if key.startswith(f"{name}.")}
+
+    def of_codes(self, name: str) -> dict[str, Any]:
+        """Return the values of ``name.CODE`` by the code."""
+        return {key.partition(".")[2]: value for key, value in self.values.items() if key.startswith(f"{name}.")}
+
+
+def next_question(
+    needs: ProgramNeeds, answers: Answers, skipped: Collection[str] = (), *, cell: bool = True, process: bool = True
+) -> Question | None:
+    """Return the first question that is neither answered nor skipped; None: all are.
+
+    :param cell: ask for the cell.
+    :param process: ask for the process, if the program states no forces.
+    """
+    questions = [*(_cell_questions(needs, answers) if cell else ())]
+    if process and not needs.forces_stated:
+        questions += _process_questions(needs, answers)
+    return next((each for each in questions if each.key not in answers.values and each.key not in skipped), None)
+
+
+def _cell_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Question]:
+    yield Question(
+        "robot",
+        "Robot, or the path of a model folder",
+        "--robot kuka_kr270",
+        parse.robot,
+        "kuka_kr270",
+        hint=f"Robots: {', '.join(robots.shipped())}",
+    )
+    base = _usual_base(answers)
+    yield Question("base", "$BASE in the robot root: X,Y,Z[,A,B,C]", "--base X,Y,Z", parse.full_frame, base)
+    if needs.changes_tools:
+        for number in needs.tools:
+            yield Question(
+                f"tool.{number}",
+                f"$TOOL of T{number}{_named(needs, number)}, tip in the flange frame: X,Y,Z[,A,B,C]",
+                f"--tools {number}=X,Y,Z",
+                parse.full_frame,
+                "0,0,350",
+            )
+    else:
+        text = "$TOOL, the tool tip in the flange frame: X,Y,Z[,A,B,C]"
+        yield Question("tool", text, "--tool X,Y,Z", parse.full_frame, "0,0,350")
+    for code in needs.work_offsets:
+        text = f"{code}, which the program uses, in $BASE: X,Y,Z[,A,B,C]"
+        yield Question(f"work_offset.{code}", text, f"--work-offset {code}=X,Y,Z", parse.full_frame)
+    for code in needs.m_codes:
+        text = f"{code} of the machine: none if it has no effect on the robot, or the line to write for it"
+        yield Question(MACHINE_QUESTION + code, text, f"--m-code {code}", parse.line, parse.NO_LINES)
+    yield from _rotary_questions(needs, answers)
+    yield from _setting_questions(needs)
+    height = CLEARANCE_MM if needs.span is None else max(CLEARANCE_MM, round(needs.span[1][2] + _ABOVE_MM, -1))
+    text = "Z of $BASE to which programs retract (G28, G30, G53)"
+    yield Question("clearance", text, "--clearance Z", parse.number, f"{height:g}", optional=True)
+    if needs.changes_tools:
+        text = "Tool change: hand (the program stops), none, or a line that calls the changer, with {T}"
+        yield Question("tool_change", text, "--tool-change LINE", parse.line, BY_HAND, optional=True)
+    for name, codes in (("spindle", "M3, with {S}, and M5"), ("coolant", "M7 and M8, and for M9")):
+        if name in needs.switches:
+            text = f"{name.capitalize()}: lines for {codes}, with | between, or hand"
+            yield Question(name, text, f'--{name} "ON|OFF"', parse.switch, BY_HAND, optional=True)
+    text = "What the part may be off, mm (95 %); empty: nothing is judged by it"
+    yield Question("part_tolerance", text, "--part-tolerance MM", parse.tolerance, "", optional=True)
+
+
+def _usual_base(answers: Answers) -> str | None:
+    robot = answers.values.get("robot")
+    return None if robot is None else ",".join(f"{value:g}" for value in usual_base(robot))
+
+
+def _named(needs: ProgramNeeds, number: int) -> str:
+    """Return what comments say of a tool, in brackets."""
+    comment = needs.cutters[number].text if number in needs.cutters else ""
+    return f" ({comment})" if comment else ""
+
+
+def _rotary_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Question]:
+    if not needs.rotary:
+        return
+    usual = ",".join(letter for letter in "CBA" if letter in needs.rotary)
+    text = "Rotary axes from the part outwards"
+    yield Question("rotary_axes", text, f"--rotary {usual}", parse.rotary_axes, usual, optional=len(needs.rotary) == 1)
+    text = "X, Y, Z of the program: tcp (tip in the part, tool-centre-point control) or indexed (the part turns)"
+    kind = "tcp" if needs.tip_controlled else None
+    yield Question(
+        "rotary_kind", text, "--rotary-kind tcp", parse.one_of("tcp", "indexed"), kind, optional=needs.tip_controlled
+    )
+    if answers.values.get("rotary_kind") == "indexed":
+        for letter in answers.values.get("rotary_axes", ()):
+            text = f"A point of the rotary axis {letter} in $BASE: X,Y,Z"
+            yield Question(f"rotary_point.{letter}", text, f"--rotary-point {letter}=X,Y,Z", parse.place)
+
+
+def _setting_questions(needs: ProgramNeeds) -> Iterator[Question]:
+    if "home" in needs.settings:
+        text = "Where X, Y, Z are before the first move and after G28, G53, in $BASE: X,Y,Z"
+        yield Question("home", text, "--home X,Y,Z", parse.place)
+    if "radius_offsets" in needs.settings:
+        text = "G41 and G42: does D of the control hold wear only (the path is that of the tool centre)? wear or radius"
+        yield Question("radius_offsets", text, "--radius-offsets wear", parse.one_of("wear", "radius"))
+    if "dwell_unit" in needs.settings:
+        text = "P of G4 and of cycles: s (LinuxCNC) or ms (Fanuc, Haas, Mach3)"
+        yield Question("dwell_unit", text, "--dwell-unit ms", parse.one_of("s", "ms"))
+
+
+def _process_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Question]:
+    yield Question("material", "Material", "--material NAME", parse.material, hint=f"Materials: {', '.join(table())}")
+    for number in needs.tools or (NO_NUMBER,):
+        name = f"T{number}" if number else "the tool"
+        comment = needs.cutters.get(number, CommentedTool())
+        yield Question(
+            f"cutter.{number}",
+            f"Cutter of {name}{_named(needs, number)}: shape and diameter, such as flat,12; bull,12,1; ball,6; drill,8",
+            f"--cutter {number}=flat,12" if number else "--cutter flat,12",
+            parse.cutter,
+            _cutter_text(comment),
+            optional=_cutter_text(comment) is not None,
+        )
+        yield Question(
+            f"flutes.{number}",
+            f"Cutting edges of {name}",
+            f"--flutes {number}=3" if number else "--flutes 3",
+            parse.flutes,
+            None if comment.flutes is None else str(comment.flutes),
+            optional=comment.flutes is not None,
+        )
+        if not needs.has_speeds:
+            text = f"Spindle speed of {name}, 1/min: the program states none"
+            yield Question(f"rpm.{number}", text, f"--rpm {number}=12000", parse.speed)
+    box = _stock_guess(needs, answers)
+    source = "from its comments" if needs.stock_mm is not None else "around what the tools sweep: check it"
+    yield Question(
+        "stock",
+        f"Stock in $BASE, mm, or the path of an STL ({source})" if box else "Stock in $BASE, mm, or the path of an STL",
+        "--stock X=0:100,Y=0:80,Z=-20:0",
+        parse.stock,
+        None if box is None else box_text(box),
+        optional=box is not None,
+    )
+
+
+def _cutter_text(comment: CommentedTool) -> str | None:
+    """Return a cutter as `answers.cutter` takes it; None: comments leave something open."""
+    if comment.shape is None or comment.diameter_mm is None:
+        return None
+    corner = f",{comment.corner_radius_mm:g}" if comment.shape == "bull" else ""
+    return f"{comment.shape},{comment.diameter_mm:g}{corner}"
+
+
+def _stock_guess(needs: ProgramNeeds, answers: Answers) -> Box | None:
+    diameters = {number: shape.diameter_mm for number, shape in answers.numbered("cutter").items()}
+    return needs.stock_box(diameters)
+
+
+class StartFiles(Struct, frozen=True):
+    """Files of a start.
+
+    :param cell: the cell file; `process`: the process file, None: the program states its forces.
+    :param remarks: what the user should look at.
+    """
+
+    cell: Path
+    process: Path | None
+    remarks: tuple[str, ...]
+
+
+def cell_request(output: Path, answers: Answers, **others: Any) -> CellRequest:
+    """Return the request for the cell that answers describe; values that nobody was asked for have their defaults.
+
+    :param others: further fields of the request, such as ``axis``.
+    """
+    values = answers.values
+    tools: dict[int, Numbers] = answers.numbered("tool")
+    request: dict[str, Any] = {
+        "tool": values["tool"] if "tool" in values else next(iter(tools.values())),
+        "tools": tools,
+        "work_offsets": answers.of_codes("work_offset"),
+        "m_codes": {
+            code: [] if text == parse.NO_LINES else [text] for code, text in answers.of_codes("m_code").items()
+        },
+    }
+    names = ("robot", "base", "clearance", "tool_change", "spindle", "coolant", "part_tolerance", "home")
+    request |= {name: values[name] for name in (*names, "radius_offsets", "dwell_unit") if name in values}
+    if "rotary_axes" in values:
+        points = answers.of_codes("rotary_point")
+        request["rotary"] = parse.rotary(values["rotary_axes"], values["rotary_kind"], points)
+    return CellRequest(output=output, **(request | others))
+
+
+def write_process(path: Path, needs: ProgramNeeds, answers: Answers) -> tuple[str, ...]:
+    """Write a process file with comments, and read it back.
+
+    :returns: what the user should look at.
+    :raises InputError: it cannot be written, or a value is invalid.
+    """
+    stock: StockTable = answers.values["stock"]
+    lines = [
+        f"# Process of {needs.file.name} for postproc: mm, 1/min. docs/reference/forces.md describes every key.",
+        "[material]",
+        f"name = {_quoted(answers.values['material'])}    # postproc forces --materials lists them, with sources",
+    ]
+    for number, shape in answers.numbered("cutter").items():
+        lines += ["", *_tool_lines(number, shape, needs, answers)]
+    lines += ["", "[stock]                          # before this program", *_stock_lines(path.parent, stock)]
+    files.write_whole(path.parent, {path.name: ("\n".join(lines) + "\n").encode()})
+    load_process(path)
+    if stock.box is not None and needs.stock_mm is None and answers.texts.get("stock", "") == _guessed(needs, answers):
+        return (f"{path.name}: the stock is assumed from what the tools sweep. Check it: forces depend on it.",)
+    return ()
+
+
+def _guessed(needs: ProgramNeeds, answers: Answers) -> str:
+    box = _stock_guess(needs, answers)
+    return "" if box is None else box_text(box)
+
+
+def _tool_lines(number: int, shape: CutterShape, needs: ProgramNeeds, answers: Answers) -> Iterator[str]:
+    key = str(number) if number else "default"
+    comment = needs.cutters[number].text if number in needs.cutters else ""
+    yield f"[tools.{key}]" + (f"    # {' '.join(comment.split())}" if comment.isprintable() and comment else "")
+    yield f'shape = "{shape.shape}"'
+    yield f"diameter_mm = {shape.diameter_mm:g}"
+    if shape.shape == "bull":
+        yield f"corner_radius_mm = {shape.corner_radius_mm:g}"
+    yield f"flutes = {answers.values[f'flutes.{number}']}"
+    if f"rpm.{number}" in answers.values:
+        yield f"rpm = {answers.values[f'rpm.{number}']:g}"
+
+
+def _stock_lines(folder: Path, stock: StockTable) -> Iterator[str]:
+    if stock.box is None:
+        yield f"file = {_quoted(relative_path(folder, Path(stock.file or '')))}    # closed mesh, mm, in $BASE"
+        return
+    spans = {axis: getattr(stock.box, axis) for axis in "XYZ"}
+    yield "box = { " + ", ".join(f"{axis} = [{low:g}, {high:g}]" for axis, (low, high) in spans.items()) + " }"
+    across = max(high - low for low, high in spans.values())
+    yield f"resolution_mm = {min(max(across / _CELLS_ACROSS, _RESOLUTIONS[0]), _RESOLUTIONS[1]):.2g}"
+
+
+def _quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)
+
+
+class AnswerFile(Struct, forbid_unknown_fields=True):
+    """Content of NAME.answers.toml.
+
+    :param program: SHA-256 of the program that the answers are for.
+    :param answers: texts by key.
+    :param written: SHA-256 by name of the files that were made of them.
+    """
+
+    program: str = ""
+    answers: dict[str, str] = field(default_factory=dict)
+    written: dict[str, str] = field(default_factory=dict)
+
+
+_OF_THE_TEXT = ("cutter.", "flutes.", "rpm.", "stock", "home")
+"""Answers that hold for one text of a program only."""
+
+
+def load_answers(path: Path, program: Path) -> AnswerFile:
+    """Read the answers of an earlier start; empty where there are none.
+
+    Answers that depend on the text of the program are left out if it has changed since.
+
+    :raises InputError: the file cannot be read.
+    """
+    if not path.is_file():
+        return AnswerFile(program=sum_of(program))
+    content = files.read_toml(path, AnswerFile, InputError)
+    if content.program != sum_of(program):
+        content.answers = {key: text for key, text in content.answers.items() if not key.startswith(_OF_THE_TEXT)}
+        content.program = sum_of(program)
+    return content
+
+
+def save_answers(path: Path, content: AnswerFile) -> None:
+    """Write answers, so that an interrupted start goes on with them."""
+    head = "# Answers of `postproc start`: remove a line to be asked again.\n"
+    data = {"program": content.program, "answers": content.answers, "written": content.written}
+    files.write_whole(path.parent, {path.name: (head + tomli_w.dumps(data)).encode()})
+
+
+def sum_of(path: Path) -> str:
+    """Return the SHA-256 of a file; empty where there is none."""
+    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
+
+
+def is_edited(path: Path, content: AnswerFile) -> bool:
+    """Return whether a file is there that is not the one that was made of the answers."""
+    return path.exists() and content.written.get(path.name) != sum_of(path)
+
+
+def write_files(
+    needs: ProgramNeeds,
+    answers: Answers,
+    kept: AnswerFile,
+    *,
+    cell: Path,
+    process: Path | None,
+    keep_cell: bool,
+    keep_process: bool,
+    **others: Any,
+) -> StartFiles:
+    """Write cell and process of the answers.
+
+    :param kept: gets the sums of the files.
+    :param process: None: none is needed.
+    :param keep_cell: use the cell file as it is; `keep_process`: likewise.
+    :param others: further fields of `CellRequest`.
+    """
+    remarks: tuple[str, ...] = ()
+    if not keep_cell:
+        remarks += write_cell(cell_request(cell, answers, overwrite=True, **others))
+        kept.written[cell.name] = sum_of(cell)
+    if process is not None and not keep_process:
+        remarks += write_process(process, needs, answers)
+        kept.written[process.name] = sum_of(process)
+    return StartFiles(cell, process, remarks)
+
+
+def merged(programs: list[ProgramNeeds]) -> ProgramNeeds:
+    """Return what several programs need together, for one cell."""
+    first = programs[0]
+    spans = [each.span for each in programs if each.span is not None]
+    corners = [tuple(choose(values) for values in zip(*(span[side] for span in spans), strict=True))
+               for side, choose in enumerate((min, max))] if spans else None  # fmt: skip
+    union: dict[str, Any] = {
+        name: tuple(dict.fromkeys(value for each in programs for value in getattr(each, name)))
+        for name in ("tools", "work_offsets", "m_codes", "rotary", "settings")
+    }
+    return ProgramNeeds(
+        first.file,
+        first.dialect,
+        cutters={number: cutter for each in reversed(programs) for number, cutter in each.cutters.items()},
+        tip_controlled=all(each.tip_controlled for each in programs if each.rotary),
+        switches=frozenset().union(*(each.switches for each in programs)),
+        forces_stated=all(each.forces_stated for each in programs),
+        has_speeds=all(each.has_speeds for each in programs),
+        span=None if corners is None else (corners[0], corners[1]),
+        **union,
+    )
+
+
+def problems_of(program: Path, cell: Path, to: str | None) -> list[str]:
+    """Convert a program without a process into a folder that is removed again; return what stops it.
+
+    :param to: language to write; None: that of the program, or KRL.
+    """
+    with TemporaryDirectory() as folder:
+        jobs = find_jobs([str(program)], output=Path(folder), to=to)
+        (outcome,) = convert_all(jobs, Settings(cell=cell))
+    if outcome.summary is not None:
+        return []
+    issues = [
+        f"line {issue.source_line}: {issue.message}" if issue.source_line else issue.message
+        for issue in outcome.issues
+        if issue.level == "error"
+    ]
+    return issues or [outcome.message]

@@ -1,0 +1,259 @@
+"""What a program needs from the cell and the process before it can be converted.
+
+`postproc init PROGRAM` and `postproc start PROGRAM` ask for these things only. The text of the program shows tools,
+work offsets, M codes and rotary axes (`dialects.dialect.Survey`). For the other settings the program is read with an
+answer and without it: a setting without which the reader refuses the program is needed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
+
+from postproc import correction
+from postproc.cell import Box, Cell, Frame, GCode, Machine, Rotary, Start, Tool
+from postproc.dialects import registry
+from postproc.dialects.dialect import CamFormat, Survey
+from postproc.errors import InputError
+from postproc.frames import MM_PER_M, Array
+from postproc.jobs.programs import load_robot, read_documents
+from postproc.machining.tool_comments import Comment, CommentedTool, commented_tools, stock_size
+from postproc.program import Document, Motions, Program
+from postproc.robot import RobotModel
+
+_ROBOT = "kuka_kr270"
+"""Robot of the trial readings: what a CAM program means does not depend on it."""
+_START = (0.0, -90.0, 100.0, 0.0, 80.0, 0.0)
+_CLEARANCE_MM = 200.0
+_SIDE_MM = 5.0
+"""A stock that nobody states is taken this much larger on each side than what the tools sweep [mm]."""
+
+
+_LOW_M = 1e-4
+"""A rapid move that ends this much below the highest cut is beside the stock [m]."""
+
+
+class ProgramNeeds(Struct, frozen=True):
+    """What a program needs, and what it states itself.
+
+    :param file: path of the program.
+    :param dialect: name of its format.
+    :param tools: T numbers of its tool changes, in order of first use.
+    :param cutters: T number → cutter as comments describe it; 0 for a program without tool numbers.
+    :param work_offsets: codes of work offsets other than G54.
+    :param m_codes: M codes of the machine.
+    :param rotary: letters of its rotary axes.
+    :param tip_controlled: it switches tool-centre-point control on.
+    :param switches: what it switches on: ``"spindle"``, ``"coolant"``.
+    :param settings: settings that the reader needs: ``"home"``, ``"radius_offsets"``, ``"dwell_unit"``.
+    :param forces_stated: it states its cutting forces in comments.
+    :param has_speeds: it states spindle speeds.
+    :param span: smallest and largest X, Y, Z of its cutting moves in `$BASE` with all work offsets at zero [mm]; None:
+        it could not be read, or does not cut.
+    :param low_rapids: X, Y of rapid moves that end below the top of its cuts [mm]: no stock is there at first.
+    :param stock_mm: lengths of the stock along X, Y, Z that comments state [mm].
+    :param refusal: why it cannot be converted, whatever is answered; empty: it can be read.
+    """
+
+    file: Path
+    dialect: str
+    tools: tuple[int, ...] = ()
+    cutters: Mapping[int, CommentedTool] = {}
+    work_offsets: tuple[str, ...] = ()
+    m_codes: tuple[str, ...] = ()
+    rotary: tuple[str, ...] = ()
+    tip_controlled: bool = False
+    switches: frozenset[str] = frozenset()
+    settings: tuple[str, ...] = ()
+    forces_stated: bool = False
+    has_speeds: bool = False
+    span: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    low_rapids: tuple[tuple[float, float], ...] = ()
+    stock_mm: tuple[float, float, float] | None = None
+    refusal: str = ""
+
+    @property
+    def changes_tools(self) -> bool:
+        """Whether it mounts a second tool."""
+        return len(self.tools) > 1
+
+    def stock_box(self, diameters: Mapping[int, float]) -> Box | None:
+        """Return the stock that comments state, or a box around what the tools sweep; None: it does not cut.
+
+        :param diameters: T number → diameter of its cutter [mm].
+        """
+        if self.span is None:
+            return None
+        low, high = (np.array(corner) for corner in self.span)
+        margin = 0.5 * max(diameters.values(), default=0.0) + _SIDE_MM
+        low[:2], high[:2] = low[:2] - margin, high[:2] + margin
+        if self.stock_mm is not None:
+            middle = 0.5 * (low + high)[:2]
+            low[:2], high[:2] = middle - 0.5 * np.array(self.stock_mm[:2]), middle + 0.5 * np.array(self.stock_mm[:2])
+            low[2] = min(low[2], max(high[2], 0.0) - self.stock_mm[2])
+        else:
+            low[2] -= _SIDE_MM
+            _leave_out(low, high, self.low_rapids, margin)
+        high[2] = max(high[2], 0.0)
+        low, high = np.floor(low) + 0.0, np.ceil(high) + 0.0
+        if low[2] >= high[2]:
+            high[2] = low[2] + 1.0
+        return Box(*((float(a), float(b)) for a, b in zip(low, high, strict=True)))
+
+
+def needs_of(path: Path, dialect: str | None = None) -> ProgramNeeds:
+    """Return what a program needs.
+
+    :param dialect: name of its format; None: by the extension.
+    :raises ProgramError: the file cannot be read.
+    :raises InputError: its extension is not known.
+    """
+    name = dialect or registry.of_file(path).name
+    documents = read_documents(path, name)
+    reader = registry.by_name(name)
+    survey = Survey()
+    if isinstance(reader, CamFormat) and reader.survey is not None:
+        survey = reader.survey(documents[0])
+    trial = _Trial(documents, name, path.stem, survey)
+    program, refusal, settings = trial.outcome()
+    changes = survey.tool_changes
+    comments = [Comment(line, text) for line, text in survey.comments]
+    needs = ProgramNeeds(
+        path,
+        name,
+        tools=tuple(dict.fromkeys(number for _, number in changes)),
+        cutters=commented_tools(comments, changes, inches=survey.inches),
+        work_offsets=survey.work_offsets,
+        m_codes=survey.m_codes,
+        rotary=survey.rotary,
+        tip_controlled=survey.tip_controlled,
+        switches=survey.switches,
+        settings=settings,
+        stock_mm=stock_size(comments, inches=survey.inches),
+        refusal=refusal,
+    )
+    return needs if program is None else _with_content(needs, program)
+
+
+def _with_content(needs: ProgramNeeds, program: Program) -> ProgramNeeds:
+    """Return needs with what the program that was read contains."""
+    motions = program.motions
+    tools = needs.tools or tuple(
+        dict.fromkeys(int(event.value) for event in program.events if event.kind == "tool_change")
+    )
+    return replace(
+        needs,
+        tools=tools,
+        forces_stated=bool(program.notes),
+        has_speeds=any(event.kind in ("spindle_on", "spindle_ccw") and event.value > 0.0 for event in program.events),
+        span=_span(motions),
+        low_rapids=_low_rapids(motions),
+    )
+
+
+def _low_rapids(motions: Motions) -> tuple[tuple[float, float], ...]:
+    """Return X, Y of rapid moves that end below the highest cutting target, each once to 1 mm.
+
+    Those to a place that was cut before, as into a hole between two pecks, are left out.
+    """
+    ends = motions.target[:][:, :3, 3]
+    rapid = np.asarray(motions.rapid)
+    if rapid.all():
+        return ()
+    places = [tuple(place) for place in np.round(ends[:, :2] * MM_PER_M).tolist()]
+    is_low = rapid & (ends[:, 2] < max(0.0, ends[~rapid, 2].max()) - _LOW_M)
+    has_been_cut: set[tuple[float, ...]] = set()
+    points: dict[tuple[float, float], None] = {}
+    for place, is_rapid, is_low_end in zip(places, rapid.tolist(), is_low.tolist(), strict=True):
+        if not is_rapid:
+            has_been_cut.add(place)
+        elif is_low_end and place not in has_been_cut:
+            points[place[0], place[1]] = None
+    return tuple(points)
+
+
+def _leave_out(low: Array, high: Array, points: Sequence[tuple[float, float]], margin: float) -> None:
+    """Move the nearest side of a box inwards so far that a tool at these points does not touch it.
+
+    Points that are farther inside than the path is wide are in what the program has cut before: they are left.
+    """
+    for x, y in points:
+        gaps = {(0, 0): x - low[0], (0, 1): high[0] - x, (1, 0): y - low[1], (1, 1): high[1] - y}
+        (axis, side), gap = min(gaps.items(), key=lambda item: item[1])
+        if -margin < gap <= 2.0 * margin:
+            if side == 0:
+                low[axis] = (x, y)[axis] + margin
+            else:
+                high[axis] = (x, y)[axis] - margin
+
+
+def _span(motions: Motions) -> tuple[tuple[float, float, float], tuple[float, float, float]] | None:
+    """Return the smallest and largest X, Y, Z of cutting moves [mm]; of their starts X and Y only: they come down."""
+    cutting = np.flatnonzero(~np.asarray(motions.rapid))
+    if not len(cutting):
+        return None
+    points: Array = motions.target[:][:, :3, 3]
+    ends, starts = points[cutting] * MM_PER_M, points[np.maximum(cutting - 1, 0)] * MM_PER_M
+    starts[:, 2] = ends[:, 2]
+    x, y, z = (np.round(np.minimum(ends, starts).min(axis=0), 3) + 0.0).tolist()
+    u, v, w = (np.round(np.maximum(ends, starts).max(axis=0), 3) + 0.0).tolist()
+    return (x, y, z), (u, v, w)
+
+
+_STATED: Mapping[str, Any] = {"home": [0.0, 0.0, _CLEARANCE_MM], "radius_offsets": "wear", "dwell_unit": "ms"}
+"""Settings that only some programs need, and an answer for the trial."""
+
+
+class _Trial:
+    """Readings of a program with cells that state more or less."""
+
+    def __init__(self, documents: Sequence[Document], dialect: str, name: str, survey: Survey) -> None:
+        self.documents, self.dialect, self.name, self.survey = documents, dialect, name, survey
+        self.robot: RobotModel = load_robot(_ROBOT)
+
+    def outcome(self) -> tuple[Program | None, str, tuple[str, ...]]:
+        """Return the program as it is read with every answer, why it is refused then, and the settings it needs."""
+        if registry.by_name(self.dialect).writer is not None:
+            return self._of_robot()
+        program, refusal = self._read(_STATED)
+        needed = []
+        if program is not None:
+            for setting in _STATED:
+                others = {key: value for key, value in _STATED.items() if key != setting}
+                if self._read(others)[0] is None:
+                    needed.append(setting)
+        return program, refusal, tuple(needed)
+
+    def _of_robot(self) -> tuple[Program | None, str, tuple[str, ...]]:
+        """Return a robot program; its own frames may be missing here, which is no refusal."""
+        return self._read({})[0], "", ()
+
+    def _read(self, stated: Mapping[str, Any]) -> tuple[Program | None, str]:
+        try:
+            return correction.read(self.documents, self.robot, self._cell(stated), self.name, self.dialect), ""
+        except InputError as cause:
+            return None, str(cause)
+
+    def _cell(self, stated: Mapping[str, Any]) -> Cell:
+        letters = [letter for letter in "CBA" if letter in self.survey.rotary]
+        gcode = GCode(
+            tool_change=[],
+            radius_offsets=stated.get("radius_offsets", "radius"),
+            dwell_unit=stated.get("dwell_unit"),
+        )
+        return Cell(
+            robot=_ROBOT,
+            base=Frame(X=1500.0, Z=700.0),
+            tool=Tool(Z=350.0),
+            start=Start(_START),
+            gcode=gcode,
+            machine=Machine(home=stated.get("home"), clearance_Z=_CLEARANCE_MM),
+            m_codes={code: [] for code in self.survey.m_codes},
+            work_offsets={code: Frame() for code in self.survey.work_offsets},
+            rotary=Rotary(axes=letters[:2], kind="tcp") if letters else None,  # type: ignore[arg-type]
+        )

@@ -1,0 +1,155 @@
+"""Tools and stock as CAM systems state them in comments of a program.
+
+The forms are those of public posts: Fusion and HSMWorks ``(T1 D=16. CR=0. - ZMIN=-5. - flat end mill)``, Mastercam
+``( T2 | 6. BALL ENDMILL | H2 )``, FreeCAD ``(TC: Endmill 12 mm)`` before the tool change, Vectric ``(Tool 1: End Mill
+{6 mm})`` and ``( Material Size)`` ``( X= 300.0, Y= 450.0, Z= 19.05)``. What a comment does not state is None.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Literal
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+Shape = Literal["flat", "ball", "bull", "drill"]
+MM_PER_INCH = 25.4
+
+_NUMBER = r"(\d+(?:\.\d*)?|\.\d+)"
+_UNIT = r"""\s*(mm\b|inch(?:es)?\b|in\b|")?"""
+_TOOL = re.compile(r"(?:\btool\s*(?:no\.?|number|#)?|\bT)\s*[-=:#]?\s*(\d{1,4})\b\s*-?", re.IGNORECASE)
+_APT = re.compile(r"CUTTER/\s*([\d.]+)()(?:\s*,\s*([\d.]+))?", re.IGNORECASE)
+_DIAMETERS = (
+    _APT,
+    re.compile(rf"\bD\s*[=:]\s*{_NUMBER}{_UNIT}", re.IGNORECASE),
+    re.compile(rf"\b(?:tool\s+)?dia(?:meter|\.)?(?!\s*off)\s*[-=:]?\s*{_NUMBER}{_UNIT}", re.IGNORECASE),
+    re.compile(rf"[{{⌀Ø]\s*{_NUMBER}{_UNIT}", re.IGNORECASE),
+    re.compile(
+        rf"{_NUMBER}{_UNIT}\s*(?:dia\b|(?:flat|ball|bull|square)?\s*(?:nose)?\s*end\s*mill|drill)", re.IGNORECASE
+    ),
+    re.compile(rf"(?:mill|drill|cutter|schaftfr\w*)\b\D{{0,12}}?{_NUMBER}{_UNIT}", re.IGNORECASE),
+)
+"""Where a comment states the diameter of a tool; the surest form first."""
+_CORNER = re.compile(rf"\b(?:CR|R|corner(?:\s*radius)?|rad(?:ius)?)\s*[=:.]?\s*{_NUMBER}{_UNIT}", re.IGNORECASE)
+_FLUTES = re.compile(
+    r"\b(\d{1,2})\s*-?\s*(?:FL|flutes?|teeth)\b|\b(?:flutes?|teeth|Z)\s*=\s*(\d{1,2})(?![\d.])", re.IGNORECASE
+)
+_SHAPES: tuple[tuple[re.Pattern[str], Shape], ...] = (
+    (re.compile(r"\bball\b|kugel", re.IGNORECASE), "ball"),
+    (re.compile(r"\bbull|torus", re.IGNORECASE), "bull"),
+    (re.compile(r"\bdrill|\bbohrer", re.IGNORECASE), "drill"),
+    (re.compile(r"\bflat\b|end\s*mill|\bsquare\b|face\s*mill|schaftfr", re.IGNORECASE), "flat"),
+)
+_OTHER_SHAPES = re.compile(
+    r"\b(?:form|chamfer|taper\w*|v-?bit|dovetail|thread|probe|lollipop|engrav\w*|tap)\b", re.IGNORECASE
+)
+"""Cutters that a process file cannot describe."""
+_STRAIGHT = re.compile(r"\bTAPER\s*=\s*0(?:\.0*)?\s*(?:deg)?(?![\d.])", re.IGNORECASE)
+_CUTTER = re.compile(r"mill|drill|cutter|fr[aä]ser|bohrer", re.IGNORECASE)
+_BEFORE = 8
+"""A comment without a tool number belongs to the tool change at most this many lines after it."""
+
+
+class CommentedTool(Struct, frozen=True):
+    """A cutter of a program, as its comments state it.
+
+    :param shape: None: not stated, or one that a process cannot describe.
+    :param diameter_mm: None: not stated.
+    :param corner_radius_mm: of a bull tool; 0: none.
+    :param flutes: None: not stated.
+    :param text: the comment; empty: none.
+    """
+
+    shape: Shape | None = None
+    diameter_mm: float | None = None
+    corner_radius_mm: float = 0.0
+    flutes: int | None = None
+    text: str = ""
+
+
+class Comment(Struct, frozen=True):
+    """A comment of a program and its 1-based line."""
+
+    line: int
+    text: str
+
+
+def commented_tools(
+    comments: Sequence[Comment], changes: Sequence[tuple[int, int]], *, inches: bool
+) -> Mapping[int, CommentedTool]:
+    """Return the cutter of each T number that the comments describe.
+
+    :param changes: (line, T number) of tool changes, in order.
+    :param inches: lengths without a unit are inches.
+    """
+    tools: dict[int, CommentedTool] = {}
+    for comment in comments:
+        stated = _TOOL.search(comment.text)
+        if stated is not None:
+            numbers, text = [int(stated[1])], comment.text[: stated.start()] + " " + comment.text[stated.end() :]
+        elif _CUTTER.search(comment.text):
+            lines = range(comment.line, comment.line + _BEFORE + 1)
+            numbers, text = [number for line, number in changes if line in lines][:1], comment.text
+        else:
+            continue
+        cutter = cutter_of(text, inches=inches)
+        for number in numbers:
+            if cutter.diameter_mm is not None or cutter.shape is not None:
+                known = tools.get(number, CommentedTool())
+                if known.diameter_mm is None:
+                    tools[number] = replace(cutter, text=comment.text.strip())
+    return tools
+
+
+def cutter_of(text: str, *, inches: bool) -> CommentedTool:
+    """Return the cutter that a text describes.
+
+    >>> cutter_of("D=16. CR=0. - ZMIN=-5. - flat end mill", inches=False)
+    CommentedTool(shape='flat', diameter_mm=16.0, corner_radius_mm=0.0, flutes=None, text='')
+    """
+    diameter = next((_mm(found, inches) for form in _DIAMETERS if (found := form.search(text))), None)
+    corner = 0.0 if (found := _CORNER.search(text)) is None else _mm(found, inches)
+    if (apt := _APT.search(text)) is not None:
+        corner = float(apt[3] or 0.0) * (MM_PER_INCH if inches else 1.0)
+    shape = next((shape for form, shape in _SHAPES if form.search(text)), None)
+    if _OTHER_SHAPES.search(_STRAIGHT.sub("", text)):
+        shape = None
+    elif diameter is not None and corner and shape in (None, "flat", "bull"):
+        shape = "ball" if 2.0 * corner >= diameter else "bull"
+    flutes = next((int(count) for found in _FLUTES.finditer(text) for count in found.groups() if count), None)
+    if not diameter:
+        diameter = None
+    return CommentedTool(shape, diameter, corner if shape == "bull" else 0.0, flutes or None)
+
+
+def _mm(found: re.Match[str], inches: bool) -> float:
+    unit = (found[2] or "").lower()
+    factor = MM_PER_INCH if (unit and unit != "mm") or (not unit and inches) else 1.0
+    return round(float(found[1]) * factor, 6)
+
+
+_SIZE_TITLE = re.compile(r"material\s+size|stock\s+(?:size|dimensions?)|block\s+size", re.IGNORECASE)
+_SIDE = {axis: re.compile(rf"\b{axis}\s*[=:]\s*{_NUMBER}{_UNIT}", re.IGNORECASE) for axis in "XYZ"}
+_SIDES = re.compile(
+    rf"(?:stock|rohteil\w*|blank)\D{{0,20}}{_NUMBER}\s*[x×]\s*{_NUMBER}\s*[x×]\s*{_NUMBER}{_UNIT}", re.IGNORECASE
+)
+
+
+def stock_size(comments: Iterable[Comment], *, inches: bool) -> tuple[float, float, float] | None:
+    """Return the lengths of the stock along X, Y, Z [mm] that comments state; None: they do not."""
+    titled = -10
+    for comment in comments:
+        if sides := _SIDES.search(comment.text):
+            unit = (sides[4] or "").lower()
+            factor = MM_PER_INCH if (unit and unit != "mm") or (not unit and inches) else 1.0
+            x, y, z = (float(sides[place]) * factor for place in (1, 2, 3))
+            return x, y, z
+        if _SIZE_TITLE.search(comment.text):
+            titled = comment.line
+        if comment.line - titled <= 2 and all(side.search(comment.text) for side in _SIDE.values()):
+            found = [side.search(comment.text) for side in _SIDE.values()]
+            x, y, z = (_mm(match, inches) for match in found if match is not None)
+            return x, y, z
+    return None

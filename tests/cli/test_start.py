@@ -1,0 +1,222 @@
+"""`start` and `init PROGRAM`: what a program needs, what is asked, what is kept."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from postproc import cell as cells
+from postproc.cli import main
+from postproc.jobs.program_needs import needs_of
+from postproc.machining import process as processes
+from tests.documentation.pages import ROOT
+
+PART = """%
+(T1 D=16. CR=0. - ZMIN=-5. - flat end mill)
+G21 G90 G17
+G28 G91 Z0
+G90
+T1 M6
+S8000 M3
+G0 X-30 Y20
+G43 H1 Z20
+G0 Z-2
+G1 X80 F900
+G0 Z20
+M5
+M30
+"""
+MANY = """%
+(T1 D=16. CR=0. - flat end mill)
+(T3 D=6. CR=3. - ball end mill)
+G21 G90 G17
+G28 G91 Z0
+G90
+M31
+T1 M6
+S8000 M3
+G55
+G0 X0 Y0
+G43 H1 Z20
+G1 Z-2 F500
+G1 X50
+G4 P500
+G0 Z20
+T3 M6
+S12000 M3
+G0 X10 Y10
+G0 Z5
+G1 Z-3 F300
+G1 X40
+G0 Z20
+M5
+M30
+"""
+CELL = ("--robot", "kuka_kr270", "--base", "1500,-200,700", "--tool", "0,0,350")
+ALL = (*CELL, "--material", "al_6082_t6_carbide", "--flutes", "3")
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("part.nc").write_text(PART)
+    Path("many.nc").write_text(MANY)
+
+
+def run(*arguments, **options):
+    return CliRunner().invoke(main, arguments, **options)
+
+
+def test_a_program_shows_what_it_needs():
+    needs = needs_of(Path("many.nc"))
+    assert (needs.tools, needs.work_offsets, needs.m_codes) == ((1, 3), ("G55",), ("M31",))
+    assert needs.switches == {"spindle"}
+    assert needs.settings == ("dwell_unit",)
+    assert needs.cutters[3].shape == "ball"
+    assert needs.has_speeds
+    assert not needs.forces_stated
+    assert not needs.refusal
+
+
+@pytest.mark.parametrize(
+    ("blocks", "setting"),
+    [
+        ("G0 X0 Y0 Z20\nG1 Z-1 F500\nG1 X30", None),
+        ("G0 X0 Y0 Z20\nG41 D1 X1 Y1\nG1 Z-1 F500\nX30\nG40 X40", "radius_offsets"),
+        ("G0 X5 Z5\nG53 G0 X0 Y0\nG1 Z-1 F500\nX30", "home"),
+        ("G0 X0 Y0 Z20\nG1 Z-1 F500\nG4 P800\nX30", "dwell_unit"),
+    ],
+)
+def test_a_setting_is_needed_where_the_program_cannot_be_read_without_it(blocks, setting):
+    Path("a.nc").write_text(f"G21 G90 G17\nM3 S9000\n{blocks}\nM30\n")
+    needs = needs_of(Path("a.nc"))
+    assert needs.settings == (() if setting is None else (setting,))
+
+
+def test_a_program_that_no_answer_makes_readable_says_so_and_nothing_is_asked():
+    Path("a.nc").write_text("G21 G90\nG0 X0 Y0 Z5\nG65 P9010 A1\nM30\n")
+    done = run("start", "a.nc", *ALL)
+    assert done.exit_code == 1
+    assert "a.nc:3" in done.output
+    assert "nothing was asked" in done.output
+    assert not Path("corrected").exists()
+
+
+def test_a_box_around_the_sweep_leaves_out_where_rapid_moves_come_down():
+    needs = needs_of(Path("part.nc"))
+    box = needs.stock_box({1: 16.0})
+    assert box.X[0] == -30.0 + 8.0 + 5.0  # the tool comes down at X -30, radius 8, 5 mm beside the stock
+    assert box.X[1] == 80.0 + 8.0 + 5.0
+
+
+def test_without_a_terminal_all_that_is_missing_is_listed_with_its_option():
+    done = run("start", "part.nc")
+    assert done.exit_code == 2
+    for option in ("--robot", "--base", "--tool X,Y,Z", "--material", "--flutes 1=3"):
+        assert f"\n  {option}" in done.output
+    assert "--cutter" not in done.output  # the comment states it
+
+
+def test_options_alone_make_cell_process_and_a_corrected_program():
+    done = run("start", "part.nc", *ALL, "-o", "out")
+    assert done.exit_code == 0, done.output
+    assert "the stock is assumed" in done.output
+    assert Path("out/part.src").is_file()
+    cell = cells.load("out/cell.toml")
+    assert (cell.base.X, cell.base.Y, cell.tool.Z, cell.gcode.spindle_on) == (1500.0, -200.0, 350.0, [])
+    process = processes.load("out/part.process.toml")
+    assert process.tools["1"].diameter_mm == 16.0
+    assert process.tools["1"].flutes == 3
+    assert json.loads(Path("out/part.report.json").read_text())["before"]["max_mm"] > 0.0
+
+
+def test_forces_in_comments_need_no_process():
+    done = run("start", str(ROOT / "samples" / "pocket.nc"), *CELL, "-o", "out")
+    assert done.exit_code == 0, done.output
+    assert not list(Path("out").glob("*.process.toml"))
+
+
+def test_on_a_terminal_only_what_is_missing_is_asked(monkeypatch):
+    monkeypatch.setattr("postproc.cli.start.is_terminal", lambda: True)
+    answers = ["", "1500,-200", "1500,-200,700", "", "", "hand", "", "al_6082_t6_carbide", "", "three", "3", ""]
+    done = run("start", "part.nc", "-o", "out", "--no-open", input="\n".join(answers) + "\n")
+    assert done.exit_code == 0, done.output
+    assert "2 numbers" in done.output  # an answer is checked at once, and asked for again
+    assert "'three': give the number of cutting edges" in done.output
+    assert "Coolant" not in done.output
+    assert "Tool change" not in done.output
+    assert cells.load("out/cell.toml").base.Z == 700.0
+
+
+def test_answers_are_kept_when_the_user_interrupts_and_used_when_he_goes_on(monkeypatch):
+    monkeypatch.setattr("postproc.cli.start.is_terminal", lambda: True)
+    done = run("start", "part.nc", "-o", "out", input="kuka_kr270\n1400,-100,600\n")
+    assert done.exit_code != 0
+    kept = tomllib.loads(Path("out/part.answers.toml").read_text())["answers"]
+    assert kept == {"robot": "kuka_kr270", "base": "1400,-100,600"}
+    rest = ["0,0,350", "", "hand", "", "al_6082_t6_carbide", "", "3", ""]
+    done = run("start", "part.nc", "-o", "out", "--no-open", input="\n".join(rest) + "\n")
+    assert done.exit_code == 0, done.output
+    assert "Robot, or" not in done.output
+    assert cells.load("out/cell.toml").base.X == 1400.0
+
+
+def test_answers_about_the_text_are_asked_again_when_the_program_has_changed():
+    run("start", "part.nc", *ALL, "--cutter", "1=flat,16", "-o", "out")
+    Path("part.nc").write_text(PART.replace("D=16.", "D=10."))
+    done = run("start", "part.nc", "--flutes", "3", "-o", "out")
+    assert done.exit_code == 0, done.output
+    assert processes.load("out/part.process.toml").tools["1"].diameter_mm == 10.0
+
+
+def test_a_cell_that_was_edited_is_used_as_it_is():
+    run("start", "part.nc", *ALL, "-o", "out")
+    path = Path("out/cell.toml")
+    path.write_text(path.read_text().replace("Z = 350.0", "Z = 300.0"))
+    done = run("start", "part.nc", "-o", "out")
+    assert done.exit_code == 0, done.output
+    assert "is used as it is" in done.output
+    assert cells.load(path).tool.Z == 300.0
+
+
+def test_an_option_that_is_no_answer_is_wrong_usage():
+    done = run("start", "part.nc", *CELL, "--material", "cheese", "--flutes", "3")
+    assert done.exit_code == 2
+    assert "--material" in done.output
+    assert "al_6082_t6_carbide" in done.output
+
+
+def test_init_with_a_program_lists_what_it_needs_and_says_that_it_converts():
+    done = run("init", "many.nc")
+    assert done.exit_code == 2
+    for option in ("--tools 1=", "--tools 3=", "--work-offset G55=", "--m-code M31", "--dwell-unit"):
+        assert option in done.output
+    options = ("--robot", "kuka_kr270", "--base", "1500,-200,700", "--tools", "1=350", "--tools", "3=340")
+    done = run(
+        "init", "many.nc", *options, "--work-offset", "G55=10,0,0", "--m-code", "M31", "--dwell-unit", "ms"
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    assert "many.nc: it converts." in done.output
+    cell = cells.load("cell.toml")
+    assert (cell.tools["3"].Z, cell.work_offsets["G55"].X, cell.m_codes) == (340.0, 10.0, {"M31": []})
+
+
+def test_init_with_a_program_says_what_still_stops_it():
+    done = run("init", "part.nc", "--robot", "kuka_kr270", "--base", "4000,0,700", "--tool", "0,0,350")
+    assert done.exit_code == 1
+    assert "part.nc: it does not convert yet" in done.output
+    assert Path("cell.toml").is_file()
+
+
+def test_init_writes_indexed_axes_with_their_points():
+    Path("a.nc").write_text("G21 G90\nM3 S9000\nG0 X0 Y0 Z50\nG0 A30\nG1 Z20 F500\nG1 X50\nG0 Z50\nM30\n")
+    done = run("init", "a.nc", *CELL, "--rotary-kind", "indexed", "--rotary-point", "A=0,0,-120")
+    assert done.exit_code == 0, done.output
+    rotary = cells.load("cell.toml").rotary
+    assert (rotary.kind, rotary.axes, rotary.A.point, rotary.A.direction) == (
+        "indexed", ["A"], (0.0, 0.0, -120.0), (1.0, 0.0, 0.0),
+    )  # fmt: skip
