@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from postproc.cli.asking import is_terminal
 from postproc.cli.options import Choice, complete_files, complete_robots
-from postproc.cli.terminal import is_terminal
 
 if TYPE_CHECKING:
     from postproc.hosts.robodk_station import Station

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from postproc.cli.asking import is_terminal
 from postproc.cli.options import complete_files, complete_robots
-from postproc.cli.terminal import is_terminal
 
 if TYPE_CHECKING:
     from postproc.jobs import Outcome
@@ -69,8 +69,7 @@ def start(ctx: click.Context, /, program: Path, output: Path | None, no_open: bo
     \b
     Examples:
       postproc start part.nc
-      postproc start samples/plate.nc --robot kuka_kr270 --base 1500,-200,700 --tool 0,0,350 \\
-        --material al_6082_t6_carbide --flutes 3 -o first
+      postproc start part.nc --robot kuka_kr270 --base 1500,0,700 --tool 0,0,350 --material al_6082_t6_carbide --flutes 3
     """  # noqa: D301 - click: keep these lines as they are
     from postproc.jobs.guided_start import Answers, is_edited, load_answers, write_files
     from postproc.jobs.program_needs import needs_of

@@ -43,11 +43,6 @@ class _Terminal:
         return shown.get().rstrip("\n")
 
 
-def is_terminal() -> bool:
-    """Return whether somebody can be asked on stdin."""
-    return sys.stdin is not None and sys.stdin.isatty()
-
-
 def display() -> Display:
     """Return how summaries are to look on stdout."""
     return _Terminal() if sys.stdout.isatty() else PLAIN
