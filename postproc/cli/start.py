@@ -59,7 +59,7 @@ _OF_PROCESS = ("material", "cutter", "flutes", "rpm", "stock")
 @click.option("--overwrite", is_flag=True, help="Replace a cell and a process that were edited, and results.")
 @click.pass_context
 def start(ctx: click.Context, /, program: Path, output: Path | None, no_open: bool, **given: Any) -> None:
-    """Correct a first program: asks for what is missing, then converts it and opens the report.
+    """Correct a first program, and ask for what is missing.
 
     Tools, work offsets, spindle speeds and M codes are read from the program and from the comments of the CAM system.
     Each answer is checked at once and kept in NAME.answers.toml: an interrupted start goes on where it was. Writes a
@@ -69,7 +69,7 @@ def start(ctx: click.Context, /, program: Path, output: Path | None, no_open: bo
     \b
     Examples:
       postproc start part.nc
-      postproc start part.nc --robot kuka_kr270 --base 1500,0,700 --tool 0,0,350 --material al_6082_t6_carbide --flutes 3
+      postproc start part.nc --robot kuka_kr270 --base 1500,0,700 --tool 0,0,350 --material al_7075_hss --flutes 3
     """  # noqa: D301 - click: keep these lines as they are
     from postproc.jobs.guided_start import Answers, is_edited, load_answers, write_files
     from postproc.jobs.program_needs import needs_of
