@@ -36,6 +36,7 @@ def compare(
     source: ForceSource | None = None,
     *,
     same_origin: bool = False,
+    ends: Bools | None = None,
 ) -> Comparison:
     """Compare two programs for one part.
 
@@ -46,22 +47,28 @@ def compare(
     :param source: forces of the nominal program, in addition to its comments. Without either, the comments of the other
         program count.
     :param same_origin: both are as one conversion read or wrote them: they differ by the correction alone.
+    :param ends: (n,) whether Cartesian targets of the second program end a motion of the first, or were inserted, as
+        the conversion states it; None: pairs follow from their places.
     :raises ProgramError: a target is out of reach.
     :raises ForceError: forces that cannot be assigned to the motions, or without an equilibrium of the arm.
     """
     place = RobotInCell.of(robot, cell)
     one, other = PlacedProgram.of(nominal, place), PlacedProgram.of(corrected, place)
+    stated = _stated_partners(one, other, ends)
     if source is None and not nominal.notes:
         load, wrench = None, np.zeros((len(one.rows), 6))
-        partner = partners(one.track(), other.track())
+        partner = partners(one.track(), other.track()) if stated is None else stated
         certain = np.full(len(one.rows), same_origin)
     else:
         load = one.forces(source)
         wrench = one.wrench(load, one.rows)
         off = deviation(one, one.rows, one.joints[one.rows], wrench, one.carried(one.rows))
-        # the second program is expected to command poses that the deflection takes back to the targets
-        partner = _under_force(one, other, partners(one.track(-off), other.track()), wrench)
-        certain = norm(_left(one, other, partner, wrench)) <= place.tolerance
+        if stated is None:
+            # the second program is expected to command poses that the deflection takes back to the targets
+            partner = _under_force(one, other, partners(one.track(-off), other.track()), wrench)
+            certain = norm(_left(one, other, partner, wrench)) <= place.tolerance
+        else:
+            partner, certain = stated, np.ones(len(stated), dtype=bool)
     # a target that only divides a line or an arc may have a partner that divides it elsewhere: the path passes it then
     divides = one.continued[one.rows] & (partner >= 0) & ~certain & (load is not None)
     found = _judged(_paired(one, other, np.where(divides, -1, partner), certain), one, other, load)
@@ -92,8 +99,19 @@ def compare(
                 for side, rows in ((one, first), (other, two))
             )
             found = replace(found, cuts=at_pairs(found, one, other, wrench, *offs))
-    options = {"in_file": source is not None, "same_origin": same_origin, "under_forces": load is not None}
+    known = load is not None or stated is not None
+    options = {"in_file": source is not None, "same_origin": same_origin, "pairs_are_known": known}
     return replace(found, differences=differences(found, one, other, **options))
+
+
+def _stated_partners(one: PlacedProgram, other: PlacedProgram, ends: Bools | None) -> Ints | None:
+    """Return the index in `other.rows` of the partner of each of `one.rows` (n,), as the conversion states it.
+
+    :returns: None where nothing is stated, or not for programs of so many targets.
+    """
+    if ends is None or len(ends) != len(other.rows) or int(np.count_nonzero(ends)) != len(one.rows):
+        return None
+    return np.flatnonzero(ends)
 
 
 def _partner_of(found: Comparison, one: PlacedProgram, other: PlacedProgram) -> Ints:

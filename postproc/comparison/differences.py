@@ -52,16 +52,16 @@ def differences(
     *,
     in_file: bool,
     same_origin: bool,
-    under_forces: bool,
+    pairs_are_known: bool,
 ) -> tuple[Difference, ...]:
     """Return the differences besides offsets.
 
     :param in_file: forces of the nominal program come from a file.
     :param same_origin: one conversion made the second program of the first, or both: only missing or additional targets
         and what the forces show are differences then.
-    :param under_forces: forces of the nominal program are known: pairs are the targets that the loaded tip comes to.
+    :param pairs_are_known: pairs are the targets that the loaded tip comes to, or those that the conversion states.
     """
-    uncertain = () if under_forces else tuple(_ambiguous(found, one, other))
+    uncertain = () if pairs_are_known else tuple(_ambiguous(found, one, other))
     if same_origin:
         return (*_not_compared(found), *_alone(found, one), *_under_forces(found, one), *uncertain)
     between = (*_off_path(found, one, other), *_under_forces(found, one))
@@ -419,9 +419,14 @@ def _cut_corners(found: Comparison, one: PlacedProgram, other: PlacedProgram) ->
     if len(bad):
         worst = bad[np.argmax(excess[bad])]
         way = min(int(np.searchsorted(found.pair[:, 1], rows[worst])), len(found.pair) - 1)
+        remedy = (
+            "Set $APO.CDIS and C_DIS back, or convert again."
+            if allowed[worst] > 0.0 or not found.nominal.keeps_text
+            else "Use a smaller approximation distance there."
+        )
         message = (
             f"approximation (C_DIS) cuts the corner by {rounding[worst] * MM_PER_M:.4f} mm; the nominal program allows "
-            f"{allowed[worst] * MM_PER_M:.4g} mm. Set $APO.CDIS and C_DIS back, or convert again."
+            f"{allowed[worst] * MM_PER_M:.4g} mm. {remedy}"
         )
         yield at_rows(found, "between", message, (int(found.pair[way, 0]), int(rows[worst])), len(bad))
 
@@ -471,9 +476,10 @@ def _kind(found: Comparison) -> Iterator[Difference]:
     motion = found.pair[np.searchsorted(found.pair[:, 1], rows), 0]
     was, now = found.nominal.motions.kind[motion], found.corrected.motions.kind[rows]
     where = np.flatnonzero((was != now) & ~((was == CIRC) & (now == LIN)))
-    # between a pair and the next one the nominal program may have motions without partner
+    # between a pair and the next one the nominal program may have Cartesian targets without partner
     before = np.append(-1, found.pair[:, 0])[np.searchsorted(found.pair[:, 1], rows[where])]
-    same = [now[k] in found.nominal.motions.kind[b + 1 : motion[k]] for k, b in zip(where, before, strict=True)]
+    kinds = np.where(np.isnan(found.nominal.motions.joints[:, 0]), found.nominal.motions.kind, -1)
+    same = [now[k] in kinds[b + 1 : motion[k]] for k, b in zip(where, before, strict=True)]
     where = where[~np.array(same, dtype=bool)]
     if len(where):
         first = where[0]

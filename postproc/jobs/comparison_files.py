@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import csv
 import math
 from collections.abc import Iterable
 from pathlib import Path
 
+import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
@@ -14,14 +16,14 @@ from postproc.cell import Cell
 from postproc.comparison import compare
 from postproc.dialects import registry
 from postproc.errors import InputError, argument
-from postproc.files import foreign, json_bytes, refuse, with_record, write_whole
+from postproc.files import foreign, json_bytes, recorded, refuse, with_record, write_whole
 from postproc.forces.sources import extensions
 from postproc.frames import M_PER_MM
 from postproc.jobs import inputs
 from postproc.jobs.conversion import force_source, origin_of, read_program, read_started
 from postproc.jobs.output_plan import protect
 from postproc.jobs.programs import EXCEEDED, GOOD, PROCESS, Settings, as_stated, load_setup
-from postproc.program import Program
+from postproc.program import Bools, Program
 from postproc.report.comparison import (
     ComparisonSummary,
     MadeFrom,
@@ -104,7 +106,8 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
     made = _made_from(request, cell, nominal, corrected)
     if made.without_forces:
         _ask_for_forces(request, made.origin)
-    found = compare(nominal, corrected, robot, cell, source, same_origin=made.same_origin)
+    ends = _stated_ends(request.corrected) if made.same_origin else None
+    found = compare(nominal, corrected, robot, cell, source, same_origin=made.same_origin, ends=ends)
     content = comparison_summary(found, made, cell.tolerance, cell.output.max_correction_mm * M_PER_MM)
     contents: dict[str, bytes | Iterable[bytes]] = {
         pairs: pairs_csv(found),
@@ -146,6 +149,20 @@ def _ask_for_forces(request: CompareRequest, origin: provenance.Provenance) -> N
                 problem = f"it was corrected for the forces in {file}, which are not given"
                 advice = f"Give --forces {argument(file)}."
                 raise InputError(problem, file=str(request.corrected), line=origin.line, advice=advice)
+
+
+def _stated_ends(path: Path) -> Bools | None:
+    """Return which Cartesian targets (n,) of a written program end a motion of the program that it was made from.
+
+    Its list of targets, next to it, states the place of each on its motion. It counts if the report of the conversion
+    lists both files as they are.
+    """
+    table, record = (path.with_name(f"{path.stem}{suffix}") for suffix in (".targets.csv", ".report.json"))
+    names = path.name, table.name
+    if not {*names} <= recorded(record).keys() or not table.exists() or foreign(path.parent, names, record.name):
+        return None
+    with table.open(encoding="utf-8", newline="") as file:
+        return np.array([float(row["t"]) == 1.0 for row in csv.DictReader(file)], dtype=bool)
 
 
 def _refuse_part(path: Path, program: Program) -> None:

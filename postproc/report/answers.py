@@ -41,9 +41,12 @@ WORDS: dict[tuple[Mode, State], str] = {
     ("predict", "failed"): "Do not run it as it is.",
 }
 """The verdict in a word."""
+LIMITS_AND_COLLISIONS = "joint limits, speeds and collisions"
+"""What a comparison leaves to a prediction of the second program."""
 UNCHECKED = {
     "collisions": "the cell has no [collision]",
     "moves through material": "no stock is known: give --process",
+    LIMITS_AND_COLLISIONS: "predict checks them",
 }
 """What may be left unchecked, and why."""
 

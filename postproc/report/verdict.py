@@ -13,7 +13,6 @@ from postproc.errors import Issue
 from postproc.frames import MM_PER_M
 from postproc.report.answers import (
     HARM,
-    UNCHECKED,
     WIDE,
     Better,
     Drive,
@@ -90,9 +89,8 @@ def _drive(result: Result, content: Summary, warnings: Sequence[Issue]) -> Drive
     doubts = _of_issues(warnings, result.mode)
     if content.targets:
         doubts = [*_on_surface(content)[0], *_near_limits(content), *doubts]
-    unchecked = [
-        name for name, known in zip(UNCHECKED, (content.collision, result.stock_known), strict=True) if not known
-    ]
+    known = {"collisions": content.collision is not None, "moves through material": result.stock_known}
+    unchecked = [name for name, is_known in known.items() if not is_known]
     state: State = "failed" if errors else "warning" if doubts else "ok"
     return Drive(state, [*errors, *_texts(doubts)], unchecked)
 

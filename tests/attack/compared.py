@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from postproc import cell as cells
-from postproc import correction
+from postproc import correction, toolpath
 from postproc.comparison import compare
 from postproc.errors import PostprocError
 from postproc.frames import M_PER_MM
@@ -124,6 +124,10 @@ class Planter:
         self.cutting = result.output_line[(m.kind[motion] != PTP)]
         self.ends = result.output_line[(m.kind[motion] != PTP) & (result.t == 1.0)]
         self.keeps_text = result.program.keeps_text
+        # a target that only divides a line may move along it, or be left out: the tool follows the same path
+        segments = toolpath.segments(result.program, np.eye(4))
+        divides = np.append(toolpath.continues(result.program, segments)[1:], False)
+        self.corners = result.output_line[(m.kind[motion] != PTP) & (result.t == 1.0) & ~divides[motion]]
 
     def pick(self, values):
         return values[int(self.rng.integers(len(values)))] if len(values) else None
@@ -152,7 +156,7 @@ class Planter:
         return "".join([*self.lines[:number], line, *self.lines[number + 1 :]])
 
     def coordinate(self):
-        number = self.written(r"^\s*S?(LIN|CIRC)\b.*\{X", self.ends)  # inserted ones may move along the path
+        number = self.written(r"^\s*S?(LIN|CIRC)\b.*\{X", self.corners)
         return None if number is None else self.changed(number, self.pick("XYZ"), LEAST_MM, self.target(number))
 
     def angle(self):
@@ -216,7 +220,7 @@ class Planter:
         return None if number is None else self.with_line(number, self.lines[number].replace("LIN", "PTP", 1))
 
     def missing(self):
-        number = self.written(r"^\s*S?(LIN|CIRC)\b", self.ends)
+        number = self.written(r"^\s*S?(LIN|CIRC)\b", self.corners)
         return None if number is None else self.with_line(number, "")
 
     def twice(self):
@@ -270,16 +274,17 @@ def attack(seed):
         return "refused"
     written = {document.name: document.text for document in result.documents}
     name = result.documents[0].name
-    state, why = told(nominal, written, cell, robot, rows)
-    if state != "ok":
-        raise Silent(f"seed {seed}, {kind}: nothing was planted, and compare says {state}: {why}")
+    state, stated = told(nominal, written, cell, robot, rows)
+    rounded = any(issue.kind == "blending" for issue in result.issues)  # convert warns of it too
+    if state != "ok" and not (rounded and state == "warning" and all("cuts the corner" in each for each in stated)):
+        raise Silent(f"seed {seed}, {kind}: nothing was planted, and compare says {state}: {stated}")
     planter = Planter(writer.rng, written[name], result)
     plant = writer.pick(*PLANTS)
     text = getattr(planter, plant)()
     if text is None or text == written[name]:
         return "nothing to plant"
     state, why = told(nominal, written | {name: text}, cell, robot, rows)
-    if state == "ok":
+    if state == "ok" or why == stated:
         was, now = written[name].splitlines(), text.splitlines()
         lines = [n for n, (a, b) in enumerate(zip(was, now, strict=False), 1) if a != b][:2]
         told_lines = "\n".join(f"{n}: {was[n - 1]}\n{n}: {now[n - 1]}" for n in lines)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import re
 from functools import partial
 from pathlib import Path
@@ -326,11 +327,40 @@ def test_without_the_forces_pairs_that_may_be_others_are_counted():
     written = plain_and_forces()
     known = compare("plain.nc", written, "--forces", "mine.csv")
     Path("mine.csv").unlink()
+    Path("out/plain.targets.csv").unlink()
     content = compare("plain.nc", written, "--overwrite", code=(0, 3))
     (issue,) = [each for each in content["issues"] if each["kind"] == "pairing"]
     assert issue["level"] == "warning"
     bound = float(re.search(r"known to ([\d.]+) mm", issue["message"])[1])
     assert abs(content["offset"]["max_mm"] - known["offset"]["max_mm"]) <= bound + 0.005
+
+
+def test_without_the_forces_pairs_follow_from_the_list_of_targets_of_the_conversion():
+    """Against the list itself: each end of a motion has its own line of the source, and the offset written there."""
+    written = plain_and_forces()
+    Path("mine.csv").unlink()
+    content = compare("plain.nc", written)
+    assert (content["verdict"]["state"], content["issues"]) == ("ok", [])
+    with Path("out/plain.targets.csv").open() as file:
+        targets = [row for row in csv.DictReader(file) if float(row["t"]) == 1.0]
+    lines = [(row["source_line"], row["output_line"]) for row in targets]
+    with Path("found/plain.compare.pairs.csv").open() as file:
+        pairs = [row for row in csv.DictReader(file) if row["state"] == "pair"]
+    assert [(row["nominal_line"], row["corrected_line"]) for row in pairs] == lines
+    offset = [math.dist(*([float(row[axis + end]) for axis in "XYZ"] for end in ("", "_cmd"))) for row in targets]
+    assert [float(row["offset_mm"]) for row in pairs] == pytest.approx(offset, abs=1.1e-4)
+    # a list that was changed states nothing
+    table = Path("out/plain.targets.csv")
+    table.write_text(table.read_text().replace(",1.000000000,", ",0.900000000,", 1))
+    kinds = [each["kind"] for each in compare("plain.nc", written, "--overwrite", code=(0, 3))["issues"]]
+    assert kinds == ["pairing"]
+
+
+def test_a_ptp_instead_of_the_first_line_behind_an_axis_target_is_a_difference():
+    Path("edited.src").write_text(OTHERS.replace("OTHER", "EDITED").replace("LIN {", "PTP {", 1))
+    content = compare("other.src", "edited.src", code=(0, 3))
+    (issue,) = [each for each in content["issues"] if each["kind"] == "kind"]
+    assert (issue["source_line"], issue["corrected_line"], issue["count"]) == (7, 7, 1)
 
 
 def test_programs_without_a_common_target_are_told_apart():

@@ -21,7 +21,7 @@ from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm, xyzabc_from_pose
 from postproc.program import Bools, Ints, Program
 from postproc.provenance import Provenance
 from postproc.provenance import State as Origin
-from postproc.report.answers import UNJUDGED, Drive, Tolerance, Verdict, joined
+from postproc.report.answers import LIMITS_AND_COLLISIONS, UNJUDGED, Drive, Tolerance, Verdict, joined
 from postproc.report.formatting import PLAIN, ROUNDING_MM, Display, State, above, millimetres
 from postproc.report.path import operation_starts
 from postproc.report.summary import Distances
@@ -267,7 +267,9 @@ def comparison_summary(found: Comparison, made: MadeFrom, tolerance: float, limi
         verdict=UNJUDGED,
     )
     failed, doubtful = [*_failed(content, limit * MM_PER_M, made)], [*_doubtful(content, made)]
-    drive = Drive("failed" if failed else "warning" if doubtful else "ok", [*failed, *doubtful], [])
+    drive = Drive(
+        "failed" if failed else "warning" if doubtful else "ok", [*failed, *doubtful], [LIMITS_AND_COLLISIONS]
+    )
     every = "every target has its partner" + (", or the path passes it" if len(found.passed) else "")
     holds = [every, *(["the text is as postproc wrote it"] if state == "intact" else [])]
     if content.cut is not None:
