@@ -24,6 +24,7 @@ from postproc.robot.model_file import (
     JointSpring,
     LinkSprings,
     ModelFile,
+    PoseWaveEntry,
     Stiffening,
     TransmissionEntry,
 )
@@ -55,6 +56,11 @@ def content(seed, gravity):
             knees=[Stiffening(about(800.0), about(0.15))],
             backlash=BacklashEntry(about(60.0), about(80.0)),
             lost_motion=BacklashEntry(about(50.0), about(60.0)),
+            over_pose=[
+                PoseWaveEntry((0, 1, -1, 0, 0, 0), about(0.1), about(-0.2)),
+                PoseWaveEntry((0, 0, 0, 2, 0, 1), sin_urad_per_Nm=about(0.3)),
+            ],
+            coupling={"A4": {"A5": about(0.4), "A6": about(-0.3)}, "A5": {"A6": about(0.2)}}.get(name, {}),
         )
         for name in robot.JOINTS
     }
@@ -194,11 +200,11 @@ def test_what_the_tool_moves_with_each_parameter_is_that_by_differences_of_the_o
 
 
 def straight(arm):
-    """The arm whose gears give way in proportion to the torque, by their whole compliance."""
+    """The arm whose gears deflect in proportion to their own torque, by their whole compliance, at every pose."""
     linear = arm.linear.copy()
     for function, row, _, value in arm.parts:
         linear[row] += value * (function in (whole_arm._fading, whole_arm._knee))
-    return arm.but(linear=linear, parts=[])
+    return arm.but(linear=linear, parts=[], over_pose=[], couplings={})
 
 
 def at_first_order(arm, q, tool, wrench):
@@ -206,15 +212,17 @@ def at_first_order(arm, q, tool, wrench):
     tcp, loaded, bare = arm.loads(tool)
     x = arm.held_by_motors(q)
     rest = -bare(x) if arm.rigid or arm.in_gears else 0.0 * x
-    h = np.full(len(x), 1e-2)  # N·m, N
-    compliance = (arm.law(h, rest, h) - arm.law(-h, rest, -h)) / (2 * h)
+    size = 1e-2  # N·m, N
+    compliance = np.stack(
+        [(arm.law(x, h, rest, h) - arm.law(x, -h, rest, -h)) / (2 * size) for h in size * np.eye(len(x))], axis=1
+    )
     second, step = arm.rows[1], 1e-4
     at = x[second]
     stiffer = np.zeros((len(x), len(x)))
     stiffer[second, second] = (arm.compensator(at + step) - arm.compensator(at - step)) / (2 * step)
     jacobian = tcp(x)[1]
     theta = np.linalg.solve(
-        np.eye(len(x)) + np.diag(compliance) @ stiffer, compliance * (jacobian.T @ wrench - loaded(x) + bare(x))
+        np.eye(len(x)) + compliance @ stiffer, compliance @ (jacobian.T @ wrench - loaded(x) + bare(x))
     )
     return jacobian[:3] @ theta
 

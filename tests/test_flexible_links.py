@@ -105,7 +105,9 @@ def newton_step(model, q, wrench):
     def given(theta):
         _, jacobian = kinematics.tcp(model.loaded, x0 + theta, TOOL)
         torque = np.einsum("nij,ni->nj", jacobian, wrench) - held(model.loaded, x0 + theta)
-        return balance.spring_deflection(model, (torque + rest * model.subtract_reference).T, feels.T)[0].T
+        return balance.spring_deflection(model, (x0 + theta).T, (torque + rest * model.subtract_reference).T, feels.T)[
+            0
+        ].T
 
     h, size = 1e-5, x0.shape[1]
     slope = np.stack([(given(h * e) - given(-h * e)) / (2 * h) for e in np.eye(size)], axis=2)
@@ -151,7 +153,9 @@ def test_linear_deflection_of_stiffening_gears_meets_the_equilibrium_with_the_sq
 def test_gears_grow_stiffer_with_load_and_never_softer():
     model = flexible()
     torque = np.linspace(0.0, 5000.0, 200)[:, None] * np.ones(model.actual.nv)
-    theta, slope = (each.T for each in balance.spring_deflection(model, torque.T, np.zeros_like(torque.T)))
+    theta, slope = (
+        each.T for each in balance.spring_deflection(model, 0.0 * torque.T, torque.T, np.zeros_like(torque.T))
+    )
     row = model.actuated[0]
     assert np.all(np.diff(slope[:, row]) < 0)
     assert np.all(slope[:, row] > 0)

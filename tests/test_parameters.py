@@ -22,6 +22,8 @@ ANY = st.one_of(
     st.builds(robot.Knee, JOINT, st.floats(0.01, 1e6).map(lambda value: float(f"{value:.2g}"))),
     st.builds(robot.Backlash, JOINT, st.floats(0.01, 1e6).map(lambda value: float(f"{value:.2g}"))),
     st.builds(robot.LostMotion, JOINT, st.floats(0.01, 1e6).map(lambda value: float(f"{value:.2g}"))),
+    st.sampled_from([robot.GearCoupling(*pair) for pair in (("A4", "A5"), ("A4", "A6"), ("A5", "A6"))]),
+    st.builds(robot.PoseWave, JOINT, st.tuples(*[st.integers(-9, 9)] * 6).filter(any), st.sampled_from(("cos", "sin"))),
     st.builds(robot.LinkSpring, st.sampled_from(("base", *robot.JOINTS)), st.sampled_from(robot.LINK_AXES)),
     st.sampled_from(robot.COMPENSATOR),
     st.builds(robot.LinkMass, JOINT),
@@ -34,7 +36,29 @@ def test_a_name_in_a_file_is_read_as_the_parameter_that_wrote_it(parameter):
 
 
 @pytest.mark.parametrize(
-    "name", ["", "k", "k0", "k7", "k1@", "k1@x", "A7.X", "A2.", "A2.end_X", "K_c*s_0", "k2#1", "A7.mass", "A2"]
+    "name",
+    [
+        "",
+        "k",
+        "k0",
+        "k7",
+        "k1@",
+        "k1@x",
+        "A7.X",
+        "A2.",
+        "A2.end_X",
+        "K_c*s_0",
+        "k2#1",
+        "A7.mass",
+        "A2",
+        "k54",
+        "k44",
+        "k3.cos()",
+        "k3.cos(+A2)",
+        "k3.tan(A2)",
+        "k3.cos(A3A2)",
+        "k3.cos(A2+A2)",
+    ],
 )
 def test_no_other_name_is_read(name):
     assert parameters.named(name) is None
@@ -49,6 +73,8 @@ def test_no_other_name_is_read(name):
         robot.Backlash("A3", 20.0),
         robot.LostMotion("A3", 20.0),
         robot.LinkSpring("A3", "RX"),
+        robot.GearCoupling("A4", "A6"),
+        robot.PoseWave("A3", (0, 1, -1, 0, 0, 0), "sin"),
     ],
 )
 def test_slope_of_a_spring_is_the_derivative_of_its_deflection(kind):

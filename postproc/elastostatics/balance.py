@@ -40,10 +40,13 @@ def joint_angles(robot: RobotModel, x: Array) -> Array:
 
 
 def spring_deflection(
-    robot: RobotModel, torque: Array, preload: Array, load_part: Array | None = None
+    robot: RobotModel, x: Array, torque: Array, preload: Array, load_part: Array | None = None
 ) -> tuple[Array, Array]:
     """Return the deflection θ (nv, n) of the virtual springs under torques, and the tangent compliance (nv, n).
 
+    The tangent compliance is that of each spring by its own torque; `RobotModel.coupled` has those by others.
+
+    :param x: (nv, n) actual coordinates, where compliances change over the workspace.
     :param torque: (nv, n) on the springs, in addition to the preload [N·m, N].
     :param preload: (nv, n) or (nv, 1) torque at which θ = 0; it matters to springs that are not linear.
     :param load_part: (nv, n) torque of the load alone, if that is not `torque`; it moves lost motion.
@@ -53,11 +56,18 @@ def spring_deflection(
     if not robot.terms:
         return steady * torque, np.broadcast_to(steady, torque.shape)
     theta, slope = steady * torque, np.repeat(steady, torque.shape[1], axis=1)
-    for parameter, value in robot.terms:
-        row = robot.row(parameter)
-        share, tangent = parameter.effect((torque if parameter.with_rest_torque else load_part)[row], preload[row])
-        theta[row] += value * share
-        slope[row] += value * tangent
+    for parameter, value in robot.by_torque:
+        moving = torque if parameter.with_rest_torque else load_part
+        for row, by in robot.pairs(parameter):
+            share, tangent = parameter.effect(moving[by], preload[by])
+            theta[row] += value * share
+            if row == by:
+                slope[row] += value * tangent
+    if robot.over_pose is not None:
+        joints = list(robot.actuated)
+        compliance = robot.over_pose.compliance(x[joints])
+        theta[joints] += compliance * torque[joints]
+        slope[joints] += compliance
     return theta, slope
 
 
@@ -91,8 +101,8 @@ class Balance(Struct, frozen=True, eq=False):
         state = kinematics.posture(robot.loaded, x, tool, weigh=robot.has_weight)
         jacobian = state.jacobian()
         torque = np.einsum("ikn,in->kn", jacobian, wrench) - static_torque(robot, x, state) + balanced
-        found = spring_deflection(robot, torque, preload(robot, balanced), load_torque(robot, x, torque))
-        return cls(robot, x, state.point, jacobian, wrench, balanced, torque, *found)
+        springs = spring_deflection(robot, x, torque, preload(robot, balanced), load_torque(robot, x, torque))
+        return cls(robot, x, state.point, jacobian, wrench, balanced, torque, *springs)
 
     @property
     def preload(self) -> Array:
@@ -121,14 +131,26 @@ class Balance(Struct, frozen=True, eq=False):
         """Return J (I − C·H)⁻¹ (n, 6, nv): the tool's motion per deflection of one spring by itself.
 
         I − C·H is the derivative of θ − c(τ(θ)): C = c′(τ), H = ∂(JᵀF)/∂x − ∂²U_g/∂x² − U_c″. Rigid springs (C = 0)
-        need no special case, as they would in K − H.
+        need no special case, as they would in K − H. Compliances that change over the workspace add −∂c/∂x at fixed τ.
         """
         jacobian, lost_motion = np.moveaxis(self.jacobian, -1, 0), self.lost_motion_compliance
         hessian = kinematics.load_stiffness(jacobian, self.wrench.T) - self._static_stiffness(self.robot.loaded)
-        tangent = np.eye(len(self.x)) - self.slope.T[:, :, None] * hessian
+        tangent = np.eye(len(self.x)) - self.deflection_by(np.moveaxis(hessian, 0, -1)).transpose(2, 0, 1)
+        if (over_pose := self.robot.over_pose) is not None:
+            joints = list(self.robot.actuated)
+            by_angle = over_pose.slopes(self.x[joints]) * self.torque[joints][:, None]
+            tangent[:, np.array(joints)[:, None], joints] -= np.moveaxis(by_angle, -1, 0)
         if lost_motion.any():
             tangent -= lost_motion.T[:, :, None] * self._static_stiffness(self.robot.actual)
         return np.swapaxes(np.linalg.solve(np.swapaxes(tangent, 1, 2), np.swapaxes(jacobian, 1, 2)), 1, 2)
+
+    def deflection_by(self, torque: Array) -> Array:
+        """Return the deflections (nv, ..., n) by small torques (nv, ..., n), at first order."""
+        slope = self.slope.reshape(len(self.slope), *(1,) * (torque.ndim - 2), -1)
+        out = slope * torque
+        if self.robot.coupled is not None:
+            out = out + np.tensordot(self.robot.coupled, torque, axes=1)
+        return np.asarray(out)
 
     def _static_stiffness(self, chain: Chain) -> Array:
         """Return ∂²U_g/∂x² + U_c″ (n, nv, nv)."""
@@ -213,15 +235,18 @@ def twist_by_parameter(state: Balance, spring_jacobian: Array, parameter: Parame
     """
     robot = state.robot
     if isinstance(parameter, Spring):
-        row = robot.row(parameter)
         torque = state.torque if parameter.with_rest_torque else state.load_part
-        return np.asarray(spring_jacobian[:, :, row] * parameter.effect(torque[row], state.preload[row])[0][:, None])
+        factor, out = parameter.factor(state.x[list(robot.actuated)]), np.zeros((spring_jacobian.shape[0], 6))
+        for row, by in robot.pairs(parameter):
+            effect = factor * parameter.effect(torque[by], state.preload[by])[0]
+            out += spring_jacobian[:, :, row] * effect[:, None]
+        return out
     there = static_torque_by_parameter(robot, parameter, state.x)
     if robot.subtract_reference:
         here = static_torque_by_parameter(robot, parameter, q)  # the preload changes too
-        shift = -state.slope * (there - here) - compliance_by_preload(robot, state.torque, state.preload) * here
+        shift = -state.deflection_by(there - here) - compliance_by_preload(robot, state.torque, state.preload) * here
     else:
-        shift = (state.lost_motion_compliance - state.slope) * there
+        shift = state.lost_motion_compliance * there - state.deflection_by(there)
     return np.asarray(np.einsum("nik,kn->ni", spring_jacobian, shift))
 
 

@@ -175,7 +175,7 @@ def springs_at_target(robot: RobotModel, x: Array, load: Array, weights: Array) 
     previous = np.full(x.shape[1], np.nan)
     for _ in range(_MAX_ITERATIONS):
         torque = load - weights + balanced
-        found, slope = spring_deflection(robot, torque, preload(robot, balanced), load_torque(robot, x, torque))
+        found, slope = spring_deflection(robot, x, torque, preload(robot, balanced), load_torque(robot, x, torque))
         step = found - theta
         if robot.subtract_reference:
             step[robot.actuated[A2]] /= compensator_factor(robot, x, slope)
@@ -218,7 +218,7 @@ def tangent_compliance(robot: RobotModel, q: Array, tool: Array, wrench: Array) 
     :param wrench: (N, 6) at the TCP, root axes [N, N·m].
     """
     state = at_rest(robot, q, tool, wrench)
-    by_wrench = np.moveaxis(state.slope[:, None] * np.swapaxes(state.jacobian, 0, 1), -1, 0)
+    by_wrench = np.moveaxis(state.deflection_by(np.swapaxes(state.jacobian, 0, 1)), -1, 0)
     return np.asarray(state.spring_jacobian() @ by_wrench)
 
 

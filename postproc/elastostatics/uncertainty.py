@@ -258,18 +258,23 @@ def _linear_sensitivity(
     preload = np.zeros_like(torque)
     if robot.carries_weight or not robot.subtract_reference:
         preload = -static_torque(robot, x.T).T
-    _, slope = spring_deflection(robot, torque.T, preload.T)
+    _, slope = spring_deflection(robot, x.T, torque.T, preload.T)
     share = compensator_factor(robot, x.T, slope)
     torque[:, second] /= share  # the rest is the compensator's
-    theta, slope = (each.T for each in spring_deflection(robot, torque.T, preload.T))
+    theta, slope = (each.T for each in spring_deflection(robot, x.T, torque.T, preload.T))
     lever = jacobian[:, :3].copy()
     lever[:, :, second] /= share[:, None]
     by_preload = compliance_by_preload(robot, torque.T, preload.T).T
     columns = []
     for parameter in parameters:
         if isinstance(parameter, Spring):
-            row = robot.row(parameter)
-            columns.append(lever[:, :, row] * parameter.effect(torque[:, row], preload[:, row])[0][:, None])
+            columns.append(
+                sum(
+                    lever[:, :, row] * (factor * parameter.effect(torque[:, by], preload[:, by])[0])[:, None]
+                    for factor in (parameter.factor(x.T[list(robot.actuated)]),)
+                    for row, by in robot.pairs(parameter)
+                )
+            )
             continue
         shift = -by_preload * static_torque_by_parameter(robot, parameter, x.T).T
         if isinstance(parameter, CompensatorTorque) and robot.compensator is not None:

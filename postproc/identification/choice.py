@@ -30,7 +30,7 @@ from msgspec.structs import replace
 
 from postproc.errors import PostprocError
 from postproc.frames import Array
-from postproc.identification import record
+from postproc.identification import over_pose, record
 from postproc.identification.fit import Fit, Linearised, Prior, Regression, learn, linearise, prior_of
 from postproc.identification.joint_springs import UNCERTAIN, is_physical, unloaded
 from postproc.identification.measurement_model import (
@@ -46,7 +46,7 @@ from postproc.identification.measurement_model import (
     whitening,
 )
 from postproc.identification.readings import Measurements
-from postproc.program import Ints
+from postproc.program import Bools, Ints
 from postproc.robot import (
     BASE,
     COMPENSATOR,
@@ -63,10 +63,12 @@ from postproc.robot import (
     LinkSpring,
     LostMotion,
     Parameter,
+    PoseWave,
     RobotModel,
 )
 
 JOINT, COMPENSATOR_SPRING, LINK, END, AT_REST = "joint", "compensator", "link", "end", "at rest"
+COUPLING, OVER_POSE = "coupling", "over the pose"
 FADING, KNEE, BACKLASH, LOST_MOTION = "fading", "breakpoint", "backlash", "lost motion"
 """Kinds of parameters that form structures."""
 GEARS = (FADING, KNEE, BACKLASH, LOST_MOTION)
@@ -274,6 +276,12 @@ class Member(Struct, frozen=True, eq=False):
     regression: Regression
     left: Array
 
+    @classmethod
+    def of(cls, name: str, nonlinear: bool, equations: Linearised, prior: Prior, columns: Ints, fold: Ints) -> Member:
+        """Learn the regression on some columns of the equations; `fold` (C,) as of `folds`."""
+        regression = learn(equations, prior, columns)
+        return cls(name, nonlinear, regression, _left_out(regression, equations, fold))
+
 
 class Mean(Struct, frozen=True, eq=False):
     """Structures and their weights (m,), which sum to one, on one set of linear equations."""
@@ -344,12 +352,12 @@ def choose(robot: RobotModel, data: Measurements, placement: Placement) -> Choic
         try:
             other = _settled(robot, data, placement, best.structure.in_gears, compensator=True)
             if other.whole.evidence > best.whole.evidence + CLEAR:
-                choice = _chosen(_mean(other, compensator=True), other, data, placement)
+                choice = _chosen(*_extended(_mean(other, compensator=True), other, data, placement), data, placement)
                 if is_physical(choice.fit) and not _open(choice):
                     return choice
         except PostprocError:
             pass
-    return _chosen(_mean(best, compensator=False), best, data, placement)
+    return _chosen(*_extended(_mean(best, compensator=False), best, data, placement), data, placement)
 
 
 def evidence_of(structure: Structure, values: Array, data: Measurements, placement: Placement) -> float:
@@ -381,20 +389,63 @@ def _settled(
 
 def _mean(settled: _Settled, compensator: bool) -> Mean:
     """Return the mean of structures with the least cross-validation error."""
-    equations, kinds = settled.equations, np.array(settled.kinds)
-    fold = np.random.default_rng(0).permutation(equations.configs) % min(_FOLDS, equations.configs)
+    equations, kinds, fold = settled.equations, np.array(settled.kinds), folds(settled.equations)
     members = []
     for name, wanted in candidates(compensator):
         if not set(wanted) <= set(settled.kinds):  # this robot has none of a kind
             continue
         nonlinear = not set(wanted).isdisjoint(GEARS)
         columns = np.flatnonzero(np.isin(kinds, [*wanted, AT_REST] if nonlinear else wanted))
-        regression = learn(equations, settled.prior, columns)
-        members.append(Member(name, nonlinear, regression, _left_out(regression, equations, fold)))
+        members.append(Member.of(name, nonlinear, equations, settled.prior, columns, fold))
     evidence = np.array([member.regression.evidence for member in members])
     linear = np.array([not member.nonlinear for member in members])
     among = linear if evidence.max() < evidence[linear].max() + CLEAR else np.ones(len(members), dtype=bool)
     return Mean(settled.structure, equations, tuple(members), _stacked(equations, members, np.flatnonzero(among)))
+
+
+def folds(equations: Linearised) -> Ints:
+    """Return the fold (C,) of each configuration, at random but always the same."""
+    return np.random.default_rng(0).permutation(equations.configs) % min(_FOLDS, equations.configs)
+
+
+def _extended(mean: Mean, settled: _Settled, data: Measurements, placement: Placement) -> tuple[Mean, _Settled]:
+    """Return the mean of structures, with couplings and compliances over the pose if the evidence is for them.
+
+    Both are tried on the structure with the most evidence: first the couplings, then the waves over the pose.
+    """
+    structure = mean.structure
+    bare = unloaded(structure.prior, data)
+    joints = [joint for joint in JOINT_COMPLIANCES if joint not in bare]
+    couplings, waves = over_pose.couplings(joints), over_pose.waves(joints)
+    old = len(structure.parameters)
+    structure = replace(structure, parameters=(*structure.parameters, *couplings, *waves))
+    size, prior = len(structure.parameters), prior_of(structure)
+    values = np.concatenate([mean.solve(), np.zeros(size - old)])
+    equations = linearise(structure, values, data, placement)
+    fold = folds(equations)
+    best = max((member for _, member in mean.taken), key=lambda member: member.regression.evidence)
+    base = Member.of(best.name, best.nonlinear, equations, prior, best.regression.columns, fold)
+    added = []
+    for label, first, count in (
+        (", coupled wrist", old, len(couplings)),
+        (", over the pose", old + len(couplings), len(waves)),
+    ):
+        columns = np.concatenate([base.regression.columns, np.arange(first, first + count)])
+        member = Member.of(base.name + label, base.nonlinear, equations, prior, columns, fold)
+        if count > 0 and member.regression.evidence > base.regression.evidence + CLEAR:
+            base = member
+            added.append(member)
+    if not added:
+        return mean, settled
+    wide = [replace(member, regression=replace(member.regression, size=size)) for member in mean.members]
+    members = (*wide, *added)
+    among = np.flatnonzero([*(mean.weights > 0.0), *(True for _ in added)])
+    weights = _stacked(equations, members, among)
+    kinds = (*settled.kinds, *(COUPLING for _ in couplings), *(OVER_POSE for _ in waves))
+    settled = replace(
+        settled, structure=structure, kinds=kinds, prior=prior, equations=equations, whole=base.regression
+    )
+    return Mean(structure, equations, members, weights), settled
 
 
 def _left_out(regression: Regression, equations: Linearised, fold: Ints) -> Array:
@@ -435,7 +486,7 @@ def _chosen(mean: Mean, settled: _Settled, data: Measurements, placement: Placem
     apart = without - without.mean(axis=0)
     # springs of links that are zero cost a coordinate each: the remaining ones take their place
     is_link = np.array([isinstance(parameter, LinkSpring) for parameter in parameters])
-    keep = np.flatnonzero((spread > 0.0) & ((values != 0.0) | ~is_link))
+    keep = np.flatnonzero((spread > 0.0) & ((values != 0.0) | ~is_link) & ~_fixed_over_pose(mean.structure, spread))
     onto = projection(equations, keep, spread)
     structure = replace(mean.structure, parameters=tuple(parameters[index] for index in keep))
     moved, _ = predict(structure, values[keep], data, placement)
@@ -471,6 +522,23 @@ def _chosen(mean: Mean, settled: _Settled, data: Measurements, placement: Placem
         tuple(parameters[index] for index in np.flatnonzero((spread > 0.0) & ~narrowed)),
         settled.whole.evidence,
     )
+
+
+_CONSTANT = 0.005
+"""Standard deviation of a compliance over the pose, as a share of the compliance, below which it is constant."""
+
+
+def _fixed_over_pose(structure: Structure, spread: Array) -> Bools:
+    """Return which parameters (p,) are waves of a joint whose compliance does not depend on the pose.
+
+    :param spread: (p,) prior standard deviations, SI.
+    """
+    out = np.zeros(len(spread), dtype=bool)
+    for joint in JOINT_COMPLIANCES:
+        rows = [i for i, p in enumerate(structure.parameters) if isinstance(p, PoseWave) and p.joint == joint.joint]
+        compliance = structure.prior.compliance[structure.prior.row(joint)]
+        out[rows] = np.sqrt(np.sum(spread[rows] ** 2) / 2.0) < _CONSTANT * compliance
+    return out
 
 
 def design_effect(equations: Linearised, influence: Array, residual: Array) -> float:

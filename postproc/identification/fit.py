@@ -10,6 +10,8 @@ spread of physical size. A parameter that the readings do not excite keeps that 
 
 - compliance of a joint: about the stated one;
 - parts of a gear (fading, up to a breakpoint) and rotations of links: a tenth of the joint's compliance;
+- change of a joint's compliance over the pose (`over_pose`): a tenth of it, of all waves together; coupling of two
+  joints: a tenth of the geometric mean of theirs;
 - translations of links: 0.01 µm/N; backlash and lost motion: 20 µrad;
 - masses, size of the compensator's torque: about the model's values, with the spread that the model states;
 - K_c and K_c·s₀, where they are free: 10⁶ N/m, 10⁶ N.
@@ -30,6 +32,7 @@ from msgspec import Struct
 
 from postproc.errors import MeasurementError, NotConvergedError, PostprocError
 from postproc.frames import Array
+from postproc.identification import over_pose
 from postproc.identification.measurement_model import (
     Placement,
     Structure,
@@ -47,12 +50,15 @@ from postproc.robot import (
     Backlash,
     CompensatorTorque,
     FadingPart,
+    GearCoupling,
     JointCompliance,
     Knee,
     LinkSpring,
     LostMotion,
     Parameter,
+    PoseWave,
     RobotModel,
+    Spring,
     file_slopes,
 )
 
@@ -323,6 +329,8 @@ FACTORS: dict[str, tuple[float, float]] = {
     "breakpoint": (-1.0, 2.0),
     "backlash": (-2.0, 2.0),
     "lost motion": (-2.0, 2.0),
+    "coupling": (0.0, 1.5),
+    **{f"{joint} over the pose": (-0.5, 1.5) for joint in JOINTS},
     "compensator": (1.0, 1.0),
 }
 """Factor on the size of each kind: mean and standard deviation of its logarithm."""
@@ -357,8 +365,15 @@ def prior_of(structure: Structure) -> Prior:
         size=np.array([size for _, size in entries]),
         kind=np.array([kinds.index(kind) if kind in kinds else -1 for kind, _ in entries], dtype=np.int64),
         kinds=kinds,
-        signed=np.array([kind == FIXED for kind, _ in entries], dtype=bool),
+        signed=np.array(
+            [kind == FIXED or _is_signed(p) for (kind, _), p in zip(entries, structure.parameters, strict=True)],
+            dtype=bool,
+        ),
     )
+
+
+def _is_signed(parameter: Parameter) -> bool:
+    return isinstance(parameter, Spring) and parameter.signed
 
 
 def _entry(parameter: Parameter, robot: RobotModel) -> tuple[str, float]:
@@ -376,6 +391,12 @@ def _entry(parameter: Parameter, robot: RobotModel) -> tuple[str, float]:
                 return f"{part} translation", parameter.usual
             of_joint = joints[0 if parameter.link == BASE else JOINTS.index(parameter.link)]
             return f"{part} rotation", float(_OF_JOINT * of_joint)
+        case GearCoupling():
+            pair = joints[[JOINTS.index(parameter.joint), JOINTS.index(parameter.second)]]
+            return "coupling", float(_OF_JOINT * np.sqrt(pair.prod()))
+        case PoseWave():
+            size = _OF_JOINT * joints[JOINTS.index(parameter.joint)] * over_pose.share(parameter)
+            return f"{parameter.joint} over the pose", float(size)
         case LostMotion() | Backlash():
             return "lost motion" if isinstance(parameter, LostMotion) else "backlash", parameter.usual
         case FadingPart():

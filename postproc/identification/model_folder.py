@@ -224,9 +224,11 @@ def read_prior(folder: Path, payload: Payload | None, source: str) -> ModelFile:
 
 
 def without_found_springs(content: ModelFile) -> ModelFile:
-    """Return a model with linear joint springs alone: springs of links and nonlinear parts of gears are removed."""
+    """Return a model with constant joint springs alone, without springs of links and all other terms of gears."""
     joints = {
-        name: msgspec.structs.replace(spring, stiffening=[], knees=[], backlash=None, lost_motion=None)
+        name: msgspec.structs.replace(
+            spring, stiffening=[], knees=[], backlash=None, lost_motion=None, over_pose=[], coupling={}
+        )
         for name, spring in content.joints.items()
     }
     return msgspec.structs.replace(

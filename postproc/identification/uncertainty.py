@@ -52,12 +52,14 @@ from postproc.robot import (
     CompensatorSize,
     CompensatorTorque,
     FadingPart,
+    GearCoupling,
     JointCompliance,
     Knee,
     LinkMass,
     LinkSpring,
     LostMotion,
     Parameter,
+    PoseWave,
     RobotModel,
 )
 
@@ -392,6 +394,8 @@ _KINDS: tuple[tuple[type[Parameter], str], ...] = (
     (FadingPart, "fading parts of gears"),
     (LostMotion, "lost motion"),
     (Backlash, "backlash"),
+    (GearCoupling, "couplings"),
+    (PoseWave, "waves over the pose"),
     (LinkMass, "masses"),
     (CompensatorSize, "compensator"),
 )

@@ -37,6 +37,9 @@ from postproc.robot.model_file import (
 )
 from postproc.robot.parameters import LinkMass, LinkSpring, Parameter
 
+_WRIST = JOINTS[3:]
+"""Joints whose gears may be coupled."""
+
 
 def shipped() -> dict[str, Path]:
     """Return the robot models that come with the package: name → folder."""
@@ -88,6 +91,7 @@ def load(folder: str | Path) -> RobotModel:
     for name, spring in content.joints.items():
         if spring.fades > spring.compliance_urad_per_Nm * (1 + 1e-6):
             raise ModelError(f"[joints.{name}]: the sum of the stiffening parts exceeds the compliance", file=where)
+        _check_terms(name, spring, where)
     _check_covariance(content, where)
     if (off := content.discrepancy) is not None and not (
         0 < len(off.load_N) == len(off.u95_mm) and off.load_N[0] > 0.0 and np.all(np.diff(off.load_N) > 0.0)
@@ -147,6 +151,32 @@ def assemble(name: str, content: ModelFile, nominal: Chain) -> RobotModel:
     )
     springs = [parameter for parameter in values if isinstance(parameter, LinkSpring)]
     return rigid.with_link_springs(springs).with_values(values)
+
+
+def _check_terms(name: str, spring: JointSpring, where: str) -> None:
+    """Refuse couplings outside the wrist, and waves over the pose without an angle or stated twice.
+
+    :raises ModelError: there is one.
+    """
+    valid = _WRIST[_WRIST.index(name) + 1 :] if name in _WRIST else ()
+    wrong = [second for second in spring.coupling if second not in valid]
+    if wrong:
+        raise ModelError(
+            f"[joints.{name}] coupling: {name} and {wrong[0]} are no pair of the wrist",
+            file=where,
+            advice="State those of A4 with A5 or A6 in [joints.A4.coupling], of A5 with A6 in [joints.A5.coupling].",
+        )
+    turns = [entry.turns for entry in spring.over_pose]
+    if any(not any(each) for each in turns):
+        raise ModelError(
+            f"[joints.{name}] over_pose: turns are all zero",
+            file=where,
+            advice="Add what does not depend on the pose to compliance_urad_per_Nm.",
+        )
+    if len(set(turns)) < len(turns):
+        raise ModelError(
+            f"[joints.{name}] over_pose: two entries have the same turns", file=where, advice="Join them to one."
+        )
 
 
 def _covariance(content: ModelFile) -> tuple[Covariance | None, tuple[Parameter, ...]]:
@@ -210,7 +240,8 @@ def _check_covariance(content: ModelFile, where: str) -> None:
             f"[covariance] names {unknown[0]!r}, which is no parameter of the elastic model",
             file=where,
             advice="Valid: k1 … k6, k1@800 (the part that fades beyond 800 N·m), k1^800 (the part that ends there), "
-            "A4.backlash@3, A4.lost_motion@3, A2.RX (a spring of a link), A2.mass, K_c, s_0.",
+            "A4.backlash@3, A4.lost_motion@3, k45 (A4 by a torque on A5), k3.cos(A2-A3) (a wave over the pose), "
+            "A2.RX (a spring of a link), A2.mass, K_c, s_0.",
         )
     size = len(covariance.parameters)
     if any(len(row) != size for row in covariance.matrix) or len(covariance.matrix) != size:
@@ -232,6 +263,10 @@ def sourced_values(content: ModelFile, nominal: Chain) -> Iterator[SourcedValue]
             value += f", of which {spring.fades:.3g} fade with load"
         if spring.backlash is not None:
             value += f"; backlash {spring.backlash.angle_urad:.3g} µrad"
+        if spring.over_pose:
+            value += f"; over the pose, {len(spring.over_pose)} waves"
+        if spring.coupling:
+            value += "; coupled: " + ", ".join(f"{size:.3g} with {joint}" for joint, size in spring.coupling.items())
         if spring.lost_motion is not None:
             value += f"; lost motion {spring.lost_motion.angle_urad:.3g} µrad"
         yield SourcedValue(f"compliance {name}", value, spring.source, spring.assumed)

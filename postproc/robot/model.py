@@ -23,10 +23,12 @@ from postproc.robot.parameters import (
     PER_URAD,
     CompensatorSize,
     CompensatorTorque,
+    GearCoupling,
     JointCompliance,
     LinkMass,
     LinkSpring,
     Parameter,
+    PoseWave,
     Spring,
 )
 from postproc.robot.shapes import LinkShape
@@ -172,6 +174,41 @@ class Transmission(Struct, frozen=True, eq=False):
         return q
 
 
+class OverPose(Struct, frozen=True, eq=False):
+    """Compliances of joints that change over the workspace: Σ a·cos(n·q) + b·sin(n·q), see `parameters.PoseWave`.
+
+    :param turns: (k, 6) periods n of each wave in one turn of each joint.
+    :param cos: (6, k) amplitudes a at each joint [rad/(N·m)], and `sin` b.
+    """
+
+    turns: Array
+    cos: Array
+    sin: Array
+
+    @classmethod
+    def of(cls, terms: Iterable[tuple[Spring, float]]) -> OverPose | None:
+        """Return the sum of all waves among the terms of a robot, or None."""
+        waves = {parameter: value for parameter, value in terms if isinstance(parameter, PoseWave)}
+        if not waves:
+            return None
+        turns = list(dict.fromkeys(wave.turns for wave in waves))
+        amplitude = {name: np.zeros((len(JOINTS), len(turns))) for name in ("cos", "sin")}
+        for wave, value in waves.items():
+            amplitude[wave.wave][JOINTS.index(wave.joint), turns.index(wave.turns)] += value
+        return cls(np.array(turns, dtype=float), **amplitude)
+
+    def compliance(self, q: Array) -> Array:
+        """Return the compliance (6, n) in addition to the mean one at joint angles (6, n) [rad]."""
+        phase = self.turns @ q
+        return np.asarray(self.cos @ np.cos(phase) + self.sin @ np.sin(phase))
+
+    def slopes(self, q: Array) -> Array:
+        """Return the derivatives (6, 6, n) of the compliance of the first joint by the angle of the second."""
+        phase = self.turns @ q
+        by_phase = self.sin[:, :, None] * np.cos(phase) - self.cos[:, :, None] * np.sin(phase)
+        return np.asarray(np.einsum("jkn,ki->jin", by_phase, self.turns))
+
+
 class RobotModel(Struct, frozen=True, eq=False, dict=True):
     """A robot model. SI units, KUKA joint signs, root frame = `$ROBROOT`.
 
@@ -189,7 +226,8 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
     :param speed: (6,) joint speed limits [rad/s].
     :param covariance: of the identified parameters, or None.
     :param sources: each value with its source.
-    :param terms: parameters of springs that are not linear, with their values.
+    :param terms: parameters of springs in addition to the compliances, with their values: gears that are not linear,
+        coupled, or change over the workspace.
     :param carries_weight: their deflection depends on the torque at rest (weights, compensator) too.
     :param link_springs: springs of the links, in the order of their coordinates.
     :param force_factor: factor of the forces that were identified together with the covariance, or None.
@@ -253,6 +291,36 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
             if parameter.is_compliance:
                 out[self.row(parameter)] += value * parameter.effect(zero, zero)[1][0]
         return out
+
+    @cached_property
+    def over_pose(self) -> OverPose | None:
+        """Compliances that change over the workspace, or None."""
+        return OverPose.of(self.terms)
+
+    @cached_property
+    def by_torque(self) -> tuple[tuple[Spring, float], ...]:
+        """The terms whose deflection depends on torques alone."""
+        return tuple(term for term in self.terms if not isinstance(term[0], PoseWave))
+
+    @cached_property
+    def coupled(self) -> Array | None:
+        """Compliances (nv, nv) of coordinates by each other's torques, zero on the diagonal; or None."""
+        couplings = [(parameter, value) for parameter, value in self.terms if isinstance(parameter, GearCoupling)]
+        if not couplings:
+            return None
+        out = np.zeros((self.actual.nv, self.actual.nv))
+        for parameter, value in couplings:
+            for row, by in self.pairs(parameter):
+                out[row, by] += value
+        return out
+
+    def pairs(self, parameter: Spring) -> tuple[tuple[int, int], ...]:
+        """Return the coordinates that a spring deflects, each with the coordinate whose torque does so."""
+        row = self.row(parameter)
+        if not isinstance(parameter, GearCoupling):
+            return ((row, row),)
+        second = self.actuated[JOINTS.index(parameter.second)]
+        return ((row, second), (second, row))
 
     def row(self, parameter: Parameter) -> int:
         """Return the coordinate of the elastic chain at which a parameter acts; of a mass, the one that carries it.

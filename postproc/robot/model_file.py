@@ -20,6 +20,7 @@ Positive = Annotated[float, msgspec.Meta(ge=1e-12, le=1e12)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0, le=1e12)]
 Amplitude = Annotated[float, msgspec.Meta(ge=-1e4, le=1e4)]
 Finite = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]
+Turns = Annotated[int, msgspec.Meta(ge=-9, le=9)]
 Covariant = Annotated[float, msgspec.Meta(ge=-1e24, le=1e24)]
 """A product of two values of the file: that of K_c [N/m] by itself is some 1e10."""
 """Values beyond these are mistakes, whatever the unit."""
@@ -48,10 +49,20 @@ class BacklashEntry(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     torque_Nm: Positive
 
 
+class PoseWaveEntry(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Wave of a joint's compliance over the joint angles: `turns` of A1 … A6 in its angle (`parameters.PoseWave`)."""
+
+    turns: tuple[Turns, Turns, Turns, Turns, Turns, Turns]
+    cos_urad_per_Nm: Finite | None = None
+    sin_urad_per_Nm: Finite | None = None
+
+
 class JointSpring(Sourced, frozen=True, kw_only=True):
     """Compliance of one virtual joint spring, at small torque, the spring of its link about the same axis included.
 
     `stiffening` says which parts of it fade with load, `knees` which end beyond a torque (`parameters.Knee`).
+    `over_pose`: waves over the joint angles in addition to it. `coupling`: joint → deflection of this joint by a torque
+    on that one, and of that one by a torque on this [µrad/(N·m)] (`parameters.GearCoupling`).
     `sigma_percent`: standard deviation of the whole compliance where readings on this robot give none. `scaled_from`:
     the robot whose compliance it is, scaled.
     """
@@ -64,6 +75,8 @@ class JointSpring(Sourced, frozen=True, kw_only=True):
     knees: list[Stiffening] = []
     backlash: BacklashEntry | None = None
     lost_motion: BacklashEntry | None = None
+    over_pose: list[PoseWaveEntry] = []
+    coupling: dict[str, Finite] = {}
 
     @property
     def fades(self) -> float:

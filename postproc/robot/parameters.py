@@ -1,14 +1,17 @@
-"""The parameters of the elastic model: springs of joints and links, compensator, link masses.
+"""The parameters of the elastic model: springs, their couplings and waves over the pose, compensator, link masses.
 
 The model is linear in each of them. A `Spring` adds to the deflection of one coordinate its value times a function of
-the torque there; a `CompensatorTorque` subtracts its value times a function of q2 from the torque on joint 2. Values
-are SI; files hold the units of a workshop (the whole compliance of a joint, the free length s₀): `Parameter.in_file`.
+the torque there; a `GearCoupling` adds to those of two joints, each by the torque on the other; a `PoseWave` is a
+compliance that changes over the workspace. A `CompensatorTorque` subtracts its value times a function of q2 from the
+torque on joint 2. Values are SI; files hold the units of a workshop (the whole compliance of a joint, the free length
+s₀): `Parameter.in_file`.
 
 A further kind is a class in `KINDS`; identification, bound and report use the methods of the objects alone.
 """
 
 from __future__ import annotations
 
+import re
 from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, ClassVar, Self
@@ -94,13 +97,15 @@ class Parameter(Struct, frozen=True):
 class Spring(Parameter, frozen=True):
     """A parameter that adds to the deflection of one coordinate.
 
-    `linear`: the deflection is proportional to the torque. `is_compliance`: its slope at small torque is part of the
-    spring's compliance. `with_rest_torque`: the deflection depends on the torque at rest and that of the load together.
+    `linear`: its value is the compliance of its coordinate; others are terms in addition to it. `is_compliance`: its
+    slope at small torque is part of the spring's compliance. `with_rest_torque`: the deflection depends on the torque
+    at rest and that of the load together. `signed`: its value may be negative.
     """
 
     linear: ClassVar[bool] = True
     is_compliance: ClassVar[bool] = True
     with_rest_torque: ClassVar[bool] = True
+    signed: ClassVar[bool] = False
 
     def effect(self, torque: Array, rest: Array) -> tuple[Array, Array]:
         """Return the deflection (N,) per unit of the parameter, and its derivative by the torque.
@@ -109,6 +114,10 @@ class Spring(Parameter, frozen=True):
         :param rest: (N,) torque at which the deflection is zero [N·m, N].
         """
         return torque, np.ones_like(torque)
+
+    def factor(self, angles: Array) -> Array | float:
+        """Return the factor (N,) on `effect` at angles (6, N) of the joints [rad]: one, unless it depends on them."""
+        return 1.0
 
 
 class CompensatorTorque(Parameter, frozen=True):
@@ -347,6 +356,119 @@ class LostMotion(Backlash, frozen=True):
         """Return tanh(v) and its derivative by the torque."""
         there = np.tanh(torque / self.torque)
         return there, (1.0 - there**2) / self.torque
+
+
+class GearCoupling(_OfJoint, frozen=True):
+    """Deflection of each of two joints by the torque on the other: ``k45``, of either sign.
+
+    The motors of a wrist turn A5 and A6 by shafts and bevel gears within A4: a gear that deflects moves the others. By
+    Maxwell's reciprocity the deflection of A4 by a torque on A5 is that of A5 by the same torque on A4. It is in
+    addition to the compliances of the two joints.
+    """
+
+    second: str
+    linear: ClassVar[bool] = False
+    is_compliance: ClassVar[bool] = False
+    signed: ClassVar[bool] = True
+    key: ClassVar[str] = "coupling"
+    """Key in [joints] of model.toml, at the first of the two joints."""
+
+    @property
+    def name(self) -> str:
+        """Name in files, e.g. ``k45``."""
+        return JointCompliance(self.joint).name + self.second[1:]
+
+    @property
+    def title(self) -> str:
+        """Return the two joints for headings."""
+        return f"coupling of {self.joint} and {self.second}"
+
+    @classmethod
+    def named(cls, name: str) -> Self | None:
+        """Return the coupling of a name like ``k45``."""
+        pairs = (cls(joint, second) for index, joint in enumerate(JOINTS) for second in JOINTS[index + 1 :])
+        return next((pair for pair in pairs if pair.name == name), None)
+
+    @classmethod
+    def stated(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
+        """Yield the entries under `key` of [joints]."""
+        for joint in JOINTS:
+            for second, value in content.joints[joint].coupling.items():
+                yield cls(joint, second), value / PER_URAD
+
+    def write(self, tables: dict[str, Any], value: float, half: float, source: str) -> None:
+        """Add to `key` of the first joint."""
+        tables["joints"][self.joint].setdefault(self.key, {})[self.second] = value
+
+
+class PoseWave(_OfJoint, frozen=True):
+    """Part of a joint's compliance that is a wave over the joint angles: ``k3.cos(A2-A3)``, of either sign.
+
+    Deflection cos(n·q)·torque or sin(n·q)·torque, with whole numbers n of turns of each joint. A sum of such waves is
+    a Fourier series of the compliance over the workspace: gear wheels that run out of true change it once and twice a
+    turn, and the arm's shape changes what the links add to a joint. Its mean over all angles is `JointCompliance`.
+
+    :param turns: (6,) periods of the wave in one turn of each joint.
+    :param wave: ``cos`` or ``sin``.
+    """
+
+    turns: tuple[int, ...]
+    wave: str
+    linear: ClassVar[bool] = False
+    is_compliance: ClassVar[bool] = False
+    signed: ClassVar[bool] = True
+    key: ClassVar[str] = "over_pose"
+    """Key of such parts in [joints] of model.toml."""
+
+    @property
+    def angle(self) -> str:
+        """Return the angle of the wave, e.g. ``A2-2A3``."""
+        parts = (f"{turns:+d}{joint}" for turns, joint in zip(self.turns, JOINTS, strict=True) if turns)
+        return re.sub(r"(?<=[+-])1(?=A)", "", "".join(parts)).removeprefix("+")
+
+    @property
+    def name(self) -> str:
+        """Name in files, e.g. ``k3.cos(A2-A3)``."""
+        return f"{JointCompliance(self.joint).name}.{self.wave}({self.angle})"
+
+    @property
+    def title(self) -> str:
+        """Return joint and wave for headings."""
+        return f"{JointCompliance(self.joint).name} over the pose, {self.wave}({self.angle})"
+
+    @classmethod
+    def named(cls, name: str) -> Self | None:
+        """Return the wave of a name like ``k3.cos(A2-A3)``."""
+        match = re.fullmatch(r"(k[1-6])\.(cos|sin)\(((?:[+-]?[1-9]?A[1-6])+)\)", name)
+        if match is None:
+            return None
+        turns = [0] * len(JOINTS)
+        for sign, count, joint in re.findall(r"([+-]?)([1-9]?)(A[1-6])", match[3]):
+            turns[JOINTS.index(joint)] = int(f"{sign}{count or 1}")
+        whole = JointCompliance.named(match[1])
+        wave = None if whole is None else cls(whole.joint, tuple(turns), match[2])
+        return wave if wave is not None and wave.name == name else None
+
+    @classmethod
+    def stated(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
+        """Yield the waves under `key` of [joints]."""
+        for joint in JOINTS:
+            for entry in content.joints[joint].over_pose:
+                for wave, value in (("cos", entry.cos_urad_per_Nm), ("sin", entry.sin_urad_per_Nm)):
+                    if value is not None:
+                        yield cls(joint, entry.turns, wave), value / PER_URAD
+
+    def write(self, tables: dict[str, Any], value: float, half: float, source: str) -> None:
+        """Add to `key` of the joint."""
+        entries = tables["joints"][self.joint].setdefault(self.key, [])
+        if not entries or entries[-1]["turns"] != self.turns:
+            entries.append({"turns": self.turns})
+        entries[-1][f"{self.wave}_urad_per_Nm"] = value
+
+    def factor(self, angles: Array) -> Array:
+        """Return cos(n·q) or sin(n·q) (N,) at angles (6, N) [rad]."""
+        phase = np.array(self.turns, dtype=float) @ angles
+        return np.asarray(np.cos(phase) if self.wave == "cos" else np.sin(phase))
 
 
 class LinkSpring(Spring, frozen=True):
@@ -588,6 +710,8 @@ KINDS: tuple[type[Parameter], ...] = (
     Knee,
     Backlash,
     LostMotion,
+    GearCoupling,
+    PoseWave,
     LinkSpring,
     CompensatorStiffness,
     CompensatorPreload,

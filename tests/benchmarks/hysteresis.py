@@ -75,7 +75,9 @@ def fades(model):
     least, most = (share * np.abs(model.measured.torque) for share in (0.02, 1.0))
     torque = np.zeros((2, model.actual.nv))
     torque[:, rows] = least, most
-    slope = elastostatics.balance.spring_deflection(model, torque.T, np.zeros((torque.shape[1], 1)))[1].T[:, rows]
+    slope = elastostatics.balance.spring_deflection(model, 0.0 * torque.T, torque.T, np.zeros((torque.shape[1], 1)))[
+        1
+    ].T[:, rows]
     return float(np.mean(1.0 - slope[1] / slope[0]))
 
 

@@ -32,13 +32,24 @@ def _backlash(torque, rest, scale):
     return np.tanh((torque + rest) / scale) - np.tanh(rest / scale)
 
 
+def _angle(turns):
+    """The angle of a wave as names in files have it."""
+    parts = [
+        f"{'-' if n < 0 else '+'}{'' if abs(n) == 1 else abs(n)}{joint}"
+        for n, joint in zip(turns, JOINTS, strict=True)
+        if n
+    ]
+    return "".join(parts).lstrip("+")
+
+
 class WholeArm:
     """The arm of a URDF and the content of a model file; `payload` (mass [kg], centre in the flange frame [m]).
 
     Its chains are built once, and once more for arms with other masses.
 
-    What tests change: `linear` (nv,) compliances, `parts` [function, coordinate, torque, value], `stiffness` and
-    `preload` of the compensator, `heavier` (6,) factors of the masses.
+    What tests change: `linear` (nv,) compliances, `parts` [function, coordinate, torque, value], `over_pose` [joint,
+    turns, function, value], `couplings` {(joint, joint): value}, `stiffness` and `preload` of the compensator,
+    `heavier` (6,) factors of the masses.
     """
 
     def __init__(self, urdf, content, payload=(0.0, (0.0, 0.0, 0.0))):
@@ -70,6 +81,13 @@ class WholeArm:
             for function, entry in ((_backlash, own.backlash), (None, own.lost_motion)):
                 if entry is not None:
                     self.parts.append([function, row, entry.torque_Nm, entry.angle_urad * 1e-6])
+        self.over_pose, self.couplings = [], {}
+        for joint, name in enumerate(JOINTS):
+            for entry in content.joints[name].over_pose:
+                for function, value in ((np.cos, entry.cos_urad_per_Nm), (np.sin, entry.sin_urad_per_Nm)):
+                    self.over_pose.append([joint, tuple(entry.turns), function, (value or 0.0) * 1e-6])
+            for second, value in content.joints[name].coupling.items():
+                self.couplings[joint, JOINTS.index(second)] = value * 1e-6
         law = content.compensator
         self.stiffness = law.stiffness_N_per_m if law else 0.0
         self.preload = self.stiffness * law.free_length_mm / 1e3 if law else 0.0
@@ -82,7 +100,7 @@ class WholeArm:
     def but(self, **changes):
         """Return the arm with other values."""
         other = copy.copy(self)
-        if not changes.keys() <= {"linear", "parts", "stiffness", "preload"}:
+        if not changes.keys() <= {"linear", "parts", "over_pose", "couplings", "stiffness", "preload"}:
             other.built = None
         other.__dict__ |= changes
         return other
@@ -100,14 +118,20 @@ class WholeArm:
         x[self.rows] = q + np.einsum("jk,kj->j", self.waves, [np.sin(q), np.cos(q), np.sin(2 * q), np.cos(2 * q)])
         return x
 
-    def law(self, torque, rest, load):
-        """θ (nv,) of the springs; lost motion goes by what the load alone puts on them."""
+    def law(self, x, torque, rest, load):
+        """θ (nv,) of the springs at coordinates x; lost motion goes by what the load alone puts on them."""
         theta = self.linear * torque
         for function, row, scale, value in self.parts:
             if function is None:
                 theta[row] += value * np.tanh(load[row] / scale)
             else:
                 theta[row] += value * function(torque[row], rest[row], scale)
+        for joint, turns, function, value in self.over_pose:
+            row = self.rows[joint]
+            theta[row] += value * function(np.dot(turns, x[self.rows])) * torque[row]
+        for (one, two), value in self.couplings.items():
+            theta[self.rows[one]] += value * torque[self.rows[two]]
+            theta[self.rows[two]] += value * torque[self.rows[one]]
         return theta
 
     def compensator(self, q2):
@@ -149,7 +173,7 @@ class WholeArm:
         def given(theta, force=wrench):
             x = x0 + theta
             torque = tcp(x)[1].T @ force - loaded(x) + rest
-            return self.law(torque, felt, torque + bare(x) if self.rigid else torque)
+            return self.law(x, torque, felt, torque + bare(x) if self.rigid else torque)
 
         return given, lambda theta: tcp(x0 + theta)
 
@@ -183,6 +207,15 @@ class WholeArm:
         if name in (names := [f"{link}.{axis}" for link, axis in self.springs]):
             row = sorted(set(range(len(self.linear))) - set(self.rows))[names.index(name)]
             return self.but(linear=self.linear + step * np.eye(len(self.linear))[row])
+        if name.startswith("k") and name[1:].isdigit() and len(name) == 3:
+            pair = int(name[1]) - 1, int(name[2]) - 1
+            return self.but(couplings={**self.couplings, pair: self.couplings[pair] + step})
+        if "(" in name:
+            joint, function = int(name[1]) - 1, {"cos": np.cos, "sin": np.sin}[name[3:6]]
+            wave = [p for p in self.over_pose if p[0] == joint and p[2] is function and _angle(p[1]) == name[7:-1]]
+            assert len(wave) == 1, name
+            changed = [[*p[:3], p[3] + step * (p is wave[0])] for p in self.over_pose]
+            return self.but(over_pose=changed)
         kinds = {"@": _fading, "^": _knee, "backlash": _backlash, "lost_motion": None}
         kind = next((kind for kind in ("backlash", "lost_motion", "@", "^") if kind in name), None)
         row = self.rows[int(name[1]) - 1]

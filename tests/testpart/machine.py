@@ -52,7 +52,7 @@ class Machine:
         for _ in range(20):
             before = theta
             torque = self.tcp(x0 + theta)[1].T @ wrench - self.loaded(x0 + theta) + rest
-            theta = arm.law(torque, felt, torque)
+            theta = arm.law(x0 + theta, torque, felt, torque)
             if np.abs(theta - before).max() < 1e-9:
                 break
         moved = twist(self.tcp(x0)[0], self.tcp(x0 + theta)[0])

@@ -1,0 +1,73 @@
+"""Candidate parameters of a robot whose compliance depends on the pose, and of coupled wrists.
+
+**Over the pose.** The compliance of joint j at a pose is k_j·(1 + f_j(q)). f_j is a Gaussian process of mean zero that
+is smooth over the joint angles, by its Fourier series: waves cos(n·q), sin(n·q) with independent normal amplitudes
+(Rasmussen and Williams, "Gaussian Processes for Machine Learning", 2006, 4.2.1 and 2.2). Two things change a compliance
+with the pose: the shape of the arm, by A2 and A3, and gear wheels that run out of true, once and twice a turn of the
+joint itself. So n has up to one turn of A2 and of A3, and up to two of the joint. The variance of a wave falls with its
+turns of A2 and A3 (`_SMOOTH`), which is the spectrum of a squared exponential of length 1 rad; that of all waves of a
+joint together is one, times a size that the readings determine (`fit.learn`). Far from all readings the posterior of
+f_j is its prior: the model has the mean compliance there, and the bound counts the whole size of f_j.
+
+**Coupling.** Deflections of A4, A5 and A6 by each other's torques, see `robot.GearCoupling`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import product
+
+import numpy as np
+
+from postproc.robot import JOINTS, GearCoupling, JointCompliance, PoseWave
+
+_TURNS_OF_ARM = (-1, 0, 1)
+"""Turns of A2 and of A3 in the waves of the other joints."""
+_TURNS_OF_ARM_JOINTS = (-2, -1, 0, 1, 2)
+"""The same for A2 and A3 themselves; at most three together."""
+_TURNS_OF_JOINT = (0, 1, 2)
+_SMOOTH = 1.0
+"""Standard deviation of the spectrum [turns]: one over the length over which a compliance changes [rad]."""
+_WRIST = JOINTS[3:]
+
+
+def couplings(joints: Sequence[JointCompliance]) -> tuple[GearCoupling, ...]:
+    """Return the couplings among those joints of the wrist that loads act on."""
+    wrist = [joint.joint for joint in joints if joint.joint in _WRIST]
+    return tuple(GearCoupling(a, b) for index, a in enumerate(wrist) for b in wrist[index + 1 :])
+
+
+def waves(joints: Sequence[JointCompliance]) -> tuple[PoseWave, ...]:
+    """Return the waves over the pose of the compliances of some joints."""
+    return tuple(
+        PoseWave(joint.joint, turns, wave)
+        for joint in joints
+        for turns in _turns(joint.index)
+        for wave in ("cos", "sin")
+    )
+
+
+def share(wave: PoseWave) -> float:
+    """Return the standard deviation of the amplitude of a wave over that of all waves of its joint together."""
+    index = JOINTS.index(wave.joint)
+    variance = {turns: _spectrum(turns) for turns in _turns(index)}
+    return float(np.sqrt(variance.get(wave.turns, _spectrum(wave.turns)) / sum(variance.values())))
+
+
+def _spectrum(turns: tuple[int, ...]) -> float:
+    return float(np.exp(-0.5 * (turns[1] ** 2 + turns[2] ** 2) / _SMOOTH**2))
+
+
+def _turns(index: int) -> list[tuple[int, ...]]:
+    """Return the turns (6,) of the waves of joint `index`: one of n and −n, which are the same wave."""
+    if index in (1, 2):
+        pairs = [pair for pair in product(_TURNS_OF_ARM_JOINTS, repeat=2) if abs(pair[0]) + abs(pair[1]) <= 3]
+        candidates = [(0, *pair, 0, 0, 0) for pair in pairs]
+    else:
+        candidates = []
+        for own, second, third in product(_TURNS_OF_JOINT, _TURNS_OF_ARM, _TURNS_OF_ARM):
+            turns = [0, second, third, 0, 0, 0]
+            turns[index] = own
+            candidates.append(tuple(turns))
+    order = (index, 1, 2)
+    return [turns for turns in candidates if next((turns[i] for i in order if turns[i]), 0) > 0]
