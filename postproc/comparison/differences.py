@@ -24,6 +24,7 @@ from postproc.comparison.result import (
     of_line,
     place_of,
 )
+from postproc.comparison.statements import statement_differences
 from postproc.correction.targets import corners_of_motions
 from postproc.errors import Issue, Level
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, angle_between, norm, twist_between
@@ -70,6 +71,7 @@ def differences(
         *_not_compared(found),
         *_calls(found),
         *settings(found, one, other),
+        *statement_differences(found),
         *forces(found, other, in_file=in_file),
         *_rapid(found, one),
         *_twice(found, one, other),

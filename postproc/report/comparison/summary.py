@@ -80,7 +80,7 @@ def _distinct_ends(one: str, other: str) -> tuple[str, str]:
 _MOST = 20
 _DIFFERENCES = (
     "speed", "kind", "approximation", "base", "tool", "external-axis", "posture", "axis-target", "orientation", "force",
-    "rapid", "twice", "back", "orientation-type", "not-compared",
+    "rapid", "twice", "back", "orientation-type", "statement", "not-compared",
 )  # fmt: skip
 
 
