@@ -287,6 +287,13 @@ class Collision(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     arm: Literal["urdf", "capsules"] = "urdf"
 
 
+class Report(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Lines of the page: a title such as the order, and the customer. Empty: none."""
+
+    title: str = ""
+    customer: str = ""
+
+
 class CellFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Content of a `cell.toml`, in the units of the file."""
 
@@ -311,6 +318,7 @@ class CellFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     part: Part = Part()
     external_axes: dict[str, ExternalAxis] = {}
     collision: Collision | None = None
+    report: Report = Report()
 
 
 class Cell(CellFile, frozen=True):

@@ -35,6 +35,7 @@ from postproc.jobs.programs import (
 from postproc.placement.turning import chosen_start
 from postproc.program import Document, Motions, Program
 from postproc.report import Summary
+from postproc.report.record import Record, today
 from postproc.robot import RobotModel
 from postproc.under_load import RobotInCell
 from postproc.version import VERSION
@@ -132,6 +133,13 @@ def origin_of(
         model=inputs.sum_of(inputs.of_robot(cell)),
         forces="-" if forces is None else inputs.sum_of(inputs.of_forces(forces)),
     )
+
+
+def record_of(source: Sequence[Document], path: Path, cell: Cell, forces: Path | None) -> Record:
+    """Return the record of a program that is converted now; see `origin_of`."""
+    origin = origin_of(source, path, cell, forces, "corrected")
+    sums = {"program": origin.source, "cell": origin.cell, "robot model": origin.model, "forces": origin.forces}
+    return Record(cell.report.title, cell.report.customer, path.name, sums, today())
 
 
 if TYPE_CHECKING:
@@ -377,7 +385,10 @@ def _made(
         for ending, made in (("ply", ply), ("glb", glb)):
             contents[f"{stem}surface.{ending}"] = made(surface, cell.tolerance)
     content = report.summary(result, tolerance, cell.part_tolerance, surface)
-    contents[f"{stem}report.html"] = report.page(result, tolerance, surface, process, cell.part_tolerance, stem)
+    record = record_of(result.program.documents, settings.cell, cell, job.forces)
+    contents[f"{stem}report.html"] = report.page(
+        result, tolerance, surface, process, cell.part_tolerance, stem, record=record
+    )
     if process is not None:
         from postproc.jobs import process_forces
 

@@ -34,7 +34,7 @@ def test_tool_and_obstacles_are_drawn_where_they_are(browser, tmp_path):
     place = 7
     with browsers.opened(browser, tmp_path / "page.html") as page:
         assert "12.3 mm, cutter and vice, line 5" in page.locator("#limits").inner_text()
-        assert "capsules of assumed radius" in page.locator("#verdict").inner_text()
+        assert "capsules of assumed radius" in page.locator("#verdict").text_content()
         drawn = page.evaluate("(i) => { const v = robot.vertices(i); return [v.x, v.y, v.z]; }", place)
         tip = page.evaluate("(i) => { const f = robot.frames(i).at(-1); return f.map((row) => row[3]); }", place)
         colours = page.evaluate("[...new Set(robot.faces.facecolor)].length")

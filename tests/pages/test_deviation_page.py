@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import json
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +18,7 @@ from tests import fabricated
 from tests.pages.browser import needs_chromium, opened, without_webgl
 
 pytestmark = needs_chromium
+SAMPLES = Path(__file__).parents[2] / "samples"
 IDS = ("verdict", "view3d", "along", "histogram", "worst", "place", "issues")
 
 
@@ -57,7 +61,7 @@ def test_its_numbers_are_those_of_the_report(page, results):
     text = page.locator("#numbers").inner_text()
     for key in ("max_mm", "rms_mm", "mean_mm", "p95_mm"):
         assert estimate(report["before"][key], report["u95"]["max_mm"]) in text
-    assert all(reason[1:] in page.locator("#verdict").inner_text() for reason in report["verdict"]["reasons"])
+    assert all(reason[1:] in page.locator("#verdict").text_content() for reason in report["verdict"]["reasons"])
     cutting = [row for row in _targets(results) if not row["rapid"]]
     at = page.evaluate("({before: Array.from(places.at.before), after: Array.from(places.at.after), "
                        "rapid: Array.from(places.at.rapid)})")  # fmt: skip
@@ -426,6 +430,53 @@ def test_on_paper_the_path_is_there_with_what_was_chosen_for_it(browser, results
         assert picture.evaluate("(image) => image.naturalWidth") > 300
 
 
+def test_on_paper_it_is_a_record_of_two_sheets(browser, results):
+    with opened(browser, results / "pocket.report.html") as page:
+        sheets = page.pdf(format="A4", prefer_css_page_size=True)
+        page.emulate_media(media="print")
+        assert re.findall(rb"/Type /Pages.*?/Count (\d+)", sheets, re.S) == [b"2"]
+        for shown in ("verdict", "view3d", "numbers", "worst", "record"):
+            assert page.locator(f"#{shown}").is_visible()
+        assert not page.locator(".hint, #along, #source-view").filter(visible=True).count()
+
+
+def test_the_program_is_beside_the_path_and_line_and_place_lead_to_each_other(browser, results):
+    text = (SAMPLES / "pocket.nc").read_text().splitlines()
+    with opened(browser, results / "pocket.report.html") as page:
+        chosen = page.locator("#source-view .chosen")
+        line = page.evaluate("places.at.source_line[selection.chosen]")
+        assert chosen.get_attribute("data-line") == str(line)
+        assert chosen.evaluate("(row) => row.lastChild.textContent") == text[line - 1]
+        page.locator("#source-view").evaluate("(view) => { view.scrollTop = 0; }")
+        page.wait_for_timeout(200)
+        other = page.locator("#source-view .leads").first
+        number = int(other.get_attribute("data-line"))
+        other.click()
+        assert page.evaluate("places.at.source_line[selection.chosen]") == number != line
+        page.evaluate("selection.choose(facts.worst.before)")
+        page.wait_for_timeout(200)
+        assert chosen.is_visible()
+        assert int(chosen.get_attribute("data-line")) == line
+        page.locator("#source-view").press("ArrowUp")
+        assert page.evaluate("places.at.source_line[selection.chosen]") < line
+
+
+def test_the_picture_is_on_the_first_screen(browser, results):
+    with opened(browser, results / "pocket.report.html", width=1400, height=900) as page:
+        box = page.locator("#view3d-view").bounding_box()
+        assert box["y"] + 0.5 * box["height"] < 900
+
+
+def test_the_record_states_when_with_what_and_for_whom(browser, results):
+    report = json.loads((results / "pocket.report.json").read_text(encoding="utf-8"))
+    assert report["program"]
+    with opened(browser, results / "pocket.report.html") as page:
+        told = page.locator("#record").inner_text()
+        digits = hashlib.sha256((SAMPLES / "pocket.nc").read_bytes()).hexdigest()[:16]
+        assert digits in told
+        assert "cell_kr270.toml" in told
+
+
 def test_a_prediction_has_the_same_page_with_one_deviation(browser, results):
     with opened(browser, results / "pocket.predict.report.html") as page:
         text = page.locator("body").inner_text()
@@ -472,6 +523,7 @@ def test_a_browser_that_cannot_draw_in_space_shows_the_path_and_where_it_is_wors
         page.mouse.move(box["x"] + 400, box["y"] + 210, steps=5)
         page.mouse.up()
         page.wait_for_timeout(100)
-        assert abs(np.subtract(page.evaluate(_MARKS), before)).max() > 20.0
+        after = page.evaluate(_MARKS)  # other numbers may be in sight
+        assert len(after) != len(before) or abs(np.subtract(after, before)).max() > 20.0
         colours = page.locator("#view3d .sketch").evaluate(_COLOURS)
         assert colours > 20

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
+from msgspec.structs import replace
+
 from postproc.correction import Result
 from postproc.report.answers import Remedy
 from postproc.report.deviation import sections
 from postproc.report.deviation.data import Deviation
 from postproc.report.kit import Note, Page, Section
+from postproc.report.record import Record
 from postproc.report.text import targets
 
 if TYPE_CHECKING:
@@ -18,8 +21,8 @@ if TYPE_CHECKING:
 
 SECTIONS: tuple[Callable[[Deviation], Section | None], ...] = (
     sections.verdict,
-    sections.numbers,
     sections.view3d,
+    sections.numbers,
     sections.surface,
     sections.along,
     sections.turn,
@@ -33,9 +36,12 @@ SECTIONS: tuple[Callable[[Deviation], Section | None], ...] = (
     sections.joints,
     sections.model,
     sections.issues,
+    sections.record,
     sections.place,
 )
 """The sections of the page in order. One that has nothing to say returns None."""
+ON_PAPER = frozenset({"verdict", "view3d", "numbers", "surface", "operations", "worst", "limits", "record"})
+"""The sections that are printed: a record of two sheets."""
 _MODES = {
     "convert": "corrected program",
     "nominal": "written without correction",
@@ -56,6 +62,7 @@ def page(
     part_tolerance: float | None = None,
     stem: str = "",
     remedies: Sequence[Remedy] = (),
+    record: Record | None = None,
 ) -> Iterator[bytes]:
     """Yield the report of one program as HTML in UTF-8, one file that loads nothing.
 
@@ -66,9 +73,11 @@ def page(
     :param part_tolerance: what the part may be off [m], 95 %; None = not stated.
     :param stem: with which the names of the files begin that are written with the page, such as ``"part."``.
     :param remedies: what would lower the expected error, see `postproc.report.summary.summary`.
+    :param record: when, with what and for whom it is made; None = not stated.
     """
-    data = Deviation(result, tolerance, surface, process, part_tolerance, stem, tuple(remedies))
-    sections = tuple(found for make in SECTIONS if (found := make(data)) is not None)
+    data = Deviation(result, tolerance, surface, process, part_tolerance, stem, tuple(remedies), record)
+    made = (section for make in SECTIONS if (section := make(data)) is not None)
+    sections = tuple(replace(section, printed=section.id in ON_PAPER) for section in made)
     views = len(result) > 0
     content = data.content
     yield from Page(
@@ -85,7 +94,9 @@ def page(
         facts=data.facts() if views else None,
         columns=data.columns() if views else {},
         scripts=tuple(("postproc.report.deviation", name) for name in _SCRIPTS) if views else (),
+        record="" if record is None else record.head(),
+        texts={"source": data.source} if views and data.source else {},
     ).render()
 
 
-_SCRIPTS = ("places", "robot", "along", "histogram", "view3d", "surface", "stock", "place")
+_SCRIPTS = ("places", "robot", "along", "histogram", "view3d", "source", "surface", "stock", "place")

@@ -14,6 +14,7 @@ from postproc import kinematics
 from postproc.chunks import in_chunks
 from postproc.collision import Body
 from postproc.correction import Result
+from postproc.dialects.text import line_spans
 from postproc.errors import Issue
 from postproc.forces.axes import across
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, largest, norm, xyzabc_from_pose
@@ -21,6 +22,7 @@ from postproc.program import CIRC, PTP, WRENCH, Bools, Ints, distinct
 from postproc.report.answers import Remedy
 from postproc.report.kit import Columns
 from postproc.report.path import Operation, drawn_path, operations
+from postproc.report.record import Record
 from postproc.report.summary import Summary, summary
 from postproc.report.verdict import nothing_to_correct
 from postproc.robot import JOINTS
@@ -38,6 +40,9 @@ _SHARP = np.cos(np.radians(40.0))
 _WORST = 12
 """Lines of the program with the largest values that are listed, for each measure."""
 _GOUGES = 40
+_LONGEST_TEXT = 6_000_000
+"""Characters of a program whose text is in the page: some 250 000 lines, a megabyte of the page."""
+_LONGEST_LINE = 200
 
 
 class Histogram(msgspec.Struct, frozen=True):
@@ -92,6 +97,7 @@ class Deviation(Struct, frozen=True, dict=True):
     :param part_tolerance: what the part may be off [m], 95 %; None = not stated.
     :param stem: with which the names of the files begin that are written with the page, such as ``"part."``.
     :param remedies: what would lower the expected error, see `postproc.report.summary.summary`.
+    :param record: when, with what and for whom the page is made, or None.
     """
 
     result: Result
@@ -101,6 +107,7 @@ class Deviation(Struct, frozen=True, dict=True):
     part_tolerance: float | None = None
     stem: str = ""
     remedies: tuple[Remedy, ...] = ()
+    record: Record | None = None
 
     @cached_property
     def content(self) -> Summary:
@@ -111,6 +118,18 @@ class Deviation(Struct, frozen=True, dict=True):
     def nothing(self) -> str | None:
         """A sentence where there is nothing to correct, or None."""
         return nothing_to_correct(self.content)
+
+    @cached_property
+    def source(self) -> str:
+        """Text of the program as read, lines separated by line feeds; empty where it is too long for a page."""
+        documents = self.result.program.documents
+        if not documents or len(documents[0].text) > _LONGEST_TEXT:
+            return ""
+        text = documents[0].text
+        starts, stops = line_spans(text)
+        return "\n".join(
+            text[a : min(b, a + _LONGEST_LINE)] for a, b in zip(starts.tolist(), stops.tolist(), strict=True)
+        )
 
     @property
     def compared(self) -> bool:

@@ -15,13 +15,14 @@ from postproc.placement import FREE, NO_CLEARANCE, REASONS, Turn
 from postproc.program import Ints
 from postproc.report.deviation.data import Deviation, correction
 from postproc.report.feed import seconds, sentences
-from postproc.report.formatting import estimate, millimetres, rounded
+from postproc.report.formatting import ROUNDING_MM, estimate, millimetres, rounded
 from postproc.report.judged import answers, in_two, sentence
 from postproc.report.kit import (
     Axis,
     Cell,
     Curve,
     Facts,
+    Fold,
     Kind,
     Map,
     Note,
@@ -53,9 +54,10 @@ def verdict(data: Deviation) -> Section:
     if judged.state != "ok":
         kind: Kind = "error" if judged.state == "failed" else ""
         parts.append(Notes(tuple(Note(sentence(text), kind) for text in judged.reasons), "Why", marked=True))
-    if judged.holds:
-        parts.append(Notes(tuple(Note(sentence(text)) for text in judged.holds), "What holds", marked=True))
-    parts.append(Notes(tuple(Note(sentence(text)) for text in judged.assumes), "Under these assumptions", marked=True))
+    holds = Notes(tuple(Note(sentence(text)) for text in judged.holds), "What holds", marked=True)
+    assumes = Notes(tuple(Note(sentence(text)) for text in judged.assumes), "Under these assumptions", marked=True)
+    inner = (holds, assumes) if judged.holds else (assumes,)
+    parts.append(Fold("What holds, and under which assumptions" if judged.holds else "Under which assumptions", inner))
     return Section("verdict", "Verdict", tuple(parts))
 
 
@@ -96,15 +98,26 @@ def _table(data: Deviation) -> Table:
         before = zip(_MEASURES, astuple(content.before), strict=True)
         rows = tuple(Row((label, estimate(value, u95))) for label, value in before)
         return Table(("Criterion", "Predicted, mm"), rows, "Predicted deviation")
-    rows = tuple(
+    if content.after.max_mm < ROUNDING_MM:
+        before = zip(_MEASURES, astuple(content.before), strict=True)
+        rows = tuple(Row((label, estimate(value, u95))) for label, value in before)
+        return Table(
+            ("Criterion", "Before compensation, mm"),
+            rows,
+            "Deviation before compensation",
+            note=f"{_ALL_ROUNDING} {_ROUNDING}",
+        )
+    compared = tuple(
         Row((label, estimate(one, u95), estimate(other, u95), times(one, other)))
         for label, one, other in zip(_MEASURES, astuple(content.before), astuple(content.after), strict=True)
     )
     head = ("Criterion", "Before compensation, mm", "After compensation, mm", "Improvement factor")
-    return Table(head, rows, "Deviation before and after compensation", note=_ROUNDING)
+    note = f"{_ROUNDING} “To rounding”: what remains is the rounding of the text."
+    return Table(head, compared, "Deviation before and after compensation", note=note)
 
 
-_ROUNDING = "At cutting targets, as the model predicts it. “To rounding”: what remains is the rounding of the text."
+_ALL_ROUNDING = "After compensation only the rounding of the written numbers remains: below 0.0001 mm everywhere."
+_ROUNDING = "At cutting targets, as the model predicts it."
 
 
 _VIEW_LABEL = (
@@ -118,11 +131,17 @@ def view3d(data: Deviation) -> Section | None:
     """Return the view."""
     if not len(data.result) or data.nothing is not None:
         return None
-    note = (
-        "Drag or arrow keys turn, wheel or + − zoom, a click chooses a place; N, P: next, previous place, W: the "
-        "worst. Grey: rapid moves. The overlay is enlarged; the path itself is not."
+    hint = (
+        "Drag or arrow keys turn, wheel or + − zoom, a click chooses a place; N, P: next, previous place, W: the worst."
     )
-    return Section("view3d", "The path in space", (View("view3d", _VIEW_LABEL, note),))
+    note = "Grey: rapid moves, as far as they are near the part. The overlay is enlarged; the path itself is not."
+    parts: list[Part] = [View("view3d", _VIEW_LABEL, note, hint)]
+    if data.source:
+        parts.append(View("source", _SOURCE_LABEL, hint="A click on a line shows its place; the arrow keys step."))
+    return Section("view3d", "The path in space", tuple(parts))
+
+
+_SOURCE_LABEL = "The text of the program; lines with targets lead to their place. Arrow up and down step along them."
 
 
 def surface(data: Deviation) -> Section | None:
@@ -327,7 +346,7 @@ def operations(data: Deviation) -> Section | None:
     """Return a table of the operations."""
     if not data.operations:
         return None
-    rows = []
+    rows, with_after = [], data.compared and data.content.after.max_mm >= ROUNDING_MM
     for place, operation in enumerate(data.operations, 1):
         u95 = None if operation.bound is None else operation.bound.largest * MM_PER_M
         cells = [
@@ -338,7 +357,7 @@ def operations(data: Deviation) -> Section | None:
             f"{operation.force:.0f}",
             estimate(operation.before.largest * MM_PER_M, u95),
         ]
-        if data.compared:
+        if with_after:
             cells.append(estimate(operation.after.largest * MM_PER_M, u95))
         if u95 is not None:
             cells.append(rounded(u95))
@@ -351,7 +370,7 @@ def operations(data: Deviation) -> Section | None:
         "Force, N",
         "Before, mm" if data.compared else "Predicted, mm",
     ]
-    head += ["After, mm"] if data.compared else []
+    head += ["After, mm"] if with_after else []
     head += ["On the part (95 %), mm"] if data.result.bound is not None else []
     table = Table(
         tuple(head),
@@ -359,7 +378,7 @@ def operations(data: Deviation) -> Section | None:
         "Operations and tools, largest values",
         texts=(1,),
         sortable=True,
-        note="Largest values.",
+        note="Largest values." + (f" {_ALL_ROUNDING}" if data.compared and not with_after else ""),
     )
     return Section("operations", "Operations and tools", (table,))
 
@@ -394,11 +413,12 @@ def worst(data: Deviation) -> Section | None:
     result = data.result
     if not len(result) or data.nothing is not None:
         return None
-    measures = [result.before] + ([result.after] if data.compared else [])
+    with_after = data.compared and data.content.after.max_mm >= ROUNDING_MM
+    measures = [result.before] + ([result.after] if with_after else [])
     rows = data.worst_rows
     force, moved = result.force[rows], norm(correction(result, rows)) * MM_PER_M
     head = ["Source line", "Output line", "On the move", "Before, mm" if data.compared else "Predicted, mm"]
-    head += ["After, mm"] if data.compared else []
+    head += ["After, mm"] if with_after else []
     head += [] if result.bound is None else ["On the part (95 %), mm"]
     head += ["Force, N"] + (["Correction, mm"] if data.compared else [])
     out = []
@@ -640,3 +660,12 @@ def _gain(found: Turn, chosen: Array) -> list[str]:
     else:
         before = f"{rounded(float(np.sqrt(np.mean(constant**2))) * MM_PER_M)} mm with {found.constant * DEG_PER_RAD:g}°"
     return [f"Expected error along this line {rms} mm RMS; {before}."]
+
+
+def record(data: Deviation) -> Section | None:
+    """Return date, version, customer, and the sums of program, cell, model and forces."""
+    if data.record is None:
+        return None
+    return Section(
+        "record", "Record", (Facts(tuple((name, Cell(value)) for name, value in data.record.rows())),), "half"
+    )

@@ -78,6 +78,7 @@ _ALWAYS = ("selection", "tables", "side")
 _DRAWING = ("packed", "columns", "theme", "stage", "cursor", "camera", "over", "sketch", "space", "plots")
 _LIBRARY = b"<!-- library -->"
 _COLUMNS = b"<!-- columns -->"
+_TEXT = b"<!-- text -->"
 
 
 class Page(Struct, frozen=True):
@@ -91,6 +92,8 @@ class Page(Struct, frozen=True):
     :param facts: data of the scripts in addition to the columns: a structure that msgspec can encode.
     :param columns: numbers that views show, by name.
     :param scripts: package and names of further scripts, in the order in which they need each other.
+    :param record: a line of the head: for whom, when and with what it was made; empty: none.
+    :param texts: long texts that scripts show, by name.
     """
 
     kind: str
@@ -101,6 +104,8 @@ class Page(Struct, frozen=True):
     facts: object = None
     columns: Mapping[str, Columns] = {}
     scripts: tuple[tuple[str, str], ...] = ()
+    record: str = ""
+    texts: Mapping[str, str] = {}
 
     drawn: ClassVar[frozenset[str]] = frozenset({"plot", "view"})
 
@@ -124,6 +129,9 @@ class Page(Struct, frozen=True):
         for columns in self.columns.values():
             before, _, text = text.partition(_COLUMNS)
             yield from (before, columns.text.encode())
+        for content in self.texts.values():
+            before, _, text = text.partition(_TEXT)
+            yield from (before, deflated(content.encode(errors="replace")))
         before, drawn, rest = text.partition(_LIBRARY)
         yield before
         if drawn:
@@ -142,7 +150,12 @@ def library() -> bytes:
     It is taken from the installed package; its Python side, which is large, is not imported.
     """
     script = (_folder("plotly") / "package_data" / "plotly.min.js").read_bytes()
-    return base64.b64encode(zlib.compress(script, _LEVEL))
+    return deflated(script)
+
+
+def deflated(content: bytes) -> bytes:
+    """Return content as `scripts/packed.js` unpacks it: deflated, in base64."""
+    return base64.b64encode(zlib.compress(content, _LEVEL))
 
 
 @cache

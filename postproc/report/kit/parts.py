@@ -117,13 +117,14 @@ class View(msgspec.Struct, frozen=True):
 
     :param name: of the script's view: the element gets the id ``NAME-view``, its controls ``NAME-controls``.
     :param label: what it shows and how it is used, for those who do not see it.
-    :param note: a sentence below.
+    :param note: a sentence below; `hint`: how it is used with mouse and keys, which is not printed.
     """
 
     template: ClassVar[str] = "view"
     name: str
     label: str
     note: str = ""
+    hint: str = ""
 
 
 class Drawing(msgspec.Struct, frozen=True):
@@ -153,12 +154,14 @@ class Section(msgspec.Struct, frozen=True):
     :param id: its anchor.
     :param parts: its content, in order.
     :param width: ``"half"`` may be next to another one, ``"side"`` stays in sight next to all others.
+    :param printed: it is on paper too.
     """
 
     id: str
     title: str
     parts: tuple[Part, ...]
     width: Literal["full", "half", "side"] = "full"
+    printed: bool = True
 
 
 Colour = Literal["before", "after", "correction", "force", "soft", "ink", "warning"]

@@ -13,7 +13,13 @@
     ...(places.compared && { a: { title: "tool with the program as written", colour: "after" } }),
     ...(places.compared && { c: { title: "commanded path", colour: "correction" } }),
   };
-  const [low, high] = space.reach([drawn]);
+  // The view frames what is cut; of rapid moves only what is near it is drawn.
+  const cuts = (() => {
+    const keep = Array.from(drawn.place, (place) => !at.rapid[place]);
+    const of = (axis) => drawn[axis].filter((_, k) => keep[k]);
+    return keep.includes(true) ? { x: of("x"), y: of("y"), z: of("z") } : drawn;
+  })();
+  const [low, high] = space.reach([cuts]);
   const extent = Math.max(...high.map((value, r) => value - low[r]), 1e-6);
   const largest = Math.max(at.before[facts.worst.before], 1e-9);
   const shown = { colour: "before", enlarged: Math.min(Math.max(space.round((0.06 * extent) / largest), 1), 10000),
@@ -84,6 +90,36 @@
       push(to, k, place);
       before = k;
     }
+    return { cut: out.cut, rapid: near(out.rapid) };
+  }
+
+  // The parts of a line with gaps that are within the box of the cuts and a tenth of it around.
+  function near(line) {
+    const out = { x: [], y: [], z: [], place: [] };
+    const axes = ["x", "y", "z"];
+    const [from, to] = [low.map((value) => value - 0.1 * extent), high.map((value) => value + 0.1 * extent)];
+    const push = (p, place) => { axes.forEach((axis, r) => out[axis].push(p ? p[r] : null)); out.place.push(place); };
+    for (let k = 1; k < line.x.length; k++) {
+      if (line.x[k] === null || line.x[k - 1] === null) continue;
+      const [a, b] = [k - 1, k].map((i) => axes.map((axis) => line[axis][i]));
+      let [first, last] = [0, 1];
+      for (let r = 0; r < 3; r++) {
+        const way = b[r] - a[r];
+        if (way === 0) {
+          if (a[r] < from[r] || a[r] > to[r]) last = -1;
+          continue;
+        }
+        const [enter, leave] = [(from[r] - a[r]) / way, (to[r] - a[r]) / way].sort((one, other) => one - other);
+        first = Math.max(first, enter);
+        last = Math.min(last, leave);
+      }
+      if (first > last) continue;
+      const point = (share) => a.map((value, r) => value + share * (b[r] - value));
+      push(point(first), line.place[k]);
+      push(point(last), line.place[k]);
+      push(null, line.place[k]);
+    }
+    if (!out.x.length) push(null, 0);
     return out;
   }
 
@@ -154,7 +190,7 @@
   function marks() {
     const out = frames();
     if (shown.robot) {
-      const box = space.reach([drawn]);
+      const box = space.reach([cuts]);
       for (let k = 0; k < 8; k++) for (let r = 0; r < 3; r++) if (!((k >> r) & 1)) {
         const corner = (n) => [0, 1, 2].map((axis) => box[(n >> axis) & 1][axis]);
         out.push({ line: [corner(k), corner(k | (1 << r))], colour: theme.colour("rule"), width: 1 });

@@ -11,3 +11,8 @@ for (const aside of document.querySelectorAll("aside")) {
   aside.querySelector("h2").append(button);
   fold(matchMedia("(max-width: 760px)").matches);
 }
+
+// On paper all folds of what is printed are open.
+addEventListener("beforeprint", () => {
+  for (const fold of document.querySelectorAll("section:not(.only-screen) details")) fold.open = true;
+});

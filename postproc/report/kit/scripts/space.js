@@ -3,7 +3,7 @@
 // the pointer is found here: both are exact at once, where the library would have to draw its picture anew.
 const space = (() => {
   const NEAR = 10; // pixels from the pointer
-  const PAPER = 0.75; // height of a view on paper, of its width
+  const PAPER = 0.52; // height of a view on paper, of its width
   const LINES = 6; // of the box around, along its longest side
   const { projected } = camera;
 
