@@ -27,6 +27,7 @@ _COMMANDS = {
     "predict": "postproc.cli.convert:predict",
     "robots": "postproc.cli.robots:robots",
     "samples": "postproc.cli.first_steps:samples",
+    "schema": "postproc.cli.schema:schema",
     "start": "postproc.cli.start:start",
     "testpart": "postproc.cli.testpart:testpart",
     "watch": "postproc.cli.watch:watch",

@@ -61,6 +61,15 @@ def shipped_samples() -> Path:
     return inside if inside.is_dir() else package.parent / "samples"
 
 
+SCHEMAS = ("cell", "process", "model", "experiment")
+"""Files that have a JSON Schema."""
+
+
+def schema_file(name: str) -> Path:
+    """Return the JSON Schema of a file, one of `SCHEMAS`: editors complete and check the file by it."""
+    return Path(__file__).parent.parent / "schemas" / f"{name}.schema.json"
+
+
 def _files(root: Path) -> Iterator[Path]:
     for path in sorted(root.rglob("*")):
         if path.is_file() and "__pycache__" not in path.parts:
@@ -356,6 +365,7 @@ def _text(
         f'{comment}dwell_unit = {_quoted(dwell)}               # P of G4 and cycles: "ms" for Fanuc, Haas, Mach3'
     )
     return f"""\
+#:schema {schema_file("cell").as_uri()}
 # Cell file of postproc: mm, degrees, N. docs/reference describes every key; what follows # is optional.
 robot = {_quoted(place)}    # {robot.title}
 {config_line}

@@ -22,7 +22,7 @@ from postproc.cell import Box
 from postproc.errors import InputError
 from postproc.jobs import answers as parse
 from postproc.jobs.answers import BY_HAND, CutterShape, Numbers, box_text
-from postproc.jobs.first_steps import CLEARANCE_MM, CellRequest, relative_path, usual_base, write_cell
+from postproc.jobs.first_steps import CLEARANCE_MM, CellRequest, relative_path, schema_file, usual_base, write_cell
 from postproc.jobs.program_needs import ProgramNeeds
 from postproc.jobs.programs import Settings, find_jobs
 from postproc.jobs.runs import convert_all
@@ -276,6 +276,7 @@ def write_process(path: Path, needs: ProgramNeeds, answers: Answers) -> tuple[st
     """
     stock: StockTable = answers.values["stock"]
     lines = [
+        f"#:schema {schema_file('process').as_uri()}",
         f"# Process of {needs.file.name} for postproc: mm, 1/min. docs/reference/forces.md describes every key.",
         "[material]",
         f"name = {_quoted(answers.values['material'])}    # postproc forces --materials lists them, with sources",
