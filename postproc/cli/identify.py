@@ -96,7 +96,7 @@ def elastostatics(ctx: click.Context, /, as_json: bool, **request: Any) -> None:
     robot's prior value and is reported together with what to measure instead. Eq. (8) to (10) of the paper.
 
     Exit codes: 0 the model may be used; 1 the readings cannot be used; 3 the model is written, but may not be used: its
-    bound is larger than the deflection that it corrects, or too few configurations were measured.
+    RMS error may exceed the deflection that it corrects, or too few configurations were measured.
 
     \b
     Example:

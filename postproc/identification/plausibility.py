@@ -154,6 +154,8 @@ _FAR = 0.015
 """Distance [m] of unloaded readings from the geometry that no sag and no tolerance explains."""
 _MOST_DEFLECTION = 0.1
 _SAME_UNIT = (0.2, 5.0)
+_USUAL_SIZE = (0.6, 1.7)
+"""Ratio of displacements to those of the prior robot outside which the scale of the forces is doubtful (assumed)."""
 _OPPOSITE = -0.7
 """Cosine between displacement and expectation below which a force has the wrong sign."""
 _KILOGRAMS = (6.0, 16.0)
@@ -171,7 +173,10 @@ def check_points(data: Measurements) -> None:
     for state in range(len(data.load)):
         for repeat in np.unique(data.repeat[data.state == state]):
             rows = np.flatnonzero((data.state == state) & (data.repeat == repeat))
-            sets[state, float(repeat)] = rows[np.argsort(data.point[rows])]
+            if len(rows) == count:
+                sets[state, float(repeat)] = rows[np.argsort(data.point[rows])]
+    if not sets:
+        return
     apart = np.array([_distances(data.position[rows]) for rows in sets.values()])
     usual = np.median(apart, axis=0)
     for rows, here in zip(sets.values(), apart, strict=True):
@@ -237,9 +242,10 @@ def _rms(robot: RobotModel, data: Measurements, rows: Ints) -> float:
         return np.inf
 
 
-def check_loads(robot: RobotModel, data: Measurements, placement: Placement) -> None:
+def check_loads(robot: RobotModel, data: Measurements, placement: Placement) -> list[str]:
     """Check units and signs of the forces: compare displacements with those of the prior robot.
 
+    :returns: a warning if all displacements are larger or smaller than any robot of this kind has them.
     :raises MeasurementError: names the configuration, or all.
     """
     seen = measured_displacements(data, placement)
@@ -289,6 +295,12 @@ def check_loads(robot: RobotModel, data: Measurements, placement: Placement) -> 
                 line=_first_line(data, state),
                 advice="Give forces in N, root axes, for this load case.",
             )
+    if _USUAL_SIZE[0] < usual < _USUAL_SIZE[1]:
+        return []
+    return [
+        f"all points move {usual:.1f} times as far as {robot.name} would under these loads: check the scale of the "
+        "forces. Loads that are all wrong by a factor make all compliances wrong by it, and no residual shows it."
+    ]
 
 
 def _state_name(data: Measurements, state: int) -> str:

@@ -27,8 +27,9 @@ from postproc.identification.joint_springs import (
     unloaded,
 )
 from postproc.identification.measurement_model import Placement, locate, measured_displacements
+from postproc.identification.moved_device import moved_device
 from postproc.identification.plausibility import check_frames, check_loads, check_points, loops
-from postproc.identification.readings import Measurements
+from postproc.identification.readings import Measurements, gaps
 from postproc.identification.uncertainty import (
     Discrepancy,
     Workspace,
@@ -112,8 +113,13 @@ def identify(
     check_points(data)
     data, left_out = plausibility.without_gross_errors(data)  # one would spoil the means that are judged next
     placement = check_frames(prior, data)
-    check_loads(prior, data, placement)
+    doubts = [
+        *gaps(data),
+        *moved_device(prior, data, placement),
+        *check_loads(prior, data, placement),
+    ]
     data, warnings = _noise(data)
+    warnings = doubts + warnings
     if method == "serial":
         return _serial(prior, data, placement, left_out, warnings)
 

@@ -422,18 +422,48 @@ def _check_complete(data: Measurements, where: str, loads: bool) -> None:
 
 
 def _check_sets(data: Measurements, where: str) -> None:
-    for state in range(len(data.load)):
-        for repeat in np.unique(data.repeat[data.state == state]):
-            rows = np.flatnonzero((data.state == state) & (data.repeat == repeat))
-            absent = [name for index, name in enumerate(data.points) if index not in data.point[rows]]
-            if absent:
-                raise MeasurementError(
-                    f"config {data.config[data.state_config[state]]:g}, load {data.load[state]:g}, repeat {repeat:g}: "
-                    f"no reading of point {', '.join(absent)}",
-                    file=where,
-                    line=int(data.line[rows[0]]),
-                    advice="Measure it, or leave this repeat out.",
-                )
+    """Refuse a point without any reading, and a load without a point that was read in its configuration without load.
+
+    A single repeat may lack a point: readings that are there count (`gaps`).
+    """
+    absent = [name for index, name in enumerate(data.points) if index not in data.point]
+    if absent:
+        raise MeasurementError(
+            f"no reading of point {', '.join(absent)}",
+            file=where,
+            advice="Measure it, or remove it from [points] of the experiment.",
+        )
+    _, count = data.means()
+    for state in np.flatnonzero(data.load != 0.0).tolist():
+        rest = np.flatnonzero((data.state_config == data.state_config[state]) & (data.load == 0.0))
+        if len(rest) > 0 and not np.any((count[state] > 0.0) & (count[rest[0]] > 0.0)):
+            raise MeasurementError(
+                f"config {data.config[data.state_config[state]]:g}, load {data.load[state]:g}: no point has readings "
+                "with and without this load",
+                file=where,
+                line=int(data.line[np.flatnonzero(data.state == state)[0]]),
+                advice="Measure one point at least in both, or leave this load out.",
+            )
+
+
+_NAMED = 5
+"""Sets of readings that a warning names."""
+
+
+def gaps(data: Measurements) -> list[str]:
+    """Return one sentence on the repeats that lack a point; none if there are none."""
+    sets = np.unique(np.column_stack([data.state, data.repeat]), axis=0)
+    names = []
+    for state, repeat in sets:
+        rows = (data.state == state) & (data.repeat == repeat)
+        absent = [name for index, name in enumerate(data.points) if index not in data.point[rows]]
+        if absent:
+            config = data.config[data.state_config[int(state)]]
+            names.append(f"config {config:g}, load {data.load[int(state)]:g}, repeat {repeat:g}: {', '.join(absent)}")
+    if not names:
+        return []
+    suffix = f"; and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return [f"points without a reading, the others are used: {'; '.join(names[:_NAMED])}{suffix}"]
 
 
 def _check_loads(data: Measurements, where: str, loads: bool) -> None:

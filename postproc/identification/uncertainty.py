@@ -12,11 +12,11 @@ integrated over the distribution of δ: a smooth function of the readings, witho
 of the load point. A load cell that is wrong by 2 % makes every spring look 2 % softer without any residual; an error of
 the load point is a wrong lever, which looks like compliance. Both go into the covariance of the parameters.
 
-**Workspace** (`over_workspace`): does the model correct more than it may add, and where does it not? Readings are taken
-at some poses; work is done at others. The model is evaluated at random poses within the joint limits, under forces in
-random directions from a small share of the largest load measured up to all of it, smaller where a joint would get more
-torque than was measured. At small forces every model is worth less: the unmodelled error does not shrink with the
-force. The verdict counts loads that were measured.
+**Workspace** (`over_workspace`): does the model correct more than it may add, RMS against RMS, and where not? Readings
+are taken at some poses; work is done at others. The model is evaluated at random poses within the joint limits, under
+forces in random directions from a small share of the largest load measured up to all of it, smaller where a joint would
+get more torque than was measured. At small forces every model is worth less: the unmodelled error does not shrink with
+the force. The verdict counts loads that were measured.
 
 **Verdict** (`judge`): whether the model may be used, by its bound in millimetres against the deflection that it
 corrects, and notes on gaps of its readings. Noise of the measuring device decides nothing: a better one shows more of
@@ -33,7 +33,7 @@ from postproc import elastostatics, kinematics
 from postproc.errors import NotConvergedError, first_of
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm
 from postproc.identification.choice import Choice
-from postproc.identification.fit import NORMAL_95, Fit
+from postproc.identification.fit import LENGTH_95, NORMAL_95, Fit
 from postproc.identification.measurement_model import (
     Placement,
     joint_torques,
@@ -280,7 +280,7 @@ class Workspace(Struct, frozen=True):
         angles = ", ".join(f"{angle * DEG_PER_RAD:.0f}" for angle in self.pose)
         if not self.levels:
             return f"at A1 … A6 = {angles}° {self.cause}"
-        if self.worst.worst <= 1.0:
+        if self.worst.worst <= LENGTH_95:  # the RMS error is smaller than the deflection
             return ""
         return (
             f"under {self.worst.load:.0f} N its bound is up to {self.worst.worst:.2g} times the deflection that it "

@@ -1,0 +1,76 @@
+"""Real readings: a tracker that moved between poses, repeats that lack a reflector, loads of the wrong size."""
+
+import re
+
+import numpy as np
+import pytest
+
+from postproc.identification.measurement_model import locate
+from postproc.identification.moved_device import moved_device
+from postproc.identification.plausibility import check_loads
+from postproc.identification.procedure import identify
+from postproc.identification.readings import gaps, read, read_experiment
+from samples.paper_study import harness, simulator
+
+SIGMA = 0.05e-3
+
+
+def measured(folder, seed, change, poses=30, ordered=False):
+    """Readings of a robot with errors of geometry and links that deflect, after a change of raw [config, load, …]."""
+    rng = np.random.default_rng(seed)
+    true = simulator.hard(rng)
+    q, f = simulator.plan(rng, poses)
+    if ordered:  # a smooth error of the geometry along the file is no step
+        order = np.argsort(q[:, 1], kind="stable")
+        q, f = q[order], f[order]
+    _, raw = simulator.measure(true, q, f, rng, SIGMA)
+    change(raw)
+    return harness.load(simulator.write(folder, q, f, raw, SIGMA))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_tracker_that_moved_by_a_millimetre_between_two_poses_is_named(tmp_path, seed):
+    def change(raw):
+        raw[17:] += np.array([0.6e-3, -0.7e-3, 0.4e-3])
+
+    data = measured(tmp_path, seed, change)
+    (warning,) = moved_device(harness.PRIOR, data, locate(harness.PRIOR, data))
+    match = re.match(r"from config 18 on the measuring device seems to have moved by ([\d.]+) mm", warning)
+    assert float(match[1]) == pytest.approx(1.0, abs=0.25)
+
+
+@pytest.mark.parametrize("ordered", [False, True])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_robot_that_was_never_calibrated_is_no_moved_tracker(tmp_path, seed, ordered):
+    data = measured(tmp_path, seed, lambda raw: None, ordered=ordered)
+    assert moved_device(harness.PRIOR, data, locate(harness.PRIOR, data)) == []
+
+
+def test_repeats_that_lack_a_reflector_are_used_as_they_are(tmp_path):
+    whole = measured(tmp_path, 1, lambda raw: None, poses=8)
+    path = tmp_path / "measurements.csv"
+    lines = path.read_text().splitlines()
+    missing = [line for line in lines if line.startswith(("3,1,2,P2,", "5,0,1,P1,"))]
+    path.write_text("\n".join(line for line in lines if line not in missing) + "\n")
+    data = read(path, read_experiment(tmp_path / "experiment.toml"))
+    assert len(data.state) == len(whole.state) - 2
+    assert gaps(whole) == []
+    assert gaps(data) == [
+        "points without a reading, the others are used: config 3, load 1, repeat 2: P2; config 5, load 0, repeat 1: P1"
+    ]
+    found = identify(harness.PRIOR, data, depth="joints")
+    np.testing.assert_allclose(found.fit.values, identify(harness.PRIOR, whole, depth="joints").fit.values, rtol=0.02)
+    assert found.warnings[0] == gaps(data)[0]
+
+
+@pytest.mark.parametrize(("factor", "doubtful"), [(1.0, False), (2.0, True), (0.45, True)])
+def test_loads_that_are_all_wrong_by_a_factor_are_doubted(tmp_path, factor, doubtful):
+    rng = np.random.default_rng(2)
+    true, (q, f) = simulator.paper_like(rng), simulator.plan(rng, 10)
+    true.gear.k = 1.0 / simulator.PAPER_K
+    _, raw = simulator.measure(true, q, f, rng, SIGMA)
+    data = harness.load(simulator.write(tmp_path, q, f / factor, raw, SIGMA))
+    warnings = check_loads(harness.PRIOR, data, locate(harness.PRIOR, data))
+    assert len(warnings) == doubtful
+    if doubtful:
+        assert "check the scale of the forces" in warnings[0]
