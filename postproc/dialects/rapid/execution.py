@@ -1,0 +1,705 @@
+"""Execution of a RAPID module: its motions in the order in which they run, with the values that they have then.
+
+A value is used only if it is certain before the program runs. Loops and conditions are followed where all their values
+are known. A branch that is not known must neither move the robot nor change how it moves; data that it changes are not
+known from there on. Data that routines change which are not followed (traps, error handlers, functions, routines that
+nobody calls) are not known at all.
+
+What instructions do: ABB, Technical reference manual, RAPID Instructions, Functions and Data types (3HAC16581).
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+from msgspec import Struct, field
+
+from postproc.dialects.rapid.language import HARMLESS, MOVING
+from postproc.dialects.rapid.syntax import (
+    Argument,
+    Assignment,
+    Comment,
+    Conditional,
+    Declaration,
+    Expression,
+    Instruction,
+    Jump,
+    Loop,
+    Module,
+    Routine,
+    Statement,
+    nested,
+)
+from postproc.dialects.rapid.values import (
+    FIELDS,
+    Scope,
+    UnknownValueError,
+    Value,
+    Variable,
+    assigned,
+    base_name,
+    changed_by,
+    evaluated,
+    number,
+    predefined,
+    shaped,
+    truth,
+)
+from postproc.errors import MOST, PostprocError
+from postproc.program import CIRC, LIN, PTP
+
+_MOST_STATEMENTS = 3_000_000
+_DEEPEST = 60
+
+
+class RapidError(PostprocError):
+    """What cannot be followed: `start` is its offset in the text, `line` that of the file, `advice` what to do."""
+
+    def __init__(self, problem: str, start: int, advice: str = "") -> None:
+        super().__init__(problem)
+        self.problem, self.start, self.advice, self.line = problem, start, advice, 0
+
+    def at_line(self, line: int) -> RapidError:
+        """Return the error itself, with its line."""
+        self.line = line
+        return self
+
+
+class Form(Struct, frozen=True):
+    """Arguments of an instruction that moves the robot.
+
+    :ivar points: how many targets come first; of two, the first is the point on the circle.
+    :ivar behind: how many arguments may follow the tool.
+    """
+
+    kind: int
+    points: int = 1
+    joints: bool = False
+    before_zone: int = 0
+    behind: int = 0
+
+
+MOVES: dict[str, Form] = {
+    "MOVEL": Form(LIN),
+    "MOVEJ": Form(PTP),
+    "MOVEC": Form(CIRC, points=2),
+    "MOVEABSJ": Form(PTP, joints=True),
+    "MOVELDO": Form(LIN, behind=2),
+    "MOVEJDO": Form(PTP, behind=2),
+    "MOVECDO": Form(CIRC, points=2, behind=2),
+    "MOVELAO": Form(LIN, behind=2),
+    "MOVELGO": Form(LIN, behind=2),
+    "MOVELSYNC": Form(LIN, behind=1),
+    "MOVEJSYNC": Form(PTP, behind=1),
+    "MOVECSYNC": Form(CIRC, points=2, behind=1),
+    "TRIGGL": Form(LIN, before_zone=1),
+    "TRIGGJ": Form(PTP, before_zone=1),
+    "TRIGGC": Form(CIRC, points=2, before_zone=1),
+}
+"""Instructions that are followed; TriggL and its like switch at a distance from their end."""
+_OPTIONS = {"WOBJ", "V", "T", "Z", "CONC", "INPOS", "TLOAD", "NOEOFFS", "T1", "T2", "T3", "T4", "T5", "T6", "T7", "T8"}
+_REFUSED_OPTIONS = {
+    "ID": "moves together with other robots",
+    "CORR": "is corrected by a sensor",
+    "TRACK": "is led by a sensor",
+    "ADVANCED": "is led by a sensor",
+}
+_CONSTANT = {
+    "ACCSET", "PATHACCLIM", "WORLDACCLIM", "GRIPLOAD", "MECHUNITLOAD", "EOFFSOFF", "PDISPOFF", "CORRCLEAR", "SOFTDEACT",
+    "CORRDISCON", "STARTMOVE", "TRIGGIO", "TRIGGEQUIP", "TRIGGINT", "TRIGGSPEED", "TRIGGRAMPAO", "TRIGGCHECKIO",
+}  # fmt: skip
+"""Instructions of the family of moves that change neither the path nor the speed that counts here."""
+_WRITING = {"INCR", "DECR", "ADD", "CLEAR", "CLKREAD", "TPREADFK", "TPREADNUM", "TPREADDNUM", "GETSYSDATA", "READBLOCK"}
+_READING = HARMLESS - _WRITING | {
+    "TPSHOW", "ERRWRITE", "ERRLOG", "ACTUNIT", "DEACTUNIT", "WRITE", "OPEN", "CLOSE", "IDELETE", "ISIGNALDI",
+    "ISIGNALDO", "IENABLE", "IDISABLE", "IWATCH", "ISLEEP", "ITIMER", "EXITCYCLE", "BREAK", "SPEEDREFRESH",
+    "MOTIONSUP", "SINGAREA", "CONFL", "CONFJ", "CIRPATHMODE", "VELSET", "SETDO", "PULSEDO", "CONNECT", "UIMSGBOX",
+    "LOAD", "UNLOAD", "ERASEMODULE", "WAITSYNCTASK", "SAVE", "SETSYSDATA",
+}  # fmt: skip
+"""Instructions that change no data of the program."""
+_SETTINGS = {"SINGAREA", "CONFL", "CONFJ", "CIRPATHMODE", "VELSET"}
+_STOPPING = {"EXIT", "EXITCYCLE", "STOP", "BREAK"}
+_KEEP = "Leave it out, or convert the G-code or APT of this part."
+
+
+class Setting(Struct, frozen=True):
+    """What instructions have set for the moves that follow.
+
+    :ivar follows: True while MoveJ goes to the configuration of its target (ConfJ).
+    :ivar area: SingArea: OFF, WRIST or LOCKAXIS4.
+    :ivar circles: CirPathMode: PATHFRAME, OBJECTFRAME or another.
+    :ivar speed: VelSet: share of the speed, and its limit [mm/s].
+    """
+
+    follows: bool = True
+    area: str = "OFF"
+    circles: str = "PATHFRAME"
+    speed: tuple[float, float] = (1.0, 5000.0)
+
+
+class Target(Struct, frozen=True, eq=False):
+    """The end of a motion or the point on a circle.
+
+    :ivar numbers: the 17 numbers of a robtarget, or the 12 of a jointtarget.
+    :ivar expression: of the argument; `literal` that of its numbers in the text, if they stand there.
+    :ivar data: declaration that has the numbers; None: the argument itself has them, or they are calculated.
+    """
+
+    numbers: list[float]
+    expression: Expression
+    literal: Expression | None = None
+    data: Declaration | None = None
+
+
+class Move(Struct, frozen=True, eq=False):
+    """An executed motion.
+
+    :ivar speed: of the TCP [mm/s], `duration` [s] if that is given instead, else 0.
+    :ivar zone: approximation distance [mm]; 0 for a stop.
+    """
+
+    statement: Instruction
+    kind: int
+    target: Target
+    via: Target | None
+    joints: bool
+    speed: float
+    duration: float
+    zone: float
+    tool: Value
+    wobj: Value
+    setting: Setting
+
+
+class Executed(Struct, eq=False):
+    """What a program does.
+
+    :ivar notes: comments with the number of the motion that follows, or of the one in whose line it stands.
+    :ivar rounds: loops with motions that ran once: values of their variable in each round (or just the rounds).
+    :ivar calls: for each routine with motions the calls of it, in order.
+    :ivar foreign: procedures that are called and in no module: name → (offset, calls).
+    :ivar relied: PERS data whose values of the file are used.
+    """
+
+    moves: list[Move] = field(default_factory=list)
+    notes: list[tuple[Comment, int]] = field(default_factory=list)
+    rounds: dict[int, list[tuple[Loop, list[float]]]] = field(default_factory=dict)
+    calls: dict[str, list[Instruction]] = field(default_factory=dict)
+    foreign: dict[str, tuple[int, int]] = field(default_factory=dict)
+    errors: list[RapidError] = field(default_factory=list)
+    followed: set[str] = field(default_factory=set)
+    assumed: dict[str, str] = field(default_factory=dict)
+
+
+class _Return(Exception):  # noqa: N818 - no error: the end of a routine
+    """RETURN."""
+
+
+class _End(Exception):  # noqa: N818 - no error
+    """The program goes on in a loop that does not end: what follows it never runs."""
+
+
+class Execution:
+    """Runs a program.
+
+    :param modules: of the file.
+    :param entry: routine that is run.
+    :param assumed: values of tools and work objects of the cell, for those that no module declares.
+    """
+
+    def __init__(self, modules: Iterable[Module], entry: Routine, assumed: Callable[[str, str], Value | None]) -> None:
+        self.modules, self.entry, self.from_cell = tuple(modules), entry, assumed
+        self.routines = {routine.name: routine for module in self.modules for routine in module.routines}
+        self.data: dict[str, Variable] = {name: Variable(type_, value) for name, (value, type_) in predefined().items()}
+        for module in self.modules:
+            for declared in module.data:
+                self.data[declared.name] = _declared(declared)
+        self.done = Executed()
+        self.setting = Setting()
+        self.count = 0
+        self._moving: dict[str, bool] = {}
+        reached = self._reached(entry)
+        for routine in self.routines.values():
+            followed = routine.name in reached and routine.kind == "PROC"
+            self._forget(routine.handler, f"the handler of {routine.name} may change it")
+            if not followed:
+                self._forget(routine.body, f"{routine.name} may change it, which is not followed")
+
+    def run(self) -> Executed:
+        """Run the program.
+
+        :raises RapidError: something that changes motion is not known.
+        """
+        scope = Scope(self.data)
+        try:
+            self._routine(self.entry, scope, 0)
+        except _End:
+            pass
+        except RecursionError:
+            raise RapidError("calls and loops are nested too deeply", self.entry.start, _KEEP) from None
+        return self.done
+
+    # --- what is not followed
+
+    def _reached(self, entry: Routine) -> set[str]:
+        """Return the names of the routines that the entry may call."""
+        reached, waiting = {entry.name}, [entry]
+        while waiting:
+            for statement in nested(waiting.pop().body):
+                if isinstance(statement, Instruction):
+                    name = statement.name.removeprefix("%")
+                    if name in self.routines and name not in reached:
+                        reached.add(name)
+                        waiting.append(self.routines[name])
+        return reached
+
+    def _forget(self, statements: tuple[Statement, ...], why: str, scope: Scope | None = None) -> None:
+        """Make unknown what statements may change."""
+        for name in self._changed(statements, set()):
+            variable = self.data.get(name) if scope is None else scope.find(name)
+            if variable is not None and (variable.declaration is None or variable.declaration.kind != "CONST"):
+                variable.forget(why)
+
+    def _changed(self, statements: tuple[Statement, ...], seen: set[str]) -> Iterator[str]:
+        """Yield the names of data that statements, and the routines that they call, may change."""
+        for statement in nested(statements):
+            if isinstance(statement, Assignment):
+                yield base_name(statement.target)
+            elif isinstance(statement, Instruction) and statement.name not in _READING | MOVES.keys():
+                yield from (base_name(argument) for argument in changed_by(statement.arguments))
+                routine = self.routines.get(statement.name.removeprefix("%"))
+                if routine is not None and routine.name not in seen:
+                    seen.add(routine.name)
+                    yield from self._changed(routine.body, seen)
+
+    def moves(self, statements: tuple[Statement, ...]) -> Instruction | None:
+        """Return the first instruction among statements that moves the robot or changes how it moves."""
+        for statement in nested(statements):
+            if not isinstance(statement, Instruction):
+                continue
+            name = statement.name.removeprefix("%")
+            routine = self.routines.get(name)
+            if routine is None:
+                if name in MOVES or name in _SETTINGS or (MOVING.match(name) and name not in _CONSTANT):
+                    return statement
+            elif self._routine_moves(routine):
+                return statement
+        return None
+
+    def _routine_moves(self, routine: Routine) -> bool:
+        known = self._moving.get(routine.name)
+        if known is None:
+            self._moving[routine.name] = False  # a call of itself adds nothing
+            known = self._moving[routine.name] = self.moves(routine.body) is not None
+        return known
+
+    # --- statements
+
+    def _routine(self, routine: Routine, scope: Scope, depth: int) -> None:
+        if depth > _DEEPEST:
+            raise RapidError(f"{routine.name} calls itself", routine.start, _KEEP)
+        self.done.followed.add(routine.name)
+        with contextlib.suppress(_Return):
+            self._block(routine.body, scope, routine, depth)
+
+    def _block(self, statements: tuple[Statement, ...], scope: Scope, routine: Routine, depth: int) -> None:
+        for statement in statements:
+            self.count += 1
+            if self.count > _MOST_STATEMENTS:
+                problem = f"the program runs for more than {_MOST_STATEMENTS} statements"
+                raise RapidError(problem, statement.start, _KEEP)
+            self._statement(statement, scope, routine, depth)
+
+    def _statement(self, statement: Statement, scope: Scope, routine: Routine, depth: int) -> None:
+        match statement:
+            case Instruction():
+                self._instruction(statement, scope, depth)
+            case Comment():
+                self._comment(statement)
+            case Assignment():
+                self._assign(statement, scope)
+            case Declaration():
+                self._declare(statement, scope)
+            case Conditional():
+                self._conditional(statement, scope, routine, depth)
+            case Loop():
+                self._loop(statement, scope, routine, depth)
+            case Jump():
+                self._jump(statement, routine)
+
+    def _comment(self, comment: Comment) -> None:
+        count = len(self.done.moves)
+        self.done.notes.append((comment, count - 1 if comment.trailing and count else count))
+
+    def _jump(self, jump: Jump, routine: Routine) -> None:
+        if jump.word == "RETURN":
+            raise _Return
+        if jump.word in ("EXIT", ":"):
+            return
+        if jump.word == "GOTO" and not self._routine_moves(routine):
+            return
+        advice = f"Put the moves of the part into a routine without {jump.word}."
+        raise RapidError(f"{jump.word} changes the order of execution", jump.start, advice)
+
+    def _declare(self, declared: Declaration, scope: Scope) -> None:
+        variable = _declared(declared)
+        if declared.value is not None:
+            try:
+                variable.value, _ = evaluated(declared.value, scope)
+            except UnknownValueError as cause:
+                variable.forget(cause.problem)
+        scope.inner[declared.name] = variable
+
+    def _assign(self, statement: Assignment, scope: Scope) -> None:
+        try:
+            value, _ = evaluated(statement.value, scope)
+            assigned(statement.target, value, scope)
+        except (UnknownValueError, ValueError) as cause:
+            variable = scope.find(base_name(statement.target))
+            if variable is not None:
+                variable.forget(cause.problem if isinstance(cause, UnknownValueError) else "its place is not known")
+
+    def _conditional(self, statement: Conditional, scope: Scope, routine: Routine, depth: int) -> None:
+        for condition, body in statement.branches:
+            try:
+                taken = condition is None or self._holds(statement, condition, scope)
+            except UnknownValueError as cause:
+                bodies = tuple(one for _, block in statement.branches for one in block)
+                self._skip(bodies, cause.problem, scope, routine)
+                return
+            if taken:
+                self._block(body, scope, routine, depth)
+                return
+
+    def _holds(self, statement: Conditional, condition: Expression, scope: Scope) -> bool:
+        if statement.subject is None:
+            return truth(condition, scope)
+        subject, _ = evaluated(statement.subject, scope)
+        return any(subject == evaluated(item, scope)[0] for item in condition.items)
+
+    def _skip(self, statements: tuple[Statement, ...], why: str, scope: Scope, routine: Routine) -> None:
+        """Pass over statements of which it is not known whether they run."""
+        moving = self.moves(statements)
+        if moving is not None:
+            problem = f"it is not known before the program runs whether {moving.name} is executed: {why}"
+            advice = (
+                "Put the moves of the part into a routine without conditions, or give the data a value in the file."
+            )
+            raise RapidError(problem, moving.start, advice)
+        for statement in nested(statements):
+            if isinstance(statement, Jump) and statement.word not in (*_STOPPING, ":"):
+                if statement.word == "RETURN" and routine is self.entry:
+                    continue  # the program ends early, and what ran before is as it was
+                if self._routine_moves(routine):
+                    problem = f"it is not known whether {statement.word} is executed: {why}"
+                    raise RapidError(problem, statement.start, "Put the moves of the part into a routine without it.")
+        self._forget(statements, f"it may be changed where it is not known whether: {why}", scope)
+
+    def _loop(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> None:
+        if self.moves(loop.body) is None:
+            self._forget(loop.body, "a loop changes it", scope)
+            return
+        first = len(self.done.moves)
+        values = self._for(loop, scope, routine, depth) if loop.name else self._while(loop, scope, routine, depth)
+        if len(self.done.moves) > first:
+            self.done.rounds.setdefault(loop.start, []).append((loop, values))
+
+    def _for(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> list[float]:
+        try:
+            begin, end, *step = (number(bound, scope) for bound in loop.bounds)
+        except UnknownValueError as cause:
+            problem = f"the number of rounds of FOR is not known before the program runs: {cause.problem}"
+            raise RapidError(problem, loop.start, "Write its bounds as numbers.") from None
+        width = step[0] if step else (1.0 if end >= begin else -1.0)
+        hidden = scope.inner.get(loop.name)
+        values: list[float] = []
+        value = begin
+        while width != 0.0 and (end - value) * width >= 0.0:
+            scope.inner[loop.name] = Variable("NUM", value)
+            values.append(value)
+            self._block(loop.body, scope, routine, depth)
+            value += width
+        if hidden is None:
+            scope.inner.pop(loop.name, None)
+        else:
+            scope.inner[loop.name] = hidden
+        return values
+
+    def _while(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> list[float]:
+        (condition,) = loop.bounds
+        if condition.kind == "bool" and condition.value:
+            self._endless(loop, scope, routine, depth)
+        rounds: list[float] = []
+        while True:
+            try:
+                if not truth(condition, scope):
+                    return rounds
+            except UnknownValueError as cause:
+                problem = f"it is not known before the program runs how often WHILE runs: {cause.problem}"
+                advice = "Put the moves of the part into a routine of its own, without the loop."
+                raise RapidError(problem, loop.start, advice) from None
+            rounds.append(float(len(rounds)))
+            self._block(loop.body, scope, routine, depth)
+
+    def _endless(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> None:
+        """Follow two rounds of a loop that does not end; the second must be the first again."""
+        begin = len(self.done.moves), len(self.done.notes)
+        self._block(loop.body, scope, routine, depth)
+        state, between = self._state(scope), (len(self.done.moves), len(self.done.notes))
+        setting = self.setting
+        calls, rounds = {name: list(calls) for name, calls in self.done.calls.items()}, dict(self.done.rounds)
+        rounds = {start: list(runs) for start, runs in rounds.items()}
+        self._block(loop.body, scope, routine, depth)
+        first, second = self.done.moves[begin[0] : between[0]], self.done.moves[between[0] :]
+        same = len(first) == len(second) and all(map(_equal, first, second))
+        if not same or self._state(scope) != state or self.setting != setting:
+            problem = "the rounds of this loop without end differ"
+            raise RapidError(problem, loop.start, "Put the moves of the part into a routine of its own.")
+        if first and first[0].kind != PTP:
+            problem = "a loop without end begins with a straight move, from another place in its second round"
+            advice = "Begin its body with MoveAbsJ or MoveJ, or put the moves of the part into a routine of its own."
+            raise RapidError(problem, loop.start, advice)
+        del self.done.moves[between[0] :], self.done.notes[between[1] :]
+        self.done.calls, self.done.rounds = calls, rounds
+        raise _End
+
+    def _state(self, scope: Scope) -> list[tuple[str, Any]]:
+        """Return all data that change."""
+        everything = (*self.data.items(), *scope.inner.items())
+        return [
+            (name, variable.value)
+            for name, variable in everything
+            if not variable.literal and variable.declaration is not None and variable.declaration.kind != "CONST"
+        ]
+
+    # --- instructions
+
+    def _instruction(self, statement: Instruction, scope: Scope, depth: int) -> None:
+        name = statement.name.removeprefix("%")
+        if statement.name in MOVES:
+            try:
+                self.done.moves.append(self._move(statement, MOVES[statement.name], scope))
+            except UnknownValueError as cause:
+                self._refuse(statement, cause.problem, "Give the data as numbers in this file.")
+        elif name in self.routines and self.routines[name].kind == "PROC":
+            self._call(statement, self.routines[name], scope, depth)
+        elif name in _SETTINGS:
+            self._set(statement, scope)
+        elif name in ("INCR", "DECR", "ADD", "CLEAR"):
+            self._count(statement, scope)
+        elif MOVING.match(name) and name not in _CONSTANT:
+            self._refuse(statement, f"{name} moves the robot or changes how it moves, which is not followed", _KEEP)
+        else:
+            if name == "CONNECT":
+                self._connect(statement)
+            if name not in _READING | _CONSTANT:
+                for argument in changed_by(statement.arguments):
+                    variable = scope.find(base_name(argument))
+                    if variable is not None and not _is_constant(variable):
+                        variable.forget(f"{name} may change it")
+            if name not in _READING | _CONSTANT | _WRITING:
+                start, count = self.done.foreign.get(name or "%", (statement.start, 0))
+                self.done.foreign[name or "%"] = start, count + 1
+
+    def _refuse(self, statement: Statement, problem: str, advice: str) -> None:
+        self.done.errors.append(RapidError(problem, statement.start, advice))
+        if len(self.done.errors) > MOST:
+            raise self.done.errors.pop()
+
+    def _connect(self, statement: Instruction) -> None:
+        value = statement.arguments[0].value
+        routine = self.routines.get(value.value) if value is not None else None
+        if routine is not None and self._routine_moves(routine):
+            problem = f"the interrupt {routine.name} moves the robot at a time that is not known"
+            self._refuse(statement, problem, _KEEP)
+
+    def _count(self, statement: Instruction, scope: Scope) -> None:
+        target = next(changed_by(statement.arguments), None)
+        variable = None if target is None else scope.find(base_name(target))
+        if target is None or variable is None:
+            return
+        try:
+            step = {"INCR": 1.0, "DECR": -1.0}.get(statement.name, 0.0)
+            if statement.name == "ADD" and statement.arguments[1].value is not None:
+                step = number(statement.arguments[1].value, scope)
+            assigned(target, 0.0 if statement.name == "CLEAR" else number(target, scope) + step, scope)
+        except (UnknownValueError, ValueError, IndexError):
+            variable.forget(f"{statement.name} changes it")
+
+    def _set(self, statement: Instruction, scope: Scope) -> None:
+        switches = {argument.name for argument in statement.arguments if argument.name}
+        setting, name = self.setting, statement.name
+        fields = {"follows": setting.follows, "area": setting.area, "circles": setting.circles, "speed": setting.speed}
+        if name == "CONFJ":
+            fields["follows"] = "ON" in switches
+        elif name == "SINGAREA":
+            fields["area"] = next(iter(switches), "OFF")
+        elif name == "CIRPATHMODE":
+            fields["circles"] = next(iter(switches), "PATHFRAME")
+        elif name == "VELSET":
+            try:
+                share, limit = (number(a.value, scope) for a in statement.arguments if a.value is not None)
+            except (UnknownValueError, ValueError):
+                self._refuse(statement, "the speeds of VelSet are not known", "Write them as numbers.")
+                return
+            fields["speed"] = (share / 100.0, limit)
+        self.setting = Setting(**fields)  # type: ignore[arg-type]
+
+    def _call(self, statement: Instruction, routine: Routine, scope: Scope, depth: int) -> None:
+        inner = Scope(self.data)
+        given = [argument.value for argument in statement.arguments if not argument.name]
+        required = list(routine.parameters)
+        for (name, type_, _), expression in zip(required, given, strict=False):
+            variable = Variable(type_, None, f"the call of {routine.name} does not give it")
+            if expression is not None:
+                try:
+                    variable.value, _ = evaluated(expression, scope)
+                except UnknownValueError as cause:
+                    variable.why = cause.problem
+            inner.inner[name] = variable
+        for name, type_, _ in required[len(given) :]:
+            inner.inner[name] = Variable(type_, None, f"the call of {routine.name} does not give it")
+        if self._routine_moves(routine):
+            self.done.calls.setdefault(routine.name, []).append(statement)
+        self._routine(routine, inner, depth + 1)
+        for (_, _, changeable), expression in zip(required, given, strict=False):
+            if changeable and expression is not None:
+                outer = scope.find(base_name(expression))
+                if outer is not None and not _is_constant(outer):
+                    outer.forget(f"{routine.name} may change it")
+
+    # --- motions
+
+    def _move(self, statement: Instruction, form: Form, scope: Scope) -> Move:
+        required = [a.value for a in statement.arguments if not a.name and a.value is not None]
+        options = {a.name: a for a in statement.arguments if a.name}
+        for name in options:
+            if name in _REFUSED_OPTIONS:
+                raise UnknownValueError(f"the move {_REFUSED_OPTIONS[name]} (\\{name})")
+            if name not in _OPTIONS:
+                raise UnknownValueError(f"\\{name} is not followed")
+        least = form.points + 3 + form.before_zone
+        if not least <= len(required) <= least + form.behind:
+            raise UnknownValueError(f"{statement.name} has {len(required)} arguments instead of {least}")
+        *points, last = (self._target(required[k], scope, joints=form.joints) for k in range(form.points))
+        speed_at, zone_at = form.points, form.points + 1 + form.before_zone
+        speed, duration = self._speed(required[speed_at], options, scope)
+        wobj = options["WOBJ"].value if "WOBJ" in options else None
+        return Move(
+            statement=statement,
+            kind=form.kind,
+            target=last,
+            via=points[0] if points else None,
+            joints=form.joints,
+            speed=speed,
+            duration=duration,
+            zone=self._zone(required[zone_at], options, scope),
+            tool=self._frame(required[zone_at + 1], "TOOLDATA", scope),
+            wobj=predefined()["WOBJ0"][0] if wobj is None else self._frame(wobj, "WOBJDATA", scope),
+            setting=self.setting,
+        )
+
+    def _target(self, expression: Expression, scope: Scope, *, joints: bool) -> Target:
+        if expression.kind == "numbers":
+            if joints:
+                raise UnknownValueError("MoveAbsJ goes to joint angles, not to a robtarget")
+            return Target([float(text) for text in expression.value], expression, expression)
+        value, type_ = evaluated(expression, scope)
+        if type_ not in ("", "JOINTTARGET" if joints else "ROBTARGET"):
+            raise UnknownValueError(f"a {type_.lower()} is no target of {'MoveAbsJ' if joints else 'this move'}")
+        numbers = _numbers(value, joints=joints)
+        variable = scope.find(base_name(expression))
+        if expression.kind == "list":
+            return Target(numbers, expression, expression)
+        if variable is not None and variable.literal and variable.declaration is not None:
+            element = _element(expression, variable.declaration.value, scope)
+            if element is not None and scope.outer.get(base_name(expression)) is variable:
+                return Target(numbers, expression, element, variable.declaration)
+        return Target(numbers, expression)
+
+    def _speed(self, expression: Expression, options: dict[str, Argument], scope: Scope) -> tuple[float, float]:
+        """Return the speed [mm/s] and the duration [s], 0 if there is none."""
+        share, limit = self.setting.speed
+        for name in ("T", "V"):
+            argument = options.get(name)
+            if argument is not None and argument.value is not None:
+                value = number(argument.value, scope)
+                if not 0.0 < value < 1e6:
+                    raise UnknownValueError(f"\\{name} must be more than 0")
+                return (0.0, value / share) if name == "T" else (min(value * share, limit), 0.0)
+        value, _ = evaluated(expression, scope)
+        if not isinstance(value, list) or len(value) != len(FIELDS["SPEEDDATA"]):
+            raise UnknownValueError("the speed is no speeddata")
+        tcp = value[0]
+        if isinstance(tcp, bool) or not isinstance(tcp, float) or not 0.0 < tcp < 1e6:
+            raise UnknownValueError("the speed of the TCP must be more than 0")
+        return min(tcp * share, limit), 0.0
+
+    @staticmethod
+    def _zone(expression: Expression, options: dict[str, Argument], scope: Scope) -> float:
+        argument = options.get("Z")
+        if argument is not None and argument.value is not None:
+            return max(number(argument.value, scope), 0.0)
+        if "INPOS" in options:
+            return 0.0
+        value, _ = evaluated(expression, scope)
+        if not isinstance(value, list) or len(value) != len(FIELDS["ZONEDATA"]) or not isinstance(value[0], bool):
+            raise UnknownValueError("the zone is no zonedata")
+        distance = value[1]
+        if isinstance(distance, bool) or not isinstance(distance, float) or not 0.0 <= distance < 1e6:
+            raise UnknownValueError("the zone is no distance")
+        return 0.0 if value[0] else distance
+
+    def _frame(self, expression: Expression, type_: str, scope: Scope) -> Value:
+        """Return a tool or work object; one that no module declares is that of the cell."""
+        if expression.kind == "name" and scope.find(expression.value) is None:
+            value = self.from_cell(expression.value, type_)
+            if value is not None:
+                self.done.assumed[expression.value] = type_
+                return value
+        value, own = evaluated(expression, scope)
+        if own not in ("", type_):
+            raise UnknownValueError(f"a {own.lower()} is no {type_.lower()}")
+        return value
+
+
+def _declared(declared: Declaration) -> Variable:
+    """Return data as they are when the program begins."""
+    variable = Variable(declared.type, declaration=declared, literal=declared.value is not None)
+    if declared.value is None and not declared.dimensions:
+        variable.value = {"NUM": 0.0, "BOOL": False, "STRING": ""}.get(declared.type)
+    return variable
+
+
+def _is_constant(variable: Variable) -> bool:
+    return variable.declaration is not None and variable.declaration.kind == "CONST"
+
+
+def _numbers(value: Value, *, joints: bool) -> list[float]:
+    return shaped(value, 6, 6) if joints else shaped(value, 3, 4, 4, 6)
+
+
+def _element(expression: Expression, initial: Expression | None, scope: Scope) -> Expression | None:
+    """Return the text of the numbers that an expression names, in the declaration; None if there is none."""
+    if initial is None or expression.kind not in ("name", "index"):
+        return None
+    element: Expression = initial
+    if expression.kind == "index":
+        for item in expression.items[1:]:
+            place = int(number(item, scope))
+            if element.kind != "list" or not 1 <= place <= len(element.items):
+                return None
+            element = element.items[place - 1]
+    return element if element.kind in ("numbers", "list") else None
+
+
+def _equal(one: Move, two: Move) -> bool:
+    """Return whether two motions are the same."""
+    same = one.statement is two.statement and one.target.numbers == two.target.numbers
+    vias = (one.via.numbers if one.via else None) == (two.via.numbers if two.via else None)
+    rest = (one.speed, one.zone, one.tool, one.wobj, one.setting) == (
+        two.speed, two.zone, two.tool, two.wobj, two.setting,
+    )  # fmt: skip
+    return same and vias and rest

@@ -1,0 +1,214 @@
+"""Programs whose moves run more than once, as text in which each runs once.
+
+A corrected target is a place on one pass of the path: a statement that moves in several rounds of a loop, or in several
+calls of a routine, would need several. So such a loop is written out, round by round, and a routine gets a copy for
+each further call of it. Loops and routines without moves, or that run once, stay as they are.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from msgspec import Struct
+
+from postproc.dialects.rapid.execution import Executed, Execution, RapidError
+from postproc.dialects.rapid.syntax import Loop, Module, Parser, Routine, modules
+from postproc.dialects.rapid.values import Value
+from postproc.dialects.text import line_spans
+from postproc.program import Ints
+
+_MOST_CHARACTERS = 60_000_000
+_MOST_PASSES = 300
+
+
+class Expanded(Struct, frozen=True, eq=False):
+    """A program in which each statement that moves runs once.
+
+    :ivar text: of the program; `modules` what it says, `executed` what it does.
+    :ivar line: (L,) line of the file that each line of the text comes from, 1-based.
+    :ivar loops: lines of loops that were written out; `copies` names of routines that were copied.
+    """
+
+    text: str
+    modules: tuple[Module, ...]
+    executed: Executed
+    line: Ints
+    loops: tuple[int, ...]
+    copies: tuple[str, ...]
+
+
+def expanded(
+    text: str, entry_of: Callable[[Sequence[Module]], Routine], assumed: Callable[[str, str], Value | None]
+) -> Expanded:
+    """Return a program, executed, in which each statement that moves runs once.
+
+    :param entry_of: chooses the routine that is run.
+    :param assumed: see `Execution`.
+    :raises RapidSyntaxError: it is not RAPID.
+    :raises RapidError: it cannot be followed.
+    """
+    line = np.arange(len(line_spans(text)[0])) + 1
+    loops: list[int] = []
+    copies: list[str] = []
+    for _ in range(_MOST_PASSES):
+        whole = modules(text)
+        entry = entry_of(whole)
+        try:
+            executed = Execution(whole, entry, assumed).run()
+            changes = _changes(text, whole, executed)
+        except RapidError as cause:
+            row = np.searchsorted(line_spans(text)[0], cause.start, side="right") - 1
+            raise cause.at_line(int(line[row])) from None
+        if not changes:
+            return Expanded(text, whole, executed, line, tuple(loops), tuple(copies))
+        starts = line_spans(text)[0]
+        for change in changes:
+            if change.copied:
+                copies.append(change.copied)
+            elif change.start < change.stop:
+                loops.append(int(line[np.searchsorted(starts, change.start, side="right") - 1]))
+        text, line = _changed(text, line, changes)
+        if len(text) > _MOST_CHARACTERS:
+            raise RapidError("the loops of the program are too long to be written out", entry.start)
+    raise RapidError("the loops and calls of the program are nested too deeply", entry.start)
+
+
+class _Change(Struct, frozen=True):
+    """A piece of the text and what replaces it: pieces of the text (offsets) and new text.
+
+    :ivar copied: name of the routine that this is a copy of.
+    """
+
+    start: int
+    stop: int
+    pieces: tuple[tuple[int, str], ...]
+    copied: str = ""
+
+
+def _changes(text: str, whole: Sequence[Module], executed: Executed) -> list[_Change]:
+    """Return what has to change first: outermost loops that run once, then routines called by statements that do."""
+    times: dict[int, int] = {}
+    for move in executed.moves:
+        times[move.statement.start] = times.get(move.statement.start, 0) + 1
+    if max(times.values(), default=0) <= 1:
+        return []
+    once = [runs[0] for runs in executed.rounds.values() if len(runs) == 1 and len(runs[0][1]) > 1]
+    outermost = [
+        (loop, values)
+        for loop, values in once
+        if not any(other.start < loop.start and loop.stop <= other.stop for other, _ in once)
+    ]
+    if outermost:
+        return [_unrolled(text, loop, values) for loop, values in outermost]
+    routines = {routine.name: routine for module in whole for routine in module.routines}
+    changes: list[_Change] = []
+    for name, calls in executed.calls.items():
+        places = {call.start for call in calls}
+        if len(calls) < 2 or len(places) < len(calls) or any(change.copied for change in changes):
+            continue
+        routine = routines[name]
+        copies: list[tuple[int, str]] = []
+        for number, call in enumerate(sorted(calls, key=lambda call: call.start)[1:], 2):
+            copy = _free_name(text[slice(*routine.name_span)], number, routines)
+            word = re.compile(r'%[ \t]*"[^"]*"[ \t]*%|\w+').match(text, call.start)
+            if word is None or word[0].startswith("%"):
+                problem = f"{name} is called more than once, by its name as text"
+                raise RapidError(problem, call.start, f"Call it as {name};")
+            changes.append(_Change(word.start(), word.end(), ((-1, copy),)))
+            head, tail = routine.name_span
+            copies += [(-1, _line_end(text)), (routine.start, text[routine.start : head]), (-1, copy)]
+            copies.append((tail, text[tail : routine.stop]))
+        changes.append(_Change(routine.stop, routine.stop, tuple(copies), copied=name))
+    if not changes:
+        loop = next(iter(executed.rounds.values()))[0][0] if executed.rounds else None
+        start = loop.start if loop is not None else executed.moves[0].statement.start
+        raise RapidError("a loop or routine with moves runs more than once", start, "Write its moves one by one.")
+    return changes
+
+
+def _free_name(name: str, number: int, routines: dict[str, Routine]) -> str:
+    copy = f"{name[:28]}_{number}"
+    while copy.upper() in routines:
+        copy = f"{copy[:30]}c"
+    return copy
+
+
+def _line_end(text: str) -> str:
+    match = re.search(r"\r\n|\n|\r", text)
+    return match[0] if match else "\n"
+
+
+def _unrolled(text: str, loop: Loop, values: Sequence[float]) -> _Change:
+    """Return the text of a loop, written out."""
+    begin, end = loop.inside
+    body = text[begin:end]
+    head = re.match(r"[ \t]*(?:![^\r\n]*)?(\r\n|\n|\r)", body)  # the end of the line of DO
+    offset = head.end() if head else 0
+    tail = re.search(r"[ \t]*\Z", body[offset:])
+    last = offset + tail.start() if tail else len(body)
+    indent = re.search(r"[ \t]*\Z", text[: loop.start])
+    places = _uses(text, loop) if loop.name else []
+    pieces: list[tuple[int, str]] = []
+    for number, value in enumerate(values, 1):
+        end_of_line = _line_end(text)
+        label = f"{text[loop.start :].split(maxsplit=2)[1]} = {value:g}" if loop.name else f"round {number}"
+        lead = (
+            "" if number == 1 or not indent else ("" if body[:last].endswith(("\n", "\r")) else end_of_line) + indent[0]
+        )
+        pieces.append((-1, f"{lead}! {label}{end_of_line}"))
+        at = begin + offset
+        for start, stop in places:
+            pieces += [(at, text[at:start]), (-1, f"{value:.9g}" if value >= 0 else f"({value:.9g})")]
+            at = stop
+        pieces.append((at, text[at : begin + last]))
+    if body[:last].endswith(("\n", "\r")) and indent:
+        pieces.append((-1, f"{indent[0]}! end"))
+    return _Change(loop.start, loop.stop, tuple(pieces))
+
+
+def _uses(text: str, loop: Loop) -> list[tuple[int, int]]:
+    """Return where the body of FOR names its variable.
+
+    :raises RapidError: the name means something else there too.
+    """
+    begin, end = loop.inside
+    out: list[tuple[int, int]] = []
+    parser, before = Parser(text, begin), ""
+    while parser.kind != "end" and parser.start < end:
+        if parser.kind == "name" and parser.word == loop.name and before not in (".", "\\"):
+            if before == "FOR":
+                raise RapidError(f"{loop.name} is the variable of two loops", loop.start, "Give them two names.")
+            out.append((parser.start, parser.stop))
+        before = parser.word
+        parser.step()
+    return out
+
+
+def _changed(text: str, line: Ints, changes: Sequence[_Change]) -> tuple[str, Ints]:
+    """Return the text with changes, and the line of the file that each of its lines comes from."""
+    pieces: list[tuple[int, str]] = []
+    at = 0
+    for change in sorted(changes, key=lambda change: (change.start, change.stop)):
+        pieces.append((at, text[at : change.start]))
+        pieces += [(origin if origin >= 0 else -1 - change.start, piece) for origin, piece in change.pieces]
+        at = change.stop
+    pieces.append((at, text[at:]))
+    new = "".join(piece for _, piece in pieces)
+    begins = np.cumsum([0, *(len(piece) for _, piece in pieces)])[:-1]
+    origins = np.array([origin for origin, _ in pieces])
+    starts, stops = line_spans(new)
+    # a line is that of its first character that is no blank, so that a copied line begins with its own text
+    first = np.array(
+        [
+            start + (len(new[start:stop]) - len(new[start:stop].lstrip())) if new[start:stop].strip() else start
+            for start, stop in zip(starts.tolist(), stops.tolist(), strict=True)
+        ],
+        dtype=np.int64,
+    )
+    piece = np.searchsorted(begins, first, side="right") - 1
+    inside = first - begins[piece]
+    place = np.where(origins[piece] >= 0, origins[piece] + inside, -1 - origins[piece])
+    old = np.searchsorted(line_spans(text)[0], place, side="right") - 1
+    return new, line[np.clip(old, 0, len(line) - 1)]

@@ -1,0 +1,35 @@
+"""Places of the numbers of a module in its text: what the reader passes to the writer."""
+
+from __future__ import annotations
+
+from msgspec import Struct
+
+from postproc.dialects.rapid.execution import Move
+from postproc.dialects.rapid.syntax import Comment
+from postproc.frames import Array
+from postproc.program import Ints
+
+
+class Layout(Struct, frozen=True, eq=False):
+    """The text of M motions.
+
+    :param numbers: (M, 6) X, Y, Z [mm], A, B, C [deg] in the work objects, as written.
+    :param text: the module with loops and routines expanded, see `expansion`; that of the file if `plain`.
+    :param plain: nothing was expanded.
+    :param moves: (M) the motions.
+    :param notes: force comments of the program, in order.
+    :param declared: names of all data, upper case.
+    """
+
+    numbers: Array
+    text: str
+    plain: bool
+    moves: tuple[Move, ...]
+    notes: tuple[Comment, ...]
+    declared: frozenset[str]
+
+    def places(self, rows: Ints) -> None:
+        """Return None: a module is one file."""
+
+    def orientation_types(self, rows: Ints) -> None:
+        """Return None: RAPID has no such setting."""

@@ -1,0 +1,252 @@
+r"""RAPID modules of programs that were read from G-code or APT.
+
+Decisions where RAPID leaves a choice:
+
+- Targets are written in the instructions; tools, work objects, speeds and zones are LOCAL data of the module.
+- The first move goes to joint angles (MoveAbsJ). Rapid approaches in joint interpolation are MoveJ, everything else is
+  MoveL or MoveC. ``ConfJ\On`` makes MoveJ arrive on the branch of its target; with ``ConfL\Off`` MoveL and
+  MoveC keep their branch, which their targets state too.
+- ``CirPathMode\ObjectFrame``: along circles, orientations are interpolated in the work object, as in the computation.
+- The robot stops in a fine point before lines of the cell, dwells and stops, so that they happen at that point.
+- The zone of a move is a circle of the approximation distance around its end, for position and orientation alike.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import PurePath
+
+import numpy as np
+
+from postproc.cell import Cell
+from postproc.decimals import Number, Part, lines
+from postproc.dialects import force_comments
+from postproc.dialects.force_comments import where
+from postproc.dialects.new_program import NewProgram, Words, check_name, number
+from postproc.dialects.rapid import language
+from postproc.dialects.rapid.language import (
+    BEGIN,
+    END,
+    NO_EXTERNAL_AXES,
+    PREFIX,
+    abb_from_joints,
+    configuration,
+    fault_of,
+    quaternions,
+    valid,
+)
+from postproc.errors import CellError, Issue, group_issues
+from postproc.frames import MM_PER_M, Array
+from postproc.program import (
+    CIRC,
+    LIN,
+    PTP,
+    Document,
+    Ints,
+    Program,
+    TargetForces,
+    TargetJoints,
+    Targets,
+    Written,
+    constant,
+)
+from postproc.version import VERSION
+
+_COMMENT = "!"
+_MODULE = re.compile(r"(?:\A|(?<=[\r\n]))[ \t]*MODULE[ \t][^\r\n]*(\r{0,2}\n|\r)", re.IGNORECASE)
+_OWN = re.compile(r"((?:MODULE[ \t]+mod_)|(?:PROC[ \t]+))[A-Za-z]\w*", re.ASCII)
+DECLARATION = re.compile(
+    r"LOCAL (?:PERS|CONST) (tooldata|wobjdata|speeddata|zonedata) ([A-Za-z]\w*):=(\[[^;]*\]);", re.ASCII
+)
+_FARTHEST = 1e6
+"""Largest coordinate of a frame [mm]."""
+
+
+def _to_joints(joints: Array) -> str:
+    """Return the motion to joint angles (6,) [rad] that begins with tool and work object of the program."""
+    angles = ",".join(f"{angle:.5f}" for angle in (abb_from_joints(joints) + 0.0).tolist())
+    return f"MoveAbsJ [[{angles}],{NO_EXTERNAL_AXES}],speed_0,fine,tool_0\\WObj:=wobj_0;"
+
+
+WORDS = Words("!", "WaitTime {};", "Stop;", _to_joints, encoding="ascii")
+_INSTRUCTIONS = {LIN: b"MoveL ", CIRC: b"MoveC ", PTP: b"MoveJ "}
+_MILLIMETRES, _QUATERNION = 4, 8
+_REORIENTATION, _EXTERNAL = 500.0, "5000,1000"
+"""Other numbers of speeddata, as in the controller's own: rotation [deg/s], external axes [mm/s, deg/s]."""
+_NO_LOAD = "[0.001,[0,0,0.001],[1,0,0,0],0,0,0]"
+"""The load of tool0."""
+_SPEED_DECIMALS = 3
+
+
+def write(
+    program: Program, targets: Targets, joints: TargetJoints, cell: Cell, carried: TargetForces | None
+) -> Written:
+    """Return a program read from G-code as RAPID.
+
+    :param joints: joint angles of the targets, which give their branches.
+    :param carried: forces to be written as comments, on lines before their targets.
+    :returns: one document, ``NAME.mod``, CR LF.
+    :raises ProgramError: the name is not valid in RAPID; a move has no feed, or one that would be printed as 0.
+    :raises CellError: a line of the cell is not RAPID.
+    """
+    check_name(program, "RAPID", fault_of, valid)
+    return _NewModule(program, targets, joints, cell, carried).written()
+
+
+class _NewModule:
+    """Writer of all targets at once, with the lines that `NewProgram` collects between them."""
+
+    def __init__(
+        self, program: Program, targets: Targets, joints: TargetJoints, cell: Cell, carried: TargetForces | None
+    ) -> None:
+        self.program, self.targets, self.joints, self.cell, self.carried = program, targets, joints, cell, carried
+        self.new = NewProgram(program, targets, cell, WORDS)
+
+    def written(self) -> Written:
+        """Return the document."""
+        new, program = self.new, self.program
+        for _ in new.frame_changes():
+            pass  # each target names its frames, but the robot must stop there
+        new.events()
+        self._check_lines()
+        distances = new.distances()
+        zones, self.zone = np.unique(distances, return_inverse=True)
+        if not len(zones) or zones[0] > 0.0:
+            zones, self.zone = np.append(0.0, zones), self.zone + 1
+        speeds = self._speeds()
+        self._note_forces()
+        head = self._head(zones, speeds)
+        text, output_line = new.joined(head, self._lines, [*(f"    {line}" for line in END), "  ENDPROC", "ENDMODULE"])
+        limit = self.cell.output.lines_per_file
+        if limit and text.count("\n") > limit:
+            message = f"The module has more than {limit} lines: lines_per_file divides only KRL."
+            new.issues.append(Issue("warning", "long-file", message))
+        document = Document(f"{program.name}.mod", text, "ascii")
+        return Written((document,), output_line, "rapid", group_issues(new.issues))
+
+    def _check_lines(self) -> None:
+        """Refuse lines of the cell that are not RAPID or move the robot; indent the others."""
+        for k, own in self.new.before.items():
+            for line in own:
+                fault = language.line_fault(line)
+                if fault is not None:
+                    raise CellError(
+                        f"a line of [gcode] is not allowed in a RAPID program: {line!r}: {fault}",
+                        advice='Write it as RAPID in the cell, for example spindle_on = ["SetDO doSpindle,1;"].',
+                    )
+            self.new.before[k] = [f"    {line}" for line in own]
+
+    def _speeds(self) -> Array:
+        """Return the distinct speeds (S, 2) [mm/s, deg/s], MoveJ's first; store the index of each target."""
+        path, millionths = self.new.speeds()
+        steps = np.rint(millionths * 10.0 ** (_SPEED_DECIMALS - 3)) / 10.0**_SPEED_DECIMALS
+        turns = np.nan_to_num(self.new.turning_speeds()[path], nan=_REORIENTATION)
+        values, which = np.unique(np.stack([steps, turns], axis=1), axis=0, return_inverse=True)
+        self.speed = np.zeros(len(self.targets), dtype=np.int64)
+        self.speed[path] = which.reshape(-1) + 1
+        return np.concatenate([[[self.cell.gcode.rapid_m_per_s * MM_PER_M, _REORIENTATION]], values])
+
+    def _note_forces(self) -> None:
+        """Put force comments before the targets that need one."""
+        if self.carried is None:
+            return
+        none = constant(-1, len(self.targets))
+        rows = np.flatnonzero(force_comments.needed(self.carried, self.targets.kind, none, (), np.nan))
+        for k, text in zip(rows.tolist(), force_comments.texts(b"!", self.carried, rows), strict=True):
+            self.new.before[k].append(f"    {text}")
+
+    def _head(self, zones: Array, speeds: Array) -> list[str]:
+        """Return the lines up to the start position."""
+        program, cell = self.program, self.cell
+        start = ",".join(f"{angle:.5f}" for angle in (abb_from_joints(cell.start_joints) + 0.0).tolist())
+        base, tool = self.new.frames(0)
+        load = self._load()
+        return [
+            f"MODULE {PREFIX}{program.name}",
+            f"  ! generated by postproc {VERSION} from {WORDS.printable(program.documents[0].name)}",
+            f"  ! {self.new.kind()}, robot {WORDS.printable(PurePath(cell.robot).name)}",
+            *(
+                f"  LOCAL PERS tooldata tool_{row}:=[TRUE,{_frame(pose)},{load}];"
+                for row, pose in enumerate(program.tools)
+            ),
+            *(
+                f'  LOCAL PERS wobjdata wobj_{row}:=[FALSE,TRUE,"",{_frame(pose)},[[0,0,0],[1,0,0,0]]];'
+                for row, pose in enumerate(program.bases)
+            ),
+            *(
+                f"  LOCAL CONST speeddata speed_{row}:=[{number(speed)},{number(turning)},{_EXTERNAL}];"
+                for row, (speed, turning) in enumerate(speeds.tolist())
+            ),
+            *(
+                f"  LOCAL CONST zonedata zone_{row}:={_zonedata(zone)};"
+                for row, zone in enumerate(zones.tolist())
+                if row
+            ),
+            f"  PROC {program.name}()",
+            *(f"    {line}" for line in BEGIN),
+            f"    MoveAbsJ [[{start}],{NO_EXTERNAL_AXES}],speed_0,fine,tool_{tool}\\WObj:=wobj_{base};",
+        ]
+
+    def _load(self) -> str:
+        """Return the loaddata of the tools: the payload of the cell, or that of tool0 with a warning."""
+        payload = self.cell.payload
+        if payload.mass_kg > 0.0:
+            centre = ",".join(number(value) for value in (payload.X, payload.Y, payload.Z))
+            return f"[{number(payload.mass_kg)},[{centre}],[1,0,0,0],0,0,0]"
+        message = (
+            "The tool data have no load, because the cell has no [payload]. Set the load in the controller before the "
+            "program runs, for example with LoadIdentify."
+        )
+        self.new.issues.append(Issue("warning", "tool-load", message))
+        return _NO_LOAD
+
+    def _lines(self, kind: int, k: Ints) -> bytes:
+        """Return the lines of some targets of a kind."""
+        motions, motion = self.program.motions, self.targets.motion[k]
+        target = [b",", *_columns(quaternions(self.targets.pose[k, :3, :3]), _QUATERNION)]
+        branch = configuration(self.joints.q[k], self.joints.status[k])
+        target += [b",", *_columns(branch.astype(np.float64), 0), f",{NO_EXTERNAL_AXES}]".encode()]
+        end = [b"[", *_columns(self.targets.pose[k, :3, 3] * MM_PER_M, _MILLIMETRES), *target]
+        via: list[Part] = []
+        if kind == CIRC:
+            via = [b"[", *_columns(self.targets.via[k] * MM_PER_M, _MILLIMETRES), *target, b","]
+        stops = self.zone[k] == 0
+        return lines(
+            [
+                b"    " + _INSTRUCTIONS[kind],
+                *via,
+                *end,
+                b",speed_",
+                Number.of(self.speed[k].astype(np.float64), 0),
+                where(b",fine", stops),
+                where(b",zone_", ~stops),
+                Number.of(np.where(stops, np.nan, self.zone[k]), 0),
+                b",tool_",
+                Number.of(motions.tool[motion].astype(np.float64), 0),
+                b"\\WObj:=wobj_",
+                Number.of(motions.base[motion].astype(np.float64), 0),
+                b";\r\n",
+            ]
+        )
+
+
+def _columns(values: Array, decimals: int) -> list[Part]:
+    """Return the parts of ``[…,…]`` for (n, c) numbers."""
+    parts: list[Part] = []
+    for column in values.T:
+        parts += [b"," if parts else b"[", Number.of(column, decimals)]
+    return [*parts, b"]"]
+
+
+def _frame(pose: Array) -> str:
+    """Return a pose (4, 4) [m] as RAPID has it: millimetres and a quaternion."""
+    place = ",".join(number(value) for value in (pose[:3, 3] * MM_PER_M).tolist())
+    turn = ",".join(f"{value + 0.0:.{_QUATERNION}f}" for value in quaternions(pose[None, :3, :3])[0].tolist())
+    return f"[[{place}],[{turn}]]"
+
+
+def _zonedata(distance: float) -> str:
+    """Return zonedata of an approximation distance [m]; reorientation begins with the path."""
+    mm = number(distance * MM_PER_M)
+    tenth = number(0.1 * distance * MM_PER_M)
+    return f"[FALSE,{mm},{mm},{mm},{tenth},{mm},{tenth}]"

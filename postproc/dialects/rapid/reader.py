@@ -1,0 +1,447 @@
+r"""From a RAPID module to a `Program`.
+
+Assumptions: the base frame of the robot is the world frame; procedures of other modules neither move the robot nor
+change data of this one; vmax is 5000 mm/s. Numbers are taken as the controller stores them, in single precision.
+
+Along a circle the tool turns with the path, unless ``CirPathMode\ObjectFrame`` is set; on a line under
+``SingArea\Wrist`` the wrist axes turn it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import PurePath
+
+import numpy as np
+from msgspec.structs import replace
+
+from postproc.cell import Cell
+from postproc.chunks import Runs
+from postproc.dialects import circles
+from postproc.dialects.rapid.execution import Executed, Move, RapidError
+from postproc.dialects.rapid.expansion import Expanded, expanded
+from postproc.dialects.rapid.language import joints_from_abb, poses, status_from_cfx
+from postproc.dialects.rapid.layout import Layout
+from postproc.dialects.rapid.syntax import Comment, Module, RapidSyntaxError, Routine, nested
+from postproc.dialects.rapid.syntax import Instruction as RapidInstruction
+from postproc.dialects.rapid.values import NONE, UnknownValueError, Value, shaped
+from postproc.dialects.text import line_spans
+from postproc.errors import InputError, Issue, ProgramError, first_of, together
+from postproc.frames import M_PER_MM, Array, inverse, norm, xyzabc_from_pose
+from postproc.poses import Poses
+from postproc.program import (
+    CIRC,
+    LIN,
+    PTP,
+    Bools,
+    Document,
+    ForceNote,
+    Ints,
+    Motions,
+    Program,
+    Starts,
+    parse_force_note,
+)
+
+_NOT_NORMALISED = 1e-3
+"""What the sum of the squares of a quaternion may differ from 1: three decimals of each."""
+_FARTHEST = 1e5
+"""Largest coordinate of a target or frame [mm]."""
+_TURNS = 1e-6
+_MOST_NAMES = 5
+
+
+def read(document: Document, cell: Cell, forward: Callable[[Array], Array], name: str) -> Program:
+    """Read a RAPID module.
+
+    :param cell: its start position, and the tool and work object of modules that declare none.
+    :param forward: (6,) joints [rad] → (4, 4) flange in the robot root [m], by the controller's nominal geometry.
+    :raises InputError: what cannot be followed, all together, each with its line and advice.
+    """
+    return _Reader(document, cell).program(forward, name)
+
+
+class _Reader:
+    """Reader of one module."""
+
+    def __init__(self, document: Document, cell: Cell) -> None:
+        self.document, self.cell = document, cell
+        self.names: dict[str, set[str]] = {}
+        self.frames: dict[str, _FromCell] = {}
+
+    def program(self, forward: Callable[[Array], Array], name: str) -> Program:
+        """Return the program."""
+        whole = self._expanded(name)
+        executed = whole.executed
+        line = self._lines(whole, np.array([move.statement.start for move in executed.moves], dtype=np.int64))
+        if executed.errors:
+            lines = self._lines(whole, np.array([cause.start for cause in executed.errors])).tolist()
+            pairs = zip(executed.errors, lines, strict=True)
+            raise together([self._at(cause.problem, at, cause.advice) for cause, at in pairs])
+        if not executed.moves:
+            raise ProgramError(
+                "there are no motions", file=self.document.name, advice="Check that this is the program."
+            )
+        comments, notes = self._notes(whole)
+        motions, bases, tools, numbers, turns = self._motions(executed.moves, line, forward)
+        plain = not whole.loops and not whole.copies
+        declared = frozenset(data.name for module in whole.modules for data in module.data)
+        return Program(
+            name,
+            "rapid",
+            (self.document,),
+            motions,
+            bases,
+            tools,
+            notes=notes,
+            issues=tuple(self._issues(whole, line)),
+            by_wrist=turns[0] if turns[0].any() else None,
+            with_path=turns[1] if turns[1].any() else None,
+            layout=Layout(numbers, whole.text, plain, tuple(executed.moves), comments, declared),
+        )
+
+    # --- text
+
+    def _expanded(self, name: str) -> Expanded:
+        text = self.document.text
+        try:
+            return expanded(text, lambda modules: self._entry(modules, name), self._from_cell)
+        except RapidSyntaxError as cause:
+            advice = "Check the file in RobotStudio. If it is accepted there, please report this."
+            line = int(np.searchsorted(line_spans(text)[0], cause.start, side="right"))
+            raise self._at(cause.problem, line, advice) from None
+        except RapidError as cause:
+            raise self._at(cause.problem, max(cause.line, 1), cause.advice) from None
+
+    @staticmethod
+    def _lines(whole: Expanded, start: Ints) -> Ints:
+        """Return the lines of the file (n,) of offsets (n,) of the text."""
+        return np.asarray(whole.line[np.searchsorted(line_spans(whole.text)[0], start, side="right") - 1])
+
+    def _entry(self, modules: Sequence[Module], name: str) -> Routine:
+        """Return the routine that is the program: main, that of the file's name, or the only one nobody calls."""
+        routines = {r.name: r for module in modules for r in module.routines if r.kind == "PROC"}
+        for wanted in ("MAIN", PurePath(self.document.name).stem.upper(), name.upper()):
+            if wanted in routines:
+                return routines[wanted]
+        called = {
+            statement.name.removeprefix("%")
+            for routine in routines.values()
+            for statement in nested(routine.body)
+            if isinstance(statement, RapidInstruction)
+        }
+        free = [routine for routine in routines.values() if routine.name not in called and not routine.parameters]
+        if len(free) == 1:
+            return free[0]
+        if not routines:
+            raise ProgramError("there is no PROC", file=self.document.name, advice="Check that this is the program.")
+        names = first_of([routine.name for routine in (free or routines.values())], _MOST_NAMES)
+        raise ProgramError(
+            f"there is no PROC main, and it is not clear which of these is the program: {names}",
+            file=self.document.name,
+            advice="Name the file like the procedure, or add a PROC main that calls what is to run.",
+        )
+
+    def _from_cell(self, name: str, type_: str) -> Value | None:
+        """Return [tool] or [base] of the cell for data of other modules; None if it stands for another name."""
+        seen = self.names.setdefault(type_, set())
+        seen.add(name)
+        if len(seen) > 1:
+            raise UnknownValueError(
+                f"{first_of(sorted(seen), _MOST_NAMES)} are not declared in this file, and the cell has but one "
+                f"{'tool' if type_ == 'TOOLDATA' else 'base'}"
+            )
+        if type_ not in self.frames:
+            self.frames[type_] = _FromCell(self.cell.tool.pose() if type_ == "TOOLDATA" else self.cell.base.pose())
+        return self.frames[type_]
+
+    def _notes(self, whole: Expanded) -> tuple[tuple[Comment, ...], tuple[ForceNote, ...]]:
+        comments: list[Comment] = []
+        notes: list[ForceNote] = []
+        errors: list[InputError] = []
+        starts = line_spans(whole.text)[0] if whole.executed.notes else np.zeros(1, dtype=np.int64)
+        for comment, before in whole.executed.notes:
+            line = int(whole.line[np.searchsorted(starts, comment.start, side="right") - 1])
+            try:
+                note = parse_force_note(comment.text, line, self.document.name)
+            except InputError as cause:
+                errors.append(cause)
+                continue
+            if note is not None:
+                comments.append(comment)
+                notes.append(replace(note, before=before))
+        if errors:
+            raise together(errors)
+        return tuple(comments), tuple(notes)
+
+    # --- motions
+
+    def _motions(
+        self, moves: list[Move], line: Ints, forward: Callable[[Array], Array]
+    ) -> tuple[Motions, Array, Array, Array, tuple[Bools, Bools]]:
+        """Return the motions, bases, tools, numbers of the text; which are led by the wrist, which by their path."""
+        kind = np.array([move.kind for move in moves], dtype=np.int64)
+        axis = np.array([move.joints for move in moves])
+        base, bases = self._frames(moves, line, [move.wobj for move in moves], self._wobj)
+        tool, tools = self._frames(moves, line, [move.tool for move in moves], self._tool)
+        given = np.full((len(moves), 17), np.nan)
+        if not axis.all():
+            given[~axis] = [move.target.numbers for move in moves if not move.joints]
+        angles = np.array([move.target.numbers for move in moves if move.joints]).reshape(-1, 12)
+        self._check(given[~axis], line[~axis])
+        self._check_external(moves, given[~axis][:, 11:], line[~axis], angles[:, 6:], line[axis])
+        joints, pose = np.full((len(line), 6), np.nan), np.empty((len(line), 4, 4))
+        pose[~axis] = poses(given[~axis, :7])
+        numbers = np.full((len(line), 6), np.nan)
+        numbers[~axis] = _exact(given[~axis, :7])
+        rows = np.flatnonzero(axis)
+        joints[rows] = joints_from_abb(angles[:, :6].astype(np.float32).astype(np.float64))
+        for row in rows.tolist():
+            pose[row] = inverse(bases[base[row]]) @ forward(joints[row]) @ tools[tool[row]]
+        numbers[rows] = xyzabc_from_pose(pose[rows]) if len(rows) else numbers[rows]
+        starts = Starts.of((base, tool, bases, tools), pose.__getitem__, forward(self.cell.start_joints))
+        start = starts.at(np.arange(len(line)))
+        arcs = self._arcs(moves, start, pose, line, kind == CIRC)
+        by_wrist, with_path = self._turning(moves, kind, start, pose, line)
+        status = np.full(len(line), -1)
+        led = np.array([move.setting.follows for move in moves]) & (kind == PTP) & ~axis
+        status[led] = status_from_cfx(given[led, 10].astype(np.int64))
+        motions = Motions(
+            kind=kind,
+            rapid=kind == PTP,
+            line=line,
+            target=Poses.of(pose),
+            joints=Runs.of(joints),
+            centre=arcs[0],
+            normal=arcs[1],
+            sweep=arcs[2],
+            feed=self._feed(moves, kind, start, pose, arcs, line),
+            base=base,
+            tool=tool,
+            blend=_single([move.zone for move in moves]) * M_PER_MM,
+            rounding=np.full(len(line), np.inf),
+            status=status,
+            turn=np.full(len(line), -1),
+        )
+        return motions, bases, tools, numbers, (by_wrist, with_path)
+
+    def _at(self, problem: str, line: int, advice: str) -> ProgramError:
+        """Return an error at a line of the file."""
+        starts, stops = line_spans(self.document.text)
+        shown = self.document.text[starts[line - 1] : stops[line - 1]].strip()
+        return ProgramError(problem, file=self.document.name, line=line, text=shown, advice=advice)
+
+    def _frames(
+        self, moves: list[Move], line: Ints, values: list[Value], pose_of: Callable[[Value], Array]
+    ) -> tuple[Ints, Array]:
+        """Return the row of the frame of each motion (M,), and the frames (n, 4, 4) [m]."""
+        rows: dict[int, int] = {}
+        keys: dict[str, int] = {}
+        frames: list[Array] = []
+        out = np.zeros(len(moves), dtype=np.int64)
+        for k, value in enumerate(values):
+            row = rows.get(id(value))
+            if row is None:
+                key = repr(value)
+                row = keys.get(key)
+                if row is None:
+                    try:
+                        frames.append(pose_of(value))
+                    except UnknownValueError as cause:
+                        advice = "Give it as a plain declaration in this file."
+                        raise self._at(cause.problem, int(line[k]), advice) from None
+                    row = keys[key] = len(frames) - 1
+                rows[id(value)] = row
+            out[k] = row
+        return out, np.stack(frames)
+
+    @staticmethod
+    def _tool(value: Value) -> Array:
+        if isinstance(value, _FromCell):
+            return value.pose
+        if not isinstance(value, list) or len(value) != 3 or not isinstance(value[0], bool):
+            raise UnknownValueError("the tool is no tooldata")
+        if not value[0]:
+            raise UnknownValueError(
+                "the tool is fixed in the room and the robot holds the part, which is not supported"
+            )
+        return _pose(value[1])
+
+    @staticmethod
+    def _wobj(value: Value) -> Array:
+        if isinstance(value, _FromCell):
+            return value.pose
+        if not isinstance(value, list) or len(value) != 5:
+            raise UnknownValueError("the work object is no wobjdata")
+        held, fixed, unit, user, frame = value
+        if held is not False:
+            raise UnknownValueError("the robot holds the work object, which is not supported")
+        if fixed is not True or unit != "":
+            raise UnknownValueError(f"the work object moves with the mechanical unit {unit!r}, which is not supported")
+        return np.asarray(_pose(user) @ _pose(frame))
+
+    def _check(self, given: Array, line: Ints) -> None:
+        """Refuse targets that no robot has."""
+        far = np.abs(given[:, :3]) > _FARTHEST
+        if far.any():
+            raise self._at(
+                "no robot reaches this target", int(line[np.argmax(far.any(axis=1))]), "Coordinates are in mm."
+            )
+        off = np.abs(np.einsum("ni,ni->n", given[:, 3:7], given[:, 3:7]) - 1.0) > _NOT_NORMALISED
+        if off.any():
+            advice = "The squares of q1…q4 must add up to 1: give them with more decimals."
+            raise self._at("the orientation is not a unit quaternion", int(line[np.argmax(off)]), advice)
+        odd = (given[:, 7:11] != np.round(given[:, 7:11])).any(axis=1) | (given[:, 10] < 0) | (given[:, 10] > 7)
+        if odd.any():
+            raise self._at(
+                "the configuration (cf1, cf4, cf6, cfx) is not understood",
+                int(line[np.argmax(odd)]),
+                "It has four whole numbers, the last from 0 to 7.",
+            )
+
+    def _check_external(self, moves: list[Move], one: Array, line: Ints, two: Array, axis_line: Ints) -> None:
+        """Refuse external axes that move, or carry the robot elsewhere."""
+        del moves
+        values, lines = np.concatenate([one, two]), np.concatenate([line, axis_line])
+        used = (np.abs(values) < NONE) & (values != 0.0)
+        if used.any():
+            row, column = np.argwhere(used)[0].tolist()
+            name = f"eax_{'abcdef'[column]}"
+            problem = (
+                f"the external axis {name} is at {values[row, column]:g}: where it carries robot or part is not known"
+            )
+            advice = f"Post the program with {name} at 0, or at 9E9 if it takes no part."
+            raise self._at(problem, int(lines[row]), advice)
+
+    def _arcs(
+        self, moves: list[Move], start: Array, pose: Array, line: Ints, circular: Bools
+    ) -> tuple[Array, Array, Array]:
+        """Return centre (M, 3), normal (M, 3) and sweep (M,) of circles; NaN elsewhere."""
+        rows = np.flatnonzero(circular)
+        centre, normal = np.full((len(line), 3), np.nan), np.full((len(line), 3), np.nan)
+        sweep = np.full(len(line), np.nan)
+        if len(rows):
+            given = np.array([move.via.numbers for move in moves if move.via is not None])
+            self._check(given, line[rows])
+            between = poses(given[:, :7])[:, :3, 3]
+            centre[rows], normal[rows], sweep[rows], flat = circles.through(
+                start[rows, :3, 3], between, pose[rows, :3, 3]
+            )
+            if flat.any():
+                at = int(line[rows[np.argmax(flat)]])
+                problem = "the three points of the circle are on a line or coincide"
+                raise self._at(problem, at, "Write MoveL, or give the circle another point.")
+        return centre, normal, sweep
+
+    def _turning(self, moves: list[Move], kind: Ints, start: Array, pose: Array, line: Ints) -> tuple[Bools, Bools]:
+        """Return which motions (M,) turn the tool by the wrist axes, and which with their path."""
+        area = np.array([move.setting.area for move in moves])
+        mode = np.array([move.setting.circles for move in moves])
+        turns = norm((start[:, :3, :3] - pose[:, :3, :3]).reshape(-1, 9)) > _TURNS
+        faults = (
+            (
+                (area == "LOCKAXIS4") & turns & (kind != PTP),
+                "the turn of the tool is not known under SingArea\\LockAxis4",
+            ),
+            ((area == "WRIST") & turns & (kind == CIRC), "the turn along a circle is not known under SingArea\\Wrist"),
+            ((kind == CIRC) & ~np.isin(mode, ("PATHFRAME", "OBJECTFRAME")) & turns, "this CirPathMode is not followed"),
+        )
+        for wrong, problem in faults:
+            if wrong.any():
+                advice = "Use SingArea\\Off and CirPathMode\\ObjectFrame, or keep the orientation along this move."
+                raise self._at(problem, int(line[np.argmax(wrong)]), advice)
+        by_wrist = (area == "WRIST") & (kind == LIN)
+        return by_wrist, (kind == CIRC) & (mode == "PATHFRAME")
+
+    def _feed(
+        self, moves: list[Move], kind: Ints, start: Array, pose: Array, arcs: tuple[Array, Array, Array], line: Ints
+    ) -> Array:
+        """Return the speed of the TCP (M,) [m/s], as the controller stores it."""
+        speed = _single([move.speed for move in moves]) * M_PER_MM
+        duration = np.array([move.duration for move in moves])
+        timed = np.flatnonzero((duration > 0.0) & (kind != PTP))
+        if len(timed):
+            length = norm(pose[timed, :3, 3] - start[timed, :3, 3])
+            radius = norm(start[timed, :3, 3] - arcs[0][timed])
+            length = np.where(kind[timed] == CIRC, radius * arcs[2][timed], length)
+            if (length < 1e-9).any():
+                at = int(line[timed[np.argmin(length)]])
+                raise self._at("a move without length has a duration (\\T)", at, "Give it a speed instead.")
+            speed[timed] = length / duration[timed]
+        return np.where(kind == PTP, np.nan, speed)
+
+    # --- issues
+
+    def _issues(self, whole: Expanded, line: Ints) -> Iterator[Issue]:
+        del line
+        executed = whole.executed
+        for name, (start, count) in executed.foreign.items():
+            message = f"{name} is an unknown procedure: it is assumed neither to move the robot nor to change its data."
+            at = int(self._lines(whole, np.array([start]))[0])
+            yield Issue("warning", "external-call", message, at, subject=name.upper(), count=count)
+        yield from self._from_cell_issues(executed)
+        for module in whole.modules:
+            for routine in module.routines:
+                moving = next(
+                    (s for s in nested(routine.body) if isinstance(s, RapidInstruction) and s.name.startswith("MOVE")),
+                    None,
+                )
+                if moving is not None and routine.name not in executed.followed:
+                    message = f"{routine.kind} {routine.name} has moves but is not called; they are left as they are."
+                    at = int(self._lines(whole, np.array([moving.start]))[0])
+                    yield Issue("warning", "uncalled-motions", message, at, subject=routine.name)
+        if whole.loops:
+            lines = ", ".join(str(number) for number in sorted(set(whole.loops))[:_MOST_NAMES])
+            message = (
+                f"Loops with moves are written out, round by round (lines {lines}): each round has its own targets."
+            )
+            yield Issue("info", "loop-expanded", message, min(whole.loops))
+        if whole.copies:
+            names = first_of(list(dict.fromkeys(whole.copies)), _MOST_NAMES)
+            message = f"Routines with moves that are called more than once get a copy for each call: {names}."
+            yield Issue("info", "routine-copied", message)
+
+    @staticmethod
+    def _from_cell_issues(executed: Executed) -> Iterator[Issue]:
+        for name, type_ in executed.assumed.items():
+            section = "[tool]" if type_ == "TOOLDATA" else "[base]"
+            message = (
+                f"{name} is not declared in this file: {section} of the cell is taken for it. Check that they agree."
+            )
+            yield Issue("warning", "frame-from-cell", message, subject=name)
+
+
+class _FromCell:
+    """A frame of the cell in place of data that no module declares."""
+
+    def __init__(self, pose: Array) -> None:
+        self.pose = pose
+
+    def __repr__(self) -> str:
+        return f"cell {self.pose.tolist()}"
+
+
+def _single(values: list[float]) -> Array:
+    """Return numbers as the controller stores them."""
+    return np.array(values).astype(np.float32).astype(np.float64)
+
+
+def _pose(value: Value) -> Array:
+    """Return a `pose` (4, 4) [m]."""
+    numbers = np.array(shaped(value, 3, 4))
+    if (np.abs(numbers[:3]) > _FARTHEST).any():
+        raise UnknownValueError("the frame is beyond any cell")
+    if abs(float(numbers[3:] @ numbers[3:]) - 1.0) > _NOT_NORMALISED:
+        raise UnknownValueError("the orientation of the frame is not a unit quaternion")
+    return np.asarray(poses(numbers[None])[0])
+
+
+def _exact(given: Array) -> Array:
+    """Return X, Y, Z [mm], A, B, C [deg] (n, 6) of targets (n, 7) as their text has them."""
+    if not len(given):
+        return np.zeros((0, 6))
+    out = poses(np.column_stack([np.zeros((len(given), 3)), given[:, 3:]]))
+    out[:, :3, 3] = given[:, :3] * M_PER_MM
+    numbers = xyzabc_from_pose(out)
+    numbers[:, :3] = given[:, :3]
+    return np.asarray(numbers)

@@ -1,0 +1,418 @@
+r"""A RAPID module with other targets: every other byte is kept.
+
+- Numbers of a target are replaced where they stand: in the instruction, or in the CONST or VAR that it names, if all
+  moves that use it go to the same place and nothing else names it. Otherwise the move gets its target as numbers.
+- Inserted targets are lines before the move, with its speed, tool and work object. They have its zone; where the move
+  stops, z0, so that the robot does not stop on the way.
+- The configuration of a target follows the joints where a correction moves an axis beyond a quadrant.
+- A duration (``\T``) becomes a speed (``\V``) where the path is divided or moved.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from itertools import accumulate
+
+import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
+
+from postproc.dialects import force_comments
+from postproc.dialects.rapid.execution import MOVES, Move, Target
+from postproc.dialects.rapid.language import abb_from_joints, configuration, quaternions
+from postproc.dialects.rapid.layout import Layout
+from postproc.dialects.rapid.syntax import Expression
+from postproc.dialects.rapid.values import NONE
+from postproc.dialects.text import line_spans
+from postproc.errors import Issue
+from postproc.frames import MM_PER_M, Array
+from postproc.program import CIRC, LIN, PTP, Ints, Program, TargetForces, TargetJoints, Targets, Written
+
+_MILLIMETRES, _QUATERNION, _MOST_DECIMALS = 4, 8, 9
+_SPEED_DECIMALS = 6
+_AT_QUADRANT = 3.0
+"""A configuration may differ by one quadrant where the axis is that close to its border [deg]."""
+_NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?")
+_STRAIGHT = {"MOVEC": "MoveL", "MOVECDO": "MoveLDO", "MOVECSYNC": "MoveLSync", "TRIGGC": "TriggL"}
+_PLAIN = {LIN: "MoveL", CIRC: "MoveC", PTP: "MoveJ"}
+
+
+class Edit(Struct, frozen=True, order=True):
+    """A piece of the text and what replaces it.
+
+    :ivar targets: (k) targets that the new text has as lines, with their offsets in it.
+    """
+
+    start: int
+    stop: int
+    text: str
+    targets: tuple[tuple[int, int], ...] = ()
+
+
+def rewritten(program: Program, targets: Targets, joints: TargetJoints, carried: TargetForces | None) -> Written:
+    """Return a program read from RAPID with other targets.
+
+    :param joints: joint angles of the targets, which give their configurations.
+    :param carried: forces that comments must give to the targets, or None.
+    """
+    if not isinstance(program.layout, Layout):
+        raise TypeError("the program was not read from RAPID")
+    return _Rewriter(program, program.layout, targets, joints, carried).written()
+
+
+class _Rewriter:
+    """Collects the edits of one program."""
+
+    def __init__(
+        self,
+        program: Program,
+        layout: Layout,
+        targets: Targets,
+        joints: TargetJoints,
+        carried: TargetForces | None,
+    ) -> None:
+        self.program, self.layout, self.targets, self.carried = program, layout, targets, carried
+        self.text, self.moves = layout.text, layout.moves
+        self.row = np.asarray(targets.motion, dtype=np.int64)
+        self.last = np.append(self.row[1:] != self.row[:-1], True)[: len(self.row)]
+        self.issues: list[Issue] = []
+        self.edits: list[Edit] = []
+        self.starts, self.stops = line_spans(self.text)
+        pose = targets.pose.take(np.arange(len(self.row)))
+        self.place = pose.position * MM_PER_M
+        self.turn = quaternions(pose.rotation)
+        q = np.asarray(joints.q[np.arange(len(self.row))])
+        self.degrees = abb_from_joints(q)
+        self.conf = configuration(q, np.asarray(joints.status[np.arange(len(self.row))]))
+        self.lowered = self._lowered()
+        self.shared: dict[int, tuple[Target, list[Edit], str]] = {}
+        """Data with numbers that moves name: offset of the numbers → (target, its edits, its text)."""
+        self.places: dict[int, Expression] = {}
+        """Arguments that name data, by offset."""
+
+    def _lowered(self) -> set[int]:
+        as_read = self.program.feed_as_read
+        if as_read is None:
+            return set()
+        return set(np.flatnonzero(self.program.motions.feed < as_read).tolist())
+
+    def written(self) -> Written:
+        """Return the document."""
+        document = self.program.documents[0]
+        forces = self._forces()
+        divided = np.bincount(self.row, minlength=len(self.moves)) > 1
+        changed = ~self.targets.keep & self.last
+        begin = np.searchsorted(self.row, np.arange(len(self.moves)))
+        moved_before = np.append(False, np.isin(np.arange(len(self.moves)), self.row[changed])[:-1])
+        uses: dict[int, list[tuple[int, str]]] = {}
+        for k in np.flatnonzero(self.last).tolist():
+            row = int(self.row[k])
+            if divided[row] or k in forces:
+                self._lines_before(row, range(int(begin[row]), k), k, forces)
+            timed = self.moves[row].duration > 0.0 and (divided[row] or changed[k] or bool(moved_before[row]))
+            if timed or row in self.lowered:
+                self._speed(row)
+            if changed[k]:
+                self._change(row, k, uses)
+            elif self.moves[row].kind == CIRC and self.targets.kind[k] == LIN:
+                self._straighten(self.moves[row])
+        self._settle(uses)
+        if not self.edits:
+            line = self._line_of_moves()
+            return Written((document,), line, "rapid", tuple(self.issues))
+        text, line = self._applied()
+        return Written((replace(document, text=text),), line, "rapid", tuple(self.issues))
+
+    def _line_of_moves(self) -> Ints:
+        """Return the line of the file of each target."""
+        return np.asarray(self.program.motions.line[self.row], dtype=np.int64)
+
+    # --- lines before a move
+
+    def _forces(self) -> dict[int, str]:
+        """Return the force comments that targets need beyond those of the program."""
+        if self.carried is None:
+            return {}
+        before = np.array([note.before for note in self.program.notes], dtype=np.int64)
+        trailing = np.array([comment.trailing for comment in self.layout.notes], dtype=np.int64)
+        # a comment in the line of a move counts for its end only: inserted targets are in lines above it
+        seen = 2 * self.row + self.last
+        note = np.searchsorted(2 * before + trailing, seen, side="right") - 1
+        rows = np.flatnonzero(force_comments.needed(self.carried, self.targets.kind, note, self.program.notes, 0.0))
+        return dict(zip(rows.tolist(), force_comments.texts(b"!", self.carried, rows), strict=True))
+
+    def _lines_before(self, row: int, inserted: range, k: int, forces: dict[int, str]) -> None:
+        """Add the lines of inserted targets and of force comments before a move."""
+        start = self.moves[row].statement.start
+        line = int(np.searchsorted(self.starts, start, side="right")) - 1
+        lead = self.text[self.starts[line] : start]
+        indent = lead[: len(lead) - len(lead.lstrip())]
+        end = self._line_end(line)
+        pieces: list[str] = []
+        targets: list[tuple[int, int]] = []
+        length = 0
+
+        def add(text: str) -> None:
+            nonlocal length
+            pieces.append(f"{text}{end}{indent}")
+            length += len(pieces[-1])
+
+        for target in inserted:
+            if target in forces:
+                add(forces[target])
+            targets.append((target, length))
+            add(self._inserted(row, target))
+        if k in forces and not self._replaced_comment(row, forces[k]):
+            add(forces[k])
+        if inserted and MOVES[self.moves[row].statement.name].before_zone:
+            message = (
+                "Targets must be inserted into this move, which switches at a distance from its end: that would not be "
+                "kept right. Use MoveL and SetDO, or raise tolerance_mm so that no targets are needed."
+            )
+            self.issues.append(Issue("error", "trigger", message, int(self.program.motions.line[row])))
+        if lead.strip():  # another statement is in the line
+            pieces[:0] = [f"{end}{indent}"]
+            targets = [(target, offset + len(pieces[0])) for target, offset in targets]
+        if pieces:
+            self.edits.append(Edit(start, start, "".join(pieces), tuple(targets)))
+
+    def _replaced_comment(self, row: int, text: str) -> bool:
+        """Put a force comment in place of the one in the line of a move; return whether there is one."""
+        for note, comment in zip(self.program.notes, self.layout.notes, strict=True):
+            if comment.trailing and note.before == row:
+                self.edits.append(Edit(comment.start, comment.stop, text))
+                return True
+        return False
+
+    def _line_end(self, line: int) -> str:
+        following = int(self.starts[line + 1]) if line + 1 < len(self.starts) else len(self.text)
+        return self.text[int(self.stops[line]) : following] or "\n"
+
+    def _inserted(self, row: int, k: int) -> str:
+        """Return the statement of an inserted target."""
+        move = self.moves[row]
+        form = MOVES[move.statement.name]
+        kind = int(self.targets.kind[k])
+        required = [a for a in move.statement.arguments if not a.name]
+        tail = required[form.points :]
+        speed, zone, tool = tail[0], tail[1 + form.before_zone], tail[2 + form.before_zone]
+        options = {a.name: self.text[a.start : a.stop] for a in move.statement.arguments if a.name}
+        speed_text = self.text[speed.start : speed.stop]
+        if (value := self._new_speed(row)) is not None:
+            options.pop("T", None)
+            options["V"] = f"\\V:={value}"
+        zone_text = self.text[zone.start : zone.stop]
+        if move.zone == 0.0 and self.targets.blend[k] > 0.0 and "Z0" not in self.layout.declared:
+            zone_text = "z0"
+            options.pop("INPOS", None)
+            options.pop("Z", None)
+        points = []
+        if kind == CIRC:
+            points.append(self._whole(move.target.numbers, self.targets.via[k] * MM_PER_M, k))
+        points.append(self._whole(move.target.numbers, self.place[k], k))
+        concurrent = options.get("CONC", "")
+        timing = options.get("V", options.get("T", ""))
+        behind = "".join(options.get(name, "") for name in ("TLOAD",))
+        wobj = options.get("WOBJ", "")
+        zone_text += options.get("Z", "") + options.get("INPOS", "")
+        return (
+            f"{_PLAIN[kind]} {concurrent + ',' if concurrent else ''}{','.join(points)},{speed_text}{timing},"
+            f"{zone_text},{self.text[tool.start : tool.stop]}{wobj}{behind};"
+        )
+
+    def _new_speed(self, row: int) -> str | None:
+        """Return the speed [mm/s] that a move gets instead of its own; None if that stays."""
+        move = self.moves[row]
+        if row not in self.lowered and not move.duration > 0.0:
+            return None
+        feed = float(self.program.motions.feed[row]) * MM_PER_M / move.setting.speed[0]
+        return f"{feed:.{_SPEED_DECIMALS}f}".rstrip("0").rstrip(".")
+
+    def _speed(self, row: int) -> None:
+        """Give a move a speed in place of its duration or its own speed."""
+        value = self._new_speed(row)
+        move = self.moves[row]
+        if value is None or move.kind == PTP:
+            return
+        options = {a.name: a for a in move.statement.arguments if a.name}
+        for name in ("T", "V"):
+            if name in options:
+                self.edits.append(Edit(options[name].start, options[name].stop, f"\\V:={value}"))
+                return
+        speed = [a for a in move.statement.arguments if not a.name][MOVES[move.statement.name].points]
+        self.edits.append(Edit(speed.stop, speed.stop, f"\\V:={value}"))
+
+    # --- the end of a move
+
+    def _change(self, row: int, k: int, uses: dict[int, list[tuple[int, str]]]) -> None:
+        """Give a move another end."""
+        move = self.moves[row]
+        circle = int(self.targets.kind[k]) == CIRC
+        if move.via is not None and not circle:
+            self._straighten(move)
+        if move.via is not None and circle:
+            self._point(move.via, self.targets.via[k] * MM_PER_M, None, row, k, uses)
+        self._point(move.target, self.place[k], self.turn[k], row, k, uses)
+
+    def _straighten(self, move: Move) -> None:
+        """Write a line in place of a circle."""
+        statement = move.statement
+        if move.via is None:
+            return
+        self.edits.append(Edit(statement.start, statement.start + len(statement.name), _STRAIGHT[statement.name]))
+        self.edits.append(Edit(move.via.expression.start, move.target.expression.start, ""))
+
+    def _point(
+        self,
+        target: Target,
+        place: Array,
+        turn: Array | None,
+        row: int,
+        k: int,
+        uses: dict[int, list[tuple[int, str]]],
+    ) -> None:
+        """Give a target other numbers where they stand, or write it as numbers.
+
+        :param turn: None for the point on a circle: its orientation is of no effect.
+        """
+        del row
+        literal, expression = target.literal, target.expression
+        if literal is not None and target.data is None:
+            self.edits += self._numbers(literal, target, place, turn, k)
+            return
+        whole = self._whole(target.numbers, place, k, turn)
+        if literal is None or target.data is None or target.data.kind == "PERS":
+            self.edits.append(Edit(expression.start, expression.stop, whole))
+            return
+        edits = self._numbers(literal, target, place, turn, k)
+        self.shared.setdefault(literal.start, (target, edits, whole))
+        uses.setdefault(literal.start, []).append((expression.start, whole))
+        self.places[expression.start] = expression
+
+    def _settle(self, uses: dict[int, list[tuple[int, str]]]) -> None:
+        """Change the numbers of data, or write them into the moves that use them."""
+        if not uses:
+            return
+        mentions = Counter(re.findall(r"[^\W\d]\w*", self.text.upper()))
+        arguments: dict[int, set[int]] = {}
+        named: Counter[str] = Counter()
+        seen: set[int] = set()
+        for move in self.moves:
+            for target in (move.via, move.target):
+                if target is not None and target.data is not None and target.literal is not None:
+                    arguments.setdefault(target.literal.start, set()).add(target.expression.start)
+                    if target.expression.start not in seen:
+                        seen.add(target.expression.start)
+                        named[target.data.name] += 1
+        for start, texts in uses.items():
+            target, edits, whole = self.shared[start]
+            assert target.data is not None
+            together = len(texts) == len(arguments[start]) and all(text == whole for _, text in texts)
+            alone = mentions[target.data.name] == 1 + named[target.data.name]
+            if together and alone:
+                self.edits += edits
+            else:
+                for place, text in texts:
+                    expression = self.places[place]
+                    self.edits.append(Edit(expression.start, expression.stop, text))
+
+    def _numbers(self, literal: Expression, target: Target, place: Array, turn: Array | None, k: int) -> list[Edit]:
+        """Return the edits of the numbers of a target where they stand."""
+        spans = self._spans(literal)
+        conf = self._configuration(target.numbers, k)
+        moved_axis = turn is not None and conf != target.numbers[7:11]
+        if spans is None or (moved_axis and len(spans) < 11):
+            return [Edit(literal.start, literal.stop, self._whole(target.numbers, place, k, turn))]
+        out: list[Edit] = []
+        for column, value in enumerate(place.tolist()):
+            out.append(self._printed(spans[column], value, _MILLIMETRES))
+        if turn is not None:
+            near = turn if float(turn @ np.array(target.numbers[3:7])) >= 0.0 else -turn
+            for column, value in enumerate(near.tolist(), 3):
+                out.append(self._printed(spans[column], value, _QUATERNION))
+            for column, number in enumerate(conf, 7):
+                if moved_axis and number != target.numbers[column]:
+                    out.append(Edit(*spans[column], str(number)))
+        return out
+
+    def _spans(self, literal: Expression) -> list[tuple[int, int]] | None:
+        """Return the places of the 17 numbers of a target; None if some are no plain numbers."""
+        if literal.kind == "numbers":
+            return [match.span() for match in _NUMBER.finditer(self.text, literal.start, literal.stop)]
+        out: list[tuple[int, int]] = []
+        for part, size in zip(literal.items, (3, 4), strict=False):
+            if part.kind != "list" or len(part.items) != size or any(item.kind != "number" for item in part.items):
+                return None
+            out += [(item.start, item.stop) for item in part.items]
+        if len(literal.items) != 4:
+            return None
+        conf = literal.items[2]
+        if conf.kind == "list" and len(conf.items) == 4 and all(item.kind == "number" for item in conf.items):
+            return out + [(item.start, item.stop) for item in conf.items]
+        return out
+
+    def _printed(self, span: tuple[int, int], value: float, least: int) -> Edit:
+        """Return the edit of a number, with the decimals that it has, but no fewer than `least`."""
+        mantissa = self.text[slice(*span)].upper().partition("E")[0]
+        decimals = min(max(len(mantissa.partition(".")[2]), least), _MOST_DECIMALS)
+        return Edit(*span, _fixed(value, decimals))
+
+    def _whole(self, numbers: Sequence[float], place: Array, k: int, turn: Array | None = None) -> str:
+        """Return a target as numbers; configuration and external axes are those of the move."""
+        turn = self.turn[k] if turn is None else turn
+        conf = self._configuration(numbers, k)
+        axes = ["9E+09" if abs(value) >= NONE else f"{value:g}" for value in numbers[11:17]]
+        return (
+            f"[[{','.join(_fixed(v, _MILLIMETRES) for v in place.tolist())}],"
+            f"[{','.join(_fixed(v, _QUATERNION) for v in turn.tolist())}],"
+            f"[{','.join(map(str, conf))}],[{','.join(axes)}]]"
+        )
+
+    def _configuration(self, numbers: Sequence[float], k: int) -> list[int]:
+        """Return cf1, cf4, cf6, cfx of a target.
+
+        Where the program states that of its joints (whole turns aside), that of the target; else what it states, as
+        programs do whose moves do not heed it.
+        """
+        stated = [int(value) for value in numbers[7:11]]
+        end = int(np.searchsorted(self.row, self.row[k], side="right")) - 1
+        offsets = [stated[c] - int(self.conf[end, c]) for c in range(3)]
+        degrees = self.degrees[end, [0, 3, 5]]
+        for c, offset in enumerate(offsets):
+            nearest = offset - 4 * round(offset / 4)
+            border = abs(degrees[c] - 90.0 * round(degrees[c] / 90.0))
+            if nearest and not (abs(nearest) == 1 and border < _AT_QUADRANT):
+                return stated
+            offsets[c] = offset - nearest
+        return [*(int(self.conf[k, c]) + offsets[c] for c in range(3)), stated[3]]
+
+    def _applied(self) -> tuple[str, Ints]:
+        """Return the text with all edits, and the line of every target (K,)."""
+        edits = sorted(set(self.edits), key=lambda edit: (edit.start, edit.stop))
+        pieces: list[str] = []
+        at = 0
+        for edit in edits:
+            pieces += [self.text[at : edit.start], edit.text]
+            at = edit.stop
+        pieces.append(self.text[at:])
+        text = "".join(pieces)
+        begins = list(accumulate((len(piece) for piece in pieces), initial=0))
+        offset = np.zeros(len(self.row), dtype=np.int64)
+        for number, edit in enumerate(edits):
+            for k, inside in edit.targets:
+                offset[k] = begins[2 * number + 1] + inside
+        starts = np.array([edit.start for edit in edits])
+        stops = np.array([edit.stop for edit in edits])
+        ends = np.flatnonzero(self.last)
+        place = np.array([self.moves[row].statement.start for row in self.row[ends].tolist()], dtype=np.int64)
+        done = np.searchsorted(stops, place, side="right")  # edits before the statement
+        done = np.minimum(done, np.searchsorted(starts, place, side="right"))
+        new = np.cumsum([0, *(len(edit.text) - (edit.stop - edit.start) for edit in edits)])
+        offset[ends] = place + new[done]
+        return text, np.searchsorted(line_spans(text)[0], offset, side="right")
+
+
+def _fixed(value: float, decimals: int) -> str:
+    return f"{round(value, decimals) + 0.0:.{decimals}f}"

@@ -1,0 +1,662 @@
+"""RAPID as text: tokens, expressions, statements and routines, with their places.
+
+Grammar: ABB, Technical reference manual, RAPID Kernel (3HAC16585). Names are compared in upper case, as the controller
+does. What is not understood here is an error of the statement that has it; nothing is guessed.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+from msgspec import Struct
+
+from postproc.dialects.rapid.language import WORDS
+from postproc.errors import PostprocError
+
+
+class RapidSyntaxError(PostprocError):
+    """A text that is not RAPID.
+
+    :ivar start: offset of the fault.
+    """
+
+    def __init__(self, problem: str, start: int) -> None:
+        super().__init__(problem)
+        self.problem, self.start = problem, start
+
+
+class Expression(Struct, frozen=True, eq=False):
+    """A value in the text, from `start` to `stop`.
+
+    :ivar kind: ``number``, ``string``, ``bool``, ``name``, ``index``, ``field``, ``call``, ``list``, ``operation`` or
+        ``numbers`` (a target of numbers only).
+    :ivar value: the number, text, upper-case name, operator; of ``numbers`` the texts of all its numbers.
+    :ivar items: operands; of ``call`` its `Argument`s.
+    """
+
+    kind: str
+    start: int
+    stop: int
+    value: Any = None
+    items: tuple[Any, ...] = ()
+
+
+class Argument(Struct, frozen=True, eq=False):
+    """An argument of an instruction or function; of an optional one `name` (upper case) is given, perhaps alone."""
+
+    name: str
+    value: Expression | None
+    start: int
+    stop: int
+
+
+class Statement(Struct, frozen=True, eq=False):
+    """A statement from `start` to `stop`, which is behind its last character."""
+
+    start: int
+    stop: int
+
+
+class Comment(Statement, frozen=True, eq=False):
+    """A comment; `trailing` if it follows a statement in its line."""
+
+    text: str
+    trailing: bool
+
+
+class Instruction(Statement, frozen=True, eq=False):
+    """An instruction or a call of a procedure; `name` in upper case, as for all others."""
+
+    name: str
+    arguments: tuple[Argument, ...]
+
+
+class Assignment(Statement, frozen=True, eq=False):
+    """``target := value;``"""
+
+    target: Expression
+    value: Expression
+
+
+class Declaration(Statement, frozen=True, eq=False):
+    """Data: `kind` is CONST, PERS or VAR."""
+
+    kind: str
+    local: bool
+    type: str
+    name: str
+    dimensions: int
+    value: Expression | None
+
+
+class Conditional(Statement, frozen=True, eq=False):
+    """IF and TEST: conditions, None for ELSE, with their statements.
+
+    :ivar subject: of TEST: the value that each condition's `items` are compared with.
+    """
+
+    branches: tuple[tuple[Expression | None, tuple[Statement, ...]], ...]
+    subject: Expression | None = None
+
+
+class Loop(Statement, frozen=True, eq=False):
+    """FOR and WHILE.
+
+    :ivar name: variable of FOR; empty for WHILE, whose `bounds` are its condition.
+    :ivar bounds: first value, last value and perhaps the step.
+    :ivar inside: (begin, end) of the text between DO and ENDFOR or ENDWHILE.
+    """
+
+    name: str
+    bounds: tuple[Expression, ...]
+    body: tuple[Statement, ...]
+    inside: tuple[int, int]
+
+
+class Jump(Statement, frozen=True, eq=False):
+    """RETURN, RAISE, RETRY, TRYNEXT, EXIT, GOTO, or a label (word ``:``)."""
+
+    word: str
+
+
+class Routine(Struct, frozen=True, eq=False):
+    """A routine of a module.
+
+    :ivar kind: PROC, FUNC or TRAP.
+    :ivar name: upper case; `name_span` is its place.
+    :ivar parameters: (name, type, changeable), in upper case.
+    :ivar body: statements; `handler` those of ERROR, UNDO and BACKWARD.
+    """
+
+    kind: str
+    name: str
+    name_span: tuple[int, int]
+    parameters: tuple[tuple[str, str, bool], ...]
+    body: tuple[Statement, ...]
+    handler: tuple[Statement, ...]
+    start: int
+    stop: int
+
+
+class Module(Struct, frozen=True, eq=False):
+    """A module with its data and routines."""
+
+    name: str
+    data: tuple[Declaration, ...]
+    routines: tuple[Routine, ...]
+
+
+_TOKEN = re.compile(
+    r"""(?P<space>[ \t\r\n\f]+)|(?P<comment>![^\r\n]*)
+    |(?P<number>(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?)
+    |(?P<string>"(?:[^"\r\n]|"")*")
+    |(?P<name>[^\W\d]\w*)
+    |(?P<symbol>:=|<=|>=|<>|[-+*/=<>()\[\]{},;:\\.?%@&|])""",
+    re.VERBOSE,
+)
+_N = r"[ \t]*([-+]?[0-9]+(?:\.[0-9]*)?(?:[eE][-+]?[0-9]+)?)[ \t]*"
+_PLAIN = re.compile(
+    rf"\[[ \t]*\[{_N},{_N},{_N}\][ \t]*,[ \t]*\[{_N},{_N},{_N},{_N}\][ \t]*,[ \t]*"
+    rf"\[{_N},{_N},{_N},{_N}\][ \t]*,[ \t]*\[{_N},{_N},{_N},{_N},{_N},{_N}\][ \t]*\]"
+)
+"""A target of numbers, the form of most programs: read by one pattern."""
+_MOVE = re.compile(
+    rf"(Move[LJ])[ \t]+({_PLAIN.pattern})[ \t]*,[ \t]*([a-z]\w*)[ \t]*,[ \t]*([a-z]\w*)[ \t]*,[ \t]*([a-z]\w*)[ \t]*"
+    r",?[ \t]*(\\WObj[ \t]*:=[ \t]*([a-z]\w*)[ \t]*)?;",
+    re.IGNORECASE | re.ASCII,
+)
+"""A move to numbers with names for the rest: most lines of a CAM system."""
+_FIRST, _NUMBERS = 2, 17
+"""Group of the target in this pattern, and how many numbers it has: x, y, z, q1…q4, cf1…cfx, eax_a…eax_f."""
+_OPERATORS = (("OR", "XOR"), ("AND",), ("=", "<>", "<", ">", "<=", ">="), ("+", "-"), ("*", "/", "DIV", "MOD"))
+_ENDS = {"ENDIF", "ELSE", "ELSEIF", "ENDFOR", "ENDWHILE", "ENDTEST", "CASE", "DEFAULT", "ENDPROC", "ENDFUNC"}
+_ENDS |= {"ENDTRAP", "ERROR", "UNDO", "BACKWARD", "ENDMODULE"}
+_KINDS = ("CONST", "PERS", "VAR")
+_DEEPEST = 200
+
+
+class Parser:
+    """Parser of a text from an offset on.
+
+    After each step, `kind`, `word` (upper case), `start` and `stop` are the token that comes next, and `behind` is the
+    end of the one before.
+    """
+
+    def __init__(self, text: str, start: int = 0) -> None:
+        self.text, self.behind, self.stop = text, start, start
+        self.kind, self.word, self.start = "", "", start
+        self.comments: list[Comment] = []
+        self.depth = 0
+        self.step()
+
+    def step(self) -> None:
+        """Go to the next token."""
+        self.behind = at = self.stop
+        while True:
+            match = _TOKEN.match(self.text, at)
+            if match is None:
+                self.kind, self.start, self.stop = ("end" if at >= len(self.text) else "?"), at, at + 1
+                self.word = self.text[at : at + 1]
+                return
+            at = match.end()
+            if match.lastgroup == "comment":
+                line_so_far = self.text[self.behind : match.start()]
+                trailing = "\n" not in line_so_far and "\r" not in line_so_far and self.behind > 0
+                self.comments.append(Comment(match.start(), at, match[0][1:], trailing))
+            elif match.lastgroup != "space":
+                self.kind, self.start, self.stop = str(match.lastgroup), match.start(), at
+                self.word = match[0].upper() if self.kind == "name" else match[0]
+                return
+
+    def fault(self, expected: str) -> RapidSyntaxError:
+        """Return the error that something else was expected here."""
+        seen = self.text[self.start : self.stop] if self.kind != "end" else "the end of the file"
+        return RapidSyntaxError(f"{expected} is expected instead of {seen!r}", self.start)
+
+    def take(self, word: str) -> None:
+        """Go beyond a word or symbol."""
+        if self.word != word or self.kind not in ("name", "symbol"):
+            raise self.fault(word)
+        self.step()
+
+    def accept(self, word: str) -> bool:
+        """Go beyond a word or symbol if it is here; return whether it is."""
+        if self.word == word and self.kind in ("name", "symbol"):
+            self.step()
+            return True
+        return False
+
+    def identifier(self) -> str:
+        """Go beyond a name; return it in upper case."""
+        if self.kind != "name" or self.word in WORDS:
+            raise self.fault("a name")
+        name = self.word
+        self.step()
+        return name
+
+    # --- expressions
+
+    def expression(self, level: int = 0) -> Expression:
+        """Read an expression."""
+        if level == len(_OPERATORS):
+            return self._factor()
+        self.depth += 1
+        if self.depth > _DEEPEST:
+            raise RapidSyntaxError("brackets are nested too deeply", self.start)
+        start = self.start
+        if level in (0, 2) and self.word == "NOT" and self.kind == "name":
+            self.step()  # the lowest level: NOT a AND b is NOT (a AND b)
+            operand = self.expression(level + 1)
+            left = Expression("operation", start, self.behind, "NOT", (operand,))
+        elif level == 3 and self.kind == "symbol" and self.word in ("-", "+"):
+            sign = self.word
+            self.step()
+            operand = self.expression(4)
+            if operand.kind == "number":
+                left = Expression("number", start, self.behind, -operand.value if sign == "-" else operand.value)
+            else:
+                left = Expression("operation", start, self.behind, sign, (operand,))
+        else:
+            left = self.expression(level + 1)
+        while self.kind in ("symbol", "name") and self.word in _OPERATORS[level]:
+            word = self.word
+            self.step()
+            right = self.expression(level + 1)
+            left = Expression("operation", start, self.behind, word, (left, right))
+        self.depth -= 1
+        return left
+
+    def _factor(self) -> Expression:
+        start, kind = self.start, self.kind
+        if kind == "number":
+            value = float(self.word)
+            self.step()
+            return Expression("number", start, self.behind, value)
+        if kind == "string":
+            text = self.word[1:-1].replace('""', '"')
+            self.step()
+            return Expression("string", start, self.behind, text)
+        if self.word == "[" and kind == "symbol":
+            return self._list()
+        if self.accept("("):
+            inner = self.expression()
+            self.take(")")
+            return Expression(inner.kind, start, self.behind, inner.value, inner.items)
+        if kind == "name" and self.word in ("TRUE", "FALSE"):
+            value_ = self.word == "TRUE"
+            self.step()
+            return Expression("bool", start, self.behind, value_)
+        return self._reference()
+
+    def _list(self) -> Expression:
+        start = self.start
+        if (match := _PLAIN.match(self.text, start)) is not None:
+            self.stop = match.end()
+            self.step()
+            return Expression("numbers", start, match.end(), match.groups())
+        self.depth += 1
+        if self.depth > _DEEPEST:
+            raise RapidSyntaxError("brackets are nested too deeply", start)
+        self.take("[")
+        items = [self.expression()]
+        while self.accept(","):
+            items.append(self.expression())
+        self.take("]")
+        self.depth -= 1
+        return Expression("list", start, self.behind, None, tuple(items))
+
+    def _reference(self) -> Expression:
+        """Read a name with indices and components, or a call of a function."""
+        start = self.start
+        out = Expression("name", start, self.stop, self.identifier())
+        if self.word == "(" and self.kind == "symbol":
+            self.step()
+            arguments = () if self.word == ")" else self.arguments(")")
+            self.take(")")
+            return Expression("call", start, self.behind, out.value, arguments)
+        while self.kind == "symbol" and self.word in "{.":
+            if self.accept("{"):
+                items = [out, self.expression()]
+                while self.accept(","):
+                    items.append(self.expression())
+                self.take("}")
+                out = Expression("index", start, self.behind, None, tuple(items))
+            else:
+                self.step()
+                name = self.identifier()
+                out = Expression("field", start, self.behind, name, (out,))
+        return out
+
+    def arguments(self, end: str) -> tuple[Argument, ...]:
+        """Read arguments up to a symbol, which is left."""
+        out: list[Argument] = []
+        while self.word != end or self.kind != "symbol":
+            if out and not self.accept(",") and not (self.word == "\\" and self.kind == "symbol"):
+                raise self.fault(f"a comma or {end}")
+            start = self.start
+            if self.accept("\\"):
+                name, value = self.identifier(), None
+                if self.accept(":=") or self.accept("?"):
+                    value = self.expression()
+                out.append(Argument(name, value, start, self.behind))
+            else:
+                value = self.expression()
+                out.append(Argument("", value, start, self.behind))
+        return tuple(out)
+
+    # --- statements
+
+    def block(self) -> tuple[Statement, ...]:
+        """Read statements up to the word that ends them, which is left."""
+        self.depth += 1
+        if self.depth > _DEEPEST:
+            raise RapidSyntaxError("statements are nested too deeply", self.start)
+        out: list[Statement] = []
+        while True:
+            out += self._remarks()
+            if self.kind == "name" and self.word in _ENDS:
+                self.depth -= 1
+                return tuple(out)
+            if self.kind == "end":
+                raise self.fault("the end of a routine")
+            out.append(self.statement())
+
+    def _remarks(self) -> list[Comment]:
+        comments, self.comments = self.comments, []
+        return comments
+
+    def statement(self) -> Statement:
+        """Read a statement."""
+        start, word = self.start, self.word
+        if self.kind == "symbol" and word == "%":
+            return self._late_call()
+        if self.kind != "name":
+            raise self.fault("a statement")
+        if word in ("MOVEL", "MOVEJ") and (match := _MOVE.match(self.text, start)) is not None:
+            return self._plain_move(match)
+        if word in ("LOCAL", "TASK", *_KINDS):
+            return self.declaration()
+        handler = {"IF": self._if, "TEST": self._test, "FOR": self._for, "WHILE": self._while}.get(word)
+        if handler is not None:
+            self.step()
+            return handler(start)
+        if word in ("RETURN", "RAISE", "RETRY", "TRYNEXT", "EXIT", "GOTO", "CONNECT"):
+            return self._jump(start, word)
+        if word in WORDS:
+            raise self.fault("a statement")
+        return self._simple(start)
+
+    def _plain_move(self, match: re.Match[str]) -> Statement:
+        groups = match.groups()
+        target = Expression("numbers", match.start(_FIRST), match.end(_FIRST), groups[_FIRST : _FIRST + _NUMBERS])
+        arguments = [Argument("", target, target.start, target.stop)]
+        for group in range(_FIRST + _NUMBERS + 1, _FIRST + _NUMBERS + 4):
+            start, stop = match.span(group)
+            name = Expression("name", start, stop, groups[group - 1].upper())
+            arguments.append(Argument("", name, start, stop))
+        if groups[-1] is not None:
+            start, stop = match.span(len(groups))
+            name = Expression("name", start, stop, groups[-1].upper())
+            arguments.append(Argument("WOBJ", name, match.start(len(groups) - 1), stop))
+        self.stop = match.end()
+        self.step()
+        return Instruction(match.start(), match.end(), groups[0].upper(), tuple(arguments))
+
+    def _jump(self, start: int, word: str) -> Statement:
+        self.step()
+        if word == "CONNECT":
+            self.expression()
+            self.take("WITH")
+            name = Expression("name", self.start, self.stop, self.identifier())
+            self.take(";")
+            return Instruction(start, self.behind, "CONNECT", (Argument("", name, name.start, name.stop),))
+        if self.word != ";":
+            self.expression()
+        self.take(";")
+        return Jump(start, self.behind, word)
+
+    def _late_call(self) -> Statement:
+        """Read ``%"name"% arguments;``: the routine is the text."""
+        start = self.start
+        self.take("%")
+        name = self.expression()
+        self.take("%")
+        arguments = self.arguments(";")
+        self.take(";")
+        called = str(name.value).rpartition(":")[2].upper() if name.kind == "string" else ""
+        return Instruction(start, self.behind, f"%{called}", arguments)
+
+    def _simple(self, start: int) -> Statement:
+        """Read an assignment, an instruction, a label."""
+        name = Expression("name", start, self.stop, self.word)
+        self.step()
+        if self.kind == "symbol" and self.word == ":":
+            self.step()
+            return Jump(start, self.behind, ":")
+        if self.kind == "symbol" and self.word in (":=", "{", "."):
+            target = name
+            if self.word != ":=":
+                target = self._continued(name)
+            self.take(":=")
+            value = self.expression()
+            self.take(";")
+            return Assignment(start, self.behind, target, value)
+        arguments = self.arguments(";")
+        self.take(";")
+        return Instruction(start, self.behind, name.value, arguments)
+
+    def _continued(self, out: Expression) -> Expression:
+        start = out.start
+        while self.kind == "symbol" and self.word in "{.":
+            if self.accept("{"):
+                items = [out, self.expression()]
+                while self.accept(","):
+                    items.append(self.expression())
+                self.take("}")
+                out = Expression("index", start, self.behind, None, tuple(items))
+            else:
+                self.step()
+                out = Expression("field", start, self.behind, self.identifier(), (out,))
+        return out
+
+    def _if(self, start: int) -> Statement:
+        condition = self.expression()
+        if not self.accept("THEN"):  # compact IF: one statement
+            return Conditional(start, self.behind, ((condition, (self.statement(),)),))
+        branches: list[tuple[Expression | None, tuple[Statement, ...]]] = [(condition, self.block())]
+        while self.accept("ELSEIF"):
+            condition = self.expression()
+            self.take("THEN")
+            branches.append((condition, self.block()))
+        if self.accept("ELSE"):
+            branches.append((None, self.block()))
+        self.take("ENDIF")
+        return Conditional(start, self.behind, tuple(branches))
+
+    def _test(self, start: int) -> Statement:
+        subject = self.expression()
+        branches: list[tuple[Expression | None, tuple[Statement, ...]]] = []
+        while self.word in ("CASE", "DEFAULT"):
+            condition = None
+            if not self.accept("DEFAULT"):
+                self.step()
+                values = [self.expression()]
+                while self.accept(","):
+                    values.append(self.expression())
+                condition = Expression("list", values[0].start, self.behind, None, tuple(values))
+            self.take(":")
+            branches.append((condition, self.block()))
+        self.take("ENDTEST")
+        return Conditional(start, self.behind, tuple(branches), subject)
+
+    def _for(self, start: int) -> Statement:
+        name = self.identifier()
+        self.take("FROM")
+        bounds = [self.expression()]
+        self.take("TO")
+        bounds.append(self.expression())
+        if self.accept("STEP"):
+            bounds.append(self.expression())
+        return self._loop(start, name, tuple(bounds), "ENDFOR")
+
+    def _while(self, start: int) -> Statement:
+        return self._loop(start, "", (self.expression(),), "ENDWHILE")
+
+    def _loop(self, start: int, name: str, bounds: tuple[Expression, ...], end: str) -> Statement:
+        begin = self.stop
+        self.take("DO")
+        body = self.block()
+        inside = begin, self.start
+        self.take(end)
+        return Loop(start, self.behind, name, bounds, body, inside)
+
+    def declaration(self) -> Statement:
+        """Read a declaration of data."""
+        start, local = self.start, False
+        while self.word in ("LOCAL", "TASK"):
+            local |= self.word == "LOCAL"
+            self.step()
+        kind = self.word
+        if kind not in _KINDS:
+            raise self.fault("CONST, PERS or VAR")
+        self.step()
+        type_, name, dimensions = self.identifier(), self.identifier(), 0
+        if self.accept("{"):
+            dimensions = 1
+            self.expression()
+            while self.accept(","):
+                self.expression()
+                dimensions += 1
+            self.take("}")
+        value = self.expression() if self.accept(":=") else None
+        self.take(";")
+        return Declaration(start, self.behind, kind, local, type_, name, dimensions, value)
+
+    # --- modules
+
+    def modules(self) -> Iterator[Module]:
+        """Read all modules of a file."""
+        while self.word == "%" and self.kind == "symbol":  # %%% VERSION:1 LANGUAGE:ENGLISH %%%
+            end = self.text.find("%%%", self.stop + 2)
+            if end < 0:
+                raise self.fault("%%%")
+            self.stop = end + 3
+            self.step()
+        while self.kind != "end":
+            if self.word != "MODULE":
+                raise self.fault("MODULE")
+            self.step()
+            yield self._module()
+
+    def _module(self) -> Module:
+        name = self.identifier()
+        if self.accept("("):
+            while not self.accept(")"):
+                self.step()
+                if self.kind == "end":
+                    raise self.fault(")")
+        data: list[Declaration] = []
+        routines: list[Routine] = []
+        while self.word != "ENDMODULE":
+            self._remarks()
+            ahead = self.word
+            if ahead in ("LOCAL", "TASK"):
+                match = re.compile(r"\w+[ \t\r\n]+(?:TASK[ \t\r\n]+)?(\w+)", re.IGNORECASE).match(self.text, self.start)
+                ahead = "" if match is None else match[1].upper()
+            if ahead in _KINDS:
+                declared = self.declaration()
+                if isinstance(declared, Declaration):
+                    data.append(declared)
+            elif ahead in ("PROC", "FUNC", "TRAP"):
+                routines.append(self._routine())
+            elif ahead in ("RECORD", "ALIAS"):
+                self._type(ahead)
+            else:
+                raise self.fault("data or a routine")
+        self.step()
+        self._remarks()
+        return Module(name, tuple(data), tuple(routines))
+
+    def _type(self, word: str) -> None:
+        """Pass over a declaration of a type."""
+        end = ";" if word == "ALIAS" else "ENDRECORD"
+        while self.word != end:
+            self.step()
+            if self.kind == "end":
+                raise self.fault(end)
+        self.step()
+
+    def _routine(self) -> Routine:
+        start = self.start
+        self.accept("LOCAL")
+        kind = self.word
+        self.step()
+        if kind == "FUNC":
+            self.identifier()
+        span = self.start, self.stop
+        name = self.identifier()
+        parameters: tuple[tuple[str, str, bool], ...] = ()
+        if kind != "TRAP":
+            self.take("(")
+            parameters = self._parameters()
+        body, handler = self.block(), list[Statement]()
+        while self.word in ("ERROR", "UNDO", "BACKWARD"):
+            self.step()
+            if self.accept("("):
+                self.arguments(")")
+                self.take(")")
+            handler += self.block()
+        self.take(f"END{kind}")
+        return Routine(kind, name, span, parameters, body, tuple(handler), start, self.behind)
+
+    def _parameters(self) -> tuple[tuple[str, str, bool], ...]:
+        out: list[tuple[str, str, bool]] = []
+        while not self.accept(")"):
+            self.accept(",")
+            self.accept("\\")
+            self.accept("|")
+            changeable = self.word in ("VAR", "PERS", "INOUT")
+            if changeable:
+                self.step()
+            if self.accept("SWITCH"):
+                out.append((self.identifier(), "SWITCH", False))
+                continue
+            type_, name = self.identifier(), self.identifier()
+            if self.accept("{"):
+                while not self.accept("}"):
+                    self.step()
+                    if self.kind == "end":
+                        raise self.fault("}")
+            out.append((name, type_, changeable))
+        return tuple(out)
+
+
+def modules(text: str) -> tuple[Module, ...]:
+    """Return the modules of a file.
+
+    :raises RapidSyntaxError: it is not RAPID.
+    """
+    return tuple(Parser(text).modules())
+
+
+def names(expression: Expression) -> Iterator[str]:
+    """Yield the names of data in an expression."""
+    if expression.kind == "name":
+        yield expression.value
+    for item in expression.items:
+        inner = item.value if isinstance(item, Argument) else item
+        if isinstance(inner, Expression):
+            yield from names(inner)
+
+
+def nested(statements: tuple[Statement, ...]) -> Iterator[Statement]:
+    """Yield statements and all inside of them."""
+    for statement in statements:
+        yield statement
+        if isinstance(statement, Conditional):
+            for _, body in statement.branches:
+                yield from nested(body)
+        elif isinstance(statement, Loop):
+            yield from nested(statement.body)

@@ -1,0 +1,466 @@
+"""Values of RAPID data: types, predefined data, functions, evaluation.
+
+A value is a float, a bool, a str, or a list of values (record or array). Sources: ABB, Technical reference manual,
+RAPID Instructions, Functions and Data types (3HAC16581): speeddata, zonedata, tooldata, wobjdata, Offs, RelTool.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+from msgspec import Struct
+
+from postproc.dialects.rapid.language import quaternions, rotations
+from postproc.dialects.rapid.syntax import Argument, Declaration, Expression
+from postproc.errors import PostprocError
+from postproc.frames import RAD_PER_DEG, Array
+
+Value = Any
+"""float, bool, str, or a list of values."""
+
+_POSE = (("TRANS", "POS"), ("ROT", "ORIENT"))
+FIELDS: dict[str, tuple[tuple[str, str], ...]] = {
+    "POS": (("X", "NUM"), ("Y", "NUM"), ("Z", "NUM")),
+    "ORIENT": (("Q1", "NUM"), ("Q2", "NUM"), ("Q3", "NUM"), ("Q4", "NUM")),
+    "POSE": _POSE,
+    "CONFDATA": (("CF1", "NUM"), ("CF4", "NUM"), ("CF6", "NUM"), ("CFX", "NUM")),
+    "EXTJOINT": tuple((f"EAX_{axis}", "NUM") for axis in "ABCDEF"),
+    "ROBTARGET": (*_POSE, ("ROBCONF", "CONFDATA"), ("EXTAX", "EXTJOINT")),
+    "ROBJOINT": tuple((f"RAX_{axis}", "NUM") for axis in range(1, 7)),
+    "JOINTTARGET": (("ROBAX", "ROBJOINT"), ("EXTAX", "EXTJOINT")),
+    "LOADDATA": (
+        ("MASS", "NUM"),
+        ("COG", "POS"),
+        ("AOM", "ORIENT"),
+        ("IX", "NUM"),
+        ("IY", "NUM"),
+        ("IZ", "NUM"),
+    ),
+    "TOOLDATA": (("ROBHOLD", "BOOL"), ("TFRAME", "POSE"), ("TLOAD", "LOADDATA")),
+    "WOBJDATA": (
+        ("ROBHOLD", "BOOL"),
+        ("UFPROG", "BOOL"),
+        ("UFMEC", "STRING"),
+        ("UFRAME", "POSE"),
+        ("OFRAME", "POSE"),
+    ),
+    "SPEEDDATA": (("V_TCP", "NUM"), ("V_ORI", "NUM"), ("V_LEAX", "NUM"), ("V_REAX", "NUM")),
+    "ZONEDATA": (
+        ("FINEP", "BOOL"),
+        ("PZONE_TCP", "NUM"),
+        ("PZONE_ORI", "NUM"),
+        ("PZONE_EAX", "NUM"),
+        ("ZONE_ORI", "NUM"),
+        ("ZONE_LEAX", "NUM"),
+        ("ZONE_REAX", "NUM"),
+    ),
+}
+"""Components of records, and their types."""
+_SPEEDS: tuple[int, ...] = (
+    5,
+    10,
+    20,
+    30,
+    40,
+    50,
+    60,
+    80,
+    100,
+    150,
+    200,
+    300,
+    400,
+    500,
+    600,
+    800,
+    1000,
+    1500,
+    2000,
+    2500,
+    3000,
+    4000,
+)
+_SPEEDS = (*_SPEEDS, 5000, 6000, 7000)
+FASTEST = 5000.0
+"""vmax [mm/s]: the manual says "max. TCP speed for the used robot type, normally 5000 mm/s"."""
+_ZONES = {0: 0.3, 1: 1, 5: 5, 10: 10, 15: 15, 20: 20, 30: 30, 40: 40, 50: 50, 60: 60, 80: 80, 100: 100, 150: 150}
+_ZONES[200] = 200
+NONE = 8.9e9
+"""External axes from here on are not connected (9E9)."""
+UNIT = [1.0, 0.0, 0.0, 0.0]
+_NO_LOAD = [0.001, [0.0, 0.0, 0.001], UNIT, 0.0, 0.0, 0.0]
+_ORIGIN = [[0.0, 0.0, 0.0], UNIT]
+
+
+def predefined() -> dict[str, tuple[Value, str]]:
+    """Return the data that every controller has, by name: (value, type)."""
+    out: dict[str, tuple[Value, str]] = {
+        f"V{speed}": ([float(speed), 500.0, 5000.0, 1000.0], "SPEEDDATA") for speed in _SPEEDS
+    }
+    out["VMAX"] = ([FASTEST, 500.0, 5000.0, 1000.0], "SPEEDDATA")
+    for name, distance in _ZONES.items():
+        mm = float(distance)
+        turned = 1.5 * mm if name > 1 else mm
+        out[f"Z{name}"] = ([False, mm, turned, turned, 0.15 * mm, turned, 0.15 * mm], "ZONEDATA")
+    out["FINE"] = ([True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], "ZONEDATA")
+    out["TOOL0"] = ([True, _ORIGIN, _NO_LOAD], "TOOLDATA")
+    out["WOBJ0"] = ([False, True, "", _ORIGIN, _ORIGIN], "WOBJDATA")
+    out["LOAD0"] = (_NO_LOAD, "LOADDATA")
+    out["PI"] = (math.pi, "NUM")
+    return out
+
+
+class UnknownValueError(PostprocError):
+    """A value that is not known before the program runs; `problem` says why."""
+
+    def __init__(self, problem: str) -> None:
+        super().__init__(problem)
+        self.problem = problem
+
+
+class Variable(Struct, eq=False):
+    """Data of a program.
+
+    :ivar value: its value; None while it is not known, for the reason `why`.
+    :ivar declaration: where it is declared; None for predefined data, parameters and variables of FOR.
+    :ivar literal: True while it has the value of its declaration.
+    """
+
+    type: str
+    value: Value = None
+    why: str = ""
+    declaration: Declaration | None = None
+    literal: bool = False
+
+    def forget(self, why: str) -> None:
+        """Make the value unknown."""
+        self.value, self.literal, self.why = None, False, why
+
+
+class Scope:
+    """Data by name (upper case): those of a routine before those of the modules."""
+
+    def __init__(self, outer: dict[str, Variable]) -> None:
+        self.outer: dict[str, Variable] = outer
+        self.inner: dict[str, Variable] = {}
+
+    def find(self, name: str) -> Variable | None:
+        """Return the data of a name."""
+        return self.inner.get(name) or self.outer.get(name)
+
+    def variable(self, name: str) -> Variable:
+        """Return the data of a name.
+
+        :raises UnknownValueError: it is not declared.
+        """
+        found = self.find(name)
+        if found is None:
+            raise UnknownValueError(f"{name} is not declared in this file")
+        return found
+
+
+def evaluated(expression: Expression, scope: Scope) -> tuple[Value, str]:
+    """Return the value of an expression and its type, empty if that does not show.
+
+    :raises UnknownValueError: it is not known before the program runs.
+    """
+    return _EVALUATORS[expression.kind](expression, scope)
+
+
+def number(expression: Expression, scope: Scope) -> float:
+    """Return a number.
+
+    :raises UnknownValueError: it is not known, or no number.
+    """
+    value, _ = evaluated(expression, scope)
+    if isinstance(value, bool) or not isinstance(value, float):
+        raise UnknownValueError("a number is expected")
+    return value
+
+
+def truth(expression: Expression, scope: Scope) -> bool:
+    """Return whether a condition holds.
+
+    :raises UnknownValueError: that is not known.
+    """
+    value, _ = evaluated(expression, scope)
+    if not isinstance(value, bool):
+        raise UnknownValueError("a condition is expected")
+    return value
+
+
+def flat(value: Value) -> Iterator[float]:
+    """Yield the numbers of a record in order."""
+    if isinstance(value, list):
+        for item in value:
+            yield from flat(item)
+    elif isinstance(value, float) and not isinstance(value, bool):
+        yield value
+    else:
+        raise UnknownValueError("a number is expected")
+
+
+def shaped(value: Value, *sizes: int) -> list[float]:
+    """Return the numbers of a record of records of these sizes.
+
+    :raises UnknownValueError: it has another form.
+    """
+    if not isinstance(value, list) or [len(v) if isinstance(v, list) else 1 for v in value] != list(sizes):
+        raise UnknownValueError("the value has another form than its type")
+    out = list(flat(value))
+    if not np.isfinite(out).all():
+        raise UnknownValueError("a number is too large")
+    return out
+
+
+def _name(expression: Expression, scope: Scope) -> tuple[Value, str]:
+    variable = scope.variable(expression.value)
+    if variable.value is None and variable.declaration is not None and variable.literal:
+        initial = variable.declaration.value
+        if initial is not None:
+            variable.value, _ = evaluated(initial, Scope(scope.outer))
+    if variable.value is None:
+        raise UnknownValueError(f"{expression.value} is not known: {variable.why or 'it has no value yet'}")
+    return variable.value, variable.type
+
+
+def _numbers(expression: Expression, scope: Scope) -> tuple[Value, str]:
+    del scope
+    values = [float(text) for text in expression.value]
+    return [values[:3], values[3:7], values[7:11], values[11:]], "ROBTARGET"
+
+
+def _index(expression: Expression, scope: Scope) -> tuple[Value, str]:
+    value, type_ = evaluated(expression.items[0], scope)
+    for item in expression.items[1:]:
+        place = number(item, scope)
+        if not isinstance(value, list) or not place.is_integer() or not 1 <= place <= len(value):
+            raise UnknownValueError(f"the index {place:g} is outside of the array")
+        value = value[int(place) - 1]
+    return value, type_
+
+
+def _field(expression: Expression, scope: Scope) -> tuple[Value, str]:
+    value, type_ = evaluated(expression.items[0], scope)
+    for place, (name, inner) in enumerate(FIELDS.get(type_, ())):
+        if name == expression.value and isinstance(value, list) and place < len(value):
+            return value[place], inner
+    raise UnknownValueError(f"the component {expression.value} is not known")
+
+
+def _list(expression: Expression, scope: Scope) -> tuple[Value, str]:
+    return [evaluated(item, scope)[0] for item in expression.items], ""
+
+
+def _literal(expression: Expression, scope: Scope) -> tuple[Value, str]:
+    del scope
+    return expression.value, {"number": "NUM", "bool": "BOOL", "string": "STRING"}[expression.kind]
+
+
+_ARITHMETIC: dict[str, Callable[[float, float], float]] = {
+    "+": lambda a, b: a + b,
+    "-": lambda a, b: a - b,
+    "*": lambda a, b: a * b,
+    "/": lambda a, b: a / b,
+    "DIV": lambda a, b: float(math.trunc(a / b)),
+    "MOD": lambda a, b: math.fmod(a, b),
+}
+_COMPARISONS: dict[str, Callable[[Value, Value], bool]] = {
+    "=": lambda a, b: a == b,
+    "<>": lambda a, b: a != b,
+    "<": lambda a, b: a < b,
+    ">": lambda a, b: a > b,
+    "<=": lambda a, b: a <= b,
+    ">=": lambda a, b: a >= b,
+}
+
+
+def _operation(expression: Expression, scope: Scope) -> tuple[Value, str]:
+    word, items = expression.value, expression.items
+    if len(items) == 1:
+        if word == "NOT":
+            return not truth(items[0], scope), "BOOL"
+        value, type_ = evaluated(items[0], scope)
+        sign = -1.0 if word == "-" else 1.0
+        return ([sign * v for v in flat(value)] if isinstance(value, list) else sign * number(items[0], scope)), type_
+    if word in ("AND", "OR", "XOR"):
+        a, b = truth(items[0], scope), truth(items[1], scope)
+        return {"AND": a and b, "OR": a or b, "XOR": a != b}[word], "BOOL"
+    one, type_ = evaluated(items[0], scope)
+    two, other = evaluated(items[1], scope)
+    if word in _COMPARISONS:
+        if type(one) is not type(two) or (isinstance(one, list) and word not in ("=", "<>")):
+            raise UnknownValueError("values of different types are compared")
+        return _COMPARISONS[word](one, two), "BOOL"
+    if isinstance(one, str) and isinstance(two, str) and word == "+":
+        return one + two, "STRING"
+    try:
+        return _calculated(word, one, two), type_ or other
+    except (ZeroDivisionError, OverflowError, ValueError):
+        raise UnknownValueError("the expression cannot be calculated") from None
+
+
+def _calculated(word: str, one: Value, two: Value) -> Value:
+    """Return the value of an arithmetic operation: numbers, and the vectors of `pos`."""
+    pair = isinstance(one, list), isinstance(two, list)
+    if pair == (False, False):
+        if isinstance(one, bool) or isinstance(two, bool) or isinstance(one, str) or isinstance(two, str):
+            raise UnknownValueError("a number is expected")
+        return _ARITHMETIC[word](one, two)
+    a, b = list(flat(one)), list(flat(two))
+    if pair == (True, True) and word in "+-" and len(a) == len(b) == 3:
+        return [_ARITHMETIC[word](x, y) for x, y in zip(a, b, strict=True)]
+    if word == "*" and pair == (True, False) and len(a) == 3:
+        return [x * b[0] for x in a]
+    if word == "*" and pair == (False, True) and len(b) == 3:
+        return [a[0] * y for y in b]
+    raise UnknownValueError("an operation on records is not followed")
+
+
+def _call(expression: Expression, scope: Scope) -> tuple[Value, str]:
+    function = _FUNCTIONS.get(expression.value)
+    if function is None:
+        raise UnknownValueError(f"the function {expression.value} gives its value at run time")
+    positional = [evaluated(a.value, scope) for a in expression.items if not a.name and a.value is not None]
+    named = {a.name: number(a.value, scope) for a in expression.items if a.name and a.value is not None}
+    try:
+        return function([value for value, _ in positional], named)
+    except (ValueError, TypeError, IndexError, ZeroDivisionError, OverflowError):
+        raise UnknownValueError(f"the call of {expression.value} is not understood") from None
+
+
+def _rotation(turn: list[float]) -> Array:
+    return np.asarray(rotations(np.array([turn]))[0])
+
+
+def _quaternion(rotation: Array) -> list[float]:
+    return [float(value) for value in quaternions(rotation[None])[0]]
+
+
+def about(axis: int, degrees: float) -> Array:
+    """Return the rotation (3, 3) about an axis, 0 for x."""
+    out, angle = np.eye(3), degrees * RAD_PER_DEG
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    out[i, i] = out[j, j] = np.cos(angle)
+    out[j, i] = np.sin(angle)
+    out[i, j] = -out[j, i]
+    return out
+
+
+def _offs(values: list[Value], named: dict[str, float]) -> tuple[Value, str]:
+    """``Offs(p, x, y, z)``: in the work object."""
+    point, *offset = values
+    if named or len(offset) != 3:
+        raise ValueError
+    shaped(point, 3, 4, 4, 6)
+    return [[a + b for a, b in zip(point[0], offset, strict=True)], *point[1:]], "ROBTARGET"
+
+
+def _reltool(values: list[Value], named: dict[str, float]) -> tuple[Value, str]:
+    r"""``RelTool(p, dx, dy, dz \Rx \Ry \Rz)``: in the tool; turned about x, then the new y, then the new z."""
+    point, *offset = values
+    if set(named) - {"RX", "RY", "RZ"} or len(offset) != 3:
+        raise ValueError
+    shaped(point, 3, 4, 4, 6)
+    rotation = _rotation(point[1])
+    moved = np.array(point[0]) + rotation @ np.array(offset, dtype=np.float64)
+    turned = point[1]
+    if named:
+        for axis, name in enumerate(("RX", "RY", "RZ")):
+            rotation = rotation @ about(axis, named.get(name, 0.0))
+        turned = _quaternion(rotation)
+    return [moved.tolist(), turned, *point[2:]], "ROBTARGET"
+
+
+def _orient_zyx(values: list[Value], named: dict[str, float]) -> tuple[Value, str]:
+    """``OrientZYX(z, y, x)``."""
+    z, y, x = values
+    if named:
+        raise ValueError
+    return _quaternion(about(2, z) @ about(1, y) @ about(0, x)), "ORIENT"
+
+
+def _plain(function: Callable[..., float]) -> Callable[[list[Value], dict[str, float]], tuple[Value, str]]:
+    def call(values: list[Value], named: dict[str, float]) -> tuple[Value, str]:
+        if named or any(isinstance(value, bool) or not isinstance(value, float) for value in values):
+            raise ValueError
+        return float(function(*values)), "NUM"
+
+    return call
+
+
+_FUNCTIONS: dict[str, Callable[[list[Value], dict[str, float]], tuple[Value, str]]] = {
+    "OFFS": _offs,
+    "RELTOOL": _reltool,
+    "ORIENTZYX": _orient_zyx,
+    "ABS": _plain(abs),
+    "SQRT": _plain(math.sqrt),
+    "POW": _plain(math.pow),
+    "SIN": _plain(lambda a: math.sin(math.radians(a))),
+    "COS": _plain(lambda a: math.cos(math.radians(a))),
+    "TAN": _plain(lambda a: math.tan(math.radians(a))),
+    "ASIN": _plain(lambda a: math.degrees(math.asin(a))),
+    "ACOS": _plain(lambda a: math.degrees(math.acos(a))),
+    "ATAN": _plain(lambda a: math.degrees(math.atan(a))),
+    "ATAN2": _plain(lambda a, b: math.degrees(math.atan2(a, b))),
+}
+_EVALUATORS: dict[str, Callable[[Expression, Scope], tuple[Value, str]]] = {
+    "number": _literal,
+    "bool": _literal,
+    "string": _literal,
+    "name": _name,
+    "numbers": _numbers,
+    "index": _index,
+    "field": _field,
+    "list": _list,
+    "operation": _operation,
+    "call": _call,
+}
+
+
+def changed_by(arguments: tuple[Argument, ...]) -> Iterator[Expression]:
+    """Yield the arguments that a call may change: data, their elements and components."""
+    for argument in arguments:
+        if argument.value is not None and argument.value.kind in ("name", "index", "field"):
+            yield argument.value
+
+
+def base_name(expression: Expression) -> str:
+    """Return the name of the data of which an expression is an element or component; empty if it is no data."""
+    while expression.kind in ("index", "field"):
+        expression = expression.items[0]
+    return expression.value if expression.kind == "name" else ""
+
+
+def assigned(target: Expression, value: Value, scope: Scope) -> None:
+    """Give data, an element or a component another value.
+
+    :raises UnknownValueError: the place is not known.
+    """
+    variable = scope.variable(base_name(target))
+    if target.kind == "name":
+        variable.value, variable.literal = value, False
+        return
+    path: list[int] = []
+    inner = target
+    while inner.kind in ("index", "field"):
+        if inner.kind == "index":
+            path[:0] = [int(number(item, scope)) - 1 for item in inner.items[1:]]
+        else:
+            _, type_ = evaluated(inner.items[0], scope)
+            path.insert(0, [name for name, _ in FIELDS.get(type_, ())].index(inner.value))
+        inner = inner.items[0]
+    whole, _ = evaluated(inner, scope)
+    variable.value, variable.literal = _with(whole, path, value), False
+
+
+def _with(whole: Value, path: list[int], value: Value) -> Value:
+    """Return a record with another value at a place."""
+    if not path:
+        return value
+    if not isinstance(whole, list) or not 0 <= path[0] < len(whole):
+        raise UnknownValueError("the index is outside of the array")
+    return [_with(item, path[1:], value) if k == path[0] else item for k, item in enumerate(whole)]
