@@ -246,11 +246,12 @@ def with_stock(scene: Scene, states: States, stock: StockInTime, need: float) ->
     cutters = [collision.inside(body) for body in moving if body.of == "cutter"]
     everywhere = np.ones(len(states.motion), dtype=bool)
     turning = ~stock.compared[states.motion]
+    passing = turning & ~stock.cuts[states.motion]
     nominal = replace(states, commanded=None)
     for bodies, own, own_need, rows in (
         (others, states, need, everywhere),
         (held, states, need, turning),
-        (cutters, nominal, 0.0, turning),
+        (cutters, nominal, 0.0, passing),
     ):
         if bodies and rows.any():
             yield from _Search(scene, bodies, own, stock, own_need).over(rows)

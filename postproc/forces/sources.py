@@ -41,6 +41,10 @@ class StockInTime(Protocol):
         """(M,) motions on which the parts of the tool along its axis were compared with the stock."""
 
     @property
+    def cuts(self) -> Bools:
+        """(M,) motions that remove material: their cutter is in the stock."""
+
+    @property
     def accuracy(self) -> float:
         """By how much the bound is larger than the stock at most [m]."""
 

@@ -61,7 +61,7 @@ class Engaged(Struct, frozen=True, eq=False):
     moment: Floats
 
 
-class _Corners(Struct, frozen=True, eq=False):
+class Corners(Struct, frozen=True, eq=False):
     """The four cells around each point: their indices in the flat map, and their weights of interpolation."""
 
     cell: tuple[NDArray[np.int32], ...]
@@ -79,7 +79,7 @@ def engaged(stock: Stock, turn: Turn, x: Floats, y: Floats, tip: Floats, descent
     z = tip[:, None]
     end = turn.side.start
     if end > 0:
-        around = _around(stock, x[:, :end], y[:, :end])
+        around = nearby_cells(stock, x[:, :end], y[:, :end])
         in_part = _partly(stock, around)
         on_floor = float(tip.min()) < stock.ground
         if turn.round.start < end:
@@ -107,7 +107,8 @@ def engaged(stock: Stock, turn: Turn, x: Floats, y: Floats, tip: Floats, descent
     return Engaged(out, moment)
 
 
-def _around(stock: Stock, x: Floats, y: Floats) -> _Corners:
+def nearby_cells(stock: Stock, x: Floats, y: Floats) -> Corners:
+    """Return the four cells around points (n, P) of the map [m]."""
     rows, columns = stock.high.shape
     scale = np.float32(1.0 / stock.cell)
     fx = (x - np.float32(stock.x)) * scale - np.float32(0.5)
@@ -119,7 +120,7 @@ def _around(stock: Stock, x: Floats, y: Floats) -> _Corners:
     fy -= row
     first = row * np.int32(columns) + column
     both = fx * fy
-    return _Corners(
+    return Corners(
         (first, first + 1, first + columns, first + (columns + 1)), (1 - fx - fy + both, fx - both, fy - both, both)
     )
 
@@ -137,7 +138,7 @@ def _nearest(stock: Stock, x: Floats, y: Floats) -> NDArray[np.int32]:
     return row
 
 
-def _partly(stock: Stock, around: _Corners) -> bool:
+def _partly(stock: Stock, around: Corners) -> bool:
     """Return whether any of the cells is partly cut."""
     first = around.cell[0]
     columns = stock.high.shape[1]
@@ -146,9 +147,7 @@ def _partly(stock: Stock, around: _Corners) -> bool:
     return bool(stock.share[rows].any())
 
 
-def _blend(
-    stock: Stock, around: _Corners, pieces: slice, function: Callable[[Floats], Floats], in_part: bool
-) -> Floats:
+def _blend(stock: Stock, around: Corners, pieces: slice, function: Callable[[Floats], Floats], in_part: bool) -> Floats:
     """Return function(level) − function(floor), interpolated between the cells around each point."""
     high, low, share, floor = (one.reshape(-1) for one in (stock.high, stock.low, stock.share, stock.floor))
     out = None
@@ -185,7 +184,7 @@ def _cylinder(stock: Stock, nearest: NDArray[np.int32], tip: Floats, start: np.f
     return height, np.float32(0.5) * moment
 
 
-def _levels(stock: Stock, around: _Corners, pieces: slice, z: Floats, in_part: bool, on_floor: bool) -> Floats:
+def _levels(stock: Stock, around: Corners, pieces: slice, z: Floats, in_part: bool, on_floor: bool) -> Floats:
     """Return the level at each point, interpolated between the cells around it, not below the tip."""
     high, low, share, floor = (one.reshape(-1) for one in (stock.high, stock.low, stock.share, stock.floor))
     out = None
@@ -240,14 +239,14 @@ def chips(turn: Turn, feed: Floats, descent: Floats) -> Floats:
     return np.asarray(np.maximum(chip, 0.0, out=chip))
 
 
-def mean(turn: Turn, inside: Engaged, chip: Floats, plunging: Floats, cell: float) -> Loads:
+def mean(turn: Turn, inside: Engaged, chip: Floats, plunging: Floats, cell: float | Array) -> Loads:
     """Return mean loads.
 
     :param chip: (n, P) from `chips`.
     :param plunging: (n,) sine of the angle by which the feed goes down, 0 … 1: this share of the rubbing of the end
         face counts. On level cuts published coefficients contain it, on a plunge it acts in full; between, it is
         not known how much of the face rubs: anything from this share to all of it is taken for as likely.
-    :param cell: width of a cell of the map [m].
+    :param cell: width of a cell of the map [m], or (n,) of what a cell is on the surface of the tool.
     """
     cutting = inside.length * turn.law.chip(chip)
     rubbing = inside.length * (chip > 0.0)

@@ -20,9 +20,12 @@ from postproc.machining.material import CuttingLaw
 from postproc.machining.process import Process, box_corners
 from postproc.machining.profiles import thinned, without_steps
 from postproc.machining.remaining import Ceiling, Guard, StockInTime
+from postproc.machining.setups import Setup, setups
 from postproc.machining.stock import Stock
 from postproc.machining.sweep import Cuts, Sweep
 from postproc.machining.tool_path import (
+    TURNS,
+    Directions,
     Shift,
     StraightSegments,
     ToolPoses,
@@ -31,14 +34,16 @@ from postproc.machining.tool_path import (
     refuse_unread_cuts,
     straight_segments,
     tool_states,
-    towards_spindle,
     unread_cuts,
 )
 from postproc.program import PTP, Bools, Ints, Program, distinct
 from postproc.toolpath import Segments
 
-_SAME = np.cos(np.radians(0.5))
-"""Tool directions count as equal if the cosine of the angle between them exceeds this."""
+_WIDEST, _NARROWER = np.radians(60.0), np.radians(20.0)
+"""A tool that turns while it cuts is within this angle of z of the map. Each new map blurs the stock a little, so the
+second angle is used only where the first leaves material above the tool."""
+_OVERHANG = 0.02
+"""Share of what tools that turn remove that may be lost above them: later cuts of it would have no force."""
 _INCH = 25.4
 _HOLLOW = 0.02
 """Warn if the map of the stock exceeds its volume by more than this share."""
@@ -93,6 +98,10 @@ class ProcessForces(Struct, frozen=True, eq=False):
         return vertices @ self.map_in_base[:3, :3].T + self.map_in_base[:3, 3], faces
 
 
+class _OverhangError(ForceError):
+    """A tool that leans leaves material above itself."""
+
+
 def estimate(
     program: Program,
     path: Segments,
@@ -110,56 +119,93 @@ def estimate(
     :param path: geometry of its motions.
     :param axis: axis of the tool frame that points from the spindle to the tip: "+Z", "-Z", "+X" or "-X".
     :param stock: mesh of the stock, instead of that of the process.
-    :param base_axes: give wrenches in `$BASE` axes, but for arcs.
+    :param base_axes: give wrenches in `$BASE` axes, but where FEED axes turn along a motion.
     :param shift: displacement of the tip, see `Shift`.
     :param guard: parts of the tool that must stay clear of the stock: where they, or cutters in rapid moves, do not,
         is an error.
     :param progress: called with the number of straight segments done, and their total number.
     :raises ProgramError: a routine that cuts is not followed.
     :raises ForceError: missing data in the process, unusable stock, no contact at all, the spindle is off while the
-        tool cuts, the tool changes its direction while it cuts.
+        tool cuts, a tool that turns while it cuts leaves material above itself.
     """
     refuse_unread_cuts(program)
+
+    def swept(widest: float) -> ProcessForces:
+        if guard is not None:
+            guard.close.clear()
+        return _estimate(
+            program, path, process, axis, widest, stock=stock, base_axes=base_axes, shift=shift, guard=guard,
+            progress=progress,
+        )  # fmt: skip
+
+    try:
+        return swept(_WIDEST)
+    except _OverhangError as overhang:
+        try:
+            return swept(_NARROWER)
+        except ForceError:
+            raise overhang from None
+
+
+def _estimate(
+    program: Program,
+    path: Segments,
+    process: Process,
+    axis: str,
+    widest: float,
+    *,
+    stock: Path | None,
+    base_axes: bool,
+    shift: Shift | None,
+    guard: Guard | None,
+    progress: Callable[[int, int], None] | None,
+) -> ProcessForces:
+    """Return the cutting forces of a program, see `estimate`.
+
+    :param widest: largest angle between a tool that turns while it cuts and the direction of a map [rad].
+    """
     law = process.law()
     tools = tool_states(program, process)
     cell = process.stock.resolution_mm * M_PER_MM
-    setups = _setups(program, axis)
-    material, issues = _stock(process, setups[0].frame, cell, stock)
+    directions = Directions.of(program, path, axis)
+    in_order = setups(program, directions, widest)
+    material, issues = _stock(process, in_order[0].frame, cell, stock)
     start, removed = material.volume(), 0.0
     bounds = (*material.bounds, material.top)
-    towards = towards_spindle(program, axis)
-    every = straight_segments(program, path, tools, setups[0].frame, cell, shift, towards)
+    every = straight_segments(program, path, tools, in_order[0].frame, cell, shift, directions)
     _check_speed(program, every, tools)
     teeth = np.array([process.tools[key].flutes for key in tools.keys])[tools.tool]
     per_tooth = np.nan_to_num(program.motions.feed) * 60.0 / np.maximum(tools.rpm * teeth, 1.0)
     rise = np.maximum(0.5 * per_tooth, _LEAST_RISE)
+    swing = np.full(len(program.motions), np.nan) if program.swivel is None else program.swivel.rate
     total = len(every.motion)
     done, parts, sweeps, along = 0, [], [], []
     compared = np.zeros(len(program.motions), dtype=bool)
-    for number, setup in enumerate(setups):
+    for number, setup in enumerate(in_order):
         if number:
             removed += start - material.volume()
             left = material.volume()
-            material = _turned(material, setups[number - 1].frame, setup.frame, cell)
+            material = _turned(material, in_order[number - 1].frame, setup.frame, cell)
             start = material.volume()
             issues += _hollows(start, left)
         steps = every
         if number:
-            steps = straight_segments(program, path, tools, setup.frame, cell, shift, towards)
+            steps = straight_segments(program, path, tools, setup.frame, cell, shift, directions)
         steps = steps.of(setup.motions)
         compared[steps.motion[~steps.leans]] = True
         ceiling = None if guard is None else Ceiling(material)
-        poses = ToolPoses(program, path, setup.frame, axis)
-        sweep = Sweep(material, process, tools, program.motions.feed, law, poses, shift is not None, guard, ceiling)
+        leans = ~directions.within(setup.frame[:3, 2], TURNS)
+        poses = ToolPoses(program, path, setup.frame, axis, leans)
+        feed, deflected = program.motions.feed, shift is not None
+        sweep = Sweep(material, process, tools, feed, law, poses, swing, deflected, guard, ceiling)
         cuts = _thinned(sweep, steps, _offset(progress, done, total))
         done += len(steps.motion)
         sweeps.append(sweep)
         parts.append(cuts)
         stations = cuts.motion, cuts.t, cuts.wrench, cuts.deviation
         sigma = 0.0 if law.covariance is not None else law.sigma
-        along.append(
-            without_steps(program, path, stations, setup.frame, rise, (sigma, law.unknown_axial), base_axes=base_axes)
-        )
+        along.append(without_steps(poses, stations, rise, (sigma, law.unknown_axial), base_axes=base_axes))
+    _refuse_tilted(program, sweeps)
     if not any(sweep.contact for sweep in sweeps):
         raise _no_contact(program, every, bounds, process, stock)
     cuts = Cuts.joined(parts)
@@ -179,14 +225,37 @@ def estimate(
         tools=tools,
         drills=tuple(process.tools[key].shape == "drill" for key in tools.keys),
         stock=material,
-        map_in_base=setups[-1].frame,
+        map_in_base=in_order[-1].frame,
         removed=removed + start - material.volume(),
         issues=tuple(issues),
-        over_time=None if guard is None else _over_time(program, setups, sweeps, compared),
+        over_time=None if guard is None else _over_time(program, in_order, sweeps, compared),
     )
 
 
-def _over_time(program: Program, setups: list[_Setup], sweeps: list[Sweep], compared: Bools) -> StockInTime:
+def _refuse_tilted(program: Program, sweeps: list[Sweep]) -> None:
+    """Refuse cuts of tools that lean or turn of which a map of the stock cannot tell the force.
+
+    :raises ForceError: a tool that only turns has no speed, or what it leaves above itself counts.
+    """
+    name, lines = program.documents[0].name, program.motions.line
+    unpaced = set[int]().union(*(sweep.unpaced for sweep in sweeps))
+    if unpaced:
+        problem = "the tool turns in material while its tip rests, at a speed that the program does not state"
+        advice = "Move the tip with the turn, turn outside of the material, or give a force by [operations]."
+        raise ForceError(problem, file=name, line=int(lines[min(unpaced)]), advice=advice)
+    overhang = {motion: volume for sweep in sweeps for motion, volume in sweep.overhang.items()}
+    share = sum(overhang.values()) / max(sum(sweep.tilted_volume for sweep in sweeps), 1e-18)
+    if share > _OVERHANG:
+        worst = max(overhang, key=lambda motion: (overhang[motion], -motion))
+        problem = (
+            f"the tool leaves material above itself, as in an undercut: {overhang[worst] * MM_PER_M**3:.3g} mm³ here, "
+            f"{100 * share:.0f} % of all that tools cut as they turn. The stock is a map with one height at each place"
+        )
+        advice = "Give the forces of such operations by [operations] or as a CSV file."
+        raise _OverhangError(problem, file=name, line=int(lines[worst]), advice=advice)
+
+
+def _over_time(program: Program, setups: list[Setup], sweeps: list[Sweep], compared: Bools) -> StockInTime:
     """Return the stock over time of swept set-ups.
 
     :param compared: (M,) motions on which the parts of the tool were compared while the stock was swept.
@@ -197,6 +266,7 @@ def _over_time(program: Program, setups: list[_Setup], sweeps: list[Sweep], comp
         tuple(base @ setup.frame for setup in setups),
         tuple(sweep.ceiling for sweep in sweeps if sweep.ceiling is not None),
         compared,
+        ~program.motions.rapid,
     )
 
 
@@ -220,66 +290,6 @@ def _thinned(sweep: Sweep, steps: StraightSegments, progress: Callable[[int], No
             open_, waiting = [rest], len(rest.t)
     joined = Cuts.joined([Cuts.none(), *open_])
     return Cuts.joined([*done, joined.take(thinned(joined.motion, joined.wrench))])
-
-
-class _Setup(Struct, frozen=True, eq=False):
-    """Motions with one direction of the tool.
-
-    :param frame: (4, 4) frame of the map in `$BASE` of the first cutting motion: z from the tip to the spindle.
-    :param motions: (M,) True for those motions.
-    """
-
-    frame: Array
-    motions: Bools
-
-
-def _setups(program: Program, axis: str) -> list[_Setup]:
-    """Divide the program into set-ups with one direction of the tool each, in order.
-
-    Rapid motions between belong to the set-up before them: that is the stock through which they lead.
-
-    :raises ForceError: the tool changes its direction while it cuts, or from one cutting move to the next.
-    """
-    towards, cuts = towards_spindle(program, axis), ~program.motions.rapid
-    if not cuts.any():
-        raise ForceError("no cutting move in this program", file=program.documents[0].name)
-    turned = np.ones(len(towards))
-    turned[1:] = np.einsum("ni,ni->n", towards[1:], towards[:-1])
-    still = turned > _SAME
-    first = towards[int(np.argmax(cuts))]
-    if (towards[cuts] @ first > _SAME).all():
-        return [_Setup(_frame(first), np.ones(len(towards), dtype=bool))]
-    setups, rows, now, fresh = [], np.zeros(len(towards), dtype=bool), first, True
-    for motion in range(len(towards)):
-        same = bool(towards[motion] @ now > _SAME)
-        if cuts[motion] and not (still[motion] and (same or fresh)):
-            before = towards[motion - 1] if same or not still[motion] else now
-            raise ForceError(
-                "the tool changes its direction while it cuts, by "
-                f"{np.degrees(np.arccos(np.clip(towards[motion] @ before, -1.0, 1.0))):.1f}°",
-                file=program.documents[0].name,
-                line=int(program.motions.line[motion]),
-                advice="Forces are computed for one direction of the tool at a time: it may change in rapid moves. "
-                "Give forces for such moves by [operations] or as a CSV file.",
-            )
-        if cuts[motion] and not same:
-            setups.append(_Setup(_frame(now), rows))
-            rows, now = np.zeros(len(towards), dtype=bool), towards[motion]
-            same = True
-        rows[motion] = not cuts[motion] or (same and still[motion])
-        fresh = not cuts[motion]
-    return [*setups, _Setup(_frame(now), rows)]
-
-
-def _frame(towards: Array) -> Array:
-    """Return the frame of the map (4, 4) in `$BASE` whose z is a direction (3,) from the tip to the spindle."""
-    frame = np.eye(4)
-    if towards[2] < 1.0 - 1e-9:
-        x = np.array([1.0, 0.0, 0.0]) if abs(towards[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
-        y = np.cross(towards, x)
-        y /= np.linalg.norm(y)
-        frame[:3, :3] = np.stack([np.cross(y, towards), y, towards], axis=-1)
-    return frame
 
 
 def _turned(material: Stock, before: Array, frame: Array, cell: float) -> Stock:

@@ -18,7 +18,8 @@ from postproc.errors import ForceError
 from postproc.forces import Knots
 from postproc.forces.sources import BASE, FEED
 from postproc.frames import Array, norm
-from postproc.machining.tool_path import home_base
+from postproc.machining.tilted import local_axes
+from postproc.machining.tool_path import TURNS, ToolPoses, home_base
 from postproc.program import CIRC, LIN, Bools, Ints, Program, constant
 from postproc.toolpath import Segments, tangent
 
@@ -75,10 +76,8 @@ def _places(halves: Array) -> Iterator[int]:
 
 
 def without_steps(
-    program: Program,
-    path: Segments,
+    poses: ToolPoses,
     stations: tuple[Ints, Array, Array, Array],
-    map_in_base: Array,
     rise: Array,
     sigma: tuple[float, float],
     *,
@@ -89,24 +88,25 @@ def without_steps(
     At the start of a motion the force changes from that at the end of the motion before, zero after a rapid one, to
     its own; at the end of the motion it acts in full.
 
+    :param poses: the tool on the path, in the frame of the map of the stock.
     :param stations: rows of `Motions` (n,), places on them, and wrenches (n, 6) with standard deviations of their own
-        (n, 6) in FEED axes; on moves along the spindle in those of the map.
-    :param map_in_base: (4, 4) frame of the map of the stock in `$BASE` of the first cutting motion: z to the spindle.
+        (n, 6) in FEED axes; on moves along the spindle in `tilted.local_axes`.
     :param rise: (M,) length over which the force changes at the start of a motion [m].
     :param sigma: standard deviation as a share of the wrench, which may be one factor of it; and that of the axial
         force as a share of the force across the axis (0 where axial coefficients are known), in addition.
     :param base_axes: give them in `$BASE`, but for arcs; else in FEED, but for moves along the spindle.
     """
+    program, path = poses.program, poses.path
     motion, t, wrench, own_deviation = stations
     first = np.flatnonzero(np.diff(motion, prepend=-1))
     last = np.append(first[1:], len(motion)) - 1
     single = first == last
     own = motion[first]
-    at_end = _axes(program, path, own, np.ones(len(own)), map_in_base)[0]
+    at_end = _axes(poses, own, np.ones(len(own)))[0]
     ends, loose_ends = _turn(at_end, wrench[last]), _turn_deviation(at_end, own_deviation[last])
     follows = np.flatnonzero(np.diff(own, prepend=-2) == 1)
     before, loose_before = np.zeros((len(own), 6)), np.zeros((len(own), 6))
-    starts, _ = _axes(program, path, own[follows], np.zeros(len(follows)), map_in_base)
+    starts, _ = _axes(poses, own[follows], np.zeros(len(follows)))
     before[follows] = _turn(np.swapaxes(starts, 1, 2), ends[follows - 1])
     loose_before[follows] = _turn_deviation(np.swapaxes(starts, 1, 2), loose_ends[follows - 1])
     reach = np.minimum(1.0, rise[own] / np.maximum(path.length[own], 1e-9))
@@ -127,12 +127,12 @@ def without_steps(
     missing = sigma[1] * norm(values[:, :2])
     count = np.diff(begins, append=len(which))
     motions = own[which]
-    axes, along = _axes(program, path, motions, places, map_in_base)
+    axes, along = _axes(poses, motions, places)
     steady = np.repeat(single, count)
-    arc = program.motions.kind[motions] == CIRC
-    # stations of arcs are thinned where the wrench is linear in FEED axes: in $BASE it turns between them
-    in_base = (along[np.repeat(np.cumsum(count) - 1, count)] & ~(steady & arc)) | (~arc & base_axes)
-    to_base = _to_base(program, motions[in_base], map_in_base) @ axes[in_base]
+    bent = (program.motions.kind[motions] == CIRC) | (path.turn[motions] > TURNS)
+    # stations are thinned where the wrench is linear in FEED axes: where these turn, it is not linear in $BASE
+    in_base = (along[np.repeat(np.cumsum(count) - 1, count)] & ~(steady & bent)) | (~bent & base_axes)
+    to_base = _to_base(program, motions[in_base], poses.frame) @ axes[in_base]
     values[in_base], loose[in_base] = _turn(to_base, values[in_base]), _turn_deviation(to_base, loose[in_base])
     deviation = np.hypot(np.abs(values) * sigma[0], loose)
     # on moves along the spindle in $BASE axes: z of $BASE is taken for the axis of the tool
@@ -161,19 +161,12 @@ def _at(motion: Ints, t: Array, wrench: Array, own: Ints, places: Array) -> Arra
     return np.asarray(wrench[a] + share[:, None] * (wrench[b] - wrench[a]))
 
 
-def _axes(program: Program, path: Segments, motion: Ints, t: Array, map_in_base: Array) -> tuple[Array, Bools]:
+def _axes(poses: ToolPoses, motion: Ints, t: Array) -> tuple[Array, Bools]:
     """Return FEED axes (n, 3, 3) as columns in those of the map, and which places lie on moves along the spindle."""
-    direction = tangent(program, path, motion, t)
-    to_map = np.swapaxes(_to_base(program, motion, map_in_base), 1, 2)
+    direction = tangent(poses.program, poses.path, motion, t)
+    to_map = np.swapaxes(_to_base(poses.program, motion, poses.frame), 1, 2)
     direction = np.einsum("nij,nj->ni", to_map, direction)
-    across = np.hypot(direction[:, 0], direction[:, 1])
-    along = across < 1e-3
-    u = np.where(along[:, None], [1.0, 0.0], direction[:, :2] / np.where(along, 1.0, across)[:, None])
-    out = np.zeros((len(motion), 3, 3))
-    out[:, 0, 0], out[:, 1, 0] = u[:, 0], u[:, 1]
-    out[:, 0, 1], out[:, 1, 1] = -u[:, 1], u[:, 0]
-    out[:, 2, 2] = 1.0
-    return out, np.asarray(along)
+    return local_axes(direction, poses.upright_or(motion, t))
 
 
 def _to_base(program: Program, motion: Ints, map_in_base: Array) -> Array:

@@ -15,14 +15,15 @@ from msgspec import Struct, field
 
 from postproc.chunks import Columns
 from postproc.frames import Array, norm
-from postproc.machining import cutting
-from postproc.machining.cutting import Engaged, engaged
+from postproc.machining import cutting, tilted
+from postproc.machining.cutting import Engaged, Loads, engaged
 from postproc.machining.leaning import depth_inside
 from postproc.machining.material import CuttingLaw, Floats
 from postproc.machining.process import Process
 from postproc.machining.remaining import Ceiling, Guard
 from postproc.machining.stock import Footprint, Stock, cut, depth_of, remove
-from postproc.machining.tool import BOTTOM, SIDE, Cutter, Edge, Turn, edge, some
+from postproc.machining.tilted import TiltedPath
+from postproc.machining.tool import BOTTOM, SIDE, Cutter, Edge, Turn, edge, in_slices, some
 from postproc.machining.tool_path import StraightSegments, ToolPoses, ToolStates
 from postproc.program import Bools, Ints
 
@@ -38,6 +39,12 @@ _SLOPES = 16
 """Steps of the sine of the slope for which the part of the edge that can cut is found."""
 _FINE = 0.5
 """Distance of sample points at the rim, in cells, if only the cylinder cuts."""
+_TALLER = 4
+"""Edges of tools that lean are divided up to multiples of this many cells,"""
+_TILTED = -1
+"""and kept under this number instead of a slope."""
+_AXES = np.cos(np.radians(3.0))
+"""Tools that turn while they cut are processed together while their axis turns by less."""
 _ON_LINE = 1e-6
 """Directions that differ by less count as one straight line."""
 _LITTLE = 0.05
@@ -58,7 +65,6 @@ class Cuts(Columns, frozen=True, eq=False):
     :param wrench: (N, 6) mean force and moment about the tip on the tool. FEED axes; on moves along the spindle the
         axes of the map.
     :param deviation: (N, 6) standard deviations of it by covariance, rubbing and cells, see `cutting.Loads`.
-    :param feed: (N, 2) direction of travel across the spindle in the axes of the map; (1, 0) along the spindle.
     :param along: (N,) True on moves along the spindle.
     :param torque: (N,) mean torque of the spindle [N·m].
     :param power: (N,) [W].
@@ -72,7 +78,6 @@ class Cuts(Columns, frozen=True, eq=False):
     t: Array
     wrench: Array
     deviation: Array
-    feed: Array
     along: Bools
     torque: Array
     power: Array
@@ -86,14 +91,15 @@ class Cuts(Columns, frozen=True, eq=False):
     def none(cls) -> Cuts:
         """Return no stations."""
         none = np.zeros(0)
-        six, two = np.zeros((0, 6)), np.zeros((0, 2))
-        return cls(none.astype(np.int64), none, six, six, two, none.astype(bool), *[none] * 7)
+        six = np.zeros((0, 6))
+        return cls(none.astype(np.int64), none, six, six, none.astype(bool), *[none] * 7)
 
 
 class Sweep(Struct, eq=False):
     """A stock, and the tools that cut it.
 
     :ivar poses: the tool anywhere on the path.
+    :ivar swing: (M,) how fast motions turn the tool that do not move its tip [rad/s]; NaN: not known.
     :ivar deflected: the tip is displaced: on rapid moves it still springs back, and contact there is no collision.
     :ivar guard: parts of the tool that must stay clear of the stock; None: they are not compared.
     :ivar ceiling: with a guard, the stock over time.
@@ -102,6 +108,10 @@ class Sweep(Struct, eq=False):
     :ivar contact: whether any cutting move engaged material.
     :ivar by_cells: for each tool, sums of the squares of the standard deviation of forces by the cells of the map, and
         of the forces (2,) [N²].
+    :ivar overhang: for motions of tools that lean, volume above the tool that a map cannot keep [m³].
+    :ivar tilted_volume: that they remove [m³].
+    :ivar unpaced: motions through material that only turn the tool, at a speed that is not known.
+    :ivar top: height of the highest material at the start [m].
     """
 
     stock: Stock
@@ -110,6 +120,7 @@ class Sweep(Struct, eq=False):
     feed: Array
     law: CuttingLaw
     poses: ToolPoses
+    swing: Array
     deflected: bool = False
     guard: Guard | None = None
     ceiling: Ceiling | None = None
@@ -117,6 +128,10 @@ class Sweep(Struct, eq=False):
     stopped: set[int] = field(default_factory=set)
     contact: bool = False
     by_cells: dict[int, Array] = field(default_factory=dict)
+    overhang: dict[int, float] = field(default_factory=dict)
+    tilted_volume: float = 0.0
+    unpaced: set[int] = field(default_factory=set)
+    top: float = -np.inf
     _cutters: dict[int, Cutter] = field(default_factory=dict)
     _edges: dict[int, Edge] = field(default_factory=dict)
     _turns: dict[tuple[int, bool, int, int], Turn] = field(default_factory=dict)
@@ -126,27 +141,36 @@ class Sweep(Struct, eq=False):
 
         :param progress: called with the number of segments done.
         """
-        near = self._near(segments, self.stock.top)
+        self.top = self.stock.top
+        near = self._near(segments, self.top)
         left = Footprint.none()  # under the front of the tool where a group of segments ends
         for begin, end in self._groups(segments, near):
             if progress is not None:
                 progress(end)
-            if segments.leans[begin]:
+            leans, cuts = bool(segments.leans[begin]), bool(segments.cutting[begin])
+            if leans and not cuts:
                 if near[begin] and not self.deflected:
                     self._leaning(segments, begin, end)
                 continue
-            self._guarded(segments, begin, end)
+            if not leans:
+                self._guarded(segments, begin, end)
             if not near[begin]:
-                if segments.cutting[begin]:
+                if cuts:
                     yield self._in_air(segments, begin, end)
                 continue
             number = int(self.tools.tool[segments.motion[begin]])
             cutter = self._cutter(number)
-            if segments.cutting[begin] and self.tools.rpm[segments.motion[begin]] > 0.0:
+            goes_on = end < len(near) and bool(segments.continues[end]) and bool(near[end])
+            if leans:
+                path, top = self._tilted_path(segments, begin, end, cutter)
+                if self.tools.rpm[path.motion[0]] > 0.0:
+                    yield from self._tilted_cut(path, number, top)
+                cut(self.stock, left)
+                left = self._tilted_sweep(path, cutter, top, goes_on=goes_on)
+            elif cuts and self.tools.rpm[segments.motion[begin]] > 0.0:
                 yield from self._cut(segments, begin, end, number)
                 cut(self.stock, left)
                 first = _runs(segments, begin, end)
-                goes_on = end < len(near) and segments.continues[end] and near[end]
                 ahead = segments.arrive[end - 1, :2] if goes_on else None
                 left = remove(
                     self.stock, cutter, segments.begin[first], segments.end[[*(first[1:] - 1), end - 1]], ahead
@@ -215,9 +239,11 @@ class Sweep(Struct, eq=False):
         running = np.stack([self.tools.tool[motion], self.tools.rpm[motion], self.tools.hand[motion]], axis=1)
         same[1:] = segments.continues[1:] & (running[1:] == running[:-1]).all(axis=1)
         same[1:] &= (near[1:] == near[:-1]) & (segments.cutting[1:] == segments.cutting[:-1])
-        same[1:] |= segments.leans[1:] & (motion[1:] == motion[:-1]) & (near[1:] == near[:-1])
-        rapid = ~segments.cutting
-        same[1:] &= ~near[1:] | rapid[1:] | ((along[1:] == along[:-1]) & (down[1:] == down[:-1]))
+        rapid, leans = ~segments.cutting, segments.leans
+        same[1:] |= (rapid & leans)[1:] & (motion[1:] == motion[:-1]) & (near[1:] == near[:-1])
+        alike = (along[1:] == along[:-1]) & (down[1:] == down[:-1])
+        same[1:] &= ~near[1:] | rapid[1:] | leans[1:] | alike
+        axes = self._tilted_axes(segments, near)
         begin, limit, travelled = 0, 0.0, 0.0
         heading: list[float] | None = None
         lengths, leave, arrive, joins, close = (
@@ -230,6 +256,7 @@ class Sweep(Struct, eq=False):
                 if heading is not None and not ends and close[segment]:
                     one, other = leave[segment], arrive[segment]
                     ends = min(_dot(heading, one), _dot(heading, other)) < _STRAIGHT
+                    ends |= segment in axes and _dot(axes[begin], axes[segment]) < _AXES
                 if ends:
                     if segment > begin:
                         yield begin, segment
@@ -239,6 +266,14 @@ class Sweep(Struct, eq=False):
         if begin < len(motion):
             yield begin, len(motion)
 
+    def _tilted_axes(self, segments: StraightSegments, near: Bools) -> dict[int, list[float]]:
+        """Return the axis of the tool at the end of cuts on which it leans or turns, by row."""
+        rows = np.flatnonzero(segments.leans & segments.cutting & near)
+        if not len(rows):
+            return {}
+        _, axes = self.poses.at(segments.motion[rows], segments.last[rows])
+        return dict(zip(rows.tolist(), axes.tolist(), strict=True))
+
     def _in_air(self, segments: StraightSegments, begin: int, end: int) -> Cuts:
         """Return stations of segments that cannot touch the stock: one each."""
         n = end - begin
@@ -247,9 +282,8 @@ class Sweep(Struct, eq=False):
         heading = segments.leave[begin:end]
         across = np.hypot(heading[:, 0], heading[:, 1])
         along = across < _ALONG
-        feed = np.where(along[:, None], [1.0, 0.0], heading[:, :2] / np.where(along, 1.0, across)[:, None])
         return Cuts(
-            segments.motion[begin:end], t, none, none, feed, along, zero, zero, nothing, nothing, zero, zero, zero,
+            segments.motion[begin:end], t, none, none, along, zero, zero, nothing, nothing, zero, zero, zero,
         )  # fmt: skip
 
     def _cut(self, segments: StraightSegments, begin: int, end: int, number: int) -> Iterator[Cuts]:
@@ -308,30 +342,41 @@ class Sweep(Struct, eq=False):
         descent = (-per_tooth * heading[:, 2]).astype(np.float32)
         inside = self._inside(turn, cutter, position, (ux, uy, hand), descent)
         chip = cutting.chips(turn, feed, descent)
-        loads = cutting.mean(turn, inside, chip, np.maximum(-heading[:, 2], 0.0).astype(np.float32), self.stock.cell)
-        wrench = loads.wrench
-        wrench[:, [1, 3, 5]] *= hand[:, None]
-        cuts = inside.length * (chip > 0.0)
-        if not cuts.any():
-            nothing, zero = np.full(len(t), np.nan), np.zeros(len(t))
-            feeds = np.stack([ux, uy], axis=-1)
-            return Cuts(
-                motion, t, wrench, loads.deviation, feeds, along, zero, zero, nothing, nothing, zero, zero, zero
-            )
-        self.contact = True
-        square = np.square(norm(wrench[:, :3]))
-        self.by_cells[number] = self.by_cells.get(number, 0.0) + np.array([loads.by_cells**2 @ square, square.sum()])
-        enter, leave, depth, width = _engagement(turn, cuts)
+        plunging = np.maximum(-heading[:, 2], 0.0).astype(np.float32)
+        loads = cutting.mean(turn, inside, chip, plunging, self.stock.cell)
+        deep = 0.0
         if cutter.drill:
             # all stations get the depth of the hole, as thinning keeps few; the last one is half a step above the end
             bottom = float(position[:, 2].min()) - 0.5 * abs(float(position[-1, 2] - position[0, 2])) / max(
                 1, len(t) - 1
             )
-            depth = np.where(cuts.any(axis=1), max(self._highest(position, cutter.radius) - bottom, 0.0), 0.0)
+            deep = max(self._highest(position, cutter.radius) - bottom, 0.0)
+        return self._cuts(turn, number, (motion, t, along), loads, inside.length * (chip > 0.0), deep)
+
+    def _cuts(
+        self, turn: Turn, number: int, stations: tuple[Ints, Array, Bools], loads: Loads, cuts: Floats, deep: float
+    ) -> Cuts:
+        """Return engagement and loads at stations: motions, places on them, and whether they are along the spindle.
+
+        :param cuts: (n, P) length of edge that cuts [m].
+        :param deep: depth of the hole of a drill [m].
+        """
+        motion, t, along = stations
+        wrench, rpm, hand = loads.wrench, self.tools.rpm[motion], self.tools.hand[motion]
+        wrench[:, [1, 3, 5]] *= hand[:, None]
+        if not cuts.any():
+            nothing, zero = np.full(len(t), np.nan), np.zeros(len(t))
+            return Cuts(motion, t, wrench, loads.deviation, along, zero, zero, nothing, nothing, zero, zero, zero)
+        self.contact = True
+        square = np.square(norm(wrench[:, :3]))
+        self.by_cells[number] = self.by_cells.get(number, 0.0) + np.array([loads.by_cells**2 @ square, square.sum()])
+        enter, leave, depth, width = _engagement(turn, cuts)
+        if turn.drill:
+            depth = np.where(cuts.any(axis=1), deep, 0.0)
         torque = wrench[:, 5] * hand
         return Cuts(
-            motion, t, wrench, loads.deviation, np.stack([ux, uy], axis=-1), along, torque,
-            torque * rpm * (2.0 * np.pi / 60.0), enter, leave, depth, width, loads.removal * cutter.teeth * rpm / 60.0,
+            motion, t, wrench, loads.deviation, along, torque, torque * rpm * (2.0 * np.pi / 60.0), enter, leave, depth,
+            width, loads.removal * turn.teeth * rpm / 60.0,
         )  # fmt: skip
 
     def _inside(
@@ -343,6 +388,50 @@ class Sweep(Struct, eq=False):
         x = position[:, 0].astype(np.float32)[:, None] + (ux * ahead - (uy * hand) * aside)
         y = position[:, 1].astype(np.float32)[:, None] + (uy * ahead + (ux * hand) * aside)
         return engaged(self.stock, turn, x, y, position[:, 2].astype(np.float32), descent * cutter.teeth)
+
+    def _tilted_cut(self, path: TiltedPath, number: int, top: float) -> Iterator[Cuts]:
+        """Yield engagement and loads of a tool that leans or turns; `top` is the highest material near [m]."""
+        cutter, step = self._cutter(number), self.stock.cell
+        height = (top - float(path.tip[:, 2].min()) + cutter.radius) / float(path.axis[:, 2].min())
+        count = max(1, int(np.ceil(height / step / _TALLER))) * _TALLER
+        key = (number, True, count, _TILTED)
+        if key not in self._turns:
+            self._turns[key] = Turn.of(in_slices(self._edge(number), step, count * step), cutter, self.law, step, None)
+        turn = self._turns[key]
+        chunk = max(1, _ELEMENTS // len(turn.phi))
+        for start in range(0, len(path.t), chunk):
+            part = path.take(slice(start, start + chunk))
+            rpm, hand = self.tools.rpm[part.motion], self.tools.hand[part.motion]
+            loads, cuts, along = tilted.loads(self.stock, turn, part, 60.0 / (rpm * cutter.teeth), hand)
+            self.unpaced.update(part.motion[cuts.any(axis=1) & np.isnan(part.pace)].tolist())
+            yield self._cuts(turn, number, (part.motion, part.t, along), loads, cuts, np.nan)
+
+    def _tilted_path(
+        self, segments: StraightSegments, begin: int, end: int, cutter: Cutter
+    ) -> tuple[TiltedPath, float]:
+        """Return the path of a tool that leans or turns, and the height of the highest material near it [m]."""
+        rows = slice(begin, end)
+        motion = segments.motion[rows]
+        axes = [self.poses.at(motion, t[rows])[1] for t in (segments.first, segments.last)]
+        path = TiltedPath.of(segments.take(rows), axes[0], axes[1], cutter, self.stock.cell, self.feed, self.swing)
+        height = max(self.top - float(path.tip[:, 2].min()) + cutter.radius, 0.0)
+        steepest = float(path.axis[:, 2].min())
+        aside = height * float(np.sqrt(1.0 - steepest**2)) / steepest
+        return path, max(self._highest(path.tip, cutter.radius + aside), float(path.tip[:, 2].min()))
+
+    def _tilted_sweep(self, path: TiltedPath, cutter: Cutter, top: float, *, goes_on: bool) -> Footprint:
+        """Remove what a tool that leans or turns sweeps, and return the cells under its front where it goes on."""
+        swept = tilted.sweep(self.stock, cutter, *path.poses, top)
+        last = int(path.motion[-1])
+        if swept.depth > _TOUCHED and not self.tools.rpm[last] > 0.0:
+            self.stopped.add(last)
+        self.overhang[last] = self.overhang.get(last, 0.0) + swept.overhang
+        self.tilted_volume += swept.removed
+        cut(self.stock, swept.under)
+        if goes_on:
+            return swept.front
+        cut(self.stock, swept.front)
+        return Footprint.none()
 
     def _cutter(self, number: int) -> Cutter:
         if number not in self._cutters:

@@ -91,10 +91,29 @@ def edge(cutter: Cutter, step: float) -> Edge:
     return Edge(np.concatenate(parts).astype(np.int64), *joined)
 
 
+def in_slices(edge: Edge, step: float, height: float) -> Edge:
+    """Return an edge whose cylinder is divided into pieces of about `step` [m], up to a height above the tip [m].
+
+    The pieces are those of a corner whose normal is square to the axis: on a tool that leans, each is in material or
+    not.
+    """
+    side = edge.part == SIDE
+    if not side.any():
+        return edge
+    low, radius = float(edge.low[side][0]), float(edge.radius[side][0])
+    count = max(1, int(np.ceil((height - low) / step)))
+    other, width, one = some(edge, ~side), max(height - low, step) / count, np.ones(count)
+    columns = (radius * one, low + width * np.arange(count), width * one, width * one, 0.5 * np.pi * one)
+    joined = (np.concatenate([getattr(other, name), column]) for name, column in zip(_COLUMNS, columns, strict=True))
+    return Edge(np.concatenate([other.part, np.full(count, CORNER)]), *joined)
+
+
 def some(edge: Edge, pieces: NDArray[np.bool_]) -> Edge:
     """Return some of the pieces (S,) of an edge."""
-    columns = (edge.radius, edge.low, edge.rise, edge.length, edge.kappa)
-    return Edge(edge.part[pieces], *(column[pieces] for column in columns))
+    return Edge(edge.part[pieces], *(getattr(edge, name)[pieces] for name in _COLUMNS))
+
+
+_COLUMNS = ("radius", "low", "rise", "length", "kappa")
 
 
 DRILL_THRUST = 0.65
@@ -140,11 +159,11 @@ class Turn(Struct, frozen=True, eq=False):
     tall: Floats
 
     @classmethod
-    def of(cls, edge: Edge, cutter: Cutter, law: CuttingLaw, step: float, descent: float) -> Turn:
+    def of(cls, edge: Edge, cutter: Cutter, law: CuttingLaw, step: float, descent: float | None) -> Turn:
         """Divide a turn so that points are about `step` [m] apart.
 
         :param descent: sine of the steepest downward angle of the feed, < 0 upward: points without a possible chip
-            are omitted.
+            are omitted. None: the tool turns, and any point may have one.
         """
         half = cutter.teeth * max(int(np.ceil(np.pi * cutter.radius / step / cutter.teeth)), -(-24 // cutter.teeth))
         piece, phi, width = [], [], []
@@ -160,7 +179,9 @@ class Turn(Struct, frozen=True, eq=False):
         sine, cosine = np.sin(angle), np.cos(angle)
         sk, ck = np.sin(edge.kappa)[own], np.cos(edge.kappa)[own]
         ck = np.where(np.abs(ck) < 1e-12, 0.0, ck)
-        cuts = sk * sine * np.sqrt(1.0 - descent**2) + ck * descent > 1e-9
+        cuts = np.zeros(len(own), dtype=bool)
+        if descent is not None:
+            cuts = sk * sine * np.sqrt(1.0 - descent**2) + ck * descent > 1e-9
         if not cuts.any():
             cuts[:] = True
         own, angle, wide_, sine, cosine, sk, ck = (column[cuts] for column in (own, angle, wide_, sine, cosine, sk, ck))

@@ -113,8 +113,12 @@ _TURN = np.radians(8.0)
 _LEANS = np.radians(2.0)
 """Rapid moves that turn the tool are divided into pieces on which no axis turns by more than this: their chords leave
 the path by half a millimetre at most (an arc of 2° with a radius of 3 m)."""
-_TURNS = np.radians(0.5)
-"""Rapid moves that turn the tool by less count as moves of a tool along the spindle axis of the map."""
+TURNS = np.radians(0.5)
+"""A tool whose axis differs by less from that of the map is taken for one along it."""
+_ON_CUT = np.radians(1.0)
+"""Cuts that turn the tool are divided into pieces on which it turns by this much at most."""
+_ON_MOTION = 1e-9, 0.25, 0.5, 0.75
+"""Places of motions at which the direction of the tool is looked at."""
 _STILL = 1e-9
 _BEFORE_NEXT = 1.0 - 1e-7
 """The end of a motion is before the start of the next one, where the displacement may differ."""
@@ -129,8 +133,7 @@ class StraightSegments(Columns, frozen=True, eq=False):
     :param leave: (L, 3) and arrive: (L, 3) unit directions of travel there.
     :param cutting: (L,) False for rapid moves.
     :param continues: (L,) True if the segment begins at the end of the one before, with the same tool.
-    :param leans: (L,) True for rapid moves on which the tool is not along z of the map, or turns (PTP): chords of
-        their path.
+    :param leans: (L,) True where the tool is not along z of the map, or turns: chords of its path.
     """
 
     motion: Ints
@@ -188,15 +191,14 @@ def straight_segments(
     frame: Array,
     cell: float,
     shift: Shift | None = None,
-    towards: Array | None = None,
+    directions: Directions | None = None,
 ) -> StraightSegments:
     """Divide the motions of a program into straight segments.
 
     :param frame: (4, 4) frame of the map in `$BASE` of the first cutting motion.
     :param cell: width of a cell [m].
-    :param towards: (M, 3) directions of the tool at the ends of motions, see `towards_spindle`; default: that of the
-        map.
     :param shift: displacement of the tip; segments are also divided where it is given.
+    :param directions: of the tool; None: along z of the map.
     """
     m = program.motions
     count = np.ones(len(m), dtype=np.int64)
@@ -204,12 +206,13 @@ def straight_segments(
     radius = norm(arcs.radial)
     angle = np.minimum(_TURN, np.sqrt(8.0 * _SAG * cell / np.maximum(radius, cell)))
     count[arcs.motion] = np.maximum(1, np.ceil(arcs.sweep / angle)).astype(np.int64)
-    leans = _leaning(program, path, frame, towards)
+    leans = _leaning(program, path, frame, directions)
     turned = path.turn.astype(float)
     ptp = np.flatnonzero(leans & (m.kind == PTP))
     if path.joint_moves is not None:
         turned[ptp] = path.joint_moves.turn(ptp)
-    count[leans] = np.maximum(count[leans], np.ceil(turned[leans] / _LEANS).astype(np.int64))
+    most = np.where(m.rapid, _LEANS, _ON_CUT)
+    count[leans] = np.maximum(count[leans], np.ceil(turned[leans] / most[leans]).astype(np.int64))
     count[(m.kind == PTP) & ~leans] = 0
     motion = np.repeat(np.arange(len(m)), count)
     inside = np.arange(len(motion)) - np.repeat(np.cumsum(count) - count, count)
@@ -234,19 +237,59 @@ def straight_segments(
     continues = np.zeros(len(motion), dtype=bool)
     continues[1:] = (norm(begin[1:] - end[:-1]) < 1e-6) & (tools.tool[motion[1:]] == tools.tool[motion[:-1]])
     lean = leans[motion]
-    continues[1:] &= ~lean[1:] & ~lean[:-1]
+    continues[1:] &= (lean[1:] == lean[:-1]) & ~(lean & m.rapid[motion])[1:]
     moves = ((norm(end - begin) > _STILL) | lean) & (tools.tool[motion] >= 0)
     columns = (motion, first, last, begin, end, leave, arrive, ~m.rapid[motion], continues, lean)
     return StraightSegments(*(np.asarray(column[moves]) for column in columns))
 
 
-def _leaning(program: Program, path: Segments, frame: Array, towards: Array | None) -> Bools:
-    """Return the rapid motions (M,) on which the tool turns or leans from z of the map; a PTP if its path is known."""
+class Directions(Struct, frozen=True, eq=False):
+    """Directions from tip to spindle along the motions of a program, in `$BASE` of the first cutting motion.
+
+    :param end: (M, 3) at the end of each motion; cuts: (M,) False for rapid ones.
+    :param turning: (k,) motions on which the tool frame turns by more than `TURNS`; inner: (4, k, 3) at places on them.
+    """
+
+    end: Array
+    cuts: Bools
+    turning: Ints
+    inner: Array
+
+    @classmethod
+    def of(cls, program: Program, path: Segments, axis: str) -> Directions:
+        """Return the directions of a program.
+
+        :param axis: axis of the tool frame that points from the spindle to the tip.
+        """
+        m, column = program.motions, _SPINDLE[axis][0]
+        turning = np.flatnonzero((path.turn > TURNS) & (m.kind != PTP))
+        inner = np.zeros((len(_ON_MOTION), len(turning), 3))
+        for k, t in enumerate(_ON_MOTION if len(turning) else ()):
+            pose = toolpath.at(program, path, turning, np.full(len(turning), t)).pose[:]
+            inner[k] = _towards_spindle(program, axis, turning, pose[:, :3, column])
+        end = _towards_spindle(program, axis, np.arange(len(m)), m.target[:, :3, column])
+        return cls(end, ~m.rapid, turning, inner)
+
+    def among(self, begin: int, end: int) -> Array:
+        """Return all directions (n, 3) on the cutting motions of a range."""
+        first, last = np.searchsorted(self.turning, [begin, end]).tolist()
+        inner = self.inner[:, first:last][:, self.cuts[self.turning[first:last]]]
+        return np.concatenate([self.end[begin:end][self.cuts[begin:end]], inner.reshape(-1, 3)])
+
+    def within(self, direction: Array, angle: float) -> Bools:
+        """Return on which motions (M,) the tool is within an angle [rad] of a direction (3,) everywhere."""
+        out = self.end @ direction > np.cos(angle)
+        out[self.turning] &= (self.inner @ direction > np.cos(angle)).all(axis=0)
+        return np.asarray(out)
+
+
+def _leaning(program: Program, path: Segments, frame: Array, directions: Directions | None) -> Bools:
+    """Return the motions (M,) on which the tool turns or leans from z of the map; a PTP if its path is known."""
     m = program.motions
-    leans = path.turn > _TURNS
-    if towards is not None:
-        leans |= towards @ frame[:3, 2] < np.cos(_TURNS)
-    return np.asarray(m.rapid & np.where(m.kind == PTP, path.joint_moves is not None, leans))
+    leans = m.rapid & (path.turn > TURNS)
+    if directions is not None:
+        leans |= ~directions.within(frame[:3, 2], TURNS)
+    return np.asarray(np.where(m.kind == PTP, path.joint_moves is not None, leans))
 
 
 class ToolPoses(Struct, frozen=True, eq=False):
@@ -255,12 +298,22 @@ class ToolPoses(Struct, frozen=True, eq=False):
     :param program: the program, and `path` the geometry of its motions.
     :param frame: (4, 4) frame of the map in `$BASE` of the first cutting motion.
     :param axis: axis of the tool frame that points from the spindle to the tip.
+    :param leans: (M,) motions on which the tool is not along z of the map.
     """
 
     program: Program
     path: Segments
     frame: Array
     axis: str
+    leans: Bools
+
+    def upright_or(self, motion: Ints, t: Array) -> Array:
+        """Return the directions from tip to spindle (n, 3) at places: z of the map but for motions that lean."""
+        out = np.tile([0.0, 0.0, 1.0], (len(motion), 1))
+        leans = np.flatnonzero(self.leans[motion])
+        if len(leans):
+            out[leans] = self.at(motion[leans], t[leans])[1]
+        return out
 
     def at(self, motion: Ints, t: Array) -> tuple[Array, Array]:
         """Return tip (n, 3) [m] and unit direction from tip to spindle (n, 3) at places (motion, t)."""
@@ -309,13 +362,15 @@ def home_base(program: Program) -> int:
     return int(m.base[np.argmax(~m.rapid)])
 
 
-def towards_spindle(program: Program, axis: str) -> Array:
-    """Return the directions from tip to spindle (M, 3) at the ends of motions, `$BASE` of the first cutting motion."""
-    column, sign = _SPINDLE[axis]
-    m = program.motions
-    out = sign * m.target[:, :3, column]
+def _towards_spindle(program: Program, axis: str, motion: Ints, column: Array) -> Array:
+    """Return directions from tip to spindle (n, 3) in `$BASE` of the first cutting motion.
+
+    :param motion: (n,) rows of `Motions`.
+    :param column: (n, 3) the axis of the tool frame next to the spindle, in the `$BASE` of those motions.
+    """
+    out, base = _SPINDLE[axis][1] * column, program.motions.base[motion]
     home = program.bases[home_base(program)]
-    for row in np.unique(m.base).tolist():
-        here = m.base == row
+    for row in np.unique(base).tolist():
+        here = base == row
         out[here] = out[here] @ (home[:3, :3].T @ program.bases[row, :3, :3]).T
-    return out
+    return np.asarray(out)

@@ -10,7 +10,6 @@ import trimesh
 from msgspec.structs import replace
 
 from postproc.cell import Rotary
-from postproc.errors import ForceError
 from tests.machining.setting import AL7075, CELL, forces, gcode, line_of, on_line, process, tool
 from tests.machining.test_against_teeth import close, tooth_by_tooth
 from tests.oracle.teeth import Teeth
@@ -86,12 +85,3 @@ def test_what_one_program_leaves_is_the_stock_of_the_next(tmp_path):
     teeth = Teeth(5.0, 0.0, 4, AL7075).side(3.0)
     force = tooth_by_tooth(teeth, (30, 0, -3), (1, 0, 0), 0.1, lambda p: in_box(p, -2.0), steps=360)
     close(on_line(program, found, line_of(text, "X70 (here)"), 0.5), force)
-
-
-def test_a_tool_that_turns_while_it_cuts_is_refused(tmp_path):
-    text = gcode("G0 B0 X58 Y-60 Z-1.5", "G1 Y-50 F2400", "Y50 B10")
-    with pytest.raises(ForceError, match=r"part.nc:6: the tool changes its direction while it cuts, by 10.0°"):
-        forces(tmp_path, text, process(tool(10, 4), BOX), FIVE)
-    slow = gcode("G0 B0 X58 Y-60 Z-1.5", "G1 Y-50 F2400", *(f"Y{k} B{0.1 * k:.1f}" for k in range(20)))
-    with pytest.raises(ForceError, match="while it cuts"):
-        forces(tmp_path, slow, process(tool(10, 4), BOX), FIVE)

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from postproc import frames, toolpath
 from postproc.machining.estimate import _no_contact, _out_of_scale
-from postproc.machining.tool_path import Shift, straight_segments, tool_states, towards_spindle
+from postproc.machining.tool_path import Directions, Shift, straight_segments, tool_states
 from tests.toolpath.setting import BASES, START, begins, mixed, point
 
 FRAME = frames.pose_from_xyzabc([12.0, -7.0, 30.0, 25.0, -15.0, 40.0])
@@ -111,7 +111,8 @@ def test_pieces_of_some_motions_are_joined_only_to_those_that_are_left():
 def test_the_spindle_is_given_in_the_base_of_the_first_cutting_motion(axis, column, sign):
     made = mixed()
     m = replace(made.motions, base=np.array([0, 1, 1, 1, 0, 0, 1]))
-    found = towards_spindle(replace(made, motions=m), axis)
+    made = replace(made, motions=m)
+    found = Directions.of(made, toolpath.segments(made, START), axis).end
     for k in range(len(m)):
         in_root = BASES[m.base[k], :3, :3] @ (sign * m.target[k, :3, column])
         np.testing.assert_allclose(found[k], BASES[1, :3, :3].T @ in_root, rtol=0, atol=1e-14)

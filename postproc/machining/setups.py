@@ -1,0 +1,93 @@
+"""Set-ups of a program: motions that share a map of the stock, along one direction of the tool."""
+
+from __future__ import annotations
+
+import numpy as np
+from msgspec import Struct
+
+from postproc.errors import ForceError
+from postproc.frames import Array
+from postproc.machining.tool_path import TURNS, Directions
+from postproc.program import Bools, Program
+
+_CONE_STEPS = 60
+"""Steps of the search for the middle of directions."""
+
+
+class Setup(Struct, frozen=True, eq=False):
+    """Motions with one map of the stock.
+
+    :param frame: (4, 4) frame of the map in `$BASE` of the first cutting motion: z from the tip to the spindle.
+    :param motions: (M,) True for those motions.
+    """
+
+    frame: Array
+    motions: Bools
+
+
+def setups(program: Program, directions: Directions, widest: float) -> list[Setup]:
+    """Divide the program into set-ups in order: each has a map of the stock along one direction of the tool.
+
+    Cuts with another direction of the tool begin a set-up; while the tool turns as it cuts, only if it leaves a cone
+    about the direction of the map. Rapid motions between belong to the set-up before them: that is the stock through
+    which they lead.
+
+    :param widest: largest angle between a tool that turns while it cuts and the direction of the map [rad].
+    :raises ForceError: the tool turns too far in one move.
+    """
+    cuts = directions.cuts
+    if not cuts.any():
+        raise ForceError("no cutting move in this program", file=program.documents[0].name)
+    bounds = np.flatnonzero(np.diff(cuts.astype(np.int8), prepend=0, append=0)).reshape(-1, 2).tolist()
+    towards: list[Array] = []
+    starts: list[int] = []
+    for begin, end in bounds:
+        first = directions.end[begin]
+        if (directions.among(begin, end) @ first > np.cos(TURNS)).all():
+            if not towards or first @ towards[-1] < np.cos(TURNS):
+                towards.append(first)
+                starts.append(begin)
+            continue
+        while begin < end:
+            row = begin
+            while towards and row < end and (directions.among(row, row + 1) @ towards[-1] > np.cos(widest)).all():
+                row += 1
+            if row < end:
+                towards.append(_cone(program, directions, row, widest))
+                starts.append(row)
+            begin = row
+    number = np.searchsorted(starts[1:], np.arange(len(cuts)), side="right")
+    return [Setup(_frame(direction), np.asarray(number == k)) for k, direction in enumerate(towards)]
+
+
+def _cone(program: Program, directions: Directions, begin: int, widest: float) -> Array:
+    """Return the middle of the directions of as many cutting motions as have one (Badoiu and Clarkson 2003).
+
+    :raises ForceError: there is none for the first of them.
+    """
+    count = len(directions.end) - begin
+    while True:
+        among = directions.among(begin, begin + count)
+        middle = among.sum(axis=0)
+        for step in range(_CONE_STEPS):
+            middle /= max(float(np.linalg.norm(middle)), 1e-12)
+            middle = middle + (among[int(np.argmin(among @ middle))] - middle) / (step + 2)
+        middle /= max(float(np.linalg.norm(middle)), 1e-12)
+        if float((among @ middle).min()) > np.cos(widest):
+            return np.asarray(middle)
+        if count == 1:
+            problem = f"the tool turns by more than {2 * np.degrees(widest):.0f}° in one cutting move"
+            line = int(program.motions.line[begin])
+            raise ForceError(problem, file=program.documents[0].name, line=line, advice="Divide the move.")
+        count = (count + 1) // 2
+
+
+def _frame(towards: Array) -> Array:
+    """Return the frame of the map (4, 4) in `$BASE` whose z is a direction (3,) from the tip to the spindle."""
+    frame = np.eye(4)
+    if towards[2] < 1.0 - 1e-9:
+        x = np.array([1.0, 0.0, 0.0]) if abs(towards[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+        y = np.cross(towards, x)
+        y /= np.linalg.norm(y)
+        frame[:3, :3] = np.stack([np.cross(y, towards), y, towards], axis=-1)
+    return frame

@@ -1,0 +1,366 @@
+"""Tools that cut while their axis is not z of the map: the cells that they sweep, and their edge in material.
+
+The map has one level above each point, so material that such a tool leaves above itself is taken for removed. How much
+that is, is counted: `Swept.overhang`.
+
+A tool is convex. So the vertical line through a cell is inside of it from one height to another, and the height of its
+lower side over a cell is a convex function of its place as it moves.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
+
+from postproc.chunks import Columns
+from postproc.frames import Array, norm
+from postproc.machining.cutting import Engaged, Loads, mean, nearby_cells
+from postproc.machining.material import Floats
+from postproc.machining.stock import Footprint, Stock, cells, middles, windows
+from postproc.machining.tool import Cutter, Turn
+from postproc.machining.tool_path import StraightSegments
+from postproc.program import Bools, Ints
+
+_HALVINGS = 28
+"""Steps of the search for the lower side of a rounded corner: it is found to 10⁻⁸ of the size of the tool."""
+_RIDGE = 1e-6
+"""Ridges between two poses of a tool are at most this high [m]."""
+_RESTS = 1e-9
+"""Moves of the tip that are shorter [m] only turn the tool."""
+_PARALLEL = 1e-7
+"""Square of the sine of a tilt that is not told from 0."""
+_FLUSH = 2e-6
+"""An end face that is less [m] below the surface is flush with it."""
+_STEEPEST = 2.0
+"""Levels around a point of the edge count up to this many cells above and below it: surfaces that are less steep are
+interpolated, and steeper walls are located between two cells."""
+
+
+def local_axes(travel: Array, axis: Array) -> tuple[Array, Bools]:
+    """Return the axes (n, 3, 3) of the edge of a tool as columns, and (n,) True where the travel gives no x.
+
+    z is the direction from the tip to the spindle, x the component of the travel square to it, y = z × x. On moves
+    along the spindle, and without travel, x is that of the map as far as it is square to z.
+
+    :param travel: (n, 3) unit directions, or zero; axis: (n, 3) unit directions of the tool; both in the frame of the
+        map.
+    """
+    across = travel - np.einsum("ni,ni->n", travel, axis)[:, None] * axis
+    along = norm(across) < 1e-3
+    across[along] = np.array([1.0, 0.0, 0.0]) - axis[along, :1] * axis[along]
+    x = across / norm(across)[:, None]
+    return np.stack([x, np.cross(axis, x), axis], axis=-1), np.asarray(along)
+
+
+class TiltedPath(Columns, frozen=True, eq=False):
+    """S short straight pieces of the path of a tool that leans or turns, in the frame of the map [m].
+
+    :param motion: (S,) row of `Motions`, and t: (S,) place on it of the middle of the piece.
+    :param tip: (S, 3) of the tool there, axis: (S, 3) unit direction to the spindle, heading: (S, 3) that of travel, or
+        zero.
+    :param begin: (S, 3) position of the tip where the piece begins, begin_axis: (S, 3) axis there; end, end_axis:
+        where it ends.
+    :param pace: (S,) speed of the tip [m/s]; NaN for a tool that only turns, at a speed that is not known.
+    :param swing: (S, 3) change of the axis with time [1/s].
+    """
+
+    motion: Ints
+    t: Array
+    tip: Array
+    axis: Array
+    heading: Array
+    begin: Array
+    begin_axis: Array
+    end: Array
+    end_axis: Array
+    pace: Array
+    swing: Array
+
+    @classmethod
+    def of(
+        cls,
+        segments: StraightSegments,
+        begin_axis: Array,
+        end_axis: Array,
+        cutter: Cutter,
+        cell: float,
+        feed: Array,
+        swing: Array,
+    ) -> TiltedPath:
+        """Divide segments (L) so that neither a cell nor the ridges between two poses of the tool are passed over.
+
+        :param begin_axis: (L, 3) axes of the tool where segments begin, end_axis: (L, 3) where they end.
+        :param feed: (M,) speed of motions [m/s]; swing: (M,) how fast they turn a tool whose tip rests [rad/s].
+        """  # fmt: skip
+        length, turn = norm(segments.end - segments.begin), norm(end_axis - begin_axis)
+        rounding = cutter.corner if cutter.corner > 0.0 else cutter.radius
+        step = min(cell, math.sqrt(8.0 * rounding * _RIDGE))
+        count = np.maximum(1, np.ceil((length + cutter.radius * turn) / step - 1e-6)).astype(np.int64)
+        piece = np.repeat(np.arange(len(count)), count)
+        share = (np.arange(len(piece)) - np.repeat(np.cumsum(count) - count, count) + 0.5) / count[piece]
+        half = 0.5 / count[piece]
+
+        def between(first: Array, last: Array, at: Array) -> Array:
+            return np.asarray(first[piece] + at[:, None] * (last - first)[piece])
+
+        def unit(vectors: Array) -> Array:
+            return np.asarray(vectors / np.maximum(norm(vectors), 1e-12)[:, None])
+
+        rests, turned = length < _RESTS, swing[segments.motion]
+        speed = np.where(rests, np.where(np.isnan(turned), np.nan, 0.0), feed[segments.motion])
+        time = np.where(rests, turn / np.where(turned > 0.0, turned, 1.0), length / np.maximum(speed, 1e-12))
+        axes = [unit(between(begin_axis, end_axis, share + side * half)) for side in (-1.0, 0.0, 1.0)]
+        tips = [between(segments.begin, segments.end, share + side * half) for side in (-1.0, 0.0, 1.0)]
+        t = segments.first[piece] + share * (segments.last - segments.first)[piece]
+        rate = (end_axis - begin_axis) / np.maximum(time, 1e-12)[:, None]
+        return cls(
+            segments.motion[piece], t, tips[1], axes[1], unit(between(segments.leave, segments.arrive, share)), tips[0],
+            axes[0], tips[2], axes[2], speed[piece], rate[piece],
+        )  # fmt: skip
+
+    @property
+    def poses(self) -> tuple[Array, Array]:
+        """Positions of the tip (S + 1, 3) and axes (S + 1, 3) from the start to the end."""
+        return np.concatenate([self.begin, self.end[-1:]]), np.concatenate([self.begin_axis, self.end_axis[-1:]])
+
+
+def loads(stock: Stock, turn: Turn, path: TiltedPath, tooth: Array, hand: Ints) -> tuple[Loads, Floats, Bools]:
+    """Return the mean loads of a tool that leans or turns in `local_axes`, and its edge in material that cuts (S, P).
+
+    :param tooth: (S,) time from one tooth to the next [s].
+    :param hand: (S,) 1 for M3, −1 for M4.
+    :returns: also which stations (S,) are along the spindle.
+    """
+    axes, along = local_axes(path.heading, path.axis)
+    mirrored = axes.copy()
+    mirrored[:, :, 1] *= hand[:, None]
+    sine, cosine = np.sin(turn.phi), np.cos(turn.phi)
+    rise = np.where(np.isfinite(turn.rise), turn.rise, 0.0)
+    edge = np.stack([turn.radius * sine, turn.radius * cosine, turn.low + 0.5 * rise]).astype(np.float32)
+    out = np.sqrt(np.maximum(1.0 - turn.down**2, 0.0))
+    normal = np.stack([turn.front, out * cosine, -turn.down]).astype(np.float32)
+    point = path.tip.astype(np.float32)[:, None] + np.einsum("nik,kp->npi", mirrored.astype(np.float32), edge)
+    travel = np.nan_to_num(path.pace * tooth)[:, None] * np.einsum("nik,ni->nk", mirrored, path.heading)
+    lean = tooth[:, None] * np.einsum("nik,ni->nk", mirrored, path.swing)
+    # the points of a tool whose axis changes by e move by e h − a (e·r)
+    chip = (travel.astype(np.float32) @ normal) + (
+        lean[:, :2].astype(np.float32) @ (normal[:2] * edge[2] - normal[2] * edge[:2])
+    )
+    np.maximum(chip, 0.0, out=chip)
+    inside = engaged(stock, turn, point, mirrored)
+    plunging = np.maximum(-np.einsum("ni,ni->n", path.heading, path.axis), 0.0).astype(np.float32)
+    found = mean(turn, inside, chip, plunging, stock.cell / np.sqrt(path.axis[:, 2]))
+    return found, inside.length * (chip > 0.0), along
+
+
+class Swept(Struct, frozen=True, eq=False):
+    """Cells that a tool sweeps.
+
+    :param under: the cells that it covers, with its lowest level.
+    :param front: those under its front where the motion ends: it moves into their material next.
+    :param depth: largest depth of material in cells under it [m].
+    :param overhang: volume above the tool, away from its front, that a map cannot keep [m³].
+    :param removed: volume that is removed, away from its front and with the overhang [m³].
+    """
+
+    under: Footprint
+    front: Footprint
+    depth: float
+    overhang: float
+    removed: float
+
+
+def sweep(stock: Stock, cutter: Cutter, tip: Array, axis: Array, top: float) -> Swept:
+    """Return the cells under a tool that moves from pose to pose.
+
+    :param tip: (n, 3) positions of the tip [m], and axis: (n, 3) unit directions to the spindle, frame of the map,
+        close together, n > 1.
+    :param top: height of the highest material near [m].
+    """
+    above = np.maximum(top - tip[:, 2:], 0.0) / axis[:, 2:] * axis  # where the axis leaves the stock
+    ends = np.stack([tip[:-1], tip[1:], (tip + above)[:-1], (tip + above)[1:]])
+    parts = []
+    for rows, corner, window in windows(stock, cutter.radius + stock.cell, ends.min(axis=0), ends.max(axis=0)):
+        index, row, column = cells(stock, corner, window)
+        x, y = (each.astype(float) for each in middles(stock, tip[rows], row, column))
+        low, sinks, high = _under_moves(cutter, tip, axis, rows, x, y)
+        under = low < stock.high.reshape(-1)[index]
+        last = (rows == len(tip) - 2)[:, None, None]
+        parts.append((index[under], low[under], high[under], (sinks & last)[under]))
+    if not parts:
+        return Swept(Footprint.none(), Footprint.none(), 0.0, 0.0, 0.0)
+    index, low, high, front = (np.concatenate(column) for column in zip(*parts, strict=True))
+    cell, row = np.unique(index, return_inverse=True)
+    level, upper, ahead = np.full(len(cell), np.inf), np.full(len(cell), -np.inf), np.zeros(len(cell), dtype=bool)
+    np.minimum.at(level, row, low)
+    np.maximum.at(upper, row, high)
+    ahead[row[front]] = True
+    material, floor = (each.reshape(-1)[cell] for each in (stock.high, stock.floor))
+    overhang = float(np.maximum(material - np.maximum(upper, floor), 0.0)[~ahead].sum()) * stock.cell**2
+    deep = np.maximum(material - np.maximum(level, floor), 0.0)
+    removed = float(deep[~ahead].sum()) * stock.cell**2
+    no_rim = np.zeros(0, dtype=bool)
+    covered = replace(Footprint.none(), cell=cell, level=level.astype(np.float32))
+    return Swept(covered.of(~ahead, no_rim), covered.of(ahead, no_rim), float(deep.max(initial=0.0)), overhang, removed)
+
+
+def _under_moves(cutter: Cutter, tip: Array, axis: Array, rows: Ints, x: Array, y: Array) -> tuple[Array, Bools, Array]:
+    """Return the lowest level of a tool over cells as it moves from pose to pose, each (L, h, w).
+
+    :param rows: (L,) first pose of each move.
+    :param x: (L, h, w) and y: positions of cells from the tip at that pose [m].
+    :returns: levels, infinite where the tool does not come; True where it still sinks at the end of the move; and the
+        upper side of the tool.
+    """
+    shift = tip[rows + 1] - tip[rows]
+    turn = axis[rows + 1] - axis[rows]
+    out = []
+    for pose in (rows, rows + 1):
+        moved = (pose != rows)[:, None] * shift
+        px, py = x - moved[:, 0, None, None], y - moved[:, 1, None, None]
+        low, high, slope = _sides(cutter, axis[pose], px, py, shift, turn)
+        out.append((low + tip[pose, 2, None, None], high + tip[pose, 2, None, None], slope))
+    (low_a, high_a, slope_a), (low_b, high_b, slope_b) = out
+    lowest = np.minimum(low_a, low_b)
+    between = np.isfinite(low_a) & np.isfinite(low_b) & (slope_a < 0.0) & (slope_b > 0.0)
+    a, b, sa, sb = low_a[between], low_b[between], slope_a[between], slope_b[between]
+    if cutter.corner == 0.0:  # two planes that meet at the rim
+        share = np.clip((b - sb - a) / (sa - sb), 0.0, 1.0)
+        bottom = a + sa * share
+    else:  # a smooth curve: its slope is linear
+        share = sa / (sa - sb)
+        bottom = 0.5 * (a + 0.5 * sa * share + b - 0.5 * sb * (1.0 - share))
+    lowest[between] = np.minimum(bottom, lowest[between])
+    return lowest, np.isfinite(low_b) & (slope_b < 0.0), np.maximum(high_a, high_b)
+
+
+def _sides(cutter: Cutter, axis: Array, x: Array, y: Array, shift: Array, turn: Array) -> tuple[Array, Array, Array]:
+    """Return the lower and the upper side of a tool over points above the tip, and how the lower one rises (L, h, w).
+
+    :param axis: (L, 3) unit directions to the spindle; x: (L, h, w) and y: of the points from the tip [m].
+    :param shift: (L, 3) displacement of the tip in a move, and turn: (L, 3) change of the axis in it.
+    :returns: infinite, minus infinite and 0 where the vertical line misses the tool.
+    """
+    ax, ay, az = (axis[:, k, None, None] for k in range(3))
+    along = x * ax + y * ay  # of the point at the height of the tip, along the axis
+    sine = np.maximum(1.0 - az * az, _PARALLEL)
+    root = along * along * az * az - sine * (x * x + y * y - along * along - cutter.radius**2)
+    meets = root > 0.0
+    half = np.sqrt(np.where(meets, root, 0.0))
+    low, high = (along * az - half) / sine, (along * az + half) / sine  # the cylinder, without ends
+    low = np.maximum(low, -along / az)  # above the plane of the tip
+    meets &= low < high
+    flat, corner = cutter.radius - cutter.corner, cutter.corner
+    if flat <= 1e-9 * cutter.radius:
+        low, meets = _ball(cutter.radius, axis, (x, y), along, low, high, meets)
+    elif corner > 0.0:
+        low, meets = _rounded(cutter, along, az, x * x + y * y, low, high, meets)
+    height = along + low * az
+    px, py, pz = (each - height * a for each, a in ((x, ax), (y, ay), (low, az)))
+    distance = np.sqrt(px * px + py * py + pz * pz)
+    if corner > 0.0:
+        down = np.maximum(corner - height, 0.0)
+        out = np.where(down > 0.0, np.maximum(distance - flat, 0.0), 1.0)
+    else:
+        down = (height < 1e-9).astype(float)
+        out = 1.0 - down
+    scale = out / np.maximum(distance, 1e-12)
+    normal = [p * scale - down * a for p, a in ((px, ax), (py, ay), (pz, az))]  # outward, of any length
+    dx, dy, dz = (turn[:, k, None, None] for k in range(3))
+    lean = x * dx + y * dy + low * dz
+    velocity = [
+        shift[:, k, None, None] + height * d - a * lean for k, (d, a) in enumerate(((dx, ax), (dy, ay), (dz, az)))
+    ]
+    rises = sum(n * v for n, v in zip(normal, velocity, strict=True))
+    slope = rises / np.where(normal[2] < -1e-9, normal[2], -1e-9)
+    return np.where(meets, low, np.inf), np.where(meets, high, -np.inf), np.where(meets, slope, 0.0)
+
+
+def _ball(
+    radius: float, axis: Array, point: tuple[Array, Array], along: Array, low: Array, high: Array, meets: Bools
+) -> tuple[Array, Bools]:
+    """Return the lower side of a ball-nose tool, and where there is one: of the ball, or of the cylinder above it."""
+    ax, ay, az = (axis[:, k, None, None] for k in range(3))
+    square = radius**2 - (point[0] - radius * ax) ** 2 - (point[1] - radius * ay) ** 2
+    ball = np.where(square > 0.0, radius * az - np.sqrt(np.maximum(square, 0.0)), np.inf)
+    cylinder = np.maximum(low, (radius - along) / az)
+    cylinder = np.where(meets & (cylinder < high), cylinder, np.inf)
+    lowest = np.minimum(ball, cylinder)
+    meets = np.isfinite(lowest)
+    return np.where(meets, lowest, 0.0), meets
+
+
+def _rounded(
+    cutter: Cutter, along: Array, az: Array, square: Array, low: Array, high: Array, meets: Bools
+) -> tuple[Array, Bools]:
+    """Return the lower side of a tool with a rounded corner, and where there is one: it is inside of a flat tool.
+
+    :param square: squares of the horizontal distances from the tip.
+    """
+    flat, corner = cutter.radius - cutter.corner, cutter.corner
+
+    def outside(z: Array) -> Array:
+        """Distance from the surface of the tool, < 0 inside: convex along a line."""
+        height = along + z * az
+        beyond = np.sqrt(np.maximum(square + z * z - height * height, 0.0)) - flat
+        below = corner - height
+        return np.asarray(
+            np.hypot(np.maximum(beyond, 0.0), np.maximum(below, 0.0))
+            + np.minimum(np.maximum(beyond, below), 0.0)
+            - corner
+        )
+
+    ratio = 0.5 * (math.sqrt(5.0) - 1.0)
+    a, b = np.where(meets, low, 0.0), np.where(meets, np.minimum(high, low + 4.0 * cutter.radius / az), 0.0)
+    begin = a
+    for _ in range(_HALVINGS):  # the innermost place on the line
+        one, two = b - ratio * (b - a), a + ratio * (b - a)
+        left = outside(one) < outside(two)
+        a, b = np.where(left, a, one), np.where(left, two, b)
+    inner = 0.5 * (a + b)
+    meets = meets & (outside(inner) < 0.0)
+    a, b = begin, inner
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (a + b)
+        within = outside(middle) < 0.0
+        a, b = np.where(within, a, middle), np.where(within, middle, b)
+    return b, meets
+
+
+def engaged(stock: Stock, turn: Turn, point: Array, axes: Array) -> Engaged:
+    """Return the cutting edge in material of a tool that leans.
+
+    :param turn: without pieces on a cylinder.
+    :param point: (n, P, 3) middles of the pieces of edge, frame of the map [m].
+    :param axes: (n, 3, 3) of the tool as columns, see `local_axes`.
+    """
+    x, y, z = (point[..., k].astype(np.float32) for k in range(3))
+    around = nearby_cells(stock, x, y)
+    steepest = np.float32(_STEEPEST * stock.cell)
+    high, low, share, floor = (each.reshape(-1) for each in (stock.high, stock.low, stock.share, stock.floor))
+    above = np.zeros_like(x)
+    for cell, weight in zip(around.cell, around.weight, strict=True):
+        top = high.take(cell)
+        level = np.where(top > floor.take(cell), np.clip(top - z, -steepest, steepest), -steepest)
+        part = share.take(cell)
+        if part.any():
+            level += part * (np.clip(np.minimum(low.take(cell), top) - z, -steepest, steepest) - level)
+        above += weight * level
+    above[:, turn.bottom] -= np.float32(_FLUSH)
+    extent = _extents(turn, axes)
+    inside = np.clip(0.5 + above / extent, 0.0, 1.0)
+    if float(z.min()) < stock.ground:
+        inside *= z > floor.take(around.cell[0])
+    return Engaged(inside * turn.length, np.zeros((len(x), 0), dtype=np.float32))
+
+
+def _extents(turn: Turn, axes: Array) -> Floats:
+    """Return how far pieces of edge (n, P) reach along z of the map [m]."""
+    up = axes[:, 2].astype(np.float32)  # z of the map in the axes of the tool
+    sine, cosine = np.sin(turn.phi).astype(np.float32), np.cos(turn.phi).astype(np.float32)
+    out = np.sqrt(np.maximum(1.0 - turn.down**2, 0.0)).astype(np.float32)  # sine of kappa
+    radial = turn.down * (up[:, :1] * sine + up[:, 1:2] * cosine)  # along the edge, outwards and up
+    return np.asarray(np.maximum(turn.length * np.abs(radial + out * up[:, 2:]), np.float32(1e-7)))
