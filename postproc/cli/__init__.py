@@ -16,6 +16,7 @@ from typing import Any
 import click
 
 _COMMANDS = {
+    "check": "postproc.cli.check:check",
     "compare": "postproc.cli.compare:compare",
     "convert": "postproc.cli.convert:convert",
     "forces": "postproc.cli.forces:forces",

@@ -18,6 +18,7 @@ from postproc.cli import main
 from postproc.errors import InputError
 from postproc.identification import compensator_geometry
 from postproc.identification.readings import Experiment, Measurements, read, read_experiment
+from postproc.jobs.frame_check import read_touched
 from postproc.machining.process import ProcessFile
 from postproc.plan import milling
 from postproc.program import parse_force_note
@@ -60,6 +61,7 @@ CSV = {
     "measurements.csv": readings,
     "compensator.csv": compensator_geometry.read,
     "probing.csv": probing.read,
+    "points.csv": read_touched,
     "poses.csv": lambda path: milling.from_file(path, ROBOT, CELL),
 }
 

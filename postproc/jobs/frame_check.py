@@ -1,0 +1,213 @@
+"""`postproc check frames`: which frame of the cell is off, by points that the tip touched.
+
+A touched point is known in `$BASE` (from the drawing of the part), and the joint angles at which the tip touches it are
+read from the controller. A wrong `$TOOL` shifts the tip by one vector in the axes of the flange, a wrong `$BASE` shifts
+and turns all points together. Both are linear in small errors:
+
+    r_i = R_i d + t + ω × (p_i − c)
+
+r_i: touched minus expected point in the root, R_i: orientation of the flange, d: what `$TOOL` of the cell is too long
+by, t and ω: displacement and rotation of the points from where `$BASE` of the cell has them, p_i: points, c: their
+centre. Least squares, and a χ² test with the standard deviation of a touch, decide which of "none", "tool", "base",
+"both" is the simplest that explains the points (W. H. Press et al., *Numerical Recipes*, 3rd ed., section 15.1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
+from scipy.stats import chi2
+
+from postproc import cell as cells
+from postproc import kinematics
+from postproc.errors import InputError
+from postproc.files import read_csv
+from postproc.frames import (
+    DEG_PER_RAD,
+    M_PER_MM,
+    MM_PER_M,
+    RAD_PER_DEG,
+    Array,
+    norm,
+    rotation_from_vector,
+    xyzabc_from_pose,
+)
+from postproc.jobs.programs import load_robot
+from postproc.robot import JOINTS
+
+Suspect = Literal["none", "tool", "base", "both", "contradiction", "undecided"]
+_LEAST = 3
+_CONFIDENCE = 0.95
+_TWO_SIDED = 1.96
+_APART = 1e-6
+"""Smallest ratio of singular values at which unknowns count as independent."""
+
+
+class Touched(Struct, frozen=True, eq=False):
+    """Touched points: names (n), points in `$BASE` (n, 3) [m], joint angles (n, 6) [rad]."""
+
+    name: list[str]
+    point: Array
+    joints: Array
+
+
+class FrameCheck(Struct, frozen=True, eq=False):
+    """Result of a check.
+
+    :param suspect: the frame that is off; ``"undecided"``: `$TOOL` and `$BASE` explain the points equally well;
+        ``"contradiction"``: neither frame does.
+    :param off: (n,) distance of each touched point from where it is expected [m].
+    :param left: (n,) the same after the errors of the frames [m].
+    :param tool: (3,) error of `$TOOL` in the axes of the flange [m], with half widths of 95 % intervals (3,); or None.
+    :param base: (3,) displacement of the points by `$BASE` in the root [m], and its half widths; or None.
+    :param turn: (3,) rotation of `$BASE` [rad], root axes, and its half widths; or None.
+    :param corrected: frames that agree with the points, by table of the cell: X, Y, Z, A, B, C [mm, deg].
+    """
+
+    suspect: Suspect
+    touched: Touched
+    off: Array
+    left: Array
+    tool: tuple[Array, Array] | None = None
+    base: tuple[Array, Array] | None = None
+    turn: tuple[Array, Array] | None = None
+    corrected: dict[str, Array] = {}
+
+
+def read_touched(path: Path) -> Touched:
+    """Read touched points: point, X, Y, Z in `$BASE` [mm], A1 … A6 [deg].
+
+    :raises InputError: it cannot be read, or has fewer than three points.
+    """
+    numbers, texts, _ = read_csv(path, ["point", "X", "Y", "Z", *JOINTS], [], InputError, text_columns=("point",))
+    if len(texts["point"]) < _LEAST:
+        advice = f"Touch at least {_LEAST} points that are not on one line, one of them with the tool turned."
+        raise InputError(f"{len(texts['point'])} points", file=str(path), advice=advice)
+    point = np.stack([numbers[axis] for axis in "XYZ"], axis=1) * M_PER_MM
+    joints = np.stack([numbers[joint] for joint in JOINTS], axis=1) * RAD_PER_DEG
+    return Touched(texts["point"], point, joints)
+
+
+def check_frames(path: Path, cell_file: Path, sigma_mm: float) -> FrameCheck:
+    """Return which frame of a cell is off.
+
+    :param path: touched points, see `read_touched`.
+    :param sigma_mm: standard deviation of a coordinate of a touch, with the accuracy of the robot.
+    :raises PostprocError: an input is unusable.
+    """
+    cell = cells.load(cell_file)
+    robot = load_robot(cell.robot, cell.folder)
+    touched = read_touched(path)
+    flange = kinematics.tcp(robot.nominal, touched.joints, np.eye(4))[0]
+    tip = flange @ cell.tool.pose()
+    base = cell.base.pose()
+    expected = touched.point @ base[:3, :3].T + base[:3, 3]
+    check = judged(touched, flange[:, :3, :3], expected, tip[:, :3, 3], sigma_mm * M_PER_MM)
+    return replace(check, corrected=dict(_corrected(check, cell.tool.pose(), base, expected.mean(axis=0))))
+
+
+def _corrected(check: FrameCheck, tool: Array, base: Array, centre: Array) -> Iterator[tuple[str, Array]]:
+    """Yield the frames that agree with the points; `centre` of the points in the root (3,) [m]."""
+    if check.tool is not None:
+        pose = tool.copy()
+        pose[:3, 3] -= check.tool[0]
+        yield "tool", xyzabc_from_pose(pose[None])[0]
+    if check.base is not None and check.turn is not None:
+        turn, pose = rotation_from_vector(check.turn[0]), base.copy()
+        pose[:3, :3] = turn @ base[:3, :3]
+        pose[:3, 3] = centre + turn @ (base[:3, 3] - centre) + check.base[0]
+        yield "base", xyzabc_from_pose(pose[None])[0]
+
+
+def judged(touched: Touched, flange: Array, expected: Array, tip: Array, sigma: float) -> FrameCheck:
+    """Return the simplest explanation of touched points.
+
+    :param flange: (n, 3, 3) orientation of the flange in the root.
+    :param expected: (n, 3) where the points are by `$BASE` [m], root.
+    :param tip: (n, 3) where the tip is by joint angles and `$TOOL` [m], root.
+    :param sigma: standard deviation of a coordinate [m].
+    """
+    residual = (tip - expected).ravel()
+    arm = expected - expected.mean(axis=0)
+    of_tool = flange.reshape(-1, 3)
+    of_base = np.tile(np.eye(3), (len(arm), 1))
+    of_turn = np.concatenate([-_cross(vector) for vector in arm])
+    matrices = {
+        "none": np.zeros((len(residual), 0)),
+        "tool": of_tool,
+        "base": np.hstack([of_base, of_turn]),
+        "both": np.hstack([of_tool, of_base, of_turn]),
+    }
+    off = norm(residual.reshape(-1, 3))
+    good: list[Suspect] = []
+    left = {}
+    for name, matrix in matrices.items():
+        values = np.linalg.lstsq(matrix, residual, rcond=_APART)[0] if matrix.shape[1] else np.zeros(0)
+        left[name] = residual - matrix @ values
+        freedom = len(residual) - (np.linalg.matrix_rank(matrix, tol=_APART) if matrix.shape[1] else 0)
+        if freedom > 0 and left[name] @ left[name] / sigma**2 <= chi2.ppf(_CONFIDENCE, freedom):
+            good.append(name)  # type: ignore[arg-type]
+    suspect: Suspect = "contradiction"
+    if good:
+        suspect = "undecided" if good[0] == "tool" and "base" in good else good[0]
+    if suspect in ("none", "contradiction", "undecided"):
+        best = "both" if suspect == "contradiction" else "none" if suspect == "none" else "tool"
+        remaining = norm(left[best].reshape(-1, 3))
+        if suspect != "undecided":
+            return FrameCheck(suspect, touched, off, remaining)
+    parts: dict[str, Any] = {}
+    for name in ("tool", "base") if suspect == "undecided" else (suspect,):
+        parts |= _parts(name, matrices[name], residual, sigma)
+    shown = "tool" if suspect == "undecided" else suspect
+    return FrameCheck(suspect, touched, off, norm(left[shown].reshape(-1, 3)), **parts)
+
+
+def _parts(name: str, matrix: Array, residual: Array, sigma: float) -> dict[str, Any]:
+    """Return the errors of a hypothesis with the half widths of their 95 % intervals."""
+    values = np.linalg.lstsq(matrix, residual, rcond=_APART)[0]
+    half = _TWO_SIDED * sigma * np.sqrt(np.diag(np.linalg.pinv(matrix.T @ matrix, rcond=_APART**2)))
+    fields = {"tool": ["tool"], "base": ["base", "turn"], "both": ["tool", "base", "turn"]}[name]
+    return {field: (values[3 * k : 3 * k + 3], half[3 * k : 3 * k + 3]) for k, field in enumerate(fields)}
+
+
+def _cross(vector: Array) -> Array:
+    """Return the matrix of vector × …"""
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+_HEADLINES: dict[Suspect, str] = {
+    "none": "Both frames agree with the points.",
+    "tool": "$TOOL is off: correct [tool] of the cell and TOOL_DATA of the controller.",
+    "base": "$BASE is off: correct [base] of the cell and BASE_DATA of the controller.",
+    "both": "$TOOL and $BASE are off.",
+    "undecided": "One frame is off, and the points do not show which: touch a point with the tool turned by 90° too.",
+    "contradiction": "Neither frame explains the points: check the points and joint angles, and --sigma.",
+}
+
+
+def as_text(check: FrameCheck, sigma_mm: float) -> str:
+    """Return the result for a terminal."""
+    lines = [_HEADLINES[check.suspect]]
+    for name, part, factor, unit in (
+        ("$TOOL is too long by X, Y, Z of the flange", check.tool, MM_PER_M, "mm"),
+        ("the points are displaced by X, Y, Z of the root", check.base, MM_PER_M, "mm"),
+        ("and turned about X, Y, Z of the root by", check.turn, DEG_PER_RAD, "°"),
+    ):
+        if part is not None:
+            values = ", ".join(
+                f"{value:z.2f} ± {half:.2f}" for value, half in zip(part[0] * factor, part[1] * factor, strict=True)
+            )
+            lines.append(f"  {name}: {values} {unit} (95 %)")
+    for table, frame in check.corrected.items():
+        keys = ", ".join(f"{key} = {value:z.3f}" for key, value in zip("XYZABC", frame, strict=True))
+        lines.append(f"  [{table}] that agrees: {keys}")
+    rows = zip(check.touched.name, check.off * MM_PER_M, check.left * MM_PER_M, strict=True)
+    lines += [f"  {name}: {off:.2f} mm off, {left:.2f} mm after that" for name, off, left in rows]
+    lines.append(f"  standard deviation of a touch: {sigma_mm:g} mm in each coordinate (--sigma)")
+    return "\n".join(lines)
