@@ -73,30 +73,30 @@ class Task(Struct, frozen=True):
     taken: frozenset[str] = frozenset()
 
 
-def needed_copies(task: Task, needed: Sequence[Needed], written: Collection[str]) -> dict[str, bytes]:
+def needed_copies(task: Task, needed_files: Sequence[Needed], names: Collection[str]) -> dict[str, bytes]:
     """Return the unchanged files that are written with a program because it needs them: name → content.
 
     A file that is a program of this run itself is omitted. So is one that was corrected for another program from the
     same source: its routines without motions are unchanged.
 
-    :param written: names of the other files of the program.
+    :param names: names of the other files of the program.
     """
-    job, taken = task.job, {name.lower() for name in written}
-    found: dict[str, bytes] = {}
-    for each in needed:
-        path = Path(each.path)
-        if each.program or path.name.lower() in taken or path.stem.lower() in task.names:
+    job, names_in_use = task.job, {name.lower() for name in names}
+    copies: dict[str, bytes] = {}
+    for needed_file in needed_files:
+        path = Path(needed_file.path)
+        if needed_file.program or path.name.lower() in names_in_use or path.stem.lower() in task.names:
             continue
         if path.parent.resolve() == job.output.resolve():
             continue
-        group = [Path(other.path) for other in needed if Path(other.path).stem.lower() == path.stem.lower()]
-        if each.moves or not _corrected_from(task, group):
-            found[path.name] = path.read_bytes()
-    return found
+        group = [Path(sibling.path) for sibling in needed_files if Path(sibling.path).stem.lower() == path.stem.lower()]
+        if needed_file.moves or not _corrected_from(task, group):
+            copies[path.name] = path.read_bytes()
+    return copies
 
 
 def needed_warnings(
-    task: Task, needed: Sequence[Needed], copies: Collection[str], contents: Mapping[str, bytes]
+    task: Task, needed_files: Sequence[Needed], copies: Collection[str], contents: Mapping[str, bytes]
 ) -> Iterator[Issue]:
     """Yield warnings of files that a program needs: those with uncorrected motions, and those that are not written.
 
@@ -104,20 +104,20 @@ def needed_warnings(
     :param contents: all files that are written: name → content.
     """
     job = task.job
-    for each in needed:
-        path = Path(each.path)
-        if each.uncorrected and path.name in copies:
+    for needed_file in needed_files:
+        path = Path(needed_file.path)
+        if needed_file.uncorrected and path.name in copies:
             message = (
                 f"{path.name} is written uncorrected, as it was read, and has motions. Do not load it over a corrected "
                 "one."
             )
             yield Issue("warning", "uncorrected-file", message, subject=path.name)
-        there = path.stem.lower() in task.names or (job.output / path.name).exists()
-        if each.program and not there and _named(each.variables, contents):
-            names = ", ".join(each.variables) or "variables"
+        is_in_folder = path.stem.lower() in task.names or (job.output / path.name).exists()
+        if needed_file.program and not is_in_folder and _named(needed_file.variables, contents):
+            names = ", ".join(needed_file.variables) or "variables"
             message = (
-                f"{path.name}, from which {job.stem} takes {names}, is not written: it belongs to {each.program}, "
-                "which moves the robot. The controller needs both: load them too, corrected or not."
+                f"{path.name}, from which {job.stem} takes {names}, is not written: it belongs to "
+                f"{needed_file.program}, which moves the robot. The controller needs both: load them too, corrected or not."
             )
             yield Issue("warning", "data-not-written", message, subject=path.name)
 
@@ -132,7 +132,7 @@ def _corrected_from(task: Task, paths: Sequence[Path]) -> bool:
     """Return whether files were corrected for other programs from these sources, and are intact."""
     writer = task.job.writer
     paths = sorted(paths, key=lambda path: path.suffix.lower() != writer.extension)
-    found: list[bytes] = []
+    contents: list[bytes] = []
     for path in paths:
         record = next((record for record in task.records if path.name in record.files), None)
         try:
@@ -141,16 +141,20 @@ def _corrected_from(task: Task, paths: Sequence[Path]) -> bool:
             return False
         if record is None or digest([content]) != record.files[path.name]:
             return False
-        found.append(content)
+        contents.append(content)
     try:
-        origin = writer.origin([decode(paths[0].name, found[0])])
+        origin = writer.origin([decode(paths[0].name, contents[0])])
         return origin.sums.get("source") == digest(path.read_bytes() for path in paths)
     except (OSError, ProgramError):
         return False
 
 
 def differing(
-    task: Task, texts: Mapping[str, bytes], called: Sequence[str], copied: Collection[str], read: Sequence[Document]
+    task: Task,
+    texts: Mapping[str, bytes],
+    subprograms: Sequence[str],
+    copies: Collection[str],
+    read: Sequence[Document],
 ) -> dict[str, str]:
     """Return the files that differ from those written for another program: name → that program.
 
@@ -158,55 +162,55 @@ def differing(
     routines without motions are equal in the corrected file.
 
     :param texts: files of the program, of its subprograms, and unchanged copies: name → content.
-    :param called: names of the files of subprograms; `copied`: names of the unchanged copies.
+    :param subprograms: names of the files of subprograms; `copies`: names of the unchanged copies.
     :param read: the documents of the program as they were read.
     :raises InputError: a subprogram is also converted as a program of its own in this run.
     """
-    for name in called:
+    for name in subprograms:
         if PurePath(name).stem.lower() in task.names:
             raise InputError(
                 f"{task.job.program} calls {name}, which is also converted as a program of its own in this run",
                 advice="Name the main programs instead of their folder, or move the file of the subprogram into a "
                 "folder that [krl] search in the cell names.",
             )
-    before = {document.name: document.to_bytes() for document in read} if task.records else {}
-    found: dict[str, str] = {}
+    source_contents = {document.name: document.to_bytes() for document in read} if task.records else {}
+    program_of_file: dict[str, str] = {}
     for record in task.records:
-        for name in texts.keys() & record.files.keys() - found.keys() if not record.renewed else ():
+        for name in texts.keys() & record.files.keys() - program_of_file.keys() if not record.renewed else ():
             sum_ = record.files[name]
             if sum_ == digest([texts[name]]):
                 continue
-            same_source = name in before and sum_ == digest([before[name]])
-            if not (name in record.copied and name not in copied and same_source):
-                found[name] = record.program
-    return found
+            same_source = name in source_contents and sum_ == digest([source_contents[name]])
+            if not (name in record.copied and name not in copies and same_source):
+                program_of_file[name] = record.program
+    return program_of_file
 
 
 def with_own_copies(
     task: Task,
     documents: Sequence[Document],
-    others: Mapping[str, str],
-    called: Sequence[str],
-    copied: Mapping[str, bytes],
+    program_of_file: Mapping[str, str],
+    subprograms: Sequence[str],
+    copies: Mapping[str, bytes],
 ) -> tuple[tuple[Document, ...], dict[str, str]]:
     """Return the files of a program that calls subprograms under names of their own, where others need them different.
 
-    :param documents: files of the program and of its subprograms; `called`: names of the latter.
-    :param others: see `differing`.
-    :param copied: unchanged files: name → content.
+    :param documents: files of the program and of its subprograms; `subprograms`: names of the latter.
+    :param program_of_file: see `differing`.
+    :param copies: unchanged files: name → content.
     :returns: the files, and the new name of each copied file → its name in the source.
     :raises InputError: a subprogram cannot have another name.
     """
     job, kind = task.job, registry.by_name(task.job.dialect)
-    if isinstance(kind, Calling) and set(others) <= set(called):
-        stems = sorted({PurePath(name).stem for name in others})
-        found = kind.with_own_copies(documents, [*copied.values()], stems, job.stem, set(task.taken))
-        if found is not None:
-            return found
-    name, other = next(iter(others.items()))
-    how = "stays as it is" if name in copied else "is corrected differently"
+    if isinstance(kind, Calling) and set(program_of_file) <= set(subprograms):
+        stems = sorted({PurePath(name).stem for name in program_of_file})
+        renamed_files = kind.with_own_copies(documents, [*copies.values()], stems, job.stem, set(task.taken))
+        if renamed_files is not None:
+            return renamed_files
+    name, owner = next(iter(program_of_file.items()))
+    difference = "stays as it is" if name in copies else "is corrected differently"
     raise InputError(
-        f"this file was written for {other}, which needs it too, and {how} for {job.stem}",
+        f"this file was written for {owner}, which needs it too, and {difference} for {job.stem}",
         file=str(job.output / name),
         advice="Nothing was written. Write this program into another folder with -o, or give each of the programs "
         f"a {name} of its own.",
@@ -222,20 +226,20 @@ def sequences(jobs: Sequence[Job], cell: Cell) -> list[list[Job]]:
     for job in jobs:
         kinds.setdefault(job.dialect, []).append(job)
     group_of: dict[Path, list[Job]] = {job.program: [job] for job in jobs}
-    for dialect, same in kinds.items():
+    for dialect, jobs_of_dialect in kinds.items():
         kind = registry.by_name(dialect)
-        if len(same) == 1 or not isinstance(kind, Calling):
+        if len(jobs_of_dialect) == 1 or not isinstance(kind, Calling):
             continue
-        paths = [job.program for job in same]
+        paths = [job.program for job in jobs_of_dialect]
         one_folder = len({path.parent.resolve() for path in paths}) == 1
         moving = kind.moving(paths, cell) if one_folder else {path: {paths[0]} for path in paths}
         first: dict[Path, Job] = {}
-        for job in same:
+        for job in jobs_of_dialect:
             for path in moving[job.program]:
-                group, joined = group_of[first.setdefault(path, job).program], group_of[job.program]
-                if group is not joined:
-                    group += joined
-                    group_of |= dict.fromkeys((each.program for each in joined), group)
+                group, own_group = group_of[first.setdefault(path, job).program], group_of[job.program]
+                if group is not own_group:
+                    group += own_group
+                    group_of |= dict.fromkeys((member.program for member in own_group), group)
     return list({id(group): group for group in group_of.values()}.values())
 
 
@@ -279,14 +283,16 @@ class OutputPlan:
         if self._mode != "predict":
             groups = [sequences(folder.jobs, cell) for folder in self._folders.values()]
             order = {job.program: number for number, job in enumerate(self.jobs)}
-            found = [sorted(group, key=lambda job: order[job.program]) for each in groups for group in each]
-            self._waiting = deque(sorted(found, key=lambda group: order[group[0].program]))
+            sorted_groups = [
+                sorted(group, key=lambda job: order[job.program]) for folder_groups in groups for group in folder_groups
+            ]
+            self._waiting = deque(sorted(sorted_groups, key=lambda group: order[group[0].program]))
 
     def ready(self) -> Iterable[Task]:
         """Yield tasks that may begin now; others wait until those before them are `finished`."""
         while self._waiting:
-            job, *later = self._waiting.popleft()
-            self._later[job.program] = deque(later)
+            job, *waiting_jobs = self._waiting.popleft()
+            self._later[job.program] = deque(waiting_jobs)
             yield self._folders[job.output].task(job)
 
     def finished(self, task: Task, outcome: Outcome) -> list[Outcome]:
@@ -294,9 +300,9 @@ class OutputPlan:
 
         :returns: final outcomes of this task, and of tasks that waited for it.
         """
-        later = self._later.pop(task.job.program)
-        if later:
-            self._waiting.appendleft(list(later))
+        waiting_jobs = self._later.pop(task.job.program)
+        if waiting_jobs:
+            self._waiting.appendleft(list(waiting_jobs))
         folder = self._folders[task.job.output]
         folder.converted(task.job)
         final: list[Outcome] = []
@@ -318,9 +324,9 @@ class OutputPlan:
 
         :raises InputError: see the class.
         """
-        taken: dict[tuple[str, str], Path] = {}
+        program_of_output: dict[tuple[str, str], Path] = {}
         for job in self.jobs:
-            first = taken.setdefault((_key(job.output), job.stem.lower()), job.program)
+            first = program_of_output.setdefault((_key(job.output), job.stem.lower()), job.program)
             if first is not job.program:
                 raise InputError(
                     f"{first} and {job.program} would both be written as {job.output / job.stem}.*",
@@ -332,13 +338,13 @@ class OutputPlan:
             names.setdefault(job.output, []).extend(job.writes(self._mode))
         for folder in self.overviews:
             names[folder].append(OVERVIEW)
-        for folder, written in names.items():
-            protect(inputs, folder, written)
+        for folder, file_names in names.items():
+            protect(inputs, folder, file_names)
         for job in self.jobs:
             self._refuse_called(job, job.writes(self._mode))
         if not self._overwrite:
-            found = [path for job in self.jobs for path in self._not_ours(job, job.writes(self._mode))]
-            refuse(found + [path for folder in self.overviews for path in foreign_single(folder / OVERVIEW)])
+            foreign_files = [path for job in self.jobs for path in self._not_ours(job, job.writes(self._mode))]
+            refuse(foreign_files + [path for folder in self.overviews for path in foreign_single(folder / OVERVIEW)])
 
     def _refuse_called(self, job: Job, names: Iterable[str]) -> None:
         """Refuse to replace files that a program of an earlier run calls: it would call another program.
@@ -365,85 +371,101 @@ class OutputPlan:
         assert outcome.summary is not None
         names = outcome.staged.names
         protect([*job.reads(), *map(Path, outcome.read)], job.output, names)
-        foreseen = job.writes(mode)
-        more = [name for name in names if name not in foreseen]
-        for name in more:
-            other = next((other for other in task.names if _of_divided(name, other)), None)
-            if other is not None:
+        planned_names = job.writes(mode)
+        unplanned_names = [name for name in names if name not in planned_names]
+        for name in unplanned_names:
+            divided_program = next(
+                (divided_program for divided_program in task.names if _of_divided(name, divided_program)), None
+            )
+            if divided_program is not None:
                 raise InputError(
-                    f"{job.program} also writes {name}, which may be a file of {other}, which is also written in this "
-                    "run",
+                    f"{job.program} also writes {name}, which may be a file of {divided_program}, which is also written "
+                    "in this run",
                     advice="Rename one, or convert them one by one with different -o folders.",
                 )
-        self._refuse_called(job, [name for name in more if name not in outcome.shared])
+        self._refuse_called(job, [name for name in unplanned_names if name not in outcome.shared])
         sums = {entry.name: entry.sha256 for entry in outcome.summary.files or ()}
-        changed = [name for name in outcome.shared if _sum(job.output / name) not in ("", sums[name])]
+        changed_names = [name for name in outcome.shared if _sum(job.output / name) not in ("", sums[name])]
         if not self._overwrite:
-            found = self._not_ours(job, [name for name in more if name not in outcome.shared or name in changed])
-            refuse(
-                [p for p in found if not folder.written_by_others(job, p, only_pending=p.name not in outcome.shared)]
+            foreign_files = self._not_ours(
+                job, [name for name in unplanned_names if name not in outcome.shared or name in changed_names]
             )
-        kept = {name.lower() for name in names}
+            refuse(
+                [
+                    p
+                    for p in foreign_files
+                    if not folder.written_by_others(job, p, only_pending=p.name not in outcome.shared)
+                ]
+            )
+        lower_names = {name.lower() for name in names}
         inputs = {_key(path) for path in job.reads()}
         obsolete = [
             name
             for name in _existing(job, recorded(job.output / job.report(mode)))
-            if name.lower() not in kept and PurePath(name).name == name and _key(job.output / name) not in inputs
+            if name.lower() not in lower_names and PurePath(name).name == name and _key(job.output / name) not in inputs
         ]
         obsolete = [name for name in obsolete if not folder.owners(job, name)]
         if not self._overwrite:
             refuse(foreign(job.output, obsolete, job.report(mode)))
-        partners = folder.needing(changed) - {job.report(mode)} if changed else frozenset()
+        partners = folder.needing(changed_names) - {job.report(mode)} if changed_names else frozenset()
         return _Complete(task, outcome, tuple(obsolete), partners)
 
     def _groups(self) -> list[list[_Complete]]:
         """Remove and return groups of programs whose files belong together and are all complete."""
-        waiting, ready, later = self._complete, [], []
+        waiting, ready, incomplete = self._complete, [], []
         while waiting:
             group = [waiting[0]]
-            for each in group:  # grows
-                group += [other for other in waiting if other not in group and self._belong_together(each, other)]
-            waiting = [each for each in waiting if each not in group]
-            if any(self._folders[each.task.job.output].waits(each.partners) for each in group):
-                later += group
+            for program in group:  # grows
+                group += [
+                    candidate
+                    for candidate in waiting
+                    if candidate not in group and self._belong_together(program, candidate)
+                ]
+            waiting = [program for program in waiting if program not in group]
+            if any(self._folders[program.task.job.output].waits(program.partners) for program in group):
+                incomplete += group
             else:
                 ready.append(group)
-        self._complete = later
+        self._complete = incomplete
         return ready
 
-    def _belong_together(self, one: _Complete, other: _Complete) -> bool:
-        reports = [each.task.job.report(self._mode) for each in (one, other)]
-        same_folder = one.task.job.output == other.task.job.output
-        return same_folder and (reports[1] in one.partners or reports[0] in other.partners)
+    def _belong_together(self, program_a: _Complete, program_b: _Complete) -> bool:
+        reports = [program.task.job.report(self._mode) for program in (program_a, program_b)]
+        same_folder = program_a.task.job.output == program_b.task.job.output
+        return same_folder and (reports[1] in program_a.partners or reports[0] in program_b.partners)
 
     def _replaced(self, group: Sequence[_Complete]) -> list[Outcome]:
         """Move the staged files of programs to their places together; return the outcomes."""
         folder = group[0].task.job.output
-        staged = [each.outcome.staged for each in group if each.outcome.staged is not None]
-        written = {name for each in staged for name in each.names}
-        obsolete = [name for each in group for name in each.obsolete if name not in written]
+        staged_files = [member.outcome.staged for member in group if member.outcome.staged is not None]
+        names = {name for member in staged_files for name in member.names}
+        obsolete = [name for member in group for name in member.obsolete if name not in names]
         try:
-            files.replace(folder, staged, obsolete)
+            files.replace(folder, staged_files, obsolete)
         except PostprocError as cause:
-            failed = [Outcome(each.outcome.program, FAILED, message=str(cause), keeps_earlier=True) for each in group]
-            return [self._failed(each.task.job, outcome) for each, outcome in zip(group, failed, strict=True)]
-        for each in group:
-            self._folders[folder].in_place(each.task.job)
+            failures = [
+                Outcome(member.outcome.program, FAILED, message=str(cause), keeps_earlier=True) for member in group
+            ]
+            return [self._failed(member.task.job, outcome) for member, outcome in zip(group, failures, strict=True)]
+        for member in group:
+            self._folders[folder].in_place(member.task.job)
         return [
             replace(
-                each.outcome,
+                member.outcome,
                 staged=None,
-                written=tuple(str(folder / name) for name in each.outcome.staged.names),
+                written=tuple(str(folder / name) for name in member.outcome.staged.names),
             )
-            for each in group
-            if each.outcome.staged is not None
+            for member in group
+            if member.outcome.staged is not None
         ]
 
     def _not_ours(self, job: Job, names: Iterable[str]) -> list[Path]:
         """Return existing files that postproc did not write, or that were changed since."""
         folder = self._folders[job.output]
-        found = [path for path in foreign(job.output, names, job.report(self._mode)) if not folder.copied(job, path)]
-        return [path for path in found if path.name not in _intact(job, self._mode)] if found else []
+        foreign_files = [
+            path for path in foreign(job.output, names, job.report(self._mode)) if not folder.copied(job, path)
+        ]
+        return [path for path in foreign_files if path.name not in _intact(job, self._mode)] if foreign_files else []
 
     def _failed(self, job: Job, outcome: Outcome) -> Outcome:
         """Return the outcome of a program that was not written, with a sentence on its earlier results."""
@@ -457,29 +479,29 @@ class OutputPlan:
         :returns: a sentence for the user; empty if there was nothing.
         """
         mode, folder = self._mode, self._folders[job.output]
-        existing = _existing(job, _of_run(job, mode))
-        owners = {name: folder.owners(job, name) for name in existing}
-        own = [name for name in existing if not owners[name]]
-        changed = self._not_ours(job, own)
-        changed += [
+        names = _existing(job, _of_run(job, mode))
+        owners = {name: folder.owners(job, name) for name in names}
+        own_names = [name for name in names if not owners[name]]
+        changed_files = self._not_ours(job, own_names)
+        changed_files += [
             path
-            for name, others in owners.items()
-            if others
+            for name, other_owners in owners.items()
+            if other_owners
             for path in self._not_ours(job, [name])
             if not folder.written_by_others(job, path)
         ]
-        if not own:
+        if not own_names:
             return ""
         inputs = {_key(path) for path in job.reads()}
-        if changed or any(_key(job.output / name) in inputs for name in own):
+        if changed_files or any(_key(job.output / name) in inputs for name in own_names):
             return left([job], mode)
         try:
-            for path in (job.output / name for name in own):
+            for path in (job.output / name for name in own_names):
                 path.rename(_unused(path))
         except OSError:
             return left([job], mode)
-        others = ", and its reports likewise" if len(own) > 1 else ""
-        return f"{job.output / own[0]} is of an earlier run: renamed to {own[0]}.old{others}."
+        other_owners = ", and its reports likewise" if len(own_names) > 1 else ""
+        return f"{job.output / own_names[0]} is of an earlier run: renamed to {own_names[0]}.old{other_owners}."
 
 
 class _Folder:
@@ -503,13 +525,13 @@ class _Folder:
     @cached_property
     def _earlier(self) -> dict[str, Record]:
         """The records in the folder, by the names of their reports, with the files that still exist."""
-        found: dict[str, Record] = {}
-        existing = {path.name for path in self._path.glob("*")}
+        records: dict[str, Record] = {}
+        file_names = {path.name for path in self._path.glob("*")}
         for path in sorted(self._path.glob("*.report.json")):
-            named = {name: sum_ for name, sum_ in recorded(path).items() if name in existing}
+            digests = {name: sum_ for name, sum_ in recorded(path).items() if name in file_names}
             program = path.name.removesuffix(".report.json")
-            found[path.name] = Record(program, self._path, named, frozenset(noted(path, COPIED)))
-        return found
+            records[path.name] = Record(program, self._path, digests, frozenset(noted(path, COPIED)))
+        return records
 
     def _records(self) -> dict[str, Record]:
         """The records after all complete programs are in their places."""
@@ -531,9 +553,9 @@ class _Folder:
             for report, record in self._records().items()
             if report != job.report(self._mode)
         ]
-        taken = {PurePath(name).stem.lower() for record in records for name in record.files} | names
-        taken |= {path.stem.lower() for path in self._path.glob("*") if path.name not in self._own(job)}
-        return Task(job, names, tuple(record for record in records if record.files), frozenset(taken))
+        stems_in_use = {PurePath(name).stem.lower() for record in records for name in record.files} | names
+        stems_in_use |= {path.stem.lower() for path in self._path.glob("*") if path.name not in self._own(job)}
+        return Task(job, names, tuple(record for record in records if record.files), frozenset(stems_in_use))
 
     def _own(self, job: Job) -> Mapping[str, str]:
         """Return the files that an earlier run wrote for a job, with their sums."""
@@ -549,8 +571,8 @@ class _Folder:
         assert outcome.staged is not None
         assert outcome.summary is not None
         sums = {entry.name: entry.sha256 for entry in outcome.summary.files or ()}
-        copied = frozenset(outcome.summary.copied or ())
-        self._new[job.report(self._mode)] = Record(job.stem, outcome.staged.path / "new", sums, copied)
+        copies = frozenset(outcome.summary.copied or ())
+        self._new[job.report(self._mode)] = Record(job.stem, outcome.staged.path / "new", sums, copies)
 
     def in_place(self, job: Job) -> None:
         """Record that the files of a converted program are in their places."""
@@ -571,11 +593,11 @@ class _Folder:
 
     def owners(self, job: Job, name: str, *, only_pending: bool = False) -> list[Record]:
         """Return the records of other programs that list a file; optionally of those still to be converted."""
-        own = job.report(self._mode)
+        own_report = job.report(self._mode)
         return [
             record
             for report, record in self._records().items()
-            if report != own and name in record.files and (not only_pending or report in self._pending)
+            if report != own_report and name in record.files and (not only_pending or report in self._pending)
         ]
 
     def written_by_others(self, job: Job, path: Path, *, only_pending: bool = False) -> bool:
@@ -590,12 +612,12 @@ class _Folder:
         """
         pending = self.owners(job, path.name, only_pending=True)
         records = [record for record in self.owners(job, path.name) if record not in pending]
-        found = _sum(path) if records else ""
-        if not found or self._own(job).get(path.name) == found:
+        file_digest = _sum(path) if records else ""
+        if not file_digest or self._own(job).get(path.name) == file_digest:
             return None
-        if job.keeps_text and any(each.name == path.name and _sum(each) == found for each in job.reads()):
+        if job.keeps_text and any(source.name == path.name and _sum(source) == file_digest for source in job.reads()):
             return None
-        return next((record for record in records if record.files[path.name] == found), None)
+        return next((record for record in records if record.files[path.name] == file_digest), None)
 
     def copied(self, job: Job, path: Path) -> bool:
         """Return whether a file is an intact, unchanged copy that another program needs."""
@@ -622,14 +644,14 @@ def protect(inputs: Iterable[Path], folder: Path, names: Iterable[str]) -> None:
 
 def left(jobs: Iterable[Job], mode: Mode) -> str:
     """Return a sentence on programs of earlier runs in the output folders; empty if there are none."""
-    existing = [job.output / name for job in jobs for name in _programs(job, mode)]
-    return f"There before, not of this run: {listed(existing)}." if existing else ""
+    programs = [job.output / name for job in jobs for name in _programs(job, mode)]
+    return f"There before, not of this run: {listed(programs)}." if programs else ""
 
 
 def _programs(job: Job, mode: Mode) -> list[str]:
     """Return the names of earlier programs of a job that exist: the main file, or its modules."""
-    written = recorded(job.output / job.report(mode))
-    modules = [name for name in written if name.endswith(job.writer.extension)]
+    digests = recorded(job.output / job.report(mode))
+    modules = [name for name in digests if name.endswith(job.writer.extension)]
     return _existing(job, job.mains(mode)) or _existing(job, modules)
 
 
@@ -638,7 +660,7 @@ def _overviews(jobs: Sequence[Job]) -> list[Path]:
     count: dict[Path, int] = {}
     for job in jobs:
         count[job.output] = count.get(job.output, 0) + 1
-    return [folder for folder, many in count.items() if many > 1 or _has_overview(folder)]
+    return [folder for folder, number in count.items() if number > 1 or _has_overview(folder)]
 
 
 def _has_overview(folder: Path) -> bool:
@@ -649,14 +671,16 @@ def _may_share(job: Job) -> bool:
     """Return whether a program may call or need files of other programs."""
     if not (job.keeps_text and isinstance(registry.by_name(job.dialect), Calling)):
         return False
-    own = {_key(path) for path in job.reads()}
-    return any(_key(path) not in own for path in job.program.parent.glob("*") if path.is_file())
+    own_files = {_key(path) for path in job.reads()}
+    return any(_key(path) not in own_files for path in job.program.parent.glob("*") if path.is_file())
 
 
-def _of_divided(name: str, other: str) -> bool:
+def _of_divided(name: str, program_stem: str) -> bool:
     """Return whether a file may be a part of a divided program."""
     stem = PurePath(name).stem.lower()
-    return stem.startswith(other) and (stem[len(other) :] in ("", "main") or stem[len(other) :].isdecimal())
+    return stem.startswith(program_stem) and (
+        stem[len(program_stem) :] in ("", "main") or stem[len(program_stem) :].isdecimal()
+    )
 
 
 def _existing(job: Job, names: Iterable[str]) -> list[str]:
@@ -665,8 +689,8 @@ def _existing(job: Job, names: Iterable[str]) -> list[str]:
 
 def _of_run(job: Job, mode: Mode) -> list[str]:
     """Return the names of files that this run may write, and of those that an earlier run has written."""
-    foreseen = job.writes(mode)
-    return list(dict.fromkeys([*job.mains(mode), *foreseen, *recorded(job.output / job.report(mode))]))
+    planned_names = job.writes(mode)
+    return list(dict.fromkeys([*job.mains(mode), *planned_names, *recorded(job.output / job.report(mode))]))
 
 
 def _intact(job: Job, mode: Mode) -> list[str]:

@@ -78,19 +78,19 @@ def convert_all(
             cell, robot = load_setup(settings)
         for folder in {job.output for job in plan.jobs}:
             files.remove_leftovers(folder)
-        done: list[Outcome] = []
+        outcomes: list[Outcome] = []
         try:
             for outcome in _outcomes(plan, settings, cell, robot, workers, cluster, progress):
-                done.append(outcome)
+                outcomes.append(outcome)
                 yield outcome
         finally:
             for folder in {job.output for job in plan.jobs}:
                 files.remove_leftovers(folder)
-        if len(done) == len(plan.jobs):
-            called = [_with_callers(job, done, settings) for job in jobs if job.callers]
-            done += called
-            yield from called
-            _write_overviews(plan.overviews, jobs, done)
+        if len(outcomes) == len(plan.jobs):
+            subprogram_outcomes = [_with_callers(job, outcomes, settings) for job in jobs if job.callers]
+            outcomes += subprogram_outcomes
+            yield from subprogram_outcomes
+            _write_overviews(plan.overviews, jobs, outcomes)
 
 
 def _outcomes(
@@ -138,42 +138,48 @@ def _outcomes_of(
     try:
         begin()
         while running:
-            interrupted = interrupts.came()  # then only the programs converted already are put in place
+            is_interrupted = interrupts.came()  # then only the programs converted already are put in place
             try:
-                future = results.get(not interrupted, _POLL)
+                future = results.get(not is_interrupted, _POLL)
             except Empty:
-                if interrupted:
+                if is_interrupted:
                     return
                 for future, task in list(running.items()):
-                    if (gone := workers.lost(task)) is not None:
+                    if (loss := workers.lost(task)) is not None:
                         del running[future]
-                        yield from plan.finished(task, gone)
+                        yield from plan.finished(task, loss)
                 continue
-            if (one := running.pop(future, None)) is None:
+            if (finished_task := running.pop(future, None)) is None:
                 continue
-            outcome = workers.outcome(future, one)
+            outcome = workers.outcome(future, finished_task)
             if outcome is None:
                 with interrupts.heard():
-                    outcome = convert(one, settings, cell, robot)
-            yield from plan.finished(one, outcome)
-            if not interrupted:
+                    outcome = convert(finished_task, settings, cell, robot)
+            yield from plan.finished(finished_task, outcome)
+            if not is_interrupted:
                 begin()
     finally:
         workers.end()
 
 
-def _with_callers(job: Job, done: Sequence[Outcome], settings: Settings) -> Outcome:
+def _with_callers(job: Job, outcomes: Sequence[Outcome], settings: Settings) -> Outcome:
     """Return the outcome of a program that others call: it is corrected with those that it is written with."""
     callers = ", ".join(path.name for path in job.callers)
     file = str(job.output / job.program.name)
-    by = ", ".join(sorted(Path(outcome.program).name for outcome in done if file in outcome.written))
-    unchanged = any(file in outcome.copied for outcome in done)
-    what = f"written with {by}, unchanged" if unchanged else f"corrected with {by}" if by else "not written with them"
-    if by == callers:
-        what = "written with it, unchanged" if unchanged else "corrected with it"
+    partners = ", ".join(sorted(Path(outcome.program).name for outcome in outcomes if file in outcome.written))
+    unchanged = any(file in outcome.copied for outcome in outcomes)
+    result = (
+        f"written with {partners}, unchanged"
+        if unchanged
+        else f"corrected with {partners}"
+        if partners
+        else "not written with them"
+    )
+    if partners == callers:
+        result = "written with it, unchanged" if unchanged else "corrected with it"
     if settings.mode == "predict":
-        what = "read with them"
-    message = f"{job.program}: called by {callers}: {what}. Name the file to convert it alone."
+        result = "read with them"
+    message = f"{job.program}: called by {callers}: {result}. Name the file to convert it alone."
     return Outcome(str(job.program), GOOD, message=message)
 
 
@@ -183,24 +189,24 @@ def _write_overviews(folders: Sequence[Path], jobs: Sequence[Job], outcomes: Seq
     :param outcomes: outcomes of the jobs, in any order.
     :raises InputError: one cannot be written.
     """
-    known = {outcome.program: outcome for outcome in outcomes}
+    outcome_of_program = {outcome.program: outcome for outcome in outcomes}
     for folder in folders:
-        here = [known[str(job.program)] for job in jobs if job.output == folder]
+        folder_outcomes = [outcome_of_program[str(job.program)] for job in jobs if job.output == folder]
         entries = [
             Entry(Path(outcome.program).name, "", None, reason(outcome), called=outcome.skipped)
-            for outcome in here
+            for outcome in folder_outcomes
             if outcome.summary is None
         ]
         write_overview(folder, entries)
 
 
-def write_overview(folder: Path, others: Sequence[Entry]) -> None:
+def write_overview(folder: Path, entries: Sequence[Entry]) -> None:
     """Write the overview of a folder: the programs that were written to it, and others.
 
     :raises InputError: it cannot be written.
     """
     reports = [entry for path in sorted(folder.glob(f"*{_REPORT}")) if (entry := _entry(path)) is not None]
-    content = files.sealed(_HEAD + index_page([*others, *reports], folder.resolve().name))
+    content = files.sealed(_HEAD + index_page([*entries, *reports], folder.resolve().name))
     files.write_whole(folder, {OVERVIEW: content})
 
 
