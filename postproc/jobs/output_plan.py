@@ -117,7 +117,8 @@ def needed_warnings(
             names = ", ".join(needed_file.variables) or "variables"
             message = (
                 f"{path.name}, from which {job.stem} takes {names}, is not written: it belongs to "
-                f"{needed_file.program}, which moves the robot. The controller needs both: load them too, corrected or not."
+                f"{needed_file.program}, which moves the robot. The controller needs both: load them too, "
+                "corrected or not."
             )
             yield Issue("warning", "data-not-written", message, subject=path.name)
 
@@ -379,8 +380,8 @@ class OutputPlan:
             )
             if divided_program is not None:
                 raise InputError(
-                    f"{job.program} also writes {name}, which may be a file of {divided_program}, which is also written "
-                    "in this run",
+                    f"{job.program} also writes {name}, which may be a file of {divided_program}, which is also "
+                    "written in this run",
                     advice="Rename one, or convert them one by one with different -o folders.",
                 )
         self._refuse_called(job, [name for name in unplanned_names if name not in outcome.shared])
