@@ -5,14 +5,8 @@ A function that works on a chunk does not know that it is one.
 
 from __future__ import annotations
 
-import ctypes
-import gc
-import os
-import tempfile
-import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import pairwise
-from typing import Any, Self, TypeAlias
+from typing import Any, Self
 
 import numpy as np
 from msgspec import Struct
@@ -23,8 +17,6 @@ from postproc.errors import NotConvergedError
 
 _ROWS = 8192
 """Rows of a chunk: with their matrices they fit the cache."""
-MANY = 100_000
-"""Arrays of more rows are kept in a file between the steps that need them, see `many_rows`."""
 
 
 class Columns(Struct, frozen=True, eq=False):
@@ -135,148 +127,6 @@ class Runs(Struct, frozen=True, eq=False):
         return np.asarray(self[:], dtype)
 
 
-class Computed(Struct, frozen=True, eq=False):
-    """Rows of an array that are computed each time they are indexed, and take no memory.
-
-    :param row: (n,) the rows.
-    :param of: returns some of them (m, ...).
-    """
-
-    row: NDArray[np.int64]
-    of: Callable[[NDArray[np.int64]], NDArray[Any]]
-
-    def __len__(self) -> int:
-        return len(self.row)
-
-    def __getitem__(self, key: Any) -> NDArray[Any]:
-        rows, *entries = key if isinstance(key, tuple) else (key,)
-        found = self.of(self.row[rows])
-        return np.asarray(found[(..., *entries)]) if entries else found
-
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-        return np.asarray(self[:], dtype)
-
-
-_FILES = 6
-"""Arrays of a program that are in files at the same time."""
-
-
-class InFile:
-    """An array (N, n) of numbers in a temporary file, indexed like an array: rows are read when they are needed.
-
-    The file has no name, and goes with the array.
-    """
-
-    def __init__(self, count: int, columns: int) -> None:
-        """Make an array of zeros.
-
-        :raises OSError: there is no room for the file; assignments raise it too.
-        """
-        self.shape = (count, columns)
-        self._row = columns * np.dtype(np.float64).itemsize
-        try:
-            self._file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 - closed with the array
-            weakref.finalize(self, self._file.close)
-            self._file.truncate(count * self._row)
-        except OSError as cause:
-            raise self._no_room(cause) from cause
-
-    def __len__(self) -> int:
-        return self.shape[0]
-
-    def __setitem__(self, rows: slice | NDArray[Any], values: NDArray[np.float64]) -> None:
-        """Set some of the rows (n,), in increasing order."""
-        at = np.arange(*rows.indices(len(self))) if isinstance(rows, slice) else rows
-        begins = np.flatnonzero(np.diff(at, prepend=-2) != 1).tolist()
-        for begin, end in pairwise([*begins, len(at)]):
-            self._file.seek(int(at[begin]) * self._row)
-            data = np.ascontiguousarray(values[begin:end], dtype=np.float64).data.cast("B")
-            try:
-                while len(data):  # an unbuffered file may take less than it is given
-                    data = data[self._file.write(data) :]
-            except OSError as cause:
-                raise self._no_room(cause) from cause
-
-    def __getitem__(self, key: Any) -> NDArray[np.float64]:
-        rows, *entries = key if isinstance(key, tuple) else (key,)
-        if isinstance(rows, slice):
-            found = self._read(*rows.indices(len(self))[:2])[:: rows.step or 1]
-        elif np.ndim(rows) == 0:
-            at = int(rows) % len(self)
-            found = self._read(at, at + 1)[0]
-        else:
-            found = self.take(rows)
-        return np.asarray(found[(..., *entries)]) if entries else found
-
-    def take(self, rows: Any) -> NDArray[np.float64]:
-        """Return some of the rows (n,), in any order; negative ones count from the end."""
-        rows = np.asarray(rows) % len(self)
-        out = np.empty((len(rows), self.shape[1]))
-        if not len(rows):
-            return out
-        low, high = int(rows.min()), int(rows.max()) + 1
-        if high - low <= 2 * _ROWS:
-            return np.asarray(self._read(low, high).take(rows - low, axis=0))
-        order = np.argsort(rows, kind="stable")
-        for part in np.split(order, np.flatnonzero(np.diff(rows[order] // _ROWS)) + 1):
-            low, high = int(rows[part[0]]), int(rows[part[-1]]) + 1
-            out[part] = self._read(low, high).take(rows[part] - low, axis=0)
-        return out
-
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-        return np.asarray(self[:], dtype)
-
-    def _no_room(self, cause: OSError) -> OSError:
-        return OSError(
-            f"no room for temporary files in {tempfile.gettempdir()} ({cause.strerror}). Free about "
-            f"{_FILES * len(self) * self._row / 1e6:.0f} MB there, or let the environment variable TMPDIR name a "
-            "folder with more."
-        )
-
-    def _read(self, begin: int, end: int) -> NDArray[np.float64]:
-        out = np.empty((max(0, end - begin), self.shape[1]))
-        self._file.seek(begin * self._row)
-        data = out.data.cast("B") if len(out) else memoryview(b"")
-        while len(data):
-            count = self._file.readinto(data)
-            if not count:
-                raise OSError("a temporary file of postproc has become shorter while it was in use")
-            data = data[count:]
-        return out
-
-
-Rows: TypeAlias = NDArray[np.float64] | InFile | Computed
-"""An array of numbers, or what is indexed like one."""
-
-
-def many_rows(count: int, columns: int) -> NDArray[np.float64] | InFile:
-    """Return an array of zeros to be filled; of more than `MANY` rows in a file."""
-    return np.zeros((count, columns)) if count <= MANY else InFile(count, columns)
-
-
-def release(count: int) -> None:
-    """Give memory back to the operating system between the steps of a program of more than `MANY` rows.
-
-    Readers leave reference cycles, which hold columns. And glibc keeps what is freed for itself.
-    """
-    if count <= MANY:
-        return
-    gc.collect()
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
-    if trim is not None:
-        trim(0)
-
-
-def set_aside(array: Rows) -> Rows:
-    """Return an array (N, n); one of more than `MANY` rows in a file."""
-    if len(array) <= MANY:
-        return array
-    kept = InFile(len(array), array[:1].shape[1])
-    for part in chunks(len(array)):
-        kept[part] = array[part]
-    return kept
-
-
 def compact(column: NDArray[Any], kind: type[np.integer[Any]]) -> NDArray[Any]:
     """Return a column of whole numbers in a smaller type that holds them.
 
@@ -296,22 +146,13 @@ def compact(column: NDArray[Any], kind: type[np.integer[Any]]) -> NDArray[Any]:
     return smaller
 
 
-def rows_of(array: Rows, rows: NDArray[Any]) -> Any:
-    """Return rows (n,) of an array, in increasing order; without a copy if they follow one another or are in a file."""
-    if not isinstance(array, np.ndarray):
-        return Computed(rows, array.__getitem__)
-    if len(rows) and rows[-1] - rows[0] == len(rows) - 1:
-        return array[rows[0] : rows[-1] + 1]
-    return np.asarray(array.take(rows, axis=0))
-
-
 def chunks(count: int) -> Iterator[slice]:
     """Yield the rows of each chunk of `count` rows; one, empty, for none."""
     return (slice(start, start + _ROWS) for start in range(0, max(1, count), _ROWS))
 
 
 def in_chunks(
-    function: Callable[..., tuple[NDArray[Any], ...]], first: NDArray[Any] | Rows, *others: NDArray[Any] | Rows
+    function: Callable[..., tuple[NDArray[Any], ...]], first: NDArray[Any], *others: NDArray[Any]
 ) -> tuple[NDArray[Any], ...]:
     """Return `function(first, *others)`, computed for chunks of the rows of all arrays and joined.
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from msgspec import Struct
 from numpy.typing import NDArray
 
-from postproc import chunks
-from postproc.chunks import Columns, Computed, Rows, in_chunks, set_aside
+from postproc.chunks import Columns, in_chunks
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, rotation_from_angles, xyzabc_from_pose
 
 _FIRST_THREE = slice(None, 3)
@@ -92,47 +90,12 @@ class Poses(Columns, frozen=True, eq=False):
             return Poses(position, np.broadcast_to(self.orientation[:1], (len(position), 3, 3)))
         return Poses(position, self.orientation[rows])
 
-    def set_aside(self) -> Poses | PosesInFile:
-        """Return the poses; many that have angles with these in a file."""
-        if len(self) <= chunks.MANY or self.orientation.ndim == 3:
-            return self
-        every = np.arange(len(self))
-        return PosesInFile(
-            set_aside(Computed(every, lambda rows: np.hstack([self.position[rows], self.orientation[rows]])))
-        )
-
     def _rotation(self, rows: Any) -> Array:
         some = self.orientation[rows]
         return some if self.orientation.ndim == 3 else rotation_from_angles(some * RAD_PER_DEG)
 
 
-class PosesInFile(Struct, frozen=True, eq=False):
-    """N poses in a file, of which some are read when they are needed.
-
-    :param numbers: (N, 6) positions [m] and angles A, B, C [deg].
-    """
-
-    numbers: Rows
-
-    def __len__(self) -> int:
-        return len(self.numbers)
-
-    def __getitem__(self, key: Any) -> Array:
-        """Return matrices (n, 4, 4) of some rows (n,), or entries of them, as `Poses` does."""
-        rows, *entries = key if isinstance(key, tuple) else (key,)
-        return self.take(rows)[(slice(None), *entries)]
-
-    def xyzabc(self, rows: NDArray[Any] | slice) -> Array:
-        """Return X, Y, Z [mm], A, B, C [deg] (n, 6) of some of the poses."""
-        return self.take(rows).xyzabc(slice(None))
-
-    def take(self, rows: NDArray[Any] | slice) -> Poses:
-        """Return some of the poses."""
-        numbers = self.numbers[rows]
-        return Poses(numbers[:, :3], numbers[:, 3:])
-
-
-def as_poses(pose: Poses | PosesInFile | Array) -> Poses | PosesInFile:
+def as_poses(pose: Poses | Array) -> Poses:
     """Return poses as they are, or those of an array (N, 4, 4)."""
     return Poses.of(pose) if isinstance(pose, np.ndarray) else pose
 

@@ -15,10 +15,10 @@ from msgspec import Struct, field
 from msgspec.structs import force_setattr
 from numpy.typing import NDArray
 
-from postproc.chunks import Computed, Rows, Runs, compact
+from postproc.chunks import Runs, compact
 from postproc.errors import ForceError, Issue, Level, ProgramError, choices
 from postproc.frames import Array, inverse, norm, rotation_from_vector
-from postproc.poses import Poses, PosesInFile, as_poses
+from postproc.poses import Poses, as_poses
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
@@ -623,7 +623,7 @@ class Targets(Struct, frozen=True, eq=False):
     motion: Ints
     t: Array
     kind: Ints
-    pose: Poses | PosesInFile
+    pose: Poses
     via: Array
     keep: Bools
     status: Ints
@@ -646,14 +646,12 @@ class Targets(Struct, frozen=True, eq=False):
 class TargetJoints(Struct, frozen=True, eq=False):
     """Joint angles at K targets by the controller's nominal geometry: they select the branch of the inverse kinematics.
 
-    They may be computed where they are indexed: not every writer needs them.
-
     :param q: (K, 6) KUKA signs, turns counted [rad].
     :param status: (K,) KUKA S.
     """
 
-    q: Rows
-    status: Ints | Computed
+    q: Array
+    status: Ints
 
 
 class TargetForces(Struct, frozen=True, eq=False):

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from postproc import elastostatics, kinematics
-from postproc.chunks import Rows, Runs, in_chunks
+from postproc.chunks import Runs, in_chunks
 from postproc.errors import Issue, Level
 from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array, largest, norm, rotation_vector, twist_between
 from postproc.kinematics import JointPath
@@ -62,7 +62,7 @@ def _turn_the_tool(program: Program) -> str:
     return f"turn the tool about its axis ([gcode] redundancy_deg){home}"
 
 
-def joint_limits(program: Program, robot: RobotModel, sample: Toolpath, q: Rows) -> Iterator[Issue]:
+def joint_limits(program: Program, robot: RobotModel, sample: Toolpath, q: Array) -> Iterator[Issue]:
     """Yield an issue if commanded joint angles (N, 6) [rad] are beyond the joint limits."""
     for axis in np.flatnonzero(~(kinematics.joint_margin(robot, q) >= -_LIMIT_ROUNDING)).tolist():
         low, high = robot.lower[axis], robot.upper[axis]
@@ -75,7 +75,7 @@ def joint_limits(program: Program, robot: RobotModel, sample: Toolpath, q: Rows)
         yield from _first(program, sample.motion, beyond, f"joint-limit-{JOINTS[axis]}", message)
 
 
-def singularities(program: Program, robot: RobotModel, sample: Toolpath, q: Rows, apart: Ints) -> Iterator[Issue]:
+def singularities(program: Program, robot: RobotModel, sample: Toolpath, q: Array, apart: Ints) -> Iterator[Issue]:
     """Yield issues where the path is near a wrist, elbow or shoulder singularity, or a joint turns far between samples.
 
     :param q: (N, 6) commanded [rad].
@@ -143,7 +143,7 @@ def half_turns(program: Program, sample: Toolpath, turn: Array, pose: Poses) -> 
         yield from _first(program, motion, bad, "half-turn", f"{what}, {then}. {advice}", level)
 
 
-def status_and_turn(program: Program, robot: RobotModel, sample: Toolpath, q: Rows) -> Iterator[Issue]:
+def status_and_turn(program: Program, robot: RobotModel, sample: Toolpath, q: Array) -> Iterator[Issue]:
     """Yield an issue if S and T of a PTP target belong to no configuration within the joint limits.
 
     :param q: (N, 6) joint angles found for the nominal targets [rad].
@@ -267,7 +267,7 @@ def joint_speed(program: Program, sample: Toolpath, turn: Array, q: Array, posit
     return speed
 
 
-def joint_speeds(program: Program, robot: RobotModel, sample: Toolpath, speed: Rows) -> Iterator[Issue]:
+def joint_speeds(program: Program, robot: RobotModel, sample: Toolpath, speed: Array) -> Iterator[Issue]:
     """Yield issues where joint speeds (N, 6) at the programmed feed exceed the limits of the robot.
 
     If a program relies on the default speed, which may be set differently on the controller, it is only a warning.
@@ -300,7 +300,7 @@ def _rounded_down(value: float) -> str:
     return f"{np.floor(value / step * (1.0 + 1e-12)) * step:.6g}"
 
 
-def joints_at_joins(program: Program, sample: Toolpath, q: Rows, start: Array) -> Iterator[Issue]:
+def joints_at_joins(program: Program, sample: Toolpath, q: Array, start: Array) -> Iterator[Issue]:
     """Yield an issue if branches, or rounds of an endless loop, end in one pose with a joint one turn apart.
 
     The pose of the tool is the same, but the motions after it would begin with that joint 360° farther each time.
@@ -375,7 +375,7 @@ def blending(program: Program, motion: Ints, more: Array, tolerance: float) -> I
 
 
 def beyond_measured(
-    program: Program, robot: RobotModel, motion: Ints, q: Rows, tool: Array, wrench: Rows
+    program: Program, robot: RobotModel, motion: Ints, q: Array, tool: Array, wrench: Array
 ) -> Iterator[Issue]:
     """Yield warnings for loads with more torque on a joint than the measurements of the model had.
 

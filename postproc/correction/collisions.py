@@ -16,7 +16,6 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc import collision
-from postproc.chunks import Rows
 from postproc.collision import Body, Scene, Solids
 from postproc.errors import Issue
 from postproc.forces import StockInTime
@@ -51,7 +50,7 @@ class SmallestClearance(Struct, frozen=True, eq=False):
     remarks: tuple[str, ...] = ()
 
 
-def of_path(path: PathUnderLoad, commanded: Rows) -> tuple[SmallestClearance | None, list[Issue]]:
+def of_path(path: PathUnderLoad, commanded: Array) -> tuple[SmallestClearance | None, list[Issue]]:
     """Return the smallest clearance of arm, tool and obstacles, and an error for each two bodies that come too close.
 
     Under the cutting forces a corrected arm is on the nominal path, without them on the commanded one. Distances are

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from postproc import kinematics, toolpath
 from postproc.cell import Cell
-from postproc.chunks import Rows, chunks, in_chunks, many_rows
+from postproc.chunks import chunks, in_chunks
 from postproc.correction import checks
 from postproc.correction.result import Mode
 from postproc.correction.targets import Commands
@@ -31,7 +31,7 @@ _USED = 0.98
 """Share of a joint's largest speed that slowed rapid moves use."""
 
 
-def slowed(path: PathUnderLoad, q: Rows, position: Array) -> tuple[MotionsUnderLoad, Issue] | None:
+def slowed(path: PathUnderLoad, q: Array, position: Array) -> tuple[MotionsUnderLoad, Issue] | None:
     """Return the motions with positioning moves slowed to what the joints can do, and the remark, or None.
 
     Positioning moves are rapid ones, and those at feed that come from `[start]`: no force may act on them. Only
@@ -76,7 +76,7 @@ def slowed(path: PathUnderLoad, q: Rows, position: Array) -> tuple[MotionsUnderL
     return replace(path.motions, program=slow), issue
 
 
-def commanded_speed(path: PathUnderLoad, q: Rows, position: Array) -> Rows:
+def commanded_speed(path: PathUnderLoad, q: Array, position: Array) -> Array:
     """Return how fast the joints turn at the programmed feed on the way to each sample (N, 6) [rad/s].
 
     The first sample is reached from `[start]` of the cell.
@@ -84,7 +84,7 @@ def commanded_speed(path: PathUnderLoad, q: Rows, position: Array) -> Rows:
     :param q: (N, 6) commanded joint angles of the samples [rad], `position` (N, 3) commanded positions [m].
     """
     m, segments = path.program.motions, path.motions.segments
-    speed = many_rows(len(path), 6)
+    speed = np.zeros((len(path), 6))
     for part in chunks(len(path)):
         before = slice(max(part.start - 1, 0), part.stop)
         found = checks.joint_speed(path.program, path.sample.take(before), segments.turn, q[before], position[before])
@@ -138,7 +138,7 @@ _WRIST, _SHOULDER, _ELBOW = 6, 7, 8
 """Rows of the singularity margins, which must not reach zero, after those of the joint angles."""
 
 
-def stretches_to_examine(path: PathUnderLoad, q: Rows, speed: Rows) -> tuple[Stretches, Stretches]:
+def stretches_to_examine(path: PathUnderLoad, q: Array, speed: Array) -> tuple[Stretches, Stretches]:
     """Return arcs, and pieces of lines between two samples, on which a joint may reach a limit or a singularity.
 
     :param q: (N, 6) commanded joint angles [rad].
@@ -149,7 +149,7 @@ def stretches_to_examine(path: PathUnderLoad, q: Rows, speed: Rows) -> tuple[Str
     return _arcs(path, q, fast), _lines(path, q, fast)
 
 
-def _states(path: PathUnderLoad, q: Rows, rows: Ints) -> tuple[Array, Array, Array]:
+def _states(path: PathUnderLoad, q: Array, rows: Ints) -> tuple[Array, Array, Array]:
     """Return margins before and at samples (n,), and how much the angles and margins change between: (9, n) each.
 
     Rows are A1…A6 to their nearer limits [rad]; A5 [rad]; the distance of the wrist centre ahead of A1 [m]; A3 measured
@@ -169,7 +169,7 @@ def _states(path: PathUnderLoad, q: Rows, rows: Ints) -> tuple[Array, Array, Arr
     return margins[0], margins[1], np.abs(states[1] - states[0])
 
 
-def _arcs(path: PathUnderLoad, q: Rows, fast: Bools) -> Stretches:
+def _arcs(path: PathUnderLoad, q: Array, fast: Bools) -> Stretches:
     """Return the arcs to be examined every 5°: their margins are small compared with the steps between samples."""
     m, motion = path.program.motions, path.sample.motion
     rows = np.flatnonzero(m.kind[motion] == CIRC)
@@ -197,7 +197,7 @@ def _near(step: Array) -> Array:
     return near
 
 
-def _lines(path: PathUnderLoad, q: Rows, fast: Bools) -> Stretches:
+def _lines(path: PathUnderLoad, q: Array, fast: Bools) -> Stretches:
     """Return the pieces of lines to be examined every 2 mm and half a degree."""
     sample, segments = path.sample, path.motions.segments
     first = np.diff(sample.motion, prepend=-1) != 0
@@ -223,7 +223,7 @@ def _lines(path: PathUnderLoad, q: Rows, fast: Bools) -> Stretches:
 
 
 def between_samples(
-    path: PathUnderLoad, q: Rows, position: Array, stretches: Stretches, apart: Ints
+    path: PathUnderLoad, q: Array, position: Array, stretches: Stretches, apart: Ints
 ) -> Iterator[Issue]:
     """Yield issues of joint limits, singularities and joint speeds between samples.
 
@@ -242,7 +242,7 @@ def between_samples(
 
 
 def dense_places(
-    path: PathUnderLoad, q: Rows, position: Array, stretches: Stretches
+    path: PathUnderLoad, q: Array, position: Array, stretches: Stretches
 ) -> Iterator[tuple[Toolpath, Array, Array]]:
     """Yield places on stretches with commanded joint angles (n, 6) [rad] and positions (n, 3) [m].
 

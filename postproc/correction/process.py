@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from postproc import elastostatics, forces, kinematics, placement, toolpath
 from postproc.cell import Cell
-from postproc.chunks import Computed, Rows, in_chunks, many_rows, release, rows_of
+from postproc.chunks import in_chunks
 from postproc.correction import checks, collisions, inspection
 from postproc.correction.result import ExpectedErrors, Mode, Result
 from postproc.correction.targets import Chosen, CommandedPath, Commands, choose_targets, pieces_needed
@@ -54,8 +54,8 @@ def corrected(path: PathUnderLoad) -> Commands:
     :raises ImpossiblePathError: a sample has no loaded equilibrium.
     """
     stays = np.isfinite(path.program.motions.joints[path.sample.motion, 0])
-    q = many_rows(len(path), 6)
-    theta = many_rows(len(path), path.robot_in_cell.robot.actual.nv)
+    q = np.zeros((len(path), 6))
+    theta = np.zeros((len(path), path.robot_in_cell.robot.actual.nv))
 
     def in_chunk(row: Ints) -> tuple[Array, Array]:
         pose, tool, wrench = path.pose_in_root(row), path.tool(row), path.wrench_in_root(row)
@@ -75,7 +75,7 @@ def corrected(path: PathUnderLoad) -> Commands:
     return Commands(q, Poses(position, angles), theta)
 
 
-def uncorrected(path: PathUnderLoad, rows: Ints, theta: Rows) -> tuple[Array, Array, Array | None]:
+def uncorrected(path: PathUnderLoad, rows: Ints, theta: Array) -> tuple[Array, Array, Array | None]:
     """Return the deviation and displacement of the tool at samples (n,) without correction, `$BASE` [m].
 
     :param theta: (N, nv) approximate deflections of the springs: start values.
@@ -152,8 +152,8 @@ class Draft(Struct, frozen=True, eq=False):
     """
 
     path: PathUnderLoad
-    q: Rows
-    theta: Rows
+    q: Array
+    theta: Array
     chosen: Chosen
     issues: tuple[Issue, ...]
     simulated: Simulated | None = None
@@ -192,7 +192,6 @@ class Draft(Struct, frozen=True, eq=False):
         draft = replace(self, issues=(*self.issues, *text.issues, *_too_large(text, path.robot_in_cell.cell)))
         if draft.failed:
             return draft
-        release(len(path))
         try:
             back = read_back(path, chosen, text)
             simulated = simulate(path, chosen, self.theta, back, corrected=task.mode != "nominal")
@@ -209,8 +208,8 @@ class Draft(Struct, frozen=True, eq=False):
     def _text(self, task: Task) -> Written:
         path, row = self.path, self.chosen.row
         comments = self.forces_at_targets() if path.program.notes and not task.in_file else None
-        status = Computed(row, lambda rows: kinematics.status_of(task.robot, self.q[rows]))
-        joints = TargetJoints(rows_of(self.q, row), status)
+        q = self.q[row]
+        joints = TargetJoints(q, kinematics.status_of(task.robot, q))
         return task.writer.write(path.program, self.chosen.targets, joints, path.robot_in_cell.cell, comments)
 
 
@@ -236,18 +235,17 @@ def result_of(task: Task, draft: Draft, corrected: Draft) -> Result:
     :param corrected: the draft with corrected commands; of a nominal program the same one.
     """
     path, row, targets, program = draft.path, draft.chosen.row, draft.chosen.targets, draft.path.program
-    release(len(path))
     rows = np.arange(len(path)) if task.mode == "predict" else row
     deviation, deflection, by_tool = uncorrected(path, rows, draft.theta)
     between = float(norm(deviation).max(initial=0.0))
     if task.mode == "predict":
         same = deflection is deviation
-        deviation = rows_of(deviation, row)
-        deflection = deviation if same else rows_of(deflection, row)
-        by_tool = by_tool if by_tool is None else rows_of(by_tool, row)
+        deviation = deviation[row]
+        deflection = deviation if same else deflection[row]
+        by_tool = by_tool if by_tool is None else by_tool[row]
     turned = _reversals(corrected)
     bound, errors, more = _errors(task, corrected, deviation, turned)
-    q = rows_of(draft.q, row)
+    q = draft.q[row]
 
     def corrections(target: Ints) -> tuple[Array]:
         return (norm(targets.pose[target, :3, 3] - path.sample.pose[row[target], :3, 3]),)
@@ -316,7 +314,7 @@ def _causes(path: PathUnderLoad) -> tuple[str, ...]:
     )
 
 
-def _numbers(task: Task, draft: Draft) -> Rows:
+def _numbers(task: Task, draft: Draft) -> Array:
     """Return X, Y, Z, A, B, C (K, 6) of the targets [mm, deg] as printed in the written (or unchanged) text."""
     if draft.simulated is not None:
         return draft.simulated.numbers
@@ -328,10 +326,10 @@ def _numbers(task: Task, draft: Draft) -> Rows:
     return numbers
 
 
-def _loads(draft: Draft) -> tuple[Rows, Array, Computed]:
+def _loads(draft: Draft) -> tuple[Array, Array, Array]:
     """Return joint angles (K, 6) [rad], tool (4, 4) or (K, 4, 4) [m] and wrench (K, 6) [N, N·m] in the root."""
     path, row = draft.path, draft.chosen.row
-    return rows_of(draft.q, row), path.tool(row), Computed(row, path.wrench_in_root)
+    return draft.q[row], path.tool(row), path.wrench_in_root(row)
 
 
 def _reversals(draft: Draft) -> Reversals:
@@ -437,7 +435,6 @@ def read(documents: Sequence[Document], robot: RobotModel, cell: Cell, name: str
     program = registry.by_name(dialect).read(documents, cell, robot_in_cell.forward, name)
     if len(program.motions) == 0:
         raise ProgramError("no motion in this program", file=documents[0].name, advice="Nothing can be corrected.")
-    release(len(program.motions))
     try:
         return read_only(led_by_wrist(program, robot_in_cell))
     except ImpossiblePathError as cause:
@@ -585,7 +582,6 @@ def _drafted(task: Task, path: PathUnderLoad) -> Draft:
 def _chosen(task: Task, path: PathUnderLoad) -> Draft:
     """Draft the program with targets at some of the samples."""
     command = _commands(task, path)
-    release(len(path))
     chosen = choose_targets(path, command, task.writer.least_arc, linearize_arcs=task.linearize_arcs)
     return Draft.of(task, path, command, chosen)
 

@@ -8,7 +8,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import force_setattr
 
-from postproc.chunks import Rows, Runs
+from postproc.chunks import Runs
 from postproc.correction.collisions import SmallestClearance
 from postproc.elastostatics import Reversals
 from postproc.errors import Issue
@@ -131,7 +131,7 @@ class Result(Struct, frozen=True, eq=False):
     t: Array = np.zeros(0)
     output_line: Ints = np.zeros(0, dtype=np.int64)
     nominal: Poses = Poses(np.zeros((0, 3)), np.zeros((0, 3, 3)))
-    printed: Rows = np.zeros((0, 6))
+    printed: Array = np.zeros((0, 6))
     wrench: Runs = Runs.of(np.zeros((0, 6)))
     deflection: Array = np.zeros((0, 3))
     deflection_by_tool: Array | None = None
@@ -139,7 +139,7 @@ class Result(Struct, frozen=True, eq=False):
     deviation_after: Array = np.zeros((0, 3))
     bound: Array | None = None
     errors: ExpectedErrors | None = None
-    q: Rows = np.zeros((0, 6))
+    q: Array = np.zeros((0, 6))
     joint_margin: Array = np.full(6, np.nan)
     singular_value: float = np.nan
     between: float = np.nan

@@ -18,7 +18,7 @@ from msgspec.structs import replace
 
 from postproc import kinematics, toolpath
 from postproc.cell import Cell
-from postproc.chunks import Computed, Rows, chunks, compact, in_chunks
+from postproc.chunks import chunks, in_chunks
 from postproc.forces.sources import FEED
 from postproc.frames import M_PER_MM, Array, largest, norm, sine_and_cosine, twist_between
 from postproc.poses import Poses
@@ -39,9 +39,9 @@ class Commands(Struct, frozen=True, eq=False):
     :param theta: (N, nv) deflections of the springs there [rad, m].
     """
 
-    q: Rows
+    q: Array
     pose: Poses
-    theta: Rows
+    theta: Array
 
 
 class CommandedPath(Struct, frozen=True, eq=False):
@@ -57,7 +57,7 @@ class CommandedPath(Struct, frozen=True, eq=False):
     sample: Toolpath
     arcs: Pieces
     position: Array
-    start: Rows
+    start: Array
     limit: float
 
     @classmethod
@@ -68,14 +68,8 @@ class CommandedPath(Struct, frozen=True, eq=False):
             path.program, lambda motion: command.pose[ends[motion]], path.robot_in_cell.start_flange
         )
         position = command.pose[:, :3, 3]
-
-        def begin(motion: Ints) -> Array:
-            out = position.take(ends[motion - 1], axis=0)
-            place, own = starts.changed_among(motion)
-            out[own] = starts.pose[place[own], :3, 3]
-            return out
-
-        start = Computed(np.arange(len(ends)), begin)
+        start = position[np.roll(ends, 1)]
+        start[starts.changed] = starts.pose[:, :3, 3]
         return cls(path.sample, path.arcs, position, start, SHARE_OF_TOLERANCE * path.robot_in_cell.tolerance)
 
 
@@ -224,7 +218,7 @@ def _joined(program: Program, motion: Ints, kind: Ints) -> Bools:
     return np.asarray((after >= 0) & same & path & np.append(path[1:], False))
 
 
-def corners_of_targets(program: Program, targets: Targets, start: Rows) -> tuple[Corners, Array]:
+def corners_of_targets(program: Program, targets: Targets, start: Array) -> tuple[Corners, Array]:
     """Return the corners of a path to be written, and its direction (K, 3) before each of them.
 
     :param start: (M, 3) commanded position at the start of each motion, `$BASE` [m].
@@ -237,7 +231,7 @@ def corners_of_targets(program: Program, targets: Targets, start: Rows) -> tuple
     return _corners(bend[1:], length, _joined(program, targets.motion, targets.kind)), arrive
 
 
-def _pieces(targets: Targets, start: Rows, row: Ints) -> tuple[Array, Array, Array]:
+def _pieces(targets: Targets, start: Array, row: Ints) -> tuple[Array, Array, Array]:
     """Return the unit directions (n, 3) at the start and at the end of the pieces to targets (n,), and lengths [m]."""
     motion, before = targets.motion[row], np.maximum(row - 1, 0)
     end, last = (np.round(targets.pose[each, :3, 3], _PRINTED) for each in (row, before))
@@ -356,7 +350,7 @@ def choose_targets(
     if arcs.any():
         via = via.copy()
         via[arcs] = commanded.position[via_row[arcs]]
-    status, turn = _status_and_turn(program, path.robot_in_cell.robot, motion, Computed(row, command.q.__getitem__))
+    status, turn = _status_and_turn(program, path.robot_in_cell.robot, motion, command.q[row])
     keep, pose = kept[motion] & (sample.t[row] == 1.0), command.pose.take(row)
     targets = Targets(motion, sample.t[row], target_kind, pose, via, keep, status, turn, m.blend[motion])
     corners, arrive = corners_of_targets(program, targets, commanded.start)
@@ -364,8 +358,7 @@ def choose_targets(
     if not (path.motions.forces.frame == FEED).any():
         arrive = np.zeros((0, 3))
     programmed = programmed_rounding(program, path.motions.segments, motion)
-    targets = replace(targets, blend=blend, pose=pose.set_aside())
-    return Chosen(targets, compact(row, np.int32), arrive, programmed)
+    return Chosen(replace(targets, blend=blend), row, arrive, programmed)
 
 
 def _unchanged(path: PathUnderLoad, command: Commands) -> tuple[Bools, Bools]:
@@ -393,7 +386,7 @@ def _unchanged(path: PathUnderLoad, command: Commands) -> tuple[Bools, Bools]:
     return np.where(m.kind == LIN, ~any_moved, kept), kept
 
 
-def _status_and_turn(program: Program, robot: RobotModel, motion: Ints, q: Computed) -> tuple[Ints, Ints]:
+def _status_and_turn(program: Program, robot: RobotModel, motion: Ints, q: Array) -> tuple[Ints, Ints]:
     """Return S and T of targets (K,): of PTP, where the program gives them if it keeps its text; else −1."""
     m = program.motions
     ptp = np.flatnonzero(m.kind[motion] == PTP)

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from postproc import kinematics, toolpath
-from postproc.chunks import Rows, compact, in_chunks, release, rows_of, set_aside
+from postproc.chunks import in_chunks
 from postproc.correction import checks, inspection
 from postproc.correction.targets import Chosen, corners_of_motions
 from postproc.dialects import registry
@@ -51,7 +51,7 @@ class ReadBack(Struct, frozen=True, eq=False):
     program: Program
     segments: Segments
     row: Ints
-    numbers: Rows
+    numbers: Array
 
 
 def read_back(path: PathUnderLoad, chosen: Chosen, text: Written) -> ReadBack:
@@ -72,10 +72,9 @@ def read_back(path: PathUnderLoad, chosen: Chosen, text: Written) -> ReadBack:
         raise UnusableTextError(Issue("error", "read-back", message, output_line=cause.line)) from cause
     except ImpossiblePathError as cause:
         raise UnusableTextError(cause.issue) from cause
-    row = compact(np.flatnonzero(np.isnan(written.motions.joints[:, 0])), np.int32)
-    numbers = set_aside(rows_of(written.numbers_as_written(), row))
+    row = np.flatnonzero(np.isnan(written.motions.joints[:, 0]))
+    numbers = written.numbers_as_written()[row]
     written = replace(written, documents=(), layout=None)
-    release(len(targets))
     mismatch = _mismatch(path.program, targets, written, row)
     if mismatch is not None:
         raise UnusableTextError(mismatch)
@@ -205,7 +204,7 @@ class Simulated(Struct, frozen=True, eq=False):
     """
 
     text: Written
-    numbers: Rows
+    numbers: Array
     deviation: Array
     between: float
     rounding: Array
@@ -232,7 +231,7 @@ class _Probes(Struct, frozen=True, eq=False):
         return np.asarray(self.share < 1.0)
 
 
-def simulate(path: PathUnderLoad, chosen: Chosen, theta: Rows, back: ReadBack, *, corrected: bool) -> Simulated:
+def simulate(path: PathUnderLoad, chosen: Chosen, theta: Array, back: ReadBack, *, corrected: bool) -> Simulated:
     """Simulate a written program against the nominal path of the program it was made from.
 
     :param chosen: what was to be written.
@@ -282,7 +281,7 @@ def _special(path: PathUnderLoad, targets: Targets, probes: _Probes) -> tuple[Bo
 
 
 def _deviation(
-    path: PathUnderLoad, chosen: Chosen, theta: Rows, back: ReadBack, probes: _Probes
+    path: PathUnderLoad, chosen: Chosen, theta: Array, back: ReadBack, probes: _Probes
 ) -> tuple[Array, Array, bool]:
     """Return how far the loaded tip is from nominal, and whether a joint comes near its largest speed.
 
@@ -359,7 +358,6 @@ def _probes(path: PathUnderLoad, chosen: Chosen, back: ReadBack) -> _Probes:
     target = np.repeat(every.astype(np.int32), number)
     inside = np.arange(len(target), dtype=np.int32) - np.repeat(np.cumsum(number, dtype=np.int32) - number, number) + 1
     share = inside / number[target]
-    del inside, number
 
     def place(target: Ints, share: Array) -> tuple[Array]:
         begin, end = targets.begin(target), targets.t[target]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from msgspec import Struct
 
-from postproc.chunks import Rows, in_chunks
+from postproc.chunks import in_chunks
 from postproc.elastostatics.balance import Balance, at_rest
 from postproc.frames import Array, norm
 from postproc.program import Bools, Ints
@@ -38,7 +38,7 @@ class Reversals(Struct, frozen=True, eq=False):
     step: Array
 
 
-def reversals(robot: RobotModel, q: Rows, tool: Array, wrench: Rows) -> Reversals:
+def reversals(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Reversals:
     """Return the changes of direction of the joints' torques along a path of N places.
 
     The torque is the sum of load, payload, weights of the links and compensator. Where the model states backlash or

@@ -13,7 +13,6 @@ from msgspec.structs import replace
 
 from postproc import correction, files, forces, provenance, report
 from postproc.cell import Cell, Start
-from postproc.chunks import release
 from postproc.correction import Result
 from postproc.dialects import registry
 from postproc.errors import InputError, Issue, PostprocError, ProgramError, SubprogramError
@@ -167,10 +166,9 @@ def convert(
         result, process = _result(job, settings, cell, robot, program, progress)
         if result.failed:
             return Outcome(str(job.program), FAILED, issues=result.issues)
-        release(len(result))
         result, called, copies = _with_subprograms(task, settings, cell, robot, result)
         made = _made(job, settings, cell, result, called, copies, process)
-        del result, program  # so that each file goes with the last content that is made from it
+
         computed = True
         staged = files.stage(job.output, made.contents)
     except Exception as cause:

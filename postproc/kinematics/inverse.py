@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from msgspec import Struct
 
-from postproc.chunks import Rows, chunks, compact, in_chunks, many_rows
+from postproc.chunks import chunks, in_chunks
 from postproc.errors import PostprocError
 from postproc.frames import Array, angle_between, any_column, largest
 from postproc.kinematics.closed_form import closed_form, status_of
@@ -50,7 +50,7 @@ class JointPath(Struct, frozen=True, eq=False):
     :param branch: (N,) branch 0…7 of the closed form.
     """
 
-    q: Rows
+    q: Array
     branch: Ints
 
 
@@ -85,8 +85,8 @@ def follow(
     jumps, status, turn = np.flatnonzero(free), status.astype(np.int64), turn.astype(np.int64)
     by_axes = np.isfinite(axis_target[:, 0])
     slots = _branches_along(robot, flange(jumps), start, axis_target, status)
-    branch = np.repeat(compact(slots, np.int8), np.diff(jumps, prepend=0, append=len(free)))
-    q = many_rows(len(branch), 6)
+    branch = np.repeat(slots, np.diff(jumps, prepend=0, append=len(free)))
+    q = np.zeros((len(branch), 6))
     before, wound = np.asarray(start, dtype=float), np.zeros(6)
     unreached: list[int] = []
     for part in chunks(len(branch)):
@@ -161,14 +161,14 @@ _LOOKED_AT = 2_000
 """Rows of a path that are evaluated in the first pass."""
 
 
-def joint_margin(robot: RobotModel, q: Rows) -> Array:
+def joint_margin(robot: RobotModel, q: Array) -> Array:
     """Return the smallest distance (6,) [rad] of each joint to its limits, negative beyond them; q: (N, 6), N ≥ 1."""
     parts = (q[part].T for part in chunks(len(q)))  # by columns: much faster than along short rows
     ends = np.array([[(angle.min(), angle.max()) for angle in part] for part in parts])
     return np.asarray(np.minimum(ends[..., 0].min(axis=0) - robot.lower, robot.upper - ends[..., 1].max(axis=0)))
 
 
-def smallest_singular_value(robot: RobotModel, q: Rows, tool: Array) -> float:
+def smallest_singular_value(robot: RobotModel, q: Array, tool: Array) -> float:
     """Return the smallest singular value of the tool's Jacobian along a path: metres and radians per radian.
 
     It changes slowly along a dense path. Of more than `_LOOKED_AT` rows, every n-th is evaluated first, then all rows

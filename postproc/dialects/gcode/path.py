@@ -22,7 +22,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc.cell import Rotary
-from postproc.chunks import Runs, compact, in_chunks, rows_of
+from postproc.chunks import Runs, in_chunks
 from postproc.dialects.gcode.arcs import SAME_MM, ArcFault, Arcs, ArcWords, read_arcs
 from postproc.dialects.gcode.cycles import CycleEvent
 from postproc.dialects.gcode.modes import MM_PER_UNIT, TCP_ON, Modes
@@ -450,7 +450,7 @@ def _motions(
     swivel, alone, length = turning
     row, code, home = moves.row[kept], moves.code[kept], moves.home[kept]
     rapid = code == 0.0
-    kind = compact(np.where(free, PTP, np.where(code < 2.0, LIN, CIRC)), np.int8)
+    kind = np.where(free, PTP, np.where(code < 2.0, LIN, CIRC))
     nothing = np.broadcast_to(np.nan, (len(kept), 6))  # takes no memory
     centre, normal, sweep = nothing[:, :3], nothing[:, :3], nothing[:, 0]
     frames, frame = moves.frames, taken(moves.frame, kept)
@@ -460,7 +460,7 @@ def _motions(
         rotation = (frames[:, :3, :3] @ cell_frames.orientation)[frame]
     else:
         rotation = np.broadcast_to(frames[0, :3, :3] @ cell_frames.orientation, (len(kept), 3, 3))
-    target = Poses(_placed(frames, frame, rows_of(moves.end, kept)), rotation)
+    target = Poses(_placed(frames, frame, moves.end[kept]), rotation)
     is_arc = np.flatnonzero(kind == CIRC)
     if len(is_arc):
         circular, arcs = circles
