@@ -15,6 +15,8 @@ from typing import Any
 
 import click
 
+from postproc.cli import streams
+
 _COMMANDS = {
     "check": "postproc.cli.check:check",
     "compare": "postproc.cli.compare:compare",
@@ -35,6 +37,9 @@ _COMMANDS = {
 }
 """Command → where it is."""
 _DEBUG = "--debug"
+_QUIET = "--quiet"
+_ANYWHERE = (_DEBUG, _QUIET)
+"""Options that may also follow a command."""
 
 
 class LazyGroup(click.Group):
@@ -72,16 +77,18 @@ class LazyGroup(click.Group):
             raise click.UsageError(f"No such command {args[0]!r}. {near}".rstrip(), ctx) from cause
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Accept ``--debug`` anywhere on the command line."""
-        others = [arg for arg in args if arg != _DEBUG]
-        return super().parse_args(ctx, others if others == args else [_DEBUG, *others])
+        """Accept ``--debug`` and ``--quiet`` anywhere on the command line."""
+        others = [arg for arg in args if arg not in _ANYWHERE]
+        return super().parse_args(ctx, [*(option for option in _ANYWHERE if option in args), *others])
 
     def main(self, args: Sequence[str] | None = None, *rest: Any, **options: Any) -> Any:
         """Run the command; without `args`, as the only user of the process. Warnings of libraries are not shown."""
+        streams.replace_absent()
         if args is None:
             from postproc import interrupts
 
             interrupts.leave_at_once()
+            sink = streams.make_robust()
             os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # more would wait in a loop, for matrices of 6 × 6
         with warnings.catch_warnings():
             if _DEBUG not in (sys.argv if args is None else args):
@@ -90,6 +97,9 @@ class LazyGroup(click.Group):
                 return super().main(args, *rest, **options)
             finally:
                 if args is None:
+                    with contextlib.suppress(OSError, ValueError):
+                        if lost := streams.lost_output(sink):
+                            sys.stderr.write(f"{lost}\n")
                     gc.freeze()  # the process ends: a last garbage collection would take 0.1 s
 
     def invoke(self, ctx: click.Context) -> object:
@@ -130,7 +140,10 @@ def _not_shown(*_: object, **__: object) -> None:
 @click.option(
     _DEBUG, is_flag=True, help="Show the traceback of a fault, and warnings of libraries; also behind a command."
 )
-def main(debug: bool) -> None:  # read in cli/faults.py
+@click.option(
+    _QUIET, is_flag=True, help="Print no summaries, only errors and what --json prints; also behind a command."
+)
+def main(debug: bool, quiet: bool) -> None:  # read in cli/faults.py and cli/outcomes.py
     """Correct robot milling programs for the elastic deflection of the arm under cutting forces.
 
     \b

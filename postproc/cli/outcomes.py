@@ -128,6 +128,8 @@ def _print(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, as_json: bool) -
     if as_json:
         content = {"exit_code": worst_code(outcomes), "programs": [_as_entry(outcome) for outcome in outcomes]}
         click.echo(json_bytes(content).decode(), nl=False)
+    elif click.get_current_context().find_root().params.get("quiet"):
+        return
     elif len(outcomes) == 1 and outcomes[0].summary is not None:
         click.echo(report.of_one(outcomes[0].summary, display()))
         names = ", ".join(Path(path).name for path in outcomes[0].written)

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from postproc.errors import MOST, InputError, choices, did_you_mean, together
+from postproc.files.toml_lines import line_of, line_of_unknown
 from postproc.frames import M_PER_MM, Array
 
 T = TypeVar("T")
@@ -99,11 +100,16 @@ def read_toml(
         raise error(f"not valid TOML: {cause}", file=str(path)) from cause
     except RecursionError:
         raise error("not valid TOML: nested too deeply", file=str(path)) from None
-    return convert(data, structure, str(path), error, example)
+    return convert(data, structure, str(path), error, example, text)
 
 
-def convert(data: object, structure: type[T], file: str, error: type[InputError], example: str | None = None) -> T:
-    """Check plain data against a msgspec structure; see `read_toml`."""
+def convert(
+    data: object, structure: type[T], file: str, error: type[InputError], example: str | None = None, text: str = ""
+) -> T:
+    """Check plain data against a msgspec structure; see `read_toml`.
+
+    :param text: of the TOML file, in which an error names the line; empty: there is none.
+    """
     try:
         return msgspec.convert(data, structure)
     except (msgspec.ValidationError, OverflowError) as cause:
@@ -112,10 +118,12 @@ def convert(data: object, structure: type[T], file: str, error: type[InputError]
         if wrong_keys:
             is_missing = any(problem.startswith("missing") for problem, _ in wrong_keys)
             advice = example if example and is_missing else None
-            errors = [error(problem, file=file, advice=valid) for problem, valid in wrong_keys]
-            errors[-1] = error(
-                wrong_keys[-1][0], file=file, advice="\n".join(filter(None, (wrong_keys[-1][1], advice))) or None
-            )
+            advices = [valid for _, valid in wrong_keys]
+            advices[-1] = "\n".join(filter(None, (advices[-1], advice))) or None
+            errors = [
+                error(problem, file=file, line=line_of_unknown(text, problem), advice=valid)
+                for (problem, _), valid in zip(wrong_keys, advices, strict=True)
+            ]
             raise together(errors) from cause
         message, key = str(cause).removesuffix("`"), ""
         if " - at `$" in message:
@@ -124,7 +132,9 @@ def convert(data: object, structure: type[T], file: str, error: type[InputError]
         valid = _valid_values(kind, key, re.search(r"enum value '(.*)'", message))
         for old, new in (("`object`", "a table"), ("`array`", "a list"), ("Invalid enum value", "no such value:")):
             message = message.replace(old, new)
-        raise error(message, file=file, advice=valid) from cause
+        given_key = message.partition(": ")[0] if key else ""
+        line = line_of(text, given_key if "..." not in given_key else key.removeprefix("."))
+        raise error(message, file=file, line=line, advice=valid) from cause
 
 
 _RANGE = re.compile(r"Expected `(?:float|int)` (?P<relation><=|>=|<|>) (?P<limit>\S+)$")

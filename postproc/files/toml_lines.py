@@ -1,0 +1,51 @@
+"""Lines of a TOML text: where a key is given, for messages about its value."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+_HEADER = re.compile(r"\s*\[\[?\s*([^\[\]]+?)\s*\]\]?\s*(?:#.*)?$")
+_UNKNOWN = re.compile(r"unknown key '(?P<key>[^']*)'(?: in \[(?P<table>[^\]]*)\])?$")
+_PART = re.compile(r"\"[^\"]*\"|'[^']*'|[^.]+")
+_ANY = "*"
+
+
+def line_of_unknown(text: str, problem: str) -> int | None:
+    """Return the line of the key that a message calls unknown; None: no such message, or no single line."""
+    unknown = _UNKNOWN.match(problem)
+    return None if unknown is None else line_of(text, ".".join(filter(None, (unknown["table"], unknown["key"]))))
+
+
+def line_of(text: str, key: str) -> int | None:
+    """Return the 1-based line of a TOML text that gives a key, if exactly one does; else None.
+
+    :param text: empty: there is none.
+    :param key: with its tables, as ``gcode.motions``; indices are left out. ``[...]`` stands for any name or index.
+    """
+    plain = re.sub(r"\[\d+\]", "", key).replace("[...]", f".{_ANY}")
+    wanted = [part.strip("\"'") for part in _PART.findall(plain)]
+    exact, inline, table = [], [], list[str]()
+    for number, line in enumerate(text.splitlines(), 1):
+        if header := _HEADER.match(line):
+            path = table = _parts(header[1])
+        elif "=" in line and not line.lstrip().startswith("#"):
+            path = [*table, *_parts(line.partition("=")[0])]
+            if _begins(path, wanted):
+                inline.append(number)
+        else:
+            continue
+        if len(path) == len(wanted) and _begins(path, wanted):
+            exact.append(number)
+    lines = exact or inline
+    return lines[0] if len(lines) == 1 else None
+
+
+def _parts(text: str) -> list[str]:
+    """Return the parts of a dotted key without quotes."""
+    return [part.strip().strip("\"'") for part in _PART.findall(text.strip())]
+
+
+def _begins(path: Sequence[str], wanted: Sequence[str]) -> bool:
+    """Return whether a wanted key is this one, or in an inline table or list that this one holds."""
+    return len(path) <= len(wanted) and all(want in (part, _ANY) for part, want in zip(path, wanted, strict=False))
