@@ -1,0 +1,83 @@
+"""The demo of the samples: from published values to a measured robot, and what its simulator says of the result."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import runpy
+import shutil
+
+import numpy as np
+import pytest
+
+from postproc import robot
+from tests.commands import run
+from tests.documentation.pages import ROOT
+from tests.oracle.arm import Arm, abc
+
+SAMPLES = ROOT / "samples"
+BASE, TOOLS = abc(1600, -100, 750), {1: abc(0, 0, 350), 2: abc(0, 0, 380)}
+TOOL_CHANGE_LINE = 23
+_NUMBER = re.compile(r"-?\d+\.?\d*")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """The demo, typed as the tutorial shows it."""
+    folder = tmp_path_factory.mktemp("demo")
+    demo = folder / "samples" / "demo"
+    shutil.copytree(SAMPLES / "demo", demo)
+    program = demo / "bracket.nc"
+    run("convert", program, "-o", folder / "before", cell=demo / "cell.toml")
+    readings, experiment = demo / "measurements.csv", demo / "experiment.toml"
+    run("identify", "elastostatics", readings, "--experiment", experiment, "-o", demo / "my_robot")
+    run("convert", program, "-o", folder / "after", cell=demo / "cell_measured.toml")
+    return folder
+
+
+def expected(folder, name):
+    return json.loads((folder / name / "bracket.report.json").read_text())["verdict"]["better"]["corrected_mm"]
+
+
+def true_errors(folder, name):
+    """Distance [mm] of the tool of the simulated robot from the nominal place at cutting targets, as corrected."""
+    simulator = runpy.run_path(str(SAMPLES / "paper_study" / "simulator.py"))
+    arm, true = Arm.load(robot.find("kuka_kr270")), simulator["paper_like"](np.random.default_rng(1))
+    rows = list(csv.DictReader((folder / name / "bracket.targets.csv").read_text().splitlines()))
+    errors = []
+    for row in [row for row in rows if row["rapid"] == "0"][::6]:
+        values = {key: float(value) for key, value in row.items()}
+        tool = TOOLS[1 if values["source_line"] < TOOL_CHANGE_LINE else 2]
+        command = BASE @ abc(*(values[f"{axis}_cmd"] for axis in "XYZABC"))
+        guess = np.radians([values[f"A{k}"] for k in range(1, 7)])
+        q = arm.inverse(command, tool, guess)
+        force = np.array([[values[f"F{axis}"] for axis in "xyz"]])
+        tip = true.solve(q[None], force, point=tool[:3, 3])[0] @ tool
+        nominal = BASE @ abc(values["X"], values["Y"], values["Z"])
+        errors.append(np.linalg.norm((tip - nominal)[:3, 3]) * 1e3)
+    return np.array(errors)
+
+
+def test_measuring_lowers_the_expected_error_as_the_tutorial_says(folder):
+    assert expected(folder, "before") == pytest.approx(0.77, abs=0.02)
+    assert expected(folder, "after") == pytest.approx(0.034, abs=0.004)
+
+
+def test_the_simulated_robot_mills_as_well_as_the_report_promises(folder):
+    """The readings are from this robot, and the simulator shares no line with the package."""
+    before, after = true_errors(folder, "before"), true_errors(folder, "after")
+    assert after.max() < expected(folder, "after")
+    assert before.max() < expected(folder, "before")
+    assert before.max() > 5.0 * after.max()
+
+
+def test_the_readings_are_those_of_the_simulator(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.argv", ["simulator.py", "demo"])
+    runpy.run_path(str(SAMPLES / "paper_study" / "simulator.py"), run_name="__main__")
+    for name in ("measurements.csv", "validation.csv", "experiment.toml"):
+        made, shipped = ((place / name).read_text() for place in (tmp_path / "demo", SAMPLES / "demo"))
+        assert made.splitlines()[0] == shipped.splitlines()[0]
+        numbers = [np.array(_NUMBER.findall(text.partition("\n")[2]), dtype=float) for text in (made, shipped)]
+        np.testing.assert_allclose(numbers[0], numbers[1], atol=2e-4)
