@@ -10,12 +10,12 @@ from typing import Any, TypeVar
 import click
 from click.shell_completion import CompletionItem
 
+from postproc import actions
+from postproc.actions import Option
+
 _PATH = click.Path(path_type=Path)
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
-overwrite = click.option(
-    "--overwrite", is_flag=True, help="Replace files that postproc did not write, or not as they are."
-)
 probe_sigma = click.option(
     "--sigma",
     "sigma_mm",
@@ -89,75 +89,39 @@ def _finite(_ctx: click.Context, _param: click.Parameter, value: float | None) -
     return value
 
 
+def _decorator(option: Option) -> Callable[[_Command], _Command]:
+    """Return the click option of an option of the table."""
+    more: dict[str, Any] = {"metavar": option.metavar} if option.metavar else {}
+    if option.kind == "flag":
+        more["is_flag"] = True
+    elif option.kind == "path":
+        more["type"] = _PATH
+    elif option.kind == "count":
+        more["type"] = click.IntRange(min=None if option.least is None else int(option.least))
+    elif option.kind == "length":
+        more |= {"type": float if option.least is None else click.FloatRange(min=option.least), "callback": _finite}
+    else:
+        more["callback"] = _dialect
+    return click.option(*option.flags, option.name, required=option.required, help=option.help, **more)
+
+
+overwrite = _decorator(actions.OVERWRITE)
+
+
 def shared_options(command: _Command) -> _Command:
     """Add the options that convert and predict share."""
-    for option in (
-        overwrite,
-        click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON."),
-        click.option(
-            "--dialect",
-            metavar="NAME",
-            callback=_dialect,
-            help="Format of the input: apt, gcode, krl or rapid; default: by the extension.",
-        ),
-        click.option(
-            "-o",
-            "--output",
-            type=_PATH,
-            help="Folder to write into; default: corrected/ in the folder of the program.",
-        ),
-        click.option(
-            "--keep-unresolved",
-            is_flag=True,
-            help="Leave KRL motions unchanged whose targets, or whether they run, are only known at run time.",
-        ),
-        click.option(
-            "--part-tolerance",
-            "part_tolerance_mm",
-            type=float,
-            callback=_finite,
-            metavar="MM",
-            help="What the part may be off (95 %), by which the verdict judges; replaces tolerance_mm of [part].",
-        ),
-        click.option("--part", type=_PATH, help="Mesh of the part (STL …, mm, $BASE): shows what its surface will be."),
-        click.option(
-            "--forces",
-            type=_PATH,
-            help="File of cutting forces (CSV, or what a package adds), or a folder with NAME.csv … for each program.",
-        ),
-        click.option(
-            "--process", type=_PATH, help="Material, tools and stock, from which the forces are computed: process.toml."
-        ),
-        click.option("--cell", type=_PATH, required=True, help="Cell file: robot, base, tool, tolerances."),
-    ):
-        command = option(command)
-    return command
+    return _with_options(command, actions.SHARED)
 
 
 def conversion_options(command: _Command) -> _Command:
     """Add the options that convert and watch share."""
-    for option in (
-        click.option("--linearize-arcs", is_flag=True, help="Write arcs as lines."),
-        click.option(
-            "--to", metavar="NAME", callback=_dialect, help="Language to write G-code in: krl (default) or rapid."
-        ),
-        click.option(
-            "--lines-per-file",
-            type=click.IntRange(min=0),
-            metavar="N",
-            help="Divide KRL of more lines, 0: never; replaces lines_per_file of the cell.",
-        ),
-        click.option(
-            "--tolerance",
-            "tolerance_mm",
-            type=click.FloatRange(min=1e-4),
-            callback=_finite,
-            metavar="MM",
-            help="What the predicted path may leave the nominal one by; replaces tolerance_mm of the cell.",
-        ),
-    ):
-        command = option(command)
-    return shared_options(command)
+    return _with_options(command, actions.CONVERSION)
+
+
+def _with_options(command: _Command, options: tuple[Option, ...]) -> _Command:
+    for option in reversed(options):
+        command = _decorator(option)(command)
+    return command
 
 
 def of_files(options: dict[str, Any]) -> dict[str, Any]:
