@@ -287,6 +287,15 @@ class Collision(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     arm: Literal["urdf", "capsules"] = "urdf"
 
 
+class Limits(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """What happens where the robot cannot follow the program.
+
+    :param feed: a move at feed in which a joint would turn too fast is an error, or is slowed with a warning.
+    """
+
+    feed: Literal["refuse", "cap"] = "refuse"
+
+
 class Report(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Lines of the page: a title such as the order, and the customer. Empty: none."""
 
@@ -309,6 +318,7 @@ class CellFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     machine: Machine = Machine()
     rotary: Rotary | None = None
     apt: Apt = Apt()
+    limits: Limits = Limits()
     m_codes: dict[str, list[str]] = {}
     tools: dict[str, Frame] = {}
     work_offsets: dict[str, Frame] = {}

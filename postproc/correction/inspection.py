@@ -34,17 +34,19 @@ _USED = 0.98
 def slowed(path: PathUnderLoad, q: Array, position: Array) -> tuple[MotionsUnderLoad, Issue] | None:
     """Return the motions with positioning moves slowed to what the joints can do, and the remark, or None.
 
-    Positioning moves are rapid ones, and those at feed that come from `[start]`: no force may act on them. Only
-    programs whose text is written anew have straight ones with a speed of their own.
+    Positioning moves are rapid ones, those at feed that come from `[start]`, on which no force may act, and straight
+    ones at the speed of rapid moves or faster on which none acts. Only programs whose text is written anew have
+    straight ones with a speed of their own. With ``[limits] feed = "cap"``, moves at feed are slowed in any program.
 
     :param q: (N, 6) commanded joint angles of the samples [rad], `position` (N, 3) commanded positions [m].
     """
     program, robot = path.program, path.robot_in_cell.robot
     m = program.motions
-    positioning = m.rapid.copy()
-    positioning[program.unforced] = True
-    positioning &= m.kind == LIN
-    if program.keeps_text or not positioning.any():
+    positioning = _positioning(path)
+    capped = np.isin(m.kind, (LIN, CIRC)) & ~m.rapid & ~positioning
+    capped &= path.robot_in_cell.cell.limits.feed == "cap"
+    slowable = positioning | capped
+    if not slowable.any():
         return None
     speed = commanded_speed(path, q, position)
     share = np.zeros(len(m))
@@ -53,7 +55,7 @@ def slowed(path: PathUnderLoad, q: Array, position: Array) -> tuple[MotionsUnder
     def take(motion: Ints, speed: Array) -> None:
         of_limit = speed / robot.speed
         worst = of_limit.max(axis=1)
-        rows = np.flatnonzero(positioning[motion] & (worst > _USED))
+        rows = np.flatnonzero(slowable[motion] & (worst > _USED))
         rows = rows[np.argsort(worst[rows])]
         rows = rows[worst[rows] > share[motion[rows]]]
         share[motion[rows]], joint[motion[rows]] = worst[rows], of_limit[rows].argmax(axis=1)
@@ -72,8 +74,29 @@ def slowed(path: PathUnderLoad, q: Array, position: Array) -> tuple[MotionsUnder
     slowest = f"{feed[fast].min():.3g} m/s at the slowest"
     message = f"Positioning moves in which {names} would turn too fast are slowed, to {slowest}."
     issue = m.issue("info", "rapid-slowed", message, fast)
-    slow = replace(program, motions=replace(m, feed=feed))
+    as_read = program.feed_as_read
+    if capped[fast].any():
+        cut = fast[capped[fast]]
+        lowest = f"{feed[cut].min() * MM_PER_M * 60.0:.0f} mm/min"
+        message = f"Moves at feed in which {names} would turn too fast are slowed, to {lowest} at the lowest."
+        issue = m.issue("warning", "feed-capped", message, fast)
+        as_read = m.feed if as_read is None else as_read
+    slow = replace(program, motions=replace(m, feed=feed), feed_as_read=as_read)
     return replace(path.motions, program=slow), issue
+
+
+def _positioning(path: PathUnderLoad) -> Bools:
+    """Return which motions (M,) only position the tool, and may be slowed; none in a program that keeps its text."""
+    program, m = path.program, path.program.motions
+    if program.keeps_text:
+        return np.zeros(len(m), dtype=np.bool_)
+    out = m.rapid.copy()
+    out[program.unforced] = True
+    loaded = np.zeros(len(m), dtype=np.bool_)
+    acts = any_column(path.wrench.values != 0.0)
+    loaded[path.sample.motion[acts[path.wrench.run]]] = True
+    out |= ~loaded & (m.feed >= path.robot_in_cell.cell.gcode.rapid_m_per_s)
+    return np.asarray(out & (m.kind == LIN))
 
 
 def commanded_speed(path: PathUnderLoad, q: Array, position: Array) -> Array:

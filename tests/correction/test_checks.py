@@ -17,6 +17,8 @@ from tests.programs import program
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 CELL = cells.load(SAMPLES / "cell_kr270.toml")
+FAST_RAPIDS = replace(CELL, gcode=replace(CELL.gcode, rapid_m_per_s=10.0))
+"""In it, no feed is that of rapid moves, which are slowed where no force acts."""
 MODEL = robot.load(robot.find("kuka_kr270"))
 DOWN = CELL.tool_pose_in_program()
 
@@ -68,7 +70,7 @@ def test_a_rapid_move_too_fast_for_a_joint_is_slowed():
 def test_feed_too_fast_for_a_joint_is_an_error_with_the_joint_and_its_speed():
     made = program(FINE, orientation=DOWN)
     made.motions.feed[2] = 5.0
-    kinds = {issue.kind: issue for issue in correction.process(made, MODEL, CELL, mode="predict").issues}
+    kinds = {issue.kind: issue for issue in correction.process(made, MODEL, FAST_RAPIDS, mode="predict").issues}
     fast = [issue for kind, issue in kinds.items() if kind.startswith("joint-speed-A")]
     assert fast
     assert fast[0].source_line == 3
@@ -172,7 +174,9 @@ def test_the_fastest_feed_is_where_a_joint_of_an_independent_arm_reaches_its_spe
     made = program(FINE, orientation=DOWN)
     made.motions.feed[2] = share * fastest
     found = [
-        issue for issue in correction.process(made, MODEL, CELL, mode="predict").issues if "joint-speed" in issue.kind
+        issue
+        for issue in correction.process(made, MODEL, FAST_RAPIDS, mode="predict").issues
+        if "joint-speed" in issue.kind
     ]
     assert [issue.level for issue in found] == ([] if level is None else [level])
     if found:

@@ -19,6 +19,9 @@ ROBOT = robots.load(robots.find("kuka_kr270"))
 RAPIDS = "G21 G90\nS9000 M3\nG0 X0 Y0 Z50\nZ5\nG1 X50 F{feed}\nG0 Z50\nY-300\nY300\nZ49\nM30\n"
 
 
+CUT = "G21 G90\nG0 X0 Y-300 Z5\n(FORCE FX=100)\nG1 Y300 F{feed}\n(FORCE OFF)\nG0 Z50\nM30\n"
+
+
 def converted(text: str, cell=FAST, dialect: str = "gcode", **options):
     program = read([decode("part.nc", text.encode())], ROBOT, cell, "PART", dialect)
     return process(program, ROBOT, cell, **options)
@@ -54,13 +57,46 @@ def test_nothing_is_slowed_where_the_joints_keep_up():
 
 
 def test_a_cutting_move_states_the_feed_that_would_do():
-    text = "G21 G90\nG0 X0 Y-300 Z5\nG1 Y300 F{feed}\nG0 Z50\nM30\n"
+    text = CUT
     result = converted(text.format(feed=400000), CELL)
     issue = next(issue for issue in result.issues if issue.kind.startswith("joint-speed"))
     assert issue.level == "error"
     feed = float(re.search(r"Lower the feed to ([\d.]+) mm/min", issue.message)[1])
     assert converted(text.format(feed=feed), CELL).documents
     assert not converted(text.format(feed=1.15 * feed), CELL).documents
+
+
+def test_a_move_at_the_speed_of_rapids_without_a_force_is_slowed_as_they_are():
+    """G1 in place of G0: Fusion Personal writes no rapid moves."""
+    text = CUT.replace("(FORCE FX=100)\n", "")
+    result = converted(text.format(feed=400000), CELL)
+    assert result.documents
+    assert [issue.lines for issue in result.issues if issue.kind == "rapid-slowed"] == [(3,)]
+    assert not converted(CUT.format(feed=400000), CELL).documents
+
+
+def test_a_cap_lowers_the_feed_of_cuts_and_lists_their_lines():
+    capped = replace(CELL, limits=replace(CELL.limits, feed="cap"))
+    result = converted(CUT.format(feed=400000), capped)
+    issue = next(issue for issue in result.issues if issue.kind == "feed-capped")
+    assert (issue.level, issue.lines) == ("warning", (4,))
+    feed = float(re.search(r"to ([\d.]+) mm/min", issue.message)[1])
+    text = result.documents[0].text
+    assert any(abs(speed * 60e3 / feed - 1.0) < 1e-3 for speed in speeds(text))
+    assert not converted(CUT.format(feed=1.03 * feed), CELL).documents
+    assert converted(CUT.format(feed=0.99 * feed), CELL).documents
+    assert "feed-capped" not in {issue.kind for issue in converted(CUT.format(feed=900), capped).issues}
+
+
+def test_a_cap_lowers_the_feed_of_a_robot_program_too():
+    nominal = converted(CUT.format(feed=900), CELL, mode="nominal").documents[0].text
+    fast = nominal.replace("$VEL.CP=0.015000", "$VEL.CP=6.5")
+    assert fast != nominal
+    assert not converted(fast, CELL, dialect="krl").documents
+    capped = replace(CELL, limits=replace(CELL.limits, feed="cap"))
+    result = converted(fast, capped, dialect="krl")
+    assert result.documents
+    assert "feed-capped" in {issue.kind for issue in result.issues}
 
 
 @pytest.mark.parametrize(("value", "text"), [(1234.9, "1200"), (0.0567, "0.056"), (100.0, "100"), (99.0, "99")])
@@ -105,7 +141,7 @@ def test_speed_is_rotation_over_the_time_of_the_way():
 def test_the_written_path_of_any_robot_is_checked(monkeypatch, slower):
     robot = replace(ROBOT, speed=ROBOT.speed * slower)
     monkeypatch.setattr(checks, "joint_speeds", spared(checks.joint_speeds, "part.nc"))
-    text = f"G21 G90\nG0 X0 Y-300 Z5\nG1 Y300 F{400000 * slower}\nG0 Z50\nM30\n"
+    text = CUT.format(feed=400000 * slower)
     program = read([decode("part.nc", text.encode())], robot, CELL, "PART", "gcode")
     result = process(program, robot, CELL)
     assert "joint-speed" in " ".join(issue.kind for issue in result.issues if issue.level == "error")

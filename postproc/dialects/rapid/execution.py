@@ -385,7 +385,8 @@ class Execution:
         if moving is not None:
             problem = f"it is not known before the program runs whether {moving.name} is executed: {why}"
             advice = (
-                "Put the moves of the part into a routine without conditions, or give the data a value in the file."
+                "Put the moves of the part into a procedure without conditions, and name the file like it; or give the "
+                "data a value in the file."
             )
             raise RapidError(problem, moving.start, advice)
         for statement in nested(statements):

@@ -119,9 +119,9 @@ class _Reader:
         return np.asarray(whole.line[np.searchsorted(line_spans(whole.text)[0], start, side="right") - 1])
 
     def _entry(self, modules: Sequence[Module], name: str) -> Routine:
-        """Return the routine that is the program: main, that of the file's name, or the only one nobody calls."""
+        """Return the routine that is the program: that of the file's name, main, or the only one nobody calls."""
         routines = {r.name: r for module in modules for r in module.routines if r.kind == "PROC"}
-        for wanted in ("MAIN", PurePath(self.document.name).stem.upper(), name.upper()):
+        for wanted in (PurePath(self.document.name).stem.upper(), name.upper(), "MAIN"):
             if wanted in routines:
                 return routines[wanted]
         called = {
