@@ -182,7 +182,7 @@ def _alone(found: Comparison, one: PlacedProgram) -> Iterator[Difference]:
     rows, missed = found.only_nominal, np.nan_to_num(found.missed)
     if len(rows):
         worst = int(np.argmax(missed))
-        far = missed[worst] > one.place.tolerance
+        far = missed[worst] > one.robot_in_cell.tolerance
         message = "a target of the nominal program is missing."
         if far:
             message = (
@@ -236,7 +236,7 @@ def _orientation(found: Comparison, one: PlacedProgram, other: PlacedProgram) ->
     The angle is that from the orientation which keeps the loaded tool nominal, or from the nominal orientation, which
     programs have that correct positions alone.
     """
-    allowed = one.place.tolerance / LEVER
+    allowed = one.robot_in_cell.tolerance / LEVER
     turned = found.rotation if found.cuts is None else np.minimum(found.rotation, found.cuts.turned)
     if found.cuts is None and any(each.kind == "base" for each in bases_and_tools(found)):
         return
@@ -272,7 +272,7 @@ def _inserted_turned(found: Comparison, one: PlacedProgram, other: PlacedProgram
         return row[:0], np.zeros(0)
     chain = found.curves.other
     motion, t = found.curves.one.at(chain.end[row - chain.row[0]])
-    mine = toolpath.at(one.program, one.path, motion, t).pose
+    mine = toolpath.at(one.program, one.segments, motion, t).pose
     theirs = tool_of_nominal(one.program, motion, other.program, row, other.program.motions.target[row])
     around = np.maximum(found.rotation[behind - 1], found.rotation[behind])
     return row, angle_between(mine[:, :3, :3], theirs[:, :3, :3]) - around
@@ -281,7 +281,7 @@ def _inserted_turned(found: Comparison, one: PlacedProgram, other: PlacedProgram
 def _rapid(found: Comparison, one: PlacedProgram) -> Iterator[Difference]:
     """Yield a difference if rapid targets have an offset: no force acts on them that would explain it."""
     off = found.distance if found.cuts is None else np.minimum(found.distance, norm(found.cuts.corrected))
-    where = np.flatnonzero((off > one.place.tolerance) & found.rapid)
+    where = np.flatnonzero((off > one.robot_in_cell.tolerance) & found.rapid)
     if len(where) and not any(each.kind == "base" for each in bases_and_tools(found)):
         worst = where[np.argmax(off[where])]
         message = f"a rapid target is {off[worst] * MM_PER_M:.4f} mm off."
@@ -291,7 +291,7 @@ def _rapid(found: Comparison, one: PlacedProgram) -> Iterator[Difference]:
 def _twice(found: Comparison, one: PlacedProgram, other: PlacedProgram) -> Iterator[Difference]:
     """Yield targets of the second program at the present position of the robot: it stops there even if approximated."""
     still, also = (
-        (side.path.travel < _NOTHING) & (side.path.turn < _NOTHING) & (side.program.motions.kind != PTP)
+        (side.segments.travel < _NOTHING) & (side.segments.turn < _NOTHING) & (side.program.motions.kind != PTP)
         for side in (other, one)
     )
     still[found.pair[also[found.pair[:, 0]], 1]] = False
@@ -384,7 +384,7 @@ def _under_forces(found: Comparison, one: PlacedProgram) -> Iterator[Difference]
     way = np.searchsorted(found.pair[:, 1], cuts.row)
     gap = np.searchsorted(found.pair[:, 0], found.only_nominal)  # missing targets have a difference of their own
     off = cuts.between_corrected
-    bad = np.flatnonzero((off > ends + one.place.tolerance + _BEYOND) & (cuts.t < 1.0) & ~np.isin(way, gap))
+    bad = np.flatnonzero((off > ends + one.robot_in_cell.tolerance + _BEYOND) & (cuts.t < 1.0) & ~np.isin(way, gap))
     if len(bad):
         worst = bad[np.argmax(off[bad])]
         row = int(cuts.row[worst])
@@ -405,10 +405,10 @@ def _cut_corners(found: Comparison, one: PlacedProgram, other: PlacedProgram) ->
     m, rows = found.nominal.motions, np.union1d(found.pair[:, 1], found.inserted)
     if not len(rows):
         return
-    rounding = corners_of_motions(other.program, other.path, rows).rounding(found.corrected.motions.blend[rows])
+    rounding = corners_of_motions(other.program, other.segments, rows).rounding(found.corrected.motions.blend[rows])
     if found.nominal.keeps_text:
         motion = np.arange(len(m))
-        as_programmed = corners_of_motions(one.program, one.path, motion).rounding(m.blend)
+        as_programmed = corners_of_motions(one.program, one.segments, motion).rounding(m.blend)
     else:
         as_programmed = np.where(m.blend > 0.0, m.rounding, 0.0)
     allowed, place = np.zeros(len(rows)), np.searchsorted(rows, found.pair[:, 1])
@@ -417,7 +417,7 @@ def _cut_corners(found: Comparison, one: PlacedProgram, other: PlacedProgram) ->
         changed = np.abs(found.corrected.motions.blend[found.pair[:, 1]] - m.blend[found.pair[:, 0]]) > _SAME_LENGTH
         allowed[place[changed]] = np.inf
     excess = rounding - allowed
-    bad = np.flatnonzero(excess > one.place.tolerance + _BEYOND)
+    bad = np.flatnonzero(excess > one.robot_in_cell.tolerance + _BEYOND)
     if len(bad):
         worst = bad[np.argmax(excess[bad])]
         way = min(int(np.searchsorted(found.pair[:, 1], rows[worst])), len(found.pair) - 1)

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from msgspec import Struct
 
-from postproc import forces, kinematics, toolpath
+from postproc import forces, toolpath
 from postproc.chunks import in_chunks
 from postproc.comparison.pairing import Track
 from postproc.errors import ProgramError
@@ -21,6 +21,7 @@ from postproc.forces import ForceSource, PathForces
 from postproc.frames import Array, norm, twist_between
 from postproc.kinematics import JointPath, UnreachableError
 from postproc.program import CIRC, PTP, Bools, Ints, Program
+from postproc.simulation import DrivenProgram
 from postproc.toolpath import Segments
 from postproc.under_load import RobotInCell
 
@@ -37,11 +38,9 @@ _STILL, _PER_RADIAN, _LEAST = 1e-9, 1e-3, 1e-4
 turns the tool [m/rad], and at least the last [m], because the force may change along it."""
 
 
-class PlacedProgram(Struct, frozen=True, eq=False, dict=True):
-    """A program of M motions in the cell of a robot.
+class PlacedProgram(DrivenProgram, frozen=True, eq=False, dict=True):
+    """A program of M motions as its controller drives it, with the joint angles at the ends of its motions.
 
-    :param place: the robot in its cell.
-    :param path: the geometry of its motions.
     :param size: (M,) length of the motions [m]; of one that does not move the tip, a length of its own (`_STILL`).
     :param along: (M + 1,) arc length at which each motion begins, and that of the end: the sum of these sizes [m].
     :param rows: (n,) motions with a Cartesian target.
@@ -49,9 +48,6 @@ class PlacedProgram(Struct, frozen=True, eq=False, dict=True):
     :param branch: (M,) branch of the inverse kinematics of each.
     """
 
-    program: Program
-    place: RobotInCell
-    path: Segments
     size: Array
     along: Array
     rows: Ints
@@ -59,24 +55,26 @@ class PlacedProgram(Struct, frozen=True, eq=False, dict=True):
     branch: Ints
 
     @classmethod
-    def of(cls, program: Program, place: RobotInCell) -> PlacedProgram:
+    def of(cls, program: Program, robot_in_cell: RobotInCell) -> PlacedProgram:
         """Return a program in its cell.
 
         :raises ProgramError: a target is out of reach.
         """
         m = program.motions
-        path = toolpath.segments(program, place.start_flange)
-        still = (m.kind != PTP) & (path.length < _STILL)
-        size = np.where(still, np.maximum(_PER_RADIAN * path.turn, _LEAST), path.length)
-        along = np.append(0.0, np.cumsum(size))
-        ends = _ends(program, place)
-        return cls(program, place, path, size, along, np.flatnonzero(np.isnan(m.joints[:, 0])), ends.q[:], ends.branch)
+        segments = toolpath.segments(program, robot_in_cell.start_flange)
+        still = (m.kind != PTP) & (segments.length < _STILL)
+        size = np.where(still, np.maximum(_PER_RADIAN * segments.turn, _LEAST), segments.length)
+        along, rows = np.append(0.0, np.cumsum(size)), np.flatnonzero(np.isnan(m.joints[:, 0]))
+        ends = _ends(program, robot_in_cell)
+        return cls(program, robot_in_cell, segments, size, along, rows, ends.q[:], ends.branch)
 
     def track(self, offset: Array | float = 0.0) -> Track:
         """Return the Cartesian targets in the root, displaced by offsets (n, 3) in their `$BASE` [m]."""
         m, rows = self.program.motions, self.rows
         pose = m.target[rows]
-        step = np.where(m.kind[rows] == PTP, norm(pose[:, :3, 3] - self.path.begin(rows)), self.path.length[rows])
+        step = np.where(
+            m.kind[rows] == PTP, norm(pose[:, :3, 3] - self.segments.begin(rows)), self.segments.length[rows]
+        )
         pose[:, :3, 3] += offset
         position = toolpath.pose_in_root(self.program, rows, pose, None)[:, :3, 3]
         return Track(position, step, m.kind[rows] == PTP, self.continued[rows])
@@ -84,7 +82,7 @@ class PlacedProgram(Struct, frozen=True, eq=False, dict=True):
     @cached_property
     def continued(self) -> Bools:
         """(M,) True for motions whose end is no corner: the next motion continues the same line or arc."""
-        return np.append(toolpath.continues(self.program, self.path)[1:], False)
+        return np.append(toolpath.continues(self.program, self.segments)[1:], False)
 
     def at(self, length: Array) -> tuple[Ints, Array]:
         """Return the places (motion, t), each (n,), at arc lengths (n,) [m]; t > 0."""
@@ -95,28 +93,21 @@ class PlacedProgram(Struct, frozen=True, eq=False, dict=True):
     def points(self, length: Array) -> Array:
         """Return the nominal positions (n, 3) at arc lengths (n,), in the cell [m]."""
         motion, t = self.at(length)
-        return in_cell(self.program, motion, toolpath.positions(self.program, self.path, motion, t))
+        return in_cell(self.program, motion, toolpath.positions(self.program, self.segments, motion, t))
 
     def forces(self, source: ForceSource | None) -> PathForces:
         """Return the forces along the program: from a source, else from its comments."""
-        return forces.assign(self.program, self.path, source, self.place.spindle, self.place.ramp)
+        return forces.assign(self.program, self.segments, source, self.robot_in_cell.spindle, self.robot_in_cell.ramp)
 
     def wrench(self, load: PathForces, motion: Ints, t: Array | float = 1.0) -> Array:
         """Return the wrenches (n, 6) at places (motion, t), root axes [N, N·m]."""
         share = np.broadcast_to(np.asarray(t, dtype=float), motion.shape)
-        wrench = load.at(toolpath.at(self.program, self.path, motion, share))
+        wrench = load.at(toolpath.at(self.program, self.segments, motion, share))
         return toolpath.wrench_in_root(self.program, motion, wrench)
-
-    def carried(self, motion: Ints, t: Array | float = 1.0) -> Array:
-        """Return the displacement (n, 3) [m] of the robot by E1 at places (motion, t)."""
-        carriage = self.program.carriage
-        return np.zeros((len(motion), 3)) if carriage is None else carriage.offset(motion, t)
 
     def joints_at(self, motion: Ints, t: Array) -> Array:
         """Return the joint angles (n, 6) at places (motion, t) [rad]; NaN out of reach."""
-        pose = toolpath.at(self.program, self.path, motion, t).pose[:]
-        flange = toolpath.flange_from_tcp(self.program, motion, pose, t)
-        return kinematics.on_branch(self.place.robot, flange, self.branch[motion])
+        return self.commanded(motion, t, self.branch[motion])[1]
 
 
 def in_cell(program: Program, motion: Ints, point: Array) -> Array:
@@ -131,11 +122,11 @@ def file_and_line(program: Program, row: int) -> tuple[str, int]:
     return str(Path(program.documents[0].folder) / file), line
 
 
-def _ends(program: Program, place: RobotInCell) -> JointPath:
+def _ends(program: Program, robot_in_cell: RobotInCell) -> JointPath:
     """Return the joint angles at the ends of the motions."""
     count = len(program.motions)
     try:
-        return place.follow(program, np.arange(count), np.ones(count), program.motions.target)
+        return robot_in_cell.follow(program, np.arange(count), np.ones(count), program.motions.target)
     except UnreachableError as cause:
         file, line = file_and_line(program, cause.rows[0])
         problem = "out of reach (on the branch of [start] joints)"
@@ -164,13 +155,13 @@ def nearest(points: Callable[[Array], Array], wanted: Array, begin: Array, end: 
 class Chain(Struct, frozen=True, eq=False):
     """The motions of a program from its first to its last pair. Pair k is at u = k; between, u is by arc length.
 
-    :param program: the program; `path` its geometry.
+    :param program: the program; `segments` its geometry.
     :param row: (m,) its motions, in order.
     :param begin: (m,) u at which each begins, `end` (m,) at which it ends.
     """
 
     program: Program
-    path: Segments
+    segments: Segments
     row: Ints
     begin: Array
     end: Array
@@ -185,7 +176,7 @@ class Chain(Struct, frozen=True, eq=False):
         ordinal = (row - paired[pair - 1]) / (paired[pair] - paired[pair - 1])
         share = np.where(whole > _NOTHING, (side.along[row + 1] - before) / np.maximum(whole, _NOTHING), ordinal)
         end = np.where(row == paired[pair], pair, np.minimum(pair - 1 + share, pair))
-        return cls(side.program, side.path, row, np.concatenate([[0.0], end[:-1]]), end)
+        return cls(side.program, side.segments, row, np.concatenate([[0.0], end[:-1]]), end)
 
     def at(self, u: Array) -> tuple[Ints, Array]:
         """Return the places (motion, t), each (n,), at u (n,), 0 < u <= P − 1."""
@@ -217,7 +208,7 @@ class Curves(Struct, frozen=True, eq=False):
     def at(self, u: Array) -> tuple[Array, Array]:
         """Return the positions (n, 3) [m] of the nominal tool that each program commands at u (n,), nominal `$BASE`."""
         motion, t = self.one.at(u)
-        mine = toolpath.positions(self.one.program, self.one.path, motion, t)
+        mine = toolpath.positions(self.one.program, self.one.segments, motion, t)
         return mine, self._second(*self.other.at(u), motion)
 
     def second_in_cell(self, u: Array) -> Array:
@@ -229,9 +220,9 @@ class Curves(Struct, frozen=True, eq=False):
         """Return where the second program sends the tool of nominal motions (n,), at its places (row, share)."""
         nominal, second = self.one.program, self.other.program
         if self._same_tool:
-            point = toolpath.positions(second, self.other.path, row, share)
+            point = toolpath.positions(second, self.other.segments, row, share)
             return toolpath.points_in_base(nominal, motion, in_cell(second, row, point), None)
-        pose = toolpath.at(second, self.other.path, row, share).pose[:]
+        pose = toolpath.at(second, self.other.segments, row, share).pose[:]
         return tool_of_nominal(nominal, motion, second, row, pose)[:, :3, 3]
 
     def apart(self) -> Array:

@@ -119,6 +119,8 @@ class Result(Struct, frozen=True, eq=False):
     :param turn: the turn of the tool about its axis, if it was chosen.
     :param redundancy_deg: turn that the cell states for all of a program; None if the program states orientations.
     :param modules: row of the first target of each of `documents`, if they are modules; empty if not.
+    :param as_engaged: of a prediction with the forces of the deflected tool: that with the forces of the nominal
+        engagement, by which a correction is made.
     """
 
     program: Program
@@ -156,6 +158,7 @@ class Result(Struct, frozen=True, eq=False):
     turn: Turn | None = None
     redundancy_deg: float | None = None
     modules: tuple[int, ...] = ()
+    as_engaged: Result | None = None
 
     def __post_init__(self) -> None:
         force_setattr(self, "wrench", Runs.of(self.wrench))

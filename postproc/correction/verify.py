@@ -9,7 +9,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from postproc import kinematics, toolpath
+from postproc import toolpath
 from postproc.chunks import in_chunks
 from postproc.correction import checks, inspection
 from postproc.correction.targets import Chosen, corners_of_motions
@@ -17,7 +17,8 @@ from postproc.dialects import registry
 from postproc.errors import Issue, Level, NotConvergedError, PostprocError, ProgramError
 from postproc.forces import BEHIND_STEP
 from postproc.frames import MM_PER_M, Array, angle_between, largest, norm, twist_between
-from postproc.program import CIRC, PTP, SPL, Bools, Ints, Modules, Program, Targets, Written
+from postproc.program import CIRC, Bools, Ints, Modules, Program, Targets, Written
+from postproc.simulation import DrivenProgram, number_of_places
 from postproc.toolpath import Segments
 from postproc.under_load import ImpossiblePathError, MotionsUnderLoad, PathUnderLoad, led_by_wrist
 
@@ -160,10 +161,6 @@ _HELD = 1e-6
 """Largest distance of the tip from nominal at a target of a corrected program [m], including rounding."""
 _SAFE = 0.8
 """Share of the tolerance allowed at the places examined: the error may be slightly larger between them."""
-_LONG = 0.005
-"""Runs longer than this [m] are examined between their ends; on shorter ones the deflection is linear."""
-_SPACING = 0.010
-_TURNED = 0.02
 _STEEP = 2e-4
 """Runs over which the correction changes by more than this [m] are examined between their ends."""
 _UNEVEN = 0.2
@@ -171,8 +168,6 @@ _UNEVEN = 0.2
 at there as often as on such runs; else at its middle and end."""
 _AT_ONCE = 1e-6
 """Length of a piece [m] on which a force that changes jumps: it is divided no more."""
-_ON_RAMPS = 4
-"""Number of places examined on such runs."""
 _HERE = 1e-10
 """Places of a motion (t) that are no farther apart are the same."""
 
@@ -289,6 +284,7 @@ def _deviation(
     :raises UnusableTextError: a commanded pose is out of reach, or there is no equilibrium.
     """
     robot_in_cell, written = path.robot_in_cell, back.program
+    driven = DrivenProgram(written, robot_in_cell, back.segments)
     place = path.sample.motion + path.sample.t
     deviation = np.zeros((len(chosen.targets), 3))
     before: tuple[Array, Array] | None = None  # joint angles and position at the end of the chunk before
@@ -299,19 +295,17 @@ def _deviation(
         sample[inner] = np.searchsorted(place, motion[inner] + t[inner] - _HERE)
         nominal = toolpath.at(path.program, path.motions.segments, motion, t)
         wrench = toolpath.wrench_in_root(written, on, path.motions.forces.at(nominal))
-        pose = toolpath.at(written, back.segments, on, share).pose[:]
-        flange = toolpath.flange_from_tcp(written, on, pose, share)
-        q = kinematics.on_branch(robot_in_cell.robot, flange, path.joints.branch[sample])
+        pose, q = driven.commanded(on, share, path.joints.branch[sample])
         if np.isnan(q).any():
             raise NotConvergedError("a commanded pose is out of reach", np.flatnonzero(np.isnan(q).any(axis=1)))
-        tip = robot_in_cell.tip(q, toolpath.tool_of(written, on), wrench, theta[sample])
+        tip = driven.loaded_tip(on, q, wrench, driven.carried(on, share), theta[sample])
         position = pose[:, :3, 3]
         last_q, last_position = (q[:1], position[:1]) if before is None else before
         travel = norm(np.diff(position, axis=0, prepend=last_position))
         turned = (np.abs(np.diff(q, axis=0, prepend=last_q)) / robot_in_cell.robot.speed).max(axis=1, initial=0.0)
         fast = (turned * np.nan_to_num(written.motions.feed[on]) > _NEAR * travel) & (travel > _STILL)
         before = q[-1:], position[-1:]
-        off = toolpath.points_in_base(written, on, tip, share) - nominal.pose[:, :3, 3]
+        off = driven.in_base(on, tip) - nominal.pose[:, :3, 3]
         deviation[target[~inner]] = off[~inner]
         return norm(off), fast
 
@@ -328,7 +322,8 @@ def _probes(path: PathUnderLoad, chosen: Chosen, back: ReadBack) -> _Probes:
     """Return where to look.
 
     A short straight run of a straight move is followed by the deflection in proportion: its end is enough. Runs that
-    are long or turn, and pieces of arcs, are looked at between; closer where the correction changes much over the run.
+    are long or turn, those on which the force changes, and pieces of arcs are looked at between; closer where the
+    correction changes much over the run.
     """
     targets, m = chosen.targets, back.program.motions
 
@@ -338,6 +333,8 @@ def _probes(path: PathUnderLoad, chosen: Chosen, back: ReadBack) -> _Probes:
     every = np.arange(len(targets))
     curved = np.flatnonzero((path.program.motions.kind[targets.motion] == CIRC) | (m.kind[back.row] == CIRC))
     is_curved, uneven = np.zeros((2, len(targets)), dtype=np.bool_)
+    # samples that were found needless are where the force changes: the path is off by part of the tolerance there
+    left_out = np.diff(chosen.row, prepend=-1) > 1
     is_curved[curved] = True
     limit = _UNEVEN * path.robot_in_cell.tolerance
     uneven[curved] = _unevenness(path, chosen, back, curved, correction(curved)) > limit
@@ -346,12 +343,9 @@ def _probes(path: PathUnderLoad, chosen: Chosen, back: ReadBack) -> _Probes:
         on = back.row[target]
         length, turn, kind = back.segments.travel[on], back.segments.turn[on], m.kind[on]
         changed = norm(correction(target) - correction(np.maximum(target - 1, 0)))
-        number = np.where(is_curved[target], 2, 1)
-        wide = (length > _LONG) | (turn > _TURNED)
-        number[wide] = np.maximum(2, np.ceil(np.maximum(length[wide] / _SPACING, turn[wide] / _TURNED)))
         steep = (changed > _STEEP) | uneven[target]
-        number[steep] = np.maximum(number[steep], _ON_RAMPS)
-        number[(kind == PTP) | (kind == SPL)] = 1
+        divided = is_curved[target] | left_out[target]
+        number = number_of_places(kind, length, turn, curved=divided, steep=steep)
         return (number.astype(np.int32),)
 
     (number,) = in_chunks(places, every)

@@ -274,7 +274,8 @@ def predicted(program: Program, robot: RobotModel, cell: Cell, source: ProcessSo
     )
     note = Issue("info" if settled else "warning", "real-cut", message)
     hits = [issue for issue in source.found.issues if issue.kind in ("rapid-in-material", "collision")]
-    return replace(result, issues=(*result.issues, *hits, note)), cut
+    as_engaged = correction.process(program, robot, cell, source, "predict")
+    return replace(result, issues=(*result.issues, *hits, note), as_engaged=as_engaged), cut
 
 
 def _deviation(path: PathUnderLoad) -> Array:

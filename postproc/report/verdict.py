@@ -100,7 +100,9 @@ def _better(result: Result, content: Summary, doubts: list[Finding], tolerance: 
 
     :param doubts: about forces and model.
     """
-    errors, failed = result.errors, list[Finding]()
+    # what the correction is worth is judged under the forces that it is made for, not those of the deflected tool
+    judged = result if result.as_engaged is None else result.as_engaged
+    errors, failed = judged.errors, list[Finding]()
     corrects = content.mode != "predict"
     if (kept := nothing_corrected(content)) is not None:
         doubts.insert(0, Finding(_FIRST, kept))
@@ -113,7 +115,7 @@ def _better(result: Result, content: Summary, doubts: list[Finding], tolerance: 
         doubts.append(Finding(_FIRST, f"the robot model is not to be trusted: {result.robot.measured.not_trusted}"))
     if errors is None or _compensates(content):
         return Better("warning" if doubts else "ok", None, None, None, None, None, _texts(doubts))
-    before, after = (statistics(error, result.rapid) for error in (errors.before, errors.after))
+    before, after = (statistics(error, judged.rapid) for error in (errors.before, errors.after))
     reached = max(content.before.max_mm, content.after.max_mm)
     counts = content.mode == "convert" and reached > (content.tolerance_mm or CUT_MM)
     if counts and errors.chance is not None and errors.chance < HARM:
@@ -192,7 +194,7 @@ def _holds(result: Result, content: Summary) -> list[Finding]:
     """Return what to expect, and what was checked and holds."""
     holds = list[Finding]()
     if content.targets:
-        holds = [*_on_surface(content)[1], *_expected(content), *_margin(content), *_clear(content)]
+        holds = [*_on_surface(content)[1], *_expected(result, content), *_margin(content), *_clear(content)]
     if content.mode != "predict" and result.documents:
         text = "the program was read back as it is written, and simulated with its rounded numbers"
         holds.append(Finding(_WORDS_ONLY, text))
@@ -258,14 +260,15 @@ def _without_forces(result: Result, content: Summary) -> str:
     )
 
 
-def _expected(content: Summary) -> list[Finding]:
+def _expected(result: Result, content: Summary) -> list[Finding]:
     """Return what to expect on the part, in millimetres."""
     found = []
     bound, part, blending = content.u95, content.part, content.blending
     if bound is not None:
-        what = "uncertainty of the prediction" if content.mode == "predict" else "expected error on the part"
-        text = f"{what} (95 %): up to {rounded(bound.max_mm)} mm, {bound.basis}"
-        found.append(Finding(bound.max_mm, text))
+        what, largest = "uncertainty of the prediction", bound.max_mm
+        if content.mode != "predict":
+            what, largest = "expected error on the part", max(bound.max_mm, _largest_after(result))
+        found.append(Finding(largest, f"{what} (95 %): up to {rounded(largest)} mm, {bound.basis}"))
     if part.held and part.expected_mm is not None:
         text = (
             f"[part] tolerance_mm = {part.tolerance_mm:g} is held: up to {rounded(part.expected_mm)} mm (95 %), "
@@ -288,6 +291,12 @@ def _expected(content: Summary) -> list[Finding]:
     if content.mode == "convert" and (content.max_correction_mm or 0.0) >= NOTHING_MM:
         found.append(Finding(_WORDS_ONLY, f"the correction is at most {rounded(content.max_correction_mm or 0.0)} mm"))
     return found
+
+
+def _largest_after(result: Result) -> float:
+    """Return the largest expected error on the part (95 %) after correction [mm], corners and path included."""
+    errors = result.errors
+    return 0.0 if errors is None else statistics(errors.after, result.rapid).largest * MM_PER_M
 
 
 def _on_surface(content: Summary) -> tuple[list[Finding], list[Finding]]:

@@ -14,8 +14,9 @@ from msgspec.structs import replace
 from scipy.spatial.transform import Rotation, Slerp
 
 from postproc import frames, robot
-from postproc.comparison.compare import _paired, _Ways
 from postproc.comparison.differences import _distance_of_way
+from postproc.comparison.loaded_path import Ways
+from postproc.comparison.partners import paired
 from postproc.comparison.paths import Chain, Curves, PlacedProgram, nearest
 from postproc.poses import Poses
 from postproc.program import CIRC, PTP
@@ -245,7 +246,7 @@ def test_ways_begin_at_the_start_or_behind_the_pair_before_and_end_with_their_ow
     one, other = Path(ONE).placed, Path(TWO).placed
     pair = np.array([[1, 2], [2, 3], [5, 6]])
     found = SimpleNamespace(pair=pair)
-    ways = _Ways.of_pairs(found, one, other)
+    ways = Ways.of_pairs(found, one, other)
     np.testing.assert_array_equal(ways.begin, [0.0, one.along[2], one.along[3]])
     np.testing.assert_array_equal(ways.end, one.along[[2, 3, 6]])
     np.testing.assert_array_equal(ways.second, [[0.0, other.along[3]], other.along[[3, 4]], other.along[[4, 7]]])
@@ -260,7 +261,7 @@ def test_what_inserted_targets_are_off_is_no_distance_of_the_way(inside, found):
     """Pairs are 0.2 mm off, so that inserted targets may be 0.7 mm off: the path through them is not off it."""
     one = Path([("LIN", 0, 0, 0), ("LIN", 80, 0, 0), ("LIN", 80, 40, 0)]).placed
     other = Path([("LIN", 0, 0.2, 0), ("LIN", 40, inside, 0), ("LIN", 80, 0.2, 0), ("LIN", 80, 40.2, 0)]).placed
-    made = _paired(one, other, np.array([0, 2, 3]), np.ones(3, dtype=bool))
+    made = paired(one, other, np.array([0, 2, 3]), np.ones(3, dtype=bool))
     assert made.inserted.tolist() == [1]
     assert _distance_of_way(made, one, other, 1) == found
     bulge = [
@@ -270,6 +271,6 @@ def test_what_inserted_targets_are_off_is_no_distance_of_the_way(inside, found):
         ("LIN", 80, 0.2, 0),
     ]
     other = Path([*bulge, ("LIN", 80, 40.2, 0)]).placed
-    made = _paired(one, other, np.array([0, 3, 4]), np.ones(3, dtype=bool))
+    made = paired(one, other, np.array([0, 3, 4]), np.ones(3, dtype=bool))
     assert made.inserted.tolist() == [1, 2]
     assert _distance_of_way(made, one, other, 1) == pytest.approx(20.2e-3, abs=2e-5)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from postproc.comparison import compare
-from postproc.comparison.compare import _missing, _paired, _Search, _under_force, _Ways
+from postproc.comparison.loaded_path import Search, Ways
+from postproc.comparison.partners import missed_targets, paired, partners_under_force
 from postproc.forces import Knots
 from postproc.under_load import RobotInCell
 from tests.comparison.test_named import CELL, FORCE, HEAD, POINT, ROBOT, TURNED, edited, lines, named, nominal, read
@@ -132,15 +133,15 @@ def test_behind_a_step_of_the_force_the_new_one_acts_from_the_first_place_on():
     """The deflection there, against the direction of travel, leaves all of itself; before it there is none."""
     side = lines((0, 0), (60, 0), (120, 0))
     load = side.forces(Step([[0] * 6, [0] * 6, [0] * 6, [-900, 300, 200, 0, 0, 0]]))
-    ways = _Ways(
+    ways = Ways(
         side, np.arange(4), side.along[[0, 1, 2, 3]], side.along[[1, 2, 3, 4]],
         np.stack([side.along[:4], side.along[1:]], axis=1), np.ones(4, dtype=bool),
     )  # fmt: skip
     motion, t, begin = np.array([3]), np.array([1e-7]), side.along[[3]]
     q = side.joints_at(motion, t)
-    off = side.place.tip(q, side.program.tools[0], side.wrench(load, motion))[0] - side.points(begin)[0]
+    off = side.robot_in_cell.tip(q, side.program.tools[0], side.wrench(load, motion))[0] - side.points(begin)[0]
     assert off[0] < -1e-4  # against the travel along X
-    _, mine, distance = _Search(side, side, load, ways).found(motion, t, q, begin, enough=1e-8)
+    _, mine, distance = Search(side, side, load, ways).found(motion, t, q, begin, enough=1e-8)
     np.testing.assert_allclose([mine[0], distance[0]], np.linalg.norm(off), rtol=1e-3)
 
 
@@ -162,8 +163,8 @@ def test_the_larger_offset_next_to_a_point_of_a_line_counts(first, bulge, passed
     one = lines((0, 0), (20, 0), (40, 0), (40, 30))
     offset = np.interp([10, 30], [0, 40], [first, last])
     other = lines((0, first), (10, offset[0] + bulge), (30, offset[1] + bulge), (40, last), (40, 30 + last))
-    found = _paired(one, other, np.array([0, -1, 3, 4]), np.ones(4, dtype=bool))
-    missed, judged = _missing(found, one, other, None)
+    found = paired(one, other, np.array([0, -1, 3, 4]), np.ones(4, dtype=bool))
+    missed, judged = missed_targets(found, one, other, None)
     np.testing.assert_allclose(missed, (bulge - 0.3) * 1e-3, atol=1e-6)  # less what the offsets differ by
     assert judged.tolist() == [passed]
 
@@ -171,7 +172,7 @@ def test_the_larger_offset_next_to_a_point_of_a_line_counts(first, bulge, passed
 def test_of_many_free_targets_those_near_the_present_partner_are_tried():
     one = lines((0, 0), (85, 0), (150, 0))
     other = lines(*((x, 0) for x in range(151)))
-    assert _under_force(one, other, np.array([0, 80, 150]), np.zeros((3, 6))).tolist() == [0, 85, 150]
+    assert partners_under_force(one, other, np.array([0, 80, 150]), np.zeros((3, 6))).tolist() == [0, 85, 150]
 
 
 def test_a_missing_last_target_is_missed_by_its_distance_from_where_the_second_path_ends():
@@ -185,7 +186,7 @@ def test_a_missing_last_target_is_missed_by_its_distance_from_where_the_second_p
 def test_a_turned_target_before_the_first_pair_is_no_difference():
     """There is no pair before it, so it is not known how the tool turns there."""
     side = lines((0, 0), (40, 0))
-    start = side.path.begin(np.array([1]))[0] * 1e3  # of the first line, in its $BASE
+    start = side.segments.begin(np.array([1]))[0] * 1e3  # of the first line, in its $BASE
     assert np.linalg.norm(start) > 50.0
     x, y, z = 0.5 * start
     one = HEAD + edited()

@@ -13,7 +13,8 @@ from postproc import cell as cells
 from postproc import correction, jobs
 from postproc.cell import ExternalAxis
 from postproc.comparison import compare
-from postproc.comparison.compare import _in_order, _missing, _paired, _Search, _spread, _under_force, _Ways
+from postproc.comparison.loaded_path import Search, Ways, places_on_pieces
+from postproc.comparison.partners import in_order, missed_targets, paired, partners_under_force
 from postproc.comparison.paths import Chain, PlacedProgram, nearest
 from postproc.program import PTP, Document
 from postproc.under_load import RobotInCell
@@ -307,10 +308,12 @@ def test_lines_and_arcs_are_looked_at_every_centimetre_and_short_ones_at_least()
     arcs = [f"CIRC {{X {x + 1},Y 1,Z 0}},{{X {x + 2},Y 0,Z 0,{TURNED}}}" for x in (29,)]
     arcs.append(f"CIRC {{X 61,Y 30,Z 0}},{{X 91,Y 0,Z 0,{TURNED}}}")
     side = placed("\n".join([HEAD, *lines, *arcs, "END", ""]))
-    row, t = _spread(side, np.arange(2, 6))
-    parts = {2: 2, 3: 3, 4: 4, 5: 10}  # 4 mm, 25 mm, arcs of 3 and 94 mm
-    for piece, count in parts.items():
-        np.testing.assert_allclose(t[row == piece], np.arange(1, count) / count, rtol=1e-12)
+    pieces = np.arange(2, 6)
+    for steep, least in ((False, 2), (True, 4)):
+        row, t = places_on_pieces(side, pieces, np.full(len(pieces), steep))
+        parts = {2: least, 3: max(3, least), 4: 4, 5: 10}  # 4 mm, 25 mm, arcs of 3 and 94 mm
+        for piece, count in parts.items():
+            np.testing.assert_allclose(t[row == piece], np.arange(1, count) / count, rtol=1e-12)
 
 
 @pytest.mark.parametrize("share", np.linspace(0.05, 0.95, 10))
@@ -320,7 +323,7 @@ def test_the_nearest_place_is_sought_on_its_way_alone(share):
     side = placed("\n".join([HEAD, *lines, "END", ""]))
     motion, t = np.array([3]), np.array([share])
     load = side.forces(None)
-    search = _Search(side, side, load, None)
+    search = Search(side, side, load, None)
     low, high = side.along[[3]], side.along[[4]]
     found = search._anywhere(side.joints_at(motion, t), np.zeros((1, 3)), (low, high))
     np.testing.assert_allclose(found, low + share * (high - low), atol=1e-3)  # 120 mm in 64 parts, refined
@@ -348,7 +351,7 @@ def test_partners_are_exchanged_for_free_ones_that_bring_the_tip_to_the_target(s
     one = lines((0, 0), second, (40, 0), (40, 20))
     other = lines((0, 0), (20, 0), (20, 9), (40, 0), (40, 20), (50, 20))
     none = np.zeros((4, 6))
-    assert _under_force(one, other, np.array(partner), none).tolist() == found
+    assert partners_under_force(one, other, np.array(partner), none).tolist() == found
 
 
 def test_partners_stay_in_order_where_the_path_passes_a_target_twice():
@@ -356,21 +359,21 @@ def test_partners_stay_in_order_where_the_path_passes_a_target_twice():
     one = lines((0, 0), (20, 0), (40, 0), (20, 0), (40, 20))
     other = lines((0, 0), (20, 0), (40, 0), (20, 9), (20, 0), (40, 20))
     for partner in ([0, 1, 2, 3, 5], [0, 1, 2, -1, 5]):
-        assert _under_force(one, other, np.array(partner), np.zeros((5, 6))).tolist() == [0, 1, 2, 4, 5]
+        assert partners_under_force(one, other, np.array(partner), np.zeros((5, 6))).tolist() == [0, 1, 2, 4, 5]
     other = lines((0, 0), (20, 0), (40, 0), (20, 9), (40, 20))
     for partner in ([0, 1, 2, 3, 4], [0, 1, 2, -1, 4]):  # and not that of the second target
-        assert _under_force(one, other, np.array(partner), np.zeros((5, 6))).tolist() == partner
+        assert partners_under_force(one, other, np.array(partner), np.zeros((5, 6))).tolist() == partner
 
 
 def test_no_target_is_the_partner_of_two_and_none_of_one_behind_a_later_one():
-    assert _in_order(np.array([0, 2, 1, -1, 2, 3, 3])).tolist() == [0, 2, -1, -1, -1, 3, -1]
+    assert in_order(np.array([0, 2, 1, -1, 2, 3, 3])).tolist() == [0, 2, -1, -1, -1, 3, -1]
 
 
 def test_only_free_partners_of_the_same_kind_are_taken():
     text = "\n".join([HEAD, *(f"LIN {{X {x},Y 0,Z 0,{TURNED}}}" for x in (0, 20, 40)), "END", ""])
     one = placed(text)
     other = placed(text.replace("LIN {X 20", f"PTP {{X 20,Y 0,Z 0,{TURNED}}}\nLIN {{X 21"))
-    found = _under_force(one, other, np.array([0, 2, 3]), np.zeros((3, 6)))
+    found = partners_under_force(one, other, np.array([0, 2, 3]), np.zeros((3, 6)))
     assert found.tolist() == [0, 2, 3]
 
 
@@ -379,8 +382,8 @@ def test_a_point_of_a_line_is_passed_within_a_tenth_and_three_times_the_offset(b
     """Pairs that are 0.5 mm off; between them the second path bulges by so much more."""
     one = lines((0, 0), (20, 0), (40, 0), (40, 30))
     other = lines((0, 0.5), (10, 0.5 + bulge), (30, 0.5 + bulge), (40, 0.5), (40, 30.5))
-    found = _paired(one, other, np.array([0, -1, 3, 4]), np.ones(4, dtype=bool))
-    missed, judged = _missing(found, one, other, None)
+    found = paired(one, other, np.array([0, -1, 3, 4]), np.ones(4, dtype=bool))
+    missed, judged = missed_targets(found, one, other, None)
     np.testing.assert_allclose(missed, bulge * 1e-3, atol=1e-6)
     assert judged.tolist() == [passed]
 
@@ -389,8 +392,8 @@ def test_what_the_offsets_next_to_a_corner_differ_by_is_no_miss_of_it():
     """Offsets of 0.2 and 0.6 mm: the corner is missed by 3 mm, 0.4 of which may be a correction."""
     one = lines((0, 0), (20, 0), (20, 3), (40, 3), (40, 30))
     other = lines((0, 0.2), (20, 0.2), (40, 3.6), (40, 30.6))
-    found = _paired(one, other, np.array([0, 1, -1, 2, 3]), np.ones(5, dtype=bool))
-    missed, judged = _missing(found, one, other, None)
+    found = paired(one, other, np.array([0, 1, -1, 2, 3]), np.ones(5, dtype=bool))
+    missed, judged = missed_targets(found, one, other, None)
     a, b = np.array([20.0, 0.2]), np.array([40.0, 3.6])  # the line that cuts the corner
     share = np.linspace(0.0, 1.0, 200_001)[:, None]
     wanted = [20.0, 3.0 + 0.2 + 0.4 * 3.0 / 23.0]  # the offset between, by length of path
@@ -402,8 +405,8 @@ def test_what_the_offsets_next_to_a_corner_differ_by_is_no_miss_of_it():
 def test_pieces_begin_where_the_one_before_ends():
     one = lines((0, 0), (40, 0), (40, 30))
     other = lines((0, 0), (10, 0), (30, 0), (40, 0), (40, 12), (40, 30))
-    found = _paired(one, other, np.array([0, 3, 5]), np.ones(3, dtype=bool))
-    ways = _Ways.of_pairs(found, one, other)
+    found = paired(one, other, np.array([0, 3, 5]), np.ones(3, dtype=bool))
+    ways = Ways.of_pairs(found, one, other)
     ends = np.array([0.0, 10.0, 30.0, 40.0, 52.0, 70.0]) * 1e-3
     place = np.append(np.nan, one.along[2] + ends)  # row 0 is the axis target
     begins = ways.begins(np.arange(2, 7), place)
@@ -437,7 +440,7 @@ def test_a_target_between_two_detours_is_on_the_path():
     """Neither the share of the way nor the length from either end tells where on the nominal path it is."""
     one = lines((0, 0), (80, 0), (80, 30))
     other = lines((0, 0), (20, 30), (30, 0), (60, 10), (80, 0), (80, 30))
-    found = _paired(one, other, np.array([0, 4, 5]), np.ones(3, dtype=bool))
+    found = paired(one, other, np.array([0, 4, 5]), np.ones(3, dtype=bool))
     assert found.inserted.tolist() == [3]  # row 0 is the axis target
     assert found.only_corrected.tolist() == [2, 4]
 
@@ -446,14 +449,14 @@ def test_a_target_behind_the_last_pair_and_one_that_axes_move_to_are_not_inserte
     """They are on the nominal line, or on what would be its continuation."""
     one = lines((0, 0), (40, 0), (40, 30))
     other = lines((0, 0), (40, 0), (40, 30), (40, 30), (40, 50))
-    found = _paired(one, other, np.array([0, 1, 2]), np.ones(3, dtype=bool))
+    found = paired(one, other, np.array([0, 1, 2]), np.ones(3, dtype=bool))
     assert (found.inserted.tolist(), found.only_corrected.tolist()) == ([], [4, 5])  # row 0 is the axis target
     text = "\n".join([HEAD, *(f"LIN {{X {x},Y 0,Z 0,{TURNED}}}" for x in (0, 20, 40)), "END", ""])
     one, other = (
         placed(text.replace(f"LIN {{X 20,Y 0,Z 0,{TURNED}}}\n", "")),
         placed(text.replace("LIN {X 20", "PTP {X 20")),
     )
-    found = _paired(one, other, np.array([0, 2]), np.ones(2, dtype=bool))
+    found = paired(one, other, np.array([0, 2]), np.ones(2, dtype=bool))
     assert (found.inserted.tolist(), found.only_corrected.tolist()) == ([], [2])
 
 
@@ -583,6 +586,6 @@ def test_ways_by_ptp_and_from_where_nothing_is_corrected_are_not_compared_inside
     """The robot comes from an axis target to the first pair, and by a PTP to the last but one."""
     cell = replace(CELL, payload=replace(CELL.payload, mass_kg=payload))
     side = PlacedProgram.of(read(HEAD + BODY, "ONE.src"), RobotInCell.of(ROBOT, cell))
-    found = _paired(side, side, np.arange(7), np.ones(7, dtype=bool))
-    known = _Ways.of_pairs(found, side, side).known
+    found = paired(side, side, np.arange(7), np.ones(7, dtype=bool))
+    known = Ways.of_pairs(found, side, side).known
     assert known.tolist() == [payload == 0.0, True, True, True, True, False, True]
