@@ -576,6 +576,10 @@ class Program(Struct, frozen=True, eq=False):
     layout: Layout | None = None
     feed_as_read: Array | None = None
 
+    def __repr__(self) -> str:
+        """Return name, format and number of motions: arrays are too long to show."""
+        return f"<Program {self.name} ({self.dialect}): {len(self.motions)} motions>"
+
     @property
     def turning(self) -> Turning | None:
         """How motions turn the tool that do not turn it by one rotation; None: all do."""

@@ -1,14 +1,18 @@
 from __future__ import annotations
 
+import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 import postproc
 from postproc import kinematics
+from tests import fabricated
 
 ROOT = Path(__file__).parent.parent
 
@@ -22,6 +26,30 @@ def test_every_public_name_is_there():
 def test_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="no attribute 'undo'"):
         _ = postproc.undo
+
+
+def test_results_and_programs_are_shown_in_a_line_and_as_a_table():
+    result = fabricated.result(3)
+    assert repr(result).startswith(f"<Result of {result.program.name} on {result.robot.name}: targets 3, before ")
+    assert len(repr(result)) < 200
+    assert repr(result.program).endswith("motions>")
+    table = result._repr_html_()
+    assert table.startswith("<table><caption>")
+    assert table.count("<tr>") >= 3
+    assert "&lt;" in fabricated.with_changes(result, program=replace(result.program, name="a<b"))._repr_html_()
+
+
+def test_the_guide_to_python_can_be_typed_to_its_end(tmp_path, monkeypatch):
+    """But for the plot, whose library is not installed with the package."""
+    shutil.copytree(ROOT / "samples", tmp_path / "samples")
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "guide" / "python.md").read_text(), re.DOTALL)
+    names: dict[str, object] = {}
+    for block in blocks:
+        if "matplotlib" not in block:
+            exec(block, names)
+    assert (tmp_path / "out" / "pocket.src").read_bytes() == names["result"].documents[0].to_bytes()
+    assert (tmp_path / "out" / "pocket.report.html").stat().st_size > 1_000_000
 
 
 def test_importing_the_package_imports_nothing_heavy():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from html import escape
 from typing import Literal
 
 import numpy as np
@@ -13,7 +15,7 @@ from postproc.correction.collisions import SmallestClearance
 from postproc.elastostatics import Reversals
 from postproc.errors import Issue
 from postproc.forces import Knots
-from postproc.frames import Array, norm
+from postproc.frames import MM_PER_M, Array, norm
 from postproc.placement import Turn
 from postproc.poses import Poses
 from postproc.program import Bools, Document, Ints, Program
@@ -165,6 +167,31 @@ class Result(Struct, frozen=True, eq=False):
 
     def __len__(self) -> int:
         return len(self.motion)
+
+    def __repr__(self) -> str:
+        """Return program, robot and largest deviations: arrays are too long to show."""
+        words = ", ".join(f"{name} {value}" for name, value in self._figures())
+        return f"<Result of {self.program.name} on {self.robot.name}: {words}>"
+
+    def _repr_html_(self) -> str:
+        """Return the same as a table, for notebooks. `postproc.page` is the whole report."""
+        title = escape(f"{self.program.name} on {self.robot.title or self.robot.name}")
+        rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in self._figures())
+        return f"<table><caption>{title}</caption>{rows}</table>"
+
+    def _figures(self) -> Iterator[tuple[str, str]]:
+        """Yield name and value of what sums a result up; mm."""
+        yield "targets", f"{len(self)}"
+        if self.failed:
+            yield "errors", f"{sum(issue.level == 'error' for issue in self.issues)}"
+        if len(self) and not self.rapid.all():
+            before = statistics(self.before, self.rapid)
+            yield "before", f"{before.largest * MM_PER_M:.2g} mm (RMS {before.rms * MM_PER_M:.2g})"
+            if self.mode != "predict":
+                after = statistics(self.after, self.rapid)
+                yield "after", f"{after.largest * MM_PER_M:.2g} mm (RMS {after.rms * MM_PER_M:.2g})"
+            if self.bound is not None:
+                yield "on the part (95 %)", f"{float(self.bound[~self.rapid].max()) * MM_PER_M:.2g} mm"
 
     @property
     def failed(self) -> bool:
