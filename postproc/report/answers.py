@@ -43,10 +43,14 @@ WORDS: dict[tuple[Mode, State], str] = {
 """The verdict in a word."""
 LIMITS_AND_COLLISIONS = "joint limits, speeds and collisions"
 """What a comparison leaves to a prediction of the second program."""
+SPLINES = "splines between their points"
+RUN_TIME = "motions that are known at run time only"
 UNCHECKED = {
     "collisions": "the cell has no [collision]",
     "moves through material": "no stock is known: give --process",
     LIMITS_AND_COLLISIONS: "predict checks them",
+    SPLINES: "they are followed along their chords",
+    RUN_TIME: "they are kept as they are",
 }
 """What may be left unchecked, and why."""
 

@@ -11,8 +11,11 @@ from msgspec import Struct
 from postproc.correction import Mode, Result, statistics
 from postproc.errors import Issue
 from postproc.frames import MM_PER_M
+from postproc.program import SPL
 from postproc.report.answers import (
     HARM,
+    RUN_TIME,
+    SPLINES,
     WIDE,
     Better,
     Drive,
@@ -89,7 +92,12 @@ def _drive(result: Result, content: Summary, warnings: Sequence[Issue]) -> Drive
     doubts = _of_issues(warnings, result.mode)
     if content.targets:
         doubts = [*_on_surface(content)[0], *_near_limits(content), *doubts]
-    known = {"collisions": content.collision is not None, "moves through material": result.stock_known}
+    known = {
+        "collisions": content.collision is not None,
+        "moves through material": result.stock_known,
+        SPLINES: not bool((result.program.motions.kind == SPL).any()),
+        RUN_TIME: not result.program.unresolved,
+    }
     unchecked = [name for name, is_known in known.items() if not is_known]
     state: State = "failed" if errors else "warning" if doubts else "ok"
     return Drive(state, [*errors, *_texts(doubts)], unchecked)
@@ -274,7 +282,7 @@ def _expected(result: Result, content: Summary) -> list[Finding]:
             f"[part] tolerance_mm = {part.tolerance_mm:g} is held: up to {rounded(part.expected_mm)} mm (95 %), "
             "corners and path included"
         )
-        found.append(Finding(part.expected_mm, text))
+        found.insert(0, Finding(part.expected_mm, text))
     if content.mode == "predict":
         text = f"predicted as programmed: up to {rounded(content.before.max_mm)} mm off at cutting targets"
         return [Finding(_FIRST, text), *found]
