@@ -146,6 +146,18 @@ def compact(column: NDArray[Any], kind: type[np.integer[Any]]) -> NDArray[Any]:
     return smaller
 
 
+def ragged_range(count: NDArray[np.int64], first: NDArray[np.int64] | int = 0) -> NDArray[np.int64]:
+    """Return the integers from `first` (G,) on, `count` (G,) of them, of all groups one after the other.
+
+    >>> ragged_range(np.array([2, 0, 3])).tolist()
+    [0, 1, 0, 1, 2]
+    >>> ragged_range(np.array([2, 0, 3]), np.array([7, 9, 4])).tolist()
+    [7, 8, 4, 5, 6]
+    """
+    before = np.cumsum(count) - count
+    return np.arange(int(np.sum(count))) - np.repeat(before - first, count)
+
+
 def chunks(count: int) -> Iterator[slice]:
     """Yield the rows of each chunk of `count` rows; one, empty, for none."""
     return (slice(start, start + _ROWS) for start in range(0, max(1, count), _ROWS))

@@ -56,3 +56,12 @@ def test_an_array_with_few_rows_is_indexed_like_one_with_all():
 def test_a_column_without_a_change_is_one_run():
     runs = chunks.Runs.of(np.full((20_000, 2), np.nan))
     assert (len(runs.values), runs.run.strides, runs.shape) == (1, (0,), (20_000, 2))
+
+
+def test_ragged_ranges_are_those_of_each_group():
+    rng = np.random.default_rng(5)
+    for groups in (0, 1, 30):
+        count, first = rng.integers(0, 5, groups), rng.integers(-9, 9, groups)
+        expected = [n for start, number in zip(first, count, strict=True) for n in range(start, start + number)]
+        assert chunks.ragged_range(count, first).tolist() == expected
+        assert chunks.ragged_range(count).tolist() == [n for number in count for n in range(number)]

@@ -10,7 +10,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc import toolpath
-from postproc.chunks import in_chunks
+from postproc.chunks import in_chunks, ragged_range
 from postproc.comparison.paths import PlacedProgram, file_and_line
 from postproc.comparison.result import Comparison, Cuts
 from postproc.errors import ForceError, NotConvergedError
@@ -234,7 +234,7 @@ def places_on_pieces(other: PlacedProgram, pieces: Ints, steep: Bools) -> tuple[
     number = number_of_places(kind, length, turn, curved=arcs, steep=arcs | steep)
     parts = np.maximum(number, _LEAST)
     which = np.repeat(np.arange(len(pieces)), parts - 1)
-    index = np.arange(len(which)) - np.repeat(np.cumsum(parts - 1) - (parts - 1), parts - 1) + 1
+    index = ragged_range(parts - 1) + 1
     return pieces[which], index / parts[which]
 
 

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from postproc import kinematics, toolpath
 from postproc.cell import Cell
-from postproc.chunks import chunks, in_chunks
+from postproc.chunks import chunks, in_chunks, ragged_range
 from postproc.correction import checks
 from postproc.correction.result import Mode
 from postproc.correction.targets import Commands
@@ -282,7 +282,7 @@ def dense_places(
     group = np.cumsum(count) // _AT_ONCE
     for part in np.split(np.arange(len(count)), np.flatnonzero(np.diff(group)) + 1):
         which = np.repeat(part, count[part])
-        index = np.arange(len(which)) - np.flatnonzero(np.diff(which, prepend=-1))[which - part[0]]
+        index = ragged_range(count[part])
         begin, end = stretches.begin[which], stretches.end[which]
         motion, t = stretches.motion[which], begin + (end - begin) * (index / (count[which] - 1))
         close = toolpath.at(program, path.motions.segments, motion, t)

@@ -18,7 +18,7 @@ from msgspec.structs import replace
 
 from postproc import kinematics, toolpath
 from postproc.cell import Cell
-from postproc.chunks import chunks, in_chunks
+from postproc.chunks import chunks, in_chunks, ragged_range
 from postproc.forces.sources import FEED
 from postproc.frames import M_PER_MM, Array, largest, norm, sine_and_cosine, twist_between
 from postproc.poses import Poses
@@ -126,7 +126,7 @@ def _ends(path: CommandedPath, stretch: Ints) -> tuple[Array, Ints, Ints]:
     size = arcs.number * arcs.each
     first = np.flatnonzero(np.isin(sample.motion, arcs.motion))[np.cumsum(size) - size]
     number, each = arcs.number[stretch], np.repeat(arcs.each[stretch], arcs.number[stretch])
-    inside = np.arange(number.sum()) - np.repeat(np.cumsum(number) - number, number)
+    inside = ragged_range(number)
     row = np.repeat(first[stretch], number) + inside * each
     before = path.position[row - 1]
     fresh = (inside == 0) & (np.repeat(arcs.begin[stretch], number) == 0.0)
@@ -139,7 +139,7 @@ def _divided(path: CommandedPath, motions: Ints) -> Ints:
     count = np.bincount(path.sample.motion, minlength=len(path.start))
     size = count[motions] + 1  # the start of each motion is put before its samples
     first = np.cumsum(size) - size
-    row = np.arange(size.sum()) + np.repeat((np.cumsum(count) - count)[motions] - first - 1, size)
+    row = ragged_range(size, (np.cumsum(count) - count)[motions] - 1)
     t, position = path.sample.t[row], path.position[row]
     t[first], position[first] = 0.0, path.start[motions]
     left, right = first, first + size - 1
@@ -147,7 +147,7 @@ def _divided(path: CommandedPath, motions: Ints) -> Ints:
     while len(left):
         count = right - left - 1
         piece = np.repeat(np.arange(len(left)), count)
-        node = np.arange(len(piece)) - np.repeat(np.cumsum(count) - count - left - 1, count)
+        node = ragged_range(count, left + 1)
         share = (t[node] - t[left][piece]) / (t[right] - t[left])[piece]
         a, b = position[left], position[right]
         miss = norm(position[node] - a[piece] - share[:, None] * (b - a)[piece])

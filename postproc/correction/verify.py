@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from postproc import toolpath
-from postproc.chunks import in_chunks
+from postproc.chunks import in_chunks, ragged_range
 from postproc.correction import checks, inspection
 from postproc.correction.targets import Chosen, corners_of_motions
 from postproc.dialects import registry
@@ -350,7 +350,7 @@ def _probes(path: PathUnderLoad, chosen: Chosen, back: ReadBack) -> _Probes:
 
     (number,) = in_chunks(places, every)
     target = np.repeat(every.astype(np.int32), number)
-    inside = np.arange(len(target), dtype=np.int32) - np.repeat(np.cumsum(number, dtype=np.int32) - number, number) + 1
+    inside = ragged_range(number) + 1
     share = inside / number[target]
 
     def place(target: Ints, share: Array) -> tuple[Array]:

@@ -189,8 +189,9 @@ def assign(program: Program, path: Segments, source: ForceSource | None, axis: s
 
 def _check_start(program: Program, given: Knots) -> None:
     """Refuse forces on moves from `[start]` of the cell: the program does not define the path there."""
-    loaded = given.motion[any_column(given.wrench != 0.0)]
-    lines = distinct(program.motions.line[np.intersect1d(program.unforced, loaded)])
+    unforced = np.isin(given.motion, program.unforced)  # few, so that few wrenches are written out
+    loaded = given.motion[unforced][any_column(given.wrench[unforced] != 0.0)]
+    lines = distinct(program.motions.line[loaded])
     if len(lines):
         name, problem = program.documents[0].name, "a force on a move from [start] of the cell"
         advice = "Program X, Y and Z in rapid moves (G0) before cutting, or switch the force on after this move."

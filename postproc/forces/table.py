@@ -19,7 +19,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc import files
-from postproc.chunks import Runs
+from postproc.chunks import Runs, ragged_range
 from postproc.errors import MOST, ForceError, Issue, choices, together
 from postproc.forces.axes import TURNS, Axes, across
 from postproc.forces.path_forces import PathForces
@@ -84,7 +84,7 @@ class ForceTable(Struct, frozen=True, eq=False):
         carries = ~rapid | ~np.isin(line, line[~rapid])
         motion = np.flatnonzero((block >= 0) & (line <= self.last[begins[block]]) & carries)
         count = number[block[motion]]
-        inside = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+        inside = ragged_range(count)
         row = np.repeat(begins[block[motion]], count) + inside
         throughout = np.isnan(self.t[row])
         t = np.where(throughout, 1.0, self.t[row])
@@ -348,7 +348,7 @@ def _places(forces: PathForces, targets: Targets) -> tuple[Ints, Array]:
     high = np.maximum(np.searchsorted(forces.place, targets.motion + end - _APART), low)
     count = np.where(forces.ramped[targets.motion], 1, high - low + 2)
     target = np.repeat(np.arange(len(targets)), count)
-    inside = np.arange(len(target)) - np.repeat(np.cumsum(count) - count, count)
+    inside = ragged_range(count)
     last = inside == count[target] - 1
     knot = np.where(last | (inside == 0), 0, low[target] + inside - 1)
     share = (forces.t[knot] - begin[target]) / (end - begin)[target]

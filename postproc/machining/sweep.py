@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from msgspec import Struct, field
 
-from postproc.chunks import Columns
+from postproc.chunks import Columns, ragged_range
 from postproc.frames import Array, norm
 from postproc.machining import cutting, tilted
 from postproc.machining.cutting import Engaged, Loads, engaged
@@ -291,7 +291,7 @@ class Sweep(Struct, eq=False):
         length = np.linalg.norm(segments.end[begin:end] - segments.begin[begin:end], axis=1)
         count = np.maximum(1, np.ceil(length / cell - 1e-6)).astype(np.int64)
         segment = np.repeat(np.arange(begin, end), count)
-        share = (np.arange(len(segment)) - np.repeat(np.cumsum(count) - count, count) + 0.5) / np.repeat(count, count)
+        share = (ragged_range(count) + 0.5) / np.repeat(count, count)
         position = segments.begin[segment] + share[:, None] * (segments.end[segment] - segments.begin[segment])
         heading = segments.leave[segment] + share[:, None] * (segments.arrive[segment] - segments.leave[segment])
         heading /= np.linalg.norm(heading, axis=1)[:, None]

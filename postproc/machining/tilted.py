@@ -15,7 +15,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from postproc.chunks import Columns
+from postproc.chunks import Columns, ragged_range
 from postproc.frames import Array, norm
 from postproc.machining.cutting import Engaged, Loads, mean, nearby_cells
 from postproc.machining.material import Floats
@@ -100,7 +100,7 @@ class TiltedPath(Columns, frozen=True, eq=False):
         step = min(cell, math.sqrt(8.0 * rounding * _RIDGE))
         count = np.maximum(1, np.ceil((length + cutter.radius * turn) / step - 1e-6)).astype(np.int64)
         piece = np.repeat(np.arange(len(count)), count)
-        share = (np.arange(len(piece)) - np.repeat(np.cumsum(count) - count, count) + 0.5) / count[piece]
+        share = (ragged_range(count) + 0.5) / count[piece]
         half = 0.5 / count[piece]
 
         def between(first: Array, last: Array, at: Array) -> Array:

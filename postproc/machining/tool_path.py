@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from postproc import toolpath
-from postproc.chunks import Columns
+from postproc.chunks import Columns, ragged_range
 from postproc.errors import MOST, ForceError, Issue, together
 from postproc.frames import Array, inverse, norm
 from postproc.machining.process import Process
@@ -215,7 +215,7 @@ def straight_segments(
     count[leans] = np.maximum(count[leans], np.ceil(turned[leans] / most[leans]).astype(np.int64))
     count[(m.kind == PTP) & ~leans] = 0
     motion = np.repeat(np.arange(len(m)), count)
-    inside = np.arange(len(motion)) - np.repeat(np.cumsum(count) - count, count)
+    inside = ragged_range(count)
     first, last = inside / count[motion], (inside + 1) / count[motion]
     if shift is not None:
         motion, first, last = _cut_at(motion, first, last, shift)

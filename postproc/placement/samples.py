@@ -6,6 +6,7 @@ import numpy as np
 from msgspec import Struct
 
 from postproc import forces, toolpath
+from postproc.chunks import ragged_range
 from postproc.forces import ForceSource, PathForces
 from postproc.frames import Array, norm, rotation_from_vector
 from postproc.poses import Poses
@@ -57,7 +58,7 @@ class PathSamples(Struct, frozen=True, eq=False):
         count[(m.kind == PTP) | (m.kind == SPL)] = 1.0
         number = np.maximum(count, 1.0).astype(np.int64)
         motion = np.repeat(np.arange(len(m)), number)
-        inside = np.arange(len(motion)) - np.repeat(np.cumsum(number) - number, number) + 1
+        inside = ragged_range(number) + 1
         sample = toolpath.at(program, segments, motion, inside / number[motion])
         travel = segments.length[motion] / number[motion]
         feed = m.feed[motion]

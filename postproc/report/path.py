@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 from msgspec import Struct
 
+from postproc.chunks import ragged_range
 from postproc.correction import Result, Statistics, statistics
 from postproc.frames import Array, norm
 from postproc.operations import operations as program_operations
@@ -49,7 +50,7 @@ def drawn_path(result: Result, chord: float | None = None) -> tuple[Array, Ints]
         count = np.ones(len(result), dtype=np.int64)
         count[arcs] = np.maximum(np.ceil(angle / step), 1.0).astype(np.int64)
         row = np.repeat(row, count)
-        left = 1.0 - (np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count) + 1) / count[row]
+        left = 1.0 - (ragged_range(count) + 1) / count[row]
         back = np.flatnonzero(left > 0.0)
         arc, left = np.searchsorted(arcs, row[back]), left[back]
         cos, sin = np.cos(angle[arc] * left)[:, None], np.sin(angle[arc] * left)[:, None]

@@ -20,6 +20,7 @@ import numpy as np
 from msgspec import Struct
 from scipy.spatial import cKDTree
 
+from postproc.chunks import ragged_range
 from postproc.correction import Result
 from postproc.forces.axes import across
 from postproc.frames import MM_PER_M, Array, norm
@@ -241,7 +242,7 @@ def _sampled(result: Result, frames: _Frames, chosen: Bools) -> _Path | None:
     spacing = max(_SPACING, float(length.sum()) / _MOST_SAMPLES)
     count = np.maximum(np.ceil(length / spacing), 1.0).astype(np.int64)
     piece = np.repeat(np.arange(len(count)), count)
-    within = (np.arange(len(piece)) - np.repeat(np.cumsum(count) - count, count) + 0.5) / count[piece]
+    within = (ragged_range(count) + 0.5) / count[piece]
     share = (number[piece] - 1 + within) / of_row[row[piece]]
     point, of_sample = begin[piece] + within[:, None] * step[piece], row[piece]
     spindle = frames.turned(_spindle(result))

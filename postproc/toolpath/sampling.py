@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from postproc.chunks import Columns
+from postproc.chunks import Columns, ragged_range
 from postproc.frames import RAD_PER_DEG, Array, angle_between, interpolated, norm
 from postproc.program import CIRC, LIN, PTP, SPL, Bools, Ints, Program
 from postproc.toolpath.path import Segments
@@ -99,7 +99,7 @@ class Pieces(Columns, frozen=True, eq=False):
     def cut(self, parts: Ints) -> Pieces:
         """Return the stretches cut into equal parts (S,): by their number of pieces each piece is a stretch."""
         out = self.take(np.repeat(np.arange(len(parts)), parts))
-        inside = np.arange(len(out.motion)) - np.repeat(np.cumsum(parts) - parts, parts)
+        inside = ragged_range(parts)
         parts = np.repeat(parts, parts)
         begin = out.begin + (out.end - out.begin) * (inside / parts)
         end = np.where(inside == parts - 1, out.end, np.roll(begin, -1))
@@ -242,5 +242,5 @@ def swivel_pieces(program: Program, path: Segments, tolerance: float) -> Ints:
 def _even(rows: Ints, number: Ints) -> tuple[Ints, Array]:
     """Return each row as often as its number says, and places in even distances up to 1."""
     which = np.repeat(np.arange(len(rows)), number)
-    index = np.arange(len(which)) - np.repeat(np.cumsum(number) - number, number) + 1
+    index = ragged_range(number) + 1
     return rows[which], index / number[which]

@@ -13,6 +13,7 @@ import re
 import numpy as np
 from msgspec import Struct
 
+from postproc.chunks import ragged_range
 from postproc.decimals import numbers_in, parsed
 from postproc.dialects.text import line_spans
 from postproc.errors import did_you_mean
@@ -154,7 +155,7 @@ def _points(chars: np.typing.NDArray[np.uint8], ends: Ints) -> tuple[Ints, Array
             return none
     numbers = np.full((len(rows), 6), np.nan)
     row = np.repeat(np.arange(len(rows)), count)
-    numbers[row, np.arange(len(values)) - np.repeat(np.cumsum(count) - count, count)] = values
+    numbers[row, ragged_range(count)] = values
     large = distinct(row[np.abs(values) >= LIMIT])
     return np.delete(rows, large), np.delete(numbers, large, axis=0)
 

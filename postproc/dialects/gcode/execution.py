@@ -20,7 +20,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from postproc.chunks import compact
+from postproc.chunks import compact, ragged_range
 from postproc.dialects.gcode.expressions import Parameters, whole
 from postproc.dialects.gcode.structure import Block, Order, Unit, is_controlled, ordered
 from postproc.dialects.gcode.words import CUT_SHORT, MARK, BlockError, Fault, Source, line_feeds, split
@@ -70,7 +70,7 @@ def put_together(units: Sequence[Unit], pieces: Sequence[Piece], faults: Sequenc
     code = b"\n" + b"".join(_bytes(units, pieces))
     unit, first, last, main = np.array([piece[:4] for piece in pieces], dtype=np.int64).reshape(-1, 4).T
     count = last - first
-    row = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count - first, count)
+    row = ragged_range(count, first)
     document, main = np.repeat(unit, count), np.repeat(main, count)
     comments, rows = _comments(units, document, row)
     source, line = Source(code, line_feeds(code), comments, rows + 1), row + 1
@@ -101,7 +101,7 @@ def _comments(units: Sequence[Unit], document: Ints, row: Ints) -> tuple[tuple[s
         begin, stop = np.searchsorted(lines, row[rows], "left"), np.searchsorted(lines, row[rows], "right")
         count = stop - begin
         at.append(np.repeat(rows, count))
-        index.append(len(texts) + np.arange(count.sum()) - np.repeat(np.cumsum(count) - count - begin, count))
+        index.append(len(texts) + ragged_range(count, begin))
         texts += unit.source.comments
     order = np.argsort(np.concatenate(at), kind="stable")
     chosen = np.concatenate(index)[order].tolist()

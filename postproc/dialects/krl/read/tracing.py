@@ -9,6 +9,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
+from postproc.chunks import ragged_range
 from postproc.dialects.krl.course import (
     Body,
     Branch,
@@ -202,7 +203,7 @@ class Trace:
         starts, stops = line_spans(text)
         lengths = np.array([last - first + 1 for _, first, last, *_ in self._from])
         column = np.array(self._from, dtype=np.int64)
-        run = np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths)
+        run = ragged_range(lengths)
         source, first, _, shown, own, live = (np.repeat(values, lengths) for values in column.T)
         origin = np.where(own > 0, own, first + run)
         origins = Origins(tuple(self._sources), source, origin, np.where(shown > 0, shown, origin))

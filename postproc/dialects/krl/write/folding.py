@@ -15,6 +15,7 @@ import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import replace
 
+from postproc.chunks import ragged_range
 from postproc.dialects.krl.course import Body, Called, Course, Repeated
 from postproc.dialects.krl.language.names import Names
 from postproc.dialects.krl.language.parser import statement
@@ -100,7 +101,7 @@ class _Folder(Struct, eq=False):
             if source is self.main.source:
                 number, first, last = np.array(file.places, dtype=np.int64).reshape(-1, 3).T
                 count = last - first
-                own = np.repeat(first + count - np.cumsum(count), count) + np.arange(count.sum())
+                own = ragged_range(count, first)
                 line[own] = 1 + np.repeat(number - row[first - 1], count) + row[own - 1]
                 inside[own] = True
             if source is self.main.source or file.text != source.text:
