@@ -10,6 +10,7 @@ import click
 
 from postproc.cli.options import complete_files, conversion_options, of_files, shared_options
 from postproc.cli.outcomes import work
+from postproc.cli.piping import convert_piped, is_piped
 
 if TYPE_CHECKING:
     from postproc.jobs import Job
@@ -51,7 +52,7 @@ def convert(
     part.report.json, part.targets.csv and part.report.html, all or none of them. An input is never overwritten; a file
     that was not written by postproc, or was changed since, with --overwrite only. A name that KRL does not allow is
     made valid (1001.nc: P1001.src). If a program can no longer be converted, its files of an earlier run are renamed to
-    part.src.old and so on.
+    part.src.old and so on. PROGRAM - is stdin, with --dialect; the written program then goes to stdout, as with -o -.
 
     \b
     Examples:
@@ -71,6 +72,12 @@ def convert(
             "--forces FILE goes with one program: its line numbers belong to one. Give a folder that holds NAME.csv "
             "for each program, or write the forces into the programs as comments."
         )
+    if is_piped(programs, more["output"]) and len(programs) == 1:
+        if as_json or cluster is not None:
+            raise click.UsageError("--json and --scheduler do not go with -.")
+        files = of_files(more)
+        settings = Settings(mode="nominal" if nominal else "convert", **more)
+        ctx.exit(convert_piped(programs[0], settings, files, name).code)
     found = find_jobs(programs, name=name, **of_files(more))
     _check_part(more, found)
     if name is not None and (fault := found[0].writer.fault_of(name)) is not None:

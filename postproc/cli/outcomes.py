@@ -55,7 +55,7 @@ def work_through(
             if earlier:
                 click.echo(earlier, err=True)
             raise
-        _print_failures(known.values())
+        print_failures(known.values())
         done = sum(bool(outcome.written) for outcome in known.values())
         rest = "of the others nothing is" if cluster is None else "the cluster may still finish those it has begun"
         text = f"Interrupted: {done} of {len(jobs)} programs are written, and whole; {rest}. {earlier}".rstrip()
@@ -74,7 +74,7 @@ def say(sentence: str) -> None:
 
 def print_outcome(outcome: Outcome, job: Job, *, as_json: bool = False) -> None:
     """Print one line for a program that has been converted, or why it has not."""
-    _print_failures([outcome])
+    print_failures([outcome])
     if as_json:
         import json
 
@@ -124,7 +124,7 @@ def _print(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, as_json: bool) -
     from postproc.cli.terminal import display
     from postproc.files import json_bytes
 
-    _print_failures(outcomes)
+    print_failures(outcomes)
     if as_json:
         content = {"exit_code": worst_code(outcomes), "programs": [_as_entry(outcome) for outcome in outcomes]}
         click.echo(json_bytes(content).decode(), nl=False)
@@ -142,7 +142,8 @@ def _print(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, as_json: bool) -
                 click.echo(f"overview: {page}")
 
 
-def _print_failures(outcomes: Iterable[Outcome]) -> None:
+def print_failures(outcomes: Iterable[Outcome]) -> None:
+    """Print why programs failed, on stderr."""
     from postproc.report import issue_entry, issue_line
 
     for outcome in outcomes:
