@@ -228,6 +228,32 @@ def _holds_for_part(model: Path, probed: Path, cell: Path, process: Path, progra
 
 
 @identify.command()
+@click.argument("folder", type=_FILE)
+@click.pass_context
+def check(ctx: click.Context, folder: Path) -> None:
+    """Check a folder of measurements for publishing: what it has, and what it lacks.
+
+    FOLDER holds experiment.toml and measurements.csv of `identify elastostatics`, dataset.toml with licence and source,
+    LICENSE, SHA256SUMS, and the robot if it is not a shipped one. Docs/reference/measurements.md describes the format.
+    Lines with `lacks` that are required come first.
+
+    Exit codes: 0 the folder can be published; 1 it cannot be read; 3 something required is missing or wrong.
+
+    \b
+    Example:
+      postproc identify check my_measurements
+    """  # noqa: D301 - click: keep these lines as they are
+    from postproc.identification.dataset import check as findings_of
+
+    findings = findings_of(folder)
+    for finding in sorted(findings, key=lambda finding: (finding.has, not finding.required)):
+        mark = "has  " if finding.has else "lacks"
+        click.echo(f"{mark} {finding.text}{'' if finding.has or not finding.required else ' (required)'}")
+    if any(finding.required and not finding.has for finding in findings):
+        ctx.exit(3)
+
+
+@identify.command()
 @click.argument("probed", type=_FILE)
 @click.option("--cell", type=_FILE, required=True, help="Cell in which the part was cut; its robot is the prior.")
 @click.option("--process", type=_FILE, required=True, help="Process of the part: testpart.process.toml.")

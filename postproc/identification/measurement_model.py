@@ -111,6 +111,18 @@ def locate(robot: RobotModel, data: Measurements) -> Placement:
     return Placement(pose, position, np.asarray(np.linalg.inv(normal)), left)
 
 
+def as_positions(robot: RobotModel, data: Measurements) -> Measurements:
+    """Return displacements as positions: from where the robot has the stated points without load, root axes.
+
+    Readings of positions are returned as they are.
+    """
+    if not data.are_displacements:
+        return data
+    points = _place(unloaded_flange(robot, data.q), data.guess)
+    start = points[data.state_config[data.state], data.point]
+    return replace(data, position=start + data.position, are_displacements=False)
+
+
 def unloaded_flange(robot: RobotModel, q: Array) -> Array:
     """Return the pose (C, 4, 4) of the flange without load [m]: sagged, if the geometry is a weightless robot's."""
     if robot.subtract_reference:

@@ -440,7 +440,10 @@ def identify_folder(
     if choices.compensator is not None:
         prior = with_compensator_geometry(prior, choices.compensator)
         marked = f"identified from markers ({choices.compensator.name})"
-    result = identify(prior, read(measurements, setup), choices.method, choices.structure, progress)
+    readings = read(measurements, setup)
+    if choices.geometry:
+        _require_positions(readings, measurements)
+    result = identify(prior, readings, choices.method, choices.structure, progress)
     data = msgspec.structs.replace(report_data(result), assumptions=setup.assumptions)
     source = f"identified from {measurements.name}, {choices.method}"
     content = model_file(result, before, source, marked)
@@ -455,6 +458,15 @@ def identify_folder(
         )
     write(output, content, data, prior_folder, render)
     return IdentifiedFolder(result, data, summary(data))
+
+
+def _require_positions(data: Measurements, path: Path) -> None:
+    if data.are_displacements:
+        raise MeasurementError(
+            "displacements do not show the geometry",
+            file=str(path),
+            advice='Give positions, and leave out `readings = "displacements"` of the experiment.',
+        )
 
 
 def geometry_folder(
@@ -476,6 +488,7 @@ def geometry_folder(
     nominal = robots.load(folder).nominal
     robot = robots.assemble(folder.resolve().name, content, nominal)
     data = read(measurements, setup, loads=False)
+    _require_positions(data, measurements)
     check_points(data)
     check_frames(robot, data)
     data, left_out = plausibility.without_gross_errors(data)

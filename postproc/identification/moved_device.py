@@ -71,7 +71,9 @@ def _clearest_step(rows: Array, residual: Array, q: Array) -> tuple[float, int, 
         if rank == 6:
             drop = float(np.sum((step @ twist) ** 2))
             unexplained = max(float(np.sum(left**2)) - drop, 1e-300)
-            best = min(best, (_chance(drop / 6.0 * spare / unexplained, spare), first, twist), key=lambda b: b[0])
+            chance = _chance(drop / 6.0 * spare / unexplained, spare)
+            if chance < best[0]:
+                best = (chance, first, np.asarray(twist))
     return best
 
 

@@ -26,7 +26,12 @@ from postproc.identification.joint_springs import (
     not_observable,
     unloaded,
 )
-from postproc.identification.measurement_model import Placement, locate, measured_displacements
+from postproc.identification.measurement_model import (
+    Placement,
+    as_positions,
+    locate,
+    measured_displacements,
+)
 from postproc.identification.moved_device import moved_device
 from postproc.identification.plausibility import check_frames, check_loads, check_points, loops
 from postproc.identification.readings import Measurements, gaps
@@ -110,6 +115,7 @@ def identify(
     :param progress: called with a line of text before each step.
     :raises MeasurementError: the readings are unusable; the message names the row or says what to measure.
     """
+    data = as_positions(prior, data)
     check_points(data)
     data, left_out = plausibility.without_gross_errors(data)  # one would spoil the means that are judged next
     placement = check_frames(prior, data)

@@ -10,7 +10,7 @@ are in `plausibility`.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
@@ -116,11 +116,37 @@ class Payload(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     Z: OnFlange = 0.0
 
 
+Six = tuple[OnFlange, OnFlange, OnFlange, OnFlange, OnFlange, OnFlange]
+
+
+class Angles(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Angles of another controller: A = sign·J + offset for each joint, and A3 turns by `A3_per_J2`·J2 in addition.
+
+    A3_per_J2 is −1 or 1 for a robot with a parallelogram, whose controller counts J3 from the horizontal.
+    """
+
+    sign: tuple[Literal[-1, 1], ...] = (1, 1, 1, 1, 1, 1)
+    offset_deg: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    A3_per_J2: Literal[-1, 0, 1] = 0
+
+    def __post_init__(self) -> None:
+        """Refuse another number of signs than six."""
+        if len(self.sign) != len(JOINTS):
+            raise ValueError("[angles] sign needs six numbers, 1 or -1")
+
+    def of_robot(self, joints: Array) -> Array:
+        """Return the angles A1 … A6 (n, 6) for the angles (n, 6) of the file [deg]."""
+        out = joints * np.array(self.sign) + np.array(self.offset_deg)
+        out[:, 2] += self.A3_per_J2 * joints[:, 1]
+        return np.asarray(out)
+
+
 class Experiment(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Content of `experiment.toml`; `sigma_mm`: noise of one coordinate of one reading; from `rig` on, for `plan`.
 
     `load_error_percent`: 95 % bound of the common relative error of all loads, assumed where it is not stated;
-    `load_point_sigma_mm`: standard deviation of the load point, in each direction.
+    `load_point_sigma_mm`: standard deviation of the load point, in each direction. `readings`: whether X, Y, Z are
+    positions in the frame of the device, or displacements by the load, root axes. `angles`: of other controllers.
     """
 
     robot: str
@@ -130,6 +156,8 @@ class Experiment(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     payload: Payload | None = None
     load_error_percent: Annotated[float, msgspec.Meta(ge=0, le=100)] | None = None
     load_point_sigma_mm: Annotated[float, msgspec.Meta(ge=0, le=1000)] = 0.0
+    readings: Literal["positions", "displacements"] = "positions"
+    angles: Angles = Angles()
     rig: Rig | None = None
     tracker: Tracker | None = None
     floor: Floor = Floor()
@@ -190,6 +218,7 @@ class Measurements(Struct, frozen=True, eq=False):
     :param used: (n,) False for readings left out as outliers.
     :param load_error: 95 % bound of the common relative error of all loads.
     :param load_point_error: standard deviation of the load point, in each direction [m].
+    :param are_displacements: `position` of a loaded state is the displacement from the state without load, root axes.
     """
 
     file: str
@@ -210,6 +239,7 @@ class Measurements(Struct, frozen=True, eq=False):
     used: Bools
     load_error: float = 0.0
     load_point_error: float = 0.0
+    are_displacements: bool = False
 
     @property
     def loaded(self) -> Ints:
@@ -308,6 +338,8 @@ def read(path: Path, experiment: Experiment, loads: bool = True) -> Measurements
     if len(lines) == 0:
         raise MeasurementError("no readings", file=where)
     _check_ranges(numbers, lines, where)
+    if experiment.readings == "displacements":
+        numbers, texts, lines = _with_unloaded(numbers, texts, lines, where)
     names = tuple(experiment.points)
     for row, name in enumerate(texts["point"]):
         if name not in names:
@@ -317,7 +349,7 @@ def read(path: Path, experiment: Experiment, loads: bool = True) -> Measurements
                 line=int(lines[row]),
                 advice=choices(name, names, "Points of the experiment"),
             )
-    angles = np.column_stack([numbers[name] for name in JOINTS])
+    angles = experiment.angles.of_robot(np.column_stack([numbers[name] for name in JOINTS]))
     wrench = np.column_stack([numbers[name] for name in WRENCH])
     config, inverse = np.unique(numbers["config"], return_inverse=True)
     pairs, first, state = np.unique(
@@ -347,10 +379,42 @@ def read(path: Path, experiment: Experiment, loads: bool = True) -> Measurements
         position=np.column_stack([numbers[axis] for axis in "XYZ"]) * M_PER_MM,
         line=lines,
         used=np.ones(len(lines), dtype=bool),
+        are_displacements=experiment.readings == "displacements",
     )
     _check_units(q, data, where)
     _check_complete(data, where, loads)
     return data
+
+
+_LARGEST_DISPLACEMENT = 0.2
+"""Largest difference of displacements under loads [m]."""
+
+
+def _with_unloaded(
+    numbers: dict[str, Array], texts: dict[str, list[str]], lines: Array, where: str
+) -> tuple[dict[str, Array], dict[str, list[str]], Array]:
+    """Return the columns with a state without load for each configuration and point, whose displacement is zero.
+
+    :raises MeasurementError: there are rows without load already.
+    """
+    if np.any(numbers["load"] == 0.0):
+        raise MeasurementError(
+            "load 0 has rows, but X, Y, Z are displacements from the position without load",
+            file=where,
+            line=int(lines[np.argmax(numbers["load"] == 0.0)]),
+            advice='Remove these rows, or leave out `readings = "displacements"` and give positions.',
+        )
+    pairs = [(config, name) for config, name in zip(numbers["config"].tolist(), texts["point"], strict=True)]
+    first = [pairs.index(pair) for pair in dict.fromkeys(pairs)]
+    unloaded = {name: column[first] for name, column in numbers.items()}
+    for name in ("load", *WRENCH, "X", "Y", "Z"):
+        unloaded[name] = np.zeros(len(first))
+    unloaded["repeat"] = np.ones(len(first))
+    return (
+        {name: np.concatenate([numbers[name], unloaded[name]]) for name in numbers},
+        {"point": [*texts["point"], *(texts["point"][row] for row in first)]},
+        np.concatenate([lines, lines[first]]),
+    )
 
 
 def _check_ranges(numbers: dict[str, Array], lines: Array, where: str) -> None:
@@ -390,6 +454,14 @@ def _check_units(q: Array, data: Measurements, where: str) -> None:
             advice="Give A1…A6 in degrees.",
         )
     span = float(np.ptp(data.position, axis=0).max())
+    if data.are_displacements:
+        if span > _LARGEST_DISPLACEMENT:
+            raise MeasurementError(
+                f"displacements differ by {span / M_PER_MM:.3g} mm: these look like positions",
+                file=where,
+                advice='Give displacements by the load in mm, root axes, or leave out `readings = "displacements"`.',
+            )
+        return
     if len(q) >= 2 and span < 10.0 * M_PER_MM:
         raise MeasurementError(
             f"all readings lie within {span / M_PER_MM:.3g} mm: these look like metres, or the robot did not move",

@@ -29,7 +29,13 @@ from postproc.errors import MeasurementError
 from postproc.frames import MM_PER_M, Array, norm
 from postproc.identification import plausibility, record
 from postproc.identification.fit import LENGTH_95
-from postproc.identification.measurement_model import Placement, joint_torques, measured_displacements, visible
+from postproc.identification.measurement_model import (
+    Placement,
+    as_positions,
+    joint_torques,
+    measured_displacements,
+    visible,
+)
 from postproc.identification.plausibility import check_frames, check_points
 from postproc.identification.readings import Measurements, read, read_experiment
 from postproc.identification.uncertainty import levels, noise_of
@@ -191,7 +197,7 @@ def validate(model: Path, measurements: Path, experiment: Path) -> Validation:
     setup = read_experiment(experiment)
     folder = robots.find(str(model))
     robot = robots.load(folder)
-    data = read(measurements, setup)
+    data = as_positions(robot, read(measurements, setup))
     check_points(data)
     data, left_out = plausibility.without_gross_errors(data)
     warnings = [f"outlier: {name}" for name in left_out]

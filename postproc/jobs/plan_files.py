@@ -12,10 +12,10 @@ from postproc import cell as cells
 from postproc import interrupts
 from postproc.cell import Cell
 from postproc.dialects.krl.dialect import KRL
-from postproc.errors import InputError
+from postproc.errors import InputError, MeasurementError
 from postproc.files import FileEntry, foreign, json_bytes, refuse, with_record, write_whole
 from postproc.frames import RAD_PER_DEG
-from postproc.identification.readings import read, read_experiment
+from postproc.identification.readings import Angles, read, read_experiment
 from postproc.jobs.conversion import programs_under_force
 from postproc.jobs.output_plan import protect
 from postproc.jobs.programs import load_robot
@@ -89,6 +89,12 @@ def make_plan(request: PlanRequest, progress: Progress | None = None) -> PlanFil
     :raises PostprocError: an input is unusable, no pose can be measured, or an output must not be written.
     """
     setup = read_experiment(request.experiment)
+    if setup.angles != Angles():
+        raise MeasurementError(
+            "[angles] are of another controller, but a plan states A1 … A6 with KUKA's signs",
+            file=str(request.experiment),
+            advice="Leave out [angles], and give --measured with A1 … A6.",
+        )
     cell = cells.load(request.cell)
     robot = load_robot(setup.robot, request.experiment.parent)
     check_same_arm(robot, load_robot(cell.robot, cell.folder))

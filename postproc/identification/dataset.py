@@ -1,0 +1,146 @@
+"""Published measurements: one folder with licence, source, robot, rig, readings and checksums; what it has and lacks.
+
+Format: docs/reference, "A folder to publish". `dataset.toml` says where the readings come from and who may use them,
+the other files are those of `identify`. `SHA256SUMS` is the output of `sha256sum`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from msgspec import Struct
+
+from postproc import files
+from postproc import robot as robots
+from postproc.errors import InputError, MeasurementError, PostprocError
+from postproc.frames import norm
+from postproc.identification.measurement_model import as_positions, joint_torques
+from postproc.identification.readings import Experiment, Measurements, gaps, read, read_experiment
+from postproc.identification.uncertainty import levels
+from postproc.robot import JOINTS
+
+NAME, EXPERIMENT, READINGS, SUMS, LICENCE = (
+    "dataset.toml",
+    "experiment.toml",
+    "measurements.csv",
+    "SHA256SUMS",
+    "LICENSE",
+)
+_CONFIGURATIONS, _REPEATS = 30, 3
+"""Usual numbers of configurations and of repeats."""
+_LOADED = 0.02
+"""Share of the largest torque on any joint below which a joint is not loaded."""
+
+
+class Dataset(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Content of `dataset.toml`; `licence` by its SPDX identifier, `source` an address or a paper."""
+
+    name: str
+    licence: str
+    source: str
+    robot: str
+    rig: str
+    device: str
+    authors: str = ""
+    date: str = ""
+    notes: str = ""
+
+
+class Finding(Struct, frozen=True):
+    """A statement on a folder: `has` it, or lacks it; `required` for publishing."""
+
+    text: str
+    has: bool
+    required: bool = False
+
+
+def check(folder: Path) -> list[Finding]:
+    """Return what a folder of measurements has and lacks.
+
+    :raises InputError: there is no such folder.
+    """
+    if not folder.is_dir():
+        raise InputError("no such folder", file=str(folder), advice="Give the folder with experiment.toml.")
+    found = _about(folder)
+    try:
+        setup = read_experiment(folder / EXPERIMENT)
+        data = read(folder / READINGS, setup)
+        robot = robots.load(robots.find(setup.robot, folder))
+        torque = np.abs(joint_torques(robot, as_positions(robot, data))).max(axis=0)
+    except PostprocError as error:
+        return [*found, Finding(f"{EXPERIMENT}, {READINGS}: {error}", has=False, required=True), _sums(folder)]
+    return [*found, *_of_readings(data), *_of_setup(setup), _of_torques(torque), _sums(folder)]
+
+
+def _about(folder: Path) -> list[Finding]:
+    """Return the statements on licence and source."""
+    out = []
+    try:
+        about = files.read_toml(folder / NAME, Dataset, MeasurementError)
+        empty = [key for key in ("name", "licence", "source", "robot", "rig", "device") if not getattr(about, key)]
+        text = f"{NAME}: {about.name}, {about.licence}, from {about.source}"
+        out.append(Finding(text if not empty else f"{NAME}: {', '.join(empty)} empty", not empty, required=True))
+    except PostprocError as error:
+        out.append(Finding(f"{NAME}: {error}", has=False, required=True))
+    out.append(Finding(f"{LICENCE}: text of the licence", (folder / LICENCE).is_file(), required=True))
+    return out
+
+
+def _of_readings(data: Measurements) -> list[Finding]:
+    """Return the statements on numbers of configurations, loads, repeats and points."""
+    _, count = data.means()
+    load = norm(data.wrench[data.loaded])
+    sizes = int(levels(load).max()) + 1
+    repeats = int(count.max())
+    kind = "displacements" if data.are_displacements else "positions"
+    missing = gaps(data)
+    return [
+        Finding(
+            f"{READINGS}: {len(data.state)} readings of {kind}, each state and point named", has=True, required=True
+        ),
+        Finding(f"{len(data.q)} configurations; {_CONFIGURATIONS} are usual", len(data.q) >= _CONFIGURATIONS),
+        Finding(
+            f"loads of {load.min():.0f} to {load.max():.0f} N on {sizes} levels; two show gears that are not linear",
+            sizes >= 2,
+        ),
+        Finding(f"{repeats} repeats; {_REPEATS} show the noise", repeats >= _REPEATS),
+        Finding(f"{len(data.points)} points; three show all six directions of a link", len(data.points) >= 3),
+        Finding("readings without load, which show the geometry", not data.are_displacements),
+        Finding(missing[0] if missing else "every repeat has all points", not missing),
+    ]
+
+
+def _of_setup(setup: Experiment) -> list[Finding]:
+    stated = setup.load_error_percent is not None
+    return [
+        Finding("load_error_percent of the load cell or the scales", stated),
+        Finding("load_point_sigma_mm of the load point", setup.load_point_sigma_mm > 0.0),
+    ]
+
+
+def _of_torques(torque: np.ndarray) -> Finding:
+    bare = [name for name, size in zip(JOINTS, torque, strict=True) if size < _LOADED * torque.max()]
+    sizes = ", ".join(f"{size:.0f}" for size in torque)
+    text = f"torques up to {sizes} N·m on A1 … A6"
+    return Finding(text if not bare else f"{text}: {', '.join(bare)} hardly loaded", not bare)
+
+
+def _sums(folder: Path) -> Finding:
+    """Return whether the checksums of all files are there and right."""
+    path = folder / SUMS
+    if not path.is_file():
+        return Finding(f"{SUMS}: run `sha256sum * > {SUMS}` in the folder", has=False, required=True)
+    stated = dict(re.findall(r"^([0-9a-f]{64}) [ *](.+)$", files.read_text(path, MeasurementError), re.M))
+    by_name = {name.removeprefix("./"): digest for digest, name in stated.items()}
+    present = {p.relative_to(folder).as_posix(): p for p in sorted(folder.rglob("*")) if p.is_file() and p != path}
+    wrong = [
+        name for name, file in present.items() if by_name.get(name) != hashlib.sha256(file.read_bytes()).hexdigest()
+    ]
+    lost = [name for name in by_name if name not in present]
+    if wrong or lost:
+        return Finding(f"{SUMS}: not those of {', '.join([*wrong, *lost])}", has=False, required=True)
+    return Finding(f"{SUMS}: right for {len(present)} files", has=True, required=True)

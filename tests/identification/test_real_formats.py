@@ -1,0 +1,133 @@
+"""Formats of real measurements: displacements, one point, angles of other controllers, folders to publish."""
+
+import hashlib
+import re
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from postproc.cli import main
+from postproc.errors import MeasurementError
+from postproc.identification.procedure import identify
+from postproc.identification.readings import read, read_experiment
+from samples.paper_study import harness, simulator
+
+DATASET = """name = "simulated robot"
+licence = "MIT"
+source = "samples/paper_study/simulator.py"
+robot = "simulated KR 270"
+rig = "simulated pull"
+device = "simulated tracker, 0.03 mm"
+"""
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory):
+    """A folder with readings of one point in 14 configurations; the configurations; true displacements (14, 3) [m]."""
+    folder = tmp_path_factory.mktemp("measured")
+    rng = np.random.default_rng(4)
+    true, (q, f) = simulator.paper_like(rng), simulator.plan(rng, 14)
+    points = {"P1": simulator.POINTS["P1"]}
+    _, raw = simulator.measure(true, q, f, rng, 1e-6, points=points)
+    simulator.write(folder, q, f, raw, 1e-6, points=points)
+    at = np.array(points["P1"])
+    moved = [true.solve(q, force) for force in (f, 0.0 * f)]
+    shift = [pose[:, :3, 3] + pose[:, :3, :3] @ at for pose in moved]
+    return folder, q, shift[0] - shift[1]
+
+
+def changed(folder, path, row, head=""):
+    """Copy the experiment with lines at its head, and the rows of its readings after a change; None leaves one out."""
+    lines = (folder / "measurements.csv").read_text().splitlines()
+    rows = [row(line.split(",")) for line in lines[1:]]
+    text = [lines[0], *(",".join(cells) for cells in rows if cells is not None)]
+    (path / "measurements.csv").write_text("\n".join(text) + "\n")
+    (path / "experiment.toml").write_text(head + (folder / "experiment.toml").read_text())
+    return read(path / "measurements.csv", read_experiment(path / "experiment.toml"))
+
+
+def test_displacements_of_one_point_without_unloaded_readings_give_the_same_springs(measured, tmp_path):
+    folder, _, moved = measured
+
+    def row(cells):
+        if cells[1] == "0" or cells[2] != "1":
+            return None
+        return [*cells[:16], *(f"{1e3 * value:.6f}" for value in moved[int(cells[0]) - 1])]
+
+    data = changed(folder, tmp_path, row, 'readings = "displacements"\n')
+    by_displacement = identify(harness.PRIOR, data, depth="joints").fit.values
+    by_position = identify(harness.PRIOR, harness.load(folder), depth="joints").fit.values
+    np.testing.assert_allclose(by_displacement, by_position, rtol=0.01)
+
+
+def test_angles_of_a_controller_with_a_parallelogram_are_read(measured, tmp_path):
+    folder, q, _ = measured
+    sign, offset = np.array([-1, 1, -1, 1, -1, 1]), np.array([10.0, -90.0, 30.0, 0.0, 5.0, 0.0])
+
+    def row(cells):
+        joints = (np.array(cells[4:10], dtype=float) - offset) * sign
+        joints[2] -= sign[2] * -1 * joints[1]  # A3 = sign·J3 + offset − J2
+        return [*cells[:4], *(f"{value:.6f}" for value in joints), *cells[10:]]
+
+    head = f"angles = {{ sign = {sign.tolist()}, offset_deg = {offset.tolist()}, A3_per_J2 = -1 }}\n"
+    data = changed(folder, tmp_path, row, head)
+    np.testing.assert_allclose(data.q, q, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("row", "head", "message"),
+    [
+        (lambda cells: cells, 'readings = "displacements"\n', "load 0 has rows, but X, Y, Z are displacements"),
+        (
+            lambda cells: None if cells[1] == "0" else cells,
+            'readings = "displacements"\n',
+            "these look like positions",
+        ),
+        (lambda cells: cells, "angles = { sign = [1, 1] }\n", "sign needs six numbers"),
+    ],
+)
+def test_formats_that_do_not_belong_together_are_refused(measured, tmp_path, row, head, message):
+    with pytest.raises(MeasurementError, match=message):
+        changed(measured[0], tmp_path, row, head)
+
+
+def published(measured, folder):
+    changed(measured[0], folder, lambda cells: cells)
+    (folder / "dataset.toml").write_text(DATASET)
+    (folder / "LICENSE").write_text("MIT License\n")
+    names = sorted(path.name for path in folder.iterdir())
+    sums = [f"{hashlib.sha256((folder / name).read_bytes()).hexdigest()}  ./{name}" for name in names]
+    (folder / "SHA256SUMS").write_text("\n".join(sums) + "\n")
+
+
+def test_a_folder_to_publish_says_what_it_has_and_lacks(measured, tmp_path):
+    published(measured, tmp_path)
+    run = CliRunner().invoke(main, ["identify", "check", str(tmp_path)])
+    assert run.exit_code == 0, run.output
+    assert "has   SHA256SUMS: right for 4 files" in run.output
+    assert "lacks 14 configurations; 30 are usual" in run.output
+    assert re.search(r"lacks loads of \d+ to \d+ N on 1 levels", run.output)
+    assert "lacks load_error_percent" in run.output
+    assert "(required)" not in run.output
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda folder: (folder / "LICENSE").unlink(), "lacks LICENSE: text of the licence (required)"),
+        (lambda folder: (folder / "LICENSE").write_text("other"), "lacks SHA256SUMS: not those of LICENSE (required)"),
+        (lambda folder: (folder / "SHA256SUMS").unlink(), "lacks SHA256SUMS: run"),
+        (lambda folder: (folder / "dataset.toml").write_text(DATASET.replace('"MIT"', '""')), "licence empty"),
+        (
+            lambda folder: (folder / "measurements.csv").write_text("config\n1\n"),
+            "lacks experiment.toml, measurements.csv",
+        ),
+    ],
+)
+def test_what_publishing_requires_is_named_and_has_an_exit_code(measured, tmp_path, change, message):
+    published(measured, tmp_path)
+    change(tmp_path)
+    run = CliRunner().invoke(main, ["identify", "check", str(tmp_path)])
+    assert run.exit_code == 3, run.output
+    assert message in run.output
