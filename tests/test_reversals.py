@@ -79,6 +79,22 @@ def test_the_step_is_what_the_tool_moves_as_the_gear_turns_over(kind):
     assert found.before[at] < found.row[at]
 
 
+def test_backlash_under_the_weights_turns_over_with_the_total_torque():
+    """In gears that carry the weights, the load and the torque at rest press on a flank together."""
+    backlash = {Backlash(joint, 1e-6): ANGLE for joint in ("A3", "A4", "A5")}
+    model = replace(KR270.with_values(backlash), carries_weight=True)
+    q, wrench = _sweep()
+    wrench[:, 2] = 6.0 * wrench[:, 1]
+    torque = _total(KR270, q, wrench)
+    found = elastostatics.reversals(model, q, TOOL, wrench)
+    for joint in (2, 3, 4):
+        expected = np.flatnonzero(torque[1:, joint] * torque[:-1, joint] < 0.0) + 1
+        assert len(expected) == 1
+        (row,) = found.row[found.joint == joint]
+        assert expected[0] <= row <= expected[0] + 1  # a place between the flanks has no direction
+        assert joint != 2 or abs(expected[0] - len(q) // 2) > 3  # the weights shift it
+
+
 def test_a_torque_that_only_comes_near_zero_does_not_reverse():
     q, wrench = _sweep()
     wrench[:, 1] = np.abs(wrench[:, 1]) + 30.0

@@ -52,6 +52,15 @@ def test_the_arm_added_stands_where_pinocchio_says_that_the_urdf_stands(shipped,
         np.testing.assert_allclose(limit, getattr(robot.load(robot.find(shipped)), name), atol=1e-9)
 
 
+def test_the_comment_of_each_joint_states_its_limits_in_degrees():
+    source = robot.load(robot.find("kuka_kr270"))
+    folder = add_robot(written(ros_urdf(source, SIGNS[0])), "mine").folder
+    comments = re.findall(r"<!-- (\S+)° to (\S+)°, (\S+)°/s -->", (folder / "robot.urdf").read_text())
+    stated = np.array(comments, dtype=float).T
+    for values, limits in zip(stated, (source.lower, source.upper, source.speed), strict=True):
+        np.testing.assert_allclose(values, np.degrees(limits), rtol=1e-3)
+
+
 def test_weights_turn_the_joints_as_in_the_urdf():
     path = written(ros_urdf(robot.load(robot.find("kuka_kr270")), SIGNS[1], np.random.default_rng(1)))
     added = robot.load(add_robot(path, "mine").folder)
