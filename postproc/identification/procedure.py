@@ -130,17 +130,17 @@ def identify(
         return _serial(prior, data, placement, left_out, warnings)
 
     progress("joint springs and compensator")
-    found = _joints(prior, data, placement)
+    joints = _joints(prior, data, placement)
     if not prior.subtract_reference:  # the pose without load depends on the springs
-        placement = locate(found.fit.robot, data)
-        found = _joints(prior, data, placement)
-    if _unexplained(found.fit):
-        cleaned, fewer, names = _cleaned(prior, data, placement, found.fit)
+        placement = locate(joints.fit.robot, data)
+        joints = _joints(prior, data, placement)
+    if _unexplained(joints.fit):
+        cleaned, fewer, names = _cleaned(prior, data, placement, joints.fit)
         if names and not _unexplained(fewer):
             data, left_out = cleaned, left_out + names
             placement = locate(prior if prior.subtract_reference else fewer.robot, data)
-            found = _joints(prior, data, placement)
-    fit, missing, choice = found.fit, found.missing, None
+            joints = _joints(prior, data, placement)
+    fit, missing, choice = joints.fit, joints.missing, None
     if depth == "joints" and _unexplained(fit):
         ratio = fit.chi2 / fit.dof
         warnings.append(_left_by_joints(fit))
@@ -161,10 +161,24 @@ def identify(
     fit = fit if choice is None else replace(fit, covariance=choice.wider)
     fit = with_stated_errors(fit, data, placement, None if choice is None else choice.influence)
     workspace = over_workspace(_with_bound(fit, off), data)
-    distrust, more = judge(data, fit, choice, workspace)
-    warnings += more + loops(prior, data, placement)
-    rest = (tuple(missing), choice, off, workspace, distrust, tuple(left_out), tuple(warnings))
-    return Identification("enhanced", prior, data, placement, fit, found.levels, found.spring, *rest)
+    distrust, notes = judge(data, fit, choice, workspace)
+    warnings += notes + loops(prior, data, placement)
+    return Identification(
+        method="enhanced",
+        prior=prior,
+        data=data,
+        placement=placement,
+        fit=fit,
+        levels=joints.levels,
+        spring=joints.spring,
+        missing=tuple(missing),
+        choice=choice,
+        discrepancy=off,
+        workspace=workspace,
+        distrust=distrust,
+        left_out=tuple(left_out),
+        warnings=tuple(warnings),
+    )
 
 
 def _left_by_joints(fit: Fit) -> str:
@@ -248,9 +262,23 @@ def _serial(
     off = discrepancy(data, placement, fit, fit.residual)
     fit = with_stated_errors(fit, data, placement, None)
     workspace = over_workspace(_with_bound(fit, off), data)
-    distrust, more = judge(data, fit, None, workspace)
-    rest = (tuple(missing), None, off, workspace, distrust, tuple(left_out), tuple(warnings + more))
-    return Identification("serial", prior, data, placement, fit, None, None, *rest)
+    distrust, notes = judge(data, fit, None, workspace)
+    return Identification(
+        method="serial",
+        prior=prior,
+        data=data,
+        placement=placement,
+        fit=fit,
+        levels=None,
+        spring=None,
+        missing=tuple(missing),
+        choice=None,
+        discrepancy=off,
+        workspace=workspace,
+        distrust=distrust,
+        left_out=tuple(left_out),
+        warnings=tuple(warnings + notes),
+    )
 
 
 def _noise(data: Measurements) -> tuple[Measurements, list[str]]:

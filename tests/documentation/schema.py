@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import msgspec
 
 _HEADER = re.compile(r"\[\[?([\w.\-]+)\]\]?")
-_KEY = re.compile(r"(\w+) = .*?(?:#\s*\[(?P<default>[^\]]*)\].*)?$")
+_KEY = re.compile(r"(\w+) = .*?(?:#\s*\[(?P<default>(?:\[[^\]]*\]|[^\]])*)\].*)?$")
 NONE = "none"
 REQUIRED = "required"
 
@@ -78,4 +78,7 @@ def _way(structure, path: list[str]) -> Iterator[tuple[type, str]]:
 
 def as_value(comment: str) -> object:
     """Return the default that a comment states."""
-    return comment if comment in (NONE, REQUIRED) else tomllib.loads(f"x = {comment}")["x"]
+    if comment in (NONE, REQUIRED):
+        return comment
+    value = tomllib.loads(f"x = {comment}")["x"]
+    return tuple(value) if isinstance(value, list) else value
