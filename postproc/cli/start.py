@@ -99,7 +99,7 @@ def start(ctx: click.Context, /, program: Path, output: Path | None, no_open: bo
     for remark in made.remarks:
         click.echo(f"warning: {remark}", err=True)
     outcome = _converted(ctx, program, folder, made.cell, made.process, given)
-    _advise_place(outcome, program, made.cell, made.process)
+    _offer_place(outcome, program, made.cell, made.process)
     page = folder / f"{Path(outcome.written[0]).name.partition('.')[0]}.report.html" if outcome.written else None
     if page is not None and page.is_file() and not no_open and sys.stdout.isatty():
         click.launch(str(page))
@@ -238,15 +238,35 @@ def _converted(
     return outcome
 
 
-def _advise_place(outcome: Outcome, program: Path, cell: Path, process: Path | None) -> None:
-    """Offer `place` where another place of the part would gain."""
+def _offer_place(outcome: Outcome, program: Path, cell: Path, process: Path | None) -> None:
+    """Offer `place` where another place of the part may gain: name its command, and run it if the user agrees."""
     from postproc.errors import argument
 
     if (reason := _gain_of_place(outcome)) is None:
         return
-    forces = "" if process is None else f" --{'process' if process.suffix == '.toml' else 'forces'} {argument(process)}"
-    command = f"postproc place {argument(program)} --cell {argument(cell)}{forces} -o {argument(cell.parent / 'place')}"
-    click.echo(f"{reason}: another place of the part may help. Look for one with\n  {command}")
+    folder = cell.parent / "place"
+    is_process = process is not None and process.suffix.lower() == ".toml"
+    option = "--process" if is_process else "--forces"
+    forces = "" if process is None else f" {option} {argument(process)}"
+    command = f"postproc place {argument(program)} --cell {argument(cell)}{forces} -o {argument(folder)}"
+    click.echo(f"{reason}: another place of the part may help.\n  {command}")
+    if not is_terminal() or not click.confirm("Look for one now?", default=False):
+        return
+    from postproc.jobs.place_files import PlaceRequest, make_place
+    from postproc.report import placement
+
+    request = PlaceRequest(
+        programs=(str(program),),
+        cell=cell,
+        output=folder,
+        forces=None if is_process else process,
+        process=process if is_process else None,
+        overwrite=True,
+    )
+    made = make_place(request)
+    click.echo(placement.as_text(made.summary))
+    if made.summary.best is not None:
+        click.echo(f"Put the [base] of {folder / 'place.toml'} into {cell}, and run start again.")
 
 
 _OF_PLACE = ("joint-limit", "joint-speed", "singular", "reach", "branch", "collision")

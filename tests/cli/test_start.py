@@ -183,6 +183,15 @@ def test_a_cell_that_was_edited_is_used_as_it_is():
     assert cells.load(path).tool.Z == 300.0
 
 
+def test_where_the_tolerance_is_not_held_a_better_place_is_offered(monkeypatch):
+    done = run("start", "part.nc", *ALL, "--part-tolerance", "0.001", "-o", "out")
+    assert done.exit_code == 3
+    assert "another place of the part may help.\n  postproc place part.nc --cell" in done.output
+    monkeypatch.setattr("postproc.cli.start.is_terminal", lambda: True)
+    done = run("start", "part.nc", "-o", "out", "--no-open", input="\n" * 20 + "y\n")
+    assert "Look for one now?" in done.output
+
+
 def test_an_option_that_is_no_answer_is_wrong_usage():
     done = run("start", "part.nc", *CELL, "--material", "cheese", "--flutes", "3")
     assert done.exit_code == 2
