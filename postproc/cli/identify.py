@@ -231,11 +231,11 @@ def _holds_for_part(model: Path, probed: Path, cell: Path, process: Path, progra
 @click.argument("folder", type=_FILE)
 @click.pass_context
 def check(ctx: click.Context, folder: Path) -> None:
-    """Check a folder of measurements for publishing: what it has, and what it lacks.
+    """Check a folder of measurements to publish.
 
-    FOLDER holds experiment.toml and measurements.csv of `identify elastostatics`, dataset.toml with licence and source,
-    LICENSE, SHA256SUMS, and the robot if it is not a shipped one. Docs/reference/measurements.md describes the format.
-    Lines with `lacks` that are required come first.
+    Prints what it has and lacks. FOLDER holds experiment.toml and measurements.csv of `identify elastostatics`,
+    dataset.toml with licence and source, LICENSE, SHA256SUMS, and the robot if it is not a shipped one. The reference
+    describes the format. What is required comes first.
 
     Exit codes: 0 the folder can be published; 1 it cannot be read; 3 something required is missing or wrong.
 

@@ -11,7 +11,9 @@ import pytest
 from tests.documentation.pages import ROOT
 
 TEXT = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-TOP = sorted({path.stem for path in (ROOT / "postproc").iterdir() if path.suffix in ("", ".py")} - {"__pycache__"})
+TOP = sorted(
+    {path.stem for path in (ROOT / "postproc").iterdir() if path.suffix == ".py" or (path / "__init__.py").is_file()}
+)
 NAMES = sorted({name for name in re.findall(r"`([a-z_]+(?:\.\w+)+)`", TEXT) if name.split(".")[0] in TOP})
 
 
