@@ -105,17 +105,17 @@ def pieces_needed(path: CommandedPath) -> Pieces:
     arcs, command = path.arcs, path.position
     stretch = np.flatnonzero(arcs.uncertain)
     begin, middle_row, end_row = _ends(path, stretch)
-    before, quarter, middle = begin[::2], middle_row[::2], end_row[::2]
+    start, quarter, middle = begin[::2], middle_row[::2], end_row[::2]
     three_quarters, end = middle_row[1::2], end_row[1::2]
-    centre, radial, across, angle = circle_through(before, command[middle], command[end])
-    missed = np.zeros(len(end))
+    centre, radial, tangential, angle = circle_through(start, command[middle], command[end])
+    path_error = np.zeros(len(end))
     for share, row in ((0.25, quarter), (0.75, three_quarters)):
-        turned = (angle * share)[:, None]
-        spot = centre + np.cos(turned) * radial + np.sin(turned) * across
-        missed = np.maximum(missed, norm(command[row] - spot))
+        angle_there = (angle * share)[:, None]
+        spot = centre + np.cos(angle_there) * radial + np.sin(angle_there) * tangential
+        path_error = np.maximum(path_error, norm(command[row] - spot))
     pairs = arcs.number[stretch] // 2
     number = arcs.number.copy()
-    worst = np.maximum.reduceat(missed, np.cumsum(pairs) - pairs)
+    worst = np.maximum.reduceat(path_error, np.cumsum(pairs) - pairs)
     number[stretch] = np.ceil(pairs * np.sqrt(worst / path.limit)).astype(np.int64)
     return arcs.settled(number)
 
@@ -125,13 +125,13 @@ def _ends(path: CommandedPath, stretch: Ints) -> tuple[Array, Ints, Ints]:
     arcs, sample = path.arcs, path.sample
     size = arcs.number * arcs.each
     first = np.flatnonzero(np.isin(sample.motion, arcs.motion))[np.cumsum(size) - size]
-    number, each = arcs.number[stretch], np.repeat(arcs.each[stretch], arcs.number[stretch])
-    inside = ragged_range(number)
-    row = np.repeat(first[stretch], number) + inside * each
-    before = path.position[row - 1]
-    fresh = (inside == 0) & (np.repeat(arcs.begin[stretch], number) == 0.0)
-    before[fresh] = path.start[sample.motion[row[fresh]]]
-    return before, row + each // 2 - 1, row + each - 1
+    number, samples_of_piece = arcs.number[stretch], np.repeat(arcs.each[stretch], arcs.number[stretch])
+    piece = ragged_range(number)
+    row = np.repeat(first[stretch], number) + piece * samples_of_piece
+    begin = path.position[row - 1]
+    is_first = (piece == 0) & (np.repeat(arcs.begin[stretch], number) == 0.0)
+    begin[is_first] = path.start[sample.motion[row[is_first]]]
+    return begin, row + samples_of_piece // 2 - 1, row + samples_of_piece - 1
 
 
 def _divided(path: CommandedPath, motions: Ints) -> Ints:
@@ -143,23 +143,23 @@ def _divided(path: CommandedPath, motions: Ints) -> Ints:
     t, position = path.sample.t[row], path.position[row]
     t[first], position[first] = 0.0, path.start[motions]
     left, right = first, first + size - 1
-    done: list[Ints] = []
+    piece_ends: list[Ints] = []
     while len(left):
         count = right - left - 1
         piece = np.repeat(np.arange(len(left)), count)
-        node = ragged_range(count, left + 1)
-        share = (t[node] - t[left][piece]) / (t[right] - t[left])[piece]
+        candidate = ragged_range(count, left + 1)
+        share = (t[candidate] - t[left][piece]) / (t[right] - t[left])[piece]
         a, b = position[left], position[right]
-        miss = norm(position[node] - a[piece] - share[:, None] * (b - a)[piece])
+        miss = norm(position[candidate] - a[piece] - share[:, None] * (b - a)[piece])
         order = np.lexsort((miss, piece))
         last = order[np.cumsum(count[count > 0]) - 1]
         worst, cut = np.zeros(len(left)), np.full(len(left), -1)
-        worst[piece[last]], cut[piece[last]] = miss[last], node[last]
-        again = worst > path.limit
-        done.append(right[~again])
-        cut = cut[again]
-        left, right = np.concatenate([left[again], cut]), np.concatenate([cut, right[again]])
-    return np.asarray(row[np.concatenate(done)])
+        worst[piece[last]], cut[piece[last]] = miss[last], candidate[last]
+        is_divided = worst > path.limit
+        piece_ends.append(right[~is_divided])
+        cut = cut[is_divided]
+        left, right = np.concatenate([left[is_divided], cut]), np.concatenate([cut, right[is_divided]])
+    return np.asarray(row[np.concatenate(piece_ends)])
 
 
 def _is_flat(a: Array, b: Array, c: Array, distance: float, angle: float) -> Bools:
@@ -210,12 +210,14 @@ def _corners(bend: Array, length: Array, joined: Bools) -> Corners:
 
 def _joined(program: Program, motion: Ints, kind: Ints) -> Bools:
     m = program.motions
-    after = np.append(motion[1:], -1)
-    same = (after - motion <= 1) & (m.base[after] == m.base[motion]) & (m.tool[after] == m.tool[motion])
+    following = np.append(motion[1:], -1)
+    is_same_frame = (
+        (following - motion <= 1) & (m.base[following] == m.base[motion]) & (m.tool[following] == m.tool[motion])
+    )
     if program.after is not None:  # at the start of branches, or where the position of the robot is unknown
-        same &= (after == motion) | (program.after[after] == motion)
+        is_same_frame &= (following == motion) | (program.after[following] == motion)
     path = (kind != PTP) & (kind != SPL)
-    return np.asarray((after >= 0) & same & path & np.append(path[1:], False))
+    return np.asarray((following >= 0) & is_same_frame & path & np.append(path[1:], False))
 
 
 def corners_of_targets(program: Program, targets: Targets, start: Array) -> tuple[Corners, Array]:
@@ -270,11 +272,11 @@ def programmed_rounding(program: Program, path: Segments, motion: Ints) -> Array
     """
     if not program.keeps_text:
         return constant(0.0, len(motion))
-    out = np.zeros(len(motion))
+    rounding = np.zeros(len(motion))
     last = np.append(np.diff(motion) != 0, True)[: len(motion)]
-    own = motion[last]
-    out[last] = corners_of_motions(program, path, own).rounding(program.motions.blend[own])
-    return out
+    ended_motion = motion[last]
+    rounding[last] = corners_of_motions(program, path, ended_motion).rounding(program.motions.blend[ended_motion])
+    return rounding
 
 
 def approximation_distances(program: Program, targets: Targets, corners: Corners, cell: Cell) -> Array:
@@ -297,8 +299,8 @@ def approximation_distances(program: Program, targets: Targets, corners: Corners
         between = np.maximum(at_end, cell.gcode.approximation_mm * M_PER_MM)
         narrow = allowed < np.minimum(between, corners.reach)
         between[narrow] = _rounded_down(allowed[narrow])
-    out = np.where(targets.t == 1.0, np.where(stop, 0.0, at_end), between)
-    return np.where(targets.kind == PTP, 0.0, out)
+    distance = np.where(targets.t == 1.0, np.where(stop, 0.0, at_end), between)
+    return np.where(targets.kind == PTP, 0.0, distance)
 
 
 def _rounded_down(distance: Array) -> Array:

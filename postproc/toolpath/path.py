@@ -22,7 +22,7 @@ from postproc.frames import (
 from postproc.poses import Poses
 from postproc.program import CIRC, LIN, PTP, SPL, Bools, Ints, Program, Starts, constant
 
-_STILL = 1e-6
+_LEAST_TURN = 1e-6
 """Angle [rad] below which matrices of rotation may be interpolated entry by entry: its square is rounding."""
 
 _SAME_LINE, _SAME_RATE = 5e-6, 1e-3
@@ -65,10 +65,10 @@ class Segments(Struct, frozen=True, eq=False):
 
     def begin(self, motion: Ints) -> Array:
         """Return the positions (n, 3) where motions (n,) start [m]."""
-        out = self.end.take(motion - 1, axis=0)
-        place, own = self.start.changed_among(motion)
-        out[own] = self.start.pose[place[own], :3, 3]
-        return out
+        position = self.end.take(motion - 1, axis=0)
+        index, is_changed = self.start.changed_among(motion)
+        position[is_changed] = self.start.pose[index[is_changed], :3, 3]
+        return position
 
 
 class Arcs(Struct, frozen=True, eq=False):
@@ -107,9 +107,9 @@ class Arcs(Struct, frozen=True, eq=False):
         arc = np.searchsorted(self.motion, motion)
         angle, scale, growth = self.sweep[arc] * t, 1.0 + self.growth[arc] * t, self.growth[arc]
         (sin, cos), turning = sine_and_cosine(angle), self.sweep[arc] * scale
-        along, out = growth * cos - turning * sin, growth * sin + turning * cos
-        radial, across, climb = (each.take(arc, axis=0) for each in (self.radial, self.across, self.climb))
-        return np.asarray(along[:, None] * radial + out[:, None] * across + climb)
+        radial_rate, tangential_rate = growth * cos - turning * sin, growth * sin + turning * cos
+        radial, tangential, climb = (vector.take(arc, axis=0) for vector in (self.radial, self.across, self.climb))
+        return np.asarray(radial_rate[:, None] * radial + tangential_rate[:, None] * tangential + climb)
 
 
 class Toolpath(Columns, frozen=True, eq=False):
@@ -157,8 +157,8 @@ def segments(program: Program, start_flange_in_root: Array) -> Segments:
     start = starts(program, m.target.__getitem__, start_flange_in_root)
 
     def chord(rows: Ints) -> tuple[Array, Array]:
-        one, end = start.at(rows), m.target.take(rows)
-        return norm(end.position - one[:, :3, 3]), angle_between(one[:, :3, :3], end.rotation)
+        begin, end = start.at(rows), m.target.take(rows)
+        return norm(end.position - begin[:, :3, 3]), angle_between(begin[:, :3, :3], end.rotation)
 
     length, turn = in_chunks(chord, np.arange(len(m)))
     if not turn.any():
@@ -201,20 +201,20 @@ def at(program: Program, path: Segments, motion: Ints, t: Array) -> Toolpath:
     pose = m.target.take(motion)
     inner = np.flatnonzero((t < 1.0) & (m.kind[motion] != PTP))
     turn = path.turn[motion[inner]]
-    still, turning = inner[(turn > 0.0) & (turn < _STILL)], inner[turn >= _STILL]
+    small_turn, turning = inner[(turn > 0.0) & (turn < _LEAST_TURN)], inner[turn >= _LEAST_TURN]
     rotation = pose.rotation
-    if pose.is_fixed and len(still) + len(turning):
+    if pose.is_fixed and len(small_turn) + len(turning):
         rotation = rotation.copy()
-    if len(still):
-        before, after = path.start.at(motion[still])[:, :3, :3], rotation[still]
-        rotation[still] = after + (1.0 - t[still])[:, None, None] * (before - after)
+    if len(small_turn):
+        start_rotation, end_rotation = path.start.at(motion[small_turn])[:, :3, :3], rotation[small_turn]
+        rotation[small_turn] = end_rotation + (1.0 - t[small_turn])[:, None, None] * (start_rotation - end_rotation)
     if program.turning is not None:
         active = program.turning.active[motion[turning]]
-        otherwise, turning = turning[active], turning[~active]
-        rotation[otherwise] = program.turning.at(motion[otherwise], t[otherwise])
+        swivelled, turning = turning[active], turning[~active]
+        rotation[swivelled] = program.turning.at(motion[swivelled], t[swivelled])
     if program.with_path is not None:
-        led = program.with_path[motion[turning]]
-        with_path, turning = turning[led], turning[~led]
+        is_led = program.with_path[motion[turning]]
+        with_path, turning = turning[is_led], turning[~is_led]
         rotation[with_path] = _with_path(program, path, motion[with_path], t[with_path])
     if len(turning):
         rows = motion[turning]
@@ -250,9 +250,9 @@ def _turned_back(program: Program, rows: Ints, angle: Array, orientation: Array)
 
 def positions(program: Program, path: Segments, motion: Ints, t: Array) -> Array:
     """Return where the TCP is nominally (n, 3) at places (motion, t), as `at`."""
-    out = program.motions.target.position[motion]
-    _place(program, path, motion, t, out)
-    return out
+    position = program.motions.target.position[motion]
+    _place(program, path, motion, t, position)
+    return position
 
 
 def _place(program: Program, path: Segments, motion: Ints, t: Array, spot: Array) -> None:
@@ -273,16 +273,16 @@ def _place(program: Program, path: Segments, motion: Ints, t: Array, spot: Array
 def tangent(program: Program, path: Segments, motion: Ints, t: Array) -> Array:
     """Return the unit direction of travel (n, 3), `$BASE`, at places (motion, t); zero without travel, and for PTP."""
     m = program.motions
-    out = np.zeros((len(motion), 3))
+    direction = np.zeros((len(motion), 3))
     kind = m.kind[motion]
-    long = np.flatnonzero(((kind == LIN) | (kind == SPL)) & (path.length[motion] > 0.0))
-    rows = motion[long]
-    out[long] = (m.target[rows, :3, 3] - path.begin(rows)) / path.length[rows, None]
+    lines = np.flatnonzero(((kind == LIN) | (kind == SPL)) & (path.length[motion] > 0.0))
+    rows = motion[lines]
+    direction[lines] = (m.target[rows, :3, 3] - path.begin(rows)) / path.length[rows, None]
     arcs = np.flatnonzero(kind == CIRC)
     if len(arcs):
         velocity = path.arcs.velocity(motion[arcs], t[arcs])
-        out[arcs] = velocity / norm(velocity)[:, None]
-    return out
+        direction[arcs] = velocity / norm(velocity)[:, None]
+    return direction
 
 
 def continues(program: Program, path: Segments) -> Bools:
@@ -292,23 +292,25 @@ def continues(program: Program, path: Segments) -> Bools:
     the same `$BASE` and `$TOOL`, turn the tool by as much per length, and are both rapid or not.
     """
     m = program.motions
-    out = np.zeros(len(m), dtype=bool)
-    smooth = np.logical_and.reduce([each[1:] == each[:-1] for each in (m.kind, m.base, m.tool, m.rapid)])
+    continued = np.zeros(len(m), dtype=bool)
+    smooth = np.logical_and.reduce([column[1:] == column[:-1] for column in (m.kind, m.base, m.tool, m.rapid)])
     smooth &= np.minimum(path.length[:-1], path.length[1:]) > _SAME_LINE
     smooth &= np.abs(np.diff(path.turn / np.maximum(path.length, _SAME_LINE))) < _SAME_RATE
     if program.after is not None:
         smooth &= program.after[1:] == np.arange(len(m) - 1)
     lines, arcs = (np.flatnonzero(smooth & (m.kind[1:] == kind)) for kind in (LIN, CIRC))
-    begin, between, end = path.begin(lines), m.target[lines, :3, 3], m.target[lines + 1, :3, 3]
+    begin, corner, end = path.begin(lines), m.target[lines, :3, 3], m.target[lines + 1, :3, 3]
     chord = end - begin
-    aside = norm(np.cross(between - begin, chord)) / np.maximum(norm(chord), _SAME_LINE)
-    out[lines + 1] = (aside < _SAME_LINE) & (np.einsum("ni,ni->n", between - begin, end - between) > 0.0)
-    before = tangent(program, path, arcs, np.ones(len(arcs)))
-    behind = tangent(program, path, arcs + 1, np.zeros(len(arcs)))
-    one, other = (norm(path.arcs.radial[np.searchsorted(path.arcs.motion, rows)]) for rows in (arcs, arcs + 1))
-    same = (np.einsum("ni,ni->n", before, behind) > np.cos(_SAME_TANGENT)) & (np.abs(other - one) < _SAME_RADIUS * one)
-    out[arcs + 1] = same & (np.einsum("ni,ni->n", m.normal[arcs], m.normal[arcs + 1]) > np.cos(_SAME_AXIS))
-    return out
+    corner_distance = norm(np.cross(corner - begin, chord)) / np.maximum(norm(chord), _SAME_LINE)
+    continued[lines + 1] = (corner_distance < _SAME_LINE) & (np.einsum("ni,ni->n", corner - begin, end - corner) > 0.0)
+    end_tangent = tangent(program, path, arcs, np.ones(len(arcs)))
+    start_tangent = tangent(program, path, arcs + 1, np.zeros(len(arcs)))
+    radius, next_radius = (norm(path.arcs.radial[np.searchsorted(path.arcs.motion, rows)]) for rows in (arcs, arcs + 1))
+    is_same_arc = (np.einsum("ni,ni->n", end_tangent, start_tangent) > np.cos(_SAME_TANGENT)) & (
+        np.abs(next_radius - radius) < _SAME_RADIUS * radius
+    )
+    continued[arcs + 1] = is_same_arc & (np.einsum("ni,ni->n", m.normal[arcs], m.normal[arcs + 1]) > np.cos(_SAME_AXIS))
+    return continued
 
 
 def circle_through(a: Array, b: Array, c: Array) -> tuple[Array, Array, Array, Array]:
@@ -338,15 +340,15 @@ Place = Array | float | None
 
 def tool_of(program: Program, motion: Ints) -> Array:
     """Return `$TOOL` in the flange frame for motions (n,) [m]: (4, 4) if the program has but one, else (n, 4, 4)."""
-    return _each(program.tools, program.motions.tool[motion])
+    return _frames_of_rows(program.tools, program.motions.tool[motion])
 
 
 def base_of(program: Program, motion: Ints) -> Array:
     """Return `$BASE` in the root for motions (n,) [m]: (4, 4) if the program has but one, else (n, 4, 4)."""
-    return _each(program.bases, program.motions.base[motion])
+    return _frames_of_rows(program.bases, program.motions.base[motion])
 
 
-def _each(frames: Array, row: Ints) -> Array:
+def _frames_of_rows(frames: Array, row: Ints) -> Array:
     """Return rows of frames (k, 4, 4): (4, 4) if there is but one, else (n, 4, 4)."""
     return np.asarray(frames[0] if len(frames) == 1 else frames.take(row, axis=0))
 
@@ -366,8 +368,8 @@ def points_in_base(program: Program, motion: Ints, point_in_root: Array, t: Plac
     base = base_of(program, motion)
     if program.carriage is not None and t is not None:
         point_in_root = point_in_root + program.carriage.offset(motion, t)
-    apart, rotation = point_in_root - base[..., :3, 3], base[..., :3, :3]
-    return apart @ rotation if rotation.ndim == 2 else np.asarray(np.einsum("ni,nij->nj", apart, rotation))
+    offset, rotation = point_in_root - base[..., :3, 3], base[..., :3, :3]
+    return offset @ rotation if rotation.ndim == 2 else np.asarray(np.einsum("ni,nij->nj", offset, rotation))
 
 
 def _moved(program: Program, motion: Ints, t: Place, pose: Array, sign: float) -> Array:
@@ -397,7 +399,7 @@ def columns_in_root(program: Program, motion: Ints, columns_in_base: Array) -> A
 
 def flange_from_tcp(program: Program, motion: Ints, pose_tcp_in_base: Array, t: Place = 1.0) -> Array:
     """Return flange poses in the root (N, 4, 4) for tool frames in `$BASE` of motions (N,), at places t on them."""
-    from_tool = _each(inverse(program.tools), program.motions.tool[motion])
+    from_tool = _frames_of_rows(inverse(program.tools), program.motions.tool[motion])
     pose = product(base_of(program, motion), pose_tcp_in_base, from_tool)
     return _moved(program, motion, t, pose, -1.0)
 
@@ -408,10 +410,10 @@ def flange_points(program: Program, motion: Ints, pose_tcp_in_base: Array, point
     in_tool = inverse(program.tools) @ np.append(point, 1.0)
     if len(program.bases) == len(program.tools) == 1:
         in_base = np.einsum("nij,j->ni", pose_tcp_in_base, in_tool[0])
-        out = np.einsum("ij,nj->ni", program.bases[0, :3], in_base)
+        position = np.einsum("ij,nj->ni", program.bases[0, :3], in_base)
     else:
-        placed = pose_tcp_in_base @ in_tool[m.tool[motion]][..., None]
-        out = (program.bases[m.base[motion], :3] @ placed)[..., 0]
+        point_in_base = pose_tcp_in_base @ in_tool[m.tool[motion]][..., None]
+        position = (program.bases[m.base[motion], :3] @ point_in_base)[..., 0]
     if program.carriage is not None and t is not None:
-        out = out - program.carriage.offset(motion, t)
-    return np.asarray(out)
+        position = position - program.carriage.offset(motion, t)
+    return np.asarray(position)

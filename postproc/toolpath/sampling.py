@@ -98,13 +98,13 @@ class Pieces(Columns, frozen=True, eq=False):
 
     def cut(self, parts: Ints) -> Pieces:
         """Return the stretches cut into equal parts (S,): by their number of pieces each piece is a stretch."""
-        out = self.take(np.repeat(np.arange(len(parts)), parts))
-        inside = ragged_range(parts)
+        stretches = self.take(np.repeat(np.arange(len(parts)), parts))
+        index = ragged_range(parts)
         parts = np.repeat(parts, parts)
-        begin = out.begin + (out.end - out.begin) * (inside / parts)
-        end = np.where(inside == parts - 1, out.end, np.roll(begin, -1))
-        number, least = -(-out.number // parts), -(-out.least // parts)
-        return Pieces(out.motion, begin, end, number, least, out.samples / parts, out.uncertain)
+        begin = stretches.begin + (stretches.end - stretches.begin) * (index / parts)
+        end = np.where(index == parts - 1, stretches.end, np.roll(begin, -1))
+        number, least = -(-stretches.number // parts), -(-stretches.least // parts)
+        return Pieces(stretches.motion, begin, end, number, least, stretches.samples / parts, stretches.uncertain)
 
     def finer(self, motion: Ints, t: Array, parts: Ints) -> Pieces:
         """Return the stretches with the pieces divided on which the path was missed.
@@ -114,10 +114,10 @@ class Pieces(Columns, frozen=True, eq=False):
         """
         hit = np.zeros(len(self.motion), dtype=bool)
         hit[self._at(motion, t)] = True
-        out = self.cut(np.where(hit, self.number, 1))
-        number = out.number.copy()
-        np.maximum.at(number, out._at(motion, t), parts)
-        return out.settled(number)
+        stretches = self.cut(np.where(hit, self.number, 1))
+        number = stretches.number.copy()
+        np.maximum.at(number, stretches._at(motion, t), parts)
+        return stretches.settled(number)
 
     def _at(self, motion: Ints, t: Array) -> Ints:
         """Return the stretches (n,) on which places lie."""
@@ -151,10 +151,10 @@ def pieces(
     growing = change + share * (
         norm(arcs.climb)[arc] + np.abs(arcs.growth[arc]) * radius + estimate.size[motion] * path.turn[motion]
     )
-    missed = (_TURNING * angle**2 * turning + _GROWING * angle * growing) / least**2
-    uncertain = (missed > _CERTAIN * tolerance) & (not linearize_arcs)
-    measured = 2 * np.ceil(np.maximum(angle / _MEASURED, least) / 2.0 - 1e-9).astype(np.int64)
-    return Pieces(motion, begin, end, np.where(uncertain, measured, least), least, samples, uncertain)
+    path_error = (_TURNING * angle**2 * turning + _GROWING * angle * growing) / least**2
+    uncertain = (path_error > _CERTAIN * tolerance) & (not linearize_arcs)
+    even_number = 2 * np.ceil(np.maximum(angle / _MEASURED, least) / 2.0 - 1e-9).astype(np.int64)
+    return Pieces(motion, begin, end, np.where(uncertain, even_number, least), least, samples, uncertain)
 
 
 def _stretches(arcs: Ints, estimate: DisplacementEstimate, tolerance: float) -> tuple[Ints, Array, Array, Array]:
@@ -164,19 +164,19 @@ def _stretches(arcs: Ints, estimate: DisplacementEstimate, tolerance: float) -> 
         (S,) [m]: zero for arcs on which it changes by too little to matter.
     """
     rows = np.flatnonzero(np.isin(estimate.motion, arcs))
-    of = np.searchsorted(arcs, estimate.motion[rows])
-    noticed = np.bincount(of, estimate.change[rows], len(arcs)) > _NOTICED * tolerance
-    rows, of = rows[noticed[of]], of[noticed[of]]
+    arc_of_row = np.searchsorted(arcs, estimate.motion[rows])
+    is_noticeable = np.bincount(arc_of_row, estimate.change[rows], len(arcs)) > _NOTICED * tolerance
+    rows, arc_of_row = rows[is_noticeable[arc_of_row]], arc_of_row[is_noticeable[arc_of_row]]
     inner = estimate.bent[rows]
-    arc = np.concatenate([np.arange(len(arcs)), of[inner]])
+    arc = np.concatenate([np.arange(len(arcs)), arc_of_row[inner]])
     begin = np.concatenate([np.zeros(len(arcs)), estimate.t[rows[inner]]])
     order = np.lexsort((begin, arc))
     arc, begin = arc[order], begin[order]
     last = np.append(np.diff(arc) != 0, np.ones(min(1, len(arc)), dtype=np.bool_))
     end = np.where(last, 1.0, np.append(begin[1:], 1.0)[: len(arc)])
-    stretch = np.searchsorted(arc + begin, of + estimate.t[rows]) - 1
-    behind = estimate.t[rows] > 0.0
-    change: Array = np.bincount(stretch[behind], estimate.change[rows][behind], len(arc)).astype(float)
+    stretch = np.searchsorted(arc + begin, arc_of_row + estimate.t[rows]) - 1
+    is_inside = estimate.t[rows] > 0.0
+    change: Array = np.bincount(stretch[is_inside], estimate.change[rows][is_inside], len(arc)).astype(float)
     return arc, begin, end, change
 
 
@@ -201,19 +201,19 @@ def places(
     count[(m.kind == PTP) | (m.kind == SPL)] = 1.0
     straight = np.flatnonzero(m.kind != CIRC)
     motion, t = _even(straight, np.maximum(count[straight], 1.0).astype(np.int64))
-    bent = np.flatnonzero(estimate.bent & (m.kind[estimate.motion] == LIN))
-    more = [(estimate.motion[bent], estimate.t[bent]), *([also] if also is not None else [])]
+    bends = np.flatnonzero(estimate.bent & (m.kind[estimate.motion] == LIN))
+    further_places = [(estimate.motion[bends], estimate.t[bends]), *([also] if also is not None else [])]
     if len(arcs.motion):
         stretch, share = _even(np.arange(len(arcs.motion)), arcs.number * arcs.each)
         begin, end = arcs.begin[stretch], arcs.end[stretch]
-        more.append((arcs.motion[stretch], np.where(share == 1.0, end, begin + (end - begin) * share)))
-    if any(len(rows) for rows, _ in more):
-        motion = np.concatenate([motion, *(rows for rows, _ in more)])
-        t = np.concatenate([t, *(places for _, places in more)])
+        further_places.append((arcs.motion[stretch], np.where(share == 1.0, end, begin + (end - begin) * share)))
+    if any(len(rows) for rows, _ in further_places):
+        motion = np.concatenate([motion, *(rows for rows, _ in further_places)])
+        t = np.concatenate([t, *(places for _, places in further_places)])
         order = np.lexsort((t, motion))
         motion, t = motion[order], t[order]
-        again = np.flatnonzero((np.diff(motion) == 0) & (np.diff(t) < 1e-9))
-        motion, t = np.delete(motion, again), np.delete(t, again)
+        repetitions = np.flatnonzero((np.diff(motion) == 0) & (np.diff(t) < 1e-9))
+        motion, t = np.delete(motion, repetitions), np.delete(t, repetitions)
     return motion, t
 
 
@@ -224,9 +224,9 @@ def swivel_pieces(program: Program, path: Segments, tolerance: float) -> Ints:
     over `_LEVER` of the tool that must stay within the tolerance.
     """
     turning = program.turning
-    out = np.ones(len(program.motions), dtype=np.int64)
+    number = np.ones(len(program.motions), dtype=np.int64)
     if turning is None:
-        return out
+        return number
     travel = turning.travel
     rows = np.flatnonzero((travel > 0.0) & (program.motions.kind == LIN))
     start, end = path.start.at(rows), program.motions.target[rows]
@@ -234,13 +234,13 @@ def swivel_pieces(program: Program, path: Segments, tolerance: float) -> Ints:
     for share in (0.25, 0.5, 0.75):
         t = np.full(len(rows), share)
         leans = np.maximum(leans, angle_between(interpolated(start, end, t)[:, :3, :3], turning.at(rows, t)))
-    needed = np.maximum(np.sqrt(leans * _LEVER / tolerance), travel[rows] / _MOST_SWIVEL)
-    out[rows] = np.maximum(1, np.ceil(needed - 1e-9)).astype(np.int64)
-    return out
+    pieces_needed = np.maximum(np.sqrt(leans * _LEVER / tolerance), travel[rows] / _MOST_SWIVEL)
+    number[rows] = np.maximum(1, np.ceil(pieces_needed - 1e-9)).astype(np.int64)
+    return number
 
 
 def _even(rows: Ints, number: Ints) -> tuple[Ints, Array]:
     """Return each row as often as its number says, and places in even distances up to 1."""
-    which = np.repeat(np.arange(len(rows)), number)
+    index_of_row = np.repeat(np.arange(len(rows)), number)
     index = ragged_range(number) + 1
-    return rows[which], index / number[which]
+    return rows[index_of_row], index / number[index_of_row]
