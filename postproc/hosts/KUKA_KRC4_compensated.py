@@ -82,11 +82,11 @@ class RobotPost:
             for name in _callees_first(self.programs):
                 blocks = [_calling(block, names) for block in self.programs[name]]
                 if any(_MOTION.match(block.text) for block in blocks):
-                    done = convert(blocks, target, name, "src", flags)
-                    _compare_postures(done, self.joints[name])
-                    files[name] = [path for path in done.files if path.suffix.lower() in (".src", ".dat")]
+                    converted = convert(blocks, target, name, "src", flags)
+                    _compare_postures(converted, self.joints[name])
+                    files[name] = [path for path in converted.files if path.suffix.lower() in (".src", ".dat")]
                     names[name.lower()] = files[name][0].stem
-                    self.addlog("\n".join([f"{name}:", *done.verdict, *done.warnings]))
+                    self.addlog("\n".join([f"{name}:", *converted.verdict, *converted.warnings]))
                 else:
                     path = target / f"{name}.src"
                     path.write_text("".join(f"{block.text}\r\n" for block in blocks), encoding="utf-8", newline="")
@@ -94,12 +94,12 @@ class RobotPost:
         except HostError as cause:
             _show(f"{name}: nothing is written.\n{cause}")
             raise
-        written = [path for name in self.programs for path in files[name]]
-        self.PROG_FILES = [str(path) for path in written]
-        for path in written:
+        paths = [path for name in self.programs for path in files[name]]
+        self.PROG_FILES = [str(path) for path in paths]
+        for path in paths:
             print(f"SAVED: {path}\n")
-        if show_result and written:
-            _open(written[0], show_result)
+        if show_result and paths:
+            _open(paths[0], show_result)
 
     def ProgSendRobot(self, robot_ip: str, remote_path: str, ftp_user: str, ftp_pass: str) -> None:
         """Send the saved programs to the controller, by RoboDK's own means."""
@@ -186,8 +186,8 @@ class RobotPost:
             self._code(code, "RunCode")
             return
         name, bracket, arguments = code.partition("(")
-        called = self._valid(name.strip() if bracket else name)
-        self._line(f"{called}({one_line(arguments)}" if bracket else f"{called}()", "RunCode")
+        callee = self._valid(name.strip() if bracket else name)
+        self._line(f"{callee}({one_line(arguments)}" if bracket else f"{callee}()", "RunCode")
 
     def RunMessage(self, message: str, iscomment: bool = False) -> None:
         """Show a message, or insert a comment."""
@@ -207,14 +207,15 @@ class RobotPost:
         :raises HostError: it has no name, or another program has the same one in KRL.
         """
         if not name.strip():
-            where = f"A call in program {self.name}" if self.name else "A program"
-            _refuse(f"{where} has no name of a program: enter it in the station.")
+            subject = f"A call in program {self.name}" if self.name else "A program"
+            _refuse(f"{subject} has no name of a program: enter it in the station.")
         valid = _name(name)
-        other = self.given.setdefault(valid.lower(), name)
-        if other != name:
+        station_name = self.given.setdefault(valid.lower(), name)
+        if station_name != name:
             _refuse(
-                f"The programs {one_line(other)!r} and {one_line(name)!r} would both be {valid} in KRL: names have at "
-                "most 24 letters, digits and _ there, and case does not count. Rename one of them in the station."
+                f"The programs {one_line(station_name)!r} and {one_line(name)!r} would both be {valid} in KRL: names "
+                "have at most 24 letters, digits and _ there, and case does not count. Rename one of them in the "
+                "station."
             )
         return valid
 
@@ -291,24 +292,24 @@ def _numbers(joints: Any) -> list[float]:
     return [float(value) for value in (joints.list() if hasattr(joints, "list") else joints)]
 
 
-def _compare_postures(done: Converted, joints: dict[int, list[float]]) -> None:
+def _compare_postures(converted: Converted, joints: dict[int, list[float]]) -> None:
     """Take results back whose postures are not those of RoboDK: the cell's [start] leads to another branch.
 
     :raises HostError: says where, and what to do.
     """
-    table = next(path for path in done.files if path.name.endswith(".targets.csv"))
+    table = next(path for path in converted.files if path.name.endswith(".targets.csv"))
     with table.open(encoding="utf-8", newline="") as stream:
         for row in csv.DictReader(stream):
-            given = joints.get(int(row["source_line"]))
-            if given is None or float(row["t"]) < 1.0:
+            station_angles = joints.get(int(row["source_line"]))
+            if station_angles is None or float(row["t"]) < 1.0:
                 continue
-            found = [float(row[axis]) for axis in _AXES[:6]]
-            if max(abs(one - other) for one, other in zip(found, given)) > 1.0:
-                for path in done.files:
+            angles = [float(row[axis]) for axis in _AXES[:6]]
+            if max(abs(angle - station_angle) for angle, station_angle in zip(angles, station_angles)) > 1.0:
+                for path in converted.files:
                     path.unlink()
                 raise HostError(
-                    f"Line {row['source_line']}: RoboDK has the robot at A1-A6 {_rounded(given)}, but from "
-                    f"[start] of the cell it arrives with {_rounded(found)}. Begin the program with a MoveJ, or state "
+                    f"Line {row['source_line']}: RoboDK has the robot at A1-A6 {_rounded(station_angles)}, but from "
+                    f"[start] of the cell it arrives with {_rounded(angles)}. Begin the program with a MoveJ, or state "
                     "the joint angles before its first motion under [start]."
                 )
 
@@ -342,8 +343,8 @@ def _cell(folder: Path) -> Path:
 
     :raises HostError: there is none; says where it was looked for.
     """
-    named = os.environ.get("POSTPROC_CELL")
-    places = [Path(named)] if named else [folder / "cell.toml", folder.parent / "cell.toml"]
+    variable = os.environ.get("POSTPROC_CELL")
+    places = [Path(variable)] if variable else [folder / "cell.toml", folder.parent / "cell.toml"]
     for path in places:
         if path.is_file():
             return path.resolve()
@@ -357,10 +358,10 @@ def _ask(folder: str, name: str) -> str:
     """Ask the user for the folder to write into."""
     from robodk.robodialogs import getSaveFolder
 
-    chosen = getSaveFolder(folder, f"Save {name} and its report in...")
-    if not chosen:
+    answer = getSaveFolder(folder, f"Save {name} and its report in...")
+    if not answer:
         raise HostError("No folder was chosen: nothing is written.")
-    return str(chosen)
+    return str(answer)
 
 
 def _refuse(message: str) -> None:

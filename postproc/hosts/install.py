@@ -85,11 +85,11 @@ def _places(usual: str) -> list[Path]:
     """Return the places that a name with `~` and `*` means, the newest version first."""
     parent = Path(usual).expanduser().parent
 
-    def version(found: Path) -> list[int]:
-        return [int(number) for number in re.findall(r"\d+", found.name)]
+    def version(folders: Path) -> list[int]:
+        return [int(number) for number in re.findall(r"\d+", folders.name)]
 
-    found = sorted(parent.parent.glob(parent.name), key=version, reverse=True) if "*" in usual else [parent]
-    return [folder / Path(usual).name for folder in found]
+    folders = sorted(parent.parent.glob(parent.name), key=version, reverse=True) if "*" in usual else [parent]
+    return [folder / Path(usual).name for folder in folders]
 
 
 def install_post(name: str, folder: Path | None = None) -> list[Path]:
@@ -102,14 +102,14 @@ def install_post(name: str, folder: Path | None = None) -> list[Path]:
     """
     host = HOSTS[name]
     target = _folder(host, folder)
-    here = Path(__file__).parent
-    shared = target / _SHARED
-    files = [target / host.post, shared / "__init__.py", shared / "command.json", shared / _COPIED]
+    source = Path(__file__).parent
+    shared_folder = target / _SHARED
+    files = [target / host.post, shared_folder / "__init__.py", shared_folder / "command.json", shared_folder / _COPIED]
     try:
-        shared.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(here / host.post, files[0])
-        shutil.copyfile(here / _SHARED / "__init__.py", files[1])
-        shutil.copyfile(here.parent / _COPIED, files[3])
+        shared_folder.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(source / host.post, files[0])
+        shutil.copyfile(source / _SHARED / "__init__.py", files[1])
+        shutil.copyfile(source.parent / _COPIED, files[3])
         content = {"command": _command(target)}
         files[2].write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     except OSError as cause:
@@ -127,19 +127,19 @@ def remove_post(name: str, folder: Path | None = None) -> list[Path]:
     """
     host = HOSTS[name]
     target = _folder(host, folder)
-    others = [target / other.post for other in HOSTS.values() if other is not host]
+    other_posts = [target / other_host.post for other_host in HOSTS.values() if other_host is not host]
     files = [target / host.post]
-    if not any(path.is_file() for path in others):
+    if not any(path.is_file() for path in other_posts):
         files += [target / _SHARED / name for name in ("__init__.py", "command.json", _COPIED)]
-    removed = [path for path in files if path.is_file()]
+    existing_files = [path for path in files if path.is_file()]
     try:
-        for path in removed:
+        for path in existing_files:
             path.unlink()
         if len(files) > 1:
             shutil.rmtree(target / _SHARED, ignore_errors=True)
     except OSError as cause:
         raise InputError(f"{target}: the post cannot be removed: {cause.strerror}.") from cause
-    return removed
+    return existing_files
 
 
 def _command(folder: Path) -> list[str]:

@@ -95,20 +95,20 @@ def _posted(FreeCAD: Any, objects: list[Any], filename: str, argstring: str) -> 
         flags.append(("--process", f"{name}.process.toml"))
     flags += [("--tolerance", options.tolerance)] if options.tolerance else []
     flags += [("--nominal", "")] if options.nominal else []
-    done = convert(blocks, folder, name, "nc", flags, more_files)
-    for warning in done.warnings:
+    converted = convert(blocks, folder, name, "nc", flags, more_files)
+    for warning in converted.warnings:
         FreeCAD.Console.PrintWarning(f"{warning}\n")
-    if "modules" in done.summary:
-        names = ", ".join(module["name"] for module in done.summary["modules"])
+    if "modules" in converted.summary:
+        names = ", ".join(module["name"] for module in converted.summary["modules"])
         raise HostError(
             f"The program is larger than the memory of the controller, and FreeCAD takes one text. It is in {folder} "
             f"as {names}: load these files one after another. Delete the file that FreeCAD may write."
         )
-    program = done.files[0]
+    program = converted.files[0]
     text: str = program.read_bytes().decode("utf-8")
     console = FreeCAD.Console
-    say = {"ok": console.PrintMessage, "warning": console.PrintWarning, "failed": console.PrintError}[done.state]
-    for line in done.verdict:
+    say = {"ok": console.PrintMessage, "warning": console.PrintWarning, "failed": console.PrintError}[converted.state]
+    for line in converted.verdict:
         say(f"{line}\n")
     console.PrintMessage(f"{program}; report: {program.with_suffix('.report.html')}\n")
     return text
@@ -138,15 +138,15 @@ def _file(path: str, document: Any) -> str:
 
 def _where(options: argparse.Namespace, filename: str, document: Any, objects: list[Any]) -> tuple[Path, str]:
     """Return the folder to write into and the name of the program."""
-    chosen = None if filename in ("", "-") else Path(filename)
+    target = None if filename in ("", "-") else Path(filename)
     if options.out_dir:
         folder = Path(_file(options.out_dir, document))
-    elif chosen is not None:
-        folder = chosen.resolve().parent
+    elif target is not None:
+        folder = target.resolve().parent
     else:
         folder = Path(_file("corrected", document))
-        chosen = _output_file(document, objects)
-    name = options.name or (chosen.stem if chosen is not None else document.Label if document is not None else "part")
+        target = _output_file(document, objects)
+    name = options.name or (target.stem if target is not None else document.Label if document is not None else "part")
     name = re.sub("[^A-Za-z0-9_]", "_", name)[:24]
     name = name if re.match("[A-Za-z]", name) else f"P{name}"[:24]
     if filename == "-":
@@ -158,9 +158,9 @@ def _where(options: argparse.Namespace, filename: str, document: Any, objects: l
 
 def _job(document: Any, objects: list[Any]) -> Any:
     """Return the job that is posted, of which FreeCAD hands over the operations; None: none of the document."""
-    posted = {getattr(item, "Name", None) for item in objects}
+    posted_names = {getattr(item, "Name", None) for item in objects}
     for job in [] if document is None else document.Objects:
-        if hasattr(job, "PostProcessorOutputFile") and posted & {item.Name for item in job.Operations.Group}:
+        if hasattr(job, "PostProcessorOutputFile") and posted_names & {item.Name for item in job.Operations.Group}:
             return job
     return None
 
@@ -210,18 +210,19 @@ def _process(job: Any, name: str, material: str) -> dict[str, bytes]:
 
 def _tool(controller: Any) -> list[str]:
     """Return the lines of [tools.n]: shape, diameter, flutes."""
-    tool, who = controller.Tool, f"--material: tool {int(controller.ToolNumber)}, {controller.Label}"
+    tool, subject = controller.Tool, f"--material: tool {int(controller.ToolNumber)}, {controller.Label}"
     name = next((str(getattr(tool, key)) for key in ("ShapeName", "ShapeID", "ShapeType") if hasattr(tool, key)), "")
     shape = _SHAPES.get(re.sub("[^a-z]", "", name.lower()))
     if shape is None:
         raise HostError(
-            f"{who}: forces of the shape {name!r} are not known, but of {', '.join(_SHAPES)}. Give --process FILE.toml."
+            f"{subject}: forces of the shape {name!r} are not known, but of {', '.join(_SHAPES)}. "
+            "Give --process FILE.toml."
         )
     diameter, flutes = _number(tool, "Diameter"), int(_number(tool, "Flutes"))
     if diameter <= 0.0 or flutes < 1:
-        missing = "diameter" if diameter <= 0.0 else "number of flutes"
+        quantity = "diameter" if diameter <= 0.0 else "number of flutes"
         raise HostError(
-            f"{who} states no {missing}: set it in the tool (Flutes, Diameter), or give --process FILE.toml."
+            f"{subject} states no {quantity}: set it in the tool (Flutes, Diameter), or give --process FILE.toml."
         )
     lines = [f'shape = "{shape}"', f"diameter_mm = {diameter:.6g}", f"flutes = {flutes}"]
     if shape == "bull":
@@ -289,8 +290,10 @@ def _block(command: Any) -> str:
     for letter in "IJK":  # FreeCAD writes all three in every plane
         if words.get(letter) == 0.0:
             del words[letter]
-    known = [letter for letter in _WORDS if letter in words]
-    return " ".join([name, *(_word(letter, words[letter]) for letter in (*known, *sorted(set(words) - set(known))))])
+    letters = [letter for letter in _WORDS if letter in words]
+    return " ".join(
+        [name, *(_word(letter, words[letter]) for letter in (*letters, *sorted(set(words) - set(letters))))]
+    )
 
 
 def _word(letter: str, value: float) -> str:
@@ -331,8 +334,8 @@ def _machine_based() -> type | None:
 
         def export2(self) -> list[tuple[str, str]]:
             """Return name and corrected KRL of each section; the arguments are the machine's, else the job's."""
-            own = getattr(self._machine, "postprocessor_properties", {}).get("arguments", "")
-            arguments = own or self._job.PostProcessorArgs
+            machine_arguments = getattr(self._machine, "postprocessor_properties", {}).get("arguments", "")
+            arguments = machine_arguments or self._job.PostProcessorArgs
             return [(name, export(items, "-", arguments)) for name, items in self._buildPostList()]
 
     return MachineBased

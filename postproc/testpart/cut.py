@@ -54,10 +54,10 @@ class Surfaces(Columns, frozen=True, eq=False):
 
     def deviation(self, twist: Array) -> tuple[Array, Array]:
         """Return the deviations (n,) for twists (n, 6), and their derivatives by the twist (n, 6)."""
-        both = np.einsum("nik,nk->ni", self.weight, twist)
-        which = np.argmin(both, axis=1)
-        rows = np.arange(len(which))
-        return both[rows, which], self.weight[rows, which]
+        values = np.einsum("nik,nk->ni", self.weight, twist)
+        smaller = np.argmin(values, axis=1)
+        rows = np.arange(len(smaller))
+        return values[rows, smaller], self.weight[rows, smaller]
 
 
 def surfaces(program: Program, robot_in_cell: RobotInCell, probed: Probed, radius: float) -> Surfaces:
@@ -70,15 +70,15 @@ def surfaces(program: Program, robot_in_cell: RobotInCell, probed: Probed, radiu
     motion = np.empty(len(probed), dtype=np.int64)
     hangs = probed.mass > 0.0
     for k, line in enumerate(probed.line.tolist()):
-        found = np.flatnonzero((m.line == line) & (m.rapid == hangs[k]))
-        if len(found) != 1:
+        moves = np.flatnonzero((m.line == line) & (m.rapid == hangs[k]))
+        if len(moves) != 1:
             raise MeasurementError(
                 f"line {line} of the program is not one {'rapid' if hangs[k] else 'cutting'} move",
                 file=probed.file,
                 line=int(probed.row[k]),
                 advice="Give the program that the part was cut with, and its probing.csv.",
             )
-        motion[k] = found[0]
+        motion[k] = moves[0]
     segments = toolpath.segments(program, robot_in_cell.start_flange)
     place = toolpath.at(program, segments, motion, probed.t)
     travel = toolpath.tangent(program, segments, motion, probed.t)
@@ -86,11 +86,11 @@ def surfaces(program: Program, robot_in_cell: RobotInCell, probed: Probed, radiu
     axis = sign * place.pose[:, :3, column]
     lever = probed.point - place.pose[:, :3, 3]
     height = np.einsum("ni,ni->n", lever, axis)
-    across = lever - height[:, None] * axis
+    radial = lever - height[:, None] * axis
     slope = np.einsum("ni,ni->n", probed.normal, axis)
     floor, wall = slope > _ALONG, np.abs(slope) < _ACROSS
-    off = np.where(floor, np.abs(height), norm(across + radius * probed.normal))
-    wrong = ~(floor | wall) | ~(off < _OFF) | (norm(across) > radius + _OFF) | (height < -_OFF)
+    offset = np.where(floor, np.abs(height), norm(radial + radius * probed.normal))
+    wrong = ~(floor | wall) | ~(offset < _OFF) | (norm(radial) > radius + _OFF) | (height < -_OFF)
     wrong &= ~hangs  # a gauge may be anywhere on the tool
     if wrong.any():
         k = int(np.argmax(wrong))
@@ -102,10 +102,10 @@ def surfaces(program: Program, robot_in_cell: RobotInCell, probed: Probed, radiu
         )
     weight = weights(probed.normal, lever, axis, travel, radius)
     weight[hangs] = np.concatenate([probed.normal, np.cross(lever, probed.normal)], axis=1)[hangs, None]
-    hung = np.zeros((len(motion), 6))
-    hung[:, 2] = -GRAVITY * probed.mass
+    weight_wrench = np.zeros((len(motion), 6))
+    weight_wrench[:, 2] = -GRAVITY * probed.mass
     rotation = np.broadcast_to(toolpath.base_of(program, motion)[..., :3, :3], (len(motion), 3, 3))
-    return Surfaces(motion, probed.t, turned(rotation, weight), (wall & ~hangs).astype(float), hung)
+    return Surfaces(motion, probed.t, turned(rotation, weight), (wall & ~hangs).astype(float), weight_wrench)
 
 
 def weights(normal: Array, lever: Array, axis: Array, travel: Array, radius: float) -> Array:
@@ -117,11 +117,11 @@ def weights(normal: Array, lever: Array, axis: Array, travel: Array, radius: flo
     floor = np.einsum("ni,ni->n", normal, axis) > _ALONG
     # the rim passes over a place of the floor ahead of the axis and behind it
     left = np.cross(axis, travel)
-    aside = np.einsum("ni,ni->n", lever, left)
-    ahead = np.sqrt(np.maximum(radius**2 - aside**2, 0.0))
+    lateral = np.einsum("ni,ni->n", lever, left)
+    reach = np.sqrt(np.maximum(radius**2 - lateral**2, 0.0))
     levers = np.stack([lever, lever], axis=1)
     for k, way in enumerate((1.0, -1.0)):
-        rim = aside[:, None] * left + way * ahead[:, None] * travel
+        rim = lateral[:, None] * left + way * reach[:, None] * travel
         levers[floor, k] = rim[floor]
     normals = np.broadcast_to(normal[:, None], levers.shape)
     return np.concatenate([normals, np.cross(levers, normals)], axis=2)
@@ -151,10 +151,10 @@ class States(Columns, frozen=True, eq=False):
     def twist(self, robot_in_cell: RobotInCell, robot: RobotModel, scale: float) -> Array:
         """Return the displacement (n, 6) of the tool from nominal under forces times a scale, root axes [m, rad]."""
         wrench = scale * self.wrench + self.hung
-        moved = twist_between(self.pose, elastostatics.deflect(robot, self.q, self.tool, wrench).pose)
+        displacement = twist_between(self.pose, elastostatics.deflect(robot, self.q, self.tool, wrench).pose)
         if (spring := robot_in_cell.tool_spring) is not None:
-            moved = moved + spring.deflection(self.pose[:, :3, :3], wrench)
-        return moved
+            displacement = displacement + spring.deflection(self.pose[:, :3, :3], wrench)
+        return displacement
 
     def derivatives(
         self, robot_in_cell: RobotInCell, robot: RobotModel, parameters: tuple[Parameter, ...], scale: float
@@ -168,10 +168,10 @@ class States(Columns, frozen=True, eq=False):
         for column, parameter in enumerate(parameters):
             value = robot.value(parameter)
             step = _STEP * (abs(value) or parameter.usual)
-            changed = robot.with_values({parameter: value + step})
-            by_parameter[:, :, column] = (self.twist(robot_in_cell, changed, scale) - twist) / step
-        more = self.twist(robot_in_cell, robot, scale + _SCALED)
-        return twist, by_parameter, (more - twist) / _SCALED
+            changed_robot = robot.with_values({parameter: value + step})
+            by_parameter[:, :, column] = (self.twist(robot_in_cell, changed_robot, scale) - twist) / step
+        twist_at_step = self.twist(robot_in_cell, robot, scale + _SCALED)
+        return twist, by_parameter, (twist_at_step - twist) / _SCALED
 
 
 class Cut(Struct, frozen=True, eq=False):
@@ -191,12 +191,12 @@ class Cut(Struct, frozen=True, eq=False):
 
     def shift(self, robot_in_cell: RobotInCell, robot: RobotModel, scale: float) -> Shift:
         """Return the displacement of the tip along the path, for the forces of the deflected tool."""
-        moved = self.path.twist(robot_in_cell, robot, scale)[:, :3]
+        displacement = self.path.twist(robot_in_cell, robot, scale)[:, :3]
         program = self.program
-        return Shift(self.motion, self.t, moved, program.bases[:, :3, :3], program.motions.base)
+        return Shift(self.motion, self.t, displacement, program.bases[:, :3, :3], program.motions.base)
 
 
-def cut(program: Program, robot_in_cell: RobotInCell, source: ProcessSource, where: Surfaces) -> Cut:
+def cut(program: Program, robot_in_cell: RobotInCell, source: ProcessSource, surfaces_made: Surfaces) -> Cut:
     """Return a program under the forces of a source.
 
     :raises MeasurementError: the robot cannot follow the program.
@@ -205,13 +205,13 @@ def cut(program: Program, robot_in_cell: RobotInCell, source: ProcessSource, whe
     try:
         motions = MotionsUnderLoad.of(program, robot_in_cell, source)
         swing, t = motions.swing_places
-        also = np.concatenate([swing, where.motion]), np.concatenate([t, where.t])
-        path = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False), also)
+        extra_samples = np.concatenate([swing, surfaces_made.motion]), np.concatenate([t, surfaces_made.t])
+        path = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False), extra_samples)
     except ImpossiblePathError as cause:
         line = cause.issue.source_line
         raise MeasurementError(cause.issue.message, file=program.documents[0].name, line=line) from None
     rows = np.arange(len(path))
-    every = States(
+    path_states = States(
         path.joints.q[:],
         np.broadcast_to(path.tool(rows), (len(path), 4, 4)),
         path.pose_in_root(rows),
@@ -222,10 +222,10 @@ def cut(program: Program, robot_in_cell: RobotInCell, source: ProcessSource, whe
     index = np.array(
         [
             int(np.flatnonzero(motion == row)[np.argmin(np.abs(t[motion == row] - share))])
-            for row, share in zip(where.motion.tolist(), where.t.tolist(), strict=True)
+            for row, share in zip(surfaces_made.motion.tolist(), surfaces_made.t.tolist(), strict=True)
         ]
     )
-    return Cut(replace(every.take(index), hung=where.hung), every, motion, t, program)
+    return Cut(replace(path_states.take(index), hung=surfaces_made.hung), path_states, motion, t, program)
 
 
 class Clamped(Struct, frozen=True, eq=False):
@@ -249,11 +249,11 @@ def forces_of(parts: Sequence[Clamped]) -> Callable[[RobotModel, float], States]
     last: list[Cut] = []
 
     def states(robot: RobotModel, scale: float) -> States:
-        made = []
+        cuts = []
         for k, part in enumerate(parts):
             source = part.source.shifted(last[k].shift(part.robot_in_cell, robot, scale)) if last else part.source
-            made.append(cut(part.program, part.robot_in_cell, source, part.where))
-        last[:] = made
-        return States.joined([each.at for each in made])
+            cuts.append(cut(part.program, part.robot_in_cell, source, part.where))
+        last[:] = cuts
+        return States.joined([one_cut.at for one_cut in cuts])
 
     return states

@@ -162,17 +162,17 @@ def loads(kinds: list[Kind], cutting: Cutting, process: Process, robot_in_cell: 
     stock = StockTable(box=box, resolution_mm=process.stock.resolution_mm)
     source = ProcessSource(replace(process, stock=stock, operations={}), robot_in_cell.spindle)
     path = toolpath.segments(motions, robot_in_cell.start_flange)
-    along = forces.assign(motions, path, source, robot_in_cell.spindle, robot_in_cell.ramp)
+    path_forces = forces.assign(motions, path, source, robot_in_cell.spindle, robot_in_cell.ramp)
     motion = np.array([int(np.flatnonzero(motions.motions.line == line)[0]) for line in part.line])
     places = toolpath.at(motions, path, motion, part.t)
-    wrench, travel = along.at(places), toolpath.tangent(motions, path, motion, part.t)
-    out, first = [], 0
+    wrench, travel = path_forces.at(places), toolpath.tangent(motions, path, motion, part.t)
+    loads_by_kind, first = [], 0
     for feature in row:
-        here = slice(first, first + len(features.probes(feature.kind, cutting)))
-        tip = places.pose[here, :3, 3] - np.array([feature.x, feature.y, cutting.top])
-        out.append(Loads(tip, wrench[here], travel[here]))
-        first = here.stop
-    return out
+        rows = slice(first, first + len(features.probes(feature.kind, cutting)))
+        tip = places.pose[rows, :3, 3] - np.array([feature.x, feature.y, cutting.top])
+        loads_by_kind.append(Loads(tip, wrench[rows], travel[rows]))
+        first = rows.stop
+    return loads_by_kind
 
 
 def candidates(
@@ -196,72 +196,75 @@ def candidates(
     for _ in range(2):
         if depth + cutting.trims[-1][1] + _UNDER > high[2] - low[2]:
             raise PlanError(f"the block is too thin for grooves of {depth * MM_PER_M:g} mm", file=process.path)
-        given = loads(kinds, cutting, process, placements[0])
-        every = _inside_block(kinds, cutting, (low, high), max(1, _MOST_PLACES // len(placements)))
-        of_each = [_placed(prior, robot_in_cell, kinds, every, given, cutting, sigma) for robot_in_cell in placements]
-        most = max(moved for found in of_each for _, _, moved, _ in found)
-        needed = float(np.round(_TRIM * most, 4))
-        if needed <= cutting.trim:
+        loads_by_kind = loads(kinds, cutting, process, placements[0])
+        all_features = _inside_block(kinds, cutting, (low, high), max(1, _MOST_PLACES // len(placements)))
+        by_placement = [
+            _placed(prior, robot_in_cell, kinds, all_features, loads_by_kind, cutting, sigma)
+            for robot_in_cell in placements
+        ]
+        largest_deflection = max(deflection for reachable in by_placement for _, _, deflection, _ in reachable)
+        trim = float(np.round(_TRIM * largest_deflection, 4))
+        if trim <= cutting.trim:
             break
-        cutting = replace(cutting, trim=needed)
-    return _joined(of_each, cutting), cutting
+        cutting = replace(cutting, trim=trim)
+    return _joined(by_placement, cutting), cutting
 
 
-def _inside_block(kinds: list[Kind], cutting: Cutting, box: tuple[Array, Array], most: int) -> list[Feature]:
+def _inside_block(kinds: list[Kind], cutting: Cutting, box: tuple[Array, Array], max_places: int) -> list[Feature]:
     """Return the features that fit into a block, at some number of places at most.
 
     :raises PlanError: there is none.
     """
     long = features.half_length(cutting.diameter)
     size = box[1][:2] - box[0][:2]
-    pitch = max(0.5 * long, float(np.sqrt(size[0] * size[1] / most)))
+    pitch = max(0.5 * long, float(np.sqrt(size[0] * size[1] / max_places)))
     spots = [
         box[0][k] + size[k] * (np.arange(max(1, int(size[k] / pitch))) + 0.5) / max(1, int(size[k] / pitch))
         for k in (0, 1)
     ]
     angles = 2.0 * np.pi * np.arange(_ANGLES) / _ANGLES
-    every = [
+    all_features = [
         Feature(kind, float(x), float(y), float(angle))
         for kind in kinds
         for x in spots[0]
         for y in spots[1]
         for angle in angles
     ]
-    inside = [feature for feature in every if _inside(feature, cutting, box)]
-    if not inside:
+    fitting = [feature for feature in all_features if _inside(feature, cutting, box)]
+    if not fitting:
         raise PlanError(
             f"no feature fits into the block: each takes {2 * long * MM_PER_M:.0f} mm and the tool's diameter",
             file="--block",
             advice="Give a larger block, or a smaller tool.",
         )
-    return inside
+    return fitting
 
 
 _Found = list[tuple[Feature, Array, float, States]]
 """Reachable features with their information, displacement and most loaded state."""
 
 
-def _joined(of_each: list[_Found], cutting: Cutting) -> Candidates:
+def _joined(by_placement: list[_Found], cutting: Cutting) -> Candidates:
     """Return the candidates of all placements: the position of the part in each is an unknown of its own."""
-    found = [each for placement in of_each for each in placement]
-    number = np.repeat(np.arange(len(of_each)), [len(placement) for placement in of_each])
-    chosen = tuple(feature for feature, _, _, _ in found)
-    seconds = {kind: features.seconds(kind, cutting) for kind in {feature.kind for feature in chosen}}
-    small = np.array([information for _, information, _, _ in found])
+    entries = [entry for placement in by_placement for entry in placement]
+    number = np.repeat(np.arange(len(by_placement)), [len(placement) for placement in by_placement])
+    features_in_order = tuple(feature for feature, _, _, _ in entries)
+    seconds = {kind: features.seconds(kind, cutting) for kind in {feature.kind for feature in features_in_order}}
+    small = np.array([information for _, information, _, _ in entries])
     common = small.shape[1] - _POSES
-    information = np.zeros((len(found), common + _POSES * len(of_each), common + _POSES * len(of_each)))
-    for k in range(len(of_each)):
+    information = np.zeros((len(entries), common + _POSES * len(by_placement), common + _POSES * len(by_placement)))
+    for k in range(len(by_placement)):
         rows = np.flatnonzero(number == k)
         unknowns = np.append(np.arange(common), common + _POSES * k + np.arange(_POSES))
         information[np.ix_(rows, unknowns, unknowns)] = small[rows]
     return Candidates(
-        chosen,
+        features_in_order,
         number,
         information,
-        np.array([seconds[feature.kind] for feature in chosen]),
-        _apart(chosen, cutting),
-        np.array([moved for _, _, moved, _ in found]),
-        States.joined([state for _, _, _, state in found]),
+        np.array([seconds[feature.kind] for feature in features_in_order]),
+        _apart(features_in_order, cutting),
+        np.array([deflection for _, _, deflection, _ in entries]),
+        States.joined([state for _, _, _, state in entries]),
     )
 
 
@@ -269,8 +272,8 @@ def _placed(
     prior: Prior,
     robot_in_cell: RobotInCell,
     kinds: list[Kind],
-    every: list[Feature],
-    given: list[Loads],
+    all_features: list[Feature],
+    loads_by_kind: list[Loads],
     cutting: Cutting,
     sigma: float,
 ) -> _Found:
@@ -278,67 +281,74 @@ def _placed(
 
     :raises PlanError: there is none.
     """
-    found: _Found = []
-    for kind, load in zip(kinds, given, strict=True):
-        own = [feature for feature in every if feature.kind == kind]
-        if own:
-            found += _of_kind(prior, robot_in_cell, own, load, cutting, sigma)
-    if not found:
+    reachable: _Found = []
+    for kind, load in zip(kinds, loads_by_kind, strict=True):
+        features_of_kind = [feature for feature in all_features if feature.kind == kind]
+        if features_of_kind:
+            reachable += _of_kind(prior, robot_in_cell, features_of_kind, load, cutting, sigma)
+    if not reachable:
         base = robot_in_cell.cell.base
         raise PlanError(
             f"the robot reaches no place of the block at X {base.X:g}, Y {base.Y:g}, Z {base.Z:g}",
             file="--block",
             advice="Check [base] and [base_data] of the cell.",
         )
-    return found
+    return reachable
 
 
 def _of_kind(
-    prior: Prior, robot_in_cell: RobotInCell, own: list[Feature], given: Loads, cutting: Cutting, sigma: float
+    prior: Prior,
+    robot_in_cell: RobotInCell,
+    features_of_kind: list[Feature],
+    load: Loads,
+    cutting: Cutting,
+    sigma: float,
 ) -> _Found:
     """Return the reachable features of one kind."""
-    kind = own[0].kind
+    kind = features_of_kind[0].kind
     probes = features.probes(kind, cutting)
     count = len(probes)
     points = np.array([probe.point for probe in probes])
     normals = np.array([probe.normal for probe in probes])
 
     def each(vectors: Array, *, turn_only: bool = False) -> Array:
-        return np.concatenate([features.placed(f, cutting.top, vectors, turn_only=turn_only) for f in own])
+        return np.concatenate([features.placed(f, cutting.top, vectors, turn_only=turn_only) for f in features_of_kind])
 
-    tip, travel, normal = each(given.tip), each(given.travel, turn_only=True), each(normals, turn_only=True)
+    tip, travel, normal = each(load.tip), each(load.travel, turn_only=True), each(normals, turn_only=True)
     lever = each(points) - tip
     wrench = np.concatenate(
-        [each(given.wrench[:, :3], turn_only=True), each(given.wrench[:, 3:], turn_only=True)], axis=1
+        [each(load.wrench[:, :3], turn_only=True), each(load.wrench[:, 3:], turn_only=True)], axis=1
     )
-    states, reached, rotation = _states(robot_in_cell, tip, wrench, cutting, count)
+    states, reachable, rotation = _states(robot_in_cell, tip, wrench, cutting, count)
     axis = np.broadcast_to([0.0, 0.0, 1.0], normal.shape)
     weight = turned(rotation, weights(normal, lever, axis, travel, 0.5 * cutting.diameter))
     wall = (np.abs(normal[:, 2]) < 0.5).astype(float)
-    rows = np.repeat(reached, count)
-    none = np.zeros((int(rows.sum()), 6))
-    where = Surfaces(none[:, 0].astype(np.int64), none[:, 0], weight[rows], wall[rows], none)
-    if not reached.any():
+    rows = np.repeat(reachable, count)
+    zeros = np.zeros((int(rows.sum()), 6))
+    probed_surfaces = Surfaces(zeros[:, 0].astype(np.int64), zeros[:, 0], weight[rows], wall[rows], zeros)
+    if not reachable.any():
         return []
     twist, by_parameter, by_scale = states.derivatives(robot_in_cell, prior.robot, prior.order, 1.0)
-    _, at = where.deviation(twist)
+    _, at = probed_surfaces.deviation(twist)
     slopes = np.einsum("nk,nkp->np", at, by_parameter) @ prior.by_file * prior.sigma[:-1]
-    moved = np.linalg.norm(by_scale[:, :3], axis=1).reshape(-1, count)
+    deflection = np.linalg.norm(by_scale[:, :3], axis=1).reshape(-1, count)
     by_force = prior.sigma[-1] * np.einsum("nk,nk->n", at, by_scale)
     middle = each(points)[rows] - each(points).mean(axis=0)
     normal = normal[rows]
     position = np.concatenate([_POSITION[0] * normal, _POSITION[1] * np.cross(middle, normal)], axis=1)
-    columns = np.column_stack([slopes, by_force, RADIUS_ERROR * where.wall, position]).reshape(
+    columns = np.column_stack([slopes, by_force, RADIUS_ERROR * probed_surfaces.wall, position]).reshape(
         -1, count, slopes.shape[1] + 2 + _POSES
     )
     noise = PATH_ERROR**2 * normals @ normals.T + sigma**2 * np.eye(count)
-    whole = noise + (_MODEL * moved)[:, :, None] ** 2 * np.eye(count)
+    whole = noise + (_MODEL * deflection)[:, :, None] ** 2 * np.eye(count)
     information = np.swapaxes(columns, 1, 2) @ np.linalg.solve(whole, columns)
-    most = np.argmax(moved, axis=1)
-    kept = [feature for feature, here in zip(own, reached.tolist(), strict=True) if here]
+    worst_probe = np.argmax(deflection, axis=1)
+    reached_features = [
+        feature for feature, is_reached in zip(features_of_kind, reachable.tolist(), strict=True) if is_reached
+    ]
     return [
-        (feature, information[k], float(moved[k].max()), states.take(np.array([k * count + most[k]])))
-        for k, feature in enumerate(kept)
+        (feature, information[k], float(deflection[k].max()), states.take(np.array([k * count + worst_probe[k]])))
+        for k, feature in enumerate(reached_features)
     ]
 
 
@@ -352,22 +362,22 @@ def _states(
     motion = np.full(len(tip), last)
     pose = Poses.fixed(tip, motions.motions.target.rotation[last])
     t = np.full(len(tip), 0.5)
-    reached = np.ones(len(tip) // count, dtype=bool)
+    reachable = np.ones(len(tip) // count, dtype=bool)
     rows = np.arange(len(tip))
     while True:
-        rows = np.flatnonzero(np.repeat(reached, count))
+        rows = np.flatnonzero(np.repeat(reachable, count))
         if not len(rows):
             q = np.zeros((0, 6))
             break
         try:
             q = robot_in_cell.follow(motions, motion[rows], t[rows], pose.take(rows)).q[:]
         except UnreachableError as cause:
-            reached[rows[list(cause.rows)] // count] = False
+            reachable[rows[list(cause.rows)] // count] = False
             continue
-        inside = ((q >= robot_in_cell.robot.lower) & (q <= robot_in_cell.robot.upper)).all(axis=1)
-        if inside.all():
+        within_limits = ((q >= robot_in_cell.robot.lower) & (q <= robot_in_cell.robot.upper)).all(axis=1)
+        if within_limits.all():
             break
-        reached[rows[~inside] // count] = False
+        reachable[rows[~within_limits] // count] = False
     rotation = np.broadcast_to(toolpath.base_of(motions, motion)[..., :3, :3], (len(tip), 3, 3))
     states = States(
         q,
@@ -376,7 +386,7 @@ def _states(
         toolpath.wrench_in_root(motions, motion[rows], wrench[rows]),
         np.zeros((len(rows), 6)),
     )
-    return states, reached, rotation
+    return states, reachable, rotation
 
 
 def _ends(feature: Feature, cutting: Cutting) -> tuple[Array, Array, float]:
@@ -392,34 +402,38 @@ def _inside(feature: Feature, cutting: Cutting, box: tuple[Array, Array]) -> boo
     return all(bool(((end - half >= box[0][:2]) & (end + half <= box[1][:2])).all()) for end in ends)
 
 
-def _apart(chosen: tuple[Feature, ...], cutting: Cutting) -> Bools:
+def _apart(all_features: tuple[Feature, ...], cutting: Cutting) -> Bools:
     """Return which features (c, c) do not touch: their middle lines are further apart than their halves are wide."""
-    outlines = [(feature.kind.side, feature.x, feature.y, feature.angle) for feature in chosen]
-    distinct = dict(zip(outlines, chosen, strict=True))  # depths and placements have the same outlines
+    outlines = [(feature.kind.side, feature.x, feature.y, feature.angle) for feature in all_features]
+    distinct = dict(zip(outlines, all_features, strict=True))  # depths and placements have the same outlines
     parts = [_ends(feature, cutting) for feature in distinct.values()]
     begin, end = (np.array([part[k] for part in parts]) for k in (0, 1))
     half = np.array([part[2] for part in parts])
-    out = np.empty((len(parts), len(parts)), dtype=bool)
+    is_apart = np.empty((len(parts), len(parts)), dtype=bool)
     share = np.linspace(0.0, 1.0, 9)
     line = begin[:, None] + share[:, None] * (end - begin)[:, None]  # points on each; the distance to others is exact
     for k in range(len(parts)):
         chord = end - begin
-        away = line[k][None] - begin[:, None]
-        along = np.clip(np.einsum("csi,ci->cs", away, chord) / np.einsum("ci,ci->c", chord, chord)[:, None], 0.0, 1.0)
-        distance = np.linalg.norm(away - along[..., None] * chord[:, None], axis=2).min(axis=1)
+        offset = line[k][None] - begin[:, None]
+        share_on_chord = np.clip(
+            np.einsum("csi,ci->cs", offset, chord) / np.einsum("ci,ci->c", chord, chord)[:, None], 0.0, 1.0
+        )
+        distance = np.linalg.norm(offset - share_on_chord[..., None] * chord[:, None], axis=2).min(axis=1)
         spacing = 0.5 * float(np.linalg.norm(chord[k])) / (len(share) - 1)
-        out[k] = distance > half + half[k] + 0.3 * spacing
+        is_apart[k] = distance > half + half[k] + 0.3 * spacing
     order = {outline: k for k, outline in enumerate(distinct)}
     row = np.array([order[outline] for outline in outlines])
-    return np.asarray((out & out.T)[np.ix_(row, row)])
+    return np.asarray((is_apart & is_apart.T)[np.ix_(row, row)])
 
 
-def tests_in_block(found: Candidates) -> Tests:
+def tests_in_block(candidates_in_block: Candidates) -> Tests:
     """Return test poses all over the block: the most loaded places of features, evenly taken."""
-    rows = np.unique(np.linspace(0, len(found.feature) - 1, _TESTS).astype(np.int64))
-    where = " in all its placements" if found.placement.any() else ""
+    rows = np.unique(np.linspace(0, len(candidates_in_block.feature) - 1, _TESTS).astype(np.int64))
+    suffix = " in all its placements" if candidates_in_block.placement.any() else ""
     return Tests(
-        found.loaded.take(rows), np.full(len(rows), 1.0 / len(rows)), f"this process all over the block{where}"
+        candidates_in_block.loaded.take(rows),
+        np.full(len(rows), 1.0 / len(rows)),
+        f"this process all over the block{suffix}",
     )
 
 
@@ -438,9 +452,9 @@ class Criterion(Struct, frozen=True, eq=False):
         slopes = by_parameter[:, :3] @ prior.by_file * prior.sigma[:-1]
         slopes = np.concatenate([slopes, prior.sigma[-1] * by_scale[:, :3, None]], axis=2)
         size = slopes.shape[2]
-        out = np.zeros((unknowns, unknowns))
-        out[:size, :size] = np.einsum("t,tip,tiq->pq", tests.weight, slopes, slopes)
-        return cls(out)
+        weight = np.zeros((unknowns, unknowns))
+        weight[:size, :size] = np.einsum("t,tip,tiq->pq", tests.weight, slopes, slopes)
+        return cls(weight)
 
     def __call__(self, information: Array) -> Array:
         """Return the expected square error (...) after information (..., m, m)."""
@@ -451,11 +465,11 @@ class Criterion(Struct, frozen=True, eq=False):
 def _prior_information(prior: Prior, size: int) -> Array:
     """Return the information (m, m) before the part; parameters in units of their prior standard deviations."""
     sigma = prior.sigma
-    both = np.outer(sigma, sigma)
-    correlation = np.divide(prior.covariance, both, out=np.eye(len(sigma)), where=both > 0.0)
-    out = np.eye(size)
-    out[: len(sigma), : len(sigma)] = np.linalg.pinv(correlation, hermitian=True)
-    return out
+    products = np.outer(sigma, sigma)
+    correlation = np.divide(prior.covariance, products, out=np.eye(len(sigma)), where=products > 0.0)
+    information = np.eye(size)
+    information[: len(sigma), : len(sigma)] = np.linalg.pinv(correlation, hermitian=True)
+    return information
 
 
 def weighed(
@@ -469,97 +483,115 @@ def weighed(
     :raises PlanError: the robot does not reach a place.
     """
     size = len(prior.sigma) + 1 + _POSES * len(placements)
-    out = np.zeros((size, size))
+    information = np.zeros((size, size))
     if not len(places):
-        return out
-    hung = np.zeros((len(places), 6))
-    hung[:, 2] = -GRAVITY * mass
+        return information
+    weight_wrench = np.zeros((len(places), 6))
+    weight_wrench[:, 2] = -GRAVITY * mass
     for robot_in_cell in placements:
-        states, reached, rotation = _states(robot_in_cell, places, np.zeros((len(places), 6)), cutting, 1)
-        if not reached.all():
+        states, reachable, rotation = _states(robot_in_cell, places, np.zeros((len(places), 6)), cutting, 1)
+        if not reachable.all():
             raise PlanError("the robot does not reach the places of the weight above the block", file="--weight")
-        twist, by_parameter, _ = replace(states, hung=hung).derivatives(robot_in_cell, prior.robot, prior.order, 1.0)
-        down = -rotation[:, :, 2]
+        twist, by_parameter, _ = replace(states, hung=weight_wrench).derivatives(
+            robot_in_cell, prior.robot, prior.order, 1.0
+        )
+        gravity_direction = -rotation[:, :, 2]
         columns = np.zeros((len(places), size))
-        slopes = np.einsum("nk,nkp->np", down, by_parameter[:, :3])
+        slopes = np.einsum("nk,nkp->np", gravity_direction, by_parameter[:, :3])
         columns[:, : len(prior.parameters)] = slopes @ prior.by_file * prior.sigma[:-1]
-        moved = np.einsum("nk,nk->n", down, twist[:, :3])
-        out += (columns / (sigma**2 + (_MODEL * moved) ** 2)[:, None]).T @ columns
-    return out
+        sag = np.einsum("nk,nk->n", gravity_direction, twist[:, :3])
+        information += (columns / (sigma**2 + (_MODEL * sag) ** 2)[:, None]).T @ columns
+    return information
 
 
 def choose(
-    found: Candidates, prior: Prior, robot_in_cell: RobotInCell, tests: Tests, count: int, weighed: Array | float = 0.0
+    candidates_in_block: Candidates,
+    prior: Prior,
+    robot_in_cell: RobotInCell,
+    tests: Tests,
+    count: int,
+    weight_information: Array | float = 0.0,
 ) -> Design:
     """Choose features.
 
     :param count: number of features at most.
-    :param weighed: information that there is without features, see `weighed`.
+    :param weight_information: information that there is without features, see `weight_information`.
     """
-    unknowns = found.information.shape[1]
+    unknowns = candidates_in_block.information.shape[1]
     criterion = Criterion.of(prior, robot_in_cell, tests, unknowns)
-    start = _prior_information(prior, unknowns) + weighed
-    chosen: list[int] = []
+    start = _prior_information(prior, unknowns) + weight_information
+    rows: list[int] = []
     whole = start
     for _ in range(count):
-        free = np.flatnonzero(found.apart[:, chosen].all(axis=1))
+        free = np.flatnonzero(candidates_in_block.apart[:, rows].all(axis=1))
         if not len(free):
             break
-        gain = criterion(whole) - criterion(whole + found.information[free])
-        best = int(free[np.argmax(gain / found.seconds[free])])
-        chosen.append(best)
-        whole = whole + found.information[best]
+        gain = criterion(whole) - criterion(whole + candidates_in_block.information[free])
+        best = int(free[np.argmax(gain / candidates_in_block.seconds[free])])
+        rows.append(best)
+        whole = whole + candidates_in_block.information[best]
     for _ in range(_EXCHANGES):
-        changed = False
-        for place in range(len(chosen)):
-            others = chosen[:place] + chosen[place + 1 :]
-            rest = start + found.information[others].sum(axis=0)
-            longest = found.seconds[chosen].sum() - found.seconds[others].sum()
-            free = np.flatnonzero(found.apart[:, others].all(axis=1) & (found.seconds <= longest + 1e-9))
-            best = int(free[np.argmin(criterion(rest + found.information[free]))])
-            if float(criterion(rest + found.information[best])) < (1.0 - 1e-4) * float(
-                criterion(rest + found.information[chosen[place]])
+        is_changed = False
+        for place in range(len(rows)):
+            other_rows = rows[:place] + rows[place + 1 :]
+            information_of_others = start + candidates_in_block.information[other_rows].sum(axis=0)
+            time_left = candidates_in_block.seconds[rows].sum() - candidates_in_block.seconds[other_rows].sum()
+            free = np.flatnonzero(
+                candidates_in_block.apart[:, other_rows].all(axis=1) & (candidates_in_block.seconds <= time_left + 1e-9)
+            )
+            best = int(free[np.argmin(criterion(information_of_others + candidates_in_block.information[free]))])
+            if float(criterion(information_of_others + candidates_in_block.information[best])) < (1.0 - 1e-4) * float(
+                criterion(information_of_others + candidates_in_block.information[rows[place]])
             ):
-                chosen[place], changed = best, True
-        if not changed:
+                rows[place], is_changed = best, True
+        if not is_changed:
             break
-    return evaluated(found, prior, robot_in_cell, tests, np.array(chosen, dtype=np.int64), weighed)
+    return evaluated(
+        candidates_in_block, prior, robot_in_cell, tests, np.array(rows, dtype=np.int64), weight_information
+    )
 
 
 def evaluated(
-    found: Candidates,
+    candidates_in_block: Candidates,
     prior: Prior,
     robot_in_cell: RobotInCell,
     tests: Tests,
-    chosen: Ints,
-    weighed: Array | float = 0.0,
+    rows: Ints,
+    weight_information: Array | float = 0.0,
 ) -> Design:
     """Return a part of chosen features, with what it promises."""
-    unknowns = found.information.shape[1]
+    unknowns = candidates_in_block.information.shape[1]
     criterion = Criterion.of(prior, robot_in_cell, tests, unknowns)
     start = _prior_information(prior, unknowns)
-    whole = start + found.information[chosen].sum(axis=0)
-    alone, after = np.linalg.inv(whole), np.linalg.inv(whole + weighed)
+    whole = start + candidates_in_block.information[rows].sum(axis=0)
+    covariance_without_weight, covariance = np.linalg.inv(whole), np.linalg.inv(whole + weight_information)
     size = len(prior.parameters) + 1
-    own = (
+    deflection = (
         tests.states.twist(robot_in_cell, prior.robot, 1.0)[:, :3]
         - tests.states.twist(robot_in_cell, prior.robot, 0.0)[:, :3]
     )
-    if not len(chosen):
+    if not len(rows):
         raise MeasurementError("no feature was chosen", file="--block", advice="Give a larger block.")
     return Design(
-        found,
+        candidates_in_block,
         np.array(
-            sorted(chosen.tolist(), key=lambda k: (found.placement[k], found.feature[k].y, found.feature[k].x)),
+            sorted(
+                rows.tolist(),
+                key=lambda k: (
+                    candidates_in_block.placement[k],
+                    candidates_in_block.feature[k].y,
+                    candidates_in_block.feature[k].x,
+                ),
+            ),
             dtype=np.int64,
         ),
-        np.sqrt(np.diag(after)[:size]),
-        np.sqrt(np.diag(alone)[:size]) if np.any(weighed) else None,
-        _visible(prior, whole + weighed - start),
+        np.sqrt(np.diag(covariance)[:size]),
+        np.sqrt(np.diag(covariance_without_weight)[:size]) if np.any(weight_information) else None,
+        _visible(prior, whole + weight_information - start),
         float(np.sqrt(criterion(start))),
-        float(np.sqrt(np.sum(after * criterion.weight))),
-        float(np.sqrt(np.sum(tests.weight * np.sum(own**2, axis=1)))),
-        float(found.seconds[chosen].sum()),
+        float(np.sqrt(np.sum(covariance * criterion.weight))),
+        float(np.sqrt(np.sum(tests.weight * np.sum(deflection**2, axis=1)))),
+        float(candidates_in_block.seconds[rows].sum()),
         tests.source,
     )
 
@@ -574,10 +606,17 @@ def _visible(prior: Prior, information: Array) -> Array:
     :param information: (m, m) of the part, in the units of `Candidates.information`.
     """
     size = len(prior.parameters) + 1
-    other = information[size:, size:].copy()
-    other[0, 0] += 1.0  # the radius is known before
-    across = information[:size, size:]
-    once = information[:size, :size] - across @ np.linalg.pinv(other, hermitian=True) @ across.T
-    both = once - once @ np.linalg.inv(_prior_information(prior, size) + 2.0 * once) @ once
-    seen = np.sqrt(np.maximum(np.diag(both)[:-1], 0.0)) * prior.values
-    return np.asarray(np.divide(_SEEN * prior.sigma[:-1], seen, out=np.full(size - 1, np.inf), where=seen > 0.0))
+    nuisance = information[size:, size:].copy()
+    nuisance[0, 0] += 1.0  # the radius is known before
+    coupling = information[:size, size:]
+    information_of_one = information[:size, :size] - coupling @ np.linalg.pinv(nuisance, hermitian=True) @ coupling.T
+    information_of_two = (
+        information_of_one
+        - information_of_one
+        @ np.linalg.inv(_prior_information(prior, size) + 2.0 * information_of_one)
+        @ information_of_one
+    )
+    visibility = np.sqrt(np.maximum(np.diag(information_of_two)[:-1], 0.0)) * prior.values
+    return np.asarray(
+        np.divide(_SEEN * prior.sigma[:-1], visibility, out=np.full(size - 1, np.inf), where=visibility > 0.0)
+    )

@@ -137,7 +137,7 @@ def outline(kind: Kind, cutting: Cutting) -> tuple[float, float]:
 def passes(kind: Kind, cutting: Cutting) -> list[Pass]:
     """Return the moves that cut a feature."""
     long, deep, step = half_length(cutting.diameter), -kind.depth, _STEP * cutting.diameter * kind.side
-    out = [
+    moves = [
         Pass((long, 0.0, _CLEAR), 0.0),
         Pass((long, 0.0, _ENTRY), _PLUNGE),
         Pass((0.0, 0.0, 0.5 * deep), _PLUNGE),
@@ -147,7 +147,7 @@ def passes(kind: Kind, cutting: Cutting) -> list[Pass]:
         Pass((-long, 0.0, _CLEAR), 0.0),
     ]
     if kind.side:
-        out += [
+        moves += [
             Pass((long, 0.0, _CLEAR), 0.0),
             Pass((long, 0.0, deep), _PLUNGE),
             Pass((long, step, deep), _PLUNGE),
@@ -156,61 +156,61 @@ def passes(kind: Kind, cutting: Cutting) -> list[Pass]:
             Pass((-long, step, _CLEAR), 0.0),
         ]
     for number, (side, floor) in enumerate(cutting.trims):
-        high, low, below = max(step, 0.0) + side, min(step, 0.0) - side, deep - floor
+        high, low, trim_depth = max(step, 0.0) + side, min(step, 0.0) - side, deep - floor
         last = number == len(cutting.trims) - 1
-        out += [
+        moves += [
             Pass((long, 0.5 * step, _CLEAR), 0.0),
-            Pass((long, 0.5 * step, below), _PLUNGE),
-            Pass((long, high, below), _PLUNGE),
-            Pass((0.0, high, below), 1.0, "trim left" if last else ""),
-            Pass((0.0, low, below), _PLUNGE),
-            Pass((long, low, below), 1.0, "trim right" if last else ""),
+            Pass((long, 0.5 * step, trim_depth), _PLUNGE),
+            Pass((long, high, trim_depth), _PLUNGE),
+            Pass((0.0, high, trim_depth), 1.0, "trim left" if last else ""),
+            Pass((0.0, low, trim_depth), _PLUNGE),
+            Pass((long, low, trim_depth), 1.0, "trim right" if last else ""),
             Pass((long, low, _CLEAR), 0.0),
         ]
-    return out
+    return moves
 
 
 def probes(kind: Kind, cutting: Cutting) -> list[Probe]:
     """Return where a feature is probed: on the surfaces of the loaded half, then on those of the trimmed half."""
     radius, step, side = 0.5 * cutting.diameter, _STEP * cutting.diameter * kind.side, kind.side
     light = _PROBED * half_length(cutting.diameter)
-    loaded, (trim, floor) = -light, cutting.trims[-1]
-    middle, deep, below = -0.5 * kind.depth, -kind.depth, -kind.depth - floor
+    loaded_side, (trim, floor) = -light, cutting.trims[-1]
+    middle, deep, trim_depth = -0.5 * kind.depth, -kind.depth, -kind.depth - floor
     left, right, up = (0.0, -1.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
     high, low = max(step, 0.0) + trim, min(step, 0.0) - trim
-    out = [
-        Probe("left", "step" if side > 0 else "groove", (loaded, max(step, 0.0) + radius, middle), left),
-        Probe("right", "step" if side < 0 else "groove", (loaded, min(step, 0.0) - radius, middle), right),
+    loaded_probes = [
+        Probe("left", "step" if side > 0 else "groove", (loaded_side, max(step, 0.0) + radius, middle), left),
+        Probe("right", "step" if side < 0 else "groove", (loaded_side, min(step, 0.0) - radius, middle), right),
         # not where the pass of the step cuts the floor of the groove once more
-        Probe("floor", "groove", (loaded, -0.6 * radius * side, deep), up),
+        Probe("floor", "groove", (loaded_side, -0.6 * radius * side, deep), up),
     ]
     if side:
-        out.append(Probe("step_floor", "step", (loaded, step + 0.6 * radius * side, deep), up))
+        loaded_probes.append(Probe("step_floor", "step", (loaded_side, step + 0.6 * radius * side, deep), up))
     return [
-        *out,
+        *loaded_probes,
         Probe("ref_left", "trim left", (light, high + radius, middle), left),
         Probe("ref_right", "trim right", (light, low - radius, middle), right),
-        Probe("ref_floor", "trim right", (light, low, below), up),
+        Probe("ref_floor", "trim right", (light, low, trim_depth), up),
     ]
 
 
 def seconds(kind: Kind, cutting: Cutting) -> float:
     """Return the time that a feature takes, without the way to it [s]."""
-    total, before = 0.0, None
+    total, last_end = 0.0, None
     for move in passes(kind, cutting):
-        here = np.array(move.end)
-        if before is not None:
+        end = np.array(move.end)
+        if last_end is not None:
             speed = RAPID if move.feed == 0.0 else move.feed * cutting.feed
-            total += float(np.linalg.norm(here - before)) / speed
-        before = here
+            total += float(np.linalg.norm(end - last_end)) / speed
+        last_end = end
     return total
 
 
 def placed(feature: Feature, top: float, vectors: Array, *, turn_only: bool = False) -> Array:
     """Return points (n, 3) in the axes of a feature in `$BASE` [m]; with `turn_only`, directions."""
     c, s = np.cos(feature.angle), np.sin(feature.angle)
-    turned = vectors @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T
-    return np.asarray(turned if turn_only else turned + np.array([feature.x, feature.y, top]))
+    rotated = vectors @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T
+    return np.asarray(rotated if turn_only else rotated + np.array([feature.x, feature.y, top]))
 
 
 class Placement(Struct, frozen=True):
@@ -264,14 +264,14 @@ def program(
     features: Iterable[Feature],
     cutting: Cutting,
     mass: float = 0.0,
-    hung: Array | None = None,
+    weight_places: Array | None = None,
     *,
     first: tuple[int, int] = (1, 1),
     where: str = "",
 ) -> Program:
     """Return the G-code of features and the points to be probed.
 
-    :param mass: of a weight [kg] that is hung on the tool at places `hung` (n, 3) in `$BASE`, after cutting.
+    :param mass: of a weight [kg] that is hung on the tool at places `weight_places` (n, 3) in `$BASE`, after cutting.
     :param first: numbers of the first feature and of the first of these places.
     :param where: the placement of the block, for the operator.
     """
@@ -287,26 +287,26 @@ def program(
     for number, feature in enumerate(features, start=first[0]):
         kind, name, count = feature.kind, f"F{number:02d}", count + 1
         lines.append(f"({name}: {kind.title}, depth {kind.depth * MM_PER_M:g} mm, {np.degrees(feature.angle):g} deg)")
-        made: dict[str, tuple[int, Array, Array]] = {}
-        before = np.zeros(3)
+        move_of_surface: dict[str, tuple[int, Array, Array]] = {}
+        last_end = np.zeros(3)
         for index, move in enumerate(passes(kind, cutting)):
             end = placed(feature, cutting.top, np.array([move.end]))[0] * MM_PER_M
             # features begin and end at one height; the first move of a program states it
-            known = index == 0 and number > first[0]
-            words = f"X{end[0]:.4f} Y{end[1]:.4f}" + ("" if known else f" Z{end[2]:.4f}")
+            has_height = index == 0 and number > first[0]
+            words = f"X{end[0]:.4f} Y{end[1]:.4f}" + ("" if has_height else f" Z{end[2]:.4f}")
             lines.append(f"G0 {words}" if move.feed == 0.0 else f"G1 {words} F{move.feed * feed:.1f}")
             if move.name:
-                made[move.name] = len(lines), before, np.array(move.end)
-            before = np.array(move.end)
+                move_of_surface[move.name] = len(lines), last_end, np.array(move.end)
+            last_end = np.array(move.end)
         for probe in probes(kind, cutting):
-            line, begin, end = made[probe.made_by]
+            line, begin, end = move_of_surface[probe.made_by]
             names.append(f"{name}.{probe.name}")
             at.append(line)
             shares.append((probe.point[0] - begin[0]) / (end[0] - begin[0]))
             points.append(placed(feature, cutting.top, np.array([probe.point]))[0])
             normals.append(placed(feature, cutting.top, np.array([probe.normal]), turn_only=True)[0])
     lines += [f"G0 Z{(cutting.top + 4.0 * _CLEAR) * MM_PER_M:.4f}", "M5"]
-    places = np.zeros((0, 3)) if hung is None else hung
+    places = np.zeros((0, 3)) if weight_places is None else weight_places
     for number, place in enumerate(places, start=first[1]):
         x, y, z = (place * MM_PER_M).tolist()
         lines += [f"(W{number:02d}: set the gauge to 0, hang {mass:g} kg on the tool, read)"]

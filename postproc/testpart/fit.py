@@ -102,16 +102,16 @@ class Prior(Struct, frozen=True, eq=False):
                 file=robot.name,
                 advice="Give sigma_percent with the compliances of model.toml.",
             )
-        own = robot.covariance.parameters
-        order = tuple(dict.fromkeys([*own, *(p for each in own for p in each.partners())]))
+        parameters = robot.covariance.parameters
+        order = tuple(dict.fromkeys([*parameters, *(p for each in parameters for p in each.partners())]))
         slopes = file_slopes(order, {parameter: robot.value(parameter) for parameter in order})
-        by_file = np.asarray(np.linalg.inv(slopes)[:, [order.index(parameter) for parameter in own]])
-        size = len(own)
+        by_file = np.asarray(np.linalg.inv(slopes)[:, [order.index(parameter) for parameter in parameters]])
+        size = len(parameters)
         covariance = np.zeros((size + 1, size + 1))
         covariance[:size, :size], covariance[size, size] = robot.covariance.matrix, sigma_scale**2
         if robot.force_factor is not None and robot.force_factor.is_of(law):
             covariance[size] = covariance[:, size] = robot.force_factor.covariance
-        return cls(robot, own, order, by_file, covariance)
+        return cls(robot, parameters, order, by_file, covariance)
 
     @property
     def sigma(self) -> Array:
@@ -121,8 +121,8 @@ class Prior(Struct, frozen=True, eq=False):
     @property
     def values(self) -> Array:
         """(p,) values of the parameters in units of files."""
-        given = {parameter: self.robot.value(parameter) for parameter in self.order}
-        return np.array([parameter.in_file(given)[0] for parameter in self.parameters])
+        robot_values = {parameter: self.robot.value(parameter) for parameter in self.order}
+        return np.array([parameter.in_file(robot_values)[0] for parameter in self.parameters])
 
     @property
     def drift(self) -> Array:
@@ -135,12 +135,12 @@ class Prior(Struct, frozen=True, eq=False):
 
     def moved(self, z: Array) -> RobotModel:
         """Return the robot with its parameters changed by z (p,), in units of files; compliances stay positive."""
-        given = dict(zip(self.order, (self.by_file @ z).tolist(), strict=True))
+        changes = dict(zip(self.order, (self.by_file @ z).tolist(), strict=True))
         values = {}
-        for parameter, change in given.items():
+        for parameter, change in changes.items():
             value = self.robot.value(parameter)
-            least = LEAST * value if isinstance(parameter, Spring) and value > 0.0 else -np.inf
-            values[parameter] = max(value + change, least)
+            smallest = LEAST * value if isinstance(parameter, Spring) and value > 0.0 else -np.inf
+            values[parameter] = max(value + change, smallest)
         return self.robot.with_values(values)
 
 
@@ -162,13 +162,15 @@ class Readings(Columns, frozen=True, eq=False):
         normal = probed.normal * (probed.mass == 0.0)[:, None]  # a gauge reads displacements, wherever it is
         pose = []
         for base in np.unique(probed.base):
-            here = (probed.base == base)[:, None]
-            arm = probed.point - probed.point.mean(axis=0, where=here)
-            pose += [_SHIFT * normal * here, _TURN * np.cross(arm, normal) * here]
+            is_here = (probed.base == base)[:, None]
+            arm = probed.point - probed.point.mean(axis=0, where=is_here)
+            pose += [_SHIFT * normal * is_here, _TURN * np.cross(arm, normal) * is_here]
         by_pose = np.concatenate(pose, axis=1)
-        same = probed.group[:, None] == probed.group[None, :]
+        same_group = probed.group[:, None] == probed.group[None, :]
         radius = RADIUS_ERROR * self.where.wall
-        return np.asarray(by_pose @ by_pose.T + PATH_ERROR**2 * same * (normal @ normal.T) + np.outer(radius, radius))
+        return np.asarray(
+            by_pose @ by_pose.T + PATH_ERROR**2 * same_group * (normal @ normal.T) + np.outer(radius, radius)
+        )
 
 
 class Fit(Struct, frozen=True, eq=False):
@@ -219,21 +221,21 @@ class Fit(Struct, frozen=True, eq=False):
         """Compare the readings with the prediction of a prior: for a fit of `prior.widened()`."""
         unmodelled = self.gamma * self.moved
         # of a model from a part the error elsewhere is no error at the part
-        if (known := prior.robot.discrepancy) is not None and not prior.covariance[-1, :-1].any():
+        if (discrepancy := prior.robot.discrepancy) is not None and not prior.covariance[-1, :-1].any():
             wrench = np.pad(self.load[:, None], ((0, 0), (0, 5)))
-            unmodelled = np.maximum(unmodelled, known.at(wrench) / LENGTH_95)
+            unmodelled = np.maximum(unmodelled, discrepancy.at(wrench) / LENGTH_95)
         noise = self.readings.by_part() + np.diag(
             self.readings.sigma**2 + unmodelled**2 + _of_light(self.readings, self.moved)
         )
         slopes = self.slopes
-        expected = np.linalg.inv(slopes @ prior.covariance @ slopes.T + noise)
-        score, information = slopes.T @ expected @ self.missed, slopes.T @ expected @ slopes
-        inside = np.linalg.inv(np.eye(len(information)) + np.outer(prior.drift, prior.drift) * information)
+        precision = np.linalg.inv(slopes @ prior.covariance @ slopes.T + noise)
+        score, information = slopes.T @ precision @ self.missed, slopes.T @ precision @ slopes
+        posterior = np.linalg.inv(np.eye(len(information)) + np.outer(prior.drift, prior.drift) * information)
         return Surprise(
-            float(self.missed @ expected @ self.missed),
+            float(self.missed @ precision @ self.missed),
             _chance(score, information),
-            prior.drift * (inside @ (prior.drift * score)),
-            prior.drift * np.sqrt(np.maximum(np.diag(inside), 0.0)),
+            prior.drift * (posterior @ (prior.drift * score)),
+            prior.drift * np.sqrt(np.maximum(np.diag(posterior), 0.0)),
         )
 
     @property
@@ -243,20 +245,20 @@ class Fit(Struct, frozen=True, eq=False):
 
     def u95(self) -> tuple[Array, Array]:
         """Return levels of load (m,) [N], and the 95 % bound of the unmodelled error at each (m,) [m]."""
-        loaded = np.flatnonzero(self.load > 0.25 * self.load.max())
-        level = levels(self.load[loaded])
-        group = self.readings.probed.group[loaded]
+        loaded_rows = np.flatnonzero(self.load > 0.25 * self.load.max())
+        level = levels(self.load[loaded_rows])
+        group = self.readings.probed.group[loaded_rows]
         load, bound = [], []
         for index in range(int(level.max()) + 1):
-            here = loaded[level == index]
+            rows = loaded_rows[level == index]
             share = 1.0 / np.bincount(group)[group[level == index]]
-            usual = 0.1 * _GAMMA * float(np.sqrt(np.mean(self.moved[here] ** 2)))
-            noise = self.spread[here] ** 2 - (self.gamma * self.moved[here]) ** 2
-            least = 0.1 * self.spread[here] ** 2
-            variance = np.maximum(noise, least)
-            seen = unmodelled(self.error[here][:, None], variance[:, None, None], usual, share)
-            bound.append(float(np.hypot(seen, ELSEWHERE * np.sqrt(np.mean(self.moved[here] ** 2)))))
-            load.append(float(np.median(self.load[here])))
+            usual = 0.1 * _GAMMA * float(np.sqrt(np.mean(self.moved[rows] ** 2)))
+            noise = self.spread[rows] ** 2 - (self.gamma * self.moved[rows]) ** 2
+            smallest_variance = 0.1 * self.spread[rows] ** 2
+            variance = np.maximum(noise, smallest_variance)
+            bound_here = unmodelled(self.error[rows][:, None], variance[:, None, None], usual, share)
+            bound.append(float(np.hypot(bound_here, ELSEWHERE * np.sqrt(np.mean(self.moved[rows] ** 2)))))
+            load.append(float(np.median(self.load[rows])))
         return np.array(load), np.maximum.accumulate(bound)
 
 
@@ -282,9 +284,9 @@ def _chance(score: Array, information: Array) -> float:
     test of all compliances together. The number of tests counts (Bonferroni).
     """
     variance = np.diag(information)
-    seen = variance > 1e-9 * variance.max()
-    most = float((np.abs(score[seen]) / np.sqrt(variance[seen])).max(initial=0.0))
-    return min(1.0, int(seen.sum()) * erfc(most / sqrt(2.0)))
+    is_testable = variance > 1e-9 * variance.max()
+    largest_score = float((np.abs(score[is_testable]) / np.sqrt(variance[is_testable])).max(initial=0.0))
+    return min(1.0, int(is_testable.sum()) * erfc(largest_score / sqrt(2.0)))
 
 
 class _Linear(Struct, frozen=True, eq=False):
@@ -310,8 +312,8 @@ def linearised(
     value, weight = readings.where.deviation(twist)
     slopes = np.einsum("nk,nkp->np", weight, by_parameter) @ prior.by_file
     slopes = np.column_stack([slopes, np.einsum("nk,nk->n", weight, by_scale)])
-    moved = scale * np.linalg.norm(by_scale[:, :3], axis=1)
-    return _Linear(value, slopes, np.where(readings.probed.mass > 0.0, np.abs(value), moved))
+    deflection = scale * np.linalg.norm(by_scale[:, :3], axis=1)
+    return _Linear(value, slopes, np.where(readings.probed.mass > 0.0, np.abs(value), deflection))
 
 
 def fit(
@@ -329,37 +331,37 @@ def fit(
     whole = prior.covariance
     free = np.diag(whole) > 0.0
     z, scale, gamma = np.zeros(len(prior.parameters)), 1.0, 0.0
-    left_out: list[str] = []
-    most = int(_MOST_OUTLIERS * len(readings.probed))
-    here = states(prior.robot, 1.0)
-    local = linearised(prior, readings, here, robot_in_cell, z, scale)
+    outliers: list[str] = []
+    max_outliers = int(_MOST_OUTLIERS * len(readings.probed))
+    states_here = states(prior.robot, 1.0)
+    local = linearised(prior, readings, states_here, robot_in_cell, z, scale)
     _check_size(readings, local)
-    exchanged = swapped(prior, readings, local)
+    exchanged_pair = swapped(prior, readings, local)
     at_prior = None
     rows, change = np.arange(len(readings.probed)), np.inf
     for _ in range(_ROUNDS):
-        local, z, scale, gamma = _solved(prior, readings, here, robot_in_cell, z, scale, free)
+        local, z, scale, gamma = _solved(prior, readings, states_here, robot_in_cell, z, scale, free)
         # with the γ that a gross error makes, it would not be seen
         error, variance = _left_out(readings, local, _GAMMA, whole, z, scale)
         size = np.abs(error) / np.sqrt(variance)
         worst = int(np.argmax(size))
-        if len(left_out) < most and size[worst] > _OUTLIER * max(1.0, float(np.median(size)) / _MEDIAN):
-            left_out.append(readings.probed.name[worst])
+        if len(outliers) < max_outliers and size[worst] > _OUTLIER * max(1.0, float(np.median(size)) / _MEDIAN):
+            outliers.append(readings.probed.name[worst])
             keep = np.delete(np.arange(len(readings.probed)), worst)
-            readings, rows, here = readings.take(keep), rows[keep], here.take(keep)
+            readings, rows, states_here = readings.take(keep), rows[keep], states_here.take(keep)
             continue
         sure = np.sqrt(np.diag(_posterior(readings, local, gamma, whole, np.ones_like(free))))
-        held = free & (sure > HELD * np.sqrt(np.diag(whole)))
-        held[-1] = False
-        if held.any():
-            free = free & ~held
+        is_held = free & (sure > HELD * np.sqrt(np.diag(whole)))
+        is_held[-1] = False
+        if is_held.any():
+            free = free & ~is_held
             z = np.where(free[:-1], z, 0.0)
             continue
-        here = states(prior.moved(z), scale).take(rows)
+        states_here = states(prior.moved(z), scale).take(rows)
         if at_prior is None:  # the tool of the prior model deflects by nearly as much
-            at_prior = linearised(prior, readings, here, robot_in_cell, np.zeros_like(z), 1.0), rows
-        again = linearised(prior, readings, here, robot_in_cell, z, scale).value
-        change = float(np.sqrt(np.mean((again - local.value) ** 2)))
+            at_prior = linearised(prior, readings, states_here, robot_in_cell, np.zeros_like(z), 1.0), rows
+        value_again = linearised(prior, readings, states_here, robot_in_cell, z, scale).value
+        change = float(np.sqrt(np.mean((value_again - local.value) ** 2)))
         if change < _SETTLED:
             break
     if not change < _UNSETTLED:
@@ -369,11 +371,11 @@ def fit(
     covariance = _posterior(readings, local, gamma, whole, free)
     noise = _noise(readings, local, gamma)
     gain = readings.by_part() @ np.linalg.inv(noise)
-    left = readings.probed.deviation - local.value
+    residual = readings.probed.deviation - local.value
     assert at_prior is not None
-    kept = np.searchsorted(at_prior[1], rows)
-    before, slopes = at_prior[0].value[kept], at_prior[0].slopes[kept]
-    missed = readings.probed.deviation - before
+    prior_rows = np.searchsorted(at_prior[1], rows)
+    prior_value, slopes = at_prior[0].value[prior_rows], at_prior[0].slopes[prior_rows]
+    prior_residual = readings.probed.deviation - prior_value
     error, variance = _left_out(readings, local, gamma, whole, z, scale)
     return (
         Fit(
@@ -383,22 +385,26 @@ def fit(
             scale,
             covariance,
             free,
-            before + readings.by_part() @ np.linalg.solve(noise, missed),
-            local.value + gain @ left,
-            scale * np.linalg.norm(here.wrench[:, :3], axis=1),
+            prior_value + readings.by_part() @ np.linalg.solve(noise, prior_residual),
+            local.value + gain @ residual,
+            scale * np.linalg.norm(states_here.wrench[:, :3], axis=1),
             local.moved,
             error,
             np.sqrt(variance),
             gamma,
-            missed,
+            prior_residual,
             slopes,
-            np.abs(np.einsum("nij,ni->nj", kinematics.tcp(prior.robot.nominal, here.q, here.tool)[1], here.wrench)).max(
-                axis=0
-            )
+            np.abs(
+                np.einsum(
+                    "nij,ni->nj",
+                    kinematics.tcp(prior.robot.nominal, states_here.q, states_here.tool)[1],
+                    states_here.wrench,
+                )
+            ).max(axis=0)
             * scale,
-            exchanged,
+            exchanged_pair,
         ),
-        tuple(left_out),
+        tuple(outliers),
     )
 
 
@@ -407,26 +413,26 @@ def swapped(prior: Prior, readings: Readings, local: _Linear) -> tuple[str, str]
 
     :param local: the prior model; χ² counts its covariance, so a robot that differs from it is no exchange.
     """
-    probed = readings.probed
+    points = readings.probed
     rows: dict[str, dict[str, int]] = {}
-    for row, name in enumerate(probed.name):
+    for row, name in enumerate(points.name):
         feature, _, surface = name.partition(".")
         rows.setdefault(feature, {})[surface] = row
-    expected = local.slopes @ prior.covariance @ local.slopes.T + _noise(readings, local, _GAMMA)
-    inverse = np.linalg.inv(expected)
-    as_read = probed.deviation - local.value
-    least, pair = np.inf, None
+    covariance = local.slopes @ prior.covariance @ local.slopes.T + _noise(readings, local, _GAMMA)
+    inverse = np.linalg.inv(covariance)
+    as_read = points.deviation - local.value
+    smallest_chi2, pair = np.inf, None
     for first, second in combinations(rows, 2):
         if rows[first].keys() != rows[second].keys():
             continue
-        here, there = list(rows[first].values()), [rows[second][surface] for surface in rows[first]]
-        deviation = probed.deviation.copy()
-        deviation[here], deviation[there] = probed.deviation[there], probed.deviation[here]
+        first_rows, second_rows = list(rows[first].values()), [rows[second][surface] for surface in rows[first]]
+        deviation = points.deviation.copy()
+        deviation[first_rows], deviation[second_rows] = points.deviation[second_rows], points.deviation[first_rows]
         chi2 = float((deviation - local.value) @ inverse @ (deviation - local.value))
-        if chi2 < least:
-            least, pair = chi2, (first, second)
-    decrease = float(as_read @ inverse @ as_read) - least
-    return pair if decrease > _SWAPPED * max(1.0, least / len(probed)) else None
+        if chi2 < smallest_chi2:
+            smallest_chi2, pair = chi2, (first, second)
+    decrease = float(as_read @ inverse @ as_read) - smallest_chi2
+    return pair if decrease > _SWAPPED * max(1.0, smallest_chi2 / len(points)) else None
 
 
 def _check_size(readings: Readings, local: _Linear) -> None:
@@ -434,8 +440,8 @@ def _check_size(readings: Readings, local: _Linear) -> None:
 
     :raises MeasurementError: they are not between a fifth of what the model predicts and five times that.
     """
-    weighted = np.linalg.solve(_noise(readings, local, _GAMMA), local.value)
-    share = float(weighted @ readings.probed.deviation) / float(weighted @ local.value)
+    weighted_prediction = np.linalg.solve(_noise(readings, local, _GAMMA), local.value)
+    share = float(weighted_prediction @ readings.probed.deviation) / float(weighted_prediction @ local.value)
     if 1.0 / _FACTOR <= share <= _FACTOR:
         return
     if share < -1.0 / _FACTOR:
@@ -444,19 +450,19 @@ def _check_size(readings: Readings, local: _Linear) -> None:
         advice = "Is deviation_mm in millimetres? Are program and process those that the part was cut with?"
     else:
         advice = "The part shows hardly any deflection. Was testpart.src cut as it was written, not corrected?"
-    what = f"the probed deviations are {share:.2g} times what the model predicts"
-    raise MeasurementError(what, file=readings.probed.file, advice=advice)
+    problem = f"the probed deviations are {share:.2g} times what the model predicts"
+    raise MeasurementError(problem, file=readings.probed.file, advice=advice)
 
 
 def _noise(readings: Readings, local: _Linear, gamma: float) -> Array:
-    own = np.diag(readings.sigma**2 + (gamma * local.moved) ** 2 + _of_light(readings, local.moved))
-    return np.asarray(own + readings.by_part())
+    variance = np.diag(readings.sigma**2 + (gamma * local.moved) ** 2 + _of_light(readings, local.moved))
+    return np.asarray(variance + readings.by_part())
 
 
-def _of_light(readings: Readings, moved: Array) -> Array:
+def _of_light(readings: Readings, displacement: Array) -> Array:
     """Return the variance (n,) [m²] of displacements (n,) because the chips of light passes are hardly known."""
     cut = readings.probed.mass == 0.0
-    return np.where(cut & (moved < _LIGHT * moved.max()), (_ROUGHLY * moved) ** 2, 0.0)
+    return np.where(cut & (displacement < _LIGHT * displacement.max()), (_ROUGHLY * displacement) ** 2, 0.0)
 
 
 def _solved(
@@ -471,24 +477,24 @@ def _solved(
         target = readings.probed.deviation - local.value + local.slopes @ x
         gamma = _unmodelled_share(readings, local, whole, target)
         noise = _noise(readings, local, gamma)
-        expected = local.slopes @ whole @ local.slopes.T + noise
-        found = free * (whole @ local.slopes.T @ np.linalg.solve(expected, target))
-        z, scale = found[:-1], max(1.0 + float(found[-1]), LEAST)
-        if float(np.abs(local.slopes @ (found - x)).max()) < _SOLVED:
+        covariance = local.slopes @ whole @ local.slopes.T + noise
+        solution = free * (whole @ local.slopes.T @ np.linalg.solve(covariance, target))
+        z, scale = solution[:-1], max(1.0 + float(solution[-1]), LEAST)
+        if float(np.abs(local.slopes @ (solution - x)).max()) < _SOLVED:
             break
     return linearised(prior, readings, states, robot_in_cell, z, scale), z, scale, gamma
 
 
 def _unmodelled_share(readings: Readings, local: _Linear, whole: Array, target: Array) -> float:
     """Return γ: the root of its mean square, given the readings."""
-    off = np.linspace(-4.0, 4.0, 97)  # fine enough for γ from 200 readings
-    share = _GAMMA * np.exp(WIDTH * off)
-    fixed = local.slopes @ whole @ local.slopes.T + _noise(readings, local, 0.0)
+    log_ratio = np.linspace(-4.0, 4.0, 97)  # fine enough for γ from 200 readings
+    share = _GAMMA * np.exp(WIDTH * log_ratio)
+    covariance = local.slopes @ whole @ local.slopes.T + _noise(readings, local, 0.0)
     likely = np.empty(len(share))
-    for k, each in enumerate(share.tolist()):
-        lower = np.linalg.cholesky(fixed + np.diag((each * local.moved) ** 2))
+    for k, gamma in enumerate(share.tolist()):
+        lower = np.linalg.cholesky(covariance + np.diag((gamma * local.moved) ** 2))
         white = np.linalg.solve(lower, target)
-        likely[k] = -0.5 * float(white @ white) - float(np.log(np.diag(lower)).sum()) - 0.5 * off[k] ** 2
+        likely[k] = -0.5 * float(white @ white) - float(np.log(np.diag(lower)).sum()) - 0.5 * log_ratio[k] ** 2
     chance = np.exp(likely - likely.max())
     return float(np.sqrt(np.sum(chance * share**2) / chance.sum()))
 

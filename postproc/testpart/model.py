@@ -107,102 +107,108 @@ class PartIdentification(Record, frozen=True, kw_only=True, omit_defaults=True):
     files: list[FileEntry] | None = None
 
 
-def in_files(found: Fit) -> tuple[Array, Array]:
+def in_files(fit: Fit) -> tuple[Array, Array]:
     """Return the values of the parameters in units of files (p,), and the covariance (p + 1, p + 1).
 
     The last row is that of the relative error of the scale of the forces.
     """
-    prior, robot = found.prior, found.robot
-    given = {parameter: robot.value(parameter) for parameter in prior.order}
-    values = np.array([parameter.in_file(given)[0] for parameter in prior.parameters])
+    prior, robot = fit.prior, fit.robot
+    robot_values = {parameter: robot.value(parameter) for parameter in prior.order}
+    values = np.array([parameter.in_file(robot_values)[0] for parameter in prior.parameters])
     rows = [prior.order.index(parameter) for parameter in prior.parameters]
-    slopes = np.zeros_like(found.covariance)
-    slopes[:-1, :-1] = (file_slopes(prior.order, given) @ prior.by_file)[rows]
-    slopes[-1, -1] = 1.0 / found.scale
-    return values, slopes @ found.covariance @ slopes.T
+    slopes = np.zeros_like(fit.covariance)
+    slopes[:-1, :-1] = (file_slopes(prior.order, robot_values) @ prior.by_file)[rows]
+    slopes[-1, -1] = 1.0 / fit.scale
+    return values, slopes @ fit.covariance @ slopes.T
 
 
-def agreement(found: Fit, prior: Prior) -> Agreement:
+def agreement(fit: Fit, prior: Prior) -> Agreement:
     """Compare a model with a part.
 
-    :param found: fit of `prior.widened()`: what the part says by itself.
+    :param fit: fit of `prior.widened()`: what the part says by itself.
     :param prior: the model with its own covariance.
     """
-    count, off = len(found.readings.probed), found.against(prior)
-    most = count + _SURPRISE * float(np.sqrt(2.0 * count)) + 7.0
-    moved = off.chance < _CHANCE
-    factor = np.maximum(1.0 + off.change[:-1] / prior.values, LEAST)
-    drifted = [
-        Change(parameter.name, round(float(factor[k]), 3), round(float(off.change[k] / off.spread[k]), 1))
+    count, surprise = len(fit.readings.probed), fit.against(prior)
+    largest_chi2 = count + _SURPRISE * float(np.sqrt(2.0 * count)) + 7.0
+    is_changed = surprise.chance < _CHANCE
+    factor = np.maximum(1.0 + surprise.change[:-1] / prior.values, LEAST)
+    changes = [
+        Change(parameter.name, round(float(factor[k]), 3), round(float(surprise.change[k] / surprise.spread[k]), 1))
         for k, parameter in enumerate(prior.parameters)
-        if moved and abs(off.change[k]) > _DRIFTED * off.spread[k] > 0.0
+        if is_changed and abs(surprise.change[k]) > _DRIFTED * surprise.spread[k] > 0.0
     ]
-    line = f"χ² {off.chi2:.0f} of {count} points (at most {most:.0f})"
-    if moved:
-        names = ", ".join(f"{each.name} × {each.factor:.2f}" for each in drifted)
+    line = f"χ² {surprise.chi2:.0f} of {count} points (at most {largest_chi2:.0f})"
+    if is_changed:
+        names = ", ".join(f"{change.name} × {change.factor:.2f}" for change in changes)
         line += f"; the arm deflects otherwise under these forces: {names or 'no single joint'}"
     warnings = []
-    together = prior.covariance[-1, :-1].any()
-    if not together and prior.sigma[-1] > 0.0:
+    is_joint = prior.covariance[-1, :-1].any()
+    if not is_joint and prior.sigma[-1] > 0.0:
         warnings.append(
             "the model was not identified with these forces, so a change of all compliances by one factor is hardly "
             "seen: give the process with the material.toml of the model"
         )
     return Agreement(
-        off.chi2 <= most and not moved, line, round(off.chi2, 2), count, round(off.chance, 4), drifted, warnings
+        surprise.chi2 <= largest_chi2 and not is_changed,
+        line,
+        round(surprise.chi2, 2),
+        count,
+        round(surprise.chance, 4),
+        changes,
+        warnings,
     )
 
 
-def summary(found: Fit, left_out: tuple[str, ...]) -> PartIdentification:
+def summary(fit: Fit, outliers: tuple[str, ...]) -> PartIdentification:
     """Return the result as plain data, with the verdict."""
-    readings, prior = found.readings, found.prior
-    values, covariance = in_files(found)
+    readings, prior = fit.readings, fit.prior
+    values, covariance = in_files(fit)
     half = NORMAL_95 * np.sqrt(np.diag(covariance))[:-1]
-    parameters, held = {}, []
-    for k, (parameter, before) in enumerate(zip(prior.parameters, prior.values.tolist(), strict=True)):
-        open_ = not found.free[k]
+    parameters, held_names = {}, []
+    for k, (parameter, prior_value) in enumerate(zip(prior.parameters, prior.values.tolist(), strict=True)):
+        open_ = not fit.free[k]
         if open_:
-            held.append(parameter.name)
+            held_names.append(parameter.name)
         parameters[parameter.name] = Parameter(
-            float(before if open_ else values[k]),
+            float(prior_value if open_ else values[k]),
             float(half[k]),
             parameter.unit,
             observable=not open_,
-            prior=float(before),
+            prior=float(prior_value),
             source="prior" if open_ else None,
         )
     scale = Parameter(
-        float(found.scale), float(NORMAL_95 * np.sqrt(found.covariance[-1, -1])), "1",
-        observable=bool(found.sigma[-1] < 0.9), prior=1.0,
+        float(fit.scale), float(NORMAL_95 * np.sqrt(fit.covariance[-1, -1])), "1",
+        observable=bool(fit.sigma[-1] < 0.9), prior=1.0,
     )  # fmt: skip
-    load, u95 = found.u95()
-    measured = readings.probed.deviation
+    load, u95 = fit.u95()
+    deviation = readings.probed.deviation
     points = [
         ProbedPoint(name, *(round(float(value) * MM_PER_M, 5) for value in row))
         for name, *row in zip(
-            readings.probed.name, measured, found.before, found.after, found.error, found.spread, strict=True
+            readings.probed.name, deviation, fit.before, fit.after, fit.error, fit.spread, strict=True
         )
     ]
     return PartIdentification(
-        verdict=_verdict(found, left_out),
+        verdict=_verdict(fit, outliers),
         robot=prior.robot.name,
         parameters=parameters,
         force_scale=scale,
         sigma_mm=readings.sigma * MM_PER_M,
-        left_mm=_rms(found.after - measured),
-        without_mm=_rms(found.before - measured),
-        deviation_mm=_rms(measured),
-        unmodelled_percent=round(100.0 * found.gamma, 2),
+        left_mm=_rms(fit.after - deviation),
+        without_mm=_rms(fit.before - deviation),
+        deviation_mm=_rms(deviation),
+        unmodelled_percent=round(100.0 * fit.gamma, 2),
         discrepancy=[
             Unexplained(
-                float(level), _rms(found.error), readings.sigma * MM_PER_M, _rms(found.spread), float(each) * MM_PER_M
+                float(level), _rms(fit.error), readings.sigma * MM_PER_M, _rms(fit.spread), float(bound) * MM_PER_M
             )
-            for level, each in zip(load, u95, strict=True)
+            for level, bound in zip(load, u95, strict=True)
         ],
         points=points,
-        held_by_prior=held,
-        outliers=list(left_out),
-        warnings=_remarks(found, held, left_out),
+        held_by_prior=held_names,
+        outliers=list(outliers),
+        warnings=_remarks(fit, held_names, outliers),
     )
 
 
@@ -210,103 +216,103 @@ def _rms(values: Array) -> float:
     return round(float(np.sqrt(np.mean(np.square(values)))) * MM_PER_M, 5)
 
 
-def _verdict(found: Fit, left_out: tuple[str, ...]) -> Verdict:
-    size = len(found.prior.parameters)
-    sigma = found.prior.sigma
-    far = np.abs(found.z) / np.where(sigma > 0.0, sigma, np.inf)[:-1]
+def _verdict(fit: Fit, outliers: tuple[str, ...]) -> Verdict:
+    size = len(fit.prior.parameters)
+    sigma = fit.prior.sigma
+    shift = np.abs(fit.z) / np.where(sigma > 0.0, sigma, np.inf)[:-1]
     reason = ""
-    if found.swapped is not None:
-        first, second = found.swapped
+    if fit.swapped is not None:
+        first, second = fit.swapped
         reason = f"{first} and {second} look exchanged: exchange their rows of deviation_mm, or probe both again"
-    elif left_out:
+    elif outliers:
         reason = (
-            f"{', '.join(left_out)} contradict the other points: probe them again, or leave their deviation_mm empty"
+            f"{', '.join(outliers)} contradict the other points: probe them again, or leave their deviation_mm empty"
         )
-    elif found.gamma > _MISFIT:
-        reason = f"{100 * found.gamma:.0f} % of the deflection are not described by the model: check part and program"
-    elif far.max() > _FAR:
-        name = found.prior.parameters[int(np.argmax(far))].name
-        reason = f"{name} would be {far.max():.1f} standard deviations from its prior: check material and process"
-    elif abs(found.scale - 1.0) > _FAR * sigma[-1] > 0.0:
-        reason = f"forces would be {found.scale:.2f} times those computed: check material, feed and depth"
-    elif not found.free[:size].any() and found.sigma[-1] > HELD:
+    elif fit.gamma > _MISFIT:
+        reason = f"{100 * fit.gamma:.0f} % of the deflection are not described by the model: check part and program"
+    elif shift.max() > _FAR:
+        name = fit.prior.parameters[int(np.argmax(shift))].name
+        reason = f"{name} would be {shift.max():.1f} standard deviations from its prior: check material and process"
+    elif abs(fit.scale - 1.0) > _FAR * sigma[-1] > 0.0:
+        reason = f"forces would be {fit.scale:.2f} times those computed: check material, feed and depth"
+    elif not fit.free[:size].any() and fit.sigma[-1] > HELD:
         reason = "the part determines neither a parameter of the robot nor the forces"
     if reason:
         return Verdict(True, f"NOT TO BE TRUSTED: {reason}")
     return Verdict(False, "the model may be used, within its bound")
 
 
-def _remarks(found: Fit, held: list[str], left_out: tuple[str, ...]) -> list[str]:
-    out = []
-    if held:
-        out.append(f"the part does not determine {', '.join(held)}: they keep their prior")
-    out += [f"outlier: {name}" for name in left_out]
-    if abs(found.scale - 1.0) > _DOUBTFUL * found.prior.sigma[-1] > 0.0:
-        out.append(
-            f"forces would be {found.scale:.2f} times those computed, more than three standard deviations "
-            f"({300.0 * found.prior.sigma[-1]:.0f} %) off: check material, tool, feed and depth"
+def _remarks(fit: Fit, held_names: list[str], outliers: tuple[str, ...]) -> list[str]:
+    remarks = []
+    if held_names:
+        remarks.append(f"the part does not determine {', '.join(held_names)}: they keep their prior")
+    remarks += [f"outlier: {name}" for name in outliers]
+    if abs(fit.scale - 1.0) > _DOUBTFUL * fit.prior.sigma[-1] > 0.0:
+        remarks.append(
+            f"forces would be {fit.scale:.2f} times those computed, more than three standard deviations "
+            f"({300.0 * fit.prior.sigma[-1]:.0f} %) off: check material, tool, feed and depth"
         )
-    own = found.covariance
-    sigma = np.sqrt(np.diag(own))
-    size = len(found.prior.parameters)
+    covariance = fit.covariance
+    sigma = np.sqrt(np.diag(covariance))
+    size = len(fit.prior.parameters)
     with np.errstate(divide="ignore", invalid="ignore"):
-        correlation = np.nan_to_num(own[-1, :size] / (sigma[-1] * sigma[:size]))
-    tied = [found.prior.parameters[k].name for k in range(size) if found.free[k] and correlation[k] < -0.6]
-    if tied:
-        out.append(
-            f"{', '.join(tied)} and the scale of the forces are known by their product only (scale ± "
+        correlation = np.nan_to_num(covariance[-1, :size] / (sigma[-1] * sigma[:size]))
+    tied_names = [fit.prior.parameters[k].name for k in range(size) if fit.free[k] and correlation[k] < -0.6]
+    if tied_names:
+        remarks.append(
+            f"{', '.join(tied_names)} and the scale of the forces are known by their product only (scale ± "
             f"{100 * NORMAL_95 * sigma[-1]:.0f} %): use material.toml together with this model"
         )
-    return out
+    return remarks
 
 
-def model_file(found: Fit, prior: ModelFile, process: Process, source: str) -> ModelFile:
+def model_file(fit: Fit, prior: ModelFile, process: Process, source: str) -> ModelFile:
     """Return `model.toml`: identified values with intervals, the prior's where the part determines none.
 
     Its covariance has the scale of the forces too, for those that are computed with `material`.
     """
-    values, covariance = in_files(found)
+    values, covariance = in_files(fit)
     half = NORMAL_95 * np.sqrt(np.diag(covariance))[:-1]
     size = np.sqrt(np.diag(covariance))
-    tied = (np.abs(covariance) > _TIED * np.outer(size, size)).sum(axis=0) > 1
+    is_tied = (np.abs(covariance) > _TIED * np.outer(size, size)).sum(axis=0) > 1
     content = msgspec.to_builtins(prior)
     tables: dict[str, Any] = {"joints": {}, "links": {}, "compensator": {}, "masses": {}}
-    stated = []
-    for k, parameter in enumerate(found.prior.parameters):
-        own_spread = parameter in found.prior.robot.stated_spread
-        if not found.free[k] and own_spread and not tied[k]:
+    stated_rows = []
+    for k, parameter in enumerate(fit.prior.parameters):
+        own_spread = parameter in fit.prior.robot.stated_spread
+        if not fit.free[k] and own_spread and not is_tied[k]:
             continue  # value and spread stay as they are in the file
-        stated.append(k)
-        if found.free[k]:
+        stated_rows.append(k)
+        if fit.free[k]:
             parameter.write(tables, float(values[k]), float(half[k]), source)
     for table, entries in tables.items():
         if not entries:
             continue
         if table in ("compensator", "masses"):
-            before = content.get(table) or {"source": source}
-            content[table] = before | entries
+            prior_table = content.get(table) or {"source": source}
+            content[table] = prior_table | entries
         else:
             for name, entry in entries.items():
                 content[table][name] = content[table].get(name, {}) | entry
-    for k in stated:
-        parameter = found.prior.parameters[k]
-        if found.free[k] and isinstance(parameter, JointCompliance):
+    for k in stated_rows:
+        parameter = fit.prior.parameters[k]
+        if fit.free[k] and isinstance(parameter, JointCompliance):
             content["joints"][parameter.joint] |= {"sigma_percent": None, "assumed": False}
-    names = [found.prior.parameters[k].name for k in stated]
-    forces = _forces(found, process, source)
+    names = [fit.prior.parameters[k].name for k in stated_rows]
+    forces = _forces(fit, process, source)
     if forces is not None:
         names.append(FORCES)
-        stated.append(len(found.prior.parameters))
-    load, u95 = _discrepancy(found)
-    known = found.prior.robot.measured
-    torque = found.torque if known is None else np.maximum(found.torque, known.torque)
+        stated_rows.append(len(fit.prior.parameters))
+    load, u95 = _discrepancy(fit)
+    measured_range = fit.prior.robot.measured
+    torque = fit.torque if measured_range is None else np.maximum(fit.torque, measured_range.torque)
     extra = {
-        "covariance": CovarianceTable(names, covariance[np.ix_(stated, stated)].tolist()),
+        "covariance": CovarianceTable(names, covariance[np.ix_(stated_rows, stated_rows)].tolist()),
         "forces": forces,
         "discrepancy": DiscrepancyEntry(source=source, load_N=load.tolist(), u95_mm=(u95 * MM_PER_M).tolist()),
         "measured": MeasuredEntry(
             source=source,
-            configurations=len(set(found.readings.probed.group.tolist()))
+            configurations=len(set(fit.readings.probed.group.tolist()))
             + (0 if prior.measured is None else prior.measured.configurations),
             torque_Nm=tuple(torque.tolist()),
             not_trusted="",
@@ -315,20 +321,20 @@ def model_file(found: Fit, prior: ModelFile, process: Process, source: str) -> M
     return msgspec.structs.replace(msgspec.convert(content, ModelFile), **extra)
 
 
-def _discrepancy(found: Fit) -> tuple[Array, Array]:
+def _discrepancy(fit: Fit) -> tuple[Array, Array]:
     """Return levels of load [N] and the unmodelled error [m] there: the larger one of the part and the model before."""
-    load, u95 = found.u95()
-    before = found.prior.robot.discrepancy
-    if before is None:
+    load, u95 = fit.u95()
+    prior_discrepancy = fit.prior.robot.discrepancy
+    if prior_discrepancy is None:
         return load, u95
-    every = np.union1d(load, before.load)
-    wrench = np.pad(every[:, None], ((0, 0), (0, 5)))
-    return every, np.maximum(Discrepancy(load, u95).at(wrench), before.at(wrench))
+    all_loads = np.union1d(load, prior_discrepancy.load)
+    wrench = np.pad(all_loads[:, None], ((0, 0), (0, 5)))
+    return all_loads, np.maximum(Discrepancy(load, u95).at(wrench), prior_discrepancy.at(wrench))
 
 
-def _forces(found: Fit, process: Process, source: str) -> ForcesEntry | None:
+def _forces(fit: Fit, process: Process, source: str) -> ForcesEntry | None:
     """Return the law of `material`, as its numbers are read; None where the scale is certain or says too little."""
-    numbers = cutting_law(_scaled(found, process, source), process.path).numbers
+    numbers = cutting_law(_scaled(fit, process, source), process.path).numbers
     if not numbers or not numbers[-1] > 0.0:
         return None
     return ForcesEntry(
@@ -340,18 +346,18 @@ def _forces(found: Fit, process: Process, source: str) -> ForcesEntry | None:
     )
 
 
-def material(found: Fit, process: Process, source: str) -> bytes:
+def material(fit: Fit, process: Process, source: str) -> bytes:
     """Return `material.toml`: the cutting law of the process with the scale of the forces found."""
     comment = "Written by `postproc identify part`; process.toml takes it by [material] file."
-    return files.toml({"material": _scaled(found, process, source)}, comment)
+    return files.toml({"material": _scaled(fit, process, source)}, comment)
 
 
-def _scaled(found: Fit, process: Process, source: str) -> IdentifiedTable:
+def _scaled(fit: Fit, process: Process, source: str) -> IdentifiedTable:
     law: CuttingLaw = process.law()
-    chip, radial, axial, *edge = (found.scale * value for value in (*law.cutting, *law.edge))
+    chip, radial, axial, *edge = (fit.scale * value for value in (*law.cutting, *law.edge))
     table = IdentifiedTable(
-        sigma_percent=round(100.0 * float(np.sqrt(found.covariance[-1, -1])) / found.scale, 3),
-        source=f"{law.name}, forces scaled by {found.scale:.3f}: {source}",
+        sigma_percent=round(100.0 * float(np.sqrt(fit.covariance[-1, -1])) / fit.scale, 3),
+        source=f"{law.name}, forces scaled by {fit.scale:.3f}: {source}",
         Kte_N_per_mm=edge[0] / 1e3,
         Kre_N_per_mm=edge[1] / 1e3,
         Kae_N_per_mm=edge[2] / 1e3,

@@ -63,8 +63,8 @@ class Probed(Columns, frozen=True, eq=False):
 
     def take(self, rows: NDArray[Any] | slice) -> Self:
         """Return some of the points."""
-        which = np.arange(len(self))[rows].tolist()
-        name, program = (tuple(each[k] for k in which) for each in (self.name, self.program))
+        indices = np.arange(len(self))[rows].tolist()
+        name, program = (tuple(texts[k] for k in indices) for texts in (self.name, self.program))
         return replace(super().take(rows), name=name, program=program)
 
 
@@ -89,29 +89,29 @@ def read(path: Path) -> Probed:
     if (PROGRAM in texts) != (BASE in numbers) or (base % 1.0).any():
         advice = "Keep the columns program and base."
         raise MeasurementError("the rows do not name program and placement", file=str(path), line=1, advice=advice)
-    seen = np.flatnonzero(np.isfinite(numbers["deviation_mm"]))
-    if len(seen) < _FEWEST:
+    filled_rows = np.flatnonzero(np.isfinite(numbers["deviation_mm"]))
+    if len(filled_rows) < _FEWEST:
         raise MeasurementError(
-            f"{len(seen)} of {len(lines)} points have a deviation",
+            f"{len(filled_rows)} of {len(lines)} points have a deviation",
             file=str(path),
             advice="Fill in deviation_mm: along the normal, positive where material is left.",
         )
-    normal = np.column_stack([numbers[name] for name in ("nx", "ny", "nz")])[seen]
+    normal = np.column_stack([numbers[name] for name in ("nx", "ny", "nz")])[filled_rows]
     wrong = np.abs(norm(normal) - 1.0) > _UNIT
     if wrong.any():
-        row = int(lines[seen][np.argmax(wrong)])
+        row = int(lines[filled_rows][np.argmax(wrong)])
         raise MeasurementError("nx, ny, nz is no unit vector", file=str(path), line=row, advice="Keep the columns.")
     return Probed(
-        tuple(texts["feature"][k] for k in seen),
-        numbers["source_line"][seen].astype(np.int64),
-        numbers["t"][seen],
-        np.column_stack([numbers[name] for name in "XYZ"])[seen] * M_PER_MM,
+        tuple(texts["feature"][k] for k in filled_rows),
+        numbers["source_line"][filled_rows].astype(np.int64),
+        numbers["t"][filled_rows],
+        np.column_stack([numbers[name] for name in "XYZ"])[filled_rows] * M_PER_MM,
         normal / norm(normal)[:, None],
-        numbers["deviation_mm"][seen] * M_PER_MM,
-        mass[seen],
-        tuple(texts[PROGRAM][k] for k in seen) if PROGRAM in texts else ("",) * len(seen),
-        base[seen].astype(np.int64),
-        lines[seen].astype(np.int64),
+        numbers["deviation_mm"][filled_rows] * M_PER_MM,
+        mass[filled_rows],
+        tuple(texts[PROGRAM][k] for k in filled_rows) if PROGRAM in texts else ("",) * len(filled_rows),
+        base[filled_rows].astype(np.int64),
+        lines[filled_rows].astype(np.int64),
         str(path),
     )
 
@@ -130,18 +130,18 @@ def table(parts: dict[Placement, Program]) -> bytes:
 
     :param parts: the program of each placement of the block; where there is more than `[base]`, each row names it.
     """
-    hung = any(part.mass.any() for part in parts.values())
-    several = any(placement.number for placement in parts)
-    head = ["feature", *((PROGRAM, BASE) if several else ()), *COLUMNS, *((MASS,) if hung else ())]
+    has_weight = any(part.mass.any() for part in parts.values())
+    has_placements = any(placement.number for placement in parts)
+    head = ["feature", *((PROGRAM, BASE) if has_placements else ()), *COLUMNS, *((MASS,) if has_weight else ())]
     rows = [",".join(head)]
     for placement, part in parts.items():
-        made_by = f",{placement.name},{placement.number}" if several else ""
+        made_by = f",{placement.name},{placement.number}" if has_placements else ""
         for name, line, t, point, normal, mass in zip(
             part.feature, part.line.tolist(), part.t.tolist(), part.point * MM_PER_M, part.normal, part.mass.tolist(),
             strict=True,
         ):  # fmt: skip
             place = ",".join(f"{value:.4f}" for value in point + 0.0)
-            end = f",{mass:g}" if hung else ""
+            end = f",{mass:g}" if has_weight else ""
             direction = ",".join(f"{value:.9f}" for value in normal + 0.0)
             rows.append(f"{name}{made_by},{line},{t:.6f},{place},{direction},{end}")
     return ("\n".join(rows) + "\n").encode()

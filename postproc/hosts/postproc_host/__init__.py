@@ -69,11 +69,11 @@ def command() -> tuple[list[str], bool]:
         words = shlex.split(os.environ["POSTPROC"], posix=os.name != "nt")
     else:
         words = ["postproc"]
-    found = shutil.which(words[0])
-    if found is None:
-        where = f"{words[0]} of {_SETTING}" if _SETTING.is_file() else f"'{words[0]}'"
-        raise HostError(f"postproc is not found: {where} is no program that can be run here. {_MEND}")
-    return [found, *words[1:]], Path(words[0]).stem.lower() == "wsl"
+    program = shutil.which(words[0])
+    if program is None:
+        place = f"{words[0]} of {_SETTING}" if _SETTING.is_file() else f"'{words[0]}'"
+        raise HostError(f"postproc is not found: {place} is no program that can be run here. {_MEND}")
+    return [program, *words[1:]], Path(words[0]).stem.lower() == "wsl"
 
 
 def convert(
