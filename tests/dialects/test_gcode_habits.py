@@ -415,3 +415,45 @@ def test_a_percent_sign_behind_the_last_block_ends_the_program():
     assert ends(program)[-1, 0] == pytest.approx(6.0)
     with pytest.raises(ProgramError, match="the program ends here, but coordinates follow"):
         read("%\nG21 G90\nG0 X0 Y0 Z5 F600\nG1 X6 F700.0%\nX9\n")
+
+
+ABSOLUTE = "G21 G90\nG0 X10 Y10 Z5\nG1 Z0 F100\nG2 X30 Y10 I20 J10\nG2 X20 Y0 I20 J10\nG3 X40 Y0 I30 J0\nM2\n"
+
+
+def test_centres_are_coordinates_where_only_so_all_radii_agree():
+    program = read(ABSOLUTE)
+    stated = read(ABSOLUTE.replace("G90\n", "G90 G90.1\n"))
+    np.testing.assert_array_equal(program.motions.centre, stated.motions.centre)
+    np.testing.assert_array_equal(program.motions.sweep, stated.motions.sweep)
+    assert [issue.level for issue in program.issues if issue.kind == "absolute-centres"] == ["info"]
+    assert "absolute-centres" not in {issue.kind for issue in stated.issues}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        ABSOLUTE.replace("I30 J0", "I10 J0"),  # one arc is right only by increments
+        ABSOLUTE.replace("G90\n", "G90 G91.1\n"),  # the program says that they are increments
+        ABSOLUTE.replace("I20 J10\nG2", "I21 J10\nG2"),  # right in neither way
+    ],
+)
+def test_centres_that_do_not_all_agree_are_refused_as_increments(text):
+    with pytest.raises(ProgramError) as caught:
+        read(text)
+    assert caught.value.problem.startswith("radii of the arc disagree")
+
+
+def test_text_before_the_first_percent_sign_is_not_read():
+    code = "%\nO1\nG21 G90\nG0 X0 Y0 Z5\nG1 Z0 F100\nX9\nM30\n%\n"
+    program = read(f"Part seven, made by\nthe shop\n{code}")
+    assert program.motions.line.tolist() == [line + 2 for line in read(code).motions.line.tolist()]
+    assert [issue.source_line for issue in program.issues if issue.kind == "leader"] == [1]
+    assert program.documents[0].text.startswith("Part seven")
+    with pytest.raises(ProgramError, match="the program ends here"):
+        read(f"G0 X0 Y0 Z9\n{code}")
+
+
+def test_l0_without_a_cycle_has_no_effect():
+    assert len(read("G21 G90 L0\nG0 X0 Y0 Z5 L0\nG1 Z0 F100\nM2\n").motions) == 2
+    with pytest.raises(ProgramError, match="Q or L without a cycle"):
+        read("G0 X0 Y0 Z5 L2\nG1 Z0 F100\nM2\n")

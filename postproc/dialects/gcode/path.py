@@ -239,7 +239,7 @@ def faults_of(rows: LineStates, moves: Moves, modes: Modes, circular: Ints, arcs
     centred = any_column(~np.isnan(rows.ijk))
     stray = centred | ~(np.isnan(rows.radius) & np.isnan(rows.turns))
     check(stray & ~used, "I, J, K, R or P without an arc or a cycle that uses it")
-    stray = ~(np.isnan(rows.pecks) & np.isnan(rows.repeats))
+    stray = ~np.isnan(rows.pecks) | ~(np.isnan(rows.repeats) | (rows.repeats == 0.0))  # L0 repeats nothing
     check(stray & (~used | (rows.moving & arc)), "Q or L without a cycle that uses it")
     for row in np.flatnonzero(rows.drilling & centred)[: MOST + 1].tolist():
         faults.setdefault(row, Fault(row, "I, J or K in a cycle", _repeats_advice(rows, row)))

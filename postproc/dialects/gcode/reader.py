@@ -30,6 +30,7 @@ decimals in N, an arc in the block of a G4, numbers of 10⁷ and more, a program
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Sequence
 from operator import itemgetter
 
@@ -79,12 +80,70 @@ def read(document: Document, cell: Cell, forward: Callable[[Array], Array], name
 
 
 def _read(document: Document, cell: Cell, forward: Callable[[Array], Array], name: str, *, bulk: bool) -> Program:
+    inner, issues = _without_leader(document)
+    try:
+        program = _executed_program(inner, cell, forward, name, bulk=bulk)
+    except InputError as cause:
+        if not all(getattr(error, "problem", "").startswith(_DISAGREE) for error in (cause, *cause.others)):
+            raise
+        try:
+            program = _executed_program(inner, cell, forward, name, bulk=bulk, absolute=True)
+        except InputError:
+            raise cause from None
+    if issues:
+        program = replace(program, documents=(document, *program.documents[1:]), issues=(*program.issues, *issues))
+    return program
+
+
+_DISAGREE = "radii of the arc disagree"
+_ABSOLUTE = (
+    "I, J and K are taken as coordinates of the centre, as after G90.1, which the program does not state: only so do "
+    "the radii of its arcs agree."
+)
+_WORD = re.compile(r"(?<![A-Za-z])[A-Z][ \t]*[-+]?\.?[0-9#\[]", re.IGNORECASE)
+_COMMENT = re.compile(r"\([^()\r\n]*\)|;[^\r\n]*")
+
+
+def _without_leader(document: Document) -> tuple[Document, list[Issue]]:
+    """Return a program with blanks for the text before its first %, which controls do not read, and the remark.
+
+    Lines with words such as G1 or X5 are no such text: where they are before a %, it ends the program.
+    """
+    starts, stops = line_spans(document.text)
+    lines = [document.text[start:stop].strip() for start, stop in zip(starts[:_LEADER], stops[:_LEADER], strict=True)]
+    first = next((row for row, line in enumerate(lines) if line == "%"), 0)
+    code = [_COMMENT.sub("", line) for line in lines[:first]]
+    if not any(code) or any(_WORD.search(line) for line in code):
+        return document, []
+    end = int(starts[first])
+    blank = re.sub(r"[^\r\n]", " ", document.text[:end])
+    message = "The text before the first % is not read."
+    row = next(row for row, line in enumerate(code) if line)
+    return replace(document, text=blank + document.text[end:]), [Issue("info", "leader", message, row + 1)]
+
+
+_LEADER = 200
+"""Lines in which a first % is looked for."""
+
+
+def _executed_program(
+    document: Document,
+    cell: Cell,
+    forward: Callable[[Array], Array],
+    name: str,
+    *,
+    bulk: bool,
+    absolute: bool = False,
+) -> Program:
+    """Read a program, see `read`; `absolute`: centres of arcs are coordinates, though the program does not say so."""
     run = executed(document)
     source = run.source
     rotary = "" if cell.rotary is None else "".join(cell.rotary.axes)
     plain, odd = words.read_plain(source, rotary) if bulk else words.leave_all(source)
     modes = read_modes(source, odd, plain, cell, run.faults)
     rows = line_states_of(plain, modes, cell.rotary)
+    if absolute and not modes.changes["centre"]:
+        rows = replace(rows, absolute_centre=np.ones(len(rows.motion), dtype=np.bool_))
     del plain, odd  # what follows needs the memory
     base, tools, numbers = cell.base.pose(), [cell.tool.pose()], {}
     for number in dict.fromkeys(number for _, number in modes.tools):
@@ -142,6 +201,7 @@ def _read(document: Document, cell: Cell, forward: Callable[[Array], Array], nam
         issues=(
             *(replace(issue, source_line=_line(run, issue.source_line)) for issue in issues),
             *_after_the_end(run, modes.rows),
+            *([Issue("info", "absolute-centres", _ABSOLUTE)] if absolute else []),
         ),
     )
 
