@@ -129,6 +129,7 @@ class Repeated(Struct, eq=False):
     """An unrolled loop.
 
     :ivar opener: text of its first line, with its line end; `closer` that of its last.
+    :ivar counter: of FOR, as it is spelled; empty for other loops.
     :ivar step: of FOR, each body of which begins with an assignment to its counter; 0 for other loops.
     :ivar left: True if it contains EXIT.
     :ivar first: first line of the trace; `last` the line after it.
@@ -139,6 +140,7 @@ class Repeated(Struct, eq=False):
 
     opener: str
     closer: str
+    counter: str
     step: int
     left: bool
     first: int
@@ -151,7 +153,7 @@ class Repeated(Struct, eq=False):
 class Called(Struct, eq=False):
     """An inlined routine.
 
-    :ivar line: of the trace, with the call; `name` the span of the routine's name in it.
+    :ivar line: of the trace, with the call; `name` the span of the routine's name in that line.
     """
 
     line: int
@@ -193,6 +195,16 @@ class Course(Struct, frozen=True, eq=False):
         """The LOOP without EXIT at the end of the program; None if there is none."""
         last = self.body.parts[-1] if self.body.parts else None
         return last if isinstance(last, Repeated) and last.endless else None
+
+    @property
+    def sources(self) -> tuple[Source, ...]:
+        """The files whose lines are in the trace."""
+        return (self.source,) if self.source.origins is None else self.source.origins.sources
+
+    def count(self, loop: Repeated, row: int) -> int:
+        """Return what a row of the trace assigns to the counter of a FOR."""
+        number = loop.plain.number(row) if loop.plain is not None and row < loop.plain.beyond else None
+        return self.counts[row] if number is None else number
 
     def plain_rounds(self) -> list[PlainRounds]:
         """Return all rounds that do nothing but move, in order."""

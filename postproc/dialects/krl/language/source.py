@@ -82,6 +82,10 @@ class Source(Struct, frozen=True, eq=False):
         """Return the 1-based line that holds an offset."""
         return int(np.searchsorted(self.starts, offset, side="right"))
 
+    def line_at_each(self, offset: Ints) -> Ints:
+        """Return the 1-based lines that hold offsets (n,)."""
+        return np.searchsorted(self.starts, offset, side="right")
+
     def code_span(self, line: int) -> tuple[int, int]:
         """Return the span of the code of a 1-based line: without its comment and the blanks around it."""
         return code_span(self.text, int(self.starts[line - 1]), int(self.stops[line - 1]))

@@ -522,10 +522,10 @@ class Flow:
             self._endless(source, block, trace)
             return
         counter = _Counter(self.run, source, block.first) if block.word == "FOR" else None
-        step = counter.step if counter is not None else 0
+        name, step = (counter.name, counter.step) if counter is not None else ("", 0)
         if counter is not None and words.isdisjoint(ENDS_LOOPS):
             self._check_rounds(source, block, counter, trace)
-        loop = trace.begin(block, step, left="EXIT" in words) if trace is not None else None
+        loop = trace.begin(block, name, step, left="EXIT" in words) if trace is not None else None
         began = self._traced
         level.loops += 1
         depth = len(self._way)
@@ -593,7 +593,7 @@ class Flow:
         if trace is None or level.loops or run.forked or not run.certain or len(run.stack) > 1:
             raise inexact(at, "LOOP never ends: there is no EXIT", LOOP_ADVICE)
         before = run.variables.as_now()
-        loop = trace.begin(block, 0, left=False)
+        loop = trace.begin(block, "", 0, left=False)
         loop.endless = True
         self._way.append((at, 1))
         trace.repeat(loop, block, None)

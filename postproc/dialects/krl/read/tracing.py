@@ -134,12 +134,12 @@ class Trace:
         body.last = self.count + 1
         self._steps.append(Leave())
 
-    def begin(self, block: Block, step: int, *, left: bool) -> Repeated:
-        """Begin to unroll a loop; `step` of FOR, else 0."""
+    def begin(self, block: Block, counter: str, step: int, *, left: bool) -> Repeated:
+        """Begin to unroll a loop; `counter`, as it is spelled, and `step` of FOR, else empty and 0."""
         self.run_to(block.first - 1)
         source = self._open[-1].source
         opener, closer = (_lines(source, line, line) for line in (block.first, block.last))
-        loop = Repeated(opener, closer, step, left, self.count + 1)
+        loop = Repeated(opener, closer, counter, step, left, self.count + 1)
         self._open[-1].bodies[-1].parts.append(loop)
         return loop
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TypeAlias
 
 import numpy as np
@@ -50,6 +51,21 @@ class Replacements(Struct, eq=False):
             self._stops.append(compact(stops[rows], np.int32))
             self._lengths.append(used.sum(axis=1, dtype=np.int32))
             self._numbers.append(digits[used])
+
+    def starts(self) -> Ints:
+        """Return where pieces begin (n,), in any order."""
+        return np.concatenate([*self._starts, np.array([start for start, _, _ in self._single], dtype=np.int64)])
+
+    def with_offsets(self, moved: Callable[[Ints], Ints]) -> Replacements:
+        """Return the same replacements in another text.
+
+        :param moved: offsets at which pieces begin (n,) → those in the other text.
+        """
+        starts = [np.asarray(moved(begin)) for begin in self._starts]
+        stops = [new + stop - old for new, old, stop in zip(starts, self._starts, self._stops, strict=True)]
+        begins = moved(np.array([start for start, _, _ in self._single], dtype=np.int64)).tolist()
+        single = [(new, new + stop - old, text) for new, (old, stop, text) in zip(begins, self._single, strict=True)]
+        return Replacements(starts, stops, self._lengths, self._numbers, single)
 
     def __bool__(self) -> bool:
         return bool(self._single or self._starts)

@@ -1,14 +1,17 @@
 """From the corrected execution trace of a program back to its files.
 
-A loop whose rounds have the same corrected text stays a loop; otherwise its rounds are written out. A routine that has
-the same corrected text in all its calls is corrected in place; where calls differ, the others get copies of it under
-other names.
+A loop whose rounds are corrected alike stays a loop; otherwise its rounds are written out. A routine that is corrected
+alike in all its calls is corrected in place; where calls differ, the others get copies of it under other names.
+
+What is alike is decided by keys, numbers of the changes of rows: two executions of a body are written alike if the same
+of its lines have the same keys. Text is made once, of what is written.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -23,9 +26,12 @@ from postproc.dialects.krl.language.routines import Routine
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tokens import NAME, indent
 from postproc.dialects.krl.language.tree import Definition
-from postproc.dialects.text import line_spans
+from postproc.dialects.krl.write.edited_rows import EditedRows, line_count, line_text
 from postproc.errors import Issue
 from postproc.program import Document, Ints
+
+_Key = tuple[tuple[int, object], ...]
+"""Changed lines of a body, each with what it becomes; empty if nothing changes."""
 
 
 class Folded(Struct, frozen=True):
@@ -44,57 +50,54 @@ class Folded(Struct, frozen=True):
     issues: tuple[Issue, ...]
 
 
-def folded(course: Course, main: Routine, text: str, begins: Ints) -> Folded:
+def folded(course: Course, main: Routine, edited: EditedRows) -> Folded:
     """Return the files of a program whose trace was corrected.
 
     :param main: its main routine.
-    :param text: the corrected trace.
-    :param begins: (L + 1,) offset in it where each line of the trace now begins, and where it ends.
     """
-    return _Folder(course, main, text, begins.tolist()).folded()
+    return _Folder(course, main, edited).folded()
 
 
 class _Piece(NamedTuple):
     """Lines of a file.
 
-    :ivar places: (n, first, last): line n of the text, from 0, is where line `first` of the trace begins now; the lines
+    :ivar lines: number of lines.
+    :ivar content: texts, and rows first … last − 1 of the trace as they are written.
+    :ivar places: (n, first, last): line n of the piece, from 0, is where row `first` of the trace begins now; the rows
         up to the one before `last` follow as they do in the corrected trace.
     """
 
-    text: str
+    lines: int
+    content: Sequence[str | tuple[int, int]]
     places: Sequence[tuple[int, int, int]] = ()
 
 
-class _Round(NamedTuple):
-    """One round of a loop: the assignment to the counter of FOR, and the other lines."""
-
-    counter: _Piece
-    own: _Piece
-
-
-class _Version(NamedTuple):
-    """The name under which a routine has a text, and the places of all calls that read so, see `_Piece`."""
+class _Version(Struct, eq=False):
+    """A text of a routine: the name under which it has it, and the places of all calls that read so."""
 
     name: str
-    places: list[tuple[int, int, int]]
+    piece: _Piece | None = None
+    places: list[tuple[int, int, int]] = []
 
 
 class _Folder(Struct, eq=False):
     course: Course
     main: Routine
-    text: str
-    begins: list[int]
-    versions: defaultdict[Routine, dict[str, _Version]] = field(default_factory=lambda: defaultdict(dict))
+    edited: EditedRows
+    versions: defaultdict[Routine, dict[_Key, _Version]] = field(default_factory=lambda: defaultdict(dict))
     names: Names | None = None
     outside: list[Called] = []
     issues: list[Issue] = []
+    _keys: dict[Body, _Key] = {}
+    _calls: dict[Called, _Version] = {}
 
     def folded(self) -> Folded:
-        text, places = self._body(self.course.body)
-        self.versions[self.main][text] = _Version(self.main.name, [*places])
-        line = np.zeros(len(self.begins), dtype=np.int64)
-        inside = np.zeros(len(self.begins), dtype=np.bool_)
-        row = np.searchsorted(line_spans(self.text)[0], self.begins)
+        key = self._key(self.course.body)
+        body = self._body(self.course.body)
+        self.versions[self.main][key] = _Version(self.main.name, body, [*body.places])
+        begins = self.edited.begins
+        line = np.zeros(len(begins), dtype=np.int64)
+        inside = np.zeros(len(begins), dtype=np.bool_)
         documents = []
         for source in dict.fromkeys([self.main.source, *(routine.source for routine in self.versions)]):
             file = _together(self._file(source))
@@ -102,10 +105,11 @@ class _Folder(Struct, eq=False):
                 number, first, last = np.array(file.places, dtype=np.int64).reshape(-1, 3).T
                 count = last - first
                 own = ragged_range(count, first)
-                line[own] = 1 + np.repeat(number - row[first - 1], count) + row[own - 1]
+                line[own] = 1 + np.repeat(number - begins[first - 1], count) + begins[own - 1]
                 inside[own] = True
-            if source is self.main.source or file.text != source.text:
-                documents.append(replace(source.document, text=file.text))
+            text = self._text(file)
+            if source is self.main.source or text != source.text:
+                documents.append(replace(source.document, text=text))
                 self._warn_users(source)
         for called in self.outside:
             rows = line[called.body.first : called.body.last]
@@ -122,88 +126,167 @@ class _Folder(Struct, eq=False):
             )
             self.issues.append(Issue("warning", "shared-file", message, subject=name))
 
-    # --- bodies ------------------------------------------------------------------------------------------------------
+    # --- keys --------------------------------------------------------------------------------------------------------
 
-    def _body(self, body: Body, begin: int = 0) -> _Piece:
-        """Return the lines of a body as they are now, from a line of the trace on; 0: from its first."""
-        pieces, line = [], begin or body.first
-        for part in body.parts:
-            if isinstance(part, Called):
-                pieces += [self._lines(line, part.line), self._call(part)]
-                line = part.body.last
-            else:
-                pieces += [self._lines(line, part.first), self._loop(part)]
-                line = part.last
-        rest = self._lines(line, body.last)
-        return _together([*pieces, rest]) if pieces else rest
+    def _key(self, body: Body) -> _Key:
+        """Return what changes in a body, by its lines; rows of assignments to the counter of FOR do not count."""
+        key = self._keys.get(body)
+        if key is None:
+            changes: list[tuple[int, object]] = []
+            row = body.first
+            for part in body.parts:
+                first, last = (part.line, part.body.last) if isinstance(part, Called) else (part.first, part.last)
+                self._changed(changes, row, first)
+                change = self._call_key(part) if isinstance(part, Called) else self._loop_key(part)
+                if change:
+                    changes.append((self._line(first), change))
+                row = last
+            self._changed(changes, row, body.last)
+            key = self._keys[body] = tuple(changes)
+        return key
 
-    def _lines(self, first: int, last: int) -> _Piece:
-        """Return lines first … last − 1 of the trace as they are now."""
-        if last <= first:
-            return _Piece("")
-        return _Piece(self.text[self.begins[first - 1] : self.begins[last - 1]], ((0, first, last),))
+    def _changed(self, changes: list[tuple[int, object]], first: int, last: int) -> None:
+        """Add the changes of rows first … last − 1."""
+        keys = self.edited.keys[first - 1 : last - 1]
+        if any(keys):
+            changes += [(self._line(row), key) for row, key in enumerate(keys, first) if key]
 
-    def _loop(self, loop: Repeated) -> _Piece:
-        """Return a loop with its body corrected where all rounds read the same, else one round behind the other."""
-        if not loop.bodies:
-            return self._lines(loop.first, loop.last - (loop.step != 0))
-        counted = loop.step != 0
-        rounds = [
-            _Round(self._lines(body.first, body.first + counted), self._body(body, body.first + counted))
-            for body in loop.bodies
-        ]
-        first = rounds[0].own.text
-        if all(each.own.text == first for each in rounds):
-            return _together([_Piece(loop.opener), _joined(each.own for each in rounds), _Piece(loop.closer)])
-        head, blanks, end = loop.opener.strip(), indent(loop.opener), _line_end(loop.opener)
-        out = [piece for run in _alike(rounds, loop.step) for piece in self._run(run, loop)]
-        out.append(self._lines(loop.bodies[-1].last, loop.last))
-        if loop.left:
-            out = [_Piece(f"{blanks}LOOP{end}"), *out, _Piece(f"{blanks}EXIT{end}{blanks}ENDLOOP{end}")]
+    def _line(self, row: int) -> int:
+        return self.course.source.origin(row).line
+
+    def _loop_key(self, loop: Repeated) -> object:
+        """Return what changes in a loop: in its body if that holds for all rounds, else in each round."""
+        keys = [self._key(body) for body in loop.bodies]
+        if all(key == keys[0] for key in keys):
+            return keys[0] if keys else self._unchanged_rows(loop)
+        head = loop.opener.strip()
         message = f"The rounds of {head} are corrected differently: they are written out, but for those that are alike."
         line = int(self.course.source.shown(np.array([loop.first]))[0])
         self.issues.append(Issue("info", "loop-written-out", message, line, subject=f"{head} {line}"))
-        return _together([_Piece(f"{blanks}; {head} (written out){end}"), *out])
+        end = self.course.count(loop, loop.bodies[-1].last) if self._counted_on(loop) else None
+        return ("rounds", end, *zip(self._counts(loop), keys, strict=True))
 
-    def _run(self, rounds: list[_Round], loop: Repeated) -> Iterator[_Piece]:
-        """Yield rounds that read the same: one as it is, several of FOR as a FOR of their own."""
+    def _counted_on(self, loop: Repeated) -> bool:
+        """Return whether the counter of a FOR is set behind its last round."""
+        return loop.step != 0 and loop.last > loop.bodies[-1].last
+
+    def _unchanged_rows(self, loop: Repeated) -> _Key:
+        """Return what changes in the lines of a loop that does not run."""
+        changes: list[tuple[int, object]] = []
+        self._changed(changes, loop.first, loop.last)
+        return tuple(changes)
+
+    def _call_key(self, called: Called) -> object:
+        """Return what changes in a call: the line itself, and the name of the version that is called."""
+        version = self._version(called)
+        name = "" if version.name == called.routine.name else version.name
+        key = self.edited.keys[called.line - 1]
+        return (key, name) if key or name else ()
+
+    def _version(self, called: Called) -> _Version:
+        """Return the version of a routine that a call needs."""
+        versions, routine = self.versions[called.routine], called.routine
+        key = self._key(called.body)
+        if routine in self.course.pinned and not versions:
+            text = line_text(routine.source, routine.first + 1, routine.last - 1)
+            versions[()] = _Version(routine.name, _Piece(line_count(text), (text,)))
+        if key not in versions:
+            versions[key] = _Version(self._unused(called) if versions else routine.name)
+        self._calls[called] = versions[key]
+        return versions[key]
+
+    def _counts(self, loop: Repeated) -> list[int]:
+        """Return the counter of a FOR in each round; of other loops zeros."""
+        return [self.course.count(loop, body.first) if loop.step else 0 for body in loop.bodies]
+
+    # --- bodies ------------------------------------------------------------------------------------------------------
+
+    def _body(self, body: Body, begin: int = 0) -> _Piece:
+        """Return the lines of a body as they are written, from a row of the trace on; 0: from its first."""
+        pieces, row = [], begin or body.first
+        for part in body.parts:
+            if isinstance(part, Called):
+                pieces += [self._lines(row, part.line), self._call(part)]
+                row = part.body.last
+            else:
+                pieces += [self._lines(row, part.first), self._loop(part)]
+                row = part.last
+        remaining_lines = self._lines(row, body.last)
+        return _together([*pieces, remaining_lines]) if pieces else remaining_lines
+
+    def _lines(self, first: int, last: int) -> _Piece:
+        """Return rows first … last − 1 of the trace as they are written."""
+        if last <= first:
+            return _Piece(0, ())
+        begins = self.edited.begins
+        return _Piece(int(begins[last - 1] - begins[first - 1]), ((first, last),), ((0, first, last),))
+
+    def _counter(self, loop: Repeated, row: int, before: str) -> _Piece:
+        """Return an assignment to the counter of a FOR; `before` it the blanks of a line."""
+        text = f"{before}{loop.counter}={self.course.count(loop, row)}{_line_end(loop.opener)}"
+        return _Piece(1, (text,), ((0, row, row + 1),))
+
+    def _loop(self, loop: Repeated) -> _Piece:
+        """Return a loop with its body corrected where all rounds are alike, else one round behind the other."""
+        if not loop.bodies:
+            return self._lines(loop.first, loop.last - (loop.step != 0))
+        counted = loop.step != 0
+        keys = [self._key(body) for body in loop.bodies]
+        rounds = [self._body(body, body.first + counted) for body in loop.bodies]
+        if all(key == keys[0] for key in keys):
+            return _together([_of(loop.opener), _joined(rounds), _of(loop.closer)])
+        blanks, end = indent(loop.opener), _line_end(loop.opener)
+        out = [_of(f"{blanks}; {loop.opener.strip()} (written out){end}")]
+        if loop.left:
+            out.append(_of(f"{blanks}LOOP{end}"))
+        for first, beyond in pairwise([*_runs(keys, self._counts(loop), loop.step), len(rounds)]):
+            out += self._run(loop, first, rounds[first:beyond])
+        if self._counted_on(loop):
+            out.append(self._counter(loop, loop.bodies[-1].last, blanks))
+        else:
+            out.append(self._lines(loop.bodies[-1].last, loop.last))
+        if loop.left:
+            out.append(_of(f"{blanks}EXIT{end}{blanks}ENDLOOP{end}"))
+        return _together(out)
+
+    def _run(self, loop: Repeated, first: int, rounds: Sequence[_Piece]) -> Iterator[_Piece]:
+        """Yield rounds that are alike: one as it is, several of FOR as a FOR of their own.
+
+        :param first: number of the first of them, from 0.
+        """
+        blanks, end = indent(loop.opener), _line_end(loop.opener)
         if len(rounds) == 1 or not loop.step or loop.left:
-            for each in rounds:
-                yield from each
+            for number, piece in enumerate(rounds, first):
+                if loop.step:
+                    yield self._counter(loop, loop.bodies[number].first, blanks)
+                yield piece
             return
-        name, _, first = rounds[0].counter.text.strip().partition("=")
-        last = rounds[-1].counter.text.partition("=")[2].strip()
+        begin, last = (self.course.count(loop, loop.bodies[n].first) for n in (first, first + len(rounds) - 1))
         step = "" if loop.step == 1 else f" STEP {loop.step}"
-        yield _Piece(f"{indent(loop.opener)}FOR {name}={first} TO {last}{step}{_line_end(loop.opener)}")
-        yield _joined(each.own for each in rounds)
-        yield _Piece(loop.closer)
+        yield _of(f"{blanks}FOR {loop.counter}={begin} TO {last}{step}{end}")
+        yield _joined(rounds)
+        yield _of(loop.closer)
 
     def _call(self, called: Called) -> _Piece:
         """Return the line of a call, with the name of the version that it calls."""
-        name = self._version(called, self._body(called.body))
-        text, places = self._lines(called.line, called.line + 1)
+        body, version = self._body(called.body), self._calls[called]
+        if version.piece is None:
+            version.piece = body
+        version.places.extend(body.places)
+        line = self._lines(called.line, called.line + 1)
         if called.routine.source is not self.main.source:
             self.outside.append(called)
-        if name != called.routine.name:
-            text = text[: called.name[0]] + name + text[called.name[1] :]
-        return _Piece(text, places)
+        if version.name == called.routine.name:
+            return line
+        text = self._text(line)
+        return line._replace(content=(text[: called.name[0]] + version.name + text[called.name[1] :],))
 
     # --- routines ----------------------------------------------------------------------------------------------------
-
-    def _version(self, called: Called, piece: _Piece) -> str:
-        """Return the name under which a routine reads like some lines."""
-        versions, routine = self.versions[called.routine], called.routine
-        if routine in self.course.pinned and not versions:
-            versions[_text(routine.source, routine.first + 1, routine.last - 1)] = _Version(routine.name, [])
-        if piece.text not in versions:
-            versions[piece.text] = _Version(self._unused(called) if versions else routine.name, [])
-        versions[piece.text].places.extend(piece.places)
-        return versions[piece.text].name
 
     def _unused(self, called: Called) -> str:
         """Return a name for a copy of a routine."""
         if self.names is None:
-            sources = [self.course.source, self.main.source, *(routine.source for routine in self.versions)]
+            sources = dict.fromkeys([*self.course.sources, *(routine.source for routine in self.versions)])
             words = {word.upper() for source in sources for word in NAME.findall(source.text)}
             self.names = Names(words | self.course.taken)
         routine = called.routine
@@ -219,28 +302,27 @@ class _Folder(Struct, eq=False):
         return name
 
     def _file(self, source: Source) -> Iterator[_Piece]:
-        """Yield a file with its routines as they are now, copies behind them."""
+        """Yield a file with its routines as they are written, copies behind them."""
         line = 1
         for routine in sorted(self.versions, key=lambda routine: routine.first):
             if routine.source is source:
-                yield _Piece(_text(source, line, routine.first))
-                (text, first), *copies = self.versions[routine].items()
-                yield _Piece(text, first.places)
-                end = _text(source, routine.last, routine.last)
+                yield _of(line_text(source, line, routine.first))
+                original, *copies = self.versions[routine].values()
+                yield _placed(original)
+                end = line_text(source, routine.last)
                 line = routine.last + 1
-                yield _Piece(end)
-                head = _text(source, routine.first, routine.first)
-                gap = _line_end(head)
-                for text, version in copies:
-                    yield _Piece(gap if _line_end(end) else gap + gap)
-                    yield _Piece(self._head(routine, version.name))
-                    yield _Piece(text, version.places)
-                    yield _Piece(end if _line_end(end) else end + gap)
-        yield _Piece(_text(source, line, len(source.starts)))
+                yield _of(end)
+                gap = _line_end(line_text(source, routine.first))
+                for version in copies:
+                    yield _of(gap if _line_end(end) else gap + gap)
+                    yield _of(self._head(routine, version.name))
+                    yield _placed(version)
+                    yield _of(end if _line_end(end) else end + gap)
+        yield _of(line_text(source, line, len(source.starts)))
 
     def _head(self, routine: Routine, name: str) -> str:
         """Return the line of a DEF with another name; in other files it is GLOBAL, for the program to find it."""
-        source, text = routine.source, _text(routine.source, routine.first, routine.first)
+        source, text = routine.source, line_text(routine.source, routine.first)
         here, begin = statement(source, routine.first), int(source.starts[routine.first - 1])
         if not isinstance(here, Definition):
             return text
@@ -248,50 +330,58 @@ class _Folder(Struct, eq=False):
         public = "" if here.public or source is self.main.source else "GLOBAL "
         return f"{text[:start]}{public}{text[start:at]}{name}{text[at + len(here.name) :]}"
 
+    # --- text --------------------------------------------------------------------------------------------------------
 
-def _alike(rounds: Sequence[_Round], step: int) -> list[list[_Round]]:
-    """Return the rounds of a loop in runs of such as read the same and are counted evenly."""
-    runs: list[list[_Round]] = []
-    before: tuple[str, int] | None = None
-    for each in rounds:
-        count = int(each.counter.text.partition("=")[2]) if step else 0
-        if before is not None and before == (each.own.text, count - step):
-            runs[-1].append(each)
-        else:
-            runs.append([each])
-        before = each.own.text, count
-    return runs
+    def _text(self, piece: _Piece) -> str:
+        """Return the text of a piece."""
+        return "".join(part if isinstance(part, str) else self._of_rows(*part) for part in piece.content)
+
+    def _of_rows(self, first: int, last: int) -> str:
+        """Return the text of rows first … last − 1, which are consecutive lines of a file."""
+        source, line = self.course.source.origin(first)
+        shift = line - first
+        begin, beyond = np.searchsorted(self.edited.rows, [first, last]).tolist()
+        texts = []
+        for row, text in zip(self.edited.rows[begin:beyond].tolist(), self.edited.texts[begin:beyond], strict=True):
+            texts += [line_text(source, first + shift, row + shift - 1), text] if row > first else [text]
+            first = row + 1
+        if first < last:
+            texts.append(line_text(source, first + shift, last + shift - 1))
+        return "".join(texts)
+
+
+def _runs(keys: Sequence[_Key], counts: Sequence[int], step: int) -> list[int]:
+    """Return where runs of rounds begin that are alike and are counted evenly."""
+    begins = [0]
+    for number in range(1, len(keys)):
+        if keys[number] != keys[number - 1] or counts[number] != counts[number - 1] + step:
+            begins.append(number)
+    return begins
+
+
+def _of(text: str) -> _Piece:
+    return _Piece(line_count(text), (text,))
+
+
+def _placed(version: _Version) -> _Piece:
+    """Return the lines of a version, for the rows of all its calls."""
+    piece = version.piece or _of("")
+    return piece._replace(places=version.places)
 
 
 def _together(pieces: Iterable[_Piece]) -> _Piece:
     """Return pieces that follow each other as one."""
-    texts, places, number = list[str](), list[tuple[int, int, int]](), 0
-    for text, own in pieces:
-        if text:
-            texts.append(text)
-            places += [(number + at, first, last) for at, first, last in own]
-            number += _count(text)
-    return _Piece("".join(texts), places)
+    content, places, number = list[str | tuple[int, int]](), list[tuple[int, int, int]](), 0
+    for piece in pieces:
+        content += piece.content
+        places += [(number + at, first, last) for at, first, last in piece.places]
+        number += piece.lines
+    return _Piece(number, content, places)
 
 
-def _joined(copies: Iterable[_Piece]) -> _Piece:
-    """Return the piece that copies which read the same become, for the lines of all."""
-    same = list(copies)
-    return _Piece(same[0].text, [place for piece in same for place in piece.places])
-
-
-def _text(source: Source, first: int, last: int) -> str:
-    if last < first:
-        return ""
-    stop = int(source.starts[last]) if last < len(source.starts) else len(source.text)
-    return source.text[int(source.starts[first - 1]) : stop]
-
-
-def _count(text: str) -> int:
-    """Return how many lines a text has."""
-    if text.endswith("\n") and text.count("\r") in (0, text.count("\r\n")):
-        return text.count("\n")  # counted much faster
-    return len(line_spans(text)[0])
+def _joined(rounds: Sequence[_Piece]) -> _Piece:
+    """Return the piece that rounds which are alike become, for the rows of all."""
+    return rounds[0]._replace(places=[place for piece in rounds for place in piece.places])
 
 
 def _line_end(text: str) -> str:

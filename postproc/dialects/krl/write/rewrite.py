@@ -30,6 +30,7 @@ from postproc.dialects.krl.language.parser import is_approximated
 from postproc.dialects.krl.language.positions import CARTESIAN
 from postproc.dialects.krl.language.source import Source, comment_start
 from postproc.dialects.krl.layout import FREE, ORIENTATIONS, Layout
+from postproc.dialects.krl.write.edited_rows import edited_rows
 from postproc.dialects.krl.write.edits import InsertedLines, Replacements
 from postproc.dialects.krl.write.folding import folded
 from postproc.dialects.krl.write.named_points import NamedPoints, Use, mentions, settled
@@ -43,7 +44,6 @@ from postproc.dialects.krl.write.target_statements import (
 )
 from postproc.dialects.krl.write.trigger_places import placed
 from postproc.dialects.new_program import number
-from postproc.dialects.text import line_spans
 from postproc.errors import Issue, ProgramError, group_issues
 from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, TargetForces, Targets, Written
 
@@ -126,16 +126,16 @@ class _Rewriter:
 
         :param line: (K,) their lines in the corrected course.
         """
-        course, text = self.layout.course, self.replacements[0].applied(self.text)
+        course, changes = self.layout.course, self.replacements[0]
         files = {document.name: document for document in self.documents}
-        for source, changes in zip(self.sources[1:], self.replacements[1:], strict=True):
-            files[source.document.name] = replace(source.document, text=changes.applied(source.text))
+        for source, edits in zip(self.sources[1:], self.replacements[1:], strict=True):
+            files[source.document.name] = replace(source.document, text=edits.applied(source.text))
         if course.straight:
             main = self.documents[0]
-            files[main.name] = replace(main, text=text)
+            files[main.name] = replace(main, text=changes.applied(self.text))
             return tuple(files.values()), line
-        begins = self.replacements[0].moved(np.append(self.source.starts, len(self.text)))
-        back = folded(course, course.main, text, begins)
+        edited = edited_rows(self.source, changes)
+        back = folded(course, course.main, edited)
         files |= {document.name: document for document in back.documents}
         shown = [
             (i, None if i.source_line is None else int(course.source.shown(np.array([i.source_line]))[0]))
@@ -143,7 +143,7 @@ class _Rewriter:
         ]
         self.issues = [*(replace(issue, source_line=line) for issue, line in shown), *back.issues]
         origin = self.layout.line[self.row]
-        first = np.searchsorted(line_spans(text)[0], begins[origin - 1]) + 1
+        first = edited.begins[origin - 1] + 1
         return tuple(files.values()), back.line[origin] + np.where(back.inside[origin], line - first, 0)
 
     def _alone(self) -> Bools:

@@ -1,0 +1,69 @@
+"""Edits of an execution trace, by its rows: which rows read alike, and how many lines each is written as.
+
+No text of the trace is made: only rows that are edited are written, each from the line of its file.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from msgspec import Struct
+
+from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.write.edits import Replacements
+from postproc.dialects.text import line_spans
+from postproc.program import Ints, distinct
+
+
+class EditedRows(Struct, frozen=True, eq=False):
+    """The rows of a trace as they are written.
+
+    :ivar rows: (E,) rows that are written otherwise than their lines in the files, in order.
+    :ivar texts: what they are written as.
+    :ivar keys: (L,) number of the text of each row, 0 where it is that of its line: rows of one line are written alike
+        if and only if their numbers are equal.
+    :ivar begins: (L + 1,) number of lines that are written for the rows before each, and for all.
+    """
+
+    rows: Ints
+    texts: tuple[str, ...]
+    keys: list[int]
+    begins: Ints
+
+
+def edited_rows(trace: Source, edits: Replacements) -> EditedRows:
+    """Return the rows of a trace after edits, each of which is within one row."""
+    rows = distinct(trace.line_at_each(edits.starts()))
+    places = [trace.origin(row) for row in rows.tolist()]
+    pieces = [line_text(place.source, place.line) for place in places]
+    begins = np.append(0, np.cumsum([len(piece) for piece in pieces], dtype=np.int64))
+    shift = begins[:-1] - trace.starts[rows - 1]
+    texts: list[str] = []
+    if len(rows):
+        moved = edits.with_offsets(lambda at: at + shift[np.searchsorted(rows, trace.line_at_each(at))])
+        text, bounds = moved.applied("".join(pieces)), moved.moved(begins)
+        texts = [text[start:stop] for start, stop in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True)]
+    changed = [index for index, (new, old) in enumerate(zip(texts, pieces, strict=True)) if new != old]
+    texts = [texts[index] for index in changed]
+    rows = rows[changed]
+    numbers: dict[str, int] = {}
+    keys = np.zeros(len(trace.starts), dtype=np.int64)
+    keys[rows - 1] = [numbers.setdefault(text, len(numbers) + 1) for text in texts]
+    count = np.ones(len(trace.starts), dtype=np.int64)
+    count[rows - 1] = [line_count(text) for text in texts]
+    return EditedRows(rows, tuple(texts), keys.tolist(), np.append(0, np.cumsum(count)))
+
+
+def line_text(source: Source, first: int, last: int = 0) -> str:
+    """Return a 1-based line of a file with its end, or the lines up to another one."""
+    last = last or first
+    if last < first:
+        return ""
+    stop = int(source.starts[last]) if last < len(source.starts) else len(source.text)
+    return source.text[int(source.starts[first - 1]) : stop]
+
+
+def line_count(text: str) -> int:
+    """Return how many lines a text has."""
+    if text.endswith("\n") and text.count("\r") in (0, text.count("\r\n")):
+        return text.count("\n")  # counted much faster
+    return len(line_spans(text)[0]) if text else 0
