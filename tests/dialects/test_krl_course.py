@@ -11,6 +11,8 @@ from postproc.dialects import krl
 from postproc.dialects.krl.read import reader
 from postproc.dialects.krl.read.motion_columns import merged
 from postproc.dialects.krl.read.plain_lines import gathered, plain_of
+from postproc.dialects.krl.write.edited_rows import edited_rows
+from postproc.dialects.krl.write.edits import Replacements
 from postproc.errors import ProgramError
 from postproc.toolpath.path import starts as starts_of
 from tests.attack.krl import confirmed
@@ -630,6 +632,46 @@ def test_a_motion_under_a_force_that_is_not_known_is_refused(lines, subs, cell, 
     with pytest.raises(ProgramError, match=problem) as caught:
         read(body(FULL, *lines) + subs, DATA, cell)
     assert caught.value.line == line
+
+
+@pytest.mark.parametrize(
+    ("lines", "word"),
+    [
+        (["FOR I=1 TO 2 ; FORCE FX=9", FULL, "ENDFOR"], "FOR"),
+        (["FOR I=1 TO 2", FULL, "ENDFOR ; FORCE FX=9", FULL], "ENDFOR"),
+        (["REPEAT", FULL, "I=I+1", "UNTIL I>3 ; FORCE FX=9", FULL], "UNTIL"),
+        (["WHILE I<3 ; FORCE FX=9", FULL, "I=I+1", "ENDWHILE"], "WHILE"),
+        ([FULL, "LOOP ; FORCE FX=9", AWAY, FULL, "ENDLOOP"], "LOOP"),
+    ],
+)
+def test_a_force_comment_on_the_line_of_a_loop_is_refused(lines, word):
+    with pytest.raises(ProgramError, match=rf"a force comment is on the line of {word}\."):
+        read(body(*lines), DATA)
+
+
+def test_a_for_that_counts_by_a_real_is_refused_with_the_name_of_its_counter():
+    with pytest.raises(ProgramError, match="its counter Z is a REAL"):
+        read(body("FOR Z=1 TO 2", FULL, "ENDFOR"), DATA)
+
+
+def test_rows_of_one_line_have_equal_keys_if_they_are_written_alike():
+    program = read(body("FOR I=1 TO 3", FULL, "ENDFOR", "LIN P[I]"), DATA)
+    trace, edits = program.layout.course.source, Replacements()
+    rows = program.layout.line[:3].tolist()
+    for row, text in zip(rows, ("1", "2", "1"), strict=True):
+        start = int(trace.starts[row - 1]) + FULL.index("X 0") + 2
+        edits.add(start, start + 1, text)
+    same = int(trace.starts[program.layout.line[3] - 1])
+    edits.add(same, same + 3, "LIN")  # what is there
+    edits.add(int(trace.starts[rows[1] - 1]), int(trace.starts[rows[1] - 1]), "HALT\r\n")
+    edited = edited_rows(trace, edits)
+    assert edited.rows.tolist() == rows
+    assert edited.texts == tuple(f"{before}{FULL.replace('X 0', f'X {x}')}\r\n" for before, x in
+                                 (("", 1), ("HALT\r\n", 2), ("", 1)))  # fmt: skip
+    keys = [edited.keys[row - 1] for row in rows]
+    assert keys[0] == keys[2] != keys[1]
+    assert np.count_nonzero(edited.keys) == 3
+    assert np.diff(edited.begins)[np.array(rows) - 1].tolist() == [1, 2, 1]
 
 
 def test_behind_what_is_kept_a_comment_says_which_force_acts():

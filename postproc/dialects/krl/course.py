@@ -14,6 +14,7 @@ from msgspec import Struct, field
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.errors import ProgramError
+from postproc.frames import Array
 from postproc.program import Bools, Document, Ints
 
 
@@ -205,6 +206,28 @@ class Course(Struct, frozen=True, eq=False):
         """Return what a row of the trace assigns to the counter of a FOR."""
         number = loop.plain.number(row) if loop.plain is not None and row < loop.plain.beyond else None
         return self.counts[row] if number is None else number
+
+    def counted(self) -> Array:
+        """Return what the rows of the trace (L,) assign to the counter of a FOR; NaN for lines of files."""
+        out = np.full(len(self.source.starts), np.nan)
+        rows = np.array([*self.counts], dtype=np.int64)
+        out[rows - 1] = [*self.counts.values()]
+        for rounds in self.plain_rounds():
+            out[rounds.first - 1 : rounds.beyond - 1 : rounds.length] = np.arange(rounds.count) * rounds.step
+            out[rounds.first - 1 : rounds.beyond - 1 : rounds.length] += rounds.begin
+        return out
+
+    def rows_of(self, source: Source, lines: Ints) -> tuple[Ints, Ints]:
+        """Return the rows of the trace that are lines (n,) of a file, in order, and which of these they are."""
+        origins = self.source.origins
+        if origins is None:
+            return lines, np.arange(len(lines))
+        number = np.full(len(source.starts) + 1, -1, dtype=np.int64)
+        number[lines] = np.arange(len(lines))
+        here = (origins.source == origins.sources.index(source)) & np.isnan(self.counted())
+        rows = np.flatnonzero(here)
+        rows = rows[number[origins.line[rows]] >= 0]
+        return rows + 1, number[origins.line[rows]]
 
     def plain_rounds(self) -> list[PlainRounds]:
         """Return all rounds that do nothing but move, in order."""

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence, Set
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from postproc.dialects.krl.course import Branch, Course, Fork, Join, Kept
 from postproc.dialects.krl.language.source import Source, comment_start
@@ -49,10 +51,10 @@ def notes_of(
     :raises ForceError: a comment cannot be read.
     """
     source = course.source
-    text = source.text
-    places, lines = _places(source)
+    lines, comments = _force_comments(course)
     if course.live is not None:
-        places, lines = places[course.live[lines - 1]], lines[course.live[lines - 1]]
+        live = course.live[lines - 1]
+        lines, comments = lines[live], comments[live]
     lost = dict(unknown)
     for step in course.steps:
         if isinstance(step, Kept):
@@ -60,13 +62,11 @@ def notes_of(
             if inside.any():
                 at = source.origin(int(lines[inside][0]))
                 lost[step.last] = f"a force comment is in code that is left unchanged ({at})"
-                places, lines = places[~inside], lines[~inside]
+                lines, comments = lines[~inside], comments[~inside]
     before, own = np.searchsorted(motions, lines).tolist(), source.own(lines).tolist()
-    stops = source.stops[lines - 1].tolist()
     parsed: dict[str, ForceNote | None] = {}
     notes = []
-    for place, stop, line, shown, row in zip(places.tolist(), stops, lines.tolist(), own, before, strict=True):
-        comment = text[place + 1 : stop]
+    for comment, line, shown, row in zip(comments.tolist(), lines.tolist(), own, before, strict=True):
         if comment not in parsed:
             origin = source.origin(line)
             parsed[comment] = parse_force_note(comment, origin.line, origin.source.document.name)
@@ -186,6 +186,21 @@ def _force_of(held: _Force) -> tuple[Any, ...]:
     return ((0.0,) * 6, "BASE") if held is None else (held, "")
 
 
+def _force_comments(course: Course) -> tuple[Ints, NDArray[np.object_]]:
+    """Return the rows of a trace with a force comment (n,), in order, and its text behind the semicolon (n,)."""
+    rows, texts = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.object_)]
+    for source in course.sources:
+        places, lines = _places(source)
+        stops = source.stops[lines - 1].tolist()
+        comments = [source.text[place + 1 : stop] for place, stop in zip(places.tolist(), stops, strict=True)]
+        row, index = course.rows_of(source, lines)
+        rows.append(row)
+        texts.append(np.array(comments, dtype=np.object_)[index])
+    row = np.concatenate(rows)
+    order = np.argsort(row, kind="stable")
+    return row[order], np.concatenate(texts)[order]
+
+
 def _places(source: Source) -> tuple[Ints, Ints]:
     """Return where force comments begin, and their lines."""
     text = source.text
@@ -210,23 +225,33 @@ _MOST = 2000
 """Of more comments than this none names an operation."""
 
 
-def remarks(source: Source, motions: Ints) -> tuple[Event, ...]:
-    """Return the comments of a file, each before the first motion (M,), by its line, that is behind it."""
+def remarks(course: Course, motions: Ints) -> tuple[Event, ...]:
+    """Return the comments of a trace, each before the first motion (M,), by its row, that is behind it."""
+    found = []
+    for source in course.sources:
+        starts, lines = _lines_of_comments(source)
+        rows, index = course.rows_of(source, lines)
+        found += [(row, source, start) for row, start in zip(rows.tolist(), starts[index].tolist(), strict=True)]
+        if len(found) > _MOST:
+            return ()
+    out = []
+    for row, source, start in sorted(found, key=itemgetter(0)):
+        comment = _COMMENT.match(source.text, start)
+        name = _FOLD.sub("", comment[0]).strip(" \t-=*") if comment else ""
+        if comment and name and not _OF_THE_EDITOR.match(comment[0].rstrip()):
+            shown = int(course.source.shown(np.array([row]))[0])
+            out.append(Event(int(np.searchsorted(motions, row)), "comment", shown, 0.0, name))
+    return tuple(out)
+
+
+def _lines_of_comments(source: Source) -> tuple[Ints, Ints]:
+    """Return where the comments begin that have a line of a file to themselves (n,), and their lines (n,)."""
     text = source.text
     starts = np.array([match.start() for match in _COMMENT.finditer(text)], dtype=np.int64)
-    lines = np.searchsorted(source.starts, starts, side="right")
+    lines = source.line_at_each(starts)
     begins = source.starts[lines - 1]
     alone = begins == starts
     behind = np.flatnonzero(~alone)
     for k, begin, start in zip(behind.tolist(), begins[behind].tolist(), starts[behind].tolist(), strict=True):
         alone[k] = text[begin] in _BLANKS and not text[begin:start].strip(_BLANKS)
-    if np.count_nonzero(alone) > _MOST:
-        return ()
-    out = []
-    for start, line in zip(starts[alone].tolist(), lines[alone].tolist(), strict=True):
-        comment = _COMMENT.match(text, start)
-        name = _FOLD.sub("", comment[0]).strip(" \t-=*") if comment else ""
-        if comment and name and not _OF_THE_EDITOR.match(comment[0].rstrip()):
-            shown = int(source.shown(np.array([line]))[0])
-            out.append(Event(int(np.searchsorted(motions, line)), "comment", shown, 0.0, name))
-    return tuple(out)
+    return starts[alone], lines[alone]

@@ -522,6 +522,8 @@ class Flow:
             self._endless(source, block, trace)
             return
         counter = _Counter(self.run, source, block.first) if block.word == "FOR" else None
+        if trace is not None:
+            self._check_comments(source, block)
         name, step = (counter.name, counter.step) if counter is not None else ("", 0)
         if counter is not None and words.isdisjoint(ENDS_LOOPS):
             self._check_rounds(source, block, counter, trace)
@@ -563,6 +565,17 @@ class Flow:
         if trace is not None and loop is not None:
             trace.end(loop, block, counter.assigned if counter is not None and ended else None)
 
+    def _check_comments(self, source: Source, block: Block) -> None:
+        """Refuse force comments behind the words that begin and end a loop: in which rounds they hold is not said.
+
+        :raises ProgramError: there is one.
+        """
+        noted = self.run.analysis.noted(source)
+        for line in (block.first, block.last):
+            if line in noted[bisect_left(noted, line) :][:1]:
+                problem = f"a force comment is on the line of {statement(source, line).word}"
+                raise Place(source, line).error(problem, "Write it on a line of its own, in the loop or behind it.")
+
     def _changes(self) -> tuple[int, int]:
         """Return how often variables, and how often frames, speeds and modes, have changed."""
         return self.run.variables.changes, len(self.run.settings.changes)
@@ -592,6 +605,7 @@ class Flow:
         run, level, at = self.run, self.run.level, Place(source, block.first)
         if trace is None or level.loops or run.forked or not run.certain or len(run.stack) > 1:
             raise inexact(at, "LOOP never ends: there is no EXIT", LOOP_ADVICE)
+        self._check_comments(source, block)
         before = run.variables.as_now()
         loop = trace.begin(block, "", 0, left=False)
         loop.endless = True
@@ -668,6 +682,9 @@ class _Counter:
         key = run.variables.key_of(here.counter)
         if key is None:
             raise _undecided(run, self.at, [here.counter])
+        if run.variables.kind(here.counter) == "REAL":
+            problem = f"motion inside FOR: its counter {self.name} is a REAL"
+            raise inexact(self.at, problem, "Count by an INT, and compute the REAL from it in the loop.")
         self.key, self.given = key, here.bounds
         run.place = self.at
         self.last, self.step = self._bounds()

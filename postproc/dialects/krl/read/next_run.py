@@ -77,12 +77,26 @@ def kept_values(main: MainRoutine) -> dict[str, str]:
     return {name: where for name, where in kept.items() if uses is None or name in changing or uses.uses(name)}
 
 
-def _elsewhere(one: Course, other: Course) -> int | None:
-    """Return the first line at which two traces differ; None if they are equal."""
-    if one.steps == other.steps and one.source.text == other.source.text:
-        return None
-    pairs = zip(one.source.text.splitlines(), other.source.text.splitlines(), strict=False)
-    return next((line for line, (a, b) in enumerate(pairs, 1) if a != b), 1)
+def _elsewhere(first: Course, second: Course) -> int | None:
+    """Return the first row at which two traces differ; None if they are equal."""
+    rows = min(len(first.source.starts), len(second.source.starts))
+    columns = [(*_places(course), course.counted()) for course in (first, second)]
+    differs = np.zeros(rows, dtype=np.bool_)
+    for one, other in zip(*columns, strict=True):
+        differs |= (one[:rows] != other[:rows]) & ~(np.isnan(one[:rows]) & np.isnan(other[:rows]))
+    if differs.any():
+        return int(np.argmax(differs)) + 1
+    return None if first.steps == second.steps and len(first.source.starts) == len(second.source.starts) else 1
+
+
+def _places(course: Course) -> tuple[Array, Array]:
+    """Return the files, as numbers, and the lines that the rows of a trace (L,) are."""
+    origins = course.source.origins
+    if origins is None:
+        count = len(course.source.starts)
+        return np.full(count, float(id(course.source))), np.arange(1.0, count + 1.0)
+    files = np.array([float(id(source)) for source in origins.sources])
+    return files[origins.source], origins.line.astype(np.float64)
 
 
 def _first_difference(one: Settings, first: OrderedMotions, other: Settings, second: OrderedMotions) -> int | None:

@@ -203,7 +203,7 @@ class _Reading(Struct, frozen=True, eq=False):
             documents,
             motions,
             *frames,
-            events=remarks(source, layout.line),
+            events=remarks(course, layout.line),
             notes=tuple(note for _, note in notes),
             still=source.shown(distinct(np.array(main.still, dtype=np.int64))),
             issues=(*issues, *loop_issues),
