@@ -58,14 +58,14 @@ def check_ends(program: Program, robot: RobotModel) -> None:
     :raises ImpossiblePathError: a target is out of reach.
     """
     cartesian = np.flatnonzero(np.isnan(program.motions.joints[:, 0]))
-    away = _away(program, cartesian, program.motions.target[cartesian], 1.0)
+    distance = _away(program, cartesian, program.motions.target[cartesian], 1.0)
     reach = _reach(robot)
-    far = float(np.nanmax(away, initial=0.0))
+    largest_distance = float(np.nanmax(distance, initial=0.0))
     message = (
-        f"out of reach: the flange would be up to {far * MM_PER_M:.0f} mm from the robot's root, and its reach is "
-        f"{reach * MM_PER_M:.0f} mm. Check units, work offset and [base], or the targets."
+        f"out of reach: the flange would be up to {largest_distance * MM_PER_M:.0f} mm from the robot's root, "
+        f"and its reach is {reach * MM_PER_M:.0f} mm. Check units, work offset and [base], or the targets."
     )
-    _check(program, cartesian, ~(away <= reach), "unreachable", message)
+    _check(program, cartesian, ~(distance <= reach), "unreachable", message)
 
 
 def check_between(program: Program, robot: RobotModel, path: Segments) -> None:
@@ -198,8 +198,8 @@ class RobotInCell(Struct, frozen=True, eq=False, dict=True):
     def tip_compliance(self, tool: Array) -> tuple[float, float]:
         """Return the approximate compliance of a tool (4, 4) at the start: per force [m/N] and per moment [m/(N·m)]."""
         force, moment = elastostatics.largest_compliance(self.robot, self.cell.start_joints, tool)
-        own = self.cell.tool_compliance.diagonal()
-        return force + float(own[:3].max()), moment + float(own[3:].max())
+        tool_compliance = self.cell.tool_compliance.diagonal()
+        return force + float(tool_compliance[:3].max()), moment + float(tool_compliance[3:].max())
 
     def compensate(self, target: Array, q_nominal: Array, tool: Array, wrench: Array) -> Compensation:
         """Find the commanded poses that put the loaded tool at its targets (n, 4, 4): `elastostatics.compensate`.
@@ -322,23 +322,23 @@ def led_by_wrist(program: Program, robot_in_cell: RobotInCell) -> Program:
     if program.by_wrist is None:
         return program
     check_ends(program, robot_in_cell.robot)
-    m, every = program.motions, np.arange(len(program.motions))
+    m, motions = program.motions, np.arange(len(program.motions))
     motion = np.flatnonzero(program.by_wrist)
     segments = toolpath.segments(program, robot_in_cell.start_flange)
     try:
-        ends = robot_in_cell.follow(program, every, np.ones(len(every)), m.target).q
+        ends = robot_in_cell.follow(program, motions, np.ones(len(motions)), m.target).q
     except UnreachableError as cause:
         raise ImpossiblePathError(unreachable(program, np.array(cause.rows))) from None
-    before = (every - 1 if program.after is None else program.after)[motion]
-    begin = np.where(before[:, None] >= 0, ends[before], robot_in_cell.cell.start_joints)
+    previous = (motions - 1 if program.after is None else program.after)[motion]
+    begin = np.where(previous[:, None] >= 0, ends[previous], robot_in_cell.cell.start_joints)
     change = (ends[motion] - begin + np.pi) % (2.0 * np.pi) - np.pi
-    far = (np.abs(change[:, 3:]) > _UNCLEAR).any(axis=1)
-    far |= np.minimum(np.abs(begin[:, 4]), np.abs(ends[motion, 4])) < _STRETCHED
+    is_unclear = (np.abs(change[:, 3:]) > _UNCLEAR).any(axis=1)
+    is_unclear |= np.minimum(np.abs(begin[:, 4]), np.abs(ends[motion, 4])) < _STRETCHED
     message = (
         "under $ORI_TYPE=#JOINT this motion begins or ends near the singular pose of the wrist, or a wrist axis turns "
         f"by more than {np.degrees(_UNCLEAR):g}°: how the controller leads A4 to A6 is not certain. {_WRIST_ADVICE}"
     )
-    _check(program, motion, far, "wrist-led", message)
+    _check(program, motion, is_unclear, "wrist-led", message)
     poses = segments.start.at(motion), m.target[motion]
     tip = np.stack([toolpath.pose_in_root(program, motion, pose)[:, :3, 3] for pose in poses], axis=1)
     base = program.bases[m.base[motion], :3, :3]

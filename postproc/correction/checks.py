@@ -85,31 +85,31 @@ def singularities(program: Program, robot: RobotModel, sample: Toolpath, q: Arra
     linear = program.motions.kind[sample.motion] != PTP
 
     def near(rows: Ints) -> tuple[Bools, ...]:
-        here = q[rows]
-        far = largest(here - q[np.maximum(rows - 1, 0)]) > _JUMP
+        angles = q[rows]
+        jumps = largest(angles - q[np.maximum(rows - 1, 0)]) > _JUMP
         return (
-            np.abs(here[:, 4]) < _WRIST,
-            np.abs(form.elbow(here)) < _ELBOW,
-            np.abs(form.reach(here)) < SHOULDER,
-            np.asarray(far),
+            np.abs(angles[:, 4]) < _WRIST,
+            np.abs(form.elbow(angles)) < _ELBOW,
+            np.abs(form.reach(angles)) < SHOULDER,
+            np.asarray(jumps),
         )
 
-    wrist, elbow, shoulder, jump = (linear & each for each in in_chunks(near, np.arange(len(q))))
+    wrist, elbow, shoulder, jump = (linear & is_near for is_near in in_chunks(near, np.arange(len(q))))
     jump &= (np.diff(sample.motion, prepend=sample.motion[:1]) <= 1) & ~(wrist | elbow | shoulder)
     if len(apart):
         jump &= ~np.isin(sample.motion, apart)
     rows, flip = np.flatnonzero(jump), np.zeros(len(q), dtype=np.bool_)
     flip[rows] = np.isin(np.argmax(np.abs(q[rows] - q[rows - 1]), axis=1), (3, 5))
     advice = f"Move the part or {_turn_the_tool(program)}."
-    flipped = "wrist singularity: A5 passes through or near 0°, A4 and A6 turn by more than 45° at once"
-    for bad, kind, what in (
+    flip_problem = "wrist singularity: A5 passes through or near 0°, A4 and A6 turn by more than 45° at once"
+    for bad, kind, problem in (
         (wrist, "wrist-singularity", "wrist singularity: A5 passes through 0°"),
         (elbow, "elbow-singularity", "elbow singularity: the arm is stretched out"),
         (shoulder, "shoulder-singularity", "shoulder singularity: the wrist is above the A1 axis"),
-        (jump & flip, "wrist-singularity", flipped),
+        (jump & flip, "wrist-singularity", flip_problem),
         (jump & ~flip, "joint-jump", "singularity: a joint turns by more than 45° on a short piece of path"),
     ):
-        yield from _first(program, sample.motion, bad, kind, f"{what}. {advice}")
+        yield from _first(program, sample.motion, bad, kind, f"{problem}. {advice}")
 
 
 def half_turns(program: Program, sample: Toolpath, turn: Array, pose: Poses) -> Iterator[Issue]:
@@ -251,8 +251,8 @@ def joint_speed(program: Program, sample: Toolpath, turn: Array, q: Array, posit
     m = program.motions
     feed = m.feed[sample.motion[1:]]
     following = np.diff(sample.motion)
-    kept = [rows[sample.motion[1:]] == rows[sample.motion[:-1]] for rows in (m.base, m.tool)]
-    same = kept[0] & kept[1] & (following <= 1) | (following == 0)
+    unchanged_frames = [rows[sample.motion[1:]] == rows[sample.motion[:-1]] for rows in (m.base, m.tool)]
+    has_same_frames = unchanged_frames[0] & unchanged_frames[1] & (following <= 1) | (following == 0)
     nominal = norm(np.diff(sample.pose[:, :3, 3], axis=0))
     travel = np.maximum(nominal, norm(np.diff(position, axis=0)))
     # a run that turns the tool more than it moves it is timed by the controller's orientation speed, not by the feed
@@ -261,7 +261,7 @@ def joint_speed(program: Program, sample: Toolpath, turn: Array, q: Array, posit
     by_turning = np.zeros(len(nominal), dtype=bool)
     by_feed = norm(rotation_vector(relative)) * np.nan_to_num(feed[turns])
     by_turning[turns] = by_feed > _ORIENTATION_SPEED * nominal[turns]
-    usable = (m.kind[sample.motion[1:]] != PTP) & same & ~by_turning & (nominal > 1e-6) & (feed > 0)
+    usable = (m.kind[sample.motion[1:]] != PTP) & has_same_frames & ~by_turning & (nominal > 1e-6) & (feed > 0)
     speed = np.abs(np.diff(q, axis=0, prepend=q[:1]))
     speed[1:] *= np.where(usable, feed / np.where(usable, travel, 1.0), 0.0)[:, None]
     return speed

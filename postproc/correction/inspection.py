@@ -109,9 +109,9 @@ def commanded_speed(path: PathUnderLoad, q: Array, position: Array) -> Array:
     m, segments = path.program.motions, path.motions.segments
     speed = np.zeros((len(path), 6))
     for part in chunks(len(path)):
-        before = slice(max(part.start - 1, 0), part.stop)
-        found = checks.joint_speed(path.program, path.sample.take(before), segments.turn, q[before], position[before])
-        speed[part] = found[part.start - before.start :]
+        rows = slice(max(part.start - 1, 0), part.stop)
+        chunk_speed = checks.joint_speed(path.program, path.sample.take(rows), segments.turn, q[rows], position[rows])
+        speed[part] = chunk_speed[part.start - rows.start :]
     travel = segments.length[0] * path.sample.t[0]
     if m.kind[0] != PTP and np.isnan(m.joints[0, 0]) and travel > 1e-6 and m.feed[0] > 0.0:
         speed[:1] = np.abs(q[:1] - path.robot_in_cell.cell.start_joints) * m.feed[0] / travel
@@ -277,27 +277,27 @@ def dense_places(
     if len(stretches.motion) == 0:
         return
     last = np.flatnonzero(sample.ends)
-    known = sample.motion + sample.t
+    sample_place = sample.motion + sample.t
     count = stretches.count
     group = np.cumsum(count) // _AT_ONCE
     for part in np.split(np.arange(len(count)), np.flatnonzero(np.diff(group)) + 1):
-        which = np.repeat(part, count[part])
+        stretch = np.repeat(part, count[part])
         index = ragged_range(count[part])
-        begin, end = stretches.begin[which], stretches.end[which]
-        motion, t = stretches.motion[which], begin + (end - begin) * (index / (count[which] - 1))
+        begin, end = stretches.begin[stretch], stretches.end[stretch]
+        motion, t = stretches.motion[stretch], begin + (end - begin) * (index / (count[stretch] - 1))
         close = toolpath.at(program, path.motions.segments, motion, t)
         flange = toolpath.flange_from_tcp(program, motion, close.pose[:], t)
         exact = kinematics.on_branch(robot, flange, joints.branch[last[motion]])
         bad = any_column(np.isnan(exact))
         if bad.any():
             raise ImpossiblePathError(unreachable(program, motion[bad]))
-        first, last_near = np.searchsorted(known, [(motion + t).min(), (motion + t).max()]).tolist()
-        near = slice(max(first - 1, 0), last_near + 1)
-        nominal, at = joints.q[near], position[near] - sample.pose[near, :3, 3]
-        values = np.column_stack([nominal, q[near] - nominal, at])
-        between = np.column_stack([np.interp(motion + t, known[near], column) for column in values.T])
-        exact += 2.0 * np.pi * np.round((between[:, :6] - exact) / (2.0 * np.pi)) + between[:, 6:12]
-        yield close, exact, close.pose[:, :3, 3] + between[:, 12:]
+        first, final = np.searchsorted(sample_place, [(motion + t).min(), (motion + t).max()]).tolist()
+        neighbours = slice(max(first - 1, 0), final + 1)
+        nominal, at = joints.q[neighbours], position[neighbours] - sample.pose[neighbours, :3, 3]
+        values = np.column_stack([nominal, q[neighbours] - nominal, at])
+        interpolated = np.column_stack([np.interp(motion + t, sample_place[neighbours], column) for column in values.T])
+        exact += 2.0 * np.pi * np.round((interpolated[:, :6] - exact) / (2.0 * np.pi)) + interpolated[:, 6:12]
+        yield close, exact, close.pose[:, :3, 3] + interpolated[:, 12:]
 
 
 def of_origin(program: Program, mode: Mode) -> list[Issue]:
@@ -358,17 +358,17 @@ def of_holder(program: Program, cell: Cell) -> list[Issue]:
         return []
     m, tip = program.motions, program.tools[:, :3, 3]
     cutting = np.flatnonzero(~m.rapid)
-    apart = norm(tip[m.tool[cutting]] - tip[m.tool[cutting[:1]]])
-    other = cutting[apart > _SAME_LENGTH]
-    if not len(other):
+    tip_distance = norm(tip[m.tool[cutting]] - tip[m.tool[cutting[:1]]])
+    other_tips = cutting[tip_distance > _SAME_LENGTH]
+    if not len(other_tips):
         return []
     message = (
         "[collision] holder is placed from the tip upwards, but the tips of the tools are "
-        f"{apart.max() * MM_PER_M:.4g} mm apart at the flange: with one of them, holder and spindle are checked that "
-        "far from where they are. Give them as meshes, which are placed from the flange, or divide the program by "
-        "tools, with a cell for each"
+        f"{tip_distance.max() * MM_PER_M:.4g} mm apart at the flange: with one of them, holder and spindle are "
+        "checked that far from where they are. Give them as meshes, which are placed from the flange, or divide "
+        "the program by tools, with a cell for each"
     )
-    return [m.issue("warning", "holder-of-tools", message, other)]
+    return [m.issue("warning", "holder-of-tools", message, other_tips)]
 
 
 _SAME_BASE = 1e-6
@@ -378,8 +378,8 @@ _SAME_BASE = 1e-6
 def of_base(program: Program, cell: Cell) -> list[Issue]:
     """Return a note if the `$BASE` of a robot program is its own, and not that of the cell."""
     m = program.motions
-    own = np.abs(program.bases - cell.base.pose()).max(axis=(1, 2)) > _SAME_BASE
-    motion = np.flatnonzero(own[m.base] & np.isnan(m.joints[:, 0]))
+    is_another = np.abs(program.bases - cell.base.pose()).max(axis=(1, 2)) > _SAME_BASE
+    motion = np.flatnonzero(is_another[m.base] & np.isnan(m.joints[:, 0]))
     if not program.keeps_text or not len(motion):
         return []
     base = (xyzabc_from_pose(program.bases[m.base[motion[0]]]).round(4) + 0.0).tolist()

@@ -59,10 +59,10 @@ def corrected(path: PathUnderLoad) -> Commands:
 
     def in_chunk(row: Ints) -> tuple[Array, Array]:
         pose, tool, wrench = path.pose_in_root(row), path.tool(row), path.wrench_in_root(row)
-        found = path.robot_in_cell.compensate(pose, path.joints.q[row], tool, wrench)
+        compensation = path.robot_in_cell.compensate(pose, path.joints.q[row], tool, wrench)
         motion, t = path.sample.motion[row], path.sample.t[row]
-        command = toolpath.pose_in_base(path.program, motion, found.pose, t)
-        q[row], theta[row] = found.q, found.theta
+        command = toolpath.pose_in_base(path.program, motion, compensation.pose, t)
+        q[row], theta[row] = compensation.q, compensation.theta
         return command[:, :3, 3], xyzabc_from_pose(command)[:, 3:]
 
     movable, unmoved = np.flatnonzero(~stays), np.flatnonzero(stays)
@@ -92,8 +92,8 @@ def uncorrected(path: PathUnderLoad, rows: Ints, theta: Array) -> tuple[Array, A
         by_wrench = () if rest_is_nominal else (tip - path.tip_in_base(row, q, np.zeros_like(wrench), guess)[0],)
         return (deviation, *by_wrench) if rigid else (deviation, *by_wrench, by_tool)
 
-    found = _balanced(path, in_chunk, rows)
-    return found[0], found[0 if rest_is_nominal else 1], None if rigid else found[-1]
+    columns = _balanced(path, in_chunk, rows)
+    return columns[0], columns[0 if rest_is_nominal else 1], None if rigid else columns[-1]
 
 
 def _balanced(path: PathUnderLoad, function: Callable[[Ints], tuple[Array, ...]], rows: Ints) -> tuple[Array, ...]:
@@ -335,9 +335,9 @@ def _loads(draft: Draft) -> tuple[Array, Array, Array]:
 def _reversals(draft: Draft) -> Reversals:
     """Return where joints change the direction of their torque on cutting moves; rows are those of the targets."""
     path = draft.path
-    found = elastostatics.reversals(path.robot_in_cell.robot, *_loads(draft))
-    cuts = ~path.program.motions.rapid[draft.chosen.targets.motion[found.row]]
-    return Reversals(found.row[cuts], found.before[cuts], found.joint[cuts], found.step[cuts])
+    points = elastostatics.reversals(path.robot_in_cell.robot, *_loads(draft))
+    cuts = ~path.program.motions.rapid[draft.chosen.targets.motion[points.row]]
+    return Reversals(points.row[cuts], points.before[cuts], points.joint[cuts], points.step[cuts])
 
 
 def _errors(
@@ -405,11 +405,11 @@ def _uncertain(path: PathUnderLoad, row: Ints) -> tuple[Array | None, Array | No
 
 def _carried(draft: Draft, back: ReadBack) -> tuple[Knots | None, tuple[Issue, ...]]:
     """Return the forces that a file gives to the written program, None with a warning if it cannot hold them."""
-    along, targets = draft.path.motions.forces, draft.chosen.targets
-    travel, _ = forces.last_travel(back.program, back.segments, along.axes.spindle)
-    axes = Axes(back.program, back.segments, along.axes.spindle, travel)
-    every = forces.of_pieces(along, targets, draft.forces_at_targets(), axes, back.row)
-    knots, differ = forces.once_a_line(every, back.text.output_line)
+    path_forces, targets = draft.path.motions.forces, draft.chosen.targets
+    travel, _ = forces.last_travel(back.program, back.segments, path_forces.axes.spindle)
+    axes = Axes(back.program, back.segments, path_forces.axes.spindle, travel)
+    piece_forces = forces.of_pieces(path_forces, targets, draft.forces_at_targets(), axes, back.row)
+    knots, differ = forces.once_a_line(piece_forces, back.text.output_line)
     if not len(differ):
         return knots, ()
     return None, (draft.path.program.motions.issue("warning", "forces-by-pass", _BY_PASS, targets.motion[differ]),)

@@ -100,15 +100,15 @@ def _other_module(path: PathUnderLoad, whole: Program, row: Ints, modules: Modul
             module = registry.by_name(dialect).read((document,), robot_in_cell.cell, robot_in_cell.forward, "module")
         except ProgramError:
             return document.name
-        own, rows = led_by_wrist(module, robot_in_cell).motions, np.arange(begin, end + 1)
-        pairs = [(getattr(own, name)[1:], getattr(m, name)[rows[1:]]) for name in fields]
+        module_motions, rows = led_by_wrist(module, robot_in_cell).motions, np.arange(begin, end + 1)
+        pairs = [(getattr(module_motions, name)[1:], getattr(m, name)[rows[1:]]) for name in fields]
         pairs += [
-            (module.bases[own.base], whole.bases[m.base[rows]]),
-            (module.tools[own.tool], whole.tools[m.tool[rows]]),
+            (module.bases[module_motions.base], whole.bases[m.base[rows]]),
+            (module.tools[module_motions.tool], whole.tools[m.tool[rows]]),
         ]
-        same = all(np.array_equal(found, wanted, equal_nan=True) for found, wanted in pairs)
-        joined = np.abs(own.target[:1] - m.target[rows[:1]]).max() <= _START
-        if not (same and joined and m.blend[begin] == 0.0):
+        is_equal = all(np.array_equal(module_column, column, equal_nan=True) for module_column, column in pairs)
+        begins_at_end = np.abs(module_motions.target[:1] - m.target[rows[:1]]).max() <= _START
+        if not (is_equal and begins_at_end and m.blend[begin] == 0.0):
             return document.name
     return None
 
@@ -117,8 +117,8 @@ def _carried_elsewhere(program: Program, targets: Targets, written: Program, row
     """Return which targets (K,) have the robot carried elsewhere than they were to have."""
     if program.carriage is None or written.carriage is None:
         return np.full(len(targets), program.carriage is not written.carriage)
-    wanted = program.carriage.at(targets.motion, targets.t)
-    return np.asarray(np.abs(written.carriage.at(row) - wanted) > _PRINTED)
+    carriage = program.carriage.at(targets.motion, targets.t)
+    return np.asarray(np.abs(written.carriage.at(row) - carriage) > _PRINTED)
 
 
 def _mismatch(program: Program, targets: Targets, written: Program, row: Ints) -> Issue | None:
@@ -127,17 +127,17 @@ def _mismatch(program: Program, targets: Targets, written: Program, row: Ints) -
     if len(row) != len(targets):
         return Issue("error", "read-back", f"the written program has {len(row)} targets instead of {len(targets)}")
 
-    def apart(target: Ints) -> tuple[Array]:
+    def pose_error(target: Ints) -> tuple[Array]:
         read, pose = m.target.take(row[target]), targets.pose.take(target)
         return (np.maximum(largest(read.position - pose.position), angle_between(read.rotation, pose.rotation)),)
 
-    wrong = (m.kind[row] != targets.kind) | (in_chunks(apart, np.arange(len(row)))[0] > _PRINTED)
-    for frames, other, used, wanted in (
+    wrong = (m.kind[row] != targets.kind) | (in_chunks(pose_error, np.arange(len(row)))[0] > _PRINTED)
+    for frames, expected_frames, frame, expected_frame in (
         (written.bases, program.bases, m.base[row], nominal.base[targets.motion]),
         (written.tools, program.tools, m.tool[row], nominal.tool[targets.motion]),
     ):
-        differ = np.abs(twist_between(frames[:, None], other[None])).max(axis=2) > _PRINTED
-        wrong |= differ[used, wanted]
+        differ = np.abs(twist_between(frames[:, None], expected_frames[None])).max(axis=2) > _PRINTED
+        wrong |= differ[frame, expected_frame]
     wrong |= np.abs(m.feed[row] - nominal.feed[targets.motion]) > _PRINTED  # of PTP it is NaN, which is not more
     wrong |= _carried_elsewhere(program, targets, written, row)
     if wrong.any():
@@ -287,10 +287,10 @@ def _deviation(
     driven = DrivenProgram(written, robot_in_cell, back.segments)
     place = path.sample.motion + path.sample.t
     deviation = np.zeros((len(chosen.targets), 3))
-    before: tuple[Array, Array] | None = None  # joint angles and position at the end of the chunk before
+    last_state: tuple[Array, Array] | None = None  # joint angles and position at the end of the chunk before
 
     def in_chunk(target: Ints, motion: Ints, t: Array, share: Array) -> tuple[Array, Bools]:
-        nonlocal before
+        nonlocal last_state
         on, sample, inner = back.row[target], chosen.row[target], share < 1.0  # the sample there, or the next one
         sample[inner] = np.searchsorted(place, motion[inner] + t[inner] - _HERE)
         nominal = toolpath.at(path.program, path.motions.segments, motion, t)
@@ -300,14 +300,14 @@ def _deviation(
             raise NotConvergedError("a commanded pose is out of reach", np.flatnonzero(np.isnan(q).any(axis=1)))
         tip = driven.loaded_tip(on, q, wrench, driven.carried(on, share), theta[sample])
         position = pose[:, :3, 3]
-        last_q, last_position = (q[:1], position[:1]) if before is None else before
+        last_q, last_position = (q[:1], position[:1]) if last_state is None else last_state
         travel = norm(np.diff(position, axis=0, prepend=last_position))
-        turned = (np.abs(np.diff(q, axis=0, prepend=last_q)) / robot_in_cell.robot.speed).max(axis=1, initial=0.0)
-        fast = (turned * np.nan_to_num(written.motions.feed[on]) > _NEAR * travel) & (travel > _STILL)
-        before = q[-1:], position[-1:]
-        off = driven.in_base(on, tip) - nominal.pose[:, :3, 3]
-        deviation[target[~inner]] = off[~inner]
-        return norm(off), fast
+        joint_time = (np.abs(np.diff(q, axis=0, prepend=last_q)) / robot_in_cell.robot.speed).max(axis=1, initial=0.0)
+        fast = (joint_time * np.nan_to_num(written.motions.feed[on]) > _NEAR * travel) & (travel > _STILL)
+        last_state = q[-1:], position[-1:]
+        error = driven.in_base(on, tip) - nominal.pose[:, :3, 3]
+        deviation[target[~inner]] = error[~inner]
+        return norm(error), fast
 
     try:
         distance, fast = in_chunks(in_chunk, probes.target, probes.motion, probes.t, probes.share)
@@ -369,8 +369,8 @@ def _unevenness(path: PathUnderLoad, chosen: Chosen, back: ReadBack, curved: Int
             - toolpath.positions(path.program, path.motions.segments, of, begin + share * (end - begin))
             for share in (0.25, 0.75)
         )
-        one, other = (norm(displaced - correction) for displaced in quarters)
-        return (np.maximum(one, other),)
+        at_quarter, at_three_quarters = (norm(displacement - correction) for displacement in quarters)
+        return (np.maximum(at_quarter, at_three_quarters),)
 
     targets = chosen.targets
     pieces = targets.motion[curved], targets.begin(curved), targets.t[curved], back.row[curved]
@@ -403,19 +403,19 @@ def _joint_speeds(path: PathUnderLoad, chosen: Chosen, back: ReadBack) -> Iterat
     """Yield the joint speeds of the written program beyond the limits, as a prediction of it finds them."""
     written, robot = back.program, path.robot_in_cell.robot
     motions = MotionsUnderLoad.of(written, path.robot_in_cell, None)
-    simulated = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False))
-    speed = inspection.commanded_speed(simulated, simulated.joints.q, simulated.sample.pose[:, :3, 3])
-    _, lines = inspection.stretches_to_examine(simulated, simulated.joints.q, speed)
-    found = list(checks.joint_speeds(written, robot, simulated.sample, speed))
-    for close, exact, there in inspection.dense_places(
-        simulated, simulated.joints.q, simulated.sample.pose[:, :3, 3], lines
+    loaded_path = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False))
+    speed = inspection.commanded_speed(loaded_path, loaded_path.joints.q, loaded_path.sample.pose[:, :3, 3])
+    _, lines = inspection.stretches_to_examine(loaded_path, loaded_path.joints.q, speed)
+    issues = list(checks.joint_speeds(written, robot, loaded_path.sample, speed))
+    for close, exact, position in inspection.dense_places(
+        loaded_path, loaded_path.joints.q, loaded_path.sample.pose[:, :3, 3], lines
     ):
-        speed = checks.joint_speed(written, close, simulated.motions.segments.turn, exact, there)
-        found += checks.joint_speeds(written, robot, close, speed)
-    seen = set()
-    for issue in found:
-        if issue.kind not in seen:
-            seen.add(issue.kind)
+        speed = checks.joint_speed(written, close, loaded_path.motions.segments.turn, exact, position)
+        issues += checks.joint_speeds(written, robot, close, speed)
+    kinds = set()
+    for issue in issues:
+        if issue.kind not in kinds:
+            kinds.add(issue.kind)
             at = int(np.argmax(written.motions.line[back.row] == issue.source_line))
             line = int(path.program.motions.line[chosen.targets.motion[at]])
             yield replace(issue, output_line=issue.source_line, source_line=line, lines=(line,))
