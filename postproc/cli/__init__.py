@@ -18,6 +18,7 @@ import click
 from postproc.cli import streams
 
 _COMMANDS = {
+    "app": "postproc.cli.app:app",
     "check": "postproc.cli.check:check",
     "compare": "postproc.cli.compare:compare",
     "convert": "postproc.cli.convert:convert",

@@ -205,9 +205,13 @@ def write_overview(folder: Path, entries: Sequence[Entry]) -> None:
 
     :raises InputError: it cannot be written.
     """
-    reports = [entry for path in sorted(folder.glob(f"*{_REPORT}")) if (entry := _entry(path)) is not None]
-    content = files.sealed(_HEAD + index_page([*entries, *reports], folder.resolve().name))
+    content = files.sealed(_HEAD + index_page([*entries, *reported(folder)], folder.resolve().name))
     files.write_whole(folder, {OVERVIEW: content})
+
+
+def reported(folder: Path) -> list[Entry]:
+    """Return the programs that were written to a folder, as their reports state."""
+    return [entry for path in sorted(folder.glob(f"*{_REPORT}")) if (entry := _entry(path)) is not None]
 
 
 def reason(outcome: Outcome) -> str:

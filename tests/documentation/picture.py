@@ -7,15 +7,18 @@ from __future__ import annotations
 
 import io
 import runpy
+import shutil
 import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Thread
 
 from click.testing import CliRunner
 from PIL import Image
 
+from postproc.app.server import Window
 from postproc.cli import main
 from tests.documentation.pages import DOCS, ROOT
 from tests.pages.browser import opened, running
@@ -203,8 +206,26 @@ def moving(folder: Path) -> None:
     )
 
 
+def app(folder: Path) -> None:
+    """Take the window: the set-up of a program, then the list with its answers."""
+    (folder / "parts").mkdir()
+    for name in ("plate.nc", "pocket.nc"):
+        shutil.copy(SAMPLES / name, folder / "parts" / name)
+    invoke("convert", folder / "parts" / "pocket.nc", "--cell", CELL, "-o", folder / "parts" / "corrected")
+    with Window(folder / "parts", 0) as window, running() as browser:
+        Thread(target=window.serve_forever, daemon=True).start()
+        page = browser.new_page(viewport={"width": 1200, "height": 900})
+        page.goto(window.access.address)
+        page.screenshot(path=PICTURES / "app-programs.png", full_page=True)
+        page.goto(f"http://127.0.0.1:{window.access.port}/setup?name=plate.nc")
+        page.screenshot(path=PICTURES / "app-setup.png", full_page=True)
+        window.shutdown()
+    for name in ("app-programs", "app-setup"):
+        reduced(PICTURES / f"{name}.png")
+
+
 ALL: dict[str, Callable[[Path], None]] = {
-    **{each.__name__: each for each in (pocket, plate, place, identification, moving)},
+    **{each.__name__: each for each in (pocket, plate, place, identification, moving, app)},
     "testpart": testpart,
     "testpart-model": testpart_model,
     **{name: gallery(name) for name in PARTS},

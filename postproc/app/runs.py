@@ -1,0 +1,125 @@
+"""Commands that run for a window: each is the command line, as a process of its own."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+
+from postproc.errors import InputError, argument
+
+MOST = 4
+"""Commands at the same time; more would only share the processors."""
+_KEPT = 200_000
+"""Characters of output that are kept."""
+
+
+def command_line(arguments: Sequence[str]) -> str:
+    """Return what to type for the same."""
+    return " ".join(["postproc", *(argument(word) for word in arguments)])
+
+
+class Run:
+    """A command that runs, or has run.
+
+    :ivar key: what it is about, such as ``"part.nc"``; one command at a time has a key.
+    :ivar code: exit code; None while it runs.
+    """
+
+    def __init__(self, number: int, key: str, title: str, arguments: Sequence[str], folder: Path) -> None:
+        self.number, self.key, self.title, self.arguments = number, key, title, tuple(arguments)
+        self.is_stopped = False
+        self._text = ""
+        self._process: subprocess.Popen[bytes] = subprocess.Popen(
+            # -P: a numpy.py in the folder is not what Python imports
+            [sys.executable, "-P", "-m", "postproc", *arguments],
+            cwd=folder,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            env={**os.environ, "PYTHONIOENCODING": "utf-8", "PYTHONUNBUFFERED": "1", "NO_COLOR": "1"},
+            creationflags=0x200 if os.name == "nt" else 0,  # a process group: Ctrl-Break reaches it alone
+            start_new_session=os.name != "nt",
+        )
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        with self._process.stdout as stream:
+            for line in stream:
+                self._text = (self._text + line.decode(errors="replace").replace("\r\n", "\n"))[-_KEPT:]
+        self._process.wait()
+
+    @property
+    def code(self) -> int | None:
+        """Return the exit code; None while it runs."""
+        return None if self._reader.is_alive() else self._process.returncode
+
+    @property
+    def text(self) -> str:
+        """Return what it has printed so far."""
+        return self._text
+
+    @property
+    def command(self) -> str:
+        """Return what to type for the same."""
+        return command_line(self.arguments)
+
+    def stop(self) -> None:
+        """Ask it to end; what it has written is whole."""
+        if self.code is None:
+            self.is_stopped = True
+            self._process.send_signal(signal.CTRL_BREAK_EVENT if os.name == "nt" else signal.SIGTERM)  # type: ignore[attr-defined,unused-ignore]
+
+    def wait(self, seconds: float | None = None) -> None:
+        """Wait until it has ended."""
+        self._reader.join(seconds)
+
+
+class Runs:
+    """The commands of a window."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._runs: list[Run] = []
+        self._lock = threading.Lock()
+
+    def begin(self, key: str, title: str, arguments: Sequence[str]) -> Run:
+        """Begin a command; if one with this key runs already, as from another window, return that one.
+
+        :raises InputError: too many run already.
+        """
+        with self._lock:
+            active = [run for run in self._runs if run.code is None]
+            for run in active:
+                if run.key == key:
+                    return run
+            if len(active) >= MOST:
+                raise InputError(f"{MOST} commands run already", advice="Wait until one has ended, or stop one.")
+            self._runs.append(Run(len(self._runs), key, title, arguments, self.folder))
+            return self._runs[-1]
+
+    def numbered(self, number: str) -> Run:
+        """Return a run.
+
+        :raises InputError: there is none of this number.
+        """
+        if not (number.isascii() and number.isdecimal() and len(number) < 10 and int(number) < len(self._runs)):
+            raise InputError("no such run", advice="The window was started anew: results are in the list of programs.")
+        return self._runs[int(number)]
+
+    def latest(self, key: str) -> Run | None:
+        """Return the latest run about something."""
+        return next((run for run in reversed(self._runs) if run.key == key), None)
+
+    def stop_all(self) -> None:
+        """Stop what runs, and wait for its end."""
+        for run in self._runs:
+            run.stop()
+        for run in self._runs:
+            run.wait(10.0)

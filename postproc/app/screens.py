@@ -1,0 +1,240 @@
+"""The pages of the window: what jobs return, as HTML in the look of the reports."""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from msgspec import Struct
+
+from postproc import actions, robot
+from postproc.app.runs import Run, command_line
+from postproc.app.workspace import RESULTS, SHOWN, Item, Workspace
+from postproc.errors import InputError
+from postproc.jobs.cell_edit import TABLES, NumberField, table_help
+from postproc.jobs.setup_form import Field, SetupForm
+from postproc.machining.material import table
+from postproc.report.answers import chance_in_words
+from postproc.report.formatting import rounded
+
+FORM_OPTIONS = tuple(option for option in actions.CONVERSION if option.label)
+"""Options of `convert` that its form has."""
+_FRAME_KEYS = ("base", "tool", "work_offset")
+_NUMBER_KEYS = ("flutes", "rpm", "clearance", "part_tolerance")
+_WORDS = {
+    "rotary_kind": ("tcp", "indexed"),
+    "radius_offsets": ("radius", "wear"),
+    "dwell_unit": ("s", "ms"),
+    "cutter": ("flat", "ball", "bull", "drill"),
+}
+_VERDICTS = {"ok": "Yes", "warning": "Look first", "no forces": "No forces", "failed": "No"}
+_KINDS = {"ok": "good", "warning": "warning", "no forces": "warning", "failed": "error"}
+
+
+class Page(Struct, frozen=True):
+    """A page and the nonce of its script."""
+
+    html: bytes
+    nonce: str
+
+
+@cache
+def _environment() -> Environment:
+    environment = Environment(
+        autoescape=True,
+        loader=PackageLoader("postproc.app"),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    root = Path(__file__).parent
+    style = root.parent / "report" / "kit" / "templates" / "style.css"
+    environment.globals["style"] = "".join(
+        path.read_text(encoding="utf-8") for path in (style, root / "templates" / "app.css")
+    )
+    environment.globals["script"] = (root / "templates" / "app.js").read_text(encoding="utf-8")
+    return environment
+
+
+def _page(name: str, **context: Any) -> Page:
+    nonce = secrets.token_urlsafe(16)
+    return Page(_environment().get_template(name).render(nonce=nonce, **context).encode(errors="replace"), nonce)
+
+
+def answers_of(item: Item) -> dict[str, Any]:
+    """Return the three answers about a program as texts: may it be run, what is gained, what is expected."""
+    content = None if item.entry is None else item.entry.content
+    if item.entry is None or content is None:
+        return {"state": "new", "run": "Not corrected yet", "kind": "soft", "headline": "", "reasons": []}
+    uncorrected, corrected = (
+        "unknown" if length is None else f"{rounded(length)} mm" for length in content.expected_mm
+    )
+    better, state = content.verdict.better, item.entry.state
+    return {
+        "state": state if item.current else "changed",
+        "run": _VERDICTS.get(state, state) if item.current else "Changed since: correct it again",
+        "kind": _KINDS.get(state, "") if item.current else "warning",
+        "headline": content.verdict.headline,
+        "reasons": content.verdict.reasons,
+        "uncorrected": uncorrected,
+        "corrected": corrected,
+        "better": "unknown" if better is None or better.chance is None else chance_in_words(better.chance),
+        "tolerance": "" if content.verdict.tolerance is None else f"{content.verdict.tolerance.mm:g} mm",
+    }
+
+
+def programs(workspace: Workspace, items: Sequence[Item], active: Sequence[str]) -> Page:
+    """Return the page of all programs.
+
+    :param active: names of programs that a command works on.
+    """
+    rows = [{"name": item.name, **answers_of(item), "active": item.name in active} for item in items]
+    return _page(
+        "programs.html",
+        here="programs",
+        title=workspace.folder.name or str(workspace.folder),
+        rows=rows,
+        open_row=next((row for row in rows if row["state"] in ("new", "changed")), None),
+        command=command_line(["watch", ".", "--cell", f"{RESULTS}/cell.toml", "--serve"]),
+        has_cell=workspace.cell.is_file(),
+    )
+
+
+def _controls(field: Field) -> dict[str, Any]:
+    """Return how a question is asked: a list, numbers, or a line of text."""
+    question, kind = field.question, field.question.key.partition(".")[0]
+    asked = {"key": question.key, "text": question.text, "fault": field.fault, "value": field.text}
+    asked["hint"] = f"for example {question.default}" if question.default and not question.optional else ""
+    asked["id"] = question.key.replace(".", "-")
+    if kind in _FRAME_KEYS:
+        words = [word.strip() for word in field.text.split(",")] if field.text else []
+        values = list(zip("XYZABC", [*words, *[""] * 6][:6], strict=True))
+        return {**asked, "kind": "frame", "values": values, "text": question.text.partition(": X,Y")[0]}
+    if kind == "cutter":
+        sizes = [*field.text.replace(",", " ").split(), "", "", ""][:3]
+        title = question.text.partition(": shape")[0]
+        return {**asked, "kind": "cutter", "values": sizes, "choices": _choices(kind), "text": title}
+    if kind in _NUMBER_KEYS:
+        return {**asked, "kind": "number"}
+    choices = _choices(kind)
+    if not choices:
+        return {**asked, "kind": "text"}
+    extra = (field.text,) if field.text and field.text not in choices else ()
+    return {**asked, "kind": "choice", "choices": (*choices, *extra)}
+
+
+def _choices(kind: str) -> tuple[str, ...]:
+    if kind == "robot":
+        return tuple(robot.shipped())
+    return tuple(table()) if kind == "material" else _WORDS.get(kind, ())
+
+
+def posted_answers(form: dict[str, str]) -> dict[str, str]:
+    """Return the texts by key of the question from the fields of a form: ``base/X`` and its like become one text."""
+    texts: dict[str, str] = {}
+    frames: dict[str, dict[str, str]] = {}
+    for name, value in form.items():
+        key, slash, part = name.partition("/")
+        if slash:
+            frames.setdefault(key, {})[part] = value.strip()
+        else:
+            texts[key] = value
+    for key, parts in frames.items():
+        if "shape" in parts:
+            corner = f",{parts.get('corner', '')}" if parts["shape"] == "bull" else ""
+            texts[key] = f"{parts['shape']},{parts.get('diameter', '')}{corner}" if parts.get("diameter") else ""
+            continue
+        values = [parts.get(axis, "") for axis in "XYZABC"]
+        has_turn = any(values[3:])
+        texts[key] = ",".join(value or "0" for value in values[: 6 if has_turn else 3]) if any(values) else ""
+    return texts
+
+
+def setup(name: str, facts: Sequence[str], refusal: str, form: SetupForm, command: str, *, checked: bool) -> Page:
+    """Return the page that asks what a program needs.
+
+    :param checked: the form came back: faults are shown.
+    """
+    groups: dict[str, list[dict[str, Any]]] = {"Robot and cell": [], "Tool, material and stock": [], "Details": []}
+    for field in form.fields:
+        kind = field.question.key.partition(".")[0]
+        cutting = kind in ("material", "cutter", "flutes", "rpm", "stock")
+        basic = kind in ("robot", "base", "tool", "part_tolerance") or not field.question.optional
+        group = "Tool, material and stock" if cutting else "Robot and cell" if basic else "Details"
+        control = _controls(field)
+        groups[group].append(control if checked else {**control, "fault": ""})
+    return _page(
+        "setup.html", here="programs", title=name, facts=facts, refusal=refusal, groups=groups, command=command
+    )
+
+
+def program(item: Item, workspace: Workspace, others: Sequence[str], run: Run | None, command: str) -> Page:
+    """Return the page of one program.
+
+    :param others: results and programs that it may be compared with.
+    :param run: the latest command about it.
+    """
+    stem = Path(item.entry.page.removesuffix(".report.html") if item.entry else item.name).stem
+    named = sorted(path.name for path in workspace.results.glob(f"{stem}*")) if item.entry else []
+    files = [name for name in named if Path(name).suffix.lower() in SHOWN and not name.endswith(".json")]
+    place = workspace.results / f"place-{Path(item.name).stem}"
+    return _page(
+        "program.html",
+        here="programs",
+        title=item.name,
+        answers=answers_of(item),
+        page=item.entry.page if item.entry else "",
+        programs=[name for name in files if Path(name).suffix.lower() in (".src", ".mod", ".dat")],
+        tables=[name for name in files if Path(name).suffix.lower() == ".csv"],
+        others=others,
+        run=run,
+        place=f"{place.name}/place.html" if (place / "place.html").is_file() else "",
+        can_take=(place / "place.toml").is_file(),
+        compared=next((name for name in files if name.endswith(".compare.report.html")), ""),
+        options=[option._asdict() for option in FORM_OPTIONS],
+        command=command,
+    )
+
+
+def running(run: Run) -> Page:
+    """Return the page of a command: what it prints, and its end."""
+    return _page("run.html", here="programs", title=run.title, run=run, code=run.code, command=run.command)
+
+
+def cell(workspace: Workspace, fields: Sequence[NumberField], fault: str, *, saved: bool) -> Page:
+    """Return the page of the cell; `fault`: why the posted numbers were not written."""
+    tables = [
+        {"name": name, "help": table_help(name), "fields": [field for field in fields if field.table == name]}
+        for name in TABLES
+    ]
+    file = f"{RESULTS}/{workspace.cell.name}"
+    return _page("cell.html", here="cell", title="Cell", tables=tables, fault=fault, saved=saved, file=file, command="")
+
+
+def robots(name: str) -> Page:
+    """Return the page of the robot models; of one, where each of its values comes from.
+
+    :raises InputError: there is no model of this name.
+    """
+    shipped = robot.shipped()
+    if name and name not in shipped:
+        raise InputError(f"no robot {name!r}", advice="Choose one of the list.")
+    rows = [(key, robot.load(folder)) for key, folder in shipped.items()] if not name else []
+    model = robot.load(shipped[name]) if name else None
+    return _page(
+        "robots.html",
+        here="robots",
+        title=model.title if model else "Robot models",
+        rows=[(key, item.title, sum(entry.assumed for entry in item.sources), len(item.sources)) for key, item in rows],
+        model=model,
+        command=command_line(["robots", *([name] if name else [])]),
+    )
+
+
+def message(title: str, text: str) -> Page:
+    """Return a page with a sentence: what is wrong, and what to do."""
+    return _page("message.html", here="", title=title, text=text, command="")

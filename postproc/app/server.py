@@ -1,0 +1,321 @@
+"""The server of the window: addresses to screens and commands, for one browser of this machine."""
+
+from __future__ import annotations
+
+import json
+import sys
+import tomllib
+from collections.abc import Callable
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qsl, quote, urlsplit
+
+from postproc.app import screens
+from postproc.app.access import Access
+from postproc.app.runs import Run, Runs, command_line
+from postproc.app.workspace import RESULTS, SHOWN, Workspace
+from postproc.errors import InputError, PostprocError
+from postproc.jobs.cell_edit import edit, fields_of
+from postproc.jobs.guided_start import is_edited, load_answers
+from postproc.jobs.program_needs import needs_of
+from postproc.jobs.setup_form import setup_form, start_arguments
+
+_LARGEST_FORM = 1 << 16
+_TIMEOUT_S = 60.0
+"""A browser that says nothing for so long is left."""
+_OF_WINDOW = (
+    "default-src 'none'; style-src 'unsafe-inline'; script-src 'nonce-{}'; img-src data:; connect-src 'self'; "
+    "frame-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
+)
+_OF_REPORT = (
+    "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval' blob:; "
+    "style-src 'unsafe-inline'; img-src data: blob:; frame-ancestors 'self'"
+)
+"""A report has the texts of programs in it: its scripts reach neither the window nor its cookie."""
+
+
+class Window(ThreadingHTTPServer):
+    """A window on a folder, on a port of 127.0.0.1.
+
+    :param port: 0 = any that is free.
+    :raises PostprocError: the port is in use, or there is no such folder.
+    """
+
+    daemon_threads = True
+    allow_reuse_address = False
+
+    def __init__(self, folder: Path, port: int) -> None:
+        if not folder.is_dir():
+            raise InputError("no such folder", file=str(folder), advice="Give the folder of your programs.")
+        self.workspace = Workspace(folder.resolve())
+        self.runs = Runs(self.workspace.folder)
+        try:
+            super().__init__(("127.0.0.1", port), _Handler)
+        except OSError as cause:
+            problem = f"port {port} of 127.0.0.1 cannot be used ({cause.strerror}). Give another --port."
+            raise PostprocError(problem) from cause
+        self.access = Access.at(self.server_address[1])
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Print a fault; a browser that hangs up is none."""
+        if not isinstance(sys.exc_info()[1], (ConnectionError, TimeoutError)):
+            super().handle_error(request, client_address)
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: Window
+    timeout = _TIMEOUT_S
+    server_version = "postproc"
+    sys_version = ""
+
+    def do_GET(self) -> None:
+        """Send a page or a result."""
+        self._answer(_PAGES, changes=False)
+
+    def do_POST(self) -> None:
+        """Change something, and lead to the page that shows it."""
+        self._answer(_CHANGES, changes=True)
+
+    def _answer(self, routes: dict[str, Callable[[_Handler], None]], *, changes: bool) -> None:
+        address = urlsplit(self.path)
+        self.query = dict(parse_qsl(address.query, keep_blank_values=True, max_num_fields=20))
+        token = self.query.pop("token", "")
+        if why := self.server.access.refusal(dict(self.headers.items()), changes=changes, token=token):
+            self.close_connection = True
+            return self._send(403, why.encode(), "text/plain; charset=utf-8")
+        if token:  # out of the address, before a page is shown that may be copied
+            return self._lead(
+                address.path if address.path in routes else "/", ("Set-Cookie", self.server.access.cookie)
+            )
+        route = routes.get(address.path)
+        if route is None:
+            return self._page(screens.message("Not found", "There is no such page. Go to the programs."), 404)
+        try:
+            return route(self)
+        except PostprocError as cause:
+            self.close_connection = True
+            return self._page(screens.message("That did not work", str(cause)), 400)
+        except (OSError, ValueError) as cause:
+            self.close_connection = True
+            return self._page(screens.message("That did not work", f"{cause}. Try again."), 500)
+
+    def form(self) -> dict[str, str]:
+        """Return the fields of a posted form.
+
+        :raises InputError: it is too large.
+        """
+        size = self._size()
+        if size > _LARGEST_FORM:
+            raise InputError("the form is too large")
+        return dict(parse_qsl(self.rfile.read(size).decode(errors="replace"), keep_blank_values=True))
+
+    def _size(self) -> int:
+        text = self.headers.get("Content-Length") or "0"
+        if not (text.isascii() and text.isdecimal()) or self.headers.get("Transfer-Encoding"):
+            raise InputError("the size of what was sent is not stated")
+        return int(text)
+
+    def _page(self, page: screens.Page, status: int = 200) -> None:
+        policy = ("Content-Security-Policy", _OF_WINDOW.format(page.nonce))
+        self._send(status, page.html, "text/html; charset=utf-8", policy)
+
+    def _lead(self, path: str, *headers: tuple[str, str]) -> None:
+        self._send(303, b"", "text/plain", ("Location", path), *headers)
+
+    def _send(self, status: int, content: bytes, kind: str, *headers: tuple[str, str]) -> None:
+        self.send_response(status)
+        for name, value in (
+            ("Content-Type", kind),
+            ("Content-Length", str(len(content))),
+            ("Cache-Control", "no-store"),
+            ("X-Content-Type-Options", "nosniff"),
+            ("Referrer-Policy", "same-origin"),
+            *headers,
+        ):
+            self.send_header(name, value)
+        self.end_headers()
+        self.wfile.write(content)
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Log nothing."""
+
+    # pages
+
+    def programs(self) -> None:
+        """Send the list of programs."""
+        items = self.server.workspace.items()
+        active = [item.name for item in items if (run := self.server.runs.latest(item.name)) and run.code is None]
+        self._page(screens.programs(self.server.workspace, items, active))
+
+    def questions(self, texts: dict[str, str] | None = None) -> None:
+        """Send the questions that a program raises; begin when all are answered.
+
+        :param texts: posted answers; None: the page is opened.
+        """
+        workspace, name = self.server.workspace, self.query.get("name", "")
+        program = workspace.program(name)
+        kept = load_answers(workspace.results / f"{program.stem}.answers.toml", program)
+        process = workspace.results / f"{program.stem}.process.toml"
+        needs = needs_of(program)
+        asking = {"cell": not is_edited(workspace.cell, kept), "process": not is_edited(process, kept)}
+        form = setup_form(needs, kept.answers if texts is None else texts, **asking)
+        arguments = start_arguments(program, form)
+        if texts is not None and form.complete and not needs.refusal:
+            return self.begin(name, f"Correct {name}", arguments)
+        cutters = [f"T{number} {cutter.text}" for number, cutter in needs.cutters.items() if cutter.text]
+        command = command_line(arguments)
+        self._page(screens.setup(name, cutters, needs.refusal, form, command, checked=texts is not None))
+        return None
+
+    def program(self) -> None:
+        """Send the page of a program."""
+        workspace, name = self.server.workspace, self.query.get("name", "")
+        workspace.program(name)
+        item = next((item for item in workspace.items() if item.name == name), None)
+        if item is None:
+            raise InputError(f"{name} is no program")
+        others = [f"{RESULTS}/{path.name}" for path in sorted(workspace.results.glob("*.src"))]
+        others += [other.name for other in workspace.items() if other.name != name]
+        command = command_line(self._with_cell("convert", name))
+        self._page(screens.program(item, workspace, others, self.server.runs.latest(name), command))
+
+    def run(self) -> None:
+        """Send the page of a command."""
+        self._page(screens.running(self.server.runs.numbered(self.query.get("number", ""))))
+
+    def run_state(self) -> None:
+        """Send what a command has printed."""
+        run = self.server.runs.numbered(self.query.get("number", ""))
+        content = {"code": run.code, "text": run.text}
+        self._send(200, json.dumps(content).encode(), "application/json")
+
+    def cell(self, fault: str = "") -> None:
+        """Send the numbers of the cell."""
+        workspace = self.server.workspace
+        if not workspace.cell.is_file():
+            text = "There is no cell yet: the set-up of the first program asks for robot, base and tool."
+            return self._page(screens.message("Cell", text))
+        fields = fields_of(workspace.stated_cell())
+        return self._page(screens.cell(workspace, fields, fault, saved="saved" in self.query), 400 if fault else 200)
+
+    def robots(self) -> None:
+        """Send the robot models."""
+        self._page(screens.robots(self.query.get("name", "")))
+
+    def result(self) -> None:
+        """Send a result: a page to look at, or a file to keep."""
+        path = self.server.workspace.result(self.query.get("name", ""))
+        kind, name = SHOWN[path.suffix.lower()], quote(path.name)
+        headers = [("Content-Security-Policy", _OF_REPORT)]
+        if path.suffix.lower() != ".html":
+            headers.append(("Content-Disposition", f"attachment; filename*=UTF-8''{name}"))
+        self._send(200, path.read_bytes(), kind, *headers)
+
+    # changes
+
+    def add(self) -> None:
+        """Add a program that was dropped."""
+        try:
+            path = self.server.workspace.add(self.query.get("name", ""), self.rfile, self._size())
+        except InputError as cause:
+            self.close_connection = True  # what was not read would be taken for the next request
+            return self._send(400, json.dumps({"fault": str(cause)}).encode(), "application/json")
+        content = {"next": f"/setup?name={quote(path.name)}"}
+        return self._send(200, json.dumps(content).encode(), "application/json")
+
+    def answers(self) -> None:
+        """Take the answers of the set-up."""
+        self.questions(screens.posted_answers(self.form()))
+
+    def convert(self) -> None:
+        """Correct a program again, by options."""
+        form = self.form()
+        arguments = self._with_cell("convert", self._named(form))
+        for option in screens.FORM_OPTIONS:
+            text = form.get(option.name, "").strip()
+            if text and option.kind == "flag":
+                arguments.append(option.flags[-1])
+            elif text:
+                arguments.append(f"{option.flags[-1]}={text}")
+        self.begin(form["name"], f"Correct {form['name']}", arguments)
+
+    def place(self) -> None:
+        """Look for the best place of the part."""
+        name = self._named(self.form())
+        folder = f"{RESULTS}/place-{Path(name).stem}"
+        self.begin(name, f"Best place for {name}", self._with_cell("place", name, output=folder))
+
+    def take_place(self) -> None:
+        """Write the base of the best place into the cell."""
+        name = self._named(self.form())
+        workspace = self.server.workspace
+        place = workspace.place(name)
+        base = tomllib.loads(place.read_text(encoding="utf-8"))["base"]
+        edit(workspace.stated_cell(), {f"base.{axis}": str(base[axis]) for axis in "XYZABC" if axis in base})
+        self.begin(name, f"Correct {name}", self._with_cell("convert", name))
+
+    def compare(self) -> None:
+        """Compare a program with another."""
+        form = self.form()
+        name, other = self._named(form), form.get("other", "")
+        if other.startswith(f"{RESULTS}/"):
+            self.server.workspace.result(other.removeprefix(f"{RESULTS}/"))
+        else:
+            self.server.workspace.program(other)
+        arguments = ["compare", name, other, "--cell", f"{RESULTS}/cell.toml", *self._forces(name), "-o", RESULTS]
+        if "--process" in arguments:
+            arguments[arguments.index("--process")] = "--forces"
+        self.begin(name, f"Compare {name}", arguments)
+
+    def stop(self) -> None:
+        """Stop a command."""
+        run = self.server.runs.numbered(self.form().get("number", ""))
+        run.stop()
+        run.wait(5.0)
+        self._lead(f"/run?number={run.number}")
+
+    def posted_cell(self) -> None:
+        """Take numbers of the cell."""
+        try:
+            edit(self.server.workspace.stated_cell(), self.form())
+        except InputError as cause:
+            return self.cell(str(cause))
+        return self._lead("/cell?saved")
+
+    def begin(self, key: str, title: str, arguments: list[str]) -> None:
+        """Begin a command, and lead to its page."""
+        run: Run = self.server.runs.begin(key, title, arguments)
+        self._lead(f"/run?number={run.number}")
+
+    def _named(self, form: dict[str, str]) -> str:
+        return self.server.workspace.program(form.get("name", "")).name
+
+    def _forces(self, name: str) -> list[str]:
+        process = self.server.workspace.process(name)
+        return [] if process is None else ["--process", f"{RESULTS}/{process.name}"]
+
+    def _with_cell(self, command: str, name: str, output: str = RESULTS) -> list[str]:
+        return [command, name, "--cell", f"{RESULTS}/cell.toml", *self._forces(name), "-o", output]
+
+
+_PAGES: dict[str, Callable[[_Handler], None]] = {
+    "/": _Handler.programs,
+    "/setup": _Handler.questions,
+    "/program": _Handler.program,
+    "/run": _Handler.run,
+    "/run.json": _Handler.run_state,
+    "/cell": _Handler.cell,
+    "/robots": _Handler.robots,
+    "/result": _Handler.result,
+}
+_CHANGES: dict[str, Callable[[_Handler], None]] = {
+    "/add": _Handler.add,
+    "/setup": _Handler.answers,
+    "/convert": _Handler.convert,
+    "/place": _Handler.place,
+    "/take-place": _Handler.take_place,
+    "/compare": _Handler.compare,
+    "/stop": _Handler.stop,
+    "/cell": _Handler.posted_cell,
+}

@@ -1,0 +1,32 @@
+const drop = document.querySelector(".drop");
+const said = document.querySelector("#said");
+async function add(files) {
+  let next = "";
+  for (const file of files) {
+    said.textContent = `${file.name} is added …`;
+    const answer = await fetch(`/add?name=${encodeURIComponent(file.name)}`, { method: "POST", body: file });
+    const content = await answer.json().catch(() => ({ fault: "The window did not answer. Start postproc app again." }));
+    if (content.fault) { said.textContent = content.fault; return; }
+    next = files.length === 1 ? content.next : "/";
+  }
+  if (next) location.assign(next);
+}
+if (drop) {
+  drop.querySelector("input").addEventListener("change", (event) => add([...event.target.files]));
+  for (const kind of ["dragover", "dragleave", "drop"])
+    document.addEventListener(kind, (event) => {
+      event.preventDefault();
+      drop.classList.toggle("over", kind === "dragover");
+      if (kind === "drop") add([...event.dataTransfer.files]);
+    });
+}
+const output = document.querySelector("pre[data-run]");
+async function follow() {
+  try {
+    const content = await (await fetch(`/run.json?number=${output.dataset.run}`)).json();
+    output.textContent = content.text || "It has printed nothing yet.";
+    if (content.code !== null) { location.reload(); return; }
+  } catch { said.textContent = "The window does not answer. Start postproc app again: what is written is whole."; return; }
+  setTimeout(follow, 700);
+}
+if (output) follow();

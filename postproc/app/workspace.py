@@ -1,0 +1,172 @@
+"""The folder of a window: its programs, their results, and files that are added. No path leads out of it."""
+
+from __future__ import annotations
+
+import os
+import re
+import tempfile
+from pathlib import Path
+from typing import Protocol
+
+from msgspec import Struct
+
+from postproc.dialects import registry
+from postproc.errors import InputError
+from postproc.jobs.runs import reported
+from postproc.report.index import Entry
+
+RESULTS = "corrected"
+LARGEST_BYTES = 256 * 2**20
+"""Size of a program that is added; CAM systems write up to 100 MB."""
+SHOWN = {
+    ".html": "text/html; charset=utf-8",
+    ".src": "text/plain; charset=utf-8",
+    ".dat": "text/plain; charset=utf-8",
+    ".mod": "text/plain; charset=utf-8",
+    ".csv": "text/csv; charset=utf-8",
+    ".json": "application/json",
+}
+"""Results that the window sends, with their types."""
+_FOREIGN = re.compile(r'[\x00-\x1f<>:"/\\|?*]|^[-.~]|[. ]$|^(con|prn|aux|nul|com\d|lpt\d)(\.|$)', re.IGNORECASE)
+"""Names that lead elsewhere, are options of a command, or devices of Windows."""
+_PIECE = 1 << 20
+
+
+class Bytes(Protocol):
+    """What is read from: a socket, a file."""
+
+    def read(self, size: int, /) -> bytes:
+        """Return that many bytes; fewer at the end."""
+        ...
+
+
+class Item(Struct, frozen=True):
+    """A program of the folder, and its results if there are any; `current`: the results are newer than the program."""
+
+    name: str
+    entry: Entry | None
+    current: bool
+
+
+class Workspace(Struct, frozen=True):
+    """A folder.
+
+    :param folder: absolute, without symbolic links.
+    """
+
+    folder: Path
+
+    @property
+    def results(self) -> Path:
+        """The folder of the results."""
+        return self.folder / RESULTS
+
+    @property
+    def cell(self) -> Path:
+        """The cell that all programs are corrected with."""
+        return self.results / "cell.toml"
+
+    def program(self, name: str) -> Path:
+        """Return the path of a program of the folder.
+
+        :raises InputError: there is none of this name in it.
+        """
+        return _inside(self.folder, name)
+
+    def result(self, name: str) -> Path:
+        """Return the path of a result, in `RESULTS` or a folder of it: ``part.report.html``, ``place/place.html``.
+
+        :raises InputError: there is none of this name in it.
+        """
+        folder, _, file = name.rpartition("/")
+        root = self.results
+        if folder and not _FOREIGN.search(folder):
+            root = root / folder
+        elif folder:
+            raise InputError(f"no result {name!r}")
+        if Path(file).suffix.lower() not in SHOWN:
+            raise InputError(f"no result {name!r}")
+        path = _inside(root, file)
+        return self._of_folder(path)
+
+    def stated_cell(self) -> Path:
+        """Return the path of the cell, which is there.
+
+        :raises InputError: it is not, or it is elsewhere.
+        """
+        return self._of_folder(_inside(self.results, self.cell.name))
+
+    def place(self, name: str) -> Path:
+        """Return the file of the best place for a program.
+
+        :raises InputError: there is none.
+        """
+        return self._of_folder(_inside(self.results / f"place-{Path(name).stem}", "place.toml"))
+
+    def _of_folder(self, path: Path) -> Path:
+        """Return a path that no link of a folder leads out of `folder`."""
+        if not path.resolve().is_relative_to(self.folder):
+            raise InputError(f"{path.name} is not in {self.folder.name}")
+        return path
+
+    def process(self, name: str) -> Path | None:
+        """Return the process file of a program; None: there is none."""
+        path = self.results / f"{Path(name).stem}.process.toml"
+        return path if path.is_file() else None
+
+    def items(self) -> list[Item]:
+        """Return the programs of the folder, sorted by name."""
+        entries = {entry.name: entry for entry in reported(self.results)} if self.results.is_dir() else {}
+        known = set(registry.extensions())
+        names = sorted(path.name for path in self.folder.iterdir() if path.suffix.lower() in known and path.is_file())
+        items = []
+        for name in names:
+            entry = entries.get(name)
+            page = None if entry is None else self.results / entry.page
+            written = 0.0 if page is None or not page.is_file() else page.stat().st_mtime
+            items.append(Item(name, entry, written >= (self.folder / name).stat().st_mtime))
+        return items
+
+    def add(self, name: str, content: Bytes, size: int) -> Path:
+        """Write a program into the folder: whole, or not at all.
+
+        :raises InputError: its name or size is refused, a file of this name is there, or it did not come whole.
+        """
+        if _FOREIGN.search(name) or len(name.encode(errors="replace")) > 200:
+            raise InputError(f"{name!r} is no name of a program", advice="Rename the file.")
+        if Path(name).suffix.lower() not in registry.extensions():
+            kinds = " ".join(sorted(registry.extensions()))
+            raise InputError(f"{name}: no known kind of program", advice=f"Known are {kinds}.")
+        if not 0 < size <= LARGEST_BYTES:
+            limit = f"{LARGEST_BYTES >> 20} MB"
+            raise InputError(f"{name} is empty or larger than {limit}", advice="Copy it into the folder instead.")
+        path = self.folder / name
+        if os.path.lexists(path):
+            advice = "Rename the new one, or replace the file in the folder."
+            raise InputError(f"{name} is in the folder already", advice=advice)
+        with tempfile.NamedTemporaryFile(dir=self.folder, prefix=".postproc-", delete=False) as file:
+            staged = Path(file.name)
+            missing = size
+            while missing and (piece := content.read(min(_PIECE, missing))):
+                file.write(piece)
+                missing -= len(piece)
+        try:
+            if missing:
+                raise InputError(f"{name} did not come whole", advice="Drop it again.")
+            if os.path.lexists(path):
+                raise InputError(f"{name} is in the folder already", advice="Another window added it.")
+            staged.replace(path)
+        finally:
+            staged.unlink(missing_ok=True)
+        return path
+
+
+def _inside(folder: Path, name: str) -> Path:
+    """Return the path of a file of a folder.
+
+    :raises InputError: the name leads elsewhere, also by a symbolic link, or there is no such file.
+    """
+    path = folder / name
+    if _FOREIGN.search(name) or not name or not path.is_file() or path.resolve().parent != folder.resolve():
+        raise InputError(f"no file {name!r} in {folder.name}")
+    return path

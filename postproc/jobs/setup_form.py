@@ -1,0 +1,62 @@
+"""The questions of `start` all at once, as a form asks them, and the command that the answers make."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from msgspec import Struct
+
+from postproc.errors import InputError
+from postproc.jobs.guided_start import Answers, Question, next_question
+from postproc.jobs.program_needs import ProgramNeeds
+
+
+class Field(Struct, frozen=True):
+    """A question, the text that answers it, and why it does not; empty: it does."""
+
+    question: Question
+    text: str
+    fault: str = ""
+
+
+class SetupForm(Struct, frozen=True):
+    """Fields in the order of the questions; `complete`: each has an answer that can be used."""
+
+    fields: tuple[Field, ...]
+
+    @property
+    def complete(self) -> bool:
+        """Return whether each question has a usable answer."""
+        return not any(field.fault for field in self.fields)
+
+
+def setup_form(needs: ProgramNeeds, texts: Mapping[str, str], *, cell: bool, process: bool) -> SetupForm:
+    """Return the questions that a program raises, with the answers that there are.
+
+    Only optional questions have their default: nobody shall run a robot by a guessed base that was clicked away.
+
+    :param texts: answers by key of the question.
+    :param cell: ask for the cell; `process`: ask for the process.
+    """
+    answers, skipped, fields = Answers(), set[str](), []
+    while question := next_question(needs, answers, skipped, cell=cell, process=process):
+        text = texts.get(question.key, question.default or "" if question.optional else "").strip()
+        fault = ""
+        try:
+            answers.put(question, text)
+        except InputError as cause:
+            skipped.add(question.key)
+            fault = str(cause) if text else "an answer is missing"
+        fields.append(Field(question, text, fault))
+    return SetupForm(tuple(fields))
+
+
+def start_arguments(program: Path, form: SetupForm) -> list[str]:
+    """Return the arguments of the `postproc start` that does the same."""
+    arguments = ["start", program.name, "--no-open"]
+    for field in form.fields:
+        flag, (_, _, suffix) = field.question.option.split()[0], field.question.key.partition(".")
+        if field.text:
+            arguments += [f"{flag}={suffix}={field.text}" if suffix not in ("", "0") else f"{flag}={field.text}"]
+    return arguments

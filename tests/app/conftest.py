@@ -1,0 +1,30 @@
+"""A window on an empty folder, and a browser."""
+
+from __future__ import annotations
+
+from threading import Thread
+
+import pytest
+
+from postproc.app.server import Window
+from tests.pages import browser as browsers
+
+
+@pytest.fixture(scope="session")
+def browser():
+    with browsers.running() as running:
+        yield running
+
+
+@pytest.fixture
+def window(tmp_path):
+    """A window that answers, on an empty folder."""
+    folder = tmp_path / "shop"
+    folder.mkdir()
+    with Window(folder, 0) as served:
+        thread = Thread(target=served.serve_forever, kwargs={"poll_interval": 0.05}, daemon=True)
+        thread.start()
+        yield served
+        served.runs.stop_all()
+        served.shutdown()
+        thread.join()
