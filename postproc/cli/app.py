@@ -13,9 +13,9 @@ import click
 @click.option("--no-open", is_flag=True, help="Print the address, and do not open a browser.")
 @click.pass_context
 def app(ctx: click.Context, /, folder: Path, port: int, no_open: bool) -> None:
-    """Open a window in the browser: add programs, correct them, look at the results.
+    """Open a window in the browser: programs and results.
 
-    FOLDER has the programs; results are in its folder corrected/. The window is for this machine only, by an address
+    Programs are added, corrected and looked at there. FOLDER has the programs; results are in its folder corrected/. The window is for this machine only, by an address
     with a secret that is new at each start. What it does it does by the commands that it shows. Ctrl-C ends it, and
     stops what runs; results that are written stay whole.
 
