@@ -41,7 +41,7 @@ class Bytes(Protocol):
 
 
 class Item(Struct, frozen=True):
-    """A program of the folder, and its results if there are any; `current`: the results are newer than the program."""
+    """A program of the folder and its results; `current`: they are newer than program, cell and process."""
 
     name: str
     entry: Entry | None
@@ -124,7 +124,9 @@ class Workspace(Struct, frozen=True):
             entry = entries.get(name)
             page = None if entry is None else self.results / entry.page
             written = 0.0 if page is None or not page.is_file() else page.stat().st_mtime
-            items.append(Item(name, entry, written >= (self.folder / name).stat().st_mtime))
+            inputs = [self.folder / name, self.cell, self.process(name)]
+            changed = max(path.stat().st_mtime for path in inputs if path is not None and path.is_file())
+            items.append(Item(name, entry, written >= changed))
         return items
 
     def add(self, name: str, content: Bytes, size: int) -> Path:

@@ -15,7 +15,7 @@ import click
 def app(ctx: click.Context, /, folder: Path, port: int, no_open: bool) -> None:
     """Open a window in the browser: programs and results.
 
-    Programs are added, corrected and looked at there. FOLDER has the programs; results are in its folder corrected/. The window is for this machine only, by an address
+    FOLDER has the programs; results are in its folder corrected/. The window is for this machine only, by an address
     with a secret that is new at each start. What it does it does by the commands that it shows. Ctrl-C ends it, and
     stops what runs; results that are written stay whole.
 

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import http.client
 import io
+import os
 import socket
 from urllib.parse import quote
 
+import msgspec
 import pytest
 
 from postproc.app.workspace import LARGEST_BYTES, Workspace
 from postproc.errors import InputError
+from postproc.report.index import Margin, Reported, ReportedVerdict
 from tests.documentation.pages import ROOT
 
 POCKET = (ROOT / "samples" / "pocket.nc").read_bytes()
@@ -148,3 +151,17 @@ def test_a_file_that_breaks_off_is_not_added(tmp_path):
 def test_other_kinds_of_files_are_not_added(window):
     for name in ("cell.toml", "numpy.py", "page.html", "part"):
         assert ask(window, "POST", f"/add?name={name}", b"x")[0] == 400
+
+
+@pytest.mark.parametrize("changed", ["part.nc", "corrected/cell.toml", "corrected/part.process.toml"])
+def test_results_of_earlier_inputs_are_not_current(window, changed):
+    workspace = window.workspace
+    workspace.results.mkdir()
+    for name in ("part.nc", "corrected/cell.toml", "corrected/part.process.toml", "corrected/part.report.html"):
+        (workspace.folder / name).write_bytes(b"x")
+        os.utime(workspace.folder / name, (1e9, 1e9))
+    content = Reported("part.nc", "convert", 1, None, 1.0, Margin(None), ReportedVerdict("ok", []))
+    (workspace.results / "part.report.json").write_bytes(msgspec.json.encode(content))
+    assert [item.current for item in workspace.items()] == [True]
+    os.utime(workspace.folder / changed, (1e9 + 1, 1e9 + 1))
+    assert [item.current for item in workspace.items()] == [False]
