@@ -267,6 +267,8 @@ def confirmed(program, files, folder, rng, *, keep=False, checked=True, lines=0)
         for document in written.documents:
             check(document.name, document.text)
     new = {Path(name).name: text for name, text in files.items()}
+    if lines:
+        del new["part.src"]  # the files take its place: it would define GLOBAL routines once more
     new |= {document.name: document.text for document in written.documents}
     again = KRL.read(written.documents, cell(folder, keep=keep), forward, Path(written.documents[0].name).stem)
     main = Path(written.documents[0].name).stem.upper()
