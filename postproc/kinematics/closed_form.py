@@ -20,7 +20,7 @@ from postproc.program import Ints
 from postproc.robot import RobotModel
 
 _TURN = 2.0 * np.pi
-_SAME = 1e-6
+_TOLERANCE = 1e-6
 _IN_LINE = 1e-6
 """A5 within this of where A4 and A6 are in line [rad] counts as on the side of A5 > 0: its sign is rounding."""
 _NO_TURN = 1e-12
@@ -77,10 +77,10 @@ class ClosedForm(Struct, frozen=True, eq=False):
 
     def branch_of(self, q: Array) -> Ints:
         """Return the branch (N,) on which joint angles (N, 6) lie; with A5 in line that of A5 > 0."""
-        behind = self.reach(q) < 0.0
-        past = self.elbow(q) >= 0.0
-        flipped = _wrapped(q[:, 4] + self.bend) < -_IN_LINE
-        return np.asarray(behind * 1 + past * 2 + flipped * 4, dtype=np.int64)
+        is_overhead = self.reach(q) < 0.0
+        is_elbow_positive = self.elbow(q) >= 0.0
+        is_wrist_negative = _wrapped(q[:, 4] + self.bend) < -_IN_LINE
+        return np.asarray(is_overhead * 1 + is_elbow_positive * 2 + is_wrist_negative * 4, dtype=np.int64)
 
     def branches(self, pose_flange_in_root: Array) -> Array:
         """Return joint angles (N, 8, 6) [rad] of all branches; NaN where one does not exist."""
@@ -89,20 +89,20 @@ class ClosedForm(Struct, frozen=True, eq=False):
 
     def solve(self, flange: Array, branch: int | Ints) -> Array:
         """Return joint angles (6, n) [rad] of flange poses (3, 4, n) [m] on branches; NaN out of reach."""
-        behind, past, flipped = (np.asarray(branch) >> bit & 1 for bit in range(3))
+        behind_bit, elbow_bit, wrist_bit = (np.asarray(branch) >> bit & 1 for bit in range(3))
         columns = [flange[:, k] for k in range(3)]
         wrist = combination(columns, self.wrist) + flange[:, 3] - self.base[:, None]
-        ahead, across, height = self.axes @ wrist
+        wrist_x, wrist_y, height = self.axes @ wrist
         a, b = self.upper_arm, self.forearm
         with np.errstate(invalid="ignore"):
-            far = (1 - 2 * behind) * np.sqrt(ahead * ahead + across * across - self.aside**2)
-            heading = np.arctan2(across * far - ahead * self.aside, ahead * far + across * self.aside)
-            far = far - self.shoulder
-            cosine = (far * far + height * height - (a * a + b * b)) / (2.0 * a * b)
-            sine = self.sign[2] * (2 * past - 1) * np.sqrt((1.0 - cosine) * (1.0 + cosine))
+            radius = (1 - 2 * behind_bit) * np.sqrt(wrist_x * wrist_x + wrist_y * wrist_y - self.aside**2)
+            heading = np.arctan2(wrist_y * radius - wrist_x * self.aside, wrist_x * radius + wrist_y * self.aside)
+            radius = radius - self.shoulder
+            cosine = (radius * radius + height * height - (a * a + b * b)) / (2.0 * a * b)
+            sine = self.sign[2] * (2 * elbow_bit - 1) * np.sqrt((1.0 - cosine) * (1.0 + cosine))
         elbow = np.arctan2(sine, cosine)
-        along, aside = a + b * cosine, b * sine
-        upper = np.arctan2(far * along - height * aside, height * along + far * aside)
+        arm_length, arm_offset = a + b * cosine, b * sine
+        upper = np.arctan2(radius * arm_length - height * arm_offset, height * arm_length + radius * arm_offset)
 
         hand = np.stack([combination(columns, column[:, None]) for column in self.hand.T], axis=1)
         x, y, z = np.tensordot(self.axes, hand, 1)
@@ -114,7 +114,7 @@ class ClosedForm(Struct, frozen=True, eq=False):
         m = np.tensordot(self.before_wrist, np.stack([x, y, z]), 1)
         side = np.sqrt(m[0, 2] * m[0, 2] + m[1, 2] * m[1, 2])
         unique = side > _NO_TURN
-        turn = (1 - 2 * flipped) / np.where(unique, side, 1.0)
+        turn = (1 - 2 * wrist_bit) / np.where(unique, side, 1.0)
         cosine, sine = np.where(unique, m[0, 2] * turn, 1.0), np.where(unique, m[1, 2] * turn, 0.0)
         return np.stack(
             [
@@ -140,34 +140,34 @@ def closed_form(robot: RobotModel) -> ClosedForm:
     axis, origin = (np.array([vector[:, 0] for vector in vectors]) for vectors in (zero.axis, zero.origin))
     flange = zero.pose[..., 0]
     up = np.array([0.0, 0.0, 1.0])
-    across = axis[1]
-    ahead = np.cross(across, up)
-    if (origin[1] - origin[0]) @ ahead < 0.0:
-        across, ahead = -across, -ahead
-    axes = np.array([ahead, across, up])
+    y_axis = axis[1]
+    x_axis = np.cross(y_axis, up)
+    if (origin[1] - origin[0]) @ x_axis < 0.0:
+        y_axis, x_axis = -y_axis, -x_axis
+    axes = np.array([x_axis, y_axis, up])
     wrist = _crossing(origin[3], axis[3], origin[4], axis[4])
     bars = np.array([origin[2] - origin[1], wrist - origin[2]]) @ axes.T
-    own = np.array([np.cross(axis[4], axis[3]), axis[4], axis[3]])
-    bend = float(np.arctan2(axis[5] @ own[0], axis[5] @ own[2]))
+    wrist_axes = np.array([np.cross(axis[4], axis[3]), axis[4], axis[3]])
+    bend = float(np.arctan2(axis[5] @ wrist_axes[0], axis[5] @ wrist_axes[2]))
     about_y = np.array([[np.cos(bend), 0, np.sin(bend)], [0, 1, 0], [-np.sin(bend), 0, np.cos(bend)]])
     form = ClosedForm(
         axes=axes,
         base=np.append(origin[0, :2], origin[1, 2]),
-        aside=float((wrist - origin[0]) @ across),
-        shoulder=float((origin[1] - origin[0]) @ ahead),
+        aside=float((wrist - origin[0]) @ y_axis),
+        shoulder=float((origin[1] - origin[0]) @ x_axis),
         upper_arm=float(np.hypot(bars[0, 0], bars[0, 2])),
         forearm=float(np.hypot(bars[1, 0], bars[1, 2])),
         tilt=np.arctan2(bars[:, 0], bars[:, 2]),
-        sign=np.sign([axis[0] @ up, axis[1] @ across, axis[2] @ across]),
+        sign=np.sign([axis[0] @ up, axis[1] @ y_axis, axis[2] @ y_axis]),
         wrist=clean(flange[:, :3].T @ (wrist - flange[:, 3])[:, None]),
-        before_wrist=clean(own @ axes.T),
-        hand=clean(flange[:, :3].T @ own.T @ about_y),
+        before_wrist=clean(wrist_axes @ axes.T),
+        hand=clean(flange[:, :3].T @ wrist_axes.T @ about_y),
         bend=bend,
     )
     q = np.sin(np.arange(120.0)).reshape(20, 6)  # spread evenly enough
     with np.errstate(divide="ignore", invalid="ignore"):
-        found = form.solve(components(tcp(chain, q, np.eye(4))[0]), form.branch_of(q)).T
-    if not np.abs(_wrapped(found - q)).max() < _SAME:
+        solution = form.solve(components(tcp(chain, q, np.eye(4))[0]), form.branch_of(q)).T
+    if not np.abs(_wrapped(solution - q)).max() < _TOLERANCE:
         raise ModelError(
             f"robot {robot.name}: not an arm with vertical A1, parallel A2 and A3 and a spherical wrist",
             advice="Only such arms (all common KUKA six-axis robots) are supported.",
@@ -178,10 +178,10 @@ def closed_form(robot: RobotModel) -> ClosedForm:
 def _crossing(p: Array, u: Array, r: Array, v: Array) -> Array:
     """Return the point of the first line (p, u) nearest to the second (r, v)."""
     normal = np.cross(u, v)
-    if normal @ normal < _SAME:
+    if normal @ normal < _TOLERANCE:
         return r
-    along: Array = p + u * (np.cross(r - p, v) @ normal) / (normal @ normal)
-    return along
+    point: Array = p + u * (np.cross(r - p, v) @ normal) / (normal @ normal)
+    return point
 
 
 def _wrapped(angle: Array) -> Array:

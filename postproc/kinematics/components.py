@@ -28,31 +28,31 @@ def components(pose: Array) -> Array:
 
 def matrices(pose: Array) -> Array:
     """Return poses (3, 4, n) as (n, 4, 4)."""
-    out = np.zeros((pose.shape[-1], 4, 4))
-    out[:, :3] = np.moveaxis(pose, -1, 0)
-    out[:, 3, 3] = 1.0
-    return out
+    matrix = np.zeros((pose.shape[-1], 4, 4))
+    matrix[:, :3] = np.moveaxis(pose, -1, 0)
+    matrix[:, 3, 3] = 1.0
+    return matrix
 
 
 def combination(columns: Sequence[Array], factors: Array) -> Array:
     """Return Σ columns[k]·factors[k] (m, n) of k columns (m, n), factors (k, n); constant 0 and 1 cost nothing."""
-    out: Array | None = None
+    total: Array | None = None
     for column, factor in zip(columns, factors, strict=True):
         constant = float(factor[0]) if len(factor) == 1 else None
         if constant == 0.0:
             continue
         term = column if constant == 1.0 else column * factor
-        out = term if out is None else out + term
-    return np.zeros((len(columns[0]), 1)) if out is None else out
+        total = term if total is None else total + term
+    return np.zeros((len(columns[0]), 1)) if total is None else total
 
 
 def product(columns: Sequence[Array], pose: Array) -> Array:
     """Return the poses frame·pose (3, 4, n); columns X, Y, Z and origin of the frame (3, n) or (3, 1) each."""
-    out = np.empty(np.broadcast_shapes(pose.shape, *(column.shape[-1:] for column in columns)))
+    result = np.empty(np.broadcast_shapes(pose.shape, *(column.shape[-1:] for column in columns)))
     for column in range(4):
-        out[:, column] = combination(columns[:3], pose[:, column])
-    out[:, 3] += columns[3]
-    return out
+        result[:, column] = combination(columns[:3], pose[:, column])
+    result[:, 3] += columns[3]
+    return result
 
 
 def cross(a: Array, b: Array, out: Array | None = None) -> Array:
@@ -65,12 +65,16 @@ def cross(a: Array, b: Array, out: Array | None = None) -> Array:
     return out
 
 
-def twist_between(one: Array, other: Array) -> Array:
+def twist_between(start: Array, end: Array) -> Array:
     """Return (6, n) as `frames.twist_between`, poses (3, 4, n)."""
-    apart = other[:, :3] - one[:, :3]
-    if not np.abs(apart).max(initial=0.0) < _SMALL_STEP:
-        return np.ascontiguousarray(frames.twist_between(matrices(one), matrices(other)).T)
-    sine = cross(one[:, 0], apart[:, 0]) + cross(one[:, 1], apart[:, 1]) + cross(one[:, 2], apart[:, 2])
+    difference = end[:, :3] - start[:, :3]
+    if not np.abs(difference).max(initial=0.0) < _SMALL_STEP:
+        return np.ascontiguousarray(frames.twist_between(matrices(start), matrices(end)).T)
+    sine = (
+        cross(start[:, 0], difference[:, 0])
+        + cross(start[:, 1], difference[:, 1])
+        + cross(start[:, 2], difference[:, 2])
+    )
     sine *= 0.5  # R₂·R₁ᵀ less its transpose is Σ x₁ × x₂ over the columns
     square = (sine * sine).sum(axis=0)
-    return np.concatenate([other[:, 3] - one[:, 3], sine * (1.0 + square * (1.0 / 6.0 + square * (3.0 / 40.0)))])
+    return np.concatenate([end[:, 3] - start[:, 3], sine * (1.0 + square * (1.0 / 6.0 + square * (3.0 / 40.0)))])

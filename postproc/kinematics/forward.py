@@ -72,28 +72,28 @@ class Posture(Struct, frozen=True, eq=False):
     def jacobian(self) -> Array:
         """Return the Jacobian (6, nv, n) of the tool: position [m] and rotation [rad] by each coordinate."""
         point = self.point
-        out = np.zeros((6, len(self.axis), point.shape[-1]))
+        columns = np.zeros((6, len(self.axis), point.shape[-1]))
         for joint, (axis, origin) in enumerate(zip(self.axis, self.origin, strict=True)):
             if self.steps[joint].turns:
-                cross(axis, point - origin, out=out[:3, joint])
-                out[3:, joint] = axis
+                cross(axis, point - origin, out=columns[:3, joint])
+                columns[3:, joint] = axis
             else:
-                out[:3, joint] = axis
-        return out
+                columns[:3, joint] = axis
+        return columns
 
     def weight(self, link: int | None = None) -> Array:
         """Return ∇U_g (nv, n): torques that hold the weights of the links, or that of one."""
-        out = np.zeros((len(self.axis), self.frame[0].shape[-1]))
+        torque = np.zeros((len(self.axis), self.frame[0].shape[-1]))
         mass, moment = 0.0, np.zeros((2, 1))
-        for joint in reversed(range(len(out))):  # what a joint carries is all behind it
+        for joint in reversed(range(len(torque))):  # what a joint carries is all behind it
             if self.steps[joint].mass and link in (None, joint):
                 mass, moment = mass + self.steps[joint].mass, moment + self.moment[joint]
             if mass and self.steps[joint].turns:
                 (x, y, _), lever = self.axis[joint], moment - mass * self.origin[joint][:2]
-                out[joint] = GRAVITY * (x * lever[1] - y * lever[0])
+                torque[joint] = GRAVITY * (x * lever[1] - y * lever[0])
             elif mass:
-                out[joint] = GRAVITY * mass * self.axis[joint][2]
-        return out
+                torque[joint] = GRAVITY * mass * self.axis[joint][2]
+        return torque
 
 
 def posture(chain: Chain, q: Array, tool: Array | None = None, *, weigh: bool = False) -> Posture:
@@ -154,30 +154,30 @@ def _steps(chain: Chain) -> tuple[Array, tuple[_Step, ...], Array]:
     """
     upright = [np.eye(3), *map(_upright, chain.axis)]
     steps: list[_Step] = []
-    back = 0.0
+    next_turn = 0.0
     for joint in reversed(range(chain.nv)):
-        before, own = upright[joint : joint + 2]
-        between = before.T @ chain.placement[joint, :3, :3] @ own
-        sine = float(np.hypot(between[0, 2], between[1, 2]))
-        a = float(np.arctan2(between[0, 2], -between[1, 2])) if sine > _ZERO else 0.0
-        rest = _about_z(-a) @ between  # Rx(b)·Rz(c)
+        parent_axes, joint_axes = upright[joint : joint + 2]
+        rotation = parent_axes.T @ chain.placement[joint, :3, :3] @ joint_axes
+        sine = float(np.hypot(rotation[0, 2], rotation[1, 2]))
+        a = float(np.arctan2(rotation[0, 2], -rotation[1, 2])) if sine > _ZERO else 0.0
+        rest = _about_z(-a) @ rotation  # Rx(b)·Rz(c)
         step = _Step(
-            offset=clean(_about_z(-a) @ (before.T @ chain.placement[joint, :3, 3]))[:, None],
+            offset=clean(_about_z(-a) @ (parent_axes.T @ chain.placement[joint, :3, 3]))[:, None],
             tilt=clean(np.array([[rest[2, 2], -rest[1, 2]], [rest[1, 2], rest[2, 2]]]))[..., None],
-            turn=float(np.arctan2(-rest[0, 1], rest[0, 0])) + back,
+            turn=float(np.arctan2(-rest[0, 1], rest[0, 0])) + next_turn,
             turns=bool(chain.turns[joint]),
             mass=float(chain.mass[joint]),
-            centre=clean(_about_z(-back) @ own.T @ chain.centre[joint])[:, None],
+            centre=clean(_about_z(-next_turn) @ joint_axes.T @ chain.centre[joint])[:, None],
         )
         steps.insert(0, step)
-        back = a
-    return clean(_about_z(back))[..., None], tuple(steps), clean(upright[-1].T @ chain.flange[:3])[..., None]
+        next_turn = a
+    return clean(_about_z(next_turn))[..., None], tuple(steps), clean(upright[-1].T @ chain.flange[:3])[..., None]
 
 
 def _upright(axis: Array) -> Array:
     """Return a rotation (3, 3) that carries Z to a unit axis (3,)."""
-    least = np.eye(3)[int(np.argmin(np.abs(axis)))]
-    x = np.cross(least, axis)
+    unit_vector = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    x = np.cross(unit_vector, axis)
     x /= np.sqrt(x @ x)
     return np.stack([x, np.cross(axis, x), axis], axis=1)
 

@@ -43,10 +43,10 @@ def gravity_stiffness(chain: Chain, q: Array) -> Array:
     """
     model = pinocchio_model(chain)
     data = model.createData()
-    out = np.empty((len(q), model.nv, model.nv))
+    stiffness = np.empty((len(q), model.nv, model.nv))
     for row, coordinates in enumerate(np.ascontiguousarray(q, dtype=float)):
-        out[row] = _pinocchio().computeGeneralizedGravityDerivatives(model, data, coordinates)
-    return out
+        stiffness[row] = _pinocchio().computeGeneralizedGravityDerivatives(model, data, coordinates)
+    return stiffness
 
 
 def require_pinocchio(robot: str) -> None:
@@ -58,14 +58,14 @@ def require_pinocchio(robot: str) -> None:
     _pinocchio(f"{robot} has masses: how their torques change is computed by")
 
 
-def _pinocchio(what: str = "this needs") -> Any:
+def _pinocchio(subject: str = "this needs") -> Any:
     """Return the module `pinocchio`."""
     try:
         return import_module("pinocchio")
     except ImportError as cause:
         raise PostprocError(
-            f"{what} Pinocchio, which is not installed. On Linux and macOS: pip install pin. Windows has no wheel of "
-            "it: conda install -c conda-forge pinocchio, or use the Windows Subsystem for Linux (WSL). All other "
+            f"{subject} Pinocchio, which is not installed. On Linux and macOS: pip install pin. Windows has no wheel "
+            "of it: conda install -c conda-forge pinocchio, or use the Windows Subsystem for Linux (WSL). All other "
             "commands work without it."
         ) from cause
 

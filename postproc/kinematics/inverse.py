@@ -23,15 +23,15 @@ from postproc.program import Bools, Ints
 from postproc.robot import RobotModel
 
 _TURN = 2.0 * np.pi
-_SAME = 1e-6
+_ANGLE_TOLERANCE = 1e-6
 _ZERO = 1e-6
 """A joint angle within this of zero [rad] is zero: its sign is rounding."""
-_NEAR = 1e-11
+_TIP_TOLERANCE = 1e-11
 """The tip is on its line within this [m]."""
 _ROUNDS = 12
 _PIECES = 8
 """Pieces of a motion at whose ends its rotation is measured."""
-_BETWEEN = 1.2
+_TRAVEL_FACTOR = 1.2
 """Factor on the rotation found so: the tool may turn to and fro within a piece."""
 
 
@@ -87,20 +87,20 @@ def follow(
     slots = _branches_along(robot, flange(jumps), start, axis_target, status)
     branch = np.repeat(slots, np.diff(jumps, prepend=0, append=len(free)))
     q = np.zeros((len(branch), 6))
-    before, wound = np.asarray(start, dtype=float), np.zeros(6)
+    start_angles, wound = np.asarray(start, dtype=float), np.zeros(6)
     unreached: list[int] = []
     for part in chunks(len(branch)):
         rows = np.arange(part.start, min(part.stop, len(branch)))
         exact = on_branch(robot, flange(rows), branch[part])
-        among = slice(*np.searchsorted(jumps, (part.start, part.stop)))
-        at, fixed = jumps[among] - part.start, by_axes[among]
-        exact[at[fixed]] = axis_target[among][fixed]
+        targets = slice(*np.searchsorted(jumps, (part.start, part.stop)))
+        at, is_axis_target = jumps[targets] - part.start, by_axes[targets]
+        exact[at[is_axis_target]] = axis_target[targets][is_axis_target]
         unreached += (part.start + np.flatnonzero(any_column(np.isnan(exact)))).tolist()
-        given = ~fixed & (turn[among] >= 0)
-        exact[at[given]] = _turned(robot, exact[at[given]], turn[among][given])
+        has_turn = ~is_axis_target & (turn[targets] >= 0)
+        exact[at[has_turn]] = _turned(robot, exact[at[has_turn]], turn[targets][has_turn])
         if len(rows) and not unreached:
-            q[part], wound = _continuous(exact, before, wound, at[fixed | given])
-            before = exact[-1]
+            q[part], wound = _continuous(exact, start_angles, wound, at[is_axis_target | has_turn])
+            start_angles = exact[-1]
     if unreached:
         raise UnreachableError(unreached)
     return JointPath(q, branch)
@@ -109,50 +109,52 @@ def follow(
 def _branches_along(robot: RobotModel, flange: Array, start: Array, axis_target: Array, status: Ints) -> Ints:
     """Return the branch before the first PTP move, and from each of them on (J + 1,)."""
     form = closed_form(robot)
-    known = np.full(len(status) + 1, -1)
-    known[0] = form.branch_of(np.asarray(start)[None])[0]
+    branch = np.full(len(status) + 1, -1)
+    branch[0] = form.branch_of(np.asarray(start)[None])[0]
     by_axes = np.isfinite(axis_target[:, 0])
-    known[1:][by_axes] = form.branch_of(axis_target[by_axes])
-    asked = np.flatnonzero(~by_axes & (status >= 0))
-    candidates = form.branches(flange[asked])
+    branch[1:][by_axes] = form.branch_of(axis_target[by_axes])
+    pose_targets = np.flatnonzero(~by_axes & (status >= 0))
+    candidates = form.branches(flange[pose_targets])
     fits = np.isfinite(candidates).all(axis=2)
-    fits &= status_of(robot, candidates.reshape(-1, 6)).reshape(-1, 8) == (status[asked] & 7)[:, None]
-    known[1 + asked] = np.where(fits.any(axis=1), fits.argmax(axis=1), -1)
-    last = np.maximum.accumulate(np.where(known >= 0, np.arange(len(known)), 0))
-    return np.asarray(known[last])
+    fits &= status_of(robot, candidates.reshape(-1, 6)).reshape(-1, 8) == (status[pose_targets] & 7)[:, None]
+    branch[1 + pose_targets] = np.where(fits.any(axis=1), fits.argmax(axis=1), -1)
+    last = np.maximum.accumulate(np.where(branch >= 0, np.arange(len(branch)), 0))
+    return np.asarray(branch[last])
 
 
-def _continuous(q: Array, before: Array, wound: Array, held: Ints) -> tuple[Array, Array]:
-    """Return angles (n, 6) with the whole turns that make them continuous; those `held` stay.
+def _continuous(q: Array, start_angles: Array, wound: Array, exact_rows: Ints) -> tuple[Array, Array]:
+    """Return angles (n, 6) with the whole turns that make them continuous; those `exact_rows` stay.
 
-    :param before: (6,) angles before the first of them, without whole turns.
+    :param start_angles: (6,) angles before the first of them, without whole turns.
     :param wound: (6,) whole turns taken off there; returned for the last of them.
     """
-    turns = np.round(np.diff(q, axis=0, prepend=before[None]) / _TURN)
+    turns = np.round(np.diff(q, axis=0, prepend=start_angles[None]) / _TURN)
     if not turns.any() and not wound.any():
         return q, wound
-    turns[held] = 0.0
+    turns[exact_rows] = 0.0
     total = wound + np.cumsum(turns, axis=0)
-    since = np.full(len(q), -1)
-    since[held] = held
-    since = np.maximum.accumulate(since)
-    taken = total - np.where(since[:, None] >= 0, total[since], 0.0)
-    return q - _TURN * taken, taken[-1]
+    exact_row = np.full(len(q), -1)
+    exact_row[exact_rows] = exact_rows
+    exact_row = np.maximum.accumulate(exact_row)
+    excess_turns = total - np.where(exact_row[:, None] >= 0, total[exact_row], 0.0)
+    return q - _TURN * excess_turns, excess_turns[-1]
 
 
 def on_branch(robot: RobotModel, pose_flange_in_root: Array, branch: Ints) -> Array:
     """Return joint angles (N, 6) of flange poses (N, 4, 4) on given branches (N,); NaN out of reach."""
-    one = len(branch) > 0 and bool((branch == branch[0]).all())
-    return closed_form(robot).solve(components(pose_flange_in_root), int(branch[0]) if one else branch).T
+    is_uniform = len(branch) > 0 and bool((branch == branch[0]).all())
+    return closed_form(robot).solve(components(pose_flange_in_root), int(branch[0]) if is_uniform else branch).T
 
 
 def _turned(robot: RobotModel, angles: Array, turn: Ints) -> Array:
     """Return angles (J, 6) with the whole turns that T (J,) asks for: inside the limits if that is possible."""
     options = angles[..., None] + _TURN * np.arange(-2, 3)
-    inside = (options >= robot.lower[:, None] - _SAME) & (options <= robot.upper[:, None] + _SAME)
+    within_limits = (options >= robot.lower[:, None] - _ANGLE_TOLERANCE) & (
+        options <= robot.upper[:, None] + _ANGLE_TOLERANCE
+    )
     negative = (turn[:, None] >> np.arange(6) & 1).astype(np.bool_)
-    signed = inside & ((options < 0.0) == negative[..., None])
-    worse = np.where(signed, 0.0, np.where(inside, 100.0, 200.0))
+    has_sign = within_limits & ((options < 0.0) == negative[..., None])
+    worse = np.where(has_sign, 0.0, np.where(within_limits, 100.0, 200.0))
     best = np.argmin(np.abs(options) + worse, axis=2)
     return np.asarray(np.take_along_axis(options, best[..., None], axis=2)[..., 0])
 
@@ -184,11 +186,11 @@ def smallest_singular_value(robot: RobotModel, q: Array, tool: Array) -> float:
     def tools(rows: slice) -> Array:
         return tool if tool.ndim == 2 else tool[rows]
 
-    some = slice(None, None, stride)
-    _, jacobian = tcp(robot.nominal, q[some], tools(some))
+    sampled_rows = slice(None, None, stride)
+    _, jacobian = tcp(robot.nominal, q[sampled_rows], tools(sampled_rows))
     squares = np.linalg.eigvalsh(jacobian @ np.swapaxes(jacobian, 1, 2))  # good enough to find the place, and faster
-    around = int(np.argmin(squares[:, 0])) * stride
-    rows = slice(max(0, around - stride), around + stride + 1)
+    centre = int(np.argmin(squares[:, 0])) * stride
+    rows = slice(max(0, centre - stride), centre + stride + 1)
     return float(singular_values(robot, q[rows], tools(rows)).min())
 
 
@@ -245,12 +247,12 @@ class ByWrist(Struct, frozen=True, eq=False):
         active = np.zeros(count, dtype=np.bool_)
         active[motion] = True
         wrist = cls(robot, motion, *joints, tip, base, tool, active, np.zeros(count))
-        turned, before = np.zeros(len(motion)), wrist.at(motion, np.zeros(len(motion)))
+        angle, start = np.zeros(len(motion)), wrist.at(motion, np.zeros(len(motion)))
         for piece in range(1, _PIECES + 1):
-            here = wrist.at(motion, np.full(len(motion), piece / _PIECES))
-            turned += angle_between(before, here)
-            before = here
-        wrist.travel[motion] = _BETWEEN * turned
+            end = wrist.at(motion, np.full(len(motion), piece / _PIECES))
+            angle += angle_between(start, end)
+            start = end
+        wrist.travel[motion] = _TRAVEL_FACTOR * angle
         return wrist
 
     def at(self, motion: Ints, t: Array) -> Array:
@@ -260,11 +262,13 @@ class ByWrist(Struct, frozen=True, eq=False):
         """
         row = np.searchsorted(self.motion, motion)
         q, pose = in_chunks(self._solved, row, t)
-        off = largest(pose[:, :3, 3] - self._tip(row, t))
+        tip_error = largest(pose[:, :3, 3] - self._tip(row, t))
         form = closed_form(self.robot)
-        missed = np.flatnonzero(~(off < _NEAR) | (form.branch_of(q) != form.branch_of(self.begin[row])))
-        if len(missed):
-            raise UnreachableError(sorted(set(motion[missed].tolist())))
+        failed_rows = np.flatnonzero(
+            ~(tip_error < _TIP_TOLERANCE) | (form.branch_of(q) != form.branch_of(self.begin[row]))
+        )
+        if len(failed_rows):
+            raise UnreachableError(sorted(set(motion[failed_rows].tolist())))
         return np.asarray(np.swapaxes(self.base[row], 1, 2) @ pose[:, :3, :3])
 
     def _tip(self, row: Ints, t: Array) -> Array:
@@ -279,12 +283,12 @@ class ByWrist(Struct, frozen=True, eq=False):
         tip, tool = self._tip(row, t).T, components(self.tool[row])
         for _ in range(_ROUNDS):
             state = posture(self.robot.nominal, q, tool)
-            missing = tip - state.point
-            if not (np.abs(missing).max(initial=0.0) > 0.1 * _NEAR):
+            tip_error = tip - state.point
+            if not (np.abs(tip_error).max(initial=0.0) > 0.1 * _TIP_TOLERANCE):
                 break
             slope = np.moveaxis(state.jacobian()[:3, :3], -1, 0)
             try:
-                q[:3] += np.linalg.solve(slope, missing.T[..., None])[..., 0].T
+                q[:3] += np.linalg.solve(slope, tip_error.T[..., None])[..., 0].T
             except np.linalg.LinAlgError:
                 break
         return q.T, matrices(posture(self.robot.nominal, q, tool).pose)
