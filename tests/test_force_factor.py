@@ -37,7 +37,7 @@ def model(by_force, variance=0.01):
 
 def bound(own, scaled):
     spread = 0.1 * np.abs(WRENCH)[:, :, None] * np.eye(6)
-    return elastostatics.position_bound(own, Q, TOOL, WRENCH, spread, scaled=np.array(scaled))
+    return elastostatics.position_bound(own, Q, TOOL, WRENCH, spread, is_proportional=np.array(scaled))
 
 
 def moved(own):

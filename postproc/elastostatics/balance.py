@@ -96,13 +96,13 @@ class Balance(Struct, frozen=True, eq=False):
     slope: Array
 
     @classmethod
-    def at(cls, robot: RobotModel, x: Array, balanced: Array, tool: Array, wrench: Array) -> Balance:
+    def at(cls, robot: RobotModel, x: Array, rest_torque: Array, tool: Array, wrench: Array) -> Balance:
         """Return the balance at coordinates x; `tool` (3, 4, n) or (3, 4, 1) in the flange frame."""
         state = kinematics.posture(robot.loaded, x, tool, weigh=robot.has_weight)
         jacobian = state.jacobian()
-        torque = np.einsum("ikn,in->kn", jacobian, wrench) - static_torque(robot, x, state) + balanced
-        springs = spring_deflection(robot, x, torque, preload(robot, balanced), load_torque(robot, x, torque))
-        return cls(robot, x, state.point, jacobian, wrench, balanced, torque, *springs)
+        torque = np.einsum("ikn,in->kn", jacobian, wrench) - static_torque(robot, x, state) + rest_torque
+        springs = spring_deflection(robot, x, torque, preload(robot, rest_torque), load_torque(robot, x, torque))
+        return cls(robot, x, state.point, jacobian, wrench, rest_torque, torque, *springs)
 
     @property
     def preload(self) -> Array:
@@ -120,12 +120,12 @@ class Balance(Struct, frozen=True, eq=False):
 
         Zero where τ is the torque of the load alone: `slope` then contains lost motion.
         """
-        out, load_part = np.zeros_like(self.x), self.load_part
+        compliance, load_part = np.zeros_like(self.x), self.load_part
         for parameter, value in () if load_part is self.torque else self.robot.terms:
             if not parameter.with_rest_torque:
                 row = self.robot.row(parameter)
-                out[row] += value * parameter.effect(load_part[row], np.zeros_like(load_part[row]))[1]
-        return out
+                compliance[row] += value * parameter.effect(load_part[row], np.zeros_like(load_part[row]))[1]
+        return compliance
 
     def spring_jacobian(self) -> Array:
         """Return J (I − C·H)⁻¹ (n, 6, nv): the tool's motion per deflection of one spring by itself.
@@ -147,22 +147,22 @@ class Balance(Struct, frozen=True, eq=False):
     def deflection_by(self, torque: Array) -> Array:
         """Return the deflections (nv, ..., n) by small torques (nv, ..., n), at first order."""
         slope = self.slope.reshape(len(self.slope), *(1,) * (torque.ndim - 2), -1)
-        out = slope * torque
+        deflection = slope * torque
         if self.robot.coupled is not None:
-            out = out + np.tensordot(self.robot.coupled, torque, axes=1)
-        return np.asarray(out)
+            deflection = deflection + np.tensordot(self.robot.coupled, torque, axes=1)
+        return np.asarray(deflection)
 
     def _static_stiffness(self, chain: Chain) -> Array:
         """Return ∂²U_g/∂x² + U_c″ (n, nv, nv)."""
         robot, x = self.robot, self.x
         if robot.has_weight:
-            out = kinematics.gravity_stiffness(chain, x.T)
+            stiffness = kinematics.gravity_stiffness(chain, x.T)
         else:  # a robot without masses needs no Pinocchio
-            out = np.zeros((x.shape[1], len(x), len(x)))
+            stiffness = np.zeros((x.shape[1], len(x), len(x)))
         if robot.compensator is not None:
             row = robot.actuated[A2]
-            out[:, row, row] += robot.compensator.stiffness_about_joint(x[row])
-        return out
+            stiffness[:, row, row] += robot.compensator.stiffness_about_joint(x[row])
+        return stiffness
 
 
 def at_rest(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Balance:
@@ -198,10 +198,10 @@ def balanced_torque(robot: RobotModel, q: Array) -> Array:
     return static_torque(robot, q) if robot.subtract_reference else np.zeros((len(q), 1))
 
 
-def preload(robot: RobotModel, balanced: Array) -> Array:
+def preload(robot: RobotModel, rest_torque: Array) -> Array:
     """Return the torque at rest (nv, n) or (nv, 1) on gears that are not linear, in addition to the load."""
     carries = bool(robot.terms) and robot.carries_weight and robot.subtract_reference
-    return -balanced if carries else np.zeros((len(balanced), 1))
+    return -rest_torque if carries else np.zeros((len(rest_torque), 1))
 
 
 def load_torque(robot: RobotModel, x: Array, torque: Array) -> Array:
@@ -236,17 +236,20 @@ def twist_by_parameter(state: Balance, spring_jacobian: Array, parameter: Parame
     robot = state.robot
     if isinstance(parameter, Spring):
         torque = state.torque if parameter.with_rest_torque else state.load_part
-        factor, out = parameter.factor(state.x[list(robot.actuated)]), np.zeros((spring_jacobian.shape[0], 6))
+        factor, twist = parameter.factor(state.x[list(robot.actuated)]), np.zeros((spring_jacobian.shape[0], 6))
         for row, by in robot.pairs(parameter):
             effect = factor * parameter.effect(torque[by], state.preload[by])[0]
-            out += spring_jacobian[:, :, row] * effect[:, None]
-        return out
-    there = static_torque_by_parameter(robot, parameter, state.x)
+            twist += spring_jacobian[:, :, row] * effect[:, None]
+        return twist
+    loaded_torque = static_torque_by_parameter(robot, parameter, state.x)
     if robot.subtract_reference:
-        here = static_torque_by_parameter(robot, parameter, q)  # the preload changes too
-        shift = -state.deflection_by(there - here) - compliance_by_preload(robot, state.torque, state.preload) * here
+        unloaded_torque = static_torque_by_parameter(robot, parameter, q)  # the preload changes too
+        shift = (
+            -state.deflection_by(loaded_torque - unloaded_torque)
+            - compliance_by_preload(robot, state.torque, state.preload) * unloaded_torque
+        )
     else:
-        shift = state.lost_motion_compliance * there - state.deflection_by(there)
+        shift = state.lost_motion_compliance * loaded_torque - state.deflection_by(loaded_torque)
     return np.asarray(np.einsum("nik,kn->ni", spring_jacobian, shift))
 
 
@@ -260,9 +263,9 @@ def static_torque_by_parameter(robot: RobotModel, parameter: Parameter, x: Array
         return kinematics.posture(robot.a_kilogram_each, x, weigh=True).weight(row)
     if not isinstance(parameter, CompensatorTorque) or robot.compensator is None:
         raise ModelError(f"{parameter.name} is no parameter of {robot.name}")
-    out = np.zeros_like(x)
-    out[row] = parameter.effect(robot.compensator, x[row])[0]
-    return out
+    slope = np.zeros_like(x)
+    slope[row] = parameter.effect(robot.compensator, x[row])[0]
+    return slope
 
 
 def compliance_by_preload(robot: RobotModel, torque: Array, preload: Array) -> Array:
@@ -270,12 +273,12 @@ def compliance_by_preload(robot: RobotModel, torque: Array, preload: Array) -> A
 
     It is zero for linear springs, and where the preload does not reach the gears.
     """
-    out = np.zeros_like(torque)
+    change = np.zeros_like(torque)
     if not robot.carries_weight and robot.subtract_reference:
-        return out
+        return change
     for parameter, value in robot.terms:
         if parameter.with_rest_torque:
             row, rest = robot.row(parameter), preload[robot.row(parameter)]
             slopes = [parameter.effect(on, rest)[1] for on in (torque[row], np.zeros_like(torque[row]))]
-            out[row] += value * (slopes[0] - slopes[1])
-    return out
+            change[row] += value * (slopes[0] - slopes[1])
+    return change

@@ -84,8 +84,8 @@ def largest_compliance(robot: RobotModel, q: Array, tool: Array) -> tuple[float,
     """
     x0 = elastic_coordinates(robot, np.tile(q, (7, 1)).T)
     _, tip = solve_equilibrium(robot, x0, kinematics.components(tool), np.eye(6, 7))
-    moved = norm(tip.T[:6] - tip.T[6])
-    return float(moved[:3].max()), float(moved[3:].max())
+    displacement = norm(tip.T[:6] - tip.T[6])
+    return float(displacement[:3].max()), float(displacement[3:].max())
 
 
 def deflect(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Deflection:
@@ -121,13 +121,13 @@ def deflection_by_parameter(
 
     :raises ModelError: the robot does not have one of the parameters.
     """
-    found, x0, wrench = deflect(robot, q, tool, wrench), elastic_coordinates(robot, q.T), wrench.T
-    state = Balance.at(robot, x0 + found.theta.T, balanced_torque(robot, x0), kinematics.components(tool), wrench)
+    deflection, x0, wrench = deflect(robot, q, tool, wrench), elastic_coordinates(robot, q.T), wrench.T
+    state = Balance.at(robot, x0 + deflection.theta.T, balanced_torque(robot, x0), kinematics.components(tool), wrench)
     jacobian = state.spring_jacobian()
     twist = np.empty((len(q), 6, len(parameters)))
     for column, parameter in enumerate(parameters):
         twist[:, :, column] = twist_by_parameter(state, jacobian, parameter, x0)
-    return found, twist
+    return deflection, twist
 
 
 def solve_equilibrium(
@@ -141,22 +141,22 @@ def solve_equilibrium(
     :param guess: (nv, n) start for θ, e.g. the solution of a neighbouring state.
     :returns: (nv, n) deflections of the springs [rad, m]; (3, n) position of the loaded tool [m].
     """
-    balanced, wrench = balanced_torque(robot, x0), np.ascontiguousarray(wrench)
+    rest_torque, wrench = balanced_torque(robot, x0), np.ascontiguousarray(wrench)
     theta = np.zeros_like(x0) if guess is None else np.ascontiguousarray(guess)
     previous = np.full(x0.shape[1], np.nan)
     for _ in range(_MAX_ITERATIONS):
-        state = Balance.at(robot, x0 + theta, balanced, tool, wrench)
+        state = Balance.at(robot, x0 + theta, rest_torque, tool, wrench)
         step = state.theta - theta
         step[robot.actuated[A2]] /= compensator_factor(robot, state.x, state.slope)
         theta = theta + step
-        moved = np.einsum("ikn,kn->in", state.jacobian, step)
-        size = _largest(moved[:3]) + _largest(moved[3:])
-        more = _unfinished(size, previous, _POSITION_TOLERANCE)
-        if not more.any():
+        tool_step = np.einsum("ikn,kn->in", state.jacobian, step)
+        size = _largest(tool_step[:3]) + _largest(tool_step[3:])
+        is_moving = _unfinished(size, previous, _POSITION_TOLERANCE)
+        if not is_moving.any():
             _check_size(theta)
-            return theta, state.point + moved[:3]
+            return theta, state.point + tool_step[:3]
         previous = size
-    raise NotConvergedError("equilibrium not found", np.flatnonzero(more))
+    raise NotConvergedError("equilibrium not found", np.flatnonzero(is_moving))
 
 
 def springs_at_target(robot: RobotModel, x: Array, load: Array, weights: Array) -> Array:
@@ -170,24 +170,26 @@ def springs_at_target(robot: RobotModel, x: Array, load: Array, weights: Array) 
     :raises NotConvergedError: no reference state found, or the load is too large for the springs.
     """
     # the first reference is x itself: without payload its static torque is known already
-    balanced = weights if robot.subtract_reference and robot.loaded is robot.actual else balanced_torque(robot, x)
+    rest_torque = weights if robot.subtract_reference and robot.loaded is robot.actual else balanced_torque(robot, x)
     theta = np.zeros_like(x)
     previous = np.full(x.shape[1], np.nan)
     for _ in range(_MAX_ITERATIONS):
-        torque = load - weights + balanced
-        found, slope = spring_deflection(robot, x, torque, preload(robot, balanced), load_torque(robot, x, torque))
-        step = found - theta
+        torque = load - weights + rest_torque
+        deflection, slope = spring_deflection(
+            robot, x, torque, preload(robot, rest_torque), load_torque(robot, x, torque)
+        )
+        step = deflection - theta
         if robot.subtract_reference:
             step[robot.actuated[A2]] /= compensator_factor(robot, x, slope)
         theta = theta + step
         size = _largest(step)
-        more = _unfinished(size, previous, _SPRING_TOLERANCE) & robot.subtract_reference
-        if not more.any():
+        is_moving = _unfinished(size, previous, _SPRING_TOLERANCE) & robot.subtract_reference
+        if not is_moving.any():
             _check_size(theta)
             return theta
         previous = size
-        balanced = balanced_torque(robot, x - theta)
-    raise NotConvergedError("equilibrium not found", np.flatnonzero(more))
+        rest_torque = balanced_torque(robot, x - theta)
+    raise NotConvergedError("equilibrium not found", np.flatnonzero(is_moving))
 
 
 def _largest(values: Array) -> Array:
@@ -274,20 +276,20 @@ def compensate(robot: RobotModel, target: Array, q_nominal: Array, tool: Array, 
     theta = np.zeros_like(x)
     for _ in range(_MOST_STEPS):
         state = kinematics.posture(robot.loaded, x, tools, weigh=robot.has_weight)
-        jacobian, missed = state.jacobian(), kinematics.twist_between(state.pose, goal)
-        left = np.abs(missed)
+        jacobian, missing_twist = state.jacobian(), kinematics.twist_between(state.pose, goal)
+        left = np.abs(missing_twist)
         # without link springs the deflection matters at the target only
         if len(passive) or not _beyond(left).any():
             load = np.einsum("ikn,in->kn", jacobian, wrench)
             theta = springs_at_target(robot, x, load, static_torque(robot, x, state))
-            between = np.einsum("ikn,kn->in", jacobian[:, passive], (theta - x)[passive])
-            left, missed = left + np.abs(between), missed - between
+            link_twist = np.einsum("ikn,kn->in", jacobian[:, passive], (theta - x)[passive])
+            left, missing_twist = left + np.abs(link_twist), missing_twist - link_twist
         rows = np.flatnonzero(_beyond(left))
         if len(rows) == 0:
             q = joint_angles(robot, x - theta)
             pose = kinematics.posture(robot.nominal, q, tools).pose
             return Compensation(q.T, kinematics.matrices(pose), theta.T)
-        step = _newton(jacobian[:, joints][..., rows], missed[:, rows])
+        step = _newton(jacobian[:, joints][..., rows], missing_twist[:, rows])
         x[np.ix_(joints, rows)] += np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
         x[np.ix_(passive, rows)] = theta[np.ix_(passive, rows)]
     raise NotConvergedError("no loaded equilibrium at the target: pose singular or load too large", rows.tolist())
@@ -302,6 +304,6 @@ def _newton(jacobian: Array, twist: Array) -> Array:
     """Return the step (6, n) of the joints that moves the tool by a twist (6, n); not finite where it is singular."""
     square = np.moveaxis(jacobian, -1, 0)
     good = np.linalg.det(square) != 0.0
-    out = np.full(twist.shape, np.nan)
-    out[:, good] = np.linalg.solve(square[good], twist.T[good, :, None])[..., 0].T
-    return out
+    step = np.full(twist.shape, np.nan)
+    step[:, good] = np.linalg.solve(square[good], twist.T[good, :, None])[..., 0].T
+    return step

@@ -61,12 +61,12 @@ def expected_at(errors: SourcesOfError, deviation: Array, left: Array) -> Expect
 
     :param deviation: (n, 3) from nominal if nothing is corrected, root axes [m]; `left` (n, 3) with correction.
     """
-    every = errors.covariances()
+    covariances = errors.covariances()
     return ExpectedAt(
-        bound=largest_length(every),
-        before=largest_length(every, deviation),
-        after=largest_length(every, left),
-        robot_known=largest_length([each @ np.swapaxes(each, 1, 2) for each in errors.by_forces], left),
+        bound=largest_length(covariances),
+        before=largest_length(covariances, deviation),
+        after=largest_length(covariances, left),
+        robot_known=largest_length([factor @ np.swapaxes(factor, 1, 2) for factor in errors.by_forces], left),
         forces_known=largest_length([errors.by_robot], left),
     )
 
@@ -92,12 +92,12 @@ class ChanceOfGain:
         change = deviation - left
         self._gain += 0.5 * float(np.sum(deviation**2) - np.sum(left**2))
         by_parameter = np.einsum("ni,nip->p", change, errors.slopes[counts])
-        by_forces = [np.einsum("ni,nik->k", change, each[counts]) for each in errors.by_forces]
+        by_forces = [np.einsum("ni,nik->k", change, factor[counts]) for factor in errors.by_forces]
         if self._by_parameter is None:
             self._by_parameter, self._by_forces = np.zeros_like(by_parameter), [np.zeros_like(b) for b in by_forces]
         self._covariance = errors.covariance
         self._by_parameter = self._by_parameter + by_parameter
-        self._by_forces = [total + more for total, more in zip(self._by_forces, by_forces, strict=True)]
+        self._by_forces = [total + addend for total, addend in zip(self._by_forces, by_forces, strict=True)]
         for name, sigma in _along(errors.other, change, counts).items():
             self._other[name] = self._other.get(name, 0.0) + sigma
 
@@ -107,7 +107,7 @@ class ChanceOfGain:
         if self._gain == 0.0 or self._by_parameter is None:
             return None
         variance = float(self._by_parameter @ self._covariance @ self._by_parameter)
-        variance += max(float(np.sum(each**2)) for each in self._by_forces)
+        variance += max(float(np.sum(share**2)) for share in self._by_forces)
         variance += sum(sigma**2 for sigma in self._other.values())
         if variance <= 0.0:
             return float(self._gain > 0.0)
@@ -116,5 +116,7 @@ class ChanceOfGain:
 
 def _along(covariances: Mapping[str, Array], change: Array, counts: Bools) -> dict[str, float]:
     """Return the sums over targets of the standard deviations of errors along the corrections (n, 3), by source."""
-    squares = {name: np.einsum("ni,nij,nj->n", change, each[counts], change) for name, each in covariances.items()}
+    squares = {
+        name: np.einsum("ni,nij,nj->n", change, covariance[counts], change) for name, covariance in covariances.items()
+    }
     return {name: float(np.sum(np.sqrt(np.maximum(square, 0.0)))) for name, square in squares.items()}

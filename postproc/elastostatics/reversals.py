@@ -50,23 +50,27 @@ def reversals(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Revers
     """
     terms = _flanks(robot)
 
-    known = [robot.actuated.index(robot.row(parameter)) for parameter, _ in terms]
-    others = [joint for joint in range(6) if joint not in known]
+    modelled_joints = [robot.actuated.index(robot.row(parameter)) for parameter, _ in terms]
+    other_joints = [joint for joint in range(6) if joint not in modelled_joints]
 
     def torques(q: Array, tool: Array, wrench: Array) -> tuple[Array]:
         state = at_rest(robot, q, tool, wrench)
-        total = np.broadcast_to(state.torque - state.balanced, state.torque.shape)[[robot.actuated[j] for j in others]]
+        total = np.broadcast_to(state.torque - state.balanced, state.torque.shape)[
+            [robot.actuated[j] for j in other_joints]
+        ]
         return (np.stack([*total, *(_moving_torque(state, parameter) for parameter, _ in terms)], axis=1),)
 
     tools = np.broadcast_to(tool, (len(q), 4, 4))
     torque = in_chunks(torques, q, tools, wrench)[0]
-    rows, before, joints, steps = [], [], [], []
-    signals = [(joint, 0.0, _NO_TORQUE) for joint in others]
-    signals += [(joint, value, parameter.torque) for joint, (parameter, value) in zip(known, terms, strict=True)]
-    for own, (joint, value, least) in zip(torque.T, signals, strict=True):
-        first, second = _changes(own, max(least, _NO_DIRECTION * float(np.abs(own).max(initial=0.0))))
+    rows, earlier_rows, joints, steps = [], [], [], []
+    signals = [(joint, 0.0, _NO_TORQUE) for joint in other_joints]
+    signals += [
+        (joint, value, parameter.torque) for joint, (parameter, value) in zip(modelled_joints, terms, strict=True)
+    ]
+    for signal, (joint, value, threshold) in zip(torque.T, signals, strict=True):
+        first, second = _changes(signal, max(threshold, _NO_DIRECTION * float(np.abs(signal).max(initial=0.0))))
         rows.append(second)
-        before.append(first)
+        earlier_rows.append(first)
         joints.append(np.full(len(second), joint))
         steps.append(np.zeros(len(second)))
         if value > 0.0:
@@ -74,7 +78,7 @@ def reversals(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Revers
             steps[-1] = 2.0 * value * norm(np.moveaxis(state.jacobian[:3, robot.actuated[joint]], 0, -1))
     row = np.concatenate(rows)
     order = np.argsort(row, kind="stable")
-    return Reversals(row[order], *(np.concatenate(column)[order] for column in (before, joints, steps)))
+    return Reversals(row[order], *(np.concatenate(column)[order] for column in (earlier_rows, joints, steps)))
 
 
 def flank_covariance(robot: RobotModel, q: Array, tool: Array, wrench: Array, turning: Bools) -> Array:
@@ -82,18 +86,18 @@ def flank_covariance(robot: RobotModel, q: Array, tool: Array, wrench: Array, tu
 
     :param turning: (n, 6) the gear changes its flank next to this place: it may be on either.
     """
-    out = np.zeros((len(q), 3, 3))
+    covariance = np.zeros((len(q), 3, 3))
     terms = _flanks(robot)
     if not terms:
-        return out
+        return covariance
     state = at_rest(robot, q, tool, wrench)
     for parameter, value in terms:
         row = robot.row(parameter)
         share = 1.0 - np.tanh(_moving_torque(state, parameter) / parameter.torque) ** 2
         share[turning[:, robot.actuated.index(row)]] = 1.0
         lever = state.jacobian[:3, row]
-        out += np.einsum("n,in,jn->nij", value**2 * share, lever, lever)
-    return out
+        covariance += np.einsum("n,in,jn->nij", value**2 * share, lever, lever)
+    return covariance
 
 
 def _flanks(robot: RobotModel) -> list[tuple[Backlash, float]]:
@@ -108,8 +112,8 @@ def _moving_torque(state: Balance, parameter: Backlash) -> Array:
     return np.asarray(state.torque[row] + np.broadcast_to(state.preload, state.torque.shape)[row])
 
 
-def _changes(torque: Array, least: float) -> tuple[Ints, Ints]:
-    """Return the places before and after each change of sign of a torque (N,), without those below `least`."""
-    places = np.flatnonzero(np.abs(torque) > least)
-    changed = np.flatnonzero(np.diff(np.sign(torque[places])) != 0.0)
-    return places[changed], places[changed + 1]
+def _changes(torque: Array, threshold: float) -> tuple[Ints, Ints]:
+    """Return the places before and after each change of sign of a torque (N,), without those below `threshold`."""
+    places = np.flatnonzero(np.abs(torque) > threshold)
+    sign_changes = np.flatnonzero(np.diff(np.sign(torque[places])) != 0.0)
+    return places[sign_changes], places[sign_changes + 1]

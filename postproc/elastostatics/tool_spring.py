@@ -39,23 +39,23 @@ class ToolSpring(Struct, frozen=True, eq=False):
 
     def matrices(self, orientation: Array) -> Array:
         """Return the compliance (n, 6, 6) of tool frames with orientations (n, 3, 3), in the axes of these."""
-        out = np.zeros((len(orientation), 6, 6))
+        compliance = np.zeros((len(orientation), 6, 6))
         for half in (slice(0, 3), slice(3, 6)):
-            out[:, half, half] = (orientation * self.compliance[half]) @ np.swapaxes(orientation, 1, 2)
-        return out
+            compliance[:, half, half] = (orientation * self.compliance[half]) @ np.swapaxes(orientation, 1, 2)
+        return compliance
 
     def arm_target(self, target: Array, wrench: Array) -> tuple[Array, Array]:
         """Return the tool frame (n, 4, 4) that the arm must hold so that the tip is at its target, and its wrench.
 
         :param target: (n, 4, 4) of the loaded tip [m], and `wrench` (n, 6) on it, in the same axes.
         """
-        held = target.copy()
+        arm_pose = target.copy()
         for _ in range(_ROUNDS):
-            twist = self.deflection(held[:, :3, :3], wrench)
-            held[:, :3, :3] = rotation_from_vector(-twist[:, 3:]) @ target[:, :3, :3]
-        moved = self.deflection(held[:, :3, :3], wrench)[:, :3]
-        held[:, :3, 3] = target[:, :3, 3] - moved
-        return held, about_arm(wrench, moved)
+            twist = self.deflection(arm_pose[:, :3, :3], wrench)
+            arm_pose[:, :3, :3] = rotation_from_vector(-twist[:, 3:]) @ target[:, :3, :3]
+        tip_shift = self.deflection(arm_pose[:, :3, :3], wrench)[:, :3]
+        arm_pose[:, :3, 3] = target[:, :3, 3] - tip_shift
+        return arm_pose, about_arm(wrench, tip_shift)
 
     def loaded_tip(
         self, robot: RobotModel, q: Array, tool: Array, wrench: Array, guess: Array | None
@@ -73,16 +73,16 @@ class ToolSpring(Struct, frozen=True, eq=False):
             kinematics.components(tool),
             None if guess is None else guess.T,
         )
-        moved = np.zeros((len(q), 3))
+        tip_shift = np.zeros((len(q), 3))
         for _ in range(2):
-            theta, tip = solve_equilibrium(robot, x, tools, about_arm(wrench, moved).T, theta)
+            theta, tip = solve_equilibrium(robot, x, tools, about_arm(wrench, tip_shift).T, theta)
             pose = kinematics.matrices(kinematics.posture(robot.loaded, x + theta, tools).pose)
-            moved = self.deflection(pose[:, :3, :3], wrench)[:, :3]
-        return tip.T + moved, moved
+            tip_shift = self.deflection(pose[:, :3, :3], wrench)[:, :3]
+        return tip.T + tip_shift, tip_shift
 
 
 def about_arm(wrench: Array, lever: Array) -> Array:
     """Return wrenches (n, 6) about points from which they act at (n, 3) [m]."""
-    out = wrench.copy()
-    out[:, 3:] += np.cross(lever, wrench[:, :3])
-    return out
+    result = wrench.copy()
+    result[:, 3:] += np.cross(lever, wrench[:, :3])
+    return result

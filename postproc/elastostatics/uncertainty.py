@@ -40,7 +40,7 @@ def position_bound(
     force_spread: Array | None = None,
     in_series: Array | None = None,
     turning: Bools | None = None,
-    scaled: Bools | None = None,
+    is_proportional: Bools | None = None,
 ) -> Array | None:
     """Return the 95 % bound (N,) [m] on the error of the predicted position of the TCP, or None.
 
@@ -63,18 +63,20 @@ def position_bound(
         where errors may also be one factor: then six columns L for independent components, and seven for one factor.
     :param in_series: (N, 6, 6) compliance in series with the robot's, root axes; None if there is none.
     :param turning: (N, 6) joints whose gears change their flank next to this place (`reversals`); None if not known.
-    :param scaled: (N,) places where the error of the wrench is one factor, `RobotModel.force_factor`, correlated with
-        the parameters; `force_spread` does not count there. None: nowhere.
+    :param is_proportional: (N,) places where the error of the wrench is one factor, `RobotModel.force_factor`,
+        correlated with the parameters; `force_spread` does not count there. None: nowhere.
     :raises ModelError: the covariance is of a parameter that the model does not have.
     """
     if robot.covariance is None:
         return None
 
-    def bound(q: Array, tool: Array, wrench: Array, turning: Bools, scaled: Bools, *forces: Array) -> tuple[Array]:
-        errors = sources_of_error(robot, q, tool, wrench, turning, scaled, *forces)
+    def bound(
+        q: Array, tool: Array, wrench: Array, turning: Bools, is_proportional: Bools, *forces: Array
+    ) -> tuple[Array]:
+        errors = sources_of_error(robot, q, tool, wrench, turning, is_proportional, *forces)
         return (largest_length(errors.covariances()),)
 
-    return in_chunks(bound, *loads(q, tool, wrench, force_spread, in_series, turning, scaled))[0]
+    return in_chunks(bound, *loads(q, tool, wrench, force_spread, in_series, turning, is_proportional))[0]
 
 
 def loads(
@@ -84,15 +86,15 @@ def loads(
     force_spread: Array | None,
     in_series: Array | None,
     turning: Bools | None,
-    scaled: Bools | None,
+    is_proportional: Bools | None,
 ) -> tuple[Any, ...]:
     """Return the parameters of `position_bound` with one row for each place, without those that are not known."""
     if turning is None:
         turning = np.zeros((len(q), 6), dtype=bool)
-    if scaled is None:
-        scaled = np.zeros(len(q), dtype=bool)
+    if is_proportional is None:
+        is_proportional = np.zeros(len(q), dtype=bool)
     forces = _given(q, force_spread, in_series)
-    return (q, np.broadcast_to(tool, (len(q), 4, 4)), wrench, turning, scaled, *forces)
+    return (q, np.broadcast_to(tool, (len(q), 4, 4)), wrench, turning, is_proportional, *forces)
 
 
 class SourcesOfError(Struct, frozen=True, eq=False):
@@ -119,25 +121,25 @@ class SourcesOfError(Struct, frozen=True, eq=False):
     def covariances(self) -> list[Array]:
         """Return the covariance (n, 3, 3) of the position for each correlation of the forces that is possible."""
         by_robot = self.by_robot
-        return [by_robot + each @ np.swapaxes(each, 1, 2) for each in self.by_forces]
+        return [by_robot + factor @ np.swapaxes(factor, 1, 2) for factor in self.by_forces]
 
 
 def sources_of_error(
-    robot: RobotModel, q: Array, tool: Array, wrench: Array, turning: Bools, scaled: Bools, *forces: Array
+    robot: RobotModel, q: Array, tool: Array, wrench: Array, turning: Bools, is_proportional: Bools, *forces: Array
 ) -> SourcesOfError:
     """Return the errors of the predicted position by their sources.
 
     The parameters are those that `loads` returns.
     """
     forces = _reaction(robot, q, tool, wrench, *forces)
-    slopes, covariance = _with_factor(robot, sensitivity(robot, q, tool, wrench), wrench, scaled, *forces)
-    other = _others(robot, q, tool, wrench, turning)
-    return SourcesOfError(slopes, covariance, _by_forces(wrench, scaled, *forces), other)
+    slopes, covariance = _with_factor(robot, sensitivity(robot, q, tool, wrench), wrench, is_proportional, *forces)
+    other_covariances = _others(robot, q, tool, wrench, turning)
+    return SourcesOfError(slopes, covariance, _by_forces(wrench, is_proportional, *forces), other_covariances)
 
 
 def largest_length(covariances: Sequence[Array], mean: Array | None = None) -> Array:
     """Return the largest 95 % quantile (n,) of the length for several covariances (n, 3, 3), see `length_bound`."""
-    return np.asarray(np.max([length_bound(each, mean) for each in covariances], axis=0))
+    return np.asarray(np.max([length_bound(covariance, mean) for covariance in covariances], axis=0))
 
 
 def _given(q: Array, force_spread: Array | None, in_series: Array | None) -> tuple[Array, ...]:
@@ -154,13 +156,15 @@ def _reaction(robot: RobotModel, q: Array, tool: Array, wrench: Array, *forces: 
     return spread, (tangent_compliance(robot, q, tool, wrench) + compliance)[:, :3]
 
 
-def _with_factor(robot: RobotModel, s: Array, wrench: Array, scaled: Bools, *forces: Array) -> tuple[Array, Array]:
+def _with_factor(
+    robot: RobotModel, s: Array, wrench: Array, is_proportional: Bools, *forces: Array
+) -> tuple[Array, Array]:
     """Return sensitivities (N, 3, P) to parameters with that to the factor of forces, and their covariance."""
     assert robot.covariance is not None
     matrix, factor = robot.covariance.matrix, robot.force_factor
-    if factor is None or not forces or not scaled.any():
+    if factor is None or not forces or not is_proportional.any():
         return s, matrix
-    by_factor = np.einsum("nij,nj->ni", forces[1], wrench) * scaled[:, None]
+    by_factor = np.einsum("nij,nj->ni", forces[1], wrench) * is_proportional[:, None]
     size = len(matrix)
     joint = np.empty((size + 1, size + 1))
     joint[:size, :size], joint[size], joint[:, size] = matrix, factor.covariance, factor.covariance
@@ -169,19 +173,19 @@ def _with_factor(robot: RobotModel, s: Array, wrench: Array, scaled: Bools, *for
 
 def _others(robot: RobotModel, q: Array, tool: Array, wrench: Array, turning: Bools) -> dict[str, Array]:
     """Return the covariances (N, 3, 3) [m²] of the position that come from neither parameters nor forces."""
-    out = {}
-    out["the calibrated geometry"] = _any_direction(np.full(len(q), robot.geometry_error))
+    covariances = {}
+    covariances["the calibrated geometry"] = _any_direction(np.full(len(q), robot.geometry_error))
     if robot.discrepancy is not None:
-        out["the unmodelled error of the robot model"] = _any_direction(robot.discrepancy.at(wrench))
-    out["lost motion of the gears"] = flank_covariance(robot, q, tool, wrench, turning)
-    return out
+        covariances["the unmodelled error of the robot model"] = _any_direction(robot.discrepancy.at(wrench))
+    covariances["lost motion of the gears"] = flank_covariance(robot, q, tool, wrench, turning)
+    return covariances
 
 
 _COMPONENTS = 6
 """Columns of `force_spread` for independent components of the wrench."""
 
 
-def _by_forces(wrench: Array, scaled: Bools, *forces: Array) -> tuple[Array, ...]:
+def _by_forces(wrench: Array, is_proportional: Bools, *forces: Array) -> tuple[Array, ...]:
     """Return the displacements (n, 3, k) by one standard deviation of the forces for each correlation that is possible.
 
     Each is that of a wrench whose component is larger in size by one standard deviation, whatever its sign. Where the
@@ -190,16 +194,16 @@ def _by_forces(wrench: Array, scaled: Bools, *forces: Array) -> tuple[Array, ...
     :param forces: from `_reaction`.
     """
     if not forces:
-        return (np.zeros((len(scaled), 3, 0)),)
+        return (np.zeros((len(is_proportional), 3, 0)),)
     spread, reaction = forces
     sign = np.where(np.einsum("nik,ni->nk", spread, wrench) < 0.0, -1.0, 1.0)
-    moved = reaction @ (spread * sign[:, None])
+    displacement = reaction @ (spread * sign[:, None])
     if spread.shape[2] <= _COMPONENTS:
-        return (moved * ~scaled[:, None, None],)
-    independent, by_factor = moved[:, :, :_COMPONENTS], moved[:, :, _COMPONENTS:]
-    by_factor[scaled, :, -1] = 0.0
-    independent[scaled] = 0.0
-    independent[scaled, :, : by_factor.shape[2] - 1] = by_factor[scaled, :, :-1]
+        return (displacement * ~is_proportional[:, None, None],)
+    independent, by_factor = displacement[:, :, :_COMPONENTS], displacement[:, :, _COMPONENTS:]
+    by_factor[is_proportional, :, -1] = 0.0
+    independent[is_proportional] = 0.0
+    independent[is_proportional, :, : by_factor.shape[2] - 1] = by_factor[is_proportional, :, :-1]
     return independent, by_factor
 
 
@@ -238,7 +242,7 @@ def sensitivity(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Arra
     parameters = robot.covariance.parameters if robot.covariance is not None else ()
     if not parameters:
         return np.zeros((len(q), 3, 0))
-    order = list(dict.fromkeys([*parameters, *(p for each in parameters for p in each.partners())]))
+    order = list(dict.fromkeys([*parameters, *(p for owner in parameters for p in owner.partners())]))
     linear = file_slopes(order, {parameter: robot.value(parameter) for parameter in order})
     try:
         by_file = np.linalg.inv(linear)[:, [order.index(parameter) for parameter in parameters]]
@@ -261,7 +265,7 @@ def _linear_sensitivity(
     _, slope = spring_deflection(robot, x.T, torque.T, preload.T)
     share = compensator_factor(robot, x.T, slope)
     torque[:, second] /= share  # the rest is the compensator's
-    theta, slope = (each.T for each in spring_deflection(robot, x.T, torque.T, preload.T))
+    theta, slope = (array.T for array in spring_deflection(robot, x.T, torque.T, preload.T))
     lever = jacobian[:, :3].copy()
     lever[:, :, second] /= share[:, None]
     by_preload = compliance_by_preload(robot, torque.T, preload.T).T
@@ -288,5 +292,7 @@ def _payload(robot: RobotModel, x: Array) -> Array:
     """Return the torque (n, nv) of the cell's payload at coordinates x (n, nv)."""
     if robot.loaded is robot.actual:
         return np.zeros_like(x)
-    loaded, without = (kinematics.posture(chain, x.T, weigh=True).weight() for chain in (robot.loaded, robot.actual))
-    return np.asarray((loaded - without).T)
+    with_payload, without_payload = (
+        kinematics.posture(chain, x.T, weigh=True).weight() for chain in (robot.loaded, robot.actual)
+    )
+    return np.asarray((with_payload - without_payload).T)

@@ -136,7 +136,7 @@ def errors(robot_in_cell: RobotInCell, q: Array, tool: Array, load: Load) -> tup
     moved = _deflections(robot_in_cell, q, tool, wrench, pose)
     series = _in_series(robot_in_cell.tool_spring, pose)
     with np.errstate(invalid="ignore", divide="ignore"):
-        u95 = elastostatics.position_bound(robot_in_cell.robot, q, tool, wrench, spread, series, scaled=scaled)
+        u95 = elastostatics.position_bound(robot_in_cell.robot, q, tool, wrench, spread, series, is_proportional=scaled)
     return np.full(len(q), np.nan) if u95 is None else u95, moved
 
 

@@ -231,7 +231,7 @@ def bound(robot, law, q, force, *, together=True):
     wrench = np.hstack([force, np.zeros((len(q), 3))])
     spread = law.sigma * np.abs(wrench)[:, :, None] * np.eye(6)
     scaled = np.full(len(q), together and robot.force_factor.is_of(law.numbers))
-    return position_bound(robot, q, tool, wrench, spread, scaled=scaled)
+    return position_bound(robot, q, tool, wrench, spread, is_proportional=scaled)
 
 
 def worth(part, seed, kind="joints"):
