@@ -64,18 +64,18 @@ class Chain(Struct, frozen=True, eq=False):
 
         :param q: (N, J) coordinates [rad, m].
         """
-        here = np.broadcast_to(np.eye(4), (len(q), 4, 4))
+        frame = np.broadcast_to(np.eye(4), (len(q), 4, 4))
         frames = np.empty((len(q), self.nv, 4, 4))
         for joint in range(self.nv):
-            here = frames[:, joint] = here @ self.placement[joint]
+            frame = frames[:, joint] = frame @ self.placement[joint]
             vector = q[:, joint, None] * self.axis[joint]
             move = np.broadcast_to(np.eye(4), (len(q), 4, 4)).copy()
             if self.turns[joint]:
                 move[:, :3, :3] = rotation_from_vector(vector)
             else:
                 move[:, :3, 3] = vector
-            here = here @ move
-        return frames, here @ self.flange
+            frame = frame @ move
+        return frames, frame @ self.flange
 
 
 def elastic_chain(chain: Chain, springs: Sequence[LinkSpring]) -> tuple[Chain, tuple[int, ...], list[int]]:
@@ -87,12 +87,12 @@ def elastic_chain(chain: Chain, springs: Sequence[LinkSpring]) -> tuple[Chain, t
     :returns: the chain, the coordinates of A1…A6 in it, and those of `springs`.
     """
     rows: dict[LinkSpring, int] = {}
-    actuated: list[int] = []
+    joint_rows: list[int] = []
     placement: list[Array] = []
     from_joint: list[int] = []
     axis: list[Array] = []
     turns: list[bool] = []
-    carried: dict[int, int] = {}
+    link_of_row: dict[int, int] = {}
     place = np.eye(4)
 
     def add(direction: Array, turning: bool, joint: int = -1) -> int:
@@ -109,34 +109,34 @@ def elastic_chain(chain: Chain, springs: Sequence[LinkSpring]) -> tuple[Chain, t
 
     for index, link in enumerate((BASE, *JOINTS)):
         if index:
-            actuated.append(add(chain.axis[index - 1], True, index - 1))
-        own = [spring for spring in springs if spring.link == link]
-        for spring in own:
+            joint_rows.append(add(chain.axis[index - 1], True, index - 1))
+        link_springs = [spring for spring in springs if spring.link == link]
+        for spring in link_springs:
             if not spring.at_end:
                 add_spring(spring)
         if index:
-            carried[len(axis) - 1] = index - 1
+            link_of_row[len(axis) - 1] = index - 1
         place = place @ (chain.placement[index] if index < len(JOINTS) else chain.flange)
-        for spring in own:
+        for spring in link_springs:
             if spring.at_end:
                 add_spring(spring)
 
-    def spread(values: Array, source: dict[int, int], otherwise: float) -> Array:
-        out = np.full((len(axis), *values.shape[1:]), otherwise)
-        out[list(source)] = values[list(source.values())]
-        return out
+    def spread(values: Array, source: dict[int, int], default: float) -> Array:
+        array = np.full((len(axis), *values.shape[1:]), default)
+        array[list(source)] = values[list(source.values())]
+        return array
 
     joints = {row: joint for row, joint in enumerate(from_joint) if joint >= 0}
-    longer = Chain(
+    result = Chain(
         placement=np.array(placement),
         axis=np.array(axis),
         turns=np.array(turns),
         flange=place,
-        mass=spread(chain.mass, carried, 0.0),
-        centre=spread(chain.centre, carried, 0.0),
+        mass=spread(chain.mass, link_of_row, 0.0),
+        centre=spread(chain.centre, link_of_row, 0.0),
         lower=spread(chain.lower, joints, -np.inf),
         upper=spread(chain.upper, joints, np.inf),
         speed=spread(chain.speed, joints, np.inf),
         effort=spread(chain.effort, joints, 0.0),
     )
-    return longer, tuple(actuated), [rows[spring] for spring in springs]
+    return result, tuple(joint_rows), [rows[spring] for spring in springs]

@@ -54,15 +54,15 @@ def find(name: str, relative_to: Path | None = None) -> Path:
 
     :raises ModelError: there is no such robot; the message lists the known ones.
     """
-    known = shipped()
-    if name in known:
-        return known[name]
+    robots = shipped()
+    if name in robots:
+        return robots[name]
     folder = (relative_to or Path()) / name.replace("\\", "/")
     if not (folder / "model.toml").is_file():
         raise ModelError(
             f"no robot {name!r}",
-            advice=f"{did_you_mean(name, known)} Give the path of a folder with robot.urdf and model.toml, or one of: "
-            f"{', '.join(known)}.".lstrip(),
+            advice=f"{did_you_mean(name, robots)} Give the path of a folder with robot.urdf and model.toml, or one of: "
+            f"{', '.join(robots)}.".lstrip(),
         )
     return folder
 
@@ -75,7 +75,7 @@ def load(folder: str | Path) -> RobotModel:
     """
     folder = Path(folder)
     content = files.read_toml(folder / "model.toml", ModelFile, ModelError)
-    where = str(folder / "model.toml")
+    file_name = str(folder / "model.toml")
     for table, valid in (
         (content.joints, JOINTS),
         (content.geometry, (*JOINTS, FLANGE)),
@@ -84,19 +84,21 @@ def load(folder: str | Path) -> RobotModel:
     ):
         wrong = [name for name in table if name not in valid]
         if wrong:
-            raise ModelError(f"unknown joint {wrong[0]!r}", file=where, advice=choices(wrong[0], valid))
-    missing = [name for name in JOINTS if name not in content.joints]
-    if missing:
-        raise ModelError(f"no [joints.{missing[0]}]", file=where, advice="Every joint needs a compliance.")
+            raise ModelError(f"unknown joint {wrong[0]!r}", file=file_name, advice=choices(wrong[0], valid))
+    absent_joints = [name for name in JOINTS if name not in content.joints]
+    if absent_joints:
+        raise ModelError(f"no [joints.{absent_joints[0]}]", file=file_name, advice="Every joint needs a compliance.")
     for name, spring in content.joints.items():
         if spring.fades > spring.compliance_urad_per_Nm * (1 + 1e-6):
-            raise ModelError(f"[joints.{name}]: the sum of the stiffening parts exceeds the compliance", file=where)
-        _check_terms(name, spring, where)
-    _check_covariance(content, where)
-    if (off := content.discrepancy) is not None and not (
-        0 < len(off.load_N) == len(off.u95_mm) and off.load_N[0] > 0.0 and np.all(np.diff(off.load_N) > 0.0)
+            raise ModelError(f"[joints.{name}]: the sum of the stiffening parts exceeds the compliance", file=file_name)
+        _check_terms(name, spring, file_name)
+    _check_covariance(content, file_name)
+    if (discrepancy := content.discrepancy) is not None and not (
+        0 < len(discrepancy.load_N) == len(discrepancy.u95_mm)
+        and discrepancy.load_N[0] > 0.0
+        and np.all(np.diff(discrepancy.load_N) > 0.0)
     ):
-        raise ModelError("[discrepancy] needs ascending load_N above zero, and as many u95_mm", file=where)
+        raise ModelError("[discrepancy] needs ascending load_N above zero, and as many u95_mm", file=file_name)
     path = folder / "robot.urdf"
     text = files.read_text(path, ModelError)
     robot = assemble(folder.resolve().name, content, urdf.read(text, str(path)))
@@ -105,7 +107,7 @@ def load(folder: str | Path) -> RobotModel:
         try:
             robot.row(parameter)
         except ModelError as error:
-            raise ModelError(error.problem, file=where) from None
+            raise ModelError(error.problem, file=file_name) from None
     return robot
 
 
@@ -118,9 +120,9 @@ def assemble(name: str, content: ModelFile, nominal: Chain) -> RobotModel:
         else:
             placement[JOINTS.index(place)] = placement[JOINTS.index(place)] @ _placement(entry)
     actual = replace(nominal, placement=placement, flange=flange)
-    if (carried := content.payload) is not None:
-        actual = actual.with_payload(carried.mass_kg, np.array([carried.X_mm, carried.Y_mm, carried.Z_mm]) * M_PER_MM)
-    values, measured = parameters.stated(content), content.measured
+    if (payload := content.payload) is not None:
+        actual = actual.with_payload(payload.mass_kg, np.array([payload.X_mm, payload.Y_mm, payload.Z_mm]) * M_PER_MM)
+    values, load_range = parameters.stated(content), content.measured
     covariance, stated_spread = _covariance(content)
     rigid = RobotModel(
         name=name,
@@ -141,7 +143,7 @@ def assemble(name: str, content: ModelFile, nominal: Chain) -> RobotModel:
         carries_weight=content.gravity.in_gears,
         discrepancy=_discrepancy(content.discrepancy),
         geometry_error=0.0 if content.geometry_error is None else content.geometry_error.u95_mm * M_PER_MM,
-        measured=None if measured is None else Measured(np.array(measured.torque_Nm), measured.not_trusted),
+        measured=None if load_range is None else Measured(np.array(load_range.torque_Nm), load_range.not_trusted),
         language=content.language,
         transmission=Transmission.of(content.transmission),
         mass_spread=(Masses(source="") if content.masses is None else content.masses).spread_percent / 100.0,
@@ -153,7 +155,7 @@ def assemble(name: str, content: ModelFile, nominal: Chain) -> RobotModel:
     return rigid.with_link_springs(springs).with_values(values)
 
 
-def _check_terms(name: str, spring: JointSpring, where: str) -> None:
+def _check_terms(name: str, spring: JointSpring, file_name: str) -> None:
     """Refuse couplings outside the wrist, and waves over the pose without an angle or stated twice.
 
     :raises ModelError: there is one.
@@ -163,19 +165,19 @@ def _check_terms(name: str, spring: JointSpring, where: str) -> None:
     if wrong:
         raise ModelError(
             f"[joints.{name}] coupling: {name} and {wrong[0]} are no pair of the wrist",
-            file=where,
+            file=file_name,
             advice="State those of A4 with A5 or A6 in [joints.A4.coupling], of A5 with A6 in [joints.A5.coupling].",
         )
     turns = [entry.turns for entry in spring.over_pose]
-    if any(not any(each) for each in turns):
+    if any(not any(numbers) for numbers in turns):
         raise ModelError(
             f"[joints.{name}] over_pose: turns are all zero",
-            file=where,
+            file=file_name,
             advice="Add what does not depend on the pose to compliance_urad_per_Nm.",
         )
     if len(set(turns)) < len(turns):
         raise ModelError(
-            f"[joints.{name}] over_pose: two entries have the same turns", file=where, advice="Join them to one."
+            f"[joints.{name}] over_pose: two entries have the same turns", file=file_name, advice="Join them to one."
         )
 
 
@@ -209,11 +211,11 @@ def _force_factor(content: ModelFile, covariance: Covariance | None) -> ForceFac
     law, table = content.forces, content.covariance
     if law is None or table is None or covariance is None:
         return None
-    own = table.parameters.index(FORCES)
-    by_name = dict(zip(table.parameters, table.matrix[own], strict=True))
-    known = [by_name.get(parameter.name, 0.0) for parameter in covariance.parameters]
+    row = table.parameters.index(FORCES)
+    by_name = dict(zip(table.parameters, table.matrix[row], strict=True))
+    covariances = [by_name.get(parameter.name, 0.0) for parameter in covariance.parameters]
     numbers = (*law.cutting_N_per_mm2, *law.edge_N_per_mm, law.mc, law.sigma_percent)
-    return ForceFactor(numbers, np.array([*known, by_name[FORCES]]))
+    return ForceFactor(numbers, np.array([*covariances, by_name[FORCES]]))
 
 
 def _discrepancy(entry: DiscrepancyEntry | None) -> Discrepancy | None:
@@ -227,30 +229,30 @@ def _placement(entry: Displacement) -> Array:
     return pose
 
 
-def _check_covariance(content: ModelFile, where: str) -> None:
+def _check_covariance(content: ModelFile, file_name: str) -> None:
     covariance = content.covariance
     if (content.forces is not None) != (covariance is not None and FORCES in covariance.parameters):
         advice = "Give both or none: the factor of forces is known for one cutting law."
-        raise ModelError("[forces] and `forces` of [covariance] belong together", file=where, advice=advice)
+        raise ModelError("[forces] and `forces` of [covariance] belong together", file=file_name, advice=advice)
     if covariance is None:
         return
     unknown = [name for name in covariance.parameters if name != FORCES and parameters.named(name) is None]
     if unknown:
         raise ModelError(
             f"[covariance] names {unknown[0]!r}, which is no parameter of the elastic model",
-            file=where,
+            file=file_name,
             advice="Valid: k1 … k6, k1@800 (the part that fades beyond 800 N·m), k1^800 (the part that ends there), "
             "A4.backlash@3, A4.lost_motion@3, k45 (A4 by a torque on A5), k3.cos(A2-A3) (a wave over the pose), "
             "A2.RX (a spring of a link), A2.mass, K_c, s_0.",
         )
     size = len(covariance.parameters)
     if any(len(row) != size for row in covariance.matrix) or len(covariance.matrix) != size:
-        raise ModelError(f"[covariance] matrix is not {size}×{size}", file=where)
+        raise ModelError(f"[covariance] matrix is not {size}×{size}", file=file_name)
     matrix = np.array(covariance.matrix)
     if not np.allclose(matrix, matrix.T, rtol=1e-6, atol=0.0) or np.linalg.eigvalsh(matrix).min(
         initial=0.0
     ) < -1e-9 * np.abs(matrix).max(initial=0.0):
-        raise ModelError("[covariance] matrix is not symmetric positive semidefinite", file=where)
+        raise ModelError("[covariance] matrix is not symmetric positive semidefinite", file=file_name)
 
 
 def sourced_values(content: ModelFile, nominal: Chain) -> Iterator[SourcedValue]:
@@ -273,14 +275,14 @@ def sourced_values(content: ModelFile, nominal: Chain) -> Iterator[SourcedValue]
     if (spring_law := content.compensator) is not None:
         value = f"L {spring_law.L_mm:g}, a_x {spring_law.a_x_mm:g}, a_y {spring_law.a_y_mm:g} mm"
         geometry_source = spring_law.geometry_source or spring_law.source
-        assumed = spring_law.assumed and not spring_law.geometry_source
-        yield SourcedValue("compensator geometry", value, geometry_source, assumed)
+        is_assumed = spring_law.assumed and not spring_law.geometry_source
+        yield SourcedValue("compensator geometry", value, geometry_source, is_assumed)
         stiffness = f"K_c {spring_law.stiffness_N_per_m:g} N/m{_sigma(spring_law.sigma_percent)}"
         value = f"{stiffness}, s_0 {spring_law.free_length_mm:g} mm"
         yield SourcedValue("compensator spring", value, spring_law.source, spring_law.assumed)
-    if (carried := content.payload) is not None:
-        value = f"{carried.mass_kg:g} kg at {carried.X_mm:g}, {carried.Y_mm:g}, {carried.Z_mm:g} mm of the flange"
-        yield SourcedValue("payload when measured", value, carried.source, carried.assumed)
+    if (payload := content.payload) is not None:
+        value = f"{payload.mass_kg:g} kg at {payload.X_mm:g}, {payload.Y_mm:g}, {payload.Z_mm:g} mm of the flange"
+        yield SourcedValue("payload when measured", value, payload.source, payload.assumed)
     for name, springs in content.links.items():
         count = sum(spring.link == name for spring, _ in LinkSpring.stated(content))
         yield SourcedValue(f"springs of link {name}", f"{count} directions", springs.source, springs.assumed)
@@ -290,22 +292,30 @@ def sourced_values(content: ModelFile, nominal: Chain) -> Iterator[SourcedValue]
         )
         yield SourcedValue(f"calibrated {name}", value, entry.source, entry.assumed)
     for name, gear in content.transmission.items():
-        once, twice = (f"{gear.sin_urad:.3g}, {gear.cos_urad:.3g}", f"{gear.sin2_urad:.3g}, {gear.cos2_urad:.3g}")
-        value = f"{once} µrad once a turn (sin, cos), {twice} µrad twice"
+        first_order, second_order = (
+            f"{gear.sin_urad:.3g}, {gear.cos_urad:.3g}",
+            f"{gear.sin2_urad:.3g}, {gear.cos2_urad:.3g}",
+        )
+        value = f"{first_order} µrad once a turn (sin, cos), {second_order} µrad twice"
         yield SourcedValue(f"transmission {name}", value, gear.source, gear.assumed)
-    if (off := content.discrepancy) is not None:
-        pairs = zip(off.u95_mm, off.load_N, strict=False)
+    if (discrepancy := content.discrepancy) is not None:
+        pairs = zip(discrepancy.u95_mm, discrepancy.load_N, strict=False)
         value = ", ".join(f"{u95:.2g} mm at {load:.0f} N" for u95, load in pairs)
-        yield SourcedValue("discrepancy (95 %)", value, off.source, off.assumed)
-    if (apart := content.geometry_error) is not None:
-        yield SourcedValue("error of the geometry (95 %)", f"{apart.u95_mm:.2g} mm", apart.source, apart.assumed)
-    if (covered := content.measured) is not None:
-        torques = ", ".join(f"{torque:.0f}" for torque in covered.torque_Nm)
-        value = f"{covered.configurations} configurations, up to {torques} N·m on A1 … A6"
-        yield SourcedValue("measured", value, covered.source, covered.assumed)
-    instead = dict(LinkMass.stated(content))
+        yield SourcedValue("discrepancy (95 %)", value, discrepancy.source, discrepancy.assumed)
+    if (geometry_error := content.geometry_error) is not None:
+        yield SourcedValue(
+            "error of the geometry (95 %)",
+            f"{geometry_error.u95_mm:.2g} mm",
+            geometry_error.source,
+            geometry_error.assumed,
+        )
+    if (load_range := content.measured) is not None:
+        torques = ", ".join(f"{torque:.0f}" for torque in load_range.torque_Nm)
+        value = f"{load_range.configurations} configurations, up to {torques} N·m on A1 … A6"
+        yield SourcedValue("measured", value, load_range.source, load_range.assumed)
+    stated_masses = dict(LinkMass.stated(content))
     masses = ", ".join(
-        f"{instead.get(LinkMass(name), mass):.4g}" for name, mass in zip(JOINTS, nominal.mass, strict=True)
+        f"{stated_masses.get(LinkMass(name), mass):.4g}" for name, mass in zip(JOINTS, nominal.mass, strict=True)
     )
     speeds = ", ".join(f"{speed:.4g}" for speed in nominal.speed * DEG_PER_RAD)
     for label, value, entry_source in (

@@ -29,7 +29,7 @@ _AXES = np.array([[0, 0, -1], [0, 1, 0], [0, 1, 0], [-1, 0, 0], [0, 1, 0], [-1, 
 """Axes of A1…A6 at zero, root frame: KUKA's signs."""
 _FLANGE_AXES = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
 """The flange at zero: {A 0, B 90, C 0}."""
-_SAME = 1e-3
+_TOLERANCE = 1e-3
 """Angles [rad] and lengths [m] by which the arm may miss KUKA's zero position."""
 _ROUND = 7
 """Decimals of lengths [m]; further ones are rounding of the file."""
@@ -84,13 +84,13 @@ def adopt(text: str, file: str, name: str | None = None) -> Adopted:
     if "<xacro:" in text:
         raise ModelError("a xacro, not a URDF", file=file, advice=f"Expand it first: xacro {file} > robot.urdf")
     arm = urdf.read_any(text, file)
-    chain, moved, notes = _in_kuka_form(arm, file)
+    chain, old_frames, notes = _in_kuka_form(arm, file)
     title = name or arm.name or "robot"
     payload = _payload(arm.name, title, file)
-    compliance, scaled = _compliances(chain, payload)
+    compliance, basis = _compliances(chain, payload)
     masses, mass_notes = _masses(chain, payload, file)
     notes += mass_notes
-    notes.append(f"compliances are ASSUMED, {scaled}: identify them (postproc identify), or replace them in model.toml")
+    notes.append(f"compliances are ASSUMED, {basis}: identify them (postproc identify), or replace them in model.toml")
     notes.append("a gravity compensator, if the arm has one, is not in the model")
     content = ModelFile(
         name=title,
@@ -98,7 +98,7 @@ def adopt(text: str, file: str, name: str | None = None) -> Adopted:
         language="krl",
         joints={
             joint: JointSpring(
-                source=f"no published value: {scaled}",
+                source=f"no published value: {basis}",
                 assumed=True,
                 scaled_from=_REFERENCE,
                 compliance_urad_per_Nm=value,
@@ -109,15 +109,15 @@ def adopt(text: str, file: str, name: str | None = None) -> Adopted:
         masses=masses,
         geometry_nominal=Sourced(source=f"{file}, reach of the wrist {_reach(chain) * MM_PER_M:.0f} mm"),
     )
-    return Adopted(chain, content, tuple(notes), moved)
+    return Adopted(chain, content, tuple(notes), old_frames)
 
 
 def _payload(*names: str) -> float | None:
     """Return the payload [kg] that the first of these names with a KUKA class states; None if none does."""
     for name in names:
-        found = _CLASS.search(name)
-        if found:
-            return float(found[2] or found[1])
+        match = _CLASS.search(name)
+        if match:
+            return float(match[2] or match[1])
     return None
 
 
@@ -126,41 +126,45 @@ def _in_kuka_form(arm: AnyArm, file: str) -> tuple[Chain, Array, list[str]]:
     base = _pose_of_base(arm, file)
     placement = arm.chain.placement.copy()
     placement[0] = np.linalg.inv(base) @ placement[0]
-    own, zero = _at_kuka_zero(replace(arm.chain, placement=placement, flange=_pose_of_flange(arm, file)))
-    frames, flange = (each[0] for each in own.joint_frames(np.zeros((1, len(JOINTS)))))
-    axis = np.einsum("jab,jb->ja", frames[:, :3, :3], own.axis)
+    source, zero = _at_kuka_zero(replace(arm.chain, placement=placement, flange=_pose_of_flange(arm, file)))
+    frames, flange = (array[0] for array in source.joint_frames(np.zeros((1, len(JOINTS)))))
+    axis = np.einsum("jab,jb->ja", frames[:, :3, :3], source.axis)
     sign = np.sign(np.einsum("ja,ja->j", axis, _AXES))
     _check_zero(axis, frames[:, :3, 3], flange, file)
     origin = np.round(_origins(frames[:, :3, 3], flange[:3, 3]), _ROUND) + 0.0
-    centre = np.einsum("jab,jb->ja", frames[:, :3, :3], own.centre) + frames[:, :3, 3] - origin
+    centre = np.einsum("jab,jb->ja", frames[:, :3, :3], source.centre) + frames[:, :3, 3] - origin
     placement = np.tile(np.eye(4), (len(JOINTS), 1, 1))
     placement[:, :3, 3] = np.round(np.diff(origin, axis=0, prepend=0.0), _ROUND) + 0.0
-    moved = np.concatenate([np.linalg.inv(base)[None], frames])
-    moved[1:, :3, 3] -= origin
+    old_frames = np.concatenate([np.linalg.inv(base)[None], frames])
+    old_frames[1:, :3, 3] -= origin
     tip = np.eye(4)
     tip[:3, :3], tip[:3, 3] = _FLANGE_AXES, np.round(flange[:3, 3] - origin[-1], _ROUND) + 0.0
     chain = replace(
-        own,
+        source,
         placement=placement,
         axis=_AXES,
         flange=tip,
-        centre=np.where(own.mass[:, None] < _LIGHTEST, 0.0, np.round(centre, 4)) + 0.0,
-        mass=np.where(own.mass < _LIGHTEST, 0.0, own.mass),
-        lower=np.where(sign > 0, own.lower, -own.upper),
-        upper=np.where(sign > 0, own.upper, -own.lower),
+        centre=np.where(source.mass[:, None] < _LIGHTEST, 0.0, np.round(centre, 4)) + 0.0,
+        mass=np.where(source.mass < _LIGHTEST, 0.0, source.mass),
+        lower=np.where(sign > 0, source.lower, -source.upper),
+        upper=np.where(sign > 0, source.upper, -source.lower),
     )
-    turned = ", ".join(name for name, one in zip(JOINTS, sign, strict=True) if one < 0)
-    notes = [f"joints turn the other way than KUKA's, signs and limits are changed: {turned}"] if turned else []
+    reversed_joints = ", ".join(name for name, direction in zip(JOINTS, sign, strict=True) if direction < 0)
+    notes = (
+        [f"joints turn the other way than KUKA's, signs and limits are changed: {reversed_joints}"]
+        if reversed_joints
+        else []
+    )
     if zero.any():
-        shifted = ", ".join(
+        offsets = ", ".join(
             f"{name} {-angle * DEG_PER_RAD:.4g}°" for name, angle in zip(JOINTS, zero * sign, strict=True) if angle
         )
-        notes.append(f"the URDF's zero position is not KUKA's, but {shifted} there: angles and limits are changed")
+        notes.append(f"the URDF's zero position is not KUKA's, but {offsets} there: angles and limits are changed")
     angle = np.arctan2(flange[:3, 0] @ _FLANGE_AXES[:, 1], flange[:3, 0] @ _FLANGE_AXES[:, 0])
-    if abs(angle) > _SAME:
+    if abs(angle) > _TOLERANCE:
         turn = f"by {angle * DEG_PER_RAD:.4g}°: $TOOL is in KUKA's flange frame, {{A 0, B 90, C 0}} at zero"
         notes.append(f"tool0 is turned about its axis against KUKA's flange {turn}")
-    return chain, moved, notes
+    return chain, old_frames, notes
 
 
 def _at_kuka_zero(arm: Chain) -> tuple[Chain, Array]:
@@ -172,25 +176,29 @@ def _at_kuka_zero(arm: Chain) -> tuple[Chain, Array]:
     zero = np.zeros(len(JOINTS))
     x, y = np.eye(3)[:2]
     for joint in range(len(JOINTS) - 1):
-        frames, flange = (each[0] for each in arm.joint_frames(zero[None]))
+        frames, flange = (array[0] for array in arm.joint_frames(zero[None]))
         axes = np.einsum("jab,jb->ja", frames[:, :3, :3], arm.axis)
         points = frames[:, :3, 3]
         if joint == 0:  # the upper arm may point anywhere: the front is where the axis of A2 is
-            across = np.cross(axes[0], axes[1])
-            offset = (points[1] - points[0]) @ across
-            wanted, now = (x, across * offset) if abs(offset) > _SAME else (y, axes[1] * np.sign(axes[1] @ y + 1e-9))
+            normal = np.cross(axes[0], axes[1])
+            offset = (points[1] - points[0]) @ normal
+            goal, direction = (
+                (x, normal * offset) if abs(offset) > _TOLERANCE else (y, axes[1] * np.sign(axes[1] @ y + 1e-9))
+            )
         elif joint == 1:
-            between = points[2] - points[1]
-            wanted, now = x, between - axes[1] * (between @ axes[1])
+            upper_arm = points[2] - points[1]
+            goal, direction = x, upper_arm - axes[1] * (upper_arm @ axes[1])
         elif joint == 2:
-            wanted, now = x, axes[3] * np.sign(axes[3] @ (points[4] - points[2]) + 1e-9)
+            goal, direction = x, axes[3] * np.sign(axes[3] @ (points[4] - points[2]) + 1e-9)
         elif joint == 3:
-            wanted, now = y, axes[4] * np.sign(axes[4] @ y + 1e-9)
+            goal, direction = y, axes[4] * np.sign(axes[4] @ y + 1e-9)
         else:
-            wanted, now = x, flange[:3, 2]
+            goal, direction = x, flange[:3, 2]
         axis = axes[joint]
-        angle = float(np.arctan2(axis @ np.cross(now, wanted), now @ wanted - (now @ axis) * (wanted @ axis)))
-        zero[joint] = angle if abs(angle) > _SAME else 0.0
+        angle = float(
+            np.arctan2(axis @ np.cross(direction, goal), direction @ goal - (direction @ axis) * (goal @ axis))
+        )
+        zero[joint] = angle if abs(angle) > _TOLERANCE else 0.0
     placement = arm.placement.copy()
     placement[:, :3, :3] = placement[:, :3, :3] @ rotation_from_vector(zero[:, None] * arm.axis)
     return replace(arm, placement=placement, lower=arm.lower - zero, upper=arm.upper - zero), zero
@@ -198,10 +206,10 @@ def _at_kuka_zero(arm: Chain) -> tuple[Chain, Array]:
 
 def _pose_of_base(arm: AnyArm, file: str) -> Array:
     """Return the controller's root frame in the first link: `base`, else `base_link`, else that link's own frame."""
-    for wanted in ("base", "base_link"):
-        found = _frame(arm, wanted, -1, file)
-        if found is not None:
-            return found
+    for name in ("base", "base_link"):
+        pose = _frame(arm, name, -1, file)
+        if pose is not None:
+            return pose
     return np.eye(4)
 
 
@@ -210,48 +218,48 @@ def _pose_of_flange(arm: AnyArm, file: str) -> Array:
 
     Z of `tool0` points out. X of `flange` does, or Z, as in the models of this package: the axis of A6 shows which.
     """
-    out = np.eye(4)
-    out[:3, :3] = _FLANGE_AXES
-    for wanted, turn in (("tool0", np.eye(4)), (FLANGE, out)):
-        found = _frame(arm, wanted, len(JOINTS) - 1, file)
-        if found is not None:
-            along = wanted == FLANGE and abs(found[:3, 2] @ arm.chain.axis[-1]) > 1.0 - _SAME**2
-            return found if along else found @ turn
+    kuka_axes = np.eye(4)
+    kuka_axes[:3, :3] = _FLANGE_AXES
+    for name, turn in (("tool0", np.eye(4)), (FLANGE, kuka_axes)):
+        pose = _frame(arm, name, len(JOINTS) - 1, file)
+        if pose is not None:
+            is_z_outward = name == FLANGE and abs(pose[:3, 2] @ arm.chain.axis[-1]) > 1.0 - _TOLERANCE**2
+            return pose if is_z_outward else pose @ turn
     raise ModelError(
         "no link named tool0 or flange behind the last joint", file=file, advice="It says where the flange is: add it."
     )
 
 
-def _frame(arm: AnyArm, wanted: str, carrier: int, file: str) -> Array | None:
+def _frame(arm: AnyArm, link: str, carrier: int, file: str) -> Array | None:
     """Return the pose of a named link that a joint carries, or of the only one with a prefix before that name."""
     poses = {name: pose for name, (joint, pose) in arm.frames.items() if joint == carrier}
-    names = [name for name in poses if name == wanted] or [
-        name for name in poses if name.endswith((f"_{wanted}", f"/{wanted}"))
+    names = [name for name in poses if name == link] or [
+        name for name in poses if name.endswith((f"_{link}", f"/{link}"))
     ]
     if len(names) > 1:
         raise ModelError(
-            f"several links could be {wanted}: {', '.join(names)}", file=file, advice=f"Call the right one {wanted}."
+            f"several links could be {link}: {', '.join(names)}", file=file, advice=f"Call the right one {link}."
         )
     return poses[names[0]] if names else None
 
 
 def _check_zero(axis: Array, origin: Array, flange: Array, file: str) -> None:
     """Refuse an arm that no angles of its joints bring into KUKA's zero position."""
-    off = 1.0 - np.abs(np.einsum("ja,ja->j", axis, _AXES))
+    misalignment = 1.0 - np.abs(np.einsum("ja,ja->j", axis, _AXES))
     advice = (
         "With all joints at zero a KUKA arm is stretched out along +X: A1 turns about Z, A2, A3 and A5 about Y, A4 and "
         "A6 about X. Check the axes and origins of the joints in the URDF."
     )
-    if off.max() > _SAME**2:
-        row = int(np.argmax(off))
-        angle = np.arccos(np.clip(1.0 - off[row], -1.0, 1.0)) * DEG_PER_RAD
+    if misalignment.max() > _TOLERANCE**2:
+        row = int(np.argmax(misalignment))
+        angle = np.arccos(np.clip(1.0 - misalignment[row], -1.0, 1.0)) * DEG_PER_RAD
         raise ModelError(
             f"stretched out, the axis of {JOINTS[row]} is {angle:.3g}° off that of a KUKA arm", file=file, advice=advice
         )
     upper_arm = origin[2] - origin[1]
-    if upper_arm[0] <= 0.0 or abs(upper_arm[2]) > _SAME or flange[0, 3] <= origin[4, 0]:
+    if upper_arm[0] <= 0.0 or abs(upper_arm[2]) > _TOLERANCE or flange[0, 3] <= origin[4, 0]:
         raise ModelError("the arm cannot be stretched out along +X of the root", file=file, advice=advice)
-    if flange[0, 2] < 1.0 - _SAME**2:
+    if flange[0, 2] < 1.0 - _TOLERANCE**2:
         raise ModelError(
             "stretched out, the flange does not point along +X",
             file=file,
@@ -281,32 +289,32 @@ def _compliances(chain: Chain, payload: float | None) -> tuple[list[float], str]
     The KR 270-2 is the reference: its values are published.
     """
     reference = load(shipped()[_REFERENCE])
-    known, own = _reach(reference.nominal), _reach(chain)
-    mm = f"{known * MM_PER_M:.0f}", f"{own * MM_PER_M:.0f}"
+    reference_reach, reach = _reach(reference.nominal), _reach(chain)
+    mm = f"{reference_reach * MM_PER_M:.0f}", f"{reach * MM_PER_M:.0f}"
     if payload is not None:
-        factor = (_REFERENCE_PAYLOAD * known / (payload * own)) ** 0.75
+        factor = (_REFERENCE_PAYLOAD * reference_reach / (payload * reach)) ** 0.75
         sizes = f"{_REFERENCE_PAYLOAD:.0f} kg at {mm[0]} mm to {payload:.0f} kg at {mm[1]} mm"
-        how = f"scaled by the load moment to the power of -3/4 ({sizes})"
-    elif own < known:
-        factor = (known / own) ** 3
-        how = f"scaled by the cube of the reach ({mm[0]} to {mm[1]} mm)"
+        reason = f"scaled by the load moment to the power of -3/4 ({sizes})"
+    elif reach < reference_reach:
+        factor = (reference_reach / reach) ** 3
+        reason = f"scaled by the cube of the reach ({mm[0]} to {mm[1]} mm)"
     else:
         factor = 1.0
-        how = f"unchanged, since the payload of this longer arm ({mm[1]} mm) is not in its name"
+        reason = f"unchanged, since the payload of this longer arm ({mm[1]} mm) is not in its name"
     compliance = reference.compliance[list(reference.actuated)] * 1e6 * factor
-    return [float(f"{value:.2g}") for value in compliance], f"that of the KR 270-2, {how}"
+    return [float(f"{value:.2g}") for value in compliance], f"that of the KR 270-2, {reason}"
 
 
 def _masses(chain: Chain, payload: float | None, file: str) -> tuple[Masses, list[str]]:
     """Return the entry of the link masses, assumed where some are missing or their sum is implausible, and notes."""
-    missing = [name for name, mass in zip(JOINTS, chain.mass, strict=True) if mass < _LIGHTEST]
-    if len(missing) == len(JOINTS):
+    massless = [name for name, mass in zip(JOINTS, chain.mass, strict=True) if mass < _LIGHTEST]
+    if len(massless) == len(JOINTS):
         note = "no link has a mass: give <inertial> in robot.urdf where the weight of the links is to count"
         return Masses(source=f"{file}: none given", assumed=True), [note]
     notes = []
-    if missing:
+    if massless:
         notes.append(
-            f"{', '.join(missing)} carry no mass: give <inertial> in robot.urdf where the weight of the links is to "
+            f"{', '.join(massless)} carry no mass: give <inertial> in robot.urdf where the weight of the links is to "
             "count"
         )
     reach, total = _reach(chain), float(chain.mass.sum())
@@ -321,7 +329,7 @@ def _masses(chain: Chain, payload: float | None, file: str) -> tuple[Masses, lis
             "The masses are marked as assumed: correct <inertial> in robot.urdf, since their weight is corrected too"
         )
         return Masses(source=f"{file}: {total:.0f} kg are not plausible", assumed=True), notes
-    return Masses(source=file, assumed=bool(missing)), notes
+    return Masses(source=file, assumed=bool(massless)), notes
 
 
 def _reach(chain: Chain) -> float:

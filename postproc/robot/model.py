@@ -37,7 +37,7 @@ from postproc.robot.urdf import Geometry
 GEAR_TERMS = ("sin", "cos", "sin2", "cos2")
 """Terms of a joint, in the order of `Transmission.amplitude`."""
 _ROUNDS = 60
-_SAME = 1e-14
+_ANGLE_TOLERANCE = 1e-14
 _SAME_LAW = 1e-6
 """Relative difference of the numbers of two cutting laws that are one."""
 
@@ -76,11 +76,11 @@ class Covariance(Struct, frozen=True, eq=False):
 
         :raises ModelError: a name that no parameter has.
         """
-        found = {name: parameters.named(name) for name in names}
-        unknown = [name for name, parameter in found.items() if parameter is None]
+        parameter_of = {name: parameters.named(name) for name in names}
+        unknown = [name for name, parameter in parameter_of.items() if parameter is None]
         if unknown:
             raise ModelError(f"[covariance] names {unknown[0]!r}, which is no parameter of the elastic model")
-        return cls(tuple(p for p in found.values() if p is not None), np.array(matrix, dtype=float))
+        return cls(tuple(p for p in parameter_of.values() if p is not None), np.array(matrix, dtype=float))
 
 
 FORCES = "forces"
@@ -121,9 +121,9 @@ class Discrepancy(Struct, frozen=True, eq=False):
         it is constant, as an error by backlash is. Without load it is zero.
         """
         force = norm(wrench)
-        inside = np.interp(force, self.load, self.u95)
-        beyond = np.maximum(force / self.load[-1], 1.0)
-        return np.where(np.any(wrench != 0.0, axis=1), inside * beyond, 0.0)
+        interpolated_bound = np.interp(force, self.load, self.u95)
+        factor = np.maximum(force / self.load[-1], 1.0)
+        return np.where(np.any(wrench != 0.0, axis=1), interpolated_bound * factor, 0.0)
 
 
 class Measured(Struct, frozen=True, eq=False):
@@ -168,8 +168,8 @@ class Transmission(Struct, frozen=True, eq=False):
         """
         q = actual
         for _ in range(_ROUNDS):
-            q, before = actual - (self.actual(q) - q), q
-            if np.abs(q - before).max(initial=0.0) <= _SAME:
+            q, previous_q = actual - (self.actual(q) - q), q
+            if np.abs(q - previous_q).max(initial=0.0) <= _ANGLE_TOLERANCE:
                 break
         return q
 
@@ -286,11 +286,11 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
 
     def _at_small_torque(self, terms: Iterable[tuple[Spring, float]]) -> Array:
         """Return the compliance (nv,) of terms at small torque."""
-        zero, out = np.zeros(1), np.zeros(self.actual.nv)
+        zero, compliance = np.zeros(1), np.zeros(self.actual.nv)
         for parameter, value in terms:
             if parameter.is_compliance:
-                out[self.row(parameter)] += value * parameter.effect(zero, zero)[1][0]
-        return out
+                compliance[self.row(parameter)] += value * parameter.effect(zero, zero)[1][0]
+        return compliance
 
     @cached_property
     def over_pose(self) -> OverPose | None:
@@ -308,11 +308,11 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
         couplings = [(parameter, value) for parameter, value in self.terms if isinstance(parameter, GearCoupling)]
         if not couplings:
             return None
-        out = np.zeros((self.actual.nv, self.actual.nv))
+        compliance = np.zeros((self.actual.nv, self.actual.nv))
         for parameter, value in couplings:
             for row, by in self.pairs(parameter):
-                out[row, by] += value
-        return out
+                compliance[row, by] += value
+        return compliance
 
     def pairs(self, parameter: Spring) -> tuple[tuple[int, int], ...]:
         """Return the coordinates that a spring deflects, each with the coordinate whose torque does so."""
@@ -366,32 +366,36 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
             return ""
         if not self.stated_spread:
             return "measured on this robot"
-        stated = self._stated_basis()
+        origin = self._stated_basis()
         if len(self.stated_spread) == len(self.covariance.parameters):
-            return f"{stated}, not measured on this robot"
+            return f"{origin}, not measured on this robot"
         names = ", ".join(parameter.symbol for parameter in self.stated_spread)
-        return f"measured on this robot, but for {names}: {stated}"
+        return f"measured on this robot, but for {names}: {origin}"
 
     def _stated_basis(self) -> str:
         """Return the basis of the compliances that were not identified, the worst by name."""
-        joints = dict.fromkeys(each.joint for each in self.stated_spread if isinstance(each, JointCompliance))
+        joints = dict.fromkeys(
+            parameter.joint for parameter in self.stated_spread if isinstance(parameter, JointCompliance)
+        )
         kinds = {joint: self.spring_basis.get(joint, "published") for joint in joints}
         present = [kind for kind in _BASIS_WORDS if kind in kinds.values()] or ["published"]
-        others = (
-            f"{', '.join(joint for joint, own in kinds.items() if own == kind)} {_BASIS_WORDS[kind]}"
+        remarks = (
+            f"{', '.join(joint for joint, joint_kind in kinds.items() if joint_kind == kind)} {_BASIS_WORDS[kind]}"
             for kind in present[1:]
         )
-        return ", ".join([_BASIS_WORDS[present[0]], *others])
+        return ", ".join([_BASIS_WORDS[present[0]], *remarks])
 
     def link_shapes(self, *, drawn: bool) -> tuple[list[LinkShape], list[str]]:
         """Return the surface of each link that has one, and a sentence for each shape that could not be read.
 
         :param drawn: True for <visual> shapes, False for <collision> shapes; a link with only the other kind has that.
         """
-        own = {each.carrier for each in self.geometries if each.drawn == drawn}
-        wanted = [each for each in self.geometries if each.drawn == drawn or each.carrier not in own]
-        found, problems = shapes.read(wanted, Path(self.urdf))
-        return shapes.joined(found), problems
+        carriers = {geometry.carrier for geometry in self.geometries if geometry.drawn == drawn}
+        selection = [
+            geometry for geometry in self.geometries if geometry.drawn == drawn or geometry.carrier not in carriers
+        ]
+        surfaces, problems = shapes.read(selection, Path(self.urdf))
+        return shapes.joined(surfaces), problems
 
     @cached_property
     def passive(self) -> tuple[int, ...]:
@@ -423,14 +427,19 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
     def with_link_springs(self, springs: Iterable[LinkSpring]) -> RobotModel:
         """Return the robot (of six coordinates, without payload) with a further coordinate, still rigid, a spring."""
         order = [LinkSpring(link, axis) for link in (BASE, *JOINTS) for axis in LINK_AXES]
-        wanted = tuple(sorted(set(springs), key=order.index))
-        if not wanted:
+        link_springs = tuple(sorted(set(springs), key=order.index))
+        if not link_springs:
             return self
-        chain, actuated, _ = elastic_chain(self.actual, wanted)
+        chain, joint_rows, _ = elastic_chain(self.actual, link_springs)
         stiffness = np.full(chain.nv, np.inf)
-        stiffness[list(actuated)] = np.diag(self.stiffness)
+        stiffness[list(joint_rows)] = np.diag(self.stiffness)
         return replace(
-            self, actual=chain, loaded=chain, stiffness=np.diag(stiffness), actuated=actuated, link_springs=wanted
+            self,
+            actual=chain,
+            loaded=chain,
+            stiffness=np.diag(stiffness),
+            actuated=joint_rows,
+            link_springs=link_springs,
         )
 
     def with_values(self, values: Mapping[Parameter, float]) -> RobotModel:
@@ -456,13 +465,13 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
 
     def _with_masses(self, masses: Mapping[LinkMass, float]) -> RobotModel:
         """Return the robot with other masses of links [kg]; the payload is unchanged."""
-        nominal, actual, loaded = self.nominal, self.actual, self.loaded
+        nominal, actual, with_payload = self.nominal, self.actual, self.loaded
         for link, mass in masses.items():
-            more, centre, row = mass - self.value(link), nominal.centre[link.index], self.row(link)
-            nominal = nominal.with_mass(link.index, more, centre)
-            bare, actual = actual, actual.with_mass(row, more, centre)
-            loaded = actual if loaded is bare else loaded.with_mass(row, more, centre)
-        return replace(self, nominal=nominal, actual=actual, loaded=loaded) if masses else self
+            difference, centre, row = mass - self.value(link), nominal.centre[link.index], self.row(link)
+            nominal = nominal.with_mass(link.index, difference, centre)
+            bare, actual = actual, actual.with_mass(row, difference, centre)
+            with_payload = actual if with_payload is bare else with_payload.with_mass(row, difference, centre)
+        return replace(self, nominal=nominal, actual=actual, loaded=with_payload) if masses else self
 
     def with_payload(self, mass: float, centre: Array) -> RobotModel:
         """Return the model carrying a further payload.

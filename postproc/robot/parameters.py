@@ -89,9 +89,9 @@ class Parameter(Struct, frozen=True):
         """Return the other parameters that its value in model.toml depends on."""
         return ()
 
-    def in_file(self, given: Mapping[Parameter, float]) -> tuple[float, dict[Parameter, float]]:
-        """Return the value in units of the file, and its derivatives by the linear values `given` (SI)."""
-        return self.per_si * given[self], {self: self.per_si}
+    def in_file(self, values: Mapping[Parameter, float]) -> tuple[float, dict[Parameter, float]]:
+        """Return the value in units of the file, and its derivatives by the linear values `values` (SI)."""
+        return self.per_si * values[self], {self: self.per_si}
 
 
 class Spring(Parameter, frozen=True):
@@ -200,10 +200,10 @@ class JointCompliance(_OfJoint, frozen=True):
         """Write [joints.A1]."""
         tables["joints"][self.joint] = {"source": source, "compliance_urad_per_Nm": value, "ci95": half}
 
-    def in_file(self, given: Mapping[Parameter, float]) -> tuple[float, dict[Parameter, float]]:
+    def in_file(self, values: Mapping[Parameter, float]) -> tuple[float, dict[Parameter, float]]:
         """Return the compliance at small torque, fading parts included."""
-        slopes = dict.fromkeys((p for p in given if p == self or self in p.partners()), self.per_si)
-        return sum(slope * given[p] for p, slope in slopes.items()), slopes
+        slopes = dict.fromkeys((p for p in values if p == self or self in p.partners()), self.per_si)
+        return sum(slope * values[p] for p, slope in slopes.items()), slopes
 
 
 class FadingPart(_Nonlinear, frozen=True):
@@ -281,8 +281,8 @@ class Knee(FadingPart, frozen=True):
         """Return T·(f(u) − f(u₀)) and f′(u)."""
         u0 = rest / self.torque
         u = torque / self.torque + u0
-        there, here = 1.0 + u**4, 1.0 + u0**4
-        return self.torque * (u / there**0.25 - u0 / here**0.25), there**-1.25
+        loaded_base, rest_base = 1.0 + u**4, 1.0 + u0**4
+        return self.torque * (u / loaded_base**0.25 - u0 / rest_base**0.25), loaded_base**-1.25
 
 
 class Backlash(_Nonlinear, frozen=True):
@@ -338,8 +338,8 @@ class Backlash(_Nonlinear, frozen=True):
 
     def effect(self, torque: Array, rest: Array) -> tuple[Array, Array]:
         """Return tanh(v) − tanh(v₀) and its derivative by the torque."""
-        there, here = np.tanh((torque + rest) / self.torque), np.tanh(rest / self.torque)
-        return there - here, (1.0 - there**2) / self.torque
+        angle, rest_angle = np.tanh((torque + rest) / self.torque), np.tanh(rest / self.torque)
+        return angle - rest_angle, (1.0 - angle**2) / self.torque
 
 
 class LostMotion(Backlash, frozen=True):
@@ -354,8 +354,8 @@ class LostMotion(Backlash, frozen=True):
 
     def effect(self, torque: Array, rest: Array) -> tuple[Array, Array]:
         """Return tanh(v) and its derivative by the torque."""
-        there = np.tanh(torque / self.torque)
-        return there, (1.0 - there**2) / self.torque
+        angle = np.tanh(torque / self.torque)
+        return angle, (1.0 - angle**2) / self.torque
 
 
 class GearCoupling(_OfJoint, frozen=True):
@@ -613,9 +613,9 @@ class CompensatorPreload(CompensatorTorque, frozen=True):
         """Return the stiffness: model.toml states s₀, which is the preload divided by it."""
         return (CompensatorStiffness(),)
 
-    def in_file(self, given: Mapping[Parameter, float]) -> tuple[float, dict[Parameter, float]]:
+    def in_file(self, values: Mapping[Parameter, float]) -> tuple[float, dict[Parameter, float]]:
         """Return s₀ [mm]; zero without spring."""
-        stiffness, preload = given[CompensatorStiffness()], given[self]
+        stiffness, preload = values[CompensatorStiffness()], values[self]
         if stiffness <= 0.0:
             return 0.0, {}
         slopes: dict[Parameter, float] = {
@@ -728,7 +728,7 @@ def named(name: str) -> Parameter | None:
     >>> named("k6@6.2")
     FadingPart(joint='A6', torque=6.2)
     """
-    return next((found for kind in KINDS if (found := kind.named(name)) is not None), None)
+    return next((match for kind in KINDS if (match := kind.named(name)) is not None), None)
 
 
 def stated(content: ModelFile) -> dict[Parameter, float]:
@@ -736,11 +736,11 @@ def stated(content: ModelFile) -> dict[Parameter, float]:
     return {parameter: value for kind in KINDS for parameter, value in kind.stated(content)}
 
 
-def file_slopes(parameters: Iterable[Parameter], given: Mapping[Parameter, float]) -> Array:
+def file_slopes(parameters: Iterable[Parameter], values: Mapping[Parameter, float]) -> Array:
     """Return ∂(values in units of the file)/∂(linear values) (n, n) of parameters whose partners are among them."""
     order = list(parameters)
-    out = np.zeros((len(order), len(order)))
+    jacobian = np.zeros((len(order), len(order)))
     for row, parameter in enumerate(order):
-        for other, slope in parameter.in_file(given)[1].items():
-            out[row, order.index(other)] = slope
-    return out
+        for partner, slope in parameter.in_file(values)[1].items():
+            jacobian[row, order.index(partner)] = slope
+    return jacobian

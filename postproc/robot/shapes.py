@@ -20,7 +20,7 @@ from postproc.robot.urdf import Geometry
 _FINEST = 1e-3
 """Cells [m] that simplification begins with; each further grid is coarser by `_COARSER`."""
 _COARSER = 1.25
-_SHOWN = 3
+_MAX_PLACES = 3
 """Places of a missing mesh that a note names."""
 
 
@@ -61,7 +61,7 @@ def read(geometries: Iterable[Geometry], urdf: Path) -> tuple[list[LinkShape], l
     :param urdf: the file that names them: relative names are looked for next to it, `package://` names in its package
         and next to the folders above it.
     """
-    out, problems = [], []
+    surfaces, problems = [], []
     for geometry in geometries:
         try:
             mesh = _mesh(geometry, urdf)
@@ -69,8 +69,8 @@ def read(geometries: Iterable[Geometry], urdf: Path) -> tuple[list[LinkShape], l
             problems.append(f"{geometry.file or geometry.kind}: {error.problem}")
             continue
         points, faces = np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces, dtype=np.int64)
-        out.append(LinkShape(geometry.carrier, points * geometry.scale, faces).moved(geometry.pose))
-    return out, problems
+        surfaces.append(LinkShape(geometry.carrier, points * geometry.scale, faces).moved(geometry.pose))
+    return surfaces, problems
 
 
 def _mesh(geometry: Geometry, urdf: Path) -> Any:
@@ -97,8 +97,8 @@ def _mesh(geometry: Geometry, urdf: Path) -> Any:
 
 
 def _listed(places: list[Path]) -> str:
-    more = f", and {len(places) - _SHOWN} more above" if len(places) > _SHOWN else ""
-    return f"{', '.join(str(place) for place in places[:_SHOWN])}{more}"
+    suffix = f", and {len(places) - _MAX_PLACES} more above" if len(places) > _MAX_PLACES else ""
+    return f"{', '.join(str(place) for place in places[:_MAX_PLACES])}{suffix}"
 
 
 def _places(name: str, urdf: Path) -> list[Path]:
@@ -111,53 +111,53 @@ def _places(name: str, urdf: Path) -> list[Path]:
     rest = rest.replace("\\", "/")
     if scheme not in ("package", "model"):
         return [Path(rest) if Path(rest).is_absolute() else urdf.parent / rest]
-    package, _, inside = rest.partition("/")
-    found = []
-    for above in urdf.resolve().parents:
-        folders = [above / package]
-        description = above / "package.xml"
-        if above.name == package or (
+    package, _, subpath = rest.partition("/")
+    paths = []
+    for parent in urdf.resolve().parents:
+        folders = [parent / package]
+        description = parent / "package.xml"
+        if parent.name == package or (
             description.is_file()
             and re.search(rf"<name>\s*{re.escape(package)}\s*</name>", description.read_text(errors="replace"))
         ):
-            folders.append(above)
-        found += [folder / inside for folder in folders]
-    return found
+            folders.append(parent)
+        paths += [folder / subpath for folder in folders]
+    return paths
 
 
-def simplified(surface: LinkShape, most: int) -> tuple[LinkShape, float]:
-    """Return a surface with at most `most` triangles, and the largest displacement of its corners [m].
+def simplified(surface: LinkShape, face_limit: int) -> tuple[LinkShape, float]:
+    """Return a surface with at most `face_limit` triangles, and the largest displacement of its corners [m].
 
     Corners in one cell of a grid become one at their mean; the grid is as fine as the number allows. Source: Rossignac
     and Borrel, "Multi-resolution 3D approximations for rendering complex scenes", 1993.
     """
-    kept, moved, cell = surface, 0.0, _FINEST
-    while len(kept.faces) > most:
-        kept, moved = _clustered(surface, cell)
+    result, displacement, cell = surface, 0.0, _FINEST
+    while len(result.faces) > face_limit:
+        result, displacement = _clustered(surface, cell)
         cell *= _COARSER
-    return kept, moved
+    return result, displacement
 
 
 def _clustered(surface: LinkShape, cell: float) -> tuple[LinkShape, float]:
     key = np.floor(surface.points / cell).astype(np.int64)
     _, of, count = np.unique(key, axis=0, return_inverse=True, return_counts=True)
     points = np.stack([np.bincount(of, weights=values) for values in surface.points.T], axis=1) / count[:, None]
-    moved = float(np.linalg.norm(points[of] - surface.points, axis=1).max(initial=0.0))
+    displacement = float(np.linalg.norm(points[of] - surface.points, axis=1).max(initial=0.0))
     faces = of[surface.faces]
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
     _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
-    used, kept = np.unique(faces[np.sort(first)], return_inverse=True)
-    return replace(surface, points=points[used], faces=kept.reshape(-1, 3)), moved
+    point_rows, new_index = np.unique(faces[np.sort(first)], return_inverse=True)
+    return replace(surface, points=points[point_rows], faces=new_index.reshape(-1, 3)), displacement
 
 
 def joined(surfaces: Iterable[LinkShape]) -> list[LinkShape]:
     """Return one surface for each carrier, in their order."""
     by_carrier: dict[int, list[LinkShape]] = {}
-    for each in surfaces:
-        by_carrier.setdefault(each.carrier, []).append(each)
-    out = []
+    for surface in surfaces:
+        by_carrier.setdefault(surface.carrier, []).append(surface)
+    merged_surfaces = []
     for carrier, parts in sorted(by_carrier.items()):
         first = np.cumsum([0, *(len(part.points) for part in parts)])
         faces = np.concatenate([part.faces + start for part, start in zip(parts, first, strict=False)])
-        out.append(LinkShape(carrier, np.concatenate([part.points for part in parts]), faces))
-    return out
+        merged_surfaces.append(LinkShape(carrier, np.concatenate([part.points for part in parts]), faces))
+    return merged_surfaces

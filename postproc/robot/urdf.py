@@ -205,8 +205,8 @@ class _Reader:
             mass = _numbers(_element(inertial, "mass"), "value", 1)[0]
             if mass < 0.0:
                 raise _RefusedError(f"link {link} has a negative mass")
-            before, moment = self.moments[carrier]
-            self.moments[carrier] = before + mass, moment + mass * (pose @ self._origin(inertial))[:3, 3]
+            mass_sum, moment = self.moments[carrier]
+            self.moments[carrier] = mass_sum + mass, moment + mass * (pose @ self._origin(inertial))[:3, 3]
         self.frames[link] = carrier, pose
         for joint in self.below[link]:
             name, kind = joint.get("name"), joint.get("type")
