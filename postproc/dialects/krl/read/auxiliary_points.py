@@ -34,8 +34,10 @@ from postproc.frames import (
 )
 from postproc.program import Bools, Ints
 
-_LONGER = "the orientation of the auxiliary point is closer to the longer way round: SCIRC turns the tool that way"
-_THROUGH = (
+_LONGER_MESSAGE = (
+    "the orientation of the auxiliary point is closer to the longer way round: SCIRC turns the tool that way"
+)
+_THROUGH_MESSAGE = (
     "SCIRC turns the tool through the orientation of its auxiliary point ($CIRC_MODE.AUX_PT.ORI #INTERPOLATE), which "
     "is not on the way from start to end by one rotation: how it turns on both sides is not published"
 )
@@ -56,7 +58,7 @@ def left_out(
     moves: Mapping[int, MotionStatement],
     ends: tuple[Array, Array],
     arcs: tuple[Array, Array, Array, Array],
-    led: Led,
+    control: Led,
     settings: Settings,
     in_force: tuple[Sequence[State], Ints],
 ) -> Bools:
@@ -66,43 +68,48 @@ def left_out(
     :param moves: row → statement, of those that are not plain.
     :param ends: tool frames (n, 4, 4) at start and end, `$BASE` [m].
     :param arcs: centres, axes and auxiliary points (n, 3) [m], angles (n,) [rad] of the circles.
-    :param led: how the orientation is led.
+    :param control: how the orientation is led.
     :param in_force: states, and which of them (n,) holds for each circle.
     :raises ProgramError: the tool does not turn by the shorter rotation, or it is not known whether it does.
     """
-    out = np.zeros(len(circular), dtype=np.bool_)
-    given = np.full((len(circular), 3), np.nan)
+    is_left_out = np.zeros(len(circular), dtype=np.bool_)
+    via_angles = np.full((len(circular), 3), np.nan)
     states, state = in_force
     strict = np.array([s.auxiliary == "#INTERPOLATE" or _unknown(s) for s in states])[state]
     free = np.array([s.orientation == IGNORE or (s.auxiliary == "#IGNORE" and not _unknown(s)) for s in states])[state]
     for i in np.flatnonzero(~free).tolist():
         if source.text[int(rows.keyword[circular[i]])] in "sS":
-            given[i] = _orientation(source, rows, int(circular[i]), moves)
+            via_angles[i] = _orientation(source, rows, int(circular[i]), moves)
         else:
             strict[i] = False
-    own = np.flatnonzero(~free & (strict | ~np.isnan(given).all(axis=1)))
-    if not len(own):
-        return out
-    start, end = (pose[own] for pose in ends)
-    centre, axis, points, angle = (column[own] for column in arcs)
+    oriented_circles = np.flatnonzero(~free & (strict | ~np.isnan(via_angles).all(axis=1)))
+    if not len(oriented_circles):
+        return is_left_out
+    start, end = (pose[oriented_circles] for pose in ends)
+    centre, axis, points, angle = (column[oriented_circles] for column in arcs)
     numbers = xyzabc_from_pose(start)
-    numbers[:, 3:] = np.where(np.isnan(given[own]), numbers[:, 3:], given[own])
+    numbers[:, 3:] = np.where(np.isnan(via_angles[oriented_circles]), numbers[:, 3:], via_angles[oriented_circles])
     first, via, last = start[:, :3, :3], pose_from_xyzabc(numbers)[:, :3, :3], end[:, :3, :3]
-    one, other = start[:, :3, 3] - centre, points - centre
-    half = np.arctan2(np.einsum("ij,ij->i", axis, np.cross(one, other)), np.einsum("ij,ij->i", one, other))
+    start_radius, via_radius = start[:, :3, 3] - centre, points - centre
+    half = np.arctan2(
+        np.einsum("ij,ij->i", axis, np.cross(start_radius, via_radius)), np.einsum("ij,ij->i", start_radius, via_radius)
+    )
     half %= 2.0 * np.pi
-    with_path = led.with_path[circular[own]]
-    back = np.where(with_path, -1.0, 0.0)[:, None] * axis  # as seen from the path, where that turns the tool
-    via, last = rotation_from_vector(half[:, None] * back) @ via, rotation_from_vector(angle[:, None] * back) @ last
+    with_path = control.with_path[circular[oriented_circles]]
+    path_axis = np.where(with_path, -1.0, 0.0)[:, None] * axis  # as seen from the path, where that turns the tool
+    via, last = (
+        rotation_from_vector(half[:, None] * path_axis) @ via,
+        rotation_from_vector(angle[:, None] * path_axis) @ last,
+    )
     short = rotation_vector(last @ np.swapaxes(first, 1, 2))
     passes = rotation_from_vector((half / angle)[:, None] * short) @ first
-    leads = np.where(strict[own], angle_between(passes, via) > _ON_THE_WAY, _longer(first, short, via))
+    leads = np.where(strict[oriented_circles], angle_between(passes, via) > _ON_THE_WAY, _longer(first, short, via))
     for i in np.flatnonzero(leads).tolist():
-        settings.refuse_uncertain(states[state[own[i]]], ["auxiliary"])
-        line, through = int(rows.line[circular[own[i]]]), bool(strict[own[i]])
-        raise source.line_error(_THROUGH if through else _LONGER, line, _ADVICE[through])
-    out[own] = True  # what lies on the whole way need not lie on those of its pieces
-    return out
+        settings.refuse_uncertain(states[state[oriented_circles[i]]], ["auxiliary"])
+        line, is_strict = int(rows.line[circular[oriented_circles[i]]]), bool(strict[oriented_circles[i]])
+        raise source.line_error(_THROUGH_MESSAGE if is_strict else _LONGER_MESSAGE, line, _ADVICE[is_strict])
+    is_left_out[oriented_circles] = True  # what lies on the whole way need not lie on those of its pieces
+    return is_left_out
 
 
 def _longer(first: Array, short: Array, via: Array) -> Bools:
@@ -114,17 +121,17 @@ def _longer(first: Array, short: Array, via: Array) -> Bools:
     """
     size = norm(short)
     axis = short / np.maximum(size, _NO_TURN)[:, None]
-    apart = via @ np.swapaxes(first, 1, 2)
-    cosine = np.trace(apart, axis1=1, axis2=2) - np.einsum("ni,nij,nj->n", axis, apart, axis)
-    sine = -np.einsum("nij,nji->n", hat(axis), apart)
+    via_rotation = via @ np.swapaxes(first, 1, 2)
+    cosine = np.trace(via_rotation, axis1=1, axis2=2) - np.einsum("ni,nij,nj->n", axis, via_rotation, axis)
+    sine = -np.einsum("nij,nji->n", hat(axis), via_rotation)
     nearest = np.arctan2(sine, cosine)
 
     def angle(middle: Array, half: Array) -> Array:
         place = middle + np.clip((nearest - middle + np.pi) % (2.0 * np.pi) - np.pi, -half, half)
         return angle_between(rotation_from_vector(place[:, None] * axis) @ first, via)
 
-    shorter, longer = angle(0.5 * size, 0.5 * size), angle(0.5 * size + np.pi, np.pi - 0.5 * size)
-    return (shorter > _ON_THE_WAY) & (shorter > longer - _ON_THE_WAY) & (size >= _NO_TURN)
+    shorter_angle, longer_angle = angle(0.5 * size, 0.5 * size), angle(0.5 * size + np.pi, np.pi - 0.5 * size)
+    return (shorter_angle > _ON_THE_WAY) & (shorter_angle > longer_angle - _ON_THE_WAY) & (size >= _NO_TURN)
 
 
 def _orientation(source: Source, rows: MotionColumns, row: int, moves: Mapping[int, MotionStatement]) -> list[float]:

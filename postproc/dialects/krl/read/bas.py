@@ -16,20 +16,20 @@ from postproc.dialects.krl.read.variables import Variables
 
 _OF_SPLINES = {"$CIRC_MODE": "auxiliary", "$SPL_ORI_JOINT_AUTO": "by_wrist"}
 """Variables of spline motions, which BAS does not know, and what of the `State` they set."""
-_ALL = tuple(name for name in FIELDS if name not in _OF_SPLINES)
+_MOTION_VARIABLES = tuple(name for name in FIELDS if name not in _OF_SPLINES)
 BAS_SETS = {
-    "#INITMOV": _ALL,
+    "#INITMOV": _MOTION_VARIABLES,
     "#VEL_CP": ("$VEL",),
     "#BASE": ("$BASE",),
     "#TOOL": ("$TOOL",),
     "#CP_DAT": ("$APO", "$ORI_TYPE", "$CIRC_TYPE"),
     "#FRAMES": ("$BASE", "$TOOL"),
     "#PTP_PARAMS": ("$BASE", "$TOOL"),
-    "#CP_PARAMS": _ALL,
+    "#CP_PARAMS": _MOTION_VARIABLES,
 }
 """Which variables a command of BAS sets."""
 _HARMLESS = frozenset({"ACC_CP", "ACC_PTP", "VEL_PTP", "PTP_DAT", "OUT_SYNC", "OUT_ASYNC", "GROUP", "ACC_GLUE"})
-_KNOWN = "#INITMOV, #BASE, #TOOL, #FRAMES, #VEL_CP, #CP_DAT, #CP_PARAMS, #PTP_PARAMS, #VEL_PTP, #ACC_CP, #ACC_PTP"
+_COMMANDS = "#INITMOV, #BASE, #TOOL, #FRAMES, #VEL_CP, #CP_DAT, #CP_PARAMS, #PTP_PARAMS, #VEL_PTP, #ACC_CP, #ACC_PTP"
 
 
 def command_of(source: Source, call: Call) -> str:
@@ -70,21 +70,21 @@ class Bas:
             return self.path.speed(self._frame_data(self._path_data(state, at), at), at, "CP", argument)
         if command[1:] in _HARMLESS:
             return state
-        raise at.error(f"BAS({command}) is not understood", f"Understood are {_KNOWN}.")
+        raise at.error(f"BAS({command}) is not understood", f"Understood are {_COMMANDS}.")
 
     def _initialised(self, state: State, at: Place) -> State:
         """#INITMOV also sets BASE(0) and TOOL_DATA[1]; the cell says whether these are meant, or its own frames."""
-        kept = {field: getattr(state, field) for field in _OF_SPLINES.values()}
-        fresh = State(**kept, uncertain=tuple(one for one in state.uncertain if one[0] in kept))
-        meant = self.cell.krl.initmov
-        if meant == "bas":
+        spline_fields = {field: getattr(state, field) for field in _OF_SPLINES.values()}
+        fresh = State(**spline_fields, uncertain=tuple(entry for entry in state.uncertain if entry[0] in spline_fields))
+        initmov = self.cell.krl.initmov
+        if initmov == "bas":
             return self.frames.numbered(self.frames.numbered(fresh, at, "$BASE", 0), at, "$TOOL", 1)
-        if meant is None and (state.base != 0 or state.tool != 0):
+        if initmov is None and (state.base != 0 or state.tool != 0):
             return self._no_frames(fresh, at, "BAS(#INITMOV,0) resets $BASE and $TOOL after they were set")
         return replace(fresh, initial=frozenset(("$BASE", "$TOOL")))
 
-    def _no_frames(self, state: State, at: Place, why: str) -> State:
-        return self.frames.unknown(self.frames.unknown(state, "$BASE", at, why), "$TOOL", at, why)
+    def _no_frames(self, state: State, at: Place, reason: str) -> State:
+        return self.frames.unknown(self.frames.unknown(state, "$BASE", at, reason), "$TOOL", at, reason)
 
     def _data(self, name: str, at: Place) -> Known:
         """Return what the structure is that a command reads."""

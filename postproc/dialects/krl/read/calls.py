@@ -33,8 +33,8 @@ class Calls:
     :param called: runs the routine that was called.
     """
 
-    def __init__(self, run: Run, called: Callable[[], None]) -> None:
-        self.run, self._called = run, called
+    def __init__(self, run: Run, run_routine: Callable[[], None]) -> None:
+        self.run, self._run_routine = run, run_routine
         run.variables.functions = _Pure(self)
         self.entered: list[_Bound] = []
 
@@ -47,46 +47,46 @@ class Calls:
             return self.run.variables.evaluate(call)
         if call is not None:
             return self.call(at, call, certain=self.run.certain)
-        known = self.run.variables.evaluate(value)
-        if isinstance(known, Aggregate) and not (isinstance(value, Aggregate) and self.run.in_main):
-            return replace(known, computed=True)  # the text of its numbers belongs to another variable
-        if isinstance(known, Aggregate) and not known.computed:
-            return self.run.in_trace(known)
-        if known == NOTHING and not (isinstance(value, Reference) and value.name[0] != "$"):
+        result = self.run.variables.evaluate(value)
+        if isinstance(result, Aggregate) and not (isinstance(value, Aggregate) and self.run.in_main):
+            return replace(result, computed=True)  # the text of its numbers belongs to another variable
+        if isinstance(result, Aggregate) and not result.computed:
+            return self.run.in_trace(result)
+        if result == NOTHING and not (isinstance(value, Reference) and value.name[0] != "$"):
             return Unknown(str(at), why_unknown(self.run.variables, at.source, value))
-        return known
+        return result
 
     def call(self, at: Place, call: Call, *, certain: bool) -> Known:
         """Follow a call; return the value of a function."""
-        found = self.run.library.find(call.name, self.run.level.module)
+        callee = self.run.library.find(call.name, self.run.level.module)
         unknown = Unknown(str(at), f"what {call.spelt(at.source)}() gives is not known")
-        if found is None:
+        if callee is None:
             self._absent(at, call)
             ours = call.name in PURE or call.name in STANDARD
             return unknown if ours else Unknown(str(at), f"{call.spelt(at.source)}() is in no file of the program")
-        effects = self.run.analysis.of(*found)
+        effects = self.run.analysis.of(*callee)
         self.notice(at, call.name, effects)
-        self._check_motion(at, call, *found, effects)
-        if found[0] is self.run.library.program:
-            self.run.reached |= {found[1]}
+        self._check_motion(at, call, *callee, effects)
+        if callee[0] is self.run.library.program:
+            self.run.reached |= {callee[1]}
         if _harmless(effects):
-            result = None if self._obstacle(at, call, *found, effects) else self._executed(at, call, *found)
+            result = None if self._obstacle(at, call, *callee, effects) else self._executed(at, call, *callee)
             return unknown if result is None else result
-        if certain and not self._obstacle(at, call, *found, effects):
-            result = self._executed(at, call, *found)
+        if certain and not self._obstacle(at, call, *callee, effects):
+            result = self._executed(at, call, *callee)
             if result is not None:
                 return result
         if effects.interrupting is not None:
             problem = f"{call.name} is called, and declares a GLOBAL interrupt that moves the robot"
             raise at.error(f"{problem} ({effects.interrupting})", IN_ORDER)
-        self._forget_arguments(at, call, found[1])
+        self._forget_arguments(at, call, callee[1])
         self._may_have_run(at, call.name, effects)
         return unknown
 
     def writer(self, call: Call, name: str) -> Place | None:
         """Return where a called routine may write a variable, by its stored name; None if it does not."""
-        found = self.run.library.find(call.name, self.run.level.module)
-        return None if found is None else self.run.analysis.of(*found).writes.get(name)
+        callee = self.run.library.find(call.name, self.run.level.module)
+        return None if callee is None else self.run.analysis.of(*callee).writes.get(name)
 
     def _absent(self, at: Place, call: Call) -> None:
         """Follow a call of a routine that is in no file: it writes at most its arguments."""
@@ -96,24 +96,24 @@ class Calls:
             self.run.absent.append((call.spelt(at.source), self.run.here))
         self._forget_arguments(at, call, None)
 
-    def notice(self, at: Place, what: str, effects: Effects, source: str | None = None) -> None:
+    def notice(self, at: Place, subject: str, effects: Effects, source: str | None = None) -> None:
         """Note routines that are in no file, and variables that may change at any time from now on.
 
-        :param what: the routine or statement, for errors of this line.
+        :param subject: the routine or statement, for errors of this line.
         :param source: the same for errors of later lines.
         :raises ProgramError: frames or speeds may change so, or a variable that a caller gave.
         """
         if effects.lasting is not None:
-            problem = f"{what} has a parameter that changes at any time from then on ({effects.lasting})"
+            problem = f"{subject} has a parameter that changes at any time from then on ({effects.lasting})"
             raise at.error(problem, "Change a variable of a .dat there, or make the parameter :IN.")
         self.run.absent += [(name, self.run.here) for name in effects.absent.values()]
         self.run.resumable |= effects.resumes is not None
         relevant = sorted(RELEVANT.intersection(effects.anytime))
         if relevant:
-            problem = f"{what} changes what motions depend on at any time: {', '.join(relevant)}"
+            problem = f"{subject} changes what motions depend on at any time: {', '.join(relevant)}"
             place = str(effects.anytime[relevant[0]])
             raise at.error(problem if place == str(at) else f"{problem} ({place})", SETTING_ADVICE)
-        self.run.may_change(effects.anytime, source or what)
+        self.run.may_change(effects.anytime, source or subject)
 
     def _forget_arguments(self, at: Place, call: Call, routine: Routine | None) -> None:
         for _, reference in self._by_reference(at, call, routine):
@@ -127,23 +127,23 @@ class Calls:
 
     def _by_reference(self, at: Place, call: Call, routine: Routine | None) -> list[tuple[int, Reference]]:
         """Return the arguments that a routine may write: variables given for a parameter without ``:IN``."""
-        found = []
+        references = []
         for index, argument in enumerate(call.arguments):
             by_value = routine is not None and index < len(routine.parameters) and routine.parameters[index].by_value
             reference = None if by_value else writable(argument)
             if reference is not None:
-                found.append((index, reference))
-        return found
+                references.append((index, reference))
+        return references
 
     def _may_have_run(self, at: Place, name: str, effects: Effects) -> None:
         """Mark as unknown everything that code may write which runs at unknown times or an unknown number of times."""
-        for written, place in effects.writes.items():
-            if written in RELEVANT:
-                problem = f"{name} may change {written} ({place})"
-                affected = [FIELDS[written]] if written in FIELDS else ["base", "tool"]
-                self.run.settings.make_uncertain(self.run.line, affected, at.error(problem, SETTING_ADVICE))
+        for variable, place in effects.writes.items():
+            if variable in RELEVANT:
+                problem = f"{name} may change {variable} ({place})"
+                fields = [FIELDS[variable]] if variable in FIELDS else ["base", "tool"]
+                self.run.settings.make_uncertain(self.run.line, fields, at.error(problem, SETTING_ADVICE))
             else:
-                self.run.variables.forget(written, str(place))
+                self.run.variables.forget(variable, str(place))
 
     def _check_motion(self, at: Place, call: Call, module: Module, routine: Routine, effects: Effects) -> None:
         """Refuse motions in routines of the program itself; after those of another file the position is not known."""
@@ -172,8 +172,8 @@ class Calls:
         cause = self.run.elsewhere.get(routine, unseen)
         reason = at.error(f"{problem}: where the next motion begins is not known", advice)
         self.run.moved.append(Apart(self.run.line, reason, name, module, routine, cause))
-        why = f"{cause.file}, line {cause.line}: {cause.problem}"
-        message = f"{name}() moves the robot ({place}): its motions are not corrected here, because of {why}."
+        cause_text = f"{cause.file}, line {cause.line}: {cause.problem}"
+        message = f"{name}() moves the robot ({place}): its motions are not corrected here, because of {cause_text}."
         if begins is not None:
             message += (
                 f" They begin from the robot position ({begins}): the correction of the motion before moves them too."
@@ -185,11 +185,11 @@ class Calls:
 
         It does if it moves the robot or contains a force comment.
         """
-        found = self.run.library.find(call.name, self.run.level.module)
-        if found is None or found[1] in self.run.elsewhere:
+        callee = self.run.library.find(call.name, self.run.level.module)
+        if callee is None or callee[1] in self.run.elsewhere:
             return None
-        effects = self.run.analysis.of(*found)
-        return found if effects.motion is not None or effects.force is not None else None
+        effects = self.run.analysis.of(*callee)
+        return callee if effects.motion is not None or effects.force is not None else None
 
     def enter(self, at: Place, call: Call, module: Module, routine: Routine) -> None:
         """Enter a routine with motions; the next statements run in it, up to `leave`.
@@ -200,11 +200,11 @@ class Calls:
         self.notice(at, call.name, effects)
         if module is self.run.library.program:
             self.run.reached |= {routine}
-        if why := self._obstacle(at, call, module, routine, effects):
-            problem = f"{call.name} is called, which moves the robot, in a way that cannot be followed: {why}"
+        if obstacle := self._obstacle(at, call, module, routine, effects):
+            problem = f"{call.name} is called, which moves the robot, in a way that cannot be followed: {obstacle}"
             raise inexact(at, problem, _INLINE_ADVICE, routine)
         self.entered.append(self._bound(at, call, module, routine))
-        self._begin(self.entered[-1], traced=True)
+        self._begin(self.entered[-1], is_traced=True)
 
     def leave(self) -> None:
         """Return from the routine that was entered last."""
@@ -213,9 +213,9 @@ class Calls:
     def _executed(self, at: Place, call: Call, module: Module, routine: Routine) -> Known | None:
         """Run a routine; None if that cannot be done exactly."""
         bound = self._bound(at, call, module, routine)
-        level = self._begin(bound, traced=False)
+        level = self._begin(bound, is_traced=False)
         try:
-            self._called()
+            self._run_routine()
         except ProgramError:
             self._back(bound)
             return None
@@ -236,57 +236,66 @@ class Calls:
             return f"more than {_DEEPEST} calls are within each other"
         if len(call.arguments) > len(routine.parameters):
             return f"it takes {len(routine.parameters)} arguments, {len(call.arguments)} are given"
-        seen: set[str] = set()
+        roots: set[str] = set()
         for _, reference in self._by_reference(at, call, routine):
             name, root = at.source.text[reference.start : reference.stop], self.run.stored(reference.name)
             if reference.indices == ():
                 return f"{name} is a whole array that it may change"
-            if root in seen or root in effects.writes or root in RELEVANT:
+            if root in roots or root in effects.writes or root in RELEVANT:
                 return f"{name} has two names in it, one as its parameter"
-            seen.add(root)
-        if seen and (twice := self.run.analysis.names(module, routine) & seen):
-            return f"{min(twice)} has two names in it, one as its parameter"
+            roots.add(root)
+        if roots and (aliases := self.run.analysis.names(module, routine) & roots):
+            return f"{min(aliases)} has two names in it, one as its parameter"
         return ""
 
     def _bound(self, at: Place, call: Call, module: Module, routine: Routine) -> _Bound:
         """Return a call with the values of its parameters."""
-        written = self._by_reference(at, call, routine)
-        roots = [self.run.stored(reference.name) for _, reference in written]
+        references = self._by_reference(at, call, routine)
+        roots = [self.run.stored(reference.name) for _, reference in references]
         self.run.calls += 1
         scope = self.run.scopes.of_call(module, routine, self.run.calls)
-        given: dict[int, Known] = {}
+        argument_values: dict[int, Known] = {}
         arguments = [
             _Argument(index, reference, self.run.variables.key_of(reference))  # as they are before the call
-            for index, reference in written
+            for index, reference in references
             if index < len(routine.parameters)
         ]
         for index, argument in enumerate(call.arguments):
-            left_out = isinstance(argument, Opaque) and not at.source.text[argument.start : argument.stop].strip()
-            given[index] = NOTHING if left_out else self.value(at, argument)
-        changing = {
+            is_empty = isinstance(argument, Opaque) and not at.source.text[argument.start : argument.stop].strip()
+            argument_values[index] = NOTHING if is_empty else self.value(at, argument)
+        volatile_names = {
             scope.stored(routine.parameters[index].name): self.run.variables.changing[root]
-            for (index, _), root in zip(written, roots, strict=True)
+            for (index, _), root in zip(references, roots, strict=True)
             if index < len(routine.parameters) and root in self.run.variables.changing
         }
-        kinds = {index: self.run.variables.kind(reference) for index, reference in written}
+        kinds = {index: self.run.variables.kind(reference) for index, reference in references}
         return _Bound(
-            at, module, routine, scope, arguments, given, kinds, changing, self.run.level, self.run.variables.scope
+            at,
+            module,
+            routine,
+            scope,
+            arguments,
+            argument_values,
+            kinds,
+            volatile_names,
+            self.run.level,
+            self.run.variables.scope,
         )
 
-    def _begin(self, bound: _Bound, *, traced: bool) -> Level:
+    def _begin(self, bound: _Bound, *, is_traced: bool) -> Level:
         """Make a routine the running one."""
         for index, parameter in enumerate(bound.routine.parameters):
-            stored, kind = bound.scope.stored(parameter.name), bound.routine.types.get(parameter.name, "")
+            stored_name, kind = bound.scope.stored(parameter.name), bound.routine.types.get(parameter.name, "")
             argument = bound.kinds.get(index, kind)
             if (kind == "REAL" and argument in ("INT", WHOLE)) or (kind == "INT" and argument != "INT"):
                 kind = WHOLE
             if kind:
-                self.run.variables.types[stored] = kind
-            given = bound.given.get(index, NOTHING)
-            value = converted(given, kind) if kind else given
-            self.run.variables.put(stored, given if value == given else value)
+                self.run.variables.types[stored_name] = kind
+            argument_value = bound.given.get(index, NOTHING)
+            value = converted(argument_value, kind) if kind else argument_value
+            self.run.variables.put(stored_name, argument_value if value == argument_value else value)
         self.run.variables.changing |= bound.changing
-        self.run.level = Level(bound.module, bound.routine, bound.scope, traced=traced)
+        self.run.level = Level(bound.module, bound.routine, bound.scope, traced=is_traced)
         self.run.stack.append(bound.routine)
         self.run.variables.scope = bound.scope
         return self.run.level
@@ -330,8 +339,8 @@ class _Pure(Struct, frozen=True, eq=False):
         run = self.calls.run
         if call.name in PURE:
             return True
-        found = run.library.find(call.name, run.level.module)
-        return found is not None and bool(found[1].result) and _harmless(run.analysis.of(*found))
+        callee = run.library.find(call.name, run.level.module)
+        return callee is not None and bool(callee[1].result) and _harmless(run.analysis.of(*callee))
 
     def value(self, call: Call) -> Known:
         """Return what it gives."""

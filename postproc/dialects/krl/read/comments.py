@@ -21,7 +21,7 @@ from postproc.dialects.krl.language.tokens import FORCE
 from postproc.program import FORCE_COMMENT, Bools, Event, ForceNote, Ints, parse_force_note
 
 _Force = ForceNote | str | None
-_SAME = 0.01
+_FORCE_TOLERANCE = 0.01
 """Forces that differ by less [N, N·m] count as equal: they deflect the tool by a few nanometres."""
 _JOIN_ADVICE = "Let the last motion of each branch have the same force, in the axes of $BASE or of the tool."
 _ADVICE = "Write a force comment before this motion."
@@ -55,28 +55,28 @@ def notes_of(
     if course.live is not None:
         live = course.live[lines - 1]
         lines, comments = lines[live], comments[live]
-    lost = dict(unknown)
+    unknown_reasons = dict(unknown)
     for step in course.steps:
         if isinstance(step, Kept):
-            inside = (lines >= step.first) & (lines <= step.last)
-            if inside.any():
-                at = source.origin(int(lines[inside][0]))
-                lost[step.last] = f"a force comment is in code that is left unchanged ({at})"
-                lines, comments = lines[~inside], comments[~inside]
-    before, own = np.searchsorted(motions, lines).tolist(), source.own(lines).tolist()
-    parsed: dict[str, ForceNote | None] = {}
+            in_step = (lines >= step.first) & (lines <= step.last)
+            if in_step.any():
+                at = source.origin(int(lines[in_step][0]))
+                unknown_reasons[step.last] = f"a force comment is in code that is left unchanged ({at})"
+                lines, comments = lines[~in_step], comments[~in_step]
+    rows, own_lines = np.searchsorted(motions, lines).tolist(), source.own(lines).tolist()
+    note_cache: dict[str, ForceNote | None] = {}
     notes = []
-    for comment, line, shown, row in zip(comments.tolist(), lines.tolist(), own, before, strict=True):
-        if comment not in parsed:
+    for comment, line, own_line, row in zip(comments.tolist(), lines.tolist(), own_lines, rows, strict=True):
+        if comment not in note_cache:
             origin = source.origin(line)
-            parsed[comment] = parse_force_note(comment, origin.line, origin.source.document.name)
-        note = parsed[comment]
+            note_cache[comment] = parse_force_note(comment, origin.line, origin.source.document.name)
+        note = note_cache[comment]
         if note is not None:
-            notes.append((line, ForceNote(shown, note.wrench, note.frame, row)))
+            notes.append((line, ForceNote(own_line, note.wrench, note.frame, row)))
     marks = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
-    if not marks and not lost:
+    if not marks and not unknown_reasons:
         return notes
-    return _Held(course, motions, rapid, free).through(notes, lost, marks)
+    return _Held(course, motions, rapid, free).through(notes, unknown_reasons, marks)
 
 
 class _Held:
@@ -94,15 +94,18 @@ class _Held:
         self.since = 0
 
     def through(
-        self, notes: Sequence[tuple[int, ForceNote]], lost: Mapping[int, str], marks: Sequence[Fork | Branch | Join]
+        self,
+        notes: Sequence[tuple[int, ForceNote]],
+        unknown_reasons: Mapping[int, str],
+        marks: Sequence[Fork | Branch | Join],
     ) -> list[tuple[int, ForceNote]]:
         """Return the comments, and those that state the acting force again.
 
-        :param lost: lines after which the acting force is not known, and why.
+        :param unknown_reasons: lines after which the acting force is not known, and why.
         """
         events: list[tuple[int, int, _Force | Fork | Branch | Join]] = [
             *((line, 0, note) for line, note in notes),
-            *((line, 1, why) for line, why in lost.items()),
+            *((line, 1, reason) for line, reason in unknown_reasons.items()),
             *((mark.line, 2, mark) for mark in marks),
         ]
         forks: list[tuple[tuple[_Force, _Force], list[tuple[_Force, _Force]]]] = []
@@ -122,8 +125,8 @@ class _Held:
                 self._state(line, entry[0])
             elif isinstance(event, Join):
                 entry, ends = forks.pop()
-                met = [*ends[1:], (self.now, self.last), *([] if event.complete else [entry])]
-                self._meet(line, met, free=event in self.free)
+                end_forces = [*ends[1:], (self.now, self.last), *([] if event.complete else [entry])]
+                self._meet(line, end_forces, free=event in self.free)
         self._move(len(self.course.source.starts))
         return self.notes
 
@@ -133,22 +136,22 @@ class _Held:
         :param free: branches may end in different poses.
         :raises ProgramError: the branches end under different forces: corrected, they would not meet.
         """
-        held, last = ([_force_of(end[which]) for end in ends] for which in (0, 1))
+        forces, last = ([_force_of(end[index]) for end in ends] for index in (0, 1))
         if not free and any(_differ(force, last[0]) or _turns(*force) for force in last):
             problem = "the branches that end here do so under different forces: corrected, they would not meet"
             raise self.course.source.line_error(problem, line, _JOIN_ADVICE)
-        alike = all(force == held[0] for force in held)
+        is_common = all(force == forces[0] for force in forces)
         row = int(np.searchsorted(self.motions, line))
-        if alike and row < len(self.motions) and self.motions[row] == line:
+        if is_common and row < len(self.motions) and self.motions[row] == line:
             return  # not stated again on the line of a motion after which a routine ends
-        self._state(line, ends[0][0] if alike else "branches that meet before it leave different ones")
+        self._state(line, ends[0][0] if is_common else "branches that meet before it leave different ones")
 
-    def _state(self, line: int, held: _Force) -> None:
+    def _state(self, line: int, force: _Force) -> None:
         """Put a force in force from a line on."""
-        self.now = held
-        if isinstance(held, str) or (held is None and not self.notes):
+        self.now = force
+        if isinstance(force, str) or (force is None and not self.notes):
             return
-        wrench, frame = _force_of(held)
+        wrench, frame = _force_of(force)
         origin = self.course.source.origin(line).line
         self.notes.append((line, ForceNote(origin, wrench, frame, int(np.searchsorted(self.motions, line)))))
 
@@ -157,21 +160,23 @@ class _Held:
 
         :raises ProgramError: the force on one of them is not known.
         """
-        first, beyond = np.searchsorted(self.motions, [self.since, line], side="right").tolist()
+        first, stop = np.searchsorted(self.motions, [self.since, line], side="right").tolist()
         self.since = max(self.since, line)
-        if first >= beyond:
+        if first >= stop:
             return
-        cutting = np.flatnonzero(~self.rapid[first:beyond])
+        cutting = np.flatnonzero(~self.rapid[first:stop])
         if isinstance(self.now, str) and len(cutting):
             problem = f"which force acts is not known: {self.now}"
             raise self.course.source.line_error(problem, int(self.motions[first + cutting[0]]), _ADVICE)
-        self.last = None if self.rapid[beyond - 1] else self.now
+        self.last = None if self.rapid[stop - 1] else self.now
 
 
-def _differ(one: tuple[Any, ...], other: tuple[Any, ...]) -> bool:
+def _differ(force: tuple[Any, ...], other_force: tuple[Any, ...]) -> bool:
     """Return whether two forces certainly differ: forces given in different axes may be equal."""
-    still = not any(one[0]) or not any(other[0])
-    return (still or one[1] == other[1]) and any(abs(a - b) > _SAME for a, b in zip(one[0], other[0], strict=True))
+    has_zero = not any(force[0]) or not any(other_force[0])
+    return (has_zero or force[1] == other_force[1]) and any(
+        abs(a - b) > _FORCE_TOLERANCE for a, b in zip(force[0], other_force[0], strict=True)
+    )
 
 
 def _turns(wrench: Sequence[float], frame: str) -> bool:
@@ -179,11 +184,11 @@ def _turns(wrench: Sequence[float], frame: str) -> bool:
     return frame == "FEED" and any((*wrench[:2], *wrench[3:5]))
 
 
-def _force_of(held: _Force) -> tuple[Any, ...]:
+def _force_of(force: _Force) -> tuple[Any, ...]:
     """Return the force of a comment and its axes."""
-    if isinstance(held, ForceNote):
-        return held.wrench, held.frame
-    return ((0.0,) * 6, "BASE") if held is None else (held, "")
+    if isinstance(force, ForceNote):
+        return force.wrench, force.frame
+    return ((0.0,) * 6, "BASE") if force is None else (force, "")
 
 
 def _force_comments(course: Course) -> tuple[Ints, NDArray[np.object_]]:
@@ -221,27 +226,29 @@ _OF_THE_EDITOR = re.compile(
 """Forces, our own line, and what KUKA's editor writes."""
 _FOLD = re.compile(r"\A;\s*(?:FOLD\b)?\s*", re.IGNORECASE)
 _BLANKS = " \t"
-_MOST = 2000
+_MAX_COMMENTS = 2000
 """Of more comments than this none names an operation."""
 
 
 def remarks(course: Course, motions: Ints) -> tuple[Event, ...]:
     """Return the comments of a trace, each before the first motion (M,), by its row, that is behind it."""
-    found = []
+    comment_starts = []
     for source in course.sources:
         starts, lines = _lines_of_comments(source)
         rows, index = course.rows_of(source, lines)
-        found += [(row, source, start) for row, start in zip(rows.tolist(), starts[index].tolist(), strict=True)]
-        if len(found) > _MOST:
+        comment_starts += [
+            (row, source, start) for row, start in zip(rows.tolist(), starts[index].tolist(), strict=True)
+        ]
+        if len(comment_starts) > _MAX_COMMENTS:
             return ()
-    out = []
-    for row, source, start in sorted(found, key=itemgetter(0)):
+    events = []
+    for row, source, start in sorted(comment_starts, key=itemgetter(0)):
         comment = _COMMENT.match(source.text, start)
         name = _FOLD.sub("", comment[0]).strip(" \t-=*") if comment else ""
         if comment and name and not _OF_THE_EDITOR.match(comment[0].rstrip()):
-            shown = int(course.source.shown(np.array([row]))[0])
-            out.append(Event(int(np.searchsorted(motions, row)), "comment", shown, 0.0, name))
-    return tuple(out)
+            shown_line = int(course.source.shown(np.array([row]))[0])
+            events.append(Event(int(np.searchsorted(motions, row)), "comment", shown_line, 0.0, name))
+    return tuple(events)
 
 
 def _lines_of_comments(source: Source) -> tuple[Ints, Ints]:
@@ -250,8 +257,10 @@ def _lines_of_comments(source: Source) -> tuple[Ints, Ints]:
     starts = np.array([match.start() for match in _COMMENT.finditer(text)], dtype=np.int64)
     lines = source.line_at_each(starts)
     begins = source.starts[lines - 1]
-    alone = begins == starts
-    behind = np.flatnonzero(~alone)
-    for k, begin, start in zip(behind.tolist(), begins[behind].tolist(), starts[behind].tolist(), strict=True):
-        alone[k] = text[begin] in _BLANKS and not text[begin:start].strip(_BLANKS)
-    return starts[alone], lines[alone]
+    is_alone = begins == starts
+    candidates = np.flatnonzero(~is_alone)
+    for k, begin, start in zip(
+        candidates.tolist(), begins[candidates].tolist(), starts[candidates].tolist(), strict=True
+    ):
+        is_alone[k] = text[begin] in _BLANKS and not text[begin:start].strip(_BLANKS)
+    return starts[is_alone], lines[is_alone]

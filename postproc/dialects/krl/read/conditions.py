@@ -23,13 +23,13 @@ _CLOSE = 1e-5
 Term = bool | Number | Word | None
 
 
-def joined(known: Sequence[Known], condition: Condition) -> Term:
+def joined(values: Sequence[Known], condition: Condition) -> Term:
     """Return the value of terms joined by operators; None where it is not known.
 
-    :param known: values of the terms of the condition.
+    :param values: values of the terms of the condition.
     """
     terms: list[Term] = []
-    for value, inverse in zip(known, condition.negated, strict=True):
+    for value, inverse in zip(values, condition.negated, strict=True):
         term = plain(value)
         terms.append((not term if isinstance(term, bool) else None) if inverse else term)
     return _joined(terms, list(condition.negated), list(condition.operators))
@@ -58,22 +58,22 @@ def constant_cases(heads: Sequence[Statement]) -> dict[float | None, int] | None
     return {None: -2, **table}
 
 
-def _joined(terms: list[Term], negated: list[bool], operators: list[str]) -> Term:
-    if not _by_bits(terms, negated, operators):
+def _joined(terms: list[Term], negations: list[bool], operators: list[str]) -> Term:
+    if not _by_bits(terms, negations, operators):
         return None
-    mixed = any(operator in _LOGIC for operator in operators)
+    is_mixed = any(operator in _LOGIC for operator in operators)
     index = 0
     while index < len(operators):
         if operators[index] in _LOGIC:
             index += 1
             continue
         left, right = terms[index], terms[index + 1]
-        if negated[index] or negated[index + 1]:
+        if negations[index] or negations[index + 1]:
             return None
-        if mixed and (isinstance(left, bool) or isinstance(right, bool)):
+        if is_mixed and (isinstance(left, bool) or isinstance(right, bool)):
             return None
         terms[index : index + 2] = [_compared(operators[index], left, right)]
-        negated[index : index + 2] = [False]
+        negations[index : index + 2] = [False]
         del operators[index]
         if index < len(operators) and operators[index] not in _LOGIC:
             return None  # a comparison of a comparison
@@ -85,7 +85,7 @@ def _joined(terms: list[Term], negated: list[bool], operators: list[str]) -> Ter
     return terms[0]
 
 
-def _by_bits(terms: list[Term], negated: list[bool], operators: list[str]) -> bool:
+def _by_bits(terms: list[Term], negations: list[bool], operators: list[str]) -> bool:
     """Join terms by B_AND, B_EXOR and B_OR, in this order; they take INTs alone, so that comparisons cannot be first.
 
     :returns: False if one of their terms is not known, or is no INT of 32 bits.
@@ -98,25 +98,25 @@ def _by_bits(terms: list[Term], negated: list[bool], operators: list[str]) -> bo
                 return False
             value = float(bitwise(int(left.value), int(right.value)))
             terms[at : at + 2] = [Number(value, left.start, right.stop, True)]
-            negated[at : at + 2] = [False]
+            negations[at : at + 2] = [False]
             del operators[at]
     return True
 
 
 def _logical(operator: str, left: Term, right: Term) -> bool | None:
-    known = [side for side in (left, right) if isinstance(side, bool)]
+    operands = [side for side in (left, right) if isinstance(side, bool)]
     if operator == "AND":
-        return False if False in known else True if len(known) == 2 else None
+        return False if False in operands else True if len(operands) == 2 else None
     if operator == "OR":
-        return True if True in known else False if len(known) == 2 else None
-    return known[0] != known[1] if len(known) == 2 else None
+        return True if True in operands else False if len(operands) == 2 else None
+    return operands[0] != operands[1] if len(operands) == 2 else None
 
 
-def plain(known: Known) -> Term:
+def plain(value: Known) -> Term:
     """Return a BOOL as such, numbers and words as they are, None for all other values."""
-    if isinstance(known, Word) and known.text in ("TRUE", "FALSE"):
-        return known.text == "TRUE"
-    return known if isinstance(known, Number | Word) else None
+    if isinstance(value, Word) and value.text in ("TRUE", "FALSE"):
+        return value.text == "TRUE"
+    return value if isinstance(value, Number | Word) else None
 
 
 def _compared(operator: str, left: Term, right: Term) -> bool | None:
@@ -124,8 +124,8 @@ def _compared(operator: str, left: Term, right: Term) -> bool | None:
         return _numbers(operator, left, right)
     if left is None or right is None or operator not in ("==", "<>") or type(left) is not type(right):
         return None
-    one, other = (side.text if isinstance(side, Word) else side for side in (left, right))
-    return (one == other) == (operator == "==")
+    left_value, right_value = (side.text if isinstance(side, Word) else side for side in (left, right))
+    return (left_value == right_value) == (operator == "==")
 
 
 def _numbers(operator: str, left: Number, right: Number) -> bool | None:

@@ -24,23 +24,23 @@ def read_data(
     source: Source,
     *,
     fill: bool = False,
-    shared: bool = False,
-    only: Set[str] | None = None,
+    is_global: bool = False,
+    wanted_names: Set[str] | None = None,
 ) -> None:
     """Take the declarations of a `.dat`; with `fill` only those of names that have no value yet.
 
-    :param shared: all of them are GLOBAL, as those of the `$config.dat`.
-    :param only: the names to take; None: all.
+    :param is_global: all of them are GLOBAL, as those of the `$config.dat`.
+    :param wanted_names: the names to take; None: all.
     :raises ProgramError: DEFDAT or ENDDAT is missing.
     :raises CellError: it contradicts another source of BASE_DATA or TOOL_DATA.
     """
     text = source.text
-    opened = closed = False
-    each = only is None and not fill
+    has_defdat = has_enddat = False
+    is_unfiltered = wanted_names is None and not fill
     for line, (start, stop) in enumerate(zip(source.starts.tolist(), source.stops.tolist(), strict=True), 1):
         while start < stop and text[start] in " \t\r":
             start += 1
-        if each and (element := ELEMENT.match(text, start, stop)):
+        if is_unfiltered and (element := ELEMENT.match(text, start, stop)):
             name = variables.scope.stored(element[1].upper())
             variables.initial.add(name)
             key, value = f"{name}[{int(element[2])}]", Unread(source, element.end(), stop)
@@ -53,15 +53,15 @@ def read_data(
             continue
         word = text[start : start + 7].upper()
         if word.startswith("DEFDAT"):
-            opened = True
+            has_defdat = True
         elif word.startswith("ENDDAT"):
-            closed = True
+            has_enddat = True
             break
         else:
-            _declare(variables, source, line, start, stop, fill=fill, shared=shared, only=only)
-    if not opened or not closed:
+            _declare(variables, source, line, start, stop, fill=fill, is_global=is_global, wanted_names=wanted_names)
+    if not has_defdat or not has_enddat:
         raise source.line_error(
-            f"{'ENDDAT' if opened else 'DEFDAT'} is missing",
+            f"{'ENDDAT' if has_defdat else 'DEFDAT'} is missing",
             len(source.starts),
             "Check that the file is complete and that it is the .dat of this program.",
         )
@@ -75,8 +75,8 @@ def _declare(
     stop: int,
     *,
     fill: bool,
-    shared: bool,
-    only: Set[str] | None,
+    is_global: bool,
+    wanted_names: Set[str] | None,
 ) -> None:
     """Note what one line of a `.dat` declares; a value is parsed when it is needed."""
     match = DECLARATION.match(source.text, start, stop)
@@ -87,69 +87,69 @@ def _declare(
     else:
         start, stop = source.code_span(line)
         names = list(declared(source, start, stop))
-    for one in names:
-        if only is not None and one.name not in only:
+    for declarator in names:
+        if wanted_names is not None and declarator.name not in wanted_names:
             continue
-        name = _noted(variables, replace(one, public=one.public or shared), fill=fill)
-        if one.kind == "STRUC" and (found := structure(source, *source.code_span(line))):
-            variables.structures.setdefault(*found)
-        if one.value >= 0 and name.partition("[")[0] in FRAME_ARRAYS:
-            variables.state_frame(name, Unread(source, one.value, stop), f"{source.document.name}, line {line}")
-        if one.value >= 0 and not (fill and name in variables):
-            variables.initial.add(variables.scope.stored(one.name))
-            variables.put(name, Unread(source, one.value, stop))
+        name = _noted(variables, replace(declarator, public=declarator.public or is_global), fill=fill)
+        if declarator.kind == "STRUC" and (named_structure := structure(source, *source.code_span(line))):
+            variables.structures.setdefault(*named_structure)
+        if declarator.value >= 0 and name.partition("[")[0] in FRAME_ARRAYS:
+            variables.state_frame(name, Unread(source, declarator.value, stop), f"{source.document.name}, line {line}")
+        if declarator.value >= 0 and not (fill and name in variables):
+            variables.initial.add(variables.scope.stored(declarator.name))
+            variables.put(name, Unread(source, declarator.value, stop))
 
 
-def declare(variables: Variables, source: Source, here: Declaration) -> tuple[Declared, ...]:
+def declare(variables: Variables, source: Source, declaration: Declaration) -> tuple[Declared, ...]:
     """Take one declaration of a `.src`, with initial values; return what it declares."""
-    if here.structure is not None:
-        variables.structures[here.structure[0]] = here.structure[1]
-    for one in here.names:
-        name = _noted(variables, one)
-        if one.value >= 0:
-            variables.put(name, Unread(source, one.value, here.stop))
-    return here.names
+    if declaration.structure is not None:
+        variables.structures[declaration.structure[0]] = declaration.structure[1]
+    for declarator in declaration.names:
+        name = _noted(variables, declarator)
+        if declarator.value >= 0:
+            variables.put(name, Unread(source, declarator.value, declaration.stop))
+    return declaration.names
 
 
-def _noted(variables: Variables, one: Declared, *, fill: bool = False) -> str:
+def _noted(variables: Variables, declarator: Declared, *, fill: bool = False) -> str:
     """Note type and scope of a declared name; return the key of its value."""
-    name = variables.scope.stored(one.name)
-    by_call = one.name in variables.scope.local  # parameters have their types from the call
-    if one.kind and not ((fill or by_call) and name in variables.types):
-        variables.types[name] = one.kind
-        if one.public:
+    name = variables.scope.stored(declarator.name)
+    by_call = declarator.name in variables.scope.local  # parameters have their types from the call
+    if declarator.kind and not ((fill or by_call) and name in variables.types):
+        variables.types[name] = declarator.kind
+        if declarator.public:
             variables.public.add(name)
         if name not in variables.initial:
             variables.take_given(name)  # what its type makes of it
-    indices = [part.strip() for part in (one.bounds or "").strip("[] \t").split(",")]
+    indices = [part.strip() for part in (declarator.bounds or "").strip("[] \t").split(",")]
     if not all(INDEX.fullmatch(index) for index in indices):
         return name
     return f"{name}[{','.join(str(int(index)) for index in indices)}]"
 
 
 def read_shared(
-    variables: Variables, code: str, own: Collection[str], files: FolderFiles, local: Set[str] = frozenset()
+    variables: Variables, code: str, own_names: Collection[str], files: FolderFiles, local: Set[str] = frozenset()
 ) -> None:
     """Take GLOBAL variables that a program uses from other `.dat` files; not those that several of them declare.
 
     :param code: all code of the program that may contain names, called routines included.
-    :param own: names of its files.
+    :param own_names: names of its files.
     :param files: where to look.
     :param local: names that the main routine declares: they hide GLOBAL ones.
     """
-    mine = {name.upper() for name in own}
-    others = [path for name, path in files.paths.items() if name.endswith(".DAT") and name not in mine]
-    declared = {path: files.declared(path, scan.global_variables) for path in others}
-    if not any(declared.values()):
+    mine = {name.upper() for name in own_names}
+    other_paths = [path for name, path in files.paths.items() if name.endswith(".DAT") and name not in mine]
+    global_names = {path: files.declared(path, scan.global_variables) for path in other_paths}
+    if not any(global_names.values()):
         return
-    times = Counter(name for names in declared.values() for name in names)
-    used = set().union(*(NAME.findall(reached) for reached in files.reached(code)))
-    known = ({name.upper() for name in used} | set(variables.types.values())) - variables.types.keys()
-    wanted = {name for name in known - local if times[name] == 1}
-    for name in (name for name in known - local if times[name] > 1):
-        among = ", ".join(sorted(path.name for path, names in declared.items() if name in names))
-        variables.put(name, Unknown(why=f"it is GLOBAL in more than one .dat: {among}"))
-    for path, names in declared.items():
-        if not wanted.isdisjoint(names):
+    times = Counter(name for names in global_names.values() for name in names)
+    used_names = set().union(*(NAME.findall(text) for text in files.reached(code)))
+    missing_names = ({name.upper() for name in used_names} | set(variables.types.values())) - variables.types.keys()
+    unique_names = {name for name in missing_names - local if times[name] == 1}
+    for name in (name for name in missing_names - local if times[name] > 1):
+        file_names = ", ".join(sorted(path.name for path, names in global_names.items() if name in names))
+        variables.put(name, Unknown(why=f"it is GLOBAL in more than one .dat: {file_names}"))
+    for path, names in global_names.items():
+        if not unique_names.isdisjoint(names):
             with suppress(ProgramError):  # they have no values then, and a motion that needs one says so
-                read_data(variables, files.source(path), fill=True, only=wanted)
+                read_data(variables, files.source(path), fill=True, wanted_names=unique_names)

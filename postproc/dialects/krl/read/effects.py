@@ -42,7 +42,7 @@ from postproc.dialects.krl.read.motion_reader import asks_position, from_here, s
 from postproc.errors import ProgramError
 
 _CLOSING = frozenset({*OPENING.values(), "UNTIL"})
-_STOPPED = frozenset({"$AXIS_RET", "$POS_RET"})
+_RETURN_POSITIONS = frozenset({"$AXIS_RET", "$POS_RET"})
 """Where the robot left its path when it was stopped by an interrupt (KUKA, System Variables)."""
 _RAPID = ("PTP", "SPTP")
 _COMPONENT = {"$VEL": "CP", "$APO": "CDIS"}
@@ -77,26 +77,26 @@ class Effects(Struct, eq=False):
     parameter: Place | None = None
     lasting: Place | None = None
 
-    def add(self, other: Effects) -> None:
+    def add(self, effects: Effects) -> None:
         """Add the effects of a called routine."""
-        for name, place in other.writes.items():
+        for name, place in effects.writes.items():
             self.writes.setdefault(name, place)
-        for name, place in other.anytime.items():
+        for name, place in effects.anytime.items():
             self.anytime.setdefault(name, place)
-        self.force = self.force or other.force
-        self._add_rest(other)
+        self.force = self.force or effects.force
+        self._add_rest(effects)
 
-    def add_action(self, other: Effects) -> None:
+    def add_action(self, effects: Effects) -> None:
         """Add the effects of an interrupt or a trigger."""
-        for name, place in (other.writes | other.anytime).items():
+        for name, place in (effects.writes | effects.anytime).items():
             self.anytime.setdefault(name, place)
-        self._add_rest(other)
+        self._add_rest(effects)
 
-    def _add_rest(self, other: Effects) -> None:
-        self.absent = other.absent | self.absent
-        self.motion = self.motion or other.motion
-        self.back = self.back or other.back
-        self.resumes = self.resumes or other.resumes
+    def _add_rest(self, effects: Effects) -> None:
+        self.absent = effects.absent | self.absent
+        self.motion = self.motion or effects.motion
+        self.back = self.back or effects.back
+        self.resumes = self.resumes or effects.resumes
 
 
 Called = tuple[Module, Routine]
@@ -129,10 +129,10 @@ class Analysis:
     def of(self, module: Module, routine: Routine) -> Effects:
         """Return the effects of a routine, including all that it calls."""
         if routine not in self._all:
-            now = self._of_routine(module, routine).now
-            total = Effects(jumps=now.jumps, parameter=now.parameter)
-            for reached in self._reached([(module, routine)]):
-                direct = self._of_routine(*reached)
+            local_effects = self._of_routine(module, routine).now
+            total = Effects(jumps=local_effects.jumps, parameter=local_effects.parameter)
+            for node in self._reached([(module, routine)]):
+                direct = self._of_routine(*node)
                 total.add(direct.now)
                 self._add_later(total, direct)
                 for event in direct.public:
@@ -145,26 +145,26 @@ class Analysis:
 
     def reached(self, module: Module, routine: Routine) -> set[Routine]:
         """Return the routine and all routines that it may call, directly or not, also by interrupts and triggers."""
-        return {other for _, other in self._reached([(module, routine)])}
+        return {callee for _, callee in self._reached([(module, routine)])}
 
     def names(self, module: Module, routine: Routine) -> frozenset[str]:
         """Return the names, as they are stored, of all variables in the code of a routine and of all that it calls."""
-        found: set[str] = set()
-        for where in self._reached([(module, routine)]):
-            if where[1] not in self._names:
-                source, scope = where[1].source, self.scope_of(*where)
-                spans = [source.code_span(line) for line in where[1].lines]
-                words = {one.name for span in spans for one in occurrences(source.text, *span)}
-                self._names[where[1]] = frozenset(scope.stored(word) for word in words - where[1].local)
-            found |= self._names[where[1]]
-        return frozenset(found)
+        stored_names: set[str] = set()
+        for node in self._reached([(module, routine)]):
+            if node[1] not in self._names:
+                source, scope = node[1].source, self.scope_of(*node)
+                spans = [source.code_span(line) for line in node[1].lines]
+                words = {occurrence.name for span in spans for occurrence in occurrences(source.text, *span)}
+                self._names[node[1]] = frozenset(scope.stored(word) for word in words - node[1].local)
+            stored_names |= self._names[node[1]]
+        return frozenset(stored_names)
 
     def cuts(self, module: Module, routine: Routine) -> bool:
         """Return whether a routine, or one that it calls, moves by other than PTP, which carries no force."""
-        for _, reached in self._reached([(module, routine)]):
-            for line in (*reached.plain.tolist(), *reached.lines):
-                here = statement(reached.source, line)
-                if isinstance(here, Motion | Spline) and not here.word.startswith(_RAPID):
+        for _, node in self._reached([(module, routine)]):
+            for line in (*node.plain.tolist(), *node.lines):
+                stmt = statement(node.source, line)
+                if isinstance(stmt, Motion | Spline) and not stmt.word.startswith(_RAPID):
                     return True
         return False
 
@@ -174,22 +174,22 @@ class Analysis:
         """
         return self._from_here(module, routine, set())[0]
 
-    def _from_here(self, module: Module, routine: Routine, seen: set[Routine]) -> tuple[Place | None, bool]:
+    def _from_here(self, module: Module, routine: Routine, checked_routines: set[Routine]) -> tuple[Place | None, bool]:
         """Return that statement, and whether the routine surely moves to a complete target."""
-        seen.add(routine)
+        checked_routines.add(routine)
         depth = 0
         for line in sorted([*routine.plain.tolist(), *routine.others]):
-            here, complete = statement(routine.source, line), False
-            depth += (here.word in OPENING or here.word == "REPEAT") - (here.word in _CLOSING)
-            if isinstance(here, Motion) and stays(here):
+            stmt, complete = statement(routine.source, line), False
+            depth += (stmt.word in OPENING or stmt.word == "REPEAT") - (stmt.word in _CLOSING)
+            if isinstance(stmt, Motion) and stays(stmt):
                 continue
-            if asks_position(here) or (isinstance(here, Motion) and from_here(here)):
+            if asks_position(stmt) or (isinstance(stmt, Motion) and from_here(stmt)):
                 return Place(routine.source, line), False
-            if isinstance(here, Motion):
+            if isinstance(stmt, Motion):
                 complete = True
-            called = self.library.find(here.call.name, module) if isinstance(here, CallStatement) else None
-            if called is not None and called[1] not in seen:
-                place, complete = self._from_here(*called, seen)
+            callee = self.library.find(stmt.call.name, module) if isinstance(stmt, CallStatement) else None
+            if callee is not None and callee[1] not in checked_routines:
+                place, complete = self._from_here(*callee, checked_routines)
                 if place is not None:
                     return place, False
             if complete and not depth:
@@ -215,59 +215,59 @@ class Analysis:
     def _add_later(self, total: Effects, direct: _Direct) -> None:
         total.add_action(direct.later)
         total.lasting = total.lasting or direct.later.parameter
-        for reached in self._reached(direct.called_later):
-            other = self._of_routine(*reached)
-            total.add_action(other.now)
-            total.add_action(other.later)
-            total.lasting = total.lasting or other.later.parameter
+        for node in self._reached(direct.called_later):
+            node_effects = self._of_routine(*node)
+            total.add_action(node_effects.now)
+            total.add_action(node_effects.later)
+            total.lasting = total.lasting or node_effects.later.parameter
 
     def _reached(self, first: list[Called]) -> Iterator[Called]:
         """Yield routines and all that they call, the actions that they declare included."""
         waiting = list(first)
-        seen = {routine for _, routine in waiting}
+        queued_routines = {routine for _, routine in waiting}
         while waiting:
-            reached = waiting.pop()
-            yield reached
-            direct = self._of_routine(*reached)
+            node = waiting.pop()
+            yield node
+            direct = self._of_routine(*node)
             for following in (*direct.called, *direct.called_later):
-                if following[1] not in seen:
-                    seen.add(following[1])
+                if following[1] not in queued_routines:
+                    queued_routines.add(following[1])
                     waiting.append(following)
 
     def _of_routine(self, module: Module, routine: Routine) -> _Direct:
-        known = self._direct.get(routine)
-        if known is None:
-            known = self._direct[routine] = _Direct()
+        direct = self._direct.get(routine)
+        if direct is None:
+            direct = self._direct[routine] = _Direct()
             if routine.motion:
-                known.now.motion = Place(routine.source, routine.motion)
-            noted = self.noted(routine.source)
-            if (first := bisect_right(noted, routine.first)) < bisect_left(noted, routine.last):
-                known.now.force = Place(routine.source, noted[first])
+                direct.now.motion = Place(routine.source, routine.motion)
+            comment_lines = self.noted(routine.source)
+            if (first := bisect_right(comment_lines, routine.first)) < bisect_left(comment_lines, routine.last):
+                direct.now.force = Place(routine.source, comment_lines[first])
             for line in routine.lines:
-                here, place = statement(routine.source, line), Place(routine.source, line)
-                if isinstance(here, Goto) or here.word == "RESUME":
-                    known.now.jumps = known.now.jumps or place
-                if here.word == "RESUME":
-                    known.now.resumes = known.now.resumes or place
-                self._read(known, here, (module, routine), place)
-        return known
+                stmt, place = statement(routine.source, line), Place(routine.source, line)
+                if isinstance(stmt, Goto) or stmt.word == "RESUME":
+                    direct.now.jumps = direct.now.jumps or place
+                if stmt.word == "RESUME":
+                    direct.now.resumes = direct.now.resumes or place
+                self._read(direct, stmt, (module, routine), place)
+        return direct
 
-    def _read(self, direct: _Direct, here: Statement, where: Called, place: Place) -> None:
+    def _read(self, direct: _Direct, stmt: Statement, node: Called, place: Place) -> None:
         """Note the effects of one statement."""
-        later = _Statement(self, *where, place, direct.later, direct.called_later)
-        if isinstance(here, Event):
-            later.read_event(here)
-            if here.public:
-                alone = _Direct()
-                _Statement(self, *where, place, alone.later, alone.called_later).read_event(here)
-                direct.public.append(alone)
-        elif isinstance(here, Cyclic):
-            later.writes(here.name)
-        elif isinstance(here, Imported):
-            later.writes(here.name)
-            direct.later.writes.setdefault(here.original, place)
+        later_statement = _Statement(self, *node, place, direct.later, direct.called_later)
+        if isinstance(stmt, Event):
+            later_statement.read_event(stmt)
+            if stmt.public:
+                event_effects = _Direct()
+                _Statement(self, *node, place, event_effects.later, event_effects.called_later).read_event(stmt)
+                direct.public.append(event_effects)
+        elif isinstance(stmt, Cyclic):
+            later_statement.writes(stmt.name)
+        elif isinstance(stmt, Imported):
+            later_statement.writes(stmt.name)
+            direct.later.writes.setdefault(stmt.original, place)
         else:
-            _Statement(self, *where, place, direct.now, direct.called).read(here)
+            _Statement(self, *node, place, direct.now, direct.called).read(stmt)
 
 
 class _Statement(Struct, eq=False):
@@ -287,26 +287,26 @@ class _Statement(Struct, eq=False):
         if event.action is not None:
             self.read(event.action)
 
-    def read(self, here: Statement) -> None:
+    def read(self, stmt: Statement) -> None:
         """Note the effects of a statement; a statement that cannot be read has none."""
-        if isinstance(here, Declaration | Outside | Imported | Faulty):
+        if isinstance(stmt, Declaration | Outside | Imported | Faulty):
             return
-        if here.word == "BAS":
-            command = command_of(self.place.source, here.call) if isinstance(here, CallStatement) else ""
+        if stmt.word == "BAS":
+            command = command_of(self.place.source, stmt.call) if isinstance(stmt, CallStatement) else ""
             for name in BAS_SETS.get(command, ()):
                 self.effects.writes.setdefault(name, self.place)
             return
-        if isinstance(here, Motion) and _leads_back(here):
+        if isinstance(stmt, Motion) and _leads_back(stmt):
             self.effects.back = self.effects.back or self.place
-        elif isinstance(here, Motion | Spline):
+        elif isinstance(stmt, Motion | Spline):
             self.effects.motion = self.effects.motion or self.place
-        elif isinstance(here, For) and here.name:
-            self.writes(here.name)
-        elif isinstance(here, Assignment):
-            component = _COMPONENT.get(here.target.name)
-            if component is None or here.target.field in (None, component):
-                self.writes(here.target.name)
-        self._calls(here.values)
+        elif isinstance(stmt, For) and stmt.name:
+            self.writes(stmt.name)
+        elif isinstance(stmt, Assignment):
+            component = _COMPONENT.get(stmt.target.name)
+            if component is None or stmt.target.field in (None, component):
+                self.writes(stmt.target.name)
+        self._calls(stmt.values)
 
     def _calls(self, values: Iterable[Value]) -> None:
         try:
@@ -327,15 +327,15 @@ class _Statement(Struct, eq=False):
             self.effects.parameter = self.effects.parameter or self.place
 
     def _called(self, call: Call) -> None:
-        found = self.analysis.library.find(call.name, self.module)
-        parameters = found[1].parameters if found else ()
+        callee = self.analysis.library.find(call.name, self.module)
+        parameters = callee[1].parameters if callee else ()
         for index, argument in enumerate(call.arguments):
             by_value = index < len(parameters) and parameters[index].by_value
             reference = None if by_value else writable(argument)
             if reference is not None:
                 self.writes(reference.name)
-        if found is not None:
-            self.called.append(found)
+        if callee is not None:
+            self.called.append(callee)
         elif call.name not in STANDARD:
             self.effects.absent.setdefault(call.name, call.spelt(self.place.source))
 
@@ -343,6 +343,6 @@ class _Statement(Struct, eq=False):
 def _leads_back(motion: Motion) -> bool:
     """Return whether a motion only returns to the point at which an interrupt stopped the robot."""
     target, tail = motion.end, motion.tail
-    if not isinstance(target, Reference) or target.field is not None or target.name not in _STOPPED:
+    if not isinstance(target, Reference) or target.field is not None or target.name not in _RETURN_POSITIONS:
         return False
     return motion.via is None and not motion.frame and tail.start == tail.behind == tail.stop and not tail.error

@@ -26,7 +26,7 @@ from postproc.frames import (
 from postproc.poses import Poses, poses_from_xyzabc
 from postproc.program import Bools, Carriage, Ints, Starts
 
-_SAME = 1e-9
+_ANGLE_TOLERANCE = 1e-9
 """Angles that differ by less [deg] count as equal."""
 _FRAME_ADVICE = "Write all of X, Y, Z, A, B, C in the first target after $BASE or $TOOL is changed."
 _UNCHANGED = 1e-3 * RAD_PER_DEG
@@ -89,21 +89,21 @@ class _Follower:
         self,
         source: Source,
         line: Ints,
-        given: Array,
+        numbers: Array,
         frames: tuple[Ints, Ints, Array, Array],
         present: _RobotPosition,
-        forward: Callable[[Array], Array],
+        kinematics: Callable[[Array], Array],
         carriage: Carriage | None,
-        led: Led,
+        control: Led,
     ) -> None:
-        self.source, self.line, self.forward, self.carriage = source, line, forward, carriage
-        self.led = led
+        self.source, self.line, self.kinematics, self.carriage = source, line, kinematics, carriage
+        self.control = control
         self.circles: dict[int, Array] = {}
         self.base, self.tool, self.bases, self.tools = frames
         self.present = present
-        self.numbers = given
+        self.numbers = numbers
         self.joints: dict[int, Array] = {}
-        self.resumed = np.zeros(len(given), dtype=np.bool_)
+        self.resumed = np.zeros(len(numbers), dtype=np.bool_)
 
     def flange(self) -> Array:
         """Return the flange (4, 4) in the robot root."""
@@ -136,27 +136,31 @@ class _Follower:
 
     def _some(self, first: int, last: int) -> None:
         block = self.numbers[first:last]
-        missing = np.isnan(block)
-        if missing.any():
-            self._check_frames(first, last, any_column(missing))
-            here = self.here(first)
-            filled = np.where(missing[:1], here, block[:1])
-            latest = np.maximum.accumulate(np.where(missing, 0, np.arange(len(block))[:, None]), axis=0)
-            before = np.vstack([here, np.take_along_axis(np.vstack([filled, block[1:]]), latest, axis=0)])
-            block[:] = before[1:]
-            self._check_angles(first, missing[:, 3:], before[:-1, 4])
+        is_missing = np.isnan(block)
+        if is_missing.any():
+            self._check_frames(first, last, any_column(is_missing))
+            position = self.here(first)
+            first_row = np.where(is_missing[:1], position, block[:1])
+            latest = np.maximum.accumulate(np.where(is_missing, 0, np.arange(len(block))[:, None]), axis=0)
+            previous_numbers = np.vstack(
+                [position, np.take_along_axis(np.vstack([first_row, block[1:]]), latest, axis=0)]
+            )
+            block[:] = previous_numbers[1:]
+            self._check_angles(first, is_missing[:, 3:], previous_numbers[:-1, 4])
         self.arrive(last - 1)
 
-    def _check_angles(self, first: int, missing: Bools, before: Array) -> None:
+    def _check_angles(self, first: int, is_missing: Bools, previous_b: Array) -> None:
         """Refuse targets that lack some of A, B, C if a second set of angles describes the previous orientation too.
 
-        :param missing: (n, 3) True where A, B, C are missing, from row `first` on.
-        :param before: (n,) the previous B [deg]; beyond ±90 the controller may keep A ± 180, ±180 − B, C ± 180.
+        :param is_missing: (n, 3) True where A, B, C are missing, from row `first` on.
+        :param previous_b: (n,) the previous B [deg]; beyond ±90 the controller may keep A ± 180, ±180 − B, C ± 180.
         """
-        partly = any_column(missing) & ~missing.all(axis=1)
-        wrong = np.flatnonzero(partly & (np.abs(before) > LARGEST_B))
+        is_partial = any_column(is_missing) & ~is_missing.all(axis=1)
+        wrong = np.flatnonzero(is_partial & (np.abs(previous_b) > LARGEST_B))
         if len(wrong):
-            problem = f"A, B or C is missing, and the previous B is {before[wrong[0]]:g}°: beyond 90° it is not certain"
+            problem = (
+                f"A, B or C is missing, and the previous B is {previous_b[wrong[0]]:g}°: beyond 90° it is not certain"
+            )
             problem += " which angles the controller keeps"
             raise self.source.line_error(problem, int(self.line[first + wrong[0]]), "Write all of A, B, C.")
 
@@ -164,13 +168,13 @@ class _Follower:
         """Refuse missing components whose previous value refers to other frames."""
         present = self.present
         frames = np.stack([self.base[first:last], self.tool[first:last]])
-        changed = np.zeros(last - first, dtype=np.bool_)
-        changed[1:] = (np.diff(frames, axis=1) != 0).any(axis=0)
-        changed[0] = present.numbers is not None and (present.base, present.tool) != (
+        has_changed = np.zeros(last - first, dtype=np.bool_)
+        has_changed[1:] = (np.diff(frames, axis=1) != 0).any(axis=0)
+        has_changed[0] = present.numbers is not None and (present.base, present.tool) != (
             self.base[first],
             self.tool[first],
         )
-        wrong = np.flatnonzero(changed & incomplete)
+        wrong = np.flatnonzero(has_changed & incomplete)
         if len(wrong):
             problem = "components are missing right after $BASE or $TOOL changed: the values they keep are not certain"
             raise self.source.line_error(problem, int(self.line[first + wrong[0]]), _FRAME_ADVICE)
@@ -180,7 +184,7 @@ class _Follower:
         if move is not None and move.end.position.axis:
             self._axes(row, move)
             return
-        start, led = self.here(row).copy(), self.led
+        start, control = self.here(row).copy(), self.control
         if move is not None and move.relative:
             self.resumed[row] = self.present.numbers is None
             self.numbers[row] = self._relative(move, start)
@@ -188,39 +192,43 @@ class _Follower:
                 via = start[:3] + _step(move.via.position, move.relative, start)
                 self.circles[row] = np.stack([via, self.numbers[row, :3]])
         else:
-            if led.constant[row]:
+            if control.constant[row]:
                 self.numbers[row, 3:] = start[3:]
             self.absolute(row, row + 1)
         angle = None if move is None or move.angle is None else move.angle * RAD_PER_DEG
-        if angle is not None or (led.constant[row] and led.with_path[row]):
+        if angle is not None or (control.constant[row] and control.with_path[row]):
             self._round(row, start, angle)
         self.arrive(row)
 
     def _round(self, row: int, start: Array, angle: float | None) -> None:
         """Compute the end of a circle: at the angle CA [rad], with the orientation turned if it follows the path."""
         begin, end = start[:3] * M_PER_MM, self.numbers[row, :3] * M_PER_MM
-        via = self.circles[row][0] if row in self.circles else self.led.via[row]
+        via = self.circles[row][0] if row in self.circles else self.control.via[row]
         via = np.where(np.isnan(via), begin, via * M_PER_MM)
-        centre, axis, swept = circles(self.source, self.line[row : row + 1], begin[None], via[None], end[None])
+        centre, axis, sweep = circles(self.source, self.line[row : row + 1], begin[None], via[None], end[None])
         if angle is not None:
             self.numbers[row, :3] = MM_PER_M * turned(begin, centre[0], axis[0], angle)
-        if self.led.constant[row] and self.led.with_path[row]:
+        if self.control.constant[row] and self.control.with_path[row]:
             pose = pose_from_xyzabc(self.numbers[row])
-            pose[:3, :3] = rotation_from_vector(axis[0] * (swept[0] if angle is None else angle)) @ pose[:3, :3]
+            pose[:3, :3] = rotation_from_vector(axis[0] * (sweep[0] if angle is None else angle)) @ pose[:3, :3]
             self.numbers[row, 3:] = xyzabc_from_pose(pose)[3:]
 
     def _axes(self, row: int, move: MotionStatement) -> None:
         """Take an axis target, missing axes kept."""
-        angles, known = np.array(move.end.position.values) * RAD_PER_DEG, self.present.joints
-        if known is None and (move.relative or np.isnan(angles).any()):
+        angles, previous_joints = np.array(move.end.position.values) * RAD_PER_DEG, self.present.joints
+        if previous_joints is None and (move.relative or np.isnan(angles).any()):
             raise self.source.line_error(
                 "the joint angles before this motion are not known", move.line, "Give all of A1 … A6, not relative."
             )
-        if known is not None:
-            angles = known + np.nan_to_num(angles) if move.relative else np.where(np.isnan(angles), known, angles)
+        if previous_joints is not None:
+            angles = (
+                previous_joints + np.nan_to_num(angles)
+                if move.relative
+                else np.where(np.isnan(angles), previous_joints, angles)
+            )
         self.resumed[row] = self.present.numbers is None
         self.joints[row] = angles
-        flange = self.forward(angles)
+        flange = self.kinematics(angles)
         if self.carriage is not None:
             flange = carried(flange, self.carriage, float(self.carriage.end[row]))
         self.present = _RobotPosition(flange, angles)
@@ -243,84 +251,89 @@ def _step(position: Position, axes: str, numbers: Array) -> Array:
 
 def carried(flange: Array, carriage: Carriage, place: float) -> Array:
     """Return a flange (4, 4) in the robot root, with the linear axis at a position [m], in the root at E1 = 0."""
-    out = flange.copy()
-    out[:3, 3] += place * carriage.direction
-    return out
+    carried_flange = flange.copy()
+    carried_flange[:3, 3] += place * carriage.direction
+    return carried_flange
 
 
 def end_poses(
     source: Source,
     line: Ints,
-    given: Array,
+    numbers: Array,
     frames: tuple[Ints, Ints, Array, Array],
     moves: Mapping[int, MotionStatement],
     start_joints: Array,
-    forward: Callable[[Array], Array],
-    led: Led,
+    kinematics: Callable[[Array], Array],
+    control: Led,
     carriage: Carriage | None = None,
-    after: Ints | None = None,
+    predecessors: Ints | None = None,
 ) -> EndPoses:
     """Return the targets of M motions.
 
     :param line: (M,) 1-based lines, for messages.
-    :param given: (M, 6) X…C as the text gives them, NaN where missing; NaN for axis and relative targets. They are
+    :param numbers: (M, 6) X…C as the text gives them, NaN where missing; NaN for axis and relative targets. They are
         completed in place.
     :param frames: base (M,) and tool (M,): rows of `$BASE` in the robot root (nb, 4, 4) and `$TOOL` in the flange
         frame (nt, 4, 4).
     :param moves: row → statement, for axis and relative targets and circles with CA.
     :param start_joints: (6,) joint angles at the start [rad].
-    :param forward: (6,) joints → (4, 4) flange in the robot root.
-    :param led: orientation control.
+    :param kinematics: (6,) joints → (4, 4) flange in the robot root.
+    :param control: orientation control.
     :param carriage: the linear axis that carries the robot.
-    :param after: (M,) the motion at whose end each begins, see `Program.after`.
+    :param predecessors: (M,) the motion at whose end each begins, see `Program.after`.
     :raises ProgramError: a component is missing and its previous value is not certain; a relative target cannot
         be known; an axis is missing; the points of a circle do not define one.
     """
-    start_flange = forward(start_joints)
+    start_flange = kinematics(start_joints)
     if carriage is not None:
         start_flange = carried(start_flange, carriage, float(carriage.begin[0]))
     follower = _Follower(
-        source, line, given, frames, _RobotPosition(start_flange, start_joints), forward, carriage, led
+        source, line, numbers, frames, _RobotPosition(start_flange, start_joints), kinematics, carriage, control
     )
-    own, lacking = given[led.constant, 3:], any_column(np.isnan(given[:, 3:]))
-    given[led.constant, 3:] = np.nan  # missing components keep their previous value
+    own_angles, is_incomplete = numbers[control.constant, 3:], any_column(np.isnan(numbers[:, 3:]))
+    numbers[control.constant, 3:] = np.nan  # missing components keep their previous value
     special = {at for at, move in moves.items() if move.end.position.axis or move.relative or move.angle is not None}
-    anew = np.append(True, (np.diff(frames[0]) != 0) | (np.diff(frames[1]) != 0))[: len(line)]
+    has_new_frame = np.append(True, (np.diff(frames[0]) != 0) | (np.diff(frames[1]) != 0))[: len(line)]
     row = 0
-    for at in sorted(special | set(np.flatnonzero(led.constant & (anew | led.with_path)).tolist())):
+    for at in sorted(special | set(np.flatnonzero(control.constant & (has_new_frame | control.with_path)).tolist())):
         follower.absolute(row, at)
         follower.special(at, moves.get(at))
         row = at + 1
     follower.absolute(row, len(line))
 
-    pose = poses_from_xyzabc(given)
-    start = Starts.of(frames, pose.__getitem__, start_flange, after)
-    ignored, constant = np.zeros(len(line), dtype=np.bool_), np.flatnonzero(led.constant)
-    ignored[constant] = any_column(np.abs(own - given[constant, 3:]) > _SAME)
-    _check_ignored(source, line, lacking, moves, led.constant, ignored)
-    joints = Runs.few(given.shape, follower.joints)
-    return EndPoses(given, pose, joints, start, follower.resumed, ignored, follower.circles)
+    pose = poses_from_xyzabc(numbers)
+    start = Starts.of(frames, pose.__getitem__, start_flange, predecessors)
+    is_ignored, constant = np.zeros(len(line), dtype=np.bool_), np.flatnonzero(control.constant)
+    is_ignored[constant] = any_column(np.abs(own_angles - numbers[constant, 3:]) > _ANGLE_TOLERANCE)
+    _check_ignored(source, line, is_incomplete, moves, control.constant, is_ignored)
+    joints = Runs.few(numbers.shape, follower.joints)
+    return EndPoses(numbers, pose, joints, start, follower.resumed, is_ignored, follower.circles)
 
 
 def _check_ignored(
-    source: Source, line: Ints, missing: Bools, moves: Mapping[int, MotionStatement], constant: Bools, ignored: Bools
+    source: Source,
+    line: Ints,
+    is_missing: Bools,
+    moves: Mapping[int, MotionStatement],
+    constant: Bools,
+    is_ignored: Bools,
 ) -> None:
     """Refuse missing A, B, C after ignored ones: which of them the controller keeps is not certain.
 
     :raises ProgramError: there are some.
     """
-    if not ignored.any():
+    if not is_ignored.any():
         return
     row = np.arange(len(line))
-    last_ignored = np.maximum.accumulate(np.where(ignored, row, -1))
-    last_free = np.maximum.accumulate(np.where(constant, -1, row))
-    missing[[at for at, move in moves.items() if move.end.position.axis]] = False
-    behind = np.flatnonzero(missing[1:] & ~constant[1:] & (last_ignored > last_free)[:-1]) + 1
-    if len(behind):
+    last_ignored_row = np.maximum.accumulate(np.where(is_ignored, row, -1))
+    last_free_row = np.maximum.accumulate(np.where(constant, -1, row))
+    is_missing[[at for at, move in moves.items() if move.end.position.axis]] = False
+    rows = np.flatnonzero(is_missing[1:] & ~constant[1:] & (last_ignored_row > last_free_row)[:-1]) + 1
+    if len(rows):
         raise source.line_error(
             "A, B, C are missing behind targets under $ORI_TYPE=#CONSTANT whose own A, B, C were ignored: which of "
             "them stay is not certain",
-            int(line[behind[0]]),
+            int(line[rows[0]]),
             "Write all of A, B, C in this target.",
         )
 
@@ -343,11 +356,11 @@ def circles(source: Source, line: Ints, start: Array, via: Array, end: Array) ->
 
 def turned(start: Array, centre: Array, normal: Array, angle: float) -> Array:
     """Return the point (3,) that a rotation of `start` about an axis through `centre` reaches."""
-    moved: Array = centre + rotation_from_vector(normal * angle) @ (start - centre)
-    return moved
+    end: Array = centre + rotation_from_vector(normal * angle) @ (start - centre)
+    return end
 
 
-def same_orientation(one: Array, other: Array) -> Bools:
+def same_orientation(r1: Array, r2: Array) -> Bools:
     """Return whether orientations (..., 3, 3) differ by less than 0.001°."""
-    relative = np.einsum("...ij,...ij->...", one, other)  # trace of oneᵀ·other = 1 + 2·cos(angle)
+    relative = np.einsum("...ij,...ij->...", r1, r2)  # trace of r1ᵀ·r2 = 1 + 2·cos(angle)
     return np.asarray(relative > 1.0 + 2.0 * np.cos(_UNCHANGED))

@@ -26,14 +26,14 @@ from postproc.dialects.krl.read.variables import Variables
 
 def without_value(variables: Variables, source: Source, values: Iterable[Value]) -> list[str]:
     """Return the variables in some values that have no value: the cell can give them one."""
-    found: dict[str, None] = {}
+    spellings: dict[str, None] = {}
     for value in walk(values):
         if not isinstance(value, Reference) or value.field is not None or value.name in RELEVANT:
             continue
         key = variables.key_of(value)
         if key is not None and "@" not in key and variables.value(key) in (None, NOTHING):
-            found[source.text[value.start : value.stop]] = None
-    return list(found)
+            spellings[source.text[value.start : value.stop]] = None
+    return list(spellings)
 
 
 def why_unknown(variables: Variables, source: Source, value: Value | Known) -> str:
@@ -56,23 +56,25 @@ def why_unknown(variables: Variables, source: Source, value: Value | Known) -> s
     for side in sides:
         if isinstance(variables.evaluate(side), Unknown):
             return why_unknown(variables, source, side)
-    if isinstance(value, Operation) and isinstance(known := variables.evaluate(value), Unknown) and known.why:
-        return f"{text}: {known.why}"
+    if isinstance(value, Operation) and isinstance(result := variables.evaluate(value), Unknown) and result.why:
+        return f"{text}: {result.why}"
     if isinstance(value, Reference) and value.name[0] == "$":
-        known = variables.looked_up(value)
-        if isinstance(known, Unknown) and known != NOTHING:
-            return known.said(text)
+        result = variables.looked_up(value)
+        if isinstance(result, Unknown) and result != NOTHING:
+            return result.said(text)
         return f"{text} is computed while the program runs"
     if isinstance(value, Opaque | Condition | Call | Operation):
         return f"{text} is computed while the program runs"
     if isinstance(value, Reference):
         if variables.key_of(value) is None:
-            unknown = [one for one in value.indices or () if one.start < one.stop and variables.index(one) is None]
-            why = f": {why_unknown(variables, source, unknown[0])}" if unknown else ""
-            return f"the index of {text} is not known before the program runs{why}"
-        known = variables.looked_up(value)
-        if isinstance(known, Unknown):
-            return known.said(text)
+            unknown = [
+                index for index in value.indices or () if index.start < index.stop and variables.index(index) is None
+            ]
+            suffix = f": {why_unknown(variables, source, unknown[0])}" if unknown else ""
+            return f"the index of {text} is not known before the program runs{suffix}"
+        result = variables.looked_up(value)
+        if isinstance(result, Unknown):
+            return result.said(text)
     return f"{text} has the wrong type here"
 
 
@@ -85,11 +87,11 @@ def why_not_decided(variables: Variables, source: Source, values: Sequence[Value
         if variables.functions.pure(call):
             continue
         return f": it asks {call.spelt(source)}()"
-    for one in walk(values):
-        known = variables.looked_up(one) if isinstance(one, Reference) else NOTHING
-        if isinstance(known, Unknown) and known != NOTHING:
-            return f": {why_unknown(variables, source, one)}"
-    for one in walk(values):
-        if isinstance(one, Operation) and not isinstance(variables.evaluate(one), Number):
-            return f": {why_unknown(variables, source, one)}"
+    for part in walk(values):
+        result = variables.looked_up(part) if isinstance(part, Reference) else NOTHING
+        if isinstance(result, Unknown) and result != NOTHING:
+            return f": {why_unknown(variables, source, part)}"
+    for part in walk(values):
+        if isinstance(part, Operation) and not isinstance(variables.evaluate(part), Number):
+            return f": {why_unknown(variables, source, part)}"
     return ""

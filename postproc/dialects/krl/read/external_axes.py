@@ -11,19 +11,24 @@ from postproc.errors import Issue, ProgramError
 from postproc.frames import M_PER_MM, Array
 from postproc.program import PTP, Bools, Carriage, Ints
 
-_SAME = 1e-4
+_AXIS_TOLERANCE = 1e-4
 """External axes that vary by less than this [mm, deg] do not move."""
 
 
 def external_axes(
-    source: Source, rows: MotionColumns, relative: Ints, placed: Bools, direction: Array | None, after: Ints | None
+    source: Source,
+    rows: MotionColumns,
+    relative: Ints,
+    uses_root: Bools,
+    direction: Array | None,
+    predecessors: Ints | None,
 ) -> tuple[list[Issue], Carriage | None]:
     """Return the issues about external axes, and the linear axis that carries the robot.
 
     :param relative: rows of relative targets, whose values are steps.
-    :param placed: (R,) True for motions whose path depends on the robot root: all but PTP to axis angles.
+    :param uses_root: (R,) True for motions whose path depends on the robot root: all but PTP to axis angles.
     :param direction: (3,) of E1, if it carries the robot.
-    :param after: (R,) the motion at whose end each begins, see `Program.after`.
+    :param predecessors: (R,) the motion at whose end each begins, see `Program.after`.
     :raises ProgramError: another axis moves, or the position of E1 is not known.
     """
     external = rows.external
@@ -37,48 +42,52 @@ def external_axes(
     for axis, values in enumerate(external.T):
         if axis == 0 and direction is not None:
             continue
-        given = np.flatnonzero(~np.isnan(values))
-        stepping = np.flatnonzero(np.abs(steps[:, axis]) > _SAME)
-        if len(stepping):
-            raise _moves(source, axis, f"by {steps[stepping[0], axis]:g}", int(rows.line[stepping[0]]))
-        moving = given[np.abs(values[given] - values[given[:1]]) > _SAME]
+        given_rows = np.flatnonzero(~np.isnan(values))
+        step_rows = np.flatnonzero(np.abs(steps[:, axis]) > _AXIS_TOLERANCE)
+        if len(step_rows):
+            raise _moves(source, axis, f"by {steps[step_rows[0], axis]:g}", int(rows.line[step_rows[0]]))
+        moving = given_rows[np.abs(values[given_rows] - values[given_rows[:1]]) > _AXIS_TOLERANCE]
         if len(moving):
-            change = f"from {values[given[0]]:g} to {values[moving[0]]:g}"
+            change = f"from {values[given_rows[0]]:g} to {values[moving[0]]:g}"
             raise _moves(source, axis, change, int(rows.line[moving[0]]))
-        if len(given) and abs(values[given[0]]) > _SAME:
-            issues.append(_fixed_axis(axis, values[given[0]], int(rows.line[given[0]]), len(given)))
+        if len(given_rows) and abs(values[given_rows[0]]) > _AXIS_TOLERANCE:
+            issues.append(_fixed_axis(axis, values[given_rows[0]], int(rows.line[given_rows[0]]), len(given_rows)))
     if direction is None or (np.isnan(external[:, 0]).all() and not steps[:, 0].any()):
         return issues, None
-    begin, end = _along(external[:, 0], steps[:, 0], after)
-    unknown = np.flatnonzero(np.isnan(end) & placed)
+    begin, end = _along(external[:, 0], steps[:, 0], predecessors)
+    unknown = np.flatnonzero(np.isnan(end) & uses_root)
     if len(unknown):
         raise source.line_error(
             "the position of E1, which carries the robot, is not known here",
             int(rows.line[unknown[0]]),
             "Give E1 in this target, or in a PTP before it.",
         )
-    taken = np.flatnonzero(np.isnan(begin) & ~np.isnan(end))
-    if len(taken) and rows.kind[taken[0]] != PTP and (after is None or after[taken[0]] != taken[0]):
-        issues.append(_start(float(end[taken[0]]), int(rows.line[taken[0]])))
+    assumed_starts = np.flatnonzero(np.isnan(begin) & ~np.isnan(end))
+    if (
+        len(assumed_starts)
+        and rows.kind[assumed_starts[0]] != PTP
+        and (predecessors is None or predecessors[assumed_starts[0]] != assumed_starts[0])
+    ):
+        issues.append(_start(float(end[assumed_starts[0]]), int(rows.line[assumed_starts[0]])))
     begin = np.where(np.isnan(begin), end, begin)
     return issues, Carriage(np.nan_to_num(begin) * M_PER_MM, np.nan_to_num(end) * M_PER_MM, direction)
 
 
-def _along(given: Array, steps: Array, after: Ints | None) -> tuple[Array, Array]:
+def _along(positions: Array, steps: Array, predecessors: Ints | None) -> tuple[Array, Array]:
     """Return the positions of an axis (R,) at the start and at the end of each motion; NaN where not known.
 
-    :param given: (R,) NaN where it is kept, or moves by a step (R,).
+    :param positions: (R,) NaN where it is kept, or moves by a step (R,).
     """
-    known = ~np.isnan(given)
-    if after is None:
-        last = np.maximum.accumulate(np.where(known, np.arange(len(given)), -1))
-        moved = np.cumsum(steps)
-        end = np.where(last < 0, np.nan, given[last] + moved - moved[last])
+    is_given = ~np.isnan(positions)
+    if predecessors is None:
+        last = np.maximum.accumulate(np.where(is_given, np.arange(len(positions)), -1))
+        travel = np.cumsum(steps)
+        end = np.where(last < 0, np.nan, positions[last] + travel - travel[last])
         return np.append([np.nan], end[:-1]), np.asarray(end)
-    begin, end = np.full(len(given), np.nan), given.copy()
-    for row, before in enumerate(after.tolist()):
-        begin[row] = end[before] if 0 <= before < row else np.nan
-        if not known[row]:
+    begin, end = np.full(len(positions), np.nan), positions.copy()
+    for row, previous_row in enumerate(predecessors.tolist()):
+        begin[row] = end[previous_row] if 0 <= previous_row < row else np.nan
+        if not is_given[row]:
             end[row] = begin[row] + steps[row]
     return begin, end
 
@@ -96,10 +105,10 @@ def _moves(source: Source, axis: int, change: str, line: int) -> ProgramError:
 
 def _fixed_axis(axis: int, value: float, line: int, count: int) -> Issue:
     name = EXTERNAL[axis]
-    more = " (E1: or the cell must say where it goes, [external_axes.E1])" if axis == 0 else ""
+    suffix = " (E1: or the cell must say where it goes, [external_axes.E1])" if axis == 0 else ""
     message = (
         f"{name} is at {value:g}: $BASE is taken as seen from the robot there. If {name} carries the robot or the "
-        f"part, [base] of the cell must be that of this place{more}."
+        f"part, [base] of the cell must be that of this place{suffix}."
     )
     return Issue("warning", "external-axis", message, line, count=count, subject=name)
 

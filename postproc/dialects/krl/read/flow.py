@@ -43,7 +43,7 @@ _MOST_FORKS = 4000
 """Most forks followed whose branch taken is not known before run time."""
 _MOST_NAMES = 8
 """Variables named in a message."""
-_TOO_MUCH = "Divide the program, or give its loops fewer rounds and its subprograms fewer calls."
+_LENGTH_ADVICE = "Divide the program, or give its loops fewer rounds and its subprograms fewer calls."
 _FORCE_ADVICE = "Write force comments outside of loops and branches whose conditions are not known."
 
 
@@ -81,8 +81,8 @@ class Flow:
         level, index = self.run.level, 0
         while index < len(nodes):
             node = nodes[index]
-            if isinstance(node, Block) and (beyond := self._skipped(source, nodes, index, last=last)):
-                index = beyond
+            if isinstance(node, Block) and (next_index := self._skipped(source, nodes, index, last=last)):
+                index = next_index
                 continue
             if isinstance(node, Block):
                 self._block(source, node)
@@ -96,21 +96,21 @@ class Flow:
 
     def label_of(self, source: Source, line: int) -> str:
         """Return the label to which a GOTO leads, upper case."""
-        here = statement(source, line)
-        return here.label if isinstance(here, tree.Goto) else ""
+        stmt = statement(source, line)
+        return stmt.label if isinstance(stmt, tree.Goto) else ""
 
     def labels(self, source: Source, lines: Iterable[int]) -> set[str]:
         """Return the labels on some lines, upper case."""
-        found = (statement(source, line) for line in lines)
-        return {here.name for here in found if isinstance(here, tree.Label)}
+        statements = (statement(source, line) for line in lines)
+        return {stmt.name for stmt in statements if isinstance(stmt, tree.Label)}
 
     def _label(self, source: Source, nodes: tuple[Node, ...], index: int) -> int:
         """Return the index of the statement with the label of a GOTO, after a given one; execution continues there."""
         level, trace = self.run.level, self.trace
-        wanted = self.label_of(source, level.jump)
+        label = self.label_of(source, level.jump)
         for number in range(index + 1, len(nodes)):
             line = nodes[number]
-            if isinstance(line, int) and trace is not None and wanted in self.labels(source, [line]):
+            if isinstance(line, int) and trace is not None and label in self.labels(source, [line]):
                 level.jump = 0
                 trace.pass_to(line - 1, live=False)
                 return number
@@ -130,29 +130,31 @@ class Flow:
         """
         if isinstance(node, int):
             return self._statement_moves(source, node)
-        noted = self.run.analysis.noted(source)
-        return bisect_left(noted, node.first) < bisect_left(noted, node.last) or self._moves(source, node)
+        comment_lines = self.run.analysis.noted(source)
+        return bisect_left(comment_lines, node.first) < bisect_left(comment_lines, node.last) or self._moves(
+            source, node
+        )
 
     def _moves(self, source: Source, node: Block) -> bool:
         module = self.run.level.module
         key = node, module
         if key not in self._moving:
-            own = source is self.run.level.routine.source
+            is_own = source is self.run.level.routine.source
             begin, end = np.searchsorted(self.run.level.routine.plain, [node.first, node.last])
-            found = own and bool(begin < end)
-            self._moving[key] = found or any(self._statement_moves(source, line) for line in node.lines())
+            has_plain_motion = is_own and bool(begin < end)
+            self._moving[key] = has_plain_motion or any(self._statement_moves(source, line) for line in node.lines())
         return self._moving[key]
 
     def _statement_moves(self, source: Source, line: int) -> bool:
-        here = statement(source, line)
-        if isinstance(here, tree.Goto | tree.Spline):
+        stmt = statement(source, line)
+        if isinstance(stmt, tree.Goto | tree.Spline):
             return True  # the motions after a GOTO depend on it
-        if isinstance(here, tree.Motion):
-            return not stays(here)
-        if isinstance(here, tree.Event):
+        if isinstance(stmt, tree.Motion):
+            return not stays(stmt)
+        if isinstance(stmt, tree.Event):
             return False
         try:
-            return any(self.interpreter.calls.moving(call) is not None for call in calls(here.values))
+            return any(self.interpreter.calls.moving(call) is not None for call in calls(stmt.values))
         except ProgramError:
             return False
 
@@ -203,42 +205,42 @@ class Flow:
                 raise inexact(at, "too much runs before")
             return
         self._traced += 1
-        most = self._most(at.source)
-        if self._traced > most:
-            problem = f"loops around motions are too long: {most} statements have run when the program comes here"
-            raise inexact(at, problem, _TOO_MUCH)
+        limit = self._most(at.source)
+        if self._traced > limit:
+            problem = f"loops around motions are too long: {limit} statements have run when the program comes here"
+            raise inexact(at, problem, _LENGTH_ADVICE)
 
     def _most(self, source: Source) -> int:
         """Return how many statements may run around motions."""
         return _MOST_TRACED + len((source if self.trace is not None else self.run.source).starts)
 
-    def _check_least(self, at: Place, least: int) -> None:
+    def _check_least(self, at: Place, minimum: int) -> None:
         """Refuse code that runs too many statements, before it is followed.
 
-        :param least: lower bound on the number of statements.
+        :param minimum: lower bound on the number of statements.
         :raises InexactError: it is above the limit.
         """
         if self._still or not self.run.level.traced:
-            if self.run.steps + least > _MOST_STATEMENTS:
+            if self.run.steps + minimum > _MOST_STATEMENTS:
                 raise inexact(at, "too much runs before")
-        elif self._traced + least > self._most(at.source):
-            problem = f"loops and calls around motions are too long: at least {least} statements run from here on, "
+        elif self._traced + minimum > self._most(at.source):
+            problem = f"loops and calls around motions are too long: at least {minimum} statements run from here on, "
             problem += f"{self._most(at.source)} are followed"
-            raise inexact(at, problem, _TOO_MUCH)
+            raise inexact(at, problem, _LENGTH_ADVICE)
 
     def _entered(self, at: Place, call: Call) -> bool:
         """Inline the call of a routine with motions; return whether this was done."""
         run, trace = self.run, self.trace
         if trace is None or not run.level.traced or not run.certain:
             return False
-        found = self.interpreter.calls.moving(call)
-        if found is None or any(self._moves_robot(inner) for inner in calls(call.arguments)):
+        callee = self.interpreter.calls.moving(call)
+        if callee is None or any(self._moves_robot(inner) for inner in calls(call.arguments)):
             return False
-        _, routine = found
-        self._check_least(at, self._least.of_call(*found))
+        _, routine = callee
+        self._check_least(at, self._least.of_call(*callee))
         undo = self._undoing(trace)
         try:
-            self._inlined(at, call, trace, *found)
+            self._inlined(at, call, trace, *callee)
         except InexactError:
             if not run.keep or routine.source is not run.routine.source:
                 raise
@@ -251,20 +253,20 @@ class Flow:
         return True
 
     def _moves_robot(self, call: Call) -> bool:
-        found = self.interpreter.calls.moving(call)
-        return found is not None and self.run.analysis.of(*found).motion is not None
+        callee = self.interpreter.calls.moving(call)
+        return callee is not None and self.run.analysis.of(*callee).motion is not None
 
     def _undoing(self, trace: Trace) -> Callable[[], None]:
         """Return a function that restores the present state of the run."""
-        run, entered = self.run, self.interpreter.calls.entered
-        marks, mark, here = run.marks(), trace.mark(), run.position()
-        calls_open, depth = len(entered), len(self._way)
+        run, entered_calls = self.run, self.interpreter.calls.entered
+        marks, mark, position = run.marks(), trace.mark(), run.position()
+        calls_open, depth = len(entered_calls), len(self._way)
 
         def undo() -> None:
             run.back_to(marks)
             trace.back_to(mark)
-            run.return_to(here)
-            del entered[calls_open:], self._way[depth:]
+            run.return_to(position)
+            del entered_calls[calls_open:], self._way[depth:]
 
         return undo
 
@@ -346,14 +348,14 @@ class Flow:
             self._loop(source, block, trace)
             return
         try:
-            taken = self._taken(source, block)
+            part_index = self._taken(source, block)
         except InexactError as cause:
             occasion = Occasion(Place(source, block.first), tuple(self._way))
             if trace is None or occasion in self.run.elsewhere:
                 raise
             self._all(source, block, trace, occasion, cause)
             return
-        part = block.parts[taken] if taken >= 0 else None
+        part = block.parts[part_index] if part_index >= 0 else None
         if trace is not None:
             trace.run_to(block.first - 1)
             trace.pass_to(block.first)
@@ -368,7 +370,7 @@ class Flow:
             trace.pass_to(block.last - 1, live=False)
             trace.pass_to(block.last)
 
-    def _all(self, source: Source, block: Block, trace: Trace, occasion: Occasion, why: InexactError) -> None:
+    def _all(self, source: Source, block: Block, trace: Trace, occasion: Occasion, cause: InexactError) -> None:
         """Follow all branches of IF or SWITCH, each from the fork.
 
         :raises InexactError: one of them does not lead to the join.
@@ -376,11 +378,11 @@ class Flow:
         run, level = self.run, self.run.level
         heads = [part.head for part in block.parts]
         if any(self._changing(statement(source, head).values) for head in heads):
-            raise why
+            raise cause
         self._forks += 1
         if self._forks > _MOST_FORKS:
             problem = f"branches whose condition is not known are reached more than {_MOST_FORKS} times"
-            raise inexact(Place(source, block.first), problem, _TOO_MUCH)
+            raise inexact(Place(source, block.first), problem, _LENGTH_ADVICE)
         trace.run_to(block.first - 1)
         trace.pass_to(block.first)
         trace.divide(Fork(0, occasion))
@@ -393,7 +395,7 @@ class Flow:
             if level.jump:
                 raise inexact(Place(source, level.jump), *undecided_jump(run.variables, Place(source, block.first)))
             if level.broken_off:
-                raise why
+                raise cause
             trace.run_to(part.beyond - 1)
         trace.pass_to(block.last)
         complete = statement(source, heads[-1]).word in ("ELSE", "DEFAULT")
@@ -413,8 +415,8 @@ class Flow:
         part = block.parts[0]
         if block.word != "IF" or len(block.parts) > 1 or self._changing(statement(source, block.first).values):
             return 0
-        beyond, end = self._target(source, nodes, index, part.nodes[-1:], last=last)
-        if not beyond:
+        next_index, end = self._target(source, nodes, index, part.nodes[-1:], last=last)
+        if not next_index:
             return 0
         occasion = Occasion(Place(source, block.first), tuple(self._way))
         try:
@@ -435,7 +437,7 @@ class Flow:
             trace.run_to((jump if isinstance(jump, int) else jump.last) - 1)
             trace.pass_to(block.last)
             returns = end == run.level.routine.last - 1
-            self._branch(source, nodes[index + 1 : beyond], trace, last=returns)
+            self._branch(source, nodes[index + 1 : next_index], trace, last=returns)
             trace.run_to(end)
             trace.divide(Join(0, complete=True))
             run.join(Place(source, block.last), complete=True)
@@ -444,7 +446,7 @@ class Flow:
                 raise
             undo()
             return 0
-        return beyond
+        return next_index
 
     def _branch(self, source: Source, nodes: tuple[Node, ...], trace: Trace, *, last: bool) -> None:
         """Follow one of the branches of an IF that skips statements.
@@ -467,15 +469,15 @@ class Flow:
         """
         if not jump or not isinstance(jump[0], int):
             return 0, 0
-        here = statement(source, jump[0])
-        if isinstance(here, tree.Return) and here.value is None:
+        stmt = statement(source, jump[0])
+        if isinstance(stmt, tree.Return) and stmt.value is None:
             return (len(nodes), self.run.level.routine.last - 1) if last and len(self.run.stack) > 1 else (0, 0)
-        if not isinstance(here, tree.Goto):
+        if not isinstance(stmt, tree.Goto):
             return 0, 0
-        wanted = self.label_of(source, jump[0])
+        label = self.label_of(source, jump[0])
         for number in range(index + 1, len(nodes)):
             line = nodes[number]
-            if isinstance(line, int) and wanted in self.labels(source, [line]):
+            if isinstance(line, int) and label in self.labels(source, [line]):
                 return number + 1, line
         return 0, 0
 
@@ -485,33 +487,33 @@ class Flow:
 
     def _taken(self, source: Source, block: Block) -> int:
         """Return which part of IF or SWITCH runs; −1 for none."""
-        at, here = Place(source, block.first), statement(source, block.first)
+        at, stmt = Place(source, block.first), statement(source, block.first)
         self.run.place = at
-        if isinstance(here, tree.If):
-            holds = self.run.variables.truth(here.condition)
+        if isinstance(stmt, tree.If):
+            holds = self.run.variables.truth(stmt.condition)
             if holds is None:
                 raise _undecided(self.run, at)
             return 0 if holds else 1 if len(block.parts) > 1 else -1
-        if not isinstance(here, tree.Switch) or self._changing(here.values):
+        if not isinstance(stmt, tree.Switch) or self._changing(stmt.values):
             raise _undecided(self.run, at)
-        known = self.run.variables.evaluate(here.value)
+        selector = self.run.variables.evaluate(stmt.value)
         if self._still or not self.run.level.traced:
             self.run.steps += len(block.parts) // _CASES
         else:
             self._traced += len(block.parts) // _CASES
         if block not in self._cases:
             self._cases[block] = constant_cases([statement(source, part.head) for part in block.parts[1:]])
-        if isinstance(known, Number) and known.integer and (table := self._cases[block]) is not None:
-            return 1 + table.get(known.value, table[None])
+        if isinstance(selector, Number) and selector.integer and (table := self._cases[block]) is not None:
+            return 1 + table.get(selector.value, table[None])
         for index, part in enumerate(block.parts[1:], 1):
             case = statement(source, part.head)
             if isinstance(case, tree.Faulty):
                 raise case.error
             values = case.cases if isinstance(case, tree.Case) else ()
-            found = case.word == "DEFAULT" or self.run.variables.chosen(known, values)
-            if found is None:
+            is_chosen = case.word == "DEFAULT" or self.run.variables.chosen(selector, values)
+            if is_chosen is None:
                 raise _undecided(self.run, at)
-            if found:
+            if is_chosen:
                 return index
         return -1
 
@@ -528,7 +530,7 @@ class Flow:
         if counter is not None and words.isdisjoint(ENDS_LOOPS):
             self._check_rounds(source, block, counter, trace)
         loop = trace.begin(block, name, step, left="EXIT" in words) if trace is not None else None
-        began = self._traced
+        start_count = self._traced
         level.loops += 1
         depth = len(self._way)
         self._way.append((Place(source, block.first), 0))
@@ -538,8 +540,8 @@ class Flow:
             while self._again(source, block, counter):
                 self._count(Place(source, block.first))
                 self._way[depth] = Place(source, block.first), self._way[depth][1] + 1
-                before = self._changes()
-                if counter is None and self._traced - began > _MOST_UNCOUNTED:
+                changes = self._changes()
+                if counter is None and self._traced - start_count > _MOST_UNCOUNTED:
                     problem = f"{block.word} has not ended after {_MOST_UNCOUNTED} statements"
                     raise inexact(Place(source, block.first), problem, "Check its condition, or write FOR instead.")
                 if trace is not None and loop is not None:
@@ -554,25 +556,25 @@ class Flow:
                     break
                 if counter is not None:
                     counter.advance()
-                elif self._changes() == before:
+                elif self._changes() == changes:
                     problem = f"{block.word} never ends: no variable of its condition changes from round to round"
                     raise inexact(Place(source, block.first), problem, LOOP_ADVICE)
         finally:
             level.loops -= 1
             del self._way[depth:]
-        ended = counter is not None and not (level.returned or level.left)
+        has_ended = counter is not None and not (level.returned or level.left)
         level.left = False
         if trace is not None and loop is not None:
-            trace.end(loop, block, counter.assigned if counter is not None and ended else None)
+            trace.end(loop, block, counter.assigned if counter is not None and has_ended else None)
 
     def _check_comments(self, source: Source, block: Block) -> None:
         """Refuse force comments behind the words that begin and end a loop: in which rounds they hold is not said.
 
         :raises ProgramError: there is one.
         """
-        noted = self.run.analysis.noted(source)
+        comment_lines = self.run.analysis.noted(source)
         for line in (block.first, block.last):
-            if line in noted[bisect_left(noted, line) :][:1]:
+            if line in comment_lines[bisect_left(comment_lines, line) :][:1]:
                 problem = f"a force comment is on the line of {statement(source, line).word}"
                 raise Place(source, line).error(problem, "Write it on a line of its own, in the loop or behind it.")
 
@@ -585,10 +587,10 @@ class Flow:
         if block not in self._plain:
             self._plain[block] = plain_motions(source, block)
         motions, begin, rounds = self._plain[block], counter.now(), counter.rounds
-        traced = rounds * (1 + len(block.parts[0].nodes))
-        if not motions or not rounds or self._traced + traced > self._most(source):
+        statement_count = rounds * (1 + len(block.parts[0].nodes))
+        if not motions or not rounds or self._traced + statement_count > self._most(source):
             return
-        self._traced += traced
+        self._traced += statement_count
         length, first = block.last - block.first, trace.count + 1
         plain = PlainRounds(begin, counter.step, first, rounds, length, source, block.first, motions)
         trace.plain_rounds(loop, block, counter.name, plain)
@@ -606,7 +608,7 @@ class Flow:
         if trace is None or level.loops or run.forked or not run.certain or len(run.stack) > 1:
             raise inexact(at, "LOOP never ends: there is no EXIT", LOOP_ADVICE)
         self._check_comments(source, block)
-        before = run.variables.as_now()
+        snapshot = run.variables.as_now()
         loop = trace.begin(block, "", 0, left=False)
         loop.endless = True
         self._way.append((at, 1))
@@ -615,10 +617,12 @@ class Flow:
         trace.repeated(block, whole=True)
         trace.end(loop, block, None)
         self._way.pop()
-        if names := carried_over(run, source, block, before):
-            own = sorted(names, key=lambda name: (name[0] == "$", name))  # those that the program declares first
-            changed = first_of(own, _MOST_NAMES)
-            problem = f"LOOP never ends, and its rounds differ: each one changes {changed} for the next"
+        if names := carried_over(run, source, block, snapshot):
+            sorted_names = sorted(
+                names, key=lambda name: (name[0] == "$", name)
+            )  # those that the program declares first
+            changed_names = first_of(sorted_names, _MOST_NAMES)
+            problem = f"LOOP never ends, and its rounds differ: each one changes {changed_names} for the next"
             raise inexact(at, problem, "Set it at the beginning of each round.")
         level.returned = block.last
 
@@ -627,9 +631,9 @@ class Flow:
 
         :raises InexactError: it has too many.
         """
-        most = _MOST_STATEMENTS if trace is None else _MOST_TRACED + len(source.starts)
-        if counter.rounds > most:
-            problem = f"FOR has {counter.rounds} rounds, more than {most}"
+        limit = _MOST_STATEMENTS if trace is None else _MOST_TRACED + len(source.starts)
+        if counter.rounds > limit:
+            problem = f"FOR has {counter.rounds} rounds, more than {limit}"
             raise inexact(Place(source, block.first), problem, "Check its bounds.")
         module = self.run.level.module
         if not self.run.level.loops and not self._least.writes(source, block, counter.here.name, module):
@@ -643,10 +647,10 @@ class Flow:
         return block.word != "WHILE" or self._holds(source, block.first)
 
     def _holds(self, source: Source, line: int) -> bool:
-        here, holds = statement(source, line), None
+        stmt, holds = statement(source, line), None
         self.run.place = Place(source, line)
-        if isinstance(here, tree.While):
-            holds = self.run.variables.truth(here.condition)
+        if isinstance(stmt, tree.While):
+            holds = self.run.variables.truth(stmt.condition)
         if holds is None:
             raise _undecided(self.run, Place(source, line))
         return holds
@@ -654,14 +658,14 @@ class Flow:
 
 def _undecided(run: Run, at: Place, bounds: Sequence[Value] = ()) -> InexactError:
     """Return the error for a condition, or for the bounds of a FOR, that are not known before run time."""
-    here = statement(at.source, at.line)
-    values = bounds or here.values
-    why = why_not_decided(run.variables, at.source, values)
+    stmt = statement(at.source, at.line)
+    values = bounds or stmt.values
+    reason = why_not_decided(run.variables, at.source, values)
     names = without_value(run.variables, at.source, values)
-    given = f" Or say in [krl.values] of the cell what {', '.join(names)} will be." if names else ""
-    what = "bounds are" if here.word == "FOR" else "condition is"
-    problem = f"motion inside {here.word}: its {what} not known before the program runs{why}"
-    return inexact(at, problem, LOOP_ADVICE + given)
+    value_advice = f" Or say in [krl.values] of the cell what {', '.join(names)} will be." if names else ""
+    subject = "bounds are" if stmt.word == "FOR" else "condition is"
+    problem = f"motion inside {stmt.word}: its {subject} not known before the program runs{reason}"
+    return inexact(at, problem, LOOP_ADVICE + value_advice)
 
 
 class _Counter:
@@ -672,20 +676,20 @@ class _Counter:
 
     def __init__(self, run: Run, source: Source, line: int) -> None:
         self.run, self.at = run, Place(source, line)
-        here = statement(source, line)
-        if isinstance(here, tree.For) and here.error is not None:
-            raise here.error
-        if not isinstance(here, tree.For) or here.counter is None or here.bounds is None:
+        stmt = statement(source, line)
+        if isinstance(stmt, tree.For) and stmt.error is not None:
+            raise stmt.error
+        if not isinstance(stmt, tree.For) or stmt.counter is None or stmt.bounds is None:
             raise _undecided(run, self.at)
-        self.here = here
-        self.name = source.text[here.counter.start : here.counter.stop]
-        key = run.variables.key_of(here.counter)
+        self.here = stmt
+        self.name = source.text[stmt.counter.start : stmt.counter.stop]
+        key = run.variables.key_of(stmt.counter)
         if key is None:
-            raise _undecided(run, self.at, [here.counter])
-        if run.variables.kind(here.counter) == "REAL":
+            raise _undecided(run, self.at, [stmt.counter])
+        if run.variables.kind(stmt.counter) == "REAL":
             problem = f"motion inside FOR: its counter {self.name} is a REAL"
             raise inexact(self.at, problem, "Count by an INT, and compute the REAL from it in the loop.")
-        self.key, self.given = key, here.bounds
+        self.key, self.given = key, stmt.bounds
         run.place = self.at
         self.last, self.step = self._bounds()
         self._set(self._whole(self.given[0]))
@@ -702,8 +706,8 @@ class _Counter:
 
     def within(self) -> bool:
         """Return whether the loop runs another round: its variable has not passed the end value."""
-        now = self.now()
-        return now <= self.last if self.step > 0 else now >= self.last
+        count = self.now()
+        return count <= self.last if self.step > 0 else count >= self.last
 
     def advance(self) -> None:
         """Advance by one step."""
@@ -730,20 +734,20 @@ class _Counter:
 
         :raises ProgramError: it is zero or not an integer.
         """
-        known = self.run.variables.evaluate(width)
-        if isinstance(known, Number) and (not known.integer or known.value == 0.0):
-            problem = f"FOR cannot count by STEP {known.value:g}"
+        step = self.run.variables.evaluate(width)
+        if isinstance(step, Number) and (not step.integer or step.value == 0.0):
+            problem = f"FOR cannot count by STEP {step.value:g}"
             raise self.at.error(problem, "Give a whole number other than 0, as it is or by an INT.")
         return self._whole(width)
 
     def _whole(self, value: Value) -> int:
-        known = self.run.variables.evaluate(value)
-        if not isinstance(known, Number):
+        number = self.run.variables.evaluate(value)
+        if not isinstance(number, Number):
             raise self._unknown()
-        if not known.integer:
-            problem = f"motion inside FOR: one of its bounds is a REAL, {known.value:g}"
+        if not number.integer:
+            problem = f"motion inside FOR: one of its bounds is a REAL, {number.value:g}"
             raise inexact(self.at, problem, "Give whole numbers, as they are or by an INT.")
-        return int(known.value)
+        return int(number.value)
 
     def _set(self, number: int) -> None:
         self.run.variables.set(self.key, Number(float(number), 0, 0, True), str(self.at))
@@ -757,4 +761,4 @@ class _Counter:
         return int(value.value)
 
     def _unknown(self) -> InexactError:
-        return _undecided(self.run, self.at, [one for one in self.given if one is not None])
+        return _undecided(self.run, self.at, [bound for bound in self.given if bound is not None])

@@ -46,39 +46,39 @@ class FolderFiles:
     @cached_property
     def paths(self) -> dict[str, Path]:
         """The files by name, upper case."""
-        found: dict[str, Path] = {}
+        by_name: dict[str, Path] = {}
         for path in _listed(self._folders):
-            found.setdefault(path.name.upper(), path)
+            by_name.setdefault(path.name.upper(), path)
         for name, document in self._given.items():
-            found.setdefault(name, Path(document.folder) / document.name)
-        return found
+            by_name.setdefault(name, Path(document.folder) / document.name)
+        return by_name
 
     @cached_property
     def _public(self) -> dict[str, Path]:
         """The `.src` files by the names, upper case, of their GLOBAL routines: all of them are read for it."""
-        found: dict[str, Path] = {}
+        by_routine: dict[str, Path] = {}
         for path in (path for name, path in self.paths.items() if name.endswith(".SRC")):
             for name in self.declared(path, scan.global_routines):
-                found.setdefault(name, path)
-        return found
+                by_routine.setdefault(name, path)
+        return by_routine
 
-    def called(self, code: str, own: Set[str] = frozenset()) -> set[Path]:
+    def called(self, code: str, own_routines: Set[str] = frozenset()) -> set[Path]:
         """Return the `.src` files that code without comments may call.
 
-        :param own: names, upper case, of the other routines of its file: they come first.
+        :param own_routines: names, upper case, of the other routines of its file: they come first.
         """
-        paths = {name: self.paths.get(f"{name}.SRC") for name in scan.called(code) - own - _OF_THE_CONTROLLER}
-        found = {self._public.get(name) if path is None else path for name, path in paths.items()}
-        return {path for path in found if path is not None}
+        paths = {name: self.paths.get(f"{name}.SRC") for name in scan.called(code) - own_routines - _OF_THE_CONTROLLER}
+        callees = {self._public.get(name) if path is None else path for name, path in paths.items()}
+        return {path for path in callees if path is not None}
 
     def reached(self, code: str) -> Iterator[str]:
         """Yield code, and that of the files that it calls, one through the other."""
-        waiting, done = [code], set[Path]()
+        waiting, visited_paths = [code], set[Path]()
         while waiting:
             code = scan.without_comments(waiting.pop())
             yield code
-            new = sorted(self.called(code) - done)
-            done.update(new)
+            new = sorted(self.called(code) - visited_paths)
+            visited_paths.update(new)
             for path in new:
                 with suppress(ProgramError):  # what calls it says so
                     waiting.append(self.source(path).text)
@@ -88,9 +88,9 @@ class FolderFiles:
 
         :raises ProgramError: it cannot be read.
         """
-        given = self._given.get(path.name.upper())
-        if given is not None:
-            return Source.of(given, 2)
+        document = self._given.get(path.name.upper())
+        if document is not None:
+            return Source.of(document, 2)
         try:
             return Source.of(replace(decode(path.name, path.read_bytes()), folder=str(path.parent)), 2)
         except OSError as cause:
@@ -98,9 +98,9 @@ class FolderFiles:
 
     def declared(self, path: Path, find: Callable[[str], frozenset[str]]) -> frozenset[str]:
         """Return the names that a function of `language.scan` finds in a file; none where it cannot be read."""
-        given = self._given.get(path.name.upper())
-        if given is not None:
-            return find(given.text)
+        document = self._given.get(path.name.upper())
+        if document is not None:
+            return find(document.text)
         try:
             stat = path.stat()
         except OSError:
@@ -123,15 +123,15 @@ def moving(paths: Sequence[Path], search: Sequence[Path]) -> dict[Path, set[Path
             return False, set()
         return scan.moves(code), files.called(code)
 
-    found: dict[Path, set[Path]] = {}
+    moving_files: dict[Path, set[Path]] = {}
     for path in paths:
-        reached: set[Path] = set()
+        callees: set[Path] = set()
         new = called(path)[1]
         while new:
-            reached |= new
-            new = set().union(*(called(other)[1] for other in new)) - reached
-        found[path] = {other for other in reached if called(other)[0]}
-    return found
+            callees |= new
+            new = set().union(*(called(callee)[1] for callee in new)) - callees
+        moving_files[path] = {callee for callee in callees if called(callee)[0]}
+    return moving_files
 
 
 def _listed(folders: Sequence[Path]) -> Iterator[Path]:
@@ -152,8 +152,8 @@ def calls_in(path: Path) -> set[str]:
 
 
 @lru_cache(maxsize=4096)
-def _names_in(path: Path, find: Callable[[str], frozenset[str]], modified: int, size: int) -> frozenset[str]:
-    del modified, size  # a file that changes is read again
+def _names_in(path: Path, find: Callable[[str], frozenset[str]], mtime: int, size: int) -> frozenset[str]:
+    del mtime, size  # a file that changes is read again
     try:
         return find(path.read_bytes().decode("latin-1"))
     except OSError:
@@ -175,9 +175,9 @@ class Library:
 
     def find(self, name: str, caller: Module) -> tuple[Module, Routine] | None:
         """Return a routine and its module, as seen from the module that calls it; None if it is nowhere."""
-        own = caller.routines.get(name)
-        if own is not None:
-            return caller, own
+        routine = caller.routines.get(name)
+        if routine is not None:
+            return caller, routine
         if name not in self._found:
             self._found[name] = self._search(name)
         return self._found[name]
@@ -190,7 +190,7 @@ class Library:
 
     def found(self) -> Iterator[tuple[Module, Routine]]:
         """Yield the routines of other files that were looked for and found."""
-        yield from (found for found in self._found.values() if found is not None)
+        yield from (entry for entry in self._found.values() if entry is not None)
 
     def read(self) -> Iterator[Module]:
         """Yield the files that were read."""
@@ -209,23 +209,23 @@ class Library:
         """Return which programs that were not read name routines, by the file of these."""
         read = {module.source.document.name.upper() for module in (self.program, *self.read())}
         unread = [path for file, path in self.files.paths.items() if not file.endswith(".DAT") and file not in read]
-        called = {path: calls_in(path) for path in unread}
-        found: dict[str, tuple[str, ...]] = {}
+        call_names = {path: calls_in(path) for path in unread}
+        user_names: dict[str, tuple[str, ...]] = {}
         for routine in sorted(routines, key=lambda routine: routine.first):
             file = routine.source.document.name
-            users = {path.name for path, names in called.items() if routine.name in names}
-            found[file] = tuple(sorted({*found.get(file, ()), *users}))
-        return found
+            users = {path.name for path, names in call_names.items() if routine.name in names}
+            user_names[file] = tuple(sorted({*user_names.get(file, ()), *users}))
+        return user_names
 
     def writers(self, names: Set[str]) -> dict[str, tuple[str, ...]]:
         """Return which programs that were not read set variables that all files share, by the names of these."""
         read = {module.source.document.name.upper() for module in (self.program, *self.read())}
-        found: dict[str, list[str]] = {}
+        writer_names: dict[str, list[str]] = {}
         for file, path in self.files.paths.items() if names else ():
             if file.endswith(".SRC") and file not in read and path.stem.upper() not in _OF_THE_CONTROLLER:
                 for name in names & self.files.declared(path, scan.assigned):
-                    found.setdefault(name, []).append(path.name)
-        return {name: tuple(sorted(found[name])) for name in sorted(found)}
+                    writer_names.setdefault(name, []).append(path.name)
+        return {name: tuple(sorted(writer_names[name])) for name in sorted(writer_names)}
 
     def _search(self, name: str) -> tuple[Module, Routine] | None:
         program = self.program.routines.get(name)
@@ -270,12 +270,12 @@ def module_of(source: Source, data: Source | None = None) -> Module:
     :raises ProgramError: a DEF has no END, or a motion is outside of DEF … END.
     """
     plain = np.concatenate([rows.line for rows in plain_lines.scan(source)])
-    others = np.ones(len(source.starts), dtype=np.bool_)
-    others[plain - 1] = False
-    found, faults = routines(source, (np.flatnonzero(others) + 1).tolist(), plain)
+    is_other_line = np.ones(len(source.starts), dtype=np.bool_)
+    is_other_line[plain - 1] = False
+    by_name, faults = routines(source, (np.flatnonzero(is_other_line) + 1).tolist(), plain)
     if faults:
         raise together(faults)
-    return Module(source, found, data)
+    return Module(source, by_name, data)
 
 
 def needed(
@@ -288,18 +288,18 @@ def needed(
     :param moving: names, upper case, of files with routines that it calls and that move the robot.
     """
     folder = Path(documents[0].folder)
-    known = {document.name.upper() for document in documents}
+    own_names = {document.name.upper() for document in documents}
     siblings = {
         name: path
         for name, path in files.paths.items()
-        if path.parent == folder and name not in known and name[0] != "$" and not name.endswith(".SUB")
+        if path.parent == folder and name not in own_names and name[0] != "$" and not name.endswith(".SUB")
     }
     if not documents[0].folder or not siblings:
         return ()
     links = _Links(siblings, files)
     data = (document.text for document in documents if PurePath(document.name).suffix.upper() == ".DAT")
-    for one in code:
-        links.follow(one)
+    for part in code:
+        links.follow(part)
     for text in data:
         links.follow_data(text)
     return tuple(links.needed(name, moving) for name in sorted(links.called | links.used))
@@ -325,10 +325,10 @@ class Code(Struct, frozen=True):
 
 def codes_of(module: Module) -> Iterator[Code]:
     """Yield the code of the routines of a file."""
-    own = frozenset() if module.data is None else frozenset().union(*declared_names(module.data))
+    module_names = frozenset() if module.data is None else frozenset().union(*declared_names(module.data))
     routines_ = frozenset(module.routines)
     for routine in module.routines.values():
-        yield Code(code_of(routine.source, routine.others), own | routine.local, routines_)
+        yield Code(code_of(routine.source, routine.others), module_names | routine.local, routines_)
 
 
 class _Links:
@@ -348,8 +348,8 @@ class _Links:
         self.imported: set[str] = set()
         self.variables: dict[str, set[str]] = {}
         for name, path in siblings.items():
-            for own in files.declared(path, scan.global_variables) if name.endswith(".DAT") else ():
-                self.variables.setdefault(own, set()).add(name)
+            for variable in files.declared(path, scan.global_variables) if name.endswith(".DAT") else ():
+                self.variables.setdefault(variable, set()).add(name)
 
     def follow(self, code: Code) -> None:
         """Note the files that code names."""
@@ -360,17 +360,17 @@ class _Links:
                 self.called.add(name)
                 self._follow_file(name)
         if self.variables:
-            names = {one.name for one in occurrences(text, 0, len(text))}
-            named = (names & self.variables.keys()) - code.names
-            self.named |= named
-            for name in sorted(named):
+            names = {occurrence.name for occurrence in occurrences(text, 0, len(text))}
+            variable_names = (names & self.variables.keys()) - code.names
+            self.named |= variable_names
+            for name in sorted(variable_names):
                 self._use(self.variables[name])
 
     def follow_data(self, text: str) -> None:
         """Note the files from which a data list takes variables."""
-        found = {name for stem in scan.imported(text) if (name := f"{stem}.DAT") in self.siblings}
-        self.imported |= found
-        self._use(found)
+        data_names = {name for stem in scan.imported(text) if (name := f"{stem}.DAT") in self.siblings}
+        self.imported |= data_names
+        self._use(data_names)
 
     def needed(self, name: str, moving: Collection[str]) -> Needed:
         """Return a file that was found, as the program needs it."""
@@ -380,7 +380,7 @@ class _Links:
             return Needed(str(path), moves=name in moving, uncorrected=uncorrected)
         if source is None or not self._moves(source):
             return Needed(str(path), moves=False)
-        variables = tuple(sorted(own for own in self.named if name in self.variables[own]))
+        variables = tuple(sorted(variable for variable in self.named if name in self.variables[variable]))
         variables = () if name in self.imported else variables
         return Needed(str(path), moves=False, program=source.name, variables=variables)
 

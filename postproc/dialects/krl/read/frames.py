@@ -45,12 +45,12 @@ class Frames:
         """
         name = target.name
         if isinstance(value, Call) and value.name in ("SBASE", "STOOL", "STOOL2"):
-            known = self.variables.argument(value, "BASE_NO" if value.name == "SBASE" else "TOOL_NO")
-            if not isinstance(known, Number):
+            number = self.variables.argument(value, "BASE_NO" if value.name == "SBASE" else "TOOL_NO")
+            if not isinstance(number, Number):
                 text = at.source.text[value.start : value.stop]
-                why = why_unknown(self.variables, at.source, known or NOTHING)
-                return self.unknown(state, name, at, f"{text}: the number is not known: {why}")
-            return self.numbered(state, at, name, int(known.value))
+                reason = why_unknown(self.variables, at.source, number or NOTHING)
+                return self.unknown(state, name, at, f"{text}: the number is not known: {reason}")
+            return self.numbered(state, at, name, int(number.value))
         if isinstance(value, Call) and value.name == "EK":
             raise at.error("external kinematics (EK) move the base", "Only a fixed $BASE can be corrected.")
         if target.indices is not None or (target.field is not None and target.field not in CARTESIAN):
@@ -75,9 +75,9 @@ class Frames:
         key = f"{name[1:]}_DATA[{number}]"
         return self._named(state, at, name, _numbered(f"{name[1:]}_DATA", number), key)
 
-    def unknown(self, state: State, name: str, at: Place, why: str) -> State:
+    def unknown(self, state: State, name: str, at: Place, reason: str) -> State:
         """Return a state in which `$BASE` or `$TOOL` is not known."""
-        return self.reasons.unknown(state, FIELDS[name], at.error(f"{name} is not known: {why}", _ADVICE))
+        return self.reasons.unknown(state, FIELDS[name], at.error(f"{name} is not known: {reason}", _ADVICE))
 
     def assumed(self, state: State) -> set[str]:
         """Return which of `$BASE` and `$TOOL` are the cell's though #INITMOV as KUKA has it gives others."""
@@ -107,8 +107,8 @@ class Frames:
         """Return the frame in force with another component; None if that is not known."""
         name, field = target.name, target.field or ""
         whole, number = self.current(state, name, None), self.variables.number(value)
-        folded = field in ANGLES and (name, state.base if name == "$BASE" else state.tool) in self._folded
-        if not isinstance(whole, Position) or number is None or folded:
+        is_folded = field in ANGLES and (name, state.base if name == "$BASE" else state.tool) in self._folded
+        if not isinstance(whole, Position) or number is None or is_folded:
             return None
         return with_component(whole, field, number)
 
@@ -117,11 +117,11 @@ class Frames:
         if position is not None and position.farthest > FARTHEST:
             raise out_of_reach(at, position.farthest)
         if position is None:
-            known = self.variables.evaluate(reference)
-            why = f"{key} is neither in the cell nor in the $config.dat"
-            if isinstance(known, Unknown) and known != NOTHING:
-                why = known.said(key)
-            return self.unknown(state, name, at, why)
+            value = self.variables.evaluate(reference)
+            reason = f"{key} is neither in the cell nor in the $config.dat"
+            if isinstance(value, Unknown) and value != NOTHING:
+                reason = value.said(key)
+            return self.unknown(state, name, at, reason)
         if not position.complete:
             return self.unknown(state, name, at, f"{_lacking(position)} in {key}")
         return self._put(state, name, position)
@@ -131,7 +131,7 @@ class Frames:
         if row is None:
             frames = self.bases if name == "$BASE" else self.tools
             pose = position.pose()
-            row = next((row for row, known in enumerate(frames) if np.abs(known - pose).max() < _SAME), len(frames))
+            row = next((row for row, frame in enumerate(frames) if np.abs(frame - pose).max() < _SAME), len(frames))
             if row == len(frames):
                 frames.append(pose)
             self._rows[name, position.values] = row

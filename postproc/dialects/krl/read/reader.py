@@ -230,7 +230,7 @@ class _Reading(Struct, frozen=True, eq=False):
             if _belongs(document, self.documents[0]):
                 read_data(variables, Source.of(document, 1))
         if self.cell.config_dat is not None:
-            read_data(variables, _config(self.cell, self.cell.config_dat), fill=True, shared=True)
+            read_data(variables, _config(self.cell, self.cell.config_dat), fill=True, is_global=True)
         program = self.documents[0]
         own = [program.name, *(document.name for document in self.documents if _belongs(document, program))]
         read_shared(variables, self.code, own, self.library.files, self.entry.local)
