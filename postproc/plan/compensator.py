@@ -17,7 +17,7 @@ from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array
 from postproc.identification import compensator_geometry as geometry
 from postproc.robot import RobotModel
 
-_APART = 10.0
+_MIN_STEP = 10.0
 """Least difference of two angles of A2 [deg]: readings at different angles check each other."""
 _RADIUS = 0.15
 """Radius [m] for which the numbers are computed; they hardly depend on it."""
@@ -80,15 +80,15 @@ def plan_compensator(robot: RobotModel, sigma: float, options: CompensatorOption
         (limit + side * options.margin) * DEG_PER_RAD for limit, side in ((robot.lower[1], 1.0), (robot.upper[1], -1.0))
     )
     grid = np.arange(np.ceil(lower - 1e-9), np.floor(upper + 1e-9) + 1.0)
-    if len(grid) < 1 + _APART * (options.angles - 1):
+    if len(grid) < 1 + _MIN_STEP * (options.angles - 1):
         raise PlanError(
-            f"A2 can turn from {lower:g}° to {upper:g}°: no room for {options.angles} angles {_APART:g}° apart",
+            f"A2 can turn from {lower:g}° to {upper:g}°: no room for {options.angles} angles {_MIN_STEP:g}° apart",
             advice="Ask for fewer with --angles, or for a smaller --margin.",
         )
     beta = geometry.even_angles(options.markers)
-    even = grid[np.round(np.linspace(0, len(grid) - 1, options.angles)).astype(np.int64)]
-    chosen = _exchanged(value, grid, even, beta)
-    q2 = np.sort(chosen)[::-1] * RAD_PER_DEG
+    even_angles = grid[np.round(np.linspace(0, len(grid) - 1, options.angles)).astype(np.int64)]
+    angles = _exchanged(value, grid, even_angles, beta)
+    q2 = np.sort(angles)[::-1] * RAD_PER_DEG
     return CompensatorPlan(
         robot=robot.name,
         options=options,
@@ -98,7 +98,7 @@ def plan_compensator(robot: RobotModel, sigma: float, options: CompensatorOption
         beta=beta,
         turn=float(np.ptp(geometry.spring_direction(value, q2))),
         ci95=expected_intervals(value, q2, beta, sigma, options.repeats),
-        ci95_even=expected_intervals(value, even * RAD_PER_DEG, beta, sigma, options.repeats),
+        ci95_even=expected_intervals(value, even_angles * RAD_PER_DEG, beta, sigma, options.repeats),
     )
 
 
@@ -118,23 +118,23 @@ def expected_intervals(value: Array, q2: Array, beta: Array, sigma: float, repea
 
 def _exchanged(value: Array, grid: Array, start: Array, beta: Array) -> Array:
     """Return angles (m,) [deg] of the grid that the exchange of no single one improves."""
-    chosen, radius = start.copy(), np.full(len(beta), _RADIUS)
+    result, radius = start.copy(), np.full(len(beta), _RADIUS)
 
     def cost(angles: Array) -> float:
         # noise of a typical tracker: it scales all but the bias
         return float(np.trace(geometry.expected_covariance(value, angles * RAD_PER_DEG, radius, beta, 1e-9)))
 
-    best, improved = cost(chosen), True
-    while improved:
-        improved = False
-        for place in range(len(chosen)):
-            others = np.delete(chosen, place)
-            for angle in grid[np.abs(grid[:, None] - others).min(axis=1) >= _APART]:
-                trial = np.append(others, angle)
-                found = cost(trial)
-                if found < best * (1.0 - 1e-6):
-                    chosen[place], best, improved = angle, found, True
-    return chosen
+    best, has_gain = cost(result), True
+    while has_gain:
+        has_gain = False
+        for place in range(len(result)):
+            other_angles = np.delete(result, place)
+            for angle in grid[np.abs(grid[:, None] - other_angles).min(axis=1) >= _MIN_STEP]:
+                trial = np.append(other_angles, angle)
+                trial_cost = cost(trial)
+                if trial_cost < best * (1.0 - 1e-6):
+                    result[place], best, has_gain = angle, trial_cost, True
+    return result
 
 
 def _value(law: Compensator) -> Array:
@@ -185,7 +185,7 @@ def text_lines(plan: CompensatorPlan) -> list[str]:
     places = ", ".join(
         f"{name} {angle:.0f}°" for name, angle in zip(marker_names(plan), plan.beta * DEG_PER_RAD, strict=True)
     )
-    ci, even = plan.ci95 * MM_PER_M, plan.ci95_even * MM_PER_M
+    ci, reference = plan.ci95 * MM_PER_M, plan.ci95_even * MM_PER_M
     opposite = "; opposite markers at equal radius" if len(plan.beta) >= 4 and len(plan.beta) % 2 == 0 else ""
     return [
         f"A2 at {angles}°: the compensator turns by {plan.turn * DEG_PER_RAD:.1f}°",
@@ -193,5 +193,5 @@ def text_lines(plan: CompensatorPlan) -> list[str]:
         f"line P0 → P1, positive as A2 turns: {places}; any radius{opposite}",
         f"{plan.options.repeats} readings each with {plan.sigma * MM_PER_M:g} mm noise: L ± {ci[0]:.3f} mm, "
         f"a_x ± {ci[1]:.3f} mm, a_y ± {ci[2]:.3f} mm (95 %)",
-        f"angles of A2 evenly over the range: L ± {even[0]:.3f} mm, a_x ± {even[1]:.3f} mm, a_y ± {even[2]:.3f} mm",
+        f"angles of A2 evenly over the range: L ± {reference[0]:.3f} mm, a_x ± {reference[1]:.3f} mm, a_y ± {reference[2]:.3f} mm",
     ]

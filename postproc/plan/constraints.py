@@ -19,7 +19,7 @@ from postproc.plan.site import BoxShape, MeshShape, Site, along, between_segment
 from postproc.program import Bools
 
 _ROPE = 0.01
-_STRETCHED = 0.8
+_STRAIGHT_SHARE = 0.8
 _PARTS = ("column", "link 2", "elbow", "forearm", "hand")
 
 
@@ -57,11 +57,11 @@ def feasible(site: Site, q: Array, tilt: Array) -> Bools:
     rows = np.flatnonzero(good)
     for group in _GROUPS:
         state = State.of(site, q[rows], tilt[rows]) if len(rows) < len(state.q) else state
-        allowed = np.ones(len(rows), dtype=bool)
-        for _, by_this in group(site, state):
-            allowed &= by_this
-        good[rows] = allowed
-        rows = rows[allowed]
+        is_allowed = np.ones(len(rows), dtype=bool)
+        for _, by_constraint in group(site, state):
+            is_allowed &= by_constraint
+        good[rows] = is_allowed
+        rows = rows[is_allowed]
     return np.asarray(good)
 
 
@@ -70,19 +70,19 @@ def passable(site: Site, q: Array) -> Bools:
     state = State.of(site, q, None)
     good = within_limits(site, q)
     for group in (_floor, _itself, _room):
-        for _, allowed in group(site, state):
-            good &= allowed
+        for _, is_allowed in group(site, state):
+            good &= is_allowed
     return good
 
 
 def failures(site: Site, q: Array, tilt: Array) -> dict[str, Bools]:
     """Return for each constraint which configurations (N,) it forbids by itself."""
     state = State.of(site, q, tilt)
-    found = {"joint limits": ~within_limits(site, q)}
+    failed_rows = {"joint limits": ~within_limits(site, q)}
     for group in _GROUPS:
-        for name, allowed in group(site, state):
-            found[name] = found.get(name, np.zeros(len(q), dtype=bool)) | ~allowed
-    return found
+        for name, is_allowed in group(site, state):
+            failed_rows[name] = failed_rows.get(name, np.zeros(len(q), dtype=bool)) | ~is_allowed
+    return failed_rows
 
 
 def within_limits(site: Site, q: Array) -> Bools:
@@ -139,23 +139,23 @@ def _floor(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
 
 def _torque(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
     if site.torque_limit is not None:
-        within = np.abs(torques(site, state)) <= site.torque_limit
+        is_allowed = np.abs(torques(site, state)) <= site.torque_limit
         for joint in range(6):
-            yield f"static torque of A{joint + 1}", within[:, joint]
+            yield f"static torque of A{joint + 1}", is_allowed[:, joint]
 
 
 def _itself(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
     if len(state.q) == 0:
         return
     pairs = _near_and_far(site, state)
-    least = np.array([near.radius + other.radius + site.clearance for near, other in pairs])
+    min_gap = np.array([part.radius + counterpart.radius + site.clearance for part, counterpart in pairs])
     # parts that are this near with the arm stretched out overlap by their coarse shape, not by a collision
-    stretched = _stretched(site)
-    least[: len(stretched)] = np.minimum(least[: len(stretched)], _STRETCHED * stretched)
-    free = _gaps(pairs) >= least[:, None]
+    straight_gap = _stretched(site)
+    min_gap[: len(straight_gap)] = np.minimum(min_gap[: len(straight_gap)], _STRAIGHT_SHARE * straight_gap)
+    free = _gaps(pairs) >= min_gap[:, None]
     for name in _PARTS[:4]:
-        own = [row for row, (near, _) in enumerate(pairs) if near.name == name]
-        yield f"tool, load and arm against the robot's {name}", np.asarray(free[own].all(axis=0))
+        rows = [row for row, (part, _) in enumerate(pairs) if part.name == name]
+        yield f"tool, load and arm against the robot's {name}", np.asarray(free[rows].all(axis=0))
 
 
 def _near_and_far(site: Site, state: State) -> list[tuple[Capsule, Capsule]]:
@@ -164,19 +164,19 @@ def _near_and_far(site: Site, state: State) -> list[tuple[Capsule, Capsule]]:
     tool, load = tool_parts(site, state), load_parts(site, state)
     front = Capsule("forearm", 0.5 * (forearm.start + forearm.end), forearm.end, forearm.radius)
     # hand and tool begin where the forearm ends: its round end must not count against them
-    back = 1.0 - min(0.5, forearm.radius / max(float(np.linalg.norm(forearm.end[0] - forearm.start[0])), 1e-9))
-    forearm = Capsule("forearm", forearm.start, forearm.start + back * (forearm.end - forearm.start), forearm.radius)
-    pairs = [(near, other) for near in (column, link) for other in (front, hand, *tool)]
-    pairs += [(elbow, other) for other in (hand, *tool)] + [(forearm, other) for other in tool]
-    return pairs + [(near, other) for near in (column, link, elbow, forearm) for other in load]
+    share = 1.0 - min(0.5, forearm.radius / max(float(np.linalg.norm(forearm.end[0] - forearm.start[0])), 1e-9))
+    forearm = Capsule("forearm", forearm.start, forearm.start + share * (forearm.end - forearm.start), forearm.radius)
+    pairs = [(part, counterpart) for part in (column, link) for counterpart in (front, hand, *tool)]
+    pairs += [(elbow, counterpart) for counterpart in (hand, *tool)] + [(forearm, counterpart) for counterpart in tool]
+    return pairs + [(part, counterpart) for part in (column, link, elbow, forearm) for counterpart in load]
 
 
 def _gaps(pairs: list[tuple[Capsule, Capsule]]) -> Array:
     """Return the distances (pairs, N) between the axes of parts [m]."""
-    one, other = [near for near, _ in pairs], [far for _, far in pairs]
+    parts, counterparts = [first for first, _ in pairs], [counterpart for _, counterpart in pairs]
     return between_segments(
-        *(np.array([part.start for part in one]), np.array([part.end for part in one])),
-        *(np.array([part.start for part in other]), np.array([part.end for part in other])),
+        *(np.array([part.start for part in parts]), np.array([part.end for part in parts])),
+        *(np.array([part.start for part in counterparts]), np.array([part.end for part in counterparts])),
     )
 
 
@@ -224,8 +224,8 @@ def _sight(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
     start, end = np.array([part.start for part in parts]), np.array([part.end for part in parts])
     radius = np.array([part.radius for part in parts])[:, None]
     # the coarse shape of the hand may contain the marker itself: then it does not hide it
-    inside = between_segments(marker[:, None], marker[:, None], start, end) < radius
-    free = inside | (between_segments(eye[:, None], marker[:, None], start, end) >= radius)
+    contains_marker = between_segments(marker[:, None], marker[:, None], start, end) < radius
+    free = contains_marker | (between_segments(eye[:, None], marker[:, None], start, end) >= radius)
     good = np.asarray(free.all(axis=1))
     for row, name in enumerate(site.names):
         rows = np.flatnonzero(good[row])

@@ -77,21 +77,21 @@ class Joint2(Struct, frozen=True, eq=False):
 
         With fewer than three levels the compensator is not identifiable and stays at the prior.
         """
-        here, there = self.relative(q2), self.relative(levels)
+        factor, level_factor = self.relative(q2), self.relative(levels)
         if self.free and len(levels) >= _LEVELS:
             c = self.columns(levels)
             size = np.linalg.norm(c, axis=0)
             share = (self.columns(q2) / size) @ np.linalg.pinv(c / size, rcond=1e-9)
         else:
             share = np.full((len(q2), len(levels)), 1.0 / len(levels))
-        return np.asarray(here[:, None] ** 2 * share / there**2)
+        return np.asarray(factor[:, None] ** 2 * share / level_factor**2)
 
     def parameters(self, q2: Array) -> Array:
         """Return ∂k2(q2)/∂parameters (n, 1 or 3): relative gear compliance, then K_c and s₀K_c in units of K⁰_θ2."""
-        here = self.relative(q2)[:, None] ** 2
+        square = self.relative(q2)[:, None] ** 2
         if not self.free:
-            return here
-        return np.concatenate([here, -here * self.columns(q2)[:, 1:]], axis=1)
+            return square
+        return np.concatenate([square, -square * self.columns(q2)[:, 1:]], axis=1)
 
 
 class Measured(Struct, frozen=True, eq=False):
@@ -151,9 +151,9 @@ class Criterion(Struct, frozen=True, eq=False):
         joint2: Joint2,
         q2: Array,
         grouped: bool,
-        measured: Measured | None = None,
+        earlier_data: Measured | None = None,
     ) -> Criterion:
-        """Make the criterion for levels q2 (m,) [rad]; `measured`: earlier readings."""
+        """Make the criterion for levels q2 (m,) [rad]; `earlier_data`: earlier readings."""
         keep, levels = list(readings.keep), len(q2)
         two = keep.index(1)
         a = tests.regressor[:, :, keep] * readings.scale[keep]  # (T, 3, p)
@@ -161,32 +161,32 @@ class Criterion(Struct, frozen=True, eq=False):
         if grouped:
             weight = np.einsum("t,tki,tkj->ij", tests.weight, a, a)
             spread = np.tile(np.arange(size), (levels, 1))
-            before = np.zeros((levels, size, size))
-            if measured is not None:
-                np.add.at(before, measured.level, measured.information)
-            return cls(True, two, weight, spread, before)
-        shared = [index for index in range(size) if index != two]
-        extended = np.zeros((len(a), 3, size - 1 + levels))
-        extended[:, :, : size - 1] = a[:, :, shared]
-        extended[:, :, size - 1 :] = a[:, :, two, None] * joint2.from_levels(q2, tests.q[:, 1])[:, None, :]
-        weight = np.einsum("t,tki,tkj->ij", tests.weight, extended, extended)
+            prior = np.zeros((levels, size, size))
+            if earlier_data is not None:
+                np.add.at(prior, earlier_data.level, earlier_data.information)
+            return cls(True, two, weight, spread, prior)
+        common_joints = [index for index in range(size) if index != two]
+        regressor = np.zeros((len(a), 3, size - 1 + levels))
+        regressor[:, :, : size - 1] = a[:, :, common_joints]
+        regressor[:, :, size - 1 :] = a[:, :, two, None] * joint2.from_levels(q2, tests.q[:, 1])[:, None, :]
+        weight = np.einsum("t,tki,tkj->ij", tests.weight, regressor, regressor)
         spread = np.empty((levels, size), dtype=np.int64)
-        spread[:, shared] = np.arange(size - 1)
+        spread[:, common_joints] = np.arange(size - 1)
         spread[:, two] = size - 1 + np.arange(levels)
         empty = cls(False, two, weight, spread, np.zeros_like(weight))
-        if measured is None:
+        if earlier_data is None:
             return empty
-        return replace(empty, before=empty.total(measured.information, measured.level))
+        return replace(empty, before=empty.total(earlier_data.information, earlier_data.level))
 
     def total(self, information: Array, level: Ints) -> Array:
         """Return the normal matrix: pooled (P, P) of the extended set, grouped (m, p, p)."""
-        out = self.before.copy()
+        normal = self.before.copy()
         if self.grouped:
-            np.add.at(out, level, information)
-            return out
-        where = self.spread[level]
-        np.add.at(out, (where[:, :, None], where[:, None, :]), information)
-        return out
+            np.add.at(normal, level, information)
+            return normal
+        rows = self.spread[level]
+        np.add.at(normal, (rows[:, :, None], rows[:, None, :]), information)
+        return normal
 
     def value(self, information: Array, level: Ints) -> float:
         """Return the criterion of a plan [m²]; infinite if a parameter is not determined."""
@@ -195,10 +195,10 @@ class Criterion(Struct, frozen=True, eq=False):
     def of_totals(self, total: Array) -> Array:
         """Return the criterion (K,) [m²] of normal matrices (K, …)."""
         diagonal = np.sqrt(np.maximum(np.diagonal(total, axis1=-2, axis2=-1), 1e-300))
-        scaled = total / (diagonal[..., :, None] * diagonal[..., None, :])
-        scaled += 1e-11 * np.eye(total.shape[-1])  # an open direction costs 10¹¹, without a division by zero
+        normal = total / (diagonal[..., :, None] * diagonal[..., None, :])
+        normal += 1e-11 * np.eye(total.shape[-1])  # an open direction costs 10¹¹, without a division by zero
         weight = self.weight / (diagonal[..., :, None] * diagonal[..., None, :])
-        cost = np.einsum("...ij,...ji->...", np.linalg.inv(scaled), weight)
+        cost = np.einsum("...ij,...ji->...", np.linalg.inv(normal), weight)
         return np.asarray(cost.sum(axis=-1) if self.grouped else cost)
 
     def exchanged(self, total: Array, old: Array, new: Array, level: int) -> Array:
@@ -210,8 +210,8 @@ class Criterion(Struct, frozen=True, eq=False):
         if self.grouped:
             candidates[:, level] += new - old
         else:
-            where = self.spread[level]
-            candidates[:, where[:, None], where[None]] += new - old
+            rows = self.spread[level]
+            candidates[:, rows[:, None], rows[None]] += new - old
         return self.of_totals(candidates)
 
     def push(self, total: Array, level: Ints) -> Array:
@@ -220,8 +220,8 @@ class Criterion(Struct, frozen=True, eq=False):
         slope = -inverse @ self.weight @ inverse
         if self.grouped:
             return np.asarray(slope[level])
-        where = self.spread[level]
-        return np.asarray(slope[where[:, :, None], where[:, None, :]])
+        rows = self.spread[level]
+        return np.asarray(slope[rows[:, :, None], rows[:, None, :]])
 
 
 _OPEN = 1e-9
@@ -250,23 +250,28 @@ class Accuracy(Struct, frozen=True, eq=False):
 
 
 def expected_accuracy(
-    tests: TestPoses, readings: Readings, joint2: Joint2, q: Array, information: Array, measured: Measured | None = None
+    tests: TestPoses,
+    readings: Readings,
+    joint2: Joint2,
+    q: Array,
+    information: Array,
+    earlier_data: Measured | None = None,
 ) -> Accuracy:
     """Return the expected accuracy of a plan.
 
     :param q: (n, 6) poses of the plan [rad], with `information` (n, p, p).
-    :param measured: earlier readings.
+    :param earlier_data: earlier readings.
     """
     keep = list(readings.keep)
-    if measured is not None:
-        q, information = np.vstack([q, measured.q]), np.concatenate([information, measured.information])
+    if earlier_data is not None:
+        q, information = np.vstack([q, earlier_data.q]), np.concatenate([information, earlier_data.information])
     spread = _parameters(joint2, keep, q)
     normal = np.einsum("nia,nij,njb->ab", spread, information, spread)
     a = (tests.regressor[:, :, keep] * readings.scale[keep]) @ _parameters(joint2, keep, tests.q)
     covariance = _inverse(normal)
-    each = np.einsum("tka,ab,tkb->t", a, covariance, a)
+    variance = np.einsum("tka,ab,tkb->t", a, covariance, a)
     moment = np.einsum("t,tka,tkb->ab", tests.weight, a, a)
-    mean = float(tests.weight @ each)
+    mean = float(tests.weight @ variance)
     # the mean square error of one identification is a sum of squares of normal numbers: g·χ²_h (Satterthwaite 1946)
     product = covariance @ moment
     square = float(np.sum(product * product.T))
@@ -277,7 +282,7 @@ def expected_accuracy(
     if joint2.free and joint2.compensator is not None:
         stiffness = joint2.compensator.stiffness * joint2.compliance
         half[len(keep) :] /= np.maximum([stiffness, stiffness * joint2.compensator.free_length], 1e-300)
-    return Accuracy(float(np.sqrt(mean)), (interval[0], interval[1]), np.sqrt(each), parameters, half)
+    return Accuracy(float(np.sqrt(mean)), (interval[0], interval[1]), np.sqrt(variance), parameters, half)
 
 
 def not_visible(readings: Readings, information: Array, count: int) -> tuple[int, ...]:
@@ -285,26 +290,26 @@ def not_visible(readings: Readings, information: Array, count: int) -> tuple[int
 
     :param information: (N, 6, 6) of many poses that can be measured.
     """
-    most = np.diagonal(information, axis1=1, axis2=2).max(axis=0) * count
-    return tuple(int(j) for j in np.flatnonzero(most < (NORMAL_95 / UNCERTAIN) ** 2))
+    total = np.diagonal(information, axis1=1, axis2=2).max(axis=0) * count
+    return tuple(int(j) for j in np.flatnonzero(total < (NORMAL_95 / UNCERTAIN) ** 2))
 
 
 def _parameters(joint2: Joint2, keep: list[int], q: Array) -> Array:
     """Return D (n, p, P): how the compliances at configurations q depend on the parameters."""
     size = len(keep)
-    own = joint2.parameters(q[:, 1])
-    out = np.zeros((len(q), size, size + own.shape[1] - 1))
-    out[:, range(size), range(size)] = 1.0
+    joint2_columns = joint2.parameters(q[:, 1])
+    matrix = np.zeros((len(q), size, size + joint2_columns.shape[1] - 1))
+    matrix[:, range(size), range(size)] = 1.0
     two = keep.index(1)
-    out[:, two, two] = own[:, 0]
-    out[:, two, size:] = own[:, 1:]
-    return out
+    matrix[:, two, two] = joint2_columns[:, 0]
+    matrix[:, two, size:] = joint2_columns[:, 1:]
+    return matrix
 
 
 def _inverse(normal: Array) -> Array:
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    scaled = normal * np.outer(scale, scale) + _OPEN**2 * np.eye(len(normal))
-    return np.asarray(np.linalg.inv(scaled) * np.outer(scale, scale))
+    matrix = normal * np.outer(scale, scale) + _OPEN**2 * np.eye(len(normal))
+    return np.asarray(np.linalg.inv(matrix) * np.outer(scale, scale))
 
 
 def _chi2(freedom: float, z: float) -> float:
@@ -346,51 +351,53 @@ class Directions(Struct, frozen=True, eq=False):
         return np.asarray(np.maximum(self.need - count, 0).sum(axis=(-2, -1)))
 
 
-def directions(torque: Array, tests: TestPoses, poses: int, measured: Array | None = None) -> Directions:
+def directions(torque: Array, tests: TestPoses, poses: int, data_torque: Array | None = None) -> Directions:
     """Return the directions to load.
 
     :param torque: (N, 6) of many poses that can be measured [N·m].
     :param tests: the work.
     :param poses: number of poses of the plan.
-    :param measured: (m, 6) torques of configurations measured already [N·m].
+    :param data_torque: (m, 6) torques of configurations measured already [N·m].
     """
     sides = signed(torque)
-    reached = _typical(sides, np.full(len(torque), 1.0 / max(len(torque), 1)))
+    rig_torque = _typical(sides, np.full(len(torque), 1.0 / max(len(torque), 1)))
     work = _typical(signed(tests.torque), tests.weight)
-    least = np.clip(work, _SMALLEST * reached, _LARGEST * reached)
-    before = np.zeros((0, 6)) if measured is None else measured
-    need = np.where(reached > 0.0, min(ENOUGH, (poses + len(before)) // _OF_POSES), 0)
-    empty = Directions(need, np.maximum(least, LEAST_TORQUE), reached, work)
-    left = np.maximum(need - empty.counted(before).sum(axis=0), 0)
-    return Directions(left, empty.least, reached, work)
+    threshold = np.clip(work, _SMALLEST * rig_torque, _LARGEST * rig_torque)
+    earlier_torque = np.zeros((0, 6)) if data_torque is None else data_torque
+    need = np.where(rig_torque > 0.0, min(ENOUGH, (poses + len(earlier_torque)) // _OF_POSES), 0)
+    empty = Directions(need, np.maximum(threshold, LEAST_TORQUE), rig_torque, work)
+    left = np.maximum(need - empty.counted(earlier_torque).sum(axis=0), 0)
+    return Directions(left, empty.least, rig_torque, work)
 
 
 def _typical(sides: Array, weight: Array) -> Array:
     """Return the weighted 95 % quantile (6, 2) of the torques on each side that are any; 0 where fewer than 1 % are."""
-    out = np.zeros((6, 2))
+    quantile = np.zeros((6, 2))
     for joint, side in np.ndindex(6, 2):
         values = sides[:, joint, side]
         rows = np.flatnonzero(values > LEAST_TORQUE)
         if weight[rows].sum() > _RARE:
             rows = rows[np.argsort(values[rows])]
             share = np.cumsum(weight[rows]) / weight[rows].sum()
-            out[joint, side] = values[rows[np.searchsorted(share, _TYPICAL)]]
-    return out
+            quantile[joint, side] = values[rows[np.searchsorted(share, _TYPICAL)]]
+    return quantile
 
 
-def out_of_reach(found: Directions, vertical: bool) -> tuple[str, ...]:
+def out_of_reach(demand: Directions, vertical: bool) -> tuple[str, ...]:
     """Return a sentence on the joints whose torque the rig cannot turn to one side or the other; none if it can.
 
     :param vertical: whether every load hangs vertically.
     """
     parts = []
     for joint, name in enumerate(JOINTS):
-        missing = [sign for side, sign in enumerate(SIGNS) if found.reached[joint, side] == 0.0]
-        work = [f"{found.work[joint, side]:.0f} N·m {sign}" for side, sign in enumerate(SIGNS) if sign in missing]
-        worked = [text for text, sign in zip(work, missing, strict=True) if found.work[joint, SIGNS.index(sign)] > 0.0]
-        if missing:
-            note = f"; the work has up to {' and '.join(worked)}" if worked else ""
-            parts.append(f"{name} ({' and '.join(missing)}{note})")
+        open_signs = [sign for side, sign in enumerate(SIGNS) if demand.reached[joint, side] == 0.0]
+        work = [f"{demand.work[joint, side]:.0f} N·m {sign}" for side, sign in enumerate(SIGNS) if sign in open_signs]
+        work_torques = [
+            text for text, sign in zip(work, open_signs, strict=True) if demand.work[joint, SIGNS.index(sign)] > 0.0
+        ]
+        if open_signs:
+            note = f"; the work has up to {' and '.join(work_torques)}" if work_torques else ""
+            parts.append(f"{name} ({' and '.join(open_signs)}{note})")
     if not parts:
         return ()
     advice = "another load point, or [rig] max_angle_deg if a pulley can turn the pull, may reach it"

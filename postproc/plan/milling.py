@@ -63,8 +63,8 @@ def evaluated(robot: RobotModel, q: Array, tool: Array, wrench: Array, weight: A
     """Make test poses of configurations (T, 6), tools (4, 4) or (T, 4, 4), wrenches (T, 6) in root axes, weights."""
     _, jacobian = kinematics.tcp(robot.nominal, q, tool)
     torque = np.einsum("nij,ni->nj", jacobian, wrench)
-    moved, sagged = (linear_deflection(robot, q, tool, load)[:, :3] for load in (wrench, np.zeros_like(wrench)))
-    deflection = moved - sagged  # of a robot whose geometry is a weightless one's
+    loaded_shift, sag = (linear_deflection(robot, q, tool, load)[:, :3] for load in (wrench, np.zeros_like(wrench)))
+    deflection = loaded_shift - sag  # of a robot whose geometry is a weightless one's
     return TestPoses(
         q=q,
         wrench=wrench,
@@ -90,8 +90,8 @@ def from_program(program: Program, robot: RobotModel, cell: Cell, source: ForceS
     except ImpossiblePathError as cause:
         raise PlanError(cause.issue.message.rstrip("."), file=name, line=cause.issue.source_line) from None
     motion, distance = path.sample.motion, path.sample.distance
-    before = np.concatenate([[0.0], distance[:-1]])
-    way = np.where(np.concatenate([[True], np.diff(motion) != 0]), distance, distance - before)
+    start_distance = np.concatenate([[0.0], distance[:-1]])
+    way = np.where(np.concatenate([[True], np.diff(motion) != 0]), distance, distance - start_distance)
     in_root = path.wrench_in_root(np.arange(len(path)))
     cutting = np.flatnonzero(~m.rapid[motion] & (way > 0.0) & (np.abs(in_root).max(axis=1) > 0.0))
     if len(cutting) == 0:
@@ -100,8 +100,8 @@ def from_program(program: Program, robot: RobotModel, cell: Cell, source: ForceS
             file=name,
             advice="Give forces with --forces, or as comments (FORCE FX= FY= FZ=), or test poses with --poses.",
         )
-    chosen, shares = _merged(cutting, way[cutting])
-    return evaluated(robot, path.joints.q[chosen], program.tools[m.tool[motion[chosen]]], in_root[chosen], shares, name)
+    rows, shares = _merged(cutting, way[cutting])
+    return evaluated(robot, path.joints.q[rows], program.tools[m.tool[motion[rows]]], in_root[rows], shares, name)
 
 
 def _merged(rows: Ints, way: Array) -> tuple[Ints, Array]:
@@ -175,19 +175,19 @@ def thinned(tests: TestPoses, scale: Array, count: int, seed: int) -> TestPoses:
         mean = np.stack([np.bincount(owner, tests.weight * f, len(centres)) for f in features.T], axis=1)
         centres = np.where(total[:, None] > 0.0, mean / np.maximum(total, 1e-300)[:, None], centres)
     distance = _squares(features, centres)
-    used = np.unique(owner)
-    rows = np.array([np.flatnonzero(owner == c)[distance[owner == c, c].argmin()] for c in used])
-    weight = np.bincount(owner, weights=tests.weight, minlength=len(centres))[used]
-    few = replace(tests.take(rows), weight=np.asarray(weight, dtype=float))
-    wanted, got = (np.trace(t.second_moment * np.outer(scale, scale)) for t in (tests, few))
-    factor = np.sqrt(wanted / got) if got > 0.0 else 1.0
+    clusters = np.unique(owner)
+    rows = np.array([np.flatnonzero(owner == c)[distance[owner == c, c].argmin()] for c in clusters])
+    weight = np.bincount(owner, weights=tests.weight, minlength=len(centres))[clusters]
+    sample = replace(tests.take(rows), weight=np.asarray(weight, dtype=float))
+    full_trace, sample_trace = (np.trace(t.second_moment * np.outer(scale, scale)) for t in (tests, sample))
+    factor = np.sqrt(full_trace / sample_trace) if sample_trace > 0.0 else 1.0
     return TestPoses(
-        q=few.q,
-        wrench=few.wrench * factor,
-        weight=few.weight,
-        torque=few.torque * factor,
-        regressor=few.regressor * factor,
-        deflection=few.deflection * factor,
+        q=sample.q,
+        wrench=sample.wrench * factor,
+        weight=sample.weight,
+        torque=sample.torque * factor,
+        regressor=sample.regressor * factor,
+        deflection=sample.deflection * factor,
         source=tests.source,
     )
 

@@ -47,23 +47,23 @@ _LEAST_SHARE, _LARGEST_SHARE = 0.1, 0.4
 """Second load over the weight: less is lost in the noise, more adds no other information than the weight."""
 
 
-def hidden_by_rig(site: Site, tests: TestPoses, scale: Array, missing: tuple[int, ...]) -> tuple[str, ...]:
+def hidden_by_rig(site: Site, tests: TestPoses, scale: Array, hidden_joints: tuple[int, ...]) -> tuple[str, ...]:
     """Return warnings on compliances that the rig does not excite: reason, remedy, and their share of the milling
     deflection.
 
     :param scale: (6,) compliances of the robot [rad/(N·m)].
-    :param missing: joints, counted from 0.
+    :param hidden_joints: joints, counted from 0.
     :raises PlanError: the load excites no compliance.
     """
-    if 1 in missing:
+    if 1 in hidden_joints:
         raise PlanError(
             "the load is too small: not even the compliance of A2 can be seen in the readings",
             advice="Use a heavier weight ([rig] mass_kg) or a better measuring device (sigma_mm).",
         )
-    out = []
-    for joint in missing:
-        moved = np.sum(tests.regressor[:, :, joint] ** 2, axis=1)
-        share = float(np.sqrt(tests.weight @ moved)) * scale[joint] * MM_PER_M
+    warnings = []
+    for joint in hidden_joints:
+        square = np.sum(tests.regressor[:, :, joint] ** 2, axis=1)
+        share = float(np.sqrt(tests.weight @ square)) * scale[joint] * MM_PER_M
         reason, advice = "the load puts too little torque on it", "Use a heavier weight."
         if joint == 0 and site.rig.largest_tilt < VERTICAL:
             reason = "every load it can apply hangs vertically, parallel to the axis of A1"
@@ -72,12 +72,12 @@ def hidden_by_rig(site: Site, tests: TestPoses, scale: Array, missing: tuple[int
             reason = "the load acts on the axis of A6"
             advice = "Hang the load at a distance from that axis, on a bracket ([load_point])."
         name = JOINT_COMPLIANCES[joint].name
-        out.append(
+        warnings.append(
             f"{name} is not observable with this rig: {reason}. {advice} As it is, the identification keeps the "
             f"robot's own value; {share:.3g} mm (RMS) of the deflection at the test poses rest on it, and the expected "
             "accuracy does not count how wrong it may be"
         )
-    return tuple(out)
+    return tuple(warnings)
 
 
 def second_load(site: Site, tests: TestPoses) -> float:
@@ -90,32 +90,32 @@ def second_load(site: Site, tests: TestPoses) -> float:
     return float(np.clip(work / site.rig.force, _LEAST_SHARE, _LARGEST_SHARE))
 
 
-def left_uncertain(found: Accuracy, joint2: Joint2, blocked: Ints) -> list[str]:
+def left_uncertain(accuracy: Accuracy, joint2: Joint2, blocked_rows: Ints) -> list[str]:
     """Return warnings on parameters that stay uncertain with the plan, and on blocked moves.
 
-    :param blocked: rows that the robot cannot reach without an obstacle.
+    :param blocked_rows: rows that the robot cannot reach without an obstacle.
     """
-    out = []
-    uncertain = [p.name for p in found.uncertain if isinstance(p, JointCompliance)]
+    warnings = []
+    uncertain = [p.name for p in accuracy.uncertain if isinstance(p, JointCompliance)]
     if uncertain:
-        out.append(
+        warnings.append(
             f"{', '.join(uncertain)}: the 95 % interval will be wider than half the value, so that the identification "
             "keeps the robot's own. If the programs need it, plan more poses, more weight or more repeats"
         )
     if joint2.compensator is not None and not joint2.free:
-        out.append(
+        warnings.append(
             "the spring of the gravity compensator (K_c, s_0) cannot be determined from such measurements: the "
             "identification keeps the robot's values"
         )
-    if len(blocked):
-        rows = ", ".join(str(row + 1) for row in blocked)
-        out.append(f"the robot would hit something on its way to configuration {rows}: jog it there by hand")
-    return out
+    if len(blocked_rows):
+        rows = ", ".join(str(row + 1) for row in blocked_rows)
+        warnings.append(f"the robot would hit something on its way to configuration {rows}: jog it there by hand")
+    return warnings
 
 
 _STEP = 4.0 * RAD_PER_DEG
 _SHAPES = 400
-_BLOCKED = 1e3
+_BLOCKED_COST = 1e3
 """Added seconds of a move that would hit something."""
 
 
@@ -129,14 +129,14 @@ def free_moves(site: Site, q: Array) -> Bools:
     count = len(q)
     first, last = np.triu_indices(count, 1)
     free = np.ones((count, count), dtype=bool)
-    between, owner = [], []
+    samples, owner = [], []
     for pair, (a, b) in enumerate(zip(q[first], q[last], strict=True)):
         steps = int(np.ceil(np.abs(b - a).max() / _STEP))
         t = np.linspace(0.0, 1.0, steps + 1)[1:-1, None]
-        between.append(a * (1.0 - t) + b * t)
+        samples.append(a * (1.0 - t) + b * t)
         owner.append(np.full(len(t), pair))
-    if between:
-        places = np.concatenate(between)
+    if samples:
+        places = np.concatenate(samples)
         hit = np.zeros(len(first), dtype=bool)
         hit[np.concatenate(owner)[~constraints.passable(site, places)]] = True
         free[first, last] = free[last, first] = ~hit
@@ -150,13 +150,13 @@ def least_travel(site: Site, q: Array) -> tuple[Ints, float, Ints]:
 
     :returns: order, seconds, and the places k in it where the move to order[k] would hit something.
     """
-    every = np.vstack([site.start, q])
-    seconds = travel_times(site, every)
-    blocked = ~free_moves(site, every)
-    cost = seconds + _BLOCKED * blocked
+    stops = np.vstack([site.start, q])
+    seconds = travel_times(site, stops)
+    is_blocked = ~free_moves(site, stops)
+    cost = seconds + _BLOCKED_COST * is_blocked
     tour = [0]
-    while len(tour) < len(every):
-        left = [node for node in range(len(every)) if node not in tour]
+    while len(tour) < len(stops):
+        left = [node for node in range(len(stops)) if node not in tour]
         tour.append(min(left, key=lambda node: (cost[tour[-1], node], node)))
     while True:
         better = _improved(tour, cost)
@@ -166,7 +166,7 @@ def least_travel(site: Site, q: Array) -> tuple[Ints, float, Ints]:
     order = np.array(tour[1:]) - 1
     steps = list(pairwise(tour))
     length = float(sum(seconds[a, b] for a, b in steps))
-    return order, length, np.array([k for k, (a, b) in enumerate(steps) if blocked[a, b]], dtype=np.int64)
+    return order, length, np.array([k for k, (a, b) in enumerate(steps) if is_blocked[a, b]], dtype=np.int64)
 
 
 def _length(tour: list[int], cost: Array) -> float:
@@ -174,19 +174,19 @@ def _length(tour: list[int], cost: Array) -> float:
 
 
 def _improved(tour: list[int], cost: Array) -> list[int] | None:
-    now = _length(tour, cost)
+    length = _length(tour, cost)
     for i in range(1, len(tour)):
         for j in range(i + 1, len(tour) + 1):
-            turned = tour[:i] + tour[i:j][::-1] + tour[j:]
-            if _length(turned, cost) < now - 1e-9:
-                return turned
+            reversed_tour = tour[:i] + tour[i:j][::-1] + tour[j:]
+            if _length(reversed_tour, cost) < length - 1e-9:
+                return reversed_tour
     for i in range(1, len(tour)):
         for size in (1, 2, 3):
             piece, rest = tour[i : i + size], tour[:i] + tour[i + size :]
             for j in range(1, len(rest) + 1):
-                moved = rest[:j] + piece + rest[j:]
-                if _length(moved, cost) < now - 1e-9:
-                    return moved
+                new_tour = rest[:j] + piece + rest[j:]
+                if _length(new_tour, cost) < length - 1e-9:
+                    return new_tour
     return None
 
 
@@ -199,24 +199,24 @@ def detours(site: Site, q: Array, hit: Ints) -> tuple[tuple[Array, ...], Ints]:
     :param hit: rows whose direct move is blocked.
     """
     start = site.start
-    passed = [np.zeros((0, 6)) for _ in q]
-    blocked = []
+    via_poses = [np.zeros((0, 6)) for _ in q]
+    blocked_rows = []
     shapes = [start, folded(site)] if len(hit) else []
     for row in hit:
-        here, there = start if row == 0 else q[row - 1], q[row]
+        origin, goal = start if row == 0 else q[row - 1], q[row]
         options = [start[None]]
         for shape in shapes:
-            from_here, to_there = shape.copy(), shape.copy()
-            from_here[0], to_there[0] = here[0], there[0]
-            options += [to_there[None], from_here[None], np.array([from_here, to_there])]
-        for between in options:
-            stops = np.vstack([here, between, there])
-            if constraints.passable(site, between).all() and np.diag(free_moves(site, stops), 1).all():
-                passed[row] = between
+            start_shape, end_shape = shape.copy(), shape.copy()
+            start_shape[0], end_shape[0] = origin[0], goal[0]
+            options += [end_shape[None], start_shape[None], np.array([start_shape, end_shape])]
+        for via in options:
+            stops = np.vstack([origin, via, goal])
+            if constraints.passable(site, via).all() and np.diag(free_moves(site, stops), 1).all():
+                via_poses[row] = via
                 break
         else:
-            blocked.append(int(row))
-    return tuple(passed), np.array(blocked, dtype=np.int64)
+            blocked_rows.append(int(row))
+    return tuple(via_poses), np.array(blocked_rows, dtype=np.int64)
 
 
 def folded(site: Site) -> Array:
@@ -224,11 +224,11 @@ def folded(site: Site) -> Array:
     rng = np.random.default_rng(0)
     q = rng.uniform(np.maximum(site.lower, -np.pi), np.minimum(site.upper, np.pi), (_SHAPES, 6))
     q[:, 0] = np.clip(0.0, site.lower[0], site.upper[0])
-    posed = site.arm.pose(q)
-    places = np.concatenate([posed.origin, posed.point(np.vstack([site.load_point, site.points]))], axis=1)
+    arm_pose = site.arm.pose(q)
+    places = np.concatenate([arm_pose.origin, arm_pose.point(np.vstack([site.load_point, site.points]))], axis=1)
     reach = np.linalg.norm(places[..., :2], axis=2).max(axis=1)
-    alone = replace(site, obstacles=())
-    return np.asarray(q[np.argmin(np.where(constraints.passable(alone, q), reach, np.inf))])
+    empty_site = replace(site, obstacles=())
+    return np.asarray(q[np.argmin(np.where(constraints.passable(empty_site, q), reach, np.inf))])
 
 
 class Options(Struct, frozen=True):
@@ -313,7 +313,7 @@ class PlanResult(Struct, frozen=True, eq=False):
     interrupted: bool
 
 
-_KEPT = 3
+_FINALISTS = 3
 _ANGLE_DECIMALS, _FORCE_DECIMALS = 3, 1
 
 Progress = Callable[[str, float, float], None]
@@ -353,19 +353,21 @@ def plan_measurements(
         )
     report = progress or (lambda *_: None)
     scale = site.robot.compliance[list(site.robot.actuated)]
-    few = thinned(tests, scale, options.test_poses, options.seed)
+    sample = thinned(tests, scale, options.test_poses, options.seed)
     report("drawing poses that can be measured", 0.0, np.nan)
-    problem = _problem(site, few, scale, options, data)
-    plan, interrupted = _searched(problem.task, options, report)
-    plan, force, seconds, via, blocked = _ordered(problem, plan)
+    problem = _problem(site, sample, scale, options, data)
+    plan, is_interrupted = _searched(problem.task, options, report)
+    plan, force, seconds, via, blocked_rows = _ordered(problem, plan)
     information = problem.readings.information_of(plan.q, force)
-    found = expected_accuracy(few, problem.readings, problem.joint2, plan.q, information, problem.known)
-    before = None
+    accuracy = expected_accuracy(sample, problem.readings, problem.joint2, plan.q, information, problem.known)
+    prior_accuracy = None
     if problem.known is not None:
-        none = np.zeros((0, *information.shape[1:]))
-        before = expected_accuracy(few, problem.readings, problem.joint2, np.zeros((0, 6)), none, problem.known)
+        no_data = np.zeros((0, *information.shape[1:]))
+        prior_accuracy = expected_accuracy(
+            sample, problem.readings, problem.joint2, np.zeros((0, 6)), no_data, problem.known
+        )
     random, serial, sizes = np.zeros(0), None, []
-    if options.comparisons and not interrupted:
+    if options.comparisons and not is_interrupted:
         try:
             report("comparing with other plans", 0.7, np.sqrt(plan.value))
             random = random_values(problem.task, options.seed)
@@ -374,31 +376,31 @@ def plan_measurements(
                 sizes.append(Size(count, value, median))
                 report("comparing with other numbers of poses", 0.7 + 0.3 * len(sizes) / 6, np.sqrt(plan.value))
         except KeyboardInterrupt:
-            interrupted = True
-    warnings = (*problem.warnings, *left_uncertain(found, problem.joint2, blocked))
-    wanted, got = (t.second_moment * np.outer(scale, scale) for t in (tests, few))
+            is_interrupted = True
+    warnings = (*problem.warnings, *left_uncertain(accuracy, problem.joint2, blocked_rows))
+    full_moment, sample_moment = (t.second_moment * np.outer(scale, scale) for t in (tests, sample))
     return PlanResult(
         options=options,
         robot=site.robot.name,
         site=site,
-        tests=few,
-        represented=float(np.abs(wanted - got).max() / np.abs(wanted).max()),
+        tests=sample,
+        represented=float(np.abs(full_moment - sample_moment).max() / np.abs(full_moment).max()),
         plan=plan,
         force=force,
         second_load=second_load(site, tests),
         torque=problem.readings.torque(plan.q, force),
         directions=problem.task.directions,
-        accuracy=found,
-        before=before,
+        accuracy=accuracy,
+        before=prior_accuracy,
         random=random,
         serial=serial,
         sizes=tuple(sizes),
         seconds=seconds,
         via=via,
-        blocked=blocked,
+        blocked=blocked_rows,
         compensator_free=problem.joint2.free,
         warnings=warnings,
-        interrupted=interrupted,
+        interrupted=is_interrupted,
     )
 
 
@@ -406,51 +408,53 @@ def _problem(site: Site, tests: TestPoses, scale: Array, options: Options, data:
     # loaded minus unloaded, each the mean of the repeats
     noise = site.sigma * np.sqrt(2.0 / options.repeats)
     readings = Readings(site.arm, site.load_point, site.points, site.rig.force, noise, scale)
-    known = None if data is None else measured(data, readings, site.sigma)
-    fixed = 0 if known is None else len(known.q2)
-    levels = min(max(options.levels, fixed), fixed + options.configurations)
+    earlier_data = None if data is None else measured(data, readings, site.sigma)
+    fixed_levels = 0 if earlier_data is None else len(earlier_data.q2)
+    levels = min(max(options.levels, fixed_levels), fixed_levels + options.configurations)
     rng = np.random.default_rng([options.seed, 1 << 16])
-    candidates = draw_candidates(site, readings, rng, None if known is None else known.q2)
+    candidates = draw_candidates(site, readings, rng, None if earlier_data is None else earlier_data.q2)
     if levels > len(candidates):
         raise PlanError(
             f"poses can be measured at {len(candidates)} of the levels of q2 tried only, {levels} are asked for",
             advice="Ask for fewer with --q2-levels, or move the obstacles.",
         )
-    most = candidates.information.reshape(-1, 6, 6)
-    if known is not None:
-        most = np.concatenate([most, known.information])
-    missing = not_visible(readings, most, options.configurations + (0 if known is None else len(known.q)))
-    warnings = hidden_by_rig(site, tests, scale, missing)
-    if missing:
-        keep = tuple(j for j in range(6) if j not in missing)
+    pose_information = candidates.information.reshape(-1, 6, 6)
+    if earlier_data is not None:
+        pose_information = np.concatenate([pose_information, earlier_data.information])
+    hidden_joints = not_visible(
+        readings, pose_information, options.configurations + (0 if earlier_data is None else len(earlier_data.q))
+    )
+    warnings = hidden_by_rig(site, tests, scale, hidden_joints)
+    if hidden_joints:
+        keep = tuple(j for j in range(6) if j not in hidden_joints)
         readings, candidates = replace(readings, keep=keep), candidates.only(keep)
-        known = None if data is None else measured(data, readings, site.sigma)
-    _check_number(options, readings, len(site.points), levels, known)
+        earlier_data = None if data is None else measured(data, readings, site.sigma)
+    _check_number(options, readings, len(site.points), levels, earlier_data)
     if site.torque_limit is None:
         warnings = (*warnings, NO_TORQUES)
     if site.tracker is None:
         warnings = (*warnings, NO_TRACKER)
 
     torque = candidates.torque.reshape(-1, 6)
-    loaded = directions(
+    demand = directions(
         torque[torque.any(axis=1)], tests, options.configurations, None if data is None else _largest(data, readings)
     )
-    warnings = (*warnings, *out_of_reach(loaded, site.rig.largest_tilt < VERTICAL))
+    warnings = (*warnings, *out_of_reach(demand, site.rig.largest_tilt < VERTICAL))
 
     def with_joint2(joint2: Joint2) -> Task:
         return Task(
             site,
             readings,
-            lambda q2: Criterion.of(tests, readings, joint2, q2, options.grouped, known),
+            lambda q2: Criterion.of(tests, readings, joint2, q2, options.grouped, earlier_data),
             candidates,
             options.configurations,
             levels,
-            loaded,
-            fixed,
+            demand,
+            fixed_levels,
         )
 
-    joint2 = _joint2(site, tests, known, with_joint2, options.seed)
-    return _Problem(with_joint2(joint2), readings, joint2, known, warnings)
+    joint2 = _joint2(site, tests, earlier_data, with_joint2, options.seed)
+    return _Problem(with_joint2(joint2), readings, joint2, earlier_data, warnings)
 
 
 def _largest(data: Measurements, readings: Readings) -> Array:
@@ -462,7 +466,7 @@ def _largest(data: Measurements, readings: Readings) -> Array:
 
 
 def _joint2(
-    site: Site, tests: TestPoses, known: Measured | None, with_joint2: Callable[[Joint2], Task], seed: int
+    site: Site, tests: TestPoses, earlier_data: Measured | None, with_joint2: Callable[[Joint2], Task], seed: int
 ) -> Joint2:
     """Decide as the identification will: K_c is identified only if a plan made for it can determine it."""
     free = Joint2.of(site.robot, free=True)
@@ -473,15 +477,15 @@ def _joint2(
     trial = exchange(task, np.random.default_rng([seed, 1 << 17]), spread=True)
     readings = task.readings
     information = readings.information(trial.q, trial.tilt)
-    found = expected_accuracy(tests, readings, free, trial.q, information, known)
-    return prior if CompensatorStiffness() in found.uncertain else free
+    accuracy = expected_accuracy(tests, readings, free, trial.q, information, earlier_data)
+    return prior if CompensatorStiffness() in accuracy.uncertain else free
 
 
 def _searched(task: Task, options: Options, report: Progress) -> tuple[Plan, bool]:
     best: Plan | None = None
-    steps = options.starts + _KEPT * options.rounds // 2
+    steps = options.starts + _FINALISTS * options.rounds // 2
     try:
-        for step, plan in enumerate(improved(task, options.seed, options.starts, _KEPT, options.rounds)):
+        for step, plan in enumerate(improved(task, options.seed, options.starts, _FINALISTS, options.rounds)):
             best = plan
             report("searching", 0.65 * min(1.0, (step + 1) / steps), np.sqrt(plan.value))
     except KeyboardInterrupt:
@@ -501,13 +505,15 @@ def _ordered(problem: _Problem, plan: Plan) -> tuple[Plan, Array, float, tuple[A
     q, tilt, level = q[sequence], plan.tilt[sequence], plan.level[sequence]
     force = np.round(site.rig.force * direction(tilt), _FORCE_DECIMALS) + 0.0
     value = problem.task.criterion_at(q2).value(problem.readings.information_of(q, force), level)
-    via, blocked = detours(site, q, hit)
-    return Plan(q, tilt, level, q2, value), force, seconds, via, blocked
+    via, blocked_rows = detours(site, q, hit)
+    return Plan(q, tilt, level, q2, value), force, seconds, via, blocked_rows
 
 
-def _check_number(options: Options, readings: Readings, points: int, levels: int, known: Measured | None) -> None:
+def _check_number(
+    options: Options, readings: Readings, points: int, levels: int, earlier_data: Measured | None
+) -> None:
     """Raise a `PlanError` if there are fewer readings than unknowns; with `grouped`, within each level of A2."""
-    if known is not None:
+    if earlier_data is not None:
         return
     unknowns = len(readings.keep) if options.grouped else len(readings.keep) - 1 + levels
     poses = options.configurations // levels if options.grouped else options.configurations

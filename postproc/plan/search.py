@@ -84,25 +84,27 @@ def feasible_at(site: Site, q2: float, count: int, rng: np.random.Generator) -> 
     return np.concatenate(found_q)[:count], np.concatenate(found_tilt)[:count]
 
 
-def draw_candidates(site: Site, readings: Readings, rng: np.random.Generator, fixed: Array | None = None) -> Candidates:
-    """Draw candidates on a grid of levels over the range of q2, and at `fixed` levels (first among them).
+def draw_candidates(
+    site: Site, readings: Readings, rng: np.random.Generator, fixed_levels: Array | None = None
+) -> Candidates:
+    """Draw candidates on a grid of levels over the range of q2, and at `fixed_levels` levels (first among them).
 
     :param readings: with all six compliances.
 
     :raises PlanError: no pose can be measured; the message names the constraints that block.
     """
     lower, upper = site.lower[1], site.upper[1]
-    levels = np.concatenate([np.zeros(0) if fixed is None else fixed, np.linspace(lower, upper, _GRID)])
-    drawn = [feasible_at(site, float(level), _PER_LEVEL, rng) for level in levels]
-    enough = np.array([len(q) >= _PER_LEVEL // 10 for q, _ in drawn])
-    if not enough.any():
+    levels = np.concatenate([np.zeros(0) if fixed_levels is None else fixed_levels, np.linspace(lower, upper, _GRID)])
+    draws = [feasible_at(site, float(level), _PER_LEVEL, rng) for level in levels]
+    is_sufficient = np.array([len(q) >= _PER_LEVEL // 10 for q, _ in draws])
+    if not is_sufficient.any():
         raise PlanError(*blocking(site, rng))
-    known = 0 if fixed is None else len(fixed)
-    kept = [index for index in range(len(levels)) if enough[index] or index < known]
-    q, tilt = np.zeros((len(kept), _PER_LEVEL, 6)), np.zeros((len(kept), _PER_LEVEL, 2))
-    real = np.zeros((len(kept), _PER_LEVEL), dtype=bool)
-    for place, index in enumerate(kept):
-        found_q, found_tilt = drawn[index]
+    fixed_count = 0 if fixed_levels is None else len(fixed_levels)
+    rows = [index for index in range(len(levels)) if is_sufficient[index] or index < fixed_count]
+    q, tilt = np.zeros((len(rows), _PER_LEVEL, 6)), np.zeros((len(rows), _PER_LEVEL, 2))
+    real = np.zeros((len(rows), _PER_LEVEL), dtype=bool)
+    for place, index in enumerate(rows):
+        found_q, found_tilt = draws[index]
         if len(found_q):
             row = np.arange(_PER_LEVEL) % len(found_q)  # repeated where there are fewer
             q[place], tilt[place], real[place] = found_q[row], found_tilt[row], True
@@ -110,7 +112,7 @@ def draw_candidates(site: Site, readings: Readings, rng: np.random.Generator, fi
     information *= real[:, :, None, None]  # no information from a level at which nothing can be measured any more
     load = readings.force * direction(tilt.reshape(-1, 2))
     torque = readings.torque(q.reshape(-1, 6), load).reshape(*q.shape[:2], 6) * real[:, :, None]
-    return Candidates(levels[kept], q, tilt, information, torque)
+    return Candidates(levels[rows], q, tilt, information, torque)
 
 
 def blocking(site: Site, rng: np.random.Generator) -> tuple[str]:
@@ -118,25 +120,25 @@ def blocking(site: Site, rng: np.random.Generator) -> tuple[str]:
     it.
     """
     q, tilt = draw(site, _LOOK, rng)
-    found = constraints.failures(site, q, tilt)
-    count = sum(found.values(), np.zeros(_LOOK, dtype=int))
+    failures = constraints.failures(site, q, tilt)
+    count = sum(failures.values(), np.zeros(_LOOK, dtype=int))
     lines = []
-    for name, forbidden in sorted(found.items(), key=lambda entry: -entry[1].mean()):
-        without = int(np.count_nonzero((count == 1) & forbidden))
-        if forbidden.any():
-            note = f", without it {without} poses were possible" if without else ""
-            lines.append((without, forbidden.mean(), f"{name} forbids {100 * forbidden.mean():.1f} %{note}"))
-    alone = [line for line in lines if line[1] > 0.999]
+    for name, is_forbidden in sorted(failures.items(), key=lambda entry: -entry[1].mean()):
+        freed_poses = int(np.count_nonzero((count == 1) & is_forbidden))
+        if is_forbidden.any():
+            note = f", without it {freed_poses} poses were possible" if freed_poses else ""
+            lines.append((freed_poses, is_forbidden.mean(), f"{name} forbids {100 * is_forbidden.mean():.1f} %{note}"))
+    sole_causes = [line for line in lines if line[1] > 0.999]
     freeing = sorted((line for line in lines if line[0]), reverse=True)
-    culprit = (freeing or alone or lines)[0][2].split(" forbids")[0]
-    shown = "; ".join(text for _, _, text in lines[:6])
-    return (f"no pose can be measured: what blocks is: {culprit}. Of {_LOOK} poses at random: {shown}",)
+    culprit = (freeing or sole_causes or lines)[0][2].split(" forbids")[0]
+    summary = "; ".join(text for _, _, text in lines[:6])
+    return (f"no pose can be measured: what blocks is: {culprit}. Of {_LOOK} poses at random: {summary}",)
 
 
-_APART = 8.0 * RAD_PER_DEG
+_MIN_STEP = 8.0 * RAD_PER_DEG
 """Least distance of two levels of q2: the identification takes angles within 2° for one level."""
 _EXCHANGE_ROUNDS = 12
-_ENOUGH = 1e-3
+_MIN_GAIN = 1e-3
 _STEPS = (0.5, 0.25, 0.12, 0.06, 0.03, 0.012, 0.004)
 _RANDOM = 24
 _SHIFTS = np.array([12.0, 6.0, 3.0, 1.5, 0.5]) * RAD_PER_DEG
@@ -198,11 +200,11 @@ class Task(Struct, frozen=True, eq=False):
         return np.sort(np.arange(self.count) % self.levels)
 
 
-def improved(task: Task, seed: int, starts: int, kept: int, rounds: int) -> Iterator[Plan]:
+def improved(task: Task, seed: int, starts: int, finalists: int, rounds: int) -> Iterator[Plan]:
     """Yield better and better plans; the last one is the result.
 
     :param starts: number of starts from other levels and poses.
-    :param kept: how many of them are refined.
+    :param finalists: how many of them are refined.
     :param rounds: of refinement.
     """
     rough: list[Plan] = []
@@ -212,10 +214,10 @@ def improved(task: Task, seed: int, starts: int, kept: int, rounds: int) -> Iter
         best = rough[-1] if best is None or rough[-1].value < best.value else best
         yield best
     assert best is not None
-    for rank, plan in enumerate(sorted(rough, key=lambda one: one.value)[:kept]):
+    for rank, plan in enumerate(sorted(rough, key=lambda entry: entry.value)[:finalists]):
         rng = np.random.default_rng([seed, starts + rank])
-        for refined in refine(task, plan, rng, rounds):
-            best = refined if refined.value < best.value else best
+        for refined_plan in refine(task, plan, rng, rounds):
+            best = refined_plan if refined_plan.value < best.value else best
             yield best
 
 
@@ -246,11 +248,11 @@ def exchange(task: Task, rng: np.random.Generator, spread: bool = False) -> Plan
     value = criterion.value(candidates.information[row[level], pick], level)
     best = _Choice(row, level, pick, criterion, value)
     for _ in range(_EXCHANGE_ROUNDS):
-        before = best.value
+        old_value = best.value
         best = _exchange_poses(task, best)
         for group in range(task.fixed, task.levels):
             best = _exchange_level(task, best, group)
-        if best.value > before * (1.0 - _ENOUGH):
+        if best.value > old_value * (1.0 - _MIN_GAIN):
             break
     best = _exchange_poses(task, _to_both_sides(task, best))
     at = best.row[best.level], best.pick
@@ -260,10 +262,10 @@ def exchange(task: Task, rng: np.random.Generator, spread: bool = False) -> Plan
 def first_levels(task: Task, rng: np.random.Generator, spread: bool) -> Ints:
     """Return levels (m,) of A2 as rows of the candidates: the fixed ones, then evenly spread or random ones."""
     free = np.arange(task.fixed, len(task.candidates))
-    wanted = task.levels - task.fixed
+    free_levels = task.levels - task.fixed
     row = list(range(task.fixed))
     if spread and task.fixed == 0:
-        return free[np.round(np.linspace(0, len(free) - 1, wanted)).astype(np.int64)]
+        return free[np.round(np.linspace(0, len(free) - 1, free_levels)).astype(np.int64)]
     for candidate in rng.permutation(free):
         if len(row) < task.levels and _apart(task.candidates.q2[row], task.candidates.q2[candidate]):
             row.append(int(candidate))
@@ -273,22 +275,24 @@ def first_levels(task: Task, rng: np.random.Generator, spread: bool) -> Ints:
     return np.array(row)
 
 
-def _apart(others: Array, q2: float) -> bool:
-    return bool((np.abs(others - q2) >= _APART - 1e-9).all())
+def _apart(levels: Array, q2: float) -> bool:
+    return bool((np.abs(levels - q2) >= _MIN_STEP - 1e-9).all())
 
 
 def _to_both_sides(task: Task, choice: _Choice) -> _Choice:
     """Replace poses within their levels until each joint is loaded with both signs; the smallest criterion wins."""
     information, row, criterion, level = task.candidates.information, choice.row, choice.criterion, choice.level
-    pick, wanted = choice.pick.copy(), task.directions
-    sides = wanted.counted(task.candidates.torque[row]).astype(np.int64)
+    pick, demand = choice.pick.copy(), task.directions
+    sides = demand.counted(task.candidates.torque[row]).astype(np.int64)
     while True:
-        own = sides[level, pick]
-        missing = wanted.missing(own.sum(axis=0))
+        pose_sides = sides[level, pick]
+        shortfall = demand.missing(pose_sides.sum(axis=0))
         total = criterion.total(information[row[level], pick], level)
         best = (np.inf, 0, 0)
-        for place in range(task.count) if missing > 0 else ():
-            new = np.flatnonzero(wanted.missing(own.sum(axis=0) - own[place] + sides[level[place]]) < missing)
+        for place in range(task.count) if shortfall > 0 else ():
+            new = np.flatnonzero(
+                demand.missing(pose_sides.sum(axis=0) - pose_sides[place] + sides[level[place]]) < shortfall
+            )
             old = information[row[level[place]], pick[place]]
             if len(new):
                 values = criterion.exchanged(total, old, information[row[level[place]], new], int(level[place]))
@@ -304,22 +308,22 @@ def _exchange_poses(task: Task, choice: _Choice) -> _Choice:
     An exchange never reduces the signs of torque with which the joints are loaded.
     """
     information, row, criterion = task.candidates.information, choice.row, choice.criterion
-    level, pick, wanted = choice.level.copy(), choice.pick.copy(), task.directions
-    sides = wanted.counted(task.candidates.torque[row]).astype(np.int64)
+    level, pick, demand = choice.level.copy(), choice.pick.copy(), task.directions
+    sides = demand.counted(task.candidates.torque[row]).astype(np.int64)
     for place in range(task.count):
         count = sides[level, pick].sum(axis=0)
-        worse = wanted.missing(count - sides[level[place], pick[place]] + sides) > wanted.missing(count)
-        own = information[row[level[place]], pick[place]]
+        worse = demand.missing(count - sides[level[place], pick[place]] + sides) > demand.missing(count)
+        old = information[row[level[place]], pick[place]]
         total = criterion.total(information[row[level], pick], level)
-        values = criterion.exchanged(total, own, information[row[level[place]]], int(level[place]))
+        values = criterion.exchanged(total, old, information[row[level[place]]], int(level[place]))
         if not task.fixed:
             pick[place] = int(np.argmin(np.where(worse[level[place]], np.inf, values)))
         else:
             rest = np.delete(np.arange(task.count), place)
-            without = criterion.total(information[row[level[rest]], pick[rest]], level[rest])
-            nothing = np.zeros_like(own)
-            every = [criterion.exchanged(without, nothing, information[r], g) for g, r in enumerate(row)]
-            best = int(np.argmin(np.where(worse, np.inf, every)))
+            reduced_total = criterion.total(information[row[level[rest]], pick[rest]], level[rest])
+            zero = np.zeros_like(old)
+            values_by_level = [criterion.exchanged(reduced_total, zero, information[r], g) for g, r in enumerate(row)]
+            best = int(np.argmin(np.where(worse, np.inf, values_by_level)))
             level[place], pick[place] = np.unravel_index(best, (task.levels, information.shape[1]))
     value = criterion.value(information[row[level], pick], level)
     return replace(choice, level=level, pick=pick, value=value)
@@ -329,25 +333,27 @@ def _exchange_level(task: Task, choice: _Choice, group: int) -> _Choice:
     """Return the choice with one level of q2 moved to the candidate that gives the smallest criterion."""
     candidates, level = task.candidates, choice.level
     members = np.flatnonzero(level == group)
-    others = np.delete(choice.row, group)
+    other_rows = np.delete(choice.row, group)
     best = choice
-    for other in range(task.fixed, len(candidates)):
-        if other in choice.row or not _apart(candidates.q2[others], candidates.q2[other]):
+    for candidate in range(task.fixed, len(candidates)):
+        if candidate in choice.row or not _apart(candidates.q2[other_rows], candidates.q2[candidate]):
             continue
         row, pick = choice.row.copy(), choice.pick.copy()
-        row[group] = other
-        there = task.criterion_at(candidates.q2[row])
+        row[group] = candidate
+        criterion = task.criterion_at(candidates.q2[row])
         rest = level != group
-        total = there.total(candidates.information[row[level[rest]], pick[rest]], level[rest])
-        nothing = np.zeros_like(candidates.information[0, 0])
+        total = criterion.total(candidates.information[row[level[rest]], pick[rest]], level[rest])
+        zero = np.zeros_like(candidates.information[0, 0])
         for place in members:  # greedily, one after the other
-            values = there.exchanged(total, nothing, candidates.information[other], group)
+            values = criterion.exchanged(total, zero, candidates.information[candidate], group)
             pick[place] = int(np.argmin(values))
-            added = np.array([group])
-            total = total + there.total(candidates.information[other, pick[place]][None], added) - there.before
-        found = float(there.of_totals(total[None])[0])
-        if found < best.value * (1.0 - _ENOUGH):
-            best = _Choice(row, level, pick, there, found)
+            groups = np.array([group])
+            total = (
+                total + criterion.total(candidates.information[candidate, pick[place]][None], groups) - criterion.before
+            )
+        value = float(criterion.of_totals(total[None])[0])
+        if value < best.value * (1.0 - _MIN_GAIN):
+            best = _Choice(row, level, pick, criterion, value)
     return best
 
 
@@ -355,11 +361,11 @@ def refine(task: Task, plan: Plan, rng: np.random.Generator, rounds: int) -> Ite
     """Yield plans, each no worse than the one before, with poses and levels moved off the candidates."""
     scale = 0.3
     for _ in range(rounds):
-        before = plan.value
+        old_value = plan.value
         plan = _move_poses(task, plan, rng, scale)
         plan = _move_levels(task, plan)
         yield plan
-        if plan.value > before * (1.0 - 3.0 * _ENOUGH):
+        if plan.value > old_value * (1.0 - 3.0 * _MIN_GAIN):
             if scale < 0.02:
                 return
             scale *= 0.4
@@ -382,9 +388,9 @@ def _move_poses(task: Task, plan: Plan, rng: np.random.Generator, scale: float) 
         new_sides, count = task.sides(new_q, new_tilt), sides.sum(axis=0)
         worse = task.directions.missing(count - sides[place] + new_sides) > task.directions.missing(count)
         order = order[~worse[order]]
-        allowed = constraints.feasible(task.site, new_q[order], new_tilt[order])
-        if allowed.any():
-            best = order[np.argmax(allowed)]
+        is_feasible = constraints.feasible(task.site, new_q[order], new_tilt[order])
+        if is_feasible.any():
+            best = order[np.argmax(is_feasible)]
             sides[place] = new_sides[best]
             q[place], tilt[place], information[place], value = new_q[best], new_tilt[best], new[best], values[best]
     return replace(plan, q=q, tilt=tilt, value=float(value))
@@ -398,8 +404,8 @@ def _proposals(
     slope[1] = 0.0
     if site.rig.largest_tilt == 0.0:
         slope[6:] = 0.0
-    along = -slope / max(float(np.abs(slope).max()), 1e-300)
-    steps = [step * along for step in _STEPS]
+    descent = -slope / max(float(np.abs(slope).max()), 1e-300)
+    steps = [step * descent for step in _STEPS]
     noise = rng.normal(0.0, scale, (_RANDOM, 8))
     noise[: _RANDOM // 2] *= rng.random((_RANDOM // 2, 8)) < 0.3  # some joints only
     delta = np.vstack([steps, noise])
@@ -412,15 +418,15 @@ def _proposals(
 
 def _move_levels(task: Task, plan: Plan) -> Plan:
     """Shift each level that is not fixed, with its group: link 2 alone, or so that the forearm keeps its direction."""
-    wanted = task.directions
+    demand = task.directions
     for group in range(task.fixed, len(plan.q2)):
         members = plan.level == group
-        missing = wanted.missing(task.sides(plan.q, plan.tilt).sum(axis=0))
+        shortfall = demand.missing(task.sides(plan.q, plan.tilt).sum(axis=0))
         for shift in (*_SHIFTS, *-_SHIFTS):
             q2 = plan.q2.copy()
             q2[group] += shift
-            inside = task.site.lower[1] <= q2[group] <= task.site.upper[1]
-            if not inside or not _apart(np.delete(q2, group), q2[group]):
+            is_in_range = task.site.lower[1] <= q2[group] <= task.site.upper[1]
+            if not is_in_range or not _apart(np.delete(q2, group), q2[group]):
                 continue
             criterion = task.criterion_at(q2)
             for follow in (0.0, -shift):
@@ -429,7 +435,7 @@ def _move_levels(task: Task, plan: Plan) -> Plan:
                 q[members, 2] += follow
                 value = criterion.value(task.readings.information(q, plan.tilt), plan.level)
                 better = value < plan.value * (1.0 - 1e-5)
-                better = better and bool(wanted.missing(task.sides(q, plan.tilt).sum(axis=0)) <= missing)
+                better = better and bool(demand.missing(task.sides(q, plan.tilt).sum(axis=0)) <= shortfall)
                 if better and constraints.feasible(task.site, q[members], plan.tilt[members]).all():
                     plan = replace(plan, q=q, q2=q2, value=value)
                     break
@@ -446,13 +452,13 @@ _FACTORS = (0.4, 0.6, 0.8, 1.0, 1.4, 2.0)
 def random_values(task: Task, seed: int, count: int = RANDOM_PLANS) -> Array:
     """Return the criterion (count,) [m²] of plans whose levels, poses and loads are random but can be measured."""
     rng = np.random.default_rng([seed, 1 << 20])
-    candidates, out = task.candidates, np.empty(count)
+    candidates, values = task.candidates, np.empty(count)
     for index in range(count):
         row = first_levels(task, rng, spread=False)
         level = task.group_of_each(rng)
         pick = rng.integers(0, candidates.q.shape[1], task.count)
-        out[index] = task.criterion_at(candidates.q2[row]).value(candidates.information[row[level], pick], level)
-    return out
+        values[index] = task.criterion_at(candidates.q2[row]).value(candidates.information[row[level], pick], level)
+    return values
 
 
 def serial_plan(task: Task) -> Plan:
@@ -478,21 +484,21 @@ def serial_plan(task: Task) -> Plan:
 
 def _dexterity(task: Task, q: Array) -> Array:
     """Return 1/condition (C,) of the Jacobian of the load point, lengths over their mean (Angeles and López-Cajún)."""
-    posed = task.site.arm.pose(q)
-    linear = posed.velocity(posed.point(task.site.load_point[None]))[:, 0]
+    arm_pose = task.site.arm.pose(q)
+    linear = arm_pose.velocity(arm_pose.point(task.site.load_point[None]))[:, 0]
     length = np.sqrt(np.mean(linear**2)) * np.sqrt(3.0)
-    jacobian = np.concatenate([linear / length, posed.axis], axis=2)
+    jacobian = np.concatenate([linear / length, arm_pose.axis], axis=2)
     singular = np.linalg.svd(jacobian, compute_uv=False)
     return np.asarray(singular[:, -1] / singular[:, 0])
 
 
 def _far_apart(q: Array, rows: Ints, count: int) -> list[int]:
-    chosen = [int(rows[0])]
-    while len(chosen) < count:
-        distance = np.linalg.norm(q[rows][:, None] - q[chosen][None], axis=2).min(axis=1)
-        distance[np.isin(rows, chosen)] = -1.0
-        chosen.append(int(rows[np.argmax(distance)]))
-    return chosen
+    selection = [int(rows[0])]
+    while len(selection) < count:
+        distance = np.linalg.norm(q[rows][:, None] - q[selection][None], axis=2).min(axis=1)
+        distance[np.isin(rows, selection)] = -1.0
+        selection.append(int(rows[np.argmax(distance)]))
+    return selection
 
 
 def by_number(task: Task, seed: int, best: Plan) -> Iterator[tuple[int, float, float]]:
@@ -500,11 +506,11 @@ def by_number(task: Task, seed: int, best: Plan) -> Iterator[tuple[int, float, f
 
     A short search: good to some per cent. The size of the plan itself takes its own value.
     """
-    least = 1 if task.fixed else task.levels
-    for count in sorted({max(least, round(factor * task.count)) for factor in _FACTORS}):
-        other = replace(task, count=count)
+    min_count = 1 if task.fixed else task.levels
+    for count in sorted({max(min_count, round(factor * task.count)) for factor in _FACTORS}):
+        resized_task = replace(task, count=count)
         value = best.value
         if count != task.count:
-            for plan in improved(other, seed, starts=2, kept=1, rounds=8):
+            for plan in improved(resized_task, seed, starts=2, finalists=1, rounds=8):
                 value = plan.value
-        yield count, value, float(np.median(random_values(other, seed, 60)))
+        yield count, value, float(np.median(random_values(resized_task, seed, 60)))

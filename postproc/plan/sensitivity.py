@@ -51,8 +51,8 @@ class Posed(Columns, frozen=True, eq=False):
 
     def point(self, in_flange: Array) -> Array:
         """Return points (N, P, 3) in the root, of points (P, 3) in the flange frame [m]."""
-        placed: Array = np.einsum("nij,pj->npi", self.flange[:, :3, :3], in_flange) + self.flange[:, None, :3, 3]
-        return placed
+        in_root: Array = np.einsum("nij,pj->npi", self.flange[:, :3, :3], in_flange) + self.flange[:, None, :3, 3]
+        return in_root
 
     def velocity(self, point: Array) -> Array:
         """Return the derivatives (N, P, 6, 3) [m/rad] of points (N, P, 3) by the joint angles, ω × (p − o)."""
@@ -77,12 +77,12 @@ def direction_slope(tilt: Array) -> Array:
     ratio = np.sinc(angle / np.pi)
     safe = np.where(angle > 1e-4, angle, 1.0)
     bend = np.where(angle > 1e-4, (np.cos(angle) - ratio) / safe**2, -1.0 / 3.0)
-    out = np.empty((*tilt.shape[:-1], 3, 2))
-    out[..., :2, :] = (
+    slope = np.empty((*tilt.shape[:-1], 3, 2))
+    slope[..., :2, :] = (
         ratio[..., None, None] * np.eye(2) + bend[..., None, None] * tilt[..., :, None] * tilt[..., None, :]
     )
-    out[..., 2, :] = ratio[..., None] * tilt
-    return out
+    slope[..., 2, :] = ratio[..., None] * tilt
+    return slope
 
 
 class Readings(Struct, frozen=True, eq=False):
@@ -109,19 +109,19 @@ class Readings(Struct, frozen=True, eq=False):
         """Return the whitened regressor (N, 3P, 6), Eq. (8), at configurations q (N, 6) under forces, or forces and
         moments, (N, 3 or 6) at the load point, root axes [N, N·m].
         """
-        posed = self.arm.pose(q)
-        at_load = posed.velocity(posed.point(self.load_point[None]))[:, 0]
+        arm_pose = self.arm.pose(q)
+        at_load = arm_pose.velocity(arm_pose.point(self.load_point[None]))[:, 0]
         torque = np.einsum("nij,nj->ni", at_load, load[:, :3])
         if load.shape[1] == 6:
-            torque += np.einsum("nij,nj->ni", posed.axis, load[:, 3:])
+            torque += np.einsum("nij,nj->ni", arm_pose.axis, load[:, 3:])
         torque *= self.scale / self.noise
-        moved = posed.velocity(posed.point(self.points)) * torque[:, None, :, None]
-        return np.ascontiguousarray(np.swapaxes(moved, 2, 3)).reshape(len(q), -1, 6)
+        velocity = arm_pose.velocity(arm_pose.point(self.points)) * torque[:, None, :, None]
+        return np.ascontiguousarray(np.swapaxes(velocity, 2, 3)).reshape(len(q), -1, 6)
 
     def torque(self, q: Array, load: Array) -> Array:
         """Return the torques (N, 6) [N·m] of forces (N, 3) at the load point, root axes [N]."""
-        posed = self.arm.pose(q)
-        at_load = posed.velocity(posed.point(self.load_point[None]))[:, 0]
+        arm_pose = self.arm.pose(q)
+        at_load = arm_pose.velocity(arm_pose.point(self.load_point[None]))[:, 0]
         return np.asarray(np.einsum("nij,nj->ni", at_load, load))
 
     def information(self, q: Array, tilt: Array) -> Array:
@@ -136,20 +136,20 @@ class Readings(Struct, frozen=True, eq=False):
     def slope(self, q: Array, tilt: Array, weight: Array) -> Array:
         """Return the gradient (N, 8) of tr(weight·information) by (q, tilt), for symmetric weights (N, p, p)."""
         keep = list(self.keep)
-        posed = self.arm.pose(q)
+        arm_pose = self.arm.pose(q)
         load = self.force * direction(tilt)
         factor = self.scale / self.noise
-        at_load = posed.velocity(posed.point(self.load_point[None]))[:, 0]
-        moved = posed.velocity(posed.point(self.points))
+        at_load = arm_pose.velocity(arm_pose.point(self.load_point[None]))[:, 0]
+        velocity = arm_pose.velocity(arm_pose.point(self.points))
         torque = np.einsum("nij,nj->ni", at_load, load) * factor
-        columns = moved * torque[:, None, :, None]  # (N, P, 6, 3)
+        columns = velocity * torque[:, None, :, None]  # (N, P, 6, 3)
         push = np.zeros_like(columns)
         push[:, :, keep] = np.einsum("npix,nij->npjx", columns[:, :, keep], weight)
-        bent = np.cross(posed.axis[:, _FIRST][:, None], moved[:, :, _LAST])  # (N, P, i, a, 3)
-        bent_load = np.cross(posed.axis[:, _FIRST], at_load[:, _LAST])
-        along = np.einsum("npix,npix->ni", push, moved) * factor
-        out = np.empty((len(q), 8))
-        out[:, :6] = np.einsum("npix,npiax,ni->na", push, bent, torque)
-        out[:, :6] += np.einsum("ni,niax,nx->na", along, bent_load, load)
-        out[:, 6:] = self.force * np.einsum("ni,nix,nxt->nt", along, at_load, direction_slope(tilt))
-        return 2.0 * out
+        curvature = np.cross(arm_pose.axis[:, _FIRST][:, None], velocity[:, :, _LAST])  # (N, P, i, a, 3)
+        bent_load = np.cross(arm_pose.axis[:, _FIRST], at_load[:, _LAST])
+        push_by_joint = np.einsum("npix,npix->ni", push, velocity) * factor
+        gradient = np.empty((len(q), 8))
+        gradient[:, :6] = np.einsum("npix,npiax,ni->na", push, curvature, torque)
+        gradient[:, :6] += np.einsum("ni,niax,nx->na", push_by_joint, bent_load, load)
+        gradient[:, 6:] = self.force * np.einsum("ni,nix,nxt->nt", push_by_joint, at_load, direction_slope(tilt))
+        return 2.0 * gradient

@@ -22,7 +22,7 @@ from postproc.robot import RobotModel
 _SPACING = 0.04
 """Spacing [m] of points on capsules and meshes; errors stay below 10 mm and are part of the clearance."""
 _MOST_VERTICES = 400_000
-_NEAR = 0.005
+_SIGHT_CLEARANCE = 0.005
 _POINT = 1e-12
 """Square of a length [m²] below which a segment is a point."""
 
@@ -38,15 +38,15 @@ def between_segments(p: Array, p_end: Array, r: Array, r_end: Array) -> Array:
     skew = denominator > _POINT
     s = np.where(skew, np.clip((b * e - c * d) / np.where(skew, denominator, 1.0), 0.0, 1.0), 0.0)
     t = np.where(c > _POINT, (b * s + e) / np.where(c > _POINT, c, 1.0), 0.0)
-    outside = ((t < 0.0) | (t > 1.0) | (c <= _POINT)) & (a > _POINT)
+    is_clipped = ((t < 0.0) | (t > 1.0) | (c <= _POINT)) & (a > _POINT)
     t = np.clip(t, 0.0, 1.0)
-    s = np.where(outside, np.clip((b * t - d) / np.where(a > _POINT, a, 1.0), 0.0, 1.0), s)
+    s = np.where(is_clipped, np.clip((b * t - d) / np.where(a > _POINT, a, 1.0), 0.0, 1.0), s)
     gap = w + s[..., None] * u - t[..., None] * v
     return np.sqrt(_dot(gap, gap))
 
 
-def _dot(one: Array, other: Array) -> Array:
-    return np.asarray(np.einsum("...i,...i->...", one, other))
+def _dot(a: Array, b: Array) -> Array:
+    return np.asarray(np.einsum("...i,...i->...", a, b))
 
 
 def along(start: Array, end: Array, length: float) -> Array:
@@ -71,16 +71,16 @@ class BoxShape(Struct, frozen=True, eq=False):
 
     def distance(self, point: Array) -> Array:
         """Return signed distances (...) of points (..., 3) [m]; negative inside."""
-        beyond = np.abs(point @ self.to_box[:3, :3].T + self.to_box[:3, 3]) - self.half
-        return np.asarray(np.linalg.norm(np.maximum(beyond, 0.0), axis=-1) + np.minimum(beyond.max(axis=-1), 0.0))
+        excess = np.abs(point @ self.to_box[:3, :3].T + self.to_box[:3, 3]) - self.half
+        return np.asarray(np.linalg.norm(np.maximum(excess, 0.0), axis=-1) + np.minimum(excess.max(axis=-1), 0.0))
 
     def blocks(self, start: Array, end: Array) -> Bools:
         """Return (...) True where a line of sight (..., 3) passes through the box (slabs, Kay and Kajiya 1986)."""
         p = start @ self.to_box[:3, :3].T + self.to_box[:3, 3]
         d = end @ self.to_box[:3, :3].T + self.to_box[:3, 3] - p
         d = np.where(np.abs(d) > 1e-12, d, 1e-12)
-        one, other = (-self.half - p) / d, (self.half - p) / d
-        enter, leave = np.minimum(one, other).max(axis=-1), np.maximum(one, other).min(axis=-1)
+        low_side, high_side = (-self.half - p) / d, (self.half - p) / d
+        enter, leave = np.minimum(low_side, high_side).max(axis=-1), np.maximum(low_side, high_side).min(axis=-1)
         return np.asarray((enter <= leave) & (leave >= 0.0) & (enter <= 1.0))
 
 
@@ -113,15 +113,15 @@ class MeshShape(Struct, frozen=True, eq=False):
         edge = max(_SPACING, 2.0 * np.sqrt(area / _MOST_VERTICES))
         split, _ = trimesh.remesh.subdivide_to_size(vertices, faces, edge, max_iter=30)  # type: ignore[no-untyped-call]
         pose = mesh.pose()
-        placed = np.unique(np.round(split @ pose[:3, :3].T + pose[:3, 3], 6), axis=0)
-        return cls(f"mesh {mesh.file}", placed, edge / np.sqrt(3.0), cKDTree(placed))
+        points = np.unique(np.round(split @ pose[:3, :3].T + pose[:3, 3], 6), axis=0)
+        return cls(f"mesh {mesh.file}", points, edge / np.sqrt(3.0), cKDTree(points))
 
     def distance(self, point: Array) -> Array:
         """Return distances (...) of points (..., 3) [m] from the surface, or less by at most the clearance
         `between`.
         """
-        found, _ = self.tree.query(point.reshape(-1, 3))  # type: ignore[attr-defined]
-        return np.asarray(found).reshape(point.shape[:-1]) - self.between
+        gap, _ = self.tree.query(point.reshape(-1, 3))  # type: ignore[attr-defined]
+        return np.asarray(gap).reshape(point.shape[:-1]) - self.between
 
     def blocks(self, start: Array, end: Array) -> Bools:
         """Return (...) True where a line of sight (..., 3) comes too near the surface (sphere tracing)."""
@@ -129,14 +129,14 @@ class MeshShape(Struct, frozen=True, eq=False):
         shape = start.shape[:-1]
         start, end = start.reshape(-1, 3), end.reshape(-1, 3)
         length = np.linalg.norm(end - start, axis=-1)
-        travelled, hit = np.zeros(len(start)), np.zeros(len(start), dtype=bool)
+        distance, hit = np.zeros(len(start)), np.zeros(len(start), dtype=bool)
         rows = np.arange(len(start))
         while len(rows):
-            share = travelled[rows] / np.maximum(length[rows], 1e-9)
+            share = distance[rows] / np.maximum(length[rows], 1e-9)
             free = self.distance(start[rows] + (end[rows] - start[rows]) * share[:, None])
-            hit[rows] = free < _NEAR
-            travelled[rows] += free
-            rows = rows[~hit[rows] & (travelled[rows] < length[rows])]
+            hit[rows] = free < _SIGHT_CLEARANCE
+            distance[rows] += free
+            rows = rows[~hit[rows] & (distance[rows] < length[rows])]
         return hit.reshape(shape)
 
 
@@ -269,8 +269,8 @@ def _normals(experiment: Experiment) -> Array:
     return normals
 
 
-def _torque_limit(robot: RobotModel, given: tuple[float, ...] | None) -> Array | None:
-    if given is not None:
-        return np.array(given)
+def _torque_limit(robot: RobotModel, stated_limit: tuple[float, ...] | None) -> Array | None:
+    if stated_limit is not None:
+        return np.array(stated_limit)
     effort = robot.nominal.effort
     return effort if np.isfinite(effort).all() and (effort > 0.0).all() else None
