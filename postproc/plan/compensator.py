@@ -193,5 +193,6 @@ def text_lines(plan: CompensatorPlan) -> list[str]:
         f"line P0 → P1, positive as A2 turns: {places}; any radius{opposite}",
         f"{plan.options.repeats} readings each with {plan.sigma * MM_PER_M:g} mm noise: L ± {ci[0]:.3f} mm, "
         f"a_x ± {ci[1]:.3f} mm, a_y ± {ci[2]:.3f} mm (95 %)",
-        f"angles of A2 evenly over the range: L ± {reference[0]:.3f} mm, a_x ± {reference[1]:.3f} mm, a_y ± {reference[2]:.3f} mm",
+        f"angles of A2 evenly over the range: L ± {reference[0]:.3f} mm, a_x ± {reference[1]:.3f} mm, "
+        f"a_y ± {reference[2]:.3f} mm",
     ]
