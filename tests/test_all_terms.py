@@ -428,7 +428,7 @@ def test_the_bound_adds_parameters_forces_tool_discrepancy_and_geometry_as_covar
     }
     everything = (replace(model, covariance=some, discrepancy=off, geometry_error=3e-4), spread, series)
     sensitivity = elastostatics.sensitivity(sources["parameters"][0], q, TOOL, wrench)
-    compliance = elastostatics.tangent_compliance(model, q, TOOL, wrench)[:, :3]
+    compliance = elastostatics.linear_compliance(model, q, TOOL, wrench)[:, :3]
     force = np.linalg.norm(wrench, axis=1)
     isotropic = 2.7954835**-2 * np.eye(3)
     by_parameters = np.einsum("nip,pr,njr->nij", sensitivity, factor @ factor.T, sensitivity)
@@ -488,7 +488,7 @@ def test_the_bound_of_each_source_alone_is_that_of_its_covariance(name, series):
         by_parameter = elastostatics.sensitivity(changed, q, TOOL, wrench)[0]
         covariance = by_parameter @ changed.covariance.matrix @ by_parameter.T
     if name == "forces":
-        compliance = elastostatics.tangent_compliance(changed, q, TOOL, wrench)[0] + (0.0 if own is None else own[0])
+        compliance = elastostatics.linear_compliance(changed, q, TOOL, wrench)[0] + (0.0 if own is None else own[0])
         covariance = compliance[:3] @ forces[0] @ forces[0].T @ compliance[:3].T
     if name in ("discrepancy", "geometry"):
         force = np.linalg.norm(wrench)

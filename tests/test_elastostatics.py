@@ -149,3 +149,16 @@ def test_the_compliance_of_a_robot_without_masses_needs_no_pinocchio(monkeypatch
     np.testing.assert_allclose(found, jacobian @ np.diag(1.0 / arm.stiffness) @ jacobian.T, rtol=1e-9, atol=1e-15)
     rigid = elastostatics.deflect(replace(light, subtract_reference=False), q, TOOL, np.zeros((1, 6)))
     assert not rigid.theta.any()
+
+
+@pytest.mark.parametrize("name", ["kuka_kr270", "kuka_kr210_r2700_2", "abb_irb6700_200_260"])
+def test_the_linear_compliance_is_the_exact_one_but_for_the_torques_that_change_with_the_pose(name):
+    """Pinocchio's Hessian of weights and load is in the exact one; it is some thousandths of a stiff robot's."""
+    model = robot.load(robot.find(name))
+    random = np.random.default_rng(5)
+    q = random.uniform(np.maximum(model.lower, -1.5), np.minimum(model.upper, 1.5), (50, 6))
+    wrench = np.concatenate([random.normal(0.0, 300.0, (50, 3)), random.normal(0.0, 20.0, (50, 3))], axis=1)
+    linear = elastostatics.linear_compliance(model, q, TOOL, wrench)[:, :3]
+    exact = elastostatics.tangent_compliance(model, q, TOOL, wrench)[:, :3]
+    difference = np.linalg.norm(linear - exact, axis=(1, 2)) / np.linalg.norm(exact, axis=(1, 2))
+    assert 0.0 < difference.max() < 0.005  # of the compliance

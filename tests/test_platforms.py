@@ -109,6 +109,7 @@ def test_all_but_identify_and_plan_runs_without_pinocchio(tmp_path, monkeypatch)
     for command in (
         ["convert", "s/pocket.nc", *cell, "-o", "corrected"],
         ["convert", "s/pocket.nc", *cell, "-o", "nominal", "--nominal"],
+        ["convert", "s/plate.nc", *cell, "--process", "s/plate.process.toml", "-o", "corrected"],  # forces with sigma
         ["predict", "s/pocket.nc", *cell, "-o", "corrected"],
         ["compare", "nominal/pocket.src", "corrected/pocket.src", *cell, "-o", "compared"],
         ["forces", "s/plate.nc", *cell, *process],

@@ -19,7 +19,7 @@ from postproc.elastostatics.balance import (
     static_torque,
     static_torque_by_parameter,
 )
-from postproc.elastostatics.equilibrium import tangent_compliance
+from postproc.elastostatics.equilibrium import linear_compliance
 from postproc.elastostatics.reversals import flank_covariance
 from postproc.errors import ModelError
 from postproc.frames import Array
@@ -153,7 +153,7 @@ def _reaction(robot: RobotModel, q: Array, tool: Array, wrench: Array, *forces: 
     if not forces:
         return ()
     spread, compliance = forces
-    return spread, (tangent_compliance(robot, q, tool, wrench) + compliance)[:, :3]
+    return spread, (linear_compliance(robot, q, tool, wrench) + compliance)[:, :3]
 
 
 def _with_factor(

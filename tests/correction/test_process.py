@@ -48,7 +48,8 @@ def test_a_rapid_move_whose_missing_numbers_were_corrected_is_completed():
         "PTP {X 5}",
         "LIN {X 9,Y 50,Z 100,A 180,B 0,C 180}",
     )
-    assert lines[5].startswith("PTP {X 5,Y 50.0000,Z 100.0000,")
+    (rapid,) = [line for line in lines if line.startswith("PTP")]
+    assert rapid.startswith("PTP {X 5,Y 50.0000,Z 100.0000,")
 
 
 def test_a_line_that_ends_without_force_stays_and_gets_the_targets_that_its_start_needs():
