@@ -15,7 +15,7 @@ from postproc.dialects.krl.read.variables import ANGLES, Variables, component, w
 from postproc.errors import ProgramError
 from postproc.frames import Array
 
-_SAME = 1e-13
+_FRAME_TOLERANCE = 1e-13
 """Frames closer than this [m, rad] are one: rounding of their conversion."""
 _ADVICE = "Write $BASE and $TOOL as numbers, or add [base_data.n], [tool_data.n] or config_dat to the cell."
 
@@ -87,7 +87,7 @@ class Frames:
 
     def _is_cell(self, name: str, position: Position | None) -> bool:
         frame = self.bases[0] if name == "$BASE" else self.tools[0]
-        return position is not None and bool(np.abs(position.pose() - frame).max() < _SAME)
+        return position is not None and bool(np.abs(position.pose() - frame).max() < _FRAME_TOLERANCE)
 
     def current(self, state: State, name: str, field: str | None) -> Known:
         """Return `$BASE` or `$TOOL` as it is in force, or a component of it."""
@@ -131,7 +131,9 @@ class Frames:
         if row is None:
             frames = self.bases if name == "$BASE" else self.tools
             pose = position.pose()
-            row = next((row for row, frame in enumerate(frames) if np.abs(frame - pose).max() < _SAME), len(frames))
+            row = next(
+                (row for row, frame in enumerate(frames) if np.abs(frame - pose).max() < _FRAME_TOLERANCE), len(frames)
+            )
             if row == len(frames):
                 frames.append(pose)
             self._rows[name, position.values] = row

@@ -27,9 +27,9 @@ from postproc.dialects.krl.read.variables import Variables, converted
 
 _CLOSING = {closing: opening for opening, closing in OPENING.items()} | {"UNTIL": "REPEAT"}
 _ASYNCHRONOUS = frozenset({"ASYPTP", "ASYCONT", "ASYSTOP", "ASYCANCEL"})
-_SUPERPOSED = frozenset({"$TECH", "$TECH_C", "$SPL_TECH", "$SPL_TECH_C"})
+_SUPERPOSED_MOTIONS = frozenset({"$TECH", "$TECH_C", "$SPL_TECH", "$SPL_TECH_C"})
 """Function generators, which swing the tool about its path (KUKA, System Variables)."""
-_REFERRING = frozenset({"CONST_VEL", "STOP"})
+_TRIGGER_WORDS = frozenset({"CONST_VEL", "STOP"})
 """Statements of spline motions that count from the start or the end of the motion that follows."""
 _CONDITIONS = frozenset({"FOR", "IF", "WHILE", "UNTIL", "SWITCH"})
 JUMP_ADVICE = (
@@ -50,11 +50,11 @@ def undecided_jump(variables: Variables, control: Place | None) -> tuple[str, st
     """
     if control is None:
         return _JUMP, JUMP_ADVICE
-    here = statement(control.source, control.line)
-    why = why_not_decided(variables, control.source, here.values)
-    names = without_value(variables, control.source, here.values)
-    given = f" Or say in [krl.values] of the cell what {', '.join(names)} will be." if names else ""
-    return f"{_JUMP}: the condition of {here.word} ({control}) is not known{why}", f"{JUMP_ADVICE}{given}"
+    stmt = statement(control.source, control.line)
+    reason = why_not_decided(variables, control.source, stmt.values)
+    names = without_value(variables, control.source, stmt.values)
+    value_advice = f" Or say in [krl.values] of the cell what {', '.join(names)} will be." if names else ""
+    return f"{_JUMP}: the condition of {stmt.word} ({control}) is not known{reason}", f"{JUMP_ADVICE}{value_advice}"
 
 
 class Interpreter:
@@ -70,160 +70,160 @@ class Interpreter:
         self,
         run: Run,
         motion: Callable[[Place, tree.Statement], None],
-        called: Callable[[], None],
-        entered: Callable[[Place, Call], bool],
+        run_routine: Callable[[], None],
+        inline_call: Callable[[Place, Call], bool],
     ) -> None:
-        self.run, self._motion, self._entered = run, motion, entered
-        self.calls = Calls(run, called)
+        self.run, self._motion, self._inline_call = run, motion, inline_call
+        self.calls = Calls(run, run_routine)
 
     def statement(self, at: Place) -> None:
         """Run one statement.
 
         :raises ProgramError: it is not understood, or its effect on motion is not modelled.
         """
-        here = statement(at.source, at.line)
+        stmt = statement(at.source, at.line)
         self.run.place = at
-        if isinstance(here, tree.Motion | tree.Spline | tree.EndSpline):
+        if isinstance(stmt, tree.Motion | tree.Spline | tree.EndSpline):
             if self.run.in_main:
-                self._motion(at, here)
+                self._motion(at, stmt)
             else:
-                self._inner_calls(at, here.values)
-        elif not self._control(at, here):
-            self._other(at, here)
+                self._inner_calls(at, stmt.values)
+        elif not self._control(at, stmt):
+            self._other(at, stmt)
 
-    def _control(self, at: Place, here: tree.Statement) -> bool:
+    def _control(self, at: Place, stmt: tree.Statement) -> bool:
         """Follow control structures; return whether the statement was one."""
-        level, word = self.run.level, here.word
+        level, word = self.run.level, stmt.word
         if word in OPENING or word == "REPEAT":
             level.open.append((word, at.line))
         elif word in _CLOSING:
             if not level.open or level.open[-1][0] != _CLOSING[word]:
                 raise at.error(f"{word} without {_CLOSING[word]}")
             level.open.pop()
-        elif isinstance(here, tree.Goto):
+        elif isinstance(stmt, tree.Goto):
             lines = [line for word, line in level.open if word in _CONDITIONS]
             control = Place(at.source, lines[-1]) if lines else None
             raise at.error(*undecided_jump(self.run.variables, control))
-        elif isinstance(here, tree.Return):
-            self._return(at, here)
-        elif isinstance(here, tree.Timed):
-            self._timed(at, here)
+        elif isinstance(stmt, tree.Return):
+            self._return(at, stmt)
+        elif isinstance(stmt, tree.Timed):
+            self._timed(at, stmt)
         elif word in _ASYNCHRONOUS:
             raise at.error(f"{word} moves external axes", "Only fixed external axes are supported.")
         else:
             return False
         if word in _CONDITIONS:
-            self._condition(at, here)
+            self._condition(at, stmt)
         return True
 
-    def _timed(self, at: Place, here: tree.Timed) -> None:
+    def _timed(self, at: Place, stmt: tree.Timed) -> None:
         """Follow a statement on the speed of spline motions, which is kept unchanged.
 
         :raises ProgramError: it is not understood, or not allowed here.
         """
-        if not here.complete:
+        if not stmt.complete:
             raise at.error("the statement is not understood", "Check its spelling.")
-        self._inner_calls(at, here.values)
+        self._inner_calls(at, stmt.values)
         if not self.run.in_main:
             return
-        if here.word != "STOP" and not self.run.settings.state.block:
-            raise at.error(f"{here.word} outside of a spline block", "Write it between SPLINE and ENDSPLINE.")
-        if here.word in _REFERRING:
+        if stmt.word != "STOP" and not self.run.settings.state.block:
+            raise at.error(f"{stmt.word} outside of a spline block", "Write it between SPLINE and ENDSPLINE.")
+        if stmt.word in _TRIGGER_WORDS:
             self.run.triggers.append(self.run.line)
 
-    def _return(self, at: Place, here: tree.Return) -> None:
+    def _return(self, at: Place, stmt: tree.Return) -> None:
         level = self.run.level
         if not self.run.certain:
             if not level.traced or len(self.run.stack) > 1:
                 raise inexact(at, "it is not known whether it returns here")
             return
-        if here.value is not None:
-            level.result = converted(self.calls.value(at, here.value), level.routine.result)
+        if stmt.value is not None:
+            level.result = converted(self.calls.value(at, stmt.value), level.routine.result)
         level.returned = level.returned or at.line
 
-    def _condition(self, at: Place, here: tree.Statement) -> None:
-        self._inner_calls(at, here.values)
-        if isinstance(here, tree.For) and here.name:
-            self.run.variables.forget(self.run.stored(here.name), str(at))
+    def _condition(self, at: Place, stmt: tree.Statement) -> None:
+        self._inner_calls(at, stmt.values)
+        if isinstance(stmt, tree.For) and stmt.name:
+            self.run.variables.forget(self.run.stored(stmt.name), str(at))
 
     def _inner_calls(self, at: Place, values: Iterable[Value]) -> None:
         """Follow the functions in values, of which it is not certain that they run."""
         for call in calls(values):
             self.calls.call(at, call, certain=False)
 
-    def _other(self, at: Place, here: tree.Statement) -> None:
+    def _other(self, at: Place, stmt: tree.Statement) -> None:
         """Follow what neither moves nor controls: settings, assignments, declarations, calls."""
-        if here.word == "BAS":
-            self._bas(at, here)
-        elif isinstance(here, tree.Event):
-            if isinstance(here, tree.Trigger) and self.run.in_main:
+        if stmt.word == "BAS":
+            self._bas(at, stmt)
+        elif isinstance(stmt, tree.Event):
+            if isinstance(stmt, tree.Trigger) and self.run.in_main:
                 self.run.triggers.append(self.run.line)
-            self._event(at, here)
-        elif isinstance(here, tree.Cyclic | tree.Imported):
-            if here.name in RELEVANT:
-                raise at.error(f"{here.word} changes {here.name} at any time", SETTING_ADVICE)
-            self.run.changes_always(at, self.run.stored(here.name))
-            if isinstance(here, tree.Imported):
-                self.run.changes_always(at, here.original)
-        elif isinstance(here, tree.Declaration):
-            names = self._declared(at, here)
+            self._event(at, stmt)
+        elif isinstance(stmt, tree.Cyclic | tree.Imported):
+            if stmt.name in RELEVANT:
+                raise at.error(f"{stmt.word} changes {stmt.name} at any time", SETTING_ADVICE)
+            self.run.changes_always(at, self.run.stored(stmt.name))
+            if isinstance(stmt, tree.Imported):
+                self.run.changes_always(at, stmt.original)
+        elif isinstance(stmt, tree.Declaration):
+            names = self._declared(at, stmt)
             if self.run.in_main:
-                self.run.understood.update(one.at + self.run.offset for one in names)
-        elif here.word == "EXIT":
+                self.run.understood.update(declarator.at + self.run.offset for declarator in names)
+        elif stmt.word == "EXIT":
             self._exit(at)
-        elif isinstance(here, tree.Outside):
+        elif isinstance(stmt, tree.Outside):
             return
-        elif here.word in WITHOUT_MOTION:
-            self._inner_calls(at, here.values)
-        elif isinstance(here, tree.Assignment):
-            self.assign(at, here.target, here.value)
-        elif isinstance(here, tree.CallStatement):
-            self._inner_calls(at, here.call.arguments)
-            if not self._entered(at, here.call):
-                self.calls.call(at, here.call, certain=self.run.certain)
-        elif isinstance(here, tree.Faulty):
-            raise here.error
-        elif not isinstance(here, tree.Label):
+        elif stmt.word in WITHOUT_MOTION:
+            self._inner_calls(at, stmt.values)
+        elif isinstance(stmt, tree.Assignment):
+            self.assign(at, stmt.target, stmt.value)
+        elif isinstance(stmt, tree.CallStatement):
+            self._inner_calls(at, stmt.call.arguments)
+            if not self._inline_call(at, stmt.call):
+                self.calls.call(at, stmt.call, certain=self.run.certain)
+        elif isinstance(stmt, tree.Faulty):
+            raise stmt.error
+        elif not isinstance(stmt, tree.Label):
             raise at.error("the statement is not understood", "Check its spelling.")
 
-    def _declared(self, at: Place, here: tree.Declaration) -> tuple[Declared, ...]:
+    def _declared(self, at: Place, declaration: tree.Declaration) -> tuple[Declared, ...]:
         """Take a declaration; return what it declares. Initial values are those of the trace, as the motions are."""
-        initial = self.run.in_main and any(one.value >= 0 for one in here.names)
+        initial = self.run.in_main and any(declarator.value >= 0 for declarator in declaration.names)
         if not initial or self.run.source.origins is None:
-            return declare(self.run.variables, at.source, here)
-        replayed = statement(self.run.source, self.run.line)
-        if isinstance(replayed, tree.Declaration):
-            declare(self.run.variables, self.run.source, replayed)
-        return here.names
+            return declare(self.run.variables, at.source, declaration)
+        trace_declaration = statement(self.run.source, self.run.line)
+        if isinstance(trace_declaration, tree.Declaration):
+            declare(self.run.variables, self.run.source, trace_declaration)
+        return declaration.names
 
     def _exit(self, at: Place) -> None:
         """Note that a loop that is followed may be left."""
         level = self.run.level
         if level.loops and not any(word in LOOPS for word, _ in level.open):
             word, line = level.open[-1]
-            why = why_not_decided(self.run.variables, at.source, statement(at.source, line).values)
+            reason = why_not_decided(self.run.variables, at.source, statement(at.source, line).values)
             problem = "it is not known before the program runs whether the loop is left here: "
             raise inexact(
-                at, f"{problem}the condition of {word} ({Place(at.source, line)}) is not known{why}", LOOP_ADVICE
+                at, f"{problem}the condition of {word} ({Place(at.source, line)}) is not known{reason}", LOOP_ADVICE
             )
 
-    def _bas(self, at: Place, here: tree.Statement) -> None:
-        if isinstance(here, tree.Faulty):
-            raise here.error
-        if not isinstance(here, tree.CallStatement) or not here.call.arguments:
+    def _bas(self, at: Place, stmt: tree.Statement) -> None:
+        if isinstance(stmt, tree.Faulty):
+            raise stmt.error
+        if not isinstance(stmt, tree.CallStatement) or not stmt.call.arguments:
             raise at.error("BAS is not understood", "Write BAS(#COMMAND,value).")
-        self._set(at, self.run.settings.bas(at, here.call))
+        self._set(at, self.run.settings.bas(at, stmt.call))
 
     def _set(self, at: Place, state: State) -> None:
         """Put a state into force, or into doubt where it is not certain that it comes into force."""
         if self.run.certain:
             self.run.settings.change(self.run.line, state)
         else:
-            word, opened = self.run.level.open[-1]
-            problem = f"what motions depend on is changed inside {word} ({Place(at.source, opened)})"
+            word, open_line = self.run.level.open[-1]
+            problem = f"what motions depend on is changed inside {word} ({Place(at.source, open_line)})"
             self.run.settings.may_become(self.run.line, state, at.error(problem, SETTING_ADVICE))
 
-    def assign(self, at: Place, target: Reference, given: Value) -> None:
+    def assign(self, at: Place, target: Reference, expression: Value) -> None:
         """Follow an assignment.
 
         :raises ProgramError: its effect on motion is not modelled.
@@ -231,11 +231,15 @@ class Interpreter:
         self._inner_calls(at, [target])
         name = target.name
         if name in RELEVANT:
-            self._set_to(at, target, given)
+            self._set_to(at, target, expression)
             return
-        before = self.run.variables.key_of(target)
-        value = self.calls.value(at, given)
-        if name in _SUPERPOSED and target.field == "MODE" and not (isinstance(value, Word) and value.text == "#OFF"):
+        old_key = self.run.variables.key_of(target)
+        value = self.calls.value(at, expression)
+        if (
+            name in _SUPERPOSED_MOTIONS
+            and target.field == "MODE"
+            and not (isinstance(value, Word) and value.text == "#OFF")
+        ):
             raise at.error(
                 f"{name} superposes a motion on the path", "Only programs that leave it #OFF are understood."
             )
@@ -245,8 +249,8 @@ class Interpreter:
         if target.field is None and self.run.in_main:
             self.run.understood.add(target.start + self.run.offset)
         key = self.run.variables.key_of(target)
-        if key != before:
-            self.run.variables.forget(self.run.stored(name), self._which_element(at, target, given))
+        if key != old_key:
+            self.run.variables.forget(self.run.stored(name), self._which_element(at, target, expression))
         elif not self.run.certain or key is None or target.indices == ():
             self.run.variables.forget(self.run.stored(name), str(at))
         elif value == NOTHING and name == "$H_POS" and target.field is None:
@@ -254,13 +258,13 @@ class Interpreter:
         else:
             unclear = isinstance(value, Unknown) and not (value.where if value.why else target.field is None)
             if value == NOTHING or unclear:
-                value = Unknown(str(at), why_unknown(self.run.variables, at.source, given))
+                value = Unknown(str(at), why_unknown(self.run.variables, at.source, expression))
             if target.field is None:
                 self.run.variables.set(key, value, str(at))
             else:
                 self.run.variables.set_field(key, target.field, value, str(at))
 
-    def _which_element(self, at: Place, target: Reference, given: Value) -> str:
+    def _which_element(self, at: Place, target: Reference, expression: Value) -> str:
         """Return why it is not known which element an assignment writes: what it calls changes the index.
 
         KUKA does not say whether the index is evaluated before the value or after it.
@@ -268,33 +272,33 @@ class Interpreter:
         indices = {value.name for value in walk(target.indices or ()) if isinstance(value, Reference)}
         places = {
             place
-            for call in calls([given])
+            for call in calls([expression])
             for index in indices
             if (place := self.calls.writer(call, self.run.stored(index))) is not None
         }
-        changed = ", ".join(sorted(map(str, places))) or "an argument"
+        change_places = ", ".join(sorted(map(str, places))) or "an argument"
         element = at.source.text[target.start : target.stop]
-        return f"{at}: which element {element} is, is not known, because the call changes its index: {changed}"
+        return f"{at}: which element {element} is, is not known, because the call changes its index: {change_places}"
 
-    def _set_to(self, at: Place, target: Reference, given: Value) -> None:
+    def _set_to(self, at: Place, target: Reference, expression: Value) -> None:
         """Follow an assignment to a variable of the controller that motions depend on."""
-        value: Value | Known = given
-        if isinstance(given, Unreadable):
-            raise given.error
-        if isinstance(given, Opaque) and given.rest >= 0:
-            raise at.error(f"{at.source.text[given.rest : given.stop].strip()!r} is not understood")
-        if isinstance(given, Call) or calls([given]):
-            known = self.calls.value(at, given)
-            if isinstance(given, Call) and not isinstance(known, Unknown):
-                value = known
+        value: Value | Known = expression
+        if isinstance(expression, Unreadable):
+            raise expression.error
+        if isinstance(expression, Opaque) and expression.rest >= 0:
+            raise at.error(f"{at.source.text[expression.rest : expression.stop].strip()!r} is not understood")
+        if isinstance(expression, Call) or calls([expression]):
+            result = self.calls.value(at, expression)
+            if isinstance(expression, Call) and not isinstance(result, Unknown):
+                value = result
         self._set(at, self.run.settings.assigned(self.run.settings.state, at, target, value))
 
-    def _event(self, at: Place, here: tree.Event) -> None:
+    def _event(self, at: Place, event: tree.Event) -> None:
         """Note what an INTERRUPT or a TRIGGER may change from now on."""
         scope = self.run.variables.scope
-        effects = self.run.analysis.of_action(self.run.level.module, self.run.level.routine, at, here, scope)
+        effects = self.run.analysis.of_action(self.run.level.module, self.run.level.routine, at, event, scope)
         if effects.motion is not None:
-            raise at.error(f"{here.word} moves the robot ({effects.motion})", IN_ORDER)
-        self.calls.notice(at, here.word, effects, f"{here.word} in {at}")
-        if here.public or at.source is self.run.routine.source:
+            raise at.error(f"{event.word} moves the robot ({effects.motion})", IN_ORDER)
+        self.calls.notice(at, event.word, effects, f"{event.word} in {at}")
+        if event.public or at.source is self.run.routine.source:
             self.run.resumed = self.run.resumed or effects.resumes

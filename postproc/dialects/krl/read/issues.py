@@ -43,8 +43,8 @@ def _absent(main: MainRoutine) -> Iterator[Issue]:
 
     :raises ProgramError: one is known to move the robot.
     """
-    shared = sorted(main.run.variables.used & main.run.variables.public)
-    points = f", nor the GLOBAL {first_of(shared, _MOST_NAMES)}" if shared else ""
+    global_names = sorted(main.run.variables.used & main.run.variables.public)
+    points = f", nor the GLOBAL {first_of(global_names, _MOST_NAMES)}" if global_names else ""
     for name, line in main.run.absent:
         if name.upper() in BY_SENSOR:
             raise main.run.routine.source.line_error(
@@ -53,9 +53,9 @@ def _absent(main: MainRoutine) -> Iterator[Issue]:
                 "Convert the program without the sensor's correction.",
             )
         fault = main.run.library.faults.get(name.upper())
-        where = f"is in a file that cannot be read ({fault})" if fault else "is in no file that was searched"
+        place_text = f"is in a file that cannot be read ({fault})" if fault else "is in no file that was searched"
         message = (
-            f"{name}() {where}: it is assumed not to move the robot nor to change $BASE, $TOOL, speeds{points}. "
+            f"{name}() {place_text}: it is assumed not to move the robot nor to change $BASE, $TOOL, speeds{points}. "
             "Put its .src next to the program, or name its folder in the cell: [krl] search."
         )
         yield Issue("warning", "external-call", message, line, subject=name.upper())
@@ -81,15 +81,15 @@ def _uncalled(main: MainRoutine) -> Iterator[Issue]:
 def _changed_elsewhere(main: MainRoutine) -> Iterator[Issue]:
     """GLOBAL variables with values of files that other programs change, perhaps before this one runs."""
     variables = main.run.variables
-    found = main.run.library.writers((variables.used & variables.public) - variables.changed.keys())
-    if not found:
+    writers = main.run.library.writers((variables.used & variables.public) - variables.changed.keys())
+    if not writers:
         return
-    names = first_of([f"{name} ({', '.join(files[:_MOST_FILES])})" for name, files in found.items()], _MOST_NAMES)
+    names = first_of([f"{name} ({', '.join(files[:_MOST_FILES])})" for name, files in writers.items()], _MOST_NAMES)
     message = (
         f"Programs that this one does not call change what its motions depend on: {names}. The output "
         "holds for the values in the files. If they run before it, convert the program that calls both."
     )
-    yield Issue("warning", "changed-elsewhere", message, subject=", ".join(list(found)[:_MOST_NAMES]))
+    yield Issue("warning", "changed-elsewhere", message, subject=", ".join(list(writers)[:_MOST_NAMES]))
 
 
 def _initial_frames(
@@ -99,9 +99,9 @@ def _initial_frames(
     axis = np.zeros(len(rows), dtype=np.bool_)
     axis[[row for row, move in layout.statements.items() if move.end.position.axis]] = True
     for name, table in (("$BASE", "[base]"), ("$TOOL", "[tool]")):
-        assumed = np.array([name in main.run.settings.assumed_frames(one) for one in states])
-        found = np.flatnonzero(assumed[state] & ~axis)
-        if not len(found) and name not in main.run.settings.frames.doubtful:
+        is_assumed = np.array([name in main.run.settings.assumed_frames(s) for s in states])
+        affected_rows = np.flatnonzero(is_assumed[state] & ~axis)
+        if not len(affected_rows) and name not in main.run.settings.frames.doubtful:
             continue
         real = "BASE(0), that is $ROBROOT" if name == "$BASE" else "TOOL_DATA[1]"
         message = (
@@ -112,9 +112,9 @@ def _initial_frames(
             "warning",
             "initial-frames",
             message,
-            int(main.run.source.shown(rows.line[found])[0]) if len(found) else None,
+            int(main.run.source.shown(rows.line[affected_rows])[0]) if len(affected_rows) else None,
             subject=name,
-            count=len(found),
+            count=len(affected_rows),
         )
 
 
@@ -139,8 +139,8 @@ def refuse_loaded(run: Run, notes: Sequence[tuple[int, ForceNote]]) -> None:
     :raises ProgramError: there is one; it names the statement that cannot be followed.
     """
     for call in run.moved:
-        held = [note for line, note in notes if line < call.line][-1:]
-        if held and any(held[0].wrench) and run.analysis.cuts(call.module, call.routine):
+        acting_notes = [note for line, note in notes if line < call.line][-1:]
+        if acting_notes and any(acting_notes[0].wrench) and run.analysis.cuts(call.module, call.routine):
             raise _loaded(run, call, ": a force comment holds there")
 
 
@@ -155,8 +155,8 @@ def unfollowed(run: Run) -> tuple[Unfollowed, ...]:
 
 def _loaded(run: Run, call: Apart, force: str = "") -> ProgramError:
     cause, at = call.cause, run.source.origin(call.line)
-    where = f"{at.source.document.name}, line {at.line}"
-    problem = f"{cause.problem}; {call.name}(), called in {where}, would stay uncorrected under force{force}"
+    place_text = f"{at.source.document.name}, line {at.line}"
+    problem = f"{cause.problem}; {call.name}(), called in {place_text}, would stay uncorrected under force{force}"
     advice = cause.advice or ""
     if "--keep-unresolved" not in advice:
         advice = f"{advice} {_KEEP}.".strip()

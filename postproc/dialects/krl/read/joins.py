@@ -20,7 +20,7 @@ from postproc.errors import Issue, ProgramError
 from postproc.frames import Array, inverse
 from postproc.program import PTP, SPL, Carriage, ForceNote, Ints, Motions, Starts
 
-_APART = 1e-6
+_POSE_TOLERANCE = 1e-6
 """Poses that differ by less [m, rad] count as equal."""
 _BRANCH_ADVICE = (
     "Branches whose condition is not known are corrected if they meet in one pose. Let them, say in "
@@ -54,9 +54,9 @@ class JoinedEnds(NamedTuple):
     ends: tuple[int, ...]
 
 
-def free_joins(course: Course, ordered: OrderedMotions) -> frozenset[Join]:
+def free_joins(course: Course, sequence: OrderedMotions) -> frozenset[Join]:
     """Return joins at which poses may differ: what follows, on every path, is a PTP to joint angles, or nothing."""
-    following = _Following(course, ordered)
+    following = _Following(course, sequence)
     return frozenset(
         step for number, step in enumerate(following.steps) if isinstance(step, Join) and following.to_joints(number)
     )
@@ -65,9 +65,9 @@ def free_joins(course: Course, ordered: OrderedMotions) -> frozenset[Join]:
 class _Following:
     """The motions that may follow the forks, branches and joins of a trace."""
 
-    def __init__(self, course: Course, ordered: OrderedMotions) -> None:
+    def __init__(self, course: Course, sequence: OrderedMotions) -> None:
         self.steps = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
-        self._course, self._ordered = course, ordered
+        self._course, self._ordered = course, sequence
         self._known: dict[int, bool] = {}
 
     def to_joints(self, number: int) -> bool:
@@ -78,16 +78,16 @@ class _Following:
 
     def _to_joints(self, number: int) -> bool:
         lines, step = self._ordered.rows.line, self.steps[number]
-        later = self.steps[number + 1] if number + 1 < len(self.steps) else None
+        next_step = self.steps[number + 1] if number + 1 < len(self.steps) else None
         row = int(np.searchsorted(lines, step.line, side="right"))
-        if row < len(lines) and (later is None or lines[row] <= later.line):
+        if row < len(lines) and (next_step is None or lines[row] <= next_step.line):
             return _to_joints(self._ordered, row)
-        if later is None:
+        if next_step is None:
             return self._next_round()
-        if isinstance(later, Fork):
+        if isinstance(next_step, Fork):
             branches, join = self._parts(number + 1)
             return all(map(self.to_joints, branches if self._complete(join) else [*branches, join]))
-        return self.to_joints(number + 1 if isinstance(later, Join) else self._parts(number)[1])
+        return self.to_joints(number + 1 if isinstance(next_step, Join) else self._parts(number)[1])
 
     def _complete(self, number: int) -> bool:
         join = self.steps[number]
@@ -115,80 +115,80 @@ class _Following:
         return first and _to_joints(self._ordered, row)
 
 
-def _to_joints(ordered: OrderedMotions, row: int) -> bool:
-    move = ordered.moves.get(row)
+def _to_joints(sequence: OrderedMotions, row: int) -> bool:
+    move = sequence.moves.get(row)
     return move is not None and not move.relative and move.end.position.axis and move.end.position.complete
 
 
-def _by_present_joints(ordered: OrderedMotions, rows: slice) -> int:
+def _by_present_joints(sequence: OrderedMotions, rows: slice) -> int:
     """Return the first PTP among some motions whose joint angles depend on those before it; −1 if there is none."""
-    for row in np.flatnonzero(ordered.rows.kind[rows] == PTP).tolist():
+    for row in np.flatnonzero(sequence.rows.kind[rows] == PTP).tolist():
         row += rows.start
-        if not _to_joints(ordered, row) and (ordered.rows.posture[row] < 0).any():
+        if not _to_joints(sequence, row) and (sequence.rows.posture[row] < 0).any():
             return int(row)
     return -1
 
 
 def branching(
-    course: Course, ordered: OrderedMotions, after: Ints | None, kept: Sequence[int], free: Set[Join]
+    course: Course, sequence: OrderedMotions, predecessors: Ints | None, kept_lines: Sequence[int], free: Set[Join]
 ) -> tuple[Ints | None, list[JoinedEnds]]:
     """Return the motion at whose end each motion begins, see `Program.after`, and the control-flow joins.
 
-    :param after: the same without branches.
-    :param kept: lines of uncorrected motions.
+    :param predecessors: the same without branches.
+    :param kept_lines: lines of uncorrected motions.
     :param free: joins at which branches may end in different poses.
     :raises BranchError: a motion in or after a branch depends on more than its start pose.
     """
     steps = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
     if not steps:
-        return after, []
+        return predecessors, []
     forks = _forks(course)
-    line, count = ordered.rows.line, len(ordered.rows)
-    out = np.arange(count) - 1 if after is None else after.copy()
+    line, count = sequence.rows.line, len(sequence.rows)
+    branch_predecessors = np.arange(count) - 1 if predecessors is None else predecessors.copy()
     open_: list[tuple[int, int, list[int], bool]] = []
     joins: list[JoinedEnds] = []
     fork_of = np.full(count + 1, 0)
     faults: list[BranchError] = []
-    now, done = -1, 0
+    previous_row, row_count = -1, 0
 
     def run_to(row: int) -> None:
-        nonlocal now, done
-        if row > done:
-            if out[done] != done:
-                out[done] = now
-            now, done = row - 1, row
+        nonlocal previous_row, row_count
+        if row > row_count:
+            if branch_predecessors[row_count] != row_count:
+                branch_predecessors[row_count] = previous_row
+            previous_row, row_count = row - 1, row
 
     for step in steps:
         run_to(int(np.searchsorted(line, step.line, side="right")))
-        fork_of[done] = open_[-1][0] if open_ else step.line
+        fork_of[row_count] = open_[-1][0] if open_ else step.line
         if isinstance(step, Fork):
-            open_.append((step.line, now, [], False))
+            open_.append((step.line, previous_row, [], False))
         elif isinstance(step, Branch):
-            fork, entry, ends, begun = open_.pop()
-            open_.append((fork, entry, [*ends, now] if begun else ends, True))
-            now = entry
+            fork, entry, ends, is_begun = open_.pop()
+            open_.append((fork, entry, [*ends, previous_row] if is_begun else ends, True))
+            previous_row = entry
         else:
             fork, entry, ends, _ = open_.pop()
-            ends = [*ends, now, *([] if step.complete else [entry])]
+            ends = [*ends, previous_row, *([] if step.complete else [entry])]
             rows = slice(*np.searchsorted(line, [fork, step.line], side="right"))
-            if any(fork < inside <= step.line for inside in kept):
+            if any(fork < kept_line <= step.line for kept_line in kept_lines):
                 faults.append(_branch_error(course, forks, fork, "an uncorrected motion is inside a branch"))
-            elif step not in free and (row := _by_present_joints(ordered, rows)) >= 0:
+            elif step not in free and (row := _by_present_joints(sequence, rows)) >= 0:
                 problem = (
                     f"a PTP to X, Y, Z without S and T is inside a branch ({course.source.origin(int(line[row]))})"
                 )
                 faults.append(_branch_error(course, forks, fork, problem, _PTP_ADVICE))
             if step not in free:
                 joins.append(JoinedEnds(fork, tuple(sorted(set(ends)))))
-            now = min(ends)
+            previous_row = min(ends)
     run_to(count)
     _raise(faults)
-    for row in np.flatnonzero(out != np.arange(count) - 1).tolist():
-        if out[row] != row and needs_start(ordered, row, arcs=False):
-            problem = f"{_why(ordered, row)} where branches begin or meet"
+    for row in np.flatnonzero(branch_predecessors != np.arange(count) - 1).tolist():
+        if branch_predecessors[row] != row and needs_start(sequence, row, arcs=False):
+            problem = f"{_why(sequence, row)} where branches begin or meet"
             faults.append(_branch_error(course, forks, int(fork_of[row]), problem, _WHOLE))
     _raise(faults)
-    return out, joins
+    return branch_predecessors, joins
 
 
 def check_joins(
@@ -213,22 +213,22 @@ def check_joins(
             start if row < 0 else bases[motions.base[row]] @ motions.target[row] @ inverse(tools[motions.tool[row]])
             for row in ends
         ]
-        if any(np.abs(flange - flanges[0]).max() > _APART for flange in flanges[1:]):
+        if any(np.abs(flange - flanges[0]).max() > _POSE_TOLERANCE for flange in flanges[1:]):
             faults.append(_branch_error(course, forks, fork, "the branches end in different places"))
         elif carriage is not None:
             places = np.append(carriage.end, carriage.begin[0])[list(ends)]  # −1: the start
-            if np.ptp(places) > _APART:
+            if np.ptp(places) > _POSE_TOLERANCE:
                 faults.append(_branch_error(course, forks, fork, "E1 differs between the ends of the branches"))
     _raise(faults)
 
 
 def _forks(course: Course) -> Mapping[int, set[Occasion]]:
     """Return the visits to the fork on each line."""
-    found: dict[int, set[Occasion]] = {}
+    visits: dict[int, set[Occasion]] = {}
     for step in course.steps:
         if isinstance(step, Fork):
-            found.setdefault(step.line, set()).add(step.occasion)
-    return found
+            visits.setdefault(step.line, set()).add(step.occasion)
+    return visits
 
 
 def _raise(faults: Sequence[BranchError]) -> None:
@@ -238,10 +238,10 @@ def _raise(faults: Sequence[BranchError]) -> None:
         raise faults[0]
 
 
-def _why(ordered: OrderedMotions, row: int) -> str:
+def _why(sequence: OrderedMotions, row: int) -> str:
     """Return why a motion depends on more than its start pose."""
-    kind, move = int(ordered.rows.kind[row]), ordered.moves.get(row)
-    if kind != PTP and ordered.states[ordered.state[row]].orientation == CONSTANT:
+    kind, move = int(sequence.rows.kind[row]), sequence.moves.get(row)
+    if kind != PTP and sequence.states[sequence.state[row]].orientation == CONSTANT:
         return "$ORI_TYPE=#CONSTANT keeps the orientation"
     if kind == SPL:
         return "there is an SPL"
@@ -284,35 +284,41 @@ def check_round(
     :param settings: settings in force, by line.
     :raises ProgramError: an iteration ends in another pose, with other settings or under another force than it began.
     """
-    first, beyond = np.searchsorted(line, [loop.first, loop.last]).tolist()
-    if first < beyond:
-        problem = _moved(first, beyond - 1, motions, start, carriage)
+    first, stop = np.searchsorted(line, [loop.first, loop.last]).tolist()
+    if first < stop:
+        problem = _moved(first, stop - 1, motions, start, carriage)
         if problem:
             raise _loop_error(course, loop, f"its round ends {problem}", _LOOP_ADVICE)
-        before, behind = settings_at(settings, np.array([loop.first, loop.last]))
-        if before[0] != behind[0] or not all(np.array_equal(a, b) for a, b in zip(before[1:], behind[1:], strict=True)):
+        begin_settings, end_settings = settings_at(settings, np.array([loop.first, loop.last]))
+        if begin_settings[0] != end_settings[0] or not all(
+            np.array_equal(a, b) for a, b in zip(begin_settings[1:], end_settings[1:], strict=True)
+        ):
             raise _loop_error(course, loop, "leaves other frames, speeds or modes than it begins with", _SETTING_ADVICE)
         _check_force(course, loop, int(line[first]), notes)
     message = "LOOP has no EXIT: one round is corrected, and is what all rounds do. What follows it is never reached."
     issues = [Issue("info", "endless-loop", message, _line(course, loop))]
-    return issues, (((first - 1, beyond - 1),) if first < beyond and np.isnan(motions.joints[first, 0]) else ())
+    return issues, (((first - 1, stop - 1),) if first < stop and np.isnan(motions.joints[first, 0]) else ())
 
 
 def _moved(first: int, last: int, motions: Motions, start: Starts, carriage: Carriage | None) -> str:
     """Return how the end of an iteration differs from its begin, as text; empty if it does not."""
-    if carriage is not None and abs(carriage.end[last] - carriage.begin[first]) > _APART:
+    if carriage is not None and abs(carriage.end[last] - carriage.begin[first]) > _POSE_TOLERANCE:
         return "with E1 elsewhere than it began"
     if not np.isnan(motions.joints[first, 0]):
         return ""  # it leads to joint angles, from wherever it starts
-    begin, again = start.at(np.array([first, len(motions)]))
-    if np.abs(again[:3] - begin[:3]).max() < _APART:
+    begin, second_begin = start.at(np.array([first, len(motions)]))
+    if np.abs(second_begin[:3] - begin[:3]).max() < _POSE_TOLERANCE:
         return ""
-    away = 1e3 * float(np.linalg.norm(again[:3, 3] - begin[:3, 3]))
-    return f"{away:.3f} mm from where it began" if away > 1e3 * _APART else "in another orientation than it began"
+    distance = 1e3 * float(np.linalg.norm(second_begin[:3, 3] - begin[:3, 3]))
+    return (
+        f"{distance:.3f} mm from where it began"
+        if distance > 1e3 * _POSE_TOLERANCE
+        else "in another orientation than it began"
+    )
 
 
 def starts(
-    loop: Repeated, line: Ints, motions: Motions, frames: tuple[Array, Array], flange: Array, after: Ints | None
+    loop: Repeated, line: Ints, motions: Motions, frames: tuple[Array, Array], flange: Array, predecessors: Ints | None
 ) -> Starts:
     """Return the start poses of motions, and one more: the first motion of an endless loop in its second iteration.
 
@@ -321,11 +327,11 @@ def starts(
     :param flange: (4, 4) in the root where the program starts.
     """
     count = len(motions)
-    first, beyond = np.searchsorted(line, [loop.first, loop.last]).tolist()
+    first, stop = np.searchsorted(line, [loop.first, loop.last]).tolist()
     row = np.append(np.arange(count), min(first, count - 1))  # of a loop of which no motion is corrected, any
-    before = np.append(np.arange(count) - 1 if after is None else after, beyond - 1)
+    all_predecessors = np.append(np.arange(count) - 1 if predecessors is None else predecessors, stop - 1)
     return Starts.of(
-        (motions.base[row], motions.tool[row], *frames), lambda at: motions.target[row[at]], flange, before
+        (motions.base[row], motions.tool[row], *frames), lambda at: motions.target[row[at]], flange, all_predecessors
     )
 
 
@@ -336,8 +342,8 @@ def _check_force(course: Course, loop: Repeated, line: int, notes: Sequence[tupl
     """
     if any(loop.first <= at <= line for at, _ in notes):
         return
-    held = [[note for at, note in notes if at < until][-1:] for until in (loop.first, loop.last)]
-    begin, end = ([(note.wrench, note.frame) for note in some if any(note.wrench)] for some in held)
+    acting_notes = [[note for at, note in notes if at < limit][-1:] for limit in (loop.first, loop.last)]
+    begin, end = ([(note.wrench, note.frame) for note in group if any(note.wrench)] for group in acting_notes)
     if begin != end:
         raise _loop_error(course, loop, "its round ends under another force than it began with", _FORCE_ADVICE)
 

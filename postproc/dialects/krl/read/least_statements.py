@@ -57,45 +57,45 @@ class LeastStatements:
     def writes(self, source: Source, block: Block, name: str, module: Module) -> bool:
         """Return whether statements of a loop may write its counter."""
         for line in list(block.lines())[1:]:
-            here = statement(source, line)
-            if isinstance(here, Assignment) and here.target.name == name:
+            stmt = statement(source, line)
+            if isinstance(stmt, Assignment) and stmt.target.name == name:
                 return True
-            if isinstance(here, For) and here.name == name:
+            if isinstance(stmt, For) and stmt.name == name:
                 return True
-            for call in calls(here.values):
-                found = self.run.library.find(call.name, module)
-                given = source.text[call.start : call.stop].upper()
-                if name in given or found is None:
+            for call in calls(stmt.values):
+                callee = self.run.library.find(call.name, module)
+                call_text = source.text[call.start : call.stop].upper()
+                if name in call_text or callee is None:
                     return True
-                if any(written.endswith(name) for written in self.run.analysis.of(*found).writes):
+                if any(variable.endswith(name) for variable in self.run.analysis.of(*callee).writes):
                     return True
         return False
 
     def _of_nodes(self, source: Source, nodes: Sequence[Node], module: Module) -> int:
         """Return how many run for certain: those before the first that may leave the loop or the routine."""
-        least = 0
+        count = 0
         for node in nodes:
             words = {statement(source, line).word for line in node.lines()} if isinstance(node, Block) else set()
             if not words.isdisjoint(ENDS_LOOPS - {"EXIT"}):
                 break
             if isinstance(node, Block):
-                least += self._of_block(source, node, module, left="EXIT" in words)
+                count += self._of_block(source, node, module, left="EXIT" in words)
                 continue
-            here = statement(source, node)
-            if isinstance(here, Return | Goto) or here.word in ENDS_LOOPS:
+            stmt = statement(source, node)
+            if isinstance(stmt, Return | Goto) or stmt.word in ENDS_LOOPS:
                 break
-            called = self._called(source, node)
-            found = None if called is None else self.run.library.find(called.name, module)
-            least += 1 if found is None else 1 + self.of_call(*found)
-        return least
+            call = self._called(source, node)
+            callee = None if call is None else self.run.library.find(call.name, module)
+            count += 1 if callee is None else 1 + self.of_call(*callee)
+        return count
 
     def _of_block(self, source: Source, block: Block, module: Module, *, left: bool) -> int:
         if block.word == "IF" and len(block.parts) > 1:
             return min(self._of_nodes(source, part.nodes, module) for part in block.parts)
-        here = statement(source, block.first)
-        if not isinstance(here, For) or here.bounds is None or left or self.writes(source, block, here.name, module):
+        stmt = statement(source, block.first)
+        if not isinstance(stmt, For) or stmt.bounds is None or left or self.writes(source, block, stmt.name, module):
             return 0
-        first, last, step = here.bounds
+        first, last, step = stmt.bounds
         numbers = [value.value for value in (first, last, step or Number(1.0, 0, 0, True)) if isinstance(value, Number)]
         if len(numbers) < 3 or not numbers[2]:
             return 0
@@ -104,7 +104,7 @@ class LeastStatements:
 
     def _called(self, source: Source, line: int) -> Call | None:
         """Return the call of a statement that runs for certain."""
-        here = statement(source, line)
-        if isinstance(here, CallStatement):
-            return here.call
-        return here.value if isinstance(here, Assignment) and isinstance(here.value, Call) else None
+        stmt = statement(source, line)
+        if isinstance(stmt, CallStatement):
+            return stmt.call
+        return stmt.value if isinstance(stmt, Assignment) and isinstance(stmt.value, Call) else None

@@ -55,26 +55,26 @@ def course_of(
     main: Routine,
     settings: Settings,
     reader: MotionReader,
-    elsewhere: Mapping[Routine | Occasion, ProgramError],
+    obstacles: Mapping[Routine | Occasion, ProgramError],
 ) -> Course:
     """Return the lines of a program in the order in which they run.
 
     :param settings: as they are before it; they are changed.
-    :param elsewhere: see `Run.elsewhere`.
+    :param obstacles: see `Run.elsewhere`.
     :raises ProgramError: that order is not known before the program runs, or a control structure is none.
     """
     run = Run(library, main, settings)
-    run.elsewhere = elsewhere
+    run.elsewhere = obstacles
     settings.follows_numbers = False  # plain ones are no statements here
     trace = Trace(main)
-    taken = library.programs() if settings.cell.output.lines_per_file else frozenset[str]()
+    reserved_names = library.programs() if settings.cell.output.lines_per_file else frozenset[str]()
     flow = Flow(run, _passed, lambda at, cause: None, trace)  # reported when the trace is followed
-    given = np.array(main.settings, dtype=np.int64)
-    nodes = nodes_of(main.source, _one_by_one(main.source, main.others, given)[0])
+    setting_lines = np.array(main.settings, dtype=np.int64)
+    nodes = nodes_of(main.source, _one_by_one(main.source, main.others, setting_lines)[0])
     checked(main.source, nodes)
     if not any(flow.matters(main.source, node) for node in nodes if isinstance(node, Block) or _calls(main, node)):
         body = Body(main.first + 1, main.last)
-        return Course(main, main.source, (Lines(main.first + 1, main.last - 1),), body, taken=taken)
+        return Course(main, main.source, (Lines(main.first + 1, main.last - 1),), body, taken=reserved_names)
     _submitted(run)
     flow.follow(main.source, nodes)
     if run.level.jump:
@@ -86,18 +86,18 @@ def course_of(
     if not run.level.returned:
         trace.run_to(main.last - 1)
     trace.pass_to(main.last - 1, live=False)
-    course = replace(trace.course(run.unfollowed), taken=taken)
-    others = {routine for routine in course.inlined if routine.source is not main.source}
-    return replace(course, taken=library.names(), users=library.users(others)) if others else course
+    course = replace(trace.course(run.unfollowed), taken=reserved_names)
+    foreign_routines = {routine for routine in course.inlined if routine.source is not main.source}
+    return replace(course, taken=library.names(), users=library.users(foreign_routines)) if foreign_routines else course
 
 
 def _calls(main: Routine, line: int) -> bool:
     """Return whether a statement may lead to other lines than the next one."""
-    here = statement(main.source, line)
-    return isinstance(here, Goto) or ("(" in main.source.text[here.start : here.stop] and not isinstance(here, Motion))
+    stmt = statement(main.source, line)
+    return isinstance(stmt, Goto) or ("(" in main.source.text[stmt.start : stmt.stop] and not isinstance(stmt, Motion))
 
 
-def _passed(at: Place, here: Statement) -> None:
+def _passed(at: Place, stmt: Statement) -> None:
     """Pass over a motion: it is read when the trace is followed."""
 
 
@@ -170,29 +170,31 @@ class MainRoutine:
         if self.splines.open is not None and not errors:
             errors.append(self.splines.open.at.error("the spline block is not closed"))
         if run.level.open and not errors:
-            word, opened = run.level.open[-1]
+            word, open_line = run.level.open[-1]
             errors.append(
-                run.routine.source.line_error(f"{word} is not closed", opened, "Check that the file is complete.")
+                run.routine.source.line_error(f"{word} is not closed", open_line, "Check that the file is complete.")
             )
         if errors:
             raise together({(error.file, error.line, error.problem): error for error in reversed(errors)}.values())
 
     def _between(self, step: Lines | Kept) -> tuple[Sequence[int], Ints]:
         """Return the lines of a step that are not plain, and those that are settings."""
-        lines, given = self._lines, self._given.line
-        own = given[np.searchsorted(given, step.first) : np.searchsorted(given, step.last, "right")]
-        return lines[bisect_left(lines, step.first) : bisect_right(lines, step.last)], own
+        lines, setting_lines = self._lines, self._given.line
+        step_settings = setting_lines[
+            np.searchsorted(setting_lines, step.first) : np.searchsorted(setting_lines, step.last, "right")
+        ]
+        return lines[bisect_left(lines, step.first) : bisect_right(lines, step.last)], step_settings
 
     def _come_to_settings(self) -> dict[Lines, Sequence[int]]:
         """Apply plain settings at their lines; return the lines that are run one by one."""
-        found, free = {}, np.zeros(len(self.run.source.starts) + 1, dtype=np.bool_)
+        step_lines, free = {}, np.zeros(len(self.run.source.starts) + 1, dtype=np.bool_)
         for step in self.course.steps:
             if isinstance(step, Lines):
-                found[step], own = _one_by_one(self.run.source, *self._between(step))
-                free[own] = True
-        later = free[self._given.line]
-        self.run.settings.coming = Coming(PlainSettings(self._given.line[later], self._given.values[:, later]))
-        return found
+                step_lines[step], free_lines = _one_by_one(self.run.source, *self._between(step))
+                free[free_lines] = True
+        is_free = free[self._given.line]
+        self.run.settings.coming = Coming(PlainSettings(self._given.line[is_free], self._given.values[:, is_free]))
+        return step_lines
 
     def _run(self, step: Lines, lines: Sequence[int]) -> None:
         """Run the lines of a step; `lines` one by one."""
@@ -202,7 +204,9 @@ class MainRoutine:
         ]
         first, last = (bisect_left(self._rounds, line, key=attrgetter("first")) for line in (step.first, step.last))
         if first < last:
-            nodes = sorted([*nodes, *((each.first, each) for each in self._rounds[first:last])], key=itemgetter(0))
+            nodes = sorted(
+                [*nodes, *((rounds.first, rounds) for rounds in self._rounds[first:last])], key=itemgetter(0)
+            )
         for line, node in nodes:
             run.settings.come_to(line)
             if isinstance(node, PlainRounds):
@@ -216,11 +220,11 @@ class MainRoutine:
     def _follow_rounds(self, rounds: PlainRounds) -> None:
         """Take the motions of plain rounds at once if possible, else round by round."""
         run = self.run
-        found = motions_of(run, self.reader, rounds)
-        if found is None:
+        element_motions = motions_of(run, self.reader, rounds)
+        if element_motions is None:
             self._follow_lines(np.arange(rounds.first, rounds.beyond), rounds)
             return
-        self.rounds += found
+        self.rounds += element_motions
         self._follow_lines(np.array([rounds.first, rounds.beyond - rounds.length]), rounds)
 
     def _follow(self, node: Node, number: int | None = None) -> None:
@@ -235,11 +239,11 @@ class MainRoutine:
         if number is None:
             self._flow.follow(at.source, (node.moved(-self.run.shift) if isinstance(node, Block) else at.line,))
             return
-        here = statement(at.source, at.line)
-        if isinstance(here, For) and here.counter is not None:
-            before = at.source.code_span(at.line)[0] - int(at.source.starts[at.line - 1])
-            self.run.offset = int(self.run.source.starts[row - 1]) + before - here.counter.start
-            self._flow.count(at, here.counter, number)
+        stmt = statement(at.source, at.line)
+        if isinstance(stmt, For) and stmt.counter is not None:
+            indent = at.source.code_span(at.line)[0] - int(at.source.starts[at.line - 1])
+            self.run.offset = int(self.run.source.starts[row - 1]) + indent - stmt.counter.start
+            self._flow.count(at, stmt.counter, number)
 
     def _follow_lines(self, lines: Ints, rounds: PlainRounds | None = None) -> None:
         for line in _coded(self.run.source, lines[self._others[lines - 1]]):
@@ -248,17 +252,17 @@ class MainRoutine:
 
     def _apart_from_rounds(self) -> list[int]:
         """Return the lines of a trace that have code and are neither plain nor in plain rounds."""
-        others = self._others.copy()
+        is_other = self._others.copy()
         for rounds in self._rounds:
-            others[rounds.first - 1 : rounds.beyond - 1] = False
-        return _coded(self.run.source, np.flatnonzero(others) + 1)
+            is_other[rounds.first - 1 : rounds.beyond - 1] = False
+        return _coded(self.run.source, np.flatnonzero(is_other) + 1)
 
-    def _never_reached(self, returned: int) -> Iterator[ProgramError]:
+    def _never_reached(self, return_line: int) -> Iterator[ProgramError]:
         """Yield an error for the first statement behind RETURN that moves."""
         source = self.run.source
-        for line in self._lines[bisect_right(self._lines, returned) :]:
+        for line in self._lines[bisect_right(self._lines, return_line) :]:
             if isinstance(statement(source, line), Motion):
-                yield source.line_error(f"the motion is never reached: RETURN in line {returned}", line)
+                yield source.line_error(f"the motion is never reached: RETURN in line {return_line}", line)
                 return
 
     def executed(self, plain: Ints) -> Bools:
@@ -266,23 +270,23 @@ class MainRoutine:
 
         :raises ProgramError: one of them follows RETURN, or is outside of DEF … END.
         """
-        out = np.zeros(len(plain), dtype=np.bool_)
+        is_executed = np.zeros(len(plain), dtype=np.bool_)
         for step in self.course.steps:
             if isinstance(step, Lines):
-                out[np.searchsorted(plain, step.first) : np.searchsorted(plain, step.last, side="right")] = True
+                is_executed[np.searchsorted(plain, step.first) : np.searchsorted(plain, step.last, side="right")] = True
         if not self.course.straight:
-            return out
-        returned = self.run.level.returned
-        if returned and (begin := int(np.searchsorted(plain, returned))) < len(plain) and out[begin]:
-            problem = f"the motion is never reached: RETURN in line {returned}"
+            return is_executed
+        return_line = self.run.level.returned
+        if return_line and (begin := int(np.searchsorted(plain, return_line))) < len(plain) and is_executed[begin]:
+            problem = f"the motion is never reached: RETURN in line {return_line}"
             raise self.run.source.line_error(problem, int(plain[begin]))
-        inside = np.zeros(len(plain), dtype=np.bool_)
+        in_routine = np.zeros(len(plain), dtype=np.bool_)
         for routine in self.run.library.program.routines.values():
-            inside |= (plain > routine.first) & (plain < routine.last)
-        outside = np.flatnonzero(~inside)
-        if len(outside):
-            raise self.run.source.line_error("the motion is outside of DEF … END", int(plain[outside[0]]))
-        return out
+            in_routine |= (plain > routine.first) & (plain < routine.last)
+        outside_rows = np.flatnonzero(~in_routine)
+        if len(outside_rows):
+            raise self.run.source.line_error("the motion is outside of DEF … END", int(plain[outside_rows[0]]))
+        return is_executed
 
     def in_one_block(self, first: int, last: int) -> bool:
         """Return whether no spline block ends between two lines."""
@@ -298,11 +302,11 @@ class MainRoutine:
 
     def _enter(self, step: Enter) -> None:
         at = self.run.come_to(step.line)
-        here = statement(at.source, at.line)
-        if isinstance(here, CallStatement):
-            for inner in calls(here.call.arguments):
+        stmt = statement(at.source, at.line)
+        if isinstance(stmt, CallStatement):
+            for inner in calls(stmt.call.arguments):
                 self._flow.interpreter.calls.call(at, inner, certain=False)
-            self._flow.interpreter.calls.enter(at, here.call, step.module, step.routine)
+            self._flow.interpreter.calls.enter(at, stmt.call, step.module, step.routine)
 
     def _divide(self, step: Fork | Branch | Join) -> None:
         self.run.line = step.line
@@ -316,8 +320,8 @@ class MainRoutine:
     def _keep(self, step: Kept) -> None:
         """Pass over a control structure of which it is not known what runs; its motions stay as they are."""
         source, run = self.run.source, self.run
-        lines, given = self._between(step)
-        for node in nodes_of(source, sorted([*lines, *given.tolist()])):
+        lines, setting_lines = self._between(step)
+        for node in nodes_of(source, sorted([*lines, *setting_lines.tolist()])):
             if isinstance(node, Block):
                 at = run.come_to(node.first)
                 self._flow.roughly(at.source, node.moved(-run.shift))
@@ -332,29 +336,29 @@ class MainRoutine:
             self._errors.append(cause)
         self._broken.update(name for name in names[:1] if name not in FIELDS and name not in _INSTRUCTIONS)
 
-    def _motion(self, at: Place, here: Statement) -> None:
+    def _motion(self, at: Place, stmt: Statement) -> None:
         """Take a motion of the course.
 
         :raises ProgramError: it is not understood, not certain, or its target is not known before the program runs.
         """
-        for call in calls(here.values):
+        for call in calls(stmt.values):
             self._flow.interpreter.calls.call(at, call, certain=False)
-        if not isinstance(here, Motion):
-            self.splines.statement(at, here, self.run.line)
+        if not isinstance(stmt, Motion):
+            self.splines.statement(at, stmt, self.run.line)
             return
         level = self.run.level
-        if level.open and not stays(here):
-            opener, opened = level.open[-1]
-            problem = f"motion inside {opener} ({Place(at.source, opened)})"
+        if level.open and not stays(stmt):
+            opener, open_line = level.open[-1]
+            problem = f"motion inside {opener} ({Place(at.source, open_line)})"
             if self.run.keep:
                 self.run.unresolved.append((self.run.line, at.error(problem)))
                 return
-            if (place := Place(at.source, opened)) not in self._refused:
+            if (place := Place(at.source, open_line)) not in self._refused:
                 self._refused.add(place)
                 raise at.error(problem, LOOP_ADVICE)
             return
         try:
-            move, state, names = self.reader.read(at, here, self.run.line)
+            move, state, names = self.reader.read(at, stmt, self.run.line)
         except UnresolvedError as cause:
             if not self.run.keep:
                 raise
@@ -375,9 +379,9 @@ def _one_by_one(source: Source, lines: Sequence[int], settings: Ints) -> tuple[S
 
 def _coded(source: Source, lines: Ints) -> list[int]:
     """Return those of some lines that have code."""
-    found = []
+    coded_lines = []
     for line in lines.tolist():
         start, stop = source.code_span(line)
         if start < stop and source.text[start] != "&":
-            found.append(line)
-    return found
+            coded_lines.append(line)
+    return coded_lines

@@ -115,7 +115,7 @@ class MotionCollector:
 
 def _of_moves(moves: Sequence[MotionStatement]) -> MotionColumns:
     numbers, external = (np.full((len(moves), 6), np.nan) for _ in range(2))
-    within = np.zeros((len(moves), len(COLUMNS), 2), dtype=np.int32)
+    component_spans = np.zeros((len(moves), len(COLUMNS), 2), dtype=np.int32)
     via, via_spans, via_target = no_circles(len(moves))
     if any(move.via is not None for move in moves):
         via, via_spans, via_target = via.copy(), via_spans.copy(), via_target.copy()
@@ -129,7 +129,7 @@ def _of_moves(moves: Sequence[MotionStatement]) -> MotionColumns:
             for column, name in enumerate(COLUMNS):
                 item = position.aggregate.items.get(name)
                 if isinstance(item, Number):
-                    within[row, column] = item.start - move.end.start, item.stop - move.end.start
+                    component_spans[row, column] = item.start - move.end.start, item.stop - move.end.start
         if move.via is not None:
             via[row] = move.via.position.values[:3]
             if move.plain and move.via.position.aggregate is not None:
@@ -142,7 +142,7 @@ def _of_moves(moves: Sequence[MotionStatement]) -> MotionColumns:
         numbers,
         postures(np.array([(move.end.position.status, move.end.position.turn) for move in moves]).reshape(-1, 2)),
         given(external),
-        narrow(within),
+        narrow(component_spans),
         _offsets([move.keyword[0] for move in moves]),
         _offsets([(move.end.start, move.end.stop) for move in moves]).reshape(-1, 2),
         _offsets([(move.tail, move.stop) for move in moves]).reshape(-1, 2),
@@ -189,31 +189,31 @@ def merged(parts: list[MotionColumns], place: Ints) -> MotionColumns:
 
     :param place: for the motions of the first part, then for those of the next, …
     """
-    where, begin = [], 0
+    destinations, begin = [], 0
     for rows in parts:
         end = begin + len(rows)
-        together = len(rows) > 0 and place[end - 1] - place[begin] == len(rows) - 1  # nothing between them
-        where.append(slice(place[begin], place[begin] + len(rows)) if together else place[begin:end])
+        is_contiguous = len(rows) > 0 and place[end - 1] - place[begin] == len(rows) - 1  # nothing between them
+        destinations.append(slice(place[begin], place[begin] + len(rows)) if is_contiguous else place[begin:end])
         begin = end
     waiting = [rows.columns()[::-1] for rows in parts]
     parts.clear()
     del rows
-    done = []
+    merged_columns = []
     while waiting[0]:
         values = [columns.pop() for columns in waiting]
         column = _room(len(place), values)
         if column.flags.writeable:
-            for there, one in zip(where, values, strict=True):
-                column[there] = one
-        done.append(column)
-    return MotionColumns(*done)
+            for destination, part_values in zip(destinations, values, strict=True):
+                column[destination] = part_values
+        merged_columns.append(column)
+    return MotionColumns(*merged_columns)
 
 
 def _room(count: int, parts: Sequence[Any]) -> Any:
     """Return a column of `count` motions to be filled; one that takes no memory if all parts have such."""
-    filled = [values for values in parts if len(values)]
-    if filled and all(values.strides[0] == 0 for values in filled):
-        return np.broadcast_to(filled[0][0], (count, *filled[0].shape[1:]))
+    nonempty_parts = [values for values in parts if len(values)]
+    if nonempty_parts and all(values.strides[0] == 0 for values in nonempty_parts):
+        return np.broadcast_to(nonempty_parts[0][0], (count, *nonempty_parts[0].shape[1:]))
     return np.empty((count, *parts[0].shape[1:]), np.result_type(*parts))
 
 

@@ -43,33 +43,33 @@ RUN_TIME_ADVICE = (
 )
 
 
-def from_here(here: Motion) -> bool:
+def from_here(motion: Motion) -> bool:
     """Return whether the target of a motion depends on the robot position: it is relative, asks for that, or lacks
     components.
     """
-    points = [point for point in (here.via, here.end) if isinstance(point, Aggregate)]
+    points = [point for point in (motion.via, motion.end) if isinstance(point, Aggregate)]
     cartesian = [point.items.keys() & CARTESIAN for point in points]
     axes = [point.items.keys() & AXES for point in points]
-    lacking = any(0 < len(names) < len(CARTESIAN) for names in (*cartesian[-1:], *axes))
-    return lacking or here.word.endswith("_REL") or asks_position(here)
+    is_incomplete = any(0 < len(names) < len(CARTESIAN) for names in (*cartesian[-1:], *axes))
+    return is_incomplete or motion.word.endswith("_REL") or asks_position(motion)
 
 
-def stays(here: Motion) -> bool:
+def stays(motion: Motion) -> bool:
     """Return whether a motion leads to where the robot is: ``PTP $POS_ACT``, ``LIN $POS_ACT``.
 
     :raises ProgramError: its target cannot be read.
     """
-    if here.word in CIRCLES or here.word not in KINDS:
+    if motion.word in CIRCLES or motion.word not in KINDS:
         return False
-    if isinstance(here.end, Unreadable):
-        raise here.end.error
-    return isinstance(here.end, Reference) and here.end.name in HERE and here.end.field is None
+    if isinstance(motion.end, Unreadable):
+        raise motion.end.error
+    return isinstance(motion.end, Reference) and motion.end.name in HERE and motion.end.field is None
 
 
-def asks_position(here: Statement) -> bool:
+def asks_position(stmt: Statement) -> bool:
     """Return whether a statement asks where the robot is."""
     try:
-        return any(isinstance(value, Reference) and value.name in HERE for value in walk(here.values))
+        return any(isinstance(value, Reference) and value.name in HERE for value in walk(stmt.values))
     except ProgramError:
         return False
 
@@ -85,49 +85,51 @@ class MotionReader:
         self.home = home
         self.home_used = 0
 
-    def read(self, at: Place, here: Motion, row: int) -> tuple[MotionStatement | None, State, list[int]]:
+    def read(self, at: Place, motion: Motion, row: int) -> tuple[MotionStatement | None, State, list[int]]:
         """Return the motion of a statement, or None where it only asks for the present position, and what it names.
 
         :returns: the motion; the settings in force for it; offsets of the names whose values it uses.
         :raises ProgramError: it is not understood, or its target is not known before the program runs.
         """
-        name = here.word.removesuffix("_REL")
-        kind, relative = KINDS[name], here.frame or ("#BASE" if here.word != name else "")
+        name = motion.word.removesuffix("_REL")
+        kind, relative = KINDS[name], motion.frame or ("#BASE" if motion.word != name else "")
         names: list[int] = []
         via = angle = None
-        if here.via is not None:
-            via = self._point(at, here.via, names, row)
-            if not via or here.end is None:
-                raise at.error(f"{here.word} needs an auxiliary point and an end point")
-        if stays(here):
+        if motion.via is not None:
+            via = self._point(at, motion.via, names, row)
+            if not via or motion.end is None:
+                raise at.error(f"{motion.word} needs an auxiliary point and an end point")
+        if stays(motion):
             return None, self.settings.state, names
-        end = None if here.end is None else self._point(at, here.end, names, row)
+        end = None if motion.end is None else self._point(at, motion.end, names, row)
         if end is None:
-            problem = f"{here.word}: the target is not known: it is the current robot position"
+            problem = f"{motion.word}: the target is not known: it is the current robot position"
             raise unresolved(at.error(problem, RUN_TIME_ADVICE))
-        if here.angle is not None:
-            angle = self._angle(at, here.angle)
-        state, approximated = self.tail(at, kind, here.tail, (here.end, here.via))
-        self._check(at, here.word, kind, end, via)
+        if motion.angle is not None:
+            angle = self._angle(at, motion.angle)
+        state, is_approximated = self.tail(at, kind, motion.tail, (motion.end, motion.via))
+        self._check(at, motion.word, kind, end, via)
         try:
-            self.settings.refuse_uncertain(state, fields_used(kind, axis=end.position.axis, approximated=approximated))
+            self.settings.refuse_uncertain(
+                state, fields_used(kind, axis=end.position.axis, approximated=is_approximated)
+            )
         except ProgramError as cause:
             raise unresolved(cause) from None
-        keyword = (here.start, here.start + len(here.word))
-        behind = None if here.frame_behind is None else (here.frame_behind.start, here.frame_behind.stop)
-        tail = here.tail
+        keyword = (motion.start, motion.start + len(motion.word))
+        frame_span = None if motion.frame_behind is None else (motion.frame_behind.start, motion.frame_behind.stop)
+        tail = motion.tail
         move = MotionStatement(
-            row, kind, keyword, end, relative, via, angle, tail.start, tail.stop, approximated, behind
+            row, kind, keyword, end, relative, via, angle, tail.start, tail.stop, is_approximated, frame_span
         )
         return move, state, names
 
-    def block(self, at: Place, here: Spline) -> State:
+    def block(self, at: Place, spline: Spline) -> State:
         """Return the settings in force within a spline block: those of its WITH apply to this block only.
 
         :raises ProgramError: it is not understood.
         """
-        state, _ = self.tail(at, LIN, here.tail)
-        return replace(state, block=here.word)
+        state, _ = self.tail(at, LIN, spline.tail)
+        return replace(state, block=spline.word)
 
     def _point(self, at: Place, value: Value, names: list[int], row: int) -> Point | None:
         """Return a point; None for the present position."""
@@ -148,8 +150,8 @@ class MotionReader:
             self.home_used = self.home_used or row
             position = Position(self.home, axis=True)
         if position is None:
-            why = why_unknown(self.variables, source, value)
-            raise unresolved(at.error(f"the target is not known: {why}", RUN_TIME_ADVICE))
+            reason = why_unknown(self.variables, source, value)
+            raise unresolved(at.error(f"the target is not known: {reason}", RUN_TIME_ADVICE))
         if position.farthest > FARTHEST:
             raise out_of_reach(at, position.farthest)
         return Point(position, value.start, value.stop, name)
@@ -172,15 +174,15 @@ class MotionReader:
         if kind != PTP and (end.position.axis or (via and via.position.axis)):
             raise at.error(f"{word} to axis angles", "Write a Cartesian target, or use PTP.")
 
-    def _check_asked(self, at: Place, what: str, value: Value | None) -> None:
+    def _check_asked(self, at: Place, subject: str, value: Value | None) -> None:
         """Refuse values of a motion with WITH that ask for what WITH may set.
 
         :raises ProgramError: it is in no source whether they are those before WITH or behind it.
         """
-        asked = [one.name for one in walk([] if value is None else [value]) if isinstance(one, Reference)]
-        if not RELEVANT.isdisjoint(asked):
-            name = min(RELEVANT.intersection(asked))
-            problem = f"{what}: whether {name} is the one before WITH or behind it is in no source"
+        variable_names = [part.name for part in walk([] if value is None else [value]) if isinstance(part, Reference)]
+        if not RELEVANT.isdisjoint(variable_names):
+            name = min(RELEVANT.intersection(variable_names))
+            problem = f"{subject}: whether {name} is the one before WITH or behind it is in no source"
             raise at.error(problem, f"Assign {name} to a variable in a line before, and use that.")
 
     def tail(self, at: Place, kind: int, tail: Tail, points: Sequence[Value | None] = ()) -> tuple[State, bool]:
@@ -193,14 +195,14 @@ class MotionReader:
             raise tail.error
         if tail.rest is not None:
             raise at.error(f"{tail.rest.of(text)!r} is not understood")
-        for given in tail.given:
-            if not isinstance(given, Assignment):
-                raise at.error(f"{text[given.start : given.stop]!r} is not understood")
-            if given.target.name in RELEVANT:
-                self._check_asked(at, given.target.name, given.value)
-                state = self.settings.assigned(state, at, given.target, given.value)
-            elif not given.target.name.startswith(_NO_EFFECT):
-                raise at.error(f"{given.target.name} in WITH is not understood")
+        for item in tail.given:
+            if not isinstance(item, Assignment):
+                raise at.error(f"{text[item.start : item.stop]!r} is not understood")
+            if item.target.name in RELEVANT:
+                self._check_asked(at, item.target.name, item.value)
+                state = self.settings.assigned(state, at, item.target, item.value)
+            elif not item.target.name.startswith(_NO_EFFECT):
+                raise at.error(f"{item.target.name} in WITH is not understood")
         if state != self.settings.state:
             for value in points:
                 self._check_asked(at, "WITH", value)

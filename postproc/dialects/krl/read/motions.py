@@ -65,67 +65,71 @@ def ordered_motions(main: MainRoutine, plain: list[MotionColumns]) -> OrderedMot
     :param plain: plain motions, in parts; the list is emptied, see `merged`.
     """
     statements = main.motions
-    plain += [each.rows for each in main.rounds]
+    plain += [rounds.rows for rounds in main.rounds]
     line = np.concatenate([rows.line for rows in plain])
-    states, state_plain, state_moves, changed = _states(main.run.settings, line, statements.states)
-    others = statements.rows()
+    states, state_plain, state_moves, change_lines = _states(main.run.settings, line, statements.states)
+    statement_rows = statements.rows()
     order = compact(np.argsort(line, kind="stable"), np.int32)
-    place = np.searchsorted(line, others.line, sorter=order) + np.arange(len(others))
+    place = np.searchsorted(line, statement_rows.line, sorter=order) + np.arange(len(statement_rows))
     place_plain = np.empty_like(line)
-    place_plain[order] = np.delete(np.arange(len(line) + len(others)), place)
+    place_plain[order] = np.delete(np.arange(len(line) + len(statement_rows)), place)
     places = compact(np.concatenate([place_plain, place]), np.int32)
     state: NDArray[Any] = np.empty(len(places), dtype=np.int32)
     state[places] = np.concatenate([state_plain, state_moves])
-    numbers = np.array([[getattr(one, field) for field in NUMBERS] for one in states])[state]
+    numbers = np.array([[getattr(s, field) for field in NUMBERS] for s in states])[state]
     for row in range(len(NUMBERS)):
-        own = numbers[place_plain, row]
-        numbers[place_plain, row] = main.run.settings.coming.at(row, line, changed, own)
+        row_values = numbers[place_plain, row]
+        numbers[place_plain, row] = main.run.settings.coming.at(row, line, change_lines, row_values)
     moves = {int(place[index]): move for index, move in statements.special}
-    plain.append(others)
+    plain.append(statement_rows)
     runs = Runs.of(numbers)
-    del line, order, place_plain, own, changed, state_plain, numbers  # what follows needs the memory
+    del line, order, place_plain, row_values, change_lines, state_plain, numbers  # what follows needs the memory
     return OrderedMotions(merged(plain, places), states, state, runs, moves)
 
 
 def motions_and_layout(
     source: Source,
     main: MainRoutine,
-    ordered: OrderedMotions,
+    sequence: OrderedMotions,
     start_joints: Array,
-    forward: Callable[[Array], Array],
-    after: Ints | None = None,
+    kinematics: Callable[[Array], Array],
+    predecessors: Ints | None = None,
 ) -> tuple[Motions, Layout, list[Issue]]:
     """Return the motions of a program in order, the layout of their text, and the assumptions.
 
     :param main: has followed all lines that are not plain.
-    :param ordered: all motions.
+    :param sequence: all motions.
     :param start_joints: (6,) joint angles at the start [rad].
-    :param forward: (6,) joints → (4, 4) flange in the robot root.
-    :param after: (M,) the motion at whose end each begins, see `Program.after`.
+    :param kinematics: (6,) joints → (4, 4) flange in the robot root.
+    :param predecessors: (M,) the motion at whose end each begins, see `Program.after`.
     :raises ProgramError: a frame, a component or an axis is not known; external axes move; an orientation or a circle
         is not what the controller could follow.
     """
     settings = main.run.settings
-    rows, states, state, numbers, moves = ordered
+    rows, states, state, numbers, moves = sequence
     block = _column(states, state, lambda s: s.block)
     check_words(source, rows, block)
     rows = replace(rows, approximated=approximated(rows, block != "", main.splines.approximated))
     base = _column(states, state, lambda s: s.base)
     tool = _column(states, state, lambda s: s.tool)
     _check_settings(settings, rows, states, state, moves)
-    base, tool = (np.where(each < 0, 0, each) if (each < 0).any() else each for each in (base, tool))  # of axis targets
+    base, tool = (
+        np.where(column < 0, 0, column) if (column < 0).any() else column for column in (base, tool)
+    )  # of axis targets
     relative = np.array([row for row, move in moves.items() if move.relative], dtype=np.int64)
-    placed = np.ones(len(rows), dtype=np.bool_)
-    placed[[row for row, move in moves.items() if move.end.position.axis]] = False
-    axis_issues, carriage = external_axes(source, rows, relative, placed, settings.cell.carriage, after)
+    uses_root = np.ones(len(rows), dtype=np.bool_)
+    uses_root[[row for row, move in moves.items() if move.end.position.axis]] = False
+    axis_issues, carriage = external_axes(source, rows, relative, uses_root, settings.cell.carriage, predecessors)
     frames = base, tool, np.stack(settings.frames.bases), np.stack(settings.frames.tools)
-    led = _led(source, rows, states, state)
-    missing, arc_ends = np.isnan(rows.numbers), rows.numbers[rows.kind == CIRC, :3]
-    ends = end_poses(source, rows.line, rows.numbers, frames, moves, start_joints, forward, led, carriage, after)
+    control = _led(source, rows, states, state)
+    is_missing, arc_ends = np.isnan(rows.numbers), rows.numbers[rows.kind == CIRC, :3]
+    ends = end_poses(
+        source, rows.line, rows.numbers, frames, moves, start_joints, kinematics, control, carriage, predecessors
+    )
     by_wrist = _by_wrist(source, rows, states, state, ends, carriage)
     _check_by_wrist(source, rows, states, state, ends, settings)
     centre, normal, sweep, unheeded = _arcs(
-        source, rows, ends, arc_ends, moves, led, settings, (states, state), carriage
+        source, rows, ends, arc_ends, moves, control, settings, (states, state), carriage
     )
 
     motions = Motions(
@@ -145,14 +149,14 @@ def motions_and_layout(
         status=rows.posture[:, 0],
         turn=rows.posture[:, 1],
     )
-    missing[[row for row, move in moves.items() if move.end.position.axis or move.relative]] = False
-    elements = tuple(_elements(rows, each) for each in main.rounds)
+    is_missing[[row for row, move in moves.items() if move.end.position.axis or move.relative]] = False
+    elements = tuple(_elements(rows, rounds) for rounds in main.rounds)
     layout = Layout(
         course=main.course,
         line=rows.line,
         notes=(),
         numbers=ends.numbers,
-        missing=missing,
+        missing=is_missing,
         begin=_begins(rows.target[:, 0], elements),
         within=rows.within,
         keyword=rows.keyword,
@@ -163,7 +167,7 @@ def motions_and_layout(
         resumed=ends.resumed,
         orientation=np.where(rows.kind == PTP, np.int8(0), _column(states, state, _orientation)),
         ignored=ends.ignored,
-        with_path=led.with_path,
+        with_path=control.with_path,
         by_wrist=by_wrist,
         unheeded=unheeded,
         distant=_column(states, state, lambda s: all(field != "cdis" for field, _ in s.uncertain)),
@@ -172,13 +176,13 @@ def motions_and_layout(
         elements=elements,
         types=dict(settings.variables.types),
         public=frozenset(settings.variables.public),
-        understood=frozenset(main.run.understood).union(*(rows.target[one.row, 0].tolist() for one in elements)),
+        understood=frozenset(main.run.understood).union(*(rows.target[part.row, 0].tolist() for part in elements)),
         triggers=_triggers(source, main, rows.line, motions, ends.start),
         carriage=carriage,
         broken_off="" if main.run.resumed is None else str(main.run.resumed),
     )
-    assumed = _column(states, state, lambda s: s.assumed) & (rows.kind != PTP)
-    assumptions = _assumptions(motions.line, missing, assumed, moves)
+    has_assumed_speed = _column(states, state, lambda s: s.assumed) & (rows.kind != PTP)
+    assumptions = _assumptions(motions.line, is_missing, has_assumed_speed, moves)
     return (
         motions,
         layout,
@@ -189,16 +193,16 @@ def motions_and_layout(
 def _elements(rows: MotionColumns, rounds: ElementMotions) -> Elements:
     """Return the points of a loop over an array: those of motions that are among some."""
     row = np.searchsorted(rows.line, rounds.rows.line)
-    there = rows.line[np.minimum(row, len(rows) - 1)] == rounds.rows.line
-    return Elements(row[there], rounds.literal[there], rounds.source, rounds.name)
+    is_present = rows.line[np.minimum(row, len(rows) - 1)] == rounds.rows.line
+    return Elements(row[is_present], rounds.literal[is_present], rounds.source, rounds.name)
 
 
 def _begins(target: Offsets, elements: tuple[Elements, ...]) -> Offsets:
     """Return the beginnings (R,) of the points of motions: of their targets, or of those in data lists."""
-    out = target.copy() if elements else target
-    for each in elements:
-        out[each.row] = each.literal[:, 0]
-    return out
+    begins = target.copy() if elements else target
+    for part in elements:
+        begins[part.row] = part.literal[:, 0]
+    return begins
 
 
 def _states(settings: Settings, line: Ints, own_states: list[State]) -> tuple[list[State], Ints, Ints, Ints]:
@@ -208,14 +212,14 @@ def _states(settings: Settings, line: Ints, own_states: list[State]) -> tuple[li
     states = [state for _, state in settings.changes]
     changes = np.array([line for line, _ in settings.changes])
     index: dict[State, int] = {}
-    own = []
+    own_indices = []
     for state in own_states:
         if state not in index:
             index[state] = len(states)
             states.append(state)
-        own.append(index[state])
+        own_indices.append(index[state])
     plain = compact(np.searchsorted(changes, line) - 1, np.int32)
-    return states, plain, compact(np.array(own, dtype=np.int64), np.int32), compact(changes, np.int32)[plain]
+    return states, plain, compact(np.array(own_indices, dtype=np.int64), np.int32), compact(changes, np.int32)[plain]
 
 
 def settings_at(settings: Settings, line: Ints) -> list[tuple[State, Array, Array]]:
@@ -223,15 +227,26 @@ def settings_at(settings: Settings, line: Ints) -> list[tuple[State, Array, Arra
 
     Of a frame that is not known, the state has the reason, and the matrix is 0.
     """
-    states, state, _, changed = _states(settings, line, [])
-    numbers = [settings.coming.at(row, line, changed, _column(states, state, _number(row))) for row in (0, 1)]
-    found = []
-    for index, *values in zip(state.tolist(), *(each.tolist() for each in numbers), strict=True):
-        one = states[index]
-        frames = _frame(settings.frames.bases, one.base), _frame(settings.frames.tools, one.tool)
-        known = dict(zip(NUMBERS, values, strict=True))
-        found.append((replace(one, base=min(one.base, 0), tool=min(one.tool, 0), assumed=False, **known), *frames))
-    return found
+    states, state, _, change_lines = _states(settings, line, [])
+    numbers = [settings.coming.at(row, line, change_lines, _column(states, state, _number(row))) for row in (0, 1)]
+    entries = []
+    for index, *values in zip(state.tolist(), *(column.tolist() for column in numbers), strict=True):
+        line_state = states[index]
+        frames = _frame(settings.frames.bases, line_state.base), _frame(settings.frames.tools, line_state.tool)
+        field_values = dict(zip(NUMBERS, values, strict=True))
+        entries.append(
+            (
+                replace(
+                    line_state,
+                    base=min(line_state.base, 0),
+                    tool=min(line_state.tool, 0),
+                    assumed=False,
+                    **field_values,
+                ),
+                *frames,
+            )
+        )
+    return entries
 
 
 def _frame(frames: list[Array], row: int) -> Array:
@@ -265,25 +280,25 @@ def _check_settings(
 
 def unsettled(main: MainRoutine, plain: list[MotionColumns]) -> Iterator[ProgramError]:
     """Yield the errors in the settings of the motions of a program, once for each reason."""
-    ordered = ordered_motions(main, plain)
-    yield from _unsettled(main.run.settings, ordered.rows, ordered.states, ordered.state, ordered.moves)
+    sequence = ordered_motions(main, plain)
+    yield from _unsettled(main.run.settings, sequence.rows, sequence.states, sequence.state, sequence.moves)
 
 
 def _unsettled(
     settings: Settings, rows: MotionColumns, states: list[State], state: Ints, moves: Mapping[int, MotionStatement]
 ) -> Iterator[ProgramError]:
-    seen: set[tuple[str | None, int | None, str]] = set()
-    for index, used in enumerate(states):
-        if not used.uncertain and used.base >= 0 and used.tool >= 0:
+    reason_keys: set[tuple[str | None, int | None, str]] = set()
+    for index, motion_state in enumerate(states):
+        if not motion_state.uncertain and motion_state.base >= 0 and motion_state.tool >= 0:
             continue
         for row in np.flatnonzero(state == index).tolist():
             axis = row in moves and moves[row].end.position.axis
             fields = fields_used(int(rows.kind[row]), axis=axis, approximated=bool(rows.approximated[row]))
             try:
-                settings.refuse_uncertain(used, fields)
+                settings.refuse_uncertain(motion_state, fields)
             except ProgramError as cause:
-                if (key := (cause.file, cause.line, cause.problem)) not in seen:
-                    seen.add(key)
+                if (key := (cause.file, cause.line, cause.problem)) not in reason_keys:
+                    reason_keys.add(key)
                     yield cause
 
 
@@ -297,9 +312,11 @@ def _led(source: Source, rows: MotionColumns, states: list[State], state: Ints) 
     :raises ProgramError: a circle that is led along the path has to be led by one rotation.
     """
     round_ = rows.kind == CIRC
-    own = round_ & _column(states, state, lambda s: s.circle == "#PATH" and s.orientation not in _BY_ROTATION)
-    if own.any():
-        first = int(np.argmax(own))
+    is_unsupported = round_ & _column(
+        states, state, lambda s: s.circle == "#PATH" and s.orientation not in _BY_ROTATION
+    )
+    if is_unsupported.any():
+        first = int(np.argmax(is_unsupported))
         problem = f"a circle under $ORI_TYPE={states[state[first]].orientation} and $CIRC_TYPE=#PATH"
         raise source.line_error(problem, int(rows.line[first]), "Use $CIRC_TYPE=#BASE, or $ORI_TYPE=#VAR.")
     constant = _column(states, state, lambda s: s.orientation == CONSTANT) & (rows.kind != PTP)
@@ -319,31 +336,34 @@ def _by_wrist(
 
     :raises ProgramError: the controller would lead the orientation in a way that is not known.
     """
-    led = np.zeros(len(rows), dtype=np.bool_)
-    own = np.flatnonzero(_column(states, state, lambda s: s.orientation not in _BY_ROTATION) & (rows.kind != PTP))
-    if not len(own):
-        return led
-    kinds = [states[index].orientation for index in state[own]]
-    behind = np.minimum(own + 1, len(rows) - 1)
-    turned, turned_behind = (
-        ~same_orientation(ends.start.at(each)[:, :3, :3], ends.pose[each, :3, :3]) for each in (own, behind)
+    is_wrist_led = np.zeros(len(rows), dtype=np.bool_)
+    candidates = np.flatnonzero(
+        _column(states, state, lambda s: s.orientation not in _BY_ROTATION) & (rows.kind != PTP)
     )
-    turned |= turned_behind & np.array([kind == IGNORE for kind in kinds])
-    wrist = np.array([kind == JOINT for kind in kinds]) & (rows.kind[own] == LIN)
+    if not len(candidates):
+        return is_wrist_led
+    kinds = [states[index].orientation for index in state[candidates]]
+    next_rows = np.minimum(candidates + 1, len(rows) - 1)
+    is_turned, is_next_turned = (
+        ~same_orientation(ends.start.at(subset)[:, :3, :3], ends.pose[subset, :3, :3])
+        for subset in (candidates, next_rows)
+    )
+    is_turned |= is_next_turned & np.array([kind == IGNORE for kind in kinds])
+    wrist = np.array([kind == JOINT for kind in kinds]) & (rows.kind[candidates] == LIN)
     if carriage is not None:
-        wrist &= carriage.travel[own] <= _AT_REST
-    led[own[turned & wrist]] = True
-    turned &= ~wrist
-    if not turned.any():
-        return led
-    first = int(np.argmax(turned))
+        wrist &= carriage.travel[candidates] <= _AT_REST
+    is_wrist_led[candidates[is_turned & wrist]] = True
+    is_turned &= ~wrist
+    if not is_turned.any():
+        return is_wrist_led
+    first = int(np.argmax(is_turned))
     problem = {
         JOINT: "the orientation changes under $ORI_TYPE=#JOINT on another path than a line, or while E1 moves: how the "
         "wrist axes lead it is not known",
         IGNORE: "the orientation changes at a target under $ORI_TYPE=#IGNORE: the controller chooses it there",
     }[kinds[first]]
     advice = "Use $ORI_TYPE=#VAR: the orientation then changes by one rotation, from target to target."
-    raise source.line_error(problem, int(rows.line[own[first]]), advice)
+    raise source.line_error(problem, int(rows.line[candidates[first]]), advice)
 
 
 def _check_by_wrist(
@@ -355,10 +375,12 @@ def _check_by_wrist(
     at_will = [s.by_wrist == "#ON" or any(field == "by_wrist" for field, _ in s.uncertain) for s in states]
     if not any(at_will):
         return
-    own = _column(states, state, lambda s: s.orientation == FREE) & np.array(at_will)[state] & (rows.kind != PTP)
-    found = np.array([row for row in np.flatnonzero(own).tolist() if source.text[rows.keyword[row]] in "sS"], dtype=int)
-    turn = angle_between(ends.start.at(found)[:, :3, :3], ends.pose[found, :3, :3])
-    for row in found[turn > _LITTLE].tolist():
+    is_free = _column(states, state, lambda s: s.orientation == FREE) & np.array(at_will)[state] & (rows.kind != PTP)
+    spline_rows = np.array(
+        [row for row in np.flatnonzero(is_free).tolist() if source.text[rows.keyword[row]] in "sS"], dtype=int
+    )
+    turn = angle_between(ends.start.at(spline_rows)[:, :3, :3], ends.pose[spline_rows, :3, :3])
+    for row in spline_rows[turn > _LITTLE].tolist():
         settings.refuse_uncertain(states[state[row]], ["by_wrist"])
         problem = "the orientation changes under $SPL_ORI_JOINT_AUTO=#ON: the wrist axes may lead it, not one rotation"
         raise source.line_error(problem, int(rows.line[row]), "Use $SPL_ORI_JOINT_AUTO=#OFF.")
@@ -370,7 +392,7 @@ def _arcs(
     ends: EndPoses,
     given_ends: Array,
     moves: Mapping[int, MotionStatement],
-    led: Led,
+    control: Led,
     settings: Settings,
     in_force: tuple[list[State], Ints],
     carriage: Carriage | None,
@@ -380,32 +402,32 @@ def _arcs(
     :param given_ends: (n, 3) X, Y, Z of the ends of the n circles as the text gives them [mm].
     """
     unheeded = np.zeros(len(rows), dtype=np.bool_)
-    nothing = np.broadcast_to(np.nan, (len(rows), 3))  # takes no memory
+    nan_rows = np.broadcast_to(np.nan, (len(rows), 3))  # takes no memory
     circular = np.flatnonzero(rows.kind == CIRC)
     if not len(circular):
-        return nothing, nothing, nothing[:, 0], unheeded
-    centre, normal, sweep = nothing.copy(), nothing.copy(), nothing[:, 0].copy()
+        return nan_rows, nan_rows, nan_rows[:, 0], unheeded
+    centre, normal, sweep = nan_rows.copy(), nan_rows.copy(), nan_rows[:, 0].copy()
     line, start = rows.line[circular], ends.start.at(circular)
-    given = rows.via[circular] * M_PER_MM, given_ends * M_PER_MM
+    text_points = rows.via[circular] * M_PER_MM, given_ends * M_PER_MM
     for row, points in ends.circles.items():
         at = np.searchsorted(circular, row)
-        given[0][at], given[1][at] = points * M_PER_MM
-    via, end = (np.where(np.isnan(points), start[:, :3, 3], points) for points in given)
+        text_points[0][at], text_points[1][at] = points * M_PER_MM
+    via, end = (np.where(np.isnan(points), start[:, :3, 3], points) for points in text_points)
     centre[circular], axis, angle = circles(source, line, start[:, :3, 3], via, end)
-    own = np.full(len(rows), np.nan)
+    programmed_angles = np.full(len(rows), np.nan)
     for row, move in moves.items():
-        own[row] = np.nan if move.angle is None else move.angle * RAD_PER_DEG
-    own = own[circular]
-    angled = ~np.isnan(own)
-    turning = led.with_path[circular] | ~same_orientation(start[:, :3, :3], ends.pose[circular, :3, :3])
-    turning &= angled & ~led.constant[circular] & ~(np.abs(own - angle) < _AT_THE_END)
+        programmed_angles[row] = np.nan if move.angle is None else move.angle * RAD_PER_DEG
+    programmed_angles = programmed_angles[circular]
+    has_angle = ~np.isnan(programmed_angles)
+    turning = control.with_path[circular] | ~same_orientation(start[:, :3, :3], ends.pose[circular, :3, :3])
+    turning &= has_angle & ~control.constant[circular] & ~(np.abs(programmed_angles - angle) < _AT_THE_END)
     if turning.any():
         raise source.line_error(
             "the orientation changes on a circle with CA: where it is reached is not certain",
             int(line[turning][0]),
             "Give the end of the arc as its end point, without CA, or use $ORI_TYPE=#CONSTANT.",
         )
-    riding = angled & ~(np.abs(own - angle) < _AT_THE_END)
+    riding = has_angle & ~(np.abs(programmed_angles - angle) < _AT_THE_END)
     if carriage is not None:
         riding &= np.abs(carriage.end[circular] - carriage.begin[circular]) > _AT_REST
         if riding.any():
@@ -417,9 +439,11 @@ def _arcs(
     tools = start, ends.pose[circular]
     arcs = centre[circular], axis, via, angle
     states, state = in_force
-    unheeded[circular] = left_out(source, rows, circular, moves, tools, arcs, led, settings, (states, state[circular]))
-    normal[circular] = np.where(angled, np.sign(own), 1.0)[:, None] * axis
-    sweep[circular] = np.where(angled, np.abs(own), angle)
+    unheeded[circular] = left_out(
+        source, rows, circular, moves, tools, arcs, control, settings, (states, state[circular])
+    )
+    normal[circular] = np.where(has_angle, np.sign(programmed_angles), 1.0)[:, None] * axis
+    sweep[circular] = np.where(has_angle, np.abs(programmed_angles), angle)
     return centre, normal, sweep, unheeded
 
 
@@ -428,50 +452,52 @@ def _triggers(source: Source, main: MainRoutine, line: Ints, motions: Motions, s
     lines = np.array(main.run.triggers, dtype=np.int64)
     rows = np.searchsorted(line, lines)
     lines, rows = lines[rows < len(motions)], rows[rows < len(motions)]
-    own = [main.in_one_block(at, int(line[row])) for at, row in zip(lines.tolist(), rows.tolist(), strict=True)]
-    lines, rows = lines[own], rows[own]
+    in_block = [main.in_one_block(at, int(line[row])) for at, row in zip(lines.tolist(), rows.tolist(), strict=True)]
+    lines, rows = lines[in_block], rows[in_block]
     if not len(rows):
         return ()
     following = line[rows].tolist()
-    attached = [main.only_comments(at + 1, line - 1) for at, line in zip(lines.tolist(), following, strict=True)]
+    is_attached = [main.only_comments(at + 1, line - 1) for at, line in zip(lines.tolist(), following, strict=True)]
     begin, end = start.at(rows)[:, :3, 3], motions.target[rows, :3, 3]
     arc = motions.kind[rows] == CIRC
     length = np.where(arc, norm(begin - motions.centre[rows]) * motions.sweep[rows], norm(end - begin))
-    return tuple(triggers(source, list(zip(lines.tolist(), rows.tolist(), attached, strict=True)), length))
+    return tuple(triggers(source, list(zip(lines.tolist(), rows.tolist(), is_attached, strict=True)), length))
 
 
 def _by_speed(source: Source, rows: MotionColumns) -> list[Issue]:
     """Return an issue if the path is approximated by a criterion other than a distance."""
     exact = np.flatnonzero((rows.kind != PTP) & ~rows.approximated & (rows.tail[:, 1] > rows.tail[:, 0]))
     tails = zip(exact.tolist(), rows.tail[exact].tolist(), strict=True)
-    found = [row for row, tail in tails if any(word in _BY_SPEED for word, _ in words_in(source.text, *tail))]
-    if not found:
+    speed_rows = [row for row, tail in tails if any(word in _BY_SPEED for word, _ in words_in(source.text, *tail))]
+    if not speed_rows:
         return []
     message = (
         "C_VEL and C_ORI blend by speed and orientation: how far that rounds corners is not known, and "
         "does not count in the check of the tolerance."
     )
-    line = source.shown(rows.line[found])
+    line = source.shown(rows.line[speed_rows])
     lines = tuple(distinct(line).tolist())
-    return [Issue("info", "blending-by-speed", message, int(line[0]), count=len(found), lines=lines)]
+    return [Issue("info", "blending-by-speed", message, int(line[0]), count=len(speed_rows), lines=lines)]
 
 
 def _wrist(motions: Motions, by_wrist: Bools) -> list[Issue]:
     """Return the assumption about lines on which the wrist axes turn the tool."""
-    found = np.flatnonzero(by_wrist)
-    if not len(found):
+    wrist_rows = np.flatnonzero(by_wrist)
+    if not len(wrist_rows):
         return []
     message = (
         "$ORI_TYPE=#JOINT: it is assumed that A4 to A6 turn in proportion to the path length while the tip stays on "
         "its line. Corrected motions are divided and get $ORI_TYPE=#VAR."
     )
-    return [motions.issue("warning", "wrist-led", message, found)]
+    return [motions.issue("warning", "wrist-led", message, wrist_rows)]
 
 
-def _assumptions(line: Ints, missing: Bools, assumed: Bools, moves: Mapping[int, MotionStatement]) -> list[Issue]:
+def _assumptions(
+    line: Ints, is_missing: Bools, has_assumed_speed: Bools, moves: Mapping[int, MotionStatement]
+) -> list[Issue]:
     """Return what had to be assumed, each once with the first line it concerns."""
     issues = []
-    incomplete = any_column(missing)
+    incomplete = any_column(is_missing)
     for row, move in moves.items():
         incomplete[row] = not move.end.position.complete or move.via_incomplete
     for rows, kind, message in (
@@ -480,10 +506,16 @@ def _assumptions(line: Ints, missing: Bools, assumed: Bools, moves: Mapping[int,
             "missing-components",
             "components are missing: they keep their previous value (in relative motions: 0).",
         ),
-        (assumed, "default-speed", f"$VEL.CP is not set before: the controller's {DEFAULT_SPEED:g} m/s is assumed."),
+        (
+            has_assumed_speed,
+            "default-speed",
+            f"$VEL.CP is not set before: the controller's {DEFAULT_SPEED:g} m/s is assumed.",
+        ),
     ):
-        found = np.flatnonzero(rows)
-        if len(found):
-            lines = tuple(distinct(line[found]).tolist())
-            issues.append(Issue("info", kind, message, int(line[found[0]]), count=len(found), lines=lines))
+        affected_rows = np.flatnonzero(rows)
+        if len(affected_rows):
+            lines = tuple(distinct(line[affected_rows]).tolist())
+            issues.append(
+                Issue("info", kind, message, int(line[affected_rows[0]]), count=len(affected_rows), lines=lines)
+            )
     return issues

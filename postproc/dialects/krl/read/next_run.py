@@ -27,7 +27,7 @@ _MOST_NAMES = 10
 
 def changed_data_issues(
     main: MainRoutine,
-    kept: Mapping[str, str],
+    change_places: Mapping[str, str],
     first: OrderedMotions,
     plain: Plain,
     start_joints: tuple[float, ...],
@@ -35,19 +35,19 @@ def changed_data_issues(
     """Yield a warning if the next run, with the values that this one leaves, moves differently or is not known.
 
     :param main: has followed the program.
-    :param kept: values that it leaves to the next run, see `kept_values`.
+    :param change_places: values that it leaves to the next run, see `kept_values`.
     :param first: its motions.
     :param plain: its plain lines.
     :param start_joints: joint angles at the start [deg].
     """
-    if not kept:
+    if not change_places:
         return
     cell, library, routine = main.run.settings.cell, main.run.library, main.run.routine
     first_left = main.run.settings.variables
-    settings, again = (Settings(first_left.next_run(), cell) for _ in range(2))
+    settings, course_settings = (Settings(first_left.next_run(), cell) for _ in range(2))
     reader = MotionReader(settings, start_joints)
     try:
-        course = course_of(library, routine, again, reader, main.run.elsewhere)
+        course = course_of(library, routine, course_settings, reader, main.run.elsewhere)
         line = _elsewhere(main.course, course)
         if line is None:
             second_run = MainRoutine(library, routine, settings, reader, main.course, plain)
@@ -60,21 +60,25 @@ def changed_data_issues(
         line = cause.line or main.run.routine.first
     if line is None:
         return
-    names = first_of([f"{name} ({place})" for name, place in kept.items()], _MOST_NAMES)
+    names = first_of([f"{name} ({place})" for name, place in change_places.items()], _MOST_NAMES)
     message = (
         f"The program changes data that stay changed: {names}. The next run begins with the changed "
         "values and moves differently from this line on: the output holds for a run that begins with the values in "
         "the files. Set them at the beginning of the program."
     )
-    yield Issue("warning", "changed-data", message, line, subject=", ".join(list(kept)[:_MOST_NAMES]))
+    yield Issue("warning", "changed-data", message, line, subject=", ".join(list(change_places)[:_MOST_NAMES]))
 
 
 def kept_values(main: MainRoutine) -> dict[str, str]:
     """Return the values left by a run that the next one may use, and where: not counters that it sets first."""
-    run, kept = main.run, main.run.settings.variables.kept()
-    uses = Uses(run, run.routine.source, run.nodes(run.routine)) if kept else None
-    changing = run.settings.variables.changing
-    return {name: where for name, where in kept.items() if uses is None or name in changing or uses.uses(name)}
+    run, change_places = main.run, main.run.settings.variables.kept()
+    uses = Uses(run, run.routine.source, run.nodes(run.routine)) if change_places else None
+    volatile_names = run.settings.variables.changing
+    return {
+        name: place
+        for name, place in change_places.items()
+        if uses is None or name in volatile_names or uses.uses(name)
+    }
 
 
 def _elsewhere(first: Course, second: Course) -> int | None:
@@ -82,8 +86,10 @@ def _elsewhere(first: Course, second: Course) -> int | None:
     rows = min(len(first.source.starts), len(second.source.starts))
     columns = [(*_places(course), course.counted()) for course in (first, second)]
     differs = np.zeros(rows, dtype=np.bool_)
-    for one, other in zip(*columns, strict=True):
-        differs |= (one[:rows] != other[:rows]) & ~(np.isnan(one[:rows]) & np.isnan(other[:rows]))
+    for first_column, second_column in zip(*columns, strict=True):
+        differs |= (first_column[:rows] != second_column[:rows]) & ~(
+            np.isnan(first_column[:rows]) & np.isnan(second_column[:rows])
+        )
     if differs.any():
         return int(np.argmax(differs)) + 1
     return None if first.steps == second.steps and len(first.source.starts) == len(second.source.starts) else 1
@@ -99,32 +105,37 @@ def _places(course: Course) -> tuple[Array, Array]:
     return files[origins.source], origins.line.astype(np.float64)
 
 
-def _first_difference(one: Settings, first: OrderedMotions, other: Settings, second: OrderedMotions) -> int | None:
+def _first_difference(
+    first_settings: Settings, first: OrderedMotions, second_settings: Settings, second: OrderedMotions
+) -> int | None:
     """Return the first line whose motion is not the same in both runs."""
     if len(first.rows) != len(second.rows):
         return int((first.rows if len(first.rows) else second.rows).line[0])
-    same = np.ones(len(first.rows), dtype=np.bool_)
+    is_same = np.ones(len(first.rows), dtype=np.bool_)
     for a, b in (
         (first.rows.numbers, second.rows.numbers),
         (first.rows.posture, second.rows.posture),
         (first.rows.external, second.rows.external),
         (first.rows.via, second.rows.via),
-        (_in_force(one, first)[first.state], _in_force(other, second)[second.state]),
+        (_in_force(first_settings, first)[first.state], _in_force(second_settings, second)[second.state]),
         (first.numbers[:], second.numbers[:]),
     ):
-        same &= ((a == b) | (np.isnan(a) & np.isnan(b))).all(axis=1)
+        is_same &= ((a == b) | (np.isnan(a) & np.isnan(b))).all(axis=1)
     for row, move in first.moves.items():
-        same[row] &= row in second.moves and _same(move.end.position, second.moves[row].end.position)
-    found = np.flatnonzero(~same)
-    return int(first.rows.line[found[0]]) if len(found) else None
+        is_same[row] &= row in second.moves and _same(move.end.position, second.moves[row].end.position)
+    rows = np.flatnonzero(~is_same)
+    return int(first.rows.line[rows[0]]) if len(rows) else None
 
 
-def _same(one: Position, other: Position) -> bool:
-    a, b = (np.array([*p.values, p.axis, p.status, p.turn, *p.external], dtype=np.float64) for p in (one, other))
+def _same(position: Position, other_position: Position) -> bool:
+    a, b = (
+        np.array([*p.values, p.axis, p.status, p.turn, *p.external], dtype=np.float64)
+        for p in (position, other_position)
+    )
     return np.array_equal(a, b, equal_nan=True)
 
 
-def _in_force(settings: Settings, ordered: OrderedMotions) -> Array:
+def _in_force(settings: Settings, sequence: OrderedMotions) -> Array:
     """Return (S, 36) frames and modes of each state; NaN where not known."""
     return np.array(
         [
@@ -135,7 +146,7 @@ def _in_force(settings: Settings, ordered: OrderedMotions) -> Array:
                     [hash(mode) for mode in (state.orientation, state.circle, state.auxiliary, state.by_wrist)],
                 ]
             )
-            for state in ordered.states
+            for state in sequence.states
         ]
     )
 

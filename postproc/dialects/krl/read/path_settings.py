@@ -40,8 +40,8 @@ _OF_PTP = frozenset({"SAPO_PTP"})
 class PathSettings:
     """Follows assignments to these variables."""
 
-    def __init__(self, variables: Variables, reasons: Reasons, *, carried: bool) -> None:
-        self.variables, self.reasons, self.carried = variables, reasons, carried
+    def __init__(self, variables: Variables, reasons: Reasons, *, has_carriage: bool) -> None:
+        self.variables, self.reasons, self.has_carriage = variables, reasons, has_carriage
 
     def speed(self, state: State, at: Place, field: str | None, value: Value | Known) -> State:
         """Return the state after ``$VEL.CP = value``, or after ``$VEL = {…}`` if `field` is None; other fields are
@@ -51,12 +51,14 @@ class PathSettings:
         """
         if isinstance(value, Call) and value.name == "SVEL_CP" and value.arguments:
             value = value.arguments[0]
-        wanted = self._component(at, field, "CP", value)
-        if wanted is None:
+        component = self._component(at, field, "CP", value)
+        if component is None:
             return state
-        number = self.variables.number(wanted)
+        number = self.variables.number(component)
         if number is None:
-            return self._unknown(state, "speed", at, "the speed $VEL.CP is not known before the program runs", wanted)
+            return self._unknown(
+                state, "speed", at, "the speed $VEL.CP is not known before the program runs", component
+            )
         if not 0.0 < number <= FASTEST:
             raise at.error(f"the speed $VEL.CP is {number:g} m/s", f"Give a speed above 0, up to {FASTEST:g} m/s.")
         return state.with_known(speed=number, assumed=False)
@@ -68,16 +70,16 @@ class PathSettings:
         if isinstance(value, Call) and value.name in _OF_PTP:
             return state
         if isinstance(value, Call) and value.name == "SAPO" and field in (None, "CDIS"):
-            given = self.variables.argument(value, "APO_DIST")
-            if given is None:
+            argument = self.variables.argument(value, "APO_DIST")
+            if argument is None:
                 return state
-            field, value = "CDIS", given
-        wanted = self._component(at, field, "CDIS", value)
-        if wanted is None:
+            field, value = "CDIS", argument
+        component = self._component(at, field, "CDIS", value)
+        if component is None:
             return state
-        number = self.variables.number(wanted)
+        number = self.variables.number(component)
         if number is None or number < 0.0:
-            return self._unknown(state, "cdis", at, "the approximation distance $APO.CDIS is not known", wanted)
+            return self._unknown(state, "cdis", at, "the approximation distance $APO.CDIS is not known", component)
         return state.with_known(cdis=number * M_PER_MM)
 
     def mode(self, state: State, at: Place, name: str, value: Value | Known) -> State:
@@ -85,18 +87,18 @@ class PathSettings:
 
         :raises ProgramError: ``$IPO_MODE`` of a robot that moves the workpiece.
         """
-        given: Value | Known | None = value
+        argument: Value | Known | None = value
         if isinstance(value, Call) and value.name in _MODE_OF:
-            given = self.variables.argument(value, _MODE_OF[value.name])
-        word = self._word(at, name, given, MODES[name])
+            argument = self.variables.argument(value, _MODE_OF[value.name])
+        word = self._word(at, name, argument, MODES[name])
         if isinstance(word, ProgramError):
             if name == "$IPO_MODE":
                 raise word
             return self.reasons.unknown(state, FIELDS[name], word)
         if name == "$IPO_MODE":
             if word != "#BASE":
-                moved = f"$IPO_MODE {word}: the workpiece is moved by the robot"
-                raise at.error(moved, "Only $IPO_MODE=#BASE (the robot moves the tool) can be corrected.")
+                problem = f"$IPO_MODE {word}: the workpiece is moved by the robot"
+                raise at.error(problem, "Only $IPO_MODE=#BASE (the robot moves the tool) can be corrected.")
             return state
         return state.with_known(**{FIELDS[name]: word})
 
@@ -107,54 +109,54 @@ class PathSettings:
 
         :raises ProgramError: the axis that carries the robot is led through that of an auxiliary point.
         """
-        given: Value | Known | None = value
+        argument: Value | Known | None = value
         if isinstance(value, Call) and value.name == "SCIRC_M":
-            given = self.variables.argument(value, "CB")
-        word = self._word(at, "$CIRC_MODE.AUX_PT.E1", self._of_auxiliary(at, field, given, "E1"), _AUXILIARY)
-        if self.carried and word == "#INTERPOLATE":
+            argument = self.variables.argument(value, "CB")
+        word = self._word(at, "$CIRC_MODE.AUX_PT.E1", self._of_auxiliary(at, field, argument, "E1"), _AUXILIARY)
+        if self.has_carriage and word == "#INTERPOLATE":
             problem = (
                 "$CIRC_MODE.AUX_PT.E1 #INTERPOLATE: E1, which carries the robot, is led through the auxiliary point"
             )
             raise at.error(problem, "Only circles on which E1 goes from start to end are understood: use #CONSIDER.")
         if field not in (None, "AUX_PT", "AUX_PT.ORI"):
             return state
-        word = self._word(at, "$CIRC_MODE.AUX_PT.ORI", self._of_auxiliary(at, field, given, "ORI"), _AUXILIARY)
+        word = self._word(at, "$CIRC_MODE.AUX_PT.ORI", self._of_auxiliary(at, field, argument, "ORI"), _AUXILIARY)
         if isinstance(word, ProgramError):
             return self.reasons.unknown(state, "auxiliary", word)
         return state.with_known(auxiliary=word)
 
     def _of_auxiliary(
-        self, at: Place, field: str | None, value: Value | Known | None, own: str
+        self, at: Place, field: str | None, value: Value | Known | None, component: str
     ) -> Value | Known | None:
         """Return what an assignment to `$CIRC_MODE`, or to a component of it, gives to a component of AUX_PT."""
         path = [] if field is None else field.split(".")
-        names = ["AUX_PT", own]
+        names = ["AUX_PT", component]
         if path != names[: len(path)]:
             return None
         for name in names[len(path) :]:
-            known = NOTHING if value is None else self.variables.evaluate(value)
-            if value is None or not isinstance(known, Aggregate):
+            result = NOTHING if value is None else self.variables.evaluate(value)
+            if value is None or not isinstance(result, Aggregate):
                 return value
-            value = known.items.get(name)
+            value = result.items.get(name)
         return value
 
     def _word(self, at: Place, name: str, value: Value | Known | None, words: tuple[str, ...]) -> str | ProgramError:
         """Return the mode that a value is, the first where there is none; or why it is not known."""
-        known = None if value is None else self.variables.evaluate(value)
-        word = words[0] if known is None else known.text if isinstance(known, Word) else ""
+        result = None if value is None else self.variables.evaluate(value)
+        word = words[0] if result is None else result.text if isinstance(result, Word) else ""
         if word in words:
             return word
-        why = f"there is no {word}" if word else why_unknown(self.variables, at.source, value or NOTHING)
+        reason = f"there is no {word}" if word else why_unknown(self.variables, at.source, value or NOTHING)
         advice = f"Write its value, one of {', '.join(words)}{'.' if word else f', or {_IN_A_FILE}.'}"
-        return at.error(f"{name} is not known: {why}", advice)
+        return at.error(f"{name} is not known: {reason}", advice)
 
-    def _component(self, at: Place, field: str | None, own: str, value: Value | Known) -> Value | Known | None:
+    def _component(self, at: Place, field: str | None, component: str, value: Value | Known) -> Value | Known | None:
         """Return the value assigned to one component of a structure; None if another is assigned, or it is left out."""
         if field is not None:
-            return value if field == own else None
-        known = self.variables.evaluate(value)
-        return known.items.get(own) if isinstance(known, Aggregate) else value
+            return value if field == component else None
+        result = self.variables.evaluate(value)
+        return result.items.get(component) if isinstance(result, Aggregate) else value
 
     def _unknown(self, state: State, field: str, at: Place, problem: str, value: Value | Known) -> State:
-        why = why_unknown(self.variables, at.source, value)
-        return self.reasons.unknown(state, field, at.error(f"{problem}: {why}", _RUN_TIME))
+        reason = why_unknown(self.variables, at.source, value)
+        return self.reasons.unknown(state, field, at.error(f"{problem}: {reason}", _RUN_TIME))

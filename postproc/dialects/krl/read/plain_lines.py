@@ -31,7 +31,7 @@ _LINES = 8192
 _STRICT = r"[-+]?+(?:[0-9]++(?:\.[0-9]*+)?|\.[0-9]++)(?:[eE][-+]?+[0-9]++)?"
 _LOOSE = r"[-+.0-9][-+.0-9eE]*+"
 _STRAIGHT = r"[ \t]*+[Ss]?+(?:[Ll][Ii][Nn]|[Pp][Tt][Pp])"
-_NEXT = r"[ \t]*+(?:,[ \t]*+(?=[A-Za-z])|(?=\}))"
+_SEPARATOR = r"[ \t]*+(?:,[ \t]*+(?=[A-Za-z])|(?=\}))"
 
 
 _CIRCLE = re.compile(r"[ \t]*+[Ss]?+[Cc][Ii][Rr][Cc]")
@@ -44,13 +44,13 @@ def _line_of(number: str, *, circle: bool) -> re.Pattern[str]:
     components = [r"[Ss][ \t]++(?:[12][0-9]|3[01]|[0-9])", r"[Tt][ \t]++(?:[1-5][0-9]|6[0-3]|[0-9])"]
     components += [rf"[Ee]{axis}[ \t]++{number}" for axis in range(1, 7)]
     begin = r"\{[ \t]*+(?:(?i:E6POS|POS|FRAME)[ \t]*+:[ \t]*+)?(?=[XYZABCxyzabc])"
-    given = 3 if circle else 0
-    point = begin + "".join(f"{component}{_NEXT}" for component in position[:given])
-    point += "".join(f"(?:{component}{_NEXT})?" for component in position[given:])
-    rest = "".join(f"(?:{component}{_NEXT})?" for component in components) + r"\}"
-    before = rf"{_CIRCLE.pattern}[ \t]*+{point}\}}[ \t]*+,[ \t]*+" if circle else rf"{_STRAIGHT}[ \t]*+"
-    behind = r"(?:[ \t]++(?i:C_(?:DIS|VEL|ORI|PTP|SPL))){0,2}[ \t]*+(?:;[^\r\n]*+)?\r{0,2}+\n"
-    return re.compile(f"{before}{point}{rest}{behind}")
+    required_count = 3 if circle else 0
+    point = begin + "".join(f"{component}{_SEPARATOR}" for component in position[:required_count])
+    point += "".join(f"(?:{component}{_SEPARATOR})?" for component in position[required_count:])
+    rest = "".join(f"(?:{component}{_SEPARATOR})?" for component in components) + r"\}"
+    prefix = rf"{_CIRCLE.pattern}[ \t]*+{point}\}}[ \t]*+,[ \t]*+" if circle else rf"{_STRAIGHT}[ \t]*+"
+    suffix = r"(?:[ \t]++(?i:C_(?:DIS|VEL|ORI|PTP|SPL))){0,2}[ \t]*+(?:;[^\r\n]*+)?\r{0,2}+\n"
+    return re.compile(f"{prefix}{point}{rest}{suffix}")
 
 
 def _is_plain(text: str, begin: int, number: str) -> bool:
@@ -61,7 +61,7 @@ def _is_plain(text: str, begin: int, number: str) -> bool:
 
 _MARK = 1
 _NUMBER = bytes.maketrans(b"\1" + b"0123456789+-.", b"?" + b"\1" * 13)
-_OWN = re.compile(rb"[SsTtEe][ \t]*\x01")
+_LIMITED_COMPONENT = re.compile(rb"[SsTtEe][ \t]*\x01")
 """Components that may have certain values or names only, so that lines with them are decided one by one."""
 _COMMENT = re.compile(rb";[^\r\n]*")
 _NUMBERS = len(COLUMNS) + 6
@@ -69,7 +69,7 @@ _NUMBERS = len(COLUMNS) + 6
 _COLUMN = np.full(256, -1, dtype=np.int64)
 _COLUMN[np.frombuffer(b"XYZABCST123456", dtype=np.uint8)] = np.arange(_NUMBERS)
 _COLUMN[np.frombuffer(b"xyzabcst", dtype=np.uint8)] = np.arange(8)
-_KEPT = bytes(byte if byte in b"0123456789+-.eE" else 32 for byte in range(256))
+_NUMBER_CODES = bytes(byte if byte in b"0123456789+-.eE" else 32 for byte in range(256))
 _BLANK = np.zeros(256, dtype=np.bool_)
 _BLANK[[9, 10, 13, 32]] = True
 
@@ -91,33 +91,33 @@ def _plain(text: str, starts: Ints, lines: int, characters: int) -> MotionColumn
     :param lines: number of lines before it; `characters` of characters.
     """
     codes = text.encode("ascii", "replace")
-    alike = _alike(text, codes, starts)
-    plain = _scan(codes, starts, alike, lines, characters)
+    line_indices = _alike(text, codes, starts)
+    plain = _scan(codes, starts, line_indices, lines, characters)
     if plain is None:  # something that looks like a number is none, such as 1.2.3
-        strict = [index for index in alike.tolist() if _is_plain(text, int(starts[index]), _STRICT)]
+        strict = [index for index in line_indices.tolist() if _is_plain(text, int(starts[index]), _STRICT)]
         plain = _scan(codes, starts, np.array(strict, dtype=np.int64), lines, characters) or none()
     endless = [
         np.isinf(values) for values in (plain.numbers, plain.external, plain.via)
     ]  # 1E999: refused where statements are read
-    if any(each.any() for each in endless):
-        plain = plain.take(~np.logical_or.reduce([any_column(each) for each in endless]))
+    if any(mask.any() for mask in endless):
+        plain = plain.take(~np.logical_or.reduce([any_column(mask) for mask in endless]))
     return plain
 
 
 def _alike(text: str, codes: bytes, starts: Ints) -> Ints:
     """Return which lines (P,) are plain, if what looks like a number is one."""
-    marked = np.frombuffer(codes.translate(_NUMBER), dtype=np.uint8)
-    number = marked == _MARK
+    marked_codes = np.frombuffer(codes.translate(_NUMBER), dtype=np.uint8)
+    number = marked_codes == _MARK
     number[1:] &= number[:-1].copy()
     number[:1] = False
-    forms = marked[~number].tobytes().split(b"\n")  # each number is one mark
-    begins = np.append(0, np.flatnonzero(marked == ord("\n")) + 1)
+    forms = marked_codes[~number].tobytes().split(b"\n")  # each number is one mark
+    begins = np.append(0, np.flatnonzero(marked_codes == ord("\n")) + 1)
     example = dict(zip(forms, range(len(forms)), strict=True))
-    decided = {form: _is_plain(text, int(begins[index]), _LOOSE) for form, index in example.items()}
-    plain = np.fromiter(map(decided.__getitem__, forms), np.bool_, len(forms))
-    own = {form for form, good in decided.items() if good and _OWN.search(form)}
-    if own:
-        for index in [index for index, form in enumerate(forms) if form in own]:
+    verdicts = {form: _is_plain(text, int(begins[index]), _LOOSE) for form, index in example.items()}
+    plain = np.fromiter(map(verdicts.__getitem__, forms), np.bool_, len(forms))
+    own_forms = {form for form, good in verdicts.items() if good and _LIMITED_COMPONENT.search(form)}
+    if own_forms:
+        for index in [index for index, form in enumerate(forms) if form in own_forms]:
             plain[index] = _is_plain(text, int(begins[index]), _LOOSE)
     return np.asarray(np.searchsorted(starts, begins[plain]))
 
@@ -196,9 +196,9 @@ def _scan(codes: bytes, line_starts: Ints, index: Ints, lines: int, characters: 
 
 def _places(column: Ints, begins: Ints, starts: Ints) -> tuple[Ints | slice, Ints]:
     """Return which row and column numbers belong to: (T,) each, or where all lines are alike all rows and (C,)."""
-    each, rest = divmod(len(starts), len(begins))
+    width, rest = divmod(len(starts), len(begins))
     if rest == 0:
-        groups = column.reshape(-1, each)
+        groups = column.reshape(-1, width)
         if (groups == groups[0]).all():  # columns increase within a line, so that no line reaches into the next group
             return slice(None), groups[0]
     first = np.searchsorted(starts, begins)
@@ -207,11 +207,11 @@ def _places(column: Ints, begins: Ints, starts: Ints) -> tuple[Ints | slice, Int
 
 def _digits(body: bytes) -> Bytes:
     """Return the text with everything but numbers blanked out."""
-    digits = np.frombuffer(bytearray(body.translate(_KEPT)), dtype=np.uint8)
+    digits = np.frombuffer(bytearray(body.translate(_NUMBER_CODES)), dtype=np.uint8)
     exponent = np.flatnonzero((digits | 32) == ord("e"))
     if len(exponent):  # the E of E1, E6POS and C_VEL is none, and the digit behind it no number
-        other = exponent[(digits[exponent - 1] == ord(" ")) | (digits[exponent - 1] > ord("9"))]
-        digits[other] = digits[other + 1] = ord(" ")
+        letters = exponent[(digits[exponent - 1] == ord(" ")) | (digits[exponent - 1] > ord("9"))]
+        digits[letters] = digits[letters + 1] = ord(" ")
     return digits
 
 
@@ -244,10 +244,10 @@ def _approximated(raw: Bytes, begins: Ints, ptp: Bools) -> Bools:
     underscore = np.flatnonzero(raw == ord("_"))
     letter = raw[underscore + 1] | 32
     row = np.searchsorted(begins, underscore, side="right") - 1
-    out = np.zeros(len(begins), dtype=np.bool_)
-    out[row[letter == ord("d")]] = True
-    out[row[(letter == ord("s")) & ~ptp[row]]] = True
-    return out
+    is_approximated = np.zeros(len(begins), dtype=np.bool_)
+    is_approximated[row[letter == ord("d")]] = True
+    is_approximated[row[(letter == ord("s")) & ~ptp[row]]] = True
+    return is_approximated
 
 
 class Plain(Struct, frozen=True):
@@ -267,10 +267,10 @@ class Plain(Struct, frozen=True):
 
     def others(self, count: int) -> Bools:
         """Return which of the lines 1 … count are neither (count,)."""
-        out = np.ones(count, dtype=np.bool_)
-        out[self.moving - 1] = False
-        out[self.settings.line - 1] = False
-        return out
+        is_other = np.ones(count, dtype=np.bool_)
+        is_other[self.moving - 1] = False
+        is_other[self.settings.line - 1] = False
+        return is_other
 
 
 def plain_of(source: Source, *, bulk: bool = True) -> Plain:
@@ -278,10 +278,10 @@ def plain_of(source: Source, *, bulk: bool = True) -> Plain:
     return Plain(scan(source), plain_settings.scan(source)) if bulk else Plain([none()], no_settings())
 
 
-def gathered(trace: Source, known: Mapping[Source, Plain], *, bulk: bool = True) -> Plain:
+def gathered(trace: Source, plain_by_source: Mapping[Source, Plain], *, bulk: bool = True) -> Plain:
     """Return the plain lines of an execution trace, taken from the plain lines of its files: no line is scanned twice.
 
-    :param known: plain lines of files that were scanned already.
+    :param plain_by_source: plain lines of files that were scanned already.
     :param bulk: see `plain_of`.
     """
     origins = trace.origins
@@ -289,17 +289,17 @@ def gathered(trace: Source, known: Mapping[Source, Plain], *, bulk: bool = True)
         return plain_of(trace, bulk=bulk)
     motions, settings = [none()], [no_settings()]
     for index, source in enumerate(origins.sources):
-        plain = known.get(source) or plain_of(source)
+        plain = plain_by_source.get(source) or plain_of(source)
         rows = np.flatnonzero(origins.source == index)
         lines = origins.line[rows]
         columns = merged([*plain.motions], np.arange(sum(map(len, plain.motions))))
-        own = _numbers_of(columns.line, len(source.starts))[lines - 1]
-        here = np.flatnonzero(own >= 0)
-        offset = (trace.starts[rows[here]] - source.starts[lines[here] - 1]).astype(np.int32)
-        motions.append(columns.take(own[here]).moved(compact(rows[here] + 1, np.int32), offset))
-        own = _numbers_of(plain.settings.line, len(source.starts))[lines - 1]
-        here = np.flatnonzero(own >= 0)
-        settings.append(PlainSettings(rows[here] + 1, plain.settings.values[:, own[here]]))
+        plain_rows = _numbers_of(columns.line, len(source.starts))[lines - 1]
+        indices = np.flatnonzero(plain_rows >= 0)
+        offset = (trace.starts[rows[indices]] - source.starts[lines[indices] - 1]).astype(np.int32)
+        motions.append(columns.take(plain_rows[indices]).moved(compact(rows[indices] + 1, np.int32), offset))
+        plain_rows = _numbers_of(plain.settings.line, len(source.starts))[lines - 1]
+        indices = np.flatnonzero(plain_rows >= 0)
+        settings.append(PlainSettings(rows[indices] + 1, plain.settings.values[:, plain_rows[indices]]))
     line = np.concatenate([part.line for part in motions])
     order = np.empty(len(line), dtype=np.int64)
     order[np.argsort(line, kind="stable")] = np.arange(len(line))
@@ -311,6 +311,6 @@ def gathered(trace: Source, known: Mapping[Source, Plain], *, bulk: bool = True)
 
 def _numbers_of(lines: Ints, count: int) -> Ints:
     """Return which of some 1-based lines each of the lines 1 … count is (count,); −1 for others."""
-    out = np.full(count, -1, dtype=np.int64)
-    out[lines - 1] = np.arange(len(lines))
-    return out
+    numbers = np.full(count, -1, dtype=np.int64)
+    numbers[lines - 1] = np.arange(len(lines))
+    return numbers

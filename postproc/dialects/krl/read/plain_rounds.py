@@ -28,7 +28,7 @@ from postproc.program import Ints
 
 _FARTHEST_STEP = 1_000_000
 """Largest number that is added to the counter: sums of INT stay far from their limits."""
-_BEFORE = "LIN "
+_PREFIX = "LIN "
 """Put before each point, so that it is read as the line of a motion."""
 
 
@@ -36,23 +36,23 @@ def plain_motions(source: Source, block: Block) -> tuple[int, ...]:
     """Return the lines of the motions of a FOR if it does nothing but move to elements ``P[I]`` or ``P[I+1]``, and
     switch outputs; else nothing.
     """
-    here = statement(source, block.first)
-    if not isinstance(here, For) or here.bounds is None or here.counter is None or here.counter.indices is not None:
+    head = statement(source, block.first)
+    if not isinstance(head, For) or head.bounds is None or head.counter is None or head.counter.indices is not None:
         return ()
-    bounds = walk(value for value in here.bounds if value is not None)
-    if here.counter.field is not None or any(isinstance(v, Reference) and v.name == here.name for v in bounds):
+    bounds = walk(value for value in head.bounds if value is not None)
+    if head.counter.field is not None or any(isinstance(v, Reference) and v.name == head.name for v in bounds):
         return ()
     lines = [node for node in block.parts[0].nodes if not isinstance(node, Block)]
     motions = [line for line in lines if not plain_settings.is_without_effect(source, line)]
-    plain = all(_is_plain(statement(source, line), here.name) for line in motions)
+    plain = all(_is_plain(statement(source, line), head.name) for line in motions)
     return tuple(motions) if plain and len(lines) == len(block.parts[0].nodes) else ()
 
 
-def _is_plain(here: Statement, counter: str) -> bool:
-    if not isinstance(here, Motion) or here.word not in KINDS or here.word in (*CIRCLES, "SPL"):
+def _is_plain(stmt: Statement, counter: str) -> bool:
+    if not isinstance(stmt, Motion) or stmt.word not in KINDS or stmt.word in (*CIRCLES, "SPL"):
         return False
-    tail, end = here.tail, here.end
-    if here.angle is not None or here.frame or tail.given or tail.rest is not None or tail.error is not None:
+    tail, end = stmt.tail, stmt.end
+    if stmt.angle is not None or stmt.frame or tail.given or tail.rest is not None or tail.error is not None:
         return False
     if not isinstance(end, Reference) or end.field is not None or end.name in HERE or len(end.name) > MAX_LENGTH:
         return False
@@ -97,42 +97,42 @@ def motions_of(run: Run, reader: MotionReader, rounds: PlainRounds) -> list[Elem
     state = run.settings.state
     if state.uncertain or state.block or state.base < 0 or state.tool < 0 or not run.certain:
         return None
-    found = []
+    motions = []
     for line in rounds.motions:
-        here = statement(rounds.source, line)
-        one = _motions(run, reader, rounds, line, here) if isinstance(here, Motion) else None
-        if one is None:
+        stmt = statement(rounds.source, line)
+        element_motions = _motions(run, reader, rounds, line, stmt) if isinstance(stmt, Motion) else None
+        if element_motions is None:
             return None
-        found.append(one)
+        motions.append(element_motions)
     for line in rounds.motions:
         for value in statement(rounds.source, line).values:
             run.variables.rely(value)
-    return found
+    return motions
 
 
-def _motions(run: Run, reader: MotionReader, rounds: PlainRounds, at: int, here: Motion) -> ElementMotions | None:
+def _motions(run: Run, reader: MotionReader, rounds: PlainRounds, at: int, motion: Motion) -> ElementMotions | None:
     """Return the motions of one statement; None if their points are not all literals of one data list."""
     head = statement(rounds.source, rounds.head)
-    if not isinstance(here.end, Reference) or not isinstance(head, For):
+    if not isinstance(motion.end, Reference) or not isinstance(head, For):
         return None
-    begin = rounds.begin + (_step_from(here.end, head.name) or 0)
+    begin = rounds.begin + (_step_from(motion.end, head.name) or 0)
     numbers = range(begin, begin + rounds.count * rounds.step, rounds.step)
-    found = run.variables.literals(run.stored(here.end.name), numbers)
-    if found is None:
+    literals = run.variables.literals(run.stored(motion.end.name), numbers)
+    if literals is None:
         return None
-    source, spans = found
-    texts = [f"{_BEFORE}{source.text[start:stop]}\n" for start, stop in spans]
+    source, spans = literals
+    texts = [f"{_PREFIX}{source.text[start:stop]}\n" for start, stop in spans]
     text = "".join(texts)
-    ends = np.cumsum([len(one) for one in texts])
+    ends = np.cumsum([len(part) for part in texts])
     starts = np.append(0, ends[:-1])
     lines = Source(replace(source.document, text=text), text, source.index, starts, ends - 1)
     points = plain_lines.scan(lines)
     rows = merged(points, np.arange(sum(map(len, points))))
     if len(rows) != rounds.count or (np.abs(rows.numbers) > FARTHEST).any():
         return None
-    shift = np.array([start for start, _ in spans]) - starts - len(_BEFORE)
-    kind = KINDS[here.word]
-    _, approximated = reader.tail(Place(rounds.source, at), kind, here.tail)
+    shift = np.array([start for start, _ in spans]) - starts - len(_PREFIX)
+    kind = KINDS[motion.word]
+    _, is_approximated = reader.tail(Place(rounds.source, at), kind, motion.tail)
     line = rounds.line(at)
     begin = run.source.starts[line - 1] - rounds.source.starts[at - 1]
 
@@ -144,9 +144,9 @@ def _motions(run: Run, reader: MotionReader, rounds: PlainRounds, at: int, here:
         rows,
         line=line,
         kind=np.full(rounds.count, kind),
-        keyword=(begin + here.start).astype(np.int32),
-        target=moved(here.end.start, here.end.stop),
-        tail=moved(here.tail.start, here.tail.stop),
-        approximated=np.full(rounds.count, approximated),
+        keyword=(begin + motion.start).astype(np.int32),
+        target=moved(motion.end.start, motion.end.stop),
+        tail=moved(motion.tail.start, motion.tail.stop),
+        approximated=np.full(rounds.count, is_approximated),
     )
-    return ElementMotions(rows, source, literal, here.end.name)
+    return ElementMotions(rows, source, literal, motion.end.name)

@@ -42,8 +42,8 @@ class PlainSettings(Struct, frozen=True, eq=False):
 
     def given(self, row: int) -> tuple[Ints, Array]:
         """Return the lines (G,) on which one of the `NUMBERS` is given, and what (G,)."""
-        own = ~np.isnan(self.values[row])
-        return self.line[own], self.values[row, own]
+        is_given = ~np.isnan(self.values[row])
+        return self.line[is_given], self.values[row, is_given]
 
 
 def no_settings() -> PlainSettings:
@@ -103,26 +103,26 @@ class Coming:
         """
         if self._none:
             return []
-        spans = [(done, bisect_left(lines, line, done)) for done, lines in zip(self._done, self._lines, strict=True)]
+        spans = [(start, bisect_left(lines, line, start)) for start, lines in zip(self._done, self._lines, strict=True)]
         places = {lines[k] for (first, stop), lines in zip(spans, self._lines, strict=True) if stop > first
                   for k in (first, stop - 1)}  # fmt: skip
-        out = []
+        assignments = []
         for place in sorted(places):
             for row, (first, stop) in enumerate(spans):
                 k = bisect_right(self._lines[row], place, first, stop) - 1
                 if k >= first:
-                    out.append((place, NUMBERS[row], float(self._given[row][1][k])))
+                    assignments.append((place, NUMBERS[row], float(self._given[row][1][k])))
         self._done = [stop for _, stop in spans]
-        return out
+        return assignments
 
-    def at(self, row: int, line: Ints, changed: Ints, otherwise: Array) -> Array:
+    def at(self, row: int, line: Ints, change_lines: Ints, state_values: Array) -> Array:
         """Return one of the `NUMBERS` on lines (n,).
 
-        :param changed: (n,) lines on which the state in force there was created, with all earlier assignments.
-        :param otherwise: (n,) its value then.
+        :param change_lines: (n,) lines on which the state in force there was created, with all earlier assignments.
+        :param state_values: (n,) its value then.
         """
         lines, values = self._given[row]
         if not len(lines):
-            return otherwise
+            return state_values
         last = np.searchsorted(lines, line) - 1
-        return np.where((last >= 0) & (lines[last] > changed), values[last], otherwise)
+        return np.where((last >= 0) & (lines[last] > change_lines), values[last], state_values)

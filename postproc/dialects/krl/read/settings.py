@@ -38,7 +38,7 @@ class Settings:
         self.coming = Coming(no_settings())
         self._reasons = Reasons()
         self.frames = Frames(variables, cell, self._reasons)
-        self._path = PathSettings(variables, self._reasons, carried=cell.carriage is not None)
+        self._path = PathSettings(variables, self._reasons, has_carriage=cell.carriage is not None)
         self._bas = Bas(variables, cell, self.frames, self._path)
 
     def current(self, name: str, field: str | None) -> Known:

@@ -24,15 +24,15 @@ from postproc.dialects.krl.read.state import fields_used
 from postproc.errors import Issue, ProgramError
 from postproc.program import CIRC, PTP, SPL, Ints, Unresolved
 
-_WAITING, _OTHERWISE = "#PROGSYNC", "?"
+_WAITING, _OTHER_WORD = "#PROGSYNC", "?"
 _PIECE = 1_000_000
 """Characters of a text that are searched at once."""
-_SYNCHRONISED = (
+_SYNC_ADVICE = (
     "Motions before the first SYNCCMD of a program and behind the last are corrected; --keep-unresolved leaves those "
     "between as they are."
 )
 _BEGIN = "where it begins is not known, and its path depends on that"
-_SHIFTED = ". It starts from the current robot position: the correction of the motion before it moves it too"
+_SHIFT_TEXT = ". It starts from the current robot position: the correction of the motion before it moves it too"
 _OPEN = (
     "Where this motion begins is not known, because the one before stays as it is: its end is corrected, no targets "
     "are inserted into it, and its path is not checked."
@@ -137,7 +137,7 @@ def _synchronised(main: MainRoutine, line: Ints) -> Iterator[tuple[int, ProgramE
     for begin, until, where in sections:
         for row in np.flatnonzero((line > begin) & (line < until)).tolist():
             problem = f"the motion is {where}: another robot may move in time with it"
-            yield row, source.line_error(problem, int(line[row]), _SYNCHRONISED)
+            yield row, source.line_error(problem, int(line[row]), _SYNC_ADVICE)
 
 
 def _marks(main: MainRoutine) -> list[tuple[int, bool]]:
@@ -192,12 +192,12 @@ def _word(source: Source, line: int, names: Collection[str] = (), *, entered: bo
         values = here.call.arguments if entered and isinstance(here, CallStatement) else here.values
         own = [one for one in walk(values) if isinstance(one, Call | Reference)]
     except ProgramError:
-        return _OTHERWISE
+        return _OTHER_WORD
     if all(one.name not in SYNCHRONISING and one.name not in names for one in own):
         return ""
     call = here.call if isinstance(here, CallStatement) and here.call.name in SYNCHRONISING else None
     how = call.arguments[0] if call is not None and call.arguments else None
-    return how.text if isinstance(how, Word) else _OTHERWISE
+    return how.text if isinstance(how, Word) else _OTHER_WORD
 
 
 def needs_start(ordered: OrderedMotions, row: int, *, arcs: bool = True) -> bool:
@@ -226,7 +226,7 @@ def _reported(main: MainRoutine, lost: dict[int, ProgramError]) -> tuple[tuple[U
         shown: int | None = int(main.run.source.shown(np.array([line]))[0])
         text = origin.source.text[slice(*origin.source.code_span(origin.line))]
         found[str(origin)] = Unresolved(origin.source.document.name, origin.line, text, reason.problem)
-        shifted = _SHIFTED if _starts_here(main, line, reason) else ""
+        shifted = _SHIFT_TEXT if _starts_here(main, line, reason) else ""
         elsewhere = origin.source is not main.run.routine.source
         where, shown = (f"{origin}: ", None) if elsewhere else ("", shown)
         message = f"{where}stays as it is, uncorrected: {text!r} ({reason.problem}){shifted}"
