@@ -111,7 +111,7 @@ class MotionReader:
         self._check(at, motion.word, kind, end, via)
         try:
             self.settings.refuse_uncertain(
-                state, fields_used(kind, axis=end.position.axis, approximated=is_approximated)
+                state, fields_used(kind, axis=end.position.axis, is_approximated=is_approximated)
             )
         except ProgramError as cause:
             raise unresolved(cause) from None

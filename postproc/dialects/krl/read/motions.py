@@ -293,7 +293,7 @@ def _unsettled(
             continue
         for row in np.flatnonzero(state == index).tolist():
             axis = row in moves and moves[row].end.position.axis
-            fields = fields_used(int(rows.kind[row]), axis=axis, approximated=bool(rows.approximated[row]))
+            fields = fields_used(int(rows.kind[row]), axis=axis, is_approximated=bool(rows.approximated[row]))
             try:
                 settings.refuse_uncertain(motion_state, fields)
             except ProgramError as cause:

@@ -52,7 +52,7 @@ from postproc.program import PTP, Document, Program, distinct
 def read_program(
     documents: Sequence[Document],
     cell: Cell,
-    forward: Callable[[Array], Array],
+    kinematics: Callable[[Array], Array],
     name: str,
     *,
     _bulk: bool = True,
@@ -62,7 +62,7 @@ def read_program(
     :param documents: the `.src` first, then its `.dat` if there is one, and files of routines that it calls, which
         count instead of those of the same name in its folder.
     :param cell: frames for programs that set none of their own, frames by number, the start position of the robot.
-    :param forward: (6,) joints [rad] → (4, 4) flange in the robot root [m], by the controller's nominal geometry.
+    :param kinematics: (6,) joints [rad] → (4, 4) flange in the robot root [m], by the controller's nominal geometry.
     :param name: name of the program.
     :returns: the program; its `layout` is a `Layout`.
     :raises ProgramError: the program is not complete, something that changes motion is not understood or not known
@@ -74,24 +74,26 @@ def read_program(
     source = Source.of(documents[0], 0)
     plain = plain_of(source, bulk=_bulk)
     module, entry, faults = _main(source, plain, name)
-    others = [document for document in documents[1:] if not _belongs(document, documents[0])]
-    library = Library(module, FolderFiles(_folders(documents[0], cell), others))
+    other_documents = [document for document in documents[1:] if not _belongs(document, documents[0])]
+    library = Library(module, FolderFiles(_folders(documents[0], cell), other_documents))
     code = code_of(source, (np.flatnonzero(plain.others(len(source.starts))) + 1).tolist())
-    reading = _Reading(documents, cell, forward, name, library, entry, faults, code)
-    elsewhere: dict[Routine | Occasion, ProgramError] = {}
-    once = [plain]
+    reading = _Reading(documents, cell, kinematics, name, library, entry, faults, code)
+    obstacles: dict[Routine | Occasion, ProgramError] = {}
+    plain_stack = [plain]
     del plain  # what follows needs the memory
     while True:
         try:
-            return reading.program(once.pop() if once else plain_of(source, bulk=_bulk), elsewhere, bulk=_bulk)
+            return reading.program(
+                plain_stack.pop() if plain_stack else plain_of(source, bulk=_bulk), obstacles, bulk=_bulk
+            )
         except RecursionError:
             problem = "calls, control structures and brackets are nested too deeply"
             raise source.line_error(problem, entry.first, "Write fewer of them into each other.") from None
         except ProgramError as cause:
-            apart = _apart(cause, library, keep=cell.krl.keep_unresolved) - elsewhere.keys()
-            if not apart:
+            culprits = _apart(cause, library, keep=cell.krl.keep_unresolved) - obstacles.keys()
+            if not culprits:
                 raise
-            elsewhere |= {each: _about(cause, each) for each in apart}
+            obstacles |= {culprit: _about(cause, culprit) for culprit in culprits}
 
 
 class _Reading(Struct, frozen=True, eq=False):
@@ -109,23 +111,23 @@ class _Reading(Struct, frozen=True, eq=False):
     faults: list[ProgramError]
     code: str
 
-    def program(self, plain: Plain, elsewhere: Mapping[Routine | Occasion, ProgramError], *, bulk: bool) -> Program:
+    def program(self, plain: Plain, obstacles: Mapping[Routine | Occasion, ProgramError], *, bulk: bool) -> Program:
         """Follow the program, and read what moves.
 
         :param plain: plain lines of the `.src`.
-        :param elsewhere: see `Run.elsewhere`.
+        :param obstacles: see `Run.elsewhere`.
         """
         library, entry, cell = self.library, self.entry, self.cell
         start = tuple(float(angle) for angle in cell.start_joints * DEG_PER_RAD)
         variables = self._variables()
-        settings, before = (Settings(each, cell) for each in (variables, variables.copied()))
-        course = course_of(library, entry, before, MotionReader(settings, start), elsewhere)
+        settings, course_settings = (Settings(start_values, cell) for start_values in (variables, variables.copied()))
+        course = course_of(library, entry, course_settings, MotionReader(settings, start), obstacles)
         if not course.straight:
             plain = gathered(course.source, {entry.source: plain}, bulk=bulk)
         source = course.source
         moves = MotionReader(settings, start)
         main = MainRoutine(library, entry, settings, moves, course, plain)
-        main.run.elsewhere = elsewhere
+        main.run.elsewhere = obstacles
         try:
             main.follow(self.faults)
         except RecursionError:
@@ -134,43 +136,49 @@ class _Reading(Struct, frozen=True, eq=False):
         except ProgramError as cause:
             if cell.krl.keep_unresolved or isinstance(cause, InexactError | BranchError):
                 raise
-            found = [cause, *(other for other in cause.others if isinstance(other, ProgramError))]
-            known = {(fault.file, fault.line, fault.problem) for fault in found}
-            more = [own for own in unsettled(main, plain.motions) if (own.file, own.line, own.problem) not in known]
-            if not more:
+            faults = [cause, *(error for error in cause.others if isinstance(error, ProgramError))]
+            fault_keys = {(fault.file, fault.line, fault.problem) for fault in faults}
+            setting_faults = [
+                fault
+                for fault in unsettled(main, plain.motions)
+                if (fault.file, fault.line, fault.problem) not in fault_keys
+            ]
+            if not setting_faults:
                 raise
-            raise together([*found, *more]) from None
+            raise together([*faults, *setting_faults]) from None
         if not cell.krl.keep_unresolved:
             refuse_noted(main.run)
-        executed = main.executed(plain.moving)
-        if not executed.all():
-            plain = replace(plain, motions=[merged(plain.motions, np.arange(len(executed))).take(executed)])
-        if not executed.any() and not len(main.motions) and not main.rounds and not main.run.unresolved:
+        is_executed = main.executed(plain.moving)
+        if not is_executed.all():
+            plain = replace(plain, motions=[merged(plain.motions, np.arange(len(is_executed))).take(is_executed)])
+        if not is_executed.any() and not len(main.motions) and not main.rounds and not main.run.unresolved:
             raise ProgramError(
                 "there are no motions", file=self.documents[0].name, advice="Check that this is the program."
             )
-        kept = kept_values(main)
-        parts = [*plain.motions] if kept else plain.motions  # emptied; a second run needs them
-        ordered = ordered_motions(main, parts)
-        changed = list(changed_data_issues(main, kept, ordered, plain, start))
+        change_places = kept_values(main)
+        parts = [*plain.motions] if change_places else plain.motions  # emptied; a second run needs them
+        sequence = ordered_motions(main, parts)
+        data_issues = list(changed_data_issues(main, change_places, sequence, plain, start))
         del plain, parts  # what follows needs the memory
-        resolved = without_unresolved(main, ordered)
-        ordered = resolved.ordered
-        free = frozenset() if cell.carriage is not None else free_joins(course, ordered)
-        notes = notes_of(course, ordered.rows.line, ordered.rows.kind == PTP, main.run.unforced, free)
+        separation = without_unresolved(main, sequence)
+        sequence = separation.ordered
+        free = frozenset() if cell.carriage is not None else free_joins(course, sequence)
+        notes = notes_of(course, sequence.rows.line, sequence.rows.kind == PTP, main.run.unforced, free)
         if not cell.krl.keep_unresolved:
             refuse_loaded(main.run, notes)
-        lost = [line for line, _ in main.run.unresolved]
-        after, joins = branching(course, ordered, resolved.after, lost, free)
-        _check_size(source, ordered.rows)
-        _check_starts(main, ordered)
-        motions, layout, assumptions = motions_and_layout(source, main, ordered, cell.start_joints, self.forward, after)
+        uncorrected_lines = [line for line, _ in main.run.unresolved]
+        predecessors, joins = branching(course, sequence, separation.after, uncorrected_lines, free)
+        _check_size(source, sequence.rows)
+        _check_starts(main, sequence)
+        motions, layout, assumptions = motions_and_layout(
+            source, main, sequence, cell.start_joints, self.forward, predecessors
+        )
         issues = [
             *main.run.issues,
-            *resolved.issues,
+            *separation.issues,
             *assumptions,
-            *changed,
-            *issues_of(main, ordered.states, ordered.state, ordered.rows, layout),
+            *data_issues,
+            *issues_of(main, sequence.states, sequence.state, sequence.rows, layout),
         ]
         if moves.home_used:
             message = (
@@ -178,8 +186,10 @@ class _Reading(Struct, frozen=True, eq=False):
             )
             line = int(source.shown(np.array([moves.home_used]))[0])
             issues.append(Issue("info", "home-from-cell", message, line))
-        if relied := settings.variables.relied | before.variables.relied:
-            values = ", ".join(f"{name} = {value}" for name, value in cell.krl.values.items() if name.upper() in relied)
+        if relied_names := settings.variables.relied | course_settings.variables.relied:
+            values = ", ".join(
+                f"{name} = {value}" for name, value in cell.krl.values.items() if name.upper() in relied_names
+            )
             message = f"Values of [krl.values] in the cell: {values}. The output holds for these values only."
             issues.append(Issue("warning", "values-from-cell", message))
         frames = np.stack(settings.frames.bases), np.stack(settings.frames.tools)
@@ -187,15 +197,17 @@ class _Reading(Struct, frozen=True, eq=False):
         loop_issues: list[Issue] = []
         rounds: tuple[tuple[int, ...], ...] = ()
         if (loop := course.endless) is not None:
-            begins = starts(loop, layout.line, motions, frames, self.forward(cell.start_joints), after)
+            begins = starts(loop, layout.line, motions, frames, self.forward(cell.start_joints), predecessors)
             loop_issues, rounds = check_round(
                 course, loop, layout.line, motions, begins, layout.carriage, notes, settings
             )
-        own = (d for d in self.documents if d.name == self.documents[0].name or _belongs(d, self.documents[0]))
-        documents = *own, *course.files
+        own_documents = (
+            d for d in self.documents if d.name == self.documents[0].name or _belongs(d, self.documents[0])
+        )
+        documents = *own_documents, *course.files
         files = {document.name for document in course.files}
-        others = (module for module in library.read() if module.source.document.name in files)
-        code = (code for module in (self._with_data(library.program), *others) for code in codes_of(module))
+        other_modules = (module for module in library.read() if module.source.document.name in files)
+        code = (code for module in (self._with_data(library.program), *other_modules) for code in codes_of(module))
         moving = {m.source.document.name.upper() for m, r in library.found() if main.run.analysis.of(m, r).motion}
         return Program(
             self.name,
@@ -210,9 +222,9 @@ class _Reading(Struct, frozen=True, eq=False):
             carriage=layout.carriage,
             with_path=layout.with_path if layout.with_path.any() else None,
             by_wrist=layout.by_wrist if layout.by_wrist.any() else None,
-            after=after,
+            after=predecessors,
             joins=(*(join.ends for join in joins), *rounds),
-            unresolved=resolved.unresolved,
+            unresolved=separation.unresolved,
             unfollowed=() if cell.krl.keep_unresolved else unfollowed(main.run),
             needed=needed(documents, code, library.files, moving),
             layout=replace(layout, notes=tuple(line for line, _ in notes)),
@@ -232,8 +244,8 @@ class _Reading(Struct, frozen=True, eq=False):
         if self.cell.config_dat is not None:
             read_data(variables, _config(self.cell, self.cell.config_dat), fill=True, is_global=True)
         program = self.documents[0]
-        own = [program.name, *(document.name for document in self.documents if _belongs(document, program))]
-        read_shared(variables, self.code, own, self.library.files, self.entry.local)
+        program_names = [program.name, *(document.name for document in self.documents if _belongs(document, program))]
+        read_shared(variables, self.code, program_names, self.library.files, self.entry.local)
         variables.take_given()
         return variables
 
@@ -258,11 +270,11 @@ def _apart(cause: ProgramError, library: Library, *, keep: bool) -> frozenset[Ro
     )
 
 
-def _about(cause: ProgramError, apart: Routine | Occasion) -> ProgramError:
+def _about(cause: ProgramError, culprit: Routine | Occasion) -> ProgramError:
     """Return which of the errors that came together is about a routine."""
-    found = [error for error in (cause, *cause.others) if isinstance(error, ProgramError)]
-    own = [e for e in found if isinstance(apart, Routine) and e.file == apart.source.document.name]
-    return own[0] if own else cause
+    errors = [error for error in (cause, *cause.others) if isinstance(error, ProgramError)]
+    own_errors = [e for e in errors if isinstance(culprit, Routine) and e.file == culprit.source.document.name]
+    return own_errors[0] if own_errors else cause
 
 
 def _config(cell: Cell, path: str) -> Source:
@@ -278,9 +290,9 @@ def _config(cell: Cell, path: str) -> Source:
 
 def _main(source: Source, plain: Plain, name: str) -> tuple[Module, Routine, list[ProgramError]]:
     """Return the routines, the one to follow (that of the program's name, else the first), and faults of bounds."""
-    others = np.flatnonzero(plain.others(len(source.starts))) + 1
-    found, faults = routines(source, others.tolist(), plain.moving, plain.settings.line.tolist())
-    module = Module(source, found)
+    other_lines = np.flatnonzero(plain.others(len(source.starts))) + 1
+    by_name, faults = routines(source, other_lines.tolist(), plain.moving, plain.settings.line.tolist())
+    module = Module(source, by_name)
     main = module.main(name)
     if main is None and faults:
         raise together(faults)
@@ -293,29 +305,29 @@ def _main(source: Source, plain: Plain, name: str) -> tuple[Module, Routine, lis
 
 def _folders(document: Document, cell: Cell) -> list[Path]:
     """Return the folders searched for called programs: that of the program, then those of the cell."""
-    own = [Path(document.folder)] if document.folder else []
-    return own + [Path(cell.folder) / folder for folder in cell.krl.search]
+    own_folders = [Path(document.folder)] if document.folder else []
+    return own_folders + [Path(cell.folder) / folder for folder in cell.krl.search]
 
 
 def _check_size(source: Source, rows: MotionColumns) -> None:
     """Refuse coordinates that no robot reaches."""
-    (beyond,) = in_chunks(
+    (is_too_far,) = in_chunks(
         lambda numbers, via: (any_column(np.abs(numbers) > FARTHEST) | any_column(np.abs(via) > FARTHEST),),
         rows.numbers,
         rows.via,
     )
-    if beyond.any():
-        row = int(np.argmax(beyond))
+    if is_too_far.any():
+        row = int(np.argmax(is_too_far))
         largest = max(float(np.nanmax(np.abs(values[row]), initial=0.0)) for values in (rows.numbers, rows.via))
         raise out_of_reach(Place(source, int(rows.line[row])), largest)
 
 
-def _check_starts(main: MainRoutine, ordered: OrderedMotions) -> None:
+def _check_starts(main: MainRoutine, sequence: OrderedMotions) -> None:
     """Refuse a motion that begins where a called program has left the robot, unless it goes to joint angles."""
     for call in () if main.run.keep else main.run.moved:
-        row = int(np.searchsorted(ordered.rows.line, call.line))
-        if row < len(ordered.rows):
-            move = ordered.moves.get(row)
+        row = int(np.searchsorted(sequence.rows.line, call.line))
+        if row < len(sequence.rows):
+            move = sequence.moves.get(row)
             position = move.end.position if move is not None and not move.relative else None
             if position is None or not position.axis or not position.complete:
                 raise call.reason

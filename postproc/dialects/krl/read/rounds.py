@@ -17,13 +17,13 @@ from postproc.dialects.krl.read.run import Run
 Values = tuple[dict[str, Known | Unread], dict[str, Unknown]]
 
 
-def carried_over(run: Run, source: Source, block: Block, before: Values) -> list[str]:
+def carried_over(run: Run, source: Source, block: Block, start_values: Values) -> list[str]:
     """Return the variables that one iteration of a loop changes and the next iteration may use.
 
-    :param before: their values when it began, see `Variables.as_now`.
+    :param start_values: their values when it began, see `Variables.as_now`.
     """
     statements = Uses(run, source, block.parts[0].nodes)
-    names: list[str] = sorted(run.variables.differing(before))
+    names: list[str] = sorted(run.variables.differing(start_values))
     return [name for name in names if statements.uses(name) and not statements.only_counts(name)]
 
 
@@ -42,32 +42,32 @@ class Uses:
     def uses(self, name: str) -> bool:
         """Return whether they may use the value that a variable has before them: they do not set it first."""
         for line, words in self._words.items():
-            here = statement(self.source, line)
-            if self._called(here, name) or "GOTO" in words or "RETURN" in words:
+            stmt = statement(self.source, line)
+            if self._called(stmt, name) or "GOTO" in words or "RETURN" in words:
                 return True
             if name in words:
-                return not (line in self._certain and words.count(name) == 1 and _sets(here, name))
+                return not (line in self._certain and words.count(name) == 1 and _sets(stmt, name))
         return False
 
     def only_counts(self, name: str) -> bool:
         """Return whether a variable is used only in assignments to itself."""
-        found = ((statement(self.source, line), name in words) for line, words in self._words.items())
+        statements = ((statement(self.source, line), name in words) for line, words in self._words.items())
         return not any(
-            self._called(here, name) or (own and not (isinstance(here, Assignment) and here.target.name == name))
-            for here, own in found
+            self._called(stmt, name) or (has_name and not (isinstance(stmt, Assignment) and stmt.target.name == name))
+            for stmt, has_name in statements
         )
 
-    def _called(self, here: Statement, name: str) -> bool:
+    def _called(self, stmt: Statement, name: str) -> bool:
         """Return whether the code of a routine that a statement calls contains a variable."""
-        found = (self.run.library.find(call.name, self.run.level.module) for call in calls(here.values))
-        return any(name in self.run.analysis.names(*each) for each in found if each is not None)
+        callees = (self.run.library.find(call.name, self.run.level.module) for call in calls(stmt.values))
+        return any(name in self.run.analysis.names(*callee) for callee in callees if callee is not None)
 
 
-def _sets(here: Statement, name: str) -> bool:
+def _sets(stmt: Statement, name: str) -> bool:
     """Return whether a statement gives a whole variable a value: of an aggregate, components may be missing."""
-    target = here.counter if isinstance(here, For) else None
-    if isinstance(here, Assignment) and not isinstance(here.value, Aggregate):
-        target = here.target
+    target = stmt.counter if isinstance(stmt, For) else None
+    if isinstance(stmt, Assignment) and not isinstance(stmt.value, Aggregate):
+        target = stmt.target
     return target is not None and target.name == name and target.indices is None and target.field is None
 
 

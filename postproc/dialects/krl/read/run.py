@@ -54,20 +54,20 @@ class Scopes:
 
     def of_call(self, module: Module, routine: Routine, number: int) -> Scope:
         """Return the scope of one call, in which the routine's own variables are new."""
-        own = {name: f"{name}@{number}" for name in routine.local}
-        return replace(self.of(module, routine), local=own)
+        local_names = {name: f"{name}@{number}" for name in routine.local}
+        return replace(self.of(module, routine), local=local_names)
 
     def _of_module(self, module: Module) -> Scope:
         """Return the scope of another file, its data read."""
         variables, data = self.variables, module.data
-        own, public = (frozenset(), frozenset()) if data is None else declared_names(data)
-        hidden = (frozenset(variables.types) - variables.public) | self.main.local
-        scope = Scope(own=(hidden | own) - public - _OF_THE_CONTROLLER, prefix=f"{module.name}/")
+        own_names, public = (frozenset(), frozenset()) if data is None else declared_names(data)
+        main_names = (frozenset(variables.types) - variables.public) | self.main.local
+        scope = Scope(own=(main_names | own_names) - public - _OF_THE_CONTROLLER, prefix=f"{module.name}/")
         if data is not None:
-            before, variables.scope, variables.reading_late = variables.scope, scope, True
+            caller_scope, variables.scope, variables.reading_late = variables.scope, scope, True
             with suppress(ProgramError):  # its variables have no values then
                 read_data(variables, data, fill=True)
-            variables.scope, variables.reading_late = before, False
+            variables.scope, variables.reading_late = caller_scope, False
         return scope
 
 
@@ -244,9 +244,9 @@ class Run:
         level = self.level
         return level, len(self.stack), self.variables.scope, level.loops, level.left, len(self._forks)
 
-    def return_to(self, where: tuple[Level, int, Scope, int, bool, int]) -> None:
+    def return_to(self, position: tuple[Level, int, Scope, int, bool, int]) -> None:
         """Return to that routine and depth."""
-        self.level, depth, self.variables.scope, self.level.loops, self.level.left, forks = where
+        self.level, depth, self.variables.scope, self.level.loops, self.level.left, forks = position
         del self.stack[depth:], self._forks[forks:]
         self.level.open.clear()
         self.level.jump = 0
@@ -257,8 +257,8 @@ class Run:
 
     def back_to(self, marks: tuple[int, ...]) -> None:
         """Drop the findings since, to follow the same statements differently."""
-        triggers, moved, absent, issues = marks
-        del self.triggers[triggers:], self.moved[moved:], self.absent[absent:], self.issues[issues:]
+        triggers, moved_count, absent, issues = marks
+        del self.triggers[triggers:], self.moved[moved_count:], self.absent[absent:], self.issues[issues:]
 
     @property
     def in_main(self) -> bool:
@@ -274,11 +274,11 @@ class Run:
         """Return the name under which a variable of the running routine is stored."""
         return self.variables.scope.stored(name.upper())
 
-    def may_change(self, names: Mapping[str, Place], what: str) -> None:
+    def may_change(self, names: Mapping[str, Place], cause: str) -> None:
         """Note that names may have another value at any time."""
         for name, place in names.items():
-            where = what if what.endswith(f"in {place}") else f"{what}, {place}"
-            self.variables.changing.setdefault(name, Unknown(f"by {where}"))
+            cause_place = cause if cause.endswith(f"in {place}") else f"{cause}, {place}"
+            self.variables.changing.setdefault(name, Unknown(f"by {cause_place}"))
 
     def changes_always(self, at: Place, name: str) -> None:
         """Note that a name, as it is stored, changes cyclically."""

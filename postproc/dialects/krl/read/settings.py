@@ -70,8 +70,8 @@ class Settings:
     def come_to(self, line: int) -> None:
         """Put into force what plain assignments before a line set."""
         for at, field, value in self.coming.before(line):
-            known = {field: value, "assumed": False} if field == "speed" else {field: value}
-            self.change(at, self.state.with_known(**known))
+            fields = {field: value, "assumed": False} if field == "speed" else {field: value}
+            self.change(at, self.state.with_known(**fields))
 
     def may_become(self, line: int, state: State, reason: ProgramError) -> None:
         """Make uncertain what differs in another state, which may or may not come into force."""

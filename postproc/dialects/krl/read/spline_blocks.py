@@ -51,32 +51,34 @@ class SplineBlocks:
         self.approximated: list[int] = []
         self.ended: list[int] = []
 
-    def statement(self, at: Place, here: Statement, row: int) -> None:
+    def statement(self, at: Place, stmt: Statement, row: int) -> None:
         """Take a line that opens or closes a block.
 
         :param row: of the trace.
         :raises ProgramError: it is not understood, or none is open.
         """
-        if isinstance(here, Spline):
+        if isinstance(stmt, Spline):
             if self.open is not None:
-                raise at.error(f"{here.word} inside of a spline block ({self.open.at})")
-            state = self.reader.block(at, here)
+                raise at.error(f"{stmt.word} inside of a spline block ({self.open.at})")
+            state = self.reader.block(at, stmt)
             self.open = Opened(row, at, self.settings.state, state)
             self.settings.change(row, state)
             return
         if self.open is None:
             raise at.error("ENDSPLINE without SPLINE")
-        tail = here.behind if isinstance(here, EndSpline) else ""
+        tail = stmt.behind if isinstance(stmt, EndSpline) else ""
         if tail.upper() not in ("", "C_SPL"):
             raise at.error(f"{tail!r} is not understood")
         if tail:
             self.approximated.append(row)
-        inside, now = self.open.inside, self.settings.state
-        changed = inside.differing(now) | {field for field, _ in set(now.uncertain) - set(inside.uncertain)}
+        block_state, end_state = self.open.inside, self.settings.state
+        changed_fields = block_state.differing(end_state) | {
+            field for field, _ in set(end_state.uncertain) - set(block_state.uncertain)
+        }
         self.settings.change(row, self.open.before)
-        if changed:
+        if changed_fields:
             problem = "a function that a motion of the spline block calls changes what motions depend on"
-            self.settings.make_uncertain(row, sorted(changed), at.error(problem, SETTING_ADVICE))
+            self.settings.make_uncertain(row, sorted(changed_fields), at.error(problem, SETTING_ADVICE))
         self.ended.append(row)
         self.open = None
 
@@ -98,27 +100,27 @@ def check_words(source: Source, rows: MotionColumns, block: np.ndarray) -> None:
             raise source.line_error(f"{word} in a {block[row]} block", int(rows.line[row]), advice)
 
 
-def approximated(rows: MotionColumns, inside: Bools, ends: list[int]) -> Bools:
+def approximated(rows: MotionColumns, in_block: Bools, ends: list[int]) -> Bools:
     """Return which motions are approximated (R,).
 
-    :param inside: (R,) True in a spline block.
+    :param in_block: (R,) True in a spline block.
     :param ends: lines of ENDSPLINE C_SPL.
     """
-    out = rows.approximated & ~inside
+    is_approximated = rows.approximated & ~in_block
     last = np.searchsorted(rows.line, ends) - 1
-    out[last[last >= 0]] = True
-    return np.asarray(out)
+    is_approximated[last[last >= 0]] = True
+    return np.asarray(is_approximated)
 
 
 def path_unknown(motions: Motions) -> list[Issue]:
     """Return the warning that the path of SPL motions is not known between their points; empty without any."""
-    found = np.flatnonzero(motions.kind == SPL)
-    if not len(found):
+    spline_rows = np.flatnonzero(motions.kind == SPL)
+    if not len(spline_rows):
         return []
     message = (
         "The path of SPL is not known between its points: these are corrected for the force at each of them, nothing "
         "is inserted between, and statements on the path between targets leave SPL out."
     )
-    line = motions.line[found]
+    line = motions.line[spline_rows]
     lines = tuple(np.unique(line).tolist())
-    return [Issue("warning", "spline", message, int(line[0]), count=len(found), lines=lines)]
+    return [Issue("warning", "spline", message, int(line[0]), count=len(spline_rows), lines=lines)]

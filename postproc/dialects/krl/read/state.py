@@ -69,12 +69,12 @@ class State(Struct, frozen=True):
     def with_known(self, **fields: object) -> State:
         """Return the state with other values, which are known."""
         initial = self.initial - {f"${name.upper()}" for name in fields}
-        uncertain = tuple(one for one in self.uncertain if one[0] not in fields)
+        uncertain = tuple(entry for entry in self.uncertain if entry[0] not in fields)
         return replace(self, initial=initial, uncertain=uncertain, **fields)
 
-    def differing(self, other: State) -> set[str]:
+    def differing(self, other_state: State) -> set[str]:
         """Return the fields with another value in another state."""
-        return {field for field in FIELDS.values() if getattr(self, field) != getattr(other, field)}
+        return {field for field in FIELDS.values() if getattr(self, field) != getattr(other_state, field)}
 
 
 class Reasons:
@@ -91,8 +91,8 @@ class Reasons:
         self.errors.append(reason)
         if field in ("base", "tool"):
             return state.with_known(**{field: -len(self.errors)})
-        known = state.with_known(**{field: getattr(state, field)})
-        return replace(known, uncertain=(*known.uncertain, (field, len(self.errors) - 1)))
+        new_state = state.with_known(**{field: getattr(state, field)})
+        return replace(new_state, uncertain=(*new_state.uncertain, (field, len(self.errors) - 1)))
 
     def refuse(self, state: State, fields: Iterable[str]) -> None:
         """Refuse a motion that depends on fields of its state that are not known.
@@ -108,9 +108,9 @@ class Reasons:
                     raise self.errors[reason]
 
 
-def fields_used(kind: int, *, axis: bool, approximated: bool) -> list[str]:
+def fields_used(kind: int, *, axis: bool, is_approximated: bool) -> list[str]:
     """Return on which fields of its state a motion depends."""
     fields = [] if axis else ["base", "tool"]
     if kind != PTP:
         fields += ["speed", "orientation", *(["circle"] if kind == CIRC else [])]
-    return [*fields, "cdis"] if approximated else fields
+    return [*fields, "cdis"] if is_approximated else fields

@@ -79,11 +79,11 @@ class Trace:
         """Record lines of control statements, up to a line of the routine; if not `live`, lines that do not run."""
         self._next(line, live=live)
 
-    def keep(self, line: int, why: ProgramError) -> None:
+    def keep(self, line: int, cause: ProgramError) -> None:
         """Record lines up to a line whose branch taken is not known before run time."""
         first = self.count + 1
         self._next(line, live=True)
-        self._steps.append(Kept(first, self.count, why))
+        self._steps.append(Kept(first, self.count, cause))
         self.pinned = True
 
     def divide(self, step: Fork | Branch | Join) -> None:
@@ -104,10 +104,10 @@ class Trace:
         del self._counts[counts:]
         if steps:
             self._steps[-1] = last
-        for each, (cursor, bodies, parts) in zip(self._open, open_, strict=True):
-            each.cursor = cursor
-            del each.bodies[bodies:]
-            for body, count in zip(each.bodies, parts, strict=True):
+        for open_routine, (cursor, bodies, parts) in zip(self._open, open_, strict=True):
+            open_routine.cursor = cursor
+            del open_routine.bodies[bodies:]
+            for body, count in zip(open_routine.bodies, parts, strict=True):
                 del body.parts[count:]
 
     def enter(self, at: Place, name: tuple[int, int], module: Module, routine: Routine) -> None:
@@ -115,17 +115,17 @@ class Trace:
 
         :param name: span of its name in the file of that line.
         """
-        here = self._open[-1]
+        caller = self._open[-1]
         self.pass_to(at.line)
         start = int(at.source.starts[at.line - 1])
         self._steps.append(Enter(self.count, module, routine))
         body = Body(self.count + 1)
-        here.bodies[-1].parts.append(Called(self.count, (name[0] - start, name[1] - start), routine, body))
-        own = routine.source is self.main.source
-        shown = 0 if own else here.shown or at.line
-        self._open.append(_OpenRoutine(routine.source, routine.first + 1, shown, [body]))
+        caller.bodies[-1].parts.append(Called(self.count, (name[0] - start, name[1] - start), routine, body))
+        is_own = routine.source is self.main.source
+        shown_line = 0 if is_own else caller.shown or at.line
+        self._open.append(_OpenRoutine(routine.source, routine.first + 1, shown_line, [body]))
         self._inlined.add(routine)
-        if not own:
+        if not is_own:
             self._files |= {file.document: None for file in (module.source, module.data) if file is not None}
 
     def leave(self) -> None:
@@ -138,17 +138,17 @@ class Trace:
         """Begin to unroll a loop; `counter`, as it is spelled, and `step` of FOR, else empty and 0."""
         self.run_to(block.first - 1)
         source = self._open[-1].source
-        opener, closer = (_lines(source, line, line) for line in (block.first, block.last))
-        loop = Repeated(opener, closer, counter, step, left, self.count + 1)
+        opening_text, closing_text = (_lines(source, line, line) for line in (block.first, block.last))
+        loop = Repeated(opening_text, closing_text, counter, step, left, self.count + 1)
         self._open[-1].bodies[-1].parts.append(loop)
         return loop
 
-    def repeat(self, loop: Repeated, block: Block, assigned: tuple[str, int] | None) -> None:
+    def repeat(self, loop: Repeated, block: Block, assignment: tuple[str, int] | None) -> None:
         """Begin an iteration of a loop."""
         body = Body(self.count + 1)
         loop.bodies.append(body)
         self._open[-1].bodies.append(body)
-        self._assign(loop, block, assigned)
+        self._assign(loop, block, assignment)
         self._open[-1].cursor = block.first + 1
 
     def plain_rounds(self, loop: Repeated, block: Block, name: str, rounds: PlainRounds) -> None:
@@ -156,15 +156,18 @@ class Trace:
 
         :param name: of the counter, as it is spelled.
         """
-        here = self._open[-1]
+        open_routine = self._open[-1]
         first, last = block.first + 1, block.last - 1
-        body = _lines(here.source, first, last)
-        before, end = f"{indent(loop.opener)}{name}=", _end(loop.opener)
+        body = _lines(open_routine.source, first, last)
+        prefix, end = f"{indent(loop.opener)}{name}=", _end(loop.opener)
         for count in range(rounds.begin, rounds.begin + rounds.count * rounds.step, rounds.step):
-            self._texts += f"{before}{count}{end}", body
-        source = self._sources.setdefault(here.source, len(self._sources))
-        one = (source, 1, 1, here.shown, block.first, True), (source, first, last, here.shown, 0, True)
-        self._from += one * rounds.count
+            self._texts += f"{prefix}{count}{end}", body
+        source = self._sources.setdefault(open_routine.source, len(self._sources))
+        round_origin = (
+            (source, 1, 1, open_routine.shown, block.first, True),
+            (source, first, last, open_routine.shown, 0, True),
+        )
+        self._from += round_origin * rounds.count
         starts = range(rounds.first, rounds.beyond, rounds.length)
         loop.bodies += [Body(start, start + rounds.length) for start in starts]
         loop.plain = rounds
@@ -178,18 +181,18 @@ class Trace:
         self.pass_to(block.last - 1, live=False)
         self._open[-1].bodies.pop().last = self.count + 1
 
-    def end(self, loop: Repeated, block: Block, assigned: tuple[str, int] | None) -> None:
+    def end(self, loop: Repeated, block: Block, assignment: tuple[str, int] | None) -> None:
         """End a loop."""
         if not loop.bodies:
             self.pass_to(block.last, live=False)
-        self._assign(loop, block, assigned)
+        self._assign(loop, block, assignment)
         self._open[-1].cursor = block.last + 1
         loop.last = self.count + 1
 
-    def course(self, reached: Set[Routine]) -> Course:
+    def course(self, callees: Set[Routine]) -> Course:
         """Return the complete trace.
 
-        :param reached: routines reached by calls that are not followed.
+        :param callees: routines reached by calls that are not followed.
         """
         main = self.main
         self.body.last = self.count + 1
@@ -204,9 +207,9 @@ class Trace:
         lengths = np.array([last - first + 1 for _, first, last, *_ in self._from])
         column = np.array(self._from, dtype=np.int64)
         run = ragged_range(lengths)
-        source, first, _, shown, own, live = (np.repeat(values, lengths) for values in column.T)
-        origin = np.where(own > 0, own, first + run)
-        origins = Origins(tuple(self._sources), source, origin, np.where(shown > 0, shown, origin))
+        source, first, _, shown_line, fixed_line, live = (np.repeat(values, lengths) for values in column.T)
+        origin = np.where(fixed_line > 0, fixed_line, first + run)
+        origins = Origins(tuple(self._sources), source, origin, np.where(shown_line > 0, shown_line, origin))
         document = replace(main.source.document, text=text)
         put = Source(document, text, 0, starts, stops, origins)
         return Course(
@@ -216,36 +219,43 @@ class Trace:
             self.body,
             live.astype(np.bool_),
             frozenset(self._inlined),
-            frozenset(self._inlined if self.pinned else self._inlined & reached),
+            frozenset(self._inlined if self.pinned else self._inlined & callees),
             tuple(self._files),
             counts=dict(self._counts),
         )
 
     def _next(self, line: int, *, live: bool) -> bool:
         """Record the lines up to one; return whether there are any."""
-        here = self._open[-1]
-        if line < here.cursor:
+        open_routine = self._open[-1]
+        if line < open_routine.cursor:
             return False
-        self._put(here.source, here.cursor, line, here.shown, live=live)
-        here.cursor = line + 1
+        self._put(open_routine.source, open_routine.cursor, line, open_routine.shown, live=live)
+        open_routine.cursor = line + 1
         return True
 
-    def _put(self, source: Source, first: int, last: int, shown: int, *, live: bool) -> None:
+    def _put(self, source: Source, first: int, last: int, shown_line: int, *, live: bool) -> None:
         if last < first:
             return
         self._texts.append(_lines(source, first, last))
-        self._from.append((self._sources.setdefault(source, len(self._sources)), first, last, shown, 0, live))
+        self._from.append((self._sources.setdefault(source, len(self._sources)), first, last, shown_line, 0, live))
         self.count += last - first + 1
 
-    def _assign(self, loop: Repeated, block: Block, assigned: tuple[str, int] | None) -> None:
+    def _assign(self, loop: Repeated, block: Block, assignment: tuple[str, int] | None) -> None:
         """Record an assignment to the counter of a loop."""
-        if assigned is None:
+        if assignment is None:
             return
-        here = self._open[-1]
-        name, number = assigned
+        open_routine = self._open[-1]
+        name, number = assignment
         self._texts.append(f"{indent(loop.opener)}{name}={number}{_end(loop.opener)}")
         self._from.append(
-            (self._sources.setdefault(here.source, len(self._sources)), 1, 1, here.shown, block.first, True)
+            (
+                self._sources.setdefault(open_routine.source, len(self._sources)),
+                1,
+                1,
+                open_routine.shown,
+                block.first,
+                True,
+            )
         )
         self.count += 1
         self._counts.append((self.count, number))
@@ -253,9 +263,9 @@ class Trace:
 
     def _run_on(self, first: int) -> None:
         """Record that lines from `first` on run, in one step with those directly before them."""
-        before = self._steps[-1] if self._steps else None
-        if isinstance(before, Lines) and before.last == first - 1:
-            self._steps[-1] = Lines(before.first, self.count)
+        last_step = self._steps[-1] if self._steps else None
+        if isinstance(last_step, Lines) and last_step.last == first - 1:
+            self._steps[-1] = Lines(last_step.first, self.count)
         else:
             self._steps.append(Lines(first, self.count))
 

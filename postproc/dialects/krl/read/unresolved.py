@@ -54,63 +54,67 @@ class Separated(Struct, frozen=True, eq=False):
     issues: tuple[Issue, ...] = ()
 
 
-def without_unresolved(main: MainRoutine, ordered: OrderedMotions) -> Separated:
+def without_unresolved(main: MainRoutine, sequence: OrderedMotions) -> Separated:
     """Take out the motions that stay as they are, where that is wanted.
 
-    :param ordered: motions whose targets are known.
+    :param sequence: motions whose targets are known.
     :raises ProgramError: there are none that can be corrected; a motion is synchronised with another robot.
     """
-    run, rows = main.run, ordered.rows
-    synchronised = list(_synchronised(main, rows.line))
+    run, rows = main.run, sequence.rows
+    sync_motions = list(_synchronised(main, rows.line))
     if not run.keep:
-        if synchronised:
-            raise synchronised[0][1]
-        return Separated(ordered)
-    lost = dict(run.unresolved)
-    dropped = np.zeros(len(rows), dtype=np.bool_)
-    for row, reason in (*_uncertain(run.settings, ordered), *synchronised):
-        lost[int(rows.line[row])] = reason
-        dropped[row] = True
-    if not lost and not run.moved:
-        return Separated(ordered)
+        if sync_motions:
+            raise sync_motions[0][1]
+        return Separated(sequence)
+    reasons = dict(run.unresolved)
+    is_dropped = np.zeros(len(rows), dtype=np.bool_)
+    for row, reason in (*_uncertain(run.settings, sequence), *sync_motions):
+        reasons[int(rows.line[row])] = reason
+        is_dropped[row] = True
+    if not reasons and not run.moved:
+        return Separated(sequence)
     open_: set[int] = set()
-    for line in sorted({*lost, *(call.line for call in run.moved)}):
+    for line in sorted({*reasons, *(call.line for call in run.moved)}):
         row = int(np.searchsorted(rows.line, line, side="right"))
-        while row < len(rows) and (dropped[row] or needs_start(ordered, row)):
-            if not dropped[row]:
-                lost[int(rows.line[row])] = main.run.source.line_error(_BEGIN, int(rows.line[row]))
-            dropped[row] = True
+        while row < len(rows) and (is_dropped[row] or needs_start(sequence, row)):
+            if not is_dropped[row]:
+                reasons[int(rows.line[row])] = main.run.source.line_error(_BEGIN, int(rows.line[row]))
+            is_dropped[row] = True
             row += 1
         open_.add(row)
-    if dropped.all():
-        raise min(lost.items())[1]
-    for row in np.flatnonzero(dropped).tolist():
-        if row in ordered.moves:
-            move = ordered.moves[row]
+    if is_dropped.all():
+        raise min(reasons.items())[1]
+    for row in np.flatnonzero(is_dropped).tolist():
+        if row in sequence.moves:
+            move = sequence.moves[row]
             run.understood -= {move.end.start, *([move.via.start] if move.via else [])}
-    new = np.cumsum(~dropped) - 1
-    after = np.arange(int((~dropped).sum())) - 1
+    new = np.cumsum(~is_dropped) - 1
+    predecessors = np.arange(int((~is_dropped).sum())) - 1
     begins = [int(new[row]) for row in sorted(open_) if row < len(rows)]
-    after[begins] = begins
-    moves = {int(new[row]): move for row, move in ordered.moves.items() if not dropped[row]}
+    predecessors[begins] = begins
+    moves = {int(new[row]): move for row, move in sequence.moves.items() if not is_dropped[row]}
     left = OrderedMotions(
-        rows.take(~dropped), ordered.states, ordered.state[~dropped], ordered.numbers.of_rows(~dropped), moves
+        rows.take(~is_dropped),
+        sequence.states,
+        sequence.state[~is_dropped],
+        sequence.numbers.of_rows(~is_dropped),
+        moves,
     )
-    unresolved, issues = _reported(main, lost)
-    return Separated(left, after, unresolved, (*issues, *_opened(main, left, begins)))
+    unresolved, issues = _reported(main, reasons)
+    return Separated(left, predecessors, unresolved, (*issues, *_opened(main, left, begins)))
 
 
-def _uncertain(settings: Settings, ordered: OrderedMotions) -> Iterator[tuple[int, ProgramError]]:
+def _uncertain(settings: Settings, sequence: OrderedMotions) -> Iterator[tuple[int, ProgramError]]:
     """Yield the motions that depend on frames, speeds or modes that are not known."""
-    for index, used in enumerate(ordered.states):
-        if not used.uncertain and used.base >= 0 and used.tool >= 0:
+    for index, motion_state in enumerate(sequence.states):
+        if not motion_state.uncertain and motion_state.base >= 0 and motion_state.tool >= 0:
             continue
-        for row in np.flatnonzero(ordered.state == index).tolist():
-            axis = row in ordered.moves and ordered.moves[row].end.position.axis
-            approximated = bool(ordered.rows.approximated[row])
+        for row in np.flatnonzero(sequence.state == index).tolist():
+            axis = row in sequence.moves and sequence.moves[row].end.position.axis
+            is_approximated = bool(sequence.rows.approximated[row])
             try:
-                fields = fields_used(int(ordered.rows.kind[row]), axis=axis, approximated=approximated)
-                settings.refuse_uncertain(used, fields)
+                fields = fields_used(int(sequence.rows.kind[row]), axis=axis, is_approximated=is_approximated)
+                settings.refuse_uncertain(motion_state, fields)
             except ProgramError as cause:
                 yield row, cause
 
@@ -128,15 +132,15 @@ def _synchronised(main: MainRoutine, line: Ints) -> Iterator[tuple[int, ProgramE
     if not marks:
         return
     sections = [
-        (begin, until, f"between SYNCCMD ({source.origin(begin)}) and SYNCCMD ({source.origin(until)})")
-        for (begin, _), (until, _) in pairwise(marks)
+        (begin, end, f"between SYNCCMD ({source.origin(begin)}) and SYNCCMD ({source.origin(end)})")
+        for (begin, _), (end, _) in pairwise(marks)
     ]
     last, waits = marks[-1]
     if not waits:
         sections.append((last, len(source.starts) + 1, f"behind SYNCCMD ({source.origin(last)})"))
-    for begin, until, where in sections:
-        for row in np.flatnonzero((line > begin) & (line < until)).tolist():
-            problem = f"the motion is {where}: another robot may move in time with it"
+    for begin, end, section_text in sections:
+        for row in np.flatnonzero((line > begin) & (line < end)).tolist():
+            problem = f"the motion is {section_text}: another robot may move in time with it"
             yield row, source.line_error(problem, int(line[row]), _SYNC_ADVICE)
 
 
@@ -151,25 +155,29 @@ def _marks(main: MainRoutine) -> list[tuple[int, bool]]:
     if not any(_synchronises(source.text) for source in (run.source, *(module.source for module in modules))):
         return []
     routines = [(module, routine) for module in modules for routine in module.routines.values()]
-    words = {one: {_word(one.source, at) for at in one.lines} - {""} for _, one in routines}
-    own = {one for one, found in words.items() if found}
-    names = {one.name.upper() for module, one in routines if not own.isdisjoint(run.analysis.reached(module, one))}
+    words = {routine: {_word(routine.source, at) for at in routine.lines} - {""} for _, routine in routines}
+    sync_routines = {routine for routine, sync_words in words.items() if sync_words}
+    names = {
+        routine.name.upper()
+        for module, routine in routines
+        if not sync_routines.isdisjoint(run.analysis.reached(module, routine))
+    }
     waiting = set().union(*words.values()) <= {_WAITING}
     at_any_time = any(
-        isinstance(statement(one.source, at), Event) and _word(one.source, at, names)
-        for _, one in routines
-        for at in one.lines
+        isinstance(statement(routine.source, at), Event) and _word(routine.source, at, names)
+        for _, routine in routines
+        for at in routine.lines
     )
-    entered = {step.line for step in course.steps if isinstance(step, Enter)}
-    found = []
+    entry_lines = {step.line for step in course.steps if isinstance(step, Enter)}
+    marks = []
     for at in range(course.body.first, course.body.last):
         if course.live is None or course.live[at - 1]:
-            word = _word(run.source, at, names, entered=at in entered)
-            found += [(at, not at_any_time and (waiting or word == _WAITING))] if word else []
+            word = _word(run.source, at, names, is_entered=at in entry_lines)
+            marks += [(at, not at_any_time and (waiting or word == _WAITING))] if word else []
     loop = course.endless
-    if loop is not None and any(loop.first <= at < loop.last for at, _ in found):
-        found += [(loop.first - 1, True), (loop.last, True)]
-    return sorted(found)
+    if loop is not None and any(loop.first <= at < loop.last for at, _ in marks):
+        marks += [(loop.first - 1, True), (loop.last, True)]
+    return sorted(marks)
 
 
 def _synchronises(text: str) -> bool:
@@ -178,77 +186,77 @@ def _synchronises(text: str) -> bool:
     return any(name in piece for piece in pieces for name in SYNCHRONISING)
 
 
-def _word(source: Source, line: int, names: Collection[str] = (), *, entered: bool = False) -> str:
+def _word(source: Source, line: int, names: Collection[str] = (), *, is_entered: bool = False) -> str:
     """Return how a line synchronises robots: the first argument of SYNCCMD, else another word; empty if it does not.
 
     :param names: of routines that do so.
-    :param entered: the routine that is called is in the trace itself.
+    :param is_entered: the routine that is called is in the trace itself.
     """
     start, stop = source.code_span(line)
     if not (names or _synchronises(source.text[start:stop])):
         return ""
-    here = statement(source, line)
+    stmt = statement(source, line)
     try:
-        values = here.call.arguments if entered and isinstance(here, CallStatement) else here.values
-        own = [one for one in walk(values) if isinstance(one, Call | Reference)]
+        values = stmt.call.arguments if is_entered and isinstance(stmt, CallStatement) else stmt.values
+        references = [part for part in walk(values) if isinstance(part, Call | Reference)]
     except ProgramError:
         return _OTHER_WORD
-    if all(one.name not in SYNCHRONISING and one.name not in names for one in own):
+    if all(part.name not in SYNCHRONISING and part.name not in names for part in references):
         return ""
-    call = here.call if isinstance(here, CallStatement) and here.call.name in SYNCHRONISING else None
-    how = call.arguments[0] if call is not None and call.arguments else None
-    return how.text if isinstance(how, Word) else _OTHER_WORD
+    call = stmt.call if isinstance(stmt, CallStatement) and stmt.call.name in SYNCHRONISING else None
+    argument = call.arguments[0] if call is not None and call.arguments else None
+    return argument.text if isinstance(argument, Word) else _OTHER_WORD
 
 
-def needs_start(ordered: OrderedMotions, row: int, *, arcs: bool = True) -> bool:
+def needs_start(sequence: OrderedMotions, row: int, *, arcs: bool = True) -> bool:
     """Return whether the target of a motion, or the shape of an arc, depends on where it begins."""
-    move = ordered.moves.get(row)
-    if ordered.rows.kind[row] != PTP and ordered.states[ordered.state[row]].orientation == "#CONSTANT":
+    move = sequence.moves.get(row)
+    if sequence.rows.kind[row] != PTP and sequence.states[sequence.state[row]].orientation == "#CONSTANT":
         return True
     if move is not None and (move.via_incomplete or move.angle is not None):
         return True
-    kind = ordered.rows.kind[row]
+    kind = sequence.rows.kind[row]
     if (arcs and kind == CIRC) or kind == SPL or (move is not None and bool(move.relative)):
         return True
     if move is not None:
         return not move.end.position.complete
-    return bool(np.isnan(ordered.rows.numbers[row]).any())
+    return bool(np.isnan(sequence.rows.numbers[row]).any())
 
 
-def _reported(main: MainRoutine, lost: dict[int, ProgramError]) -> tuple[tuple[Unresolved, ...], list[Issue]]:
+def _reported(main: MainRoutine, reasons: dict[int, ProgramError]) -> tuple[tuple[Unresolved, ...], list[Issue]]:
     """Return each uncorrected line, and a warning for it."""
-    found: dict[str, Unresolved] = {}
+    by_place: dict[str, Unresolved] = {}
     issues = []
-    for line, reason in sorted(lost.items()):
+    for line, reason in sorted(reasons.items()):
         origin = main.run.source.origin(line)
-        if str(origin) in found:
+        if str(origin) in by_place:
             continue
-        shown: int | None = int(main.run.source.shown(np.array([line]))[0])
+        shown_line: int | None = int(main.run.source.shown(np.array([line]))[0])
         text = origin.source.text[slice(*origin.source.code_span(origin.line))]
-        found[str(origin)] = Unresolved(origin.source.document.name, origin.line, text, reason.problem)
-        shifted = _SHIFT_TEXT if _starts_here(main, line, reason) else ""
-        elsewhere = origin.source is not main.run.routine.source
-        where, shown = (f"{origin}: ", None) if elsewhere else ("", shown)
-        message = f"{where}stays as it is, uncorrected: {text!r} ({reason.problem}){shifted}"
-        issues.append(Issue("warning", "unresolved", message, shown, subject=str(origin)))
-    return tuple(found.values()), issues
+        by_place[str(origin)] = Unresolved(origin.source.document.name, origin.line, text, reason.problem)
+        suffix = _SHIFT_TEXT if _starts_here(main, line, reason) else ""
+        is_elsewhere = origin.source is not main.run.routine.source
+        prefix, shown_line = (f"{origin}: ", None) if is_elsewhere else ("", shown_line)
+        message = f"{prefix}stays as it is, uncorrected: {text!r} ({reason.problem}){suffix}"
+        issues.append(Issue("warning", "unresolved", message, shown_line, subject=str(origin)))
+    return tuple(by_place.values()), issues
 
 
 def _starts_here(main: MainRoutine, line: int, reason: ProgramError) -> bool:
     """Return whether the target of an uncorrected motion, or of a called routine, depends on the robot position."""
-    here = statement(*main.run.source.origin(line))
-    if line in main.run.shifted or (isinstance(here, Motion) and from_here(here)):
+    stmt = statement(*main.run.source.origin(line))
+    if line in main.run.shifted or (isinstance(stmt, Motion) and from_here(stmt)):
         return True
-    return isinstance(here, Motion) and any(name in reason.problem.upper() for name in HERE)
+    return isinstance(stmt, Motion) and any(name in reason.problem.upper() for name in HERE)
 
 
-def _opened(main: MainRoutine, ordered: OrderedMotions, begins: list[int]) -> Iterator[Issue]:
+def _opened(main: MainRoutine, sequence: OrderedMotions, begins: list[int]) -> Iterator[Issue]:
     source = main.run.source
-    origins = {line: source.origin(line) for line in ordered.rows.line[begins].tolist()}
-    own = [line for line, origin in origins.items() if origin.source is main.run.routine.source]
-    for name in {str(origin): None for line, origin in origins.items() if line not in own}:
+    origins = {line: source.origin(line) for line in sequence.rows.line[begins].tolist()}
+    own_lines = [line for line, origin in origins.items() if origin.source is main.run.routine.source]
+    for name in {str(origin): None for line, origin in origins.items() if line not in own_lines}:
         yield Issue("warning", "start-unknown", f"{name}: {_OPEN}", subject=name)
-    if own:
-        lines = np.unique(source.shown(np.array(own))).tolist()
-        begins = own
+    if own_lines:
+        lines = np.unique(source.shown(np.array(own_lines))).tolist()
+        begins = own_lines
         yield Issue("warning", "start-unknown", _OPEN, lines[0], count=len(begins), lines=tuple(lines))

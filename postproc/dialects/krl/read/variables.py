@@ -136,16 +136,16 @@ class Variables:
         for name in ("$NULLFRAME", "BASE_DATA[0]", "TOOL_DATA[0]"):
             self._values.setdefault(name, ZERO)
 
-    def _put_frame(self, key: str, frame: Position, where: str) -> None:
-        self.state_frame(key, frame, where)
+    def _put_frame(self, key: str, frame: Position, place: str) -> None:
+        self.state_frame(key, frame, place)
         self.put(key, frame)
 
-    def state_frame(self, key: str, value: Known | Unread, where: str) -> None:
+    def state_frame(self, key: str, value: Known | Unread, place: str) -> None:
         """Note the frame that the cell or a file gives for ``BASE_DATA[n]`` or ``TOOL_DATA[n]``.
 
         Components that one of two frames lacks do not count. A value that cannot be read is not noted.
 
-        :param where: for a message: the file and line, or the table of the cell.
+        :param place: for a message: the file and line, or the table of the cell.
         :raises CellError: another place gives another frame.
         """
         try:
@@ -155,24 +155,28 @@ class Variables:
             return
         if frame is None:
             return
-        first, other = self._stated.setdefault(key, (frame, where))
+        first, other_place = self._stated.setdefault(key, (frame, place))
         if not _agree(first, frame):
             raise CellError(
-                f"{key} has two values: {_shown(first)} by {other}, and {_shown(frame)} by {where}",
+                f"{key} has two values: {_shown(first)} by {other_place}, and {_shown(frame)} by {place}",
                 advice="Make them equal, or remove the one that the controller does not have.",
             )
 
     def copied(self) -> Variables:
         """Return the same values, for another run."""
-        other = copy(self)
-        other._values, other._elements = dict(self._values), defaultdict(list)
+        duplicate = copy(self)
+        duplicate._values, duplicate._elements = dict(self._values), defaultdict(list)
         for name, keys in self._elements.items():
-            other._elements[name] = list(keys)
-        other.types, other.structures, other.public = dict(self.types), dict(self.structures), set(self.public)
-        other.changing, other.changed = dict(self.changing), dict(self.changed)
-        other.used, other.initial, other.relied = set(self.used), set(self.initial), set(self.relied)
-        other.late = dict(self.late)
-        return other
+            duplicate._elements[name] = list(keys)
+        duplicate.types, duplicate.structures, duplicate.public = (
+            dict(self.types),
+            dict(self.structures),
+            set(self.public),
+        )
+        duplicate.changing, duplicate.changed = dict(self.changing), dict(self.changed)
+        duplicate.used, duplicate.initial, duplicate.relied = set(self.used), set(self.initial), set(self.relied)
+        duplicate.late = dict(self.late)
+        return duplicate
 
     def take_given(self, name: str = "") -> None:
         """Set variables to the values of the cell; with a name, only that one and its elements."""
@@ -190,17 +194,17 @@ class Variables:
             self._elements[key[: key.index("[")]].append(key)
         self._values[key] = value
 
-    def set(self, key: str, value: Known, where: str) -> None:
+    def set(self, key: str, value: Known, place: str) -> None:
         """Set a variable to a value, converted to its type.
 
-        :param where: where the program does.
+        :param place: where the program does.
         """
         name = key.partition("[")[0]
-        self.changed.setdefault(name, where)
+        self.changed.setdefault(name, place)
         if isinstance(value, Number):
             value = converted(value, self.types.get(name, ""))
         elif isinstance(value, Aggregate) and self._ambiguous(key, value):
-            value = Unknown(where, "not all of its components are given, and it had others")
+            value = Unknown(place, "not all of its components are given, and it had others")
         self.put(key, value)
 
     def _ambiguous(self, key: str, new: Aggregate) -> bool:
@@ -211,21 +215,21 @@ class Variables:
         names: tuple[str, ...] = ()
         if not new.items.keys().isdisjoint(_REAL):
             names = AXES if not new.items.keys().isdisjoint(AXES) else CARTESIAN
-        missing = [name for name in names if name not in new.items]
+        missing_names = [name for name in names if name not in new.items]
         old = self.value(key)
-        if not missing or old is None or old == NOTHING:
+        if not missing_names or old is None or old == NOTHING:
             return False
-        return not isinstance(old, Aggregate) or any(name in old.items for name in missing)
+        return not isinstance(old, Aggregate) or any(name in old.items for name in missing_names)
 
-    def set_field(self, key: str, field: str, value: Known, where: str) -> None:
+    def set_field(self, key: str, field: str, value: Known, place: str) -> None:
         """Give one component of a variable a value (``XP1.X=5``)."""
         whole = self.value(key)
-        self.changed.setdefault(key.partition("[")[0], where)
-        unknown = Unknown(where, value.why if isinstance(value, Unknown) else "")
+        self.changed.setdefault(key.partition("[")[0], place)
+        unknown = Unknown(place, value.why if isinstance(value, Unknown) else "")
         first = field.partition(".")[0].partition("[")[0]
         if isinstance(whole, Position) and field in CARTESIAN and not whole.axis and isinstance(value, Number):
-            changed = with_component(whole, field, value.value)
-            self.put(key, unknown if changed is None else changed)
+            new_position = with_component(whole, field, value.value)
+            self.put(key, unknown if new_position is None else new_position)
         elif isinstance(whole, Unknown) and whole.why:
             return
         elif not isinstance(whole, Aggregate):
@@ -238,57 +242,59 @@ class Variables:
         else:
             self.put(key, unknown)
 
-    def forget(self, name: str, where: str) -> None:
+    def forget(self, name: str, place: str) -> None:
         """Note that a variable (all its elements) has a value that is not known; variables of the controller without a
         value have none that is.
         """
         if name[0] == "$" and name not in self._values and name not in self._elements:
             return
-        self.changed.setdefault(name, where)
+        self.changed.setdefault(name, place)
         for key in (name, *self._elements.get(name, ())):
-            self._values[key] = Unknown(where)
+            self._values[key] = Unknown(place)
 
     def as_now(self) -> tuple[dict[str, Known | Unread], dict[str, Unknown]]:
         """Return all values, for `as_then` and `meet`."""
         return dict(self._values), dict(self.changing)
 
-    def as_then(self, then: tuple[dict[str, Known | Unread], dict[str, Unknown]]) -> None:
+    def as_then(self, snapshot: tuple[dict[str, Known | Unread], dict[str, Unknown]]) -> None:
         """Give all variables the values that they had."""
-        self._values, self.changing = self.late | then[0], dict(then[1])
+        self._values, self.changing = self.late | snapshot[0], dict(snapshot[1])
 
-    def meet(self, other: tuple[dict[str, Known | Unread], dict[str, Unknown]], where: str) -> None:
+    def meet(self, snapshot: tuple[dict[str, Known | Unread], dict[str, Unknown]], place: str) -> None:
         """Merge with the values of another branch: those that differ become unknown."""
-        values, changing = self.late | other[0], other[1]
-        self.changing = changing | self.changing
+        values, volatile_names = self.late | snapshot[0], snapshot[1]
+        self.changing = volatile_names | self.changing
         for key in self._values.keys() | values.keys():
             if not self._same(self._values.get(key), values.get(key)):
-                self._values[key] = Unknown(where)
+                self._values[key] = Unknown(place)
 
-    def differing(self, then: tuple[dict[str, Known | Unread], dict[str, Unknown]]) -> frozenset[str]:
+    def differing(self, snapshot: tuple[dict[str, Known | Unread], dict[str, Unknown]]) -> frozenset[str]:
         """Return the names of variables whose values are not what they were."""
-        values, changing = self.late | then[0], then[1]
+        values, volatile_names = self.late | snapshot[0], snapshot[1]
         keys = (key for key in self._values.keys() | values.keys())
-        found = {key.partition("[")[0] for key in keys if not self._same(self._values.get(key), values.get(key))}
-        return frozenset(found | (self.changing.keys() ^ changing.keys()))
+        names = {key.partition("[")[0] for key in keys if not self._same(self._values.get(key), values.get(key))}
+        return frozenset(names | (self.changing.keys() ^ volatile_names.keys()))
 
-    def _same(self, one: object, other: object) -> bool:
-        if one is other or (not isinstance(one, Aggregate) and one == other):
+    def _same(self, first: object, second: object) -> bool:
+        if first is second or (not isinstance(first, Aggregate) and first == second):
             return True
-        if isinstance(other, Unread):
-            one, other = other, one
-        if isinstance(one, Unread):
-            if isinstance(other, Aggregate):
-                return not other.computed and other.source is one.source and one.start <= other.start < one.stop
-            value, _ = value_at(one.source, one.start, one.stop)
-            return isinstance(value, Number) and isinstance(other, Number) and value.value == other.value
-        if not isinstance(one, Aggregate) or not isinstance(other, Aggregate):
+        if isinstance(second, Unread):
+            first, second = second, first
+        if isinstance(first, Unread):
+            if isinstance(second, Aggregate):
+                return (
+                    not second.computed and second.source is first.source and first.start <= second.start < first.stop
+                )
+            value, _ = value_at(first.source, first.start, first.stop)
+            return isinstance(value, Number) and isinstance(second, Number) and value.value == second.value
+        if not isinstance(first, Aggregate) or not isinstance(second, Aggregate):
             return False
-        return (one.source, one.start, one.computed, one.items.keys()) == (
-            other.source,
-            other.start,
-            other.computed,
-            other.items.keys(),
-        ) and all(self._same(item, other.items[name]) for name, item in one.items.items())
+        return (first.source, first.start, first.computed, first.items.keys()) == (
+            second.source,
+            second.start,
+            second.computed,
+            second.items.keys(),
+        ) and all(self._same(item, second.items[name]) for name, item in first.items.items())
 
     def literals(self, name: str, numbers: Sequence[int]) -> tuple[Source, list[tuple[int, int]]] | None:
         """Return the data list that gives elements of an array their values, and the spans of these; None if they have
@@ -308,21 +314,27 @@ class Variables:
 
     def kept(self) -> dict[str, str]:
         """Return the names that keep their values from run to run and that the program changes, and where it does."""
-        changed = self.changed | {name: value.where for name, value in self.changing.items()}
-        return {name: changed[name] for name in sorted(self.initial & changed.keys())}
+        change_places = self.changed | {name: value.where for name, value in self.changing.items()}
+        return {name: change_places[name] for name in sorted(self.initial & change_places.keys())}
 
     def next_run(self) -> Variables:
         """Return what the next run of the program begins with: data as this run leaves them, nothing else."""
-        later = copy(self)
-        later._values = {key: value for key, value in self._values.items() if self._persists(key)}
-        later._elements = self._elements.copy()
-        later.scope, later.changing, later.used, later.changed, later.late = Scope(), {}, set(), {}, {}
+        next_variables = copy(self)
+        next_variables._values = {key: value for key, value in self._values.items() if self._persists(key)}
+        next_variables._elements = self._elements.copy()
+        (
+            next_variables.scope,
+            next_variables.changing,
+            next_variables.used,
+            next_variables.changed,
+            next_variables.late,
+        ) = Scope(), {}, set(), {}, {}
         for name in self.initial & self.changing.keys():
-            later.forget(name, self.changing[name].where)
+            next_variables.forget(name, self.changing[name].where)
         for name in {key.partition("[")[0] for key in self.given} - self.initial:
-            later.take_given(name)
-        later.changed = {}
-        return later
+            next_variables.take_given(name)
+        next_variables.changed = {}
+        return next_variables
 
     def _persists(self, key: str) -> bool:
         return key[0] == "$" or key.partition("[")[0] in self.initial
@@ -375,9 +387,9 @@ class Variables:
             return aggregate
         items: dict[str, Value] = {}
         for name, item in aggregate.items.items():
-            known = self.evaluate(item)
-            items[name] = known if isinstance(known, Number | Word | Aggregate) else Opaque(*_span(item))
-        if all(known is item for known, item in zip(items.values(), aggregate.items.values(), strict=True)):
+            result = self.evaluate(item)
+            items[name] = result if isinstance(result, Number | Word | Aggregate) else Opaque(*_span(item))
+        if all(result is item for result, item in zip(items.values(), aggregate.items.values(), strict=True)):
             return aggregate
         return replace(aggregate, items=items, computed=True)
 
@@ -395,23 +407,23 @@ class Variables:
         """Return whether one of the values behind CASE is that of its SWITCH; None where that is not known."""
         equal: bool | None = False
         for case in cases:
-            found = same(value, self.evaluate(case))
-            if found:
+            is_equal = same(value, self.evaluate(case))
+            if is_equal:
                 return True
-            equal = None if found is None else equal
+            equal = None if is_equal is None else equal
         return equal
 
     def _decided(self, condition: Condition) -> Known:
         """Return the value of terms joined by comparisons and logic, or of one alone in brackets."""
-        known = [self.evaluate(term) for term in condition.terms]
+        term_values = [self.evaluate(term) for term in condition.terms]
         if not condition.operators and not (condition.negated and condition.negated[0]):
-            return known[0]
-        value = joined(known, condition)
+            return term_values[0]
+        value = joined(term_values, condition)
         if isinstance(value, bool):
             return Word(str(value).upper(), condition.start, condition.stop)
         if isinstance(value, Number | Word):
             return value
-        return next((one for one in known if isinstance(one, Unknown)), NOTHING)
+        return next((term_value for term_value in term_values if isinstance(term_value, Unknown)), NOTHING)
 
     def _computed(self, operation: Operation) -> Known:
         """Return a sum, difference, product or quotient.
@@ -442,18 +454,24 @@ class Variables:
         function = _FUNCTIONS.get(call.name)
         if function is None and call.name != "INV_POS":
             return self.functions.value(call) if self.functions.pure(call) else NOTHING
-        given = [self.evaluate(argument) for argument in call.arguments]
-        numbers = [one.value for one in given if isinstance(one, Number)]
-        if call.name == "INV_POS" and len(given) == 1:
-            position = self.position(given[0])
+        argument_values = [self.evaluate(argument) for argument in call.arguments]
+        numbers = [argument_value.value for argument_value in argument_values if isinstance(argument_value, Number)]
+        if call.name == "INV_POS" and len(argument_values) == 1:
+            position = self.position(argument_values[0])
             return NOTHING if position is None or position.axis else from_pose(inverse(position.pose()))
-        if function is None or len(numbers) < len(given) or len(given) != 1 + (call.name == "ATAN2"):
+        if (
+            function is None
+            or len(numbers) < len(argument_values)
+            or len(argument_values) != 1 + (call.name == "ATAN2")
+        ):
             return NOTHING
         try:
             value = function(*numbers)
         except ValueError:
             return NOTHING
-        integer = call.name == "ABS" and all(one.integer for one in given if isinstance(one, Number))
+        integer = call.name == "ABS" and all(
+            argument_value.integer for argument_value in argument_values if isinstance(argument_value, Number)
+        )
         return Number(value, call.start, call.stop, integer)
 
     def _product(self, chain: Chain) -> Known:
@@ -517,15 +535,15 @@ class Variables:
 
         :raises ProgramError: it is known but not a valid position.
         """
-        known = self.evaluate(value)
-        if isinstance(known, Aggregate):
-            return from_aggregate(known)
-        return known if isinstance(known, Position) else None
+        result = self.evaluate(value)
+        if isinstance(result, Aggregate):
+            return from_aggregate(result)
+        return result if isinstance(result, Position) else None
 
     def number(self, value: Value | Known) -> float | None:
         """Return a number, or None when it is not known before the program runs."""
-        known = self.evaluate(value)
-        return known.value if isinstance(known, Number) else None
+        result = self.evaluate(value)
+        return result.value if isinstance(result, Number) else None
 
     def rely(self, value: Value | Known) -> None:
         """Note which names a motion, a frame or a speed depends on."""
@@ -539,10 +557,10 @@ class Variables:
         """Return the first argument of a call, of a structure the component in question: None where it says nothing."""
         if not call.arguments:
             return NOTHING
-        known = self.evaluate(call.arguments[0])
-        if isinstance(known, Aggregate):
-            return known.items.get(field)
-        return call.arguments[0] if isinstance(known, Unknown) else known
+        result = self.evaluate(call.arguments[0])
+        if isinstance(result, Aggregate):
+            return result.items.get(field)
+        return call.arguments[0] if isinstance(result, Unknown) else result
 
     def check_name(self, source: Source, reference: Reference) -> None:
         """Refuse a name that is longer than the controller accepts."""
@@ -554,12 +572,12 @@ def _not_followed(name: str, field: str | None) -> Known:
     return NOTHING
 
 
-def _check_given(given: Iterable[str]) -> None:
+def _check_given(keys: Iterable[str]) -> None:
     """Refuse values of the cell for variables that the program sets, or that the reader follows.
 
     :raises CellError: there is one.
     """
-    for key in given:
+    for key in keys:
         name = key.partition("[")[0].partition(".")[0]
         if name in RELEVANT or name in _SET_BY_PROGRAMS or name.startswith(_MOVING):
             raise CellError(
@@ -601,21 +619,21 @@ def _one_set(position: Position, *, whole_turns: bool = False) -> bool:
     return abs(b) < 90.0 - _TURN and (whole_turns or (abs(a) < 180.0 - _TURN and abs(c) < 180.0 - _TURN))
 
 
-def _agree(one: Position, other: Position) -> bool:
+def _agree(frame: Position, other_frame: Position) -> bool:
     """Return whether two frames are equal within rounding."""
-    if one.axis or other.axis:
+    if frame.axis or other_frame.axis:
         return False
-    pairs = list(zip(one.values, other.values, strict=True))
+    pairs = list(zip(frame.values, other_frame.values, strict=True))
     a = Position(tuple(x if x == x else y for x, y in pairs)).pose()
     b = Position(tuple(y if y == y else x for x, y in pairs)).pose()
-    apart = np.abs(a - b)
-    return bool(apart[:3, 3].max() < _SAME_PLACE and apart[:3, :3].max() < _SAME_ANGLE)
+    difference = np.abs(a - b)
+    return bool(difference[:3, 3].max() < _SAME_PLACE and difference[:3, :3].max() < _SAME_ANGLE)
 
 
 def _shown(frame: Position) -> str:
     names = AXES if frame.axis else CARTESIAN
-    given = [f"{name} {value + 0.0:.10g}" for name, value in zip(names, np.round(frame.values, 6), strict=True)]
-    return f"{{{', '.join(one for one in given if not one.endswith('nan'))}}}"
+    components = [f"{name} {value + 0.0:.10g}" for name, value in zip(names, np.round(frame.values, 6), strict=True)]
+    return f"{{{', '.join(component for component in components if not component.endswith('nan'))}}}"
 
 
 def _from_cell(value: float) -> Number | Word:
