@@ -108,32 +108,32 @@ def nonredundant(nominal: Chain, points: int) -> tuple[GeometryParameter, ...]:
     flange, columns = _derivatives(nominal, q, offsets)
     base, tool = _frame_columns(flange, offsets, np.eye(4))
     basis, _ = np.linalg.qr(np.concatenate([base, tool], axis=1))
-    own = 3 + np.argmax(np.abs(nominal.axis), axis=1)
-    order = [(j, int(own[j])) for j in range(6)]
+    axis_index = 3 + np.argmax(np.abs(nominal.axis), axis=1)
+    order = [(j, int(axis_index[j])) for j in range(6)]
     order += [(j, a) for j in range(6) for a in range(3)]
     order += [(j, 3 + a) for j in range(6) for a in range(3)]
-    taken: list[tuple[int, int]] = []
+    basis_entries: list[tuple[int, int]] = []
     for joint, axis in order:
-        if (joint, axis) in taken:
+        if (joint, axis) in basis_entries:
             continue
         column = columns[:, joint, axis]
         rest = column - basis @ (basis.T @ column)
         rest -= basis @ (basis.T @ rest)
         if np.linalg.norm(rest) > _INDEPENDENT * np.linalg.norm(column):
             basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
-            taken.append((joint, axis))
-    return tuple(GeometryParameter(JOINTS[joint], _AXES[axis]) for joint, axis in sorted(taken))
+            basis_entries.append((joint, axis))
+    return tuple(GeometryParameter(JOINTS[joint], _AXES[axis]) for joint, axis in sorted(basis_entries))
 
 
 def _derivatives(chain: Chain, q: Array, points: Array) -> tuple[Array, Array]:
     """Return flange poses (C, 4, 4) and derivatives (C·P·3, 6, 6) of the points by displacements of the joints."""
-    before, flange = chain.joint_frames(q)
-    where = np.einsum("cij,pj->cpi", flange[:, :3, :3], points) + flange[:, None, :3, 3]
+    frames, flange = chain.joint_frames(q)
+    positions = np.einsum("cij,pj->cpi", flange[:, :3, :3], points) + flange[:, None, :3, 3]
     columns = np.empty((len(q), len(points), 3, 6, 6))
     for joint in range(6):
-        lever = where - before[:, joint, None, :3, 3]
+        lever = positions - frames[:, joint, None, :3, 3]
         for axis in range(3):
-            direction = before[:, joint, :3, axis]
+            direction = frames[:, joint, :3, axis]
             columns[..., joint, axis] = direction[:, None]
             columns[..., joint, 3 + axis] = np.cross(direction[:, None], lever)
     return flange, columns.reshape(-1, 6, 6)
@@ -141,16 +141,16 @@ def _derivatives(chain: Chain, q: Array, points: Array) -> tuple[Array, Array]:
 
 def _frame_columns(flange: Array, points: Array, root: Array) -> tuple[Array, Array]:
     """Return derivatives by the base twist (n, 6), about the root, and by the points (n, 3P), device axes."""
-    placed = root @ flange
-    where = np.einsum("cij,pj->cpi", placed[:, :3, :3], points) + placed[:, None, :3, 3]
-    lever = where - root[:3, 3]
-    base = np.zeros((*where.shape, 6))
+    device_flange = root @ flange
+    positions = np.einsum("cij,pj->cpi", device_flange[:, :3, :3], points) + device_flange[:, None, :3, 3]
+    lever = positions - root[:3, 3]
+    base = np.zeros((*positions.shape, 6))
     base[..., :3] = np.eye(3)
     for axis in range(3):
         base[..., 3 + axis] = np.cross(np.eye(3)[axis], lever)
-    tool = np.zeros((*where.shape, 3 * len(points)))
+    tool = np.zeros((*positions.shape, 3 * len(points)))
     for index in range(len(points)):
-        tool[:, index, :, 3 * index : 3 * index + 3] = placed[:, :3, :3]
+        tool[:, index, :, 3 * index : 3 * index + 3] = device_flange[:, :3, :3]
     return base.reshape(-1, 6), tool.reshape(-1, 3 * len(points))
 
 
@@ -194,27 +194,29 @@ def identify_geometry(content: ModelFile, nominal: Chain, name: str, data: Measu
             solution = _solve(base, nominal, name, data, free)
         except PostprocError:  # a model that cannot carry its own weight, or parameters that the readings do not hold
             continue
-        held = _held_out(solution, data)
-        fits[label] = solution, held
+        fold_errors = _held_out(solution, data)
+        fits[label] = solution, fold_errors
         rms[label] = (
             float(np.sqrt(np.mean(np.sum(solution.residual**2, axis=2)))),
-            float(np.sqrt(np.mean(held))),
+            float(np.sqrt(np.mean(fold_errors))),
         )
-    taken = simplest({label: held for label, (_, held) in fits.items()})
-    solution = fits[taken][0]
+    best_label = simplest({label: fold_errors for label, (_, fold_errors) in fits.items()})
+    solution = fits[best_label][0]
     half = NORMAL_95 * np.sqrt(np.diag(solution.covariance))
     usual = _usual(solution.parameters)
-    source, u95 = f"identified from {data.file}", _error_95(fits[taken][1], data)
-    found = _with_geometry(solution.content, solution.parameters, solution.values, source, half)
+    source, u95 = f"identified from {data.file}", _error_95(fits[best_label][1], data)
+    calibrated_content = _with_geometry(solution.content, solution.parameters, solution.values, source, half)
     return Geometry(
         solution.parameters,
         solution.values,
         solution.covariance,
-        msgspec.structs.replace(found, geometry_error=GeometryErrorEntry(source=source, u95_mm=u95 * MM_PER_M)),
+        msgspec.structs.replace(
+            calibrated_content, geometry_error=GeometryErrorEntry(source=source, u95_mm=u95 * MM_PER_M)
+        ),
         solution.placement,
-        "with sag" in taken,
+        "with sag" in best_label,
         rms,
-        taken,
+        best_label,
         u95,
         tuple(p.name for p, h, u in zip(solution.parameters, half, usual, strict=True) if h > 0.8 * NORMAL_95 * u),
     )
@@ -233,12 +235,17 @@ def simplest(squares: dict[str, Array]) -> str:
     return best
 
 
-def _error_95(held_out: Array, data: Measurements) -> float:
+def _error_95(square_errors: Array, data: Measurements) -> float:
     """Return an upper limit of the 95 % quantile of the errors, from mean squares (C,) with noise [m²]."""
     count = data.means()[1][data.unloaded]
-    seen = count > 0.0
-    noise = 3.0 * data.sigma**2 * np.sum(seen / np.maximum(count, 1.0), axis=1) / np.maximum(seen.sum(axis=1), 1)
-    rest = held_out - noise
+    is_visible = count > 0.0
+    noise = (
+        3.0
+        * data.sigma**2
+        * np.sum(is_visible / np.maximum(count, 1.0), axis=1)
+        / np.maximum(is_visible.sum(axis=1), 1)
+    )
+    rest = square_errors - noise
     return float(LENGTH_95 * np.sqrt(max(0.0, rest.mean() + rest.std(ddof=1) / np.sqrt(len(rest)))))
 
 
@@ -262,45 +269,45 @@ def _solve(
     content: ModelFile, nominal: Chain, name: str, data: Measurements, parameters: tuple[GeometryParameter, ...]
 ) -> _Solution:
     mean, count = data.means()
-    seen, weight = mean[data.unloaded], count[data.unloaded]
+    readings, weight = mean[data.unloaded], count[data.unloaded]
     scale = np.repeat(np.sqrt(weight).ravel(), 3) / data.sigma
     values, points = np.zeros(len(parameters)), data.guess.copy()
     robot = assemble(name, _with_geometry(content, parameters, values, "", None), nominal)
-    root = kabsch(_placed(_at_rest(robot, data.q)[0], points).reshape(-1, 3), seen.reshape(-1, 3))
+    root = kabsch(_placed(_at_rest(robot, data.q)[0], points).reshape(-1, 3), readings.reshape(-1, 3))
     for _ in range(_STEPS):
         robot = assemble(name, _with_geometry(content, parameters, values, "", None), nominal)
         flange, angles = _at_rest(robot, data.q)
         base, tool = _frame_columns(flange, points, root)
         chain = _geometric(nominal, robot)
         _, columns = _derivatives(chain, angles, points)
-        inside = columns.reshape(len(data.q), len(points), 3, 6, 6)
-        inside = np.einsum("ij,cpjab->cpiab", root[:3, :3], inside)
-        chosen = [_column(parameter, inside, chain, data.q) for parameter in parameters]
-        design = np.concatenate([base, tool, *chosen], axis=1) * scale[:, None]
-        left = (seen - _placed(root @ flange, points)).ravel() * scale
-        known = 6 + 3 * len(points)
-        ridge = np.diag(np.concatenate([np.zeros(known), 1.0 / _usual(parameters)]))[known:]
+        by_joint = columns.reshape(len(data.q), len(points), 3, 6, 6)
+        by_joint = np.einsum("ij,cpjab->cpiab", root[:3, :3], by_joint)
+        parameter_columns = [_column(parameter, by_joint, chain, data.q) for parameter in parameters]
+        design = np.concatenate([base, tool, *parameter_columns], axis=1) * scale[:, None]
+        left = (readings - _placed(root @ flange, points)).ravel() * scale
+        frame_count = 6 + 3 * len(points)
+        ridge = np.diag(np.concatenate([np.zeros(frame_count), 1.0 / _usual(parameters)]))[frame_count:]
         right = np.concatenate([left, -values / _usual(parameters)])
         step = np.linalg.lstsq(np.vstack([design, ridge]), right, rcond=None)[0]
         root = displaced(root, step[:6])
-        points = points + step[6:known].reshape(points.shape)
-        values = values + step[known:]
+        points = points + step[6:frame_count].reshape(points.shape)
+        values = values + step[frame_count:]
         if np.abs(step).max() < 1e-9:
             break
     robot = assemble(name, _with_geometry(content, parameters, values, "", None), nominal)
     flange, _ = _at_rest(robot, data.q)
-    residual = (seen - _placed(root @ flange, points)) * (weight > 0.0)[..., None]
+    residual = (readings - _placed(root @ flange, points)) * (weight > 0.0)[..., None]
     covariance = np.linalg.pinv(design.T @ design + ridge.T @ ridge, hermitian=True)
     white = residual.ravel() * scale
     dof = max(1, len(white) - design.shape[1])
     inflate = max(1.0, float(white @ white) / dof)
-    state = np.concatenate([np.zeros(known), values])
+    state = np.concatenate([np.zeros(frame_count), values])
     return _Solution(
         content,
         parameters,
         values,
-        covariance[known:, known:] * inflate,
-        Placement(root, points, covariance[:known, :known] / data.sigma**2, residual),
+        covariance[frame_count:, frame_count:] * inflate,
+        Placement(root, points, covariance[:frame_count, :frame_count] / data.sigma**2, residual),
         residual,
         np.vstack([design, ridge]),
         np.concatenate([white + design @ state, np.zeros(len(parameters))]),
@@ -308,17 +315,17 @@ def _solve(
     )
 
 
-def _column(parameter: GeometryParameter, inside: Array, chain: Chain, q: Array) -> Array:
+def _column(parameter: GeometryParameter, by_joint: Array, chain: Chain, q: Array) -> Array:
     """Return the derivative (n, 1) of the points by a parameter.
 
-    :param inside: (C, P, 3, 6, 6) by displacements of the joints, device axes.
+    :param by_joint: (C, P, 3, 6, 6) by displacements of the joints, device axes.
     :param q: (C, 6) joint angles of the controller.
     """
     joint = JOINTS.index(parameter.joint)
     if parameter.axis not in GEAR_TERMS:
-        return np.asarray(inside[..., joint, _AXES.index(parameter.axis)].reshape(-1, 1))
+        return np.asarray(by_joint[..., joint, _AXES.index(parameter.axis)].reshape(-1, 1))
     wave = waves(q[:, joint])[GEAR_TERMS.index(parameter.axis)]
-    return np.asarray((inside[..., joint, 3:] @ chain.axis[joint] * wave[:, None, None]).reshape(-1, 1))
+    return np.asarray((by_joint[..., joint, 3:] @ chain.axis[joint] * wave[:, None, None]).reshape(-1, 1))
 
 
 def _at_rest(robot: RobotModel, q: Array) -> tuple[Array, Array]:
@@ -326,8 +333,8 @@ def _at_rest(robot: RobotModel, q: Array) -> tuple[Array, Array]:
     x, joints = elastostatics.coordinates(robot, q), list(robot.actuated)
     if robot.subtract_reference:
         return kinematics.tcp(robot.actual, x, np.eye(4))[0], x[:, joints]
-    found = elastostatics.deflect(robot, q, np.eye(4), np.zeros((len(q), 6)))
-    return found.pose, (x + found.theta)[:, joints]
+    sag = elastostatics.deflect(robot, q, np.eye(4), np.zeros((len(q), 6)))
+    return sag.pose, (x + sag.theta)[:, joints]
 
 
 def _geometric(nominal: Chain, robot: RobotModel) -> Chain:
@@ -338,8 +345,8 @@ def _geometric(nominal: Chain, robot: RobotModel) -> Chain:
 
 
 def _placed(frames: Array, points: Array) -> Array:
-    placed: Array = np.einsum("cij,pj->cpi", frames[:, :3, :3], points) + frames[:, None, :3, 3]
-    return placed
+    positions: Array = np.einsum("cij,pj->cpi", frames[:, :3, :3], points) + frames[:, None, :3, 3]
+    return positions
 
 
 def _held_out(solution: _Solution, data: Measurements) -> Array:
@@ -349,14 +356,14 @@ def _held_out(solution: _Solution, data: Measurements) -> Array:
     folds = min(_FOLDS, len(data.q))
     fold = np.random.default_rng(0).permutation(len(data.q)) % folds
     row_fold = np.concatenate([np.repeat(fold, rows), np.full(len(solution.target) - readings, -1)])
-    out = np.empty(len(data.q))
+    errors = np.empty(len(data.q))
     for index in range(folds):
         train = row_fold != index
         state = np.linalg.lstsq(solution.design[train], solution.target[train], rcond=None)[0]
         test = ~train
         left = (solution.target[test] - solution.design[test] @ state) / solution.weight[test[:readings]]
-        out[fold == index] = np.sum(np.nan_to_num(left).reshape(-1, rows) ** 2, axis=1) / len(data.points)
-    return out
+        errors[fold == index] = np.sum(np.nan_to_num(left).reshape(-1, rows) ** 2, axis=1) / len(data.points)
+    return errors
 
 
 def _with_geometry(
@@ -369,9 +376,9 @@ def _with_geometry(
         table = tables[of_gear].setdefault(parameter.joint, {"source": source})
         table[f"{parameter.axis}_{unit}"] = float(value * factor)
         if half is not None:
-            listed = intervals.setdefault((of_gear, parameter.joint), [])
-            listed.append(f"{parameter.axis} ± {half[index] * factor:.2g} {unit}")
-            table["source"] = f"{source} (95 %: {', '.join(listed)})"
+            texts = intervals.setdefault((of_gear, parameter.joint), [])
+            texts.append(f"{parameter.axis} ± {half[index] * factor:.2g} {unit}")
+            table["source"] = f"{source} (95 %: {', '.join(texts)})"
     try:
         geometry = msgspec.convert(tables[False], dict[str, Displacement])
         transmission = msgspec.convert(tables[True], dict[str, TransmissionEntry])
@@ -389,13 +396,15 @@ def contradictions(result: Geometry) -> list[str]:
     content = result.content
     if not result.sag or content.gravity.in_gears:
         return []
-    bent = [name for name, spring in content.joints.items() if spring.stiffening or spring.knees or spring.backlash]
-    if not bent:
+    nonlinear_joints = [
+        name for name, spring in content.joints.items() if spring.stiffening or spring.knees or spring.backlash
+    ]
+    if not nonlinear_joints:
         return []
     return [
         "the geometry is that of a weightless robot, in which weights load the gears too; the gears of "
-        f"{', '.join(bent)} were identified with the load alone, and their prediction changes. Identify them "
-        'from a robot whose model.toml says [gravity] reference = "rigid", or leave out --geometry.'
+        f"{', '.join(nonlinear_joints)} were identified with the load alone, and their prediction changes. Identify "
+        'them from a robot whose model.toml says [gravity] reference = "rigid", or leave out --geometry.'
     ]
 
 
@@ -404,9 +413,15 @@ def report_data(result: Geometry) -> record.Geometry:
     entries = {}
     for parameter, value, half in zip(result.parameters, result.values, result.ci95, strict=True):
         unit, factor = parameter.unit
-        seen = parameter.name not in result.not_observable
+        is_observable = parameter.name not in result.not_observable
         entries[parameter.name] = record.Parameter(
-            float(value * factor), float(half * factor), unit, observable=seen, determined=bool(half <= abs(value))
+            float(value * factor),
+            float(half * factor),
+            unit,
+            observable=is_observable,
+            determined=bool(half <= abs(value)),
         )
-    variants = {name: record.Variant(fit * MM_PER_M, held * MM_PER_M) for name, (fit, held) in result.rms.items()}
+    variants = {
+        name: record.Variant(fit * MM_PER_M, fold_rms * MM_PER_M) for name, (fit, fold_rms) in result.rms.items()
+    }
     return record.Geometry(entries, result.sag, result.chosen, variants, result.u95 * MM_PER_M)

@@ -91,23 +91,23 @@ def link_springs(robot: RobotModel, rich: bool) -> tuple[LinkSpring, ...]:
 
     :param rich: also springs where links end, and under the base.
     """
-    along = _along_joints(robot)
+    about_joints = _along_joints(robot)
     springs = (LinkSpring(link, axis) for link in ((BASE, *JOINTS) if rich else JOINTS) for axis in LINK_AXES)
-    return tuple(spring for spring in springs if spring not in along and (rich or not spring.at_end))
+    return tuple(spring for spring in springs if spring not in about_joints and (rich or not spring.at_end))
 
 
 def _along_joints(robot: RobotModel) -> set[LinkSpring]:
     """Return the rotations that are about a joint axis; for axes along X, Y or Z of the joint frames."""
-    found = set()
+    springs = set()
     for index, joint in enumerate(JOINTS):
-        here = robot.nominal.axis[index]
-        before = robot.nominal.placement[index, :3, :3] @ here
-        found.add(LinkSpring(joint, LINK_AXES[3 + int(np.argmax(np.abs(here)))]))
-        link, axis = (BASE, *JOINTS)[index], int(np.argmax(np.abs(before)))
-        found.add(LinkSpring(link, LINK_AXES[6 + axis]))
-        if np.linalg.norm(np.cross(before, robot.nominal.placement[index, :3, 3])) < _ONE_LINE:
-            found.add(LinkSpring(link, LINK_AXES[3 + axis]))  # the link begins on the axis of the joint at its end
-    return found
+        joint_axis = robot.nominal.axis[index]
+        parent_axis = robot.nominal.placement[index, :3, :3] @ joint_axis
+        springs.add(LinkSpring(joint, LINK_AXES[3 + int(np.argmax(np.abs(joint_axis)))]))
+        link, axis = (BASE, *JOINTS)[index], int(np.argmax(np.abs(parent_axis)))
+        springs.add(LinkSpring(link, LINK_AXES[6 + axis]))
+        if np.linalg.norm(np.cross(parent_axis, robot.nominal.placement[index, :3, 3])) < _ONE_LINE:
+            springs.add(LinkSpring(link, LINK_AXES[3 + axis]))  # the link begins on the axis of the joint at its end
+    return springs
 
 
 def _gears(
@@ -150,10 +150,10 @@ def everything(
 
 def _at_rest(robot: RobotModel) -> Iterator[Parameter]:
     """Yield the uncertain sources of torque on the gears at rest: masses and compensator."""
-    wanted: list[Parameter] = [LinkMass(joint) for joint in JOINTS[1:]]
+    sources: list[Parameter] = [LinkMass(joint) for joint in JOINTS[1:]]
     if robot.compensator is not None:
-        wanted.append(CompensatorSize())
-    return (parameter for parameter in wanted if robot.prior_sigma(parameter) > 0.0)
+        sources.append(CompensatorSize())
+    return (parameter for parameter in sources if robot.prior_sigma(parameter) > 0.0)
 
 
 def has_compensator(robot: RobotModel, data: Measurements) -> bool:
@@ -186,7 +186,9 @@ def candidates(compensator: bool) -> list[tuple[str, tuple[str, ...]]]:
     ]
     extra, label = ((COMPENSATOR_SPRING,), ", compensator") if compensator else ((), "")
     return [
-        (arm + label + gear, (*kinds, *extra, *more)) for arm, kinds, with_gears in arms for gear, more in with_gears
+        (arm + label + gear, (*kinds, *extra, *gear_kinds))
+        for arm, kinds, with_gears in arms
+        for gear, gear_kinds in with_gears
     ]
 
 
@@ -195,7 +197,7 @@ _LEAST_WEIGHT = 0.02
 """Structures that weigh less are left out of the mean."""
 CLEAR = 3.0
 """Gain of log evidence (odds of one in twenty) that a richer model must show."""
-_NOT_NARROWED = 0.9
+_PRIOR_SHARE = 0.9
 """Least ratio of posterior to prior standard deviation of a parameter that only its prior determines."""
 _ROUNDS = 3
 """Number of linearisations in the fit of all parameters together."""
@@ -302,17 +304,17 @@ class Mean(Struct, frozen=True, eq=False):
         """Weights and structures that are part of the mean."""
         return [(float(w), m) for w, m in zip(self.weights, self.members, strict=True) if w > 0.0]
 
-    def solve(self, without: Ints | None = None) -> Array:
+    def solve(self, excluded_configs: Ints | None = None) -> Array:
         """Return the parameters (p,) of the mean, SI."""
-        return np.asarray(sum(w * m.regression.solve(self.equations, without) for w, m in self.taken))
+        return np.asarray(sum(w * m.regression.solve(self.equations, excluded_configs) for w, m in self.taken))
 
     def covariance(self) -> Array:
         """Return the posterior covariance (p, p), within the structures and between them, SI."""
-        mean, out = self.solve(), np.zeros((len(self.structure.parameters),) * 2)
+        mean, total = self.solve(), np.zeros((len(self.structure.parameters),) * 2)
         for weight, member in self.taken:
-            apart = member.regression.solve(self.equations) - mean
-            out += weight * (member.regression.covariance(self.equations) + np.outer(apart, apart))
-        return out
+            difference = member.regression.solve(self.equations) - mean
+            total += weight * (member.regression.covariance(self.equations) + np.outer(difference, difference))
+        return total
 
     def spread(self) -> Array:
         """Return the prior standard deviations (p,), SI; zero for parameters of no structure."""
@@ -339,20 +341,24 @@ def choose(robot: RobotModel, data: Measurements, placement: Placement) -> Choic
     """
     # if the geometry is a weightless robot's, weights and compensator act on the gears like a load
     weights_matter = robot.subtract_reference and (robot.has_weight or robot.compensator is not None)
-    found: list[_Settled] = []
+    fits: list[_Settled] = []
     for in_gears in (False, True) if weights_matter else (False,):
         try:
-            found.append(_settled(robot, data, placement, in_gears, compensator=False))
+            fits.append(_settled(robot, data, placement, in_gears, compensator=False))
         except PostprocError:
-            if not found and in_gears == weights_matter:
+            if not fits and in_gears == weights_matter:
                 raise
     # gears under the load alone are the simpler model
-    best = found[-1] if found[-1].whole.evidence > found[0].whole.evidence + CLEAR else found[0]
+    best = fits[-1] if fits[-1].whole.evidence > fits[0].whole.evidence + CLEAR else fits[0]
     if has_compensator(robot, data):
         try:
-            other = _settled(robot, data, placement, best.structure.in_gears, compensator=True)
-            if other.whole.evidence > best.whole.evidence + CLEAR:
-                choice = _chosen(*_extended(_mean(other, compensator=True), other, data, placement), data, placement)
+            with_compensator = _settled(robot, data, placement, best.structure.in_gears, compensator=True)
+            if with_compensator.whole.evidence > best.whole.evidence + CLEAR:
+                choice = _chosen(
+                    *_extended(_mean(with_compensator, compensator=True), with_compensator, data, placement),
+                    data,
+                    placement,
+                )
                 if is_physical(choice.fit) and not _open(choice):
                     return choice
         except PostprocError:
@@ -387,20 +393,22 @@ def _settled(
     return _Settled(structure, kinds, prior, equations, whole)
 
 
-def _mean(settled: _Settled, compensator: bool) -> Mean:
+def _mean(solution: _Settled, compensator: bool) -> Mean:
     """Return the mean of structures with the least cross-validation error."""
-    equations, kinds, fold = settled.equations, np.array(settled.kinds), folds(settled.equations)
+    equations, kinds, fold = solution.equations, np.array(solution.kinds), folds(solution.equations)
     members = []
-    for name, wanted in candidates(compensator):
-        if not set(wanted) <= set(settled.kinds):  # this robot has none of a kind
+    for name, member_kinds in candidates(compensator):
+        if not set(member_kinds) <= set(solution.kinds):  # this robot has none of a kind
             continue
-        nonlinear = not set(wanted).isdisjoint(GEARS)
-        columns = np.flatnonzero(np.isin(kinds, [*wanted, AT_REST] if nonlinear else wanted))
-        members.append(Member.of(name, nonlinear, equations, settled.prior, columns, fold))
+        nonlinear = not set(member_kinds).isdisjoint(GEARS)
+        columns = np.flatnonzero(np.isin(kinds, [*member_kinds, AT_REST] if nonlinear else member_kinds))
+        members.append(Member.of(name, nonlinear, equations, solution.prior, columns, fold))
     evidence = np.array([member.regression.evidence for member in members])
     linear = np.array([not member.nonlinear for member in members])
-    among = linear if evidence.max() < evidence[linear].max() + CLEAR else np.ones(len(members), dtype=bool)
-    return Mean(settled.structure, equations, tuple(members), _stacked(equations, members, np.flatnonzero(among)))
+    is_candidate = linear if evidence.max() < evidence[linear].max() + CLEAR else np.ones(len(members), dtype=bool)
+    return Mean(
+        solution.structure, equations, tuple(members), _stacked(equations, members, np.flatnonzero(is_candidate))
+    )
 
 
 def folds(equations: Linearised) -> Ints:
@@ -408,7 +416,7 @@ def folds(equations: Linearised) -> Ints:
     return np.random.default_rng(0).permutation(equations.configs) % min(_FOLDS, equations.configs)
 
 
-def _extended(mean: Mean, settled: _Settled, data: Measurements, placement: Placement) -> tuple[Mean, _Settled]:
+def _extended(mean: Mean, solution: _Settled, data: Measurements, placement: Placement) -> tuple[Mean, _Settled]:
     """Return the mean of structures, with couplings and compliances over the pose if the evidence is for them.
 
     Both are tried on the structure with the most evidence: first the couplings, then the waves over the pose.
@@ -425,7 +433,7 @@ def _extended(mean: Mean, settled: _Settled, data: Measurements, placement: Plac
     fold = folds(equations)
     best = max((member for _, member in mean.taken), key=lambda member: member.regression.evidence)
     base = Member.of(best.name, best.nonlinear, equations, prior, best.regression.columns, fold)
-    added = []
+    extensions = []
     for label, first, count in (
         (", coupled wrist", old, len(couplings)),
         (", over the pose", old + len(couplings), len(waves)),
@@ -434,93 +442,93 @@ def _extended(mean: Mean, settled: _Settled, data: Measurements, placement: Plac
         member = Member.of(base.name + label, base.nonlinear, equations, prior, columns, fold)
         if count > 0 and member.regression.evidence > base.regression.evidence + CLEAR:
             base = member
-            added.append(member)
-    if not added:
-        return mean, settled
+            extensions.append(member)
+    if not extensions:
+        return mean, solution
     wide = [replace(member, regression=replace(member.regression, size=size)) for member in mean.members]
-    members = (*wide, *added)
-    among = np.flatnonzero([*(mean.weights > 0.0), *(True for _ in added)])
-    weights = _stacked(equations, members, among)
-    kinds = (*settled.kinds, *(COUPLING for _ in couplings), *(OVER_POSE for _ in waves))
-    settled = replace(
-        settled, structure=structure, kinds=kinds, prior=prior, equations=equations, whole=base.regression
+    members = (*wide, *extensions)
+    stacked_rows = np.flatnonzero([*(mean.weights > 0.0), *(True for _ in extensions)])
+    weights = _stacked(equations, members, stacked_rows)
+    kinds = (*solution.kinds, *(COUPLING for _ in couplings), *(OVER_POSE for _ in waves))
+    solution = replace(
+        solution, structure=structure, kinds=kinds, prior=prior, equations=equations, whole=base.regression
     )
-    return Mean(structure, equations, members, weights), settled
+    return Mean(structure, equations, members, weights), solution
 
 
 def _left_out(regression: Regression, equations: Linearised, fold: Ints) -> Array:
     """Return the residuals (rows,) of each configuration from fits to the other folds; `fold` (C,)."""
-    out = np.empty(len(equations.target))
+    residual = np.empty(len(equations.target))
     for index in np.unique(fold):
         rows = fold[equations.config] == index
-        out[rows] = equations.residual(regression.solve(equations, np.flatnonzero(fold == index)), rows)
-    return out
+        residual[rows] = equations.residual(regression.solve(equations, np.flatnonzero(fold == index)), rows)
+    return residual
 
 
-def _stacked(equations: Linearised, members: Sequence[Member], among: Ints) -> Array:
+def _stacked(equations: Linearised, members: Sequence[Member], rows_of_members: Ints) -> Array:
     """Return non-negative weights with sum one that minimise the cross-validation error of some members."""
     from scipy.optimize import nnls
 
-    left = np.array([members[index].left for index in among]) * np.sqrt(equations.weight)
+    left = np.array([members[index].left for index in rows_of_members]) * np.sqrt(equations.weight)
     square = left @ left.T / left.shape[1]
     size = np.trace(square) / len(square)
     rows = np.linalg.cholesky(square + 1e-9 * size * np.eye(len(square))).T
     firm = np.sqrt(1e3 * size)
-    found, _ = nnls(np.vstack([rows, np.full(len(rows), firm)]), np.append(np.zeros(len(rows)), firm), maxiter=1000)
-    found = np.where(found > _LEAST_WEIGHT * found.sum(), found, 0.0)
+    solution, _ = nnls(np.vstack([rows, np.full(len(rows), firm)]), np.append(np.zeros(len(rows)), firm), maxiter=1000)
+    solution = np.where(solution > _LEAST_WEIGHT * solution.sum(), solution, 0.0)
     weights = np.zeros(len(members))
-    weights[among] = found / found.sum()
+    weights[rows_of_members] = solution / solution.sum()
     return weights
 
 
-def _chosen(mean: Mean, settled: _Settled, data: Measurements, placement: Placement) -> Choice:
+def _chosen(mean: Mean, solution: _Settled, data: Measurements, placement: Placement) -> Choice:
     # once more at the mean: the effect of nonlinear parameters depends on it a little
     mean = replace(mean, equations=linearise(mean.structure, mean.solve(), data, placement))
     equations, parameters = mean.equations, mean.structure.parameters
     values, posterior, spread = mean.solve(), mean.covariance(), mean.spread()
-    without = np.array([mean.solve(np.array([index])) for index in range(equations.configs)])
+    jackknife_values = np.array([mean.solve(np.array([index])) for index in range(equations.configs)])
     left = np.empty(len(equations.target))
     for index in range(equations.configs):
         rows = equations.config == index
-        left[rows] = equations.residual(without[index], rows)
-    apart = without - without.mean(axis=0)
+        left[rows] = equations.residual(jackknife_values[index], rows)
+    deviation = jackknife_values - jackknife_values.mean(axis=0)
     # springs of links that are zero cost a coordinate each: the remaining ones take their place
     is_link = np.array([isinstance(parameter, LinkSpring) for parameter in parameters])
     keep = np.flatnonzero((spread > 0.0) & ((values != 0.0) | ~is_link) & ~_fixed_over_pose(mean.structure, spread))
-    onto = projection(equations, keep, spread)
+    transform = projection(equations, keep, spread)
     structure = replace(mean.structure, parameters=tuple(parameters[index] for index in keep))
-    moved, _ = predict(structure, values[keep], data, placement)
-    residual = (measured_displacements(data, placement) - moved) * visible(data)
+    displacement, _ = predict(structure, values[keep], data, placement)
+    residual = (measured_displacements(data, placement) - displacement) * visible(data)
     w = whitening(data)
     white = whiten(w, residual).ravel()
-    solved = [(weight, member.regression, member.regression.solve(equations)) for weight, member in mean.taken]
-    determined = float(sum(w * regression.degrees_of_freedom(equations, values) for w, regression, values in solved))
-    influence = np.asarray(sum(w * regression.influence(equations, values) for w, regression, values in solved))
-    jackknife = (len(apart) - 1) / len(apart) * apart.T @ apart
+    members = [(weight, member.regression, member.regression.solve(equations)) for weight, member in mean.taken]
+    dof = float(sum(w * regression.degrees_of_freedom(equations, values) for w, regression, values in members))
+    influence = np.asarray(sum(w * regression.influence(equations, values) for w, regression, values in members))
+    jackknife = (len(deviation) - 1) / len(deviation) * deviation.T @ deviation
     wider = 2.0 * design_effect(equations, influence, left) * posterior + jackknife
     fit = Fit(
         structure,
         values[keep],
-        onto @ posterior @ onto.T,
+        transform @ posterior @ transform.T,
         residual,
         float(white @ white),
-        max(1, round(equations.count - determined)),
+        max(1, round(equations.count - dof)),
         equations.design[:, keep],
         equations.target,
     )
-    held_out, table = equations.mean_squares(left), _table(mean)
-    narrowed = np.sqrt(np.diag(posterior)) < _NOT_NARROWED * spread
+    square_errors, table = equations.mean_squares(left), _table(mean)
+    is_narrower = np.sqrt(np.diag(posterior)) < _PRIOR_SHARE * spread
     return Choice(
         fit,
-        onto @ wider @ onto.T,
+        transform @ wider @ transform.T,
         table,
-        _reason(table, float(held_out.mean())),
-        held_out,
+        _reason(table, float(square_errors.mean())),
+        square_errors,
         unwhiten(w, left.reshape(len(data.loaded), len(data.points), 3)),
-        onto @ influence,
-        determined,
-        tuple(parameters[index] for index in np.flatnonzero((spread > 0.0) & ~narrowed)),
-        settled.whole.evidence,
+        transform @ influence,
+        dof,
+        tuple(parameters[index] for index in np.flatnonzero((spread > 0.0) & ~is_narrower)),
+        solution.whole.evidence,
     )
 
 
@@ -533,12 +541,12 @@ def _fixed_over_pose(structure: Structure, spread: Array) -> Bools:
 
     :param spread: (p,) prior standard deviations, SI.
     """
-    out = np.zeros(len(spread), dtype=bool)
+    is_fixed = np.zeros(len(spread), dtype=bool)
     for joint in JOINT_COMPLIANCES:
         rows = [i for i, p in enumerate(structure.parameters) if isinstance(p, PoseWave) and p.joint == joint.joint]
         compliance = structure.prior.compliance[structure.prior.row(joint)]
-        out[rows] = np.sqrt(np.sum(spread[rows] ** 2) / 2.0) < _CONSTANT * compliance
-    return out
+        is_fixed[rows] = np.sqrt(np.sum(spread[rows] ** 2) / 2.0) < _CONSTANT * compliance
+    return is_fixed
 
 
 def design_effect(equations: Linearised, influence: Array, residual: Array) -> float:
@@ -547,12 +555,12 @@ def design_effect(equations: Linearised, influence: Array, residual: Array) -> f
     :param influence: (p, rows) derivatives of the parameters by the whitened readings.
     :param residual: (rows,) whitened residuals of configurations left out.
     """
-    shared, independent = 0.0, 0.0
+    joint_variance, independent = 0.0, 0.0
     for config in range(equations.configs):
         rows = np.flatnonzero(equations.config == config)
         effect = (equations.design[rows] @ influence[:, rows]) * np.outer(residual[rows], residual[rows])
-        shared, independent = shared + float(effect.sum()), independent + float(np.trace(effect))
-    return max(1.0, shared / independent) if independent > 0.0 else 1.0
+        joint_variance, independent = joint_variance + float(effect.sum()), independent + float(np.trace(effect))
+    return max(1.0, joint_variance / independent) if independent > 0.0 else 1.0
 
 
 def projection(equations: Linearised, keep: Ints, spread: Array) -> Array:
@@ -562,9 +570,9 @@ def projection(equations: Linearised, keep: Ints, spread: Array) -> Array:
     """
     square = spread[keep, None] * equations.normal(np.arange(len(spread)))[0][keep]
     normal = square[:, keep] * spread[keep] + np.eye(len(keep))
-    out = spread[keep, None] * np.linalg.solve(normal, square)
-    out[:, keep] = np.eye(len(keep))
-    return np.asarray(out)
+    matrix = spread[keep, None] * np.linalg.solve(normal, square)
+    matrix[:, keep] = np.eye(len(keep))
+    return np.asarray(matrix)
 
 
 def _table(mean: Mean) -> tuple[Candidate, ...]:
@@ -573,7 +581,7 @@ def _table(mean: Mean) -> tuple[Candidate, ...]:
     rows = []
     for weight, member in zip(mean.weights, mean.members, strict=True):
         squares = equations.mean_squares(member.left)
-        apart, values = squares - of_mean, member.regression.solve(equations)
+        difference, values = squares - of_mean, member.regression.solve(equations)
         rows.append(
             Candidate(
                 member.name + (" with load and weights" if mean.structure.in_gears and member.nonlinear else ""),
@@ -581,18 +589,18 @@ def _table(mean: Mean) -> tuple[Candidate, ...]:
                 int(np.count_nonzero(values)),
                 float(np.sqrt(np.mean(equations.residual(values) ** 2))),
                 float(squares.mean()),
-                float(apart.std(ddof=1) / np.sqrt(len(apart))),
+                float(difference.std(ddof=1) / np.sqrt(len(difference))),
                 float(weight),
             )
         )
-    most = int(np.argmax(mean.weights))
-    return tuple(replace(row, chosen=index == most) for index, row in enumerate(rows))
+    heaviest = int(np.argmax(mean.weights))
+    return tuple(replace(row, chosen=index == heaviest) for index, row in enumerate(rows))
 
 
-def _reason(table: Sequence[Candidate], held_out: float) -> str:
-    taken = sorted((row for row in table if row.weight > 0.0), key=lambda row: -row.weight)
-    parts = "; ".join(f"{row.weight:.0%} {row.name}" for row in taken)
+def _reason(table: Sequence[Candidate], square_error: float) -> str:
+    rows = sorted((row for row in table if row.weight > 0.0), key=lambda row: -row.weight)
+    parts = "; ".join(f"{row.weight:.0%} {row.name}" for row in rows)
     return (
-        f"chosen: {parts}: cross-validation error {held_out:.2f} σ² (noise alone: 1; joint springs alone: "
+        f"chosen: {parts}: cross-validation error {square_error:.2f} σ² (noise alone: 1; joint springs alone: "
         f"{table[0].held_out:.2f} σ²)"
     )

@@ -124,9 +124,9 @@ def joint_axis_radius(q2: Array, p1: Array) -> tuple[Array, Array, Array]:
     u_hat, p_hat = u - u.mean(axis=0), p1 - mean[..., None, :]
     left, _, right = np.linalg.svd(u_hat.T @ p_hat)
     left, right = left.swapaxes(-1, -2), right.swapaxes(-1, -2)
-    handed = np.ones(left.shape[:-1])
-    handed[..., 2] = np.linalg.det(right @ left)
-    axes = (right * handed[..., None, :]) @ left
+    signs = np.ones(left.shape[:-1])
+    signs[..., 2] = np.linalg.det(right @ left)
+    axes = (right * signs[..., None, :]) @ left
     length = np.sum(p_hat * (u_hat @ axes.swapaxes(-1, -2)), axis=(-2, -1)) / np.sum(u_hat**2)
     return length, axes, mean - length[..., None] * (axes @ u.mean(axis=0))
 
@@ -144,8 +144,8 @@ def swivel_axis(p0: Array) -> tuple[Array, Array]:
     origin = p0.mean(axis=(-3, -2))  # Eq. (7) does not depend on the origin; near the points it loses no digits
     p = p0 - origin[..., None, None, :]
     p_hat = p - p.mean(axis=-2, keepdims=True)
-    squared = np.sum(p**2, axis=-1)
-    s_hat = squared - squared.mean(axis=-1, keepdims=True)
+    square = np.sum(p**2, axis=-1)
+    s_hat = square - square.mean(axis=-1, keepdims=True)
     eigenvalues, vectors = np.linalg.eigh(np.einsum("...kmi,...kmj->...ij", p_hat, p_hat))
     normal, plane = vectors[..., 0], vectors[..., 1:]
     if np.any(eigenvalues[..., 1] <= 1e-16 * eigenvalues[..., 2]):
@@ -175,8 +175,8 @@ def geometry(q2: Array, p1: Array, p0: Array) -> Array:
     """
     length, axes, centre_p2 = joint_axis_radius(q2, p1)
     centre_p0, _ = swivel_axis(p0)
-    across = np.einsum("...ji,...j->...i", axes, centre_p0 - centre_p2)
-    return np.stack([length, -across[..., 0], -across[..., 1]], axis=-1)
+    offset = np.einsum("...ji,...j->...i", axes, centre_p0 - centre_p2)
+    return np.stack([length, -offset[..., 0], -offset[..., 1]], axis=-1)
 
 
 def mechanism(value: Array, q2: Array, radius: Array, angle: Array) -> tuple[Array, Array]:
@@ -209,9 +209,9 @@ def noise_covariance(q2: Array, p1: Array, p0: Array, variance_p1: Array, varian
     m, k, step = len(q2), len(p0), 1e-5
     data = np.concatenate([p1.ravel(), p0.ravel()])
     variance = np.repeat(np.concatenate([variance_p1.ravel(), variance_p0.ravel()]), 3)
-    moved = data + step * np.concatenate([np.eye(len(data)), -np.eye(len(data))])
-    found = geometry(q2, moved[:, : 3 * m].reshape(-1, m, 3), moved[:, 3 * m :].reshape(-1, k, m, 3))
-    sensitivity = (found[: len(data)] - found[len(data) :]) / (2.0 * step)
+    variations = data + step * np.concatenate([np.eye(len(data)), -np.eye(len(data))])
+    results = geometry(q2, variations[:, : 3 * m].reshape(-1, m, 3), variations[:, 3 * m :].reshape(-1, k, m, 3))
+    sensitivity = (results[: len(data)] - results[len(data) :]) / (2.0 * step)
     return np.asarray((sensitivity.T * variance) @ sensitivity)
 
 
@@ -232,10 +232,10 @@ def pivot_bias(p0: Array, variance: Array) -> Array:
     r = (p0 - centre) @ axes[1:].T
     p_hat = r - r.mean(axis=1, keepdims=True)
     inverse = np.linalg.inv(np.einsum("kmi,kmj->ij", p_hat, p_hat))
-    own = p_hat @ inverse
-    along = (1.0 - 1.0 / p0.shape[1] - np.sum(own * p_hat, axis=2))[..., None] * r
-    along -= p_hat * np.sum(own * r, axis=2)[..., None]
-    return np.asarray(inverse @ np.einsum("km,kmi->i", variance, along) @ axes[1:])
+    gain = p_hat @ inverse
+    moment = (1.0 - 1.0 / p0.shape[1] - np.sum(gain * p_hat, axis=2))[..., None] * r
+    moment -= p_hat * np.sum(gain * r, axis=2)[..., None]
+    return np.asarray(inverse @ np.einsum("km,kmi->i", variance, moment) @ axes[1:])
 
 
 def even_angles(count: int) -> Array:
@@ -257,9 +257,9 @@ def expected_covariance(value: Array, q2: Array, radius: Array, angle: Array, va
     :param variance: of one coordinate of the mean of the repeats [m²].
     """
     p1, p0 = mechanism(value, q2, radius, angle)
-    each = np.full(p0.shape[:2], variance)
-    bias = np.concatenate([[0.0], -pivot_bias(p0, each)[:2]])
-    return np.asarray(noise_covariance(q2, p1, p0, each[0], each) + np.outer(bias, bias))
+    variances = np.full(p0.shape[:2], variance)
+    bias = np.concatenate([[0.0], -pivot_bias(p0, variances)[:2]])
+    return np.asarray(noise_covariance(q2, p1, p0, variances[0], variances) + np.outer(bias, bias))
 
 
 def degrees_of_freedom(angles: int, markers: int) -> int:
@@ -307,8 +307,8 @@ def identify(readings: MarkerReadings) -> CompensatorGeometry:
     reach = student_95(dof)
     ci95 = reach * np.sqrt(np.diag(covariance))
     radius, angle = _polar(value, readings, axes)
-    even = np.full(len(p0), radius.mean()), even_angles(len(p0)) + float(angle[0])
-    even_covariance = expected_covariance(value, q2, *even, sigma**2 / float(readings.count_p0.mean()))
+    even_markers = np.full(len(p0), radius.mean()), even_angles(len(p0)) + float(angle[0])
+    even_covariance = expected_covariance(value, q2, *even_markers, sigma**2 / float(readings.count_p0.mean()))
     markers = MarkerPlacement(readings.markers, radius, angle, bias, reach * np.sqrt(np.diag(even_covariance)))
     turn = float(np.ptp(spring_direction(value, q2)))
     warnings = list(readings.warnings)
@@ -321,12 +321,12 @@ def identify(readings: MarkerReadings) -> CompensatorGeometry:
 
 
 def _remedy(markers: MarkerPlacement, ci95: Array) -> str:
-    even = markers.ci95_even[1:]
-    if np.linalg.norm(even) > _WORTH * np.linalg.norm(ci95[1:]):
+    even_ci = markers.ci95_even[1:]
+    if np.linalg.norm(even_ci) > _WORTH * np.linalg.norm(ci95[1:]):
         return "Measure more markers, more repeats, and the angles q2 that `postproc plan compensator` proposes."
     return (
-        f"Spread the markers evenly around P0: a_x ± {even[0] * MM_PER_M:.1f} mm, a_y ± {even[1] * MM_PER_M:.1f} mm "
-        "with as many readings."
+        f"Spread the markers evenly around P0: a_x ± {even_ci[0] * MM_PER_M:.1f} mm, "
+        f"a_y ± {even_ci[1] * MM_PER_M:.1f} mm with as many readings."
     )
 
 
@@ -359,15 +359,15 @@ def _residuals(readings: MarkerReadings) -> tuple[Array, Array]:
 
 def _refuse_impossible(readings: MarkerReadings, left_p1: Array, left_p0: Array) -> None:
     if len(readings.markers) > 2:  # the markers sit on one rigid body: their distances do not change
-        apart = np.linalg.norm(readings.p0[:, None] - readings.p0[None], axis=3)
-        usual = np.median(apart, axis=2)
-        change = np.abs(apart - usual[..., None]).max(axis=(0, 1))
+        distances = np.linalg.norm(readings.p0[:, None] - readings.p0[None], axis=3)
+        usual = np.median(distances, axis=2)
+        change = np.abs(distances - usual[..., None]).max(axis=(0, 1))
         angle = int(np.argmax(change))
         if change[angle] > _IMPOSSIBLE:
-            here = apart[:, :, angle]
+            at_angle = distances[:, :, angle]
             k = len(readings.markers)
             swaps = [_swapped(k, i, j) for i in range(k) for j in range(i)]
-            wrong = [float(np.abs(here[np.ix_(order, order)] - usual).max()) for order in swaps]
+            wrong = [float(np.abs(at_angle[np.ix_(order, order)] - usual).max()) for order in swaps]
             best = int(np.argmin(wrong))
             names = [readings.markers[i] for i in range(k) if swaps[best][i] != i]
             advice = "Measure this angle again."
@@ -401,7 +401,7 @@ def read(path: Path) -> MarkerReadings:
     :raises MeasurementError: a marker is missing at an angle, too few angles or markers, angles in radians.
     """
     numbers, texts, lines = files.read_csv(path, _COLUMNS, (), MeasurementError, ("marker",))
-    where = str(path)
+    file_name = str(path)
     angles = np.unique(numbers["q2"])[::-1]
     names = sorted(set(texts["marker"]))
     on_compensator = tuple(name for name in names if name != P1)
@@ -409,16 +409,16 @@ def read(path: Path) -> MarkerReadings:
         if name != P1 and not (name.startswith("P0") and name[2:].isdigit()):
             first = int(lines[texts["marker"].index(name)])
             raise MeasurementError(
-                f"unknown marker {name!r}", file=where, line=first, advice="Markers are P1, P01, P02, …."
+                f"unknown marker {name!r}", file=file_name, line=first, advice="Markers are P1, P01, P02, …."
             )
     if P1 not in names or not on_compensator:
         absent = P1 if P1 not in names else "P01"
         raise MeasurementError(
             f"no readings of marker {absent}",
-            file=where,
+            file=file_name,
             advice="Measure P1 (on link 2, where the spring is attached) and at least one marker P01… on the spring.",
         )
-    _check_angles(angles, where)
+    _check_angles(angles, file_name)
     position = np.column_stack([numbers[axis] for axis in "XYZ"]) * M_PER_MM
     marker = np.array(texts["marker"])
     groups = {
@@ -428,13 +428,13 @@ def read(path: Path) -> MarkerReadings:
         if len(rows) == 0:
             raise MeasurementError(
                 f"no reading of marker {name} at q2 = {angle:g}°",
-                file=where,
+                file=file_name,
                 advice="Measure every marker at every angle, or leave the angle out.",
             )
         repeats = numbers["repeat"][rows]
         if len(np.unique(repeats)) < len(rows):
             raise MeasurementError(
-                f"marker {name} at q2 = {angle:g}°: a repeat is given twice", file=where, line=int(lines[rows[-1]])
+                f"marker {name} at q2 = {angle:g}°: a repeat is given twice", file=file_name, line=int(lines[rows[-1]])
             )
     groups, warnings = _without_outliers(groups, position, lines)
     mean = {key: position[rows].mean(axis=0) for key, rows in groups.items()}
@@ -453,17 +453,17 @@ def read(path: Path) -> MarkerReadings:
     )
 
 
-def _check_angles(angles: Array, where: str) -> None:
+def _check_angles(angles: Array, file_name: str) -> None:
     if len(angles) >= 3 and np.abs(angles).max() <= 2.0 * np.pi:
         raise MeasurementError(
             f"all q2 lie between {angles.min():g} and {angles.max():g}: these look like radians",
-            file=where,
+            file=file_name,
             advice="Give q2 in degrees.",
         )
     if len(angles) < 3 or np.ptp(angles) * RAD_PER_DEG < _SMALL_TURN:
         raise MeasurementError(
             f"{len(angles)} angles q2 over {np.ptp(angles) if len(angles) else 0:g}°: too few for a circle",
-            file=where,
+            file=file_name,
             advice="Measure at least 3 angles (6 are better) over as much of the range of A2 as can be reached.",
         )
 
@@ -471,26 +471,26 @@ def _check_angles(angles: Array, where: str) -> None:
 def _without_outliers(groups: _Groups, position: Array, lines: Array) -> tuple[_Groups, tuple[str, ...]]:
     """Leave out readings that are far from the other repeats of the same point (three or more repeats)."""
     deviation = {key: position[rows] - np.median(position[rows], axis=0) for key, rows in groups.items()}
-    pooled = np.abs(np.concatenate([d.ravel() for key, d in deviation.items() if len(d) >= 3] or [np.zeros(0)]))
-    if len(pooled) == 0:
+    sizes = np.abs(np.concatenate([d.ravel() for key, d in deviation.items() if len(d) >= 3] or [np.zeros(0)]))
+    if len(sizes) == 0:
         return groups, ()
     # of three repeats one is the median itself: the median of |deviation| over the other two, normal noise
-    scale = float(np.median(pooled[pooled > 0.0]) / 0.9) if np.any(pooled > 0.0) else 0.0
-    kept: _Groups = {}
+    scale = float(np.median(sizes[sizes > 0.0]) / 0.9) if np.any(sizes > 0.0) else 0.0
+    good_groups: _Groups = {}
     warnings: list[str] = []
     for key, rows in groups.items():
-        far = np.linalg.norm(deviation[key], axis=1)
-        good = far <= max(_OUTLIER * 1.5 * scale, 1e-6)
+        distances = np.linalg.norm(deviation[key], axis=1)
+        good = distances <= max(_OUTLIER * 1.5 * scale, 1e-6)
         if len(rows) >= 3 and 0 < np.count_nonzero(~good) < 0.5 * len(rows):
-            kept[key] = rows[good]
+            good_groups[key] = rows[good]
             warnings += [
                 f"line {int(lines[row])}: marker {key[0]} at q2 = {key[1]:g}° is {distance * MM_PER_M:.2f} mm from its "
                 "other repeats: left out"
-                for row, distance in zip(rows[~good], far[~good], strict=True)
+                for row, distance in zip(rows[~good], distances[~good], strict=True)
             ]
         else:
-            kept[key] = rows
-    return kept, tuple(warnings)
+            good_groups[key] = rows
+    return good_groups, tuple(warnings)
 
 
 def as_data(result: CompensatorGeometry, source: str) -> dict[str, object]:
@@ -530,13 +530,13 @@ def text_lines(result: CompensatorGeometry) -> list[str]:
     markers = result.markers
     count = f"{len(markers.names)} marker{'s' if len(markers.names) > 1 else ''}"
     cosine, sine = np.round(markers.sums * MM_PER_M, 1) + 0.0
-    bias, even = np.round(markers.bias * MM_PER_M, 4) + 0.0, markers.ci95_even * MM_PER_M
+    bias, even_ci = np.round(markers.bias * MM_PER_M, 4) + 0.0, markers.ci95_even * MM_PER_M
     return [
         *lines,
         f"markers around P0: Σ R cos β = {cosine:.1f} mm, Σ R sin β = {sine:.1f} mm; the best is 0, all on one side "
         f"would give {markers.radius.sum() * MM_PER_M:.1f} mm",
         f"bias of Eq. (7) due to that: a_x {bias[1]:.4f} mm, a_y {bias[2]:.4f} mm, contained in the intervals",
-        f"{count} spread evenly around P0, as many readings: a_x ± {even[1]:.3f} mm, a_y ± {even[2]:.3f} mm",
+        f"{count} spread evenly around P0, as many readings: a_x ± {even_ci[1]:.3f} mm, a_y ± {even_ci[2]:.3f} mm",
     ]
 
 
@@ -570,10 +570,10 @@ def load(path: Path) -> Array:
     """
     content = files.read_toml(path, _File, MeasurementError)
     length, ax, ay = content.L_mm.value, content.a_x_mm.value, content.a_y_mm.value
-    apart = float(np.hypot(ax, ay))
-    if apart <= length:
+    distance = float(np.hypot(ax, ay))
+    if distance <= length:
         raise MeasurementError(
-            f"a_x_mm and a_y_mm put P0 {apart:g} mm from joint 2, L_mm is {length:g}: expected more than L_mm",
+            f"a_x_mm and a_y_mm put P0 {distance:g} mm from joint 2, L_mm is {length:g}: expected more than L_mm",
             file=str(path),
             advice="Give all three in mm.",
         )

@@ -32,7 +32,7 @@ NAME, EXPERIMENT, READINGS, SUMS, LICENCE = (
 )
 _CONFIGURATIONS, _REPEATS = 30, 3
 """Usual numbers of configurations and of repeats."""
-_LOADED = 0.02
+_TORQUE_SHARE = 0.02
 """Share of the largest torque on any joint below which a joint is not loaded."""
 
 
@@ -65,29 +65,29 @@ def check(folder: Path) -> list[Finding]:
     """
     if not folder.is_dir():
         raise InputError("no such folder", file=str(folder), advice="Give the folder with experiment.toml.")
-    found = _about(folder)
+    findings = _about(folder)
     try:
         setup = read_experiment(folder / EXPERIMENT)
         data = read(folder / READINGS, setup)
         robot = robots.load(robots.find(setup.robot, folder))
         torque = np.abs(joint_torques(robot, as_positions(robot, data))).max(axis=0)
     except PostprocError as error:
-        return [*found, Finding(f"{EXPERIMENT}, {READINGS}: {error}", has=False, required=True), _sums(folder)]
-    return [*found, *_of_readings(data), *_of_setup(setup), _of_torques(torque), _sums(folder)]
+        return [*findings, Finding(f"{EXPERIMENT}, {READINGS}: {error}", has=False, required=True), _sums(folder)]
+    return [*findings, *_of_readings(data), *_of_setup(setup), _of_torques(torque), _sums(folder)]
 
 
 def _about(folder: Path) -> list[Finding]:
     """Return the statements on licence and source."""
-    out = []
+    findings = []
     try:
-        about = files.read_toml(folder / NAME, Dataset, MeasurementError)
-        empty = [key for key in ("name", "licence", "source", "robot", "rig", "device") if not getattr(about, key)]
-        text = f"{NAME}: {about.name}, {about.licence}, from {about.source}"
-        out.append(Finding(text if not empty else f"{NAME}: {', '.join(empty)} empty", not empty, required=True))
+        dataset = files.read_toml(folder / NAME, Dataset, MeasurementError)
+        empty = [key for key in ("name", "licence", "source", "robot", "rig", "device") if not getattr(dataset, key)]
+        text = f"{NAME}: {dataset.name}, {dataset.licence}, from {dataset.source}"
+        findings.append(Finding(text if not empty else f"{NAME}: {', '.join(empty)} empty", not empty, required=True))
     except PostprocError as error:
-        out.append(Finding(f"{NAME}: {error}", has=False, required=True))
-    out.append(Finding(f"{LICENCE}: text of the licence", (folder / LICENCE).is_file(), required=True))
-    return out
+        findings.append(Finding(f"{NAME}: {error}", has=False, required=True))
+    findings.append(Finding(f"{LICENCE}: text of the licence", (folder / LICENCE).is_file(), required=True))
+    return findings
 
 
 def _of_readings(data: Measurements) -> list[Finding]:
@@ -97,7 +97,7 @@ def _of_readings(data: Measurements) -> list[Finding]:
     sizes = int(levels(load).max()) + 1
     repeats = int(count.max())
     kind = "displacements" if data.are_displacements else "positions"
-    missing = gaps(data)
+    gap_notes = gaps(data)
     return [
         Finding(
             f"{READINGS}: {len(data.state)} readings of {kind}, each state and point named", has=True, required=True
@@ -110,20 +110,20 @@ def _of_readings(data: Measurements) -> list[Finding]:
         Finding(f"{repeats} repeats; {_REPEATS} show the noise", repeats >= _REPEATS),
         Finding(f"{len(data.points)} points; three show all six directions of a link", len(data.points) >= 3),
         Finding("readings without load, which show the geometry", not data.are_displacements),
-        Finding(missing[0] if missing else "every repeat has all points", not missing),
+        Finding(gap_notes[0] if gap_notes else "every repeat has all points", not gap_notes),
     ]
 
 
 def _of_setup(setup: Experiment) -> list[Finding]:
-    stated = setup.load_error_percent is not None
+    has_load_error = setup.load_error_percent is not None
     return [
-        Finding("load_error_percent of the load cell or the scales", stated),
+        Finding("load_error_percent of the load cell or the scales", has_load_error),
         Finding("load_point_sigma_mm of the load point", setup.load_point_sigma_mm > 0.0),
     ]
 
 
 def _of_torques(torque: np.ndarray) -> Finding:
-    bare = [name for name, size in zip(JOINTS, torque, strict=True) if size < _LOADED * torque.max()]
+    bare = [name for name, size in zip(JOINTS, torque, strict=True) if size < _TORQUE_SHARE * torque.max()]
     sizes = ", ".join(f"{size:.0f}" for size in torque)
     text = f"torques up to {sizes} N·m on A1 … A6"
     return Finding(text if not bare else f"{text}: {', '.join(bare)} hardly loaded", not bare)
@@ -134,13 +134,13 @@ def _sums(folder: Path) -> Finding:
     path = folder / SUMS
     if not path.is_file():
         return Finding(f"{SUMS}: run `sha256sum * > {SUMS}` in the folder", has=False, required=True)
-    stated = dict(re.findall(r"^([0-9a-f]{64}) [ *](.+)$", files.read_text(path, MeasurementError), re.M))
-    by_name = {name.removeprefix("./"): digest for digest, name in stated.items()}
+    digest_of_name = dict(re.findall(r"^([0-9a-f]{64}) [ *](.+)$", files.read_text(path, MeasurementError), re.M))
+    by_name = {name.removeprefix("./"): digest for digest, name in digest_of_name.items()}
     present = {p.relative_to(folder).as_posix(): p for p in sorted(folder.rglob("*")) if p.is_file() and p != path}
     wrong = [
         name for name, file in present.items() if by_name.get(name) != hashlib.sha256(file.read_bytes()).hexdigest()
     ]
-    lost = [name for name in by_name if name not in present]
-    if wrong or lost:
-        return Finding(f"{SUMS}: not those of {', '.join([*wrong, *lost])}", has=False, required=True)
+    absent = [name for name in by_name if name not in present]
+    if wrong or absent:
+        return Finding(f"{SUMS}: not those of {', '.join([*wrong, *absent])}", has=False, required=True)
     return Finding(f"{SUMS}: right for {len(present)} files", has=True, required=True)

@@ -135,8 +135,8 @@ def gauss_newton(
     previous, smallest = values, np.inf
     for _ in range(iterations):
         try:
-            moved, slopes = predict(structure, values, data, placement)
-            cost = float(np.sum(whiten(w, displacement - moved) ** 2))
+            prediction, slopes = predict(structure, values, data, placement)
+            cost = float(np.sum(whiten(w, displacement - prediction) ** 2))
         except NotConvergedError:
             if values is previous:
                 raise
@@ -147,16 +147,16 @@ def gauss_newton(
         previous, smallest = values, min(cost, smallest)
         design = whiten(w, slopes).reshape(-1, size)
         design[:, np.linalg.norm(design, axis=0) * structure.usual() < _DEAD] = 0.0
-        target = whiten(w, displacement - moved).ravel() + design @ values
+        target = whiten(w, displacement - prediction).ravel() + design @ values
         new = solve(design, target)
         scale = np.linalg.norm(design, axis=0)
         change = float(np.max(np.abs((new - values) * scale), initial=0.0))
         values = new
         if change < 1e-4:
             break
-    moved, slopes = predict(structure, values, data, placement)
+    prediction, slopes = predict(structure, values, data, placement)
     design = whiten(w, slopes).reshape(-1, size)
-    left = (displacement - moved) * visible(data)
+    left = (displacement - prediction) * visible(data)
     white = whiten(w, left).ravel()
     return Fit(
         structure,
@@ -253,29 +253,29 @@ class Linearised(Struct, frozen=True, eq=False, dict=True):
     @cached_property
     def by_configuration(self) -> tuple[Array, Array, Array]:
         """DᵀWD (C, p, p), DᵀWy (C, p) and yᵀWy (C,) of the equations of each configuration."""
-        weighted = self.design * self.weight[:, None]
-        here = [self.config == index for index in range(self.configs)]
+        product = self.design * self.weight[:, None]
+        masks = [self.config == index for index in range(self.configs)]
         return (
-            np.array([weighted[rows].T @ self.design[rows] for rows in here]),
-            np.array([weighted[rows].T @ self.target[rows] for rows in here]),
-            np.array([float(self.weight[rows] @ self.target[rows] ** 2) for rows in here]),
+            np.array([product[rows].T @ self.design[rows] for rows in masks]),
+            np.array([product[rows].T @ self.target[rows] for rows in masks]),
+            np.array([float(self.weight[rows] @ self.target[rows] ** 2) for rows in masks]),
         )
 
-    def normal(self, columns: Ints, without: Ints | None = None) -> tuple[Array, Array, float]:
+    def normal(self, columns: Ints, excluded_configs: Ints | None = None) -> tuple[Array, Array, float]:
         """Return DᵀWD (n, n), DᵀWy (n,) and yᵀWy of some columns.
 
-        :param without: configurations to leave out.
+        :param excluded_configs: configurations to leave out.
         """
-        square, right, own = self._whole
-        if without is not None:
-            out = [part[without].sum(axis=0) for part in self.by_configuration]
-            square, right, own = square - out[0], right - out[1], own - float(out[2])
-        return square[np.ix_(columns, columns)], right[columns], own
+        square, right, square_sum = self._whole
+        if excluded_configs is not None:
+            sums = [part[excluded_configs].sum(axis=0) for part in self.by_configuration]
+            square, right, square_sum = square - sums[0], right - sums[1], square_sum - float(sums[2])
+        return square[np.ix_(columns, columns)], right[columns], square_sum
 
     @cached_property
     def _whole(self) -> tuple[Array, Array, float]:
-        square, right, own = self.by_configuration
-        return square.sum(axis=0), right.sum(axis=0), float(own.sum())
+        square, right, square_sum = self.by_configuration
+        return square.sum(axis=0), right.sum(axis=0), float(square_sum.sum())
 
     def residual(self, values: Array, rows: Array | slice = slice(None)) -> Array:
         """Return target − design·values of some rows."""
@@ -293,8 +293,8 @@ def linearise(structure: Structure, values: Array, data: Measurements, placement
     :raises PostprocError: the springs have no equilibrium under a measured load.
     """
     displacement, w = measured_displacements(data, placement), whitening(data)
-    moved, slopes = predict(structure, values, data, placement)
-    finite = np.isfinite(slopes).all(axis=(1, 2, 3)) & np.isfinite(moved).all(axis=(1, 2))
+    prediction, slopes = predict(structure, values, data, placement)
+    finite = np.isfinite(slopes).all(axis=(1, 2, 3)) & np.isfinite(prediction).all(axis=(1, 2))
     if not finite.all():
         state = int(data.loaded[np.argmin(finite)])
         raise PostprocError(
@@ -302,13 +302,13 @@ def linearise(structure: Structure, values: Array, data: Measurements, placement
             "equilibrium under this load"
         )
     design = whiten(w, slopes).reshape(-1, len(values))
-    white = whiten(w, (displacement - moved) * visible(data))
+    white = whiten(w, (displacement - prediction) * visible(data))
     size = np.linalg.norm(white, axis=2)
     usual = float(np.median(size[size > 0.0])) / _MEDIAN_OF_THREE if np.any(size > 0.0) else 1.0
     weight = np.minimum(1.0, _HUBER * max(usual, 1e-12) / np.maximum(size, 1e-300))
-    seen = np.repeat((visible(data)[..., 0] > 0.0).ravel(), 3)
+    is_visible = np.repeat((visible(data)[..., 0] > 0.0).ravel(), 3)
     rows = np.repeat(data.state_config[data.loaded], 3 * len(data.points))
-    design = design * seen[:, None]
+    design = design * is_visible[:, None]
     return Linearised(design, white.ravel() + design @ values, rows, np.repeat(weight.ravel(), 3))
 
 
@@ -317,7 +317,7 @@ _LEAST_COMPLIANCE = 1e-9
 _OF_JOINT = 0.1
 """Usual compliance of a part of a gear, and of a link's rotation, over that of the joint."""
 
-JOINT, FIXED = "joint", ""
+JOINT, STATED_SPREAD = "joint", ""
 FACTORS: dict[str, tuple[float, float]] = {
     JOINT: (0.0, 0.7),
     "link translation": (0.0, 1.0),
@@ -358,15 +358,18 @@ def prior_of(structure: Structure) -> Prior:
     robot = structure.prior
     entries = [_entry(parameter, robot) for parameter in structure.parameters]
     kinds = tuple(name for name in FACTORS if any(name == kind for kind, _ in entries))
-    stated = structure.start()
-    about = np.array([kind in (JOINT, FIXED) for kind, _ in entries], dtype=bool)
+    robot_values = structure.start()
+    around_robot = np.array([kind in (JOINT, STATED_SPREAD) for kind, _ in entries], dtype=bool)
     return Prior(
-        mean=np.where(about, stated, 0.0),
+        mean=np.where(around_robot, robot_values, 0.0),
         size=np.array([size for _, size in entries]),
         kind=np.array([kinds.index(kind) if kind in kinds else -1 for kind, _ in entries], dtype=np.int64),
         kinds=kinds,
         signed=np.array(
-            [kind == FIXED or _is_signed(p) for (kind, _), p in zip(entries, structure.parameters, strict=True)],
+            [
+                kind == STATED_SPREAD or _is_signed(p)
+                for (kind, _), p in zip(entries, structure.parameters, strict=True)
+            ],
             dtype=bool,
         ),
     )
@@ -377,10 +380,10 @@ def _is_signed(parameter: Parameter) -> bool:
 
 
 def _entry(parameter: Parameter, robot: RobotModel) -> tuple[str, float]:
-    """Return the kind of a parameter and its size, SI; `FIXED` where the robot states the spread."""
-    stated = robot.prior_sigma(parameter)
-    if not isinstance(parameter, JointCompliance) and np.isfinite(stated):
-        return FIXED, stated
+    """Return the kind of a parameter and its size, SI; `STATED_SPREAD` where the robot states the spread."""
+    sigma = robot.prior_sigma(parameter)
+    if not isinstance(parameter, JointCompliance) and np.isfinite(sigma):
+        return STATED_SPREAD, sigma
     joints = np.maximum(robot.compliance[list(robot.actuated)], _LEAST_COMPLIANCE)
     match parameter:
         case JointCompliance():
@@ -404,7 +407,7 @@ def _entry(parameter: Parameter, robot: RobotModel) -> tuple[str, float]:
             return kind, float(_OF_JOINT * joints[JOINTS.index(parameter.joint)])
         case CompensatorTorque():
             return "compensator", parameter.usual
-    return FIXED, parameter.usual
+    return STATED_SPREAD, parameter.usual
 
 
 _NARROWEST, _WIDEST = -6.0, 4.0
@@ -434,42 +437,44 @@ class Regression(Struct, frozen=True, eq=False):
     evidence: float
     size: int
 
-    def solve(self, equations: Linearised, without: Ints | None = None) -> Array:
+    def solve(self, equations: Linearised, excluded_configs: Ints | None = None) -> Array:
         """Return the most probable values (p,), SI; zero for parameters that are not among the columns.
 
         Non-negative least squares (Lawson and Hanson 1974) on the normal equations. Signed parameters come first, and
         are eliminated by the triangle of Cholesky.
 
-        :param without: configurations to leave out.
+        :param excluded_configs: configurations to leave out.
         """
         from scipy.optimize import nnls
 
-        normal, right = self._normal(equations, without)
+        normal, right = self._normal(equations, excluded_configs)
         order, free = np.argsort(~self.signed, kind="stable"), int(np.count_nonzero(self.signed))
         factor = np.linalg.cholesky(normal[np.ix_(order, order)])
         left, upper = np.linalg.solve(factor, right[order]), factor.T
-        found = np.empty(len(order))
-        found[free:], _ = nnls(upper[free:, free:], left[free:], maxiter=100 * len(order))
-        found[:free] = np.linalg.solve(upper[:free, :free], left[:free] - upper[:free, free:] @ found[free:])
+        scaled_values = np.empty(len(order))
+        scaled_values[free:], _ = nnls(upper[free:, free:], left[free:], maxiter=100 * len(order))
+        scaled_values[:free] = np.linalg.solve(
+            upper[:free, :free], left[:free] - upper[:free, free:] @ scaled_values[free:]
+        )
         values = np.zeros(self.size)
-        values[self.columns[order]] = found * self.spread[order]
+        values[self.columns[order]] = scaled_values * self.spread[order]
         return values
 
     def covariance(self, equations: Linearised) -> Array:
         """Return the posterior covariance (p, p), SI."""
         normal, _ = self._normal(equations)
-        out = np.zeros((self.size, self.size))
-        out[np.ix_(self.columns, self.columns)] = np.linalg.inv(normal) * np.outer(self.spread, self.spread)
-        return out
+        matrix = np.zeros((self.size, self.size))
+        matrix[np.ix_(self.columns, self.columns)] = np.linalg.inv(normal) * np.outer(self.spread, self.spread)
+        return matrix
 
     def influence(self, equations: Linearised, values: Array) -> Array:
         """Return the derivatives (p, rows) of the values by the whitened readings; 0 for parameters that are zero."""
         on = np.flatnonzero((values[self.columns] != 0.0) | self.signed)
         normal, _ = self._normal(equations)
         rows = equations.design[:, self.columns[on]] * self.spread[on] * (equations.weight / self.noise)[:, None]
-        out = np.zeros((self.size, len(equations.target)))
-        out[self.columns[on]] = self.spread[on, None] * np.linalg.solve(normal[np.ix_(on, on)], rows.T)
-        return out
+        matrix = np.zeros((self.size, len(equations.target)))
+        matrix[self.columns[on]] = self.spread[on, None] * np.linalg.solve(normal[np.ix_(on, on)], rows.T)
+        return matrix
 
     def degrees_of_freedom(self, equations: Linearised, values: Array) -> float:
         """Return the effective number of parameters: tr(1 − (DᵀD/φ + S⁻²)⁻¹S⁻²) over those that are not zero."""
@@ -477,9 +482,9 @@ class Regression(Struct, frozen=True, eq=False):
         normal, _ = self._normal(equations)
         return float(len(on) - np.trace(np.linalg.inv(normal[np.ix_(on, on)])))
 
-    def _normal(self, equations: Linearised, without: Ints | None = None) -> tuple[Array, Array]:
+    def _normal(self, equations: Linearised, excluded_configs: Ints | None = None) -> tuple[Array, Array]:
         """Return the normal equations (n, n), (n,) for the values divided by their prior standard deviation."""
-        square, right, _ = equations.normal(self.columns, without)
+        square, right, _ = equations.normal(self.columns, excluded_configs)
         normal = square * np.outer(self.spread, self.spread) / self.noise + np.eye(len(self.columns))
         return normal, right * self.spread / self.noise + self.mean / self.spread
 
@@ -494,8 +499,8 @@ def learn(equations: Linearised, prior: Prior, columns: Ints) -> Regression:
     size, mean = prior.size[columns], prior.mean[columns]
     kinds = [name for index, name in enumerate(prior.kinds) if (prior.kind[columns] == index).any()]
     members = [np.flatnonzero(prior.kind[columns] == prior.kinds.index(name)) for name in kinds]
-    square, right, own = equations.normal(columns)
-    own = own - 2.0 * float(mean @ right) + float(mean @ square @ mean)
+    square, right, square_sum = equations.normal(columns)
+    square_sum = square_sum - 2.0 * float(mean @ right) + float(mean @ square @ mean)
     right = (right - square @ mean) * size
     square = square * np.outer(size, size)
     count = equations.count
@@ -514,23 +519,23 @@ def learn(equations: Linearised, prior: Prior, columns: Ints) -> Regression:
         normal = np.eye(len(columns)) + factor[:, None] * square * factor / noise
         lower = np.linalg.cholesky(normal)
         inverse = np.linalg.inv(normal)
-        found = inverse @ (factor * right) / noise
-        left = own - 2.0 * float(factor * found @ right) + float((factor * found) @ square @ (factor * found))
-        value = 0.5 * (left / noise + found @ found + count * logs[-1]) + float(np.log(np.diag(lower)).sum())
-        known = 1.0 - np.diag(inverse)
-        slope = [float((known[rows] - found[rows] ** 2).sum()) for rows in members]
-        slope.append(0.5 * (count - float(known.sum())) - 0.5 * left / noise)
-        off = (logs - middle) / wide
-        return value + 0.5 * float(off @ off), np.array(slope) + off / wide
+        values = inverse @ (factor * right) / noise
+        left = square_sum - 2.0 * float(factor * values @ right) + float((factor * values) @ square @ (factor * values))
+        value = 0.5 * (left / noise + values @ values + count * logs[-1]) + float(np.log(np.diag(lower)).sum())
+        gain = 1.0 - np.diag(inverse)
+        slope = [float((gain[rows] - values[rows] ** 2).sum()) for rows in members]
+        slope.append(0.5 * (count - float(gain.sum())) - 0.5 * left / noise)
+        deviation = (logs - middle) / wide
+        return value + 0.5 * float(deviation @ deviation), np.array(slope) + deviation / wide
 
     limits = [*([(_NARROWEST, _WIDEST)] * len(kinds)), (0.0, _MOST_NOISE)]
-    found = minimize(cost, middle, jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 200})
+    optimum = minimize(cost, middle, jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 200})
     return Regression(
         columns=columns,
         mean=mean,
-        spread=size * factors(found.x),
+        spread=size * factors(optimum.x),
         signed=prior.signed[columns],
-        noise=float(np.exp(found.x[-1])),
-        evidence=0.5 * float(np.log(equations.weight).sum()) - float(found.fun),
+        noise=float(np.exp(optimum.x[-1])),
+        evidence=0.5 * float(np.log(equations.weight).sum()) - float(optimum.fun),
         size=len(prior.size),
     )

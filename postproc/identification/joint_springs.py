@@ -53,7 +53,7 @@ UNCERTAIN = 0.5
 """Half width of the 95 % interval over the value beyond which a parameter counts as not determined."""
 _NO_TORQUE = 0.02
 """Largest torque on a joint over the largest on any, below which the loads do not reach it."""
-_PUBLISHED = 0.5
+_PRIOR_SPREAD = 0.5
 """Standard deviation of a prior compliance over its value, where the prior states none: published sets for one class
 of arm differ by 20 to 50 %."""
 _LONGEST_SPRING = 3.0
@@ -76,16 +76,16 @@ class NotObservable(Struct, frozen=True):
         return f"{self.name} is not observable: {self.reason}. {self.advice} The robot's prior value is kept."
 
 
-def not_observable(fit: Fit, data: Measurements, scaled: bool = False) -> list[NotObservable]:
+def not_observable(fit: Fit, data: Measurements, with_misfit: bool = False) -> list[NotObservable]:
     """Return the joint compliances and compensator values that the fit does not determine, worst first.
 
-    :param scaled: the covariance already contains the unexplained residual.
+    :param with_misfit: the covariance already contains the unexplained residual.
     """
     robot = fit.structure.prior
     torque = joint_torques(robot, data)
-    found = []
+    entries = []
     # an unexplained residual widens the intervals
-    wider = np.sqrt(max(1.0, fit.chi2 / fit.dof)) if not scaled and fit.chi2 > 2.0 * fit.dof > 0 else 1.0
+    wider = np.sqrt(max(1.0, fit.chi2 / fit.dof)) if not with_misfit and fit.chi2 > 2.0 * fit.dof > 0 else 1.0
     correlation = _correlation(fit.covariance)
     for index, parameter in enumerate(fit.structure.parameters):
         if not isinstance(parameter, JointCompliance):
@@ -95,14 +95,14 @@ def not_observable(fit: Fit, data: Measurements, scaled: bool = False) -> list[N
         # an interval against the larger of value and prior: a noisy small value must not look determined
         if half <= UNCERTAIN * max(abs(fit.values[index]), prior) and fit.values[index] > 0.0:
             continue
-        found.append((half, _joint_reason(parameter, torque, fit, index, half, correlation)))
+        entries.append((half, _joint_reason(parameter, torque, fit, index, half, correlation)))
     spring = CompensatorStiffness()
     if spring in fit.structure.parameters:
-        k2_is_open = any(entry.parameter == JOINT_COMPLIANCES[1] for _, entry in found)
+        k2_is_open = any(entry.parameter == JOINT_COMPLIANCES[1] for _, entry in entries)
         if entry := _compensator(fit, data, wider, k2_is_open):
-            found.append((np.inf, entry))
+            entries.append((np.inf, entry))
     # the compensator first: without it k2 is determined again
-    return [entry for _, entry in sorted(found, key=lambda pair: (pair[1].parameter != spring, -pair[0]))]
+    return [entry for _, entry in sorted(entries, key=lambda pair: (pair[1].parameter != spring, -pair[0]))]
 
 
 def _compensator(fit: Fit, data: Measurements, wider: float, k2_is_open: bool) -> NotObservable | None:
@@ -157,15 +157,16 @@ def _joint_reason(
         else:
             advice = f"Choose configurations in which the load has a lever about A{joint + 1}."
         return NotObservable(parameter, reason, advice)
-    others = np.abs(correlation[index].copy())
-    others[index] = 0.0
-    partner = fit.structure.parameters[int(np.argmax(others))].symbol
+    coupling = np.abs(correlation[index].copy())
+    coupling[index] = 0.0
+    partner = fit.structure.parameters[int(np.argmax(coupling))].symbol
     reason = f"its 95 % interval is ± {half * 1e6:.2g} µrad/(N·m) for a value of {fit.values[index] * 1e6:.3g}"
     if not np.isfinite(half):
         reason = "the configurations do not determine it"
-    if others.max() > 0.9:
+    if coupling.max() > 0.9:
         reason += (
-            f", and it can hardly be separated from {partner} (correlation {correlation[index, np.argmax(others)]:.2f})"
+            f", and it can hardly be separated from {partner} "
+            f"(correlation {correlation[index, np.argmax(coupling)]:.2f})"
         )
     return NotObservable(parameter, reason, f"Measure configurations that put more torque on A{joint + 1} alone.")
 
@@ -183,10 +184,10 @@ def unloaded(robot: RobotModel, data: Measurements) -> tuple[JointCompliance, ..
     return tuple(p for p, value in zip(JOINT_COMPLIANCES, largest, strict=True) if value < _NO_TORQUE * largest.max())
 
 
-def held_by_prior(fit: Fit, missing: list[NotObservable]) -> Fit:
+def held_by_prior(fit: Fit, open_entries: list[NotObservable]) -> Fit:
     """Return the fit with the compliances of missing joints at the prior's values, as uncertain as the prior states."""
     robot, parameters = fit.structure.prior, fit.structure.parameters
-    joints = [entry.parameter for entry in missing if isinstance(entry.parameter, JointCompliance)]
+    joints = [entry.parameter for entry in open_entries if isinstance(entry.parameter, JointCompliance)]
     order = (*parameters, *(joint for joint in joints if joint not in parameters))
     size, old = len(order), len(parameters)
     values, covariance = np.zeros(size), np.zeros((size, size))
@@ -204,14 +205,14 @@ def held_by_prior(fit: Fit, missing: list[NotObservable]) -> Fit:
 
 def _stated(robot: RobotModel, joint: Parameter) -> float:
     """Return the standard deviation of a joint compliance of the prior [rad/(N·m)]."""
-    known = robot.covariance
-    if known is not None and joint in known.parameters:
-        index = known.parameters.index(joint)
-        return float(np.sqrt(known.matrix[index, index])) / joint.per_si
-    return _PUBLISHED * robot.value(joint)
+    table = robot.covariance
+    if table is not None and joint in table.parameters:
+        index = table.parameters.index(joint)
+        return float(np.sqrt(table.matrix[index, index])) / joint.per_si
+    return _PRIOR_SPREAD * robot.value(joint)
 
 
-_REFUTED = 13.8
+_CHI2_LIMIT = 13.8
 """Growth of χ² by two parameters fewer that noise makes once in a thousand."""
 
 
@@ -287,7 +288,7 @@ def fit_joints(
 
     :raises MeasurementError: there are fewer readings than unknowns.
     """
-    wanted: list[Parameter] = [*JOINT_COMPLIANCES, *(COMPENSATOR if robot.compensator is not None else ())]
+    parameters: list[Parameter] = [*JOINT_COMPLIANCES, *(COMPENSATOR if robot.compensator is not None else ())]
     readings = 3 * len(data.loaded) * len(data.points)
     if readings <= len(JOINT_COMPLIANCES):
         raise MeasurementError(
@@ -295,27 +296,27 @@ def fit_joints(
             file=data.file,
             advice="Measure more configurations or points: 15 configurations of 3 points are usual.",
         )
-    missing: list[NotObservable] = []
-    first, refuted = True, False
+    open_entries: list[NotObservable] = []
+    first, keeps_spring = True, False
     while True:
-        structure = Structure(tuple(wanted), robot)
+        structure = Structure(tuple(parameters), robot)
         values = structure.start()
-        if first and start is not None and CompensatorStiffness() in wanted and start.values[0] > 0.0:
+        if first and start is not None and CompensatorStiffness() in parameters and start.values[0] > 0.0:
             values[1], values[6], values[7] = 1.0 / start.values[0], start.values[1], start.values[2]
         fit = _attempt(structure, data, placement, values)
         left = not_observable(fit, data)
-        if left and left[0].parameter in COMPENSATOR and (refuted or _prior_spring_refuted(fit, data, placement)):
-            refuted, left = True, left[1:]
+        if left and left[0].parameter in COMPENSATOR and (keeps_spring or _prior_spring_refuted(fit, data, placement)):
+            keeps_spring, left = True, left[1:]
         if not left:
-            return fit, missing
+            return fit, open_entries
         worst = left[0]
-        missing.append(worst)
-        gone = COMPENSATOR if worst.parameter in COMPENSATOR else (worst.parameter,)
-        wanted = [parameter for parameter in wanted if parameter not in gone]
+        open_entries.append(worst)
+        removal = COMPENSATOR if worst.parameter in COMPENSATOR else (worst.parameter,)
+        parameters = [parameter for parameter in parameters if parameter not in removal]
         first = False
-        if not wanted:
+        if not parameters:
             raise MeasurementError(
-                "none of the compliances can be determined", file=data.file, advice=missing[0].advice
+                "none of the compliances can be determined", file=data.file, advice=open_entries[0].advice
             )
 
 
@@ -329,8 +330,8 @@ def _prior_spring_refuted(fit: Fit, data: Measurements, placement: Placement) ->
         return False
     rest = tuple(p for p in fit.structure.parameters if p not in COMPENSATOR)
     structure = Structure(rest, fit.structure.prior)
-    without = _attempt(structure, data, placement, structure.start())
-    return without.chi2 - fit.chi2 > _REFUTED * max(1.0, fit.chi2 / max(fit.dof, 1))
+    reduced_fit = _attempt(structure, data, placement, structure.start())
+    return reduced_fit.chi2 - fit.chi2 > _CHI2_LIMIT * max(1.0, fit.chi2 / max(fit.dof, 1))
 
 
 def _attempt(structure: Structure, data: Measurements, placement: Placement, values: Array) -> Fit:
@@ -353,18 +354,18 @@ def flange_displacements(data: Measurements, placement: Placement) -> Array:
         )
     mean, count = data.means()
     root = device_to_root(placement, mean)
-    out = np.empty((len(data.loaded), 6))
+    displacement = np.empty((len(data.loaded), 6))
     for row, state in enumerate(data.loaded):
         rest = data.unloaded[data.state_config[state]]
-        seen = (count[state] > 0) & (count[rest] > 0)
-        if np.count_nonzero(seen) < 3:
-            out[row] = np.nan
+        is_visible = (count[state] > 0) & (count[rest] > 0)
+        if np.count_nonzero(is_visible) < 3:
+            displacement[row] = np.nan
             continue
-        frames = [kabsch(placement.points[seen], root[index, seen]) for index in (rest, state)]
+        frames = [kabsch(placement.points[is_visible], root[index, is_visible]) for index in (rest, state)]
         load_point = np.eye(4)
         load_point[:3, 3] = data.load_point
-        out[row] = twist_between(frames[0] @ load_point, frames[1] @ load_point)
-    return out
+        displacement[row] = twist_between(frames[0] @ load_point, frames[1] @ load_point)
+    return displacement
 
 
 def fit_serial(robot: RobotModel, data: Measurements, placement: Placement) -> Fit:
@@ -397,8 +398,8 @@ def fit_serial(robot: RobotModel, data: Measurements, placement: Placement) -> F
     structure = Structure(JOINT_COMPLIANCES, bare)
     deviation = np.sqrt(sigma2)
     covariance = covariance_of(design / deviation, structure.usual())
-    moved, slopes = predict(structure, np.maximum(values, 1e-9), data, placement)
-    residual = (measured_displacements(data, placement) - moved) * visible(data)
+    prediction, slopes = predict(structure, np.maximum(values, 1e-9), data, placement)
+    residual = (measured_displacements(data, placement) - prediction) * visible(data)
     w = whitening(data)
     white = whiten(w, residual).ravel()
     whole = whiten(w, slopes).reshape(-1, 6)

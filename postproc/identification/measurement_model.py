@@ -70,8 +70,8 @@ def locate(robot: RobotModel, data: Measurements) -> Placement:
     """
     flange = unloaded_flange(robot, data.q)
     mean, count = data.means()
-    seen, weight = mean[data.unloaded], count[data.unloaded]
-    configs, points = seen.shape[:2]
+    readings, weight = mean[data.unloaded], count[data.unloaded]
+    configs, points = readings.shape[:2]
     if configs * points * 3 < 6 + 3 * points:
         raise MeasurementError(
             f"{configs} configurations of {points} points are {configs * points * 3} coordinates for "
@@ -81,18 +81,18 @@ def locate(robot: RobotModel, data: Measurements) -> Placement:
         )
     position = data.guess.copy()
     model = _place(flange, position)
-    known = weight.ravel() > 0.0
-    pose = kabsch(model.reshape(-1, 3)[known], seen.reshape(-1, 3)[known])
+    has_reading = weight.ravel() > 0.0
+    pose = kabsch(model.reshape(-1, 3)[has_reading], readings.reshape(-1, 3)[has_reading])
     normal = np.eye(6 + 3 * points)
     for _ in range(_STEPS):
         model = _place(pose @ flange, position)
-        left = seen - model
+        left = readings - model
         jacobian = np.zeros((configs, points, 3, 6 + 3 * points))
         jacobian[..., 0:3] = np.eye(3)
         jacobian[..., 3:6] = -hat(model - pose[:3, 3])
-        turned = pose[:3, :3] @ flange[:, :3, :3]
+        rotation = pose[:3, :3] @ flange[:, :3, :3]
         for index in range(points):
-            jacobian[:, index, :, 6 + 3 * index : 9 + 3 * index] = turned
+            jacobian[:, index, :, 6 + 3 * index : 9 + 3 * index] = rotation
         rows = (jacobian * np.sqrt(weight)[..., None, None]).reshape(-1, 6 + 3 * points)
         normal = rows.T @ rows
         scale = 1.0 / np.sqrt(np.diag(normal))
@@ -107,7 +107,7 @@ def locate(robot: RobotModel, data: Measurements) -> Placement:
         position = position + step[6:].reshape(points, 3)
         if np.abs(step).max() < 1e-11:
             break
-    left = (seen - _place(pose @ flange, position)) * (weight > 0.0)[..., None]
+    left = (readings - _place(pose @ flange, position)) * (weight > 0.0)[..., None]
     return Placement(pose, position, np.asarray(np.linalg.inv(normal)), left)
 
 
@@ -151,16 +151,16 @@ def describe_points(placement: Placement, names: tuple[str, ...]) -> dict[str, d
 
 def device_to_root(placement: Placement, positions: Array) -> Array:
     """Return positions (..., 3) of the device frame in the root frame [m]."""
-    back = inverse(placement.root_in_device)
-    return np.asarray(positions @ back[:3, :3].T + back[:3, 3])
+    transform = inverse(placement.root_in_device)
+    return np.asarray(positions @ transform[:3, :3].T + transform[:3, 3])
 
 
 def _place(frames: Array, points: Array) -> Array:
-    placed: Array = np.einsum("cij,pj->cpi", frames[:, :3, :3], points) + frames[:, None, :3, 3]
-    return placed
+    positions: Array = np.einsum("cij,pj->cpi", frames[:, :3, :3], points) + frames[:, None, :3, 3]
+    return positions
 
 
-_NOTHING = 1e-12
+_MIN_WEIGHT = 1e-12
 """Weight of a point whose readings are all left out."""
 
 
@@ -183,15 +183,15 @@ def whitening(data: Measurements) -> Array:
 
     Loads of one configuration share its unloaded reading: Σ = σ²·(1/n_l on the diagonal, 1/n_0 added everywhere).
     """
-    count = np.maximum(data.means()[1], _NOTHING)
-    loaded, config = data.loaded, data.state_config[data.loaded]
-    same = config[:, None] == config[None]
+    count = np.maximum(data.means()[1], _MIN_WEIGHT)
+    states, config = data.loaded, data.state_config[data.loaded]
+    is_same_config = config[:, None] == config[None]
     rest = data.unloaded[config]
-    out = np.empty((len(data.points), len(loaded), len(loaded)))
+    matrix = np.empty((len(data.points), len(states), len(states)))
     for point in range(len(data.points)):
-        covariance = np.diag(1.0 / count[loaded, point]) + same / count[rest, point][:, None]
-        out[point] = np.linalg.inv(np.linalg.cholesky(covariance)) / data.sigma
-    return out
+        covariance = np.diag(1.0 / count[states, point]) + is_same_config / count[rest, point][:, None]
+        matrix[point] = np.linalg.inv(np.linalg.cholesky(covariance)) / data.sigma
+    return matrix
 
 
 def whiten(w: Array, values: Array) -> Array:
@@ -210,7 +210,7 @@ def unwhiten(w: Array, values: Array) -> Array:
     )
 
 
-LEAST = 1e-12
+MIN_COMPLIANCE = 1e-12
 """Smallest joint compliance [rad/(N·m)] for which the equilibrium is solved; fits may pass through zero."""
 
 
@@ -261,9 +261,9 @@ class Structure(Struct, frozen=True, eq=False, dict=True):
         """
         robot = self.template.with_values({self.parameters[i]: float(values[i]) for i in self.active(level)})
         joints = list(robot.actuated)
-        if (robot.compliance[joints] < LEAST).any():
+        if (robot.compliance[joints] < MIN_COMPLIANCE).any():
             stiffness = robot.stiffness.copy()
-            stiffness[joints, joints] = 1.0 / np.maximum(robot.compliance[joints], LEAST)
+            stiffness[joints, joints] = 1.0 / np.maximum(robot.compliance[joints], MIN_COMPLIANCE)
             robot = replace(robot, stiffness=stiffness)
         if level is None:
             return robot
@@ -294,15 +294,15 @@ def predict(structure: Structure, values: Array, data: Measurements, placement: 
     :raises NotConvergedError: the springs have no equilibrium under a load; the message names it.
     """
     config = data.state_config[data.loaded]
-    moved = np.empty((len(config), len(data.points), 3))
-    slopes = np.zeros((*moved.shape, len(structure.parameters)))
+    displacement = np.empty((len(config), len(data.points), 3))
+    slopes = np.zeros((*displacement.shape, len(structure.parameters)))
     level = np.full(len(config), -1) if structure.levels is None else structure.levels[config]
     for value in np.unique(level):
         rows = np.flatnonzero(level == value)
         at = None if structure.levels is None else int(value)
         active = structure.active(at)
         try:
-            moved[rows], of_active = _predict(
+            displacement[rows], of_active = _predict(
                 structure, structure.robot(values, at), active, data.loaded[rows], data, placement
             )
         except NotConvergedError as error:
@@ -312,7 +312,7 @@ def predict(structure: Structure, values: Array, data: Measurements, placement: 
             ) from None
         for column, index in enumerate(active):
             slopes[rows, ..., index] = of_active[..., column]
-    return moved, slopes
+    return displacement, slopes
 
 
 def _predict(
@@ -326,22 +326,22 @@ def _predict(
     tool[:3, 3] = data.load_point
     lever = placement.points - data.load_point
     pose, twist = _equilibrium(structure, robot, active, q, tool, wrench)
-    loaded, slopes = _of_points(pose, twist, lever)
+    with_load, slopes = _of_points(pose, twist, lever)
     if robot.subtract_reference:
         rest, _ = kinematics.tcp(robot.loaded, x0, tool)
-        unloaded, _ = _of_points(rest, twist, lever)
+        without_load, _ = _of_points(rest, twist, lever)
     else:  # without load the robot sags by the same springs
         rest, sag = _equilibrium(structure, robot, active, q, tool, np.zeros_like(wrench))
-        unloaded, of_sag = _of_points(rest, sag, lever)
+        without_load, of_sag = _of_points(rest, sag, lever)
         slopes = slopes - of_sag
-    return loaded - unloaded + (pose[:, :3, 3] - rest[:, :3, 3])[:, None], slopes
+    return with_load - without_load + (pose[:, :3, 3] - rest[:, :3, 3])[:, None], slopes
 
 
 def _of_points(pose: Array, twist: Array, lever: Array) -> tuple[Array, Array]:
     """Return points (L, P, 3) from the load point, root axes, and how they move (L, P, 3, p) with twists (L, 6, p)."""
     points = np.einsum("lij,pj->lpi", pose[:, :3, :3], lever)
-    turned = np.cross(np.swapaxes(twist[:, 3:], 1, 2)[:, None], points[:, :, None], axisa=3, axisb=3, axisc=3)
-    return points, twist[:, None, :3] + turned.swapaxes(2, 3)
+    rotation = np.cross(np.swapaxes(twist[:, 3:], 1, 2)[:, None], points[:, :, None], axisa=3, axisb=3, axisc=3)
+    return points, twist[:, None, :3] + rotation.swapaxes(2, 3)
 
 
 def _equilibrium(
@@ -349,8 +349,8 @@ def _equilibrium(
 ) -> tuple[Array, Array]:
     """Return the pose (L, 4, 4) of the load point under load and its derivative (L, 6, p), a twist per parameter."""
     parameters = [structure.parameters[index] for index in active]
-    found, twist = elastostatics.deflection_by_parameter(robot, q, tool, wrench, parameters)
-    return found.pose, twist
+    deflection, twist = elastostatics.deflection_by_parameter(robot, q, tool, wrench, parameters)
+    return deflection.pose, twist
 
 
 def joint_torques(robot: RobotModel, data: Measurements) -> Array:

@@ -22,7 +22,7 @@ from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm
 from postproc.identification import calibration, compensator_geometry, plausibility, record, validation
 from postproc.identification.fit import NORMAL_95, to_file_units
 from postproc.identification.joint_springs import Levels, SpringOfJoint2
-from postproc.identification.measurement_model import LEAST, describe, describe_points, joint_torques
+from postproc.identification.measurement_model import MIN_COMPLIANCE, describe, describe_points, joint_torques
 from postproc.identification.plausibility import check_frames, check_points
 from postproc.identification.procedure import Depth, Identification, Method, before_and_after, identify
 from postproc.identification.readings import Measurements, Payload, read, read_experiment
@@ -67,7 +67,7 @@ def model_file(result: Identification, prior: ModelFile, source: str, geometry_s
         table = tables["joints"].get(joint.joint)
         if table is not None and joint not in unknown and table["compliance_urad_per_Nm"] >= 0.0:
             # where link springs deflect in its place, the prior's value would count twice
-            table["compliance_urad_per_Nm"] = max(table["compliance_urad_per_Nm"], LEAST * joint.per_si)
+            table["compliance_urad_per_Nm"] = max(table["compliance_urad_per_Nm"], MIN_COMPLIANCE * joint.per_si)
             joints[joint.joint] = msgspec.convert(table, JointSpring)
         else:
             old = prior.joints[joint.joint]
@@ -78,7 +78,7 @@ def model_file(result: Identification, prior: ModelFile, source: str, geometry_s
                 sigma_percent=old.sigma_percent,
             )
     # a joint that keeps the prior's value keeps its sigma_percent too; without one its variance is in the table
-    kept = [
+    rows = [
         index
         for index, parameter in enumerate(parameters)
         if not (isinstance(parameter, JointCompliance) and joints[parameter.joint].sigma_percent is not None)
@@ -95,7 +95,7 @@ def model_file(result: Identification, prior: ModelFile, source: str, geometry_s
         transmission=prior.transmission,
         geometry_error=prior.geometry_error,
         links=msgspec.convert(tables["links"], dict[str, LinkSprings]),
-        covariance=CovarianceTable([parameters[i].name for i in kept], covariance[np.ix_(kept, kept)].tolist()),
+        covariance=CovarianceTable([parameters[i].name for i in rows], covariance[np.ix_(rows, rows)].tolist()),
         discrepancy=DiscrepancyEntry(
             source=source, load_N=result.discrepancy.load.tolist(), u95_mm=(result.discrepancy.u95 * MM_PER_M).tolist()
         ),
@@ -112,35 +112,35 @@ def model_file(result: Identification, prior: ModelFile, source: str, geometry_s
 
 
 def _compensator(
-    result: Identification, prior: ModelFile, identified: dict[str, Any], source: str, geometry_source: str | None
+    result: Identification, prior: ModelFile, spring_table: dict[str, Any], source: str, geometry_source: str | None
 ) -> CompensatorEntry | None:
     law = result.fit.structure.prior.compensator
     old = prior.compensator
-    if law is None or (old is None and not identified):
+    if law is None or (old is None and not spring_table):
         return None
     spring: dict[str, Any] = {
         "stiffness_N_per_m": max(law.stiffness, 0.0),
         "free_length_mm": max(law.free_length * MM_PER_M, 0.0),
         "source": f"prior, not observable in {source}: {'' if old is None else old.source}",
         "assumed": True,
-    } | identified
+    } | spring_table
     if old is not None:
         spring["spread_percent"] = old.spread_percent
     return CompensatorEntry(
         L_mm=law.L * MM_PER_M,
         a_x_mm=law.ax * MM_PER_M,
         a_y_mm=law.ay * MM_PER_M,
-        sigma_percent=None if old is None or identified else old.sigma_percent,
+        sigma_percent=None if old is None or spring_table else old.sigma_percent,
         geometry_source=geometry_source or ("" if old is None else old.geometry_source),
         **spring,
     )
 
 
-def _masses(prior: Masses | None, identified: dict[str, float], source: str) -> Masses | None:
-    if not identified:
+def _masses(prior: Masses | None, mass_table: dict[str, float], source: str) -> Masses | None:
+    if not mass_table:
         return prior
-    before = Masses(source="robot.urdf", assumed=True) if prior is None else prior
-    return msgspec.structs.replace(before, source=f"{source}, about {before.source}", **identified)
+    old = Masses(source="robot.urdf", assumed=True) if prior is None else prior
+    return msgspec.structs.replace(old, source=f"{source}, about {old.source}", **mass_table)
 
 
 def write(
@@ -215,12 +215,12 @@ def read_prior(folder: Path, payload: Payload | None, source: str) -> ModelFile:
     :param source: file that states the payload.
     """
     content = files.read_toml(folder / "model.toml", ModelFile, ModelError)
-    carried = None
+    entry = None
     if payload is not None:
-        carried = PayloadEntry(
+        entry = PayloadEntry(
             source=f"stated in {source}", mass_kg=payload.mass_kg, X_mm=payload.X, Y_mm=payload.Y, Z_mm=payload.Z
         )
-    return msgspec.structs.replace(content, payload=carried)
+    return msgspec.structs.replace(content, payload=entry)
 
 
 def without_found_springs(content: ModelFile) -> ModelFile:
@@ -238,9 +238,9 @@ def without_found_springs(content: ModelFile) -> ModelFile:
 
 def report_data(result: Identification) -> record.Identified:
     """Return the content of `identification.json`."""
-    known, values, covariance = to_file_units(result.fit)
+    parameters, values, covariance = to_file_units(result.fit)
     half = NORMAL_95 * np.sqrt(np.diag(covariance))
-    pairs = zip(known, values.tolist(), half.tolist(), strict=True)
+    pairs = zip(parameters, values.tolist(), half.tolist(), strict=True)
     entries = _entries_of(result, {p: (value, reach) for p, value, reach in pairs if value > 0.0 or not p.sparse})
     return record.Identified(
         verdict=record.Verdict(bool(result.distrust), verdict_line(result.distrust)),
@@ -268,7 +268,7 @@ def report_data(result: Identification) -> record.Identified:
         held_by_prior=None if result.choice is None else [parameter.name for parameter in result.choice.held_by_prior],
         outliers=list(result.left_out),
         warnings=list(result.warnings),
-        correlation=record.Correlation([parameter.name for parameter in known], _correlation(covariance)),
+        correlation=record.Correlation([parameter.name for parameter in parameters], _correlation(covariance)),
         states=_states(result.data),
         torque_Nm=np.abs(joint_torques(result.prior, result.data)).max(axis=0).tolist(),
         torques=validation.torque_record(validation.coverage_of(result.prior, result.data)),
@@ -298,23 +298,25 @@ def _from_levels(spring: SpringOfJoint2 | None) -> dict[str, record.FromLevels] 
 
 
 def _residual(result: Identification) -> record.Residual:
-    before, after = before_and_after(result)
+    without_model, with_model = before_and_after(result)
     return record.Residual(
         rms_mm=result.fit.rms * MM_PER_M,
         max_mm=float(norm(result.fit.residual).max()) * MM_PER_M,
-        before_rms_mm=float(np.sqrt(np.mean(before**2))) * MM_PER_M,
+        before_rms_mm=float(np.sqrt(np.mean(without_model**2))) * MM_PER_M,
         chi2=result.fit.chi2,
         degrees_of_freedom=result.fit.dof,
         per_configuration=[
             record.OfConfiguration(float(c), float(b) * MM_PER_M, float(a) * MM_PER_M)
-            for c, b, a in zip(result.data.config, before, after, strict=True)
+            for c, b, a in zip(result.data.config, without_model, with_model, strict=True)
         ],
     )
 
 
-def _unexplained(off: Discrepancy) -> list[record.Unexplained]:
-    lengths = np.stack([off.held_out, off.noise, off.own, off.u95], axis=1) * MM_PER_M
-    return [record.Unexplained(load, *row) for load, row in zip(off.load.tolist(), lengths.tolist(), strict=True)]
+def _unexplained(discrepancy: Discrepancy) -> list[record.Unexplained]:
+    lengths = np.stack([discrepancy.held_out, discrepancy.noise, discrepancy.own, discrepancy.u95], axis=1) * MM_PER_M
+    return [
+        record.Unexplained(load, *row) for load, row in zip(discrepancy.load.tolist(), lengths.tolist(), strict=True)
+    ]
 
 
 def _states(data: Measurements) -> list[record.State]:
@@ -324,28 +326,38 @@ def _states(data: Measurements) -> list[record.State]:
     ]
 
 
-def _entries_of(result: Identification, given: dict[Parameter, tuple[float, float]]) -> dict[str, record.Parameter]:
+def _entries_of(result: Identification, values: dict[Parameter, tuple[float, float]]) -> dict[str, record.Parameter]:
     """Return the parameters of `identification.json`: k1…k6, K⁰_θ2, K_c, s₀ always, the others if identified."""
     prior, unknown = result.prior, {entry.parameter for entry in result.missing}
     springs = COMPENSATOR if prior.compensator is not None else ()
     of_prior: dict[Parameter, float] = {p: prior.value(p) for p in (*JOINT_COMPLIANCES, *springs)} | dict(prior.terms)
-    about = {p: prior.value(p) for p in given if np.isfinite(prior.prior_sigma(p))}
-    always = (*JOINT_COMPLIANCES, *(springs if result.fit.structure.prior.compensator is not None else ()))
+    prior_mean = {p: prior.value(p) for p in values if np.isfinite(prior.prior_sigma(p))}
+    standard = (*JOINT_COMPLIANCES, *(springs if result.fit.structure.prior.compensator is not None else ()))
     entries: dict[str, record.Parameter] = {}
 
     def put(
-        name: str, found: tuple[float, float] | None, unit: str, before: float | None, source: str | None = None
+        name: str, value: tuple[float, float] | None, unit: str, prior_value: float | None, source: str | None = None
     ) -> None:
-        if found is None:
-            entries[name] = record.Parameter(before, None, unit, observable=False, prior=before, source="prior")
+        if value is None:
+            entries[name] = record.Parameter(
+                prior_value, None, unit, observable=False, prior=prior_value, source="prior"
+            )
         else:
-            determined = bool(found[1] <= found[0])
-            entries[name] = record.Parameter(*found, unit, True, determined, before, source)
+            is_determined = bool(value[1] <= value[0])
+            entries[name] = record.Parameter(*value, unit, True, is_determined, prior_value, source)
 
-    for parameter in dict.fromkeys((*always, *given)):
-        found = None if parameter in unknown else given.get(parameter)
-        before = parameter.in_file(of_prior | about)[0] if parameter in always or parameter in about else None
-        put(parameter.name, found, parameter.unit, before, record.ABOUT_THE_PRIOR if parameter in about else None)
+    for parameter in dict.fromkeys((*standard, *values)):
+        value = None if parameter in unknown else values.get(parameter)
+        prior_value = (
+            parameter.in_file(of_prior | prior_mean)[0] if parameter in standard or parameter in prior_mean else None
+        )
+        put(
+            parameter.name,
+            value,
+            parameter.unit,
+            prior_value,
+            record.ABOUT_THE_PRIOR if parameter in prior_mean else None,
+        )
         if parameter == JOINT_COMPLIANCES[-1]:
             k2 = entries[JOINT_COMPLIANCES[1].name]
             if k2.value is not None and k2.prior is not None:
@@ -361,8 +373,10 @@ def _k2_curve(result: Identification) -> list[tuple[float, float]]:
     model = result.robot()
     q2 = np.linspace(result.levels.q2.min(), result.levels.q2.max(), 41)
     stiffness = 1.0 / model.compliance[model.actuated[1]]
-    added = np.zeros_like(q2) if model.compensator is None else model.compensator.stiffness_about_joint(q2)
-    return [(float(a), float(c)) for a, c in zip(q2 * DEG_PER_RAD, PER_URAD / (stiffness + added), strict=True)]
+    spring_stiffness = np.zeros_like(q2) if model.compensator is None else model.compensator.stiffness_about_joint(q2)
+    return [
+        (float(a), float(c)) for a, c in zip(q2 * DEG_PER_RAD, PER_URAD / (stiffness + spring_stiffness), strict=True)
+    ]
 
 
 def _correlation(covariance: Array) -> list[list[float]]:
@@ -371,7 +385,7 @@ def _correlation(covariance: Array) -> list[list[float]]:
     return [[round(float(v), 4) for v in row] for row in covariance / np.outer(safe, safe)]
 
 
-_NOT_DETERMINED = "   (not determined: the interval is larger than the value)"
+_UNCERTAIN_NOTE = "   (not determined: the interval is larger than the value)"
 
 
 class Choices(Struct, frozen=True, kw_only=True):
@@ -433,28 +447,28 @@ def identify_folder(
     """
     setup = read_experiment(experiment)
     prior_folder = robots.find(setup.robot, experiment.parent)
-    shipped = robots.load(prior_folder)
-    before = without_found_springs(read_prior(prior_folder, setup.payload, experiment.name))
-    prior = robots.assemble(shipped.name, before, shipped.nominal)
-    marked = None
+    stored_robot = robots.load(prior_folder)
+    prior_content = without_found_springs(read_prior(prior_folder, setup.payload, experiment.name))
+    prior = robots.assemble(stored_robot.name, prior_content, stored_robot.nominal)
+    geometry_source = None
     if choices.compensator is not None:
         prior = with_compensator_geometry(prior, choices.compensator)
-        marked = f"identified from markers ({choices.compensator.name})"
+        geometry_source = f"identified from markers ({choices.compensator.name})"
     readings = read(measurements, setup)
     if choices.geometry:
         _require_positions(readings, measurements)
     result = identify(prior, readings, choices.method, choices.structure, progress)
     data = msgspec.structs.replace(report_data(result), assumptions=setup.assumptions)
     source = f"identified from {measurements.name}, {choices.method}"
-    content = model_file(result, before, source, marked)
+    content = model_file(result, prior_content, source, geometry_source)
     if choices.geometry:
         progress("geometry")
-        found = calibration.identify_geometry(content, prior.nominal, prior.name, result.data)
-        content = found.content
+        geometry = calibration.identify_geometry(content, prior.nominal, prior.name, result.data)
+        content = geometry.content
         data = msgspec.structs.replace(
             data,
-            geometry=calibration.report_data(found),
-            warnings=[*data.warnings, *calibration.contradictions(found)],
+            geometry=calibration.report_data(geometry),
+            warnings=[*data.warnings, *calibration.contradictions(geometry)],
         )
     write(output, content, data, prior_folder, render)
     return IdentifiedFolder(result, data, summary(data))
@@ -491,41 +505,41 @@ def geometry_folder(
     _require_positions(data, measurements)
     check_points(data)
     check_frames(robot, data)
-    data, left_out = plausibility.without_gross_errors(data)
-    found = calibration.identify_geometry(content, nominal, robot.name, data)
+    data, outliers = plausibility.without_gross_errors(data)
+    geometry = calibration.identify_geometry(content, nominal, robot.name, data)
     report = record.Identified(
         method="geometry",
         robot=robot.name,
-        geometry=calibration.report_data(found),
+        geometry=calibration.report_data(geometry),
         sigma_mm=setup.sigma_mm,
-        base=describe(found.placement),
-        points=describe_points(found.placement, data.points),
-        unloaded_rms_mm=found.placement.rms * MM_PER_M,
-        outliers=left_out,
-        warnings=[*(f"outlier: {name}" for name in left_out), *calibration.contradictions(found)],
+        base=describe(geometry.placement),
+        points=describe_points(geometry.placement, data.points),
+        unloaded_rms_mm=geometry.placement.rms * MM_PER_M,
+        outliers=outliers,
+        warnings=[*(f"outlier: {name}" for name in outliers), *calibration.contradictions(geometry)],
     )
-    write(output, found.content, report, folder, render)
+    write(output, geometry.content, report, folder, render)
     return IdentifiedFolder(None, report, summary(report))
 
 
 def summary(data: record.Identified) -> str:
     """Return the identified values as a table for a terminal."""
     lines = [] if data.verdict is None else [data.verdict.line]
-    together = 0
+    open_count = 0
     for name, entry in (data.parameters or {}).items():
         if entry.determined is False and entry.prior is None:
-            together += 1
+            open_count += 1
             continue
         half = "" if entry.ci95 is None else f" ± {entry.ci95:.3g}"
-        mark = _NOT_DETERMINED if entry.determined is False else ""
+        mark = _UNCERTAIN_NOTE if entry.determined is False else ""
         if not entry.observable:
             mark = "   (prior: not observable)"
         elif entry.source == record.ABOUT_THE_PRIOR:
             mark = f"   (about the prior's {entry.prior:.4g})"
         lines.append(f"{name:>12} = {entry.value:.5g}{half} {entry.unit}{mark}")
-    if together:
+    if open_count:
         lines.append(
-            f"{together} more parameters of links and gears are not determined one by one, only what they predict "
+            f"{open_count} more parameters of links and gears are not determined one by one, only what they predict "
             "together: identification.json"
         )
     if data.parameters:
@@ -547,7 +561,7 @@ def summary(data: record.Identified) -> str:
         )
     if data.geometry is not None:
         for name, entry in data.geometry.parameters.items():
-            mark = _NOT_DETERMINED if entry.determined is False else ""
+            mark = _UNCERTAIN_NOTE if entry.determined is False else ""
             if not entry.observable:
                 mark = "   (not narrowed by the readings)"
             lines.append(f"{name:>12} = {entry.value:8.4f} ± {entry.ci95:.3g} {entry.unit}{mark}")

@@ -17,11 +17,11 @@ _SPARE_OF_STEP = 12
 """Fewest degrees of freedom that a step is judged by."""
 _RARE = 1e-4
 """Chance of a step as clear as this one in readings of one set-up, at any of the configurations."""
-_DETERMINED = 1e-6
+_RANK_TOLERANCE = 1e-6
 """Least singular value, over the largest, of a direction that the readings determine."""
-_ORDERED = 0.5
+_MAX_CORRELATION = 0.5
 """Correlation of a joint angle with a step beyond which errors of the geometry look like the step."""
-_MOVED = 2e-4
+_MIN_MOVEMENT = 2e-4
 """Smallest movement [m] that is reported."""
 
 
@@ -31,14 +31,14 @@ def moved_device(robot: RobotModel, data: Measurements, placement: Placement) ->
     Readings without load are fitted by a frame, the points, errors of the geometry (six for each joint) and the sag of
     the joints, with and without a step of the frame from a configuration on.
     """
-    seen = np.abs(placement.residual).max(axis=2, keepdims=True) > 0.0
+    is_visible = np.abs(placement.residual).max(axis=2, keepdims=True) > 0.0
     columns = [part(robot, data, placement) for part in (_by_frames, _by_points, _by_sag)]
-    rows = np.concatenate(columns, axis=3) * seen[..., None]
+    rows = np.concatenate(columns, axis=3) * is_visible[..., None]
     chance, first, twist = _clearest_step(rows, placement.residual, data.q)
     at = np.append(np.mean(placement.points, axis=0), 1.0)
     middle = np.mean((placement.root_in_device @ unloaded_flange(robot, data.q) @ at)[:, :3], axis=0)
     size = float(np.linalg.norm(twist[:3] + np.cross(twist[3:], middle - placement.root_in_device[:3, 3])))
-    if chance * len(data.q) > _RARE or size < _MOVED:
+    if chance * len(data.q) > _RARE or size < _MIN_MOVEMENT:
         return []
     return [
         f"from config {data.config[first]:g} on the measuring device seems to have moved by {size * MM_PER_M:.1f} mm: "
@@ -58,7 +58,7 @@ def _clearest_step(rows: Array, residual: Array, q: Array) -> tuple[float, int, 
     configs = len(residual)
     design = rows.reshape(-1, rows.shape[3])
     basis, singular, _ = np.linalg.svd(design / np.maximum(norm(design.T), 1e-12), full_matrices=False)
-    basis = basis[:, singular > _DETERMINED * singular[0]]
+    basis = basis[:, singular > _RANK_TOLERANCE * singular[0]]
     left = residual.ravel() - basis @ (basis.T @ residual.ravel())
     spare = 3 * configs - basis.shape[1] - 6
     best: tuple[float, int, Array] = (np.inf, 0, np.zeros(6))
@@ -67,7 +67,7 @@ def _clearest_step(rows: Array, residual: Array, q: Array) -> tuple[float, int, 
             continue
         step = (rows[..., :6] * (np.arange(configs) >= first)[:, None, None, None]).reshape(-1, 6)
         step = step - basis @ (basis.T @ step)
-        twist, _, rank, _ = np.linalg.lstsq(step, left, rcond=_DETERMINED)
+        twist, _, rank, _ = np.linalg.lstsq(step, left, rcond=_RANK_TOLERANCE)
         if rank == 6:
             drop = float(np.sum((step @ twist) ** 2))
             unexplained = max(float(np.sum(left**2)) - drop, 1e-300)
@@ -89,14 +89,14 @@ def _by_order(q: Array, first: int) -> bool:
     angles = (q - q.mean(axis=0)) / np.maximum(q.std(axis=0), 1e-12)
     step = (np.arange(len(q)) >= first).astype(float)
     step = (step - step.mean()) / step.std()
-    return bool(np.abs(step @ angles / len(q)).max() > _ORDERED)
+    return bool(np.abs(step @ angles / len(q)).max() > _MAX_CORRELATION)
 
 
 def _by_frames(robot: RobotModel, data: Measurements, placement: Placement) -> Array:
     """Return the derivatives (C, P, 3, 42) of the points by twists of root and joint frames, device axes."""
     x = elastostatics.coordinates(robot, data.q)
     turn = placement.root_in_device[:3, :3]
-    out = np.zeros((len(data.q), len(placement.points), 3, 42))
+    slopes = np.zeros((len(data.q), len(placement.points), 3, 42))
     for index, point in enumerate(placement.points):
         tool = np.eye(4)
         tool[:3, 3] = point
@@ -106,42 +106,42 @@ def _by_frames(robot: RobotModel, data: Measurements, placement: Placement) -> A
             axes = turn @ frame[:, :3, :3]
             lever = (pose[:, :3, 3] - frame[:, :3, 3]) @ turn.T
             columns = slice(6 * number, 6 * number + 3), slice(6 * number + 3, 6 * number + 6)
-            out[:, index, :, columns[0]] = axes
-            out[:, index, :, columns[1]] = np.cross(np.swapaxes(axes, 1, 2), lever[:, None]).swapaxes(1, 2)
-    return out
+            slopes[:, index, :, columns[0]] = axes
+            slopes[:, index, :, columns[1]] = np.cross(np.swapaxes(axes, 1, 2), lever[:, None]).swapaxes(1, 2)
+    return slopes
 
 
 def _by_sag(robot: RobotModel, data: Measurements, placement: Placement) -> Array:
     """Return the derivatives (C, P, 3, 6) of the points by the compliance of each joint under the own weight."""
     x = elastostatics.coordinates(robot, data.q)
     torque = elastostatics.balance.static_torque(robot, x.T).T[:, list(robot.actuated)]
-    out = np.zeros((len(x), len(placement.points), 3, len(JOINTS)))
+    slopes = np.zeros((len(x), len(placement.points), 3, len(JOINTS)))
     for index, point in enumerate(placement.points):
         tool = np.eye(4)
         tool[:3, 3] = point
         jacobian = kinematics.tcp(robot.actual, x, tool)[1][:, :3, list(robot.actuated)]
-        out[:, index] = placement.root_in_device[:3, :3] @ (jacobian * torque[:, None])
-    return out
+        slopes[:, index] = placement.root_in_device[:3, :3] @ (jacobian * torque[:, None])
+    return slopes
 
 
 def _joint_frames(robot: RobotModel, q: Array) -> list[Array]:
     """Return the frames (C, 4, 4) of the six joints before they turn, root axes."""
-    pose, out = np.tile(np.eye(4), (len(q), 1, 1)), []
+    pose, frames = np.tile(np.eye(4), (len(q), 1, 1)), []
     for joint in range(len(JOINTS)):
         pose = pose @ robot.nominal.placement[joint]
-        out.append(pose)
-        turned = np.tile(np.eye(4), (len(q), 1, 1))
+        frames.append(pose)
+        rotation = np.tile(np.eye(4), (len(q), 1, 1))
         for row, angle in enumerate(q[:, joint]):
-            turned[row, :3, :3] = rotation_from_vector(angle * robot.nominal.axis[joint])
-        pose = pose @ turned
-    return out
+            rotation[row, :3, :3] = rotation_from_vector(angle * robot.nominal.axis[joint])
+        pose = pose @ rotation
+    return frames
 
 
 def _by_points(robot: RobotModel, data: Measurements, placement: Placement) -> Array:
     """Return the derivatives (C, P, 3, 3P) of the points by their places on the flange, device axes."""
-    turned = placement.root_in_device[:3, :3] @ unloaded_flange(robot, data.q)[:, :3, :3]
+    rotation = placement.root_in_device[:3, :3] @ unloaded_flange(robot, data.q)[:, :3, :3]
     count = len(placement.points)
-    out = np.zeros((len(turned), count, 3, 3 * count))
+    slopes = np.zeros((len(rotation), count, 3, 3 * count))
     for index in range(count):
-        out[:, index, :, 3 * index : 3 * index + 3] = turned
-    return out
+        slopes[:, index, :, 3 * index : 3 * index + 3] = rotation
+    return slopes

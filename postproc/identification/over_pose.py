@@ -65,9 +65,9 @@ def _turns(index: int) -> list[tuple[int, ...]]:
         candidates = [(0, *pair, 0, 0, 0) for pair in pairs]
     else:
         candidates = []
-        for own, second, third in product(_TURNS_OF_JOINT, _TURNS_OF_ARM, _TURNS_OF_ARM):
+        for first, second, third in product(_TURNS_OF_JOINT, _TURNS_OF_ARM, _TURNS_OF_ARM):
             turns = [0, second, third, 0, 0, 0]
-            turns[index] = own
+            turns[index] = first
             candidates.append(tuple(turns))
     order = (index, 1, 2)
     return [turns for turns in candidates if next((turns[i] for i in order if turns[i]), 0) > 0]

@@ -38,7 +38,7 @@ _GROSS = 6.0
 
 def without_gross_errors(data: Measurements) -> tuple[Measurements, list[str]]:
     """Return the measurements without readings that contradict their repeats or the rigid body, and a line for each."""
-    found: list[str] = []
+    lines: list[str] = []
     sigma = max(data.sigma, _robust_sigma(data))
     bad: list[int] = []
     for state in range(len(data.load)):
@@ -46,28 +46,28 @@ def without_gross_errors(data: Measurements) -> tuple[Measurements, list[str]]:
             rows = np.flatnonzero((data.state == state) & (data.point == point))
             if len(rows) < 3:
                 continue
-            off = np.linalg.norm(data.position[rows] - np.median(data.position[rows], axis=0), axis=1)
-            wrong = rows[off > _GROSS * 1.5 * sigma]
+            distances = np.linalg.norm(data.position[rows] - np.median(data.position[rows], axis=0), axis=1)
+            wrong = rows[distances > _GROSS * 1.5 * sigma]
             if 0 < len(wrong) < 0.5 * len(rows):
                 bad += wrong.tolist()
-                found += [
-                    f"{data.name(int(row))} is {far * MM_PER_M:.2f} mm from its repeats: left out"
-                    for row, far in zip(wrong, off[off > _GROSS * 1.5 * sigma], strict=True)
+                lines += [
+                    f"{data.name(int(row))} is {distance * MM_PER_M:.2f} mm from its repeats: left out"
+                    for row, distance in zip(wrong, distances[distances > _GROSS * 1.5 * sigma], strict=True)
                 ]
     data = data.without(bad)
     if len(data.points) >= 3:
         bad, names = _rigid_body(data, sigma)
-        data, found = data.without(bad), found + names
-    return data, found
+        data, lines = data.without(bad), lines + names
+    return data, lines
 
 
 def _robust_sigma(data: Measurements) -> float:
     """Return the noise of one coordinate from the repeats, insensitive to outliers [m]."""
     mean, count = data.means()
-    many = count[data.state, data.point] >= 2
-    if not many.any():
+    has_repeats = count[data.state, data.point] >= 2
+    if not has_repeats.any():
         return 0.0
-    left = (data.position - mean[data.state, data.point])[many]
+    left = (data.position - mean[data.state, data.point])[has_repeats]
     shrink = np.sqrt(1.0 - 1.0 / np.median(count[count >= 2]))
     return float(np.median(np.abs(left)) / 0.6745 / shrink)
 
@@ -86,19 +86,19 @@ def _rigid_body(data: Measurements, sigma: float) -> tuple[list[int], list[str]]
     if len(sets) < 3:
         return [], []
     position = data.position[np.array(sets)]
-    apart = np.linalg.norm(position[:, :, None] - position[:, None], axis=3)
-    off = np.abs(apart - np.median(apart, axis=0))
+    distances = np.linalg.norm(position[:, :, None] - position[:, None], axis=3)
+    errors = np.abs(distances - np.median(distances, axis=0))
     limit = _GROSS * np.sqrt(2.0) * sigma
-    for rows, here in zip(sets, off, strict=True):
-        wrong = (here > limit).sum(axis=1)
-        worst = int(np.argmax(here.sum(axis=1)))
-        others = np.delete(np.delete(here, worst, axis=0), worst, axis=1)
-        if wrong[worst] >= 1 and others.max() <= limit:
+    for rows, set_errors in zip(sets, errors, strict=True):
+        wrong = (set_errors > limit).sum(axis=1)
+        worst = int(np.argmax(set_errors.sum(axis=1)))
+        other_errors = np.delete(np.delete(set_errors, worst, axis=0), worst, axis=1)
+        if wrong[worst] >= 1 and other_errors.max() <= limit:
             row = int(rows[worst])
             bad.append(row)
             names.append(
-                f"{data.name(row)} is {here[worst].max() * MM_PER_M:.2f} mm off in its distance to the other points: "
-                "left out"
+                f"{data.name(row)} is {set_errors[worst].max() * MM_PER_M:.2f} mm off in its distance to the other "
+                "points: left out"
             )
     return bad, names
 
@@ -119,15 +119,16 @@ def without_worst_residual(data: Measurements, placement: Placement, fit: Fit) -
     state = int(data.loaded[row])
     config = int(data.state_config[state])
     rest = int(data.unloaded[config])
-    expected = placement.residual[:, point] - np.median(placement.residual[:, point], axis=0)
-    rest_off = float(np.linalg.norm(expected[config]))
-    rest_usual = float(np.median(np.linalg.norm(expected, axis=1)))
-    others = np.flatnonzero((data.state_config == config) & (data.load != 0))
-    shared = len(others) > 1 and all(
-        size[np.flatnonzero(data.loaded == other)[0], point] > _GROSS * max(1.0, usual) for other in others
+    deviation = placement.residual[:, point] - np.median(placement.residual[:, point], axis=0)
+    rest_error = float(np.linalg.norm(deviation[config]))
+    rest_usual = float(np.median(np.linalg.norm(deviation, axis=1)))
+    load_states = np.flatnonzero((data.state_config == config) & (data.load != 0))
+    is_common = len(load_states) > 1 and all(
+        size[np.flatnonzero(data.loaded == load_state)[0], point] > _GROSS * max(1.0, usual)
+        for load_state in load_states
     )
     gross = float(np.linalg.norm(fit.residual[row, point]))
-    culprit = rest if shared or rest_off > max(0.5 * gross, 3.0 * rest_usual) else state
+    culprit = rest if is_common or rest_error > max(0.5 * gross, 3.0 * rest_usual) else state
     candidates = np.flatnonzero((data.state == culprit) & (data.point == point) & data.used)
     wrong = _worst_repeat(data, candidates, fit.residual[row, point], placement, culprit == state)
     names = [
@@ -137,20 +138,20 @@ def without_worst_residual(data: Measurements, placement: Placement, fit: Fit) -
     return data.without([int(reading) for reading in wrong]), names
 
 
-def _worst_repeat(data: Measurements, rows: Ints, residual: Array, placement: Placement, loaded: bool) -> list[int]:
+def _worst_repeat(data: Measurements, rows: Ints, residual: Array, placement: Placement, has_load: bool) -> list[int]:
     """Return the repeats with the error: the one that deviates most in its direction, or all if they agree."""
     if len(rows) == 1:
         return [int(rows[0])]
-    direction = placement.root_in_device[:3, :3] @ (residual / np.linalg.norm(residual)) * (1.0 if loaded else -1.0)
-    along = (data.position[rows] - data.position[rows].mean(axis=0)) @ direction
-    if np.ptp(along) > _GROSS * data.sigma:
-        return [int(rows[np.argmax(along)])]
+    direction = placement.root_in_device[:3, :3] @ (residual / np.linalg.norm(residual)) * (1.0 if has_load else -1.0)
+    projection = (data.position[rows] - data.position[rows].mean(axis=0)) @ direction
+    if np.ptp(projection) > _GROSS * data.sigma:
+        return [int(rows[np.argmax(projection)])]
     return [int(row) for row in rows]
 
 
 _BODY = 2e-3
 """Change of the distance between two points of one rigid body [m] that exceeds any noise."""
-_FAR = 0.015
+_MAX_DISTANCE = 0.015
 """Distance [m] of unloaded readings from the geometry that no sag and no tolerance explains."""
 _MOST_DEFLECTION = 0.1
 _SAME_UNIT = (0.2, 5.0)
@@ -177,18 +178,21 @@ def check_points(data: Measurements) -> None:
                 sets[state, float(repeat)] = rows[np.argsort(data.point[rows])]
     if not sets:
         return
-    apart = np.array([_distances(data.position[rows]) for rows in sets.values()])
-    usual = np.median(apart, axis=0)
-    for rows, here in zip(sets.values(), apart, strict=True):
-        wrong = float(np.abs(here - usual).max())
+    distances = np.array([_distances(data.position[rows]) for rows in sets.values()])
+    usual = np.median(distances, axis=0)
+    for rows, set_distances in zip(sets.values(), distances, strict=True):
+        wrong = float(np.abs(set_distances - usual).max())
         if wrong <= _BODY:
             continue
         for order in permutations(range(count)):
-            if list(order) != list(range(count)) and np.abs(here[np.ix_(order, order)] - usual).max() < 0.2 * wrong:
-                moved = [data.points[index] for index in range(count) if order[index] != index]
+            if (
+                list(order) != list(range(count))
+                and np.abs(set_distances[np.ix_(order, order)] - usual).max() < 0.2 * wrong
+            ):
+                swapped_names = [data.points[index] for index in range(count) if order[index] != index]
                 raise MeasurementError(
                     f"{data.name(int(rows[0])).partition(': ')[2].rpartition(',')[0]}: the distances between the "
-                    f"points fit only if the names {' and '.join(moved)} are swapped",
+                    f"points fit only if the names {' and '.join(swapped_names)} are swapped",
                     file=data.file,
                     line=int(data.line[rows[0]]),
                     advice="Correct the names in this set.",
@@ -205,12 +209,12 @@ def check_frames(robot: RobotModel, data: Measurements) -> Placement:
     :raises MeasurementError: one configuration has wrong angles, the tracker was moved, or it is another robot.
     """
     placement = locate(robot, data)
-    if placement.rms < _FAR:
+    if placement.rms < _MAX_DISTANCE:
         return placement
     size = len(data.q)
     for split in range(2, size - 1):
         halves = [_rms(robot, data, np.arange(split)), _rms(robot, data, np.arange(split, size))]
-        if max(halves) < _FAR:
+        if max(halves) < _MAX_DISTANCE:
             first = np.flatnonzero(data.state_config[data.state] == split)[0]
             raise MeasurementError(
                 f"readings from config {data.config[split]:g} on are in another frame of the measuring device",
@@ -218,9 +222,9 @@ def check_frames(robot: RobotModel, data: Measurements) -> Placement:
                 line=int(data.line[first]),
                 advice="The tracker was moved or set up anew: identify from one set-up, or bring both into one frame.",
             )
-    without = np.array([_rms(robot, data, np.delete(np.arange(size), row)) for row in range(size)])
-    worst = int(np.argmin(without))
-    if without[worst] < _FAR:
+    reduced_rms = np.array([_rms(robot, data, np.delete(np.arange(size), row)) for row in range(size)])
+    worst = int(np.argmin(reduced_rms))
+    if reduced_rms[worst] < _MAX_DISTANCE:
         first = np.flatnonzero(data.state_config[data.state] == worst)[0]
         raise MeasurementError(
             f"config {data.config[worst]:g}: the readings without load are far from the points that A1…A6 predict",
@@ -248,8 +252,8 @@ def check_loads(robot: RobotModel, data: Measurements, placement: Placement) -> 
     :returns: a warning if all displacements are larger or smaller than any robot of this kind has them.
     :raises MeasurementError: names the configuration, or all.
     """
-    seen = measured_displacements(data, placement)
-    size = np.linalg.norm(seen, axis=2).max(axis=1)
+    displacement = measured_displacements(data, placement)
+    size = np.linalg.norm(displacement, axis=2).max(axis=1)
     for row in np.flatnonzero(size > _MOST_DEFLECTION).tolist():
         raise MeasurementError(
             f"{_state_name(data, int(data.loaded[row]))}: the points moved by {size[row] * MM_PER_M:.0f} mm under load",
@@ -258,8 +262,8 @@ def check_loads(robot: RobotModel, data: Measurements, placement: Placement) -> 
             advice="No robot bends that far: was the tracker moved, or is a reading of another configuration?",
         )
     structure = Structure(JOINT_COMPLIANCES, robot)
-    expected, _ = predict(structure, structure.start(), data, placement)
-    ratio = np.sum(seen * expected, axis=(1, 2)) / np.sum(expected**2, axis=(1, 2))
+    prediction, _ = predict(structure, structure.start(), data, placement)
+    ratio = np.sum(displacement * prediction, axis=(1, 2)) / np.sum(prediction**2, axis=(1, 2))
     usual = float(np.median(ratio))
     if usual < 0.0:
         raise MeasurementError(
@@ -275,17 +279,17 @@ def check_loads(robot: RobotModel, data: Measurements, placement: Placement) -> 
             advice="Give Fx, Fy, Fz in N, Mx, My, Mz in N·m, X, Y, Z in mm.",
         )
     # two ratios, along the expected direction and by length: where links deflect unlike the joints, one is far off
-    far = np.sqrt(np.sum(seen**2, axis=(1, 2)) / np.sum(expected**2, axis=(1, 2)))
+    length_ratio = np.sqrt(np.sum(displacement**2, axis=(1, 2)) / np.sum(prediction**2, axis=(1, 2)))
     # against the force only if it is nearly opposite: links may deflect across what the joints would
-    far = np.where(ratio < _OPPOSITE * far, -far, far)
+    length_ratio = np.where(ratio < _OPPOSITE * length_ratio, -length_ratio, length_ratio)
     # if the joints would hardly deflect, links may deflect by many times as much
     per_newton = size / np.maximum(np.linalg.norm(data.wrench[data.loaded, :3], axis=1), 1e-9)
     for row in range(len(ratio)):
-        relative = far[row] / usual
-        others = np.delete(per_newton, row)
-        if relative > 0.0 and len(others) and others.min() < per_newton[row] < others.max():
+        relative = length_ratio[row] / usual
+        other_ratios = np.delete(per_newton, row)
+        if relative > 0.0 and len(other_ratios) and other_ratios.min() < per_newton[row] < other_ratios.max():
             continue
-        if not any(_SAME_UNIT[0] < each < _SAME_UNIT[1] for each in (relative, ratio[row] / usual)):
+        if not any(_SAME_UNIT[0] < factor < _SAME_UNIT[1] for factor in (relative, ratio[row] / usual)):
             state = int(data.loaded[row])
             unit = "kg" if _KILOGRAMS[0] < relative < _KILOGRAMS[1] else "another unit, direction or configuration"
             raise MeasurementError(
@@ -317,7 +321,7 @@ _TORQUE = 0.05
 """Share of the largest torque on a joint above which the flank of its gear is known."""
 _CERTAIN = 4.0
 """Standard errors beyond which a loop is no noise."""
-_LEAST = 1e-5
+_MIN_LOOP = 1e-5
 """Smallest half width of a loop [rad] that is reported."""
 
 
@@ -325,35 +329,35 @@ def loops(robot: RobotModel, data: Measurements, placement: Placement) -> list[s
     """Return the hysteresis of each joint in sentences; none if no load was measured before and after a larger one."""
     from scipy.optimize import nnls
 
-    up, down = up_and_down(data)
+    up, down_rows = up_and_down(data)
     if len(up) == 0:
         return []
-    moved, seen = measured_displacements(data, placement), visible(data)[..., 0]
-    both = (seen[up] * seen[down]).astype(bool)
+    displacement, visibility = measured_displacements(data, placement), visible(data)[..., 0]
+    is_visible = (visibility[up] * visibility[down_rows]).astype(bool)
     count = np.maximum(data.means()[1][data.loaded], 1.0)
-    noise = data.sigma * np.sqrt(1.0 / count[up] + 1.0 / count[down])
+    noise = data.sigma * np.sqrt(1.0 / count[up] + 1.0 / count[down_rows])
     torque = joint_torques(robot, data)
     flank = np.sign(torque[up]) * (np.abs(torque[up]) > _TORQUE * np.abs(torque).max(axis=0))
     x = elastostatics.coordinates(robot, data.q[data.state_config[data.loaded[up]]])
-    columns = np.empty((*both.shape, 3, 6))
+    columns = np.empty((*is_visible.shape, 3, 6))
     for index, point in enumerate(placement.points):
         tool = np.eye(4)
         tool[:3, 3] = point
         jacobian = kinematics.tcp(robot.actual, x, tool)[1][:, :3, list(robot.actuated)]
         columns[:, index] = jacobian * flank[:, None]
-    rows = (columns / noise[..., None, None])[both].reshape(-1, 6)
-    target = ((moved[down] - moved[up]) / noise[..., None])[both].ravel()
+    rows = (columns / noise[..., None, None])[is_visible].reshape(-1, 6)
+    target = ((displacement[down_rows] - displacement[up]) / noise[..., None])[is_visible].ravel()
     scale = norm(rows.T)
-    reached = np.flatnonzero(scale > 0.0)
-    found, _ = nnls(rows[:, reached] / scale[reached], target)
-    inverse = np.linalg.pinv((rows[:, reached] / scale[reached]).T @ (rows[:, reached] / scale[reached]))
-    clear = found > _CERTAIN * np.sqrt(np.diag(inverse))
-    half = 0.5 * found / scale[reached]
+    joints = np.flatnonzero(scale > 0.0)
+    solution, _ = nnls(rows[:, joints] / scale[joints], target)
+    inverse = np.linalg.pinv((rows[:, joints] / scale[joints]).T @ (rows[:, joints] / scale[joints]))
+    clear = solution > _CERTAIN * np.sqrt(np.diag(inverse))
+    half = 0.5 * solution / scale[joints]
     return [
         f"loads up and down differ: looks like {half[row] * MM_PER_M:.3f} mrad of backlash or friction in "
         f"{JOINTS[joint]}"
-        for row, joint in enumerate(reached.tolist())
-        if clear[row] and half[row] > _LEAST
+        for row, joint in enumerate(joints.tolist())
+        if clear[row] and half[row] > _MIN_LOOP
     ]
 
 
@@ -369,10 +373,10 @@ def up_and_down(data: Measurements) -> tuple[Ints, Ints]:
         and norm(load[first] - load[second]) < _SAME_LOAD * size[first]
         and _larger_between(size, number, config, first, second)
     ]
-    up, down = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
-    return up, down
+    up, down_rows = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+    return up, down_rows
 
 
 def _larger_between(size: Array, number: Array, config: Ints, first: int, second: int) -> bool:
-    between = (config == config[first]) & (number > number[first]) & (number < number[second])
-    return bool((size[between] > _LARGER * size[first]).any())
+    rows = (config == config[first]) & (number > number[first]) & (number < number[second])
+    return bool((size[rows] > _LARGER * size[first]).any())

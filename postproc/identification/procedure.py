@@ -117,7 +117,7 @@ def identify(
     """
     data = as_positions(prior, data)
     check_points(data)
-    data, left_out = plausibility.without_gross_errors(data)  # one would spoil the means that are judged next
+    data, outliers = plausibility.without_gross_errors(data)  # one would spoil the means that are judged next
     placement = check_frames(prior, data)
     doubts = [
         *gaps(data),
@@ -127,7 +127,7 @@ def identify(
     data, warnings = _noise(data)
     warnings = doubts + warnings
     if method == "serial":
-        return _serial(prior, data, placement, left_out, warnings)
+        return _serial(prior, data, placement, outliers, warnings)
 
     progress("joint springs and compensator")
     joints = _joints(prior, data, placement)
@@ -135,32 +135,32 @@ def identify(
         placement = locate(joints.fit.robot, data)
         joints = _joints(prior, data, placement)
     if _unexplained(joints.fit):
-        cleaned, fewer, names = _cleaned(prior, data, placement, joints.fit)
+        clean_data, fewer, names = _cleaned(prior, data, placement, joints.fit)
         if names and not _unexplained(fewer):
-            data, left_out = cleaned, left_out + names
+            data, outliers = clean_data, outliers + names
             placement = locate(prior if prior.subtract_reference else fewer.robot, data)
             joints = _joints(prior, data, placement)
-    fit, missing, choice = joints.fit, joints.missing, None
+    fit, open_entries, choice = joints.fit, joints.missing, None
     if depth == "joints" and _unexplained(fit):
         ratio = fit.chi2 / fit.dof
         warnings.append(_left_by_joints(fit))
         fit = replace(fit, covariance=fit.covariance * ratio)
     elif depth == "auto" and fit.chi2 > fit.dof + _WORTH_A_LOOK * np.sqrt(2.0 * max(fit.dof, 0)):
         progress(f"{_left_by_joints(fit)}: trying link springs and gears that are not linear")
-        cleaned, richer, names = _chosen(prior, data, placement)
-        if _unexplained(fit) or _clearly_better(richer, fit, cleaned, placement):
-            data, choice, fit, left_out = cleaned, richer, richer.fit, left_out + names
+        clean_data, richer, names = _chosen(prior, data, placement)
+        if _unexplained(fit) or _clearly_better(richer, fit, clean_data, placement):
+            data, choice, fit, outliers = clean_data, richer, richer.fit, outliers + names
             if not prior.subtract_reference:
                 placement = locate(fit.robot, data)
-            missing = _still_missing(choice, data, missing)
+            open_entries = _still_missing(choice, data, open_entries)
     if choice is None:
-        fit = held_by_prior(fit, missing)
-    warnings += [str(entry) for entry in missing] + [f"outlier: {name}" for name in left_out]
+        fit = held_by_prior(fit, open_entries)
+    warnings += [str(entry) for entry in open_entries] + [f"outlier: {name}" for name in outliers]
     left = left_out_of(fit, data) if choice is None else choice.left_out
-    off = discrepancy(data, placement, fit, left)
+    model_error = discrepancy(data, placement, fit, left)
     fit = fit if choice is None else replace(fit, covariance=choice.wider)
     fit = with_stated_errors(fit, data, placement, None if choice is None else choice.influence)
-    workspace = over_workspace(_with_bound(fit, off), data)
+    workspace = over_workspace(_with_bound(fit, model_error), data)
     distrust, notes = judge(data, fit, choice, workspace)
     warnings += notes + loops(prior, data, placement)
     return Identification(
@@ -171,12 +171,12 @@ def identify(
         fit=fit,
         levels=joints.levels,
         spring=joints.spring,
-        missing=tuple(missing),
+        missing=tuple(open_entries),
         choice=choice,
-        discrepancy=off,
+        discrepancy=model_error,
         workspace=workspace,
         distrust=distrust,
-        left_out=tuple(left_out),
+        left_out=tuple(outliers),
         warnings=tuple(warnings),
     )
 
@@ -188,10 +188,10 @@ def _left_by_joints(fit: Fit) -> str:
     )
 
 
-def _with_bound(fit: Fit, off: Discrepancy) -> RobotModel:
+def _with_bound(fit: Fit, model_error: Discrepancy) -> RobotModel:
     """Return the identified robot with what its bound is made of."""
     parameters, _, covariance = to_file_units(fit)
-    unmodelled = robots.Discrepancy(off.load, off.u95)
+    unmodelled = robots.Discrepancy(model_error.load, model_error.u95)
     return replace(fit.robot, covariance=robots.Covariance(parameters, covariance), discrepancy=unmodelled)
 
 
@@ -203,24 +203,24 @@ def _clearly_better(richer: Choice, fit: Fit, data: Measurements, placement: Pla
 def _chosen(prior: RobotModel, data: Measurements, placement: Placement) -> tuple[Measurements, Choice, list[str]]:
     """Choose the springs, leave out gross errors against them, and choose again, three times at most."""
     choice = choose(prior, data, placement)
-    left_out: list[str] = []
+    outliers: list[str] = []
     for _ in range(3):
-        cleaned, names = plausibility.without_worst_residual(data, placement, choice.fit)
+        clean_data, names = plausibility.without_worst_residual(data, placement, choice.fit)
         if not names:
             break
-        data, left_out = cleaned, left_out + names
+        data, outliers = clean_data, outliers + names
         choice = choose(prior, data, placement)
-    return data, choice, left_out
+    return data, choice, outliers
 
 
-def _still_missing(choice: Choice, data: Measurements, missing: list[NotObservable]) -> list[NotObservable]:
+def _still_missing(choice: Choice, data: Measurements, open_entries: list[NotObservable]) -> list[NotObservable]:
     """Return what the mean of structures leaves open: joints without load, and the compensator's spring.
 
     What the fit of joint springs alone said of other parameters applies to a model that was given up.
     """
-    fit, known = choice.fit, {entry.parameter: entry for entry in missing}
+    fit, entry_of = choice.fit, {entry.parameter: entry for entry in open_entries}
     joints = [
-        known.get(joint) or NotObservable(joint, "the loads put no torque on it", f"Load {joint.joint} more.")
+        entry_of.get(joint) or NotObservable(joint, "the loads put no torque on it", f"Load {joint.joint} more.")
         for joint in unloaded(fit.structure.prior, data)
     ]
     if fit.structure.prior.compensator is None or CompensatorStiffness() in fit.given:
@@ -243,25 +243,25 @@ class _Joints(Struct, frozen=True, eq=False):
 
 
 def _joints(prior: RobotModel, data: Measurements, placement: Placement) -> _Joints:
-    extended = extended_set(prior, data, placement)
-    levels = extended[1] if extended else None
+    level_fit = extended_set(prior, data, placement)
+    levels = level_fit[1] if level_fit else None
     spring = None
     if levels is not None and prior.compensator is not None:
         spring = compensator_from_levels(levels, prior.compensator)
-    fit, missing = fit_joints(prior, data, placement, spring)
-    return _Joints(fit, levels, spring, missing)
+    fit, open_entries = fit_joints(prior, data, placement, spring)
+    return _Joints(fit, levels, spring, open_entries)
 
 
 def _serial(
-    prior: RobotModel, data: Measurements, placement: Placement, left_out: list[str], warnings: list[str]
+    prior: RobotModel, data: Measurements, placement: Placement, outliers: list[str], warnings: list[str]
 ) -> Identification:
     fit = fit_serial(prior, data, placement)
-    missing = not_observable(fit, data, scaled=True)
-    fit = held_by_prior(fit, missing)
-    warnings += [str(entry) for entry in missing] + [f"outlier: {name}" for name in left_out]
-    off = discrepancy(data, placement, fit, fit.residual)
+    open_entries = not_observable(fit, data, with_misfit=True)
+    fit = held_by_prior(fit, open_entries)
+    warnings += [str(entry) for entry in open_entries] + [f"outlier: {name}" for name in outliers]
+    model_error = discrepancy(data, placement, fit, fit.residual)
     fit = with_stated_errors(fit, data, placement, None)
-    workspace = over_workspace(_with_bound(fit, off), data)
+    workspace = over_workspace(_with_bound(fit, model_error), data)
     distrust, notes = judge(data, fit, None, workspace)
     return Identification(
         method="serial",
@@ -271,12 +271,12 @@ def _serial(
         fit=fit,
         levels=None,
         spring=None,
-        missing=tuple(missing),
+        missing=tuple(open_entries),
         choice=None,
-        discrepancy=off,
+        discrepancy=model_error,
         workspace=workspace,
         distrust=distrust,
-        left_out=tuple(left_out),
+        left_out=tuple(outliers),
         warnings=tuple(warnings + notes),
     )
 
@@ -286,13 +286,15 @@ def _noise(data: Measurements) -> tuple[Measurements, list[str]]:
     squares, dof = data.scatter()
     if dof < 30:
         return data, []
-    seen = float(np.sqrt(squares / dof))
-    if seen > data.sigma * (1.0 + 4.0 / np.sqrt(2.0 * dof)):
-        note = f"sigma_mm = {data.sigma * MM_PER_M:g} is stated; the repeats scatter by {seen * MM_PER_M:.3f} mm: used"
-        return replace(data, sigma=seen), [note]
-    if seen < data.sigma * (0.8 - 4.0 / np.sqrt(2.0 * dof)):
+    scatter = float(np.sqrt(squares / dof))
+    if scatter > data.sigma * (1.0 + 4.0 / np.sqrt(2.0 * dof)):
+        note = (
+            f"sigma_mm = {data.sigma * MM_PER_M:g} is stated; the repeats scatter by {scatter * MM_PER_M:.3f} mm: used"
+        )
+        return replace(data, sigma=scatter), [note]
+    if scatter < data.sigma * (0.8 - 4.0 / np.sqrt(2.0 * dof)):
         return data, [
-            f"sigma_mm = {data.sigma * MM_PER_M:g} is stated, the repeats scatter by {seen * MM_PER_M:.3f} mm only; "
+            f"sigma_mm = {data.sigma * MM_PER_M:g} is stated, the repeats scatter by {scatter * MM_PER_M:.3f} mm only; "
             "the stated noise is kept (repeats share what the set-up adds)"
         ]
     return data, []
@@ -307,31 +309,31 @@ def _cleaned(
 ) -> tuple[Measurements, Fit, list[str]]:
     """Leave out gross errors against the joint model, one at a time, as long as they explain the misfit."""
     names: list[str] = []
-    most = max(1, int(_MOST_OUTLIERS * len(data.state)))
-    if not _explained_without(fit, most * (len(data.loaded) // len(data.q))):
+    limit = max(1, int(_MOST_OUTLIERS * len(data.state)))
+    if not _explained_without(fit, limit * (len(data.loaded) // len(data.q))):
         return data, fit, names
-    for _ in range(most):
-        cleaned, found = plausibility.without_worst_residual(data, placement, fit)
-        if not found:
+    for _ in range(limit):
+        clean_data, new_names = plausibility.without_worst_residual(data, placement, fit)
+        if not new_names:
             break
-        data, names = cleaned, names + found
+        data, names = clean_data, names + new_names
         fit = _joints(prior, data, placement).fit
         if not _unexplained(fit):
             break
     return data, fit, names
 
 
-def _explained_without(fit: Fit, most: int) -> bool:
+def _explained_without(fit: Fit, limit: int) -> bool:
     """Return whether the rest is noise when the largest residuals, of that many points, are left out.
 
     By the derivatives at the fit: a robot that is more than its joint springs needs no fits to find out.
     """
     rows, left = fit.design / np.maximum(np.linalg.norm(fit.design, axis=0), 1e-300), fit.target.copy()
-    for count in range(1, most + 1):
+    for count in range(1, limit + 1):
         residual = (left - rows @ np.linalg.lstsq(rows, left, rcond=1e-9)[0]).reshape(-1, 3)
         worst = int(np.argmax(np.sum(residual**2, axis=1)))
-        gone = slice(3 * worst, 3 * worst + 3)
-        rows[gone], left[gone] = 0.0, 0.0
+        outlier_rows = slice(3 * worst, 3 * worst + 3)
+        rows[outlier_rows], left[outlier_rows] = 0.0, 0.0
         residual = left - rows @ np.linalg.lstsq(rows, left, rcond=1e-9)[0]
         if not _unexplained(replace(fit, chi2=float(residual @ residual), dof=fit.dof - 3 * count)):
             return True
@@ -340,11 +342,11 @@ def _explained_without(fit: Fit, most: int) -> bool:
 
 def before_and_after(result: Identification) -> tuple[Array, Array]:
     """Return the RMS distance (C,) of the points of each configuration without and with the model [m]."""
-    seen = np.sum(measured_displacements(result.data, result.placement) ** 2, axis=2).mean(axis=1)
+    square = np.sum(measured_displacements(result.data, result.placement) ** 2, axis=2).mean(axis=1)
     left = np.sum(result.fit.residual**2, axis=2).mean(axis=1)
     config = result.data.state_config[result.data.loaded]
     count = np.bincount(config, minlength=len(result.data.q))
     return (
-        np.sqrt(np.bincount(config, weights=seen, minlength=len(count)) / count),
+        np.sqrt(np.bincount(config, weights=square, minlength=len(count)) / count),
         np.sqrt(np.bincount(config, weights=left, minlength=len(count)) / count),
     )

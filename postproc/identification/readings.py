@@ -136,9 +136,9 @@ class Angles(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
     def of_robot(self, joints: Array) -> Array:
         """Return the angles A1 … A6 (n, 6) for the angles (n, 6) of the file [deg]."""
-        out = joints * np.array(self.sign) + np.array(self.offset_deg)
-        out[:, 2] += self.A3_per_J2 * joints[:, 1]
-        return np.asarray(out)
+        angles = joints * np.array(self.sign) + np.array(self.offset_deg)
+        angles[:, 2] += self.A3_per_J2 * joints[:, 1]
+        return np.asarray(angles)
 
 
 class Experiment(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -281,9 +281,9 @@ class Measurements(Struct, frozen=True, eq=False):
 
     def without(self, readings: list[int]) -> Measurements:
         """Return the measurements with some readings left out."""
-        used = self.used.copy()
-        used[readings] = False
-        return replace(self, used=used)
+        is_used = self.used.copy()
+        is_used[readings] = False
+        return replace(self, used=is_used)
 
     def only(self, configurations: Ints) -> Measurements:
         """Return the measurements of some configurations (rows of `q`)."""
@@ -334,18 +334,18 @@ def read(path: Path, experiment: Experiment, loads: bool = True) -> Measurements
         experiment does not name; a loaded state without its unloaded one; angles in radians, lengths not in mm.
     """
     numbers, texts, lines = files.read_csv(path, COLUMNS, (), MeasurementError, ("point",))
-    where = str(path)
+    file_name = str(path)
     if len(lines) == 0:
-        raise MeasurementError("no readings", file=where)
-    _check_ranges(numbers, lines, where)
+        raise MeasurementError("no readings", file=file_name)
+    _check_ranges(numbers, lines, file_name)
     if experiment.readings == "displacements":
-        numbers, texts, lines = _with_unloaded(numbers, texts, lines, where)
+        numbers, texts, lines = _with_unloaded(numbers, texts, lines, file_name)
     names = tuple(experiment.points)
     for row, name in enumerate(texts["point"]):
         if name not in names:
             raise MeasurementError(
                 f"unknown point {name!r}",
-                file=where,
+                file=file_name,
                 line=int(lines[row]),
                 advice=choices(name, names, "Points of the experiment"),
             )
@@ -357,8 +357,8 @@ def read(path: Path, experiment: Experiment, loads: bool = True) -> Measurements
     )
     state = state.ravel()
     first_of_config = np.array([np.flatnonzero(inverse == c)[0] for c in range(len(config))])
-    _check_same(angles, first_of_config[inverse], _SAME_ANGLE, JOINTS, numbers["config"], lines, where)
-    _check_same(wrench, first[state], 0.05, WRENCH, numbers["config"], lines, where)
+    _check_same(angles, first_of_config[inverse], _SAME_ANGLE, JOINTS, numbers["config"], lines, file_name)
+    _check_same(wrench, first[state], 0.05, WRENCH, numbers["config"], lines, file_name)
     q = angles[first_of_config]
     data = Measurements(
         file=path.name,
@@ -381,8 +381,8 @@ def read(path: Path, experiment: Experiment, loads: bool = True) -> Measurements
         used=np.ones(len(lines), dtype=bool),
         are_displacements=experiment.readings == "displacements",
     )
-    _check_units(q, data, where)
-    _check_complete(data, where, loads)
+    _check_units(q, data, file_name)
+    _check_complete(data, file_name, loads)
     return data
 
 
@@ -391,7 +391,7 @@ _LARGEST_DISPLACEMENT = 0.2
 
 
 def _with_unloaded(
-    numbers: dict[str, Array], texts: dict[str, list[str]], lines: Array, where: str
+    numbers: dict[str, Array], texts: dict[str, list[str]], lines: Array, file_name: str
 ) -> tuple[dict[str, Array], dict[str, list[str]], Array]:
     """Return the columns with a state without load for each configuration and point, whose displacement is zero.
 
@@ -400,28 +400,28 @@ def _with_unloaded(
     if np.any(numbers["load"] == 0.0):
         raise MeasurementError(
             "load 0 has rows, but X, Y, Z are displacements from the position without load",
-            file=where,
+            file=file_name,
             line=int(lines[np.argmax(numbers["load"] == 0.0)]),
             advice='Remove these rows, or leave out `readings = "displacements"` and give positions.',
         )
     pairs = [(config, name) for config, name in zip(numbers["config"].tolist(), texts["point"], strict=True)]
     first = [pairs.index(pair) for pair in dict.fromkeys(pairs)]
-    unloaded = {name: column[first] for name, column in numbers.items()}
+    zero_columns = {name: column[first] for name, column in numbers.items()}
     for name in ("load", *WRENCH, "X", "Y", "Z"):
-        unloaded[name] = np.zeros(len(first))
-    unloaded["repeat"] = np.ones(len(first))
+        zero_columns[name] = np.zeros(len(first))
+    zero_columns["repeat"] = np.ones(len(first))
     return (
-        {name: np.concatenate([numbers[name], unloaded[name]]) for name in numbers},
+        {name: np.concatenate([numbers[name], zero_columns[name]]) for name in numbers},
         {"point": [*texts["point"], *(texts["point"][row] for row in first)]},
         np.concatenate([lines, lines[first]]),
     )
 
 
-def _check_ranges(numbers: dict[str, Array], lines: Array, where: str) -> None:
+def _check_ranges(numbers: dict[str, Array], lines: Array, file_name: str) -> None:
     wrong = [
         MeasurementError(
             f"column {name} is {numbers[name][row]:g}: expected {-largest:g} to {largest:g}{unit}",
-            file=where,
+            file=file_name,
             line=int(lines[row]),
         )
         for name, largest, unit in _LARGEST
@@ -432,25 +432,31 @@ def _check_ranges(numbers: dict[str, Array], lines: Array, where: str) -> None:
 
 
 def _check_same(
-    values: Array, reference: Ints, tolerance: float, names: tuple[str, ...], config: Array, lines: Array, where: str
+    values: Array,
+    reference: Ints,
+    tolerance: float,
+    names: tuple[str, ...],
+    config: Array,
+    lines: Array,
+    file_name: str,
 ) -> None:
-    off = np.abs(values - values[reference]) > tolerance
-    if off.any():
-        row, column = np.argwhere(off)[0]
+    differs = np.abs(values - values[reference]) > tolerance
+    if differs.any():
+        row, column = np.argwhere(differs)[0]
         raise MeasurementError(
             f"config {config[row]:g}: {names[column]} is {values[row, column]:g} here and "
             f"{values[reference[row], column]:g} at line {int(lines[reference[row]])}",
-            file=where,
+            file=file_name,
             line=int(lines[row]),
             advice="One configuration has one set of angles, one load case one force: give it another number.",
         )
 
 
-def _check_units(q: Array, data: Measurements, where: str) -> None:
+def _check_units(q: Array, data: Measurements, file_name: str) -> None:
     if len(q) >= 2 and np.abs(q).max() <= 2.0 * np.pi:
         raise MeasurementError(
             f"no joint angle is larger than {np.abs(q).max():.3f}: these look like radians",
-            file=where,
+            file=file_name,
             advice="Give A1…A6 in degrees.",
         )
     span = float(np.ptp(data.position, axis=0).max())
@@ -458,25 +464,25 @@ def _check_units(q: Array, data: Measurements, where: str) -> None:
         if span > _LARGEST_DISPLACEMENT:
             raise MeasurementError(
                 f"displacements differ by {span / M_PER_MM:.3g} mm: these look like positions",
-                file=where,
+                file=file_name,
                 advice='Give displacements by the load in mm, root axes, or leave out `readings = "displacements"`.',
             )
         return
     if len(q) >= 2 and span < 10.0 * M_PER_MM:
         raise MeasurementError(
             f"all readings lie within {span / M_PER_MM:.3g} mm: these look like metres, or the robot did not move",
-            file=where,
+            file=file_name,
             advice="Give X, Y, Z in mm.",
         )
 
 
-def _check_complete(data: Measurements, where: str, loads: bool) -> None:
+def _check_complete(data: Measurements, file_name: str, loads: bool) -> None:
     for row in range(len(data.state)):
         state = data.state[row]
         if data.load[state] == 0 and np.abs(data.wrench[state]).max() > _NO_LOAD:
             raise MeasurementError(
                 f"config {data.config[data.state_config[state]]:g}: load 0 means no load, but there is a force",
-                file=where,
+                file=file_name,
                 line=int(data.line[row]),
             )
     keys, counts = np.unique(np.column_stack([data.state, data.point, data.repeat]), axis=0, return_counts=True)
@@ -485,15 +491,15 @@ def _check_complete(data: Measurements, where: str, loads: bool) -> None:
         rows = np.flatnonzero((data.state == state) & (data.point == point) & (data.repeat == repeat))
         raise MeasurementError(
             f"{data.name(int(rows[1])).partition(': ')[2]} is given twice (also line {int(data.line[rows[0]])})",
-            file=where,
+            file=file_name,
             line=int(data.line[rows[1]]),
             advice="Is a point name wrong?",
         )
-    _check_sets(data, where)
-    _check_loads(data, where, loads)
+    _check_sets(data, file_name)
+    _check_loads(data, file_name, loads)
 
 
-def _check_sets(data: Measurements, where: str) -> None:
+def _check_sets(data: Measurements, file_name: str) -> None:
     """Refuse a point without any reading, and a load without a point that was read in its configuration without load.
 
     A single repeat may lack a point: readings that are there count (`gaps`).
@@ -502,7 +508,7 @@ def _check_sets(data: Measurements, where: str) -> None:
     if absent:
         raise MeasurementError(
             f"no reading of point {', '.join(absent)}",
-            file=where,
+            file=file_name,
             advice="Measure it, or remove it from [points] of the experiment.",
         )
     _, count = data.means()
@@ -512,13 +518,13 @@ def _check_sets(data: Measurements, where: str) -> None:
             raise MeasurementError(
                 f"config {data.config[data.state_config[state]]:g}, load {data.load[state]:g}: no point has readings "
                 "with and without this load",
-                file=where,
+                file=file_name,
                 line=int(data.line[np.flatnonzero(data.state == state)[0]]),
                 advice="Measure one point at least in both, or leave this load out.",
             )
 
 
-_NAMED = 5
+_MAX_NAMES = 5
 """Sets of readings that a warning names."""
 
 
@@ -534,25 +540,25 @@ def gaps(data: Measurements) -> list[str]:
             names.append(f"config {config:g}, load {data.load[int(state)]:g}, repeat {repeat:g}: {', '.join(absent)}")
     if not names:
         return []
-    suffix = f"; and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-    return [f"points without a reading, the others are used: {'; '.join(names[:_NAMED])}{suffix}"]
+    suffix = f"; and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else ""
+    return [f"points without a reading, the others are used: {'; '.join(names[:_MAX_NAMES])}{suffix}"]
 
 
-def _check_loads(data: Measurements, where: str, loads: bool) -> None:
+def _check_loads(data: Measurements, file_name: str, loads: bool) -> None:
     for index, config in enumerate(data.config):
-        loads_here = data.load[data.state_config == index]
+        config_loads = data.load[data.state_config == index]
         line = int(data.line[data.state_config[data.state] == index][0])
-        if 0 not in loads_here:
+        if 0 not in config_loads:
             raise MeasurementError(
-                f"config {config:g}: load {loads_here[0]:g} has no readings without load (load 0)",
-                file=where,
+                f"config {config:g}: load {config_loads[0]:g} has no readings without load (load 0)",
+                file=file_name,
                 line=line,
                 advice="Measure the same configuration unloaded, or leave it out.",
             )
-        if loads and len(loads_here) == 1:
+        if loads and len(config_loads) == 1:
             raise MeasurementError(
                 f"config {config:g}: only readings without load",
-                file=where,
+                file=file_name,
                 line=line,
                 advice="Measure the same configuration loaded, or leave it out.",
             )
@@ -561,7 +567,7 @@ def _check_loads(data: Measurements, where: str, loads: bool) -> None:
             rows = np.flatnonzero(data.state == state)
             raise MeasurementError(
                 f"config {data.config[data.state_config[state]]:g}, load {data.load[state]:g}: the force is zero",
-                file=where,
+                file=file_name,
                 line=int(data.line[rows[0]]),
                 advice="Give the force on the load point in N, root axes.",
             )

@@ -94,34 +94,34 @@ class Discrepancy(Struct, frozen=True, eq=False):
     u95: Array
 
 
-def discrepancy(data: Measurements, placement: Placement, fit: Fit, left_out: Array) -> Discrepancy:
+def discrepancy(data: Measurements, placement: Placement, fit: Fit, fold_residual: Array) -> Discrepancy:
     """Return the unmodelled error beyond noise and the fit's own covariance.
 
-    :param left_out: (L, P, 3) measured − predicted, each by a fit without its configuration [m].
+    :param fold_residual: (L, P, 3) measured − predicted, each by a fit without its configuration [m].
     """
-    seen = visible(data)[..., 0] > 0.0
-    count = seen.sum(axis=1)
-    share = seen / np.maximum(count, 1)[:, None]
-    slopes = unwhiten(whitening(data), fit.design.reshape((*left_out.shape, len(fit.values))))
+    is_visible = visible(data)[..., 0] > 0.0
+    count = is_visible.sum(axis=1)
+    share = is_visible / np.maximum(count, 1)[:, None]
+    slopes = unwhiten(whitening(data), fit.design.reshape((*fold_residual.shape, len(fit.values))))
     middle = np.einsum("lp,lpia->lia", share, slopes)
-    own = middle @ fit.covariance @ np.swapaxes(middle, 1, 2)
+    fit_covariance = middle @ fit.covariance @ np.swapaxes(middle, 1, 2)
     noise = np.sum(share**2 * noise_of(data), axis=1)
-    error = np.einsum("lp,lpi->li", share, left_out)
-    blur = own + noise[:, None, None] / 3.0 * np.eye(3)
-    squares = np.array([np.sum(error**2, axis=1), noise, np.trace(own, axis1=1, axis2=2)])
-    moved = measured_displacements(data, placement)
+    error = np.einsum("lp,lpi->li", share, fold_residual)
+    blur = fit_covariance + noise[:, None, None] / 3.0 * np.eye(3)
+    squares = np.array([np.sum(error**2, axis=1), noise, np.trace(fit_covariance, axis1=1, axis2=2)])
+    displacement = measured_displacements(data, placement)
     load = norm(data.wrench[data.loaded])
     level = levels(load)
     at_level = [np.flatnonzero((level == index) & (count > 0)) for index in range(int(level.max()) + 1)]
     at_level = [rows for rows in at_level if len(rows) > 0]
     u95 = [
-        unmodelled(error[rows], blur[rows], _SHARE * float(np.sqrt(np.mean(moved[rows][seen[rows]] ** 2))))
+        unmodelled(error[rows], blur[rows], _SHARE * float(np.sqrt(np.mean(displacement[rows][is_visible[rows]] ** 2))))
         for rows in at_level
     ]
-    held_out, of_noise, of_own = np.sqrt([[values[rows].mean() for rows in at_level] for values in squares])
+    fold_rms, noise_rms, fit_rms = np.sqrt([[values[rows].mean() for rows in at_level] for values in squares])
     median = np.array([np.median(load[rows]) for rows in at_level])
     # an error under a load also exists under a larger one
-    return Discrepancy(median, held_out, of_noise, of_own, np.maximum.accumulate(u95))
+    return Discrepancy(median, fold_rms, noise_rms, fit_rms, np.maximum.accumulate(u95))
 
 
 def unmodelled(error: Array, blur: Array, median: float, weight: Array | float = 1.0) -> float:
@@ -135,30 +135,30 @@ def unmodelled(error: Array, blur: Array, median: float, weight: Array | float =
     from scipy.special import gammainc
 
     spread, axes = np.linalg.eigh(blur)
-    along = np.einsum("nij,ni->nj", axes, error) ** 2
-    off = np.linspace(*_SPAN, _STEPS)
-    delta = max(median, 1e-9) * np.exp(WIDTH * off)
+    square = np.einsum("nij,ni->nj", axes, error) ** 2
+    z = np.linspace(*_SPAN, _STEPS)
+    delta = max(median, 1e-9) * np.exp(WIDTH * z)
     whole = spread + delta[:, None, None] ** 2
-    likely = -0.5 * np.sum((np.log(whole) + along / whole).sum(axis=2) * weight, axis=1) - 0.5 * off**2
+    likely = -0.5 * np.sum((np.log(whole) + square / whole).sum(axis=2) * weight, axis=1) - 0.5 * z**2
     chance = np.exp(likely - likely.max())
     chance /= chance.sum()
     length = np.geomspace(delta[0], 4.0 * delta[-1], 2000)
-    below = gammainc(1.5, 0.5 * (length[:, None] / delta) ** 2) @ chance  # χ² of three degrees of freedom
-    return float(np.interp(0.95, below, length))
+    cumulative = gammainc(1.5, 0.5 * (length[:, None] / delta) ** 2) @ chance  # χ² of three degrees of freedom
+    return float(np.interp(0.95, cumulative, length))
 
 
 def levels(load: Array) -> Ints:
     """Return the level (L,), from 0 up, of loads (L,); loads without gaps form levels of about as many loads each."""
     order = np.argsort(load)
     gaps = np.flatnonzero(np.diff(load[order]) > (_SAME_LEVEL - 1.0) * load[order][:-1]) + 1
-    out, number = np.empty(len(load), dtype=np.int64), 0
+    level, number = np.empty(len(load), dtype=np.int64), 0
     for rows in np.split(order, gaps):
         if len(rows) == 0:
             continue
         octaves = max(1, int(np.ceil(np.log2(load[rows[-1]] / load[rows[0]]) - 1e-9)))
         for part in np.array_split(rows, min(octaves, max(1, len(rows) // _LOADS))):
-            out[part], number = number, number + 1
-    return out
+            level[part], number = number, number + 1
+    return level
 
 
 def noise_of(data: Measurements) -> Array:
@@ -181,12 +181,12 @@ def left_out_of(fit: Fit, data: Measurements) -> Array:
     inverse = np.linalg.pinv(rows.T @ rows, hermitian=True)
     left = fit.target - fit.design @ fit.values
     config = np.repeat(data.state_config[data.loaded], 3 * len(data.points))
-    out = np.empty_like(left)
+    fold_residual = np.empty_like(left)
     for index in range(len(data.q)):
         mine = config == index
         hat = rows[mine] @ inverse @ rows[mine].T
-        out[mine] = np.linalg.solve(np.eye(len(hat)) - hat * (1.0 - 1e-9), left[mine])
-    return unwhiten(whitening(data), out.reshape(shape))
+        fold_residual[mine] = np.linalg.solve(np.eye(len(hat)) - hat * (1.0 - 1e-9), left[mine])
+    return unwhiten(whitening(data), fold_residual.reshape(shape))
 
 
 _STEP = 1e-3
@@ -197,22 +197,24 @@ def with_stated_errors(fit: Fit, data: Measurements, placement: Placement, influ
 
     :param influence: (p, rows) by how much the parameters change with the whitened readings; None: least squares.
     """
-    wrong = []
+    effects = []
     if data.load_error > 0.0:
         share = np.array([_share(parameter) for parameter in fit.structure.parameters])
-        wrong.append(data.load_error / NORMAL_95 * share * fit.values)
+        effects.append(data.load_error / NORMAL_95 * share * fit.values)
     if data.load_point_error > 0.0:
         if influence is None:
             scale = np.linalg.norm(fit.design, axis=0)
             scale[scale == 0.0] = 1.0
             influence = np.linalg.pinv(fit.design / scale, rcond=1e-9) / scale[:, None]
         w = whitening(data)
-        here, _ = predict(fit.structure, fit.values, data, placement)
+        prediction, _ = predict(fit.structure, fit.values, data, placement)
         for axis in np.eye(3):
-            moved = replace(data, load_point=data.load_point + _STEP * axis)
-            there, _ = predict(fit.structure, fit.values, moved, placement)
-            wrong.append(data.load_point_error * influence @ whiten(w, (there - here) / _STEP).ravel())
-    return replace(fit, covariance=fit.covariance + sum(np.outer(each, each) for each in wrong))
+            shifted_data = replace(data, load_point=data.load_point + _STEP * axis)
+            shifted_prediction, _ = predict(fit.structure, fit.values, shifted_data, placement)
+            effects.append(
+                data.load_point_error * influence @ whiten(w, (shifted_prediction - prediction) / _STEP).ravel()
+            )
+    return replace(fit, covariance=fit.covariance + sum(np.outer(effect, effect) for effect in effects))
 
 
 def _share(parameter: Parameter) -> float:
@@ -227,9 +229,9 @@ def _share(parameter: Parameter) -> float:
 SHARES = (0.05, 0.1, 0.2, 0.5, 1.0)
 """Shares of the largest load measured."""
 _POSES = 100
-_WITHIN = 0.95
+_POSE_SHARE = 0.95
 """Share of the poses at which bound over deflection is below the stated value."""
-_LOADED = 0.02
+_TORQUE_SHARE = 0.02
 """Largest torque on a joint over the largest on any, below which the readings do not load it."""
 _CLEARANCE = 0.25
 """Distance from the axis of A1 over the largest reach, nearer than which no work is done."""
@@ -311,26 +313,30 @@ def over_workspace(robot: RobotModel, data: Measurements) -> Workspace:
     tool[:3, 3] = data.load_point
     q, direction = _poses(robot, tool)
     force = norm(data.wrench[data.loaded, :3])
-    measured = np.abs(joint_torques(robot, data)).max(axis=0)
+    data_torque = np.abs(joint_torques(robot, data)).max(axis=0)
     _, jacobian = kinematics.tcp(robot.loaded, elastostatics.coordinates(robot, q), tool)
     torque = np.abs(np.einsum("nij,ni->nj", jacobian[:, :3, list(robot.actuated)], direction)) * force.max()
-    loaded = measured > _LOADED * measured.max()
-    size = force.max() * np.minimum(1.0, (measured[loaded] / np.maximum(torque[:, loaded], 1e-9)).min(axis=1))
+    has_torque = data_torque > _TORQUE_SHARE * data_torque.max()
+    size = force.max() * np.minimum(
+        1.0, (data_torque[has_torque] / np.maximum(torque[:, has_torque], 1e-9)).min(axis=1)
+    )
     levels, worst = [], (0.0, "", q[0])
     for share in SHARES:
         wrench = np.concatenate([share * size[:, None] * direction, np.zeros_like(direction)], axis=1)
         try:
-            moved = norm(elastostatics.deflect(robot, q, tool, wrench).twist[:, :3])
+            displacement = norm(elastostatics.deflect(robot, q, tool, wrench).twist[:, :3])
         except NotConvergedError as error:
             row = int(error.rows[0])
             cause = f"the springs have no equilibrium under {share * size[row]:.0f} N"
             return Workspace((), float(force.min()), cause, tuple(q[row].tolist()))
         bound = elastostatics.position_bound(robot, q, tool, wrench)
         assert bound is not None, "the robot states a covariance"
-        ratio = bound / np.maximum(moved, 1e-12)
-        limit = float(np.quantile(ratio, _WITHIN))
+        ratio = bound / np.maximum(displacement, 1e-12)
+        limit = float(np.quantile(ratio, _POSE_SHARE))
         levels.append(
-            WorkspaceLevel(float(np.median(share * size)), float(np.median(moved)), float(np.median(bound)), limit)
+            WorkspaceLevel(
+                float(np.median(share * size)), float(np.median(displacement)), float(np.median(bound)), limit
+            )
         )
         if levels[-1].load >= force.min() and limit > worst[0]:
             row = int(np.argmin(np.abs(ratio - limit)))
@@ -358,9 +364,9 @@ def _cause(robot: RobotModel, q: Array, tool: Array, wrench: Array, bound: float
     of_joint: dict[str, float] = {}
     for parameter, value in zip(covariance.parameters, part.tolist(), strict=True):
         of_joint[_joint(parameter)] = of_joint.get(_joint(parameter), 0.0) + value
-    off = 0.0 if robot.discrepancy is None else float(robot.discrepancy.at(wrench[None])[0])
-    if off > 0.5 * bound or not of_joint:
-        return f"the unmodelled error is {off * MM_PER_M:.3f} of {bound * MM_PER_M:.3f} mm"
+    unmodelled_error = 0.0 if robot.discrepancy is None else float(robot.discrepancy.at(wrench[None])[0])
+    if unmodelled_error > 0.5 * bound or not of_joint:
+        return f"the unmodelled error is {unmodelled_error * MM_PER_M:.3f} of {bound * MM_PER_M:.3f} mm"
     joint = max(of_joint, key=lambda name: of_joint[name])
     _, title = max(
         (value, parameter.title)
@@ -377,7 +383,7 @@ def _joint(parameter: Parameter) -> str:
     return str(getattr(parameter, "joint", JOINTS[1]))
 
 
-_MOST_HELD_OUT = 4.0
+_MAX_SQUARE_ERROR = 4.0
 """Mean square cross-validation error, in σ², beyond which the model is incomplete: its bound contains what it lacks."""
 _FEWEST = 5
 """Fewest configurations whose scatter can be estimated."""
@@ -399,7 +405,7 @@ _KINDS: tuple[tuple[type[Parameter], str], ...] = (
     (LinkMass, "masses"),
     (CompensatorSize, "compensator"),
 )
-_NAMED = 6
+_MAX_NAMES = 6
 """Names of a kind that a warning lists."""
 
 
@@ -415,12 +421,12 @@ def verdict_line(distrust: str) -> str:
 
 def _distrust(data: Measurements, fit: Fit, choice: Choice | None) -> str:
     number = len(fit.values) if choice is None else choice.determined
-    each = _numbers_of_a_configuration(data)
-    fewest = max(_FEWEST, int(np.ceil(_SPARE * number / each)))
+    numbers = _numbers_of_a_configuration(data)
+    fewest = max(_FEWEST, int(np.ceil(_SPARE * number / numbers)))
     if len(data.q) < fewest:
         kind = "joint springs" if choice is None else "link springs and gears"
         return (
-            f"{len(data.q)} configurations were measured, which determine about {each:.0f} numbers each; the {kind} "
+            f"{len(data.q)} configurations were measured, which determine about {numbers:.0f} numbers each; the {kind} "
             f"have {number:.0f} and need {fewest} configurations at least (30 are usual)"
         )
     return ""
@@ -438,15 +444,15 @@ def _numbers_of_a_configuration(data: Measurements) -> float:
 
 def _notes(data: Measurements, fit: Fit, choice: Choice | None) -> list[str]:
     # the posterior, not the wider covariance of the bound, tells whether a value is there
-    judged = fit if choice is None else choice.fit
-    notes, half = [], dict(zip(judged.structure.parameters, judged.ci95.tolist(), strict=True))
+    posterior_fit = fit if choice is None else choice.fit
+    notes, half = [], dict(zip(posterior_fit.structure.parameters, posterior_fit.ci95.tolist(), strict=True))
     load = norm(data.wrench[data.loaded])
-    held_out = fit.chi2 / max(fit.dof, 1) if choice is None else float(choice.held_out.mean())
-    if held_out > _MOST_HELD_OUT:
-        where = "on configurations left out" if choice is not None else "on the readings"
+    square_error = fit.chi2 / max(fit.dof, 1) if choice is None else float(choice.held_out.mean())
+    if square_error > _MAX_SQUARE_ERROR:
+        basis = "on configurations left out" if choice is not None else "on the readings"
         notes.append(
-            f"{where} the mean square error is {held_out:.1f} σ² (noise alone: 1): the robot does something that the "
-            "model does not describe, or the set-up is wrong. The bound contains it."
+            f"{basis} the mean square error is {square_error:.1f} σ² (noise alone: 1): the robot does something that "
+            "the model does not describe, or the set-up is wrong. The bound contains it."
         )
     if choice is not None:
         if int(levels(load).max()) == 0:
@@ -471,7 +477,7 @@ def _held(choice: Choice) -> list[str]:
         kinds.setdefault(kind, []).append(parameter.name)
     if not kinds:
         return []
-    parts = [f"{kind} {first_of(names, _NAMED)}" for kind, names in kinds.items()]
+    parts = [f"{kind} {first_of(names, _MAX_NAMES)}" for kind, names in kinds.items()]
     return [
         "not identified, held by a prior of physical size, which counts in the bound: "
         f"{'; '.join(parts)} (all of them: held_by_prior in identification.json)"

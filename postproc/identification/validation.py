@@ -42,13 +42,13 @@ from postproc.identification.uncertainty import levels, noise_of
 from postproc.program import Bools, Ints
 from postproc.robot import JOINTS, RobotModel
 
-_PROMISED = 0.95
-_HELD, _MOST = 0.9, 0.5
+_BOUND_SHARE = 0.95
+_MIN_SHARE, _MIN_LOWER_LIMIT = 0.9, 0.5
 """A bound is kept if this share of the displacements is inside, and the lower limit of the share exceeds the second."""
 _DOUBT = 0.05
 _NARROW = 2.0
 """Up to this ratio of errors to bound, the bound is merely too narrow."""
-_SEEN = 2.0
+_STANDARD_ERRORS = 2.0
 """Standard errors by which the residual must exceed the noise for a factor; else its lower limit is stated."""
 _SAME_ANGLE = 1e-4
 _SAME_LOAD = 0.01
@@ -90,24 +90,24 @@ class ValidatedLevel(Struct, frozen=True, eq=False):
     @property
     def refuted(self) -> bool:
         """Whether significantly fewer displacements are inside than promised."""
-        return self.limits[1] < _PROMISED
+        return self.limits[1] < _BOUND_SHARE
 
     @property
     def held(self) -> bool:
         """Whether enough displacements are inside the bound."""
-        return not self.refuted and self.inside >= _HELD and self.limits[0] >= _MOST
+        return not self.refuted and self.inside >= _MIN_SHARE and self.limits[0] >= _MIN_LOWER_LIMIT
 
     @property
     def above_noise(self) -> bool:
         """Whether the prediction errors exceed the noise; else only a lower limit of the factor is known."""
-        return self.left**2 - self.noise**2 > _SEEN * self.doubt
+        return self.left**2 - self.noise**2 > _STANDARD_ERRORS * self.doubt
 
     @property
     def factor(self) -> float:
         """Displacement over prediction error without noise; a lower limit if noise hides the error."""
         rest = self.left**2 - self.noise**2
         if not self.above_noise:
-            rest = max(rest, 0.0) + _SEEN * self.doubt
+            rest = max(rest, 0.0) + _STANDARD_ERRORS * self.doubt
         return float(self.measured / np.sqrt(rest)) if rest > 0.0 else float("inf")
 
 
@@ -135,16 +135,16 @@ class Validation(Struct, frozen=True, eq=False):
     @property
     def holds(self) -> bool:
         """Whether the bound was kept, and the readings cover the jobs if any."""
-        return self.held and all(job.share >= _PROMISED for job in self.jobs)
+        return self.held and all(job.share >= _BOUND_SHARE for job in self.jobs)
 
     @property
     def line(self) -> str:
         """The verdict in one line, with the share of the job that it is valid for."""
         if any(np.isnan(level.inside) for level in self.levels):
             return "the model states no bound: nothing can be validated"
-        refuted = [level for level in self.levels if level.refuted]
+        refuted_levels = [level for level in self.levels if level.refuted]
         undecided = [level for level in self.levels if not level.held]
-        worst = min(refuted or undecided or self.levels, key=lambda level: level.inside)
+        worst = min(refuted_levels or undecided or self.levels, key=lambda level: level.inside)
         low, high = worst.limits
         share = (
             f"at {worst.load:.0f} N {worst.inside:.0%} of the displacements of {worst.configurations} configurations "
@@ -152,29 +152,29 @@ class Validation(Struct, frozen=True, eq=False):
         )
         if self.held:
             return self._held(share)
-        if not refuted:
+        if not refuted_levels:
             return (
-                f"IT IS NOT KNOWN whether the model holds: {share}; {_PROMISED:.0%} are promised. The readings "
+                f"IT IS NOT KNOWN whether the model holds: {share}; {_BOUND_SHARE:.0%} are promised. The readings "
                 "do not contradict it: measure more configurations."
             )
-        widest = max(level.reach for level in refuted)
+        widest = max(level.reach for level in refuted_levels)
         if widest < _NARROW:
-            why = (
+            advice = (
                 f"The bound is too narrow: use {widest:.1f} times u95, and identify the robot anew from these and "
                 "the earlier readings together."
             )
         else:
-            why = (
+            advice = (
                 f"The errors reach {widest:.1f} times the bound: the robot does something that the model does not "
                 "contain, or it is another robot, payload or load."
             )
-        return f"THE MODEL DOES NOT HOLD: {share}; {_PROMISED:.0%} are promised. {why}"
+        return f"THE MODEL DOES NOT HOLD: {share}; {_BOUND_SHARE:.0%} are promised. {advice}"
 
     def _held(self, share: str) -> str:
         if not self.jobs:
             return f"the model holds for the torques listed below: {share}"
         parts = [f"{_percent(job.share)} of the cutting path of {job.program}" for job in self.jobs if job.share > 0.0]
-        open_ = [job.program for job in self.jobs if job.share < _PROMISED]
+        open_ = [job.program for job in self.jobs if job.share < _BOUND_SHARE]
         measure = f" Measure under the torques that {', '.join(open_)} needs, listed below." if open_ else ""
         if not parts:
             return f"IT IS NOT KNOWN whether the model holds for {', '.join(open_)}: the readings cover none of it." + (
@@ -199,11 +199,11 @@ def validate(model: Path, measurements: Path, experiment: Path) -> Validation:
     robot = robots.load(folder)
     data = as_positions(robot, read(measurements, setup))
     check_points(data)
-    data, left_out = plausibility.without_gross_errors(data)
-    warnings = [f"outlier: {name}" for name in left_out]
+    data, outliers = plausibility.without_gross_errors(data)
+    warnings = [f"outlier: {name}" for name in outliers]
     placement = check_frames(robot, data)
-    own = record.measured(folder)
-    fresh = ~_known(data, own.as_array())
+    model_data = record.measured(folder)
+    fresh = ~_known(data, model_data.as_array())
     if not fresh.any():
         raise MeasurementError(
             f"the model was identified from these states ({len(fresh)} of configuration and load): that it agrees with "
@@ -213,11 +213,11 @@ def validate(model: Path, measurements: Path, experiment: Path) -> Validation:
         )
     if not fresh.all():
         warnings.append(f"{np.count_nonzero(~fresh)} of {len(fresh)} loaded states are the model's own: left out")
-    found = _compared(robot, data, placement, fresh)
+    comparison = _compared(robot, data, placement, fresh)
     return Validation(
-        tuple(_levels(found)),
-        _coverage(joint_torques(robot, data), found),
-        tuple(own.torques),
+        tuple(_levels(comparison)),
+        _coverage(joint_torques(robot, data), comparison),
+        tuple(model_data.torques),
         tuple(warnings),
     )
 
@@ -225,9 +225,9 @@ def validate(model: Path, measurements: Path, experiment: Path) -> Validation:
 def _known(data: Measurements, states: Array) -> Bools:
     """Return which loaded states (L,) of configuration and load are among others (m, 12)."""
     q, wrench = data.q[data.state_config[data.loaded]], data.wrench[data.loaded]
-    same = np.abs(q[:, None] - states[None, :, :6]).max(axis=2) < _SAME_ANGLE
-    apart = norm((wrench[:, None] - states[None, :, 6:]).reshape(-1, 6)).reshape(same.shape)
-    return np.asarray((same & (apart < _SAME_LOAD * norm(wrench)[:, None])).any(axis=1))
+    is_same_pose = np.abs(q[:, None] - states[None, :, :6]).max(axis=2) < _SAME_ANGLE
+    difference = norm((wrench[:, None] - states[None, :, 6:]).reshape(-1, 6)).reshape(is_same_pose.shape)
+    return np.asarray((is_same_pose & (difference < _SAME_LOAD * norm(wrench)[:, None])).any(axis=1))
 
 
 class _Compared(Struct, frozen=True, eq=False):
@@ -253,14 +253,14 @@ class _Compared(Struct, frozen=True, eq=False):
 
 
 def _compared(robot: RobotModel, data: Measurements, placement: Placement, fresh: Bools) -> _Compared:
-    measured = measured_displacements(data, placement)
-    predicted, bound = _predicted(robot, data, placement)
-    left, noise = norm(measured - predicted), noise_of(data)
+    displacement = measured_displacements(data, placement)
+    prediction, bound = _predicted(robot, data, placement)
+    left, noise = norm(displacement - prediction), noise_of(data)
     return _Compared(
         seen=(visible(data)[..., 0] > 0.0) & fresh[:, None],
         config=data.state_config[data.loaded],
         load=norm(data.wrench[data.loaded]),
-        moved=norm(measured),
+        moved=norm(displacement),
         left=left,
         bound=bound,
         noise=noise,
@@ -269,72 +269,74 @@ def _compared(robot: RobotModel, data: Measurements, placement: Placement, fresh
     )
 
 
-def _levels(found: _Compared) -> list[ValidatedLevel]:
-    level = levels(found.load)
-    together = _DOUBT / (int(level.max()) + 1)
-    left, scaled = found.left, found.scaled
+def _levels(comparison: _Compared) -> list[ValidatedLevel]:
+    level = levels(comparison.load)
+    level_doubt = _DOUBT / (int(level.max()) + 1)
+    left, ratio = comparison.left, comparison.scaled
     result = []
     for index in range(int(level.max()) + 1):
-        rows = (level == index)[:, None] & found.seen
+        rows = (level == index)[:, None] & comparison.seen
         if rows.any():
-            alone = _limits(found, rows, _DOUBT)[0] if found.stated else 0.0
-            upper = _limits(found, rows, together)[1] if found.stated else 1.0
-            squares = [np.mean(left[state, here] ** 2) for state, here in enumerate(rows) if here.any()]
+            lower = _limits(comparison, rows, _DOUBT)[0] if comparison.stated else 0.0
+            upper = _limits(comparison, rows, level_doubt)[1] if comparison.stated else 1.0
+            squares = [np.mean(left[state, points] ** 2) for state, points in enumerate(rows) if points.any()]
             result.append(
                 ValidatedLevel(
-                    load=float(np.median(found.load[rows.any(axis=1)])),
-                    measured=_rms(found.moved[rows]),
+                    load=float(np.median(comparison.load[rows.any(axis=1)])),
+                    measured=_rms(comparison.moved[rows]),
                     left=_rms(left[rows]),
-                    noise=_rms(np.sqrt(found.noise[rows])),
+                    noise=_rms(np.sqrt(comparison.noise[rows])),
                     doubt=float(np.std(squares, ddof=1) / np.sqrt(len(squares))) if len(squares) > 1 else np.inf,
-                    inside=float(np.mean(scaled[rows] <= 1.0)) if found.stated else float("nan"),
-                    limits=(alone, upper),
-                    reach=float(np.quantile(scaled[rows], _PROMISED)) if found.stated else float("nan"),
-                    bound=_rms(found.bound[rows]),
-                    configurations=len(np.unique(found.config[rows.any(axis=1)])),
+                    inside=float(np.mean(ratio[rows] <= 1.0)) if comparison.stated else float("nan"),
+                    limits=(lower, upper),
+                    reach=float(np.quantile(ratio[rows], _BOUND_SHARE)) if comparison.stated else float("nan"),
+                    bound=_rms(comparison.bound[rows]),
+                    configurations=len(np.unique(comparison.config[rows.any(axis=1)])),
                 )
             )
     return result
 
 
-def _coverage(torque: Array, found: _Compared) -> Coverage:
+def _coverage(torque: Array, comparison: _Compared) -> Coverage:
     """Return the torques covered; readings of one direction may contradict a model that is valid otherwise.
 
     :param torque: (L, 6) of the loads on the joints [N·m].
     """
-    states = found.seen.any(axis=1)
-    refuted = np.zeros((6, 2), dtype=bool)
-    if found.stated:
+    states = comparison.seen.any(axis=1)
+    is_refuted = np.zeros((6, 2), dtype=bool)
+    if comparison.stated:
         for joint, side in np.ndindex(6, 2):
-            rows = (signed(torque)[:, joint, side] > LEAST_TORQUE)[:, None] & found.seen
-            refuted[joint, side] = rows.any() and _limits(found, rows, _DOUBT / refuted.size)[1] < _PROMISED
-    return coverage(torque[states], found.config[states], refuted)
+            rows = (signed(torque)[:, joint, side] > LEAST_TORQUE)[:, None] & comparison.seen
+            is_refuted[joint, side] = (
+                rows.any() and _limits(comparison, rows, _DOUBT / is_refuted.size)[1] < _BOUND_SHARE
+            )
+    return coverage(torque[states], comparison.config[states], is_refuted)
 
 
-def _limits(found: _Compared, rows: Bools, doubt: float) -> tuple[float, float]:
+def _limits(comparison: _Compared, rows: Bools, doubt: float) -> tuple[float, float]:
     """Return the limits of the share inside, for some of the displacements (L, P)."""
-    return limits(*_by_config(found.scaled <= 1.0, rows, found.config), doubt)
+    return limits(*_by_config(comparison.scaled <= 1.0, rows, comparison.config), doubt)
 
 
-def _by_config(inside: Bools, rows: Bools, config: Ints) -> tuple[Array, Array]:
+def _by_config(is_inside: Bools, rows: Bools, config: Ints) -> tuple[Array, Array]:
     """Return how many displacements (L, P) of each configuration are inside, and how many there are, of some rows."""
-    there, good = (np.bincount(config, weights=each.sum(axis=1)) for each in (rows, inside & rows))
-    return np.asarray(good[there > 0.0], dtype=float), np.asarray(there[there > 0.0], dtype=float)
+    total, good = (np.bincount(config, weights=mask.sum(axis=1)) for mask in (rows, is_inside & rows))
+    return np.asarray(good[total > 0.0], dtype=float), np.asarray(total[total > 0.0], dtype=float)
 
 
-def limits(inside: Array, there: Array, doubt: float) -> tuple[float, float]:
+def limits(inside_counts: Array, counts: Array, doubt: float) -> tuple[float, float]:
     """Return the limits of the share of all displacements that is inside, from those of some configurations.
 
-    :param inside: (C,) how many displacements of each are inside, of `there` (C,).
+    :param inside_counts: (C,) how many displacements of each are inside, of `counts` (C,).
     :param doubt: probability with which the share is below the lower limit, and above the upper one.
     """
     from scipy.special import betaincinv, stdtrit
 
-    configs, count = len(there), float(there.sum())
-    share = float(inside.sum()) / count
+    configs, count = len(counts), float(counts.sum())
+    share = float(inside_counts.sum()) / count
     if configs < 2:
         return 0.0, 1.0
-    scatter = configs / (configs - 1.0) * float(np.sum((inside - share * there) ** 2)) / count**2
+    scatter = configs / (configs - 1.0) * float(np.sum((inside_counts - share * counts) ** 2)) / count**2
     number = float(configs)  # all alike: each configuration is one displacement
     if scatter > 0.0:
         fewer = (stdtrit(count - 1.0, doubt) / stdtrit(configs - 1.0, doubt)) ** 2
@@ -356,18 +358,18 @@ def _predicted(robot: RobotModel, data: Measurements, placement: Placement) -> t
     at_load[:3, 3] = data.load_point
     pose = elastostatics.deflect(robot, q, at_load, wrench).pose
     rest = elastostatics.deflect(robot, q, at_load, np.zeros_like(wrench)).pose
-    moved, bound = np.empty((len(q), len(data.points), 3)), np.zeros((len(q), len(data.points)))
+    displacement, bound = np.empty((len(q), len(data.points), 3)), np.zeros((len(q), len(data.points)))
     for index, point in enumerate(placement.points):
         lever = np.append(point - data.load_point, 1.0)
-        moved[:, index] = ((pose - rest) @ lever)[:, :3]
+        displacement[:, index] = ((pose - rest) @ lever)[:, :3]
         tool = np.eye(4)
         tool[:3, 3] = point
-        there = wrench.copy()  # the same load, referred to the point
-        there[:, 3:] -= np.cross(rest[:, :3, :3] @ lever[:3], wrench[:, :3])
-        found = elastostatics.position_bound(robot, q, tool, there)
-        if found is not None:
-            bound[:, index] = found
-    return moved, bound
+        point_wrench = wrench.copy()  # the same load, referred to the point
+        point_wrench[:, 3:] -= np.cross(rest[:, :3, :3] @ lever[:3], wrench[:, :3])
+        point_bound = elastostatics.position_bound(robot, q, tool, point_wrench)
+        if point_bound is not None:
+            bound[:, index] = point_bound
+    return displacement, bound
 
 
 COMMON_LOAD_ERROR = (
@@ -387,11 +389,11 @@ def table(result: Validation) -> str:
             f"{value * MM_PER_M:{width}.3f}"
             for value, width in ((level.measured, 13), (level.left, 9), (level.noise, 10), (level.bound, 10))
         )
-        inside, of_all = "–", "–"
+        inside_text, range_text = "–", "–"
         if not np.isnan(level.inside):
-            inside, of_all = f"{level.inside:.0%}", "{:.0%} to {:.0%}".format(*level.limits)
+            inside_text, range_text = f"{level.inside:.0%}", "{:.0%} to {:.0%}".format(*level.limits)
         factor = f"{'' if level.above_noise else '> '}{level.factor:.3g}"
-        lines.append(f"{level.load:8.0f}{lengths}{factor:>8}{inside:>8}{of_all:>14}")
+        lines.append(f"{level.load:8.0f}{lengths}{factor:>8}{inside_text:>8}{range_text:>14}")
     lines += [*torque_lines(result.covered, result.identified), *job_lines(result.jobs), COMMON_LOAD_ERROR]
     return "\n".join(lines)
 
@@ -431,22 +433,24 @@ class JobShare(Struct, frozen=True):
     outside: tuple[Outside, ...]
 
 
-def coverage(torque: Array, config: Ints, refuted: Bools | None = None) -> Coverage:
+def coverage(torque: Array, config: Ints, is_refuted: Bools | None = None) -> Coverage:
     """Return the torques that loaded states cover.
 
     :param torque: (L, 6) joint torques of each loaded state [N·m].
     :param config: (L,) configuration of each state.
     """
     sides = signed(torque)
-    there = sides > LEAST_TORQUE
-    largest = np.where(there.any(axis=0), sides.max(axis=0, initial=0.0), 0.0)
+    acts = sides > LEAST_TORQUE
+    largest = np.where(acts.any(axis=0), sides.max(axis=0, initial=0.0), 0.0)
     names, place = np.unique(config, return_inverse=True)
-    counted = np.zeros((len(names), 6, 2), dtype=bool)
-    np.logical_or.at(counted, place, there)
+    is_counted = np.zeros((len(names), 6, 2), dtype=bool)
+    np.logical_or.at(is_counted, place, acts)
     level = np.full(len(names), np.inf)
     np.minimum.at(level, place, _level(sides, largest))
-    least = float(np.sort(level)[min(ENOUGH, len(level)) - 1]) if len(level) else np.inf
-    return Coverage(largest, counted.sum(axis=0), np.zeros((6, 2), dtype=bool) if refuted is None else refuted, least)
+    min_level = float(np.sort(level)[min(ENOUGH, len(level)) - 1]) if len(level) else np.inf
+    return Coverage(
+        largest, is_counted.sum(axis=0), np.zeros((6, 2), dtype=bool) if is_refuted is None else is_refuted, min_level
+    )
 
 
 def coverage_of(robot: RobotModel, data: Measurements) -> Coverage:
@@ -459,89 +463,97 @@ def signed(torque: Array) -> Array:
     return np.stack([np.maximum(-torque, 0.0), np.maximum(torque, 0.0)], axis=-1)
 
 
-def inside(torque: Array, covered: Coverage) -> Bools:
+def inside(torque: Array, torque_range: Coverage) -> Bools:
     """Return (T,) whether torques (T, 6) [N·m] are covered on all joints, and not below the smallest loads."""
-    missing, beyond, low = _faults(torque, covered)
-    return np.asarray(~((missing | beyond).any(axis=(1, 2)) | low))
+    lacks_sign, exceeds_range, low = _faults(torque, torque_range)
+    return np.asarray(~((lacks_sign | exceeds_range).any(axis=(1, 2)) | low))
 
 
-def job_share(program: str, torque: Array, weight: Array, covered: Coverage) -> JobShare:
+def job_share(program: str, torque: Array, weight: Array, torque_range: Coverage) -> JobShare:
     """Return the covered share of a program, with reasons for the rest.
 
     :param torque: (T, 6) joint torques of the cutting forces at places along its cutting moves [N·m].
     :param weight: (T,) share of the cutting path of each place, sum 1.
     """
-    missing, beyond, low = _faults(torque, covered)
-    outside = [Outside("all torques below those of the smallest loads", float(weight @ low))]
+    lacks_sign, exceeds_range, low = _faults(torque, torque_range)
+    entries = [Outside("all torques below those of the smallest loads", float(weight @ low))]
     for joint, side in np.ndindex(6, 2):
-        where = f"{SIGNS[side]} torque on {JOINTS[joint]}"
-        count = int(covered.configurations[joint, side])
-        why = f"{where}: {count} of {ENOUGH} configurations needed have it" if count else f"{where}: no reading has it"
-        if covered.refuted[joint, side]:
-            why = f"{where}: there the readings contradict the model"
-        far = f"{where} beyond {covered.largest[joint, side]:.0f} N·m"
-        outside += [
-            Outside(why, float(weight @ missing[:, joint, side])),
-            Outside(far, float(weight @ beyond[:, joint, side])),
+        subject = f"{SIGNS[side]} torque on {JOINTS[joint]}"
+        count = int(torque_range.configurations[joint, side])
+        sign_text = (
+            f"{subject}: {count} of {ENOUGH} configurations needed have it"
+            if count
+            else f"{subject}: no reading has it"
+        )
+        if torque_range.refuted[joint, side]:
+            sign_text = f"{subject}: there the readings contradict the model"
+        size_text = f"{subject} beyond {torque_range.largest[joint, side]:.0f} N·m"
+        entries += [
+            Outside(sign_text, float(weight @ lacks_sign[:, joint, side])),
+            Outside(size_text, float(weight @ exceeds_range[:, joint, side])),
         ]
-    reasons = sorted((reason for reason in outside if reason.share > 0.0), key=lambda each: -each.share)
-    return JobShare(program, float(weight @ inside(torque, covered)), tuple(reasons))
+    reasons = sorted((reason for reason in entries if reason.share > 0.0), key=lambda entry: -entry.share)
+    return JobShare(program, float(weight @ inside(torque, torque_range)), tuple(reasons))
 
 
-def _faults(torque: Array, covered: Coverage) -> tuple[Bools, Bools, Bools]:
+def _faults(torque: Array, torque_range: Coverage) -> tuple[Bools, Bools, Bools]:
     """Return why torques (T, 6) are not covered: by sign (T, 6, 2), too large (T, 6, 2), all too small (T,)."""
-    sides, good = signed(torque), covered.covered
+    sides, good = signed(torque), torque_range.covered
     acts = sides > LEAST_TORQUE
-    return acts & ~good, acts & good & (sides > covered.largest), _level(sides, covered.largest) < covered.least
+    return (
+        acts & ~good,
+        acts & good & (sides > torque_range.largest),
+        _level(sides, torque_range.largest) < torque_range.least,
+    )
 
 
 def _level(sides: Array, largest: Array) -> Array:
     """Return the torque (N,) on the most loaded joint, divided by the largest one covered with that sign."""
-    scaled = np.divide(sides, largest, out=np.zeros_like(sides), where=largest > 0.0)
-    return np.asarray(scaled.max(axis=(1, 2)))
+    ratio = np.divide(sides, largest, out=np.zeros_like(sides), where=largest > 0.0)
+    return np.asarray(ratio.max(axis=(1, 2)))
 
 
-def torque_record(covered: Coverage) -> list[record.TorqueRange]:
+def torque_record(torque_range: Coverage) -> list[record.TorqueRange]:
     """Return the torques as `identification.json` contains them."""
     return [
         record.TorqueRange(name, float(-sides[0]) + 0.0, float(sides[1]), int(count[0]), int(count[1]))
-        for name, sides, count in zip(JOINTS, covered.largest, covered.configurations, strict=True)
+        for name, sides, count in zip(JOINTS, torque_range.largest, torque_range.configurations, strict=True)
     ]
 
 
-def torque_lines(covered: Coverage, identified: Sequence[record.TorqueRange]) -> list[str]:
+def torque_lines(torque_range: Coverage, model_ranges: Sequence[record.TorqueRange]) -> list[str]:
     """Return a table for the terminal: covered torques by joint and sign, next to those of the identification.
 
-    :param identified: torques that the model was identified with; empty if the model does not record them.
+    :param model_ranges: torques that the model was identified with; empty if the model does not record them.
     """
     lines = [f"torques that the loads put on the joints, N·m; in brackets: configurations, {ENOUGH} cover a direction"]
     head = f"{'':>4}{'negative':>16}{'positive':>16}"
-    lines.append(head + (f"{'identified with':>24}" if identified else ""))
+    lines.append(head + (f"{'identified with':>24}" if model_ranges else ""))
     for joint, name in enumerate(JOINTS):
-        cells = [_cell(covered, joint, side) for side in (0, 1)]
+        cells = [_cell(torque_range, joint, side) for side in (0, 1)]
         row = f"{name:>4}{cells[0]:>16}{cells[1]:>16}"
-        if identified:
-            own = identified[joint]
-            row += f"{f'{own.negative_Nm:.0f} … {own.positive_Nm:.0f}':>24}"
+        if model_ranges:
+            model_range = model_ranges[joint]
+            row += f"{f'{model_range.negative_Nm:.0f} … {model_range.positive_Nm:.0f}':>24}"
         lines.append(row)
-    if not identified:
+    if not model_ranges:
         lines.append("the model does not record which torques it was identified with")
-    one_sided = [
-        f"{name} {' and '.join(sign for sign, there in zip(SIGNS, sides, strict=True) if not there)}"
-        for name, sides in zip(JOINTS, covered.covered, strict=True)
+    open_sides = [
+        f"{name} {' and '.join(sign for sign, is_covered in zip(SIGNS, sides, strict=True) if not is_covered)}"
+        for name, sides in zip(JOINTS, torque_range.covered, strict=True)
         if not sides.all()
     ]
-    if one_sided:
-        lines.append(f"not covered: torques on {', '.join(one_sided)}")
+    if open_sides:
+        lines.append(f"not covered: torques on {', '.join(open_sides)}")
     return lines
 
 
-def _cell(covered: Coverage, joint: int, side: int) -> str:
-    count = int(covered.configurations[joint, side])
+def _cell(torque_range: Coverage, joint: int, side: int) -> str:
+    count = int(torque_range.configurations[joint, side])
     if count == 0:
         return "none"
-    value = f"{(-1.0, 1.0)[side] * covered.largest[joint, side]:.0f} ({count})"
-    return f"{value} off" if covered.refuted[joint, side] else value
+    value = f"{(-1.0, 1.0)[side] * torque_range.largest[joint, side]:.0f} ({count})"
+    return f"{value} off" if torque_range.refuted[joint, side] else value
 
 
 def job_lines(jobs: Sequence[JobShare]) -> list[str]:
@@ -549,5 +561,5 @@ def job_lines(jobs: Sequence[JobShare]) -> list[str]:
     lines = []
     for job in jobs:
         lines.append(f"{job.program}: {job.share:.0%} of the cutting path is inside these torques")
-        lines += [f"  outside {each.share:.0%}: {each.reason}" for each in job.outside]
+        lines += [f"  outside {entry.share:.0%}: {entry.reason}" for entry in job.outside]
     return lines
