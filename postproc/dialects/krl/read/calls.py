@@ -291,10 +291,10 @@ class Calls:
                 kind = WHOLE
             if kind:
                 self.run.variables.types[stored_name] = kind
-            argument_value = bound.given.get(index, NOTHING)
+            argument_value = bound.argument_values.get(index, NOTHING)
             value = converted(argument_value, kind) if kind else argument_value
             self.run.variables.put(stored_name, argument_value if value == argument_value else value)
-        self.run.variables.changing |= bound.changing
+        self.run.variables.changing |= bound.volatile_names
         self.run.level = Level(bound.module, bound.routine, bound.scope, traced=is_traced)
         self.run.stack.append(bound.routine)
         self.run.variables.scope = bound.scope
@@ -303,16 +303,16 @@ class Calls:
     def _back(self, bound: _Bound) -> None:
         self.run.stack.pop()
         self.run.level, self.run.variables.scope = bound.caller, bound.caller_scope
-        for name in bound.changing:
+        for name in bound.volatile_names:
             self.run.variables.changing.pop(name, None)
 
     def _end(self, bound: _Bound) -> None:
         """Continue after a call, with the values that it leaves in its arguments."""
         self._back(bound)
         at, variables = bound.at, self.run.variables
-        for index, reference, key in bound.written:
+        for index, reference, key in bound.references:
             value = variables.value(bound.scope.stored(bound.routine.parameters[index].name))
-            if value is bound.given[index] or value is None:
+            if value is bound.argument_values[index] or value is None:
                 continue
             if key is None or (reference.name[0] == "$" and reference.name not in STORED):
                 variables.forget(self.run.stored(reference.name), str(at))
@@ -363,19 +363,19 @@ class _Argument(NamedTuple):
 class _Bound(Struct, frozen=True, eq=False):
     """A call.
 
-    :param written: arguments that the routine may write; `given` the values of all, by place.
+    :param references: arguments that the routine may write; `argument_values` the values of all, by place.
     :param kinds: types of these. A REAL parameter whose argument is an INT, or the other way round, is `WHOLE`: no
         source says whether the routine sees what it assigned or what the variable keeps of it.
-    :param changing: stored names of parameters whose arguments may change at any time, and what changes them.
+    :param volatile_names: stored names of parameters whose arguments may change at any time, and what changes them.
     """
 
     at: Place
     module: Module
     routine: Routine
     scope: Scope
-    written: list[_Argument]
-    given: dict[int, Known]
+    references: list[_Argument]
+    argument_values: dict[int, Known]
     kinds: dict[int, str]
-    changing: dict[str, Unknown]
+    volatile_names: dict[str, Unknown]
     caller: Level
     caller_scope: Scope

@@ -99,16 +99,16 @@ class Effects(Struct, eq=False):
         self.resumes = self.resumes or effects.resumes
 
 
-Called = tuple[Module, Routine]
+Callee = tuple[Module, Routine]
 
 
 class _Direct(Struct, eq=False):
     """Effects of a routine itself, and its calls; the same for the actions that it declares."""
 
-    now: Effects = field(default_factory=Effects)
-    called: list[Called] = []
-    later: Effects = field(default_factory=Effects)
-    called_later: list[Called] = []
+    effects: Effects = field(default_factory=Effects)
+    callees: list[Callee] = []
+    action_effects: Effects = field(default_factory=Effects)
+    action_callees: list[Callee] = []
     public: list[_Direct] = []
     """For each GLOBAL interrupt its action alone."""
 
@@ -129,11 +129,11 @@ class Analysis:
     def of(self, module: Module, routine: Routine) -> Effects:
         """Return the effects of a routine, including all that it calls."""
         if routine not in self._all:
-            local_effects = self._of_routine(module, routine).now
+            local_effects = self._of_routine(module, routine).effects
             total = Effects(jumps=local_effects.jumps, parameter=local_effects.parameter)
             for node in self._reached([(module, routine)]):
                 direct = self._of_routine(*node)
-                total.add(direct.now)
+                total.add(direct.effects)
                 self._add_later(total, direct)
                 for event in direct.public:
                     action = Effects()
@@ -208,20 +208,20 @@ class Analysis:
         Motions back to where an interrupt has stopped the robot leave its path as it is: they are not among them.
         """
         direct, total = _Direct(), Effects()
-        _Statement(self, module, routine, place, direct.later, direct.called_later, scope).read_event(event)
+        _Statement(self, module, routine, place, direct.action_effects, direct.action_callees, scope).read_event(event)
         self._add_later(total, direct)
         return total
 
     def _add_later(self, total: Effects, direct: _Direct) -> None:
-        total.add_action(direct.later)
-        total.lasting = total.lasting or direct.later.parameter
-        for node in self._reached(direct.called_later):
+        total.add_action(direct.action_effects)
+        total.lasting = total.lasting or direct.action_effects.parameter
+        for node in self._reached(direct.action_callees):
             node_effects = self._of_routine(*node)
-            total.add_action(node_effects.now)
-            total.add_action(node_effects.later)
-            total.lasting = total.lasting or node_effects.later.parameter
+            total.add_action(node_effects.effects)
+            total.add_action(node_effects.action_effects)
+            total.lasting = total.lasting or node_effects.action_effects.parameter
 
-    def _reached(self, first: list[Called]) -> Iterator[Called]:
+    def _reached(self, first: list[Callee]) -> Iterator[Callee]:
         """Yield routines and all that they call, the actions that they declare included."""
         waiting = list(first)
         queued_routines = {routine for _, routine in waiting}
@@ -229,7 +229,7 @@ class Analysis:
             node = waiting.pop()
             yield node
             direct = self._of_routine(*node)
-            for following in (*direct.called, *direct.called_later):
+            for following in (*direct.callees, *direct.action_callees):
                 if following[1] not in queued_routines:
                     queued_routines.add(following[1])
                     waiting.append(following)
@@ -239,35 +239,37 @@ class Analysis:
         if direct is None:
             direct = self._direct[routine] = _Direct()
             if routine.motion:
-                direct.now.motion = Place(routine.source, routine.motion)
+                direct.effects.motion = Place(routine.source, routine.motion)
             comment_lines = self.noted(routine.source)
             if (first := bisect_right(comment_lines, routine.first)) < bisect_left(comment_lines, routine.last):
-                direct.now.force = Place(routine.source, comment_lines[first])
+                direct.effects.force = Place(routine.source, comment_lines[first])
             for line in routine.lines:
                 stmt, place = statement(routine.source, line), Place(routine.source, line)
                 if isinstance(stmt, Goto) or stmt.word == "RESUME":
-                    direct.now.jumps = direct.now.jumps or place
+                    direct.effects.jumps = direct.effects.jumps or place
                 if stmt.word == "RESUME":
-                    direct.now.resumes = direct.now.resumes or place
+                    direct.effects.resumes = direct.effects.resumes or place
                 self._read(direct, stmt, (module, routine), place)
         return direct
 
-    def _read(self, direct: _Direct, stmt: Statement, node: Called, place: Place) -> None:
+    def _read(self, direct: _Direct, stmt: Statement, node: Callee, place: Place) -> None:
         """Note the effects of one statement."""
-        later_statement = _Statement(self, *node, place, direct.later, direct.called_later)
+        later_statement = _Statement(self, *node, place, direct.action_effects, direct.action_callees)
         if isinstance(stmt, Event):
             later_statement.read_event(stmt)
             if stmt.public:
                 event_effects = _Direct()
-                _Statement(self, *node, place, event_effects.later, event_effects.called_later).read_event(stmt)
+                _Statement(self, *node, place, event_effects.action_effects, event_effects.action_callees).read_event(
+                    stmt
+                )
                 direct.public.append(event_effects)
         elif isinstance(stmt, Cyclic):
             later_statement.writes(stmt.name)
         elif isinstance(stmt, Imported):
             later_statement.writes(stmt.name)
-            direct.later.writes.setdefault(stmt.original, place)
+            direct.action_effects.writes.setdefault(stmt.original, place)
         else:
-            _Statement(self, *node, place, direct.now, direct.called).read(stmt)
+            _Statement(self, *node, place, direct.effects, direct.callees).read(stmt)
 
 
 class _Statement(Struct, eq=False):
@@ -278,7 +280,7 @@ class _Statement(Struct, eq=False):
     routine: Routine
     place: Place
     effects: Effects
-    called: list[Called]
+    callees: list[Callee]
     running: Scope | None = None
 
     def read_event(self, event: Event) -> None:
@@ -335,7 +337,7 @@ class _Statement(Struct, eq=False):
             if reference is not None:
                 self.writes(reference.name)
         if callee is not None:
-            self.called.append(callee)
+            self.callees.append(callee)
         elif call.name not in STANDARD:
             self.effects.absent.setdefault(call.name, call.spelt(self.place.source))
 

@@ -104,7 +104,7 @@ class _Reading(Struct, frozen=True, eq=False):
 
     documents: Sequence[Document]
     cell: Cell
-    forward: Callable[[Array], Array]
+    kinematics: Callable[[Array], Array]
     name: str
     library: Library
     entry: Routine
@@ -171,7 +171,7 @@ class _Reading(Struct, frozen=True, eq=False):
         _check_size(source, sequence.rows)
         _check_starts(main, sequence)
         motions, layout, assumptions = motions_and_layout(
-            source, main, sequence, cell.start_joints, self.forward, predecessors
+            source, main, sequence, cell.start_joints, self.kinematics, predecessors
         )
         issues = [
             *main.run.issues,
@@ -193,11 +193,11 @@ class _Reading(Struct, frozen=True, eq=False):
             message = f"Values of [krl.values] in the cell: {values}. The output holds for these values only."
             issues.append(Issue("warning", "values-from-cell", message))
         frames = np.stack(settings.frames.bases), np.stack(settings.frames.tools)
-        check_joins(course, joins, motions, layout.carriage, frames, self.forward(cell.start_joints))
+        check_joins(course, joins, motions, layout.carriage, frames, self.kinematics(cell.start_joints))
         loop_issues: list[Issue] = []
         rounds: tuple[tuple[int, ...], ...] = ()
         if (loop := course.endless) is not None:
-            begins = starts(loop, layout.line, motions, frames, self.forward(cell.start_joints), predecessors)
+            begins = starts(loop, layout.line, motions, frames, self.kinematics(cell.start_joints), predecessors)
             loop_issues, rounds = check_round(
                 course, loop, layout.line, motions, begins, layout.carriage, notes, settings
             )

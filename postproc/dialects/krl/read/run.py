@@ -126,7 +126,7 @@ class _Fork(Struct, eq=False):
 
     values: tuple[dict[str, Known | Unread], dict[str, Unknown]]
     state: State
-    begun: bool = False
+    is_begun: bool = False
     ends: list[tuple[tuple[dict[str, Known | Unread], dict[str, Unknown]], State]] = []
 
 
@@ -220,9 +220,9 @@ class Run:
     def branch(self) -> None:
         """Begin one of its branches."""
         fork = self._forks[-1]
-        if fork.begun:
+        if fork.is_begun:
             fork.ends.append((self.variables.as_now(), self.settings.state))
-        fork.begun = True
+        fork.is_begun = True
         self.variables.as_then(fork.values)
         self.settings.change(self.line, fork.state)
 

@@ -27,14 +27,14 @@ class Opened(Struct, frozen=True):
     """A block that is open.
 
     :ivar row: of the trace, with its first line; `at` the place of that line.
-    :ivar before: state in force outside of it.
-    :ivar inside: state in force behind its first line.
+    :ivar outer_state: state in force outside of it.
+    :ivar block_state: state in force behind its first line.
     """
 
     row: int
     at: Place
-    before: State
-    inside: State
+    outer_state: State
+    block_state: State
 
 
 class SplineBlocks:
@@ -71,11 +71,11 @@ class SplineBlocks:
             raise at.error(f"{tail!r} is not understood")
         if tail:
             self.approximated.append(row)
-        block_state, end_state = self.open.inside, self.settings.state
+        block_state, end_state = self.open.block_state, self.settings.state
         changed_fields = block_state.differing(end_state) | {
             field for field, _ in set(end_state.uncertain) - set(block_state.uncertain)
         }
-        self.settings.change(row, self.open.before)
+        self.settings.change(row, self.open.outer_state)
         if changed_fields:
             problem = "a function that a motion of the spline block calls changes what motions depend on"
             self.settings.make_uncertain(row, sorted(changed_fields), at.error(problem, SETTING_ADVICE))

@@ -38,12 +38,12 @@ class _OpenRoutine(Struct, eq=False):
     """A routine of the trace that has not ended yet.
 
     :ivar cursor: its first line that is not recorded yet.
-    :ivar shown: line of the `.src` to report for its lines; 0 if that is their own.
+    :ivar shown_line: line of the `.src` to report for its lines; 0 if that is their own.
     """
 
     source: Source
     cursor: int
-    shown: int
+    shown_line: int
     bodies: list[Body] = []
 
 
@@ -122,7 +122,7 @@ class Trace:
         body = Body(self.count + 1)
         caller.bodies[-1].parts.append(Called(self.count, (name[0] - start, name[1] - start), routine, body))
         is_own = routine.source is self.main.source
-        shown_line = 0 if is_own else caller.shown or at.line
+        shown_line = 0 if is_own else caller.shown_line or at.line
         self._open.append(_OpenRoutine(routine.source, routine.first + 1, shown_line, [body]))
         self._inlined.add(routine)
         if not is_own:
@@ -164,8 +164,8 @@ class Trace:
             self._texts += f"{prefix}{count}{end}", body
         source = self._sources.setdefault(open_routine.source, len(self._sources))
         round_origin = (
-            (source, 1, 1, open_routine.shown, block.first, True),
-            (source, first, last, open_routine.shown, 0, True),
+            (source, 1, 1, open_routine.shown_line, block.first, True),
+            (source, first, last, open_routine.shown_line, 0, True),
         )
         self._from += round_origin * rounds.count
         starts = range(rounds.first, rounds.beyond, rounds.length)
@@ -229,7 +229,7 @@ class Trace:
         open_routine = self._open[-1]
         if line < open_routine.cursor:
             return False
-        self._put(open_routine.source, open_routine.cursor, line, open_routine.shown, live=live)
+        self._put(open_routine.source, open_routine.cursor, line, open_routine.shown_line, live=live)
         open_routine.cursor = line + 1
         return True
 
@@ -252,7 +252,7 @@ class Trace:
                 self._sources.setdefault(open_routine.source, len(self._sources)),
                 1,
                 1,
-                open_routine.shown,
+                open_routine.shown_line,
                 block.first,
                 True,
             )
