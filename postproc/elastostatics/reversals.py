@@ -67,8 +67,10 @@ def reversals(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Revers
     signals += [
         (joint, value, parameter.torque) for joint, (parameter, value) in zip(modelled_joints, terms, strict=True)
     ]
-    for signal, (joint, value, threshold) in zip(torque.T, signals, strict=True):
-        first, second = _changes(signal, max(threshold, _NO_DIRECTION * float(np.abs(signal).max(initial=0.0))))
+    for joint_torque, (joint, value, threshold) in zip(torque.T, signals, strict=True):
+        first, second = _changes(
+            joint_torque, max(threshold, _NO_DIRECTION * float(np.abs(joint_torque).max(initial=0.0)))
+        )
         rows.append(second)
         earlier_rows.append(first)
         joints.append(np.full(len(second), joint))

@@ -555,12 +555,12 @@ def design_effect(equations: Linearised, influence: Array, residual: Array) -> f
     :param influence: (p, rows) derivatives of the parameters by the whitened readings.
     :param residual: (rows,) whitened residuals of configurations left out.
     """
-    joint_variance, independent = 0.0, 0.0
+    common_variance, independent = 0.0, 0.0
     for config in range(equations.configs):
         rows = np.flatnonzero(equations.config == config)
         effect = (equations.design[rows] @ influence[:, rows]) * np.outer(residual[rows], residual[rows])
-        joint_variance, independent = joint_variance + float(effect.sum()), independent + float(np.trace(effect))
-    return max(1.0, joint_variance / independent) if independent > 0.0 else 1.0
+        common_variance, independent = common_variance + float(effect.sum()), independent + float(np.trace(effect))
+    return max(1.0, common_variance / independent) if independent > 0.0 else 1.0
 
 
 def projection(equations: Linearised, keep: Ints, spread: Array) -> Array:

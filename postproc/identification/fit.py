@@ -522,9 +522,9 @@ def learn(equations: Linearised, prior: Prior, columns: Ints) -> Regression:
         values = inverse @ (factor * right) / noise
         left = square_sum - 2.0 * float(factor * values @ right) + float((factor * values) @ square @ (factor * values))
         value = 0.5 * (left / noise + values @ values + count * logs[-1]) + float(np.log(np.diag(lower)).sum())
-        gain = 1.0 - np.diag(inverse)
-        slope = [float((gain[rows] - values[rows] ** 2).sum()) for rows in members]
-        slope.append(0.5 * (count - float(gain.sum())) - 0.5 * left / noise)
+        information_share = 1.0 - np.diag(inverse)
+        slope = [float((information_share[rows] - values[rows] ** 2).sum()) for rows in members]
+        slope.append(0.5 * (count - float(information_share.sum())) - 0.5 * left / noise)
         deviation = (logs - middle) / wide
         return value + 0.5 * float(deviation @ deviation), np.array(slope) + deviation / wide
 

@@ -157,16 +157,16 @@ def _joint_reason(
         else:
             advice = f"Choose configurations in which the load has a lever about A{joint + 1}."
         return NotObservable(parameter, reason, advice)
-    coupling = np.abs(correlation[index].copy())
-    coupling[index] = 0.0
-    partner = fit.structure.parameters[int(np.argmax(coupling))].symbol
+    cross_correlation = np.abs(correlation[index].copy())
+    cross_correlation[index] = 0.0
+    partner = fit.structure.parameters[int(np.argmax(cross_correlation))].symbol
     reason = f"its 95 % interval is ± {half * 1e6:.2g} µrad/(N·m) for a value of {fit.values[index] * 1e6:.3g}"
     if not np.isfinite(half):
         reason = "the configurations do not determine it"
-    if coupling.max() > 0.9:
+    if cross_correlation.max() > 0.9:
         reason += (
             f", and it can hardly be separated from {partner} "
-            f"(correlation {correlation[index, np.argmax(coupling)]:.2f})"
+            f"(correlation {correlation[index, np.argmax(cross_correlation)]:.2f})"
         )
     return NotObservable(parameter, reason, f"Measure configurations that put more torque on A{joint + 1} alone.")
 
@@ -205,10 +205,10 @@ def held_by_prior(fit: Fit, open_entries: list[NotObservable]) -> Fit:
 
 def _stated(robot: RobotModel, joint: Parameter) -> float:
     """Return the standard deviation of a joint compliance of the prior [rad/(N·m)]."""
-    table = robot.covariance
-    if table is not None and joint in table.parameters:
-        index = table.parameters.index(joint)
-        return float(np.sqrt(table.matrix[index, index])) / joint.per_si
+    covariance = robot.covariance
+    if covariance is not None and joint in covariance.parameters:
+        index = covariance.parameters.index(joint)
+        return float(np.sqrt(covariance.matrix[index, index])) / joint.per_si
     return _PRIOR_SPREAD * robot.value(joint)
 
 
@@ -297,7 +297,7 @@ def fit_joints(
             advice="Measure more configurations or points: 15 configurations of 3 points are usual.",
         )
     open_entries: list[NotObservable] = []
-    first, keeps_spring = True, False
+    first, is_prior_refuted = True, False
     while True:
         structure = Structure(tuple(parameters), robot)
         values = structure.start()
@@ -305,8 +305,12 @@ def fit_joints(
             values[1], values[6], values[7] = 1.0 / start.values[0], start.values[1], start.values[2]
         fit = _attempt(structure, data, placement, values)
         left = not_observable(fit, data)
-        if left and left[0].parameter in COMPENSATOR and (keeps_spring or _prior_spring_refuted(fit, data, placement)):
-            keeps_spring, left = True, left[1:]
+        if (
+            left
+            and left[0].parameter in COMPENSATOR
+            and (is_prior_refuted or _prior_spring_refuted(fit, data, placement))
+        ):
+            is_prior_refuted, left = True, left[1:]
         if not left:
             return fit, open_entries
         worst = left[0]

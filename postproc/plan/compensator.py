@@ -185,7 +185,7 @@ def text_lines(plan: CompensatorPlan) -> list[str]:
     places = ", ".join(
         f"{name} {angle:.0f}°" for name, angle in zip(marker_names(plan), plan.beta * DEG_PER_RAD, strict=True)
     )
-    ci, reference = plan.ci95 * MM_PER_M, plan.ci95_even * MM_PER_M
+    ci, even_ci = plan.ci95 * MM_PER_M, plan.ci95_even * MM_PER_M
     opposite = "; opposite markers at equal radius" if len(plan.beta) >= 4 and len(plan.beta) % 2 == 0 else ""
     return [
         f"A2 at {angles}°: the compensator turns by {plan.turn * DEG_PER_RAD:.1f}°",
@@ -193,6 +193,6 @@ def text_lines(plan: CompensatorPlan) -> list[str]:
         f"line P0 → P1, positive as A2 turns: {places}; any radius{opposite}",
         f"{plan.options.repeats} readings each with {plan.sigma * MM_PER_M:g} mm noise: L ± {ci[0]:.3f} mm, "
         f"a_x ± {ci[1]:.3f} mm, a_y ± {ci[2]:.3f} mm (95 %)",
-        f"angles of A2 evenly over the range: L ± {reference[0]:.3f} mm, a_x ± {reference[1]:.3f} mm, "
-        f"a_y ± {reference[2]:.3f} mm",
+        f"angles of A2 evenly over the range: L ± {even_ci[0]:.3f} mm, a_x ± {even_ci[1]:.3f} mm, "
+        f"a_y ± {even_ci[2]:.3f} mm",
     ]
