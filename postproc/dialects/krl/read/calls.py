@@ -22,6 +22,7 @@ from postproc.dialects.krl.read.variables import WHOLE, converted
 from postproc.errors import Issue, ProgramError
 
 _DEEPEST = 20
+"""Calls within each other that are followed; a deeper one is not run exactly."""
 IN_ORDER = "Motions of interrupts cannot be corrected; write them out in order."
 _INLINE_ADVICE = "Put the motions of the subprogram in place of its call."
 

@@ -19,6 +19,7 @@ from postproc.frames import Array
 from postproc.program import Bools, Ints
 
 _BATCH = 1000
+"""Motions that are collected before they become columns."""
 
 
 class MotionColumns(Columns, frozen=True, eq=False):
