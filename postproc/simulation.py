@@ -17,7 +17,7 @@ from postproc.program import PTP, SPL, Bools, Ints, Program
 from postproc.toolpath import Segments
 from postproc.under_load import RobotInCell
 
-_LONG, _TURNED = 0.005, 0.02
+_LONG, _MAX_ROTATION = 0.005, 0.02
 """Pieces of a path that are longer [m] or turn the tool by more [rad] are looked at between their ends: on shorter ones
 the deflection is linear."""
 _SPACING = 0.010
@@ -53,17 +53,19 @@ class DrivenProgram(Struct, frozen=True, eq=False, dict=True):
         carriage = self.program.carriage
         return np.zeros((len(motion), 3)) if carriage is None else carriage.offset(motion, t)
 
-    def loaded_tip(self, motion: Ints, q: Array, wrench: Array, carried: Array, guess: Array | None = None) -> Array:
+    def loaded_tip(
+        self, motion: Ints, q: Array, wrench: Array, displacement: Array, guess: Array | None = None
+    ) -> Array:
         """Return the loaded tip (n, 3) of the tool of motions (n,), in the cell [m].
 
         :param q: (n, 6) joint angles that the controller commands [rad]; those of another program may be given.
         :param wrench: (n, 6) at the tip, root axes [N, N·m].
-        :param carried: (n, 3) displacement of the robot by E1 [m].
+        :param displacement: (n, 3) displacement of the robot by E1 [m].
         :param guess: (n, nv) initial guess of the deflections of the springs.
         :raises NotConvergedError: no loaded equilibrium.
         """
         tool = toolpath.tool_of(self.program, motion)
-        return np.asarray(self.robot_in_cell.tip(q, tool, wrench, guess) + carried)
+        return np.asarray(self.robot_in_cell.tip(q, tool, wrench, guess) + displacement)
 
     def in_base(self, motion: Ints, point: Array) -> Array:
         """Return points (n, 3) of the cell in the `$BASE` of motions (n,) [m]."""
@@ -79,8 +81,8 @@ def number_of_places(kind: Ints, length: Array, turn: Array, *, curved: Bools, s
     :param steep: (n,) True where the correction changes much, or unevenly, over the piece.
     """
     number = np.where(curved, 2, 1)
-    wide = (length > _LONG) | (turn > _TURNED)
-    number[wide] = np.maximum(2, np.ceil(np.maximum(length[wide] / _SPACING, turn[wide] / _TURNED)))
+    wide = (length > _LONG) | (turn > _MAX_ROTATION)
+    number[wide] = np.maximum(2, np.ceil(np.maximum(length[wide] / _SPACING, turn[wide] / _MAX_ROTATION)))
     number[steep] = np.maximum(number[steep], _ON_RAMPS)
     number[(kind == PTP) | (kind == SPL)] = 1
     return number.astype(np.int64)

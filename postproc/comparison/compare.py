@@ -57,62 +57,82 @@ def compare(
     :raises ForceError: forces that cannot be assigned to the motions, or without an equilibrium of the arm.
     """
     place = RobotInCell.of(robot, cell)
-    one, other = PlacedProgram.of(nominal, place), PlacedProgram.of(corrected, place)
-    stated = _stated_partners(one, other, ends)
+    nominal_path, corrected_path = PlacedProgram.of(nominal, place), PlacedProgram.of(corrected, place)
+    stated_pairs = _stated_partners(nominal_path, corrected_path, ends)
     if source is None and not nominal.notes:
-        load, wrench = None, np.zeros((len(one.rows), 6))
-        partner = partners(one.track(), other.track()) if stated is None else stated
-        certain = np.full(len(one.rows), same_origin)
+        load, wrench = None, np.zeros((len(nominal_path.rows), 6))
+        partner = partners(nominal_path.track(), corrected_path.track()) if stated_pairs is None else stated_pairs
+        certain = np.full(len(nominal_path.rows), same_origin)
     else:
-        load = one.forces(source)
-        wrench = one.wrench(load, one.rows)
-        off = deviation(one, one.rows, one.joints[one.rows], wrench, one.carried(one.rows))
-        if stated is None:
+        load = nominal_path.forces(source)
+        wrench = nominal_path.wrench(load, nominal_path.rows)
+        deviations = deviation(
+            nominal_path,
+            nominal_path.rows,
+            nominal_path.joints[nominal_path.rows],
+            wrench,
+            nominal_path.carried(nominal_path.rows),
+        )
+        if stated_pairs is None:
             # the second program is expected to command poses that the deflection takes back to the targets
-            partner = partners_under_force(one, other, partners(one.track(-off), other.track()), wrench)
-            certain = norm(deviation_left(one, other, partner, wrench)) <= place.tolerance
+            partner = partners_under_force(
+                nominal_path, corrected_path, partners(nominal_path.track(-deviations), corrected_path.track()), wrench
+            )
+            certain = norm(deviation_left(nominal_path, corrected_path, partner, wrench)) <= place.tolerance
         else:
-            partner, certain = stated, np.ones(len(stated), dtype=bool)
+            partner, certain = stated_pairs, np.ones(len(stated_pairs), dtype=bool)
     # a target that only divides a line or an arc may have a partner that divides it elsewhere: the path passes it then
-    divides = one.continued[one.rows] & (partner >= 0) & ~certain & (load is not None)
-    found = judged(paired(one, other, np.where(divides, -1, partner), certain), one, other, load)
-    moved = moved_alone(found, one, other)
-    missing = np.isin(one.rows, found.only_nominal) & divides
-    moved[missing] = partner[missing]
-    if (moved >= 0).any():
-        partner = in_order(np.maximum(partners_of(found, one, other), moved))
-        found = judged(paired(one, other, partner, np.ones(len(partner), dtype=bool)), one, other, load)
+    divides = nominal_path.continued[nominal_path.rows] & (partner >= 0) & ~certain & (load is not None)
+    comparison = judged(
+        paired(nominal_path, corrected_path, np.where(divides, -1, partner), certain),
+        nominal_path,
+        corrected_path,
+        load,
+    )
+    displaced_partner = moved_alone(comparison, nominal_path, corrected_path)
+    is_missing = np.isin(nominal_path.rows, comparison.only_nominal) & divides
+    displaced_partner[is_missing] = partner[is_missing]
+    if (displaced_partner >= 0).any():
+        partner = in_order(np.maximum(partners_of(comparison, nominal_path, corrected_path), displaced_partner))
+        comparison = judged(
+            paired(nominal_path, corrected_path, partner, np.ones(len(partner), dtype=bool)),
+            nominal_path,
+            corrected_path,
+            load,
+        )
     if load is not None:
-        kept = np.searchsorted(one.rows, found.pair[:, 0])
-        left = deviation_left(one, other, partners_of(found, one, other), wrench)
-        cuts = at_pairs(found, one, other, wrench[kept], off[kept], left[kept])
-        cuts = between(found, cuts, one, other, load)
+        index = np.searchsorted(nominal_path.rows, comparison.pair[:, 0])
+        left = deviation_left(
+            nominal_path, corrected_path, partners_of(comparison, nominal_path, corrected_path), wrench
+        )
+        cuts = at_pairs(comparison, nominal_path, corrected_path, wrench[index], deviations[index], left[index])
+        cuts = between(comparison, cuts, nominal_path, corrected_path, load)
         ends = cuts.row[(cuts.t == 1.0) & (cuts.between_corrected <= place.tolerance)]
-        found = with_inserted(replace(found, cuts=cuts), np.isin(found.only_corrected, ends))
+        comparison = with_inserted(replace(comparison, cuts=cuts), np.isin(comparison.only_corrected, ends))
     else:
         if same_origin:
-            rows, by = (found.passed, found.only_nominal), (found.passed_by, found.missed)
-            found = replace(found, passed=np.concatenate(rows), passed_by=np.concatenate(by))
-            found = replace(found, only_nominal=one.rows[:0], missed=found.missed[:0])
-            found = with_inserted(found, np.ones(len(found.only_corrected), dtype=bool))
+            rows, by = (comparison.passed, comparison.only_nominal), (comparison.passed_by, comparison.missed)
+            comparison = replace(comparison, passed=np.concatenate(rows), passed_by=np.concatenate(by))
+            comparison = replace(comparison, only_nominal=nominal_path.rows[:0], missed=comparison.missed[:0])
+            comparison = with_inserted(comparison, np.ones(len(comparison.only_corrected), dtype=bool))
         if corrected.notes:
-            first, two = found.pair.T
-            wrench = other.wrench(other.forces(None), two)
+            first, two = comparison.pair.T
+            wrench = corrected_path.wrench(corrected_path.forces(None), two)
             offs = (
-                deviation(one, first, side.joints[rows], wrench, side.carried(rows))
-                for side, rows in ((one, first), (other, two))
+                deviation(nominal_path, first, side.joints[rows], wrench, side.carried(rows))
+                for side, rows in ((nominal_path, first), (corrected_path, two))
             )
-            found = replace(found, cuts=at_pairs(found, one, other, wrench, *offs))
-    known = load is not None or stated is not None
-    options = {"in_file": source is not None, "same_origin": same_origin, "pairs_are_known": known}
-    return replace(found, differences=differences(found, one, other, **options))
+            comparison = replace(comparison, cuts=at_pairs(comparison, nominal_path, corrected_path, wrench, *offs))
+    pairs_known = load is not None or stated_pairs is not None
+    options = {"in_file": source is not None, "same_origin": same_origin, "pairs_certain": pairs_known}
+    return replace(comparison, differences=differences(comparison, nominal_path, corrected_path, **options))
 
 
-def _stated_partners(one: PlacedProgram, other: PlacedProgram, ends: Bools | None) -> Ints | None:
-    """Return the index in `other.rows` of the partner of each of `one.rows` (n,), as the conversion states it.
+def _stated_partners(nominal_path: PlacedProgram, corrected_path: PlacedProgram, ends: Bools | None) -> Ints | None:
+    """Return the index in `corrected_path.rows` of the partner of each of `nominal_path.rows` (n,), as converted.
 
     :returns: None where nothing is stated, or not for programs of so many targets.
     """
-    if ends is None or len(ends) != len(other.rows) or int(np.count_nonzero(ends)) != len(one.rows):
+    if ends is None or len(ends) != len(corrected_path.rows) or int(np.count_nonzero(ends)) != len(nominal_path.rows):
         return None
     return np.flatnonzero(ends)

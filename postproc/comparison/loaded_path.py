@@ -19,20 +19,20 @@ from postproc.frames import Array, angle_between, norm
 from postproc.program import CIRC, LIN, PTP, SPL, Bools, Ints, Program
 from postproc.simulation import number_of_places
 
-_ROUNDS, _AHEAD, _STILL = 4, 1e-6, 0.05
+_ROUNDS, _DIFFERENCE_STEP, _STILL = 4, 1e-6, 0.05
 """Gauss-Newton steps to the nearest place of the path; the step of its finite differences [m]; a rate of change per
 length below which the place does not matter."""
 _EXACT = 1e-8
 """A distance at targets that is not improved further [m]."""
 _CLOSE = 0.2
 """A distance at targets, as a share of the tolerance, that is not sought elsewhere."""
-_TRIED, _RAMPS, _SAMPLES, _CLOSER = 65, 3.0, 9, 3
+_START_VALUES, _RAMPS, _SAMPLES, _REFINEMENTS = 65, 3.0, 9, 3
 """Places tried on the whole way, and on this many times the ramp of a force; then refined so often."""
 _FIRST = np.geomspace(1e-5, 1e-2, 13)
 """And these shares of the way: where a move begins with a step, the force may change over some micrometres."""
 _PROBE = np.array([100.0, 100.0, 100.0, 10.0, 10.0, 10.0])
 """Forces [N] and moments [N·m] from which the compliance at the tip is taken."""
-_LEAST = 2
+_MIN_PARTS = 2
 """Places at which pieces of the second program are checked at least: it may leave its path between targets."""
 _STEEP = 2e-4
 """A piece is steep if what its ends are displaced by differs by more than this [m]."""
@@ -40,22 +40,22 @@ _SHORTEST = 2.0 * BEHIND_STEP
 """Nominal way [m] below which a piece is not checked between its ends."""
 
 
-def deviation(side: PlacedProgram, motion: Ints, q: Array, wrench: Array, carried: Array) -> Array:
+def deviation(side: PlacedProgram, motion: Ints, q: Array, wrench: Array, displacement: Array) -> Array:
     """Return the loaded tip minus the targets of motions (n,), as (n, 3) in their `$BASE` [m].
 
     :param q: (n, 6) commanded joint angles [rad].
     :param wrench: (n, 6) at the tip, root axes [N, N·m].
-    :param carried: (n, 3) how far E1 has carried the robot [m].
+    :param displacement: (n, 3) how far E1 has carried the robot [m].
     :raises ForceError: the arm has no equilibrium under the force.
     """
     program = side.program
 
-    def off(motion: Ints, q: Array, wrench: Array, carried: Array) -> tuple[Array]:
-        tip = side.loaded_tip(motion, q, wrench, carried)
+    def off(motion: Ints, q: Array, wrench: Array, displacement: Array) -> tuple[Array]:
+        tip = side.loaded_tip(motion, q, wrench, displacement)
         return (side.in_base(motion, tip) - program.motions.target[motion, :3, 3],)
 
     try:
-        return in_chunks(off, motion, q, wrench, carried)[0]
+        return in_chunks(off, motion, q, wrench, displacement)[0]
     except NotConvergedError as cause:
         raise no_equilibrium(program, motion, cause) from None
 
@@ -67,38 +67,52 @@ def no_equilibrium(program: Program, motion: Ints, cause: NotConvergedError) -> 
 
 
 def at_pairs(
-    found: Comparison, one: PlacedProgram, other: PlacedProgram, wrench: Array, nominal: Array, corrected: Array
+    comparison: Comparison,
+    nominal_path: PlacedProgram,
+    corrected_path: PlacedProgram,
+    wrench: Array,
+    nominal: Array,
+    corrected: Array,
 ) -> Cuts:
     """Return the deviations at the pairs.
 
     :param wrench: (P, 6) at the tip, root axes [N, N·m].
     :param nominal: (P, 3) by the nominal program, `corrected` (P, 3) by the second one, nominal `$BASE` [m].
     """
-    rotation = found.nominal.bases[found.nominal.motions.base[found.pair[:, 0]], :3, :3]
-    turned = np.einsum("nji,nkj->nki", rotation, wrench.reshape(-1, 2, 3)).reshape(-1, 6)
-    none = np.zeros(0)
-    return Cuts(turned, nominal, corrected, _turned(found, one, wrench), np.zeros(0, dtype=np.int64), *(5 * (none,)))
+    rotation = comparison.nominal.bases[comparison.nominal.motions.base[comparison.pair[:, 0]], :3, :3]
+    base_wrench = np.einsum("nji,nkj->nki", rotation, wrench.reshape(-1, 2, 3)).reshape(-1, 6)
+    empty = np.zeros(0)
+    return Cuts(
+        base_wrench,
+        nominal,
+        corrected,
+        _turned(comparison, nominal_path, wrench),
+        np.zeros(0, dtype=np.int64),
+        *(5 * (empty,)),
+    )
 
 
-def _turned(found: Comparison, one: PlacedProgram, wrench: Array) -> Array:
+def _turned(comparison: Comparison, nominal_path: PlacedProgram, wrench: Array) -> Array:
     """Return the angle between the commanded orientation and the one that keeps the loaded tool nominal (P,) [rad]."""
-    program = found.nominal
+    program = comparison.nominal
 
     def angle(motion: Ints, wrench: Array, pose: Array) -> tuple[Array]:
         target = toolpath.pose_in_root(program, motion, program.motions.target[motion])
-        wanted = one.robot_in_cell.compensate(
-            target, one.joints[motion], toolpath.tool_of(program, motion), wrench
+        compensated_pose = nominal_path.robot_in_cell.compensate(
+            target, nominal_path.joints[motion], toolpath.tool_of(program, motion), wrench
         ).pose
-        wanted = toolpath.pose_in_base(program, motion, wanted)
-        return (angle_between(wanted[:, :3, :3], pose[:, :3, :3]),)
+        compensated_pose = toolpath.pose_in_base(program, motion, compensated_pose)
+        return (angle_between(compensated_pose[:, :3, :3], pose[:, :3, :3]),)
 
     try:
-        return in_chunks(angle, found.pair[:, 0], wrench, found.pose)[0]
+        return in_chunks(angle, comparison.pair[:, 0], wrench, comparison.pose)[0]
     except NotConvergedError as cause:
-        raise no_equilibrium(program, found.pair[:, 0], cause) from None
+        raise no_equilibrium(program, comparison.pair[:, 0], cause) from None
 
 
-def between(found: Comparison, cuts: Cuts, one: PlacedProgram, other: PlacedProgram, load: PathForces) -> Cuts:
+def between(
+    comparison: Comparison, cuts: Cuts, nominal_path: PlacedProgram, corrected_path: PlacedProgram, load: PathForces
+) -> Cuts:
     """Return the deviations with those at the other targets of the second program, and between targets.
 
     Each place of the second program belongs to the place of the nominal path, on the way between the same pairs, that
@@ -106,39 +120,39 @@ def between(found: Comparison, cuts: Cuts, one: PlacedProgram, other: PlacedProg
 
     :param load: the forces along the nominal program.
     """
-    ways = Ways.of_pairs(found, one, other)
-    ends, pieces = ways.targets(found), ways.pieces()
-    reached = np.isfinite(joints := other.joints_at(ends, np.ones(len(ends)))).all(axis=1)
-    ends, joints = ends[reached], joints[reached]
-    search = Search(one, other, load, ways)
+    ways = Ways.of_pairs(comparison, nominal_path, corrected_path)
+    ends, pieces = ways.targets(comparison), ways.pieces()
+    is_reachable = np.isfinite(joints := corrected_path.joints_at(ends, np.ones(len(ends)))).all(axis=1)
+    ends, joints = ends[is_reachable], joints[is_reachable]
+    search = Search(nominal_path, corrected_path, load, ways)
     at_ends = search.found(ends, np.ones(len(ends)), joints, ways.guess(ends), enough=_EXACT)
-    place = np.full(len(other.program.motions), np.nan)
-    place[found.pair[:, 1]] = one.along[found.pair[:, 0] + 1]
+    place = np.full(len(corrected_path.program.motions), np.nan)
+    place[comparison.pair[:, 1]] = nominal_path.along[comparison.pair[:, 0] + 1]
     place[ends] = at_ends[0]
     begin = ways.begins(pieces, place)
-    settled = (place[pieces] - begin > _SHORTEST) & ~_begins_with_step(one, load, place[pieces])
-    pieces, begin = pieces[settled], begin[settled]
-    row, t = places_on_pieces(other, pieces, _steep(one, other, pieces, place))
-    which = np.searchsorted(pieces, row)
-    guess = begin[which] + t * (place[row] - begin[which])
-    joints = in_chunks(lambda row, t: (other.joints_at(row, t),), row, t)[0]
-    reached = np.isfinite(joints).all(axis=1)
-    row, t, guess, joints = row[reached], t[reached], guess[reached], joints[reached]
-    inside = search.found(row, t, joints, guess, enough=one.robot_in_cell.tolerance)
-    turned = np.zeros(len(ends) + len(row))
-    turned[: len(ends)] = in_chunks(lambda length, row: (_turned_at(one, other, load, length, row),), at_ends[0], ends)[
-        0
-    ]
+    is_valid = (place[pieces] - begin > _SHORTEST) & ~_begins_with_step(nominal_path, load, place[pieces])
+    pieces, begin = pieces[is_valid], begin[is_valid]
+    row, t = places_on_pieces(corrected_path, pieces, _steep(nominal_path, corrected_path, pieces, place))
+    piece_index = np.searchsorted(pieces, row)
+    guess = begin[piece_index] + t * (place[row] - begin[piece_index])
+    joints = in_chunks(lambda row, t: (corrected_path.joints_at(row, t),), row, t)[0]
+    is_reachable = np.isfinite(joints).all(axis=1)
+    row, t, guess, joints = row[is_reachable], t[is_reachable], guess[is_reachable], joints[is_reachable]
+    at_samples = search.found(row, t, joints, guess, enough=nominal_path.robot_in_cell.tolerance)
+    angles = np.zeros(len(ends) + len(row))
+    angles[: len(ends)] = in_chunks(
+        lambda length, row: (_turned_at(nominal_path, corrected_path, load, length, row),), at_ends[0], ends
+    )[0]
     row, t = np.append(ends, row), np.append(np.ones(len(ends)), t)
-    length, nominal, corrected = (np.append(*both) for both in zip(at_ends, inside, strict=True))
+    length, nominal, corrected_values = (np.append(*parts) for parts in zip(at_ends, at_samples, strict=True))
     order = np.lexsort((t, row))
     return replace(
         cuts,
         row=row[order],
         t=t[order],
         between_nominal=nominal[order],
-        between_corrected=corrected[order],
-        between_turned=turned[order],
+        between_corrected=corrected_values[order],
+        between_turned=angles[order],
         length=length[order],
     )
 
@@ -161,26 +175,33 @@ class Ways(Struct, frozen=True, eq=False):
     known: Bools
 
     @classmethod
-    def of_pairs(cls, found: Comparison, one: PlacedProgram, other: PlacedProgram) -> Ways:
+    def of_pairs(cls, comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram) -> Ways:
         """Return the ways between the pairs of a comparison."""
-        m, (first, two) = one.program.motions, found.pair.T
+        m, (first, two) = nominal_path.program.motions, comparison.pair.T
         unknown = (np.isin(m.kind, (PTP, SPL)) | m.rapid) & np.isnan(m.joints[:, 0])
-        count = np.append(0, np.cumsum(unknown | _uncorrected_start(one)))
-        before = np.append(-1, first[:-1]) + 1
-        second = other.along[np.stack([np.append(-1, two[:-1]) + 1, two + 1], axis=1)]
-        way = np.searchsorted(two, np.arange(len(other.program.motions)))
-        return cls(other, way, one.along[before], one.along[first + 1], second, count[first + 1] == count[before])
+        count = np.append(0, np.cumsum(unknown | _uncorrected_start(nominal_path)))
+        start_index = np.append(-1, first[:-1]) + 1
+        second = corrected_path.along[np.stack([np.append(-1, two[:-1]) + 1, two + 1], axis=1)]
+        way = np.searchsorted(two, np.arange(len(corrected_path.program.motions)))
+        return cls(
+            corrected_path,
+            way,
+            nominal_path.along[start_index],
+            nominal_path.along[first + 1],
+            second,
+            count[first + 1] == count[start_index],
+        )
 
     def _of_known(self, row: Ints) -> Bools:
         """Return which motions (n,) of the second program are on a known way."""
         return np.append(self.known, False)[self.way[row]]
 
-    def targets(self, found: Comparison) -> Ints:
+    def targets(self, comparison: Comparison) -> Ints:
         """Return the motions (n,) whose ends, without partner, are compared with the nominal path."""
-        more = found.only_corrected
+        additional_rows = comparison.only_corrected
         kind = self.other.program.motions.kind
-        more = more[self._of_known(more) & np.isin(kind[more], (LIN, CIRC))]
-        return np.sort(np.append(found.inserted, more))
+        additional_rows = additional_rows[self._of_known(additional_rows) & np.isin(kind[additional_rows], (LIN, CIRC))]
+        return np.sort(np.append(comparison.inserted, additional_rows))
 
     def pieces(self) -> Ints:
         """Return the lines and arcs (n,) of the second program that are compared with the nominal path inside."""
@@ -200,61 +221,65 @@ class Ways(Struct, frozen=True, eq=False):
         return np.where(index >= 0, place[self.other.rows[index]], self.begin[self.way[row]])
 
 
-def _begins_with_step(one: PlacedProgram, load: PathForces, place: Array) -> Bools:
+def _begins_with_step(nominal_path: PlacedProgram, load: PathForces, place: Array) -> Bools:
     """Return which pieces, by the arc lengths of their ends (n,), cover a step of the force at the start of a move."""
-    return load.behind_step(*one.at(np.nan_to_num(place)))
+    return load.behind_step(*nominal_path.at(np.nan_to_num(place)))
 
 
 def _uncorrected_start(side: PlacedProgram) -> Bools:
     """(M,) True for motions that begin at an unknown place, or at the start or an axis target that is not nominal."""
-    m, after = side.program.motions, side.program.after
+    m, predecessors = side.program.motions, side.program.after
     rows = np.arange(len(m))
-    before = rows - 1 if after is None else after
-    axis = np.append(np.isfinite(m.joints[:, 0]), True)[before]
-    return np.asarray((before == rows) | (axis & (not side.robot_in_cell.rest_is_nominal)))
+    start_rows = rows - 1 if predecessors is None else predecessors
+    axis = np.append(np.isfinite(m.joints[:, 0]), True)[start_rows]
+    return np.asarray((start_rows == rows) | (axis & (not side.robot_in_cell.rest_is_nominal)))
 
 
-def _steep(one: PlacedProgram, other: PlacedProgram, pieces: Ints, place: Array) -> Bools:
+def _steep(nominal_path: PlacedProgram, corrected_path: PlacedProgram, pieces: Ints, place: Array) -> Bools:
     """Return which lines and arcs (n,) of the second program are displaced differently at their ends.
 
     :param place: (M,) arc lengths on the nominal path of the ends of its motions [m]; NaN where unknown.
     """
     ends = np.flatnonzero(np.isfinite(place))
-    displaced = np.full((len(place), 3), np.nan)
-    displaced[ends] = other.points(other.along[ends + 1]) - one.points(place[ends])
-    before = np.maximum(np.searchsorted(other.rows, pieces) - 1, 0)
-    return np.asarray(~(norm(displaced[pieces] - displaced[other.rows[before]]) <= _STEEP))
+    displacements = np.full((len(place), 3), np.nan)
+    displacements[ends] = corrected_path.points(corrected_path.along[ends + 1]) - nominal_path.points(place[ends])
+    previous_rows = np.maximum(np.searchsorted(corrected_path.rows, pieces) - 1, 0)
+    return np.asarray(~(norm(displacements[pieces] - displacements[corrected_path.rows[previous_rows]]) <= _STEEP))
 
 
-def places_on_pieces(other: PlacedProgram, pieces: Ints, steep: Bools) -> tuple[Ints, Array]:
+def places_on_pieces(corrected_path: PlacedProgram, pieces: Ints, steep: Bools) -> tuple[Ints, Array]:
     """Return places (row, t) inside of lines and arcs (n,) of the second program."""
-    kind, segments = other.program.motions.kind[pieces], other.segments
+    kind, segments = corrected_path.program.motions.kind[pieces], corrected_path.segments
     arcs = kind == CIRC
     length, turn = segments.length[pieces], segments.turn[pieces]
     number = number_of_places(kind, length, turn, curved=arcs, steep=arcs | steep)
-    parts = np.maximum(number, _LEAST)
-    which = np.repeat(np.arange(len(pieces)), parts - 1)
+    parts = np.maximum(number, _MIN_PARTS)
+    piece_index = np.repeat(np.arange(len(pieces)), parts - 1)
     index = ragged_range(parts - 1) + 1
-    return pieces[which], index / parts[which]
+    return pieces[piece_index], index / parts[piece_index]
 
 
-def _turned_at(one: PlacedProgram, other: PlacedProgram, load: PathForces, length: Array, row: Ints) -> Array:
+def _turned_at(
+    nominal_path: PlacedProgram, corrected_path: PlacedProgram, load: PathForces, length: Array, row: Ints
+) -> Array:
     """Return the angles (n,) by which targets of the second program turn the loaded tool from the nominal path [rad].
 
     :param length: (n,) arc lengths on the nominal path; `row` (n,) motions of the second program.
     """
-    program, (motion, t) = one.program, one.at(length)
-    wrench = one.wrench(load, motion, t)
-    pose = toolpath.pose_in_root(program, motion, toolpath.at(program, one.segments, motion, t).pose[:], t)
+    program, (motion, t) = nominal_path.program, nominal_path.at(length)
+    wrench = nominal_path.wrench(load, motion, t)
+    pose = toolpath.pose_in_root(program, motion, toolpath.at(program, nominal_path.segments, motion, t).pose[:], t)
     tool = toolpath.tool_of(program, motion)
     try:
-        wanted = one.robot_in_cell.compensate(pose, one.joints_at(motion, t), tool, wrench).pose
+        compensated_pose = nominal_path.robot_in_cell.compensate(
+            pose, nominal_path.joints_at(motion, t), tool, wrench
+        ).pose
     except NotConvergedError as cause:
         raise no_equilibrium(program, motion, cause) from None
-    flange = toolpath.flange_from_tcp(other.program, row, other.program.motions.target[row], None)
-    given = flange @ tool
-    turned = angle_between(wanted[:, :3, :3], given[:, :3, :3])
-    return np.asarray(np.minimum(turned, angle_between(pose[:, :3, :3], given[:, :3, :3])))
+    flange = toolpath.flange_from_tcp(corrected_path.program, row, corrected_path.program.motions.target[row], None)
+    commanded_pose = flange @ tool
+    angles = angle_between(compensated_pose[:, :3, :3], commanded_pose[:, :3, :3])
+    return np.asarray(np.minimum(angles, angle_between(pose[:, :3, :3], commanded_pose[:, :3, :3])))
 
 
 class Search(Struct, frozen=True, eq=False):
@@ -277,17 +302,19 @@ class Search(Struct, frozen=True, eq=False):
         """
 
         def in_chunk(row: Ints, t: Array, q: Array, guess: Array) -> tuple[Array, ...]:
-            way, carried = self.ways.way[row], self.other.carried(row, t)
+            way, displacement = self.ways.way[row], self.other.carried(row, t)
             low, high = self.ways.begin[way], self.ways.end[way]
             low = np.minimum(low + _SHORTEST * 1e-4, high)  # behind the end of the motion before
-            length, distance = self._improved(q, carried, np.clip(guess, low, high), (low, high), enough)
-            far = np.flatnonzero(distance > max(enough, _CLOSE * self.one.robot_in_cell.tolerance))
-            if len(far):
-                limits = low[far], high[far]
-                tried = self._anywhere(q[far], carried[far], limits)
-                tried, there = self._improved(q[far], carried[far], tried, limits, _EXACT)
-                better = there < distance[far]
-                length[far[better]], distance[far[better]] = tried[better], there[better]
+            length, distance = self._improved(q, displacement, np.clip(guess, low, high), (low, high), enough)
+            distant_rows = np.flatnonzero(distance > max(enough, _CLOSE * self.one.robot_in_cell.tolerance))
+            if len(distant_rows):
+                limits = low[distant_rows], high[distant_rows]
+                new_length = self._anywhere(q[distant_rows], displacement[distant_rows], limits)
+                new_length, new_distance = self._improved(
+                    q[distant_rows], displacement[distant_rows], new_length, limits, _EXACT
+                )
+                better = new_distance < distance[distant_rows]
+                length[distant_rows[better]], distance[distant_rows[better]] = new_length[better], new_distance[better]
             motion, t = self.one.at(length)
             mine = norm(self._off(self.one.joints_at(motion, t), self.one.carried(motion, t), length))
             return length, mine, distance
@@ -295,64 +322,67 @@ class Search(Struct, frozen=True, eq=False):
         length, mine, distance = in_chunks(in_chunk, row, t, q, guess)
         return length, mine, distance
 
-    def _off(self, q: Array, carried: Array, length: Array) -> Array:
+    def _off(self, q: Array, displacement: Array, length: Array) -> Array:
         """Return the tips (n, 3) under the forces at arc lengths (n,), minus the nominal path, in the cell [m]."""
         motion, t = self.one.at(length)
-        return self._tip(q, carried, motion, self.one.wrench(self.load, motion, t)) - self.one.points(length)
+        return self._tip(q, displacement, motion, self.one.wrench(self.load, motion, t)) - self.one.points(length)
 
-    def _tip(self, q: Array, carried: Array, motion: Ints, wrench: Array) -> Array:
+    def _tip(self, q: Array, displacement: Array, motion: Ints, wrench: Array) -> Array:
         try:
-            return self.one.loaded_tip(motion, q, wrench, carried)
+            return self.one.loaded_tip(motion, q, wrench, displacement)
         except NotConvergedError as cause:
             raise no_equilibrium(self.one.program, motion, cause) from None
 
     def _improved(
-        self, q: Array, carried: Array, length: Array, limits: tuple[Array, Array], enough: float
+        self, q: Array, displacement: Array, length: Array, limits: tuple[Array, Array], accuracy: float
     ) -> tuple[Array, Array]:
         """Return arc lengths (n,) on the path nearest to the tip, by Newton's method from start values, and distances
         (n,).
         """
-        off = self._off(q, carried, length)
-        best, distance = length.copy(), norm(off)
-        rows = np.flatnonzero(distance > enough)
+        deviations = self._off(q, displacement, length)
+        best, distance = length.copy(), norm(deviations)
+        rows = np.flatnonzero(distance > accuracy)
         for _ in range(_ROUNDS):
             if not len(rows):
                 break
             low, high = limits[0][rows], limits[1][rows]
-            step = np.where(length[rows] + _AHEAD < high, _AHEAD, -_AHEAD)
-            change = (self._off(q[rows], carried[rows], length[rows] + step) - off[rows]) / step[:, None]
+            step = np.where(length[rows] + _DIFFERENCE_STEP < high, _DIFFERENCE_STEP, -_DIFFERENCE_STEP)
+            change = (self._off(q[rows], displacement[rows], length[rows] + step) - deviations[rows]) / step[:, None]
             square = np.einsum("ni,ni->n", change, change)
             moves = square > _STILL**2  # else the path only turns the tool here
-            step = np.where(moves, -np.einsum("ni,ni->n", off[rows], change) / np.where(moves, square, 1.0), 0.0)
+            step = np.where(moves, -np.einsum("ni,ni->n", deviations[rows], change) / np.where(moves, square, 1.0), 0.0)
             length[rows] = np.clip(length[rows] + step, low, high)
-            off[rows] = self._off(q[rows], carried[rows], length[rows])
-            new = norm(off[rows])
+            deviations[rows] = self._off(q[rows], displacement[rows], length[rows])
+            new = norm(deviations[rows])
             better = new < distance[rows]
             best[rows[better]], distance[rows[better]] = length[rows[better]], new[better]
-            rows = rows[distance[rows] > enough]
+            rows = rows[distance[rows] > accuracy]
         return best, distance
 
-    def _anywhere(self, q: Array, carried: Array, limits: tuple[Array, Array]) -> Array:
+    def _anywhere(self, q: Array, displacement: Array, limits: tuple[Array, Array]) -> Array:
         """Return the arc lengths (n,) nearest to the tip among many between limits, with the compliance at the first.
 
         The force moves the tip: on a steep ramp the tip may move back while the path goes on.
         """
         low, high = limits
         motion = self.one.at(high)[0]
-        rest = self._tip(q, carried, motion, np.zeros((len(q), 6)))
-        units = [self._tip(q, carried, motion, np.tile(unit, (len(q), 1))) - rest for unit in np.diag(_PROBE)]
+        rest = self._tip(q, displacement, motion, np.zeros((len(q), 6)))
+        units = [self._tip(q, displacement, motion, np.tile(unit, (len(q), 1))) - rest for unit in np.diag(_PROBE)]
         compliance = np.stack(units, axis=2) / _PROBE
-        even = np.linspace(0.0, 1.0, _TRIED)
+        fractions = np.linspace(0.0, 1.0, _START_VALUES)
         whole, ramp = (high - low)[:, None], np.minimum(_RAMPS * self.one.robot_in_cell.ramp, high - low)[:, None]
-        tried = low[:, None] + np.sort(np.hstack([whole * even, ramp * even, whole * _FIRST]), axis=1)
+        lengths = low[:, None] + np.sort(np.hstack([whole * fractions, ramp * fractions, whole * _FIRST]), axis=1)
         rows = np.arange(len(q))
-        for _ in range(_CLOSER):
-            which = np.repeat(rows, tried.shape[1])
-            motion, t = self.one.at(tried.ravel())
-            moved = np.einsum("nij,nj->ni", compliance[which], self.one.wrench(self.load, motion, t))
-            off = norm(rest[which] + moved - self.one.points(tried.ravel())).reshape(tried.shape)
-            best = np.argmin(off, axis=1)
-            begin, end = tried[rows, np.maximum(best - 1, 0)], tried[rows, np.minimum(best + 1, tried.shape[1] - 1)]
-            length = tried[rows, best]
-            tried = begin[:, None] + (end - begin)[:, None] * np.linspace(0.0, 1.0, _SAMPLES)
+        for _ in range(_REFINEMENTS):
+            point_index = np.repeat(rows, lengths.shape[1])
+            motion, t = self.one.at(lengths.ravel())
+            deflections = np.einsum("nij,nj->ni", compliance[point_index], self.one.wrench(self.load, motion, t))
+            distances = norm(rest[point_index] + deflections - self.one.points(lengths.ravel())).reshape(lengths.shape)
+            best = np.argmin(distances, axis=1)
+            begin, end = (
+                lengths[rows, np.maximum(best - 1, 0)],
+                lengths[rows, np.minimum(best + 1, lengths.shape[1] - 1)],
+            )
+            length = lengths[rows, best]
+            lengths = begin[:, None] + (end - begin)[:, None] * np.linspace(0.0, 1.0, _SAMPLES)
         return np.asarray(length)

@@ -25,23 +25,23 @@ from postproc.program import Bools, Ints
 
 _SHARE, _LEAST, _MOST = 0.25, 1e-4, 1e-3
 """A step changes noticeably by this share of it, but by so much [m] at least and at most."""
-_ALIKE = 0.1
+_STEP_TOLERANCE = 0.1
 """Of that, what steps differ by that are taken for the same at once."""
 _CAP, _WAY = 1.2, 0.5
-_OTHER_WAY, _LONGER = 0.6, 8e-3
+_OTHER_WAY, _EXCESS_LENGTH = 0.6, 8e-3
 """A way that is longer or shorter by the second number [m], which no correction causes, costs the first more."""
-_MISSING, _PASSED = 3.2, 2.0
+_MISSING_COST, _PASSED_COST = 3.2, 2.0
 _OTHER_KIND = 2.0
 """A PTP is no LIN or CIRC."""
 _WINDOW = 14
 """Partners looked at on either side of the place at the same length of path."""
-_KEPT = 48
+_MAX_STATES = 48
 """Assignments followed at the same time."""
 _PASSES = 3
 _EQUAL = 5e-6
 """Targets that are this near [m], after steps that differ by no more, are the same ones."""
-_RUN, _AT_ONCE = 3, 4096
-_NONE = -1
+_RUN, _RUN_CHUNK = 3, 4096
+_NO_PARTNER = -1
 
 
 class Track(Struct, frozen=True, eq=False):
@@ -62,50 +62,56 @@ class Track(Struct, frozen=True, eq=False):
         return len(self.position)
 
 
-def partners(one: Track, other: Track) -> Ints:
+def partners(nominal_track: Track, corrected_track: Track) -> Ints:
     """Return the target of the other program for each of one (n,), ascending; −1 where it has none."""
-    out = np.full(len(one), _NONE)
-    if len(other) < len(one):  # it is the first one, then, that has targets between
-        found = partners(other, one)
-        paired = np.flatnonzero(found != _NONE)
-        out[found[paired]] = paired
-        return out
-    begin = _alike(one, other)
-    out[:begin] = np.arange(begin)
-    end = min(_alike(_reversed(one), _reversed(other)), len(one) - begin, len(other) - begin)
-    rest, place = slice(begin, len(one) - end), slice(begin, len(other) - end)
-    out[len(one) - end :] = np.arange(len(other) - end, len(other))
-    before = (one.position[begin - 1], other.position[begin - 1]) if begin else None
-    found = _assigned(_part(one, rest), _part(other, place), before)
-    out[rest] = np.where(found == _NONE, _NONE, found + begin)
+    partner = np.full(len(nominal_track), _NO_PARTNER)
+    if len(corrected_track) < len(nominal_track):  # it is the first one, then, that has targets between
+        indices = partners(corrected_track, nominal_track)
+        paired_rows = np.flatnonzero(indices != _NO_PARTNER)
+        partner[indices[paired_rows]] = paired_rows
+        return partner
+    begin = _alike(nominal_track, corrected_track)
+    partner[:begin] = np.arange(begin)
+    end = min(
+        _alike(_reversed(nominal_track), _reversed(corrected_track)),
+        len(nominal_track) - begin,
+        len(corrected_track) - begin,
+    )
+    rest, place = slice(begin, len(nominal_track) - end), slice(begin, len(corrected_track) - end)
+    partner[len(nominal_track) - end :] = np.arange(len(corrected_track) - end, len(corrected_track))
+    last_pair = (nominal_track.position[begin - 1], corrected_track.position[begin - 1]) if begin else None
+    indices = _assigned(_part(nominal_track, rest), _part(corrected_track, place), last_pair)
+    partner[rest] = np.where(indices == _NO_PARTNER, _NO_PARTNER, indices + begin)
     for _ in range(_PASSES):
-        _settle(one, other, out)
-    return out
+        _settle(nominal_track, corrected_track, partner)
+    return partner
 
 
-def _settle(one: Track, other: Track, partner: Ints) -> None:
+def _settle(nominal_track: Track, corrected_track: Track, partner: Ints) -> None:
     """Move partners (n,) to a free neighbour where the offsets then change less, in metres, from pair to pair."""
-    row = np.flatnonzero(partner != _NONE)[1:-1]
+    row = np.flatnonzero(partner != _NO_PARTNER)[1:-1]
     if not len(row):
         return
     place = np.searchsorted(row, row) + 1
-    paired = np.flatnonzero(partner != _NONE)
-    before, behind = paired[place - 1], paired[place + 1]
-    ends = [other.position[partner[k]] - one.position[k] for k in (before, behind)]
+    paired_rows = np.flatnonzero(partner != _NO_PARTNER)
+    previous_row, next_row = paired_rows[place - 1], paired_rows[place + 1]
+    ends = [corrected_track.position[partner[k]] - nominal_track.position[k] for k in (previous_row, next_row)]
 
     def change(candidate: Ints) -> Array:
-        offset = other.position[candidate] - one.position[row]
+        offset = corrected_track.position[candidate] - nominal_track.position[row]
         return norm(offset - ends[0]) + norm(offset - ends[1])
 
-    own = change(partner[row])
+    least_change = change(partner[row])
     for step in (-1, 1):
         candidate = partner[row] + step
         free = (
-            (candidate > partner[before]) & (candidate < partner[behind]) & (other.joint[candidate] == one.joint[row])
+            (candidate > partner[previous_row])
+            & (candidate < partner[next_row])
+            & (corrected_track.joint[candidate] == nominal_track.joint[row])
         )
-        better = free & (change(candidate) < own)
+        better = free & (change(candidate) < least_change)
         partner[row[better]] = candidate[better]
-        own = np.minimum(own, np.where(better, change(candidate), own))
+        least_change = np.minimum(least_change, np.where(better, change(candidate), least_change))
 
 
 def _part(track: Track, rows: slice) -> Track:
@@ -120,16 +126,18 @@ def _scale(step: Array) -> Array:
     return np.asarray(np.minimum(_LEAST + _SHARE * step, _MOST))
 
 
-def _alike(one: Track, other: Track) -> int:
+def _alike(nominal_track: Track, corrected_track: Track) -> int:
     """Return how many targets at the beginning are the same steps, less the last few, where they begin to differ."""
-    count = min(len(one), len(other))
-    offset = other.position[:count] - one.position[:count]
+    count = min(len(nominal_track), len(corrected_track))
+    offset = corrected_track.position[:count] - nominal_track.position[:count]
     change = norm(np.diff(offset, axis=0, prepend=np.zeros((min(1, count), 3))))
-    change += np.abs(other.step[:count] - one.step[:count])
-    same = (change < _ALIKE * _scale(one.step[:count])) & (one.joint[:count] == other.joint[:count])
-    if same.all() and len(one) == len(other):
+    change += np.abs(corrected_track.step[:count] - nominal_track.step[:count])
+    is_same = (change < _STEP_TOLERANCE * _scale(nominal_track.step[:count])) & (
+        nominal_track.joint[:count] == corrected_track.joint[:count]
+    )
+    if is_same.all() and len(nominal_track) == len(corrected_track):
         return count
-    return max(0, (count if same.all() else int(np.argmin(same))) - 2)
+    return max(0, (count if is_same.all() else int(np.argmin(is_same))) - 2)
 
 
 class _States(Struct, eq=False):
@@ -141,86 +149,94 @@ class _States(Struct, eq=False):
     offset: Array
 
 
-def _assigned(one: Track, other: Track, before: tuple[Array, Array] | None) -> Ints:
-    """Return the partners (n,) of the targets of one program in the other; `before`: the pair before both begin."""
-    if not len(one) or not len(other):
-        return np.full(len(one), _NONE)
-    start = np.zeros((1, 3)) if before is None else (before[1] - before[0])[None]
-    along, along_other = np.append(0.0, np.cumsum(one.step)), np.append(0.0, np.cumsum(other.step))
-    out = np.full(len(one), _NONE)
-    states = _States(np.array([_NONE]), np.array([_NONE]), np.zeros(1), start)
+def _assigned(nominal_track: Track, corrected_track: Track, last_pair: tuple[Array, Array] | None) -> Ints:
+    """Return the partners (n,) of the targets of one program in the other; `last_pair`: the pair before both begin."""
+    if not len(nominal_track) or not len(corrected_track):
+        return np.full(len(nominal_track), _NO_PARTNER)
+    start = np.zeros((1, 3)) if last_pair is None else (last_pair[1] - last_pair[0])[None]
+    lengths, corrected_lengths = (
+        np.append(0.0, np.cumsum(nominal_track.step)),
+        np.append(0.0, np.cumsum(corrected_track.step)),
+    )
+    assignment = np.full(len(nominal_track), _NO_PARTNER)
+    states = _States(np.array([_NO_PARTNER]), np.array([_NO_PARTNER]), np.zeros(1), start)
     origins: dict[int, tuple[Ints, Ints, Ints]] = {}  # of each row: its window of partners, and the pair before each
     row = 0
-    while row < len(one):
+    while row < len(nominal_track):
         best = int(np.argmin(states.cost))
         if states.row[best] == row - 1 >= 0 and norm(states.offset[best]) < _EQUAL:
-            run = _equal(one, other, row, int(states.partner[best]) + 1)
+            run = _equal(nominal_track, corrected_track, row, int(states.partner[best]) + 1)
             if run >= _RUN:  # nothing else is more likely
-                _follow(out, states, origins)
+                _follow(assignment, states, origins)
                 place = int(states.partner[best]) + run
-                out[row : row + run] = np.arange(place - run, place) + 1
+                assignment[row : row + run] = np.arange(place - run, place) + 1
                 row += run
-                offset = other.position[place] - one.position[row - 1]
+                offset = corrected_track.position[place] - nominal_track.position[row - 1]
                 states = _States(np.array([place]), np.array([row - 1]), np.zeros(1), offset[None])
                 origins.clear()
                 continue
-        passed = along[row + 1] - along[states.row[best] + 1]
-        middle = int(np.searchsorted(along_other[1:], along_other[states.partner[best] + 1] + passed))
-        window = np.arange(max(0, middle - _WINDOW), min(len(other), middle + _WINDOW + 1))
-        offset = other.position[window] - one.position[row]
+        length = lengths[row + 1] - lengths[states.row[best] + 1]
+        middle = int(np.searchsorted(corrected_lengths[1:], corrected_lengths[states.partner[best] + 1] + length))
+        window = np.arange(max(0, middle - _WINDOW), min(len(corrected_track), middle + _WINDOW + 1))
+        offset = corrected_track.position[window] - nominal_track.position[row]
         change = norm(offset[:, None] - states.offset)
-        step = along[row + 1] - along[states.row + 1]
-        way = along_other[window + 1][:, None] - along_other[states.partner + 1]
+        step = lengths[row + 1] - lengths[states.row + 1]
+        way = corrected_lengths[window + 1][:, None] - corrected_lengths[states.partner + 1]
         scale = _scale(step)
         cost = np.minimum(np.log1p(change / scale), _CAP)
-        if before is None:  # nothing is known of the step to the first pair, but that nothing should come before it
-            cost[:, states.row == _NONE] = 0.0
+        if last_pair is None:  # nothing is known of the step to the first pair, but that nothing should come before it
+            cost[:, states.row == _NO_PARTNER] = 0.0
         weight = np.where(window[:, None] - states.partner > 1, 1.0, _WAY)
         cost += weight * np.minimum(np.log1p(np.abs(way - step) / scale), _CAP)
-        cost += _OTHER_WAY * np.minimum(np.abs(way - step) / _LONGER, 1.0)
+        cost += _OTHER_WAY * np.minimum(np.abs(way - step) / _EXCESS_LENGTH, 1.0)
         cost += states.cost
         cost[window[:, None] <= states.partner] = np.inf
         last = np.argmin(cost, axis=1)
-        own = cost[np.arange(len(window)), last] + _OTHER_KIND * (one.joint[row] != other.joint[window])
+        least_cost = cost[np.arange(len(window)), last] + _OTHER_KIND * (
+            nominal_track.joint[row] != corrected_track.joint[window]
+        )
         origins[row] = window, states.row[last], states.partner[last]
-        good = np.flatnonzero(np.isfinite(own))
-        paired = _States(window[good], np.full(len(good), row), own[good], offset[good])
-        states = _cheapest(paired, states, _PASSED if one.continued[row] else _MISSING)
+        good = np.flatnonzero(np.isfinite(least_cost))
+        pair_states = _States(window[good], np.full(len(good), row), least_cost[good], offset[good])
+        states = _cheapest(pair_states, states, _PASSED_COST if nominal_track.continued[row] else _MISSING_COST)
         row += 1
-    _follow(out, states, origins)
-    return out
+    _follow(assignment, states, origins)
+    return assignment
 
 
-def _follow(out: Ints, states: _States, origins: dict[int, tuple[Ints, Ints, Ints]]) -> None:
-    """Write the pairs of the cheapest assignment into `out` (n,), from the last back to where `origins` begin."""
+def _follow(assignment: Ints, states: _States, origins: dict[int, tuple[Ints, Ints, Ints]]) -> None:
+    """Write the pairs of the cheapest assignment into `assignment` (n,) from the last back to where `origins` begin."""
     best = int(np.argmin(states.cost))
     row, partner = int(states.row[best]), int(states.partner[best])
     while row in origins:
-        out[row] = partner
-        window, rows, others = origins[row]
+        assignment[row] = partner
+        window, rows, partners = origins[row]
         place = partner - int(window[0])
-        row, partner = int(rows[place]), int(others[place])
+        row, partner = int(rows[place]), int(partners[place])
 
 
-def _equal(one: Track, other: Track, row: int, partner: int) -> int:
+def _equal(nominal_track: Track, corrected_track: Track, row: int, partner: int) -> int:
     """Return how many targets from these on are in the same places, after steps of the same length."""
-    count = min(len(one) - row, len(other) - partner, _AT_ONCE)
-    mine, theirs = _part(one, slice(row, row + count)), _part(other, slice(partner, partner + count))
-    same = (norm(theirs.position - mine.position) < _EQUAL) & (np.abs(theirs.step - mine.step) < _EQUAL)
-    same &= mine.joint == theirs.joint
-    return count if same.all() else int(np.argmin(same))
+    count = min(len(nominal_track) - row, len(corrected_track) - partner, _RUN_CHUNK)
+    mine, theirs = (
+        _part(nominal_track, slice(row, row + count)),
+        _part(corrected_track, slice(partner, partner + count)),
+    )
+    is_same = (norm(theirs.position - mine.position) < _EQUAL) & (np.abs(theirs.step - mine.step) < _EQUAL)
+    is_same &= mine.joint == theirs.joint
+    return count if is_same.all() else int(np.argmin(is_same))
 
 
-def _cheapest(paired: _States, older: _States, alone: float) -> _States:
+def _cheapest(pair_states: _States, older: _States, unpaired_cost: float) -> _States:
     """Return the cheapest assignments, of those that end with this target and those that leave it without partner.
 
-    :param alone: cost of the latter.
+    :param unpaired_cost: cost of the latter.
     """
-    cost = np.concatenate([paired.cost, older.cost + alone])
-    keep = np.argpartition(cost, _KEPT)[:_KEPT] if len(cost) > _KEPT else np.arange(len(cost))
+    cost = np.concatenate([pair_states.cost, older.cost + unpaired_cost])
+    keep = np.argpartition(cost, _MAX_STATES)[:_MAX_STATES] if len(cost) > _MAX_STATES else np.arange(len(cost))
     return _States(
-        np.concatenate([paired.partner, older.partner])[keep],
-        np.concatenate([paired.row, older.row])[keep],
+        np.concatenate([pair_states.partner, older.partner])[keep],
+        np.concatenate([pair_states.row, older.row])[keep],
         cost[keep],
-        np.concatenate([paired.offset, older.offset])[keep],
+        np.concatenate([pair_states.offset, older.offset])[keep],
     )

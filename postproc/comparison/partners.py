@@ -15,90 +15,110 @@ from postproc.forces import PathForces
 from postproc.frames import Array, norm, twist_between
 from postproc.program import PTP, Bools, Ints
 
-_MOST_MOVED, _MOST_TRIED = 200, 64
+_MAX_MOVES, _MAX_CANDIDATES = 200, 64
 """Targets for which other partners are tried, and how many: where there are more, it is another program."""
 
 
-def partners_of(found: Comparison, one: PlacedProgram, other: PlacedProgram) -> Ints:
-    """Return the index in `other.rows` of the partner of each of `one.rows`; −1 for none."""
-    partner = np.full(len(one.rows), -1)
-    partner[np.searchsorted(one.rows, found.pair[:, 0])] = np.searchsorted(other.rows, found.pair[:, 1])
+def partners_of(comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram) -> Ints:
+    """Return the index in `corrected_path.rows` of the partner of each of `nominal_path.rows`; −1 for none."""
+    partner = np.full(len(nominal_path.rows), -1)
+    partner[np.searchsorted(nominal_path.rows, comparison.pair[:, 0])] = np.searchsorted(
+        corrected_path.rows, comparison.pair[:, 1]
+    )
     return partner
 
 
-def deviation_left(one: PlacedProgram, other: PlacedProgram, partner: Ints, wrench: Array) -> Array:
-    """Return the deviations (n, 3) of the loaded tip by the second program at `one.rows`, `$BASE`; 0 without partner.
+def deviation_left(nominal_path: PlacedProgram, corrected_path: PlacedProgram, partner: Ints, wrench: Array) -> Array:
+    """Return the deviations (n, 3) of the loaded tip by the second program at `nominal_path.rows`, `$BASE`.
 
-    :param partner: (n,) index in `other.rows`; −1 for none.
+    0 without partner.
+
+    :param partner: (n,) index in `corrected_path.rows`; −1 for none.
     :param wrench: (n, 6) at the tip, root axes.
     """
-    out, has = np.zeros((len(one.rows), 3)), partner >= 0
-    rows = other.rows[partner[has]]
-    out[has] = deviation(one, one.rows[has], other.joints[rows], wrench[has], other.carried(rows))
-    return out
+    deviations, has_partner = np.zeros((len(nominal_path.rows), 3)), partner >= 0
+    rows = corrected_path.rows[partner[has_partner]]
+    deviations[has_partner] = deviation(
+        nominal_path,
+        nominal_path.rows[has_partner],
+        corrected_path.joints[rows],
+        wrench[has_partner],
+        corrected_path.carried(rows),
+    )
+    return deviations
 
 
-def partners_under_force(one: PlacedProgram, other: PlacedProgram, partner: Ints, wrench: Array) -> Ints:
-    """Return partners (n,) of `one.rows`, exchanged for free neighbours where only those bring the tip to the target.
+def partners_under_force(
+    nominal_path: PlacedProgram, corrected_path: PlacedProgram, partner: Ints, wrench: Array
+) -> Ints:
+    """Return partners (n,) of `nominal_path.rows`, swapped for free neighbours that bring the tip to the target.
 
     :param wrench: (n, 6) at the tip, root axes.
     """
-    tolerance, out = one.robot_in_cell.tolerance, partner.copy()
-    kinds = one.program.motions.kind[one.rows] == PTP, other.program.motions.kind[other.rows] == PTP
+    tolerance, new_partner = nominal_path.robot_in_cell.tolerance, partner.copy()
+    kinds = (
+        nominal_path.program.motions.kind[nominal_path.rows] == PTP,
+        corrected_path.program.motions.kind[corrected_path.rows] == PTP,
+    )
     for _ in range(2):  # a partner may have been that of a neighbour
-        wrong = (out < 0) | ~(norm(deviation_left(one, other, out, wrench)) <= tolerance)
-        for k in np.flatnonzero(wrong)[:_MOST_MOVED].tolist():
-            before, behind = out[:k][out[:k] >= 0], out[k + 1 :][out[k + 1 :] >= 0]
-            first = before[-1] + 1 if len(before) else 0
-            free = np.arange(first, behind[0] if len(behind) else len(other.rows))
+        wrong = (new_partner < 0) | ~(
+            norm(deviation_left(nominal_path, corrected_path, new_partner, wrench)) <= tolerance
+        )
+        for k in np.flatnonzero(wrong)[:_MAX_MOVES].tolist():
+            lower_partners, upper_partners = (
+                new_partner[:k][new_partner[:k] >= 0],
+                new_partner[k + 1 :][new_partner[k + 1 :] >= 0],
+            )
+            first = lower_partners[-1] + 1 if len(lower_partners) else 0
+            free = np.arange(first, upper_partners[0] if len(upper_partners) else len(corrected_path.rows))
             free = free[kinds[1][free] == kinds[0][k]]
-            free = free[np.argsort(np.abs(free - partner[k]), kind="stable")[:_MOST_TRIED]]
-            rows, index = other.rows[free], np.full(len(free), k)
-            q, carried = other.joints[rows], other.carried(rows)
-            left = norm(deviation(one, one.rows[index], q, wrench[index], carried))
+            free = free[np.argsort(np.abs(free - partner[k]), kind="stable")[:_MAX_CANDIDATES]]
+            rows, index = corrected_path.rows[free], np.full(len(free), k)
+            q, displacement = corrected_path.joints[rows], corrected_path.carried(rows)
+            left = norm(deviation(nominal_path, nominal_path.rows[index], q, wrench[index], displacement))
             if len(free) and left.min() <= tolerance:
-                out[k] = free[np.argmin(left)]
-    return out
+                new_partner[k] = free[np.argmin(left)]
+    return new_partner
 
 
-def distances_from_path(one: PlacedProgram, spot: Array, begin: Array, end: Array) -> Array:
+def distances_from_path(nominal_path: PlacedProgram, spot: Array, begin: Array, end: Array) -> Array:
     """Return the distances (n,) of points (n, 3) from the nominal path between two arc lengths (n,) [m]."""
 
     def distances(spot: Array, begin: Array, end: Array) -> tuple[Array]:
-        return (nearest(lambda at: one.points(at.ravel()).reshape(*at.shape, 3), spot, begin, end)[1],)
+        return (nearest(lambda at: nominal_path.points(at.ravel()).reshape(*at.shape, 3), spot, begin, end)[1],)
 
     return in_chunks(distances, spot, begin, end)[0]
 
 
-def paired(one: PlacedProgram, other: PlacedProgram, partner: Ints, certain: Bools) -> Comparison:
-    """Return the comparison of `one.rows` with these partners (n,), indices in `other.rows`; −1 for none.
+def paired(nominal_path: PlacedProgram, corrected_path: PlacedProgram, partner: Ints, certain: Bools) -> Comparison:
+    """Return the comparison of `nominal_path.rows` with partners (n,), indices in `corrected_path.rows`; −1 for none.
 
     :param certain: (n,) True where the partner is right for certain, so that no neighbour of it is tried.
     """
-    nominal, corrected, has = one.program, other.program, partner >= 0
-    pair = np.stack([one.rows[has], other.rows[partner[has]]], axis=1)
-    pose, off = offsets_of(one, other, pair)
-    rest = np.setdiff1d(other.rows, pair[:, 1])
-    on_path = _on_path(one, other, pair, norm(off[:, :3]), rest)
+    nominal, corrected, has_partner = nominal_path.program, corrected_path.program, partner >= 0
+    pair = np.stack([nominal_path.rows[has_partner], corrected_path.rows[partner[has_partner]]], axis=1)
+    pose, twists = offsets_of(nominal_path, corrected_path, pair)
+    rest = np.setdiff1d(corrected_path.rows, pair[:, 1])
+    on_path = _on_path(nominal_path, corrected_path, pair, norm(twists[:, :3]), rest)
     if (~on_path).any():
-        pair = moved_pairs(one, other, pair, off[:, :3], rest[~on_path], certain[has])
-        pose, off = offsets_of(one, other, pair)
-        rest = np.setdiff1d(other.rows, pair[:, 1])
-        on_path = _on_path(one, other, pair, norm(off[:, :3]), rest)
-    curves = Curves.of(one, other, pair)
+        pair = moved_pairs(nominal_path, corrected_path, pair, twists[:, :3], rest[~on_path], certain[has_partner])
+        pose, twists = offsets_of(nominal_path, corrected_path, pair)
+        rest = np.setdiff1d(corrected_path.rows, pair[:, 1])
+        on_path = _on_path(nominal_path, corrected_path, pair, norm(twists[:, :3]), rest)
+    curves = Curves.of(nominal_path, corrected_path, pair)
     return Comparison(
         nominal=nominal,
         corrected=corrected,
-        robot=one.robot_in_cell.robot.name,
+        robot=nominal_path.robot_in_cell.robot.name,
         pair=pair,
         inserted=rest[on_path],
-        passed=one.rows[:0],
+        passed=nominal_path.rows[:0],
         passed_by=np.zeros(0),
-        only_nominal=one.rows[~has],
-        missed=np.full(int((~has).sum()), np.nan),
+        only_nominal=nominal_path.rows[~has_partner],
+        missed=np.full(int((~has_partner).sum()), np.nan),
         only_corrected=rest[~on_path],
         pose=pose,
-        rotation=norm(off[:, 3:]),
+        rotation=norm(twists[:, 3:]),
         curves=curves,
         between=np.full(len(pair), np.nan) if curves is None else curves.apart(),
         cuts=None,
@@ -106,28 +126,34 @@ def paired(one: PlacedProgram, other: PlacedProgram, partner: Ints, certain: Boo
     )
 
 
-def judged(found: Comparison, one: PlacedProgram, other: PlacedProgram, load: PathForces | None) -> Comparison:
+def judged(
+    comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram, load: PathForces | None
+) -> Comparison:
     """Return the comparison with nominal targets without partner divided into passed and missing ones."""
-    missed, passed = missed_targets(found, one, other, load)
-    rows = found.only_nominal
-    found = replace(found, passed=rows[passed], passed_by=missed[passed])
-    return replace(found, only_nominal=rows[~passed], missed=missed[~passed])
+    distances, is_passed = missed_targets(comparison, nominal_path, corrected_path, load)
+    rows = comparison.only_nominal
+    comparison = replace(comparison, passed=rows[is_passed], passed_by=distances[is_passed])
+    return replace(comparison, only_nominal=rows[~is_passed], missed=distances[~is_passed])
 
 
-def moved_alone(found: Comparison, one: PlacedProgram, other: PlacedProgram) -> Ints:
-    """Return the indices (n,) in `other.rows` of targets that were moved away from `one.rows`; −1 for none.
+def moved_alone(comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram) -> Ints:
+    """Return the indices (n,) in `corrected_path.rows` of targets moved away from `nominal_path.rows`; −1 for none.
 
     Those are missing and additional ones, if as many of them are between the same pairs.
     """
-    out = np.full(len(one.rows), -1)
-    alone = found.only_nominal, found.only_corrected
-    gaps = [np.searchsorted(found.pair[:, k], rows) for k, rows in enumerate(alone)]
-    counts = [np.bincount(gap, minlength=len(found.pair) + 1) for gap in gaps]
-    same = counts[0] == counts[1]
-    first, second = (rows[same[gap]] for rows, gap in zip(alone, gaps, strict=True))
-    alike = (one.program.motions.kind[first] == PTP) == (other.program.motions.kind[second] == PTP)
-    out[np.searchsorted(one.rows, first[alike])] = np.searchsorted(other.rows, second[alike])
-    return out
+    partner = np.full(len(nominal_path.rows), -1)
+    unpaired_rows = comparison.only_nominal, comparison.only_corrected
+    gaps = [np.searchsorted(comparison.pair[:, k], rows) for k, rows in enumerate(unpaired_rows)]
+    counts = [np.bincount(gap, minlength=len(comparison.pair) + 1) for gap in gaps]
+    same_count = counts[0] == counts[1]
+    first, second = (rows[same_count[gap]] for rows, gap in zip(unpaired_rows, gaps, strict=True))
+    is_same_kind = (nominal_path.program.motions.kind[first] == PTP) == (
+        corrected_path.program.motions.kind[second] == PTP
+    )
+    partner[np.searchsorted(nominal_path.rows, first[is_same_kind])] = np.searchsorted(
+        corrected_path.rows, second[is_same_kind]
+    )
+    return partner
 
 
 def in_order(partner: Ints) -> Ints:
@@ -135,43 +161,45 @@ def in_order(partner: Ints) -> Ints:
     return np.where(partner <= np.maximum.accumulate(np.append(-1, partner[:-1])), -1, partner)
 
 
-def with_inserted(found: Comparison, on_path: Bools) -> Comparison:
+def with_inserted(comparison: Comparison, on_path: Bools) -> Comparison:
     """Return the comparison with some of the additional targets, (n,) of them, counted as inserted ones."""
-    inserted = np.sort(np.append(found.inserted, found.only_corrected[on_path]))
-    return replace(found, inserted=inserted, only_corrected=found.only_corrected[~on_path])
+    inserted_rows = np.sort(np.append(comparison.inserted, comparison.only_corrected[on_path]))
+    return replace(comparison, inserted=inserted_rows, only_corrected=comparison.only_corrected[~on_path])
 
 
 def missed_targets(
-    found: Comparison, one: PlacedProgram, other: PlacedProgram, load: PathForces | None
+    comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram, load: PathForces | None
 ) -> tuple[Array, Bools]:
     """Return by how much the second path misses nominal targets without partner (n,) [m], and which it passes (n,).
 
     Without forces the correction is unknown. What the offsets of the pairs next to it differ by is then no miss, and a
     point that only divides a line or an arc is passed within a multiple of them, as inserted targets are on the path.
     """
-    rows = found.only_nominal
-    offset = in_cell(found.nominal, found.pair[:, 0], found.pose[:, :3, 3]) - in_cell(
-        found.nominal, found.pair[:, 0], found.target[:, :3, 3]
+    rows = comparison.only_nominal
+    offset = in_cell(comparison.nominal, comparison.pair[:, 0], comparison.pose[:, :3, 3]) - in_cell(
+        comparison.nominal, comparison.pair[:, 0], comparison.target[:, :3, 3]
     )
-    missed = missed_by(one, other, found.pair, rows, load, offset)
-    if load is not None or not len(found.pair):
-        return missed, missed <= one.robot_in_cell.tolerance
-    way = np.searchsorted(found.pair[:, 0], rows)
-    before, behind = np.maximum(way - 1, 0), np.minimum(way, len(found.pair) - 1)
-    divides = missed <= OFF_PATH + TIMES_OFFSET * np.maximum(found.distance[before], found.distance[behind])
-    missed = np.maximum(missed - norm(offset[behind] - offset[before]), 0.0)
-    return missed, (missed <= one.robot_in_cell.tolerance) | (one.continued[rows] & divides)
+    distances = missed_by(nominal_path, corrected_path, comparison.pair, rows, load, offset)
+    if load is not None or not len(comparison.pair):
+        return distances, distances <= nominal_path.robot_in_cell.tolerance
+    way = np.searchsorted(comparison.pair[:, 0], rows)
+    previous_pair, next_pair = np.maximum(way - 1, 0), np.minimum(way, len(comparison.pair) - 1)
+    divides = distances <= OFF_PATH + TIMES_OFFSET * np.maximum(
+        comparison.distance[previous_pair], comparison.distance[next_pair]
+    )
+    distances = np.maximum(distances - norm(offset[next_pair] - offset[previous_pair]), 0.0)
+    return distances, (distances <= nominal_path.robot_in_cell.tolerance) | (nominal_path.continued[rows] & divides)
 
 
-def offsets_of(one: PlacedProgram, other: PlacedProgram, pair: Ints) -> tuple[Array, Array]:
+def offsets_of(nominal_path: PlacedProgram, corrected_path: PlacedProgram, pair: Ints) -> tuple[Array, Array]:
     """Return where the second program sends the nominal tool (P, 4, 4), nominal `$BASE`, and the twists (P, 6)."""
-    target = other.program.motions.target[pair[:, 1]]
-    pose = tool_of_nominal(one.program, pair[:, 0], other.program, pair[:, 1], target)
-    return pose, twist_between(one.program.motions.target[pair[:, 0]], pose)
+    target = corrected_path.program.motions.target[pair[:, 1]]
+    pose = tool_of_nominal(nominal_path.program, pair[:, 0], corrected_path.program, pair[:, 1], target)
+    return pose, twist_between(nominal_path.program.motions.target[pair[:, 0]], pose)
 
 
 def moved_pairs(
-    one: PlacedProgram, other: PlacedProgram, pair: Ints, offset: Array, rows: Ints, certain: Bools
+    nominal_path: PlacedProgram, corrected_path: PlacedProgram, pair: Ints, offset: Array, rows: Ints, certain: Bools
 ) -> Ints:
     """Return pairs (P, 2) with targets that were moved instead of their neighbours.
 
@@ -181,55 +209,69 @@ def moved_pairs(
     pair, distance = pair.copy(), norm(offset)
     change = np.pad(norm(np.diff(offset, axis=0)), 1, constant_values=np.inf)
     odd = (np.minimum(change[:-1], change[1:]) > OFF_PATH) & ~certain
-    index = {int(row): place for place, row in enumerate(other.rows.tolist())}
-    for row in rows[:_MOST_MOVED].tolist():
-        behind = int(np.searchsorted(pair[:, 1], row))
-        for k in (behind, behind - 1):
+    index = {int(row): place for place, row in enumerate(corrected_path.rows.tolist())}
+    for row in rows[:_MAX_MOVES].tolist():
+        next_pair = int(np.searchsorted(pair[:, 1], row))
+        for k in (next_pair, next_pair - 1):
             if not 0 <= k < len(pair) or not odd[k] or abs(index[int(pair[k, 1])] - index[row]) != 1:
                 continue
-            released, tried, known = pair[k, 1:], pair.copy(), distance.copy()
-            tried[k, 1], known[k] = row, 0.0
-            if norm(offsets_of(one, other, tried[k : k + 1])[1][:, :3])[0] > distance[k]:
+            old_target, new_pair, new_distance = pair[k, 1:], pair.copy(), distance.copy()
+            new_pair[k, 1], new_distance[k] = row, 0.0
+            if norm(offsets_of(nominal_path, corrected_path, new_pair[k : k + 1])[1][:, :3])[0] > distance[k]:
                 continue
-            if _on_path(one, other, tried, known, released.copy())[0]:
-                pair = tried
+            if _on_path(nominal_path, corrected_path, new_pair, new_distance, old_target.copy())[0]:
+                pair = new_pair
                 break
     return pair
 
 
-def _on_path(one: PlacedProgram, other: PlacedProgram, pair: Ints, distance: Array, rows: Ints) -> Bools:
+def _on_path(
+    nominal_path: PlacedProgram, corrected_path: PlacedProgram, pair: Ints, distance: Array, rows: Ints
+) -> Bools:
     """Return which of the second program's targets without partner, `rows` (r,), are on the nominal path.
 
     That is: on the way to a pair, hardly farther from the nominal path than the offsets (P,) there.
     """
-    out, m = np.zeros(len(rows), dtype=bool), one.program.motions
-    behind = np.searchsorted(pair[:, 1], rows)
-    between = np.flatnonzero((behind < len(pair)) & (other.program.motions.kind[rows] != PTP))
+    is_on_path, m = np.zeros(len(rows), dtype=bool), nominal_path.program.motions
+    next_pair = np.searchsorted(pair[:, 1], rows)
+    candidates = np.flatnonzero((next_pair < len(pair)) & (corrected_path.program.motions.kind[rows] != PTP))
     unknown = np.append(0, np.cumsum((m.kind == PTP) & np.isnan(m.joints[:, 0])))
-    last, before = pair[behind[between], 0], np.append(-1, pair[:, 0])[behind[between]]
-    between = between[unknown[last + 1] == unknown[before + 1]]
-    rows, behind = rows[between], behind[between]
-    last, before = pair[behind, 0], np.append(-1, pair[:, 0])[behind]
-    target = toolpath.at(other.program, other.segments, rows, np.ones(len(rows))).pose[:]
-    pose = toolpath.flange_from_tcp(other.program, rows, target, None) @ toolpath.tool_of(one.program, last)
+    last, previous_row = pair[next_pair[candidates], 0], np.append(-1, pair[:, 0])[next_pair[candidates]]
+    candidates = candidates[unknown[last + 1] == unknown[previous_row + 1]]
+    rows, next_pair = rows[candidates], next_pair[candidates]
+    last, previous_row = pair[next_pair, 0], np.append(-1, pair[:, 0])[next_pair]
+    target = toolpath.at(corrected_path.program, corrected_path.segments, rows, np.ones(len(rows))).pose[:]
+    pose = toolpath.flange_from_tcp(corrected_path.program, rows, target, None) @ toolpath.tool_of(
+        nominal_path.program, last
+    )
     spot = pose[:, :3, 3]
-    allowed = OFF_PATH + TIMES_OFFSET * np.maximum(np.append(0.0, distance)[behind], distance[behind])
-    begin, end = one.along[before + 1], one.along[last + 1]
-    first, final = other.along[np.append(-1, pair[:, 1])[behind] + 1], other.along[pair[behind, 1] + 1]
-    here, aside = other.along[rows + 1], np.full(len(rows), np.inf)
+    limit = OFF_PATH + TIMES_OFFSET * np.maximum(np.append(0.0, distance)[next_pair], distance[next_pair])
+    begin, end = nominal_path.along[previous_row + 1], nominal_path.along[last + 1]
+    first, final = (
+        corrected_path.along[np.append(-1, pair[:, 1])[next_pair] + 1],
+        corrected_path.along[pair[next_pair, 1] + 1],
+    )
+    length_at_row, path_distance = corrected_path.along[rows + 1], np.full(len(rows), np.inf)
     # a detour of the other program is on one side only
-    share = begin + (here - first) / np.maximum(final - first, 1e-12) * (end - begin)
-    for length in (share, begin + here - first, end - (final - here)):
-        aside = np.minimum(aside, norm(spot - one.points(np.clip(length, begin, end))))
-    far = np.flatnonzero(~(aside <= allowed))
-    if len(far):
-        aside[far] = distances_from_path(one, spot[far], begin[far], end[far])
-    out[between] = aside <= allowed
-    return out
+    share = begin + (length_at_row - first) / np.maximum(final - first, 1e-12) * (end - begin)
+    for length in (share, begin + length_at_row - first, end - (final - length_at_row)):
+        path_distance = np.minimum(path_distance, norm(spot - nominal_path.points(np.clip(length, begin, end))))
+    distant_rows = np.flatnonzero(~(path_distance <= limit))
+    if len(distant_rows):
+        path_distance[distant_rows] = distances_from_path(
+            nominal_path, spot[distant_rows], begin[distant_rows], end[distant_rows]
+        )
+    is_on_path[candidates] = path_distance <= limit
+    return is_on_path
 
 
 def missed_by(
-    one: PlacedProgram, other: PlacedProgram, pair: Ints, rows: Ints, load: PathForces | None, offset: Array
+    nominal_path: PlacedProgram,
+    corrected_path: PlacedProgram,
+    pair: Ints,
+    rows: Ints,
+    load: PathForces | None,
+    offset: Array,
 ) -> Array:
     """Return by how much the second path misses nominal targets without partner (n,) [m]; NaN for PTP.
 
@@ -239,42 +281,42 @@ def missed_by(
     :param load: forces along the nominal program, or None.
     :param offset: (P, 3) from the nominal to the commanded position at the pairs, in the cell [m].
     """
-    out = np.full(len(rows), np.nan)
-    some = np.flatnonzero(one.program.motions.kind[rows] != PTP)
-    if not len(pair) or not len(some):
-        return out
-    motion, wanted = rows[some], one.points(one.along[rows[some] + 1])
-    wrench = np.zeros((len(some), 6)) if load is None else one.wrench(load, motion)
+    distances = np.full(len(rows), np.nan)
+    indices = np.flatnonzero(nominal_path.program.motions.kind[rows] != PTP)
+    if not len(pair) or not len(indices):
+        return distances
+    motion, positions = rows[indices], nominal_path.points(nominal_path.along[rows[indices] + 1])
+    wrench = np.zeros((len(indices), 6)) if load is None else nominal_path.wrench(load, motion)
     way = np.searchsorted(pair[:, 0], motion)
     last = np.minimum(way, len(pair) - 1)
-    begin = np.where(way > 0, other.along[pair[way - 1, 1] + 1], 0.0)
-    end = np.where(way < len(pair), other.along[pair[last, 1] + 1], other.along[-1])
+    begin = np.where(way > 0, corrected_path.along[pair[way - 1, 1] + 1], 0.0)
+    end = np.where(way < len(pair), corrected_path.along[pair[last, 1] + 1], corrected_path.along[-1])
     if load is None:
-        lengths = one.along[pair[:, 0] + 1]
-        moved = [np.interp(one.along[motion + 1], lengths, column) for column in offset.T]
-        wanted = wanted + np.stack(moved, axis=1)
+        lengths = nominal_path.along[pair[:, 0] + 1]
+        offsets = [np.interp(nominal_path.along[motion + 1], lengths, column) for column in offset.T]
+        positions = positions + np.stack(offsets, axis=1)
 
-    def distance(motion: Ints, wanted: Array, wrench: Array, begin: Array, end: Array) -> tuple[Array]:
+    def distance(motion: Ints, positions: Array, wrench: Array, begin: Array, end: Array) -> tuple[Array]:
         def points(length: Array) -> Array:
-            which = np.repeat(np.arange(len(length)), length.shape[1])
-            row, t = other.at(length.ravel())
+            point_index = np.repeat(np.arange(len(length)), length.shape[1])
+            row, t = corrected_path.at(length.ravel())
             if load is None:
-                tool = toolpath.tool_of(one.program, motion[which])
-                pose = toolpath.at(other.program, other.segments, row, t).pose[:]
-                spot = (toolpath.flange_from_tcp(other.program, row, pose, None) @ tool)[:, :3, 3]
+                tool = toolpath.tool_of(nominal_path.program, motion[point_index])
+                pose = toolpath.at(corrected_path.program, corrected_path.segments, row, t).pose[:]
+                spot = (toolpath.flange_from_tcp(corrected_path.program, row, pose, None) @ tool)[:, :3, 3]
             else:
-                q = other.joints_at(row, t)
+                q = corrected_path.joints_at(row, t)
                 spot = np.full((len(q), 3), np.inf)
                 good = np.isfinite(q).all(axis=1)
-                which = which[good]
-                carried = other.carried(row, t)[good]
-                spot[good] = one.loaded_tip(motion[which], q[good], wrench[which], carried)
+                point_index = point_index[good]
+                displacement = corrected_path.carried(row, t)[good]
+                spot[good] = nominal_path.loaded_tip(motion[point_index], q[good], wrench[point_index], displacement)
             return spot.reshape(*length.shape, 3)
 
         try:
-            return (nearest(points, wanted, begin, end)[1],)
+            return (nearest(points, positions, begin, end)[1],)
         except NotConvergedError as cause:
-            raise no_equilibrium(one.program, motion[:1], NotConvergedError(str(cause), [0])) from None
+            raise no_equilibrium(nominal_path.program, motion[:1], NotConvergedError(str(cause), [0])) from None
 
-    out[some] = in_chunks(distance, motion, wanted, wrench, begin, end)[0]
-    return out
+    distances[indices] = in_chunks(distance, motion, positions, wrench, begin, end)[0]
+    return distances

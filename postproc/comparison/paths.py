@@ -27,13 +27,13 @@ from postproc.under_load import RobotInCell
 
 SAME_FRAME = 1e-6
 """Frames that differ by less [m, rad] are the same."""
-_PLACES, _CLOSER, _REFINED = 33, 6, 9
+_PLACES, _REFINEMENTS, _FINE_SAMPLES = 33, 6, 9
 """The nearest place of a path is sought among this many, then so often between the neighbours of the best, among as
 many as the last number says."""
 _SAMPLES, _ROUNDS = 9, 4
 """Search for the largest distance of two arcs: places per round, and rounds between the neighbours of the best."""
 _NOTHING = 1e-12
-_STILL, _PER_RADIAN, _LEAST = 1e-9, 1e-3, 1e-4
+_STILL, _PER_RADIAN, _MIN_SIZE = 1e-9, 1e-3, 1e-4
 """A motion shorter than the first [m] does not move the tip: it counts so much arc length for the angle by which it
 turns the tool [m/rad], and at least the last [m], because the force may change along it."""
 
@@ -62,11 +62,11 @@ class PlacedProgram(DrivenProgram, frozen=True, eq=False, dict=True):
         """
         m = program.motions
         segments = toolpath.segments(program, robot_in_cell.start_flange)
-        still = (m.kind != PTP) & (segments.length < _STILL)
-        size = np.where(still, np.maximum(_PER_RADIAN * segments.turn, _LEAST), segments.length)
-        along, rows = np.append(0.0, np.cumsum(size)), np.flatnonzero(np.isnan(m.joints[:, 0]))
+        is_rotation = (m.kind != PTP) & (segments.length < _STILL)
+        size = np.where(is_rotation, np.maximum(_PER_RADIAN * segments.turn, _MIN_SIZE), segments.length)
+        path_lengths, rows = np.append(0.0, np.cumsum(size)), np.flatnonzero(np.isnan(m.joints[:, 0]))
         ends = _ends(program, robot_in_cell)
-        return cls(program, robot_in_cell, segments, size, along, rows, ends.q[:], ends.branch)
+        return cls(program, robot_in_cell, segments, size, path_lengths, rows, ends.q[:], ends.branch)
 
     def track(self, offset: Array | float = 0.0) -> Track:
         """Return the Cartesian targets in the root, displaced by offsets (n, 3) in their `$BASE` [m]."""
@@ -133,22 +133,22 @@ def _ends(program: Program, robot_in_cell: RobotInCell) -> JointPath:
         raise ProgramError(problem, file=file, line=line) from None
 
 
-def nearest(points: Callable[[Array], Array], wanted: Array, begin: Array, end: Array) -> tuple[Array, Array]:
+def nearest(points: Callable[[Array], Array], positions: Array, begin: Array, end: Array) -> tuple[Array, Array]:
     """Return the nearest place of a path to each of n points, and its distance [m].
 
     :param points: returns positions (n, k, 3) of the path at arc lengths (n, k).
-    :param wanted: (n, 3) the points.
+    :param positions: (n, 3) the points.
     :param begin: (n,) arc length from which places count, `end` (n,) to which [m].
     """
-    rows = np.arange(len(wanted))
+    rows = np.arange(len(positions))
     low, high, count = begin, end, _PLACES
-    for _ in range(1 + _CLOSER):
-        tried = low[:, None] + (high - low)[:, None] * np.linspace(1e-9, 1.0, count)
-        apart = norm((points(tried) - wanted[:, None]).reshape(-1, 3)).reshape(tried.shape)
-        best = np.argmin(apart, axis=1)
-        low, high = tried[rows, np.maximum(best - 1, 0)], tried[rows, np.minimum(best + 1, count - 1)]
-        place, distance = tried[rows, best], apart[rows, best]
-        count = _REFINED
+    for _ in range(1 + _REFINEMENTS):
+        lengths = low[:, None] + (high - low)[:, None] * np.linspace(1e-9, 1.0, count)
+        distances = norm((points(lengths) - positions[:, None]).reshape(-1, 3)).reshape(lengths.shape)
+        best = np.argmin(distances, axis=1)
+        low, high = lengths[rows, np.maximum(best - 1, 0)], lengths[rows, np.minimum(best + 1, count - 1)]
+        place, distance = lengths[rows, best], distances[rows, best]
+        count = _FINE_SAMPLES
     return place, distance
 
 
@@ -167,15 +167,15 @@ class Chain(Struct, frozen=True, eq=False):
     end: Array
 
     @classmethod
-    def of(cls, side: PlacedProgram, paired: Ints) -> Chain:
+    def of(cls, side: PlacedProgram, paired_rows: Ints) -> Chain:
         """Return the chain of the motions that end at pairs (P,), and of those between."""
-        row = np.arange(paired[0] + 1, paired[-1] + 1)
-        pair = np.searchsorted(paired, row)
-        before = side.along[paired[pair - 1] + 1]
-        whole = side.along[paired[pair] + 1] - before
-        ordinal = (row - paired[pair - 1]) / (paired[pair] - paired[pair - 1])
-        share = np.where(whole > _NOTHING, (side.along[row + 1] - before) / np.maximum(whole, _NOTHING), ordinal)
-        end = np.where(row == paired[pair], pair, np.minimum(pair - 1 + share, pair))
+        row = np.arange(paired_rows[0] + 1, paired_rows[-1] + 1)
+        pair = np.searchsorted(paired_rows, row)
+        start_length = side.along[paired_rows[pair - 1] + 1]
+        whole = side.along[paired_rows[pair] + 1] - start_length
+        ordinal = (row - paired_rows[pair - 1]) / (paired_rows[pair] - paired_rows[pair - 1])
+        share = np.where(whole > _NOTHING, (side.along[row + 1] - start_length) / np.maximum(whole, _NOTHING), ordinal)
+        end = np.where(row == paired_rows[pair], pair, np.minimum(pair - 1 + share, pair))
         return cls(side.program, side.segments, row, np.concatenate([[0.0], end[:-1]]), end)
 
     def at(self, u: Array) -> tuple[Ints, Array]:
@@ -184,11 +184,11 @@ class Chain(Struct, frozen=True, eq=False):
         width = np.maximum(self.end[index] - self.begin[index], _NOTHING)
         return self.row[index], np.clip((u - self.begin[index]) / width, 1e-9, 1.0)
 
-    def any(self, wanted: Bools) -> Bools:
+    def any(self, selection: Bools) -> Bools:
         """Return for each pair (P,) whether one of the motions (M,) between it and the pair before is wanted."""
-        out = np.zeros(int(self.end[-1]) + 1, dtype=bool)
-        out[np.ceil(self.end[wanted[self.row]] - _NOTHING).astype(np.int64)] = True
-        return out
+        has_motion = np.zeros(int(self.end[-1]) + 1, dtype=bool)
+        has_motion[np.ceil(self.end[selection[self.row]] - _NOTHING).astype(np.int64)] = True
+        return has_motion
 
 
 class Curves(Struct, frozen=True, eq=False):
@@ -201,9 +201,9 @@ class Curves(Struct, frozen=True, eq=False):
     other: Chain
 
     @classmethod
-    def of(cls, one: PlacedProgram, other: PlacedProgram, pair: Ints) -> Curves | None:
+    def of(cls, nominal_path: PlacedProgram, corrected_path: PlacedProgram, pair: Ints) -> Curves | None:
         """Return the curves between pairs (P, 2); None for fewer than two."""
-        return cls(Chain.of(one, pair[:, 0]), Chain.of(other, pair[:, 1])) if len(pair) > 1 else None
+        return cls(Chain.of(nominal_path, pair[:, 0]), Chain.of(corrected_path, pair[:, 1])) if len(pair) > 1 else None
 
     def at(self, u: Array) -> tuple[Array, Array]:
         """Return the positions (n, 3) [m] of the nominal tool that each program commands at u (n,), nominal `$BASE`."""
@@ -230,30 +230,32 @@ class Curves(Struct, frozen=True, eq=False):
 
         NaN for the first pair, and where a PTP is between.
         """
-        out = np.full(int(self.one.end[-1]) + 1, np.nan)
+        distances = np.full(int(self.one.end[-1]) + 1, np.nan)
         knots = np.unique(np.concatenate([[0.0], self.one.end, self.other.end]))
         knots = knots[np.diff(knots, prepend=-1.0) > _NOTHING]
         begin, end = knots[:-1], knots[1:]
         pair = np.ceil(end - _NOTHING).astype(np.int64)
         unknown = self.one.any(self.one.program.motions.kind == PTP) | self.other.any(self._kind == PTP)
         largest = np.maximum(self._distance(begin + 1e-9 * (end - begin)), self._distance(end))
-        curved = np.flatnonzero(~unknown[pair] & self._curved(end))
-        if len(curved):
-            largest[curved] = np.maximum(largest[curved], in_chunks(self._largest, begin[curved], end[curved])[0])
-        np.fmax.at(out, pair, largest)
-        out[unknown] = np.nan
-        return out
+        curve_indices = np.flatnonzero(~unknown[pair] & self._curved(end))
+        if len(curve_indices):
+            largest[curve_indices] = np.maximum(
+                largest[curve_indices], in_chunks(self._largest, begin[curve_indices], end[curve_indices])[0]
+            )
+        np.fmax.at(distances, pair, largest)
+        distances[unknown] = np.nan
+        return distances
 
     def parts(self, angle: float) -> Ints:
         """Return the number of chords (P,) that draw the path to each pair, one for each `angle` of an arc [rad]."""
-        out = np.ones(int(self.one.end[-1]) + 1, dtype=np.int64)
+        counts = np.ones(int(self.one.end[-1]) + 1, dtype=np.int64)
         for chain in (self.one, self.other):
             arc = np.flatnonzero(chain.program.motions.kind[chain.row] == CIRC)
-            turned = np.zeros(len(out))
+            angles = np.zeros(len(counts))
             pair = np.ceil(chain.end[arc] - _NOTHING).astype(np.int64)
-            np.add.at(turned, pair, chain.program.motions.sweep[chain.row[arc]])
-            out = np.maximum(out, np.ceil(turned / angle).astype(np.int64))
-        return out
+            np.add.at(angles, pair, chain.program.motions.sweep[chain.row[arc]])
+            counts = np.maximum(counts, np.ceil(angles / angle).astype(np.int64))
+        return counts
 
     @property
     def _kind(self) -> Ints:
@@ -272,8 +274,8 @@ class Curves(Struct, frozen=True, eq=False):
         return np.asarray((self.one.program.motions.kind[motion] == CIRC) | (self._kind[row] == CIRC))
 
     def _distance(self, u: Array) -> Array:
-        one, other = self.at(u)
-        return norm(other - one)
+        nominal_points, corrected_points = self.at(u)
+        return norm(corrected_points - nominal_points)
 
     def _largest(self, begin: Array, end: Array) -> tuple[Array]:
         """Return the largest distances (n,) between u = begin (n,) and end (n,), where both paths are smooth."""

@@ -132,14 +132,17 @@ class Comparison(Struct, frozen=True, eq=False):
     @property
     def speed_differs(self) -> Bools:
         """(P,) True where the speeds differ by more than their digits."""
-        one, other = self.speeds.T
-        return np.asarray(np.abs(one - other) > 1e-3 * np.abs(one) + 1e-6)
+        nominal_speed, corrected_speed = self.speeds.T
+        return np.asarray(np.abs(nominal_speed - corrected_speed) > 1e-3 * np.abs(nominal_speed) + 1e-6)
 
     @property
     def spline(self) -> Bools:
         """(P,) True where the way to the target is a piece of a spline in both programs: it is not compared."""
-        one, other = self.nominal.motions.kind[self.pair[:, 0]], self.corrected.motions.kind[self.pair[:, 1]]
-        return np.asarray((one == SPL) & (other == SPL))
+        nominal_kind, corrected_kind = (
+            self.nominal.motions.kind[self.pair[:, 0]],
+            self.corrected.motions.kind[self.pair[:, 1]],
+        )
+        return np.asarray((nominal_kind == SPL) & (corrected_kind == SPL))
 
 
 def place_of(program: Program, row: int) -> tuple[str, int]:
@@ -155,15 +158,15 @@ def of_line(program: Program, line: int | None) -> tuple[str, int] | None:
     return place_of(program, rows[0]) if len(rows) else (program.documents[0].name, line)
 
 
-def at_rows(found: Comparison, kind: str, message: str, rows: Sequence[int], count: int) -> Difference:
+def at_rows(comparison: Comparison, kind: str, message: str, rows: Sequence[int], count: int) -> Difference:
     """Return a warning at a motion of each program; −1 where one has none."""
-    one, other = (
+    nominal_place, corrected_place = (
         None if row < 0 else place_of(program, row)
-        for program, row in zip((found.nominal, found.corrected), rows, strict=True)
+        for program, row in zip((comparison.nominal, comparison.corrected), rows, strict=True)
     )
-    return Difference("warning", kind, message, one, other, count)
+    return Difference("warning", kind, message, nominal_place, corrected_place, count)
 
 
-def at_pairs(found: Comparison, kind: str, message: str, pairs: Ints) -> Difference:
+def at_pairs(comparison: Comparison, kind: str, message: str, pairs: Ints) -> Difference:
     """Return a warning at pairs (n,); the first of them is named."""
-    return at_rows(found, kind, message, found.pair[pairs[0]].tolist(), len(pairs))
+    return at_rows(comparison, kind, message, comparison.pair[pairs[0]].tolist(), len(pairs))

@@ -15,7 +15,7 @@ import numpy as np
 from postproc.comparison.result import Comparison, Difference, place_of
 from postproc.program import Ints, Program
 
-_COMPARED = re.compile(
+_STATEMENT_WORDS = re.compile(
     r"\$(?:OUT|ANOUT|CYCFLAG|FLAG|ACC|ACC_AXIS|ACC_CAR|LOAD|LOAD_A\d|VEL\.ORI\d|VEL_AXIS|VEL_CAR|APO\.(?:CVEL|CORI|CPTP)"
     r"|JERK|GEAR_JERK|IPO_MODE|ADVANCE|OV_PRO|TIMER_STOP)\b|(?:WAIT|HALT|PULSE|ANOUT|TRIGGER|INTERRUPT|BRAKE|CONTINUE"
     r"|SYN|EXIT|RETURN|RESUME)\b",
@@ -87,31 +87,31 @@ class _Texts:
 
     def _compared(self, file: str, numbers: range) -> list[Statement]:
         texts = ((self.statement(file, number), number) for number in numbers)
-        return [(_squeezed(text), number) for text, number in texts if _COMPARED.match(text)]
+        return [(_squeezed(text), number) for text, number in texts if _STATEMENT_WORDS.match(text)]
 
 
 def _squeezed(text: str) -> str:
     return _DISTANCE.sub("DO", "".join(text.split()).upper())
 
 
-def statement_differences(found: Comparison) -> Iterator[Difference]:
+def statement_differences(comparison: Comparison) -> Iterator[Difference]:
     """Yield the statements that are between the same motions of one of two KRL programs only."""
-    programs = found.nominal, found.corrected
-    if any(program.dialect != "krl" or not program.keeps_text for program in programs) or not len(found.pair):
+    programs = comparison.nominal, comparison.corrected
+    if any(program.dialect != "krl" or not program.keeps_text for program in programs) or not len(comparison.pair):
         return
     texts = [_Texts(program) for program in programs]
-    motions = [_places(program, rows) for program, rows in zip(programs, found.pair.T, strict=True)]
-    differing: dict[tuple[str, bool], list[tuple[int, int]]] = {}
+    motions = [_places(program, rows) for program, rows in zip(programs, comparison.pair.T, strict=True)]
+    occurrences: dict[tuple[str, bool], list[tuple[int, int]]] = {}
     for places, text in zip(motions, texts, strict=True):
         places.insert(0, text.routine(places[0])[0])
         places.append(text.routine(places[-1])[1])
-    for k in range(len(found.pair) + 1):
+    for k in range(len(comparison.pair) + 1):
         spans = [text.between(*places[k : k + 2]) for text, places in zip(texts, motions, strict=True)]
         if spans[0] is None or spans[1] is None or [s for s, _ in spans[0]] == [s for s, _ in spans[1]]:
             continue
         for statement, line, in_second in _only_in_one(spans[0], spans[1]):
-            differing.setdefault((statement, in_second), []).append((min(k, len(found.pair) - 1), line))
-    yield from _listed(found, differing, texts)
+            occurrences.setdefault((statement, in_second), []).append((min(k, len(comparison.pair) - 1), line))
+    yield from _listed(comparison, occurrences, texts)
 
 
 def _places(program: Program, rows: Ints) -> list[tuple[str, int]]:
@@ -134,22 +134,23 @@ def _only_in_one(first: Sequence[Statement], second: Sequence[Statement]) -> Ite
 
 
 def _listed(
-    found: Comparison, differing: dict[tuple[str, bool], list[tuple[int, int]]], texts: Sequence[_Texts]
+    comparison: Comparison, occurrences: dict[tuple[str, bool], list[tuple[int, int]]], texts: Sequence[_Texts]
 ) -> Iterator[Difference]:
-    order = sorted(differing.items(), key=lambda entry: entry[1][0])
-    for (_, in_second), where in order[:_MOST]:
-        k, line = where[0]
-        nominal, corrected = (
-            place_of(program, row) for program, row in zip((found.nominal, found.corrected), found.pair[k], strict=True)
+    order = sorted(occurrences.items(), key=lambda entry: entry[1][0])
+    for (_, in_second), places in order[:_MOST]:
+        k, line = places[0]
+        nominal_place, corrected_place = (
+            place_of(program, row)
+            for program, row in zip((comparison.nominal, comparison.corrected), comparison.pair[k], strict=True)
         )
-        file = (corrected if in_second else nominal)[0]
-        nominal, corrected = (nominal, (file, line)) if in_second else ((file, line), corrected)
-        which = "second" if in_second else "nominal"
+        file = (corrected_place if in_second else nominal_place)[0]
+        nominal_place, corrected_place = (nominal_place, (file, line)) if in_second else ((file, line), corrected_place)
+        program_name = "second" if in_second else "nominal"
         text = texts[in_second].statement(file, line)
-        message = f"{text} is at this place in the {which} program only: it switches, waits or drives otherwise."
-        yield Difference("warning", "statement", message, nominal, corrected, len(where))
-    left_out = order[_MOST:]
-    if left_out:
-        count = int(np.sum([len(where) for _, where in left_out]))
-        message = f"{len(left_out)} other statements that switch, wait or set accelerations differ."
+        message = f"{text} is at this place in the {program_name} program only: it switches, waits or drives otherwise."
+        yield Difference("warning", "statement", message, nominal_place, corrected_place, len(places))
+    unlisted_entries = order[_MOST:]
+    if unlisted_entries:
+        count = int(np.sum([len(places) for _, places in unlisted_entries]))
+        message = f"{len(unlisted_entries)} other statements that switch, wait or set accelerations differ."
         yield Difference("warning", "statement", message, count=count)
