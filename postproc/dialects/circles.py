@@ -58,17 +58,17 @@ class Circle(Struct, frozen=True, eq=False):
     def fault_at(self, point: Array) -> str | None:
         """Return why a point (3,) is not on the circle, or None if it is."""
         length = self.polar(point)[1]
-        off = abs(length - self.radius)
-        if self.radius < _LEAST_MM or off > max(TOLERANCE_MM, _RELATIVE * self.radius):
+        deviation = abs(length - self.radius)
+        if self.radius < _LEAST_MM or deviation > max(TOLERANCE_MM, _RELATIVE * self.radius):
             return f"{length:.4f} mm from the axis of a circle with radius {self.radius:.4f} mm"
         return None
 
     def sweep(self, start: Array, end: Array) -> float:
         """Return the angle from one point (3,) to another [rad], in (0, 2π]."""
-        one, other = self.polar(start)[0], self.polar(end)[0]
-        if norm(other - one) <= _SAME_MM:
+        start_vector, end_vector = self.polar(start)[0], self.polar(end)[0]
+        if norm(end_vector - start_vector) <= _SAME_MM:
             return 2.0 * np.pi
-        angle = float(np.arctan2(self.axis @ np.cross(one, other), one @ other))
+        angle = float(np.arctan2(self.axis @ np.cross(start_vector, end_vector), start_vector @ end_vector))
         return angle if angle > 0.0 else angle + 2.0 * np.pi
 
     def at_height_of(self, point: Array) -> Array:
@@ -80,8 +80,8 @@ def leaving(start: Array, direction: Array, centre: Array, radius: float) -> Cir
     """Return the circle that leaves a start along a direction (3,), or None if there is none."""
     axis = np.cross(start - centre, direction)
     size = float(norm(axis))
-    across = float(norm(start - centre)) * float(norm(direction))
-    if across == 0.0 or size < 0.99 * across:
+    largest_size = float(norm(start - centre)) * float(norm(direction))
+    if largest_size == 0.0 or size < 0.99 * largest_size:
         return None
     return Circle(centre, axis / size, radius)
 
@@ -98,7 +98,7 @@ def belonging(circle: Circle, start: Array, points: Array) -> int | None:
     if count <= 1:
         return 1
     way = np.vstack([start[None], points[:count]])
-    sweeps = np.array([circle.sweep(one, other) for one, other in pairwise(way)])
+    sweeps = np.array([circle.sweep(begin, end) for begin, end in pairwise(way)])
     close = circle.radius * (1.0 - np.cos(np.minimum(sweeps[1:], np.pi) / 2.0)) < TOLERANCE_MM
-    even = count > 2 and np.ptp(sweeps) < 0.02 * sweeps.mean() and sweeps.sum() < 2.0 * np.pi * 1.001
-    return count if close.all() or even else None
+    is_even = count > 2 and np.ptp(sweeps) < 0.02 * sweeps.mean() and sweeps.sum() < 2.0 * np.pi * 1.001
+    return count if close.all() or is_even else None

@@ -47,9 +47,9 @@ def needed(forces: TargetForces, kind: Ints, note: Ints, notes: Sequence[ForceNo
         return (np.asarray(~(np.abs(wanted(row) - state) <= [0.0, *(0.6 * 0.1**_DECIMALS)]).all(axis=1)),)
 
     rows = np.flatnonzero(kind != PTP)
-    out = np.zeros(len(kind), dtype=np.bool_)
-    out[rows] = in_chunks(in_chunk, rows, np.append(-1, rows)[:-1])[0]
-    return out
+    needs_comment = np.zeros(len(kind), dtype=np.bool_)
+    needs_comment[rows] = in_chunks(in_chunk, rows, np.append(-1, rows)[:-1])[0]
+    return needs_comment
 
 
 def columns(comment: bytes, forces: TargetForces, rows: Ints, shown: Bools) -> list[Part]:

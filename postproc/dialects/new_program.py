@@ -71,12 +71,12 @@ class NewProgram:
     def kind(self) -> str:
         """Return the description of the targets for the head of the program; the first chunk usually decides it."""
         ends = np.flatnonzero(np.append(self.row[1:] != self.row[:-1], True)[: len(self.row)])
-        corrected = any(
+        is_corrected = any(
             np.abs(self.program.motions.target[self.row[part]] - self.targets.pose[part]).max() > _CORRECTED
             for part in map(ends.__getitem__, chunks(len(ends)))
             if len(part)
         )
-        return "targets corrected for deflection" if corrected else "nominal targets"
+        return "targets corrected for deflection" if is_corrected else "nominal targets"
 
     def frames(self, k: int) -> tuple[int, int]:
         """Return base and tool of a target: rows of `Program.bases` and `Program.tools`."""
@@ -111,14 +111,14 @@ class NewProgram:
                 self.stops.add(k)
                 waiting = k
             else:
-                own = self._own_lines(event)
-                if own and waiting != k and words.wait:
+                cell_lines = self._own_lines(event)
+                if cell_lines and waiting != k and words.wait:
                     self.before[k].append(words.wait)
                     waiting = k
-                if own:
+                if cell_lines:
                     self.stops.add(k)
-                    self.own[k] += own
-                self.before[k] += own or [f"{words.comment} {no_lines(event)}"]
+                    self.own[k] += cell_lines
+                self.before[k] += cell_lines or [f"{words.comment} {no_lines(event)}"]
         if self.without_lines:
             names = ", ".join(dict.fromkeys(event.kind for event in self.without_lines))
             message = f"The cell has no lines for {names} in [gcode]: the program does nothing there."
@@ -144,13 +144,13 @@ class NewProgram:
 
     def _own_lines(self, event: Event) -> list[str]:
         """Return the cell's lines for an event, with its value inserted; warn if there are none."""
-        gcode, own = self.cell.gcode, self.lines_of(event)
-        if event.kind == "spindle_ccw" and own and not gcode.spindle_ccw:
+        gcode, cell_lines = self.cell.gcode, self.lines_of(event)
+        if event.kind == "spindle_ccw" and cell_lines and not gcode.spindle_ccw:
             message = "M4 uses the lines of spindle_on: give spindle_ccw in [gcode] if the direction is to change."
             self.issues.append(Issue("warning", "spindle-direction", message, event.line))
-        if not own and event.kind != "m_code" and not self._stated(event):
+        if not cell_lines and event.kind != "m_code" and not self._stated(event):
             self.without_lines.append(event)
-        return own
+        return cell_lines
 
     def _stated(self, event: Event) -> bool:
         """Return whether the cell says what an event needs; an empty list says that it needs nothing."""
@@ -162,11 +162,11 @@ class NewProgram:
         """Return the cell's lines for an event, with its value inserted; those of M3 for M4 without own ones."""
         if event.kind == "m_code":
             return [self.words.printable(line) for line in self.cell.m_codes[f"M{number(event.value)}"]]
-        own: Sequence[str] = getattr(self.cell.gcode, event.kind) or []
+        cell_lines: Sequence[str] = getattr(self.cell.gcode, event.kind) or []
         if event.kind == "spindle_ccw":
-            own = own or self.cell.gcode.spindle_on or []
+            cell_lines = cell_lines or self.cell.gcode.spindle_on or []
         value = number(event.value)
-        return [self.words.printable(line.replace("{S}", value).replace("{T}", value)) for line in own]
+        return [self.words.printable(line.replace("{S}", value).replace("{T}", value)) for line in cell_lines]
 
     def distances(self) -> Array:
         """Return the approximation distance of each target (K,) [m]; 0 where the robot must stop."""
@@ -232,9 +232,9 @@ class NewProgram:
         rank = np.zeros(len(rows), dtype=np.int64)
         texts, ends = {}, {}
         for value in (LIN, CIRC, PTP):
-            own = np.flatnonzero(kind == value)
-            rank[own] = np.arange(len(own))
-            texts[value] = printed(value, rows[own]) if len(own) else b""
+            indices = np.flatnonzero(kind == value)
+            rank[indices] = np.arange(len(indices))
+            texts[value] = printed(value, rows[indices]) if len(indices) else b""
             ends[value] = np.flatnonzero(np.frombuffer(texts[value], dtype=np.uint8) == ord("\n")) + 1
         changes = np.flatnonzero(np.diff(kind) != 0) + 1
         cuts = distinct(np.concatenate([[0], noted - rows[:1], changes, [len(rows)]])) if len(rows) else rows

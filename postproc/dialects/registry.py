@@ -59,35 +59,35 @@ def by_name(name: str) -> Dialect:
     """
     if name in _OURS:
         return _ours(name)
-    found = _others().get(name)
-    if found is None:
+    dialect = _others().get(name)
+    if dialect is None:
         raise InputError(
             f"unknown dialect {name!r}",
             advice=choices(name, names(), "There are"),
         )
-    if isinstance(found, str):
-        raise InputError(f"the dialect {name!r} cannot be used: {found}", advice="Mend or remove its package.")
-    return found
+    if isinstance(dialect, str):
+        raise InputError(f"the dialect {name!r} cannot be used: {dialect}", advice="Mend or remove its package.")
+    return dialect
 
 
 def names() -> tuple[str, ...]:
     """Return the names of all dialects that can be used: our own first."""
-    return (*_OURS, *(name for name, found in _others().items() if not isinstance(found, str)))
+    return (*_OURS, *(name for name, dialect in _others().items() if not isinstance(dialect, str)))
 
 
 def broken() -> dict[str, str]:
     """Return the dialects of other packages that cannot be used, and why."""
-    return {name: found for name, found in _others().items() if isinstance(found, str)}
+    return {name: reason for name, reason in _others().items() if isinstance(reason, str)}
 
 
 def extensions() -> dict[str, str]:
     """Return the extension of every kind of program (lower case) and the name of its dialect; ours win."""
-    found = dict(_EXTENSIONS)
+    dialect_names = dict(_EXTENSIONS)
     for dialect in _others().values():
         if not isinstance(dialect, str):
             for extension in dialect.extensions:
-                found.setdefault(extension, dialect.name)
-    return found
+                dialect_names.setdefault(extension, dialect.name)
+    return dialect_names
 
 
 def of_file(path: Path) -> Dialect:
@@ -98,13 +98,13 @@ def of_file(path: Path) -> Dialect:
     extension = path.suffix.lower()
     if extension in _EXTENSIONS:
         return by_name(_EXTENSIONS[extension])
-    known = extensions()
-    if extension in known:
-        return by_name(known[extension])
+    dialect_names = extensions()
+    if extension in dialect_names:
+        return by_name(dialect_names[extension])
     if extension in _NO_PROGRAMS:
-        what, _, advice = _NO_PROGRAMS[extension].partition(". ")
-        raise ProgramError(f"this is {what}", file=str(path), advice=advice)
-    advice = f"Known extensions: {' '.join(known)}. Otherwise say how to read it with --dialect {' or '.join(names())}."
+        description, _, advice = _NO_PROGRAMS[extension].partition(". ")
+        raise ProgramError(f"this is {description}", file=str(path), advice=advice)
+    advice = f"Known extensions: {' '.join(dialect_names)}. Otherwise say how to read it with --dialect {' or '.join(names())}."
     advice += "".join(f" The dialect {name} cannot be used: {reason}." for name, reason in broken().items())
     raise ProgramError(f"unknown kind of program {path.suffix!r}", file=str(path), advice=advice)
 
@@ -116,14 +116,14 @@ def written_in(dialect: str, to: str | None = None) -> tuple[str, Writer]:
     :param to: in which it is wanted; None = its own if that is written, else KRL.
     :raises InputError: it cannot be written so.
     """
-    own = by_name(dialect).writer
-    if own is not None:
+    own_writer = by_name(dialect).writer
+    if own_writer is not None:
         if to not in (None, dialect):
             raise InputError(
                 f"a program in {dialect} is written in {dialect} again, not in {to}",
                 advice="Post-process the part as G-code for another controller.",
             )
-        return dialect, own
+        return dialect, own_writer
     name = _WRITTEN if to is None else to
     writer = by_name(name).writer
     if writer is None:
@@ -135,8 +135,8 @@ def written_in(dialect: str, to: str | None = None) -> tuple[str, Writer]:
 @cache
 def _ours(name: str) -> Dialect:
     module, _, attribute = _OURS[name].partition(":")
-    found: Dialect = getattr(import_module(module), attribute)
-    return found
+    dialect: Dialect = getattr(import_module(module), attribute)
+    return dialect
 
 
 @cache
@@ -148,15 +148,15 @@ def _others() -> dict[str, Dialect | str]:
 
 
 def _other(entry: EntryPoint) -> Dialect | str:
-    whose = f"of {entry.dist.name} {entry.dist.version}" if entry.dist else f"({entry.value})"
+    origin = f"of {entry.dist.name} {entry.dist.version}" if entry.dist else f"({entry.value})"
     try:
-        found = entry.load()
+        plugin = entry.load()
     except (Exception, SystemExit) as cause:  # whatever another package does wrong
-        return f"the import {whose} fails ({type(cause).__name__}: {cause})"
-    lacking = [name for name in _ASKED if not hasattr(found, name)]
-    if lacking:
-        return f"the entry point {whose} is no dialect, it has no {', '.join(lacking)}"
-    if found.name != entry.name:
-        return f"the entry point {whose} calls itself {found.name!r}"
-    dialect: Dialect = found
+        return f"the import {origin} fails ({type(cause).__name__}: {cause})"
+    missing_names = [name for name in _ASKED if not hasattr(plugin, name)]
+    if missing_names:
+        return f"the entry point {origin} is no dialect, it has no {', '.join(missing_names)}"
+    if plugin.name != entry.name:
+        return f"the entry point {origin} calls itself {plugin.name!r}"
+    dialect: Dialect = plugin
     return dialect

@@ -53,11 +53,11 @@ def line_spans(text: str) -> tuple[Ints, Ints]:
     """
     starts, stops, at = [], [], 0
     while True:
-        behind = text.find("\n", at + _PIECE) + 1 or len(text)  # a line end of several characters ends with LF
-        first, last = _spans(text[at:behind])
+        piece_end = text.find("\n", at + _PIECE) + 1 or len(text)  # a line end of several characters ends with LF
+        first, last = _spans(text[at:piece_end])
         starts.append(first + at)
         stops.append(last + at)
-        at = behind
+        at = piece_end
         if at == len(text):
             return np.concatenate(starts), np.concatenate(stops)
 
@@ -72,14 +72,14 @@ def _spans(text: str) -> tuple[Ints, Ints]:
     carriage_returns = np.flatnonzero(units == _CR)
     if len(carriage_returns):
         following = np.concatenate([units, np.zeros(2, units.dtype)])
-        after, next_after = following[carriage_returns + 1], following[carriage_returns + 2]
-        alone = carriage_returns[(after != _LF) & ((after != _CR) | (next_after != _LF))]
-        before, one_before = units[ends - 1] == _CR, units[ends - 2] == _CR
-        before &= ends >= 1
-        one_before &= before & (ends >= 2)
-        stops = ends - before - one_before
-        if len(alone):
-            ends, stops = np.concatenate([ends, alone]), np.concatenate([stops, alone])
+        next_unit, second_unit = following[carriage_returns + 1], following[carriage_returns + 2]
+        lone_returns = carriage_returns[(next_unit != _LF) & ((next_unit != _CR) | (second_unit != _LF))]
+        ends_with_cr, ends_with_two_cr = units[ends - 1] == _CR, units[ends - 2] == _CR
+        ends_with_cr &= ends >= 1
+        ends_with_two_cr &= ends_with_cr & (ends >= 2)
+        stops = ends - ends_with_cr - ends_with_two_cr
+        if len(lone_returns):
+            ends, stops = np.concatenate([ends, lone_returns]), np.concatenate([stops, lone_returns])
             ends.sort()
             stops.sort()
     starts = np.concatenate([[0], ends + 1])

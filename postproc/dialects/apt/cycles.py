@@ -87,18 +87,23 @@ class CycleWords(Struct, frozen=True):
         """
         mm = {word: number * unit for word, number in self.heights.items()}
         depth, clear = mm["DEPTH"], mm["CLEAR"]
-        back, near = mm.get("RETURN", clear), clear - mm.get("RAPTO", 0.0)
+        return_height, rapid_height = mm.get("RETURN", clear), clear - mm.get("RAPTO", 0.0)
         step = mm.get("STEP", 0.0)
-        if not (depth > 0.0 and clear > 0.0 and clear >= near >= 0.0 and (self.to_height_before or back >= clear)):
+        if not (
+            depth > 0.0
+            and clear > 0.0
+            and clear >= rapid_height >= 0.0
+            and (self.to_height_before or return_height >= clear)
+        ):
             raise StatementError("the heights of the cycle contradict each other", ADVICE)
-        if self.name in _PECKED and not step > (depth + near) / _MOST_PECKS:
+        if self.name in _PECKED and not step > (depth + rapid_height) / _MOST_PECKS:
             raise StatementError(f"STEP {self.heights['STEP']:g} is not a valid depth of a peck", ADVICE)
         first_step = mm.get("1STPECK", step)
         if self.name in _PECKED and not first_step > 0.0:
             raise StatementError("1STPECK is not above zero", ADVICE)
-        returned = None if self.to_height_before else back
+        returned = None if self.to_height_before else return_height
         dwell = self.heights.get("DWELL", 0.0)
-        return Cycle(depth, clear, near, returned, feed, dwell, step, first_step, self.name == "DEEP")
+        return Cycle(depth, clear, rapid_height, returned, feed, dwell, step, first_step, self.name == "DEEP")
 
 
 def cycle_words(given: Sequence[float | str], rates: Sequence[str]) -> CycleWords:
@@ -131,9 +136,9 @@ def _with_depth(couplets: Sequence[float | str]) -> tuple[list[float | str], boo
     """Return a cycle with FEDTO in the words of the others, and whether it goes back to the height before."""
     automatic = ("RTRCTO", "AUTO")
     pairs = list(zip(couplets[0::2], couplets[1::2], strict=True))
-    out: list[float | str] = []
+    new_couplets: list[float | str] = []
     for word, value in pairs:
         if (word, value) != automatic:
             is_depth = word == "FEDTO" and isinstance(value, float)
-            out += [_OF_FEDTO.get(str(word), word), abs(value) if is_depth else value]  # type: ignore[arg-type]
-    return out, automatic in pairs
+            new_couplets += [_OF_FEDTO.get(str(word), word), abs(value) if is_depth else value]  # type: ignore[arg-type]
+    return new_couplets, automatic in pairs

@@ -82,7 +82,7 @@ def read(document: Document, cell: Cell, forward: Callable[[Array], Array], name
     tool_frames += [cell.tools[f"{number:g}"].pose() for number in numbers]
     home = np.array(cell.machine.home_joints or np.full(6, np.nan)) * RAD_PER_DEG
     at_home = inverse(base) @ forward(home) @ np.stack(tool_frames) if cell.machine.home_joints else None
-    kept, motions = _motions(moves, source, cell, numbers, (home, at_home))
+    motion_moves, motions = _motions(moves, source, cell, numbers, (home, at_home))
     return Program(
         name=name,
         dialect="apt",
@@ -91,10 +91,10 @@ def read(document: Document, cell: Cell, forward: Callable[[Array], Array], name
         bases=base[None],
         tools=np.stack(tool_frames),
         notes=_placed(notes, motions),
-        events=tuple(_events(course, comments, source, kept, motions)),
+        events=tuple(_events(course, comments, source, motion_moves, motions)),
         unforced=np.zeros(int(course.unforced), dtype=np.int64),
-        still=distinct(source.line[np.delete(moves.row, kept)]),
-        issues=tuple(_issues(course, source, moves, kept)),
+        still=distinct(source.line[np.delete(moves.row, motion_moves)]),
+        issues=tuple(_issues(course, source, moves, motion_moves)),
     )
 
 
@@ -138,8 +138,8 @@ class _Moves:
         self.axis: Array = np.concatenate([part.axis for part in parts] or nothing[1])
         self.part = np.repeat(np.arange(len(parts)), count)
         self.begin = np.concatenate([start[None, :3, 3] / M_PER_MM, self.end[:-1]])[: len(self.row)]
-        before = np.concatenate([[[0.0, 0.0, 1.0]], self.axis[:-1]])[: len(self.row)]
-        self.turns = norm(self.axis - before) > _STILL
+        previous_axis = np.concatenate([[[0.0, 0.0, 1.0]], self.axis[:-1]])[: len(self.row)]
+        self.turns = norm(self.axis - previous_axis) > _STILL
 
     def each(self, name: str) -> Array:
         """Return a property of the parts for each move (N,)."""
@@ -152,21 +152,23 @@ def _motions(
     """Return which moves are motions (M,), and these."""
     code, free, at_home = moves.each("code"), moves.each("free"), moves.each("home")
     tool = np.array([numbers.get(part.tool, 0) if part.tool is not None else 0 for part in moves.parts])[moves.part]
-    other = np.diff(tool, prepend=tool[:1]) != 0
+    tool_changes = np.diff(tool, prepend=tool[:1]) != 0
     short = norm(moves.end - moves.begin) <= _SAME_MM
-    kept = np.flatnonzero(~short | moves.turns | (code == ARC) | free | other | (np.arange(len(code)) == 0))
-    code, free, at_home, tool = code[kept], free[kept], at_home[kept], tool[kept]
-    count = len(kept)
+    motion_moves = np.flatnonzero(
+        ~short | moves.turns | (code == ARC) | free | tool_changes | (np.arange(len(code)) == 0)
+    )
+    code, free, at_home, tool = code[motion_moves], free[motion_moves], at_home[motion_moves], tool[motion_moves]
+    count = len(motion_moves)
     target = np.zeros((count, 4, 4))
     target[:, 3, 3] = 1.0
     orientation = cell.tool_pose_in_program()
     reference = _reference(moves.axis)
-    axis = moves.axis[kept] @ reference
+    axis = moves.axis[motion_moves] @ reference
     if (axis == axis[:1]).all():
         target[:, :3, :3] = reference @ tilted(axis[:1])[0] @ orientation
     else:
         target[:, :3, :3] = reference @ tilted(axis) @ orientation
-    target[:, :3, 3] = moves.end[kept] * M_PER_MM
+    target[:, :3, 3] = moves.end[motion_moves] * M_PER_MM
     nothing = np.broadcast_to(np.nan, (count, 6))  # takes no memory
     joints, centre, normal, sweep = nothing, nothing[:, :3], nothing[:, :3], nothing[:, 0]
     if at_home.any() and home[1] is not None:
@@ -177,18 +179,18 @@ def _motions(
     if len(arcs):
         centre, normal, sweep = centre.copy(), normal.copy(), sweep.copy()
         for n in arcs.tolist():
-            part = moves.parts[moves.part[kept[n]]]
+            part = moves.parts[moves.part[motion_moves[n]]]
             if part.circle is not None:
                 centre[n], normal[n], sweep[n] = part.circle.centre * M_PER_MM, part.circle.axis, part.sweep
     rapid = code == RAPID
-    feed = np.where(rapid, cell.gcode.rapid_m_per_s, moves.each("feed")[kept] * (M_PER_MM / _S_PER_MIN))
+    feed = np.where(rapid, cell.gcode.rapid_m_per_s, moves.each("feed")[motion_moves] * (M_PER_MM / _S_PER_MIN))
     feed[free] = np.nan
-    blend = np.where(moves.each("exact")[kept], 0.0, cell.gcode.approximation_mm * M_PER_MM)
+    blend = np.where(moves.each("exact")[motion_moves], 0.0, cell.gcode.approximation_mm * M_PER_MM)
     unset = constant(-1, count)
     motions = Motions(
         kind=np.where(free, PTP, np.where(code == ARC, CIRC, LIN)).astype(np.int64),
         rapid=rapid,
-        line=source.line[moves.row[kept]],
+        line=source.line[moves.row[motion_moves]],
         target=Poses.of(target),
         joints=Runs.of(joints),
         centre=centre,
@@ -202,7 +204,7 @@ def _motions(
         status=unset,
         turn=unset,
     )
-    return kept, read_only(motions)
+    return motion_moves, read_only(motions)
 
 
 def _reference(axis: Array) -> Array:
@@ -222,40 +224,42 @@ def _events(
     course: Course, comments: Sequence[tuple[int, str]], source: Statements, kept: Ints, motions: Motions
 ) -> Iterator[Event]:
     """Yield comments and other events in order of their lines."""
-    own = [
+    course_events = [
         (int(source.line[e.row]), int(np.searchsorted(kept, e.before)), e.kind, e.value, e.text)
         for e in course.events
         if e.kind != "comment" or parse_force_note(e.text, 1, "") is None
     ]
     lines = [line for line, _ in comments]
-    before = np.searchsorted(motions.line, lines).tolist()
-    texts = [(line, at, "comment", 0.0, text) for (line, text), at in zip(comments, before, strict=True)]
-    for line, at, kind, value, text in sorted([*own, *texts], key=lambda event: (event[1], event[0])):
+    motion_index = np.searchsorted(motions.line, lines).tolist()
+    texts = [(line, at, "comment", 0.0, text) for (line, text), at in zip(comments, motion_index, strict=True)]
+    for line, at, kind, value, text in sorted([*course_events, *texts], key=lambda event: (event[1], event[0])):
         yield Event(at, kind, line, value, text)  # type: ignore[arg-type]
 
 
 def _is_moved(comment: str) -> bool:
     """Return whether a comment of Creo states another coordinate system than that of the machine, in rows of four."""
     word, _, rest = comment.removeprefix("->").partition("/")
-    given = statements.values("".join(rest.split()))
-    return comment.startswith("->") and word.strip() == "CSYS" and given != np.eye(3, 4).ravel().tolist()
+    numbers = statements.values("".join(rest.split()))
+    return comment.startswith("->") and word.strip() == "CSYS" and numbers != np.eye(3, 4).ravel().tolist()
 
 
 def _issues(course: Course, source: Statements, moves: _Moves, kept: Ints) -> Iterator[Issue]:
     if not course.stated:
         yield Issue("info", "units", "No UNITS are programmed: millimetres are assumed.")
-    turned = [line for line, text in source.comments if _is_moved(text)]
-    if turned:
+    csys_lines = [line for line, text in source.comments if _is_moved(text)]
+    if csys_lines:
         message = (
             "The coordinate system of an NC sequence is not that of the machine: coordinates are read as those of the "
             "machine, as Creo writes them. Check that COORDINATE_OUTPUT is MACHINE_CSYS."
         )
-        yield Issue("warning", "coordinate-system", message, turned[0], count=len(turned), lines=tuple(turned))
+        yield Issue(
+            "warning", "coordinate-system", message, csys_lines[0], count=len(csys_lines), lines=tuple(csys_lines)
+        )
     for row, level, kind, message in course.remarks:
         yield Issue(level, kind, message, int(source.line[row]))
-    nowhere = distinct(source.line[np.delete(moves.row, kept)])
-    if len(nowhere):
-        lines = tuple(nowhere.tolist())
+    null_lines = distinct(source.line[np.delete(moves.row, kept)])
+    if len(null_lines):
+        lines = tuple(null_lines.tolist())
         yield Issue("info", "null-move", "A move of zero length is left out.", lines[0], count=len(lines), lines=lines)
     if course.after_end:
         lines = tuple(sorted(int(source.line[row]) for row in course.after_end))

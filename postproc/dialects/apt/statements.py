@@ -78,12 +78,12 @@ def split(document: Document) -> Statements:
     raw = document.text.encode("ascii", "replace")
     starts, stops = line_spans(document.text)
     chars = np.frombuffer(raw + b"\n", dtype=np.uint8).copy()
-    found = [(match.start(), match.end()) for match in _COMMENT.finditer(raw)]
-    for begin, end in found:
+    comment_spans = [(match.start(), match.end()) for match in _COMMENT.finditer(raw)]
+    for begin, end in comment_spans:
         chars[begin:end] = _BLANK
-    at = np.searchsorted(starts, np.array([begin for begin, _ in found], dtype=np.int64), side="right").tolist()
+    at = np.searchsorted(starts, np.array([begin for begin, _ in comment_spans], dtype=np.int64), side="right").tolist()
     comments = tuple(
-        (line, _comment(document.text[begin + 2 : end])) for line, (begin, end) in zip(at, found, strict=True)
+        (line, _comment(document.text[begin + 2 : end])) for line, (begin, end) in zip(at, comment_spans, strict=True)
     )
     keep = ~_SPACE[chars]
     keep[stops] = True
@@ -118,23 +118,23 @@ def _joined(chars: np.typing.NDArray[np.uint8]) -> tuple[bytes, Ints]:
 
 def _points(chars: np.typing.NDArray[np.uint8], ends: Ints) -> tuple[Ints, Array]:
     """Return the plain GOTO statements (P,) and their numbers (P, 6)."""
-    none = np.zeros(0, dtype=np.int64), np.zeros((0, 6))
+    empty = np.zeros(0, dtype=np.int64), np.zeros((0, 6))
     width = np.diff(ends)
     rows = np.flatnonzero(width > len(_GOTO) + 1)
     for place, letter in enumerate(_GOTO):
         rows = rows[chars[ends[rows] + place] == letter]
     if not len(rows):
-        return none
+        return empty
     strange = np.cumsum(np.append(0, ~_NUMERIC[chars]), dtype=np.int64)
     rows = rows[strange[ends[rows + 1]] - strange[ends[rows]] == len(_GOTO)]
     comma = np.cumsum(np.append(0, chars == _COMMA), dtype=np.int64)
     count = comma[ends[rows + 1]] - comma[ends[rows]] + 1
     rows = rows[(count == 3) | (count == 6)]
     for _ in range(2):
-        inside = np.zeros(len(chars) + 1, dtype=np.int8)
-        inside[ends[rows] + len(_GOTO)] = 1
-        inside[ends[rows + 1]] -= 1
-        digits = chars[np.cumsum(inside[:-1], dtype=np.int8).view(np.bool_)].tobytes().translate(_TO_NUMBERS)
+        is_number = np.zeros(len(chars) + 1, dtype=np.int8)
+        is_number[ends[rows] + len(_GOTO)] = 1
+        is_number[ends[rows + 1]] -= 1
+        digits = chars[np.cumsum(is_number[:-1], dtype=np.int8).view(np.bool_)].tobytes().translate(_TO_NUMBERS)
         text = np.frombuffer(digits, dtype=np.uint8)
         first, last = numbers_in(text)
         length = width[rows] - len(_GOTO)
@@ -146,13 +146,13 @@ def _points(chars: np.typing.NDArray[np.uint8], ends: Ints) -> tuple[Ints, Array
             break
         rows = rows[whole]  # a number is missing between two commas
     if not len(rows):
-        return none
+        return empty
     values = parsed(text, first, last)
     if values is None:
         try:
             values = np.array([float(word) for word in digits.split()])
         except ValueError:
-            return none
+            return empty
     numbers = np.full((len(rows), 6), np.nan)
     row = np.repeat(np.arange(len(rows)), count)
     numbers[row, ragged_range(count)] = values
@@ -264,10 +264,10 @@ def refusal(word: str) -> tuple[str, str]:
     """Return problem and advice for a major word that is not read."""
     if word in REFUSED:
         return f"{word} is not supported", REFUSED[word]
-    near = did_you_mean(word, KNOWN)
+    suggestion = did_you_mean(word, KNOWN)
     name = word[:20]
-    without = f'If it moves nothing, write [apt] without_effect = ["{name}"] in the cell: it holds for all such lines.'
-    return f"unknown statement {name!r}", f"{near} {without}" if near else without
+    advice = f'If it moves nothing, write [apt] without_effect = ["{name}"] in the cell: it holds for all such lines.'
+    return f"unknown statement {name!r}", f"{suggestion} {advice}" if suggestion else advice
 
 
 _NAMES = re.compile(

@@ -18,8 +18,8 @@ def survey(document: Document) -> Survey:
     inches = False
     for row in statements.others.tolist():
         text, line = statements.of(row), int(statements.line[row])
-        if found := _LOAD.match(text):
-            changes.append((line, int(found[1])))
+        if match := _LOAD.match(text):
+            changes.append((line, int(match[1])))
         elif text.startswith("CUTTER/"):
             comments.append((line, text))
         elif text.startswith("SPINDL/") and not text.endswith("OFF"):

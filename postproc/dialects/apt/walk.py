@@ -278,12 +278,12 @@ class _Walk:
         self.axis = axis[-1]
         self.doubt = False
 
-    def _axes(self, row: Ints, given: Array) -> Array:
+    def _axes(self, row: Ints, words: Array) -> Array:
         """Return the directions of the tool (n, 3)."""
-        length = norm(given)
+        length = norm(words)
         stated = ~np.isnan(length)
         if not stated.any():
-            return np.broadcast_to(self.axis, given.shape)
+            return np.broadcast_to(self.axis, words.shape)
         wrong = np.flatnonzero(np.abs(length - 1.0) > _UNIT_LENGTH)
         if len(wrong):
             advice = "GOTO takes x, y, z, or x, y, z and the direction of the tool i, j, k."
@@ -291,7 +291,7 @@ class _Walk:
             self.course.faults += [Fault(n, problem, advice) for n in row[wrong[1:MOST]].tolist()]
             raise StatementError(problem, advice, int(row[wrong[0]]))
         with np.errstate(invalid="ignore"):
-            unit = np.concatenate([self.axis[None], given / length[:, None]])
+            unit = np.concatenate([self.axis[None], words / length[:, None]])
         latest = np.maximum.accumulate(np.append(0, np.where(stated, np.arange(1, len(row) + 1), 0)))
         return np.asarray(unit[latest][1:])
 
@@ -301,9 +301,9 @@ class _Walk:
         if self.known:
             self._one(row, end, axis, RAPID if rapid else LINE, 0.0 if rapid else self._fed(row))
             return
-        again = bool(self.course.parts)
+        has_motions = bool(self.course.parts)
         if not rapid:
-            if again:
+            if has_motions:
                 raise StatementError("GOTO at feed behind GOHOME", "Write RAPID before: the tool is at home.", row)
             message = (
                 "The first GOTO is at feed: it begins at [start] of the cell. Check that the path from there is free."
@@ -314,7 +314,7 @@ class _Walk:
             self._one(row, end, axis, LINE, feed)
             return
         clearance = self.cell.machine.clearance_Z
-        if again and clearance is not None and end[2] < clearance - _NEAR_MM and axis[2] > _LEVEL:
+        if has_motions and clearance is not None and end[2] < clearance - _NEAR_MM and axis[2] > _LEVEL:
             self._one(row, end + axis * ((clearance - end[2]) / axis[2]), axis, RAPID, 0.0, free=True)
             self._one(row, end, axis, RAPID, 0.0)
         else:
@@ -346,7 +346,7 @@ class _Walk:
 
     def _turn(self, row: int, pending: _Pending, end: Array, axis: Array) -> None:
         """Make an arc."""
-        circle, stated = pending.circle, pending.angle
+        circle, angle = pending.circle, pending.angle
         if not self.known:
             raise StatementError("arc before the position is known", "Write a GOTO before it.", row)
         for name, point in (("start", self.place), ("end", end)):
@@ -354,28 +354,28 @@ class _Walk:
             if fault:
                 raise StatementError(f"the {name} of the arc is {fault}", "Check centre, radius and direction.", row)
         sweep = circle.sweep(self.place, end) + 2.0 * np.pi * pending.turns
-        if stated is not None:
-            full = round((stated - sweep) / (2.0 * np.pi)) * 2.0 * np.pi
-            if abs(sweep + full - stated) * circle.radius > 0.1 or sweep + full <= 0.0:
-                degrees = f"{np.rad2deg(stated):.3f}° stated, {np.rad2deg(sweep):.3f}° to the end"
+        if angle is not None:
+            full = round((angle - sweep) / (2.0 * np.pi)) * 2.0 * np.pi
+            if abs(sweep + full - angle) * circle.radius > 0.1 or sweep + full <= 0.0:
+                degrees = f"{np.rad2deg(angle):.3f}° stated, {np.rad2deg(sweep):.3f}° to the end"
                 raise StatementError(f"the angle of the arc disagrees with its end: {degrees}", _ARC_ADVICE, row)
             sweep += full
         if self.rapid:
             raise StatementError("an arc in rapid", _ARC_ADVICE, row)
         if self.compensation is not None and self.compensation.shows_centre(circle, self.axis, self.cutter_radius):
             self.compensation = replace(self.compensation, is_centre=True)
-        own = Circle(circle.at_height_of(self.place), circle.axis, circle.radius)
-        self._one(row, end, axis, ARC, self._fed(row), circle=own, sweep=sweep)
+        arc_circle = Circle(circle.at_height_of(self.place), circle.axis, circle.radius)
+        self._one(row, end, axis, ARC, self._fed(row), circle=arc_circle, sweep=sweep)
 
     def _drill(self, row: int, top: Array, axis: Array, cycle: Cycle) -> None:
         """Drill a hole."""
         if not self.known:
             raise StatementError("a cycle before the position is known", "Write RAPID and a GOTO before it.", row)
         self._swing(row, axis)
-        above = float((self.place - top) @ axis)
-        if above < cycle.clear - _NEAR_MM:
-            self._one(row, self.place + axis * (cycle.clear - above), axis, RAPID, 0.0)
-        height = max(above, cycle.clear)
+        start_height = float((self.place - top) @ axis)
+        if start_height < cycle.clear - _NEAR_MM:
+            self._one(row, self.place + axis * (cycle.clear - start_height), axis, RAPID, 0.0)
+        height = max(start_height, cycle.clear)
         for to in (height, cycle.clear, cycle.near):
             self._one(row, top + axis * to, axis, RAPID, 0.0)
         for bottom in cycle.pecks():
@@ -392,12 +392,12 @@ class _Walk:
         if norm(np.cross(axis, self.axis)) > _UNIT_LENGTH or axis @ self.axis < 0.0:
             raise StatementError("the tool turns in a cycle", "Write a GOTO with the new direction before CYCLE.", row)
 
-    def _one(self, row: int, end: Array, axis: Array, code: int, feed: float, **more: Any) -> None:
-        self._add(np.array([row]), end[None], axis[None], code, feed, **more)
+    def _one(self, row: int, end: Array, axis: Array, code: int, feed: float, **properties: Any) -> None:
+        self._add(np.array([row]), end[None], axis[None], code, feed, **properties)
         self.axis = axis
 
-    def _add(self, row: Ints, end: Array, axis: Array, code: int, feed: float, **more: Any) -> None:
-        self.course.parts.append(Part(row, end, axis, code, feed, self.tool, **more))
+    def _add(self, row: Ints, end: Array, axis: Array, code: int, feed: float, **properties: Any) -> None:
+        self.course.parts.append(Part(row, end, axis, code, feed, self.tool, **properties))
         self.number += len(row)
         self.place = end[-1]
 
@@ -427,36 +427,36 @@ class _Walk:
             return
         if major in WITHOUT_EFFECT or major.startswith("CSI_SET_"):
             return
-        given = values(rest) if slash else []
-        if major in ("ORIGIN", "TRANS") and given and all(value == 0.0 for value in given):
+        words = values(rest) if slash else []
+        if major in ("ORIGIN", "TRANS") and words and all(value == 0.0 for value in words):
             return
         handler = _HANDLERS.get(major)
         if handler is None and major not in REFUSED and major in self.cell.apt.without_effect:
             return
-        if handler is None or (major == "GODLTA" and len(given) != 3):
+        if handler is None or (major == "GODLTA" and len(words) != 3):
             raise StatementError(*refusal(major))
-        handler(self, row, given)
+        handler(self, row, words)
 
     def _text(self, row: int, word: str) -> str:
         """Return the text of a statement behind its word, as it is in the file."""
         text = self.statements.text(row).partition("$$")[0].strip()
         return text[len(word) :].lstrip(" \t/").strip("' \t$")
 
-    def _numbers(self, given: list[float | str], *counts: int) -> Array:
+    def _numbers(self, words: list[float | str], *counts: int) -> Array:
         """Return a statement's values, which must be numbers, and as many as one of `counts`."""
-        if any(isinstance(value, str) for value in given) or len(given) not in counts:
-            wanted = " or ".join(map(str, counts))
-            raise StatementError(f"{wanted} numbers are needed here", "Check the values behind /.")
-        return np.array(given, dtype=float)
+        if any(isinstance(value, str) for value in words) or len(words) not in counts:
+            count_text = " or ".join(map(str, counts))
+            raise StatementError(f"{count_text} numbers are needed here", "Check the values behind /.")
+        return np.array(words, dtype=float)
 
-    def _one_number(self, given: list[float | str], what: str) -> float:
-        found = [value for value in given if isinstance(value, float)]
-        if not found:
+    def _one_number(self, words: list[float | str], what: str) -> float:
+        numbers = [value for value in words if isinstance(value, float)]
+        if not numbers:
             raise StatementError(f"{what} without a number", "Check the values behind /.")
-        return found[0]
+        return numbers[0]
 
-    def _goto_odd(self, row: int, given: list[float | str]) -> None:
-        points = self._numbers(given, *((3, 6) if self.pending is None else range(3, 301, 3)))
+    def _goto_odd(self, row: int, words: list[float | str]) -> None:
+        points = self._numbers(words, *((3, 6) if self.pending is None else range(3, 301, 3)))
         if len(points) in (3, 6) and (len(points) == 3 or abs(norm(points[3:]) - 1.0) < _UNIT_LENGTH):
             numbers = np.append(points, np.full(6 - len(points), np.nan))[None]
         elif self.pending is not None:
@@ -471,14 +471,14 @@ class _Walk:
         except StatementError as cause:
             raise StatementError(*cause.args[:2]) from cause
 
-    def _step(self, row: int, given: list[float | str]) -> None:
-        step = self._numbers(given, 3) * self.unit
+    def _step(self, row: int, words: list[float | str]) -> None:
+        step = self._numbers(words, 3) * self.unit
         if not self.known:
             raise StatementError("GODLTA before the position is known", "Write RAPID and a GOTO before it.")
         self._guarded(np.array([row]), np.append((self.place + step) / self.unit, np.full(3, np.nan))[None])
 
-    def _from(self, row: int, given: list[float | str]) -> None:
-        numbers = self._numbers(given, 3, 6)
+    def _from(self, row: int, words: list[float | str]) -> None:
+        numbers = self._numbers(words, 3, 6)
         place = numbers[:3] * self.unit
         if self.known:
             if norm(place - self.place) > _NEAR_MM:
@@ -487,11 +487,11 @@ class _Walk:
         self.rapid = True
         self._guarded(np.array([row]), np.append(numbers, np.full(6 - len(numbers), np.nan))[None])
 
-    def _home(self, row: int, given: list[float | str]) -> None:
+    def _home(self, row: int, words: list[float | str]) -> None:
         machine = self.cell.machine
-        if given:
+        if words:
             self.rapid = True
-            self._guarded(np.array([row]), np.append(self._numbers(given, 3), np.full(3, np.nan))[None])
+            self._guarded(np.array([row]), np.append(self._numbers(words, 3), np.full(3, np.nan))[None])
             return
         if machine.home_joints is None and machine.clearance_Z is None:
             advice = "Give [machine] home or clearance_Z in the cell."
@@ -502,9 +502,9 @@ class _Walk:
             self._one(row, self.place, self.axis, RAPID, 0.0, free=True, home=True)
             self.known = False
 
-    def _rise(self, row: int, given: list[float | str]) -> None:
+    def _rise(self, row: int, words: list[float | str]) -> None:
         clearance = self.cell.machine.clearance_Z
-        if given or clearance is None:
+        if words or clearance is None:
             advice = "Give [machine] clearance_Z in the cell, and write RETRCT without values."
             raise StatementError("RETRCT: how high it goes is not known", advice)
         if self.known:
@@ -518,36 +518,36 @@ class _Walk:
         rise = (clearance - self.place[2]) / self.axis[2]
         self._one(row, self.place + self.axis * rise, self.axis, RAPID, 0.0)
 
-    def _next_rapid(self, row: int, given: list[float | str]) -> None:
+    def _next_rapid(self, row: int, words: list[float | str]) -> None:
         del row
-        if given:
+        if words:
             raise StatementError("RAPID with values", "Write RAPID alone.")
         self.rapid = True
 
-    def _feed(self, row: int, given: list[float | str]) -> None:
-        named = [value for value in given if isinstance(value, str)]
-        if named == ["INVERS", "OFF"]:
+    def _feed(self, row: int, words: list[float | str]) -> None:
+        units = [value for value in words if isinstance(value, str)]
+        if units == ["INVERS", "OFF"]:
             return
-        feed, per_turn = self._rate(row, given, "FEDRAT")
+        feed, per_turn = self._rate(row, words, "FEDRAT")
         self.feed, self.per_turn = feed, per_turn
 
-    def _rate(self, row: int, given: list[float | str], what: str) -> tuple[float, bool]:
+    def _rate(self, row: int, words: list[float | str], what: str) -> tuple[float, bool]:
         """Return a feed [mm/min or mm/turn], and whether it is per turn."""
-        named = [value for value in given if isinstance(value, str)]
-        numbers = [value for value in given if isinstance(value, float)]
-        known = {**_PER_MINUTE, **_PER_TURN, "PERMIN": self.unit, "PERREV": self.unit}
-        if len(numbers) != 1 or len(named) > 1 or not set(named) <= set(known):
-            raise StatementError(f"{what} is not understood", f"Give one number and one of {', '.join(known)}.")
-        word = named[0] if named else "PERMIN"
+        units = [value for value in words if isinstance(value, str)]
+        numbers = [value for value in words if isinstance(value, float)]
+        factors = {**_PER_MINUTE, **_PER_TURN, "PERMIN": self.unit, "PERREV": self.unit}
+        if len(numbers) != 1 or len(units) > 1 or not set(units) <= set(factors):
+            raise StatementError(f"{what} is not understood", f"Give one number and one of {', '.join(factors)}.")
+        word = units[0] if units else "PERMIN"
         if word.startswith("I") or word.startswith("F"):
             self.inches = row if self.inches is None else self.inches
         if not numbers[0] > 0.0:
             raise StatementError(f"{what} is not above zero", None)
-        return numbers[0] * known[word], word in (*_PER_TURN, "PERREV")
+        return numbers[0] * factors[word], word in (*_PER_TURN, "PERREV")
 
-    def _units(self, row: int, given: list[float | str]) -> None:
+    def _units(self, row: int, words: list[float | str]) -> None:
         del row
-        unit = _UNITS.get(str(given[0])) if len(given) == 1 else None
+        unit = _UNITS.get(str(words[0])) if len(words) == 1 else None
         if unit is None:
             raise StatementError("UNITS is not understood", f"Write UNITS/ and one of {', '.join(_UNITS)}.")
         if unit != self.unit and self.course.parts:
@@ -555,15 +555,15 @@ class _Walk:
         self.unit = unit
         self.course.stated = True
 
-    def _multiaxis(self, row: int, given: list[float | str]) -> None:
+    def _multiaxis(self, row: int, words: list[float | str]) -> None:
         del row
-        if given not in ([], ["ON"], ["OFF"]):
+        if words not in ([], ["ON"], ["OFF"]):
             raise StatementError("MULTAX is not understood", "Write MULTAX/ON or MULTAX/OFF.")
-        if given == ["OFF"]:
+        if words == ["OFF"]:
             self._point_along(np.array([0.0, 0.0, 1.0]))
 
-    def _tool_axis(self, row: int, given: list[float | str]) -> None:
-        axis = self._numbers(given, 3)
+    def _tool_axis(self, row: int, words: list[float | str]) -> None:
+        axis = self._numbers(words, 3)
         if abs(norm(axis) - 1.0) > _UNIT_LENGTH:
             raise StatementError("the direction of the tool does not have length 1", "Check i, j, k.")
         del row
@@ -573,15 +573,15 @@ class _Walk:
         """Set the direction of the moves to come; the tool turns there with the next move."""
         self.axis = axis
 
-    def _circle(self, row: int, given: list[float | str]) -> None:
+    def _circle(self, row: int, words: list[float | str]) -> None:
         turns = 1
-        if given[-2:-1] == ["TIMES"]:
-            turns, given = self._times(given[-1]), given[:-2]
-        numbers = self._numbers(given, *((6, 7, 11) if turns == 1 else (11,)))
+        if words[-2:-1] == ["TIMES"]:
+            turns, words = self._times(words[-1]), words[:-2]
+        numbers = self._numbers(words, *((6, 7, 11) if turns == 1 else (11,)))
         if len(numbers) == 6:
             numbers = np.append(numbers, self._radius_from(numbers))
         is_nx = len(numbers) == 11
-        self._pend(row, numbers, right_handed=not is_nx, several=len(given) == 7, turns=turns - 1)
+        self._pend(row, numbers, right_handed=not is_nx, several=len(words) == 7, turns=turns - 1)
 
     def _times(self, count: float | str) -> int:
         """Return the number of turns of a helix, which is 1 for less than a whole one."""
@@ -596,15 +596,15 @@ class _Walk:
         axis = numbers[3:6] / np.maximum(norm(numbers[3:6]), _UNIT_LENGTH)
         return float(norm(np.cross(self.place / self.unit - numbers[:3], axis)))
 
-    def _move_arc(self, row: int, given: list[float | str]) -> None:
-        if len(given) != 9 or given[7] != "ANGLE":
+    def _move_arc(self, row: int, words: list[float | str]) -> None:
+        if len(words) != 9 or words[7] != "ANGLE":
             raise StatementError("MOVARC is not understood", "Write MOVARC/x,y,z,i,j,k,r,ANGLE,a.")
-        numbers = self._numbers([*given[:7], given[8]], 8)
+        numbers = self._numbers([*words[:7], words[8]], 8)
         if not 0.0 < numbers[7] <= 3600.0:
             raise StatementError("the angle of the arc is not above zero", _ARC_ADVICE)
         self._pend(row, numbers[:7], right_handed=True, angle=float(np.deg2rad(numbers[7])))
 
-    def _pend(self, row: int, numbers: Array, *, right_handed: bool, **more: Any) -> None:
+    def _pend(self, row: int, numbers: Array, *, right_handed: bool, **properties: Any) -> None:
         """Keep a circle for the GOTO that follows."""
         axis = numbers[3:6]
         if abs(norm(axis) - 1.0) > _UNIT_LENGTH:
@@ -614,35 +614,35 @@ class _Walk:
         if self.rapid:
             raise StatementError("an arc in rapid", _ARC_ADVICE)
         axis = axis / norm(axis) * (1.0 if right_handed else -1.0)
-        self.pending = _Pending(row, Circle(numbers[:3] * self.unit, axis, float(numbers[6]) * self.unit), **more)
+        self.pending = _Pending(row, Circle(numbers[:3] * self.unit, axis, float(numbers[6]) * self.unit), **properties)
 
-    def _direction(self, row: int, given: list[float | str]) -> None:
+    def _direction(self, row: int, words: list[float | str]) -> None:
         del row
-        self.leaving = self._numbers(given, 3)
+        self.leaving = self._numbers(words, 3)
 
     def _along(self, row: int, code: str) -> None:
         """Read TLON,GOFWD/(CIRCLE/x,y,z,r),ON,(LINE/…): an arc that leaves along INDIRV."""
         direction, self.leaving = self.leaving, None
         flat = code.replace("(", "").replace(")", "").replace("CIRCLE/", "").replace("LINE/", "L,")
-        given = values(flat.removeprefix("CANON,"))
-        if direction is None or not code.startswith("(CIRCLE/") or "ON" not in given or "L" not in given:
+        words = values(flat.removeprefix("CANON,"))
+        if direction is None or not code.startswith("(CIRCLE/") or "ON" not in words or "L" not in words:
             raise StatementError("TLON is not understood", f"Only arcs along INDIRV are read. {_ARC_ADVICE}")
-        on, line = given.index("ON"), given.index("L")
-        if given[on + 1 : line] not in ([], [2.0, "INTOF"]):
+        on, line = words.index("ON"), words.index("L")
+        if words[on + 1 : line] not in ([], [2.0, "INTOF"]):
             raise StatementError("TLON is not understood", f"Only arcs along INDIRV are read. {_ARC_ADVICE}")
-        circle = self._numbers(given[:on], 4, 7) * self.unit
-        ends = self._numbers(given[line + 1 :], 6) * self.unit
+        circle = self._numbers(words[:on], 4, 7) * self.unit
+        ends = self._numbers(words[line + 1 :], 6) * self.unit
         if not self.known:
             raise StatementError("arc before the position is known", "Write a GOTO before it.")
-        found = leaving(self.place, direction, circle[:3], float(circle[-1]))
-        if found is None or norm(ends[:3] - circle[:3]) > 1e-3:
+        arc_circle = leaving(self.place, direction, circle[:3], float(circle[-1]))
+        if arc_circle is None or norm(ends[:3] - circle[:3]) > 1e-3:
             raise StatementError("INDIRV, CIRCLE and LINE disagree", _ARC_ADVICE)
-        beyond = given[on + 1 : line] == [2.0, "INTOF"]
-        sweep = found.sweep(self.place, ends[3:])
-        if sweep < 2.0 * np.pi and (sweep > np.pi + 1e-6) != beyond and abs(sweep - np.pi) > 1e-3:
+        is_second_end = words[on + 1 : line] == [2.0, "INTOF"]
+        sweep = arc_circle.sweep(self.place, ends[3:])
+        if sweep < 2.0 * np.pi and (sweep > np.pi + 1e-6) != is_second_end and abs(sweep - np.pi) > 1e-3:
             raise StatementError("the arc ends on the other side of its line", _ARC_ADVICE)
         try:
-            self._turn(row, _Pending(row, found), ends[3:], self.axis)
+            self._turn(row, _Pending(row, arc_circle), ends[3:], self.axis)
         except StatementError as cause:
             raise StatementError(*cause.args[:2]) from cause
 
@@ -662,34 +662,34 @@ class _Walk:
             raise StatementError("a feed per turn, but no speed of the spindle", "Write SPINDL/n,RPM before.")
         self.cycle = words.cycle(self.unit, feed)
 
-    def _spin(self, row: int, given: list[float | str]) -> None:
-        unknown = {value for value in given if isinstance(value, str)} - _SPINDLE
+    def _spin(self, row: int, words: list[float | str]) -> None:
+        unknown = {value for value in words if isinstance(value, str)} - _SPINDLE
         if unknown:
             raise StatementError(f"SPINDL with {min(unknown)} is not supported", "Give the speed as SPINDL/n,RPM,CLW.")
-        if "OFF" in given:
+        if "OFF" in words:
             self.spindle = "spindle_off"
             self._event(row, "spindle_off")
             return
-        numbers = [value for value in given if isinstance(value, float)]
+        numbers = [value for value in words if isinstance(value, float)]
         if len(numbers) > 1 or (not numbers and not self.speed):
             raise StatementError("SPINDL without one speed", "Give the speed as SPINDL/n,RPM,CLW.")
         self.speed = numbers[0] if numbers else self.speed
-        if "CCLW" in given:
+        if "CCLW" in words:
             self.spindle = "spindle_ccw"
-        elif "CLW" in given or self.spindle == "spindle_off":
+        elif "CLW" in words or self.spindle == "spindle_off":
             self.spindle = "spindle_on"
         self._event(row, "spindle_ccw" if self.spindle == "spindle_ccw" else "spindle_on", self.speed)
 
-    def _cool(self, row: int, given: list[float | str]) -> None:
-        self.coolant = "OFF" not in given
+    def _cool(self, row: int, words: list[float | str]) -> None:
+        self.coolant = "OFF" not in words
         self._event(row, "coolant_on" if self.coolant else "coolant_off")
 
-    def _load(self, row: int, given: list[float | str]) -> None:
-        if given[:1] == ["TOOL"]:
-            given = given[1:]
+    def _load(self, row: int, words: list[float | str]) -> None:
+        if words[:1] == ["TOOL"]:
+            words = words[1:]
         if self.cycle is not None:
             raise StatementError("the tool changes within a cycle", "Write CYCLE/OFF behind the last hole.")
-        number = self._one_number(given[:1], "the tool")
+        number = self._one_number(words[:1], "the tool")
         if number < 0.0 or number != int(number):
             raise StatementError("the number of the tool is not a whole number", None)
         if self.spindle != "spindle_off":
@@ -701,28 +701,28 @@ class _Walk:
             raise StatementError(f"tool {number:g} is not in the cell", f"Write [tools.{number:g}] in the cell.")
         if number not in self.course.tools:
             self.course.tools.append(number)
-        changed = tools and number != self.tool
+        tool_differs = tools and number != self.tool
         self.tool = number
-        if changed and self.known:
+        if tool_differs and self.known:
             self._one(row, self.place, self.axis, RAPID, 0.0)
 
-    def _wait(self, row: int, given: list[float | str]) -> None:
-        given = [value for value in given if value != "DWELL"]
-        if "REV" in given:
+    def _wait(self, row: int, words: list[float | str]) -> None:
+        words = [value for value in words if value != "DWELL"]
+        if "REV" in words:
             raise StatementError("DELAY in turns", "Give it in seconds.")
-        self._event(row, "dwell", float(self._numbers(given, 1)[0]))
+        self._event(row, "dwell", float(self._numbers(words, 1)[0]))
 
-    def _stop(self, row: int, given: list[float | str]) -> None:
-        del given
+    def _stop(self, row: int, words: list[float | str]) -> None:
+        del words
         self._event(row, "stop")
 
-    def _skip(self, row: int, given: list[float | str]) -> None:
-        if given != ["OFF"]:
+    def _skip(self, row: int, words: list[float | str]) -> None:
+        if words != ["OFF"]:
             message = "OPSKIP: the statements behind it are executed, as with the switch off."
             self.course.remarks.append((row, "info", "block-delete", message))
 
-    def _auxiliary(self, row: int, given: list[float | str]) -> None:
-        self._machine_code(row, f"M{self._one_number(given, 'AUXFUN'):g}")
+    def _auxiliary(self, row: int, words: list[float | str]) -> None:
+        self._machine_code(row, f"M{self._one_number(words, 'AUXFUN'):g}")
 
     def _insert(self, row: int) -> None:
         text = self._text(row, "INSERT").upper().rstrip(" $")
@@ -737,11 +737,11 @@ class _Walk:
     def _machine_code(self, row: int, code: str) -> None:
         code = _LEADING_ZEROS.sub("M", code)
         if code in _STATEMENTS:
-            statement, given = _STATEMENTS[code]
-            statement(self, row, given)
+            statement, words = _STATEMENTS[code]
+            statement(self, row, words)
             return
-        own = self.cell.m_codes.get(code)
-        if own is None:
+        cell_lines = self.cell.m_codes.get(code)
+        if cell_lines is None:
             advice = (
                 f"Say what it does: [m_codes] {code} = [] for nothing, or lines of KRL." if code[:1] == "M" else None
             )
@@ -750,15 +750,15 @@ class _Walk:
             raise StatementError(
                 f"{code[:20]!r} is for one control", advice or "Remove it if it does not move the tool."
             )
-        if own:
+        if cell_lines:
             self._event(row, "m_code", float(code[1:]))
 
-    def _compensate(self, row: int, given: list[float | str]) -> None:
+    def _compensate(self, row: int, words: list[float | str]) -> None:
         self._end_compensation()
-        if given[:1] == ["OFF"]:
+        if words[:1] == ["OFF"]:
             return
         wear = self.cell.gcode.radius_offsets == "wear"
-        side = next((word for word in ("LEFT", "RIGHT") if word in given), None)
+        side = next((word for word in ("LEFT", "RIGHT") if word in words), None)
         if side is None and not wear:
             raise StatementError(*_COMPENSATED)
         self.compensation = _Compensation(row, 1.0 if side == "LEFT" else -1.0, is_centre=wear)
@@ -774,20 +774,20 @@ class _Walk:
         message = "CUTCOM has no effect: the path is that of the tool's centre, and the offsets hold wear only."
         self.course.remarks.append((compensation.row, "info", "radius-compensation", message))
 
-    def _cutter(self, row: int, given: list[float | str]) -> None:
+    def _cutter(self, row: int, words: list[float | str]) -> None:
         del row
-        self.cutter_radius = given[0] * self.unit / 2.0 if given and isinstance(given[0], float) else np.nan
+        self.cutter_radius = words[0] * self.unit / 2.0 if words and isinstance(words[0], float) else np.nan
 
-    def _transformed(self, row: int, given: list[float | str]) -> None:
+    def _transformed(self, row: int, words: list[float | str]) -> None:
         del row
-        if given[:1] != ["WORLD"]:
+        if words[:1] != ["WORLD"]:
             raise StatementError("TRNTYP other than WORLD", "Let the CAM system write all coordinates in one system.")
         self.in_fixture = True
 
-    def _setup(self, row: int, given: list[float | str]) -> None:
+    def _setup(self, row: int, words: list[float | str]) -> None:
         """Read the axes of a setup: rows of (3, 4), whose third column is the direction of the tool."""
         del row
-        rows = self._numbers(given, 12).reshape(3, 4)
+        rows = self._numbers(words, 12).reshape(3, 4)
         if np.abs(rows[:, :3] @ rows[:, :3].T - np.eye(3)).max() > _UNIT_LENGTH:
             raise StatementError("CSYS has no axes of length 1 at right angles", "Check its twelve numbers.")
         if not self.in_fixture and not np.array_equal(rows, np.eye(3, 4)):
@@ -797,30 +797,30 @@ class _Walk:
         self.is_tilted_setup = bool(axis[2] < 1.0 - _UNIT_LENGTH**2)
         self._point_along(axis)
 
-    def _mode(self, row: int, given: list[float | str]) -> None:
+    def _mode(self, row: int, words: list[float | str]) -> None:
         del row
-        if given != ["MILL"]:
+        if words != ["MILL"]:
             raise StatementError("MODE is not understood", "Only milling programs (MODE/MILL) are supported.")
 
-    def _coordinate_system(self, row: int, given: list[float | str]) -> None:
-        if self.system is not None and given != self.system:
+    def _coordinate_system(self, row: int, words: list[float | str]) -> None:
+        if self.system is not None and words != self.system:
             advice = "Write one file for each MSYS, and give its place as [base] of a cell."
             raise StatementError("MSYS changes within the program", advice)
         if self.system is None:
             message = "MSYS: coordinates are those of this system, which is $BASE of the cell."
             self.course.remarks.append((row, "info", "coordinate-system", message))
-        self.system = given
+        self.system = words
 
-    def _end(self, row: int, given: list[float | str]) -> None:
-        del given
+    def _end(self, row: int, words: list[float | str]) -> None:
+        del words
         self.ended = row
         if self.spindle != "spindle_off":
             self._event(row, "spindle_off")
         if self.coolant:
             self._event(row, "coolant_off")
 
-    def _nothing(self, row: int, given: list[float | str]) -> None:
-        del row, given
+    def _nothing(self, row: int, words: list[float | str]) -> None:
+        del row, words
 
 
 _SPINDLE = {"RPM", "CLW", "CCLW", "ON", "OFF"}

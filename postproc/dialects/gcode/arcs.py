@@ -65,9 +65,9 @@ class ArcWords(Struct, frozen=True, eq=False):
 
     def from_plane(self, first: Array, second: Array, across: Array) -> Array:
         """Return vectors (A, 3) from their components: inverse of `in_plane`."""
-        out = np.empty((len(first), 3))
-        np.put_along_axis(out, self._axes(), np.stack([first, second, across], axis=1), axis=1)
-        return out
+        vectors = np.empty((len(first), 3))
+        np.put_along_axis(vectors, self._axes(), np.stack([first, second, across], axis=1), axis=1)
+        return vectors
 
     def _axes(self) -> Ints:
         return np.array([PLANE_AXES[17.0], PLANE_AXES[18.0], PLANE_AXES[19.0]])[self.plane.astype(np.int64) - 17]
@@ -96,9 +96,9 @@ class Arcs(Struct, frozen=True, eq=False):
     sweep: Array
     faults: tuple[ArcFault, ...]
 
-    def of(self, which: Bools) -> Arcs:
+    def of(self, mask: Bools) -> Arcs:
         """Return the arcs of a mask (A,)."""
-        return Arcs(self.centre[which], self.normal[which], self.sweep[which], ())
+        return Arcs(self.centre[mask], self.normal[mask], self.sweep[mask], ())
 
 
 def read_arcs(words: ArcWords) -> Arcs:
@@ -106,8 +106,8 @@ def read_arcs(words: ArcWords) -> Arcs:
     with np.errstate(invalid="ignore", divide="ignore"):
         s1, s2, height = words.in_plane(words.start)
         e1, e2, _ = words.in_plane(words.end)
-        o1, o2, across = words.in_plane(words.offset)
-        by_radius = np.isnan(o1) & np.isnan(o2) & (np.nan_to_num(across) == 0.0)
+        o1, o2, normal_offset = words.in_plane(words.offset)
+        by_radius = np.isnan(o1) & np.isnan(o2) & (np.nan_to_num(normal_offset) == 0.0)
         c1, c2 = (
             np.where(words.absolute, 0.0, s1) + np.nan_to_num(o1),
             np.where(words.absolute, 0.0, s2) + np.nan_to_num(o2),
@@ -131,8 +131,8 @@ def _centre_from_radius(s1: Array, s2: Array, e1: Array, e2: Array, words: ArcWo
     """Return the centres of arcs given by R: left of the chord for G3, right for G2; the other side for R < 0."""
     d1, d2 = 0.5 * (e1 - s1), 0.5 * (e2 - s2)
     half = np.hypot(d1, d2)
-    away = np.sqrt(np.maximum((np.abs(words.radius) - half) * (np.abs(words.radius) + half), 0.0)) / half
-    left = np.where(words.clockwise, -away, away) * np.sign(words.radius)
+    centre_ratio = np.sqrt(np.maximum((np.abs(words.radius) - half) * (np.abs(words.radius) + half), 0.0)) / half
+    left = np.where(words.clockwise, -centre_ratio, centre_ratio) * np.sign(words.radius)
     return s1 + d1 - left * d2, s2 + d2 + left * d1
 
 
@@ -148,13 +148,13 @@ def _faults(
             faults.setdefault(n, ArcFault(n, problem.format(**values), advice, placed))
 
     has_radius = ~np.isnan(words.radius)
-    o1, o2, across = words.in_plane(words.offset)
+    o1, o2, normal_offset = words.in_plane(words.offset)
     g1, g2, _ = words.in_plane(words.given.astype(float))
     difference, larger = np.abs(r_start - r_end), np.maximum(r_start, r_end)
     tolerance = np.where(words.units == 20.0, CENTRE_TOLERANCE[20.0], CENTRE_TOLERANCE[21.0])
     full_circle = "Give a full circle by I, J, K."
     check(
-        np.nan_to_num(across) != 0.0,
+        np.nan_to_num(normal_offset) != 0.0,
         "arc with an offset across its plane",
         "G17 takes I and J, G18 I and K, G19 J and K.",
     )

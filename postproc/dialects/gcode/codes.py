@@ -149,7 +149,7 @@ def refusal(letter: str, code: float) -> tuple[str, str]:
     """Return problem and advice for a G or M code that is not accepted."""
     advice = (_ADVICE_G if letter == "G" else _ADVICE_M).get(code)
     if advice is None:
-        what = "An unknown code may move the machine. Remove it if it has no effect here"
-        own = f", or give its KRL lines in the cell: [m_codes] M{code:g} = [] for none." if letter == "M" else "."
-        return f"{letter}{code:g} is not known", what + own
+        unknown_advice = "An unknown code may move the machine. Remove it if it has no effect here"
+        suffix = f", or give its KRL lines in the cell: [m_codes] M{code:g} = [] for none." if letter == "M" else "."
+        return f"{letter}{code:g} is not known", unknown_advice + suffix
     return f"{letter}{code:g} is not supported", advice

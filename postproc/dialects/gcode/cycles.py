@@ -81,12 +81,14 @@ class Cycle:
         self.words.update({letter: given[letter] for letter in "ZRPQ" if letter in given})
         relative, to_r = modes
         self.relative.update(dict.fromkeys(given, relative))
-        missing = [letter for letter in ("Z", "R", *_NEEDS.get(code, "")) if letter not in self.words]
-        if missing:
-            raise BlockError(f"G{code:g} without {' and '.join(missing)}", None)
-        other = [letter for letter in "RZ" if self.relative[letter] != relative]
-        if other:
-            problem = f"{' and '.join(other)} of the cycle: given in {_MODES[not relative]}, used in {_MODES[relative]}"
+        missing_letters = [letter for letter in ("Z", "R", *_NEEDS.get(code, "")) if letter not in self.words]
+        if missing_letters:
+            raise BlockError(f"G{code:g} without {' and '.join(missing_letters)}", None)
+        conflicts = [letter for letter in "RZ" if self.relative[letter] != relative]
+        if conflicts:
+            problem = (
+                f"{' and '.join(conflicts)} of the cycle: given in {_MODES[not relative]}, used in {_MODES[relative]}"
+            )
             raise BlockError(problem, "Give R and Z again after G90 or G91: controls differ in what they keep.")
         repeats = given.get("L", 1.0)
         if repeats < 1.0 or repeats != round(repeats):
@@ -101,7 +103,7 @@ class Cycle:
                 f"R of the cycle ({r:.4f} mm) is below the bottom of the hole ({z:.4f} mm)", "Check R and Z."
             )
         steps: list[Step] = []
-        done: list[CycleEvent] = []
+        events: list[CycleEvent] = []
         self.lifts = self.level < r
         if self.lifts:
             steps.append(Step(0.0, (u, v, r)))
@@ -117,8 +119,8 @@ class Cycle:
             if start > r:
                 steps.append(Step(0.0, (u, v, r)))
             self._down((u, v, z), r, steps)
-            self._up((u, v, clear), r, steps, done, spindle)
-        return steps, done
+            self._up((u, v, clear), r, steps, events, spindle)
+        return steps, events
 
     def _down(self, bottom: Point, r: float, steps: list[Step]) -> None:
         """Append to `steps` the moves from the R plane to the bottom, in pecks where the cycle has them."""
@@ -129,11 +131,11 @@ class Cycle:
                 raise BlockError(f"Q{peck:g} mm is not a valid depth of a peck", None)
             depth = r - peck
             while depth > z:
-                back = depth + _CLEARANCE_MM
+                retract_height = depth + _CLEARANCE_MM
                 steps.append(Step(1.0, (u, v, depth), bottom=True))
                 if self.code == 83.0:
                     steps.append(Step(0.0, (u, v, r), bottom=True))
-                steps.append(Step(0.0, (u, v, back), bottom=True))
+                steps.append(Step(0.0, (u, v, retract_height), bottom=True))
                 depth -= peck
         steps.append(Step(1.0, bottom, bottom=True))
 

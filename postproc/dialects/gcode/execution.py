@@ -104,8 +104,8 @@ def _comments(units: Sequence[Unit], document: Ints, row: Ints) -> tuple[tuple[s
         index.append(len(texts) + ragged_range(count, begin))
         texts += unit.source.comments
     order = np.argsort(np.concatenate(at), kind="stable")
-    chosen = np.concatenate(index)[order].tolist()
-    return tuple(texts[n] for n in chosen), np.concatenate(at)[order]
+    text_indices = np.concatenate(index)[order].tolist()
+    return tuple(texts[n] for n in text_indices), np.concatenate(at)[order]
 
 
 _EXTENSIONS = (".ngc", ".nc", ".tap", ".cnc", ".gcode", ".mpf", ".ptp", ".txt", ".sub", "")
@@ -132,14 +132,14 @@ class Library:
             place = (self.units[n].subs if own else self.units[n].numbers).get(label)
             if place is not None:
                 return n, place + 1
-        loaded = self._loaded(label)
-        if loaded is None:
+        unit_index = self._loaded(label)
+        if unit_index is None:
             return None
-        unit = self.units[loaded]
+        unit = self.units[unit_index]
         place = (unit.subs if own else unit.numbers).get(label, -1)
         if own and place < 0:
             raise BlockError(f"{unit.document.name} has no O<{label}> SUB", None)
-        return loaded, place + 1
+        return unit_index, place + 1
 
     def _loaded(self, label: str) -> int | None:
         """Return the index of the file of the folder that contains a subprogram; read it on the first call."""
@@ -336,12 +336,12 @@ class _Run:
         if "P" not in number:
             raise BlockError("M98 without P", "Write, for example, M98 P100 L3: subprogram O100, three times.")
         label, times = str(whole(number["P"])), whole(number.get("L", 1.0))
-        found = self.library.find(label, self.unit, own=False)
-        if found is None:
+        location = self.library.find(label, self.unit, own=False)
+        if location is None:
             advice = "Write M98 P100 L3 for three times." if number["P"] >= 1e4 and "L" not in number else None
             raise BlockError(f"subprogram O{label} is neither in this file nor in its folder", advice)
         if times > 0:
-            self._enter(_Frame(label, False, self.unit, self.row, self.main, times - 1, found[1]), found[0], row)
+            self._enter(_Frame(label, False, self.unit, self.row, self.main, times - 1, location[1]), location[0], row)
             self.known.enter(None)
 
     def _return_number(self, row: int, number: dict[str, float]) -> None:
@@ -424,10 +424,10 @@ class _Run:
     def _call(self, row: int, order: Order) -> None:
         label = order.label if isinstance(order.label, str) else str(whole(order.label(self.known)))
         arguments = [value(self.known) for value in order.values]
-        found = self.library.find(label, self.unit, own=True)
-        if found is None:
+        location = self.library.find(label, self.unit, own=True)
+        if location is None:
             raise BlockError(f"subprogram O<{label}> is neither in this file nor in its folder", None)
-        self._enter(_Frame(label, True, self.unit, self.row, self.main, 0, found[1]), found[0], row)
+        self._enter(_Frame(label, True, self.unit, self.row, self.main, 0, location[1]), location[0], row)
         self.known.enter(arguments)
 
     def _return(self, order: Order) -> None:

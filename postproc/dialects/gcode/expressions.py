@@ -55,8 +55,8 @@ class Parameters:
         if value is not None:
             return value
         if isinstance(key, int):
-            own = _checked(key) > _OF_THE_MACHINE
-            raise BlockError(f"parameter #{key} has no value", _MACHINE if own else _SET_FIRST)
+            is_machine_value = _checked(key) > _OF_THE_MACHINE
+            raise BlockError(f"parameter #{key} has no value", _MACHINE if is_machine_value else _SET_FIRST)
         raise BlockError(f"parameter #<{key}> has no value", _MACHINE if key.startswith("_") else _SET_FIRST)
 
     def exists(self, key: Key) -> bool:
@@ -74,21 +74,21 @@ class Parameters:
 
     def enter(self, arguments: Sequence[float] | None) -> None:
         """Begin a subprogram: #1 … are its arguments, other local numbers zero; with None it shares its caller's."""
-        saved: dict[Key, float] | None = None
+        caller_values: dict[Key, float] | None = None
         if arguments is not None:
-            saved = {n: self._common[n] for n in _LOCAL if n in self._common}
+            caller_values = {n: self._common[n] for n in _LOCAL if n in self._common}
             self._common.update(dict.fromkeys(_LOCAL, 0.0))
             self._common.update(enumerate(arguments, 1))
-        self._callers.append((saved, self._own))
+        self._callers.append((caller_values, self._own))
         self._own = {}
 
     def leave(self) -> None:
         """End a subprogram: restore the local parameters of its caller."""
-        saved, self._own = self._callers.pop()
-        if saved is not None:
+        caller_values, self._own = self._callers.pop()
+        if caller_values is not None:
             for n in _LOCAL:
                 self._common.pop(n, None)
-            self._common.update(saved)
+            self._common.update(caller_values)
 
     def _place(self, key: Key) -> dict[Key, float]:
         return self._own if isinstance(key, str) and not key.startswith("_") else self._common
@@ -187,15 +187,15 @@ class Reader:
         if following in ("+", "-") and following:
             self.at += 1
             inner = self.value()
-            return inner if following == "+" else lambda known: -inner(known)
+            return inner if following == "+" else lambda parameters: -inner(parameters)
         return self._function()
 
     def expression(self) -> Value:
         """Read ``[ … ]``."""
         self._expect("[")
-        out = self._operation(1)
+        value = self._operation(1)
         self._expect("]")
-        return out
+        return value
 
     def parameter(self) -> Callable[[Parameters], Key]:
         """Read ``#…``; return a function for the key of the parameter."""
@@ -205,17 +205,17 @@ class Reader:
             key = key_of(name[1])
             return lambda _: key
         index = self.value()
-        return lambda known: whole(index(known))
+        return lambda parameters: whole(index(parameters))
 
     def _operation(self, weakest: int) -> Value:
         left = self.value()
         while True:
-            found = _OPERATOR.match(self.code, self.at)
-            if found is None or _BINARY[found[0]][0] < weakest:
+            match = _OPERATOR.match(self.code, self.at)
+            if match is None or _BINARY[match[0]][0] < weakest:
                 return left
-            self.at = found.end()
-            precedence, function = _BINARY[found[0]]
-            left = _joined(found[0], function, left, self._operation(precedence + 1))
+            self.at = match.end()
+            precedence, function = _BINARY[match[0]]
+            left = _joined(match[0], function, left, self._operation(precedence + 1))
 
     def _function(self) -> Value:
         name = self._match(_FUNCTION)
@@ -226,19 +226,19 @@ class Reader:
             self._expect("[")
             key = self.parameter()
             self._expect("]")
-            return lambda known: float(known.exists(key(known)))
+            return lambda parameters: float(parameters.exists(key(parameters)))
         inner = self.expression()
         if name[1] == "ATAN":
             self._expect("/")
-            other = self.expression()
-            return lambda known: math.degrees(math.atan2(inner(known), other(known)))
+            divisor = self.expression()
+            return lambda parameters: math.degrees(math.atan2(inner(parameters), divisor(parameters)))
         return _applied(name[1], inner)
 
     def _match(self, pattern: re.Pattern[str]) -> re.Match[str] | None:
-        found = pattern.match(self.code, self.at)
-        if found is not None:
-            self.at = found.end()
-        return found
+        match = pattern.match(self.code, self.at)
+        if match is not None:
+            self.at = match.end()
+        return match
 
     def _expect(self, character: str) -> None:
         if not self.code.startswith(character, self.at):
@@ -250,14 +250,14 @@ class Reader:
 
 
 def _looked_up(key: Callable[[Parameters], Key]) -> Value:
-    return lambda known: known.get(key(known))
+    return lambda parameters: parameters.get(key(parameters))
 
 
 def _applied(name: str, inner: Value) -> Value:
     function = _UNARY[name]
 
-    def apply(known: Parameters) -> float:
-        value = inner(known)
+    def apply(parameters: Parameters) -> float:
+        value = inner(parameters)
         try:
             return function(value)
         except (ValueError, OverflowError):
@@ -267,11 +267,11 @@ def _applied(name: str, inner: Value) -> Value:
 
 
 def _joined(name: str, function: Callable[[float, float], float], left: Value, right: Value) -> Value:
-    def apply(known: Parameters) -> float:
-        one, other = left(known), right(known)
+    def apply(parameters: Parameters) -> float:
+        a, b = left(parameters), right(parameters)
         try:
-            return function(one, other)
+            return function(a, b)
         except (ValueError, OverflowError, ZeroDivisionError):
-            raise BlockError(f"[{one:g} {name} {other:g}] has no value", None) from None
+            raise BlockError(f"[{a:g} {name} {b:g}] has no value", None) from None
 
     return apply

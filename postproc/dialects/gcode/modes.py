@@ -102,15 +102,15 @@ class Switching:
         for code in m:
             if self.is_known(row, f"M{code:g}"):
                 continue
-            own = None if code in FIXED_M_CODES else self.cell.m_codes.get(f"M{code:g}")
-            if own is None and code in codes.OVERRIDES and values.pop("P", -1.0) in (0.0, 1.0):
+            cell_lines = None if code in FIXED_M_CODES else self.cell.m_codes.get(f"M{code:g}")
+            if cell_lines is None and code in codes.OVERRIDES and values.pop("P", -1.0) in (0.0, 1.0):
                 continue
-            if own is None and code not in codes.ACCEPTED_M:
+            if cell_lines is None and code not in codes.ACCEPTED_M:
                 raise BlockError(*codes.refusal("M", code))
-            if own == []:  # without effect, and so are its words
+            if cell_lines == []:  # without effect, and so are its words
                 values.pop("P", None)
                 values.pop("Q", None)
-            if own:
+            if cell_lines:
                 self.events.append(RowEvent(row, False, "m_code", code))
 
     def tool_length(self, row: int, length: float | None) -> None:
@@ -169,11 +169,11 @@ class Switching:
             if speed < 0.0:
                 raise BlockError("negative spindle speed", None)
             self._speed = speed
-        switched = next((kind for code, kind in _SPINDLE.items() if code in m), None)
-        self._spindle = switched or self._spindle
-        if switched == "spindle_off":
+        spindle_kind = next((kind for code, kind in _SPINDLE.items() if code in m), None)
+        self._spindle = spindle_kind or self._spindle
+        if spindle_kind == "spindle_off":
             self._event(row, "spindle_off")
-        elif switched or (speed is not None and self._spindle != "spindle_off"):
+        elif spindle_kind or (speed is not None and self._spindle != "spindle_off"):
             self._event(row, self._spindle, self._speed)
             if self._speed == 0.0:
                 self._remark(
@@ -271,15 +271,17 @@ class FrameCodes:
         if not using:
             return
         takes = {letter: values.pop(letter) for letter in "XYZ" if letter in values}
-        turned = [letter for letter in self.rotary if letter in values]
-        if turned and (using[0] in codes.ORIGINS or self.machine.home_joints is None):
-            raise BlockError(f"{turned[0]} in a block with G{using[0]:g}", "Write X, Y and Z alone there.")
-        for letter in turned:
+        rotary_letters = [letter for letter in self.rotary if letter in values]
+        if rotary_letters and (using[0] in codes.ORIGINS or self.machine.home_joints is None):
+            raise BlockError(f"{rotary_letters[0]} in a block with G{using[0]:g}", "Write X, Y and Z alone there.")
+        for letter in rotary_letters:
             values[letter] = 0.0  # position of the axes at home
         axes = {"XYZ".index(letter): value * mm for letter, value in takes.items()}
-        both = [f"G{code:g}" for code in g if code in using or code in (2.0, 3.0, *codes.CYCLES)]
-        if len(both) > 1:
-            raise BlockError(f"{both[0]} and {both[1]} in one block use the same words", "Write one block for each.")
+        conflicts = [f"G{code:g}" for code in g if code in using or code in (2.0, 3.0, *codes.CYCLES)]
+        if len(conflicts) > 1:
+            raise BlockError(
+                f"{conflicts[0]} and {conflicts[1]} in one block use the same words", "Write one block for each."
+            )
         code = using[0]
         if code in codes.RETURNS:
             self._return(row, code, motion, axes)
@@ -467,9 +469,9 @@ class _Reader:
         if code.lstrip(MARK).startswith("%"):
             self.taped = row != self.tape
             return
-        deleted = _DELETE.match(code)
-        if deleted:
-            code = code[deleted.end() :]
+        delete_mark = _DELETE.match(code)
+        if delete_mark:
+            code = code[delete_mark.end() :]
             self._remark("info", "block-delete", "Blocks with / are executed (block delete is off).", row)
         if code.endswith("%"):  # the end of the tape in the last block
             code, self.taped = code[:-1], True
@@ -480,7 +482,7 @@ class _Reader:
         g = [value for letter, value in words if letter == "G"]
         m = [value for letter, value in words if letter == "M"]
         values = {letter: value for letter, value in words if letter not in "GM"}
-        refused: BlockError | None = None
+        first_error: BlockError | None = None
         for step in (
             self._smoothing,
             self._modes,
@@ -494,9 +496,9 @@ class _Reader:
             try:
                 step(row, g, m, values)
             except BlockError as cause:  # keep the valid parts of the block: later blocks depend on them
-                refused = refused or cause
-        if refused is not None:
-            raise refused
+                first_error = first_error or cause
+        if first_error is not None:
+            raise first_error
 
     def _coordinates(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
         if codes.TOOL_LENGTH in g or (43.4 in g and self.frame_codes.rotary):
@@ -509,25 +511,25 @@ class _Reader:
                 del values[letter]
                 message = f"{letter}0 is ignored: the robot has no axis {letter}."
                 self._remark("info", "other-axis", message, row, letter)
-        backwards = values.get("F", 0.0) < 0.0 and values.pop("F") < 0.0
+        is_negative_feed = values.get("F", 0.0) < 0.0 and values.pop("F") < 0.0
         for letter in self.letters:
             if letter in values:
                 self.words.put(letter, row, values.pop(letter))
         for letter in values:
             raise BlockError(f"{letter} word without a code that uses it", codes.WORD_ADVICE.get(letter))
-        if backwards:
+        if is_negative_feed:
             raise BlockError("negative feed", None)
 
     def _remark(self, level: Level, kind: str, message: str, row: int, subject: str = "") -> None:
         self.issues.append(Issue(level, kind, message, row + 1, subject=subject))
 
     def _modes(self, row: int, g: Sequence[float], _: object, values: Mapping[str, float]) -> None:
-        refused: tuple[str, str | None] | None = None
+        first_refusal: tuple[str, str | None] | None = None
         for code in g:
             group = codes.GROUP_OF.get(code)
             if group == "offset" and f"G{code:g}" not in self.frame_codes.offsets:
                 advice = f"Give its frame in $BASE in the cell: [work_offsets.G{code:g}]."
-                refused = refused or (f"work offset G{code:g} is not in the cell", advice)
+                first_refusal = first_refusal or (f"work offset G{code:g} is not in the cell", advice)
             elif group is not None:
                 self.changes[group].append((row, code))
                 if group == "units":
@@ -548,9 +550,9 @@ class _Reader:
             ):
                 pass
             elif code not in codes.ACCEPTED_G or (code == codes.SCALE_OFF and set(values) & set("XYZIJKPS")):
-                refused = refused or codes.refusal("G", code)
-        if refused is not None:
-            raise BlockError(*refused)
+                first_refusal = first_refusal or codes.refusal("G", code)
+        if first_refusal is not None:
+            raise BlockError(*first_refusal)
 
     def _frames(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
         if codes.MACHINE in g and not set(values) & {"X", "Y", "Z", *self.frame_codes.rotary}:
@@ -565,8 +567,8 @@ class _Reader:
     def _smoothing(self, row: int, g: Sequence[float], _: object, values: dict[str, float]) -> None:
         """Ignore look-ahead modes: the cell says how exactly corners are cut."""
         for code in g:
-            own = codes.SMOOTHING.get(code)
-            if own is None or not set(values) <= set(own):
+            code_words = codes.SMOOTHING.get(code)
+            if code_words is None or not set(values) <= set(code_words):
                 continue
             if values or code == 187.0:
                 self.smooth.add(row)
@@ -615,8 +617,8 @@ class _Reader:
                 zero = values.pop("D", None) == 0.0
                 if codes.TOOL_LENGTH not in g:
                     values.pop("H", None)  # the offset of older Fanuc controls
-                which = "with D0" if zero else "by offsets that hold wear only ([gcode] radius_offsets)"
-                message = f"Radius compensation {which} has no effect: the path is read as that of the tool centre."
+                reason = "with D0" if zero else "by offsets that hold wear only ([gcode] radius_offsets)"
+                message = f"Radius compensation {reason} has no effect: the path is read as that of the tool centre."
                 self._remark("info", "radius-compensation", message, row)
 
     def _blending(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
@@ -627,10 +629,10 @@ class _Reader:
             if limit is not None:
                 distance = min(distance, 2.0 * max(limit, 0.0) * self.mm_per_unit * M_PER_MM)
             self.blends.append((row, distance))
-            given = float("nan") if limit is None else max(limit, 0.0) * self.mm_per_unit * M_PER_MM
-            self.roundings.append((row, given))
+            tolerance = float("nan") if limit is None else max(limit, 0.0) * self.mm_per_unit * M_PER_MM
+            self.roundings.append((row, tolerance))
         elif set(g) & set(codes.EXACT):
             self.blends.append((row, 0.0))
         elif codes.EXACT_BLOCK in g:
-            before = self.blends[-1][1] if self.blends else self.approximation
-            self.blends += [(row, 0.0), (row + 1, before)]
+            previous_blend = self.blends[-1][1] if self.blends else self.approximation
+            self.blends += [(row, 0.0), (row + 1, previous_blend)]

@@ -76,13 +76,13 @@ class LineStates(Struct, frozen=True, eq=False):
 
 def carried(values: Array, initial: float) -> Array:
     """Return values (L,) with NaN replaced by the last value before, or by `initial`."""
-    out = np.empty(len(values))
+    filled_values = np.empty(len(values))
     for part in chunks(len(values)):
-        own = np.append(initial, values[part])
-        last = np.maximum.accumulate(np.where(np.isnan(own), 0, np.arange(len(own))))
-        out[part] = own[last[1:]]
-        initial = own[last[-1]]
-    return out
+        part_values = np.append(initial, values[part])
+        last = np.maximum.accumulate(np.where(np.isnan(part_values), 0, np.arange(len(part_values))))
+        filled_values[part] = part_values[last[1:]]
+        initial = part_values[last[-1]]
+    return filled_values
 
 
 def in_force(changes: Sequence[tuple[int, float]], initial: float, rows: int) -> Array:
@@ -109,33 +109,35 @@ def line_states_of(words: Words, modes: Modes, rotary: Rotary | None) -> LineSta
     factor = np.where(inches, MM_PER_UNIT[20.0], MM_PER_UNIT[21.0])[:, None] if inches.any() else None
 
     def mm(group: str) -> Array:
-        own = words[group][:count]
-        return own if factor is None or not own.strides[0] else own * factor
+        group_words = words[group][:count]
+        return group_words if factor is None or not group_words.strides[0] else group_words * factor
 
     xyz, ijk = mm("XYZ"), mm("IJK")
     code = words.column("G")[:count]
     motion = carried(code, codes.CANCEL_CYCLE).astype(np.int8)
     circular = (motion == 2.0) | (motion == 3.0)
-    named = ~np.isnan(code) & (code != codes.CANCEL_CYCLE)
+    has_motion_code = ~np.isnan(code) & (code != codes.CANCEL_CYCLE)
     letters = [] if rotary is None else rotary.axes
-    turned = np.stack([words.column(letter)[:count] for letter in letters], axis=1) if letters else np.zeros((count, 0))
-    placed = any_column(~np.isnan(xyz))
-    axes = placed | ~np.isnan(turned).all(axis=1)
-    always = rotary is None or not (rotary.tcp_on or any(on for _, on in modes.tip))
+    rotary_words = (
+        np.stack([words.column(letter)[:count] for letter in letters], axis=1) if letters else np.zeros((count, 0))
+    )
+    has_position = any_column(~np.isnan(xyz))
+    axes = has_position | ~np.isnan(rotary_words).all(axis=1)
+    is_always_tip = rotary is None or not (rotary.tcp_on or any(on for _, on in modes.tip))
     drilling = np.isin(motion, codes.CYCLES) & axes
-    moving = ~drilling & (axes | (circular & (named | any_column(~np.isnan(ijk)))))
+    moving = ~drilling & (axes | (circular & (has_motion_code | any_column(~np.isnan(ijk)))))
     inverse_time = state["feed"] == 93.0
     rate = carried(words.column("F")[:count], 0.0)
-    converted = factor is not None or inverse_time.any()
+    needs_conversion = factor is not None or inverse_time.any()
     return LineStates(
         xyz=xyz,
-        placed=placed,
+        placed=has_position,
         ijk=ijk,
         radius=mm("R")[:, 0],
         turns=words.column("P")[:count],
         motion=motion,
-        named=named,
-        feed=_feeds(mm("F")[:, 0], words.column("F")[:count], inverse_time) if converted else rate,
+        named=has_motion_code,
+        feed=_feeds(mm("F")[:, 0], words.column("F")[:count], inverse_time) if needs_conversion else rate,
         rate=rate,
         plane=state["plane"],
         units=state["units"],
@@ -143,8 +145,8 @@ def line_states_of(words: Words, modes: Modes, rotary: Rotary | None) -> LineSta
         absolute_centre=state["centre"] == 90.1,
         moving=moving,
         drilling=drilling,
-        rotary=turned,
-        tip=np.ones(count, dtype=bool) if always else in_force(modes.tip, 0.0, count) > 0.0,
+        rotary=rotary_words,
+        tip=np.ones(count, dtype=bool) if is_always_tip else in_force(modes.tip, 0.0, count) > 0.0,
         inverse_time=inverse_time,
         to_r=state["retract"] == 99.0,
         pecks=mm("Q")[:, 0],
@@ -156,8 +158,8 @@ def _feeds(mm: Array, words: Array, inverse_time: Bools) -> Array:
     """Return the modal feed of each line [mm/min]; in G93 the feed of the line itself [1/min], or 0."""
     if not inverse_time.any():
         return carried(mm, 0.0)
-    back = np.append(False, inverse_time[:-1] & ~inverse_time[1:])  # the feed before G93 is not valid after it
-    plain = np.where(inverse_time, np.nan, np.where(back & np.isnan(mm), 0.0, mm))
+    is_after_g93 = np.append(False, inverse_time[:-1] & ~inverse_time[1:])  # the feed before G93 is not valid after it
+    plain = np.where(inverse_time, np.nan, np.where(is_after_g93 & np.isnan(mm), 0.0, mm))
     return np.where(inverse_time, np.nan_to_num(words), carried(plain, 0.0))
 
 
@@ -233,20 +235,20 @@ class Moves(Struct, frozen=True, eq=False):
 
     def begin(self, move: Ints) -> Array:
         """Return the starts (n, 3) of moves (n,)."""
-        out = self.end[move - 1]
+        starts = self.end[move - 1]
         place = np.searchsorted(self.first, move)
-        own = np.append(self.first, -1)[place] == move
-        out[own] = self.start[place[own]]
-        return out
+        has_own_start = np.append(self.first, -1)[place] == move
+        starts[has_own_start] = self.start[place[has_own_start]]
+        return starts
 
     def repeated(self, count: Ints) -> Moves:
         """Return the moves, each repeated `count` (N,) times: as they end there, the first of each begins as before."""
-        which = np.repeat(np.arange(len(count)), count)
-        before = np.append(0, np.cumsum(count))
+        index = np.repeat(np.arange(len(count)), count)
+        offsets = np.append(0, np.cumsum(count))
         names = ("row", "code", "end", "frame", "tool", "turn", "bottom", "home")
-        columns = {name: taken(getattr(self, name), which) for name in names}
-        events = [(int(before[at]), row, event) for at, row, event in self.events]
-        return replace(self, **columns, first=before[self.first], events=events)
+        columns = {name: taken(getattr(self, name), index) for name in names}
+        events = [(int(offsets[at]), row, event) for at, row, event in self.events]
+        return replace(self, **columns, first=offsets[self.first], events=events)
 
 
 def moves_of(rows: LineStates, modes: Modes, cell_frames: CellFrames) -> Moves:
@@ -293,9 +295,9 @@ class _Walk:
         self.angles = np.zeros(rows.rotary.shape[1])
         self.tool = 0
         self.cycle = Cycle()
-        switched = [h for h in modes.row_events if h.kind in ("spindle_on", "spindle_ccw", "spindle_off")]
-        self.spindle_rows = [h.row for h in switched]
-        self.spindle_kinds: list[EventKind] = ["spindle_off", *(h.kind for h in switched)]
+        spindle_events = [h for h in modes.row_events if h.kind in ("spindle_on", "spindle_ccw", "spindle_off")]
+        self.spindle_rows = [h.row for h in spindle_events]
+        self.spindle_kinds: list[EventKind] = ["spindle_off", *(h.kind for h in spindle_events)]
         self.parts: dict[str, list[NDArray[Any]]] = {name: [] for name in ("row", "code", "end", "turn")}
         self.first: list[int] = []
         self.starts: list[tuple[Array, int, int]] = []
@@ -347,47 +349,49 @@ class _Walk:
         self, origins: Mapping[int, object], tools: Mapping[int, object], indexing: Collection[int]
     ) -> list[int]:
         rows = self.rows
-        changed = (self.offset[1:] != self.offset[:-1]) | (rows.incremental[1:] != rows.incremental[:-1])
-        changed |= rows.drilling[1:] != rows.drilling[:-1]
+        is_bound = (self.offset[1:] != self.offset[:-1]) | (rows.incremental[1:] != rows.incremental[:-1])
+        is_bound |= rows.drilling[1:] != rows.drilling[:-1]
         single = [row for row in (*origins, *tools, *self.modes.returns, *indexing) if row < self.count]
-        after = [row + 1 for row in (*self.modes.returns, *indexing) if row + 1 < self.count]
-        return sorted({0, self.count, *(np.flatnonzero(changed) + 1).tolist(), *single, *after})
+        next_rows = [row + 1 for row in (*self.modes.returns, *indexing) if row + 1 < self.count]
+        return sorted({0, self.count, *(np.flatnonzero(is_bound) + 1).tolist(), *single, *next_rows})
 
     def _straight(self, begin: int, end: int) -> None:
         """Process lines of G0 to G3: coordinates are modal (G90), or they add up (G91)."""
         rows = self.rows
         if (rows.named[begin:end]).any() or (rows.motion[begin:end] == codes.CANCEL_CYCLE).any():
             self.cycle.end()
-        swung = max(self._some(begin + part.start, min(begin + part.stop, end)) for part in chunks(end - begin))
-        if swung >= 0 and not self.angles.any():  # without tool-centre-point control the tip may be anywhere
-            row = swung + 1
+        last_swing = max(self._some(begin + part.start, min(begin + part.stop, end)) for part in chunks(end - begin))
+        if last_swing >= 0 and not self.angles.any():  # without tool-centre-point control the tip may be anywhere
+            row = last_swing + 1
             self.losses.append((row, np.ones(3, dtype=bool)))
             self.known = np.asarray(~np.isnan(rows.xyz[row:end]).all(axis=0))
 
     def _some(self, begin: int, end: int) -> int:
         """Add the moves of some lines; return the last on which axes turn without tool-centre-point control, or −1."""
         rows = self.rows
-        after = np.empty((end - begin, 3))
+        positions = np.empty((end - begin, 3))
         for axis in range(3):
             words = rows.xyz[begin:end, axis]
             if rows.incremental[begin]:
                 steps = np.append(self.position[axis], np.where(np.isnan(words), 0.0, words))
-                after[:, axis] = np.cumsum(steps)[1:]
+                positions[:, axis] = np.cumsum(steps)[1:]
             else:
-                after[:, axis] = carried(words, self.position[axis])
+                positions[:, axis] = carried(words, self.position[axis])
                 self.known[axis] |= not np.isnan(words).all()
         self._check_height(begin, end)
         turn = self._turned(begin, end)
         moving = np.flatnonzero(rows.moving[begin:end])
-        self._add(begin + moving, rows.motion[begin + moving], after[moving], turn[moving])
-        self.position = after[-1].copy()
-        swung = np.flatnonzero(~rows.tip[begin:end] & (turn[:, 0] != turn[:, 1]).any(axis=1))
-        return begin + int(swung[-1]) if len(swung) else -1
+        self._add(begin + moving, rows.motion[begin + moving], positions[moving], turn[moving])
+        self.position = positions[-1].copy()
+        swing_rows = np.flatnonzero(~rows.tip[begin:end] & (turn[:, 0] != turn[:, 1]).any(axis=1))
+        return begin + int(swing_rows[-1]) if len(swing_rows) else -1
 
     def _index(self, row: int) -> None:
         """Process a line that may turn the part: a rapid, along which the tool moves about the axes."""
-        before, words = self.angles, self.rows.rotary[row]
-        turn = np.nan_to_num(words) if self.rows.incremental[row] else np.where(np.isnan(words), 0.0, words - before)
+        start_angles, words = self.angles, self.rows.rotary[row]
+        turn = (
+            np.nan_to_num(words) if self.rows.incremental[row] else np.where(np.isnan(words), 0.0, words - start_angles)
+        )
         if not turn.any():
             self._straight(row, row + 1)
             return
@@ -396,7 +400,7 @@ class _Walk:
             self.faults.append((row, "an indexed axis turns in a line that is not a rapid", advice))
             return
         if not self.known.all():  # the move from [start] is made when X, Y and Z are known
-            self._turn_part(row, before + turn)
+            self._turn_part(row, start_angles + turn)
             if self.rows.placed[row]:
                 self._straight(row, row + 1)
             return
@@ -409,7 +413,7 @@ class _Walk:
         start, steps = self.position, int(np.ceil(np.abs(turn).max() / INDEX_STEP))
         for number in range(1, steps + 1):
             share = number / steps
-            angles = np.stack([self.angles, before + share * turn])[None]
+            angles = np.stack([self.angles, start_angles + share * turn])[None]
             self._turn_part(row, angles[0, 1])
             self._add(np.array([row]), np.zeros(1), (start + share * step)[None], angles)
             self.position = start + share * step
@@ -422,58 +426,58 @@ class _Walk:
     def _turned(self, begin: int, end: int) -> Array:
         """Return the angles of the rotary axes (n, 2, k) before and after lines."""
         words = self.rows.rotary[begin:end]
-        after = np.empty((end - begin, len(self.angles)))
+        end_angles = np.empty((end - begin, len(self.angles)))
         for axis, angle in enumerate(self.angles.tolist()):
             if self.rows.incremental[begin]:
-                after[:, axis] = np.cumsum(np.append(angle, np.nan_to_num(words[:, axis])))[1:]
+                end_angles[:, axis] = np.cumsum(np.append(angle, np.nan_to_num(words[:, axis])))[1:]
             else:
-                after[:, axis] = carried(words[:, axis], angle)
-        before = np.concatenate([self.angles[None], after[:-1]])
-        self.angles = after[-1].copy()
-        return np.stack([before, after], axis=1)
+                end_angles[:, axis] = carried(words[:, axis], angle)
+        start_angles = np.concatenate([self.angles[None], end_angles[:-1]])
+        self.angles = end_angles[-1].copy()
+        return np.stack([start_angles, end_angles], axis=1)
 
     def _drill(self, begin: int, end: int) -> None:
         """Process lines with cycles; after the second hole, lines with positions only are processed together."""
         self._check_drilling(begin, end)
         self._check_height(begin, end)
         spindle = self._spindle(begin, end)
-        alike = self._alike(begin, end, spindle)
-        others = np.append(np.flatnonzero(~alike), end - begin) + begin
-        row, drilled = begin, False
+        is_position_only = self._alike(begin, end, spindle)
+        other_rows = np.append(np.flatnonzero(~is_position_only), end - begin) + begin
+        row, has_steps = begin, False
         while row < end:
-            steps, done = self._hole(row, spindle[row - begin])
-            second = drilled and bool(alike[row - begin])
-            row, drilled = row + 1, bool(steps)
-            if second and drilled:
-                stop = int(others[np.searchsorted(others, row)])
-                self._holes(row, stop, steps, done)
+            steps, events = self._hole(row, spindle[row - begin])
+            second = has_steps and bool(is_position_only[row - begin])
+            row, has_steps = row + 1, bool(steps)
+            if second and has_steps:
+                stop = int(other_rows[np.searchsorted(other_rows, row)])
+                self._holes(row, stop, steps, events)
                 row = stop
 
     def _alike(self, begin: int, end: int, spindle: Sequence[EventKind]) -> Bools:
         """Return which lines (n,) give only the position of the next hole."""
         rows = self.rows
-        out = np.append(False, np.array(spindle[1:]) == spindle[:-1])
+        is_position_only = np.append(False, np.array(spindle[1:]) == spindle[:-1])
         for state in (rows.motion, rows.plane, rows.to_r):
-            out[1:] &= state[begin + 1 : end] == state[begin : end - 1]
-        across = PLANE_AXES[float(rows.plane[begin])][2]
-        for words in (rows.xyz[:, across], rows.radius, rows.turns, rows.pecks, rows.repeats):
-            out &= np.isnan(words[begin:end])
-        return out
+            is_position_only[1:] &= state[begin + 1 : end] == state[begin : end - 1]
+        normal_axis = PLANE_AXES[float(rows.plane[begin])][2]
+        for words in (rows.xyz[:, normal_axis], rows.radius, rows.turns, rows.pecks, rows.repeats):
+            is_position_only &= np.isnan(words[begin:end])
+        return is_position_only
 
     def _hole(self, row: int, spindle: EventKind) -> tuple[list[Step], list[CycleEvent]]:
         """Process one line with a cycle; return its steps and events, none if it has a fault."""
         rows = self.rows
         axes = list(PLANE_AXES[float(rows.plane[row])])
-        given = dict(zip("UVZ", rows.xyz[row][axes].tolist(), strict=True))
-        given |= {"R": rows.radius[row], "P": rows.turns[row], "Q": rows.pecks[row], "L": rows.repeats[row]}
-        given = {letter: value for letter, value in given.items() if value == value}
+        words = dict(zip("UVZ", rows.xyz[row][axes].tolist(), strict=True))
+        words |= {"R": rows.radius[row], "P": rows.turns[row], "Q": rows.pecks[row], "L": rows.repeats[row]}
+        words = {letter: value for letter, value in words.items() if value == value}
         modes = bool(rows.incremental[row]), bool(rows.to_r[row])
         u, v, height = self.position[axes].tolist()
         try:
-            if "P" in given and rows.motion[row] in DWELLING:
-                word, time = f"G{rows.motion[row]} P", float(given["P"])
-                given["P"] = dwell_time(word, time, self.modes.dwell_unit, with_point=row in self.modes.with_point)
-            steps, done = self.cycle.hole(float(rows.motion[row]), given, (u, v, height), modes, spindle)
+            if "P" in words and rows.motion[row] in DWELLING:
+                word, time = f"G{rows.motion[row]} P", float(words["P"])
+                words["P"] = dwell_time(word, time, self.modes.dwell_unit, with_point=row in self.modes.with_point)
+            steps, events = self.cycle.hole(float(rows.motion[row]), words, (u, v, height), modes, spindle)
         except BlockError as cause:
             self.faults.append((row, *cause.args))
             return [], []
@@ -484,8 +488,8 @@ class _Walk:
             self.known[axes[:2]] |= ~np.isnan(rows.xyz[row][axes[:2]])
         places = np.empty((len(steps), 3))
         places[:, axes] = [step.end for step in steps]
-        self._drilled(np.full(len(steps), row), places, steps, done)
-        return steps, done
+        self._drilled(np.full(len(steps), row), places, steps, events)
+        return steps, events
 
     def _holes(self, row: int, stop: int, steps: Sequence[Step], done: Sequence[CycleEvent]) -> None:
         """Process lines that give only positions; `steps` and `done` are those of the hole before."""
@@ -524,8 +528,8 @@ class _Walk:
             self.faults.append(
                 (row, "rotary axes turn in a cycle", "Program the rotary axes in a block before the cycle.")
             )
-        across = abs(self._direction()[PLANE_AXES[float(self.rows.plane[begin])][2]])
-        if self.angles.any() and across < 1.0 - 1e-9:
+        alignment = abs(self._direction()[PLANE_AXES[float(self.rows.plane[begin])][2]])
+        if self.angles.any() and alignment < 1.0 - 1e-9:
             advice = "Set the CAM system to output holes in tilted planes as G0 and G1."
             self.faults.append((begin, "a cycle with a tilted tool", advice))
 
@@ -542,8 +546,8 @@ class _Walk:
         """Add the moves to a machine position."""
         cell_frames = self.cell_frames
         self.cycle.end()
-        named = np.zeros(3, dtype=bool)
-        named[list(to.axes) or [0, 1, 2]] = True
+        axis_mask = np.zeros(3, dtype=bool)
+        axis_mask[list(to.axes) or [0, 1, 2]] = True
         relative = bool(self.rows.incremental[row])
         if to.code != codes.MACHINE and self.known.all():
             via = self.position.copy()
@@ -552,23 +556,23 @@ class _Walk:
             if np.abs(via - self.position).max() > _FEWEST:
                 self._go(row, via)
         if cell_frames.home_place is not None:
-            self._to_home_place(row, to, named, cell_frames.home_place)
+            self._to_home_place(row, to, axis_mask, cell_frames.home_place)
             return
-        upwards = not named[:2].any()
+        is_retract = not axis_mask[:2].any()
         if cell_frames.clearance is not None and self.known.all():
-            before = self.number
+            previous_number = self.number
             self._retract(row, cell_frames.clearance)
-            self.lifted = not named[2] and (self.lifted or self.number > before)
+            self.lifted = not axis_mask[2] and (self.lifted or self.number > previous_number)
             self.away[2] |= self.lifted
-        if cell_frames.home is None or (to.code == codes.MACHINE and upwards and cell_frames.clearance is not None):
+        if cell_frames.home is None or (to.code == codes.MACHINE and is_retract and cell_frames.clearance is not None):
             if not self.known.all():
                 message = "A retract before X, Y and Z are known is left out: the robot is at [start]."
                 self.remarks.append((row, "info", "start-position", message))
-            self.away |= named
-            if cell_frames.home is None and not upwards:
+            self.away |= axis_mask
+            if cell_frames.home is None and not is_retract:
                 message = "The tool retracts to clearance_Z and stays above its place: [machine] home is not given."
                 self.remarks.append((row, "info", "parked", message))
-                self.parked.append((row, named & [True, True, False]))
+                self.parked.append((row, axis_mask & [True, True, False]))
             return
         if cell_frames.clearance is None:
             message = "From home the robot goes to the next position by a joint motion, without an approach from above."
@@ -576,8 +580,8 @@ class _Walk:
         self.homes.append(self.number)
         self._turn_part(row, np.where(np.isnan(self.rows.rotary[row]), self.angles, 0.0))
         self._go(row, self.position)
-        self.known &= ~named
-        self.losses.append((row + 1, named))
+        self.known &= ~axis_mask
+        self.losses.append((row + 1, axis_mask))
 
     def _to_home_place(self, row: int, to: Return, named: Bools, home: Array) -> None:
         """Move the named axes to home, as the machine does. Words of G53 other than 0 are places that are not known."""
@@ -599,29 +603,29 @@ class _Walk:
 
     def _retract(self, row: int, clearance: float) -> None:
         """Retract to a height in `$BASE` [mm], along the tool if it is tilted."""
-        frame, along = self.machine_frames[-1], self._direction()
+        frame, direction = self.machine_frames[-1], self._direction()
         z = float(frame[2, :3] @ self.position + frame[2, 3] / M_PER_MM)
         if z >= clearance - _FEWEST:
             return
-        if (along[:2] == 0.0).all():
-            along = frame[2, :3]
-        rise = float(frame[2, :3] @ along)
+        if (direction[:2] == 0.0).all():
+            direction = frame[2, :3]
+        rise = float(frame[2, :3] @ direction)
         if rise < LEVEL:
             advice = "Retract along the tool with G0 before: a vertical move would drag it through the part."
             self.faults.append((row, "retract with a nearly horizontal tool", advice))
             return
-        self._go(row, self.position + along * ((clearance - z) / rise))
+        self._go(row, self.position + direction * ((clearance - z) / rise))
 
     def _check_height(self, begin: int, end: int) -> None:
         """Check that Z is programmed in G90 before lines of G0 to G3 or cycles whose height depends on a retract."""
         rows = self.rows
-        given = ~np.isnan(rows.xyz[begin:end])
+        has_word = ~np.isnan(rows.xyz[begin:end])
         if rows.incremental[begin]:
-            wrong = self.away[2] & ((given[:, 2] & (rows.xyz[begin:end, 2] != 0.0)) | rows.drilling[begin:end])
+            wrong = self.away[2] & ((has_word[:, 2] & (rows.xyz[begin:end, 2] != 0.0)) | rows.drilling[begin:end])
         else:
             wrong = self.lifted & rows.moving[begin:end] & (rows.motion[begin:end] > 0.0)
-            wrong &= ~np.logical_or.accumulate(given[:, 2])
-            self.away &= ~given.any(axis=0)
+            wrong &= ~np.logical_or.accumulate(has_word[:, 2])
+            self.away &= ~has_word.any(axis=0)
             self.lifted &= bool(self.away[2])
         if wrong.any():
             problem = "Z must be programmed again after G28, G30 or G53, before this move"
@@ -634,19 +638,19 @@ class _Walk:
 
         The machine is elsewhere then, and the robot is not.
         """
-        given = ~np.isnan(self.rows.xyz)
-        safe = (self.rows.motion == 0.0) & ~self.rows.incremental & ~given[:, 2]
+        has_word = ~np.isnan(self.rows.xyz)
+        safe = (self.rows.motion == 0.0) & ~self.rows.incremental & ~has_word[:, 2]
         for row, axes in self.parked:
-            missing = axes.copy()
+            open_axes = axes.copy()
             for at in (row + 1 + np.flatnonzero(self.rows.placed[row + 1 :])).tolist():
                 if not safe[at]:
-                    names = " and ".join("XYZ"[axis] for axis in np.flatnonzero(missing).tolist())
+                    names = " and ".join("XYZ"[axis] for axis in np.flatnonzero(open_axes).tolist())
                     problem = f"{names} must be programmed again after G28, G30 or G53, before this move"
                     advice = "Program X and Y by G0 in G90, without Z, or give [machine] home in the cell."
                     self.faults.append((at, problem, advice))
                     break
-                missing &= ~given[at]
-                if not missing.any():
+                open_axes &= ~has_word[at]
+                if not open_axes.any():
                     break
 
     def _mount(self, row: int, number: float) -> None:
@@ -727,11 +731,11 @@ class _Walk:
             self._check_known(origin, "G10 L20", list(origin.axes))
             old = self.frames[-1]
             base = old[:3, :3] @ self.position * M_PER_MM + old[:3, 3]
-            there = place[:3, :3].T @ (base - place[:3, 3]) / M_PER_MM - self.shift
+            offset = place[:3, :3].T @ (base - place[:3, 3]) / M_PER_MM - self.shift
             for axis, word in origin.axes.items():
-                there[axis] -= word
-            there[[axis for axis in range(3) if axis not in origin.axes]] = 0.0
-            place[:3, 3] += place[:3, :3] @ there * M_PER_MM
+                offset[axis] -= word
+            offset[[axis for axis in range(3) if axis not in origin.axes]] = 0.0
+            place[:3, 3] += place[:3, :3] @ offset * M_PER_MM
         else:
             for axis, word in origin.axes.items():
                 place[axis, 3] = word * M_PER_MM
@@ -746,12 +750,12 @@ class _Walk:
         columns = {name: np.concatenate(self.parts.pop(name)) for name in list(self.parts)}
         position, frame, tool = zip(*self.starts, strict=True)
         count = np.diff(self.first, append=self.number)
-        unknown, started = self._from_start(self._unknown())
-        own = np.flatnonzero(count)
+        unknown, start_rows = self._from_start(self._unknown())
+        indices = np.flatnonzero(count)
         moves = Moves(
             **columns,
-            first=np.array(self.first)[own],
-            start=np.stack(position)[own],
+            first=np.array(self.first)[indices],
+            start=np.stack(position)[indices],
             frame=_repeated(frame, count),
             tool=_repeated(tool, count),
             bottom=flags[0],
@@ -760,7 +764,7 @@ class _Walk:
             machine_frames=np.stack(self.machine_frames),
             events=self.events,
             unknown=unknown,
-            started=started,
+            started=start_rows,
             offset=self.offset,
             faults=self.faults,
             remarks=self.remarks,
