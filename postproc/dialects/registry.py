@@ -104,7 +104,10 @@ def of_file(path: Path) -> Dialect:
     if extension in _NO_PROGRAMS:
         description, _, advice = _NO_PROGRAMS[extension].partition(". ")
         raise ProgramError(f"this is {description}", file=str(path), advice=advice)
-    advice = f"Known extensions: {' '.join(dialect_names)}. Otherwise say how to read it with --dialect {' or '.join(names())}."
+    advice = (
+        f"Known extensions: {' '.join(dialect_names)}. "
+        f"Otherwise say how to read it with --dialect {' or '.join(names())}."
+    )
     advice += "".join(f" The dialect {name} cannot be used: {reason}." for name, reason in broken().items())
     raise ProgramError(f"unknown kind of program {path.suffix!r}", file=str(path), advice=advice)
 
