@@ -780,17 +780,17 @@ class _Walk:
         row, turn = moves.row, moves.turn
         tool = self.cell_frames.rotary.tool_direction(turn[at, 1])
         step = moves.end[at] - moves.begin(at)
-        along = np.einsum("ni,ni->n", step, tool)
-        aside = np.abs(step - along[:, None] * tool).max(axis=1)
-        safe = (along > 0.0) & (aside < _FEWEST)
-        if not turn.any() and all(np.array_equal(self.frames[0][:3, :3], one[:3, :3]) for one in self.frames[1:]):
-            origin = np.array([one[:3, 2] @ one[:3, 3] for one in self.frames])
+        axial_step = np.einsum("ni,ni->n", step, tool)
+        lateral_step = np.abs(step - axial_step[:, None] * tool).max(axis=1)
+        safe = (axial_step > 0.0) & (lateral_step < _FEWEST)
+        if not turn.any() and all(np.array_equal(self.frames[0][:3, :3], matrix[:3, :3]) for matrix in self.frames[1:]):
+            origin = np.array([matrix[:3, 2] @ matrix[:3, 3] for matrix in self.frames])
             height = moves.end[:, 2] + origin[moves.frame] / M_PER_MM
             rapid = (moves.code == 0.0) & ~moves.bottom
             for first, last in moves.unknown:
                 rapid &= (row < first) | (row >= last)
-            lowest = np.minimum.accumulate(np.where(rapid, height, np.inf))[at]
-            safe |= np.isfinite(lowest) & (height[at] >= lowest - _FEWEST)
+            lowest_height = np.minimum.accumulate(np.where(rapid, height, np.inf))[at]
+            safe |= np.isfinite(lowest_height) & (height[at] >= lowest_height - _FEWEST)
         safe &= (turn[at, 0] == turn[at, 1]).all(axis=1)
         for first, last in moves.unknown:
             safe &= (row[at] < first) | (row[at] > last)
@@ -805,18 +805,18 @@ class _Walk:
         """Return ranges with an unknown position, without the first if its moves begin at `[start]`; its last row."""
         rows = self.rows
         first, last = unknown[0]
-        here = slice(first, min(last + 1, self.count))
-        placed = rows.placed[here]
-        feeds = placed & (rows.motion[here] == 1.0)
+        row_range = slice(first, min(last + 1, self.count))
+        has_position = rows.placed[row_range]
+        feeds = has_position & (rows.motion[row_range] == 1.0)
         if (
             not feeds.any()
             or last >= self.count
             or np.isnan(rows.xyz).all(axis=0).any()
-            or (placed & rows.incremental[here]).any()
-            or (rows.moving[here] & (rows.motion[here] >= 2.0)).any()
-            or rows.drilling[here].any()
-            or (self.offset[here][placed] != self.offset[here][placed][0]).any()
-            or rows.motion[first + int(np.argmax(placed))] != 1.0
+            or (has_position & rows.incremental[row_range]).any()
+            or (rows.moving[row_range] & (rows.motion[row_range] >= 2.0)).any()
+            or rows.drilling[row_range].any()
+            or (self.offset[row_range][has_position] != self.offset[row_range][has_position][0]).any()
+            or rows.motion[first + int(np.argmax(has_position))] != 1.0
             or goes_up_first(rows, first, last)
         ):
             return unknown, -1
@@ -829,20 +829,20 @@ class _Walk:
 
     def _unknown(self) -> list[tuple[int, int]]:
         """Return ranges of rows with an unknown position: each lasts until every lost axis is programmed again."""
-        given = ~np.isnan(self.rows.xyz)
+        has_word = ~np.isnan(self.rows.xyz)
         for plane, axes in PLANE_AXES.items():  # the word across the plane is the bottom of the hole
-            given[:, axes[2]] &= ~(self.rows.drilling & (self.rows.plane == plane))
-        out: list[tuple[int, int]] = []
-        missing = np.zeros(3, dtype=bool)
+            has_word[:, axes[2]] &= ~(self.rows.drilling & (self.rows.plane == plane))
+        ranges: list[tuple[int, int]] = []
+        unknown_axes = np.zeros(3, dtype=bool)
         ends = [row for row, _ in self.losses[1:]] + [self.count]
-        for (first, lost), end in zip(self.losses, ends, strict=True):
-            missing = missing | lost
-            if not missing.any():  # home is known
-                out.append((first, first - 1))
+        for (first, lost_axes), end in zip(self.losses, ends, strict=True):
+            unknown_axes = unknown_axes | lost_axes
+            if not unknown_axes.any():  # home is known
+                ranges.append((first, first - 1))
                 continue
-            here = given[first:end]
-            complete = np.where(here.any(axis=0), first + here.argmax(axis=0) if len(here) else end, self.count)
-            last = int(complete[missing].max(initial=first))
-            out.append((first, min(last, end)))
-            missing = missing & (complete >= end)
-        return out
+            part = has_word[first:end]
+            complete = np.where(part.any(axis=0), first + part.argmax(axis=0) if len(part) else end, self.count)
+            last = int(complete[unknown_axes].max(initial=first))
+            ranges.append((first, min(last, end)))
+            unknown_axes = unknown_axes & (complete >= end)
+        return ranges

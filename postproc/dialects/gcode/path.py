@@ -62,12 +62,12 @@ _NEAR_MM = 1e-6
 
 def arrivals(moves: Moves) -> tuple[Bools, Bools]:
     """Return which moves (N,) are held back while X, Y, Z are not all known, and which (N,) arrive instead."""
-    held_back, arriving = np.zeros(len(moves.row), dtype=bool), np.zeros(len(moves.row), dtype=bool)
+    is_held_back, is_arrival = np.zeros(len(moves.row), dtype=bool), np.zeros(len(moves.row), dtype=bool)
     for first, last in moves.unknown:
         begin, end = np.searchsorted(moves.row, [first, last]).tolist()
-        held_back[begin:end] = ~moves.home[begin:end]
-        arriving[end : end + 1] = moves.code[end : end + 1] == 0.0
-    return held_back, arriving
+        is_held_back[begin:end] = ~moves.home[begin:end]
+        is_arrival[end : end + 1] = moves.code[end : end + 1] == 0.0
+    return is_held_back, is_arrival
 
 
 def approached(moves: Moves, cell_frames: CellFrames) -> tuple[Moves, Bools, Bools]:
@@ -75,11 +75,11 @@ def approached(moves: Moves, cell_frames: CellFrames) -> tuple[Moves, Bools, Boo
 
     The first move from `[start]` has no separate approach: the user chose that position.
     """
-    held_back, arriving = arrivals(moves)
-    back = arriving & (moves.row >= min((first for first, _ in moves.unknown[1:]), default=np.inf))
-    if cell_frames.clearance is None or not back.any():
-        return moves, held_back, arriving
-    at = np.flatnonzero(back)
+    is_held_back, is_arrival = arrivals(moves)
+    is_return = is_arrival & (moves.row >= min((first for first, _ in moves.unknown[1:]), default=np.inf))
+    if cell_frames.clearance is None or not is_return.any():
+        return moves, is_held_back, is_arrival
+    at = np.flatnonzero(is_return)
     frames = moves.machine_frames[moves.frame[at]]
     tool = cell_frames.rotary.tool_direction(moves.turn[at, 1])
     tool_z = np.einsum("ni,ni->n", frames[:, 2, :3], tool)
@@ -87,14 +87,14 @@ def approached(moves: Moves, cell_frames: CellFrames) -> tuple[Moves, Bools, Boo
     split = (z < cell_frames.clearance - _NEAR_MM) & (tool_z > LEVEL)
     count = np.ones(len(moves.row), dtype=np.int64)
     count[at[split]] = 2
-    above = np.cumsum(count)[at[split]] - 2
-    out = moves.repeated(count)
-    end, turn = out.end.copy(), out.turn.copy()
-    end[above] += tool[split] * ((cell_frames.clearance - z[split]) / tool_z[split])[:, None]
-    turn[above + 1, 0] = turn[above, 1]
-    arriving = np.repeat(arriving, count)
-    arriving[above + 1] = False
-    return replace(out, end=end, turn=turn), np.repeat(held_back, count), arriving
+    approach_moves = np.cumsum(count)[at[split]] - 2
+    new_moves = moves.repeated(count)
+    end, turn = new_moves.end.copy(), new_moves.turn.copy()
+    end[approach_moves] += tool[split] * ((cell_frames.clearance - z[split]) / tool_z[split])[:, None]
+    turn[approach_moves + 1, 0] = turn[approach_moves, 1]
+    is_arrival = np.repeat(is_arrival, count)
+    is_arrival[approach_moves + 1] = False
+    return replace(new_moves, end=end, turn=turn), np.repeat(is_held_back, count), is_arrival
 
 
 def chords(moves: Moves, circular: Ints, arcs: Arcs, tolerance: float) -> tuple[Moves, Ints]:
@@ -111,8 +111,8 @@ def chords(moves: Moves, circular: Ints, arcs: Arcs, tolerance: float) -> tuple[
     radial = begin - arcs.centre
     angle = np.sqrt(8.0 * tolerance / np.maximum(norm(radial), tolerance))
     count[circular[turns]] = np.ceil(arcs.sweep[turns] / angle[turns] - 1e-9).astype(np.int64)
-    out = moves.repeated(count)
-    code, end, turn = out.code.copy(), out.end.copy(), out.turn.copy()
+    new_moves = moves.repeated(count)
+    code, end, turn = new_moves.code.copy(), new_moves.end.copy(), new_moves.turn.copy()
     first = np.cumsum(count) - count
     for n in np.flatnonzero(turns).tolist():
         move = circular[n]
@@ -123,7 +123,7 @@ def chords(moves: Moves, circular: Ints, arcs: Arcs, tolerance: float) -> tuple[
         angles = moves.turn[move, 0] + share * (moves.turn[move, 1] - moves.turn[move, 0])
         code[rows], end[rows] = 1, path[1:]
         turn[rows] = np.stack([angles[:-1], angles[1:]], axis=1)
-    return replace(out, code=code, end=end, turn=turn), count
+    return replace(new_moves, code=code, end=end, turn=turn), count
 
 
 def _along(begin: Array, end: Array, radial: Array, normal: Array, angle: Array) -> Array:
@@ -131,8 +131,8 @@ def _along(begin: Array, end: Array, radial: Array, normal: Array, angle: Array)
     share = angle / angle[-1]
     climb = normal * (normal @ (end - begin))
     growth = norm(end - climb - begin + radial) / norm(radial) - 1.0
-    turned = np.cos(angle) * radial + np.sin(angle) * np.cross(normal, radial)
-    return np.asarray(begin - radial + turned * (1.0 + share * growth) + share * climb)
+    radius_vectors = np.cos(angle) * radial + np.sin(angle) * np.cross(normal, radial)
+    return np.asarray(begin - radial + radius_vectors * (1.0 + share * growth) + share * climb)
 
 
 _UPWARDS = -0.9999
@@ -144,12 +144,12 @@ _S_PER_MIN = 60.0
 
 def turned(moves: Moves, axes: Array) -> Array:
     """Return an upper bound of the rotation of the tool in each move (N,) [rad]."""
-    out = np.zeros(len(moves.row))
+    angles = np.zeros(len(moves.row))
     rows = np.flatnonzero((moves.turn[:, 0] != moves.turn[:, 1]).any(axis=1))
     if len(rows):
         turns = moves.turn[rows] * RAD_PER_DEG
-        out[rows] = in_chunks(lambda turn: (turning(axes, turn[:, 0], turn[:, 1]),), turns)[0]
-    return out
+        angles[rows] = in_chunks(lambda turn: (turning(axes, turn[:, 0], turn[:, 1]),), turns)[0]
+    return angles
 
 
 def swivel_of(moves: Moves, rows: LineStates, kept: Ints, free: Bools, alone: Bools, cell_frames: CellFrames) -> Swivel:
@@ -182,13 +182,13 @@ def swivel_of(moves: Moves, rows: LineStates, kept: Ints, free: Bools, alone: Bo
 
 def _way(axes: Array, begin: Array, end: Array) -> Array:
     """Return the angle that the tool direction sweeps (n,) [rad]."""
-    out = np.zeros(len(begin))
-    before = tilted(direction(axes, begin))
+    angles = np.zeros(len(begin))
+    start_direction = tilted(direction(axes, begin))
     for step in range(1, _STEPS + 1):
-        after = tilted(direction(axes, begin + (end - begin) * (step / _STEPS)))
-        out += angle_between(before, after)
-        before = after
-    return out
+        end_direction = tilted(direction(axes, begin + (end - begin) * (step / _STEPS)))
+        angles += angle_between(start_direction, end_direction)
+        start_direction = end_direction
+    return angles
 
 
 def check_turning(rows: LineStates, moves: Moves, held_back: Bools, axes: Array, tip_on: str) -> list[Fault]:
@@ -198,7 +198,7 @@ def check_turning(rows: LineStates, moves: Moves, held_back: Bools, axes: Array,
     :param tip_on: codes that switch tool-centre-point control on.
     """
     tilt = (moves.turn != 0.0).any(axis=(1, 2))
-    placed = ~np.isnan(rows.xyz[moves.row]).all(axis=1) | (moves.code > 0.0)
+    has_position = ~np.isnan(rows.xyz[moves.row]).all(axis=1) | (moves.code > 0.0)
 
     def away(turn: Array) -> tuple[Bools]:
         return (any_column(np.stack([direction(axes, turn[:, n] * RAD_PER_DEG)[:, 2] < _UPWARDS for n in (0, 1)], 1)),)
@@ -207,7 +207,7 @@ def check_turning(rows: LineStates, moves: Moves, held_back: Bools, axes: Array,
     for wrong, problem, advice in (
         (in_chunks(away, moves.turn)[0], "the tool points away from the part", "Check axes and signs in [rotary]."),
         (
-            tilt & placed & ~rows.tip[moves.row] & ~moves.home & ~held_back,
+            tilt & has_position & ~rows.tip[moves.row] & ~moves.home & ~held_back,
             "coordinates with tilted axes, but without tool-centre-point control",
             f"They depend on the machine: program {tip_on} before, or retract by G53 Z or G28 Z as [machine] says.",
         ),
@@ -235,13 +235,13 @@ def faults_of(rows: LineStates, moves: Moves, modes: Modes, circular: Ints, arcs
     straight, arc = rows.motion == 1.0, (rows.motion == 2.0) | (rows.motion == 3.0)
     dwelling = np.zeros(count, dtype=bool)
     dwelling[[row for row in modes.dwells if row < count]] = True
-    used = (rows.moving & arc) | rows.drilling | doubt.motion
-    centred = any_column(~np.isnan(rows.ijk))
-    stray = centred | ~(np.isnan(rows.radius) & np.isnan(rows.turns))
-    check(stray & ~used, "I, J, K, R or P without an arc or a cycle that uses it")
+    uses_words = (rows.moving & arc) | rows.drilling | doubt.motion
+    has_centre = any_column(~np.isnan(rows.ijk))
+    stray = has_centre | ~(np.isnan(rows.radius) & np.isnan(rows.turns))
+    check(stray & ~uses_words, "I, J, K, R or P without an arc or a cycle that uses it")
     stray = ~np.isnan(rows.pecks) | ~(np.isnan(rows.repeats) | (rows.repeats == 0.0))  # L0 repeats nothing
-    check(stray & (~used | (rows.moving & arc)), "Q or L without a cycle that uses it")
-    for row in np.flatnonzero(rows.drilling & centred)[: MOST + 1].tolist():
+    check(stray & (~uses_words | (rows.moving & arc)), "Q or L without a cycle that uses it")
+    for row in np.flatnonzero(rows.drilling & has_centre)[: MOST + 1].tolist():
         faults.setdefault(row, Fault(row, "I, J or K in a cycle", _repeats_advice(rows, row)))
     check(dwelling & rows.moving & arc, "G4 in one block with an arc", "Write one block for each.")
     cuts = ((rows.named | rows.moving) & (straight | arc)) | rows.drilling
@@ -275,24 +275,24 @@ def _check_unknown(rows: LineStates, moves: Moves, doubt: _Doubt, check: Callabl
     axes = rows.placed
     straight, arc = rows.motion == 1.0, (rows.motion == 2.0) | (rows.motion == 3.0)
     advice = "Program X, Y and Z in rapid moves (G0, in G90) first: the tool may be anywhere before."
-    never = [axis for axis, words in zip("XYZ", rows.xyz.T, strict=True) if np.isnan(words).all()]
-    if never:
-        advice += f" {' and '.join(never)} {'is' if len(never) == 1 else 'are'} never programmed."
+    unset_axes = [axis for axis, words in zip("XYZ", rows.xyz.T, strict=True) if np.isnan(words).all()]
+    if unset_axes:
+        advice += f" {' and '.join(unset_axes)} {'is' if len(unset_axes) == 1 else 'are'} never programmed."
     for first, complete in moves.unknown:
         if first >= len(line):
             continue
-        within = (line >= first) & (line <= complete)
-        early = axes & within & ~doubt.position
+        is_within = (line >= first) & (line <= complete)
+        early = axes & is_within & ~doubt.position
         problem = "incremental move before the position is known"
         check(early & rows.incremental, problem, advice, first=True)
         begin = first + int(np.argmax(axes[first:])) if axes[first:].any() else first
-        above = begin == complete or goes_up_first(rows, first, complete)
-        cutting = early & (straight & (not above) | (rows.drilling & (line < complete))) & ~doubt.motion
+        is_above = begin == complete or goes_up_first(rows, first, complete)
+        cutting = early & (straight & (not is_above) | (rows.drilling & (line < complete))) & ~doubt.motion
         check(cutting, "cutting move before the position is known", advice, first=True)
-        turning = rows.moving & arc & within & ~doubt.motion & ~doubt.position
+        turning = rows.moving & arc & is_within & ~doubt.motion & ~doubt.position
         check(turning, "arc before the position is known", advice, first=True)
-        elsewhere = early & (moves.offset != moves.offset[begin])
-        check(elsewhere, "change of the work offset before the position is known", advice, first=True)
+        other_offset = early & (moves.offset != moves.offset[begin])
+        check(other_offset, "change of the work offset before the position is known", advice, first=True)
 
 
 class _Doubt:
@@ -318,11 +318,11 @@ class _Doubt:
             at[[fault.row for fault in faults if set(letters) & set(fault.lost)]] = True
             return latest(at)
 
-        given = [latest(~np.isnan(rows.xyz[:, axis]) & ~rows.incremental) for axis in range(3)]
-        before = np.minimum.reduce(given)
-        before = np.concatenate([[-1], before[:-1]])  # the line itself needs its start
+        latest_rows = [latest(~np.isnan(rows.xyz[:, axis]) & ~rows.incremental) for axis in range(3)]
+        latest_position = np.minimum.reduce(latest_rows)
+        latest_position = np.concatenate([[-1], latest_position[:-1]])  # the line itself needs its start
         self.motion = (lost("G") >= 0) & (latest(rows.named) <= lost("G"))
-        self.position = (lost("GXYZIJK") >= 0) & (before <= lost("GXYZIJK"))
+        self.position = (lost("GXYZIJK") >= 0) & (latest_position <= lost("GXYZIJK"))
         self.feed = lost("F") >= 0
 
 
@@ -380,37 +380,37 @@ def read_path(
     :param rows: words and modal state of all lines.
     :param modes: modal state and events of the blocks that are not plain.
     """
-    moves, held_back, arriving = approached(moves_of(rows, modes, cell_frames), cell_frames)
+    moves, is_held_back, is_arrival = approached(moves_of(rows, modes, cell_frames), cell_frames)
     circular = np.flatnonzero(moves.code >= 2.0)
     arcs = _arcs(rows, moves, circular)
     faults = faults_of(rows, moves, modes, moves.row[circular], arcs.faults)
     if not faults and rotary is not None:
         switched_on = np.array([row for row, on in modes.tip if on], dtype=np.int64)
         faults = kind_faults(rotary, rows.rotary, switched_on) or check_turning(
-            rows, moves, held_back, cell_frames.rotary.directions, " or ".join(rotary.tcp_on or TCP_ON)
+            rows, moves, is_held_back, cell_frames.rotary.directions, " or ".join(rotary.tcp_on or TCP_ON)
         )
     if faults:
         return faults
     length = _lengths(moves, circular, arcs)
     moves, count = chords(moves, circular, arcs, speeds.chord)
-    held_back, arriving, length = np.repeat(held_back, count), np.repeat(arriving, count), np.repeat(length, count)
+    is_held_back, is_arrival, length = np.repeat(is_held_back, count), np.repeat(is_arrival, count), np.repeat(length, count)
     whole = count[circular] == 1
     circular, arcs = np.flatnonzero(moves.code >= 2.0), arcs.of(whole)
     other_tool = np.diff(moves.tool, prepend=moves.tool[:1]) != 0
     turns = turned(moves, cell_frames.rotary.directions) > _STILL
-    stays = ~turns & (length <= SAME_MM) & (moves.code < 2.0) & ~moves.home & ~other_tool & ~arriving & ~held_back
-    kept = np.flatnonzero(~stays & ~held_back)
-    free = arriving[kept] | moves.home[kept]
-    alone = turns[kept] & (length[kept] <= SAME_MM) & (moves.code[kept] == 1.0) & ~free
-    swivel = None if rotary is None else swivel_of(moves, rows, kept, free, alone, cell_frames)
+    stays = ~turns & (length <= SAME_MM) & (moves.code < 2.0) & ~moves.home & ~other_tool & ~is_arrival & ~is_held_back
+    motion_moves = np.flatnonzero(~stays & ~is_held_back)
+    free = is_arrival[motion_moves] | moves.home[motion_moves]
+    is_rotation = turns[motion_moves] & (length[motion_moves] <= SAME_MM) & (moves.code[motion_moves] == 1.0) & ~free
+    swivel = None if rotary is None else swivel_of(moves, rows, motion_moves, free, is_rotation, cell_frames)
     motions = _motions(
-        rows, moves, (circular, arcs), kept, free, (swivel, alone, length[kept]), modes, cell_frames, speeds
+        rows, moves, (circular, arcs), motion_moves, free, (swivel, is_rotation, length[motion_moves]), modes, cell_frames, speeds
     )
-    events = [(int(np.searchsorted(kept, at)), row, event) for at, row, event in moves.events]
-    away = moves.row[held_back]
-    still = distinct(np.concatenate([away, moves.row[stays]]))
-    unforced = np.flatnonzero((moves.row[kept] <= moves.started) & (moves.code[kept] == 1.0))
-    return MotionPath(motions, swivel, moves.row[kept], unforced, still, distinct(away), events, moves.remarks)
+    events = [(int(np.searchsorted(motion_moves, at)), row, event) for at, row, event in moves.events]
+    held_rows = moves.row[is_held_back]
+    motionless_rows = distinct(np.concatenate([held_rows, moves.row[stays]]))
+    unforced = np.flatnonzero((moves.row[motion_moves] <= moves.started) & (moves.code[motion_moves] == 1.0))
+    return MotionPath(motions, swivel, moves.row[motion_moves], unforced, motionless_rows, distinct(held_rows), events, moves.remarks)
 
 
 def _arcs(rows: LineStates, moves: Moves, circular: Ints) -> Arcs:
@@ -435,7 +435,7 @@ def _motions(
     rows: LineStates,
     moves: Moves,
     circles: tuple[Ints, Arcs],
-    kept: Ints,
+    motion_moves: Ints,
     free: Bools,
     turning: tuple[Swivel | None, Bools, Array],
     modes: Modes,
@@ -447,47 +447,47 @@ def _motions(
     :param free: (M,) True for moves by joint interpolation.
     :param turning: rotation of the tool, which moves rotate it only (M,), and lengths (M,) [mm].
     """
-    swivel, alone, length = turning
-    row, code, home = moves.row[kept], moves.code[kept], moves.home[kept]
+    swivel, is_rotation, length = turning
+    row, code, home = moves.row[motion_moves], moves.code[motion_moves], moves.home[motion_moves]
     rapid = code == 0.0
     kind = np.where(free, PTP, np.where(code < 2.0, LIN, CIRC))
-    nothing = np.broadcast_to(np.nan, (len(kept), 6))  # takes no memory
-    centre, normal, sweep = nothing[:, :3], nothing[:, :3], nothing[:, 0]
-    frames, frame = moves.frames, taken(moves.frame, kept)
+    empty = np.broadcast_to(np.nan, (len(motion_moves), 6))  # takes no memory
+    centre, normal, sweep = empty[:, :3], empty[:, :3], empty[:, 0]
+    frames, frame = moves.frames, taken(moves.frame, motion_moves)
     if swivel is not None:
         rotation = in_chunks(lambda angles, frame: (swivel.of(angles, frame),), swivel.end, swivel.frame)[0]
     elif len(frames) > 1:
         rotation = (frames[:, :3, :3] @ cell_frames.orientation)[frame]
     else:
-        rotation = np.broadcast_to(frames[0, :3, :3] @ cell_frames.orientation, (len(kept), 3, 3))
-    target = Poses(_placed(frames, frame, moves.end[kept]), rotation)
+        rotation = np.broadcast_to(frames[0, :3, :3] @ cell_frames.orientation, (len(motion_moves), 3, 3))
+    target = Poses(_placed(frames, frame, moves.end[motion_moves]), rotation)
     is_arc = np.flatnonzero(kind == CIRC)
     if len(is_arc):
         circular, arcs = circles
-        at = np.searchsorted(circular, kept[is_arc])
+        at = np.searchsorted(circular, motion_moves[is_arc])
         centre, normal, sweep = centre.copy(), normal.copy(), sweep.copy()
         centre[is_arc] = _placed(frames, frame[is_arc], arcs.centre[at])
         normal[is_arc] = np.einsum("nij,nj->ni", frames[frame[is_arc], :3, :3], arcs.normal[at])
         sweep[is_arc] = arcs.sweep[at]
-    joints = nothing
+    joints = empty
     if home.any() and cell_frames.home is not None:
-        joints = nothing.copy()
+        joints = empty.copy()
         joints[home] = speeds.home
-        poses = cell_frames.home[moves.tool[kept[home]]]
+        poses = cell_frames.home[moves.tool[motion_moves[home]]]
         rotation = rotation.copy()
         rotation[home], target.position[home] = poses[:, :3, :3], poses[:, :3, 3]
         target = Poses(target.position, rotation)
     per_minute = rows.feed[row]
-    timed = rows.inverse_time[row] & ~rapid
-    per_minute[timed] *= length[timed]
-    per_minute[timed & alone] = speeds.rapid * _S_PER_MIN / M_PER_MM  # the speed of rotation counts
+    is_inverse_time = rows.inverse_time[row] & ~rapid
+    per_minute[is_inverse_time] *= length[is_inverse_time]
+    per_minute[is_inverse_time & is_rotation] = speeds.rapid * _S_PER_MIN / M_PER_MM  # the speed of rotation counts
     feed = np.where(rapid, speeds.rapid, per_minute * (M_PER_MM / _S_PER_MIN))
     feed[kind == PTP] = np.nan
     blend = taken(in_force(modes.blends, speeds.approximation, modes.rows), row)
-    bottom = moves.bottom[kept]
+    bottom = moves.bottom[motion_moves]
     if bottom.any():
         blend = np.where(bottom, 0.0, blend)
-    rounding, unset = constant(speeds.rounding, len(kept)), constant(-1, len(kept))
+    rounding, unset = constant(speeds.rounding, len(motion_moves)), constant(-1, len(motion_moves))
     if modes.roundings:
         limit = in_force(modes.roundings, np.nan, modes.rows)[row]
         rounding = np.where(np.isnan(limit), speeds.rounding, limit)
@@ -501,8 +501,8 @@ def _motions(
         normal=normal,
         sweep=sweep,
         feed=feed,
-        base=constant(0, len(kept)),
-        tool=taken(moves.tool, kept),
+        base=constant(0, len(motion_moves)),
+        tool=taken(moves.tool, motion_moves),
         blend=blend,
         rounding=rounding,
         status=unset,
@@ -513,22 +513,22 @@ def _motions(
 
 def _lengths(moves: Moves, circular: Ints, arcs: Arcs) -> Array:
     """Return the lengths of moves (N,) [mm]."""
-    (out,) = in_chunks(lambda move: (norm(moves.end[move] - moves.begin(move)),), np.arange(len(moves.row)))
+    (lengths,) = in_chunks(lambda move: (norm(moves.end[move] - moves.begin(move)),), np.arange(len(moves.row)))
     if len(circular):
         begin = moves.begin(circular)
-        along = np.einsum("ni,ni->n", moves.end[circular] - begin, arcs.normal)
-        out[circular] = np.hypot(norm(begin - arcs.centre) * arcs.sweep, along)
-    return out
+        axial_length = np.einsum("ni,ni->n", moves.end[circular] - begin, arcs.normal)
+        lengths[circular] = np.hypot(norm(begin - arcs.centre) * arcs.sweep, axial_length)
+    return lengths
 
 
 def _placed(frames: Array, frame: Ints, mm: Array) -> Array:
     """Return points (n, 3) [mm] of program frames, by their rows (n,) of `frames` (nf, 4, 4), in `$BASE` [m]."""
     if len(frames) == 1:
-        placed: Array = np.einsum("nj,ij->ni", mm, frames[0, :3, :3] * M_PER_MM) + frames[0, :3, 3]
-        return placed
+        points: Array = np.einsum("nj,ij->ni", mm, frames[0, :3, :3] * M_PER_MM) + frames[0, :3, 3]
+        return points
 
     def some(frame: Ints, mm: Array) -> tuple[Array]:
-        own = frames[frame]
-        return (np.einsum("nij,nj->ni", own[:, :3, :3] * M_PER_MM, mm) + own[:, :3, 3],)
+        move_frames = frames[frame]
+        return (np.einsum("nij,nj->ni", move_frames[:, :3, :3] * M_PER_MM, mm) + move_frames[:, :3, 3],)
 
     return in_chunks(some, frame, mm)[0]

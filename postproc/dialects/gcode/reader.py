@@ -223,11 +223,11 @@ def _errors(run: Executed, faults: Sequence[Fault]) -> list[InputError]:
     names = [document.name for document in run.documents]
     kind = recognised(texts)
     if kind is not None:
-        at, other = kind
+        at, control = kind
         n, line = list(places)[at]
-        article = "an" if other.name[0] in "AO" else "a"
-        problem = f"this is not plain G-code, but {article} {other.name} program"
-        return [ProgramError(problem, file=names[n], line=line, text=texts[at], advice=other.advice)]
+        article = "an" if control.name[0] in "AO" else "a"
+        problem = f"this is not plain G-code, but {article} {control.name} program"
+        return [ProgramError(problem, file=names[n], line=line, text=texts[at], advice=control.advice)]
     return [
         ProgramError(fault.problem, file=names[n], line=line, text=text, advice=fault.advice)
         for ((n, line), fault), text in zip(places.items(), texts, strict=True)
@@ -247,19 +247,19 @@ def _after_the_end(run: Executed, rows: int) -> Iterator[Issue]:
 
 def _comments(run: Executed, rows: int) -> tuple[list[tuple[int, str | ForceNote]], list[InputError]]:
     """Return the comments of the first `rows` lines with their rows, and the errors of force comments."""
-    found: list[tuple[int, str | ForceNote]] = []
+    comments: list[tuple[int, str | ForceNote]] = []
     wrong: dict[tuple[int, int], InputError] = {}
     for line, text in zip(run.source.comment_lines.tolist(), run.source.comments, strict=True):
         if line > rows:
             break
-        n, own = int(run.document[line - 1]), int(run.line[line - 1])
+        n, file_line = int(run.document[line - 1]), int(run.line[line - 1])
         try:
-            note = parse_force_note(text, own, run.documents[n].name)
+            note = parse_force_note(text, file_line, run.documents[n].name)
         except ForceError as cause:
-            wrong.setdefault((n, own), cause)
+            wrong.setdefault((n, file_line), cause)
             continue
-        found.append((line - 1, text.strip() if note is None else note))
-    return found, list(wrong.values())
+        comments.append((line - 1, text.strip() if note is None else note))
+    return comments, list(wrong.values())
 
 
 def _brackets(run: Executed, comments: Sequence[tuple[int, str | ForceNote]]) -> Iterator[Issue]:
@@ -269,8 +269,8 @@ def _brackets(run: Executed, comments: Sequence[tuple[int, str | ForceNote]]) ->
         spans = [line_spans(document.text) for document in run.documents]
         for row in rows:
             n, line = int(run.document[row]), int(run.line[row]) - 1
-            before = run.documents[n].text[spans[n][0][line] : spans[n][1][line]].partition("(")[0]
-            if ";" not in before:
+            prefix = run.documents[n].text[spans[n][0][line] : spans[n][1][line]].partition("(")[0]
+            if ";" not in prefix:
                 message = "Brackets in a comment: LinuxCNC, Fanuc and Haas controls refuse them. They are read as text."
                 yield Issue("info", "brackets", message, row + 1)
 
@@ -283,20 +283,20 @@ def _events(
     In one line comments come first, stops last.
     """
     texts = [(row, 0, None, Event(0, "comment", 0, 0.0, text)) for row, text in comments if isinstance(text, str)]
-    switched = [(h.row, 2 if h.after else 1, None, Event(0, h.kind, 0, h.value)) for h in modes.row_events]
-    within = [
+    row_entries = [(h.row, 2 if h.after else 1, None, Event(0, h.kind, 0, h.value)) for h in modes.row_events]
+    cycle_entries = [
         (row, 1, at, Event(0, event.kind, 0, event.value or _speed(modes, row, event.kind)))
         for at, row, event in path.events
     ]
-    ordered = sorted([*texts, *switched, *within], key=itemgetter(0, 1))
-    noted = [(row, note) for row, note in comments if isinstance(note, ForceNote)]
-    before = np.searchsorted(path.row, [row + (order == 2) for row, order, *_ in ordered]).tolist()
-    first = np.searchsorted(path.row, [row for row, _ in noted]).tolist()
+    entries = sorted([*texts, *row_entries, *cycle_entries], key=itemgetter(0, 1))
+    force_notes = [(row, note) for row, note in comments if isinstance(note, ForceNote)]
+    motion_index = np.searchsorted(path.row, [row + (order == 2) for row, order, *_ in entries]).tolist()
+    first = np.searchsorted(path.row, [row for row, _ in force_notes]).tolist()
     events = (
-        replace(event, before=at if own is None else own, line=int(run.main[row]))
-        for at, (row, _, own, event) in zip(before, ordered, strict=True)
+        replace(event, before=at if cycle_move is None else cycle_move, line=int(run.main[row]))
+        for at, (row, _, cycle_move, event) in zip(motion_index, entries, strict=True)
     )
-    notes = (replace(note, before=at, line=int(run.main[row])) for at, (row, note) in zip(first, noted, strict=True))
+    notes = (replace(note, before=at, line=int(run.main[row])) for at, (row, note) in zip(first, force_notes, strict=True))
     return tuple(notes), tuple(events)
 
 
@@ -316,10 +316,10 @@ def _issues(path: MotionPath, modes: Modes) -> Iterator[Issue]:
         message = "Moves are held back until X, Y and Z are all known."
         lines = tuple((path.held_back + 1).tolist())
         yield Issue("info", "start-position", message, lines[0], count=len(lines), lines=lines)
-    nowhere = np.setdiff1d(path.still, path.held_back, assume_unique=True)
-    if len(nowhere):
+    null_rows = np.setdiff1d(path.still, path.held_back, assume_unique=True)
+    if len(null_rows):
         message = "A move of zero length is left out."
-        lines = tuple((nowhere + 1).tolist())
+        lines = tuple((null_rows + 1).tolist())
         yield Issue("info", "null-move", message, lines[0], count=len(lines), lines=lines)
 
 

@@ -85,7 +85,7 @@ def kind_faults(rotary: Rotary, words: Array, tcp_on: Ints) -> list[Fault]:
     """
     if rotary.kind == "indexed" and len(tcp_on):
         return [Fault(int(tcp_on[0]), "tool-centre-point control, and the rotary axes are indexed", _TCP_OF_INDEXED)]
-    turned = np.flatnonzero(np.nan_to_num(words).any(axis=1))
-    if rotary.kind is None and len(turned):
-        return [Fault(int(turned[0]), "rotary axes turn, and the cell does not say what X, Y, Z are", NOT_STATED)]
+    turn_rows = np.flatnonzero(np.nan_to_num(words).any(axis=1))
+    if rotary.kind is None and len(turn_rows):
+        return [Fault(int(turn_rows[0]), "rotary axes turn, and the cell does not say what X, Y, Z are", NOT_STATED)]
     return []

@@ -132,15 +132,15 @@ class Unit(Struct, eq=False):
         In LinuxCNC style all lines are within SUB … ENDSUB. In Fanuc style the file ends with M99, and its
         name is a number.
         """
-        inside = np.zeros(len(self.source), dtype=np.bool_)
+        is_inside = np.zeros(len(self.source), dtype=np.bool_)
         for first in self.subs.values():
-            inside[first : self.links.get(first, (first,))[-1] + 1] = True
-        outside = np.flatnonzero(~inside).tolist()
-        if self.subs and all(_SAYS_NOTHING.fullmatch(self.source.line(row)) for row in outside):
+            is_inside[first : self.links.get(first, (first,))[-1] + 1] = True
+        main_rows = np.flatnonzero(~is_inside).tolist()
+        if self.subs and all(_SAYS_NOTHING.fullmatch(self.source.line(row)) for row in main_rows):
             return f"O<{next(iter(self.subs))}>"
         number = _NUMBERED.fullmatch(self.document.name.partition(".")[0])
         if number:
-            ends = {end for row in outside if self.following[row] == row for end in ordered(self.source.line(row))}
+            ends = {end for row in main_rows if self.following[row] == row for end in ordered(self.source.line(row))}
             return f"O{int(number[1])}" if "99" in ends and not ends & {"2", "30"} else None
         return None
 
@@ -156,22 +156,22 @@ class Unit(Struct, eq=False):
                     problem = "a second subprogram of this name" if label in self.subs else "a subprogram in another"
                     self.faults.append(Fault(row, f"O{label} SUB: {problem}"))
                 self.subs.setdefault(label, row)
-            own = [at for at, (word, name, _) in enumerate(open_) if name == label and word != "SUB"]
-            if keyword == "WHILE" and own and open_[own[-1]][0] == "DO":
-                self._close(row, open_, own[-1])
+            open_indices = [at for at, (word, name, _) in enumerate(open_) if name == label and word != "SUB"]
+            if keyword == "WHILE" and open_indices and open_[open_indices[-1]][0] == "DO":
+                self._close(row, open_, open_indices[-1])
             elif keyword in ("SUB", "IF", "WHILE", "DO", "REPEAT"):
                 open_.append((keyword, label, [row]))
             elif keyword in _OPENED_BY:
-                wanted = _OPENED_BY[keyword]
+                opening_words = _OPENED_BY[keyword]
                 fits = [
                     n
                     for n, (word, name, _) in enumerate(open_)
-                    if word in wanted and (name == label or keyword == "RETURN")
+                    if word in opening_words and (name == label or keyword == "RETURN")
                 ]
                 at = fits[-1] if fits else -1
                 if at < 0:
                     self.faults.append(
-                        Fault(row, f"O{label} {keyword} without O{label} {' or '.join(wanted)} before it")
+                        Fault(row, f"O{label} {keyword} without O{label} {' or '.join(opening_words)} before it")
                     )
                 elif keyword in ("ELSEIF", "ELSE"):
                     open_[at][2].append(row)
@@ -227,11 +227,11 @@ def _order(code: str, at: int) -> Order:
     values: list[Value] = []
     while reader.at < len(code):
         values.append(reader.expression())
-    least, most = {"CALL": (0, ARGUMENTS), "RETURN": (0, 1), "ENDSUB": (0, 1)}.get(keyword[0], (0, 0))
+    min_count, max_count = {"CALL": (0, ARGUMENTS), "RETURN": (0, 1), "ENDSUB": (0, 1)}.get(keyword[0], (0, 0))
     if keyword[0] in _TESTED:
-        least = most = 1
-    if not least <= len(values) <= most:
-        problem = "too many values" if len(values) > most else "a value in [ ] is missing"
+        min_count = max_count = 1
+    if not min_count <= len(values) <= max_count:
+        problem = "too many values" if len(values) > max_count else "a value in [ ] is missing"
         raise BlockError(f"{keyword[0] or 'O number'}: {problem}", None)
     return Order(keyword[0], label, tuple(values))
 

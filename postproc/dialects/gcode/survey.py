@@ -22,16 +22,16 @@ _OFFSETS = {f"G{code:g}" for code in codes.WORK_OFFSETS[1:]}
 def survey(document: Document) -> Survey:
     """Return what the text shows; nothing is executed, so words of expressions and loops are not seen."""
     source = split(document)
-    words = {_normal(found[0]) for found in _CODES.finditer(source.code)}
-    own = sorted((word for word in words if word[0] == "M" and _is_of_machine(float(word[1:]))), key=_order)
-    rotary = tuple(sorted({found[1].decode() for found in _ROTARY.finditer(source.code)}))
+    words = {_normal(match[0]) for match in _CODES.finditer(source.code)}
+    machine_codes = sorted((word for word in words if word[0] == "M" and _is_of_machine(float(word[1:]))), key=_order)
+    rotary = tuple(sorted({match[1].decode() for match in _ROTARY.finditer(source.code)}))
     switches = {name for name, group in (("spindle", codes.SPINDLE[:2]), ("coolant", codes.COOLANT[:2]))
                 if words & {f"M{code:g}" for code in group}}  # fmt: skip
     return Survey(
         comments=tuple(zip(source.comment_lines.tolist(), source.comments, strict=True)),
         tool_changes=tuple(_tool_changes(source)),
         work_offsets=tuple(sorted(words & _OFFSETS, key=_order)),
-        m_codes=tuple(own),
+        m_codes=tuple(machine_codes),
         rotary=rotary,
         tip_controlled=bool(words & set(TCP_ON)),
         switches=frozenset(switches),
@@ -48,9 +48,9 @@ def _is_of_machine(code: float) -> bool:
 def _tool_changes(source: Source) -> Iterator[tuple[int, int]]:
     """Yield line and number of each M6, with the T in force; of a program without M6, those of each T."""
     changes, selections, tool = [], [], None
-    for found in _CODE_LINE.finditer(source.code):
-        words = [_normal(word[0]) for word in _CODES.finditer(found[0])]
-        line = source.code.count(b"\n", 0, found.start())
+    for match in _CODE_LINE.finditer(source.code):
+        words = [_normal(word[0]) for word in _CODES.finditer(match[0])]
+        line = source.code.count(b"\n", 0, match.start())
         for word in words:
             if word[0] == "T" and float(word[1:]) == int(float(word[1:])):
                 tool = int(float(word[1:]))

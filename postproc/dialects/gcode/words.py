@@ -92,8 +92,8 @@ class Source(Struct, frozen=True, eq=False):
 
     def coordinates(self, row: int) -> Ints:
         """Return the rows after a line that have coordinates."""
-        found = [match.start() for match in _COORDINATE.finditer(self.code, int(self.ends[min(row + 1, len(self))]))]
-        return distinct(np.searchsorted(self.ends, np.array(found, dtype=np.int64)) - 1)
+        positions = [match.start() for match in _COORDINATE.finditer(self.code, int(self.ends[min(row + 1, len(self))]))]
+        return distinct(np.searchsorted(self.ends, np.array(positions, dtype=np.int64)) - 1)
 
     def goes_on(self, row: int) -> bool:
         """Return whether a line begins or ends with %, which ends the program, and coordinates follow it."""
@@ -111,8 +111,8 @@ class Words:
 
     def __getitem__(self, group: str) -> Array:
         """Return the values (L, n) of a group of letters, one of `GROUPS`; NaN where a line has no such word."""
-        found = self._values.get(group)
-        return np.broadcast_to(np.nan, (self._rows, len(group))) if found is None else found
+        values = self._values.get(group)
+        return np.broadcast_to(np.nan, (self._rows, len(group))) if values is None else values
 
     def column(self, letter: str) -> Array:
         """Return the values (L,) of a letter."""
@@ -140,30 +140,30 @@ def split(document: Document) -> Source:
     """
     text = document.text.replace(MARK, "?")
     comments: tuple[str, ...] = ()
-    nested = _NESTED.search(text) is not None
+    is_nested = _NESTED.search(text) is not None
     forms = [form for begin, form in _COMMENTS.items() if begin in text]
-    if nested:
+    if is_nested:
         forms[0] = _COMMENTS_NESTED
     if forms:
         parts: list[str] = []
-        found: list[str] = []
-        after = 0
+        comment_texts: list[str] = []
+        text_start = 0
         for match in re.finditer("|".join(forms), text):
-            if nested and not _is_comment(match[0]):
+            if is_nested and not _is_comment(match[0]):
                 continue
-            found.append(match[match.lastindex or 1])
-            parts.append(text[after : match.start()])
-            after = match.end()
-        comments = tuple(found)
-        text = MARK.join([*parts, text[after:]])
+            comment_texts.append(match[match.lastindex or 1])
+            parts.append(text[text_start : match.start()])
+            text_start = match.end()
+        comments = tuple(comment_texts)
+        text = MARK.join([*parts, text[text_start:]])
         del parts
-    packed = text.encode("ascii", "replace")
+    code_bytes = text.encode("ascii", "replace")
     del text  # what follows needs the memory
-    if b"\r" in packed:
-        packed = packed.replace(b"\r\r\n", b"\0").replace(b"\r\n", b"\0")
-    packed = packed.translate(_PACK, b" \t")
-    code = b"\n" + packed if packed.endswith(b"\n") else b"\n" + packed + b"\n"
-    del packed
+    if b"\r" in code_bytes:
+        code_bytes = code_bytes.replace(b"\r\r\n", b"\0").replace(b"\r\n", b"\0")
+    code_bytes = code_bytes.translate(_PACK, b" \t")
+    code = b"\n" + code_bytes if code_bytes.endswith(b"\n") else b"\n" + code_bytes + b"\n"
+    del code_bytes
     ends = line_feeds(code)
     marks = (
         np.flatnonzero(np.frombuffer(code, dtype=np.uint8) == ord(MARK)) if comments else np.zeros(0, dtype=np.int64)
@@ -178,8 +178,8 @@ def line_feeds(code: bytes) -> Ints:
 
 def _is_comment(text: str) -> bool:
     """Return whether no control could read a block behind the first closing bracket of a comment with brackets."""
-    behind = _INNER.sub("", text.partition(")")[2])[:-1] if text.startswith("(") else ""
-    return _BLOCK.fullmatch("".join(behind.split())) is None
+    remaining_text = _INNER.sub("", text.partition(")")[2])[:-1] if text.startswith("(") else ""
+    return _BLOCK.fullmatch("".join(remaining_text.split())) is None
 
 
 def read_plain(source: Source, rotary: str = "") -> tuple[Words, Ints]:
@@ -222,21 +222,21 @@ def _read_lines(source: Source, first: int, last: int, rotary: str, words: Words
         value = np.fromstring(digits, sep=" ")
 
     by_letter = {name: np.flatnonzero(letter == ord(name)) for name in _PLAIN if name.encode() in code}
-    refused = [row[np.abs(value) >= LIMIT]]
+    refused_rows = [row[np.abs(value) >= LIMIT]]
     for name, at in by_letter.items():
-        rows, own = row[at], value[at]
+        rows, letter_values = row[at], value[at]
         if name in "ABC" and name not in rotary:
-            refused.append(rows)
+            refused_rows.append(rows)
             continue
-        words.put(name, first + rows, own)
-        refused.append(rows[1:][rows[1:] == rows[:-1]])  # the same letter twice
+        words.put(name, first + rows, letter_values)
+        refused_rows.append(rows[1:][rows[1:] == rows[:-1]])  # the same letter twice
         if name == "F":
-            refused.append(rows[own < 0.0])
+            refused_rows.append(rows[letter_values < 0.0])
         elif name == "G":
-            refused.append(rows[~np.isin(own, (0.0, 1.0, 2.0, 3.0)) | np.signbit(own)])
-    again = np.concatenate(refused)
-    words.remove(first + again)
-    odd[again] = True
+            refused_rows.append(rows[~np.isin(letter_values, (0.0, 1.0, 2.0, 3.0)) | np.signbit(letter_values)])
+    odd_rows = np.concatenate(refused_rows)
+    words.remove(first + odd_rows)
+    odd[odd_rows] = True
     return first + np.flatnonzero(odd)
 
 
@@ -246,11 +246,11 @@ def _malformed(kind: Bytes) -> Ints:
     wrong = np.flatnonzero(np.frombuffer(pairs.tobytes().translate(_WRONG_PAIR), dtype=np.bool_)) + 1
     dots = np.flatnonzero(kind[:-1] == _DOT)
     bare = dots[(kind[dots - 1] != _DIGIT) & (kind[dots + 1] != _DIGIT)]
-    found = [wrong, bare]
+    positions = [wrong, bare]
     if bytes((_DOT, _DOT)) in kind.tobytes().translate(None, bytes((_DIGIT,))):
         marks = np.flatnonzero(kind != _DIGIT)
-        found.append(marks[1:][(kind[marks[1:]] == _DOT) & (kind[marks[:-1]] == _DOT)])
-    return np.concatenate(found)
+        positions.append(marks[1:][(kind[marks[1:]] == _DOT) & (kind[marks[:-1]] == _DOT)])
+    return np.concatenate(positions)
 
 
 def leave_all(source: Source) -> tuple[Words, Ints]:
@@ -307,16 +307,16 @@ def words_of(code: str) -> list[tuple[str, float]]:
 
     if _PROGRAM_NUMBER.fullmatch(code):
         return []
-    own = _split(code)
+    pairs = _split(code)
     try:
-        block = Block(" ".join(letter + number for letter, number in own))
+        block = Block(" ".join(letter + number for letter, number in pairs))
     except AssertionError as cause:
-        raise BlockError(_conflict(own), "Write one block for each.") from cause
+        raise BlockError(_conflict(pairs), "Write one block for each.") from cause
     except Exception as cause:  # pygcode has many kinds, and not all of them on purpose
         raise BlockError(f"not a valid block: {cause}", None) from cause
     words = [(word.letter, float(word.value)) for word in block.words]
-    for found, (letter, number) in zip(words, own, strict=False):
-        if found != (letter, float(number)):
+    for block_word, (letter, number) in zip(words, pairs, strict=False):
+        if block_word != (letter, float(number)):
             raise BlockError(f"{letter}{number} is not valid", "G has one decimal at most; M, N, T are whole numbers.")
     if words and words[0][0] == "N":
         del words[0]
@@ -329,7 +329,7 @@ def words_of(code: str) -> list[tuple[str, float]]:
 
 
 def _split(code: str) -> list[tuple[str, str]]:
-    own: list[tuple[str, str]] = []
+    pairs: list[tuple[str, str]] = []
     position, stop = 0, len(code.rstrip(MARK))
     while position < stop:
         match = _WORD.match(code, position)
@@ -341,14 +341,14 @@ def _split(code: str) -> list[tuple[str, str]]:
             raise BlockError(f"{match[1]}{match[2]} is not a whole number", _WHOLE[match[1]])
         if match[1] == "O":
             raise BlockError("an O word among other words", _O_ADVICE)
-        own.append((match[1], _plain(match[1], match[2])))
-        if len(own) > _MOST_WORDS:
+        pairs.append((match[1], _plain(match[1], match[2])))
+        if len(pairs) > _MOST_WORDS:
             raise BlockError(f"more than {_MOST_WORDS} words in one block", "Check the line ends of the file.")
         position = match.end()
-    for letter, count in Counter(letter for letter, _ in own).items():
+    for letter, count in Counter(letter for letter, _ in pairs).items():
         if count > 1 and letter not in "GM":
             raise BlockError(f"{count} {letter} words in one block", "Write one block for each.")
-    return own
+    return pairs
 
 
 def _plain(letter: str, number: str) -> str:
@@ -371,5 +371,5 @@ def _not_a_word(rest: str) -> tuple[str, str | None]:
 
 
 def _conflict(own: Sequence[tuple[str, str]]) -> str:
-    found = [f"{letter}{float(number):g}" for letter, number in own if letter in "GM"]
-    return f"two codes of one modal group, or a code twice, in one block: {' '.join(found)}"
+    code_names = [f"{letter}{float(number):g}" for letter, number in own if letter in "GM"]
+    return f"two codes of one modal group, or a code twice, in one block: {' '.join(code_names)}"

@@ -214,17 +214,17 @@ class Execution:
         self.routines = {routine.name: routine for module in self.modules for routine in module.routines}
         self.data: dict[str, Variable] = {name: Variable(type_, value) for name, (value, type_) in predefined().items()}
         for module in self.modules:
-            for declared in module.data:
-                self.data[declared.name] = _declared(declared)
+            for declaration in module.data:
+                self.data[declaration.name] = _declared(declaration)
         self.done = Executed()
         self.setting = Setting()
         self.count = 0
         self._moving: dict[str, bool] = {}
-        reached = self._reached(entry)
+        reachable_names = self._reached(entry)
         for routine in self.routines.values():
-            followed = routine.name in reached and routine.kind == "PROC"
+            is_followed = routine.name in reachable_names and routine.kind == "PROC"
             self._forget(routine.handler, f"the handler of {routine.name} may change it")
-            if not followed:
+            if not is_followed:
                 self._forget(routine.body, f"{routine.name} may change it, which is not followed")
 
     def run(self) -> Executed:
@@ -245,24 +245,24 @@ class Execution:
 
     def _reached(self, entry: Routine) -> set[str]:
         """Return the names of the routines that the entry may call."""
-        reached, waiting = {entry.name}, [entry]
+        names, waiting = {entry.name}, [entry]
         while waiting:
             for statement in nested(waiting.pop().body):
                 if isinstance(statement, Instruction):
                     name = statement.name.removeprefix("%")
-                    if name in self.routines and name not in reached:
-                        reached.add(name)
+                    if name in self.routines and name not in names:
+                        names.add(name)
                         waiting.append(self.routines[name])
-        return reached
+        return names
 
-    def _forget(self, statements: tuple[Statement, ...], why: str, scope: Scope | None = None) -> None:
+    def _forget(self, statements: tuple[Statement, ...], reason: str, scope: Scope | None = None) -> None:
         """Make unknown what statements may change."""
         for name in self._changed(statements, set()):
             variable = self.data.get(name) if scope is None else scope.find(name)
             if variable is not None and (variable.declaration is None or variable.declaration.kind != "CONST"):
-                variable.forget(why)
+                variable.forget(reason)
 
-    def _changed(self, statements: tuple[Statement, ...], seen: set[str]) -> Iterator[str]:
+    def _changed(self, statements: tuple[Statement, ...], routine_names: set[str]) -> Iterator[str]:
         """Yield the names of data that statements, and the routines that they call, may change."""
         for statement in nested(statements):
             if isinstance(statement, Assignment):
@@ -270,9 +270,9 @@ class Execution:
             elif isinstance(statement, Instruction) and statement.name not in _READING | MOVES.keys():
                 yield from (base_name(argument) for argument in changed_by(statement.arguments))
                 routine = self.routines.get(statement.name.removeprefix("%"))
-                if routine is not None and routine.name not in seen:
-                    seen.add(routine.name)
-                    yield from self._changed(routine.body, seen)
+                if routine is not None and routine.name not in routine_names:
+                    routine_names.add(routine.name)
+                    yield from self._changed(routine.body, routine_names)
 
     def moves(self, statements: tuple[Statement, ...]) -> Instruction | None:
         """Return the first instruction among statements that moves the robot or changes how it moves."""
@@ -289,11 +289,11 @@ class Execution:
         return None
 
     def _routine_moves(self, routine: Routine) -> bool:
-        known = self._moving.get(routine.name)
-        if known is None:
+        has_moves = self._moving.get(routine.name)
+        if has_moves is None:
             self._moving[routine.name] = False  # a call of itself adds nothing
-            known = self._moving[routine.name] = self.moves(routine.body) is not None
-        return known
+            has_moves = self._moving[routine.name] = self.moves(routine.body) is not None
+        return has_moves
 
     # --- statements
 
@@ -343,14 +343,14 @@ class Execution:
         advice = f"Put the moves of the part into a routine without {jump.word}."
         raise RapidError(f"{jump.word} changes the order of execution", jump.start, advice)
 
-    def _declare(self, declared: Declaration, scope: Scope) -> None:
-        variable = _declared(declared)
-        if declared.value is not None:
+    def _declare(self, declaration: Declaration, scope: Scope) -> None:
+        variable = _declared(declaration)
+        if declaration.value is not None:
             try:
-                variable.value, _ = evaluated(declared.value, scope)
+                variable.value, _ = evaluated(declaration.value, scope)
             except UnknownValueError as cause:
                 variable.forget(cause.problem)
-        scope.inner[declared.name] = variable
+        scope.inner[declaration.name] = variable
 
     def _assign(self, statement: Assignment, scope: Scope) -> None:
         try:
@@ -364,12 +364,12 @@ class Execution:
     def _conditional(self, statement: Conditional, scope: Scope, routine: Routine, depth: int) -> None:
         for condition, body in statement.branches:
             try:
-                taken = condition is None or self._holds(statement, condition, scope)
+                is_taken = condition is None or self._holds(statement, condition, scope)
             except UnknownValueError as cause:
-                bodies = tuple(one for _, block in statement.branches for one in block)
+                bodies = tuple(inner for _, block in statement.branches for inner in block)
                 self._skip(bodies, cause.problem, scope, routine)
                 return
-            if taken:
+            if is_taken:
                 self._block(body, scope, routine, depth)
                 return
 
@@ -379,11 +379,11 @@ class Execution:
         subject, _ = evaluated(statement.subject, scope)
         return any(subject == evaluated(item, scope)[0] for item in condition.items)
 
-    def _skip(self, statements: tuple[Statement, ...], why: str, scope: Scope, routine: Routine) -> None:
+    def _skip(self, statements: tuple[Statement, ...], reason: str, scope: Scope, routine: Routine) -> None:
         """Pass over statements of which it is not known whether they run."""
         moving = self.moves(statements)
         if moving is not None:
-            problem = f"it is not known before the program runs whether {moving.name} is executed: {why}"
+            problem = f"it is not known before the program runs whether {moving.name} is executed: {reason}"
             advice = (
                 "Put the moves of the part into a procedure without conditions, and name the file like it; or give the "
                 "data a value in the file."
@@ -394,9 +394,9 @@ class Execution:
                 if statement.word == "RETURN" and routine is self.entry:
                     continue  # the program ends early, and what ran before is as it was
                 if self._routine_moves(routine):
-                    problem = f"it is not known whether {statement.word} is executed: {why}"
+                    problem = f"it is not known whether {statement.word} is executed: {reason}"
                     raise RapidError(problem, statement.start, "Put the moves of the part into a routine without it.")
-        self._forget(statements, f"it may be changed where it is not known whether: {why}", scope)
+        self._forget(statements, f"it may be changed where it is not known whether: {reason}", scope)
 
     def _loop(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> None:
         if self.moves(loop.body) is None:
@@ -414,7 +414,7 @@ class Execution:
             problem = f"the number of rounds of FOR is not known before the program runs: {cause.problem}"
             raise RapidError(problem, loop.start, "Write its bounds as numbers.") from None
         width = step[0] if step else (1.0 if end >= begin else -1.0)
-        hidden = scope.inner.get(loop.name)
+        outer_variable = scope.inner.get(loop.name)
         values: list[float] = []
         value = begin
         while width != 0.0 and (end - value) * width >= 0.0:
@@ -422,10 +422,10 @@ class Execution:
             values.append(value)
             self._block(loop.body, scope, routine, depth)
             value += width
-        if hidden is None:
+        if outer_variable is None:
             scope.inner.pop(loop.name, None)
         else:
-            scope.inner[loop.name] = hidden
+            scope.inner[loop.name] = outer_variable
         return values
 
     def _while(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> list[float]:
@@ -448,30 +448,30 @@ class Execution:
         """Follow two rounds of a loop that does not end; the second must be the first again."""
         begin = len(self.done.moves), len(self.done.notes)
         self._block(loop.body, scope, routine, depth)
-        state, between = self._state(scope), (len(self.done.moves), len(self.done.notes))
+        state, middle = self._state(scope), (len(self.done.moves), len(self.done.notes))
         setting = self.setting
         calls, rounds = {name: list(calls) for name, calls in self.done.calls.items()}, dict(self.done.rounds)
         rounds = {start: list(runs) for start, runs in rounds.items()}
         self._block(loop.body, scope, routine, depth)
-        first, second = self.done.moves[begin[0] : between[0]], self.done.moves[between[0] :]
-        same = len(first) == len(second) and all(map(_equal, first, second))
-        if not same or self._state(scope) != state or self.setting != setting:
+        first, second = self.done.moves[begin[0] : middle[0]], self.done.moves[middle[0] :]
+        is_same = len(first) == len(second) and all(map(_equal, first, second))
+        if not is_same or self._state(scope) != state or self.setting != setting:
             problem = "the rounds of this loop without end differ"
             raise RapidError(problem, loop.start, "Put the moves of the part into a routine of its own.")
         if first and first[0].kind != PTP:
             problem = "a loop without end begins with a straight move, from another place in its second round"
             advice = "Begin its body with MoveAbsJ or MoveJ, or put the moves of the part into a routine of its own."
             raise RapidError(problem, loop.start, advice)
-        del self.done.moves[between[0] :], self.done.notes[between[1] :]
+        del self.done.moves[middle[0] :], self.done.notes[middle[1] :]
         self.done.calls, self.done.rounds = calls, rounds
         raise _End
 
     def _state(self, scope: Scope) -> list[tuple[str, Any]]:
         """Return all data that change."""
-        everything = (*self.data.items(), *scope.inner.items())
+        variables = (*self.data.items(), *scope.inner.items())
         return [
             (name, variable.value)
-            for name, variable in everything
+            for name, variable in variables
             if not variable.literal and variable.declaration is not None and variable.declaration.kind != "CONST"
         ]
 
@@ -550,9 +550,9 @@ class Execution:
 
     def _call(self, statement: Instruction, routine: Routine, scope: Scope, depth: int) -> None:
         inner = Scope(self.data)
-        given = [argument.value for argument in statement.arguments if not argument.name]
-        required = list(routine.parameters)
-        for (name, type_, _), expression in zip(required, given, strict=False):
+        expressions = [argument.value for argument in statement.arguments if not argument.name]
+        parameters = list(routine.parameters)
+        for (name, type_, _), expression in zip(parameters, expressions, strict=False):
             variable = Variable(type_, None, f"the call of {routine.name} does not give it")
             if expression is not None:
                 try:
@@ -560,12 +560,12 @@ class Execution:
                 except UnknownValueError as cause:
                     variable.why = cause.problem
             inner.inner[name] = variable
-        for name, type_, _ in required[len(given) :]:
+        for name, type_, _ in parameters[len(expressions) :]:
             inner.inner[name] = Variable(type_, None, f"the call of {routine.name} does not give it")
         if self._routine_moves(routine):
             self.done.calls.setdefault(routine.name, []).append(statement)
         self._routine(routine, inner, depth + 1)
-        for (_, _, changeable), expression in zip(required, given, strict=False):
+        for (_, _, changeable), expression in zip(parameters, expressions, strict=False):
             if changeable and expression is not None:
                 outer = scope.find(base_name(expression))
                 if outer is not None and not _is_constant(outer):
@@ -574,19 +574,19 @@ class Execution:
     # --- motions
 
     def _move(self, statement: Instruction, form: Form, scope: Scope) -> Move:
-        required = [a.value for a in statement.arguments if not a.name and a.value is not None]
+        expressions = [a.value for a in statement.arguments if not a.name and a.value is not None]
         options = {a.name: a for a in statement.arguments if a.name}
         for name in options:
             if name in _REFUSED_OPTIONS:
                 raise UnknownValueError(f"the move {_REFUSED_OPTIONS[name]} (\\{name})")
             if name not in _OPTIONS:
                 raise UnknownValueError(f"\\{name} is not followed")
-        least = form.points + 3 + form.before_zone
-        if not least <= len(required) <= least + form.behind:
-            raise UnknownValueError(f"{statement.name} has {len(required)} arguments instead of {least}")
-        *points, last = (self._target(required[k], scope, joints=form.joints) for k in range(form.points))
+        min_count = form.points + 3 + form.before_zone
+        if not min_count <= len(expressions) <= min_count + form.behind:
+            raise UnknownValueError(f"{statement.name} has {len(expressions)} arguments instead of {min_count}")
+        *points, last = (self._target(expressions[k], scope, joints=form.joints) for k in range(form.points))
         speed_at, zone_at = form.points, form.points + 1 + form.before_zone
-        speed, duration = self._speed(required[speed_at], options, scope)
+        speed, duration = self._speed(expressions[speed_at], options, scope)
         wobj = options["WOBJ"].value if "WOBJ" in options else None
         return Move(
             statement=statement,
@@ -596,8 +596,8 @@ class Execution:
             joints=form.joints,
             speed=speed,
             duration=duration,
-            zone=self._zone(required[zone_at], options, scope),
-            tool=self._frame(required[zone_at + 1], "TOOLDATA", scope),
+            zone=self._zone(expressions[zone_at], options, scope),
+            tool=self._frame(expressions[zone_at + 1], "TOOLDATA", scope),
             wobj=predefined()["WOBJ0"][0] if wobj is None else self._frame(wobj, "WOBJDATA", scope),
             setting=self.setting,
         )
@@ -660,17 +660,17 @@ class Execution:
             if value is not None:
                 self.done.assumed[expression.value] = type_
                 return value
-        value, own = evaluated(expression, scope)
-        if own not in ("", type_):
-            raise UnknownValueError(f"a {own.lower()} is no {type_.lower()}")
+        value, value_type = evaluated(expression, scope)
+        if value_type not in ("", type_):
+            raise UnknownValueError(f"a {value_type.lower()} is no {type_.lower()}")
         return value
 
 
-def _declared(declared: Declaration) -> Variable:
+def _declared(declaration: Declaration) -> Variable:
     """Return data as they are when the program begins."""
-    variable = Variable(declared.type, declaration=declared, literal=declared.value is not None)
-    if declared.value is None and not declared.dimensions:
-        variable.value = {"NUM": 0.0, "BOOL": False, "STRING": ""}.get(declared.type)
+    variable = Variable(declaration.type, declaration=declaration, literal=declaration.value is not None)
+    if declaration.value is None and not declaration.dimensions:
+        variable.value = {"NUM": 0.0, "BOOL": False, "STRING": ""}.get(declaration.type)
     return variable
 
 
@@ -696,11 +696,11 @@ def _element(expression: Expression, initial: Expression | None, scope: Scope) -
     return element if element.kind in ("numbers", "list") else None
 
 
-def _equal(one: Move, two: Move) -> bool:
+def _equal(first: Move, second: Move) -> bool:
     """Return whether two motions are the same."""
-    same = one.statement is two.statement and one.target.numbers == two.target.numbers
-    vias = (one.via.numbers if one.via else None) == (two.via.numbers if two.via else None)
-    rest = (one.speed, one.zone, one.tool, one.wobj, one.setting) == (
-        two.speed, two.zone, two.tool, two.wobj, two.setting,
+    same_target = first.statement is second.statement and first.target.numbers == second.target.numbers
+    vias = (first.via.numbers if first.via else None) == (second.via.numbers if second.via else None)
+    rest = (first.speed, first.zone, first.tool, first.wobj, first.setting) == (
+        second.speed, second.zone, second.tool, second.wobj, second.setting,
     )  # fmt: skip
-    return same and vias and rest
+    return same_target and vias and rest

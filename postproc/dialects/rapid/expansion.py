@@ -56,13 +56,13 @@ def expanded(
         whole = modules(text)
         entry = entry_of(whole)
         try:
-            executed = Execution(whole, entry, assumed).run()
-            changes = _changes(text, whole, executed)
+            execution = Execution(whole, entry, assumed).run()
+            changes = _changes(text, whole, execution)
         except RapidError as cause:
             row = np.searchsorted(line_spans(text)[0], cause.start, side="right") - 1
             raise cause.at_line(int(line[row])) from None
         if not changes:
-            return Expanded(text, whole, executed, line, tuple(loops), tuple(copies))
+            return Expanded(text, whole, execution, line, tuple(loops), tuple(copies))
         starts = line_spans(text)[0]
         for change in changes:
             if change.copied:
@@ -87,24 +87,24 @@ class _Change(Struct, frozen=True):
     copied: str = ""
 
 
-def _changes(text: str, whole: Sequence[Module], executed: Executed) -> list[_Change]:
+def _changes(text: str, whole: Sequence[Module], execution: Executed) -> list[_Change]:
     """Return what has to change first: outermost loops that run once, then routines called by statements that do."""
     times: dict[int, int] = {}
-    for move in executed.moves:
+    for move in execution.moves:
         times[move.statement.start] = times.get(move.statement.start, 0) + 1
     if max(times.values(), default=0) <= 1:
         return []
-    once = [runs[0] for runs in executed.rounds.values() if len(runs) == 1 and len(runs[0][1]) > 1]
+    single_runs = [runs[0] for runs in execution.rounds.values() if len(runs) == 1 and len(runs[0][1]) > 1]
     outermost = [
         (loop, values)
-        for loop, values in once
-        if not any(other.start < loop.start and loop.stop <= other.stop for other, _ in once)
+        for loop, values in single_runs
+        if not any(outer.start < loop.start and loop.stop <= outer.stop for outer, _ in single_runs)
     ]
     if outermost:
         return [_unrolled(text, loop, values) for loop, values in outermost]
     routines = {routine.name: routine for module in whole for routine in module.routines}
     changes: list[_Change] = []
-    for name, calls in executed.calls.items():
+    for name, calls in execution.calls.items():
         places = {call.start for call in calls}
         if len(calls) < 2 or len(places) < len(calls) or any(change.copied for change in changes):
             continue
@@ -122,8 +122,8 @@ def _changes(text: str, whole: Sequence[Module], executed: Executed) -> list[_Ch
             copies.append((tail, text[tail : routine.stop]))
         changes.append(_Change(routine.stop, routine.stop, tuple(copies), copied=name))
     if not changes:
-        loop = next(iter(executed.rounds.values()))[0][0] if executed.rounds else None
-        start = loop.start if loop is not None else executed.moves[0].statement.start
+        loop = next(iter(execution.rounds.values()))[0][0] if execution.rounds else None
+        start = loop.start if loop is not None else execution.moves[0].statement.start
         raise RapidError("a loop or routine with moves runs more than once", start, "Write its moves one by one.")
     return changes
 
@@ -174,16 +174,16 @@ def _uses(text: str, loop: Loop) -> list[tuple[int, int]]:
     :raises RapidError: the name means something else there too.
     """
     begin, end = loop.inside
-    out: list[tuple[int, int]] = []
-    parser, before = Parser(text, begin), ""
+    spans: list[tuple[int, int]] = []
+    parser, previous_word = Parser(text, begin), ""
     while parser.kind != "end" and parser.start < end:
-        if parser.kind == "name" and parser.word == loop.name and before not in (".", "\\"):
-            if before == "FOR":
+        if parser.kind == "name" and parser.word == loop.name and previous_word not in (".", "\\"):
+            if previous_word == "FOR":
                 raise RapidError(f"{loop.name} is the variable of two loops", loop.start, "Give them two names.")
-            out.append((parser.start, parser.stop))
-        before = parser.word
+            spans.append((parser.start, parser.stop))
+        previous_word = parser.word
         parser.step()
-    return out
+    return spans
 
 
 def _changed(text: str, line: Ints, changes: Sequence[_Change]) -> tuple[str, Ints]:
@@ -208,7 +208,7 @@ def _changed(text: str, line: Ints, changes: Sequence[_Change]) -> tuple[str, In
         dtype=np.int64,
     )
     piece = np.searchsorted(begins, first, side="right") - 1
-    inside = first - begins[piece]
-    place = np.where(origins[piece] >= 0, origins[piece] + inside, -1 - origins[piece])
+    offset = first - begins[piece]
+    place = np.where(origins[piece] >= 0, origins[piece] + offset, -1 - origins[piece])
     old = np.searchsorted(line_spans(text)[0], place, side="right") - 1
     return new, line[np.clip(old, 0, len(line) - 1)]

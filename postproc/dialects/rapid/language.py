@@ -83,10 +83,10 @@ def valid(name: str) -> str:
     if fault_of(name) is None:
         return name
     plain = unicodedata.normalize("NFKD", name.translate(_UMLAUTS)).encode("ascii", "ignore").decode()
-    found = re.sub(r"\W+", "_", plain).strip("_") or "PROGRAM"
-    found = f"P{found}" if found[0].isdigit() else found
-    found = found[:MAX_LENGTH].rstrip("_")
-    return found if fault_of(found) is None else f"P_{found}"[:MAX_LENGTH]
+    valid_name = re.sub(r"\W+", "_", plain).strip("_") or "PROGRAM"
+    valid_name = f"P{valid_name}" if valid_name[0].isdigit() else valid_name
+    valid_name = valid_name[:MAX_LENGTH].rstrip("_")
+    return valid_name if fault_of(valid_name) is None else f"P_{valid_name}"[:MAX_LENGTH]
 
 
 NO_EXTERNAL_AXES = "[9E+09,9E+09,9E+09,9E+09,9E+09,9E+09]"
@@ -195,8 +195,8 @@ def rotations(q: Array) -> Array:
 
 def poses(numbers: Array) -> Array:
     """Return poses (n, 4, 4) [m] of x, y, z [mm], q1…q4 (n, 7), as the controller stores these numbers."""
-    held = numbers.astype(np.float32).astype(np.float64)
-    out = np.broadcast_to(np.eye(4), (len(numbers), 4, 4)).copy()
-    out[:, :3, :3] = rotations(held[:, 3:])
-    out[:, :3, 3] = held[:, :3] * M_PER_MM
-    return out
+    stored_numbers = numbers.astype(np.float32).astype(np.float64)
+    matrices = np.broadcast_to(np.eye(4), (len(numbers), 4, 4)).copy()
+    matrices[:, :3, :3] = rotations(stored_numbers[:, 3:])
+    matrices[:, :3, 3] = stored_numbers[:, :3] * M_PER_MM
+    return matrices

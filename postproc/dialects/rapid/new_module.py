@@ -126,32 +126,32 @@ class _NewModule:
 
     def _check_lines(self) -> None:
         """Refuse lines of the cell that are not RAPID or move the robot; indent the others."""
-        for k, own in self.new.before.items():
-            for line in own:
+        for k, cell_lines in self.new.before.items():
+            for line in cell_lines:
                 fault = language.line_fault(line)
                 if fault is not None:
                     raise CellError(
                         f"a line of [gcode] is not allowed in a RAPID program: {line!r}: {fault}",
                         advice='Write it as RAPID in the cell, for example spindle_on = ["SetDO doSpindle,1;"].',
                     )
-            self.new.before[k] = [f"    {line}" for line in own]
+            self.new.before[k] = [f"    {line}" for line in cell_lines]
 
     def _speeds(self) -> Array:
         """Return the distinct speeds (S, 2) [mm/s, deg/s], MoveJ's first; store the index of each target."""
         path, millionths = self.new.speeds()
         steps = np.rint(millionths * 10.0 ** (_SPEED_DECIMALS - 3)) / 10.0**_SPEED_DECIMALS
         turns = np.nan_to_num(self.new.turning_speeds()[path], nan=_REORIENTATION)
-        values, which = np.unique(np.stack([steps, turns], axis=1), axis=0, return_inverse=True)
+        values, index = np.unique(np.stack([steps, turns], axis=1), axis=0, return_inverse=True)
         self.speed = np.zeros(len(self.targets), dtype=np.int64)
-        self.speed[path] = which.reshape(-1) + 1
+        self.speed[path] = index.reshape(-1) + 1
         return np.concatenate([[[self.cell.gcode.rapid_m_per_s * MM_PER_M, _REORIENTATION]], values])
 
     def _note_forces(self) -> None:
         """Put force comments before the targets that need one."""
         if self.carried is None:
             return
-        none = constant(-1, len(self.targets))
-        rows = np.flatnonzero(force_comments.needed(self.carried, self.targets.kind, none, (), np.nan))
+        no_note = constant(-1, len(self.targets))
+        rows = np.flatnonzero(force_comments.needed(self.carried, self.targets.kind, no_note, (), np.nan))
         for k, text in zip(rows.tolist(), force_comments.texts(b"!", self.carried, rows), strict=True):
             self.new.before[k].append(f"    {text}")
 

@@ -72,20 +72,20 @@ class _Reader:
     def program(self, forward: Callable[[Array], Array], name: str) -> Program:
         """Return the program."""
         whole = self._expanded(name)
-        executed = whole.executed
-        line = self._lines(whole, np.array([move.statement.start for move in executed.moves], dtype=np.int64))
-        if executed.errors:
-            lines = self._lines(whole, np.array([cause.start for cause in executed.errors])).tolist()
-            pairs = zip(executed.errors, lines, strict=True)
+        execution = whole.executed
+        line = self._lines(whole, np.array([move.statement.start for move in execution.moves], dtype=np.int64))
+        if execution.errors:
+            lines = self._lines(whole, np.array([cause.start for cause in execution.errors])).tolist()
+            pairs = zip(execution.errors, lines, strict=True)
             raise together([self._at(cause.problem, at, cause.advice) for cause, at in pairs])
-        if not executed.moves:
+        if not execution.moves:
             raise ProgramError(
                 "there are no motions", file=self.document.name, advice="Check that this is the program."
             )
         comments, notes = self._notes(whole)
-        motions, bases, tools, numbers, turns = self._motions(executed.moves, line, forward)
+        motions, bases, tools, numbers, turns = self._motions(execution.moves, line, forward)
         plain = not whole.loops and not whole.copies
-        declared = frozenset(data.name for module in whole.modules for data in module.data)
+        data_names = frozenset(data.name for module in whole.modules for data in module.data)
         return Program(
             name,
             "rapid",
@@ -97,7 +97,7 @@ class _Reader:
             issues=tuple(self._issues(whole, line)),
             by_wrist=turns[0] if turns[0].any() else None,
             with_path=turns[1] if turns[1].any() else None,
-            layout=Layout(numbers, whole.text, plain, tuple(executed.moves), comments, declared),
+            layout=Layout(numbers, whole.text, plain, tuple(execution.moves), comments, data_names),
         )
 
     # --- text
@@ -121,16 +121,16 @@ class _Reader:
     def _entry(self, modules: Sequence[Module], name: str) -> Routine:
         """Return the routine that is the program: that of the file's name, main, or the only one nobody calls."""
         routines = {r.name: r for module in modules for r in module.routines if r.kind == "PROC"}
-        for wanted in (PurePath(self.document.name).stem.upper(), name.upper(), "MAIN"):
-            if wanted in routines:
-                return routines[wanted]
-        called = {
+        for candidate in (PurePath(self.document.name).stem.upper(), name.upper(), "MAIN"):
+            if candidate in routines:
+                return routines[candidate]
+        called_names = {
             statement.name.removeprefix("%")
             for routine in routines.values()
             for statement in nested(routine.body)
             if isinstance(statement, RapidInstruction)
         }
-        free = [routine for routine in routines.values() if routine.name not in called and not routine.parameters]
+        free = [routine for routine in routines.values() if routine.name not in called_names and not routine.parameters]
         if len(free) == 1:
             return free[0]
         if not routines:
@@ -144,11 +144,11 @@ class _Reader:
 
     def _from_cell(self, name: str, type_: str) -> Value | None:
         """Return [tool] or [base] of the cell for data of other modules; None if it stands for another name."""
-        seen = self.names.setdefault(type_, set())
-        seen.add(name)
-        if len(seen) > 1:
+        type_names = self.names.setdefault(type_, set())
+        type_names.add(name)
+        if len(type_names) > 1:
             raise UnknownValueError(
-                f"{first_of(sorted(seen), _MOST_NAMES)} are not declared in this file, and the cell has but one "
+                f"{first_of(sorted(type_names), _MOST_NAMES)} are not declared in this file, and the cell has but one "
                 f"{'tool' if type_ == 'TOOLDATA' else 'base'}"
             )
         if type_ not in self.frames:
@@ -160,7 +160,7 @@ class _Reader:
         notes: list[ForceNote] = []
         errors: list[InputError] = []
         starts = line_spans(whole.text)[0] if whole.executed.notes else np.zeros(1, dtype=np.int64)
-        for comment, before in whole.executed.notes:
+        for comment, motion_index in whole.executed.notes:
             line = int(whole.line[np.searchsorted(starts, comment.start, side="right") - 1])
             try:
                 note = parse_force_note(comment.text, line, self.document.name)
@@ -169,7 +169,7 @@ class _Reader:
                 continue
             if note is not None:
                 comments.append(comment)
-                notes.append(replace(note, before=before))
+                notes.append(replace(note, before=motion_index))
         if errors:
             raise together(errors)
         return tuple(comments), tuple(notes)
@@ -184,16 +184,16 @@ class _Reader:
         axis = np.array([move.joints for move in moves])
         base, bases = self._frames(moves, line, [move.wobj for move in moves], self._wobj)
         tool, tools = self._frames(moves, line, [move.tool for move in moves], self._tool)
-        given = np.full((len(moves), 17), np.nan)
+        target_numbers = np.full((len(moves), 17), np.nan)
         if not axis.all():
-            given[~axis] = [move.target.numbers for move in moves if not move.joints]
+            target_numbers[~axis] = [move.target.numbers for move in moves if not move.joints]
         angles = np.array([move.target.numbers for move in moves if move.joints]).reshape(-1, 12)
-        self._check(given[~axis], line[~axis])
-        self._check_external(moves, given[~axis][:, 11:], line[~axis], angles[:, 6:], line[axis])
+        self._check(target_numbers[~axis], line[~axis])
+        self._check_external(moves, target_numbers[~axis][:, 11:], line[~axis], angles[:, 6:], line[axis])
         joints, pose = np.full((len(line), 6), np.nan), np.empty((len(line), 4, 4))
-        pose[~axis] = poses(given[~axis, :7])
+        pose[~axis] = poses(target_numbers[~axis, :7])
         numbers = np.full((len(line), 6), np.nan)
-        numbers[~axis] = _exact(given[~axis, :7])
+        numbers[~axis] = _exact(target_numbers[~axis, :7])
         rows = np.flatnonzero(axis)
         joints[rows] = joints_from_abb(angles[:, :6].astype(np.float32).astype(np.float64))
         for row in rows.tolist():
@@ -204,8 +204,8 @@ class _Reader:
         arcs = self._arcs(moves, start, pose, line, kind == CIRC)
         by_wrist, with_path = self._turning(moves, kind, start, pose, line)
         status = np.full(len(line), -1)
-        led = np.array([move.setting.follows for move in moves]) & (kind == PTP) & ~axis
-        status[led] = status_from_cfx(given[led, 10].astype(np.int64))
+        has_status = np.array([move.setting.follows for move in moves]) & (kind == PTP) & ~axis
+        status[has_status] = status_from_cfx(target_numbers[has_status, 10].astype(np.int64))
         motions = Motions(
             kind=kind,
             rapid=kind == PTP,
@@ -228,8 +228,8 @@ class _Reader:
     def _at(self, problem: str, line: int, advice: str) -> ProgramError:
         """Return an error at a line of the file."""
         starts, stops = line_spans(self.document.text)
-        shown = self.document.text[starts[line - 1] : stops[line - 1]].strip()
-        return ProgramError(problem, file=self.document.name, line=line, text=shown, advice=advice)
+        line_text = self.document.text[starts[line - 1] : stops[line - 1]].strip()
+        return ProgramError(problem, file=self.document.name, line=line, text=line_text, advice=advice)
 
     def _frames(
         self, moves: list[Move], line: Ints, values: list[Value], pose_of: Callable[[Value], Array]
@@ -238,7 +238,7 @@ class _Reader:
         rows: dict[int, int] = {}
         keys: dict[str, int] = {}
         frames: list[Array] = []
-        out = np.zeros(len(moves), dtype=np.int64)
+        frame_rows = np.zeros(len(moves), dtype=np.int64)
         for k, value in enumerate(values):
             row = rows.get(id(value))
             if row is None:
@@ -252,8 +252,8 @@ class _Reader:
                         raise self._at(cause.problem, int(line[k]), advice) from None
                     row = keys[key] = len(frames) - 1
                 rows[id(value)] = row
-            out[k] = row
-        return out, np.stack(frames)
+            frame_rows[k] = row
+        return frame_rows, np.stack(frames)
 
     @staticmethod
     def _tool(value: Value) -> Array:
@@ -273,25 +273,25 @@ class _Reader:
             return value.pose
         if not isinstance(value, list) or len(value) != 5:
             raise UnknownValueError("the work object is no wobjdata")
-        held, fixed, unit, user, frame = value
-        if held is not False:
+        is_held, is_fixed, unit, user, frame = value
+        if is_held is not False:
             raise UnknownValueError("the robot holds the work object, which is not supported")
-        if fixed is not True or unit != "":
+        if is_fixed is not True or unit != "":
             raise UnknownValueError(f"the work object moves with the mechanical unit {unit!r}, which is not supported")
         return np.asarray(_pose(user) @ _pose(frame))
 
-    def _check(self, given: Array, line: Ints) -> None:
+    def _check(self, numbers: Array, line: Ints) -> None:
         """Refuse targets that no robot has."""
-        far = np.abs(given[:, :3]) > _FARTHEST
-        if far.any():
+        is_too_far = np.abs(numbers[:, :3]) > _FARTHEST
+        if is_too_far.any():
             raise self._at(
-                "no robot reaches this target", int(line[np.argmax(far.any(axis=1))]), "Coordinates are in mm."
+                "no robot reaches this target", int(line[np.argmax(is_too_far.any(axis=1))]), "Coordinates are in mm."
             )
-        off = np.abs(np.einsum("ni,ni->n", given[:, 3:7], given[:, 3:7]) - 1.0) > _NOT_NORMALISED
-        if off.any():
+        is_not_unit = np.abs(np.einsum("ni,ni->n", numbers[:, 3:7], numbers[:, 3:7]) - 1.0) > _NOT_NORMALISED
+        if is_not_unit.any():
             advice = "The squares of q1…q4 must add up to 1: give them with more decimals."
-            raise self._at("the orientation is not a unit quaternion", int(line[np.argmax(off)]), advice)
-        odd = (given[:, 7:11] != np.round(given[:, 7:11])).any(axis=1) | (given[:, 10] < 0) | (given[:, 10] > 7)
+            raise self._at("the orientation is not a unit quaternion", int(line[np.argmax(is_not_unit)]), advice)
+        odd = (numbers[:, 7:11] != np.round(numbers[:, 7:11])).any(axis=1) | (numbers[:, 10] < 0) | (numbers[:, 10] > 7)
         if odd.any():
             raise self._at(
                 "the configuration (cf1, cf4, cf6, cfx) is not understood",
@@ -303,9 +303,9 @@ class _Reader:
         """Refuse external axes that move, or carry the robot elsewhere."""
         del moves
         values, lines = np.concatenate([one, two]), np.concatenate([line, axis_line])
-        used = (np.abs(values) < NONE) & (values != 0.0)
-        if used.any():
-            row, column = np.argwhere(used)[0].tolist()
+        is_used = (np.abs(values) < NONE) & (values != 0.0)
+        if is_used.any():
+            row, column = np.argwhere(is_used)[0].tolist()
             name = f"eax_{'abcdef'[column]}"
             problem = (
                 f"the external axis {name} is at {values[row, column]:g}: where it carries robot or part is not known"
@@ -321,11 +321,11 @@ class _Reader:
         centre, normal = np.full((len(line), 3), np.nan), np.full((len(line), 3), np.nan)
         sweep = np.full(len(line), np.nan)
         if len(rows):
-            given = np.array([move.via.numbers for move in moves if move.via is not None])
-            self._check(given, line[rows])
-            between = poses(given[:, :7])[:, :3, 3]
+            via_numbers = np.array([move.via.numbers for move in moves if move.via is not None])
+            self._check(via_numbers, line[rows])
+            via_points = poses(via_numbers[:, :7])[:, :3, 3]
             centre[rows], normal[rows], sweep[rows], flat = circles.through(
-                start[rows, :3, 3], between, pose[rows, :3, 3]
+                start[rows, :3, 3], via_points, pose[rows, :3, 3]
             )
             if flat.any():
                 at = int(line[rows[np.argmax(flat)]])
@@ -359,34 +359,34 @@ class _Reader:
         """Return the speed of the TCP (M,) [m/s], as the controller stores it."""
         speed = _single([move.speed for move in moves]) * M_PER_MM
         duration = np.array([move.duration for move in moves])
-        timed = np.flatnonzero((duration > 0.0) & (kind != PTP))
-        if len(timed):
-            length = norm(pose[timed, :3, 3] - start[timed, :3, 3])
-            radius = norm(start[timed, :3, 3] - arcs[0][timed])
-            length = np.where(kind[timed] == CIRC, radius * arcs[2][timed], length)
+        timed_rows = np.flatnonzero((duration > 0.0) & (kind != PTP))
+        if len(timed_rows):
+            length = norm(pose[timed_rows, :3, 3] - start[timed_rows, :3, 3])
+            radius = norm(start[timed_rows, :3, 3] - arcs[0][timed_rows])
+            length = np.where(kind[timed_rows] == CIRC, radius * arcs[2][timed_rows], length)
             if (length < 1e-9).any():
-                at = int(line[timed[np.argmin(length)]])
+                at = int(line[timed_rows[np.argmin(length)]])
                 raise self._at("a move without length has a duration (\\T)", at, "Give it a speed instead.")
-            speed[timed] = length / duration[timed]
+            speed[timed_rows] = length / duration[timed_rows]
         return np.where(kind == PTP, np.nan, speed)
 
     # --- issues
 
     def _issues(self, whole: Expanded, line: Ints) -> Iterator[Issue]:
         del line
-        executed = whole.executed
-        for name, (start, count) in executed.foreign.items():
+        execution = whole.executed
+        for name, (start, count) in execution.foreign.items():
             message = f"{name} is an unknown procedure: it is assumed neither to move the robot nor to change its data."
             at = int(self._lines(whole, np.array([start]))[0])
             yield Issue("warning", "external-call", message, at, subject=name.upper(), count=count)
-        yield from self._from_cell_issues(executed)
+        yield from self._from_cell_issues(execution)
         for module in whole.modules:
             for routine in module.routines:
                 moving = next(
                     (s for s in nested(routine.body) if isinstance(s, RapidInstruction) and s.name.startswith("MOVE")),
                     None,
                 )
-                if moving is not None and routine.name not in executed.followed:
+                if moving is not None and routine.name not in execution.followed:
                     message = f"{routine.kind} {routine.name} has moves but is not called; they are left as they are."
                     at = int(self._lines(whole, np.array([moving.start]))[0])
                     yield Issue("warning", "uncalled-motions", message, at, subject=routine.name)
@@ -402,8 +402,8 @@ class _Reader:
             yield Issue("info", "routine-copied", message)
 
     @staticmethod
-    def _from_cell_issues(executed: Executed) -> Iterator[Issue]:
-        for name, type_ in executed.assumed.items():
+    def _from_cell_issues(execution: Executed) -> Iterator[Issue]:
+        for name, type_ in execution.assumed.items():
             section = "[tool]" if type_ == "TOOLDATA" else "[base]"
             message = (
                 f"{name} is not declared in this file: {section} of the cell is taken for it. Check that they agree."
@@ -436,12 +436,12 @@ def _pose(value: Value) -> Array:
     return np.asarray(poses(numbers[None])[0])
 
 
-def _exact(given: Array) -> Array:
+def _exact(stored_numbers: Array) -> Array:
     """Return X, Y, Z [mm], A, B, C [deg] (n, 6) of targets (n, 7) as their text has them."""
-    if not len(given):
+    if not len(stored_numbers):
         return np.zeros((0, 6))
-    out = poses(np.column_stack([np.zeros((len(given), 3)), given[:, 3:]]))
-    out[:, :3, 3] = given[:, :3] * M_PER_MM
-    numbers = xyzabc_from_pose(out)
-    numbers[:, :3] = given[:, :3]
+    matrices = poses(np.column_stack([np.zeros((len(stored_numbers), 3)), stored_numbers[:, 3:]]))
+    matrices[:, :3, 3] = stored_numbers[:, :3] * M_PER_MM
+    numbers = xyzabc_from_pose(matrices)
+    numbers[:, :3] = stored_numbers[:, :3]
     return np.asarray(numbers)

@@ -102,19 +102,21 @@ class _Rewriter:
         """Return the document."""
         document = self.program.documents[0]
         forces = self._forces()
-        divided = np.bincount(self.row, minlength=len(self.moves)) > 1
-        changed = ~self.targets.keep & self.last
+        is_divided = np.bincount(self.row, minlength=len(self.moves)) > 1
+        is_corrected = ~self.targets.keep & self.last
         begin = np.searchsorted(self.row, np.arange(len(self.moves)))
-        moved_before = np.append(False, np.isin(np.arange(len(self.moves)), self.row[changed])[:-1])
+        start_differs = np.append(False, np.isin(np.arange(len(self.moves)), self.row[is_corrected])[:-1])
         uses: dict[int, list[tuple[int, str]]] = {}
         for k in np.flatnonzero(self.last).tolist():
             row = int(self.row[k])
-            if divided[row] or k in forces:
+            if is_divided[row] or k in forces:
                 self._lines_before(row, range(int(begin[row]), k), k, forces)
-            timed = self.moves[row].duration > 0.0 and (divided[row] or changed[k] or bool(moved_before[row]))
-            if timed or row in self.lowered:
+            needs_speed = self.moves[row].duration > 0.0 and (
+                is_divided[row] or is_corrected[k] or bool(start_differs[row])
+            )
+            if needs_speed or row in self.lowered:
                 self._speed(row)
-            if changed[k]:
+            if is_corrected[k]:
                 self._change(row, k, uses)
             elif self.moves[row].kind == CIRC and self.targets.kind[k] == LIN:
                 self._straighten(self.moves[row])
@@ -135,11 +137,11 @@ class _Rewriter:
         """Return the force comments that targets need beyond those of the program."""
         if self.carried is None:
             return {}
-        before = np.array([note.before for note in self.program.notes], dtype=np.int64)
+        note_motions = np.array([note.before for note in self.program.notes], dtype=np.int64)
         trailing = np.array([comment.trailing for comment in self.layout.notes], dtype=np.int64)
         # a comment in the line of a move counts for its end only: inserted targets are in lines above it
-        seen = 2 * self.row + self.last
-        note = np.searchsorted(2 * before + trailing, seen, side="right") - 1
+        target_keys = 2 * self.row + self.last
+        note = np.searchsorted(2 * note_motions + trailing, target_keys, side="right") - 1
         rows = np.flatnonzero(force_comments.needed(self.carried, self.targets.kind, note, self.program.notes, 0.0))
         return dict(zip(rows.tolist(), force_comments.texts(b"!", self.carried, rows), strict=True))
 
@@ -195,8 +197,8 @@ class _Rewriter:
         move = self.moves[row]
         form = MOVES[move.statement.name]
         kind = int(self.targets.kind[k])
-        required = [a for a in move.statement.arguments if not a.name]
-        tail = required[form.points :]
+        positional_args = [a for a in move.statement.arguments if not a.name]
+        tail = positional_args[form.points :]
         speed, zone, tool = tail[0], tail[1 + form.before_zone], tail[2 + form.before_zone]
         options = {a.name: self.text[a.start : a.stop] for a in move.statement.arguments if a.name}
         speed_text = self.text[speed.start : speed.stop]
@@ -214,12 +216,12 @@ class _Rewriter:
         points.append(self._whole(move.target.numbers, self.place[k], k))
         concurrent = options.get("CONC", "")
         timing = options.get("V", options.get("T", ""))
-        behind = "".join(options.get(name, "") for name in ("TLOAD",))
+        suffix = "".join(options.get(name, "") for name in ("TLOAD",))
         wobj = options.get("WOBJ", "")
         zone_text += options.get("Z", "") + options.get("INPOS", "")
         return (
             f"{_PLAIN[kind]} {concurrent + ',' if concurrent else ''}{','.join(points)},{speed_text}{timing},"
-            f"{zone_text},{self.text[tool.start : tool.stop]}{wobj}{behind};"
+            f"{zone_text},{self.text[tool.start : tool.stop]}{wobj}{suffix};"
         )
 
     def _new_speed(self, row: int) -> str | None:
@@ -297,21 +299,21 @@ class _Rewriter:
             return
         mentions = Counter(re.findall(r"[^\W\d]\w*", self.text.upper()))
         arguments: dict[int, set[int]] = {}
-        named: Counter[str] = Counter()
-        seen: set[int] = set()
+        name_counts: Counter[str] = Counter()
+        starts: set[int] = set()
         for move in self.moves:
             for target in (move.via, move.target):
                 if target is not None and target.data is not None and target.literal is not None:
                     arguments.setdefault(target.literal.start, set()).add(target.expression.start)
-                    if target.expression.start not in seen:
-                        seen.add(target.expression.start)
-                        named[target.data.name] += 1
+                    if target.expression.start not in starts:
+                        starts.add(target.expression.start)
+                        name_counts[target.data.name] += 1
         for start, texts in uses.items():
             target, edits, whole = self.shared[start]
             assert target.data is not None
-            together = len(texts) == len(arguments[start]) and all(text == whole for _, text in texts)
-            alone = mentions[target.data.name] == 1 + named[target.data.name]
-            if together and alone:
+            has_one_text = len(texts) == len(arguments[start]) and all(text == whole for _, text in texts)
+            is_only_named_here = mentions[target.data.name] == 1 + name_counts[target.data.name]
+            if has_one_text and is_only_named_here:
                 self.edits += edits
             else:
                 for place, text in texts:
@@ -325,38 +327,38 @@ class _Rewriter:
         moved_axis = turn is not None and conf != target.numbers[7:11]
         if spans is None or (moved_axis and len(spans) < 11):
             return [Edit(literal.start, literal.stop, self._whole(target.numbers, place, k, turn))]
-        out: list[Edit] = []
+        edits: list[Edit] = []
         for column, value in enumerate(place.tolist()):
-            out.append(self._printed(spans[column], value, _MILLIMETRES))
+            edits.append(self._printed(spans[column], value, _MILLIMETRES))
         if turn is not None:
-            near = turn if float(turn @ np.array(target.numbers[3:7])) >= 0.0 else -turn
-            for column, value in enumerate(near.tolist(), 3):
-                out.append(self._printed(spans[column], value, _QUATERNION))
+            quaternion = turn if float(turn @ np.array(target.numbers[3:7])) >= 0.0 else -turn
+            for column, value in enumerate(quaternion.tolist(), 3):
+                edits.append(self._printed(spans[column], value, _QUATERNION))
             for column, number in enumerate(conf, 7):
                 if moved_axis and number != target.numbers[column]:
-                    out.append(Edit(*spans[column], str(number)))
-        return out
+                    edits.append(Edit(*spans[column], str(number)))
+        return edits
 
     def _spans(self, literal: Expression) -> list[tuple[int, int]] | None:
         """Return the places of the 17 numbers of a target; None if some are no plain numbers."""
         if literal.kind == "numbers":
             return [match.span() for match in _NUMBER.finditer(self.text, literal.start, literal.stop)]
-        out: list[tuple[int, int]] = []
+        spans: list[tuple[int, int]] = []
         for part, size in zip(literal.items, (3, 4), strict=False):
             if part.kind != "list" or len(part.items) != size or any(item.kind != "number" for item in part.items):
                 return None
-            out += [(item.start, item.stop) for item in part.items]
+            spans += [(item.start, item.stop) for item in part.items]
         if len(literal.items) != 4:
             return None
         conf = literal.items[2]
         if conf.kind == "list" and len(conf.items) == 4 and all(item.kind == "number" for item in conf.items):
-            return out + [(item.start, item.stop) for item in conf.items]
-        return out
+            return spans + [(item.start, item.stop) for item in conf.items]
+        return spans
 
-    def _printed(self, span: tuple[int, int], value: float, least: int) -> Edit:
-        """Return the edit of a number, with the decimals that it has, but no fewer than `least`."""
+    def _printed(self, span: tuple[int, int], value: float, min_decimals: int) -> Edit:
+        """Return the edit of a number, with the decimals that it has, but no fewer than `min_decimals`."""
         mantissa = self.text[slice(*span)].upper().partition("E")[0]
-        decimals = min(max(len(mantissa.partition(".")[2]), least), _MOST_DECIMALS)
+        decimals = min(max(len(mantissa.partition(".")[2]), min_decimals), _MOST_DECIMALS)
         return Edit(*span, _fixed(value, decimals))
 
     def _whole(self, numbers: Sequence[float], place: Array, k: int, turn: Array | None = None) -> str:
@@ -376,17 +378,17 @@ class _Rewriter:
         Where the program states that of its joints (whole turns aside), that of the target; else what it states, as
         programs do whose moves do not heed it.
         """
-        stated = [int(value) for value in numbers[7:11]]
+        programmed_conf = [int(value) for value in numbers[7:11]]
         end = int(np.searchsorted(self.row, self.row[k], side="right")) - 1
-        offsets = [stated[c] - int(self.conf[end, c]) for c in range(3)]
+        offsets = [programmed_conf[c] - int(self.conf[end, c]) for c in range(3)]
         degrees = self.degrees[end, [0, 3, 5]]
         for c, offset in enumerate(offsets):
             nearest = offset - 4 * round(offset / 4)
             border = abs(degrees[c] - 90.0 * round(degrees[c] / 90.0))
             if nearest and not (abs(nearest) == 1 and border < _AT_QUADRANT):
-                return stated
+                return programmed_conf
             offsets[c] = offset - nearest
-        return [*(int(self.conf[k, c]) + offsets[c] for c in range(3)), stated[3]]
+        return [*(int(self.conf[k, c]) + offsets[c] for c in range(3)), programmed_conf[3]]
 
     def _applied(self) -> tuple[str, Ints]:
         """Return the text with all edits, and the line of every target (K,)."""
@@ -401,16 +403,16 @@ class _Rewriter:
         begins = list(accumulate((len(piece) for piece in pieces), initial=0))
         offset = np.zeros(len(self.row), dtype=np.int64)
         for number, edit in enumerate(edits):
-            for k, inside in edit.targets:
-                offset[k] = begins[2 * number + 1] + inside
+            for k, text_offset in edit.targets:
+                offset[k] = begins[2 * number + 1] + text_offset
         starts = np.array([edit.start for edit in edits])
         stops = np.array([edit.stop for edit in edits])
         ends = np.flatnonzero(self.last)
         place = np.array([self.moves[row].statement.start for row in self.row[ends].tolist()], dtype=np.int64)
-        done = np.searchsorted(stops, place, side="right")  # edits before the statement
-        done = np.minimum(done, np.searchsorted(starts, place, side="right"))
+        edit_counts = np.searchsorted(stops, place, side="right")  # edits before the statement
+        edit_counts = np.minimum(edit_counts, np.searchsorted(starts, place, side="right"))
         new = np.cumsum([0, *(len(edit.text) - (edit.stop - edit.start) for edit in edits)])
-        offset[ends] = place + new[done]
+        offset[ends] = place + new[edit_counts]
         return text, np.searchsorted(line_spans(text)[0], offset, side="right")
 
 

@@ -212,8 +212,8 @@ class Parser:
 
     def fault(self, expected: str) -> RapidSyntaxError:
         """Return the error that something else was expected here."""
-        seen = self.text[self.start : self.stop] if self.kind != "end" else "the end of the file"
-        return RapidSyntaxError(f"{expected} is expected instead of {seen!r}", self.start)
+        token = self.text[self.start : self.stop] if self.kind != "end" else "the end of the file"
+        return RapidSyntaxError(f"{expected} is expected instead of {token!r}", self.start)
 
     def take(self, word: str) -> None:
         """Go beyond a word or symbol."""
@@ -310,24 +310,24 @@ class Parser:
     def _reference(self) -> Expression:
         """Read a name with indices and components, or a call of a function."""
         start = self.start
-        out = Expression("name", start, self.stop, self.identifier())
+        expression = Expression("name", start, self.stop, self.identifier())
         if self.word == "(" and self.kind == "symbol":
             self.step()
             arguments = () if self.word == ")" else self.arguments(")")
             self.take(")")
-            return Expression("call", start, self.behind, out.value, arguments)
+            return Expression("call", start, self.behind, expression.value, arguments)
         while self.kind == "symbol" and self.word in "{.":
             if self.accept("{"):
-                items = [out, self.expression()]
+                items = [expression, self.expression()]
                 while self.accept(","):
                     items.append(self.expression())
                 self.take("}")
-                out = Expression("index", start, self.behind, None, tuple(items))
+                expression = Expression("index", start, self.behind, None, tuple(items))
             else:
                 self.step()
                 name = self.identifier()
-                out = Expression("field", start, self.behind, name, (out,))
-        return out
+                expression = Expression("field", start, self.behind, name, (expression,))
+        return expression
 
     def arguments(self, end: str) -> tuple[Argument, ...]:
         """Read arguments up to a symbol, which is left."""
@@ -353,15 +353,15 @@ class Parser:
         self.depth += 1
         if self.depth > _DEEPEST:
             raise RapidSyntaxError("statements are nested too deeply", self.start)
-        out: list[Statement] = []
+        statements: list[Statement] = []
         while True:
-            out += self._remarks()
+            statements += self._remarks()
             if self.kind == "name" and self.word in _ENDS:
                 self.depth -= 1
-                return tuple(out)
+                return tuple(statements)
             if self.kind == "end":
                 raise self.fault("the end of a routine")
-            out.append(self.statement())
+            statements.append(self.statement())
 
     def _remarks(self) -> list[Comment]:
         comments, self.comments = self.comments, []
@@ -425,8 +425,8 @@ class Parser:
         self.take("%")
         arguments = self.arguments(";")
         self.take(";")
-        called = str(name.value).rpartition(":")[2].upper() if name.kind == "string" else ""
-        return Instruction(start, self.behind, f"%{called}", arguments)
+        routine_name = str(name.value).rpartition(":")[2].upper() if name.kind == "string" else ""
+        return Instruction(start, self.behind, f"%{routine_name}", arguments)
 
     def _simple(self, start: int) -> Statement:
         """Read an assignment, an instruction, a label."""
@@ -447,19 +447,19 @@ class Parser:
         self.take(";")
         return Instruction(start, self.behind, name.value, arguments)
 
-    def _continued(self, out: Expression) -> Expression:
-        start = out.start
+    def _continued(self, expression: Expression) -> Expression:
+        start = expression.start
         while self.kind == "symbol" and self.word in "{.":
             if self.accept("{"):
-                items = [out, self.expression()]
+                items = [expression, self.expression()]
                 while self.accept(","):
                     items.append(self.expression())
                 self.take("}")
-                out = Expression("index", start, self.behind, None, tuple(items))
+                expression = Expression("index", start, self.behind, None, tuple(items))
             else:
                 self.step()
-                out = Expression("field", start, self.behind, self.identifier(), (out,))
-        return out
+                expression = Expression("field", start, self.behind, self.identifier(), (expression,))
+        return expression
 
     def _if(self, start: int) -> Statement:
         condition = self.expression()
@@ -508,9 +508,9 @@ class Parser:
         begin = self.stop
         self.take("DO")
         body = self.block()
-        inside = begin, self.start
+        span = begin, self.start
         self.take(end)
-        return Loop(start, self.behind, name, bounds, body, inside)
+        return Loop(start, self.behind, name, bounds, body, span)
 
     def declaration(self) -> Statement:
         """Read a declaration of data."""
@@ -561,18 +561,18 @@ class Parser:
         routines: list[Routine] = []
         while self.word != "ENDMODULE":
             self._remarks()
-            ahead = self.word
-            if ahead in ("LOCAL", "TASK"):
+            keyword = self.word
+            if keyword in ("LOCAL", "TASK"):
                 match = re.compile(r"\w+[ \t\r\n]+(?:TASK[ \t\r\n]+)?(\w+)", re.IGNORECASE).match(self.text, self.start)
-                ahead = "" if match is None else match[1].upper()
-            if ahead in _KINDS:
-                declared = self.declaration()
-                if isinstance(declared, Declaration):
-                    data.append(declared)
-            elif ahead in ("PROC", "FUNC", "TRAP"):
+                keyword = "" if match is None else match[1].upper()
+            if keyword in _KINDS:
+                declaration = self.declaration()
+                if isinstance(declaration, Declaration):
+                    data.append(declaration)
+            elif keyword in ("PROC", "FUNC", "TRAP"):
                 routines.append(self._routine())
-            elif ahead in ("RECORD", "ALIAS"):
-                self._type(ahead)
+            elif keyword in ("RECORD", "ALIAS"):
+                self._type(keyword)
             else:
                 raise self.fault("data or a routine")
         self.step()
@@ -612,7 +612,7 @@ class Parser:
         return Routine(kind, name, span, parameters, body, tuple(handler), start, self.behind)
 
     def _parameters(self) -> tuple[tuple[str, str, bool], ...]:
-        out: list[tuple[str, str, bool]] = []
+        parameters: list[tuple[str, str, bool]] = []
         while not self.accept(")"):
             self.accept(",")
             self.accept("\\")
@@ -621,7 +621,7 @@ class Parser:
             if changeable:
                 self.step()
             if self.accept("SWITCH"):
-                out.append((self.identifier(), "SWITCH", False))
+                parameters.append((self.identifier(), "SWITCH", False))
                 continue
             type_, name = self.identifier(), self.identifier()
             if self.accept("{"):
@@ -629,8 +629,8 @@ class Parser:
                     self.step()
                     if self.kind == "end":
                         raise self.fault("}")
-            out.append((name, type_, changeable))
-        return tuple(out)
+            parameters.append((name, type_, changeable))
+        return tuple(parameters)
 
 
 def modules(text: str) -> tuple[Module, ...]:

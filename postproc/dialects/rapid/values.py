@@ -97,20 +97,20 @@ _ORIGIN = [[0.0, 0.0, 0.0], UNIT]
 
 def predefined() -> dict[str, tuple[Value, str]]:
     """Return the data that every controller has, by name: (value, type)."""
-    out: dict[str, tuple[Value, str]] = {
+    data: dict[str, tuple[Value, str]] = {
         f"V{speed}": ([float(speed), 500.0, 5000.0, 1000.0], "SPEEDDATA") for speed in _SPEEDS
     }
-    out["VMAX"] = ([FASTEST, 500.0, 5000.0, 1000.0], "SPEEDDATA")
+    data["VMAX"] = ([FASTEST, 500.0, 5000.0, 1000.0], "SPEEDDATA")
     for name, distance in _ZONES.items():
         mm = float(distance)
-        turned = 1.5 * mm if name > 1 else mm
-        out[f"Z{name}"] = ([False, mm, turned, turned, 0.15 * mm, turned, 0.15 * mm], "ZONEDATA")
-    out["FINE"] = ([True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], "ZONEDATA")
-    out["TOOL0"] = ([True, _ORIGIN, _NO_LOAD], "TOOLDATA")
-    out["WOBJ0"] = ([False, True, "", _ORIGIN, _ORIGIN], "WOBJDATA")
-    out["LOAD0"] = (_NO_LOAD, "LOADDATA")
-    out["PI"] = (math.pi, "NUM")
-    return out
+        rotation_zone = 1.5 * mm if name > 1 else mm
+        data[f"Z{name}"] = ([False, mm, rotation_zone, rotation_zone, 0.15 * mm, rotation_zone, 0.15 * mm], "ZONEDATA")
+    data["FINE"] = ([True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], "ZONEDATA")
+    data["TOOL0"] = ([True, _ORIGIN, _NO_LOAD], "TOOLDATA")
+    data["WOBJ0"] = ([False, True, "", _ORIGIN, _ORIGIN], "WOBJDATA")
+    data["LOAD0"] = (_NO_LOAD, "LOADDATA")
+    data["PI"] = (math.pi, "NUM")
+    return data
 
 
 class UnknownValueError(PostprocError):
@@ -210,10 +210,10 @@ def shaped(value: Value, *sizes: int) -> list[float]:
     """
     if not isinstance(value, list) or [len(v) if isinstance(v, list) else 1 for v in value] != list(sizes):
         raise UnknownValueError("the value has another form than its type")
-    out = list(flat(value))
-    if not np.isfinite(out).all():
+    numbers = list(flat(value))
+    if not np.isfinite(numbers).all():
         raise UnknownValueError("a number is too large")
-    return out
+    return numbers
 
 
 def _name(expression: Expression, scope: Scope) -> tuple[Value, str]:
@@ -289,28 +289,28 @@ def _operation(expression: Expression, scope: Scope) -> tuple[Value, str]:
     if word in ("AND", "OR", "XOR"):
         a, b = truth(items[0], scope), truth(items[1], scope)
         return {"AND": a and b, "OR": a or b, "XOR": a != b}[word], "BOOL"
-    one, type_ = evaluated(items[0], scope)
-    two, other = evaluated(items[1], scope)
+    left, type_ = evaluated(items[0], scope)
+    right, right_type = evaluated(items[1], scope)
     if word in _COMPARISONS:
-        if type(one) is not type(two) or (isinstance(one, list) and word not in ("=", "<>")):
+        if type(left) is not type(right) or (isinstance(left, list) and word not in ("=", "<>")):
             raise UnknownValueError("values of different types are compared")
-        return _COMPARISONS[word](one, two), "BOOL"
-    if isinstance(one, str) and isinstance(two, str) and word == "+":
-        return one + two, "STRING"
+        return _COMPARISONS[word](left, right), "BOOL"
+    if isinstance(left, str) and isinstance(right, str) and word == "+":
+        return left + right, "STRING"
     try:
-        return _calculated(word, one, two), type_ or other
+        return _calculated(word, left, right), type_ or right_type
     except (ZeroDivisionError, OverflowError, ValueError):
         raise UnknownValueError("the expression cannot be calculated") from None
 
 
-def _calculated(word: str, one: Value, two: Value) -> Value:
+def _calculated(word: str, left: Value, right: Value) -> Value:
     """Return the value of an arithmetic operation: numbers, and the vectors of `pos`."""
-    pair = isinstance(one, list), isinstance(two, list)
+    pair = isinstance(left, list), isinstance(right, list)
     if pair == (False, False):
-        if isinstance(one, bool) or isinstance(two, bool) or isinstance(one, str) or isinstance(two, str):
+        if isinstance(left, bool) or isinstance(right, bool) or isinstance(left, str) or isinstance(right, str):
             raise UnknownValueError("a number is expected")
-        return _ARITHMETIC[word](one, two)
-    a, b = list(flat(one)), list(flat(two))
+        return _ARITHMETIC[word](left, right)
+    a, b = list(flat(left)), list(flat(right))
     if pair == (True, True) and word in "+-" and len(a) == len(b) == 3:
         return [_ARITHMETIC[word](x, y) for x, y in zip(a, b, strict=True)]
     if word == "*" and pair == (True, False) and len(a) == 3:
@@ -325,9 +325,9 @@ def _call(expression: Expression, scope: Scope) -> tuple[Value, str]:
     if function is None:
         raise UnknownValueError(f"the function {expression.value} gives its value at run time")
     positional = [evaluated(a.value, scope) for a in expression.items if not a.name and a.value is not None]
-    named = {a.name: number(a.value, scope) for a in expression.items if a.name and a.value is not None}
+    options = {a.name: number(a.value, scope) for a in expression.items if a.name and a.value is not None}
     try:
-        return function([value for value, _ in positional], named)
+        return function([value for value, _ in positional], options)
     except (ValueError, TypeError, IndexError, ZeroDivisionError, OverflowError):
         raise UnknownValueError(f"the call of {expression.value} is not understood") from None
 
@@ -342,50 +342,50 @@ def _quaternion(rotation: Array) -> list[float]:
 
 def about(axis: int, degrees: float) -> Array:
     """Return the rotation (3, 3) about an axis, 0 for x."""
-    out, angle = np.eye(3), degrees * RAD_PER_DEG
+    rotation, angle = np.eye(3), degrees * RAD_PER_DEG
     i, j = (axis + 1) % 3, (axis + 2) % 3
-    out[i, i] = out[j, j] = np.cos(angle)
-    out[j, i] = np.sin(angle)
-    out[i, j] = -out[j, i]
-    return out
+    rotation[i, i] = rotation[j, j] = np.cos(angle)
+    rotation[j, i] = np.sin(angle)
+    rotation[i, j] = -rotation[j, i]
+    return rotation
 
 
-def _offs(values: list[Value], named: dict[str, float]) -> tuple[Value, str]:
+def _offs(values: list[Value], options: dict[str, float]) -> tuple[Value, str]:
     """``Offs(p, x, y, z)``: in the work object."""
     point, *offset = values
-    if named or len(offset) != 3:
+    if options or len(offset) != 3:
         raise ValueError
     shaped(point, 3, 4, 4, 6)
     return [[a + b for a, b in zip(point[0], offset, strict=True)], *point[1:]], "ROBTARGET"
 
 
-def _reltool(values: list[Value], named: dict[str, float]) -> tuple[Value, str]:
+def _reltool(values: list[Value], options: dict[str, float]) -> tuple[Value, str]:
     r"""``RelTool(p, dx, dy, dz \Rx \Ry \Rz)``: in the tool; turned about x, then the new y, then the new z."""
     point, *offset = values
-    if set(named) - {"RX", "RY", "RZ"} or len(offset) != 3:
+    if set(options) - {"RX", "RY", "RZ"} or len(offset) != 3:
         raise ValueError
     shaped(point, 3, 4, 4, 6)
     rotation = _rotation(point[1])
-    moved = np.array(point[0]) + rotation @ np.array(offset, dtype=np.float64)
-    turned = point[1]
-    if named:
+    position = np.array(point[0]) + rotation @ np.array(offset, dtype=np.float64)
+    orientation = point[1]
+    if options:
         for axis, name in enumerate(("RX", "RY", "RZ")):
-            rotation = rotation @ about(axis, named.get(name, 0.0))
-        turned = _quaternion(rotation)
-    return [moved.tolist(), turned, *point[2:]], "ROBTARGET"
+            rotation = rotation @ about(axis, options.get(name, 0.0))
+        orientation = _quaternion(rotation)
+    return [position.tolist(), orientation, *point[2:]], "ROBTARGET"
 
 
-def _orient_zyx(values: list[Value], named: dict[str, float]) -> tuple[Value, str]:
+def _orient_zyx(values: list[Value], options: dict[str, float]) -> tuple[Value, str]:
     """``OrientZYX(z, y, x)``."""
     z, y, x = values
-    if named:
+    if options:
         raise ValueError
     return _quaternion(about(2, z) @ about(1, y) @ about(0, x)), "ORIENT"
 
 
 def _plain(function: Callable[..., float]) -> Callable[[list[Value], dict[str, float]], tuple[Value, str]]:
-    def call(values: list[Value], named: dict[str, float]) -> tuple[Value, str]:
-        if named or any(isinstance(value, bool) or not isinstance(value, float) for value in values):
+    def call(values: list[Value], options: dict[str, float]) -> tuple[Value, str]:
+        if options or any(isinstance(value, bool) or not isinstance(value, float) for value in values):
             raise ValueError
         return float(function(*values)), "NUM"
 
