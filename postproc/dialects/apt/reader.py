@@ -106,7 +106,7 @@ def _error(source: Statements, row: int, problem: str, advice: str | None) -> Pr
 def _comments(source: Statements, course: Course) -> tuple[list[ForceNote], list[tuple[int, str]], list[InputError]]:
     """Return the forces of ``$$`` comments and of PPRINT, the other comments by line, and the errors."""
     notes: list[ForceNote] = []
-    others: list[tuple[int, str]] = []
+    plain_comments: list[tuple[int, str]] = []
     wrong: list[InputError] = []
     texts = [(line, text, False) for line, text in source.comments]
     texts += [(int(source.line[e.row]), e.text, True) for e in course.events if e.kind == "comment"]
@@ -122,8 +122,8 @@ def _comments(source: Statements, course: Course) -> tuple[list[ForceNote], list
         if note is not None:
             notes.append(note)
         elif text and not printed:
-            others.append((line, text))
-    return notes, others, wrong
+            plain_comments.append((line, text))
+    return notes, plain_comments, wrong
 
 
 class _Moves:

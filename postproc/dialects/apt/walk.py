@@ -646,13 +646,13 @@ class _Walk:
         except StatementError as cause:
             raise StatementError(*cause.args[:2]) from cause
 
-    def _cycles(self, row: int, given: list[float | str]) -> None:
-        if given == ["INIT"]:
+    def _cycles(self, row: int, values: list[float | str]) -> None:
+        if values == ["INIT"]:
             return
-        if given[:1] in (["OFF"], ["CLEAR"]):
+        if values[:1] in (["OFF"], ["CLEAR"]):
             self.cycle = None
             return
-        words = cycle_words(given, (*_PER_MINUTE, *_PER_TURN))
+        words = cycle_words(values, (*_PER_MINUTE, *_PER_TURN))
         if words.rates:
             rate, per_turn = self._rate(row, list(words.rates), "the feed of the cycle")
             feed = rate * self.speed if per_turn else rate

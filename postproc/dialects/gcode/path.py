@@ -393,7 +393,11 @@ def read_path(
         return faults
     length = _lengths(moves, circular, arcs)
     moves, count = chords(moves, circular, arcs, speeds.chord)
-    is_held_back, is_arrival, length = np.repeat(is_held_back, count), np.repeat(is_arrival, count), np.repeat(length, count)
+    is_held_back, is_arrival, length = (
+        np.repeat(is_held_back, count),
+        np.repeat(is_arrival, count),
+        np.repeat(length, count),
+    )
     whole = count[circular] == 1
     circular, arcs = np.flatnonzero(moves.code >= 2.0), arcs.of(whole)
     other_tool = np.diff(moves.tool, prepend=moves.tool[:1]) != 0
@@ -404,13 +408,23 @@ def read_path(
     is_rotation = turns[motion_moves] & (length[motion_moves] <= SAME_MM) & (moves.code[motion_moves] == 1.0) & ~free
     swivel = None if rotary is None else swivel_of(moves, rows, motion_moves, free, is_rotation, cell_frames)
     motions = _motions(
-        rows, moves, (circular, arcs), motion_moves, free, (swivel, is_rotation, length[motion_moves]), modes, cell_frames, speeds
+        rows,
+        moves,
+        (circular, arcs),
+        motion_moves,
+        free,
+        (swivel, is_rotation, length[motion_moves]),
+        modes,
+        cell_frames,
+        speeds,
     )
     events = [(int(np.searchsorted(motion_moves, at)), row, event) for at, row, event in moves.events]
     held_rows = moves.row[is_held_back]
     motionless_rows = distinct(np.concatenate([held_rows, moves.row[stays]]))
     unforced = np.flatnonzero((moves.row[motion_moves] <= moves.started) & (moves.code[motion_moves] == 1.0))
-    return MotionPath(motions, swivel, moves.row[motion_moves], unforced, motionless_rows, distinct(held_rows), events, moves.remarks)
+    return MotionPath(
+        motions, swivel, moves.row[motion_moves], unforced, motionless_rows, distinct(held_rows), events, moves.remarks
+    )
 
 
 def _arcs(rows: LineStates, moves: Moves, circular: Ints) -> Arcs:

@@ -296,7 +296,9 @@ def _events(
         replace(event, before=at if cycle_move is None else cycle_move, line=int(run.main[row]))
         for at, (row, _, cycle_move, event) in zip(motion_index, entries, strict=True)
     )
-    notes = (replace(note, before=at, line=int(run.main[row])) for at, (row, note) in zip(first, force_notes, strict=True))
+    notes = (
+        replace(note, before=at, line=int(run.main[row])) for at, (row, note) in zip(first, force_notes, strict=True)
+    )
     return tuple(notes), tuple(events)
 
 

@@ -92,7 +92,9 @@ class Source(Struct, frozen=True, eq=False):
 
     def coordinates(self, row: int) -> Ints:
         """Return the rows after a line that have coordinates."""
-        positions = [match.start() for match in _COORDINATE.finditer(self.code, int(self.ends[min(row + 1, len(self))]))]
+        positions = [
+            match.start() for match in _COORDINATE.finditer(self.code, int(self.ends[min(row + 1, len(self))]))
+        ]
         return distinct(np.searchsorted(self.ends, np.array(positions, dtype=np.int64)) - 1)
 
     def goes_on(self, row: int) -> bool:
