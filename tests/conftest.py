@@ -6,6 +6,8 @@ import signal
 import pytest
 from hypothesis import HealthCheck, settings
 
+from tests.pages import browser as browsers
+
 settings.register_profile(
     "postproc",
     deadline=None,  # how long an example takes says nothing about the code on a machine that others use too
@@ -33,3 +35,10 @@ def signals_are_heard():
     yield
     for number in ignored:
         signal.signal(number, signal.SIG_IGN)
+
+
+@pytest.fixture(scope="session")
+def browser():
+    """One browser for all tests of a process: Playwright's own loop runs once in a thread."""
+    with browsers.running() as running:
+        yield running

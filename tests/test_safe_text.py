@@ -5,7 +5,7 @@ from click.testing import CliRunner
 
 from postproc.cli import main
 from postproc.dialects.krl.write.emit import _WORDS as KRL
-from postproc.dialects.rapid.dialect import WORDS as RAPID
+from postproc.dialects.rapid.new_module import WORDS as RAPID
 from postproc.safe_text import LONGEST, LONGEST_STRING, one_line, string_content
 from tests.documentation.pages import ROOT
 

@@ -1,4 +1,4 @@
-"""A window on an empty folder, and a browser."""
+"""A window on an empty folder."""
 
 from __future__ import annotations
 
@@ -7,13 +7,6 @@ from threading import Thread
 import pytest
 
 from postproc.app.server import Window
-from tests.pages import browser as browsers
-
-
-@pytest.fixture(scope="session")
-def browser():
-    with browsers.running() as running:
-        yield running
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""One browser and one converted sample for all tests of pages."""
+"""One converted sample for all tests of pages."""
 
 from __future__ import annotations
 
@@ -8,12 +8,6 @@ from click.testing import CliRunner
 from postproc.cli import main
 from tests.documentation.pages import ROOT
 from tests.pages import browser as browsers
-
-
-@pytest.fixture(scope="session")
-def browser():
-    with browsers.running() as running:
-        yield running
 
 
 @pytest.fixture(scope="session")
