@@ -66,20 +66,25 @@ def test_what_springs_alone_do_not_know_is_found_or_stands_in_the_bound(tmp_path
 
 
 def test_masses_and_compensator_that_gears_feel_at_rest_are_looked_for(tmp_path):
-    """Masses off by up to 20 %, K_c by 10 %: looked for, held at what the model states, and in the model folder."""
+    """Masses off by up to 20 %, K_c by 10 %: looked for, held at what the model states, and in the model folder.
+
+    Where the masses are held at wrong values, a compliance that changes over the pose takes their place.
+    """
     true, done, model = identified(tmp_path, "masses off by 20 %, K_c by 10 %", seed=0)
     data = harness.load(tmp_path)
-    held = identify(replace(harness.PRIOR, mass_spread=0.0, compensator_spread=0.0), data)
-    assert not any(parameter.name == "A2.mass" for parameter in held.fit.structure.parameters)
+    stated_masses = identify(replace(harness.PRIOR, mass_spread=0.0, compensator_spread=0.0), data)
+    assert not any(parameter.name == "A2.mass" for parameter in stated_masses.fit.structure.parameters)
+    assert any(isinstance(parameter, robot.PoseWave) for parameter in stated_masses.fit.structure.parameters)
+    assert not any(isinstance(parameter, robot.PoseWave) for parameter, _ in model.terms)
     factor, inside, _ = job_error(true, model)
-    assert factor > harness.job_factor(true, held.robot(), [JOB])
+    assert factor > 80.0
     assert inside >= 0.9
-    truths = {"K_c": true.comp[0], "A2.mass": true.masses[1], "A3.mass": true.masses[2]}
-    for name, truth_of_it in truths.items():
-        found = done.data.parameters[name]
-        assert found.source == "about the prior"
-        assert abs(found.value - truth_of_it) < found.ci95
-        assert abs(found.value - truth_of_it) < abs(found.prior - truth_of_it)
+    true_values = {"K_c": true.comp[0], "A2.mass": true.masses[1], "A3.mass": true.masses[2]}
+    for name, true_value in true_values.items():
+        parameter = done.data.parameters[name]
+        assert parameter.source == "about the prior"
+        assert abs(parameter.value - true_value) < parameter.ci95
+        assert abs(parameter.value - true_value) < abs(parameter.prior - true_value)
     np.testing.assert_allclose(model.nominal.mass[1:3], [done.data.parameters[n].value for n in ("A2.mass", "A3.mass")])
     assert model.compensator.stiffness == pytest.approx(done.data.parameters["K_c"].value)
 
@@ -228,7 +233,10 @@ def test_too_few_configurations_are_refused_in_the_first_line_and_the_model_says
 
 
 def test_an_error_beyond_the_noise_is_a_warning_and_no_refusal_where_the_bound_is_below_the_deflection(tmp_path):
-    true, done, model = identified(tmp_path, "wrist coupled by 30 %", seed=600)
+    """Friction of 0.06 mrad in every gear: another at each configuration, so that no parameter describes it."""
+    true = truth.experiment(dataclasses.replace(row("friction of 0.03 mrad"), friction=0.06e-3), 600, tmp_path)
+    done = identify_folder(tmp_path / "measurements.csv", tmp_path / "experiment.toml", tmp_path / "model")
+    model = robot.load(tmp_path / "model")
     assert not done.data.verdict.refused
     assert any("σ² (noise alone: 1)" in warning for warning in done.data.warnings)
     factor, inside, _ = job_error(true, model)
