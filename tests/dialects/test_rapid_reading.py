@@ -326,3 +326,13 @@ def test_a_program_gets_another_name_with_its_file_and_its_module():
     assert renamed.name == "Other.mod"
     assert "MODULE Other\r\n" in renamed.text
     assert "PROC Part()" in renamed.text
+
+
+@pytest.mark.parametrize("speed", ["v50", "[50,500,5000,1000]", "[ 12.5 ,500., 5000,1000]"])
+def test_a_move_means_the_same_in_one_line_and_over_several(speed):
+    """Moves in one line are read by one pattern, others token by token."""
+    line = f"MoveL {at(1, '-2.5', '3e1')},{speed},z1,tMill\\WObj:=wPart;"
+    programs = [read(module([text])) for text in (line, line.replace(",z1", ",! zone\n z1"))]
+    (plain, split) = (program.motions for program in programs)
+    assert plain.feed[-1] == split.feed[-1] == (0.0125 if "12.5" in speed else 0.05)
+    assert (plain.target.position[-1] == split.target.position[-1]).all()

@@ -162,12 +162,15 @@ _PLAIN = re.compile(
     rf"\[{_N},{_N},{_N},{_N}\][ \t]*,[ \t]*\[{_N},{_N},{_N},{_N},{_N},{_N}\][ \t]*\]"
 )
 """A target of numbers, the form of most programs: read by one pattern."""
+_POSITIVE = r"[ \t]*[0-9]+(?:\.[0-9]*)?[ \t]*"
+_SPEED = rf"\[{_POSITIVE},{_POSITIVE},{_POSITIVE},{_POSITIVE}\]"
 _MOVE = re.compile(
-    rf"(Move[LJ])[ \t]+({_PLAIN.pattern})[ \t]*,[ \t]*([a-z]\w*)[ \t]*,[ \t]*([a-z]\w*)[ \t]*,[ \t]*([a-z]\w*)[ \t]*"
-    r",?[ \t]*(\\WObj[ \t]*:=[ \t]*([a-z]\w*)[ \t]*)?;",
+    rf"(Move[LJ])[ \t]+({_PLAIN.pattern})[ \t]*,[ \t]*([a-z]\w*|{_SPEED})[ \t]*,"
+    r"[ \t]*([a-z]\w*)[ \t]*,[ \t]*([a-z]\w*)[ \t]*,?[ \t]*(\\WObj[ \t]*:=[ \t]*([a-z]\w*)[ \t]*)?;",
     re.IGNORECASE | re.ASCII,
 )
-"""A move to numbers with names for the rest: most lines of a CAM system."""
+"""A move to numbers, with names for the other arguments or a speed of numbers: most lines of a CAM system."""
+_NUMBER_IN_LIST = re.compile(r"[0-9.]+")
 _FIRST, _NUMBERS = 2, 17
 """Group of the target in this pattern, and how many numbers it has: x, y, z, q1…q4, cf1…cfx, eax_a…eax_f."""
 _OPERATORS = (("OR", "XOR"), ("AND",), ("=", "<>", "<", ">", "<=", ">="), ("+", "-"), ("*", "/", "DIV", "MOD"))
@@ -394,8 +397,7 @@ class Parser:
         arguments = [Argument("", target, target.start, target.stop)]
         for group in range(_FIRST + _NUMBERS + 1, _FIRST + _NUMBERS + 4):
             start, stop = match.span(group)
-            name = Expression("name", start, stop, groups[group - 1].upper())
-            arguments.append(Argument("", name, start, stop))
+            arguments.append(Argument("", self._plain_argument(start, stop), start, stop))
         if groups[-1] is not None:
             start, stop = match.span(len(groups))
             name = Expression("name", start, stop, groups[-1].upper())
@@ -403,6 +405,14 @@ class Parser:
         self.stop = match.end()
         self.step()
         return Instruction(match.start(), match.end(), groups[0].upper(), tuple(arguments))
+
+    def _plain_argument(self, start: int, stop: int) -> Expression:
+        """Return a name or a list of numbers without signs."""
+        if self.text[start] != "[":
+            return Expression("name", start, stop, self.text[start:stop].upper())
+        numbers = _NUMBER_IN_LIST.finditer(self.text, start, stop)
+        items = tuple(Expression("number", *number.span(), float(number[0])) for number in numbers)
+        return Expression("list", start, stop, None, items)
 
     def _jump(self, start: int, word: str) -> Statement:
         self.step()
