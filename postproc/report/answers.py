@@ -149,8 +149,8 @@ def joined(
     """
     answers = [answer for answer in (drive, better, tolerance) if answer is not None]
     state = worst_state(answer.state for answer in answers)
-    ordered = sorted(answers, key=lambda answer: -_ORDER.index(answer.state))
-    reasons = [reason for answer in ordered for reason in answer.reasons]
+    by_severity = sorted(answers, key=lambda answer: -_ORDER.index(answer.state))
+    reasons = [reason for answer in by_severity for reason in answer.reasons]
     word = WORDS[mode, state] if words is None else words[state]
     sentences = (word, _on_better(mode, better), _on_tolerance(tolerance))
     headline = " ".join(sentence for sentence in sentences if sentence)
@@ -187,14 +187,14 @@ def _on_tolerance(tolerance: Tolerance | None) -> str:
         return ""
     if tolerance.held:
         return f"Your tolerance of {tolerance.mm:g} mm is held."
-    missed = f"Your tolerance of {tolerance.mm:g} mm is not held"
-    return f"{missed}. What would help: {remedies(tolerance.would_help)}." if tolerance.would_help else f"{missed}."
+    sentence = f"Your tolerance of {tolerance.mm:g} mm is not held"
+    return f"{sentence}. What would help: {remedies(tolerance.would_help)}." if tolerance.would_help else f"{sentence}."
 
 
-def remedies(some: Sequence[Remedy]) -> str:
+def remedies(actions: Sequence[Remedy]) -> str:
     """Return remedies in words, the one that helps most first."""
-    ordered = sorted(some, key=lambda each: each.expected_mm)
-    return ", ".join(f"{each.action} ({rounded(each.expected_mm)} mm at best)" for each in ordered)
+    by_error = sorted(actions, key=lambda remedy: remedy.expected_mm)
+    return ", ".join(f"{remedy.action} ({rounded(remedy.expected_mm)} mm at best)" for remedy in by_error)
 
 
 QUESTIONS = ("May it be driven?", "Is it better than uncorrected?", "Does it hold your tolerance?")
@@ -212,8 +212,10 @@ def in_words(drive: Drive, better: Better | None, tolerance: Tolerance | None) -
 
 def _driven(drive: Drive) -> str:
     answer = {"ok": "yes", "warning": "see the reasons", "failed": "no"}[drive.state]
-    named = ", ".join(f"{name} ({UNCHECKED[name]})" if name in UNCHECKED else name for name in drive.unchecked)
-    return f"{answer}; not checked: {named}" if named else answer
+    unchecked_names = ", ".join(
+        f"{name} ({UNCHECKED[name]})" if name in UNCHECKED else name for name in drive.unchecked
+    )
+    return f"{answer}; not checked: {unchecked_names}" if unchecked_names else answer
 
 
 def _compared(better: Better | None) -> str:
@@ -222,15 +224,17 @@ def _compared(better: Better | None) -> str:
     if better.chance is None:
         return f"nothing is corrected; up to {rounded(better.corrected_mm)} mm (95 %)"
     pair = ((better.uncorrected_mm, better.uncorrected_rms_mm), (better.corrected_mm, better.corrected_rms_mm))
-    before, after = (f"up to {rounded(largest)} mm, RMS {rounded(rms or 0.0)}" for largest, rms in pair)
-    return f"chance {chance_in_words(better.chance)}: uncorrected {before}; corrected {after} (95 %)"
+    uncorrected_text, corrected_text = (
+        f"up to {rounded(largest)} mm, RMS {rounded(rms or 0.0)}" for largest, rms in pair
+    )
+    return f"chance {chance_in_words(better.chance)}: uncorrected {uncorrected_text}; corrected {corrected_text} (95 %)"
 
 
 def _held(tolerance: Tolerance | None) -> str:
     if tolerance is None:
         return "none is given"
-    held = {None: "not known", True: "held", False: "not held"}[tolerance.held]
-    return f"{tolerance.mm:g} mm{' of the path' if tolerance.of == 'path' else ''}: {held}"
+    answer = {None: "not known", True: "held", False: "not held"}[tolerance.held]
+    return f"{tolerance.mm:g} mm{' of the path' if tolerance.of == 'path' else ''}: {answer}"
 
 
 def chance_in_words(chance: float) -> str:

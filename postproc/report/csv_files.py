@@ -63,7 +63,7 @@ def _rows(
     q: Array,
     carriage: Array | None,
 ) -> bytes:
-    (output_line, source_line, t, rapid), (nominal, printed, places, wrench) = origin, command
+    (output_line, source_line, t, rapid), (nominal, written_command, places, wrench) = origin, command
     deflection, *distances = deviation
     columns: list[Number | Bytes] = [
         Number.of(output_line.astype(float), 0),
@@ -71,7 +71,7 @@ def _rows(
         Number.of(t, _PLACE),
         Number.of(rapid.astype(float), 0),
         *_block(xyzabc_from_pose(nominal), _NOMINAL),
-        *_block(printed, places),
+        *_block(written_command, places),
         *_block(wrench, _WRENCH_DECIMALS),
         *_block(deflection * MM_PER_M, (_LENGTH,) * 3),
         *(Number.of(values * MM_PER_M, _LENGTH) for values in distances),
@@ -104,13 +104,13 @@ def forces_csv(result: Result) -> bytes | None:
 
 def forces_by_module(result: Result) -> dict[str, bytes]:
     """Return forces.csv of each module of a written program, by its own lines: file name → content."""
-    contents, above, knots = dict[str, bytes](), 0, _carried(result)
+    contents, first_line, knots = dict[str, bytes](), 0, _carried(result)
     if knots is None:
         return contents
     for document, (first, last) in zip(result.documents, pairwise((*result.modules, len(result))), strict=True):
-        own = knots.take((knots.motion >= first) & (knots.motion < last))
-        contents[f"{Path(document.name).stem}.forces.csv"] = _forces(own, result.output_line - above)
-        above += document.text.count("\n")
+        module_knots = knots.take((knots.motion >= first) & (knots.motion < last))
+        contents[f"{Path(document.name).stem}.forces.csv"] = _forces(module_knots, result.output_line - first_line)
+        first_line += document.text.count("\n")
     return contents
 
 
@@ -152,8 +152,8 @@ def _shared(knots: Knots, values: Array) -> tuple[Ints, Ints]:
     Neighbouring targets share one if each has but one knot, and these are the same.
     """
     same_target = np.diff(knots.motion) == 0
-    several = np.append(same_target, False) | np.append(False, same_target)
+    has_many_knots = np.append(same_target, False) | np.append(False, same_target)
     differs = (np.diff(values, axis=0) != 0.0).any(axis=1) | (np.diff(knots.frame) != 0)
-    differs |= (np.diff(knots.ramped) != 0) | (np.diff(knots.motion) != 1) | several[1:] | several[:-1]
+    differs |= (np.diff(knots.ramped) != 0) | (np.diff(knots.motion) != 1) | has_many_knots[1:] | has_many_knots[:-1]
     first = np.flatnonzero(np.append(True, differs)[: len(knots)])
     return first, np.append(first[1:], len(knots))[: len(first)] - 1

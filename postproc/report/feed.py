@@ -11,7 +11,7 @@ from postproc.operations import of_motions, operations
 from postproc.report.formatting import rounded
 
 _MM_PER_MIN = 60.0 * MM_PER_M
-_MOST_LISTED = 100
+_MOST_MOVES = 100
 
 
 class OperationFeed(Struct, frozen=True):
@@ -51,85 +51,87 @@ class FeedSummary(Struct, frozen=True):
 
 def feed_summary(result: Result) -> FeedSummary | None:
     """Return what was done to the feeds; None where they are those of the program."""
-    held, m = result.held_feed, result.program.motions
-    if held is None:
+    feeds, m = result.held_feed, result.program.motions
+    if feeds is None:
         return None
-    cuts = ~m.rapid & (held.feed > 0.0)
-    before, after = (np.where(cuts, held.length / np.where(cuts, f, 1.0), 0.0) for f in (held.programmed, held.feed))
-    found = operations(result.program)
-    of = of_motions(found, np.arange(len(m)))
+    cuts = ~m.rapid & (feeds.feed > 0.0)
+    programmed_time, written_time = (
+        np.where(cuts, feeds.length / np.where(cuts, f, 1.0), 0.0) for f in (feeds.programmed, feeds.feed)
+    )
+    cut_operations = operations(result.program)
+    of = of_motions(cut_operations, np.arange(len(m)))
     rows: list[OperationFeed] = []
-    for place, operation in enumerate(found):
-        own = cuts & (of == place)
-        if own.any():
+    for place, operation in enumerate(cut_operations):
+        of_operation = cuts & (of == place)
+        if of_operation.any():
             rows.append(
                 OperationFeed(
                     name=operation.name,
                     tool=operation.tool,
-                    time_before_s=float(before[own].sum()),
-                    time_after_s=float(after[own].sum()),
-                    lowered_moves=int(np.count_nonzero(held.lowered & own)),
-                    lowest_feed_mm_per_min=float(held.feed[own].min()) * _MM_PER_MIN,
+                    time_before_s=float(programmed_time[of_operation].sum()),
+                    time_after_s=float(written_time[of_operation].sum()),
+                    lowered_moves=int(np.count_nonzero(feeds.lowered & of_operation)),
+                    lowest_feed_mm_per_min=float(feeds.feed[of_operation].min()) * _MM_PER_MIN,
                 )
             )
     return FeedSummary(
-        tolerance_mm=held.tolerance * MM_PER_M,
-        min_feed_mm_per_min=held.least * _MM_PER_MIN,
-        unheld=held.unheld,
+        tolerance_mm=feeds.tolerance * MM_PER_M,
+        min_feed_mm_per_min=feeds.least * _MM_PER_MIN,
+        unheld=feeds.unheld,
         cutting_moves=int(np.count_nonzero(cuts)),
-        lowered_moves=int(np.count_nonzero(held.lowered & cuts)),
-        time_before_s=float(before.sum()),
-        time_after_s=float(after.sum()),
+        lowered_moves=int(np.count_nonzero(feeds.lowered & cuts)),
+        time_before_s=float(programmed_time.sum()),
+        time_after_s=float(written_time.sum()),
         operations=rows,
-        missed_moves=int(np.count_nonzero(held.missed)),
-        missed=_missed(result, held),
+        missed_moves=int(np.count_nonzero(feeds.missed)),
+        missed=_missed(result, feeds),
     )
 
 
-def _missed(result: Result, held: HeldFeed) -> list[MissedMove]:
+def _missed(result: Result, feeds: HeldFeed) -> list[MissedMove]:
     """Return the moves that do not hold the tolerance, the worst first."""
-    rows = np.flatnonzero(held.missed)
-    rows = rows[np.argsort(-held.expected[rows], kind="stable")][:_MOST_LISTED]
-    edge = held.without_feed[rows]
+    rows = np.flatnonzero(feeds.missed)
+    rows = rows[np.argsort(-feeds.expected[rows], kind="stable")][:_MOST_MOVES]
+    edge = feeds.without_feed[rows]
     return [
         MissedMove(source_line=line, feed_mm_per_min=feed, expected_mm=error, edge_forces_mm=floor)
         for line, feed, error, floor in zip(
             result.program.motions.line[rows].tolist(),
-            (held.feed[rows] * _MM_PER_MIN).tolist(),
-            (held.expected[rows] * MM_PER_M).tolist(),
-            [float(each) * MM_PER_M if np.isfinite(each) else None for each in edge],
+            (feeds.feed[rows] * _MM_PER_MIN).tolist(),
+            (feeds.expected[rows] * MM_PER_M).tolist(),
+            [float(value) * MM_PER_M if np.isfinite(value) else None for value in edge],
             strict=True,
         )
     ]
 
 
-def sentences(feed: FeedSummary, most: int = 5) -> list[str]:
-    """Return what was done to the feeds, and up to `most` moves that are not held, as sentences without full stop."""
+def sentences(feed: FeedSummary, max_moves: int = 5) -> list[str]:
+    """Return what was done to the feeds, and up to `max_moves` moves that are not held: sentences without full stop."""
     tolerance = f"{feed.tolerance_mm:g} mm"
     if not feed.lowered_moves:
-        out = [f"feeds as programmed: lowering none of them helps to hold {tolerance}"]
+        texts = [f"feeds as programmed: lowering none of them helps to hold {tolerance}"]
         if not feed.missed_moves:
-            out = [f"feeds as programmed: they hold {tolerance}"]
+            texts = [f"feeds as programmed: they hold {tolerance}"]
     else:
         moves = "1 cutting move" if feed.cutting_moves == 1 else f"{feed.cutting_moves} cutting moves"
-        out = [
+        texts = [
             f"feed lowered on {feed.lowered_moves} of {moves} to hold {tolerance}: "
             f"cutting time {seconds(feed.time_before_s)} → {seconds(feed.time_after_s)}"
         ]
     if feed.missed_moves:
-        many = "1 move does not" if feed.missed_moves == 1 else f"{feed.missed_moves} moves do not"
+        count_text = "1 move does not" if feed.missed_moves == 1 else f"{feed.missed_moves} moves do not"
         feeds = "keep the feed of the program" if feed.unheld == "program" else "get the lowest feed"
-        out.append(
-            f"{many} hold {tolerance} at any feed from min_feed_mm_per_min up: such moves {feeds} ([output] unheld = "
-            f'"{feed.unheld}")'
+        texts.append(
+            f"{count_text} hold {tolerance} at any feed from min_feed_mm_per_min up: such moves {feeds} "
+            f'([output] unheld = "{feed.unheld}")'
         )
-        for move in feed.missed[:most]:
+        for move in feed.missed[:max_moves]:
             floor = move.edge_forces_mm
             text = f"line {move.source_line}: {rounded(move.expected_mm)} mm at {move.feed_mm_per_min:.0f} mm/min"
-            out.append(
+            texts.append(
                 text + ("" if floor is None else f", {rounded(max(floor, 0.0))} mm of it by edge forces at any feed")
             )
-    return out
+    return texts
 
 
 def seconds(value: float) -> str:

@@ -33,9 +33,9 @@ from postproc.report.kit.parts import Traced
 from postproc.robot import WITH_LINKS
 from postproc.robot.parameters import named
 
-_GOOD, _ROUGH, _KNOWN = 0.1, 0.5, 1.0
+_GOOD, _ROUGH, _LARGEST_SHARE = 0.1, 0.5, 1.0
 """Half width of an interval as a share of the value, up to which a parameter is well, roughly and barely known."""
-_LEAST, _LARGE = 1e-3, 1e5
+_LEAST_NUMBER, _LARGE = 1e-3, 1e5
 _LEAST_MM = 1e-5
 _SPRINGS = (
     "The farther left, the better known; a hollow circle is how far off the robot's prior value was. "
@@ -67,12 +67,12 @@ def summary(data: Identified) -> Section | None:
     if residual is None or data.parameters is None:
         return None
     shares = [entry.share for entry in data.parameters.values() if entry.share is not None]
-    good, rough, determined = (sum(share <= limit for share in shares) for limit in (_GOOD, _ROUGH, _KNOWN))
+    good, rough, known_count = (sum(share <= limit for share in shares) for limit in (_GOOD, _ROUGH, _LARGEST_SHARE))
     words = [
         f"{good} to {_GOOD * 100:.0f} %",
         f"{rough - good} more to {_ROUGH * 100:.0f} %",
-        *([f"{determined - rough} barely"] if determined > rough else []),
-        *([f"{len(shares) - determined} only together with others"] if len(shares) > determined else []),
+        *([f"{known_count - rough} barely"] if known_count > rough else []),
+        *([f"{len(shares) - known_count} only together with others"] if len(shares) > known_count else []),
         *(
             [f"{len(data.parameters) - len(shares)} not seen: prior value"]
             if len(shares) < len(data.parameters)
@@ -83,7 +83,7 @@ def summary(data: Identified) -> Section | None:
     tiles = (
         Tile("Displacement under load, RMS", f"{residual.before_rms_mm:.3f}", "mm"),
         Tile("Residual on these readings, RMS", f"{residual.rms_mm:.3f}", "mm", f"{gain:.0f} times less"),
-        Tile("Parameters determined", str(determined), f"of {len(data.parameters)}", "; ".join(words)),
+        Tile("Parameters determined", str(known_count), f"of {len(data.parameters)}", "; ".join(words)),
     )
     return Section("summary", "Results", (Tiles(tiles),))
 
@@ -146,7 +146,7 @@ def _intervals(entries: Mapping[str, Parameter], note: str) -> tuple[Part, ...]:
         for row, entry in enumerate(entries.values())
         if entry.prior is not None and entry.value and entry.share is not None
     ]
-    smallest = min([_LEAST, *(share for _, share in shares)])
+    smallest = min([_LEAST_NUMBER, *(share for _, share in shares)])
     largest = max([1.0, *(share for _, share in shares)])
     texts = [f"{titles[row]}: known to {_percent(share)}" for row, share in shares]
     traces: list[Traced] = [
@@ -166,7 +166,7 @@ def _intervals(entries: Mapping[str, Parameter], note: str) -> tuple[Part, ...]:
             texts=texts,
         ),
     ]
-    marks = [Mark(100.0 * limit, f"{100.0 * limit:.0f} %", "soft") for limit in (_GOOD, _KNOWN)]
+    marks = [Mark(100.0 * limit, f"{100.0 * limit:.0f} %", "soft") for limit in (_GOOD, _LARGEST_SHARE)]
     plot = Plot(
         label="Half width of each 95 % interval in per cent of the value; the table has the numbers",
         traces=traces,
@@ -212,7 +212,7 @@ def _judged(entry: Parameter) -> Cell:
     kinds: tuple[tuple[float, str, Kind], ...] = (
         (_GOOD, "well known", "good"),
         (_ROUGH, "roughly known", ""),
-        (_KNOWN, "barely known", "warning"),
+        (_LARGEST_SHARE, "barely known", "warning"),
     )
     share = entry.share
     if share is None:

@@ -99,7 +99,7 @@ class Entry(Struct, frozen=True):
         return "no forces" if state == "warning" and self.content.max_force_N == 0.0 else state
 
 
-_EXPECTED = ("Uncorrected, up to (95 %)", "Corrected, up to (95 %)")
+_ERROR_HEAD = ("Uncorrected, up to (95 %)", "Corrected, up to (95 %)")
 
 
 def index_page(entries: Sequence[Entry], folder: str) -> bytes:
@@ -113,7 +113,9 @@ def index_page(entries: Sequence[Entry], folder: str) -> bytes:
     counts = {state: sum(entry.state == state for entry in entries) for state in _WORDS}
     tiles = [Tile("Programs", str(len(entries)))]
     tiles += [Tile(_WORDS[state][0], str(count), kind=_WORDS[state][1]) for state, count in counts.items() if count]
-    for title, lengths in zip(_EXPECTED, zip(*(content.expected_mm for content in reports), strict=True), strict=False):
+    for title, lengths in zip(
+        _ERROR_HEAD, zip(*(content.expected_mm for content in reports), strict=True), strict=False
+    ):
         known_lengths = [length for length in lengths if length is not None]
         unknown = (
             f"unknown for {len(lengths) - len(known_lengths)} of {len(lengths)}"

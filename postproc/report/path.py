@@ -29,21 +29,21 @@ def drawn_path(result: Result, chord: float | None = None) -> tuple[Array, Ints]
     :returns: positions (P, 3) [m] in `$BASE`, or in the robot root if the program has more than one base; and the row
         (P,) of the target at the end of the piece that the point lies on. Each target is the last of its points.
     """
-    moved = result.program.motions
+    motions = result.program.motions
     end = result.nominal[:, :3, 3]
     row = np.arange(len(result))
-    arcs = np.flatnonzero(moved.kind[result.motion] == CIRC)
+    arcs = np.flatnonzero(motions.kind[result.motion] == CIRC)
     if len(arcs):
         motion = result.motion[arcs]
-        same = (arcs > 0) & (result.motion[arcs - 1] == motion)
-        begin = np.where(same, result.t[arcs - 1], 0.0)
-        angle = moved.sweep[motion] * (result.t[arcs] - begin)
-        normal, spoke = moved.normal[motion], end[arcs] - moved.centre[motion]
-        height = np.einsum("ni,ni->n", spoke, normal)[:, None] * normal
-        radial, across = spoke - height, np.cross(normal, spoke)
-        axis = moved.centre[motion] + height
-        before = end[np.maximum(arcs - 1, 0)]
-        rise = (np.einsum("ni,ni->n", end[arcs] - before, normal) * (arcs > 0))[:, None] * normal
+        same_motion = (arcs > 0) & (result.motion[arcs - 1] == motion)
+        begin = np.where(same_motion, result.t[arcs - 1], 0.0)
+        angle = motions.sweep[motion] * (result.t[arcs] - begin)
+        normal, radius_vector = motions.normal[motion], end[arcs] - motions.centre[motion]
+        height = np.einsum("ni,ni->n", radius_vector, normal)[:, None] * normal
+        radial, tangent = radius_vector - height, np.cross(normal, radius_vector)
+        axis = motions.centre[motion] + height
+        start = end[np.maximum(arcs - 1, 0)]
+        rise = (np.einsum("ni,ni->n", end[arcs] - start, normal) * (arcs > 0))[:, None] * normal
         unseen = _UNSEEN * float(np.ptp(end, axis=0).max()) if chord is None else chord
         step = 2.0 * np.arccos(np.clip(1.0 - unseen / np.maximum(norm(radial), unseen), -1.0, 1.0))
         step = np.clip(step, _STEP[0] if chord is None else _FINEST, _STEP[1])
@@ -51,14 +51,14 @@ def drawn_path(result: Result, chord: float | None = None) -> tuple[Array, Ints]
         count[arcs] = np.maximum(np.ceil(angle / step), 1.0).astype(np.int64)
         row = np.repeat(row, count)
         left = 1.0 - (ragged_range(count) + 1) / count[row]
-        back = np.flatnonzero(left > 0.0)
-        arc, left = np.searchsorted(arcs, row[back]), left[back]
+        inner = np.flatnonzero(left > 0.0)
+        arc, left = np.searchsorted(arcs, row[inner]), left[inner]
         cos, sin = np.cos(angle[arc] * left)[:, None], np.sin(angle[arc] * left)[:, None]
         end = end[row]
-        end[back] = axis[arc] + cos * radial[arc] - sin * across[arc] - left[:, None] * rise[arc]
+        end[inner] = axis[arc] + cos * radial[arc] - sin * tangent[arc] - left[:, None] * rise[arc]
     bases = result.program.bases
     if len(bases) > 1:
-        base = bases[moved.base[result.motion[row]]]
+        base = bases[motions.base[result.motion[row]]]
         end = np.einsum("nij,nj->ni", base[:, :3, :3], end) + base[:, :3, 3]
     return np.asarray(end), row
 
@@ -91,7 +91,7 @@ class Operation(Struct, frozen=True):
 def operations(result: Result) -> list[Operation]:
     """Return the operations that cut, in order; a program without any mark is one."""
     starts = operation_starts(result.program, result.motion)
-    found = []
+    cutting_operations = []
     for first, end in pairwise([*sorted(starts), len(result)]):
         rows = slice(first, end)
         rapid = result.rapid[rows]
@@ -100,7 +100,7 @@ def operations(result: Result) -> list[Operation]:
             continue
         name, tool = starts[first]
         begin = first + int(np.argmin(rapid))
-        found.append(
+        cutting_operations.append(
             Operation(
                 name=name,
                 tool=tool,
@@ -114,7 +114,7 @@ def operations(result: Result) -> list[Operation]:
                 force=float(result.force[rows].max(initial=0.0)),
             )
         )
-    return found
+    return cutting_operations
 
 
 def operation_starts(program: Program, motion: Ints) -> dict[int, tuple[str, int]]:
@@ -122,6 +122,10 @@ def operation_starts(program: Program, motion: Ints) -> dict[int, tuple[str, int
 
     :param motion: (K,) row of `program.motions`, never decreasing.
     """
-    found = program_operations(program)
-    rows = np.searchsorted(motion, [each.first for each in found]).tolist()
-    return {row: (each.name, each.tool) for row, each in zip(rows, found, strict=True) if row < len(motion)}
+    operations_in_order = program_operations(program)
+    rows = np.searchsorted(motion, [operation.first for operation in operations_in_order]).tolist()
+    return {
+        row: (operation.name, operation.tool)
+        for row, operation in zip(rows, operations_in_order, strict=True)
+        if row < len(motion)
+    }

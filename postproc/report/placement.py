@@ -28,9 +28,9 @@ _COLUMNS = (
 )
 _NO_BODIES = "Collisions do not count in this choice: the cell has no [collision]."
 _NO_STOCK = "Stock is not among these bodies: convert checks it, with --process."
-_SAME = 0.01
+_SAME_PLACE = 0.01
 """Share of the expected error below which a gain is none."""
-_UNLOADED = "No cutting move carries a force, so the error is not compared: give --forces or --process."
+_NO_FORCE_NOTE = "No cutting move carries a force, so the error is not compared: give --forces or --process."
 
 
 class PlaceEntry(Struct, frozen=True):
@@ -140,11 +140,11 @@ def _sentence(search: Search) -> str:
     if not today.reachable:
         advice = f"move the part by {move}" if moves else "the same place with another turn of the tool can be driven"
         if is_unloaded:
-            return f"Today's place cannot be driven ({REASONS[today.reason]}): {advice}. {_UNLOADED}"
+            return f"Today's place cannot be driven ({REASONS[today.reason]}): {advice}. {_NO_FORCE_NOTE}"
         return f"Today's place cannot be driven ({REASONS[today.reason]}): {advice}; the {kind} is then {error}."
     if is_unloaded:
-        return f"Today's place can be driven. {_UNLOADED}"
-    if best.cost >= (1.0 - _SAME) * today.cost or not moves:
+        return f"Today's place can be driven. {_NO_FORCE_NOTE}"
+    if best.cost >= (1.0 - _SAME_PLACE) * today.cost or not moves:
         return f"Today's place is as good as any in the region: the {kind} is {rounded(today.cost * MM_PER_M)} mm RMS."
     today_error = rounded(today.cost * MM_PER_M)
     return f"Moving the part by {move} lowers the {kind} from {today_error} to {error}."

@@ -80,24 +80,24 @@ def forces_csv(program: Program, knots: Knots) -> Iterator[bytes]:
         ).replace("-0.000,", "0.000,").replace("-0.0000,", "0.0000,").encode()  # fmt: skip
 
 
-def summary(program: Program, found: ProcessForces | None, by_operation: int) -> ForcesSummary:
+def summary(program: Program, process: ProcessForces | None, by_operation: int) -> ForcesSummary:
     """Return the content of forces.json.
 
-    :param found: forces computed from material and stock; None: there are none.
+    :param process: forces computed from material and stock; None: there are none.
     :param by_operation: moves whose force is from the table of operations.
     """
-    if found is None:
+    if process is None:
         return ForcesSummary(by_operation=by_operation)
-    m, cuts = program.motions, found.cuts
+    m, cuts = program.motions, process.cuts
     tools: list[ToolSummary] = []
-    for place in np.unique(found.tools.tool[cuts.motion]).tolist():
-        rows = found.tools.tool[cuts.motion] == place
+    for place in np.unique(process.tools.tool[cuts.motion]).tolist():
+        rows = process.tools.tool[cuts.motion] == place
         force = np.linalg.norm(cuts.wrench[rows, :3], axis=1)
         worst = int(cuts.motion[rows][int(np.argmax(force))])
         feed_force = round(float(np.abs(cuts.wrench[rows, 2]).max()), 1)
         tools.append(
             ToolSummary(
-                tool=found.tools.keys[place],
+                tool=process.tools.keys[place],
                 max_force_N=round(float(force.max()), 1),
                 max_force_line=int(m.line[worst]),
                 max_torque_Nm=round(float(np.abs(cuts.torque[rows]).max()), 3),
@@ -105,14 +105,14 @@ def summary(program: Program, found: ProcessForces | None, by_operation: int) ->
                 max_depth_mm=round(float(cuts.depth[rows].max()) * MM_PER_M, 3),
                 max_width_mm=round(float(cuts.width[rows].max()) * MM_PER_M, 3),
                 max_removal_mm3_per_s=round(float(cuts.rate[rows].max()) * _MM3, 1),
-                max_feed_force_N=feed_force if found.drills[place] else None,
+                max_feed_force_N=feed_force if process.drills[place] else None,
             )
         )
     return ForcesSummary(
         program=program.documents[0].name,
         places=len(cuts.t),
-        removed_mm3=round(found.removed * _MM3, 1),
-        left_mm3=round(found.stock.volume() * _MM3, 1),
+        removed_mm3=round(process.removed * _MM3, 1),
+        left_mm3=round(process.stock.volume() * _MM3, 1),
         tools=tools,
         by_operation=by_operation,
     )

@@ -37,8 +37,8 @@ class Record(Struct, frozen=True):
 
     def rows(self) -> list[tuple[str, str]]:
         """Return names and values in the order in which a page shows them."""
-        named = [("Title", self.title), ("Customer", self.customer)]
-        rows = [(name, value) for name, value in named if value]
+        titles = [("Title", self.title), ("Customer", self.customer)]
+        rows = [(name, value) for name, value in titles if value]
         rows += [("Date", self.date), ("Version", f"postproc {self.version}"), ("Cell", self.cell)]
         return rows + [
             (f"SHA-256 of {name}", f"{value[:_DIGITS]}…") for name, value in self.sums.items() if value != "-"

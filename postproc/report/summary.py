@@ -211,7 +211,7 @@ def summary(
     :param surface: of the part; None = there is no mesh.
     :param remedies: what would lower the expected error, besides what the result itself says.
     """
-    before, after = statistics(result.before, result.rapid), statistics(result.after, result.rapid)
+    uncorrected, prediction = statistics(result.before, result.rapid), statistics(result.after, result.rapid)
     margin = result.joint_margin * DEG_PER_RAD
     force = result.force
     bound = None if result.bound is None else statistics(result.bound, result.rapid)
@@ -224,19 +224,19 @@ def summary(
         mode=result.mode,
         targets=len(result),
         inserted_targets=result.inserted,
-        before=_distances(before),
-        after=_distances(after),
+        before=_distances(uncorrected),
+        after=_distances(prediction),
         u95=None if bound is None else _expected(result, bound),
         part=_on_part(result, part_tolerance),
         feed=feed_summary(result),
         improvement=Ratios(
-            max=improvement(before.largest * MM_PER_M, after.largest * MM_PER_M),
-            rms=improvement(before.rms * MM_PER_M, after.rms * MM_PER_M),
+            max=improvement(uncorrected.largest * MM_PER_M, prediction.largest * MM_PER_M),
+            rms=improvement(uncorrected.rms * MM_PER_M, prediction.rms * MM_PER_M),
         ),
-        compensated_percent=_compensated(before.rms * MM_PER_M, after.rms * MM_PER_M),
+        compensated_percent=_compensated(uncorrected.rms * MM_PER_M, prediction.rms * MM_PER_M),
         between_max_mm=_finite(result.between * MM_PER_M),
         tolerance_mm=None if tolerance is None else tolerance * MM_PER_M,
-        tolerance_held=_held(result, after, tolerance),
+        tolerance_held=_held(result, prediction, tolerance),
         blending=_blending(result),
         size_bytes=sum(len(piece) for document in result.documents for piece in document.pieces()) or None,
         provenance=_origin(result),
@@ -274,21 +274,21 @@ def _redundancy(result: Result) -> Redundancy | None:
     return Redundancy(mode=result.turn.mode, min_deg=round(low, 3), max_deg=round(high, 3))
 
 
-def _held(result: Result, after: Statistics, tolerance: float | None) -> bool | None:
+def _held(result: Result, prediction: Statistics, tolerance: float | None) -> bool | None:
     if tolerance is None:
         return None
-    reached = max(after.largest, result.between) if math.isfinite(result.between) else math.inf
-    if not reached <= tolerance:
+    path_deviation = max(prediction.largest, result.between) if math.isfinite(result.between) else math.inf
+    if not path_deviation <= tolerance:
         return False
-    more = result.rounding - result.programmed
-    return True if reached + more[_cuts(result)].max(initial=0.0) <= tolerance else None
+    extra_rounding = result.rounding - result.programmed
+    return True if path_deviation + extra_rounding[_cuts(result)].max(initial=0.0) <= tolerance else None
 
 
 def _blending(result: Result) -> Blending:
     cuts = np.flatnonzero(_cuts(result))
     worst = cuts[np.argmax(result.rounding[cuts])] if len(cuts) else None
-    written = result.documents[0].name if result.documents else None
-    dialect = result.program.dialect if written is None else registry.of_file(Path(written)).name
+    file_name = result.documents[0].name if result.documents else None
+    dialect = result.program.dialect if file_name is None else registry.of_file(Path(file_name)).name
     by = registry.written_in(dialect, None)[1].approximation
     if worst is None or not result.rounding[worst] > 0.0:
         return Blending(by=by, max_mm=0.0, programmed_max_mm=0.0, source_line=None)
@@ -302,10 +302,10 @@ def _blending(result: Result) -> Blending:
 
 def _origin(result: Result) -> Origin:
     writer = registry.by_name(result.program.dialect).writer
-    said = None if writer is None else writer.origin(result.program.documents)
-    if said is None or said.state == "none":
+    origin = None if writer is None else writer.origin(result.program.documents)
+    if origin is None or origin.state == "none":
         return Origin(state="none", mode=None, version=None)
-    return Origin(state=said.state, mode=said.mode or None, version=said.version or None)
+    return Origin(state=origin.state, mode=origin.mode or None, version=origin.version or None)
 
 
 def _cuts(result: Result) -> Bools:
@@ -329,14 +329,14 @@ def _bound(values: Statistics | None) -> Bound | None:
 
 
 def _reversals(result: Result) -> list[Reversal]:
-    turned = result.reversals
-    if turned is None:
+    reversals = result.reversals
+    if reversals is None:
         return []
     return [
         Reversal(
-            joint=JOINTS[turned.joint[index]],
-            source_line=int(result.source_line[turned.row[index]]),
-            lost_motion_mm=float(turned.step[index]) * MM_PER_M,
+            joint=JOINTS[reversals.joint[index]],
+            source_line=int(result.source_line[reversals.row[index]]),
+            lost_motion_mm=float(reversals.step[index]) * MM_PER_M,
         )
         for index in result.largest_reversals.tolist()
     ]
@@ -344,17 +344,17 @@ def _reversals(result: Result) -> list[Reversal]:
 
 def _on_part(result: Result, tolerance: float | None) -> OnPart:
     """Return the largest expected error on the part (`Result.expected`), judged by a tolerance [m]."""
-    stated, error = None if tolerance is None else tolerance * MM_PER_M, result.expected
+    tolerance_mm, error = None if tolerance is None else tolerance * MM_PER_M, result.expected
     if error is None or result.rapid.all():
-        return OnPart(tolerance_mm=stated, expected_mm=None, source_line=None, held=None, beyond_percent=None)
+        return OnPart(tolerance_mm=tolerance_mm, expected_mm=None, source_line=None, held=None, beyond_percent=None)
     worst = int(np.argmax(error))
-    beyond = None if tolerance is None else 100.0 * float(np.mean(error[~result.rapid] > tolerance))
+    percent = None if tolerance is None else 100.0 * float(np.mean(error[~result.rapid] > tolerance))
     return OnPart(
-        tolerance_mm=stated,
+        tolerance_mm=tolerance_mm,
         expected_mm=_finite(float(error[worst]) * MM_PER_M),
         source_line=int(result.source_line[worst]),
         held=None if tolerance is None else bool(error[worst] <= tolerance),
-        beyond_percent=beyond,
+        beyond_percent=percent,
     )
 
 
@@ -362,11 +362,11 @@ def _surface_entry(result: Result, surface: Surface) -> OnSurface:
     cut = np.flatnonzero(surface.programmed_row >= 0)
     deepest = cut[np.argmin(surface.programmed[cut])] if len(cut) else None
     area, left = surface.area, surface.programmed[surface.touched & (surface.programmed_row < 0)]
-    known = left[np.isfinite(left)]
+    finite_heights = left[np.isfinite(left)]
     return OnSurface(
         cut_into_mm=0.0 if deepest is None else -float(surface.programmed[deepest]) * MM_PER_M,
         source_line=None if deepest is None else int(result.source_line[surface.programmed_row[deepest]]),
-        left_mm=float(np.median(known)) * MM_PER_M if len(known) else None,
+        left_mm=float(np.median(finite_heights)) * MM_PER_M if len(finite_heights) else None,
         reached_percent=100.0 * float(area[surface.reached].sum() / max(float(area.sum()), 1e-300)),
     )
 
@@ -394,9 +394,11 @@ def _finite(value: float) -> float | None:
 
 
 def _clearance(result: Result) -> Clearance | None:
-    found = result.clearance
-    if found is None:
+    clearance = result.clearance
+    if clearance is None:
         return None
-    least = _finite(found.distance * MM_PER_M)
-    names = [name for name in found.bodies if name]
-    return Clearance(min_clearance_mm=least, bodies=names, source_line=found.line, remarks=list(found.remarks))
+    distance_mm = _finite(clearance.distance * MM_PER_M)
+    names = [name for name in clearance.bodies if name]
+    return Clearance(
+        min_clearance_mm=distance_mm, bodies=names, source_line=clearance.line, remarks=list(clearance.remarks)
+    )

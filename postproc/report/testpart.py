@@ -35,7 +35,7 @@ from postproc.testpart.model import Agreement, PartIdentification
 _WIDE = 900.0
 """Width of the drawing [px]."""
 _ARC = 24
-_MUCH = 0.3
+_LARGE_SHARE = 0.3
 """Relative change of a joint that a part should show."""
 _PRODUCT = (
     "Forces and compliances scale against each other: twice the force on a robot half as compliant leaves the same "
@@ -97,12 +97,12 @@ def design_page(
 
 
 def _remarks(design: Design, prior: Prior) -> list[str]:
-    out = [_PRODUCT]
+    remarks = [_PRODUCT]
     if design.alone is not None:
-        out.append(f"Here {_by_weight(design, design.alone)}.")
-    if (hidden := _hidden(design, prior)) is not None:
-        out.append(f"{hidden[0].upper()}{hidden[1:]}.")
-    return out
+        remarks.append(f"Here {_by_weight(design, design.alone)}.")
+    if (text := _hidden(design, prior)) is not None:
+        remarks.append(f"{text[0].upper()}{text[1:]}.")
+    return remarks
 
 
 def _known(design: Design, prior: Prior) -> Table:
@@ -127,10 +127,10 @@ def _known(design: Design, prior: Prior) -> Table:
     )
 
 
-def _row(name: str, sigma_now: float, sigma_with_part: float, share: float, change_text: str) -> Row:
+def _row(name: str, prior_sigma: float, sigma_with_part: float, share: float, change_text: str) -> Row:
     kind: Kind = "soft" if share > 0.9 else ""
     text = Cell("value not shown by this part" if share > 0.9 else "", kind)
-    return Row((name, f"{sigma_now:.2g}", f"{sigma_with_part:.2g}", change_text, text))
+    return Row((name, f"{prior_sigma:.2g}", f"{sigma_with_part:.2g}", change_text, text))
 
 
 def _hidden(design: Design, prior: Prior) -> str | None:
@@ -138,7 +138,7 @@ def _hidden(design: Design, prior: Prior) -> str | None:
     names = [
         f"{parameter.name} ({100.0 * change:.0f} %)" if change < MOST_CHANGE else parameter.name
         for parameter, change, share in zip(prior.parameters, design.change.tolist(), design.sigma[:-1], strict=True)
-        if change > _MUCH and share <= 0.9
+        if change > _LARGE_SHARE and share <= 0.9
     ]
     if not names:
         return None
@@ -307,7 +307,7 @@ def design_lines(design: Design, prior: Prior, cutting: Cutting, parts: dict[Pla
     sigma_texts = [
         f"{name} {100 * share:.0f} %" for name, share in zip(names, design.sigma, strict=True) if share <= 0.9
     ]
-    names_not_shown = [name for name, share in zip(names, design.sigma, strict=True) if share > 0.9]
+    hidden_names = [name for name, share in zip(names, design.sigma, strict=True) if share > 0.9]
     lines = [
         f"{len(design.features)} features, {design.seconds / 60.0:.1f} min of cutting, "
         f"full cuts at {cutting.feed * MM_PER_M * 60:.0f} mm/min",
@@ -319,8 +319,8 @@ def design_lines(design: Design, prior: Prior, cutting: Cutting, parts: dict[Pla
         lines.insert(
             1, "block at " + ", ".join(f"{placement.title}: {program.features}" for placement, program in parts.items())
         )
-    if names_not_shown:
-        lines.append(f"not shown by this part: {', '.join(names_not_shown)}")
+    if hidden_names:
+        lines.append(f"not shown by this part: {', '.join(hidden_names)}")
     if (hidden_changes := _hidden(design, prior)) is not None:
         lines.append(hidden_changes)
     if design.alone is not None:

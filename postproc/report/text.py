@@ -34,11 +34,11 @@ def of_one(content: Summary, display: Display = PLAIN) -> str:
     if len(verdict.reasons) > _REASONS:
         lines.append(f"  - {_more_reasons(len(verdict.reasons))}: see the report")
     lines.append("")
-    nothing = nothing_to_correct(content)
+    no_correction = nothing_to_correct(content)
     u95 = _u95(content)
     rows: list[tuple[str, ...]]
-    if nothing is not None:
-        lines.append(f"  {nothing}")
+    if no_correction is not None:
+        lines.append(f"  {no_correction}")
     elif content.mode == "predict":
         rows = [(label, estimate(value, u95)) for label, value in zip(_ROWS, astuple(content.before), strict=True)]
         lines.append(display.table(("deviation [mm]", "predicted"), rows, (1,), "  "))
@@ -53,10 +53,10 @@ def of_one(content: Summary, display: Display = PLAIN) -> str:
 
 def targets(content: Summary) -> str:
     """Return how many targets a program has, and how many of them are not its own."""
-    inserted = content.inserted_targets
-    what = "places looked at" if content.mode == "predict" and inserted else "targets"
-    own = "between its targets" if content.mode == "predict" else "inserted"
-    return f"{content.targets} {what}" + (f", {inserted} of them {own}" if inserted else "")
+    inserted_count = content.inserted_targets
+    noun = "places looked at" if content.mode == "predict" and inserted_count else "targets"
+    origin = "between its targets" if content.mode == "predict" else "inserted"
+    return f"{content.targets} {noun}" + (f", {inserted_count} of them {origin}" if inserted_count else "")
 
 
 def _facts(content: Summary) -> list[str]:
@@ -71,8 +71,8 @@ def _facts(content: Summary) -> list[str]:
     origin = content.provenance
     if origin.state == "intact":
         makes_up = origin.mode == "corrected" and nothing_to_correct(content) is None
-        corrected = ": its targets compensate the deviation predicted here" if makes_up else ""
-        facts.append(f"written by postproc {origin.version} ({origin.mode}), unchanged since{corrected}")
+        correction_note = ": its targets compensate the deviation predicted here" if makes_up else ""
+        facts.append(f"written by postproc {origin.version} ({origin.mode}), unchanged since{correction_note}")
     limits = content.limits
     facts.append(
         f"smallest joint margin {number(limits.min_joint_margin_deg, 1)}°, "
@@ -87,16 +87,16 @@ def _feeds(content: Summary, display: Display) -> list[str]:
     feed = content.feed
     if feed is None:
         return []
-    lines = [f"  {each}" for each in sentences(feed)]
+    lines = [f"  {sentence}" for sentence in sentences(feed)]
     if len(feed.operations) > 1 and feed.lowered_moves:
         rows = [
             (
-                each.name,
-                seconds(each.time_before_s),
-                seconds(each.time_after_s),
-                str(each.lowered_moves),
+                sentence.name,
+                seconds(sentence.time_before_s),
+                seconds(sentence.time_after_s),
+                str(sentence.lowered_moves),
             )
-            for each in feed.operations
+            for sentence in feed.operations
         ]
         lines.append(display.table(("cutting time", "before", "after", "moves slowed"), rows, range(1, 4), "  "))
     return lines
@@ -108,22 +108,24 @@ def _of_path(content: Summary) -> list[str]:
     if content.mode == "convert" and content.max_correction_mm is not None:
         facts.append(f"largest correction {rounded(content.max_correction_mm)} mm")
     if content.mode != "predict" and content.between_max_mm is not None:
-        held = {None: ", held but for approximation", True: ", held", False: ", EXCEEDED"}[content.tolerance_held]
-        stated = "" if content.tolerance_mm is None else f" (tolerance {content.tolerance_mm:g} mm{held})"
-        facts.append(f"between targets at most {rounded(content.between_max_mm)} mm{stated}")
+        judgement = {None: ", held but for approximation", True: ", held", False: ", EXCEEDED"}[content.tolerance_held]
+        tolerance_text = "" if content.tolerance_mm is None else f" (tolerance {content.tolerance_mm:g} mm{judgement})"
+        facts.append(f"between targets at most {rounded(content.between_max_mm)} mm{tolerance_text}")
     blending = content.blending
     if blending.source_line is not None:
-        own = blending.programmed_max_mm
-        where = f"line {blending.source_line}" + (f"; the program itself by {rounded(own)} mm" if own else "")
-        facts.append(f"{blending.by} rounds corners by up to {rounded(blending.max_mm)} mm ({where})")
+        programmed_mm = blending.programmed_max_mm
+        details = f"line {blending.source_line}" + (
+            f"; the program itself by {rounded(programmed_mm)} mm" if programmed_mm else ""
+        )
+        facts.append(f"{blending.by} rounds corners by up to {rounded(blending.max_mm)} mm ({details})")
     return facts
 
 
 def issue_line(issue: IssueEntry, program: str) -> str:
     """Return one line about an issue, with its first file and line."""
-    where = program if issue.source_line is None else f"{program}:{issue.source_line}"
-    more = f" ({issue.count} times)" if issue.count > 1 else ""
-    return f"{issue.level}: {where}: {issue.message}{more}"
+    place = program if issue.source_line is None else f"{program}:{issue.source_line}"
+    count = f" ({issue.count} times)" if issue.count > 1 else ""
+    return f"{issue.level}: {place}: {issue.message}{count}"
 
 
 def of_many(rows: Sequence[tuple[str, Summary | None, str]], display: Display = PLAIN) -> str:
@@ -140,16 +142,19 @@ def of_many(rows: Sequence[tuple[str, Summary | None, str]], display: Display = 
             continue
         tolerance = "-" if content.part.tolerance_mm is None else f"{content.part.tolerance_mm:g}"
         cells.append((name, str(content.targets), *_pair(content.verdict), tolerance, _verdict_word(content), word))
-    written = [content for _, content, _ in rows if content is not None]
-    if len(rows) > 1 and written:
-        known = [better for content in written if (better := content.verdict.better) is not None]
-        worst = (_largest([each.uncorrected_mm for each in known]), _largest([each.corrected_mm for each in known]))
-        words = [_verdict_word(content) for content in written]
+    summaries = [content for _, content, _ in rows if content is not None]
+    if len(rows) > 1 and summaries:
+        answers = [better for content in summaries if (better := content.verdict.better) is not None]
+        worst = (
+            _largest([answer.uncorrected_mm for answer in answers]),
+            _largest([answer.corrected_mm for answer in answers]),
+        )
+        words = [_verdict_word(content) for content in summaries]
         counts = [f"{words.count(word)} {word}" for word in (*_STATES.values(), _NO_FORCES) if word in words]
-        if len(rows) > len(written):
-            counts.insert(0, f"{len(rows) - len(written)} not written")
-        targets_in_all = str(sum(content.targets for content in written))
-        cells.append((f"all {len(rows)}, at most", targets_in_all, *worst, "", "", "", ", ".join(counts)))
+        if len(rows) > len(summaries):
+            counts.insert(0, f"{len(rows) - len(summaries)} not written")
+        target_count = str(sum(content.targets for content in summaries))
+        cells.append((f"all {len(rows)}, at most", target_count, *worst, "", "", "", ", ".join(counts)))
     return "\n".join([display.table(head, cells, right=range(1, 6)), *_why(rows)])
 
 
@@ -164,8 +169,8 @@ def _pair(verdict: Verdict) -> tuple[str, str, str]:
 
 def _largest(lengths_mm: Sequence[float | None]) -> str:
     """Return the largest of some lengths; a dash if none is known."""
-    known = [each for each in lengths_mm if each is not None]
-    return rounded(max(known)) if known else "-"
+    lengths = [length for length in lengths_mm if length is not None]
+    return rounded(max(lengths)) if lengths else "-"
 
 
 def _u95(content: Summary) -> float | None:
@@ -188,16 +193,16 @@ def _why(rows: Sequence[tuple[str, Summary | None, str]]) -> list[str]:
             programs.setdefault(content.verdict.reasons[0], []).append(name)
     lines = []
     for reason, names in [*programs.items()][:_REASONS]:
-        which = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
-        lines.append(f"  - {which}: {reason}")
+        program_names = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
+        lines.append(f"  - {program_names}: {reason}")
     if len(programs) > _REASONS:
         lines.append(f"  - {_more_reasons(len(programs))}: see the overview")
     return lines
 
 
 def _more_reasons(count: int) -> str:
-    more = count - _REASONS
-    return f"{more} more reason{'s' if more > 1 else ''}"
+    further_count = count - _REASONS
+    return f"{further_count} more reason{'s' if further_count > 1 else ''}"
 
 
 def number(value: float | None, places: int) -> str:

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 NOTHING_MM = 1e-6
 """Deviations below this everywhere are noise of the arithmetic."""
-_KEPT = ("unresolved", "motions-elsewhere")
+_UNCORRECTED_KINDS = ("unresolved", "motions-elsewhere")
 """Kinds of issues about motions and calls that stay as they are."""
 NARROW_DEG = 5.0
 """A joint that comes nearer to its limit is something to look at."""
@@ -60,7 +60,7 @@ SOLID = "link masses"
 """An assumed value that only weights, and with them calibrated geometry, depend on: see `assumed`."""
 _FIRST = np.inf
 """Cost [mm] of a finding that comes first."""
-_WORDS_ONLY = 0.0
+_NO_SIZE = 0.0
 """Cost [mm] of a finding without a length."""
 
 
@@ -71,16 +71,16 @@ class Finding(Struct, frozen=True):
     text: str
 
 
-def verdict(result: Result, content: Summary, more: Sequence[Remedy] = ()) -> Verdict:
+def verdict(result: Result, content: Summary, other_remedies: Sequence[Remedy] = ()) -> Verdict:
     """Return the verdict.
 
     :param content: of `report.json` but for the verdict.
-    :param more: remedies besides those that the result itself says.
+    :param other_remedies: remedies besides those that the result itself says.
     """
     warnings = [issue for issue in result.issues if issue.level == "warning"]
     of_forces = [issue for issue in warnings if issue.kind.partition("-A")[0] in _OF_FORCES]
     drive = _drive(result, content, [issue for issue in warnings if issue not in of_forces])
-    tolerance = _tolerance(result, content, more)
+    tolerance = _tolerance(result, content, other_remedies)
     better = _better(result, content, _of_issues(of_forces, result.mode), tolerance)
     holds = _holds(result, content)
     return joined(result.mode, drive, better, tolerance, _texts(holds), _assumptions(result))
@@ -92,13 +92,13 @@ def _drive(result: Result, content: Summary, warnings: Sequence[Issue]) -> Drive
     doubts = _of_issues(warnings, result.mode)
     if content.targets:
         doubts = [*_on_surface(content)[0], *_near_limits(content), *doubts]
-    known = {
+    checks = {
         "collisions": content.collision is not None,
         "moves through material": result.stock_known,
         SPLINES: not bool((result.program.motions.kind == SPL).any()),
         RUN_TIME: not result.program.unresolved,
     }
-    unchecked = [name for name, is_known in known.items() if not is_known]
+    unchecked = [name for name, is_known in checks.items() if not is_known]
     state: State = "failed" if errors else "warning" if doubts else "ok"
     return Drive(state, [*errors, *_texts(doubts)], unchecked)
 
@@ -109,11 +109,11 @@ def _better(result: Result, content: Summary, doubts: list[Finding], tolerance: 
     :param doubts: about forces and model.
     """
     # what the correction is worth is judged under the forces that it is made for, not those of the deflected tool
-    judged = result if result.as_engaged is None else result.as_engaged
-    errors, failed = judged.errors, list[Finding]()
+    judged_result = result if result.as_engaged is None else result.as_engaged
+    errors, failures = judged_result.errors, list[Finding]()
     corrects = content.mode != "predict"
-    if (kept := nothing_corrected(content)) is not None:
-        doubts.insert(0, Finding(_FIRST, kept))
+    if (sentence := nothing_corrected(content)) is not None:
+        doubts.insert(0, Finding(_FIRST, sentence))
     if content.targets and content.max_force_N == 0.0 and corrects:
         doubts.append(Finding(_FIRST, _without_forces(result, content)))
     if content.targets and errors is None:
@@ -123,58 +123,67 @@ def _better(result: Result, content: Summary, doubts: list[Finding], tolerance: 
         doubts.append(Finding(_FIRST, f"the robot model is not to be trusted: {result.robot.measured.not_trusted}"))
     if errors is None or _compensates(content):
         return Better("warning" if doubts else "ok", None, None, None, None, None, _texts(doubts))
-    before, after = (statistics(error, judged.rapid) for error in (errors.before, errors.after))
-    reached = max(content.before.max_mm, content.after.max_mm)
-    counts = content.mode == "convert" and reached > (content.tolerance_mm or CUT_MM)
+    uncorrected, corrected_errors = (statistics(error, judged_result.rapid) for error in (errors.before, errors.after))
+    largest_mm = max(content.before.max_mm, content.after.max_mm)
+    counts = content.mode == "convert" and largest_mm > (content.tolerance_mm or CUT_MM)
     if counts and errors.chance is not None and errors.chance < HARM:
-        failed.append(Finding(_FIRST, _CHANCE.format("does more harm than good", chance_in_words(errors.chance))))
+        failures.append(Finding(_FIRST, _CHANCE.format("does more harm than good", chance_in_words(errors.chance))))
     elif counts and errors.chance is not None and errors.chance < WIDE and not (tolerance and tolerance.held):
         wide = _CHANCE.format("is not much larger than its uncertainty", chance_in_words(errors.chance))
-        some = _remedies(result, content)
-        doubts.append(Finding(after.largest * MM_PER_M, f"{wide}. What would help: {remedies(some)}" if some else wide))
-    state: State = "failed" if failed else "warning" if doubts else "ok"
+        actions = _remedies(result, content)
+        doubts.append(
+            Finding(
+                corrected_errors.largest * MM_PER_M,
+                f"{wide}. What would help: {remedies(actions)}" if actions else wide,
+            )
+        )
+    state: State = "failed" if failures else "warning" if doubts else "ok"
     return Better(
         state=state,
-        uncorrected_mm=before.largest * MM_PER_M,
-        corrected_mm=after.largest * MM_PER_M,
-        uncorrected_rms_mm=before.rms * MM_PER_M,
-        corrected_rms_mm=after.rms * MM_PER_M,
+        uncorrected_mm=uncorrected.largest * MM_PER_M,
+        corrected_mm=corrected_errors.largest * MM_PER_M,
+        uncorrected_rms_mm=uncorrected.rms * MM_PER_M,
+        corrected_rms_mm=corrected_errors.rms * MM_PER_M,
         chance=errors.chance,
-        reasons=[*_texts(failed), *_texts(doubts)],
+        reasons=[*_texts(failures), *_texts(doubts)],
     )
 
 
 _CHANCE = "the correction {}: it makes the part better with a chance of {}"
 
 
-def _tolerance(result: Result, content: Summary, more: Sequence[Remedy]) -> Tolerance | None:
+def _tolerance(result: Result, content: Summary, other_remedies: Sequence[Remedy]) -> Tolerance | None:
     """Return whether the tolerance of the part is held, or that of the path is not; None if nobody gave one."""
     part, reasons = content.part, list[str]()
     if content.targets and content.tolerance_held is False and content.mode != "predict":
         assert content.tolerance_mm is not None
-        reached = above(max(content.between_max_mm or 0.0, content.after.max_mm), content.tolerance_mm)
+        deviation_text = above(max(content.between_max_mm or 0.0, content.after.max_mm), content.tolerance_mm)
         reasons.append(
-            f"the predicted path leaves the nominal one by {reached} mm: more than {content.tolerance_mm:g} mm"
+            f"the predicted path leaves the nominal one by {deviation_text} mm: more than {content.tolerance_mm:g} mm"
         )
     if part.tolerance_mm is None or _compensates(content):
         if not reasons or content.tolerance_mm is None:
             return None
-        beyond = int(np.count_nonzero(result.after[~result.rapid] * MM_PER_M > content.tolerance_mm))
-        percent = 100.0 * beyond / max(int(np.count_nonzero(~result.rapid)), 1)
+        count = int(np.count_nonzero(result.after[~result.rapid] * MM_PER_M > content.tolerance_mm))
+        percent = 100.0 * count / max(int(np.count_nonzero(~result.rapid)), 1)
         return Tolerance("failed", "path", content.tolerance_mm, False, percent, [], reasons)
     if part.held is None or part.expected_mm is None:
         state: State = "failed" if reasons else "warning"
         return Tolerance(state, "part", part.tolerance_mm, None, None, [], [*reasons, _UNKNOWN])
     if part.held:
         return Tolerance("failed" if reasons else "ok", "part", part.tolerance_mm, True, 0.0, [], reasons)
-    some = [each for each in (*_remedies(result, content), *more) if each.expected_mm < _GAIN * part.expected_mm]
+    actions = [
+        remedy
+        for remedy in (*_remedies(result, content), *other_remedies)
+        if remedy.expected_mm < _GAIN * part.expected_mm
+    ]
     text = (
         f"the expected error on the part is up to {above(part.expected_mm, part.tolerance_mm)} mm (95 %, corners and "
         f"path included), more than the {part.tolerance_mm:g} mm of [part] tolerance_mm, at "
         f"{_two_digits(part.beyond_percent)} % of the cutting targets"
     )
     reasons.insert(0, _at(text, part.source_line))
-    return Tolerance("failed", "part", part.tolerance_mm, False, part.beyond_percent, some, reasons)
+    return Tolerance("failed", "part", part.tolerance_mm, False, part.beyond_percent, actions, reasons)
 
 
 _UNKNOWN = "whether [part] tolerance_mm is held is unknown: the robot model states no uncertainty of its parameters"
@@ -187,10 +196,12 @@ def _remedies(result: Result, content: Summary) -> list[Remedy]:
     errors = result.errors
     if errors is None:
         return []
-    corrected = float(errors.after.max(initial=0.0))
-    known = {"measure the robot": errors.robot_known, "measure the forces": errors.forces_known}
-    some = [Remedy(action, error * MM_PER_M) for action, error in known.items() if error < _GAIN * corrected]
-    return [Remedy("correct it", corrected * MM_PER_M), *some] if content.mode != "convert" else some
+    expected_error = float(errors.after.max(initial=0.0))
+    error_of_action = {"measure the robot": errors.robot_known, "measure the forces": errors.forces_known}
+    actions = [
+        Remedy(action, error * MM_PER_M) for action, error in error_of_action.items() if error < _GAIN * expected_error
+    ]
+    return [Remedy("correct it", expected_error * MM_PER_M), *actions] if content.mode != "convert" else actions
 
 
 def _compensates(content: Summary) -> bool:
@@ -205,16 +216,16 @@ def _holds(result: Result, content: Summary) -> list[Finding]:
         holds = [*_on_surface(content)[1], *_expected(result, content), *_margin(content), *_clear(content)]
     if content.mode != "predict" and result.documents:
         text = "the program was read back as it is written, and simulated with its rounded numbers"
-        holds.append(Finding(_WORDS_ONLY, text))
+        holds.append(Finding(_NO_SIZE, text))
     if names := assumed(result.robot):
-        holds.append(Finding(_WORDS_ONLY, f"assumed values of the robot model: {', '.join(names)}"))
+        holds.append(Finding(_NO_SIZE, f"assumed values of the robot model: {', '.join(names)}"))
     return holds
 
 
 def _of_issues(issues: Sequence[Issue], mode: Mode) -> list[Finding]:
     return [
         Finding(
-            _FIRST if issue.kind in _FOREMOST[mode] else _WORDS_ONLY,
+            _FIRST if issue.kind in _FOREMOST[mode] else _NO_SIZE,
             _at(issue.message, issue.source_line, issue.count),
         )
         for issue in issues
@@ -223,21 +234,21 @@ def _of_issues(issues: Sequence[Issue], mode: Mode) -> list[Finding]:
 
 def nothing_corrected(content: Summary) -> str | None:
     """Return a sentence that says so if motions stay as they are and no other one was corrected."""
-    kept = sum(issue.count for issue in content.issues if issue.kind in _KEPT)
-    if content.mode != "convert" or not kept or content.before.max_mm >= NOTHING_MM:
+    count = sum(issue.count for issue in content.issues if issue.kind in _UNCORRECTED_KINDS)
+    if content.mode != "convert" or not count or content.before.max_mm >= NOTHING_MM:
         return None
-    motions = "1 motion or call stays as it is" if kept == 1 else f"{kept} motions and calls stay as they are"
+    motions = "1 motion or call stays as it is" if count == 1 else f"{count} motions and calls stay as they are"
     return f"Nothing was corrected: {motions}."
 
 
 def nothing_to_correct(content: Summary) -> str | None:
     """Return a sentence that says so if the tool deviates nowhere, with or without correction."""
-    if (kept := nothing_corrected(content)) is not None:
-        return kept
+    if (sentence := nothing_corrected(content)) is not None:
+        return sentence
     if not (content.targets and content.before.max_mm < NOTHING_MM):
         return None
-    why = "no cutting move carries a force" if content.max_force_N == 0.0 else "the forces do not move the tool"
-    return f"Nothing to correct: {why}, the tool follows the programmed path."
+    reason = "no cutting move carries a force" if content.max_force_N == 0.0 else "the forces do not move the tool"
+    return f"Nothing to correct: {reason}, the tool follows the programmed path."
 
 
 def _texts(findings: list[Finding]) -> list[str]:
@@ -245,8 +256,8 @@ def _texts(findings: list[Finding]) -> list[str]:
 
 
 def _at(message: str, line: int | None, count: int = 1) -> str:
-    more = f" and {count - 1} more" if count > 1 else ""
-    return message if line is None else f"line {line}{more}: {message}"
+    other_lines = f" and {count - 1} more" if count > 1 else ""
+    return message if line is None else f"line {line}{other_lines}: {message}"
 
 
 def _two_digits(percent: float | None) -> str:
@@ -258,47 +269,47 @@ def _two_digits(percent: float | None) -> str:
 def _without_forces(result: Result, content: Summary) -> str:
     if content.before.max_mm < NOTHING_MM:
         return "no cutting move carries a force: nothing is corrected (postproc forces computes forces)"
-    corrected = content.mode == "convert"
+    is_corrected = content.mode == "convert"
     causes = " and ".join(result.causes) or "the model"
-    what = "corrected is" if corrected else "what remains is"
+    subject = "corrected is" if is_corrected else "what remains is"
     cause = "cause" if len(result.causes) > 1 else "causes"
     return (
-        f"no cutting move carries a force: {what} only what {causes} {cause}, up to "
+        f"no cutting move carries a force: {subject} only what {causes} {cause}, up to "
         f"{rounded(content.before.max_mm)} mm (postproc forces computes forces)"
     )
 
 
 def _expected(result: Result, content: Summary) -> list[Finding]:
     """Return what to expect on the part, in millimetres."""
-    found = []
+    findings = []
     bound, part, blending = content.u95, content.part, content.blending
     if bound is not None:
-        what, largest = "uncertainty of the prediction", bound.max_mm
+        quantity, largest = "uncertainty of the prediction", bound.max_mm
         if content.mode != "predict":
-            what, largest = "expected error on the part", max(bound.max_mm, _largest_after(result))
-        found.append(Finding(largest, f"{what} (95 %): up to {rounded(largest)} mm, {bound.basis}"))
+            quantity, largest = "expected error on the part", max(bound.max_mm, _largest_after(result))
+        findings.append(Finding(largest, f"{quantity} (95 %): up to {rounded(largest)} mm, {bound.basis}"))
     if part.held and part.expected_mm is not None:
         text = (
             f"[part] tolerance_mm = {part.tolerance_mm:g} is held: up to {rounded(part.expected_mm)} mm (95 %), "
             "corners and path included"
         )
-        found.insert(0, Finding(part.expected_mm, text))
+        findings.insert(0, Finding(part.expected_mm, text))
     if content.mode == "predict":
         text = f"predicted as programmed: up to {rounded(content.before.max_mm)} mm off at cutting targets"
-        return [Finding(_FIRST, text), *found]
+        return [Finding(_FIRST, text), *findings]
     if blending.source_line is not None:
-        own = blending.programmed_max_mm
-        itself = f", the program itself by {rounded(own)} mm" if own else ""
+        programmed_mm = blending.programmed_max_mm
+        itself = f", the program itself by {rounded(programmed_mm)} mm" if programmed_mm else ""
         text = f"{blending.by} rounds corners by up to {rounded(blending.max_mm)} mm{itself}"
-        found.append(Finding(blending.max_mm, _at(text, blending.source_line)))
+        findings.append(Finding(blending.max_mm, _at(text, blending.source_line)))
     if content.tolerance_held is not False and content.between_max_mm is not None and content.tolerance_mm:
-        but = ", but for rounded corners" if content.tolerance_held is None else ""
-        within = f"{rounded(content.between_max_mm)} mm of the nominal one, between targets too{but}"
-        text = f"the predicted path stays within {within} (tolerance {content.tolerance_mm:g} mm)"
-        found.append(Finding(content.between_max_mm, text))
+        exception = ", but for rounded corners" if content.tolerance_held is None else ""
+        bound_text = f"{rounded(content.between_max_mm)} mm of the nominal one, between targets too{exception}"
+        text = f"the predicted path stays within {bound_text} (tolerance {content.tolerance_mm:g} mm)"
+        findings.append(Finding(content.between_max_mm, text))
     if content.mode == "convert" and (content.max_correction_mm or 0.0) >= NOTHING_MM:
-        found.append(Finding(_WORDS_ONLY, f"the correction is at most {rounded(content.max_correction_mm or 0.0)} mm"))
-    return found
+        findings.append(Finding(_NO_SIZE, f"the correction is at most {rounded(content.max_correction_mm or 0.0)} mm"))
+    return findings
 
 
 def _largest_after(result: Result) -> float:
@@ -313,7 +324,7 @@ def _on_surface(content: Summary) -> tuple[list[Finding], list[Finding]]:
     if surface is None:
         return [], []
     limit = content.part.tolerance_mm or content.tolerance_mm or CUT_MM
-    reached = f"tools reach {surface.reached_percent:.0f} % of its surface"
+    reach_text = f"tools reach {surface.reached_percent:.0f} % of its surface"
     if surface.reached_percent == 0.0:
         text = "no tool reaches the part: check that its mesh is in mm and in $BASE, and the shapes of the tools"
         return [Finding(_FIRST, text)], []
@@ -321,51 +332,51 @@ def _on_surface(content: Summary) -> tuple[list[Finding], list[Finding]]:
     if cut > limit:
         text = (
             f"the programmed path itself cuts {rounded(cut)} mm into the part: check that the mesh is in place and is "
-            f"the finished part; {reached}"
+            f"the finished part; {reach_text}"
         )
         return [Finding(_FIRST, _at(text, surface.source_line))], []
     if left is not None and left > max(limit, LEFT_MM):
         text = (
             f"the programmed path itself leaves {rounded(left)} mm on the part: check that the mesh is in place and is "
-            f"what this program makes; {reached}"
+            f"what this program makes; {reach_text}"
         )
         return [Finding(_FIRST, text)], []
-    text = f"the programmed path cuts into the part by no more than {limit:g} mm; {reached}"
-    return [], [Finding(_WORDS_ONLY, text)]
+    text = f"the programmed path cuts into the part by no more than {limit:g} mm; {reach_text}"
+    return [], [Finding(_NO_SIZE, text)]
 
 
 def clearance(content: Summary) -> str:
     """Return the smallest clearance in words."""
-    found = content.collision
-    if found is None:
+    result = content.collision
+    if result is None:
         return "collisions are not checked: the cell has no [collision]"
-    if found.min_clearance_mm is None:
+    if result.min_clearance_mm is None:
         return "[collision] names no bodies that could touch"
-    between = " and ".join(found.bodies)
-    where = f"of {between} at line {found.source_line}; stock not counted"
-    return f"smallest clearance {found.min_clearance_mm:.3g} mm, {where}"
+    bodies = " and ".join(result.bodies)
+    place = f"of {bodies} at line {result.source_line}; stock not counted"
+    return f"smallest clearance {result.min_clearance_mm:.3g} mm, {place}"
 
 
 def _clear(content: Summary) -> list[Finding]:
     """Return the smallest clearance as a finding; none if collisions were not checked."""
-    return [] if content.collision is None else [Finding(_WORDS_ONLY, clearance(content))]
+    return [] if content.collision is None else [Finding(_NO_SIZE, clearance(content))]
 
 
 def _near_limits(content: Summary) -> list[Finding]:
     margins = content.limits.joint_margins_deg
     return [
-        Finding(_WORDS_ONLY, f"{name} comes within {margin:.1f}° of a limit")
+        Finding(_NO_SIZE, f"{name} comes within {margin:.1f}° of a limit")
         for name, margin in zip(JOINTS, margins, strict=True)
         if margin is not None and margin < NARROW_DEG
     ]
 
 
 def _margin(content: Summary) -> list[Finding]:
-    least = content.limits.min_joint_margin_deg
+    margin_deg = content.limits.min_joint_margin_deg
     return (
         []
-        if least is None or least < NARROW_DEG
-        else [Finding(_WORDS_ONLY, f"all joints stay {least:.1f}° or more from their limits")]
+        if margin_deg is None or margin_deg < NARROW_DEG
+        else [Finding(_NO_SIZE, f"all joints stay {margin_deg:.1f}° or more from their limits")]
     )
 
 
@@ -378,13 +389,18 @@ def assumed(robot: RobotModel) -> tuple[str, ...]:
 def _assumptions(result: Result) -> list[str]:
     force = np.abs(result.wrench.values).max(axis=1)[result.wrench.run].max(initial=0.0)
     bodies = [] if result.clearance is None else list(result.clearance.remarks)
-    out = [*bodies, f"the elastic model of {result.robot.title or result.robot.name}, as its sources below state it"]
+    assumptions = [
+        *bodies,
+        f"the elastic model of {result.robot.title or result.robot.name}, as its sources below state it",
+    ]
     if force > 0.0:
-        out.append("the cutting forces as given, constant in time: no chatter, no dynamics of drives")
+        assumptions.append("the cutting forces as given, constant in time: no chatter, no dynamics of drives")
         if result.exact_forces and result.robot.covariance is not None:
-            out.append("exact forces: the bound counts no error of theirs (columns sFx, sFy, sFz or sigma_percent)")
+            assumptions.append(
+                "exact forces: the bound counts no error of theirs (columns sFx, sFy, sFz or sigma_percent)"
+            )
     if result.robot.covariance is None:
-        out.append("exact parameters: the model has no covariance")
+        assumptions.append("exact parameters: the model has no covariance")
     rigid = "holder, spindle and workpiece" if result.deflection_by_tool is None else "workpiece"
-    out.append(f"{rigid} rigid; frames ($BASE, $TOOL) as the cell states them")
-    return out
+    assumptions.append(f"{rigid} rigid; frames ($BASE, $TOOL) as the cell states them")
+    return assumptions

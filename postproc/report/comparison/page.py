@@ -47,7 +47,7 @@ from postproc.report.kit import (
 )
 from postproc.report.kit.parts import Colour
 
-_DRAWN = 4_000
+_MOST_GROUPS = 4_000
 _MOST_POINTS = 24_000
 _CHORD = np.radians(10.0)
 """Angle of a chord that an arc is drawn by."""
@@ -72,19 +72,27 @@ class Facts(msgspec.Struct, frozen=True):
     worst: int
 
 
-def comparison_page(found: Comparison, content: ComparisonSummary) -> Iterator[bytes]:
+def comparison_page(comparison: Comparison, content: ComparisonSummary) -> Iterator[bytes]:
     """Yield the page of a comparison as HTML in UTF-8, one file that loads nothing."""
     sections = [_verdict(content), _numbers(content)]
-    names = names_of(found)
-    shown = _shown(found, _named(found, content, names[0]))
-    if len(shown):
-        sections += [_path(found, shown), _along(found, content, shown, names[0]), _histogram(found, shown)]
-        sections += [_operations(found, content, shown, names), _worst_pairs(found, shown, names)]
+    names = names_of(comparison)
+    pair_rows = _shown(comparison, _named(comparison, content, names[0]))
+    if len(pair_rows):
+        sections += [
+            _path(comparison, pair_rows),
+            _along(comparison, content, pair_rows, names[0]),
+            _histogram(comparison, pair_rows),
+        ]
+        sections += [_operations(comparison, content, pair_rows, names), _worst_pairs(comparison, pair_rows, names)]
     yield from Page(
         kind="Comparison",
         title=f"{content.corrected} against {content.nominal}",
         subtitle=f"{content.robot} · {counted(content)}",
-        sections=(*sections, _issues(found, content, shown, names[0]), *([_place()] if len(shown) else [])),
+        sections=(
+            *sections,
+            _issues(comparison, content, pair_rows, names[0]),
+            *([_place()] if len(pair_rows) else []),
+        ),
         footer=(
             Note(
                 "Offsets are from the nominal target to where the second program sends the same tool, in the nominal "
@@ -92,22 +100,22 @@ def comparison_page(found: Comparison, content: ComparisonSummary) -> Iterator[b
                 "given. Statistics are over cutting targets that are in both."
             ),
         ),
-        facts=_facts(found, content, shown, names) if len(shown) else None,
-        columns={"places": _columns(found, shown)} if len(shown) else {},
-        scripts=(("postproc.report.comparison", "place"),) if len(shown) else (),
+        facts=_facts(comparison, content, pair_rows, names) if len(pair_rows) else None,
+        columns={"places": _columns(comparison, pair_rows)} if len(pair_rows) else {},
+        scripts=(("postproc.report.comparison", "place"),) if len(pair_rows) else (),
     ).render()
 
 
 def _verdict(content: ComparisonSummary) -> Section:
-    judged = content.verdict
+    verdict = content.verdict
     names = (content.nominal, content.corrected)
     reasons = tuple(
         (text if text.startswith(names) or _PLACE.match(text) else text[:1].upper() + text[1:]) + "."
-        for text in judged.reasons
+        for text in verdict.reasons
     )
-    parts: list[Part] = [Verdict(judged.state, *in_two(judged)), answers(judged)]
+    parts: list[Part] = [Verdict(verdict.state, *in_two(verdict)), answers(verdict)]
     if reasons:
-        kind: Kind = "error" if judged.state == "failed" else ""
+        kind: Kind = "error" if verdict.state == "failed" else ""
         parts.append(Notes(tuple(Note(text, kind) for text in reasons), "Why", marked=True))
     return Section("verdict", "Verdict", tuple(parts))
 
@@ -128,98 +136,101 @@ def _numbers(content: ComparisonSummary) -> Section:
         sources += [cut.nominal, cut.corrected]
     measures = zip(_ROWS, *map(astuple, sources), strict=True)
     rows = tuple(Row((label, *map(millimetres, values))) for label, *values in measures)
-    between = content.between
-    if between is not None:
-        largest = (millimetres(between.nominal_max_mm), millimetres(between.corrected_max_mm))
+    between_targets = content.between
+    if between_targets is not None:
+        largest = (millimetres(between_targets.nominal_max_mm), millimetres(between_targets.corrected_max_mm))
         rows += (Row(("Maximum between targets, from the path", "-", *largest)),)
     parts: list[Part] = [Tiles(tuple(tiles)), Table(tuple(head), rows, "Numbers")]
-    shown = ((content.passed, of_passed), (content.splines, of_splines))
-    texts = [words(content) for count, words in shown if count]
+    pair_rows = ((content.passed, of_passed), (content.splines, of_splines))
+    texts = [words(content) for count, words in pair_rows if count]
     if texts:
         parts.append(Notes(tuple(Note(f"{text[:1].upper()}{text[1:]}.") for text in texts)))
     return Section("numbers", "Offsets and deviations, mm", tuple(parts))
 
 
-def _shown(found: Comparison, named: Ints) -> Ints:
+def _shown(comparison: Comparison, linked_rows: Ints) -> Ints:
     """Return the pairs (s,) to show: largest offsets and deviations of each group, the worst and the linked ones."""
-    if not len(found.pair):
+    if not len(comparison.pair):
         return np.zeros(0, dtype=np.int64)
-    each = -(-len(found.pair) // _DRAWN)
-    between = np.nan_to_num(found.between)
+    group_size = -(-len(comparison.pair) // _MOST_GROUPS)
+    between_targets = np.nan_to_num(comparison.between)
     measures = [
-        found.distance,
-        between,
-        *(() if found.cuts is None else (norm(found.cuts.nominal), norm(found.cuts.corrected))),
+        comparison.distance,
+        between_targets,
+        *(() if comparison.cuts is None else (norm(comparison.cuts.nominal), norm(comparison.cuts.corrected))),
     ]
-    rows = [_worst(found), named]
+    rows = [_worst(comparison), linked_rows]
     for measure in measures:
-        size = np.where(found.rapid, -1.0, measure)
-        padded = np.append(size, np.full(-len(size) % each, -2.0)).reshape(-1, each)
-        rows.append(np.arange(len(padded)) * each + padded.argmax(axis=1))
+        size = np.where(comparison.rapid, -1.0, measure)
+        groups = np.append(size, np.full(-len(size) % group_size, -2.0)).reshape(-1, group_size)
+        rows.append(np.arange(len(groups)) * group_size + groups.argmax(axis=1))
     return np.unique(np.concatenate(rows))
 
 
-def _worst(found: Comparison) -> Ints:
-    size = np.where(found.rapid, -1.0, found.distance)
+def _worst(comparison: Comparison) -> Ints:
+    size = np.where(comparison.rapid, -1.0, comparison.distance)
     order = np.argsort(-size, kind="stable")[:_WORST]
     return np.asarray(order[size[order] >= 0.0])
 
 
-def _named(found: Comparison, content: ComparisonSummary, nominal: Names) -> Ints:
+def _named(comparison: Comparison, content: ComparisonSummary, nominal: Names) -> Ints:
     """Return the pairs that table rows link to: thinning must keep them."""
-    places = [(each.nominal_file, each.nominal_line) for each in content.operations]
-    lines = [*places, *((each.source_file, each.source_line) for each in content.issues)]
-    rows = (_pair_of(found, nominal, file, line) for file, line in lines)
+    places = [(entry.nominal_file, entry.nominal_line) for entry in content.operations]
+    lines = [*places, *((entry.source_file, entry.source_line) for entry in content.issues)]
+    rows = (_pair_of(comparison, nominal, file, line) for file, line in lines)
     return np.array([row for row in rows if row is not None], dtype=np.int64)
 
 
-def _pair_of(found: Comparison, names: Names, file: str | None, line: int | None) -> int | None:
+def _pair_of(comparison: Comparison, names: Names, file: str | None, line: int | None) -> int | None:
     """Return the pair on a line of the nominal program, or the next one after it in that file."""
-    if line is None or not len(found.pair):
+    if line is None or not len(comparison.pair):
         return None
-    places = found.nominal.places(found.pair[:, 0])
-    here = np.array([names.prefix + name == file for name in places.files])[places.file]
-    for matches in (here & (places.line == line), here & (places.line >= line)):
+    places = comparison.nominal.places(comparison.pair[:, 0])
+    is_in_file = np.array([names.prefix + name == file for name in places.files])[places.file]
+    for matches in (is_in_file & (places.line == line), is_in_file & (places.line >= line)):
         if matches.any():
             return int(np.argmax(matches))
-    return len(found.pair) - 1
+    return len(comparison.pair) - 1
 
 
-def _place_of(found: Comparison, shown: Ints, names: Names, file: str | None, line: int | None) -> int | None:
+def _place_of(comparison: Comparison, pair_rows: Ints, names: Names, file: str | None, line: int | None) -> int | None:
     """Return the index of a pair among those shown, see `_pair_of`."""
-    pair = _pair_of(found, names, file, line)
-    return None if pair is None else int(np.searchsorted(shown, pair))
+    pair = _pair_of(comparison, names, file, line)
+    return None if pair is None else int(np.searchsorted(pair_rows, pair))
 
 
-def _facts(found: Comparison, content: ComparisonSummary, shown: Ints, names: Sequence[Names]) -> Facts:
-    size = np.where(found.rapid, -1.0, found.distance)[shown]
-    one, other = (
-        [name.prefix + file for file in program.places(found.pair[:1, k]).files] if name.several else []
-        for k, (program, name) in enumerate(zip((found.nominal, found.corrected), names, strict=True))
+def _facts(comparison: Comparison, content: ComparisonSummary, pair_rows: Ints, names: Sequence[Names]) -> Facts:
+    size = np.where(comparison.rapid, -1.0, comparison.distance)[pair_rows]
+    nominal_files, corrected_files = (
+        [name.prefix + file for file in program.places(comparison.pair[:1, k]).files] if name.several else []
+        for k, (program, name) in enumerate(zip((comparison.nominal, comparison.corrected), names, strict=True))
     )
-    return Facts(content.nominal, content.corrected, one, other, int(np.argmax(size)))
+    return Facts(content.nominal, content.corrected, nominal_files, corrected_files, int(np.argmax(size)))
 
 
-def _columns(found: Comparison, shown: Ints) -> Columns:
-    one, other = found.nominal.places(found.pair[shown, 0]), found.corrected.places(found.pair[shown, 1])
+def _columns(comparison: Comparison, pair_rows: Ints) -> Columns:
+    nominal_places, corrected_places = (
+        comparison.nominal.places(comparison.pair[pair_rows, 0]),
+        comparison.corrected.places(comparison.pair[pair_rows, 1]),
+    )
     columns = {
-        "nominal_file": one.file,
-        "nominal_line": one.line,
-        "corrected_file": other.file,
-        "corrected_line": other.line,
-        "rapid": found.rapid[shown],
-        "offset": found.distance[shown] * MM_PER_M,
-        "turned": found.rotation[shown] * DEG_PER_RAD,
-        "between": found.between[shown] * MM_PER_M,
-        "nominal_speed": found.speeds[shown, 0] * MM_PER_M,
-        "corrected_speed": found.speeds[shown, 1] * MM_PER_M,
-        **dict(zip(("oX", "oY", "oZ"), found.offset[shown].T * MM_PER_M, strict=True)),
-        **dict(zip("XYZABC", xyzabc_from_pose(found.target[shown]).T, strict=True)),
+        "nominal_file": nominal_places.file,
+        "nominal_line": nominal_places.line,
+        "corrected_file": corrected_places.file,
+        "corrected_line": corrected_places.line,
+        "rapid": comparison.rapid[pair_rows],
+        "offset": comparison.distance[pair_rows] * MM_PER_M,
+        "turned": comparison.rotation[pair_rows] * DEG_PER_RAD,
+        "between": comparison.between[pair_rows] * MM_PER_M,
+        "nominal_speed": comparison.speeds[pair_rows, 0] * MM_PER_M,
+        "corrected_speed": comparison.speeds[pair_rows, 1] * MM_PER_M,
+        **dict(zip(("oX", "oY", "oZ"), comparison.offset[pair_rows].T * MM_PER_M, strict=True)),
+        **dict(zip("XYZABC", xyzabc_from_pose(comparison.target[pair_rows]).T, strict=True)),
     }
-    if found.cuts is not None:
-        columns["force"] = norm(found.cuts.wrench[shown, :3])
-        columns["nominal_cuts"] = norm(found.cuts.nominal[shown]) * MM_PER_M
-        columns["corrected_cuts"] = norm(found.cuts.corrected[shown]) * MM_PER_M
+    if comparison.cuts is not None:
+        columns["force"] = norm(comparison.cuts.wrench[pair_rows, :3])
+        columns["nominal_cuts"] = norm(comparison.cuts.nominal[pair_rows]) * MM_PER_M
+        columns["corrected_cuts"] = norm(comparison.cuts.corrected[pair_rows]) * MM_PER_M
     return Columns.of(columns)
 
 
@@ -228,8 +239,8 @@ def _place() -> Section:
     return Section("place", "Place", (View("place", label),), "side")
 
 
-def _path(found: Comparison, rows: Ints) -> Section:
-    nominal, offset, place = _drawn(found, rows)
+def _path(comparison: Comparison, rows: Ints) -> Section:
+    nominal, offset, place = _drawn(comparison, rows)
     extent = float(np.ptp(nominal, axis=0).max())
     largest = float(norm(offset).max())
     factor = _round(0.1 * extent / largest) if largest * MM_PER_M > ROUNDING_MM and extent > 0.0 else 1.0
@@ -238,15 +249,18 @@ def _path(found: Comparison, rows: Ints) -> Section:
         _line(nominal, "nominal", "before", place),
         _line(nominal + factor * offset, f"corrected{larger}", "after", place),
     ]
-    some = (
-        "" if len(rows) == len(found.pair) else f" {len(rows)} of {len(found.pair)} pairs; the largest are among them."
+    thinning_note = (
+        ""
+        if len(rows) == len(comparison.pair)
+        else f" {len(rows)} of {len(comparison.pair)} pairs; the largest are among them."
     )
     plot = Plot(
         label="Both paths in space; offsets of the corrected one are exaggerated. Arrow keys turn, N and P step.",
         unit="mm",
         traces=[*traces],
         height=480,
-        note="Drag or arrow keys turn, wheel or + − zoom, a click chooses a place; N, P: next, previous place." + some,
+        note="Drag or arrow keys turn, wheel or + − zoom, a click chooses a place; N, P: next, previous place."
+        + thinning_note,
     )
     return Section("view3d", f"Both paths{larger}", (plot,))
 
@@ -257,23 +271,23 @@ def _round(factor: float) -> float:
     return max(1.0, float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= factor)))
 
 
-def _drawn(found: Comparison, rows: Ints) -> tuple[Array, Array, Ints]:
+def _drawn(comparison: Comparison, rows: Ints) -> tuple[Array, Array, Ints]:
     """Return points of the nominal path (n, 3) and offsets of the other one (n, 3), both [m], and their places (n,).
 
     Between pairs that follow one another, both paths are followed: arcs are drawn as arcs.
     """
-    if found.curves is None:
-        return found.target[rows, :3, 3], found.offset[rows], np.arange(len(rows))
-    parts = np.where(np.isnan(found.between[rows]), 1, found.curves.parts(_CHORD)[rows])
+    if comparison.curves is None:
+        return comparison.target[rows, :3, 3], comparison.offset[rows], np.arange(len(rows))
+    parts = np.where(np.isnan(comparison.between[rows]), 1, comparison.curves.parts(_CHORD)[rows])
     parts = np.where(np.diff(rows, prepend=-2) == 1, np.minimum(parts, max(1, _MOST_POINTS // len(rows))), 1)
     place = np.repeat(np.arange(len(rows)), parts)
     left = np.cumsum(parts)[place] - 1 - np.arange(len(place))
     u = rows[place] - left / parts[place]
-    one, other = found.target[rows[place], :3, 3], found.pose[rows[place], :3, 3]
-    between = np.flatnonzero(left)
-    if len(between):
-        one[between], other[between] = found.curves.at(u[between])
-    return one, other - one, place
+    nominal_point, corrected_point = comparison.target[rows[place], :3, 3], comparison.pose[rows[place], :3, 3]
+    inner = np.flatnonzero(left)
+    if len(inner):
+        nominal_point[inner], corrected_point[inner] = comparison.curves.at(u[inner])
+    return nominal_point, corrected_point - nominal_point, place
 
 
 def _line(points: Array, name: str, colour: str, place: Ints) -> Lines:
@@ -281,10 +295,10 @@ def _line(points: Array, name: str, colour: str, place: Ints) -> Lines:
     return Lines(x, y, z, name, "before" if colour == "before" else "after", places=place.tolist())
 
 
-def _along(found: Comparison, content: ComparisonSummary, rows: Ints, nominal: Names) -> Section:
+def _along(comparison: Comparison, content: ComparisonSummary, rows: Ints, nominal: Names) -> Section:
     places = [*range(len(rows))]
     order = (rows + 1.0).tolist()  # lines go back where a program repeats some
-    offset = (found.offset[rows] * MM_PER_M).T.tolist()
+    offset = (comparison.offset[rows] * MM_PER_M).T.tolist()
     names: tuple[tuple[str, Colour], ...] = (("X", "correction"), ("Y", "force"), ("Z", "ink"))
     curves = [
         Curve(order, values, name, colour, places=places) for values, (name, colour) in zip(offset, names, strict=True)
@@ -293,12 +307,12 @@ def _along(found: Comparison, content: ComparisonSummary, rows: Ints, nominal: N
     parts: list[Part] = [
         Plot(label="Offset in X, Y, Z along the program", traces=[*curves], x=x, y=Axis(title="offset, mm"))
     ]
-    if found.cuts is not None:
+    if comparison.cuts is not None:
         cuts = [
-            Curve(order, (norm(off[rows]) * MM_PER_M).tolist(), name, colour, places=places)  # type: ignore[arg-type]
-            for off, name, colour in (
-                (found.cuts.nominal, "nominal", "before"),
-                (found.cuts.corrected, "corrected", "after"),
+            Curve(order, (norm(deviation[rows]) * MM_PER_M).tolist(), name, colour, places=places)  # type: ignore[arg-type]
+            for deviation, name, colour in (
+                (comparison.cuts.nominal, "nominal", "before"),
+                (comparison.cuts.corrected, "corrected", "after"),
             )
         ]
         mark = Mark(content.tolerance_mm, "tolerance", "warning", level=True)
@@ -314,9 +328,9 @@ def _along(found: Comparison, content: ComparisonSummary, rows: Ints, nominal: N
     return Section("along", "Along the program", tuple(parts))
 
 
-def _histogram(found: Comparison, shown: Ints) -> Section:
-    counts, edges = np.histogram(found.distance[~found.rapid] * MM_PER_M, bins=_BINS)
-    size = np.where(found.rapid, -1.0, found.distance)[shown] * MM_PER_M
+def _histogram(comparison: Comparison, pair_rows: Ints) -> Section:
+    counts, edges = np.histogram(comparison.distance[~comparison.rapid] * MM_PER_M, bins=_BINS)
+    size = np.where(comparison.rapid, -1.0, comparison.distance)[pair_rows] * MM_PER_M
     order = np.argsort(size)
     last = np.searchsorted(size[order], edges[1:], side="right") - 1  # the largest that is shown in each bar
     places = [int(order[k]) if k >= 0 and size[order[k]] >= low else None for k, low in zip(last, edges, strict=False)]
@@ -330,7 +344,7 @@ def _histogram(found: Comparison, shown: Ints) -> Section:
     return Section("histogram", "Distribution of the offset", (plot,))
 
 
-def _operations(found: Comparison, content: ComparisonSummary, shown: Ints, names: Sequence[Names]) -> Section:
+def _operations(comparison: Comparison, content: ComparisonSummary, pair_rows: Ints, names: Sequence[Names]) -> Section:
     head = ["Operation", "Tool", "First line", "Cutting targets", "Offset, mm"]
     head += ["Nominal cuts, mm", "Corrected cuts, mm"] if content.cut is not None else []
     rows = []
@@ -344,15 +358,15 @@ def _operations(found: Comparison, content: ComparisonSummary, shown: Ints, name
             millimetres(operation.offset.max_mm),
             *([millimetres(cut.nominal.max_mm), millimetres(cut.corrected.max_mm)] if cut is not None else []),
         ]
-        where = operation.nominal_file, operation.nominal_line
-        rows.append(Row(tuple(cells), _place_of(found, shown, names[0], *where), where[1]))
+        file_and_line = operation.nominal_file, operation.nominal_line
+        rows.append(Row(tuple(cells), _place_of(comparison, pair_rows, names[0], *file_and_line), file_and_line[1]))
     table = Table(
         tuple(head), tuple(rows), "Operations, largest values", texts=(1,), sortable=True, note="Largest values."
     )
     return Section("operations", "Operations and tools", (table,))
 
 
-def _worst_pairs(found: Comparison, shown: Ints, names: Sequence[Names]) -> Section:
+def _worst_pairs(comparison: Comparison, pair_rows: Ints, names: Sequence[Names]) -> Section:
     head = [
         *(f"Line of {name.main}" for name in names),
         "Offset, mm",
@@ -362,24 +376,24 @@ def _worst_pairs(found: Comparison, shown: Ints, names: Sequence[Names]) -> Sect
         "Turned, °",
         "On the way there, mm",
     ]
-    head += ["Nominal cuts, mm", "Corrected cuts, mm"] if found.cuts is not None else []
-    cuts = () if found.cuts is None else (found.cuts.nominal, found.cuts.corrected)
+    head += ["Nominal cuts, mm", "Corrected cuts, mm"] if comparison.cuts is not None else []
+    cuts = () if comparison.cuts is None else (comparison.cuts.nominal, comparison.cuts.corrected)
     rows = []
-    worst = _worst(found)
-    places = [p.places(found.pair[worst, k]) for k, p in enumerate((found.nominal, found.corrected))]
+    worst = _worst(comparison)
+    places = [p.places(comparison.pair[worst, k]) for k, p in enumerate((comparison.nominal, comparison.corrected))]
     for k, row in enumerate(worst.tolist()):
         cells = [name.line(place.of(k)) for name, place in zip(names, places, strict=True)]
-        cells.append(millimetres(float(found.distance[row]) * MM_PER_M))
-        cells += [f"{value:.4f}" for value in found.offset[row] * MM_PER_M + 0.0]
-        cells.append(f"{np.degrees(found.rotation[row]):.4f}")
-        between = float(found.between[row])
-        cells.append("-" if np.isnan(between) else millimetres(between * MM_PER_M))
-        cells += [millimetres(float(norm(off[row])) * MM_PER_M) for off in cuts]
-        rows.append(Row(tuple(cells), int(np.searchsorted(shown, row)), int(places[0].line[k])))
+        cells.append(millimetres(float(comparison.distance[row]) * MM_PER_M))
+        cells += [f"{value:.4f}" for value in comparison.offset[row] * MM_PER_M + 0.0]
+        cells.append(f"{np.degrees(comparison.rotation[row]):.4f}")
+        path_distance = float(comparison.between[row])
+        cells.append("-" if np.isnan(path_distance) else millimetres(path_distance * MM_PER_M))
+        cells += [millimetres(float(norm(deviation[row])) * MM_PER_M) for deviation in cuts]
+        rows.append(Row(tuple(cells), int(np.searchsorted(pair_rows, row)), int(places[0].line[k])))
     return Section("worst", "Largest offsets", (Table(tuple(head), tuple(rows), "Largest offsets", sortable=True),))
 
 
-def _issues(found: Comparison, content: ComparisonSummary, shown: Ints, names: Names) -> Section:
+def _issues(comparison: Comparison, content: ComparisonSummary, pair_rows: Ints, names: Names) -> Section:
     if not content.issues:
         return Section("issues", "Differences besides positions", (Notes((Note("None.", "good"),)),))
     rows = tuple(
@@ -390,7 +404,7 @@ def _issues(found: Comparison, content: ComparisonSummary, shown: Ints, names: N
                 where_of(issue) or "-",
                 str(issue.count),
             ),
-            _place_of(found, shown, names, issue.source_file, issue.source_line),
+            _place_of(comparison, pair_rows, names, issue.source_file, issue.source_line),
             issue.source_line,
         )
         for issue in content.issues

@@ -39,27 +39,27 @@ class Names(Struct, frozen=True):
     prefix: str
     several: bool
 
-    def place(self, where: tuple[str, int]) -> str:
+    def place(self, file_and_line: tuple[str, int]) -> str:
         """Return file and line in the form used in messages."""
-        return f"{self.prefix}{where[0]}:{where[1]}"
+        return f"{self.prefix}{file_and_line[0]}:{file_and_line[1]}"
 
-    def line(self, where: tuple[str, int]) -> str:
+    def line(self, file_and_line: tuple[str, int]) -> str:
         """Return a line number for tables, preceded by its file if a program has several."""
-        return self.place(where) if self.several else str(where[1])
+        return self.place(file_and_line) if self.several else str(file_and_line[1])
 
 
-def names_of(found: Comparison) -> tuple[Names, Names]:
+def names_of(comparison: Comparison) -> tuple[Names, Names]:
     """Return the display names of the files of both programs."""
-    programs = found.nominal, found.corrected
+    programs = comparison.nominal, comparison.corrected
     files = [{document.name.lower() for document in program.documents} for program in programs]
     prefixes = (
         _distinct_ends(*(program.documents[0].folder for program in programs)) if files[0] & files[1] else ("", "")
     )
-    one, other = (
+    nominal, corrected_names = (
         Names(prefix + program.documents[0].name, prefix, _several(program, rows))
-        for program, prefix, rows in zip(programs, prefixes, found.pair.T, strict=True)
+        for program, prefix, rows in zip(programs, prefixes, comparison.pair.T, strict=True)
     )
-    return one, other
+    return nominal, corrected_names
 
 
 def _several(program: Program, rows: Ints) -> bool:
@@ -67,9 +67,9 @@ def _several(program: Program, rows: Ints) -> bool:
     return bool(len(places.file)) and bool((places.file != places.file[0]).any())
 
 
-def _distinct_ends(one: str, other: str) -> tuple[str, str]:
+def _distinct_ends(nominal_folder: str, second_folder: str) -> tuple[str, str]:
     """Return the shortest distinct ends of two folders, with a trailing slash; empty if they are the same folder."""
-    folders = [Path(folder).resolve().parts for folder in (one, other)]
+    folders = [Path(folder).resolve().parts for folder in (nominal_folder, second_folder)]
     if folders[0] == folders[1]:
         return "", ""
     last = next(n for n in range(1, max(map(len, folders)) + 1) if folders[0][-n:] != folders[1][-n:])
@@ -77,7 +77,7 @@ def _distinct_ends(one: str, other: str) -> tuple[str, str]:
     return first, second
 
 
-_MOST = 20
+_LARGEST_PAIRS = 20
 _DIFFERENCES = (
     "speed", "kind", "approximation", "base", "tool", "external-axis", "posture", "axis-target", "orientation", "force",
     "rapid", "twice", "back", "orientation-type", "statement", "not-compared",
@@ -132,7 +132,7 @@ class Worst(Struct, frozen=True):
     corrected_line: int | None
 
 
-_NOWHERE = {"nominal_file": None, "nominal_line": None, "corrected_file": None, "corrected_line": None}
+_NO_LINES = {"nominal_file": None, "nominal_line": None, "corrected_file": None, "corrected_line": None}
 
 
 class Cut(Worst, frozen=True):
@@ -223,84 +223,86 @@ class ComparisonSummary(Struct, frozen=True, omit_defaults=True, kw_only=True):
     files: list[FileEntry] | None = None
 
 
-def comparison_summary(found: Comparison, made: MadeFrom, tolerance: float, limit: float) -> ComparisonSummary:
+def comparison_summary(
+    comparison: Comparison, file_origin: MadeFrom, tolerance: float, limit: float
+) -> ComparisonSummary:
     """Return the content of `part.compare.report.json`.
 
-    :param made: where the second program comes from.
+    :param file_origin: where the second program comes from.
     :param tolerance: what the tip may leave the nominal path by [m].
     :param limit: the largest correction that is allowed [m].
     """
-    rapid, distance = found.rapid, found.distance
-    turned = statistics(found.rotation, rapid)
+    rapid, distance = comparison.rapid, comparison.distance
+    rotation = statistics(comparison.rotation, rapid)
     count: dict[str, int] = {}
-    for each in found.differences:
-        count[each.kind] = count.get(each.kind, 0) + each.count
-    names = nominal, corrected = names_of(found)
-    state = made.origin.state
+    for difference in comparison.differences:
+        count[difference.kind] = count.get(difference.kind, 0) + difference.count
+    names = nominal, second_names = names_of(comparison)
+    state = file_origin.origin.state
     content = ComparisonSummary(
         nominal=nominal.main,
-        corrected=corrected.main,
-        robot=found.robot,
-        pairs=len(found.pair),
-        inserted=len(found.inserted),
-        splines=int(np.count_nonzero(found.spline)),
-        only_nominal=len(found.only_nominal),
-        passed=len(found.passed),
-        passed_within_mm=_passed_within(found),
-        only_corrected=len(found.only_corrected),
+        corrected=second_names.main,
+        robot=comparison.robot,
+        pairs=len(comparison.pair),
+        inserted=len(comparison.inserted),
+        splines=int(np.count_nonzero(comparison.spline)),
+        only_nominal=len(comparison.only_nominal),
+        passed=len(comparison.passed),
+        passed_within_mm=_passed_within(comparison),
+        only_corrected=len(comparison.only_corrected),
         offset=_distances(distance, rapid),
-        rotation=Rotations(max_deg=turned.largest * DEG_PER_RAD, rms_deg=turned.rms * DEG_PER_RAD),
-        between_targets=_apart(found, names),
-        largest=_largest(found, names),
+        rotation=Rotations(max_deg=rotation.largest * DEG_PER_RAD, rms_deg=rotation.rms * DEG_PER_RAD),
+        between_targets=_apart(comparison, names),
+        largest=_largest(comparison, names),
         differences={name.replace("-", "_"): count.get(name, 0) for name in _DIFFERENCES},
-        cut=_cut(found, names, slice(0, len(found.pair))),
-        between=_between(found, corrected),
+        cut=_cut(comparison, names, slice(0, len(comparison.pair))),
+        between=_between(comparison, second_names),
         tolerance_mm=tolerance * MM_PER_M,
-        operations=[*_operations(found, names)],
+        operations=[*_operations(comparison, names)],
         provenance=OriginEntry(
             state=state,
-            mode=made.origin.mode or None,
-            version=made.origin.version or None,
-            made_from_these=dict(made.agrees),
+            mode=file_origin.origin.mode or None,
+            version=file_origin.origin.version or None,
+            made_from_these=dict(file_origin.agrees),
         ),
-        issues=[_entry(each, nominal, corrected) for each in found.differences],
+        issues=[_entry(difference, nominal, second_names) for difference in comparison.differences],
         verdict=UNJUDGED,
     )
-    failed, doubtful = [*_failed(content, limit * MM_PER_M, made)], [*_doubtful(content, made)]
+    errors, doubtful = [*_failed(content, limit * MM_PER_M, file_origin)], [*_doubtful(content, file_origin)]
     drive = Drive(
-        "failed" if failed else "warning" if doubtful else "ok", [*failed, *doubtful], [LIMITS_AND_COLLISIONS]
+        "failed" if errors else "warning" if doubtful else "ok", [*errors, *doubtful], [LIMITS_AND_COLLISIONS]
     )
-    every = "every target has its partner" + (", or the path passes it" if len(found.passed) else "")
-    holds = [every, *(["the text is as postproc wrote it"] if state == "intact" else [])]
+    pairing = "every target has its partner" + (", or the path passes it" if len(comparison.passed) else "")
+    holds = [pairing, *(["the text is as postproc wrote it"] if state == "intact" else [])]
     if content.cut is not None:
         holds.append(
             f"the corrected program stays within {content.tolerance_mm:g} mm at its targets under the forces given"
         )
-    elif made.without_forces:
+    elif file_origin.without_forces:
         holds.append(
             "both come from the same program, cell and robot model; the forces of the correction are in a file: give "
             "it with --forces to check what remains"
         )
-    judged = joined("convert", drive, None, _tolerance(content), holds, words=WORDS)
-    return replace(content, verdict=judged)
+    verdict = joined("convert", drive, None, _tolerance(content), holds, words=WORDS)
+    return replace(content, verdict=verdict)
 
 
-def _passed_within(found: Comparison) -> float | None:
+def _passed_within(comparison: Comparison) -> float | None:
     """Return the largest distance at which the second path passes targets that it leaves out [mm]; None if unknown."""
-    known = found.passed_by[np.isfinite(found.passed_by)]
-    return float(known.max()) * MM_PER_M if len(known) else None
+    distances = comparison.passed_by[np.isfinite(comparison.passed_by)]
+    return float(distances.max()) * MM_PER_M if len(distances) else None
 
 
-def _entry(each: Difference, nominal: Names, corrected: Names) -> DifferenceEntry:
+def _entry(difference: Difference, nominal: Names, second_names: Names) -> DifferenceEntry:
     return DifferenceEntry(
-        level=each.level,
-        kind=each.kind,
-        message=each.message,
-        source_file=None if each.nominal is None else nominal.prefix + each.nominal[0],
-        source_line=None if each.nominal is None else each.nominal[1],
-        corrected_file=None if each.corrected is None else corrected.prefix + each.corrected[0],
-        corrected_line=None if each.corrected is None else each.corrected[1],
-        count=each.count,
+        level=difference.level,
+        kind=difference.kind,
+        message=difference.message,
+        source_file=None if difference.nominal is None else nominal.prefix + difference.nominal[0],
+        source_line=None if difference.nominal is None else difference.nominal[1],
+        corrected_file=None if difference.corrected is None else second_names.prefix + difference.corrected[0],
+        corrected_line=None if difference.corrected is None else difference.corrected[1],
+        count=difference.count,
     )
 
 
@@ -313,15 +315,15 @@ def where_of(entry: DifferenceEntry) -> str:
     return " and ".join(f"{file}:{line}" for file, line in places if file is not None)
 
 
-def _failed(content: ComparisonSummary, limit_mm: float, made: MadeFrom) -> Iterator[str]:
+def _failed(content: ComparisonSummary, limit_mm: float, file_origin: MadeFrom) -> Iterator[str]:
     if content.provenance.state == "changed":
         yield f"{content.corrected} was changed since postproc wrote it: convert the program again"
     # without forces the correction is too uncertain to distinguish a target from an inserted one next to it
-    known = content.cut is not None or not made.same_origin
-    if known and not content.offset.max_mm <= limit_mm:
+    explains_offsets = content.cut is not None or not file_origin.same_origin
+    if explains_offsets and not content.offset.max_mm <= limit_mm:
         offset = above(content.offset.max_mm, limit_mm)
-        where = _where(content.largest[0])
-        yield f"{where}: this target is {offset} mm off: more than max_correction_mm = {limit_mm:g}"
+        place = _where(content.largest[0])
+        yield f"{place}: this target is {offset} mm off: more than max_correction_mm = {limit_mm:g}"
     if not content.pairs:
         yield "no target of one program belongs to one of the other"
     yield from (_described(issue) for issue in content.issues if issue.level == "error")
@@ -329,16 +331,16 @@ def _failed(content: ComparisonSummary, limit_mm: float, made: MadeFrom) -> Iter
 
 def _tolerance(content: ComparisonSummary) -> Tolerance | None:
     """Return that the tolerance of the path is not held by the second program; None if it is, or is not known."""
-    cut, between, tolerance, reasons = content.cut, content.between, content.tolerance_mm, list[str]()
+    cut, between_targets, tolerance, reasons = content.cut, content.between, content.tolerance_mm, list[str]()
     if cut is not None and not cut.corrected.max_mm <= tolerance:
         reasons.append(
             f"{_where(cut)}: the corrected program leaves {above(cut.corrected.max_mm, tolerance)} mm at this "
             f"target under the forces given (tolerance {tolerance:g} mm)"
         )
-    if between is not None and not between.corrected_max_mm <= tolerance:
+    if between_targets is not None and not between_targets.corrected_max_mm <= tolerance:
         reasons.append(
-            f"{between.corrected_file}:{between.corrected_line}: between targets it leaves "
-            f"{above(between.corrected_max_mm, tolerance)} mm to the nominal path under the forces given "
+            f"{between_targets.corrected_file}:{between_targets.corrected_line}: between targets it leaves "
+            f"{above(between_targets.corrected_max_mm, tolerance)} mm to the nominal path under the forces given "
             f"(tolerance {tolerance:g} mm)"
         )
     return Tolerance("failed", "path", tolerance, False, None, [], reasons) if reasons else None
@@ -349,16 +351,16 @@ def _where(pair: Lines | Worst) -> str:
     return f"{pair.nominal_file}:{pair.nominal_line} and {pair.corrected_file}:{pair.corrected_line}"
 
 
-def _doubtful(content: ComparisonSummary, made: MadeFrom) -> Iterator[str]:
+def _doubtful(content: ComparisonSummary, file_origin: MadeFrom) -> Iterator[str]:
     origin = content.provenance
-    others = [name for name, same in origin.made_from_these.items() if not same]
-    if others:
-        yield f"{content.corrected} was made with {' and '.join(f'another {name}' for name in others)}"
+    changed_inputs = [name for name, is_same in origin.made_from_these.items() if not is_same]
+    if changed_inputs:
+        yield f"{content.corrected} was made with {' and '.join(f'another {name}' for name in changed_inputs)}"
     if origin.mode == "nominal" and content.cut is not None:
         yield f"{content.corrected} is nominal: it was written without correction"
     if (
         content.cut is None
-        and not made.same_origin
+        and not file_origin.same_origin
         and content.offset.max_mm > content.tolerance_mm
         and not content.differences["base"]
     ):
@@ -370,99 +372,104 @@ def _doubtful(content: ComparisonSummary, made: MadeFrom) -> Iterator[str]:
 
 
 def _described(issue: DifferenceEntry) -> str:
-    more = f" ({issue.count} times)" if issue.count > 1 else ""
-    where = where_of(issue)
-    return f"{where}{': ' if where else ''}{issue.message.rstrip('.')}{more}"
+    count = f" ({issue.count} times)" if issue.count > 1 else ""
+    place = where_of(issue)
+    return f"{place}{': ' if place else ''}{issue.message.rstrip('.')}{count}"
 
 
 def _distances(values: Array, rapid: Bools) -> Distances:
-    found = statistics(values, rapid)
+    measures = statistics(values, rapid)
     return Distances(
-        max_mm=found.largest * MM_PER_M,
-        rms_mm=found.rms * MM_PER_M,
-        mean_mm=found.mean * MM_PER_M,
-        p95_mm=found.p95 * MM_PER_M,
+        max_mm=measures.largest * MM_PER_M,
+        rms_mm=measures.rms * MM_PER_M,
+        mean_mm=measures.mean * MM_PER_M,
+        p95_mm=measures.p95 * MM_PER_M,
     )
 
 
-def _cut(found: Comparison, names: Sequence[Names], rows: slice) -> Cut | None:
-    if found.cuts is None:
+def _cut(comparison: Comparison, names: Sequence[Names], rows: slice) -> Cut | None:
+    if comparison.cuts is None:
         return None
-    rapid = found.rapid[rows]
-    one, other = (norm(off[rows]) for off in (found.cuts.nominal, found.cuts.corrected))
-    worst = rows.start + int(np.argmax(np.where(rapid, -1.0, other))) if not rapid.all() else None
-    lines = _NOWHERE if worst is None else asdict(_lines(found, names, worst))
-    return Cut(**lines, nominal=_distances(one, rapid), corrected=_distances(other, rapid))
+    rapid = comparison.rapid[rows]
+    nominal, corrected_mm = (
+        norm(deviation[rows]) for deviation in (comparison.cuts.nominal, comparison.cuts.corrected)
+    )
+    worst = rows.start + int(np.argmax(np.where(rapid, -1.0, corrected_mm))) if not rapid.all() else None
+    lines = _NO_LINES if worst is None else asdict(_lines(comparison, names, worst))
+    return Cut(**lines, nominal=_distances(nominal, rapid), corrected=_distances(corrected_mm, rapid))
 
 
-def _apart(found: Comparison, names: Sequence[Names]) -> Apart:
-    size = np.where(found.rapid | np.isnan(found.between), -1.0, found.between)
+def _apart(comparison: Comparison, names: Sequence[Names]) -> Apart:
+    size = np.where(comparison.rapid | np.isnan(comparison.between), -1.0, comparison.between)
     worst = int(np.argmax(size)) if len(size) else -1
     if worst < 0 or size[worst] < 0.0:
-        return Apart(max_mm=0.0, **_NOWHERE)
-    return Apart(max_mm=float(size[worst]) * MM_PER_M, **asdict(_lines(found, names, worst)))
+        return Apart(max_mm=0.0, **_NO_LINES)
+    return Apart(max_mm=float(size[worst]) * MM_PER_M, **asdict(_lines(comparison, names, worst)))
 
 
-def _between(found: Comparison, corrected: Names) -> Between | None:
-    cuts = found.cuts
-    motions = found.corrected.motions
+def _between(comparison: Comparison, second_names: Names) -> Between | None:
+    cuts = comparison.cuts
+    motions = comparison.corrected.motions
     if cuts is None or not len(cuts.row):
         return None
     cutting = ~motions.rapid[cuts.row]
     worst = int(np.argmax(np.where(cutting, cuts.between_corrected, -1.0)))
     if not cutting[worst]:
         return None
-    file, line = found.corrected.places(cuts.row[worst : worst + 1]).of(0)
+    file, line = comparison.corrected.places(cuts.row[worst : worst + 1]).of(0)
     return Between(
         nominal_max_mm=float(cuts.between_nominal[cutting].max()) * MM_PER_M,
         corrected_max_mm=float(cuts.between_corrected[worst]) * MM_PER_M,
-        corrected_file=corrected.prefix + file,
+        corrected_file=second_names.prefix + file,
         corrected_line=line,
     )
 
 
-def _largest(found: Comparison, names: Sequence[Names]) -> list[PairEntry]:
-    size = np.where(found.rapid, -1.0, found.distance)
-    order = np.argsort(-size, kind="stable")[:_MOST]
+def _largest(comparison: Comparison, names: Sequence[Names]) -> list[PairEntry]:
+    size = np.where(comparison.rapid, -1.0, comparison.distance)
+    order = np.argsort(-size, kind="stable")[:_LARGEST_PAIRS]
     return [
         PairEntry(
-            **asdict(_lines(found, names, row)),
-            mm=float(found.distance[row]) * MM_PER_M,
-            deg=float(found.rotation[row]) * DEG_PER_RAD,
+            **asdict(_lines(comparison, names, row)),
+            mm=float(comparison.distance[row]) * MM_PER_M,
+            deg=float(comparison.rotation[row]) * DEG_PER_RAD,
         )
         for row in order[size[order] >= 0.0].tolist()
     ]
 
 
-def _lines(found: Comparison, names: Sequence[Names], pair: int) -> Lines:
+def _lines(comparison: Comparison, names: Sequence[Names], pair: int) -> Lines:
     """Return file and line of both targets of a pair, as keys of the report."""
-    places = (p.places(found.pair[pair, k : k + 1]).of(0) for k, p in enumerate((found.nominal, found.corrected)))
-    (one, line), (other, other_line) = places
+    places = (
+        p.places(comparison.pair[pair, k : k + 1]).of(0)
+        for k, p in enumerate((comparison.nominal, comparison.corrected))
+    )
+    (nominal_file, line), (corrected_file, other_line) = places
     return Lines(
-        nominal_file=names[0].prefix + one,
+        nominal_file=names[0].prefix + nominal_file,
         nominal_line=line,
-        corrected_file=names[1].prefix + other,
+        corrected_file=names[1].prefix + corrected_file,
         corrected_line=other_line,
     )
 
 
-def _operations(found: Comparison, names: Sequence[Names]) -> Iterator[OperationEntry]:
-    starts = operation_starts(found.nominal, found.pair[:, 0])
-    for first, end in pairwise([*sorted(starts), len(found.pair)]):
+def _operations(comparison: Comparison, names: Sequence[Names]) -> Iterator[OperationEntry]:
+    starts = operation_starts(comparison.nominal, comparison.pair[:, 0])
+    for first, end in pairwise([*sorted(starts), len(comparison.pair)]):
         rows = slice(first, end)
-        cutting = int(np.count_nonzero(~found.rapid[rows]))
+        cutting = int(np.count_nonzero(~comparison.rapid[rows]))
         if not cutting:
             continue
         name, tool = starts[first]
-        lines = _lines(found, names, first + int(np.argmin(found.rapid[rows])))
+        lines = _lines(comparison, names, first + int(np.argmin(comparison.rapid[rows])))
         yield OperationEntry(
             name=name,
             tool=tool,
             nominal_file=lines.nominal_file,
             nominal_line=lines.nominal_line,
             pairs=cutting,
-            offset=_distances(found.distance[rows], found.rapid[rows]),
-            cut=_cut(found, names, rows),
+            offset=_distances(comparison.distance[rows], comparison.rapid[rows]),
+            cut=_cut(comparison, names, rows),
         )
 
 
@@ -479,51 +486,72 @@ PAIR_COLUMNS = ("state", "nominal_file", "nominal_line", "corrected_file", "corr
 _STATES = ("pair", "inserted", "only_nominal", "only_corrected", "passed")
 
 
-def pairs_csv(found: Comparison) -> Iterator[bytes]:
+def pairs_csv(comparison: Comparison) -> Iterator[bytes]:
     """Yield the file in pieces: in the order of the second program, targets of the first alone behind their neighbour.
 
     Numbers that a target does not have are empty. Poses are in the nominal `$BASE` for pairs, else in their own.
     """
     yield (",".join(PAIR_COLUMNS) + "\n").encode()
-    one, other = found.nominal.motions, found.corrected.motions
-    pair, alone = found.pair, np.append(found.only_nominal, found.passed)
+    nominal_motions, corrected_motions = comparison.nominal.motions, comparison.corrected.motions
+    pair, nominal_alone_row = comparison.pair, np.append(comparison.only_nominal, comparison.passed)
     nominal = np.concatenate(
-        [pair[:, 0], np.full(len(found.inserted), -1), alone, np.full(len(found.only_corrected), -1)]
+        [
+            pair[:, 0],
+            np.full(len(comparison.inserted), -1),
+            nominal_alone_row,
+            np.full(len(comparison.only_corrected), -1),
+        ]
     )
-    corrected = np.concatenate([pair[:, 1], found.inserted, np.full(len(alone), -1), found.only_corrected])
-    counts = len(pair), len(found.inserted), len(found.only_nominal), len(found.passed), len(found.only_corrected)
+    corrected_row = np.concatenate(
+        [pair[:, 1], comparison.inserted, np.full(len(nominal_alone_row), -1), comparison.only_corrected]
+    )
+    counts = (
+        len(pair),
+        len(comparison.inserted),
+        len(comparison.only_nominal),
+        len(comparison.passed),
+        len(comparison.only_corrected),
+    )
     state = np.repeat([0, 1, 2, 4, 3], counts)
-    before = np.append(-1, pair[:, 1])[np.searchsorted(pair[:, 0], alone)]
-    order = np.lexsort((np.isin(state, (2, 4)), np.concatenate([corrected[state < 2], before, found.only_corrected])))
+    neighbour = np.append(-1, pair[:, 1])[np.searchsorted(pair[:, 0], nominal_alone_row)]
+    order = np.lexsort(
+        (np.isin(state, (2, 4)), np.concatenate([corrected_row[state < 2], neighbour, comparison.only_corrected]))
+    )
     unknown = np.full(len(order), np.nan)
     poses = [np.full((len(order), 6), np.nan) for _ in range(2)]
-    poses[0][nominal >= 0] = xyzabc_from_pose(one.target[nominal[nominal >= 0]])
-    poses[1][: len(pair)] = xyzabc_from_pose(found.pose)
-    rest = np.flatnonzero((corrected >= 0) & (state != 0))
-    poses[1][rest] = xyzabc_from_pose(other.target[corrected[rest]])
+    poses[0][nominal >= 0] = xyzabc_from_pose(nominal_motions.target[nominal[nominal >= 0]])
+    poses[1][: len(pair)] = xyzabc_from_pose(comparison.pose)
+    rest = np.flatnonzero((corrected_row >= 0) & (state != 0))
+    poses[1][rest] = xyzabc_from_pose(corrected_motions.target[corrected_row[rest]])
 
     def of_pairs(values: Array | None) -> Array:
-        out = unknown.copy()
+        column = unknown.copy()
         if values is not None:
-            out[: len(pair)] = values
-        return out
+            column[: len(pair)] = values
+        return column
 
-    speeds = (np.where(rows >= 0, m.feed[rows], np.nan) * MM_PER_M for m, rows in ((one, nominal), (other, corrected)))
-    cuts = (None, None) if found.cuts is None else (found.cuts.nominal, found.cuts.corrected)
+    speeds = (
+        np.where(rows >= 0, m.feed[rows], np.nan) * MM_PER_M
+        for m, rows in ((nominal_motions, nominal), (corrected_motions, corrected_row))
+    )
+    cuts = (None, None) if comparison.cuts is None else (comparison.cuts.nominal, comparison.cuts.corrected)
     numbers = np.column_stack(
         [
             *poses,
-            of_pairs(found.distance * MM_PER_M),
-            of_pairs(found.rotation * DEG_PER_RAD),
+            of_pairs(comparison.distance * MM_PER_M),
+            of_pairs(comparison.rotation * DEG_PER_RAD),
             *speeds,
-            *(of_pairs(None if off is None else norm(off) * MM_PER_M) for off in cuts),
-            of_pairs(found.between * MM_PER_M),
+            *(of_pairs(None if deviation is None else norm(deviation) * MM_PER_M) for deviation in cuts),
+            of_pairs(comparison.between * MM_PER_M),
         ]
     )[order]
-    rapid = np.where(nominal >= 0, one.rapid[nominal], other.rapid[corrected]).astype(float)[order]
+    rapid = np.where(nominal >= 0, nominal_motions.rapid[nominal], corrected_motions.rapid[corrected_row]).astype(
+        float
+    )[order]
     names = _words(_STATES, state[order])
     (file, line), (file_two, line_two) = (
-        _places(program, rows[order]) for program, rows in ((found.nominal, nominal), (found.corrected, corrected))
+        _places(program, rows[order])
+        for program, rows in ((comparison.nominal, nominal), (comparison.corrected, corrected_row))
     )
     for part in chunks(len(order)):
         columns: list[Number | NDArray[np.uint8]] = [
@@ -536,17 +564,17 @@ def pairs_csv(found: Comparison) -> Iterator[bytes]:
 
 def _places(program: Program, rows: Ints) -> tuple[NDArray[np.uint8], Array]:
     """Return file and line of motions (n,) as columns; empty where there is none (−1)."""
-    there = rows >= 0
-    places = program.places(rows[there])
+    is_motion = rows >= 0
+    places = program.places(rows[is_motion])
     line, file = np.full(len(rows), np.nan), np.full(len(rows), len(places.files))
-    line[there], file[there] = places.line, places.file
+    line[is_motion], file[is_motion] = places.line, places.file
     return _words([*places.files, ""], file), line
 
 
-def _words(words: Sequence[str], which: Ints) -> NDArray[np.uint8]:
+def _words(words: Sequence[str], index: Ints) -> NDArray[np.uint8]:
     """Return words as a column of texts (n, width), padded with zeros; quoted where CSV needs it."""
-    quoted = ['"' + word.replace('"', '""') + '"' if set(word) & set(',"\r\n') else word for word in words]
-    return np.char.encode(quoted, "utf-8").view(np.uint8).reshape(len(quoted), -1)[which]
+    csv_words = ['"' + word.replace('"', '""') + '"' if set(word) & set(',"\r\n') else word for word in words]
+    return np.char.encode(csv_words, "utf-8").view(np.uint8).reshape(len(csv_words), -1)[index]
 
 
 WORDS: dict[State, str] = {
@@ -556,7 +584,7 @@ WORDS: dict[State, str] = {
 }
 """Sentence for each verdict."""
 _ROWS = ("max", "RMS", "mean", "95 %")
-_SHOWN = 5
+_PAIRS_IN_TEXT = 5
 
 
 def of_comparison(content: ComparisonSummary, display: Display = PLAIN) -> str:
@@ -575,30 +603,37 @@ def of_comparison(content: ComparisonSummary, display: Display = PLAIN) -> str:
     head = ["at cutting targets [mm]", "offset"] + (["nominal cuts", "corrected cuts"] if cut is not None else [])
     sources = [content.offset] + ([cut.nominal, cut.corrected] if cut is not None else [])
     rows = [(label, *map(millimetres, values)) for label, *values in zip(_ROWS, *map(astuple, sources), strict=True)]
-    if between := content.between:
-        rows.append(("max between", "-", millimetres(between.nominal_max_mm), millimetres(between.corrected_max_mm)))
+    if between_targets := content.between:
+        rows.append(
+            (
+                "max between",
+                "-",
+                millimetres(between_targets.nominal_max_mm),
+                millimetres(between_targets.corrected_max_mm),
+            )
+        )
     lines += [display.table(head, rows, range(1, len(head)), "  "), ""]
     lines.append(f"  orientation: {content.rotation.max_deg:.4f}° at most")
-    apart = content.between_targets
-    if apart.nominal_line is not None:
+    path_gap = content.between_targets
+    if path_gap.nominal_line is not None:
         lines.append(
-            f"  on the way between targets: {millimetres(apart.max_mm)} mm at most, before "
-            f"{apart.nominal_file}:{apart.nominal_line} and {apart.corrected_file}:{apart.corrected_line}"
+            f"  on the way between targets: {millimetres(path_gap.max_mm)} mm at most, before "
+            f"{path_gap.nominal_file}:{path_gap.nominal_line} and {path_gap.corrected_file}:{path_gap.corrected_line}"
         )
     if content.passed:
         lines.append(f"  {of_passed(content)}")
     if content.splines:
         lines.append(f"  {of_splines(content)}")
-    for pair in content.largest[:_SHOWN]:
+    for pair in content.largest[:_PAIRS_IN_TEXT]:
         if pair.mm > 0.0:
-            where = f"{pair.nominal_file}:{pair.nominal_line} and {pair.corrected_file}:{pair.corrected_line}"
-            lines.append(f"  {millimetres(pair.mm)} mm between {where}")
+            lines_of_pair = f"{pair.nominal_file}:{pair.nominal_line} and {pair.corrected_file}:{pair.corrected_line}"
+            lines.append(f"  {millimetres(pair.mm)} mm between {lines_of_pair}")
     origin = content.provenance
     if origin.state == "none":
         lines.append(f"  {content.corrected} does not say that postproc wrote it")
     elif origin.version is not None:
-        since = "unchanged since" if origin.state == "intact" else "changed since"
-        lines.append(f"  {content.corrected} was written by postproc {origin.version} ({origin.mode}), {since}")
+        state = "unchanged since" if origin.state == "intact" else "changed since"
+        lines.append(f"  {content.corrected} was written by postproc {origin.version} ({origin.mode}), {state}")
     return "\n".join(lines)
 
 
@@ -610,11 +645,11 @@ def of_splines(content: ComparisonSummary) -> str:
 
 def of_passed(content: ComparisonSummary) -> str:
     """Return a sentence on nominal targets that the second program leaves out and whose path passes them."""
-    count, within = content.passed, content.passed_within_mm
-    what, it = ("1 target", "it") if count == 1 else (f"{count} targets", "them")
+    count, distance = content.passed, content.passed_within_mm
+    count_text, it = ("1 target", "it") if count == 1 else (f"{count} targets", "them")
     verb = "is" if count == 1 else "are"
-    passes = f"its path passes {it}" + ("" if within is None else f" within {max(within, ROUNDING_MM):.4f} mm")
-    return f"{what} of the nominal program {verb} not in the corrected one; {passes}"
+    passes = f"its path passes {it}" + ("" if distance is None else f" within {max(distance, ROUNDING_MM):.4f} mm")
+    return f"{count_text} of the nominal program {verb} not in the corrected one; {passes}"
 
 
 def counted(content: ComparisonSummary) -> str:

@@ -47,7 +47,7 @@ _MODES = {
     "nominal": "written without correction",
     "predict": "predicted as programmed, nothing written",
 }
-_HOW = {
+_MODE_NOTES = {
     "convert": "“After” is a simulation of the program as written, with its rounded numbers.",
     "nominal": "“After” is a simulation of the program as written: without correction.",
     "predict": "Nothing was corrected or written.",
@@ -76,8 +76,8 @@ def page(
     :param record: when, with what and for whom it is made; None = not stated.
     """
     data = Deviation(result, tolerance, surface, process, part_tolerance, stem, tuple(remedies), record)
-    made = (section for make in SECTIONS if (section := make(data)) is not None)
-    sections = tuple(replace(section, printed=section.id in ON_PAPER) for section in made)
+    all_sections = (section for make in SECTIONS if (section := make(data)) is not None)
+    sections = tuple(replace(section, printed=section.id in ON_PAPER) for section in all_sections)
     views = len(result) > 0
     content = data.content
     yield from Page(
@@ -88,7 +88,7 @@ def page(
         footer=(
             Note(
                 "All deviations are predictions of the elastostatic model of the robot under the forces given, not "
-                f"measurements, in millimetres. Statistics are over cutting targets. {_HOW[result.mode]}"
+                f"measurements, in millimetres. Statistics are over cutting targets. {_MODE_NOTES[result.mode]}"
             ),
         ),
         facts=data.facts() if views else None,

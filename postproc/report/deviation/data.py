@@ -149,8 +149,8 @@ class Deviation(Struct, frozen=True, dict=True):
     @cached_property
     def bodies(self) -> list[Body]:
         """Bodies of the cell that were checked for collisions, without the arm."""
-        found = self.result.clearance
-        return [] if found is None else [body for body in found.scene.bodies if body.of != "arm"]
+        clearance = self.result.clearance
+        return [] if clearance is None else [body for body in clearance.scene.bodies if body.of != "arm"]
 
     @cached_property
     def operations(self) -> list[Operation]:
@@ -163,7 +163,7 @@ class Deviation(Struct, frozen=True, dict=True):
         result = self.result
         measures = [result.before, *([result.after] if self.compared else [])]
         measures += [] if result.bound is None else [result.bound]
-        rows = distinct(np.concatenate([_worst(each, result.rapid, result.source_line) for each in measures]))
+        rows = distinct(np.concatenate([_worst(measure, result.rapid, result.source_line) for measure in measures]))
         return rows[np.argsort(-result.before[rows], kind="stable")]
 
     @cached_property
@@ -172,9 +172,9 @@ class Deviation(Struct, frozen=True, dict=True):
         surface, tolerance = self.surface, self.tolerance
         if surface is None or tolerance is None:
             return np.zeros(0, dtype=np.int64)
-        off = surface.after if self.compared else surface.before
-        deep = np.flatnonzero(off < -tolerance)
-        order = deep[np.argsort(off[deep], kind="stable")]
+        deviation = surface.after if self.compared else surface.before
+        deep = np.flatnonzero(deviation < -tolerance)
+        order = deep[np.argsort(deviation[deep], kind="stable")]
         _, first = np.unique(self.result.source_line[surface.row[order]], return_index=True)
         return order[np.sort(first)[:_GOUGES]]
 
@@ -186,7 +186,7 @@ class Deviation(Struct, frozen=True, dict=True):
     def _named(self) -> Ints:
         """Return the rows that tables of the page lead to: thinning must keep them."""
         result = self.result
-        rows = [self.worst_rows, np.array([each.first for each in self.operations], dtype=np.int64)]
+        rows = [self.worst_rows, np.array([operation.first for operation in self.operations], dtype=np.int64)]
         rows.append(
             np.array([row for issue in result.issues if (row := self.row_of(issue)) is not None], dtype=np.int64)
         )
@@ -204,26 +204,26 @@ class Deviation(Struct, frozen=True, dict=True):
         height = points @ self.process.map_in_base[:3, 2]
         depth = height.max(initial=-np.inf) - height
         edge = _sharp_edges(points, faces)
-        named = {"x": points[:, 0], "y": points[:, 1], "z": points[:, 2], "depth": depth}
+        vertex_columns = {"x": points[:, 0], "y": points[:, 1], "z": points[:, 2], "depth": depth}
         return {
-            "stock_points": Columns.of({name: values * MM_PER_M for name, values in named.items()}),
+            "stock_points": Columns.of({name: values * MM_PER_M for name, values in vertex_columns.items()}),
             "stock_faces": Columns.of(dict(zip("ijk", faces.T, strict=True))),
             "stock_edges": Columns.of({"begin": edge[:, 0], "end": edge[:, 1]}),
         }
 
     def columns(self) -> dict[str, Columns]:
         """Return the numbers of the page."""
-        out = {"places": self.places.columns, "drawn": self.places.drawn}
-        out |= self.stock()
-        shown = [*self.links, *self.bodies]
-        if shown:
-            points, faces = (np.concatenate([getattr(each, of) for each in shown]) for of in ("points", "faces"))
+        tables = {"places": self.places.columns, "drawn": self.places.drawn}
+        tables |= self.stock()
+        meshes = [*self.links, *self.bodies]
+        if meshes:
+            points, faces = (np.concatenate([getattr(mesh, of) for mesh in meshes]) for of in ("points", "faces"))
             points = points * MM_PER_M
-            out["link_points"] = Columns.of(dict(zip("xyz", points.T, strict=True)))
-            out["link_faces"] = Columns.of(dict(zip("ijk", faces.T, strict=True)))
+            tables["link_points"] = Columns.of(dict(zip("xyz", points.T, strict=True)))
+            tables["link_faces"] = Columns.of(dict(zip("ijk", faces.T, strict=True)))
         if self.surface is not None:
             corners = self.surface.corners.reshape(-1, 3) * MM_PER_M
-            out["corners"] = Columns.of(dict(zip("xyz", corners.T, strict=True)))
+            tables["corners"] = Columns.of(dict(zip("xyz", corners.T, strict=True)))
             last = len(self.places.row) - 1
             row = np.where(self.surface.row < 0, self.surface.programmed_row, self.surface.row)
             place = np.minimum(np.searchsorted(self.places.row, row), last)
@@ -231,8 +231,8 @@ class Deviation(Struct, frozen=True, dict=True):
             values = {"before": self.surface.before, "after": self.surface.after, "u95": bound}
             values["programmed"] = self.surface.programmed
             facets = {name: value * MM_PER_M for name, value in values.items()}
-            out["facets"] = Columns.of({**facets, "place": np.where(row < 0, -1, place)})
-        return out
+            tables["facets"] = Columns.of({**facets, "place": np.where(row < 0, -1, place)})
+        return tables
 
     def facts(self) -> Facts:
         """Return the data that scripts read."""
@@ -256,28 +256,30 @@ class Deviation(Struct, frozen=True, dict=True):
             placement=[_in_mm(joint) for joint in nominal.placement],
             axis=nominal.axis.tolist(),
             flange=_in_mm(nominal.flange),
-            links=[(each.carrier + 1, len(each.points), len(each.faces)) for each in self.links],
-            bodies=[(each.carrier + 1, len(each.points), len(each.faces)) for each in self.bodies],
+            links=[(mesh.carrier + 1, len(mesh.points), len(mesh.faces)) for mesh in self.links],
+            bodies=[(mesh.carrier + 1, len(mesh.points), len(mesh.faces)) for mesh in self.bodies],
             reversals=self.reversal_marks(),
             histograms={name: _histogram(values[cutting] * MM_PER_M) for name, values in measures.items()},
         )
 
     def reversals(self) -> list[tuple[int, str]]:
         """Return place and joint of the reversals that are listed."""
-        turned = self.result.reversals
-        if turned is None:
+        reversal_data = self.result.reversals
+        if reversal_data is None:
             return []
-        listed = self.result.largest_reversals.tolist()
-        return [(self.places.of(int(turned.row[each])), JOINTS[turned.joint[each]]) for each in listed]
+        indices = self.result.largest_reversals.tolist()
+        return [
+            (self.places.of(int(reversal_data.row[index])), JOINTS[reversal_data.joint[index]]) for index in indices
+        ]
 
     def reversal_marks(self) -> list[tuple[int, str]]:
         """Return place and joint of all reversals with lost motion, each place and joint once, in order."""
-        turned = self.result.reversals
-        if turned is None:
+        reversals = self.result.reversals
+        if reversals is None:
             return []
-        steps = np.flatnonzero(turned.step > 0.0).tolist()
+        steps = np.flatnonzero(reversals.step > 0.0).tolist()
         return list(
-            dict.fromkeys((self.places.of(int(turned.row[step])), JOINTS[turned.joint[step]]) for step in steps)
+            dict.fromkeys((self.places.of(int(reversals.row[step])), JOINTS[reversals.joint[step]]) for step in steps)
         )
 
 
@@ -297,12 +299,12 @@ def _sharp_edges(points: Array, faces: Ints) -> Ints:
     normal /= np.maximum(norm(normal), 1e-300)[:, None]
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     order = np.lexsort((edges[:, 1], edges[:, 0]))
-    one, other = order[:-1], order[1:]
-    shared = (edges[one] == edges[other]).all(axis=1)
-    one, other = one[shared], other[shared]
+    first, second = order[:-1], order[1:]
+    same_edge = (edges[first] == edges[second]).all(axis=1)
+    first, second = first[same_edge], second[same_edge]
     count = len(faces)
-    bent = np.einsum("ei,ei->e", normal[one % count], normal[other % count]) < _SHARP
-    return np.asarray(edges[one[bent]])
+    is_sharp = np.einsum("ei,ei->e", normal[first % count], normal[second % count]) < _SHARP
+    return np.asarray(edges[first[is_sharp]])
 
 
 def _histogram(values: Array) -> Histogram:
@@ -312,9 +314,9 @@ def _histogram(values: Array) -> Histogram:
 
 
 def _in_mm(pose: Array) -> list[float]:
-    scaled = pose.copy()
-    scaled[:3, 3] *= MM_PER_M
-    return [float(value) for value in scaled.ravel()]
+    pose_mm = pose.copy()
+    pose_mm[:3, 3] *= MM_PER_M
+    return [float(value) for value in pose_mm.ravel()]
 
 
 MOST = 40_000
@@ -348,12 +350,12 @@ def correction(result: Result, row: Ints) -> Array:
     return np.asarray(result.printed[row, :3] / MM_PER_M - result.nominal[row, :3, 3])
 
 
-def kept(result: Result, named: Ints) -> Ints:
+def kept(result: Result, linked_rows: Ints) -> Ints:
     """Return the rows (P,) that a page shows, in order.
 
     Of each run of targets these are the first, and the largest deviation before and after, correction, force and bound.
 
-    :param named: rows that tables lead to; they are kept.
+    :param linked_rows: rows that tables lead to; they are kept.
     """
     count = len(result)
     if count <= MOST:
@@ -361,7 +363,7 @@ def kept(result: Result, named: Ints) -> Ints:
     runs = MOST // (5 if result.bound is None else 6)
     begin = distinct(np.linspace(0, count, runs, endpoint=False).astype(np.int64))
     length = np.diff(begin, append=count)
-    rows = [begin, np.array([count - 1]), named]
+    rows = [begin, np.array([count - 1]), linked_rows]
     for measure in _measures(result):
         value = np.nan_to_num(measure, nan=np.inf)
         at = np.flatnonzero(value == np.repeat(np.maximum.reduceat(value, begin), length))
@@ -379,19 +381,19 @@ def _measures(result: Result) -> Iterator[Array]:
         yield result.bound
 
 
-def places(result: Result, named: Ints) -> ShownTargets:
+def places(result: Result, linked_rows: Ints) -> ShownTargets:
     """Return the places of a result that has some.
 
-    :param named: rows that tables of the page lead to.
+    :param linked_rows: rows that tables of the page lead to.
     """
     m, motion = result.program.motions, result.motion
     position, leads_to = drawn_path(result)
     points = np.arange(len(leads_to))
     step = in_chunks(lambda point: (norm(position[point] - position[np.maximum(point - 1, 0)]),), points)[0]
-    travelled = np.cumsum(step)[np.flatnonzero(np.diff(leads_to, append=len(result)))]
-    seconds = np.cumsum(_durations(result, np.diff(travelled, prepend=0.0)))
-    row = kept(result, named)
-    moved, at = correction(result, row) * MM_PER_M, xyzabc_from_pose(result.nominal[row])
+    path_length = np.cumsum(step)[np.flatnonzero(np.diff(leads_to, append=len(result)))]
+    seconds = np.cumsum(_durations(result, np.diff(path_length, prepend=0.0)))
+    row = kept(result, linked_rows)
+    correction_mm, at = correction(result, row) * MM_PER_M, xyzabc_from_pose(result.nominal[row])
     axes = _feed_axes(result, row)
     columns: dict[str, Array | Ints | Bools] = {
         "source_line": result.source_line[row],
@@ -399,27 +401,32 @@ def places(result: Result, named: Ints) -> ShownTargets:
         "base": m.base[motion[row]],
         "tool": m.tool[motion[row]],
         "t": result.t[row],
-        "length": travelled[row] * MM_PER_M,
+        "length": path_length[row] * MM_PER_M,
         "time": seconds[row],
         "speed": m.feed[motion[row]] * MM_PER_M,
         "before": norm(result.deviation_before[row]) * MM_PER_M,
         "after": norm(result.deviation_after[row]) * MM_PER_M,
         "u95": (np.full(len(row), np.nan) if result.bound is None else result.bound[row]) * MM_PER_M,
-        "correction": norm(moved),
+        "correction": norm(correction_mm),
         "force": norm(result.wrench[row, :3]),
         "singular": _singular_values(result, row),
         "rapid": result.rapid[row],
     }
-    for name, values in (("X", at), ("cX", moved), ("F", result.wrench[row]), ("q", result.q[row] * DEG_PER_RAD)):
+    for name, values in (
+        ("X", at),
+        ("cX", correction_mm),
+        ("F", result.wrench[row]),
+        ("q", result.q[row] * DEG_PER_RAD),
+    ):
         for index in range(values.shape[1]):
             columns[_NAMES[name][index]] = values[:, index]
     for name, vector in (("b", result.deviation_before[row]), ("a", result.deviation_after[row])):
-        along = np.einsum("nij,ni->nj", axes, vector)
+        components = np.einsum("nij,ni->nj", axes, vector)
         for index, axis in enumerate("XYZ"):
             columns[f"{name}{axis}"] = vector[:, index] * MM_PER_M
         for index, axis in enumerate(("along", "across", "normal")):
-            columns[f"{name}_{axis}"] = along[:, index] * MM_PER_M
-    return ShownTargets(row, travelled, Columns.of(columns), _drawn(result, position, leads_to, row))
+            columns[f"{name}_{axis}"] = components[:, index] * MM_PER_M
+    return ShownTargets(row, path_length, Columns.of(columns), _drawn(result, position, leads_to, row))
 
 
 _NAMES = {
@@ -449,8 +456,8 @@ def _durations(result: Result, length: Array) -> Array:
         motion = result.motion[row]
         feed, kind = result.program.motions.feed[motion], result.program.motions.kind[motion]
         joints = largest((result.q[row] - result.q[np.maximum(row - 1, 0)]) / result.robot.speed)
-        fed = (kind != PTP) & (feed > 0.0)
-        return (np.where(fed, length / np.where(fed, feed, 1.0), joints),)
+        has_feed = (kind != PTP) & (feed > 0.0)
+        return (np.where(has_feed, length / np.where(has_feed, feed, 1.0), joints),)
 
     return in_chunks(in_chunk, np.arange(len(result)), length)[0]
 
@@ -458,26 +465,26 @@ def _durations(result: Result, length: Array) -> Array:
 def _feed_axes(result: Result, row: Ints) -> Array:
     """Return the axes (P, 3, 3) along, across and normal to the feed as columns in `$BASE`; NaN along the spindle."""
     m, end = result.program.motions, result.nominal[:, :3, 3]
-    motion, before = result.motion[row], np.maximum(row - 1, 0)
-    travel = end[row] - end[before]
+    motion, previous = result.motion[row], np.maximum(row - 1, 0)
+    travel = end[row] - end[previous]
     arcs = np.flatnonzero(m.kind[motion] == CIRC)
-    spoke = end[row[arcs]] - m.centre[motion[arcs]]
-    turning = np.cross(m.normal[motion[arcs]], spoke)
+    radius_vector = end[row[arcs]] - m.centre[motion[arcs]]
+    turning = np.cross(m.normal[motion[arcs]], radius_vector)
     rise = np.einsum("ni,ni->n", travel[arcs], m.normal[motion[arcs]])[:, None] * m.normal[motion[arcs]]
-    same = (result.motion[before[arcs]] == motion[arcs]) & (row[arcs] > 0)
-    turned = m.sweep[motion[arcs]] * (result.t[row[arcs]] - np.where(same, result.t[before[arcs]], 0.0))
-    travel[arcs] = turning + rise / np.where(turned > 0.0, turned, 1.0)[:, None]
+    same_motion = (result.motion[previous[arcs]] == motion[arcs]) & (row[arcs] > 0)
+    angle = m.sweep[motion[arcs]] * (result.t[row[arcs]] - np.where(same_motion, result.t[previous[arcs]], 0.0))
+    travel[arcs] = turning + rise / np.where(angle > 0.0, angle, 1.0)[:, None]
     length = norm(travel)[:, None]  # steps of finishing programs are shorter than a millimetre
     travel = np.divide(travel, length, out=np.zeros_like(travel), where=length > 0.0)
-    axes, meant = across(result.nominal[row, :3, :3], travel, result.axis)
-    meant &= m.base[motion] == m.base[result.motion[before]]
-    axes[~meant] = np.nan
+    axes, is_defined = across(result.nominal[row, :3, :3], travel, result.axis)
+    is_defined &= m.base[motion] == m.base[result.motion[previous]]
+    axes[~is_defined] = np.nan
     return axes
 
 
 def _singular_values(result: Result, row: Ints) -> Array:
     """Return the smallest singular value (P,) of the tool's Jacobian, metres and radians per radian."""
-    some = distinct(np.linspace(0, len(row) - 1, min(len(row), _SINGULAR_AT)).astype(np.int64))
-    tool = result.program.tools[result.program.motions.tool[result.motion[row[some]]]]
-    values = kinematics.singular_values(result.robot, result.q[row[some]], tool)
-    return np.interp(np.arange(len(row)), some, values)
+    samples = distinct(np.linspace(0, len(row) - 1, min(len(row), _SINGULAR_AT)).astype(np.int64))
+    tool = result.program.tools[result.program.motions.tool[result.motion[row[samples]]]]
+    values = kinematics.singular_values(result.robot, result.q[row[samples]], tool)
+    return np.interp(np.arange(len(row)), samples, values)

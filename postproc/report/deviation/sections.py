@@ -49,15 +49,15 @@ if TYPE_CHECKING:
 
 def verdict(data: Deviation) -> Section:
     """Return the verdict: its headline, the three answers, their reasons, what holds, and the assumptions."""
-    judged = data.content.verdict
-    parts: list[Part] = [Verdict(judged.state, *in_two(judged)), answers(judged)]
-    if judged.state != "ok":
-        kind: Kind = "error" if judged.state == "failed" else ""
-        parts.append(Notes(tuple(Note(sentence(text), kind) for text in judged.reasons), "Why", marked=True))
-    holds = Notes(tuple(Note(sentence(text)) for text in judged.holds), "What holds", marked=True)
-    assumes = Notes(tuple(Note(sentence(text)) for text in judged.assumes), "Under these assumptions", marked=True)
-    inner = (holds, assumes) if judged.holds else (assumes,)
-    parts.append(Fold("What holds, and under which assumptions" if judged.holds else "Under which assumptions", inner))
+    answer = data.content.verdict
+    parts: list[Part] = [Verdict(answer.state, *in_two(answer)), answers(answer)]
+    if answer.state != "ok":
+        kind: Kind = "error" if answer.state == "failed" else ""
+        parts.append(Notes(tuple(Note(sentence(text), kind) for text in answer.reasons), "Why", marked=True))
+    holds = Notes(tuple(Note(sentence(text)) for text in answer.holds), "What holds", marked=True)
+    assumes = Notes(tuple(Note(sentence(text)) for text in answer.assumes), "Under these assumptions", marked=True)
+    inner = (holds, assumes) if answer.holds else (assumes,)
+    parts.append(Fold("What holds, and under which assumptions" if answer.holds else "Under which assumptions", inner))
     return Section("verdict", "Verdict", tuple(parts))
 
 
@@ -71,13 +71,13 @@ def numbers(data: Deviation) -> Section | None:
         return None
     if data.nothing is not None:
         return Section("numbers", "Deviation of the tool tip", (Notes((Note(data.nothing, "good"),)),))
-    before, after, bound = content.before, content.after, content.u95
+    uncorrected, prediction, bound = content.before, content.after, content.u95
     u95 = None if bound is None else bound.max_mm
-    rms = estimate(before.rms_mm, u95)
-    tiles = [Tile("As programmed, largest", estimate(before.max_mm, u95), "mm", f"RMS {rms} mm")]
+    rms = estimate(uncorrected.rms_mm, u95)
+    tiles = [Tile("As programmed, largest", estimate(uncorrected.max_mm, u95), "mm", f"RMS {rms} mm")]
     if data.compared:
-        note = f"RMS {estimate(after.rms_mm, u95)} mm; a statement about the model, not about the part"
-        tiles.append(Tile("What the model leaves, largest", estimate(after.max_mm, u95), "mm", note))
+        note = f"RMS {estimate(prediction.rms_mm, u95)} mm; a statement about the model, not about the part"
+        tiles.append(Tile("What the model leaves, largest", estimate(prediction.max_mm, u95), "mm", note))
     if bound is None:
         note = "the robot model states no uncertainty: identify the robot from measurements"
         tiles.append(Tile("Expected error on the part", "unknown", "", note, "warning"))
@@ -95,25 +95,25 @@ def _table(data: Deviation) -> Table:
     content = data.content
     u95 = None if content.u95 is None else content.u95.max_mm
     if not data.compared:
-        before = zip(_MEASURES, astuple(content.before), strict=True)
-        rows = tuple(Row((label, estimate(value, u95))) for label, value in before)
+        measures = zip(_MEASURES, astuple(content.before), strict=True)
+        rows = tuple(Row((label, estimate(value, u95))) for label, value in measures)
         return Table(("Criterion", "Predicted, mm"), rows, "Predicted deviation")
     if content.after.max_mm < ROUNDING_MM:
-        before = zip(_MEASURES, astuple(content.before), strict=True)
-        rows = tuple(Row((label, estimate(value, u95))) for label, value in before)
+        measures = zip(_MEASURES, astuple(content.before), strict=True)
+        rows = tuple(Row((label, estimate(value, u95))) for label, value in measures)
         return Table(
             ("Criterion", "Before compensation, mm"),
             rows,
             "Deviation before compensation",
             note=f"{_ALL_ROUNDING} {_ROUNDING}",
         )
-    compared = tuple(
-        Row((label, estimate(one, u95), estimate(other, u95), times(one, other)))
-        for label, one, other in zip(_MEASURES, astuple(content.before), astuple(content.after), strict=True)
+    table_rows = tuple(
+        Row((label, estimate(before_mm, u95), estimate(after_mm, u95), times(before_mm, after_mm)))
+        for label, before_mm, after_mm in zip(_MEASURES, astuple(content.before), astuple(content.after), strict=True)
     )
     head = ("Criterion", "Before compensation, mm", "After compensation, mm", "Improvement factor")
     note = f"{_ROUNDING} “To rounding”: what remains is the rounding of the text."
-    return Table(head, compared, "Deviation before and after compensation", note=note)
+    return Table(head, table_rows, "Deviation before and after compensation", note=note)
 
 
 _ALL_ROUNDING = "After compensation only the rounding of the written numbers remains: below 0.0001 mm everywhere."
@@ -147,48 +147,48 @@ _SOURCE_LABEL = "The text of the program; lines with targets lead to their place
 def surface(data: Deviation) -> Section | None:
     """Return the surface with the largest deviations along its normal, and the gouges beyond the tolerance."""
     surface = data.surface
-    found = data.content.surface
-    if surface is None or found is None:
+    measures = data.content.surface
+    if surface is None or measures is None:
         return None
-    touched = surface.touched
+    contact = surface.touched
     if not surface.reached.any():
         text = "No tool reaches the part: check that its mesh is in mm and in $BASE, and the shapes of the tools."
         return Section("surface", "Surface of the part", (Notes((Note(text, "warning"),)),))
-    after = surface.after if data.compared else surface.before
+    deviation = surface.after if data.compared else surface.before
     words = "with the program as written" if data.compared else "as programmed"
-    tiles = [_programmed(found, data)]
-    if touched.any():
+    tiles = [_programmed(measures, data)]
+    if contact.any():
         tiles += [
-            _depth("Gouged before, at most", -surface.before[touched].min(), _DEFLECTION),
-            _depth("Left before, at most", surface.before[touched].max(), _DEFLECTION),
+            _depth("Gouged before, at most", -surface.before[contact].min(), _DEFLECTION),
+            _depth("Left before, at most", surface.before[contact].max(), _DEFLECTION),
         ]
         if data.compared:
-            tiles.append(_depth("Gouged after, at most", -after[touched].min(), "as the model predicts it"))
-            tiles.append(_depth("Left after, at most", after[touched].max()))
+            tiles.append(_depth("Gouged after, at most", -deviation[contact].min(), "as the model predicts it"))
+            tiles.append(_depth("Left after, at most", deviation[contact].max()))
         if surface.bound is not None:
-            tiles.append(Tile("Expected error (95 %), up to", rounded(surface.bound[touched].max() * MM_PER_M), "mm"))
-    share = found.reached_percent
+            tiles.append(Tile("Expected error (95 %), up to", rounded(surface.bound[contact].max() * MM_PER_M), "mm"))
+    share = measures.reached_percent
     tiles.append(Tile("Of the surface reached", f"{share:.0f}", "%", f"no tool reaches {100.0 - share:.0f} %"))
     label = "The part, coloured by the deviation along its outward normal; the table below lists the gouges"
     note = "Below 0 the tool gouges, above it leaves material. Grey: no tool reaches it. Before and after are "
     view = View("surface", label, f"{note}deviations from the programmed path.")
-    parts: list[Part] = [Tiles(tuple(tiles)), view, *_gouges(data, after, words)]
+    parts: list[Part] = [Tiles(tuple(tiles)), view, *_gouges(data, deviation, words)]
     return Section("surface", "Surface of the part", tuple(parts))
 
 
 _DEFLECTION = "from the programmed path"
 
 
-def _programmed(found: OnSurface, data: Deviation) -> Tile:
+def _programmed(measures: OnSurface, data: Deviation) -> Tile:
     """Return what the programmed path itself does to the mesh."""
-    label, cut, left = "Programmed path cuts into the part", found.cut_into_mm, found.left_mm
-    least = data.content.part.tolerance_mm or data.content.tolerance_mm or CUT_MM
-    if cut > least:
-        note = f"line {found.source_line}: is the mesh in place, and the finished part?"
+    label, cut, left = "Programmed path cuts into the part", measures.cut_into_mm, measures.left_mm
+    limit = data.content.part.tolerance_mm or data.content.tolerance_mm or CUT_MM
+    if cut > limit:
+        note = f"line {measures.source_line}: is the mesh in place, and the finished part?"
         return Tile(label, rounded(cut), "mm", note, "warning")
-    if left is not None and left > max(least, LEFT_MM):
+    if left is not None and left > max(limit, LEFT_MM):
         return Tile("Programmed path leaves", rounded(left), "mm", "on half of what the tools touch", "warning")
-    return Tile(label, "nowhere", "", f"by more than {least:g} mm")
+    return Tile(label, "nowhere", "", f"by more than {limit:g} mm")
 
 
 def _depth(label: str, value: float, note: str = "") -> Tile:
@@ -198,7 +198,7 @@ def _depth(label: str, value: float, note: str = "") -> Tile:
     return Tile(label, millimetres(float(value) * MM_PER_M), "mm", note)
 
 
-def _gouges(data: Deviation, after: np.ndarray, words: str) -> list[Part]:
+def _gouges(data: Deviation, deviation: np.ndarray, words: str) -> list[Part]:
     """Return the lines that gouge by more than the tolerance, the deepest place of each."""
     surface, tolerance = data.surface, data.tolerance
     if surface is None or tolerance is None:
@@ -210,7 +210,7 @@ def _gouges(data: Deviation, after: np.ndarray, words: str) -> list[Part]:
     rows = []
     for facet in data.gouges.tolist():
         row = int(surface.row[facet])
-        cells = [str(data.result.source_line[row]), f"{-after[facet] * MM_PER_M:.4f}"]
+        cells = [str(data.result.source_line[row]), f"{-deviation[facet] * MM_PER_M:.4f}"]
         cells += [f"{value:.2f}" for value in centre[facet]]
         rows.append(Row(tuple(cells), data.places.of(row), int(data.result.source_line[row])))
     head = ("Source line", "Depth, mm", "X, mm", "Y, mm", "Z, mm")
@@ -236,22 +236,22 @@ def along(data: Deviation) -> Section | None:
     return Section("along", "Along the path", (View("along", _ALONG_LABEL, note),))
 
 
-_SHOWN = 600
+_CURVE_POINTS = 600
 _CM3_PER_MIN = 1e6 * 60.0
 _CM3 = 1e6
 
 
 def cut(data: Deviation) -> Section | None:
     """Return plots of the engagement over the length of the path, and a view of the remaining stock."""
-    found = data.process
-    if found is None or not len(data.result) or not len(found.cuts.t):
+    process = data.process
+    if process is None or not len(data.result) or not len(process.cuts.t):
         return None
-    run, rows, motion, t = _contact(found.cuts)
+    run, rows, motion, t = _contact(process.cuts)
     place = np.searchsorted(data.result.motion + data.result.t, motion + t - 1e-9)
     place = np.minimum(np.searchsorted(data.places.row, place), len(data.places.row) - 1)
     x = np.interp(motion + t, data.result.motion + data.result.t, data.places.travelled) * MM_PER_M
-    cuts = found.cuts
-    drawn: tuple[tuple[str, str, tuple[tuple[str, Array, float], ...]], ...] = (
+    cuts = process.cuts
+    curves_of_plots: tuple[tuple[str, str, tuple[tuple[str, Array, float], ...]], ...] = (
         (
             "Depth and width of cut",
             "mm",
@@ -266,16 +266,24 @@ def cut(data: Deviation) -> Section | None:
         ("Power", "W", (("power", cuts.power[rows], 1.0),)),
     )
     plots: list[Part] = []
-    for label, unit, curves in drawn:
+    for label, unit, curves in curves_of_plots:
         traces = []
         colours: tuple[Colour, ...] = ("before", "after")
         for (name, values, factor), colour in zip(curves, colours, strict=False):
             y = values * factor
-            kept = _kept(y, run)
-            gaps = np.flatnonzero(np.diff(run[kept])) + 1  # no line where nothing is cut
-            along, value = (np.insert(each[kept].astype(float), gaps, np.nan).tolist() for each in (x, y))
+            shown_rows = _kept(y, run)
+            gaps = np.flatnonzero(np.diff(run[shown_rows])) + 1  # no line where nothing is cut
+            length_mm, value = (
+                np.insert(values_of_axis[shown_rows].astype(float), gaps, np.nan).tolist() for values_of_axis in (x, y)
+            )
             traces.append(
-                Curve(along, value, name, colour, places=np.insert(place[kept], gaps, place[kept][gaps]).tolist())
+                Curve(
+                    length_mm,
+                    value,
+                    name,
+                    colour,
+                    places=np.insert(place[shown_rows], gaps, place[shown_rows][gaps]).tolist(),
+                )
             )
         plots.append(
             Plot(
@@ -291,7 +299,12 @@ def cut(data: Deviation) -> Section | None:
             Tile("Depth of cut, up to", f"{np.nanmax(cuts.depth) * MM_PER_M:.2f}", "mm"),
             Tile("Width of cut, up to", f"{np.nanmax(cuts.width) * MM_PER_M:.2f}", "mm"),
             Tile("Removed, up to", f"{np.nanmax(cuts.rate) * _CM3_PER_MIN:.1f}", "cm³/min"),
-            Tile("Removed in all", f"{found.removed * _CM3:.1f}", "cm³", f"left {found.stock.volume() * _CM3:.1f} cm³"),
+            Tile(
+                "Removed in all",
+                f"{process.removed * _CM3:.1f}",
+                "cm³",
+                f"left {process.stock.volume() * _CM3:.1f} cm³",
+            ),
         )
     )
     label = "The remaining stock, coloured by depth below its top; turned by mouse, touch and arrow keys"
@@ -309,28 +322,30 @@ def _contact(cuts: Cuts) -> tuple[Ints, Ints, Ints, Array]:
     order = np.lexsort((cuts.t, cuts.motion))
     _, place, count = np.unique(cuts.motion[order], return_inverse=True, return_counts=True)
     rows = np.repeat(order, np.where(count[place] == 1, 2, 1))
-    alone = np.repeat(count[place] == 1, np.where(count[place] == 1, 2, 1))
+    is_single = np.repeat(count[place] == 1, np.where(count[place] == 1, 2, 1))
     second = np.append(False, rows[1:] == rows[:-1])
     motion = cuts.motion[rows]
-    t = np.where(alone, np.where(second, 1.0, 0.0), cuts.t[rows])
+    t = np.where(is_single, np.where(second, 1.0, 0.0), cuts.t[rows])
     contact = cuts.rate[rows] > 0.0
-    parted = np.append(0, (np.diff(motion) > 1) | ~contact[1:] | ~contact[:-1])
-    run = np.cumsum(parted)
+    starts_run = np.append(0, (np.diff(motion) > 1) | ~contact[1:] | ~contact[:-1])
+    run = np.cumsum(starts_run)
     return run[contact], rows[contact], motion[contact], t[contact]
 
 
 def _kept(values: Array, run: Ints) -> Ints:
     """Return which of many values are drawn: of every few the smallest and the largest, and the ends of each run."""
-    each = -(-2 * len(values) // _SHOWN)
-    if each <= 2:
+    group_size = -(-2 * len(values) // _CURVE_POINTS)
+    if group_size <= 2:
         return np.arange(len(values))
-    known = np.nan_to_num(values)
-    padded = np.append(known, np.full(-len(known) % each, known[-1])).reshape(-1, each)
-    first = np.arange(len(padded)) * each
+    finite_values = np.nan_to_num(values)
+    groups = np.append(finite_values, np.full(-len(finite_values) % group_size, finite_values[-1])).reshape(
+        -1, group_size
+    )
+    first = np.arange(len(groups)) * group_size
     ends = np.flatnonzero(np.diff(run, prepend=-1, append=-1))
-    rows = np.concatenate([first + padded.argmin(axis=1), first + padded.argmax(axis=1), ends, ends - 1])
+    rows = np.concatenate([first + groups.argmin(axis=1), first + groups.argmax(axis=1), ends, ends - 1])
     rows = np.unique(np.clip(rows, 0, len(values) - 1))
-    return rows if len(rows) <= 10 * _SHOWN else rows[:: -(-len(rows) // (10 * _SHOWN))]
+    return rows if len(rows) <= 10 * _CURVE_POINTS else rows[:: -(-len(rows) // (10 * _CURVE_POINTS))]
 
 
 def histogram(data: Deviation) -> Section | None:
@@ -346,7 +361,7 @@ def operations(data: Deviation) -> Section | None:
     """Return a table of the operations."""
     if not data.operations:
         return None
-    rows, with_after = [], data.compared and data.content.after.max_mm >= ROUNDING_MM
+    rows, has_after = [], data.compared and data.content.after.max_mm >= ROUNDING_MM
     for place, operation in enumerate(data.operations, 1):
         u95 = None if operation.bound is None else operation.bound.largest * MM_PER_M
         cells = [
@@ -357,7 +372,7 @@ def operations(data: Deviation) -> Section | None:
             f"{operation.force:.0f}",
             estimate(operation.before.largest * MM_PER_M, u95),
         ]
-        if with_after:
+        if has_after:
             cells.append(estimate(operation.after.largest * MM_PER_M, u95))
         if u95 is not None:
             cells.append(rounded(u95))
@@ -370,7 +385,7 @@ def operations(data: Deviation) -> Section | None:
         "Force, N",
         "Before, mm" if data.compared else "Predicted, mm",
     ]
-    head += ["After, mm"] if with_after else []
+    head += ["After, mm"] if has_after else []
     head += ["On the part (95 %), mm"] if data.result.bound is not None else []
     table = Table(
         tuple(head),
@@ -378,7 +393,7 @@ def operations(data: Deviation) -> Section | None:
         "Operations and tools, largest values",
         texts=(1,),
         sortable=True,
-        note="Largest values." + (f" {_ALL_ROUNDING}" if data.compared and not with_after else ""),
+        note="Largest values." + (f" {_ALL_ROUNDING}" if data.compared and not has_after else ""),
     )
     return Section("operations", "Operations and tools", (table,))
 
@@ -391,15 +406,15 @@ def feeds(data: Deviation) -> Section | None:
     rows = [
         Row(
             (
-                each.name,
-                f"T{each.tool}" if each.tool else "-",
-                seconds(each.time_before_s),
-                seconds(each.time_after_s),
-                str(each.lowered_moves),
-                number(each.lowest_feed_mm_per_min, 0),
+                operation.name,
+                f"T{operation.tool}" if operation.tool else "-",
+                seconds(operation.time_before_s),
+                seconds(operation.time_after_s),
+                str(operation.lowered_moves),
+                number(operation.lowest_feed_mm_per_min, 0),
             )
         )
-        for each in feed.operations
+        for operation in feed.operations
     ]
     head = ("Operation", "Tool", "Time before", "Time after", "Moves slowed", "Lowest feed, mm/min")
     note = "Time of cutting moves: lengths divided by feeds, without the accelerations of the controller."
@@ -413,33 +428,33 @@ def worst(data: Deviation) -> Section | None:
     result = data.result
     if not len(result) or data.nothing is not None:
         return None
-    with_after = data.compared and data.content.after.max_mm >= ROUNDING_MM
-    measures = [result.before] + ([result.after] if with_after else [])
+    has_after = data.compared and data.content.after.max_mm >= ROUNDING_MM
+    measures = [result.before] + ([result.after] if has_after else [])
     rows = data.worst_rows
-    force, moved = result.force[rows], norm(correction(result, rows)) * MM_PER_M
+    force, correction_mm = result.force[rows], norm(correction(result, rows)) * MM_PER_M
     head = ["Source line", "Output line", "On the move", "Before, mm" if data.compared else "Predicted, mm"]
-    head += ["After, mm"] if with_after else []
+    head += ["After, mm"] if has_after else []
     head += [] if result.bound is None else ["On the part (95 %), mm"]
     head += ["Force, N"] + (["Correction, mm"] if data.compared else [])
-    out = []
+    table_rows = []
     for index, row in enumerate(rows.tolist()):
         cells = [str(result.source_line[row]), str(result.output_line[row]), f"{result.t[row]:.3f}"]
         u95 = None if result.bound is None else float(result.bound[row]) * MM_PER_M
         cells += [estimate(float(measure[row]) * MM_PER_M, u95) for measure in measures]
         cells += [] if u95 is None else [rounded(u95)]
-        cells += [f"{force[index]:.0f}"] + ([estimate(float(moved[index]), u95)] if data.compared else [])
-        out.append(Row(tuple(cells), data.places.of(row), int(result.source_line[row])))
-    table = Table(tuple(head), tuple(out), "The worst places, one for each line of the program", sortable=True)
+        cells += [f"{force[index]:.0f}"] + ([estimate(float(correction_mm[index]), u95)] if data.compared else [])
+        table_rows.append(Row(tuple(cells), data.places.of(row), int(result.source_line[row])))
+    table = Table(tuple(head), tuple(table_rows), "The worst places, one for each line of the program", sortable=True)
     return Section("worst", "Worst places", (table,))
 
 
 def reversals(data: Deviation) -> Section | None:
     """Return a table of the largest reversals; only a note where the model states no lost motion."""
-    found = data.content.reversals
-    if not found:
+    entries = data.content.reversals
+    if not entries:
         return None
-    if not any(entry.lost_motion_mm for entry in found):
-        joints = ", ".join(sorted({entry.joint for entry in found}))
+    if not any(entry.lost_motion_mm for entry in entries):
+        joints = ", ".join(sorted({entry.joint for entry in entries}))
         text = (
             f"The torque of {joints} changes its direction while the tool cuts. The tool steps there by the lost "
             "motion of these gears. The robot model states none, and no plot marks the places."
@@ -447,7 +462,7 @@ def reversals(data: Deviation) -> Section | None:
         return Section("reversals", "Reversals", (Notes((Note(text),)),))
     rows = tuple(
         Row((entry.joint, str(entry.source_line), rounded(entry.lost_motion_mm)), place, entry.source_line)
-        for entry, (place, _) in zip(found, data.reversals(), strict=True)
+        for entry, (place, _) in zip(entries, data.reversals(), strict=True)
     )
     note = (
         "The step is corrected as the model has it; where exactly the gear turns over is not known and counts in u95."
@@ -458,7 +473,11 @@ def reversals(data: Deviation) -> Section | None:
     return Section("reversals", "Reversals", (table,))
 
 
-_HELD = {None: ("held but for approximation", "warning"), True: ("held", "good"), False: ("exceeded", "error")}
+_TOLERANCE_CELLS = {
+    None: ("held but for approximation", "warning"),
+    True: ("held", "good"),
+    False: ("exceeded", "error"),
+}
 
 
 def limits(data: Deviation) -> Section | None:
@@ -466,17 +485,17 @@ def limits(data: Deviation) -> Section | None:
     content = data.content
     if not content.targets:
         return None
-    between = content.between_max_mm
+    path_max_mm = content.between_max_mm
     rows: list[tuple[str, Cell | str]] = [
-        ("Deviation between targets too, at most", f"{'-' if between is None else millimetres(between)} mm")
+        ("Deviation between targets too, at most", f"{'-' if path_max_mm is None else millimetres(path_max_mm)} mm")
     ]
     if content.tolerance_mm is not None:
-        text, kind = _HELD[content.tolerance_held]
+        text, kind = _TOLERANCE_CELLS[content.tolerance_held]
         rows.append(("Tolerance", Cell(f"{content.tolerance_mm:g} mm: {text}", kind)))  # type: ignore[arg-type]
     blending = content.blending
     if blending.source_line is not None:
-        where = f"{number(blending.max_mm, 3)} mm, line {blending.source_line}"
-        rows.append((f"{blending.by[:1].upper()}{blending.by[1:]} rounds corners by up to", where))
+        corner_text = f"{number(blending.max_mm, 3)} mm, line {blending.source_line}"
+        rows.append((f"{blending.by[:1].upper()}{blending.by[1:]} rounds corners by up to", corner_text))
     if content.mode == "convert":
         rows.append(("Largest correction", f"{number(content.max_correction_mm, 3)} mm"))
     if content.tool_deflection is not None:
@@ -503,8 +522,8 @@ def joints(data: Deviation) -> Section | None:
         angle, margin = result.q[:, index] * DEG_PER_RAD, float(result.joint_margin[index]) * DEG_PER_RAD
         text = number(margin if np.isfinite(margin) else None, 1)
         limits = (f"{limit * DEG_PER_RAD:z.0f}" for limit in (result.robot.lower[index], result.robot.upper[index]))
-        near = Cell(text, "warning" if margin < NARROW_DEG else "")
-        rows.append(Row((name, f"{angle.min():z.1f}", f"{angle.max():z.1f}", " … ".join(limits), near)))
+        margin_cell = Cell(text, "warning" if margin < NARROW_DEG else "")
+        rows.append(Row((name, f"{angle.min():z.1f}", f"{angle.max():z.1f}", " … ".join(limits), margin_cell)))
     head = ("Joint", "From, °", "To, °", "Limits, °", "Margin, °")
     return Section("joints", "Joints", (Table(head, tuple(rows), "Range of the joints and their margins"),), "half")
 
@@ -573,36 +592,36 @@ def place(data: Deviation) -> Section | None:
     return Section("place", "Place", (View("place", label),), "side")
 
 
-_MOST = 400
+_MAP_COLUMNS = 400
 """Largest number of columns of the map along the path."""
-_COLOURED = 1e-9
+_COLOURED_ERROR = 1e-9
 """Expected errors below this [m] are nothing to colour by: the joint margin is shown."""
 
 
 def turn(data: Deviation) -> Section | None:
     """Return the map of the turn about the tool axis with the chosen line; None if it was not chosen."""
-    found = data.result.turn
-    if found is None:
+    tool_turn = data.result.turn
+    if tool_turn is None:
         return None
-    reasons = found.map.reasons(found.keep)
-    chosen = placement.bin_turns(found)
-    blocks = found.map.blocks
+    reasons = tool_turn.map.reasons(tool_turn.keep)
+    turns = placement.bin_turns(tool_turn)
+    blocks = tool_turn.map.blocks
     metres = np.cumsum(blocks.length)[blocks.block] - blocks.length[blocks.block] * (1.0 - blocks.share)
     long = np.flatnonzero(np.diff(metres, prepend=0.0) > 0.0)
-    shown = long[np.unique(np.linspace(0, len(long) - 1, min(_MOST, len(long))).astype(np.int64))]
-    values, title = _values(found)
-    low, high = found.range_deg()
-    degrees = (found.map.offset + found.constant) * DEG_PER_RAD
-    cells = np.where(reasons == FREE, values, np.nan)[shown].T
+    map_rows = long[np.unique(np.linspace(0, len(long) - 1, min(_MAP_COLUMNS, len(long))).astype(np.int64))]
+    values, title = _values(tool_turn)
+    low, high = tool_turn.range_deg()
+    degrees = (tool_turn.map.offset + tool_turn.constant) * DEG_PER_RAD
+    cells = np.where(reasons == FREE, values, np.nan)[map_rows].T
     grid = Map(
-        metres[shown].tolist(),
+        metres[map_rows].tolist(),
         [float(angle) for angle in degrees],
         [[None if np.isnan(cell) else float(cell) for cell in row] for row in cells],
-        reasons[shown].T.tolist(),
+        reasons[map_rows].T.tolist(),
         REASONS,
         title,
     )
-    line = _on_map((chosen + found.constant) * DEG_PER_RAD, degrees)
+    line = _on_map((turns + tool_turn.constant) * DEG_PER_RAD, degrees)
     curve = Curve(metres.tolist(), line.tolist(), "chosen turn", "warning")
     plot = Plot(
         label="Map of the path by the turn of the tool about its axis, with the chosen line.",
@@ -612,54 +631,56 @@ def turn(data: Deviation) -> Section | None:
         height=420,
         note="Each column is the worst of its piece of the path. Rapid moves count for reach only, not for errors.",
     )
-    how = "one turn for each operation" if found.mode == "best" else "a turn that changes along the path"
+    mode_text = "one turn for each operation" if tool_turn.mode == "best" else "a turn that changes along the path"
     first, last = f"{low:.0f}°", f"{high:.0f}°"
-    what = f"{first} everywhere" if first == last else f"{how}, from {first} to {last}"
+    range_text = f"{first} everywhere" if first == last else f"{mode_text}, from {first} to {last}"
     parts: list[Part] = [plot]
-    notes = [f"Chosen: {what}.", *_gain(found, chosen)]
-    if found.map.hit is None:
+    notes = [f"Chosen: {range_text}.", *_gain(tool_turn, turns)]
+    if tool_turn.map.hit is None:
         notes.append(NO_CLEARANCE)
     parts.append(Notes(tuple(Note(text) for text in notes)))
     return Section("turn", "Turn about the tool axis", tuple(parts))
 
 
-def _values(found: Turn) -> tuple[Array, str]:
+def _values(tool_turn: Turn) -> tuple[Array, str]:
     """Return the values (K, J) that colour the map, and their title: expected error, deflection or joint margin."""
-    error = found.map.error * MM_PER_M
-    if np.nanmax(error, initial=0.0) > _COLOURED * MM_PER_M:
-        cuts = found.map.blocks.cuts[found.map.blocks.block]
+    error = tool_turn.map.error * MM_PER_M
+    if np.nanmax(error, initial=0.0) > _COLOURED_ERROR * MM_PER_M:
+        cuts = tool_turn.map.blocks.cuts[tool_turn.map.blocks.block]
         error = np.where(cuts[:, None], error, np.nan)
-        return error, "expected error (95 %), mm" if np.isfinite(found.map.u95).any() else "deflection, mm"
+        return error, "expected error (95 %), mm" if np.isfinite(tool_turn.map.u95).any() else "deflection, mm"
     return np.where(
-        np.isfinite(found.map.margin.joint), found.map.margin.joint * DEG_PER_RAD, np.nan
+        np.isfinite(tool_turn.map.margin.joint), tool_turn.map.margin.joint * DEG_PER_RAD, np.nan
     ), "joint margin, °"
 
 
 def _on_map(angle: Array, degrees: Array) -> Array:
     """Return angles within the range of the map, with NaN where the line goes round."""
     low = degrees[0] - 0.5 * (degrees[1] - degrees[0])
-    out = (angle - low) % 360.0 + low
-    out[1:][np.abs(np.diff(out)) > 180.0] = np.nan
-    return np.asarray(out)
+    line = (angle - low) % 360.0 + low
+    line[1:][np.abs(np.diff(line)) > 180.0] = np.nan
+    return np.asarray(line)
 
 
-def _gain(found: Turn, chosen: Array) -> list[str]:
+def _gain(tool_turn: Turn, turns: Array) -> list[str]:
     """Return a sentence on the expected error of the line and of the turn that the cell states."""
-    weight = found.map.blocks.cuts[found.map.blocks.block]
-    error, offset = found.map.error, found.map.offset
+    weight = tool_turn.map.blocks.cuts[tool_turn.map.blocks.block]
+    error, offset = tool_turn.map.error, tool_turn.map.offset
     step = offset[1] - offset[0]
-    columns = np.rint((chosen - offset[0]) / step).astype(np.int64) % len(offset)
-    stated = int(np.argmin(np.abs(offset)))
+    columns = np.rint((turns - offset[0]) / step).astype(np.int64) % len(offset)
+    cell_column = int(np.argmin(np.abs(offset)))
     line = error[np.arange(len(columns)), columns][weight]
-    constant = error[weight, stated]
+    constant = error[weight, cell_column]
     if not len(line) or not np.isfinite(line).all() or not line.any():
         return []
     rms = rounded(float(np.sqrt(np.mean(line**2))) * MM_PER_M)
-    if not (found.map.reasons(found.keep)[:, stated] == FREE).all():
-        before = f"the turn that the cell states ({found.constant * DEG_PER_RAD:g}°) cannot be driven throughout"
+    if not (tool_turn.map.reasons(tool_turn.keep)[:, cell_column] == FREE).all():
+        cell_text = f"the turn that the cell states ({tool_turn.constant * DEG_PER_RAD:g}°) cannot be driven throughout"
     else:
-        before = f"{rounded(float(np.sqrt(np.mean(constant**2))) * MM_PER_M)} mm with {found.constant * DEG_PER_RAD:g}°"
-    return [f"Expected error along this line {rms} mm RMS; {before}."]
+        cell_text = (
+            f"{rounded(float(np.sqrt(np.mean(constant**2))) * MM_PER_M)} mm with {tool_turn.constant * DEG_PER_RAD:g}°"
+        )
+    return [f"Expected error along this line {rms} mm RMS; {cell_text}."]
 
 
 def record(data: Deviation) -> Section | None:

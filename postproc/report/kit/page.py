@@ -50,15 +50,15 @@ class Columns(Struct, frozen=True):
 
         A column that is the same everywhere is held as one number.
         """
-        packed, described = [], []
+        buffers, descriptions = [], []
         for name, values in sorted(columns.items(), key=lambda entry: entry[1].dtype.kind == "b"):
             exact = np.asarray(values).astype(_TYPES[values.dtype.kind])
             if len(exact) and (exact == exact[0]).all():
                 exact = exact[:1]
-            packed.append(exact.tobytes())
-            described.append(Described(name, exact.dtype.str[1:], len(exact)))
+            buffers.append(exact.tobytes())
+            descriptions.append(Described(name, exact.dtype.str[1:], len(exact)))
         length = max((len(values) for values in columns.values()), default=0)
-        return cls(length, tuple(described), base64.b64encode(b"".join(packed)).decode())
+        return cls(length, tuple(descriptions), base64.b64encode(b"".join(buffers)).decode())
 
 
 @cache
@@ -74,7 +74,7 @@ def template() -> Template:
     return environment.get_template("page.html")
 
 
-_ALWAYS = ("selection", "tables", "side")
+_SCRIPTS_OF_PAGE = ("selection", "tables", "side")
 _DRAWING = ("packed", "columns", "theme", "stage", "cursor", "camera", "over", "sketch", "space", "plots")
 _LIBRARY = b"<!-- library -->"
 _COLUMNS = b"<!-- columns -->"
@@ -112,8 +112,8 @@ class Page(Struct, frozen=True):
     def render(self) -> Iterator[bytes]:
         """Yield the page as HTML in UTF-8; the library that draws plots is left out if there are none."""
         plots = any(_holds(section.parts, self.drawn) for section in self.sections)
-        shared = (*_ALWAYS, *(_DRAWING if plots else ()))
-        names = [*(("postproc.report.kit", name) for name in shared), *(self.scripts if plots else ())]
+        script_names = (*_SCRIPTS_OF_PAGE, *(_DRAWING if plots else ()))
+        names = [*(("postproc.report.kit", name) for name in script_names), *(self.scripts if plots else ())]
         text = (
             template()
             .render(
@@ -127,14 +127,14 @@ class Page(Struct, frozen=True):
             .encode(errors="replace")
         )
         for columns in self.columns.values():
-            before, _, text = text.partition(_COLUMNS)
-            yield from (before, columns.text.encode())
+            head, _, text = text.partition(_COLUMNS)
+            yield from (head, columns.text.encode())
         for content in self.texts.values():
-            before, _, text = text.partition(_TEXT)
-            yield from (before, deflated(content.encode(errors="replace")))
-        before, drawn, rest = text.partition(_LIBRARY)
-        yield before
-        if drawn:
+            head, _, text = text.partition(_TEXT)
+            yield from (head, deflated(content.encode(errors="replace")))
+        head, library_mark, rest = text.partition(_LIBRARY)
+        yield head
+        if library_mark:
             yield library()
         yield rest
 
