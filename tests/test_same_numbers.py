@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import json
+import re
+import shutil
+import tomllib
 from functools import partial
 from pathlib import Path
 
 import pytest
 
+from postproc.report.formatting import rounded
 from tests import commands
 
 SAMPLES = Path(__file__).parents[1] / "samples"
@@ -66,3 +70,83 @@ def test_convert_predict_and_compare_state_the_same_numbers(tmp_path, kind):
         assert predicted["verdict"]["better"][key] == pytest.approx(converted["verdict"]["better"][key], abs=2e-4), key
     if kind != "process":  # the deflected tool cuts with other forces
         assert predicted["before"] == pytest.approx(converted["before"], abs=1e-6)
+
+
+SMALL = SQUARE.replace("G0 X0 Y0 Z20\n", "G0 X0 Y0 Z20\n(FORCE FX=-60 FY=90 FZ=40 FRAME=FEED)\n")
+KRL = """DEF lines()
+$VEL.CP = 0.05
+PTP {X 0, Y 0, Z 60, A 180, B 0, C 180}
+LIN {X 50, Y 40, Z 0}
+LIN {X 90}
+END
+"""
+PLACED = {
+    "pocket": ("cell_kr270.toml", "pocket.nc", ()),
+    "KRL": ("cell_kr270.toml", "lines.src", ("--forces", "lines.csv")),
+    "KR 16": ("cell_kr16.toml", "part.nc", ()),
+    "RAPID": ("cell_irb6700.toml", "part.nc", ()),
+    "process": ("cell_kr270.toml", "bare.nc", ("--process", "process.toml")),
+    "two programs": ("cell_kr270.toml", "part*.nc", ()),
+    "no start": ("no_start.toml", "part.nc", ()),
+    "turn": ("turned.toml", "part.nc", ()),
+    "linear axis": ("carried.toml", "part.nc", ()),
+}
+
+
+@pytest.mark.parametrize("kind", PLACED)
+def test_place_states_the_numbers_of_convert_at_todays_place_and_at_the_best_one(tmp_path, monkeypatch, kind):
+    monkeypatch.chdir(tmp_path)
+    _inputs(tmp_path)
+    cell, programs, options = PLACED[kind]
+    text = Path(cell).read_text()
+    x = tomllib.loads(text)["base"]["X"]
+    region = "E1=-600:-300" if kind == "linear axis" else f"X={x - 150}:{x - 50}"
+    printed = commands.printed("place", programs, *options, "--region", region, "-o", "place", cell=cell)
+    content = json.loads(Path("place/place.json").read_text())
+    best = content["best"]
+    base = Path("place/place.toml").read_text()
+    if kind == "linear axis":  # the robot is carried along Y: as the part moved the other way
+        base = base.replace(f"Y = {best['Y']:.4f}", f"Y = {best['Y'] - best['E1']:.4f}")
+    start = text.index("[base]")
+    Path("moved.toml").write_text(text[:start] + base + text[text.index("\n[", start) :])
+    language = ("--to", "rapid") if kind == "RAPID" else ()
+    for place, path in (("today", cell), ("best", "moved.toml")):
+        run("convert", programs, *options, *language, "-o", place, cell=path, code=(0, 3))
+        results = [json.loads(report.read_text()) for report in Path(place).glob("*.report.json")]
+        assert len(results) == (2 if kind == "two programs" else 1)
+        better = [result["verdict"]["better"] for result in results]
+        for key in ("uncorrected_mm", "corrected_mm"):
+            assert content[place][key] == pytest.approx(max(answer[key] for answer in better), abs=2e-6), (place, key)
+        assert content[place]["chance"] == pytest.approx(min(answer["chance"] for answer in better), abs=1e-6)
+        assert content[place]["deflection_mm"] == pytest.approx(max(r["before"]["max_mm"] for r in results), abs=1e-6)
+        stated = f"corrected up to {rounded(content[place]['corrected_mm'])} mm (95 %)"
+        assert any(line.startswith(f"  {place}:") and stated in line for line in printed.splitlines())
+    assert best["corrected_mm"] < content["today"]["corrected_mm"]
+
+
+def _inputs(folder):
+    for name in ("cell_kr270.toml", "cell_kr16.toml", "cell_irb6700.toml", "pocket.nc"):
+        shutil.copy(SAMPLES / name, folder)
+    (folder / "lines.src").write_text(KRL)
+    (folder / "lines.csv").write_text("line,Fx,Fy,Fz,frame,sigma_percent\n4,-60,90,40,BASE,10\n5,-80,90,40,BASE,10\n")
+    (folder / "part.nc").write_text(SMALL)
+    (folder / "part2.nc").write_text(SMALL.replace("FX=-60", "FX=-20").replace("X40", "X30"))
+    (folder / "bare.nc").write_text(SQUARE)
+    (folder / "process.toml").write_text(PROCESS)
+    text = (folder / "cell_kr270.toml").read_text()
+    (folder / "no_start.toml").write_text(re.sub(r"\[start\]\njoints = .*\n", "", text))
+    (folder / "turned.toml").write_text(text.replace("[gcode]", '[gcode]\nredundancy = "best"'))
+    (folder / "carried.toml").write_text(text + "\n[external_axes.E1]\ndirection = [0, 1, 0]\n")
+
+
+def test_a_place_where_convert_refuses_a_program_is_not_recommended(tmp_path, monkeypatch):
+    """The stock is checked by convert alone: at rapid moves through it another place helps as little as today's."""
+    monkeypatch.chdir(tmp_path)
+    _inputs(tmp_path)
+    Path("through.nc").write_text(SQUARE.replace("G0 Z20\nM2", "G0 X20 Y40\nG0 Z20\nM2"))
+    command = ("place", "through.nc", "--process", "process.toml", "--region", "X=1400:1410", "-o", "place")
+    printed = commands.printed(*command, cell="cell_kr270.toml", code=1)
+    content = json.loads(Path("place/place.json").read_text())
+    assert content["best"] is None
+    assert "through.nc" in content["today"]["reason"]
+    assert "No place in the region can be driven" in printed

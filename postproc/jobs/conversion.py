@@ -163,7 +163,7 @@ def convert(
         check_utf8(job.program)
         name = None if job.keeps_text else job.stem
         program, cell = read_started(job.program, robot, cell, job.dialect, name)
-        result, process = _result(job, settings, cell, robot, program, progress)
+        result, process = converted(job, settings, cell, robot, program, progress)
         if result.failed:
             return Outcome(str(job.program), FAILED, issues=result.issues)
         result, called, copies = _with_subprograms(task, settings, cell, robot, result)
@@ -270,16 +270,21 @@ def programs_under_force(
             yield job.program, read_program(job.program, robot, cell, job.dialect), force_source(job.forces, cell)
 
 
-def _result(
+def converted(
     job: Job,
     settings: Settings,
     cell: Cell,
     robot: RobotModel,
     program: Program,
-    progress: Callable[[int, int], None] | None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Result, ProcessForces | None]:
-    """Return the result, and what a process makes of the program."""
-    mode, linearize, found = settings.mode, settings.linearize_arcs, None
+    """Return the result of one program, before anything is written, and what a process makes of it.
+
+    :param program: of the job, as `read_started` returns it with the cell.
+    :param progress: of sweeps of the stock, see `process_forces.read`.
+    :raises PostprocError: forces are unusable, or the program cannot be corrected.
+    """
+    mode, linearize, process_result = settings.mode, settings.linearize_arcs, None
     if mode == "convert" and cell.output.feed == "hold":
         check_held_feed(cell, process=job.process is not None)
     if job.process is None:
@@ -295,7 +300,7 @@ def _result(
             result = process_forces.with_held_feed(program, robot, cell, process, linearize_arcs=linearize, to=job.to)
         else:
             result = correction.process(program, robot, cell, process, mode, linearize_arcs=linearize, to=job.to)
-        found = process.found
+        process_result = process.found
     if job.forces is None and job.process is None:
         result = replace(result, issues=tuple(_with_force_file(issue, job) for issue in result.issues))
     if job.keeps_text and job.name is not None:
@@ -305,7 +310,7 @@ def _result(
         written = f"{job.stem}{job.writer.extension}"
         note = f"written as {written}: the controller does not accept the name {job.program.stem!r}, {fault}."
         result = replace(result, issues=(*result.issues, Issue("info", "name", note)))
-    return result, found
+    return result, process_result
 
 
 def check_held_feed(cell: Cell, *, process: bool) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -11,15 +12,16 @@ from msgspec import Struct
 
 from postproc import cell as cells
 from postproc.cell import Cell
-from postproc.errors import InputError, did_you_mean
+from postproc.errors import InputError, PostprocError, did_you_mean
 from postproc.files import foreign, refuse, with_record, write_whole
-from postproc.frames import RAD_PER_DEG
-from postproc.jobs.conversion import programs_under_force, read_program, read_started
+from postproc.frames import M_PER_MM, RAD_PER_DEG
+from postproc.jobs.conversion import converted, programs_under_force, read_program, read_started
 from postproc.jobs.output_plan import protect
-from postproc.jobs.programs import find_jobs, load_robot
+from postproc.jobs.programs import Settings, find_jobs, load_robot
 from postproc.placement import Keep, PathSamples, region
-from postproc.placement.region import AXES, Region
+from postproc.placement.region import AXES, Assessment, Judged, Region
 from postproc.report import placement as report
+from postproc.report import summary as program_summary
 from postproc.robot import RobotModel
 from postproc.under_load import RobotInCell
 
@@ -68,23 +70,24 @@ def make_place(request: PlaceRequest, progress: Callable[[int, int], None] | Non
     cell = cells.load(request.cell)
     robot = load_robot(cell.robot, cell.folder)
     bounds = region_of(request.region, cell)
-    given = [Path(each) for each in request.programs]
-    protect([*given, request.cell, *filter(None, (request.forces, request.process))], request.output, FILES)
+    inputs = [Path(program) for program in request.programs]
+    protect([*inputs, request.cell, *filter(None, (request.forces, request.process))], request.output, FILES)
     if not request.overwrite:
         refuse(foreign(request.output, FILES, FILES[-1]))
-    cell, said = _started(request, cell, robot)
+    assess = partial(_assessment, request, cell, robot)
+    cell, start_message = _started(request, cell, robot)
     samples, names = _samples(request, cell, robot)
-    turns = cell.gcode.redundancy != "constant" and not any(each.program.keeps_text for each in samples)
+    turns = cell.gcode.redundancy != "constant" and not any(path.program.keeps_text for path in samples)
     keep, clearance = Keep(joint=request.margin_deg * RAD_PER_DEG), _clearance(request, cell)
     programs = region.Programs(samples, keep, turns=turns, clearance_mm=clearance)
-    found = region.search(programs, bounds, progress)
-    content = report.summary(found, cell, names, request.margin_deg, clearance, bounds, said)
+    search = region.search(programs, bounds, progress, assess)
+    content = report.summary(search, cell, names, request.margin_deg, clearance, bounds, start_message)
     contents: dict[str, bytes | Iterable[bytes]] = {
-        FILES[0]: report.places_csv(found),
-        FILES[1]: report.page(found, content),
+        FILES[0]: report.places_csv(search),
+        FILES[1]: report.page(search, content),
     }
-    if found.best is not None:
-        contents[FILES[2]] = report.base_toml(found, cell, content)
+    if search.best is not None:
+        contents[FILES[2]] = report.base_toml(search, cell, content)
     written = write_whole(
         request.output, with_record(contents, FILES[-1], lambda entries: report.finished(content, entries))
     )
@@ -112,8 +115,8 @@ def region_of(text: str | None, cell: Cell) -> Region:
         for axis, reach in _AROUND.items():
             low[axis], high[axis] = today[axis] - reach, today[axis] + reach
     for part in () if text is None else text.split(","):
-        axis, one, other = _bounds(part)
-        low[axis], high[axis] = one, other
+        axis, lower, upper = _bounds(part)
+        low[axis], high[axis] = lower, upper
     if high["E1"] > low["E1"] and cell.carriage is None:
         raise InputError("--region names E1, but the cell has no [external_axes.E1]", advice="Leave E1 out.")
     return Region(tuple(low[axis] for axis in AXES), tuple(high[axis] for axis in AXES))
@@ -121,20 +124,20 @@ def region_of(text: str | None, cell: Cell) -> Region:
 
 def _bounds(part: str) -> tuple[str, float, float]:
     """Return axis, lower and upper bound of one part of --region."""
-    found = _BOUNDS.fullmatch(part)
+    match = _BOUNDS.fullmatch(part)
     advice = f"Write --region X=1200:2000,Y=-600:600,A=-90:90, the smaller number first; axes: {', '.join(AXES)}."
     where = f"--region {part.strip()!r}"
     try:
-        axis, one, other = "" if found is None else found[1], *map(float, () if found is None else found.groups()[1:])
+        axis, lower, upper = "" if match is None else match[1], *map(float, () if match is None else match.groups()[1:])
     except ValueError:
         raise InputError(f"{where}: not AXIS=LOW:HIGH with numbers in mm or degrees", advice=advice) from None
     if axis not in AXES:
         raise InputError(f"{where}: no axis {axis!r}", advice=f"{did_you_mean(axis, AXES)} {advice}".lstrip())
-    if one > other:
-        raise InputError(f"{where}: {one:g} is larger than {other:g}", advice=advice)
-    if max(abs(one), abs(other)) > _FARTHEST:
+    if lower > upper:
+        raise InputError(f"{where}: {lower:g} is larger than {upper:g}", advice=advice)
+    if max(abs(lower), abs(upper)) > _FARTHEST:
         raise InputError(f"{where}: farther than {_FARTHEST:g}", advice=advice)
-    return axis, one, other
+    return axis, lower, upper
 
 
 def _started(request: PlaceRequest, cell: Cell, robot: RobotModel) -> tuple[Cell, str | None]:
@@ -146,12 +149,62 @@ def _started(request: PlaceRequest, cell: Cell, robot: RobotModel) -> tuple[Cell
     return cell, next(issue.message for issue in program.issues if issue.kind == "start")
 
 
+def _assessment(request: PlaceRequest, cell: Cell, robot: RobotModel, place: Judged) -> Assessment:
+    """Return what `convert` states of the programs at a place: the worst of them."""
+    cell = _cell_at(cell, place)
+    settings = Settings(cell=request.cell)
+    verdicts = []
+    deflection = 0.0
+    for job in find_jobs(list(request.programs), forces=request.forces or request.process, to=robot.language or None):
+        if job.callers:
+            continue
+        try:
+            program, started_cell = read_started(job.program, robot, cell, job.dialect)
+            result, _ = converted(job, settings, started_cell, robot, program)
+        except PostprocError as cause:
+            return Assessment(problem=str(cause))
+        if result.failed:
+            error = next(issue for issue in result.issues if issue.level == "error")
+            line = "" if error.source_line is None else f", line {error.source_line}"
+            return Assessment(problem=f"{job.program.name}{line}: {error.message}")
+        content = program_summary(result, cell.tolerance, cell.part_tolerance)
+        deflection = max(deflection, content.before.max_mm * M_PER_MM)
+        verdicts.append(content.verdict.better)
+    better = [verdict for verdict in verdicts if verdict is not None]
+    uncorrected, corrected = (
+        [getattr(verdict, key) for verdict in better] for key in ("uncorrected_mm", "corrected_mm")
+    )
+    is_known = len(better) > 0 and None not in corrected
+    chances = [verdict.chance for verdict in better if verdict.chance is not None]
+    return Assessment(
+        deflection=deflection,
+        uncorrected=max(uncorrected) * M_PER_MM if is_known else None,
+        corrected=max(corrected) * M_PER_MM if is_known else None,
+        chance=min(chances, default=None),
+    )
+
+
+def _cell_at(cell: Cell, place: Judged) -> Cell:
+    """Return the cell with the part at a place.
+
+    E1 that is not zero is as the part moved the other way; bodies of the cell, which it does not move, are left out.
+    """
+    x, y, z, a, e1 = place.place
+    base = msgspec.structs.replace(cell.base, X=x, Y=y, Z=z, A=a)
+    if not e1:
+        return msgspec.structs.replace(cell, base=base)
+    assert cell.carriage is not None, "a region names E1 only if it carries the robot"
+    dx, dy, dz = (cell.carriage * e1).tolist()
+    base = msgspec.structs.replace(base, X=x - dx, Y=y - dy, Z=z - dz)
+    return msgspec.structs.replace(cell, base=base, collision=None)
+
+
 def _samples(request: PlaceRequest, cell: Cell, robot: RobotModel) -> tuple[Sequence[PathSamples], list[str]]:
-    robot_in_cell, found, names = RobotInCell.of(robot, cell), [], []
+    robot_in_cell, samples, names = RobotInCell.of(robot, cell), list[PathSamples](), []
     elsewhere = msgspec.structs.replace(cell, base=msgspec.structs.replace(cell.base, X=cell.base.X + 1.0))
     for path, program, source in programs_under_force(request.programs, request.forces or request.process, robot, cell):
         moved = read_program(path, robot, elsewhere) if program.keeps_text else None
         region.check_base(program, robot_in_cell, moved)
-        found.append(PathSamples.of(program, robot_in_cell, source))
+        samples.append(PathSamples.of(program, robot_in_cell, source))
         names.append(path.name)
-    return found, names
+    return samples, names

@@ -2,16 +2,19 @@
 
 A coarse grid over the region, a finer slice around its best place, and a compass search from the best places. A place
 is refused if a pose of any program is out of reach, too near to a limit or a singular pose, or too fast for a joint, or
-if bodies come too close there. Of the others the one with the smallest expected error is best.
+if bodies come too close there. Of the others the one with the smallest expected error is best: the largest over the
+cuts, which is what a conversion is judged by. Today's place and the best one are assessed by a conversion there.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from functools import cache
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc import kinematics, toolpath
 from postproc.errors import InputError
@@ -58,39 +61,75 @@ class Region(Struct, frozen=True):
         return np.clip(place, self.low, self.high)
 
 
+class Assessment(Struct, frozen=True):
+    """What the conversion of all programs at a place states: the worst of them [m].
+
+    :param deflection: largest deflection at cutting targets.
+    :param uncorrected: largest expected error (95 %) of the programs as read; None where the model has none.
+    :param corrected: the same of the corrected programs.
+    :param chance: that correction makes the part better; None where nothing is corrected.
+    :param problem: why a program cannot be converted there; empty if all can.
+    """
+
+    deflection: float = np.nan
+    uncorrected: float | None = None
+    corrected: float | None = None
+    chance: float | None = None
+    problem: str = ""
+
+    @property
+    def cost(self) -> float:
+        """Expected error of the corrected programs, or the deflection where the model has none [m]."""
+        return self.deflection if self.corrected is None else self.corrected
+
+
 class Judged(Struct, frozen=True):
-    """A place and what the programs find there.
+    """A place and how the programs are there, by samples of their paths.
 
     :param place: X, Y, Z, A, E1 [mm, deg].
     :param reason: row of `drive.REASONS`; 0 = the programs can be driven.
-    :param before: RMS deflection on cuts [m], NaN if refused.
-    :param u95: RMS expected error (95 %) on cuts [m], NaN if refused or if the model has none.
+    :param deflection: largest deflection on cuts [m], NaN if refused.
+    :param u95: largest expected error (95 %) on cuts [m], NaN if refused or if the model has none.
     :param margin: smallest distance of a joint to its limits [rad], NaN out of reach.
     :param singular: smallest singular value of the Jacobian, NaN if refused.
     :param turn: turn of the tool about its axis, added to that of the cell [rad].
     :param branch: of the inverse kinematics.
+    :param assessment: of a conversion at this place; None: there was none.
     """
 
     place: tuple[float, ...]
     reason: int
-    before: float = np.nan
+    deflection: float = np.nan
     u95: float = np.nan
     margin: float = np.nan
     singular: float = np.nan
     turn: float = 0.0
     branch: int = -1
+    assessment: Assessment | None = None
+
+    @property
+    def problem(self) -> str:
+        """Why the programs cannot be driven; empty if they can."""
+        if self.reason != FREE:
+            return drive.REASONS[self.reason]
+        return "" if self.assessment is None else self.assessment.problem
 
     @property
     def reachable(self) -> bool:
         """Whether the programs can be driven."""
-        return self.reason == FREE
+        return not self.problem
 
     @property
     def cost(self) -> float:
-        """Expected error, or the deflection where the model has none [m]; infinite if refused."""
+        """Expected error at the samples, or the deflection where the model has none [m]; infinite if refused."""
         if not self.reachable:
             return np.inf
-        return self.before if np.isnan(self.u95) else self.u95
+        return self.deflection if np.isnan(self.u95) else self.u95
+
+    @property
+    def stated_cost(self) -> float:
+        """The same by the conversion at this place, if there was one."""
+        return self.cost if self.assessment is None or not self.reachable else self.assessment.cost
 
 
 class Search(Struct, frozen=True, eq=False):
@@ -116,7 +155,7 @@ class _Stations(Struct, frozen=True, eq=False):
     :param row: (n,) samples; `before` (n,) the ones before them.
     :param shift: (2n, 3) how far E1 carries the robot [m].
     :param branch: (2n,) from the program, −1 = that of the start.
-    :param weight: (n,) of cuts; 0 on rapid moves.
+    :param cuts: (n,) False on rapid moves.
     """
 
     samples: PathSamples
@@ -124,7 +163,7 @@ class _Stations(Struct, frozen=True, eq=False):
     before: Ints
     shift: Array
     branch: Ints
-    weight: Array
+    cuts: Bools
 
 
 class Programs:
@@ -189,18 +228,15 @@ class Programs:
             for bodies, (each, q) in zip(self.bodies, driven, strict=True):
                 if self._collides(bodies, each, q, moved, carried):
                     return Judged(where, drive.COLLISION, margin=margin, turn=turn, branch=branch)
-        before = u95 = weight = 0.0
+        deflection = u95 = 0.0
         singular = np.inf
         for each, q in driven:
-            deflected, expected, value = self._errors(each, moved, carried, turn, q)
-            if not np.isfinite(deflected):
+            program_deflection, program_u95, value = self._errors(each, moved, carried, turn, q)
+            if not np.isfinite(program_deflection):
                 return Judged(where, drive.SINGULAR, margin=margin, turn=turn, branch=branch)
-            before, u95, weight = before + deflected, u95 + expected, weight + float(each.weight.sum())
+            deflection, u95 = max(deflection, program_deflection), float(np.maximum(u95, program_u95))
             singular = min(singular, value)
-        scale = 1.0 / max(weight, 1.0)
-        return Judged(
-            where, FREE, float(np.sqrt(before * scale)), float(np.sqrt(u95 * scale)), margin, singular, turn, branch
-        )
+        return Judged(where, FREE, deflection, u95, margin, singular, turn, branch)
 
     def _moved(self, place: Array) -> tuple[Array, Array]:
         """Return the motion (4, 4) of the part from its place in the cell, and how far E1 carries the robot (3,)."""
@@ -244,7 +280,7 @@ class Programs:
 
         :param turn: of the tool about its axis [rad].
         """
-        cuts = each.weight > 0.0
+        cuts = each.cuts
         rows = each.row[cuts]
         wrench, spread, pose, scaled = each.samples.load(rows, np.full(len(rows), turn))
         pose[:, :3, 3] += each.shift[len(each.row) :][cuts]
@@ -274,14 +310,13 @@ class Programs:
     def _errors(
         self, each: _Stations, moved: Array, carried: Array, turn: float, q: Array
     ) -> tuple[float, float, float]:
-        """Return the sums of squared deflection and expected error on cuts [m²], and the smallest singular value."""
-        cuts = np.flatnonzero(each.weight > 0.0)
+        """Return the largest deflection and expected error on cuts [m], and the smallest singular value."""
+        cuts = np.flatnonzero(each.cuts)
         samples = each.samples
         tool = toolpath.tool_of(samples.program, samples.sample.motion[each.row])
         singular = float(kinematics.singular_values(self.robot, q, tool).min())
         if not len(cuts):
             return 0.0, 0.0, singular
-        weight = each.weight[cuts]
         wrench, spread, pose, scaled = self._load(each, turn)
         rotation = moved[:3, :3]
         wrench = (wrench.reshape(-1, 2, 3) @ rotation.T).reshape(-1, 6)
@@ -293,7 +328,7 @@ class Programs:
         u95, deflection = drive.errors(
             self.robot_in_cell, q[cuts], tool if tool.ndim == 2 else tool[cuts], (wrench, spread, pose, scaled)
         )
-        return float(weight @ deflection**2), float(weight @ u95**2), singular
+        return float(deflection.max()), float(u95.max()), singular
 
 
 def _stations(samples: PathSamples, most: int) -> _Stations:
@@ -318,8 +353,7 @@ def _stations(samples: PathSamples, most: int) -> _Stations:
             branch = found.branch[both]
         except UnreachableError:
             pass  # the status of targets cannot be resolved at today's place: the branch of the start is taken
-    weight = np.where(samples.cuts[row], np.diff(np.append(row, len(samples))), 0).astype(float)
-    return _Stations(samples, row, before, shift, branch, weight)
+    return _Stations(samples, row, before, shift, branch, np.asarray(samples.cuts[row]))
 
 
 def check_base(program: Program, robot_in_cell: RobotInCell, moved: Program | None = None) -> None:
@@ -348,20 +382,31 @@ def _better(one: Judged, other: Judged) -> bool:
     return one.cost < other.cost
 
 
-def search(programs: Programs, region: Region, progress: Callable[[int, int], None] | None = None) -> Search:
+Assess = Callable[[Judged], Assessment]
+"""Converts the programs at a place."""
+
+
+def search(
+    programs: Programs,
+    region: Region,
+    progress: Callable[[int, int], None] | None = None,
+    assess: Assess | None = None,
+) -> Search:
     """Find the best place in a region.
 
     :param progress: called with places done and in all.
+    :param assess: converts the programs at today's place and at the best one; None: samples decide.
     """
     cell = programs.robot_in_cell.cell
     today = programs.judge(np.array([cell.base.X, cell.base.Y, cell.base.Z, cell.base.A, 0.0]), every=True)
+    today = _assessed(today, assess)
     lines = [
         np.linspace(region.low[k], region.high[k], _COARSE[axis]) if k in region.free else np.array([region.low[k]])
         for k, axis in enumerate(AXES)
     ]
     grid = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, len(AXES))
-    sliced = {0, 1} <= set(region.free)
-    total = len(grid) + (_SLICE**2 if sliced else 0)
+    has_slice = {0, 1} <= set(region.free)
+    total = len(grid) + (_SLICE**2 if has_slice else 0)
     tried: list[Judged] = []
 
     def judged(place: Array) -> Judged:
@@ -372,23 +417,28 @@ def search(programs: Programs, region: Region, progress: Callable[[int, int], No
 
     for place in grid:
         judged(place)
-    best = min(tried, key=lambda each: each.cost)
+    best_of_grid = min(tried, key=lambda place: place.cost)
     middle = np.array([0.5 * (low + high) for low, high in zip(region.low, region.high, strict=True)])
-    around = np.array(best.place) if best.reachable else middle
+    around = np.array(best_of_grid.place) if best_of_grid.reachable else middle
     x = y = np.zeros(0)
-    if sliced:
+    if has_slice:
         x, y = (np.linspace(region.low[k], region.high[k], _SLICE) for k in (0, 1))
-        for one in x:
-            for other in y:
-                judged(np.array([one, other, *around[2:]]))
-    starts = sorted((each for each in tried if each.reachable), key=lambda each: each.cost)[:_STARTS]
+        for place_x, place_y in itertools.product(x, y):
+            judged(np.array([place_x, place_y, *around[2:]]))
+    starts = sorted((place for place in tried if place.reachable), key=lambda place: place.cost)[:_STARTS]
     steps = np.array([0.5 * (line[1] - line[0]) if len(line) > 1 else 0.0 for line in lines])
     for start in starts:
         _descend(judged, region, start, steps)
-    found = _confirmed(programs, tried)
-    if found is not None and _inside(region, today) and today.cost <= (1.0 + drive.REAL) * found.cost:
-        found = today
-    return Search(today, found, tuple(tried), (tuple(x.tolist()), tuple(y.tolist())), tuple(around.tolist()))
+    best = _confirmed(programs, tried, assess)
+    limit = np.inf if best is None else (1.0 + drive.REAL) * best.stated_cost
+    if _inside(region, today) and today.reachable and today.stated_cost <= limit:
+        best = today
+    return Search(today, best, tuple(tried), (tuple(x.tolist()), tuple(y.tolist())), tuple(around.tolist()))
+
+
+def _assessed(place: Judged, assess: Assess | None) -> Judged:
+    """Return a place with the assessment of a conversion there, if the programs can be driven."""
+    return place if assess is None or not place.reachable else replace(place, assessment=assess(place))
 
 
 def _descend(judged: Callable[[Array], Judged], region: Region, start: Judged, steps: Array) -> None:
@@ -419,15 +469,23 @@ def _inside(region: Region, place: Judged) -> bool:
 
 _MOST_CONFIRMED = 40
 """Places that are judged by all samples until one can be driven."""
+_MOST_ASSESSED = 6
+"""Places at which the programs are converted until all can be."""
 
 
-def _confirmed(programs: Programs, tried: Sequence[Judged]) -> Judged | None:
-    """Return the best place by every sample of the programs; None if none can be driven."""
-    reachable = sorted((each for each in tried if each.reachable), key=lambda each: each.cost)
-    alike = [each for each in reachable if each.cost <= (1.0 + _ALIKE) * reachable[0].cost]
-    order = sorted(alike, key=lambda each: -each.margin) + [each for each in reachable if each not in alike]
-    for each in order[:_MOST_CONFIRMED]:
-        found = programs.judge(np.array(each.place), every=True)
-        if found.reachable:
-            return found
+def _confirmed(programs: Programs, tried: Sequence[Judged], assess: Assess | None) -> Judged | None:
+    """Return the best place by every sample of the programs, at which they are converted; None if there is none."""
+    reachable = sorted((place for place in tried if place.reachable), key=lambda place: place.cost)
+    alike = [place for place in reachable if place.cost <= (1.0 + _ALIKE) * reachable[0].cost]
+    order = sorted(alike, key=lambda place: -place.margin) + [place for place in reachable if place not in alike]
+    assessments = 0
+    for place in order[:_MOST_CONFIRMED]:
+        by_all_samples = programs.judge(np.array(place.place), every=True)
+        if by_all_samples.reachable:
+            assessed = _assessed(by_all_samples, assess)
+            assessments += 1
+            if assessed.reachable:
+                return assessed
+            if assessments >= _MOST_ASSESSED:
+                break
     return None

@@ -12,15 +12,15 @@ from postproc.cell import Cell
 from postproc.files import FileEntry, json_bytes
 from postproc.frames import DEG_PER_RAD, MM_PER_M
 from postproc.placement import REASONS
-from postproc.placement.region import AXES, Judged, Region, Search
+from postproc.placement.region import AXES, Assessment, Judged, Region, Search
 from postproc.report.formatting import rounded
 from postproc.report.kit import Axis, Map, Note, Notes, Page, Plot, Points, Row, Section, Table, Tile, Tiles
 
 _COLUMNS = (
     *AXES,
     "turn_deg",
-    "before_rms_mm",
-    "u95_rms_mm",
+    "deflection_mm",
+    "u95_mm",
     "min_joint_margin_deg",
     "min_singular_value",
     "reachable",
@@ -34,7 +34,11 @@ _NO_FORCE_NOTE = "No cutting move carries a force, so the error is not compared:
 
 
 class PlaceEntry(Struct, frozen=True):
-    """A place [mm, deg] and what the programs find there; null where they cannot be driven."""
+    """A place [mm, deg] and how the programs are there; null where they cannot be driven.
+
+    `uncorrected_mm`, `corrected_mm` and `chance` are those of `postproc.report.answers`, by a conversion at this place;
+    null where the model states no uncertainty.
+    """
 
     X: float
     Y: float
@@ -42,8 +46,10 @@ class PlaceEntry(Struct, frozen=True):
     A: float
     E1: float
     turn_deg: float
-    before_rms_mm: float | None
-    u95_rms_mm: float | None
+    deflection_mm: float | None
+    uncorrected_mm: float | None
+    corrected_mm: float | None
+    chance: float | None
     min_joint_margin_deg: float | None
     min_singular_value: float | None
     reachable: bool
@@ -101,10 +107,16 @@ def summary(
     )
 
 
-def _entry(place: Judged) -> PlaceEntry:
-    def finite(value: float, decimals: int) -> float | None:
-        return round(value, decimals) if np.isfinite(value) else None
+def _finite(value: float | None, decimals: int) -> float | None:
+    return None if value is None or not np.isfinite(value) else round(value, decimals)
 
+
+def _in_mm(value: float | None) -> float | None:
+    return None if value is None else _finite(value * MM_PER_M, 6)
+
+
+def _entry(place: Judged) -> PlaceEntry:
+    stated = Assessment(deflection=place.deflection) if place.assessment is None else place.assessment
     x, y, z, a, e1 = (round(value, 4) for value in place.place)
     return PlaceEntry(
         X=x,
@@ -113,12 +125,14 @@ def _entry(place: Judged) -> PlaceEntry:
         A=a,
         E1=e1,
         turn_deg=round(place.turn * DEG_PER_RAD, 3),
-        before_rms_mm=finite(place.before * MM_PER_M, 6),
-        u95_rms_mm=finite(place.u95 * MM_PER_M, 6),
-        min_joint_margin_deg=finite(place.margin * DEG_PER_RAD, 3),
-        min_singular_value=finite(place.singular, 6),
+        deflection_mm=_in_mm(stated.deflection),
+        uncorrected_mm=_in_mm(stated.uncorrected),
+        corrected_mm=_in_mm(stated.corrected),
+        chance=_finite(stated.chance, 6),
+        min_joint_margin_deg=_finite(place.margin * DEG_PER_RAD, 3),
+        min_singular_value=_finite(place.singular, 6),
         reachable=place.reachable,
-        reason=None if place.reachable else REASONS[place.reason],
+        reason=place.problem or None,
     )
 
 
@@ -135,19 +149,22 @@ def _sentence(search: Search) -> str:
             moves.append(f"{axis} {best_value - today_value:+.4g} {unit}".replace(" °", "°"))
     move = ", ".join(moves)
     kind = "deflection" if np.isnan(best.u95) else "expected error (95 %)"
-    error = f"{rounded(best.cost * MM_PER_M)} mm RMS"
+    error = f"up to {_cost(best)} mm"
     is_unloaded = best.cost == 0.0
     if not today.reachable:
         advice = f"move the part by {move}" if moves else "the same place with another turn of the tool can be driven"
         if is_unloaded:
-            return f"Today's place cannot be driven ({REASONS[today.reason]}): {advice}. {_NO_FORCE_NOTE}"
-        return f"Today's place cannot be driven ({REASONS[today.reason]}): {advice}; the {kind} is then {error}."
+            return f"Today's place cannot be driven ({today.problem}): {advice}. {_NO_FORCE_NOTE}"
+        return f"Today's place cannot be driven ({today.problem}): {advice}; the {kind} is then {error}."
     if is_unloaded:
         return f"Today's place can be driven. {_NO_FORCE_NOTE}"
-    if best.cost >= (1.0 - _SAME_PLACE) * today.cost or not moves:
-        return f"Today's place is as good as any in the region: the {kind} is {rounded(today.cost * MM_PER_M)} mm RMS."
-    today_error = rounded(today.cost * MM_PER_M)
-    return f"Moving the part by {move} lowers the {kind} from {today_error} to {error}."
+    if best.stated_cost >= (1.0 - _SAME_PLACE) * today.stated_cost or not moves:
+        return f"Today's place is as good as any in the region: the {kind} is up to {_cost(today)} mm."
+    return f"Moving the part by {move} lowers the {kind} from up to {_cost(today)} to {error}."
+
+
+def _cost(place: Judged) -> str:
+    return rounded(place.stated_cost * MM_PER_M)
 
 
 def places_csv(search: Search) -> Iterator[bytes]:
@@ -155,7 +172,9 @@ def places_csv(search: Search) -> Iterator[bytes]:
     yield (",".join(_COLUMNS) + "\n").encode()
     for place in search.tried:
         entry = _entry(place)
-        values: list[object] = [getattr(entry, name) for name in _COLUMNS[:-2]]
+        values: list[object] = [
+            _in_mm(place.u95) if name == "u95_mm" else getattr(entry, name) for name in _COLUMNS[:-2]
+        ]
         values += [int(place.reachable), entry.reason]
         yield (",".join("" if value is None else str(value) for value in values) + "\n").encode()
 
@@ -206,9 +225,11 @@ def _line(name: str, entry: PlaceEntry | None) -> str:
     place += f", tool turned by {entry.turn_deg:+.0f}°" if entry.turn_deg else ""
     if not entry.reachable:
         return f"  {name}: {place}: {entry.reason}"
-    error = "" if entry.u95_rms_mm is None else f"expected error {rounded(entry.u95_rms_mm)} mm, "
-    deflection = rounded(entry.before_rms_mm or 0.0)
-    return f"  {name}: {place}: {error}deflection {deflection} mm RMS, joint margin {entry.min_joint_margin_deg:.1f}°"
+    error = f"deflection up to {rounded(entry.deflection_mm or 0.0)} mm"
+    if entry.uncorrected_mm is not None and entry.corrected_mm is not None:
+        error = f"uncorrected up to {rounded(entry.uncorrected_mm)}, corrected up to {rounded(entry.corrected_mm)} mm"
+        error += " (95 %)"
+    return f"  {name}: {place}: {error}, joint margin {entry.min_joint_margin_deg:.1f}°"
 
 
 def page(search: Search, content: PlaceSummary) -> Iterator[bytes]:
@@ -216,7 +237,8 @@ def page(search: Search, content: PlaceSummary) -> Iterator[bytes]:
     sections = (_verdict(search, content), *_maps(search), _table(content))
     note = (
         "Expected errors and deflections are predictions of the elastostatic model of the robot under the forces "
-        f"given, RMS over cuts. {_collisions(content)}"
+        "given, the largest over cuts. Those of today's and the best place are by a conversion there, those of the map "
+        f"by samples of the path. {_collisions(content)}"
     )
     yield from Page(
         kind="Place of the part",
@@ -238,14 +260,14 @@ def _verdict(search: Search, content: PlaceSummary) -> Section:
     tiles = []
     for title, place in (("Today", search.today), ("Best place", search.best)):
         if place is None or not place.reachable:
-            tiles.append(Tile(title, "-", "", "none" if place is None else REASONS[place.reason], "warning"))
+            tiles.append(Tile(title, "-", "", "none" if place is None else place.problem, "warning"))
             continue
         x, y, z, a, _ = place.place
-        kind = "deflection" if np.isnan(place.u95) else "expected error, RMS"
+        kind = "deflection, largest" if np.isnan(place.u95) else "expected error (95 %), largest"
         turn = f"; tool turned by {place.turn * DEG_PER_RAD:+.0f}°" if place.turn else ""
         place_text = f"X {x:.0f} Y {y:.0f} Z {z:.0f} A {a:.1f}{turn}"
         note = f"{kind}; {place_text}; joint margin {place.margin * DEG_PER_RAD:.1f}°"
-        tiles.append(Tile(title, rounded(place.cost * MM_PER_M), "mm", note))
+        tiles.append(Tile(title, _cost(place), "mm", note))
     start_notes = () if content.start is None else (Note(content.start),)
     notes = Notes((Note(content.sentence), Note(_collisions(content)), *start_notes))
     return Section("place", "Where the part should be", (notes, Tiles(tuple(tiles))))
