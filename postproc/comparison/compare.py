@@ -7,6 +7,7 @@ Both are seen by the robot: a target is the pose that the flange is sent to, so 
 from __future__ import annotations
 
 import numpy as np
+from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc.cell import Cell
@@ -26,7 +27,8 @@ from postproc.comparison.partners import (
 from postproc.comparison.paths import PlacedProgram
 from postproc.comparison.result import Comparison
 from postproc.forces import ForceSource
-from postproc.frames import norm
+from postproc.forces.path_forces import PathForces
+from postproc.frames import Array, norm
 from postproc.program import Bools, Ints, Program
 from postproc.robot import RobotModel
 from postproc.under_load import RobotInCell
@@ -58,74 +60,112 @@ def compare(
     """
     place = RobotInCell.of(robot, cell)
     nominal_path, corrected_path = PlacedProgram.of(nominal, place), PlacedProgram.of(corrected, place)
-    stated_pairs = _stated_partners(nominal_path, corrected_path, ends)
+    stated = _stated_partners(nominal_path, corrected_path, ends)
     if source is None and not nominal.notes:
-        load, wrench = None, np.zeros((len(nominal_path.rows), 6))
-        partner = partners(nominal_path.track(), corrected_path.track()) if stated_pairs is None else stated_pairs
+        loads = None
+        partner = partners(nominal_path.track(), corrected_path.track()) if stated is None else stated
         certain = np.full(len(nominal_path.rows), same_origin)
     else:
-        load = nominal_path.forces(source)
-        wrench = nominal_path.wrench(load, nominal_path.rows)
-        deviations = deviation(
-            nominal_path,
-            nominal_path.rows,
-            nominal_path.joints[nominal_path.rows],
-            wrench,
-            nominal_path.carried(nominal_path.rows),
-        )
-        if stated_pairs is None:
-            # the second program is expected to command poses that the deflection takes back to the targets
-            partner = partners_under_force(
-                nominal_path, corrected_path, partners(nominal_path.track(-deviations), corrected_path.track()), wrench
-            )
-            certain = norm(deviation_left(nominal_path, corrected_path, partner, wrench)) <= place.tolerance
-        else:
-            partner, certain = stated_pairs, np.ones(len(stated_pairs), dtype=bool)
+        loads = _Loads.of(nominal_path, source)
+        partner, certain = _partners_under_load(nominal_path, corrected_path, loads, stated, place.tolerance)
+    comparison = _all_pairs(nominal_path, corrected_path, partner, certain, loads)
+    if loads is not None:
+        comparison = _with_cuts(comparison, nominal_path, corrected_path, loads, place.tolerance)
+    else:
+        if same_origin:
+            comparison = _all_inserted(comparison, nominal_path)
+        if corrected.notes:
+            comparison = _with_cuts_of_corrected(comparison, nominal_path, corrected_path)
+    pairs_known = loads is not None or stated is not None
+    options = {"in_file": source is not None, "same_origin": same_origin, "pairs_certain": pairs_known}
+    return replace(comparison, differences=differences(comparison, nominal_path, corrected_path, **options))
+
+
+class _Loads(Struct, frozen=True, eq=False):
+    """Forces of the nominal program, and what they do at its n targets.
+
+    :param path: forces along the program.
+    :param wrench: (n, 6) at the targets [N, N·m].
+    :param deflection: (n, 3) of the tool tip there [m].
+    """
+
+    path: PathForces
+    wrench: Array
+    deflection: Array
+
+    @classmethod
+    def of(cls, nominal_path: PlacedProgram, source: ForceSource | None) -> _Loads:
+        """Return the loads of a program, from its comments and a source."""
+        path, rows = nominal_path.forces(source), nominal_path.rows
+        wrench = nominal_path.wrench(path, rows)
+        joints = nominal_path.joints[rows]
+        return cls(path, wrench, deviation(nominal_path, rows, joints, wrench, nominal_path.carried(rows)))
+
+
+def _partners_under_load(
+    nominal_path: PlacedProgram, corrected_path: PlacedProgram, loads: _Loads, stated: Ints | None, tolerance: float
+) -> tuple[Ints, Bools]:
+    """Return the partner of each nominal target (n,), −1 for none, and whether it is certain (n,)."""
+    if stated is not None:
+        return stated, np.ones(len(stated), dtype=bool)
+    # the second program is expected to command poses that the deflection takes back to the targets
+    expected = partners(nominal_path.track(-loads.deflection), corrected_path.track())
+    partner = partners_under_force(nominal_path, corrected_path, expected, loads.wrench)
+    return partner, norm(deviation_left(nominal_path, corrected_path, partner, loads.wrench)) <= tolerance
+
+
+def _all_pairs(
+    nominal_path: PlacedProgram, corrected_path: PlacedProgram, partner: Ints, certain: Bools, loads: _Loads | None
+) -> Comparison:
+    """Return the comparison of targets with their partners (n,), those included that were moved alone."""
+    load = None if loads is None else loads.path
     # a target that only divides a line or an arc may have a partner that divides it elsewhere: the path passes it then
-    divides = nominal_path.continued[nominal_path.rows] & (partner >= 0) & ~certain & (load is not None)
-    comparison = judged(
-        paired(nominal_path, corrected_path, np.where(divides, -1, partner), certain),
-        nominal_path,
-        corrected_path,
-        load,
-    )
+    divides = nominal_path.continued[nominal_path.rows] & (partner >= 0) & ~certain & (loads is not None)
+    pairs = paired(nominal_path, corrected_path, np.where(divides, -1, partner), certain)
+    comparison = judged(pairs, nominal_path, corrected_path, load)
     displaced_partner = moved_alone(comparison, nominal_path, corrected_path)
     is_missing = np.isin(nominal_path.rows, comparison.only_nominal) & divides
     displaced_partner[is_missing] = partner[is_missing]
-    if (displaced_partner >= 0).any():
-        partner = in_order(np.maximum(partners_of(comparison, nominal_path, corrected_path), displaced_partner))
-        comparison = judged(
-            paired(nominal_path, corrected_path, partner, np.ones(len(partner), dtype=bool)),
-            nominal_path,
-            corrected_path,
-            load,
-        )
-    if load is not None:
-        index = np.searchsorted(nominal_path.rows, comparison.pair[:, 0])
-        left = deviation_left(
-            nominal_path, corrected_path, partners_of(comparison, nominal_path, corrected_path), wrench
-        )
-        cuts = at_pairs(comparison, nominal_path, corrected_path, wrench[index], deviations[index], left[index])
-        cuts = between(comparison, cuts, nominal_path, corrected_path, load)
-        ends = cuts.row[(cuts.t == 1.0) & (cuts.between_corrected <= place.tolerance)]
-        comparison = with_inserted(replace(comparison, cuts=cuts), np.isin(comparison.only_corrected, ends))
-    else:
-        if same_origin:
-            rows, by = (comparison.passed, comparison.only_nominal), (comparison.passed_by, comparison.missed)
-            comparison = replace(comparison, passed=np.concatenate(rows), passed_by=np.concatenate(by))
-            comparison = replace(comparison, only_nominal=nominal_path.rows[:0], missed=comparison.missed[:0])
-            comparison = with_inserted(comparison, np.ones(len(comparison.only_corrected), dtype=bool))
-        if corrected.notes:
-            first, two = comparison.pair.T
-            wrench = corrected_path.wrench(corrected_path.forces(None), two)
-            offs = (
-                deviation(nominal_path, first, side.joints[rows], wrench, side.carried(rows))
-                for side, rows in ((nominal_path, first), (corrected_path, two))
-            )
-            comparison = replace(comparison, cuts=at_pairs(comparison, nominal_path, corrected_path, wrench, *offs))
-    pairs_known = load is not None or stated_pairs is not None
-    options = {"in_file": source is not None, "same_origin": same_origin, "pairs_certain": pairs_known}
-    return replace(comparison, differences=differences(comparison, nominal_path, corrected_path, **options))
+    if not (displaced_partner >= 0).any():
+        return comparison
+    partner = in_order(np.maximum(partners_of(comparison, nominal_path, corrected_path), displaced_partner))
+    pairs = paired(nominal_path, corrected_path, partner, np.ones(len(partner), dtype=bool))
+    return judged(pairs, nominal_path, corrected_path, load)
+
+
+def _with_cuts(
+    comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram, loads: _Loads, tolerance: float
+) -> Comparison:
+    """Return a comparison with where both programs cut under the nominal forces, also between targets."""
+    index = np.searchsorted(nominal_path.rows, comparison.pair[:, 0])
+    partner = partners_of(comparison, nominal_path, corrected_path)
+    left = deviation_left(nominal_path, corrected_path, partner, loads.wrench)
+    sides = nominal_path, corrected_path
+    cuts = at_pairs(comparison, *sides, loads.wrench[index], loads.deflection[index], left[index])
+    cuts = between(comparison, cuts, nominal_path, corrected_path, loads.path)
+    ends = cuts.row[(cuts.t == 1.0) & (cuts.between_corrected <= tolerance)]
+    return with_inserted(replace(comparison, cuts=cuts), np.isin(comparison.only_corrected, ends))
+
+
+def _all_inserted(comparison: Comparison, nominal_path: PlacedProgram) -> Comparison:
+    """Return a comparison of two programs of one conversion: targets without a partner were inserted or left out."""
+    rows, by = (comparison.passed, comparison.only_nominal), (comparison.passed_by, comparison.missed)
+    comparison = replace(comparison, passed=np.concatenate(rows), passed_by=np.concatenate(by))
+    comparison = replace(comparison, only_nominal=nominal_path.rows[:0], missed=comparison.missed[:0])
+    return with_inserted(comparison, np.ones(len(comparison.only_corrected), dtype=bool))
+
+
+def _with_cuts_of_corrected(
+    comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram
+) -> Comparison:
+    """Return a comparison with where both programs cut under the forces that the corrected one states."""
+    first, second = comparison.pair.T
+    wrench = corrected_path.wrench(corrected_path.forces(None), second)
+    deflections = (
+        deviation(nominal_path, first, side.joints[rows], wrench, side.carried(rows))
+        for side, rows in ((nominal_path, first), (corrected_path, second))
+    )
+    return replace(comparison, cuts=at_pairs(comparison, nominal_path, corrected_path, wrench, *deflections))
 
 
 def _stated_partners(nominal_path: PlacedProgram, corrected_path: PlacedProgram, ends: Bools | None) -> Ints | None:
