@@ -257,29 +257,8 @@ def _check_covariance(content: ModelFile, file_name: str) -> None:
 
 def sourced_values(content: ModelFile, nominal: Chain) -> Iterator[SourcedValue]:
     """Yield the values of a model file and of its URDF, in words, with their sources."""
-    for name in JOINTS:
-        spring = content.joints[name]
-        interval = "" if spring.ci95 is None else f" ± {spring.ci95:.3g}"
-        value = f"{spring.compliance_urad_per_Nm:g}{interval} µrad/(N·m){_sigma(spring.sigma_percent)}"
-        if spring.fades:
-            value += f", of which {spring.fades:.3g} fade with load"
-        if spring.backlash is not None:
-            value += f"; backlash {spring.backlash.angle_urad:.3g} µrad"
-        if spring.over_pose:
-            value += f"; over the pose, {len(spring.over_pose)} waves"
-        if spring.coupling:
-            value += "; coupled: " + ", ".join(f"{size:.3g} with {joint}" for joint, size in spring.coupling.items())
-        if spring.lost_motion is not None:
-            value += f"; lost motion {spring.lost_motion.angle_urad:.3g} µrad"
-        yield SourcedValue(f"compliance {name}", value, spring.source, spring.assumed)
-    if (spring_law := content.compensator) is not None:
-        value = f"L {spring_law.L_mm:g}, a_x {spring_law.a_x_mm:g}, a_y {spring_law.a_y_mm:g} mm"
-        geometry_source = spring_law.geometry_source or spring_law.source
-        is_assumed = spring_law.assumed and not spring_law.geometry_source
-        yield SourcedValue("compensator geometry", value, geometry_source, is_assumed)
-        stiffness = f"K_c {spring_law.stiffness_N_per_m:g} N/m{_sigma(spring_law.sigma_percent)}"
-        value = f"{stiffness}, s_0 {spring_law.free_length_mm:g} mm"
-        yield SourcedValue("compensator spring", value, spring_law.source, spring_law.assumed)
+    yield from _joint_values(content)
+    yield from _compensator_values(content)
     if (payload := content.payload) is not None:
         value = f"{payload.mass_kg:g} kg at {payload.X_mm:g}, {payload.Y_mm:g}, {payload.Z_mm:g} mm of the flange"
         yield SourcedValue("payload when measured", value, payload.source, payload.assumed)
@@ -298,21 +277,59 @@ def sourced_values(content: ModelFile, nominal: Chain) -> Iterator[SourcedValue]
         )
         value = f"{first_order} µrad once a turn (sin, cos), {second_order} µrad twice"
         yield SourcedValue(f"transmission {name}", value, gear.source, gear.assumed)
+    yield from _bound_values(content)
+    yield from _nominal_values(content, nominal)
+    yield SourcedValue("gravity reference", content.gravity.reference, "model.toml", assumed=False)
+
+
+def _joint_values(content: ModelFile) -> Iterator[SourcedValue]:
+    """Yield the compliances of the joints, with what else their gears do."""
+    for name in JOINTS:
+        spring = content.joints[name]
+        interval = "" if spring.ci95 is None else f" ± {spring.ci95:.3g}"
+        value = f"{spring.compliance_urad_per_Nm:g}{interval} µrad/(N·m){_sigma(spring.sigma_percent)}"
+        if spring.fades:
+            value += f", of which {spring.fades:.3g} fade with load"
+        if spring.backlash is not None:
+            value += f"; backlash {spring.backlash.angle_urad:.3g} µrad"
+        if spring.over_pose:
+            value += f"; over the pose, {len(spring.over_pose)} waves"
+        if spring.coupling:
+            value += "; coupled: " + ", ".join(f"{size:.3g} with {joint}" for joint, size in spring.coupling.items())
+        if spring.lost_motion is not None:
+            value += f"; lost motion {spring.lost_motion.angle_urad:.3g} µrad"
+        yield SourcedValue(f"compliance {name}", value, spring.source, spring.assumed)
+
+
+def _compensator_values(content: ModelFile) -> Iterator[SourcedValue]:
+    """Yield the values of the gravity compensator, if the model has one."""
+    if (spring_law := content.compensator) is not None:
+        value = f"L {spring_law.L_mm:g}, a_x {spring_law.a_x_mm:g}, a_y {spring_law.a_y_mm:g} mm"
+        geometry_source = spring_law.geometry_source or spring_law.source
+        is_assumed = spring_law.assumed and not spring_law.geometry_source
+        yield SourcedValue("compensator geometry", value, geometry_source, is_assumed)
+        stiffness = f"K_c {spring_law.stiffness_N_per_m:g} N/m{_sigma(spring_law.sigma_percent)}"
+        value = f"{stiffness}, s_0 {spring_law.free_length_mm:g} mm"
+        yield SourcedValue("compensator spring", value, spring_law.source, spring_law.assumed)
+
+
+def _bound_values(content: ModelFile) -> Iterator[SourcedValue]:
+    """Yield how far the model is known to hold."""
     if (discrepancy := content.discrepancy) is not None:
         pairs = zip(discrepancy.u95_mm, discrepancy.load_N, strict=False)
         value = ", ".join(f"{u95:.2g} mm at {load:.0f} N" for u95, load in pairs)
         yield SourcedValue("discrepancy (95 %)", value, discrepancy.source, discrepancy.assumed)
     if (geometry_error := content.geometry_error) is not None:
-        yield SourcedValue(
-            "error of the geometry (95 %)",
-            f"{geometry_error.u95_mm:.2g} mm",
-            geometry_error.source,
-            geometry_error.assumed,
-        )
+        value = f"{geometry_error.u95_mm:.2g} mm"
+        yield SourcedValue("error of the geometry (95 %)", value, geometry_error.source, geometry_error.assumed)
     if (load_range := content.measured) is not None:
         torques = ", ".join(f"{torque:.0f}" for torque in load_range.torque_Nm)
         value = f"{load_range.configurations} configurations, up to {torques} N·m on A1 … A6"
         yield SourcedValue("measured", value, load_range.source, load_range.assumed)
+
+
+def _nominal_values(content: ModelFile, nominal: Chain) -> Iterator[SourcedValue]:
+    """Yield masses, geometry and speeds as the URDF has them."""
     stated_masses = dict(LinkMass.stated(content))
     masses = ", ".join(
         f"{stated_masses.get(LinkMass(name), mass):.4g}" for name, mass in zip(JOINTS, nominal.mass, strict=True)
@@ -325,7 +342,6 @@ def sourced_values(content: ModelFile, nominal: Chain) -> Iterator[SourcedValue]
     ):
         source = entry_source or Sourced(source="not stated", assumed=True)
         yield SourcedValue(label, value, source.source, source.assumed)
-    yield SourcedValue("gravity reference", content.gravity.reference, "model.toml", assumed=False)
 
 
 def _basis(spring: JointSpring) -> Basis:

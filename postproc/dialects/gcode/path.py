@@ -463,39 +463,20 @@ def _motions(
     """
     swivel, is_rotation, length = turning
     row, code, home = moves.row[motion_moves], moves.code[motion_moves], moves.home[motion_moves]
-    rapid = code == 0.0
     kind = np.where(free, PTP, np.where(code < 2.0, LIN, CIRC))
-    empty = np.broadcast_to(np.nan, (len(motion_moves), 6))  # takes no memory
-    centre, normal, sweep = empty[:, :3], empty[:, :3], empty[:, 0]
-    frames, frame = moves.frames, taken(moves.frame, motion_moves)
-    if swivel is not None:
-        rotation = in_chunks(lambda angles, frame: (swivel.of(angles, frame),), swivel.end, swivel.frame)[0]
-    elif len(frames) > 1:
-        rotation = (frames[:, :3, :3] @ cell_frames.orientation)[frame]
-    else:
-        rotation = np.broadcast_to(frames[0, :3, :3] @ cell_frames.orientation, (len(motion_moves), 3, 3))
-    target = Poses(_placed(frames, frame, moves.end[motion_moves]), rotation)
-    is_arc = np.flatnonzero(kind == CIRC)
-    if len(is_arc):
-        circular, arcs = circles
-        at = np.searchsorted(circular, motion_moves[is_arc])
-        centre, normal, sweep = centre.copy(), normal.copy(), sweep.copy()
-        centre[is_arc] = _placed(frames, frame[is_arc], arcs.centre[at])
-        normal[is_arc] = np.einsum("nij,nj->ni", frames[frame[is_arc], :3, :3], arcs.normal[at])
-        sweep[is_arc] = arcs.sweep[at]
-    joints = empty
+    frame = taken(moves.frame, motion_moves)
+    joints = np.broadcast_to(np.nan, (len(motion_moves), 6))  # takes no memory
+    rotation = _rotations(moves.frames, frame, swivel, cell_frames.orientation)
+    target = Poses(_placed(moves.frames, frame, moves.end[motion_moves]), rotation)
     if home.any() and cell_frames.home is not None:
-        joints = empty.copy()
+        joints = joints.copy()
         joints[home] = speeds.home
         poses = cell_frames.home[moves.tool[motion_moves[home]]]
         rotation = rotation.copy()
         rotation[home], target.position[home] = poses[:, :3, :3], poses[:, :3, 3]
         target = Poses(target.position, rotation)
-    per_minute = rows.feed[row]
-    is_inverse_time = rows.inverse_time[row] & ~rapid
-    per_minute[is_inverse_time] *= length[is_inverse_time]
-    per_minute[is_inverse_time & is_rotation] = speeds.rapid * _S_PER_MIN / M_PER_MM  # the speed of rotation counts
-    feed = np.where(rapid, speeds.rapid, per_minute * (M_PER_MM / _S_PER_MIN))
+    centre, normal, sweep = _arcs_in_base(circles, motion_moves, kind, moves.frames, frame)
+    feed = _speeds_of(rows, row, code == 0.0, is_rotation, length, speeds)
     feed[kind == PTP] = np.nan
     blend = taken(in_force(modes.blends, speeds.approximation, modes.rows), row)
     bottom = moves.bottom[motion_moves]
@@ -507,7 +488,7 @@ def _motions(
         rounding = np.where(np.isnan(limit), speeds.rounding, limit)
     motions = Motions(
         kind=kind,
-        rapid=rapid,
+        rapid=code == 0.0,
         line=row + 1,
         target=target,
         joints=Runs.of(joints),
@@ -523,6 +504,45 @@ def _motions(
         turn=unset,
     )
     return read_only(motions)
+
+
+def _rotations(frames: Array, frame: Ints, swivel: Swivel | None, orientation: Array) -> Array:
+    """Return the orientation (M, 3, 3) of the tool frame in `$BASE` at the ends of motions.
+
+    :param frame: (M,) row of `frames` (nf, 4, 4).
+    :param orientation: (3, 3) of the tool frame in the program frame, without rotary axes.
+    """
+    if swivel is not None:
+        return in_chunks(lambda angles, frame: (swivel.of(angles, frame),), swivel.end, swivel.frame)[0]
+    if len(frames) > 1:
+        return np.asarray((frames[:, :3, :3] @ orientation)[frame])
+    return np.broadcast_to(frames[0, :3, :3] @ orientation, (len(frame), 3, 3))
+
+
+def _arcs_in_base(
+    circles: tuple[Ints, Arcs], motion_moves: Ints, kind: Ints, frames: Array, frame: Ints
+) -> tuple[Array, Array, Array]:
+    """Return centre (M, 3) [m], unit axis (M, 3) and angle (M,) [rad] of the arcs in `$BASE`; NaN for other motions."""
+    empty = np.broadcast_to(np.nan, (len(motion_moves), 3))  # takes no memory
+    is_arc = np.flatnonzero(kind == CIRC)
+    if not len(is_arc):
+        return empty, empty, empty[:, 0]
+    circular, arcs = circles
+    at = np.searchsorted(circular, motion_moves[is_arc])
+    centre, normal, sweep = empty.copy(), empty.copy(), empty[:, 0].copy()
+    centre[is_arc] = _placed(frames, frame[is_arc], arcs.centre[at])
+    normal[is_arc] = np.einsum("nij,nj->ni", frames[frame[is_arc], :3, :3], arcs.normal[at])
+    sweep[is_arc] = arcs.sweep[at]
+    return centre, normal, sweep
+
+
+def _speeds_of(rows: LineStates, row: Ints, rapid: Bools, is_rotation: Bools, length: Array, speeds: Speeds) -> Array:
+    """Return the speeds of motions (M,) [m/s] of lines `row` (M,), whose lengths are (M,) [mm]."""
+    per_minute = rows.feed[row]
+    is_inverse_time = rows.inverse_time[row] & ~rapid
+    per_minute[is_inverse_time] *= length[is_inverse_time]
+    per_minute[is_inverse_time & is_rotation] = speeds.rapid * _S_PER_MIN / M_PER_MM  # the speed of rotation counts
+    return np.where(rapid, speeds.rapid, per_minute * (M_PER_MM / _S_PER_MIN))
 
 
 def _lengths(moves: Moves, circular: Ints, arcs: Arcs) -> Array:

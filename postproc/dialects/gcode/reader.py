@@ -31,7 +31,7 @@ decimals in N, an arc in the block of a G4, numbers of 10⁷ and more, a program
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from operator import itemgetter
 
 import numpy as np
@@ -144,32 +144,8 @@ def _executed_program(
     rows = line_states_of(plain, modes, cell.rotary)
     if absolute and not modes.changes["centre"]:
         rows = replace(rows, absolute_centre=np.ones(len(rows.motion), dtype=np.bool_))
-    del plain, odd  # what follows needs the memory
-    base, tools, numbers = cell.base.pose(), [cell.tool.pose()], {}
-    for number in dict.fromkeys(number for _, number in modes.tools):
-        numbers[number] = len(tools)
-        tools.append(cell.tools[f"{number:g}"].pose())
-    offsets = {code: cell.work_offsets.get(f"G{code:g}") for code in WORK_OFFSETS}
-    machine = cell.machine
-    home = np.array(machine.home_joints or np.full(6, np.nan)) * RAD_PER_DEG
-    cell_frames = CellFrames(
-        start=inverse(base) @ forward(cell.start_joints) @ tools[0],
-        orientation=cell.tool_pose_in_program(),
-        offsets={code: np.eye(4) if frame is None else frame.pose() for code, frame in offsets.items()},
-        tools=numbers,
-        home=None if machine.home_joints is None else inverse(base) @ forward(home) @ np.stack(tools),
-        home_place=None if machine.home_place is None else np.array(machine.home_place),
-        clearance=machine.clearance_Z,
-        rotary=RotaryAxes.of(cell.rotary),
-    )
-    speeds = Speeds(
-        rapid=cell.gcode.rapid_m_per_s,
-        approximation=cell.gcode.approximation_mm * M_PER_MM,
-        rounding=cell.gcode.corner_tolerance_mm * M_PER_MM,
-        home=home,
-        chord=CHORD * cell.output.tolerance_mm,
-    )
-    path = read_path(rows, modes, cell_frames, speeds, cell.rotary)
+    tools = _tools(cell, modes)
+    path = read_path(rows, modes, _cell_frames(cell, forward, tools), _speeds(cell), cell.rotary)
     comments, wrong = _comments(run, modes.rows)
     faults = path if isinstance(path, list) else []
     if not modes.complete:
@@ -191,8 +167,8 @@ def _executed_program(
         dialect="gcode",
         documents=run.documents,
         motions=replace(path.motions, line=line),
-        bases=base[None],
-        tools=np.stack(tools),
+        bases=cell.base.pose()[None],
+        tools=np.stack(list(tools.values())),
         notes=notes,
         events=events,
         swivel=path.swivel,
@@ -203,6 +179,47 @@ def _executed_program(
             *_after_the_end(run, modes.rows),
             *([Issue("info", "absolute-centres", _ABSOLUTE)] if absolute else []),
         ),
+    )
+
+
+def _tools(cell: Cell, modes: Modes) -> dict[float | None, Array]:
+    """Return `$TOOL` (4, 4) of the start, under None, and of each tool number in the order of their first use."""
+    numbers = dict.fromkeys(number for _, number in modes.tools)
+    return {None: cell.tool.pose(), **{number: cell.tools[f"{number:g}"].pose() for number in numbers}}
+
+
+def _cell_frames(cell: Cell, forward: Callable[[Array], Array], tools: Mapping[float | None, Array]) -> CellFrames:
+    """Return the frames of the cell that a program refers to."""
+    base, machine = cell.base.pose(), cell.machine
+    offsets = {code: cell.work_offsets.get(f"G{code:g}") for code in WORK_OFFSETS}
+    home = None
+    if machine.home_joints is not None:
+        home = inverse(base) @ forward(_home_joints(cell)) @ np.stack(list(tools.values()))
+    return CellFrames(
+        start=inverse(base) @ forward(cell.start_joints) @ tools[None],
+        orientation=cell.tool_pose_in_program(),
+        offsets={code: np.eye(4) if frame is None else frame.pose() for code, frame in offsets.items()},
+        tools={number: row for row, number in enumerate(tools) if number is not None},
+        home=home,
+        home_place=None if machine.home_place is None else np.array(machine.home_place),
+        clearance=machine.clearance_Z,
+        rotary=RotaryAxes.of(cell.rotary),
+    )
+
+
+def _home_joints(cell: Cell) -> Array:
+    """Return the joint angles (6,) of [machine] home [rad]; NaN where the cell has none."""
+    return np.array(cell.machine.home_joints or np.full(6, np.nan)) * RAD_PER_DEG
+
+
+def _speeds(cell: Cell) -> Speeds:
+    """Return speeds and distances that hold for all moves of a program."""
+    return Speeds(
+        rapid=cell.gcode.rapid_m_per_s,
+        approximation=cell.gcode.approximation_mm * M_PER_MM,
+        rounding=cell.gcode.corner_tolerance_mm * M_PER_MM,
+        home=_home_joints(cell),
+        chord=CHORD * cell.output.tolerance_mm,
     )
 
 
