@@ -88,8 +88,8 @@ class ToolCompliance(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
     def diagonal(self) -> Array:
         """Return the compliances (6,) [m/N, rad/(N·m)]."""
-        along = (self.X_um_per_N, self.Y_um_per_N, self.Z_um_per_N)
-        return np.array([*along, self.RX_urad_per_Nm, self.RY_urad_per_Nm, self.RZ_urad_per_Nm]) * 1e-6
+        translations = (self.X_um_per_N, self.Y_um_per_N, self.Z_um_per_N)
+        return np.array([*translations, self.RX_urad_per_Nm, self.RY_urad_per_Nm, self.RZ_urad_per_Nm]) * 1e-6
 
 
 class Output(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -425,7 +425,7 @@ _CLOSING = {"(": ")", "[": "]", "{": "}"}
 
 def lines_fault(lines: Sequence[str]) -> str | None:
     """Return what is not closed in lines of KRL or RAPID, apart from comments; a statement may take several lines."""
-    opened = ""
+    open_brackets = ""
     for line in lines:
         if line.lstrip().startswith("!"):
             continue
@@ -434,14 +434,14 @@ def lines_fault(lines: Sequence[str]) -> str | None:
             return f'{line!r}: the string after " has no end'
         for sign in code:
             if sign in _CLOSING:
-                opened += sign
+                open_brackets += sign
             elif sign in _CLOSING.values():
-                if not opened:
+                if not open_brackets:
                     return f"{line!r}: {sign} closes no bracket"
-                if _CLOSING[opened[-1]] != sign:
-                    return f"{line!r}: {opened[-1]} is not closed"
-                opened = opened[:-1]
-    return f"{lines[-1]!r}: {opened[-1]} is not closed" if opened else None
+                if _CLOSING[open_brackets[-1]] != sign:
+                    return f"{line!r}: {open_brackets[-1]} is not closed"
+                open_brackets = open_brackets[:-1]
+    return f"{lines[-1]!r}: {open_brackets[-1]} is not closed" if open_brackets else None
 
 
 _VARIABLE = re.compile(r"[A-Za-z_$][\w$]*(\[[0-9]{1,6}(,[0-9]{1,6}){0,2}\])?", re.ASCII)
@@ -539,21 +539,21 @@ def _check_indexed(rotary: Rotary, work_offsets: Mapping[str, Frame], file: str)
             example = f"{letter} = {{ point = [0, 0, -120], direction = {axis} }}"
             advice = f"Give a point of the axis and its direction in $BASE: {example}."
             raise CellError(problem, file=file, advice=advice)
-    turned = [name for name, frame in work_offsets.items() if frame.A or frame.B or frame.C]
-    if turned:
-        problem = f"[work_offsets.{turned[0]}] is turned, and the rotary axes are indexed"
+    rotated_offsets = [name for name, frame in work_offsets.items() if frame.A or frame.B or frame.C]
+    if rotated_offsets:
+        problem = f"[work_offsets.{rotated_offsets[0]}] is turned, and the rotary axes are indexed"
         advice = "X, Y, Z are machine axes there: turn [base] instead, so that its axes are those of the machine."
         raise CellError(problem, file=file, advice=advice)
 
 
 def _check_collision(collision: Collision, file: str) -> None:
-    for number, held in enumerate(collision.holder, start=1):
-        sizes = {"diameter_mm": held.diameter_mm, "length_mm": held.length_mm}
-        given = [key for key, value in sizes.items() if value is not None]
-        if held.mesh is None and len(given) < len(sizes):
-            problem = f"no {' and no '.join(key for key in sizes if key not in given)}"
-        elif held.mesh is not None and given:
-            problem = f"mesh together with {' and '.join(given)}"
+    for number, part in enumerate(collision.holder, start=1):
+        sizes = {"diameter_mm": part.diameter_mm, "length_mm": part.length_mm}
+        stated_keys = [key for key, value in sizes.items() if value is not None]
+        if part.mesh is None and len(stated_keys) < len(sizes):
+            problem = f"no {' and no '.join(key for key in sizes if key not in stated_keys)}"
+        elif part.mesh is not None and stated_keys:
+            problem = f"mesh together with {' and '.join(stated_keys)}"
         else:
             continue
         advice = 'Give { diameter_mm = 63, length_mm = 80 }, from the tip upwards, or { mesh = "spindle.stl" }.'

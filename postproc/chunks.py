@@ -25,10 +25,11 @@ class Columns(Struct, frozen=True, eq=False):
     def take(self, rows: NDArray[Any] | slice) -> Self:
         """Return some of the rows."""
         columns = self._columns()
-        some = {
-            name: each.take(rows) if isinstance(each, Columns) else _rows(each, rows) for name, each in columns.items()
+        rows_of_columns = {
+            name: column.take(rows) if isinstance(column, Columns) else _rows(column, rows)
+            for name, column in columns.items()
         }
-        return replace(self, **some)
+        return replace(self, **rows_of_columns)
 
     @classmethod
     def joined(cls, parts: Sequence[Self], order: NDArray[Any] | slice = slice(None)) -> Self:
@@ -39,8 +40,8 @@ class Columns(Struct, frozen=True, eq=False):
         columns = [part._columns() for part in parts]
         whole = {}
         for name, first in columns[0].items():
-            each = [part[name] for part in columns]
-            whole[name] = first.joined(each, order) if isinstance(first, Columns) else _rows(_joined(each), order)
+            pieces = [part[name] for part in columns]
+            whole[name] = first.joined(pieces, order) if isinstance(first, Columns) else _rows(_joined(pieces), order)
         return replace(parts[0], **whole)
 
     def _columns(self) -> dict[str, Any]:
@@ -58,12 +59,12 @@ def _rows(array: NDArray[Any], rows: NDArray[Any] | slice) -> NDArray[Any]:
 
 def _joined(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
     """Return arrays one after the other; if all have the same one value, the result takes no memory either."""
-    filled = [part for part in parts if len(part)] or parts[:1]
-    first = filled[0]
+    arrays = [part for part in parts if len(part)] or parts[:1]
+    first = arrays[0]
     if first.size and not any(
-        any(part.strides) or part.flat[0] != first.flat[0] or part.dtype != first.dtype for part in filled
+        any(part.strides) or part.flat[0] != first.flat[0] or part.dtype != first.dtype for part in arrays
     ):
-        return np.broadcast_to(first[0], (sum(map(len, filled)), *first.shape[1:]))
+        return np.broadcast_to(first[0], (sum(map(len, arrays)), *first.shape[1:]))
     return np.concatenate(parts)
 
 
@@ -89,19 +90,21 @@ class Runs(Struct, frozen=True, eq=False):
         begins = np.ones(len(array), dtype=np.bool_)
         for part in chunks(len(array)):
             start = max(part.start, 1)
-            own = array[start : part.stop]
-            before = array[start - 1 : start - 1 + len(own)]
-            begins[start : part.stop] = ((own != before) & ~(np.isnan(own) & np.isnan(before))).any(axis=1)
+            rows = array[start : part.stop]
+            previous_rows = array[start - 1 : start - 1 + len(rows)]
+            begins[start : part.stop] = ((rows != previous_rows) & ~(np.isnan(rows) & np.isnan(previous_rows))).any(
+                axis=1
+            )
         if np.count_nonzero(begins) == 1:
             return cls(array[:1].copy(), np.broadcast_to(np.int32(0), (len(array),)))
         return cls(array[begins], np.cumsum(begins, dtype=np.int32) - 1)
 
     @classmethod
-    def few(cls, shape: tuple[int, int], given: Mapping[int, NDArray[np.float64]]) -> Runs:
+    def few(cls, shape: tuple[int, int], row_values: Mapping[int, NDArray[np.float64]]) -> Runs:
         """Return an array (N, n) of NaN in which some rows are given (n,)."""
         run = np.zeros(shape[0], dtype=np.int32)
-        run[list(given)] = np.arange(1, len(given) + 1)
-        return cls(np.stack([np.full(shape[1], np.nan), *given.values()]), run)
+        run[list(row_values)] = np.arange(1, len(row_values) + 1)
+        return cls(np.stack([np.full(shape[1], np.nan), *row_values.values()]), run)
 
     def take(self, rows: Any) -> NDArray[np.float64]:
         """Return some of the rows."""
@@ -154,8 +157,8 @@ def ragged_range(count: NDArray[np.int64], first: NDArray[np.int64] | int = 0) -
     >>> ragged_range(np.array([2, 0, 3]), np.array([7, 9, 4])).tolist()
     [7, 8, 4, 5, 6]
     """
-    before = np.cumsum(count) - count
-    return np.arange(int(np.sum(count))) - np.repeat(before - first, count)
+    group_start = np.cumsum(count) - count
+    return np.arange(int(np.sum(count))) - np.repeat(group_start - first, count)
 
 
 def chunks(count: int) -> Iterator[slice]:
@@ -164,7 +167,7 @@ def chunks(count: int) -> Iterator[slice]:
 
 
 def in_chunks(
-    function: Callable[..., tuple[NDArray[Any], ...]], first: NDArray[Any], *others: NDArray[Any]
+    function: Callable[..., tuple[NDArray[Any], ...]], first: NDArray[Any], *other_arrays: NDArray[Any]
 ) -> tuple[NDArray[Any], ...]:
     """Return `function(first, *others)`, computed for chunks of the rows of all arrays and joined.
 
@@ -174,7 +177,7 @@ def in_chunks(
     whole: tuple[NDArray[Any], ...] = ()
     for part in chunks(len(first)):
         try:
-            pieces = function(first[part], *(array[part] for array in others))
+            pieces = function(first[part], *(array[part] for array in other_arrays))
         except NotConvergedError as cause:
             raise NotConvergedError(str(cause), [part.start + row for row in cause.rows]) from None
         whole = whole or tuple(np.empty((len(first), *piece.shape[1:]), piece.dtype) for piece in pieces)

@@ -77,8 +77,8 @@ class Compensator(Struct, frozen=True):
 
     def with_spring(self, stiffness: float, preload: float) -> Compensator:
         """Return the law with K_c [N/m] and K_c·s₀ [N], unchecked: a fit may pass through unphysical values."""
-        made = Compensator(0.0, 0.0, self.L, self.ax, self.ay)
+        compensator = Compensator(0.0, 0.0, self.L, self.ax, self.ay)
         stiffness = stiffness if abs(stiffness) > _NO_SPRING else _NO_SPRING
-        force_setattr(made, "stiffness", stiffness)
-        force_setattr(made, "free_length", preload / stiffness)
-        return made
+        force_setattr(compensator, "stiffness", stiffness)
+        force_setattr(compensator, "free_length", preload / stiffness)
+        return compensator

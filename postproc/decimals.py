@@ -37,11 +37,11 @@ class Number(Struct, frozen=True, eq=False):
 
         :raises ValueError: |value|·10^decimals exceeds 2⁵³ (not representable digit by digit).
         """
-        scaled = np.rint(values * 10.0**decimals)
-        largest = float(np.fmax.reduce(np.abs(scaled), initial=0.0))
+        integers = np.rint(values * 10.0**decimals)
+        largest = float(np.fmax.reduce(np.abs(integers), initial=0.0))
         if not largest < 2.0**53:
             raise ValueError("a number is too large to be written")
-        return cls(scaled, decimals, -(-len(str(int(largest) // 10**decimals)) // 4))
+        return cls(integers, decimals, -(-len(str(int(largest) // 10**decimals)) // 4))
 
     def __len__(self) -> int:
         return len(self.scaled)
@@ -58,8 +58,8 @@ class Number(Struct, frozen=True, eq=False):
             text[1:, at : at + self.width] = text[0, at : at + self.width]
             return
         empty = np.isnan(self.scaled)
-        none = bool(empty.any())
-        digits = np.abs(np.where(empty, 0.0, self.scaled) if none else self.scaled).astype(np.uint64)
+        has_empty = bool(empty.any())
+        digits = np.abs(np.where(empty, 0.0, self.scaled) if has_empty else self.scaled).astype(np.uint64)
         whole = digits // np.uint64(10**self.decimals)
         point, end = at + 1 + 4 * self.groups, at + self.width
         if (
@@ -75,7 +75,7 @@ class Number(Struct, frozen=True, eq=False):
         for stop in range(point, at + 1, -4):
             higher = rest // rest.dtype.type(10_000)
             low = rest - higher * rest.dtype.type(10_000)
-            four = _FOUR_STRIPPED.take(low)
+            four = _FOUR_SHORT.take(low)
             if self.groups > 1:
                 four = np.where(higher > 0, _FOUR.take(low), four)
                 if stop < point:
@@ -83,7 +83,7 @@ class Number(Struct, frozen=True, eq=False):
             _fours(text, stop)[...] = four
             rest = higher
         np.multiply((self.scaled < 0.0).view(np.uint8), np.uint8(ord("-")), out=text[:, at])
-        if none:
+        if has_empty:
             text[empty, at:end] = _ABSENT
 
 
@@ -102,7 +102,7 @@ def fixed(values: Array, decimals: int) -> Bytes:
 _FOUR_DIGIT_NUMBERS = np.arange(10_000)[:, None]
 _DIGITS = (_FOUR_DIGIT_NUMBERS // [1000, 100, 10, 1] % 10 + ord("0")).astype(np.uint8)
 _FOUR = _DIGITS.view(np.uint32)[:, 0]
-_FOUR_STRIPPED = (_DIGITS * (_FOUR_DIGIT_NUMBERS >= [1000, 100, 10, 0])).view(np.uint32)[:, 0]
+_FOUR_SHORT = (_DIGITS * (_FOUR_DIGIT_NUMBERS >= [1000, 100, 10, 0])).view(np.uint32)[:, 0]
 
 
 def _narrow(numbers: NDArray[np.uint64], limit: int) -> NDArray[np.uint64] | NDArray[np.uint32]:

@@ -23,7 +23,7 @@ _POLE = 1e-9
 """Cosine of B below which A is taken as 0: only the sum or difference of A and C means something there."""
 _SMALL_SINE = 5e-3
 """Below this the series of asin and of Rodrigues' factors to the fifth power are exact to 1e-16."""
-_SAME = np.eye(4)
+_SAME_TWIST = np.eye(4)
 _TO_SI = np.array([M_PER_MM] * 3 + [RAD_PER_DEG] * 3)
 
 
@@ -91,7 +91,7 @@ def inverse(pose: Array) -> Array:
     return inverse_pose
 
 
-def product(left: Array, pose: Array, right: Array = _SAME) -> Array:
+def product(left: Array, pose: Array, right: Array = _SAME_TWIST) -> Array:
     """Return left·pose·right of poses (n, 4, 4); the outer ones are (4, 4), the same for all, or (n, 4, 4).
 
     Where both are the same for all it is one product of two matrices: vec(L·P·R) = vec(P)·(Lᵀ ⊗ R), row by row.
@@ -212,13 +212,13 @@ def rotation_from_vector(vector: Array) -> Array:
     return rotation
 
 
-def twist_between(pose_from: Array, pose_to: Array) -> Array:
+def twist_between(start_pose: Array, end_pose: Array) -> Array:
     """Return (..., 6) the displacement that carries one pose to another: translation [m] of the origin and
     rotation vector [rad], both in the axes of the frame in which the poses are given.
     """
-    twist = np.empty((*np.broadcast_shapes(pose_from.shape, pose_to.shape)[:-2], 6))
-    twist[..., :3] = pose_to[..., :3, 3] - pose_from[..., :3, 3]
-    relative = pose_to[..., :3, :3] @ np.swapaxes(pose_from[..., :3, :3], -1, -2)
+    twist = np.empty((*np.broadcast_shapes(start_pose.shape, end_pose.shape)[:-2], 6))
+    twist[..., :3] = end_pose[..., :3, 3] - start_pose[..., :3, 3]
+    relative = end_pose[..., :3, :3] @ np.swapaxes(start_pose[..., :3, :3], -1, -2)
     twist[..., 3:] = rotation_vector(relative)
     return twist
 
@@ -232,7 +232,7 @@ def displaced(pose: Array, twist: Array) -> Array:
     return moved_pose
 
 
-def interpolated(pose_from: Array, pose_to: Array, t: Array) -> Array:
+def interpolated(start_pose: Array, end_pose: Array, t: Array) -> Array:
     """Return poses on the straight run from one pose to another, t in [0, 1]: position linear, orientation
     by one rotation about a fixed axis (how KUKA interpolates LIN with ``$ORI_TYPE=#VAR``).
 
@@ -240,4 +240,4 @@ def interpolated(pose_from: Array, pose_to: Array, t: Array) -> Array:
     >>> (xyzabc_from_pose(interpolated(*ends, np.array(0.5))).round(6) + 0.0).tolist()
     [50.0, 0.0, 0.0, 45.0, 0.0, 0.0]
     """
-    return displaced(pose_from, twist_between(pose_from, pose_to) * np.asarray(t)[..., None])
+    return displaced(start_pose, twist_between(start_pose, end_pose) * np.asarray(t)[..., None])

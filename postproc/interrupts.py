@@ -113,15 +113,15 @@ def came() -> bool:
 @contextlib.contextmanager
 def _handled(by: Callable[[object], bool], handler: _Handler) -> Iterator[None]:
     """Handle those signals whose present handler is such a one."""
-    before = {number: signal.getsignal(number) for number in _ENDING}
-    taken = [number for number in _ENDING if by(before[number])]
-    for number in taken:
+    handlers = {number: signal.getsignal(number) for number in _ENDING}
+    numbers = [number for number in _ENDING if by(handlers[number])]
+    for number in numbers:
         signal.signal(number, handler)
     try:
         yield
     finally:
-        for number in taken:
-            signal.signal(number, before[number])
+        for number in numbers:
+            signal.signal(number, handlers[number])
 
 
 def _leave(number: int, _frame: FrameType | None) -> None:

@@ -37,7 +37,7 @@ _NO_NAME = re.compile(
 _END_MILLING = re.compile(r"end ?mill(?:ing)? +\D+$", re.IGNORECASE)
 """Milling with an end mill: a name after a retract, though comments that begin with "end" are none."""
 _LINE_OF_COMMENT = re.compile(r"\s*/?\s*(?:N\s*\d+)?\s*[(;]", re.IGNORECASE)
-_MOST = 60
+_LONGEST_NAME = 60
 """More operations than this are remarks on single moves."""
 _PIECE = 2**20
 """Characters of a text that are divided into lines at once."""
@@ -73,7 +73,7 @@ def operations(program: Program, *, at_retracts: bool = False) -> tuple[Operatio
     choices: tuple[Names, ...] = ("retracts",) if at_retracts else ("all", "retracts", "none")
     for names in choices:
         candidates = tuple(_joined(program, list(_starts(program, names))))
-        if len(candidates) <= _MOST:
+        if len(candidates) <= _LONGEST_NAME:
             break
     return candidates
 

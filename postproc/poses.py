@@ -32,8 +32,10 @@ class Poses(Columns, frozen=True, eq=False):
     def of(cls, pose: Array) -> Poses:
         """Return poses (N, 4, 4)."""
         rotation = pose[:, :3, :3]
-        same = bool(len(pose)) and bool((rotation[-1] == rotation[0]).all()) and bool((rotation == rotation[0]).all())
-        if same:
+        is_constant = (
+            bool(len(pose)) and bool((rotation[-1] == rotation[0]).all()) and bool((rotation == rotation[0]).all())
+        )
+        if is_constant:
             return cls.fixed(pose[:, :3, 3].copy(), rotation[0].copy())
         return cls(pose[:, :3, 3].copy(), rotation.copy())
 
@@ -76,9 +78,9 @@ class Poses(Columns, frozen=True, eq=False):
         if entries and entries[0] == _FIRST_THREE and entries[1] in (_FIRST_THREE, 0, 1, 2):
             return np.asarray(self._rotation(rows)[..., entries[1]])
         position = self.position[rows]
-        out = np.zeros((*position.shape[:-1], 4, 4))
-        out[..., :3, :3], out[..., :3, 3], out[..., 3, 3] = self._rotation(rows), position, 1.0
-        return np.asarray(out[(*[slice(None)] * (out.ndim - 2), *entries)])
+        matrices = np.zeros((*position.shape[:-1], 4, 4))
+        matrices[..., :3, :3], matrices[..., :3, 3], matrices[..., 3, 3] = self._rotation(rows), position, 1.0
+        return np.asarray(matrices[(*[slice(None)] * (matrices.ndim - 2), *entries)])
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         return np.asarray(self[:], dtype)
@@ -91,8 +93,8 @@ class Poses(Columns, frozen=True, eq=False):
         return Poses(position, self.orientation[rows])
 
     def _rotation(self, rows: Any) -> Array:
-        some = self.orientation[rows]
-        return some if self.orientation.ndim == 3 else rotation_from_angles(some * RAD_PER_DEG)
+        orientation = self.orientation[rows]
+        return orientation if self.orientation.ndim == 3 else rotation_from_angles(orientation * RAD_PER_DEG)
 
 
 def as_poses(pose: Poses | Array) -> Poses:

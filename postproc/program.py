@@ -150,22 +150,22 @@ class Swivel(Struct, frozen=True, eq=False):
     @property
     def travel(self) -> Array:
         """(M,) largest rotation of the tool [rad]: 0 where it is parallel to the axis that turns."""
-        out = turning(self.axes, self.begin, self.end)
+        rotation = turning(self.axes, self.begin, self.end)
         if self.spin is not None:
-            out = out + np.abs(self.spin[:, 1] - self.spin[:, 0])
-        return np.asarray(np.where(self.active, out, 0.0))
+            rotation = rotation + np.abs(self.spin[:, 1] - self.spin[:, 0])
+        return np.asarray(np.where(self.active, rotation, 0.0))
 
     def at(self, motion: Ints, t: Array) -> Array:
         """Return the orientation of the tool frame (n, 3, 3) in `$BASE` at places (motion, t)."""
         begin, end = self.begin[motion], self.end[motion]
-        out = self.of(begin + t[:, None] * (end - begin), self.frame[motion])
+        orientation = self.of(begin + t[:, None] * (end - begin), self.frame[motion])
         if self.spin is None:
-            return out
+            return orientation
         first, last = self.spin[motion].T
         angle = first + t * (last - first)
         # about d in the program frame is about z before the tool is tilted
-        about = rotation_from_vector(angle[:, None] * self.tool[2])
-        return np.asarray(out @ about)
+        spin_rotation = rotation_from_vector(angle[:, None] * self.tool[2])
+        return np.asarray(orientation @ spin_rotation)
 
     def of(self, angles: Array, frame: Ints) -> Array:
         """Return the orientation of the tool frame (n, 3, 3) in `$BASE` for angles (n, k) [rad] in frames (n,)."""
@@ -193,11 +193,11 @@ class Turning(Protocol):
 
 def direction(axes: Array, angles: Array) -> Array:
     """Return the direction R₁(a)·R₂(b)·z (n, 3) of a tool on rotary axes (k, 3), for angles (n, k) [rad]."""
-    out = np.broadcast_to([0.0, 0.0, 1.0], (len(angles), 3)).copy()
+    vector = np.broadcast_to([0.0, 0.0, 1.0], (len(angles), 3)).copy()
     for axis, angle in zip(axes[::-1], angles.T[::-1], strict=True):
         cos, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
-        out = out * cos + np.cross(axis, out) * sin + (out @ axis)[:, None] * axis * (1.0 - cos)
-    return out
+        vector = vector * cos + np.cross(axis, vector) * sin + (vector @ axis)[:, None] * axis * (1.0 - cos)
+    return vector
 
 
 def turning(axes: Array, begin: Array, end: Array) -> Array:
@@ -208,14 +208,14 @@ def turning(axes: Array, begin: Array, end: Array) -> Array:
     """
     shares = np.linspace(0.0, 1.0, 5)
     tool = np.stack([direction(axes, begin + share * (end - begin)) for share in shares])
-    moved = np.abs(end - begin)
-    widened = np.sqrt(2.0 / np.maximum(1.0 + tool[..., 2].min(axis=0), 1e-3))
-    across = norm(np.cross(tool, axes[0])).max(axis=0)
+    axis_turn = np.abs(end - begin)
+    factor = np.sqrt(2.0 / np.maximum(1.0 + tool[..., 2].min(axis=0), 1e-3))
+    sine = norm(np.cross(tool, axes[0])).max(axis=0)
     if len(axes) == 1:
-        return np.asarray(moved[:, 0] * across * widened)
-    across = np.minimum(across + moved[:, 1] / (2 * (len(shares) - 1)), 1.0)  # what it may be between these places
+        return np.asarray(axis_turn[:, 0] * sine * factor)
+    sine = np.minimum(sine + axis_turn[:, 1] / (2 * (len(shares) - 1)), 1.0)  # what it may be between these places
     last = float(norm(np.cross(axes[-1], [0.0, 0.0, 1.0])))
-    return np.asarray((moved[:, 0] * across + moved[:, 1] * last) * widened)
+    return np.asarray((axis_turn[:, 0] * sine + axis_turn[:, 1] * last) * factor)
 
 
 class Carriage(Struct, frozen=True, eq=False):
@@ -251,12 +251,12 @@ def tilted(direction: Array) -> Array:
     [[[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]]
     """
     x, y, z = direction.T
-    shared = 1.0 / (1.0 + z)
-    out = np.empty((len(direction), 3, 3))
-    out[:, 0] = np.stack([1.0 - x * x * shared, 0.0 - x * y * shared, x], axis=1)
-    out[:, 1] = np.stack([0.0 - x * y * shared, 1.0 - y * y * shared, y], axis=1)
-    out[:, 2] = np.stack([0.0 - x, 0.0 - y, z], axis=1)
-    return out
+    inverse = 1.0 / (1.0 + z)
+    rotation = np.empty((len(direction), 3, 3))
+    rotation[:, 0] = np.stack([1.0 - x * x * inverse, 0.0 - x * y * inverse, x], axis=1)
+    rotation[:, 1] = np.stack([0.0 - x * y * inverse, 1.0 - y * y * inverse, y], axis=1)
+    rotation[:, 2] = np.stack([0.0 - x, 0.0 - y, z], axis=1)
+    return rotation
 
 
 class Starts(Struct, frozen=True, eq=False):
@@ -288,24 +288,24 @@ class Starts(Struct, frozen=True, eq=False):
         :param after: (M,) at the end of which motion each begins, see `Program.after`.
         """
         base, tool, bases, tools = frames
-        later = np.flatnonzero((np.diff(base) != 0) | (np.diff(tool) != 0)) + 1
-        before = later - 1
+        change = np.flatnonzero((np.diff(base) != 0) | (np.diff(tool) != 0)) + 1
+        previous = change - 1
         if after is not None:
-            later = distinct(np.append(later, np.flatnonzero(after != np.arange(len(base)) - 1)))
-            later = later[after[later] >= 0]
-            before = after[later]
-        first = later[:1] > 0 if len(later) else np.array([True])
-        changed = np.concatenate([[0], later]) if first.all() else later
-        flange = bases[base[before]] @ end(before) @ inverse(tools[tool[before]])
+            change = distinct(np.append(change, np.flatnonzero(after != np.arange(len(base)) - 1)))
+            change = change[after[change] >= 0]
+            previous = after[change]
+        first = change[:1] > 0 if len(change) else np.array([True])
+        starts = np.concatenate([[0], change]) if first.all() else change
+        flange = bases[base[previous]] @ end(previous) @ inverse(tools[tool[previous]])
         flange = np.concatenate([start_flange_in_root[None], flange]) if first.all() else flange
-        return cls(end, changed, inverse(bases[base[changed]]) @ flange @ tools[tool[changed]])
+        return cls(end, starts, inverse(bases[base[starts]]) @ flange @ tools[tool[starts]])
 
     def at(self, motion: Ints) -> Array:
         """Return the tool frames (n, 4, 4) at the start of motions (n,), in their `$BASE` [m]."""
-        out = self.end(motion - 1)
-        place, own = self.changed_among(motion)
-        out[own] = self.pose[place[own]]
-        return out
+        pose = self.end(motion - 1)
+        place, has_start = self.changed_among(motion)
+        pose[has_start] = self.pose[place[has_start]]
+        return pose
 
     def changed_among(self, motion: Ints) -> tuple[Ints, Bools]:
         """Return the place (n,) of motions in `changed`, and which (n,) have one."""
@@ -592,10 +592,12 @@ class Program(Struct, frozen=True, eq=False):
 
     def places(self, rows: Ints) -> Places:
         """Return files and lines of motions (n,)."""
-        found = None if self.layout is None else self.layout.places(rows)
-        if found is None:
-            found = Places((self.documents[0].name,), np.zeros(len(rows), dtype=np.int64), self.motions.line[rows])
-        return found
+        layout_places = None if self.layout is None else self.layout.places(rows)
+        if layout_places is None:
+            layout_places = Places(
+                (self.documents[0].name,), np.zeros(len(rows), dtype=np.int64), self.motions.line[rows]
+            )
+        return layout_places
 
     def numbers_as_written(self) -> Array:
         """Return X, Y, Z [mm], A, B, C [deg] (M, 6) of its motions as its text commands them.
@@ -643,8 +645,8 @@ class Targets(Struct, frozen=True, eq=False):
 
     def begin(self, row: Ints) -> Array:
         """Return where on its motion the piece to each of some targets (n,) begins."""
-        before = np.maximum(row - 1, 0)
-        return np.where((row == 0) | (self.motion[row] != self.motion[before]), 0.0, self.t[before])
+        previous = np.maximum(row - 1, 0)
+        return np.where((row == 0) | (self.motion[row] != self.motion[previous]), 0.0, self.t[previous])
 
 
 class TargetJoints(Struct, frozen=True, eq=False):
@@ -726,8 +728,8 @@ def distinct(values: Ints) -> Ints:
     >>> distinct(np.array([7, 3, 7])).tolist()
     [3, 7]
     """
-    ordered = np.sort(values, axis=None)
-    return np.asarray(ordered[np.diff(ordered, prepend=ordered[:1] - 1) != 0])
+    in_order = np.sort(values, axis=None)
+    return np.asarray(in_order[np.diff(in_order, prepend=in_order[:1] - 1) != 0])
 
 
 def read_only(record: Record) -> Record:

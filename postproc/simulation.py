@@ -72,15 +72,15 @@ class DrivenProgram(Struct, frozen=True, eq=False, dict=True):
         return toolpath.points_in_base(self.program, motion, point, None)
 
 
-def number_of_places(kind: Ints, length: Array, turn: Array, *, curved: Bools, steep: Bools) -> Ints:
+def number_of_places(kind: Ints, length: Array, turn: Array, *, is_curved: Bools, steep: Bools) -> Ints:
     """Return at how many places pieces of a path (n,) are looked at, the last one at their end.
 
     :param kind: (n,) `LIN`, `CIRC`, `PTP` or `SPL`: only the ends of PTPs and of pieces of splines are known.
     :param length: (n,) [m], `turn` (n,) rotation of the tool [rad].
-    :param curved: (n,) True for pieces of arcs, or that replace one, and where the force changes within the piece.
+    :param is_curved: (n,) True for pieces of arcs, or that replace one, and where the force changes within the piece.
     :param steep: (n,) True where the correction changes much, or unevenly, over the piece.
     """
-    number = np.where(curved, 2, 1)
+    number = np.where(is_curved, 2, 1)
     wide = (length > _LONG) | (turn > _MAX_ROTATION)
     number[wide] = np.maximum(2, np.ceil(np.maximum(length[wide] / _SPACING, turn[wide] / _MAX_ROTATION)))
     number[steep] = np.maximum(number[steep], _ON_RAMPS)

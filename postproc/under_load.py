@@ -156,9 +156,9 @@ class RobotInCell(Struct, frozen=True, eq=False, dict=True):
         start = self.cell.start_joints
         return kinematics.follow(self.robot, flange, start, free, m.joints[ptp], m.status[ptp], m.turn[ptp])
 
-    def scaled(self, along: PathForces, motion: Ints) -> Bools:
+    def scaled(self, path_forces: PathForces, motion: Ints) -> Bools:
         """Return on which motions (n,) the errors of the forces are the factor that the model was identified with."""
-        factor, by_law = self.robot.force_factor, along.by_law
+        factor, by_law = self.robot.force_factor, path_forces.by_law
         if factor is None or by_law is None or not factor.is_of(by_law.numbers):
             return np.zeros(len(motion), dtype=np.bool_)
         return np.asarray(np.isin(motion, by_law.motion))
@@ -232,7 +232,7 @@ class RobotInCell(Struct, frozen=True, eq=False, dict=True):
         return tip, np.zeros_like(tip)
 
 
-_BETWEEN = 0.5 * np.pi
+_STEP_ANGLE = 0.5 * np.pi
 """Motions that turn the tool by more [rad] are followed at places between their ends: no axis gains a turn unseen."""
 
 
@@ -262,7 +262,7 @@ class PtpMoves(Struct, frozen=True, eq=False, dict=True):
         ptp = np.flatnonzero(program.motions.kind == PTP)
         rows = np.arange(int(ptp[-1]) + 1)
         linear = program.motions.kind[rows] != PTP
-        count = np.where(linear, np.ceil(self.segments.turn[rows] / _BETWEEN), 1.0).astype(np.int64).clip(1)
+        count = np.where(linear, np.ceil(self.segments.turn[rows] / _STEP_ANGLE), 1.0).astype(np.int64).clip(1)
         motion = np.repeat(rows, count)
         last = np.cumsum(count) - 1
         t = (np.arange(len(motion)) - (last - count)[motion]) / count[motion]
@@ -271,8 +271,8 @@ class PtpMoves(Struct, frozen=True, eq=False, dict=True):
             q = self.robot_in_cell.follow(program, motion, t, sample.pose).q[last]
         except UnreachableError as cause:
             raise ImpossiblePathError(unreachable(program, motion[list(cause.rows)])) from None
-        before = ptp - 1 if program.after is None else program.after[ptp]
-        begin = np.where(before[:, None] >= 0, q[before], cell.start_joints)
+        previous = ptp - 1 if program.after is None else program.after[ptp]
+        begin = np.where(previous[:, None] >= 0, q[previous], cell.start_joints)
         return ptp, begin, q[ptp]
 
     def at(self, motion: Ints, t: Array) -> Array:
@@ -385,16 +385,16 @@ class MotionsUnderLoad(Struct, frozen=True, eq=False):
         check_ends(program, robot_in_cell.robot)
         segments = segments_in_cell(program, robot_in_cell)
         check_between(program, robot_in_cell.robot, segments)
-        along = forces.assign(program, segments, source, robot_in_cell.spindle, robot_in_cell.ramp)
+        path_forces = forces.assign(program, segments, source, robot_in_cell.spindle, robot_in_cell.ramp)
         compliance = robot_in_cell.tip_compliance(program.tools[0])
-        swing_places = forces.swing_places(along, compliance, SHARE_OF_TOLERANCE * robot_in_cell.tolerance)
+        swing_places = forces.swing_places(path_forces, compliance, SHARE_OF_TOLERANCE * robot_in_cell.tolerance)
         return cls(
             program,
             robot_in_cell,
             segments,
-            along,
+            path_forces,
             compliance,
-            forces.displacement_estimate(along, compliance),
+            forces.displacement_estimate(path_forces, compliance),
             swing_places,
         )
 
@@ -428,16 +428,21 @@ class PathUnderLoad(Struct, frozen=True, eq=False):
         force_setattr(self, "wrench", Runs.of(self.wrench))
 
     @classmethod
-    def of(cls, motions: MotionsUnderLoad, arcs: Pieces, also: tuple[Ints, Array] | None = None) -> PathUnderLoad:
+    def of(
+        cls, motions: MotionsUnderLoad, arcs: Pieces, extra_places: tuple[Ints, Array] | None = None
+    ) -> PathUnderLoad:
         """Sample the motions as closely as arcs and forces need, and solve the joint angles.
 
         :param arcs: the pieces of the arcs.
-        :param also: places of straight motions that are needed: motion (n,), t (n,); default: `motions.swing_places`.
+        :param extra_places: places of straight motions that are needed: motion (n,), t (n,); default:
+            `motions.swing_places`.
         :raises ImpossiblePathError: a sample is out of reach.
         """
         program, robot_in_cell = motions.program, motions.robot_in_cell
-        also = motions.swing_places if also is None else also
-        motion, t = toolpath.places(program, motions.segments, robot_in_cell.tolerance, motions.estimate, arcs, also)
+        extra_places = motions.swing_places if extra_places is None else extra_places
+        motion, t = toolpath.places(
+            program, motions.segments, robot_in_cell.tolerance, motions.estimate, arcs, extra_places
+        )
         sample = toolpath.at(program, motions.segments, motion, t)
         try:
             joints = robot_in_cell.follow(program, motion, t, sample.pose)

@@ -39,7 +39,7 @@ _COMMANDS = {
 """Command → where it is."""
 _DEBUG = "--debug"
 _QUIET = "--quiet"
-_ANYWHERE = (_DEBUG, _QUIET)
+_GLOBAL_OPTIONS = (_DEBUG, _QUIET)
 """Options that may also follow a command."""
 
 
@@ -74,13 +74,13 @@ class LazyGroup(click.Group):
         except click.UsageError as cause:
             from postproc.errors import did_you_mean
 
-            near = did_you_mean(args[0], self.list_commands(ctx))
-            raise click.UsageError(f"No such command {args[0]!r}. {near}".rstrip(), ctx) from cause
+            suggestion = did_you_mean(args[0], self.list_commands(ctx))
+            raise click.UsageError(f"No such command {args[0]!r}. {suggestion}".rstrip(), ctx) from cause
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Accept ``--debug`` and ``--quiet`` anywhere on the command line."""
-        others = [arg for arg in args if arg not in _ANYWHERE]
-        return super().parse_args(ctx, [*(option for option in _ANYWHERE if option in args), *others])
+        arguments = [arg for arg in args if arg not in _GLOBAL_OPTIONS]
+        return super().parse_args(ctx, [*(option for option in _GLOBAL_OPTIONS if option in args), *arguments])
 
     def main(self, args: Sequence[str] | None = None, *rest: Any, **options: Any) -> Any:
         """Run the command; without `args`, as the only user of the process. Warnings of libraries are not shown."""
@@ -99,8 +99,8 @@ class LazyGroup(click.Group):
             finally:
                 if args is None:
                     with contextlib.suppress(OSError, ValueError):
-                        if lost := streams.lost_output(sink):
-                            sys.stderr.write(f"{lost}\n")
+                        if message := streams.lost_output(sink):
+                            sys.stderr.write(f"{message}\n")
                     gc.freeze()  # the process ends: a last garbage collection would take 0.1 s
 
     def invoke(self, ctx: click.Context) -> object:

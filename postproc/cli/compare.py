@@ -50,10 +50,10 @@ def compare(ctx: click.Context, /, as_json: bool, **request: Any) -> None:
     from postproc.jobs.comparison_files import CompareRequest, compare_programs
     from postproc.report.comparison import of_comparison
 
-    done = compare_programs(CompareRequest(**request))
+    comparison = compare_programs(CompareRequest(**request))
     if as_json:
-        click.echo(done.written[-1].read_text(encoding="utf-8"), nl=False)
+        click.echo(comparison.written[-1].read_text(encoding="utf-8"), nl=False)
     else:
-        click.echo(of_comparison(done.summary, display()))
-        click.echo(f"written to {done.written[0].parent}: {', '.join(path.name for path in done.written)}")
-    ctx.exit(done.code)
+        click.echo(of_comparison(comparison.summary, display()))
+        click.echo(f"written to {comparison.written[0].parent}: {', '.join(path.name for path in comparison.written)}")
+    ctx.exit(comparison.code)

@@ -43,7 +43,7 @@ def convert(
     nominal: bool,
     name: str | None,
     as_json: bool,
-    **more: Any,
+    **options: Any,
 ) -> None:
     """Write corrected KRL and a report for each PROGRAM.
 
@@ -64,26 +64,26 @@ def convert(
     """  # noqa: D301 - click: keep these lines as they are
     from postproc.jobs import Settings, find_jobs
 
-    cluster = _cluster(more.pop("scheduler"), *(more.pop(f"tls_{file}") for file in ("ca", "cert", "key")))
+    cluster = _cluster(options.pop("scheduler"), *(options.pop(f"tls_{file}") for file in ("ca", "cert", "key")))
     if cluster is not None and jobs > 1:
         raise click.UsageError("--jobs and --scheduler exclude each other.")
-    if more["forces"] is not None and len(programs) > 1 and more["forces"].is_file():
+    if options["forces"] is not None and len(programs) > 1 and options["forces"].is_file():
         raise click.UsageError(
             "--forces FILE goes with one program: its line numbers belong to one. Give a folder that holds NAME.csv "
             "for each program, or write the forces into the programs as comments."
         )
-    if is_piped(programs, more["output"]) and len(programs) == 1:
+    if is_piped(programs, options["output"]) and len(programs) == 1:
         if as_json or cluster is not None:
             raise click.UsageError("--json and --scheduler do not go with -.")
-        files = of_files(more)
-        settings = Settings(mode="nominal" if nominal else "convert", **more)
+        files = of_files(options)
+        settings = Settings(mode="nominal" if nominal else "convert", **options)
         ctx.exit(convert_piped(programs[0], settings, files, name).code)
-    found = find_jobs(programs, name=name, **of_files(more))
-    _check_part(more, found)
-    if name is not None and (fault := found[0].writer.fault_of(name)) is not None:
+    programs_to_do = find_jobs(programs, name=name, **of_files(options))
+    _check_part(options, programs_to_do)
+    if name is not None and (fault := programs_to_do[0].writer.fault_of(name)) is not None:
         raise click.BadParameter(f"the controller does not accept {name!r}: {fault}.", param_hint="--name")
-    settings = Settings(mode="nominal" if nominal else "convert", **more)
-    work(ctx, found, settings, as_json=as_json, workers=jobs, cluster=cluster)
+    settings = Settings(mode="nominal" if nominal else "convert", **options)
+    work(ctx, programs_to_do, settings, as_json=as_json, workers=jobs, cluster=cluster)
 
 
 def _check_part(options: dict[str, Any], jobs: Sequence[Job]) -> None:
@@ -105,7 +105,7 @@ def _cluster(scheduler: str | None, *certificates: Path | None) -> Cluster | Non
 @click.argument("program", shell_complete=complete_files)
 @shared_options
 @click.pass_context
-def predict(ctx: click.Context, /, program: str, as_json: bool, **more: Any) -> None:
+def predict(ctx: click.Context, /, program: str, as_json: bool, **options: Any) -> None:
     """Predict how far the tool leaves the path of PROGRAM.
 
     Nothing is corrected. For part.nc this writes part.predict.report.json,
@@ -119,8 +119,8 @@ def predict(ctx: click.Context, /, program: str, as_json: bool, **more: Any) -> 
     """  # noqa: D301 - click: keep these lines as they are
     from postproc.jobs import Settings, find_jobs
 
-    found = find_jobs([program], **of_files(more))
-    if sum(not job.callers for job in found) > 1:
-        raise click.UsageError(f"predict takes one program; {program} names {len(found)}.")
-    _check_part(more, found)
-    work(ctx, found, Settings(mode="predict", **more), as_json=as_json)
+    programs_to_do = find_jobs([program], **of_files(options))
+    if sum(not job.callers for job in programs_to_do) > 1:
+        raise click.UsageError(f"predict takes one program; {program} names {len(programs_to_do)}.")
+    _check_part(options, programs_to_do)
+    work(ctx, programs_to_do, Settings(mode="predict", **options), as_json=as_json)

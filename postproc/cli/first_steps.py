@@ -140,7 +140,7 @@ def _parsed(kind: str) -> Any:
     help="Station of RoboDK, which must be on this machine: robot, base, tool and start; 'open': the one that is open.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace a file that is there.")
-def init(files: tuple[Path, ...], robodk: str | None, **given: Any) -> None:
+def init(files: tuple[Path, ...], robodk: str | None, **options: Any) -> None:
     """Write a cell file with comments, by options or by questions.
 
     CELL is the file to write, cell.toml by default. On a terminal it asks for what no option says; with PROGRAM, for
@@ -163,24 +163,24 @@ def init(files: tuple[Path, ...], robodk: str | None, **given: Any) -> None:
     from postproc.jobs.first_steps import CellRequest, check_new, write_cell
 
     cell, programs = _cell_and_programs(files)
-    check_new(cell, overwrite=given["overwrite"])
-    station = None if robodk is None else _station(robodk, given)
-    if given["tool"] is None and given["tools"]:
-        given["tool"] = next(iter(given["tools"].values()))
+    check_new(cell, overwrite=options["overwrite"])
+    station = None if robodk is None else _station(robodk, options)
+    if options["tool"] is None and options["tools"]:
+        options["tool"] = next(iter(options["tools"].values()))
     if programs:
-        request = _for_programs(cell, programs, given)
+        request = _for_programs(cell, programs, options)
     else:
-        asked = {key: value for key, value in _asked(given).items() if not key.startswith("rotary")}
+        values = {key: value for key, value in _asked(options).items() if not key.startswith("rotary")}
         request = CellRequest(
-            output=cell, **asked | {"m_codes": {code: [] for code in given["m_codes"]}}, **_rotary(given)
+            output=cell, **values | {"m_codes": {code: [] for code in options["m_codes"]}}, **_rotary(options)
         )
     remarks = write_cell(request)
     if station is not None:
         remarks = (*remarks, *_of_station(station, request.robot))
     language = load_robot(request.robot).language
     to = f" --to {language}" if language not in ("", "krl") else ""
-    named = " ".join(argument(program) for program in programs) or "PROGRAM"
-    click.echo(f"written: {cell}. Look it over, then: postproc convert {named} --cell {argument(cell)}{to}")
+    arguments = " ".join(argument(program) for program in programs) or "PROGRAM"
+    click.echo(f"written: {cell}. Look it over, then: postproc convert {arguments} --cell {argument(cell)}{to}")
     for remark in remarks:
         click.echo(f"warning: {remark}", err=True)
     if programs and not _all_convert(programs, cell, language):
@@ -191,63 +191,69 @@ def _cell_and_programs(files: tuple[Path, ...]) -> tuple[Path, list[Path]]:
     """Return the cell file to write and the programs that it is for."""
     from postproc.dialects import registry
 
-    known = registry.extensions()
-    programs = [file for file in files if file.suffix.lower() in known]
+    extensions = registry.extensions()
+    programs = [file for file in files if file.suffix.lower() in extensions]
     cells = [file for file in files if file not in programs]
     if len(cells) > 1:
         raise click.UsageError(f"Two cell files: {cells[0]} and {cells[1]}. Name one, and programs with an extension.")
     return next(iter(cells), Path("cell.toml")), programs
 
 
-def _rotary(given: dict[str, Any]) -> dict[str, Any]:
+def _rotary(options: dict[str, Any]) -> dict[str, Any]:
     """Return the field of `CellRequest` for rotary axes; none where no option names them."""
     from postproc.jobs import answers
 
-    if given["rotary"] is None:
+    if options["rotary"] is None:
         return {}
-    if given["rotary_kind"] is None:
+    if options["rotary_kind"] is None:
         raise click.UsageError("Give --rotary-kind tcp or indexed with --rotary.")
-    return {"rotary": answers.rotary(given["rotary"], given["rotary_kind"], given["rotary_points"])}
+    return {"rotary": answers.rotary(options["rotary"], options["rotary_kind"], options["rotary_points"])}
 
 
-_SAME = ("robot", "base", "tool", "clearance", "tool_change", "spindle", "coolant", "part_tolerance", "home")
+_SAME_OPTIONS = ("robot", "base", "tool", "clearance", "tool_change", "spindle", "coolant", "part_tolerance", "home")
 """Options whose answers have their name."""
 
 
-def _for_programs(cell: Path, programs: list[Path], given: dict[str, Any]) -> CellRequest:
+def _for_programs(cell: Path, programs: list[Path], options: dict[str, Any]) -> CellRequest:
     """Return the request for a cell that these programs need; ask for what no option says."""
     from postproc.cli.start import print_needs, prompted
     from postproc.jobs import guided_start
     from postproc.jobs.program_needs import needs_of
 
-    each = [needs_of(program) for program in programs]
-    for needs in each:
+    item = [needs_of(program) for program in programs]
+    for needs in item:
         print_needs(needs)
         if needs.refusal:
             click.echo(f"no answer makes this program readable: {needs.refusal}", err=True)
-    needs = guided_start.merged(each)
+    needs = guided_start.merged(item)
     answers = guided_start.Answers()
-    answers.values |= {name: given[name] for name in _SAME if given[name] is not None}
-    answers.values |= {f"tool.{number}": frame for number, frame in given["tools"].items()}
-    answers.values |= {f"work_offset.{code}": frame for code, frame in given["work_offsets"].items()}
-    answers.values |= {f"m_code.{code}": "none" for code in given["m_codes"]}
-    answers.values |= {f"rotary_point.{letter}": point for letter, point in given["rotary_points"].items()}
-    stated = {"rotary_axes": given["rotary"], "rotary_kind": given["rotary_kind"], "dwell_unit": given["dwell_unit"]}
-    stated |= {"radius_offsets": given["radius_offsets"]} if _is_stated("radius_offsets") else {}
-    answers.values |= {name: value for name, value in stated.items() if value is not None}
-    missing: list[guided_start.Question] = []
-    while question := guided_start.next_question(needs, answers, {each.key for each in missing}, process=False):
+    answers.values |= {name: options[name] for name in _SAME_OPTIONS if options[name] is not None}
+    answers.values |= {f"tool.{number}": frame for number, frame in options["tools"].items()}
+    answers.values |= {f"work_offset.{code}": frame for code, frame in options["work_offsets"].items()}
+    answers.values |= {f"m_code.{code}": "none" for code in options["m_codes"]}
+    answers.values |= {f"rotary_point.{letter}": point for letter, point in options["rotary_points"].items()}
+    texts = {
+        "rotary_axes": options["rotary"],
+        "rotary_kind": options["rotary_kind"],
+        "dwell_unit": options["dwell_unit"],
+    }
+    texts |= {"radius_offsets": options["radius_offsets"]} if _is_stated("radius_offsets") else {}
+    answers.values |= {name: value for name, value in texts.items() if value is not None}
+    unanswered_questions: list[guided_start.Question] = []
+    while question := guided_start.next_question(
+        needs, answers, {item.key for item in unanswered_questions}, process=False
+    ):
         if is_terminal():
             answers.put(question, prompted(question, first=not answers.texts))
         elif question.optional and question.default is not None:
             answers.put(question, question.default)
         else:
-            missing.append(question)
-    if missing:
-        lines = [f"  {question.option}    {question.text}" for question in missing]
+            unanswered_questions.append(question)
+    if unanswered_questions:
+        lines = [f"  {question.option}    {question.text}" for question in unanswered_questions]
         raise click.UsageError("\n".join(["Missing, and there is no terminal to ask on:", *lines]))
-    others = {name: given[name] for name in ("axis", "start", "config_dat", "overwrite")}
-    return guided_start.cell_request(cell, answers, **others)
+    cell_options = {name: options[name] for name in ("axis", "start", "config_dat", "overwrite")}
+    return guided_start.cell_request(cell, answers, **cell_options)
 
 
 def _is_stated(name: str) -> bool:
@@ -270,17 +276,17 @@ def _all_convert(programs: list[Path], cell: Path, language: str) -> bool:
     return good
 
 
-def _station(robodk: str, given: dict[str, Any]) -> Station:
+def _station(robodk: str, options: dict[str, Any]) -> Station:
     """Fill values without an option from a station of RoboDK; return the station."""
     from postproc.hosts.robodk_station import read
 
     station = read(robodk)
     for name, value in (("base", station.base), ("tool", station.tool), ("start", station.start)):
-        if given[name] is None:
-            given[name] = value
-    if given["robot"] is None:
-        given["robot"] = station.shipped()
-    if given["robot"] is None:
+        if options[name] is None:
+            options[name] = value
+    if options["robot"] is None:
+        options["robot"] = station.shipped()
+    if options["robot"] is None:
         click.echo(f"The robot of the station is {station.robot}: there is no robot model of this name.", err=True)
     return station
 
@@ -293,68 +299,70 @@ def _of_station(station: Station, robot: str) -> tuple[str, ...]:
     return (*station.remarks, *(() if warning is None else (warning,)))
 
 
-def _asked(given: dict[str, Any]) -> dict[str, Any]:
+def _asked(options: dict[str, Any]) -> dict[str, Any]:
     """Ask for values without an option; without a terminal take the default, or raise if there is none."""
     from postproc.jobs import answers, first_steps
 
-    missing = [name for name in ("robot", "base", "tool") if given[name] is None]
-    if missing and not is_terminal():
-        raise click.UsageError(f"Give {', '.join(f'--{name}' for name in missing)} (there is no terminal to ask on).")
+    absent_names = [name for name in ("robot", "base", "tool") if options[name] is None]
+    if absent_names and not is_terminal():
+        raise click.UsageError(
+            f"Give {', '.join(f'--{name}' for name in absent_names)} (there is no terminal to ask on)."
+        )
 
     def ask(name: str, text: str, default: Any, kind: str) -> None:
-        if given[name] is None:
-            given[name] = (
+        if options[name] is None:
+            options[name] = (
                 click.prompt(text, default=default, value_proc=partial(_checked, kind))
-                if missing
+                if absent_names
                 else _checked(kind, str(default))
             )
 
-    if missing:
+    if absent_names:
         click.echo("Lengths in mm, angles in degrees. Enter takes the value in brackets.")
-    if given["robot"] is None:
+    if options["robot"] is None:
         from postproc.robot import shipped
 
         click.echo(f"Robots: {', '.join(shipped())}")
     ask("robot", "Robot, or the path of a model folder", "kuka_kr270", "robot")
-    if given["base"] is None:
-        usual = ",".join(f"{value:g}" for value in first_steps.usual_base(given["robot"]))
+    if options["base"] is None:
+        usual = ",".join(f"{value:g}" for value in first_steps.usual_base(options["robot"]))
         ask("base", "$BASE in the robot root: X,Y,Z[,A,B,C]", usual, "frame")
     ask("tool", "$TOOL, the tool tip in the flange frame: X,Y,Z[,A,B,C]", "0,0,350", "frame")
-    if missing and not given["tools"]:
+    if absent_names and not options["tools"]:
         text = "Tools that programs change to, such as 1=0,0,350 2=0,0,412.5 (empty: $TOOL holds for all)"
-        given["tools"] = click.prompt(text, default="", show_default=False, value_proc=_words("tools"))
-    if missing and not given["work_offsets"]:
+        options["tools"] = click.prompt(text, default="", show_default=False, value_proc=_words("tools"))
+    if absent_names and not options["work_offsets"]:
         text = "Work offsets that programs use in addition to G54, such as G55=300,0,0 (empty: none)"
-        given["work_offsets"] = click.prompt(text, default="", show_default=False, value_proc=_words("work_offsets"))
-    if missing and not given["m_codes"]:
+        options["work_offsets"] = click.prompt(text, default="", show_default=False, value_proc=_words("work_offsets"))
+    if absent_names and not options["m_codes"]:
         text = "M codes that have no effect on the robot, such as M31 M33 (empty: none)"
-        given["m_codes"] = click.prompt(
+        options["m_codes"] = click.prompt(
             text,
             default="",
             show_default=False,
             value_proc=lambda text: _checked("m_codes", text.replace(",", " ").split()),
         )
-    if missing and given["start"] is None:
+    if absent_names and options["start"] is None:
         text = "Joints where programs start: A1,…,A6 (empty: chosen with the tip above the part)"
-        given["start"] = (
+        options["start"] = (
             click.prompt(text, default="", show_default=False, value_proc=partial(_checked, "numbers")) or None
         )
     ask("clearance", "Z of $BASE to which programs retract (G28, G30, G53)", f"{first_steps.CLEARANCE_MM:g}", "number")
     text = "Tool change: hand (the program stops), none, or a line that calls the changer, with {T}"
     ask("tool_change", text, answers.BY_HAND, "line")
-    if missing:
-        if given["spindle"] is None:
+    if absent_names:
+        if options["spindle"] is None:
             text = "Spindle: lines for M3, with {S}, and M5, with | between, or hand"
-            given["spindle"] = click.prompt(text, default=answers.BY_HAND, value_proc=partial(_checked, "switch"))
-        if given["coolant"] is None:
+            options["spindle"] = click.prompt(text, default=answers.BY_HAND, value_proc=partial(_checked, "switch"))
+        if options["coolant"] is None:
             text = "Coolant: lines for M7 and M8, and for M9, with | between, or hand"
-            given["coolant"] = click.prompt(text, default=answers.BY_HAND, value_proc=partial(_checked, "switch"))
-        if given["part_tolerance"] is None:
+            options["coolant"] = click.prompt(text, default=answers.BY_HAND, value_proc=partial(_checked, "switch"))
+        if options["part_tolerance"] is None:
             text = "What the part may be off (95 %) (empty: nothing is judged by it)"
-            given["part_tolerance"] = click.prompt(
+            options["part_tolerance"] = click.prompt(
                 text, default="", show_default=False, value_proc=partial(_checked, "tolerance")
             )
-    return given
+    return options
 
 
 @click.command()
@@ -372,7 +380,7 @@ def samples(folder: Path, overwrite: bool) -> None:
     from postproc.errors import argument
     from postproc.jobs.first_steps import copy_samples
 
-    written = copy_samples(folder, overwrite=overwrite)
-    click.echo(f"written: {len(written)} files in {folder}. To try them:")
+    paths = copy_samples(folder, overwrite=overwrite)
+    click.echo(f"written: {len(paths)} files in {folder}. To try them:")
     program, cell = argument(folder / "pocket.nc"), argument(folder / "cell_kr270.toml")
     click.echo(f"  postproc convert {program} --cell {cell} -o out")

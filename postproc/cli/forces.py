@@ -50,16 +50,16 @@ def forces(as_json: bool, materials: bool, **request: Any) -> None:
     for name in ("program", "cell", "process", "output"):
         if request[name] is None:
             raise click.UsageError("Give PROGRAM, --cell, --process and -o (or --materials).")
-    asked = ForcesRequest(**request)
+    force_request = ForcesRequest(**request)
     with _progress() as progress:
-        made = make_forces(asked, progress)
-    for issue in made.issues:
-        click.echo(issue_line(issue_entry(issue), str(asked.program)), err=True)
+        files = make_forces(force_request, progress)
+    for issue in files.issues:
+        click.echo(issue_line(issue_entry(issue), str(force_request.program)), err=True)
     if as_json:
-        click.echo(json_bytes(made.summary).decode(), nl=False)
+        click.echo(json_bytes(files.summary).decode(), nl=False)
     else:
-        click.echo(process_forces.as_text(made.summary))
-        click.echo(f"written: {', '.join(path.name for path in made.written)}")
+        click.echo(process_forces.as_text(files.summary))
+        click.echo(f"written: {', '.join(path.name for path in files.written)}")
 
 
 @contextlib.contextmanager
@@ -71,6 +71,6 @@ def _progress() -> Iterator[Callable[[int, int], None] | None]:
     from rich.console import Console
     from rich.progress import Progress
 
-    with Progress(console=Console(stderr=True), transient=True) as shown:
-        task = shown.add_task("moves")
-        yield lambda done, of: shown.update(task, completed=done, total=of)
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("moves")
+        yield lambda count, of: bar.update(task, completed=count, total=of)

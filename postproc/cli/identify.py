@@ -105,10 +105,10 @@ def elastostatics(ctx: click.Context, /, as_json: bool, **request: Any) -> None:
     """  # noqa: D301 - click: keep these lines as they are
     from postproc.jobs.identification_files import ElastostaticsRequest, identify_elastostatics
 
-    asked = ElastostaticsRequest(**request)
-    done = identify_elastostatics(asked, _say)
-    _show(done, asked.output, as_json)
-    if done.data.verdict is not None and done.data.verdict.refused:
+    files_request = ElastostaticsRequest(**request)
+    folder = identify_elastostatics(files_request, _say)
+    _show(folder, files_request.output, as_json)
+    if folder.data.verdict is not None and folder.data.verdict.refused:
         ctx.exit(3)
 
 
@@ -152,7 +152,7 @@ def validate(
     experiment: Path | None,
     cell: Path | None,
     programs: tuple[str, ...],
-    more: tuple[str, ...],
+    other_programs: tuple[str, ...],
     forces: Path | None,
     process: Path | None,
 ) -> None:
@@ -188,7 +188,7 @@ def validate(
     """  # noqa: D301 - click: keep these lines as they are
     from postproc.testpart.probing import is_probed
 
-    programs += more  # --program a.nc b.nc
+    programs += other_programs  # --program a.nc b.nc
     if is_probed(measurements):
         if experiment or forces or cell is None or process is None or not programs:
             raise click.UsageError("A probed part needs --cell, --process and --program, and nothing else.")
@@ -214,17 +214,19 @@ def validate(
         ctx.exit(3)
 
 
-def _holds_for_part(model: Path, probed: Path, cell: Path, process: Path, programs: tuple[Path, ...]) -> bool:
+def _holds_for_part(model: Path, readings: Path, cell: Path, process: Path, programs: tuple[Path, ...]) -> bool:
     """Print how a model agrees with a probed part; return whether it holds."""
     from postproc.jobs.testpart_files import PartRequest, compare_part
     from postproc.report.testpart import agreement_lines
 
-    data, compared = compare_part(PartRequest(probed=probed, cell=cell, process=process, programs=programs), str(model))
-    for text in agreement_lines(data, compared):
+    data, agreement = compare_part(
+        PartRequest(probed=readings, cell=cell, process=process, programs=programs), str(model)
+    )
+    for text in agreement_lines(data, agreement):
         click.echo(text)
-    for warning in compared.warnings:
+    for warning in agreement.warnings:
         click.echo(f"warning: {warning}", err=True)
-    return compared.holds
+    return agreement.holds
 
 
 @identify.command()
@@ -273,7 +275,7 @@ def part(
     overwrite: bool,
     as_json: bool,
     programs: tuple[str, ...],
-    more: tuple[str, ...],
+    other_programs: tuple[str, ...],
     **request: Any,
 ) -> None:
     """Compliances, and the scale of forces, from a probed part.
@@ -301,29 +303,29 @@ def part(
 
     if compare == (output is not None):
         raise click.UsageError("Give -o MODEL_DIR, or --compare.")
-    programs += more  # --program a.nc b.nc
-    done = identify_part(PartRequest(programs=tuple(map(Path, programs)), **request), output, overwrite=overwrite)
-    compared = done.data.agreement
+    programs += other_programs  # --program a.nc b.nc
+    folder = identify_part(PartRequest(programs=tuple(map(Path, programs)), **request), output, overwrite=overwrite)
+    agreement = folder.data.agreement
     if as_json:
-        click.echo(done.data.as_json().decode())
+        click.echo(folder.data.as_json().decode())
     else:
-        lines = part_lines(done.data) if compared is None else agreement_lines(done.data, compared)
+        lines = part_lines(folder.data) if agreement is None else agreement_lines(folder.data, agreement)
         for text in lines:
             click.echo(text)
-        for warning in done.data.warnings if compared is None else compared.warnings:
+        for warning in folder.data.warnings if agreement is None else agreement.warnings:
             click.echo(f"warning: {warning}", err=True)
-        if done.written:
+        if folder.written:
             click.echo(f"written: {output}")
-    if done.data.verdict.refused if compared is None else not compared.holds:
+    if folder.data.verdict.refused if agreement is None else not agreement.holds:
         ctx.exit(3)
 
 
-def _show(done: IdentifiedFolder, output: Path, as_json: bool) -> None:
+def _show(folder: IdentifiedFolder, output: Path, as_json: bool) -> None:
     if as_json:
-        click.echo(done.data.as_json().decode())
+        click.echo(folder.data.as_json().decode())
         return
-    click.echo(done.text)
-    for warning in done.data.warnings:
+    click.echo(folder.text)
+    for warning in folder.data.warnings:
         click.echo(f"warning: {warning}", err=True)
     click.echo(f"written: {output}")
 
@@ -363,10 +365,10 @@ def forces(
     if propose == (measured is not None):
         raise click.UsageError("Give MEASURED, or --propose.")
     if measured is None:
-        written = propose_cuts(process, output, tool, overwrite=overwrite)
+        paths = propose_cuts(process, output, tool, overwrite=overwrite)
     else:
-        found, written = identify_forces(measured, process, output, tool, overwrite=overwrite)
-        click.echo(as_text(found))
-        for warning in found.warnings:
+        material, paths = identify_forces(measured, process, output, tool, overwrite=overwrite)
+        click.echo(as_text(material))
+        for warning in material.warnings:
             click.echo(f"warning: {warning}", err=True)
-    click.echo(f"written: {', '.join(path.name for path in written)}")
+    click.echo(f"written: {', '.join(path.name for path in paths)}")

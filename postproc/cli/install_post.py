@@ -28,8 +28,8 @@ def install_post(host: str, folder: Path | None, remove: bool) -> None:
     from postproc import hosts
 
     if remove:
-        removed = hosts.remove_post(host, folder)
-        click.echo("\n".join(f"removed {path}" for path in removed) or f"there is no post of postproc for {host}")
+        paths = hosts.remove_post(host, folder)
+        click.echo("\n".join(f"removed {path}" for path in paths) or f"there is no post of postproc for {host}")
         return
     click.echo("\n".join(f"written {path}" for path in hosts.install_post(host, folder)))
     click.echo(hosts.HOSTS[host].use)

@@ -39,8 +39,8 @@ class Choice(click.Choice[str]):
         except click.BadParameter as cause:
             from postproc.errors import did_you_mean
 
-            near = did_you_mean(str(value), [str(choice) for choice in self.choices])
-            raise click.BadParameter(f"{cause.message} {near}".rstrip(), ctx, param) from cause
+            suggestion = did_you_mean(str(value), [str(choice) for choice in self.choices])
+            raise click.BadParameter(f"{cause.message} {suggestion}".rstrip(), ctx, param) from cause
 
 
 def complete_robots(_ctx: click.Context, _param: click.Parameter | None, incomplete: str) -> list[CompletionItem]:
@@ -57,18 +57,20 @@ def complete_files(_ctx: click.Context, _param: click.Parameter, incomplete: str
 
 
 def several_programs(text: str, *, required: bool = False) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Return a decorator for ``--program A B …``: the first is in `programs`, the others are in `more`.
+    """Return a decorator for ``--program A B …``: the first is in `programs`, the others are in `other_programs`.
 
     :param text: help of the option.
     """
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
-        others = click.argument("more", nargs=-1, metavar="[PROGRAM]...", shell_complete=complete_files)
+        rest_argument = click.argument(
+            "other_programs", nargs=-1, metavar="[PROGRAM]...", shell_complete=complete_files
+        )
         option = click.option(
             "--program", "programs", multiple=True, required=required, metavar="PROGRAM...",
             shell_complete=complete_files, help=text,
         )  # fmt: skip
-        return option(others(command))
+        return option(rest_argument(command))
 
     return decorate
 
@@ -91,18 +93,21 @@ def _finite(_ctx: click.Context, _param: click.Parameter, value: float | None) -
 
 def _decorator(option: Option) -> Callable[[_Command], _Command]:
     """Return the click option of an option of the table."""
-    more: dict[str, Any] = {"metavar": option.metavar} if option.metavar else {}
+    attributes: dict[str, Any] = {"metavar": option.metavar} if option.metavar else {}
     if option.kind == "flag":
-        more["is_flag"] = True
+        attributes["is_flag"] = True
     elif option.kind == "path":
-        more["type"] = _PATH
+        attributes["type"] = _PATH
     elif option.kind == "count":
-        more["type"] = click.IntRange(min=None if option.least is None else int(option.least))
+        attributes["type"] = click.IntRange(min=None if option.least is None else int(option.least))
     elif option.kind == "length":
-        more |= {"type": float if option.least is None else click.FloatRange(min=option.least), "callback": _finite}
+        attributes |= {
+            "type": float if option.least is None else click.FloatRange(min=option.least),
+            "callback": _finite,
+        }
     else:
-        more["callback"] = _dialect
-    return click.option(*option.flags, option.name, required=option.required, help=option.help, **more)
+        attributes["callback"] = _dialect
+    return click.option(*option.flags, option.name, required=option.required, help=option.help, **attributes)
 
 
 overwrite = _decorator(actions.OVERWRITE)

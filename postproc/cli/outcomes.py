@@ -44,25 +44,25 @@ def work_through(
     from postproc.errors import PostprocError
     from postproc.jobs import convert_all, left
 
-    known: dict[str, Outcome] = {}
+    outcome_of: dict[str, Outcome] = {}
     try:
         run = partial(convert_all, jobs, settings, workers=workers, cluster=cluster, waiting=say)
         for outcome in _with_progress(run, len(jobs)):
-            known[outcome.program] = outcome
+            outcome_of[outcome.program] = outcome
     except (KeyboardInterrupt, PostprocError) as cause:
-        earlier = left([job for job in jobs if not job.callers and str(job.program) not in known], settings.mode)
+        remark = left([job for job in jobs if not job.callers and str(job.program) not in outcome_of], settings.mode)
         if isinstance(cause, PostprocError):
-            if earlier:
-                click.echo(earlier, err=True)
+            if remark:
+                click.echo(remark, err=True)
             raise
-        print_failures(known.values())
-        done = sum(bool(outcome.written) for outcome in known.values())
+        print_failures(outcome_of.values())
+        count = sum(bool(outcome.written) for outcome in outcome_of.values())
         rest = "of the others nothing is" if cluster is None else "the cluster may still finish those it has begun"
-        text = f"Interrupted: {done} of {len(jobs)} programs are written, and whole; {rest}. {earlier}".rstrip()
+        text = f"Interrupted: {count} of {len(jobs)} programs are written, and whole; {rest}. {remark}".rstrip()
         with contextlib.suppress(OSError):  # the terminal may be gone
             click.echo(text, err=True)
         ctx.exit(128 + getattr(cause, "number", 2))
-    outcomes = [known[str(job.program)] for job in jobs]
+    outcomes = [outcome_of[str(job.program)] for job in jobs]
     _print(outcomes, jobs, as_json=as_json)
     return outcomes
 
@@ -180,10 +180,10 @@ def _word(outcome: Outcome) -> str:
     issues = outcome.summary.issues
     warnings = sum(issue.level == "warning" for issue in issues)
     word = "not to be run" if outcome.code else "written"
-    renamed = [Path(path).name for path in outcome.written[:1] if any(issue.kind == "name" for issue in issues)]
+    new_names = [Path(path).name for path in outcome.written[:1] if any(issue.kind == "name" for issue in issues)]
     return (
         word
-        + "".join(f" as {name}" for name in renamed)
+        + "".join(f" as {name}" for name in new_names)
         + (f", {warnings} warning{'s' if warnings > 1 else ''}" if warnings else "")
     )
 

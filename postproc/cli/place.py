@@ -51,13 +51,13 @@ def place(as_json: bool, **request: Any) -> None:
     if request["forces"] is not None and request["process"] is not None:
         raise click.UsageError("Give --forces or --process, not both.")
     with _progress() as progress:
-        made = make_place(PlaceRequest(**request), progress)
+        files = make_place(PlaceRequest(**request), progress)
     if as_json:
         click.echo((request["output"] / "place.json").read_text(encoding="utf-8"), nl=False)
     else:
-        click.echo(placement.as_text(made.summary))
-        click.echo("written: " + ", ".join(str(path) for path in made.written))
-    if made.summary.best is None:
+        click.echo(placement.as_text(files.summary))
+        click.echo("written: " + ", ".join(str(path) for path in files.written))
+    if files.summary.best is None:
         sys.exit(1)
 
 

@@ -67,16 +67,16 @@ def compensator(as_json: bool, **request: Any) -> None:
     from postproc.jobs.plan_files import CompensatorRequest, make_compensator_plan
     from postproc.plan.compensator import text_lines
 
-    asked = CompensatorRequest(**request)
-    if asked.output.suffix.lower() != ".csv":
+    plan_request = CompensatorRequest(**request)
+    if plan_request.output.suffix.lower() != ".csv":
         raise click.BadParameter("give a file that ends in .csv", param_hint="-o")
-    made = make_compensator_plan(asked)
+    files = make_compensator_plan(plan_request)
     if as_json:
-        click.echo(made.written[-1].read_text(encoding="utf-8"), nl=False)
+        click.echo(files.written[-1].read_text(encoding="utf-8"), nl=False)
         return
-    for line in text_lines(made.plan):
+    for line in text_lines(files.plan):
         click.echo(line)
-    click.echo("written: " + ", ".join(str(path) for path in made.written))
+    click.echo("written: " + ", ".join(str(path) for path in files.written))
 
 
 @plan.command()
@@ -110,7 +110,7 @@ def compensator(as_json: bool, **request: Any) -> None:
 @click.option(
     "-o", "--output", type=_PATH, required=True, help="CSV file to write; .src, .html and .json are written next to it."
 )
-def poses(programs: tuple[str, ...], more: tuple[str, ...], as_json: bool, **request: Any) -> None:
+def poses(programs: tuple[str, ...], other_programs: tuple[str, ...], as_json: bool, **request: Any) -> None:
     """Choose poses and loads to identify the robot by.
 
     The plan makes the error that remains after compensation smallest where the PROGRAMs mill, under their forces. For
@@ -132,22 +132,22 @@ def poses(programs: tuple[str, ...], more: tuple[str, ...], as_json: bool, **req
     from postproc.jobs.plan_files import PlanRequest, make_plan
     from postproc.report.plan import plan_lines
 
-    programs += more  # --program a.nc b.nc
-    asked = PlanRequest(programs=programs, **request)
-    if (asked.poses is None) == (not programs):
+    programs += other_programs  # --program a.nc b.nc
+    plan_request = PlanRequest(programs=programs, **request)
+    if (plan_request.poses is None) == (not programs):
         raise click.UsageError("Give either --program (one or several) or --poses.")
-    if asked.output.suffix.lower() != ".csv":
+    if plan_request.output.suffix.lower() != ".csv":
         raise click.BadParameter("give a file that ends in .csv", param_hint="-o")
     with _shown() as progress:
-        made = make_plan(asked, progress)
-    for warning in made.result.warnings:
+        files = make_plan(plan_request, progress)
+    for warning in files.result.warnings:
         click.echo(f"warning: {warning}", err=True)
     if as_json:
-        click.echo(made.written[-1].read_text(encoding="utf-8"), nl=False)
+        click.echo(files.written[-1].read_text(encoding="utf-8"), nl=False)
         return
-    for line in plan_lines(made.result):
+    for line in plan_lines(files.result):
         click.echo(line)
-    click.echo("written: " + ", ".join(str(path) for path in made.written))
+    click.echo("written: " + ", ".join(str(path) for path in files.written))
 
 
 @contextlib.contextmanager
@@ -164,7 +164,7 @@ def _shown() -> Iterator[Progress | None]:
         task = bar.add_task("planning", total=1.0, best="")
 
         def show(stage: str, share: float, best: float) -> None:
-            shown = f"best so far {best * 1e3:.4g} mm" if math.isfinite(best) else ""
-            bar.update(task, description=stage, completed=share, best=shown)
+            best_text = f"best so far {best * 1e3:.4g} mm" if math.isfinite(best) else ""
+            bar.update(task, description=stage, completed=share, best=best_text)
 
         yield show

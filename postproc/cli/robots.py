@@ -47,14 +47,14 @@ def robots(ctx: click.Context, /, as_json: bool) -> None:
     from postproc import robot
     from postproc.cli.terminal import display
 
-    models = {known: robot.load(folder) for known, folder in robot.shipped().items()}
+    models = {name: robot.load(folder) for name, folder in robot.shipped().items()}
     if as_json:
-        click.echo(json.dumps({known: model.title for known, model in models.items()}, indent=2))
+        click.echo(json.dumps({name: model.title for name, model in models.items()}, indent=2))
         return
     rows = []
-    for known, model in models.items():
-        assumed = sum(entry.assumed for entry in model.sources)
-        rows.append((known, model.title, f"{assumed} of {len(model.sources)} assumed"))
+    for name, model in models.items():
+        count = sum(entry.assumed for entry in model.sources)
+        rows.append((name, model.title, f"{count} of {len(model.sources)} assumed"))
     click.echo(display().table(("name", "robot", "values"), rows))
 
 
@@ -105,7 +105,7 @@ def add(urdf: Path, name: str | None, output: Path | None, overwrite: bool) -> N
     """  # noqa: D301 - click: keep these lines as they are
     from postproc.jobs.first_steps import add_robot
 
-    added = add_robot(urdf, name, output, overwrite=overwrite)
-    for note in added.notes:
+    model = add_robot(urdf, name, output, overwrite=overwrite)
+    for note in model.notes:
         click.echo(f"note: {note}", err=True)
-    click.echo(f'written: {added.folder}. In a cell: robot = "{added.folder.as_posix()}"')
+    click.echo(f'written: {model.folder}. In a cell: robot = "{model.folder.as_posix()}"')

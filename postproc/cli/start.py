@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 _PATH = click.Path(path_type=Path)
 _KEYS = {"rotary": "rotary_axes"}
 """Options whose answers have another name."""
-_NUMBERED = {"tools": "tool", "work_offset": "work_offset", "m_code": "m_code", "rotary_point": "rotary_point",
+_NUMBERED_OPTIONS = {"tools": "tool", "work_offset": "work_offset", "m_code": "m_code", "rotary_point": "rotary_point",
              "cutter": "cutter", "flutes": "flutes", "rpm": "rpm"}  # fmt: skip
 """Options that may be given several times: option → first part of the name of its answers."""
 _OF_PROCESS = ("material", "cutter", "flutes", "rpm", "stock")
@@ -58,7 +58,7 @@ _OF_PROCESS = ("material", "cutter", "flutes", "rpm", "stock")
 @click.option("--no-open", is_flag=True, help="Do not open the report.")
 @click.option("--overwrite", is_flag=True, help="Replace a cell and a process that were edited, and results.")
 @click.pass_context
-def start(ctx: click.Context, /, program: Path, output: Path | None, no_open: bool, **given: Any) -> None:
+def start(ctx: click.Context, /, program: Path, output: Path | None, no_open: bool, **options: Any) -> None:
     """Correct a first program, and ask for what is missing.
 
     Tools, work offsets, spindle speeds and M codes are read from the program and from the comments of the CAM system.
@@ -79,27 +79,29 @@ def start(ctx: click.Context, /, program: Path, output: Path | None, no_open: bo
     if needs.refusal:
         raise click.ClickException(f"{needs.refusal}\nNo answer makes this program readable: nothing was asked.")
     folder = program.parent / "corrected" if output is None else output
-    kept_at = folder / f"{program.stem}.answers.toml"
-    kept = load_answers(kept_at, program)
-    cell, process = given["own_cell"], given["own_process"] or given["forces"]
-    keep_cell = cell is not None or (is_edited(folder / "cell.toml", kept) and not given["overwrite"])
+    answers_path = folder / f"{program.stem}.answers.toml"
+    answer_file = load_answers(answers_path, program)
+    cell, process = options["own_cell"], options["own_process"] or options["forces"]
+    keep_cell = cell is not None or (is_edited(folder / "cell.toml", answer_file) and not options["overwrite"])
     cell = cell or folder / "cell.toml"
     own_process = folder / f"{program.stem}.process.toml"
-    keep_process = process is not None or (is_edited(own_process, kept) and not given["overwrite"])
+    keep_process = process is not None or (is_edited(own_process, answer_file) and not options["overwrite"])
     if process is None and (keep_process or not needs.forces_stated):
         process = own_process
     for path in (cell, process):
-        if path in (folder / "cell.toml", own_process) and is_edited(path, kept) and not given["overwrite"]:
+        if path in (folder / "cell.toml", own_process) and is_edited(path, answer_file) and not options["overwrite"]:
             click.echo(f"{path} is used as it is.")
     answers = Answers()
     asking = {"cell": not keep_cell, "process": not keep_process and process is not None}
-    _ask(needs, answers, kept, kept_at, _stated(given, needs), asking)
-    made = write_files(needs, answers, kept, cell=cell, process=process, keep_cell=keep_cell, keep_process=keep_process)
-    _keep(kept_at, kept)
-    for remark in made.remarks:
+    _ask(needs, answers, answer_file, answers_path, _stated(options, needs), asking)
+    files = write_files(
+        needs, answers, answer_file, cell=cell, process=process, keep_cell=keep_cell, keep_process=keep_process
+    )
+    _keep(answers_path, answer_file)
+    for remark in files.remarks:
         click.echo(f"warning: {remark}", err=True)
-    outcome = _converted(ctx, program, folder, made.cell, made.process, given)
-    _offer_place(outcome, program, made.cell, made.process)
+    outcome = _converted(ctx, program, folder, files.cell, files.process, options)
+    _offer_place(outcome, program, files.cell, files.process)
     page = folder / f"{Path(outcome.written[0]).name.partition('.')[0]}.report.html" if outcome.written else None
     if page is not None and page.is_file() and not no_open and sys.stdout.isatty():
         click.launch(str(page))
@@ -122,11 +124,11 @@ def print_needs(needs: ProgramNeeds) -> None:
     click.echo("\n  ".join([f"{needs.file.name}:", *facts]))
 
 
-def _stated(given: Mapping[str, Any], needs: ProgramNeeds) -> dict[str, str]:
+def _stated(options: Mapping[str, Any], needs: ProgramNeeds) -> dict[str, str]:
     """Return the answers that options give, as texts by name."""
-    texts = {_KEYS.get(name, name): value for name, value in given.items() if isinstance(value, str) and name != "to"}
-    for option, name in _NUMBERED.items():
-        for text in given[option]:
+    texts = {_KEYS.get(name, name): value for name, value in options.items() if isinstance(value, str) and name != "to"}
+    for option, name in _NUMBERED_OPTIONS.items():
+        for text in options[option]:
             texts |= dict(_numbered(option, name, text, needs))
     return texts
 
@@ -149,9 +151,9 @@ def _numbered(option: str, name: str, text: str, needs: ProgramNeeds) -> Iterato
 def _ask(
     needs: ProgramNeeds,
     answers: Answers,
-    kept: Any,
-    kept_at: Path,
-    stated: Mapping[str, str],
+    answer_file: Any,
+    answers_path: Path,
+    option_texts: Mapping[str, str],
     asking: Mapping[str, bool],
 ) -> None:
     """Fill the answers from options, from an earlier start, and from questions; keep each as it is given."""
@@ -159,38 +161,38 @@ def _ask(
     from postproc.jobs.guided_start import next_question
 
     on_terminal = is_terminal()
-    missing: list[Question] = []
-    asked: set[str] = set()
-    while question := next_question(needs, answers, {each.key for each in missing}, **asking):
-        asked.add(question.key)
-        text = stated.get(question.key, kept.answers.get(question.key))
+    unanswered: list[Question] = []
+    question_keys: set[str] = set()
+    while question := next_question(needs, answers, {item.key for item in unanswered}, **asking):
+        question_keys.add(question.key)
+        text = option_texts.get(question.key, answer_file.answers.get(question.key))
         if text is None and on_terminal:
             text = prompted(question, first=not answers.values)
         elif text is None and question.optional and question.default is not None:
             text = question.default
         if text is None:
-            missing.append(question)
+            unanswered.append(question)
             continue
         try:
             answers.put(question, text)
         except InputError as cause:
-            source = question.option.split()[0] if question.key in stated else str(kept_at)
+            source = question.option.split()[0] if question.key in option_texts else str(answers_path)
             raise click.BadParameter(str(cause), param_hint=source) from None
-        if on_terminal or question.key in stated:
-            kept.answers[question.key] = text
-            _keep(kept_at, kept)
-    for name in stated.keys() - asked:
+        if on_terminal or question.key in option_texts:
+            answer_file.answers[question.key] = text
+            _keep(answers_path, answer_file)
+    for name in option_texts.keys() - question_keys:
         click.echo(f"note: this program needs no answer about {name}: it is not used", err=True)
-    if missing:
-        lines = [f"  {each.option}    {each.text}" for each in missing]
+    if unanswered:
+        lines = [f"  {item.option}    {item.text}" for item in unanswered]
         raise click.UsageError("\n".join(["Missing, and there is no terminal to ask on:", *lines]))
 
 
-def _keep(path: Path, kept: Any) -> None:
+def _keep(path: Path, answer_file: Any) -> None:
     from postproc.jobs.guided_start import save_answers
 
     path.parent.mkdir(parents=True, exist_ok=True)
-    save_answers(path, kept)
+    save_answers(path, answer_file)
 
 
 def prompted(question: Question, *, first: bool) -> str:
@@ -223,7 +225,7 @@ def _checking(parse: Callable[[str], Any]) -> Callable[[str], str]:
 
 
 def _converted(
-    ctx: click.Context, program: Path, folder: Path, cell: Path, process: Path | None, given: Mapping[str, Any]
+    ctx: click.Context, program: Path, folder: Path, cell: Path, process: Path | None, options: Mapping[str, Any]
 ) -> Outcome:
     """Convert the program, print what came of it, and return it."""
     from postproc.cli.outcomes import work_through
@@ -231,9 +233,9 @@ def _converted(
     from postproc.jobs.programs import load_setup
 
     language = load_setup(Settings(cell=cell))[1].language
-    to = given["to"] or (language if language not in ("", "krl") else None)
+    to = options["to"] or (language if language not in ("", "krl") else None)
     jobs = find_jobs([str(program)], forces=process, output=folder, to=to)
-    settings = Settings(cell=cell, overwrite=given["overwrite"])
+    settings = Settings(cell=cell, overwrite=options["overwrite"])
     (outcome,) = work_through(ctx, jobs, settings, as_json=False)
     return outcome
 
@@ -263,9 +265,9 @@ def _offer_place(outcome: Outcome, program: Path, cell: Path, process: Path | No
         process=process if is_process else None,
         overwrite=True,
     )
-    made = make_place(request)
-    click.echo(placement.as_text(made.summary))
-    if made.summary.best is not None:
+    files = make_place(request)
+    click.echo(placement.as_text(files.summary))
+    if files.summary.best is not None:
         click.echo(f"Put the [base] of {folder / 'place.toml'} into {cell}, and run start again.")
 
 

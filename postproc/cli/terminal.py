@@ -29,18 +29,18 @@ class _Terminal:
         from rich.table import Table
         from rich.text import Text
 
-        drawn = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
+        rich_table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
         for column, title in enumerate(head):
             number = column in right
-            drawn.add_column(
+            rich_table.add_column(
                 Text(title), justify="right" if number else "left", no_wrap=number, min_width=4, overflow="fold"
             )
         for row in rows:
-            drawn.add_row(*map(Text, row))
+            rich_table.add_row(*map(Text, row))
         console = Console(legacy_windows=False)
-        with console.capture() as shown:
-            console.print(Padding(drawn, (0, 0, 0, len(indent)), expand=False))
-        return shown.get().rstrip("\n")
+        with console.capture() as capture:
+            console.print(Padding(rich_table, (0, 0, 0, len(indent)), expand=False))
+        return capture.get().rstrip("\n")
 
 
 def display() -> Display:

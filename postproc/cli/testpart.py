@@ -45,7 +45,7 @@ _PATH = click.Path(path_type=Path)
 @click.option("-o", "--output", type=_PATH, required=True, metavar="DIR", help="Folder to write.")
 @options.overwrite
 @click.option("--json", "as_json", is_flag=True, help="Print testpart.json.")
-def testpart(as_json: bool, programs: tuple[str, ...], more: tuple[str, ...], **request: Any) -> None:
+def testpart(as_json: bool, programs: tuple[str, ...], other_programs: tuple[str, ...], **request: Any) -> None:
     """Make a part to mill and probe: it identifies the robot.
 
     For shops without a laser tracker. Chooses grooves and steps in the block: places, directions and depths after which
@@ -69,10 +69,10 @@ def testpart(as_json: bool, programs: tuple[str, ...], more: tuple[str, ...], **
     from postproc.jobs.testpart_files import TestPartRequest, make_testpart
     from postproc.report.testpart import design_lines
 
-    made = make_testpart(TestPartRequest(programs=programs + more, **request))
+    files = make_testpart(TestPartRequest(programs=programs + other_programs, **request))
     if as_json:
-        click.echo(made.written[-1].read_text(encoding="utf-8"), nl=False)
+        click.echo(files.written[-1].read_text(encoding="utf-8"), nl=False)
         return
-    for line in design_lines(made.design, made.prior, made.cutting, made.parts):
+    for line in design_lines(files.design, files.prior, files.cutting, files.parts):
         click.echo(line)
-    click.echo("written: " + ", ".join(str(path) for path in made.written))
+    click.echo("written: " + ", ".join(str(path) for path in files.written))

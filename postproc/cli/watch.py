@@ -20,7 +20,9 @@ from postproc.cli.options import conversion_options, of_files
 )
 @click.option("--port", type=click.IntRange(0, 65535), default=8350, show_default=True, help="Port of --serve.")
 @click.pass_context
-def watch(ctx: click.Context, /, folder: Path, jobs: int, serve: bool, port: int, as_json: bool, **more: Any) -> None:
+def watch(
+    ctx: click.Context, /, folder: Path, jobs: int, serve: bool, port: int, as_json: bool, **options_of_command: Any
+) -> None:
     """Convert programs as they arrive in FOLDER, until Ctrl-C.
 
     A program is converted when it has not changed for a second. Programs that have been converted before are left as
@@ -38,15 +40,15 @@ def watch(ctx: click.Context, /, folder: Path, jobs: int, serve: bool, port: int
     from postproc.jobs.watching import server
     from postproc.jobs.watching import watch as watched
 
-    options = of_files(more)
+    options = of_files(options_of_command)
     output = options.pop("output", None) or folder / "corrected"
     stop = Event()
-    settings = Settings(mode="convert", **more)
+    settings = Settings(mode="convert", **options_of_command)
     outcomes = watched(folder, output, settings, options, workers=jobs, say=say, stop=stop)
     if serve:
-        there = server(output, port)
-        Thread(target=there.serve_forever, daemon=True).start()
-        click.echo(f"overview: http://127.0.0.1:{there.server_address[1]}", err=as_json)
+        page_server = server(output, port)
+        Thread(target=page_server.serve_forever, daemon=True).start()
+        click.echo(f"overview: http://127.0.0.1:{page_server.server_address[1]}", err=as_json)
     click.echo(f"watching {folder}; results: {output}. Ctrl-C ends it.", err=as_json)
     try:
         for outcome, job in outcomes:

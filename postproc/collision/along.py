@@ -58,59 +58,59 @@ class Hits(Struct, frozen=True, eq=False):
     less: float
 
 
-def along(scene: Scene, q: Array, need: float, shift: Array | None = None, commanded: Array | None = None) -> Hits:
+def along(scene: Scene, q: Array, need: float, shift: Array | None = None, commanded_q: Array | None = None) -> Hits:
     """Return where bodies come closer than allowed along a path, and the smallest distance.
 
     Between two samples the joints move in proportion, and so does E1.
 
     :param q: (n, 6) joint angles [rad].
-    :param commanded: (n, 6) joint angles that the arm may have instead, or any between [rad]: distances of a body are
+    :param commanded_q: (n, 6) joint angles that the arm may have instead, or any between [rad]: distances of a body are
         less by as far as it moves from one to the other at most.
     :param need: smallest allowed distance [m]; 0: they must not touch.
     :param shift: (n, 3) how far E1 carries the robot from the root [m].
     """
-    return among(Solids(scene), q, need, shift, commanded)
+    return among(Solids(scene), q, need, shift, commanded_q)
 
 
-def among(solids: Solids, q: Array, need: float, shift: Array | None = None, commanded: Array | None = None) -> Hits:
+def among(solids: Solids, q: Array, need: float, shift: Array | None = None, commanded_q: Array | None = None) -> Hits:
     """Return what `along` does, for the pairs of some bodies."""
-    search = _Search(solids, q, need, shift, closest=True)
-    if commanded is not None:
-        search.less = _displaced(solids, q, commanded)
+    search = _Search(solids, q, need, shift, finds_closest=True)
+    if commanded_q is not None:
+        search.less = _displaced(solids, q, commanded_q)
     if len(q):
         for pair in solids.pairs:
             search.look(*pair)
-    found = search.hits
-    keys = sorted(found)
+    distances = search.hits
+    keys = sorted(distances)
     rows = np.array(keys, dtype=np.int64).reshape(-1, 3)
-    distance = np.array([found[key] for key in keys])
+    distance = np.array([distances[key] for key in keys])
     return Hits(
         search.closest, rows[:, 0], rows[:, 1], rows[:, 2], distance, solids.calls, float(search.less.max(initial=0.0))
     )
 
 
-def hits(solids: Solids, q: Array, need: float, shift: Array | None = None, *, between: bool = True) -> Bools:
+def hits(solids: Solids, q: Array, need: float, shift: Array | None = None, *, between_samples: bool = True) -> Bools:
     """Return at, or before, which samples (n,) of a path two bodies touch or come closer than allowed; see `along`.
 
-    :param between: look between samples too; else where they are alone.
+    :param between_samples: look between samples too; else where they are alone.
     """
-    search = _Search(solids, q, need, shift, closest=False)
-    out = np.zeros(len(q), dtype=bool)
+    search = _Search(solids, q, need, shift, finds_closest=False)
+    is_hit = np.zeros(len(q), dtype=bool)
     if len(q):
         for first, second in solids.pairs:
-            search.look(first, second, between=between)
-    out[[row for row, _, _ in search.hits]] = True
-    return out
+            search.look(first, second, between_samples=between_samples)
+    is_hit[[row for row, _, _ in search.hits]] = True
+    return is_hit
 
 
 class _Search:
     """The search of one path; it goes from pair to pair, and prunes by the smallest distance of all so far.
 
-    :param closest: whether the smallest distance is wanted, too, and not only where less is found than allowed.
+    :param finds_closest: whether the smallest distance is wanted, too, and not only where less is found than allowed.
     """
 
-    def __init__(self, solids: Solids, q: Array, need: float, shift: Array | None, *, closest: bool) -> None:
-        self.solids, self.q, self.need, self.wanted = solids, q, need, closest
+    def __init__(self, solids: Solids, q: Array, need: float, shift: Array | None, *, finds_closest: bool) -> None:
+        self.solids, self.q, self.need, self.finds_closest = solids, q, need, finds_closest
         self.less = np.zeros(len(solids.bodies))
         self.chain = solids.scene.robot.nominal
         self.states = q if shift is None else np.concatenate([q, shift], axis=1)
@@ -119,7 +119,7 @@ class _Search:
         self._lengths: dict[tuple[int, int | None], Array] = {}
         self.hits: dict[tuple[int, int, int], float] = {}
 
-    def look(self, first: int, second: int, *, between: bool = True) -> None:
+    def look(self, first: int, second: int, *, between_samples: bool = True) -> None:
         """Search one pair of bodies."""
         count = len(self.q)
         length = self._length(first, second)
@@ -135,28 +135,28 @@ class _Search:
             bound = 0.5 * (distance[low] + distance[high] - (length[high] - length[low]))
             open_ = self._open(bound)
             low, high = low[open_], high[open_]
-            near = high - low == 1
-            open_rows.append(low[near])
-            low, high = low[~near], high[~near]
+            is_step = high - low == 1
+            open_rows.append(low[is_step])
+            low, high = low[~is_step], high[~is_step]
             middle = (low + high) // 2
             self._measure(first, second, np.unique(middle), distance)
             low, high = np.concatenate([low, middle]), np.concatenate([middle, high])
-        if between and open_rows:
+        if between_samples and open_rows:
             self._between(first, second, np.sort(np.concatenate(open_rows)), distance)
 
     def _length(self, first: int, second: int) -> Array:
         """Return how far one body has moved against the other at each sample (n,) [m], the same for all fixed ones."""
-        other = self.solids.bodies[second]
-        key = first, None if other.fixed else second
+        second_body = self.solids.bodies[second]
+        key = first, None if second_body.fixed else second
         if key not in self._lengths:
-            moved = self._motion(first, second, self.q, self.frames)
-            self._lengths[key] = np.append(0.0, np.cumsum(moved))
+            steps = self._motion(first, second, self.q, self.frames)
+            self._lengths[key] = np.append(0.0, np.cumsum(steps))
         return self._lengths[key]
 
     def _distance(self, first: int, second: int, frames: Array, *, solid: bool = False) -> Array:
         """Return the distances (n,) [m], less by as far as both bodies may be elsewhere."""
-        less = self.less[first] + self.less[second]
-        return np.asarray(np.maximum(self.solids.distance(first, second, frames, solid=solid) - less, 0.0))
+        reduction = self.less[first] + self.less[second]
+        return np.asarray(np.maximum(self.solids.distance(first, second, frames, solid=solid) - reduction, 0.0))
 
     def _open(self, bound: Array) -> np.ndarray:
         """Return which lower bounds decide neither whether the distance is kept nor that a smaller one was found."""
@@ -164,7 +164,7 @@ class _Search:
 
     def _least(self) -> float:
         """Return the smallest distance so far [m]; nothing is below it if none is wanted."""
-        if not self.wanted:
+        if not self.finds_closest:
             return -np.inf
         return np.inf if self.closest is None else self.closest.distance
 
@@ -192,26 +192,35 @@ class _Search:
     def _between(self, first: int, second: int, rows: Ints, distance: Array) -> None:
         """Halve the motions from samples to the next ones."""
         begin, end = self.states[rows], self.states[rows + 1]
-        one, other = distance[rows], distance[rows + 1]
+        begin_distance, end_distance = distance[rows], distance[rows + 1]
         while len(rows):
             pair = np.stack([begin, end], axis=1).reshape(-1, begin.shape[1])
             length = self._motion(first, second, pair[:, :6], self._frames(pair))[::2]
-            bound = 0.5 * (one + other - length)
-            failed = np.minimum(one, other)
-            seen = (failed < self.need) | (failed <= 0.0)  # reported already
-            open_ = ((bound < self.need) & ~seen | (bound < self._least() - _EXACT)) & (length > _SHORT)
-            rows, begin, end, one, other = rows[open_], begin[open_], end[open_], one[open_], other[open_]
+            bound = 0.5 * (begin_distance + end_distance - length)
+            smaller = np.minimum(begin_distance, end_distance)
+            is_noted = (smaller < self.need) | (smaller <= 0.0)  # reported already
+            open_ = ((bound < self.need) & ~is_noted | (bound < self._least() - _EXACT)) & (length > _SHORT)
+            rows, begin, end, begin_distance, end_distance = (
+                rows[open_],
+                begin[open_],
+                end[open_],
+                begin_distance[open_],
+                end_distance[open_],
+            )
             if not len(rows):
                 return
             middle = 0.5 * (begin + end)
-            found = self._distance(first, second, self._frames(middle))
-            for k in np.flatnonzero((found < self.need) | (found <= 0.0)).tolist():
-                self._note(first, second, int(rows[k]) + 1, float(found[k]))
-            k = int(np.argmin(found))
-            self._nearer(first, second, int(rows[k]) + 1, float(found[k]))
+            middle_distance = self._distance(first, second, self._frames(middle))
+            for k in np.flatnonzero((middle_distance < self.need) | (middle_distance <= 0.0)).tolist():
+                self._note(first, second, int(rows[k]) + 1, float(middle_distance[k]))
+            k = int(np.argmin(middle_distance))
+            self._nearer(first, second, int(rows[k]) + 1, float(middle_distance[k]))
             rows = np.concatenate([rows, rows])
             begin, end = np.concatenate([begin, middle]), np.concatenate([middle, end])
-            one, other = np.concatenate([one, found]), np.concatenate([found, other])
+            begin_distance, end_distance = (
+                np.concatenate([begin_distance, middle_distance]),
+                np.concatenate([middle_distance, end_distance]),
+            )
 
     def _frames(self, states: Array) -> Array:
         return link_frames(self.chain, states[:, :6], states[:, 6:] if states.shape[1] > 6 else None)
@@ -222,36 +231,36 @@ class _Search:
         That is the chord of its middle, twice the height of the arc over it, and its rotation times its radius. With
         joints moving in proportion by Δq in all, no point within R of the axes leaves the chord by more than Δq²·R/8.
         """
-        one, other = self.solids.bodies[first], self.solids.bodies[second]
+        body, reference = self.solids.bodies[first], self.solids.bodies[second]
         centre, radius = self.solids.spheres[first]
-        moving, still = self.solids.frame(first, frames), self.solids.frame(second, frames)
-        point = moving[:, :3, :3] @ centre + moving[:, :3, 3] - still[:, :3, 3]
-        point = np.einsum("nji,nj->ni", still[:, :3, :3], point)
-        turning = np.abs(np.diff(q, axis=0))[:, other.carrier + 1 : min(one.carrier, 5) + 1].sum(axis=1)
+        moving, reference_frame = self.solids.frame(first, frames), self.solids.frame(second, frames)
+        point = moving[:, :3, :3] @ centre + moving[:, :3, 3] - reference_frame[:, :3, 3]
+        point = np.einsum("nji,nj->ni", reference_frame[:, :3, :3], point)
+        turning = np.abs(np.diff(q, axis=0))[:, reference.carrier + 1 : min(body.carrier, 5) + 1].sum(axis=1)
         links = norm(np.concatenate([self.chain.placement[:, :3, 3], self.chain.flange[None, :3, 3]]))
-        reach = links[other.carrier + 1 : one.carrier + 1].sum() + norm(centre[None])[0] + radius
+        reach = links[reference.carrier + 1 : body.carrier + 1].sum() + norm(centre[None])[0] + radius
         return np.asarray(norm(np.diff(point, axis=0)) + turning * radius + 0.25 * turning**2 * reach)
 
 
-_AT_ONCE = 4096
+_CHUNK = 4096
 
 
-def _displaced(solids: Solids, q: Array, other: Array) -> Array:
+def _displaced(solids: Solids, q: Array, commanded_q: Array) -> Array:
     """Return how far any point of each body (b,) moves at most between joint angles (n, 6) and others [m].
 
     That is how far its middle moves, and by how much it turns, times its radius; the arc of so short a motion is longer
     than its chord by less than a thousandth.
     """
-    chain, out = solids.scene.robot.nominal, np.zeros(len(solids.bodies))
-    for begin in range(0, len(q), _AT_ONCE):
-        one, two = (link_frames(chain, each[begin : begin + _AT_ONCE]) for each in (q, other))
+    chain, displacement = solids.scene.robot.nominal, np.zeros(len(solids.bodies))
+    for begin in range(0, len(q), _CHUNK):
+        start_frames, end_frames = (link_frames(chain, angles[begin : begin + _CHUNK]) for angles in (q, commanded_q))
         for row, (body, (centre, radius)) in enumerate(zip(solids.bodies, solids.spheres, strict=True)):
             if not body.fixed:
-                change = two[:, body.carrier + 1] - one[:, body.carrier + 1]
+                change = end_frames[:, body.carrier + 1] - start_frames[:, body.carrier + 1]
                 turn = np.sqrt(0.5 * (change[:, :3, :3] ** 2).sum(axis=(1, 2)))
-                moved = norm(change[:, :3, :3] @ centre + change[:, :3, 3]) + turn * radius
-                out[row] = max(out[row], float(moved.max()))
-    return out * _ARC
+                motion = norm(change[:, :3, :3] @ centre + change[:, :3, 3]) + turn * radius
+                displacement[row] = max(displacement[row], float(motion.max()))
+    return displacement * _ARC
 
 
 _ARC = 1.001

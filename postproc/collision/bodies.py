@@ -19,7 +19,7 @@ from postproc.robot import JOINTS, RobotModel
 
 FLANGE = len(JOINTS)
 """Carrier of bodies that are fixed to the flange."""
-_APART = {"arm": 4, "cutter": 3, "tool": 3}
+_CARRIER_GAP = {"arm": 4, "cutter": 3, "tool": 3}
 """Joints between a body and the links it is compared with: nearer links are joined to it or share a wrist."""
 _WIDE = (0.075, 0.07, 0.055, 0.045, 0.034, 0.03, 0.026)
 """Radii of the capsules of base and links, of the length of the arm: assumed, as pages draw an arm without meshes."""
@@ -28,7 +28,7 @@ ACCURACY = 0.5e-3
 """To which distances are computed [m]."""
 Kind = Literal["box", "cylinder", "capsule", "mesh"]
 Of = Literal["arm", "cutter", "tool", "obstacle", "part"]
-_FIXED = ("obstacle", "part")
+_FIXED_CARRIER = ("obstacle", "part")
 
 
 class Body(Struct, frozen=True, eq=False):
@@ -58,7 +58,7 @@ class Body(Struct, frozen=True, eq=False):
     @property
     def fixed(self) -> bool:
         """Whether neither the arm nor an axis that carries it moves the body."""
-        return self.of in _FIXED
+        return self.of in _FIXED_CARRIER
 
     def moved(self, motion: Array) -> Body:
         """Return the body moved by (4, 4), in the frame of its carrier."""
@@ -100,25 +100,25 @@ class Scene(Struct, frozen=True, eq=False):
         base = cell.base.pose() if base is None else base
         arm, remarks = _arm(robot, table.arm)
         folder = Path(cell.folder)
-        held = _held(table.holder, tool, cell.tool.axis, folder)
+        holder = _held(table.holder, tool, cell.tool.axis, folder)
         obstacles = [
-            replace(_obstacle(each, number, base, folder), with_base=each.frame == "base")
-            for number, each in enumerate(table.obstacles, 1)
+            replace(_obstacle(table_row, number, base, folder), with_base=table_row.frame == "base")
+            for number, table_row in enumerate(table.obstacles, 1)
         ]
-        return cls(robot, (*arm, *held, *obstacles), tuple(remarks))
+        return cls(robot, (*arm, *holder, *obstacles), tuple(remarks))
 
     def pairs(self) -> Iterator[tuple[int, int]]:
         """Yield the pairs of bodies whose distance may change and matters; the first one has the later carrier."""
-        for i, one in enumerate(self.bodies):
-            for j, other in enumerate(self.bodies):
-                if one.fixed or (one.of == "cutter" and other.of == "part"):
+        for i, first in enumerate(self.bodies):
+            for j, second in enumerate(self.bodies):
+                if first.fixed or (first.of == "cutter" and second.of == "part"):
                     continue
-                if one.carrier - other.carrier >= (1 if other.fixed else _APART[one.of]):
+                if first.carrier - second.carrier >= (1 if second.fixed else _CARRIER_GAP[first.of]):
                     yield i, j
 
 
-def _arm(robot: RobotModel, wanted: str) -> tuple[list[Body], list[str]]:
-    if wanted == "urdf" and robot.geometries:
+def _arm(robot: RobotModel, source: str) -> tuple[list[Body], list[str]]:
+    if source == "urdf" and robot.geometries:
         shapes, problems = robot.link_shapes(drawn=False)
         if problems:
             raise ModelError(
@@ -126,7 +126,7 @@ def _arm(robot: RobotModel, wanted: str) -> tuple[list[Body], list[str]]:
                 file=robot.urdf,
                 advice='Add the file, or give arm = "capsules" in [collision].',
             )
-        return [_mesh(_link(each.carrier), each.carrier, "arm", each.points, each.faces) for each in shapes], []
+        return [_mesh(_link(shape.carrier), shape.carrier, "arm", shape.points, shape.faces) for shape in shapes], []
     return list(_capsules(robot)), ["the arm is checked as capsules of assumed radius: its model has no meshes"]
 
 
@@ -165,10 +165,10 @@ def cylinders(parts: Sequence[HolderTable]) -> Iterator[Cylinder]:
         if part.mesh is None:
             assert part.diameter_mm is not None
             assert part.length_mm is not None
-            above = height + part.length_mm * M_PER_MM
+            top = height + part.length_mm * M_PER_MM
             name = part.name or ("cutter" if number == 1 else f"holder {number}")
-            yield Cylinder(name, 0.5 * part.diameter_mm * M_PER_MM, height, above, number == 1)
-            height = above
+            yield Cylinder(name, 0.5 * part.diameter_mm * M_PER_MM, height, top, number == 1)
+            height = top
 
 
 def _held(parts: Sequence[HolderTable], tool: Array, axis: str, folder: Path) -> Iterator[Body]:
@@ -176,9 +176,16 @@ def _held(parts: Sequence[HolderTable], tool: Array, axis: str, folder: Path) ->
     sign, letter = axis[0], axis[1]
     up = -(1.0 if sign == "+" else -1.0) * tool[:3, "XYZ".index(letter)]
     tip = tool[:3, 3]
-    for each in cylinders(parts):
-        of: Of = "cutter" if each.cuts else "tool"
-        yield cylinder(each.name, FLANGE, of, tip + up * each.begin, tip + up * each.end, each.radius)
+    for part_cylinder in cylinders(parts):
+        of: Of = "cutter" if part_cylinder.cuts else "tool"
+        yield cylinder(
+            part_cylinder.name,
+            FLANGE,
+            of,
+            tip + up * part_cylinder.begin,
+            tip + up * part_cylinder.end,
+            part_cylinder.radius,
+        )
     for number, part in enumerate(parts, 1):
         if part.mesh is not None:
             points, faces = _read(part.mesh, folder)
@@ -221,8 +228,8 @@ def cylinder(name: str, carrier: int, of: Of, begin: Array, end: Array, radius: 
     from trimesh import creation
 
     pose, length = _along(begin, end)
-    around = radius / np.cos(np.pi / _SIDES)
-    mesh = creation.cylinder(radius=around, height=length, sections=_SIDES, transform=pose)
+    outer_radius = radius / np.cos(np.pi / _SIDES)
+    mesh = creation.cylinder(radius=outer_radius, height=length, sections=_SIDES, transform=pose)
     return _round(name, carrier, of, "cylinder", (radius, length), pose, mesh)
 
 

@@ -41,16 +41,20 @@ def clearance(scene: Scene, q: Array) -> Clearance:
     :param q: (n, 6) joint angles of the controller [rad].
     """
     pairs = list(scene.pairs())
-    out = Clearance(np.full(len(q), np.inf), np.full(len(q), -1), np.full(len(q), -1))
+    smallest = Clearance(np.full(len(q), np.inf), np.full(len(q), -1), np.full(len(q), -1))
     if not pairs or not len(q):
-        return out
+        return smallest
     solids = Solids(scene)
     frames = link_frames(scene.robot.nominal, q)
     for first, second in pairs:
-        found = solids.distance(first, second, frames, solid=True)
-        less = found < out.distance
-        out.distance[less], out.first[less], out.second[less] = found[less], first, second
-    return out
+        distance = solids.distance(first, second, frames, solid=True)
+        is_smaller = distance < smallest.distance
+        smallest.distance[is_smaller], smallest.first[is_smaller], smallest.second[is_smaller] = (
+            distance[is_smaller],
+            first,
+            second,
+        )
+    return smallest
 
 
 def link_frames(chain: Chain, q: Array, shift: Array | None = None) -> Array:
@@ -59,16 +63,16 @@ def link_frames(chain: Chain, q: Array, shift: Array | None = None) -> Array:
     :param shift: (n, 3) how far E1 carries the robot from the root [m].
     """
 
-    def found(q: Array) -> tuple[Array]:
-        before, flange = chain.joint_frames(q)
+    def frames_of(q: Array) -> tuple[Array]:
+        joint_frames, flange = chain.joint_frames(q)
         turn = rotation_from_vector(q[:, :, None] * chain.axis)
-        out = np.empty((len(q), 8, 4, 4))
-        out[:, 0], out[:, 7] = np.eye(4), flange
-        out[:, 1:7] = before
-        out[:, 1:7, :3, :3] = before[:, :, :3, :3] @ turn
-        return (out,)
+        frames = np.empty((len(q), 8, 4, 4))
+        frames[:, 0], frames[:, 7] = np.eye(4), flange
+        frames[:, 1:7] = joint_frames
+        frames[:, 1:7, :3, :3] = joint_frames[:, :, :3, :3] @ turn
+        return (frames,)
 
-    frames = in_chunks(found, q)[0]
+    frames = in_chunks(frames_of, q)[0]
     if shift is not None:
         frames[..., :3, 3] += shift[:, None]
     return frames
@@ -100,19 +104,19 @@ class Solids:
 
     def with_last(self, body: Body) -> Solids:
         """Return the bodies with another mesh in place of the last one."""
-        out = copy(self)
-        out.bodies = (*self.bodies[:-1], body)
-        out.convex = [*self.convex[:-1], False]
-        out.objects = [*self.objects[:-1], self.fcl.CollisionObject(self._geometry(body, convex=False))]
-        out.spheres, out.spans = [*self.spheres[:-1], body.sphere], [*self.spans[:-1], _span(body)]
-        return out
+        solids = copy(self)
+        solids.bodies = (*self.bodies[:-1], body)
+        solids.convex = [*self.convex[:-1], False]
+        solids.objects = [*self.objects[:-1], self.fcl.CollisionObject(self._geometry(body, convex=False))]
+        solids.spheres, solids.spans = [*self.spheres[:-1], body.sphere], [*self.spans[:-1], _span(body)]
+        return solids
 
     def with_base(self, motion: Array) -> Solids:
         """Return the bodies with those that move with `$BASE` moved by (4, 4) in the root."""
-        out = copy(self)
-        out.bodies = tuple(body.moved(motion) if body.with_base else body for body in self.bodies)
-        out.spheres = [body.sphere for body in out.bodies]
-        return out
+        solids = copy(self)
+        solids.bodies = tuple(body.moved(motion) if body.with_base else body for body in self.bodies)
+        solids.spheres = [body.sphere for body in solids.bodies]
+        return solids
 
     def _geometry(self, body: Body, convex: bool) -> Any:
         fcl, size = self.fcl, body.size
@@ -141,22 +145,22 @@ class Solids:
 
     def near(self, first: int, second: int, frames: Array, need: float) -> NDArray[np.bool_]:
         """Return where (n,) two bodies may be closer than `need` [m], by a sphere around one and a box around one."""
-        out = np.ones(len(frames), dtype=bool)
-        for one, other in ((first, second), (second, first)):
-            centre, radius = self.spheres[one]
-            frame, box = self.frame(one, frames), self.frame(other, frames) @ self.bodies[other].pose
+        may_be_near = np.ones(len(frames), dtype=bool)
+        for ball, boxed in ((first, second), (second, first)):
+            centre, radius = self.spheres[ball]
+            frame, box = self.frame(ball, frames), self.frame(boxed, frames) @ self.bodies[boxed].pose
             point = frame[:, :3, :3] @ centre + frame[:, :3, 3] - box[:, :3, 3]
             local = np.einsum("nji,nj->ni", box[:, :3, :3], point)
-            low, high = self.spans[other]
-            out &= norm(np.maximum(np.maximum(low - local, local - high), 0.0)) - radius < need
-        return out
+            low, high = self.spans[boxed]
+            may_be_near &= norm(np.maximum(np.maximum(low - local, local - high), 0.0)) - radius < need
+        return may_be_near
 
     def closer(self, frames: Array, need: float) -> bool:
         """Return whether two bodies touch or are closer than `need` [m] at any of some poses."""
         for first, second in self.pairs:
             rows = np.flatnonzero(self.near(first, second, frames, max(need, _TOUCH)))
-            found = self.distance(first, second, frames[rows], solid=True)
-            if ((found < need) | (found <= 0.0)).any():
+            distance = self.distance(first, second, frames[rows], solid=True)
+            if ((distance < need) | (distance <= 0.0)).any():
                 return True
         return False
 
@@ -168,23 +172,26 @@ class Solids:
             surfaces never touch between poses are not inside each other if they are not at one of them.
         """
         poses = [self.frame(row, frames) @ self.bodies[row].pose for row in (first, second)]
-        one, other = self.objects[first], self.objects[second]
-        out = np.empty(len(frames))
+        first_object, second_object = self.objects[first], self.objects[second]
+        distances = np.empty(len(frames))
         turn, shift = (pose[:, :3, :3] for pose in poses), (pose[:, :3, 3] for pose in poses)
-        turns, shifts = [np.ascontiguousarray(each) for each in turn], [np.ascontiguousarray(each) for each in shift]
+        turns, shifts = (
+            [np.ascontiguousarray(values) for values in turn],
+            [np.ascontiguousarray(values) for values in shift],
+        )
         transform, measure, request = self.fcl.Transform, self.fcl.distance, self.request
         result = self.fcl.DistanceResult
-        for k in range(len(out)):
-            one.setTransform(transform(turns[0][k], shifts[0][k]))
-            other.setTransform(transform(turns[1][k], shifts[1][k]))
-            out[k] = measure(one, other, request, result())
-        self.calls += len(out)
-        out = np.maximum(out, 0.0)
+        for k in range(len(distances)):
+            first_object.setTransform(transform(turns[0][k], shifts[0][k]))
+            second_object.setTransform(transform(turns[1][k], shifts[1][k]))
+            distances[k] = measure(first_object, second_object, request, result())
+        self.calls += len(distances)
+        distances = np.maximum(distances, 0.0)
         if solid:
             for inner, outer in ((first, second), (second, first)):
                 if not self.convex[outer]:
-                    out[self._inside(inner, outer, frames)] = 0.0
-        return out
+                    distances[self._inside(inner, outer, frames)] = 0.0
+        return distances
 
     def _inside(self, inner: int, outer: int, frames: Array) -> NDArray[np.bool_]:
         """Return where (n,) a point of a body is in a mesh, by the solid angle of its triangles.
@@ -196,15 +203,15 @@ class Solids:
         frame = self.frame(outer, frames)
         local = np.einsum("nji,nj->ni", frame[:, :3, :3], point - frame[:, :3, 3])
         low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
-        out = ((local > low) & (local < high)).all(axis=1)
-        for row in np.flatnonzero(out).tolist():
+        is_inside = ((local > low) & (local < high)).all(axis=1)
+        for row in np.flatnonzero(is_inside).tolist():
             a, b, c = (mesh.points[mesh.faces[:, k]] - local[row] for k in range(3))
-            la, lb, lc = (np.sqrt(np.einsum("fi,fi->f", each, each)) for each in (a, b, c))
+            la, lb, lc = (np.sqrt(np.einsum("fi,fi->f", vector, vector)) for vector in (a, b, c))
             volume = np.einsum("fi,fi->f", a, np.cross(b, c))
             base = la * lb * lc + np.einsum("fi,fi->f", a, b) * lc
             base += np.einsum("fi,fi->f", b, c) * la + np.einsum("fi,fi->f", c, a) * lb
-            out[row] = abs(float(np.sum(2.0 * np.arctan2(volume, base)))) > 2.0 * np.pi
-        return np.asarray(out)
+            is_inside[row] = abs(float(np.sum(2.0 * np.arctan2(volume, base)))) > 2.0 * np.pi
+        return np.asarray(is_inside)
 
 
 def _is_convex(body: Body) -> bool:
@@ -216,6 +223,6 @@ def _is_convex(body: Body) -> bool:
 
 def _span(body: Body) -> tuple[Array, Array]:
     """Return the smallest and largest coordinates (3,) of a body in its own axes [m]."""
-    own = inverse(body.pose)
-    points = body.points @ own[:3, :3].T + own[:3, 3]
+    to_body = inverse(body.pose)
+    points = body.points @ to_body[:3, :3].T + to_body[:3, 3]
     return points.min(axis=0), points.max(axis=0)

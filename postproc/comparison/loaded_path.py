@@ -252,7 +252,7 @@ def places_on_pieces(corrected_path: PlacedProgram, pieces: Ints, steep: Bools) 
     kind, segments = corrected_path.program.motions.kind[pieces], corrected_path.segments
     arcs = kind == CIRC
     length, turn = segments.length[pieces], segments.turn[pieces]
-    number = number_of_places(kind, length, turn, curved=arcs, steep=arcs | steep)
+    number = number_of_places(kind, length, turn, is_curved=arcs, steep=arcs | steep)
     parts = np.maximum(number, _MIN_PARTS)
     piece_index = np.repeat(np.arange(len(pieces)), parts - 1)
     index = ragged_range(parts - 1) + 1

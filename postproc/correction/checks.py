@@ -16,7 +16,7 @@ from postproc.program import PTP, Bools, Ints, Program
 from postproc.robot import JOINTS, RobotModel
 from postproc.toolpath import Toolpath
 
-_MET = 8e-7
+_SAME_POSE = 8e-7
 """Branches corrected more alike than this [m, rad] where they meet are read as meeting there, digits and all."""
 _WRIST = 0.2 * RAD_PER_DEG
 """|A5| below this is in the wrist singularity."""
@@ -28,17 +28,17 @@ _TURNS = 1e-9
 """A motion that turns the tool by less than this [rad] does not turn it."""
 _JUMP = 45.0 * RAD_PER_DEG
 """A joint that turns more than this between neighbouring samples passes (nearly) through a singularity."""
-_MOVED = 1e-9
+_CORRECTED_TWIST = 1e-9
 """Targets that are commanded nearer than this to where they were [m, rad] are as they were."""
 _OPEN_WAY = 0.2 * RAD_PER_DEG
 """Turns by 180° less this may become turns the other way by the correction, which turns the tool by less than that."""
 _HALF_TURN = 150.0 * RAD_PER_DEG
 _LIMIT_ROUNDING = 1e-9
-_START_BELOW = 1e-3
+_START_DEPTH = 1e-3
 """Starts that are lower than they should be by less [m] are not reported."""
 _ORIENTATION_SPEED = 200.0 * RAD_PER_DEG
 """$VEL.ORI1 and $VEL.ORI2 of a KUKA controller by default [rad/s]."""
-_BEYOND = 1.1
+_TORQUE_FACTOR = 1.1
 """Torque of a load, over the largest that was measured, beyond which the model is extrapolated."""
 _MM_PER_MIN = 60e3
 JOINT_SPEED = "joint-speed-"
@@ -66,20 +66,22 @@ def joint_limits(program: Program, robot: RobotModel, sample: Toolpath, q: Array
     """Yield an issue if commanded joint angles (N, 6) [rad] are beyond the joint limits."""
     for axis in np.flatnonzero(~(kinematics.joint_margin(robot, q) >= -_LIMIT_ROUNDING)).tolist():
         low, high = robot.lower[axis], robot.upper[axis]
-        beyond = ~(np.minimum(q[:, axis] - low, high - q[:, axis]) >= -_LIMIT_ROUNDING)
-        first = int(np.argmax(beyond))
+        is_outside = ~(np.minimum(q[:, axis] - low, high - q[:, axis]) >= -_LIMIT_ROUNDING)
+        first = int(np.argmax(is_outside))
         message = (
             f"{JOINTS[axis]} = {q[first, axis] * DEG_PER_RAD:.3f}° is outside its limits {low * DEG_PER_RAD:g}…"
             f"{high * DEG_PER_RAD:g}°. Move the part, {_turn_the_tool(program)} or start elsewhere."
         )
-        yield from _first(program, sample.motion, beyond, f"joint-limit-{JOINTS[axis]}", message)
+        yield from _first(program, sample.motion, is_outside, f"joint-limit-{JOINTS[axis]}", message)
 
 
-def singularities(program: Program, robot: RobotModel, sample: Toolpath, q: Array, apart: Ints) -> Iterator[Issue]:
+def singularities(
+    program: Program, robot: RobotModel, sample: Toolpath, q: Array, sparse_motions: Ints
+) -> Iterator[Issue]:
     """Yield issues where the path is near a wrist, elbow or shoulder singularity, or a joint turns far between samples.
 
     :param q: (N, 6) commanded [rad].
-    :param apart: motions with samples far apart, for which a large turn between samples is normal.
+    :param sparse_motions: motions with samples far apart, for which a large turn between samples is normal.
     """
     form = kinematics.closed_form(robot)
     linear = program.motions.kind[sample.motion] != PTP
@@ -96,8 +98,8 @@ def singularities(program: Program, robot: RobotModel, sample: Toolpath, q: Arra
 
     wrist, elbow, shoulder, jump = (linear & is_near for is_near in in_chunks(near, np.arange(len(q))))
     jump &= (np.diff(sample.motion, prepend=sample.motion[:1]) <= 1) & ~(wrist | elbow | shoulder)
-    if len(apart):
-        jump &= ~np.isin(sample.motion, apart)
+    if len(sparse_motions):
+        jump &= ~np.isin(sample.motion, sparse_motions)
     rows, flip = np.flatnonzero(jump), np.zeros(len(q), dtype=np.bool_)
     flip[rows] = np.isin(np.argmax(np.abs(q[rows] - q[rows - 1]), axis=1), (3, 5))
     advice = f"Move the part or {_turn_the_tool(program)}."
@@ -129,18 +131,18 @@ def half_turns(program: Program, sample: Toolpath, turn: Array, pose: Poses) -> 
     motion = np.flatnonzero(free & (rotation > np.pi - _OPEN_WAY))
     if not len(motion):
         return
-    before = motion - 1 if program.after is None else program.after[motion]
-    ends = np.flatnonzero(sample.ends)[np.stack([motion, before])]
-    corrected = np.abs(twist_between(sample.pose[ends], pose[ends])).max(axis=2) > _MOVED
-    changed = corrected.any(axis=0) & (before >= 0) & np.isnan(m.joints[before, 0])
-    what = "this move turns the tool by about 180°: rounding decides the direction"
+    previous = motion - 1 if program.after is None else program.after[motion]
+    ends = np.flatnonzero(sample.ends)[np.stack([motion, previous])]
+    is_corrected = np.abs(twist_between(sample.pose[ends], pose[ends])).max(axis=2) > _CORRECTED_TWIST
+    may_reverse = is_corrected.any(axis=0) & (previous >= 0) & np.isnan(m.joints[previous, 0])
+    problem = "this move turns the tool by about 180°: rounding decides the direction"
     advice = "Add a target between that fixes the direction."
     cases: tuple[tuple[Bools, Level, str], ...] = (
-        (changed, "error", "and a correction may reverse it"),
-        (~changed, "warning", "and the joints were checked for one direction only"),
+        (may_reverse, "error", "and a correction may reverse it"),
+        (~may_reverse, "warning", "and the joints were checked for one direction only"),
     )
-    for bad, level, then in cases:
-        yield from _first(program, motion, bad, "half-turn", f"{what}, {then}. {advice}", level)
+    for bad, level, consequence in cases:
+        yield from _first(program, motion, bad, "half-turn", f"{problem}, {consequence}. {advice}", level)
 
 
 def status_and_turn(program: Program, robot: RobotModel, sample: Toolpath, q: Array) -> Iterator[Issue]:
@@ -151,11 +153,11 @@ def status_and_turn(program: Program, robot: RobotModel, sample: Toolpath, q: Ar
     m = program.motions
     ends = np.flatnonzero(sample.ends & (m.kind[sample.motion] == PTP) & np.isnan(m.joints[sample.motion, 0]))
     motion = sample.motion[ends]
-    signed = np.abs(q[ends]) > _NO_SIGN
-    wanted = m.turn[motion, None] >> np.arange(6) & 1
-    wrong_turn = (m.turn[motion] >= 0) & (((q[ends] < 0.0) != (wanted == 1)) & signed).any(axis=1)
+    has_sign = np.abs(q[ends]) > _NO_SIGN
+    turn_bits = m.turn[motion, None] >> np.arange(6) & 1
+    wrong_turn = (m.turn[motion] >= 0) & (((q[ends] < 0.0) != (turn_bits == 1)) & has_sign).any(axis=1)
     wrong_status = (m.status[motion] >= 0) & (kinematics.status_of(robot, q[ends]) != m.status[motion] & 7)
-    wrong_status &= signed[:, 4]
+    wrong_status &= has_sign[:, 4]
     advice = "The controller would drive the axes elsewhere, or stop: correct S and T, or leave them out."
     for bad, name in ((wrong_status, "status S"), (wrong_turn, "turn T")):
         message = f"no configuration within the joint limits has the {name} of this target. {advice}"
@@ -179,12 +181,12 @@ def first_move(program: Program, path: JointPath, start: Array) -> Iterator[Issu
     m = program.motions
     if m.kind[0] != PTP or np.isfinite(m.joints[0, 0]):
         return
-    turned = path.q[0] - start
+    rotation = path.q[0] - start
     for axis in (3, 5):
-        if abs(turned[axis]) > _HALF_TURN:
+        if abs(rotation[axis]) > _HALF_TURN:
             message = (
-                f"The first move turns {JOINTS[axis]} by {turned[axis] * DEG_PER_RAD:.0f}° from the [start] joints of "
-                f"the cell. Check cables and hoses; {_turn_the_tool(program)} or choose other [start] joints."
+                f"The first move turns {JOINTS[axis]} by {rotation[axis] * DEG_PER_RAD:.0f}° from the [start] joints "
+                f"of the cell. Check cables and hoses; {_turn_the_tool(program)} or choose other [start] joints."
             )
             yield Issue("warning", f"first-move-{JOINTS[axis]}", message, source_line=int(m.line[0]))
 
@@ -203,22 +205,22 @@ def height_of_start(program: Program, tip: Array, clearance: float | None) -> It
     if program.keeps_text or np.isfinite(m.joints[0, 0]):
         return
     target = float(m.target.position[0, 2])
-    start, lowest = float(tip[0, 2]), float(tip[:, 2].min())
+    start, lowest_z = float(tip[0, 2]), float(tip[:, 2].min())
     start_limit, start_name = target, "the first target"
     if clearance is not None and clearance > target:
         start_limit, start_name = clearance, "clearance_Z"
     way_limit, way_name = target, "the first target"
     if clearance is not None and clearance < target:
         way_limit, way_name = clearance, "clearance_Z"
-    if start_limit - start > _START_BELOW:
+    if start_limit - start > _START_DEPTH:
         problem = (
             f"The first move begins below {start_name}: at [start] the tip is at Z {start * MM_PER_M:.1f} mm of $BASE, "
             f"{(start_limit - start) * MM_PER_M:.1f} mm below it."
         )
-    elif way_limit - lowest > _START_BELOW:
+    elif way_limit - lowest_z > _START_DEPTH:
         problem = (
             f"The first move passes below {way_name}: all axes move at once from [start], and the tip comes down to Z "
-            f"{lowest * MM_PER_M:.1f} mm of $BASE, {(way_limit - lowest) * MM_PER_M:.1f} mm below it."
+            f"{lowest_z * MM_PER_M:.1f} mm of $BASE, {(way_limit - lowest_z) * MM_PER_M:.1f} mm below it."
         )
     else:
         return
@@ -229,14 +231,14 @@ def height_of_start(program: Program, tip: Array, clearance: float | None) -> It
 def posture(program: Program, robot: RobotModel, sample: Toolpath, path: JointPath, start: Array) -> Iterator[Issue]:
     """Yield an issue if a PTP changes the posture of the arm (status S): overhead, elbow or wrist turned over."""
     ends = np.flatnonzero(sample.ends & (program.motions.kind[sample.motion] == PTP))
-    before = kinematics.status_of(robot, np.where(ends[:, None] > 0, path.q[ends - 1], start))
-    after = kinematics.status_of(robot, path.q[ends])
-    changes = np.flatnonzero(before != after)
+    start_status = kinematics.status_of(robot, np.where(ends[:, None] > 0, path.q[ends - 1], start))
+    end_status = kinematics.status_of(robot, path.q[ends])
+    changes = np.flatnonzero(start_status != end_status)
     if len(changes):
         first = changes[0]
         message = (
-            f"The arm changes its posture (status S from {before[first]} to {after[first]}): the way there is the "
-            "controller's."
+            f"The arm changes its posture (status S from {start_status[first]} to {end_status[first]}): the way there "
+            "is the controller's."
         )
         yield program.motions.issue("info", "posture", message, sample.motion[ends[changes]])
 
@@ -275,18 +277,18 @@ def joint_speeds(program: Program, robot: RobotModel, sample: Toolpath, speed: A
     level: Level = "warning" if any(issue.kind == "default-speed" for issue in program.issues) else "error"
     rapid = program.motions.rapid[sample.motion]
     feed = np.nan_to_num(program.motions.feed[sample.motion])
-    (beyond,) = in_chunks(lambda speed: (np.asarray(speed > robot.speed),), speed)
+    (is_too_fast,) = in_chunks(lambda speed: (np.asarray(speed > robot.speed),), speed)
     for axis, name in enumerate(JOINTS):
         for rows, at, advice in (
             (~rapid, "the programmed feed", "Lower the feed to {feed} mm/min"),
             (rapid, "the speed of rapid moves", "Lower rapid_m_per_s in [gcode] of the cell"),
         ):
-            fast = rows & beyond[:, axis]
+            fast = rows & is_too_fast[:, axis]
             if not fast.any():
                 continue
             turning = speed[np.flatnonzero(fast), axis]
-            least = float((feed[fast] * robot.speed[axis] / turning).min()) * _MM_PER_MIN
-            advice = advice.format(feed=_rounded_down(least))
+            allowable_feed = float((feed[fast] * robot.speed[axis] / turning).min()) * _MM_PER_MIN
+            advice = advice.format(feed=_rounded_down(allowable_feed))
             message = (
                 f"{name} would turn at {turning.max() * DEG_PER_RAD:.0f}°/s at {at} (limit "
                 f"{robot.speed[axis] * DEG_PER_RAD:.0f}°/s). {advice} or turn the tool about its axis."
@@ -310,15 +312,17 @@ def joints_at_joins(program: Program, sample: Toolpath, q: Array, start: Array) 
     end = np.flatnonzero(sample.ends)
     for rows in program.joins:
         angles = np.array([q[end[row]] if row >= 0 else start for row in rows])
-        apart = np.ptp(angles, axis=0)
-        axis = int(apart.argmax())
-        if not apart[axis] > np.pi:
+        spread = np.ptp(angles, axis=0)
+        axis = int(spread.argmax())
+        if not spread[axis] > np.pi:
             continue
         lines = [int(program.motions.line[row]) for row in rows if row >= 0]
-        reached = " and ".join(f"{angle:.0f}°" for angle in sorted({round(a) for a in angles[:, axis] * DEG_PER_RAD}))
+        angles_text = " and ".join(
+            f"{angle:.0f}°" for angle in sorted({round(a) for a in angles[:, axis] * DEG_PER_RAD})
+        )
         message = (
-            f"{_BRANCHES} end with A{axis + 1} at {reached}: what follows was checked from one of these angles only. "
-            "Turn the tool back the way it came, or give all of A1 … A6 there (PTP)."
+            f"{_BRANCHES} end with A{axis + 1} at {angles_text}: what follows was checked from one of these angles "
+            "only. Turn the tool back the way it came, or give all of A1 … A6 there (PTP)."
         )
         yield Issue("error", "branch-joints", message, lines[0], count=len(lines), lines=tuple(lines))
 
@@ -331,10 +335,10 @@ def joins(program: Program, sample: Toolpath, pose: Poses, wrench: Runs) -> Iter
     end = np.flatnonzero(sample.ends)
     for rows in program.joins:
         motions = np.array([row for row in rows if row >= 0], dtype=np.int64)
-        moved = twist_between(sample.pose[end[motions]], pose[end[motions]])
+        correction = twist_between(sample.pose[end[motions]], pose[end[motions]])
         if len(motions) < len(rows):
-            moved = np.append(moved, np.zeros((1, 6)), axis=0)  # the start, which is not corrected
-        if not len(motions) or np.ptp(moved, axis=0).max() < _MET:
+            correction = np.append(correction, np.zeros((1, 6)), axis=0)  # the start, which is not corrected
+        if not len(motions) or np.ptp(correction, axis=0).max() < _SAME_POSE:
             continue
         lines = program.motions.line[motions].tolist()
         forces = [f"line {line}: {_force(wrench[end[row]])}" for line, row in zip(lines, motions.tolist(), strict=True)]
@@ -352,26 +356,27 @@ def _force(wrench: Array) -> str:
     return f"F = ({', '.join(f'{value:.4g}' for value in wrench[:3].tolist())}) N"
 
 
-def correction_size(program: Program, motion: Ints, correction: Array, allowed: float) -> Iterator[Issue]:
+def correction_size(program: Program, motion: Ints, correction: Array, limit: float) -> Iterator[Issue]:
     """Yield an issue if a commanded position is farther from nominal than allowed; distances (N,) [m]."""
     message = (
         f"the correction of {correction.max() * MM_PER_M:.3f} mm is larger than max_correction_mm = "
-        f"{allowed * MM_PER_M:g}. Check the forces and the robot model, or raise max_correction_mm in the cell."
+        f"{limit * MM_PER_M:g}. Check the forces and the robot model, or raise max_correction_mm in the cell."
     )
-    yield from _first(program, motion, ~(correction <= allowed), "correction-size", message)
+    yield from _first(program, motion, ~(correction <= limit), "correction-size", message)
 
 
-def blending(program: Program, motion: Ints, more: Array, tolerance: float) -> Iterator[Issue]:
+def blending(program: Program, motion: Ints, extra_rounding: Array, tolerance: float) -> Iterator[Issue]:
     """Yield an issue if the correction increases the rounding of a corner by more than the tolerance.
 
-    :param more: (K,) by how much the written path is rounded more at each target than the programmed one [m].
+    :param extra_rounding: (K,) by how much the written path is rounded more at each target than the programmed one [m].
     """
     message = (
-        f"approximation (C_DIS) rounds the corrected path by up to {np.max(more, initial=0.0) * MM_PER_M:.3f} mm more "
+        "approximation (C_DIS) rounds the corrected path by up to "
+        f"{np.max(extra_rounding, initial=0.0) * MM_PER_M:.3f} mm more "
         f"than the programmed one; tolerance_mm is {tolerance * MM_PER_M:g}. Use a smaller approximation distance "
         "where this matters."
     )
-    yield from _first(program, motion, more > tolerance, "blending", message, "warning")
+    yield from _first(program, motion, extra_rounding > tolerance, "blending", message, "warning")
 
 
 def beyond_measured(
@@ -392,10 +397,10 @@ def beyond_measured(
         return (np.abs(np.einsum("kij,ki->kj", jacobian, wrench))[:, list(robot.actuated)],)
 
     torque = in_chunks(torques, q, np.broadcast_to(tool, (len(q), 4, 4)), wrench)[0]
-    beyond = torque > _BEYOND * robot.measured.torque
-    for joint in np.flatnonzero(beyond.any(axis=0)).tolist():
+    exceeds = torque > _TORQUE_FACTOR * robot.measured.torque
+    for joint in np.flatnonzero(exceeds.any(axis=0)).tolist():
         message = (
             f"the forces put up to {torque[:, joint].max():.0f} N·m on {JOINTS[joint]}; the robot model was measured "
             f"up to {robot.measured.torque[joint]:.0f}: it and its bound are extrapolated. Measure such loads too."
         )
-        yield from _first(program, motion, beyond[:, joint], f"beyond-measured-{JOINTS[joint]}", message, "warning")
+        yield from _first(program, motion, exceeds[:, joint], f"beyond-measured-{JOINTS[joint]}", message, "warning")

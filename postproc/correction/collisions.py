@@ -24,9 +24,9 @@ from postproc.placement.samples import AXIS
 from postproc.program import PTP, Bools, Ints
 from postproc.under_load import PathUnderLoad
 
-_ALONG = 1e-4
+_AXIS_SHARE = 1e-4
 """Steps whose cosine of the angle to the tool axis is less than 1 by this at most are along it."""
-_NOTHING = 1e-6
+_NO_REDUCTION = 1e-6
 """Corrections that move bodies by less [m] are not worth a word."""
 STOCK = "stock"
 _MOST_STOCKS = 200
@@ -50,14 +50,14 @@ class SmallestClearance(Struct, frozen=True, eq=False):
     remarks: tuple[str, ...] = ()
 
 
-def of_path(path: PathUnderLoad, commanded: Array) -> tuple[SmallestClearance | None, list[Issue]]:
+def of_path(path: PathUnderLoad, commanded_q: Array) -> tuple[SmallestClearance | None, list[Issue]]:
     """Return the smallest clearance of arm, tool and obstacles, and an error for each two bodies that come too close.
 
     Under the cutting forces a corrected arm is on the nominal path, without them on the commanded one. Distances are
     those of the nominal path, from the start of the program on, less by as far as the correction moves each body at
     most: a bound for both paths, and for all poses between them.
 
-    :param commanded: (N, 6) commanded joint angles at the samples [rad].
+    :param commanded_q: (N, 6) commanded joint angles at the samples [rad].
     :returns: None if the cell has no [collision].
     :raises CellError: a body cannot be read.
     """
@@ -73,44 +73,46 @@ def of_path(path: PathUnderLoad, commanded: Array) -> tuple[SmallestClearance | 
     for rows, tool in _runs(program.motions.tool[path.sample.motion]):
         scene = collision.Scene.of(robot_in_cell.robot, robot_in_cell.cell, program.tools[tool])
         from_start = rows.start == 0 and program.motions.kind[0] == PTP
-        before = robot_in_cell.cell.start_joints if rows.start == 0 else path.joints.q[rows.start - 1]
-        q = np.concatenate([before[None], path.joints.q[rows]])
-        other = np.concatenate([before[None], commanded[rows]])
-        corrected = None if np.array_equal(q, other) else other
+        start_q = robot_in_cell.cell.start_joints if rows.start == 0 else path.joints.q[rows.start - 1]
+        q = np.concatenate([start_q[None], path.joints.q[rows]])
+        command_q = np.concatenate([start_q[None], commanded_q[rows]])
+        corrected_q = None if np.array_equal(q, command_q) else command_q
         shift = _shift(path, rows)
-        found = collision.along(scene, q, need, shift, corrected)
-        own = np.append(line[rows][:1], line[rows])
-        closest = found.closest
-        if smallest is None or (closest is not None and closest.distance < smallest.distance):
-            names = ("", "") if closest is None else _names(scene, closest.first, closest.second)
-            at = 0 if closest is None else closest.row
-            distance = np.inf if closest is None else closest.distance
-            remarks = (*scene.remarks, *_of_stock(scene, stock), *_corrected(found.less))
-            smallest = SmallestClearance(distance, names, int(own[at]), scene, remarks)
+        distances = collision.along(scene, q, need, shift, corrected_q)
+        lines = np.append(line[rows][:1], line[rows])
+        closest_pair = distances.closest
+        if smallest is None or (closest_pair is not None and closest_pair.distance < smallest.distance):
+            names = ("", "") if closest_pair is None else _names(scene, closest_pair.first, closest_pair.second)
+            at = 0 if closest_pair is None else closest_pair.row
+            distance = np.inf if closest_pair is None else closest_pair.distance
+            remarks = (*scene.remarks, *_of_stock(scene, stock), *_corrected(distances.less))
+            smallest = SmallestClearance(distance, names, int(lines[at]), scene, remarks)
         hits = []
-        for row, first, second, distance in zip(found.row, found.first, found.second, found.distance, strict=True):
+        for row, first, second, distance in zip(
+            distances.row, distances.first, distances.second, distances.distance, strict=True
+        ):
             begins = from_start and bool(path.sample.motion[rows][max(int(row) - 1, 0)] == 0)
-            hits.append((_names(scene, first, second), float(distance), int(own[row]), need, begins))
-        states = States(path.sample.motion[rows], q, corrected, shift)
+            hits.append((_names(scene, first, second), float(distance), int(lines[row]), need, begins))
+        states = States(path.sample.motion[rows], q, corrected_q, shift)
         arrival = _too_close(scene, states.arrival(), stock, need) if from_start else set()
-        for names, distance, at, asked, begins in hits:
-            worst.note(names, distance, at, asked, begins and names not in arrival)
+        for names, distance, at, clearance, begins in hits:
+            worst.note(names, distance, at, clearance, begins and names not in arrival)
         contacts = with_parts(scene, states, program.motions.rapid[states.motion] & ~_retracts(path, rows))
         if stock is not None:
             contacts = chain(contacts, with_stock(scene, states, stock, need))
-        for each in contacts:
-            begins = from_start and each.motion == 0 and each.names not in arrival
-            worst.note(each.names, each.distance, int(program.motions.line[each.motion]), each.need, begins)
+        for contact in contacts:
+            begins = from_start and contact.motion == 0 and contact.names not in arrival
+            worst.note(contact.names, contact.distance, int(program.motions.line[contact.motion]), contact.need, begins)
     return smallest, worst.issues()
 
 
 def _retracts(path: PathUnderLoad, rows: slice) -> Bools:
     """Return at which samples (n,) the tool moves along its own axis, away from the part: it leaves its cut."""
     pose = path.sample.pose
-    before = np.maximum(np.arange(rows.start, rows.stop) - 1, 0)
-    step = pose[rows, :3, 3] - pose[before, :3, 3]
+    previous = np.maximum(np.arange(rows.start, rows.stop) - 1, 0)
+    step = pose[rows, :3, 3] - pose[previous, :3, 3]
     up = -pose[rows, :3, :3] @ np.array(AXIS[path.robot_in_cell.spindle])
-    return np.asarray(np.einsum("ni,ni->n", step, up) >= (1.0 - _ALONG) * norm(step))
+    return np.asarray(np.einsum("ni,ni->n", step, up) >= (1.0 - _AXIS_SHARE) * norm(step))
 
 
 class _Worst:
@@ -121,13 +123,13 @@ class _Worst:
 
     def note(self, names: tuple[str, str], distance: float, line: int, need: float, begins: bool) -> None:
         """Note a distance [m] that is smaller than the clearance; `begins`: on the way from [start]."""
-        least, at, lines, _, first = self._of.get(names, (np.inf, 0, set(), need, begins))
-        at, least, first = (line, distance, begins) if distance < least else (at, least, first)
-        self._of[names] = least, at, lines | {line}, need, first
+        smallest, at, lines, _, first = self._of.get(names, (np.inf, 0, set(), need, begins))
+        at, smallest, first = (line, distance, begins) if distance < smallest else (at, smallest, first)
+        self._of[names] = smallest, at, lines | {line}, need, first
 
     def issues(self) -> list[Issue]:
         """Return an error for each two bodies."""
-        return [_issue(names, *found) for names, found in self._of.items()]
+        return [_issue(names, *details) for names, details in self._of.items()]
 
 
 def _of_stock(scene: collision.Scene, stock: StockInTime | None) -> Iterator[str]:
@@ -148,12 +150,12 @@ def _runs(tool: Ints) -> Iterator[tuple[slice, int]]:
         yield slice(begin, end), int(tool[begin])
 
 
-def _corrected(less: float) -> Iterator[str]:
+def _corrected(reduction: float) -> Iterator[str]:
     """Yield a sentence on the reduction of distances [m] for the correction."""
-    if less > _NOTHING:
+    if reduction > _NO_REDUCTION:
         yield (
-            f"distances are reduced by the motion of the bodies due to the correction, {less * MM_PER_M:.2g} mm at "
-            "most: they are valid with and without the cutting forces"
+            f"distances are reduced by the motion of the bodies due to the correction, {reduction * MM_PER_M:.2g} mm "
+            "at most: they are valid with and without the cutting forces"
         )
 
 
@@ -164,8 +166,8 @@ def _shift(path: PathUnderLoad, rows: slice) -> Array | None:
         return None
     row = max(rows.start - 1, 0)
     t = path.sample.t[row : row + 1] if rows.start else np.zeros(1)
-    before = carriage.offset(path.sample.motion[row : row + 1], t)
-    return np.concatenate([before, carriage.offset(path.sample.motion[rows], path.sample.t[rows])])
+    start = carriage.offset(path.sample.motion[row : row + 1], t)
+    return np.concatenate([start, carriage.offset(path.sample.motion[rows], path.sample.t[rows])])
 
 
 def _names(scene: collision.Scene, first: int, second: int) -> tuple[str, str]:
@@ -174,16 +176,16 @@ def _names(scene: collision.Scene, first: int, second: int) -> tuple[str, str]:
 
 def _issue(names: tuple[str, str], distance: float, line: int, lines: set[int], need: float, begins: bool) -> Issue:
     first, second = names
-    how = "touches or is inside" if distance == 0.0 else f"comes within {distance * MM_PER_M:.2g} mm of"
+    verb = "touches or is inside" if distance == 0.0 else f"comes within {distance * MM_PER_M:.2g} mm of"
     asks = f"[collision] asks for {need * MM_PER_M:g} mm" if need > 0.0 else "it may not touch it here"
     advice = "Move the part, turn the tool, or correct the bodies in the cell"
     if second == STOCK:
         advice = "Lift the tool before it moves rapidly, begin elsewhere ([start]), or correct the bodies in the cell"
-    where = ""
+    place = ""
     if begins:
-        where = " on the way from [start] to the first target"
+        place = " on the way from [start] to the first target"
         advice = "Choose [start] joints with the tip above the part, lift the first target, or correct the bodies"
-    message = f"collision: {first} {how} {second}{where}; {asks}. {advice}"
+    message = f"collision: {first} {verb} {second}{place}; {asks}. {advice}"
     return Issue("error", "collision", message, line, count=len(lines), subject=f"{first}, {second}")
 
 
@@ -205,24 +207,24 @@ class States(Struct, frozen=True, eq=False):
         """Return the end of the first motion as a path that stays there."""
         last = int(np.searchsorted(self.motion, self.motion[0], side="right"))
         stay = [last, last]
-        commanded, shift = (None if each is None else each[stay] for each in (self.commanded, self.shift))
-        return States(self.motion[:1], self.q[stay], commanded, shift)
+        commanded_q, shift = (None if values is None else values[stay] for values in (self.commanded, self.shift))
+        return States(self.motion[:1], self.q[stay], commanded_q, shift)
 
     def part(self, low: int, high: int) -> States:
         """Return the samples from `low` to `high` (exclusive)."""
         part = slice(low, high + 1)
-        commanded, shift = (None if each is None else each[part] for each in (self.commanded, self.shift))
-        return States(self.motion[low:high], self.q[part], commanded, shift)
+        commanded_q, shift = (None if values is None else values[part] for values in (self.commanded, self.shift))
+        return States(self.motion[low:high], self.q[part], commanded_q, shift)
 
 
 def _too_close(scene: Scene, states: States, stock: StockInTime | None, need: float) -> set[tuple[str, str]]:
     """Return the names of bodies that come closer than allowed along a path that cuts nothing."""
-    found = collision.along(scene, states.q, need, states.shift, states.commanded)
-    out = {_names(scene, first, second) for first, second in zip(found.first, found.second, strict=True)}
+    hits = collision.along(scene, states.q, need, states.shift, states.commanded)
+    names = {_names(scene, first, second) for first, second in zip(hits.first, hits.second, strict=True)}
     contacts = with_parts(scene, states, np.ones(len(states.motion), dtype=bool))
     if stock is not None:
         contacts = chain(contacts, with_stock(scene, states, stock, need))
-    return out | {each.names for each in contacts}
+    return names | {contact.names for contact in contacts}
 
 
 class Contact(Struct, frozen=True):
@@ -240,20 +242,20 @@ def with_stock(scene: Scene, states: States, stock: StockInTime, need: float) ->
     :param need: smallest allowed distance [m]; the cutter must not touch.
     """
     moving = [body for body in scene.bodies if not body.fixed]
-    others = [body for body in moving if body.of == "arm" or (body.of == "tool" and body.kind == "mesh")]
-    held = [body for body in moving if body.of == "tool" and body.kind != "mesh"]
+    arm_and_meshes = [body for body in moving if body.of == "arm" or (body.of == "tool" and body.kind == "mesh")]
+    tool_shapes = [body for body in moving if body.of == "tool" and body.kind != "mesh"]
     cutters = [collision.inside(body) for body in moving if body.of == "cutter"]
-    everywhere = np.ones(len(states.motion), dtype=bool)
+    all_rows = np.ones(len(states.motion), dtype=bool)
     turning = ~stock.compared[states.motion]
     passing = turning & ~stock.cuts[states.motion]
     nominal = replace(states, commanded=None)
-    for bodies, own, own_need, rows in (
-        (others, states, need, everywhere),
-        (held, states, need, turning),
+    for bodies, body_states, own_need, rows in (
+        (arm_and_meshes, states, need, all_rows),
+        (tool_shapes, states, need, turning),
         (cutters, nominal, 0.0, passing),
     ):
         if bodies and rows.any():
-            yield from _Search(scene, bodies, own, stock, own_need).over(rows)
+            yield from _Search(scene, bodies, body_states, stock, own_need).over(rows)
 
 
 def with_parts(scene: Scene, states: States, rapid: Bools) -> Iterator[Contact]:
@@ -283,16 +285,16 @@ class _Search:
         left = rows
         while left.any():
             first = int(motion[np.argmax(left)])
-            found = self._at(first, left)
-            now = [each for each in found if each.motion == first or self.compared >= _MOST_STOCKS]
-            yield from now
-            later = np.unique([each.motion for each in found if each.motion != first])
-            if self.compared >= _MOST_STOCKS or not len(later):
+            contacts = self._at(first, left)
+            certain = [contact for contact in contacts if contact.motion == first or self.compared >= _MOST_STOCKS]
+            yield from certain
+            later_motions = np.unique([contact.motion for contact in contacts if contact.motion != first])
+            if self.compared >= _MOST_STOCKS or not len(later_motions):
                 return
             # the stock of `first` is an upper bound for what follows: only motions that are too close to it are open,
             # the first half of them by the stock before them, the others by that in their middle
-            middle = int(later[len(later) // 2])
-            open_ = left & np.isin(motion, later)
+            middle = int(later_motions[len(later_motions) // 2])
+            open_ = left & np.isin(motion, later_motions)
             yield from self.over(open_ & (motion < middle))
             left = open_ & (motion >= middle)
 
@@ -306,21 +308,25 @@ class _Search:
         self.solids = _solids(self.scene, self.bodies, [body]) if self.solids is None else self.solids.with_last(body)
         solids = self.solids
         return [
-            each for low, high in _stretches(rows) for each in _contacts(solids, self.states.part(low, high), self.need)
+            contact
+            for low, high in _stretches(rows)
+            for contact in _contacts(solids, self.states.part(low, high), self.need)
         ]
 
 
-def _solids(scene: Scene, moving: Sequence[Body], fixed: Sequence[Body]) -> Solids:
-    pairs = [(i, len(moving) + j) for i in range(len(moving)) for j in range(len(fixed)) if moving[i].carrier >= 0]
-    return Solids(Scene(scene.robot, (*moving, *fixed)), pairs)
+def _solids(scene: Scene, moving: Sequence[Body], fixed_bodies: Sequence[Body]) -> Solids:
+    pairs = [
+        (i, len(moving) + j) for i in range(len(moving)) for j in range(len(fixed_bodies)) if moving[i].carrier >= 0
+    ]
+    return Solids(Scene(scene.robot, (*moving, *fixed_bodies)), pairs)
 
 
 def _contacts(solids: Solids, states: States, need: float) -> Iterator[Contact]:
-    found = collision.among(solids, states.q, need, states.shift, states.commanded)
-    before = np.append(states.motion[:1], states.motion)
-    for row, first, second, distance in zip(found.row, found.first, found.second, found.distance, strict=True):
+    hits = collision.among(solids, states.q, need, states.shift, states.commanded)
+    motion = np.append(states.motion[:1], states.motion)
+    for row, first, second, distance in zip(hits.row, hits.first, hits.second, hits.distance, strict=True):
         names = solids.bodies[int(first)].name, solids.bodies[int(second)].name
-        yield Contact(names, int(before[row]), float(distance), need)
+        yield Contact(names, int(motion[row]), float(distance), need)
 
 
 def _stretches(rows: Bools) -> Iterator[tuple[int, int]]:

@@ -27,7 +27,7 @@ from postproc.robot import JOINTS
 from postproc.toolpath import Toolpath
 from postproc.under_load import ImpossiblePathError, MotionsUnderLoad, PathUnderLoad, unreachable
 
-_USED = 0.98
+_SPEED_SHARE = 0.98
 """Share of a joint's largest speed that slowed rapid moves use."""
 
 
@@ -43,9 +43,9 @@ def slowed(path: PathUnderLoad, q: Array, position: Array) -> tuple[MotionsUnder
     program, robot = path.program, path.robot_in_cell.robot
     m = program.motions
     positioning = _positioning(path)
-    capped = np.isin(m.kind, (LIN, CIRC)) & ~m.rapid & ~positioning
-    capped &= path.robot_in_cell.cell.limits.feed == "cap"
-    slowable = positioning | capped
+    is_capped = np.isin(m.kind, (LIN, CIRC)) & ~m.rapid & ~positioning
+    is_capped &= path.robot_in_cell.cell.limits.feed == "cap"
+    slowable = positioning | is_capped
     if not slowable.any():
         return None
     speed = commanded_speed(path, q, position)
@@ -55,7 +55,7 @@ def slowed(path: PathUnderLoad, q: Array, position: Array) -> tuple[MotionsUnder
     def take(motion: Ints, speed: Array) -> None:
         of_limit = speed / robot.speed
         worst = of_limit.max(axis=1)
-        rows = np.flatnonzero(slowable[motion] & (worst > _USED))
+        rows = np.flatnonzero(slowable[motion] & (worst > _SPEED_SHARE))
         rows = rows[np.argsort(worst[rows])]
         rows = rows[worst[rows] > share[motion[rows]]]
         share[motion[rows]], joint[motion[rows]] = worst[rows], of_limit[rows].argmax(axis=1)
@@ -63,22 +63,22 @@ def slowed(path: PathUnderLoad, q: Array, position: Array) -> tuple[MotionsUnder
     for part in chunks(len(path)):
         take(path.sample.motion[part], speed[part])
     _, lines = stretches_to_examine(path, q, speed)
-    for close, exact, position_there in dense_places(path, q, position, lines):
-        take(close.motion, checks.joint_speed(program, close, path.motions.segments.turn, exact, position_there))
+    for close, exact, exact_position in dense_places(path, q, position, lines):
+        take(close.motion, checks.joint_speed(program, close, path.motions.segments.turn, exact, exact_position))
     fast = np.flatnonzero(share > 1.0)
     if not len(fast):
         return None
     feed = m.feed.copy()
-    feed[fast] *= _USED / share[fast]
+    feed[fast] *= _SPEED_SHARE / share[fast]
     names = " and ".join(JOINTS[axis] for axis in np.unique(joint[fast]).tolist())
-    slowest = f"{feed[fast].min():.3g} m/s at the slowest"
-    message = f"Positioning moves in which {names} would turn too fast are slowed, to {slowest}."
+    slowest_feed = f"{feed[fast].min():.3g} m/s at the slowest"
+    message = f"Positioning moves in which {names} would turn too fast are slowed, to {slowest_feed}."
     issue = m.issue("info", "rapid-slowed", message, fast)
     as_read = program.feed_as_read
-    if capped[fast].any():
-        cut = fast[capped[fast]]
-        lowest = f"{feed[cut].min() * MM_PER_M * 60.0:.0f} mm/min"
-        message = f"Moves at feed in which {names} would turn too fast are slowed, to {lowest} at the lowest."
+    if is_capped[fast].any():
+        cut = fast[is_capped[fast]]
+        lowest_feed = f"{feed[cut].min() * MM_PER_M * 60.0:.0f} mm/min"
+        message = f"Moves at feed in which {names} would turn too fast are slowed, to {lowest_feed} at the lowest."
         issue = m.issue("warning", "feed-capped", message, fast)
         as_read = m.feed if as_read is None else as_read
     slow = replace(program, motions=replace(m, feed=feed), feed_as_read=as_read)
@@ -90,13 +90,13 @@ def _positioning(path: PathUnderLoad) -> Bools:
     program, m = path.program, path.program.motions
     if program.keeps_text:
         return np.zeros(len(m), dtype=np.bool_)
-    out = m.rapid.copy()
-    out[program.unforced] = True
-    loaded = np.zeros(len(m), dtype=np.bool_)
+    is_positioning = m.rapid.copy()
+    is_positioning[program.unforced] = True
+    has_force = np.zeros(len(m), dtype=np.bool_)
     acts = any_column(path.wrench.values != 0.0)
-    loaded[path.sample.motion[acts[path.wrench.run]]] = True
-    out |= ~loaded & (m.feed >= path.robot_in_cell.cell.gcode.rapid_m_per_s)
-    return np.asarray(out & (m.kind == LIN))
+    has_force[path.sample.motion[acts[path.wrench.run]]] = True
+    is_positioning |= ~has_force & (m.feed >= path.robot_in_cell.cell.gcode.rapid_m_per_s)
+    return np.asarray(is_positioning & (m.kind == LIN))
 
 
 def commanded_speed(path: PathUnderLoad, q: Array, position: Array) -> Array:
@@ -121,12 +121,12 @@ def commanded_speed(path: PathUnderLoad, q: Array, position: Array) -> Array:
 _SPACING = 5.0 * RAD_PER_DEG
 _SHARE_OF_SPEED = 0.75
 """Share of a joint's largest speed at samples: between two that are 60° apart a sine is up to 1 / cos 30° steeper."""
-_TURNED = 10.0 * RAD_PER_DEG
+_LARGE_STEP = 10.0 * RAD_PER_DEG
 """Rotation from one sample to the next; a joint turns by more only near a wrist or shoulder singularity."""
 _NEAR_WRIST = 1.0 * RAD_PER_DEG
 _NEAR_ELBOW = 20.0 * RAD_PER_DEG
 """A3 changes with the root of the distance to where the arm is stretched: nearer than this it may get there unseen."""
-_AT_ONCE = 8192
+_CHUNK = 8192
 """Number of places examined in one batch."""
 _STEPS = 2.0
 """A smooth quantity exceeds its values at the samples by less than one step between them; two for safety."""
@@ -198,14 +198,14 @@ def _arcs(path: PathUnderLoad, q: Array, fast: Bools) -> Stretches:
     rows = np.flatnonzero(m.kind[motion] == CIRC)
     if len(rows):
         _, room, step = _states(path, q, rows)
-        certain = motion[rows[fast[rows] | (step[:6].max(axis=0) > _TURNED)]]
+        certain = motion[rows[fast[rows] | (step[:6].max(axis=0) > _LARGE_STEP)]]
         # what comes near by the largest step of any arc may come near by that of its own
         may_be = (room < _near(step.max(axis=1, keepdims=True))).any(axis=0)
-        own = np.isin(motion[rows], motion[rows[may_be]])
-        rows, room, step = rows[own], room[:, own], step[:, own]
+        in_reach = np.isin(motion[rows], motion[rows[may_be]])
+        rows, room, step = rows[in_reach], room[:, in_reach], step[:, in_reach]
         first = np.flatnonzero(np.diff(motion[rows], prepend=-1))
-        near = _near(np.maximum.reduceat(step, first, axis=1))
-        close = (np.minimum.reduceat(room, first, axis=1) < near).any(axis=0)
+        threshold = _near(np.maximum.reduceat(step, first, axis=1))
+        close = (np.minimum.reduceat(room, first, axis=1) < threshold).any(axis=0)
         rows = distinct(np.append(certain, motion[rows[first[close]]]))
     count = np.ceil(m.sweep[rows] / _SPACING - 1e-9).astype(np.int64) + 1
     return Stretches(rows, np.zeros(len(rows)), np.ones(len(rows)), count)
@@ -213,11 +213,11 @@ def _arcs(path: PathUnderLoad, q: Array, fast: Bools) -> Stretches:
 
 def _near(step: Array) -> Array:
     """Return possible changes of the states between samples of an arc (9, n), from their largest steps on it (9, n)."""
-    near = _STEPS * step
-    near[_WRIST] = np.maximum(near[_WRIST], _NEAR_WRIST)
-    near[_SHOULDER] += checks.SHOULDER
-    near[_ELBOW] = _NEAR_ELBOW
-    return near
+    change = _STEPS * step
+    change[_WRIST] = np.maximum(change[_WRIST], _NEAR_WRIST)
+    change[_SHOULDER] += checks.SHOULDER
+    change[_ELBOW] = _NEAR_ELBOW
+    return change
 
 
 def _lines(path: PathUnderLoad, q: Array, fast: Bools) -> Stretches:
@@ -225,19 +225,19 @@ def _lines(path: PathUnderLoad, q: Array, fast: Bools) -> Stretches:
     sample, segments = path.sample, path.motions.segments
     first = np.diff(sample.motion, prepend=-1) != 0
     begin = np.where(first, 0.0, np.roll(sample.t, 1))
-    way, turn = (each[sample.motion] * (sample.t - begin) for each in (segments.travel, segments.turn))
+    way, turn = (of_motion[sample.motion] * (sample.t - begin) for of_motion in (segments.travel, segments.turn))
     rows = np.flatnonzero(
         np.isin(path.program.motions.kind[sample.motion], (LIN, SPL)) & ((way > _LONG) | (turn > _TURNS))
     )
     way, turn = way[rows], turn[rows]
 
     def near_something(rows: Ints, way: Array, turn: Array) -> tuple[Bools]:
-        before, room, step = _states(path, q, rows)
-        near = _STEPS * step
-        near[:_SHOULDER] += way / _NEAREST + _PER_TURN * turn
-        near[_SHOULDER] += way + _REACH_PER_TURN * turn + checks.SHOULDER
-        near[_ELBOW] = _ELBOW_PER_M * way + _ELBOW_PER_TURN * turn
-        return (np.asarray((np.minimum(before, room) < near).any(axis=0)),)
+        start_room, room, step = _states(path, q, rows)
+        change = _STEPS * step
+        change[:_SHOULDER] += way / _NEAREST + _PER_TURN * turn
+        change[_SHOULDER] += way + _REACH_PER_TURN * turn + checks.SHOULDER
+        change[_ELBOW] = _ELBOW_PER_M * way + _ELBOW_PER_TURN * turn
+        return (np.asarray((np.minimum(start_room, room) < change).any(axis=0)),)
 
     close = in_chunks(near_something, rows, way, turn)[0] | fast[rows]
     rows, way, turn = rows[close], way[close], turn[close]
@@ -246,19 +246,19 @@ def _lines(path: PathUnderLoad, q: Array, fast: Bools) -> Stretches:
 
 
 def between_samples(
-    path: PathUnderLoad, q: Array, position: Array, stretches: Stretches, apart: Ints
+    path: PathUnderLoad, q: Array, position: Array, stretches: Stretches, sparse_motions: Ints
 ) -> Iterator[Issue]:
     """Yield issues of joint limits, singularities and joint speeds between samples.
 
     :param q: (N, 6) commanded joint angles of the samples [rad], `position` (N, 3) commanded positions [m].
-    :param apart: motions of whose stretches not all follow each other.
+    :param sparse_motions: motions of whose stretches not all follow each other.
     """
     program, robot = path.program, path.robot_in_cell.robot
     try:
-        for close, exact, commanded in dense_places(path, q, position, stretches):
+        for close, exact, commanded_position in dense_places(path, q, position, stretches):
             yield from checks.joint_limits(program, robot, close, exact)
-            yield from checks.singularities(program, robot, close, exact, apart)
-            speed = checks.joint_speed(program, close, path.motions.segments.turn, exact, commanded)
+            yield from checks.singularities(program, robot, close, exact, sparse_motions)
+            speed = checks.joint_speed(program, close, path.motions.segments.turn, exact, commanded_position)
             yield from checks.joint_speeds(program, robot, close, speed)
     except ImpossiblePathError as cause:
         yield cause.issue
@@ -279,7 +279,7 @@ def dense_places(
     last = np.flatnonzero(sample.ends)
     sample_place = sample.motion + sample.t
     count = stretches.count
-    group = np.cumsum(count) // _AT_ONCE
+    group = np.cumsum(count) // _CHUNK
     for part in np.split(np.arange(len(count)), np.flatnonzero(np.diff(group)) + 1):
         stretch = np.repeat(part, count[part])
         index = ragged_range(count[part])
@@ -295,9 +295,11 @@ def dense_places(
         neighbours = slice(max(first - 1, 0), final + 1)
         nominal, at = joints.q[neighbours], position[neighbours] - sample.pose[neighbours, :3, 3]
         values = np.column_stack([nominal, q[neighbours] - nominal, at])
-        interpolated = np.column_stack([np.interp(motion + t, sample_place[neighbours], column) for column in values.T])
-        exact += 2.0 * np.pi * np.round((interpolated[:, :6] - exact) / (2.0 * np.pi)) + interpolated[:, 6:12]
-        yield close, exact, close.pose[:, :3, 3] + interpolated[:, 12:]
+        neighbour_values = np.column_stack(
+            [np.interp(motion + t, sample_place[neighbours], column) for column in values.T]
+        )
+        exact += 2.0 * np.pi * np.round((neighbour_values[:, :6] - exact) / (2.0 * np.pi)) + neighbour_values[:, 6:12]
+        yield close, exact, close.pose[:, :3, 3] + neighbour_values[:, 12:]
 
 
 def of_origin(program: Program, mode: Mode) -> list[Issue]:
@@ -314,11 +316,11 @@ def of_origin(program: Program, mode: Mode) -> list[Issue]:
         return [Issue("error", "part-of-program", message, origin.line)]
     if mode != "predict":
         for document in program.documents[1:]:
-            called = writer.origin([document])
-            if called.mode == "corrected" and origin.mode != "corrected":
+            module_origin = writer.origin([document])
+            if module_origin.mode == "corrected" and origin.mode != "corrected":
                 message = (
-                    f"{document.name}, which this program calls, was corrected by postproc {called.version} before: "
-                    "its targets are commands already, and would be corrected twice. Put the original there."
+                    f"{document.name}, which this program calls, was corrected by postproc {module_origin.version} "
+                    "before: its targets are commands already, and would be corrected twice. Put the original there."
                 )
                 return [Issue("error", "corrected-before", message)]
     if origin.state == "none":
@@ -408,9 +410,9 @@ def of_path(path: PathUnderLoad, command: Commands) -> list[Issue]:
     q, position, start = command.q, command.pose[:, :3, 3], cell.start_joints
     speed = commanded_speed(path, q, position)
     arcs, lines = stretches_to_examine(path, q, speed)
-    allowed = cell.output.max_correction_mm * M_PER_MM
+    limit = cell.output.max_correction_mm * M_PER_MM
     clearance = cell.machine.clearance_Z
-    found = [
+    issues = [
         *checks.start_joints(program, robot, start),
         *checks.first_move(program, path.joints, start),
         *checks.height_of_start(program, _first_tips(path), None if clearance is None else clearance * M_PER_MM),
@@ -422,10 +424,12 @@ def of_path(path: PathUnderLoad, command: Commands) -> list[Issue]:
         *checks.joint_speeds(program, robot, sample, speed),
         *checks.joints_at_joins(program, sample, q, start),
         *checks.joins(program, sample, command.pose, path.wrench),
-        *checks.correction_size(program, sample.motion, norm(position - sample.pose[:, :3, 3]), allowed),
+        *checks.correction_size(program, sample.motion, norm(position - sample.pose[:, :3, 3]), limit),
     ]
-    known = {issue.kind for issue in found}
-    for stretches, apart in ((arcs, arcs.motion[:0]), (lines, lines.motion)):
-        found += (issue for issue in between_samples(path, q, position, stretches, apart) if issue.kind not in known)
-        known |= {issue.kind for issue in found}
-    return found
+    kinds = {issue.kind for issue in issues}
+    for stretches, sparse_motions in ((arcs, arcs.motion[:0]), (lines, lines.motion)):
+        issues += (
+            issue for issue in between_samples(path, q, position, stretches, sparse_motions) if issue.kind not in kinds
+        )
+        kinds |= {issue.kind for issue in issues}
+    return issues

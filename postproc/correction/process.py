@@ -113,7 +113,7 @@ _NOT_FINITE = (
     "the robot model is wrong."
 )
 
-_NOTHING = 1e-9
+_NO_DEVIATION = 1e-9
 """Deviations below this everywhere are noise of the arithmetic [m]."""
 _BY_PASS = (
     "passes of this line have different forces: no force file can hold them, and none is written. `predict` of the "
@@ -161,7 +161,7 @@ class Draft(Struct, frozen=True, eq=False):
     unlike: tuple[Issue, ...] = ()
 
     @classmethod
-    def of(cls, task: Task, path: PathUnderLoad, command: Commands, chosen: Chosen) -> Draft:
+    def of(cls, task: Task, path: PathUnderLoad, command: Commands, selection: Chosen) -> Draft:
         """Return the draft with the issues of the task, the program, its forces and its commanded path."""
         issues = (
             *task.initial_issues,
@@ -169,7 +169,7 @@ class Draft(Struct, frozen=True, eq=False):
             *path.motions.forces.issues,
             *inspection.of_path(path, command),
         )
-        return cls(path, command.q, command.theta, chosen, issues)
+        return cls(path, command.q, command.theta, selection, issues)
 
     @property
     def failed(self) -> bool:
@@ -178,9 +178,9 @@ class Draft(Struct, frozen=True, eq=False):
 
     def forces_at_targets(self) -> TargetForces:
         """Return the wrench at each target in the form that the written program needs."""
-        chosen = self.chosen
+        selection = self.chosen
         return forces.of_targets(
-            self.path.motions.forces, chosen.targets, chosen.arrive, self.path.wrench.of_rows(chosen.row)
+            self.path.motions.forces, selection.targets, selection.arrive, self.path.wrench.of_rows(selection.row)
         )
 
     def written(self, task: Task) -> Draft:
@@ -188,22 +188,22 @@ class Draft(Struct, frozen=True, eq=False):
 
         :raises ProgramError: it cannot be written.
         """
-        path, chosen, text = self.path, self.chosen, self._text(task)
+        path, selection, text = self.path, self.chosen, self._text(task)
         draft = replace(self, issues=(*self.issues, *text.issues, *_too_large(text, path.robot_in_cell.cell)))
         if draft.failed:
             return draft
         try:
-            back = read_back(path, chosen, text)
-            simulated = simulate(path, chosen, self.theta, back, corrected=task.mode != "nominal")
+            readback = read_back(path, selection, text)
+            simulation = simulate(path, selection, self.theta, readback, is_corrected=task.mode != "nominal")
         except UnusableTextError as cause:
             return replace(draft, issues=(*draft.issues, cause.issue))
-        known = {issue.kind for issue in draft.issues}
-        more = [issue for issue in simulated.issues if issue.kind not in known or issue.kind == "blending"]
-        draft = replace(draft, simulated=simulated, issues=(*draft.issues, *more))
+        kinds = {issue.kind for issue in draft.issues}
+        new_issues = [issue for issue in simulation.issues if issue.kind not in kinds or issue.kind == "blending"]
+        draft = replace(draft, simulated=simulation, issues=(*draft.issues, *new_issues))
         if draft.failed or not task.in_file:
             return draft
-        carried, unlike = _carried(draft, back)
-        return replace(draft, carried=carried, unlike=unlike)
+        knots, unlike = _carried(draft, readback)
+        return replace(draft, carried=knots, unlike=unlike)
 
     def _text(self, task: Task) -> Written:
         path, row = self.path, self.chosen.row
@@ -229,22 +229,22 @@ def _too_large(text: Written, cell: Cell) -> tuple[Issue, ...]:
     return (Issue("warning", "program-memory", message),)
 
 
-def result_of(task: Task, draft: Draft, corrected: Draft) -> Result:
+def result_of(task: Task, draft: Draft, corrected_draft: Draft) -> Result:
     """Return the result of a draft; a program that is not written is predicted without correction.
 
-    :param corrected: the draft with corrected commands; of a nominal program the same one.
+    :param corrected_draft: the draft with corrected commands; of a nominal program the same one.
     """
     path, row, targets, program = draft.path, draft.chosen.row, draft.chosen.targets, draft.path.program
     rows = np.arange(len(path)) if task.mode == "predict" else row
     deviation, deflection, by_tool = uncorrected(path, rows, draft.theta)
-    between = float(norm(deviation).max(initial=0.0))
+    path_deviation = float(norm(deviation).max(initial=0.0))
     if task.mode == "predict":
-        same = deflection is deviation
+        is_rigid_tool = deflection is deviation
         deviation = deviation[row]
-        deflection = deviation if same else deflection[row]
+        deflection = deviation if is_rigid_tool else deflection[row]
         by_tool = by_tool if by_tool is None else by_tool[row]
-    turned = _reversals(corrected)
-    bound, errors, more = _errors(task, corrected, deviation, turned)
+    reversals = _reversals(corrected_draft)
+    bound, errors, error_issues = _errors(task, corrected_draft, deviation, reversals)
     q = draft.q[row]
 
     def corrections(target: Ints) -> tuple[Array]:
@@ -255,7 +255,7 @@ def result_of(task: Task, draft: Draft, corrected: Draft) -> Result:
         robot=task.robot,
         axis=path.robot_in_cell.spindle,
         mode=task.mode,
-        issues=group_issues([*draft.issues, *more]),
+        issues=group_issues([*draft.issues, *error_issues]),
         motion=targets.motion,
         t=targets.t,
         output_line=program.motions.line[targets.motion],
@@ -271,10 +271,10 @@ def result_of(task: Task, draft: Draft, corrected: Draft) -> Result:
         q=q,
         joint_margin=kinematics.joint_margin(task.robot, draft.q),
         singular_value=kinematics.smallest_singular_value(task.robot, q, path.tool(row)),
-        between=between,
+        between=path_deviation,
         rounding=draft.chosen.programmed,
         programmed=draft.chosen.programmed,
-        reversals=turned,
+        reversals=reversals,
         causes=_causes(path),
         stock_known=path.motions.forces.by_law is not None,
         exact_forces=path.motions.forces.spread is None,
@@ -282,18 +282,18 @@ def result_of(task: Task, draft: Draft, corrected: Draft) -> Result:
         redundancy_deg=None if program.keeps_text else path.robot_in_cell.cell.gcode.redundancy_deg,
         largest_correction=float(in_chunks(corrections, np.arange(len(row)))[0].max(initial=0.0)),
     )
-    if (written := draft.simulated) is None:
+    if (simulation := draft.simulated) is None:
         return result
-    text = written.text.modules or written.text
+    text = simulation.text.modules or simulation.text
     return replace(
         result,
         issues=group_issues([*result.issues, *draft.unlike]),
         documents=() if draft.failed else text.documents,
         output_line=text.output_line,
         modules=() if isinstance(text, Written) else text.first,
-        deviation_after=written.deviation,
-        between=written.between,
-        rounding=written.rounding,
+        deviation_after=simulation.deviation,
+        between=simulation.between,
+        rounding=simulation.rounding,
         carried=draft.carried,
     )
 
@@ -341,13 +341,13 @@ def _reversals(draft: Draft) -> Reversals:
 
 
 def _errors(
-    task: Task, draft: Draft, deviation: Array, turned: Reversals
+    task: Task, draft: Draft, deviation: Array, reversals: Reversals
 ) -> tuple[Array | None, ExpectedErrors | None, list[Issue]]:
     """Return the bound (K,) of the prediction (95 %), the expected errors on the part, and issues; None where unknown.
 
     :param draft: with corrected commands.
     :param deviation: (K, 3) of the uncorrected tip from nominal, `$BASE` [m].
-    :param turned: torque reversals: at the targets next to one, gears may be on either flank.
+    :param reversals: torque reversals: at the targets next to one, gears may be on either flank.
     """
     path, row = draft.path, draft.chosen.row
     robot, program = path.robot_in_cell.robot, path.program
@@ -358,34 +358,38 @@ def _errors(
     if robot.covariance is None:
         return None, None, issues
     turning = np.zeros((len(row), 6), dtype=bool)
-    turning[turned.row, turned.joint] = turning[turned.before, turned.joint] = True
-    scaled = path.robot_in_cell.scaled(path.motions.forces, path.sample.motion[row])
-    written = None if task.mode == "nominal" else draft.simulated
-    left = np.broadcast_to(0.0, deviation.shape) if written is None else written.deviation
+    turning[reversals.row, reversals.joint] = turning[reversals.before, reversals.joint] = True
+    is_scaled = path.robot_in_cell.scaled(path.motions.forces, path.sample.motion[row])
+    simulation = None if task.mode == "nominal" else draft.simulated
+    left = np.broadcast_to(0.0, deviation.shape) if simulation is None else simulation.deviation
     cuts = ~program.motions.rapid[motion]
-    gain, known, more = elastostatics.ChanceOfGain(), np.zeros(2), _beyond_targets(draft)
+    gain, error_by_remedy, extra_error = elastostatics.ChanceOfGain(), np.zeros(2), _beyond_targets(draft)
 
-    def in_chunk(target: Ints, turning: Bools, scaled: Bools) -> tuple[Array, Array, Array]:
-        here = row[target]
-        load = draft.q[here], path.tool(here), path.wrench_in_root(here), *_uncertain(path, here)
-        sources = elastostatics.sources_of_error(robot, *elastostatics.loads(*load, turning, scaled))
+    def in_chunk(target: Ints, turning: Bools, is_scaled: Bools) -> tuple[Array, Array, Array]:
+        sample = row[target]
+        load = draft.q[sample], path.tool(sample), path.wrench_in_root(sample), *_uncertain(path, sample)
+        sources = elastostatics.sources_of_error(robot, *elastostatics.loads(*load, turning, is_scaled))
         pair = [toolpath.directions_in_root(program, motion[target], offset[target]) for offset in (deviation, left)]
         gain.add(sources, pair[0], pair[1], cuts[target])
-        found = elastostatics.expected_at(sources, pair[0], pair[1])
-        for k, error in enumerate((found.robot_known, found.forces_known)):
-            known[k] = max(known[k], np.max(error + more[target], initial=0.0, where=cuts[target]))
-        return found.bound, found.before, found.after
+        expectation = elastostatics.expected_at(sources, pair[0], pair[1])
+        for k, error in enumerate((expectation.robot_known, expectation.forces_known)):
+            error_by_remedy[k] = max(
+                error_by_remedy[k], np.max(error + extra_error[target], initial=0.0, where=cuts[target])
+            )
+        return expectation.bound, expectation.before, expectation.after
 
-    bound, before, after = in_chunks(in_chunk, np.arange(len(row)), turning, scaled)
+    bound, uncorrected_error, corrected_error = in_chunks(in_chunk, np.arange(len(row)), turning, is_scaled)
     if not np.isfinite(bound).all():
         issues.append(program.motions.issue("error", "no-bound", _NOT_FINITE, motion[~np.isfinite(bound)]))
         return None, None, issues
-    between = 0.0 if written is None else max(written.between - float(norm(written.deviation).max(initial=0.0)), 0.0)
+    path_excess = (
+        0.0 if simulation is None else max(simulation.between - float(norm(simulation.deviation).max(initial=0.0)), 0.0)
+    )
     errors = ExpectedErrors(
-        np.where(cuts, before + (0.0 if program.keeps_text else more), 0.0),
-        np.where(cuts, after + more + between, 0.0),
-        gain.chance if float(norm(deviation).max(initial=0.0)) > _NOTHING else None,
-        *(known + between).tolist(),
+        np.where(cuts, uncorrected_error + (0.0 if program.keeps_text else extra_error), 0.0),
+        np.where(cuts, corrected_error + extra_error + path_excess, 0.0),
+        gain.chance if float(norm(deviation).max(initial=0.0)) > _NO_DEVIATION else None,
+        *(error_by_remedy + path_excess).tolist(),
     )
     return bound, errors, issues
 
@@ -403,13 +407,13 @@ def _uncertain(path: PathUnderLoad, row: Ints) -> tuple[Array | None, Array | No
     return spread, None if spring is None else spring.matrices(path.pose_in_root(row)[:, :3, :3])
 
 
-def _carried(draft: Draft, back: ReadBack) -> tuple[Knots | None, tuple[Issue, ...]]:
+def _carried(draft: Draft, readback: ReadBack) -> tuple[Knots | None, tuple[Issue, ...]]:
     """Return the forces that a file gives to the written program, None with a warning if it cannot hold them."""
     path_forces, targets = draft.path.motions.forces, draft.chosen.targets
-    travel, _ = forces.last_travel(back.program, back.segments, path_forces.axes.spindle)
-    axes = Axes(back.program, back.segments, path_forces.axes.spindle, travel)
-    piece_forces = forces.of_pieces(path_forces, targets, draft.forces_at_targets(), axes, back.row)
-    knots, differ = forces.once_a_line(piece_forces, back.text.output_line)
+    travel, _ = forces.last_travel(readback.program, readback.segments, path_forces.axes.spindle)
+    axes = Axes(readback.program, readback.segments, path_forces.axes.spindle, travel)
+    piece_forces = forces.of_pieces(path_forces, targets, draft.forces_at_targets(), axes, readback.row)
+    knots, differ = forces.once_a_line(piece_forces, readback.text.output_line)
     if not len(differ):
         return knots, ()
     return None, (draft.path.program.motions.issue("warning", "forces-by-pass", _BY_PASS, targets.motion[differ]),)
@@ -482,26 +486,26 @@ def process(
             *inspection.of_holder(program, cell),
         ),
     )
-    wrong = [issue for issue in task.initial_issues if issue.level == "error"]
+    errors = [issue for issue in task.initial_issues if issue.level == "error"]
     robot_in_cell = RobotInCell.of(robot, cell)
-    if not wrong and cell.gcode.redundancy != "constant" and not program.keeps_text:
+    if not errors and cell.gcode.redundancy != "constant" and not program.keeps_text:
         turn, issues = placement.chosen(program, robot_in_cell, source, cell.gcode.redundancy)
-        task, wrong = (
+        task, errors = (
             replace(task, turn=turn, initial_issues=(*task.initial_issues, *issues)),
-            [each for each in issues if turn is None],
+            [turn_issue for turn_issue in issues if turn is None],
         )
         if turn is not None:
             program = placement.turned(program, cell.tool.axis, turn.of_motion)
-    if not wrong:
+    if not errors:
         try:
             task, draft = _settled(task, MotionsUnderLoad.of(program, robot_in_cell, source))
-            smallest, collided = collisions.of_path(draft.path, draft.q)
-            draft = replace(draft, issues=(*draft.issues, *collided))
-            done = result_of(task, _as_read(task, draft) if mode == "predict" else draft, draft)
-            return replace(done, clearance=smallest)
+            smallest, collision_issues = collisions.of_path(draft.path, draft.q)
+            draft = replace(draft, issues=(*draft.issues, *collision_issues))
+            result = result_of(task, _as_read(task, draft) if mode == "predict" else draft, draft)
+            return replace(result, clearance=smallest)
         except ImpossiblePathError as cause:
-            wrong = [cause.issue]
-    return Result(program, robot, cell.tool.axis, mode, group_issues([*program.issues, *wrong]))
+            errors = [cause.issue]
+    return Result(program, robot, cell.tool.axis, mode, group_issues([*program.issues, *errors]))
 
 
 def _check_language(file: str, robot: RobotModel, language: str) -> None:
@@ -519,19 +523,19 @@ def _settled(task: Task, motions: MotionsUnderLoad) -> tuple[Task, Draft]:
 
     :returns: the task, with an issue if rapid moves were slowed, and the draft.
     """
-    pieces, also = _first_pieces(task, motions), motions.swing_places
+    pieces, extra_places = _first_pieces(task, motions), motions.swing_places
     slow: Issue | None = None
     for _ in range(_ROUNDS):
-        draft = _drafted(task, PathUnderLoad.of(motions, pieces, also))
+        draft = _drafted(task, PathUnderLoad.of(motions, pieces, extra_places))
         if slow is None and any(issue.kind.startswith(checks.JOINT_SPEED) for issue in draft.issues):
-            slowed = inspection.slowed(draft.path, draft.q, draft.path.sample.pose[:, :3, 3])
-            if slowed is not None:
-                motions, slow = slowed
+            slow_motions = inspection.slowed(draft.path, draft.q, draft.path.sample.pose[:, :3, 3])
+            if slow_motions is not None:
+                motions, slow = slow_motions
                 task = replace(task, initial_issues=(*task.initial_issues, slow))
-                draft = _drafted(task, PathUnderLoad.of(motions, pieces, also))
+                draft = _drafted(task, PathUnderLoad.of(motions, pieces, extra_places))
         if draft.simulated is None or task.mode == "nominal" or len(draft.simulated.missed[0]) == 0:
             break
-        pieces, also = _closer(task, draft.path, draft.simulated.missed, also)
+        pieces, extra_places = _closer(task, draft.path, draft.simulated.missed, extra_places)
     return task, draft
 
 
@@ -545,15 +549,15 @@ def _first_pieces(task: Task, motions: MotionsUnderLoad) -> Pieces:
 
 
 def _closer(
-    task: Task, path: PathUnderLoad, missed: tuple[Ints, Array, Array], also: tuple[Ints, Array]
+    task: Task, path: PathUnderLoad, exceedances: tuple[Ints, Array, Array], extra_places: tuple[Ints, Array]
 ) -> tuple[Pieces, tuple[Ints, Array]]:
     """Return finer pieces of arcs and more places on straight motions where the path left the tolerance."""
-    motion, t, distance = missed
+    motion, t, distance = exceedances
     on_arc = (path.program.motions.kind[motion] == CIRC) & (not task.linearize_arcs)
     parts = np.sqrt(distance[on_arc] / (SHARE_OF_TOLERANCE * path.robot_in_cell.tolerance))
     parts = np.clip(np.ceil(parts), 2, _MOST_PARTS).astype(np.int64)
     pieces = path.arcs.finer(motion[on_arc], t[on_arc], parts)
-    return pieces, (np.append(also[0], motion[~on_arc]), np.append(also[1], t[~on_arc]))
+    return pieces, (np.append(extra_places[0], motion[~on_arc]), np.append(extra_places[1], t[~on_arc]))
 
 
 def _commands(task: Task, path: PathUnderLoad) -> Commands:
@@ -582,12 +586,12 @@ def _drafted(task: Task, path: PathUnderLoad) -> Draft:
 def _chosen(task: Task, path: PathUnderLoad) -> Draft:
     """Draft the program with targets at some of the samples."""
     command = _commands(task, path)
-    chosen = choose_targets(path, command, task.writer.least_arc, linearize_arcs=task.linearize_arcs)
-    return Draft.of(task, path, command, chosen)
+    selection = choose_targets(path, command, task.writer.least_arc, linearize_arcs=task.linearize_arcs)
+    return Draft.of(task, path, command, selection)
 
 
 def _as_read(task: Task, draft: Draft) -> Draft:
     """Return the draft with the uncorrected commands: the correction only served to place the targets."""
-    path, chosen = draft.path, draft.chosen
-    chosen = replace(chosen, targets=replace(chosen.targets, pose=path.sample.pose.take(chosen.row)))
-    return Draft.of(task, path, as_programmed(path), chosen)
+    path, selection = draft.path, draft.chosen
+    selection = replace(selection, targets=replace(selection.targets, pose=path.sample.pose.take(selection.row)))
+    return Draft.of(task, path, as_programmed(path), selection)

@@ -185,11 +185,11 @@ class Result(Struct, frozen=True, eq=False):
         if self.failed:
             yield "errors", f"{sum(issue.level == 'error' for issue in self.issues)}"
         if len(self) and not self.rapid.all():
-            before = statistics(self.before, self.rapid)
-            yield "before", f"{before.largest * MM_PER_M:.2g} mm (RMS {before.rms * MM_PER_M:.2g})"
+            uncorrected = statistics(self.before, self.rapid)
+            yield "before", f"{uncorrected.largest * MM_PER_M:.2g} mm (RMS {uncorrected.rms * MM_PER_M:.2g})"
             if self.mode != "predict":
-                after = statistics(self.after, self.rapid)
-                yield "after", f"{after.largest * MM_PER_M:.2g} mm (RMS {after.rms * MM_PER_M:.2g})"
+                prediction = statistics(self.after, self.rapid)
+                yield "after", f"{prediction.largest * MM_PER_M:.2g} mm (RMS {prediction.rms * MM_PER_M:.2g})"
             if self.bound is not None:
                 yield "on the part (95 %)", f"{float(self.bound[~self.rapid].max()) * MM_PER_M:.2g} mm"
 

@@ -74,29 +74,29 @@ class CommandedPath(Struct, frozen=True, eq=False):
 
 
 def choose(
-    path: CommandedPath, kind: Ints, whole: Bools, every: Bools, least_arc: tuple[float, float]
+    path: CommandedPath, kind: Ints, whole: Bools, is_dense: Bools, least_arc: tuple[float, float]
 ) -> tuple[Ints, Ints, Ints]:
     """Choose which samples become targets.
 
     :param kind: (M,) kind of each motion to be written; arcs to be written as lines are given as `LIN`.
     :param whole: (M,) motions that are written as one target whatever lies between (their text is kept).
-    :param every: (M,) motions of which every sample becomes a target.
+    :param is_dense: (M,) motions of which every sample becomes a target.
     :param least_arc: see `dialects.dialect.Writer`; a piece of an arc that is less becomes a line.
     :returns: (K,) rows of the samples, in order; (K,) `LIN`, `CIRC`, `PTP` or `SPL`; (K,) row of the sample that is the
         auxiliary point of a CIRC, −1 elsewhere.
     """
     sample, arcs = path.sample, path.arcs
-    chosen, kinds, via = sample.ends | every[sample.motion], kind[sample.motion], np.full(len(sample), -1)
+    is_target, kinds, via = sample.ends | is_dense[sample.motion], kind[sample.motion], np.full(len(sample), -1)
     count = np.bincount(sample.motion, minlength=len(kind))
     lines = np.flatnonzero((count > 1) & (kind == LIN) & ~whole)
     if len(lines):
-        chosen[_divided(path, lines)] = True
+        is_target[_divided(path, lines)] = True
     circles = np.flatnonzero(((kind == CIRC) & ~whole)[arcs.motion])
     if len(circles):
-        before, middle, end = _ends(path, circles)
-        curved = ~_is_flat(before, path.position[middle], path.position[end], *least_arc)
-        chosen[end], kinds[end], via[end] = True, np.where(curved, CIRC, LIN), np.where(curved, middle, -1)
-    row = np.flatnonzero(chosen)
+        start, middle, end = _ends(path, circles)
+        is_arc = ~_is_flat(start, path.position[middle], path.position[end], *least_arc)
+        is_target[end], kinds[end], via[end] = True, np.where(is_arc, CIRC, LIN), np.where(is_arc, middle, -1)
+    row = np.flatnonzero(is_target)
     return row, kinds[row], via[row]
 
 
@@ -110,8 +110,8 @@ def pieces_needed(path: CommandedPath) -> Pieces:
     centre, radial, tangential, angle = circle_through(start, command[middle], command[end])
     path_error = np.zeros(len(end))
     for share, row in ((0.25, quarter), (0.75, three_quarters)):
-        angle_there = (angle * share)[:, None]
-        spot = centre + np.cos(angle_there) * radial + np.sin(angle_there) * tangential
+        part_angle = (angle * share)[:, None]
+        spot = centre + np.cos(part_angle) * radial + np.sin(part_angle) * tangential
         path_error = np.maximum(path_error, norm(command[row] - spot))
     pairs = arcs.number[stretch] // 2
     number = arcs.number.copy()
@@ -173,7 +173,7 @@ def _is_flat(a: Array, b: Array, c: Array, distance: float, angle: float) -> Boo
 
 _SHARE = 0.2
 """Of the tolerance, what rounding may use up at inserted targets."""
-_PRINTED = 7
+_DECIMALS = 7
 """Decimals of positions [m] in the written text: on short arcs they turn the direction."""
 _STEPS = np.array([1.0, 2.0, 5.0])
 
@@ -194,17 +194,17 @@ class Corners(Struct, frozen=True):
         return np.asarray(0.25 * np.minimum(distance, self.reach) * self.sharp)
 
 
-def _corners(bend: Array, length: Array, joined: Bools) -> Corners:
+def _corners(bend: Array, length: Array, is_continuous: Bools) -> Corners:
     """Return corners.
 
     :param bend: (K − 1,) distance between the unit directions at the end of each piece and at the start of the next,
         which are zero where a piece has none.
     :param length: (K,) [m].
-    :param joined: (K,) whether the next piece follows at once, in the same frames.
+    :param is_continuous: (K,) whether the next piece follows at once, in the same frames.
     """
     sharp, reach = np.zeros(len(length)), np.zeros(len(length))
     reach[:-1] = 0.5 * np.minimum(length[:-1], length[1:])
-    sharp[:-1] = np.where(joined[:-1] & (reach[:-1] > 0.0), bend, 0.0)
+    sharp[:-1] = np.where(is_continuous[:-1] & (reach[:-1] > 0.0), bend, 0.0)
     return Corners(sharp, reach)
 
 
@@ -235,20 +235,20 @@ def corners_of_targets(program: Program, targets: Targets, start: Array) -> tupl
 
 def _pieces(targets: Targets, start: Array, row: Ints) -> tuple[Array, Array, Array]:
     """Return the unit directions (n, 3) at the start and at the end of the pieces to targets (n,), and lengths [m]."""
-    motion, before = targets.motion[row], np.maximum(row - 1, 0)
-    end, last = (np.round(targets.pose[each, :3, 3], _PRINTED) for each in (row, before))
-    first = (row == 0) | (targets.motion[before] != motion)
-    begin = np.where(first[:, None], np.round(start[motion], _PRINTED), last)
+    motion, previous = targets.motion[row], np.maximum(row - 1, 0)
+    end, last = (np.round(targets.pose[rows, :3, 3], _DECIMALS) for rows in (row, previous))
+    first = (row == 0) | (targets.motion[previous] != motion)
+    begin = np.where(first[:, None], np.round(start[motion], _DECIMALS), last)
     step = end - begin
     length = norm(step)
     leave = step / np.where(length > 0.0, length, 1.0)[:, None]
     arrive = leave.copy()
     arcs = np.flatnonzero(targets.kind[row] == CIRC)
     if len(arcs):
-        _, radial, across, angle = circle_through(begin[arcs], np.round(targets.via[row[arcs]], _PRINTED), end[arcs])
+        _, radial, tangent, angle = circle_through(begin[arcs], np.round(targets.via[row[arcs]], _DECIMALS), end[arcs])
         radius, (sine, cosine) = norm(radial), sine_and_cosine(angle[:, None])
-        leave[arcs] = across / radius[:, None]
-        arrive[arcs] = (cosine * across - sine * radial) / radius[:, None]
+        leave[arcs] = tangent / radius[:, None]
+        arrive[arcs] = (cosine * tangent - sine * radial) / radius[:, None]
         length[arcs] = radius * angle
     return leave, arrive, length
 
@@ -292,22 +292,22 @@ def approximation_distances(program: Program, targets: Targets, corners: Corners
     m, motion = program.motions, targets.motion
     at_end = m.blend[motion]
     stop = corners.rounding(at_end) > m.rounding[motion]
-    allowed = 4.0 * _SHARE * cell.tolerance / np.maximum(corners.sharp, 1e-9)
+    limit = 4.0 * _SHARE * cell.tolerance / np.maximum(corners.sharp, 1e-9)
     if program.keeps_text:
-        between = np.where((at_end > 0.0) | (corners.reach <= allowed), np.inf, 0.0)
+        inner_distance = np.where((at_end > 0.0) | (corners.reach <= limit), np.inf, 0.0)
     else:
-        between = np.maximum(at_end, cell.gcode.approximation_mm * M_PER_MM)
-        narrow = allowed < np.minimum(between, corners.reach)
-        between[narrow] = _rounded_down(allowed[narrow])
-    distance = np.where(targets.t == 1.0, np.where(stop, 0.0, at_end), between)
+        inner_distance = np.maximum(at_end, cell.gcode.approximation_mm * M_PER_MM)
+        narrow = limit < np.minimum(inner_distance, corners.reach)
+        inner_distance[narrow] = _rounded_down(limit[narrow])
+    distance = np.where(targets.t == 1.0, np.where(stop, 0.0, at_end), inner_distance)
     return np.where(targets.kind == PTP, 0.0, distance)
 
 
 def _rounded_down(distance: Array) -> Array:
     """Return distances [m] as 1, 2 or 5 times a power of ten millimetres, so that few of them are different."""
     step = _STEPS * 10.0 ** np.floor(np.log10(distance / M_PER_MM))[:, None]
-    below = np.where(step * M_PER_MM <= distance[:, None] * (1.0 + 1e-9), step, 0.0)
-    return np.asarray(below.max(axis=1) * M_PER_MM)
+    smaller = np.where(step * M_PER_MM <= distance[:, None] * (1.0 + 1e-9), step, 0.0)
+    return np.asarray(smaller.max(axis=1) * M_PER_MM)
 
 
 _UNCHANGED = 1e-7
@@ -340,27 +340,27 @@ def choose_targets(
     :param linearize_arcs: arcs are written as lines.
     """
     program, sample, m = path.program, path.sample, path.program.motions
-    whole, kept = _unchanged(path, command)
-    commanded = CommandedPath.of(path, command)
+    whole, keeps_end = _unchanged(path, command)
+    commanded_path = CommandedPath.of(path, command)
     kind = np.where(m.kind == CIRC, LIN, m.kind) if linearize_arcs else m.kind
-    every = ~whole & (toolpath.swivel_pieces(program, path.motions.segments, path.robot_in_cell.tolerance) > 1)
-    selected = choose(commanded, kind, whole, every, least_arc)
-    movable = np.isnan(m.joints[sample.motion[selected[0]], 0])
-    row, target_kind, via_row = (each[movable] for each in selected)
+    is_dense = ~whole & (toolpath.swivel_pieces(program, path.motions.segments, path.robot_in_cell.tolerance) > 1)
+    selection = choose(commanded_path, kind, whole, is_dense, least_arc)
+    movable = np.isnan(m.joints[sample.motion[selection[0]], 0])
+    row, target_kind, via_row = (values[movable] for values in selection)
     motion = sample.motion[row]
     via, arcs = np.broadcast_to(np.nan, (len(row), 3)), via_row >= 0
     if arcs.any():
         via = via.copy()
-        via[arcs] = commanded.position[via_row[arcs]]
+        via[arcs] = commanded_path.position[via_row[arcs]]
     status, turn = _status_and_turn(program, path.robot_in_cell.robot, motion, command.q[row])
-    keep, pose = kept[motion] & (sample.t[row] == 1.0), command.pose.take(row)
+    keep, pose = keeps_end[motion] & (sample.t[row] == 1.0), command.pose.take(row)
     targets = Targets(motion, sample.t[row], target_kind, pose, via, keep, status, turn, m.blend[motion])
-    corners, arrive = corners_of_targets(program, targets, commanded.start)
+    corners, arrive = corners_of_targets(program, targets, commanded_path.start)
     blend = approximation_distances(program, targets, corners, path.robot_in_cell.cell)
     if not (path.motions.forces.frame == FEED).any():
         arrive = np.zeros((0, 3))
-    programmed = programmed_rounding(program, path.motions.segments, motion)
-    return Chosen(replace(targets, blend=blend), row, arrive, programmed)
+    rounding = programmed_rounding(program, path.motions.segments, motion)
+    return Chosen(replace(targets, blend=blend), row, arrive, rounding)
 
 
 def _unchanged(path: PathUnderLoad, command: Commands) -> tuple[Bools, Bools]:
@@ -372,20 +372,20 @@ def _unchanged(path: PathUnderLoad, command: Commands) -> tuple[Bools, Bools]:
     m, sample = path.program.motions, path.sample
     if not path.program.keeps_text:
         return np.zeros(len(m), dtype=bool), np.zeros(len(m), dtype=bool)
-    (moved,) = in_chunks(
+    (is_corrected,) = in_chunks(
         lambda rows: (largest(twist_between(sample.pose[rows], command.pose[rows])) > _UNCHANGED,),
         np.arange(len(sample)),
     )
     first = np.flatnonzero(np.diff(sample.motion, prepend=-1))
-    end_moved = moved[sample.ends]
-    any_moved = np.maximum.reduceat(moved, first) | np.concatenate([[False], end_moved[:-1]])
+    end_differs = is_corrected[sample.ends]
+    path_differs = np.maximum.reduceat(is_corrected, first) | np.concatenate([[False], end_differs[:-1]])
     arcs = m.kind == CIRC
     # a circle is what it was if it starts where it did to the last digit, and so does each circle before it
-    rows, changed = np.arange(len(m)), np.where(arcs, any_moved, end_moved)
-    last_changed = np.maximum.accumulate(np.where(changed, rows, -2))
-    last_other = np.maximum.accumulate(np.where(arcs, -1, rows))
-    kept = np.where(arcs, last_changed < last_other, ~end_moved)
-    return np.where(m.kind == LIN, ~any_moved, kept), kept
+    rows, differs = np.arange(len(m)), np.where(arcs, path_differs, end_differs)
+    last_change = np.maximum.accumulate(np.where(differs, rows, -2))
+    last_line = np.maximum.accumulate(np.where(arcs, -1, rows))
+    keeps_end = np.where(arcs, last_change < last_line, ~end_differs)
+    return np.where(m.kind == LIN, ~path_differs, keeps_end), keeps_end
 
 
 def _status_and_turn(program: Program, robot: RobotModel, motion: Ints, q: Array) -> tuple[Ints, Ints]:
@@ -397,6 +397,6 @@ def _status_and_turn(program: Program, robot: RobotModel, motion: Ints, q: Array
     status, turn = np.full(len(motion), -1), np.full(len(motion), -1)
     status[ptp], turn[ptp] = kinematics.status_of(robot, q[ptp]), kinematics.turn_of(q[ptp])
     if program.keeps_text:
-        for new, given, bits in ((status, m.status[motion], 7), (turn, m.turn[motion], 63)):
-            new[:] = np.where(given >= 0, given & ~bits | new, -1)
+        for new, programmed_bits, bits in ((status, m.status[motion], 7), (turn, m.turn[motion], 63)):
+            new[:] = np.where(programmed_bits >= 0, programmed_bits & ~bits | new, -1)
     return status, turn

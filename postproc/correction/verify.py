@@ -22,7 +22,7 @@ from postproc.simulation import DrivenProgram, number_of_places
 from postproc.toolpath import Segments
 from postproc.under_load import ImpossiblePathError, MotionsUnderLoad, PathUnderLoad, led_by_wrist
 
-_PRINTED = 1e-6
+_PRECISION = 1e-6
 """What printing may move a commanded pose by [m, rad], or change a speed by [m/s]; the text has at least 1e-4 mm,
 1e-5° and 1e-3 mm/s."""
 
@@ -55,16 +55,16 @@ class ReadBack(Struct, frozen=True, eq=False):
     numbers: Array
 
 
-def read_back(path: PathUnderLoad, chosen: Chosen, text: Written) -> ReadBack:
+def read_back(path: PathUnderLoad, selection: Chosen, text: Written) -> ReadBack:
     """Read a written program with the reader of its dialect, and check that it has the chosen targets.
 
     :raises UnusableTextError: it cannot be read, or has other targets.
     """
-    robot_in_cell, targets = path.robot_in_cell, chosen.targets
+    robot_in_cell, targets = path.robot_in_cell, selection.targets
     try:
         reader = registry.by_name(text.dialect)
-        written = reader.read(text.documents, robot_in_cell.cell, robot_in_cell.forward, path.program.name)
-        written = led_by_wrist(written, robot_in_cell)
+        output_program = reader.read(text.documents, robot_in_cell.cell, robot_in_cell.forward, path.program.name)
+        output_program = led_by_wrist(output_program, robot_in_cell)
     except ProgramError as cause:
         message = (
             f"the written program cannot be read back ({cause.problem}: {cause.text or ''!r}). If this is a line of "
@@ -73,16 +73,20 @@ def read_back(path: PathUnderLoad, chosen: Chosen, text: Written) -> ReadBack:
         raise UnusableTextError(Issue("error", "read-back", message, output_line=cause.line)) from cause
     except ImpossiblePathError as cause:
         raise UnusableTextError(cause.issue) from cause
-    row = np.flatnonzero(np.isnan(written.motions.joints[:, 0]))
-    numbers = written.numbers_as_written()[row]
-    written = replace(written, documents=(), layout=None)
-    mismatch = _mismatch(path.program, targets, written, row)
+    row = np.flatnonzero(np.isnan(output_program.motions.joints[:, 0]))
+    numbers = output_program.numbers_as_written()[row]
+    output_program = replace(output_program, documents=(), layout=None)
+    mismatch = _mismatch(path.program, targets, output_program, row)
     if mismatch is not None:
         raise UnusableTextError(mismatch)
-    if text.modules is not None and (other := _other_module(path, written, row, text.modules, text.dialect)):
-        message = f"{other} moves differently from the program in one piece: a fault of postproc, please report it"
+    if text.modules is not None and (
+        module_name := _other_module(path, output_program, row, text.modules, text.dialect)
+    ):
+        message = (
+            f"{module_name} moves differently from the program in one piece: a fault of postproc, please report it"
+        )
         raise UnusableTextError(Issue("error", "read-back", message))
-    return ReadBack(text, written, toolpath.segments(written, robot_in_cell.start_flange), row, numbers)
+    return ReadBack(text, output_program, toolpath.segments(output_program, robot_in_cell.start_flange), row, numbers)
 
 
 def _other_module(path: PathUnderLoad, whole: Program, row: Ints, modules: Modules, dialect: str) -> str | None:
@@ -113,17 +117,17 @@ def _other_module(path: PathUnderLoad, whole: Program, row: Ints, modules: Modul
     return None
 
 
-def _carried_elsewhere(program: Program, targets: Targets, written: Program, row: Ints) -> Bools:
+def _carried_elsewhere(program: Program, targets: Targets, output_program: Program, row: Ints) -> Bools:
     """Return which targets (K,) have the robot carried elsewhere than they were to have."""
-    if program.carriage is None or written.carriage is None:
-        return np.full(len(targets), program.carriage is not written.carriage)
+    if program.carriage is None or output_program.carriage is None:
+        return np.full(len(targets), program.carriage is not output_program.carriage)
     carriage = program.carriage.at(targets.motion, targets.t)
-    return np.asarray(np.abs(written.carriage.at(row) - carriage) > _PRINTED)
+    return np.asarray(np.abs(output_program.carriage.at(row) - carriage) > _PRECISION)
 
 
-def _mismatch(program: Program, targets: Targets, written: Program, row: Ints) -> Issue | None:
+def _mismatch(program: Program, targets: Targets, output_program: Program, row: Ints) -> Issue | None:
     """Return an issue if the text does not say what it was to say."""
-    m, nominal = written.motions, program.motions
+    m, nominal = output_program.motions, program.motions
     if len(row) != len(targets):
         return Issue("error", "read-back", f"the written program has {len(row)} targets instead of {len(targets)}")
 
@@ -131,15 +135,15 @@ def _mismatch(program: Program, targets: Targets, written: Program, row: Ints) -
         read, pose = m.target.take(row[target]), targets.pose.take(target)
         return (np.maximum(largest(read.position - pose.position), angle_between(read.rotation, pose.rotation)),)
 
-    wrong = (m.kind[row] != targets.kind) | (in_chunks(pose_error, np.arange(len(row)))[0] > _PRINTED)
+    wrong = (m.kind[row] != targets.kind) | (in_chunks(pose_error, np.arange(len(row)))[0] > _PRECISION)
     for frames, expected_frames, frame, expected_frame in (
-        (written.bases, program.bases, m.base[row], nominal.base[targets.motion]),
-        (written.tools, program.tools, m.tool[row], nominal.tool[targets.motion]),
+        (output_program.bases, program.bases, m.base[row], nominal.base[targets.motion]),
+        (output_program.tools, program.tools, m.tool[row], nominal.tool[targets.motion]),
     ):
-        differ = np.abs(twist_between(frames[:, None], expected_frames[None])).max(axis=2) > _PRINTED
+        differ = np.abs(twist_between(frames[:, None], expected_frames[None])).max(axis=2) > _PRECISION
         wrong |= differ[frame, expected_frame]
-    wrong |= np.abs(m.feed[row] - nominal.feed[targets.motion]) > _PRINTED  # of PTP it is NaN, which is not more
-    wrong |= _carried_elsewhere(program, targets, written, row)
+    wrong |= np.abs(m.feed[row] - nominal.feed[targets.motion]) > _PRECISION  # of PTP it is NaN, which is not more
+    wrong |= _carried_elsewhere(program, targets, output_program, row)
     if wrong.any():
         first = int(np.argmax(wrong))
         line = int(program.motions.line[targets.motion[first]])
@@ -153,11 +157,11 @@ def _mismatch(program: Program, targets: Targets, written: Program, row: Ints) -
     return None
 
 
-_NEAR = 0.75
+_SPEED_SHARE = 0.75
 """Share of a joint's largest speed from which on the written path is examined closely."""
-_STILL = 1e-6
+_NO_TRAVEL = 1e-6
 """Pieces shorter than this [m] have no speed."""
-_HELD = 1e-6
+_TARGET_TOLERANCE = 1e-6
 """Largest distance of the tip from nominal at a target of a corrected program [m], including rounding."""
 _SAFE = 0.8
 """Share of the tolerance allowed at the places examined: the error may be slightly larger between them."""
@@ -166,9 +170,9 @@ _STEEP = 2e-4
 _UNEVEN = 0.2
 """Of the tolerance, by how much the written path may be displaced unevenly along a piece of an arc before it is looked
 at there as often as on such runs; else at its middle and end."""
-_AT_ONCE = 1e-6
+_JUMP_LENGTH = 1e-6
 """Length of a piece [m] on which a force that changes jumps: it is divided no more."""
-_HERE = 1e-10
+_SAME_SAMPLE = 1e-10
 """Places of a motion (t) that are no farther apart are the same."""
 
 _STEP = (
@@ -181,8 +185,8 @@ _JUMP = (
     "an error of {left} remains (allowed {allowed}), however close the targets. Divide the move there and give each "
     "part its force, or give the force in BASE or TOOL axes."
 )
-_NOT_HELD = f"the simulated program misses a target by {{left}} (allowed {_HELD * MM_PER_M:g} mm)"
-_NOT_BETWEEN = "the simulated program leaves its path between targets by {left} (allowed {allowed})"
+_TARGET_ERROR = f"the simulated program misses a target by {{left}} (allowed {_TARGET_TOLERANCE * MM_PER_M:g} mm)"
+_PATH_ERROR = "the simulated program leaves its path between targets by {left} (allowed {allowed})"
 
 
 class Simulated(Struct, frozen=True, eq=False):
@@ -226,33 +230,37 @@ class _Probes(Struct, frozen=True, eq=False):
         return np.asarray(self.share < 1.0)
 
 
-def simulate(path: PathUnderLoad, chosen: Chosen, theta: Array, back: ReadBack, *, corrected: bool) -> Simulated:
+def simulate(
+    path: PathUnderLoad, selection: Chosen, theta: Array, readback: ReadBack, *, is_corrected: bool
+) -> Simulated:
     """Simulate a written program against the nominal path of the program it was made from.
 
-    :param chosen: what was to be written.
+    :param selection: what was to be written.
     :param theta: (N, nv) deflections of the springs as computed: where the search for those of the text begins.
-    :param back: the program as written.
-    :param corrected: the program claims to hold the tolerance.
+    :param readback: the program as written.
+    :param is_corrected: the program claims to hold the tolerance.
     :raises UnusableTextError: it cannot be simulated.
     """
-    targets, written, tolerance = chosen.targets, back.program.motions, path.robot_in_cell.tolerance
-    rounding = corners_of_motions(back.program, back.segments, back.row).rounding(written.blend[back.row])
-    probes = _probes(path, chosen, back)
-    deviation, distance, near_limit = _deviation(path, chosen, theta, back, probes)
-    too_fast = tuple(_joint_speeds(path, chosen, back)) if near_limit else ()
-    step, jump, settled = _special(path, targets, probes)
+    targets, output_motions, tolerance = selection.targets, readback.program.motions, path.robot_in_cell.tolerance
+    rounding = corners_of_motions(readback.program, readback.segments, readback.row).rounding(
+        output_motions.blend[readback.row]
+    )
+    probes = _probes(path, selection, readback)
+    deviation, distance, near_limit = _deviation(path, selection, theta, readback, probes)
+    too_fast = tuple(_joint_speeds(path, selection, readback)) if near_limit else ()
+    step, jump, is_judged = _special(path, targets, probes)
     issues: list[Issue] = []
-    if corrected:
-        issues += _left(path, probes, distance, step=step, jump=settled & jump, smooth=settled & ~jump)
+    if is_corrected:
+        issues += _left(path, probes, distance, step=step, jump=is_judged & jump, smooth=is_judged & ~jump)
         if path.program.keeps_text:
-            issues += checks.blending(path.program, targets.motion, rounding - chosen.programmed, tolerance)
+            issues += checks.blending(path.program, targets.motion, rounding - selection.programmed, tolerance)
     issues += too_fast
-    bad = settled & probes.inside & ~(distance <= _SAFE * tolerance) & ~jump
+    bad = is_judged & probes.inside & ~(distance <= _SAFE * tolerance) & ~jump
     return Simulated(
-        back.text,
-        back.numbers,
+        readback.text,
+        readback.numbers,
         deviation,
-        float(distance[settled].max(initial=0.0)),
+        float(distance[is_judged].max(initial=0.0)),
         rounding,
         (probes.motion[bad], probes.t[bad], distance[bad]),
         tuple(issues),
@@ -263,49 +271,55 @@ def _special(path: PathUnderLoad, targets: Targets, probes: _Probes) -> tuple[Bo
     """Return which places (n,) are behind a step of the force, before a jump of it, and settled: held to nominal."""
     m, forces, length = path.program.motions, path.motions.forces, path.motions.segments.length
     # at the start, and at an axis target, no correction was possible
-    uncorrected = np.append(True, np.isfinite(m.joints[:-1, 0])) & (not path.robot_in_cell.rest_is_nominal)
+    has_no_correction = np.append(True, np.isfinite(m.joints[:-1, 0])) & (not path.robot_in_cell.rest_is_nominal)
 
     def in_chunk(target: Ints, share: Array, motion: Ints) -> tuple[Bools, Bools, Bools]:
-        inside, end = share < 1.0, targets.t[target]
-        step = forces.behind_step(motion, end) & inside
-        jump = (length[motion] * (end - targets.begin(target)) < _AT_ONCE) & inside
-        return step, jump, ~(uncorrected[motion] & inside) & ~step
+        is_inner, end = share < 1.0, targets.t[target]
+        step = forces.behind_step(motion, end) & is_inner
+        jump = (length[motion] * (end - targets.begin(target)) < _JUMP_LENGTH) & is_inner
+        return step, jump, ~(has_no_correction[motion] & is_inner) & ~step
 
-    step, jump, settled = in_chunks(in_chunk, probes.target, probes.share, probes.motion)
-    return step, jump, settled
+    step, jump, is_judged = in_chunks(in_chunk, probes.target, probes.share, probes.motion)
+    return step, jump, is_judged
 
 
 def _deviation(
-    path: PathUnderLoad, chosen: Chosen, theta: Array, back: ReadBack, probes: _Probes
+    path: PathUnderLoad, selection: Chosen, theta: Array, readback: ReadBack, probes: _Probes
 ) -> tuple[Array, Array, bool]:
     """Return how far the loaded tip is from nominal, and whether a joint comes near its largest speed.
 
     :returns: (K, 3) at the targets, `$BASE` [m]; the distance at all places (n,) [m]; True if a joint does.
     :raises UnusableTextError: a commanded pose is out of reach, or there is no equilibrium.
     """
-    robot_in_cell, written = path.robot_in_cell, back.program
-    driven = DrivenProgram(written, robot_in_cell, back.segments)
+    robot_in_cell, output_program = path.robot_in_cell, readback.program
+    driven_program = DrivenProgram(output_program, robot_in_cell, readback.segments)
     place = path.sample.motion + path.sample.t
-    deviation = np.zeros((len(chosen.targets), 3))
+    deviation = np.zeros((len(selection.targets), 3))
     last_state: tuple[Array, Array] | None = None  # joint angles and position at the end of the chunk before
 
     def in_chunk(target: Ints, motion: Ints, t: Array, share: Array) -> tuple[Array, Bools]:
         nonlocal last_state
-        on, sample, inner = back.row[target], chosen.row[target], share < 1.0  # the sample there, or the next one
-        sample[inner] = np.searchsorted(place, motion[inner] + t[inner] - _HERE)
+        on, sample, inner = (
+            readback.row[target],
+            selection.row[target],
+            share < 1.0,
+        )  # the sample there, or the next one
+        sample[inner] = np.searchsorted(place, motion[inner] + t[inner] - _SAME_SAMPLE)
         nominal = toolpath.at(path.program, path.motions.segments, motion, t)
-        wrench = toolpath.wrench_in_root(written, on, path.motions.forces.at(nominal))
-        pose, q = driven.commanded(on, share, path.joints.branch[sample])
+        wrench = toolpath.wrench_in_root(output_program, on, path.motions.forces.at(nominal))
+        pose, q = driven_program.commanded(on, share, path.joints.branch[sample])
         if np.isnan(q).any():
             raise NotConvergedError("a commanded pose is out of reach", np.flatnonzero(np.isnan(q).any(axis=1)))
-        tip = driven.loaded_tip(on, q, wrench, driven.carried(on, share), theta[sample])
+        tip = driven_program.loaded_tip(on, q, wrench, driven_program.carried(on, share), theta[sample])
         position = pose[:, :3, 3]
         last_q, last_position = (q[:1], position[:1]) if last_state is None else last_state
         travel = norm(np.diff(position, axis=0, prepend=last_position))
         joint_time = (np.abs(np.diff(q, axis=0, prepend=last_q)) / robot_in_cell.robot.speed).max(axis=1, initial=0.0)
-        fast = (joint_time * np.nan_to_num(written.motions.feed[on]) > _NEAR * travel) & (travel > _STILL)
+        fast = (joint_time * np.nan_to_num(output_program.motions.feed[on]) > _SPEED_SHARE * travel) & (
+            travel > _NO_TRAVEL
+        )
         last_state = q[-1:], position[-1:]
-        error = driven.in_base(on, tip) - nominal.pose[:, :3, 3]
+        error = driven_program.in_base(on, tip) - nominal.pose[:, :3, 3]
         deviation[target[~inner]] = error[~inner]
         return norm(error), fast
 
@@ -318,40 +332,40 @@ def _deviation(
     return deviation, distance, bool(fast.any())
 
 
-def _probes(path: PathUnderLoad, chosen: Chosen, back: ReadBack) -> _Probes:
+def _probes(path: PathUnderLoad, selection: Chosen, readback: ReadBack) -> _Probes:
     """Return where to look.
 
     A short straight run of a straight move is followed by the deflection in proportion: its end is enough. Runs that
     are long or turn, those on which the force changes, and pieces of arcs are looked at between; closer where the
     correction changes much over the run.
     """
-    targets, m = chosen.targets, back.program.motions
+    targets, m = selection.targets, readback.program.motions
 
     def correction(target: Ints) -> Array:
-        return targets.pose[target, :3, 3] - path.sample.pose[chosen.row[target], :3, 3]
+        return targets.pose[target, :3, 3] - path.sample.pose[selection.row[target], :3, 3]
 
-    every = np.arange(len(targets))
-    curved = np.flatnonzero((path.program.motions.kind[targets.motion] == CIRC) | (m.kind[back.row] == CIRC))
+    rows = np.arange(len(targets))
+    arc_rows = np.flatnonzero((path.program.motions.kind[targets.motion] == CIRC) | (m.kind[readback.row] == CIRC))
     is_curved, uneven = np.zeros((2, len(targets)), dtype=np.bool_)
     # samples that were found needless are where the force changes: the path is off by part of the tolerance there
-    left_out = np.diff(chosen.row, prepend=-1) > 1
-    is_curved[curved] = True
+    skips_samples = np.diff(selection.row, prepend=-1) > 1
+    is_curved[arc_rows] = True
     limit = _UNEVEN * path.robot_in_cell.tolerance
-    uneven[curved] = _unevenness(path, chosen, back, curved, correction(curved)) > limit
+    uneven[arc_rows] = _unevenness(path, selection, readback, arc_rows, correction(arc_rows)) > limit
 
     def places(target: Ints) -> tuple[Ints]:
-        on = back.row[target]
-        length, turn, kind = back.segments.travel[on], back.segments.turn[on], m.kind[on]
-        changed = norm(correction(target) - correction(np.maximum(target - 1, 0)))
-        steep = (changed > _STEEP) | uneven[target]
-        divided = is_curved[target] | left_out[target]
-        number = number_of_places(kind, length, turn, curved=divided, steep=steep)
+        on = readback.row[target]
+        length, turn, kind = readback.segments.travel[on], readback.segments.turn[on], m.kind[on]
+        correction_step = norm(correction(target) - correction(np.maximum(target - 1, 0)))
+        steep = (correction_step > _STEEP) | uneven[target]
+        is_divided = is_curved[target] | skips_samples[target]
+        number = number_of_places(kind, length, turn, is_curved=is_divided, steep=steep)
         return (number.astype(np.int32),)
 
-    (number,) = in_chunks(places, every)
-    target = np.repeat(every.astype(np.int32), number)
-    inside = ragged_range(number) + 1
-    share = inside / number[target]
+    (number,) = in_chunks(places, rows)
+    target = np.repeat(rows.astype(np.int32), number)
+    index = ragged_range(number) + 1
+    share = index / number[target]
 
     def place(target: Ints, share: Array) -> tuple[Array]:
         begin, end = targets.begin(target), targets.t[target]
@@ -360,20 +374,20 @@ def _probes(path: PathUnderLoad, chosen: Chosen, back: ReadBack) -> _Probes:
     return _Probes(target, share, targets.motion[target], in_chunks(place, target, share)[0])
 
 
-def _unevenness(path: PathUnderLoad, chosen: Chosen, back: ReadBack, curved: Ints, correction: Array) -> Array:
+def _unevenness(path: PathUnderLoad, selection: Chosen, readback: ReadBack, arc_rows: Ints, correction: Array) -> Array:
     """Return how far pieces (n,) are displaced more at a quarter than they are at their end, by (n, 3) [m]."""
 
     def in_chunk(of: Ints, begin: Array, end: Array, on: Ints, correction: Array) -> tuple[Array]:
         quarters = (
-            toolpath.positions(back.program, back.segments, on, np.full(len(on), share))
+            toolpath.positions(readback.program, readback.segments, on, np.full(len(on), share))
             - toolpath.positions(path.program, path.motions.segments, of, begin + share * (end - begin))
             for share in (0.25, 0.75)
         )
         at_quarter, at_three_quarters = (norm(displacement - correction) for displacement in quarters)
         return (np.maximum(at_quarter, at_three_quarters),)
 
-    targets = chosen.targets
-    pieces = targets.motion[curved], targets.begin(curved), targets.t[curved], back.row[curved]
+    targets = selection.targets
+    pieces = targets.motion[arc_rows], targets.begin(arc_rows), targets.t[arc_rows], readback.row[arc_rows]
     return in_chunks(in_chunk, *pieces, correction)[0]
 
 
@@ -389,33 +403,33 @@ def _left(
     cases: tuple[tuple[Level, str, Bools, str], ...] = (
         ("warning", "force-step", step & wide, _STEP),
         ("error", "force-jump", jump & wide, _JUMP),
-        ("error", "tolerance", ~probes.inside & ~(distance <= _HELD), _NOT_HELD),
-        ("error", "tolerance", smooth & wide, _NOT_BETWEEN),
+        ("error", "tolerance", ~probes.inside & ~(distance <= _TARGET_TOLERANCE), _TARGET_ERROR),
+        ("error", "tolerance", smooth & wide, _PATH_ERROR),
     )
     for level, kind, bad, message in cases:
         if bad.any():
-            left, allowed = np.nanmax(distance[bad]) * MM_PER_M, path.robot_in_cell.tolerance * MM_PER_M
-            message = message.format(left=f"{left:.4f} mm", allowed=f"{allowed:g} mm")
+            left, tolerance_mm = np.nanmax(distance[bad]) * MM_PER_M, path.robot_in_cell.tolerance * MM_PER_M
+            message = message.format(left=f"{left:.4f} mm", allowed=f"{tolerance_mm:g} mm")
             yield path.program.motions.issue(level, kind, message, probes.motion[bad])
 
 
-def _joint_speeds(path: PathUnderLoad, chosen: Chosen, back: ReadBack) -> Iterator[Issue]:
+def _joint_speeds(path: PathUnderLoad, selection: Chosen, readback: ReadBack) -> Iterator[Issue]:
     """Yield the joint speeds of the written program beyond the limits, as a prediction of it finds them."""
-    written, robot = back.program, path.robot_in_cell.robot
-    motions = MotionsUnderLoad.of(written, path.robot_in_cell, None)
+    output_program, robot = readback.program, path.robot_in_cell.robot
+    motions = MotionsUnderLoad.of(output_program, path.robot_in_cell, None)
     loaded_path = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False))
     speed = inspection.commanded_speed(loaded_path, loaded_path.joints.q, loaded_path.sample.pose[:, :3, 3])
     _, lines = inspection.stretches_to_examine(loaded_path, loaded_path.joints.q, speed)
-    issues = list(checks.joint_speeds(written, robot, loaded_path.sample, speed))
+    issues = list(checks.joint_speeds(output_program, robot, loaded_path.sample, speed))
     for close, exact, position in inspection.dense_places(
         loaded_path, loaded_path.joints.q, loaded_path.sample.pose[:, :3, 3], lines
     ):
-        speed = checks.joint_speed(written, close, loaded_path.motions.segments.turn, exact, position)
-        issues += checks.joint_speeds(written, robot, close, speed)
+        speed = checks.joint_speed(output_program, close, loaded_path.motions.segments.turn, exact, position)
+        issues += checks.joint_speeds(output_program, robot, close, speed)
     kinds = set()
     for issue in issues:
         if issue.kind not in kinds:
             kinds.add(issue.kind)
-            at = int(np.argmax(written.motions.line[back.row] == issue.source_line))
-            line = int(path.program.motions.line[chosen.targets.motion[at]])
+            at = int(np.argmax(output_program.motions.line[readback.row] == issue.source_line))
+            line = int(path.program.motions.line[selection.targets.motion[at]])
             yield replace(issue, output_line=issue.source_line, source_line=line, lines=(line,))

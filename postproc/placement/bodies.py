@@ -69,7 +69,7 @@ class Bodies:
                 steps = drive.wrapped(np.diff(q[part], axis=0))
                 path = q[begin] + np.concatenate([np.zeros((1, 6)), np.cumsum(steps, axis=0)])
                 carried = None if shift is None else shift[part]
-                out[part] = hits(placed[int(tool[begin])], path, self.need, carried, between=between)
+                out[part] = hits(placed[int(tool[begin])], path, self.need, carried, between_samples=between)
         return out
 
     def clearance(self, q: Array, rows: Ints) -> Clearance:

@@ -88,7 +88,7 @@ def test_a_body_may_be_nearer_by_as_far_as_it_moves_to_the_commanded_angles(carr
     for one, other in zip(q, q + off, strict=True):
         a, b = (frame(each, carrier) for each in (one, other))
         moved.append(np.linalg.norm(corners @ (b[:3, :3] - a[:3, :3]).T + b[:3, 3] - a[:3, 3], axis=1).max())
-    found = along(what, q, 0.0, commanded=q + off)
+    found = along(what, q, 0.0, commanded_q=q + off)
     assert max(moved) <= found.less <= 1.5 * max(moved)
     here = along(what, q, 0.0)
     assert here.less == 0.0
