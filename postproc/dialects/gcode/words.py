@@ -158,14 +158,11 @@ def split(document: Document) -> Source:
             text_start = match.end()
         comments = tuple(comment_texts)
         text = MARK.join([*parts, text[text_start:]])
-        del parts
     code_bytes = text.encode("ascii", "replace")
-    del text  # what follows needs the memory
     if b"\r" in code_bytes:
         code_bytes = code_bytes.replace(b"\r\r\n", b"\0").replace(b"\r\n", b"\0")
     code_bytes = code_bytes.translate(_PACK, b" \t")
     code = b"\n" + code_bytes if code_bytes.endswith(b"\n") else b"\n" + code_bytes + b"\n"
-    del code_bytes
     ends = line_feeds(code)
     marks = (
         np.flatnonzero(np.frombuffer(code, dtype=np.uint8) == ord(MARK)) if comments else np.zeros(0, dtype=np.int64)
