@@ -181,7 +181,7 @@ def test_each_task_is_refused_by_a_worker_with_other_code_which_is_named(monkeyp
 @pytest.mark.skipif(os.name != "posix", reason="stops a process")
 def test_a_frozen_worker_is_named(monkeypatch):
     programs(1)
-    for name, seconds in (("_FROZEN", 3.0), ("_LOOK", 0.2)):
+    for name, seconds in (("_SIGN_TIMEOUT", 3.0), ("_LOOK", 0.2)):
         monkeypatch.setattr(f"postproc.jobs.workers.{name}", seconds)
     with cluster(n_workers=1) as there:
         (worker,) = there.scheduler_info["workers"]

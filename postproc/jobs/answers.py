@@ -66,8 +66,8 @@ def full_frame(text: str) -> Numbers | int:
 
 def _once(frames: dict[Any, Numbers], key: Any, value: Numbers, name: str) -> None:
     """Add a frame; refuse a second, different one."""
-    if (earlier := frames.setdefault(key, value)) != value:
-        first, second = (",".join(f"{word:g}" for word in words) for words in (earlier, value))
+    if (first_value := frames.setdefault(key, value)) != value:
+        first, second = (",".join(f"{word:g}" for word in words) for words in (first_value, value))
         raise InputError(f"{name} is given twice, {first} and {second}: leave one of them out")
 
 

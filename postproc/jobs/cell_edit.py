@@ -63,15 +63,17 @@ def _document(path: Path) -> Any:
 def _fields(content: Any) -> Iterator[NumberField]:
     schema = json.loads(schema_file("cell").read_bytes())
     for table in TABLES:
-        described = schema["$defs"]["CellFile"]["properties"][table]
-        reference = described.get("$ref") or next(kind["$ref"] for kind in described["anyOf"] if "$ref" in kind)
-        stated = content.get(table, {})
+        table_schema = schema["$defs"]["CellFile"]["properties"][table]
+        reference = table_schema.get("$ref") or next(kind["$ref"] for kind in table_schema["anyOf"] if "$ref" in kind)
+        table_content = content.get(table, {})
         for key, limits in schema["$defs"][reference.rpartition("/")[2]]["properties"].items():
             number = next((kind for kind in limits.get("anyOf", [limits]) if kind.get("type") == "number"), None)
-            if number is not None and hasattr(stated, "get"):
-                least = number.get("minimum", number.get("exclusiveMinimum"))
-                most = number.get("maximum", number.get("exclusiveMaximum"))
-                yield NumberField(table, key, str(stated.get(key, "")), least, most, limits.get("description", ""))
+            if number is not None and hasattr(table_content, "get"):
+                minimum = number.get("minimum", number.get("exclusiveMinimum"))
+                maximum = number.get("maximum", number.get("exclusiveMaximum"))
+                yield NumberField(
+                    table, key, str(table_content.get(key, "")), minimum, maximum, limits.get("description", "")
+                )
 
 
 def edit(path: Path, texts: Mapping[str, str]) -> bool:
@@ -82,7 +84,7 @@ def edit(path: Path, texts: Mapping[str, str]) -> bool:
     :param texts: numbers by the name of the field; empty: the key is removed.
     :raises InputError: a text is no number, or the cell would be unusable.
     """
-    before = files.read_text(path, CellError)
+    old_text = files.read_text(path, CellError)
     content = _document(path)
     for field in list(_fields(content)):
         text = texts.get(field.name, field.text).strip()
@@ -92,18 +94,18 @@ def edit(path: Path, texts: Mapping[str, str]) -> bool:
             content[field.table].remove(field.key)
             continue
         content.setdefault(field.table, tomlkit.table())[field.key] = _number(field.name, text)
-    after = tomlkit.dumps(content)
-    if after == before:
+    new_text = tomlkit.dumps(content)
+    if new_text == old_text:
         return False
-    staged = path.with_name(f".{path.name}.edited.toml")
+    trial_path = path.with_name(f".{path.name}.edited.toml")
     try:
-        staged.write_bytes(after.encode())
-        cells.load(staged)
+        trial_path.write_bytes(new_text.encode())
+        cells.load(trial_path)
     except CellError as cause:
-        raise InputError(str(cause).replace(str(staged), path.name)) from cause
+        raise InputError(str(cause).replace(str(trial_path), path.name)) from cause
     finally:
-        staged.unlink(missing_ok=True)
-    files.write_whole(path.parent, {path.name: after.encode()})
+        trial_path.unlink(missing_ok=True)
+    files.write_whole(path.parent, {path.name: new_text.encode()})
     return True
 
 

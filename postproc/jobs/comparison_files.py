@@ -61,7 +61,7 @@ class CompareRequest(Struct, frozen=True, kw_only=True):
     def reads(self) -> list[Path]:
         """Return the input files."""
         programs = (self.nominal, self.corrected)
-        companions = [path for each in programs for path in registry.of_file(each).companions(each)]
+        companions = [path for program in programs for path in registry.of_file(program).companions(program)]
         return [*programs, *companions, self.cell, *([] if self.forces is None else [self.forces])]
 
 
@@ -85,17 +85,17 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
     """
     cell, robot = load_setup(request.settings)
     nominal, cell = read_started(request.nominal, robot, cell)
-    corrected = read_program(request.corrected, robot, cell)
-    if not corrected.keeps_text:
+    second_program = read_program(request.corrected, robot, cell)
+    if not second_program.keeps_text:
         raise InputError(
             "the second program must be a robot program, and this one is G-code",
             file=str(request.corrected),
             advice="Give the nominal program first and the robot program second.",
         )
-    for path, program in ((request.nominal, nominal), (request.corrected, corrected)):
+    for path, program in ((request.nominal, nominal), (request.corrected, second_program)):
         _refuse_part(path, program)
     _refuse_corrected(request.nominal, nominal)
-    cell = _with_stated_tolerance(cell, request, corrected)
+    cell = _with_stated_tolerance(cell, request, second_program)
     folder = request.output or request.nominal.parent / "corrected"
     stem = f"{request.corrected.stem}.compare"
     names = pairs, page, record = f"{stem}.pairs.csv", f"{stem}.report.html", f"{stem}.report.json"
@@ -103,36 +103,36 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
     if not request.overwrite:
         refuse(foreign(folder, names, record))
     source = force_source(request.forces, cell)
-    made = _made_from(request, cell, nominal, corrected)
-    if made.without_forces:
-        _ask_for_forces(request, made.origin)
-    ends = _stated_ends(request.corrected) if made.same_origin else None
-    found = compare(nominal, corrected, robot, cell, source, same_origin=made.same_origin, ends=ends)
-    content = comparison_summary(found, made, cell.tolerance, cell.output.max_correction_mm * M_PER_MM)
+    file_origin = _made_from(request, cell, nominal, second_program)
+    if file_origin.without_forces:
+        _ask_for_forces(request, file_origin.origin)
+    ends = _stated_ends(request.corrected) if file_origin.same_origin else None
+    comparison = compare(nominal, second_program, robot, cell, source, same_origin=file_origin.same_origin, ends=ends)
+    content = comparison_summary(comparison, file_origin, cell.tolerance, cell.output.max_correction_mm * M_PER_MM)
     contents: dict[str, bytes | Iterable[bytes]] = {
-        pairs: pairs_csv(found),
-        page: comparison_page(found, content),
+        pairs: pairs_csv(comparison),
+        page: comparison_page(comparison, content),
     }
     whole = with_record(contents, record, lambda entries: json_bytes(replace(content, files=entries)))
-    written = write_whole(folder, whole)
-    return ComparisonFiles(EXCEEDED if content.verdict.state == "failed" else GOOD, content, tuple(written))
+    paths = write_whole(folder, whole)
+    return ComparisonFiles(EXCEEDED if content.verdict.state == "failed" else GOOD, content, tuple(paths))
 
 
-def _with_stated_tolerance(cell: Cell, request: CompareRequest, corrected: Program) -> Cell:
+def _with_stated_tolerance(cell: Cell, request: CompareRequest, second_program: Program) -> Cell:
     """Return the cell with the tolerance that the second program states: it was written to that one.
 
     :raises InputError: that is no length.
     """
-    origin = _origin(corrected)
-    stated = origin.options.get("tolerance_mm")
-    if stated is None:
+    origin = _origin(second_program)
+    text = origin.options.get("tolerance_mm")
+    if text is None:
         return cell
     try:
-        tolerance = float(stated)
+        tolerance = float(text)
         if not 0.0 < tolerance < math.inf:
             raise ValueError  # noqa: TRY301
     except ValueError:
-        problem, advice = f"its line of origin states tolerance_mm={stated}", "Convert the program again."
+        problem, advice = f"its line of origin states tolerance_mm={text}", "Convert the program again."
         raise InputError(problem, file=str(request.corrected), line=origin.line, advice=advice) from None
     return as_stated(cell, replace(request.settings, tolerance_mm=tolerance))
 
@@ -206,14 +206,14 @@ def _origin(program: Program) -> provenance.Provenance:
     return provenance.Provenance("none") if writer is None else writer.origin(program.documents)
 
 
-def _made_from(request: CompareRequest, cell: Cell, nominal: Program, corrected: Program) -> MadeFrom:
+def _made_from(request: CompareRequest, cell: Cell, nominal: Program, second_program: Program) -> MadeFrom:
     """Return the origin of the second program, as far as it states it."""
-    origin, first = _origin(corrected), _origin(nominal)
+    origin, first = _origin(second_program), _origin(nominal)
     if not origin.sums:
         return MadeFrom(origin, {})
-    here = origin_of(nominal.documents, request.cell, cell, request.forces, "corrected")
+    request_origin = origin_of(nominal.documents, request.cell, cell, request.forces, "corrected")
     sums = {"program": "source", "cell": "cell", "robot model": "model", "force file": "forces"}
-    agrees = {name: origin.sums.get(key) == getattr(here, key) for name, key in sums.items()}
+    agrees = {name: origin.sums.get(key) == getattr(request_origin, key) for name, key in sums.items()}
     if first.state == "intact" and first.mode == "nominal":  # both were written from one program
         agrees |= {
             name: first.sums.get(sums[name]) == origin.sums.get(sums[name]) for name in ("program", "force file")

@@ -45,9 +45,9 @@ _OPTIONS = ("tolerance_mm", "part_tolerance_mm", "lines_per_file", "linearize_ar
 
 def options_of(settings: Settings) -> dict[str, str]:
     """Return the settings that were given, as a written program says them."""
-    given = {name: getattr(settings, name) for name in _OPTIONS}
-    given = {name: value for name, value in given.items() if value is not None and value is not False}
-    return {name: repr(value) if isinstance(value, float) else f"{value:d}" for name, value in given.items()}
+    values = {name: getattr(settings, name) for name in _OPTIONS}
+    values = {name: value for name, value in values.items() if value is not None and value is not False}
+    return {name: repr(value) if isinstance(value, float) else f"{value:d}" for name, value in values.items()}
 
 
 def marked(
@@ -64,9 +64,11 @@ def marked(
     origin = replace(origin, options=options_of(settings))
     if result.modules:
         return _modules_marked(result, job, origin)
-    documents, moved = job.writer.marked(_subprograms_marked(result, job, origin, own_names or {}), origin)
+    documents, first_shifted_line = job.writer.marked(_subprograms_marked(result, job, origin, own_names or {}), origin)
     line = result.output_line
-    return replace(result, documents=documents, output_line=line + (line >= moved) if moved else line)
+    return replace(
+        result, documents=documents, output_line=line + (line >= first_shifted_line) if first_shifted_line else line
+    )
 
 
 def _contents(documents: Sequence[Document]) -> list[tuple[bytes, str, str]]:
@@ -86,9 +88,11 @@ def _modules_marked(result: Result, job: Job, origin: provenance.Origin) -> Resu
 
 def subprograms(result: Result, job: Job, own_names: Mapping[str, str]) -> list[str]:
     """Return the names of the files that are written with a program because it calls routines in them."""
-    own = {path.name for path in job.reads()}
-    called = {document.name for document in result.program.documents} - own
-    return [document.name for document in result.documents if own_names.get(document.name, document.name) in called]
+    job_files = {path.name for path in job.reads()}
+    called_files = {document.name for document in result.program.documents} - job_files
+    return [
+        document.name for document in result.documents if own_names.get(document.name, document.name) in called_files
+    ]
 
 
 def _subprograms_marked(
@@ -98,22 +102,22 @@ def _subprograms_marked(
 
     It does not depend on the program that calls them: two programs may be given the same file.
     """
-    before = {document.name: document for document in result.program.documents}
-    after = {document.name: document for document in result.documents}
+    source_of = {document.name: document for document in result.program.documents}
+    output_of = {document.name: document for document in result.documents}
 
     def read(name: str) -> Document:
-        return before[own_names.get(name, name)]
+        return source_of[own_names.get(name, name)]
 
     for name in subprograms(result, job, own_names):
-        files = [other for other in after if Path(other).stem.lower() == Path(name).stem.lower()]
-        files.sort(key=lambda other: other != name)
-        if Path(name).suffix.lower() == job.writer.extension and any(after[n].text != read(n).text for n in files):
-            source = provenance.digest_of(read(other) for other in files)
-            own, _ = job.writer.marked(
-                [after[other] for other in files], replace(origin, source=source, forces="-", options={})
+        files = [file for file in output_of if Path(file).stem.lower() == Path(name).stem.lower()]
+        files.sort(key=lambda file: file != name)
+        if Path(name).suffix.lower() == job.writer.extension and any(output_of[n].text != read(n).text for n in files):
+            source = provenance.digest_of(read(file) for file in files)
+            marked_files, _ = job.writer.marked(
+                [output_of[file] for file in files], replace(origin, source=source, forces="-", options={})
             )
-            after[name] = own[0]
-    return list(after.values())
+            output_of[name] = marked_files[0]
+    return list(output_of.values())
 
 
 def origin_of(
@@ -158,7 +162,7 @@ def convert(
     :raises KeyboardInterrupt: nothing was staged.
     """
     job = task.job
-    computed = False
+    is_computed = False
     try:
         check_utf8(job.program)
         name = None if job.keeps_text else job.stem
@@ -166,23 +170,23 @@ def convert(
         result, process = converted(job, settings, cell, robot, program, progress)
         if result.failed:
             return Outcome(str(job.program), FAILED, issues=result.issues)
-        result, called, copies = _with_subprograms(task, settings, cell, robot, result)
-        made = _made(job, settings, cell, result, called, copies, process)
+        result, subprogram_files, copies = _with_subprograms(task, settings, cell, robot, result)
+        output = _made(job, settings, cell, result, subprogram_files, copies, process)
 
-        computed = True
-        staged = files.stage(job.output, made.contents)
+        is_computed = True
+        staged_files = files.stage(job.output, output.contents)
     except Exception as cause:
         if isinstance(cause, SubprogramError) and not job.named:
             return Outcome(str(job.program), GOOD, message=f"{cause.file}: {cause.problem}: skipped.")
-        return replace(failure(job, cause), keeps_earlier=computed)
+        return replace(failure(job, cause), keeps_earlier=is_computed)
     return Outcome(
         str(job.program),
-        made.summary.verdict.exit_code,
-        replace(made.summary, files=made.listed),
-        copied=tuple(str(job.output / name) for name in made.copied),
-        staged=staged,
-        shared=made.shared,
-        read=made.read,
+        output.summary.verdict.exit_code,
+        replace(output.summary, files=output.listed),
+        copied=tuple(str(job.output / name) for name in output.copied),
+        staged=staged_files,
+        shared=output.shared,
+        read=output.read,
     )
 
 
@@ -207,7 +211,7 @@ def read_program(
         raise cause.with_file(path.name, str(path)) from cause
 
 
-_ANYWHERE = Start((0.3257, -88.6413, 91.7269, 2.8391, 43.4173, -1.6427))
+_PROVISIONAL_START = Start((0.3257, -88.6413, 91.7269, 2.8391, 43.4173, -1.6427))
 """A start from which a program is read until its own is known: angles that no program states."""
 
 
@@ -220,51 +224,55 @@ def read_started(
     """
     if cell.start is not None:
         return read_program(path, robot, cell, dialect, name), cell
-    anywhere = replace(cell, start=_ANYWHERE)
-    first = read_program(path, robot, anywhere, dialect, name)
+    provisional_cell = replace(cell, start=_PROVISIONAL_START)
+    first = read_program(path, robot, provisional_cell, dialect, name)
     try:
-        chosen = chosen_start(first, RobotInCell.of(robot, anywhere))
+        start = chosen_start(first, RobotInCell.of(robot, provisional_cell))
     except ProgramError as cause:
         raise cause.with_file(Path(path).name, str(path)) from cause
-    cell = replace(cell, start=Start(chosen.joints))
+    cell = replace(cell, start=Start(start.joints))
     program = read_program(path, robot, cell, dialect, name)
-    one, other = first.motions, program.motions
-    same = len(one) == len(other) and _same(one.target[:], other.target[:]) and _same(one.joints[:], other.joints[:])
-    if not same or chosen.joints == _ANYWHERE.joints:
+    first_motions, motions = first.motions, program.motions
+    is_same = (
+        len(first_motions) == len(motions)
+        and _same(first_motions.target[:], motions.target[:])
+        and _same(first_motions.joints[:], motions.joints[:])
+    )
+    if not is_same or start.joints == _PROVISIONAL_START.joints:
         raise ProgramError(
             "the first motions depend on where the program starts, and the cell has no [start]",
             file=str(path),
             advice="Give [start] joints, or state in the program where the first move goes.",
         )
-    return replace(program, issues=(*program.issues, Issue("info", "start", chosen.message))), cell
+    return replace(program, issues=(*program.issues, Issue("info", "start", start.message))), cell
 
 
-def _same(one: Array, other: Array) -> bool:
-    return bool(np.allclose(one, other, rtol=0.0, atol=1e-9, equal_nan=True))
+def _same(first: Array, second: Array) -> bool:
+    return bool(np.allclose(first, second, rtol=0.0, atol=1e-9, equal_nan=True))
 
 
-def force_source(given: Path | None, cell: Cell) -> ForceSource | None:
+def force_source(path: Path | None, cell: Cell) -> ForceSource | None:
     """Return the source of forces in a file: a table of forces, or a process.toml; None without a file.
 
     :raises ForceError: the file is unusable.
     """
-    if given is None or given.suffix.lower() != PROCESS:
-        return None if given is None else forces.read(given)
+    if path is None or path.suffix.lower() != PROCESS:
+        return None if path is None else forces.read(path)
     from postproc.jobs import process_forces  # loads the models of cutting
 
-    return process_forces.read(given, cell)
+    return process_forces.read(path, cell)
 
 
 def programs_under_force(
-    programs: Sequence[str], given: Path | None, robot: RobotModel, cell: Cell
+    programs: Sequence[str], force_path: Path | None, robot: RobotModel, cell: Cell
 ) -> Iterator[tuple[Path, Program, ForceSource | None]]:
     """Yield path, program and source of forces of each program; subprograms that others call are parts of these.
 
     :param programs: files, folders, patterns.
-    :param given: CSV file of forces, a folder of such files, or process.toml they are computed from.
+    :param force_path: CSV file of forces, a folder of such files, or process.toml they are computed from.
     :raises PostprocError: a program or its forces cannot be read.
     """
-    for job in find_jobs(programs, forces=given):
+    for job in find_jobs(programs, forces=force_path):
         check_utf8(job.program)
         if not job.callers:
             yield job.program, read_program(job.program, robot, cell, job.dialect), force_source(job.forces, cell)
@@ -307,8 +315,8 @@ def converted(
         result = replace(result, documents=job.writer.renamed(result.documents, job.name))
     fault = job.writer.fault_of(job.program.stem)
     if settings.mode != "predict" and not job.keeps_text and fault is not None:
-        written = f"{job.stem}{job.writer.extension}"
-        note = f"written as {written}: the controller does not accept the name {job.program.stem!r}, {fault}."
+        file_name = f"{job.stem}{job.writer.extension}"
+        note = f"written as {file_name}: the controller does not accept the name {job.program.stem!r}, {fault}."
         result = replace(result, issues=(*result.issues, Issue("info", "name", note)))
     return result, process_result
 
@@ -329,10 +337,12 @@ def check_held_feed(cell: Cell, *, process: bool) -> None:
 
 def _with_force_file(issue: Issue, job: Job) -> Issue:
     """Return an issue that forces are missing with the name of a force file next to the program."""
-    found = job.program.with_name(f"{job.program.stem}.forces.csv")
-    if issue.kind != "no-force" or not found.is_file():
+    force_file = job.program.with_name(f"{job.program.stem}.forces.csv")
+    if issue.kind != "no-force" or not force_file.is_file():
         return issue
-    return replace(issue, message=f"{issue.message} (give --forces {found} to use {found.name}, which is next to it)")
+    return replace(
+        issue, message=f"{issue.message} (give --forces {force_file} to use {force_file.name}, which is next to it)"
+    )
 
 
 class _Made(Struct, frozen=True, eq=False):
@@ -359,34 +369,34 @@ def _made(
     settings: Settings,
     cell: Cell,
     result: Result,
-    called: Sequence[str],
+    subprogram_files: Sequence[str],
     copies: Mapping[str, bytes],
     process: ProcessForces | None,
 ) -> _Made:
     """Return the output.
 
-    :param called: names of the files of subprograms.
+    :param subprogram_files: names of the files of subprograms.
     :param copies: files that are written as they were read: name → content.
     """
-    mode, needed = settings.mode, result.program.needed
-    stated = mode == "convert" or settings.tolerance_mm is not None
-    tolerance = cell.output.tolerance_mm * M_PER_MM if stated else None
+    mode, needed_files = settings.mode, result.program.needed
+    has_tolerance = mode == "convert" or settings.tolerance_mm is not None
+    tolerance = cell.output.tolerance_mm * M_PER_MM if has_tolerance else None
     name = job.report(mode)
     stem = name.removesuffix("report.json")
     contents: dict[str, bytes | Iterable[bytes]] = {doc.name: doc.pieces() for doc in result.documents}
     contents |= copies
     if result.modules:
         contents |= report.forces_by_module(result)
-    elif (carried := report.forces_csv(result)) is not None:
-        contents[f"{stem}forces.csv"] = carried
+    elif (force_table := report.forces_csv(result)) is not None:
+        contents[f"{stem}forces.csv"] = force_table
     contents[f"{stem}targets.csv"] = report.targets_csv(result)
     surface = None
     if settings.part is not None and len(result):
         from postproc.report.surface import glb, ply
 
         surface = surface_of(result, settings.part, job.process, cell.part_in_root())
-        for ending, made in (("ply", ply), ("glb", glb)):
-            contents[f"{stem}surface.{ending}"] = made(surface, cell.tolerance)
+        for ending, encode in (("ply", ply), ("glb", glb)):
+            contents[f"{stem}surface.{ending}"] = encode(surface, cell.tolerance)
     content = report.summary(result, tolerance, cell.part_tolerance, surface)
     record = record_of(result.program.documents, settings.cell, cell, job.forces)
     contents[f"{stem}report.html"] = report.page(
@@ -398,34 +408,34 @@ def _made(
         contents[f"{stem}stock.glb"] = process_forces.stock(process)
     documents = result.program.documents
     read = [Path(document.folder) / document.name for document in documents if document.folder]
-    still = [Path(each.path).name for each in needed if not each.moves]
-    content = replace(content, copied=[file for file in copies if file in still] or None)
-    listed: list[files.FileEntry] = []
+    motionless_names = [Path(required_file.path).name for required_file in needed_files if not required_file.moves]
+    content = replace(content, copied=[file for file in copies if file in motionless_names] or None)
+    file_entries: list[files.FileEntry] = []
 
     def rendered(entries: list[files.FileEntry]) -> bytes:
-        listed.extend(entries)
+        file_entries.extend(entries)
         return files.json_bytes(replace(content, files=entries))
 
     return _Made(
         summary=content,
-        listed=listed,
+        listed=file_entries,
         contents=files.with_record(contents, name, rendered),
         copied=tuple(copies),
-        shared=(*called, *copies),
-        read=tuple(map(str, [*read, *(each.path for each in needed)])),
+        shared=(*subprogram_files, *copies),
+        read=tuple(map(str, [*read, *(required_file.path for required_file in needed_files)])),
     )
 
 
-def surface_of(result: Result, part: Path, process: Path | None, placed: Array | None = None) -> Surface:
+def surface_of(result: Result, part: Path, process: Path | None, mesh_frame: Array | None = None) -> Surface:
     """Return the deviations along the surface of a part.
 
     :param part: mesh in mm (STL, PLY, OBJ …).
     :param process: process.toml whose [tools] say the shapes; None: the nearest place of the path counts.
-    :param placed: (4, 4) frame of the mesh in the robot root [m]; None: it is in the `$BASE` of the program.
+    :param mesh_frame: (4, 4) frame of the mesh in the robot root [m]; None: it is in the `$BASE` of the program.
     :raises InputError: the mesh or the process is unusable, or its frame is not stated and there are several `$BASE`.
     """
     corners, coarse = files.read_facets(part)
-    if placed is None and len(result.program.bases) > 1:
+    if mesh_frame is None and len(result.program.bases) > 1:
         raise InputError(
             "the program has several $BASE: to which the part belongs is not known",
             file=str(part),
@@ -443,7 +453,7 @@ def surface_of(result: Result, part: Path, process: Path | None, placed: Array |
             radius = 0.5 * tool.diameter_mm * M_PER_MM
             corner = radius if tool.shape == "ball" else tool.corner_radius_mm * M_PER_MM
             cutters[0 if name == "default" else int(name)] = Cutter(radius, corner, tool.flutes)
-    return surface(result, corners, cutters, placed, coarse)
+    return surface(result, corners, cutters, mesh_frame, coarse)
 
 
 def _with_subprograms(
@@ -457,43 +467,50 @@ def _with_subprograms(
     job, read = task.job, result.program.documents
     own_names: dict[str, str] = {}
     while True:
-        written = marked(result, job, settings, cell, own_names)
-        called = subprograms(result, job, own_names)
-        if not written.documents or settings.mode == "predict":
-            return written, called, {}
-        names = [document.name for document in written.documents]
+        marked_result = marked(result, job, settings, cell, own_names)
+        subprogram_files = subprograms(result, job, own_names)
+        if not marked_result.documents or settings.mode == "predict":
+            return marked_result, subprogram_files, {}
+        names = [document.name for document in marked_result.documents]
         copies = needed_copies(task, result.program.needed, [*names, *own_names.values()])
-        texts = {document.name: document.to_bytes() for document in written.documents} if job.keeps_text else {}
-        others = differing(task, texts | copies, called, copies, read)
-        if not others:
+        texts = {document.name: document.to_bytes() for document in marked_result.documents} if job.keeps_text else {}
+        conflicts = differing(task, texts | copies, subprogram_files, copies, read)
+        if not conflicts:
             warnings = needed_warnings(task, result.program.needed, copies, texts | copies)
-            return replace(written, issues=(*written.issues, *warnings)), called, copies
-        documents, more = with_own_copies(task, result.documents, others, called, copies)
+            return replace(marked_result, issues=(*marked_result.issues, *warnings)), subprogram_files, copies
+        documents, new_names = with_own_copies(task, result.documents, conflicts, subprogram_files, copies)
         _check_same_motions(result, documents, robot, cell)
-        own_names |= {new: own_names.get(old, old) for new, old in more.items()}
-        issues = [each for each in result.issues if each.kind != "shared-file" or each.subject not in more.values()]
-        for new, old in sorted(more.items()):
-            if old in others:
-                note = f"{old} is written as {new}: it differs from the one written for {others[old]}."
+        own_names |= {new: own_names.get(old, old) for new, old in new_names.items()}
+        issues = [
+            issue for issue in result.issues if issue.kind != "shared-file" or issue.subject not in new_names.values()
+        ]
+        for new, old in sorted(new_names.items()):
+            if old in conflicts:
+                note = f"{old} is written as {new}: it differs from the one written for {conflicts[old]}."
                 issues.append(Issue("info", "own-copy", note))
         result = replace(result, documents=documents, issues=tuple(issues))
 
 
-def _check_same_motions(result: Result, renamed: Sequence[Document], robot: RobotModel, cell: Cell) -> None:
+def _check_same_motions(result: Result, new_documents: Sequence[Document], robot: RobotModel, cell: Cell) -> None:
     """Read a released program again after subprograms were renamed in it: its motions must be the same.
 
     :raises InputError: they are not, or the renamed program cannot be read.
     """
     name, dialect = result.program.name, result.program.dialect
     try:
-        before, after = (correction.read(each, robot, cell, name, dialect) for each in (result.documents, renamed))
-        pairs = [(getattr(before.motions, each), getattr(after.motions, each)) for each in Motions.__struct_fields__]
-        pairs.append((before.numbers_as_written(), after.numbers_as_written()))
-        same = all(np.array_equal(one, other, equal_nan=True) for one, other in pairs)
+        first_program, second_program = (
+            correction.read(item, robot, cell, name, dialect) for item in (result.documents, new_documents)
+        )
+        pairs = [
+            (getattr(first_program.motions, item), getattr(second_program.motions, item))
+            for item in Motions.__struct_fields__
+        ]
+        pairs.append((first_program.numbers_as_written(), second_program.numbers_as_written()))
+        is_same = all(np.array_equal(first, second, equal_nan=True) for first, second in pairs)
     except ProgramError:
-        same = False
-    if not same:
-        names = ", ".join(sorted({each.name for each in renamed} - {each.name for each in result.documents}))
+        is_same = False
+    if not is_same:
+        names = ", ".join(sorted({item.name for item in new_documents} - {item.name for item in result.documents}))
         raise InputError(
             f"with subprograms under names of their own ({names}) the program would move differently",
             file=result.documents[0].name,

@@ -42,23 +42,24 @@ def copy_samples(folder: Path, *, overwrite: bool = False) -> list[Path]:
     """
     root = shipped_samples()
     contents = {path.relative_to(root): path.read_bytes() for path in _files(root)}
-    there = [folder / name for name, content in contents.items() if _differs(folder / name, content)]
-    if there and not overwrite:
+    conflicts = [folder / name for name, content in contents.items() if _differs(folder / name, content)]
+    if conflicts and not overwrite:
         raise InputError(
-            f"these files are there, and differ: {listed(there)}", advice="Choose another folder, or give --overwrite."
+            f"these files are there, and differ: {listed(conflicts)}",
+            advice="Choose another folder, or give --overwrite.",
         )
-    written = []
+    paths = []
     for place in sorted({name.parent for name in contents}):
-        own = {name.name: content for name, content in contents.items() if name.parent == place}
-        written += write_whole(folder / place, own)
-    return written
+        folder_contents = {name.name: content for name, content in contents.items() if name.parent == place}
+        paths += write_whole(folder / place, folder_contents)
+    return paths
 
 
 def shipped_samples() -> Path:
     """Return the folder of the samples: in the installed package, or next to it in a checkout."""
     package = Path(__file__).parent.parent
-    inside = package / "samples"
-    return inside if inside.is_dir() else package.parent / "samples"
+    package_samples = package / "samples"
+    return package_samples if package_samples.is_dir() else package.parent / "samples"
 
 
 SCHEMAS = ("cell", "process", "model", "experiment")
@@ -157,13 +158,13 @@ def write_cell(request: CellRequest) -> tuple[str, ...]:
     """
     check_new(request.output, overwrite=request.overwrite)
     folder = request.output.parent
-    known = request.robot in robots.shipped()
-    place = request.robot if known else relative_path(folder, Path(request.robot))
+    is_shipped = request.robot in robots.shipped()
+    place = request.robot if is_shipped else relative_path(folder, Path(request.robot))
     robot = load_robot(request.robot)
     start = USUAL_START if request.start is None else _six("start joints", request.start, 6)
-    beyond = (np.radians(start) < robot.lower) | (np.radians(start) > robot.upper)
-    if beyond.any():
-        joint = int(np.argmax(beyond))
+    is_outside = (np.radians(start) < robot.lower) | (np.radians(start) > robot.upper)
+    if is_outside.any():
+        joint = int(np.argmax(is_outside))
         low, high = robot.lower[joint] * DEG_PER_RAD, robot.upper[joint] * DEG_PER_RAD
         raise InputError(f"{JOINTS[joint]} = {start[joint]:g}° is beyond its limits, {low:.4g}° to {high:.4g}°")
     if request.part_tolerance is not None and not 0.0 < request.part_tolerance <= LARGEST_MM:
@@ -175,8 +176,8 @@ def write_cell(request: CellRequest) -> tuple[str, ...]:
     config = None if request.config_dat is None else relative_path(folder, request.config_dat)
     tool_frame = Tool(**dict(zip("XYZABC", tool, strict=True)), axis=request.axis)
     cell = Cell(robot=place, base=Frame(*base), tool=tool_frame, start=msgspec.convert({"joints": start}, Start))
-    if request.start is None and (above := _start_above(cell, robot, request.clearance + _ABOVE_MM)) is not None:
-        cell = msgspec.structs.replace(cell, start=msgspec.convert({"joints": above}, Start))
+    if request.start is None and (start_joints := _start_above(cell, robot, request.clearance + _ABOVE_MM)) is not None:
+        cell = msgspec.structs.replace(cell, start=msgspec.convert({"joints": start_joints}, Start))
     turn, remarks = _turn_of_tool(cell, robot)
     remarks = (*_upside_down(cell), *remarks, *_low_start(cell, robot, request.clearance))
     tools = {number: Frame(*_six(f"$TOOL of T{number}", words, 3)) for number, words in request.tools.items()}
@@ -203,31 +204,33 @@ def usual_base(robot: str) -> Numbers:
     return round(0.55 * reach, -2), 0.0, round(0.25 * reach, -2)
 
 
-def _six(what: str, values: Numbers, least: int) -> Numbers:
-    if not least <= len(values) <= 6 or not np.isfinite(values).all():
-        raise InputError(f"{what}: {len(values)} numbers", advice=f"Give {least if least == 6 else f'{least} to 6'}.")
+def _six(title: str, values: Numbers, min_count: int) -> Numbers:
+    if not min_count <= len(values) <= 6 or not np.isfinite(values).all():
+        raise InputError(
+            f"{title}: {len(values)} numbers", advice=f"Give {min_count if min_count == 6 else f'{min_count} to 6'}."
+        )
     return (*values, *_ZERO[len(values) :])
 
 
-def _frame(array: str, given: Numbers | int, request: CellRequest, robot: RobotModel) -> Numbers:
+def _frame(array: str, value: Numbers | int, request: CellRequest, robot: RobotModel) -> Numbers:
     """Return X…C of a frame, mm and degrees."""
-    if not isinstance(given, int):
-        return _six("$BASE" if array == "BASE_DATA" else "$TOOL", given, 3)
+    if not isinstance(value, int):
+        return _six("$BASE" if array == "BASE_DATA" else "$TOOL", value, 3)
     if request.config_dat is None:
         raise InputError(
-            f"{array}[{given}] is in no file", advice="Name it with --config-dat, or give X,Y,Z[,A,B,C] instead."
+            f"{array}[{value}] is in no file", advice="Name it with --config-dat, or give X,Y,Z[,A,B,C] instead."
         )
-    return _frame_of(request.config_dat, array, given, robot)
+    return _frame_of(request.config_dat, array, value, robot)
 
 
 def _frame_of(config: Path, array: str, number: int, robot: RobotModel) -> Numbers:
     """Return a frame of a `$config.dat`: asked of the reader of KRL by a program that uses it."""
     variable = "$BASE" if array == "BASE_DATA" else "$TOOL"
-    other = "$TOOL" if variable == "$BASE" else "$BASE"
+    other_variable = "$TOOL" if variable == "$BASE" else "$BASE"
     lines = [
         "DEF ASK()",
         f"{variable}={array}[{number}]",
-        f"{other}=$NULLFRAME",
+        f"{other_variable}=$NULLFRAME",
         "LIN {X 0,Y 0,Z 0,A 0,B 0,C 0}",
         "END",
     ]
@@ -247,8 +250,8 @@ def _frame_of(config: Path, array: str, number: int, robot: RobotModel) -> Numbe
             raise
         raise InputError(f"no {array}[{number}]", file=str(config), advice="Give a number that it has.") from None
     poses = program.bases if variable == "$BASE" else program.tools
-    found: Array = xyzabc_from_pose(poses[[program.motions.base, program.motions.tool][variable == "$TOOL"][-1]])
-    return tuple(float(value) for value in np.round(found.ravel(), 6) + 0.0)
+    frame: Array = xyzabc_from_pose(poses[[program.motions.base, program.motions.tool][variable == "$TOOL"][-1]])
+    return tuple(float(value) for value in np.round(frame.ravel(), 6) + 0.0)
 
 
 def _upright(cell: Cell, robot: RobotModel, turn: float, height: float) -> Array:
@@ -262,10 +265,10 @@ def _upright(cell: Cell, robot: RobotModel, turn: float, height: float) -> Array
     pose = cell.base.pose()
     pose[:3, 3] += pose[:3, 2] * (height / MM_PER_M)
     pose[:3, :3] = pose[:3, :3] @ msgspec.structs.replace(cell, gcode=GCode(redundancy_deg=turn)).tool_pose_in_program()
-    found: Array = form.branches((pose @ inverse(cell.tool.pose()))[None])[
+    joints: Array = form.branches((pose @ inverse(cell.tool.pose()))[None])[
         0, form.branch_of(cell.start_joints[None])[0]
     ]
-    return found
+    return joints
 
 
 def _start_above(cell: Cell, robot: RobotModel, height: float) -> tuple[float, ...] | None:
@@ -273,24 +276,24 @@ def _start_above(cell: Cell, robot: RobotModel, height: float) -> tuple[float, .
 
     :param height: Z of the tip in `$BASE` [mm].
     """
-    reached = []
+    candidates = []
     for turn in _TURNS:
         joints = _upright(cell, robot, turn, height)
         if np.isfinite(joints).all() and (kinematics.joint_margin(robot, joints[None]) > _MARGIN).all():
-            reached.append(joints)
-    if not reached:
+            candidates.append(joints)
+    if not candidates:
         return None
-    nearest = min(reached, key=lambda joints: float(np.abs(joints[[3, 5]]).max()))
+    nearest = min(candidates, key=lambda joints: float(np.abs(joints[[3, 5]]).max()))
     return tuple((np.round(nearest * DEG_PER_RAD, 1) + 0.0).tolist())
 
 
-_DOWN = -0.1
+_LARGEST_Z = -0.1
 """Largest Z component, in the robot root, of a Z axis that points down."""
 
 
 def _upside_down(cell: Cell) -> Iterator[str]:
     """Yield a warning if Z of `$BASE` points down, so that the tool comes from below."""
-    if cell.base.pose()[2, 2] < _DOWN:
+    if cell.base.pose()[2, 2] < _LARGEST_Z:
         angles = f"A {cell.base.A:g}, B {cell.base.B:g}, C {cell.base.C:g}"
         yield (
             f"Z of $BASE points down ({angles}): the tool would come from below the part. Check "
@@ -315,13 +318,13 @@ def _turn_of_tool(cell: Cell, robot: RobotModel) -> tuple[float, tuple[str, ...]
     The pose is that of the tool upright on the origin of `$BASE`, the arm on the branch of its start.
     """
     start = cell.start_joints
-    away = []
+    wrist_changes = []
     for turn in _TURNS:
-        found = _upright(cell, robot, turn, 0.0)
-        far = np.abs((found - start + np.pi) % (2.0 * np.pi) - np.pi)
-        away.append(float(far[[3, 5]].max()) if np.isfinite(far).all() else np.inf)
-    best = int(np.argmin(away))
-    if np.isfinite(away[best]):
+        joints = _upright(cell, robot, turn, 0.0)
+        changes = np.abs((joints - start + np.pi) % (2.0 * np.pi) - np.pi)
+        wrist_changes.append(float(changes[[3, 5]].max()) if np.isfinite(changes).all() else np.inf)
+    best = int(np.argmin(wrist_changes))
+    if np.isfinite(wrist_changes[best]):
         return _TURNS[best], ()
     return 0.0, ("out of reach: the origin of $BASE, with the tool upright on it. Check [base], [tool] and [start].",)
 
@@ -411,14 +414,14 @@ clearance_Z = {_number(request.clearance)}              # Z of $BASE to which th
 
 
 def _switching(
-    what: Literal["spindle", "coolant"], lines: tuple[Sequence[str], Sequence[str]] | None, language: str
+    device: Literal["spindle", "coolant"], lines: tuple[Sequence[str], Sequence[str]] | None, language: str
 ) -> str:
     """Return the keys for switching spindle or coolant; a comment with examples where nobody says the lines."""
     if lines is None:
-        return "\n".join(line for line in _LINES[language].splitlines() if line.startswith(f"# {what}"))
+        return "\n".join(line for line in _LINES[language].splitlines() if line.startswith(f"# {device}"))
     by_hand = "" if any(lines) else "    # by hand"
     keys = zip(("on", "off"), lines, strict=True)
-    return "\n".join(f"{what}_{key} = [{', '.join(map(_quoted, own))}]{by_hand}" for key, own in keys)
+    return "\n".join(f"{device}_{key} = [{', '.join(map(_quoted, statements))}]{by_hand}" for key, statements in keys)
 
 
 def _part(tolerance: float | None) -> str:
@@ -440,9 +443,9 @@ def _tools(tools: Mapping[int, Frame]) -> str:
 """
 
 
-def _work_offsets(given: Mapping[str, Numbers]) -> str:
+def _work_offsets(frame_values: Mapping[str, Numbers]) -> str:
     """Return the tables of work offsets, or an example of one."""
-    frames = {code: Frame(*_six(code, words, 3)) for code, words in given.items()}
+    frames = {code: Frame(*_six(code, words, 3)) for code, words in frame_values.items()}
     tables = "\n".join(f"\n[work_offsets.{_table_key(code)}]\n{_keys(frame)}" for code, frame in frames.items())
     if tables:
         return f"# frames in $BASE after G55 and so on; G54 is $BASE itself{tables}"
@@ -530,28 +533,32 @@ def add_robot(
     :raises InputError: a model exists already, or the name cannot be a folder's.
     """
     text = read_text(urdf, ModelError)
-    adopted = adopt(text, urdf.name, name)
-    known = name or re.sub(r"\W+", "_", adopted.content.name, flags=re.ASCII).strip("_")
-    if not _NAME.fullmatch(known):
-        raise InputError(f"{known!r} cannot be the name of a robot", advice="Give --name with letters, digits and _.")
-    if known in robots.shipped():
-        raise InputError(f"a shipped robot is called {known}", advice="Give another --name.")
-    folder = output or Path(known)
-    meshes, notes = _meshes(geometries(text, urdf.name), urdf, adopted)
+    arm = adopt(text, urdf.name, name)
+    robot_name = name or re.sub(r"\W+", "_", arm.content.name, flags=re.ASCII).strip("_")
+    if not _NAME.fullmatch(robot_name):
+        raise InputError(
+            f"{robot_name!r} cannot be the name of a robot", advice="Give --name with letters, digits and _."
+        )
+    if robot_name in robots.shipped():
+        raise InputError(f"a shipped robot is called {robot_name}", advice="Give another --name.")
+    folder = output or Path(robot_name)
+    meshes, notes = _meshes(geometries(text, urdf.name), urdf, arm)
     contents: dict[str, bytes | Iterable[bytes]] = {
-        "model.toml": toml(adopted.content, _COMMENT),
-        "robot.urdf": adopted.urdf({key: _file(*key) for key in meshes}),
+        "model.toml": toml(arm.content, _COMMENT),
+        "robot.urdf": arm.urdf({key: _file(*key) for key in meshes}),
         **{_file(*key): surface.stl() for key, surface in meshes.items()},
     }
     protect([urdf], folder, contents)
-    there = [folder / file for file in contents if (folder / file).exists()]
-    if there and not overwrite:
+    conflicts = [folder / file for file in contents if (folder / file).exists()]
+    if conflicts and not overwrite:
         raise InputError(
-            "the folder holds a robot model already", file=str(there[0]), advice="Choose another -o, or --overwrite."
+            "the folder holds a robot model already",
+            file=str(conflicts[0]),
+            advice="Choose another -o, or --overwrite.",
         )
-    kinematics.closed_form(robots.assemble(known, adopted.content, adopted.chain))
+    kinematics.closed_form(robots.assemble(robot_name, arm.content, arm.chain))
     write_whole(folder, contents)
-    return AddedRobot(adopted.content.name, folder, (*adopted.notes, *notes))
+    return AddedRobot(arm.content.name, folder, (*arm.notes, *notes))
 
 
 def _file(carrier: int, kind: str) -> str:
@@ -561,36 +568,37 @@ def _file(carrier: int, kind: str) -> str:
 
 
 def _meshes(
-    named: Sequence[Geometry], urdf: Path, adopted: Adopted
+    geometry: Sequence[Geometry], urdf: Path, arm: Adopted
 ) -> tuple[dict[tuple[int, str], LinkShape], list[str]]:
     """Return the shapes of the links in the frames of the model: those that are drawn, simplified, and solids.
 
     :returns: (carrier, "visual" or "collision") → surface, and notes. A link without <collision> has its hull.
     """
-    if not named:
+    if not geometry:
         return {}, ["the URDF names no shapes: pages draw the arm as solids of revolution"]
-    drawn, missing = shapes.read([each for each in named if each.drawn], urdf)
-    solid, more = shapes.read([each for each in named if not each.drawn], urdf)
-    drawn, solid = (
-        [each.moved(adopted.moved[each.carrier + 1]) for each in shapes.joined(found)] for found in (drawn, solid)
+    visuals, problems = shapes.read([shape for shape in geometry if shape.drawn], urdf)
+    solid, solid_problems = shapes.read([shape for shape in geometry if not shape.drawn], urdf)
+    visuals, solid = (
+        [shape.moved(arm.moved[shape.carrier + 1]) for shape in shapes.joined(shapes_read)]
+        for shapes_read in (visuals, solid)
     )
-    with_drawing = {each.carrier for each in drawn}
-    with_solid = {each.carrier for each in solid}
-    solids = solid + [each.hull() for each in drawn if each.carrier not in with_solid]
-    drawings = drawn + [each for each in solid if each.carrier not in with_drawing]
-    simple = [shapes.simplified(each, _TRIANGLES) for each in drawings]
-    kept = [each for each, _ in simple]
-    notes = [f"a shape is left out: {problem}" for problem in dict.fromkeys(missing + more)]
-    if kept:
-        count, was = (sum(len(each.faces) for each in some) for some in (kept, drawings))
-        size = 16 * (count + sum(len(each.points) for each in kept))  # three numbers of 4 bytes each, in base64
-        less = (
-            ""
-            if count == was
-            else f" of {was}, corners moved by at most {max(moved for _, moved in simple) * MM_PER_M:.2g} mm"
+    with_drawing = {shape.carrier for shape in visuals}
+    with_solid = {shape.carrier for shape in solid}
+    solids = solid + [shape.hull() for shape in visuals if shape.carrier not in with_solid]
+    drawings = visuals + [shape for shape in solid if shape.carrier not in with_drawing]
+    simple = [shapes.simplified(shape, _TRIANGLES) for shape in drawings]
+    link_shapes = [shape for shape, _ in simple]
+    notes = [f"a shape is left out: {problem}" for problem in dict.fromkeys(problems + solid_problems)]
+    if link_shapes:
+        count, old_count = (sum(len(shape.faces) for shape in group) for group in (link_shapes, drawings))
+        points = sum(len(shape.points) for shape in link_shapes)
+        size = 16 * (count + points)  # three numbers of 4 bytes each, in base64
+        largest_mm = max(displacement for _, displacement in simple) * MM_PER_M
+        change_text = "" if count == old_count else f" of {old_count}, corners moved by at most {largest_mm:.2g} mm"
+        notes.append(
+            f"shapes of {len(link_shapes)} links: {count} triangles{change_text}; {size / 1000:.0f} kB in a page"
         )
-        notes.append(f"shapes of {len(kept)} links: {count} triangles{less}; {size / 1000:.0f} kB in a page")
     elif notes:
         notes.append("pages draw the arm as solids of revolution")
-    out = {(each.carrier, "visual"): each for each in kept}
-    return out | {(each.carrier, "collision"): each for each in solids}, notes
+    surfaces = {(shape.carrier, "visual"): shape for shape in link_shapes}
+    return surfaces | {(shape.carrier, "collision"): shape for shape in solids}, notes

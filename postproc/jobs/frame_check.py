@@ -41,10 +41,10 @@ from postproc.jobs.programs import load_robot
 from postproc.robot import JOINTS
 
 Suspect = Literal["none", "tool", "base", "both", "contradiction", "undecided"]
-_LEAST = 3
+_MIN_POINTS = 3
 _CONFIDENCE = 0.95
-_TWO_SIDED = 1.96
-_APART = 1e-6
+_INTERVAL_FACTOR = 1.96
+_RANK_TOLERANCE = 1e-6
 """Smallest ratio of singular values at which unknowns count as independent."""
 
 
@@ -85,8 +85,8 @@ def read_touched(path: Path) -> Touched:
     :raises InputError: it cannot be read, or has fewer than three points.
     """
     numbers, texts, _ = read_csv(path, ["point", "X", "Y", "Z", *JOINTS], [], InputError, text_columns=("point",))
-    if len(texts["point"]) < _LEAST:
-        advice = f"Touch at least {_LEAST} points that are not on one line, one of them with the tool turned."
+    if len(texts["point"]) < _MIN_POINTS:
+        advice = f"Touch at least {_MIN_POINTS} points that are not on one line, one of them with the tool turned."
         raise InputError(f"{len(texts['point'])} points", file=str(path), advice=advice)
     point = np.stack([numbers[axis] for axis in "XYZ"], axis=1) * M_PER_MM
     joints = np.stack([numbers[joint] for joint in JOINTS], axis=1) * RAD_PER_DEG
@@ -102,13 +102,13 @@ def check_frames(path: Path, cell_file: Path, sigma_mm: float) -> FrameCheck:
     """
     cell = cells.load(cell_file)
     robot = load_robot(cell.robot, cell.folder)
-    touched = read_touched(path)
-    flange = kinematics.tcp(robot.nominal, touched.joints, np.eye(4))[0]
+    touches = read_touched(path)
+    flange = kinematics.tcp(robot.nominal, touches.joints, np.eye(4))[0]
     tip = flange @ cell.tool.pose()
     base = cell.base.pose()
-    expected = touched.point @ base[:3, :3].T + base[:3, 3]
-    check = judged(touched, flange[:, :3, :3], expected, tip[:, :3, 3], sigma_mm * M_PER_MM)
-    return replace(check, corrected=dict(_corrected(check, cell.tool.pose(), base, expected.mean(axis=0))))
+    nominal_point = touches.point @ base[:3, :3].T + base[:3, 3]
+    check = judged(touches, flange[:, :3, :3], nominal_point, tip[:, :3, 3], sigma_mm * M_PER_MM)
+    return replace(check, corrected=dict(_corrected(check, cell.tool.pose(), base, nominal_point.mean(axis=0))))
 
 
 def _corrected(check: FrameCheck, tool: Array, base: Array, centre: Array) -> Iterator[tuple[str, Array]]:
@@ -124,16 +124,16 @@ def _corrected(check: FrameCheck, tool: Array, base: Array, centre: Array) -> It
         yield "base", xyzabc_from_pose(pose[None])[0]
 
 
-def judged(touched: Touched, flange: Array, expected: Array, tip: Array, sigma: float) -> FrameCheck:
+def judged(touches: Touched, flange: Array, nominal_point: Array, tip: Array, sigma: float) -> FrameCheck:
     """Return the simplest explanation of touched points.
 
     :param flange: (n, 3, 3) orientation of the flange in the root.
-    :param expected: (n, 3) where the points are by `$BASE` [m], root.
+    :param nominal_point: (n, 3) where the points are by `$BASE` [m], root.
     :param tip: (n, 3) where the tip is by joint angles and `$TOOL` [m], root.
     :param sigma: standard deviation of a coordinate [m].
     """
-    residual = (tip - expected).ravel()
-    arm = expected - expected.mean(axis=0)
+    residual = (tip - nominal_point).ravel()
+    arm = nominal_point - nominal_point.mean(axis=0)
     of_tool = flange.reshape(-1, 3)
     of_base = np.tile(np.eye(3), (len(arm), 1))
     of_turn = np.concatenate([-_cross(vector) for vector in arm])
@@ -143,13 +143,13 @@ def judged(touched: Touched, flange: Array, expected: Array, tip: Array, sigma: 
         "base": np.hstack([of_base, of_turn]),
         "both": np.hstack([of_tool, of_base, of_turn]),
     }
-    off = norm(residual.reshape(-1, 3))
+    distances = norm(residual.reshape(-1, 3))
     good: list[Suspect] = []
     left = {}
     for name, matrix in matrices.items():
-        values = np.linalg.lstsq(matrix, residual, rcond=_APART)[0] if matrix.shape[1] else np.zeros(0)
+        values = np.linalg.lstsq(matrix, residual, rcond=_RANK_TOLERANCE)[0] if matrix.shape[1] else np.zeros(0)
         left[name] = residual - matrix @ values
-        freedom = len(residual) - (np.linalg.matrix_rank(matrix, tol=_APART) if matrix.shape[1] else 0)
+        freedom = len(residual) - (np.linalg.matrix_rank(matrix, tol=_RANK_TOLERANCE) if matrix.shape[1] else 0)
         if freedom > 0 and left[name] @ left[name] / sigma**2 <= chi2.ppf(_CONFIDENCE, freedom):
             good.append(name)  # type: ignore[arg-type]
     suspect: Suspect = "contradiction"
@@ -157,20 +157,20 @@ def judged(touched: Touched, flange: Array, expected: Array, tip: Array, sigma: 
         suspect = "undecided" if good[0] == "tool" and "base" in good else good[0]
     if suspect in ("none", "contradiction", "undecided"):
         best = "both" if suspect == "contradiction" else "none" if suspect == "none" else "tool"
-        remaining = norm(left[best].reshape(-1, 3))
+        residual_distances = norm(left[best].reshape(-1, 3))
         if suspect != "undecided":
-            return FrameCheck(suspect, touched, off, remaining)
+            return FrameCheck(suspect, touches, distances, residual_distances)
     parts: dict[str, Any] = {}
     for name in ("tool", "base") if suspect == "undecided" else (suspect,):
         parts |= _parts(name, matrices[name], residual, sigma)
-    shown = "tool" if suspect == "undecided" else suspect
-    return FrameCheck(suspect, touched, off, norm(left[shown].reshape(-1, 3)), **parts)
+    frame_name = "tool" if suspect == "undecided" else suspect
+    return FrameCheck(suspect, touches, distances, norm(left[frame_name].reshape(-1, 3)), **parts)
 
 
 def _parts(name: str, matrix: Array, residual: Array, sigma: float) -> dict[str, Any]:
     """Return the errors of a hypothesis with the half widths of their 95 % intervals."""
-    values = np.linalg.lstsq(matrix, residual, rcond=_APART)[0]
-    half = _TWO_SIDED * sigma * np.sqrt(np.diag(np.linalg.pinv(matrix.T @ matrix, rcond=_APART**2)))
+    values = np.linalg.lstsq(matrix, residual, rcond=_RANK_TOLERANCE)[0]
+    half = _INTERVAL_FACTOR * sigma * np.sqrt(np.diag(np.linalg.pinv(matrix.T @ matrix, rcond=_RANK_TOLERANCE**2)))
     fields = {"tool": ["tool"], "base": ["base", "turn"], "both": ["tool", "base", "turn"]}[name]
     return {field: (values[3 * k : 3 * k + 3], half[3 * k : 3 * k + 3]) for k, field in enumerate(fields)}
 
@@ -208,6 +208,6 @@ def as_text(check: FrameCheck, sigma_mm: float) -> str:
         keys = ", ".join(f"{key} = {value:z.3f}" for key, value in zip("XYZABC", frame, strict=True))
         lines.append(f"  [{table}] that agrees: {keys}")
     rows = zip(check.touched.name, check.off * MM_PER_M, check.left * MM_PER_M, strict=True)
-    lines += [f"  {name}: {off:.2f} mm off, {left:.2f} mm after that" for name, off, left in rows]
+    lines += [f"  {name}: {distance:.2f} mm off, {left:.2f} mm after that" for name, distance, left in rows]
     lines.append(f"  standard deviation of a touch: {sigma_mm:g} mm in each coordinate (--sigma)")
     return "\n".join(lines)

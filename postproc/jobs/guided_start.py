@@ -33,7 +33,7 @@ from postproc.machining.tool_comments import CommentedTool
 
 _ABOVE_MM = 50.0
 """Retract this much above the highest cutting move unless something else is said [mm]."""
-_CELLS_ACROSS = 500.0
+_CELL_COUNT = 500.0
 """The map of the stock has at most this many cells across, between the limits of `_RESOLUTIONS` [mm]."""
 _RESOLUTIONS = (0.25, 1.0)
 NO_NUMBER = 0
@@ -86,7 +86,12 @@ class Answers(Struct):
 
 
 def next_question(
-    needs: ProgramNeeds, answers: Answers, skipped: Collection[str] = (), *, cell: bool = True, process: bool = True
+    needs: ProgramNeeds,
+    answers: Answers,
+    skipped_keys: Collection[str] = (),
+    *,
+    cell: bool = True,
+    process: bool = True,
 ) -> Question | None:
     """Return the first question that is neither answered nor skipped; None: all are.
 
@@ -96,7 +101,7 @@ def next_question(
     questions = [*(_cell_questions(needs, answers) if cell else ())]
     if process and not needs.forces_stated:
         questions += _process_questions(needs, answers)
-    return next((each for each in questions if each.key not in answers.values and each.key not in skipped), None)
+    return next((item for item in questions if item.key not in answers.values and item.key not in skipped_keys), None)
 
 
 def _cell_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Question]:
@@ -245,10 +250,10 @@ class StartFiles(Struct, frozen=True):
     remarks: tuple[str, ...]
 
 
-def cell_request(output: Path, answers: Answers, **others: Any) -> CellRequest:
+def cell_request(output: Path, answers: Answers, **fields: Any) -> CellRequest:
     """Return the request for the cell that answers describe; values that nobody was asked for have their defaults.
 
-    :param others: further fields of the request, such as ``axis``.
+    :param fields: further fields of the request, such as ``axis``.
     """
     values = answers.values
     tools: dict[int, Numbers] = answers.numbered("tool")
@@ -265,7 +270,7 @@ def cell_request(output: Path, answers: Answers, **others: Any) -> CellRequest:
     if "rotary_axes" in values:
         points = answers.of_codes("rotary_point")
         request["rotary"] = parse.rotary(values["rotary_axes"], values["rotary_kind"], points)
-    return CellRequest(output=output, **(request | others))
+    return CellRequest(output=output, **(request | fields))
 
 
 def write_process(path: Path, needs: ProgramNeeds, answers: Answers) -> tuple[str, ...]:
@@ -315,8 +320,8 @@ def _stock_lines(folder: Path, stock: StockTable) -> Iterator[str]:
         return
     spans = {axis: getattr(stock.box, axis) for axis in "XYZ"}
     yield "box = { " + ", ".join(f"{axis} = [{low:g}, {high:g}]" for axis, (low, high) in spans.items()) + " }"
-    across = max(high - low for low, high in spans.values())
-    yield f"resolution_mm = {min(max(across / _CELLS_ACROSS, _RESOLUTIONS[0]), _RESOLUTIONS[1]):.2g}"
+    largest_span = max(high - low for low, high in spans.values())
+    yield f"resolution_mm = {min(max(largest_span / _CELL_COUNT, _RESOLUTIONS[0]), _RESOLUTIONS[1]):.2g}"
 
 
 def _quoted(text: str) -> str:
@@ -376,49 +381,49 @@ def is_edited(path: Path, content: AnswerFile) -> bool:
 def write_files(
     needs: ProgramNeeds,
     answers: Answers,
-    kept: AnswerFile,
+    answer_file: AnswerFile,
     *,
     cell: Path,
     process: Path | None,
     keep_cell: bool,
     keep_process: bool,
-    **others: Any,
+    **fields: Any,
 ) -> StartFiles:
     """Write cell and process of the answers.
 
-    :param kept: gets the sums of the files.
+    :param answer_file: gets the sums of the files.
     :param process: None: none is needed.
     :param keep_cell: use the cell file as it is; `keep_process`: likewise.
-    :param others: further fields of `CellRequest`.
+    :param fields: further fields of `CellRequest`.
     """
     remarks: tuple[str, ...] = ()
     if not keep_cell:
-        remarks += write_cell(cell_request(cell, answers, overwrite=True, **others))
-        kept.written[cell.name] = sum_of(cell)
+        remarks += write_cell(cell_request(cell, answers, overwrite=True, **fields))
+        answer_file.written[cell.name] = sum_of(cell)
     if process is not None and not keep_process:
         remarks += write_process(process, needs, answers)
-        kept.written[process.name] = sum_of(process)
+        answer_file.written[process.name] = sum_of(process)
     return StartFiles(cell, process, remarks)
 
 
 def merged(programs: list[ProgramNeeds]) -> ProgramNeeds:
     """Return what several programs need together, for one cell."""
     first = programs[0]
-    spans = [each.span for each in programs if each.span is not None]
+    spans = [program.span for program in programs if program.span is not None]
     corners = [tuple(choose(values) for values in zip(*(span[side] for span in spans), strict=True))
                for side, choose in enumerate((min, max))] if spans else None  # fmt: skip
     union: dict[str, Any] = {
-        name: tuple(dict.fromkeys(value for each in programs for value in getattr(each, name)))
+        name: tuple(dict.fromkeys(value for program in programs for value in getattr(program, name)))
         for name in ("tools", "work_offsets", "m_codes", "rotary", "settings")
     }
     return ProgramNeeds(
         first.file,
         first.dialect,
-        cutters={number: cutter for each in reversed(programs) for number, cutter in each.cutters.items()},
-        tip_controlled=all(each.tip_controlled for each in programs if each.rotary),
-        switches=frozenset().union(*(each.switches for each in programs)),
-        forces_stated=all(each.forces_stated for each in programs),
-        has_speeds=all(each.has_speeds for each in programs),
+        cutters={number: cutter for program in reversed(programs) for number, cutter in program.cutters.items()},
+        tip_controlled=all(program.tip_controlled for program in programs if program.rotary),
+        switches=frozenset().union(*(program.switches for program in programs)),
+        forces_stated=all(program.forces_stated for program in programs),
+        has_speeds=all(program.has_speeds for program in programs),
         span=None if corners is None else (corners[0], corners[1]),
         **union,
     )

@@ -27,9 +27,9 @@ from postproc.under_load import RobotInCell
 
 FILES = ("place.csv", "place.html", "place.toml", "place.json")
 """Files of a search, the record last."""
-_AROUND = {"X": 400.0, "Y": 400.0, "Z": 200.0, "A": 45.0}
+_DEFAULT_REACH = {"X": 400.0, "Y": 400.0, "Z": 200.0, "A": 45.0}
 """Without a region the place may change by this [mm, deg]."""
-_FARTHEST = 1e5
+_LARGEST_COORDINATE = 1e5
 """Largest bound of a region [mm, deg]."""
 _BOUNDS = re.compile(r"\s*(\w+)\s*=\s*([-+.\deE]+)\s*:\s*([-+.\deE]+)\s*")
 
@@ -88,10 +88,10 @@ def make_place(request: PlaceRequest, progress: Callable[[int, int], None] | Non
     }
     if search.best is not None:
         contents[FILES[2]] = report.base_toml(search, cell, content)
-    written = write_whole(
+    paths = write_whole(
         request.output, with_record(contents, FILES[-1], lambda entries: report.finished(content, entries))
     )
-    return PlaceFiles(content, tuple(written))
+    return PlaceFiles(content, tuple(paths))
 
 
 def _clearance(request: PlaceRequest, cell: Cell) -> float | None:
@@ -112,7 +112,7 @@ def region_of(text: str | None, cell: Cell) -> Region:
     today = {"X": cell.base.X, "Y": cell.base.Y, "Z": cell.base.Z, "A": cell.base.A, "E1": 0.0}
     low, high = dict(today), dict(today)
     if text is None:
-        for axis, reach in _AROUND.items():
+        for axis, reach in _DEFAULT_REACH.items():
             low[axis], high[axis] = today[axis] - reach, today[axis] + reach
     for part in () if text is None else text.split(","):
         axis, lower, upper = _bounds(part)
@@ -126,17 +126,17 @@ def _bounds(part: str) -> tuple[str, float, float]:
     """Return axis, lower and upper bound of one part of --region."""
     match = _BOUNDS.fullmatch(part)
     advice = f"Write --region X=1200:2000,Y=-600:600,A=-90:90, the smaller number first; axes: {', '.join(AXES)}."
-    where = f"--region {part.strip()!r}"
+    option = f"--region {part.strip()!r}"
     try:
         axis, lower, upper = "" if match is None else match[1], *map(float, () if match is None else match.groups()[1:])
     except ValueError:
-        raise InputError(f"{where}: not AXIS=LOW:HIGH with numbers in mm or degrees", advice=advice) from None
+        raise InputError(f"{option}: not AXIS=LOW:HIGH with numbers in mm or degrees", advice=advice) from None
     if axis not in AXES:
-        raise InputError(f"{where}: no axis {axis!r}", advice=f"{did_you_mean(axis, AXES)} {advice}".lstrip())
+        raise InputError(f"{option}: no axis {axis!r}", advice=f"{did_you_mean(axis, AXES)} {advice}".lstrip())
     if lower > upper:
-        raise InputError(f"{where}: {lower:g} is larger than {upper:g}", advice=advice)
-    if max(abs(lower), abs(upper)) > _FARTHEST:
-        raise InputError(f"{where}: farther than {_FARTHEST:g}", advice=advice)
+        raise InputError(f"{option}: {lower:g} is larger than {upper:g}", advice=advice)
+    if max(abs(lower), abs(upper)) > _LARGEST_COORDINATE:
+        raise InputError(f"{option}: farther than {_LARGEST_COORDINATE:g}", advice=advice)
     return axis, lower, upper
 
 
@@ -171,15 +171,15 @@ def _assessment(request: PlaceRequest, cell: Cell, robot: RobotModel, place: Jud
         deflection = max(deflection, content.before.max_mm * M_PER_MM)
         verdicts.append(content.verdict.better)
     better = [verdict for verdict in verdicts if verdict is not None]
-    uncorrected, corrected = (
+    uncorrected, corrected_mm = (
         [getattr(verdict, key) for verdict in better] for key in ("uncorrected_mm", "corrected_mm")
     )
-    is_known = len(better) > 0 and None not in corrected
+    is_known = len(better) > 0 and None not in corrected_mm
     chances = [verdict.chance for verdict in better if verdict.chance is not None]
     return Assessment(
         deflection=deflection,
         uncorrected=max(uncorrected) * M_PER_MM if is_known else None,
-        corrected=max(corrected) * M_PER_MM if is_known else None,
+        corrected=max(corrected_mm) * M_PER_MM if is_known else None,
         chance=min(chances, default=None),
     )
 
@@ -201,10 +201,10 @@ def _cell_at(cell: Cell, place: Judged) -> Cell:
 
 def _samples(request: PlaceRequest, cell: Cell, robot: RobotModel) -> tuple[Sequence[PathSamples], list[str]]:
     robot_in_cell, samples, names = RobotInCell.of(robot, cell), list[PathSamples](), []
-    elsewhere = msgspec.structs.replace(cell, base=msgspec.structs.replace(cell.base, X=cell.base.X + 1.0))
+    shifted_cell = msgspec.structs.replace(cell, base=msgspec.structs.replace(cell.base, X=cell.base.X + 1.0))
     for path, program, source in programs_under_force(request.programs, request.forces or request.process, robot, cell):
-        moved = read_program(path, robot, elsewhere) if program.keeps_text else None
-        region.check_base(program, robot_in_cell, moved)
+        shifted_program = read_program(path, robot, shifted_cell) if program.keeps_text else None
+        region.check_base(program, robot_in_cell, shifted_program)
         samples.append(PathSamples.of(program, robot_in_cell, source))
         names.append(path.name)
     return samples, names

@@ -65,8 +65,8 @@ class PlanRequest(Struct, frozen=True, kw_only=True):
 
     def reads(self) -> list[Path]:
         """Return the files that are read."""
-        given = filter(None, (self.forces, self.poses, self.measured))
-        return [self.experiment, self.cell, *given, *map(Path, self.programs)]
+        option_files = filter(None, (self.forces, self.poses, self.measured))
+        return [self.experiment, self.cell, *option_files, *map(Path, self.programs)]
 
 
 class PlanFiles(Struct, frozen=True, eq=False):
@@ -122,8 +122,8 @@ def make_plan(request: PlanRequest, progress: Progress | None = None) -> PlanFil
         note = f"no {src}: the controller of {robot.title} reads {robot.language}, and only KRL is written for plans"
         result = replace(result, warnings=(*result.warnings, note))
     contents[html] = plan_page(result, stem)
-    written = write_whole(folder, with_record(contents, record, lambda files: plan_json(result, files)))
-    return PlanFiles(result, tuple(written))
+    paths = write_whole(folder, with_record(contents, record, lambda files: plan_json(result, files)))
+    return PlanFiles(result, tuple(paths))
 
 
 class CompensatorRequest(Struct, frozen=True, kw_only=True):
@@ -182,27 +182,28 @@ def _test_poses(request: PlanRequest, robot: RobotModel, cell: Cell) -> TestPose
     return milling.joined(cutting_states(request.programs, request.forces, robot, cell))
 
 
-def cutting_states(programs: Sequence[str], given: Path | None, robot: RobotModel, cell: Cell) -> list[TestPoses]:
+def cutting_states(programs: Sequence[str], force_path: Path | None, robot: RobotModel, cell: Cell) -> list[TestPoses]:
     """Return poses and forces all along the cutting moves of each program.
 
     :param programs: files, folders, patterns; subprograms that others call count with them.
-    :param given: CSV file of forces, a folder of such files, or process.toml they are computed from.
+    :param force_path: CSV file of forces, a folder of such files, or process.toml they are computed from.
     :raises PostprocError: a program or its forces cannot be read or followed, or none of its moves carries a force.
     """
     return [
         milling.from_program(program, robot, cell, source)
-        for _, program, source in programs_under_force(programs, given, robot, cell)
+        for _, program, source in programs_under_force(programs, force_path, robot, cell)
     ]
 
 
-def check_same_arm(measured: RobotModel, mills: RobotModel) -> None:
+def check_same_arm(measured_robot: RobotModel, mills: RobotModel) -> None:
     """Refuse models of different arms; different models (priors, identified ones) of one arm are valid.
 
     :raises InputError: the arms differ.
     """
-    one, other = measured.nominal, mills.nominal
-    if abs(one.placement - other.placement).max() > 1e-6 or abs(one.axis - other.axis).max() > 1e-6:
+    first, second = measured_robot.nominal, mills.nominal
+    if abs(first.placement - second.placement).max() > 1e-6 or abs(first.axis - second.axis).max() > 1e-6:
         raise InputError(
-            f"the experiment is with robot {measured.name}, the cell has {mills.name}, an arm of other dimensions",
+            f"the experiment is with robot {measured_robot.name}, the cell has {mills.name}, an arm of other "
+            "dimensions",
             advice="Plan the measurements for the robot that mills.",
         )

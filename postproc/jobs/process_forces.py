@@ -48,9 +48,9 @@ _AIM = 0.997
 """Trials are this share of the feed at which the tolerance would be reached, so that most hold it at once."""
 _CLOSE = 0.01
 """A feed that could be higher by this share at most is high enough."""
-_BACK = 0.99
+_BACKSTEP = 0.99
 """Share of its feed that a motion gets if it exceeds the tolerance at a feed at which it did not before."""
-_ALMOST_NONE = 1e-3
+_FEED_FLOOR = 1e-3
 """Share of the programmed feed at which the errors are taken for those without feed."""
 _STEP = 1e-6
 """Feeds are multiples of this [m/s]: that is what programs print."""
@@ -70,21 +70,23 @@ def held(program: Program, length: Array, cell: Cell, exponent: float, trial: Tr
     :param trial: converts the program with the feeds of its motions.
     :raises InputError: the model states no uncertainty, so that no error is expected.
     """
-    m, least = program.motions, cell.output.min_feed_mm_per_min / _MM_PER_MIN
+    m, min_feed = program.motions, cell.output.min_feed_mm_per_min / _MM_PER_MIN
     result = trial(program)
     if result.failed:
         return result
     if result.expected is None or cell.part_tolerance is None:
         advice = 'Give sigma_percent or a covariance in its model.toml, or write feed = "program".'
         raise InputError('[output] feed = "hold": the robot model states no uncertainty', advice=advice)
-    lowest = cell.output.unheld == "lowest"
-    search = _Search(program, cell.part_tolerance, least, 1.0 - exponent, _of_motions(result), lowest=lowest)
-    without = np.full(len(m), np.nan)
+    uses_min_feed = cell.output.unheld == "lowest"
+    search = _Search(
+        program, cell.part_tolerance, min_feed, 1.0 - exponent, _of_motions(result), uses_min_feed=uses_min_feed
+    )
+    floor_error = np.full(len(m), np.nan)
     if search.open.any():
-        result = trial(search.program(search.least))
+        result = trial(search.program(search.min_feeds))
         if not result.failed and (unheld := search.start(_of_motions(result))).any():
-            result = trial(search.program(np.maximum(_ALMOST_NONE * m.feed, _STEP)))
-            without[unheld] = _of_motions(result)[unheld]
+            result = trial(search.program(np.maximum(_FEED_FLOOR * m.feed, _STEP)))
+            floor_error[unheld] = _of_motions(result)[unheld]
             search.give_up(unheld)
         for _ in range(_TRIALS):
             if result.failed:
@@ -96,7 +98,7 @@ def held(program: Program, length: Array, cell: Cell, exponent: float, trial: Tr
             result = trial(search.program(search.low))
     error = _of_motions(result)
     feed = result.program.motions.feed
-    held_feed = HeldFeed(cell.part_tolerance, least, cell.output.unheld, m.feed, feed, length, error, without)
+    held_feed = HeldFeed(cell.part_tolerance, min_feed, cell.output.unheld, m.feed, feed, length, error, floor_error)
     return replace(result, held_feed=held_feed)
 
 
@@ -104,25 +106,25 @@ class _Search:
     """Bounds of the feed of each motion, by false position.
 
     :ivar open: (M,) motions whose feed may be lowered.
-    :ivar feed: (M,) of the last trial; held_before: (M,) motions that held the tolerance in the trial before it.
+    :ivar feed: (M,) of the last trial; was_good: (M,) motions that held the tolerance in the trial before it.
     :ivar low: (M,) feed that holds the tolerance as far as is known, with error_low; high: (M,) feed that does not.
     :ivar error_low, error_high: (M,) errors there, or what the Illinois method takes for them.
     """
 
     def __init__(
-        self, program: Program, tolerance: float, least: float, power: float, error: Array, *, lowest: bool
+        self, program: Program, tolerance: float, min_feed: float, power: float, error: Array, *, uses_min_feed: bool
     ) -> None:
         """Begin with the errors (M,) at the programmed feeds.
 
-        :param lowest: motions that no feed holds get the least one; else they keep theirs.
+        :param uses_min_feed: motions that no feed holds get the least one; else they keep theirs.
         """
         m = program.motions
         self.of, self.power, self.feed = program, power, m.feed
-        self.limit, self.lowest = tolerance, lowest
+        self.limit, self.uses_min_feed = tolerance, uses_min_feed
         self.high, self.error_high = m.feed.copy(), error
-        self.least = np.minimum(m.feed, np.ceil(least / _STEP) * _STEP)
-        self.low, self.error_low = self.least.copy(), np.zeros(len(m))
-        self.held_before, self.missed_before = np.zeros(len(m), dtype=bool), np.zeros(len(m), dtype=bool)
+        self.min_feeds = np.minimum(m.feed, np.ceil(min_feed / _STEP) * _STEP)
+        self.low, self.error_low = self.min_feeds.copy(), np.zeros(len(m))
+        self.was_good, self.was_bad = np.zeros(len(m), dtype=bool), np.zeros(len(m), dtype=bool)
         self.open: Bools = np.asarray(~m.rapid & (error > tolerance) & (self.low < self.high))
 
     def program(self, feed: Array) -> Program:
@@ -141,8 +143,8 @@ class _Search:
 
     def give_up(self, unheld: Bools) -> None:
         """Settle the feed of motions (M,) that no feed holds."""
-        if self.lowest:
-            self.high[unheld] = self.low[unheld] = self.least[unheld]
+        if self.uses_min_feed:
+            self.high[unheld] = self.low[unheld] = self.min_feeds[unheld]
         else:
             self.open = self.open & ~unheld
 
@@ -151,45 +153,45 @@ class _Search:
         low, high = self.low**self.power, self.high**self.power
         gap = self.error_high - self.error_low
         share = np.clip((self.limit - self.error_low) / np.where(gap > 0.0, gap, 1.0), 0.0, 1.0)
-        tried = (low + share * (high - low)) ** (1.0 / self.power) * np.where(self.low < self.high, _AIM, 1.0)
-        return np.asarray(np.clip(np.floor(tried / _STEP + 1e-6) * _STEP, self.low, self.high))
+        feed = (low + share * (high - low)) ** (1.0 / self.power) * np.where(self.low < self.high, _AIM, 1.0)
+        return np.asarray(np.clip(np.floor(feed / _STEP + 1e-6) * _STEP, self.low, self.high))
 
     def settled(self, error: Array) -> bool:
         """Take the errors (M,) at the feeds of the last trial; return whether these feeds are to be written."""
-        fixed = self.low >= self.high
-        held = error <= self.limit
-        good, bad = self.open & ~fixed & held, self.open & ~fixed & ~held
-        more = np.minimum(self._reserve(error), self.high - self.feed)
-        close = fixed | (good & (more <= _CLOSE * self.feed))
-        again, over = good & self.held_before, bad & self.missed_before
-        self.error_high[again] = 0.5 * (self.limit + self.error_high[again])
-        self.error_low[over] = 0.5 * (self.limit + self.error_low[over])
-        stuck = bad & (self.feed <= self.low)  # the error depends on the motions before, too
-        unheld = stuck & (self.feed <= self.least)
+        is_fixed = self.low >= self.high
+        is_within = error <= self.limit
+        good, bad = self.open & ~is_fixed & is_within, self.open & ~is_fixed & ~is_within
+        reserve = np.minimum(self._reserve(error), self.high - self.feed)
+        close = is_fixed | (good & (reserve <= _CLOSE * self.feed))
+        repeats_good, repeats_bad = good & self.was_good, bad & self.was_bad
+        self.error_high[repeats_good] = 0.5 * (self.limit + self.error_high[repeats_good])
+        self.error_low[repeats_bad] = 0.5 * (self.limit + self.error_low[repeats_bad])
+        is_stuck = bad & (self.feed <= self.low)  # the error depends on the motions before, too
+        unheld = is_stuck & (self.feed <= self.min_feeds)
         self.low[good], self.error_low[good] = self.feed[good], error[good]
-        self.low[stuck] = np.maximum(self.least, _BACK * self.low)[stuck]
+        self.low[is_stuck] = np.maximum(self.min_feeds, _BACKSTEP * self.low)[is_stuck]
         self.high[bad], self.error_high[bad] = self.feed[bad], error[bad]
-        self.held_before, self.missed_before = good, bad
+        self.was_good, self.was_bad = good, bad
         self.give_up(unheld)
-        return bool(np.all(~self.open | close)) and not (unheld.any() and not self.lowest)
+        return bool(np.all(~self.open | close)) and not (unheld.any() and not self.uses_min_feed)
 
     def _reserve(self, error: Array) -> Array:
         """Return by how much the feed (M,) could be higher [m/s], by the smaller of the slopes below and above it.
 
         Where the error bends upwards the slope above is too large, where it bends downwards the one below.
         """
-        above = (self.error_high - error) / np.maximum(self.high - self.feed, _STEP)
-        below = (error - self.error_low) / np.maximum(self.feed - self.low, _STEP)
-        below = np.where(self.feed > self.low, below, np.inf)
-        return np.asarray((self.limit - error) / np.maximum(np.minimum(above, below), 1e-12))
+        upper_slope = (self.error_high - error) / np.maximum(self.high - self.feed, _STEP)
+        lower_slope = (error - self.error_low) / np.maximum(self.feed - self.low, _STEP)
+        lower_slope = np.where(self.feed > self.low, lower_slope, np.inf)
+        return np.asarray((self.limit - error) / np.maximum(np.minimum(upper_slope, lower_slope), 1e-12))
 
 
 def _of_motions(result: Result) -> Array:
     """Return the largest expected error (M,) [m] of each motion; 0 without a target or a cut."""
-    out = np.zeros(len(result.program.motions))
+    largest_error = np.zeros(len(result.program.motions))
     if result.expected is not None:
-        np.maximum.at(out, result.motion, result.expected)
-    return out
+        np.maximum.at(largest_error, result.motion, result.expected)
+    return largest_error
 
 
 _ROUNDS = 8
@@ -198,7 +200,7 @@ _FIRST = 0.9
 """Share of the deflection on the nominal path that is tried first: the tool that deflects cuts less."""
 _LARGEST = 0.8
 """Largest share of the last change of the deflection that is taken back: it oscillates by no more, but at walls."""
-_SETTLED = 2e-6
+_CONVERGENCE = 2e-6
 """Force and deflection agree when the deflection is known to this [m] RMS along the cutting path,"""
 _SHARE = 0.05
 """or to this share of it;"""
@@ -219,15 +221,15 @@ def read(path: Path, cell: Cell, progress: Callable[[int, int], None] | None = N
 
 def _guard(table: Collision) -> Guard:
     """Return what must stay clear of the stock: the cylinders of the tool above the cutter."""
-    held = list(cylinders(table.holder))
-    parts = [Part(each.name, each.radius, each.begin) for each in held if not each.cuts]
-    cutter = next((2.0 * each.radius for each in held if each.cuts), None)
+    tool_cylinders = list(cylinders(table.holder))
+    parts = [Part(part.name, part.radius, part.begin) for part in tool_cylinders if not part.cuts]
+    cutter = next((2.0 * part.radius for part in tool_cylinders if part.cuts), None)
     return Guard(parts, table.clearance_mm * M_PER_MM, cutter)
 
 
-def stock(found: ProcessForces) -> bytes:
+def stock(process: ProcessForces) -> bytes:
     """Return the remaining stock as GLB."""
-    return bytes(as_trimesh(*found.mesh()).export(file_type="glb"))
+    return bytes(as_trimesh(*process.mesh()).export(file_type="glb"))
 
 
 def predicted(program: Program, robot: RobotModel, cell: Cell, source: ProcessSource) -> tuple[Result, ProcessSource]:
@@ -246,36 +248,38 @@ def predicted(program: Program, robot: RobotModel, cell: Cell, source: ProcessSo
         return correction.process(program, robot, cell, source, "predict"), source
     if source.found is None:
         return correction.process(program, robot, cell, source, "predict"), source
-    here, weight = (path.sample.motion, path.sample.t), _weights(path)
-    cut, rounds, settled = source, 0, False
-    deviation, offset, moved = residual, _FIRST * residual, _FIRST * residual
-    while not settled and rounds < _ROUNDS:
+    places, weight = (path.sample.motion, path.sample.t), _weights(path)
+    cut, rounds, is_settled = source, 0, False
+    deviation, offset, last_shift = residual, _FIRST * residual, _FIRST * residual
+    while not is_settled and rounds < _ROUNDS:
         rounds += 1
-        cut = source.shifted(Shift.of(program, *here, offset))
-        along = forces.assign(program, motions.segments, cut, motions.robot_in_cell.spindle, motions.robot_in_cell.ramp)
-        changed = _deviation(replace(path, wrench=along.at(path.sample))) - deviation
-        deviation = deviation + changed
-        residual, before = deviation - offset, residual
-        moves = residual - _taken_back(residual, residual - before, weight) * changed
-        enough = max(_SETTLED, _SHARE * _rms(deviation, weight))
-        settled = _next(changed, moved, moves, weight) < enough
-        if rounds > 1 and not settled:
-            settled = _next(changed, moved, moves, _without_contact(weight, residual)) < enough
-        moved, offset = moves, offset + moves
+        cut = source.shifted(Shift.of(program, *places, offset))
+        path_forces = forces.assign(
+            program, motions.segments, cut, motions.robot_in_cell.spindle, motions.robot_in_cell.ramp
+        )
+        change = _deviation(replace(path, wrench=path_forces.at(path.sample))) - deviation
+        deviation = deviation + change
+        residual, last_residual = deviation - offset, residual
+        moves = residual - _taken_back(residual, residual - last_residual, weight) * change
+        limit = max(_CONVERGENCE, _SHARE * _rms(deviation, weight))
+        is_settled = _next(change, last_shift, moves, weight) < limit
+        if rounds > 1 and not is_settled:
+            is_settled = _next(change, last_shift, moves, _without_contact(weight, residual)) < limit
+        last_shift, offset = moves, offset + moves
     result = correction.process(program, robot, cell, cut, "predict")
     if result.failed or source.found is None:
         return result, cut
-    one, other = (float(norm(each[:, :3]).max(initial=0.0)) for each in (path.wrench, result.wrench))
-    removed = [0.0 if each.found is None else each.found.removed * 1e9 for each in (source, cut)]
+    nominal_force, real_force = (float(norm(item[:, :3]).max(initial=0.0)) for item in (path.wrench, result.wrench))
+    volumes = [0.0 if item.found is None else item.found.removed * 1e9 for item in (source, cut)]
     message = (
-        f"forces of the deflected tool ({rounds} round{'s' * (rounds != 1)}): largest force {other:.0f} N, "
-        f"{one:.0f} N on the nominal path; removed {removed[1]:.0f} mm³ of {removed[0]:.0f}. The corrected "
+        f"forces of the deflected tool ({rounds} round{'s' * (rounds != 1)}): largest force {real_force:.0f} N, "
+        f"{nominal_force:.0f} N on the nominal path; removed {volumes[1]:.0f} mm³ of {volumes[0]:.0f}. The corrected "
         "program has the nominal engagement."
     )
-    note = Issue("info" if settled else "warning", "real-cut", message)
+    note = Issue("info" if is_settled else "warning", "real-cut", message)
     hits = [issue for issue in source.found.issues if issue.kind in ("rapid-in-material", "collision")]
-    as_engaged = correction.process(program, robot, cell, source, "predict")
-    return replace(result, issues=(*result.issues, *hits, note), as_engaged=as_engaged), cut
+    result_as_engagement = correction.process(program, robot, cell, source, "predict")
+    return replace(result, issues=(*result.issues, *hits, note), as_engaged=result_as_engagement), cut
 
 
 def _deviation(path: PathUnderLoad) -> Array:
@@ -288,8 +292,8 @@ def _weights(path: PathUnderLoad) -> Array:
     """Return the length (N,) [m] of the cutting path around each sample: samples are dense where forces change."""
     motion, length = path.sample.motion, path.motions.segments.length
     place = (np.cumsum(length) - length)[motion] + length[motion] * path.sample.t
-    around = 0.5 * (np.diff(place, prepend=place[:1]) + np.diff(place, append=place[-1:]))
-    return np.asarray(np.where(path.program.motions.rapid[motion], 0.0, around))
+    length_share = 0.5 * (np.diff(place, prepend=place[:1]) + np.diff(place, append=place[-1:]))
+    return np.asarray(np.where(path.program.motions.rapid[motion], 0.0, length_share))
 
 
 def with_held_feed(
@@ -304,8 +308,8 @@ def with_held_feed(
         raise InputError('[output] feed = "hold" without [material]', file=source.name, advice=advice)
     path = toolpath.segments(program, RobotInCell.of(robot, cell).start_flange)
 
-    def trial(changed: Program) -> Result:
-        return correction.process(changed, robot, cell, source, linearize_arcs=linearize_arcs, to=to)
+    def trial(slow_program: Program) -> Result:
+        return correction.process(slow_program, robot, cell, source, linearize_arcs=linearize_arcs, to=to)
 
     return held(program, path.length, cell, source.process.law().exponent, trial)
 
@@ -319,26 +323,26 @@ def _taken_back(residual: Array, change: Array, weight: Array) -> float:
     :param weight: (n,) of the places.
     """
     square = float(weight @ np.sum(change * change, axis=1))
-    found = float(weight @ np.sum(residual * change, axis=1)) / square if square > 0.0 else 0.0
-    return float(np.clip(found, 0.0, _LARGEST))
+    share = float(weight @ np.sum(residual * change, axis=1)) / square if square > 0.0 else 0.0
+    return float(np.clip(share, 0.0, _LARGEST))
 
 
-def _next(changed: Array, moved: Array, moves: Array, weight: Array) -> float:
+def _next(change: Array, shift: Array, next_shift: Array, weight: Array) -> float:
     """Return an estimate [m] of the change of the deflection in the next round.
 
-    :param changed: (n, 3) change of the deflection in this round, when the cut was displaced by `moved` (n, 3) more.
-    :param moves: (n, 3) by how much it is displaced next.
+    :param change: (n, 3) change of the deflection in this round, when the cut was displaced by `shift` (n, 3) more.
+    :param next_shift: (n, 3) by how much it is displaced next.
     """
-    rate = _rms(changed, weight) / max(_rms(moved, weight), _SETTLED)
-    return min(rate, 1.0) * _rms(moves, weight)
+    rate = _rms(change, weight) / max(_rms(shift, weight), _CONVERGENCE)
+    return min(rate, 1.0) * _rms(next_shift, weight)
 
 
 def _without_contact(weight: Array, residual: Array) -> Array:
     """Return the weights (n,) with 0 at the places where the residual (n, 3) is largest, see `_CONTACT`."""
     order = np.argsort(-norm(residual))
-    out = weight.copy()
-    out[order[: np.searchsorted(np.cumsum(weight[order]), _CONTACT * weight.sum(), side="right")]] = 0.0
-    return out
+    place_weight = weight.copy()
+    place_weight[order[: np.searchsorted(np.cumsum(weight[order]), _CONTACT * weight.sum(), side="right")]] = 0.0
+    return place_weight
 
 
 def _rms(vectors: Array, weight: Array) -> float:
@@ -392,9 +396,9 @@ def make_forces(request: ForcesRequest, progress: Callable[[int, int], None] | N
     protect(filter(None, (request.program, request.cell, request.process, request.stock)), folder, names)
     if not request.overwrite:
         refuse(foreign(folder, names, names[-1]))
-    found = None
+    forces = None
     if process.material is not None:
-        found = machining.estimate(
+        forces = machining.estimate(
             program,
             path,
             process,
@@ -403,18 +407,18 @@ def make_forces(request: ForcesRequest, progress: Callable[[int, int], None] | N
             base_axes=request.base_axes,
             progress=progress,
         )
-    knots = _knots(program, process, found)
-    content = process_forces.summary(program, found, int(knots.ramped.sum()))
+    knots = _knots(program, process, forces)
+    content = process_forces.summary(program, forces, int(knots.ramped.sum()))
     rows = machining.one_move_a_line(program, path, place.spindle, knots)
     contents: dict[str, bytes | Iterable[bytes]] = {names[0]: process_forces.forces_csv(program, rows)}
     if request.stock_out is not None:
-        if found is None:
+        if forces is None:
             raise InputError(
                 "--stock-out without [material]", advice="The remaining stock is known only where the tool is swept."
             )
-        mesh = as_trimesh(*found.mesh())
+        mesh = as_trimesh(*forces.mesh())
         contents[names[1]] = bytes(mesh.export(file_type=request.stock_out.suffix[1:].lower()))
-    issues = (*(() if found is None else found.issues), *knots.issues)
+    issues = (*(() if forces is None else forces.issues), *knots.issues)
     record = with_record(contents, names[-1], lambda entries: process_forces.finished(content, issues, entries))
     return ForcesFiles(content, issues, tuple(write_whole(folder, record)))
 
@@ -433,36 +437,36 @@ def _names(request: ForcesRequest) -> tuple[Path, list[str]]:
     return folder, [*names, f"{request.output.stem}.json"]
 
 
-def _knots(program: Program, process: Process, found: ProcessForces | None) -> Knots:
+def _knots(program: Program, process: Process, forces: ProcessForces | None) -> Knots:
     """Return the forces of all moves; those of operations take precedence."""
-    if found is None:
+    if forces is None:
         return machining.by_operation(program, process)
-    return machining.by_operation(program, process).over(found.along) if process.operations else found.along
+    return machining.by_operation(program, process).over(forces.along) if process.operations else forces.along
 
 
 def identify_forces(
-    measured: Path, process: Path, output: Path, tool: int | None, *, overwrite: bool = False
+    readings_path: Path, process: Path, output: Path, tool: int | None, *, overwrite: bool = False
 ) -> tuple[IdentifiedMaterial, list[Path]]:
     """Identify cutting coefficients, and write them as TOML with a page of the same name.
 
-    :param measured: CSV file of readings.
+    :param readings_path: CSV file of readings.
     :param process: process.toml with the tool.
     :param tool: number of the tool; None: the only one.
     :raises PostprocError: the readings are unusable, or the file must not be replaced.
     """
     page = output.with_suffix(".html")
-    protect([measured, process], output.parent, [output.name, page.name])
+    protect([readings_path, process], output.parent, [output.name, page.name])
     if not overwrite:
         refuse(foreign_single(output))
-    given = machining.load(process, tools_only=True)
-    _, entry = identification.tool_of(given, tool)
-    readings = identification.read(measured)
-    found = identification.identify(readings, entry, given.material, str(measured))
+    process_file = machining.load(process, tools_only=True)
+    _, entry = identification.tool_of(process_file, tool)
+    readings = identification.read(readings_path)
+    material = identification.identify(readings, entry, process_file.material, str(readings_path))
     contents = {
-        output.name: identification.as_toml(found, entry, measured.name),
-        page.name: material_page(found, readings, measured.name),
+        output.name: identification.as_toml(material, entry, readings_path.name),
+        page.name: material_page(material, readings, readings_path.name),
     }
-    return found, write_whole(output.parent, contents)
+    return material, write_whole(output.parent, contents)
 
 
 def propose_cuts(process: Path, output: Path, tool: int | None, *, overwrite: bool = False) -> list[Path]:
@@ -470,12 +474,12 @@ def propose_cuts(process: Path, output: Path, tool: int | None, *, overwrite: bo
 
     :raises PostprocError: the process has no such tool, or a file must not be replaced.
     """
-    given = machining.load(process, tools_only=True)
-    key, entry = identification.tool_of(given, tool)
+    process_file = machining.load(process, tools_only=True)
+    key, entry = identification.tool_of(process_file, tool)
     table = output.with_suffix(".csv")
     protect([process], output.parent, [output.name, table.name])
-    there = [path for path in (output, table) if path.exists()]
-    if there and not overwrite:
-        raise ForceError("this file exists", file=str(there[0]), advice="Give another name, or --overwrite.")
-    program, rows = identification.proposal(given, key, entry)
+    conflicts = [path for path in (output, table) if path.exists()]
+    if conflicts and not overwrite:
+        raise ForceError("this file exists", file=str(conflicts[0]), advice="Give another name, or --overwrite.")
+    program, rows = identification.proposal(process_file, key, entry)
     return write_whole(output.parent, {output.name: program, table.name: rows})

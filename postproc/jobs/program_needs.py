@@ -205,7 +205,7 @@ def _span(motions: Motions) -> tuple[tuple[float, float, float], tuple[float, fl
     return (x, y, z), (u, v, w)
 
 
-_STATED: Mapping[str, Any] = {"home": [0.0, 0.0, _CLEARANCE_MM], "radius_offsets": "wear", "dwell_unit": "ms"}
+_ASSUMED_ANSWERS: Mapping[str, Any] = {"home": [0.0, 0.0, _CLEARANCE_MM], "radius_offsets": "wear", "dwell_unit": "ms"}
 """Settings that only some programs need, and an answer for the trial."""
 
 
@@ -220,31 +220,31 @@ class _Trial:
         """Return the program as it is read with every answer, why it is refused then, and the settings it needs."""
         if registry.by_name(self.dialect).writer is not None:
             return self._of_robot()
-        program, refusal = self._read(_STATED)
-        needed = []
+        program, refusal = self._read(_ASSUMED_ANSWERS)
+        settings = []
         if program is not None:
-            for setting in _STATED:
-                others = {key: value for key, value in _STATED.items() if key != setting}
-                if self._read(others)[0] is None:
-                    needed.append(setting)
-        return program, refusal, tuple(needed)
+            for setting in _ASSUMED_ANSWERS:
+                answers = {key: value for key, value in _ASSUMED_ANSWERS.items() if key != setting}
+                if self._read(answers)[0] is None:
+                    settings.append(setting)
+        return program, refusal, tuple(settings)
 
     def _of_robot(self) -> tuple[Program | None, str, tuple[str, ...]]:
         """Return a robot program; its own frames may be missing here, which is no refusal."""
         return self._read({})[0], "", ()
 
-    def _read(self, stated: Mapping[str, Any]) -> tuple[Program | None, str]:
+    def _read(self, answers: Mapping[str, Any]) -> tuple[Program | None, str]:
         try:
-            return correction.read(self.documents, self.robot, self._cell(stated), self.name, self.dialect), ""
+            return correction.read(self.documents, self.robot, self._cell(answers), self.name, self.dialect), ""
         except InputError as cause:
             return None, str(cause)
 
-    def _cell(self, stated: Mapping[str, Any]) -> Cell:
+    def _cell(self, answers: Mapping[str, Any]) -> Cell:
         letters = [letter for letter in "CBA" if letter in self.survey.rotary]
         gcode = GCode(
             tool_change=[],
-            radius_offsets=stated.get("radius_offsets", "radius"),
-            dwell_unit=stated.get("dwell_unit"),
+            radius_offsets=answers.get("radius_offsets", "radius"),
+            dwell_unit=answers.get("dwell_unit"),
         )
         return Cell(
             robot=_ROBOT,
@@ -252,7 +252,7 @@ class _Trial:
             tool=Tool(Z=350.0),
             start=Start(_START),
             gcode=gcode,
-            machine=Machine(home=stated.get("home"), clearance_Z=_CLEARANCE_MM),
+            machine=Machine(home=answers.get("home"), clearance_Z=_CLEARANCE_MM),
             m_codes={code: [] for code in self.survey.m_codes},
             work_offsets={code: Frame() for code in self.survey.work_offsets},
             rotary=Rotary(axes=letters[:2], kind="tcp") if letters else None,  # type: ignore[arg-type]

@@ -143,10 +143,10 @@ def find_jobs(
     programs = _unique(path for name in inputs for path in _expand(name, dialect))
     programs = _without_parts(programs, {resolved(Path(name)) for name in inputs}, dialect)
     callers = _callers([path for path in programs if str(path) not in inputs], programs, dialect)
-    own = [path for path in programs if path not in callers]
-    csv = _forces_for(own, forces)
-    if name is not None and len(own) > 1:
-        raise InputError(f"one name for {len(own)} programs", advice="Give --name with one program.")
+    main_programs = [path for path in programs if path not in callers]
+    csv = _forces_for(main_programs, forces)
+    if name is not None and len(main_programs) > 1:
+        raise InputError(f"one name for {len(main_programs)} programs", advice="Give --name with one program.")
     jobs = []
     for path in programs:
         if str(path) in inputs:
@@ -154,9 +154,9 @@ def find_jobs(
         folder = path.parent / "corrected" if output is None else output
         read_as = dialect or registry.of_file(path).name
         written_as, writer = registry.written_in(read_as, to)
-        made = writer.valid(path.stem) if name is None and written_as != read_as else name
+        valid_name = writer.valid(path.stem) if name is None and written_as != read_as else name
         by = tuple(callers.get(path, ()))
-        jobs.append(Job(path, read_as, folder, csv.get(path), made, to, named=str(path) in inputs, callers=by))
+        jobs.append(Job(path, read_as, folder, csv.get(path), valid_name, to, named=str(path) in inputs, callers=by))
     return jobs
 
 
@@ -167,35 +167,35 @@ def read_documents(path: Path, dialect: str) -> list[Document]:
     :raises ProgramError: a file cannot be read, is empty or binary.
     """
     paths = [path, *registry.by_name(dialect).companions(path)]
-    return [replace(decode(one.name, read_bytes(one, ProgramError)), folder=str(one.parent)) for one in paths]
+    return [replace(decode(file.name, read_bytes(file, ProgramError)), folder=str(file.parent)) for file in paths]
 
 
 def _expand(name: str, dialect: str | None) -> Iterator[Path]:
     path = Path(name)
-    known = registry.extensions() if path.is_dir() or glob.has_magic(name) else {}
+    extensions = registry.extensions() if path.is_dir() or glob.has_magic(name) else {}
     if path.is_dir():
-        found = [file for file in path.iterdir() if file.is_file() and file.suffix.lower() in known]
-        if not found:
-            raise InputError("no program in this folder", file=name, advice=f"Looked for {' '.join(known)}.")
-        yield from sorted(found)
+        files = [file for file in path.iterdir() if file.is_file() and file.suffix.lower() in extensions]
+        if not files:
+            raise InputError("no program in this folder", file=name, advice=f"Looked for {' '.join(extensions)}.")
+        yield from sorted(files)
     elif not path.exists() and glob.has_magic(name):
         matches = [Path(match) for match in glob.glob(name, recursive=True)]  # noqa: PTH207 - also absolute patterns
-        found = [file for file in matches if file.is_file() and (dialect or file.suffix.lower() in known)]
-        if not found:
-            raise InputError("the pattern matches no program", file=name, advice=f"Looked for {' '.join(known)}.")
-        yield from sorted(found)
+        files = [file for file in matches if file.is_file() and (dialect or file.suffix.lower() in extensions)]
+        if not files:
+            raise InputError("the pattern matches no program", file=name, advice=f"Looked for {' '.join(extensions)}.")
+        yield from sorted(files)
     else:
         yield path
 
 
-def _without_parts(programs: list[Path], named: set[Path], dialect: str | None) -> list[Path]:
+def _without_parts(programs: list[Path], input_paths: set[Path], dialect: str | None) -> list[Path]:
     """Return programs without the files that others of them call as parts, unless these are named one by one."""
     parts = set()
     for path in programs if len(programs) > 1 else ():
         name = dialect or (registry.of_file(path).name if path.suffix else None)
         if name is not None:
-            parts |= {resolved(other) for other in registry.by_name(name).companions(path)}
-    return [path for path in programs if resolved(path) in named or resolved(path) not in parts]
+            parts |= {resolved(companion) for companion in registry.by_name(name).companions(path)}
+    return [path for path in programs if resolved(path) in input_paths or resolved(path) not in parts]
 
 
 def _callers(unnamed: Sequence[Path], programs: Sequence[Path], dialect: str | None) -> dict[Path, list[Path]]:
@@ -203,19 +203,19 @@ def _callers(unnamed: Sequence[Path], programs: Sequence[Path], dialect: str | N
     folders: dict[tuple[Path, str], list[Path]] = {}
     for path in programs if len(programs) > 1 else ():
         folders.setdefault((path.parent, dialect or path.suffix.lower()), []).append(path)
-    found: dict[Path, list[Path]] = {}
+    callers_of: dict[Path, list[Path]] = {}
     for paths in folders.values():
         kind = registry.by_name(dialect) if dialect else registry.of_file(paths[0])
         if len(paths) > 1 and isinstance(kind, Calling):
-            found |= kind.callers(paths)
-    return {path: callers for path, callers in found.items() if path in unnamed}
+            callers_of |= kind.callers(paths)
+    return {path: callers for path, callers in callers_of.items() if path in unnamed}
 
 
 def _unique(paths: Iterable[Path]) -> list[Path]:
-    seen: dict[Path, Path] = {}
+    by_location: dict[Path, Path] = {}
     for path in paths:
-        seen.setdefault(resolved(path), path)
-    return list(seen.values())
+        by_location.setdefault(resolved(path), path)
+    return list(by_location.values())
 
 
 def _forces_for(programs: Sequence[Path], forces: Path | None) -> dict[Path, Path | None]:
@@ -232,14 +232,14 @@ def _forces_for(programs: Sequence[Path], forces: Path | None) -> dict[Path, Pat
             )
         return dict.fromkeys(programs, forces)
     files = force_files(forces)
-    found = {program: force_file(program, files) for program in programs}
-    if not any(found.values()):
+    file_of_program = {program: force_file(program, files) for program in programs}
+    if not any(file_of_program.values()):
         raise ForceError(
             "no force file for any of the programs in this folder",
             file=str(forces),
             advice=f"Looked for {programs[0].stem} and {programs[0].stem}.forces with {', '.join(extensions())} first.",
         )
-    return found
+    return file_of_program
 
 
 def force_files(folder: Path) -> dict[str, list[Path]]:
@@ -258,14 +258,14 @@ def force_file(program: Path, files: Mapping[str, Sequence[Path]]) -> Path | Non
     :param files: see `force_files`.
     :raises ForceError: there are several.
     """
-    own = [file for file in files.get(program.stem.lower(), ()) if resolved(file) != resolved(program)]
-    if len(own) > 1:
+    candidates = [file for file in files.get(program.stem.lower(), ()) if resolved(file) != resolved(program)]
+    if len(candidates) > 1:
         raise ForceError(
-            f"{len(own)} force files for {program.name}: {' and '.join(file.name for file in own)}",
-            file=str(own[0].parent),
+            f"{len(candidates)} force files for {program.name}: {' and '.join(file.name for file in candidates)}",
+            file=str(candidates[0].parent),
             advice="Leave one of them there.",
         )
-    return own[0] if own else None
+    return candidates[0] if candidates else None
 
 
 GOOD, FAILED, EXCEEDED = 0, 1, 3
@@ -348,10 +348,10 @@ def load_setup(settings: Settings) -> tuple[Cell, RobotModel]:
 
 def as_stated(cell: Cell, settings: Settings) -> Cell:
     """Return a cell with the values that the settings of a run replace."""
-    stated = {name: getattr(settings, name) for name in ("tolerance_mm", "lines_per_file")}
-    stated = {name: value for name, value in stated.items() if value is not None}
-    if stated:
-        cell = msgspec.structs.replace(cell, output=msgspec.structs.replace(cell.output, **stated))
+    output_values = {name: getattr(settings, name) for name in ("tolerance_mm", "lines_per_file")}
+    output_values = {name: value for name, value in output_values.items() if value is not None}
+    if output_values:
+        cell = msgspec.structs.replace(cell, output=msgspec.structs.replace(cell.output, **output_values))
     if settings.part_tolerance_mm is not None:
         part = msgspec.structs.replace(cell.part, tolerance_mm=settings.part_tolerance_mm)
         cell = msgspec.structs.replace(cell, part=part)

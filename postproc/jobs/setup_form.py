@@ -39,14 +39,14 @@ def setup_form(needs: ProgramNeeds, texts: Mapping[str, str], *, cell: bool, pro
     :param texts: answers by key of the question.
     :param cell: ask for the cell; `process`: ask for the process.
     """
-    answers, skipped, fields = Answers(), set[str](), []
-    while question := next_question(needs, answers, skipped, cell=cell, process=process):
+    answers, skipped_keys, fields = Answers(), set[str](), []
+    while question := next_question(needs, answers, skipped_keys, cell=cell, process=process):
         text = texts.get(question.key, question.default or "" if question.optional else "").strip()
         fault = ""
         try:
             answers.put(question, text)
         except InputError as cause:
-            skipped.add(question.key)
+            skipped_keys.add(question.key)
             fault = str(cause) if text else "an answer is missing"
         fields.append(Field(question, text, fault))
     return SetupForm(tuple(fields))

@@ -115,17 +115,19 @@ def flat_tool(process: Process, number: int | None) -> tuple[str, ToolTable]:
 
     :raises ForceError: there is none of that number, or it is not flat.
     """
-    found = process.tool(number)
-    if found is None:
-        known = ", ".join(process.tools) or "none"
-        raise ForceError("the tool of the test part is not given", file=process.path, advice=f"--tool; found: {known}.")
-    if found[1].shape != "flat":
+    tool = process.tool(number)
+    if tool is None:
+        tool_names = ", ".join(process.tools) or "none"
         raise ForceError(
-            f"[tools.{found[0]}] is a {found[1].shape} tool",
+            "the tool of the test part is not given", file=process.path, advice=f"--tool; found: {tool_names}."
+        )
+    if tool[1].shape != "flat":
+        raise ForceError(
+            f"[tools.{tool[0]}] is a {tool[1].shape} tool",
             file=process.path,
             advice="Cut the test part with a flat end mill: its walls and floors are probed.",
         )
-    return found
+    return tool
 
 
 def make_testpart(request: TestPartRequest, progress: Callable[[str], None] = lambda _: None) -> TestPartFiles:
@@ -141,13 +143,13 @@ def make_testpart(request: TestPartRequest, progress: Callable[[str], None] = la
     if box is None:
         raise InputError("no block", file=str(request.process), advice="Give --block, or [stock] box in the process.")
     placements = _placements(cell, request.placements)
-    programs = [name for each in placements for name in (each.name, str(Path(each.name).with_suffix(".src")))]
+    programs = [name for item in placements for name in (item.name, str(Path(item.name).with_suffix(".src")))]
     names = [*programs, "probing.csv", PROCESS, "testpart.html", _RECORD]
     protect([request.cell, request.process], request.output, names)
     if not request.overwrite:
         files.refuse(files.foreign(request.output, names[:-1], _RECORD))
-    placed = tuple(RobotInCell.of(robot, each) for each in placements.values())
-    robot_in_cell = placed[0]
+    robots_in_cell = tuple(RobotInCell.of(robot, item) for item in placements.values())
+    robot_in_cell = robots_in_cell[0]
     prior = _prior(robot_in_cell, process)
     rpm = tool.rpm or float(np.floor(min(12_000.0, 1e3 * _SPEED / (np.pi * tool.diameter_mm)) / 100.0) * 100.0)
     feed = request.feed_mm_per_min or _CHIP * tool.diameter_mm * tool.flutes * rpm
@@ -160,32 +162,38 @@ def make_testpart(request: TestPartRequest, progress: Callable[[str], None] = la
     )
     depth = (request.depth_mm or _DEPTH * tool.diameter_mm) * M_PER_MM
     progress("candidates")
-    found, cutting = design.candidates(prior, placed, process, cutting, depth, box, request.sigma_mm * M_PER_MM)
-    tests = _tests(request, robot_in_cell, found)
+    candidates, cutting = design.candidates(
+        prior, robots_in_cell, process, cutting, depth, box, request.sigma_mm * M_PER_MM
+    )
+    tests = _tests(request, robot_in_cell, candidates)
     progress("choice of features")
     low, high = (np.array([span[k] for span in (box.X, box.Y, box.Z)]) * M_PER_MM for k in (0, 1))
-    hung = features.hanging_places(low, high, cutting.top) if request.weight_kg else np.zeros((0, 3))
-    weighed = design.weighed(prior, placed, cutting, request.weight_kg, hung, request.sigma_mm * M_PER_MM)
-    chosen = design.choose(found, prior, robot_in_cell, tests, request.count, weighed)
+    weight_places = features.hanging_places(low, high, cutting.top) if request.weight_kg else np.zeros((0, 3))
+    weight_readings = design.weighed(
+        prior, robots_in_cell, cutting, request.weight_kg, weight_places, request.sigma_mm * M_PER_MM
+    )
+    selection = design.choose(candidates, prior, robot_in_cell, tests, request.count, weight_readings)
     parts = {}
     contents: dict[str, bytes | Iterable[bytes]] = {}
     for number, (placement, its_cell) in enumerate(placements.items()):
-        own = [chosen.features[k] for k in np.flatnonzero(chosen.placement == number)]
-        first = 1 + int((chosen.placement < number).sum()), 1 + len(hung) * number
+        part_features = [selection.features[k] for k in np.flatnonzero(selection.placement == number)]
+        first = 1 + int((selection.placement < number).sum()), 1 + len(weight_places) * number
         where = placement.title if len(placements) > 1 else ""
-        parts[placement] = features.program(own, cutting, request.weight_kg, hung, first=first, where=where)
+        parts[placement] = features.program(
+            part_features, cutting, request.weight_kg, weight_places, first=first, where=where
+        )
         if len(parts[placement].feature):
             contents[placement.name] = parts[placement].text.encode()
             contents |= _krl(request, placement.name, parts[placement].text, its_cell)
     contents["probing.csv"] = probing.table(parts)
     contents[PROCESS] = _process(process, box)
-    contents["testpart.html"] = design_page(chosen, prior, cutting, parts, box, cell.robot)
-    data = _data(chosen, prior, cutting, parts)
-    written = files.write_whole(
+    contents["testpart.html"] = design_page(selection, prior, cutting, parts, box, cell.robot)
+    data = _data(selection, prior, cutting, parts)
+    paths = files.write_whole(
         request.output,
         files.with_record(contents, _RECORD, lambda entries: files.json_bytes({**data, "files": entries})),
     )
-    return TestPartFiles(chosen, prior, cutting, parts, tuple(written))
+    return TestPartFiles(selection, prior, cutting, parts, tuple(paths))
 
 
 def _prior(robot_in_cell: RobotInCell, process: Process) -> Prior:
@@ -194,33 +202,34 @@ def _prior(robot_in_cell: RobotInCell, process: Process) -> Prior:
 
 
 def _data(
-    chosen: Design, prior: Prior, cutting: Cutting, parts: dict[Placement, features.Program]
+    selection: Design, prior: Prior, cutting: Cutting, parts: dict[Placement, features.Program]
 ) -> dict[str, object]:
     names = [*(parameter.name for parameter in prior.parameters), "forces"]
     return {
         "placements": [
-            {"program": each.name, "frame": each.title, "features": made.features} for each, made in parts.items()
+            {"program": placement.name, "frame": placement.title, "features": program.features}
+            for placement, program in parts.items()
         ],
-        "features": len(chosen.features),
-        "minutes": round(chosen.seconds / 60.0, 2),
+        "features": len(selection.features),
+        "minutes": round(selection.seconds / 60.0, 2),
         "feed_mm_per_min": round(cutting.feed * MM_PER_M * 60.0, 1),
         "rpm": cutting.rpm,
         "trim_mm": round(cutting.trim * MM_PER_M, 3),
-        "tests": chosen.tests,
-        "deflection_mm": round(chosen.own * MM_PER_M, 4),
-        "expected_before_mm": round(chosen.before * MM_PER_M, 4),
-        "expected_after_mm": round(chosen.after * MM_PER_M, 4),
-        "known_to": {name: round(float(share), 3) for name, share in zip(names, chosen.sigma, strict=True)},
+        "tests": selection.tests,
+        "deflection_mm": round(selection.own * MM_PER_M, 4),
+        "expected_before_mm": round(selection.before * MM_PER_M, 4),
+        "expected_after_mm": round(selection.after * MM_PER_M, 4),
+        "known_to": {name: round(float(share), 3) for name, share in zip(names, selection.sigma, strict=True)},
         "change_seen_percent": {
             name: round(100.0 * float(change), 1) if change < MOST_CHANGE else None
-            for name, change in zip(names[:-1], chosen.change, strict=True)
+            for name, change in zip(names[:-1], selection.change, strict=True)
         },
     }
 
 
-def _tests(request: TestPartRequest, robot_in_cell: RobotInCell, found: design.Candidates) -> Tests:
+def _tests(request: TestPartRequest, robot_in_cell: RobotInCell, candidates: design.Candidates) -> Tests:
     if not request.programs:
-        return design.tests_in_block(found)
+        return design.tests_in_block(candidates)
     from postproc.jobs.plan_files import cutting_states  # readers of programs come with it
     from postproc.plan import milling
 
@@ -253,10 +262,10 @@ def _krl(request: TestPartRequest, name: str, text: str, cell: Cell) -> dict[str
 
 def _process(process: Process, box: Box) -> bytes:
     """Return the process with the block as its stock."""
-    given = process.material
-    if given is not None and given.file is not None:
-        given = replace(given, file=str((Path(process.path).parent / given.file).resolve()))
-    content = ProcessFile(given, process.tools, StockTable(box=box, resolution_mm=process.stock.resolution_mm))
+    material_table = process.material
+    if material_table is not None and material_table.file is not None:
+        material_table = replace(material_table, file=str((Path(process.path).parent / material_table.file).resolve()))
+    content = ProcessFile(material_table, process.tools, StockTable(box=box, resolution_mm=process.stock.resolution_mm))
     return files.toml(
         content, "Written by `postproc testpart`: the process, with the block of the test part as its stock."
     )
@@ -310,65 +319,67 @@ def _given(request: PartRequest, model: str | None = None) -> _Given:
     robot = load_robot(cell.robot, cell.folder) if model is None else load_robot(model, Path())
     process = machining.load(request.process)
     _, tool = flat_tool(process, request.tool)
-    probed = probing.read(request.probed)
+    probe_data = probing.read(request.probed)
     rows, parts = [], []
-    for path, base in programs_of(probed, request.programs).items():
-        its_cell = clamped(cell, Placement("" if base < 0 else str(base)), probed.file)
+    for path, base in programs_of(probe_data, request.programs).items():
+        its_cell = clamped(cell, Placement("" if base < 0 else str(base)), probe_data.file)
         program, robot_in_cell = read_program(path, robot, its_cell), RobotInCell.of(robot, its_cell)
-        rows.append(np.flatnonzero(probed.base == base))
-        where = surfaces(program, robot_in_cell, probed.take(rows[-1]), 0.5 * tool.diameter_mm * M_PER_MM)
-        parts.append(Clamped(program, robot_in_cell, ProcessSource(process, robot_in_cell.spindle), where))
-    where = Surfaces.joined([part.where for part in parts])
-    readings = Readings(probed.take(np.concatenate(rows)), where, request.sigma_mm * M_PER_MM)
+        rows.append(np.flatnonzero(probe_data.base == base))
+        contact_surfaces = surfaces(
+            program, robot_in_cell, probe_data.take(rows[-1]), 0.5 * tool.diameter_mm * M_PER_MM
+        )
+        parts.append(Clamped(program, robot_in_cell, ProcessSource(process, robot_in_cell.spindle), contact_surfaces))
+    contact_surfaces = Surfaces.joined([part.where for part in parts])
+    readings = Readings(probe_data.take(np.concatenate(rows)), contact_surfaces, request.sigma_mm * M_PER_MM)
     return _Given(_prior(parts[0].robot_in_cell, process), readings, tuple(parts), process)
 
 
 def _placements(cell: Cell, numbers: tuple[int, ...]) -> dict[Placement, Cell]:
-    out = {Placement(): cell}
+    cell_of = {Placement(): cell}
     for placement in map(Placement, map(str, numbers)):
-        if placement in out:
+        if placement in cell_of:
             raise InputError(f"{placement.title} is given twice", file="--placement", advice="Give each number once.")
-        out[placement] = clamped(cell, placement, "--placement")
-    return out
+        cell_of[placement] = clamped(cell, placement, "--placement")
+    return cell_of
 
 
-def clamped(cell: Cell, placement: Placement, named_in: str) -> Cell:
+def clamped(cell: Cell, placement: Placement, source: str) -> Cell:
     """Return a cell whose `[base]` is that of a placement of the block.
 
-    :param named_in: file or option that names the placement.
+    :param source: file or option that names the placement.
     :raises InputError: the cell does not know it.
     """
     if not placement.number:
         return cell
     frame = cell.base_data.get(placement.number)
     if frame is None:
-        known = ", ".join(f"[base_data.{number}]" for number in cell.base_data) or "none"
+        placements = ", ".join(f"[base_data.{number}]" for number in cell.base_data) or "none"
         raise InputError(
             f"the cell has no {placement.title}",
-            file=named_in,
-            advice=f"Give the frame of the block there in the robot root; found: {known}.",
+            file=source,
+            advice=f"Give the frame of the block there in the robot root; found: {placements}.",
         )
     return replace(cell, base=frame)
 
 
-def programs_of(probed: Probed, given: tuple[Path, ...]) -> dict[Path, int]:
+def programs_of(probe_data: Probed, paths: tuple[Path, ...]) -> dict[Path, int]:
     """Return the programs that made probed points, and the number of the placement of each, −1 for `[base]`.
 
     :raises MeasurementError: a program that a row names is not given, or has two placements.
     """
-    named = dict(zip(probed.program, probed.base.tolist(), strict=True))
-    if named == {"": -1}:
-        if len(given) == 1:
-            return {given[0]: -1}
+    placement_of = dict(zip(probe_data.program, probe_data.base.tolist(), strict=True))
+    if placement_of == {"": -1}:
+        if len(paths) == 1:
+            return {paths[0]: -1}
         advice = "Give one --program, or the probing.csv with the column program."
-        raise MeasurementError("the rows do not name the program that makes them", file=probed.file, advice=advice)
+        raise MeasurementError("the rows do not name the program that makes them", file=probe_data.file, advice=advice)
     advice = "Give --program once for each name in the column program of probing.csv."
-    by_name = {path.name: path for path in given}
-    for k, (name, base) in enumerate(zip(probed.program, probed.base.tolist(), strict=True)):
-        if name not in by_name or named[name] != base or list(named.values()).count(base) > 1:
-            what = f"program {name!r} is not given" if name not in by_name else f"{name} has two placements"
-            raise MeasurementError(what, file=probed.file, line=int(probed.row[k]), advice=advice)
-    return {by_name[name]: base for name, base in named.items()}
+    by_name = {path.name: path for path in paths}
+    for k, (name, base) in enumerate(zip(probe_data.program, probe_data.base.tolist(), strict=True)):
+        if name not in by_name or placement_of[name] != base or list(placement_of.values()).count(base) > 1:
+            problem = f"program {name!r} is not given" if name not in by_name else f"{name} has two placements"
+            raise MeasurementError(problem, file=probe_data.file, line=int(probe_data.row[k]), advice=advice)
+    return {by_name[name]: base for name, base in placement_of.items()}
 
 
 def compare_part(request: PartRequest, model: str | None = None) -> tuple[PartIdentification, Agreement]:
@@ -377,10 +388,10 @@ def compare_part(request: PartRequest, model: str | None = None) -> tuple[PartId
     :param model: name or folder of the model, instead of that of the cell.
     :raises PostprocError: an input is unusable.
     """
-    given = _given(request, model)
-    found, left_out = given.fit(given.prior.widened())
-    compared = agreement(found, given.prior)
-    return replace(summary(found, left_out), agreement=compared), compared
+    part_data = _given(request, model)
+    fit, rejected_rows = part_data.fit(part_data.prior.widened())
+    part_agreement = agreement(fit, part_data.prior)
+    return replace(summary(fit, rejected_rows), agreement=part_agreement), part_agreement
 
 
 def identify_part(request: PartRequest, output: Path | None, *, overwrite: bool = False) -> PartFiles:
@@ -398,17 +409,17 @@ def identify_part(request: PartRequest, output: Path | None, *, overwrite: bool 
             raise InputError("would overwrite the prior model", file=str(output), advice="Give another folder with -o.")
     if output is None:
         return PartFiles(compare_part(request)[0], ())
-    given = _given(request)
-    found, left_out = given.fit(given.prior)
-    data = summary(found, left_out)
+    part_data = _given(request)
+    fit, rejected_rows = part_data.fit(part_data.prior)
+    data = summary(fit, rejected_rows)
     prior = files.read_toml(folder / "model.toml", ModelFile, ModelError)
-    content = model_file(found, prior, given.process, f"{request.probed.name} (test part)")
+    content = model_file(fit, prior, part_data.process, f"{request.probed.name} (test part)")
     for name, part in (("model.toml", content), (record.NAME, data)):
         model_folder.require_finite(msgspec.to_builtins(part), name)
     contents: dict[str, bytes | Iterable[bytes]] = {
         "model.toml": files.toml(content, "Written by `postproc identify part`. Units are in the names."),
         "robot.urdf": (folder / "robot.urdf").read_bytes(),
-        "material.toml": material(found, given.process, request.probed.name),
+        "material.toml": material(fit, part_data.process, request.probed.name),
         "report.html": part_page(data, output.resolve().name),
     }
 

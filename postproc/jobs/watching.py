@@ -118,13 +118,13 @@ def _pause(folder: Path, stop: Event) -> Callable[[], object]:
         return lambda: stop.wait(SCAN)
 
     def wait() -> None:
-        begun = time.monotonic()
+        start = time.monotonic()
         try:
             options = {"yield_on_timeout": True, "recursive": False, "rust_timeout": int(1e3 * SCAN), "debounce": 200}
             next(notified(folder, stop_event=stop, raise_interrupt=True, **options), None)
         except (OSError, RuntimeError):  # the folder is gone, or the system has no notifications left
             stop.wait(SCAN)
-        stop.wait(max(0.0, 0.2 * SCAN - (time.monotonic() - begun)))
+        stop.wait(max(0.0, 0.2 * SCAN - (time.monotonic() - start)))
 
     return wait
 
@@ -164,9 +164,9 @@ class _Watcher:
         say: Callable[[str], None],
     ) -> None:
         self.folder, self.output, self.settings, self.options = folder, output, settings, options
-        given: Path | None = options.get("forces")
-        self.force_folder = given if given is not None and given.is_dir() else None
-        self.plain_options = {**options, "forces": None if self.force_folder else given}
+        force_path: Path | None = options.get("forces")
+        self.force_folder = force_path if force_path is not None and force_path.is_dir() else None
+        self.plain_options = {**options, "forces": None if self.force_folder else force_path}
         self.force_files: dict[str, list[Path]] = {}
         self.workers, self.say = workers, say
         self.seen: dict[Path, tuple[Signature, float]] = {}
@@ -178,34 +178,34 @@ class _Watcher:
         self.setup_status: tuple[tuple[int, int], ...] = ()
         self.setup_since, self.setup_read = 0.0, False
 
-    def scan(self, now: float) -> list[Path]:
+    def scan(self, time_s: float) -> list[Path]:
         """Return the programs that are new or have changed, and are quiet and readable.
 
-        :param now: monotonic time [s].
+        :param time_s: monotonic time [s].
         """
         folders = (self.folder, self.force_folder)
         try:
             self.force_files = {} if self.force_folder is None else force_files(self.force_folder)
-            found = {path: self._signature(path) for path in self._programs()}
+            signatures = {path: self._signature(path) for path in self._programs()}
         except OSError as cause:
             self._say_once(f"{cause.filename or self.folder} cannot be read at present. Waiting for it.")
             return []
         self.reported -= {f"{folder} cannot be read at present. Waiting for it." for folder in folders}
-        quiet = self._is_setup_quiet(now)
+        quiet = self._is_setup_quiet(time_s)
         if self.entries and not (self.output / STATE).is_file():  # the output was removed
             self.entries = {}
             self.finished.clear()
-        for gone in self.seen.keys() - found.keys():
-            self.seen.pop(gone)
-            self.finished.pop(gone, None)
+        for removed_path in self.seen.keys() - signatures.keys():
+            self.seen.pop(removed_path)
+            self.finished.pop(removed_path, None)
         ready = []
-        for path, signature in sorted(found.items()):
+        for path, signature in sorted(signatures.items()):
             if signature is None or self.finished.get(path) == signature:
                 continue
-            before, since = self.seen.get(path, (None, now))
-            if before != signature:
-                self.seen[path] = (signature, now)
-            elif now - since >= QUIET and not self._waits_for_forces(path) and self._is_new(path, signature):
+            last_signature, change_time = self.seen.get(path, (None, time_s))
+            if last_signature != signature:
+                self.seen[path] = (signature, time_s)
+            elif time_s - change_time >= QUIET and not self._waits_for_forces(path) and self._is_new(path, signature):
                 ready.append(path)
         return ready if quiet and ready and self._can_write() else []
 
@@ -221,7 +221,7 @@ class _Watcher:
             self._say_once(waiting)
             return False
 
-    def _is_setup_quiet(self, now: float) -> bool:
+    def _is_setup_quiet(self, time_s: float) -> bool:
         """Return whether the files that all programs are converted with have not changed for a while.
 
         If they have changed, all programs are converted again.
@@ -229,19 +229,22 @@ class _Watcher:
         if tuple(map(_status, self.setup_paths)) != self.setup_status or not self.setup:
             self.setup_paths = self._setup_paths()
             self.setup_status = tuple(map(_status, self.setup_paths))
-            self.setup_since, self.setup_read = now, False
+            self.setup_since, self.setup_read = time_s, False
         if self.setup_read:
             return True
-        if self.setup and now - self.setup_since < QUIET:
+        if self.setup and time_s - self.setup_since < QUIET:
             return False
-        given = {**options_of(self.settings), **{name: str(value) for name, value in sorted(self.options.items())}}
+        option_texts = {
+            **options_of(self.settings),
+            **{name: str(value) for name, value in sorted(self.options.items())},
+        }
         try:
             contents = [path.read_bytes() for path in self.setup_paths if path.is_file()]
         except OSError:
             return False
-        self.setup_read, before = True, self.setup
-        self.setup = provenance.digest([self.code.encode(), json.dumps(given).encode(), *contents])
-        if ({before} if before else {entry.setup for entry in self.entries.values()}) - {self.setup}:
+        self.setup_read, last_setup = True, self.setup
+        self.setup = provenance.digest([self.code.encode(), json.dumps(option_texts).encode(), *contents])
+        if ({last_setup} if last_setup else {entry.setup for entry in self.entries.values()}) - {self.setup}:
             self.say("The cell, a file used with it, an option or postproc has changed: all are converted again.")
             self.finished.clear()
         return True
@@ -262,25 +265,25 @@ class _Watcher:
 
     def convert(self, ready: Sequence[Path]) -> Iterator[tuple[Outcome, Job]]:
         """Convert programs, and record each as soon as it is in its place."""
-        before = {path: (self.seen[path][0], self._sum(path)) for path in ready}
+        states = {path: (self.seen[path][0], self._sum(path)) for path in ready}
         jobs: list[Job] = []
         try:
             jobs = self._jobs(ready)
-            yield from self._converted(jobs, before)
+            yield from self._converted(jobs, states)
         except PostprocError as cause:
             if len(ready) == 1:
-                earlier = left(jobs or self._jobs_without_forces(ready[0]), self.settings.mode)
-                failed = Outcome(str(ready[0]), FAILED, message=str(cause), earlier=earlier)
-                self._record(ready[0], failed, *before[ready[0]])
+                remark = left(jobs or self._jobs_without_forces(ready[0]), self.settings.mode)
+                failure = Outcome(str(ready[0]), FAILED, message=str(cause), earlier=remark)
+                self._record(ready[0], failure, *states[ready[0]])
                 self._write_overview()
-                yield failed, Job(ready[0], "", self.output)
+                yield failure, Job(ready[0], "", self.output)
                 return
             for path in ready:
-                if self.finished.get(path) != before[path][0]:
+                if self.finished.get(path) != states[path][0]:
                     yield from self.convert([path])
         for path in ready:  # called by others, and converted with them
-            if self.finished.get(path) != before[path][0]:
-                self._record(path, Outcome(str(path), GOOD), *before[path])
+            if self.finished.get(path) != states[path][0]:
+                self._record(path, Outcome(str(path), GOOD), *states[path])
         self._write_overview()
 
     def _write_overview(self) -> None:
@@ -288,38 +291,38 @@ class _Watcher:
         if files.foreign_single(self.output / OVERVIEW) and not self.settings.overwrite:
             self._say_once(f"{self.output / OVERVIEW} was not written by postproc: there is no overview.")
             return
-        failed = [
+        failures = [
             index.Entry(name, "", None, entry.reason)
             for name, entry in self.entries.items()
             if entry.reason and (self.folder / name).is_file()
         ]
         try:
-            write_overview(self.output, failed)
+            write_overview(self.output, failures)
         except InputError as cause:
             self._say_once(str(cause))
 
     def _converted(
-        self, jobs: Sequence[Job], before: Mapping[Path, tuple[Signature, str | None]]
+        self, jobs: Sequence[Job], states: Mapping[Path, tuple[Signature, str | None]]
     ) -> Iterator[tuple[Outcome, Job]]:
         by_name = {str(job.program): job for job in jobs}
         for outcome in convert_all(jobs, self.settings, workers=self.workers, waiting=self.say):
             job = by_name[outcome.program]
-            if job.program in before:
-                self._record(job.program, outcome, *before[job.program])
+            if job.program in states:
+                self._record(job.program, outcome, *states[job.program])
             yield outcome, job
 
     def _jobs(self, ready: Sequence[Path]) -> list[Job]:
         """Return the jobs of programs; of one that others call, those of its callers."""
         options = {"output": self.output, **self.plain_options}
         try:
-            every = find_jobs([str(self.folder)], **options)
+            all_jobs = find_jobs([str(self.folder)], **options)
         except PostprocError:  # one of the others cannot be read yet
             return self._with_forces(find_jobs([str(path) for path in ready], **options))
-        chosen = set(ready)
-        for job in every:
-            if job.program in chosen:
-                chosen |= set(job.callers)
-        return self._with_forces(job for job in every if job.program in chosen and not job.callers)
+        programs = set(ready)
+        for job in all_jobs:
+            if job.program in programs:
+                programs |= set(job.callers)
+        return self._with_forces(job for job in all_jobs if job.program in programs and not job.callers)
 
     def _jobs_without_forces(self, program: Path) -> list[Job]:
         """Return the job of a program whose forces are unusable; none if the program is the cause."""
@@ -360,10 +363,10 @@ class _Watcher:
         return True
 
     def _programs(self) -> list[Path]:
-        known = registry.extensions()
+        extensions = registry.extensions()
         programs = []
         for path in self.folder.iterdir():
-            if path.suffix.lower() in known and not path.name.startswith((".", "~")) and path.is_file():
+            if path.suffix.lower() in extensions and not path.name.startswith((".", "~")) and path.is_file():
                 if is_utf8(path.name):
                     programs.append(path)
                 else:
@@ -378,14 +381,14 @@ class _Watcher:
     def _signature(self, path: Path) -> Signature | None:
         """Return names, sizes and times of the files of a program; None if one is not there any more."""
         try:
-            return tuple((one.name, (status := one.stat()).st_size, status.st_mtime_ns) for one in self._reads(path))
+            return tuple((file.name, (status := file.stat()).st_size, status.st_mtime_ns) for file in self._reads(path))
         except FileNotFoundError:
             return None
 
     def _sum(self, path: Path) -> str | None:
         """Return the sum of the files of a program; None if one cannot be opened at present."""
         try:
-            return provenance.digest(one.read_bytes() for one in self._reads(path))
+            return provenance.digest(file.read_bytes() for file in self._reads(path))
         except OSError:
             self._say_once(f"{path} cannot be opened at present, another program may be writing it. Waiting for it.")
             return None
@@ -412,14 +415,19 @@ class _Watcher:
             (job,) = self._with_forces(find_jobs([str(path)], output=self.output, **self.plain_options))
             content = json.loads((self.output / job.report("convert")).read_bytes())
             main = next(self.output / name for name in job.mains("convert") if (self.output / name).is_file())
-            written = job.writer.origin(read_documents(main, registry.written_in(job.dialect, job.to)[0]))
+            output_origin = job.writer.origin(read_documents(main, registry.written_in(job.dialect, job.to)[0]))
             source = read_documents(path, job.dialect)
             cell = cells.load(self.settings.cell)
-            here = origin_of(source, self.settings.cell, cell, job.forces, "corrected")
-            sums = {"source": here.source, "cell": here.cell, "model": here.model, "forces": here.forces}
+            expected_origin = origin_of(source, self.settings.cell, cell, job.forces, "corrected")
+            sums = {
+                "source": expected_origin.source,
+                "cell": expected_origin.cell,
+                "model": expected_origin.model,
+                "forces": expected_origin.forces,
+            }
             options = options_of(self.settings)
-            same = (written.sums, written.options, written.mode) == (sums, options, "corrected")
-            return same and written.version == VERSION and content["program"] == path.name
+            is_same = (output_origin.sums, output_origin.options, output_origin.mode) == (sums, options, "corrected")
+            return is_same and output_origin.version == VERSION and content["program"] == path.name
         except (PostprocError, OSError, ValueError, KeyError, TypeError, StopIteration):
             return False
 
@@ -427,8 +435,8 @@ class _Watcher:
         """Record that a program has been converted, or could not be."""
         self.finished[path] = signature
         if total is not None:
-            why = reason(outcome) if outcome.summary is None and outcome.code == FAILED else ""
-            self.entries[path.name] = Entry(total, outcome.code, self.setup, why)
+            cause = reason(outcome) if outcome.summary is None and outcome.code == FAILED else ""
+            self.entries[path.name] = Entry(total, outcome.code, self.setup, cause)
             files.write_whole(self.output, {STATE: msgspec.json.encode(self.entries)})
 
     def _known(self) -> dict[str, Entry]:
@@ -445,8 +453,8 @@ class _Watcher:
 
 
 _RELOAD_S = 2
-_NOTHING_YET = b"<!DOCTYPE html><title>postproc</title><p>No program has been converted yet."
-_SHOWN = (".html", ".json", ".csv", ".glb", ".src", ".dat", ".mod")
+_EMPTY_OVERVIEW = b"<!DOCTYPE html><title>postproc</title><p>No program has been converted yet."
+_SERVED_FILES = (".html", ".json", ".csv", ".glb", ".src", ".dat", ".mod")
 
 
 def server(folder: Path, port: int) -> ThreadingHTTPServer:
@@ -475,10 +483,10 @@ class _Overview(SimpleHTTPRequestHandler):
         elif path in ("/", "/index.html") and not (Path(self.directory) / "index.html").is_file():
             self.send_response(200)
             self.send_header("Content-Type", "text/html; charset=utf-8")
-            self.send_header("Content-Length", str(len(_NOTHING_YET)))
+            self.send_header("Content-Length", str(len(_EMPTY_OVERVIEW)))
             self.end_headers()
-            self.wfile.write(_NOTHING_YET)
-        elif path != "/" and (path.count("/") > 1 or not path.lower().endswith(_SHOWN)):
+            self.wfile.write(_EMPTY_OVERVIEW)
+        elif path != "/" and (path.count("/") > 1 or not path.lower().endswith(_SERVED_FILES)):
             self.send_error(404)
         else:
             super().do_GET()

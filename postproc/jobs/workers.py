@@ -120,16 +120,16 @@ class _Process:
 
     def __init__(self) -> None:
         # in a session of its own: Ctrl-C and a closed terminal reach the process that waits, and it alone decides
-        apart: dict[str, Any] = {"start_new_session": True}
+        session_options: dict[str, Any] = {"start_new_session": True}
         if sys.platform == "win32":
-            apart = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
+            session_options = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
         path = os.pathsep.join(entry or str(os.getcwd()) for entry in sys.path)  # noqa: PTH109
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-c", _START],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env={"OPENBLAS_NUM_THREADS": "1", **os.environ, "PYTHONPATH": path},  # one thread, as in `cli`
-            **apart,
+            **session_options,
         )
 
     def work(self, task: Task, settings: Settings) -> Outcome:
@@ -162,9 +162,9 @@ class _Process:
 
 
 def _died(task: Task, code: int) -> Outcome:
-    how = f"signal {-code}" if code < 0 else f"exit code {code}"
+    exit_text = f"signal {-code}" if code < 0 else f"exit code {code}"
     program = task.job.program
-    message = f"{program}: its worker process ended ({how}), perhaps for lack of memory. Use fewer --jobs."
+    message = f"{program}: its worker process ended ({exit_text}), perhaps for lack of memory. Use fewer --jobs."
     return Outcome(str(program), FAILED, message=message, keeps_earlier=True)
 
 
@@ -217,7 +217,7 @@ OtherCode = tuple[str, str]
 """Address of a worker whose postproc is another one, and its version, empty if it has none."""
 _PATIENCE = 10.0
 """Seconds that are waited for the scheduler, or for a worker, before the work is given up."""
-_FROZEN = 60.0
+_SIGN_TIMEOUT = 60.0
 """Seconds without a sign of life of a worker after which its tasks are given up."""
 _LOOK = 5.0
 """Seconds between two looks at the workers."""
@@ -279,10 +279,10 @@ class ClusterWorkers:
         if isinstance(outcome, Outcome):
             return replace(outcome, program=program)
         worker, version = outcome
-        there = f"postproc {version} with other code" if version else "no postproc"
+        installation = f"postproc {version} with other code" if version else "no postproc"
         message = (
-            f"{program}: the worker {worker} of the Dask cluster at {self._cluster.address} has {there}, this machine "
-            f"has postproc {VERSION}. Install the same on all of them."
+            f"{program}: the worker {worker} of the Dask cluster at {self._cluster.address} has {installation}, this "
+            f"machine has postproc {VERSION}. Install the same on all of them."
         )
         return Outcome(program, FAILED, message=message, keeps_earlier=True)
 
@@ -292,26 +292,26 @@ class ClusterWorkers:
         if time.monotonic() > self._alive + _PATIENCE:
             return self._gone(task)
         worker = self._holder.get(self._begun[task.job.program].key)
-        if worker is None or time.monotonic() < self._signs[worker][1] + _FROZEN:
+        if worker is None or time.monotonic() < self._signs[worker][1] + _SIGN_TIMEOUT:
             return None
         message = (
-            f"{task.job.program}: the worker {worker} of the Dask cluster has given no sign of life for {_FROZEN:g} s. "
-            "Restart it, and convert this program again."
+            f"{task.job.program}: the worker {worker} of the Dask cluster has given no sign of life for "
+            f"{_SIGN_TIMEOUT:g} s. Restart it, and convert this program again."
         )
         return Outcome(str(task.job.program), FAILED, message=message, keeps_earlier=True)
 
     def _look(self) -> None:
         """Look, now and then, which workers are there, when each was last seen, and which tasks they have."""
-        now = time.monotonic()
-        if now < self._looked + min(_LOOK, _PATIENCE / 4.0) or self._client.status != "running":
+        time_s = time.monotonic()
+        if time_s < self._looked + min(_LOOK, _PATIENCE / 4.0) or self._client.status != "running":
             return
-        self._looked = now
+        self._looked = time_s
         with suppress(Exception):  # the scheduler is gone: then nothing is alive
             workers = self._client.sync(self._client.scheduler.identity, callback_timeout=_PATIENCE)["workers"]
-            self._alive = now if workers else self._alive
+            self._alive = time_s if workers else self._alive
             for address, worker in workers.items():
-                if self._signs.get(address, (None, now))[0] != worker["last_seen"]:
-                    self._signs[address] = worker["last_seen"], now
+                if self._signs.get(address, (None, time_s))[0] != worker["last_seen"]:
+                    self._signs[address] = worker["last_seen"], time_s
             tasks = self._client.sync(self._client.scheduler.processing, workers=None, callback_timeout=_PATIENCE)
             self._holder = {key: worker for worker, keys in tasks.items() if worker in self._signs for key in keys}
 
@@ -368,10 +368,10 @@ def _task() -> Callable[[str, bytes], Outcome | OtherCode]:
             from postproc.jobs.inputs import code_sum
             from postproc.version import VERSION
 
-            same, version = code_sum() == code, VERSION
+            is_same, version = code_sum() == code, VERSION
         except ImportError:
-            same, version = False, ""
-        if not same:
+            is_same, version = False, ""
+        if not is_same:
             return get_worker().address, version
         from postproc.jobs.workers import work_alone
 
@@ -386,9 +386,9 @@ def _security(cluster: Cluster) -> Any:
 
     if not cluster.address.startswith("tls://"):
         return None
-    given = {"tls_ca_file": cluster.ca, "tls_client_cert": cluster.certificate, "tls_client_key": cluster.key}
+    files = {"tls_ca_file": cluster.ca, "tls_client_cert": cluster.certificate, "tls_client_key": cluster.key}
     try:
-        security = Security(require_encryption=True, **{name: str(path) for name, path in given.items() if path})
+        security = Security(require_encryption=True, **{name: str(path) for name, path in files.items() if path})
         context = security.get_connection_args("client").get("ssl_context")
     except OSError as cause:  # ssl.SSLError too
         raise PostprocError(f"the certificates for {cluster.address} cannot be used ({cause})") from cause
