@@ -15,8 +15,8 @@ _PARALLEL = 1e-3
 """Sine of the angle between travel and spindle below which the travel has no direction across the spindle."""
 TURNS = 1e-6
 """Rotations of the tool below this [rad] count as none."""
-_ACROSS = 45.0 * RAD_PER_DEG
-_NEAR = 0.01
+_LEAST_ANGLE = 45.0 * RAD_PER_DEG
+_TANGENT_OFFSET = 0.01
 """Where an arc is tangent to the spindle, its direction is taken at this distance from there (share of the arc)."""
 
 
@@ -30,16 +30,18 @@ def feed_axes(program: Program, path: Segments, sample: Toolpath, axis: str, las
     """
     z = _towards_spindle(sample, axis)
     x, sine = _square_to(z, tangent(program, path, sample.motion, sample.t))
-    along = np.flatnonzero(sine < _PARALLEL)
-    if len(along):
-        motion, t = sample.motion[along], sample.t[along]
-        near = tangent(program, path, motion, np.where(t > _NEAR, t - _NEAR, t + _NEAR))
-        other, sine = _square_to(z[along], near)
-        none = np.flatnonzero(sine < _PARALLEL)
-        before, any_other = last[motion[none]], sample.pose[along[none], :3, _SPINDLE[axis][0] - 2]
-        before = np.where(np.isnan(before), any_other, before)
-        other[none] = _square_to(z[along[none]], before)[0]
-        x[along] = other
+    parallel_rows = np.flatnonzero(sine < _PARALLEL)
+    if len(parallel_rows):
+        motion, t = sample.motion[parallel_rows], sample.t[parallel_rows]
+        tangent_aside = tangent(
+            program, path, motion, np.where(t > _TANGENT_OFFSET, t - _TANGENT_OFFSET, t + _TANGENT_OFFSET)
+        )
+        direction, sine = _square_to(z[parallel_rows], tangent_aside)
+        undefined = np.flatnonzero(sine < _PARALLEL)
+        fallback, tool_axis = last[motion[undefined]], sample.pose[parallel_rows[undefined], :3, _SPINDLE[axis][0] - 2]
+        fallback = np.where(np.isnan(fallback), tool_axis, fallback)
+        direction[undefined] = _square_to(z[parallel_rows[undefined]], fallback)[0]
+        x[parallel_rows] = direction
     return np.stack([x, np.cross(z, x), z], axis=-1)
 
 
@@ -52,10 +54,12 @@ def runs_across(program: Program, path: Segments, arcs: Ints, axis: str) -> Bool
     m = program.motions
     z = _towards_spindle(at(program, path, arcs, np.ones(len(arcs))), axis)
     start = path.start.at(arcs)[:, :3, _SPINDLE[axis][0]]
-    square = [np.arccos(np.minimum(np.abs(np.einsum("ni,ni->n", m.normal[arcs], one)), 1.0)) for one in (z, start)]
+    square = [
+        np.arccos(np.minimum(np.abs(np.einsum("ni,ni->n", m.normal[arcs], vector)), 1.0)) for vector in (z, start)
+    ]
     row = np.searchsorted(path.arcs.motion, arcs)
     pitch = np.arctan2(norm(path.arcs.climb[row]), norm(path.arcs.radial[row]) * path.arcs.sweep[row])
-    return np.asarray(np.maximum(*square) + 0.5 * path.turn[arcs] + pitch < _ACROSS)
+    return np.asarray(np.maximum(*square) + 0.5 * path.turn[arcs] + pitch < _LEAST_ANGLE)
 
 
 def lines_run_across(program: Program, path: Segments, lines: Ints, axis: str) -> Bools:
@@ -67,7 +71,7 @@ def lines_run_across(program: Program, path: Segments, lines: Ints, axis: str) -
     travel = tangent(program, path, lines, ends.t)
     start = path.start.at(lines)[:, :3, _SPINDLE[axis][0]]
     nearest = np.maximum(*(np.abs(np.einsum("ni,ni->n", z, travel)) for z in (_towards_spindle(ends, axis), start)))
-    return np.asarray(np.arccos(np.minimum(nearest, 1.0)) - 0.5 * path.turn[lines] > _ACROSS)
+    return np.asarray(np.arccos(np.minimum(nearest, 1.0)) - 0.5 * path.turn[lines] > _LEAST_ANGLE)
 
 
 def across(orientation: Array, travel: Array, axis: str) -> tuple[Array, Bools]:
@@ -90,18 +94,18 @@ def last_travel(program: Program, path: Segments, axis: str) -> tuple[Array, Boo
         need it: straight ones along the spindle, and those without travel.
     """
     m = program.motions
-    every, end = np.arange(len(m)), np.ones(len(m))
-    z = _towards_spindle(at(program, path, every, end), axis)
-    x, sine = _square_to(z, tangent(program, path, every, end))
+    rows, end = np.arange(len(m)), np.ones(len(m))
+    z = _towards_spindle(at(program, path, rows, end), axis)
+    x, sine = _square_to(z, tangent(program, path, rows, end))
     turning = np.flatnonzero((m.kind == CIRC) & (sine < _PARALLEL))
-    x[turning], sine[turning] = _square_to(z[turning], tangent(program, path, turning, end[turning] - _NEAR))
+    x[turning], sine[turning] = _square_to(z[turning], tangent(program, path, turning, end[turning] - _TANGENT_OFFSET))
     needs = sine < _PARALLEL
-    before = np.concatenate([[-1], np.maximum.accumulate(np.where(needs, -1, every))[:-1]])
-    before[before < 0] = -1 if needs.all() else int(np.argmin(needs))
+    source = np.concatenate([[-1], np.maximum.accumulate(np.where(needs, -1, rows))[:-1]])
+    source[source < 0] = -1 if needs.all() else int(np.argmin(needs))
     rotation = program.bases[:, :3, :3]
-    in_root = np.einsum("nij,nj->ni", rotation[m.base[before]], x[before])
+    in_root = np.einsum("nij,nj->ni", rotation[m.base[source]], x[source])
     last = np.einsum("nji,nj->ni", rotation[m.base], in_root)
-    last[before < 0] = np.nan
+    last[source < 0] = np.nan
     last[_square_to(z, last)[1] < _PARALLEL] = np.nan  # the tool has turned into the direction of travel
     return last, needs
 
@@ -113,9 +117,9 @@ def _towards_spindle(sample: Toolpath, axis: str) -> Array:
 
 def _square_to(z: Array, travel: Array) -> tuple[Array, Array]:
     """Return unit vectors (n, 3) along the component of the travel perpendicular to z, and its length (n,)."""
-    across = travel - np.einsum("ni,ni->n", travel, z)[:, None] * z
-    length = norm(across)
-    return across / np.where(length > 0.0, length, 1.0)[:, None], length
+    component = travel - np.einsum("ni,ni->n", travel, z)[:, None] * z
+    length = norm(component)
+    return component / np.where(length > 0.0, length, 1.0)[:, None], length
 
 
 class Axes(Struct, frozen=True, eq=False):
@@ -142,17 +146,17 @@ class Axes(Struct, frozen=True, eq=False):
         return self._turned(columns, frame, sample, "nji,nhjm->nhim")
 
     def _turned(self, columns: Array, frame: Ints, sample: Toolpath, product: str) -> Array:
-        out = columns.copy()
+        rotated_columns = columns.copy()
         for code in (TOOL, FEED):
             rows = np.flatnonzero(frame == code)
             rows = rows[columns[rows].any(axis=(1, 2, 3))]
             if len(rows):
-                here = sample.take(rows)
-                rotation = here.pose[:, :3, :3]
+                samples = sample.take(rows)
+                rotation = samples.pose[:, :3, :3]
                 if code == FEED:
-                    rotation = feed_axes(self.program, self.path, here, self.spindle, self.travel)
-                out[rows] = np.einsum(product, rotation, columns[rows])
-        return out
+                    rotation = feed_axes(self.program, self.path, samples, self.spindle, self.travel)
+                rotated_columns[rows] = np.einsum(product, rotation, columns[rows])
+        return rotated_columns
 
     def at_start(self, columns: Array, frame: Ints) -> Array:
         """Return the columns that act at the start of motions: those at the end of the motion before.
@@ -166,9 +170,9 @@ class Axes(Struct, frozen=True, eq=False):
         rows = np.flatnonzero((frame == TOOL) | (frame == FEED))
         end = at(self.program, self.path, rows, np.ones(len(rows)))
         ends[rows] = self.into_base(columns[rows], frame[rows], end)
-        before = np.arange(len(m)) - 1 if self.program.after is None else self.program.after
-        out = np.where((before >= 0)[:, None, None, None], ends[before], 0.0)
-        changed = np.flatnonzero((before >= 0) & (m.base != m.base[before]))
-        turn = np.swapaxes(bases[m.base[changed], :3, :3], 1, 2) @ bases[m.base[before[changed]], :3, :3]
-        out[changed] = np.einsum("nij,nhjm->nhim", turn, out[changed])
-        return out
+        previous = np.arange(len(m)) - 1 if self.program.after is None else self.program.after
+        at_starts = np.where((previous >= 0)[:, None, None, None], ends[previous], 0.0)
+        base_change = np.flatnonzero((previous >= 0) & (m.base != m.base[previous]))
+        turn = np.swapaxes(bases[m.base[base_change], :3, :3], 1, 2) @ bases[m.base[previous[base_change]], :3, :3]
+        at_starts[base_change] = np.einsum("nij,nhjm->nhim", turn, at_starts[base_change])
+        return at_starts

@@ -99,14 +99,14 @@ class PathForces(Struct, frozen=True, eq=False):
         halves = [independent]
         if self.factor.any():
             halves += [self._between(self._without_factor, sample), self._between(self._by_factor, sample)]
-        in_root = [columns_in_root(self.axes.program, sample.motion, each) for each in halves]
-        out = np.zeros((len(sample), 6, 13 if len(halves) > 1 else 6))
-        for place, each in enumerate(in_root[:2]):
-            out[:, :3, 6 * place : 6 * place + 3] = each[:, 0]
-            out[:, 3:, 6 * place + 3 : 6 * place + 6] = each[:, 1]
+        in_root = [columns_in_root(self.axes.program, sample.motion, root_columns) for root_columns in halves]
+        factors = np.zeros((len(sample), 6, 13 if len(halves) > 1 else 6))
+        for place, root_columns in enumerate(in_root[:2]):
+            factors[:, :3, 6 * place : 6 * place + 3] = root_columns[:, 0]
+            factors[:, 3:, 6 * place + 3 : 6 * place + 6] = root_columns[:, 1]
         if len(halves) > 1:
-            out[:, :, 12] = in_root[2].reshape(-1, 6)
-        return out
+            factors[:, :, 12] = in_root[2].reshape(-1, 6)
+        return factors
 
     def _by_factor(self, knots: Ints) -> Array:
         """Return the change (n, 2, 3, 1) of the wrench at knots for one standard deviation of its factor."""
@@ -138,17 +138,17 @@ class PathForces(Struct, frozen=True, eq=False):
         """
         t, right = sample.t, self._next(sample)
         left = np.where(self.t[right] > t, np.maximum(right - 1, self.first[sample.motion]), right)
-        out, frame = columns(right), self.knot_frame[right]
+        values, frame = columns(right), self.knot_frame[right]
         inner = np.flatnonzero(left != right)
         left, right = left[inner], right[inner]
         share = ((t[inner] - self.t[left]) / (self.t[right] - self.t[left]))[:, None, None, None]
         begin = columns(left)
-        alike = self.knot_frame[left] == frame[inner]
-        same, ramp = inner[alike], inner[~alike]
-        out[same] = begin[alike] + share[alike] * (out[same] - begin[alike])
-        out = self.axes.into_base(out, frame, sample)
-        out[ramp] = begin[~alike] + share[~alike] * (out[ramp] - begin[~alike])
-        return out
+        same_frame = self.knot_frame[left] == frame[inner]
+        plain, ramp = inner[same_frame], inner[~same_frame]
+        values[plain] = begin[same_frame] + share[same_frame] * (values[plain] - begin[same_frame])
+        values = self.axes.into_base(values, frame, sample)
+        values[ramp] = begin[~same_frame] + share[~same_frame] * (values[ramp] - begin[~same_frame])
+        return values
 
 
 def assign(program: Program, path: Segments, source: ForceSource | None, axis: str, ramp: float) -> PathForces:
@@ -163,42 +163,44 @@ def assign(program: Program, path: Segments, source: ForceSource | None, axis: s
     m = program.motions
     by_law = stock = None
     if source is None:
-        given, issues = of_comments(program), list[Issue]()
+        knots_of_motions, issues = of_comments(program), list[Issue]()
     else:
         knots = source.along(program, path).checked(program, source.name)
-        given, issues = combined(program, knots, source.name)
+        knots_of_motions, issues = combined(program, knots, source.name)
         issues += knots.issues
         by_law, stock = knots.by_law, knots.stock
-        loaded = any_column(knots.wrench != 0.0) & m.rapid[knots.motion]
-        issues += _warning(program, knots.motion[loaded], "force-on-rapid", _ON_RAPID)
+        has_force = any_column(knots.wrench != 0.0) & m.rapid[knots.motion]
+        issues += _warning(program, knots.motion[has_force], "force-on-rapid", _ON_RAPID)
     issues += unused_comments(program)
     if by_law is None:
-        issues += small_forces(program, given)
-    without = np.ones(len(m), dtype=np.bool_)
-    without[given.motion] = False
-    issues = _warning(program, np.flatnonzero(without & ~m.rapid), "no-force", _NONE) + issues
-    given = given.take(~m.rapid[given.motion])
-    without |= m.rapid
-    _check_start(program, given)
-    none = np.flatnonzero(without)
-    given = given.over(Knots.throughout(none, np.zeros((len(none), 6)), np.full(len(none), BASE)))
-    travel, lead = _travel(program, path, given, axis)
-    resolved = _resolved(given, Axes(program, path, axis, travel), ramp, (*issues, *lead), by_law)
-    return replace(resolved, stock=stock)
+        issues += small_forces(program, knots_of_motions)
+    is_forceless = np.ones(len(m), dtype=np.bool_)
+    is_forceless[knots_of_motions.motion] = False
+    issues = _warning(program, np.flatnonzero(is_forceless & ~m.rapid), "no-force", _NO_FORCE) + issues
+    knots_of_motions = knots_of_motions.take(~m.rapid[knots_of_motions.motion])
+    is_forceless |= m.rapid
+    _check_start(program, knots_of_motions)
+    forceless = np.flatnonzero(is_forceless)
+    knots_of_motions = knots_of_motions.over(
+        Knots.throughout(forceless, np.zeros((len(forceless), 6)), np.full(len(forceless), BASE))
+    )
+    travel, lead = _travel(program, path, knots_of_motions, axis)
+    path_forces = _resolved(knots_of_motions, Axes(program, path, axis, travel), ramp, (*issues, *lead), by_law)
+    return replace(path_forces, stock=stock)
 
 
-def _check_start(program: Program, given: Knots) -> None:
+def _check_start(program: Program, knots: Knots) -> None:
     """Refuse forces on moves from `[start]` of the cell: the program does not define the path there."""
-    unforced = np.isin(given.motion, program.unforced)  # few, so that few wrenches are written out
-    loaded = given.motion[unforced][any_column(given.wrench[unforced] != 0.0)]
-    lines = distinct(program.motions.line[loaded])
+    unforced = np.isin(knots.motion, program.unforced)  # few, so that few wrenches are written out
+    motions = knots.motion[unforced][any_column(knots.wrench[unforced] != 0.0)]
+    lines = distinct(program.motions.line[motions])
     if len(lines):
         name, problem = program.documents[0].name, "a force on a move from [start] of the cell"
         advice = "Program X, Y and Z in rapid moves (G0) before cutting, or switch the force on after this move."
         raise together(ForceError(problem, file=name, line=line, advice=advice) for line in lines[: MOST + 1].tolist())
 
 
-_NONE = "cutting moves without a force: zero force is assumed"
+_NO_FORCE = "cutting moves without a force: zero force is assumed"
 _ON_RAPID = "rapid moves carry no force: the row is ignored"
 
 
@@ -207,35 +209,35 @@ def _warning(program: Program, motion: Ints, kind: str, message: str) -> list[Is
     return [program.motions.issue("warning", kind, message, motion)] if len(motion) else []
 
 
-def _resolved(given: Knots, axes: Axes, ramp: float, issues: tuple[Issue, ...], by_law: ByLaw | None) -> PathForces:
+def _resolved(knots: Knots, axes: Axes, ramp: float, issues: tuple[Issue, ...], by_law: ByLaw | None) -> PathForces:
     """Return the forces from knots that cover every motion, with ramps inserted."""
     motions = np.arange(len(axes.program.motions))
-    first = np.searchsorted(given.motion, np.append(motions, len(motions)))
+    first = np.searchsorted(knots.motion, np.append(motions, len(motions)))
     last = first[1:] - 1
-    ramped, frame = given.ramped[last], given.frame[last]
-    own = given.wrench.take(last, axis=0)
-    start, start_frame = _before(own, frame, axes), np.full(len(motions), BASE)
-    steady = _continuous(own, frame, start, axes)
-    steady = steady[ramped[steady]]
-    start[steady], start_frame[steady] = own[steady], frame[steady]
-    changes = ramped & (any_column(start != own) | (start_frame != frame))
-    del own
+    has_ramp, frame = knots.ramped[last], knots.frame[last]
+    wrench = knots.wrench.take(last, axis=0)
+    start, start_frame = _before(wrench, frame, axes), np.full(len(motions), BASE)
+    steady = _continuous(wrench, frame, start, axes)
+    steady = steady[has_ramp[steady]]
+    start[steady], start_frame[steady] = wrench[steady], frame[steady]
+    changes = has_ramp & (any_column(start != wrench) | (start_frame != frame))
+    del wrench
     spread = at_start = None
-    if given.sigma.any():
-        spread = given.sigma.reshape(-1, 2, 3, 1) * np.eye(3)
+    if knots.sigma.any():
+        spread = knots.sigma.reshape(-1, 2, 3, 1) * np.eye(3)
         at_start = axes.at_start(spread[last], frame)
         at_start[steady] = spread[last[steady]]
-        changes |= ramped & (at_start != spread[last]).any(axis=(1, 2, 3))
+        changes |= has_ramp & (at_start != spread[last]).any(axis=(1, 2, 3))
     begins = first[:-1][changes]  # the only knot of each
-    factor = given.factor
+    factor = knots.factor
     if factor.any():
-        factor = np.insert(factor, begins, np.append(0.0, given.factor[last])[:-1][changes])
+        factor = np.insert(factor, begins, np.append(0.0, knots.factor[last])[:-1][changes])
     else:
         factor = constant(0.0, len(factor) + len(begins))
     if spread is not None and at_start is not None:
         spread = np.insert(spread, begins, at_start[changes], axis=0)
     length = axes.path.length[changes]
-    t = given.t.copy()
+    t = knots.t.copy()
     t[begins] = np.where(length > ramp, ramp / np.where(length > ramp, length, 1.0), 1.0)
     t = np.insert(t, begins, 0.0)
     first = first + np.concatenate([[0], np.cumsum(changes)])
@@ -244,12 +246,12 @@ def _resolved(given: Knots, axes: Axes, ramp: float, issues: tuple[Issue, ...], 
         compact(first, np.int32),
         np.repeat(motions, np.diff(first)) + t,
         t,
-        Runs.of(np.insert(given.wrench, begins, start[changes], axis=0)),
-        compact(np.insert(given.frame, begins, start_frame[changes]), np.int8),
+        Runs.of(np.insert(knots.wrench, begins, start[changes], axis=0)),
+        compact(np.insert(knots.frame, begins, start_frame[changes]), np.int8),
         spread,
         factor,
         compact(frame, np.int8),
-        ramped,
+        has_ramp,
         issues,
         by_law,
     )
@@ -260,34 +262,34 @@ def _before(wrench: Array, frame: Ints, axes: Axes) -> Array:
     return axes.at_start(wrench.reshape(-1, 2, 3, 1), frame).reshape(-1, 6)
 
 
-def _continuous(wrench: Array, frame: Ints, before: Array, axes: Axes) -> Ints:
+def _continuous(wrench: Array, frame: Ints, previous: Array, axes: Axes) -> Ints:
     """Return the motions (n,) with a force in FEED axes that continues the one before: it turns with the path.
 
     :param wrench: (M, 6) of the motions, in the axes of `frame` (M,).
-    :param before: (M, 6) at the end of the motion before, in `$BASE` axes.
+    :param previous: (M, 6) at the end of the motion before, in `$BASE` axes.
     """
     rows = np.flatnonzero(frame == FEED)
     start = at(axes.program, axes.path, rows, np.zeros(len(rows)))
     begin = axes.into_base(wrench[rows].reshape(-1, 2, 3, 1), frame[rows], start).reshape(-1, 6)
-    return rows[any_column(begin != 0.0) & (norm(begin - before[rows]) < _CONTINUOUS * norm(begin))]
+    return rows[any_column(begin != 0.0) & (norm(begin - previous[rows]) < _CONTINUOUS * norm(begin))]
 
 
-def _travel(program: Program, path: Segments, given: Knots, axis: str) -> tuple[Array, list[Issue]]:
+def _travel(program: Program, path: Segments, knots: Knots, axis: str) -> tuple[Array, list[Issue]]:
     """Return `Axes.travel`, and notes about it for the user."""
     m = program.motions
-    feed = given.frame == FEED
+    feed = knots.frame == FEED
     if not feed.any():
         return np.zeros((0, 3)), []
-    curved = np.unique(given.motion[feed & (m.kind[given.motion] == SPL) & any_column(given.wrench != 0.0)])
-    if len(curved):
+    spline_motions = np.unique(knots.motion[feed & (m.kind[knots.motion] == SPL) & any_column(knots.wrench != 0.0)])
+    if len(spline_motions):
         name, problem = program.documents[0].name, "a FEED force on a piece of a spline, whose direction is not known"
         advice = "Give its force in BASE or TOOL axes."
-        lines = np.unique(m.line[curved])[: MOST + 1].tolist()
+        lines = np.unique(m.line[spline_motions])[: MOST + 1].tolist()
         raise together(ForceError(problem, file=name, line=line, advice=advice) for line in lines)
     travel, needs = last_travel(program, path, axis)
     acts = np.zeros(len(m), dtype=np.bool_)
-    across = (given.wrench[:, [0, 1, 3, 4]] != 0.0) | (given.sigma[:, [0, 1, 3, 4]] != 0.0)
-    acts[given.motion[feed & any_column(across)]] = True
+    is_lateral = (knots.wrench[:, [0, 1, 3, 4]] != 0.0) | (knots.sigma[:, [0, 1, 3, 4]] != 0.0)
+    acts[knots.motion[feed & any_column(is_lateral)]] = True
     needs &= acts
     unknown = needs & np.isnan(travel[:, 0])
     if unknown.any():
@@ -308,7 +310,7 @@ def _travel(program: Program, path: Segments, given: Knots, axis: str) -> tuple[
     return travel, issues
 
 
-_SAME = 1e-9
+_NO_CHANGE = 1e-9
 """Changes of the force below this [N, N·m] count as none."""
 _STEP = 1e-8
 """Displacement [m] below which a change of the force from motion to motion does not count as a step."""
@@ -333,27 +335,27 @@ def displacement_estimate(forces: PathForces, compliance: tuple[float, float]) -
         return np.asarray(np.maximum.reduceat(np.where(begins, 0.0, values), first))
 
     motion = np.repeat(np.arange(len(m)), np.diff(forces.first))
-    change, bent = _changes(forces, motion)
-    stepped = moves(_steps(forces))
-    step = np.flatnonzero(stepped > _STEP)
-    behind = np.minimum(0.5, BEHIND_STEP / np.maximum(path.length[step], BEHIND_STEP))
-    swings, turned = np.zeros(len(m), dtype=np.bool_), constant(0.0, len(m))
+    change, bends = _changes(forces, motion)
+    step_size = moves(_steps(forces))
+    step = np.flatnonzero(step_size > _STEP)
+    step_place = np.minimum(0.5, BEHIND_STEP / np.maximum(path.length[step], BEHIND_STEP))
+    swings, rotating_size = np.zeros(len(m), dtype=np.bool_), constant(0.0, len(m))
     if turning.any():
-        across = forces.wrench[:] * (1.0, 1.0, 0.0, 1.0, 1.0, 0.0)  # z, along the spindle, does not turn
-        turned = np.where(turning, largest_of_own(moves(across)), 0.0)
+        lateral = forces.wrench[:] * (1.0, 1.0, 0.0, 1.0, 1.0, 0.0)  # z, along the spindle, does not turn
+        rotating_size = np.where(turning, largest_of_own(moves(lateral)), 0.0)
         acts = np.zeros(len(m), dtype=np.bool_)
-        acts[motion[any_column(across != 0.0)]] = True
-        found = np.flatnonzero(turning & acts)
-        swings[found] = ~runs_across(forces.axes.program, path, found, forces.axes.spindle)
-    kept = np.flatnonzero(bent | (m.kind[motion] == CIRC))
-    places = np.append(motion[kept], step), np.append(forces.t[kept], behind)
+        acts[motion[any_column(lateral != 0.0)]] = True
+        arcs = np.flatnonzero(turning & acts)
+        swings[arcs] = ~runs_across(forces.axes.program, path, arcs, forces.axes.spindle)
+    knot_rows = np.flatnonzero(bends | (m.kind[motion] == CIRC))
+    places = np.append(motion[knot_rows], step), np.append(forces.t[knot_rows], step_place)
     order = np.lexsort(places[::-1])
     return DisplacementEstimate(
         motion=places[0][order],
         t=places[1][order],
-        change=np.append(moves(change)[kept], stepped[step])[order],
-        bent=np.append(bent[kept], np.ones(len(step), dtype=np.bool_))[order],
-        turning=turned,
+        change=np.append(moves(change)[knot_rows], step_size[step])[order],
+        bent=np.append(bends[knot_rows], np.ones(len(step), dtype=np.bool_))[order],
+        turning=rotating_size,
         size=largest_of_own(moves(forces.wrench[:])),
         swings=swings,
     )
@@ -363,25 +365,25 @@ def _changes(forces: PathForces, motion: Ints) -> tuple[Array, Bools]:
     """Return the change (K, 6) of the force since the knot before, and (K,) True where its rate changes."""
     t, count = forces.t, len(forces.t)
     follows = np.append(False, np.diff(motion) == 0)
-    alike = follows & (np.diff(forces.knot_frame, prepend=0) == 0)
+    same_frame = follows & (np.diff(forces.knot_frame, prepend=0) == 0)
     change = np.diff(forces.wrench[:], axis=0, prepend=forces.wrench[:1])
-    change[~alike] = 0.0
-    rows = np.flatnonzero(follows & ~alike)
+    change[~same_frame] = 0.0
+    rows = np.flatnonzero(follows & ~same_frame)
     place = at(forces.axes.program, forces.axes.path, motion[rows], t[rows])
     change[rows] = forces.at(place) - forces.wrench[rows - 1]
-    bent = np.zeros(count, dtype=np.bool_)
+    bends = np.zeros(count, dtype=np.bool_)
     inner = np.flatnonzero((t > 0.0) & (t < 1.0))
 
     def rate(rows: Ints) -> Array:
         """Return the change (n, 6) per t up to knots (n,); 0 at the first knot of a motion."""
-        out, known = np.zeros((len(rows), 6)), np.append(follows, False)[rows]
-        rows = rows[known]
-        out[known] = change[rows] / (t[rows] - t[rows - 1])[:, None]
-        return out
+        rates, has_previous = np.zeros((len(rows), 6)), np.append(follows, False)[rows]
+        rows = rows[has_previous]
+        rates[has_previous] = change[rows] / (t[rows] - t[rows - 1])[:, None]
+        return rates
 
     width = np.where(follows[inner], t[inner] - t[inner - 1], 1.0)
-    bent[inner] = largest((rate(inner + 1) - rate(inner)) * width[:, None]) >= _SAME
-    return change, bent
+    bends[inner] = largest((rate(inner + 1) - rate(inner)) * width[:, None]) >= _NO_CHANGE
+    return change, bends
 
 
 def _steps(forces: PathForces) -> Array:
@@ -389,10 +391,10 @@ def _steps(forces: PathForces) -> Array:
     rows = np.flatnonzero(~forces.ramped)
     if not len(rows):
         return np.broadcast_to(0.0, (len(forces.ramped), 6))
-    out, before = np.zeros((len(forces.ramped), 6)), forces.before()
+    steps, previous = np.zeros((len(forces.ramped), 6)), forces.before()
     start = at(forces.axes.program, forces.axes.path, rows, np.zeros(len(rows)))
-    out[rows] = forces.at(start) - before[rows]
-    return out
+    steps[rows] = forces.at(start) - previous[rows]
+    return steps
 
 
 _SHORTEST = 1e-7
@@ -408,21 +410,21 @@ def refined_arcs(
     :param compliance: approximate compliance at the tip per force [m/N] and per moment [m/(N·m)].
     :param limit: permitted deviation [m].
     """
-    found = estimate.swings[arcs.motion]
-    if not found.any():
+    swings = estimate.swings[arcs.motion]
+    if not swings.any():
         return arcs
-    left = arcs.take(found)
+    left = arcs.take(swings)
     left = left.settled(left.least).cut(left.least)
-    done = [arcs.take(~found)]
+    pieces = [arcs.take(~swings)]
     length = forces.axes.path.length
     while len(left.motion):
         share = left.end - left.begin
         long = np.minimum(share, share * length[left.motion]) > _SHORTEST
-        again = long & (_missed(forces, left, compliance) > limit)
-        done.append(left.take(~again))
-        left = left.take(again)
+        too_coarse = long & (_missed(forces, left, compliance) > limit)
+        pieces.append(left.take(~too_coarse))
+        left = left.take(too_coarse)
         left = left.cut(np.full(len(left.motion), 2))
-    return Pieces.joined(done).in_order()
+    return Pieces.joined(pieces).in_order()
 
 
 def swing_places(forces: PathForces, compliance: tuple[float, float], limit: float) -> tuple[Ints, Array]:
@@ -445,10 +447,12 @@ def swing_places(forces: PathForces, compliance: tuple[float, float], limit: flo
             wrench = forces.at(at(program, path, motion, begin + share * (end - begin)))
             spots.append(np.hstack([compliance[0] * wrench[:, :3], compliance[1] * wrench[:, 3:]]))
         first, last = spots[0], spots[-1]
-        missed = [norm(spot - first - share * (last - first)) for share, spot in zip(_QUARTERS, spots, strict=True)]
+        deviations = [norm(spot - first - share * (last - first)) for share, spot in zip(_QUARTERS, spots, strict=True)]
         part = end - begin
-        again = (np.maximum.reduce(missed) > limit) & (np.minimum(part, part * path.length[motion]) > _SHORTEST)
-        motion, begin, end = motion[again], begin[again], end[again]
+        too_coarse = (np.maximum.reduce(deviations) > limit) & (
+            np.minimum(part, part * path.length[motion]) > _SHORTEST
+        )
+        motion, begin, end = motion[too_coarse], begin[too_coarse], end[too_coarse]
         middle = 0.5 * (begin + end)
         motions.append(motion)
         places.append(middle)
@@ -465,9 +469,11 @@ def _missed(forces: PathForces, arcs: Pieces, compliance: tuple[float, float]) -
         wrench = forces.at(sample)
         spots.append(sample.pose[:, :3, 3] - compliance[0] * wrench[:, :3] - compliance[1] * wrench[:, 3:])
     begin, _, middle, _, end = spots
-    centre, radial, across, angle = circle_through(begin, middle, end)
-    missed = np.zeros(len(begin))
+    centre, radial, tangential, angle = circle_through(begin, middle, end)
+    deviation = np.zeros(len(begin))
     for share, spot in zip(_QUARTERS, spots, strict=True):
-        turned = (angle * share)[:, None]
-        missed = np.maximum(missed, norm(spot - centre - np.cos(turned) * radial - np.sin(turned) * across))
-    return missed
+        part_angle = (angle * share)[:, None]
+        deviation = np.maximum(
+            deviation, norm(spot - centre - np.cos(part_angle) * radial - np.sin(part_angle) * tangential)
+        )
+    return deviation

@@ -15,7 +15,7 @@ from postproc.forces.sources import Knots
 from postproc.frames import any_column, norm
 from postproc.program import FORCE_FRAMES, Bools, Ints, Program, distinct
 
-_SAME = 2e-3
+_SAME_FORCE = 2e-3
 """Forces that differ by less [N, N·m] are the same: comments and files have three decimals."""
 _NEWTONS = 3.0
 """The largest force of a program is questioned below this [N]. It deflects a milling robot (about 1 µm/N) by a few
@@ -32,20 +32,20 @@ def combined(program: Program, source: Knots, name: str) -> tuple[Knots, list[Is
     comments = of_comments(program)
     issues = []
     cutting = ~program.motions.rapid
-    covered = np.zeros(len(cutting), dtype=np.bool_)
-    covered[source.motion] = True
-    stated = _stated(comments, len(cutting)) & cutting
-    if stated.any():
-        by_source, by_comment = int(np.count_nonzero(covered & cutting)), stated & ~covered
+    has_source = np.zeros(len(cutting), dtype=np.bool_)
+    has_source[source.motion] = True
+    has_comment = _stated(comments, len(cutting)) & cutting
+    if has_comment.any():
+        by_source, by_comment = int(np.count_nonzero(has_source & cutting)), has_comment & ~has_source
         message = (
             f"forces: {name} on {by_source} cutting moves, comments of the program on {np.count_nonzero(by_comment)}; "
             "where both state one, the comment is not used"
         )
-        issues.append(program.motions.issue("info", "force-sources", message, np.flatnonzero(stated)))
-    replaced = _replaced(source, comments, stated)
-    if len(replaced):
+        issues.append(program.motions.issue("info", "force-sources", message, np.flatnonzero(has_comment)))
+    conflicts = _replaced(source, comments, has_comment)
+    if len(conflicts):
         message = f"{name} states another force than the comment of the program: the comment is not used here"
-        issues.append(program.motions.issue("warning", "force-replaced", message, replaced))
+        issues.append(program.motions.issue("warning", "force-replaced", message, conflicts))
     return source.over(comments), issues
 
 
@@ -63,22 +63,22 @@ def of_comments(program: Program) -> Knots:
 
 def unused_comments(program: Program) -> Iterator[Issue]:
     """Yield a warning if force comments hold on no cutting move: their forces are stated and not used."""
-    loaded = {note.line for note in program.notes if any(note.wrench)}
-    used = np.unique(_notes(program)[~program.motions.rapid]) if loaded else np.zeros(0, dtype=np.int64)
-    lines = sorted(loaded - {program.notes[index].line for index in used[used >= 0].tolist()})
+    force_lines = {note.line for note in program.notes if any(note.wrench)}
+    note_rows = np.unique(_notes(program)[~program.motions.rapid]) if force_lines else np.zeros(0, dtype=np.int64)
+    lines = sorted(force_lines - {program.notes[index].line for index in note_rows[note_rows >= 0].tolist()})
     if lines:
         message = "a force comment that holds on no cutting move: rapid moves and moves of zero length carry no force"
         yield Issue("warning", "force-unused", message, lines[0], count=len(lines), lines=tuple(lines))
 
 
-def small_forces(program: Program, given: Knots) -> Iterator[Issue]:
+def small_forces(program: Program, knots: Knots) -> Iterator[Issue]:
     """Yield a question if the largest force of the cutting moves is so small that it may be in kilonewtons."""
-    size = norm(given.wrench[:, :3])
-    loaded = ~program.motions.rapid[given.motion] & (size > 0.0)
-    if loaded.any() and not any_column(given.wrench[:, 3:] != 0.0).any() and size[loaded].max() < _NEWTONS:
-        row = int(np.argmax(np.where(loaded, size, 0.0)))
+    size = norm(knots.wrench[:, :3])
+    has_force = ~program.motions.rapid[knots.motion] & (size > 0.0)
+    if has_force.any() and not any_column(knots.wrench[:, 3:] != 0.0).any() and size[has_force].max() < _NEWTONS:
+        row = int(np.argmax(np.where(has_force, size, 0.0)))
         message = f"the largest force is {size[row]:.2g} N: are these kN? Forces are read in newtons"
-        yield program.motions.issue("warning", "force-unit", message, given.motion[row : row + 1])
+        yield program.motions.issue("warning", "force-unit", message, knots.motion[row : row + 1])
 
 
 def _notes(program: Program) -> Ints:
@@ -91,18 +91,20 @@ def _notes(program: Program) -> Ints:
 
 def _stated(knots: Knots, count: int) -> Bools:
     """Return which motions (count,) have a force other than zero."""
-    out = np.zeros(count, dtype=np.bool_)
-    out[knots.motion[any_column(knots.wrench != 0.0)]] = True
-    return out
+    has_force = np.zeros(count, dtype=np.bool_)
+    has_force[knots.motion[any_column(knots.wrench != 0.0)]] = True
+    return has_force
 
 
-def _replaced(source: Knots, comments: Knots, stated: Bools) -> Ints:
+def _replaced(source: Knots, comments: Knots, has_comment: Bools) -> Ints:
     """Return the motions (n,) on which a source has another force than a comment that states one.
 
-    :param stated: (M,) True where a comment states a force on a cutting move.
+    :param has_comment: (M,) True where a comment states a force on a cutting move.
     """
-    if not stated.any() or not len(source):
+    if not has_comment.any() or not len(source):
         return np.zeros(0, dtype=np.int64)
     row = np.minimum(np.searchsorted(comments.motion, source.motion), len(comments) - 1)
-    differs = any_column(np.abs(source.wrench - comments.wrench[row]) > _SAME) | (source.frame != comments.frame[row])
-    return distinct(source.motion[differs & stated[source.motion]])
+    differs = any_column(np.abs(source.wrench - comments.wrench[row]) > _SAME_FORCE) | (
+        source.frame != comments.frame[row]
+    )
+    return distinct(source.motion[differs & has_comment[source.motion]])

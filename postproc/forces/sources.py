@@ -112,11 +112,12 @@ class Knots(Columns, frozen=True, eq=False):
     def __len__(self) -> int:
         return len(self.motion)
 
-    def over(self, other: Knots) -> Knots:
-        """Return these knots, plus those of `other` for motions without a knot here; without what else sources give."""
-        kept = other.take(~np.isin(other.motion, self.motion))
-        order = np.argsort(np.append(self.motion, kept.motion), kind="stable")  # those of one motion are in order
-        return replace(Knots.joined([self, kept], order), issues=(), by_law=None, stock=None)
+    def over(self, fallback: Knots) -> Knots:
+        """Return these knots, plus those of `fallback` for motions without a knot here; other data is left out."""
+        extra_knots = fallback.take(~np.isin(fallback.motion, self.motion))
+        # stable: the knots of one motion stay in order
+        order = np.argsort(np.append(self.motion, extra_knots.motion), kind="stable")
+        return replace(Knots.joined([self, extra_knots], order), issues=(), by_law=None, stock=None)
 
     def checked(self, program: Program, name: str) -> Knots:
         """Return these knots if they can be used for a program.
@@ -125,10 +126,13 @@ class Knots(Columns, frozen=True, eq=False):
         :raises ForceError: knots are not in order, name a motion that the program does not have, are not finite or
             too large, or have several frames on one motion.
         """
-        count, shapes = len(self.motion), [np.shape(getattr(self, one)) for one in ("t", "frame", "ramped", "factor")]
-        if shapes != [(count,)] * 4 or [np.shape(one) for one in (self.wrench, self.sigma)] != [(count, 6)] * 2:
+        count, shapes = (
+            len(self.motion),
+            [np.shape(getattr(self, array)) for array in ("t", "frame", "ramped", "factor")],
+        )
+        if shapes != [(count,)] * 4 or [np.shape(array) for array in (self.wrench, self.sigma)] != [(count, 6)] * 2:
             raise ForceError(f"the arrays of the source of forces {name} do not have one row per knot")
-        same = np.diff(self.motion) == 0
+        same_motion = np.diff(self.motion) == 0
         for wrong, problem in (
             ((self.motion < 0) | (self.motion >= len(program.motions)), "a motion that does not exist"),
             (~((self.t >= 0.0) & (self.t <= 1.0)), "a place outside a motion (t in 0…1)"),
@@ -143,9 +147,12 @@ class Knots(Columns, frozen=True, eq=False):
             ),
             ((self.frame < 0) | (self.frame >= len(FORCE_FRAMES)), "an unknown frame"),
             (np.append(np.diff(self.motion) < 0, False), "motions out of order"),
-            (np.append(same & (np.diff(self.t) <= 0.0), False), "places on one motion out of order"),
-            (np.append(same & (np.diff(self.frame) != 0), False), "two frames on one motion"),
-            (np.append(same & (self.ramped[1:] | self.ramped[:-1]), False), "a ramped motion with several knots"),
+            (np.append(same_motion & (np.diff(self.t) <= 0.0), False), "places on one motion out of order"),
+            (np.append(same_motion & (np.diff(self.frame) != 0), False), "two frames on one motion"),
+            (
+                np.append(same_motion & (self.ramped[1:] | self.ramped[:-1]), False),
+                "a ramped motion with several knots",
+            ),
         ):
             if np.any(wrong):
                 motion = int(self.motion[int(np.argmax(wrong))])
@@ -196,9 +203,9 @@ def read(path: Path) -> ForceSource:
     if extension not in READERS:
         from importlib.metadata import entry_points  # slow to import, needed only for other extensions
 
-        added = {entry.name.lower(): entry for entry in entry_points(group=GROUP)}
-        if extension in added:
-            return _read_by(added[extension], path)
+        entry_of = {entry.name.lower(): entry for entry in entry_points(group=GROUP)}
+        if extension in entry_of:
+            return _read_by(entry_of[extension], path)
     module, _, name = READERS.get(extension, READERS[".csv"]).partition(":")
     reader: Callable[[Path], ForceSource] = getattr(import_module(module), name)
     return reader(path)

@@ -28,13 +28,13 @@ from postproc.frames import Array, any_column, largest, norm
 from postproc.program import CIRC, FORCE_FRAMES, MOST_FORCE, WRENCH, Bools, Ints, Program, TargetForces, Targets
 from postproc.toolpath import Segments, at
 
-_REQUIRED = ("line", *WRENCH[:3])
+_REQUIRED_COLUMNS = ("line", *WRENCH[:3])
 _SIGMAS = tuple(f"s{name}" for name in WRENCH)
 """Columns of the standard deviations of the wrench."""
 _PERCENT = ("sigma_percent", "factor_percent")
 _OPTIONAL = (*WRENCH[3:], "frame", "line_end", "t", *_SIGMAS, *_PERCENT)
 _MOST_LINES = 1e9
-_SHOWN = 5
+_LISTED_LINES = 5
 
 
 class ForceTable(Struct, frozen=True, eq=False):
@@ -73,9 +73,9 @@ class ForceTable(Struct, frozen=True, eq=False):
         :raises ForceError: a row names lines on which no motion starts.
         :raises ProgramError: a row names the line of a call of a routine that cuts and is not followed.
         """
-        for each in program.unfollowed:
-            if np.any(self.wrench[(self.first <= each.line) & (each.line <= self.last)]):
-                raise each.error
+        for call in program.unfollowed:
+            if np.any(self.wrench[(self.first <= call.line) & (call.line <= self.last)]):
+                raise call.error
         self._find_each(program)
         begins = np.flatnonzero(np.diff(self.first, prepend=-1))
         line, number = program.motions.line, np.diff(np.append(begins, len(self.row)))
@@ -84,19 +84,21 @@ class ForceTable(Struct, frozen=True, eq=False):
         carries = ~rapid | ~np.isin(line, line[~rapid])
         motion = np.flatnonzero((block >= 0) & (line <= self.last[begins[block]]) & carries)
         count = number[block[motion]]
-        inside = ragged_range(count)
-        row = np.repeat(begins[block[motion]], count) + inside
-        throughout = np.isnan(self.t[row])
-        t = np.where(throughout, 1.0, self.t[row])
-        own, wrench, frame = np.repeat(motion, count), self.wrench[row], self.frame[row]
-        knots = Knots(own, t, wrench, frame, self.sigma[row], self.factor[row], throughout)
+        index = ragged_range(count)
+        row = np.repeat(begins[block[motion]], count) + index
+        is_constant = np.isnan(self.t[row])
+        t = np.where(is_constant, 1.0, self.t[row])
+        knot_motion, wrench, frame = np.repeat(motion, count), self.wrench[row], self.frame[row]
+        knots = Knots(knot_motion, t, wrench, frame, self.sigma[row], self.factor[row], is_constant)
         return replace(knots, issues=tuple(self._on_still(program)))
 
     def _on_still(self, program: Program) -> Iterator[Issue]:
         """Yield a warning if rows with a force cover only moves of zero length."""
         starts = np.sort(program.motions.line)
-        without = np.searchsorted(starts, self.first, side="left") == np.searchsorted(starts, self.last, side="right")
-        rows = np.flatnonzero(without & any_column(self.wrench != 0.0))
+        has_no_motion = np.searchsorted(starts, self.first, side="left") == np.searchsorted(
+            starts, self.last, side="right"
+        )
+        rows = np.flatnonzero(has_no_motion & any_column(self.wrench != 0.0))
         if len(rows):
             lines = tuple(dict.fromkeys(self.first[rows].tolist()))
             message = f"a move of zero length carries no force: its row of {self.name} is not used"
@@ -108,10 +110,11 @@ class ForceTable(Struct, frozen=True, eq=False):
         empty = np.searchsorted(lines, self.first, side="left") == np.searchsorted(lines, self.last, side="right")
         if empty.any():
             first, row = (values[empty].tolist() for values in (self.first, self.row))
-            others = ", ".join(str(line) for line in first[1 : 1 + _SHOWN])
-            more = f", nor on {others}{', …' if len(first) > 1 + _SHOWN else ''}: {len(first)} rows of {len(self.row)}"
+            line_list = ", ".join(str(line) for line in first[1 : 1 + _LISTED_LINES])
+            line_list += ", …" if len(first) > 1 + _LISTED_LINES else ""
+            suffix = f", nor on {line_list}: {len(first)} rows of {len(self.row)}"
             raise ForceError(
-                f"no motion starts on line {first[0]} of {program.documents[0].name}{more if others else ''}",
+                f"no motion starts on line {first[0]} of {program.documents[0].name}{suffix if line_list else ''}",
                 file=self.file,
                 line=row[0],
                 advice="Give line numbers of the file, counted from 1, not N words. A force file that was written with "
@@ -128,7 +131,7 @@ def read_force_csv(path: Path) -> ForceTable:
         (`errors.together`).
     """
     numbers, texts, at, wrong = files.parse_csv(
-        path, _REQUIRED, _OPTIONAL, ForceError, ("frame",), ("line_end", "t", *_SIGMAS, *_PERCENT)
+        path, _REQUIRED_COLUMNS, _OPTIONAL, ForceError, ("frame",), ("line_end", "t", *_SIGMAS, *_PERCENT)
     )
     columns = _Columns(str(path), at.astype(np.int64), numbers, texts.get("frame", []), wrong)
     first, last, usable = columns.lines()
@@ -181,21 +184,26 @@ class _Columns(Struct, frozen=True, eq=False):
                 advice = "This is more than any robot carries: give newtons and newton metres."
                 self.check(np.abs(wrench[:, index]) > MOST_FORCE, f"{name} is {{:g}}", wrench[:, index], advice)
         percent, by_factor = (self.numbers.get(name, np.full(len(self.row), np.nan)) for name in _PERCENT)
-        for name, given in zip(_PERCENT, (percent, by_factor), strict=True):
+        for name, values in zip(_PERCENT, (percent, by_factor), strict=True):
             self.check(
-                ~((given >= 0.0) & (given < np.inf) | np.isnan(given)), f"{name} is {{:g}}", given, _NOT_NEGATIVE
+                ~((values >= 0.0) & (values < np.inf) | np.isnan(values)), f"{name} is {{:g}}", values, _NOT_NEGATIVE
             )
         factor = np.nan_to_num(np.where(np.isnan(percent), by_factor, percent)) / 100.0
         sigma += np.abs(wrench) * factor[:, None]
-        twice = np.isfinite(percent) & np.isfinite(by_factor)
+        has_both = np.isfinite(percent) & np.isfinite(by_factor)
         for index, name in enumerate(_SIGMAS):
-            given = self.numbers.get(name, np.full(len(self.row), np.nan))
+            values = self.numbers.get(name, np.full(len(self.row), np.nan))
             self.check(
-                ~((given >= 0.0) & (given <= MOST_FORCE) | np.isnan(given)), f"{name} is {{:g}}", given, _NOT_NEGATIVE
+                ~((values >= 0.0) & (values <= MOST_FORCE) | np.isnan(values)),
+                f"{name} is {{:g}}",
+                values,
+                _NOT_NEGATIVE,
             )
-            twice |= np.isfinite(given) & np.isfinite(percent)
-            sigma[:, index] = np.where(np.isnan(given), sigma[:, index], given)
-        self.check(twice, "standard deviations in addition to sigma_percent = {:g}", percent, "Give one or the other.")
+            has_both |= np.isfinite(values) & np.isfinite(percent)
+            sigma[:, index] = np.where(np.isnan(values), sigma[:, index], values)
+        self.check(
+            has_both, "standard deviations in addition to sigma_percent = {:g}", percent, "Give one or the other."
+        )
         return wrench, sigma, factor
 
     def frame(self) -> Ints:
@@ -217,21 +225,21 @@ class _Columns(Struct, frozen=True, eq=False):
         """Check that rows of one line are in order of t and have one frame, and that no other rows share a line."""
         begin, end, t, frame = (column[order] for column in values)
         usable = usable[order]
-        together = np.append(False, (np.diff(begin) == 0) & (np.diff(end) == 0)) & ~np.isnan(t)
-        together &= ~np.isnan(np.append(np.nan, t[:-1]))
-        before = np.append(0, np.maximum.accumulate(end)[:-1])
-        again = usable & (begin <= before) & ~together
+        shares_line = np.append(False, (np.diff(begin) == 0) & (np.diff(end) == 0)) & ~np.isnan(t)
+        shares_line &= ~np.isnan(np.append(np.nan, t[:-1]))
+        previous_end = np.append(0, np.maximum.accumulate(end)[:-1])
+        repeats_line = usable & (begin <= previous_end) & ~shares_line
         step = np.diff(t, prepend=0.0)
         for wrong, problem, column, advice in (
-            (again, "a second row for line {:g}", begin, None),
-            (usable & together & (step <= 0.0), "t = {:g} is not larger than in the row before", t, _STEP),
-            (usable & together & (np.diff(frame, prepend=0) != 0), "another frame than the row before", t, None),
+            (repeats_line, "a second row for line {:g}", begin, None),
+            (usable & shares_line & (step <= 0.0), "t = {:g} is not larger than in the row before", t, _STEP),
+            (usable & shares_line & (np.diff(frame, prepend=0) != 0), "another frame than the row before", t, None),
         ):
-            back = np.zeros(len(order), dtype=np.bool_)
-            back[order] = wrong
-            shown = np.zeros(len(order))
-            shown[order] = column
-            self.check(back, problem, shown, advice)
+            is_wrong = np.zeros(len(order), dtype=np.bool_)
+            is_wrong[order] = wrong
+            row_values = np.zeros(len(order))
+            row_values[order] = column
+            self.check(is_wrong, problem, row_values, advice)
 
     def check(
         self,
@@ -244,20 +252,20 @@ class _Columns(Struct, frozen=True, eq=False):
         """Add an error for each wrong row; `valid` are the names that the value may be."""
         for place in np.flatnonzero(wrong)[: MOST + 1].tolist():
             text = problem.format(values[place])
-            own = choices(str(values[place]), valid, "Valid frames") if valid else advice
-            self.wrong.append(ForceError(text, file=self.file, line=int(self.row[place]), advice=own))
+            row_advice = choices(str(values[place]), valid, "Valid frames") if valid else advice
+            self.wrong.append(ForceError(text, file=self.file, line=int(self.row[place]), advice=row_advice))
 
 
 _NOT_NEGATIVE = "Give a standard deviation, 0 or larger, in newtons, newton metres or percent."
 _STEP = "Sort the rows of a move by t; give a step as two positions close to each other."
 
 
-_APART = 1e-9
+_SAME_PLACE = 1e-9
 """Positions on a motion that differ by less count as one."""
-_SAME = 1e-6
+_NO_CHANGE = 1e-6
 """Changes of the force below this [N, N·m] count as none: the file has three decimals."""
 
-_ROUNDED = 2e-3
+_SAME_FORCE = 2e-3
 """Forces of two passes of a line that differ by less [N, N·m] count as equal: the file has three decimals."""
 
 
@@ -272,42 +280,42 @@ def of_targets(forces: PathForces, targets: Targets, arrive: Array, wrench: Runs
     frame = np.where(any_column(wrench.values != 0.0)[wrench.run], _frame(forces, targets), BASE)
     if (frame == BASE).all():
         return TargetForces(wrench, frame)
-    out = wrench[:]
+    rotated = wrench[:]
     for code in (TOOL, FEED):
         rows = np.flatnonzero(frame == code)
         axes = targets.pose[rows, :3, :3]
         if code == FEED:
-            axes, found = across(axes, arrive[rows], forces.axes.spindle)
-            frame[rows[~found]] = BASE
-            rows, axes = rows[found], axes[found]
+            axes, is_defined = across(axes, arrive[rows], forces.axes.spindle)
+            frame[rows[~is_defined]] = BASE
+            rows, axes = rows[is_defined], axes[is_defined]
         for half in (slice(0, 3), slice(3, 6)):
-            out[rows, half] = np.einsum("nji,nj->ni", axes, out[rows, half])
-    return TargetForces(Runs.of(out), frame)
+            rotated[rows, half] = np.einsum("nji,nj->ni", axes, rotated[rows, half])
+    return TargetForces(Runs.of(rotated), frame)
 
 
-def of_pieces(forces: PathForces, targets: Targets, at_end: TargetForces, written: Axes, row: Ints) -> Knots:
+def of_pieces(forces: PathForces, targets: Targets, at_end: TargetForces, output_axes: Axes, row: Ints) -> Knots:
     """Return the wrench along each piece for the CSV file of the written program.
 
     :param forces: those of the program as read, and `targets` the written targets.
     :param at_end: the wrench at the targets, see `of_targets`.
-    :param written: the axes of forces along the program as written.
+    :param output_axes: the axes of forces along the program as written.
     :param row: (K,) motion of the written program that ends at each target.
     :returns: knots; `motion` is here the row of the target at the end of the piece, and t the place on the piece.
     """
-    ramped = forces.ramped[targets.motion]
+    has_ramp = forces.ramped[targets.motion]
     target, share = _places(forces, targets)
-    whole = ramped[target]
+    whole = has_ramp[target]
     frame = np.where(whole, at_end.frame[target], _frame(forces, targets)[target])
     begin, end = targets.begin(target), targets.t[target]
     program, path = forces.axes.program, forces.axes.path
     nominal = at(program, path, targets.motion[target], np.where(share == 1.0, end, begin + share * (end - begin)))
-    there = at(written.program, written.path, row[target], share)
-    wrench = written.out_of_base(forces.at(nominal).reshape(-1, 2, 3, 1), frame, there).reshape(-1, 6)
+    output_place = at(output_axes.program, output_axes.path, row[target], share)
+    wrench = output_axes.out_of_base(forces.at(nominal).reshape(-1, 2, 3, 1), frame, output_place).reshape(-1, 6)
     wrench[whole] = at_end.wrench[target[whole]]
     spread = forces.spread_at(nominal)
     sigma = np.zeros_like(wrench)
     if spread is not None:
-        sigma = norm(written.out_of_base(spread, frame, there)).reshape(-1, 6)
+        sigma = norm(output_axes.out_of_base(spread, frame, output_place)).reshape(-1, 6)
     return _shortened(Knots(target, share, wrench, frame, sigma, forces.factor_at(nominal), whole))
 
 
@@ -323,19 +331,22 @@ def once_a_line(knots: Knots, line: Ints) -> tuple[Knots, Ints]:
     _, first, of = np.unique(line[target], return_index=True, return_inverse=True)
     differ = []
     for k in np.flatnonzero(first[of] != np.arange(len(target))).tolist():
-        one = first[of[k]]
-        same = count[k] == count[one]
-        if same:
-            a, b = (slice(begin[i], begin[i] + count[i]) for i in (k, one))
-            same = bool((knots.frame[a] == knots.frame[b]).all())
-            for values, least in (
-                (knots.t, _APART), (knots.wrench, _ROUNDED), (knots.sigma, _ROUNDED), (knots.factor, _APART)
+        first_pass = first[of[k]]
+        is_same = count[k] == count[first_pass]
+        if is_same:
+            a, b = (slice(begin[i], begin[i] + count[i]) for i in (k, first_pass))
+            is_same = bool((knots.frame[a] == knots.frame[b]).all())
+            for values, tolerance in (
+                (knots.t, _SAME_PLACE), (knots.wrench, _SAME_FORCE),
+                (knots.sigma, _SAME_FORCE), (knots.factor, _SAME_PLACE),
             ):  # fmt: skip
-                same &= bool(np.abs(values[a] - values[b]).max() <= least)
-        if not same:
+                is_same &= bool(np.abs(values[a] - values[b]).max() <= tolerance)
+        if not is_same:
             differ.append(target[k])
-    kept = np.flatnonzero(np.isin(knots.motion, target[first]))
-    return knots.take(kept[np.argsort(line[knots.motion[kept]], kind="stable")]), np.array(differ, dtype=np.int64)
+    knot_rows = np.flatnonzero(np.isin(knots.motion, target[first]))
+    return knots.take(knot_rows[np.argsort(line[knots.motion[knot_rows]], kind="stable")]), np.array(
+        differ, dtype=np.int64
+    )
 
 
 def _places(forces: PathForces, targets: Targets) -> tuple[Ints, Array]:
@@ -344,15 +355,15 @@ def _places(forces: PathForces, targets: Targets) -> tuple[Ints, Array]:
     That is the end of the piece if the force is ramped, else its start, its end and the knots between.
     """
     begin, end = targets.begin(np.arange(len(targets))), targets.t
-    low = np.searchsorted(forces.place, targets.motion + begin + _APART)
-    high = np.maximum(np.searchsorted(forces.place, targets.motion + end - _APART), low)
+    low = np.searchsorted(forces.place, targets.motion + begin + _SAME_PLACE)
+    high = np.maximum(np.searchsorted(forces.place, targets.motion + end - _SAME_PLACE), low)
     count = np.where(forces.ramped[targets.motion], 1, high - low + 2)
     target = np.repeat(np.arange(len(targets)), count)
-    inside = ragged_range(count)
-    last = inside == count[target] - 1
-    knot = np.where(last | (inside == 0), 0, low[target] + inside - 1)
+    index = ragged_range(count)
+    last = index == count[target] - 1
+    knot = np.where(last | (index == 0), 0, low[target] + index - 1)
     share = (forces.t[knot] - begin[target]) / (end - begin)[target]
-    return target, np.where(last, 1.0, np.where(inside == 0, 0.0, share))
+    return target, np.where(last, 1.0, np.where(index == 0, 0.0, share))
 
 
 def _shortened(knots: Knots) -> Knots:
@@ -360,7 +371,7 @@ def _shortened(knots: Knots) -> Knots:
     last = np.flatnonzero(np.diff(knots.motion, append=-1) != 0)
     end = last[np.searchsorted(last, np.arange(len(knots)))]
     columns = np.hstack([knots.wrench, knots.sigma, knots.factor[:, None]])
-    differs = largest(columns - columns[end]) > _SAME
+    differs = largest(columns - columns[end]) > _NO_CHANGE
     changes = np.zeros(len(knots), dtype=np.bool_)
     changes[end[differs]] = True
     keep = changes[end]

@@ -42,9 +42,9 @@ class Bodies:
         rows: Ints,
         breaks: Bools,
         shift: Array | None = None,
-        moved: Array | None = None,
+        base_motion: Array | None = None,
         *,
-        between: bool = True,
+        between_samples: bool = True,
     ) -> Bools:
         """Return at, or before, which samples (n,) of a path bodies are too close; False where `q` is NaN.
 
@@ -52,25 +52,29 @@ class Bodies:
         :param rows: (n,) samples of the program.
         :param breaks: (n,) where the path does not continue from the sample before.
         :param shift: (n, 3) how far E1 carries the robot [m].
-        :param moved: (4, 4) motion of `$BASE` from its place in the cell, in the root.
-        :param between: look between samples too.
+        :param base_motion: (4, 4) motion of `$BASE` from its place in the cell, in the root.
+        :param between_samples: look between samples too.
         """
-        out = np.zeros(len(rows), dtype=bool)
+        is_hit = np.zeros(len(rows), dtype=bool)
         usable = np.asarray(np.isfinite(q).all(axis=1))
         tool = self.tool[rows]
         begins = breaks.copy()
         begins |= ~usable
         begins[1:] |= ~usable[:-1] | (np.diff(tool) != 0)
         ends = np.append(np.flatnonzero(begins[1:]) + 1, len(rows))
-        placed = {key: each if moved is None else each.with_base(moved) for key, each in self.solids.items()}
+        solids_of_tool = {
+            key: solids if base_motion is None else solids.with_base(base_motion) for key, solids in self.solids.items()
+        }
         for begin, end in zip(np.append(0, ends[:-1]).tolist(), ends.tolist(), strict=True):
             if begin < end and usable[begin]:
                 part = slice(begin, end)
                 steps = drive.wrapped(np.diff(q[part], axis=0))
                 path = q[begin] + np.concatenate([np.zeros((1, 6)), np.cumsum(steps, axis=0)])
-                carried = None if shift is None else shift[part]
-                out[part] = hits(placed[int(tool[begin])], path, self.need, carried, between_samples=between)
-        return out
+                part_shift = None if shift is None else shift[part]
+                is_hit[part] = hits(
+                    solids_of_tool[int(tool[begin])], path, self.need, part_shift, between_samples=between_samples
+                )
+        return is_hit
 
     def clearance(self, q: Array, rows: Ints) -> Clearance:
         """Return the smallest distance of bodies at poses (n, 6) that are at samples (n,) with one tool."""
@@ -80,11 +84,13 @@ class Bodies:
         """Return the name of a body; it does not depend on the tool."""
         return next(iter(self.solids.values())).bodies[row].name
 
-    def closer(self, q: Array, rows: Ints, shift: Array, moved: Array) -> bool:
+    def closer(self, q: Array, rows: Ints, shift: Array, base_motion: Array) -> bool:
         """Return whether bodies are too close at any of some poses that do not belong together; see `along`."""
         tools = self.tool[rows]
         for tool, solids in self.solids.items():
-            own = tools == tool
-            if own.any() and solids.with_base(moved).closer(link_frames(self.chain, q[own], shift[own]), self.need):
+            of_tool = tools == tool
+            if of_tool.any() and solids.with_base(base_motion).closer(
+                link_frames(self.chain, q[of_tool], shift[of_tool]), self.need
+            ):
                 return True
         return False

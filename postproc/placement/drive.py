@@ -98,15 +98,15 @@ def reason(margin: Margins, speed: Array, jump: Array, keep: Keep, hit: Bools | 
         sample before [rad]; `hit` (...,) whether bodies come too close, None = not checked.
     """
     with np.errstate(invalid="ignore"):
-        out = np.zeros(margin.joint.shape, dtype=np.int64)
+        reasons = np.zeros(margin.joint.shape, dtype=np.int64)
         if hit is not None:
-            out[hit] = COLLISION
-        out[~(speed <= keep.speed)] = SPEED
+            reasons[hit] = COLLISION
+        reasons[~(speed <= keep.speed)] = SPEED
         singular = ~((margin.wrist >= keep.wrist) & (margin.elbow >= keep.elbow) & (margin.shoulder >= keep.shoulder))
-        out[singular | ~(jump <= keep.jump)] = SINGULAR
-        out[~(margin.joint >= keep.joint)] = LIMIT
-        out[np.isnan(margin.joint)] = REACH
-    return out
+        reasons[singular | ~(jump <= keep.jump)] = SINGULAR
+        reasons[~(margin.joint >= keep.joint)] = LIMIT
+        reasons[np.isnan(margin.joint)] = REACH
+    return reasons
 
 
 def expected_error(samples: PathSamples, rows: Ints, turn: Array, q: Array) -> tuple[Array, Array]:
@@ -115,12 +115,12 @@ def expected_error(samples: PathSamples, rows: Ints, turn: Array, q: Array) -> t
     :param turn: (n,) turn of the tool about its axis [rad].
     :param q: (n, 6) joint angles [rad].
     """
-    u95, moved = np.full(len(rows), np.nan), np.full(len(rows), np.nan)
+    u95, deflection = np.full(len(rows), np.nan), np.full(len(rows), np.nan)
     good = np.flatnonzero(np.isfinite(q).all(axis=1))
     if len(good):
         tool = toolpath.tool_of(samples.program, samples.sample.motion[rows[good]])
-        u95[good], moved[good] = errors(samples.robot_in_cell, q[good], tool, samples.load(rows[good], turn[good]))
-    return u95, moved
+        u95[good], deflection[good] = errors(samples.robot_in_cell, q[good], tool, samples.load(rows[good], turn[good]))
+    return u95, deflection
 
 
 def errors(robot_in_cell: RobotInCell, q: Array, tool: Array, load: Load) -> tuple[Array, Array]:
@@ -132,12 +132,14 @@ def errors(robot_in_cell: RobotInCell, q: Array, tool: Array, load: Load) -> tup
     :param tool: (4, 4) or (n, 4, 4) in the flange frame [m].
     :param load: see `PathSamples.load`.
     """
-    wrench, spread, pose, scaled = load
-    moved = _deflections(robot_in_cell, q, tool, wrench, pose)
+    wrench, spread, pose, is_scaled = load
+    deflection = _deflections(robot_in_cell, q, tool, wrench, pose)
     series = _in_series(robot_in_cell.tool_spring, pose)
     with np.errstate(invalid="ignore", divide="ignore"):
-        u95 = elastostatics.position_bound(robot_in_cell.robot, q, tool, wrench, spread, series, is_proportional=scaled)
-    return np.full(len(q), np.nan) if u95 is None else u95, moved
+        u95 = elastostatics.position_bound(
+            robot_in_cell.robot, q, tool, wrench, spread, series, is_proportional=is_scaled
+        )
+    return np.full(len(q), np.nan) if u95 is None else u95, deflection
 
 
 def _in_series(spring: ToolSpring | None, pose: Array) -> Array | None:
@@ -146,7 +148,7 @@ def _in_series(spring: ToolSpring | None, pose: Array) -> Array | None:
 
 def _deflections(robot_in_cell: RobotInCell, q: Array, tool: Array, wrench: Array, pose: Array) -> Array:
     """Return how far the tip is from nominal (n,) [m] if nothing is corrected; NaN without equilibrium."""
-    out = np.full(len(q), np.nan)
+    deflection = np.full(len(q), np.nan)
     left = np.arange(len(q))
     while len(left):
         tools = tool if tool.ndim == 2 else tool[left]
@@ -155,9 +157,9 @@ def _deflections(robot_in_cell: RobotInCell, q: Array, tool: Array, wrench: Arra
         except NotConvergedError as cause:
             left = np.delete(left, list(cause.rows))
             continue
-        out[left] = norm(tip - pose[left, :3, 3])
+        deflection[left] = norm(tip - pose[left, :3, 3])
         break
-    return out
+    return deflection
 
 
 def timed_speed(robot: RobotModel, step: Array, time: Array) -> Array:

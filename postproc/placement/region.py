@@ -41,7 +41,7 @@ _TURNS = np.arange(-180.0, 180.0, 30.0) * RAD_PER_DEG
 """Turns of the tool tried at each place where the cell leaves it open."""
 _GAIN = 1e-3
 """Share of the expected error by which a step of the compass search must lower it."""
-_ALIKE = 0.01
+_SIMILAR_COST = 0.01
 """Places whose expected errors differ by less than this share are alike: the one with more margin is better."""
 
 
@@ -189,54 +189,56 @@ class Programs:
         self.today = inverse(self.robot_in_cell.cell.base.pose())
         self.turns = _TURNS if turns else np.zeros(1)
         self.branch = int(kinematics.closed_form(self.robot).branch_of(self.robot_in_cell.cell.start_joints[None])[0])
-        self.bodies = None if clearance_mm is None else [Bodies(each, clearance_mm) for each in samples]
-        total = sum(len(each) for each in samples)
-        self.some = [_stations(each, max(24, _STATIONS * len(each) // total)) for each in samples]
-        self.every = [_stations(each, len(each)) for each in samples]
+        self.bodies = None if clearance_mm is None else [Bodies(item, clearance_mm) for item in samples]
+        total = sum(len(item) for item in samples)
+        self.station_choice = [_stations(item, max(24, _STATIONS * len(item) // total)) for item in samples]
+        self.full_stations = [_stations(item, len(item)) for item in samples]
 
-    def judge(self, place: Array, *, every: bool = False) -> Judged:
+    def judge(self, place: Array, *, all_samples: bool = False) -> Judged:
         """Judge a place (5,) [mm, deg] by its stations, or by every sample.
 
         The tool keeps the turn of the cell where that can be driven and no other turn saves enough.
         """
         best: Judged | None = None
-        own: Judged | None = None
+        cell_turn: Judged | None = None
         nearest = Judged(tuple(map(float, place)), drive.REACH)
         for turn in self.turns.tolist():
-            found = self._judge(place, turn, self.branch, self.every if every else self.some)
-            if found.reachable:
-                best = found if best is None or _better(found, best) else best
-                own = found if turn == 0.0 else own
-            elif found.reason > nearest.reason or np.isnan(nearest.margin):
-                nearest = found
-        if best is not None and own is not None and own.cost <= (1.0 + drive.REAL) * best.cost:
-            return own
+            judgement = self._judge(
+                place, turn, self.branch, self.full_stations if all_samples else self.station_choice
+            )
+            if judgement.reachable:
+                best = judgement if best is None or _better(judgement, best) else best
+                cell_turn = judgement if turn == 0.0 else cell_turn
+            elif judgement.reason > nearest.reason or np.isnan(nearest.margin):
+                nearest = judgement
+        if best is not None and cell_turn is not None and cell_turn.cost <= (1.0 + drive.REAL) * best.cost:
+            return cell_turn
         return nearest if best is None else best
 
     def _judge(self, place: Array, turn: float, branch: int, stations: Sequence[_Stations]) -> Judged:
-        moved, carried = self._moved(place)
-        where = tuple(map(float, place))
-        driven: list[tuple[_Stations, Array]] = []
+        base_motion, e1_shift = self._moved(place)
+        coordinates = tuple(map(float, place))
+        joint_paths: list[tuple[_Stations, Array]] = []
         margin = np.inf
-        for each in stations:
-            q, reason, own = self._driven(each, moved, carried, turn, branch)
-            margin = min(margin, own)
+        for group in stations:
+            q, reason, group_margin = self._driven(group, base_motion, e1_shift, turn, branch)
+            margin = min(margin, group_margin)
             if reason != FREE:
-                return Judged(where, reason, margin=own, turn=turn, branch=branch)
-            driven.append((each, q))
+                return Judged(coordinates, reason, margin=group_margin, turn=turn, branch=branch)
+            joint_paths.append((group, q))
         if self.bodies is not None:
-            for bodies, (each, q) in zip(self.bodies, driven, strict=True):
-                if self._collides(bodies, each, q, moved, carried):
-                    return Judged(where, drive.COLLISION, margin=margin, turn=turn, branch=branch)
+            for bodies, (group, q) in zip(self.bodies, joint_paths, strict=True):
+                if self._collides(bodies, group, q, base_motion, e1_shift):
+                    return Judged(coordinates, drive.COLLISION, margin=margin, turn=turn, branch=branch)
         deflection = u95 = 0.0
         singular = np.inf
-        for each, q in driven:
-            program_deflection, program_u95, value = self._errors(each, moved, carried, turn, q)
+        for group, q in joint_paths:
+            program_deflection, program_u95, value = self._errors(group, base_motion, e1_shift, turn, q)
             if not np.isfinite(program_deflection):
-                return Judged(where, drive.SINGULAR, margin=margin, turn=turn, branch=branch)
+                return Judged(coordinates, drive.SINGULAR, margin=margin, turn=turn, branch=branch)
             deflection, u95 = max(deflection, program_deflection), float(np.maximum(u95, program_u95))
             singular = min(singular, value)
-        return Judged(where, FREE, deflection, u95, margin, singular, turn, branch)
+        return Judged(coordinates, FREE, deflection, u95, margin, singular, turn, branch)
 
     def _moved(self, place: Array) -> tuple[Array, Array]:
         """Return the motion (4, 4) of the part from its place in the cell, and how far E1 carries the robot (3,)."""
@@ -246,57 +248,57 @@ class Programs:
         return pose @ self.today, np.zeros(3) if direction is None else direction * (place[4] / MM_PER_M)
 
     def _driven(
-        self, each: _Stations, moved: Array, carried: Array, turn: float, branch: int
+        self, group: _Stations, base_motion: Array, e1_shift: Array, turn: float, branch: int
     ) -> tuple[Array, int, float]:
         """Return joint angles (n, 6), the worst reason to refuse, and the smallest joint margin [rad]."""
-        flange = product(moved, self._flange(each, turn))
-        flange[:, :3, 3] -= each.shift + carried
-        branches = np.where(each.branch >= 0, each.branch, branch)
-        one = bool((branches == branches[0]).all())
-        q = drive.solve(self.robot, kinematics.components(flange), int(branches[0]) if one else branches)
-        found, count = drive.margins(self.robot, q), len(each.row)
+        flange = product(base_motion, self._flange(group, turn))
+        flange[:, :3, 3] -= group.shift + e1_shift
+        branches = np.where(group.branch >= 0, group.branch, branch)
+        is_one_branch = bool((branches == branches[0]).all())
+        q = drive.solve(self.robot, kinematics.components(flange), int(branches[0]) if is_one_branch else branches)
+        margins, count = drive.margins(self.robot, q), len(group.row)
         step = np.nan_to_num(drive.wrapped(q[:, count:] - q[:, :count]))
-        speed = drive.timed_speed(self.robot, step, each.samples.time[each.row])
-        jump = np.where(np.isfinite(each.samples.time[each.row]), np.abs(step).max(axis=0), 0.0)
-        own = Margins(*(getattr(found, name)[count:] for name in Margins.__struct_fields__))
-        reasons = drive.reason(own, speed, jump, self.keep)
-        margin = float(np.nanmin(own.joint, initial=np.inf))
-        if count == len(each.samples) and np.isnan(each.samples.program.motions.joints).all():
+        speed = drive.timed_speed(self.robot, step, group.samples.time[group.row])
+        jump = np.where(np.isfinite(group.samples.time[group.row]), np.abs(step).max(axis=0), 0.0)
+        at_stations = Margins(*(getattr(margins, name)[count:] for name in Margins.__struct_fields__))
+        reasons = drive.reason(at_stations, speed, jump, self.keep)
+        margin = float(np.nanmin(at_stations.joint, initial=np.inf))
+        if count == len(group.samples) and np.isnan(group.samples.program.motions.joints).all():
             reasons[self._wound(q[:, count:])] = drive.LIMIT
         bad = reasons[reasons != FREE]
         return q[:, count:].T, int(bad.min()) if len(bad) else FREE, margin if np.isfinite(margin) else np.nan
 
     @cache  # noqa: B019 - lives as long as the search
-    def _flange(self, each: _Stations, turn: float) -> Array:
+    def _flange(self, group: _Stations, turn: float) -> Array:
         """Return the flanges (2n, 4, 4) before stations and at them, in the root at E1 = 0."""
-        rows = np.append(each.before, each.row)
-        flange = each.samples.flange(rows, np.full(len(rows), turn))
-        flange[:, :3, 3] += each.shift
+        rows = np.append(group.before, group.row)
+        flange = group.samples.flange(rows, np.full(len(rows), turn))
+        flange[:, :3, 3] += group.shift
         return flange
 
     @cache  # noqa: B019
-    def _load(self, each: _Stations, turn: float) -> Load:
+    def _load(self, group: _Stations, turn: float) -> Load:
         """Return wrenches, their standard deviations and poses of the stations that cut, in the root at E1 = 0.
 
         :param turn: of the tool about its axis [rad].
         """
-        cuts = each.cuts
-        rows = each.row[cuts]
-        wrench, spread, pose, scaled = each.samples.load(rows, np.full(len(rows), turn))
-        pose[:, :3, 3] += each.shift[len(each.row) :][cuts]
-        return wrench, spread, pose, scaled
+        cuts = group.cuts
+        rows = group.row[cuts]
+        wrench, spread, pose, is_scaled = group.samples.load(rows, np.full(len(rows), turn))
+        pose[:, :3, 3] += group.shift[len(group.row) :][cuts]
+        return wrench, spread, pose, is_scaled
 
-    def _collides(self, bodies: Bodies, each: _Stations, q: Array, moved: Array, carried: Array) -> bool:
+    def _collides(self, bodies: Bodies, group: _Stations, q: Array, base_motion: Array, e1_shift: Array) -> bool:
         """Return whether bodies come too close at stations; between them too if these are all samples of a program."""
-        count = len(each.row)
-        shift = each.shift[count:] + carried
-        if bodies.closer(q, each.row, shift, moved):
+        count = len(group.row)
+        shift = group.shift[count:] + e1_shift
+        if bodies.closer(q, group.row, shift, base_motion):
             return True
-        if count < len(each.samples):
+        if count < len(group.samples):
             return False
         start, first = self.robot_in_cell.cell.start_joints[None], shift[:1]
-        path, shift, rows = np.concatenate([start, q]), np.concatenate([first, shift]), np.append(0, each.row)
-        return bool(bodies.along(path, rows, np.zeros(len(path), dtype=bool), shift, moved).any())
+        path, shift, rows = np.concatenate([start, q]), np.concatenate([first, shift]), np.append(0, group.row)
+        return bool(bodies.along(path, rows, np.zeros(len(path), dtype=bool), shift, base_motion).any())
 
     def _wound(self, q: Array) -> Bools:
         """Return which samples (n,) of a whole program wind A4 or A6 past their limits, counted from the start."""
@@ -308,64 +310,66 @@ class Programs:
         return np.asarray(((angle < low) | (angle > high)).any(axis=0))
 
     def _errors(
-        self, each: _Stations, moved: Array, carried: Array, turn: float, q: Array
+        self, group: _Stations, base_motion: Array, e1_shift: Array, turn: float, q: Array
     ) -> tuple[float, float, float]:
         """Return the largest deflection and expected error on cuts [m], and the smallest singular value."""
-        cuts = np.flatnonzero(each.cuts)
-        samples = each.samples
-        tool = toolpath.tool_of(samples.program, samples.sample.motion[each.row])
+        cuts = np.flatnonzero(group.cuts)
+        samples = group.samples
+        tool = toolpath.tool_of(samples.program, samples.sample.motion[group.row])
         singular = float(kinematics.singular_values(self.robot, q, tool).min())
         if not len(cuts):
             return 0.0, 0.0, singular
-        wrench, spread, pose, scaled = self._load(each, turn)
-        rotation = moved[:3, :3]
+        wrench, spread, pose, is_scaled = self._load(group, turn)
+        rotation = base_motion[:3, :3]
         wrench = (wrench.reshape(-1, 2, 3) @ rotation.T).reshape(-1, 6)
         if spread is not None:
             spread = (rotation @ spread.reshape(len(spread), 2, 3, -1)).reshape(spread.shape)
-        shift = each.shift[len(each.row) :][cuts]
-        pose = product(moved, pose)
-        pose[:, :3, 3] -= shift + carried
+        shift = group.shift[len(group.row) :][cuts]
+        pose = product(base_motion, pose)
+        pose[:, :3, 3] -= shift + e1_shift
         u95, deflection = drive.errors(
-            self.robot_in_cell, q[cuts], tool if tool.ndim == 2 else tool[cuts], (wrench, spread, pose, scaled)
+            self.robot_in_cell, q[cuts], tool if tool.ndim == 2 else tool[cuts], (wrench, spread, pose, is_scaled)
         )
         return float(deflection.max()), float(u95.max()), singular
 
 
-def _stations(samples: PathSamples, most: int) -> _Stations:
+def _stations(samples: PathSamples, max_count: int) -> _Stations:
     """Choose samples of a program: evenly along the path, and its outermost places."""
     m = samples.program.motions
     motion = samples.sample.motion
     usable = np.flatnonzero(np.isnan(m.joints[motion, 0]))
     place = samples.sample.pose[usable, :3, 3]
-    even = np.linspace(0, len(usable) - 1, min(most, len(usable))).astype(np.int64)
+    even_rows = np.linspace(0, len(usable) - 1, min(max_count, len(usable))).astype(np.int64)
     outer = np.concatenate([place.argmin(axis=0), place.argmax(axis=0)])
-    row = usable[np.unique(np.append(even, outer))]
-    before = np.maximum(row - 1, 0)
-    both = np.append(before, row)
+    row = usable[np.unique(np.append(even_rows, outer))]
+    previous = np.maximum(row - 1, 0)
+    pair_rows = np.append(previous, row)
     carriage = samples.program.carriage
-    shift = np.zeros((len(both), 3))
+    shift = np.zeros((len(pair_rows), 3))
     if carriage is not None:
-        shift = carriage.offset(motion[both], samples.sample.t[both])
-    branch = np.full(len(both), -1)
+        shift = carriage.offset(motion[pair_rows], samples.sample.t[pair_rows])
+    branch = np.full(len(pair_rows), -1)
     if (m.status >= 0).any():
         try:
-            found = samples.robot_in_cell.follow(samples.program, motion, samples.sample.t, samples.sample.pose)
-            branch = found.branch[both]
+            joint_path = samples.robot_in_cell.follow(samples.program, motion, samples.sample.t, samples.sample.pose)
+            branch = joint_path.branch[pair_rows]
         except UnreachableError:
             pass  # the status of targets cannot be resolved at today's place: the branch of the start is taken
-    return _Stations(samples, row, before, shift, branch, np.asarray(samples.cuts[row]))
+    return _Stations(samples, row, previous, shift, branch, np.asarray(samples.cuts[row]))
 
 
-def check_base(program: Program, robot_in_cell: RobotInCell, moved: Program | None = None) -> None:
+def check_base(program: Program, robot_in_cell: RobotInCell, shifted_program: Program | None = None) -> None:
     """Check that a program is in the `$BASE` of the cell, and moves with it.
 
-    :param moved: the program as it is read with another `[base]`; None: its dialect has no frames of its own.
+    :param shifted_program: the program as it is read with another `[base]`; None: its dialect has no frames of its own.
     :raises InputError: it has frames of its own, which do not move with the cell's.
     """
     base = robot_in_cell.cell.base.pose()
     for row in np.unique(program.motions.base).tolist():
         first = np.argmax(program.motions.base == row)
-        stays = moved is not None and np.array_equal(moved.bases[moved.motions.base[first]], program.bases[row])
+        stays = shifted_program is not None and np.array_equal(
+            shifted_program.bases[shifted_program.motions.base[first]], program.bases[row]
+        )
         if stays or np.abs(program.bases[row] - base).max() > _SAME_FRAME:
             raise InputError(
                 f"line {program.motions.line[first]}: the motions are in a $BASE that the program sets itself: they "
@@ -375,11 +379,15 @@ def check_base(program: Program, robot_in_cell: RobotInCell, moved: Program | No
             )
 
 
-def _better(one: Judged, other: Judged) -> bool:
+def _better(place: Judged, rival: Judged) -> bool:
     """Return whether a place is better than another: a smaller error, or one that is alike with more margin."""
-    if one.reachable and other.reachable and abs(one.cost - other.cost) <= _ALIKE * min(one.cost, other.cost):
-        return one.margin > other.margin
-    return one.cost < other.cost
+    if (
+        place.reachable
+        and rival.reachable
+        and abs(place.cost - rival.cost) <= _SIMILAR_COST * min(place.cost, rival.cost)
+    ):
+        return place.margin > rival.margin
+    return place.cost < rival.cost
 
 
 Assess = Callable[[Judged], Assessment]
@@ -398,7 +406,7 @@ def search(
     :param assess: converts the programs at today's place and at the best one; None: samples decide.
     """
     cell = programs.robot_in_cell.cell
-    today = programs.judge(np.array([cell.base.X, cell.base.Y, cell.base.Z, cell.base.A, 0.0]), every=True)
+    today = programs.judge(np.array([cell.base.X, cell.base.Y, cell.base.Z, cell.base.A, 0.0]), all_samples=True)
     today = _assessed(today, assess)
     lines = [
         np.linspace(region.low[k], region.high[k], _COARSE[axis]) if k in region.free else np.array([region.low[k]])
@@ -407,33 +415,33 @@ def search(
     grid = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, len(AXES))
     has_slice = {0, 1} <= set(region.free)
     total = len(grid) + (_SLICE**2 if has_slice else 0)
-    tried: list[Judged] = []
+    judgements: list[Judged] = []
 
     def judged(place: Array) -> Judged:
-        tried.append(programs.judge(place))
+        judgements.append(programs.judge(place))
         if progress is not None:
-            progress(min(len(tried), total), total)
-        return tried[-1]
+            progress(min(len(judgements), total), total)
+        return judgements[-1]
 
     for place in grid:
         judged(place)
-    best_of_grid = min(tried, key=lambda place: place.cost)
+    best_of_grid = min(judgements, key=lambda place: place.cost)
     middle = np.array([0.5 * (low + high) for low, high in zip(region.low, region.high, strict=True)])
-    around = np.array(best_of_grid.place) if best_of_grid.reachable else middle
+    slice_centre = np.array(best_of_grid.place) if best_of_grid.reachable else middle
     x = y = np.zeros(0)
     if has_slice:
         x, y = (np.linspace(region.low[k], region.high[k], _SLICE) for k in (0, 1))
         for place_x, place_y in itertools.product(x, y):
-            judged(np.array([place_x, place_y, *around[2:]]))
-    starts = sorted((place for place in tried if place.reachable), key=lambda place: place.cost)[:_STARTS]
+            judged(np.array([place_x, place_y, *slice_centre[2:]]))
+    starts = sorted((place for place in judgements if place.reachable), key=lambda place: place.cost)[:_STARTS]
     steps = np.array([0.5 * (line[1] - line[0]) if len(line) > 1 else 0.0 for line in lines])
     for start in starts:
         _descend(judged, region, start, steps)
-    best = _confirmed(programs, tried, assess)
+    best = _confirmed(programs, judgements, assess)
     limit = np.inf if best is None else (1.0 + drive.REAL) * best.stated_cost
     if _inside(region, today) and today.reachable and today.stated_cost <= limit:
         best = today
-    return Search(today, best, tuple(tried), (tuple(x.tolist()), tuple(y.tolist())), tuple(around.tolist()))
+    return Search(today, best, tuple(judgements), (tuple(x.tolist()), tuple(y.tolist())), tuple(slice_centre.tolist()))
 
 
 def _assessed(place: Judged, assess: Assess | None) -> Judged:
@@ -441,13 +449,13 @@ def _assessed(place: Judged, assess: Assess | None) -> Judged:
     return place if assess is None or not place.reachable else replace(place, assessment=assess(place))
 
 
-def _descend(judged: Callable[[Array], Judged], region: Region, start: Judged, steps: Array) -> None:
+def _descend(judge: Callable[[Array], Judged], region: Region, start: Judged, steps: Array) -> None:
     """Go to better neighbours along the axes, with steps that are halved where there are none."""
     best, free = start, region.free
     for _ in range(_HALVINGS):
-        moved = True
-        while moved:
-            moved = False
+        is_improving = True
+        while is_improving:
+            is_improving = False
             for k in free:
                 for sign in (1.0, -1.0):
                     place = np.array(best.place)
@@ -455,9 +463,9 @@ def _descend(judged: Callable[[Array], Judged], region: Region, start: Judged, s
                     place = region.clipped(place)
                     if abs(place[k] - best.place[k]) < 1e-9:
                         continue
-                    found = judged(place)
-                    if found.cost < (1.0 - _GAIN) * best.cost:
-                        best, moved = found, True
+                    neighbour = judge(place)
+                    if neighbour.cost < (1.0 - _GAIN) * best.cost:
+                        best, is_improving = neighbour, True
                         break
         steps = 0.5 * steps
 
@@ -467,25 +475,25 @@ def _inside(region: Region, place: Judged) -> bool:
     return bool(np.allclose(region.clipped(np.array(place.place)), place.place, rtol=0.0, atol=1e-9))
 
 
-_MOST_CONFIRMED = 40
+_MAX_CHECKS = 40
 """Places that are judged by all samples until one can be driven."""
-_MOST_ASSESSED = 6
+_MAX_ASSESSMENTS = 6
 """Places at which the programs are converted until all can be."""
 
 
-def _confirmed(programs: Programs, tried: Sequence[Judged], assess: Assess | None) -> Judged | None:
+def _confirmed(programs: Programs, judgements: Sequence[Judged], assess: Assess | None) -> Judged | None:
     """Return the best place by every sample of the programs, at which they are converted; None if there is none."""
-    reachable = sorted((place for place in tried if place.reachable), key=lambda place: place.cost)
-    alike = [place for place in reachable if place.cost <= (1.0 + _ALIKE) * reachable[0].cost]
-    order = sorted(alike, key=lambda place: -place.margin) + [place for place in reachable if place not in alike]
+    reachable = sorted((place for place in judgements if place.reachable), key=lambda place: place.cost)
+    similar = [place for place in reachable if place.cost <= (1.0 + _SIMILAR_COST) * reachable[0].cost]
+    order = sorted(similar, key=lambda place: -place.margin) + [place for place in reachable if place not in similar]
     assessments = 0
-    for place in order[:_MOST_CONFIRMED]:
-        by_all_samples = programs.judge(np.array(place.place), every=True)
+    for place in order[:_MAX_CHECKS]:
+        by_all_samples = programs.judge(np.array(place.place), all_samples=True)
         if by_all_samples.reachable:
-            assessed = _assessed(by_all_samples, assess)
+            place_as_converted = _assessed(by_all_samples, assess)
             assessments += 1
-            if assessed.reachable:
-                return assessed
-            if assessments >= _MOST_ASSESSED:
+            if place_as_converted.reachable:
+                return place_as_converted
+            if assessments >= _MAX_ASSESSMENTS:
                 break
     return None

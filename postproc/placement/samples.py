@@ -53,18 +53,18 @@ class PathSamples(Struct, frozen=True, eq=False):
         """
         m = program.motions
         segments = toolpath.segments(program, robot_in_cell.start_flange)
-        along = forces.assign(program, segments, source, robot_in_cell.spindle, robot_in_cell.ramp)
+        path_forces = forces.assign(program, segments, source, robot_in_cell.spindle, robot_in_cell.ramp)
         count = np.ceil(np.maximum(segments.travel / _STEP, segments.turn / _TURN) - 1e-9)
         count[(m.kind == PTP) | (m.kind == SPL)] = 1.0
         number = np.maximum(count, 1.0).astype(np.int64)
         motion = np.repeat(np.arange(len(m)), number)
-        inside = ragged_range(number) + 1
-        sample = toolpath.at(program, segments, motion, inside / number[motion])
+        index = ragged_range(number) + 1
+        sample = toolpath.at(program, segments, motion, index / number[motion])
         travel = segments.length[motion] / number[motion]
         feed = m.feed[motion]
-        timed = ~m.rapid[motion] & (m.kind[motion] != PTP) & (travel > 1e-6) & (feed > 0.0)
-        time = np.where(timed, travel / np.where(timed, feed, 1.0), np.inf)
-        return cls(program, robot_in_cell, segments, along, sample, time)
+        has_time = ~m.rapid[motion] & (m.kind[motion] != PTP) & (travel > 1e-6) & (feed > 0.0)
+        time = np.where(has_time, travel / np.where(has_time, feed, 1.0), np.inf)
+        return cls(program, robot_in_cell, segments, path_forces, sample, time)
 
     def __len__(self) -> int:
         return len(self.sample)
@@ -90,15 +90,15 @@ class PathSamples(Struct, frozen=True, eq=False):
         """Return the load at samples (n,) with the tool turned by angles (n,) [rad], root axes.
 
         :returns: wrench (n, 6) [N, N·m]; `force_spread` of `elastostatics.position_bound`; the tool frame (n, 4, 4) in
-            the root [m]; `scaled` (n,) of `position_bound`.
+            the root [m]; `is_scaled` (n,) of `position_bound`.
         """
         pose = self._turned(rows, turn)
         motion, t = self.sample.motion[rows], self.sample.t[rows]
-        here = Toolpath(motion, t, Poses.of(pose), self.sample.distance[rows])
-        wrench = toolpath.wrench_in_root(self.program, motion, self.along.at(here))
-        spread = self.along.spread_in_root(here)
-        scaled = self.robot_in_cell.scaled(self.along, motion)
-        return wrench, spread, toolpath.pose_in_root(self.program, motion, pose, t), scaled
+        samples = Toolpath(motion, t, Poses.of(pose), self.sample.distance[rows])
+        wrench = toolpath.wrench_in_root(self.program, motion, self.along.at(samples))
+        spread = self.along.spread_in_root(samples)
+        is_scaled = self.robot_in_cell.scaled(self.along, motion)
+        return wrench, spread, toolpath.pose_in_root(self.program, motion, pose, t), is_scaled
 
     def _turned(self, rows: Ints, turn: Array) -> Array:
         pose = self.sample.pose[rows]
@@ -114,5 +114,5 @@ class PathSamples(Struct, frozen=True, eq=False):
     @property
     def travel(self) -> Array:
         """(N,) path length from the sample before [m]; joint interpolation by its chord."""
-        out = np.append(0.0, norm(np.diff(self.sample.pose[:, :3, 3], axis=0)))
-        return np.asarray(out)
+        steps = np.append(0.0, norm(np.diff(self.sample.pose[:, :3, 3], axis=0)))
+        return np.asarray(steps)

@@ -47,7 +47,7 @@ _PER_BIN = 60.0 * RAD_PER_DEG
 """Largest change in one bin: which way round A4 and A6 go is then certain."""
 _LARGEST = 170.0 * RAD_PER_DEG
 """Largest change in one block: a motion turns the tool the short way."""
-_ALIKE = 0.01
+_MARGIN_WEIGHT = 0.01
 """Share of the expected error that may be given for margin: lines whose errors differ by less are alike."""
 _STEADY = 0.003
 """Cost of turning by a radian, as a share of the cost of all cuts: of lines alike, the one that turns least."""
@@ -84,26 +84,26 @@ class Blocks(Struct, frozen=True, eq=False):
         m = program.motions
         jump = m.kind == PTP
         length = np.where(jump, 0.0, segments.length)
-        own = np.concatenate([[True], jump[1:] | jump[:-1] | (m.rapid[1:] != m.rapid[:-1])])
+        starts_run = np.concatenate([[True], jump[1:] | jump[:-1] | (m.rapid[1:] != m.rapid[:-1])])
         step = max(_BLOCK, float(length.sum()) / _MOST_BLOCKS)
-        block = _grouped(length, own, step)
+        block = _grouped(length, starts_run, step)
         of_sample = block[motion]
         distance = samples.sample.distance
         new = np.diff(motion, prepend=-1) != 0
         travel = np.where(jump[motion], 0.0, np.where(new, distance, np.diff(distance, prepend=0.0)))
         count = np.bincount(of_sample)
-        many = min(_BINS, max(1, _MOST_BINS // len(count)))
+        bin_count = min(_BINS, max(1, _MOST_BINS // len(count)))
         start = np.concatenate([[0], np.cumsum(count)[:-1]])
         place = np.arange(len(of_sample)) - start[of_sample]
-        number = np.minimum(count, many)[of_sample]
+        number = np.minimum(count, bin_count)[of_sample]
         inner = place * number // count[of_sample]
         first = np.flatnonzero((np.diff(inner, prepend=-1) != 0) | (np.diff(of_sample, prepend=-1) != 0))
         total = np.bincount(of_sample, travel)
-        along = np.cumsum(travel)
-        before = (np.cumsum(total) - total)[of_sample]
+        path_length = np.cumsum(travel)
+        block_start = (np.cumsum(total) - total)[of_sample]
         last = np.append(first[1:], len(of_sample)) - 1
         whole = total[of_sample[last]]
-        share = np.where(whole > 0.0, (along - before)[last] / np.where(whole > 0.0, whole, 1.0), 1.0)
+        share = np.where(whole > 0.0, (path_length - block_start)[last] / np.where(whole > 0.0, whole, 1.0), 1.0)
         ends = np.append(np.flatnonzero(np.diff(block)), len(block) - 1)
         seconds = np.where(
             m.rapid, np.where(m.feed > 0.0, length / np.where(m.feed > 0.0, m.feed, 1.0), 0.0), length / m.feed
@@ -131,22 +131,22 @@ class Blocks(Struct, frozen=True, eq=False):
         block = np.searchsorted(self.motion, np.arange(len(m)))
         length = np.where(m.kind == PTP, 0.0, segments.length)
         total = self.length[block]
-        along = np.cumsum(length)
-        ends = along[self.motion]
-        behind = ends[block] - along
-        share = np.where(total > 0.0, 1.0 - behind / np.where(total > 0.0, total, 1.0), 1.0)
-        before = np.append(knots[0], knots[:-1])
-        before = np.where(self.begins, knots, before)
-        return np.asarray(before[block] + np.clip(share, 0.0, 1.0) * (knots - before)[block])
+        path_length = np.cumsum(length)
+        ends = path_length[self.motion]
+        length_left = ends[block] - path_length
+        share = np.where(total > 0.0, 1.0 - length_left / np.where(total > 0.0, total, 1.0), 1.0)
+        start_turn = np.append(knots[0], knots[:-1])
+        start_turn = np.where(self.begins, knots, start_turn)
+        return np.asarray(start_turn[block] + np.clip(share, 0.0, 1.0) * (knots - start_turn)[block])
 
 
-def _grouped(length: Array, own: Array, step: float) -> Ints:
+def _grouped(length: Array, starts_run: Array, step: float) -> Ints:
     """Return the block (M,) of each motion: runs are divided where another `step` of their length begins."""
-    run = np.cumsum(own) - 1
-    along = np.cumsum(length)
-    begin = (along - length)[np.flatnonzero(own)]
-    number = np.floor((along - length - begin[run]) / step + 1e-9).astype(np.int64)
-    change = own | (np.diff(number, prepend=-1) != 0)
+    run = np.cumsum(starts_run) - 1
+    path_length = np.cumsum(length)
+    begin = (path_length - length)[np.flatnonzero(starts_run)]
+    number = np.floor((path_length - length - begin[run]) / step + 1e-9).astype(np.int64)
+    change = starts_run | (np.diff(number, prepend=-1) != 0)
     return np.asarray(np.cumsum(change) - 1)
 
 
@@ -205,15 +205,15 @@ def evaluate(
     :param bodies: None = collisions are not checked.
     """
     robot = samples.robot_in_cell.robot
-    count, many = len(blocks.first), len(offset)
-    shape = (count, many)
+    count, turn_count = len(blocks.first), len(offset)
+    shape = (count, turn_count)
     worst = Margins(*(np.full(shape, np.nan) for _ in range(4)))
     speed, jump, rate = (np.zeros(shape) for _ in range(3))
     hit = np.zeros(shape, dtype=bool)
-    every = np.arange(0, len(samples), max(1, len(samples) // _MOST_POSES))
-    every = np.unique(np.concatenate([every, blocks.last, [len(samples) - 1]]))
-    ends, middles = np.empty((count, many, 6)), np.empty((count, many, 6))
-    winding = np.zeros((count, many, 2, 3))
+    pose_rows = np.arange(0, len(samples), max(1, len(samples) // _MOST_POSES))
+    pose_rows = np.unique(np.concatenate([pose_rows, blocks.last, [len(samples) - 1]]))
+    ends, middles = np.empty((count, turn_count, 6)), np.empty((count, turn_count, 6))
+    winding = np.zeros((count, turn_count, 2, 3))
     free = samples.program.motions.kind[samples.sample.motion] == PTP
     bounds = np.append(blocks.first, len(samples))
     middle = (bounds[:-1] + bounds[1:] - 1) // 2
@@ -230,12 +230,12 @@ def evaluate(
         tool = tools if tools.shape[-1] == 1 else tools[..., samples.program.motions.tool[motion]]
         starts = blocks.first[from_bin:to_bin] - begin
         part = slice(from_bin, to_bin)
-        still = free[begin:end]
-        picked = every[slice(*np.searchsorted(every, [begin, end]))] - begin
+        is_free = free[begin:end]
+        chosen_rows = pose_rows[slice(*np.searchsorted(pose_rows, [begin, end]))] - begin
         joints = samples.program.motions.joints[motion]
         axis_targets = np.isfinite(joints[:, 0])
-        fixed = axis_targets[lead:]
-        for j in range(many):
+        is_axis_target = axis_targets[lead:]
+        for j in range(turn_count):
             turn = samples.rotation(base[rows] + offset[j]) if base[rows].any() else samples.rotation(offset[j : j + 1])
             columns = [pose[:, k] for k in range(4)]
             local = np.zeros((3, 4, turn.shape[0]))
@@ -245,13 +245,13 @@ def evaluate(
             q[:, axis_targets] = joints[axis_targets].T
             step = np.diff(q, axis=1) if lead else np.diff(q, axis=1, prepend=q[:, :1])
             q = q[:, lead:]
-            crossed = (np.abs(np.delete(step, WINDING, axis=0)) > np.pi).any(axis=0) & ~still
+            flips = (np.abs(np.delete(step, WINDING, axis=0)) > np.pi).any(axis=0) & ~is_free
             step = np.nan_to_num(drive.wrapped(step))
-            step[:, still] = 0.0
+            step[:, is_free] = 0.0
             margin = drive.margins(robot, q)
-            margin.joint[crossed] = -1.0
-            for each in margin.__struct_fields__:
-                getattr(margin, each)[fixed] = np.inf
+            margin.joint[flips] = -1.0
+            for field in margin.__struct_fields__:
+                getattr(margin, field)[is_axis_target] = np.inf
             for name in Margins.__struct_fields__:
                 getattr(worst, name)[part, j] = np.minimum.reduceat(getattr(margin, name), starts)
             speed[part, j] = np.maximum.reduceat(drive.timed_speed(robot, step, samples.time[begin:end]), starts)
@@ -260,13 +260,15 @@ def evaluate(
             middles[part, j] = q[:, middle[part] - begin].T
             winding[part, j] = _wound(step[list(WINDING)], starts)
             if bodies is not None:
-                struck = np.zeros(end - begin, dtype=bool)
-                found = bodies.along(q[:, picked].T, rows[lead:][picked], still[picked], between=False)
-                struck[picked] = found
-                hit[part, j] = np.logical_or.reduceat(struck, starts)
+                is_hit = np.zeros(end - begin, dtype=bool)
+                pose_hits = bodies.along(
+                    q[:, chosen_rows].T, rows[lead:][chosen_rows], is_free[chosen_rows], between_samples=False
+                )
+                is_hit[chosen_rows] = pose_hits
+                hit[part, j] = np.logical_or.reduceat(is_hit, starts)
         from_bin = to_bin
     gap = drive.wrapped(np.roll(ends, -1, axis=1) - ends)
-    if many > 1:
+    if turn_count > 1:
         rate = np.abs(gap / robot.speed).max(axis=2) / (offset[1] - offset[0])
         rate = np.fmax(rate, np.roll(rate, 1, axis=1))
     u95, deflection = _errors(samples, middle, base[middle][:, None] + offset, middles)
@@ -299,25 +301,25 @@ def _untooled(samples: PathSamples, rows: Ints) -> Array:
 def _wound(step: Array, starts: Ints) -> Array:
     """Return how far (k, 2, 3) joints turn along bins in all, least and most, for steps (2, n) between samples."""
     total = np.cumsum(step, axis=1)
-    before = np.concatenate([np.zeros((2, 1)), total[:, starts[1:] - 1]], axis=1)
-    least = np.minimum.reduceat(total, starts, axis=1) - before
-    most = np.maximum.reduceat(total, starts, axis=1) - before
+    bin_start = np.concatenate([np.zeros((2, 1)), total[:, starts[1:] - 1]], axis=1)
+    lowest_turn = np.minimum.reduceat(total, starts, axis=1) - bin_start
+    highest_turn = np.maximum.reduceat(total, starts, axis=1) - bin_start
     ends = np.append(starts[1:], step.shape[1]) - 1
-    parts = [total[:, ends] - before, np.minimum(least, 0.0), np.maximum(most, 0.0)]
+    parts = [total[:, ends] - bin_start, np.minimum(lowest_turn, 0.0), np.maximum(highest_turn, 0.0)]
     return np.stack(parts, axis=2).swapaxes(0, 1)
 
 
 def _errors(samples: PathSamples, middle: Ints, turn: Array, q: Array) -> tuple[Array, Array]:
     """Return expected error and deflection (K, J) at samples (K,); zero on rapid moves."""
     cuts = np.flatnonzero(samples.cuts[middle])
-    u95, moved = np.zeros(turn.shape), np.zeros(turn.shape)
+    u95, deflection = np.zeros(turn.shape), np.zeros(turn.shape)
     if not len(cuts):
-        return u95, moved
-    many = turn.shape[1]
-    rows = np.repeat(middle[cuts], many)
-    found = drive.expected_error(samples, rows, turn[cuts].ravel(), q[cuts].reshape(-1, 6))
-    u95[cuts], moved[cuts] = (each.reshape(-1, many) for each in found)
-    return u95, moved
+        return u95, deflection
+    turn_count = turn.shape[1]
+    rows = np.repeat(middle[cuts], turn_count)
+    errors = drive.expected_error(samples, rows, turn[cuts].ravel(), q[cuts].reshape(-1, 6))
+    u95[cuts], deflection[cuts] = (values.reshape(-1, turn_count) for values in errors)
+    return u95, deflection
 
 
 def whole_circle(step: float) -> Array:
@@ -351,62 +353,62 @@ class Blocked(Struct, frozen=True):
 
 def line_through(
     robot: RobotModel,
-    found: TurnMap,
+    turn_map: TurnMap,
     keep: Keep,
     start: Array,
     *,
     turn_at_feed: bool,
-    closed: bool,
+    is_circle: bool,
 ) -> Line | Blocked:
     """Find the line through the map with the smallest expected error, under the limits of the joints.
 
     :param start: (6,) joint angles before the program [rad]: A4 and A6 are counted from there.
     :param turn_at_feed: whether the turn may change on cuts; else on rapid moves only.
-    :param closed: whether the map is a whole circle of turns.
+    :param is_circle: whether the map is a whole circle of turns.
     """
-    reasons = found.reasons(keep)
+    reasons = turn_map.reasons(keep)
     bad = drive.any_bad(reasons)
-    cost = _cell_cost(found, bad)
-    blocks = found.blocks
-    step = float(found.offset[1] - found.offset[0])
-    many = len(found.offset)
+    cost = _cell_cost(turn_map, bad)
+    blocks = turn_map.blocks
+    step = float(turn_map.offset[1] - turn_map.offset[0])
+    turn_count = len(turn_map.offset)
     bins = np.searchsorted(blocks.block, np.arange(len(blocks.length) + 1))
-    state = np.full((3, 3, many), np.inf)
-    back: list[tuple[Ints, Ints, Ints]] = []
+    state = np.full((3, 3, turn_count), np.inf)
+    sources: list[tuple[Ints, Ints, Ints]] = []
     windings = _limits(robot, keep)
-    base = found.base[np.append(blocks.first[1:], len(found.base)) - 1]
+    base = turn_map.base[np.append(blocks.first[1:], len(turn_map.base)) - 1]
     last_q: Array | None = None
     for b in range(len(blocks.length)):
         part = slice(int(bins[b]), int(bins[b + 1]))
         if blocks.begins[b]:
-            state, source = _begin(found, part, bad, cost, start, state, last_q, windings)
+            state, source = _begin(turn_map, part, bad, cost, start, state, last_q, windings)
         else:
-            own = float(base[part.stop - 1] - base[part.start - 1])
-            steps = _steps(found, b, part, step, own, turn_at_feed=turn_at_feed)
-            changes = steps, np.abs(steps * step + own)
-            state, source = _advance(found, b, part, changes, bad, cost, state, windings, closed=closed)
-        back.append(source)
+            base_change = float(base[part.stop - 1] - base[part.start - 1])
+            steps = _steps(turn_map, b, part, step, base_change, turn_at_feed=turn_at_feed)
+            changes = steps, np.abs(steps * step + base_change)
+            state, source = _advance(turn_map, b, part, changes, bad, cost, state, windings, is_circle=is_circle)
+        sources.append(source)
         if not np.isfinite(state).any():
             return Blocked(b)
-        last_q = found.q[part.stop - 1]
-    return _traced(found, state, back, base)
+        last_q = turn_map.q[part.stop - 1]
+    return _traced(turn_map, state, sources, base)
 
 
-def _cell_cost(found: TurnMap, bad: Bools) -> Array:
+def _cell_cost(turn_map: TurnMap, bad: Bools) -> Array:
     """Return the cost (K, J) of each bin: its share of the squared error, and a little for missing margin."""
-    blocks = found.blocks
-    bins = np.diff(np.append(blocks.first, len(found.base)))
-    error = np.where(bad, np.nan, found.error) ** 2
+    blocks = turn_map.blocks
+    bins = np.diff(np.append(blocks.first, len(turn_map.base)))
+    error = np.where(bad, np.nan, turn_map.error) ** 2
     weight = bins * blocks.cuts[blocks.block]
     typical = np.nan_to_num(np.nanmin(np.where(np.isnan(error), np.inf, error), axis=1), posinf=0.0)
     total = float((weight * typical).sum())
-    out = np.zeros(bad.shape)
+    error_cost = np.zeros(bad.shape)
     if total > 0.0:
-        out += weight[:, None] / total * np.nan_to_num(error, nan=0.0)
-    ease = np.minimum(found.margin.joint, found.margin.wrist)
+        error_cost += weight[:, None] / total * np.nan_to_num(error, nan=0.0)
+    ease = np.minimum(turn_map.margin.joint, turn_map.margin.wrist)
     with np.errstate(over="ignore"):
         tight = np.exp(-np.nan_to_num(ease, posinf=1e3) / _EASY)
-    return np.asarray(out + _ALIKE * tight * (bins / bins.sum())[:, None])
+    return np.asarray(error_cost + _MARGIN_WEIGHT * tight * (bins / bins.sum())[:, None])
 
 
 def _limits(robot: RobotModel, keep: Keep) -> tuple[Array, Array]:
@@ -416,7 +418,7 @@ def _limits(robot: RobotModel, keep: Keep) -> tuple[Array, Array]:
 
 
 def _begin(
-    found: TurnMap,
+    turn_map: TurnMap,
     part: slice,
     bad: Bools,
     cost: Array,
@@ -427,17 +429,17 @@ def _begin(
 ) -> tuple[Array, tuple[Ints, Ints, Ints]]:
     """Begin at a joint interpolation: it takes A4 and A6 the short way from where they are."""
     joints = list(WINDING)
-    here = found.q[part.stop - 1][:, joints]
-    many = len(here)
+    hand_angles = turn_map.q[part.stop - 1][:, joints]
+    turn_count = len(hand_angles)
     usable = ~bad[part].any(axis=0)
-    own = cost[part].sum(axis=0)
-    out = np.full((3, 3, many), np.inf)
-    source = tuple(np.zeros((3, 3, many), dtype=np.int64) for _ in range(3))
+    column_cost = cost[part].sum(axis=0)
+    next_state = np.full((3, 3, turn_count), np.inf)
+    source = tuple(np.zeros((3, 3, turn_count), dtype=np.int64) for _ in range(3))
     if last_q is None:
         sources = [(0, 0, 0, np.asarray(start)[joints], 0.0)]
     else:
         # from every turn before, by the cheapest of its states
-        flat = state.reshape(9, many)
+        flat = state.reshape(9, turn_count)
         best = flat.argmin(axis=0)
         sources = [
             (
@@ -447,33 +449,33 @@ def _begin(
                 last_q[j, joints] + _TURN * _offsets(best[j]),
                 float(flat[best[j], j]),
             )
-            for j in range(many)
+            for j in range(turn_count)
             if np.isfinite(flat[best[j], j])
         ]
-    for n4, n6, j, q, before in sources:
-        whole = np.rint((q - here) / _TURN)
-        angle = here + _TURN * whole
+    for n4, n6, j, q, source_cost in sources:
+        whole = np.rint((q - hand_angles) / _TURN)
+        angle = hand_angles + _TURN * whole
         fits = usable & ((angle >= limits[0]) & (angle <= limits[1])).all(axis=1) & (np.abs(whole) <= 1).all(axis=1)
-        turned = np.abs(angle - q).max(axis=1)
-        value = before + own + _STEADY * 0.1 * turned
+        hand_turn = np.abs(angle - q).max(axis=1)
+        value = source_cost + column_cost + _STEADY * 0.1 * hand_turn
         for k in np.flatnonzero(fits).tolist():
             at = (int(whole[k, 0]) + 1, int(whole[k, 1]) + 1, k)
-            if value[k] < out[at]:
-                out[at] = value[k]
+            if value[k] < next_state[at]:
+                next_state[at] = value[k]
                 source[0][at], source[1][at], source[2][at] = n4, n6, j
-    return out, (source[0], source[1], source[2])
+    return next_state, (source[0], source[1], source[2])
 
 
 def _offsets(index: int) -> Array:
     return np.array([index // 3 - 1, index % 3 - 1], dtype=float)
 
 
-def _steps(found: TurnMap, b: int, part: slice, step: float, own: float, *, turn_at_feed: bool) -> Ints:
+def _steps(turn_map: TurnMap, b: int, part: slice, step: float, base_change: float, *, turn_at_feed: bool) -> Ints:
     """Return the changes (D,) of the turn on a block, in steps of the map; 0 is one of them.
 
-    :param own: change of the turn along the columns of the map [rad].
+    :param base_change: change of the turn along the columns of the map [rad].
     """
-    blocks = found.blocks
+    blocks = turn_map.blocks
     millimetres = float(blocks.length[b]) * 1e3
     if not blocks.cuts[b]:
         limit = _RAPID_PER_MM * millimetres
@@ -482,13 +484,16 @@ def _steps(found: TurnMap, b: int, part: slice, step: float, own: float, *, turn
     else:
         return np.zeros(1, dtype=np.int64)
     limit = min(limit, _PER_BIN * (part.stop - part.start), _LARGEST)
-    least, most = int(np.ceil((-limit - own) / step - _EXACT)), int(np.floor((limit - own) / step + _EXACT))
-    many = len(found.offset)
-    return np.arange(max(min(least, 0), 1 - many), min(max(most, 0), many - 1) + 1)
+    first_step, last_step = (
+        int(np.ceil((-limit - base_change) / step - _EXACT)),
+        int(np.floor((limit - base_change) / step + _EXACT)),
+    )
+    turn_count = len(turn_map.offset)
+    return np.arange(max(min(first_step, 0), 1 - turn_count), min(max(last_step, 0), turn_count - 1) + 1)
 
 
 def _advance(
-    found: TurnMap,
+    turn_map: TurnMap,
     b: int,
     part: slice,
     changes: tuple[Ints, Array],
@@ -497,76 +502,81 @@ def _advance(
     state: Array,
     limits: tuple[Array, Array],
     *,
-    closed: bool,
+    is_circle: bool,
 ) -> tuple[Array, tuple[Ints, Ints, Ints]]:
     """Advance the states (3, 3, J) over a block.
 
     :param changes: changes of the turn (D,) in steps of the map, and the whole change (D,) with that of its columns
         [rad].
     """
-    blocks, (steps, turned) = found.blocks, changes
-    many = len(found.offset)
-    source = np.arange(many)[:, None] - steps  # (target, change)
-    outside = np.zeros(source.shape, dtype=bool) if closed else (source < 0) | (source >= many)
-    source = source % many
+    blocks, (steps, turn_change) = turn_map.blocks, changes
+    turn_count = len(turn_map.offset)
+    source = np.arange(turn_count)[:, None] - steps  # (target, change)
+    leaves_map = np.zeros(source.shape, dtype=bool) if is_circle else (source < 0) | (source >= turn_count)
+    source = source % turn_count
     joints = list(WINDING)
     share = np.append(0.0, blocks.share[part])
     price = np.zeros(source.shape)
-    blocked = outside.copy()
-    angle = found.q[part.start - 1][source][..., joints]
-    least, most = angle.copy(), angle.copy()
+    is_blocked = leaves_map.copy()
+    angle = turn_map.q[part.start - 1][source][..., joints]
+    low_angle, high_angle = angle.copy(), angle.copy()
     whole_time = float(blocks.time[b])
     turning = (
-        np.abs(steps) * (found.offset[1] - found.offset[0]) / whole_time if whole_time > 0.0 else np.zeros(len(steps))
+        np.abs(steps) * (turn_map.offset[1] - turn_map.offset[0]) / whole_time
+        if whole_time > 0.0
+        else np.zeros(len(steps))
     )
     at_feed = bool(blocks.cuts[b])
     columns = source
-    closed_before = {k: np.concatenate([[0], np.cumsum(np.tile(bad[k], 3))]) for k in range(part.start, part.stop)}
+    bad_count = {k: np.concatenate([[0], np.cumsum(np.tile(bad[k], 3))]) for k in range(part.start, part.stop)}
     for n, k in enumerate(range(part.start, part.stop)):
-        before = columns
-        columns = _column(source + steps * share[n + 1], many)
-        crossed = np.sort(source + steps * share[n : n + 2, None, None], axis=0)
-        first, last = np.floor(crossed[0] + _EXACT).astype(np.int64), np.ceil(crossed[1] - _EXACT).astype(np.int64)
-        blocked |= closed_before[k][last + many + 1] > closed_before[k][first + many]
-        price += cost[k][_column(source + steps * (0.5 * (share[n] + share[n + 1])), many)]
+        start_columns = columns
+        columns = _column(source + steps * share[n + 1], turn_count)
+        column_range = np.sort(source + steps * share[n : n + 2, None, None], axis=0)
+        first, last = (
+            np.floor(column_range[0] + _EXACT).astype(np.int64),
+            np.ceil(column_range[1] - _EXACT).astype(np.int64),
+        )
+        is_blocked |= bad_count[k][last + turn_count + 1] > bad_count[k][first + turn_count]
+        price += cost[k][_column(source + steps * (0.5 * (share[n] + share[n + 1])), turn_count)]
         if at_feed and len(steps) > 1:
-            blocked |= ~(found.speed[k][columns] + found.rate[k][columns] * turning <= 1.0)
-        wound = found.winding[k][before]
-        least = np.minimum(least, angle + wound[..., 1])
-        most = np.maximum(most, angle + wound[..., 2])
-        angle = angle + wound[..., 0]
-        angle = angle + drive.wrapped(found.q[k][columns][..., joints] - found.q[k][before][..., joints])
-        least, most = np.minimum(least, angle), np.maximum(most, angle)
-    end = found.q[part.stop - 1][np.arange(many)][:, None, joints]
+            is_blocked |= ~(turn_map.speed[k][columns] + turn_map.rate[k][columns] * turning <= 1.0)
+        winding = turn_map.winding[k][start_columns]
+        low_angle = np.minimum(low_angle, angle + winding[..., 1])
+        high_angle = np.maximum(high_angle, angle + winding[..., 2])
+        angle = angle + winding[..., 0]
+        angle = angle + drive.wrapped(turn_map.q[k][columns][..., joints] - turn_map.q[k][start_columns][..., joints])
+        low_angle, high_angle = np.minimum(low_angle, angle), np.maximum(high_angle, angle)
+    end = turn_map.q[part.stop - 1][np.arange(turn_count)][:, None, joints]
     with np.errstate(invalid="ignore"):
-        more = np.rint((angle - end) / _TURN)
-        unsure = np.isnan(more).any(axis=2)
-    more = np.nan_to_num(more).astype(np.int64)
+        extra_turns = np.rint((angle - end) / _TURN)
+        unsure = np.isnan(extra_turns).any(axis=2)
+    extra_turns = np.nan_to_num(extra_turns).astype(np.int64)
     length = max(float(blocks.length[b]) * 1e3, 1.0)
-    price = price + _STEADY * turned * (1.0 + turned / (_PER_MM * length))
-    price = np.where(blocked | unsure, np.inf, price)
-    out = np.full((3, 3, many), np.inf)
-    took = np.zeros((3, 3, many), dtype=np.int64)
-    from4, from6 = took.copy(), took.copy()
-    every = np.arange(many)
+    price = price + _STEADY * turn_change * (1.0 + turn_change / (_PER_MM * length))
+    price = np.where(is_blocked | unsure, np.inf, price)
+    next_state = np.full((3, 3, turn_count), np.inf)
+    step_taken = np.zeros((3, 3, turn_count), dtype=np.int64)
+    source4, source6 = step_taken.copy(), step_taken.copy()
+    columns_of_map = np.arange(turn_count)
     for n4 in range(3):
         for n6 in range(3):
-            before4, before6 = n4 - more[..., 0], n6 - more[..., 1]
-            known = (before4 >= 0) & (before4 <= 2) & (before6 >= 0) & (before6 <= 2)
-            own4, own6 = np.clip(before4, 0, 2), np.clip(before6, 0, 2)
-            whole = _TURN * (np.stack([own4, own6], axis=2) - 1)
-            known &= (least + whole >= limits[0]).all(axis=2) & (most + whole <= limits[1]).all(axis=2)
-            value = np.where(known, state[own4, own6, source] + price, np.inf)
+            start4, start6 = n4 - extra_turns[..., 0], n6 - extra_turns[..., 1]
+            is_allowed = (start4 >= 0) & (start4 <= 2) & (start6 >= 0) & (start6 <= 2)
+            clipped4, clipped6 = np.clip(start4, 0, 2), np.clip(start6, 0, 2)
+            whole = _TURN * (np.stack([clipped4, clipped6], axis=2) - 1)
+            is_allowed &= (low_angle + whole >= limits[0]).all(axis=2) & (high_angle + whole <= limits[1]).all(axis=2)
+            value = np.where(is_allowed, state[clipped4, clipped6, source] + price, np.inf)
             best = value.argmin(axis=1)
-            out[n4, n6] = value[every, best]
-            took[n4, n6] = steps[best]
-            from4[n4, n6], from6[n4, n6] = own4[every, best], own6[every, best]
-    return out, (from4, from6, took + _STEP_MARK)
+            next_state[n4, n6] = value[columns_of_map, best]
+            step_taken[n4, n6] = steps[best]
+            source4[n4, n6], source6[n4, n6] = clipped4[columns_of_map, best], clipped6[columns_of_map, best]
+    return next_state, (source4, source6, step_taken + _STEP_MARK)
 
 
-def _column(place: Array, many: int) -> Ints:
-    """Return the columns next to places on a circle of `many`."""
-    return np.asarray(np.rint(place).astype(np.int64) % many)
+def _column(place: Array, count: int) -> Ints:
+    """Return the columns next to places on a circle of `count`."""
+    return np.asarray(np.rint(place).astype(np.int64) % count)
 
 
 _EXACT = 1e-9
@@ -574,27 +584,27 @@ _STEP_MARK = 1_000_000
 """Added to changes of the turn, to distinguish them from turns of the block before."""
 
 
-def _traced(found: TurnMap, state: Array, back: list[tuple[Ints, Ints, Ints]], base: Array) -> Line:
+def _traced(turn_map: TurnMap, state: Array, sources: list[tuple[Ints, Ints, Ints]], base: Array) -> Line:
     """Return the line that ends in the cheapest state."""
-    many = len(found.offset)
+    turn_count = len(turn_map.offset)
     at = np.unravel_index(int(np.argmin(state)), state.shape)
-    n4, n6, j = (int(each) for each in at)
-    blocks = found.blocks
+    n4, n6, j = (int(index) for index in at)
+    blocks = turn_map.blocks
     bins = np.append(np.flatnonzero(np.diff(blocks.block)), len(blocks.block) - 1)
     chain: list[tuple[int, int | None]] = []
-    for source4, source6, how in reversed(back):
-        mark = int(how[n4, n6, j])
-        before4, before6 = int(source4[n4, n6, j]), int(source6[n4, n6, j])
+    for source4, source6, marks in reversed(sources):
+        mark = int(marks[n4, n6, j])
+        start4, start6 = int(source4[n4, n6, j]), int(source6[n4, n6, j])
         if mark >= _STEP_MARK // 2:
             chain.append((j, mark - _STEP_MARK))
-            n4, n6, j = before4, before6, (j - (mark - _STEP_MARK)) % many
+            n4, n6, j = start4, start6, (j - (mark - _STEP_MARK)) % turn_count
         else:
             chain.append((j, None))
-            n4, n6, j = before4, before6, mark
-    step = float(found.offset[1] - found.offset[0])
+            n4, n6, j = start4, start6, mark
+    step = float(turn_map.offset[1] - turn_map.offset[0])
     knots = np.empty(len(chain))
     offset = 0.0
     for b, (column, change) in enumerate(reversed(chain)):
-        offset = float(found.offset[column]) if change is None else offset + change * step
+        offset = float(turn_map.offset[column]) if change is None else offset + change * step
         knots[b] = offset + base[bins[b]]
     return Line(knots, float(state.min()))

@@ -30,25 +30,25 @@ from postproc.under_load import RobotInCell
 
 Mode = Literal["best", "path"]
 _COARSE = 5.0 * RAD_PER_DEG
-_STILL = 1e-6
-_TILTED = (
+_SAME_TURN = 1e-6
+_TILT_PROBLEM = (
     'redundancy = "path": this move tilts the tool, and turning it about its axis on the way would make it lean. Set '
     '[gcode] redundancy = "best".'
 )
 NO_CLEARANCE = "Collisions do not count in this choice: the cell has no [collision]."
 _ROUNDS = 8
 """How often a line with collisions that the map did not show is replaced."""
-_MOST_NAMED = 8
+_MAX_ROWS = 8
 """Samples of a bin of the map at which the bodies of an error are looked for."""
 _FINE = np.arange(-6.0, 7.0) * RAD_PER_DEG
-_ONE = np.zeros(1)
+_NO_OFFSET = np.zeros(1)
 """A map of one turn."""
-_MOST = 4000
+_MAX_SAMPLES = 4000
 """Samples of a program by which branches are judged."""
 _TURNS = np.arange(-180.0, 180.0, 30.0) * RAD_PER_DEG
 _BRANCHES = 8
-_FAR = 100.0
-_MOST_COMPARED = 120
+_LARGE_ANGLE = 100.0
+_MAX_POSES = 120
 """Samples at which branches are looked at for collisions."""
 _DECIMALS = 4
 """Of the joint angles [deg]."""
@@ -90,9 +90,9 @@ def turned(program: Program, axis: str, turn: Array) -> Program:
         the path: between the ends it changes evenly with the place. Axis targets are not changed.
     """
     m = program.motions
-    about = rotation_from_vector(-turn[:, None] * np.array(AXIS[axis]))
-    about[np.isfinite(m.joints[:, 0])] = np.eye(3)
-    target = Poses(m.target.position, m.target.rotation @ about)
+    rotation = rotation_from_vector(-turn[:, None] * np.array(AXIS[axis]))
+    rotation[np.isfinite(m.joints[:, 0])] = np.eye(3)
+    target = Poses(m.target.position, m.target.rotation @ rotation)
     swivel = program.swivel
     if swivel is not None:
         begin = np.append(turn[:1], turn[:-1])
@@ -111,18 +111,18 @@ def chosen(
     :raises CellError: a body of [collision] cannot be read.
     """
     samples = PathSamples.of(program, robot_in_cell, source)
-    if mode == "path" and program.swivel is None and (tilting := _tilting(samples)).any():
-        return None, (program.motions.issue("error", "redundancy", _TILTED, np.flatnonzero(tilting)),)
+    if mode == "path" and program.swivel is None and (tilts := _tilting(samples)).any():
+        return None, (program.motions.issue("error", "redundancy", _TILT_PROBLEM, np.flatnonzero(tilts)),)
     blocks = Blocks.of(samples)
     branch = turn_map.branch_of_start(samples)
     table = robot_in_cell.cell.collision
     bodies = None if table is None else Bodies(samples, table.clearance_mm)
     whole = turn_map.evaluate(samples, blocks, branch, np.zeros(len(samples)), turn_map.whole_circle(_COARSE), bodies)
-    blocked: Blocked | None = None
+    block: Blocked | None = None
     for keep in (Keep(), BARE):
         line, whole = _free_line(samples, whole, branch, keep, mode, bodies)
         if isinstance(line, Blocked):
-            blocked = blocked if blocked is not None and blocked.block > line.block else line
+            block = block if block is not None and block.block > line.block else line
             continue
         if keep is not BARE and _today_is_as_good(samples, whole, branch, keep, line, bodies):
             line = Line(np.zeros(len(line.knots)), line.cost)
@@ -130,8 +130,8 @@ def chosen(
         constant = robot_in_cell.cell.gcode.redundancy_deg * RAD_PER_DEG
         turn = Turn(mode, whole, keep, constant, line.knots, of_motion)
         return turn, (_said(turn),)
-    assert blocked is not None
-    return None, (_why(samples, whole, blocked, mode, branch, bodies),)
+    assert block is not None
+    return None, (_why(samples, whole, block, mode, branch, bodies),)
 
 
 def _free_line(
@@ -143,17 +143,17 @@ def _free_line(
     still has collisions after some rounds is returned: the path is checked again when it is converted.
     """
     for _ in range(_ROUNDS):
-        line = _find(samples, whole, keep, mode, closed=True)
+        line = _find(samples, whole, keep, mode, is_circle=True)
         if isinstance(line, Blocked):
             return line, whole
         fine = _refined(samples, whole.blocks, branch, line, keep, mode, bodies)
         if bodies is None:
             return line if fine is None else fine, whole
-        for each in (line,) if fine is None else (fine, line):
-            struck = _struck(samples, whole.blocks, branch, each, bodies)
-            if not struck.any():
-                return each, whole
-            whole = _closed(samples, whole, each, struck)
+        for candidate in (line,) if fine is None else (fine, line):
+            is_hit = _struck(samples, whole.blocks, branch, candidate, bodies)
+            if not is_hit.any():
+                return candidate, whole
+            whole = _closed(samples, whole, candidate, is_hit)
     return line, whole
 
 
@@ -161,21 +161,22 @@ def _today_is_as_good(
     samples: PathSamples, whole: TurnMap, branch: int, keep: Keep, line: Line, bodies: Bodies | None
 ) -> bool:
     """Return whether the turn of the cell keeps the margins everywhere, and a line saves too little to change it."""
-    own = np.zeros(len(samples))
+    no_turn = np.zeros(len(samples))
     at_line = _at_samples(samples, whole.blocks, line.knots)
     cuts = whole.blocks.cuts[whole.blocks.block]
     weight = np.where(cuts, np.diff(np.append(whole.blocks.first, len(samples))), 0)
     today, best = (
-        turn_map.evaluate(samples, whole.blocks, branch, base, _ONE, None).error[:, 0] for base in (own, at_line)
+        turn_map.evaluate(samples, whole.blocks, branch, base, _NO_OFFSET, None).error[:, 0]
+        for base in (no_turn, at_line)
     )
     if not np.sqrt(weight @ today**2) <= (1.0 + drive.REAL) * np.sqrt(weight @ best**2):
         return False
-    others = np.broadcast_to(np.abs(drive.wrapped(whole.offset)) > _STILL, whole.u95.shape)
-    refused = others if whole.hit is None else whole.hit | others
-    only = _find(samples, replace(whole, hit=refused), keep, "best", closed=True)
-    if isinstance(only, Blocked):
+    other_turns = np.broadcast_to(np.abs(drive.wrapped(whole.offset)) > _SAME_TURN, whole.u95.shape)
+    hit = other_turns if whole.hit is None else whole.hit | other_turns
+    cell_line = _find(samples, replace(whole, hit=hit), keep, "best", is_circle=True)
+    if isinstance(cell_line, Blocked):
         return False
-    return bodies is None or not _struck(samples, whole.blocks, branch, only, bodies).any()
+    return bodies is None or not _struck(samples, whole.blocks, branch, cell_line, bodies).any()
 
 
 def _struck(samples: PathSamples, blocks: Blocks, branch: int, line: Line, bodies: Bodies) -> Bools:
@@ -185,16 +186,16 @@ def _struck(samples: PathSamples, blocks: Blocks, branch: int, line: Line, bodie
     turn = _at_samples(samples, blocks, line.knots)
     q = drive.solve(robot_in_cell.robot, components(samples.flange(rows, turn)), branch).T
     joints = samples.program.motions.joints[motion]
-    known = np.isfinite(joints[:, 0])
-    q[known] = joints[known]
+    is_axis_target = np.isfinite(joints[:, 0])
+    q[is_axis_target] = joints[is_axis_target]
     q = np.concatenate([robot_in_cell.cell.start_joints[None], q])
     return bodies.along(q, np.append(0, rows), np.zeros(len(q), dtype=bool))[1:]
 
 
-def _closed(samples: PathSamples, whole: TurnMap, line: Line, struck: Bools) -> TurnMap:
+def _closed(samples: PathSamples, whole: TurnMap, line: Line, is_hit: Bools) -> TurnMap:
     """Return the map with the cells closed, and those next to them, where samples (N,) of a line have collisions."""
     turn = _at_samples(samples, whole.blocks, line.knots)
-    rows = np.flatnonzero(struck)
+    rows = np.flatnonzero(is_hit)
     bins = np.searchsorted(whole.blocks.first, rows, side="right") - 1
     step = whole.offset[1] - whole.offset[0]
     place = (turn[rows] - whole.offset[0]) / step
@@ -210,12 +211,12 @@ def _tilting(samples: PathSamples) -> Bools:
     m = samples.program.motions
     end = m.target[:, :3, :3] @ samples.axis
     begin = samples.segments.start.at(np.arange(len(m)))[:, :3, :3] @ samples.axis
-    return np.asarray(~m.rapid & (m.kind != PTP) & (norm(end - begin) > _STILL))
+    return np.asarray(~m.rapid & (m.kind != PTP) & (norm(end - begin) > _SAME_TURN))
 
 
-def _find(samples: PathSamples, found: TurnMap, keep: Keep, mode: Mode, *, closed: bool) -> Line | Blocked:
+def _find(samples: PathSamples, whole: TurnMap, keep: Keep, mode: Mode, *, is_circle: bool) -> Line | Blocked:
     robot, start = samples.robot_in_cell.robot, samples.robot_in_cell.cell.start_joints
-    return turn_map.line_through(robot, found, keep, start, turn_at_feed=mode == "path", closed=closed)
+    return turn_map.line_through(robot, whole, keep, start, turn_at_feed=mode == "path", is_circle=is_circle)
 
 
 def _refined(
@@ -229,9 +230,9 @@ def _refined(
 ) -> Line | None:
     """Return the cheapest line next to one, on a fine map around it; None if there is none."""
     base = _at_samples(samples, blocks, line.knots)
-    near = turn_map.evaluate(samples, blocks, branch, base, _FINE, bodies)
-    found = _find(samples, near, keep, mode, closed=False)
-    return None if isinstance(found, Blocked) else found
+    fine_map = turn_map.evaluate(samples, blocks, branch, base, _FINE, bodies)
+    fine_line = _find(samples, fine_map, keep, mode, is_circle=False)
+    return None if isinstance(fine_line, Blocked) else fine_line
 
 
 def _at_samples(samples: PathSamples, blocks: Blocks, knots: Array) -> Array:
@@ -247,72 +248,74 @@ def _at_samples(samples: PathSamples, blocks: Blocks, knots: Array) -> Array:
 
 def _said(turn: Turn) -> Issue:
     low, high = (f"{angle:.0f}°" for angle in turn.range_deg())
-    how = "by one angle for each operation" if turn.mode == "best" else "along the path"
+    mode_text = "by one angle for each operation" if turn.mode == "best" else "along the path"
     if low == high:
         message = f"The tool is turned about its axis by {low} everywhere."
     else:
-        message = f"The tool is turned about its axis {how}, from {low} to {high}."
+        message = f"The tool is turned about its axis {mode_text}, from {low} to {high}."
     if turn.map.hit is None:
         message += f" {NO_CLEARANCE}"
     return Issue("info", "redundancy", message)
 
 
-def _why(
-    samples: PathSamples, whole: TurnMap, blocked: Blocked, mode: Mode, branch: int, bodies: Bodies | None
-) -> Issue:
+def _why(samples: PathSamples, whole: TurnMap, block: Blocked, mode: Mode, branch: int, bodies: Bodies | None) -> Issue:
     """Return the error that names the motion that no line passes, the reasons there, and bodies that are too close."""
     blocks = whole.blocks
-    rows = np.flatnonzero(blocks.block == blocked.block)
+    rows = np.flatnonzero(blocks.block == block.block)
     reasons = whole.reasons(BARE)[rows]
-    closed = (reasons != drive.FREE).all(axis=1)
-    row = int(np.argmax(closed)) if closed.any() else len(rows) - 1
+    is_closed = (reasons != drive.FREE).all(axis=1)
+    row = int(np.argmax(is_closed)) if is_closed.any() else len(rows) - 1
     counts = np.bincount(reasons[row], minlength=len(REASONS))
-    many = reasons.shape[1]
-    parts = [f"{REASONS[k]} at {100.0 * n / many:.0f} % of all turns" for k, n in enumerate(counts) if k and n]
+    turn_count = reasons.shape[1]
+    parts = [f"{REASONS[k]} at {100.0 * n / turn_count:.0f} % of all turns" for k, n in enumerate(counts) if k and n]
     motion = np.array([int(samples.sample.motion[blocks.first[rows[row]]])])
     if bodies is not None and counts[drive.COLLISION]:
         columns = np.flatnonzero(reasons[row] == drive.COLLISION)
         parts[-1] += f": {_closest(samples, whole, int(rows[row]), columns, branch, bodies)}"
-    if closed.any():
-        what = f"no turn of the tool about its axis can be driven here ({', '.join(parts)}). Move the part or [start]."
+    if is_closed.any():
+        problem = (
+            f"no turn of the tool about its axis can be driven here ({', '.join(parts)}). Move the part or [start]."
+        )
     elif mode == "best":
-        what = (
+        problem = (
             "no single turn of the tool about its axis can be driven through this operation"
             + (f" ({', '.join(parts)} here)" if parts else "")
             + '. Set [gcode] redundancy = "path", or move the part.'
         )
     else:
-        what = (
+        problem = (
             "the tool cannot be turned about its axis quickly enough to stay where the robot can drive"
             + (f" ({', '.join(parts)} here)" if parts else "")
             + ". Lower the feed, move the part or choose other [start] joints."
         )
-    return samples.program.motions.issue("error", "redundancy", what, motion)
+    return samples.program.motions.issue("error", "redundancy", problem, motion)
 
 
 def _closest(samples: PathSamples, whole: TurnMap, row: int, columns: Ints, branch: int, bodies: Bodies) -> str:
     """Return in words which bodies are too close in a bin of the map, at that of some turns where they are farthest."""
     first = whole.blocks.first
     last = int(first[row + 1]) if row + 1 < len(first) else len(samples)
-    inside = np.unique(np.linspace(first[row], last - 1, _MOST_NAMED).astype(np.int64))
-    rows, column = (each.ravel() for each in np.meshgrid(inside, columns, indexing="ij"))
+    sample_rows = np.unique(np.linspace(first[row], last - 1, _MAX_ROWS).astype(np.int64))
+    rows, column = (values.ravel() for values in np.meshgrid(sample_rows, columns, indexing="ij"))
     turn = whole.base[rows] + whole.offset[column]
     flange = components(samples.flange(rows, turn))
-    found = bodies.clearance(drive.solve(samples.robot_in_cell.robot, flange, branch).T, rows)
-    distance = found.distance.reshape(len(inside), -1)
+    clearance = bodies.clearance(drive.solve(samples.robot_in_cell.robot, flange, branch).T, rows)
+    distance = clearance.distance.reshape(len(sample_rows), -1)
     best = int(distance.min(axis=0).argmax())
     k = int(distance[:, best].argmin()) * len(columns) + best
-    one, other = (bodies.name(int(each[k])) for each in (found.first, found.second))
-    how = f"{found.distance[k] * MM_PER_M:.2g} mm from" if found.distance[k] > 0.0 else "in contact with"
-    return f"{one} {how} {other} at best, and {bodies.need * MM_PER_M:.2g} mm are needed"
+    first_body, second_body = (bodies.name(int(values[k])) for values in (clearance.first, clearance.second))
+    distance_text = (
+        f"{clearance.distance[k] * MM_PER_M:.2g} mm from" if clearance.distance[k] > 0.0 else "in contact with"
+    )
+    return f"{first_body} {distance_text} {second_body} at best, and {bodies.need * MM_PER_M:.2g} mm are needed"
 
 
 def bin_turns(turn: Turn) -> Array:
     """Return the chosen turn (K,) at the end of each bin of the map, without `constant` [rad]."""
     blocks = turn.map.blocks
-    before = np.append(turn.knots[0], turn.knots[:-1])
-    before = np.where(blocks.begins, turn.knots, before)[blocks.block]
-    return np.asarray(before + blocks.share * (turn.knots[blocks.block] - before))
+    start_turn = np.append(turn.knots[0], turn.knots[:-1])
+    start_turn = np.where(blocks.begins, turn.knots, start_turn)[blocks.block]
+    return np.asarray(start_turn + blocks.share * (turn.knots[blocks.block] - start_turn))
 
 
 class ChosenStart(Struct, frozen=True):
@@ -348,27 +351,31 @@ def chosen_start(program: Program, robot_in_cell: RobotInCell) -> ChosenStart:
         first = int(np.argmax(samples.sample.t == 1.0))
         part = slice(first, first + 1)
         try:
-            found = robot_in_cell.follow(program, motion[part], samples.sample.t[part], samples.sample.pose.take(part))
+            joint_path = robot_in_cell.follow(
+                program, motion[part], samples.sample.t[part], samples.sample.pose.take(part)
+            )
         except UnreachableError as cause:
             raise _at_first_target(program, _NO_STATUS, "Move the part, or correct S, $BASE and $TOOL.") from cause
-        return _start(found.q[0], "with the status and turn that it states")
-    stated = np.flatnonzero(np.isfinite(m.joints[:, 0]) | (m.status >= 0))
+        return _start(joint_path.q[0], "with the status and turn that it states")
+    stated_rows = np.flatnonzero(np.isfinite(m.joints[:, 0]) | (m.status >= 0))
     first = int(np.argmax(samples.sample.t == 1.0))  # samples before are on the way from a start that is not known
-    own = np.flatnonzero(motion < (stated[0] if len(stated) else len(m)))
-    own = own[own >= first]
-    rows = own[np.unique(np.linspace(0, len(own) - 1, min(_MOST, len(own))).astype(np.int64))]
+    usable_rows = np.flatnonzero(motion < (stated_rows[0] if len(stated_rows) else len(m)))
+    usable_rows = usable_rows[usable_rows >= first]
+    rows = usable_rows[
+        np.unique(np.linspace(0, len(usable_rows) - 1, min(_MAX_SAMPLES, len(usable_rows))).astype(np.int64))
+    ]
     turns = _TURNS if robot_in_cell.cell.gcode.redundancy != "constant" and not program.keeps_text else np.zeros(1)
     found_q = [[_solved(samples, rows, turn, branch) for turn in turns] for branch in range(_BRANCHES)]
-    margin = np.array([[_margin(robot_in_cell, q) for q in each] for each in found_q])
+    margin = np.array([[_margin(robot_in_cell, q) for q in branch_paths] for branch_paths in found_q])
     at_best_turn = margin.max(axis=1)
-    worst, reached = at_best_turn.min(axis=1), np.isfinite(at_best_turn).sum(axis=1)
+    worst, reach_count = at_best_turn.min(axis=1), np.isfinite(at_best_turn).sum(axis=1)
     worst = np.where(np.isfinite(margin[:, :, 0].max(axis=1)), worst, -np.inf)
     easy = [
-        -np.abs(np.nan_to_num(q[0][[3, 5], 0], nan=_FAR)).sum() for q in found_q
+        -np.abs(np.nan_to_num(q[0][[3, 5], 0], nan=_LARGE_ANGLE)).sum() for q in found_q
     ]  # of branches alike: A4, A6 near 0
     free = _free_of_collisions(samples, rows, found_q, worst)
     order = sorted(
-        range(_BRANCHES), key=lambda k: (free[k], round(float(worst[k]), 6), reached[k], easy[k]), reverse=True
+        range(_BRANCHES), key=lambda k: (free[k], round(float(worst[k]), 6), reach_count[k], easy[k]), reverse=True
     )
     best = order[0]
     if not np.isfinite(margin[best, :, 0]).any():
@@ -376,11 +383,11 @@ def chosen_start(program: Program, robot_in_cell: RobotInCell) -> ChosenStart:
     q = found_q[best][int(margin[best, :, 0].argmax())]
     if not np.isfinite(worst[best]):
         return _start(q[:, 0], "on the branch that reaches most of the program")
-    among = (
+    restriction = (
         " of those without collisions" if not all(free[k] for k in range(_BRANCHES) if np.isfinite(worst[k])) else ""
     )
     words = (
-        f"on the branch{among} with the most margin to joint limits and singular poses, "
+        f"on the branch{restriction} with the most margin to joint limits and singular poses, "
         f"{worst[best] * DEG_PER_RAD:.1f}°"
     )
     if np.isfinite(worst[order[1]]) and free[order[1]]:
@@ -398,19 +405,21 @@ def _free_of_collisions(samples: PathSamples, rows: Ints, found_q: list[list[Arr
     if table is None or len(able) < 2:
         return [True] * _BRANCHES
     bodies = Bodies(samples, table.clearance_mm)
-    some = np.unique(np.linspace(0, len(rows) - 1, min(_MOST_COMPARED, len(rows))).astype(np.int64))
-    apart = np.ones(len(some), dtype=bool)
-    out = [False] * _BRANCHES
+    compared_rows = np.unique(np.linspace(0, len(rows) - 1, min(_MAX_POSES, len(rows))).astype(np.int64))
+    breaks = np.ones(len(compared_rows), dtype=bool)
+    is_free = [False] * _BRANCHES
     for k in able:
-        struck = [bodies.along(q[:, some].T, rows[some], apart, between=False) for q in found_q[k]]
-        out[k] = not np.logical_and.reduce(struck).any()
-    return out if any(out) else [True] * _BRANCHES
+        hits = [
+            bodies.along(q[:, compared_rows].T, rows[compared_rows], breaks, between_samples=False) for q in found_q[k]
+        ]
+        is_free[k] = not np.logical_and.reduce(hits).any()
+    return is_free if any(is_free) else [True] * _BRANCHES
 
 
-def _start(q: Array, how: str) -> ChosenStart:
+def _start(q: Array, reason: str) -> ChosenStart:
     joints = [round(float(angle), _DECIMALS) + 0.0 for angle in q * DEG_PER_RAD]
-    named = ", ".join(f"{angle:.1f}" for angle in joints)
-    message = f"The cell has no [start]: the program starts at A1…A6 = {named}, its first target, {how}."
+    joint_text = ", ".join(f"{angle:.1f}" for angle in joints)
+    message = f"The cell has no [start]: the program starts at A1…A6 = {joint_text}, its first target, {reason}."
     return ChosenStart((joints[0], joints[1], joints[2], joints[3], joints[4], joints[5]), message)
 
 
@@ -421,19 +430,19 @@ def _solved(samples: PathSamples, rows: Ints, turn: float, branch: int) -> Array
 
 def _margin(robot_in_cell: RobotInCell, q: Array) -> Array:
     """Return the smallest margin (n,) of joints, wrist and elbow [rad]; −inf out of reach or beyond a limit."""
-    found = drive.margins(robot_in_cell.robot, q)
-    least = np.minimum(np.minimum(found.joint, found.wrist), found.elbow)
-    return np.where(np.isnan(least) | (found.joint < 0.0), -np.inf, least)
+    margins = drive.margins(robot_in_cell.robot, q)
+    smallest = np.minimum(np.minimum(margins.joint, margins.wrist), margins.elbow)
+    return np.where(np.isnan(smallest) | (margins.joint < 0.0), -np.inf, smallest)
 
 
 def _unwound(robot_in_cell: RobotInCell, q: Array) -> Array:
     """Return the first of joint angles (6, n), A4 and A6 with the whole turns that keep the path within limits."""
-    robot, out = robot_in_cell.robot, q[:, 0].copy()
+    robot, joints = robot_in_cell.robot, q[:, 0].copy()
     for axis in drive.WINDING:
-        along = q[axis, 0] + np.append(0.0, np.cumsum(np.nan_to_num(drive.wrapped(np.diff(q[axis])))))
+        axis_path = q[axis, 0] + np.append(0.0, np.cumsum(np.nan_to_num(drive.wrapped(np.diff(q[axis])))))
         room = [
-            min(along.min() + whole - robot.lower[axis], robot.upper[axis] - along.max() - whole)
+            min(axis_path.min() + whole - robot.lower[axis], robot.upper[axis] - axis_path.max() - whole)
             for whole in 2.0 * np.pi * np.array([0.0, -1.0, 1.0])
         ]
-        out[axis] += 2.0 * np.pi * (0.0, -1.0, 1.0)[int(np.argmax(room))]
-    return out
+        joints[axis] += 2.0 * np.pi * (0.0, -1.0, 1.0)[int(np.argmax(room))]
+    return joints

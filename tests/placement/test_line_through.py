@@ -65,7 +65,7 @@ def every_line(found, wide, start=0.0):
 @pytest.mark.parametrize("seed", range(12))
 def test_no_line_of_a_small_map_has_a_smaller_error_beyond_what_margin_and_steadiness_may_cost(seed):
     found = made(seed)
-    line = line_through(ROBOT, found, Keep(), np.zeros(6), turn_at_feed=True, closed=True)
+    line = line_through(ROBOT, found, Keep(), np.zeros(6), turn_at_feed=True, is_circle=True)
     rms: dict[tuple[int, ...], float] = {}
     for columns, own in every_line(found, 2):
         rms[tuple(columns)] = min(own, rms.get(tuple(columns), np.inf))
@@ -84,17 +84,17 @@ def test_a_line_never_winds_a6_past_its_limits():
     for k in range(24):
         ring[k, [(k - 1) % COLUMNS, k % COLUMNS]] = 1.0
     found = replace(found, margin=replace(found.margin, joint=ring))
-    line = line_through(ROBOT, found, Keep(), np.zeros(6), turn_at_feed=True, closed=True)
+    line = line_through(ROBOT, found, Keep(), np.zeros(6), turn_at_feed=True, is_circle=True)
     assert isinstance(line, Blocked)
     wide = replace(ROBOT, upper=ROBOT.upper + np.radians(200.0))
-    assert not isinstance(line_through(wide, found, Keep(), np.zeros(6), turn_at_feed=True, closed=True), Blocked)
+    assert not isinstance(line_through(wide, found, Keep(), np.zeros(6), turn_at_feed=True, is_circle=True), Blocked)
 
 
 def test_one_turn_for_each_operation_changes_on_rapid_moves_alone():
     found = made(3, blocks=5, closed=0.0)
     blocks = replace(found.blocks, cuts=np.array([False, True, False, True, True]))
     found = replace(found, blocks=blocks)
-    line = line_through(ROBOT, found, Keep(), np.zeros(6), turn_at_feed=False, closed=True)
+    line = line_through(ROBOT, found, Keep(), np.zeros(6), turn_at_feed=False, is_circle=True)
     assert line.knots[0] == pytest.approx(line.knots[1])
     assert line.knots[2] == pytest.approx(line.knots[3]) == pytest.approx(line.knots[4])
     assert line.knots[1] != pytest.approx(line.knots[2])
@@ -115,7 +115,7 @@ def test_of_two_turns_the_one_with_the_smaller_sum_of_squared_errors_is_taken(st
     error = np.full(found.u95.shape, 1e-4)
     error[1:, 3], error[1:, 4] = (1e-4, 2.4e-4), steady * 1e-4
     found = replace(found, u95=error, deflection=error)
-    line = line_through(ROBOT, found, Keep(), np.zeros(6), turn_at_feed=False, closed=True)
+    line = line_through(ROBOT, found, Keep(), np.zeros(6), turn_at_feed=False, is_circle=True)
     assert np.rint((line.knots - found.offset[0]) / STEP).tolist() == [chosen] * 3
 
 
@@ -124,7 +124,7 @@ def test_on_rapid_moves_the_turn_changes_by_three_degrees_per_millimetre_at_most
     found = opened(made(5, blocks=4), (5,), (5,), (5, 6), (6,))
     cuts = np.array([False, True, False, True])
     blocks = replace(found.blocks, cuts=cuts, length=np.where(cuts, 0.1, 1e-3 * length))
-    line = line_through(ROBOT, replace(found, blocks=blocks), Keep(), np.zeros(6), turn_at_feed=False, closed=True)
+    line = line_through(ROBOT, replace(found, blocks=blocks), Keep(), np.zeros(6), turn_at_feed=False, is_circle=True)
     assert isinstance(line, Blocked) != driven
 
 
@@ -139,7 +139,7 @@ def test_a4_and_a6_are_counted_from_the_start_each_by_itself(axis, start, driven
     found = replace(found, q=q, winding=np.zeros_like(found.winding))
     begin = np.zeros(6)
     begin[axis] = np.radians(start)
-    line = line_through(ROBOT, found, Keep(), begin, turn_at_feed=True, closed=True)
+    line = line_through(ROBOT, found, Keep(), begin, turn_at_feed=True, is_circle=True)
     assert isinstance(line, Blocked) != driven
 
 
@@ -149,5 +149,5 @@ def test_of_lines_with_one_error_the_one_that_turns_on_the_longer_piece_is_taken
     blocks = replace(found.blocks, length=1e-3 * np.array([10.0, *lengths, 10.0]))
     error = np.full(found.u95.shape, 1e-4)
     found = replace(found, blocks=blocks, u95=error, deflection=error)
-    line = line_through(ROBOT, found, Keep(), np.zeros(6), turn_at_feed=True, closed=True)
+    line = line_through(ROBOT, found, Keep(), np.zeros(6), turn_at_feed=True, is_circle=True)
     assert np.rint((line.knots - found.offset[0]) / STEP).tolist() == columns

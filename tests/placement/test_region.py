@@ -65,7 +65,7 @@ def test_a_place_has_the_margin_and_the_deflection_that_an_arm_of_another_code_f
     own = in_line(name)
     judged, _, _ = programs(own)
     place = np.array([1350.0, 150.0, 550.0, 20.0, 0.0])
-    found = judged.judge(place, every=True)
+    found = judged.judge(place, all_samples=True)
     arm = Arm.load(robot.find(name))
     base, tool = abc(*place[:4]), abc(0.0, 0.0, 350.0)
     samples = judged.samples[0]
@@ -88,7 +88,7 @@ def test_a_place_is_judged_as_a_program_that_is_converted_there():
     own = in_line()
     judged, _, _ = programs(own)
     place = np.array([1250.0, 200.0, 650.0, -15.0, 0.0])
-    found = judged.judge(place, every=True)
+    found = judged.judge(place, all_samples=True)
     there = replace(own, base=Frame(X=1250.0, Y=200.0, Z=650.0, A=-15.0))
     program, model = read(PART, there)
     result = correction.process(program, model, there, mode="nominal")
@@ -127,7 +127,7 @@ def test_a_place_is_refused_for_a_collision_where_convert_refuses_it(obstacle):
             there = replace(own, collision=table, base=Frame(X=x, Y=y, Z=650.0, A=20.0))
             program, model = read(PART, there)
             result = correction.process(program, model, there, mode="nominal")
-            found = region.drive.REASONS[judged.judge(place, every=True).reason]
+            found = region.drive.REASONS[judged.judge(place, all_samples=True).reason]
             assert (found == "collision") == any(issue.kind == "collision" for issue in result.issues), (x, y, need)
             seen.add(found)
     assert "collision" in seen
@@ -141,8 +141,8 @@ def test_an_axis_that_carries_the_robot_moves_it_by_what_stands_in_the_cell():
     other = programs(with_bodies(in_line(), beside), clearance_mm=20.0)[0]
     reasons = set()
     for y in (0.0, 300.0, 450.0):
-        carried = judged.judge(np.array([1250.0, y, 650.0, 0.0, 300.0]), every=True)
-        moved = other.judge(np.array([1250.0, y - 300.0, 650.0, 0.0, 0.0]), every=True)
+        carried = judged.judge(np.array([1250.0, y, 650.0, 0.0, 300.0]), all_samples=True)
+        moved = other.judge(np.array([1250.0, y - 300.0, 650.0, 0.0, 0.0]), all_samples=True)
         assert carried.reason == moved.reason
         reasons.add(region.drive.REASONS[carried.reason])
     assert reasons == {"free", "collision"}
