@@ -55,7 +55,7 @@ _DEEP = 4.0
 """Warn beyond this depth of cut, in tool diameters: no cutter cuts that deep."""
 _LEAST_RISE = 2e-5
 """Minimum length over which the force of a motion builds up [m]."""
-_ENOUGH = 0.05
+_GOOD_SIGMA = 0.05
 """Standard deviation of forces by the cells of the map that is enough, as a share of them,"""
 _COARSE = 0.055
 """and beyond which there is a warning: `resolution_mm` is advised to two digits."""
@@ -170,65 +170,65 @@ def _estimate(
     directions = Directions.of(program, path, axis)
     in_order = setups(program, directions, widest)
     material, issues = _stock(process, in_order[0].frame, cell, stock)
-    start, removed = material.volume(), 0.0
+    start, removed_volume = material.volume(), 0.0
     bounds = (*material.bounds, material.top)
-    every = straight_segments(program, path, tools, in_order[0].frame, cell, shift, directions)
-    _check_speed(program, every, tools)
+    all_segments = straight_segments(program, path, tools, in_order[0].frame, cell, shift, directions)
+    _check_speed(program, all_segments, tools)
     teeth = np.array([process.tools[key].flutes for key in tools.keys])[tools.tool]
     per_tooth = np.nan_to_num(program.motions.feed) * 60.0 / np.maximum(tools.rpm * teeth, 1.0)
     rise = np.maximum(0.5 * per_tooth, _LEAST_RISE)
     swing = np.full(len(program.motions), np.nan) if program.swivel is None else program.swivel.rate
-    total = len(every.motion)
-    done, parts, sweeps, along = 0, [], [], []
-    compared = np.zeros(len(program.motions), dtype=bool)
+    total = len(all_segments.motion)
+    segment_count, parts, sweeps, knots = 0, [], [], []
+    is_compared = np.zeros(len(program.motions), dtype=bool)
     for number, setup in enumerate(in_order):
         if number:
-            removed += start - material.volume()
+            removed_volume += start - material.volume()
             left = material.volume()
             material = _turned(material, in_order[number - 1].frame, setup.frame, cell)
             start = material.volume()
             issues += _hollows(start, left)
-        steps = every
+        steps = all_segments
         if number:
             steps = straight_segments(program, path, tools, setup.frame, cell, shift, directions)
         steps = steps.of(setup.motions)
-        compared[steps.motion[~steps.leans]] = True
+        is_compared[steps.motion[~steps.leans]] = True
         ceiling = None if guard is None else Ceiling(material)
         leans = ~directions.within(setup.frame[:3, 2], TURNS)
         poses = ToolPoses(program, path, setup.frame, axis, leans)
-        feed, deflected = program.motions.feed, shift is not None
-        sweep = Sweep(material, process, tools, feed, law, poses, swing, deflected, guard, ceiling)
-        cuts = _thinned(sweep, steps, _offset(progress, done, total))
-        done += len(steps.motion)
+        feed, has_shift = program.motions.feed, shift is not None
+        sweep = Sweep(material, process, tools, feed, law, poses, swing, has_shift, guard, ceiling)
+        cuts = _thinned(sweep, steps, _offset(progress, segment_count, total))
+        segment_count += len(steps.motion)
         sweeps.append(sweep)
         parts.append(cuts)
         stations = cuts.motion, cuts.t, cuts.wrench, cuts.deviation
         sigma = 0.0 if law.covariance is not None else law.sigma
-        along.append(without_steps(poses, stations, rise, (sigma, law.unknown_axial), base_axes=base_axes))
+        knots.append(without_steps(poses, stations, rise, (sigma, law.unknown_axial), base_axes=base_axes))
     _refuse_tilted(program, sweeps)
     if not any(sweep.contact for sweep in sweeps):
-        raise _no_contact(program, every, bounds, process, stock)
+        raise _no_contact(program, all_segments, bounds, process, stock)
     cuts = Cuts.joined(parts)
-    collided = {motion: depth for sweep in sweeps for motion, depth in sweep.collided.items()}
-    stopped = set[int]().union(*(sweep.stopped for sweep in sweeps))
+    collisions = {motion: depth for sweep in sweeps for motion, depth in sweep.collided.items()}
+    spindle_off = set[int]().union(*(sweep.stopped for sweep in sweeps))
     issues += unread_cuts(program)
-    issues += _out_of_scale(every, bounds)
-    issues += _issues(program, stopped, law, cuts, tools, process)
+    issues += _out_of_scale(all_segments, bounds)
+    issues += _issues(program, spindle_off, law, cuts, tools, process)
     issues += _coarse(tools, sweeps, cell)
-    issues += [*_collisions(program, collided, guard), *_other_cutter(program, tools, process, guard)]
+    issues += [*_collisions(program, collisions, guard), *_other_cutter(program, tools, process, guard)]
     power = np.zeros(len(program.motions))
     np.maximum.at(power, cuts.motion, cuts.power)
     return ProcessForces(
-        along=Knots.joined(along),
+        along=Knots.joined(knots),
         cuts=cuts,
         power=power,
         tools=tools,
         drills=tuple(process.tools[key].shape == "drill" for key in tools.keys),
         stock=material,
         map_in_base=in_order[-1].frame,
-        removed=removed + start - material.volume(),
+        removed=removed_volume + start - material.volume(),
         issues=tuple(issues),
-        over_time=None if guard is None else _over_time(program, in_order, sweeps, compared),
+        over_time=None if guard is None else _over_time(program, in_order, sweeps, is_compared),
     )
 
 
@@ -255,59 +255,59 @@ def _refuse_tilted(program: Program, sweeps: list[Sweep]) -> None:
         raise _OverhangError(problem, file=name, line=int(lines[worst]), advice=advice)
 
 
-def _over_time(program: Program, setups: list[Setup], sweeps: list[Sweep], compared: Bools) -> StockInTime:
+def _over_time(program: Program, setups: list[Setup], sweeps: list[Sweep], is_compared: Bools) -> StockInTime:
     """Return the stock over time of swept set-ups.
 
-    :param compared: (M,) motions on which the parts of the tool were compared while the stock was swept.
+    :param is_compared: (M,) motions on which the parts of the tool were compared while the stock was swept.
     """
     base = program.bases[home_base(program)]
     return StockInTime(
         tuple(int(np.argmax(setup.motions)) for setup in setups),
         tuple(base @ setup.frame for setup in setups),
         tuple(sweep.ceiling for sweep in sweeps if sweep.ceiling is not None),
-        compared,
+        is_compared,
         ~program.motions.rapid,
     )
 
 
-def _offset(progress: Callable[[int, int], None] | None, before: int, total: int) -> Callable[[int], None] | None:
-    return None if progress is None else lambda done: progress(before + done, total)
+def _offset(progress: Callable[[int, int], None] | None, first: int, total: int) -> Callable[[int], None] | None:
+    return None if progress is None else lambda count: progress(first + count, total)
 
 
 def _thinned(sweep: Sweep, steps: StraightSegments, progress: Callable[[int], None] | None) -> Cuts:
     """Return the stations that are needed. They are thinned out batch by batch to limit memory."""
-    done: list[Cuts] = []
+    thin_cuts: list[Cuts] = []
     open_: list[Cuts] = []
     waiting = 0
     for part in sweep.run(steps, progress):
         open_.append(part)
         waiting += len(part.t)
         if waiting > _BATCH:
-            joined = Cuts.joined(open_)
-            whole = int(np.searchsorted(joined.motion, joined.motion[-1], side="left"))
-            rest, joined = joined.take(slice(whole, None)), joined.take(slice(None, whole))
-            done.append(joined.take(thinned(joined.motion, joined.wrench)))
+            cuts = Cuts.joined(open_)
+            whole = int(np.searchsorted(cuts.motion, cuts.motion[-1], side="left"))
+            rest, cuts = cuts.take(slice(whole, None)), cuts.take(slice(None, whole))
+            thin_cuts.append(cuts.take(thinned(cuts.motion, cuts.wrench)))
             open_, waiting = [rest], len(rest.t)
-    joined = Cuts.joined([Cuts.none(), *open_])
-    return Cuts.joined([*done, joined.take(thinned(joined.motion, joined.wrench))])
+    cuts = Cuts.joined([Cuts.none(), *open_])
+    return Cuts.joined([*thin_cuts, cuts.take(thinned(cuts.motion, cuts.wrench))])
 
 
-def _turned(material: Stock, before: Array, frame: Array, cell: float) -> Stock:
+def _turned(material: Stock, old_frame: Array, frame: Array, cell: float) -> Stock:
     """Return the remaining stock as a map for another direction of the tool."""
     vertices, faces = stocks.mesh_of(material)
-    to_map = inverse(frame) @ before
+    to_map = inverse(frame) @ old_frame
     return stocks.from_mesh(vertices @ to_map[:3, :3].T + to_map[:3, 3], faces, cell)
 
 
-def _stock(process: Process, frame: Array, cell: float, given: Path | None) -> tuple[Stock, list[Issue]]:
+def _stock(process: Process, frame: Array, cell: float, path: Path | None) -> tuple[Stock, list[Issue]]:
     """Return the map of the stock, and warnings about it."""
     table = process.stock
-    if given is None and table.box is not None and table.file is not None:
+    if path is None and table.box is not None and table.file is not None:
         raise ForceError("[stock] has a box and a file", file=process.path, advice="Give one of them.")
-    if given is None and table.file is not None:
-        given = Path(process.path).parent / table.file
+    if path is None and table.file is not None:
+        path = Path(process.path).parent / table.file
     to_map = inverse(frame)
-    if given is None:
+    if path is None:
         if table.box is None:
             advice = "Give [stock] box or file, or --stock STOCK.stl."
             raise ForceError("no stock", file=process.path, advice=advice)
@@ -320,7 +320,7 @@ def _stock(process: Process, frame: Array, cell: float, given: Path | None) -> t
         vertices, faces, name = np.asarray(box.vertices), np.asarray(box.faces), process.path
         volume = float(np.prod(high - low))
     else:
-        mesh, name = _mesh(given), str(given)
+        mesh, name = _mesh(path), str(path)
         pose = table.place.pose()
         vertices = np.asarray(mesh.vertices, dtype=float) * M_PER_MM @ pose[:3, :3].T + pose[:3, 3]
         faces, volume = np.asarray(mesh.faces, dtype=np.int64), abs(float(mesh.volume)) * M_PER_MM**3
@@ -328,9 +328,9 @@ def _stock(process: Process, frame: Array, cell: float, given: Path | None) -> t
     return material, _hollows(material.volume(), volume)
 
 
-def _hollows(mapped: float, volume: float) -> list[Issue]:
+def _hollows(map_volume: float, volume: float) -> list[Issue]:
     """Warn if the map of a stock contains more material than the stock (volumes in m³)."""
-    hollow = mapped / max(volume, 1e-18) - 1.0
+    hollow = map_volume / max(volume, 1e-18) - 1.0
     if hollow <= _HOLLOW:
         return []
     message = (
@@ -361,11 +361,11 @@ def _check_speed(program: Program, steps: StraightSegments, tools: ToolStates) -
     """
     motion = np.unique(steps.motion[steps.cutting])
     if len(motion) and not (tools.rpm[motion] > 0.0).any():
-        spun = [event for event in program.events if event.kind in ("spindle_on", "spindle_ccw")]
+        starts = [event for event in program.events if event.kind in ("spindle_on", "spindle_ccw")]
         first = int(program.motions.line[motion[0]])
         name = program.documents[0].name
-        if spun:
-            problem, line = "the spindle is started without a speed", spun[0].line
+        if starts:
+            problem, line = "the spindle is started without a speed", starts[0].line
         else:
             problem, line = "the spindle is never started", first
         advice = "Give S and M3 in the program, or [tools.n] rpm in the process file."
@@ -374,7 +374,7 @@ def _check_speed(program: Program, steps: StraightSegments, tools: ToolStates) -
 
 def _issues(
     program: Program,
-    stopped: set[int],
+    spindle_off: set[int],
     law: CuttingLaw,
     cuts: Cuts,
     tools: ToolStates,
@@ -382,15 +382,15 @@ def _issues(
 ) -> list[Issue]:
     """Return warnings and notes for the user.
 
-    :param stopped: motions through material with the spindle off.
+    :param spindle_off: motions through material with the spindle off.
     :raises ForceError: the spindle is off on cutting moves in contact with material.
     """
     lines, name = program.motions.line, program.documents[0].name
-    if stopped:
+    if spindle_off:
         advice = "Start the spindle (M3 S…) before the cut, or lift the tool."
         raise together(
             ForceError("the tool moves through material while the spindle is off", file=name, line=line, advice=advice)
-            for line in sorted({int(lines[motion]) for motion in stopped})[: MOST + 1]
+            for line in sorted({int(lines[motion]) for motion in spindle_off})[: MOST + 1]
         )
     issues = []
     if law.warning is not None:
@@ -407,14 +407,14 @@ def _issues(
         )
         issues.append(Issue("info", "no-axial-force", message))
     issues += _drilled_by_mills(program, cuts, drill[place])
-    bored = np.flatnonzero(drill[place])
-    if len(bored):
+    drill_rows = np.flatnonzero(drill[place])
+    if len(drill_rows):
         message = (
             "the feed force of drills is estimated: 0.65 kc fn D/2, the middle of published thrusts. It depends on the "
             "chisel edge in the middle: the bound includes 38 % more or less. Measure it, or give forces in a file, "
             "where the depth of holes matters."
         )
-        at = np.unique(lines[cuts.motion[bored]])
+        at = np.unique(lines[cuts.motion[drill_rows]])
         issues.append(Issue("info", "drill-thrust", message, int(at[0]), count=len(at)))
     deep = np.flatnonzero((cuts.depth > _DEEP * diameter[place]) & ~drill[place])
     if len(deep):
@@ -436,10 +436,11 @@ def _coarse(tools: ToolStates, sweeps: list[Sweep], cell: float) -> Iterator[Iss
         sums = np.sum([sweep.by_cells.get(number, np.zeros(2)) for sweep in sweeps], axis=0)
         share = float(np.sqrt(sums[0] / sums[1])) if sums[1] > 0.0 else 0.0
         if share > _COARSE:
-            finer = cell * MM_PER_M * _ENOUGH / share
+            finer = cell * MM_PER_M * _GOOD_SIGMA / share
             message = (
                 f"the contact of [tools.{key}] is few cells of the stock wide: the standard deviation of its forces by "
-                f"that is {100 * share:.0f} % RMS. Give [stock] resolution_mm = {finer:.2g} for {100 * _ENOUGH:.0f} %"
+                f"that is {100 * share:.0f} % RMS. Give [stock] resolution_mm = {finer:.2g} for "
+                f"{100 * _GOOD_SIGMA:.0f} %"
             )
             yield Issue("warning", "coarse-stock", message, subject=key)
 
@@ -448,55 +449,55 @@ def _other_cutter(program: Program, tools: ToolStates, process: Process, guard: 
     """Yield an error if the cutter of [collision] has another diameter than the tools of the process."""
     if guard is None or guard.cutter is None:
         return
-    used = [tools.keys[n] for n in distinct(tools.tool[~program.motions.rapid]).tolist()]
-    wide = {key: process.tools[key].diameter_mm for key in used}
-    other = [key for key, diameter in wide.items() if abs(diameter * M_PER_MM - guard.cutter) > _SAME_DIAMETER]
-    if other:
-        found = ", ".join(f"tools.{key} of the process has {wide[key]:g} mm" for key in other)
+    tool_keys = [tools.keys[n] for n in distinct(tools.tool[~program.motions.rapid]).tolist()]
+    wide = {key: process.tools[key].diameter_mm for key in tool_keys}
+    differing_keys = [key for key, diameter in wide.items() if abs(diameter * M_PER_MM - guard.cutter) > _SAME_DIAMETER]
+    if differing_keys:
+        differences = ", ".join(f"tools.{key} of the process has {wide[key]:g} mm" for key in differing_keys)
         message = (
-            f"[collision] holder begins with a cutter of {guard.cutter * MM_PER_M:g} mm, but {found}: "
+            f"[collision] holder begins with a cutter of {guard.cutter * MM_PER_M:g} mm, but {differences}: "
             "collisions would be those of another tool. Give the cylinders of the tool that this program uses, and "
             "divide the program where it changes tools"
         )
         yield Issue("error", "other-cutter", message)
 
 
-def _collisions(program: Program, collided: dict[int, float], guard: Guard | None) -> list[Issue]:
+def _collisions(program: Program, depth_of_motion: dict[int, float], guard: Guard | None) -> list[Issue]:
     """Return the issues of what touches the stock and does not cut: errors if there is a guard.
 
-    :param collided: rapid motions through material, and how deep [m].
+    :param depth_of_motion: rapid motions through material, and how deep [m].
     """
-    m, out = program.motions, []
-    if collided:
-        motion = np.array(sorted(collided))
+    m, issues = program.motions, []
+    if depth_of_motion:
+        motion = np.array(sorted(depth_of_motion))
         hit = distinct(m.line[motion]).tolist()
-        deep = f"{max(collided.values()) * MM_PER_M:.2g} mm deep"
-        longer = _longer(program, max(collided, key=lambda each: (collided[each], -each)))
+        deep = f"{max(depth_of_motion.values()) * MM_PER_M:.2g} mm deep"
+        tool_note = _longer(program, max(depth_of_motion, key=lambda row: (depth_of_motion[row], -row)))
         if guard is None:
-            where = f"line {', '.join(map(str, hit[:5]))}{' …' if len(hit) > 5 else ''}"
-            message = f"a rapid move goes through material ({where}), {deep}. {_way_out(program, motion)}{longer}"
-            out.append(replace(m.issue("error", "rapid-in-material", message, motion), count=len(hit)))
+            place = f"line {', '.join(map(str, hit[:5]))}{' …' if len(hit) > 5 else ''}"
+            message = f"a rapid move goes through material ({place}), {deep}. {_way_out(program, motion)}{tool_note}"
+            issues.append(replace(m.issue("error", "rapid-in-material", message, motion), count=len(hit)))
         else:
             message = (
-                f"collision: cutter goes {deep} into the stock in a rapid move. {_way_out(program, motion)}{longer}"
+                f"collision: cutter goes {deep} into the stock in a rapid move. {_way_out(program, motion)}{tool_note}"
             )
-            out.append(replace(m.issue("error", "collision", message, motion), subject="cutter, stock"))
+            issues.append(replace(m.issue("error", "collision", message, motion), subject="cutter, stock"))
     if guard is None:
-        return out
+        return issues
     for part in guard.parts:
-        near = {motion: distance for (name, motion), distance in guard.close.items() if name == part.name}
-        if near:
-            worst = min(near, key=lambda motion: (near[motion], motion))
-            distance = near[worst] * MM_PER_M
-            how = "touches the stock" if distance == 0.0 else f"comes within {distance:.2g} mm of the stock"
+        distance_of_motion = {motion: distance for (name, motion), distance in guard.close.items() if name == part.name}
+        if distance_of_motion:
+            worst = min(distance_of_motion, key=lambda motion: (distance_of_motion[motion], motion))
+            distance = distance_of_motion[worst] * MM_PER_M
+            contact_text = "touches the stock" if distance == 0.0 else f"comes within {distance:.2g} mm of the stock"
             message = (
-                f"collision: {part.name} {how} that is left here; [collision] asks for {guard.need * MM_PER_M:g} mm. "
-                "Use a longer tool, cut here first, or correct the holder in the cell"
+                f"collision: {part.name} {contact_text} that is left here; [collision] asks for "
+                f"{guard.need * MM_PER_M:g} mm. Use a longer tool, cut here first, or correct the holder in the cell"
             )
-            lines = tuple(distinct(m.line[np.array(sorted(near))]).tolist())
-            issue = Issue("error", "collision", message, int(m.line[worst]), count=len(near), lines=lines)
-            out.append(replace(issue, subject=f"{part.name}, stock"))
-    return out
+            lines = tuple(distinct(m.line[np.array(sorted(distance_of_motion))]).tolist())
+            issue = Issue("error", "collision", message, int(m.line[worst]), count=len(distance_of_motion), lines=lines)
+            issues.append(replace(issue, subject=f"{part.name}, stock"))
+    return issues
 
 
 def _way_out(program: Program, motion: Ints) -> str:
@@ -516,23 +517,23 @@ def _longer(program: Program, motion: int) -> str:
     """Return what to add to a message on a rapid motion that a longer tool begins: its tip is lower from the start."""
     tool = program.motions.tool
     reach = norm(program.tools[:, :3, 3])
-    more = reach[tool[motion]] - reach[tool[motion - 1]] if motion else 0.0
-    if more <= 0.0:
+    extra_length = reach[tool[motion]] - reach[tool[motion - 1]] if motion else 0.0
+    if extra_length <= 0.0:
         return ""
-    return f". The new tool is {more * MM_PER_M:.4g} mm longer: retract further before the tool change"
+    return f". The new tool is {extra_length * MM_PER_M:.4g} mm longer: retract further before the tool change"
 
 
 def _too_strong(cuts: Cuts, lines: Ints, limit: float | None) -> list[Issue]:
     """Warn of cuts that take more than the power of the spindle [kW]."""
     power = cuts.power * 1e-3
-    over = np.flatnonzero(power > (np.inf if limit is None else limit))
-    if not len(over):
+    strong_rows = np.flatnonzero(power > (np.inf if limit is None else limit))
+    if not len(strong_rows):
         return []
-    worst = over[int(np.argmax(power[over]))]
+    worst = strong_rows[int(np.argmax(power[strong_rows]))]
     message = (
         f"the cut takes {power[worst]:.2g} kW, more than the {limit:g} kW of [spindle] power_kW: reduce feed or depth"
     )
-    count = len(distinct(lines[cuts.motion[over]]))
+    count = len(distinct(lines[cuts.motion[strong_rows]]))
     return [Issue("warning", "spindle-power", message, int(lines[cuts.motion[worst]]), count=count)]
 
 

@@ -23,13 +23,13 @@ NAMES = ("Ktc", "Krc", "Kac", "Kte", "Kre", "Kae")
 """Coefficients in the order of arrays: N/mm² of the cut, N/mm of the edge."""
 KEYS = ("Ktc_N_per_mm2", "Krc_N_per_mm2", "Kac_N_per_mm2", "Kte_N_per_mm", "Kre_N_per_mm", "Kae_N_per_mm")
 _MODES = ("slot", "up", "down")
-_REQUIRED = ("mode", "ap_mm", "rpm", "feed_mm_per_min")
+_REQUIRED_COLUMNS = ("mode", "ap_mm", "rpm", "feed_mm_per_min")
 _EMPTY = ("ae_mm", "Fx", "Fy", "Fz", "sigma_N", "power_W")
 _RANK = 1e-6
 """Singular value, as a share of the largest, below which a combination of coefficients is not excited."""
 _LEAST_RANGE = 1.3
 """Ratio of largest to smallest feed per tooth below which edge and cutting coefficients cannot be separated."""
-_ROUNDED = 1e-9
+_LEAST_CORRELATION = 1e-9
 """Correlations below this are rounding errors."""
 _LEAST_SCATTER = 1e-3
 """Least scatter of readings that do not state theirs, as a share of their RMS. Assumed: the linearity of dynamometers
@@ -95,11 +95,11 @@ def read(path: Path) -> CutReadings:
 
     :raises ForceError: a column is missing or unknown, a mode is unknown, a value is out of range.
     """
-    numbers, texts, line = files.read_csv(path, _REQUIRED, _EMPTY, ForceError, ("mode",), _EMPTY)
+    numbers, texts, line = files.read_csv(path, _REQUIRED_COLUMNS, _EMPTY, ForceError, ("mode",), _EMPTY)
     count = len(line)
     if count == 0:
         raise ForceError("no readings", file=str(path))
-    column = {name: numbers.get(name, np.full(count, np.nan)) for name in (*_REQUIRED[1:], *_EMPTY)}
+    column = {name: numbers.get(name, np.full(count, np.nan)) for name in (*_REQUIRED_COLUMNS[1:], *_EMPTY)}
     for k, mode in enumerate(texts["mode"]):
         problem = advice = None
         if mode not in _MODES:
@@ -124,46 +124,48 @@ def tool_of(process: Process, number: int | None) -> tuple[str, ToolTable]:
 
     :raises ForceError: the process has no such tool, or several and none is named, or it is not flat.
     """
-    found = process.tool(number)
-    if found is None:
-        known = ", ".join(process.tools) or "none"
-        raise ForceError("the measured tool is not given", file=process.path, advice=f"Give --tool; found: {known}.")
-    if found[1].shape != "flat":
+    entry = process.tool(number)
+    if entry is None:
+        tool_names = ", ".join(process.tools) or "none"
+        raise ForceError(
+            "the measured tool is not given", file=process.path, advice=f"Give --tool; found: {tool_names}."
+        )
+    if entry[1].shape != "flat":
         advice = "Measure with a flat tool: only there is the mean force linear in the six coefficients."
-        raise ForceError(f"[tools.{found[0]}] is a {found[1].shape} tool", file=process.path, advice=advice)
-    return found
+        raise ForceError(f"[tools.{entry[0]}] is a {entry[1].shape} tool", file=process.path, advice=advice)
+    return entry
 
 
 def equations(readings: CutReadings, tool: ToolTable) -> Array:
     """Return the derivatives of Fx, Fy, Fz [N] and the power [W] of readings by the coefficients: (n, 4, 6)."""
     radius, teeth = 0.5 * tool.diameter_mm, tool.flutes
-    swept = np.where(np.array(readings.mode) == "slot", 2.0 * radius, np.minimum(readings.width, 2.0 * radius))
-    arc = np.arccos(1.0 - swept / radius)
-    down = np.array(readings.mode) == "down"
-    begin, end = np.where(down, np.pi - arc, 0.0), np.where(down, np.pi, arc)
+    width = np.where(np.array(readings.mode) == "slot", 2.0 * radius, np.minimum(readings.width, 2.0 * radius))
+    arc = np.arccos(1.0 - width / radius)
+    is_down = np.array(readings.mode) == "down"
+    begin, end = np.where(is_down, np.pi - arc, 0.0), np.where(is_down, np.pi, arc)
     chip = readings.feed / (readings.rpm * teeth)
-    out = np.zeros((len(chip), 4, 6))
+    derivatives = np.zeros((len(chip), 4, 6))
     per_mm = teeth * readings.depth / (2.0 * np.pi)
     for phi, sign in ((end, 1.0), (begin, -1.0)):
-        cos2, turned = np.cos(2.0 * phi), 2.0 * phi - np.sin(2.0 * phi)
+        cos2, angle_term = np.cos(2.0 * phi), 2.0 * phi - np.sin(2.0 * phi)
         sine, cosine = np.sin(phi), np.cos(phi)
         cut, edge = sign * per_mm * chip, sign * per_mm
-        out[:, 0, 0] += cut * cos2 / 4.0
-        out[:, 0, 1] -= cut * turned / 4.0
-        out[:, 0, 3] -= edge * sine
-        out[:, 0, 4] += edge * cosine
-        out[:, 1, 0] += cut * turned / 4.0
-        out[:, 1, 1] += cut * cos2 / 4.0
-        out[:, 1, 3] -= edge * cosine
-        out[:, 1, 4] -= edge * sine
-        out[:, 2, 2] -= cut * cosine
-        out[:, 2, 5] += edge * phi
+        derivatives[:, 0, 0] += cut * cos2 / 4.0
+        derivatives[:, 0, 1] -= cut * angle_term / 4.0
+        derivatives[:, 0, 3] -= edge * sine
+        derivatives[:, 0, 4] += edge * cosine
+        derivatives[:, 1, 0] += cut * angle_term / 4.0
+        derivatives[:, 1, 1] += cut * cos2 / 4.0
+        derivatives[:, 1, 3] -= edge * cosine
+        derivatives[:, 1, 4] -= edge * sine
+        derivatives[:, 2, 2] -= cut * cosine
+        derivatives[:, 2, 5] += edge * phi
         watts = radius * 1e-3 * readings.rpm * (2.0 * np.pi / 60.0)
-        out[:, 3, 0] -= cut * cosine * watts
-        out[:, 3, 3] += edge * phi * watts
+        derivatives[:, 3, 0] -= cut * cosine * watts
+        derivatives[:, 3, 3] += edge * phi * watts
     if tool.spindle == "M4":
-        out[:, 1] *= -1.0
-    return out
+        derivatives[:, 1] *= -1.0
+    return derivatives
 
 
 def identify(readings: CutReadings, tool: ToolTable, prior: MaterialTable | None, file: str) -> IdentifiedMaterial:
@@ -175,53 +177,53 @@ def identify(readings: CutReadings, tool: ToolTable, prior: MaterialTable | None
     """
     whole = equations(readings, tool)
     values = np.concatenate([readings.force, readings.power[:, None]], axis=1)
-    reading, component = (np.asarray(one, dtype=np.int64) for one in np.nonzero(np.isfinite(values)))
-    predictor, measured = whole[reading, component], values[reading, component]
-    known = bool(np.isfinite(readings.sigma).all())
+    reading, component = (np.asarray(index, dtype=np.int64) for index in np.nonzero(np.isfinite(values)))
+    predictor, readout = whole[reading, component], values[reading, component]
+    has_sigma = bool(np.isfinite(readings.sigma).all())
     sigma = np.where(np.isfinite(readings.sigma), readings.sigma, 1.0)[reading]
     watt = np.linalg.norm(whole[:, 3, [0, 3]], axis=1) / np.maximum(np.linalg.norm(whole[:, 1, [0, 3]], axis=1), 1e-12)
     sigma = np.where(component == 3, sigma * watt[reading], sigma)
-    if not len(measured):
+    if not len(readout):
         raise ForceError("no force and no power in any row", file=file, advice="Fill in Fx, Fy, Fz or power_W.")
-    found = np.abs(predictor).max(axis=0) > 1e-9 * np.abs(predictor).max()
-    _check_separable(readings, tool, predictor, sigma, found, file)
-    fixed, fixed_sigma, warnings = _not_measured(prior, found, file)
-    rest = measured - predictor @ fixed
-    freedom = len(measured) - int(found.sum())
+    is_excited = np.abs(predictor).max(axis=0) > 1e-9 * np.abs(predictor).max()
+    _check_separable(readings, tool, predictor, sigma, is_excited, file)
+    prior_value, fixed_sigma, warnings = _not_measured(prior, is_excited, file)
+    rest = readout - predictor @ prior_value
+    freedom = len(readout) - int(is_excited.sum())
     if freedom < 1:
         advice = "Measure at more feeds: five in a slot determine all six."
-        raise ForceError(f"{len(measured)} readings for {int(found.sum())} coefficients", file=file, advice=advice)
-    value, spread = _fit(predictor[:, found], rest, sigma)
-    off = predictor[:, found] @ value - rest
-    scale = float(np.sum((off / sigma) ** 2)) / freedom
+        raise ForceError(f"{len(readout)} readings for {int(is_excited.sum())} coefficients", file=file, advice=advice)
+    value, spread = _fit(predictor[:, is_excited], rest, sigma)
+    error = predictor[:, is_excited] @ value - rest
+    scale = float(np.sum((error / sigma) ** 2)) / freedom
     from scipy.special import stdtrit
 
     factor = 1.96
-    if not known:
-        least = _LEAST_SCATTER**2 * float(np.mean((measured / sigma) ** 2))
-        if scale < least:
-            scale = least
+    if not has_sigma:
+        least_scale = _LEAST_SCATTER**2 * float(np.mean((readout / sigma) ** 2))
+        if scale < least_scale:
+            scale = least_scale
             warnings.append(
                 "the readings scatter less than any sensor does: were they computed? The intervals are those of a "
                 f"scatter of {100.0 * _LEAST_SCATTER:g} %; state sigma_N"
             )
-    if not known or scale > 1.0:
+    if not has_sigma or scale > 1.0:
         spread = spread * scale
         factor = float(stdtrit(freedom, 0.975))
-    if known and scale > 2.0:
+    if has_sigma and scale > 2.0:
         warnings.append(
             f"the readings scatter {np.sqrt(scale):.1f} times as much as sigma_N says: the intervals are wider by that"
         )
-    estimate, covariance = fixed.copy(), np.diag(fixed_sigma**2)
-    estimate[found] = value
-    covariance[np.ix_(found, found)] = spread * (factor / 1.96) ** 2
+    estimate, covariance = prior_value.copy(), np.diag(fixed_sigma**2)
+    estimate[is_excited] = value
+    covariance[np.ix_(is_excited, is_excited)] = spread * (factor / 1.96) ** 2
     half = 1.96 * np.sqrt(np.diag(covariance))
     forces = component < 3
-    residual = float(np.sqrt(np.mean(off[forces] ** 2))) if forces.any() else float("nan")
-    variance = np.einsum("mi,ij,mj->m", predictor, covariance, predictor) + off**2
-    size = float(np.sqrt(np.sum((measured / sigma) ** 2)))
+    residual = float(np.sqrt(np.mean(error[forces] ** 2))) if forces.any() else float("nan")
+    variance = np.einsum("mi,ij,mj->m", predictor, covariance, predictor) + error**2
+    size = float(np.sqrt(np.sum((readout / sigma) ** 2)))
     percent = 100.0 * float(np.sqrt(np.sum(variance / sigma**2))) / size
-    for k in np.flatnonzero(found & (half > 0.5 * np.abs(estimate))).tolist():
+    for k in np.flatnonzero(is_excited & (half > 0.5 * np.abs(estimate))).tolist():
         warnings.append(
             f"{NAMES[k]} is known to ±{half[k]:.2g} only ({estimate[k]:.3g}): measure more feeds, or deeper cuts"
         )
@@ -230,102 +232,107 @@ def identify(readings: CutReadings, tool: ToolTable, prior: MaterialTable | None
         value=estimate,
         half=half,
         covariance=covariance,
-        identified=found,
+        identified=is_excited,
         predictor=predictor,
-        measured=measured,
+        measured=readout,
         sigma=sigma,
         reading=reading,
         component=component,
         residual=residual,
-        left_out=_left_out(predictor[:, found], rest, measured, sigma, np.round(chip[reading], 6)),
+        left_out=_left_out(predictor[:, is_excited], rest, readout, sigma, np.round(chip[reading], 6)),
         sigma_percent=max(_LEAST_SIGMA, percent),
         warnings=tuple(warnings),
     )
 
 
-def _fit(predictor: Array, measured: Array, sigma: Array) -> tuple[Array, Array]:
+def _fit(predictor: Array, readout: Array, sigma: Array) -> tuple[Array, Array]:
     """Return the weighted least-squares estimate (k,) and its covariance (k, k)."""
-    weighted = predictor / sigma[:, None]
-    scale = np.linalg.norm(weighted, axis=0)
-    value = np.linalg.lstsq(weighted / scale, measured / sigma, rcond=None)[0] / scale
-    return value, np.linalg.inv((weighted / scale).T @ (weighted / scale)) / np.outer(scale, scale)
+    matrix = predictor / sigma[:, None]
+    scale = np.linalg.norm(matrix, axis=0)
+    value = np.linalg.lstsq(matrix / scale, readout / sigma, rcond=None)[0] / scale
+    return value, np.linalg.inv((matrix / scale).T @ (matrix / scale)) / np.outer(scale, scale)
 
 
-def _left_out(predictor: Array, rest: Array, measured: Array, sigma: Array, chip: Array) -> float:
+def _left_out(predictor: Array, rest: Array, readout: Array, sigma: Array, chip: Array) -> float:
     """Return the RMS error at each feed per tooth, predicted by the others, as a share of the RMS reading."""
     total = 0.0
-    for each in np.unique(chip):
-        own = chip == each
-        weighted = predictor[~own] / sigma[~own, None]
-        if not own.all() and np.linalg.matrix_rank(weighted / np.linalg.norm(predictor, axis=0)) == predictor.shape[1]:
-            value, _ = _fit(predictor[~own], rest[~own], sigma[~own])
-            total += float(np.sum(((predictor[own] @ value - rest[own]) / sigma[own]) ** 2))
+    for chip_value in np.unique(chip):
+        of_chip = chip == chip_value
+        matrix = predictor[~of_chip] / sigma[~of_chip, None]
+        if (
+            not of_chip.all()
+            and np.linalg.matrix_rank(matrix / np.linalg.norm(predictor, axis=0)) == predictor.shape[1]
+        ):
+            value, _ = _fit(predictor[~of_chip], rest[~of_chip], sigma[~of_chip])
+            total += float(np.sum(((predictor[of_chip] @ value - rest[of_chip]) / sigma[of_chip]) ** 2))
         else:
             return float("nan")
-    return float(np.sqrt(total / np.sum((measured / sigma) ** 2)))
+    return float(np.sqrt(total / np.sum((readout / sigma) ** 2)))
 
 
 def _check_separable(
-    readings: CutReadings, tool: ToolTable, predictor: Array, sigma: Array, found: Bools, file: str
+    readings: CutReadings, tool: ToolTable, predictor: Array, sigma: Array, is_excited: Bools, file: str
 ) -> None:
     """Refuse readings that do not excite a combination of coefficients.
 
     :raises ForceError: a combination is not identifiable; the message names the coefficients.
     """
     chip = readings.feed / (readings.rpm * tool.flutes)
-    names = [name for name, there in zip(NAMES, found, strict=True) if there]
+    names = [name for name, has_readings in zip(NAMES, is_excited, strict=True) if has_readings]
     if chip.max() < _LEAST_RANGE * chip.min():
         raise ForceError(
             f"one feed per tooth ({chip.mean():.3g} mm): edge and cut ({', '.join(names)}) cannot be separated",
             file=file,
             advice="Measure at several feeds, the largest at least twice the smallest; `--propose` writes test cuts.",
         )
-    weighted = predictor[:, found] / sigma[:, None]
-    weighted = weighted / np.linalg.norm(weighted, axis=0)
-    _, size, axes = np.linalg.svd(weighted, full_matrices=True)
+    matrix = predictor[:, is_excited] / sigma[:, None]
+    matrix = matrix / np.linalg.norm(matrix, axis=0)
+    _, size, axes = np.linalg.svd(matrix, full_matrices=True)
     size = np.append(size, np.zeros(len(axes) - len(size)))
     open_ = np.abs(axes[size < _RANK * size[0]]).max(axis=0, initial=0.0) > 1e-3
     if open_.any():
-        which = ", ".join(name for name, one in zip(names, open_, strict=True) if one)
+        open_names = ", ".join(name for name, is_open in zip(names, open_, strict=True) if is_open)
         advice = "Measure Fx and Fy, at several feeds; `--propose` writes test cuts."
-        raise ForceError(f"these readings do not separate {which}", file=file, advice=advice)
+        raise ForceError(f"these readings do not separate {open_names}", file=file, advice=advice)
 
 
-def _not_measured(prior: MaterialTable | None, found: Bools, file: str) -> tuple[Array, Array, list[str]]:
+def _not_measured(prior: MaterialTable | None, is_excited: Bools, file: str) -> tuple[Array, Array, list[str]]:
     """Return values (6,) and standard deviations (6,) from the process for coefficients without readings, and warnings.
 
     :raises ForceError: the process has no linear material.
     """
     value, sigma = np.zeros(6), np.zeros(6)
-    if found.all():
+    if is_excited.all():
         return value, sigma, []
-    which = ", ".join(name for name, there in zip(NAMES, found, strict=True) if not there)
+    prior_names = ", ".join(name for name, has_readings in zip(NAMES, is_excited, strict=True) if not has_readings)
     six = None if prior is None else six_numbers(prior, file)
     if six is None:
         advice = "Measure it, or give [material] of the process by name or six numbers: they are taken from there."
-        raise ForceError(f"no reading depends on {which}", file=file, advice=advice)
-    value[~found] = six[0][~found]
-    sigma[~found] = np.abs(six[0][~found]) * six[1]
-    warning = f"no reading depends on {which}: taken from [material] of the process, ±{196 * six[1]:.0f} %"
+        raise ForceError(f"no reading depends on {prior_names}", file=file, advice=advice)
+    value[~is_excited] = six[0][~is_excited]
+    sigma[~is_excited] = np.abs(six[0][~is_excited]) * six[1]
+    warning = f"no reading depends on {prior_names}: taken from [material] of the process, ±{196 * six[1]:.0f} %"
     return value, sigma, [warning]
 
 
-def as_toml(found: IdentifiedMaterial, tool: ToolTable, name: str) -> bytes:
+def as_toml(material: IdentifiedMaterial, tool: ToolTable, name: str) -> bytes:
     """Return the `[material]` file of identified coefficients.
 
     :param name: of the file of readings.
     """
-    table: dict[str, object] = {key: float(f"{v:.6g}") for key, v in zip(KEYS, found.value, strict=True)}
-    table["sigma_percent"] = round(found.sigma_percent, 2)
-    table["source"] = f"identified from {name}: {len(set(found.reading.tolist()))} cuts with a flat tool of " + (
+    table: dict[str, object] = {key: float(f"{v:.6g}") for key, v in zip(KEYS, material.value, strict=True)}
+    table["sigma_percent"] = round(material.sigma_percent, 2)
+    table["source"] = f"identified from {name}: {len(set(material.reading.tolist()))} cuts with a flat tool of " + (
         f"{tool.diameter_mm:g} mm, {tool.flutes} teeth"
     )
-    if np.isfinite(found.residual):
-        table["residual_N"] = float(f"{round(found.residual, 6):.4g}")
-    table["ci95"] = {name: float(f"{v:.4g}") for name, v in zip(NAMES, found.half, strict=True)}
-    size = np.sqrt(np.diag(found.covariance))
-    stated = np.where(np.abs(found.covariance) > _ROUNDED * np.outer(size, size), found.covariance, 0.0)
-    table["covariance"] = [[float(f"{v:.6g}") for v in row] for row in stated]
+    if np.isfinite(material.residual):
+        table["residual_N"] = float(f"{round(material.residual, 6):.4g}")
+    table["ci95"] = {name: float(f"{v:.4g}") for name, v in zip(NAMES, material.half, strict=True)}
+    size = np.sqrt(np.diag(material.covariance))
+    significant = np.where(
+        np.abs(material.covariance) > _LEAST_CORRELATION * np.outer(size, size), material.covariance, 0.0
+    )
+    table["covariance"] = [[float(f"{v:.6g}") for v in row] for row in significant]
     comment = 'Cutting coefficients, identified by `postproc identify forces`. In process.toml: [material] file = "…".'
     return files.sealed(files.toml({"material": table}, comment))
 

@@ -22,42 +22,42 @@ _PLACES = 128
 """Places of the tool that are compared at once."""
 
 
-def depth_inside(stock: Stock, cutter: Cutter, tip: Array, towards: Array) -> float:
+def depth_inside(stock: Stock, cutter: Cutter, tip: Array, axis: Array) -> float:
     """Return how far tools at some places reach below the surface of the stock [m]; 0 where none is in material.
 
     :param tip: (n, 3) positions of the tip, frame of the map [m].
-    :param towards: (n, 3) unit directions from the tip to the spindle.
+    :param axis: (n, 3) unit directions from the tip to the spindle.
     """
     deepest = 0.0
     for first in range(0, len(tip), _PLACES):
         part = slice(first, first + _PLACES)
-        deepest = max(deepest, _deepest(stock, cutter, tip[part], towards[part]))
+        deepest = max(deepest, _deepest(stock, cutter, tip[part], axis[part]))
     return deepest
 
 
-def _deepest(stock: Stock, cutter: Cutter, tip: Array, towards: Array) -> float:
+def _deepest(stock: Stock, cutter: Cutter, tip: Array, axis: Array) -> float:
     radius = max(cutter.radius - stock.cell, 0.0)
-    place, distance, height = _rings(stock, cutter, tip, towards, radius)
+    place, distance, height = _rings(stock, cutter, tip, axis, radius)
     if not len(place):
         return 0.0
     angles = int(np.clip(np.ceil(2.0 * np.pi * radius / stock.cell), _LEAST_ANGLES, _MOST_ANGLES))
     turn = np.arange(angles) * (2.0 * np.pi / angles)
-    across, third = _square_to(towards)
-    rim = np.cos(turn)[:, None] * across[place][:, None] + np.sin(turn)[:, None] * third[place][:, None]
-    middle = tip[place] + height[:, None] * towards[place]
+    second, third = _square_to(axis)
+    rim = np.cos(turn)[:, None] * second[place][:, None] + np.sin(turn)[:, None] * third[place][:, None]
+    middle = tip[place] + height[:, None] * axis[place]
     points = (middle[:, None] + distance[:, None, None] * rim).reshape(-1, 3)
     column = np.floor((points[:, 0] - stock.x) / stock.cell).astype(np.int64)
     row = np.floor((points[:, 1] - stock.y) / stock.cell).astype(np.int64)
     rows, columns = stock.high.shape
-    over = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-    row, column, z = row[over], column[over], points[over, 2]
+    is_on_map = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+    row, column, z = row[is_on_map], column[is_on_map], points[is_on_map, 2]
     floor = stock.floor[row, column]
     level = np.where(stock.share[row, column] < 0.5, stock.high[row, column], stock.low[row, column])
-    inside = (z > floor) & (z < level)
-    return float((level - z)[inside].max(initial=0.0))
+    in_material = (z > floor) & (z < level)
+    return float((level - z)[in_material].max(initial=0.0))
 
 
-def _rings(stock: Stock, cutter: Cutter, tip: Array, towards: Array, radius: float) -> tuple[Ints, Array, Array]:
+def _rings(stock: Stock, cutter: Cutter, tip: Array, axis: Array, radius: float) -> tuple[Ints, Array, Array]:
     """Return circles about the axis of the tool near the stock: place (k,), radius (k,) and height above the tip (k,).
 
     :param radius: of the tool as it is compared [m].
@@ -69,18 +69,18 @@ def _rings(stock: Stock, cutter: Cutter, tip: Array, towards: Array, radius: flo
     corner = max(cutter.corner - stock.cell, 0.0)
     smaller = Cutter(radius, min(corner, radius), cutter.teeth)
     end = np.linspace(0.0, radius, max(2, int(np.ceil(radius / stock.cell)) + 1))
-    raised = _FLUSH if cutter.corner == 0.0 else stock.cell
-    shank = np.arange(raised + smaller.corner, reach, max(2.0 * stock.cell, 0.25 * radius))
+    lift = _FLUSH if cutter.corner == 0.0 else stock.cell
+    shank = np.arange(lift + smaller.corner, reach, max(2.0 * stock.cell, 0.25 * radius))
     distance = np.concatenate([end, np.full(len(shank), radius)])
-    height = np.concatenate([raised + smaller.height(end), shank])
-    middle = tip[:, None] + height[:, None] * towards[:, None]
+    height = np.concatenate([lift + smaller.height(end), shank])
+    middle = tip[:, None] + height[:, None] * axis[:, None]
     place, ring = np.nonzero(((middle > low) & (middle < high)).all(axis=2))
     return place, distance[ring], height[ring]
 
 
-def _square_to(towards: Array) -> tuple[Array, Array]:
+def _square_to(direction: Array) -> tuple[Array, Array]:
     """Return two unit vectors (n, 3) square to directions (n, 3) and to each other."""
-    axis = np.where(np.abs(towards[:, :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
-    across = np.cross(towards, axis)
-    across /= norm(across)[:, None]
-    return across, np.cross(towards, across)
+    axis = np.where(np.abs(direction[:, :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+    second = np.cross(direction, axis)
+    second /= norm(second)[:, None]
+    return second, np.cross(direction, second)

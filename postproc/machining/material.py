@@ -134,9 +134,9 @@ _WEAR_PERCENT = 25.0
 for end milling and 1.10 to 1.25 for light and medium face milling, as two public extracts of that table quote them; the
 book was not looked up. Drilling (1.30) and heavy face milling (1.30 to 1.60) are above it. Anything up to the value is
 taken for as likely."""
-_WORN = 41
+_WEAR_STATES = 41
 """Number of states of wear over which a probability is averaged."""
-_TWO_SIDED_95 = 1.959964
+_SIGMAS_OF_95 = 1.959964
 """95 % of normal numbers of standard deviation 1 are between ± this."""
 
 
@@ -151,14 +151,14 @@ def _with_wear(sigma: float) -> float:
     >>> round(_with_wear(0.33), 3), round(_with_wear(0.0), 3)
     (0.401, 0.12)
     """
-    worn = 1.0 + 0.01 * _WEAR_PERCENT * (np.arange(_WORN) + 0.5) / _WORN
+    growth = 1.0 + 0.01 * _WEAR_PERCENT * (np.arange(_WEAR_STATES) + 0.5) / _WEAR_STATES
     low, high = 0.0, 10.0 * (sigma + 0.01 * _WEAR_PERCENT)
     for _ in range(50):
         half = 0.5 * (low + high)
-        ends = ((1.0 + sign * half - worn) / worn for sign in (1.0, -1.0))
-        upper, lower = (float(np.mean([_below(end, sigma) for end in each.tolist()])) for each in ends)
+        ends = ((1.0 + sign * half - growth) / growth for sign in (1.0, -1.0))
+        upper, lower = (float(np.mean([_below(end, sigma) for end in bounds.tolist()])) for bounds in ends)
         low, high = (half, high) if upper - lower < 0.95 else (low, half)
-    return high / _TWO_SIDED_95
+    return high / _SIGMAS_OF_95
 
 
 def _below(error: float, sigma: float) -> float:
@@ -175,51 +175,51 @@ def table() -> dict[str, Entry]:
     return files.read_toml(Path(__file__).with_name("materials.toml"), dict[str, Entry], ForceError)
 
 
-def six_numbers(given: MaterialTable, file: str) -> tuple[NDArray[np.float64], float] | None:
+def six_numbers(material: MaterialTable, file: str) -> tuple[NDArray[np.float64], float] | None:
     """Return Ktc, Krc, Kac [N/mm²], Kte, Kre, Kae [N/mm] of a linear material and their relative standard deviation.
 
     :returns: None for a Kienzle material.
     :raises ForceError: an unknown name, or no coefficients at all.
     """
-    found = law(given, file)
-    if found.exponent:
+    cutting_law = law(material, file)
+    if cutting_law.exponent:
         return None
-    values = [*(k / _PER_MM2 for k in found.cutting), *(k / _PER_MM for k in found.edge)]
-    return np.array(values), found.sigma
+    values = [*(k / _PER_MM2 for k in cutting_law.cutting), *(k / _PER_MM for k in cutting_law.edge)]
+    return np.array(values), cutting_law.sigma
 
 
-def law(given: MaterialTable, file: str) -> CuttingLaw:
+def law(material: MaterialTable, file: str) -> CuttingLaw:
     """Return the cutting law of `[material]`.
 
     :raises ForceError: an unknown name, no coefficients at all, or both kinds of them.
     """
-    known, covariance = table(), None
-    if given.file is not None:
-        other = Path(file).parent / given.file
-        if given.name or given.Ktc_N_per_mm2 or given.kc11_N_per_mm2:
+    materials, covariance = table(), None
+    if material.file is not None:
+        path = Path(file).parent / material.file
+        if material.name or material.Ktc_N_per_mm2 or material.kc11_N_per_mm2:
             raise ForceError("[material] file together with values", file=file, advice="Give one of them.")
-        content = files.read_toml(other, dict[str, IdentifiedTable], ForceError)
+        content = files.read_toml(path, dict[str, IdentifiedTable], ForceError)
         if set(content) != {"material"} or content["material"].file is not None:
-            raise ForceError("this file has no [material] of its own, or more than that", file=str(other))
-        own = content["material"]
-        if given.sigma_percent is None:
-            given, covariance = own, _covariance(own, str(other))
+            raise ForceError("this file has no [material] of its own, or more than that", file=str(path))
+        file_table = content["material"]
+        if material.sigma_percent is None:
+            material, covariance = file_table, _covariance(file_table, str(path))
         else:
-            given = replace(own, sigma_percent=given.sigma_percent)
-    entry: MaterialTable = given
-    named = given.name is not None and given.Ktc_N_per_mm2 is None and given.kc11_N_per_mm2 is None
-    if named:
-        if given.name not in known:
-            advice = f"{choices(str(given.name), known)} Or give Ktc_N_per_mm2 … or kc11_N_per_mm2 and mc."
-            raise ForceError(f"[material] name: no material {given.name!r}", file=file, advice=advice)
-        entry = known[given.name]
+            material = replace(file_table, sigma_percent=material.sigma_percent)
+    entry: MaterialTable = material
+    is_by_name = material.name is not None and material.Ktc_N_per_mm2 is None and material.kc11_N_per_mm2 is None
+    if is_by_name:
+        if material.name not in materials:
+            advice = f"{choices(str(material.name), materials)} Or give Ktc_N_per_mm2 … or kc11_N_per_mm2 and mc."
+            raise ForceError(f"[material] name: no material {material.name!r}", file=file, advice=advice)
+        entry = materials[material.name]
     linear, kienzle = entry.Ktc_N_per_mm2, entry.kc11_N_per_mm2
     if (linear is None) == (kienzle is None) or (kienzle is None) != (entry.mc is None):
         advice = (
             "Give the name of a material, or Ktc_N_per_mm2, Krc_N_per_mm2 … Kae_N_per_mm, or kc11_N_per_mm2 and mc."
         )
         raise ForceError("[material] does not say how it cuts", file=file, advice=advice)
-    percent = given.sigma_percent
+    percent = material.sigma_percent
     if percent is None:
         percent = _SIGMA_PERCENT if entry.sigma_percent is None else entry.sigma_percent
         percent = 100.0 * _with_wear(percent / 100.0)
@@ -238,24 +238,24 @@ def law(given: MaterialTable, file: str) -> CuttingLaw:
         edge=(edge[0] * _PER_MM, edge[1] * _PER_MM, edge[2] * _PER_MM),
         exponent=entry.mc or 0.0,
         sigma=sigma,
-        name=given.name or "given in [material]",
+        name=material.name or "given in [material]",
         warning=entry.warning if isinstance(entry, Entry) else None,
         unknown_axial=0.0 if cutting[2] or edge[2] else _AXIAL,
         covariance=covariance,
     )
 
 
-def _covariance(given: IdentifiedTable, file: str) -> tuple[tuple[float, ...], ...] | None:
+def _covariance(material: IdentifiedTable, file: str) -> tuple[tuple[float, ...], ...] | None:
     """Return the covariance of identified coefficients, SI; None if the file states none.
 
     :raises ForceError: it is no covariance of six coefficients.
     """
-    if not given.covariance:
+    if not material.covariance:
         return None
-    found = np.array(given.covariance) if {len(row) for row in given.covariance} == {6} else np.zeros((0, 0))
-    usable = found.shape == (6, 6) and np.isfinite(found).all() and np.allclose(found, found.T, rtol=1e-4)
-    if not usable or np.linalg.eigvalsh(found / max(float(np.trace(found)), 1e-12))[0] < -1e-4:
+    matrix = np.array(material.covariance) if {len(row) for row in material.covariance} == {6} else np.zeros((0, 0))
+    usable = matrix.shape == (6, 6) and np.isfinite(matrix).all() and np.allclose(matrix, matrix.T, rtol=1e-4)
+    if not usable or np.linalg.eigvalsh(matrix / max(float(np.trace(matrix)), 1e-12))[0] < -1e-4:
         advice = "Take the file as `identify forces` wrote it, or delete the key: sigma_percent is used then."
         raise ForceError("[material] covariance is no covariance of six coefficients", file=file, advice=advice)
     unit = np.repeat([_PER_MM2, _PER_MM], 3)
-    return tuple(tuple(row) for row in (found * np.outer(unit, unit)).tolist())
+    return tuple(tuple(row) for row in (matrix * np.outer(unit, unit)).tolist())

@@ -105,10 +105,10 @@ class Process(ProcessFile, frozen=True):
 
     def cutter(self, key: str) -> Cutter:
         """Return the cutter of an entry of [tools]."""
-        given = self.tools[key]
-        radius = 0.5 * given.diameter_mm * M_PER_MM
-        corner = {"flat": 0.0, "ball": radius, "drill": 0.0}.get(given.shape, given.corner_radius_mm * M_PER_MM)
-        return Cutter(radius, corner, given.flutes, given.shape == "drill")
+        tool = self.tools[key]
+        radius = 0.5 * tool.diameter_mm * M_PER_MM
+        corner = {"flat": 0.0, "ball": radius, "drill": 0.0}.get(tool.shape, tool.corner_radius_mm * M_PER_MM)
+        return Cutter(radius, corner, tool.flutes, tool.shape == "drill")
 
 
 _EXAMPLE = """For example:
@@ -134,23 +134,23 @@ def load(path: str | Path, *, tools_only: bool = False) -> Process:
     """
     path = Path(path)
     content = files.read_toml(path, ProcessFile, ForceError, _EXAMPLE)
-    where = str(path)
+    file = str(path)
     for key, tool in content.tools.items():
         if key != "default" and not (key.isascii() and key.isdecimal()):
-            raise ForceError(f"[tools.{key}]: {key!r} is not a tool number", file=where, advice="Or [tools.default].")
+            raise ForceError(f"[tools.{key}]: {key!r} is not a tool number", file=file, advice="Or [tools.default].")
         if tool.shape == "bull" and not 0.0 < 2.0 * tool.corner_radius_mm <= tool.diameter_mm:
             advice = "Give corner_radius_mm, larger than 0 and at most half the diameter."
-            raise ForceError(f"[tools.{key}]: a bull tool without a corner radius that fits", file=where, advice=advice)
+            raise ForceError(f"[tools.{key}]: a bull tool without a corner radius that fits", file=file, advice=advice)
         if tool.shape != "bull" and tool.corner_radius_mm not in (0.0, 0.5 * tool.diameter_mm):
             advice = 'A tool with a corner radius is shape = "bull".'
-            raise ForceError(f"[tools.{key}]: corner_radius_mm with shape {tool.shape!r}", file=where, advice=advice)
+            raise ForceError(f"[tools.{key}]: corner_radius_mm with shape {tool.shape!r}", file=file, advice=advice)
     if content.stock.box is not None:
         for axis, span in zip("XYZ", (content.stock.box.X, content.stock.box.Y, content.stock.box.Z), strict=True):
             if not span[0] < span[1]:
-                raise ForceError(f"[stock] box {axis}: {list(span)} is not from smaller to larger", file=where)
+                raise ForceError(f"[stock] box {axis}: {list(span)} is not from smaller to larger", file=file)
     if content.material is None and not content.operations and not tools_only:
-        raise ForceError("neither [material] nor [operations]", file=where, advice=_EXAMPLE)
-    return Process(**{name: getattr(content, name) for name in content.__struct_fields__}, path=where)
+        raise ForceError("neither [material] nor [operations]", file=file, advice=_EXAMPLE)
+    return Process(**{name: getattr(content, name) for name in content.__struct_fields__}, path=file)
 
 
 def box_corners(box: Box) -> tuple[Array, Array]:

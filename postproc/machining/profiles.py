@@ -25,7 +25,7 @@ from postproc.toolpath import Segments, tangent
 
 _SHARE = 0.01
 """Tolerance between stations as a share of the largest force and of the largest moment of a motion,"""
-_LEAST = 1.0, 0.1
+_LEAST_TOLERANCE = 1.0, 0.1
 """but at least this [N, N·m]: one newton at 100 mm of tool. Changes at the start of a motion that are smaller than
 this tolerance extend over the whole motion."""
 
@@ -43,16 +43,16 @@ def thinned(motion: Ints, wrench: Array) -> NDArray[np.int64]:
     bounds = np.flatnonzero(np.diff(motion, prepend=-1, append=-1))
     count = np.diff(bounds)
     halves = np.array(wrench, dtype=float).reshape(-1, 2, 3)
-    allowed = np.maximum(_SHARE * np.maximum.reduceat(norm(halves), bounds[:-1]), _LEAST)
-    halves /= np.repeat(allowed, count, axis=0)[:, :, None]
+    tolerance = np.maximum(_SHARE * np.maximum.reduceat(norm(halves), bounds[:-1]), _LEAST_TOLERANCE)
+    halves /= np.repeat(tolerance, count, axis=0)[:, :, None]
     low, high = np.minimum.reduceat(halves, bounds[:-1]), np.maximum.reduceat(halves, bounds[:-1])
     constant = norm(high - low).max(axis=1) <= 1.0
     middle = bounds[:-1] + count // 2
-    kept = [middle[constant]]
+    rows = [middle[constant]]
     for place in np.flatnonzero(~constant).tolist():
         begin, end = int(bounds[place]), int(bounds[place + 1])
-        kept.append(begin + np.array(sorted(_places(halves[begin:end])), dtype=np.int64))
-    return np.sort(np.concatenate(kept))
+        rows.append(begin + np.array(sorted(_places(halves[begin:end])), dtype=np.int64))
+    return np.sort(np.concatenate(rows))
 
 
 def _places(halves: Array) -> Iterator[int]:
@@ -68,9 +68,9 @@ def _places(halves: Array) -> Iterator[int]:
         if b - a < 2:
             continue
         share = ((np.arange(a + 1, b) - a) / (b - a))[:, None, None]
-        off = norm(halves[a + 1 : b] - (halves[a] + share * (halves[b] - halves[a]))).max(axis=1)
-        worst = int(np.argmax(off))
-        if off[worst] > 1.0:
+        deviation = norm(halves[a + 1 : b] - (halves[a] + share * (halves[b] - halves[a]))).max(axis=1)
+        worst = int(np.argmax(deviation))
+        if deviation[worst] > 1.0:
             yield a + 1 + worst
             todo += [(a, a + 1 + worst), (a + 1 + worst, b)]
 
@@ -101,61 +101,68 @@ def without_steps(
     first = np.flatnonzero(np.diff(motion, prepend=-1))
     last = np.append(first[1:], len(motion)) - 1
     single = first == last
-    own = motion[first]
-    at_end = _axes(poses, own, np.ones(len(own)))[0]
+    cut_motions = motion[first]
+    at_end = _axes(poses, cut_motions, np.ones(len(cut_motions)))[0]
     ends, loose_ends = _turn(at_end, wrench[last]), _turn_deviation(at_end, own_deviation[last])
-    follows = np.flatnonzero(np.diff(own, prepend=-2) == 1)
-    before, loose_before = np.zeros((len(own), 6)), np.zeros((len(own), 6))
-    starts, _ = _axes(poses, own[follows], np.zeros(len(follows)))
-    before[follows] = _turn(np.swapaxes(starts, 1, 2), ends[follows - 1])
-    loose_before[follows] = _turn_deviation(np.swapaxes(starts, 1, 2), loose_ends[follows - 1])
-    reach = np.minimum(1.0, rise[own] / np.maximum(path.length[own], 1e-9))
-    every = np.arange(len(own))
-    reach[_alike(before, _at(motion, t, wrench, own, reach), wrench, first)] = 1.0
+    follows = np.flatnonzero(np.diff(cut_motions, prepend=-2) == 1)
+    start_wrench, start_deviation = np.zeros((len(cut_motions), 6)), np.zeros((len(cut_motions), 6))
+    starts, _ = _axes(poses, cut_motions[follows], np.zeros(len(follows)))
+    start_wrench[follows] = _turn(np.swapaxes(starts, 1, 2), ends[follows - 1])
+    start_deviation[follows] = _turn_deviation(np.swapaxes(starts, 1, 2), loose_ends[follows - 1])
+    reach = np.minimum(1.0, rise[cut_motions] / np.maximum(path.length[cut_motions], 1e-9))
+    rows = np.arange(len(cut_motions))
+    reach[_alike(start_wrench, _at(motion, t, wrench, cut_motions, reach), wrench, first)] = 1.0
     # at 0 the force of the motion before, within a turn its own, then its stations, and its own at the end
-    row = np.repeat(every, last - first + 1)
+    row = np.repeat(rows, last - first + 1)
     inner = (t > np.where(reach < 1.0, reach, 0.0)[row] + 1e-9) & (t < 1.0) & ~single[row]
-    inner &= (reach < 1.0)[row] | (path.length[own] > rise[own])[row]
-    soon = np.flatnonzero(reach < 1.0)
-    which = np.concatenate([every, soon, row[inner], every])
-    places = np.concatenate([np.zeros(len(own)), reach[soon], t[inner], np.ones(len(own))])
-    order = np.lexsort((places, which))
-    which, places = which[order], places[order]
-    values, loose = (_at(motion, t, each, own[which], places) for each in (wrench, own_deviation))
-    begins = np.flatnonzero(np.diff(which, prepend=-1))
-    values[begins], loose[begins] = before, loose_before
-    missing = sigma[1] * norm(values[:, :2])
-    count = np.diff(begins, append=len(which))
-    motions = own[which]
-    axes, along = _axes(poses, motions, places)
+    inner &= (reach < 1.0)[row] | (path.length[cut_motions] > rise[cut_motions])[row]
+    early_rows = np.flatnonzero(reach < 1.0)
+    row_of_place = np.concatenate([rows, early_rows, row[inner], rows])
+    places = np.concatenate([np.zeros(len(cut_motions)), reach[early_rows], t[inner], np.ones(len(cut_motions))])
+    order = np.lexsort((places, row_of_place))
+    row_of_place, places = row_of_place[order], places[order]
+    values, loose = (
+        _at(motion, t, station_values, cut_motions[row_of_place], places) for station_values in (wrench, own_deviation)
+    )
+    begins = np.flatnonzero(np.diff(row_of_place, prepend=-1))
+    values[begins], loose[begins] = start_wrench, start_deviation
+    axial_sigma = sigma[1] * norm(values[:, :2])
+    count = np.diff(begins, append=len(row_of_place))
+    motions = cut_motions[row_of_place]
+    axes, is_axial = _axes(poses, motions, places)
     steady = np.repeat(single, count)
-    bent = (program.motions.kind[motions] == CIRC) | (path.turn[motions] > TURNS)
+    turns_axes = (program.motions.kind[motions] == CIRC) | (path.turn[motions] > TURNS)
     # stations are thinned where the wrench is linear in FEED axes: where these turn, it is not linear in $BASE
-    in_base = (along[np.repeat(np.cumsum(count) - 1, count)] & ~(steady & bent)) | (~bent & base_axes)
+    in_base = (is_axial[np.repeat(np.cumsum(count) - 1, count)] & ~(steady & turns_axes)) | (~turns_axes & base_axes)
     to_base = _to_base(program, motions[in_base], poses.frame) @ axes[in_base]
     values[in_base], loose[in_base] = _turn(to_base, values[in_base]), _turn_deviation(to_base, loose[in_base])
     deviation = np.hypot(np.abs(values) * sigma[0], loose)
     # on moves along the spindle in $BASE axes: z of $BASE is taken for the axis of the tool
-    deviation[:, 2] = np.hypot(deviation[:, 2], missing)
+    deviation[:, 2] = np.hypot(deviation[:, 2], axial_sigma)
     factor = constant(sigma[0], len(motions))
     return Knots.along(motions, places, values, np.where(in_base, BASE, FEED), deviation, factor)
 
 
-def _alike(before: Array, own: Array, wrench: Array, first: Ints) -> Bools:
+def _alike(start_wrench: Array, wrench_at_rise: Array, wrench: Array, first: Ints) -> Bools:
     """Return which motions begin with a force (k, 6) that is about that at the end of the motion before."""
-    out = np.ones(len(own), dtype=bool)
-    for half, least in zip((slice(0, 3), slice(3, 6)), _LEAST, strict=True):
+    is_alike = np.ones(len(wrench_at_rise), dtype=bool)
+    for half, least_tolerance in zip((slice(0, 3), slice(3, 6)), _LEAST_TOLERANCE, strict=True):
         largest = np.maximum.reduceat(norm(wrench[:, half]), first)
-        out &= norm(own[:, half] - before[:, half]) <= np.maximum(_SHARE * largest, least)
-    return out
+        is_alike &= norm(wrench_at_rise[:, half] - start_wrench[:, half]) <= np.maximum(
+            _SHARE * largest, least_tolerance
+        )
+    return is_alike
 
 
-def _at(motion: Ints, t: Array, wrench: Array, own: Ints, places: Array) -> Array:
+def _at(motion: Ints, t: Array, wrench: Array, place_motion: Ints, places: Array) -> Array:
     """Return wrenches (k, 6) at places on motions: linear between the stations of each, constant outside of them."""
-    after = np.searchsorted(motion + 0.5 * t, own + 0.5 * places)
-    low, high = np.searchsorted(motion, own, side="left"), np.searchsorted(motion, own, side="right") - 1
-    b = np.clip(after, low, high)
-    a = np.clip(after - 1, low, high)
+    next_station = np.searchsorted(motion + 0.5 * t, place_motion + 0.5 * places)
+    low, high = (
+        np.searchsorted(motion, place_motion, side="left"),
+        np.searchsorted(motion, place_motion, side="right") - 1,
+    )
+    b = np.clip(next_station, low, high)
+    a = np.clip(next_station - 1, low, high)
     gap = t[b] - t[a]
     share = np.clip((places - t[a]) / np.where(gap > 0.0, gap, 1.0), 0.0, 1.0)
     return np.asarray(wrench[a] + share[:, None] * (wrench[b] - wrench[a]))
@@ -187,9 +194,9 @@ def _turn_deviation(rotation: Array, deviation: Array) -> Array:
     return np.asarray(np.sqrt(_turn(rotation * rotation, deviation * deviation)))
 
 
-_SAME = 2e-3
+_SAME_FORCE = 2e-3
 """Forces that differ by less [N, N·m] count as equal: the file has three decimals."""
-_ALONG = 1.0 - 1e-6
+_PARALLEL = 1.0 - 1e-6
 """Cosine of the angle between a move and the spindle above which the move is along it."""
 _COMMENT = re.compile(r"\([^)]*\)|;.*")
 _CALL = re.compile(r"M[ \t]*0*98(?![\d.])|CALL", re.IGNORECASE)
@@ -219,19 +226,19 @@ def one_move_a_line(program: Program, path: Segments, axis: str, knots: Knots) -
     for row in np.flatnonzero(count > 1).tolist():
         moves = cutting[begin[row] : begin[row] + count[row]]
         low, high = np.searchsorted(knots.motion, moves), np.searchsorted(knots.motion, moves, side="right")
-        given = high > low
-        if not given.any():
+        has_force = high > low
+        if not has_force.any():
             continue
         first = _profile(knots, low[0], high[0])
         odd = [k for k in range(1, len(moves)) if not _same(first, _profile(knots, low[k], high[k]))]
-        chosen = int(np.argmax(given))
+        largest = int(np.argmax(has_force))
         if odd:
             text = texts[int(m.line[moves[0]]) - 1]
             if not _is_cycle(program, path, "XYZ".index(axis[1]), moves, text):
                 raise _differing(program, moves[[0, odd[0]]], len(moves), text)
-            chosen = int(np.argmax([size[a:b].max(initial=-1.0) for a, b in zip(low, high, strict=True)]))
-        for k in np.flatnonzero(given).tolist():
-            keep[low[k] : high[k]] = k == chosen
+            largest = int(np.argmax([size[a:b].max(initial=-1.0) for a, b in zip(low, high, strict=True)]))
+        for k in np.flatnonzero(has_force).tolist():
+            keep[low[k] : high[k]] = k == largest
     return knots.take(keep)
 
 
@@ -247,18 +254,18 @@ def _profile(knots: Knots, low: int, high: int) -> _Profile:
     return t, np.hstack([knots.wrench[rows], knots.sigma[rows]]), knots.frame[rows]
 
 
-def _same(one: _Profile, other: _Profile) -> bool:
+def _same(first: _Profile, second: _Profile) -> bool:
     """Whether the forces along two moves, linear between their places, are equal."""
-    (t, values, frame), (t_, values_, frame_) = one, other
-    if np.abs(values).max() <= _SAME and np.abs(values_).max() <= _SAME:
+    (t, values, frame), (t_, values_, frame_) = first, second
+    if np.abs(values).max() <= _SAME_FORCE and np.abs(values_).max() <= _SAME_FORCE:
         return True
     if frame[0] != frame_[0] or np.isnan(t[0]) != np.isnan(t_[0]):
         return False
     if np.isnan(t[0]):
-        return bool(np.abs(values[0] - values_[0]).max() <= _SAME)
+        return bool(np.abs(values[0] - values_[0]).max() <= _SAME_FORCE)
     at = np.union1d(t, t_)
-    apart = [np.interp(at, t, a) - np.interp(at, t_, b) for a, b in zip(values.T, values_.T, strict=True)]
-    return bool(np.abs(apart).max() <= _SAME)
+    differences = [np.interp(at, t, a) - np.interp(at, t_, b) for a, b in zip(values.T, values_.T, strict=True)]
+    return bool(np.abs(differences).max() <= _SAME_FORCE)
 
 
 def _is_cycle(program: Program, path: Segments, column: int, moves: Ints, text: str) -> bool:
@@ -269,16 +276,16 @@ def _is_cycle(program: Program, path: Segments, column: int, moves: Ints, text: 
     rows = np.flatnonzero(m.line == m.line[moves[0]])
     if len(rows) != rows[-1] - rows[0] + 1 or not m.rapid[rows].any():
         return False
-    along = np.einsum("ni,ni->n", tangent(program, path, moves, np.ones(len(moves))), m.target[moves, :3, column])
-    return bool(((m.kind[moves] == LIN) & (np.abs(along) > _ALONG)).all())
+    cosine = np.einsum("ni,ni->n", tangent(program, path, moves, np.ones(len(moves))), m.target[moves, :3, column])
+    return bool(((m.kind[moves] == LIN) & (np.abs(cosine) > _PARALLEL)).all())
 
 
 def _differing(program: Program, two: Ints, count: int, text: str) -> ForceError:
     line, file = int(program.motions.line[two[0]]), program.documents[0].name
-    found = program.places(two)
-    at = [f"{name}:{number}" for name, number in map(found.of, range(2)) if (name, number) != (file, line)]
-    where = f" ({', '.join(at)} …)" if at else ""
+    places = program.places(two)
+    at = [f"{name}:{number}" for name, number in map(places.of, range(2)) if (name, number) != (file, line)]
+    place_text = f" ({', '.join(at)} …)" if at else ""
     problem = (
-        f"the {count} cutting moves of this line{where} have different forces: a force CSV has one for all of them"
+        f"the {count} cutting moves of this line{place_text} have different forces: a force CSV has one for all of them"
     )
     return ForceError(problem, file=file, line=line, text=text, advice=_ADVICE)

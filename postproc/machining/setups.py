@@ -39,25 +39,29 @@ def setups(program: Program, directions: Directions, widest: float) -> list[Setu
     if not cuts.any():
         raise ForceError("no cutting move in this program", file=program.documents[0].name)
     bounds = np.flatnonzero(np.diff(cuts.astype(np.int8), prepend=0, append=0)).reshape(-1, 2).tolist()
-    towards: list[Array] = []
+    map_directions: list[Array] = []
     starts: list[int] = []
     for begin, end in bounds:
         first = directions.end[begin]
         if (directions.among(begin, end) @ first > np.cos(TURNS)).all():
-            if not towards or first @ towards[-1] < np.cos(TURNS):
-                towards.append(first)
+            if not map_directions or first @ map_directions[-1] < np.cos(TURNS):
+                map_directions.append(first)
                 starts.append(begin)
             continue
         while begin < end:
             row = begin
-            while towards and row < end and (directions.among(row, row + 1) @ towards[-1] > np.cos(widest)).all():
+            while (
+                map_directions
+                and row < end
+                and (directions.among(row, row + 1) @ map_directions[-1] > np.cos(widest)).all()
+            ):
                 row += 1
             if row < end:
-                towards.append(_cone(program, directions, row, widest))
+                map_directions.append(_cone(program, directions, row, widest))
                 starts.append(row)
             begin = row
     number = np.searchsorted(starts[1:], np.arange(len(cuts)), side="right")
-    return [Setup(_frame(direction), np.asarray(number == k)) for k, direction in enumerate(towards)]
+    return [Setup(_frame(direction), np.asarray(number == k)) for k, direction in enumerate(map_directions)]
 
 
 def _cone(program: Program, directions: Directions, begin: int, widest: float) -> Array:
@@ -67,13 +71,13 @@ def _cone(program: Program, directions: Directions, begin: int, widest: float) -
     """
     count = len(directions.end) - begin
     while True:
-        among = directions.among(begin, begin + count)
-        middle = among.sum(axis=0)
+        axes = directions.among(begin, begin + count)
+        middle = axes.sum(axis=0)
         for step in range(_CONE_STEPS):
             middle /= max(float(np.linalg.norm(middle)), 1e-12)
-            middle = middle + (among[int(np.argmin(among @ middle))] - middle) / (step + 2)
+            middle = middle + (axes[int(np.argmin(axes @ middle))] - middle) / (step + 2)
         middle /= max(float(np.linalg.norm(middle)), 1e-12)
-        if float((among @ middle).min()) > np.cos(widest):
+        if float((axes @ middle).min()) > np.cos(widest):
             return np.asarray(middle)
         if count == 1:
             problem = f"the tool turns by more than {2 * np.degrees(widest):.0f}° in one cutting move"
@@ -82,12 +86,12 @@ def _cone(program: Program, directions: Directions, begin: int, widest: float) -
         count = (count + 1) // 2
 
 
-def _frame(towards: Array) -> Array:
+def _frame(direction: Array) -> Array:
     """Return the frame of the map (4, 4) in `$BASE` whose z is a direction (3,) from the tip to the spindle."""
     frame = np.eye(4)
-    if towards[2] < 1.0 - 1e-9:
-        x = np.array([1.0, 0.0, 0.0]) if abs(towards[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
-        y = np.cross(towards, x)
+    if direction[2] < 1.0 - 1e-9:
+        x = np.array([1.0, 0.0, 0.0]) if abs(direction[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+        y = np.cross(direction, x)
         y /= np.linalg.norm(y)
-        frame[:3, :3] = np.stack([np.cross(y, towards), y, towards], axis=-1)
+        frame[:3, :3] = np.stack([np.cross(y, direction), y, direction], axis=-1)
     return frame

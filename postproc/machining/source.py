@@ -23,8 +23,8 @@ from postproc.toolpath import Segments
 _TOOL = re.compile(r"T0*(\d+)", re.IGNORECASE)
 _BLOCK = re.compile(r"N0*(\d+)", re.IGNORECASE)
 _N_WORD = re.compile(r"\s*/?\s*N\s*0*(\d+)", re.IGNORECASE)
-_MOST_LISTED = 20
-_MOST_PASSED = 3
+_MAX_NAMES = 20
+_MAX_COMMENTS = 3
 
 
 def by_operation(program: Program, process: Process) -> Knots:
@@ -40,19 +40,19 @@ def by_operation(program: Program, process: Process) -> Knots:
     :raises ProgramError: a routine that cuts is not followed.
     """
     refuse_unread_cuts(program)
-    names, found = list(process.operations), operations(program, at_retracts=True)
+    names, program_operations = list(process.operations), operations(program, at_retracts=True)
     tools = {int(match[1]): k for k, name in enumerate(names) if (match := _TOOL.fullmatch(name.strip()))}
     blocks = {match[1]: k for k, name in enumerate(names) if (match := _BLOCK.fullmatch(name.strip()))}
     titles = {_plain(name): k for k, name in enumerate(names) if k not in {*tools.values(), *blocks.values()}}
     changes = [event for event in program.events if event.kind == "tool_change"]
     tool_marks = [(event.before, 0, tools.get(int(event.value), -1)) for event in changes]
-    name_marks = _named(program, found, titles, blocks)
+    name_marks = _named(program, program_operations, titles, blocks)
     by_name = _since(name_marks, len(program.motions))
     place = np.where(by_name >= 0, by_name, _since(tool_marks, len(program.motions)))
-    used = {which for _, _, which in [*tool_marks, *name_marks]}
-    unused = [name for k, name in enumerate(names) if k not in used]
+    used_entries = {entry_number for _, _, entry_number in [*tool_marks, *name_marks]}
+    unused = [name for k, name in enumerate(names) if k not in used_entries]
     if unused:
-        raise together(_unmatched(program, process, name, found) for name in unused)
+        raise together(_unmatched(program, process, name, program_operations) for name in unused)
     motion = np.flatnonzero((place >= 0) & ~program.motions.rapid)
     entries = [process.operations[name] for name in names]
     wrench = np.array([_wrench(entry) for entry in entries]).reshape(-1, 6)
@@ -69,26 +69,26 @@ _Mark = tuple[int, int, int]
 
 
 def _named(
-    program: Program, found: tuple[Operation, ...], titles: dict[str, int], blocks: dict[str, int]
+    program: Program, program_operations: tuple[Operation, ...], titles: dict[str, int], blocks: dict[str, int]
 ) -> list[_Mark]:
     """Return where entries that a comment or an N word names begin and end."""
-    marks = [(each.first, 1, titles.get(_plain(each.name), -1)) for each in found]
+    marks = [(operation.first, 1, titles.get(_plain(operation.name), -1)) for operation in program_operations]
     cuts = _cuts_before(program)
     row, running = 0, -1  # the last comment that names an entry
-    changed: float | None = None  # the tool changed to since then
+    new_tool: float | None = None  # the tool changed to since then
     for event in _with_tools(program):
         if event.kind == "tool_change":
-            if cuts[event.before] > cuts[row] or changed not in (None, event.value):
+            if cuts[event.before] > cuts[row] or new_tool not in (None, event.value):
                 marks.append((event.before, 2 if running >= 0 and row == event.before else 0, -1))
                 running = -1
-            changed = event.value
+            new_tool = event.value
         elif event.kind == "comment":
-            which = titles.get(_plain(title(event.text)), titles.get(_plain(event.text), -1))
-            finished = ended(event.text)
-            if which >= 0:
-                marks.append((event.before, 2, which))
-                row, running, changed = event.before, which, None
-            elif finished is not None and running >= 0 and titles.get(_plain(finished)) == running:
+            entry = titles.get(_plain(title(event.text)), titles.get(_plain(event.text), -1))
+            end_title = ended(event.text)
+            if entry >= 0:
+                marks.append((event.before, 2, entry))
+                row, running, new_tool = event.before, entry, None
+            elif end_title is not None and running >= 0 and titles.get(_plain(end_title)) == running:
                 marks.append((event.before, 0, -1))
     line = program.motions.line
     for number, text in enumerate(program.documents[0].text.splitlines() if blocks else (), start=1):
@@ -123,21 +123,23 @@ def _passed(program: Program, place: Ints, names: list[str]) -> Iterator[Issue]:
     :param place: (M,) entry of each motion that a comment or a block names, −1: none.
     """
     cutting = np.flatnonzero(~program.motions.rapid)
-    cuts, over = _cuts_before(program), dict[int, list[Event]]()
-    for each in passed_over(program):
-        after = int(cuts[each.before])
-        if 0 < after < len(cutting):
-            before, behind = place[cutting[after - 1]], place[cutting[after]]
-            if before == behind >= 0:
-                over.setdefault(int(before), []).append(each)
-    for which, passed in over.items():
-        shown = ", ".join(f"{title(each.text)!r} (line {each.line})" for each in passed[:_MOST_PASSED])
-        more = f" and {len(passed) - _MOST_PASSED} more" if len(passed) > _MOST_PASSED else ""
-        message = (
-            f"the force of [operations.{names[which]!r}] goes on after the comment {shown}{more}. If an operation "
-            "begins there, give it an entry with its forces"
+    cuts, comments_of = _cuts_before(program), dict[int, list[Event]]()
+    for comment in passed_over(program):
+        next_cut = int(cuts[comment.before])
+        if 0 < next_cut < len(cutting):
+            last_entry, next_entry = place[cutting[next_cut - 1]], place[cutting[next_cut]]
+            if last_entry == next_entry >= 0:
+                comments_of.setdefault(int(last_entry), []).append(comment)
+    for entry, comments in comments_of.items():
+        comment_text = ", ".join(
+            f"{title(comment.text)!r} (line {comment.line})" for comment in comments[:_MAX_COMMENTS]
         )
-        yield Issue("info", "operation-goes-on", message, passed[0].line, count=len(passed), subject=names[which])
+        suffix = f" and {len(comments) - _MAX_COMMENTS} more" if len(comments) > _MAX_COMMENTS else ""
+        message = (
+            f"the force of [operations.{names[entry]!r}] goes on after the comment {comment_text}{suffix}. If an "
+            "operation begins there, give it an entry with its forces"
+        )
+        yield Issue("info", "operation-goes-on", message, comments[0].line, count=len(comments), subject=names[entry])
 
 
 def _since(marks: list[_Mark], count: int) -> Ints:
@@ -145,21 +147,25 @@ def _since(marks: list[_Mark], count: int) -> Ints:
 
     :param marks: those of one row and rank in the order in which they count, the last one wins.
     """
-    ordered = [(-1, 0, -1), *sorted(marks, key=lambda mark: mark[:2])]
-    last = np.searchsorted([row for row, _, _ in ordered], np.arange(count), side="right") - 1
-    return np.array([which for _, _, which in ordered], dtype=np.int64)[last]
+    in_order = [(-1, 0, -1), *sorted(marks, key=lambda mark: mark[:2])]
+    last = np.searchsorted([row for row, _, _ in in_order], np.arange(count), side="right") - 1
+    return np.array([entry for _, _, entry in in_order], dtype=np.int64)[last]
 
 
-def _unmatched(program: Program, process: Process, name: str, found: tuple[Operation, ...]) -> ForceError:
+def _unmatched(program: Program, process: Process, name: str, program_operations: tuple[Operation, ...]) -> ForceError:
     """Return the error for an entry that matches nothing in the program."""
     file = program.documents[0].name
-    known = list(dict.fromkeys(each.name for each in found))
+    operation_names = list(dict.fromkeys(item.name for item in program_operations))
     comments = [title(event.text) for event in program.events if event.kind == "comment" and event.text.strip()]
-    near = difflib.get_close_matches(_plain(name), [_plain(each) for each in [*known, *comments]], 1)
-    nearest = next((each for each in [*known, *comments] if near and _plain(each) == near[0]), None)
-    listed = ", ".join(f"{each!r}" for each in known[:_MOST_LISTED]) + (" …" if len(known) > _MOST_LISTED else "")
+    matches = difflib.get_close_matches(_plain(name), [_plain(item) for item in [*operation_names, *comments]], 1)
+    nearest = next((item for item in [*operation_names, *comments] if matches and _plain(item) == matches[0]), None)
+    name_list = ", ".join(f"{item!r}" for item in operation_names[:_MAX_NAMES]) + (
+        " …" if len(operation_names) > _MAX_NAMES else ""
+    )
     advice = f"Did you mean {nearest!r}? " if nearest else ""
-    advice += f"Operations found: {listed or 'none'}. Name an operation as its comment, a tool as T3, a block as N120."
+    advice += (
+        f"Operations found: {name_list or 'none'}. Name an operation as its comment, a tool as T3, a block as N120."
+    )
     return ForceError(
         f"[operations.{name!r}]: no comment, tool or block of {file} has this name", file=process.path, advice=advice
     )
@@ -188,7 +194,7 @@ def refuse_comments(program: Program, process: str) -> None:
         )
 
 
-_NONE = np.zeros(0, dtype=np.int64), np.zeros((0, 6)), np.zeros(0, dtype=np.int64)
+_NO_KNOTS = np.zeros(0, dtype=np.int64), np.zeros((0, 6)), np.zeros(0, dtype=np.int64)
 
 
 class ProcessSource:
@@ -244,7 +250,7 @@ class ProcessSource:
 
     def _made(self, program: Program, path: Segments) -> Knots:
         process = self.process
-        computed = None
+        law_knots = None
         if process.material is not None:
             self.found = estimate(
                 program,
@@ -256,24 +262,27 @@ class ProcessSource:
                 guard=None if self._guard is None else self._guard(),
                 progress=self._progress,
             )
-            computed = replace(
+            law_knots = replace(
                 self.found.along,
                 issues=self.found.issues,
                 by_law=ByLaw(process.law().numbers, self._scaled(self.found)),
                 stock=self.found.over_time,
             )
         if not process.operations:
-            return Knots.throughout(*_NONE) if computed is None else computed
-        given = by_operation(program, process)
-        if computed is None or self.found is None:
-            return given
-        by_law = ByLaw(process.law().numbers, np.setdiff1d(self._scaled(self.found), given.motion))
+            return Knots.throughout(*_NO_KNOTS) if law_knots is None else law_knots
+        entry_knots = by_operation(program, process)
+        if law_knots is None or self.found is None:
+            return entry_knots
+        by_law = ByLaw(process.law().numbers, np.setdiff1d(self._scaled(self.found), entry_knots.motion))
         return replace(
-            given.over(computed), issues=(*computed.issues, *given.issues), by_law=by_law, stock=computed.stock
+            entry_knots.over(law_knots),
+            issues=(*law_knots.issues, *entry_knots.issues),
+            by_law=by_law,
+            stock=law_knots.stock,
         )
 
-    def _scaled(self, found: ProcessForces) -> Ints:
+    def _scaled(self, process_forces: ProcessForces) -> Ints:
         """Return the motions of which the errors of the cutting law are one common factor."""
         law = self.process.law()
         by_factor = law.covariance is None and law.sigma > 0.0
-        return np.unique(found.along.motion) if by_factor else np.zeros(0, dtype=np.int64)
+        return np.unique(process_forces.along.motion) if by_factor else np.zeros(0, dtype=np.int64)

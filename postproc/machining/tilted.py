@@ -48,11 +48,11 @@ def local_axes(travel: Array, axis: Array) -> tuple[Array, Bools]:
     :param travel: (n, 3) unit directions, or zero; axis: (n, 3) unit directions of the tool; both in the frame of the
         map.
     """
-    across = travel - np.einsum("ni,ni->n", travel, axis)[:, None] * axis
-    along = norm(across) < 1e-3
-    across[along] = np.array([1.0, 0.0, 0.0]) - axis[along, :1] * axis[along]
-    x = across / norm(across)[:, None]
-    return np.stack([x, np.cross(axis, x), axis], axis=-1), np.asarray(along)
+    component = travel - np.einsum("ni,ni->n", travel, axis)[:, None] * axis
+    is_axial = norm(component) < 1e-3
+    component[is_axial] = np.array([1.0, 0.0, 0.0]) - axis[is_axial, :1] * axis[is_axial]
+    x = component / norm(component)[:, None]
+    return np.stack([x, np.cross(axis, x), axis], axis=-1), np.asarray(is_axial)
 
 
 class TiltedPath(Columns, frozen=True, eq=False):
@@ -109,9 +109,9 @@ class TiltedPath(Columns, frozen=True, eq=False):
         def unit(vectors: Array) -> Array:
             return np.asarray(vectors / np.maximum(norm(vectors), 1e-12)[:, None])
 
-        rests, turned = length < _RESTS, swing[segments.motion]
-        speed = np.where(rests, np.where(np.isnan(turned), np.nan, 0.0), feed[segments.motion])
-        time = np.where(rests, turn / np.where(turned > 0.0, turned, 1.0), length / np.maximum(speed, 1e-12))
+        rests, swing_rate = length < _RESTS, swing[segments.motion]
+        speed = np.where(rests, np.where(np.isnan(swing_rate), np.nan, 0.0), feed[segments.motion])
+        time = np.where(rests, turn / np.where(swing_rate > 0.0, swing_rate, 1.0), length / np.maximum(speed, 1e-12))
         axes = [unit(between(begin_axis, end_axis, share + side * half)) for side in (-1.0, 0.0, 1.0)]
         tips = [between(segments.begin, segments.end, share + side * half) for side in (-1.0, 0.0, 1.0)]
         t = segments.first[piece] + share * (segments.last - segments.first)[piece]
@@ -134,26 +134,26 @@ def loads(stock: Stock, turn: Turn, path: TiltedPath, tooth: Array, hand: Ints) 
     :param hand: (S,) 1 for M3, −1 for M4.
     :returns: also which stations (S,) are along the spindle.
     """
-    axes, along = local_axes(path.heading, path.axis)
-    mirrored = axes.copy()
-    mirrored[:, :, 1] *= hand[:, None]
+    axes, is_axial = local_axes(path.heading, path.axis)
+    edge_axes = axes.copy()
+    edge_axes[:, :, 1] *= hand[:, None]
     sine, cosine = np.sin(turn.phi), np.cos(turn.phi)
     rise = np.where(np.isfinite(turn.rise), turn.rise, 0.0)
     edge = np.stack([turn.radius * sine, turn.radius * cosine, turn.low + 0.5 * rise]).astype(np.float32)
-    out = np.sqrt(np.maximum(1.0 - turn.down**2, 0.0))
-    normal = np.stack([turn.front, out * cosine, -turn.down]).astype(np.float32)
-    point = path.tip.astype(np.float32)[:, None] + np.einsum("nik,kp->npi", mirrored.astype(np.float32), edge)
-    travel = np.nan_to_num(path.pace * tooth)[:, None] * np.einsum("nik,ni->nk", mirrored, path.heading)
-    lean = tooth[:, None] * np.einsum("nik,ni->nk", mirrored, path.swing)
+    sine_of_kappa = np.sqrt(np.maximum(1.0 - turn.down**2, 0.0))
+    normal = np.stack([turn.front, sine_of_kappa * cosine, -turn.down]).astype(np.float32)
+    point = path.tip.astype(np.float32)[:, None] + np.einsum("nik,kp->npi", edge_axes.astype(np.float32), edge)
+    travel = np.nan_to_num(path.pace * tooth)[:, None] * np.einsum("nik,ni->nk", edge_axes, path.heading)
+    lean = tooth[:, None] * np.einsum("nik,ni->nk", edge_axes, path.swing)
     # the points of a tool whose axis changes by e move by e h − a (e·r)
     chip = (travel.astype(np.float32) @ normal) + (
         lean[:, :2].astype(np.float32) @ (normal[:2] * edge[2] - normal[2] * edge[:2])
     )
     np.maximum(chip, 0.0, out=chip)
-    inside = engaged(stock, turn, point, mirrored)
-    plunging = np.maximum(-np.einsum("ni,ni->n", path.heading, path.axis), 0.0).astype(np.float32)
-    found = mean(turn, inside, chip, plunging, stock.cell / np.sqrt(path.axis[:, 2]))
-    return found, inside.length * (chip > 0.0), along
+    engagement = engaged(stock, turn, point, edge_axes)
+    descent_sine = np.maximum(-np.einsum("ni,ni->n", path.heading, path.axis), 0.0).astype(np.float32)
+    mean_loads = mean(turn, engagement, chip, descent_sine, stock.cell / np.sqrt(path.axis[:, 2]))
+    return mean_loads, engagement.length * (chip > 0.0), is_axial
 
 
 class Swept(Struct, frozen=True, eq=False):
@@ -180,31 +180,33 @@ def sweep(stock: Stock, cutter: Cutter, tip: Array, axis: Array, top: float) -> 
         close together, n > 1.
     :param top: height of the highest material near [m].
     """
-    above = np.maximum(top - tip[:, 2:], 0.0) / axis[:, 2:] * axis  # where the axis leaves the stock
-    ends = np.stack([tip[:-1], tip[1:], (tip + above)[:-1], (tip + above)[1:]])
+    axis_end = np.maximum(top - tip[:, 2:], 0.0) / axis[:, 2:] * axis  # where the axis leaves the stock
+    ends = np.stack([tip[:-1], tip[1:], (tip + axis_end)[:-1], (tip + axis_end)[1:]])
     parts = []
     for rows, corner, window in windows(stock, cutter.radius + stock.cell, ends.min(axis=0), ends.max(axis=0)):
         index, row, column = cells(stock, corner, window)
-        x, y = (each.astype(float) for each in middles(stock, tip[rows], row, column))
+        x, y = (values.astype(float) for values in middles(stock, tip[rows], row, column))
         low, sinks, high = _under_moves(cutter, tip, axis, rows, x, y)
-        under = low < stock.high.reshape(-1)[index]
+        is_cut = low < stock.high.reshape(-1)[index]
         last = (rows == len(tip) - 2)[:, None, None]
-        parts.append((index[under], low[under], high[under], (sinks & last)[under]))
+        parts.append((index[is_cut], low[is_cut], high[is_cut], (sinks & last)[is_cut]))
     if not parts:
         return Swept(Footprint.none(), Footprint.none(), 0.0, 0.0, 0.0)
     index, low, high, front = (np.concatenate(column) for column in zip(*parts, strict=True))
     cell, row = np.unique(index, return_inverse=True)
-    level, upper, ahead = np.full(len(cell), np.inf), np.full(len(cell), -np.inf), np.zeros(len(cell), dtype=bool)
+    level, upper, is_front = np.full(len(cell), np.inf), np.full(len(cell), -np.inf), np.zeros(len(cell), dtype=bool)
     np.minimum.at(level, row, low)
     np.maximum.at(upper, row, high)
-    ahead[row[front]] = True
-    material, floor = (each.reshape(-1)[cell] for each in (stock.high, stock.floor))
-    overhang = float(np.maximum(material - np.maximum(upper, floor), 0.0)[~ahead].sum()) * stock.cell**2
+    is_front[row[front]] = True
+    material, floor = (values.reshape(-1)[cell] for values in (stock.high, stock.floor))
+    overhang = float(np.maximum(material - np.maximum(upper, floor), 0.0)[~is_front].sum()) * stock.cell**2
     deep = np.maximum(material - np.maximum(level, floor), 0.0)
-    removed = float(deep[~ahead].sum()) * stock.cell**2
+    volume = float(deep[~is_front].sum()) * stock.cell**2
     no_rim = np.zeros(0, dtype=bool)
-    covered = replace(Footprint.none(), cell=cell, level=level.astype(np.float32))
-    return Swept(covered.of(~ahead, no_rim), covered.of(ahead, no_rim), float(deep.max(initial=0.0)), overhang, removed)
+    footprint = replace(Footprint.none(), cell=cell, level=level.astype(np.float32))
+    return Swept(
+        footprint.of(~is_front, no_rim), footprint.of(is_front, no_rim), float(deep.max(initial=0.0)), overhang, volume
+    )
 
 
 def _under_moves(cutter: Cutter, tip: Array, axis: Array, rows: Ints, x: Array, y: Array) -> tuple[Array, Bools, Array]:
@@ -217,24 +219,24 @@ def _under_moves(cutter: Cutter, tip: Array, axis: Array, rows: Ints, x: Array, 
     """
     shift = tip[rows + 1] - tip[rows]
     turn = axis[rows + 1] - axis[rows]
-    out = []
+    sides = []
     for pose in (rows, rows + 1):
-        moved = (pose != rows)[:, None] * shift
-        px, py = x - moved[:, 0, None, None], y - moved[:, 1, None, None]
+        displacement = (pose != rows)[:, None] * shift
+        px, py = x - displacement[:, 0, None, None], y - displacement[:, 1, None, None]
         low, high, slope = _sides(cutter, axis[pose], px, py, shift, turn)
-        out.append((low + tip[pose, 2, None, None], high + tip[pose, 2, None, None], slope))
-    (low_a, high_a, slope_a), (low_b, high_b, slope_b) = out
-    lowest = np.minimum(low_a, low_b)
-    between = np.isfinite(low_a) & np.isfinite(low_b) & (slope_a < 0.0) & (slope_b > 0.0)
-    a, b, sa, sb = low_a[between], low_b[between], slope_a[between], slope_b[between]
+        sides.append((low + tip[pose, 2, None, None], high + tip[pose, 2, None, None], slope))
+    (low_a, high_a, slope_a), (low_b, high_b, slope_b) = sides
+    level = np.minimum(low_a, low_b)
+    has_minimum = np.isfinite(low_a) & np.isfinite(low_b) & (slope_a < 0.0) & (slope_b > 0.0)
+    a, b, sa, sb = low_a[has_minimum], low_b[has_minimum], slope_a[has_minimum], slope_b[has_minimum]
     if cutter.corner == 0.0:  # two planes that meet at the rim
         share = np.clip((b - sb - a) / (sa - sb), 0.0, 1.0)
         bottom = a + sa * share
     else:  # a smooth curve: its slope is linear
         share = sa / (sa - sb)
         bottom = 0.5 * (a + 0.5 * sa * share + b - 0.5 * sb * (1.0 - share))
-    lowest[between] = np.minimum(bottom, lowest[between])
-    return lowest, np.isfinite(low_b) & (slope_b < 0.0), np.maximum(high_a, high_b)
+    level[has_minimum] = np.minimum(bottom, level[has_minimum])
+    return level, np.isfinite(low_b) & (slope_b < 0.0), np.maximum(high_a, high_b)
 
 
 def _sides(cutter: Cutter, axis: Array, x: Array, y: Array, shift: Array, turn: Array) -> tuple[Array, Array, Array]:
@@ -245,30 +247,30 @@ def _sides(cutter: Cutter, axis: Array, x: Array, y: Array, shift: Array, turn: 
     :returns: infinite, minus infinite and 0 where the vertical line misses the tool.
     """
     ax, ay, az = (axis[:, k, None, None] for k in range(3))
-    along = x * ax + y * ay  # of the point at the height of the tip, along the axis
+    axial = x * ax + y * ay  # of the point at the height of the tip, along the axis
     sine = np.maximum(1.0 - az * az, _PARALLEL)
-    root = along * along * az * az - sine * (x * x + y * y - along * along - cutter.radius**2)
+    root = axial * axial * az * az - sine * (x * x + y * y - axial * axial - cutter.radius**2)
     meets = root > 0.0
     half = np.sqrt(np.where(meets, root, 0.0))
-    low, high = (along * az - half) / sine, (along * az + half) / sine  # the cylinder, without ends
-    low = np.maximum(low, -along / az)  # above the plane of the tip
+    low, high = (axial * az - half) / sine, (axial * az + half) / sine  # the cylinder, without ends
+    low = np.maximum(low, -axial / az)  # above the plane of the tip
     meets &= low < high
     flat, corner = cutter.radius - cutter.corner, cutter.corner
     if flat <= 1e-9 * cutter.radius:
-        low, meets = _ball(cutter.radius, axis, (x, y), along, low, high, meets)
+        low, meets = _ball(cutter.radius, axis, (x, y), axial, low, high, meets)
     elif corner > 0.0:
-        low, meets = _rounded(cutter, along, az, x * x + y * y, low, high, meets)
-    height = along + low * az
-    px, py, pz = (each - height * a for each, a in ((x, ax), (y, ay), (low, az)))
+        low, meets = _rounded(cutter, axial, az, x * x + y * y, low, high, meets)
+    height = axial + low * az
+    px, py, pz = (component - height * a for component, a in ((x, ax), (y, ay), (low, az)))
     distance = np.sqrt(px * px + py * py + pz * pz)
     if corner > 0.0:
-        down = np.maximum(corner - height, 0.0)
-        out = np.where(down > 0.0, np.maximum(distance - flat, 0.0), 1.0)
+        axial_part = np.maximum(corner - height, 0.0)
+        radial_part = np.where(axial_part > 0.0, np.maximum(distance - flat, 0.0), 1.0)
     else:
-        down = (height < 1e-9).astype(float)
-        out = 1.0 - down
-    scale = out / np.maximum(distance, 1e-12)
-    normal = [p * scale - down * a for p, a in ((px, ax), (py, ay), (pz, az))]  # outward, of any length
+        axial_part = (height < 1e-9).astype(float)
+        radial_part = 1.0 - axial_part
+    scale = radial_part / np.maximum(distance, 1e-12)
+    normal = [p * scale - axial_part * a for p, a in ((px, ax), (py, ay), (pz, az))]  # outward, of any length
     dx, dy, dz = (turn[:, k, None, None] for k in range(3))
     lean = x * dx + y * dy + low * dz
     velocity = [
@@ -280,21 +282,21 @@ def _sides(cutter: Cutter, axis: Array, x: Array, y: Array, shift: Array, turn: 
 
 
 def _ball(
-    radius: float, axis: Array, point: tuple[Array, Array], along: Array, low: Array, high: Array, meets: Bools
+    radius: float, axis: Array, point: tuple[Array, Array], axial: Array, low: Array, high: Array, meets: Bools
 ) -> tuple[Array, Bools]:
     """Return the lower side of a ball-nose tool, and where there is one: of the ball, or of the cylinder above it."""
     ax, ay, az = (axis[:, k, None, None] for k in range(3))
     square = radius**2 - (point[0] - radius * ax) ** 2 - (point[1] - radius * ay) ** 2
     ball = np.where(square > 0.0, radius * az - np.sqrt(np.maximum(square, 0.0)), np.inf)
-    cylinder = np.maximum(low, (radius - along) / az)
+    cylinder = np.maximum(low, (radius - axial) / az)
     cylinder = np.where(meets & (cylinder < high), cylinder, np.inf)
-    lowest = np.minimum(ball, cylinder)
-    meets = np.isfinite(lowest)
-    return np.where(meets, lowest, 0.0), meets
+    lower_side = np.minimum(ball, cylinder)
+    meets = np.isfinite(lower_side)
+    return np.where(meets, lower_side, 0.0), meets
 
 
 def _rounded(
-    cutter: Cutter, along: Array, az: Array, square: Array, low: Array, high: Array, meets: Bools
+    cutter: Cutter, axial: Array, az: Array, square: Array, low: Array, high: Array, meets: Bools
 ) -> tuple[Array, Bools]:
     """Return the lower side of a tool with a rounded corner, and where there is one: it is inside of a flat tool.
 
@@ -304,12 +306,12 @@ def _rounded(
 
     def outside(z: Array) -> Array:
         """Distance from the surface of the tool, < 0 inside: convex along a line."""
-        height = along + z * az
-        beyond = np.sqrt(np.maximum(square + z * z - height * height, 0.0)) - flat
-        below = corner - height
+        height = axial + z * az
+        radial_excess = np.sqrt(np.maximum(square + z * z - height * height, 0.0)) - flat
+        axial_excess = corner - height
         return np.asarray(
-            np.hypot(np.maximum(beyond, 0.0), np.maximum(below, 0.0))
-            + np.minimum(np.maximum(beyond, below), 0.0)
+            np.hypot(np.maximum(radial_excess, 0.0), np.maximum(axial_excess, 0.0))
+            + np.minimum(np.maximum(radial_excess, axial_excess), 0.0)
             - corner
         )
 
@@ -317,16 +319,16 @@ def _rounded(
     a, b = np.where(meets, low, 0.0), np.where(meets, np.minimum(high, low + 4.0 * cutter.radius / az), 0.0)
     begin = a
     for _ in range(_HALVINGS):  # the innermost place on the line
-        one, two = b - ratio * (b - a), a + ratio * (b - a)
-        left = outside(one) < outside(two)
-        a, b = np.where(left, a, one), np.where(left, two, b)
+        first, second = b - ratio * (b - a), a + ratio * (b - a)
+        left = outside(first) < outside(second)
+        a, b = np.where(left, a, first), np.where(left, second, b)
     inner = 0.5 * (a + b)
     meets = meets & (outside(inner) < 0.0)
     a, b = begin, inner
     for _ in range(_HALVINGS):
         middle = 0.5 * (a + b)
-        within = outside(middle) < 0.0
-        a, b = np.where(within, a, middle), np.where(within, middle, b)
+        is_inside = outside(middle) < 0.0
+        a, b = np.where(is_inside, a, middle), np.where(is_inside, middle, b)
     return b, meets
 
 
@@ -338,29 +340,29 @@ def engaged(stock: Stock, turn: Turn, point: Array, axes: Array) -> Engaged:
     :param axes: (n, 3, 3) of the tool as columns, see `local_axes`.
     """
     x, y, z = (point[..., k].astype(np.float32) for k in range(3))
-    around = nearby_cells(stock, x, y)
+    corners = nearby_cells(stock, x, y)
     steepest = np.float32(_STEEPEST * stock.cell)
-    high, low, share, floor = (each.reshape(-1) for each in (stock.high, stock.low, stock.share, stock.floor))
-    above = np.zeros_like(x)
-    for cell, weight in zip(around.cell, around.weight, strict=True):
+    high, low, share, floor = (values.reshape(-1) for values in (stock.high, stock.low, stock.share, stock.floor))
+    depth = np.zeros_like(x)
+    for cell, weight in zip(corners.cell, corners.weight, strict=True):
         top = high.take(cell)
         level = np.where(top > floor.take(cell), np.clip(top - z, -steepest, steepest), -steepest)
         part = share.take(cell)
         if part.any():
             level += part * (np.clip(np.minimum(low.take(cell), top) - z, -steepest, steepest) - level)
-        above += weight * level
-    above[:, turn.bottom] -= np.float32(_FLUSH)
+        depth += weight * level
+    depth[:, turn.bottom] -= np.float32(_FLUSH)
     extent = _extents(turn, axes)
-    inside = np.clip(0.5 + above / extent, 0.0, 1.0)
+    share_in_material = np.clip(0.5 + depth / extent, 0.0, 1.0)
     if float(z.min()) < stock.ground:
-        inside *= z > floor.take(around.cell[0])
-    return Engaged(inside * turn.length, np.zeros((len(x), 0), dtype=np.float32))
+        share_in_material *= z > floor.take(corners.cell[0])
+    return Engaged(share_in_material * turn.length, np.zeros((len(x), 0), dtype=np.float32))
 
 
 def _extents(turn: Turn, axes: Array) -> Floats:
     """Return how far pieces of edge (n, P) reach along z of the map [m]."""
     up = axes[:, 2].astype(np.float32)  # z of the map in the axes of the tool
     sine, cosine = np.sin(turn.phi).astype(np.float32), np.cos(turn.phi).astype(np.float32)
-    out = np.sqrt(np.maximum(1.0 - turn.down**2, 0.0)).astype(np.float32)  # sine of kappa
+    sine_of_kappa = np.sqrt(np.maximum(1.0 - turn.down**2, 0.0)).astype(np.float32)  # sine of kappa
     radial = turn.down * (up[:, :1] * sine + up[:, 1:2] * cosine)  # along the edge, outwards and up
-    return np.asarray(np.maximum(turn.length * np.abs(radial + out * up[:, 2:]), np.float32(1e-7)))
+    return np.asarray(np.maximum(turn.length * np.abs(radial + sine_of_kappa * up[:, 2:]), np.float32(1e-7)))

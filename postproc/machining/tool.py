@@ -33,8 +33,8 @@ class Cutter(Struct, frozen=True):
         """Return the height of its lower side above the tip [m] at distances from its axis [m], at most the radius."""
         if self.corner == 0.0:
             return np.zeros_like(distance)
-        over = np.minimum(np.maximum(distance - (self.radius - self.corner), 0.0), self.corner)
-        return np.asarray(self.corner - np.sqrt(np.maximum(self.corner**2 - over**2, 0.0)))
+        corner_distance = np.minimum(np.maximum(distance - (self.radius - self.corner), 0.0), self.corner)
+        return np.asarray(self.corner - np.sqrt(np.maximum(self.corner**2 - corner_distance**2, 0.0)))
 
 
 class Edge(Struct, frozen=True, eq=False):
@@ -87,8 +87,8 @@ def edge(cutter: Cutter, step: float) -> Edge:
         rise.append(np.array([np.inf]))
         length.append(np.array([1.0]))
         kappa.append(np.array([0.5 * np.pi]))
-    joined = [np.concatenate(column) for column in (radius, low, rise, length, kappa)]
-    return Edge(np.concatenate(parts).astype(np.int64), *joined)
+    columns = [np.concatenate(column) for column in (radius, low, rise, length, kappa)]
+    return Edge(np.concatenate(parts).astype(np.int64), *columns)
 
 
 def in_slices(edge: Edge, step: float, height: float) -> Edge:
@@ -102,10 +102,12 @@ def in_slices(edge: Edge, step: float, height: float) -> Edge:
         return edge
     low, radius = float(edge.low[side][0]), float(edge.radius[side][0])
     count = max(1, int(np.ceil((height - low) / step)))
-    other, width, one = some(edge, ~side), max(height - low, step) / count, np.ones(count)
-    columns = (radius * one, low + width * np.arange(count), width * one, width * one, 0.5 * np.pi * one)
-    joined = (np.concatenate([getattr(other, name), column]) for name, column in zip(_COLUMNS, columns, strict=True))
-    return Edge(np.concatenate([other.part, np.full(count, CORNER)]), *joined)
+    end_pieces, width, unit = some(edge, ~side), max(height - low, step) / count, np.ones(count)
+    columns = (radius * unit, low + width * np.arange(count), width * unit, width * unit, 0.5 * np.pi * unit)
+    arrays = (
+        np.concatenate([getattr(end_pieces, name), column]) for name, column in zip(_COLUMNS, columns, strict=True)
+    )
+    return Edge(np.concatenate([end_pieces.part, np.full(count, CORNER)]), *arrays)
 
 
 def some(edge: Edge, pieces: NDArray[np.bool_]) -> Edge:
@@ -175,42 +177,44 @@ class Turn(Struct, frozen=True, eq=False):
             piece.append(np.full(count, place))
             phi.append((np.arange(count) + 0.5) * (2.0 * np.pi / count))
             width.append(np.full(count, 2.0 * np.pi / count))
-        own, angle, wide_ = (np.concatenate(column) for column in (piece, phi, width))
+        row, angle, wide_ = (np.concatenate(column) for column in (piece, phi, width))
         sine, cosine = np.sin(angle), np.cos(angle)
-        sk, ck = np.sin(edge.kappa)[own], np.cos(edge.kappa)[own]
+        sk, ck = np.sin(edge.kappa)[row], np.cos(edge.kappa)[row]
         ck = np.where(np.abs(ck) < 1e-12, 0.0, ck)
-        cuts = np.zeros(len(own), dtype=bool)
+        cuts = np.zeros(len(row), dtype=bool)
         if descent is not None:
             cuts = sk * sine * np.sqrt(1.0 - descent**2) + ck * descent > 1e-9
         if not cuts.any():
             cuts[:] = True
-        own, angle, wide_, sine, cosine, sk, ck = (column[cuts] for column in (own, angle, wide_, sine, cosine, sk, ck))
-        zero, part, rise = np.zeros(len(own)), edge.part[own], edge.rise[own]
+        row, angle, wide_, sine, cosine, sk, ck = (column[cuts] for column in (row, angle, wide_, sine, cosine, sk, ck))
+        zero, part, rise = np.zeros(len(row)), edge.part[row], edge.rise[row]
         normal = np.stack([sk * sine, sk * cosine, zero - ck], axis=-1)
         tangential = np.stack([zero - cosine, sine, zero], axis=-1)
-        along = np.stack([ck * sine, ck * cosine, sk], axis=-1)
-        z = np.where(part == CORNER, edge.low[own] + 0.5 * np.where(np.isfinite(rise), rise, 0.0), 0.0)
-        point = np.stack([edge.radius[own] * sine, edge.radius[own] * cosine, z], axis=-1)
+        axial = np.stack([ck * sine, ck * cosine, sk], axis=-1)
+        z = np.where(part == CORNER, edge.low[row] + 0.5 * np.where(np.isfinite(rise), rise, 0.0), 0.0)
+        point = np.stack([edge.radius[row] * sine, edge.radius[row] * cosine, z], axis=-1)
         share = (cutter.teeth * wide_ / (2.0 * np.pi))[:, None]
 
         def wrench(k: tuple[float, float, float]) -> Floats:
             radial = DRILL_THRUST * k[0] if cutter.drill else k[1]
-            force = k[0] * tangential - radial * normal + k[2] * along
+            force = k[0] * tangential - radial * normal + k[2] * axial
             return np.asarray(np.concatenate([force, np.cross(point, force)], axis=-1) * share, dtype=np.float32)
 
         axes = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)) if law.covariance is not None else ()
-        each = np.stack([wrench(axis) for axis in axes]) if axes else np.zeros((0, len(own), 6), dtype=np.float32)
+        unit_wrench = (
+            np.stack([wrench(axis) for axis in axes]) if axes else np.zeros((0, len(row), 6), dtype=np.float32)
+        )
 
         def single(column: Array) -> Floats:
             return np.ascontiguousarray(column, dtype=np.float32)
 
         first, second, third, end = np.searchsorted(part, [BOTTOM, CORNER, SIDE, SIDE + 1]).tolist()
-        height = (np.where(np.isfinite(rise), rise, 1.0) / edge.length[own])[:, None]
+        height = (np.where(np.isfinite(rise), rise, 1.0) / edge.length[row])[:, None]
         return cls(
-            law, cutter.teeth, cutter.drill, angle, wide_, single(edge.radius[own]), single(edge.low[own]),
-            single(rise), single(edge.length[own]), slice(first, second), slice(second, third), slice(third, end),
+            law, cutter.teeth, cutter.drill, angle, wide_, single(edge.radius[row]), single(edge.low[row]),
+            single(rise), single(edge.length[row]), slice(first, second), slice(second, third), slice(third, end),
             single(normal[:, 0]), single(-normal[:, 2]), wrench(law.cutting), wrench(law.edge),
-            each, single(_covered(angle, wide_, 2 * half) * height),
+            unit_wrench, single(_covered(angle, wide_, 2 * half) * height),
         )  # fmt: skip
 
 
@@ -221,5 +225,5 @@ def _covered(phi: Array, width: Array, number: int) -> Floats:
     :param width: (P,) its width [rad].
     """
     middle = (np.arange(number) + 0.5) * (2.0 * np.pi / number)
-    off = np.abs((middle - phi[:, None] + np.pi) % (2.0 * np.pi) - np.pi)
-    return np.asarray(off < 0.5 * width[:, None] - 1e-9, dtype=np.float32)
+    angle = np.abs((middle - phi[:, None] + np.pi) % (2.0 * np.pi) - np.pi)
+    return np.asarray(angle < 0.5 * width[:, None] - 1e-9, dtype=np.float32)

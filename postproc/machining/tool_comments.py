@@ -48,7 +48,7 @@ _OTHER_SHAPES = re.compile(
 """Cutters that a process file cannot describe."""
 _STRAIGHT = re.compile(r"\bTAPER\s*=\s*0(?:\.0*)?\s*(?:deg)?(?![\d.])", re.IGNORECASE)
 _CUTTER = re.compile(r"mill|drill|cutter|fr[aä]ser|bohrer", re.IGNORECASE)
-_BEFORE = 8
+_LINES_TO_CHANGE = 8
 """A comment without a tool number belongs to the tool change at most this many lines after it."""
 
 
@@ -86,19 +86,19 @@ def commented_tools(
     """
     tools: dict[int, CommentedTool] = {}
     for comment in comments:
-        stated = _TOOL.search(comment.text)
-        if stated is not None:
-            numbers, text = [int(stated[1])], comment.text[: stated.start()] + " " + comment.text[stated.end() :]
+        match = _TOOL.search(comment.text)
+        if match is not None:
+            numbers, text = [int(match[1])], comment.text[: match.start()] + " " + comment.text[match.end() :]
         elif _CUTTER.search(comment.text):
-            lines = range(comment.line, comment.line + _BEFORE + 1)
+            lines = range(comment.line, comment.line + _LINES_TO_CHANGE + 1)
             numbers, text = [number for line, number in changes if line in lines][:1], comment.text
         else:
             continue
         cutter = cutter_of(text, inches=inches)
         for number in numbers:
             if cutter.diameter_mm is not None or cutter.shape is not None:
-                known = tools.get(number, CommentedTool())
-                if known.diameter_mm is None:
+                earlier_tool = tools.get(number, CommentedTool())
+                if earlier_tool.diameter_mm is None:
                     tools[number] = replace(cutter, text=comment.text.strip())
     return tools
 
@@ -124,10 +124,10 @@ def cutter_of(text: str, *, inches: bool) -> CommentedTool:
     return CommentedTool(shape, diameter, corner if shape == "bull" else 0.0, flutes or None)
 
 
-def _mm(found: re.Match[str], inches: bool) -> float:
-    unit = (found[2] or "").lower()
+def _mm(match: re.Match[str], inches: bool) -> float:
+    unit = (match[2] or "").lower()
     factor = MM_PER_INCH if (unit and unit != "mm") or (not unit and inches) else 1.0
-    return round(float(found[1]) * factor, 6)
+    return round(float(match[1]) * factor, 6)
 
 
 _SIZE_TITLE = re.compile(r"material\s+size|stock\s+(?:size|dimensions?)|block\s+size", re.IGNORECASE)
@@ -139,7 +139,7 @@ _SIDES = re.compile(
 
 def stock_size(comments: Iterable[Comment], *, inches: bool) -> tuple[float, float, float] | None:
     """Return the lengths of the stock along X, Y, Z [mm] that comments state; None: they do not."""
-    titled = -10
+    title_line = -10
     for comment in comments:
         if sides := _SIDES.search(comment.text):
             unit = (sides[4] or "").lower()
@@ -147,9 +147,9 @@ def stock_size(comments: Iterable[Comment], *, inches: bool) -> tuple[float, flo
             x, y, z = (float(sides[place]) * factor for place in (1, 2, 3))
             return x, y, z
         if _SIZE_TITLE.search(comment.text):
-            titled = comment.line
-        if comment.line - titled <= 2 and all(side.search(comment.text) for side in _SIDE.values()):
-            found = [side.search(comment.text) for side in _SIDE.values()]
-            x, y, z = (_mm(match, inches) for match in found if match is not None)
+            title_line = comment.line
+        if comment.line - title_line <= 2 and all(side.search(comment.text) for side in _SIDE.values()):
+            matches = [side.search(comment.text) for side in _SIDE.values()]
+            x, y, z = (_mm(match, inches) for match in matches if match is not None)
             return x, y, z
     return None

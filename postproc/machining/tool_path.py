@@ -41,41 +41,41 @@ def tool_states(program: Program, process: Process) -> ToolStates:
     :raises ForceError: a tool that cuts is not in [tools].
     """
     m = len(program.motions)
-    number, rpm, hand, speed_given = np.full(m, -1), np.zeros(m), np.ones(m, dtype=np.int64), False
+    number, rpm, hand, has_speed = np.full(m, -1), np.zeros(m), np.ones(m, dtype=np.int64), False
     for event in program.events:
         rest = slice(event.before, None)
         if event.kind == "tool_change":
             number[rest] = int(event.value)
         elif event.kind in ("spindle_on", "spindle_ccw"):
-            rpm[rest], hand[rest], speed_given = event.value, 1 if event.kind == "spindle_on" else -1, True
+            rpm[rest], hand[rest], has_speed = event.value, 1 if event.kind == "spindle_on" else -1, True
         elif event.kind == "spindle_off":
             rpm[rest] = 0.0
     keys = tuple(process.tools)
     place = np.full(m, -1)
     for value in np.unique(number).tolist():
-        found = process.tool(value) if value > 0 or str(value) in process.tools else process.tool(None)
-        if found is not None:
-            here = number == value
-            place[here] = keys.index(found[0])
-            if not speed_given and found[1].rpm is not None:
-                rpm[here] = found[1].rpm
-                hand[here] = 1 if found[1].spindle == "M3" else -1
-    missing = (place < 0) & ~program.motions.rapid
-    if missing.any():
-        _refuse(program, process, number, missing)
+        entry = process.tool(value) if value > 0 or str(value) in process.tools else process.tool(None)
+        if entry is not None:
+            has_tool = number == value
+            place[has_tool] = keys.index(entry[0])
+            if not has_speed and entry[1].rpm is not None:
+                rpm[has_tool] = entry[1].rpm
+                hand[has_tool] = 1 if entry[1].spindle == "M3" else -1
+    lacks_tool = (place < 0) & ~program.motions.rapid
+    if lacks_tool.any():
+        _refuse(program, process, number, lacks_tool)
     return ToolStates(place, keys, rpm, hand, number)
 
 
-def _refuse(program: Program, process: Process, number: Ints, missing: Bools) -> None:
+def _refuse(program: Program, process: Process, number: Ints, lacks_tool: Bools) -> None:
     errors = []
-    for value in np.unique(number[missing]).tolist()[: MOST + 1]:
-        line = int(program.motions.line[np.flatnonzero(missing & (number == value))[0]])
-        known = ", ".join(f"[tools.{key}]" for key in process.tools) or "none"
+    for value in np.unique(number[lacks_tool]).tolist()[: MOST + 1]:
+        line = int(program.motions.line[np.flatnonzero(lacks_tool & (number == value))[0]])
+        tool_list = ", ".join(f"[tools.{key}]" for key in process.tools) or "none"
         if value <= 0:  # T0, and M6 without T, name no tool
             problem = "no tool number (T… M6) before this move"
-            advice = f"Give [tools.default] in {process.path}; found: {known}."
+            advice = f"Give [tools.default] in {process.path}; found: {tool_list}."
         else:
-            problem, advice = f"tool T{value} is not in {process.path}", f"Give [tools.{value}]; found: {known}."
+            problem, advice = f"tool T{value} is not in {process.path}", f"Give [tools.{value}]; found: {tool_list}."
         errors.append(ForceError(problem, file=program.documents[0].name, line=line, advice=advice))
     raise together(errors)
 
@@ -89,18 +89,22 @@ def refuse_unread_cuts(program: Program) -> None:
     :raises ProgramError: there is one; the error names the cause.
     """
     if program.unfollowed:
-        raise together(each.error for each in program.unfollowed)
+        raise together(call.error for call in program.unfollowed)
 
 
 def unread_cuts(program: Program) -> list[Issue]:
     """Return a warning if cutting motions were not read: the stock keeps the material that they remove."""
-    lines = [f"{one.file}, line {one.line}" for one in program.unresolved if not _RAPID.match(one.text)]
-    lines += [f"{each.subject}()" for each in program.issues if each.kind == "motions-elsewhere"]
+    lines = [
+        f"{statement.file}, line {statement.line}"
+        for statement in program.unresolved
+        if not _RAPID.match(statement.text)
+    ]
+    lines += [f"{issue.subject}()" for issue in program.issues if issue.kind == "motions-elsewhere"]
     if not lines:
         return []
-    more = f" and {len(lines) - 1} more" if len(lines) > 1 else ""
+    suffix = f" and {len(lines) - 1} more" if len(lines) > 1 else ""
     message = (
-        f"motions that are kept unread remove nothing from the stock: {lines[0]}{more}. If a later motion passes the "
+        f"motions that are kept unread remove nothing from the stock: {lines[0]}{suffix}. If a later motion passes the "
         "same place, its force is computed for material that was already removed."
     )
     return [Issue("warning", "cuts-unseen", message, count=len(lines))]
@@ -119,8 +123,8 @@ _ON_CUT = np.radians(1.0)
 """Cuts that turn the tool are divided into pieces on which it turns by this much at most."""
 _ON_MOTION = 1e-9, 0.25, 0.5, 0.75
 """Places of motions at which the direction of the tool is looked at."""
-_STILL = 1e-9
-_BEFORE_NEXT = 1.0 - 1e-7
+_NO_LENGTH = 1e-9
+_END_OF_MOTION = 1.0 - 1e-7
 """The end of a motion is before the start of the next one, where the displacement may differ."""
 
 
@@ -150,8 +154,8 @@ class StraightSegments(Columns, frozen=True, eq=False):
     def of(self, motions: Bools) -> StraightSegments:
         """Return the segments of selected motions (M,); at gaps in the selection `continues` is False."""
         rows = np.flatnonzero(motions[self.motion])
-        out = self.take(rows)
-        return replace(out, continues=out.continues & (np.diff(rows, prepend=-2) == 1))
+        segments = self.take(rows)
+        return replace(segments, continues=segments.continues & (np.diff(rows, prepend=-2) == 1))
 
 
 class Shift(Struct, frozen=True, eq=False):
@@ -179,9 +183,9 @@ class Shift(Struct, frozen=True, eq=False):
 
         Linear between the places that are given, also across ends of motions.
         """
-        key, own = motion + _BEFORE_NEXT * t, self.motion + _BEFORE_NEXT * self.t
-        found = np.stack([np.interp(key, own, self.offset[:, axis]) for axis in range(3)], axis=-1)
-        return np.asarray(np.einsum("nji,nj->ni", self.root[self.base[motion]], found))
+        key, given_key = motion + _END_OF_MOTION * t, self.motion + _END_OF_MOTION * self.t
+        displacement = np.stack([np.interp(key, given_key, self.offset[:, axis]) for axis in range(3)], axis=-1)
+        return np.asarray(np.einsum("nji,nj->ni", self.root[self.base[motion]], displacement))
 
 
 def straight_segments(
@@ -207,21 +211,21 @@ def straight_segments(
     angle = np.minimum(_TURN, np.sqrt(8.0 * _SAG * cell / np.maximum(radius, cell)))
     count[arcs.motion] = np.maximum(1, np.ceil(arcs.sweep / angle)).astype(np.int64)
     leans = _leaning(program, path, frame, directions)
-    turned = path.turn.astype(float)
+    rotation = path.turn.astype(float)
     ptp = np.flatnonzero(leans & (m.kind == PTP))
     if path.joint_moves is not None:
-        turned[ptp] = path.joint_moves.turn(ptp)
-    most = np.where(m.rapid, _LEANS, _ON_CUT)
-    count[leans] = np.maximum(count[leans], np.ceil(turned[leans] / most[leans]).astype(np.int64))
+        rotation[ptp] = path.joint_moves.turn(ptp)
+    max_rotation = np.where(m.rapid, _LEANS, _ON_CUT)
+    count[leans] = np.maximum(count[leans], np.ceil(rotation[leans] / max_rotation[leans]).astype(np.int64))
     count[(m.kind == PTP) & ~leans] = 0
     motion = np.repeat(np.arange(len(m)), count)
-    inside = ragged_range(count)
-    first, last = inside / count[motion], (inside + 1) / count[motion]
+    index = ragged_range(count)
+    first, last = index / count[motion], (index + 1) / count[motion]
     if shift is not None:
         motion, first, last = _cut_at(motion, first, last, shift)
     begin = path.begin(motion)
-    later = first > 0.0
-    begin[later] = positions(program, path, motion[later], first[later])
+    is_inner = first > 0.0
+    begin[is_inner] = positions(program, path, motion[is_inner], first[is_inner])
     end = positions(program, path, motion, last)
     arc = m.kind[motion] == CIRC
     chord = end - begin
@@ -238,7 +242,7 @@ def straight_segments(
     continues[1:] = (norm(begin[1:] - end[:-1]) < 1e-6) & (tools.tool[motion[1:]] == tools.tool[motion[:-1]])
     lean = leans[motion]
     continues[1:] &= (lean[1:] == lean[:-1]) & ~(lean & m.rapid[motion])[1:]
-    moves = ((norm(end - begin) > _STILL) | lean) & (tools.tool[motion] >= 0)
+    moves = ((norm(end - begin) > _NO_LENGTH) | lean) & (tools.tool[motion] >= 0)
     columns = (motion, first, last, begin, end, leave, arrive, ~m.rapid[motion], continues, lean)
     return StraightSegments(*(np.asarray(column[moves]) for column in columns))
 
@@ -278,9 +282,9 @@ class Directions(Struct, frozen=True, eq=False):
 
     def within(self, direction: Array, angle: float) -> Bools:
         """Return on which motions (M,) the tool is within an angle [rad] of a direction (3,) everywhere."""
-        out = self.end @ direction > np.cos(angle)
-        out[self.turning] &= (self.inner @ direction > np.cos(angle)).all(axis=0)
-        return np.asarray(out)
+        is_within = self.end @ direction > np.cos(angle)
+        is_within[self.turning] &= (self.inner @ direction > np.cos(angle)).all(axis=0)
+        return np.asarray(is_within)
 
 
 def _leaning(program: Program, path: Segments, frame: Array, directions: Directions | None) -> Bools:
@@ -309,31 +313,31 @@ class ToolPoses(Struct, frozen=True, eq=False):
 
     def upright_or(self, motion: Ints, t: Array) -> Array:
         """Return the directions from tip to spindle (n, 3) at places: z of the map but for motions that lean."""
-        out = np.tile([0.0, 0.0, 1.0], (len(motion), 1))
+        direction = np.tile([0.0, 0.0, 1.0], (len(motion), 1))
         leans = np.flatnonzero(self.leans[motion])
         if len(leans):
-            out[leans] = self.at(motion[leans], t[leans])[1]
-        return out
+            direction[leans] = self.at(motion[leans], t[leans])[1]
+        return direction
 
     def at(self, motion: Ints, t: Array) -> tuple[Array, Array]:
         """Return tip (n, 3) [m] and unit direction from tip to spindle (n, 3) at places (motion, t)."""
-        inner = np.maximum(t, _STILL)  # the start of a motion: `toolpath.at` has places in (0, 1]
+        inner = np.maximum(t, _NO_LENGTH)  # the start of a motion: `toolpath.at` has places in (0, 1]
         pose = toolpath.at(self.program, self.path, motion, inner).pose[:]
         column, sign = _SPINDLE[self.axis]
-        tip, towards = pose[:, :3, 3], sign * pose[:, :3, column]
-        tip, _, towards, _ = _in_map(self.program, motion, self.frame, (tip, tip), (towards, towards))
-        return tip, towards
+        tip, direction = pose[:, :3, 3], sign * pose[:, :3, column]
+        tip, _, direction, _ = _in_map(self.program, motion, self.frame, (tip, tip), (direction, direction))
+        return tip, direction
 
 
 def _cut_at(motion: Ints, first: Array, last: Array, shift: Shift) -> tuple[Ints, Array, Array]:
     """Divide segments where displacements are given."""
     keys = np.unique(np.concatenate([motion + first, shift.motion + shift.t, motion + last]))
     segment = np.searchsorted(motion + first, keys[:-1], side="right") - 1
-    own = motion[segment]
-    begin = np.maximum(first[segment], keys[:-1] - own)
-    end = np.minimum(last[segment], keys[1:] - own)
-    some = end - begin > 1e-9
-    return own[some], begin[some], end[some]
+    part_motion = motion[segment]
+    begin = np.maximum(first[segment], keys[:-1] - part_motion)
+    end = np.minimum(last[segment], keys[1:] - part_motion)
+    has_length = end - begin > 1e-9
+    return part_motion[has_length], begin[has_length], end[has_length]
 
 
 def _in_map(
@@ -341,15 +345,15 @@ def _in_map(
 ) -> tuple[Array, Array, Array, Array]:
     """Return points and directions, each (L, 3) in the `$BASE` of their motion, in the frame of the map."""
     base = program.motions.base[motion]
-    out = [one.copy() for one in (*points, *directions)]
+    vectors = [vector.copy() for vector in (*points, *directions)]
     home = home_base(program)
     to_map = inverse(frame)
     for row in np.unique(base).tolist():
-        here = base == row
+        of_base = base == row
         pose = to_map if row == home else to_map @ inverse(program.bases[home]) @ program.bases[row]
-        for k, one in enumerate(out):
-            one[here] = one[here] @ pose[:3, :3].T + (pose[:3, 3] if k < len(points) else 0.0)
-    return out[0], out[1], out[2], out[3]
+        for k, vector in enumerate(vectors):
+            vector[of_base] = vector[of_base] @ pose[:3, :3].T + (pose[:3, 3] if k < len(points) else 0.0)
+    return vectors[0], vectors[1], vectors[2], vectors[3]
 
 
 _SPINDLE = {"+Z": (2, -1.0), "-Z": (2, 1.0), "+X": (0, -1.0), "-X": (0, 1.0)}
@@ -368,9 +372,9 @@ def _towards_spindle(program: Program, axis: str, motion: Ints, column: Array) -
     :param motion: (n,) rows of `Motions`.
     :param column: (n, 3) the axis of the tool frame next to the spindle, in the `$BASE` of those motions.
     """
-    out, base = _SPINDLE[axis][1] * column, program.motions.base[motion]
+    direction, base = _SPINDLE[axis][1] * column, program.motions.base[motion]
     home = program.bases[home_base(program)]
     for row in np.unique(base).tolist():
-        here = base == row
-        out[here] = out[here] @ (home[:3, :3].T @ program.bases[row, :3, :3]).T
-    return np.asarray(out)
+        of_base = base == row
+        direction[of_base] = direction[of_base] @ (home[:3, :3].T @ program.bases[row, :3, :3]).T
+    return np.asarray(direction)
