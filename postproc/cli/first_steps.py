@@ -123,6 +123,12 @@ def _parsed(kind: str) -> Any:
     "--part-tolerance", type=float, metavar="MM", help="What the part may be off (95 %); default: not judged."
 )
 @click.option(
+    "--payload",
+    callback=_parsed("payload"),
+    metavar="KG[,X,Y,Z]",
+    help="Mass that the flange carries, and its centre in the flange frame; RAPID states it as load of the tool.",
+)
+@click.option(
     "--spindle",
     callback=_parsed("switch"),
     metavar="ON|OFF",
@@ -210,7 +216,18 @@ def _rotary(options: dict[str, Any]) -> dict[str, Any]:
     return {"rotary": answers.rotary(options["rotary"], options["rotary_kind"], options["rotary_points"])}
 
 
-_SAME_OPTIONS = ("robot", "base", "tool", "clearance", "tool_change", "spindle", "coolant", "part_tolerance", "home")
+_SAME_OPTIONS = (
+    "robot",
+    "base",
+    "tool",
+    "clearance",
+    "tool_change",
+    "spindle",
+    "coolant",
+    "part_tolerance",
+    "home",
+    "payload",
+)
 """Options whose answers have their name."""
 
 

@@ -86,7 +86,10 @@ class RobotPost:
                     _compare_postures(converted, self.joints[name])
                     files[name] = [path for path in converted.files if path.suffix.lower() in (".src", ".dat")]
                     names[name.lower()] = files[name][0].stem
-                    self.addlog("\n".join([f"{name}:", *converted.verdict, *converted.warnings]))
+                    said = "\n".join([f"{name}:", *converted.verdict, *converted.warnings])
+                    self.addlog(said)
+                    if converted.state == "failed":  # it may be driven, but should not be: no line among others
+                        _show(said)
                 else:
                     path = target / f"{name}.src"
                     path.write_text("".join(f"{block.text}\r\n" for block in blocks), encoding="utf-8", newline="")

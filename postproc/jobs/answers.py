@@ -136,6 +136,18 @@ def tolerance(text: str) -> float | None:
     return length
 
 
+def payload(text: str) -> Numbers | None:
+    """Return mass [kg] and centre X, Y, Z in the flange frame [mm] (zero if not given); None for an empty answer."""
+    if not text.strip():
+        return None
+    values = _finite(numbers(text), text)
+    if len(values) not in (1, 4) or not values[0] > 0.0:
+        raise InputError(
+            f"{text!r}: give a mass above 0 in kg, and its centre in the flange frame in mm, such as 28,0,0,140"
+        )
+    return (*values, 0.0, 0.0, 0.0)[:4]
+
+
 def robot(text: str) -> str:
     """Return the name of a robot model, or the path of a model folder, that exists."""
     try:

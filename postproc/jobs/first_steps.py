@@ -116,6 +116,7 @@ class CellRequest(Struct, frozen=True, kw_only=True):
     :param radius_offsets: what the radius offsets (D) of the control hold: "radius" or "wear".
     :param dwell_unit: what the control counts in P of G4 and of cycles: "s" or "ms"; None: not stated.
     :param part_tolerance: what the part may be off, 95 % [mm]; None: nobody says so, and the cell does not judge by it.
+    :param payload: mass [kg] and centre X, Y, Z in the flange frame [mm] of what the flange carries; None: not stated.
     :param overwrite: replace a file that is there.
     """
 
@@ -138,6 +139,7 @@ class CellRequest(Struct, frozen=True, kw_only=True):
     radius_offsets: str = "radius"
     dwell_unit: str | None = None
     part_tolerance: float | None = None
+    payload: Numbers | None = None
     overwrite: bool = False
 
 
@@ -408,8 +410,7 @@ clearance_Z = {_number(request.clearance)}              # Z of $BASE to which th
 {_rotary(request.rotary)}
 {_m_codes(request.m_codes)}
 
-# [payload]                      # carried in addition to the state that the robot model was calibrated in
-# mass_kg = 0.0
+{_payload(request.payload)}
 """
 
 
@@ -452,6 +453,16 @@ def _work_offsets(frame_values: Mapping[str, Numbers]) -> str:
     return """\
 # [work_offsets.G55]             # G54 is $BASE itself; others must be given to be used
 # X = 0.0"""
+
+
+def _payload(values: Numbers | None) -> str:
+    """Return the table of the payload; a comment where none is stated."""
+    head = "[payload]                      # carried in addition to the state that the robot model was calibrated in"
+    if values is None:
+        return f"# {head}\n# mass_kg = 0.0"
+    mass, *centre = map(_number, values)
+    axes = (f"{axis} = {value}" for axis, value in zip("XYZ", centre, strict=True))
+    return "\n".join([head, f"mass_kg = {mass}", *axes])
 
 
 def _home(place: Numbers | None) -> str:

@@ -24,7 +24,7 @@ from postproc.jobs import answers as parse
 from postproc.jobs.answers import BY_HAND, CutterShape, Numbers, box_text
 from postproc.jobs.first_steps import CLEARANCE_MM, CellRequest, relative_path, schema_file, usual_base, write_cell
 from postproc.jobs.program_needs import ProgramNeeds
-from postproc.jobs.programs import Settings, find_jobs
+from postproc.jobs.programs import Settings, find_jobs, load_robot
 from postproc.jobs.runs import convert_all
 from postproc.machining.material import table
 from postproc.machining.process import StockTable
@@ -147,6 +147,9 @@ def _cell_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Question]
             yield Question(name, text, f'--{name} "ON|OFF"', parse.switch, BY_HAND, optional=True)
     text = "What the part may be off, mm (95 %); empty: nothing is judged by it"
     yield Question("part_tolerance", text, "--part-tolerance MM", parse.tolerance, "", optional=True)
+    if "robot" in answers.values and load_robot(answers.values["robot"]).language == "rapid":
+        text = "Spindle, holder and tool on the flange: kg,X,Y,Z of the centre of mass; empty: set in the controller"
+        yield Question("payload", text, "--payload KG,X,Y,Z", parse.payload, "", optional=True)
 
 
 def _usual_base(answers: Answers) -> str | None:
@@ -265,7 +268,7 @@ def cell_request(output: Path, answers: Answers, **fields: Any) -> CellRequest:
             code: [] if text == parse.NO_LINES else [text] for code, text in answers.of_codes("m_code").items()
         },
     }
-    names = ("robot", "base", "clearance", "tool_change", "spindle", "coolant", "part_tolerance", "home")
+    names = ("robot", "base", "clearance", "tool_change", "spindle", "coolant", "part_tolerance", "home", "payload")
     request |= {name: values[name] for name in (*names, "radius_offsets", "dwell_unit") if name in values}
     if "rotary_axes" in values:
         points = answers.of_codes("rotary_point")

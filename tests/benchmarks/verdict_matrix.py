@@ -32,7 +32,8 @@ def cell_of(robot: str, folder: Path) -> Path:
     by_hand = [part for option in ("--tool-change", "--spindle", "--coolant") for part in (option, "hand")]
     tool = "0,0,150" if robot == "kuka_kr6_r900_2" else "0,0,350"
     frames = ["--base", BASES.get(robot, "1500,-200,700"), "--tool", tool]
-    commands.run("init", path, "--robot", robot, *frames, *by_hand)
+    payload = ["--payload", "28,0,0,140"] if robot.startswith("abb") else []  # RAPID states the load of the tool
+    commands.run("init", path, "--robot", robot, *frames, *by_hand, *payload)
     return path
 
 

@@ -413,6 +413,29 @@ def test_numbers_that_cannot_be_are_refused_before_anything_is_written(options, 
     assert not Path("cell.toml").exists()
 
 
+@pytest.mark.parametrize("programs", [(), ("part.nc",)])
+def test_a_payload_is_in_the_cell_and_the_load_of_a_rapid_tool(programs):
+    """Without it a RAPID program has a warning that no answer of init took away."""
+    Path("part.nc").write_text("G21 G90\nG0 X0 Y0 Z20\nG1 Z-1 F900\nG1 X80\nG0 Z60\nM2\n")
+    command = ("init", "cell.toml", *programs, "--robot", "abb_irb6700_200_260", *FRAMES)
+    for payload, warned in (("28,0,0,140", False), ("", True)):
+        done = run(*command, *(("--payload", payload) if payload else ()), "--overwrite")
+        assert done.exit_code == 0, done.output
+        stated = cells.load("cell.toml").payload
+        assert (stated.mass_kg, stated.X, stated.Y, stated.Z) == ((28, 0, 0, 140) if payload else (0, 0, 0, 0))
+        done = run("convert", "part.nc", "--cell", "cell.toml", "--to", "rapid", "-o", payload or "none")
+        assert ("The tool data have no load" in done.output) == warned
+        assert ("[28,[0,0,140]" in (Path(payload or "none") / "part.mod").read_text()) != warned
+
+
+@pytest.mark.parametrize("text", ["0", "28,0", "many", "-3,0,0,100", "inf"])
+def test_a_payload_that_cannot_be_is_refused(text):
+    done = run("init", "--robot", "abb_irb6700_200_260", *FRAMES, "--payload", text)
+    assert done.exit_code == 2
+    assert "--payload" in done.stderr
+    assert not Path("cell.toml").exists()
+
+
 def test_a_cell_file_that_is_missing_points_to_init():
     done = run("convert", str(ROOT / "samples" / "pocket.nc"), "--cell", "shop.toml")
     assert done.exit_code == 1

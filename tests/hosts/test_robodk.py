@@ -101,6 +101,39 @@ def test_a_milling_program(post, tmp_path, capsys):
     assert [str(out / "Pocket_1.src")] == post.PROG_FILES
 
 
+@pytest.mark.parametrize("drive", ["ok", "failed"])
+def test_a_program_that_fails_is_shown_and_one_that_may_not_be_driven_is_not_posted(
+    post, tmp_path, monkeypatch, capsys, drive
+):
+    _begin(post)
+    _mill(post, 3)
+    post.ProgFinish("Pocket 1")
+    host = sys.modules["postproc_host"]
+    run = host._run
+
+    def judged(words):
+        content = run(words)
+        drive_answer = {"state": drive, "reasons": ["the spindle hits the vice"], "unchecked": []}
+        answers = ["May it be driven?", "Is it better?", "Does it hold?"]
+        verdict = {"state": "failed", "headline": "As judged.", "answers": answers, "reasons": ["why"]}
+        content["programs"][0]["verdict"] = verdict | {"drive": drive_answer}
+        return content
+
+    monkeypatch.setattr(host, "_run", judged)
+    out = tmp_path / "out"
+    out.mkdir()
+    if drive == "failed":
+        with pytest.raises(host.HostError, match=r"As judged.\nthe spindle hits the vice"):
+            post.ProgSave(str(out), "Pocket 1")
+        assert not list(out.glob("Pocket*.src"))
+    else:
+        post.ProgSave(str(out), "Pocket 1")
+        assert (out / "Pocket_1.src").exists()
+    shown = capsys.readouterr().err
+    assert "As judged." in shown
+    assert ("Does it hold?\nwhy" in shown) == (drive == "ok")
+
+
 def test_two_programs_and_one_without_motion(post, tmp_path):
     post.ProgStart("Main")
     post.RunCode("Roughing", True)

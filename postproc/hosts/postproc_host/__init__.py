@@ -122,7 +122,8 @@ def convert(
     if verdict["drive"]["state"] == "failed":
         for path in written:
             path.unlink()
-        raise HostError("\n".join([verdict["headline"], *verdict["drive"]["reasons"]]))
+        faults = [verdict["headline"], *verdict["drive"]["reasons"]]
+        raise HostError("\n".join(_placed(fault, program, blocks) for fault in faults))
     warnings = [text for level, text in issues if level == "warning"]
     said = [verdict["headline"], *verdict["answers"], *(verdict["reasons"] if verdict["state"] != "ok" else [])]
     moves = folder / f"{name}.moves.txt"
