@@ -100,10 +100,10 @@ class InputError(PostprocError):
         line: int | None = None,
         text: str | None = None,
         advice: str | None = None,
-        further_errors: Sequence[InputError] = (),
+        others: Sequence[InputError] = (),
     ) -> None:
         self.problem, self.file, self.line, self.text, self.advice = problem, file, line, text, advice
-        self.others = tuple(further_errors)
+        self.others = tuple(others)
         place = "" if file is None else f"{file}: " if line is None else f"{file}:{line}: "
         if file is None and line is not None:
             place = f"line {line}: "

@@ -64,76 +64,78 @@ def places(source: Source, main: Routine) -> CutPoints:
     :raises ProgramError: a statement means something else in a file of its own; there is no motion.
     """
     text = source.text
-    first = called = depth = 0
+    first = first_call = depth = 0
     cuts: list[int] = []
     declarations: list[int] = []
-    held = False  # a TRIGGER waits for its motion, or CONTINUE for its statement
+    is_waiting = False  # a TRIGGER waits for its motion, or CONTINUE for its statement
     for line in range(main.first + 1, main.last + 1):
         fold = fold_at(text, int(source.starts[line - 1]), int(source.stops[line - 1]))
-        if depth == 0 and not held and fold != "ENDFOLD":
+        if depth == 0 and not is_waiting and fold != "ENDFOLD":
             cuts.append(line)
         if fold:
             depth = max(depth - 1, 0) if fold == "ENDFOLD" else depth + 1
             continue
-        here = statement(source, line)
-        if here.start == here.stop or line == main.last:
+        node = statement(source, line)
+        if node.start == node.stop or line == main.last:
             continue
-        _check(source, line, here, first)
-        depth = max(0, depth + (here.word in _OPENING) - (here.word in _CLOSING))
-        if isinstance(here, Motion | Spline):
-            first, held = first or line, False
-        elif isinstance(here, Trigger) or here.word == "CONTINUE":
-            held = True
-        elif isinstance(here, Declaration | Outside | Imported) or (isinstance(here, Cyclic) and here.word == "SIGNAL"):
+        _check(source, line, node, first)
+        depth = max(0, depth + (node.word in _OPENING) - (node.word in _CLOSING))
+        if isinstance(node, Motion | Spline):
+            first, is_waiting = first or line, False
+        elif isinstance(node, Trigger) or node.word == "CONTINUE":
+            is_waiting = True
+        elif isinstance(node, Declaration | Outside | Imported) or (isinstance(node, Cyclic) and node.word == "SIGNAL"):
             declarations.append(line)
-        elif isinstance(here, Event) and not here.public:
-            called = 0
-        elif not called and here.word != "BAS" and calls(here.values):
-            called = line
-    first = first or called
+        elif isinstance(node, Event) and not node.public:
+            first_call = 0
+        elif not first_call and node.word != "BAS" and calls(node.values):
+            first_call = line
+    first = first or first_call
     if not first:
         raise undivided(source, "it has no DEF, END or motion", main.first)
     return CutPoints(main.first, main.last, np.array(cuts, dtype=np.int64), first, declarations)
 
 
-def _check(source: Source, line: int, here: Statement, first: int) -> None:
+def _check(source: Source, line: int, node: Statement, first: int) -> None:
     """Refuse statements that mean something else in a file of their own."""
-    if isinstance(here, Return | Goto | Label):
-        raise undivided(source, f"{here.word} leads to another place of it", line)
-    if first and isinstance(here, Event) and here.declares and not here.public:
+    if isinstance(node, Return | Goto | Label):
+        raise undivided(source, f"{node.word} leads to another place of it", line)
+    if first and isinstance(node, Event) and node.declares and not node.public:
         problem = "an interrupt that is not GLOBAL is declared behind the first motion"
         raise undivided(source, problem, line, f"Declare it before the first motion, or: {ADVICE}")
 
 
-def bounds(source: Source, base: str, where: CutPoints, limit: int, overhead: int) -> tuple[list[int], list[Issue]]:
+def bounds(
+    source: Source, base: str, cut_points: CutPoints, limit: int, extra_lines: int
+) -> tuple[list[int], list[Issue]]:
     """Return the first line of each part, and END; and warnings.
 
     :param base: what the names of the files begin with.
-    :param limit: lines of a file at most, of which `overhead` are not those of the program.
+    :param limit: lines of a file at most, of which `extra_lines` are not those of the program.
     :raises ProgramError: it cannot be cut.
     """
     issues: list[Issue] = []
-    room = limit - overhead
+    room = limit - extra_lines
     if room < 1:
-        raise undivided(source, f"{limit} lines are not enough for one motion", where.begin)
-    before = where.cuts[where.cuts <= where.first]
-    if not len(before):
-        raise undivided(source, "its first motion is in a fold or control structure", where.first)
-    found = [int(before[-1])]
-    late = [line for line in where.declarations if line > found[0]]
+        raise undivided(source, f"{limit} lines are not enough for one motion", cut_points.begin)
+    first_cuts = cut_points.cuts[cut_points.cuts <= cut_points.first]
+    if not len(first_cuts):
+        raise undivided(source, "its first motion is in a fold or control structure", cut_points.first)
+    cuts = [int(first_cuts[-1])]
+    late = [line for line in cut_points.declarations if line > cuts[0]]
     if late:
         raise undivided(source, "a declaration follows the first motion", late[0])
-    while where.end - found[-1] > room:
-        later = where.cuts[where.cuts > found[-1]]
-        fitting = later[later <= found[-1] + room]
-        cut = int(fitting[-1]) if len(fitting) else int(later[0]) if len(later) else where.end
+    while cut_points.end - cuts[-1] > room:
+        next_cuts = cut_points.cuts[cut_points.cuts > cuts[-1]]
+        fitting = next_cuts[next_cuts <= cuts[-1] + room]
+        cut = int(fitting[-1]) if len(fitting) else int(next_cuts[0]) if len(next_cuts) else cut_points.end
         if not len(fitting):
             message = (
-                f"{base}{len(found)}.src has more than {limit} lines: lines {found[-1]} to "
+                f"{base}{len(cuts)}.src has more than {limit} lines: lines {cuts[-1]} to "
                 f"{cut - 1} are a fold, a control structure, a spline or a TRIGGER, which are not cut."
             )
             issues.append(Issue("warning", "long-file", message))
-        if cut == where.end:
+        if cut == cut_points.end:
             break
-        found.append(cut)
-    return [*found, where.end], issues
+        cuts.append(cut)
+    return [*cuts, cut_points.end], issues

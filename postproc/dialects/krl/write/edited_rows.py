@@ -39,12 +39,12 @@ def edited_rows(trace: Source, edits: Replacements) -> EditedRows:
     shift = begins[:-1] - trace.starts[rows - 1]
     texts: list[str] = []
     if len(rows):
-        moved = edits.with_offsets(lambda at: at + shift[np.searchsorted(rows, trace.line_at_each(at))])
-        text, bounds = moved.applied("".join(pieces)), moved.moved(begins)
+        row_edits = edits.with_offsets(lambda at: at + shift[np.searchsorted(rows, trace.line_at_each(at))])
+        text, bounds = row_edits.applied("".join(pieces)), row_edits.moved(begins)
         texts = [text[start:stop] for start, stop in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True)]
-    changed = [index for index, (new, old) in enumerate(zip(texts, pieces, strict=True)) if new != old]
-    texts = [texts[index] for index in changed]
-    rows = rows[changed]
+    indices = [index for index, (new, old) in enumerate(zip(texts, pieces, strict=True)) if new != old]
+    texts = [texts[index] for index in indices]
+    rows = rows[indices]
     numbers: dict[str, int] = {}
     keys = np.zeros(len(trace.starts), dtype=np.int64)
     keys[rows - 1] = [numbers.setdefault(text, len(numbers) + 1) for text in texts]

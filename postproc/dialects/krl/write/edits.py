@@ -46,24 +46,24 @@ class Replacements(Struct, eq=False):
         for places in distinct(decimals).tolist():
             rows = np.flatnonzero(decimals == places)
             digits = fixed(values[rows], places)
-            used = digits != 0
+            has_digit = digits != 0
             self._starts.append(compact(starts[rows], np.int32))
             self._stops.append(compact(stops[rows], np.int32))
-            self._lengths.append(used.sum(axis=1, dtype=np.int32))
-            self._numbers.append(digits[used])
+            self._lengths.append(has_digit.sum(axis=1, dtype=np.int32))
+            self._numbers.append(digits[has_digit])
 
     def starts(self) -> Ints:
         """Return where pieces begin (n,), in any order."""
         return np.concatenate([*self._starts, np.array([start for start, _, _ in self._single], dtype=np.int64)])
 
-    def with_offsets(self, moved: Callable[[Ints], Ints]) -> Replacements:
+    def with_offsets(self, new_offsets: Callable[[Ints], Ints]) -> Replacements:
         """Return the same replacements in another text.
 
-        :param moved: offsets at which pieces begin (n,) → those in the other text.
+        :param new_offsets: offsets at which pieces begin (n,) → those in the other text.
         """
-        starts = [np.asarray(moved(begin)) for begin in self._starts]
+        starts = [np.asarray(new_offsets(begin)) for begin in self._starts]
         stops = [new + stop - old for new, old, stop in zip(starts, self._starts, self._stops, strict=True)]
-        begins = moved(np.array([start for start, _, _ in self._single], dtype=np.int64)).tolist()
+        begins = new_offsets(np.array([start for start, _, _ in self._single], dtype=np.int64)).tolist()
         single = [(new, new + stop - old, text) for new, (old, stop, text) in zip(begins, self._single, strict=True)]
         return Replacements(starts, stops, self._lengths, self._numbers, single)
 
@@ -72,15 +72,15 @@ class Replacements(Struct, eq=False):
 
     def moved(self, offsets: Ints) -> Ints:
         """Return where offsets (n,) of the text are after all replacements; text inserted there follows them."""
-        starts, grown = [], []
+        starts, growth = [], []
         for begin, stop, length in zip(self._starts, self._stops, self._lengths, strict=True):
             starts.append(begin)
-            grown.append(length - (stop - begin))
+            growth.append(length - (stop - begin))
         starts.append(np.array([start for start, _, _ in self._single], dtype=np.int64))
-        grown.append(np.array([len(piece) - stop + start for start, stop, piece in self._single], dtype=np.int64))
+        growth.append(np.array([len(piece) - stop + start for start, stop, piece in self._single], dtype=np.int64))
         start = np.concatenate(starts)
         order = np.argsort(start, kind="stable")
-        total = np.append(0, np.cumsum(np.concatenate(grown)[order]))
+        total = np.append(0, np.cumsum(np.concatenate(growth)[order]))
         return np.asarray(offsets + total[np.searchsorted(start[order], offsets, side="left")])
 
     def applied(self, text: str) -> str:
@@ -88,7 +88,7 @@ class Replacements(Struct, eq=False):
         if not self:
             return text
         new = "".join(piece for _, _, piece in self._single)
-        ascii_only = text.isascii() and new.isascii()
+        is_ascii = text.isascii() and new.isascii()
         starts = np.concatenate([*self._starts, np.array([start for start, _, _ in self._single], dtype=np.int32)])
         stops = np.concatenate([*self._stops, np.array([stop for _, stop, _ in self._single], dtype=np.int32)])
         length = np.concatenate(
@@ -96,20 +96,20 @@ class Replacements(Struct, eq=False):
         )
         begin = np.cumsum(length, dtype=np.int64) - length
         order = np.lexsort((stops, starts))
-        codes = np.concatenate([*self._numbers, _codes(new, ascii_only)])
+        codes = np.concatenate([*self._numbers, _codes(new, is_ascii)])
         parts, at = [], 0
         for first in range(0, len(order), _PIECES):
-            some = order[first : first + _PIECES]
-            end = int(stops[some[-1]])
-            own = _codes(text[at:end], ascii_only)
-            joined = _joined(own, starts[some] - at, stops[some] - at, codes, begin[some], length[some])
-            parts.append(joined.tobytes().decode("ascii" if ascii_only else "utf-32-le"))
+            rows = order[first : first + _PIECES]
+            end = int(stops[rows[-1]])
+            part_codes = _codes(text[at:end], is_ascii)
+            new_codes = _joined(part_codes, starts[rows] - at, stops[rows] - at, codes, begin[rows], length[rows])
+            parts.append(new_codes.tobytes().decode("ascii" if is_ascii else "utf-32-le"))
             at = end
         return "".join([*parts, text[at:]])
 
 
-def _codes(text: str, ascii_only: bool) -> Codes:
-    if ascii_only:
+def _codes(text: str, is_ascii: bool) -> Codes:
+    if is_ascii:
         return np.frombuffer(text.encode("ascii"), dtype=np.uint8)
     return np.frombuffer(text.encode("utf-32-le"), dtype="<u4")
 
@@ -124,9 +124,9 @@ def _joined(text: Codes, starts: Ints, stops: Ints, pieces: Codes, begin: Ints, 
     total = np.cumsum(count)
     place = np.repeat(first - (total - count), count) + np.arange(total[-1])
     new = np.repeat(np.arange(len(first)) % 2 == 1, count)
-    out = np.empty(len(place), dtype=text.dtype)
-    out[~new], out[new] = text[place[~new]], pieces[place[new]]
-    return out
+    codes = np.empty(len(place), dtype=text.dtype)
+    codes[~new], codes[new] = text[place[~new]], pieces[place[new]]
+    return codes
 
 
 class InsertedLines(Struct, eq=False):
@@ -166,8 +166,10 @@ class InsertedLines(Struct, eq=False):
         at, target = np.array(self._at, dtype=np.int64), np.array(self._target, dtype=np.int64)
         order = np.argsort(at, kind="stable")
         at, target = at[order], target[order]
-        removed = np.sort(np.array(self._removed, dtype=np.int64))
-        out = line + np.searchsorted(at, line, side="right") - np.searchsorted(removed, line)
-        own = np.flatnonzero(target >= 0)
-        out[target[own]] = at[own] + own - np.searchsorted(removed, at[own])
-        return np.asarray(out)
+        removed_lines = np.sort(np.array(self._removed, dtype=np.int64))
+        output_line = line + np.searchsorted(at, line, side="right") - np.searchsorted(removed_lines, line)
+        target_rows = np.flatnonzero(target >= 0)
+        output_line[target[target_rows]] = (
+            at[target_rows] + target_rows - np.searchsorted(removed_lines, at[target_rows])
+        )
+        return np.asarray(output_line)

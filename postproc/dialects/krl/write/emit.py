@@ -55,19 +55,19 @@ _INITIALISATION = (
 _WORDS = Words(";", "WAIT SEC {}", "HALT", lambda joints: axis_motion(joints * DEG_PER_RAD, 5), wait="WAIT SEC 0")
 
 
-def emit(program: Program, targets: Targets, cell: Cell, carried: TargetForces | None = None) -> Written:
+def emit(program: Program, targets: Targets, cell: Cell, comment_forces: TargetForces | None = None) -> Written:
     """Return a program read from G-code as KRL for the cell's controller.
 
     :param program: its motions, frames, events and name.
     :param targets: commanded poses.
     :param cell: start position, approximation, lines for events, controller.
-    :param carried: forces to be written as comments, on the lines of their targets.
+    :param comment_forces: forces to be written as comments, on the lines of their targets.
     :returns: one document, ``NAME.src``, CR LF.
     :raises ProgramError: the name is not one of KRL; a move has no feed, or one that would be printed as 0.
     :raises ValueError: a number is too large to be written.
     """
     check_name(program, "KRL", fault_of, valid)
-    return Emitter(program, targets, cell, carried).written()
+    return Emitter(program, targets, cell, comment_forces).written()
 
 
 class Emitter:
@@ -82,10 +82,10 @@ class Emitter:
         program: Program,
         targets: Targets,
         cell: Cell,
-        carried: TargetForces | None,
+        comment_forces: TargetForces | None,
         starts: Sequence[int] = (),
     ) -> None:
-        self.program, self.targets, self.cell, self.carried = program, targets, cell, carried
+        self.program, self.targets, self.cell, self.carried = program, targets, cell, comment_forces
         self.new = NewProgram(program, targets, cell, _WORDS)
         self.noted = np.zeros(len(targets), dtype=np.bool_)
         self.called: list[int] = []
@@ -97,7 +97,7 @@ class Emitter:
         new.stops |= set(self.starts)
         head = [*self.header(self.program.name), *self.begin()]
         new.events()
-        self.called = [k for k, own in sorted(new.own.items()) if k < count and calls(own)]
+        self.called = [k for k, statements in sorted(new.own.items()) if k < count and calls(statements)]
         changes = set(new.frame_changes())
         for k in sorted(changes.union(self.called)):
             self._set_frames(k)
@@ -108,8 +108,8 @@ class Emitter:
         if self.carried is not None:
             self.noted = force_comments.needed(self.carried, self.targets.kind, constant(-1, count), (), np.nan)
             on_path = np.flatnonzero(self.targets.kind != PTP)
-            again = np.searchsorted(on_path, np.array(self.starts, dtype=on_path.dtype))
-            self.noted[on_path[again[again < len(on_path)]]] = True
+            path_rows = np.searchsorted(on_path, np.array(self.starts, dtype=on_path.dtype))
+            self.noted[on_path[path_rows[path_rows < len(on_path)]]] = True
         text, output_line = new.joined(
             head, lambda kind, rows: without_trailing_zeros(self._lines(kind, rows, distances[rows] > 0.0)), ["END"]
         )
@@ -135,11 +135,11 @@ class Emitter:
     def begin(self) -> list[str]:
         """Return frames, approximation distance and start position."""
         base, tool = self.new.frames(0)
-        given = self.targets.blend[self.targets.blend > 0.0]
+        blend = self.targets.blend[self.targets.blend > 0.0]
         return [
             f"$BASE={_frame(self.program.bases[base])}",
             f"$TOOL={_frame(self.program.tools[tool])}",
-            *([f"$APO.CDIS={number(MM_PER_M * given[0])}"] if len(given) else []),
+            *([f"$APO.CDIS={number(MM_PER_M * blend[0])}"] if len(blend) else []),
             axis_motion(self.cell.start_angles, 5),
         ]
 
@@ -159,37 +159,37 @@ class Emitter:
 
     def _set_distances(self, distances: Array) -> None:
         """Set `$APO.CDIS` anew where it changes."""
-        given = np.flatnonzero(distances > 0.0)
+        blend_rows = np.flatnonzero(distances > 0.0)
         first = self.targets.blend
         current = first[first > 0.0][:1]
-        changed = np.append(current, distances[given])[: len(given)] != distances[given]
-        changed = given[changed | self._again(given)]
-        for k in changed.tolist():
+        change_rows = np.append(current, distances[blend_rows])[: len(blend_rows)] != distances[blend_rows]
+        change_rows = blend_rows[change_rows | self._again(blend_rows)]
+        for k in change_rows.tolist():
             self.new.before[k].append(f"$APO.CDIS={number(MM_PER_M * distances[k])}")
 
     def _set_speeds(self) -> None:
         """Set `$VEL.CP` where it changes."""
         path, speeds = self.new.speeds()
-        changed = np.flatnonzero((np.diff(speeds, prepend=0.0) != 0.0) | self._again(path))
-        for k, speed in zip(path[changed].tolist(), speeds[changed].tolist(), strict=True):
+        change_rows = np.flatnonzero((np.diff(speeds, prepend=0.0) != 0.0) | self._again(path))
+        for k, speed in zip(path[change_rows].tolist(), speeds[change_rows].tolist(), strict=True):
             self.new.before[k].append(f"$VEL.CP={speed / 1e6:.6f}")
 
     def _set_turning(self) -> None:
         """Set `$VEL.ORI1` and `$VEL.ORI2` where the program says how fast the tool turns, else as INITMOV does."""
         path = np.flatnonzero(self.targets.kind != PTP)
         speeds = np.nan_to_num(self.new.turning_speeds()[path])
-        changed = np.flatnonzero((np.diff(speeds, prepend=0.0) != 0.0) | (self._again(path) & speeds.any()))
-        for k, speed in zip(path[changed].tolist(), speeds[changed].tolist(), strict=True):
+        change_rows = np.flatnonzero((np.diff(speeds, prepend=0.0) != 0.0) | (self._again(path) & speeds.any()))
+        for k, speed in zip(path[change_rows].tolist(), speeds[change_rows].tolist(), strict=True):
             for name in ("ORI1", "ORI2"):
                 self.new.before[k].append(f"$VEL.{name}={number(speed) if speed else f'$VEL_MA.{name}'}")
 
-    def _lines(self, kind: int, k: Ints, approximated: Bools) -> bytes:
+    def _lines(self, kind: int, k: Ints, is_blended: Bools) -> bytes:
         """Print the motion lines of targets (k,) of a kind, with all decimals."""
         numbers = self.targets.pose.xyzabc(k)
         end = _aggregate(numbers)
         spline = b"S" if self.cell.gcode.motions == "SLIN" else b""
-        approximated = approximated & (not spline or kind != PTP)
-        tail: list[Part] = [where(b" C_SPL" if spline else b" C_DIS", approximated)]
+        is_blended = is_blended & (not spline or kind != PTP)
+        tail: list[Part] = [where(b" C_SPL" if spline else b" C_DIS", is_blended)]
         if self.carried is not None and self.noted[k].any():
             tail += [where(b" ", self.noted[k]), *force_comments.columns(b";", self.carried, k, self.noted[k])]
         tail.append(b"\r\n")
@@ -203,9 +203,9 @@ class Emitter:
         return lines([spline + b"LIN ", *end, *tail])
 
 
-def calls(own: Sequence[str]) -> bool:
+def calls(statements: Sequence[str]) -> bool:
     """Return whether lines of the cell call a program."""
-    source = Source.of(Document("cell.toml", "\n".join(own)), 0)
+    source = Source.of(Document("cell.toml", "\n".join(statements)), 0)
     return any(isinstance(statement(source, line + 1), CallStatement) for line in range(len(source.starts)))
 
 
@@ -219,8 +219,8 @@ def _aggregate(numbers: Array) -> list[Part]:
 
 def _bits(prefix: bytes, values: Ints) -> list[Part]:
     """Return S or T where they are given."""
-    given = values >= 0
-    return [where(prefix, given), Number.of(np.where(given, values, np.nan), 0)]
+    is_stated = values >= 0
+    return [where(prefix, is_stated), Number.of(np.where(is_stated, values, np.nan), 0)]
 
 
 def _frame(pose: Array) -> str:

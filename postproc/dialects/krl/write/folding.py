@@ -50,12 +50,12 @@ class Folded(Struct, frozen=True):
     issues: tuple[Issue, ...]
 
 
-def folded(course: Course, main: Routine, edited: EditedRows) -> Folded:
+def folded(course: Course, main: Routine, new_rows: EditedRows) -> Folded:
     """Return the files of a program whose trace was corrected.
 
     :param main: its main routine.
     """
-    return _Folder(course, main, edited).folded()
+    return _Folder(course, main, new_rows).folded()
 
 
 class _Piece(NamedTuple):
@@ -97,24 +97,24 @@ class _Folder(Struct, eq=False):
         self.versions[self.main][key] = _Version(self.main.name, body, [*body.places])
         begins = self.edited.begins
         line = np.zeros(len(begins), dtype=np.int64)
-        inside = np.zeros(len(begins), dtype=np.bool_)
+        is_inside = np.zeros(len(begins), dtype=np.bool_)
         documents = []
         for source in dict.fromkeys([self.main.source, *(routine.source for routine in self.versions)]):
             file = _together(self._file(source))
             if source is self.main.source:
                 number, first, last = np.array(file.places, dtype=np.int64).reshape(-1, 3).T
                 count = last - first
-                own = ragged_range(count, first)
-                line[own] = 1 + np.repeat(number - begins[first - 1], count) + begins[own - 1]
-                inside[own] = True
+                rows_of_file = ragged_range(count, first)
+                line[rows_of_file] = 1 + np.repeat(number - begins[first - 1], count) + begins[rows_of_file - 1]
+                is_inside[rows_of_file] = True
             text = self._text(file)
             if source is self.main.source or text != source.text:
                 documents.append(replace(source.document, text=text))
                 self._warn_users(source)
-        for called in self.outside:
-            rows = line[called.body.first : called.body.last]
-            rows[rows == 0] = line[called.line]
-        return Folded(tuple(documents), line, inside, tuple(self.issues))
+        for call in self.outside:
+            rows = line[call.body.first : call.body.last]
+            rows[rows == 0] = line[call.line]
+        return Folded(tuple(documents), line, is_inside, tuple(self.issues))
 
     def _warn_users(self, source: Source) -> None:
         """Warn of other programs that call routines of a file that is changed."""
@@ -176,23 +176,23 @@ class _Folder(Struct, eq=False):
         self._changed(changes, loop.first, loop.last)
         return tuple(changes)
 
-    def _call_key(self, called: Called) -> object:
+    def _call_key(self, call: Called) -> object:
         """Return what changes in a call: the line itself, and the name of the version that is called."""
-        version = self._version(called)
-        name = "" if version.name == called.routine.name else version.name
-        key = self.edited.keys[called.line - 1]
+        version = self._version(call)
+        name = "" if version.name == call.routine.name else version.name
+        key = self.edited.keys[call.line - 1]
         return (key, name) if key or name else ()
 
-    def _version(self, called: Called) -> _Version:
+    def _version(self, call: Called) -> _Version:
         """Return the version of a routine that a call needs."""
-        versions, routine = self.versions[called.routine], called.routine
-        key = self._key(called.body)
+        versions, routine = self.versions[call.routine], call.routine
+        key = self._key(call.body)
         if routine in self.course.pinned and not versions:
             text = line_text(routine.source, routine.first + 1, routine.last - 1)
             versions[()] = _Version(routine.name, _Piece(line_count(text), (text,)))
         if key not in versions:
-            versions[key] = _Version(self._unused(called) if versions else routine.name)
-        self._calls[called] = versions[key]
+            versions[key] = _Version(self._unused(call) if versions else routine.name)
+        self._calls[call] = versions[key]
         return versions[key]
 
     def _counts(self, loop: Repeated) -> list[int]:
@@ -221,33 +221,33 @@ class _Folder(Struct, eq=False):
         begins = self.edited.begins
         return _Piece(int(begins[last - 1] - begins[first - 1]), ((first, last),), ((0, first, last),))
 
-    def _counter(self, loop: Repeated, row: int, before: str) -> _Piece:
-        """Return an assignment to the counter of a FOR; `before` it the blanks of a line."""
-        text = f"{before}{loop.counter}={self.course.count(loop, row)}{_line_end(loop.opener)}"
+    def _counter(self, loop: Repeated, row: int, blanks: str) -> _Piece:
+        """Return an assignment to the counter of a FOR; `blanks` it the blanks of a line."""
+        text = f"{blanks}{loop.counter}={self.course.count(loop, row)}{_line_end(loop.opener)}"
         return _Piece(1, (text,), ((0, row, row + 1),))
 
     def _loop(self, loop: Repeated) -> _Piece:
         """Return a loop with its body corrected where all rounds are alike, else one round behind the other."""
         if not loop.bodies:
             return self._lines(loop.first, loop.last - (loop.step != 0))
-        counted = loop.step != 0
+        has_counter = loop.step != 0
         keys = [self._key(body) for body in loop.bodies]
-        rounds = [self._body(body, body.first + counted) for body in loop.bodies]
+        rounds = [self._body(body, body.first + has_counter) for body in loop.bodies]
         if all(key == keys[0] for key in keys):
             return _together([_of(loop.opener), _joined(rounds), _of(loop.closer)])
         blanks, end = indent(loop.opener), _line_end(loop.opener)
-        out = [_of(f"{blanks}; {loop.opener.strip()} (written out){end}")]
+        pieces = [_of(f"{blanks}; {loop.opener.strip()} (written out){end}")]
         if loop.left:
-            out.append(_of(f"{blanks}LOOP{end}"))
-        for first, beyond in pairwise([*_runs(keys, self._counts(loop), loop.step), len(rounds)]):
-            out += self._run(loop, first, rounds[first:beyond])
+            pieces.append(_of(f"{blanks}LOOP{end}"))
+        for first, stop in pairwise([*_runs(keys, self._counts(loop), loop.step), len(rounds)]):
+            pieces += self._run(loop, first, rounds[first:stop])
         if self._counted_on(loop):
-            out.append(self._counter(loop, loop.bodies[-1].last, blanks))
+            pieces.append(self._counter(loop, loop.bodies[-1].last, blanks))
         else:
-            out.append(self._lines(loop.bodies[-1].last, loop.last))
+            pieces.append(self._lines(loop.bodies[-1].last, loop.last))
         if loop.left:
-            out.append(_of(f"{blanks}EXIT{end}{blanks}ENDLOOP{end}"))
-        return _together(out)
+            pieces.append(_of(f"{blanks}EXIT{end}{blanks}ENDLOOP{end}"))
+        return _together(pieces)
 
     def _run(self, loop: Repeated, first: int, rounds: Sequence[_Piece]) -> Iterator[_Piece]:
         """Yield rounds that are alike: one as it is, several of FOR as a FOR of their own.
@@ -267,37 +267,37 @@ class _Folder(Struct, eq=False):
         yield _joined(rounds)
         yield _of(loop.closer)
 
-    def _call(self, called: Called) -> _Piece:
+    def _call(self, call: Called) -> _Piece:
         """Return the line of a call, with the name of the version that it calls."""
-        body, version = self._body(called.body), self._calls[called]
+        body, version = self._body(call.body), self._calls[call]
         if version.piece is None:
             version.piece = body
         version.places.extend(body.places)
-        line = self._lines(called.line, called.line + 1)
-        if called.routine.source is not self.main.source:
-            self.outside.append(called)
-        if version.name == called.routine.name:
+        line = self._lines(call.line, call.line + 1)
+        if call.routine.source is not self.main.source:
+            self.outside.append(call)
+        if version.name == call.routine.name:
             return line
         text = self._text(line)
-        return line._replace(content=(text[: called.name[0]] + version.name + text[called.name[1] :],))
+        return line._replace(content=(text[: call.name[0]] + version.name + text[call.name[1] :],))
 
     # --- routines ----------------------------------------------------------------------------------------------------
 
-    def _unused(self, called: Called) -> str:
+    def _unused(self, call: Called) -> str:
         """Return a name for a copy of a routine."""
         if self.names is None:
             sources = dict.fromkeys([*self.course.sources, *(routine.source for routine in self.versions)])
             words = {word.upper() for source in sources for word in NAME.findall(source.text)}
             self.names = Names(words | self.course.taken)
-        routine = called.routine
+        routine = call.routine
         head = statement(routine.source, routine.first)
-        spelt = head.name if isinstance(head, Definition) else routine.name
-        name = self.names.unused(spelt)
-        why = "is corrected differently from call to call"
+        spelling = head.name if isinstance(head, Definition) else routine.name
+        name = self.names.unused(spelling)
+        reason = "is corrected differently from call to call"
         if routine in self.course.pinned:
-            why = "is also called where calls are not followed, and stays as it is there"
-        message = f"{spelt}() {why}: this one calls its copy {name}()."
-        line = int(self.course.source.shown(np.array([called.line]))[0])
+            reason = "is also called where calls are not followed, and stays as it is there"
+        message = f"{spelling}() {reason}: this one calls its copy {name}()."
+        line = int(self.course.source.shown(np.array([call.line]))[0])
         self.issues.append(Issue("info", "routine-copied", message, line, subject=name))
         return name
 
@@ -323,12 +323,12 @@ class _Folder(Struct, eq=False):
     def _head(self, routine: Routine, name: str) -> str:
         """Return the line of a DEF with another name; in other files it is GLOBAL, for the program to find it."""
         source, text = routine.source, line_text(routine.source, routine.first)
-        here, begin = statement(source, routine.first), int(source.starts[routine.first - 1])
-        if not isinstance(here, Definition):
+        node, begin = statement(source, routine.first), int(source.starts[routine.first - 1])
+        if not isinstance(node, Definition):
             return text
-        start, at = here.start - begin, here.at - begin
-        public = "" if here.public or source is self.main.source else "GLOBAL "
-        return f"{text[:start]}{public}{text[start:at]}{name}{text[at + len(here.name) :]}"
+        start, at = node.start - begin, node.at - begin
+        public = "" if node.public or source is self.main.source else "GLOBAL "
+        return f"{text[:start]}{public}{text[start:at]}{name}{text[at + len(node.name) :]}"
 
     # --- text --------------------------------------------------------------------------------------------------------
 
@@ -340,9 +340,9 @@ class _Folder(Struct, eq=False):
         """Return the text of rows first … last − 1, which are consecutive lines of a file."""
         source, line = self.course.source.origin(first)
         shift = line - first
-        begin, beyond = np.searchsorted(self.edited.rows, [first, last]).tolist()
+        begin, stop = np.searchsorted(self.edited.rows, [first, last]).tolist()
         texts = []
-        for row, text in zip(self.edited.rows[begin:beyond].tolist(), self.edited.texts[begin:beyond], strict=True):
+        for row, text in zip(self.edited.rows[begin:stop].tolist(), self.edited.texts[begin:stop], strict=True):
             texts += [line_text(source, first + shift, row + shift - 1), text] if row > first else [text]
             first = row + 1
         if first < last:

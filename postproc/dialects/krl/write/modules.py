@@ -57,33 +57,33 @@ _SWITCHING: dict[EventKind, EventKind] = SWITCHED_OFF | {kind: kind for kind in 
 """Kind of an event → the kind that switches off what it switches: equal for all events of one device."""
 _AXES = {"+Z": (2, -1.0), "-Z": (2, 1.0), "+X": (0, -1.0), "-X": (0, 1.0)}
 """Column of a tool frame, and sign, that point from the tip to the spindle."""
-_WHERE = "between two rapid moves, with the tool above everything that the program cuts"
+_END_RULE = "between two rapid moves, with the tool above everything that the program cuts"
 
 
 def in_modules(
-    program: Program, targets: Targets, joints: TargetJoints, cell: Cell, carried: TargetForces | None = None
+    program: Program, targets: Targets, joints: TargetJoints, cell: Cell, comment_forces: TargetForces | None = None
 ) -> Written:
     """Return a program read from G-code as KRL, see `emit`; in modules if it is too large and the cell wants them.
 
     :param joints: joint angles at the targets.
     :raises ProgramError: it cannot be divided so that each module fits.
     """
-    written = emit(program, targets, cell, carried)
-    if not cell.output.divide_into_modules or written.size <= cell.output.program_memory_MB * _MB:
-        return written
-    whole = Emitter(program, targets, cell, carried)
+    output = emit(program, targets, cell, comment_forces)
+    if not cell.output.divide_into_modules or output.size <= cell.output.program_memory_MB * _MB:
+        return output
+    whole = Emitter(program, targets, cell, comment_forces)
     starts = _starts(program, targets, cell, whole, whole.written())
-    emitter = Emitter(program, targets, cell, carried, starts)
+    emitter = Emitter(program, targets, cell, comment_forces, starts)
     return _Divider(emitter, emitter.written(), starts, joints).written()
 
 
-def _ends(written: Written) -> Ints:
+def _ends(output: Written) -> Ints:
     """Return where the lines (n,) of the targets end: offsets of the characters behind them."""
-    content = np.frombuffer(written.documents[0].to_bytes(), dtype=np.uint8)
-    return np.asarray(np.flatnonzero(content == ord("\n"))[written.output_line - 1] + 1)
+    content = np.frombuffer(output.documents[0].to_bytes(), dtype=np.uint8)
+    return np.asarray(np.flatnonzero(content == ord("\n"))[output.output_line - 1] + 1)
 
 
-def _starts(program: Program, targets: Targets, cell: Cell, emitter: Emitter, written: Written) -> list[int]:
+def _starts(program: Program, targets: Targets, cell: Cell, emitter: Emitter, output: Written) -> list[int]:
     """Return the targets before which new modules begin: as few as possible.
 
     :raises ProgramError: what is between two places is too large for one module.
@@ -91,29 +91,29 @@ def _starts(program: Program, targets: Targets, cell: Cell, emitter: Emitter, wr
     motion = _places(program, cell)
     place = np.searchsorted(targets.motion, motion.astype(targets.motion.dtype), side="right")
     motion, place = motion[(place > 0) & (place < len(targets))], place[(place > 0) & (place < len(targets))]
-    ends = _ends(written)
-    after = np.append(ends[place - 1], written.size)
+    ends = _ends(output)
+    end_offset = np.append(ends[place - 1], output.size)
     lines = [line for kind in _SWITCHING for line in getattr(cell.gcode, kind) or ()]
     head = sum(len(line) + 2 for line in emitter.header(program.name))
-    most = cell.output.program_memory_MB * _MB - head - _RESERVE - 2 * sum(map(len, lines))
+    capacity = cell.output.program_memory_MB * _MB - head - _RESERVE - 2 * sum(map(len, lines))
     starts: list[int] = []
     begin, index = head, -1
-    while after[-1] - begin > most:
-        last = int(np.searchsorted(after, begin + most, side="right")) - 1
+    while end_offset[-1] - begin > capacity:
+        last = int(np.searchsorted(end_offset, begin + capacity, side="right")) - 1
         if last <= index:
             number_of = program.motions.line
             first = number_of[0] if index < 0 else number_of[motion[index] + 1]
-            until = number_of[motion[index + 1]] if index + 1 < len(motion) else number_of[-1]
-            size = (after[index + 1] - begin + cell.output.program_memory_MB * _MB - most) / _MB
+            last_line = number_of[motion[index + 1]] if index + 1 < len(motion) else number_of[-1]
+            size = (end_offset[index + 1] - begin + cell.output.program_memory_MB * _MB - capacity) / _MB
             raise ProgramError(
-                f"the moves from here to line {until} alone need a module of {size:.2g} MB, more than "
+                f"the moves from here to line {last_line} alone need a module of {size:.2g} MB, more than "
                 f"program_memory_MB = {cell.output.program_memory_MB:g} of [output]: a module may not end in them",
                 file=program.documents[0].name,
                 line=int(first),
-                advice=f"A module ends {_WHERE}. Program a retract there, raise tolerance_mm, or divide the job in the "
-                "CAM system.",
+                advice=f"A module ends {_END_RULE}. Program a retract there, raise tolerance_mm, or divide the job in "
+                "the CAM system.",
             )
-        index, begin = last, int(after[last])
+        index, begin = last, int(end_offset[last])
         starts.append(int(place[last]))
     return starts
 
@@ -126,29 +126,29 @@ def _places(program: Program, cell: Cell) -> Ints:
     """
     m = program.motions
     cartesian = np.isnan(m.joints[:, 0])
-    inside = np.flatnonzero(m.rapid[:-1] & m.rapid[1:] & cartesian[:-1])
-    if not len(inside):
-        return inside
+    candidates = np.flatnonzero(m.rapid[:-1] & m.rapid[1:] & cartesian[:-1])
+    if not len(candidates):
+        return candidates
     base = program.bases[m.base]
     column, sign = _AXES[cell.tool.axis]
     position = np.einsum("nij,nj->ni", base[:, :3, :3], m.target.position) + base[:, :3, 3]
-    up = sign * np.einsum("nij,nj->ni", base[inside, :3, :3], m.target[inside, :3, :3][:, :, column])
+    up = sign * np.einsum("nij,nj->ni", base[candidates, :3, :3], m.target[candidates, :3, :3][:, :, column])
     cuts = np.flatnonzero(~m.rapid)
     arcs = np.flatnonzero(m.kind == CIRC)
     centre = np.einsum("nij,nj->ni", base[arcs, :3, :3], m.centre[arcs]) + base[arcs, :3, 3]
     normal = np.einsum("nij,nj->ni", base[arcs, :3, :3], m.normal[arcs])
     radius = norm(np.cross(m.normal[arcs], m.target.position[arcs] - m.centre[arcs]))
-    height = np.empty(len(inside))
-    axes, which = np.unique(up.round(6), axis=0, return_inverse=True)
+    height = np.empty(len(candidates))
+    axes, axis_row = np.unique(up.round(6), axis=0, return_inverse=True)
     for row, axis in enumerate(axes):
-        own = np.flatnonzero(which.ravel() == row)
+        of_axis = np.flatnonzero(axis_row.ravel() == row)
         on_arcs = centre @ axis + radius * norm(np.cross(normal, axis))
-        most = max((position[cuts] @ axis).max(initial=-np.inf), on_arcs.max(initial=-np.inf))
-        height[own] = position[inside[own]] @ axis - most
-    run = np.cumsum(~m.rapid)[inside]
-    best = np.lexsort((inside, -np.floor(height / _SAME_HEIGHT), run))
+        highest = max((position[cuts] @ axis).max(initial=-np.inf), on_arcs.max(initial=-np.inf))
+        height[of_axis] = position[candidates[of_axis]] @ axis - highest
+    run = np.cumsum(~m.rapid)[candidates]
+    best = np.lexsort((candidates, -np.floor(height / _SAME_HEIGHT), run))
     best = best[np.diff(run[best], prepend=-1) != 0]
-    return np.asarray(np.sort(inside[best[height[best] > _SAME_HEIGHT]]))
+    return np.asarray(np.sort(candidates[best[height[best] > _SAME_HEIGHT]]))
 
 
 class _Switched(Struct, frozen=True):
@@ -182,26 +182,26 @@ class _Divider:
         """Return the program in one piece, and in modules."""
         text, ends = self.whole.documents[0].text, _ends(self.whole)
         head = sum(len(line) + len(LINE_END) for line in self.emitter.header(self.emitter.program.name))
-        documents, lines, before = [], [], 0
-        own = self.whole.output_line
-        for index, (a, b) in enumerate(pairwise((*self.first, len(own)))):
+        documents, lines, line_count = [], [], 0
+        output_line = self.whole.output_line
+        for index, (a, b) in enumerate(pairwise((*self.first, len(output_line)))):
             top = self.emitter.header(self.names[index], self._order(index))
-            skipped = len(self.emitter.header(self.emitter.program.name)) if a == 0 else int(own[a - 1])
+            head_lines = len(self.emitter.header(self.emitter.program.name)) if a == 0 else int(output_line[a - 1])
             top += [] if a == 0 else self._begin(a)
-            body = text[head if a == 0 else ends[a - 1] : ends[b - 1] if b < len(own) else len(text)]
-            bottom = [*self._off(b), "END"] if b < len(own) else []
+            body = text[head if a == 0 else ends[a - 1] : ends[b - 1] if b < len(output_line) else len(text)]
+            bottom = [*self._off(b), "END"] if b < len(output_line) else []
             whole = "".join(line + LINE_END for line in top) + body + "".join(line + LINE_END for line in bottom)
             documents.append(Document(f"{self.names[index]}.src", whole, self.whole.documents[0].encoding))
-            lines.append(own[a:b] - skipped + len(top) + before)
-            before += whole.count("\n")
+            lines.append(output_line[a:b] - head_lines + len(top) + line_count)
+            line_count += whole.count("\n")
         modules = Modules(tuple(documents), self.first, np.concatenate(lines))
         return replace(self.whole, modules=modules, issues=(*self.whole.issues, self._issue(documents)))
 
     def _order(self, index: int) -> str:
         """Return the comment of a module on its place among the others."""
-        before = f", run after {self.names[index - 1]}" if index else ""
-        after = f", next is {self.names[index + 1]}" if index + 1 < len(self.names) else ""
-        return f"module {index + 1} of {len(self.names)}{before}{after}"
+        predecessor = f", run after {self.names[index - 1]}" if index else ""
+        successor = f", next is {self.names[index + 1]}" if index + 1 < len(self.names) else ""
+        return f"module {index + 1} of {len(self.names)}{predecessor}{successor}"
 
     def _issue(self, documents: Sequence[Document]) -> Issue:
         sizes = ", ".join(f"{document.name} ({len(document.text) / _MB:.2g} MB)" for document in documents)
@@ -216,24 +216,24 @@ class _Divider:
     def _begin(self, k: int) -> list[str]:
         """Return the start of a module before a target: system variables, joint angles, and what is switched on."""
         state: dict[str, str] = {}
-        earlier = (line for at in sorted(self.new.before) if at < k for line in self.new.before[at])
-        for line in (*self.emitter.begin(), *earlier):
-            found = _STATE.match(line)
-            if found:
-                state[found[1].upper()] = line
-        lines, own = [*state.values(), axis_motion(self.joints.q[k - 1] * DEG_PER_RAD, 5)], list[str]()
-        for each in self._switched(k):
-            if self._switches(each.event, k):
+        previous_lines = (line for at in sorted(self.new.before) if at < k for line in self.new.before[at])
+        for line in (*self.emitter.begin(), *previous_lines):
+            match = _STATE.match(line)
+            if match:
+                state[match[1].upper()] = line
+        lines, cell_lines = [*state.values(), axis_motion(self.joints.q[k - 1] * DEG_PER_RAD, 5)], list[str]()
+        for switch in self._switched(k):
+            if self._switches(switch.event, k):
                 continue  # the program itself switches it here
-            event = each.event
-            own += each.on
-            lines += [self.new.words.wait, *each.on] if each.on else [f"; {no_lines(event)}"]
+            event = switch.event
+            cell_lines += switch.on
+            lines += [self.new.words.wait, *switch.on] if switch.on else [f"; {no_lines(event)}"]
             lines += [self.new.words.dwell.format(number(dwell.value)) for dwell in self._dwells(event)]
-        return [*lines, *(state.values() if calls(own) else ())]  # a program that is called may have set others
+        return [*lines, *(state.values() if calls(cell_lines) else ())]  # a program that is called may have set others
 
     def _off(self, k: int) -> list[str]:
         """Return the lines that switch off, at the end of a module, what is on before a target."""
-        lines = [line for each in self._switched(k) for line in each.off]
+        lines = [line for switch in self._switched(k) for line in switch.off]
         return [self.new.words.wait, *lines] if lines else []
 
     def _switched(self, k: int) -> Iterator[_Switched]:
@@ -242,31 +242,31 @@ class _Divider:
         :raises ProgramError: the cell has lines to switch it on, and none to switch it off.
         """
         for off_kind in dict.fromkeys(SWITCHED_OFF.values()):
-            own = [
+            switch_events = [
                 e
                 for e, at in zip(self.emitter.program.events, self.event_at, strict=True)
                 if at < k and _SWITCHING.get(e.kind) == off_kind
             ]
-            if not own or own[-1].kind == off_kind:
+            if not switch_events or switch_events[-1].kind == off_kind:
                 continue
-            on, off = self.new.lines_of(own[-1]), self.new.lines_of(Event(0, off_kind, 0))
-            if on and not off:
+            on_lines, off_lines = self.new.lines_of(switch_events[-1]), self.new.lines_of(Event(0, off_kind, 0))
+            if on_lines and not off_lines:
                 raise ProgramError(
                     f"a module would end with the {off_kind.removesuffix('_off')} that this line switches on: the "
                     "cell has no lines to switch it off",
                     file=self.emitter.program.documents[0].name,
-                    line=own[-1].line,
+                    line=switch_events[-1].line,
                     advice=f"Give {off_kind} in [gcode] of the cell.",
                 )
-            yield _Switched(own[-1], on, off if on else [])
+            yield _Switched(switch_events[-1], on_lines, off_lines if on_lines else [])
 
     def _switches(self, event: Event, k: int) -> bool:
         """Return whether the program switches what an event does at a target too."""
         off_kind, events = _SWITCHING[event.kind], zip(self.emitter.program.events, self.event_at, strict=True)
-        return any(at == k and _SWITCHING.get(other.kind) == off_kind for other, at in events)
+        return any(at == k and _SWITCHING.get(program_event.kind) == off_kind for program_event, at in events)
 
     def _dwells(self, event: Event) -> Iterator[Event]:
         """Yield the waits that follow an event at its place: until the spindle has its speed."""
         events, at = self.emitter.program.events, self.event_at
-        index = max(i for i, other in enumerate(events) if other is event)
+        index = max(i for i, program_event in enumerate(events) if program_event is event)
         return (e for i, e in enumerate(events) if i > index and at[i] == at[index] and e.kind == "dwell")

@@ -68,14 +68,14 @@ class NamedPoints(Struct, eq=False):
     def settle(self) -> None:
         """Make the edits for all uses."""
         for uses in self._uses.values():
-            changed = [use for use in uses if use.texts is not None]
+            corrected_uses = [use for use in uses if use.texts is not None]
             aggregate = uses[0].operand.position.aggregate
-            if not changed or aggregate is None:
+            if not corrected_uses or aggregate is None:
                 continue
             if self._alone(uses, aggregate):
-                self._correct(changed[0], aggregate)
+                self._correct(corrected_uses[0], aggregate)
             else:
-                self._separate(changed, aggregate)
+                self._separate(corrected_uses, aggregate)
 
     def _alone(self, uses: list[Use], aggregate: Aggregate) -> bool:
         """Return whether the numbers of a point can be replaced in its declaration: all its uses have one
@@ -83,12 +83,12 @@ class NamedPoints(Struct, eq=False):
         """
         name = uses[0].operand.name
         if name not in self._elsewhere:
-            known = self.layout.understood
-            self._elsewhere[name] = any(offset not in known for offset in self.mentions.get(name, ()))
-        elsewhere = self._elsewhere[name]
-        same = all(use.texts == uses[0].texts and use.operand.name == name for use in uses)
-        shared = elsewhere or name in self.layout.public  # others must find the value that they found before
-        return same and not shared and aggregate.source.index < len(self.sources)
+            offsets = self.layout.understood
+            self._elsewhere[name] = any(offset not in offsets for offset in self.mentions.get(name, ()))
+        has_other_use = self._elsewhere[name]
+        is_same = all(use.texts == uses[0].texts and use.operand.name == name for use in uses)
+        is_shared = has_other_use or name in self.layout.public  # others must find the value that they found before
+        return is_same and not is_shared and aggregate.source.index < len(self.sources)
 
     def _correct(self, use: Use, aggregate: Aggregate) -> None:
         """Replace the numbers of a point in its declaration by the corrected ones."""
@@ -100,16 +100,16 @@ class NamedPoints(Struct, eq=False):
         names: dict[str, str] = {}
         for use in uses:
             text = self.sources[0].text[use.operand.start : use.operand.stop]
-            away = self._away(use)  # there a new point would not be seen
-            if aggregate.source.index != 1 or len(self.sources) < 2 or away or not NAME.fullmatch(text):
+            is_out_of_scope = self._away(use)  # there a new point would not be seen
+            if aggregate.source.index != 1 or len(self.sources) < 2 or is_out_of_scope or not NAME.fullmatch(text):
                 self._replace(use)
                 continue
-            declared = applied(literal_of(aggregate), replaced_numbers(literal_of(aggregate), use.texts or {}))
-            if declared not in names:
-                names[declared] = self._declare(text, declared, aggregate)
-            self.replacements[0].add(use.operand.start, use.operand.stop, names[declared])
+            literal = applied(literal_of(aggregate), replaced_numbers(literal_of(aggregate), use.texts or {}))
+            if literal not in names:
+                names[literal] = self._declare(text, literal, aggregate)
+            self.replacements[0].add(use.operand.start, use.operand.stop, names[literal])
             message = (
-                f"{text} is also used otherwise: this motion uses the new point {names[declared]} of the .dat. "
+                f"{text} is also used otherwise: this motion uses the new point {names[literal]} of the .dat. "
                 "The text of an inline form still names the old point."
             )
             self.issues.append(Issue("info", "new-point", message, use.line))
@@ -123,7 +123,7 @@ class NamedPoints(Struct, eq=False):
         """Declare a new point behind the line of another; return its name."""
         source = aggregate.source
         if self._names is None:
-            self._names = Names({word.upper() for known in self.sources for word in NAME.findall(known.text)})
+            self._names = Names({word.upper() for file in self.sources for word in NAME.findall(file.text)})
         new = self._names.unused(name)
         line = source.line_at(aggregate.start)
         start, stop, following = int(source.starts[line - 1]), int(source.stops[line - 1]), int(source.starts[line])
@@ -162,45 +162,58 @@ def mentions(source: Source, plain_lines: Sequence[int], course: Course) -> Mapp
 
 
 def settled(
-    layout: Layout, motions: Motions, mentions: Mapping[str, Sequence[int]], files: int, alone: Bools
+    layout: Layout, motions: Motions, mentions: Mapping[str, Sequence[int]], files: int, has_one_target: Bools
 ) -> Layout:
     """Return the layout with those elements only whose numbers can be edited in place; the others are statements.
 
     :param mentions: see `mentions`.
     :param files: number of files that are written: the `.src` and its `.dat`.
-    :param alone: (M,) True for motions with one target, all components of which their text has.
+    :param has_one_target: (M,) True for motions with one target, all components of which their text has.
     """
     if not layout.elements:
         return layout
     points = [move.end for move in layout.statements.values()]
     points += [move.via for move in layout.statements.values() if move.via is not None]
-    used = [(one.source.index, one.start) for one in (point.position.aggregate for point in points) if one is not None]
-    for each in layout.elements:
-        used += [(each.source.index, start) for start in each.literal[:, 0].tolist()]
-    times = Counter(used)
-    left, statements, within = [], dict(layout.statements), layout.within.copy()
-    for each in layout.elements:
-        known = all(offset in layout.understood for offset in mentions.get(each.name, ()))
-        own = known and each.name not in layout.public and each.source.index < files and layout.carriage is None
-        once = np.array([times[each.source.index, start] == 1 for start in each.literal[:, 0].tolist()])
-        here = alone[each.row] & once & own
-        left.append(Elements(each.row[here], each.literal[here], each.source, each.name))
-        within[each.row[~here]] = 0
-        for row, literal in zip(each.row[~here].tolist(), each.literal[~here].tolist(), strict=True):
-            statements[row] = _statement(layout, motions, row, each, literal)
-    return replace(layout, statements=dict(sorted(statements.items())), elements=tuple(left), within=within)
+    literal_starts = [
+        (aggregate.source.index, aggregate.start)
+        for aggregate in (point.position.aggregate for point in points)
+        if aggregate is not None
+    ]
+    for elements in layout.elements:
+        literal_starts += [(elements.source.index, start) for start in elements.literal[:, 0].tolist()]
+    times = Counter(literal_starts)
+    left, statements, array_rows = [], dict(layout.statements), layout.within.copy()
+    for elements in layout.elements:
+        is_understood = all(offset in layout.understood for offset in mentions.get(elements.name, ()))
+        is_editable = (
+            is_understood
+            and elements.name not in layout.public
+            and elements.source.index < files
+            and layout.carriage is None
+        )
+        is_single_use = np.array(
+            [times[elements.source.index, start] == 1 for start in elements.literal[:, 0].tolist()]
+        )
+        in_place = has_one_target[elements.row] & is_single_use & is_editable
+        left.append(Elements(elements.row[in_place], elements.literal[in_place], elements.source, elements.name))
+        array_rows[elements.row[~in_place]] = 0
+        for row, literal in zip(elements.row[~in_place].tolist(), elements.literal[~in_place].tolist(), strict=True):
+            statements[row] = _statement(layout, motions, row, elements, literal)
+    return replace(layout, statements=dict(sorted(statements.items())), elements=tuple(left), within=array_rows)
 
 
-def _statement(layout: Layout, motions: Motions, row: int, each: Elements, literal: Sequence[int]) -> MotionStatement:
+def _statement(
+    layout: Layout, motions: Motions, row: int, elements: Elements, literal: Sequence[int]
+) -> MotionStatement:
     start, stop = layout.target[row].tolist()
     begin, end = layout.tail[row].tolist()
     keyword = int(layout.keyword[row])
-    position = from_aggregate(parse_aggregate(each.source, *literal))
+    position = from_aggregate(parse_aggregate(elements.source, *literal))
     return MotionStatement(
         int(layout.line[row]),
         int(motions.kind[row]),
         (keyword, keyword + len(word_at(layout.course.source.text, keyword, start))),
-        Point(position, start, stop, each.name),
+        Point(position, start, stop, elements.name),
         "",
         None,
         None,

@@ -25,54 +25,56 @@ def renamed(documents: Sequence[Document], name: str) -> tuple[Document, ...]:
         return ()
     calls = called(documents[0])
     if not calls:
-        own = PurePath(documents[0].name).stem.lower()
+        stem = PurePath(documents[0].name).stem.lower()
         return tuple(
-            _renamed(document, name) if PurePath(document.name).stem.lower() == own else document
+            _renamed(document, name) if PurePath(document.name).stem.lower() == stem else document
             for document in documents
         )
     old = PurePath(documents[0].name).stem[: -len(MAIN)]
     new = name[: MAX_LENGTH - len(MAIN)]
-    known = {document.name.lower(): document for document in documents}
-    more = beyond(documents[0], lambda name: known.get(name.lower()))
-    parts = [*(call for call, _ in calls), *(PurePath(document.name).stem for document in more)]
+    document_of = {document.name.lower(): document for document in documents}
+    inner_files = beyond(documents[0], lambda name: document_of.get(name.lower()))
+    parts = [*(call for call, _ in calls), *(PurePath(document.name).stem for document in inner_files)]
     stems = {f"{old}{MAIN}": f"{new}{MAIN}"} | {part: f"{new}{part[len(old) :]}" for part in parts}
-    spelt = {one.lower(): other for one, other in stems.items()}
-    family = [document for document in documents if PurePath(document.name).stem.lower() in spelt]
+    new_stems = {old_stem.lower(): new_stem for old_stem, new_stem in stems.items()}
+    family = [document for document in documents if PurePath(document.name).stem.lower() in new_stems]
     public = _public_names(family, old, new)
-    out = []
+    new_documents = []
     for document in documents:
         if document not in family:
-            out.append(document)
+            new_documents.append(document)
             continue
-        text = _with_names(document.text, spelt)
+        text = _with_names(document.text, new_stems)
         if public:
             text = NAME.sub(lambda match: public.get(match[0].upper(), match[0]), text)
-        out.append(_renamed(replace(document, text=text), spelt[PurePath(document.name).stem.lower()]))
-    return tuple(out)
+        new_documents.append(_renamed(replace(document, text=text), new_stems[PurePath(document.name).stem.lower()]))
+    return tuple(new_documents)
 
 
 def _public_names(documents: Sequence[Document], old: str, new: str) -> dict[str, str]:
     """Return new names for GLOBAL ones, upper case, that begin with the name of their program."""
-    found: dict[str, str] = {}
+    new_names: dict[str, str] = {}
     lines = (line for document in documents for line in scan.global_lines(document.text))
     for name in (word for line in lines for word in NAME.findall(line)):
-        if name.upper().startswith(f"{old}_".upper()) and name.upper() not in found:
+        if name.upper().startswith(f"{old}_".upper()) and name.upper() not in new_names:
             fresh = f"{new}{name[len(old) :]}"[:MAX_LENGTH]
-            taken = {other.upper() for other in found.values()}
-            found[name.upper()] = unused(fresh, taken) if fresh.upper() in taken else fresh
-    return found
+            used_names = {new_name.upper() for new_name in new_names.values()}
+            new_names[name.upper()] = unused(fresh, used_names) if fresh.upper() in used_names else fresh
+    return new_names
 
 
 def _with_names(text: str, new: Mapping[str, str]) -> str:
     """Return a text with other names, by the old ones in lower case, where an empty list or nothing follows them."""
-    pieces, done = list[str](), 0
+    pieces, last = list[str](), 0
     for name, start in scan.places(text, new):
-        behind = after_blanks(text, start + len(name), len(text))
-        opened = after_sign(text, behind, len(text), "(")
-        if text[behind : behind + 1] in ("\r", "\n") or (opened >= 0 and after_sign(text, opened, len(text), ")") >= 0):
-            pieces += [text[done:start], new[name.lower()]]
-            done = start + len(name)
-    return "".join([*pieces, text[done:]])
+        next_sign = after_blanks(text, start + len(name), len(text))
+        bracket = after_sign(text, next_sign, len(text), "(")
+        if text[next_sign : next_sign + 1] in ("\r", "\n") or (
+            bracket >= 0 and after_sign(text, bracket, len(text), ")") >= 0
+        ):
+            pieces += [text[last:start], new[name.lower()]]
+            last = start + len(name)
+    return "".join([*pieces, text[last:]])
 
 
 def _renamed(document: Document, name: str) -> Document:
@@ -89,7 +91,7 @@ def own_copies(
     unchanged: Sequence[bytes],
     stems: Sequence[str],
     program: str,
-    taken: Collection[str],
+    other_names: Collection[str],
 ) -> tuple[tuple[Document, ...], dict[str, str]] | None:
     """Return the files of a program with other names for some of its subprograms, and for those that call them.
 
@@ -99,14 +101,14 @@ def own_copies(
     :param unchanged: contents of files that are written with them and must stay as they are.
     :param stems: names of the files to be renamed, without extension.
     :param program: name of the program, which becomes a part of the new names.
-    :param taken: names of other files, without extension, lower case.
+    :param other_names: names of other files, without extension, lower case.
     :returns: the files, and new file name → old file name. None where a name is used in another way (in a string, as a
         variable), where an unchanged file uses it, or where a file declares something GLOBAL: the controller would know
         that twice.
     """
     main = PurePath(documents[0].name).stem.upper()
     old = {stem.upper() for stem in stems}
-    own = {PurePath(document.name).stem.upper() for document in documents}
+    own_stems = {PurePath(document.name).stem.upper() for document in documents}
     while True:  # what calls a copy is another one too
         calling = {
             PurePath(document.name).stem.upper()
@@ -118,22 +120,22 @@ def own_copies(
         old |= calling - {main}
     if (
         main in old
-        or not old <= own
+        or not old <= own_stems
         or any(not old.isdisjoint(scan.names(text.decode("latin-1"))) for text in unchanged)
     ):
         return None
-    used = {name.upper() for name in taken} | own
-    used |= {name for document in documents for name in scan.names(document.text)}
+    used_names = {name.upper() for name in other_names} | own_stems
+    used_names |= {name for document in documents for name in scan.names(document.text)}
     new: dict[str, str] = {}
     for stem in sorted({PurePath(d.name).stem for d in documents if PurePath(d.name).stem.upper() in old}):
         if stem.upper() not in new:
-            wanted = f"{stem}_{program}"
-            fits = wanted.upper() not in used and len(wanted) <= MAX_LENGTH
-            new[stem.upper()] = wanted if fits else unused(wanted, used)
-            used.add(new[stem.upper()].upper())
+            new_name = f"{stem}_{program}"
+            fits = new_name.upper() not in used_names and len(new_name) <= MAX_LENGTH
+            new[stem.upper()] = new_name if fits else unused(new_name, used_names)
+            used_names.add(new[stem.upper()].upper())
     if any(fault_of(name) for name in new.values()):
         return None
-    out: list[Document] = []
+    new_documents: list[Document] = []
     names: dict[str, str] = {}
     for document in documents:
         path = PurePath(document.name)
@@ -143,26 +145,26 @@ def own_copies(
         name = f"{new[path.stem.upper()]}{path.suffix}" if path.stem.upper() in old else document.name
         if name != document.name:
             names[name] = document.name
-        out.append(replace(document, name=name, text=text))
-    return tuple(out), names
+        new_documents.append(replace(document, name=name, text=text))
+    return tuple(new_documents), names
 
 
 def _with_other_routines(text: str, new: Mapping[str, str]) -> str | None:
     """Return a text with other names for routines; None if one of the names is used in another way."""
     pieces: list[str] = []
-    last = behind = 0
-    before = ""
+    last = next_sign = 0
+    last_word = ""
     for word, start in scan.words(text):
         if word[0] == '"' and any(name.upper() in new for name in NAME.findall(word)):
             return None
-        head = before in _HEADS and not text[behind:start].strip(BLANKS)
-        before, behind = word.upper(), start + len(word)
+        head = last_word in _HEADS and not text[next_sign:start].strip(BLANKS)
+        last_word, next_sign = word.upper(), start + len(word)
         name = new.get(word.upper())
         if name is None:
             continue
         path = text[max(0, start - len(_PATH)) : start].upper() == _PATH
-        if not head and not path and after_sign(text, behind, len(text), "(") < 0:
+        if not head and not path and after_sign(text, next_sign, len(text), "(") < 0:
             return None
         pieces += [text[last:start], name]
-        last = behind
+        last = next_sign
     return "".join([*pieces, text[last:]])

@@ -48,16 +48,16 @@ from postproc.errors import Issue, ProgramError, group_issues
 from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, TargetForces, Targets, Written
 
 _STOP = "The robot stops at an inserted target, as it does at the end of this motion, which has no C_DIS: "
-_ROUNDED = f"{_STOP}approximation might round the path there by too much."
+_BLENDED_STOP = f"{_STOP}approximation might round the path there by too much."
 _UNSURE = f"{_STOP}$APO.CDIS is not known there, by which approximation would round the path."
 
 
-def rewrite(program: Program, targets: Targets, carried: TargetForces | None = None) -> Written:
+def rewrite(program: Program, targets: Targets, comment_forces: TargetForces | None = None) -> Written:
     """Return a KRL program with other targets.
 
     :param program: as `read` returned it.
     :param targets: commanded poses; axis targets have no rows.
-    :param carried: forces that its comments must give to the targets; None leaves the comments as they are.
+    :param comment_forces: forces that its comments must give to the targets; None leaves the comments as they are.
     :returns: the documents of the program. Reading them gives the targets, rounded to 0.1 µm and 1e-5°, in order.
     :raises ProgramError: the feed of a motion was lowered, which its text does not allow.
     :raises ValueError: the program was not read from KRL; a number is too large to be written.
@@ -66,14 +66,14 @@ def rewrite(program: Program, targets: Targets, carried: TargetForces | None = N
     if not isinstance(layout, Layout):
         raise ValueError("only a program read from KRL can be rewritten")  # noqa: TRY004
     _check_lowered(program, layout)
-    return _Rewriter(program, layout, targets, carried).written()
+    return _Rewriter(program, layout, targets, comment_forces).written()
 
 
 class _Rewriter:
     """Collects the edits of all documents."""
 
-    def __init__(self, program: Program, layout: Layout, targets: Targets, carried: TargetForces | None) -> None:
-        self.program, self.layout, self.targets, self.carried = program, layout, targets, carried
+    def __init__(self, program: Program, layout: Layout, targets: Targets, comment_forces: TargetForces | None) -> None:
+        self.program, self.layout, self.targets, self.carried = program, layout, targets, comment_forces
         self.documents = layout.documents or program.documents
         stem = PurePath(self.documents[0].name).stem.upper()
         data = [document for document in self.documents[1:] if PurePath(document.name).stem.upper() == stem]
@@ -92,10 +92,12 @@ class _Rewriter:
             return Written(self.documents, self.program.motions.line[self.row], "krl")
         self.commanded = target_numbers(self.program.motions, self.layout, self.targets, self.text)
         moves = self.layout.statements
-        named = self.layout.elements or any(move.end.name or (move.via and move.via.name) for move in moves.values())
-        counts = [np.arange(each.first, each.beyond, each.length) for each in self.layout.course.plain_rounds()]
+        has_names = self.layout.elements or any(
+            move.end.name or (move.via and move.via.name) for move in moves.values()
+        )
+        counts = [np.arange(loop.first, loop.beyond, loop.length) for loop in self.layout.course.plain_rounds()]
         read = np.concatenate([np.delete(self.layout.line, list(moves)), *counts]).tolist()
-        self.mentions = mentions(self.source, read, self.layout.course) if named else {}
+        self.mentions = mentions(self.source, read, self.layout.course) if has_names else {}
         self.layout = settled(self.layout, self.program.motions, self.mentions, len(self.sources), self._alone())
         self.statements = TargetStatements(self.source, self.layout, self.targets, self.commanded)
         special = np.zeros(len(self.program.motions), dtype=np.bool_)
@@ -108,9 +110,9 @@ class _Rewriter:
         self._replace_numbers(np.flatnonzero(plain & ~keep))
         for k in np.flatnonzero(plain & (self._added() | self._bits())).tolist():
             self._complete(int(self.row[k]), k)
-        own = self.commanded.freed | self.commanded.unheeding
-        said = np.diff(self.layout.tail[self.row])[:, 0] > len(" WITH ")
-        for k in np.flatnonzero(last & (own[self.row] | (straight & said))).tolist():
+        own_tail = self.commanded.freed | self.commanded.unheeding
+        has_tail = np.diff(self.layout.tail[self.row])[:, 0] > len(" WITH ")
+        for k in np.flatnonzero(last & (own_tail[self.row] | (straight & has_tail))).tolist():
             start, stop = self.layout.tail[self.row[k]].tolist()
             tail = self.statements.tail(int(self.row[k]), k)
             if tail != self.text[start:stop]:
@@ -134,34 +136,36 @@ class _Rewriter:
             main = self.documents[0]
             files[main.name] = replace(main, text=changes.applied(self.text))
             return tuple(files.values()), line
-        edited = edited_rows(self.source, changes)
-        back = folded(course, course.main, edited)
-        files |= {document.name: document for document in back.documents}
-        shown = [
+        new_rows = edited_rows(self.source, changes)
+        files_of_course = folded(course, course.main, new_rows)
+        files |= {document.name: document for document in files_of_course.documents}
+        issue_lines = [
             (i, None if i.source_line is None else int(course.source.shown(np.array([i.source_line]))[0]))
             for i in self.issues
         ]
-        self.issues = [*(replace(issue, source_line=line) for issue, line in shown), *back.issues]
+        self.issues = [*(replace(issue, source_line=line) for issue, line in issue_lines), *files_of_course.issues]
         origin = self.layout.line[self.row]
-        first = edited.begins[origin - 1] + 1
-        return tuple(files.values()), back.line[origin] + np.where(back.inside[origin], line - first, 0)
+        first = new_rows.begins[origin - 1] + 1
+        return tuple(files.values()), files_of_course.line[origin] + np.where(
+            files_of_course.inside[origin], line - first, 0
+        )
 
     def _alone(self) -> Bools:
         """Return which motions (M,) have one target, for which their text needs no other components."""
         count = np.bincount(self.row, minlength=len(self.program.motions))
-        out = np.asarray(count == 1)
-        out[self.row[self._added() | self._bits()]] = False
-        return out
+        has_one_target = np.asarray(count == 1)
+        has_one_target[self.row[self._added() | self._bits()]] = False
+        return has_one_target
 
     def _added(self) -> Bools:
         """Return which targets get components that their text lacks, or says wrongly, (K,)."""
-        missing = self.commanded.written & self.layout.missing[self.row]
-        return np.asarray(missing.any(axis=1) | (self.targets.keep & self.commanded.written.any(axis=1)))
+        gets_component = self.commanded.written & self.layout.missing[self.row]
+        return np.asarray(gets_component.any(axis=1) | (self.targets.keep & self.commanded.written.any(axis=1)))
 
     def _bits(self) -> Bools:
         """Return which targets may get another S or T, (K,)."""
-        given = (self.targets.status >= 0) | (self.targets.turn >= 0)
-        return np.asarray(given & (self.targets.kind == PTP) & ~self.targets.keep)
+        has_bits = (self.targets.status >= 0) | (self.targets.turn >= 0)
+        return np.asarray(has_bits & (self.targets.kind == PTP) & ~self.targets.keep)
 
     def _replace_numbers(self, k: Ints) -> None:
         """Replace the numbers in plain lines, and of points of arrays, all at once."""
@@ -169,13 +173,13 @@ class _Rewriter:
         for elements in self.layout.elements:
             file[elements.row] = elements.source.index
         for part in chunks(len(k)):
-            some = k[part]
-            spans = self.layout.spans(self.row[some], slice(6)).astype(np.int64)
-            numbers, decimals = self.commanded.numbers[some], self.commanded.decimals[some]
+            targets = k[part]
+            spans = self.layout.spans(self.row[targets], slice(6)).astype(np.int64)
+            numbers, decimals = self.commanded.numbers[targets], self.commanded.decimals[targets]
             for index, replacements in enumerate(self.replacements):
-                there = (spans[:, :, 0] >= 0) & (file[self.row[some]] == index)[:, None]
-                starts, stops = spans[:, :, 0][there], spans[:, :, 1][there]
-                replacements.add_numbers(starts, stops, numbers[there], decimals[there])
+                in_file = (spans[:, :, 0] >= 0) & (file[self.row[targets]] == index)[:, None]
+                starts, stops = spans[:, :, 0][in_file], spans[:, :, 1][in_file]
+                replacements.add_numbers(starts, stops, numbers[in_file], decimals[in_file])
         circles = k[self.targets.kind[k] == CIRC]
         spans = self.layout.via_spans[self.row[circles]].astype(np.int64).reshape(-1, 2)
         decimals = np.tile(DECIMALS[:3], len(circles))
@@ -186,8 +190,10 @@ class _Rewriter:
         literal = self.statements.literal(row)
         if literal is not None:
             texts = self.statements.texts(k, literal)
-            done = () if self.targets.keep[k] else CARTESIAN
-            rest = {name: text for name, text in texts.items() if name not in done or name not in literal.places}
+            replaced_names = () if self.targets.keep[k] else CARTESIAN
+            rest = {
+                name: text for name, text in texts.items() if name not in replaced_names or name not in literal.places
+            }
             for piece in replaced_numbers(literal, rest):
                 self.replacements[0].add(*piece)
 
@@ -207,27 +213,27 @@ class _Rewriter:
         split = k > 0 and bool(self.row[k - 1] == row)
         straight = move.kind == CIRC and bool(self.targets.kind[k] == LIN)
         depends = bool(move.relative) or move.angle is not None
-        moved = bool(move.relative or move.via_incomplete) and bool(self.commanded.moved[row])
-        forced = straight or (split and (depends or move.kind == CIRC)) or moved
-        changed = forced or bool(self.commanded.changed[k])
-        if changed and (move.relative or straight):
+        start_differs = bool(move.relative or move.via_incomplete) and bool(self.commanded.moved[row])
+        needs_copy = straight or (split and (depends or move.kind == CIRC)) or start_differs
+        differs = needs_copy or bool(self.commanded.changed[k])
+        if differs and (move.relative or straight):
             self.replacements[0].add(*self.statements.rewritten(row, k))
             if move.relative:
                 if move.behind is not None:
                     self.replacements[0].add(*move.behind, "")
                 self._report("relative-made-absolute", "A relative target is written as an absolute one.", move.line)
             return
-        if changed and move.angle is not None:
+        if differs and move.angle is not None:
             self.replacements[0].add(move.end.stop, move.tail, "")
             self._report("angle-dropped", "CA is dropped: the end point is written as where the arc ends.", move.line)
         statements = self.statements
         whole = statements.whole(k, move.end)
         self._point(
-            move.line, move.end, statements.end_texts(k, move.end, copy=forced) if changed else None, whole, points
+            move.line, move.end, statements.end_texts(k, move.end, copy=needs_copy) if differs else None, whole, points
         )
         if move.via is not None:
             via = self.commanded.via_texts(k)
-            self._point(move.line, move.via, (via or None) if changed else None, aggregate_text(via), points)
+            self._point(move.line, move.via, (via or None) if differs else None, aggregate_text(via), points)
 
     def _point(
         self, line: int, operand: Point, texts: Mapping[str, str] | None, whole: str, points: NamedPoints
@@ -244,27 +250,27 @@ class _Rewriter:
         """Put inserted targets and force comments on lines of their own; return the line of every target, (K,)."""
         line = self.layout.line[self.row]
         lines = InsertedLines(self.source, self.replacements[0])
-        at, moved = self._around_triggers()
+        at, trigger_texts = self._around_triggers()
         forces = self._forces(line, at)
         free, bound = self._freed()
         slow, fast = self._feeds()
-        own = [*moved, *forces, *free, *bound, *slow, *fast]
-        for k in np.flatnonzero(~self.last | np.isin(np.arange(len(line)), own)).tolist():
-            before = at.get(k, int(line[k]))
+        line_targets = [*trigger_texts, *forces, *free, *bound, *slow, *fast]
+        for k in np.flatnonzero(~self.last | np.isin(np.arange(len(line)), line_targets)).tolist():
+            next_line = at.get(k, int(line[k]))
             if k in slow:
-                lines.add(before, self._indent(k) + slow[k] + self.statements.line_end(int(line[k])))
+                lines.add(next_line, self._indent(k) + slow[k] + self.statements.line_end(int(line[k])))
             if k in free:
-                lines.add(before, self._indent(k) + LED_BY + FREE + self.statements.line_end(int(line[k])))
-            for trigger, text in moved.get(k, ()):
-                lines.move(trigger.line, before, text)
+                lines.add(next_line, self._indent(k) + LED_BY + FREE + self.statements.line_end(int(line[k])))
+            for trigger, text in trigger_texts.get(k, ()):
+                lines.move(trigger.line, next_line, text)
             if k in forces and not self._replaced_comment(k, forces[k]):
-                lines.add(before, forces[k] + self.statements.line_end(int(line[k])))
+                lines.add(next_line, forces[k] + self.statements.line_end(int(line[k])))
             if not self.last[k]:
                 text = self.statements.inserted(int(self.row[k]), k)
-                lines.add(before, text, k)
+                lines.add(next_line, text, k)
                 if not self.layout.passed[self.row[k]] and not is_approximated(text):
-                    why = _ROUNDED if self.layout.distant[self.row[k]] else _UNSURE
-                    self._report("stop-inserted", why, int(line[k]))
+                    reason = _BLENDED_STOP if self.layout.distant[self.row[k]] else _UNSURE
+                    self._report("stop-inserted", reason, int(line[k]))
             if k in bound:
                 kind = ORIENTATIONS[self.layout.orientation[self.row[k]]]
                 lines.behind(int(line[k]), f"{self._indent(k)}{LED_BY}{kind}")
@@ -287,10 +293,10 @@ class _Rewriter:
             return {}, {}
         rows, line = _lowered(self.program), self.layout.line
         follows = np.append(False, (np.diff(rows) == 1) & (np.diff(line[rows]) == 1))  # nothing between them
-        same = follows & (np.diff(motions.feed[rows], prepend=np.nan) == 0.0)
+        same_feed = follows & (np.diff(motions.feed[rows], prepend=np.nan) == 0.0)
         ends = np.append(~follows[1:], True)[: len(rows)]
         begins, last = np.searchsorted(self.row, rows), np.searchsorted(self.row, rows, side="right") - 1
-        slow = zip(begins[~same].tolist(), motions.feed[rows[~same]].tolist(), strict=True)
+        slow = zip(begins[~same_feed].tolist(), motions.feed[rows[~same_feed]].tolist(), strict=True)
         fast = zip(last[ends].tolist(), as_read[rows[ends]].tolist(), strict=True)
         return {k: _FEED.format(number(feed)) for k, feed in slow}, {k: _FEED.format(number(feed)) for k, feed in fast}
 
@@ -303,11 +309,11 @@ class _Rewriter:
         """Return the force comments that targets need beyond those of the program."""
         if self.carried is None:
             return {}
-        seen = (
+        comment_line = (
             line + self.last
         )  # a comment on the line of a motion holds for it, but not for targets inserted before it
-        seen[list(at)] = list(at.values())
-        note = np.searchsorted(self.layout.notes, seen) - 1
+        comment_line[list(at)] = list(at.values())
+        note = np.searchsorted(self.layout.notes, comment_line) - 1
         rows = np.flatnonzero(needed(self.carried, self.targets.kind, note, self.program.notes, 0.0))
         return dict(zip(rows.tolist(), texts(b";", self.carried, rows), strict=True))
 
@@ -323,22 +329,24 @@ class _Rewriter:
     def _around_triggers(self) -> tuple[dict[int, int], dict[int, list[tuple[Trigger, str]]]]:
         """Return the lines before which targets are inserted, and the TRIGGERs that are moved there."""
         at: dict[int, int] = {}
-        moved: dict[int, list[tuple[Trigger, str]]] = {}
+        trigger_texts: dict[int, list[tuple[Trigger, str]]] = {}
         motions = self.program.motions
         for row, group in groupby(self.layout.triggers, attrgetter("row")):
-            first, beyond = np.searchsorted(self.row, [row, row + 1]).tolist()
-            if beyond - first < 2:
+            first, stop = np.searchsorted(self.row, [row, row + 1]).tolist()
+            if stop - first < 2:
                 continue
             places = placed(
-                tuple(group), int(self.layout.line[row]), self.targets.t[first:beyond], float(motions.feed[row])
+                tuple(group), int(self.layout.line[row]), self.targets.t[first:stop], float(motions.feed[row])
             )
-            at |= dict(zip(range(first, beyond), places.at, strict=False))
-            away = {trigger for triggers in places.moved for trigger in triggers}
+            at |= dict(zip(range(first, stop), places.at, strict=False))
+            moved_triggers = {trigger for triggers in places.moved for trigger in triggers}
             for k, triggers in enumerate(places.moved, first):
                 if triggers:
-                    moved[k] = [(trigger, self._moved(trigger, places.paths.get(trigger))) for trigger in triggers]
+                    trigger_texts[k] = [
+                        (trigger, self._moved(trigger, places.paths.get(trigger))) for trigger in triggers
+                    ]
             for trigger, path in places.paths.items():
-                if trigger not in away and trigger.path is not None:
+                if trigger not in moved_triggers and trigger.path is not None:
                     self.replacements[0].add(*trigger.path, path)
             for trigger in places.lost:
                 message = (
@@ -347,7 +355,7 @@ class _Rewriter:
                     "piece of it, or raise tolerance_mm so that no targets are needed."
                 )
                 self.issues.append(Issue("error", "trigger", message, trigger.line))
-        return at, moved
+        return at, trigger_texts
 
     def _moved(self, trigger: Trigger, path: str | None) -> str:
         """Return the line of a TRIGGER, with its end and another PATH if there is one."""

@@ -49,34 +49,38 @@ def with_data(sources: Sequence[Document], data: Document | None) -> Iterator[Do
     source = Source.of(data, 1)
     lines = data_lines(source)
     header = [_line(source, line) for line in range(1, len(source.starts) + 1) if _line(source, line)[0] == "&"]
-    needed = [_needed(lines, document) for document in sources]
-    away = set().union(*needed[1:]) - needed[0] - {one.line for one in lines if one.public}
+    needed_lines = [_needed(lines, document) for document in sources]
+    moved_lines = (
+        set().union(*needed_lines[1:]) - needed_lines[0] - {data_line.line for data_line in lines if data_line.public}
+    )
     for index, document in enumerate(sources):
         yield document
         stem = PurePath(document.name).stem
-        if index == 0 and any(one.names and one.line not in away for one in lines):
+        if index == 0 and any(data_line.names and data_line.line not in moved_lines for data_line in lines):
             whole = range(1, len(source.starts) + 1)
-            text = "".join(_line(source, line) for line in whole if line not in away)
+            text = "".join(_line(source, line) for line in whole if line not in moved_lines)
             yield replace(data, name=f"{stem}.dat", text=with_name(text, stem))
-        own = [one.text for one in lines if one.line in needed[index] and not one.public]
-        if index and own:
-            text = "".join([*header, f"DEFDAT {stem}\r\n", *own, "ENDDAT\r\n"])
+        texts = [
+            data_line.text for data_line in lines if data_line.line in needed_lines[index] and not data_line.public
+        ]
+        if index and texts:
+            text = "".join([*header, f"DEFDAT {stem}\r\n", *texts, "ENDDAT\r\n"])
             yield replace(data, name=f"{stem}.dat", text=text)
 
 
 def _needed(lines: Sequence[DataLine], document: Document) -> set[int]:
     """Return the numbers of the lines whose names a file uses, or that the types and values of such lines need."""
-    declaring: dict[str, list[DataLine]] = {}
-    for one in lines:
-        for name in one.names:
-            declaring.setdefault(name, []).append(one)
-    found: set[int] = set()
-    waiting = {word.upper() for word in NAME.findall(document.text)} & declaring.keys()
+    lines_of_name: dict[str, list[DataLine]] = {}
+    for data_line in lines:
+        for name in data_line.names:
+            lines_of_name.setdefault(name, []).append(data_line)
+    numbers: set[int] = set()
+    waiting = {word.upper() for word in NAME.findall(document.text)} & lines_of_name.keys()
     while waiting:
-        new = [one for one in declaring[waiting.pop()] if one.line not in found]
-        found |= {one.line for one in new}
-        waiting |= {word.upper() for one in new for word in NAME.findall(one.text)} & declaring.keys()
-    return found
+        new = [data_line for data_line in lines_of_name[waiting.pop()] if data_line.line not in numbers]
+        numbers |= {data_line.line for data_line in new}
+        waiting |= {word.upper() for data_line in new for word in NAME.findall(data_line.text)} & lines_of_name.keys()
+    return numbers
 
 
 def _line(source: Source, line: int) -> str:
@@ -93,50 +97,50 @@ _MOST_NAMES = 5
 def in_files(
     name: str,
     documents: Sequence[Document],
-    written: Written,
+    output: Written,
     limit: int,
-    taken: Collection[str] = (),
-    broken_off: str = "",
+    used_names: Collection[str] = (),
+    resume_place: str = "",
 ) -> Written:
     """Return a written program in as many files as it needs, or as it had.
 
     :param name: of the program.
     :param documents: the files that it was read from, if it is KRL that stays as it is; else none.
-    :param written: it as one text.
+    :param output: it as one text.
     :param limit: lines of a file at most; 0: a program that was in one file stays in one.
-    :param taken: names of other programs and GLOBAL routines, upper case.
-    :param broken_off: where RESUME in another file goes back to the program; empty: nowhere.
+    :param used_names: names of other programs and GLOBAL routines, upper case.
+    :param resume_place: where RESUME in another file goes back to the program; empty: nowhere.
     :raises ProgramError: it is too long, and cannot be divided.
     """
-    before = joined(documents) if documents else None
-    if before is not None:
-        return _as_before(documents, written, limit)
+    old_text = joined(documents) if documents else None
+    if old_text is not None:
+        return _as_before(documents, output, limit)
     if not limit or (
-        written.documents[0].text.count("\n") < limit and len(Source.of(written.documents[0], 0).starts) <= limit
+        output.documents[0].text.count("\n") < limit and len(Source.of(output.documents[0], 0).starts) <= limit
     ):
-        return written
-    if broken_off:
-        raise undivided(Source.of(written.documents[0], 0), f"{_RESUME}, in {broken_off}", 1)
-    return _Splitter(name, written, limit, taken).written()
+        return output
+    if resume_place:
+        raise undivided(Source.of(output.documents[0], 0), f"{_RESUME}, in {resume_place}", 1)
+    return _Splitter(name, output, limit, used_names).written()
 
 
-def _as_before(documents: Sequence[Document], written: Written, limit: int) -> Written:
+def _as_before(documents: Sequence[Document], output: Written, limit: int) -> Written:
     """Return a program that was read from several files in these files."""
     whole = joined(documents)
     if whole is None or all(
-        one.text == other.text for one, other in zip(written.documents, whole.documents, strict=True)
+        new_file.text == old_file.text for new_file, old_file in zip(output.documents, whole.documents, strict=True)
     ):
-        return replace(written, documents=tuple(documents))
-    texts = taken_apart(written.documents[0].text)
-    known = {document.name: document for document in documents}
-    sources = [replace(known[file], text=text) for (file, _), text in zip(whole.files, texts, strict=True)]
-    longest = max(sources, key=lambda document: document.text.count("\n"))
-    issues = list(written.issues)
-    if limit and longest.text.count("\n") > limit:
-        message = f"{longest.name} has more than {limit} lines: a program in several files keeps its division."
+        return replace(output, documents=tuple(documents))
+    texts = taken_apart(output.documents[0].text)
+    document_of = {document.name: document for document in documents}
+    sources = [replace(document_of[file], text=text) for (file, _), text in zip(whole.files, texts, strict=True)]
+    longest_file = max(sources, key=lambda document: document.text.count("\n"))
+    issues = list(output.issues)
+    if limit and longest_file.text.count("\n") > limit:
+        message = f"{longest_file.name} has more than {limit} lines: a program in several files keeps its division."
         issues.append(Issue("warning", "long-file", message))
-    files = with_data(sources, written.documents[1] if len(written.documents) > 1 else None)
-    return replace(written, documents=tuple(files), issues=tuple(issues))
+    files = with_data(sources, output.documents[1] if len(output.documents) > 1 else None)
+    return replace(output, documents=tuple(files), issues=tuple(issues))
 
 
 class _File(Struct, frozen=True, eq=False):
@@ -152,37 +156,37 @@ class _File(Struct, frozen=True, eq=False):
 class _Splitter:
     """Divides one program."""
 
-    def __init__(self, name: str, written: Written, limit: int, taken: Collection[str]) -> None:
-        self.whole, self.limit, self.issues = written, limit, list(written.issues)
-        self.source = Source.of(written.documents[0], 0)
+    def __init__(self, name: str, output: Written, limit: int, used_names: Collection[str]) -> None:
+        self.whole, self.limit, self.issues = output, limit, list(output.issues)
+        self.source = Source.of(output.documents[0], 0)
         lines = range(1, len(self.source.starts) + 1)
-        found, faults = routines(self.source, lines, np.zeros(0, dtype=np.int64))
+        routine_of, faults = routines(self.source, lines, np.zeros(0, dtype=np.int64))
         if faults:
             raise together(faults)
-        main = Module(self.source, found).main(PurePath(written.documents[0].name).stem)
+        main = Module(self.source, routine_of).main(PurePath(output.documents[0].name).stem)
         if main is None:
             raise undivided(self.source, "it has no DEF, END or motion", 1)
         self.main = main
-        self.others = [routine for routine in found.values() if routine is not main]
-        used = {word.upper() for word in _code_names(self.source)}
-        self.base = self._base(name, used)
-        self.taken = {*used, *taken, *(f"{self.base}{part}".upper() for part in (MAIN, *lines))}
+        self.others = [routine for routine in routine_of.values() if routine is not main]
+        program_words = {word.upper() for word in _code_names(self.source)}
+        self.base = self._base(name, program_words)
+        self.taken = {*program_words, *used_names, *(f"{self.base}{part}".upper() for part in (MAIN, *lines))}
         starts, stops = self.source.starts, self.source.stops
         self.line_end = self.source.text[int(stops[main.first - 1]) : int(starts[main.first])]
 
     def written(self) -> Written:
         """Return the program in several files, each line of a target counted on from file to file."""
-        for line in chain.from_iterable(one.lines for one in (self.main, *self.others)):
+        for line in chain.from_iterable(routine.lines for routine in (self.main, *self.others)):
             if statement(self.source, line).word == "RESUME":
                 raise undivided(self.source, _RESUME, line)
         files = self._files()
         file_of, number_of = self._lines(files)
         data = self.whole.documents[1] if len(self.whole.documents) > 1 else None
-        source, data, renamed = Sharing(
+        source, data, new_names = Sharing(
             self.base, self.source, data, self.main, self.others, file_of, self.taken
         ).done()
-        if renamed:
-            names = first_of([f"{old} is {new}" for old, new in renamed.items()], _MOST_NAMES)
+        if new_names:
+            names = first_of([f"{old} is {new}" for old, new in new_names.items()], _MOST_NAMES)
             message = f"Routines of its own are GLOBAL, for all its files to see them: {names}."
             self.issues.append(Issue("info", "global-routines", message))
         documents = [self._document(file, source) for file in files]
@@ -196,13 +200,13 @@ class _Splitter:
 
     def _files(self) -> list[_File]:
         """Return the contents of each file, the main program first."""
-        where, blocks = places(self.source, self.main), self._blocks()
+        cut_points, blocks = places(self.source, self.main), self._blocks()
         text, starts = self.source.text, self.source.starts
         first = min(routine.first for routine in (self.main, *self.others))
         last = max(routine.last for routine in (self.main, *self.others))
         header = [range(line, line + 1) for line in range(1, first) if text[starts[line - 1]] == "&"]
-        shared = [range(line, line + 1) for line in where.declarations]
-        cuts, issues = bounds(self.source, self.base, where, self.limit, len(header) + len(shared) + 3)
+        declarations = [range(line, line + 1) for line in cut_points.declarations]
+        cuts, issues = bounds(self.source, self.base, cut_points, self.limit, len(header) + len(declarations) + 3)
         self.issues += issues
         calls = [f"{self.base}{number}( ){self.line_end}" for number in range(1, len(cuts))]
         begin = max((block.stop for block in blocks if block.stop <= self.main.first), default=first)
@@ -210,30 +214,33 @@ class _Splitter:
         tail = range(self.main.last, self.main.last + 1), range(last + 1, len(starts) + 1)
         files = [_File(f"{self.base}{MAIN}", (*head, *calls, *tail))]
         end = f"END{self.line_end}"
-        bodies: list[tuple[str | range, ...]] = [(*shared, range(*pair), end) for pair in pairwise(cuts)]
-        bodies += [(end, *packed) for packed in self._packed(blocks, self.limit - len(header) - 3)]
+        bodies: list[tuple[str | range, ...]] = [(*declarations, range(*pair), end) for pair in pairwise(cuts)]
+        bodies += [(end, *group) for group in self._packed(blocks, self.limit - len(header) - 3)]
         for body in bodies:
             name = f"{self.base}{len(files)}"
-            own = [f"DEF {name}( ){self.line_end}", f";POSTPROC 1 part={len(files)} of={files[0].name}{self.line_end}"]
-            files.append(_File(name, (*header, *own, *body)))
+            head_lines = [
+                f"DEF {name}( ){self.line_end}",
+                f";POSTPROC 1 part={len(files)} of={files[0].name}{self.line_end}",
+            ]
+            files.append(_File(name, (*header, *head_lines, *body)))
         return files
 
     def _blocks(self) -> list[range]:
         """Return the lines of the routines of its own, each with the comments before it."""
-        found, before = [], 0
+        blocks, last_line = [], 0
         for routine in sorted((self.main, *self.others), key=lambda routine: routine.first):
             if routine is not self.main:
-                found.append(range(before + 1 if before else routine.first, routine.last + 1))
-            before = routine.last
-        return found
+                blocks.append(range(last_line + 1 if last_line else routine.first, routine.last + 1))
+            last_line = routine.last
+        return blocks
 
     def _packed(self, blocks: Sequence[range], room: int) -> list[list[range]]:
         """Return blocks of lines in as few files as hold them."""
-        out: list[list[range]] = []
+        groups: list[list[range]] = []
         free = 0
         for block in blocks:
-            if not out or len(block) > free:
-                out.append([])
+            if not groups or len(block) > free:
+                groups.append([])
                 free = room
             if len(block) > room:
                 message = (
@@ -241,9 +248,9 @@ class _Splitter:
                     f"has more than {self.limit} lines. Divide it into several DEF, or raise lines_per_file."
                 )
                 self.issues.append(Issue("warning", "long-file", message))
-            out[-1].append(block)
+            groups[-1].append(block)
             free -= len(block)
-        return out
+        return groups
 
     def _lines(self, files: Sequence[_File]) -> tuple[Ints, Ints]:
         """Return the file of each line (L + 1,), and its number there, counted on from file to file.
@@ -271,13 +278,13 @@ class _Splitter:
         ]
         return replace(self.whole.documents[0], name=f"{file.name}.src", text="".join(pieces))
 
-    def _base(self, name: str, used: Collection[str]) -> str:
+    def _base(self, name: str, used_names: Collection[str]) -> str:
         """Return what the names of the files begin with: valid ones, which the program uses for nothing else."""
         for number in count(1):
             tail = "" if number == 1 else f"_{number}"
             base = name[: MAX_LENGTH - len(MAIN) - len(tail)] + tail
             new = {f"{base}{part}".upper() for part in (MAIN, *range(1, len(self.source.starts) + 1))}
-            if new.isdisjoint(used) and not any(fault_of(f"{base}{part}") for part in (MAIN, 1)):
+            if new.isdisjoint(used_names) and not any(fault_of(f"{base}{part}") for part in (MAIN, 1)):
                 return base
         raise AssertionError("there is always a free name")  # pragma: no cover
 

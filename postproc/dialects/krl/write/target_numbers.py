@@ -50,8 +50,8 @@ class TargetNumbers(Struct, frozen=True, eq=False):
 
     def texts(self, k: int, columns: Iterable[int]) -> dict[str, str]:
         """Return the numbers of a target as printed, by component."""
-        numbers, decimals, least = self.numbers[k].tolist(), self.decimals[k].tolist(), self.least[k].tolist()
-        return {CARTESIAN[c]: printed(numbers[c], decimals[c], least[c]) for c in columns}
+        numbers, decimals, min_decimals = self.numbers[k].tolist(), self.decimals[k].tolist(), self.least[k].tolist()
+        return {CARTESIAN[c]: printed(numbers[c], decimals[c], min_decimals[c]) for c in columns}
 
     def via_texts(self, k: int) -> dict[str, str]:
         """Return X, Y, Z of the auxiliary point of a target as printed; empty if it has none."""
@@ -73,66 +73,66 @@ def target_numbers(motions: Motions, layout: Layout, targets: Targets, text: str
     numbers = np.where(keep[:, None], layout.numbers[row], _rounded(exact, decimals))
 
     first = np.append(True, row[1:] != row[:-1]) if len(row) else last
-    elsewhere = any_column(np.abs(numbers - layout.numbers[row]) > _EQUAL)
-    moved = _behind(row[last], elsewhere[last], layout)
-    turned = any_column(np.abs(numbers - layout.numbers[row])[:, 3:] > _EQUAL)
-    freed = _behind(row[last], turned[last], layout)
-    freed[row[turned | (layout.with_path[row] & ~keep)]] = True
-    chosen = layout.orientation == ORIENTATIONS.index(
+    end_differs = any_column(np.abs(numbers - layout.numbers[row]) > _EQUAL)
+    start_differs = _behind(row[last], end_differs[last], layout)
+    angle_differs = any_column(np.abs(numbers - layout.numbers[row])[:, 3:] > _EQUAL)
+    is_free = _behind(row[last], angle_differs[last], layout)
+    is_free[row[angle_differs | (layout.with_path[row] & ~keep)]] = True
+    ignores_angles = layout.orientation == ORIENTATIONS.index(
         IGNORE
     )  # it must not be chosen where the next motion starts, either
-    freed[:-1] |= chosen[:-1] & freed[1:]
-    freed &= layout.orientation != ORIENTATIONS.index(FREE)
+    is_free[:-1] |= ignores_angles[:-1] & is_free[1:]
+    is_free &= layout.orientation != ORIENTATIONS.index(FREE)
 
-    before = np.concatenate([numbers[:1], numbers[:-1]])
+    previous = np.concatenate([numbers[:1], numbers[:-1]])
     fresh = first & layout.resumed[row]
-    before[fresh] = layout.numbers[row[fresh]]
-    added = layout.missing[row] & (np.abs(numbers - before) > _EQUAL)
+    previous[fresh] = layout.numbers[row[fresh]]
+    gets_component = layout.missing[row] & (np.abs(numbers - previous) > _EQUAL)
     incomplete = layout.ignored | any_column(layout.missing[:, 3:])
-    added[:, 3:] |= (freed & incomplete)[row, None]
-    angles = layout.missing[row, 3:] & ~added[:, 3:]
-    several = any_column(angles) & ~angles.all(axis=1) & (np.abs(before[:, 4]) > LARGEST_B)
-    added[:, 3:] |= angles & several[:, None]
-    written = np.where(keep[:, None], added, ~layout.missing[row] | added)
+    gets_component[:, 3:] |= (is_free & incomplete)[row, None]
+    angles = layout.missing[row, 3:] & ~gets_component[:, 3:]
+    lacks_some = any_column(angles) & ~angles.all(axis=1) & (np.abs(previous[:, 4]) > LARGEST_B)
+    gets_component[:, 3:] |= angles & lacks_some[:, None]
+    is_printed = np.where(keep[:, None], gets_component, ~layout.missing[row] | gets_component)
     return TargetNumbers(
         numbers,
         np.where(keep[:, None], MOST_DECIMALS, decimals).astype(np.int8),
         np.where(keep[:, None], DECIMALS, decimals).astype(np.int8),
-        written,
+        is_printed,
         _rounded(targets.via * MM_PER_M, DECIMALS[:3]),
-        ~keep | any_column(added),
-        moved,
-        freed,
-        _unheeding(layout, moved, targets),
+        ~keep | any_column(gets_component),
+        start_differs,
+        is_free,
+        _unheeding(layout, start_differs, targets),
     )
 
 
-def _unheeding(layout: Layout, moved: Bools, targets: Targets) -> Bools:
+def _unheeding(layout: Layout, start_differs: Bools, targets: Targets) -> Bools:
     """Return which circles (M,) are written as others, in which A, B, C of their auxiliary points must not count."""
-    out = moved.copy()
-    out[targets.motion[~targets.keep]] = True
-    return np.asarray(out & layout.unheeded)
+    is_other_circle = start_differs.copy()
+    is_other_circle[targets.motion[~targets.keep]] = True
+    return np.asarray(is_other_circle & layout.unheeded)
 
 
-def _behind(row: Ints, changed: Bools, layout: Layout) -> Bools:
+def _behind(row: Ints, end_differs: Bools, layout: Layout) -> Bools:
     """Return which motions (M,) begin where one of some motions (n,) ends, of those that changed (n,)."""
-    out = np.zeros(len(layout.line), dtype=np.bool_)
+    start_differs = np.zeros(len(layout.line), dtype=np.bool_)
     follower = row + 1
-    inside = follower < len(out)
-    out[follower[inside]] = changed[inside]
-    return np.asarray(out & ~layout.resumed)
+    has_follower = follower < len(start_differs)
+    start_differs[follower[has_follower]] = end_differs[has_follower]
+    return np.asarray(start_differs & ~layout.resumed)
 
 
-def printed(number: float, decimals: int, least: int) -> str:
-    """Return a number in fixed-point notation; zeros behind `least` decimals are left out.
+def printed(number: float, decimals: int, min_decimals: int) -> str:
+    """Return a number in fixed-point notation; zeros behind `min_decimals` decimals are left out.
 
     >>> printed(12.5, 9, 4), printed(-0.0, 4, 4)
     ('12.5000', '0.0000')
     """
     text = f"{round(number, decimals) + 0.0:.{decimals}f}"
-    if decimals > least:
+    if decimals > min_decimals:
         whole, _, places = text.partition(".")
-        places = places.rstrip("0").ljust(least, "0")
+        places = places.rstrip("0").ljust(min_decimals, "0")
         text = f"{whole}.{places}" if places else whole
     return text
 
@@ -151,12 +151,12 @@ def _nearest(abc: Array, reference: Array) -> Array:
     upright = np.abs(np.abs(abc[:, 1]) - 90.0) < _UPRIGHT
     turn = np.where(upright, reference[:, 0] - abc[:, 0], 0.0)
     abc = np.stack([abc[:, 0] + turn, abc[:, 1], abc[:, 2] + np.sign(abc[:, 1]) * turn], axis=1)
-    other = np.stack([abc[:, 0] + 180.0, 180.0 - abc[:, 1], abc[:, 2] + 180.0], axis=1)
-    one, other = (t + 360.0 * np.rint((reference - t) / 360.0) for t in (abc, other))
-    farther = ((one - reference) ** 2).sum(axis=1) > ((other - reference) ** 2).sum(axis=1) + _EQUAL
-    best = np.where(farther[:, None], other, one)
-    beyond = (np.abs(best) > 180.0) & (np.abs(reference) <= 180.0)
-    return np.where(beyond, best - 360.0 * np.sign(best), best)
+    second = np.stack([abc[:, 0] + 180.0, 180.0 - abc[:, 1], abc[:, 2] + 180.0], axis=1)
+    first, second = (t + 360.0 * np.rint((reference - t) / 360.0) for t in (abc, second))
+    second_is_nearer = ((first - reference) ** 2).sum(axis=1) > ((second - reference) ** 2).sum(axis=1) + _EQUAL
+    best = np.where(second_is_nearer[:, None], second, first)
+    is_outside = (np.abs(best) > 180.0) & (np.abs(reference) <= 180.0)
+    return np.where(is_outside, best - 360.0 * np.sign(best), best)
 
 
 def _decimals(layout: Layout, text: str) -> Ints:
@@ -187,7 +187,7 @@ def _decimals_in(text: str, spans: Offsets) -> Ints:
     return np.where((start >= 0) & (point < stop), exponent - point - 1, 0)
 
 
-def _next(mark: Bools, position: Ints, beyond: int) -> Ints:
-    """Return the first marked offset at or behind each position; `beyond` where there is none."""
-    places = np.append(np.flatnonzero(mark), beyond)
+def _next(mark: Bools, position: Ints, end: int) -> Ints:
+    """Return the first marked offset at or behind each position; `end` where there is none."""
+    places = np.append(np.flatnonzero(mark), end)
     return places[np.searchsorted(places, position)]

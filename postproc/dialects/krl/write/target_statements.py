@@ -75,10 +75,10 @@ def replaced_numbers(literal: Literal, texts: Mapping[str, str]) -> list[Replace
     absent = [name for name in texts if name not in places]
     if absent:
         last = max(stop for name, (_, stop) in places.items() if name in CARTESIAN)
-        inside = literal.text[literal.start : literal.stop]
-        comma = inside.find(",")
-        blank = " " if comma >= 0 and inside[comma + 1] == " " else ""
-        lower = inside.rpartition(":")[2].islower()
+        content = literal.text[literal.start : literal.stop]
+        comma = content.find(",")
+        blank = " " if comma >= 0 and content[comma + 1] == " " else ""
+        lower = content.rpartition(":")[2].islower()
         new = "".join(f",{blank}{name.lower() if lower else name} {texts[name]}" for name in absent)
         pieces.append(Replacement(last, last, new))
     return pieces
@@ -86,11 +86,11 @@ def replaced_numbers(literal: Literal, texts: Mapping[str, str]) -> list[Replace
 
 def applied(literal: Literal, pieces: list[Replacement]) -> str:
     """Return a literal with pieces replaced."""
-    out, start = [], literal.start
+    texts, start = [], literal.start
     for piece in sorted(pieces):
-        out += [literal.text[start : piece.start], piece.text]
+        texts += [literal.text[start : piece.start], piece.text]
         start = piece.stop
-    return "".join([*out, literal.text[start : literal.stop]])
+    return "".join([*texts, literal.text[start : literal.stop]])
 
 
 def aggregate_text(texts: Mapping[str, str]) -> str:
@@ -104,8 +104,8 @@ class TargetStatements:
     Methods take the row of a motion and the row `k` of one of its targets.
     """
 
-    def __init__(self, source: Source, layout: Layout, targets: Targets, commanded: TargetNumbers) -> None:
-        self.source, self.layout, self.targets, self.commanded = source, layout, targets, commanded
+    def __init__(self, source: Source, layout: Layout, targets: Targets, numbers: TargetNumbers) -> None:
+        self.source, self.layout, self.targets, self.commanded = source, layout, targets, numbers
         self.text = source.text
 
     def literal(self, row: int) -> Literal | None:
@@ -136,14 +136,14 @@ class TargetStatements:
         if start < 0:
             return None, None
         places = {
-            name: (one, other) for name, (one, other) in zip("XYZ", self.layout.via_spans[row].tolist(), strict=True)
+            name: (begin, end) for name, (begin, end) in zip("XYZ", self.layout.via_spans[row].tolist(), strict=True)
         }
         return (start, stop), Literal(self.text, start, stop, places)
 
     def texts(self, k: int, literal: Literal, *, copy: bool = False) -> dict[str, str]:
         """Return the numbers to be written into a literal; for a copy of it also those that stay."""
-        needed = self.commanded.written[k]
-        columns = [c for c in range(6) if needed[c] or (copy and CARTESIAN[c] in literal.places)]
+        is_printed = self.commanded.written[k]
+        columns = [c for c in range(6) if is_printed[c] or (copy and CARTESIAN[c] in literal.places)]
         texts = self.commanded.texts(k, columns)
         if self.targets.kind[k] == PTP:
             for name, value in (("S", int(self.targets.status[k])), ("T", int(self.targets.turn[k]))):
@@ -175,15 +175,18 @@ class TargetStatements:
         texts = self.commanded.texts(k, range(6))
         if operand is None:
             return aggregate_text(texts)
-        own = operand.position
+        position = operand.position
         if relative:  # its external axes are steps; those that do not move are kept without a word
             return aggregate_text(texts | self._carriage(k, relative=True))
         if self.targets.kind[k] == PTP:
-            for name, value, before in (("S", self.targets.status, own.status), ("T", self.targets.turn, own.turn)):
-                bits = int(value[k]) if value[k] >= 0 else before
+            for name, value, stated_bits in (
+                ("S", self.targets.status, position.status),
+                ("T", self.targets.turn, position.turn),
+            ):
+                bits = int(value[k]) if value[k] >= 0 else stated_bits
                 if bits >= 0:
                     texts[name] = str(bits)
-        for name, place in zip(EXTERNAL, own.external, strict=False):
+        for name, place in zip(EXTERNAL, position.external, strict=False):
             if not math.isnan(place):
                 texts[name] = printed(place, MOST_DECIMALS, 0)
         return aggregate_text(texts | (self._carriage(k) if "E1" in texts else {}))
@@ -236,8 +239,8 @@ class TargetStatements:
         line = self.source.line_at(keyword)
         statement = self.statement(row, k)
         tail = self.tail(row, k)
-        passed = layout.passed[row] or not layout.distant[row]
-        if self.targets.blend[k] > 0.0 and not passed and not is_approximated(tail):
+        is_passed = layout.passed[row] or not layout.distant[row]
+        if self.targets.blend[k] > 0.0 and not is_passed and not is_approximated(tail):
             tail += " C_SPL" if statement[:1] in "sS" else " C_PTP" if self.targets.kind[k] == PTP else " C_DIS"
         return self.text[self.source.starts[line - 1] : keyword] + statement + tail + self.line_end(line)
 
@@ -247,10 +250,10 @@ class TargetStatements:
         circle = self.via(row)[0] is not None and self.is_spline(row)
         straight = circle and bool(self.targets.kind[k] == LIN)
         unheeding = circle and not straight and bool(self.commanded.unheeding[row])
-        here = statement(self.source, int(self.layout.line[row])) if free or straight or unheeding else None
-        if not isinstance(here, Motion):
+        node = statement(self.source, int(self.layout.line[row])) if free or straight or unheeding else None
+        if not isinstance(node, Motion):
             return self.text[slice(*self.layout.tail[row].tolist())]
-        return tail_text(self.source, here.tail, free=free, straight=straight, unheeding=unheeding)
+        return tail_text(self.source, node.tail, free=free, straight=straight, unheeding=unheeding)
 
     def is_spline(self, row: int) -> bool:
         """Return whether a motion is a spline motion: SLIN, SCIRC, SPL."""
@@ -273,26 +276,26 @@ def tail_text(source: Source, tail: Tail, *, free: bool, straight: bool, unheedi
     :param straight: for a line in place of a circle: without what only circles have.
     :param unheeding: with A, B, C of the auxiliary point ignored.
     """
-    text, given = source.text, [one for one in tail.given if isinstance(one, Assignment)]
-    begin = text[tail.start : given[0].start] if given else " WITH "
-    out: list[str] = []
-    behind = tail.start
-    for one in given:
-        between, behind = text[behind : one.start], one.stop
-        if straight and one.target.name in _OF_CIRCLES:
+    text, assignments = source.text, [assignment for assignment in tail.given if isinstance(assignment, Assignment)]
+    begin = text[tail.start : assignments[0].start] if assignments else " WITH "
+    pieces: list[str] = []
+    last = tail.start
+    for assignment in assignments:
+        separator, last = text[last : assignment.start], assignment.stop
+        if straight and assignment.target.name in _OF_CIRCLES:
             continue
-        value = text[one.value.start : one.stop]
-        if free and one.target.name == "$ORI_TYPE":
+        value = text[assignment.value.start : assignment.stop]
+        if free and assignment.target.name == "$ORI_TYPE":
             value = FREE
-        elif unheeding and one.target.name == "$CIRC_MODE" and one.target.field == _AUXILIARY:
+        elif unheeding and assignment.target.name == "$CIRC_MODE" and assignment.target.field == _AUXILIARY:
             value = "#IGNORE"
-        out += [between if out else begin, text[one.start : one.value.start] + value]
-    names = {(one.target.name, one.target.field) for one in given}
+        pieces += [separator if pieces else begin, text[assignment.start : assignment.value.start] + value]
+    names = {(assignment.target.name, assignment.target.field) for assignment in assignments}
     if free and ("$ORI_TYPE", None) not in names:
-        out[:1] = [begin, _FREE, *([",", begin[len(begin.rstrip()) :]] if out else [])]
+        pieces[:1] = [begin, _FREE, *([",", begin[len(begin.rstrip()) :]] if pieces else [])]
     if unheeding and ("$CIRC_MODE", _AUXILIARY) not in names:
-        out += [", " if out else begin, _UNHEEDED]
-    return "".join(out) + text[tail.behind : tail.stop]
+        pieces += [", " if pieces else begin, _UNHEEDED]
+    return "".join(pieces) + text[tail.behind : tail.stop]
 
 
 def _bits(name: str, value: int, text: str) -> dict[str, str]:
@@ -305,19 +308,19 @@ def _bits(name: str, value: int, text: str) -> dict[str, str]:
 
 def runs(layout: Layout, rows: Ints) -> list[tuple[int, int]]:
     """Return the first and last of consecutive motions (n,), with only comments between."""
-    out: list[tuple[int, int]] = []
+    run_bounds: list[tuple[int, int]] = []
     for row in rows.tolist():
-        if out and out[-1][1] == row - 1 and _adjoin(layout, row):
-            out[-1] = out[-1][0], row
+        if run_bounds and run_bounds[-1][1] == row - 1 and _adjoin(layout, row):
+            run_bounds[-1] = run_bounds[-1][0], row
         else:
-            out.append((row, row))
-    return out
+            run_bounds.append((row, row))
+    return run_bounds
 
 
 def _adjoin(layout: Layout, row: int) -> bool:
     """Return whether a motion follows the one before in the text, in the same round of a loop and the same routine."""
-    source, before, line = layout.course.source, int(layout.line[row - 1]), int(layout.line[row])
-    one, other = source.origin(before), source.origin(line)
-    if one.source is not other.source or other.line - one.line != line - before:
+    source, previous_line, line = layout.course.source, int(layout.line[row - 1]), int(layout.line[row])
+    first, second = source.origin(previous_line), source.origin(line)
+    if first.source is not second.source or second.line - first.line != line - previous_line:
         return False
-    return all(start == stop for start, stop in map(source.code_span, range(before + 1, line)))
+    return all(start == stop for start, stop in map(source.code_span, range(previous_line + 1, line)))

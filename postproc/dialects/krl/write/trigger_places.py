@@ -28,17 +28,17 @@ def piece_of(trigger: Trigger, ends: Array, speed: float) -> tuple[int, float] |
     begin = np.concatenate([[0.0], end[:-1]])
     place = trigger.offset + (0.0 if trigger.from_start else trigger.length)
     first, last = min(place, place + trigger.delay * speed), max(place, place + trigger.delay * speed)
-    behind, before = first > begin - _ROUNDING, last < end + _ROUNDING
-    behind[0] = before[-1] = True  # beyond the ends of the motion the controller does what it did
-    fits = behind & before
+    is_after_begin, is_before_end = first > begin - _ROUNDING, last < end + _ROUNDING
+    is_after_begin[0] = is_before_end[-1] = True  # beyond the ends of the motion the controller does what it did
+    fits = is_after_begin & is_before_end
     if trigger.path is None:
         fits[slice(1, None) if trigger.from_start else slice(-1)] = False
     if not trigger.attached:
         fits[1:] = False
-    found = np.flatnonzero(fits & np.isfinite(place + trigger.delay))
-    if not len(found):
+    pieces = np.flatnonzero(fits & np.isfinite(place + trigger.delay))
+    if not len(pieces):
         return None
-    piece = int(found[0 if trigger.from_start else -1])
+    piece = int(pieces[0 if trigger.from_start else -1])
     return piece, float(place - (begin if trigger.from_start else end)[piece])
 
 
@@ -57,31 +57,31 @@ class Placed(Struct, frozen=True, eq=False):
     lost: list[Trigger]
 
 
-def placed(given: Sequence[Trigger], line: int, ends: Array, speed: float) -> Placed:
+def placed(triggers: Sequence[Trigger], line: int, ends: Array, speed: float) -> Placed:
     """Return where TRIGGERs and inserted targets of one motion go.
 
     A TRIGGER stays on its line wherever the inserted targets can be around it.
 
-    :param given: in order.
+    :param triggers: in order.
     :param line: 1-based line of the motion.
     :param ends: (n,) where the pieces of the motion end, as shares of it.
     :param speed: [m/s].
     """
-    out = Placed([line] * (len(ends) - 1), [[] for _ in ends], {}, [])
+    placement = Placed([line] * (len(ends) - 1), [[] for _ in ends], {}, [])
     earliest = len(ends)
-    for trigger in reversed(given):
-        found = piece_of(trigger, ends, speed)
-        if found is None:
-            out.lost.append(trigger)
+    for trigger in reversed(triggers):
+        piece_and_offset = piece_of(trigger, ends, speed)
+        if piece_and_offset is None:
+            placement.lost.append(trigger)
             continue
-        piece, offset = found
+        piece, offset = piece_and_offset
         if trigger.path is not None and abs(offset - trigger.offset) > _ROUNDING:
-            out.paths[trigger] = f"{round(offset * MM_PER_M, 3) + 0.0:.3f}".rstrip("0").rstrip(".")
+            placement.paths[trigger] = f"{round(offset * MM_PER_M, 3) + 0.0:.3f}".rstrip("0").rstrip(".")
         if piece > earliest:
-            out.moved[piece].insert(0, trigger)
+            placement.moved[piece].insert(0, trigger)
             continue
         earliest = piece
         if trigger.attached:
-            out.at[:piece] = [trigger.line] * piece
-    out.lost.reverse()
-    return out
+            placement.at[:piece] = [trigger.line] * piece
+    placement.lost.reverse()
+    return placement
