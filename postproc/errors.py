@@ -82,14 +82,14 @@ class InputError(PostprocError):
     """A file, a line or a value cannot be used.
 
     The message reads ``file:line: problem. Text: '…'. Advice.``; every part is an attribute too. Further
-    errors of the same input (`others`, see `together`) follow, each on its own line.
+    errors of the same input (`further_errors`, see `together`) follow, each on its own line.
 
     :param problem: description of the error, without a full stop.
     :param file: name of the file as the user knows it.
     :param line: 1-based line in that file.
     :param text: the text found there.
     :param advice: what the user can do.
-    :param others: further errors of the same input, in order of lines.
+    :param further_errors: further errors of the same input, in order of lines.
     """
 
     def __init__(
@@ -100,29 +100,29 @@ class InputError(PostprocError):
         line: int | None = None,
         text: str | None = None,
         advice: str | None = None,
-        others: Sequence[InputError] = (),
+        further_errors: Sequence[InputError] = (),
     ) -> None:
         self.problem, self.file, self.line, self.text, self.advice = problem, file, line, text, advice
-        self.others = tuple(others)
+        self.further_errors = tuple(further_errors)
         place = "" if file is None else f"{file}: " if line is None else f"{file}:{line}: "
         if file is None and line is not None:
             place = f"line {line}: "
         quotation = "" if text is None else f" Text: {text.strip()[:160]!r}."
         first_message = f"{place}{problem}.{quotation}{'' if advice is None else ' ' + advice}"
-        messages = [first_message, *map(str, self.others[: MOST - 1])]
-        if len(self.others) >= MOST:
+        messages = [first_message, *map(str, self.further_errors[: MOST - 1])]
+        if len(self.further_errors) >= MOST:
             messages.append(f"There are more errors: these are the first {MOST}.")
         super().__init__("\n".join(messages))
 
     def with_file(self, name: str, path: str) -> Self:
-        """Return the same error with file `path` where it says `name`, in all `others` too."""
+        """Return the same error with file `path` where it says `name`, in all `further_errors` too."""
         return type(self)(
             self.problem,
             file=path if self.file == name else self.file,
             line=self.line,
             text=self.text,
             advice=self.advice,
-            others=[error.with_file(name, path) for error in self.others],
+            further_errors=[error.with_file(name, path) for error in self.further_errors],
         )
 
 
@@ -130,7 +130,7 @@ AnyInputError = TypeVar("AnyInputError", bound=InputError)
 
 
 def together(errors: Iterable[AnyInputError]) -> AnyInputError:
-    """Return all errors of one input as one: the first in order of lines, with the others as `later_errors`.
+    """Return all errors of one input as one: the first in order of lines, with the others as `further_errors`.
 
     :param errors: at least one, in any order and without others of their own; those of one file follow each other, in
         the order in which files are first named. Of equal ones the first counts.
@@ -144,7 +144,12 @@ def together(errors: Iterable[AnyInputError]) -> AnyInputError:
     if not later_errors:
         return first
     return type(first)(
-        first.problem, file=first.file, line=first.line, text=first.text, advice=first.advice, others=later_errors
+        first.problem,
+        file=first.file,
+        line=first.line,
+        text=first.text,
+        advice=first.advice,
+        further_errors=later_errors,
     )
 
 

@@ -35,7 +35,7 @@ def test_all_unknown_and_missing_keys_are_told_in_one_run(tmp_path: Path) -> Non
     with pytest.raises(CellError) as caught:
         _load(tmp_path, text)
     error = caught.value
-    assert sorted(e.problem for e in (error, *error.others)) == [
+    assert sorted(e.problem for e in (error, *error.further_errors)) == [
         "unknown key 'axes' in [tool]",
         "unknown key 'begin'",
         "unknown key 'tolerence_mm' in [output]",

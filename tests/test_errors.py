@@ -19,7 +19,11 @@ def test_errors_of_a_file_are_told_together_in_order_of_lines() -> None:
 
 def test_errors_of_the_first_file_come_first() -> None:
     error = together([_error(7, "part.src"), _error(3, "part.dat"), _error(5, "part.src")])
-    assert [(e.file, e.line) for e in (error, *error.others)] == [("part.src", 5), ("part.src", 7), ("part.dat", 3)]
+    assert [(e.file, e.line) for e in (error, *error.further_errors)] == [
+        ("part.src", 5),
+        ("part.src", 7),
+        ("part.dat", 3),
+    ]
 
 
 def test_equal_errors_are_printed_once() -> None:
@@ -43,7 +47,7 @@ def test_errors_survive_a_process_pool_and_a_change_of_the_file_name() -> None:
     error = pickle.loads(pickle.dumps(together([_error(3), _error(5), _error(1, "part.dat")])))
     moved = error.with_file("part.nc", "jobs/part.nc")
     assert isinstance(moved, ProgramError)
-    assert [(e.file, e.line) for e in (moved, *moved.others)] == [
+    assert [(e.file, e.line) for e in (moved, *moved.further_errors)] == [
         ("jobs/part.nc", 3),
         ("jobs/part.nc", 5),
         ("part.dat", 1),

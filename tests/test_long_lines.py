@@ -73,7 +73,7 @@ def cell(folder: Path, text: str) -> CellError:
 
 def test_of_many_unknown_keys_the_first_are_named(tmp_path):
     cause = cell(tmp_path, "".join(f"key{k} = 1\n" for k in range(LONG)))
-    assert len([cause, *cause.others]) == MOST + 1
+    assert len([cause, *cause.further_errors]) == MOST + 1
 
 
 @pytest.mark.parametrize("key", ["X1" + ".1" * (LONG // 2), "[" + "a . " * LONG + "b]", '"a".' * 31 + "b"])

@@ -91,7 +91,7 @@ def _compared(made: Generator, text: str) -> str:
         here = error
     assert outcome(text, CELL_HERE, bulk=True) == outcome(text, CELL_HERE, bulk=False), "bulk reading differs"
     if isinstance(here, InputError):
-        errors = [here, *here.others]
+        errors = [here, *here.further_errors]
         missed = refused - {error.line for error in errors}
         assert not missed or len(errors) > MOST, f"not refused: lines {missed}"
     else:

@@ -174,9 +174,9 @@ def test_every_exception_passes_from_one_process_to_another(kind):
 def test_what_an_exception_carries_is_what_was_given():
     again = pickle.loads(pickle.dumps(UnreachableError([3, 5])))
     assert (str(again), again.rows) == (str(UnreachableError([3, 5])), (3, 5))
-    cause = ProgramError("odd word", file="part.nc", line=7, others=[ProgramError("odder", line=9)])
+    cause = ProgramError("odd word", file="part.nc", line=7, further_errors=[ProgramError("odder", line=9)])
     again = pickle.loads(pickle.dumps(cause))
-    assert (str(again), again.line, again.others[0].line) == (str(cause), 7, 9)
+    assert (str(again), again.line, again.further_errors[0].line) == (str(cause), 7, 9)
 
 
 def test_the_command_and_the_module_are_the_same():

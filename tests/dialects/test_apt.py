@@ -591,7 +591,7 @@ def test_what_is_not_understood_is_an_error_at_its_line(text, line, problem):
 def test_all_errors_are_raised_together_and_a_feed_in_inches_needs_units():
     with pytest.raises(ProgramError) as caught:
         read(HEAD + "FEDRAT/0\nGOTO/1,2\nUNKNOWN\n")
-    assert [error.line for error in (caught.value, *caught.value.others)] == [5, 6, 7]
+    assert [error.line for error in (caught.value, *caught.value.further_errors)] == [5, 6, 7]
     with pytest.raises(ProgramError, match="a feed in inches, but no UNITS"):
         read("RAPID\nGOTO/0,0,0\nFEDRAT/10,IPM\nGOTO/0,0,1\n")
 
@@ -681,7 +681,7 @@ def test_an_error_before_the_end_of_an_arc_brings_no_second_one():
     for between, lines in (("UNKNOWN\n", [7]), ("", [7])):  # the end is not on the circle
         with pytest.raises(ProgramError) as caught:
             read(text.format(between))
-        assert [error.line for error in (caught.value, *caught.value.others)] == lines
+        assert [error.line for error in (caught.value, *caught.value.further_errors)] == lines
 
 
 def test_tool_number_zero_is_one_and_a_move_to_where_the_tool_is_is_counted():

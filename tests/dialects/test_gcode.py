@@ -603,7 +603,7 @@ def test_a_cutting_move_too_early_gives_advice() -> None:
 def problems(text: str) -> list[tuple[int | None, str]]:
     with pytest.raises(InputError) as caught:
         read(text)
-    return [(error.line, error.problem) for error in (caught.value, *caught.value.others)]
+    return [(error.line, error.problem) for error in (caught.value, *caught.value.further_errors)]
 
 
 def test_all_errors_of_a_program_are_told_in_order_of_lines() -> None:

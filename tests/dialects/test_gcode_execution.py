@@ -97,14 +97,14 @@ def test_what_is_not_known_is_told_with_its_line(text: str, problem: str) -> Non
 def test_more_than_one_value_is_told_in_one_run() -> None:
     with pytest.raises(ProgramError) as caught:
         read(HEAD + "G1 X#100\nG1 Y#101\nG1 X1\nG1 Z[LN[0]]")
-    assert [error.line for error in (caught.value, *caught.value.others)] == [2, 3, 5]
+    assert [error.line for error in (caught.value, *caught.value.further_errors)] == [2, 3, 5]
 
 
 def test_a_line_of_a_loop_is_told_once() -> None:
     with pytest.raises(ProgramError) as caught:
         read(HEAD + "o1 repeat [5]\nG1 X#100\no1 endrepeat")
     assert caught.value.line == 3
-    assert not caught.value.others
+    assert not caught.value.further_errors
 
 
 def test_moves_of_a_subprogram_have_its_lines() -> None:

@@ -588,7 +588,7 @@ def test_the_cell_says_which_frames_initmov_gives():
 def test_all_errors_of_a_program_are_told_in_order_of_lines():
     with pytest.raises(ProgramError) as caught:
         program("LIN {X 1,,Y 2}", FULL, "FOO BAR BAZ", "XP1={X 1,,Z}", "LIN XP1", "LIN {X}", "FOR I=1 TO 9", FULL, FULL)
-    errors = [caught.value, *caught.value.others]
+    errors = [caught.value, *caught.value.further_errors]
     assert [error.line for error in errors] == [4, 6, 7, 9]
 
 

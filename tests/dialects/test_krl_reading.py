@@ -196,7 +196,7 @@ def test_a_speed_that_is_not_known_is_told_beside_other_faults_also_where_plain_
     assert_read_alike(body("{" + full, full, "$VEL.CP=:0.05", full, "$APO.CDIS=:3", full + " C_DIS"))
     with pytest.raises(ProgramError) as caught:
         read(body("{" + full, full, "$VEL.CP=:0.05", full))
-    assert [error.line for error in (caught.value, *caught.value.others)] == [4, 6]
+    assert [error.line for error in (caught.value, *caught.value.further_errors)] == [4, 6]
 
 
 @pytest.mark.parametrize("line", ["LIN {X 100,Y 20,Z 30,A 10,B 20,C 170} C_DIS", "CIRC {X 9,Y 2,Z 3},{X 20,Y 9,Z 3}"])
@@ -1195,7 +1195,7 @@ def test_what_is_wrong_with_one_bas_is_reported_for_each():
     lines = ("IF $IN[1] THEN", "GOTO A", "ENDIF", "BAS(#NOW)", "BAS(#THEN)", "IF $IN[2] THEN", "GOTO A", "ENDIF", FULL)
     with pytest.raises(ProgramError) as caught:
         read(body(*lines, "A:"), cell=replace(CELL, krl=Krl(initmov="cell", keep_unresolved=True)))
-    assert [error.line for error in (caught.value, *caught.value.others)] == [7, 8]
+    assert [error.line for error in (caught.value, *caught.value.further_errors)] == [7, 8]
 
 
 def test_motions_that_lead_on_from_where_the_robot_stands_are_told_to_go_along():

@@ -186,7 +186,7 @@ def test_feed_forces_where_no_move_has_a_direction_name_the_lines():
     moves = [("PTP", 0, 0, 10), ("LIN", 0, 0, 5), ("LIN", 0, 0, 0)]
     with pytest.raises(ForceError, match=r"part\.nc:2: .*along the spindle") as caught:
         along(program(moves, notes=[(2, (10.0, 0, 0, 0, 0, 0), "FEED")]), 1, 5)
-    assert [error.line for error in caught.value.others] == [3]
+    assert [error.line for error in caught.value.further_errors] == [3]
 
 
 def test_a_feed_force_along_the_spindle_alone_needs_no_travel():
@@ -314,7 +314,7 @@ def test_all_errors_of_a_force_file_are_told_in_order_of_lines(tmp_path):
     with pytest.raises(ForceError) as caught:
         forces.read_force_csv(write(tmp_path, text))
     error = caught.value
-    assert [(e.line, e.problem) for e in (error, *error.others)] == [
+    assert [(e.line, e.problem) for e in (error, *error.further_errors)] == [
         (2, "unknown frame 'WORLD'"),
         (3, "3 values where the header has 5"),
         (4, "column Fx is not a finite number: 'x'"),

@@ -57,7 +57,7 @@ def test_feed_forces_on_splines_name_their_lines(count):
     with pytest.raises(ForceError, match="a piece of a spline") as caught:
         put_on(made, whole(rows, [1.0, 0, 0, 0, 0, 0], FEED))
     assert (caught.value.file, caught.value.line) == ("part.nc", 2)
-    assert [each.line for each in caught.value.others] == [row + 1 for row in rows[1 : MOST + 1]]
+    assert [each.line for each in caught.value.further_errors] == [row + 1 for row in rows[1 : MOST + 1]]
     put_on(made, whole(rows, [1.0, 0, 0, 0, 0, 0], BASE))
     put_on(made, whole(rows, [0.0] * 6, FEED))
 
@@ -114,7 +114,7 @@ def test_as_many_errors_of_a_kind_as_are_shown_and_one_more_are_kept(tmp_path):
     (tmp_path / "f.csv").write_text("line,Fx,Fy,Fz\n" + rows)
     with pytest.raises(ForceError) as caught:
         forces.read(tmp_path / "f.csv")
-    assert [each.line for each in (caught.value, *caught.value.others)] == list(range(2, MOST + 3))
+    assert [each.line for each in (caught.value, *caught.value.further_errors)] == list(range(2, MOST + 3))
 
 
 @pytest.mark.parametrize(

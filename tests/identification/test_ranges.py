@@ -45,7 +45,7 @@ def test_a_cell_out_of_range_is_named_with_its_line_and_column(tmp_path, name):
     (tmp_path / "measurements.csv").write_text("\n".join([header, ",".join(cells.values()), *rest]))
     with pytest.raises(MeasurementError, match=rf"csv:2: column {name} is -1e\+308: expected -\S+ to \d") as caught:
         read(tmp_path / "measurements.csv", read_experiment(tmp_path / "experiment.toml"))
-    assert caught.value.others == ()
+    assert caught.value.further_errors == ()
 
 
 @pytest.mark.parametrize(

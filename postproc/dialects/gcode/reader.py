@@ -84,7 +84,7 @@ def _read(document: Document, cell: Cell, forward: Callable[[Array], Array], nam
     try:
         program = _executed_program(inner, cell, forward, name, bulk=bulk)
     except InputError as cause:
-        if not all(getattr(error, "problem", "").startswith(_DISAGREE) for error in (cause, *cause.others)):
+        if not all(getattr(error, "problem", "").startswith(_DISAGREE) for error in (cause, *cause.further_errors)):
             raise
         try:
             program = _executed_program(inner, cell, forward, name, bulk=bulk, absolute=True)

@@ -64,8 +64,8 @@ class Joined(Struct, frozen=True, eq=False):
         if line is not None and file is not None:
             file, line = self.place(file, line)
         text = None if error.text is None else error.text.lstrip("".join((_DIVIDES, _BEGINS, _UNENDED)))
-        others = [self.located(other) for other in error.others if isinstance(other, ProgramError)]
-        return ProgramError(error.problem, file=file, line=line, text=text, advice=error.advice, others=others)
+        others = [self.located(other) for other in error.further_errors if isinstance(other, ProgramError)]
+        return ProgramError(error.problem, file=file, line=line, text=text, advice=error.advice, further_errors=others)
 
 
 def called(main: Document) -> list[tuple[str, int]]:

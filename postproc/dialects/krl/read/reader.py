@@ -136,7 +136,7 @@ class _Reading(Struct, frozen=True, eq=False):
         except ProgramError as cause:
             if cell.krl.keep_unresolved or isinstance(cause, InexactError | BranchError):
                 raise
-            faults = [cause, *(error for error in cause.others if isinstance(error, ProgramError))]
+            faults = [cause, *(error for error in cause.further_errors if isinstance(error, ProgramError))]
             fault_keys = {(fault.file, fault.line, fault.problem) for fault in faults}
             setting_faults = [
                 fault
@@ -261,7 +261,7 @@ def _apart(cause: ProgramError, library: Library, *, keep: bool) -> frozenset[Ro
         return cause.occasions
     if isinstance(cause, InexactError) and cause.routine is not None:
         return frozenset({cause.routine} if cause.routine.source is not library.program.source else ())
-    files = {error.file for error in (cause, *cause.others)}
+    files = {error.file for error in (cause, *cause.further_errors)}
     return frozenset(
         routine
         for module in library.read()
@@ -272,7 +272,7 @@ def _apart(cause: ProgramError, library: Library, *, keep: bool) -> frozenset[Ro
 
 def _about(cause: ProgramError, culprit: Routine | Occasion) -> ProgramError:
     """Return which of the errors that came together is about a routine."""
-    errors = [error for error in (cause, *cause.others) if isinstance(error, ProgramError)]
+    errors = [error for error in (cause, *cause.further_errors) if isinstance(error, ProgramError)]
     own_errors = [e for e in errors if isinstance(culprit, Routine) and e.file == culprit.source.document.name]
     return own_errors[0] if own_errors else cause
 
