@@ -77,6 +77,7 @@ def answers_of(item: Item) -> dict[str, Any]:
     return {
         "state": state if item.current else "changed",
         "run": _VERDICTS.get(state, state) if item.current else "Changed since: correct it again",
+        "changes": ", ".join(item.changes),
         "kind": _KINDS.get(state, "") if item.current else "warning",
         "headline": content.verdict.headline,
         "reasons": content.verdict.reasons,

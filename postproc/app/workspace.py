@@ -12,6 +12,7 @@ from msgspec import Struct
 
 from postproc.dialects import registry
 from postproc.errors import InputError
+from postproc.jobs.currency import Setup, changes
 from postproc.jobs.runs import reported
 from postproc.report.index import Entry
 
@@ -41,11 +42,19 @@ class Bytes(Protocol):
 
 
 class Item(Struct, frozen=True):
-    """A program of the folder and its results; `current`: they are newer than program, cell and process."""
+    """A program of the folder and its results.
+
+    :param changes: what differs from what the results were made from, see `currency.changes`; empty: they are current.
+    """
 
     name: str
     entry: Entry | None
-    current: bool
+    changes: tuple[str, ...] = ()
+
+    @property
+    def current(self) -> bool:
+        """Return whether the results are those of the present inputs."""
+        return self.entry is not None and not self.changes
 
 
 class Workspace(Struct, frozen=True):
@@ -119,15 +128,14 @@ class Workspace(Struct, frozen=True):
         entries = {entry.name: entry for entry in reported(self.results)} if self.results.is_dir() else {}
         known = set(registry.extensions())
         names = sorted(path.name for path in self.folder.iterdir() if path.suffix.lower() in known and path.is_file())
-        items = []
-        for name in names:
-            entry = entries.get(name)
-            page = None if entry is None else self.results / entry.page
-            written = 0.0 if page is None or not page.is_file() else page.stat().st_mtime
-            inputs = [self.folder / name, self.cell, self.process(name)]
-            changed = max(path.stat().st_mtime for path in inputs if path is not None and path.is_file())
-            items.append(Item(name, entry, written >= changed))
-        return items
+        setup = Setup.of(self.cell)
+        return [Item(name, entries.get(name), self._changes(name, entries.get(name), setup)) for name in names]
+
+    def _changes(self, name: str, entry: Entry | None, setup: Setup) -> tuple[str, ...]:
+        if entry is None:
+            return ()
+        report = self.results / f"{entry.page.removesuffix('.html')}.json"
+        return changes(report, self.folder / name, setup, self.process(name))
 
     def add(self, name: str, content: Bytes, size: int) -> Path:
         """Write a program into the folder: whole, or not at all.

@@ -35,6 +35,7 @@ from postproc.placement.turning import chosen_start
 from postproc.program import Document, Motions, Program
 from postproc.report import Summary
 from postproc.report.record import Record, today
+from postproc.report.summary import Inputs
 from postproc.robot import RobotModel
 from postproc.under_load import RobotInCell
 from postproc.version import VERSION
@@ -138,9 +139,23 @@ def origin_of(
     )
 
 
-def record_of(source: Sequence[Document], path: Path, cell: Cell, forces: Path | None) -> Record:
+def _inputs(origin: provenance.Origin, program: Program, output: Path) -> Inputs:
+    """Return the inputs of a result, as its report in the folder `output` states them."""
+    needed = [Path(file.path) for file in program.needed]
+    return Inputs(
+        program=origin.source,
+        program_files=[inputs.relative_name(Path(file.folder) / file.name, output) for file in program.documents],
+        needed=inputs.sum_of(needed) if needed else "-",
+        needed_files=[inputs.relative_name(path, output) for path in needed],
+        cell=origin.cell,
+        model=origin.model,
+        forces=origin.forces,
+        version=origin.version,
+    )
+
+
+def _record(origin: provenance.Origin, path: Path, cell: Cell) -> Record:
     """Return the record of a program that is converted now; see `origin_of`."""
-    origin = origin_of(source, path, cell, forces, "corrected")
     sums = {"program": origin.source, "cell": origin.cell, "robot model": origin.model, "forces": origin.forces}
     return Record(cell.report.title, cell.report.customer, path.name, sums, today())
 
@@ -398,7 +413,8 @@ def _made(
         for ending, encode in (("ply", ply), ("glb", glb)):
             contents[f"{stem}surface.{ending}"] = encode(surface, cell.tolerance)
     content = report.summary(result, tolerance, cell.part_tolerance, surface)
-    record = record_of(result.program.documents, settings.cell, cell, job.forces)
+    origin = origin_of(result.program.documents, settings.cell, cell, job.forces, "corrected")
+    record = _record(origin, settings.cell, cell)
     contents[f"{stem}report.html"] = report.page(
         result, tolerance, surface, process, cell.part_tolerance, stem, record=record
     )
@@ -409,7 +425,11 @@ def _made(
     documents = result.program.documents
     read = [Path(document.folder) / document.name for document in documents if document.folder]
     motionless_names = [Path(required_file.path).name for required_file in needed_files if not required_file.moves]
-    content = replace(content, copied=[file for file in copies if file in motionless_names] or None)
+    content = replace(
+        content,
+        copied=[file for file in copies if file in motionless_names] or None,
+        inputs=_inputs(origin, result.program, job.output),
+    )
     file_entries: list[files.FileEntry] = []
 
     def rendered(entries: list[files.FileEntry]) -> bytes:

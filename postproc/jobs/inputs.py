@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -52,6 +53,14 @@ def sum_of(paths: list[Path]) -> str:
     :raises OSError: one cannot be read.
     """
     return provenance.digest(path.read_bytes() for path in paths if path.is_file())
+
+
+def relative_name(path: Path, folder: Path) -> str:
+    """Return a path relative to a folder with ``/`` between; absolute where it is on another drive."""
+    try:
+        return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
+    except ValueError:
+        return path.resolve().as_posix()
 
 
 def code_sum() -> str:

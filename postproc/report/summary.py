@@ -115,6 +115,23 @@ class Origin(Struct, frozen=True):
     version: str | None
 
 
+class Inputs(Struct, frozen=True):
+    """What a result was made from: the SHA-256 of its inputs, as in the line of origin of a program, and the version.
+
+    `program_files` are the files of the program in the order of its sum, relative to the folder of the report;
+    `needed_files` others from which it takes values, `needed` their sum. ``"-"``: there is none.
+    """
+
+    program: str
+    program_files: list[str]
+    needed: str
+    needed_files: list[str]
+    cell: str
+    model: str
+    forces: str
+    version: str
+
+
 class Limits(Struct, frozen=True):
     """Margins of the path to the limits of the robot; None where unknown."""
 
@@ -191,6 +208,7 @@ class Summary(Struct, frozen=True, omit_defaults=True, kw_only=True):
     modules: list[ModuleEntry] | None = None  # in place of one program that is larger than the memory
     surface: OnSurface | None = None  # with a mesh of the part
     copied: list[str] | None = None  # files that it needs and that are as they were; nothing is called there that moves
+    inputs: Inputs | None = None  # None of a result in memory
     files: list[FileEntry] | None = None  # written with this report
 
 

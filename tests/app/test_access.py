@@ -8,13 +8,12 @@ import os
 import socket
 from urllib.parse import quote
 
-import msgspec
 import pytest
 
 from postproc.app.workspace import LARGEST_BYTES, Workspace
 from postproc.errors import InputError
-from postproc.report.index import Margin, Reported, ReportedVerdict
 from tests.documentation.pages import ROOT
+from tests.test_currency import made
 
 POCKET = (ROOT / "samples" / "pocket.nc").read_bytes()
 REFUSED = 403
@@ -153,15 +152,22 @@ def test_other_kinds_of_files_are_not_added(window):
         assert ask(window, "POST", f"/add?name={name}", b"x")[0] == 400
 
 
-@pytest.mark.parametrize("changed", ["part.nc", "corrected/cell.toml", "corrected/part.process.toml"])
-def test_results_of_earlier_inputs_are_not_current(window, changed):
-    workspace = window.workspace
-    workspace.results.mkdir()
-    for name in ("part.nc", "corrected/cell.toml", "corrected/part.process.toml", "corrected/part.report.html"):
-        (workspace.folder / name).write_bytes(b"x")
-        os.utime(workspace.folder / name, (1e9, 1e9))
-    content = Reported("part.nc", "convert", 1, None, 1.0, Margin(None), ReportedVerdict("ok", []))
-    (workspace.results / "part.report.json").write_bytes(msgspec.json.encode(content))
-    assert [item.current for item in workspace.items()] == [True]
-    os.utime(workspace.folder / changed, (1e9 + 1, 1e9 + 1))
-    assert [item.current for item in workspace.items()] == [False]
+def test_results_of_earlier_inputs_are_not_current(tmp_path):
+    """Contents count, never dates: an edited file may be older than its result, and a touched one is the same."""
+    workspace = Workspace(made(tmp_path / "shop"))
+    path = workspace.folder / "part.nc"
+
+    def current():
+        return [item.current for item in workspace.items()]
+
+    assert current() == [True]
+    os.utime(path, (4e9, 4e9))
+    assert current() == [True]
+    for name in ("part.nc", "corrected/cell.toml", "corrected/part.process.toml", "model/model.toml"):
+        edited = workspace.folder / name
+        content = edited.read_bytes()
+        edited.write_bytes(content + b"\n")
+        os.utime(edited, (1e9, 1e9))
+        assert current() == [False], name
+        edited.write_bytes(content)
+    assert current() == [True]

@@ -1,0 +1,90 @@
+"""Whether a result is that of the inputs that there are now, by the sums that its report states.
+
+Dates of files say nothing: an edited file may have an old one, and a touched file is the same. What cannot be compared
+is not current.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+from msgspec import Struct
+
+from postproc import cell as cells
+from postproc import provenance
+from postproc.cell import Cell
+from postproc.dialects import registry
+from postproc.errors import PostprocError
+from postproc.files import FileEntry
+from postproc.jobs import inputs
+from postproc.report.summary import Inputs
+from postproc.version import VERSION
+
+UNKNOWN = "what it was made from is unknown"
+_OF_CONTROLLER = (".src", ".dat", ".mod", ".modx")
+
+
+class _Reported(Struct, frozen=True):
+    """What a `report.json` states of inputs and written files."""
+
+    inputs: Inputs
+    files: list[FileEntry]
+
+
+class Setup(Struct, frozen=True):
+    """The cell that results are compared with: its file and content; None: the cell is unusable."""
+
+    path: Path
+    cell: Cell | None
+
+    @classmethod
+    def of(cls, path: Path) -> Setup:
+        """Return the set-up of a cell file, which may be missing or unusable."""
+        try:
+            return cls(path, cells.load(path))
+        except PostprocError:
+            return cls(path, None)
+
+
+def changes(report: Path, program: Path, setup: Setup, forces: Path | None) -> tuple[str, ...]:
+    """Return what differs from what a result was made from, in words such as ``"the cell"``; empty: it is current.
+
+    :param report: the `report.json` of the result.
+    :param forces: file of forces or process that the program has now; None: there is none.
+    """
+    try:
+        stated = msgspec.json.decode(report.read_bytes(), type=_Reported)
+        return tuple(_changes(stated, report.parent, program, setup, forces))
+    except (OSError, ValueError, PostprocError):
+        return (UNKNOWN,)
+
+
+def _changes(stated: _Reported, folder: Path, program: Path, setup: Setup, forces: Path | None) -> Iterator[str]:
+    if stated.inputs.version != VERSION:
+        yield "postproc"
+    sources = [folder / name for name in stated.inputs.program_files]
+    kind = registry.of_file(program)
+    present = {path.resolve() for path in (program, *kind.companions(program))}
+    if not present <= {path.resolve() for path in sources} or _sum_of_all(sources) != stated.inputs.program:
+        yield "the program"
+    if stated.inputs.needed_files:
+        needed = [folder / name for name in stated.inputs.needed_files]
+        if _sum_of_all(needed) != stated.inputs.needed:
+            yield "a file that the program needs"
+    if setup.cell is None or inputs.sum_of(inputs.of_cell(setup.path, setup.cell)) != stated.inputs.cell:
+        yield "the cell"
+    if setup.cell is not None and inputs.sum_of(inputs.of_robot(setup.cell)) != stated.inputs.model:
+        yield "the robot model"
+    if ("-" if forces is None else inputs.sum_of(inputs.of_forces(forces))) != stated.inputs.forces:
+        yield "tools, material, stock or forces"
+    for entry in stated.files:
+        path = folder / entry.name
+        if path.suffix.lower() in _OF_CONTROLLER and provenance.digest([path.read_bytes()]) != entry.sha256:
+            yield f"{entry.name}, edited after it was written,"
+
+
+def _sum_of_all(paths: list[Path]) -> str:
+    """Return the sum of files; empty: one is gone."""
+    return inputs.sum_of(paths) if all(path.is_file() for path in paths) else ""
