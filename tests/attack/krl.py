@@ -33,7 +33,8 @@ from postproc.errors import PostprocError
 from postproc.frames import pose_from_xyzabc, xyzabc_from_pose
 from postproc.program import CIRC, LIN, PTP
 from tests.attack.krl_generator import Generator
-from tests.attack.krl_interpreter import MOST_STEPS, Controller, Invalid
+from tests.attack.krl_interpreter import MOST_STEPS, Controller, Invalid, Unsaid
+from tests.attack.krl_snippets import GIVEN, Snippets
 from tests.attack.krl_states import States
 from tests.dialects.krl_programs import CELL, forward, targets
 from tests.oracle.arm import abc
@@ -51,6 +52,8 @@ HARDER = 50_000_000
 STATES = 25_000_000
 """Of each two pieces of so many seeds behind `MIXED`, in the second programs read what they set, and some of what is
 written is divided into files."""
+SNIPPETS = STATES // 2
+"""In the second half of such a piece programs hold few statements, and at most one value that is not known."""
 _ORDINARY = 10
 """So many ordinary programs to one with motions that stay."""
 _CHECKED = 4, 16
@@ -71,7 +74,7 @@ def cell(folder, *, keep=False):
     """The cell of `krl_programs` with some more frames."""
     return replace(
         CELL,
-        krl=Krl(search=["lib"], initmov="cell", keep_unresolved=keep),
+        krl=Krl(search=["lib"], initmov="cell", keep_unresolved=keep, values=GIVEN),
         base_data={str(n): Frame(*values) for n, values in FRAMES.items()},
         tool_data={str(n): Tool(*values) for n, values in TOOLS.items()},
         folder=str(folder),
@@ -88,12 +91,16 @@ def executed(files, seed, program, main="PART"):
     data = {
         "BASE_DATA": {n: dict(zip("XYZABC", map(float, v), strict=True)) for n, v in {**FRAMES, 0: (0,) * 6}.items()},
         "TOOL_DATA": {n: dict(zip("XYZABC", map(float, v), strict=True)) for n, v in {**TOOLS, 0: (0,) * 6}.items()},
+        **dict.fromkeys(("FDAT_ACT", "LDAT_ACT")),
     }
     base, tool = CELL.base, CELL.tool
     rng = np.random.default_rng(seed)
     before = rng.bit_generator.state
-    controller = Controller(named, rng, abc(base.X, base.Y, base.Z), abc(tool.X, tool.Y, tool.Z), data)
+    frames = abc(base.X, base.Y, base.Z), abc(tool.X, tool.Y, tool.Z)
+    controller = Controller(named, rng, *frames, data, given=GIVEN, side=seed % 2)
     motions = controller.run(main)
+    if controller.differing and program.layout.course.endless:
+        raise Wrong("the rounds of a LOOP without EXIT differ")
     course = program.layout.course
     origins = [(course.source.origin(each.line), each.routine) for each in course.steps if isinstance(each, Enter)]
     followed = {(at.source.document.name, at.line, routine.name.upper()) for at, routine in origins}
@@ -114,7 +121,7 @@ def executed(files, seed, program, main="PART"):
         if 0 < motion.synchronised < controller.synchronised:
             raise Wrong(f"the motion in line {motion.line} is between two SYNCCMD")
         made.append(motion)
-    return made, rng.bit_generator.state != before
+    return made, Unsaid.asked or rng.bit_generator.state != before
 
 
 def compare(program, motions, numbers, joints, kinds, tolerance, lines=None):
@@ -206,8 +213,11 @@ def attempt(seed, folder):
     keep = seed >= KEPT
     harder = seed >= MIXED and seed % MIXED >= HARDER
     states = seed >= MIXED and seed // STATES % 2 == 1
-    kind = States if states else Generator
-    files = kind(rng, more=seed >= MORE, mixed=seed >= MIXED, keep=keep, harder=harder).programs()
+    if states and seed % STATES >= SNIPPETS:
+        files = Snippets(rng, keep=keep).programs()
+    else:
+        kind = States if states else Generator
+        files = kind(rng, more=seed >= MORE, mixed=seed >= MIXED, keep=keep, harder=harder).programs()
     try:
         program = read(files, folder, keep=keep)
     except PostprocError:

@@ -44,13 +44,38 @@ FUNCTIONS = {
     "SQRT": lambda x: float(np.sqrt(abs(x))),
     "SIN": lambda x: float(np.sin(np.radians(x))),
     "COS": lambda x: float(np.cos(np.radians(x))),
+    "TAN": lambda x: float(np.tan(np.radians(x))),
+    "ACOS": lambda x: float(np.degrees(np.arccos(x))) if abs(x) <= 1 else invalid("ACOS"),
     "ATAN2": lambda y, x: float(np.degrees(np.arctan2(y, x))),
+    "SVEL_CP": lambda speed, *_: {"CP": speed},
+    "SAPO": lambda data: {"CDIS": data["APO_DIST"]} if "APO_DIST" in data else {},
     "INV_POS": lambda frame: components(np.linalg.inv(pose(frame))),
 }
 
 
+class Unsaid:
+    """What no source says: two controllers that do it in different ways.
+
+    :ivar side: which of the two, 0 or 1.
+    :ivar asked: True if it mattered.
+    """
+
+    side, asked = 0, False
+
+    @classmethod
+    def choose(cls, first, second):
+        """Return what the present controller does."""
+        cls.asked = True
+        return second if cls.side else first
+
+
 class Invalid(Exception):
     """The program stops: a value is missing, an index is none, there are too many statements."""
+
+
+def invalid(problem):
+    """Stop the program."""
+    raise Invalid(problem)
 
 
 class _Return(Exception):
@@ -59,6 +84,10 @@ class _Return(Exception):
 
 class _Exit(Exception):
     pass
+
+
+class _Stop(Exception):
+    """The end of what is followed of a program that never ends."""
 
 
 class _Goto(Exception):
@@ -128,15 +157,48 @@ class Place:
         for step in self.path[:-1]:
             value = value.setdefault(step, {})
         last = self.path[-1]
-        kind = self.variable.kind if isinstance(last, int) else "REAL" if last in CARTESIAN else members.get(last, "")
+        if isinstance(last, int | tuple):
+            kind = self.variable.kind
+        else:
+            kind = "REAL" if last in CARTESIAN else members.get(last, "")
         value[last] = fitting(kind, new)
 
 
 def whole(value):
     """A number that an expression gives; what becomes of an INT beyond 32 bits is in no source."""
     if isinstance(value, int) and not isinstance(value, bool) and not -(2**31) <= value < 2**31:
-        raise Invalid("an INT is too large")
+        return too_large(value)
     return value
+
+
+def too_large(value):
+    """An INT beyond 32 bits: the program stops, or the INT wraps."""
+    if Unsaid.choose(True, False):
+        raise Invalid("an INT is too large")
+    return (int(value) + 2**31) % 2**32 - 2**31
+
+
+def quotient(value, other):
+    """The quotient of two INTs: the decimal places of a negative one are cut off, or it is rounded down."""
+    exact = value % other == 0 or (value >= 0 and other > 0)
+    return value // other if exact else Unsaid.choose(int(value / other), value // other)
+
+
+def compared(sign, value, other):
+    """Whether two values compare so; REALs that are close may be equal or not for a controller with fewer digits."""
+    holds = {
+        "==": lambda: value == other,
+        "<>": lambda: value != other,
+        "<": lambda: value < other,
+        ">": lambda: value > other,
+        "<=": lambda: value <= other,
+        ">=": lambda: value >= other,
+    }[sign]()
+    if isinstance(value, float) or isinstance(other, float):
+        exact = value == other and float(np.float32(value)) == value
+        if not exact and abs(value - other) <= 1e-6 * max(abs(value), abs(other)):
+            return Unsaid.choose(holds, not holds)
+    return holds
 
 
 def fitting(kind, value):
@@ -144,7 +206,9 @@ def fitting(kind, value):
     if isinstance(value, bool) or not isinstance(value, int | float):
         return value
     if kind == "INT" and not abs(value) < 2**31:
-        raise Invalid("an INT is too large")
+        return too_large(value)
+    if kind == "INT" and abs(value % 1 - 0.5) < 1e-6:
+        return Unsaid.choose(int(np.floor(value + 0.5)), int(np.ceil(value - 0.5)))
     if kind == "INT":
         return int(np.floor(value + 0.5))
     return float(value) if kind == "REAL" else value
@@ -238,13 +302,19 @@ class Controller:
     :param rng: chance.
     :param base, tool: 4×4, in force where BAS(#INITMOV,0) leaves them; `system`: name → value of the controller's data.
     :param choices: what inputs are, where nothing is left to chance.
+    :param given: values of inputs and of variables that are in no file, and of parameters of the program.
+    :param side: how it does what no source says.
+    :ivar differing: whether the rounds of a LOOP without EXIT differ.
     """
 
-    def __init__(self, files, rng, base, tool, system, choices=None):
+    def __init__(self, files, rng, base, tool, system, choices=None, given=None, side=0):
+        self.given, self.differing = given or {}, False
+        Unsaid.side, Unsaid.asked = side, False
         self.rng, self.cell, self.choices, self.force = rng, (base, tool), choices, ""
         self.base, self.tool, self.speed, self.cdis = base, tool, 2.0, 3.0
         self.modes, self.memory = {"$ORI_TYPE": "#VAR", "$CIRC_TYPE": "#BASE", "$IPO_MODE": "#BASE"}, {}
         self.shared = {name: Variable("", copy.deepcopy(value)) for name, value in system.items()}
+        self.shared |= {name: Variable("", value) for name, value in self.given.items() if name[0] != "$"}
         self.modules, self.motions, self.submit, self.structures = {}, [], [], {}
         self.numbers = None
         self.synchronised = 0
@@ -287,7 +357,7 @@ class Controller:
             name, index = reader.take(), None
             if reader.peek() == "[":
                 reader.take()
-                index = None if reader.peek() == "]" else self.sum(reader)
+                index = None if reader.peek() == "]" else self.indices(reader)
                 reader.take("]")
             table = self.shared if public else variables
             variable = table.get(name) or (variables.get(name) or self.shared.get(name) if not kind else None)
@@ -299,7 +369,7 @@ class Controller:
                 self.convert_argument(variable, kind)
             if reader.peek() == "=":
                 reader.take()
-                Place(variable, [] if index is None else [int(index)]).set(self.expression(reader))
+                Place(variable, [] if index is None else [index]).set(self.expression(reader))
             if reader.peek() != ",":
                 return
             reader.take()
@@ -367,8 +437,8 @@ class Controller:
     def run(self, name):
         """Run a program to its end; its motions are in `motions`."""
         routine = self.modules[name].routines[name]
-        self.frames.append((routine, {}))
-        with suppress(_Return):
+        self.frames.append((routine, {name: Variable("", self.given.get(name)) for name, _ in routine.parameters}))
+        with suppress(_Return, _Stop):
             self.block(routine.body)
         return self.motions
 
@@ -470,6 +540,8 @@ class Controller:
                 except _Exit:
                     return
                 self.chance()
+        elif word == "LOOP" and not leaves(parts[0]):
+            self.rounds(parts[0])
         elif word == "LOOP":
             with suppress(_Exit):
                 while True:
@@ -503,6 +575,17 @@ class Controller:
         else:
             raise Invalid(word)
 
+    def rounds(self, body):
+        """Run two rounds of a loop that never ends: the motions of the second must be those of the first."""
+        begin = len(self.motions)
+        self.block(body)
+        first = self.motions[begin:]
+        self.block(body)
+        second = self.motions[begin + len(first) :]
+        del self.motions[begin + len(first) :]
+        self.differing = [shown(motion) for motion in first] != [shown(motion) for motion in second]
+        raise _Stop
+
     def statement(self, word, file, number, line):
         self.here = file, number
         if word in MOTIONS:
@@ -519,13 +602,13 @@ class Controller:
             reader.take(word)
             if reader.take("ON", "OFF") == "ON":
                 self.cyclic.append((self.place(reader), -5.0, 5.0))
-        elif word in ("SIGNAL", "EXT", "WAIT", "HALT", "CONTINUE", "PULSE", "LABEL"):
+        elif word in ("SIGNAL", "EXT", "WAIT", "HALT", "CONTINUE", "PULSE", "LABEL", "CONST_VEL", "STOP"):
             return
         elif word == "SPLINE":
-            self.outside = self.base, self.tool, self.speed
+            self.outside = self.base, self.tool, self.speed, self.cdis
             self.with_settings(line)
         elif word == "ENDSPLINE":
-            self.base, self.tool, self.speed = self.outside
+            self.base, self.tool, self.speed, self.cdis = self.outside
         elif word == "SYNCCMD":
             self.synchronised += 1
         elif word == "FORCE":
@@ -548,7 +631,11 @@ class Controller:
     def with_settings(self, line):
         """Follow the settings behind WITH, which hold for one spline motion or one block."""
         for given in filter(None, re.split(r"(?i)\bWITH\b", line)[1:]):
-            self.system(Reader(given.strip()))
+            reader = Reader(given.strip())
+            self.system(reader)
+            while reader.peek() == ",":
+                reader.take()
+                self.system(reader)
 
     def interrupt(self, file, number, line):
         declaration = re.match(r"(?i)(?:GLOBAL\s+)?INTERRUPT\s+DECL\s+(\d+)\s+WHEN\s+.*?\bDO\b\s*(.*)$", line)
@@ -572,7 +659,7 @@ class Controller:
         place = self.place(reader)
         reader.take("=")
         value = self.expression(reader)
-        indexed = any(isinstance(step, int) for step in place.path)
+        indexed = any(isinstance(step, int | tuple) for step in place.path)
         if (
             indexed and self.rng is not None and self.rng.random() < 0.5
         ):  # when the index is evaluated is not documented
@@ -607,11 +694,11 @@ class Controller:
                 frame = pose(old)
             setattr(self, name[1:].lower(), frame)
         elif name == "$VEL" and part in ("CP", None):
-            self.speed = float(value if part else value["CP"])
+            self.speed = float(value if part else value.get("CP", self.speed))
             if self.speed <= 0:
                 raise Invalid("speed")
         elif name == "$APO" and part in ("CDIS", None):
-            self.cdis = float(value if part else value["CDIS"])
+            self.cdis = float(value if part else value.get("CDIS", self.cdis))
         elif name in self.modes:
             self.modes[name] = value
         elif name == "$FLAG":
@@ -631,13 +718,28 @@ class Controller:
             self.modes |= {"$ORI_TYPE": "#VAR", "$CIRC_TYPE": "#BASE", "$IPO_MODE": "#BASE"}
         elif command == "#VEL_CP":
             self.speed = float(value)
+        elif command in ("#VEL_PTP", "#ACC_CP", "#ACC_PTP"):
+            return
+        elif command in ("#CP_DAT", "#CP_PARAMS", "#FRAMES", "#PTP_PARAMS"):
+            if command in ("#CP_DAT", "#CP_PARAMS"):
+                self.cdis = float(self.shared["LDAT_ACT"].value.get("APO_DIST", self.cdis))
+            if command != "#CP_DAT":
+                data = self.shared["FDAT_ACT"].value
+                self.base, self.tool = (self.numbered(name, data.get(f"{name}_NO")) for name in ("BASE", "TOOL"))
+            if command == "#CP_PARAMS":
+                self.speed = float(value)
         elif command in ("#BASE", "#TOOL"):
-            data = self.shared[f"{command[1:]}_DATA"].value
-            if int(value) not in data:
-                raise Invalid("no such frame")
-            setattr(self, command[1:].lower(), pose(self.complete(data[int(value)])))
+            setattr(self, command[1:].lower(), self.numbered(command[1:], value))
         else:
             raise Invalid(command)
+
+    def numbered(self, name, number):
+        """BASE_DATA[number] or TOOL_DATA[number]; what a number is that was not given, chance says."""
+        number = int(self.rng.integers(1, 3)) if number is None else int(number)
+        data = self.shared[f"{name}_DATA"].value
+        if number not in data:
+            raise Invalid("no such frame")
+        return pose(self.complete(data[number]))
 
     # --- calls ---------------------------------------------------------------------------------------------------
 
@@ -665,8 +767,11 @@ class Controller:
             if reader.peek() == ",":
                 reader.take()
         reader.take(")")
+        if name in ("SBASE", "STOOL", "STOOL2"):
+            kind, value = name[1:5], arguments[0].get()
+            return components(self.numbered(kind, value[f"{kind}_NO"] if isinstance(value, dict) else value))
         if name in FUNCTIONS:
-            return FUNCTIONS[name](*(place.get() for place in arguments))
+            return FUNCTIONS[name](*(place.get() for place in arguments if place.variable.value is not None))
         if routine is None:
             for place in arguments:
                 if self.rng.random() < 0.7:
@@ -676,6 +781,8 @@ class Controller:
 
     def argument(self, reader, by_value):
         begin = reader.at
+        if reader.peek() in (",", ")"):
+            return Place(Variable())
         if reader.kind() == "name" and reader.peek(1) != "(" and reader.peek() not in _NO_VARIABLES:
             place = self.place(reader)
             if reader.peek() in (",", ")") and not by_value:
@@ -723,14 +830,21 @@ class Controller:
             if reader.take() == "[":
                 if reader.peek() == "]":
                     raise Invalid("whole array")
-                index = self.sum(reader)
+                place.path.append(self.indices(reader))
                 reader.take("]")
-                if index != int(index):
-                    raise Invalid("index")
-                place.path.append(int(index))
             else:
                 place.path.append(reader.take())
         return place
+
+    def indices(self, reader):
+        """The index of an element; of an array of more dimensions a tuple."""
+        found = [self.sum(reader)]
+        while reader.peek() == ",":
+            reader.take()
+            found.append(self.sum(reader))
+        if any(index != int(index) for index in found):
+            raise Invalid("index")
+        return int(found[0]) if len(found) == 1 else tuple(map(int, found))
 
     def lookup(self, name):
         routine, local = self.frames[-1]
@@ -763,14 +877,7 @@ class Controller:
         if reader.peek() in ("==", "<>", "<", ">", "<=", ">="):
             sign, other = reader.take(), None
             other = self.bits(reader)
-            value = {
-                "==": lambda: value == other,
-                "<>": lambda: value != other,
-                "<": lambda: value < other,
-                ">": lambda: value > other,
-                "<=": lambda: value <= other,
-                ">=": lambda: value >= other,
-            }[sign]()
+            value = compared(sign, value, other)
         return value
 
     def bits(self, reader, level=0):
@@ -805,7 +912,7 @@ class Controller:
             elif other == 0:
                 raise Invalid("division by zero")
             elif isinstance(value, int) and isinstance(other, int):
-                value = int(value / other)
+                value = quotient(value, other)
             else:
                 value = value / other
         return value
@@ -857,8 +964,10 @@ class Controller:
         if token in ("$IN", "$ANIN"):
             reader.take()
             reader.take("[")
-            self.sum(reader)
+            index = self.sum(reader)
             reader.take("]")
+            if f"{token}[{index}]" in self.given:
+                return self.given[f"{token}[{index}]"]
             if token == "$IN" and self.choices is not None:
                 return self.choices()
             return bool(self.rng.random() < 0.5) if token == "$IN" else float(self.rng.uniform(-3, 3))
@@ -901,6 +1010,9 @@ class Controller:
             reader.take(":")
         while True:
             name = reader.take()
+            if reader.peek() == "[":
+                reader.take()
+                reader.take("]")
             item = self.expression(reader)
             value[name] = float(item) if name in CARTESIAN and not isinstance(item, str) else item
             if reader.take(",", "}") == "}":
@@ -909,10 +1021,10 @@ class Controller:
     # --- motions -------------------------------------------------------------------------------------------------
 
     def motion(self, word, file, number, line):
-        outside = self.base, self.tool, self.speed
+        outside = self.base, self.tool, self.speed, self.cdis
         self.with_settings(line)
         self.moved(word, file, number, line)
-        self.base, self.tool, self.speed = outside
+        self.base, self.tool, self.speed, self.cdis = outside
 
     def moved(self, word, file, number, line):
         reader = Reader(line)
@@ -925,7 +1037,7 @@ class Controller:
         rest = " ".join(reader.tokens[reader.at :])
         kind = word.removesuffix("_REL")
         kind = KINDS.get(kind, kind)
-        cdis = self.cdis if "C_DIS" in rest else None
+        cdis = self.cdis if "C_DIS" in rest or ("C_SPL" in rest and word == "SLIN") else None
         force = "" if kind == "PTP" else self.force
         state = (self.base, self.tool, self.speed, cdis, force, tuple(self.callers), self.synchronised)
         if "A1" in value:
@@ -968,6 +1080,24 @@ class Controller:
         if along_tool:
             step = abc(0, 0, 0, *numbers[3:])[:3, :3] @ step
         return [*(np.array(numbers[:3]) + step).tolist(), *numbers[3:]]
+
+
+def leaves(body):
+    """Whether a loop may be left by a statement of its body."""
+    for item in body:
+        if item[0] in OPENING:
+            if any(leaves(part) for part in item[4]):
+                return True
+        elif item[0] in ("EXIT", "GOTO", "RETURN"):
+            return True
+    return False
+
+
+def shown(motion):
+    """What a motion does, to compare it with another."""
+    numbers = np.round(motion.numbers if motion.joints is None else motion.joints, 6).tolist()
+    frames = np.round([motion.base, motion.tool], 9).tolist()
+    return motion.kind, numbers, frames, motion.speed, motion.cdis
 
 
 def turned(start, via, end, angle):

@@ -166,6 +166,8 @@ class _Splitter:
         main = Module(self.source, routine_of).main(PurePath(output.documents[0].name).stem)
         if main is None:
             raise undivided(self.source, "it has no DEF, END or motion", 1)
+        if main.parameters:
+            raise undivided(self.source, "its DEF has parameters, which are not known in other files", main.first)
         self.main = main
         self.others = [routine for routine in routine_of.values() if routine is not main]
         program_words = {word.upper() for word in _code_names(self.source)}

@@ -1,0 +1,793 @@
+"""Random KRL of few statements: a value is given in some way, made uncertain in at most one, and used by a motion.
+
+Programs of `krl_generator` hold so much that most are refused, whatever a fault does. Here all that is not the one
+uncertainty is known, so that a program is accepted unless that is noticed: faults by which the reader passes over
+something that may happen are seen, and so are those that need a certain statement to be accepted.
+"""
+
+from __future__ import annotations
+
+from tests.attack.krl_generator import Generator
+
+KINDS = ("INT", "REAL", "BOOL", "E6POS", "FRAME", "INT", "REAL", "E6POS")
+FIXED = """DEFDAT part PUBLIC
+DECL E6POS XA={X 100.5,Y 20,Z 30,A 10,B 20,C 170,S 2,T 10,E1 0.0,E2 0.0}
+DECL E6POS XB={X -50.25,Y 21,Z 35.125,A 15,B 20,C 170}
+DECL GLOBAL E6POS XG={X 9,Y 23,Z 32,A 10,B 20,C 160}
+DECL E6POS P[4]
+P[1]={X 1,Y 2,Z 3,A 4,B 5,C 6}
+P[2]={X 11,Y 2,Z 3,A 4,B 5,C 6}
+P[3]={X 21,Y 2,Z 3,A 4,B 5,C 6}
+P[4]={X 31,Y 2,Z 3,A 4,B 5,C 6}
+DECL E6POS Q[2,2]
+Q[1,1]={X 1,Y 12,Z 3,A 4,B 5,C 6}
+Q[1,2]={X 2,Y 12,Z 3,A 4,B 5,C 6}
+Q[2,1]={X 3,Y 12,Z 3,A 4,B 5,C 6}
+Q[2,2]={X 4,Y 12,Z 3,A 4,B 5,C 6}
+DECL INT N[4]
+N[1]=2
+N[2]=3
+N[3]=1
+N[4]=4
+DECL REAL R[3]
+R[1]=0.5
+R[2]=1.25
+R[3]=7.5
+STRUC PT INT N,REAL R,BOOL B
+DECL PT SX={N 1,R 2.5,B TRUE}
+DECL PT SA[3]
+SA[1]={N 1,R 1.5,B TRUE}
+SA[2]={N 2,R 2.5,B FALSE}
+SA[3]={N 3,R 3.5,B TRUE}
+DECL FDAT FA={TOOL_NO 2,BASE_NO 3,IPO_FRAME #BASE,POINT2[] " "}
+DECL FDAT FB={TOOL_NO 1,BASE_NO 2,IPO_FRAME #BASE}
+DECL LDAT LA={VEL 2.0,ACC 100.0,APO_DIST 7.5,APO_FAC 50.0,ORI_TYP #VAR}
+DECL LDAT LB={VEL 2.0,ACC 100.0,APO_DIST 0.5}
+DECL E6AXIS XHOME={A1 0,A2 -80,A3 95,A4 0,A5 45,A6 0}
+DECL CONST INT NC=2
+DECL INT I=1
+DECL INT J=2
+"""
+GIVEN = {"GIVENN": 2, "GIVENR": 0.375, "GIVENB": True, "$IN[5]": True, "$IN[6]": False}
+"""What `[krl.values]` of the cell gives."""
+
+
+class Snippets(Generator):
+    """Writes one program of this kind, and the files that it calls."""
+
+    def __init__(self, rng, *, keep=False):
+        self.rng, self.keep = rng, keep
+        self.data, self.routines, self.others, self.count = [], [], {}, 0
+        self.uncertain = 1 if self.maybe(0.55) else 0
+
+    def new(self, stem):
+        self.count += 1
+        return f"{stem}{self.count}"
+
+    def variable(self, kind, value=None):
+        """Declare a variable with a value in the data list."""
+        name = self.new({"INT": "IV", "REAL": "RV", "BOOL": "BV", "E6POS": "XV", "FRAME": "FV"}[kind])
+        public = "GLOBAL " if self.maybe(0.3) else ""
+        self.data.append(f"DECL {public}{kind} {name}={self.literal(kind) if value is None else value}")
+        return name
+
+    # --- values --------------------------------------------------------------------------------------------------
+
+    def literal(self, kind):
+        if kind == "INT":
+            return str(int(self.rng.integers(1, 4)))
+        if kind == "REAL":
+            return f"{self.rng.uniform(0.05, 3):.3f}"
+        if kind == "BOOL":
+            return self.one("TRUE", "FALSE")
+        numbers = self.rng.uniform(-80, 80, 6)
+        last = self.one("", "", ",S 2,T 10", ",E1 0.0") if kind == "E6POS" else ""
+        return "{" + ",".join(f"{n} {v:.3f}" for n, v in zip("XYZABC", numbers, strict=True)) + last + "}"
+
+    def value(self, kind, depth=0):
+        """An expression of a type whose value is known."""
+        return getattr(self, f"value_{kind.lower()}")(depth)
+
+    def value_int(self, depth):
+        known = ["1", "2", "3", "I", "J", "NC", "N[2]", "N[J]", "SX.N", "SA[J].N", "GIVENN", "SA[N[3]].N"]
+        if depth > 1 or self.maybe(0.4):
+            return self.one(*known)
+        a, b = self.value_int(depth + 1), self.value_int(depth + 1)
+        return self.one(
+            f"({a}+{b})-{b}",
+            f"{a}*{b}/{b}",
+            f"(7+{a})/2-3",
+            f"ABS({a}-{b})+1",
+            f"({a} B_AND 1)+1",
+            f"({a} B_OR 2)",
+            f"({a} B_EXOR 1)+1",
+            f"B_NOT {a}+5",
+            f"-(-{a})",
+            f"{a}-1+1",
+            f"{a}*2-{a}",
+        )
+
+    def value_real(self, depth):
+        known = ["0.5", "1.25", "R[1]", "R[J]", "SX.R", "SA[2].R", "GIVENR", "SA[J].R", "XA.X/100", "P[J].Y"]
+        if depth > 1 or self.maybe(0.4):
+            return self.one(*known)
+        a, b = self.value_real(depth + 1), self.one(self.value_real(depth + 1), self.value_int(depth + 1))
+        return self.one(
+            f"({a}+{b})/2",
+            f"{a}*{b}+0.1",
+            f"ABS({a}-{b})+0.2",
+            f"SQRT({a})",
+            f"SIN({a})+0.5",
+            f"COS({a})",
+            f"TAN({a})+0.3",
+            f"ACOS(0.5)/100+{a}",
+            f"ATAN2({a},{b})/90+0.1",
+            f"{a}-(-{b})",
+            f"1.0*{b}/4",
+        )
+
+    def value_bool(self, depth):
+        if depth > 1 or self.maybe(0.3):
+            return self.one("TRUE", "FALSE", "GIVENB", "SX.B", "SA[2].B", "$IN[5]", "$IN[6]")
+        a, b = self.value_int(depth + 1), self.value_int(depth + 1)
+        r, s = self.value_real(depth + 1), self.one(self.value_real(depth + 1), a)
+        sign = self.one("==", "<>", "<", ">", "<=", ">=")
+        p, q = self.value_bool(depth + 1), self.value_bool(depth + 1)
+        logic = self.one("AND", "OR", "EXOR")
+        return self.one(
+            f"({a}{sign}{b})",
+            f"({a}{sign}{b})",
+            f"({r}{sign}{s})",
+            f"({p} {logic} {q})",
+            f"(({a}{sign}{b}) {logic} NOT {p})",
+            f"(NOT {p})",
+            f"(({a} B_AND 1)==1)",
+            f"({p}=={q})",
+            f"({p} {logic} {q} {self.one('AND', 'OR', 'EXOR')} {self.value_bool(2)})",
+            "($ORI_TYPE==#VAR)",
+        )
+
+    def value_e6pos(self, depth):
+        index = self.value_int(2)
+        return self.one(
+            "XA",
+            "XB",
+            "XG",
+            f"P[{index}]",
+            "P[J]",
+            "Q[I,J]",
+            f"Q[{self.one('1', '2')},J]",
+            "P[I+1]",
+            self.literal("E6POS"),
+            self.computed(),
+        )
+
+    def computed(self):
+        """An aggregate with components that are computed."""
+        names = iter("YZABC")
+        rest = ",".join(f"{name} {self.rng.uniform(-80, 80):.2f}" for name in names)
+        return f"{{X {self.value_real(1)},{rest}}}"
+
+    def value_frame(self, depth):
+        if depth > 1 or self.maybe(0.3):
+            return self.one(self.literal("FRAME"), "BASE_DATA[2]", "BASE_DATA[J]", "$NULLFRAME", "$BASE", "$TOOL")
+        a, b = self.value_frame(2), self.value_frame(2)
+        operand = a if a[0] != "{" else self.variable("FRAME", a)
+        return self.one(f"{operand}:{b}", f"INV_POS({operand})", f"{operand}:{self.variable('FRAME')}")
+
+    # --- giving --------------------------------------------------------------------------------------------------
+
+    def give(self, kind, name, depth=0):
+        """Statements that give a variable a value that is known."""
+        value = self.value(kind)
+        plain = [f"{name}={value}"]
+        choice = int(self.rng.integers(24))
+        if depth > 1 or choice < 6:
+            return plain
+        ways = [self.by_component, self.by_function, self.by_reference, self.by_routine, self.by_other_file]
+        ways += [self.by_value, self.hidden, self.by_branch, self.by_switch, self.by_loop, self.by_copy]
+        ways += [self.by_rounding, self.by_jump, self.by_return, self.by_counting, self.by_nested_call, self.by_element]
+        return ways[int(self.rng.integers(len(ways)))](kind, name, depth + 1)
+
+    def by_copy(self, kind, name, depth):
+        other = self.variable(kind)
+        return [f"{other}={self.value(kind)}", f"{name}={other}", f"{other}={self.literal(kind)}"]
+
+    def by_component(self, kind, name, depth):
+        if kind in ("E6POS", "FRAME"):
+            component = self.one("X", "Y", "Z", "X", "Y", "A")
+            return [f"{name}={self.value(kind)}" if self.maybe(0.5) else "", f"{name}.{component}={self.value('REAL')}"]
+        member = {"INT": "N", "REAL": "R", "BOOL": "B"}[kind]
+        record = self.one("SX", "SA[1]", "SA[J]")
+        extra = self.one([], [f"SA[J]={self.one('SX', 'SA[1]')}"], ["SX=SA[3]"])
+        return [f"{record}.{member}={self.value(kind)}", *extra, f"{name}={record}.{member}"]
+
+    def by_element(self, kind, name, depth):
+        array = {"INT": "N", "REAL": "R", "E6POS": self.one("P", "P", "Q")}.get(kind)
+        if array is None:
+            return self.by_copy(kind, name, depth)
+        index = f"{self.one('1', '2')},{self.one('I', '2', 'J')}" if array == "Q" else self.one("1", "J", "I+1", "3")
+        other = self.one(index, "1,1" if array == "Q" else "2")
+        return [f"{array}[{index}]={self.value(kind)}", f"{name}={array}[{other}]"]
+
+    def by_function(self, kind, name, depth):
+        function, given = self.new("FN"), self.one("INT", "REAL")
+        early = [f"IF A>{self.literal(given)} THEN", f"RETURN ({self.value_in(kind, given)})", "ENDIF"]
+        body = [*(early if self.maybe(0.4) else []), f"RETURN ({self.value_in(kind, given)})"]
+        if kind in ("E6POS", "FRAME"):
+            local = self.one([f"DECL {kind} L", f"L={self.value(kind)}", "L.X=A", "RETURN L"], ["RETURN XA"])
+            body = local if kind == "E6POS" or len(local) > 1 else ["RETURN $BASE"]
+        result = kind if kind != "REAL" or self.maybe(0.8) else "INT"
+        declared = [line for line in body if line.startswith("DECL")]
+        lines = [f"DEFFCT {result} {function}(A:IN)", f"DECL {given} A", *declared]
+        self.routines.append([*lines, *(line for line in body if line not in declared), "ENDFCT"])
+        argument = self.value(given)
+        call = f"{function}({argument})"
+        if kind in ("INT", "REAL") and self.maybe(0.3):
+            return [f"{name}={call}*2-{call}"]
+        return [f"{name}={call}"]
+
+    def value_in(self, kind, given):
+        """An expression with the parameter A of a function."""
+        if kind == "BOOL":
+            return self.one("A>1", "(A>1) AND (A<3)", "TRUE")
+        if kind == "REAL":
+            return self.one("A+0.25", "A/4.0", "A")
+        return self.one("A+1-1", "A*1", "2") if given == "INT" else self.one("1", "3")
+
+    def by_reference(self, kind, name, depth):
+        routine, way = self.new("SUB"), self.one("OUT", "")
+        parameter = "A" + (f":{way}" if way else "")
+        body = [f"A={self.value(kind)}"]
+        if kind == "INT" and self.maybe(0.4):
+            body = ["A=A+1", "IF A>3 THEN", "A=1", "ENDIF"]
+        if kind in ("E6POS", "FRAME") and self.maybe(0.5):
+            body = [f"A.{self.one('X', 'Z')}={self.value('REAL')}"]
+        if self.maybe(0.3):
+            body = [f"A={self.value(kind)}", "RETURN", f"A={self.value(kind)}"]
+        declared = [f"DECL {kind} A"] if self.maybe(0.8) else []
+        self.routines.append([f"DEF {routine}({parameter})", *declared, *body, "END"])
+        if kind == "E6POS" and self.maybe(0.4):
+            element = self.one("P[I]", "P[J]", "Q[2,J]", "P[N[3]]")
+            return [f"{routine}({element})", f"{name}={element}"]
+        if kind == "INT" and self.maybe(0.2):
+            return [f"{routine}(N[J])", f"{name}=N[J]"]
+        if kind == "REAL" and self.maybe(0.2):
+            return [f"{routine}(XB.Y)", f"{name}=XB.Y/10"]
+        return [f"{routine}({name})"]
+
+    def by_routine(self, kind, name, depth):
+        routine = self.new("SUB")
+        self.routines.append([f"DEF {routine}()", *self.give(kind, name, depth), "END"])
+        return [f"{routine}()"]
+
+    def by_nested_call(self, kind, name, depth):
+        inner, outer = self.new("SUB"), self.new("SUB")
+        self.routines.append(
+            [
+                f"DEF {inner}(B:OUT,K:IN)",
+                f"DECL {kind} B",
+                "DECL INT K",
+                "IF K>0 THEN",
+                f"B={self.value(kind)}",
+                "ELSE",
+                f"B={self.value(kind)}",
+                "ENDIF",
+                "END",
+            ]
+        )
+        self.routines.append(
+            [f"DEF {outer}(A:OUT)", f"DECL {kind} A", f"{inner}(A,{self.one('I', '0', 'J-2')})", "END"]
+        )
+        return [f"{outer}({name})"]
+
+    def by_other_file(self, kind, name, depth):
+        file, value = self.new("LIB"), self.literal(kind)
+        count = self.one([], ["KEPT=KEPT+1"])
+        body = ["IF KEPT>1 THEN", "A=OWN", "ELSE", f"A={self.literal(kind)}", "ENDIF"]
+        lines = [f"DEF {file}(A:OUT)", f"DECL {kind} A", *count, *(body if self.maybe(0.6) else ["A=OWN"]), "END"]
+        kept = self.one("1", "2")
+        data = [f"DEFDAT {file}", f"DECL {kind} OWN={value}", f"DECL INT KEPT={kept}", "DECL INT I=3", "ENDDAT"]
+        if self.maybe(0.3):
+            data.insert(1, f"DECL {kind} {name}={self.literal(kind)}")  # hides that of the program, if not GLOBAL
+            lines.insert(2, f"{name}=A" if self.maybe(0.3) else f"{name}={self.literal(kind)}")
+        self.others[f"{file.lower()}.src"], self.others[f"{file.lower()}.dat"] = lines, data
+        return [f"{file}({name})"] * self.one(1, 1, 2)
+
+    def by_value(self, kind, name, depth):
+        """A routine that changes a copy."""
+        routine = self.new("SUB")
+        self.routines.append([f"DEF {routine}(A:IN)", f"DECL {kind} A", f"A={self.value(kind)}", "END"])
+        return [f"{name}={self.value(kind)}", f"{routine}({name})"]
+
+    def hidden(self, kind, name, depth):
+        """A routine with a variable of the same name."""
+        routine = self.new("SUB")
+        inner = self.new("SUB")
+        self.routines.append([f"DEF {inner}()", f"{name}={self.value(kind)}", "END"])
+        calls = [f"{inner}()"] if self.maybe(0.5) else []
+        self.routines.append([f"DEF {routine}()", f"DECL {kind} {name}", f"{name}={self.value(kind)}", *calls, "END"])
+        return [f"{name}={self.value(kind)}", f"{routine}()"]
+
+    def by_branch(self, kind, name, depth):
+        tail = ["ELSE", *self.give(kind, name, depth)] if self.maybe(0.6) else []
+        before = self.give(kind, name, depth) if self.maybe(0.5) else []
+        return [*before, f"IF {self.value('BOOL')} THEN", *self.give(kind, name, depth), *tail, "ENDIF"]
+
+    def by_switch(self, kind, name, depth):
+        cases = self.one(["1"], ["1,2"], ["2", "3"], ["I", "NC"], ["1", "2", "3"])
+        lines = [f"SWITCH {self.value('INT')}"]
+        for case in cases:
+            lines += [f"CASE {case}", *self.give(kind, name, depth)]
+        default = ["DEFAULT", *self.give(kind, name, depth)] if self.maybe(0.6) else []
+        return [f"{name}={self.value(kind)}", *lines, *default, "ENDSWITCH"]
+
+    def by_loop(self, kind, name, depth):
+        counter = self.variable("INT", "0")
+        value = {"INT": counter, "REAL": f"{counter}*0.25"}.get(kind, self.value(kind))
+        leave = [f"IF {counter}{self.one('>', '>=', '==')}2 THEN", "EXIT", "ENDIF"]
+        bounds = self.one("1 TO 3", "3 TO 1 STEP -1", "1 TO J", "I TO 3 STEP 2", "2 TO 1", "1 TO N[1]", "2 TO 3 STEP I")
+        step, give = f"{counter}={counter}+1", f"{name}={value}"
+        behind = [f"{name}={counter}-1"] if kind == "INT" and self.maybe(0.5) else []
+        return self.one(
+            [give, f"FOR {counter}={bounds}", give, *(leave if self.maybe(0.4) else []), "ENDFOR", *behind],
+            [f"FOR {counter}={bounds}", f"{name}={self.value(kind)}", "ENDFOR", give],
+            [f"WHILE {counter}<{self.one('2', 'J', '3')}", step, give, *(leave if self.maybe(0.4) else []), "ENDWHILE"],
+            ["REPEAT", step, give, f"UNTIL {counter}>{self.one('1', 'I', '2')}"],
+            ["LOOP", step, *leave, give, "ENDLOOP", *behind],
+            [f"FOR {counter}=1 TO 2", "LOOP", give, "EXIT", "ENDLOOP", "ENDFOR"],
+        )
+
+    def by_rounding(self, kind, name, depth):
+        if kind == "INT":
+            return [f"{name}={self.one('1.4', '2.6', '1.0', 'R[1]*2.4', '2.9999', 'SX.R-0.1', '0.6+1.1')}"]
+        if kind == "REAL":
+            return [f"{name}={self.value('INT')}", f"{name}={name}/2"]
+        return self.by_copy(kind, name, depth)
+
+    def by_jump(self, kind, name, depth):
+        label = self.new("L")
+        skip = self.one([f"GOTO {label}"], [f"IF {self.value('BOOL')} THEN", f"GOTO {label}", "ENDIF"])
+        return [f"{name}={self.value(kind)}", *skip, f"{name}={self.value(kind)}", f"{label}:"]
+
+    def by_return(self, kind, name, depth):
+        routine = self.new("SUB")
+        stop = self.one(
+            [f"IF {self.value('BOOL')} THEN", "RETURN", "ENDIF"],
+            ["FOR J=1 TO 3", "IF J==2 THEN", "RETURN", "ENDIF", "ENDFOR"],
+            ["LOOP", "RETURN", "ENDLOOP"],
+        )
+        self.routines.append(
+            [f"DEF {routine}()", f"{name}={self.value(kind)}", *stop, f"{name}={self.value(kind)}", "END"]
+        )
+        return [f"{routine}()"]
+
+    def by_counting(self, kind, name, depth):
+        """A routine that does something else at each call."""
+        count, routine = self.variable("INT", "0"), self.new("SUB")
+        body = [
+            f"{count}={count}+1",
+            f"IF {count}>{self.one('1', '2')} THEN",
+            f"{name}={self.value(kind)}",
+            "ELSE",
+            f"{name}={self.value(kind)}",
+            "ENDIF",
+        ]
+        self.routines.append([f"DEF {routine}()", *body, "END"])
+        return [f"{routine}()"] * self.one(1, 2, 3)
+
+    # --- making uncertain ----------------------------------------------------------------------------------------
+
+    def doubt(self, kind, name):
+        """Statements after which it is not known what a variable is, or that it may change at any time."""
+        value, number = self.literal(kind), int(self.rng.integers(4, 7))
+        write = f"{name}={value}"
+        routine, inner = self.new("SUB"), self.new("SUB")
+        target = self.one("$IN[1]", "$IN[I]", "$FLAG[3]")
+        on = f"INTERRUPT ON {number}"
+        choice = int(self.rng.integers(27))
+        if choice in (0, 1):
+            return [f"INTERRUPT DECL {number} WHEN {target}==TRUE DO {write}", on]
+        if choice == 2:
+            self.routines.append([f"DEF {routine}()", write, "END"])
+            return [f"GLOBAL INTERRUPT DECL {number} WHEN {target} DO {routine}()", on]
+        if choice == 3:
+            self.routines.append([f"DEF {routine}(A:OUT)", f"DECL {kind} A", f"A={value}", "END"])
+            return [f"INTERRUPT DECL {number} WHEN {target} DO {routine}({name})", on]
+        if choice == 4:
+            return [f"TRIGGER WHEN DISTANCE={self.one('0', '1')} DELAY=0 DO {write}", f"LIN {self.literal('E6POS')}"]
+        if choice == 5:
+            self.routines.append([f"DEF {routine}()", write, "END"])
+            return [f"TRIGGER WHEN PATH=-5 DELAY=0 DO {routine}() PRIO=-1", f"LIN {self.literal('E6POS')} C_DIS"]
+        if choice == 6:
+            return [f"GONE({name})"]
+        if choice == 7:
+            return [f"{name}=GONE()"] if kind in ("INT", "REAL") else [f"GONE(I,{name})"]
+        if choice == 8:
+            return [f"IF {target} THEN", write, "ENDIF"]
+        if choice == 9:
+            self.routines.append([f"DEF {routine}()", write, "END"])
+            return [f"IF {target} THEN", f"{routine}()", "ENDIF"]
+        if choice == 10:
+            self.routines.append(
+                [f"DEF {routine}(A:OUT)", f"DECL {kind} A", f"IF {target} THEN", f"A={value}", "ENDIF", "END"]
+            )
+            return [f"{routine}({name})"]
+        if choice == 11:
+            return [f"WHILE {target}", write, "ENDWHILE"]
+        if choice == 12:
+            head = self.one("SWITCH GONE()", "SWITCH N[GONE()]")
+            return [head, "CASE 1", write, "CASE 2", "I=I", "ENDSWITCH"]
+        if choice == 13:
+            counter = self.variable("INT")
+            return [f"FOR {counter}=1 TO GONE()-1", write, "ENDFOR"]
+        if choice == 14 and kind in ("INT", "REAL"):
+            return [self.one(f"ANIN ON {name}=0.1*$ANIN[1]+0", f"DIGIN ON {name}=1.0*$DIGIN1+0")]
+        if choice == 15 and kind != "FRAME":
+            return {"INT": [f"{name}=$ANIN[1]"], "REAL": [f"{name}=0.5+$ANIN[2]*0.1"], "BOOL": [f"{name}=$IN[3]"]}.get(
+                kind, [f"{name}=XA", f"{name}.Y=$ANIN[1]"]
+            )
+        if choice == 16 and kind in ("INT", "REAL", "E6POS"):
+            array = {"INT": "N", "REAL": "R", "E6POS": "P"}[kind]
+            unknown = self.one([f"{array}[GONE()]={value}"], ["J=GONE()", f"{array}[J]={value}"])
+            return [*unknown, f"{name}={array}[2]"]
+        if choice == 17 and kind in ("INT", "E6POS"):
+            array = {"INT": "N", "E6POS": "P"}[kind]
+            self.routines.append(
+                [f"DEFFCT {kind} {routine}()", "J=3", f"RETURN {'3' if kind == 'INT' else 'XB'}", "ENDFCT"]
+            )
+            return [f"{array}[J]={routine}()", f"{name}={array}[2]"]
+        if choice == 18:
+            other = self.variable(kind)
+            self.routines.append(
+                [
+                    f"DEF {routine}(A:OUT)",
+                    f"DECL {kind} A",
+                    f"A={value}",
+                    f"{other}={name}",
+                    f"{name}={self.literal(kind)}",
+                    f"{other}=A",
+                    f"A={other}",
+                    "END",
+                ]
+            )
+            return [f"{routine}({name})"]
+        if choice == 19:
+            self.routines.append([f"DEF {routine}()", f"IF {target} THEN", "RETURN", "ENDIF", write, "END"])
+            return [f"{routine}()"]
+        if choice == 20:
+            counter = self.variable("INT")
+            return [f"FOR {counter}=1 TO 3", f"IF {target} THEN", "EXIT", "ENDIF", write, "ENDFOR"]
+        if choice == 21:
+            self.routines.append([f"DEF {inner}()", write, "END"])
+            self.routines.append([f"DEF {routine}()", f"INTERRUPT DECL {number} WHEN {target} DO {inner}()", on, "END"])
+            return [f"{routine}()"]
+        if choice == 22:
+            self.routines.append(
+                [f"DEF {routine}()", f"GLOBAL INTERRUPT DECL {number} WHEN {target} DO {write}", on, "END"]
+            )
+            return [f"{routine}()"]
+        if choice == 23 and kind == "INT":
+            return [f"{name}={self.one('2.5', '1.5', '(1-4)/2+3', '2147483647+1', '0-3/2+4', 'N[9]')}"]
+        if choice == 23 and kind == "BOOL":
+            return [f"{name}=({self.one('0.1*3', '0.3')}{self.one('==', '<>', '<', '>=')}{self.one('0.3', '0.1+0.2')})"]
+        if choice == 24:
+            label = self.new("L")
+            return [f"IF {target} THEN", f"GOTO {label}", "ENDIF", write, f"{label}:"]
+        if choice == 25 and kind in ("E6POS", "FRAME"):
+            return [f"{name}={{X 5,Y 7}}"]
+        if choice == 26:
+            call = self.new("LIB")
+            self.others[f"{call.lower()}.src"] = [
+                f"DEF {call}(A:OUT)",
+                f"DECL {kind} A",
+                f"IF {target} THEN",
+                f"A={value}",
+                "ENDIF",
+                "END",
+            ]
+            return [f"{call}({name})"]
+        return [f"GONE({name})"]
+
+    # --- using ---------------------------------------------------------------------------------------------------
+
+    def use(self, kind, name):
+        """Statements with a motion that depends on a variable."""
+        tail = self.one("", " C_DIS")
+        end = f"LIN {self.literal('E6POS')}{tail}"
+        there = f"LIN {self.literal('E6POS')}"
+        point = self.variable("E6POS")
+        if kind == "INT":
+            counter = self.variable("INT")
+            return self.one(
+                [f"LIN P[{name}]{tail}"],
+                [f"LIN P[{name}+1-1]{tail}"],
+                [f"LIN Q[1,{name} B_AND 1+1]" if self.maybe(0.1) else f"LIN P[{name}]"],
+                [f"LIN {{X {name}*10,Y 1,Z 2,A 3,B 4,C 5}}{tail}"],
+                [f"IF {name}{self.one('>', '==', '<>', '<=')}2 THEN", end, "ELSE", there, "ENDIF"],
+                [f"FOR {counter}=1 TO {name}", f"LIN P[{counter}]{tail}", "ENDFOR"],
+                [
+                    f"FOR {counter}=1 TO {name}",
+                    f"LIN {{X {counter}*5,Y 1,Z 2,A 3,B 4,C 5}}",
+                    "ENDFOR",
+                    f"LIN P[{counter}]",
+                ],
+                [f"SWITCH {name}", "CASE 1", end, "CASE 2,3", there, "ENDSWITCH"],
+                [f"$BASE=BASE_DATA[{name}]", end],
+                [f"BAS(#BASE,{name})", end],
+                [f"{point}.X={name}*7", f"LIN {point}{tail}"],
+                [f"{self.moving('INT', 'LIN P[A]')}({name})"],
+                [f"WHILE {name}<4", f"LIN P[{name}]", f"{name}={name}+1", "ENDWHILE"],
+            )
+        if kind == "REAL":
+            return self.one(
+                [f"LIN {{X 1,Y {name},Z 2,A 3,B 4,C 5}}{tail}"],
+                [f"$VEL.CP={name}", end],
+                [f"BAS(#VEL_CP,{name})", end],
+                [f"$APO.CDIS={name}", f"{there} C_DIS"],
+                [f"LIN_REL {{Z {name}}}", end],
+                [f"IF {name}>1 THEN", end, "ENDIF", there],
+                [f"{point}.Z={name}*3", f"LIN {point}"],
+                [f"{self.moving('REAL', 'LIN {X A*10,Y 1,Z 2,A 3,B 4,C 5}')}({name})"],
+                [f"SLIN {point} WITH $VEL.CP={name}", end],
+                [f"$BASE.X=900+{name}", end],
+            )
+        if kind == "BOOL":
+            counter = self.variable("INT", "1")
+            return self.one(
+                [f"IF {name} THEN", end, "ELSE", there, "ENDIF"],
+                [f"IF NOT {name} THEN", end, "ENDIF"],
+                [f"IF {name} AND (I>0) THEN", f"{point}=XB", "ENDIF", f"LIN {point}"],
+                [f"IF {name} OR GIVENB THEN", end, "ENDIF"],
+                [f"WHILE {name} AND ({counter}<3)", f"LIN P[{counter}]", f"{counter}={counter}+1", "ENDWHILE"],
+                ["REPEAT", f"LIN P[{counter}]", f"{counter}={counter}+1", f"UNTIL {name} OR ({counter}>2)"],
+                [f"{self.moving('BOOL', 'IF A THEN', 'LIN XA', 'ENDIF')}({name})"],
+            )
+        if kind == "FRAME":
+            return self.one(
+                [f"$BASE={name}", end],
+                [f"$TOOL={name}", end],
+                [f"LIN {name}:{point}{tail}"],
+                [f"LIN {name}:{self.literal('FRAME')}{tail}"],
+                [f"$BASE=$BASE:{name}", end],
+                [f"$BASE.Y={name}.Y", end],
+                [f"BASE_DATA[3]={name}", "BAS(#BASE,3)", end],
+                [f"{self.moving('FRAME', 'LIN A:XA')}({name})"],
+            )
+        return self.one(
+            [f"LIN {name}{tail}"],
+            [f"LIN {name}{tail}", f"LIN XA:{name}"],
+            [f"PTP {name}", end],
+            [f"SLIN {name} WITH {self.one('$VEL.CP=0.2', '$BASE=BASE_DATA[2]', '$TOOL=TOOL_DATA[2]')}", end],
+            [f"P[2]={name}", f"LIN P[{self.one('J', '2')}]"],
+            [f"LIN {{X {name}.X,Y 2,Z 1,A {name}.A,B 4,C 5}}"],
+            [f"{self.moving('E6POS', 'LIN A')}({name})"],
+            [f"{self.moving('E6POS', 'A.X=A.X+1', 'LIN A')}({name})"],
+            ["SPLINE", f"SLIN {name}", f"S{there}", "ENDSPLINE"],
+            [f"CIRC {{X 50.5,Y 60,Z 70}},{name}{tail}", end],
+        )
+
+    def moving(self, kind, *body):
+        """A routine that moves to what it gets."""
+        routine = self.new("MOV")
+        self.routines.append([f"DEF {routine}(A:IN)", f"DECL {kind} A", *body, "END"])
+        return routine
+
+    # --- settings ------------------------------------------------------------------------------------------------
+
+    def setting(self):
+        """Statements that set frames, speed or approximation, and a motion under them."""
+        end = [f"LIN {self.literal('E6POS')} C_DIS"]
+        real, data, frames = self.value("REAL"), self.one("LA", "LB"), self.one("FA", "FB")
+        number = self.one("1", "2", "3", "I", "J")
+        chosen = self.one(
+            [f"$VEL.CP={real}"],
+            [f"$VEL={{CP {self.literal('REAL')},ORI1 200.0,ORI2 200.0}}"],
+            ["$VEL={ORI1 200.0}"],
+            [f"$APO.CDIS={real}"],
+            [f"$APO={{CDIS {self.literal('REAL')},CPTP 50}}"],
+            [f"FDAT_ACT={frames}", "BAS(#FRAMES)"],
+            [f"FDAT_ACT={frames}", f"BAS(#PTP_PARAMS,{self.one('100', '50')})"],
+            [f"LDAT_ACT={data}", "BAS(#CP_DAT)"],
+            [f"FDAT_ACT={frames}", f"LDAT_ACT={data}", f"BAS(#CP_PARAMS,{real})"],
+            [f"FDAT_ACT={{TOOL_NO {number},BASE_NO 2,IPO_FRAME #BASE}}", "BAS(#FRAMES)"],
+            [f"{frames}.BASE_NO={number}", f"FDAT_ACT={frames}", "BAS(#FRAMES)"],
+            [f"BAS(#TOOL,{self.one('1', '2', 'J')})", f"BAS(#BASE,{number})"],
+            ["BAS(#INITMOV,0)"],
+            ["BAS(#VEL_PTP,50)", "BAS(#ACC_CP,10)"],
+            ["$TOOL=TOOL_DATA[2]", "$TOOL.Z=$TOOL.Z+5.5"],
+            [f"$BASE={self.value('FRAME')}"],
+            [f"$BASE={self.value('FRAME')}", f"$BASE.{self.one('X', 'Y', 'Z')}={real}"],
+            ["$BASE=BASE_DATA[2]", "BASE_DATA[2].X=950.5"],
+            [f"$BASE=SBASE({number})", f"$TOOL=STOOL2({frames})"],
+            [f"$VEL=SVEL_CP({self.literal('REAL')},,{data})"],
+            [f"$APO=SAPO({data})"],
+            ["$ORI_TYPE=#VAR"],
+            ["$IPO_MODE=#BASE"],
+        )
+        inline = self.one(
+            f"$VEL=SVEL_CP({self.literal('REAL')},,{data}), $TOOL=STOOL2({frames}), "
+            f"$BASE=SBASE({frames}.BASE_NO), $APO=SAPO({data})",
+            f"$VEL.CP={self.literal('REAL')}",
+            f"$BASE=BASE_DATA[{number}],$TOOL=TOOL_DATA[2]",
+            f"$APO={{CDIS {self.literal('REAL')}}}",
+            "$VEL={CP 0.25,ORI1 200.0},$ACC={CP 2.0}",
+        )
+        save = [self.variable("FRAME"), self.variable("REAL")]
+        kept = self.one(
+            [f"{save[0]}=$BASE", *chosen, *end, f"$BASE={save[0]}"],
+            [f"{save[0]}=$TOOL", *chosen, *end, f"$TOOL={save[0]}"],
+            [f"{save[1]}=$VEL.CP", *chosen, *end, f"$VEL.CP={save[1]}"],
+            [f"{save[1]}=$APO.CDIS", *chosen, *end, f"$APO.CDIS={save[1]}"],
+        )
+        doubtful = []
+        if self.uncertain and self.maybe(0.5):
+            self.uncertain = 0
+            doubtful = self.doubtful_setting(chosen)
+        first = self.one(
+            chosen,
+            kept,
+            kept,
+            [f"SLIN {self.literal('E6POS')} WITH {inline}"],
+            [f"SPLINE WITH {inline}", f"SLIN {self.literal('E6POS')}", "ENDSPLINE"],
+        )
+        if doubtful and first == chosen:
+            first = []
+        return [*first, *doubtful, *end, *end[: self.one(0, 1)]]
+
+    def doubtful_setting(self, chosen):
+        routine, number = self.new("SUB"), int(self.rng.integers(4, 7))
+        self.routines.append([f"DEF {routine}()", *chosen, "END"])
+        target = self.one("$IN[1]", "$IN[2]")
+        frame = self.one("$BASE", "$TOOL")
+        return self.one(
+            [f"IF {target} THEN", *chosen, "ENDIF"],
+            [f"IF {target} THEN", f"{routine}()", "ENDIF"],
+            [f"INTERRUPT DECL {number} WHEN {target} DO {routine}()", f"INTERRUPT ON {number}"],
+            [f"TRIGGER WHEN DISTANCE=0 DELAY=0 DO {routine}()", f"LIN {self.literal('E6POS')}"],
+            [f"GONE({frame})"],
+            [f"{frame}=GONE5()" if self.maybe(0.1) else f"{frame}.X=GONE()"],
+            [f"{frame}=BASE_DATA[9]"],
+            [f"{frame}={{X 5,Y 7}}"],
+            ["$VEL.CP=GONE()"],
+            ["$APO.CDIS=GONE()"],
+            ["FDAT_ACT={TOOL_NO 1,IPO_FRAME #BASE}", "BAS(#FRAMES)"],
+            ["BAS(#BASE,GONE())"],
+            [f"WHILE {target}", *chosen, "ENDWHILE"],
+        )
+
+    # --- wrapping ------------------------------------------------------------------------------------------------
+
+    def wrapped(self, lines):
+        """The same statements inside of something whose way is known."""
+        counter, label = self.variable("INT", "0"), self.new("L")
+        routine = self.new("SUB")
+        jumps = any("GOTO" in line or line.endswith(":") for line in lines)
+        choice = int(self.rng.integers(16))
+        if choice < 3:
+            return lines
+        if choice == 3 and not jumps:
+            return [f"FOR {counter}={self.one('1 TO 2', '2 TO 1 STEP -1', 'I TO J')}", *lines, "ENDFOR"]
+        if choice == 4:
+            condition = self.value("BOOL")
+            return [f"IF {condition} THEN", *lines, "ELSE", f"LIN {self.literal('E6POS')}", "ENDIF"]
+        if choice == 5 and not jumps:
+            return [f"WHILE {counter}<{self.one('1', '2')}", f"{counter}={counter}+1", *lines, "ENDWHILE"]
+        if choice == 6 and not jumps:
+            return ["REPEAT", *lines, f"{counter}={counter}+1", f"UNTIL {counter}>{self.one('0', '1')}"]
+        if choice == 7 and not jumps:
+            stop = [f"IF {counter}>1 THEN", "EXIT", "ENDIF"]
+            return ["LOOP", f"{counter}={counter}+1", *stop, *lines, "ENDLOOP"]
+        if choice == 8:
+            return [
+                f"SWITCH {self.value('INT')}",
+                "CASE 1,2",
+                *lines,
+                "DEFAULT",
+                f"LIN {self.literal('E6POS')}",
+                "ENDSWITCH",
+            ]
+        if choice in (9, 10, 11):
+            self.routines.append([f"DEF {routine}()", *lines, *self.ending(), "END"])
+            between = self.one([], [f"LIN {self.literal('E6POS')}"], ["$VEL.CP=0.4"], ["I=2"], ["$BASE=BASE_DATA[2]"])
+            return [f"{routine}()", *([*between, f"{routine}()"] if choice == 11 else [])]
+        if choice == 12:
+            self.routines.append(
+                [f"DEF {routine}(K:IN)", "DECL INT K", "IF K==1 THEN", *lines, "ENDIF", "LIN P[K]", "END"]
+            )
+            return [f"{routine}({number})" for number in self.one(["1"], ["1", "2"], ["2", "1"], ["I", "J"])]
+        if choice == 13:
+            skip = self.one(
+                [f"GOTO {label}", "LIN XB"], [f"IF {self.value('BOOL')} THEN", f"GOTO {label}", "ENDIF", "LIN XB"]
+            )
+            return [*skip, f"{label}:", *lines]
+        if choice == 14 and not jumps:
+            inner = [f"FOR J=1 TO {self.one('I', '2')}", "LIN P[J]", "ENDFOR", "J=2"]
+            return [f"FOR {counter}=1 TO 2", *inner, *lines, "ENDFOR"]
+        return lines
+
+    def ending(self):
+        """What may be at the end of a routine."""
+        return self.one(
+            [], [], ["RETURN"], ["RETURN", "LIN XB"], [f"IF {self.value('BOOL')} THEN", "RETURN", "ENDIF", "LIN XA"]
+        )
+
+    def kept_motions(self):
+        """Motions that only the running robot knows."""
+        there = f"LIN {self.literal('E6POS')}"
+        routine = self.new("SUB")
+        self.routines.append([f"DEF {routine}()", there, "END"])
+        return self.one(
+            ["WHILE $IN[3]", there, "I=I", "ENDWHILE", there],
+            ["LIN $POS_ACT:{X 1,Y 2,Z 5,A 0,B 0,C 0}", there],
+            ["IF $IN[4] THEN", there, "ENDIF", there],
+            ["IF $IN[4] THEN", f"{routine}()", "ENDIF", there, f"{routine}()"],
+            ["J=GONE()", "LIN P[J]", there, "J=2"],
+            ["WHILE $IN[3]", f"{routine}()", "ENDWHILE", there],
+            ["LIN_REL {X 5}", there],
+        )
+
+    def branches(self):
+        """Branches of which it is not known which runs, and that meet in one pose."""
+        meet, other = (f"LIN {self.literal('E6POS')}" for _ in range(2))
+        routine = self.new("SUB")
+        self.routines.append([f"DEF {routine}()", other, meet, "END"])
+        first = [self.one(other, f"{self.variable('INT')}=1", "$OUT[1]=TRUE"), meet]
+        target = self.one("$IN[1]", "NOT $IN[2]", "$IN[1] AND (I>0)", "$IN[3] OR $IN[6]")
+        label = self.new("L")
+        return self.one(
+            [f"IF {target} THEN", *first, "ELSE", meet, "ENDIF"],
+            [meet, f"IF {target} THEN", *first, "ENDIF"],
+            ["SWITCH GONE()", "CASE 1", *first, "CASE 2", meet, "DEFAULT", meet, "ENDSWITCH"],
+            [f"IF {target} THEN", f"{routine}()", "ELSE", *first, "ENDIF"],
+            [f"IF {target} THEN", "IF $IN[7] THEN", *first, "ELSE", meet, "ENDIF", "ELSE", meet, "ENDIF"],
+            [meet, f"IF {target} THEN", f"GOTO {label}", "ENDIF", *first, f"{label}:"],
+        )
+
+    # --- programs ------------------------------------------------------------------------------------------------
+
+    def snippet(self):
+        choice = self.rng.random()
+        if choice < 0.22:
+            return self.setting()
+        if choice < 0.27:
+            return self.branches()
+        if choice < 0.40 and self.keep:
+            return self.kept_motions()
+        kind = self.one(*KINDS)
+        name = self.variable(kind)
+        lines = self.give(kind, name) if self.maybe(0.85) else []
+        if self.uncertain and self.maybe(0.7):
+            self.uncertain = 0
+            doubt = self.doubt(kind, name)
+            between = [f"LIN {self.literal('E6POS')}"] * self.one(0, 0, 1)
+            lines = [*lines, *doubt, *between, *(self.give(kind, name, 2) if self.maybe(0.15) else [])]
+        elif self.maybe(0.3):
+            lines += self.give(kind, name)
+        return [*lines, *self.use(kind, name), *(self.use(kind, name) if self.maybe(0.15) else [])]
+
+    def programs(self):
+        """Files of the program's folder: name → text."""
+        head = self.one("DEF part()", "DEF part()", "DEF part()", "DEF part(GIVENN:IN)")
+        main = [head, *(["DECL INT GIVENN"] if "GIVENN" in head else [])]
+        body = ["BAS(#INITMOV,0)"] if self.maybe(0.8) else []
+        if self.maybe(0.15):
+            kind = self.one("INT", "REAL", "E6POS")
+            name = {"INT": "J", "REAL": "RL", "E6POS": "XB"}[kind]
+            main.append(f"DECL {kind} {name}")
+            body.append(f"{name}={self.literal(kind) if kind != 'INT' else '2'}")
+        body.append(f"LIN {self.literal('E6POS')}")
+        for _ in range(int(self.rng.integers(1, 4))):
+            body += self.wrapped(self.snippet())
+        body += [f"LIN {self.literal('E6POS')} C_DIS"] if self.maybe(0.6) else []
+        if self.maybe(0.06):
+            body += ["LOOP", "PTP XHOME", *self.use("E6POS", "XA"), "PTP XHOME", "ENDLOOP"]
+        main += [*body, "END"]
+        for routine in self.routines:
+            main += ["GLOBAL " + routine[0] if self.maybe(0.15) else routine[0], *routine[1:]]
+        files = {"part.src": main, "part.dat": [*FIXED.splitlines(), *self.data, "ENDDAT"], **self.others}
+        if self.maybe(0.05):
+            written = next((line.split()[3].split("=")[0] for line in self.data if " GLOBAL INT " in line), "")
+            files["sps.sub"] = ["DEF sps()", f"{written}=2" if written else "$OUT[3]=TRUE", "END"]
+        end = self.one("\r\n", "\n")
+        return {name: "".join(self.spelt(line) + end for line in lines if line) for name, lines in files.items()}
