@@ -10,7 +10,7 @@ from postproc.dialects.krl.read.known import NOTHING
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.variables import Variables
 from postproc.dialects.krl.write.named_points import NamedPoints
-from tests.attack.krl import KEPT, MIXED, STATES, Wrong, attack, damaged
+from tests.attack.krl import KEPT, MIXED, SNIPPETS, STATES, Wrong, attack, damaged
 
 
 def test_random_programs_do_what_is_read_and_what_is_written():
@@ -31,6 +31,13 @@ def test_nested_loops_splines_and_synchronised_robots_are_what_the_controller_ma
 def test_routines_that_save_change_and_restore_what_the_controller_keeps_do_what_is_read_and_written():
     outcomes = Counter(attack(seed) for seed in range(MIXED + STATES, MIXED + STATES + 60))
     assert outcomes["accepted"] > 12
+
+
+def test_programs_with_one_value_in_doubt_at_most_do_what_is_read_and_written():
+    first = MIXED + STATES + SNIPPETS
+    outcomes = Counter(attack(seed) for seed in range(first, first + 100))
+    assert outcomes["accepted"] > 30
+    assert outcomes["refused"] > 20
 
 
 def test_the_attack_finds_a_reader_that_reads_the_frame_before(monkeypatch):

@@ -97,6 +97,11 @@ def test_divided_and_joined_it_makes_the_same_motions(limit):
     assert seen(one) == seen(other)
 
 
+def test_a_program_with_parameters_is_not_divided():
+    with pytest.raises(ProgramError, match="its DEF has parameters, which are not known in other files"):
+        divided(long().replace("part( )", "part(DEPTH_NO:IN)"), 20)
+
+
 def test_each_line_of_the_body_stands_in_one_of_the_files_as_it_was():
     source = long()
     written, _ = divided(source, 20)

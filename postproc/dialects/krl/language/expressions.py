@@ -45,6 +45,7 @@ from postproc.dialects.krl.language.values import (
 )
 from postproc.errors import ProgramError
 
+_LEAVES = (Number, Word)
 _MOST_TERMS = 200
 _LONGEST = 64
 """Characters of the longest INT in binary or hexadecimal notation."""
@@ -315,11 +316,12 @@ def calls(values: Iterable[Value]) -> list[Call]:
     """
     found: list[Call] = []
     for value in values:
-        if type(value) is Number:  # nearly all of them
+        if isinstance(value, _LEAVES):  # nearly all of them
             continue
         if isinstance(value, Call) and _is_routine(value.name):
             found.append(value)
-        found += calls(parts(value))
+        if inner := parts(value):
+            found += calls(inner)
     return found
 
 

@@ -39,6 +39,7 @@ class Source(Struct, frozen=True, eq=False):
     :param stops: (L,) offset behind its last character, the line end not included.
     :param origins: where its lines come from, of a text that was put together.
     :param statements: parsed statements by 1-based line: see `parser.statement`.
+    :param declared: values in declarations by offset, parsed when one is first needed.
     """
 
     document: Document
@@ -48,6 +49,7 @@ class Source(Struct, frozen=True, eq=False):
     stops: Ints
     origins: Origins | None = None
     statements: dict[int, object] = {}
+    declared: dict[int, object] = {}
 
     @classmethod
     def of(cls, document: Document, index: int) -> Source:
@@ -68,7 +70,7 @@ class Source(Struct, frozen=True, eq=False):
         """Return where a 1-based line comes from."""
         if self.origins is None:
             return Place(self, line)
-        return Place(self.origins.sources[self.origins.source[line - 1]], int(self.origins.line[line - 1]))
+        return Place(self.origins.sources[self.origins.source.item(line - 1)], self.origins.line.item(line - 1))
 
     def own(self, line: Ints) -> Ints:
         """Return the lines of their files that lines (n,) come from."""
@@ -88,7 +90,7 @@ class Source(Struct, frozen=True, eq=False):
 
     def code_span(self, line: int) -> tuple[int, int]:
         """Return the span of the code of a 1-based line: without its comment and the blanks around it."""
-        return code_span(self.text, int(self.starts[line - 1]), int(self.stops[line - 1]))
+        return code_span(self.text, self.starts.item(line - 1), self.stops.item(line - 1))
 
     def error(self, problem: str, offset: int, advice: str | None = None) -> ProgramError:
         """Return an error that names the file, the line of an offset, and its text."""

@@ -95,6 +95,8 @@ def nodes_of(source: Source, lines: Sequence[int]) -> tuple[Node, ...]:
 
     :raises ProgramError: they are nested too deeply.
     """
+    if len(lines) == 1:
+        return (lines[0],)
     out: list[Node] = []
     open_: list[_Open] = []
     for line in lines:

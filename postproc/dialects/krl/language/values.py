@@ -142,6 +142,7 @@ class Aggregate(Struct, frozen=True, eq=False):
     computed: bool = False
 
 
+_TEXT = (Opaque, Unreadable)
 Value = Number | Word | Reference | Call | Chain | Operation | Condition | Opaque | Unreadable | Aggregate
 
 
@@ -151,20 +152,20 @@ def parts(value: Value) -> Iterable[Value]:
     :raises ProgramError: brackets are not balanced.
     """
     if isinstance(value, Reference):
-        return (*(value.indices or ()), *value.inner)
-    if isinstance(value, Call):
-        return value.arguments
-    if isinstance(value, Chain):
-        return value.operands
-    if isinstance(value, Operation):
-        return (value.right,) if value.left is None else (value.left, value.right)
-    if isinstance(value, Condition):
-        return value.terms
+        return (*value.indices, *value.inner) if value.indices else value.inner
     if isinstance(value, Aggregate):
         return value.items.values()
+    if isinstance(value, Call):
+        return value.arguments
+    if isinstance(value, Operation):
+        return (value.right,) if value.left is None else (value.left, value.right)
+    if isinstance(value, Chain):
+        return value.operands
+    if isinstance(value, Condition):
+        return value.terms
     if isinstance(value, Unreadable) and value.values is None:
         raise value.error
-    return (value.values or ()) if isinstance(value, Opaque | Unreadable) else ()
+    return (value.values or ()) if isinstance(value, _TEXT) else ()
 
 
 def walk(values: Iterable[Value]) -> Iterator[Value]:

@@ -318,9 +318,9 @@ class Calls:
             if key is None or (reference.name[0] == "$" and reference.name not in STORED):
                 variables.forget(self.run.stored(reference.name), str(at))
             elif reference.field is not None:
-                variables.set_field(key, reference.field, value, str(at))
+                variables.set_field(key, reference.field, value, at)
             else:
-                variables.set(key, value, str(at))
+                variables.set(key, value, at)
 
 
 def _harmless(effects: Effects) -> bool:

@@ -116,7 +116,7 @@ def plain(value: Known) -> Term:
     """Return a BOOL as such, numbers and words as they are, None for all other values."""
     if isinstance(value, Word) and value.text in ("TRUE", "FALSE"):
         return value.text == "TRUE"
-    return value if isinstance(value, Number | Word) else None
+    return value if isinstance(value, (Number, Word)) else None
 
 
 def _compared(operator: str, left: Term, right: Term) -> bool | None:

@@ -147,7 +147,7 @@ class Flow:
 
     def _statement_moves(self, source: Source, line: int) -> bool:
         stmt = statement(source, line)
-        if isinstance(stmt, tree.Goto | tree.Spline):
+        if isinstance(stmt, (tree.Goto, tree.Spline)):
             return True  # the motions after a GOTO depend on it
         if isinstance(stmt, tree.Motion):
             return not stays(stmt)
@@ -205,8 +205,7 @@ class Flow:
                 raise inexact(at, "too much runs before")
             return
         self._traced += 1
-        limit = self._most(at.source)
-        if self._traced > limit:
+        if self._traced > _MOST_TRACED and self._traced > (limit := self._most(at.source)):
             problem = f"loops around motions are too long: {limit} statements have run when the program comes here"
             raise inexact(at, problem, _LENGTH_ADVICE)
 
@@ -750,7 +749,7 @@ class _Counter:
         return int(number.value)
 
     def _set(self, number: int) -> None:
-        self.run.variables.set(self.key, Number(float(number), 0, 0, True), str(self.at))
+        self.run.variables.set(self.key, Number(float(number), 0, 0, True), self.at)
         self.now()
 
     def now(self) -> int:

@@ -31,6 +31,8 @@ _SUPERPOSED_MOTIONS = frozenset({"$TECH", "$TECH_C", "$SPL_TECH", "$SPL_TECH_C"}
 """Function generators, which swing the tool about its path (KUKA, System Variables)."""
 _TRIGGER_WORDS = frozenset({"CONST_VEL", "STOP"})
 """Statements of spline motions that count from the start or the end of the motion that follows."""
+_SIMPLE = (tree.Assignment, tree.CallStatement)
+_MOVING = (tree.Motion, tree.Spline, tree.EndSpline)
 _CONDITIONS = frozenset({"FOR", "IF", "WHILE", "UNTIL", "SWITCH"})
 JUMP_ADVICE = (
     "Write LOOP with EXIT, FOR, WHILE or IF around the motions instead, or the motions in order; --keep-unresolved "
@@ -83,12 +85,12 @@ class Interpreter:
         """
         stmt = statement(at.source, at.line)
         self.run.place = at
-        if isinstance(stmt, tree.Motion | tree.Spline | tree.EndSpline):
+        if isinstance(stmt, _MOVING):
             if self.run.in_main:
                 self._motion(at, stmt)
             else:
                 self._inner_calls(at, stmt.values)
-        elif not self._control(at, stmt):
+        elif (isinstance(stmt, _SIMPLE) and stmt.word not in _ASYNCHRONOUS) or not self._control(at, stmt):
             self._other(at, stmt)
 
     def _control(self, at: Place, stmt: tree.Statement) -> bool:
@@ -155,11 +157,17 @@ class Interpreter:
         """Follow what neither moves nor controls: settings, assignments, declarations, calls."""
         if stmt.word == "BAS":
             self._bas(at, stmt)
+        elif isinstance(stmt, tree.Assignment):
+            self.assign(at, stmt.target, stmt.value)
+        elif isinstance(stmt, tree.CallStatement):
+            self._inner_calls(at, stmt.call.arguments)
+            if not self._inline_call(at, stmt.call):
+                self.calls.call(at, stmt.call, certain=self.run.certain)
         elif isinstance(stmt, tree.Event):
             if isinstance(stmt, tree.Trigger) and self.run.in_main:
                 self.run.triggers.append(self.run.line)
             self._event(at, stmt)
-        elif isinstance(stmt, tree.Cyclic | tree.Imported):
+        elif isinstance(stmt, (tree.Cyclic, tree.Imported)):
             if stmt.name in RELEVANT:
                 raise at.error(f"{stmt.word} changes {stmt.name} at any time", SETTING_ADVICE)
             self.run.changes_always(at, self.run.stored(stmt.name))
@@ -175,12 +183,6 @@ class Interpreter:
             return
         elif stmt.word in WITHOUT_MOTION:
             self._inner_calls(at, stmt.values)
-        elif isinstance(stmt, tree.Assignment):
-            self.assign(at, stmt.target, stmt.value)
-        elif isinstance(stmt, tree.CallStatement):
-            self._inner_calls(at, stmt.call.arguments)
-            if not self._inline_call(at, stmt.call):
-                self.calls.call(at, stmt.call, certain=self.run.certain)
         elif isinstance(stmt, tree.Faulty):
             raise stmt.error
         elif not isinstance(stmt, tree.Label):
@@ -260,9 +262,9 @@ class Interpreter:
             if value == NOTHING or unclear:
                 value = Unknown(str(at), why_unknown(self.run.variables, at.source, expression))
             if target.field is None:
-                self.run.variables.set(key, value, str(at))
+                self.run.variables.set(key, value, at)
             else:
-                self.run.variables.set_field(key, target.field, value, str(at))
+                self.run.variables.set_field(key, target.field, value, at)
 
     def _which_element(self, at: Place, target: Reference, expression: Value) -> str:
         """Return why it is not known which element an assignment writes: what it calls changes the index.

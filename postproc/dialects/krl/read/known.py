@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import cast
 
 from msgspec import Struct, field
 
+from postproc.dialects.krl.language.expressions import value_at
 from postproc.dialects.krl.language.positions import Position
 from postproc.dialects.krl.language.routines import Routine
 from postproc.dialects.krl.language.source import Place, Source
-from postproc.dialects.krl.language.values import Aggregate, Number, Word
+from postproc.dialects.krl.language.values import Aggregate, Number, Value, Word
 from postproc.errors import ProgramError
 
 
@@ -44,6 +46,17 @@ class Unread(Struct, frozen=True):
     source: Source
     start: int
     stop: int
+
+    @property
+    def value(self) -> Value:
+        """The value; it is parsed at the first call and stored with its file.
+
+        :raises ProgramError: it cannot be read.
+        """
+        value = self.source.declared.get(self.start)
+        if value is None:
+            value = self.source.declared[self.start] = value_at(self.source, self.start, self.stop)[0]
+        return cast("Value", value)
 
 
 class Scope(Struct, frozen=True):

@@ -69,8 +69,7 @@ def course_of(
     trace = Trace(main)
     reserved_names = library.programs() if settings.cell.output.lines_per_file else frozenset[str]()
     flow = Flow(run, _passed, lambda at, cause: None, trace)  # reported when the trace is followed
-    setting_lines = np.array(main.settings, dtype=np.int64)
-    nodes = nodes_of(main.source, _one_by_one(main.source, main.others, setting_lines)[0])
+    nodes = nodes_of(main.source, _one_by_one(main.source, main.others, main.settings)[0])
     checked(main.source, nodes)
     if not any(flow.matters(main.source, node) for node in nodes if isinstance(node, Block) or _calls(main, node)):
         body = Body(main.first + 1, main.last)
@@ -134,6 +133,7 @@ class MainRoutine:
         self._refused: set[Place] = set()
         self.rounds: list[ElementMotions] = []
         self._plain, self._given = plain.moving, plain.settings
+        self._setting_lines = plain.settings.line.tolist()
         self._others = plain.others(len(self.run.source.starts))
         self._rounds = course.plain_rounds()
         self._lines = main.others if course.straight else self._apart_from_rounds()
@@ -177,12 +177,10 @@ class MainRoutine:
         if errors:
             raise together({(error.file, error.line, error.problem): error for error in reversed(errors)}.values())
 
-    def _between(self, step: Lines | Kept) -> tuple[Sequence[int], Ints]:
+    def _between(self, step: Lines | Kept) -> tuple[Sequence[int], Sequence[int]]:
         """Return the lines of a step that are not plain, and those that are settings."""
-        lines, setting_lines = self._lines, self._given.line
-        step_settings = setting_lines[
-            np.searchsorted(setting_lines, step.first) : np.searchsorted(setting_lines, step.last, "right")
-        ]
+        lines, setting_lines = self._lines, self._setting_lines
+        step_settings = setting_lines[bisect_left(setting_lines, step.first) : bisect_right(setting_lines, step.last)]
         return lines[bisect_left(lines, step.first) : bisect_right(lines, step.last)], step_settings
 
     def _come_to_settings(self) -> dict[Lines, Sequence[int]]:
@@ -191,7 +189,8 @@ class MainRoutine:
         for step in self.course.steps:
             if isinstance(step, Lines):
                 step_lines[step], free_lines = _one_by_one(self.run.source, *self._between(step))
-                free[free_lines] = True
+                if len(free_lines):
+                    free[free_lines] = True
         is_free = free[self._given.line]
         self.run.settings.coming = Coming(PlainSettings(self._given.line[is_free], self._given.values[:, is_free]))
         return step_lines
@@ -321,7 +320,7 @@ class MainRoutine:
         """Pass over a control structure of which it is not known what runs; its motions stay as they are."""
         source, run = self.run.source, self.run
         lines, setting_lines = self._between(step)
-        for node in nodes_of(source, sorted([*lines, *setting_lines.tolist()])):
+        for node in nodes_of(source, sorted([*lines, *setting_lines])):
             if isinstance(node, Block):
                 at = run.come_to(node.first)
                 self._flow.roughly(at.source, node.moved(-run.shift))
@@ -371,10 +370,13 @@ class MainRoutine:
             self.motions.add(move if self.course.straight else move.moved(self.run.source, self.run.offset), state)
 
 
-def _one_by_one(source: Source, lines: Sequence[int], settings: Ints) -> tuple[Sequence[int], Ints]:
+def _one_by_one(source: Source, lines: Sequence[int], settings: Sequence[int]) -> tuple[Sequence[int], Ints]:
     """Return the lines that are run one by one: those given and settings in control structures; and other settings."""
-    free = outside(source, lines, settings)
-    return (lines if free.all() else sorted([*lines, *settings[~free].tolist()])), settings[free]
+    setting_lines = np.array(settings, dtype=np.int64)
+    if not settings:
+        return lines, setting_lines
+    free = outside(source, lines, setting_lines)
+    return (lines if free.all() else sorted([*lines, *setting_lines[~free].tolist()])), setting_lines[free]
 
 
 def _coded(source: Source, lines: Ints) -> list[int]:

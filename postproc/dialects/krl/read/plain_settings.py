@@ -113,6 +113,7 @@ class Coming:
                 if k >= first:
                     assignments.append((place, NUMBERS[row], float(self._given[row][1][k])))
         self._done = [stop for _, stop in spans]
+        self._none = all(stop == len(lines) for stop, lines in zip(self._done, self._lines, strict=True))
         return assignments
 
     def at(self, row: int, line: Ints, change_lines: Ints, state_values: Array) -> Array:

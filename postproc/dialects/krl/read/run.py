@@ -41,13 +41,16 @@ class Scopes:
     def __init__(self, program: Module, main: Routine, variables: Variables) -> None:
         self.program, self.main, self.variables = program, main, variables
         self._modules: dict[Module, Scope] = {}
+        self._routines: dict[Routine, Scope] = {}
 
     def of(self, module: Module, routine: Routine) -> Scope:
         """Return which variables the names of a routine mean that are not its own."""
         if routine is self.main:
             return Scope()
         if module is self.program:
-            return Scope(own=self.main.local - routine.local, prefix=f"{module.name}/")
+            if routine not in self._routines:
+                self._routines[routine] = Scope(own=self.main.local - routine.local, prefix=f"{module.name}/")
+            return self._routines[routine]
         if module not in self._modules:
             self._modules[module] = self._of_module(module)
         return self._modules[module]
@@ -190,7 +193,7 @@ class Run:
         """Make a row of the trace the present one; return its place in a file."""
         at = self.source.origin(row)
         self.line, self.shift = row, row - at.line
-        self.offset = int(self.source.starts[row - 1]) - int(at.source.starts[at.line - 1])
+        self.offset = self.source.starts.item(row - 1) - at.source.starts.item(at.line - 1)
         return at
 
     def in_trace(self, aggregate: Aggregate) -> Aggregate:

@@ -12,10 +12,10 @@ import numpy as np
 from msgspec.structs import replace
 
 from postproc.cell import Cell
-from postproc.dialects.krl.language.expressions import calls, value_at
+from postproc.dialects.krl.language.expressions import calls
 from postproc.dialects.krl.language.names import MAX_LENGTH
 from postproc.dialects.krl.language.positions import AXES, CARTESIAN, Position, from_aggregate, from_pose
-from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.values import (
     Aggregate,
     Call,
@@ -48,6 +48,10 @@ _FUNCTIONS: dict[str, Callable[..., float]] = {
     "ATAN2": lambda y, x: math.degrees(math.atan2(y, x)),
 }
 ZERO = Position((0.0,) * 6)
+_SCALAR = (Number, Word)
+_CONSTANT = (Number, Word, Opaque)
+_EVALUATED = (Number, Position, Word, Unknown)
+_WITHOUT_PARTS = (Number, Word, Position, Unknown, Opaque, Unreadable)
 ANGLES = CARTESIAN[3:]
 WHOLE = "INT or REAL"
 """Type of a parameter without ``:IN`` whose argument has the other of these types: no source says which it is."""
@@ -149,7 +153,7 @@ class Variables:
         :raises CellError: another place gives another frame.
         """
         try:
-            read = value_at(value.source, value.start, value.stop)[0] if isinstance(value, Unread) else value
+            read = value.value if isinstance(value, Unread) else value
             frame = self.position(read)
         except ProgramError:  # an error where it is used
             return
@@ -194,17 +198,18 @@ class Variables:
             self._elements[key[: key.index("[")]].append(key)
         self._values[key] = value
 
-    def set(self, key: str, value: Known, place: str) -> None:
+    def set(self, key: str, value: Known, place: Place) -> None:
         """Set a variable to a value, converted to its type.
 
         :param place: where the program does.
         """
         name = key.partition("[")[0]
-        self.changed.setdefault(name, place)
+        if name not in self.changed:
+            self.changed[name] = str(place)
         if isinstance(value, Number):
             value = converted(value, self.types.get(name, ""))
         elif isinstance(value, Aggregate) and self._ambiguous(key, value):
-            value = Unknown(place, "not all of its components are given, and it had others")
+            value = Unknown(str(place), "not all of its components are given, and it had others")
         self.put(key, value)
 
     def _ambiguous(self, key: str, new: Aggregate) -> bool:
@@ -221,26 +226,27 @@ class Variables:
             return False
         return not isinstance(old, Aggregate) or any(name in old.items for name in missing_names)
 
-    def set_field(self, key: str, field: str, value: Known, place: str) -> None:
+    def set_field(self, key: str, field: str, value: Known, place: Place) -> None:
         """Give one component of a variable a value (``XP1.X=5``)."""
         whole = self.value(key)
-        self.changed.setdefault(key.partition("[")[0], place)
-        unknown = Unknown(place, value.why if isinstance(value, Unknown) else "")
+        name = key.partition("[")[0]
+        if name not in self.changed:
+            self.changed[name] = str(place)
         first = field.partition(".")[0].partition("[")[0]
         if isinstance(whole, Position) and field in CARTESIAN and not whole.axis and isinstance(value, Number):
             new_position = with_component(whole, field, value.value)
-            self.put(key, unknown if new_position is None else new_position)
+            self.put(key, Unknown(str(place)) if new_position is None else new_position)
         elif isinstance(whole, Unknown) and whole.why:
             return
         elif not isinstance(whole, Aggregate):
-            self.put(key, unknown)
-        elif first == field and isinstance(value, Number | Word):
+            self.put(key, Unknown(str(place), value.why if isinstance(value, Unknown) else ""))
+        elif first == field and isinstance(value, _SCALAR):
             self.put(key, replace(whole, items={**whole.items, field: value}, computed=True))
         elif first not in _COMPONENTS:
             items = {**whole.items, first: Opaque(whole.start, whole.stop)}
             self.put(key, replace(whole, items=items, computed=True))
         else:
-            self.put(key, unknown)
+            self.put(key, Unknown(str(place), value.why if isinstance(value, Unknown) else ""))
 
     def forget(self, name: str, place: str) -> None:
         """Note that a variable (all its elements) has a value that is not known; variables of the controller without a
@@ -285,7 +291,7 @@ class Variables:
                 return (
                     not second.computed and second.source is first.source and first.start <= second.start < first.stop
                 )
-            value, _ = value_at(first.source, first.start, first.stop)
+            value = first.value
             return isinstance(value, Number) and isinstance(second, Number) and value.value == second.value
         if not isinstance(first, Aggregate) or not isinstance(second, Aggregate):
             return False
@@ -352,7 +358,7 @@ class Variables:
             self.relied.add(key)
         value = self._values.get(key)
         if isinstance(value, Unread):
-            value = self.evaluate(value_at(value.source, value.start, value.stop)[0])
+            value = self.evaluate(value.value)
             if isinstance(value, Number):
                 value = converted(value, self.types.get(key.partition("[")[0], ""))
             self._values[key] = value
@@ -363,12 +369,12 @@ class Variables:
 
         :raises ProgramError: it cannot be read.
         """
-        if isinstance(value, Number | Word | Position | Unknown):
+        if isinstance(value, _EVALUATED):
             return value
-        if isinstance(value, Aggregate):
-            return self._resolved(value)
         if isinstance(value, Reference):
             return self.looked_up(value)
+        if isinstance(value, Aggregate):
+            return self._resolved(value)
         if isinstance(value, Operation):
             return self._computed(value)
         if isinstance(value, Chain):
@@ -383,7 +389,10 @@ class Variables:
 
     def _resolved(self, aggregate: Aggregate) -> Aggregate:
         """Return an aggregate whose components have the values that they have now."""
-        if all(isinstance(item, Number | Word | Opaque) for item in aggregate.items.values()):
+        for item in aggregate.items.values():
+            if not isinstance(item, _CONSTANT):
+                break
+        else:
             return aggregate
         items: dict[str, Value] = {}
         for name, item in aggregate.items.items():
@@ -421,7 +430,7 @@ class Variables:
         value = joined(term_values, condition)
         if isinstance(value, bool):
             return Word(str(value).upper(), condition.start, condition.stop)
-        if isinstance(value, Number | Word):
+        if isinstance(value, _SCALAR):
             return value
         return next((term_value for term_value in term_values if isinstance(term_value, Unknown)), NOTHING)
 
@@ -549,7 +558,7 @@ class Variables:
         """Note which names a motion, a frame or a speed depends on."""
         if isinstance(value, Reference):
             self.used.add(self.scope.stored(value.name))
-        if isinstance(value, Reference | Chain | Operation | Aggregate | Call | Condition):
+        if not isinstance(value, _WITHOUT_PARTS):
             for part in parts(value):
                 self.rely(part)
 
