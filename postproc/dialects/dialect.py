@@ -94,12 +94,15 @@ class Dialect(Protocol):
         """Return the files that are read with a main file, in reading order."""
         ...
 
-    def read(self, documents: Sequence[Document], cell: Cell, forward: Callable[[Array], Array], name: str) -> Program:
+    def read(
+        self, documents: Sequence[Document], cell: Cell, forward_kinematics: Callable[[Array], Array], name: str
+    ) -> Program:
         """Return the program read from some files.
 
         :param documents: the main file first.
         :param cell: frames, settings and start position of the robot.
-        :param forward: (6,) joints [rad] → (4, 4) flange in the robot root [m], by the controller's nominal geometry.
+        :param forward_kinematics: (6,) joints [rad] → (4, 4) flange in the robot root [m], by the nominal geometry of the
+            controller.
         :param name: of the program.
         :raises ProgramError: it cannot be interpreted; the message gives file, line, text and advice.
         """
@@ -149,9 +152,11 @@ class CamFormat(Struct, frozen=True):
         del path
         return []
 
-    def read(self, documents: Sequence[Document], cell: Cell, forward: Callable[[Array], Array], name: str) -> Program:
+    def read(
+        self, documents: Sequence[Document], cell: Cell, forward_kinematics: Callable[[Array], Array], name: str
+    ) -> Program:
         """Return a program, see `Dialect.read`."""
-        return self.reader(documents[0], cell, forward, name)
+        return self.reader(documents[0], cell, forward_kinematics, name)
 
 
 @runtime_checkable
@@ -172,7 +177,7 @@ class Calling(Protocol):
         unchanged: Sequence[bytes],
         stems: Sequence[str],
         program: str,
-        taken: Collection[str],
+        used_names: Collection[str],
     ) -> tuple[tuple[Document, ...], dict[str, str]] | None:
         """Return the files of a program with other names for some of its subprograms; None if that is not possible.
 
@@ -180,7 +185,7 @@ class Calling(Protocol):
         :param unchanged: contents of files that are written with them and must not change.
         :param stems: names of the files to be renamed, without extension.
         :param program: name of the program, which becomes a part of the new names.
-        :param taken: names of other files, without extension, lower case.
+        :param used_names: names of other files, without extension, lower case.
         :returns: the files, and new file name → old file name.
         """
         ...

@@ -31,19 +31,19 @@ def needed(forces: TargetForces, kind: Ints, note: Ints, notes: Sequence[ForceNo
     :param note: (K,) the last of the program's own `notes` at each target, −1 before the first.
     :param start: values before the first of these: 0, or NaN where they are unknown.
     """
-    given = np.array([(FORCE_FRAMES.index(own.frame), *own.wrench) for own in notes]).reshape(-1, 7)
-    given[:, 0] = np.where(given[:, 1:].any(axis=1) & (given[:, 0] != _BASE), np.nan, _BASE)  # turns with the path
+    states = np.array([(FORCE_FRAMES.index(comment.frame), *comment.wrench) for comment in notes]).reshape(-1, 7)
+    states[:, 0] = np.where(states[:, 1:].any(axis=1) & (states[:, 0] != _BASE), np.nan, _BASE)  # turns with the path
 
     def wanted(row: Ints) -> Array:
         return np.column_stack([forces.frame[row], rounded(forces.wrench[row])])
 
-    def in_chunk(row: Ints, before: Ints) -> tuple[Bools]:
-        """Return which targets (n,) need one; `before` (n,) is the one before each, −1 for none."""
-        none = before < 0
-        state = wanted(before)
-        state[none] = start
-        fresh = note[row] != np.where(none, -1, note[before])
-        state[fresh] = given[note[row[fresh]]]
+    def in_chunk(row: Ints, previous: Ints) -> tuple[Bools]:
+        """Return which targets (n,) need one; `previous` (n,) is the one before each, −1 for none."""
+        is_first = previous < 0
+        state = wanted(previous)
+        state[is_first] = start
+        fresh = note[row] != np.where(is_first, -1, note[previous])
+        state[fresh] = states[note[row[fresh]]]
         return (np.asarray(~(np.abs(wanted(row) - state) <= [0.0, *(0.6 * 0.1**_DECIMALS)]).all(axis=1)),)
 
     rows = np.flatnonzero(kind != PTP)
@@ -52,19 +52,19 @@ def needed(forces: TargetForces, kind: Ints, note: Ints, notes: Sequence[ForceNo
     return needs_comment
 
 
-def columns(comment: bytes, forces: TargetForces, rows: Ints, shown: Bools) -> list[Part]:
-    """Return the parts of the comments of some targets (n,); nothing where they are not `shown` (n,).
+def columns(comment: bytes, forces: TargetForces, rows: Ints, is_needed: Bools) -> list[Part]:
+    """Return the parts of the comments of some targets (n,); nothing where they are not `is_needed` (n,).
 
     :param comment: what comments begin with.
     """
     wrench, frame = rounded(forces.wrench[rows]), forces.frame[rows]
-    acts = shown & wrench.any(axis=1)
+    acts = is_needed & wrench.any(axis=1)
     turns = acts & wrench[:, 3:].any(axis=1)
-    parts: list[Part] = [where(comment + b"FORCE OFF", shown & ~acts), where(comment + b"FORCE", acts)]
-    for name, values, places, given in zip(
+    parts: list[Part] = [where(comment + b"FORCE OFF", is_needed & ~acts), where(comment + b"FORCE", acts)]
+    for name, values, places, is_given in zip(
         _NAMES, wrench.T, _DECIMALS.tolist(), (acts,) * 3 + (turns,) * 3, strict=True
     ):
-        parts += [where(b" " + name + b"=", given), Number.of(np.where(given, values, np.nan), places)]
+        parts += [where(b" " + name + b"=", is_given), Number.of(np.where(is_given, values, np.nan), places)]
     for code, label in enumerate(FORCE_FRAMES):
         if code != _BASE:
             parts.append(where(f" FRAME={label}".encode(), acts & (frame == code)))

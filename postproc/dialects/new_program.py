@@ -22,7 +22,7 @@ _WITHOUT_VALUE = ("spindle_off", "coolant_on", "coolant_off")
 """Kinds of events whose value says nothing."""
 _FASTEST_TURN = 200.0
 """Largest rotational speed written [deg/s]; above it the controller chooses."""
-_CORRECTED = 1e-9
+_NOMINAL_TOLERANCE = 1e-9
 """Commands whose matrices differ by less than this from the programmed ones are nominal."""
 
 
@@ -72,7 +72,7 @@ class NewProgram:
         """Return the description of the targets for the head of the program; the first chunk usually decides it."""
         ends = np.flatnonzero(np.append(self.row[1:] != self.row[:-1], True)[: len(self.row)])
         is_corrected = any(
-            np.abs(self.program.motions.target[self.row[part]] - self.targets.pose[part]).max() > _CORRECTED
+            np.abs(self.program.motions.target[self.row[part]] - self.targets.pose[part]).max() > _NOMINAL_TOLERANCE
             for part in map(ends.__getitem__, chunks(len(ends)))
             if len(part)
         )
@@ -184,15 +184,15 @@ class NewProgram:
         motions = self.program.motions
         path = np.flatnonzero(self.targets.kind != PTP)
         feed = motions.feed[self.row[path]]
-        printed = np.rint(feed * 10.0**_DECIMALS)
-        bad = np.flatnonzero(~(printed > 0.0))
+        millionths = np.rint(feed * 10.0**_DECIMALS)
+        bad = np.flatnonzero(~(millionths > 0.0))
         if len(bad):
             at, speed = int(motions.line[self.row[path[bad[0]]]]), feed[bad[0]]
             problem = "a move has no feed" if np.isnan(speed) else f"the feed is too small: {speed * 60e3:g} mm/min"
             raise ProgramError(
                 problem, file=self.program.documents[0].name, line=at, advice="Give F above 0.06 mm/min."
             )
-        return path, printed
+        return path, millionths
 
     def turning_speeds(self) -> Array:
         """Return the rotational speed at each target (K,) [deg/s] if the program gives it, else NaN.
@@ -206,38 +206,40 @@ class NewProgram:
         return np.asarray(np.where(rate < _FASTEST_TURN, np.maximum(rate, 10.0**-_DECIMALS), np.nan))
 
     def joined(
-        self, head: Sequence[str], printed: Callable[[int, Ints], bytes], end: Sequence[str]
+        self, head: Sequence[str], print_lines: Callable[[int, Ints], bytes], end: Sequence[str]
     ) -> tuple[str, Ints]:
         """Return the text of the program, and the line of each target (K,).
 
         :param head: lines before the first target.
-        :param printed: returns the lines of targets (n,) of a kind, in order.
+        :param print_lines: returns the lines of targets (n,) of a kind, in order.
         :param end: lines after the last target.
         """
         count = len(self.row)
-        noted = np.array(sorted(self.before), dtype=np.int64)
+        note_targets = np.array(sorted(self.before), dtype=np.int64)
         step = np.ones(count + 1, dtype=np.int32)
-        step[noted] += np.array([len(self.before[k]) for k in noted.tolist()], dtype=np.int32)
+        step[note_targets] += np.array([len(self.before[k]) for k in note_targets.tolist()], dtype=np.int32)
         step[0] += len(head)
         text = "".join(line + LINE_END for line in head)
         for part in chunks(count):
             rows = np.arange(part.start, min(part.stop, count))
-            text += self._chunk(rows, printed, noted[(noted >= part.start) & (noted < part.stop)])  # extended in place
+            text += self._chunk(
+                rows, print_lines, note_targets[(note_targets >= part.start) & (note_targets < part.stop)]
+            )  # extended in place
         text += "".join(line + LINE_END for line in (*self.before.get(count, ()), *end))
         return text, np.cumsum(step[:count], dtype=step.dtype)
 
-    def _chunk(self, rows: Ints, printed: Callable[[int, Ints], bytes], noted: Ints) -> str:
-        """Return the lines of consecutive targets (n,), with those before targets `noted` (m,) of them."""
+    def _chunk(self, rows: Ints, print_lines: Callable[[int, Ints], bytes], note_targets: Ints) -> str:
+        """Return the lines of consecutive targets (n,), with those before targets `note_targets` (m,) of them."""
         kind = self.targets.kind[rows]
         rank = np.zeros(len(rows), dtype=np.int64)
         texts, ends = {}, {}
         for value in (LIN, CIRC, PTP):
             indices = np.flatnonzero(kind == value)
             rank[indices] = np.arange(len(indices))
-            texts[value] = printed(value, rows[indices]) if len(indices) else b""
+            texts[value] = print_lines(value, rows[indices]) if len(indices) else b""
             ends[value] = np.flatnonzero(np.frombuffer(texts[value], dtype=np.uint8) == ord("\n")) + 1
         changes = np.flatnonzero(np.diff(kind) != 0) + 1
-        cuts = distinct(np.concatenate([[0], noted - rows[:1], changes, [len(rows)]])) if len(rows) else rows
+        cuts = distinct(np.concatenate([[0], note_targets - rows[:1], changes, [len(rows)]])) if len(rows) else rows
         parts = []
         for first, last in pairwise(cuts.tolist()):
             parts += [line + LINE_END for line in self.before.get(int(rows[first]), ())]

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
 GROUP = "postproc.dialects"
-_ASKED = ("name", "extensions", "command_decimals", "writer", "companions", "read")
+_REQUIRED_MEMBERS = ("name", "extensions", "command_decimals", "writer", "companions", "read")
 _OURS = {
     "apt": "postproc.dialects.apt.reader:APT",
     "gcode": "postproc.dialects.gcode.reader:GCODE",
@@ -37,7 +37,7 @@ _EXTENSIONS = {
     ".modx": "rapid",
 }
 """Extensions of our own, so that none is imported only to ask for them."""
-_WRITTEN = "krl"
+_DEFAULT_OUTPUT = "krl"
 """What a program becomes whose own dialect is not written."""
 _NO_PROGRAMS = {
     ".dat": "the data of a KRL program. Give the .src file; the .dat of the same name is read with it.",
@@ -127,11 +127,11 @@ def written_in(dialect: str, to: str | None = None) -> tuple[str, Writer]:
                 advice="Post-process the part as G-code for another controller.",
             )
         return dialect, own_writer
-    name = _WRITTEN if to is None else to
+    name = _DEFAULT_OUTPUT if to is None else to
     writer = by_name(name).writer
     if writer is None:
-        known = [other for other in names() if by_name(other).writer is not None]
-        raise InputError(f"{name} is only read, not written", advice=f"Written are {', '.join(known)}.")
+        dialects = [name_of_dialect for name_of_dialect in names() if by_name(name_of_dialect).writer is not None]
+        raise InputError(f"{name} is only read, not written", advice=f"Written are {', '.join(dialects)}.")
     return name, writer
 
 
@@ -156,7 +156,7 @@ def _other(entry: EntryPoint) -> Dialect | str:
         plugin = entry.load()
     except (Exception, SystemExit) as cause:  # whatever another package does wrong
         return f"the import {origin} fails ({type(cause).__name__}: {cause})"
-    missing_names = [name for name in _ASKED if not hasattr(plugin, name)]
+    missing_names = [name for name in _REQUIRED_MEMBERS if not hasattr(plugin, name)]
     if missing_names:
         return f"the entry point {origin} is no dialect, it has no {', '.join(missing_names)}"
     if plugin.name != entry.name:

@@ -29,7 +29,7 @@ _MOST_PECKS = 10_000
 _OF_FEDTO = {"RAPTO": "CLEAR", "FEDTO": "DEPTH", "RTRCTO": "RETURN", "INCR": "STEP", "SUBPECK": "STEP"}
 """Words of cycles with FEDTO: those of the others."""
 _HEIGHTS = ("DEPTH", "CLEAR", "RAPTO", "RETURN", "DWELL", "STEP", "1STPECK")
-_PLAIN, _PECKED = ("DRILL", "FACE", "CSINK"), ("DEEP", "BRKCHP")
+_PLAIN, _PECK_CYCLES = ("DRILL", "FACE", "CSINK"), ("DEEP", "BRKCHP")
 
 
 class Cycle(Struct, frozen=True):
@@ -96,40 +96,40 @@ class CycleWords(Struct, frozen=True):
             and (self.to_height_before or return_height >= clear)
         ):
             raise StatementError("the heights of the cycle contradict each other", ADVICE)
-        if self.name in _PECKED and not step > (depth + rapid_height) / _MOST_PECKS:
+        if self.name in _PECK_CYCLES and not step > (depth + rapid_height) / _MOST_PECKS:
             raise StatementError(f"STEP {self.heights['STEP']:g} is not a valid depth of a peck", ADVICE)
         first_step = mm.get("1STPECK", step)
-        if self.name in _PECKED and not first_step > 0.0:
+        if self.name in _PECK_CYCLES and not first_step > 0.0:
             raise StatementError("1STPECK is not above zero", ADVICE)
-        returned = None if self.to_height_before else return_height
+        end_height = None if self.to_height_before else return_height
         dwell = self.heights.get("DWELL", 0.0)
-        return Cycle(depth, clear, rapid_height, returned, feed, dwell, step, first_step, self.name == "DEEP")
+        return Cycle(depth, clear, rapid_height, end_height, feed, dwell, step, first_step, self.name == "DEEP")
 
 
-def cycle_words(given: Sequence[float | str], rates: Sequence[str]) -> CycleWords:
+def cycle_words(words: Sequence[float | str], rates: Sequence[str]) -> CycleWords:
     """Return the values behind ``CYCLE/``.
 
     :param rates: words that may follow a feed.
     :raises StatementError: a word is not known, missing or repeated.
     """
-    name, *couplets = given or [""]
+    name, *couplets = words or [""]
     if name == "DRILL" and couplets[:1] in (["DEEP"], ["BRKCHP"]):
         name, *couplets = couplets
     if name in ("DEEP2", "BRKCHP2") and {"1STPECK", "SUBPECK"} <= set(couplets[0::2]):
         name = str(name)[:-1]
-    to_height_before = False
+    keeps_height = False
     if "FEDTO" in couplets[0::2] and len(couplets) % 2 == 0:
-        couplets, to_height_before = _with_depth(couplets)
+        couplets, keeps_height = _with_depth(couplets)
     names, numbers = [str(word) for word in couplets[0::2]], couplets[1::2]
     good = len(names) == len(numbers) == len(set(names)) and all(isinstance(value, float) for value in numbers)
-    good = good and name in (*_PLAIN, *_PECKED) and set(names) <= {*_HEIGHTS, *rates}
-    good = good and ("STEP" in names) == (name in _PECKED) and {"DEPTH", "CLEAR"} <= set(names)
+    good = good and name in (*_PLAIN, *_PECK_CYCLES) and set(names) <= {*_HEIGHTS, *rates}
+    good = good and ("STEP" in names) == (name in _PECK_CYCLES) and {"DEPTH", "CLEAR"} <= set(names)
     values = {word: value for word, value in zip(names, numbers, strict=False) if isinstance(value, float)}
     feeds = [part for word, value in values.items() if word not in _HEIGHTS for part in (value, word)]
     if not good or len(feeds) > 2:
         raise StatementError(f"CYCLE/{name} with these values is not supported", _READ)
     heights = {word: value for word, value in values.items() if word in _HEIGHTS}
-    return CycleWords(str(name), heights, tuple(feeds), to_height_before or heights.get("RETURN") == 0.0)
+    return CycleWords(str(name), heights, tuple(feeds), keeps_height or heights.get("RETURN") == 0.0)
 
 
 def _with_depth(couplets: Sequence[float | str]) -> tuple[list[float | str], bool]:

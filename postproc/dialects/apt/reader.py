@@ -45,26 +45,26 @@ from postproc.program import (
 )
 
 _SAME_MM = 1e-6
-_STILL = 1e-9
+_NO_TURN = 1e-9
 _OPPOSITE = -0.9999
 """Tool directions with a smaller component along a reference have no shortest rotation from it."""
-_FROM_BELOW = np.diag([1.0, -1.0, -1.0])
+_BELOW_AXES = np.diag([1.0, -1.0, -1.0])
 """Reference orientation of programs whose tool comes from below: half a turn about X."""
 _S_PER_MIN = 60.0
 
 
-def read(document: Document, cell: Cell, forward: Callable[[Array], Array], name: str) -> Program:
+def read(document: Document, cell: Cell, forward_kinematics: Callable[[Array], Array], name: str) -> Program:
     """Read a cutter-location file.
 
     The first motion, if rapid, is `PTP`; later rapid ones are `LIN` with ``rapid``. Moves that go nowhere are left out.
 
     :param cell: `$BASE`, `$TOOL`, tools, `[machine]`, `[m_codes]`, speed of rapid moves, approximation distance.
-    :param forward: (6,) joints [rad] → (4, 4) flange in the robot root [m].
+    :param forward_kinematics: (6,) joints [rad] → (4, 4) flange in the robot root [m].
     :raises InputError: all that is wrong, together, each with file, line, text and advice.
     """
     source = statements.split(document)
     base, tool_frames = cell.base.pose(), [cell.tool.pose()]
-    start = inverse(base) @ forward(cell.start_joints) @ tool_frames[0]
+    start = inverse(base) @ forward_kinematics(cell.start_joints) @ tool_frames[0]
     course = executed(source, cell, start[:3, 3] / M_PER_MM)
     notes, comments, wrong = _comments(source, course)
     moves = _Moves(course.parts, start)
@@ -81,7 +81,7 @@ def read(document: Document, cell: Cell, forward: Callable[[Array], Array], name
     numbers = {number: row for row, number in enumerate(course.tools, 1)} if cell.tools else {}
     tool_frames += [cell.tools[f"{number:g}"].pose() for number in numbers]
     home = np.array(cell.machine.home_joints or np.full(6, np.nan)) * RAD_PER_DEG
-    at_home = inverse(base) @ forward(home) @ np.stack(tool_frames) if cell.machine.home_joints else None
+    at_home = inverse(base) @ forward_kinematics(home) @ np.stack(tool_frames) if cell.machine.home_joints else None
     motion_moves, motions = _motions(moves, source, cell, numbers, (home, at_home))
     return Program(
         name=name,
@@ -111,7 +111,7 @@ def _comments(source: Statements, course: Course) -> tuple[list[ForceNote], list
     texts = [(line, text, False) for line, text in source.comments]
     texts += [(int(source.line[e.row]), e.text, True) for e in course.events if e.kind == "comment"]
     last = int(source.line[min(course.after_end)]) if course.after_end else len(source.spans[0]) + 1
-    for line, text, printed in sorted(texts):
+    for line, text, is_printed in sorted(texts):
         if line >= last:
             break
         try:
@@ -121,7 +121,7 @@ def _comments(source: Statements, course: Course) -> tuple[list[ForceNote], list
             continue
         if note is not None:
             notes.append(note)
-        elif text and not printed:
+        elif text and not is_printed:
             plain_comments.append((line, text))
     return notes, plain_comments, wrong
 
@@ -130,16 +130,16 @@ class _Moves:
     """All moves as arrays (N, …), see `walk.Part`; `part` (N,) is the index of the part."""
 
     def __init__(self, parts: Sequence[Part], start: Array) -> None:
-        nothing = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 3))]
+        no_arrays = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 3))]
         self.parts = parts
         count = [len(part.row) for part in parts]
-        self.row: Ints = np.concatenate([part.row for part in parts] or nothing[0])
-        self.end: Array = np.concatenate([part.end for part in parts] or nothing[1])
-        self.axis: Array = np.concatenate([part.axis for part in parts] or nothing[1])
+        self.row: Ints = np.concatenate([part.row for part in parts] or no_arrays[0])
+        self.end: Array = np.concatenate([part.end for part in parts] or no_arrays[1])
+        self.axis: Array = np.concatenate([part.axis for part in parts] or no_arrays[1])
         self.part = np.repeat(np.arange(len(parts)), count)
         self.begin = np.concatenate([start[None, :3, 3] / M_PER_MM, self.end[:-1]])[: len(self.row)]
         previous_axis = np.concatenate([[[0.0, 0.0, 1.0]], self.axis[:-1]])[: len(self.row)]
-        self.turns = norm(self.axis - previous_axis) > _STILL
+        self.turns = norm(self.axis - previous_axis) > _NO_TURN
 
     def each(self, name: str) -> Array:
         """Return a property of the parts for each move (N,)."""
@@ -169,10 +169,10 @@ def _motions(
     else:
         target[:, :3, :3] = reference @ tilted(axis) @ orientation
     target[:, :3, 3] = moves.end[motion_moves] * M_PER_MM
-    nothing = np.broadcast_to(np.nan, (count, 6))  # takes no memory
-    joints, centre, normal, sweep = nothing, nothing[:, :3], nothing[:, :3], nothing[:, 0]
+    no_values = np.broadcast_to(np.nan, (count, 6))  # takes no memory
+    joints, centre, normal, sweep = no_values, no_values[:, :3], no_values[:, :3], no_values[:, 0]
     if at_home.any() and home[1] is not None:
-        joints = nothing.copy()
+        joints = no_values.copy()
         joints[at_home] = home[0]
         target[at_home] = home[1][tool[at_home]]
     arcs = np.flatnonzero(code == ARC)
@@ -212,20 +212,20 @@ def _reference(axis: Array) -> Array:
 
     It is that of `$BASE`, unless the tool comes straight from below somewhere.
     """
-    return _FROM_BELOW if (axis[:, 2] < _OPPOSITE).any() else np.eye(3)
+    return _BELOW_AXES if (axis[:, 2] < _OPPOSITE).any() else np.eye(3)
 
 
 def _placed(notes: Sequence[ForceNote], motions: Motions) -> tuple[ForceNote, ...]:
-    before = np.searchsorted(motions.line, [note.line for note in notes]).tolist()
-    return tuple(replace(note, before=at) for note, at in zip(notes, before, strict=True))
+    motion_rows = np.searchsorted(motions.line, [note.line for note in notes]).tolist()
+    return tuple(replace(note, before=at) for note, at in zip(notes, motion_rows, strict=True))
 
 
 def _events(
-    course: Course, comments: Sequence[tuple[int, str]], source: Statements, kept: Ints, motions: Motions
+    course: Course, comments: Sequence[tuple[int, str]], source: Statements, motion_moves: Ints, motions: Motions
 ) -> Iterator[Event]:
     """Yield comments and other events in order of their lines."""
     course_events = [
-        (int(source.line[e.row]), int(np.searchsorted(kept, e.before)), e.kind, e.value, e.text)
+        (int(source.line[e.row]), int(np.searchsorted(motion_moves, e.before)), e.kind, e.value, e.text)
         for e in course.events
         if e.kind != "comment" or parse_force_note(e.text, 1, "") is None
     ]
@@ -243,7 +243,7 @@ def _is_moved(comment: str) -> bool:
     return comment.startswith("->") and word.strip() == "CSYS" and numbers != np.eye(3, 4).ravel().tolist()
 
 
-def _issues(course: Course, source: Statements, moves: _Moves, kept: Ints) -> Iterator[Issue]:
+def _issues(course: Course, source: Statements, moves: _Moves, motion_moves: Ints) -> Iterator[Issue]:
     if not course.stated:
         yield Issue("info", "units", "No UNITS are programmed: millimetres are assumed.")
     csys_lines = [line for line, text in source.comments if _is_moved(text)]
@@ -257,7 +257,7 @@ def _issues(course: Course, source: Statements, moves: _Moves, kept: Ints) -> It
         )
     for row, level, kind, message in course.remarks:
         yield Issue(level, kind, message, int(source.line[row]))
-    null_lines = distinct(source.line[np.delete(moves.row, kept)])
+    null_lines = distinct(source.line[np.delete(moves.row, motion_moves)])
     if len(null_lines):
         lines = tuple(null_lines.tolist())
         yield Issue("info", "null-move", "A move of zero length is left out.", lines[0], count=len(lines), lines=lines)

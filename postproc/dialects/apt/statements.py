@@ -22,7 +22,7 @@ from postproc.program import Document, Ints, distinct
 
 # a matrix in a comment of Creo, "$$-> CSYS / 1.0, 0.0, $", goes on in lines of numbers
 _COMMENT = re.compile(rb"\$\$(?:->[^\r\n$]*(?:\$[ \t]*[\r\n]{1,3}[-+0-9.,EeDd \t]*)+|[^\r\n]*)")
-_CONTINUED = re.compile(r"\$?\s+")
+_CONTINUATION = re.compile(r"\$?\s+")
 _LF, _BLANK, _DOLLAR, _COMMA = (ord(c) for c in "\n $,")
 _GOTO = b"GOTO/"
 _NUMERIC = np.frombuffer(bytes(c in b"0123456789+-.,\n" for c in range(256)), dtype=np.bool_)
@@ -99,7 +99,7 @@ def split(document: Document) -> Statements:
 
 def _comment(text: str) -> str:
     """Return a comment as one line."""
-    return _CONTINUED.sub(" ", text).strip() if "\n" in text or "\r" in text else text.strip()
+    return _CONTINUATION.sub(" ", text).strip() if "\n" in text or "\r" in text else text.strip()
 
 
 def _joined(chars: np.typing.NDArray[np.uint8]) -> tuple[bytes, Ints]:
@@ -177,11 +177,11 @@ def values(words: str) -> list[float | str]:
     >>> values("250.,MMPM")
     [250.0, 'MMPM']
     """
-    out: list[float | str] = []
+    items: list[float | str] = []
     for word in words.split(",") if words else []:
         value = number(word)
-        out.append(word if value is None else value)
-    return out
+        items.append(word if value is None else value)
+    return items
 
 
 TEXT = ("PARTNO", "PPRINT", "REMARK", "TITLES", "TPRINT", "NOTE")

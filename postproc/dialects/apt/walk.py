@@ -70,7 +70,7 @@ _MOST_TURNS = 10_000
 _NEAR_MM = 1e-6
 _LEVEL = 0.2
 """Least z of the tool direction for a retract along the tool."""
-_COMPENSATED = (
+_COMPENSATION_FAULT = (
     "the radius of the tool is in the control, not in the program",
     "Let the CAM system write the path of the tool's centre. If it is, and the offsets of the control hold wear only, "
     'write radius_offsets = "wear" in [gcode] of the cell.',
@@ -172,8 +172,8 @@ class _Compensation(Struct, frozen=True):
 
         A control cannot follow a contour whose inside arc is smaller than the cutter, as lead-ins are.
         """
-        inside = self.side * float(circle.axis @ tool) > 0.0
-        return inside and circle.radius < cutter_radius - _NEAR_MM
+        is_inside = self.side * float(circle.axis @ tool) > 0.0
+        return is_inside and circle.radius < cutter_radius - _NEAR_MM
 
 
 class _Walk:
@@ -259,8 +259,8 @@ class _Walk:
             raise StatementError("GOTO without a direction in a tilted CSYS", advice, int(row[np.argmax(bare)]))
         end, axis = numbers[:, :3] * self.unit, self._axes(row, numbers[:, 3:])
         at = 0
-        closed, self.closed = self.closed, None
-        if closed is not None and closed.fault_at(end[0]) is None:
+        closed_contour, self.closed = self.closed, None
+        if closed_contour is not None and closed_contour.fault_at(end[0]) is None:
             raise StatementError(*_AMBIGUOUS, int(row[0]))
         if self.pending is not None:
             pending, self.pending = self.pending, None
@@ -281,8 +281,8 @@ class _Walk:
     def _axes(self, row: Ints, words: Array) -> Array:
         """Return the directions of the tool (n, 3)."""
         length = norm(words)
-        stated = ~np.isnan(length)
-        if not stated.any():
+        is_stated = ~np.isnan(length)
+        if not is_stated.any():
             return np.broadcast_to(self.axis, words.shape)
         wrong = np.flatnonzero(np.abs(length - 1.0) > _UNIT_LENGTH)
         if len(wrong):
@@ -292,7 +292,7 @@ class _Walk:
             raise StatementError(problem, advice, int(row[wrong[0]]))
         with np.errstate(invalid="ignore"):
             unit = np.concatenate([self.axis[None], words / length[:, None]])
-        latest = np.maximum.accumulate(np.append(0, np.where(stated, np.arange(1, len(row) + 1), 0)))
+        latest = np.maximum.accumulate(np.append(0, np.where(is_stated, np.arange(1, len(row) + 1), 0)))
         return np.asarray(unit[latest][1:])
 
     def _single(self, row: int, end: Array, axis: Array) -> None:
@@ -449,10 +449,10 @@ class _Walk:
             raise StatementError(f"{count_text} numbers are needed here", "Check the values behind /.")
         return np.array(words, dtype=float)
 
-    def _one_number(self, words: list[float | str], what: str) -> float:
+    def _one_number(self, words: list[float | str], subject: str) -> float:
         numbers = [value for value in words if isinstance(value, float)]
         if not numbers:
-            raise StatementError(f"{what} without a number", "Check the values behind /.")
+            raise StatementError(f"{subject} without a number", "Check the values behind /.")
         return numbers[0]
 
     def _goto_odd(self, row: int, words: list[float | str]) -> None:
@@ -531,18 +531,18 @@ class _Walk:
         feed, per_turn = self._rate(row, words, "FEDRAT")
         self.feed, self.per_turn = feed, per_turn
 
-    def _rate(self, row: int, words: list[float | str], what: str) -> tuple[float, bool]:
+    def _rate(self, row: int, words: list[float | str], subject: str) -> tuple[float, bool]:
         """Return a feed [mm/min or mm/turn], and whether it is per turn."""
         units = [value for value in words if isinstance(value, str)]
         numbers = [value for value in words if isinstance(value, float)]
         factors = {**_PER_MINUTE, **_PER_TURN, "PERMIN": self.unit, "PERREV": self.unit}
         if len(numbers) != 1 or len(units) > 1 or not set(units) <= set(factors):
-            raise StatementError(f"{what} is not understood", f"Give one number and one of {', '.join(factors)}.")
+            raise StatementError(f"{subject} is not understood", f"Give one number and one of {', '.join(factors)}.")
         word = units[0] if units else "PERMIN"
         if word.startswith("I") or word.startswith("F"):
             self.inches = row if self.inches is None else self.inches
         if not numbers[0] > 0.0:
-            raise StatementError(f"{what} is not above zero", None)
+            raise StatementError(f"{subject} is not above zero", None)
         return numbers[0] * factors[word], word in (*_PER_TURN, "PERREV")
 
     def _units(self, row: int, words: list[float | str]) -> None:
@@ -581,7 +581,7 @@ class _Walk:
         if len(numbers) == 6:
             numbers = np.append(numbers, self._radius_from(numbers))
         is_nx = len(numbers) == 11
-        self._pend(row, numbers, right_handed=not is_nx, several=len(words) == 7, turns=turns - 1)
+        self._pend(row, numbers, is_right_hand=not is_nx, several=len(words) == 7, turns=turns - 1)
 
     def _times(self, count: float | str) -> int:
         """Return the number of turns of a helix, which is 1 for less than a whole one."""
@@ -602,9 +602,9 @@ class _Walk:
         numbers = self._numbers([*words[:7], words[8]], 8)
         if not 0.0 < numbers[7] <= 3600.0:
             raise StatementError("the angle of the arc is not above zero", _ARC_ADVICE)
-        self._pend(row, numbers[:7], right_handed=True, angle=float(np.deg2rad(numbers[7])))
+        self._pend(row, numbers[:7], is_right_hand=True, angle=float(np.deg2rad(numbers[7])))
 
-    def _pend(self, row: int, numbers: Array, *, right_handed: bool, **properties: Any) -> None:
+    def _pend(self, row: int, numbers: Array, *, is_right_hand: bool, **properties: Any) -> None:
         """Keep a circle for the GOTO that follows."""
         axis = numbers[3:6]
         if abs(norm(axis) - 1.0) > _UNIT_LENGTH:
@@ -613,7 +613,7 @@ class _Walk:
             raise StatementError("an arc where none is possible", "Write a GOTO for the end of the arc before.")
         if self.rapid:
             raise StatementError("an arc in rapid", _ARC_ADVICE)
-        axis = axis / norm(axis) * (1.0 if right_handed else -1.0)
+        axis = axis / norm(axis) * (1.0 if is_right_hand else -1.0)
         self.pending = _Pending(row, Circle(numbers[:3] * self.unit, axis, float(numbers[6]) * self.unit), **properties)
 
     def _direction(self, row: int, words: list[float | str]) -> None:
@@ -760,7 +760,7 @@ class _Walk:
         wear = self.cell.gcode.radius_offsets == "wear"
         side = next((word for word in ("LEFT", "RIGHT") if word in words), None)
         if side is None and not wear:
-            raise StatementError(*_COMPENSATED)
+            raise StatementError(*_COMPENSATION_FAULT)
         self.compensation = _Compensation(row, 1.0 if side == "LEFT" else -1.0, is_centre=wear)
 
     def _end_compensation(self) -> None:
@@ -769,7 +769,7 @@ class _Walk:
         if compensation is None:
             return
         if not compensation.is_centre:
-            self.course.faults.append(Fault(compensation.row, *_COMPENSATED))
+            self.course.faults.append(Fault(compensation.row, *_COMPENSATION_FAULT))
             return
         message = "CUTCOM has no effect: the path is that of the tool's centre, and the offsets hold wear only."
         self.course.remarks.append((compensation.row, "info", "radius-compensation", message))

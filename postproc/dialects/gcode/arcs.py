@@ -63,10 +63,10 @@ class ArcWords(Struct, frozen=True, eq=False):
         rows = np.arange(len(vectors))
         return vectors[rows, axes[:, 0]], vectors[rows, axes[:, 1]], vectors[rows, axes[:, 2]]
 
-    def from_plane(self, first: Array, second: Array, across: Array) -> Array:
+    def from_plane(self, first: Array, second: Array, normal: Array) -> Array:
         """Return vectors (A, 3) from their components: inverse of `in_plane`."""
         vectors = np.empty((len(first), 3))
-        np.put_along_axis(vectors, self._axes(), np.stack([first, second, across], axis=1), axis=1)
+        np.put_along_axis(vectors, self._axes(), np.stack([first, second, normal], axis=1), axis=1)
         return vectors
 
     def _axes(self) -> Ints:

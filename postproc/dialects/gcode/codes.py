@@ -101,14 +101,16 @@ _MACRO = (
     "Fanuc custom macros (G65 … G67) are not supported: call subprograms by M98, or set the CAM system to expand them."
 )
 _TOOL = "Give the tool in the cell, [tool]. Only G43 with H is accepted, without effect."
-_TURNED = "Scaled, mirrored, rotated and polar coordinates are not supported: set the CAM system to output plain ones."
+_ROTATION_ADVICE = (
+    "Scaled, mirrored, rotated and polar coordinates are not supported: set the CAM system to output plain ones."
+)
 
 _ADVICE_G = {
     **dict.fromkeys((5.0, 5.1, 5.2, 5.3), _SPLINE),
     **dict.fromkeys((7.0, 8.0), _LATHE),
     **dict.fromkeys((28.1, 30.1), _PLACES),
     SCALE_OFF: "G50 is accepted without other words, as the end of a scale. The G50 of lathes is not supported.",
-    **dict.fromkeys((16.0, 51.0, 51.1, 68.0, 68.2), _TURNED),
+    **dict.fromkeys((16.0, 51.0, 51.1, 68.0, 68.2), _ROTATION_ADVICE),
     **dict.fromkeys((17.1, 18.1, 19.1), "Planes of U, V, W are not supported."),
     **dict.fromkeys((31.0, 33.0, 33.1, 38.2, 38.3, 38.4, 38.5), _PROBE),
     **dict.fromkeys(RADIUS_BY_OFFSET, _COMPENSATION),

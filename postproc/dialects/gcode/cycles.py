@@ -65,11 +65,11 @@ class Cycle:
         self.words.clear()
 
     def hole(
-        self, code: float, given: Mapping[str, float], at: Point, modes: tuple[bool, bool], spindle: EventKind
+        self, code: float, line_words: Mapping[str, float], at: Point, modes: tuple[bool, bool], spindle: EventKind
     ) -> tuple[list[Step], list[CycleEvent]]:
         """Return the moves and events of a line.
 
-        :param given: its words: U and V in the plane, Z across it, R, Q [mm], P, L.
+        :param line_words: its words: U and V in the plane, Z across it, R, Q [mm], P, L.
         :param at: where the tool is: in the plane and across it [mm].
         :param modes: whether G91 and whether G99 is active.
         :param spindle: state of the spindle.
@@ -78,9 +78,9 @@ class Cycle:
         if code != self.code:
             self.words.clear()
             self.code = code
-        self.words.update({letter: given[letter] for letter in "ZRPQ" if letter in given})
+        self.words.update({letter: line_words[letter] for letter in "ZRPQ" if letter in line_words})
         relative, to_r = modes
-        self.relative.update(dict.fromkeys(given, relative))
+        self.relative.update(dict.fromkeys(line_words, relative))
         missing_letters = [letter for letter in ("Z", "R", *_NEEDS.get(code, "")) if letter not in self.words]
         if missing_letters:
             raise BlockError(f"G{code:g} without {' and '.join(missing_letters)}", None)
@@ -90,7 +90,7 @@ class Cycle:
                 f"{' and '.join(conflicts)} of the cycle: given in {_MODES[not relative]}, used in {_MODES[relative]}"
             )
             raise BlockError(problem, "Give R and Z again after G90 or G91: controls differ in what they keep.")
-        repeats = given.get("L", 1.0)
+        repeats = line_words.get("L", 1.0)
         if repeats < 1.0 or repeats != round(repeats):
             raise BlockError(f"L{repeats:g} of a cycle is not a number of holes", None)
         u, v, height = at
@@ -111,7 +111,7 @@ class Cycle:
         clear = r if to_r else max(self.level, r)
         for n in range(round(repeats)):
             u, v = (
-                given.get(name, 0.0 if relative else old) + (old if relative else 0.0)
+                line_words.get(name, 0.0 if relative else old) + (old if relative else 0.0)
                 for name, old in zip("UV", (u, v), strict=True)
             )
             start = height if n == 0 and height > r else clear
@@ -139,8 +139,10 @@ class Cycle:
                 depth -= peck
         steps.append(Step(1.0, bottom, bottom=True))
 
-    def _up(self, clear: Point, r: float, steps: list[Step], done: list[CycleEvent], spindle: EventKind) -> None:
-        """Append to `steps` the retract from the bottom, and to `done` the dwell and changes of the spindle before it.
+    def _up(
+        self, clear: Point, r: float, steps: list[Step], cycle_events: list[CycleEvent], spindle: EventKind
+    ) -> None:
+        """Append to `steps` the retract from the bottom, and to `cycle_events` the dwell and spindle changes before it.
 
         :param clear: end of the retract; r: height of the R plane [mm].
         :param spindle: state of the spindle before the cycle.
@@ -151,17 +153,17 @@ class Cycle:
         if self.code == 84.0:
             if spindle != "spindle_on":
                 raise BlockError("G84 with a spindle that does not turn clockwise", "Start it with M3 before.")
-            done += [CycleEvent(at, "spindle_off"), CycleEvent(at, "spindle_ccw"), *wait]
+            cycle_events += [CycleEvent(at, "spindle_off"), CycleEvent(at, "spindle_ccw"), *wait]
             steps.append(Step(1.0, clear, bottom=True))
-            done += [CycleEvent(at + 1, "spindle_off"), CycleEvent(at + 1, "spindle_on")]
+            cycle_events += [CycleEvent(at + 1, "spindle_off"), CycleEvent(at + 1, "spindle_on")]
         elif self.code == 86.0:
             if spindle == "spindle_off":
                 raise BlockError("G86 with a spindle that does not turn", "Start it with M3 before.")
-            done += [*wait, CycleEvent(at, "spindle_off")]
+            cycle_events += [*wait, CycleEvent(at, "spindle_off")]
             steps.append(Step(0.0, clear))
-            done.append(CycleEvent(at + 1, spindle))
+            cycle_events.append(CycleEvent(at + 1, spindle))
         elif self.code == 85.0:
             steps += [Step(1.0, (clear[0], clear[1], r)), Step(0.0, clear)]
         else:
-            done += wait
+            cycle_events += wait
             steps.append(Step(1.0 if self.code == 89.0 else 0.0, clear))

@@ -103,7 +103,7 @@ def _checked(number: int) -> int:
 Value = Callable[[Parameters], float]
 """An expression: evaluates to a number, given the parameters."""
 
-_SAME = 1e-4
+_EQUALITY_TOLERANCE = 1e-4
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)")
 _NAME = re.compile(r"<([^<>#]+)>")
 _FUNCTION = re.compile(r"(ABS|ACOS|ASIN|ATAN|COS|EXISTS|EXP|FIX|FUP|LN|ROUND|SIN|SQRT|TAN)(?=\[)")
@@ -122,12 +122,12 @@ _BINARY: Mapping[str, tuple[int, Callable[[float, float], float]]] = {
     "MOD": (4, _modulo),
     "+": (3, operator.add),
     "-": (3, operator.sub),
-    "EQ": (2, lambda a, b: float(abs(a - b) < _SAME)),
-    "NE": (2, lambda a, b: float(abs(a - b) >= _SAME)),
+    "EQ": (2, lambda a, b: float(abs(a - b) < _EQUALITY_TOLERANCE)),
+    "NE": (2, lambda a, b: float(abs(a - b) >= _EQUALITY_TOLERANCE)),
     "GT": (2, lambda a, b: float(a > b)),
     "LT": (2, lambda a, b: float(a < b)),
-    "GE": (2, lambda a, b: float(a >= b or abs(a - b) < _SAME)),
-    "LE": (2, lambda a, b: float(a <= b or abs(a - b) < _SAME)),
+    "GE": (2, lambda a, b: float(a >= b or abs(a - b) < _EQUALITY_TOLERANCE)),
+    "LE": (2, lambda a, b: float(a <= b or abs(a - b) < _EQUALITY_TOLERANCE)),
     "AND": (1, lambda a, b: float(a != 0.0 and b != 0.0)),
     "OR": (1, lambda a, b: float(a != 0.0 or b != 0.0)),
     "XOR": (1, lambda a, b: float((a != 0.0) != (b != 0.0))),
@@ -150,7 +150,7 @@ _UNARY: Mapping[str, Callable[[float], float]] = {
 
 def whole(value: float) -> int:
     """Return the nearest integer; within 0.0001, as rs274 requires."""
-    if abs(value - round(value)) > _SAME:
+    if abs(value - round(value)) > _EQUALITY_TOLERANCE:
         raise BlockError(f"{value:g} is not a whole number", None)
     return round(value)
 
@@ -170,9 +170,9 @@ class Reader:
         if self._inside == _DEEPEST:
             raise BlockError(f"more than {_DEEPEST} brackets or signs one in another", None)
         self._inside += 1
-        out = self._value()
+        result = self._value()
         self._inside -= 1
-        return out
+        return result
 
     def _value(self) -> Value:
         number = self._match(_NUMBER)

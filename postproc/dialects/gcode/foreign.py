@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 _POST = "In the CAM system choose a post-processor for LinuxCNC, or for plain Fanuc (ISO) without cycles and macros"
-_ASIDE = re.compile(r'\([^()"]*\)|;.*|(?<=[#Oo])<[^<>]*>')
+_SKIPPED_PARTS = re.compile(r'\([^()"]*\)|;.*|(?<=[#Oo])<[^<>]*>')
 """Parts of a line that are not searched: comments, and the names of parameters and subprograms."""
-_ENOUGH = 300
+_SEARCH_LENGTH = 300
 """Number of characters of a line that are searched."""
 
 
@@ -116,6 +116,6 @@ def recognised(lines: Sequence[str]) -> tuple[int, Foreign] | None:
     """
     for index, line in enumerate(lines):
         for kind in FOREIGN:
-            if kind.line.match(_ASIDE.sub("", line[:_ENOUGH])):
+            if kind.line.match(_SKIPPED_PARTS.sub("", line[:_SEARCH_LENGTH])):
                 return index, kind
     return None

@@ -322,7 +322,7 @@ class FrameCodes:
         self.origins.append(Origin(row, codes.STORE, axes, number, turn, kind == 20.0))
 
 
-_UNITS_AGAIN = {70.0: 20.0, 71.0: 21.0}
+_UNIT_SYNONYMS = {70.0: 20.0, 71.0: 21.0}
 MM_PER_UNIT = {20.0: 25.4, 21.0: 1.0}
 _LEAST_IN_MS = 10.0
 """Least time of a dwell that may be in milliseconds: nobody waits for less than a hundredth of a second."""
@@ -392,13 +392,13 @@ class Modes(Struct, frozen=True, eq=False):
     complete: bool = True
 
 
-def read_modes(source: Source, odd: Ints, words: Words, cell: Cell, known: Sequence[Fault] = ()) -> Modes:
+def read_modes(source: Source, odd: Ints, words: Words, cell: Cell, faults_of_run: Sequence[Fault] = ()) -> Modes:
     """Read the lines `odd` and put their coordinates, feeds and motion codes into `words`.
 
     :param odd: (n,) rows of the lines to read, ascending.
     :param words: as `words.read_plain` returns them; rows of `odd` are filled in.
     :param cell: work offsets, tools, M-codes, approximation distance, meaning of G28 and G53.
-    :param known: faults found when the program was executed.
+    :param faults_of_run: faults found when the program was executed.
     """
     opening = _OPENING.match(source.code)
     tape = -1 if opening is None else opening[0].count(b"\n") - 1
@@ -413,11 +413,11 @@ def read_modes(source: Source, odd: Ints, words: Words, cell: Cell, known: Seque
             faults.append(Fault(row, cause.args[0], cause.args[1], code))
         if reader.ended or len(faults) > MOST:
             rows = row + 1
-            if not known and source.goes_on(row):
+            if not faults_of_run and source.goes_on(row):
                 faults.append(Fault(row, *CUT_SHORT))
             break
-    faults = sorted([*faults, *(fault for fault in known if fault.row < rows)], key=lambda fault: fault.row)
-    complete = reader.ended or tape < 0 or len(faults) > MOST or bool(known)
+    faults = sorted([*faults, *(fault for fault in faults_of_run if fault.row < rows)], key=lambda fault: fault.row)
+    complete = reader.ended or tape < 0 or len(faults) > MOST or bool(faults_of_run)
     if not reader.ended and complete:
         message = "The program ends without M2, M30 or %. Check that the file is complete."
         reader.issues.append(Issue("warning", "program-end", message, rows))
@@ -578,7 +578,7 @@ class _Reader:
 
     def _said_before(self, code: float) -> bool:
         """Return whether G70 or G71 repeats the last G20 or G21, as Vectric's posts write it."""
-        return bool(self.changes["units"]) and self.changes["units"][-1][1] == _UNITS_AGAIN.get(code)
+        return bool(self.changes["units"]) and self.changes["units"][-1][1] == _UNIT_SYNONYMS.get(code)
 
     def _motion(self, row: int) -> float:
         """Return the motion code of a block, or NaN."""

@@ -491,8 +491,8 @@ class _Walk:
         self._drilled(np.full(len(steps), row), places, steps, events)
         return steps, events
 
-    def _holes(self, row: int, stop: int, steps: Sequence[Step], done: Sequence[CycleEvent]) -> None:
-        """Process lines that give only positions; `steps` and `done` are those of the hole before."""
+    def _holes(self, row: int, stop: int, steps: Sequence[Step], cycle_events: Sequence[CycleEvent]) -> None:
+        """Process lines that give only positions; `steps` and `cycle_events` are those of the hole before."""
         axes = PLANE_AXES[float(self.rows.plane[row - 1])]
         places = np.empty((stop - row, len(steps), 3))
         places[:, :, axes[2]] = [step.end[2] for step in steps]
@@ -505,16 +505,16 @@ class _Walk:
             places[:, :, axis] = at[:, None]
             if self.cycle.lifts:
                 places[:, 0, axis] = np.append(self.position[axis], at[:-1])
-        self._drilled(np.repeat(np.arange(row, stop), len(steps)), places.reshape(-1, 3), steps, done)
+        self._drilled(np.repeat(np.arange(row, stop), len(steps)), places.reshape(-1, 3), steps, cycle_events)
 
-    def _drilled(self, row: Ints, places: Array, steps: Sequence[Step], done: Sequence[CycleEvent]) -> None:
+    def _drilled(self, row: Ints, places: Array, steps: Sequence[Step], cycle_events: Sequence[CycleEvent]) -> None:
         """Add the moves (n,) of holes that all have the same steps."""
         if not len(row):
             return
         first = np.arange(self.number, self.number + len(row), len(steps))
-        if done:
+        if cycle_events:
             holes = zip(first.tolist(), row[:: len(steps)].tolist(), strict=True)
-            self.events += [(begin + one.after, at, one) for begin, at in holes for one in done]
+            self.events += [(begin + event.after, at, event) for begin, at in holes for event in cycle_events]
         bottom = [n for n, step in enumerate(steps) if step.bottom]
         self.bottoms += (first[:, None] + np.array(bottom, dtype=np.int64)).ravel().tolist()
         self._add(row, np.tile([step.code for step in steps], len(first)), places)
@@ -583,7 +583,7 @@ class _Walk:
         self.known &= ~axis_mask
         self.losses.append((row + 1, axis_mask))
 
-    def _to_home_place(self, row: int, to: Return, named: Bools, home: Array) -> None:
+    def _to_home_place(self, row: int, to: Return, axis_mask: Bools, home: Array) -> None:
         """Move the named axes to home, as the machine does. Words of G53 other than 0 are places that are not known."""
         if self.angles.any() and not self.cell_frames.rotary.indexed:
             advice = "Turn the rotary axes to zero before, or give A1 to A6 as [machine] home."
@@ -591,12 +591,12 @@ class _Walk:
             return
         frame = self.machine_frames[-1]
         place = frame[:3, :3] @ self.position + frame[:3, 3] / M_PER_MM
-        place[named] = home[named]
+        place[axis_mask] = home[axis_mask]
         self._go(row, frame[:3, :3].T @ (place - frame[:3, 3] / M_PER_MM))
         stray = np.zeros(3, dtype=bool)
         if to.code == codes.MACHINE:
             stray[[axis for axis, word in to.axes.items() if word != 0.0]] = True
-        self.away = (self.away & ~named) | stray
+        self.away = (self.away & ~axis_mask) | stray
         self.lifted = bool(self.away[2])
         if stray[:2].any():
             self.parked.append((row, stray & [True, True, False]))

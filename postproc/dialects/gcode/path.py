@@ -135,7 +135,7 @@ def _along(begin: Array, end: Array, radial: Array, normal: Array, angle: Array)
     return np.asarray(begin - radial + radius_vectors * (1.0 + share * growth) + share * climb)
 
 
-_UPWARDS = -0.9999
+_LEAST_Z = -0.9999
 """Tool directions with a smaller z are refused: there is no shortest rotation to them."""
 _STEPS = 32
 """Steps in which the rotation of the tool is summed."""
@@ -152,27 +152,29 @@ def turned(moves: Moves, axes: Array) -> Array:
     return angles
 
 
-def swivel_of(moves: Moves, rows: LineStates, kept: Ints, free: Bools, alone: Bools, cell_frames: CellFrames) -> Swivel:
+def swivel_of(
+    moves: Moves, rows: LineStates, motion_moves: Ints, free: Bools, only_turns: Bools, cell_frames: CellFrames
+) -> Swivel:
     """Return the rotation of the tool in the kept motions.
 
     :param free: (M,) motions by joint interpolation.
-    :param alone: (M,) motions at feed that rotate the tool without moving its tip.
+    :param only_turns: (M,) motions at feed that rotate the tool without moving its tip.
     """
-    active = ~free & ~moves.home[kept]
+    active = ~free & ~moves.home[motion_moves]
     active[:1] = False
-    begin, end = moves.turn[kept, 0] * RAD_PER_DEG, moves.turn[kept, 1] * RAD_PER_DEG
-    rate = np.full(len(kept), np.nan)
-    at = np.flatnonzero(alone)
+    begin, end = moves.turn[motion_moves, 0] * RAD_PER_DEG, moves.turn[motion_moves, 1] * RAD_PER_DEG
+    rate = np.full(len(motion_moves), np.nan)
+    at = np.flatnonzero(only_turns)
     if len(at):
-        row = moves.row[kept[at]]
-        degrees = norm(moves.turn[kept[at], 1] - moves.turn[kept[at], 0])
+        row = moves.row[motion_moves[at]]
+        degrees = norm(moves.turn[motion_moves[at], 1] - moves.turn[motion_moves[at], 0])
         minutes = np.where(rows.inverse_time[row], 1.0, degrees) / rows.rate[row]
         rate[at] = _way(cell_frames.rotary.directions, begin[at], end[at]) / (minutes * _S_PER_MIN)
     return Swivel(
         begin=begin,
         end=end,
         axes=cell_frames.rotary.directions,
-        frame=moves.frame[kept],
+        frame=moves.frame[motion_moves],
         frames=moves.machine_frames[:, :3, :3],
         tool=cell_frames.orientation,
         active=active,
@@ -191,23 +193,23 @@ def _way(axes: Array, begin: Array, end: Array) -> Array:
     return angles
 
 
-def check_turning(rows: LineStates, moves: Moves, held_back: Bools, axes: Array, tip_on: str) -> list[Fault]:
+def check_turning(rows: LineStates, moves: Moves, is_early: Bools, axes: Array, tip_on: str) -> list[Fault]:
     """Return faults of rotary axes, in order of lines.
 
-    :param held_back: (N,) moves that are left out while X, Y, Z are not all known.
+    :param is_early: (N,) moves that are left out while X, Y, Z are not all known.
     :param tip_on: codes that switch tool-centre-point control on.
     """
     tilt = (moves.turn != 0.0).any(axis=(1, 2))
     has_position = ~np.isnan(rows.xyz[moves.row]).all(axis=1) | (moves.code > 0.0)
 
     def away(turn: Array) -> tuple[Bools]:
-        return (any_column(np.stack([direction(axes, turn[:, n] * RAD_PER_DEG)[:, 2] < _UPWARDS for n in (0, 1)], 1)),)
+        return (any_column(np.stack([direction(axes, turn[:, n] * RAD_PER_DEG)[:, 2] < _LEAST_Z for n in (0, 1)], 1)),)
 
     faults: dict[int, Fault] = {}
     for wrong, problem, advice in (
         (in_chunks(away, moves.turn)[0], "the tool points away from the part", "Check axes and signs in [rotary]."),
         (
-            tilt & has_position & ~rows.tip[moves.row] & ~moves.home & ~held_back,
+            tilt & has_position & ~rows.tip[moves.row] & ~moves.home & ~is_early,
             "coordinates with tilted axes, but without tool-centre-point control",
             f"They depend on the machine: program {tip_on} before, or retract by G53 Z or G28 Z as [machine] says.",
         ),
@@ -328,7 +330,7 @@ class _Doubt:
 
 CHORD = 0.1
 """Share of the tolerance that chords of arcs may use."""
-_STILL = 1e-9
+_NO_ROTATION = 1e-9
 """Rotations of the tool below this [rad] are ignored."""
 
 
@@ -401,7 +403,7 @@ def read_path(
     whole = count[circular] == 1
     circular, arcs = np.flatnonzero(moves.code >= 2.0), arcs.of(whole)
     other_tool = np.diff(moves.tool, prepend=moves.tool[:1]) != 0
-    turns = turned(moves, cell_frames.rotary.directions) > _STILL
+    turns = turned(moves, cell_frames.rotary.directions) > _NO_ROTATION
     stays = ~turns & (length <= SAME_MM) & (moves.code < 2.0) & ~moves.home & ~other_tool & ~is_arrival & ~is_held_back
     motion_moves = np.flatnonzero(~stays & ~is_held_back)
     free = is_arrival[motion_moves] | moves.home[motion_moves]

@@ -58,7 +58,7 @@ __all__ = ["decode", "read"]
 SPINDLE_ON = ("spindle_on", "spindle_ccw")
 
 
-def read(document: Document, cell: Cell, forward: Callable[[Array], Array], name: str) -> Program:
+def read(document: Document, cell: Cell, forward_kinematics: Callable[[Array], Array], name: str) -> Program:
     """Read a G-code program.
 
     The first motion, if rapid, is `PTP` (from wherever the robot is); later rapid ones are `LIN` with
@@ -68,7 +68,7 @@ def read(document: Document, cell: Cell, forward: Callable[[Array], Array], name
 
     :param document: the program, see `decode`.
     :param cell: `$BASE`, `$TOOL`, work offsets, speed of rapid moves, approximation distance.
-    :param forward: (6,) joints [rad] → (4, 4) flange in the robot root [m].
+    :param forward_kinematics: (6,) joints [rad] → (4, 4) flange in the robot root [m].
     :param name: name of the program.
     :returns: poses and lengths in metres, feeds in m/s, as `Motions` says.
     :raises InputError: `ProgramError` with file, line, text and advice: a code is not supported or not known, a word
@@ -76,18 +76,20 @@ def read(document: Document, cell: Cell, forward: Callable[[Array], Array], name
         in rapid moves, the program is cut off, it moves nothing, or it is for another control; `ForceError`: a force
         comment cannot be read. All that is wrong is raised together, see `errors.together`.
     """
-    return _read(document, cell, forward, name, bulk=True)
+    return _read(document, cell, forward_kinematics, name, bulk=True)
 
 
-def _read(document: Document, cell: Cell, forward: Callable[[Array], Array], name: str, *, bulk: bool) -> Program:
+def _read(
+    document: Document, cell: Cell, forward_kinematics: Callable[[Array], Array], name: str, *, bulk: bool
+) -> Program:
     inner, issues = _without_leader(document)
     try:
-        program = _executed_program(inner, cell, forward, name, bulk=bulk)
+        program = _executed_program(inner, cell, forward_kinematics, name, bulk=bulk)
     except InputError as cause:
         if not all(getattr(error, "problem", "").startswith(_DISAGREE) for error in (cause, *cause.further_errors)):
             raise
         try:
-            program = _executed_program(inner, cell, forward, name, bulk=bulk, absolute=True)
+            program = _executed_program(inner, cell, forward_kinematics, name, bulk=bulk, absolute=True)
         except InputError:
             raise cause from None
     if issues:
@@ -129,7 +131,7 @@ _LEADER = 200
 def _executed_program(
     document: Document,
     cell: Cell,
-    forward: Callable[[Array], Array],
+    forward_kinematics: Callable[[Array], Array],
     name: str,
     *,
     bulk: bool,
@@ -145,7 +147,7 @@ def _executed_program(
     if absolute and not modes.changes["centre"]:
         rows = replace(rows, absolute_centre=np.ones(len(rows.motion), dtype=np.bool_))
     tools = _tools(cell, modes)
-    path = read_path(rows, modes, _cell_frames(cell, forward, tools), _speeds(cell), cell.rotary)
+    path = read_path(rows, modes, _cell_frames(cell, forward_kinematics, tools), _speeds(cell), cell.rotary)
     comments, wrong = _comments(run, modes.rows)
     faults = path if isinstance(path, list) else []
     if not modes.complete:
@@ -188,15 +190,17 @@ def _tools(cell: Cell, modes: Modes) -> dict[float | None, Array]:
     return {None: cell.tool.pose(), **{number: cell.tools[f"{number:g}"].pose() for number in numbers}}
 
 
-def _cell_frames(cell: Cell, forward: Callable[[Array], Array], tools: Mapping[float | None, Array]) -> CellFrames:
+def _cell_frames(
+    cell: Cell, forward_kinematics: Callable[[Array], Array], tools: Mapping[float | None, Array]
+) -> CellFrames:
     """Return the frames of the cell that a program refers to."""
     base, machine = cell.base.pose(), cell.machine
     offsets = {code: cell.work_offsets.get(f"G{code:g}") for code in WORK_OFFSETS}
     home = None
     if machine.home_joints is not None:
-        home = inverse(base) @ forward(_home_joints(cell)) @ np.stack(list(tools.values()))
+        home = inverse(base) @ forward_kinematics(_home_joints(cell)) @ np.stack(list(tools.values()))
     return CellFrames(
-        start=inverse(base) @ forward(cell.start_joints) @ tools[None],
+        start=inverse(base) @ forward_kinematics(cell.start_joints) @ tools[None],
         orientation=cell.tool_pose_in_program(),
         offsets={code: np.eye(4) if frame is None else frame.pose() for code, frame in offsets.items()},
         tools={number: row for row, number in enumerate(tools) if number is not None},

@@ -20,7 +20,7 @@ NOT_STATED = (
     'Write in [rotary] of the cell kind = "tcp" if X, Y, Z are the tool tip in the part (tool-centre-point control), '
     'or kind = "indexed" and the place of each axis if the part turns and X, Y, Z are machine axes.'
 )
-_TCP_OF_INDEXED = 'Write kind = "tcp" in [rotary] of the cell if X, Y, Z are the tool tip in the part.'
+_INDEXED_ADVICE = 'Write kind = "tcp" in [rotary] of the cell if X, Y, Z are the tool tip in the part.'
 
 
 class RotaryAxes(Struct, frozen=True, eq=False):
@@ -84,7 +84,7 @@ def kind_faults(rotary: Rotary, words: Array, tcp_on: Ints) -> list[Fault]:
     :param tcp_on: (n,) rows that switch tool-centre-point control on.
     """
     if rotary.kind == "indexed" and len(tcp_on):
-        return [Fault(int(tcp_on[0]), "tool-centre-point control, and the rotary axes are indexed", _TCP_OF_INDEXED)]
+        return [Fault(int(tcp_on[0]), "tool-centre-point control, and the rotary axes are indexed", _INDEXED_ADVICE)]
     turn_rows = np.flatnonzero(np.nan_to_num(words).any(axis=1))
     if rotary.kind is None and len(turn_rows):
         return [Fault(int(turn_rows[0]), "rotary axes turn, and the cell does not say what X, Y, Z are", NOT_STATED)]

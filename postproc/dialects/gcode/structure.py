@@ -28,9 +28,9 @@ _LITERAL = re.compile(
     r"|[A-Z](?![#\[+-]|(?:ABS|ACOS|ASIN|ATAN|COS|EXISTS|EXP|FIX|FUP|LN|ROUND|SIN|SQRT|TAN)\[)"
 )
 _ORDER = re.compile(r"M0*(2|30|98|99)(?![\d.])")
-_SAYS_NOTHING = re.compile(r"[\x01/%]*(?:N\d+)?\x01*(?:M0*(?:2|30))?\x01*")
-_NUMBERED = re.compile(r"[Oo]?(\d+)")
-_TESTED = ("IF", "ELSEIF", "WHILE", "REPEAT")
+_EMPTY_LINE = re.compile(r"[\x01/%]*(?:N\d+)?\x01*(?:M0*(?:2|30))?\x01*")
+_O_NUMBER = re.compile(r"[Oo]?(\d+)")
+_WORDS_WITH_TEST = ("IF", "ELSEIF", "WHILE", "REPEAT")
 _OPENED_BY = {
     "ENDSUB": ("SUB",),
     "ELSEIF": ("IF",),
@@ -62,15 +62,15 @@ class Block(Struct, frozen=True):
     settings: tuple[tuple[Callable[[Parameters], Key], Value], ...]
     parts: tuple[str | tuple[str, Value], ...]
 
-    def text(self, known: Parameters) -> str:
+    def text(self, parameters: Parameters) -> str:
         """Set the parameters of the line, and return its words with numbers in place of expressions.
 
         :raises BlockError: a value is not known or not valid.
         """
-        text = "".join([part if isinstance(part, str) else _word(part[0], part[1](known)) for part in self.parts])
+        text = "".join([part if isinstance(part, str) else _word(part[0], part[1](parameters)) for part in self.parts])
         if self.settings:
-            for key, value in [(key(known), value(known)) for key, value in self.settings]:
-                known.put(key, value)
+            for key, value in [(key(parameters), value(parameters)) for key, value in self.settings]:
+                parameters.put(key, value)
         return text
 
 
@@ -136,9 +136,9 @@ class Unit(Struct, eq=False):
         for first in self.subs.values():
             is_inside[first : self.links.get(first, (first,))[-1] + 1] = True
         main_rows = np.flatnonzero(~is_inside).tolist()
-        if self.subs and all(_SAYS_NOTHING.fullmatch(self.source.line(row)) for row in main_rows):
+        if self.subs and all(_EMPTY_LINE.fullmatch(self.source.line(row)) for row in main_rows):
             return f"O<{next(iter(self.subs))}>"
-        number = _NUMBERED.fullmatch(self.document.name.partition(".")[0])
+        number = _O_NUMBER.fullmatch(self.document.name.partition(".")[0])
         if number:
             ends = {end for row in main_rows if self.following[row] == row for end in ordered(self.source.line(row))}
             return f"O{int(number[1])}" if "99" in ends and not ends & {"2", "30"} else None
@@ -228,7 +228,7 @@ def _order(code: str, at: int) -> Order:
     while reader.at < len(code):
         values.append(reader.expression())
     min_count, max_count = {"CALL": (0, ARGUMENTS), "RETURN": (0, 1), "ENDSUB": (0, 1)}.get(keyword[0], (0, 0))
-    if keyword[0] in _TESTED:
+    if keyword[0] in _WORDS_WITH_TEST:
         min_count = max_count = 1
     if not min_count <= len(values) <= max_count:
         problem = "too many values" if len(values) > max_count else "a value in [ ] is missing"

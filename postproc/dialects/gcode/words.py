@@ -41,8 +41,8 @@ MARK = "\x01"
 
 _COMMENTS = {"(": r"\(([^()\r\n]*)\)", ";": r";([^\r\n]*)", '"': r"[Mm][Ss][Gg][ \t]*\"([^\"\r\n]*)\""}
 """Character of a comment → its pattern. Most programs use one form, and a search for one pattern is fast."""
-_NESTED = re.compile(r"\([^()\r\n]*\(")
-_COMMENTS_NESTED = r"\(((?:[^()\r\n]|\([^()\r\n]*\))*)\)"
+_NESTED_BRACKET = re.compile(r"\([^()\r\n]*\(")
+_NESTED_COMMENT = r"\(((?:[^()\r\n]|\([^()\r\n]*\))*)\)"
 _INNER = re.compile(r"\([^()]*\)")
 _BLOCK = re.compile(r"(?:[A-Z][-+]*(?:[\d.]+|[#\[].*))+", re.IGNORECASE)
 _PACK = bytes(ord("\n") if c in b"\0\r" else c for c in range(256)).upper()
@@ -52,9 +52,9 @@ _LINE_NUMBER = re.compile(rb"\nN\d{1,15}(?=[A-Z\n\x01])")
 CUT_SHORT = "the program ends here, but coordinates follow", "Remove this %, or what follows it."
 """Problem and advice for a % between blocks."""
 
-_END, _DIGIT, _DOT, _SIGN, _LETTER, _MARK, _OTHER = range(7)
+_END, _DIGIT, _DOT, _SIGN, _LETTER, _MARK, _OTHER_WORD = range(7)
 _CLASSES = {b"\n": _END, b"0123456789": _DIGIT, b".": _DOT, b"+-": _SIGN, _PLAIN.encode(): _LETTER, b"\x01": _MARK}
-_CLASS = bytes(next((v for chars, v in _CLASSES.items() if c in chars), _OTHER) for c in range(256))
+_CLASS = bytes(next((v for chars, v in _CLASSES.items() if c in chars), _OTHER_WORD) for c in range(256))
 _FOLLOWERS = {
     _END: (_END, _LETTER, _MARK),
     _DIGIT: (_DIGIT, _DOT, _END, _LETTER, _MARK),
@@ -62,7 +62,7 @@ _FOLLOWERS = {
     _SIGN: (_DIGIT, _DOT),
     _LETTER: (_DIGIT, _DOT, _SIGN),
     _MARK: (_END, _LETTER, _MARK),
-    _OTHER: (),
+    _OTHER_WORD: (),
 }
 _WRONG_PAIR = bytes(p & 7 not in _FOLLOWERS.get(p >> 3, ()) for p in range(256))
 _TO_NUMBERS = bytes(c if c in b"0123456789.+-" else ord(" ") for c in range(256))
@@ -142,10 +142,10 @@ def split(document: Document) -> Source:
     """
     text = document.text.replace(MARK, "?")
     comments: tuple[str, ...] = ()
-    is_nested = _NESTED.search(text) is not None
+    is_nested = _NESTED_BRACKET.search(text) is not None
     forms = [form for begin, form in _COMMENTS.items() if begin in text]
     if is_nested:
-        forms[0] = _COMMENTS_NESTED
+        forms[0] = _NESTED_COMMENT
     if forms:
         parts: list[str] = []
         comment_texts: list[str] = []
@@ -369,6 +369,6 @@ def _not_a_word(rest: str) -> tuple[str, str | None]:
     return f"unexpected character {character!r}", _CHARACTERS.get(character)
 
 
-def _conflict(own: Sequence[tuple[str, str]]) -> str:
-    code_names = [f"{letter}{float(number):g}" for letter, number in own if letter in "GM"]
+def _conflict(code_words: Sequence[tuple[str, str]]) -> str:
+    code_names = [f"{letter}{float(number):g}" for letter, number in code_words if letter in "GM"]
     return f"two codes of one modal group, or a code twice, in one block: {' '.join(code_names)}"

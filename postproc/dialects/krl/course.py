@@ -118,8 +118,8 @@ class PlainRounds(Struct, frozen=True, eq=False):
 
     def number(self, row: int) -> int | None:
         """Return the counter on a row of the trace that gives it its value; None for other rows."""
-        turn, behind = divmod(row - self.first, self.length)
-        return None if behind else self.begin + turn * self.step
+        turn, remainder = divmod(row - self.first, self.length)
+        return None if remainder else self.begin + turn * self.step
 
     def line(self, motion: int) -> Ints:
         """Return the lines of the trace (count,) with a motion of the body, by its line in the file."""
@@ -209,13 +209,13 @@ class Course(Struct, frozen=True, eq=False):
 
     def counted(self) -> Array:
         """Return what the rows of the trace (L,) assign to the counter of a FOR; NaN for lines of files."""
-        out = np.full(len(self.source.starts), np.nan)
+        counter = np.full(len(self.source.starts), np.nan)
         rows = np.array([*self.counts], dtype=np.int64)
-        out[rows - 1] = [*self.counts.values()]
+        counter[rows - 1] = [*self.counts.values()]
         for rounds in self.plain_rounds():
-            out[rounds.first - 1 : rounds.beyond - 1 : rounds.length] = np.arange(rounds.count) * rounds.step
-            out[rounds.first - 1 : rounds.beyond - 1 : rounds.length] += rounds.begin
-        return out
+            counter[rounds.first - 1 : rounds.beyond - 1 : rounds.length] = np.arange(rounds.count) * rounds.step
+            counter[rounds.first - 1 : rounds.beyond - 1 : rounds.length] += rounds.begin
+        return counter
 
     def rows_of(self, source: Source, lines: Ints) -> tuple[Ints, Ints]:
         """Return the rows of the trace that are lines (n,) of a file, in order, and which of these they are."""
@@ -224,8 +224,8 @@ class Course(Struct, frozen=True, eq=False):
             return lines, np.arange(len(lines))
         number = np.full(len(source.starts) + 1, -1, dtype=np.int64)
         number[lines] = np.arange(len(lines))
-        here = (origins.source == origins.sources.index(source)) & np.isnan(self.counted())
-        rows = np.flatnonzero(here)
+        in_file = (origins.source == origins.sources.index(source)) & np.isnan(self.counted())
+        rows = np.flatnonzero(in_file)
         rows = rows[number[origins.line[rows]] >= 0]
         return rows + 1, number[origins.line[rows]]
 
@@ -246,5 +246,5 @@ def _plain_rounds(body: Body) -> Iterator[PlainRounds]:
         elif part.plain is not None:
             yield part.plain
         else:
-            for each in part.bodies:
-                yield from _plain_rounds(each)
+            for inner in part.bodies:
+                yield from _plain_rounds(inner)

@@ -24,7 +24,7 @@ from postproc.errors import Issue, ProgramError
 from postproc.frames import RAD_PER_DEG, Array
 from postproc.program import Document, Program, TargetForces, TargetJoints, Targets, Written
 
-_SELECTING = "cell"
+_SELECTION_FILE = "cell"
 """KUKA's CELL.SRC chooses programs by the number that comes from outside: they are main programs."""
 _COMMENT = ";"
 
@@ -38,12 +38,12 @@ def _parts(path: Path, names: Sequence[str]) -> list[str]:
         return []
 
     def find(name: str) -> Document | None:
-        found = next((other for other in names if other.lower() == name.lower()), None)
+        found = next((document for document in names if document.lower() == name.lower()), None)
         return None if found is None else decode(found, path.with_name(found).read_bytes())
 
     try:
         main = decode(path.name, path.read_bytes())
-        return [*(name for name, _ in called(main)), *(PurePath(other.name).stem for other in beyond(main, find))]
+        return [*(name for name, _ in called(main)), *(PurePath(document.name).stem for document in beyond(main, find))]
     except (OSError, ProgramError):
         return []
 
@@ -53,10 +53,10 @@ def _main_of(part: Document) -> str | None:
     if (says := part_of(part)) is not None:
         return says
     stem = PurePath(part.name).stem
-    wanted = f"{stem.rstrip('0123456789')}{MAIN}.src".lower()
+    main_file = f"{stem.rstrip('0123456789')}{MAIN}.src".lower()
     try:
         siblings = sorted(Path(part.folder).iterdir()) if part.folder and stem[-1:].isdigit() else []
-        for path in (path for path in siblings if path.name.lower() == wanted):
+        for path in (path for path in siblings if path.name.lower() == main_file):
             calls = [name.lower() for name, _ in called(decode(path.name, path.read_bytes()))]
             return path.stem if stem.lower() in calls else None
     except (OSError, ProgramError):
@@ -96,19 +96,19 @@ class _Writer:
         if not isinstance(program.layout, Layout):
             new = write.in_modules(program, targets, joints, cell, comments)
             return write.in_files(program.name, (), new, cell.output.lines_per_file) if new.modules is None else new
-        apart = {document.name for document in program.layout.course.files}
+        other_names = {document.name for document in program.layout.course.files}
         whole = write.rewrite(program, targets, comments)
-        own = replace(whole, documents=tuple(d for d in whole.documents if d.name not in apart))
-        files = [document for document in program.documents if document.name not in apart]
+        program_files = replace(whole, documents=tuple(d for d in whole.documents if d.name not in other_names))
+        files = [document for document in program.documents if document.name not in other_names]
         limit, layout = cell.output.lines_per_file, program.layout
-        written = write.in_files(program.name, files, own, limit, layout.course.taken, layout.broken_off)
-        others = tuple(document for document in whole.documents if document.name in apart)
+        output = write.in_files(program.name, files, program_files, limit, layout.course.taken, layout.broken_off)
+        other_files = tuple(document for document in whole.documents if document.name in other_names)
         issues = [
             _long(document, limit)
-            for document in others
+            for document in other_files
             if limit and document.name.lower().endswith(self.extension) and document.text.count("\n") > limit
         ]
-        return replace(written, documents=(*written.documents, *others), issues=(*written.issues, *issues))
+        return replace(output, documents=(*output.documents, *other_files), issues=(*output.issues, *issues))
 
     def renamed(self, documents: Sequence[Document], name: str) -> tuple[Document, ...]:
         """Return the files of a program under another name."""
@@ -138,13 +138,13 @@ class Krl:
         except OSError:
             return []
         stems = [path.stem, *_parts(path, names)]
-        wanted = [f"{stem}{end}".lower() for stem in stems for end in (".src", ".dat")][1:]
-        found: dict[str, Path] = {}
+        file_names = [f"{stem}{end}".lower() for stem in stems for end in (".src", ".dat")][1:]
+        path_of: dict[str, Path] = {}
         for name in sorted(names):
             key = name.lower()
-            if key in wanted and (key not in found or PurePath(name).stem in stems):
-                found[key] = path.with_name(name)
-        return [found[key] for key in wanted if key in found]
+            if key in file_names and (key not in path_of or PurePath(name).stem in stems):
+                path_of[key] = path.with_name(name)
+        return [path_of[key] for key in file_names if key in path_of]
 
     def callers(self, paths: Sequence[Path]) -> dict[Path, list[Path]]:
         """Return which of some files of a folder are but called by others of them, and by which."""
@@ -160,17 +160,19 @@ class Krl:
         unchanged: Sequence[bytes],
         stems: Sequence[str],
         program: str,
-        taken: Collection[str],
+        used_names: Collection[str],
     ) -> tuple[tuple[Document, ...], dict[str, str]] | None:
         """Return the files of a program with other names for some of its subprograms, see `write.own_copies`."""
-        return write.own_copies(documents, unchanged, stems, program, taken)
+        return write.own_copies(documents, unchanged, stems, program, used_names)
 
-    def read(self, documents: Sequence[Document], cell: Cell, forward: Callable[[Array], Array], name: str) -> Program:
+    def read(
+        self, documents: Sequence[Document], cell: Cell, forward_kinematics: Callable[[Array], Array], name: str
+    ) -> Program:
         """Return a program, see `read.reader`; one in several files as one, see `language.parts`."""
         whole = joined(documents)
         if whole is None:
             try:
-                return read_program(documents, cell, forward, name)
+                return read_program(documents, cell, forward_kinematics, name)
             except ProgramError as cause:
                 if (main := _main_of(documents[0])) is None:
                     raise
@@ -178,21 +180,23 @@ class Krl:
                 advice = f"Name {main}.src instead."
                 raise ProgramError(problem, file=cause.file, line=cause.line, text=cause.text, advice=advice) from None
         stems = {PurePath(file).stem.lower() for file, _ in whole.files}
-        others = [document for document in documents if PurePath(document.name).stem.lower() not in stems]
+        subprograms = [document for document in documents if PurePath(document.name).stem.lower() not in stems]
         try:
-            program = read_program((*whole.documents, *others), cell, forward, name)
+            program = read_program((*whole.documents, *subprograms), cell, forward_kinematics, name)
         except ProgramError as cause:
             raise whole.located(cause) from None
         layout = program.layout
         if isinstance(layout, Layout):
-            again = {document.name for document in layout.course.files}
-            documents = [*(d for d in documents if d.name not in again), *layout.course.files]
+            course_names = {document.name for document in layout.course.files}
+            documents = [*(d for d in documents if d.name not in course_names), *layout.course.files]
             layout = replace(layout, documents=(*whole.documents, *layout.course.files), files=whole.files)
         name = PurePath(documents[0].name).stem[: -len(MAIN)]
-        unresolved = tuple(whole.placed(each) for each in program.unresolved)
-        needed = tuple(each for each in program.needed if Path(each.path).stem.lower() not in stems)
+        unresolved = tuple(whole.placed(item) for item in program.unresolved)
+        needed_files = tuple(item for item in program.needed if Path(item.path).stem.lower() not in stems)
         documents = tuple(documents)
-        return replace(program, name=name, documents=documents, unresolved=unresolved, needed=needed, layout=layout)
+        return replace(
+            program, name=name, documents=documents, unresolved=unresolved, needed=needed_files, layout=layout
+        )
 
 
 KRL = Krl()
@@ -221,19 +225,19 @@ def callers(paths: Sequence[Path]) -> dict[Path, list[Path]]:
         for name in file.calls:
             calling.setdefault(name, []).append(path)
     by: dict[Path, list[Path]] = {}
-    called: dict[Path, list[Path]] = {path: [] for path in paths}
+    callees: dict[Path, list[Path]] = {path: [] for path in paths}
     for path, file in files.items():
-        others = {other for name in file.gives for other in calling.get(name, ())} - {path}
-        by[path] = sorted(others)
-        for other in others:
-            called[other].append(path)
-    reached = {path for path in paths if not by[path]}
-    waiting = list(reached)
+        calling_paths = {caller for name in file.gives for caller in calling.get(name, ())} - {path}
+        by[path] = sorted(calling_paths)
+        for caller in calling_paths:
+            callees[caller].append(path)
+    reachable = {path for path in paths if not by[path]}
+    waiting = list(reachable)
     while waiting:
-        found = set(called[waiting.pop()]) - reached
-        reached |= found
-        waiting += found
-    return {path: others for path, others in by.items() if others and path in reached}
+        new_paths = set(callees[waiting.pop()]) - reachable
+        reachable |= new_paths
+        waiting += new_paths
+    return {path: calling_paths for path, calling_paths in by.items() if calling_paths and path in reachable}
 
 
 def _file(path: Path) -> _File:
@@ -241,10 +245,10 @@ def _file(path: Path) -> _File:
         text = path.read_bytes().decode("latin-1")
     except OSError:
         return _File(frozenset(), frozenset())
-    found = list(scan.whole_routines(text))
+    routines = list(scan.whole_routines(text))
     name = path.stem.upper()
     gives = {name}
-    if all(one.empty for one in found if one.name == name):
-        gives |= {one.name for one in found if one.public}
-    calls = scan.called(scan.without_comments(text)) if path.stem.lower() != _SELECTING else set[str]()
+    if all(routine.empty for routine in routines if routine.name == name):
+        gives |= {routine.name for routine in routines if routine.public}
+    calls = scan.called(scan.without_comments(text)) if path.stem.lower() != _SELECTION_FILE else set[str]()
     return _File(frozenset(calls), frozenset(gives))

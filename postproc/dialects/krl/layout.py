@@ -108,8 +108,8 @@ class Layout(Struct, frozen=True, eq=False):
 
         Of `elements` they are offsets in the data list.
         """
-        within = self.within[rows, columns].astype(np.int32)
-        return np.where(within > 0, within + self.begin[rows, None, None], -1)
+        offsets = self.within[rows, columns].astype(np.int32)
+        return np.where(offsets > 0, offsets + self.begin[rows, None, None], -1)
 
     def places(self, rows: Ints) -> Places | None:
         """Return the files and lines of motions (n,); None: all in the main file."""
@@ -117,16 +117,16 @@ class Layout(Struct, frozen=True, eq=False):
         names: tuple[str, ...] = (source.document.name,)
         file = np.zeros(len(rows), dtype=np.int64)
         if source.origins is not None:
-            names = tuple(each.document.name for each in source.origins.sources)
+            names = tuple(source_file.document.name for source_file in source.origins.sources)
             file, line = source.origins.source[line - 1], source.origins.line[line - 1]
         elif not self.files:
             return None
         if self.files:
             first = np.array([number for _, number in self.files])
-            own = np.array([name == self.documents[0].name for name in names])[file]
+            in_main = np.array([name == self.documents[0].name for name in names])[file]
             part = np.searchsorted(first, line, side="right") - 1
-            file = np.where(own, len(names) + part, file)
-            line = np.where(own, line - first[part] + 1, line)
+            file = np.where(in_main, len(names) + part, file)
+            line = np.where(in_main, line - first[part] + 1, line)
             names = (*names, *(name for name, _ in self.files))
         return Places(names, file, line)
 

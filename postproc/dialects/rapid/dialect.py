@@ -20,7 +20,7 @@ from postproc.program import Document, Program, TargetForces, TargetJoints, Targ
 
 _COMMENT = "!"
 _MODULE = re.compile(r"(?:\A|(?<=[\r\n]))[ \t]*MODULE[ \t][^\r\n]*(\r{0,2}\n|\r)", re.IGNORECASE)
-_NAMED = re.compile(
+_HEAD_NAME = re.compile(
     r"(^[ \t]*(?:LOCAL[ \t]+)?(MODULE|PROC)[ \t]+)([A-Za-z]\w*)", re.ASCII | re.IGNORECASE | re.MULTILINE
 )
 
@@ -59,7 +59,7 @@ class _Writer:
             prefix = prefixes.get(match[3].upper())
             return match[0] if prefix is None else f"{match[1]}{prefix}{name}"
 
-        text = _NAMED.sub(other, document.text)
+        text = _HEAD_NAME.sub(other, document.text)
         return (replace(document, name=f"{name}{path.suffix}", text=text),)
 
     def marked(self, documents: Sequence[Document], origin: provenance.Origin) -> tuple[tuple[Document, ...], int]:
@@ -84,9 +84,11 @@ class Rapid:
         del path
         return []
 
-    def read(self, documents: Sequence[Document], cell: Cell, forward: Callable[[Array], Array], name: str) -> Program:
+    def read(
+        self, documents: Sequence[Document], cell: Cell, forward_kinematics: Callable[[Array], Array], name: str
+    ) -> Program:
         """Return a program, see `read`."""
-        return read(documents[0], cell, forward, name)
+        return read(documents[0], cell, forward_kinematics, name)
 
 
 RAPID = Rapid()

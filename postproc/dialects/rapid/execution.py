@@ -209,8 +209,10 @@ class Execution:
     :param assumed: values of tools and work objects of the cell, for those that no module declares.
     """
 
-    def __init__(self, modules: Iterable[Module], entry: Routine, assumed: Callable[[str, str], Value | None]) -> None:
-        self.modules, self.entry, self.from_cell = tuple(modules), entry, assumed
+    def __init__(
+        self, modules: Iterable[Module], entry: Routine, cell_value: Callable[[str, str], Value | None]
+    ) -> None:
+        self.modules, self.entry, self.from_cell = tuple(modules), entry, cell_value
         self.routines = {routine.name: routine for module in self.modules for routine in module.routines}
         self.data: dict[str, Variable] = {name: Variable(type_, value) for name, (value, type_) in predefined().items()}
         for module in self.modules:

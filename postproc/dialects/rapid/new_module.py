@@ -54,11 +54,11 @@ from postproc.version import VERSION
 
 _COMMENT = "!"
 _MODULE = re.compile(r"(?:\A|(?<=[\r\n]))[ \t]*MODULE[ \t][^\r\n]*(\r{0,2}\n|\r)", re.IGNORECASE)
-_OWN = re.compile(r"((?:MODULE[ \t]+mod_)|(?:PROC[ \t]+))[A-Za-z]\w*", re.ASCII)
+_OWN_NAME = re.compile(r"((?:MODULE[ \t]+mod_)|(?:PROC[ \t]+))[A-Za-z]\w*", re.ASCII)
 DECLARATION = re.compile(
     r"LOCAL (?:PERS|CONST) (tooldata|wobjdata|speeddata|zonedata) ([A-Za-z]\w*):=(\[[^;]*\]);", re.ASCII
 )
-_FARTHEST = 1e6
+_LARGEST_COORDINATE = 1e6
 """Largest coordinate of a frame [mm]."""
 
 
@@ -79,27 +79,33 @@ _SPEED_DECIMALS = 3
 
 
 def write(
-    program: Program, targets: Targets, joints: TargetJoints, cell: Cell, carried: TargetForces | None
+    program: Program, targets: Targets, joints: TargetJoints, cell: Cell, comment_forces: TargetForces | None
 ) -> Written:
     """Return a program read from G-code as RAPID.
 
     :param joints: joint angles of the targets, which give their branches.
-    :param carried: forces to be written as comments, on lines before their targets.
+    :param comment_forces: forces to be written as comments, on lines before their targets.
     :returns: one document, ``NAME.mod``, CR LF.
     :raises ProgramError: the name is not valid in RAPID; a move has no feed, or one that would be printed as 0.
     :raises CellError: a line of the cell is not RAPID.
     """
     check_name(program, "RAPID", fault_of, valid)
-    return _NewModule(program, targets, joints, cell, carried).written()
+    return _NewModule(program, targets, joints, cell, comment_forces).written()
 
 
 class _NewModule:
     """Writer of all targets at once, with the lines that `NewProgram` collects between them."""
 
     def __init__(
-        self, program: Program, targets: Targets, joints: TargetJoints, cell: Cell, carried: TargetForces | None
+        self, program: Program, targets: Targets, joints: TargetJoints, cell: Cell, comment_forces: TargetForces | None
     ) -> None:
-        self.program, self.targets, self.joints, self.cell, self.carried = program, targets, joints, cell, carried
+        self.program, self.targets, self.joints, self.cell, self.carried = (
+            program,
+            targets,
+            joints,
+            cell,
+            comment_forces,
+        )
         self.new = NewProgram(program, targets, cell, WORDS)
 
     def written(self) -> Written:

@@ -43,22 +43,23 @@ from postproc.program import (
     parse_force_note,
 )
 
-_NOT_NORMALISED = 1e-3
+_NORM_TOLERANCE = 1e-3
 """What the sum of the squares of a quaternion may differ from 1: three decimals of each."""
-_FARTHEST = 1e5
+_LARGEST_COORDINATE = 1e5
 """Largest coordinate of a target or frame [mm]."""
 _TURNS = 1e-6
 _MOST_NAMES = 5
 
 
-def read(document: Document, cell: Cell, forward: Callable[[Array], Array], name: str) -> Program:
+def read(document: Document, cell: Cell, forward_kinematics: Callable[[Array], Array], name: str) -> Program:
     """Read a RAPID module.
 
     :param cell: its start position, and the tool and work object of modules that declare none.
-    :param forward: (6,) joints [rad] → (4, 4) flange in the robot root [m], by the controller's nominal geometry.
+    :param forward_kinematics: (6,) joints [rad] → (4, 4) flange in the robot root [m], by the nominal geometry of the
+        controller.
     :raises InputError: what cannot be followed, all together, each with its line and advice.
     """
-    return _Reader(document, cell).program(forward, name)
+    return _Reader(document, cell).program(forward_kinematics, name)
 
 
 class _Reader:
@@ -69,7 +70,7 @@ class _Reader:
         self.names: dict[str, set[str]] = {}
         self.frames: dict[str, _FromCell] = {}
 
-    def program(self, forward: Callable[[Array], Array], name: str) -> Program:
+    def program(self, forward_kinematics: Callable[[Array], Array], name: str) -> Program:
         """Return the program."""
         whole = self._expanded(name)
         execution = whole.executed
@@ -83,7 +84,7 @@ class _Reader:
                 "there are no motions", file=self.document.name, advice="Check that this is the program."
             )
         comments, notes = self._notes(whole)
-        motions, bases, tools, numbers, turns = self._motions(execution.moves, line, forward)
+        motions, bases, tools, numbers, turns = self._motions(execution.moves, line, forward_kinematics)
         plain = not whole.loops and not whole.copies
         data_names = frozenset(data.name for module in whole.modules for data in module.data)
         return Program(
@@ -177,7 +178,7 @@ class _Reader:
     # --- motions
 
     def _motions(
-        self, moves: list[Move], line: Ints, forward: Callable[[Array], Array]
+        self, moves: list[Move], line: Ints, forward_kinematics: Callable[[Array], Array]
     ) -> tuple[Motions, Array, Array, Array, tuple[Bools, Bools]]:
         """Return the motions, bases, tools, numbers of the text; which are led by the wrist, which by their path."""
         kind = np.array([move.kind for move in moves], dtype=np.int64)
@@ -197,9 +198,9 @@ class _Reader:
         rows = np.flatnonzero(axis)
         joints[rows] = joints_from_abb(angles[:, :6].astype(np.float32).astype(np.float64))
         for row in rows.tolist():
-            pose[row] = inverse(bases[base[row]]) @ forward(joints[row]) @ tools[tool[row]]
+            pose[row] = inverse(bases[base[row]]) @ forward_kinematics(joints[row]) @ tools[tool[row]]
         numbers[rows] = xyzabc_from_pose(pose[rows]) if len(rows) else numbers[rows]
-        starts = Starts.of((base, tool, bases, tools), pose.__getitem__, forward(self.cell.start_joints))
+        starts = Starts.of((base, tool, bases, tools), pose.__getitem__, forward_kinematics(self.cell.start_joints))
         start = starts.at(np.arange(len(line)))
         arcs = self._arcs(moves, start, pose, line, kind == CIRC)
         by_wrist, with_path = self._turning(moves, kind, start, pose, line)
@@ -282,12 +283,12 @@ class _Reader:
 
     def _check(self, numbers: Array, line: Ints) -> None:
         """Refuse targets that no robot has."""
-        is_too_far = np.abs(numbers[:, :3]) > _FARTHEST
+        is_too_far = np.abs(numbers[:, :3]) > _LARGEST_COORDINATE
         if is_too_far.any():
             raise self._at(
                 "no robot reaches this target", int(line[np.argmax(is_too_far.any(axis=1))]), "Coordinates are in mm."
             )
-        is_not_unit = np.abs(np.einsum("ni,ni->n", numbers[:, 3:7], numbers[:, 3:7]) - 1.0) > _NOT_NORMALISED
+        is_not_unit = np.abs(np.einsum("ni,ni->n", numbers[:, 3:7], numbers[:, 3:7]) - 1.0) > _NORM_TOLERANCE
         if is_not_unit.any():
             advice = "The squares of q1…q4 must add up to 1: give them with more decimals."
             raise self._at("the orientation is not a unit quaternion", int(line[np.argmax(is_not_unit)]), advice)
@@ -299,10 +300,12 @@ class _Reader:
                 "It has four whole numbers, the last from 0 to 7.",
             )
 
-    def _check_external(self, moves: list[Move], one: Array, line: Ints, two: Array, axis_line: Ints) -> None:
+    def _check_external(
+        self, moves: list[Move], robtarget_values: Array, line: Ints, jointtarget_values: Array, axis_line: Ints
+    ) -> None:
         """Refuse external axes that move, or carry the robot elsewhere."""
         del moves
-        values, lines = np.concatenate([one, two]), np.concatenate([line, axis_line])
+        values, lines = np.concatenate([robtarget_values, jointtarget_values]), np.concatenate([line, axis_line])
         is_used = (np.abs(values) < NONE) & (values != 0.0)
         if is_used.any():
             row, column = np.argwhere(is_used)[0].tolist()
@@ -429,9 +432,9 @@ def _single(values: list[float]) -> Array:
 def _pose(value: Value) -> Array:
     """Return a `pose` (4, 4) [m]."""
     numbers = np.array(shaped(value, 3, 4))
-    if (np.abs(numbers[:3]) > _FARTHEST).any():
+    if (np.abs(numbers[:3]) > _LARGEST_COORDINATE).any():
         raise UnknownValueError("the frame is beyond any cell")
-    if abs(float(numbers[3:] @ numbers[3:]) - 1.0) > _NOT_NORMALISED:
+    if abs(float(numbers[3:] @ numbers[3:]) - 1.0) > _NORM_TOLERANCE:
         raise UnknownValueError("the orientation of the frame is not a unit quaternion")
     return np.asarray(poses(numbers[None])[0])
 

@@ -51,15 +51,15 @@ class Edit(Struct, frozen=True, order=True):
     targets: tuple[tuple[int, int], ...] = ()
 
 
-def rewritten(program: Program, targets: Targets, joints: TargetJoints, carried: TargetForces | None) -> Written:
+def rewritten(program: Program, targets: Targets, joints: TargetJoints, comment_forces: TargetForces | None) -> Written:
     """Return a program read from RAPID with other targets.
 
     :param joints: joint angles of the targets, which give their configurations.
-    :param carried: forces that comments must give to the targets, or None.
+    :param comment_forces: forces that comments must give to the targets, or None.
     """
     if not isinstance(program.layout, Layout):
         raise TypeError("the program was not read from RAPID")
-    return _Rewriter(program, program.layout, targets, joints, carried).written()
+    return _Rewriter(program, program.layout, targets, joints, comment_forces).written()
 
 
 class _Rewriter:
@@ -71,9 +71,9 @@ class _Rewriter:
         layout: Layout,
         targets: Targets,
         joints: TargetJoints,
-        carried: TargetForces | None,
+        comment_forces: TargetForces | None,
     ) -> None:
-        self.program, self.layout, self.targets, self.carried = program, layout, targets, carried
+        self.program, self.layout, self.targets, self.carried = program, layout, targets, comment_forces
         self.text, self.moves = layout.text, layout.moves
         self.row = np.asarray(targets.motion, dtype=np.int64)
         self.last = np.append(self.row[1:] != self.row[:-1], True)[: len(self.row)]
@@ -145,7 +145,7 @@ class _Rewriter:
         rows = np.flatnonzero(force_comments.needed(self.carried, self.targets.kind, note, self.program.notes, 0.0))
         return dict(zip(rows.tolist(), force_comments.texts(b"!", self.carried, rows), strict=True))
 
-    def _lines_before(self, row: int, inserted: range, k: int, forces: dict[int, str]) -> None:
+    def _lines_before(self, row: int, inserted_rows: range, k: int, forces: dict[int, str]) -> None:
         """Add the lines of inserted targets and of force comments before a move."""
         start = self.moves[row].statement.start
         line = int(np.searchsorted(self.starts, start, side="right")) - 1
@@ -161,14 +161,14 @@ class _Rewriter:
             pieces.append(f"{text}{end}{indent}")
             length += len(pieces[-1])
 
-        for target in inserted:
+        for target in inserted_rows:
             if target in forces:
                 add(forces[target])
             targets.append((target, length))
             add(self._inserted(row, target))
         if k in forces and not self._replaced_comment(row, forces[k]):
             add(forces[k])
-        if inserted and MOVES[self.moves[row].statement.name].before_zone:
+        if inserted_rows and MOVES[self.moves[row].statement.name].before_zone:
             message = (
                 "Targets must be inserted into this move, which switches at a distance from its end: that would not be "
                 "kept right. Use MoveL and SetDO, or raise tolerance_mm so that no targets are needed."

@@ -205,18 +205,18 @@ class Parser:
                 return
             at = match.end()
             if match.lastgroup == "comment":
-                line_so_far = self.text[self.behind : match.start()]
-                trailing = "\n" not in line_so_far and "\r" not in line_so_far and self.behind > 0
+                line_start = self.text[self.behind : match.start()]
+                trailing = "\n" not in line_start and "\r" not in line_start and self.behind > 0
                 self.comments.append(Comment(match.start(), at, match[0][1:], trailing))
             elif match.lastgroup != "space":
                 self.kind, self.start, self.stop = str(match.lastgroup), match.start(), at
                 self.word = match[0].upper() if self.kind == "name" else match[0]
                 return
 
-    def fault(self, expected: str) -> RapidSyntaxError:
+    def fault(self, expectation: str) -> RapidSyntaxError:
         """Return the error that something else was expected here."""
         token = self.text[self.start : self.stop] if self.kind != "end" else "the end of the file"
-        return RapidSyntaxError(f"{expected} is expected instead of {token!r}", self.start)
+        return RapidSyntaxError(f"{expectation} is expected instead of {token!r}", self.start)
 
     def take(self, word: str) -> None:
         """Go beyond a word or symbol."""
@@ -334,20 +334,20 @@ class Parser:
 
     def arguments(self, end: str) -> tuple[Argument, ...]:
         """Read arguments up to a symbol, which is left."""
-        out: list[Argument] = []
+        items: list[Argument] = []
         while self.word != end or self.kind != "symbol":
-            if out and not self.accept(",") and not (self.word == "\\" and self.kind == "symbol"):
+            if items and not self.accept(",") and not (self.word == "\\" and self.kind == "symbol"):
                 raise self.fault(f"a comma or {end}")
             start = self.start
             if self.accept("\\"):
                 name, value = self.identifier(), None
                 if self.accept(":=") or self.accept("?"):
                     value = self.expression()
-                out.append(Argument(name, value, start, self.behind))
+                items.append(Argument(name, value, start, self.behind))
             else:
                 value = self.expression()
-                out.append(Argument("", value, start, self.behind))
-        return tuple(out)
+                items.append(Argument("", value, start, self.behind))
+        return tuple(items)
 
     # --- statements
 

@@ -135,9 +135,9 @@ class Variable(Struct, eq=False):
     declaration: Declaration | None = None
     literal: bool = False
 
-    def forget(self, why: str) -> None:
+    def forget(self, reason: str) -> None:
         """Make the value unknown."""
-        self.value, self.literal, self.why = None, False, why
+        self.value, self.literal, self.why = None, False, reason
 
 
 class Scope:
@@ -156,10 +156,10 @@ class Scope:
 
         :raises UnknownValueError: it is not declared.
         """
-        found = self.find(name)
-        if found is None:
+        data = self.find(name)
+        if data is None:
             raise UnknownValueError(f"{name} is not declared in this file")
-        return found
+        return data
 
 
 def evaluated(expression: Expression, scope: Scope) -> tuple[Value, str]:

@@ -95,17 +95,17 @@ def structure(source: Source, start: int, stop: int) -> tuple[str, dict[str, str
 
 def declared_names(source: Source) -> tuple[frozenset[str], frozenset[str]]:
     """Return the names that a `.dat` declares for its own program, and those that are GLOBAL."""
-    own: set[str] = set()
+    local_names: set[str] = set()
     public: set[str] = set()
     for begin, end in zip(source.starts.tolist(), source.stops.tolist(), strict=True):
         if element := ELEMENT.match(source.text, begin, end):  # most lines of long data lists
-            own.add(element[1].upper())
+            local_names.add(element[1].upper())
             continue
         start, stop = code_span(source.text, begin, end)
         if start < stop and source.text[start] != "&":
-            for one in declared(source, start, stop):
-                (public if one.public else own).add(one.name)
-    return frozenset(own - public), frozenset(public)
+            for item in declared(source, start, stop):
+                (public if item.public else local_names).add(item.name)
+    return frozenset(local_names - public), frozenset(public)
 
 
 class DataLine(Struct, frozen=True, eq=False):
@@ -125,27 +125,29 @@ class DataLine(Struct, frozen=True, eq=False):
 
 def data_lines(data: Source) -> list[DataLine]:
     """Return the lines of a `.dat` but for its header, DEFDAT and ENDDAT."""
-    found = []
+    lines = []
     for line in range(1, len(data.starts) + 1):
         start, stop = data.code_span(line)
         word = word_at(data.text, start, stop)
         if word in ("DEFDAT", "ENDDAT") or data.text[start : start + 1] == "&":
             continue
         begin, end = int(data.starts[line - 1]), int(data.stops[line - 1])
-        beyond = int(data.starts[line]) if line < len(data.starts) else len(data.text)
-        stated = list(declared(data, start, stop)) if word not in DECLARING else []
-        names = frozenset(one.name for one in stated) or _declared_otherwise(data.text[start:stop], word)
-        public = any(one.public for one in stated) or _is_public(data.text, start, stop)
-        text = data.text[begin:beyond] if beyond > end else data.text[begin:end] + "\r\n"
-        found.append(DataLine(line, text, names, public))
-    everywhere = frozenset().union(*(one.names for one in found if one.public))
-    return [one if one.public or one.names.isdisjoint(everywhere) else replace(one, public=True) for one in found]
+        next_start = int(data.starts[line]) if line < len(data.starts) else len(data.text)
+        declarations = list(declared(data, start, stop)) if word not in DECLARING else []
+        names = frozenset(item.name for item in declarations) or _declared_otherwise(data.text[start:stop], word)
+        public = any(item.public for item in declarations) or _is_public(data.text, start, stop)
+        text = data.text[begin:next_start] if next_start > end else data.text[begin:end] + "\r\n"
+        lines.append(DataLine(line, text, names, public))
+    public_names = frozenset().union(*(item.names for item in lines if item.public))
+    return [
+        item if item.public or item.names.isdisjoint(public_names) else replace(item, public=True) for item in lines
+    ]
 
 
 def _is_public(text: str, start: int, stop: int) -> bool:
     """Return whether GLOBAL is the first word of a line, or follows DECL."""
-    behind = after_word(text, start, stop, "DECL")
-    return after_word(text, max(start, behind), stop, "GLOBAL") >= 0
+    next_sign = after_word(text, start, stop, "DECL")
+    return after_word(text, max(start, next_sign), stop, "GLOBAL") >= 0
 
 
 def _declared_otherwise(code: str, word: str) -> frozenset[str]:

@@ -133,28 +133,28 @@ class Trigger(Struct, frozen=True):
     length: float
 
 
-def triggers(source: Source, found: Sequence[tuple[int, int, bool]], length: Array) -> Iterator[Trigger]:
+def triggers(source: Source, places: Sequence[tuple[int, int, bool]], length: Array) -> Iterator[Trigger]:
     """Return TRIGGER statements of a `.src`.
 
-    :param found: line, row of the motion that follows, and whether it is attached, of each.
+    :param places: line, row of the motion that follows, and whether it is attached, of each.
     :param length: (n,) of these motions [m].
     """
-    for (line, row, attached), metres in zip(found, length.tolist(), strict=True):
+    for (line, row, is_attached), metres in zip(places, length.tolist(), strict=True):
         at = source.origin(line)
-        here, moved = statement(*at), int(source.starts[line - 1]) - int(at.source.starts[at.line - 1])
-        if isinstance(here, tree.Timed):
-            yield Trigger(line, row, attached, here.from_start, 0.0, None, 0.0, metres)
+        node, shift = statement(*at), int(source.starts[line - 1]) - int(at.source.starts[at.line - 1])
+        if isinstance(node, tree.Timed):
+            yield Trigger(line, row, is_attached, node.from_start, 0.0, None, 0.0, metres)
             continue
         offset = delay = float("nan")
         from_start, path = False, None
-        if isinstance(here, tree.Trigger) and here.value is not None and here.delay is not None:
-            value, delay = _number(here.value), _S_PER_MS * _number(here.delay)
-            from_start = here.from_start or (here.distance and value == 0.0)
-            if not here.distance:
-                offset, path = value * M_PER_MM, (here.value.start + moved, here.value.stop + moved)
+        if isinstance(node, tree.Trigger) and node.value is not None and node.delay is not None:
+            value, delay = _number(node.value), _S_PER_MS * _number(node.delay)
+            from_start = node.from_start or (node.distance and value == 0.0)
+            if not node.distance:
+                offset, path = value * M_PER_MM, (node.value.start + shift, node.value.stop + shift)
             elif value in (0.0, 1.0):
                 offset = 0.0
-        yield Trigger(line, row, attached, from_start, offset, path, delay, metres)
+        yield Trigger(line, row, is_attached, from_start, offset, path, delay, metres)
 
 
 def _number(value: Value) -> float:

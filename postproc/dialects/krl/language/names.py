@@ -114,14 +114,20 @@ def valid(name: str) -> str:
     if fault_of(name) is None:
         return name
     plain = unicodedata.normalize("NFKD", name.translate(_UMLAUTS)).encode("ascii", "ignore").decode()
-    found = re.sub(r"\W+", "_", plain).strip("_") or "PROGRAM"
-    found = f"P_{found}" if found.upper() in RESERVED else f"P{found}" if found[0].isdigit() else found
-    return found[:MAX_LENGTH].rstrip("_")
+    valid_name = re.sub(r"\W+", "_", plain).strip("_") or "PROGRAM"
+    valid_name = (
+        f"P_{valid_name}"
+        if valid_name.upper() in RESERVED
+        else f"P{valid_name}"
+        if valid_name[0].isdigit()
+        else valid_name
+    )
+    return valid_name[:MAX_LENGTH].rstrip("_")
 
 
-def unused(name: str, taken: Iterable[str]) -> str:
-    """Return a valid name not among `taken` (upper case): the given one with ``_2``, ``_3`` … behind it."""
-    return Names(set(taken)).unused(name)
+def unused(name: str, used_names: Iterable[str]) -> str:
+    """Return a valid name not among `used_names` (upper case): the given one with ``_2``, ``_3`` … behind it."""
+    return Names(set(used_names)).unused(name)
 
 
 class Names:
@@ -130,8 +136,8 @@ class Names:
     :param taken: names that they must not have, upper case; new ones are added.
     """
 
-    def __init__(self, taken: set[str]) -> None:
-        self.taken = taken
+    def __init__(self, used_names: set[str]) -> None:
+        self.taken = used_names
         self._next: dict[str, int] = {}
 
     def unused(self, name: str) -> str:

@@ -65,10 +65,10 @@ from postproc.errors import ProgramError
 
 def statement(source: Source, line: int) -> Statement:
     """Return the statement on a 1-based line; it is parsed at the first call and stored."""
-    found = source.statements.get(line)
-    if not isinstance(found, Statement):
-        found = source.statements[line] = statement_in(source, *source.code_span(line))
-    return found
+    node = source.statements.get(line)
+    if not isinstance(node, Statement):
+        node = source.statements[line] = statement_in(source, *source.code_span(line))
+    return node
 
 
 def statement_in(source: Source, start: int, stop: int) -> Statement:
@@ -79,8 +79,8 @@ def statement_in(source: Source, start: int, stop: int) -> Statement:
         first = after_blanks(source.text, start + len(word), stop)
         word = word_at(source.text, first, stop)
     try:
-        found = _READERS[word](source, word, start, first, stop) if word in _READERS else None
-        return found or _other(source, word, start, first, stop)
+        node = _READERS[word](source, word, start, first, stop) if word in _READERS else None
+        return node or _other(source, word, start, first, stop)
     except ProgramError as error:
         return Faulty(word, start, stop, error, code=_code(source, start, stop))
 
@@ -134,10 +134,10 @@ def _definition(source: Source, word: str, start: int, first: int, stop: int) ->
         end += 1
     if end == position or position == first + len(word):
         return None
-    opened = after_sign(text, end, stop, "(")
-    close = text.find(")", opened, stop) if opened >= 0 else -1
-    inside = text[opened : close if close >= 0 else stop] if opened >= 0 else ""
-    parameters = tuple(one for part in inside.split(",") if (one := _parameter(part)) is not None)
+    bracket = after_sign(text, end, stop, "(")
+    close = text.find(")", bracket, stop) if bracket >= 0 else -1
+    content = text[bracket : close if close >= 0 else stop] if bracket >= 0 else ""
+    parameters = tuple(one for part in content.split(",") if (one := _parameter(part)) is not None)
     return Definition(word, start, stop, first > start, text[position:end], position, result, parameters)
 
 
@@ -162,10 +162,10 @@ def _is_declaration(text: str, start: int, stop: int) -> bool:
     end = begin + len(word_at(text, begin, stop))
     if begin == kind.end() or end == begin:
         return False
-    opened = after_sign(text, end, stop, "[")
-    end = end if opened < 0 else text.find("]", opened, stop) + 1
-    after = after_blanks(text, end, stop)
-    return end > 0 and (after == stop or text[after] in ",=")
+    bracket = after_sign(text, end, stop, "[")
+    end = end if bracket < 0 else text.find("]", bracket, stop) + 1
+    next_sign = after_blanks(text, end, stop)
+    return end > 0 and (next_sign == stop or text[next_sign] in ",=")
 
 
 def _declaration(source: Source, word: str, start: int, first: int, stop: int) -> Statement:
@@ -178,8 +178,8 @@ def _cyclic(source: Source, word: str, start: int, first: int, stop: int) -> Sta
     position = first + len(word)
     if word != "SIGNAL":
         position = after_word(source.text, position, stop, "ON")
-    behind = after_blanks(source.text, position, stop)
-    name = word_at(source.text, behind, stop) if 0 <= position < behind else ""
+    name_start = after_blanks(source.text, position, stop)
+    name = word_at(source.text, name_start, stop) if 0 <= position < name_start else ""
     return Cyclic(word, start, stop, name) if name else _outside(source, word, start, first, stop)
 
 
@@ -213,13 +213,13 @@ def _motion(source: Source, word: str, start: int, first: int, stop: int) -> Sta
         end, position = _point(source, position, stop)
     if circle and position >= 0:
         comma = after_sign(text, position, stop, ",")
-        behind = after_word(text, comma, stop, "CA") if comma >= 0 else -1
-        if behind >= 0:
-            equals = after_sign(text, behind, stop, "=")
-            angle, position = _point(source, max(behind, equals), stop)
+        angle_start = after_word(text, comma, stop, "CA") if comma >= 0 else -1
+        if angle_start >= 0:
+            equals = after_sign(text, angle_start, stop, "=")
+            angle, position = _point(source, max(angle_start, equals), stop)
     if position < 0:
         return Motion(word, start, stop, via, end, angle, "", None, Tail(stop, stop, stop))
-    frame, frame_behind, last = "", None, stop
+    frame, frame_span, last = "", None, stop
     if word.endswith("_REL"):
         begin = text.rfind("#", position, stop)
         frame = text[begin:stop].upper() if begin >= 0 else ""
@@ -227,9 +227,9 @@ def _motion(source: Source, word: str, start: int, first: int, stop: int) -> Sta
             frame = f"#{word_at(text, at + 1, stop)}"
             position = at + len(frame) if frame in FRAMES else position
         elif frame in FRAMES and _is_approximation(text, position, begin):
-            frame_behind, last = Span(begin, stop), begin
+            frame_span, last = Span(begin, stop), begin
         frame = frame if frame in FRAMES else ""
-    return Motion(word, start, stop, via, end, angle, frame, frame_behind, tail_in(source, position, last))
+    return Motion(word, start, stop, via, end, angle, frame, frame_span, tail_in(source, position, last))
 
 
 def _point(source: Source, start: int, stop: int) -> tuple[Value, int]:
@@ -247,8 +247,8 @@ def is_approximated(text: str) -> bool:
 
 def _is_approximation(text: str, start: int, stop: int) -> bool:
     """Return whether the last word of a piece of code is that of an approximation."""
-    found = list(words_in(text, start, stop))
-    return bool(found) and found[-1][0].startswith("C_") and not text[found[-1][1].stop : stop].strip()
+    spans = list(words_in(text, start, stop))
+    return bool(spans) and spans[-1][0].startswith("C_") and not text[spans[-1][1].stop : stop].strip()
 
 
 def tail_in(source: Source, start: int, stop: int) -> Tail:
@@ -257,21 +257,21 @@ def tail_in(source: Source, start: int, stop: int) -> Tail:
     plain = text[start:stop].upper().split()
     if APPROXIMATIONS.issuperset(plain):  # nearly all of them
         return Tail(start, stop, start, (), tuple(plain))
-    found = list(words_in(text, start, stop))
-    for word, span in reversed(found):
+    spans = list(words_in(text, start, stop))
+    for word, span in reversed(spans):
         if word not in APPROXIMATIONS or text[span.stop : end].strip():
             break
         words.insert(0, word)
         end = span.start
     while end > start and text[end - 1] in " \t":
         end -= 1
-    behind = after_word(text, start, end, "WITH") if len(found) > len(words) else -1
-    if behind < 0:
+    with_end = after_word(text, start, end, "WITH") if len(spans) > len(words) else -1
+    if with_end < 0:
         rest = _stripped(text, start, end)
         return Tail(start, stop, end, (), tuple(words), rest if rest.start < rest.stop else None)
     try:
-        given = tuple(_given(source, *span) for span in split(source, behind, end))
-        return Tail(start, stop, end, given, tuple(words))
+        assignments = tuple(_given(source, *span) for span in split(source, with_end, end))
+        return Tail(start, stop, end, assignments, tuple(words))
     except ProgramError as error:
         return Tail(start, stop, end, (), tuple(words), error=error)
 
@@ -291,24 +291,24 @@ def _spline(source: Source, word: str, start: int, first: int, stop: int) -> Sta
 
 
 def _end_spline(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
-    behind = first + len(word)
-    return EndSpline(word, start, stop, source.text[behind:stop].strip(), code=_code(source, behind, stop))
+    rest_start = first + len(word)
+    return EndSpline(word, start, stop, source.text[rest_start:stop].strip(), code=_code(source, rest_start, stop))
 
 
 def _timed(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
     text, position = source.text, first + len(word)
     if word == "STOP":
-        when = after_word(text, position, stop, "WHEN")
-        position = after_word(text, when, stop, "PATH") if when >= 0 else -1
+        when_end = after_word(text, position, stop, "WHEN")
+        position = after_word(text, when_end, stop, "PATH") if when_end >= 0 else -1
     else:
         words = ("START", "END") if word == "CONST_VEL" else ("START", "END", "PART")
         position = after_word(text, position, stop, *words)
     complete = position >= 0
     if complete:
         value = after_sign(text, position, stop, "=")
-        given = value >= 0 and after_blanks(text, value, stop) < stop and text[value] != "="
-        alone = word == "TIME_BLOCK" and text[:position].upper().endswith(("START", "PART")) and position == stop
-        complete = (given and not (word == "TIME_BLOCK" and text[:position].upper().endswith("START"))) or alone
+        has_value = value >= 0 and after_blanks(text, value, stop) < stop and text[value] != "="
+        is_bare = word == "TIME_BLOCK" and text[:position].upper().endswith(("START", "PART")) and position == stop
+        complete = (has_value and not (word == "TIME_BLOCK" and text[:position].upper().endswith("START"))) or is_bare
     if complete and word == "STOP":
         condition = key_word(text, position, stop, "IF")
         complete = condition is not None and condition.stop < stop
@@ -331,16 +331,16 @@ def _trigger(source: Source, start: int, first: int, stop: int, head: Span, acti
     text, from_start = source.text, False
     value: Value | None = None
     delay: Value | None = None
-    when = after_word(text, first + len("TRIGGER"), head.stop, "WHEN")
-    place = after_word(text, when, head.stop, "DISTANCE", "PATH") if when >= 0 else -1
+    when_end = after_word(text, first + len("TRIGGER"), head.stop, "WHEN")
+    place = after_word(text, when_end, head.stop, "DISTANCE", "PATH") if when_end >= 0 else -1
     distance = place >= 0 and text[:place].upper().endswith("DISTANCE")
     begin = after_sign(text, place, head.stop, "=") if place >= 0 else -1
-    delayed = key_word(text, begin, head.stop, "DELAY") if begin >= 0 else None
-    time = after_sign(text, delayed.stop, head.stop, "=") if delayed is not None else -1
-    if delayed is not None and time >= 0 and action is not None:
-        on_start = key_word(text, begin, delayed.start, "ONSTART")
+    delay_word = key_word(text, begin, head.stop, "DELAY") if begin >= 0 else None
+    time = after_sign(text, delay_word.stop, head.stop, "=") if delay_word is not None else -1
+    if delay_word is not None and time >= 0 and action is not None:
+        on_start = key_word(text, begin, delay_word.start, "ONSTART")
         from_start = on_start is not None
-        value = value_in(source, begin, on_start.start if on_start is not None else delayed.start)
+        value = value_in(source, begin, on_start.start if on_start is not None else delay_word.start)
         delay = value_in(source, time, head.stop)
     code = _code(source, head.start, head.stop)
     return Trigger("TRIGGER", start, stop, first > start, False, action, distance, value, from_start, delay, code=code)
@@ -358,11 +358,11 @@ def _stripped(text: str, start: int, stop: int) -> Span:
 
 def _if(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
     begin = first + len(word)
-    then = key_word(source.text, begin, stop, "THEN")
-    head = _stripped(source.text, begin, stop if then is None else then.start)
-    behind = "" if then is None else source.text[then.stop : stop].strip()
-    asked = value_in(source, head.start, head.stop) if head.start < head.stop else None
-    return If(word, start, stop, asked, then is not None, behind)
+    then_word = key_word(source.text, begin, stop, "THEN")
+    head = _stripped(source.text, begin, stop if then_word is None else then_word.start)
+    rest = "" if then_word is None else source.text[then_word.stop : stop].strip()
+    condition = value_in(source, head.start, head.stop) if head.start < head.stop else None
+    return If(word, start, stop, condition, then_word is not None, rest)
 
 
 def _while(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
@@ -378,8 +378,8 @@ def _case(source: Source, word: str, start: int, first: int, stop: int) -> State
 
 
 def _bare(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
-    behind = first + len(word)
-    return Bare(word, start, stop, source.text[behind:stop].strip(), code=_code(source, behind, stop))
+    rest_start = first + len(word)
+    return Bare(word, start, stop, source.text[rest_start:stop].strip(), code=_code(source, rest_start, stop))
 
 
 def _for(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
@@ -406,9 +406,9 @@ def _bounds(source: Source, start: int, stop: int) -> tuple[Value, Value, Value 
     if end < 0:
         return None
     last, end = value_at(source, end, stop)
-    behind, step = after_word(source.text, end, stop, "STEP"), None
-    if behind >= 0:
-        step, end = value_at(source, behind, stop)
+    step_start, step = after_word(source.text, end, stop, "STEP"), None
+    if step_start >= 0:
+        step, end = value_at(source, step_start, stop)
     return (first, last, step) if after_blanks(source.text, end, stop) == stop else None
 
 

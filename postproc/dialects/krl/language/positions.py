@@ -84,14 +84,14 @@ def from_aggregate(aggregate: Aggregate) -> Position:
     """
     items = aggregate.items
     axis = aggregate.tag in _AXIS_TAGS[1:] or not _AXES.isdisjoint(items)
-    known, tags = (_AXIS_COMPONENTS, _AXIS_TAGS) if axis else (_CARTESIAN_COMPONENTS, _CARTESIAN_TAGS)
+    components, tags = (_AXIS_COMPONENTS, _AXIS_TAGS) if axis else (_CARTESIAN_COMPONENTS, _CARTESIAN_TAGS)
     if aggregate.tag not in tags:
-        what = "an axis position" if axis else "a Cartesian position"
-        raise aggregate.source.error(f"{aggregate.tag} is not the type of {what}", aggregate.start)
+        kind = "an axis position" if axis else "a Cartesian position"
+        raise aggregate.source.error(f"{aggregate.tag} is not the type of {kind}", aggregate.start)
     numbers = {}
     for name, value in items.items():
-        if name not in known or not isinstance(value, Number):
-            raise _wrong_component(aggregate, name, known)
+        if name not in components or not isinstance(value, Number):
+            raise _wrong_component(aggregate, name, components)
         numbers[name] = value.value
     get = numbers.get
     names = AXES if axis else CARTESIAN
@@ -105,9 +105,11 @@ def from_aggregate(aggregate: Aggregate) -> Position:
     )
 
 
-def _wrong_component(aggregate: Aggregate, name: str, known: frozenset[str]) -> ProgramError:
-    if name not in known:
-        valid = ", ".join(other for other in (*AXES, *CARTESIAN, "S", "T", *EXTERNAL) if other in known)
+def _wrong_component(aggregate: Aggregate, name: str, components: frozenset[str]) -> ProgramError:
+    if name not in components:
+        valid = ", ".join(
+            component for component in (*AXES, *CARTESIAN, "S", "T", *EXTERNAL) if component in components
+        )
         problem, advice = f"{name} is not a component of a position", f"Valid components: {valid}."
     else:
         problem = f"component {name} is not a number"
@@ -116,11 +118,13 @@ def _wrong_component(aggregate: Aggregate, name: str, known: frozenset[str]) -> 
             "such motions as they are by --keep-unresolved."
         )
     error = aggregate.source.error(problem, aggregate.start, advice)
-    if name not in known:
+    if name not in components:
         return error
-    found = NotANumberError(error.problem, file=error.file, line=error.line, text=error.text, advice=error.advice)
-    found.component = name
-    return found
+    not_a_number = NotANumberError(
+        error.problem, file=error.file, line=error.line, text=error.text, advice=error.advice
+    )
+    not_a_number.component = name
+    return not_a_number
 
 
 def _bits(aggregate: Aggregate, name: str, value: float | None, highest: int) -> int:

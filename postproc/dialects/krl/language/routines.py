@@ -98,52 +98,52 @@ def routines(
     :param plain: (P,) those that are plain motions, in order.
     :param settings: those that are known to assign something to system variables and to do nothing else, in order.
     """
-    found: dict[str, Routine] = {}
+    routine_of: dict[str, Routine] = {}
     faults: list[ProgramError] = []
-    begun: _Begun | None = None
+    open_routine: _Begun | None = None
     text = source.text
     for line in lines:
         start, stop = source.code_span(line)
         if start == stop or text[start] == "&":
             continue
-        here = statement(source, line)
-        if isinstance(here, Definition):
-            if begun is not None:
-                faults.append(source.line_error(f"DEF {begun.name} (line {begun.line}) has no END", line))
-                found.setdefault(begun.name, _ended(source, begun, line, plain, settings))
-            begun = _Begun(here.name.upper(), line, here)
-        elif here.word in ("END", "ENDFCT") and begun is not None:
-            found.setdefault(begun.name, _ended(source, begun, line, plain, settings))
-            begun = None
-        elif begun is not None:
-            begun.lines.append(line)
-        elif isinstance(here, Motion):
-            faults.append(source.line_error(f"{here.word} is outside of DEF … END", line))
-    if begun is not None:
-        faults.append(source.line_error(f"DEF {begun.name} has no END", begun.line, _INCOMPLETE))
-        found.setdefault(begun.name, _ended(source, begun, len(source.starts) + 1, plain, settings))
-    return found, faults
+        node = statement(source, line)
+        if isinstance(node, Definition):
+            if open_routine is not None:
+                faults.append(source.line_error(f"DEF {open_routine.name} (line {open_routine.line}) has no END", line))
+                routine_of.setdefault(open_routine.name, _ended(source, open_routine, line, plain, settings))
+            open_routine = _Begun(node.name.upper(), line, node)
+        elif node.word in ("END", "ENDFCT") and open_routine is not None:
+            routine_of.setdefault(open_routine.name, _ended(source, open_routine, line, plain, settings))
+            open_routine = None
+        elif open_routine is not None:
+            open_routine.lines.append(line)
+        elif isinstance(node, Motion):
+            faults.append(source.line_error(f"{node.word} is outside of DEF … END", line))
+    if open_routine is not None:
+        faults.append(source.line_error(f"DEF {open_routine.name} has no END", open_routine.line, _INCOMPLETE))
+        routine_of.setdefault(open_routine.name, _ended(source, open_routine, len(source.starts) + 1, plain, settings))
+    return routine_of, faults
 
 
-def _ended(source: Source, begun: _Begun, line: int, plain: Ints, settings: Sequence[int]) -> Routine:
+def _ended(source: Source, open_routine: _Begun, line: int, plain: Ints, settings: Sequence[int]) -> Routine:
     types: dict[str, str] = {}
-    for inside in begun.lines:
-        here = statement(source, inside)
-        if isinstance(here, Declaration) and not here.public and here.word != "STRUC":
-            types |= {one.name: one.kind for one in here.names}
-    plain = plain[slice(*np.searchsorted(plain, [begun.line, line]).tolist())]
-    settings = settings[bisect_left(settings, begun.line) : bisect_left(settings, line)]
+    for inner_line in open_routine.lines:
+        node = statement(source, inner_line)
+        if isinstance(node, Declaration) and not node.public and node.word != "STRUC":
+            types |= {item.name: item.kind for item in node.names}
+    plain = plain[slice(*np.searchsorted(plain, [open_routine.line, line]).tolist())]
+    settings = settings[bisect_left(settings, open_routine.line) : bisect_left(settings, line)]
     return Routine(
         source,
-        begun.name,
-        begun.definition.parameters,
-        begun.definition.public,
-        begun.line,
+        open_routine.name,
+        open_routine.definition.parameters,
+        open_routine.definition.public,
+        open_routine.line,
         line,
         plain,
         settings,
-        begun.lines,
-        frozenset({parameter.name for parameter in begun.definition.parameters} | types.keys()),
+        open_routine.lines,
+        frozenset({parameter.name for parameter in open_routine.definition.parameters} | types.keys()),
         types,
-        begun.definition.result,
+        open_routine.definition.result,
     )

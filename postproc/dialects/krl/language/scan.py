@@ -24,7 +24,7 @@ _WHOLE_ROUTINE = re.compile(
 )
 DEF_LINE = re.compile(rf"{_FIRST}(?:GLOBAL[ \t]+)?DEF[ \t][^\r\n]*(\r{{0,2}}\n|\r)", re.IGNORECASE)
 """The line of a DEF; its group is the line end."""
-_NAMED = re.compile(rf"{_FIRST}(?:GLOBAL[ \t]+)?(?:DEF|DEFDAT)[ \t]+(?P<name>[A-Za-z_$][\w$]*)", _FLAGS)
+_HEAD_NAME = re.compile(rf"{_FIRST}(?:GLOBAL[ \t]+)?(?:DEF|DEFDAT)[ \t]+(?P<name>[A-Za-z_$][\w$]*)", _FLAGS)
 _CODE = re.compile(r"^[ \t]*[^\s;&]", re.MULTILINE)
 _NO_CODE = re.compile(r"\"[^\"\r\n]*\"|;[^\r\n]*")
 _CALL = re.compile(r"([A-Za-z_]\w*)[ \t]*\(", re.ASCII)
@@ -33,9 +33,9 @@ _GLOBAL = re.compile(rf"{_BEGINS}(?:DECL[ \t]+)?GLOBAL\b[^;\r\n]*", _FLAGS)
 _GLOBAL_VARIABLE = re.compile(
     rf"{_BEGINS}(?:(?:DECL|CONST)[ \t]+)*GLOBAL[ \t]+(?:(?:DECL|CONST)[ \t]+)*\w+[ \t]+(\w+)", _FLAGS
 )
-_ASSIGNED = re.compile(rf"{_BEGINS}([A-Za-z_]\w*)[^=\r\n;\"']*=(?!=)", _FLAGS)
+_ASSIGNMENT = re.compile(rf"{_BEGINS}([A-Za-z_]\w*)[^=\r\n;\"']*=(?!=)", _FLAGS)
 _DECLARATION = re.compile(rf"{_BEGINS}(?:DECL|INT|REAL|BOOL|CHAR|POS|E6POS|FRAME|AXIS|E6AXIS)\b[^;=\r\n]*", _FLAGS)
-_IMPORTED = re.compile(r"/R1/(\w+)[ \t]*\.\.", _FLAGS)
+_IMPORT = re.compile(r"/R1/(\w+)[ \t]*\.\.", _FLAGS)
 _WORD = re.compile(r"\"[^\"\r\n]*\"|;[^\r\n]*|[A-Za-z_$][\w$]*", re.ASCII)
 
 
@@ -68,7 +68,7 @@ def whole_routines(text: str) -> Iterator[Defined]:
 
 def global_routines(text: str) -> frozenset[str]:
     """Return the names, upper case, of GLOBAL routines."""
-    return frozenset(one.name for one in routines(text) if one.public)
+    return frozenset(routine.name for routine in routines(text) if routine.public)
 
 
 def global_variables(text: str) -> frozenset[str]:
@@ -78,8 +78,8 @@ def global_variables(text: str) -> frozenset[str]:
 
 def assigned(text: str) -> frozenset[str]:
     """Return the names, upper case, of variables that statements of a `.src` set and it does not declare itself."""
-    own = {name.upper() for line in _DECLARATION.findall(text) for name in NAME.findall(line)}
-    return frozenset(name.upper() for name in _ASSIGNED.findall(text)) - own
+    local_names = {name.upper() for line in _DECLARATION.findall(text) for name in NAME.findall(line)}
+    return frozenset(name.upper() for name in _ASSIGNMENT.findall(text)) - local_names
 
 
 def global_lines(text: str) -> list[str]:
@@ -97,7 +97,7 @@ def called(code: str) -> set[str]:
 
     Words of KRL and functions of the controller are among them.
     """
-    return {name.upper() for name in _CALL.findall(code)} - {one.name for one in routines(code)}
+    return {name.upper() for name in _CALL.findall(code)} - {routine.name for routine in routines(code)}
 
 
 def moves(code: str) -> bool:
@@ -107,7 +107,7 @@ def moves(code: str) -> bool:
 
 def imported(data: str) -> set[str]:
     """Return the names, upper case, of the files from which a `.dat` imports variables."""
-    return {name.upper() for name in _IMPORTED.findall(data)}
+    return {name.upper() for name in _IMPORT.findall(data)}
 
 
 def words(text: str) -> Iterator[tuple[str, int]]:
@@ -122,14 +122,14 @@ def names(text: str) -> set[str]:
     return {name.upper() for word, _ in words(text) for name in NAME.findall(word)}
 
 
-def places(text: str, wanted: Collection[str]) -> Iterator[tuple[str, int]]:
+def places(text: str, names_to_find: Collection[str]) -> Iterator[tuple[str, int]]:
     """Yield names that are wanted, as spelled, and their offsets, comments included."""
-    pattern = rf"(?<![\w$])(?:{'|'.join(map(re.escape, wanted))})(?![\w$])"
-    for match in re.finditer(pattern, text, _FLAGS) if wanted else ():
+    pattern = rf"(?<![\w$])(?:{'|'.join(map(re.escape, names_to_find))})(?![\w$])"
+    for match in re.finditer(pattern, text, _FLAGS) if names_to_find else ():
         yield match[0], match.start()
 
 
 def with_name(text: str, name: str) -> str:
     """Return the text of a file with another name behind its first DEF or DEFDAT."""
-    found = _NAMED.search(text)
-    return text if found is None else text[: found.start("name")] + name + text[found.end("name") :]
+    match = _HEAD_NAME.search(text)
+    return text if match is None else text[: match.start("name")] + name + text[match.end("name") :]

@@ -13,7 +13,7 @@ NAME = re.compile(r"[A-Za-z_$][\w$]*", re.ASCII)
 BLANKS = " \t"
 _WORD = re.compile(r"\"[^\"]*\"?|(?<![\w$#.])[A-Za-z_$][\w$]*", re.ASCII)
 _OPERATOR = re.compile(r"==|<>|<=|>=|<|>|(?:B_)?(?:AND|OR|EXOR)\b", re.IGNORECASE)
-_NOT = re.compile(r"NOT\b", re.IGNORECASE)
+_NOT_WORD = re.compile(r"NOT\b", re.IGNORECASE)
 _OCCURRENCE = re.compile(
     r"\"[^\"]*\"|'[BbHh][0-9A-Fa-f]+'|[.#][ \t]*[A-Za-z_]\w*|\d[\w.]*|[A-Za-z_$][\w$]*|[\[\](){},]", re.ASCII
 )
@@ -96,7 +96,7 @@ def words_in(text: str, start: int, stop: int) -> Iterator[tuple[str, Span]]:
 
 def key_word(text: str, start: int, stop: int, word: str) -> Span | None:
     """Return where a key word (upper case) is first, not in a string; None if it is not there."""
-    return next((span for found, span in words_in(text, start, stop) if found == word), None)
+    return next((span for name, span in words_in(text, start, stop) if name == word), None)
 
 
 def operator_at(text: str, start: int, stop: int) -> tuple[str, int]:
@@ -109,7 +109,7 @@ def operator_at(text: str, start: int, stop: int) -> tuple[str, int]:
 def after_nots(text: str, start: int, stop: int) -> tuple[bool, int]:
     """Return whether an odd number of NOT is at an offset, and the offset behind them."""
     inverse, start = False, after_blanks(text, start, stop)
-    while match := _NOT.match(text, start, stop):
+    while match := _NOT_WORD.match(text, start, stop):
         inverse = not inverse
         start = after_blanks(text, match.end(), stop)
     return inverse, start
@@ -167,5 +167,5 @@ def occurrences(text: str, start: int, stop: int) -> Iterator[Occurrence]:
             if component:
                 component = _COLON.match(text, match.end(), stop) is not None
                 continue
-            called = _OPEN.match(text, match.end(), stop) is not None
-            yield Occurrence(match.start(), match.end(), match[0].upper(), called)
+            is_call = _OPEN.match(text, match.end(), stop) is not None
+            yield Occurrence(match.start(), match.end(), match[0].upper(), is_call)

@@ -21,7 +21,7 @@ def _values_of(part: object) -> tuple[Value, ...]:
     if part is None:
         return ()
     if isinstance(part, tuple):
-        return tuple(value for one in part for value in _values_of(one))
+        return tuple(value for item in part for value in _values_of(item))
     return part.values if isinstance(part, (Statement, Tail)) else (part,)  # type: ignore[return-value]
 
 
