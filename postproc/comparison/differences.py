@@ -370,7 +370,9 @@ def _off_path(
     bad = np.flatnonzero(is_off_path)
     if not len(bad):
         return
-    distances = np.array([_distance_of_way(comparison, nominal_path, corrected_path, int(k)) for k in bad[:_MOST]])
+    distances = np.array(
+        [_distance_of_way(comparison, nominal_path, corrected_path, int(k)) for k in bad[:_MAX_LISTED]]
+    )
     bad, distances = (
         bad[: len(distances)][distances > limits[bad[: len(distances)]]],
         distances[distances > limits[bad[: len(distances)]]],
@@ -383,7 +385,7 @@ def _off_path(
         yield at_rows(comparison, "between", message, comparison.pair[bad[worst]].tolist(), len(bad))
 
 
-_MOST = 1000
+_MAX_LISTED = 1000
 """Ways whose distance from the nominal path is computed."""
 _PLACES = 65
 """Places of the second path looked at on each of them."""
@@ -648,10 +650,10 @@ def _status_and_turn(comparison: Comparison, corrected_path: PlacedProgram) -> I
         & (corrected_motions.turn[second] != nominal_motions.turn[first])
         & (corrected_motions.turn[second] >= 0)
     )
-    in_one_only = ((nominal_motions.turn[first] < 0) != (corrected_motions.turn[second] < 0)) | (
+    is_missing = ((nominal_motions.turn[first] < 0) != (corrected_motions.turn[second] < 0)) | (
         (nominal_motions.status[first] < 0) != (corrected_motions.status[second] < 0)
     )
-    pairs = np.flatnonzero(ptp & (wrong | in_one_only))
+    pairs = np.flatnonzero(ptp & (wrong | is_missing))
     if len(pairs):
         k = pairs[0]
         nominal_bits, corrected_bits = (

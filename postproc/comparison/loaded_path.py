@@ -19,7 +19,7 @@ from postproc.frames import Array, angle_between, norm
 from postproc.program import CIRC, LIN, PTP, SPL, Bools, Ints, Program
 from postproc.simulation import number_of_places
 
-_ROUNDS, _DIFFERENCE_STEP, _STILL = 4, 1e-6, 0.05
+_ROUNDS, _DIFFERENCE_STEP, _NO_LENGTH = 4, 1e-6, 0.05
 """Gauss-Newton steps to the nearest place of the path; the step of its finite differences [m]; a rate of change per
 length below which the place does not matter."""
 _EXACT = 1e-8
@@ -349,7 +349,7 @@ class Search(Struct, frozen=True, eq=False):
             step = np.where(length[rows] + _DIFFERENCE_STEP < high, _DIFFERENCE_STEP, -_DIFFERENCE_STEP)
             change = (self._off(q[rows], displacement[rows], length[rows] + step) - deviations[rows]) / step[:, None]
             square = np.einsum("ni,ni->n", change, change)
-            moves = square > _STILL**2  # else the path only turns the tool here
+            moves = square > _NO_LENGTH**2  # else the path only turns the tool here
             step = np.where(moves, -np.einsum("ni,ni->n", deviations[rows], change) / np.where(moves, square, 1.0), 0.0)
             length[rows] = np.clip(length[rows] + step, low, high)
             deviations[rows] = self._off(q[rows], displacement[rows], length[rows])

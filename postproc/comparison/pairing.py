@@ -23,7 +23,7 @@ from msgspec import Struct
 from postproc.frames import Array, norm
 from postproc.program import Bools, Ints
 
-_SHARE, _LEAST, _MOST = 0.25, 1e-4, 1e-3
+_SHARE, _LEAST_STEP, _MAX_ROWS = 0.25, 1e-4, 1e-3
 """A step changes noticeably by this share of it, but by so much [m] at least and at most."""
 _STEP_TOLERANCE = 0.1
 """Of that, what steps differ by that are taken for the same at once."""
@@ -123,7 +123,7 @@ def _reversed(track: Track) -> Track:
 
 
 def _scale(step: Array) -> Array:
-    return np.asarray(np.minimum(_LEAST + _SHARE * step, _MOST))
+    return np.asarray(np.minimum(_LEAST_STEP + _SHARE * step, _MAX_ROWS))
 
 
 def _alike(nominal_track: Track, corrected_track: Track) -> int:

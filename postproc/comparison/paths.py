@@ -32,8 +32,8 @@ _PLACES, _REFINEMENTS, _FINE_SAMPLES = 33, 6, 9
 many as the last number says."""
 _SAMPLES, _ROUNDS = 9, 4
 """Search for the largest distance of two arcs: places per round, and rounds between the neighbours of the best."""
-_NOTHING = 1e-12
-_STILL, _PER_RADIAN, _MIN_SIZE = 1e-9, 1e-3, 1e-4
+_NO_DISTANCE = 1e-12
+_NO_LENGTH, _PER_RADIAN, _MIN_SIZE = 1e-9, 1e-3, 1e-4
 """A motion shorter than the first [m] does not move the tip: it counts so much arc length for the angle by which it
 turns the tool [m/rad], and at least the last [m], because the force may change along it."""
 
@@ -62,7 +62,7 @@ class PlacedProgram(DrivenProgram, frozen=True, eq=False, dict=True):
         """
         m = program.motions
         segments = toolpath.segments(program, robot_in_cell.start_flange)
-        is_rotation = (m.kind != PTP) & (segments.length < _STILL)
+        is_rotation = (m.kind != PTP) & (segments.length < _NO_LENGTH)
         size = np.where(is_rotation, np.maximum(_PER_RADIAN * segments.turn, _MIN_SIZE), segments.length)
         path_lengths, rows = np.append(0.0, np.cumsum(size)), np.flatnonzero(np.isnan(m.joints[:, 0]))
         ends = _ends(program, robot_in_cell)
@@ -87,7 +87,7 @@ class PlacedProgram(DrivenProgram, frozen=True, eq=False, dict=True):
     def at(self, length: Array) -> tuple[Ints, Array]:
         """Return the places (motion, t), each (n,), at arc lengths (n,) [m]; t > 0."""
         motion = np.clip(np.searchsorted(self.along, length) - 1, 0, len(self.along) - 2)
-        size = np.maximum(self.size[motion], _NOTHING)
+        size = np.maximum(self.size[motion], _NO_DISTANCE)
         return motion, np.clip((length - self.along[motion]) / size, 1e-9, 1.0)
 
     def points(self, length: Array) -> Array:
@@ -174,20 +174,22 @@ class Chain(Struct, frozen=True, eq=False):
         start_length = side.along[paired_rows[pair - 1] + 1]
         whole = side.along[paired_rows[pair] + 1] - start_length
         ordinal = (row - paired_rows[pair - 1]) / (paired_rows[pair] - paired_rows[pair - 1])
-        share = np.where(whole > _NOTHING, (side.along[row + 1] - start_length) / np.maximum(whole, _NOTHING), ordinal)
+        share = np.where(
+            whole > _NO_DISTANCE, (side.along[row + 1] - start_length) / np.maximum(whole, _NO_DISTANCE), ordinal
+        )
         end = np.where(row == paired_rows[pair], pair, np.minimum(pair - 1 + share, pair))
         return cls(side.program, side.segments, row, np.concatenate([[0.0], end[:-1]]), end)
 
     def at(self, u: Array) -> tuple[Ints, Array]:
         """Return the places (motion, t), each (n,), at u (n,), 0 < u <= P − 1."""
         index = np.minimum(np.searchsorted(self.end, u), len(self.end) - 1)
-        width = np.maximum(self.end[index] - self.begin[index], _NOTHING)
+        width = np.maximum(self.end[index] - self.begin[index], _NO_DISTANCE)
         return self.row[index], np.clip((u - self.begin[index]) / width, 1e-9, 1.0)
 
     def any(self, selection: Bools) -> Bools:
         """Return for each pair (P,) whether one of the motions (M,) between it and the pair before is wanted."""
         has_motion = np.zeros(int(self.end[-1]) + 1, dtype=bool)
-        has_motion[np.ceil(self.end[selection[self.row]] - _NOTHING).astype(np.int64)] = True
+        has_motion[np.ceil(self.end[selection[self.row]] - _NO_DISTANCE).astype(np.int64)] = True
         return has_motion
 
 
@@ -232,9 +234,9 @@ class Curves(Struct, frozen=True, eq=False):
         """
         distances = np.full(int(self.one.end[-1]) + 1, np.nan)
         knots = np.unique(np.concatenate([[0.0], self.one.end, self.other.end]))
-        knots = knots[np.diff(knots, prepend=-1.0) > _NOTHING]
+        knots = knots[np.diff(knots, prepend=-1.0) > _NO_DISTANCE]
         begin, end = knots[:-1], knots[1:]
-        pair = np.ceil(end - _NOTHING).astype(np.int64)
+        pair = np.ceil(end - _NO_DISTANCE).astype(np.int64)
         unknown = self.one.any(self.one.program.motions.kind == PTP) | self.other.any(self._kind == PTP)
         largest = np.maximum(self._distance(begin + 1e-9 * (end - begin)), self._distance(end))
         curve_indices = np.flatnonzero(~unknown[pair] & self._curved(end))
@@ -252,7 +254,7 @@ class Curves(Struct, frozen=True, eq=False):
         for chain in (self.one, self.other):
             arc = np.flatnonzero(chain.program.motions.kind[chain.row] == CIRC)
             angles = np.zeros(len(counts))
-            pair = np.ceil(chain.end[arc] - _NOTHING).astype(np.int64)
+            pair = np.ceil(chain.end[arc] - _NO_DISTANCE).astype(np.int64)
             np.add.at(angles, pair, chain.program.motions.sweep[chain.row[arc]])
             counts = np.maximum(counts, np.ceil(angles / angle).astype(np.int64))
         return counts

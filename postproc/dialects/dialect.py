@@ -101,8 +101,8 @@ class Dialect(Protocol):
 
         :param documents: the main file first.
         :param cell: frames, settings and start position of the robot.
-        :param forward_kinematics: (6,) joints [rad] → (4, 4) flange in the robot root [m], by the nominal geometry of the
-            controller.
+        :param forward_kinematics: (6,) joints [rad] → (4, 4) flange in the robot root [m], by the nominal geometry
+            of the controller.
         :param name: of the program.
         :raises ProgramError: it cannot be interpreted; the message gives file, line, text and advice.
         """

@@ -368,7 +368,7 @@ def read_mesh(path: Path, error: type[InputError], kind: str) -> Any:
             f"the {kind} cannot be read: no reader of {path.suffix} is installed", file=str(path), advice=advice
         )
     logger = logging.getLogger("trimesh")
-    was_disabled, logger.disabled = logger.disabled, True  # faults become the exception below, without a traceback
+    old_state, logger.disabled = logger.disabled, True  # faults become the exception below, without a traceback
     try:
         if path.suffix.lower() == ".stl":
             mesh: Any = trimesh.load(io.BytesIO(_plain_stl(path.read_bytes())), file_type="stl", force="mesh")
@@ -379,7 +379,7 @@ def read_mesh(path: Path, error: type[InputError], kind: str) -> Any:
         advice = "Export it anew from CAD, in mm, as binary STL."
         raise error(f"the {kind} cannot be read ({cause})", file=str(path), advice=advice) from None
     finally:
-        logger.disabled = was_disabled
+        logger.disabled = old_state
     if len(corners) == 0 or not np.isfinite(corners).all():
         advice = "Export the body from CAD as binary STL."
         raise error(f"the {kind} has no surface, or corners that are no numbers", file=str(path), advice=advice)

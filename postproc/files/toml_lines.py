@@ -8,7 +8,7 @@ from collections.abc import Sequence
 _HEADER = re.compile(r"\s*\[\[?\s*([^\[\]]+?)\s*\]\]?\s*(?:#.*)?$")
 _UNKNOWN = re.compile(r"unknown key '(?P<key>[^']*)'(?: in \[(?P<table>[^\]]*)\])?$")
 _PART = re.compile(r"\"[^\"]*\"|'[^']*'|[^.]+")
-_ANY = "*"
+_ANY_KEY = "*"
 
 
 def line_of_unknown(text: str, problem: str) -> int | None:
@@ -23,19 +23,19 @@ def line_of(text: str, key: str) -> int | None:
     :param text: empty: there is none.
     :param key: with its tables, as ``gcode.motions``; indices are left out. ``[...]`` stands for any name or index.
     """
-    plain = re.sub(r"\[\d+\]", "", key).replace("[...]", f".{_ANY}")
-    wanted = [part.strip("\"'") for part in _PART.findall(plain)]
+    plain = re.sub(r"\[\d+\]", "", key).replace("[...]", f".{_ANY_KEY}")
+    key_parts = [part.strip("\"'") for part in _PART.findall(plain)]
     exact, inline, table = [], [], list[str]()
     for number, line in enumerate(text.splitlines(), 1):
         if header := _HEADER.match(line):
             path = table = _parts(header[1])
         elif "=" in line and not line.lstrip().startswith("#"):
             path = [*table, *_parts(line.partition("=")[0])]
-            if _begins(path, wanted):
+            if _begins(path, key_parts):
                 inline.append(number)
         else:
             continue
-        if len(path) == len(wanted) and _begins(path, wanted):
+        if len(path) == len(key_parts) and _begins(path, key_parts):
             exact.append(number)
     lines = exact or inline
     return lines[0] if len(lines) == 1 else None
@@ -46,6 +46,8 @@ def _parts(text: str) -> list[str]:
     return [part.strip().strip("\"'") for part in _PART.findall(text.strip())]
 
 
-def _begins(path: Sequence[str], wanted: Sequence[str]) -> bool:
+def _begins(path: Sequence[str], key_parts: Sequence[str]) -> bool:
     """Return whether a wanted key is this one, or in an inline table or list that this one holds."""
-    return len(path) <= len(wanted) and all(want in (part, _ANY) for part, want in zip(path, wanted, strict=False))
+    return len(path) <= len(key_parts) and all(
+        want in (part, _ANY_KEY) for part, want in zip(path, key_parts, strict=False)
+    )

@@ -25,7 +25,7 @@ from postproc import interrupts
 from postproc.errors import InputError, first_of
 from postproc.files.locking import locked
 
-_SHOWN = 5
+_LISTED_FILES = 5
 """Largest number of files that a message names."""
 
 
@@ -126,7 +126,7 @@ def refuse(paths: Sequence[Path]) -> None:
 
 def listed(paths: Sequence[Path]) -> str:
     """Return paths as text: the first ones, and the number of others."""
-    return first_of([str(path) for path in paths], _SHOWN)
+    return first_of([str(path) for path in paths], _LISTED_FILES)
 
 
 def _read(path: Path) -> dict[str, str] | None:
@@ -177,8 +177,8 @@ def write_whole(folder: Path, contents: Mapping[str, bytes | Iterable[bytes]]) -
             lock.enter_context(locked([folder]))
         with lock:
             with interrupts.heard():
-                staged = stage(folder, contents)
-            return replace(folder, [staged])
+                file_set = stage(folder, contents)
+            return replace(folder, [file_set])
 
 
 def stage(folder: Path, contents: Mapping[str, bytes | Iterable[bytes]]) -> Staged:
@@ -267,21 +267,21 @@ def _write(path: Path, content: bytes | Iterable[bytes]) -> None:
 def _replace(staged: Sequence[Staged], folder: Path, names: Sequence[str], obsolete: Sequence[str]) -> None:
     """Put new files in the place of old ones; a single one in one step."""
     source = {name: file_set.path / "new" / name for file_set in staged for name in file_set.names}
-    set_aside: list[str] = []
+    old_names: list[str] = []
     new_names: list[str] = []
     old = staged[0].path / "old"
     try:
         for name in (*obsolete, *(names if len(names) > 1 or obsolete else ())):
             if (folder / name).exists() or (folder / name).is_symlink():
                 (folder / name).rename(old / name)
-                set_aside.append(name)
+                old_names.append(name)
         for name in reversed(names):
             source[name].replace(folder / name)
             new_names.append(name)
     except BaseException as cause:
         for name in new_names:
             (folder / name).unlink(missing_ok=True)
-        for name in set_aside:
+        for name in old_names:
             with contextlib.suppress(OSError):
                 (old / name).rename(folder / name)
         left = sorted(path.name for path in old.iterdir())

@@ -82,13 +82,13 @@ class RobotPost:
             for name in _callees_first(self.programs):
                 blocks = [_calling(block, names) for block in self.programs[name]]
                 if any(_MOTION.match(block.text) for block in blocks):
-                    converted = convert(blocks, target, name, "src", flags)
-                    _compare_postures(converted, self.joints[name])
-                    files[name] = [path for path in converted.files if path.suffix.lower() in (".src", ".dat")]
+                    conversion = convert(blocks, target, name, "src", flags)
+                    _compare_postures(conversion, self.joints[name])
+                    files[name] = [path for path in conversion.files if path.suffix.lower() in (".src", ".dat")]
                     names[name.lower()] = files[name][0].stem
-                    said = "\n".join([f"{name}:", *converted.verdict, *converted.warnings])
+                    said = "\n".join([f"{name}:", *conversion.verdict, *conversion.warnings])
                     self.addlog(said)
-                    if converted.state == "failed":  # it may be driven, but should not be: no line among others
+                    if conversion.state == "failed":  # it may be driven, but should not be: no line among others
                         _show(said)
                 else:
                     path = target / f"{name}.src"
@@ -225,15 +225,15 @@ class RobotPost:
     def _end(self) -> str:
         return " C_DIS" if self.blended else ""
 
-    def _code(self, text: str, called: str) -> None:
+    def _code(self, text: str, origin: str) -> None:
         for line in re.split("[\r\n]+", text.strip("\r\n")):
-            self._line(line, called)
+            self._line(line, origin)
 
-    def _line(self, text: str, called: str = "", joints: Any = ()) -> None:
+    def _line(self, text: str, origin: str = "", joints: Any = ()) -> None:
         lines = self.programs[self.name]
         if len(joints):
             self.joints[self.name][len(lines) + 1] = _numbers(joints)
-        lines.append(Block(text, f"program {self.name}, line {len(lines) + 1}" + f" ({called})" * bool(called)))
+        lines.append(Block(text, f"program {self.name}, line {len(lines) + 1}" + f" ({origin})" * bool(origin)))
 
 
 def _name(name: str) -> str:
@@ -252,13 +252,13 @@ def _callees_first(programs: dict[str, list[Block]]) -> list[str]:
     order: list[str] = []
     by_call = {name.lower(): name for name in programs}
 
-    def add(name: str, above: tuple[str, ...]) -> None:
-        if name in order or name in above:
+    def add(name: str, call_chain: tuple[str, ...]) -> None:
+        if name in order or name in call_chain:
             return
         for block in programs[name]:
             match = _CALL.match(block.text)
             if match and match[1].lower() in by_call:
-                add(by_call[match[1].lower()], (*above, name))
+                add(by_call[match[1].lower()], (*call_chain, name))
         order.append(name)
 
     for name in programs:
@@ -295,12 +295,12 @@ def _numbers(joints: Any) -> list[float]:
     return [float(value) for value in (joints.list() if hasattr(joints, "list") else joints)]
 
 
-def _compare_postures(converted: Converted, joints: dict[int, list[float]]) -> None:
+def _compare_postures(conversion: Converted, joints: dict[int, list[float]]) -> None:
     """Take results back whose postures are not those of RoboDK: the cell's [start] leads to another branch.
 
     :raises HostError: says where, and what to do.
     """
-    table = next(path for path in converted.files if path.name.endswith(".targets.csv"))
+    table = next(path for path in conversion.files if path.name.endswith(".targets.csv"))
     with table.open(encoding="utf-8", newline="") as stream:
         for row in csv.DictReader(stream):
             station_angles = joints.get(int(row["source_line"]))
@@ -308,7 +308,7 @@ def _compare_postures(converted: Converted, joints: dict[int, list[float]]) -> N
                 continue
             angles = [float(row[axis]) for axis in _AXES[:6]]
             if max(abs(angle - station_angle) for angle, station_angle in zip(angles, station_angles)) > 1.0:
-                for path in converted.files:
+                for path in conversion.files:
                     path.unlink()
                 raise HostError(
                     f"Line {row['source_line']}: RoboDK has the robot at A1-A6 {_rounded(station_angles)}, but from "

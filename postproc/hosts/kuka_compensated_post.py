@@ -95,20 +95,20 @@ def _posted(FreeCAD: Any, objects: list[Any], filename: str, argstring: str) -> 
         flags.append(("--process", f"{name}.process.toml"))
     flags += [("--tolerance", options.tolerance)] if options.tolerance else []
     flags += [("--nominal", "")] if options.nominal else []
-    converted = convert(blocks, folder, name, "nc", flags, more_files)
-    for warning in converted.warnings:
+    conversion = convert(blocks, folder, name, "nc", flags, more_files)
+    for warning in conversion.warnings:
         FreeCAD.Console.PrintWarning(f"{warning}\n")
-    if "modules" in converted.summary:
-        names = ", ".join(module["name"] for module in converted.summary["modules"])
+    if "modules" in conversion.summary:
+        names = ", ".join(module["name"] for module in conversion.summary["modules"])
         raise HostError(
             f"The program is larger than the memory of the controller, and FreeCAD takes one text. It is in {folder} "
             f"as {names}: load these files one after another. Delete the file that FreeCAD may write."
         )
-    program = converted.files[0]
+    program = conversion.files[0]
     text: str = program.read_bytes().decode("utf-8")
     console = FreeCAD.Console
-    say = {"ok": console.PrintMessage, "warning": console.PrintWarning, "failed": console.PrintError}[converted.state]
-    for line in converted.verdict:
+    say = {"ok": console.PrintMessage, "warning": console.PrintWarning, "failed": console.PrintError}[conversion.state]
+    for line in conversion.verdict:
         say(f"{line}\n")
     console.PrintMessage(f"{program}; report: {program.with_suffix('.report.html')}\n")
     return text
@@ -173,7 +173,7 @@ def _output_file(document: Any, objects: list[Any]) -> Path | None:
 
 _SHAPES = {"endmill": "flat", "ballend": "ball", "bullnose": "bull", "drill": "drill"}
 """Tool shapes of FreeCAD and their names in a process file."""
-_ENOUGH = 4e6
+_CELLS = 4e6
 """Cells of the map of the stock."""
 
 
@@ -197,7 +197,7 @@ def _process(job: Any, name: str, material: str) -> dict[str, bytes]:
     box = stock.BoundBox
     text += [
         "[stock]",
-        f"resolution_mm = {max(0.25, math.ceil(math.sqrt(box.XLength * box.YLength / _ENOUGH) * 20) / 20):g}",
+        f"resolution_mm = {max(0.25, math.ceil(math.sqrt(box.XLength * box.YLength / _CELLS) * 20) / 20):g}",
     ]
     if abs(stock.Volume - box.XLength * box.YLength * box.ZLength) < 1e-6 * stock.Volume:
         spans = ((box.XMin, box.XMax), (box.YMin, box.YMax), (box.ZMin, box.ZMax))

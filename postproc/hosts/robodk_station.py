@@ -23,7 +23,7 @@ from postproc.robot import JOINTS, RobotModel
 OPEN = "open"
 """Instead of a file: the station that is open in RoboDK."""
 _SAME_MM = 1.0
-_INSTEAD = "Or give --base, --tool and --start."
+_ALTERNATIVE = "Or give --base, --tool and --start."
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,19 +47,19 @@ class Station:
 
     def shipped(self) -> str | None:
         """Return the shipped robot model of that name, or None."""
-        wanted = _letters(self.robot)
-        known = {_letters(robot.load(folder).title): name for name, folder in robot.shipped().items()}
-        return known.get(wanted, known.get(f"kuka{wanted}"))
+        letters = _letters(self.robot)
+        models = {_letters(robot.load(folder).title): name for name, folder in robot.shipped().items()}
+        return models.get(letters, models.get(f"kuka{letters}"))
 
     def check_flange(self, model: RobotModel) -> str | None:
         """Return a warning if the flange of a robot model is not where it is in RoboDK, else None."""
         q = np.array([self.start]) * RAD_PER_DEG
         flange = kinematics.tcp(model.nominal, q, np.eye(4))[0][0, :3, 3] * MM_PER_M
-        off = float(np.linalg.norm(flange - self.flange))
-        if off <= _SAME_MM:
+        distance = float(np.linalg.norm(flange - self.flange))
+        if distance <= _SAME_MM:
             return None
         return (
-            f"with these joint angles the flange of {model.title} is {off:.4g} mm away from that of {self.robot} "
+            f"with these joint angles the flange of {model.title} is {distance:.4g} mm away from that of {self.robot} "
             "in RoboDK: is it the same arm, or one that RoboDK has calibrated?"
         )
 
@@ -76,7 +76,7 @@ def read(station: str) -> Station:
         raise InputError(
             "a station is read by RoboDK, and its Python package is missing",
             file=station,
-            advice=f"pip install robodk, with RoboDK on this machine. {_INSTEAD}",
+            advice=f"pip install robodk, with RoboDK on this machine. {_ALTERNATIVE}",
         ) from None
     if station != OPEN and not Path(station).is_file():
         raise InputError("no such file", file=station)
@@ -87,7 +87,7 @@ def read(station: str) -> Station:
         raise
     except Exception as cause:  # robolink raises plain exceptions
         raise InputError(
-            f"RoboDK does not answer ({cause})", file=station, advice=f"Start RoboDK, and try again. {_INSTEAD}"
+            f"RoboDK does not answer ({cause})", file=station, advice=f"Start RoboDK, and try again. {_ALTERNATIVE}"
         ) from cause
 
 
@@ -102,7 +102,7 @@ def _asked(robolink: Any, station: str) -> Station:
         raise InputError(
             f"{len(arms)} robots with six joints in the station{f': {names}' if names else ''}",
             file=station,
-            advice=f"Open one with a single robot. {_INSTEAD}",
+            advice=f"Open one with a single robot. {_ALTERNATIVE}",
         )
     (arm,) = arms
     joints = arm.Joints().list()

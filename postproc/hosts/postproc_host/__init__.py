@@ -103,8 +103,8 @@ def convert(
         program = Path(scratch) / f"{name}.{extension}"
         try:
             program.write_bytes(text)
-            for own, content in (inputs or {}).items():
-                (Path(scratch) / own).write_bytes(content)
+            for input_name, content in (inputs or {}).items():
+                (Path(scratch) / input_name).write_bytes(content)
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as cause:
             raise HostError(f"{folder}: cannot be written to: {cause.strerror}. Choose another folder.") from cause
@@ -118,21 +118,21 @@ def convert(
         faults = [_placed(entry["error"], program, blocks)] if entry["error"] else []
         raise HostError("\n".join(faults + [text for level, text in issues if level == "error"]))
     verdict = entry["verdict"]
-    written = [_from_linux(path) for path in entry["written"]]
+    paths = [_from_linux(path) for path in entry["written"]]
     if verdict["drive"]["state"] == "failed":
-        for path in written:
+        for path in paths:
             path.unlink()
         faults = [verdict["headline"], *verdict["drive"]["reasons"]]
         raise HostError("\n".join(_placed(fault, program, blocks) for fault in faults))
     warnings = [text for level, text in issues if level == "warning"]
-    said = [verdict["headline"], *verdict["answers"], *(verdict["reasons"] if verdict["state"] != "ok" else [])]
+    lines = [verdict["headline"], *verdict["answers"], *(verdict["reasons"] if verdict["state"] != "ok" else [])]
     moves = folder / f"{name}.moves.txt"
     moves.write_bytes(text)
-    for own, content in (inputs or {}).items():
-        (folder / own).write_bytes(content)
-    left = [moves, *(folder / own for own in inputs or ())]
-    said = [_placed(line, program, blocks) for line in said]
-    return Converted([*written, *left], entry, warnings, verdict["state"], said)
+    for input_name, content in (inputs or {}).items():
+        (folder / input_name).write_bytes(content)
+    left = [moves, *(folder / input_name for input_name in inputs or ())]
+    lines = [_placed(line, program, blocks) for line in lines]
+    return Converted([*paths, *left], entry, warnings, verdict["state"], lines)
 
 
 def _run(words: Sequence[str]) -> dict[str, Any]:
@@ -141,7 +141,7 @@ def _run(words: Sequence[str]) -> dict[str, Any]:
     if in_linux:
         words = [_to_linux(prefix, word) for word in words]
     try:
-        done = subprocess.run(
+        process = subprocess.run(
             [*prefix, *words],
             stdin=subprocess.DEVNULL,
             capture_output=True,
@@ -153,24 +153,24 @@ def _run(words: Sequence[str]) -> dict[str, Any]:
     except OSError as cause:
         raise HostError(f"{prefix[0]} cannot be run: {cause}. {_MEND}") from cause
     try:
-        content: dict[str, Any] = json.loads(done.stdout.decode("utf-8"))
+        content: dict[str, Any] = json.loads(process.stdout.decode("utf-8"))
     except ValueError:
-        said = done.stderr.decode("utf-8", "replace").strip() or f"it ended with code {done.returncode}"
-        hint = f" {_MEND}" if "No module named" in said else ""
-        raise HostError(f"{re.sub('^Error: ', '', said)}{hint}") from None
+        message = process.stderr.decode("utf-8", "replace").strip() or f"it ended with code {process.returncode}"
+        hint = f" {_MEND}" if "No module named" in message else ""
+        raise HostError(f"{re.sub('^Error: ', '', message)}{hint}") from None
     return content
 
 
 def _environment() -> dict[str, str]:
     """Return the environment without variables that configure the Python of the host."""
-    bundled = {"LD_LIBRARY_PATH"} if "APPDIR" in os.environ else set()
-    kept = {
+    host_names = {"LD_LIBRARY_PATH"} if "APPDIR" in os.environ else set()
+    variables = {
         name: value
         for name, value in os.environ.items()
-        if name not in bundled and (not name.startswith("PYTHON") or name == "PYTHONUTF8")
+        if name not in host_names and (not name.startswith("PYTHON") or name == "PYTHONUTF8")
     }
-    kept["PYTHONIOENCODING"] = "utf-8"
-    return kept
+    variables["PYTHONIOENCODING"] = "utf-8"
+    return variables
 
 
 def _to_linux(prefix: Sequence[str], word: str) -> str:
@@ -178,10 +178,10 @@ def _to_linux(prefix: Sequence[str], word: str) -> str:
     if not re.match(r"[A-Za-z]:[\\/]", word):
         return word
     words = [*prefix[:1], "wslpath", "-a", "-u", word.replace("\\", "/")]
-    done = subprocess.run(words, capture_output=True, check=False)
-    if done.returncode:
-        raise HostError(f"{word}: WSL does not reach this path: {done.stderr.decode('utf-8', 'replace').strip()}")
-    return done.stdout.decode("utf-8").strip()
+    process = subprocess.run(words, capture_output=True, check=False)
+    if process.returncode:
+        raise HostError(f"{word}: WSL does not reach this path: {process.stderr.decode('utf-8', 'replace').strip()}")
+    return process.stdout.decode("utf-8").strip()
 
 
 def _from_linux(path: str) -> Path:
@@ -202,5 +202,5 @@ def _placed(text: str, program: Path, blocks: Sequence[Block]) -> str:
         line = int(match[1])
         return f"{blocks[line - 1].place}:" if 1 <= line <= len(blocks) else match[0]
 
-    placed = re.sub(rf"\S*\b{re.escape(program.name)}:(\d+):", place, text)
-    return re.sub(rf"\S*\b{re.escape(program.name)}", program.stem, placed)
+    host_text = re.sub(rf"\S*\b{re.escape(program.name)}:(\d+):", place, text)
+    return re.sub(rf"\S*\b{re.escape(program.name)}", program.stem, host_text)

@@ -50,7 +50,7 @@ class Joined(Struct, frozen=True, eq=False):
         """Return the file, and the line of it, that a line of one of the joined texts comes from."""
         if file != self.documents[0].name:
             return file, line
-        name, first = [each for each in self.files if each[1] <= line][-1]
+        name, first = [file_and_line for file_and_line in self.files if file_and_line[1] <= line][-1]
         return name, line + 1 - first
 
     def placed(self, left: Unresolved) -> Unresolved:
@@ -64,8 +64,12 @@ class Joined(Struct, frozen=True, eq=False):
         if line is not None and file is not None:
             file, line = self.place(file, line)
         text = None if error.text is None else error.text.lstrip("".join((_DIVIDES, _BEGINS, _UNENDED)))
-        others = [self.located(other) for other in error.further_errors if isinstance(other, ProgramError)]
-        return ProgramError(error.problem, file=file, line=line, text=text, advice=error.advice, further_errors=others)
+        later_errors = [
+            self.located(later_error) for later_error in error.further_errors if isinstance(later_error, ProgramError)
+        ]
+        return ProgramError(
+            error.problem, file=file, line=line, text=text, advice=error.advice, further_errors=later_errors
+        )
 
 
 def called(main: Document) -> list[tuple[str, int]]:
@@ -77,21 +81,21 @@ def called(main: Document) -> list[tuple[str, int]]:
     if not stem.lower().endswith(MAIN.lower()) or len(stem) == len(MAIN):
         return []
     source = Source.of(main, 0)
-    found: list[tuple[str, int]] = []
-    ended = False
-    own = stem[: -len(MAIN)].lower().rstrip("0123456789")
+    calls: list[tuple[str, int]] = []
+    has_end = False
+    base_name = stem[: -len(MAIN)].lower().rstrip("0123456789")
     for line in range(len(source.starts), 0, -1):
-        here = statement(source, line)
-        called_ = here.call.spelt(source) if isinstance(here, CallStatement) and not here.call.arguments else ""
-        if ended and called_ and called_.lower().rstrip("0123456789") == own:
-            found.append((called_, line))
-        elif not ended and _is_end(source, line):
-            ended = True
-        elif here.start < here.stop:
+        node = statement(source, line)
+        callee = node.call.spelt(source) if isinstance(node, CallStatement) and not node.call.arguments else ""
+        if has_end and callee and callee.lower().rstrip("0123456789") == base_name:
+            calls.append((callee, line))
+        elif not has_end and _is_end(source, line):
+            has_end = True
+        elif node.start < node.stop:
             break
-    found.reverse()
-    wanted = [f"{stem[: -len(MAIN)]}{number}".lower() for number in range(1, len(found) + 1)]
-    return found if [name.lower() for name, _ in found] == wanted else []
+    calls.reverse()
+    expected_names = [f"{stem[: -len(MAIN)]}{number}".lower() for number in range(1, len(calls) + 1)]
+    return calls if [name.lower() for name, _ in calls] == expected_names else []
 
 
 def beyond(main: Document, find: Callable[[str], Document | None]) -> list[Document]:
@@ -99,15 +103,15 @@ def beyond(main: Document, find: Callable[[str], Document | None]) -> list[Docum
 
     :param find: returns a file by its name, None if there is none.
     """
-    found: list[Document] = []
+    files: list[Document] = []
     stem, calls = PurePath(main.name).stem, called(main)
     while calls:
-        document = find(f"{stem[: -len(MAIN)]}{len(calls) + len(found) + 1}.src")
+        document = find(f"{stem[: -len(MAIN)]}{len(calls) + len(files) + 1}.src")
         says = None if document is None else part_of(document)
         if document is None or says is None or says.lower() != stem.lower():
             break
-        found.append(document)
-    return found
+        files.append(document)
+    return files
 
 
 def part_of(document: Document) -> str | None:
@@ -122,28 +126,31 @@ def joined(documents: Sequence[Document]) -> Joined | None:
     :param documents: the main program first, the others in any order.
     :raises ProgramError: a file is missing, or cannot be one of several.
     """
-    main, *others = documents
+    main, *other_files = documents
     calls = called(main)
-    known = {document.name.lower(): document for document in others}
-    if not calls or not any(f"{name}.src".lower() in known for name, _ in calls):
+    document_of = {document.name.lower(): document for document in other_files}
+    if not calls or not any(f"{name}.src".lower() in document_of for name, _ in calls):
         return None
-    missing = [(name, line) for name, line in calls if f"{name}.src".lower() not in known]
-    if missing:
+    absent_calls = [(name, line) for name, line in calls if f"{name}.src".lower() not in document_of]
+    if absent_calls:
         advice = "Put all files of the program next to it."
-        raise Source.of(main, 0).line_error(f"{missing[0][0]}.src is not there", missing[0][1], advice)
-    parts = [known[f"{name}.src".lower()] for name, _ in calls]
-    more = beyond(main, lambda name: known.get(name.lower()))
+        raise Source.of(main, 0).line_error(f"{absent_calls[0][0]}.src is not there", absent_calls[0][1], advice)
+    parts = [document_of[f"{name}.src".lower()] for name, _ in calls]
+    routine_files = beyond(main, lambda name: document_of.get(name.lower()))
     texts = [_main_text(main, [line for _, line in calls]), *(_part_text(part) for part in parts[:-1])]
-    texts += [_part_text(parts[-1], ends=bool(more)), *(_part_text(part, several=True) for part in more)]
+    texts += [
+        _part_text(parts[-1], ends=bool(routine_files)),
+        *(_part_text(part, has_routines=True) for part in routine_files),
+    ]
     first = 1
     files = []
-    parts += more
+    parts += routine_files
     for document in (main, *parts):
         files.append((document.name, first))
         first += len(Source.of(document, 0).starts)
     stems = [PurePath(document.name).stem.lower() for document in (main, *parts)]
-    data = [known[f"{stem}.dat"] for stem in stems if f"{stem}.dat" in known]
-    whole = replace(main, text="".join([*texts, *([] if more else [_END])]))
+    data = [document_of[f"{stem}.dat"] for stem in stems if f"{stem}.dat" in document_of]
+    whole = replace(main, text="".join([*texts, *([] if routine_files else [_END])]))
     return Joined((whole, *([_joined_data(main, data)] if data else [])), tuple(files))
 
 
@@ -165,38 +172,38 @@ def _main_text(main: Document, calls: Sequence[int]) -> str:
     return _with_marks(source, [*calls, end])
 
 
-def _part_text(part: Document, *, ends: bool = False, several: bool = False) -> str:
+def _part_text(part: Document, *, ends: bool = False, has_routines: bool = False) -> str:
     """Return a part with its header, DEF and END as comments.
 
     :param ends: its END is that of the whole program, and stays.
-    :param several: other routines follow its END.
+    :param has_routines: other routines follow its END.
     """
     source = Source.of(part, 0)
-    begin = _only_def(source, several=several)
+    begin = _only_def(source, has_routines=has_routines)
     text = source.text
     header = [line for line in range(1, begin) if text[source.starts[line - 1]] == "&"]
-    found = (line for line in range(begin, len(source.starts) + 1) if _is_end(source, line))
-    end = next(found, None) if several else max(found, default=None)
+    end_lines = (line for line in range(begin, len(source.starts) + 1) if _is_end(source, line))
+    end = next(end_lines, None) if has_routines else max(end_lines, default=None)
     if end is None:
         raise source.line_error("DEF has no END", begin, "Check that the file was transferred completely.")
     return _BEGINS + _with_marks(source, [*header, begin, *([] if ends else [end])])
 
 
-def _only_def(source: Source, *, several: bool = False) -> int:
+def _only_def(source: Source, *, has_routines: bool = False) -> int:
     """Return the line of the DEF of a file; of several that of the first."""
-    found = [source.line_at(one.start) for one in scan.routines(source.text)][: 1 if several else None]
-    if len(found) != 1 or not _has_no_parameters(source, found[0]):
-        problem = f"a program in several files has one DEF without parameters in each, and here are {len(found)}"
-        raise source.line_error(problem, found[-1] if found else 1, "Join the files by hand.")
-    return found[0]
+    def_lines = [source.line_at(routine.start) for routine in scan.routines(source.text)][: 1 if has_routines else None]
+    if len(def_lines) != 1 or not _has_no_parameters(source, def_lines[0]):
+        problem = f"a program in several files has one DEF without parameters in each, and here are {len(def_lines)}"
+        raise source.line_error(problem, def_lines[-1] if def_lines else 1, "Join the files by hand.")
+    return def_lines[0]
 
 
 def _has_no_parameters(source: Source, line: int) -> bool:
     """Return whether a line is a DEF with empty brackets."""
-    here = statement(source, line)
-    if not isinstance(here, Definition) or here.word != "DEF" or here.parameters:
+    node = statement(source, line)
+    if not isinstance(node, Definition) or node.word != "DEF" or node.parameters:
         return False
-    return after_sign(source.text, here.at + len(here.name), here.stop, "(") >= 0
+    return after_sign(source.text, node.at + len(node.name), node.stop, "(") >= 0
 
 
 def _is_end(source: Source, line: int) -> bool:
@@ -207,12 +214,12 @@ def _with_marks(source: Source, lines: Sequence[int]) -> str:
     """Return the text of a file with some of its lines (ascending) as comments, and with an end of its last line."""
     if any(mark in source.text for mark in (_DIVIDES, _BEGINS, _UNENDED)):
         raise ProgramError("control characters in the program", file=source.document.name)
-    pieces, done = [], 0
+    pieces, last = [], 0
     for line in lines:
         start = int(source.starts[line - 1])
-        pieces += [source.text[done:start], _DIVIDES]
-        done = start
-    pieces.append(source.text[done:])
+        pieces += [source.text[last:start], _DIVIDES]
+        last = start
+    pieces.append(source.text[last:])
     text = "".join(pieces)
     if source.stops[-1] == len(source.text):
         start = text.rfind("\n") + 1 if "\n" in text else text.rfind("\r") + 1
@@ -226,19 +233,21 @@ def _joined_data(main: Document, data: Sequence[Document]) -> Document:
     :raises ProgramError: one name has different values.
     """
     lines: dict[str, str] = {}
-    known: dict[str, list[str]] = {}
+    texts_of_name: dict[str, list[str]] = {}
     for document in data:
-        stated: dict[str, list[DataLine]] = {}
+        lines_of_name: dict[str, list[DataLine]] = {}
         for line in data_lines(Source.of(document, 1)):
             for name in line.names:
-                stated.setdefault(name, []).append(line)
+                lines_of_name.setdefault(name, []).append(line)
             lines.setdefault(line.text.strip() if line.names else f"{document.name}:{line.line}", line.text)
-        for name, own in stated.items():
-            texts = [line.text.strip() for line in own]
-            if known.setdefault(name, texts) != texts:
+        for name, name_lines in lines_of_name.items():
+            texts = [line.text.strip() for line in name_lines]
+            if texts_of_name.setdefault(name, texts) != texts:
                 problem = f"{name} has another value than in the file before"
                 advice = "Give it another name: the parts are corrected as one program."
-                raise ProgramError(problem, file=document.name, line=own[0].line, text=own[0].text, advice=advice)
+                raise ProgramError(
+                    problem, file=document.name, line=name_lines[0].line, text=name_lines[0].text, advice=advice
+                )
     end = "\r\n"
     text = "".join([f"DEFDAT {PurePath(main.name).stem}{end}", *lines.values(), f"ENDDAT{end}"])
     return replace(data[0], name=f"{PurePath(main.name).stem}.dat", text=text)
