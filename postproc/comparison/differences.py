@@ -370,9 +370,7 @@ def _off_path(
     bad = np.flatnonzero(is_off_path)
     if not len(bad):
         return
-    distances = np.array(
-        [_distance_of_way(comparison, nominal_path, corrected_path, int(k)) for k in bad[:_MAX_LISTED]]
-    )
+    distances = np.array([_distance_of_way(comparison, nominal_path, corrected_path, int(k)) for k in bad[:_MAX_WAYS]])
     bad, distances = (
         bad[: len(distances)][distances > limits[bad[: len(distances)]]],
         distances[distances > limits[bad[: len(distances)]]],
@@ -385,7 +383,7 @@ def _off_path(
         yield at_rows(comparison, "between", message, comparison.pair[bad[worst]].tolist(), len(bad))
 
 
-_MAX_LISTED = 1000
+_MAX_WAYS = 1000
 """Ways whose distance from the nominal path is computed."""
 _PLACES = 65
 """Places of the second path looked at on each of them."""

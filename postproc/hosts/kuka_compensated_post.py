@@ -183,11 +183,11 @@ def _process(job: Any, name: str, material: str) -> dict[str, bytes]:
         raise HostError("--material: the job of these operations is not found: post the job as a whole.")
     controllers: dict[int, Any] = {}
     for operation in job.Operations.Group:
-        held = getattr(operation, "ToolController", None) or getattr(
+        tool_controller = getattr(operation, "ToolController", None) or getattr(
             getattr(operation, "Base", None), "ToolController", None
         )
-        if held is not None:
-            controllers[int(held.ToolNumber)] = held
+        if tool_controller is not None:
+            controllers[int(tool_controller.ToolNumber)] = tool_controller
     text = [f"# {one_line(job.Label)}: as the job states it", "[material]", f"name = {json.dumps(material)}", ""]
     for number, controller in sorted(controllers.items()):
         text += [f"[tools.{number}]  # {_comment(controller.Label)}", *_tool(controller), ""]
