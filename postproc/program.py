@@ -278,22 +278,22 @@ class Starts(Struct, frozen=True, eq=False):
         frames: tuple[Ints, Ints, Array, Array],
         end: Callable[[Ints], Array],
         start_flange_in_root: Array,
-        after: Ints | None = None,
+        predecessor: Ints | None = None,
     ) -> Starts:
         """Return the starts of motions.
 
         :param frames: base (M,) and tool (M,): rows of `$BASE` in the robot root (nb, 4, 4) and `$TOOL` in the flange
             frame (nt, 4, 4).
         :param start_flange_in_root: (4, 4) flange pose before the first motion [m].
-        :param after: (M,) at the end of which motion each begins, see `Program.after`.
+        :param predecessor: (M,) at the end of which motion each begins, see `Program.after`.
         """
         base, tool, bases, tools = frames
         change = np.flatnonzero((np.diff(base) != 0) | (np.diff(tool) != 0)) + 1
         previous = change - 1
-        if after is not None:
-            change = distinct(np.append(change, np.flatnonzero(after != np.arange(len(base)) - 1)))
-            change = change[after[change] >= 0]
-            previous = after[change]
+        if predecessor is not None:
+            change = distinct(np.append(change, np.flatnonzero(predecessor != np.arange(len(base)) - 1)))
+            change = change[predecessor[change] >= 0]
+            previous = predecessor[change]
         first = change[:1] > 0 if len(change) else np.array([True])
         starts = np.concatenate([[0], change]) if first.all() else change
         flange = bases[base[previous]] @ end(previous) @ inverse(tools[tool[previous]])

@@ -307,7 +307,7 @@ def segments_in_cell(program: Program, robot_in_cell: RobotInCell) -> Segments:
 
 _UNCLEAR = np.radians(90.0)
 """Farther than this no wrist axis may turn on a motion: which way round would not be certain."""
-_STRETCHED = np.radians(1.0)
+_LEAST_A5 = np.radians(1.0)
 """A5 may not be nearer to 0 where the wrist turns the tool: A4 and A6 are not certain there."""
 _WRIST_ADVICE = "Use $ORI_TYPE=#VAR, or divide the motion."
 
@@ -333,7 +333,7 @@ def led_by_wrist(program: Program, robot_in_cell: RobotInCell) -> Program:
     begin = np.where(previous[:, None] >= 0, ends[previous], robot_in_cell.cell.start_joints)
     change = (ends[motion] - begin + np.pi) % (2.0 * np.pi) - np.pi
     is_unclear = (np.abs(change[:, 3:]) > _UNCLEAR).any(axis=1)
-    is_unclear |= np.minimum(np.abs(begin[:, 4]), np.abs(ends[motion, 4])) < _STRETCHED
+    is_unclear |= np.minimum(np.abs(begin[:, 4]), np.abs(ends[motion, 4])) < _LEAST_A5
     message = (
         "under $ORI_TYPE=#JOINT this motion begins or ends near the singular pose of the wrist, or a wrist axis turns "
         f"by more than {np.degrees(_UNCLEAR):g}°: how the controller leads A4 to A6 is not certain. {_WRIST_ADVICE}"

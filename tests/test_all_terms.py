@@ -338,7 +338,7 @@ def test_a_singular_pose_has_no_step_and_others_have_theirs():
 
 @pytest.mark.parametrize("row", range(6))
 def test_a_command_is_not_done_while_any_component_of_the_pose_is_off(row):
-    most = equilibrium._AT_TARGET if row < 3 else equilibrium._ALIGNED
+    most = equilibrium._AT_TARGET if row < 3 else equilibrium._ORIENTATION_TOLERANCE
     left = np.zeros((6, 3))
     left[row] = np.array([0.0, 0.999, 1.001]) * most
     assert equilibrium._beyond(left).tolist() == [False, False, True]

@@ -116,7 +116,7 @@ def test_links_are_where_pinocchio_puts_them(suffix, scale):
     q = rng.uniform(model.lower, model.upper)
     expected = by_pinocchio(path, own, places, q)
     for drawn in (True, False):
-        surfaces, problems = model.link_shapes(drawn=drawn)
+        surfaces, problems = model.link_shapes(for_drawing=drawn)
         assert problems == []
         assert [each.carrier for each in surfaces] == list(range(-1, 6))
         for one, other in zip(in_root(model, surfaces, q), expected, strict=True):
@@ -130,7 +130,7 @@ def test_a_wrong_place_would_be_noticed():
     model = robot.load(add_robot(path, "mine").folder)
     q = rng.uniform(model.lower, model.upper)
     places[3] = places[3] @ pin.SE3(np.eye(3), np.array([1e-3, 0, 0])).homogeneous
-    ours, expected = in_root(model, model.link_shapes(drawn=True)[0], q), by_pinocchio(path, own, places, q)
+    ours, expected = in_root(model, model.link_shapes(for_drawing=True)[0], q), by_pinocchio(path, own, places, q)
     off = [np.abs(one - other).max() for one, other in zip(ours, expected, strict=True)]
     assert off[3] > 2e-4
     assert max(off[:3] + off[4:]) < 1e-4
@@ -148,7 +148,7 @@ def test_primitives_and_collision_shapes():
         rng,
     )
     Path("arm.urdf").write_text(text)
-    surfaces, _ = robot.load(add_robot(Path("arm.urdf"), "mine").folder).link_shapes(drawn=False)
+    surfaces, _ = robot.load(add_robot(Path("arm.urdf"), "mine").folder).link_shapes(for_drawing=False)
     volumes = [trimesh.Trimesh(each.points, each.faces).volume for each in surfaces]
     exact = [np.pi * 0.01 * 0.5, 4 / 3 * np.pi * 0.008, 6.0]
     np.testing.assert_allclose(volumes, [exact[number % 3] for number in range(7)], rtol=0.01)
@@ -163,7 +163,7 @@ def test_meshes_that_are_not_there_are_a_remark():
     assert done.exit_code == 0
     assert "a shape is left out: package://arm_support/meshes/5.stl: there is no such file" in done.output
     model = robot.load("mine")
-    assert [each.carrier for each in model.link_shapes(drawn=True)[0]] == [2]
+    assert [each.carrier for each in model.link_shapes(for_drawing=True)[0]] == [2]
 
 
 def test_an_arm_without_shapes_says_so():
@@ -197,6 +197,6 @@ def test_an_identified_model_keeps_the_shapes():
         method="serial", robot="mine", sigma_mm=0.01, base={}, points={}, unloaded_rms_mm=0.0, outliers=[], warnings=[]
     )
     model_folder.write(Path("found"), read_toml(prior / "model.toml", ModelFile, ModelError), data, prior)
-    surfaces, problems = robot.load("found").link_shapes(drawn=True)
+    surfaces, problems = robot.load("found").link_shapes(for_drawing=True)
     assert len(surfaces) == 7
     assert problems == []

@@ -70,7 +70,7 @@ def answers_of(item: Item) -> dict[str, Any]:
     content = None if item.entry is None else item.entry.content
     if item.entry is None or content is None:
         return {"state": "new", "run": "Not corrected yet", "kind": "soft", "headline": "", "reasons": []}
-    uncorrected, corrected = (
+    uncorrected, corrected_text = (
         "unknown" if length is None else f"{rounded(length)} mm" for length in content.expected_mm
     )
     better, state = content.verdict.better, item.entry.state
@@ -82,7 +82,7 @@ def answers_of(item: Item) -> dict[str, Any]:
         "headline": content.verdict.headline,
         "reasons": content.verdict.reasons,
         "uncorrected": uncorrected,
-        "corrected": corrected,
+        "corrected": corrected_text,
         "better": "unknown" if better is None or better.chance is None else chance_in_words(better.chance),
         "tolerance": "" if content.verdict.tolerance is None else f"{content.verdict.tolerance.mm:g} mm",
     }
@@ -108,24 +108,24 @@ def programs(workspace: Workspace, items: Sequence[Item], active: Sequence[str])
 def _controls(field: Field) -> dict[str, Any]:
     """Return how a question is asked: a list, numbers, or a line of text."""
     question, kind = field.question, field.question.key.partition(".")[0]
-    asked = {"key": question.key, "text": question.text, "fault": field.fault, "value": field.text}
-    asked["hint"] = f"for example {question.default}" if question.default and not question.optional else ""
-    asked["id"] = question.key.replace(".", "-")
+    control = {"key": question.key, "text": question.text, "fault": field.fault, "value": field.text}
+    control["hint"] = f"for example {question.default}" if question.default and not question.optional else ""
+    control["id"] = question.key.replace(".", "-")
     if kind in _FRAME_KEYS:
         words = [word.strip() for word in field.text.split(",")] if field.text else []
         values = list(zip("XYZABC", [*words, *[""] * 6][:6], strict=True))
-        return {**asked, "kind": "frame", "values": values, "text": question.text.partition(": X,Y")[0]}
+        return {**control, "kind": "frame", "values": values, "text": question.text.partition(": X,Y")[0]}
     if kind == "cutter":
         sizes = [*field.text.replace(",", " ").split(), "", "", ""][:3]
         title = question.text.partition(": shape")[0]
-        return {**asked, "kind": "cutter", "values": sizes, "choices": _choices(kind), "text": title}
+        return {**control, "kind": "cutter", "values": sizes, "choices": _choices(kind), "text": title}
     if kind in _NUMBER_KEYS:
-        return {**asked, "kind": "number"}
+        return {**control, "kind": "number"}
     choices = _choices(kind)
     if not choices:
-        return {**asked, "kind": "text"}
+        return {**control, "kind": "text"}
     extra = (field.text,) if field.text and field.text not in choices else ()
-    return {**asked, "kind": "choice", "choices": (*choices, *extra)}
+    return {**control, "kind": "choice", "choices": (*choices, *extra)}
 
 
 def _choices(kind: str) -> tuple[str, ...]:
@@ -155,10 +155,10 @@ def posted_answers(form: dict[str, str]) -> dict[str, str]:
     return texts
 
 
-def setup(name: str, facts: Sequence[str], refusal: str, form: SetupForm, command: str, *, checked: bool) -> Page:
+def setup(name: str, facts: Sequence[str], refusal: str, form: SetupForm, command: str, *, is_posted: bool) -> Page:
     """Return the page that asks what a program needs.
 
-    :param checked: the form came back: faults are shown.
+    :param is_posted: the form came back: faults are shown.
     """
     groups: dict[str, list[dict[str, Any]]] = {"Robot and cell": [], "Tool, material and stock": [], "Details": []}
     for field in form.fields:
@@ -167,21 +167,21 @@ def setup(name: str, facts: Sequence[str], refusal: str, form: SetupForm, comman
         basic = kind in ("robot", "base", "tool", "part_tolerance") or not field.question.optional
         group = "Tool, material and stock" if cutting else "Robot and cell" if basic else "Details"
         control = _controls(field)
-        groups[group].append(control if checked else {**control, "fault": ""})
+        groups[group].append(control if is_posted else {**control, "fault": ""})
     return _page(
         "setup.html", here="programs", title=name, facts=facts, refusal=refusal, groups=groups, command=command
     )
 
 
-def program(item: Item, workspace: Workspace, others: Sequence[str], run: Run | None, command: str) -> Page:
+def program(item: Item, workspace: Workspace, other_programs: Sequence[str], run: Run | None, command: str) -> Page:
     """Return the page of one program.
 
-    :param others: results and programs that it may be compared with.
+    :param other_programs: results and programs that it may be compared with.
     :param run: the latest command about it.
     """
     stem = Path(item.entry.page.removesuffix(".report.html") if item.entry else item.name).stem
-    named = sorted(path.name for path in workspace.results.glob(f"{stem}*")) if item.entry else []
-    files = [name for name in named if Path(name).suffix.lower() in SHOWN and not name.endswith(".json")]
+    file_names = sorted(path.name for path in workspace.results.glob(f"{stem}*")) if item.entry else []
+    files = [name for name in file_names if Path(name).suffix.lower() in SHOWN and not name.endswith(".json")]
     place = workspace.results / f"place-{Path(item.name).stem}"
     return _page(
         "program.html",
@@ -191,7 +191,7 @@ def program(item: Item, workspace: Workspace, others: Sequence[str], run: Run | 
         page=item.entry.page if item.entry else "",
         programs=[name for name in files if Path(name).suffix.lower() in (".src", ".mod", ".dat")],
         tables=[name for name in files if Path(name).suffix.lower() == ".csv"],
-        others=others,
+        others=other_programs,
         run=run,
         place=f"{place.name}/place.html" if (place / "place.html").is_file() else "",
         can_take=(place / "place.toml").is_file(),
@@ -206,14 +206,16 @@ def running(run: Run) -> Page:
     return _page("run.html", here="programs", title=run.title, run=run, code=run.code, command=run.command)
 
 
-def cell(workspace: Workspace, fields: Sequence[NumberField], fault: str, *, saved: bool) -> Page:
+def cell(workspace: Workspace, fields: Sequence[NumberField], fault: str, *, is_saved: bool) -> Page:
     """Return the page of the cell; `fault`: why the posted numbers were not written."""
     tables = [
         {"name": name, "help": table_help(name), "fields": [field for field in fields if field.table == name]}
         for name in TABLES
     ]
     file = f"{RESULTS}/{workspace.cell.name}"
-    return _page("cell.html", here="cell", title="Cell", tables=tables, fault=fault, saved=saved, file=file, command="")
+    return _page(
+        "cell.html", here="cell", title="Cell", tables=tables, fault=fault, saved=is_saved, file=file, command=""
+    )
 
 
 def robots(name: str) -> Page:
@@ -221,11 +223,11 @@ def robots(name: str) -> Page:
 
     :raises InputError: there is no model of this name.
     """
-    shipped = robot.shipped()
-    if name and name not in shipped:
+    folders = robot.shipped()
+    if name and name not in folders:
         raise InputError(f"no robot {name!r}", advice="Choose one of the list.")
-    rows = [(key, robot.load(folder)) for key, folder in shipped.items()] if not name else []
-    model = robot.load(shipped[name]) if name else None
+    rows = [(key, robot.load(folder)) for key, folder in folders.items()] if not name else []
+    model = robot.load(folders[name]) if name else None
     return _page(
         "robots.html",
         here="robots",

@@ -81,9 +81,9 @@ class _Handler(BaseHTTPRequestHandler):
         address = urlsplit(self.path)
         self.query = dict(parse_qsl(address.query, keep_blank_values=True, max_num_fields=20))
         token = self.query.pop("token", "")
-        if why := self.server.access.refusal(dict(self.headers.items()), changes=changes, token=token):
+        if reason := self.server.access.refusal(dict(self.headers.items()), changes=changes, token=token):
             self.close_connection = True
-            return self._send(403, why.encode(), "text/plain; charset=utf-8")
+            return self._send(403, reason.encode(), "text/plain; charset=utf-8")
         if token:  # out of the address, before a page is shown that may be copied
             return self._lead(
                 address.path if address.path in routes else "/", ("Set-Cookie", self.server.access.cookie)
@@ -155,17 +155,17 @@ class _Handler(BaseHTTPRequestHandler):
         """
         workspace, name = self.server.workspace, self.query.get("name", "")
         program = workspace.program(name)
-        kept = load_answers(workspace.results / f"{program.stem}.answers.toml", program)
+        answers = load_answers(workspace.results / f"{program.stem}.answers.toml", program)
         process = workspace.results / f"{program.stem}.process.toml"
         needs = needs_of(program)
-        asking = {"cell": not is_edited(workspace.cell, kept), "process": not is_edited(process, kept)}
-        form = setup_form(needs, kept.answers if texts is None else texts, **asking)
+        asking = {"cell": not is_edited(workspace.cell, answers), "process": not is_edited(process, answers)}
+        form = setup_form(needs, answers.answers if texts is None else texts, **asking)
         arguments = start_arguments(program, form)
         if texts is not None and form.complete and not needs.refusal:
             return self.begin(name, f"Correct {name}", arguments)
         cutters = [f"T{number} {cutter.text}" for number, cutter in needs.cutters.items() if cutter.text]
         command = command_line(arguments)
-        self._page(screens.setup(name, cutters, needs.refusal, form, command, checked=texts is not None))
+        self._page(screens.setup(name, cutters, needs.refusal, form, command, is_posted=texts is not None))
         return None
 
     def program(self) -> None:
@@ -175,10 +175,10 @@ class _Handler(BaseHTTPRequestHandler):
         item = next((item for item in workspace.items() if item.name == name), None)
         if item is None:
             raise InputError(f"{name} is no program")
-        others = [f"{RESULTS}/{path.name}" for path in sorted(workspace.results.glob("*.src"))]
-        others += [other.name for other in workspace.items() if other.name != name]
+        other_programs = [f"{RESULTS}/{path.name}" for path in sorted(workspace.results.glob("*.src"))]
+        other_programs += [other_program.name for other_program in workspace.items() if other_program.name != name]
         command = command_line(self._with_cell("convert", name))
-        self._page(screens.program(item, workspace, others, self.server.runs.latest(name), command))
+        self._page(screens.program(item, workspace, other_programs, self.server.runs.latest(name), command))
 
     def run(self) -> None:
         """Send the page of a command."""
@@ -197,7 +197,7 @@ class _Handler(BaseHTTPRequestHandler):
             text = "There is no cell yet: the set-up of the first program asks for robot, base and tool."
             return self._page(screens.message("Cell", text))
         fields = fields_of(workspace.stated_cell())
-        return self._page(screens.cell(workspace, fields, fault, saved="saved" in self.query), 400 if fault else 200)
+        return self._page(screens.cell(workspace, fields, fault, is_saved="saved" in self.query), 400 if fault else 200)
 
     def robots(self) -> None:
         """Send the robot models."""
@@ -258,12 +258,21 @@ class _Handler(BaseHTTPRequestHandler):
     def compare(self) -> None:
         """Compare a program with another."""
         form = self.form()
-        name, other = self._named(form), form.get("other", "")
-        if other.startswith(f"{RESULTS}/"):
-            self.server.workspace.result(other.removeprefix(f"{RESULTS}/"))
+        name, other_program = self._named(form), form.get("other", "")
+        if other_program.startswith(f"{RESULTS}/"):
+            self.server.workspace.result(other_program.removeprefix(f"{RESULTS}/"))
         else:
-            self.server.workspace.program(other)
-        arguments = ["compare", name, other, "--cell", f"{RESULTS}/cell.toml", *self._forces(name), "-o", RESULTS]
+            self.server.workspace.program(other_program)
+        arguments = [
+            "compare",
+            name,
+            other_program,
+            "--cell",
+            f"{RESULTS}/cell.toml",
+            *self._forces(name),
+            "-o",
+            RESULTS,
+        ]
         if "--process" in arguments:
             arguments[arguments.index("--process")] = "--forces"
         self.begin(name, f"Compare {name}", arguments)

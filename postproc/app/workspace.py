@@ -126,8 +126,10 @@ class Workspace(Struct, frozen=True):
     def items(self) -> list[Item]:
         """Return the programs of the folder, sorted by name."""
         entries = {entry.name: entry for entry in reported(self.results)} if self.results.is_dir() else {}
-        known = set(registry.extensions())
-        names = sorted(path.name for path in self.folder.iterdir() if path.suffix.lower() in known and path.is_file())
+        known_names = set(registry.extensions())
+        names = sorted(
+            path.name for path in self.folder.iterdir() if path.suffix.lower() in known_names and path.is_file()
+        )
         setup = Setup.of(self.cell)
         return [Item(name, entries.get(name), self._changes(name, entries.get(name), setup)) for name in names]
 
@@ -155,19 +157,19 @@ class Workspace(Struct, frozen=True):
             advice = "Rename the new one, or replace the file in the folder."
             raise InputError(f"{name} is in the folder already", advice=advice)
         with tempfile.NamedTemporaryFile(dir=self.folder, prefix=".postproc-", delete=False) as file:
-            staged = Path(file.name)
-            missing = size
-            while missing and (piece := content.read(min(_PIECE, missing))):
+            upload_path = Path(file.name)
+            absent_parts = size
+            while absent_parts and (piece := content.read(min(_PIECE, absent_parts))):
                 file.write(piece)
-                missing -= len(piece)
+                absent_parts -= len(piece)
         try:
-            if missing:
+            if absent_parts:
                 raise InputError(f"{name} did not come whole", advice="Drop it again.")
             if os.path.lexists(path):
                 raise InputError(f"{name} is in the folder already", advice="Another window added it.")
-            staged.replace(path)
+            upload_path.replace(path)
         finally:
-            staged.unlink(missing_ok=True)
+            upload_path.unlink(missing_ok=True)
         return path
 
 

@@ -259,7 +259,7 @@ def check(ctx: click.Context, folder: Path) -> None:
 @click.argument("probed", type=_FILE)
 @click.option("--cell", type=_FILE, required=True, help="Cell in which the part was cut; its robot is the prior.")
 @click.option("--process", type=_FILE, required=True, help="Process of the part: testpart.process.toml.")
-@options.several_programs("What was cut: testpart.nc, and the programs of further placements.", required=True)
+@options.several_programs("What was cut: testpart.nc, and the programs of further placements.", is_required=True)
 @click.option("--tool", type=int, help="Number of its tool; default: the only one.")
 @options.probe_sigma
 @click.option("--compare", is_flag=True, help="Check the model of the cell only; write nothing.")

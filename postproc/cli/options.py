@@ -56,7 +56,7 @@ def complete_files(_ctx: click.Context, _param: click.Parameter, incomplete: str
     return [CompletionItem(incomplete, type="file")]
 
 
-def several_programs(text: str, *, required: bool = False) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def several_programs(text: str, *, is_required: bool = False) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Return a decorator for ``--program A B …``: the first is in `programs`, the others are in `other_programs`.
 
     :param text: help of the option.
@@ -67,7 +67,7 @@ def several_programs(text: str, *, required: bool = False) -> Callable[[Callable
             "other_programs", nargs=-1, metavar="[PROGRAM]...", shell_complete=complete_files
         )
         option = click.option(
-            "--program", "programs", multiple=True, required=required, metavar="PROGRAM...",
+            "--program", "programs", multiple=True, required=is_required, metavar="PROGRAM...",
             shell_complete=complete_files, help=text,
         )  # fmt: skip
         return option(rest_argument(command))

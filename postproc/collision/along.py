@@ -74,7 +74,7 @@ def along(scene: Scene, q: Array, need: float, shift: Array | None = None, comma
 
 def among(solids: Solids, q: Array, need: float, shift: Array | None = None, commanded_q: Array | None = None) -> Hits:
     """Return what `along` does, for the pairs of some bodies."""
-    search = _Search(solids, q, need, shift, finds_closest=True)
+    search = _Search(solids, q, need, shift, needs_minimum=True)
     if commanded_q is not None:
         search.less = _displaced(solids, q, commanded_q)
     if len(q):
@@ -94,7 +94,7 @@ def hits(solids: Solids, q: Array, need: float, shift: Array | None = None, *, b
 
     :param between_samples: look between samples too; else where they are alone.
     """
-    search = _Search(solids, q, need, shift, finds_closest=False)
+    search = _Search(solids, q, need, shift, needs_minimum=False)
     is_hit = np.zeros(len(q), dtype=bool)
     if len(q):
         for first, second in solids.pairs:
@@ -106,11 +106,11 @@ def hits(solids: Solids, q: Array, need: float, shift: Array | None = None, *, b
 class _Search:
     """The search of one path; it goes from pair to pair, and prunes by the smallest distance of all so far.
 
-    :param finds_closest: whether the smallest distance is wanted, too, and not only where less is found than allowed.
+    :param needs_minimum: whether the smallest distance is wanted, too, and not only where less is found than allowed.
     """
 
-    def __init__(self, solids: Solids, q: Array, need: float, shift: Array | None, *, finds_closest: bool) -> None:
-        self.solids, self.q, self.need, self.finds_closest = solids, q, need, finds_closest
+    def __init__(self, solids: Solids, q: Array, need: float, shift: Array | None, *, needs_minimum: bool) -> None:
+        self.solids, self.q, self.need, self.needs_minimum = solids, q, need, needs_minimum
         self.less = np.zeros(len(solids.bodies))
         self.chain = solids.scene.robot.nominal
         self.states = q if shift is None else np.concatenate([q, shift], axis=1)
@@ -164,7 +164,7 @@ class _Search:
 
     def _least(self) -> float:
         """Return the smallest distance so far [m]; nothing is below it if none is wanted."""
-        if not self.finds_closest:
+        if not self.needs_minimum:
             return -np.inf
         return np.inf if self.closest is None else self.closest.distance
 

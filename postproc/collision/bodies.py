@@ -119,7 +119,7 @@ class Scene(Struct, frozen=True, eq=False):
 
 def _arm(robot: RobotModel, source: str) -> tuple[list[Body], list[str]]:
     if source == "urdf" and robot.geometries:
-        shapes, problems = robot.link_shapes(drawn=False)
+        shapes, problems = robot.link_shapes(for_drawing=False)
         if problems:
             raise ModelError(
                 f"a shape of the arm is missing: {problems[0]}",

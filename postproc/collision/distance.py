@@ -146,12 +146,12 @@ class Solids:
     def near(self, first: int, second: int, frames: Array, need: float) -> NDArray[np.bool_]:
         """Return where (n,) two bodies may be closer than `need` [m], by a sphere around one and a box around one."""
         may_be_near = np.ones(len(frames), dtype=bool)
-        for ball, boxed in ((first, second), (second, first)):
+        for ball, box_body in ((first, second), (second, first)):
             centre, radius = self.spheres[ball]
-            frame, box = self.frame(ball, frames), self.frame(boxed, frames) @ self.bodies[boxed].pose
+            frame, box = self.frame(ball, frames), self.frame(box_body, frames) @ self.bodies[box_body].pose
             point = frame[:, :3, :3] @ centre + frame[:, :3, 3] - box[:, :3, 3]
             local = np.einsum("nji,nj->ni", box[:, :3, :3], point)
-            low, high = self.spans[boxed]
+            low, high = self.spans[box_body]
             may_be_near &= norm(np.maximum(np.maximum(low - local, local - high), 0.0)) - radius < need
         return may_be_near
 

@@ -60,14 +60,14 @@ def compare(
     """
     place = RobotInCell.of(robot, cell)
     nominal_path, corrected_path = PlacedProgram.of(nominal, place), PlacedProgram.of(corrected, place)
-    stated = _stated_partners(nominal_path, corrected_path, ends)
+    stated_pairs = _stated_partners(nominal_path, corrected_path, ends)
     if source is None and not nominal.notes:
         loads = None
-        partner = partners(nominal_path.track(), corrected_path.track()) if stated is None else stated
+        partner = partners(nominal_path.track(), corrected_path.track()) if stated_pairs is None else stated_pairs
         certain = np.full(len(nominal_path.rows), same_origin)
     else:
         loads = _Loads.of(nominal_path, source)
-        partner, certain = _partners_under_load(nominal_path, corrected_path, loads, stated, place.tolerance)
+        partner, certain = _partners_under_load(nominal_path, corrected_path, loads, stated_pairs, place.tolerance)
     comparison = _all_pairs(nominal_path, corrected_path, partner, certain, loads)
     if loads is not None:
         comparison = _with_cuts(comparison, nominal_path, corrected_path, loads, place.tolerance)
@@ -76,8 +76,8 @@ def compare(
             comparison = _all_inserted(comparison, nominal_path)
         if corrected.notes:
             comparison = _with_cuts_of_corrected(comparison, nominal_path, corrected_path)
-    pairs_known = loads is not None or stated is not None
-    options = {"in_file": source is not None, "same_origin": same_origin, "pairs_certain": pairs_known}
+    has_pairs = loads is not None or stated_pairs is not None
+    options = {"in_file": source is not None, "same_origin": same_origin, "pairs_certain": has_pairs}
     return replace(comparison, differences=differences(comparison, nominal_path, corrected_path, **options))
 
 
@@ -103,14 +103,18 @@ class _Loads(Struct, frozen=True, eq=False):
 
 
 def _partners_under_load(
-    nominal_path: PlacedProgram, corrected_path: PlacedProgram, loads: _Loads, stated: Ints | None, tolerance: float
+    nominal_path: PlacedProgram,
+    corrected_path: PlacedProgram,
+    loads: _Loads,
+    stated_pairs: Ints | None,
+    tolerance: float,
 ) -> tuple[Ints, Bools]:
     """Return the partner of each nominal target (n,), −1 for none, and whether it is certain (n,)."""
-    if stated is not None:
-        return stated, np.ones(len(stated), dtype=bool)
+    if stated_pairs is not None:
+        return stated_pairs, np.ones(len(stated_pairs), dtype=bool)
     # the second program is expected to command poses that the deflection takes back to the targets
-    expected = partners(nominal_path.track(-loads.deflection), corrected_path.track())
-    partner = partners_under_force(nominal_path, corrected_path, expected, loads.wrench)
+    predicted_partner = partners(nominal_path.track(-loads.deflection), corrected_path.track())
+    partner = partners_under_force(nominal_path, corrected_path, predicted_partner, loads.wrench)
     return partner, norm(deviation_left(nominal_path, corrected_path, partner, loads.wrench)) <= tolerance
 
 

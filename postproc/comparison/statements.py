@@ -28,7 +28,7 @@ _HEAD = re.compile(r"(?:FOR|WHILE|LOOP|REPEAT)\b", re.IGNORECASE)
 _TAIL = re.compile(r"(?:ENDFOR|ENDWHILE|ENDLOOP|UNTIL)\b", re.IGNORECASE)
 _ROUTINE = re.compile(r"(?:GLOBAL\s+)?DEF(?:FCT)?\b", re.IGNORECASE)
 _END = re.compile(r"END(?:FCT)?\b", re.IGNORECASE)
-_MAX_LISTED = 20
+_MAX_STATEMENTS = 20
 """Statements that are listed; more are counted together."""
 
 Statement = tuple[str, int]
@@ -137,7 +137,7 @@ def _listed(
     comparison: Comparison, occurrences: dict[tuple[str, bool], list[tuple[int, int]]], texts: Sequence[_Texts]
 ) -> Iterator[Difference]:
     order = sorted(occurrences.items(), key=lambda entry: entry[1][0])
-    for (_, in_second), places in order[:_MAX_LISTED]:
+    for (_, in_second), places in order[:_MAX_STATEMENTS]:
         k, line = places[0]
         nominal_place, corrected_place = (
             place_of(program, row)
@@ -149,7 +149,7 @@ def _listed(
         text = texts[in_second].statement(file, line)
         message = f"{text} is at this place in the {program_name} program only: it switches, waits or drives otherwise."
         yield Difference("warning", "statement", message, nominal_place, corrected_place, len(places))
-    unlisted_entries = order[_MAX_LISTED:]
+    unlisted_entries = order[_MAX_STATEMENTS:]
     if unlisted_entries:
         count = int(np.sum([len(places) for _, places in unlisted_entries]))
         message = f"{len(unlisted_entries)} other statements that switch, wait or set accelerations differ."

@@ -51,7 +51,7 @@ _LARGEST_DEFLECTION = 0.1
 """Deflection of a spring [rad, m] beyond which the model is not valid: an error."""
 _AT_TARGET = 1e-10
 """Largest distance between actual and target position [m]; 1e-7 is needed, and Newton's last step gives this."""
-_ALIGNED = 1e-11
+_ORIENTATION_TOLERANCE = 1e-11
 """Largest angle between actual and target orientation [rad]; 1e-8 is needed."""
 _MOST_STEPS = 30
 _LARGEST_STEP = 0.2
@@ -313,7 +313,7 @@ def compensate(robot: RobotModel, target: Array, q_nominal: Array, tool: Array, 
 
 def _beyond(left: Array) -> Bools:
     """Return where twists (6, n) exceed the tolerances."""
-    return np.asarray(~((left[:3].max(axis=0) <= _AT_TARGET) & (left[3:].max(axis=0) <= _ALIGNED)))
+    return np.asarray(~((left[:3].max(axis=0) <= _AT_TARGET) & (left[3:].max(axis=0) <= _ORIENTATION_TOLERANCE)))
 
 
 def _newton(jacobian: Array, twist: Array) -> Array:

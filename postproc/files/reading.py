@@ -220,14 +220,14 @@ def _valid_values(kind: Any, at: str, invalid_value: re.Match[str] | None) -> st
 
 def read_csv(
     path: Path,
-    required: Sequence[str],
+    required_columns: Sequence[str],
     optional: Sequence[str],
     error: type[Error],
     text_columns: Sequence[str] = (),
     may_be_empty: Sequence[str] = (),
 ) -> tuple[dict[str, Array], dict[str, list[str]], Array]:
     """Read a CSV file as `parse_csv` does; all errors in its rows are raised together."""
-    numbers, texts, line, wrong = parse_csv(path, required, optional, error, text_columns, may_be_empty)
+    numbers, texts, line, wrong = parse_csv(path, required_columns, optional, error, text_columns, may_be_empty)
     if wrong:
         raise together(wrong)
     return numbers, texts, line
@@ -235,7 +235,7 @@ def read_csv(
 
 def parse_csv(
     path: Path,
-    required: Sequence[str],
+    required_columns: Sequence[str],
     optional: Sequence[str],
     error: type[Error],
     text_columns: Sequence[str] = (),
@@ -243,7 +243,7 @@ def parse_csv(
 ) -> tuple[dict[str, Array], dict[str, list[str]], Array, list[Error]]:
     """Read a CSV file with a header line, comma separated, `.` as decimal point.
 
-    :param required: columns that must be there.
+    :param required_columns: columns that must be there.
     :param optional: columns that may be there.
     :param error: kind of the errors.
     :param text_columns: those of the columns that hold text.
@@ -258,7 +258,7 @@ def parse_csv(
     reader = csv.reader(io.StringIO(text, newline=""), skipinitialspace=True)
     rows, lines, wrong = [], [], []
     try:
-        header = _header(next(reader, []), path, required, optional, error)
+        header = _header(next(reader, []), path, required_columns, optional, error)
         for row in reader:
             if not any(cell.strip() for cell in row):
                 continue
@@ -302,11 +302,11 @@ _COMMAS = "Separate the columns by commas, and write numbers with a decimal poin
 
 
 def _header(
-    row: Sequence[str], path: Path, required: Sequence[str], optional: Sequence[str], error: type[Error]
+    row: Sequence[str], path: Path, required_columns: Sequence[str], optional: Sequence[str], error: type[Error]
 ) -> list[str]:
     """Return the names of the columns, each known, none twice, all required ones there."""
     header = [name.strip() for name in row]
-    valid_names = [*required, *optional]
+    valid_names = [*required_columns, *optional]
     valid = f"Valid columns: {', '.join(valid_names)}."
     if not any(header):
         raise error("empty file", file=str(path), advice=valid)
@@ -316,7 +316,7 @@ def _header(
     unknown = [name for name in dict.fromkeys(header) if name not in valid_names]
     wrong = [f"unknown column {name!r}" for name in unknown]
     wrong += [f"column {name!r} is given twice" for name in dict.fromkeys(header) if header.count(name) > 1]
-    missing_names = [name for name in required if name not in header]
+    missing_names = [name for name in required_columns if name not in header]
     if missing_names:
         wrong.append(f"missing column {', '.join(missing_names)}")
     if wrong:

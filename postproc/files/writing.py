@@ -206,7 +206,7 @@ def stage(folder: Path, contents: Mapping[str, bytes | Iterable[bytes]]) -> Stag
     return Staged(path, tuple(contents))
 
 
-def replace(folder: Path, staged: Sequence[Staged], obsolete: Sequence[str] = ()) -> list[Path]:
+def replace(folder: Path, file_sets: Sequence[Staged], obsolete: Sequence[str] = ()) -> list[Path]:
     """Put staged files in their places: all of them, or none. The caller has locked the folder.
 
     Those that they replace are moved out of the way, then the new ones take their places. So at any moment, also if the
@@ -217,22 +217,22 @@ def replace(folder: Path, staged: Sequence[Staged], obsolete: Sequence[str] = ()
     :returns: the paths written.
     :raises InputError: a file cannot be replaced; the message names it.
     """
-    firsts = [file_set.names[0] for file_set in staged]
-    names = list(dict.fromkeys([*firsts, *(name for file_set in staged for name in file_set.names)]))
+    firsts = [file_set.names[0] for file_set in file_sets]
+    names = list(dict.fromkeys([*firsts, *(name for file_set in file_sets for name in file_set.names)]))
     with interrupts.held_back():
         try:
             with _naming(folder, names):
-                _replace(staged, folder, names, obsolete)
+                _replace(file_sets, folder, names, obsolete)
         finally:
-            for file_set in staged:
+            for file_set in file_sets:
                 discard(file_set)
-    return [folder / name for file_set in staged for name in file_set.names]
+    return [folder / name for file_set in file_sets for name in file_set.names]
 
 
-def discard(staged: Staged) -> None:
+def discard(file_set: Staged) -> None:
     """Remove staged files, unless files that they should have replaced could not be put back."""
-    if not any(staged.path.glob("old/*")):
-        shutil.rmtree(staged.path, ignore_errors=True)
+    if not any(file_set.path.glob("old/*")):
+        shutil.rmtree(file_set.path, ignore_errors=True)
 
 
 def remove_leftovers(folder: Path) -> None:
@@ -264,12 +264,12 @@ def _write(path: Path, content: bytes | Iterable[bytes]) -> None:
         os.fsync(file.fileno())
 
 
-def _replace(staged: Sequence[Staged], folder: Path, names: Sequence[str], obsolete: Sequence[str]) -> None:
+def _replace(file_sets: Sequence[Staged], folder: Path, names: Sequence[str], obsolete: Sequence[str]) -> None:
     """Put new files in the place of old ones; a single one in one step."""
-    source = {name: file_set.path / "new" / name for file_set in staged for name in file_set.names}
+    source = {name: file_set.path / "new" / name for file_set in file_sets for name in file_set.names}
     old_names: list[str] = []
     new_names: list[str] = []
-    old = staged[0].path / "old"
+    old = file_sets[0].path / "old"
     try:
         for name in (*obsolete, *(names if len(names) > 1 or obsolete else ())):
             if (folder / name).exists() or (folder / name).is_symlink():

@@ -33,10 +33,10 @@ def feed_axes(program: Program, path: Segments, sample: Toolpath, axis: str, las
     parallel_rows = np.flatnonzero(sine < _PARALLEL)
     if len(parallel_rows):
         motion, t = sample.motion[parallel_rows], sample.t[parallel_rows]
-        tangent_aside = tangent(
+        offset_tangent = tangent(
             program, path, motion, np.where(t > _TANGENT_OFFSET, t - _TANGENT_OFFSET, t + _TANGENT_OFFSET)
         )
-        direction, sine = _square_to(z[parallel_rows], tangent_aside)
+        direction, sine = _square_to(z[parallel_rows], offset_tangent)
         undefined = np.flatnonzero(sine < _PARALLEL)
         fallback, tool_axis = last[motion[undefined]], sample.pose[parallel_rows[undefined], :3, _SPINDLE[axis][0] - 2]
         fallback = np.where(np.isnan(fallback), tool_axis, fallback)

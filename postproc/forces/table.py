@@ -280,7 +280,7 @@ def of_targets(forces: PathForces, targets: Targets, arrive: Array, wrench: Runs
     frame = np.where(any_column(wrench.values != 0.0)[wrench.run], _frame(forces, targets), BASE)
     if (frame == BASE).all():
         return TargetForces(wrench, frame)
-    rotated = wrench[:]
+    values = wrench[:]
     for code in (TOOL, FEED):
         rows = np.flatnonzero(frame == code)
         axes = targets.pose[rows, :3, :3]
@@ -289,8 +289,8 @@ def of_targets(forces: PathForces, targets: Targets, arrive: Array, wrench: Runs
             frame[rows[~is_defined]] = BASE
             rows, axes = rows[is_defined], axes[is_defined]
         for half in (slice(0, 3), slice(3, 6)):
-            rotated[rows, half] = np.einsum("nji,nj->ni", axes, rotated[rows, half])
-    return TargetForces(Runs.of(rotated), frame)
+            values[rows, half] = np.einsum("nji,nj->ni", axes, values[rows, half])
+    return TargetForces(Runs.of(values), frame)
 
 
 def of_pieces(forces: PathForces, targets: Targets, at_end: TargetForces, output_axes: Axes, row: Ints) -> Knots:

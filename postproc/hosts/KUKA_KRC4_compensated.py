@@ -86,10 +86,10 @@ class RobotPost:
                     _compare_postures(conversion, self.joints[name])
                     files[name] = [path for path in conversion.files if path.suffix.lower() in (".src", ".dat")]
                     names[name.lower()] = files[name][0].stem
-                    said = "\n".join([f"{name}:", *conversion.verdict, *conversion.warnings])
-                    self.addlog(said)
+                    lines = "\n".join([f"{name}:", *conversion.verdict, *conversion.warnings])
+                    self.addlog(lines)
                     if conversion.state == "failed":  # it may be driven, but should not be: no line among others
-                        _show(said)
+                        _show(lines)
                 else:
                     path = target / f"{name}.src"
                     path.write_text("".join(f"{block.text}\r\n" for block in blocks), encoding="utf-8", newline="")

@@ -141,12 +141,12 @@ def origin_of(
 
 def _inputs(origin: provenance.Origin, program: Program, output: Path) -> Inputs:
     """Return the inputs of a result, as its report in the folder `output` states them."""
-    needed = [Path(file.path) for file in program.needed]
+    needed_files = [Path(file.path) for file in program.needed]
     return Inputs(
         program=origin.source,
         program_files=[inputs.relative_name(Path(file.folder) / file.name, output) for file in program.documents],
-        needed=inputs.sum_of(needed) if needed else "-",
-        needed_files=[inputs.relative_name(path, output) for path in needed],
+        needed=inputs.sum_of(needed_files) if needed_files else "-",
+        needed_files=[inputs.relative_name(path, output) for path in needed_files],
         cell=origin.cell,
         model=origin.model,
         forces=origin.forces,

@@ -55,31 +55,31 @@ def changes(report: Path, program: Path, setup: Setup, forces: Path | None) -> t
     :param forces: file of forces or process that the program has now; None: there is none.
     """
     try:
-        stated = msgspec.json.decode(report.read_bytes(), type=_Reported)
-        return tuple(_changes(stated, report.parent, program, setup, forces))
+        stated_inputs = msgspec.json.decode(report.read_bytes(), type=_Reported)
+        return tuple(_changes(stated_inputs, report.parent, program, setup, forces))
     except (OSError, ValueError, PostprocError):
         return (UNKNOWN,)
 
 
-def _changes(stated: _Reported, folder: Path, program: Path, setup: Setup, forces: Path | None) -> Iterator[str]:
-    if stated.inputs.version != VERSION:
+def _changes(stated_inputs: _Reported, folder: Path, program: Path, setup: Setup, forces: Path | None) -> Iterator[str]:
+    if stated_inputs.inputs.version != VERSION:
         yield "postproc"
-    sources = [folder / name for name in stated.inputs.program_files]
+    sources = [folder / name for name in stated_inputs.inputs.program_files]
     kind = registry.of_file(program)
     present = {path.resolve() for path in (program, *kind.companions(program))}
-    if not present <= {path.resolve() for path in sources} or _sum_of_all(sources) != stated.inputs.program:
+    if not present <= {path.resolve() for path in sources} or _sum_of_all(sources) != stated_inputs.inputs.program:
         yield "the program"
-    if stated.inputs.needed_files:
-        needed = [folder / name for name in stated.inputs.needed_files]
-        if _sum_of_all(needed) != stated.inputs.needed:
+    if stated_inputs.inputs.needed_files:
+        needed_files = [folder / name for name in stated_inputs.inputs.needed_files]
+        if _sum_of_all(needed_files) != stated_inputs.inputs.needed:
             yield "a file that the program needs"
-    if setup.cell is None or inputs.sum_of(inputs.of_cell(setup.path, setup.cell)) != stated.inputs.cell:
+    if setup.cell is None or inputs.sum_of(inputs.of_cell(setup.path, setup.cell)) != stated_inputs.inputs.cell:
         yield "the cell"
-    if setup.cell is not None and inputs.sum_of(inputs.of_robot(setup.cell)) != stated.inputs.model:
+    if setup.cell is not None and inputs.sum_of(inputs.of_robot(setup.cell)) != stated_inputs.inputs.model:
         yield "the robot model"
-    if ("-" if forces is None else inputs.sum_of(inputs.of_forces(forces))) != stated.inputs.forces:
+    if ("-" if forces is None else inputs.sum_of(inputs.of_forces(forces))) != stated_inputs.inputs.forces:
         yield "tools, material, stock or forces"
-    for entry in stated.files:
+    for entry in stated_inputs.files:
         path = folder / entry.name
         if path.suffix.lower() in _OF_CONTROLLER and provenance.digest([path.read_bytes()]) != entry.sha256:
             yield f"{entry.name}, edited after it was written,"

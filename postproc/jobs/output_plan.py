@@ -453,7 +453,7 @@ class OutputPlan:
         return [
             replace(
                 member.outcome,
-                staged=None,
+                file_sets=None,
                 written=tuple(str(folder / name) for name in member.outcome.staged.names),
             )
             for member in group

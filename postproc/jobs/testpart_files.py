@@ -178,9 +178,9 @@ def make_testpart(request: TestPartRequest, progress: Callable[[str], None] = la
     for number, (placement, its_cell) in enumerate(placements.items()):
         part_features = [selection.features[k] for k in np.flatnonzero(selection.placement == number)]
         first = 1 + int((selection.placement < number).sum()), 1 + len(weight_places) * number
-        where = placement.title if len(placements) > 1 else ""
+        placement_title = placement.title if len(placements) > 1 else ""
         parts[placement] = features.program(
-            part_features, cutting, request.weight_kg, weight_places, first=first, where=where
+            part_features, cutting, request.weight_kg, weight_places, first=first, placement_title=placement_title
         )
         if len(parts[placement].feature):
             contents[placement.name] = parts[placement].text.encode()

@@ -490,10 +490,10 @@ def _confirmed(programs: Programs, judgements: Sequence[Judged], assess: Assess 
     for place in order[:_MAX_CHECKS]:
         by_all_samples = programs.judge(np.array(place.place), all_samples=True)
         if by_all_samples.reachable:
-            place_as_converted = _assessed(by_all_samples, assess)
+            assessment = _assessed(by_all_samples, assess)
             assessments += 1
-            if place_as_converted.reachable:
-                return place_as_converted
+            if assessment.reachable:
+                return assessment
             if assessments >= _MAX_ASSESSMENTS:
                 break
     return None

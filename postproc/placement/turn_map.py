@@ -556,22 +556,22 @@ def _advance(
     price = price + _STEADY * turn_change * (1.0 + turn_change / (_PER_MM * length))
     price = np.where(is_blocked | unsure, np.inf, price)
     next_state = np.full((3, 3, turn_count), np.inf)
-    step_taken = np.zeros((3, 3, turn_count), dtype=np.int64)
-    source4, source6 = step_taken.copy(), step_taken.copy()
+    best_step = np.zeros((3, 3, turn_count), dtype=np.int64)
+    source4, source6 = best_step.copy(), best_step.copy()
     columns_of_map = np.arange(turn_count)
     for n4 in range(3):
         for n6 in range(3):
             start4, start6 = n4 - extra_turns[..., 0], n6 - extra_turns[..., 1]
             is_allowed = (start4 >= 0) & (start4 <= 2) & (start6 >= 0) & (start6 <= 2)
-            clipped4, clipped6 = np.clip(start4, 0, 2), np.clip(start6, 0, 2)
-            whole = _TURN * (np.stack([clipped4, clipped6], axis=2) - 1)
+            index4, index6 = np.clip(start4, 0, 2), np.clip(start6, 0, 2)
+            whole = _TURN * (np.stack([index4, index6], axis=2) - 1)
             is_allowed &= (low_angle + whole >= limits[0]).all(axis=2) & (high_angle + whole <= limits[1]).all(axis=2)
-            value = np.where(is_allowed, state[clipped4, clipped6, source] + price, np.inf)
+            value = np.where(is_allowed, state[index4, index6, source] + price, np.inf)
             best = value.argmin(axis=1)
             next_state[n4, n6] = value[columns_of_map, best]
-            step_taken[n4, n6] = steps[best]
-            source4[n4, n6], source6[n4, n6] = clipped4[columns_of_map, best], clipped6[columns_of_map, best]
-    return next_state, (source4, source6, step_taken + _STEP_MARK)
+            best_step[n4, n6] = steps[best]
+            source4[n4, n6], source6[n4, n6] = index4[columns_of_map, best], index6[columns_of_map, best]
+    return next_state, (source4, source6, best_step + _STEP_MARK)
 
 
 def _column(place: Array, count: int) -> Ints:

@@ -135,7 +135,7 @@ def blocking(site: Site, rng: np.random.Generator) -> tuple[str]:
     return (f"no pose can be measured: what blocks is: {culprit}. Of {_LOOK} poses at random: {summary}",)
 
 
-_APART = 8.0 * RAD_PER_DEG
+_LEAST_DISTANCE = 8.0 * RAD_PER_DEG
 """Least distance of two levels of q2: the identification takes angles within 2° for one level."""
 _EXCHANGE_ROUNDS = 12
 _MIN_GAIN = 1e-3
@@ -276,7 +276,7 @@ def first_levels(task: Task, rng: np.random.Generator, spread: bool) -> Ints:
 
 
 def _apart(levels: Array, q2: float) -> bool:
-    return bool((np.abs(levels - q2) >= _APART - 1e-9).all())
+    return bool((np.abs(levels - q2) >= _LEAST_DISTANCE - 1e-9).all())
 
 
 def _to_both_sides(task: Task, choice: _Choice) -> _Choice:

@@ -116,7 +116,7 @@ def _in_mm(value: float | None) -> float | None:
 
 
 def _entry(place: Judged) -> PlaceEntry:
-    stated = Assessment(deflection=place.deflection) if place.assessment is None else place.assessment
+    assessment = Assessment(deflection=place.deflection) if place.assessment is None else place.assessment
     x, y, z, a, e1 = (round(value, 4) for value in place.place)
     return PlaceEntry(
         X=x,
@@ -125,10 +125,10 @@ def _entry(place: Judged) -> PlaceEntry:
         A=a,
         E1=e1,
         turn_deg=round(place.turn * DEG_PER_RAD, 3),
-        deflection_mm=_in_mm(stated.deflection),
-        uncorrected_mm=_in_mm(stated.uncorrected),
-        corrected_mm=_in_mm(stated.corrected),
-        chance=_finite(stated.chance, 6),
+        deflection_mm=_in_mm(assessment.deflection),
+        uncorrected_mm=_in_mm(assessment.uncorrected),
+        corrected_mm=_in_mm(assessment.corrected),
+        chance=_finite(assessment.chance, 6),
         min_joint_margin_deg=_finite(place.margin * DEG_PER_RAD, 3),
         min_singular_value=_finite(place.singular, 6),
         reachable=place.reachable,

@@ -385,14 +385,17 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
         )
         return ", ".join([_BASIS_WORDS[present[0]], *remarks])
 
-    def link_shapes(self, *, drawn: bool) -> tuple[list[LinkShape], list[str]]:
+    def link_shapes(self, *, for_drawing: bool) -> tuple[list[LinkShape], list[str]]:
         """Return the surface of each link that has one, and a sentence for each shape that could not be read.
 
-        :param drawn: True for <visual> shapes, False for <collision> shapes; a link with only the other kind has that.
+        :param for_drawing: True for <visual> shapes, False for <collision> shapes; a link with only the other kind
+            has that.
         """
-        carriers = {geometry.carrier for geometry in self.geometries if geometry.drawn == drawn}
+        carriers = {geometry.carrier for geometry in self.geometries if geometry.drawn == for_drawing}
         selection = [
-            geometry for geometry in self.geometries if geometry.drawn == drawn or geometry.carrier not in carriers
+            geometry
+            for geometry in self.geometries
+            if geometry.drawn == for_drawing or geometry.carrier not in carriers
         ]
         surfaces, problems = shapes.read(selection, Path(self.urdf))
         return shapes.joined(surfaces), problems

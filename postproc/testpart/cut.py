@@ -27,13 +27,13 @@ from postproc.robot import Parameter, RobotModel
 from postproc.testpart.probing import Probed
 from postproc.under_load import ImpossiblePathError, MotionsUnderLoad, PathUnderLoad, RobotInCell
 
-_OFF = 5e-5
+_SURFACE_TOLERANCE = 5e-5
 """Largest distance of a stated point from the surface that the tool makes there [m]."""
-_ALONG = 0.99
-_ACROSS = 0.05
+_FLOOR_COSINE = 0.99
+_WALL_COSINE = 0.05
 _STEP = 1e-2
 """Relative change of a parameter for the derivative by it: the model is linear in each but for the load's stiffness."""
-_SCALED = 1e-3
+_SCALE_STEP = 1e-3
 """Relative change of the forces for the derivative by their scale."""
 
 
@@ -60,52 +60,57 @@ class Surfaces(Columns, frozen=True, eq=False):
         return values[rows, smaller], self.weight[rows, smaller]
 
 
-def surfaces(program: Program, robot_in_cell: RobotInCell, probed: Probed, radius: float) -> Surfaces:
+def surfaces(program: Program, robot_in_cell: RobotInCell, probe_data: Probed, radius: float) -> Surfaces:
     """Find where on the path of a program its probed surfaces are made.
 
     :param radius: of the tool, a flat end mill [m].
     :raises MeasurementError: a row names no cutting move, or a point that its tool does not make there.
     """
     m = program.motions
-    motion = np.empty(len(probed), dtype=np.int64)
-    hangs = probed.mass > 0.0
-    for k, line in enumerate(probed.line.tolist()):
+    motion = np.empty(len(probe_data), dtype=np.int64)
+    hangs = probe_data.mass > 0.0
+    for k, line in enumerate(probe_data.line.tolist()):
         moves = np.flatnonzero((m.line == line) & (m.rapid == hangs[k]))
         if len(moves) != 1:
             raise MeasurementError(
                 f"line {line} of the program is not one {'rapid' if hangs[k] else 'cutting'} move",
-                file=probed.file,
-                line=int(probed.row[k]),
+                file=probe_data.file,
+                line=int(probe_data.row[k]),
                 advice="Give the program that the part was cut with, and its probing.csv.",
             )
         motion[k] = moves[0]
     segments = toolpath.segments(program, robot_in_cell.start_flange)
-    place = toolpath.at(program, segments, motion, probed.t)
-    travel = toolpath.tangent(program, segments, motion, probed.t)
+    place = toolpath.at(program, segments, motion, probe_data.t)
+    travel = toolpath.tangent(program, segments, motion, probe_data.t)
     column, sign = {"+Z": (2, -1.0), "-Z": (2, 1.0), "+X": (0, -1.0), "-X": (0, 1.0)}[robot_in_cell.spindle]
     axis = sign * place.pose[:, :3, column]
-    lever = probed.point - place.pose[:, :3, 3]
+    lever = probe_data.point - place.pose[:, :3, 3]
     height = np.einsum("ni,ni->n", lever, axis)
     radial = lever - height[:, None] * axis
-    slope = np.einsum("ni,ni->n", probed.normal, axis)
-    floor, wall = slope > _ALONG, np.abs(slope) < _ACROSS
-    offset = np.where(floor, np.abs(height), norm(radial + radius * probed.normal))
-    wrong = ~(floor | wall) | ~(offset < _OFF) | (norm(radial) > radius + _OFF) | (height < -_OFF)
+    slope = np.einsum("ni,ni->n", probe_data.normal, axis)
+    floor, wall = slope > _FLOOR_COSINE, np.abs(slope) < _WALL_COSINE
+    offset = np.where(floor, np.abs(height), norm(radial + radius * probe_data.normal))
+    wrong = (
+        ~(floor | wall)
+        | ~(offset < _SURFACE_TOLERANCE)
+        | (norm(radial) > radius + _SURFACE_TOLERANCE)
+        | (height < -_SURFACE_TOLERANCE)
+    )
     wrong &= ~hangs  # a gauge may be anywhere on the tool
     if wrong.any():
         k = int(np.argmax(wrong))
         raise MeasurementError(
-            f"{probed.name[k]}: the tool makes no surface with this normal at this point",
-            file=probed.file,
-            line=int(probed.row[k]),
+            f"{probe_data.name[k]}: the tool makes no surface with this normal at this point",
+            file=probe_data.file,
+            line=int(probe_data.row[k]),
             advice="Points are on walls along the axis of a flat end mill, or on the floor below it.",
         )
-    weight = weights(probed.normal, lever, axis, travel, radius)
-    weight[hangs] = np.concatenate([probed.normal, np.cross(lever, probed.normal)], axis=1)[hangs, None]
+    weight = weights(probe_data.normal, lever, axis, travel, radius)
+    weight[hangs] = np.concatenate([probe_data.normal, np.cross(lever, probe_data.normal)], axis=1)[hangs, None]
     weight_wrench = np.zeros((len(motion), 6))
-    weight_wrench[:, 2] = -GRAVITY * probed.mass
+    weight_wrench[:, 2] = -GRAVITY * probe_data.mass
     rotation = np.broadcast_to(toolpath.base_of(program, motion)[..., :3, :3], (len(motion), 3, 3))
-    return Surfaces(motion, probed.t, turned(rotation, weight), (wall & ~hangs).astype(float), weight_wrench)
+    return Surfaces(motion, probe_data.t, turned(rotation, weight), (wall & ~hangs).astype(float), weight_wrench)
 
 
 def weights(normal: Array, lever: Array, axis: Array, travel: Array, radius: float) -> Array:
@@ -114,7 +119,7 @@ def weights(normal: Array, lever: Array, axis: Array, travel: Array, radius: flo
     :param normal: (n, 3) of the surfaces; `lever` (n, 3) from the tip to the points [m]; `axis` (n, 3) from the tip to
         the spindle; `travel` (n, 3) direction of travel.
     """
-    floor = np.einsum("ni,ni->n", normal, axis) > _ALONG
+    floor = np.einsum("ni,ni->n", normal, axis) > _FLOOR_COSINE
     # the rim passes over a place of the floor ahead of the axis and behind it
     left = np.cross(axis, travel)
     lateral = np.einsum("ni,ni->n", lever, left)
@@ -170,8 +175,8 @@ class States(Columns, frozen=True, eq=False):
             step = _STEP * (abs(value) or parameter.usual)
             changed_robot = robot.with_values({parameter: value + step})
             by_parameter[:, :, column] = (self.twist(robot_in_cell, changed_robot, scale) - twist) / step
-        twist_at_step = self.twist(robot_in_cell, robot, scale + _SCALED)
-        return twist, by_parameter, (twist_at_step - twist) / _SCALED
+        twist_at_step = self.twist(robot_in_cell, robot, scale + _SCALE_STEP)
+        return twist, by_parameter, (twist_at_step - twist) / _SCALE_STEP
 
 
 class Cut(Struct, frozen=True, eq=False):
@@ -196,7 +201,7 @@ class Cut(Struct, frozen=True, eq=False):
         return Shift(self.motion, self.t, displacement, program.bases[:, :3, :3], program.motions.base)
 
 
-def cut(program: Program, robot_in_cell: RobotInCell, source: ProcessSource, surfaces_made: Surfaces) -> Cut:
+def cut(program: Program, robot_in_cell: RobotInCell, source: ProcessSource, new_surfaces: Surfaces) -> Cut:
     """Return a program under the forces of a source.
 
     :raises MeasurementError: the robot cannot follow the program.
@@ -205,7 +210,7 @@ def cut(program: Program, robot_in_cell: RobotInCell, source: ProcessSource, sur
     try:
         motions = MotionsUnderLoad.of(program, robot_in_cell, source)
         swing, t = motions.swing_places
-        extra_samples = np.concatenate([swing, surfaces_made.motion]), np.concatenate([t, surfaces_made.t])
+        extra_samples = np.concatenate([swing, new_surfaces.motion]), np.concatenate([t, new_surfaces.t])
         path = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False), extra_samples)
     except ImpossiblePathError as cause:
         line = cause.issue.source_line
@@ -222,10 +227,10 @@ def cut(program: Program, robot_in_cell: RobotInCell, source: ProcessSource, sur
     index = np.array(
         [
             int(np.flatnonzero(motion == row)[np.argmin(np.abs(t[motion == row] - share))])
-            for row, share in zip(surfaces_made.motion.tolist(), surfaces_made.t.tolist(), strict=True)
+            for row, share in zip(new_surfaces.motion.tolist(), new_surfaces.t.tolist(), strict=True)
         ]
     )
-    return Cut(replace(path_states.take(index), hung=surfaces_made.hung), path_states, motion, t, program)
+    return Cut(replace(path_states.take(index), hung=new_surfaces.hung), path_states, motion, t, program)
 
 
 class Clamped(Struct, frozen=True, eq=False):

@@ -35,7 +35,7 @@ _MOST_PLACES = 60
 """Places of features that are tried in the block, over all its placements."""
 _SHARES = (1.0, 0.5)
 """Depths that are tried, as shares of the largest."""
-_UNDER = 2e-3
+_LEAST_FLOOR = 2e-3
 """Least thickness of the block below the features [m]."""
 _POSITION = 1e-2, 1e-1
 """Standard deviations of the position of the part where it is probed [m, rad]: free."""
@@ -47,7 +47,7 @@ _TESTS = 48
 _EXCHANGES = 20
 MOST_CHANGE = 1.0
 """Relative change of a parameter beyond which it counts as not shown."""
-_SEEN = 5.1
+_DETECTION_SIGMAS = 5.1
 """Size of a change, in standard deviations of the readings, that `identify part --compare` sees in 95 of 100 cases:
 3.4 raise its alarm."""
 _TRIM = 1.3
@@ -194,7 +194,7 @@ def candidates(
     kinds = [Kind(round(share * depth, 6), side) for share in _SHARES for side in (0, 1, -1)]
     low, high = (np.array([span[k] for span in (box.X, box.Y, box.Z)]) / MM_PER_M for k in (0, 1))
     for _ in range(2):
-        if depth + cutting.trims[-1][1] + _UNDER > high[2] - low[2]:
+        if depth + cutting.trims[-1][1] + _LEAST_FLOOR > high[2] - low[2]:
             raise PlanError(f"the block is too thin for grooves of {depth * MM_PER_M:g} mm", file=process.path)
         loads_by_kind = loads(kinds, cutting, process, placements[0])
         all_features = _inside_block(kinds, cutting, (low, high), max(1, _MOST_PLACES // len(placements)))
@@ -311,13 +311,15 @@ def _of_kind(
     points = np.array([probe.point for probe in probes])
     normals = np.array([probe.normal for probe in probes])
 
-    def each(vectors: Array, *, turn_only: bool = False) -> Array:
-        return np.concatenate([features.placed(f, cutting.top, vectors, turn_only=turn_only) for f in features_of_kind])
+    def each(vectors: Array, *, is_direction: bool = False) -> Array:
+        return np.concatenate(
+            [features.placed(f, cutting.top, vectors, is_direction=is_direction) for f in features_of_kind]
+        )
 
-    tip, travel, normal = each(load.tip), each(load.travel, turn_only=True), each(normals, turn_only=True)
+    tip, travel, normal = each(load.tip), each(load.travel, is_direction=True), each(normals, is_direction=True)
     lever = each(points) - tip
     wrench = np.concatenate(
-        [each(load.wrench[:, :3], turn_only=True), each(load.wrench[:, 3:], turn_only=True)], axis=1
+        [each(load.wrench[:, :3], is_direction=True), each(load.wrench[:, 3:], is_direction=True)], axis=1
     )
     states, reachable, rotation = _states(robot_in_cell, tip, wrench, cutting, count)
     axis = np.broadcast_to([0.0, 0.0, 1.0], normal.shape)
@@ -534,14 +536,14 @@ def choose(
         is_changed = False
         for place in range(len(rows)):
             other_rows = rows[:place] + rows[place + 1 :]
-            information_of_others = start + candidates_in_block.information[other_rows].sum(axis=0)
+            other_information = start + candidates_in_block.information[other_rows].sum(axis=0)
             time_left = candidates_in_block.seconds[rows].sum() - candidates_in_block.seconds[other_rows].sum()
             free = np.flatnonzero(
                 candidates_in_block.apart[:, other_rows].all(axis=1) & (candidates_in_block.seconds <= time_left + 1e-9)
             )
-            best = int(free[np.argmin(criterion(information_of_others + candidates_in_block.information[free]))])
-            if float(criterion(information_of_others + candidates_in_block.information[best])) < (1.0 - 1e-4) * float(
-                criterion(information_of_others + candidates_in_block.information[rows[place]])
+            best = int(free[np.argmin(criterion(other_information + candidates_in_block.information[free]))])
+            if float(criterion(other_information + candidates_in_block.information[best])) < (1.0 - 1e-4) * float(
+                criterion(other_information + candidates_in_block.information[rows[place]])
             ):
                 rows[place], is_changed = best, True
         if not is_changed:
@@ -609,14 +611,14 @@ def _visible(prior: Prior, information: Array) -> Array:
     nuisance = information[size:, size:].copy()
     nuisance[0, 0] += 1.0  # the radius is known before
     coupling = information[:size, size:]
-    information_of_one = information[:size, :size] - coupling @ np.linalg.pinv(nuisance, hermitian=True) @ coupling.T
+    own_information = information[:size, :size] - coupling @ np.linalg.pinv(nuisance, hermitian=True) @ coupling.T
     information_of_two = (
-        information_of_one
-        - information_of_one
-        @ np.linalg.inv(_prior_information(prior, size) + 2.0 * information_of_one)
-        @ information_of_one
+        own_information
+        - own_information @ np.linalg.inv(_prior_information(prior, size) + 2.0 * own_information) @ own_information
     )
     visibility = np.sqrt(np.maximum(np.diag(information_of_two)[:-1], 0.0)) * prior.values
     return np.asarray(
-        np.divide(_SEEN * prior.sigma[:-1], visibility, out=np.full(size - 1, np.inf), where=visibility > 0.0)
+        np.divide(
+            _DETECTION_SIGMAS * prior.sigma[:-1], visibility, out=np.full(size - 1, np.inf), where=visibility > 0.0
+        )
     )

@@ -21,7 +21,7 @@ from postproc.frames import MM_PER_M, Array
 
 _HALF = 1.6
 """Length of each half, in tool diameters: the probed places are more than a radius from the ends of a cut."""
-_PROBED = 0.5
+_PROBE_SHARE = 0.5
 """Where in each half is probed, as a share of its length from the middle of the groove."""
 _STEP = 0.4
 """Width of a step, in tool diameters."""
@@ -39,7 +39,7 @@ _WALL = 0.5
 """Wall left between features, in tool diameters."""
 _PLUNGE = 0.5
 """Feed of ramps and entries, as a share of the feed."""
-_ABOVE = 0.2
+_HANG_HEIGHT = 0.2
 """Height above the block at which a weight is hung on the tool [m]."""
 RAPID = 0.1
 """Speed of rapid moves for the estimate of the time [m/s]."""
@@ -173,7 +173,7 @@ def passes(kind: Kind, cutting: Cutting) -> list[Pass]:
 def probes(kind: Kind, cutting: Cutting) -> list[Probe]:
     """Return where a feature is probed: on the surfaces of the loaded half, then on those of the trimmed half."""
     radius, step, side = 0.5 * cutting.diameter, _STEP * cutting.diameter * kind.side, kind.side
-    light = _PROBED * half_length(cutting.diameter)
+    light = _PROBE_SHARE * half_length(cutting.diameter)
     loaded_side, (trim, floor) = -light, cutting.trims[-1]
     middle, deep, trim_depth = -0.5 * kind.depth, -kind.depth, -kind.depth - floor
     left, right, up = (0.0, -1.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
@@ -206,11 +206,11 @@ def seconds(kind: Kind, cutting: Cutting) -> float:
     return total
 
 
-def placed(feature: Feature, top: float, vectors: Array, *, turn_only: bool = False) -> Array:
-    """Return points (n, 3) in the axes of a feature in `$BASE` [m]; with `turn_only`, directions."""
+def placed(feature: Feature, top: float, vectors: Array, *, is_direction: bool = False) -> Array:
+    """Return points (n, 3) in the axes of a feature in `$BASE` [m]; with `is_direction`, directions."""
     c, s = np.cos(feature.angle), np.sin(feature.angle)
-    rotated = vectors @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T
-    return np.asarray(rotated if turn_only else rotated + np.array([feature.x, feature.y, top]))
+    directions = vectors @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T
+    return np.asarray(directions if is_direction else directions + np.array([feature.x, feature.y, top]))
 
 
 class Placement(Struct, frozen=True):
@@ -257,7 +257,7 @@ class Program(Struct, frozen=True, eq=False):
 def hanging_places(low: Array, high: Array, top: float) -> Array:
     """Return where the tip is when a weight hangs on the tool (n, 3) in `$BASE`: above a diagonal of the block [m]."""
     share = np.array([[0.1, 0.1], [0.5, 0.5], [0.9, 0.9]])
-    return np.column_stack([low[:2] + share * (high - low)[:2], np.full(len(share), top + _ABOVE)])
+    return np.column_stack([low[:2] + share * (high - low)[:2], np.full(len(share), top + _HANG_HEIGHT)])
 
 
 def program(
@@ -267,18 +267,18 @@ def program(
     weight_places: Array | None = None,
     *,
     first: tuple[int, int] = (1, 1),
-    where: str = "",
+    placement_title: str = "",
 ) -> Program:
     """Return the G-code of features and the points to be probed.
 
     :param mass: of a weight [kg] that is hung on the tool at places `weight_places` (n, 3) in `$BASE`, after cutting.
     :param first: numbers of the first feature and of the first of these places.
-    :param where: the placement of the block, for the operator.
+    :param placement_title: the placement of the block, for the operator.
     """
     feed = cutting.feed * MM_PER_M * 60.0
     lines = [
         "(Test part for postproc identify part: cut it uncorrected, with the cell that it was made for)",
-        *([f"(The block is at {where})"] if where else []),
+        *([f"(The block is at {placement_title})"] if placement_title else []),
         "G21 G90 G17 G94",
         f"T{cutting.tool} M6",
         f"S{cutting.rpm:g} M3",
@@ -304,7 +304,7 @@ def program(
             at.append(line)
             shares.append((probe.point[0] - begin[0]) / (end[0] - begin[0]))
             points.append(placed(feature, cutting.top, np.array([probe.point]))[0])
-            normals.append(placed(feature, cutting.top, np.array([probe.normal]), turn_only=True)[0])
+            normals.append(placed(feature, cutting.top, np.array([probe.normal]), is_direction=True)[0])
     lines += [f"G0 Z{(cutting.top + 4.0 * _CLEAR) * MM_PER_M:.4f}", "M5"]
     places = np.zeros((0, 3)) if weight_places is None else weight_places
     for number, place in enumerate(places, start=first[1]):

@@ -40,9 +40,9 @@ RADIUS_ERROR = 5e-5
 _SHIFT, _TURN = 1e-2, 1e-1
 """Standard deviations of the position of the part where it is probed [m, rad]: free."""
 _ROUNDS = 12
-_SOLVED = 2e-8
+_STEP_TOLERANCE = 2e-8
 """Change of a predicted deviation that ends the iteration at fixed forces [m]."""
-_SETTLED, _UNSETTLED = 1.5e-6, 5e-6
+_CONVERGENCE_RMS, _LARGEST_RESIDUAL = 1.5e-6, 5e-6
 """RMS change by new forces of the deflected tool that ends the iteration [m], and the largest one that may remain:
 the cells of the map of the stock make some 1e-6."""
 _MEDIAN = 0.6745
@@ -59,11 +59,11 @@ _GAMMA = 0.005
 ELSEWHERE = 0.08
 """Unmodelled error (95 %) at other places than those of the part, as a share of the deflection. Assumed: simulated
 robots whose gears bend and whose links are flexible are off there by 5 % (RMS), which their parts do not show."""
-_SWAPPED = 25.0
+_SWAP_DECREASE = 25.0
 """Decrease of χ², over the usual χ² of a point, by which two features were probed in each other's place."""
 _LIGHT = 0.25
 """Displacements below this share of the largest are those of light passes."""
-_ROUGHLY = 0.15
+_LIGHT_PASS_ERROR = 0.15
 """Relative error of the displacement by a light pass: its chip is the difference of the deflections before."""
 _FACTOR = 5.0
 """Probed deviations beyond this factor of the predicted ones, or below its inverse, are a mistake of the user's."""
@@ -158,15 +158,15 @@ class Readings(Columns, frozen=True, eq=False):
 
     def by_part(self) -> Array:
         """Return the covariance (n, n) [m²] that the part and the path without force add to the readings."""
-        probed = self.probed
-        normal = probed.normal * (probed.mass == 0.0)[:, None]  # a gauge reads displacements, wherever it is
+        probe_data = self.probed
+        normal = probe_data.normal * (probe_data.mass == 0.0)[:, None]  # a gauge reads displacements, wherever it is
         pose = []
-        for base in np.unique(probed.base):
-            is_here = (probed.base == base)[:, None]
-            arm = probed.point - probed.point.mean(axis=0, where=is_here)
+        for base in np.unique(probe_data.base):
+            is_here = (probe_data.base == base)[:, None]
+            arm = probe_data.point - probe_data.point.mean(axis=0, where=is_here)
             pose += [_SHIFT * normal * is_here, _TURN * np.cross(arm, normal) * is_here]
         by_pose = np.concatenate(pose, axis=1)
-        same_group = probed.group[:, None] == probed.group[None, :]
+        same_group = probe_data.group[:, None] == probe_data.group[None, :]
         radius = RADIUS_ERROR * self.where.wall
         return np.asarray(
             by_pose @ by_pose.T + PATH_ERROR**2 * same_group * (normal @ normal.T) + np.outer(radius, radius)
@@ -360,11 +360,11 @@ def fit(
         states_here = states(prior.moved(z), scale).take(rows)
         if at_prior is None:  # the tool of the prior model deflects by nearly as much
             at_prior = linearised(prior, readings, states_here, robot_in_cell, np.zeros_like(z), 1.0), rows
-        value_again = linearised(prior, readings, states_here, robot_in_cell, z, scale).value
-        change = float(np.sqrt(np.mean((value_again - local.value) ** 2)))
-        if change < _SETTLED:
+        new_value = linearised(prior, readings, states_here, robot_in_cell, z, scale).value
+        change = float(np.sqrt(np.mean((new_value - local.value) ** 2)))
+        if change < _CONVERGENCE_RMS:
             break
-    if not change < _UNSETTLED:
+    if not change < _LARGEST_RESIDUAL:
         raise MeasurementError(
             "the fit of the test part does not settle", file=readings.probed.file, advice="Check the deviations."
         )
@@ -432,7 +432,7 @@ def swapped(prior: Prior, readings: Readings, local: _Linear) -> tuple[str, str]
         if chi2 < smallest_chi2:
             smallest_chi2, pair = chi2, (first, second)
     decrease = float(as_read @ inverse @ as_read) - smallest_chi2
-    return pair if decrease > _SWAPPED * max(1.0, smallest_chi2 / len(points)) else None
+    return pair if decrease > _SWAP_DECREASE * max(1.0, smallest_chi2 / len(points)) else None
 
 
 def _check_size(readings: Readings, local: _Linear) -> None:
@@ -462,7 +462,7 @@ def _noise(readings: Readings, local: _Linear, gamma: float) -> Array:
 def _of_light(readings: Readings, displacement: Array) -> Array:
     """Return the variance (n,) [m²] of displacements (n,) because the chips of light passes are hardly known."""
     cut = readings.probed.mass == 0.0
-    return np.where(cut & (displacement < _LIGHT * displacement.max()), (_ROUGHLY * displacement) ** 2, 0.0)
+    return np.where(cut & (displacement < _LIGHT * displacement.max()), (_LIGHT_PASS_ERROR * displacement) ** 2, 0.0)
 
 
 def _solved(
@@ -480,7 +480,7 @@ def _solved(
         covariance = local.slopes @ whole @ local.slopes.T + noise
         solution = free * (whole @ local.slopes.T @ np.linalg.solve(covariance, target))
         z, scale = solution[:-1], max(1.0 + float(solution[-1]), LEAST)
-        if float(np.abs(local.slopes @ (solution - x)).max()) < _SOLVED:
+        if float(np.abs(local.slopes @ (solution - x)).max()) < _STEP_TOLERANCE:
             break
     return linearised(prior, readings, states, robot_in_cell, z, scale), z, scale, gamma
 

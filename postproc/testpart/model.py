@@ -27,15 +27,15 @@ from postproc.robot.model_file import (
 )
 from postproc.testpart.fit import HELD, LEAST, Fit, Prior
 
-_DRIFTED = 3.0
+_DRIFT_SIGMAS = 3.0
 """Change of a parameter that is named, in standard deviations."""
 _CHANCE = 0.005
 """Chance of deviations that look like a drift, below which it is one."""
 _MISFIT = 0.25
 """Unmodelled error, as a share of the deflection, beyond which the model should not be used."""
-_FAR = 4.0
+_PLAUSIBLE_SIGMAS = 4.0
 """Distance of a parameter from its prior, in prior standard deviations, that is not plausible."""
-_TIED = 0.01
+_LEAST_CORRELATION = 0.01
 """Correlation with any other parameter below which one that the part does not determine stays out of [covariance]."""
 _DOUBTFUL = 3.0
 """Distance of the scale of the forces from 1, in its standard deviations, that is worth a warning."""
@@ -135,7 +135,7 @@ def agreement(fit: Fit, prior: Prior) -> Agreement:
     changes = [
         Change(parameter.name, round(float(factor[k]), 3), round(float(surprise.change[k] / surprise.spread[k]), 1))
         for k, parameter in enumerate(prior.parameters)
-        if is_changed and abs(surprise.change[k]) > _DRIFTED * surprise.spread[k] > 0.0
+        if is_changed and abs(surprise.change[k]) > _DRIFT_SIGMAS * surprise.spread[k] > 0.0
     ]
     line = f"χ² {surprise.chi2:.0f} of {count} points (at most {largest_chi2:.0f})"
     if is_changed:
@@ -230,10 +230,10 @@ def _verdict(fit: Fit, outliers: tuple[str, ...]) -> Verdict:
         )
     elif fit.gamma > _MISFIT:
         reason = f"{100 * fit.gamma:.0f} % of the deflection are not described by the model: check part and program"
-    elif shift.max() > _FAR:
+    elif shift.max() > _PLAUSIBLE_SIGMAS:
         name = fit.prior.parameters[int(np.argmax(shift))].name
         reason = f"{name} would be {shift.max():.1f} standard deviations from its prior: check material and process"
-    elif abs(fit.scale - 1.0) > _FAR * sigma[-1] > 0.0:
+    elif abs(fit.scale - 1.0) > _PLAUSIBLE_SIGMAS * sigma[-1] > 0.0:
         reason = f"forces would be {fit.scale:.2f} times those computed: check material, feed and depth"
     elif not fit.free[:size].any() and fit.sigma[-1] > HELD:
         reason = "the part determines neither a parameter of the robot nor the forces"
@@ -274,7 +274,7 @@ def model_file(fit: Fit, prior: ModelFile, process: Process, source: str) -> Mod
     values, covariance = in_files(fit)
     half = NORMAL_95 * np.sqrt(np.diag(covariance))[:-1]
     size = np.sqrt(np.diag(covariance))
-    is_tied = (np.abs(covariance) > _TIED * np.outer(size, size)).sum(axis=0) > 1
+    is_tied = (np.abs(covariance) > _LEAST_CORRELATION * np.outer(size, size)).sum(axis=0) > 1
     content = msgspec.to_builtins(prior)
     tables: dict[str, Any] = {"joints": {}, "links": {}, "compensator": {}, "masses": {}}
     stated_rows = []

@@ -210,8 +210,8 @@ def at(program: Program, path: Segments, motion: Ints, t: Array) -> Toolpath:
         rotation[small_turn] = end_rotation + (1.0 - t[small_turn])[:, None, None] * (start_rotation - end_rotation)
     if program.turning is not None:
         active = program.turning.active[motion[turning]]
-        swivelled, turning = turning[active], turning[~active]
-        rotation[swivelled] = program.turning.at(motion[swivelled], t[swivelled])
+        swivel_rows, turning = turning[active], turning[~active]
+        rotation[swivel_rows] = program.turning.at(motion[swivel_rows], t[swivel_rows])
     if program.with_path is not None:
         is_led = program.with_path[motion[turning]]
         with_path, turning = turning[is_led], turning[~is_led]
@@ -292,7 +292,7 @@ def continues(program: Program, path: Segments) -> Bools:
     the same `$BASE` and `$TOOL`, turn the tool by as much per length, and are both rapid or not.
     """
     m = program.motions
-    continued = np.zeros(len(m), dtype=bool)
+    is_continued = np.zeros(len(m), dtype=bool)
     smooth = np.logical_and.reduce([column[1:] == column[:-1] for column in (m.kind, m.base, m.tool, m.rapid)])
     smooth &= np.minimum(path.length[:-1], path.length[1:]) > _SAME_LINE
     smooth &= np.abs(np.diff(path.turn / np.maximum(path.length, _SAME_LINE))) < _SAME_RATE
@@ -302,15 +302,19 @@ def continues(program: Program, path: Segments) -> Bools:
     begin, corner, end = path.begin(lines), m.target[lines, :3, 3], m.target[lines + 1, :3, 3]
     chord = end - begin
     corner_distance = norm(np.cross(corner - begin, chord)) / np.maximum(norm(chord), _SAME_LINE)
-    continued[lines + 1] = (corner_distance < _SAME_LINE) & (np.einsum("ni,ni->n", corner - begin, end - corner) > 0.0)
+    is_continued[lines + 1] = (corner_distance < _SAME_LINE) & (
+        np.einsum("ni,ni->n", corner - begin, end - corner) > 0.0
+    )
     end_tangent = tangent(program, path, arcs, np.ones(len(arcs)))
     start_tangent = tangent(program, path, arcs + 1, np.zeros(len(arcs)))
     radius, next_radius = (norm(path.arcs.radial[np.searchsorted(path.arcs.motion, rows)]) for rows in (arcs, arcs + 1))
     is_same_arc = (np.einsum("ni,ni->n", end_tangent, start_tangent) > np.cos(_SAME_TANGENT)) & (
         np.abs(next_radius - radius) < _SAME_RADIUS * radius
     )
-    continued[arcs + 1] = is_same_arc & (np.einsum("ni,ni->n", m.normal[arcs], m.normal[arcs + 1]) > np.cos(_SAME_AXIS))
-    return continued
+    is_continued[arcs + 1] = is_same_arc & (
+        np.einsum("ni,ni->n", m.normal[arcs], m.normal[arcs + 1]) > np.cos(_SAME_AXIS)
+    )
+    return is_continued
 
 
 def circle_through(a: Array, b: Array, c: Array) -> tuple[Array, Array, Array, Array]:
@@ -328,10 +332,10 @@ def circle_through(a: Array, b: Array, c: Array) -> tuple[Array, Array, Array, A
     centre = a + np.cross(ab2 * ac - ac2 * ab, normal) / (2.0 * square)
     unit = normal / np.sqrt(square)
     radial = a - centre
-    across = np.cross(unit, radial)
+    tangential = np.cross(unit, radial)
     to_c = c - centre
-    angle = np.arctan2(np.einsum("ni,ni->n", to_c, across), np.einsum("ni,ni->n", to_c, radial)) % (2.0 * np.pi)
-    return centre, radial, across, angle
+    angle = np.arctan2(np.einsum("ni,ni->n", to_c, tangential), np.einsum("ni,ni->n", to_c, radial)) % (2.0 * np.pi)
+    return centre, radial, tangential, angle
 
 
 Place = Array | float | None

@@ -26,7 +26,7 @@ _MOST_SWIVEL = 60.0 * RAD_PER_DEG
 """Rotary axes turn by at most this on one piece: two rotations of the same ends are then distinct."""
 _LARGEST = 120.0 * RAD_PER_DEG
 """Pieces of arcs turn by at most this angle: three points then define the circle well."""
-_MEASURED = 45.0 * RAD_PER_DEG
+_COARSE_ANGLE = 45.0 * RAD_PER_DEG
 """Pieces at most this large show how many are needed: their error grows with the square of their angle."""
 _TURNING, _GROWING = 0.2, 0.13
 """A circle through three points of an arc misses displacements that turn with the arc by the first times the square of
@@ -34,7 +34,7 @@ its angle [1/rad²], and those that grow along it by the second times its angle 
 size)."""
 _ARM = 1.0
 """Length [m] over which the deflection changes by its own size."""
-_NOTICED = 0.1
+_LEAST_SHARE = 0.1
 """Of the tolerance, by how much the displacement must change along an arc that is divided where the force bends."""
 _CERTAIN = 0.2
 """Of the tolerance, what a piece may miss by this estimate without being measured."""
@@ -103,8 +103,8 @@ class Pieces(Columns, frozen=True, eq=False):
         parts = np.repeat(parts, parts)
         begin = stretches.begin + (stretches.end - stretches.begin) * (index / parts)
         end = np.where(index == parts - 1, stretches.end, np.roll(begin, -1))
-        number, least = -(-stretches.number // parts), -(-stretches.least // parts)
-        return Pieces(stretches.motion, begin, end, number, least, stretches.samples / parts, stretches.uncertain)
+        number, min_pieces = -(-stretches.number // parts), -(-stretches.least // parts)
+        return Pieces(stretches.motion, begin, end, number, min_pieces, stretches.samples / parts, stretches.uncertain)
 
     def finer(self, motion: Ints, t: Array, parts: Ints) -> Pieces:
         """Return the stretches with the pieces divided on which the path was missed.
@@ -146,15 +146,15 @@ def pieces(
     samples = share * np.maximum(path.travel[motion] / step, path.turn[motion] / _TURN)
     if linearize_arcs:
         samples = np.maximum(samples, angle * np.sqrt(radius / tolerance) / 2.0)
-    least = np.maximum(1, np.ceil(angle / _LARGEST - 1e-9).astype(np.int64))
+    min_pieces = np.maximum(1, np.ceil(angle / _LARGEST - 1e-9).astype(np.int64))
     turning = estimate.turning[motion] + estimate.size[motion] * radius / _ARM
     growing = change + share * (
         norm(arcs.climb)[arc] + np.abs(arcs.growth[arc]) * radius + estimate.size[motion] * path.turn[motion]
     )
-    path_error = (_TURNING * angle**2 * turning + _GROWING * angle * growing) / least**2
+    path_error = (_TURNING * angle**2 * turning + _GROWING * angle * growing) / min_pieces**2
     uncertain = (path_error > _CERTAIN * tolerance) & (not linearize_arcs)
-    even_number = 2 * np.ceil(np.maximum(angle / _MEASURED, least) / 2.0 - 1e-9).astype(np.int64)
-    return Pieces(motion, begin, end, np.where(uncertain, even_number, least), least, samples, uncertain)
+    even_number = 2 * np.ceil(np.maximum(angle / _COARSE_ANGLE, min_pieces) / 2.0 - 1e-9).astype(np.int64)
+    return Pieces(motion, begin, end, np.where(uncertain, even_number, min_pieces), min_pieces, samples, uncertain)
 
 
 def _stretches(arcs: Ints, estimate: DisplacementEstimate, tolerance: float) -> tuple[Ints, Array, Array, Array]:
@@ -165,7 +165,7 @@ def _stretches(arcs: Ints, estimate: DisplacementEstimate, tolerance: float) -> 
     """
     rows = np.flatnonzero(np.isin(estimate.motion, arcs))
     arc_of_row = np.searchsorted(arcs, estimate.motion[rows])
-    is_noticeable = np.bincount(arc_of_row, estimate.change[rows], len(arcs)) > _NOTICED * tolerance
+    is_noticeable = np.bincount(arc_of_row, estimate.change[rows], len(arcs)) > _LEAST_SHARE * tolerance
     rows, arc_of_row = rows[is_noticeable[arc_of_row]], arc_of_row[is_noticeable[arc_of_row]]
     inner = estimate.bent[rows]
     arc = np.concatenate([np.arange(len(arcs)), arc_of_row[inner]])
@@ -186,12 +186,12 @@ def places(
     tolerance: float,
     estimate: DisplacementEstimate,
     arcs: Pieces,
-    also: tuple[Ints, Array] | None = None,
+    extra_places: tuple[Ints, Array] | None = None,
 ) -> tuple[Ints, Array]:
     """Choose where on the path to compute: every end, middle and end of each piece of an arc, enough places between.
 
     :param tolerance: what the path may be left by [m].
-    :param also: further places of straight motions: motion (n,) and t (n,).
+    :param extra_places: further places of straight motions: motion (n,) and t (n,).
     :returns: motion (N,) and t (N,), in order.
     """
     m = program.motions
@@ -202,7 +202,10 @@ def places(
     straight = np.flatnonzero(m.kind != CIRC)
     motion, t = _even(straight, np.maximum(count[straight], 1.0).astype(np.int64))
     bends = np.flatnonzero(estimate.bent & (m.kind[estimate.motion] == LIN))
-    further_places = [(estimate.motion[bends], estimate.t[bends]), *([also] if also is not None else [])]
+    further_places = [
+        (estimate.motion[bends], estimate.t[bends]),
+        *([extra_places] if extra_places is not None else []),
+    ]
     if len(arcs.motion):
         stretch, share = _even(np.arange(len(arcs.motion)), arcs.number * arcs.each)
         begin, end = arcs.begin[stretch], arcs.end[stretch]
@@ -234,8 +237,8 @@ def swivel_pieces(program: Program, path: Segments, tolerance: float) -> Ints:
     for share in (0.25, 0.5, 0.75):
         t = np.full(len(rows), share)
         leans = np.maximum(leans, angle_between(interpolated(start, end, t)[:, :3, :3], turning.at(rows, t)))
-    pieces_needed = np.maximum(np.sqrt(leans * _LEVER / tolerance), travel[rows] / _MOST_SWIVEL)
-    number[rows] = np.maximum(1, np.ceil(pieces_needed - 1e-9)).astype(np.int64)
+    piece_count = np.maximum(np.sqrt(leans * _LEVER / tolerance), travel[rows] / _MOST_SWIVEL)
+    number[rows] = np.maximum(1, np.ceil(piece_count - 1e-9)).astype(np.int64)
     return number
 
 

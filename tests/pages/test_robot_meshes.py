@@ -22,7 +22,7 @@ def test_links_with_meshes_are_drawn_where_the_arm_has_them(browser, tmp_path, m
     (tmp_path / "page.html").write_bytes(b"".join(report.page(result)))
     place = 7
     base = np.linalg.inv(result.program.bases[0])
-    surfaces = model.link_shapes(drawn=True)[0]
+    surfaces = model.link_shapes(for_drawing=True)[0]
     expected = [1e3 * (points @ base[:3, :3].T + base[:3, 3]) for points in in_root(model, surfaces, result.q[place])]
     with browsers.opened(browser, tmp_path / "page.html") as page:
         assert page.evaluate("facts.links.map(([link]) => link)") == [0, 1, 2, 3, 4, 6]

@@ -281,4 +281,4 @@ def test_every_exchange_has_the_value_of_its_plan_and_improves_it(tmp_path):
 
 def test_exchange_keeps_levels_apart(tmp_path):
     result = setting.quick(tmp_path, configurations=12, levels=6, starts=1, rounds=3)
-    assert np.diff(np.sort(result.plan.q2)).min() >= search._APART - 1e-4
+    assert np.diff(np.sort(result.plan.q2)).min() >= search._LEAST_DISTANCE - 1e-4

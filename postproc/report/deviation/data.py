@@ -144,7 +144,7 @@ class Deviation(Struct, frozen=True, dict=True):
     @cached_property
     def links(self) -> list[LinkShape]:
         """Shapes of the links from the model folder; a link without a readable file is drawn as a simple solid."""
-        return self.result.robot.link_shapes(drawn=True)[0]
+        return self.result.robot.link_shapes(for_drawing=True)[0]
 
     @cached_property
     def bodies(self) -> list[Body]:

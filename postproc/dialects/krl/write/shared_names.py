@@ -36,9 +36,9 @@ class _Variables(Struct, frozen=True, eq=False):
     users: dict[str, set[int]] = field(default_factory=dict)
     written: dict[str, int] = field(default_factory=dict)
 
-    def shared(self, *, reads_too: bool) -> set[str]:
-        """Return the names that several files use; not `reads_too`: and that the program may write."""
-        return {name for name, files in self.users.items() if len(files) > 1 and (reads_too or name in self.written)}
+    def shared(self, *, with_readers: bool) -> set[str]:
+        """Return the names that several files use; not `with_readers`: and that the program may write."""
+        return {name for name, files in self.users.items() if len(files) > 1 and (with_readers or name in self.written)}
 
 
 class Sharing:
@@ -84,9 +84,9 @@ class Sharing:
         :raises ProgramError: a variable has a type that other files do not see.
         """
         self._look()
-        local_names = _together(self.own.shared(reads_too=True), self._by_line(self.declared))
+        local_names = _together(self.own.shared(with_readers=True), self._by_line(self.declared))
         data_names = [(line, item) for line, names in self.stated.items() for item in names]
-        shared_data = _together(self.kept.shared(reads_too=False), self._by_line(data_names))
+        shared_data = _together(self.kept.shared(with_readers=False), self._by_line(data_names))
         self._check_types(
             local_names, {item.name: item for _, item in data_names if item.name in shared_data and item.kind}
         )

@@ -91,8 +91,8 @@ def target_numbers(motions: Motions, layout: Layout, targets: Targets, text: str
     incomplete = layout.ignored | any_column(layout.missing[:, 3:])
     gets_component[:, 3:] |= (is_free & incomplete)[row, None]
     angles = layout.missing[row, 3:] & ~gets_component[:, 3:]
-    lacks_some = any_column(angles) & ~angles.all(axis=1) & (np.abs(previous[:, 4]) > LARGEST_B)
-    gets_component[:, 3:] |= angles & lacks_some[:, None]
+    is_partial = any_column(angles) & ~angles.all(axis=1) & (np.abs(previous[:, 4]) > LARGEST_B)
+    gets_component[:, 3:] |= angles & is_partial[:, None]
     is_printed = np.where(keep[:, None], gets_component, ~layout.missing[row] | gets_component)
     return TargetNumbers(
         numbers,
