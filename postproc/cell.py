@@ -185,19 +185,20 @@ class IndexedAxis(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 class Rotary(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Rotary axes of a program.
 
-    :param axes: their letters from the part outwards: A, B, C turn about X, Y, Z.
+    :param axes: their letters from the part outwards: A, B, C turn about X, Y, Z; none for ``"vector"``.
     :param signs: 1 or −1 for each.
     :param tcp_on: codes between which (and `tcp_off`) alone X, Y, Z are those of the tip; none: those of the program.
     :param kind: ``"tcp"``: X, Y, Z are the tool tip in the part; ``"indexed"``: the part turns, X, Y, Z are machine
-        axes; None: not stated, and a program that turns them is refused.
+        axes; ``"vector"``: X, Y, Z are the tip, and I, J, K of G0 and G1 the direction from it to the spindle; None:
+        not stated, and a program that turns them is refused.
     :param A: place of the axis on the machine, for ``"indexed"``; `B`, `C`: likewise.
     """
 
-    axes: list[Literal["A", "B", "C"]]
+    axes: list[Literal["A", "B", "C"]] = []
     signs: list[Literal[1, -1]] = []
     tcp_on: list[str] = []
     tcp_off: list[str] = []
-    kind: Literal["tcp", "indexed"] | None = None
+    kind: Literal["tcp", "indexed", "vector"] | None = None
     A: IndexedAxis | None = None
     B: IndexedAxis | None = None
     C: IndexedAxis | None = None
@@ -517,7 +518,11 @@ def load(path: str | Path) -> Cell:
 
 
 def _check_rotary(rotary: Rotary, file: str) -> None:
-    if not 1 <= len(rotary.axes) <= 2 or len(set(rotary.axes)) != len(rotary.axes):
+    if rotary.kind == "vector":
+        if rotary.axes:
+            advice = "I, J, K of the program are the direction of the tool: leave axes out."
+            raise CellError('[rotary] axes with kind = "vector"', file=file, advice=advice)
+    elif not 1 <= len(rotary.axes) <= 2 or len(set(rotary.axes)) != len(rotary.axes):
         raise CellError("[rotary] axes", file=file, advice='One or two letters, from the part outwards: ["C", "B"].')
     if len(rotary.signs) not in (0, len(rotary.axes)):
         raise CellError("[rotary] signs", file=file, advice="Give 1 or -1 for each of the axes.")

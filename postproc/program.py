@@ -127,6 +127,7 @@ class Swivel(Struct, frozen=True, eq=False):
     rotation. It never spins about its axis, so nothing jumps where the axis next to the part is parallel to the tool.
 
     :param begin: (M, k) angles of the axes at the start of each motion, k = 1 or 2 [rad]; `end` (M, k) at its end.
+        With k = 3 both are directions d, and d turns between them by the shortest way.
     :param axes: (k, 3) what they turn about, from the part outwards, in the program frame; sign included.
     :param frame: (M,) row of `frames` (nf, 3, 3): orientation of the program frame in `$BASE`.
     :param tool: (3, 3) orientation of the tool frame in the program frame at d = z.
@@ -191,8 +192,17 @@ class Turning(Protocol):
         """Return the orientation of the tool frame (n, 3, 3) in `$BASE` at places (motion, t)."""
 
 
+COMPONENTS = 3
+"""Columns of angles that are components of a direction: a tool has at most two rotary axes."""
+
+
 def direction(axes: Array, angles: Array) -> Array:
-    """Return the direction R₁(a)·R₂(b)·z (n, 3) of a tool on rotary axes (k, 3), for angles (n, k) [rad]."""
+    """Return the direction R₁(a)·R₂(b)·z (n, 3) of a tool on rotary axes (k, 3), for angles (n, k) [rad].
+
+    Angles (n, 3) are components of the direction itself, of any length.
+    """
+    if angles.shape[1] == COMPONENTS:
+        return np.asarray(angles / norm(angles)[:, None])
     vector = np.broadcast_to([0.0, 0.0, 1.0], (len(angles), 3)).copy()
     for axis, angle in zip(axes[::-1], angles.T[::-1], strict=True):
         cos, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
@@ -210,6 +220,8 @@ def turning(axes: Array, begin: Array, end: Array) -> Array:
     tool = np.stack([direction(axes, begin + share * (end - begin)) for share in shares])
     axis_turn = np.abs(end - begin)
     factor = np.sqrt(2.0 / np.maximum(1.0 + tool[..., 2].min(axis=0), 1e-3))
+    if begin.shape[1] == COMPONENTS:
+        return np.asarray(2.0 * np.arcsin(norm(tool[-1] - tool[0]) / 2.0) * factor)
     sine = norm(np.cross(tool, axes[0])).max(axis=0)
     if len(axes) == 1:
         return np.asarray(axis_turn[:, 0] * sine * factor)

@@ -196,8 +196,15 @@ class Switching:
 
 TCP_ON = ("G43.4", "M128")
 """Codes that switch tool-centre-point control on (Fanuc, Heidenhain), where the cell names none."""
+DIRECTIONS_ON = ("G43.5",)
+"""Codes that do so and make I, J, K of G0 and G1 the direction of the tool."""
 TCP_OFF = ("G49", "G43", "M129")
 """Codes that end it. G43 and G49 are in one modal group with G43.4."""
+
+
+def tip_codes(rotary: Rotary) -> tuple[str, ...]:
+    """Return the codes that switch tool-centre-point control on where the cell names none."""
+    return DIRECTIONS_ON if rotary.kind == "vector" else TCP_ON
 
 
 class TipControl:
@@ -210,7 +217,7 @@ class TipControl:
         self.changes: list[tuple[int, float]] = []
         self._on, self._off = ((), ()) if rotary is None else (tuple(rotary.tcp_on), tuple(rotary.tcp_off))
         if rotary is not None and not rotary.tcp_on:
-            self._on, self._off = TCP_ON, TCP_OFF
+            self._on, self._off = tip_codes(rotary), TCP_OFF
 
     def read(self, row: int, code: str) -> bool:
         """Read a code that switches it; return whether it is one."""
@@ -457,6 +464,7 @@ class _Reader:
         self.tip = TipControl(cell.rotary)
         self.frame_codes, self.switching = FrameCodes(cell), Switching(cell, self.issues, self.tip.read)
         self.letters = [letter for letter in COLUMNS if letter not in "ABC" or letter in self.frame_codes.rotary]
+        self.takes_directions = cell.rotary is not None and cell.rotary.kind == "vector"
         self.mm_per_unit = 1.0
         self.taped = False
 
@@ -501,7 +509,7 @@ class _Reader:
             raise first_error
 
     def _coordinates(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
-        if codes.TOOL_LENGTH in g or (43.4 in g and self.frame_codes.rotary):
+        if codes.TOOL_LENGTH in g or (43.4 in g and self.frame_codes.rotary) or (43.5 in g and self.takes_directions):
             self.switching.tool_length(row, values.pop("H", None))
             values.pop("D", None)  # a radius, which only G41 and G42 use
         elif values.get("H") == 0.0:

@@ -33,8 +33,8 @@ from postproc.dialects.gcode.modes import MM_PER_UNIT, Modes, Origin, Return, dw
 from postproc.dialects.gcode.rotary import RotaryAxes
 from postproc.dialects.gcode.words import BlockError, Words
 from postproc.errors import Level
-from postproc.frames import M_PER_MM, Array, any_column, inverse, pose_from_xyzabc
-from postproc.program import Bools, EventKind, Ints, constant
+from postproc.frames import M_PER_MM, Array, any_column, inverse, norm, pose_from_xyzabc
+from postproc.program import COMPONENTS, Bools, EventKind, Ints, constant
 
 
 class LineStates(Struct, frozen=True, eq=False):
@@ -117,10 +117,16 @@ def line_states_of(words: Words, modes: Modes, rotary: Rotary | None) -> LineSta
     motion = carried(code, codes.CANCEL_CYCLE).astype(np.int8)
     circular = (motion == 2.0) | (motion == 3.0)
     has_motion_code = ~np.isnan(code) & (code != codes.CANCEL_CYCLE)
-    letters = [] if rotary is None else rotary.axes
-    rotary_words = (
-        np.stack([words.column(letter)[:count] for letter in letters], axis=1) if letters else np.zeros((count, 0))
-    )
+    if rotary is not None and rotary.kind == "vector":  # I, J, K of arcs are their centres
+        rotary_words = np.where(circular[:, None], np.nan, words["IJK"][:count])
+        length = norm(rotary_words)[:, None]  # NaN of an incomplete direction, which is an error like I0 J0 K0
+        rotary_words = np.divide(rotary_words, length, out=rotary_words, where=length > 0.0)
+        ijk = np.where(circular[:, None], ijk, np.nan)
+    else:
+        letters = [] if rotary is None else rotary.axes
+        rotary_words = (
+            np.stack([words.column(letter)[:count] for letter in letters], axis=1) if letters else np.zeros((count, 0))
+        )
     has_position = any_column(~np.isnan(xyz))
     axes = has_position | ~np.isnan(rotary_words).all(axis=1)
     is_always_tip = rotary is None or not (rotary.tcp_on or any(on for _, on in modes.tip))
@@ -292,7 +298,7 @@ class _Walk:
             self.position, self.known = cell_frames.home_place, np.ones(3, dtype=bool)
         self.away = np.zeros(3, dtype=bool)
         self.lifted = False
-        self.angles = np.zeros(rows.rotary.shape[1])
+        self.angles = cell_frames.rotary.upright
         self.tool = 0
         self.cycle = Cycle()
         spindle_events = [h for h in modes.row_events if h.kind in ("spindle_on", "spindle_ccw", "spindle_off")]
@@ -361,7 +367,9 @@ class _Walk:
         if (rows.named[begin:end]).any() or (rows.motion[begin:end] == codes.CANCEL_CYCLE).any():
             self.cycle.end()
         last_swing = max(self._some(begin + part.start, min(begin + part.stop, end)) for part in chunks(end - begin))
-        if last_swing >= 0 and not self.angles.any():  # without tool-centre-point control the tip may be anywhere
+        if (
+            last_swing >= 0 and (self.angles == self.cell_frames.rotary.upright).all()
+        ):  # without tool-centre-point control the tip may be anywhere
             row = last_swing + 1
             self.losses.append((row, np.ones(3, dtype=bool)))
             self.known = np.asarray(~np.isnan(rows.xyz[row:end]).all(axis=0))
@@ -428,7 +436,7 @@ class _Walk:
         words = self.rows.rotary[begin:end]
         end_angles = np.empty((end - begin, len(self.angles)))
         for axis, angle in enumerate(self.angles.tolist()):
-            if self.rows.incremental[begin]:
+            if self.rows.incremental[begin] and len(self.angles) != COMPONENTS:  # directions are never incremental
                 end_angles[:, axis] = np.cumsum(np.append(angle, np.nan_to_num(words[:, axis])))[1:]
             else:
                 end_angles[:, axis] = carried(words[:, axis], angle)

@@ -25,7 +25,7 @@ from postproc.cell import Rotary
 from postproc.chunks import Runs, in_chunks
 from postproc.dialects.gcode.arcs import SAME_MM, ArcFault, Arcs, ArcWords, read_arcs
 from postproc.dialects.gcode.cycles import CycleEvent
-from postproc.dialects.gcode.modes import MM_PER_UNIT, TCP_ON, Modes
+from postproc.dialects.gcode.modes import MM_PER_UNIT, Modes, tip_codes
 from postproc.dialects.gcode.moves import (
     LEVEL,
     CellFrames,
@@ -36,13 +36,14 @@ from postproc.dialects.gcode.moves import (
     moves_of,
     taken,
 )
-from postproc.dialects.gcode.rotary import kind_faults
+from postproc.dialects.gcode.rotary import RotaryAxes, kind_faults
 from postproc.dialects.gcode.words import Fault
 from postproc.errors import MOST, Level
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, angle_between, any_column, norm
 from postproc.poses import Poses
 from postproc.program import (
     CIRC,
+    COMPONENTS,
     LIN,
     PTP,
     Bools,
@@ -168,6 +169,8 @@ def swivel_of(
     if len(at):
         row = moves.row[motion_moves[at]]
         degrees = norm(moves.turn[motion_moves[at], 1] - moves.turn[motion_moves[at], 0])
+        if moves.turn.shape[2] == COMPONENTS:
+            degrees = np.full(len(at), np.nan)  # what F means while a direction turns alone is stated nowhere
         minutes = np.where(rows.inverse_time[row], 1.0, degrees) / rows.rate[row]
         rate[at] = _way(cell_frames.rotary.directions, begin[at], end[at]) / (minutes * _S_PER_MIN)
     return Swivel(
@@ -193,13 +196,14 @@ def _way(axes: Array, begin: Array, end: Array) -> Array:
     return angles
 
 
-def check_turning(rows: LineStates, moves: Moves, is_early: Bools, axes: Array, tip_on: str) -> list[Fault]:
+def check_turning(rows: LineStates, moves: Moves, is_early: Bools, rotary_axes: RotaryAxes, tip_on: str) -> list[Fault]:
     """Return faults of rotary axes, in order of lines.
 
     :param is_early: (N,) moves that are left out while X, Y, Z are not all known.
     :param tip_on: codes that switch tool-centre-point control on.
     """
-    tilt = (moves.turn != 0.0).any(axis=(1, 2))
+    tilt = (moves.turn != rotary_axes.upright).any(axis=(1, 2))
+    axes = rotary_axes.directions
     has_position = ~np.isnan(rows.xyz[moves.row]).all(axis=1) | (moves.code > 0.0)
 
     def away(turn: Array) -> tuple[Bools]:
@@ -240,6 +244,8 @@ def faults_of(rows: LineStates, moves: Moves, modes: Modes, circular: Ints, arcs
     uses_words = (rows.moving & arc) | rows.drilling | doubt.motion
     has_centre = any_column(~np.isnan(rows.ijk))
     stray = has_centre | ~(np.isnan(rows.radius) & np.isnan(rows.turns))
+    as_vector = 'If I, J, K are the direction of the tool (G43.5), write kind = "vector" in [rotary] of the cell.'
+    check(has_centre & straight & ~uses_words, "I, J or K without an arc", as_vector)
     check(stray & ~uses_words, "I, J, K, R or P without an arc or a cycle that uses it")
     stray = ~np.isnan(rows.pecks) | ~(np.isnan(rows.repeats) | (rows.repeats == 0.0))  # L0 repeats nothing
     check(stray & (~uses_words | (rows.moving & arc)), "Q or L without a cycle that uses it")
@@ -389,7 +395,7 @@ def read_path(
     if not faults and rotary is not None:
         switched_on = np.array([row for row, on in modes.tip if on], dtype=np.int64)
         faults = kind_faults(rotary, rows.rotary, switched_on) or check_turning(
-            rows, moves, is_held_back, cell_frames.rotary.directions, " or ".join(rotary.tcp_on or TCP_ON)
+            rows, moves, is_held_back, cell_frames.rotary, " or ".join(rotary.tcp_on or tip_codes(rotary))
         )
     if faults:
         return faults
