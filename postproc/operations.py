@@ -151,10 +151,10 @@ def _starts(program: Program, names: Names) -> Iterator[tuple[int, str, int, int
                 tools[row] = tool
         name_event = None
         if names != "none":
-            spots = events_at_row if explicit else _on_own_lines(events_at_row, lines)
-            if names == "retracts" and not explicit and not _at_retract(program, row, spots, change, lines):
-                spots = []
-            name_event = _named(spots, change, first=row == 0, explicit=explicit)
+            candidates = events_at_row if explicit else _on_own_lines(events_at_row, lines)
+            if names == "retracts" and not explicit and not _at_retract(program, row, candidates, change, lines):
+                candidates = []
+            name_event = _named(candidates, change, first=row == 0, explicit=explicit)
         if name_event is not None:
             starts[row] = (title(name_event.text), name_event.line)
         elif change is not None:

@@ -74,9 +74,10 @@ def lines_run_across(program: Program, path: Segments, lines: Ints, axis: str) -
     return np.asarray(np.arccos(np.minimum(nearest, 1.0)) - 0.5 * path.turn[lines] > _LEAST_ANGLE)
 
 
-def across(orientation: Array, travel: Array, axis: str) -> tuple[Array, Bools]:
+def axes_of_travel(orientation: Array, travel: Array, axis: str) -> tuple[Array, Bools]:
     """Return the FEED axes (n, 3, 3) of tool orientations (n, 3, 3) and travel directions (n, 3), all in `$BASE`.
 
+    :param axis: axis of the tool frame that points from the spindle to the tip: "+Z", "-Z", "+X" or "-X".
     :returns: the axes as columns, and (n,) False where the travel is along the spindle and the axes are undefined.
     """
     column, sign = _SPINDLE[axis]

@@ -21,7 +21,7 @@ from msgspec.structs import replace
 from postproc import files
 from postproc.chunks import Runs, ragged_range
 from postproc.errors import MOST, ForceError, Issue, choices, together
-from postproc.forces.axes import TURNS, Axes, across
+from postproc.forces.axes import TURNS, Axes, axes_of_travel
 from postproc.forces.path_forces import PathForces
 from postproc.forces.sources import BASE, FEED, TOOL, Knots
 from postproc.frames import Array, any_column, largest, norm
@@ -285,7 +285,7 @@ def of_targets(forces: PathForces, targets: Targets, arrive: Array, wrench: Runs
         rows = np.flatnonzero(frame == code)
         axes = targets.pose[rows, :3, :3]
         if code == FEED:
-            axes, is_defined = across(axes, arrive[rows], forces.axes.spindle)
+            axes, is_defined = axes_of_travel(axes, arrive[rows], forces.axes.spindle)
             frame[rows[~is_defined]] = BASE
             rows, axes = rows[is_defined], axes[is_defined]
         for half in (slice(0, 3), slice(3, 6)):

@@ -317,17 +317,17 @@ def over_workspace(robot: RobotModel, data: Measurements) -> Workspace:
     _, jacobian = kinematics.tcp(robot.loaded, elastostatics.coordinates(robot, q), tool)
     torque = np.abs(np.einsum("nij,ni->nj", jacobian[:, :3, list(robot.actuated)], direction)) * force.max()
     has_torque = data_torque > _TORQUE_SHARE * data_torque.max()
-    size = force.max() * np.minimum(
+    largest_force = force.max() * np.minimum(
         1.0, (data_torque[has_torque] / np.maximum(torque[:, has_torque], 1e-9)).min(axis=1)
     )
     levels, worst = [], (0.0, "", q[0])
     for share in SHARES:
-        wrench = np.concatenate([share * size[:, None] * direction, np.zeros_like(direction)], axis=1)
+        wrench = np.concatenate([share * largest_force[:, None] * direction, np.zeros_like(direction)], axis=1)
         try:
             displacement = norm(elastostatics.deflect(robot, q, tool, wrench).twist[:, :3])
         except NotConvergedError as error:
             row = int(error.rows[0])
-            cause = f"the springs have no equilibrium under {share * size[row]:.0f} N"
+            cause = f"the springs have no equilibrium under {share * largest_force[row]:.0f} N"
             return Workspace((), float(force.min()), cause, tuple(q[row].tolist()))
         bound = elastostatics.position_bound(robot, q, tool, wrench)
         assert bound is not None, "the robot states a covariance"
@@ -335,7 +335,7 @@ def over_workspace(robot: RobotModel, data: Measurements) -> Workspace:
         limit = float(np.quantile(ratio, _POSE_SHARE))
         levels.append(
             WorkspaceLevel(
-                float(np.median(share * size)), float(np.median(displacement)), float(np.median(bound)), limit
+                float(np.median(share * largest_force)), float(np.median(displacement)), float(np.median(bound)), limit
             )
         )
         if levels[-1].load >= force.min() and limit > worst[0]:

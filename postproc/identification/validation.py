@@ -233,23 +233,23 @@ def _known(data: Measurements, states: Array) -> Bools:
 class _Compared(Struct, frozen=True, eq=False):
     """Displacements of L loaded states at P points.
 
-    :param seen: (L, P) which are compared.
+    :param is_compared: (L, P) which are compared.
     :param config: (L,) configuration, and `load` (L,) force and moment in one [N, N·m].
-    :param moved: (L, P) measured, `left` prediction error, and its `bound` [m].
+    :param displacement: (L, P) measured, `left` prediction error, and its `bound` [m].
     :param noise: (L, P) mean square of the noise [m²].
-    :param scaled: (L, P) residual over bound and noise.
-    :param stated: whether the model states a bound.
+    :param error_ratio: (L, P) residual over bound and noise.
+    :param has_bound: whether the model states a bound.
     """
 
-    seen: Bools
+    is_compared: Bools
     config: Ints
     load: Array
-    moved: Array
+    displacement: Array
     left: Array
     bound: Array
     noise: Array
-    scaled: Array
-    stated: bool
+    error_ratio: Array
+    has_bound: bool
 
 
 def _compared(robot: RobotModel, data: Measurements, placement: Placement, fresh: Bools) -> _Compared:
@@ -257,39 +257,43 @@ def _compared(robot: RobotModel, data: Measurements, placement: Placement, fresh
     prediction, bound = _predicted(robot, data, placement)
     left, noise = norm(displacement - prediction), noise_of(data)
     return _Compared(
-        seen=(visible(data)[..., 0] > 0.0) & fresh[:, None],
+        is_compared=(visible(data)[..., 0] > 0.0) & fresh[:, None],
         config=data.state_config[data.loaded],
         load=norm(data.wrench[data.loaded]),
-        moved=norm(displacement),
+        displacement=norm(displacement),
         left=left,
         bound=bound,
         noise=noise,
-        scaled=left / np.sqrt(bound**2 + LENGTH_95**2 * noise),
-        stated=robot.covariance is not None,
+        error_ratio=left / np.sqrt(bound**2 + LENGTH_95**2 * noise),
+        has_bound=robot.covariance is not None,
     )
 
 
 def _levels(comparison: _Compared) -> list[ValidatedLevel]:
+    """Return the comparison at each level of loads, from the smallest on; levels without a compared point are left out.
+
+    A bound that the model does not state leaves its shares NaN and their limits 0 and 1.
+    """
     level = levels(comparison.load)
     level_doubt = _DOUBT / (int(level.max()) + 1)
-    left, ratio = comparison.left, comparison.scaled
+    left, ratio = comparison.left, comparison.error_ratio
     result = []
     for index in range(int(level.max()) + 1):
-        rows = (level == index)[:, None] & comparison.seen
+        rows = (level == index)[:, None] & comparison.is_compared
         if rows.any():
-            lower = _limits(comparison, rows, _DOUBT)[0] if comparison.stated else 0.0
-            upper = _limits(comparison, rows, level_doubt)[1] if comparison.stated else 1.0
+            lower = _limits(comparison, rows, _DOUBT)[0] if comparison.has_bound else 0.0
+            upper = _limits(comparison, rows, level_doubt)[1] if comparison.has_bound else 1.0
             squares = [np.mean(left[state, points] ** 2) for state, points in enumerate(rows) if points.any()]
             result.append(
                 ValidatedLevel(
                     load=float(np.median(comparison.load[rows.any(axis=1)])),
-                    measured=_rms(comparison.moved[rows]),
+                    measured=_rms(comparison.displacement[rows]),
                     left=_rms(left[rows]),
                     noise=_rms(np.sqrt(comparison.noise[rows])),
                     doubt=float(np.std(squares, ddof=1) / np.sqrt(len(squares))) if len(squares) > 1 else np.inf,
-                    inside=float(np.mean(ratio[rows] <= 1.0)) if comparison.stated else float("nan"),
+                    inside=float(np.mean(ratio[rows] <= 1.0)) if comparison.has_bound else float("nan"),
                     limits=(lower, upper),
-                    reach=float(np.quantile(ratio[rows], _BOUND_SHARE)) if comparison.stated else float("nan"),
+                    reach=float(np.quantile(ratio[rows], _BOUND_SHARE)) if comparison.has_bound else float("nan"),
                     bound=_rms(comparison.bound[rows]),
                     configurations=len(np.unique(comparison.config[rows.any(axis=1)])),
                 )
@@ -302,11 +306,11 @@ def _coverage(torque: Array, comparison: _Compared) -> Coverage:
 
     :param torque: (L, 6) of the loads on the joints [N·m].
     """
-    states = comparison.seen.any(axis=1)
+    states = comparison.is_compared.any(axis=1)
     is_refuted = np.zeros((6, 2), dtype=bool)
-    if comparison.stated:
+    if comparison.has_bound:
         for joint, side in np.ndindex(6, 2):
-            rows = (signed(torque)[:, joint, side] > LEAST_TORQUE)[:, None] & comparison.seen
+            rows = (signed(torque)[:, joint, side] > LEAST_TORQUE)[:, None] & comparison.is_compared
             is_refuted[joint, side] = (
                 rows.any() and _limits(comparison, rows, _DOUBT / is_refuted.size)[1] < _BOUND_SHARE
             )
@@ -315,7 +319,7 @@ def _coverage(torque: Array, comparison: _Compared) -> Coverage:
 
 def _limits(comparison: _Compared, rows: Bools, doubt: float) -> tuple[float, float]:
     """Return the limits of the share inside, for some of the displacements (L, P)."""
-    return limits(*_by_config(comparison.scaled <= 1.0, rows, comparison.config), doubt)
+    return limits(*_by_config(comparison.error_ratio <= 1.0, rows, comparison.config), doubt)
 
 
 def _by_config(is_inside: Bools, rows: Bools, config: Ints) -> tuple[Array, Array]:

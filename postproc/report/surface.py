@@ -22,7 +22,7 @@ from scipy.spatial import cKDTree
 
 from postproc.chunks import ragged_range
 from postproc.correction import Result
-from postproc.forces.axes import across
+from postproc.forces.axes import axes_of_travel
 from postproc.frames import MM_PER_M, Array, norm
 from postproc.machining.tool import Cutter
 from postproc.program import Bools, Ints
@@ -317,7 +317,7 @@ def _spindle(result: Result) -> Array:
     """Return the direction from the tip to the spindle (K, 3) at each target, `$BASE`."""
     x_or_z = np.zeros((len(result), 3))
     x_or_z[:, 0] = 1.0
-    axes, _ = across(result.nominal[:, :3, :3], x_or_z, result.axis)
+    axes, _ = axes_of_travel(result.nominal[:, :3, :3], x_or_z, result.axis)
     return np.asarray(axes[:, :, 2])
 
 

@@ -171,26 +171,26 @@ def passes(kind: Kind, cutting: Cutting) -> list[Pass]:
 
 
 def probes(kind: Kind, cutting: Cutting) -> list[Probe]:
-    """Return where a feature is probed: on the surfaces of the loaded half, then on those of the trimmed half."""
+    """Return the probed points of a feature: on the surfaces of the loaded half, then on those of the trimmed half."""
     radius, step, side = 0.5 * cutting.diameter, _STEP * cutting.diameter * kind.side, kind.side
-    light = _PROBE_SHARE * half_length(cutting.diameter)
-    loaded_side, (trim, floor) = -light, cutting.trims[-1]
+    trimmed_x = _PROBE_SHARE * half_length(cutting.diameter)
+    loaded_x, (trim, floor) = -trimmed_x, cutting.trims[-1]
     middle, deep, trim_depth = -0.5 * kind.depth, -kind.depth, -kind.depth - floor
     left, right, up = (0.0, -1.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
     high, low = max(step, 0.0) + trim, min(step, 0.0) - trim
     loaded_probes = [
-        Probe("left", "step" if side > 0 else "groove", (loaded_side, max(step, 0.0) + radius, middle), left),
-        Probe("right", "step" if side < 0 else "groove", (loaded_side, min(step, 0.0) - radius, middle), right),
+        Probe("left", "step" if side > 0 else "groove", (loaded_x, max(step, 0.0) + radius, middle), left),
+        Probe("right", "step" if side < 0 else "groove", (loaded_x, min(step, 0.0) - radius, middle), right),
         # not where the pass of the step cuts the floor of the groove once more
-        Probe("floor", "groove", (loaded_side, -0.6 * radius * side, deep), up),
+        Probe("floor", "groove", (loaded_x, -0.6 * radius * side, deep), up),
     ]
     if side:
-        loaded_probes.append(Probe("step_floor", "step", (loaded_side, step + 0.6 * radius * side, deep), up))
+        loaded_probes.append(Probe("step_floor", "step", (loaded_x, step + 0.6 * radius * side, deep), up))
     return [
         *loaded_probes,
-        Probe("ref_left", "trim left", (light, high + radius, middle), left),
-        Probe("ref_right", "trim right", (light, low - radius, middle), right),
-        Probe("ref_floor", "trim right", (light, low, trim_depth), up),
+        Probe("ref_left", "trim left", (trimmed_x, high + radius, middle), left),
+        Probe("ref_right", "trim right", (trimmed_x, low - radius, middle), right),
+        Probe("ref_floor", "trim right", (trimmed_x, low, trim_depth), up),
     ]
 
 

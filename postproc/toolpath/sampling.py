@@ -107,14 +107,14 @@ class Pieces(Columns, frozen=True, eq=False):
         return Pieces(stretches.motion, begin, end, number, min_pieces, stretches.samples / parts, stretches.uncertain)
 
     def finer(self, motion: Ints, t: Array, parts: Ints) -> Pieces:
-        """Return the stretches with the pieces divided on which the path was missed.
+        """Return the stretches with those pieces divided on which the path exceeds the tolerance.
 
-        :param motion: (n,) and t (n,): where it was missed.
+        :param motion: (n,) rows of `Motions` and t (n,) places on them where it does.
         :param parts: (n,) into how many the piece there is to be divided.
         """
-        hit = np.zeros(len(self.motion), dtype=bool)
-        hit[self._at(motion, t)] = True
-        stretches = self.cut(np.where(hit, self.number, 1))
+        is_divided = np.zeros(len(self.motion), dtype=bool)
+        is_divided[self._at(motion, t)] = True
+        stretches = self.cut(np.where(is_divided, self.number, 1))
         number = stretches.number.copy()
         np.maximum.at(number, stretches._at(motion, t), parts)
         return stretches.settled(number)

@@ -101,8 +101,8 @@ def compared(seed):
     left, bound = rng.rayleigh(20e-6, (36, 2)), rng.uniform(20e-6, 60e-6, (36, 2))
     noise = rng.uniform(1e-6, 9e-6, (36, 2)) ** 2
     return validation._Compared(
-        seen=seen, config=config, load=load, moved=rng.rayleigh(1e-3, (36, 2)), left=left, bound=bound, noise=noise,
-        scaled=left / np.sqrt(bound**2 + 4.0 * noise), stated=True,
+        is_compared=seen, config=config, load=load, displacement=rng.rayleigh(1e-3, (36, 2)), left=left,
+        bound=bound, noise=noise, error_ratio=left / np.sqrt(bound**2 + 4.0 * noise), has_bound=True,
     )  # fmt: skip
 
 
@@ -112,25 +112,25 @@ def test_the_numbers_of_each_level_are_those_of_its_states_by_loops(seed):
     result = validation._levels(found)
     assert len(result) == 3
     for index, level in enumerate(result):
-        states = [k for k in range(12 * index, 12 * index + 12) if found.seen[k].any()]
-        places = [(k, p) for k in states for p in range(2) if found.seen[k, p]]
+        states = [k for k in range(12 * index, 12 * index + 12) if found.is_compared[k].any()]
+        places = [(k, p) for k in states for p in range(2) if found.is_compared[k, p]]
 
         def mean(values, places=places):
             return math.fsum(values[place] for place in places) / len(places)
 
         assert level.load == pytest.approx(np.median([found.load[k] for k in states]))
-        for name in ("moved", "left", "bound"):
-            own = level.measured if name == "moved" else getattr(level, name)
+        for name in ("displacement", "left", "bound"):
+            own = level.measured if name == "displacement" else getattr(level, name)
             assert own == pytest.approx(math.sqrt(mean(getattr(found, name) ** 2))), name
         assert level.noise == pytest.approx(math.sqrt(mean(found.noise)))
-        assert level.inside == pytest.approx(mean((found.scaled <= 1.0).astype(float)))
-        assert level.reach == pytest.approx(np.quantile([found.scaled[place] for place in places], 0.95))
-        squares = [np.mean([found.left[k, p] ** 2 for p in range(2) if found.seen[k, p]]) for k in states]
+        assert level.inside == pytest.approx(mean((found.error_ratio <= 1.0).astype(float)))
+        assert level.reach == pytest.approx(np.quantile([found.error_ratio[place] for place in places], 0.95))
+        squares = [np.mean([found.left[k, p] ** 2 for p in range(2) if found.is_compared[k, p]]) for k in states]
         spread = math.sqrt(sum((one - np.mean(squares)) ** 2 for one in squares) / (len(squares) - 1))
         assert level.doubt == pytest.approx(spread / math.sqrt(len(squares)))
         # a level is kept or not by itself; for refusing, a twentieth of doubt is shared by the levels
-        good = [sum(found.seen[k, p] and found.scaled[k, p] <= 1.0 for p in range(2)) for k in states]
-        there = [int(found.seen[k].sum()) for k in states]
+        good = [sum(found.is_compared[k, p] and found.error_ratio[k, p] <= 1.0 for p in range(2)) for k in states]
+        there = [int(found.is_compared[k].sum()) for k in states]
         counts = np.array(good, float), np.array(there, float)
         assert level.limits == (limits(*counts, 0.05)[0], limits(*counts, 0.05 / 3)[1])
         assert level.configurations == len({found.config[k] for k in states})
@@ -138,9 +138,9 @@ def test_the_numbers_of_each_level_are_those_of_its_states_by_loops(seed):
 
 def test_a_level_of_one_configuration_and_a_model_without_a_bound_leave_all_open():
     found = compared(0)
-    (alone,) = validation._levels(replace(found, seen=found.seen & (np.arange(36) == 7)[:, None]))
+    (alone,) = validation._levels(replace(found, is_compared=found.is_compared & (np.arange(36) == 7)[:, None]))
     assert (alone.doubt, alone.limits) == (np.inf, (0.0, 1.0))
-    for level in validation._levels(replace(found, stated=False)):
+    for level in validation._levels(replace(found, has_bound=False)):
         assert np.isnan(level.inside)
         assert np.isnan(level.reach)
         assert level.limits == (0.0, 1.0)

@@ -16,7 +16,7 @@ from postproc.collision import Body
 from postproc.correction import Result
 from postproc.dialects.text import line_spans
 from postproc.errors import Issue
-from postproc.forces.axes import across
+from postproc.forces.axes import axes_of_travel
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, largest, norm, xyzabc_from_pose
 from postproc.program import CIRC, PTP, WRENCH, Bools, Ints, distinct
 from postproc.report.answers import Remedy
@@ -476,7 +476,7 @@ def _feed_axes(result: Result, row: Ints) -> Array:
     travel[arcs] = turning + rise / np.where(angle > 0.0, angle, 1.0)[:, None]
     length = norm(travel)[:, None]  # steps of finishing programs are shorter than a millimetre
     travel = np.divide(travel, length, out=np.zeros_like(travel), where=length > 0.0)
-    axes, is_defined = across(result.nominal[row, :3, :3], travel, result.axis)
+    axes, is_defined = axes_of_travel(result.nominal[row, :3, :3], travel, result.axis)
     is_defined &= m.base[motion] == m.base[result.motion[previous]]
     axes[~is_defined] = np.nan
     return axes

@@ -79,7 +79,7 @@ class _Rewriter:
         data = [document for document in self.documents[1:] if PurePath(document.name).stem.upper() == stem]
         self.sources = [layout.course.source, *(Source.of(document, 1) for document in data)]
         self.source, self.text = self.sources[0], self.sources[0].text
-        self.noted = set(layout.notes)
+        self.comment_lines = set(layout.notes)
         self.replacements = [Replacements() for _ in self.sources]
         self.issues: list[Issue] = []
         self.row = targets.motion
@@ -320,7 +320,7 @@ class _Rewriter:
     def _replaced_comment(self, k: int, text: str) -> bool:
         """Put a force comment in place of the one on the line of a motion; return whether there is one."""
         line = int(self.layout.line[self.row[k]])
-        if not self.last[k] or line not in self.noted:
+        if not self.last[k] or line not in self.comment_lines:
             return False
         start, stop = int(self.source.starts[line - 1]), int(self.source.stops[line - 1])
         self.replacements[0].add(comment_start(self.text, start, stop), stop, text)
