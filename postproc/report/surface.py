@@ -32,10 +32,10 @@ _SPACING = 2e-4
 _MOST_SAMPLES = 1_500_000
 _CHORD = 1e-6
 """Distance [m] of the samples on an arc from it."""
-_NEAR = 0.35
+_CONTACT_SHARE = 0.35
 """Share of the tool's radius, and at least `_LEAST` [m], by which the path may pass next to the place of contact:
 the next pass is never further than that where a surface is finished."""
-_LEAST = 3e-4
+_LEAST_CONTACT = 3e-4
 _REACH = 0.025
 """Without a shape of the tool, the nearest place of the path within this distance counts [m]."""
 _NEARER = 0.05
@@ -44,17 +44,17 @@ _LEVEL = 1e-6
 """The tip is not above what its side touches [m]."""
 _FLAT, _UPRIGHT = 1e-3, 0.999
 _CANDIDATES = 12
-_AT_ONCE = 20_000
+_CHUNK = 20_000
 _PROBES = (0.0, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
 """Depths [m] below a facet at which a tool that cuts into it is looked for,"""
-_EACH = 3
+_SAMPLES_OF_FACET = 3
 """with this many samples of the path at each."""
 _LONG = 4.0
 """Length of a tool above its tip, in radii."""
 _OVERHANG = -0.05
 """Facets whose normal points away from the spindle by more (cosine) are not cut into from above."""
 _BISECTIONS = 40
-_FACETS_NEAR = 8
+_FACET_COUNT = 8
 _MOST_TIPS = 50_000
 
 
@@ -110,9 +110,9 @@ class _Frames(Struct, frozen=True, eq=False):
     rotation: Array
 
     @classmethod
-    def of(cls, result: Result, placed: Array | None) -> _Frames:
+    def of(cls, result: Result, mesh_frame: Array | None) -> _Frames:
         bases = result.program.bases
-        root = np.linalg.inv(bases[0] if placed is None else placed)
+        root = np.linalg.inv(bases[0] if mesh_frame is None else mesh_frame)
         in_mesh = root @ bases
         of_target = result.program.motions.base[result.motion]
         return cls(in_mesh[0] if len(bases) == 1 else root, in_mesh[of_target, :3, :3])
@@ -140,23 +140,25 @@ class _Path(Struct, frozen=True, eq=False):
     axis: Array
     tree: cKDTree
 
-    def near(self, wanted: Array, index: Ints) -> tuple[Array, Array]:
+    def near(self, contact_point: Array, index: Ints) -> tuple[Array, Array]:
         """Return the points (n, k, 3) of the path around samples (n, k) that are nearest to wanted points (n, 3).
 
         :returns: points, and (n, k) how far along its step each is (−0.5 … 0.5).
         """
         step = self.step[index]
         long = np.einsum("nki,nki->nk", step, step)
-        along = np.einsum("nki,nki->nk", wanted[:, None] - self.point[index], step) / np.where(long > 0.0, long, 1.0)
-        along = np.clip(along, -0.5, 0.5)
-        return self.point[index] + along[..., None] * step, along
+        share = np.einsum("nki,nki->nk", contact_point[:, None] - self.point[index], step) / np.where(
+            long > 0.0, long, 1.0
+        )
+        share = np.clip(share, -0.5, 0.5)
+        return self.point[index] + share[..., None] * step, share
 
 
 def surface(
     result: Result,
     corners: Array,
     cutters: Mapping[int, Cutter] | None = None,
-    placed: Array | None = None,
+    mesh_frame: Array | None = None,
     coarse: Array | None = None,
 ) -> Surface:
     """Return the deviations along the facets of a part.
@@ -165,8 +167,8 @@ def surface(
     :param corners: (F, 3, 3) of each facet, counter-clockwise seen from outside, in the frame of the mesh [m].
     :param cutters: shape of each tool by T number, 0 for those without an entry; None: unknown, the nearest place of
         the path counts.
-    :param placed: (4, 4) frame of the mesh in the robot root [m]; None: it is in the `$BASE` of the program, its only
-        one.
+    :param mesh_frame: (4, 4) frame of the mesh in the robot root [m]; None: it is in the `$BASE` of the program,
+        its only one.
     :param coarse: (F,) distance of the facets from the surface that they approximate [m]; None: 0. What the programmed
         path cuts into them by less is not counted.
     """
@@ -174,10 +176,10 @@ def surface(
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.maximum(norm(normal), 1e-300)[:, None]
     count = len(corners)
-    row, share, off, left = np.full(count, -1), np.zeros(count), np.full(count, np.inf), np.full(count, np.nan)
+    row, share, distance, left = np.full(count, -1), np.zeros(count), np.full(count, np.inf), np.full(count, np.nan)
     depth, cut_row = np.zeros(count), np.full(count, -1)
     mesh = _Mesh.of(corners, normal)
-    tools, frames = _tools(result), _Frames.of(result, placed)
+    tools, frames = _tools(result), _Frames.of(result, mesh_frame)
     for number in np.unique(tools[~result.rapid]).tolist():
         cutter = None if cutters is None else cutters.get(number, cutters.get(0))
         path = _sampled(result, frames, tools == number)
@@ -185,27 +187,27 @@ def surface(
             continue
         if cutter is None:
             _add_tips(mesh, path, depth, cut_row)
-        for first in range(0, count, _AT_ONCE):
-            part = slice(first, first + _AT_ONCE)
-            found = _touching(path, centre[part], normal[part], cutter)
-            better = found[2] < off[part]
-            for out, new in zip((row, share, off, left), found, strict=True):
-                out[part] = np.where(better, new, out[part])
+        for first in range(0, count, _CHUNK):
+            part = slice(first, first + _CHUNK)
+            contact = _touching(path, centre[part], normal[part], cutter)
+            better = contact[2] < distance[part]
+            for best_values, new in zip((row, share, distance, left), contact, strict=True):
+                best_values[part] = np.where(better, new, best_values[part])
             if cutter is not None:
-                deep, where = _cut_into(mesh, path, centre[part], normal[part], cutter)
+                deep, rows_of_cut = _cut_into(mesh, path, centre[part], normal[part], cutter)
                 deeper = deep > depth[part]
-                cut_row[part] = np.where(deeper, where, cut_row[part])
+                cut_row[part] = np.where(deeper, rows_of_cut, cut_row[part])
                 depth[part] = np.where(deeper, deep, depth[part])
     cut_row[depth <= (_CHORD if coarse is None else coarse + _CHORD)] = -1
-    touched = np.flatnonzero(row >= 0)
-    at, before_it = row[touched], np.maximum(row[touched] - 1, 0)
+    contact_facets = np.flatnonzero(row >= 0)
+    at, before_it = row[contact_facets], np.maximum(row[contact_facets] - 1, 0)
 
     def of(values: Array) -> Array:
-        mixed = share[touched].reshape(-1, *(1,) * (values.ndim - 1))
-        out: Array = np.full((count, *values.shape[1:]), np.nan)
-        start = np.where(result.rapid[before_it].reshape(mixed.shape), values[at], values[before_it])
-        out[touched] = (1.0 - mixed) * start + mixed * values[at]
-        return out
+        weight = share[contact_facets].reshape(-1, *(1,) * (values.ndim - 1))
+        of_facets: Array = np.full((count, *values.shape[1:]), np.nan)
+        start = np.where(result.rapid[before_it].reshape(weight.shape), values[at], values[before_it])
+        of_facets[contact_facets] = (1.0 - weight) * start + weight * values[at]
+        return of_facets
 
     return Surface(
         corners=corners,
@@ -221,20 +223,20 @@ def surface(
 
 def _tools(result: Result) -> Ints:
     """Return the number of the tool (K,) of each target."""
-    out = np.zeros(len(result), dtype=np.int64)
+    tool_number = np.zeros(len(result), dtype=np.int64)
     for operation in operations(result):
-        out[operation.first : operation.last + 1] = operation.tool
-    return out
+        tool_number[operation.first : operation.last + 1] = operation.tool
+    return tool_number
 
 
-def _sampled(result: Result, frames: _Frames, chosen: Bools) -> _Path | None:
+def _sampled(result: Result, frames: _Frames, is_chosen: Bools) -> _Path | None:
     """Return the cutting pieces to chosen targets (K,); None if there are none."""
     position, row = drawn_path(result, _CHORD)
     position = position @ frames.drawn[:3, :3].T + frames.drawn[:3, 3]
     number = np.arange(len(row)) - np.searchsorted(row, row) + 1
     of_row = np.bincount(row, minlength=len(result))
     begin, step = position[:-1], np.diff(position, axis=0)
-    cuts = (~result.rapid & chosen)[row[1:]]
+    cuts = (~result.rapid & is_chosen)[row[1:]]
     begin, step, row, number = begin[cuts], step[cuts], row[1:][cuts], number[1:][cuts]
     if len(row) == 0:
         return None
@@ -242,9 +244,9 @@ def _sampled(result: Result, frames: _Frames, chosen: Bools) -> _Path | None:
     spacing = max(_SPACING, float(length.sum()) / _MOST_SAMPLES)
     count = np.maximum(np.ceil(length / spacing), 1.0).astype(np.int64)
     piece = np.repeat(np.arange(len(count)), count)
-    within = (ragged_range(count) + 0.5) / count[piece]
-    share = (number[piece] - 1 + within) / of_row[row[piece]]
-    point, of_sample = begin[piece] + within[:, None] * step[piece], row[piece]
+    piece_share = (ragged_range(count) + 0.5) / count[piece]
+    share = (number[piece] - 1 + piece_share) / of_row[row[piece]]
+    point, of_sample = begin[piece] + piece_share[:, None] * step[piece], row[piece]
     spindle = frames.turned(_spindle(result))
     axis = (1.0 - share)[:, None] * spindle[np.maximum(of_sample - 1, 0)] + share[:, None] * spindle[of_sample]
     axis /= np.maximum(norm(axis), 1e-300)[:, None]
@@ -270,47 +272,53 @@ def _touching(path: _Path, centre: Array, normal: Array, cutter: Cutter | None) 
     a = path.axis[nearest]
     up = np.einsum("ni,ni->n", normal, a)
     width = norm(normal - up[:, None] * a)
-    wanted = centre if cutter is None else _contact(a, centre, normal, cutter)
-    _, index = path.tree.query(wanted, k=min(_CANDIDATES, len(path.point)))
+    contact_point = centre if cutter is None else _contact(a, centre, normal, cutter)
+    _, index = path.tree.query(contact_point, k=min(_CANDIDATES, len(path.point)))
     index = index.reshape(len(centre), -1)
-    point, along = path.near(wanted, index)
-    rest = point - wanted[:, None]
+    point, step_share = path.near(contact_point, index)
+    rest = point - contact_point[:, None]
     height = np.einsum("nki,ni->nk", rest, a)
     lateral = norm((rest - height[..., None] * a[:, None]).reshape(-1, 3)).reshape(height.shape)
     whole = np.hypot(height, lateral)
     if cutter is None:
-        fits, off = whole <= _REACH, whole
+        fits, distance = whole <= _REACH, whole
     else:
-        near = max(_LEAST, _NEAR * cutter.radius)
+        tolerance = max(_LEAST_CONTACT, _CONTACT_SHARE * cutter.radius)
         level, wall = (up > 0.0)[:, None] & (width <= _FLAT)[:, None], (width >= _UPRIGHT)[:, None]
         flat = cutter.radius - cutter.corner
         fits = np.where(
             level,
-            (np.abs(height) <= near) & (lateral <= flat + near),
-            np.where(wall, (height <= _LEVEL) & (height >= -_LONG * cutter.radius) & (lateral <= near), whole <= near),
+            (np.abs(height) <= tolerance) & (lateral <= flat + tolerance),
+            np.where(
+                wall,
+                (height <= _LEVEL) & (height >= -_LONG * cutter.radius) & (lateral <= tolerance),
+                whole <= tolerance,
+            ),
         )
-        off = np.where(level, np.abs(height) + np.maximum(lateral - flat, 0.0), np.where(wall, lateral, whole))
-    off = np.where(fits, off + _NEARER * whole, np.inf)
-    best = np.argmin(off, axis=1)
-    every = np.arange(len(centre))
-    chosen = index[every, best]
-    least = off[every, best]
-    row = np.where(np.isfinite(least), path.row[chosen], -1)
-    share = path.share[chosen] + along[every, best] * _share_of_step(path)[chosen]
-    above = np.full(len(centre), np.nan) if cutter is None else np.einsum("ni,ni->n", rest[every, best], normal)
-    return row, share, least, above
+        distance = np.where(level, np.abs(height) + np.maximum(lateral - flat, 0.0), np.where(wall, lateral, whole))
+    distance = np.where(fits, distance + _NEARER * whole, np.inf)
+    best = np.argmin(distance, axis=1)
+    facets = np.arange(len(centre))
+    sample = index[facets, best]
+    smallest = distance[facets, best]
+    row = np.where(np.isfinite(smallest), path.row[sample], -1)
+    share = path.share[sample] + step_share[facets, best] * _share_of_step(path)[sample]
+    height_over_facet = (
+        np.full(len(centre), np.nan) if cutter is None else np.einsum("ni,ni->n", rest[facets, best], normal)
+    )
+    return row, share, smallest, height_over_facet
 
 
 def _share_of_step(path: _Path) -> Array:
     """Return the share (S,) of the piece to its target that the step of each sample covers."""
-    same = np.diff(path.row) == 0
-    out = np.ones(len(path.row))
+    same_row = np.diff(path.row) == 0
+    share = np.ones(len(path.row))
     change = np.diff(path.share)
-    out[:-1][same] = change[same]
-    out[1:][same] = change[same]
-    first = np.flatnonzero(out == 1.0)
-    out[first] = 2.0 * path.share[first]  # a single sample covers its whole piece
-    return np.minimum(out, 1.0)
+    share[:-1][same_row] = change[same_row]
+    share[1:][same_row] = change[same_row]
+    first = np.flatnonzero(share == 1.0)
+    share[first] = 2.0 * path.share[first]  # a single sample covers its whole piece
+    return np.minimum(share, 1.0)
 
 
 def _spindle(result: Result) -> Array:
@@ -341,48 +349,48 @@ class _Mesh(Struct, frozen=True, eq=False):
         Distances are negative inside. Points nearest to an edge count as outside: there, which side they are on is not
         certain.
         """
-        _, facet = self.tree.query(point, k=min(_FACETS_NEAR, len(self.corners)))
+        _, facet = self.tree.query(point, k=min(_FACET_COUNT, len(self.corners)))
         facet = facet.reshape(len(point), -1)
         from_a, from_b, from_c = (point[:, None] - self.corners[facet, k] for k in range(3))
         edges = [self.corners[facet, (k + 1) % 3] - self.corners[facet, k] for k in range(3)]
         normal = self.normal[facet]
         height = _dot(from_a, normal)
-        within = np.ones(facet.shape, dtype=bool)
+        is_within = np.ones(facet.shape, dtype=bool)
         side = np.full(facet.shape, np.inf)
         for corner, edge in zip((from_a, from_b, from_c), edges, strict=True):
-            within &= _dot(np.cross(edge, corner), normal) >= 0.0
+            is_within &= _dot(np.cross(edge, corner), normal) >= 0.0
             t = np.clip(_dot(corner, edge) / np.maximum(_dot(edge, edge), 1e-300), 0.0, 1.0)
-            off = corner - t[..., None] * edge
-            side = np.minimum(side, np.sqrt(_dot(off, off)))
-        distance = np.where(within, np.abs(height), side)
-        every, best = np.arange(len(point)), np.argmin(distance, axis=1)
-        inside = within[every, best] & (height[every, best] < 0.0)
-        return np.where(inside, -1.0, 1.0) * distance[every, best], facet[every, best]
+            gap = corner - t[..., None] * edge
+            side = np.minimum(side, np.sqrt(_dot(gap, gap)))
+        distance = np.where(is_within, np.abs(height), side)
+        rows, best = np.arange(len(point)), np.argmin(distance, axis=1)
+        is_inside = is_within[rows, best] & (height[rows, best] < 0.0)
+        return np.where(is_inside, -1.0, 1.0) * distance[rows, best], facet[rows, best]
 
 
-def _dot(one: Array, other: Array) -> Array:
-    return np.asarray(np.einsum("nki,nki->nk", one, other))
+def _dot(a: Array, b: Array) -> Array:
+    return np.asarray(np.einsum("nki,nki->nk", a, b))
 
 
 def _cut_into(mesh: _Mesh, path: _Path, centre: Array, normal: Array, cutter: Cutter) -> tuple[Array, Ints]:
     """Return the depth [m] by which the programmed path cuts into each of n facets (0: it does not), and the row."""
     _, nearest = path.tree.query(centre)
-    wanted = _contact(path.axis[nearest], centre, normal, cutter)
-    each = min(_EACH, len(path.point))
+    contact_point = _contact(path.axis[nearest], centre, normal, cutter)
+    sample_count = min(_SAMPLES_OF_FACET, len(path.point))
     inside_of, tip, axis, facet = [], [], [], []
     for probe in _PROBES:
-        below = wanted - probe * normal
-        _, index = path.tree.query(below, k=each)
+        probe_point = contact_point - probe * normal
+        _, index = path.tree.query(probe_point, k=sample_count)
         index = index.reshape(len(centre), -1)
-        point, _ = path.near(below, index)
+        point, _ = path.near(probe_point, index)
         direction = path.axis[index]
-        inside = _inside(centre[:, None] - point, direction, cutter)
-        inside &= np.einsum("nki,ni->nk", direction, normal) >= _OVERHANG
-        at, which = np.nonzero(inside)
+        is_inside = _inside(centre[:, None] - point, direction, cutter)
+        is_inside &= np.einsum("nki,ni->nk", direction, normal) >= _OVERHANG
+        at, sample = np.nonzero(is_inside)
         facet.append(at)
-        inside_of.append(path.row[index[at, which]])
-        tip.append(point[at, which])
-        axis.append(direction[at, which])
+        inside_of.append(path.row[index[at, sample]])
+        tip.append(point[at, sample])
+        axis.append(direction[at, sample])
     of, row = np.concatenate(facet), np.concatenate(inside_of)
     depth, best = np.zeros(len(centre)), np.full(len(centre), -1)
     if not len(of):
@@ -391,12 +399,12 @@ def _cut_into(mesh: _Mesh, path: _Path, centre: Array, normal: Array, cutter: Cu
     low, high = np.zeros(len(of)), np.full(len(of), 2.0 * _LONG * cutter.radius)
     for _ in range(_BISECTIONS):  # the tool is convex: the normal leaves it once
         middle = 0.5 * (low + high)
-        still = _inside(from_tip + middle[:, None] * inward, directions, cutter)
-        low, high = np.where(still, middle, low), np.where(still, high, middle)
+        stays_inside = _inside(from_tip + middle[:, None] * inward, directions, cutter)
+        low, high = np.where(stays_inside, middle, low), np.where(stays_inside, high, middle)
     end, _ = mesh.distance(centre[of] + low[:, None] * inward)
-    found = np.minimum(low, np.abs(end))
-    order = np.argsort(found, kind="stable")
-    depth[of[order]], best[of[order]] = found[order], row[order]  # the deepest is written last
+    facet_depth = np.minimum(low, np.abs(end))
+    order = np.argsort(facet_depth, kind="stable")
+    depth[of[order]], best[of[order]] = facet_depth[order], row[order]  # the deepest is written last
     return depth, best
 
 
@@ -411,11 +419,11 @@ def _inside(from_tip: Array, axis: Array, cutter: Cutter) -> Bools:
 
 def _add_tips(mesh: _Mesh, path: _Path, depth: Array, row: Ints) -> None:
     """Enter the depth [m] of tips inside the mesh at the facets (F,) next to them, and the rows that cut there."""
-    some = slice(None, None, -(-len(path.point) // _MOST_TIPS))
-    distance, facet = mesh.distance(path.point[some])
+    sample_rows = slice(None, None, -(-len(path.point) // _MOST_TIPS))
+    distance, facet = mesh.distance(path.point[sample_rows])
     order = np.argsort(-distance, kind="stable")
     order = order[-distance[order] > depth[facet[order]]]
-    depth[facet[order]], row[facet[order]] = -distance[order], path.row[some][order]
+    depth[facet[order]], row[facet[order]] = -distance[order], path.row[sample_rows][order]
 
 
 # ---- files ----
@@ -475,6 +483,6 @@ def glb(surface: Surface, limit: float) -> bytes:
 
 def _colours(values: Array, limit: float) -> np.ndarray:
     share = np.clip(np.nan_to_num(values) / limit, -1.0, 1.0)
-    mixed = np.stack([np.interp(share, [-1.0, 0.0, 1.0], _STOPS[:, channel]) for channel in range(3)], axis=1)
-    mixed[np.isnan(values)] = _UNTOUCHED
-    return np.round(mixed).astype(np.uint8)
+    colour = np.stack([np.interp(share, [-1.0, 0.0, 1.0], _STOPS[:, channel]) for channel in range(3)], axis=1)
+    colour[np.isnan(values)] = _UNTOUCHED
+    return np.round(colour).astype(np.uint8)

@@ -47,7 +47,7 @@ from postproc.errors import ProgramError
 
 _LEAVES = (Number, Word)
 _MOST_TERMS = 200
-_LONGEST = 64
+_MAX_LENGTH = 64
 """Characters of the longest INT in binary or hexadecimal notation."""
 _ENDS = ",)]}cC"
 _PAIRS = {"(": ")", "[": "]", "{": "}"}
@@ -82,18 +82,18 @@ def value_at(source: Source, start: int, stop: int) -> _Read:
     first = None
     if begin < stop and text[begin] not in "+-" and not inverse:
         first = operand(source, begin, stop)
-        after = after_blanks(text, first[1], stop)
-        if after == stop or text[after] in _ENDS:
+        next_sign = after_blanks(text, first[1], stop)
+        if next_sign == stop or text[next_sign] in _ENDS:
             return first  # nothing is joined to it: so common that looking first is faster
     if not inverse:
         first = arithmetic(source, begin, stop, first)
-        after = after_blanks(text, first[1], stop)
-        if after == stop or not LOGIC.match(text, after, stop):
+        next_sign = after_blanks(text, first[1], stop)
+        if next_sign == stop or not LOGIC.match(text, next_sign, stop):
             return first
     try:
         value, end = condition(source, begin, stop, first)
-        after = after_blanks(text, end, stop)
-        if after == stop or text[after] in ",)]}":
+        next_sign = after_blanks(text, end, stop)
+        if next_sign == stop or text[next_sign] in ",)]}":
             return value, end
     except ProgramError:
         end = begin if first is None else first[1]
@@ -108,7 +108,7 @@ def condition(source: Source, start: int, stop: int, first: _Read | None = None)
     :raises ProgramError: as for `value_at`.
     """
     terms: list[Value] = []
-    negated: list[bool] = []
+    negations: list[bool] = []
     operators: list[str] = []
     begin = start
     while True:
@@ -116,12 +116,12 @@ def condition(source: Source, start: int, stop: int, first: _Read | None = None)
         term, end = first or arithmetic(source, start, stop)
         first = None
         terms.append(term)
-        negated.append(inverse)
-        operator, behind = operator_at(source.text, end, stop)
+        negations.append(inverse)
+        operator, operator_end = operator_at(source.text, end, stop)
         if not operator:
-            return Condition(tuple(terms), tuple(negated), tuple(operators), begin, end), end
+            return Condition(tuple(terms), tuple(negations), tuple(operators), begin, end), end
         operators.append(operator)
-        start = behind
+        start = operator_end
 
 
 def arithmetic(source: Source, start: int, stop: int, first: _Read | None = None) -> _Read:
@@ -148,14 +148,14 @@ def _joined(
     """Return parts joined by operators, from left to right."""
     text = source.text
     value, end = part(source, start, stop, first)
-    after, terms = after_blanks(text, end, stop), 1
-    while after < stop and text[after] in operators:
+    next_sign, terms = after_blanks(text, end, stop), 1
+    while next_sign < stop and text[next_sign] in operators:
         terms += 1
         if terms > _MOST_TERMS:
             raise source.error(f"an expression has more than {_MOST_TERMS} terms", start, "Write it as several.")
-        right, end = part(source, after + 1, stop, None)
-        value = Operation(text[after], value, right, value.start, end)
-        after = after_blanks(text, end, stop)
+        right, end = part(source, next_sign + 1, stop, None)
+        value = Operation(text[next_sign], value, right, value.start, end)
+        next_sign = after_blanks(text, end, stop)
     return value, end
 
 
@@ -169,13 +169,13 @@ def _factor(source: Source, start: int, stop: int, first: _Read | None) -> _Read
         value, end = _factor(source, start + 1, stop, None)
         return Operation(text[start], None, value, start, end), end
     value, end = first or operand(source, start, stop)
-    after = after_blanks(text, end, stop)
-    if after < stop and text[after] == ":":
+    next_sign = after_blanks(text, end, stop)
+    if next_sign < stop and text[next_sign] == ":":
         operands: list[Value] = [value]
-        while after < stop and text[after] == ":":
-            value, end = operand(source, after + 1, stop)
+        while next_sign < stop and text[next_sign] == ":":
+            value, end = operand(source, next_sign + 1, stop)
             operands.append(value)
-            after = after_blanks(text, end, stop)
+            next_sign = after_blanks(text, end, stop)
         value = Chain(tuple(operands), operands[0].start, end)
     return value, end
 
@@ -203,7 +203,7 @@ def operand(source: Source, start: int, stop: int) -> _Read:
     if match := NUMBER.match(text, start, stop):
         return Number(_finite(source, match), start, match.end(), match[0].lstrip("+-").isdigit()), match.end()
     if match := INTEGER_LITERAL.match(text, start, stop):
-        if match.end() - start > _LONGEST:
+        if match.end() - start > _MAX_LENGTH:
             raise source.error(f"{match[0][:20]}… is not an INT", start)
         number = float(int(match[1], 2) if match[1] else int(match[2], 16))
         return Number(number, start, match.end(), True), match.end()
@@ -231,24 +231,24 @@ def _variable(source: Source, name: re.Match[str], stop: int) -> _Read:
     text, start, end = source.text, name.start(), name.end()
     if name[0].upper() in ("TRUE", "FALSE"):
         return Word(name[0].upper(), start, end), end
-    after = after_blanks(text, end, stop)
-    if after == stop:
+    next_sign = after_blanks(text, end, stop)
+    if next_sign == stop:
         return Reference(name[0].upper(), None, None, start, end), end
-    if text[after] == "(":
-        close = matching(source, after, stop)
-        return Call(name[0].upper(), list_in(source, after + 1, close), start, close + 1), close + 1
+    if text[next_sign] == "(":
+        close = matching(source, next_sign, stop)
+        return Call(name[0].upper(), list_in(source, next_sign + 1, close), start, close + 1), close + 1
     indices: tuple[Value, ...] | None = None
     inner: tuple[Value, ...] = ()
     path: list[str] = []
     while True:
-        after = after_blanks(text, end, stop)
-        if after < stop and text[after] == "[":
-            close = matching(source, after, stop)
+        next_sign = after_blanks(text, end, stop)
+        if next_sign < stop and text[next_sign] == "[":
+            close = matching(source, next_sign, stop)
             if path:
-                path[-1] += text[after : close + 1].upper()
-                inner += list_in(source, after + 1, close)
+                path[-1] += text[next_sign : close + 1].upper()
+                inner += list_in(source, next_sign + 1, close)
             elif indices is None:
-                indices = list_in(source, after + 1, close)
+                indices = list_in(source, next_sign + 1, close)
             else:
                 break
             end = close + 1
@@ -292,16 +292,16 @@ def unreadable(source: Source, start: int, stop: int, error: ProgramError) -> Un
 
 def _calls_in(source: Source, start: int, stop: int) -> tuple[Call, ...]:
     """Return the calls in a piece of code, from left to right, without those inside others."""
-    text, found = source.text, list[Call]()
+    text, call_list = source.text, list[Call]()
     if "(" not in text[start:stop]:
         return ()
     for word, at in words_in(text, start, stop):
-        called = at.start >= start and _is_routine(word) and after_sign(text, at.stop, stop, "(") >= 0
-        value, end = operand(source, at.start, stop) if called else (None, start)
+        is_call = at.start >= start and _is_routine(word) and after_sign(text, at.stop, stop, "(") >= 0
+        value, end = operand(source, at.start, stop) if is_call else (None, start)
         if isinstance(value, Call):
-            found.append(value)
+            call_list.append(value)
             start = end
-    return tuple(found)
+    return tuple(call_list)
 
 
 def _is_routine(name: str) -> bool:
@@ -314,15 +314,15 @@ def calls(values: Iterable[Value]) -> list[Call]:
 
     :raises ProgramError: brackets are not balanced.
     """
-    found: list[Call] = []
+    call_list: list[Call] = []
     for value in values:
         if isinstance(value, _LEAVES):  # nearly all of them
             continue
         if isinstance(value, Call) and _is_routine(value.name):
-            found.append(value)
+            call_list.append(value)
         if inner := parts(value):
-            found += calls(inner)
-    return found
+            call_list += calls(inner)
+    return call_list
 
 
 def parse_aggregate(source: Source, start: int, stop: int) -> Aggregate:
@@ -340,16 +340,16 @@ def parse_aggregate(source: Source, start: int, stop: int) -> Aggregate:
     while True:
         match = COMPONENT.match(text, position, stop)
         if match:
-            name, more, position = match[1].upper(), match[3] is not None, match.end()
+            name, has_comma, position = match[1].upper(), match[3] is not None, match.end()
             value: Value = Number(
                 _finite(source, match, 2), match.start(2), match.end(2), match[2].lstrip("+-").isdigit()
             )
         else:
-            name, value, more, position = _component(source, start, position, stop)
+            name, value, has_comma, position = _component(source, start, position, stop)
         if name in items:
             raise source.error(f"component {name} is given twice", position - 1)
         items[name] = value
-        if not more:
+        if not has_comma:
             break
     position = after_blanks(text, position, stop)
     return Aggregate(source, start, position + 1, tag, items)

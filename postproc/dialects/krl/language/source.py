@@ -140,10 +140,10 @@ def comment_start(text: str, start: int, stop: int) -> int:
     quote = text.find('"', start, semicolon)
     if quote < 0:
         return semicolon
-    inside = False
+    in_string = False
     for offset in range(quote, stop):
         if text[offset] == '"':
-            inside = not inside
-        elif text[offset] == ";" and not inside:
+            in_string = not in_string
+        elif text[offset] == ";" and not in_string:
             return offset
     return stop

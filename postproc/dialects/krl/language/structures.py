@@ -19,7 +19,7 @@ from postproc.program import Bools, Ints
 _DEEPEST = 100
 LOOPS = frozenset({"FOR", "WHILE", "LOOP", "REPEAT"})
 _CLOSING = {closing: opening for opening, closing in OPENING.items()} | {"UNTIL": "REPEAT"}
-_DIVIDING = {"ELSE": "IF", "CASE": "SWITCH", "DEFAULT": "SWITCH"}
+_DIVIDERS = {"ELSE": "IF", "CASE": "SWITCH", "DEFAULT": "SWITCH"}
 
 
 class Part(Struct, frozen=True, eq=False):
@@ -97,45 +97,47 @@ def nodes_of(source: Source, lines: Sequence[int]) -> tuple[Node, ...]:
     """
     if len(lines) == 1:
         return (lines[0],)
-    out: list[Node] = []
+    nodes: list[Node] = []
     open_: list[_Open] = []
     for line in lines:
         start, stop = source.code_span(line)
         word = word_at(source.text, start, stop)
-        here = open_[-1] if open_ else None
+        innermost = open_[-1] if open_ else None
         if word in OPENING or word == "REPEAT":
             open_.append(_Open(word, line, [], line, []))
             if len(open_) > _DEEPEST:
                 problem = f"more than {_DEEPEST} control structures are nested"
                 raise source.line_error(problem, line, "Put the inner ones into a subprogram.")
-        elif here is not None and _CLOSING.get(word) == here.word:
-            here.divide(line)
+        elif innermost is not None and _CLOSING.get(word) == innermost.word:
+            innermost.divide(line)
             open_.pop()
-            (open_[-1].nodes if open_ else out).append(Block(here.word, here.first, line, tuple(here.parts)))
-        elif here is not None and _DIVIDING.get(word) == here.word:
-            here.divide(line)
+            (open_[-1].nodes if open_ else nodes).append(
+                Block(innermost.word, innermost.first, line, tuple(innermost.parts))
+            )
+        elif innermost is not None and _DIVIDERS.get(word) == innermost.word:
+            innermost.divide(line)
         else:
-            (here.nodes if here is not None else out).append(line)
+            (innermost.nodes if innermost is not None else nodes).append(line)
     if open_:
         first = open_[0].first
-        out += [line for line in lines if line >= first]
-    return tuple(out)
+        nodes += [line for line in lines if line >= first]
+    return tuple(nodes)
 
 
-def outside(source: Source, lines: Sequence[int], others: Ints) -> Bools:
+def outside(source: Source, lines: Sequence[int], line_numbers: Ints) -> Bools:
     """Return which of other lines (n,) are outside of the control structures that some lines open and close."""
-    opened: list[int] = []
-    closed: list[int] = []
+    begin_lines: list[int] = []
+    end_lines: list[int] = []
     depth = 0
     for line in lines:
         word = word_at(source.text, *source.code_span(line))
         if word in OPENING or word == "REPEAT":
-            opened += [] if depth else [line]
+            begin_lines += [] if depth else [line]
             depth += 1
         elif depth and word in _CLOSING:
             depth -= 1
-            closed += [] if depth else [line]
-    return np.asarray(np.searchsorted(opened, others) == np.searchsorted(closed, others))
+            end_lines += [] if depth else [line]
+    return np.asarray(np.searchsorted(begin_lines, line_numbers) == np.searchsorted(end_lines, line_numbers))
 
 
 def checked(source: Source, nodes: tuple[Node, ...]) -> tuple[Node, ...]:
@@ -166,16 +168,16 @@ def _mistakes(source: Source, nodes: Sequence[Node], *, in_loop: bool) -> Iterat
 
 def _mistake(source: Source, line: int) -> tuple[str, str] | None:
     """Return the error in a line of a control structure, and the advice."""
-    here, own = statement(source, line), "Write it on a line of its own."
-    if isinstance(here, Bare):
-        return (f"{here.behind!r} follows {here.word}", own) if here.behind else None
-    if isinstance(here, If):
-        if not here.then:
+    node, own_line_advice = statement(source, line), "Write it on a line of its own."
+    if isinstance(node, Bare):
+        return (f"{node.behind!r} follows {node.word}", own_line_advice) if node.behind else None
+    if isinstance(node, If):
+        if not node.then:
             return "IF without THEN", "Write THEN behind the condition, on the same line."
-        if here.condition is None:
+        if node.condition is None:
             return "IF without a condition", "Write it between IF and THEN."
-        return (f"{here.behind!r} follows THEN", own) if here.behind else None
-    behind = list(words_in(source.text, here.start + len(here.word), here.stop))
-    if any(word in MOTION_WORDS and source.text[at.stop : at.stop + 1] in (" ", "\t") for word, at in behind):
-        return f"a motion follows {here.word}", own
+        return (f"{node.behind!r} follows THEN", own_line_advice) if node.behind else None
+    following_words = list(words_in(source.text, node.start + len(node.word), node.stop))
+    if any(word in MOTION_WORDS and source.text[at.stop : at.stop + 1] in (" ", "\t") for word, at in following_words):
+        return f"a motion follows {node.word}", own_line_advice
     return None
