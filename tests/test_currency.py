@@ -9,7 +9,7 @@ import shutil
 import pytest
 
 from postproc import robot
-from postproc.jobs import Settings, currency, find_jobs
+from postproc.jobs import Settings, conversion, currency, find_jobs
 from postproc.jobs.runs import convert_all
 from tests.documentation.pages import ROOT
 
@@ -139,6 +139,24 @@ def test_a_report_that_does_not_say_what_it_was_made_from_is_not_current(folder,
     del content[name]
     report.write_text(json.dumps(content))
     assert changes(folder) == (currency.UNKNOWN,)
+
+
+def test_a_cell_that_is_edited_during_a_conversion_is_refused(folder, monkeypatch):
+    """Else the result would state the sum of a cell that it was not computed with."""
+    original = conversion.converted
+
+    def slow(*arguments):
+        result = original(*arguments)
+        path = folder / "corrected" / "cell.toml"
+        path.write_text(path.read_text().replace("X = 1500", "X = 1501"))
+        return result
+
+    monkeypatch.setattr(conversion, "converted", slow)
+    results = folder / "corrected"
+    jobs = find_jobs([str(folder / "part.nc")], forces=results / "part.process.toml", output=results)
+    (outcome,) = convert_all(jobs, Settings(cell=results / "cell.toml"))
+    assert "were changed while the program was converted" in outcome.message
+    assert not (results / "part.src").exists(), "that of an earlier run is set aside, as after any failure"
 
 
 SUBPROGRAM = "DEF CUT( )\nLIN {X 20,Y 0,Z 0,A 180,B 0,C 180}\nEND\n"

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
-import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from postproc.errors import InputError, argument
+from postproc.progress import LINES, VARIABLE, read
 
 MOST = 4
 """Commands at the same time; more would only share the processors."""
+PATIENCE_S = 25.0
+"""A command that is stopped has ended after this time: it ends itself a little earlier."""
+_NEW_GROUP = 0x200
+"""CREATE_NEW_PROCESS_GROUP of Windows."""
 _KEPT = 200_000
 """Characters of output that are kept."""
 
@@ -28,21 +33,26 @@ class Run:
 
     :ivar key: what it is about, such as ``"part.nc"``; one command at a time has a key.
     :ivar code: exit code; None while it runs.
+    :ivar share: how much of the present step is done, 0 to 1; None: unknown. `step`: what it counts.
     """
 
     def __init__(self, number: int, key: str, title: str, arguments: Sequence[str], folder: Path) -> None:
         self.number, self.key, self.title, self.arguments = number, key, title, tuple(arguments)
         self.is_stopped = False
+        self.share: float | None = None
+        self.step = ""
         self._text = ""
+        variables = {"PYTHONIOENCODING": "utf-8", "PYTHONUNBUFFERED": "1", "NO_COLOR": "1", VARIABLE: LINES}
         self._process: subprocess.Popen[bytes] = subprocess.Popen(
             # -P: a numpy.py in the folder is not what Python imports
-            [sys.executable, "-P", "-m", "postproc", *arguments],
+            [sys.executable, "-P", "-m", "postproc.app.child", *arguments],
             cwd=folder,
-            stdin=subprocess.DEVNULL,
+            stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
-            env={**os.environ, "PYTHONIOENCODING": "utf-8", "PYTHONUNBUFFERED": "1", "NO_COLOR": "1"},
-            creationflags=0x200 if os.name == "nt" else 0,  # a process group: Ctrl-Break reaches it alone
+            env={**os.environ, **variables},
+            # Ctrl-C is for the window, which ends its commands in order
+            creationflags=_NEW_GROUP if os.name == "nt" else 0,
             start_new_session=os.name != "nt",
         )
         self._reader = threading.Thread(target=self._read, daemon=True)
@@ -51,9 +61,19 @@ class Run:
     def _read(self) -> None:
         assert self._process.stdout is not None
         with self._process.stdout as stream:
-            for line in stream:
-                self._text = (self._text + line.decode(errors="replace").replace("\r\n", "\n"))[-_KEPT:]
+            for data in stream:
+                line = data.decode(errors="replace").replace("\r\n", "\n")
+                if (progress := read(line)) is not None:
+                    self.share, self.step = progress
+                else:
+                    self._text = (self._text + line)[-_KEPT:]
         self._process.wait()
+        self._close_pipe()
+
+    def _close_pipe(self) -> None:
+        assert self._process.stdin is not None
+        with contextlib.suppress(OSError):
+            self._process.stdin.close()
 
     @property
     def code(self) -> int | None:
@@ -71,10 +91,10 @@ class Run:
         return command_line(self.arguments)
 
     def stop(self) -> None:
-        """Ask it to end; what it has written is whole."""
+        """Ask it to end, by the end of its pipe; what it has written is whole."""
         if self.code is None:
             self.is_stopped = True
-            self._process.send_signal(signal.CTRL_BREAK_EVENT if os.name == "nt" else signal.SIGTERM)  # type: ignore[attr-defined,unused-ignore]
+            self._close_pipe()
 
     def wait(self, seconds: float | None = None) -> None:
         """Wait until it has ended."""
@@ -89,12 +109,16 @@ class Runs:
         self._runs: list[Run] = []
         self._lock = threading.Lock()
 
-    def begin(self, key: str, title: str, arguments: Sequence[str]) -> Run:
+    def begin(self, key: str, title: str, arguments: Sequence[str], change: Callable[[], object] | None = None) -> Run:
         """Begin a command; if one with this key runs already, as from another window, return that one.
 
-        :raises InputError: too many run already.
+        :param change: changes a file that commands read, before this one begins; see `edit`.
+        :raises InputError: too many run already; with `change`: any runs, and nothing is changed.
         """
         with self._lock:
+            if change is not None:
+                self._check_idle()
+                change()
             active = [run for run in self._runs if run.code is None]
             for run in active:
                 if run.key == key:
@@ -103,6 +127,20 @@ class Runs:
                 raise InputError(f"{MOST} commands run already", advice="Wait until one has ended, or stop one.")
             self._runs.append(Run(len(self._runs), key, title, arguments, self.folder))
             return self._runs[-1]
+
+    def edit(self, change: Callable[[], object]) -> None:
+        """Change a file that commands read, while none runs: a result is made of one content of it.
+
+        :raises InputError: one runs; nothing is changed.
+        """
+        with self._lock:
+            self._check_idle()
+            change()
+
+    def _check_idle(self) -> None:
+        if (run := next((run for run in self._runs if run.code is None), None)) is not None:
+            problem = f"{run.title!r} runs and reads the cell: nothing was changed"
+            raise InputError(problem, advice="Wait until it has ended, or stop it.")
 
     def numbered(self, number: str) -> Run:
         """Return a run.
@@ -122,4 +160,4 @@ class Runs:
         for run in self._runs:
             run.stop()
         for run in self._runs:
-            run.wait(10.0)
+            run.wait(PATIENCE_S)

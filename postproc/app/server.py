@@ -154,7 +154,7 @@ class _Handler(BaseHTTPRequestHandler):
         :param texts: posted answers; None: the page is opened.
         """
         workspace, name = self.server.workspace, self.query.get("name", "")
-        program = workspace.program(name)
+        program = workspace.sole_program(name)
         answers = load_answers(workspace.results / f"{program.stem}.answers.toml", program)
         process = workspace.results / f"{program.stem}.process.toml"
         needs = needs_of(program)
@@ -187,7 +187,7 @@ class _Handler(BaseHTTPRequestHandler):
     def run_state(self) -> None:
         """Send what a command has printed."""
         run = self.server.runs.numbered(self.query.get("number", ""))
-        content = {"code": run.code, "text": run.text}
+        content = {"code": run.code, "text": run.text, "share": run.share, "step": run.step}
         self._send(200, json.dumps(content).encode(), "application/json")
 
     def cell(self, fault: str = "") -> None:
@@ -247,13 +247,13 @@ class _Handler(BaseHTTPRequestHandler):
         self.begin(name, f"Best place for {name}", self._with_cell("place", name, output=folder))
 
     def take_place(self) -> None:
-        """Write the base of the best place into the cell."""
+        """Write the base of the best place into the cell, and correct again; both, or nothing."""
         name = self._named(self.form())
         workspace = self.server.workspace
-        place = workspace.place(name)
-        base = tomllib.loads(place.read_text(encoding="utf-8"))["base"]
-        edit(workspace.stated_cell(), {f"base.{axis}": str(base[axis]) for axis in "XYZABC" if axis in base})
-        self.begin(name, f"Correct {name}", self._with_cell("convert", name))
+        base = tomllib.loads(workspace.place(name).read_text(encoding="utf-8"))["base"]
+        numbers = {f"base.{axis}": str(base[axis]) for axis in "XYZABC" if axis in base}
+        arguments = self._with_cell("convert", name)
+        self.begin(name, f"Correct {name}", arguments, lambda: edit(workspace.stated_cell(), numbers))
 
     def compare(self) -> None:
         """Compare a program with another."""
@@ -286,19 +286,23 @@ class _Handler(BaseHTTPRequestHandler):
 
     def posted_cell(self) -> None:
         """Take numbers of the cell."""
+        form = self.form()
         try:
-            edit(self.server.workspace.stated_cell(), self.form())
+            self.server.runs.edit(lambda: edit(self.server.workspace.stated_cell(), form))
         except InputError as cause:
             return self.cell(str(cause))
         return self._lead("/cell?saved")
 
-    def begin(self, key: str, title: str, arguments: list[str]) -> None:
-        """Begin a command, and lead to its page."""
-        run: Run = self.server.runs.begin(key, title, arguments)
+    def begin(self, key: str, title: str, arguments: list[str], change: Callable[[], object] | None = None) -> None:
+        """Begin a command, and lead to its page.
+
+        :param change: see `Runs.begin`.
+        """
+        run: Run = self.server.runs.begin(key, title, arguments, change)
         self._lead(f"/run?number={run.number}")
 
     def _named(self, form: dict[str, str]) -> str:
-        return self.server.workspace.program(form.get("name", "")).name
+        return self.server.workspace.sole_program(form.get("name", "")).name
 
     def _forces(self, name: str) -> list[str]:
         process = self.server.workspace.process(name)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import re
 import tempfile
+from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import Protocol
 
@@ -33,6 +35,10 @@ _FOREIGN = re.compile(r'[\x00-\x1f<>:"/\\|?*]|^[-.~]|[. ]$|^(con|prn|aux|nul|com
 _PIECE = 1 << 20
 
 
+_LANGUAGES = ("krl", "rapid")
+"""Languages that programs are written in."""
+
+
 class Bytes(Protocol):
     """What is read from: a socket, a file."""
 
@@ -45,16 +51,18 @@ class Item(Struct, frozen=True):
     """A program of the folder and its results.
 
     :param changes: what differs from what the results were made from, see `currency.changes`; empty: they are current.
+    :param twin: another program of the folder that would be written to the same files; empty: there is none.
     """
 
     name: str
     entry: Entry | None
     changes: tuple[str, ...] = ()
+    twin: str = ""
 
     @property
     def current(self) -> bool:
         """Return whether the results are those of the present inputs."""
-        return self.entry is not None and not self.changes
+        return self.entry is not None and not self.changes and not self.twin
 
 
 class Workspace(Struct, frozen=True):
@@ -81,6 +89,21 @@ class Workspace(Struct, frozen=True):
         :raises InputError: there is none of this name in it.
         """
         return _inside(self.folder, name)
+
+    def sole_program(self, name: str) -> Path:
+        """Return the path of a program whose results are its own.
+
+        :raises InputError: there is none of this name, or another program would be written to the same files.
+        """
+        path = self.program(name)
+        if twin := _twin(name, self._names()):
+            raise InputError(f"{name} and {twin} would be written to the same files", advice="Rename one of them.")
+        return path
+
+    def _names(self) -> list[str]:
+        """Return the names of the programs of the folder, sorted."""
+        known = set(registry.extensions())
+        return sorted(path.name for path in self.folder.iterdir() if path.suffix.lower() in known and path.is_file())
 
     def result(self, name: str) -> Path:
         """Return the path of a result, in `RESULTS` or a folder of it: ``part.report.html``, ``place/place.html``.
@@ -126,12 +149,11 @@ class Workspace(Struct, frozen=True):
     def items(self) -> list[Item]:
         """Return the programs of the folder, sorted by name."""
         entries = {entry.name: entry for entry in reported(self.results)} if self.results.is_dir() else {}
-        known_names = set(registry.extensions())
-        names = sorted(
-            path.name for path in self.folder.iterdir() if path.suffix.lower() in known_names and path.is_file()
-        )
-        setup = Setup.of(self.cell)
-        return [Item(name, entries.get(name), self._changes(name, entries.get(name), setup)) for name in names]
+        setup, names = Setup.of(self.cell), self._names()
+        return [
+            Item(name, entries.get(name), self._changes(name, entries.get(name), setup), _twin(name, names))
+            for name in names
+        ]
 
     def _changes(self, name: str, entry: Entry | None, setup: Setup) -> tuple[str, ...]:
         if entry is None:
@@ -156,6 +178,9 @@ class Workspace(Struct, frozen=True):
         if os.path.lexists(path):
             advice = "Rename the new one, or replace the file in the folder."
             raise InputError(f"{name} is in the folder already", advice=advice)
+        if twin := _twin(name, self._names()):
+            problem = f"{name} and {twin}, which is in the folder, would be written to the same files"
+            raise InputError(problem, advice="Rename the new one.")
         with tempfile.NamedTemporaryFile(dir=self.folder, prefix=".postproc-", delete=False) as file:
             upload_path = Path(file.name)
             absent_parts = size
@@ -171,6 +196,21 @@ class Workspace(Struct, frozen=True):
         finally:
             upload_path.unlink(missing_ok=True)
         return path
+
+
+def _twin(name: str, names: Sequence[str]) -> str:
+    """Return another program that would be written to the same files, in a robot's language or by the window."""
+    stems = _written_stems(name)
+    return next((other for other in names if other != name and stems & _written_stems(other)), "")
+
+
+@cache
+def _written_stems(name: str) -> frozenset[str]:
+    """Return the names without extension, lower case, that the files of a program may have."""
+    stem = Path(name).stem
+    return frozenset(
+        text.lower() for text in (stem, *(registry.written_in(language)[1].valid(stem) for language in _LANGUAGES))
+    )
 
 
 def _inside(folder: Path, name: str) -> Path:

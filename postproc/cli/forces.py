@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
-import sys
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import click
 
 from postproc.cli import options
+from postproc.progress import shown
 
 _PATH = click.Path(path_type=Path)
 
@@ -51,7 +49,7 @@ def forces(as_json: bool, materials: bool, **request: Any) -> None:
         if request[name] is None:
             raise click.UsageError("Give PROGRAM, --cell, --process and -o (or --materials).")
     force_request = ForcesRequest(**request)
-    with _progress() as progress:
+    with shown("moves") as progress:
         files = make_forces(force_request, progress)
     for issue in files.issues:
         click.echo(issue_line(issue_entry(issue), str(force_request.program)), err=True)
@@ -60,17 +58,3 @@ def forces(as_json: bool, materials: bool, **request: Any) -> None:
     else:
         click.echo(process_forces.as_text(files.summary))
         click.echo(f"written: {', '.join(path.name for path in files.written)}")
-
-
-@contextlib.contextmanager
-def _progress() -> Iterator[Callable[[int, int], None] | None]:
-    """Show how far the work is, on a terminal."""
-    if not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("moves")
-        yield lambda count, of: bar.update(task, completed=count, total=of)

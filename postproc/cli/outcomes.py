@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from postproc.cli.faults import fault_message
+from postproc.progress import as_lines, lines
 
 if TYPE_CHECKING:
     from postproc.jobs import Job, Outcome, Settings
@@ -93,6 +94,10 @@ def _with_progress(run: Callable[..., Iterator[Outcome]], count: int) -> Iterato
     """
     import sys
 
+    if as_lines():
+        show = lines()
+        yield from run(progress=lambda done, of: show("moves through the stock", done / max(of, 1)))
+        return
     if not sys.stderr.isatty():
         yield from run()
         return

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 import sys
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import click
 
 from postproc.cli import options
+from postproc.progress import shown
 
 _PATH = click.Path(path_type=Path)
 
@@ -50,7 +49,7 @@ def place(as_json: bool, **request: Any) -> None:
 
     if request["forces"] is not None and request["process"] is not None:
         raise click.UsageError("Give --forces or --process, not both.")
-    with _progress() as progress:
+    with shown("places") as progress:
         files = make_place(PlaceRequest(**request), progress)
     if as_json:
         click.echo((request["output"] / "place.json").read_text(encoding="utf-8"), nl=False)
@@ -59,18 +58,3 @@ def place(as_json: bool, **request: Any) -> None:
         click.echo("written: " + ", ".join(str(path) for path in files.written))
     if files.summary.best is None:
         sys.exit(1)
-
-
-@contextlib.contextmanager
-def _progress() -> Iterator[Callable[[int, int], None] | None]:
-    """Yield a function that shows places done, where someone is looking."""
-    if not sys.stderr.isatty():
-        yield None
-        return
-    with click.progressbar(length=1, label="places", file=sys.stderr) as bar:
-
-        def show(done: int, total: int) -> None:
-            bar.length = total
-            bar.update(done - bar.pos)
-
-        yield show

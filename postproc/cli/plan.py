@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from postproc.cli import options
+from postproc.progress import as_lines, lines
 
 if TYPE_CHECKING:
     from postproc.plan.planning import Progress
@@ -153,6 +154,10 @@ def poses(programs: tuple[str, ...], other_programs: tuple[str, ...], as_json: b
 @contextlib.contextmanager
 def _shown() -> Iterator[Progress | None]:
     """Yield the function that draws the progress of the search; None if stderr is no terminal."""
+    if as_lines():
+        show_line = lines()
+        yield lambda stage, share, _: show_line(stage, share)
+        return
     if not sys.stderr.isatty():
         yield None
         return

@@ -154,6 +154,17 @@ def _inputs(origin: provenance.Origin, program: Program, output: Path) -> Inputs
     )
 
 
+def _check_unchanged(before: provenance.Origin, summary: Summary) -> None:
+    """Check that the sums that a result states are those of the files that it was computed from.
+
+    :raises InputError: a file was changed meanwhile.
+    """
+    stated = summary.inputs
+    if stated is not None and (stated.cell, stated.model, stated.forces) != (before.cell, before.model, before.forces):
+        problem = "the cell, the robot model or the forces were changed while the program was converted"
+        raise InputError(problem, file=summary.program, advice="Convert it again.")
+
+
 def _record(origin: provenance.Origin, path: Path, cell: Cell) -> Record:
     """Return the record of a program that is converted now; see `origin_of`."""
     sums = {"program": origin.source, "cell": origin.cell, "robot model": origin.model, "forces": origin.forces}
@@ -181,13 +192,14 @@ def convert(
     try:
         check_utf8(job.program)
         name = None if job.keeps_text else job.stem
+        before = origin_of((), settings.cell, cell, job.forces, "corrected")
         program, cell = read_started(job.program, robot, cell, job.dialect, name)
         result, process = converted(job, settings, cell, robot, program, progress)
         if result.failed:
             return Outcome(str(job.program), FAILED, issues=result.issues)
         result, subprogram_files, copies = _with_subprograms(task, settings, cell, robot, result)
         output = _made(job, settings, cell, result, subprogram_files, copies, process)
-
+        _check_unchanged(before, output.summary)
         is_computed = True
         staged_files = files.stage(job.output, output.contents)
     except Exception as cause:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from threading import Thread
 
 import pytest
@@ -14,10 +15,18 @@ def window(tmp_path):
     """A window that answers, on an empty folder."""
     folder = tmp_path / "shop"
     folder.mkdir()
-    with Window(folder, 0) as served:
-        thread = Thread(target=served.serve_forever, kwargs={"poll_interval": 0.05}, daemon=True)
-        thread.start()
+    with Window(folder, 0) as served, answering(served):
         yield served
-        served.runs.stop_all()
-        served.shutdown()
+
+
+@contextlib.contextmanager
+def answering(window):
+    """Let a window answer; at the end its commands are stopped."""
+    thread = Thread(target=window.serve_forever, kwargs={"poll_interval": 0.05}, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        window.runs.stop_all()
+        window.shutdown()
         thread.join()

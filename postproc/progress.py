@@ -1,0 +1,69 @@
+"""How far a command is: a bar on a terminal, or lines for a program that started the command.
+
+With ``POSTPROC_PROGRESS=lines`` in the environment, stderr gets lines such as ``␞progress 0.42 places``: the record
+separator (U+001E), the share done, what it counts. The window reads them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from collections.abc import Callable, Iterator
+
+VARIABLE, LINES = "POSTPROC_PROGRESS", "lines"
+MARK = "\x1eprogress"
+_STEP = 0.01
+"""Smallest change of the share that is worth a line."""
+
+
+@contextlib.contextmanager
+def shown(label: str) -> Iterator[Callable[[int, int], None] | None]:
+    """Yield the function that shows how many of a number are done; None where nobody looks.
+
+    :param label: what is counted, such as ``"places"``.
+    """
+    if as_lines():
+        show = lines()
+        yield lambda count, total: show(label, count / max(total, 1))
+    elif not sys.stderr.isatty():
+        yield None
+    else:
+        from rich.console import Console
+        from rich.progress import Progress
+
+        with Progress(console=Console(stderr=True), transient=True) as bar:
+            task = bar.add_task(label)
+            yield lambda count, total: bar.update(task, completed=count, total=total)
+
+
+def as_lines() -> bool:
+    """Return whether a program that started the command reads its progress."""
+    return os.environ.get(VARIABLE) == LINES
+
+
+def lines() -> Callable[[str, float], None]:
+    """Return the function that prints a step and the share of it that is done, 0 to 1."""
+    last_step, last_share = "", 0.0
+
+    def show(step: str, share: float) -> None:
+        nonlocal last_step, last_share
+        if step == last_step and abs(share - last_share) < _STEP and share < 1.0:
+            return
+        last_step, last_share = step, share
+        with contextlib.suppress(OSError, ValueError):
+            sys.stderr.write(f"{MARK} {min(max(share, 0.0), 1.0):.3f} {step}\n")
+            sys.stderr.flush()
+
+    return show
+
+
+def read(line: str) -> tuple[float, str] | None:
+    """Return the share and the step of a line; None: it is one of the output."""
+    words = line.rstrip("\r\n").split(" ", 2)
+    if len(words) != 3 or words[0] != MARK:
+        return None
+    try:
+        return float(words[1]), words[2]
+    except ValueError:
+        return None

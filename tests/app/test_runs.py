@@ -1,0 +1,155 @@
+"""Commands of a window: stopped, ended with it, and none while a file that they read is changed."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from urllib.parse import urlencode
+
+import pytest
+
+from postproc.app.runs import Run, Runs
+from postproc.errors import InputError
+from tests.app.test_access import ask
+from tests.test_currency import made
+
+WATCH = ("watch", ".", "--cell", "corrected/cell.toml")
+"""A command that runs until it is stopped."""
+PATIENCE_S = 60.0
+
+
+@pytest.fixture
+def shop(tmp_path):
+    folder = made(tmp_path / "made")
+    (folder / "corrected" / "place-part").mkdir()
+    (folder / "corrected" / "place-part" / "place.toml").write_text("[base]\nX = 1600.0\nY = 0.0\nZ = 700.0\nA = 0.0\n")
+    return folder
+
+
+def until(condition):
+    end = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def test_a_command_is_stopped_by_the_end_of_its_pipe(shop):
+    run = Run(0, "part.nc", "Watch", WATCH, shop)
+    until(lambda: run.text)
+    assert run.code is None
+    run.stop()
+    run.wait(PATIENCE_S)
+    assert (run.code, run.is_stopped) == (128 + signal.SIGTERM, True)
+
+
+STARTER = """
+import sys, time
+from pathlib import Path
+from postproc.app.runs import Run
+run = Run(0, "part.nc", "Watch", sys.argv[2:], Path(sys.argv[1]))
+while not run.text:
+    time.sleep(0.05)
+print(run._process.pid, flush=True)
+time.sleep(600)
+"""
+
+
+def test_commands_of_a_killed_window_end(shop):
+    window = subprocess.Popen([sys.executable, "-c", STARTER, str(shop), *WATCH], stdout=subprocess.PIPE, text=True)
+    command = int(window.stdout.readline())
+    os.kill(command, 0)
+    window.kill()
+    window.wait()
+    window.stdout.close()
+
+    def gone():
+        try:
+            os.kill(command, 0)
+        except ProcessLookupError:
+            return True
+        with contextlib.suppress(OSError), open(f"/proc/{command}/stat") as status:  # noqa: PTH123 - a name of the system
+            return status.read().rpartition(")")[2].split()[0] == "Z"
+        return False
+
+    until(gone)
+
+
+def test_questions_of_a_command_have_no_answer(shop):
+    run = Run(0, "part.nc", "Start", ("start", "part.nc", "--no-open", "-o", "elsewhere"), shop)
+    run.wait(PATIENCE_S)
+    assert run.code == 2
+    assert "there is no terminal to ask on" in run.text
+
+
+def test_how_far_a_search_is(shop):
+    region = ("--region", "X=1450:1550,Y=-50:50")
+    run = Run(0, "part.nc", "Place", ("place", "part.nc", "--cell", "corrected/cell.toml", *region, "-o", "out"), shop)
+    shares = []
+    while run.code is None:
+        shares.append(run.share)
+        time.sleep(0.01)
+    assert run.code in (0, 1), run.text
+    assert (run.share, run.step) == (1.0, "places")
+    assert "\x1e" not in run.text
+    stated = [share for share in shares if share is not None]
+    assert stated == sorted(stated)
+
+
+def test_a_file_that_commands_read_is_not_changed_while_one_runs(shop):
+    runs, changed = Runs(shop), []
+    run = runs.begin("part.nc", "Watch", WATCH)
+    with pytest.raises(InputError, match="nothing was changed"):
+        runs.edit(lambda: changed.append("edit"))
+    with pytest.raises(InputError, match="nothing was changed"):
+        runs.begin("other.nc", "Correct", WATCH, lambda: changed.append("begin"))
+    assert (changed, runs.begin("part.nc", "Watch", WATCH)) == ([], run)
+    runs.stop_all()
+    runs.edit(lambda: changed.append("edit"))
+    assert changed == ["edit"]
+
+
+def test_a_place_is_not_taken_while_a_command_runs(shop):
+    from postproc.app.server import Window
+    from tests.app.conftest import answering
+
+    with Window(shop, 0) as window, answering(window):
+        cell = window.workspace.cell.read_bytes()
+        run = window.runs.begin("other.nc", "Watch", WATCH)
+        status, _, page = ask(window, "POST", "/take-place", urlencode({"name": "part.nc"}).encode())
+        assert status == 400
+        assert b"nothing was changed" in page
+        assert window.workspace.cell.read_bytes() == cell
+        assert ask(window, "POST", "/cell", b"base.X=1700")[0] == 400
+        assert window.workspace.cell.read_bytes() == cell
+        run.stop()
+        run.wait(PATIENCE_S)
+        assert ask(window, "POST", "/take-place", urlencode({"name": "part.nc"}).encode())[0] == 303
+        assert b"X = 1600" in window.workspace.cell.read_bytes()
+
+
+@pytest.mark.parametrize("name", ["part.apt", "PART.NC", "part.src"])
+def test_programs_that_would_be_written_to_the_same_files_are_refused(shop, name):
+    from postproc.app.workspace import Workspace
+
+    workspace = Workspace(shop.resolve())
+    (shop / name).write_text("x")
+    with pytest.raises(InputError, match="same files"):
+        workspace.sole_program("part.nc")
+    assert [item.current for item in workspace.items()] == [False, False]
+    (shop / name).unlink()
+    assert workspace.sole_program("part.nc").name == "part.nc"
+    with open(shop / "part.nc", "rb") as file, pytest.raises(InputError, match="same files"):  # noqa: PTH123
+        workspace.add(name, file, 10)
+
+
+def test_names_that_become_one_on_the_controller_are_the_same(shop):
+    from postproc.app.workspace import Workspace
+
+    for name in ("my part.nc", "my_part.nc"):
+        (shop / name).write_text("G0 X1\n")
+    with pytest.raises(InputError, match="same files"):
+        Workspace(shop.resolve()).sole_program("my part.nc")
