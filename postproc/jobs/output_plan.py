@@ -453,7 +453,7 @@ class OutputPlan:
         return [
             replace(
                 member.outcome,
-                file_sets=None,
+                staged=None,
                 written=tuple(str(folder / name) for name in member.outcome.staged.names),
             )
             for member in group
