@@ -157,10 +157,14 @@ class Place:
         for step in self.path[:-1]:
             value = value.setdefault(step, {})
         last = self.path[-1]
+        names = [step for step in self.path if isinstance(step, str)]
         if isinstance(last, int | tuple):
             kind = self.variable.kind
         else:
-            kind = "REAL" if last in CARTESIAN else members.get(last, "")
+            for name in names[:-1]:
+                members = members.get(name, {}) if isinstance(members, dict) else {}
+            own = isinstance(members, dict) and members
+            kind = members.get(last, "") if own else "REAL" if last in CARTESIAN else ""
         value[last] = fitting(kind, new)
 
 
@@ -382,7 +386,7 @@ class Controller:
             first = reader.take()
             if reader.kind() == "name":
                 kind, first = first, reader.take()
-            members[first] = kind
+            members[first] = self.structures.get(kind, kind)
             if reader.kind():
                 reader.take(",")
 
@@ -407,7 +411,7 @@ class Controller:
                 parameters = []
                 for part in filter(None, map(str.strip, head[4].split(","))):
                     name, _, way = part.partition(":")
-                    parameters.append((name.strip().upper(), way.strip().upper() == "IN"))
+                    parameters.append((name.replace("[]", "").strip().upper(), way.strip().upper() == "IN"))
                 result = (head[2] or "").upper()
                 routine = Routine(module, head[3].upper(), parameters, [], bool(head[1]), result)
                 module.routines[routine.name] = routine
@@ -784,6 +788,11 @@ class Controller:
         if reader.peek() in (",", ")"):
             return Place(Variable())
         if reader.kind() == "name" and reader.peek(1) != "(" and reader.peek() not in _NO_VARIABLES:
+            if reader.peek(1) == "[" and reader.peek(2) == "]":
+                found = self.lookup(reader.take())
+                reader.take("[")
+                reader.take("]")
+                return Place(found.variable, list(found.path)) if isinstance(found, Place) else Place(found)
             place = self.place(reader)
             if reader.peek() in (",", ")") and not by_value:
                 return place

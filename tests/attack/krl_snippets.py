@@ -34,6 +34,9 @@ R[1]=0.5
 R[2]=1.25
 R[3]=7.5
 STRUC PT INT N,REAL R,BOOL B
+STRUC INNER FRAME F,INT N
+STRUC WHOLE INT X,INNER I
+DECL WHOLE SN={X 2,I {F {X 1,Y 2,Z 3,A 4,B 5,C 6},N 3}}
 DECL PT SX={N 1,R 2.5,B TRUE}
 DECL PT SA[3]
 SA[1]={N 1,R 1.5,B TRUE}
@@ -48,7 +51,7 @@ DECL CONST INT NC=2
 DECL INT I=1
 DECL INT J=2
 """
-GIVEN = {"GIVENN": 2, "GIVENR": 0.375, "GIVENB": True, "$IN[5]": True, "$IN[6]": False}
+GIVEN = {"GIVENN": 2, "GIVENR": 0.375, "GIVENB": True, "GIVENX": 2.6, "$IN[5]": True, "$IN[6]": False}
 """What `[krl.values]` of the cell gives."""
 
 
@@ -89,7 +92,22 @@ class Snippets(Generator):
         return getattr(self, f"value_{kind.lower()}")(depth)
 
     def value_int(self, depth):
-        known = ["1", "2", "3", "I", "J", "NC", "N[2]", "N[J]", "SX.N", "SA[J].N", "GIVENN", "SA[N[3]].N"]
+        known = [
+            "1",
+            "2",
+            "3",
+            "I",
+            "J",
+            "NC",
+            "N[2]",
+            "N[J]",
+            "SX.N",
+            "SA[J].N",
+            "GIVENN",
+            "SA[N[3]].N",
+            "SN.X",
+            "SN.I.N",
+        ]
         if depth > 1 or self.maybe(0.4):
             return self.one(*known)
         a, b = self.value_int(depth + 1), self.value_int(depth + 1)
@@ -108,7 +126,19 @@ class Snippets(Generator):
         )
 
     def value_real(self, depth):
-        known = ["0.5", "1.25", "R[1]", "R[J]", "SX.R", "SA[2].R", "GIVENR", "SA[J].R", "XA.X/100", "P[J].Y"]
+        known = [
+            "0.5",
+            "1.25",
+            "R[1]",
+            "R[J]",
+            "SX.R",
+            "SA[2].R",
+            "GIVENR",
+            "SA[J].R",
+            "XA.X/100",
+            "P[J].Y",
+            "SN.I.F.Y",
+        ]
         if depth > 1 or self.maybe(0.4):
             return self.one(*known)
         a, b = self.value_real(depth + 1), self.one(self.value_real(depth + 1), self.value_int(depth + 1))
@@ -186,6 +216,7 @@ class Snippets(Generator):
             return plain
         ways = [self.by_component, self.by_function, self.by_reference, self.by_routine, self.by_other_file]
         ways += [self.by_value, self.hidden, self.by_branch, self.by_switch, self.by_loop, self.by_copy]
+        ways += [self.by_array, self.by_label, self.by_leaving, self.by_array]
         ways += [self.by_rounding, self.by_jump, self.by_return, self.by_counting, self.by_nested_call, self.by_element]
         return ways[int(self.rng.integers(len(ways)))](kind, name, depth + 1)
 
@@ -194,6 +225,10 @@ class Snippets(Generator):
         return [f"{other}={self.value(kind)}", f"{name}={other}", f"{other}={self.literal(kind)}"]
 
     def by_component(self, kind, name, depth):
+        if self.maybe(0.25) and kind in ("INT", "FRAME", "REAL"):
+            member = {"INT": self.one("SN.X", "SN.I.N"), "FRAME": "SN.I.F", "REAL": "SN.I.F.Z"}[kind]
+            value = self.literal("FRAME") if kind == "FRAME" else self.one(self.value(kind), self.value("REAL"))
+            return [f"{member}={value}", f"{name}={member}"]
         if kind in ("E6POS", "FRAME"):
             component = self.one("X", "Y", "Z", "X", "Y", "A")
             return [f"{name}={self.value(kind)}" if self.maybe(0.5) else "", f"{name}.{component}={self.value('REAL')}"]
@@ -338,6 +373,41 @@ class Snippets(Generator):
             [f"FOR {counter}=1 TO 2", "LOOP", give, "EXIT", "ENDLOOP", "ENDFOR"],
         )
 
+    def by_array(self, kind, name, depth):
+        """A routine that gets a whole array."""
+        array = {"INT": "N", "REAL": "R", "E6POS": "P"}.get(kind)
+        if array is None:
+            return self.by_copy(kind, name, depth)
+        routine, inner = self.new("SUB"), self.new("SUB")
+        body = self.one(
+            [f"A[2]={self.value(kind)}"],
+            ["A[1]=A[3]", f"A[I+1]={self.value(kind)}", f"{name}=A[1]"],
+            ["FOR J=1 TO 2", f"A[J]={self.literal(kind)}", "ENDFOR", "J=2"],
+            [f"{inner}(A[])", "A[1]=A[2]"],
+            ["LIN A[2]", "A[2]=A[1]", "LIN A[2]"] if kind == "E6POS" else ["A[2]=A[1]"],
+        )
+        self.routines.append([f"DEF {inner}(B[])", f"DECL {kind} B[]", f"B[2]={self.literal(kind)}", "END"])
+        self.routines.append([f"DEF {routine}(A[]{self.one(':OUT', '')})", f"DECL {kind} A[]", *body, "END"])
+        return [f"{routine}({array}[])", f"{name}={array}[{self.one('1', '2', 'J')}]"]
+
+    def by_label(self, kind, name, depth):
+        """A label to which a GOTO leads back."""
+        counter, label = self.variable("INT", "0"), self.new("L")
+        value = {"INT": counter, "REAL": f"{counter}*0.25"}.get(kind, self.value(kind))
+        moves = self.one([], [], [f"LIN {self.literal('E6POS')}"])
+        back = [f"IF {counter}<{self.one('1', '2', '3')} THEN", f"GOTO {label}", "ENDIF"]
+        return [f"{label}:", f"{counter}={counter}+1", *moves, f"{name}={value}", *back]
+
+    def by_leaving(self, kind, name, depth):
+        """A loop that a GOTO leaves."""
+        counter, label = self.variable("INT", "0"), self.new("L")
+        value = {"INT": counter, "REAL": f"{counter}*0.25"}.get(kind, self.value(kind))
+        leave = [f"IF {counter}{self.one('==', '>=')}{self.one('1', '2', '3')} THEN", f"GOTO {label}", "ENDIF"]
+        moves = self.one([], [], [f"LIN {self.literal('E6POS')}"])
+        head, end = self.one((f"FOR {counter}=1 TO 3", "ENDFOR"), (f"FOR {counter}=1 TO 2", "ENDFOR"))
+        behind = self.one([], [f"{name}={self.value(kind)}"])
+        return [head, *moves, *leave, f"{name}={value}", end, *behind, f"{label}:"]
+
     def by_rounding(self, kind, name, depth):
         if kind == "INT":
             return [f"{name}={self.one('1.4', '2.6', '1.0', 'R[1]*2.4', '2.9999', 'SX.R-0.1', '0.6+1.1')}"]
@@ -470,7 +540,9 @@ class Snippets(Generator):
         if choice == 23 and kind == "INT":
             return [f"{name}={self.one('2.5', '1.5', '(1-4)/2+3', '2147483647+1', '0-3/2+4', 'N[9]')}"]
         if choice == 23 and kind == "BOOL":
-            return [f"{name}=({self.one('0.1*3', '0.3')}{self.one('==', '<>', '<', '>=')}{self.one('0.3', '0.1+0.2')})"]
+            sign, large = self.one("==", "<>", "<", ">="), self.one("100.00005", "99.99995", "1000.0005")
+            small = f"({self.one('0.1*3', '0.3')}{sign}{self.one('0.3', '0.1+0.2')})"
+            return [f"{name}={self.one(small, f'({large}{sign}{round(float(large))}.0)')}"]
         if choice == 24:
             label = self.new("L")
             return [f"IF {target} THEN", f"GOTO {label}", "ENDIF", write, f"{label}:"]
@@ -663,7 +735,7 @@ class Snippets(Generator):
         counter, label = self.variable("INT", "0"), self.new("L")
         routine = self.new("SUB")
         jumps = any("GOTO" in line or line.endswith(":") for line in lines)
-        choice = int(self.rng.integers(16))
+        choice = int(self.rng.integers(18))
         if choice < 3:
             return lines
         if choice == 3 and not jumps:
@@ -701,6 +773,13 @@ class Snippets(Generator):
                 [f"GOTO {label}", "LIN XB"], [f"IF {self.value('BOOL')} THEN", f"GOTO {label}", "ENDIF", "LIN XB"]
             )
             return [*skip, f"{label}:", *lines]
+        if choice == 15 and not jumps:
+            back = [f"IF {counter}<{self.one('1', '2')} THEN", f"GOTO {label}", "ENDIF"]
+            return [f"{label}:", f"{counter}={counter}+1", *lines, *back]
+        if choice == 16 and not jumps:
+            leave = [f"IF {counter}=={self.one('1', '2', '5')} THEN", f"GOTO {label}", "ENDIF"]
+            body = self.one([*lines, *leave], [*leave, *lines], [*lines, *leave, f"LIN {self.literal('E6POS')}"])
+            return [f"FOR {counter}=1 TO 2", *body, "ENDFOR", f"LIN {self.literal('E6POS')}", f"{label}:"]
         if choice == 14 and not jumps:
             inner = [f"FOR J=1 TO {self.one('I', '2')}", "LIN P[J]", "ENDFOR", "J=2"]
             return [f"FOR {counter}=1 TO 2", *inner, *lines, "ENDFOR"]
@@ -725,7 +804,20 @@ class Snippets(Generator):
             ["J=GONE()", "LIN P[J]", there, "J=2"],
             ["WHILE $IN[3]", f"{routine}()", "ENDWHILE", there],
             ["LIN_REL {X 5}", there],
+            *self.kept_routines(there),
         )
+
+    def kept_routines(self, there):
+        """Calls of a routine with motions that only the running robot knows, which gives a counter its value."""
+        routine, counter = self.new("SUB"), self.variable("INT")
+        kept = self.one(["WHILE $IN[3]", there, "ENDWHILE"], ["LIN $POS_ACT:XA"], ["IF $IN[4] THEN", there, "ENDIF"])
+        self.routines.append([f"DEF {routine}()", *kept, f"{counter}=2", "END"])
+        loop = [f"FOR J=1 TO {counter}", "LIN P[J]", "ENDFOR", "J=2"]
+        return [
+            [f"{routine}()", there, *loop],
+            [f"{counter}=1", f"{routine}()", f"{there} C_DIS", f"IF {counter}>1 THEN", "LIN XA", "ENDIF", there],
+            [f"{routine}()", f"{counter}=1", there, *loop],
+        ]
 
     def branches(self):
         """Branches of which it is not known which runs, and that meet in one pose."""
@@ -768,15 +860,17 @@ class Snippets(Generator):
 
     def programs(self):
         """Files of the program's folder: name → text."""
-        head = self.one("DEF part()", "DEF part()", "DEF part()", "DEF part(GIVENN:IN)")
-        main = [head, *(["DECL INT GIVENN"] if "GIVENN" in head else [])]
+        head = self.one("DEF part()", "DEF part()", "DEF part()", "DEF part(GIVENN:IN)", "DEF part(GIVENX:IN)")
+        main = [head, *(f"DECL INT {name}" for name in ("GIVENN", "GIVENX") if name in head)]
         body = ["BAS(#INITMOV,0)"] if self.maybe(0.8) else []
         if self.maybe(0.15):
             kind = self.one("INT", "REAL", "E6POS")
             name = {"INT": "J", "REAL": "RL", "E6POS": "XB"}[kind]
             main.append(f"DECL {kind} {name}")
             body.append(f"{name}={self.literal(kind) if kind != 'INT' else '2'}")
-        body.append(f"LIN {self.literal('E6POS')}")
+        body.append("LIN P[GIVENX]" if "GIVENX" in head else f"LIN {self.literal('E6POS')}")
+        if self.maybe(0.02):
+            self.data.append("BASE_DATA[2]={X 1000,Y 0,Z 500,A 25,B 0,C 0}")  # the cell says otherwise
         for _ in range(int(self.rng.integers(1, 4))):
             body += self.wrapped(self.snippet())
         body += [f"LIN {self.literal('E6POS')} C_DIS"] if self.maybe(0.6) else []

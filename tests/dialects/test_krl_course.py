@@ -707,7 +707,7 @@ NESTED = "".join(f"DEF D{n}()\r\nD{n + 1}()\r\nEND\r\n" for n in range(25)) + f"
     ("call", "subs", "why"),
     [
         ("SUB(1,2)", SUB, "it takes 1 arguments, 2 are given"),
-        ("SUB(P[])", f"DEF SUB(A[]:OUT)\r\nDECL E6POS A[]\r\n{AWAY}\r\nEND\r\n", r"P\[\] is a whole array"),
+        ("SUB(P[])", f"DEF SUB(A:OUT)\r\nDECL E6POS A\r\n{AWAY}\r\nEND\r\n", r"P\[\] is a whole array"),
         ("D0()", NESTED, "more than 20 calls are within each other"),
         ("SUB()", f"DEF SUB()\r\nGOTO A\r\n{AWAY}\r\nA:\r\nEND\r\n", r"it jumps \(line 9\)"),
         ("SUB(K,K)", f"DEF SUB(a:OUT,b:OUT)\r\nDECL INT a,b\r\n{AWAY}\r\nEND\r\n", "K has two names in it"),

@@ -928,7 +928,7 @@ ERRORS = [
         6,
         r"SWITCH \(line 4\) is not .* what NOWHERE will be",
     ),
-    (["FOR I=1 TO 2", "GOTO A", "ENDFOR", "A:", FULL], 5, "GOTO leads out of a loop"),
+    (["FOR I=1 TO 2", "GOTO A", FULL, "A:", "ENDFOR"], 5, "GOTO leads to a label in a loop"),
     (["SPLINE", "LIN {X 1,Y 0,Z 0,A 0,B 0,C 180}", "ENDSPLINE"], 5, "LIN in a SPLINE block"),
     (["RETURN", FULL], 5, "never reached"),
     (["ENDIF"], 4, "ENDIF without IF"),

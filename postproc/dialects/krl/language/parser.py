@@ -147,10 +147,10 @@ def _parameter(text: str) -> Parameter | None:
     name = word_at(text, begin, stop)
     if not name:
         return None
-    end = after_sign(text, begin + len(name), stop, "[")
-    end = text.find("]", end) + 1 if end >= 0 else begin + len(name)
+    opened = after_sign(text, begin + len(name), stop, "[")
+    end = text.find("]", opened) + 1 if opened >= 0 else begin + len(name)
     colon = after_sign(text, end, stop, ":")
-    return Parameter(name, colon >= 0 and after_word(text, colon, stop, "IN") >= 0)
+    return Parameter(name, colon >= 0 and after_word(text, colon, stop, "IN") >= 0, opened >= 0)
 
 
 def _is_declaration(text: str, start: int, stop: int) -> bool:

@@ -55,10 +55,14 @@ class Faulty(Statement, frozen=True, eq=False):
 
 
 class Parameter(Struct, frozen=True):
-    """A parameter of a routine; without ``:IN`` the routine may write its argument."""
+    """A parameter of a routine; without ``:IN`` the routine may write its argument.
+
+    :param is_array: it is a whole array: ``Q[]``.
+    """
 
     name: str
     by_value: bool
+    is_array: bool = False
 
 
 class Definition(Statement, frozen=True, eq=False):

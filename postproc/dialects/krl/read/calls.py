@@ -238,10 +238,10 @@ class Calls:
         if len(call.arguments) > len(routine.parameters):
             return f"it takes {len(routine.parameters)} arguments, {len(call.arguments)} are given"
         roots: set[str] = set()
-        for _, reference in self._by_reference(at, call, routine):
+        for index, reference in self._by_reference(at, call, routine):
             name, root = at.source.text[reference.start : reference.stop], self.run.stored(reference.name)
-            if reference.indices == ():
-                return f"{name} is a whole array that it may change"
+            if reference.indices == () and not self._is_array(routine, index, reference, root):
+                return f"{name} is a whole array, and its parameter is not one of that type"
             if root in roots or root in effects.writes or root in RELEVANT:
                 return f"{name} has two names in it, one as its parameter"
             roots.add(root)
@@ -249,12 +249,24 @@ class Calls:
             return f"{min(aliases)} has two names in it, one as its parameter"
         return ""
 
+    def _is_array(self, routine: Routine, index: int, reference: Reference, root: str) -> bool:
+        """Return whether a whole array is given for a parameter that is an array of its type."""
+        parameter = routine.parameters[index]
+        kind = self.run.variables.types.get(root)
+        return parameter.is_array and reference.field is None and kind == routine.types.get(parameter.name, "")
+
     def _bound(self, at: Place, call: Call, module: Module, routine: Routine) -> _Bound:
         """Return a call with the values of its parameters."""
-        references = self._by_reference(at, call, routine)
+        by_reference = self._by_reference(at, call, routine)
+        arrays = {
+            routine.parameters[index].name: self.run.stored(reference.name)
+            for index, reference in by_reference
+            if reference.indices == ()
+        }
+        references = [entry for entry in by_reference if entry[1].indices != ()]
         roots = [self.run.stored(reference.name) for _, reference in references]
         self.run.calls += 1
-        scope = self.run.scopes.of_call(module, routine, self.run.calls)
+        scope = self.run.scopes.of_call(module, routine, self.run.calls, arrays)
         argument_values: dict[int, Known] = {}
         arguments = [
             _Argument(index, reference, self.run.variables.key_of(reference))  # as they are before the call
@@ -263,7 +275,8 @@ class Calls:
         ]
         for index, argument in enumerate(call.arguments):
             is_empty = isinstance(argument, Opaque) and not at.source.text[argument.start : argument.stop].strip()
-            argument_values[index] = NOTHING if is_empty else self.value(at, argument)
+            is_array = isinstance(argument, Reference) and argument.indices == ()
+            argument_values[index] = NOTHING if is_empty or is_array else self.value(at, argument)
         volatile_names = {
             scope.stored(routine.parameters[index].name): self.run.variables.changing[root]
             for (index, _), root in zip(references, roots, strict=True)
@@ -286,6 +299,8 @@ class Calls:
     def _begin(self, bound: _Bound, *, is_traced: bool) -> Level:
         """Make a routine the running one."""
         for index, parameter in enumerate(bound.routine.parameters):
+            if parameter.name in bound.scope.arrays:
+                continue  # an array of the caller
             stored_name, kind = bound.scope.stored(parameter.name), bound.routine.types.get(parameter.name, "")
             argument = bound.kinds.get(index, kind)
             if (kind == "REAL" and argument in ("INT", WHOLE)) or (kind == "INT" and argument != "INT"):

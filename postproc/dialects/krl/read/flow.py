@@ -17,7 +17,7 @@ from postproc.dialects.krl.language.expressions import calls
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place, Source
-from postproc.dialects.krl.language.structures import LOOPS, Block, Node
+from postproc.dialects.krl.language.structures import LOOPS, Block, Node, Part
 from postproc.dialects.krl.language.values import Call, Number, Reference, Value
 from postproc.dialects.krl.read.conditions import constant_cases
 from postproc.dialects.krl.read.explanations import why_not_decided, without_value
@@ -44,6 +44,7 @@ _MOST_FORKS = 4000
 _MOST_NAMES = 8
 """Variables named in a message."""
 _LENGTH_ADVICE = "Divide the program, or give its loops fewer rounds and its subprograms fewer calls."
+_JUMP_IN_LOOP_ADVICE = "Write IF around the statements that it skips."
 _FORCE_ADVICE = "Write force comments outside of loops and branches whose conditions are not known."
 
 
@@ -86,6 +87,8 @@ class Flow:
                 continue
             if isinstance(node, Block):
                 self._block(source, node)
+            elif end := self._jumped_back(source, nodes, index):
+                index, node = end, nodes[end]
             else:
                 self._statement(Place(source, node))
             index = self._label(source, nodes, index) if level.jump else index + 1
@@ -111,6 +114,8 @@ class Flow:
         for number in range(index + 1, len(nodes)):
             line = nodes[number]
             if isinstance(line, int) and trace is not None and label in self.labels(source, [line]):
+                if level.loops:  # its rounds may be written one after the other, and the label with each
+                    raise inexact(Place(source, level.jump), "GOTO leads to a label in a loop", _JUMP_IN_LOOP_ADVICE)
                 level.jump = 0
                 trace.pass_to(line - 1, live=False)
                 return number
@@ -180,8 +185,6 @@ class Flow:
             level.left = True
             return
         if word == "GOTO" and self.trace is not None and level.traced:
-            if level.loops:
-                raise inexact(at, "GOTO leads out of a loop", "Leave the loop by EXIT.")
             self.trace.run_to(at.line - 1)
             self.trace.pass_to(at.line)
             level.jump = at.line
@@ -546,7 +549,7 @@ class Flow:
                 if trace is not None and loop is not None:
                     trace.repeat(loop, block, counter.assigned if counter is not None else None)
                 self.follow(source, part.nodes)
-                going = not (level.returned or level.left)
+                going = not level.broken_off
                 if trace is not None:
                     trace.repeated(block, whole=going)
                 if not going:
@@ -561,18 +564,96 @@ class Flow:
         finally:
             level.loops -= 1
             del self._way[depth:]
-        has_ended = counter is not None and not (level.returned or level.left)
+        has_ended = counter is not None and not level.broken_off
         level.left = False
         if trace is not None and loop is not None:
             trace.end(loop, block, counter.assigned if counter is not None and has_ended else None)
 
-    def _check_comments(self, source: Source, block: Block) -> None:
+    def _jumped_back(self, source: Source, nodes: tuple[Node, ...], index: int) -> int:
+        """Follow the rounds from a label to an IF that jumps back to it; return the index of this, 0 if there is none.
+
+        :raises InexactError: the condition is not known before run time; under `--keep-unresolved` there is none then.
+        """
+        end, trace = self._jumping_back(source, nodes, index), self.trace
+        if not end or trace is None:
+            return 0
+        undo = self._undoing(trace)
+        try:
+            self._rounds_of_label(source, nodes[index : end + 1], trace)
+        except InexactError:
+            if not self.run.keep:
+                raise
+            undo()
+            return 0
+        return end
+
+    def _jumping_back(self, source: Source, nodes: tuple[Node, ...], index: int) -> int:
+        """Return the index of the IF that does nothing but jump back to the label of a node; 0 if there is none.
+
+        No other GOTO may lead to the label: the rounds may be written one after the other, without it.
+        """
+        level, line = self.run.level, nodes[index]
+        if self.trace is None or not level.traced or level.loops or not self.run.certain or isinstance(line, Block):
+            return 0
+        label = statement(source, line)
+        if not isinstance(label, tree.Label):
+            return 0
+        jumps = [at for at in level.routine.lines if self.label_of(source, at) == label.name]
+        for number in range(index + 1, len(nodes) if len(jumps) == 1 else 0):
+            block = nodes[number]
+            if isinstance(block, Block) and block.word == "IF" and [part.nodes for part in block.parts] == [(*jumps,)]:
+                return number
+        return 0
+
+    def _rounds_of_label(self, source: Source, nodes: tuple[Node, ...], trace: Trace) -> None:
+        """Follow the statements from a label to the IF that jumps back to it, as REPEAT does.
+
+        :param nodes: the label, the statements, the IF.
+        :raises InexactError: the condition is not known before run time, or never changes.
+        """
+        level, first, jump = self.run.level, nodes[0], nodes[-1]
+        if not isinstance(first, int) or not isinstance(jump, Block):
+            return
+        at, head = Place(source, jump.first), statement(source, jump.first)
+        whole = Block("REPEAT", first, jump.last, (Part(first, jump.first, nodes[1:-1]),))
+        body = Block("REPEAT", first, jump.first, whole.parts)
+        self._check_comments(source, whole, range(jump.first, jump.last))
+        loop = trace.begin(whole, "", 0, left=False, closing=jump.first)
+        start_count, depth = self._traced, len(self._way)
+        level.loops += 1
+        self._way.append((Place(source, first), 0))
+        try:
+            while not level.broken_off:
+                self._count(at)
+                self._way[depth] = Place(source, first), self._way[depth][1] + 1
+                changes = self._changes()
+                if self._traced - start_count > _MOST_UNCOUNTED:
+                    problem = f"GOTO still leads back after {_MOST_UNCOUNTED} statements"
+                    raise inexact(at, problem, "Check its condition, or write FOR instead.")
+                trace.repeat(loop, body, None)
+                self.follow(source, nodes[1:-1])
+                trace.repeated(body, whole=not level.broken_off)
+                self.run.place = at
+                holds = self.run.variables.truth(head.condition) if isinstance(head, tree.If) else None
+                if not level.broken_off and holds is None:
+                    raise inexact(Place(source, jump.last - 1), *undecided_jump(self.run.variables, at))
+                if not holds:
+                    break
+                if self._changes() == changes:
+                    raise inexact(at, "GOTO always leads back: no variable of its condition changes", LOOP_ADVICE)
+        finally:
+            level.loops -= 1
+            del self._way[depth:]
+        trace.end(loop, whole, None)
+
+    def _check_comments(self, source: Source, block: Block, closing: Iterable[int] = ()) -> None:
         """Refuse force comments behind the words that begin and end a loop: in which rounds they hold is not said.
 
+        :param closing: lines that close it before its last.
         :raises ProgramError: there is one.
         """
         comment_lines = self.run.analysis.noted(source)
-        for line in (block.first, block.last):
+        for line in (block.first, *closing, block.last):
             if line in comment_lines[bisect_left(comment_lines, line) :][:1]:
                 problem = f"a force comment is on the line of {statement(source, line).word}"
                 raise Place(source, line).error(problem, "Write it on a line of its own, in the loop or behind it.")

@@ -63,6 +63,7 @@ class Scope(Struct, frozen=True):
     """Resolves names to variables.
 
     :param local: local names of the routine → stored names.
+    :param arrays: names of its parameters that are whole arrays of the caller: `local` has the names of these.
     :param own: names of the routine's module, or names of the main program that the routine does not see.
     :param prefix: stored before the names in `own`.
     """
@@ -70,6 +71,7 @@ class Scope(Struct, frozen=True):
     local: Mapping[str, str] = field(default_factory=dict)
     own: frozenset[str] = frozenset()
     prefix: str = ""
+    arrays: frozenset[str] = frozenset()
 
     def stored(self, name: str) -> str:
         """Return the name under which a variable (upper case) is stored."""

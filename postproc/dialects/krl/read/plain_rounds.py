@@ -115,6 +115,8 @@ def _motions(run: Run, reader: MotionReader, rounds: PlainRounds, at: int, motio
     head = statement(rounds.source, rounds.head)
     if not isinstance(motion.end, Reference) or not isinstance(head, For):
         return None
+    if motion.end.name in run.variables.scope.arrays:
+        return None
     begin = rounds.begin + (_step_from(motion.end, head.name) or 0)
     numbers = range(begin, begin + rounds.count * rounds.step, rounds.step)
     literals = run.variables.literals(run.stored(motion.end.name), numbers)

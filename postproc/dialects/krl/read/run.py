@@ -55,9 +55,15 @@ class Scopes:
             self._modules[module] = self._of_module(module)
         return self._modules[module]
 
-    def of_call(self, module: Module, routine: Routine, number: int) -> Scope:
-        """Return the scope of one call, in which the routine's own variables are new."""
+    def of_call(self, module: Module, routine: Routine, number: int, arrays: Mapping[str, str]) -> Scope:
+        """Return the scope of one call, in which the routine's own variables are new.
+
+        :param arrays: names of parameters that are whole arrays → the names under which these are stored.
+        """
         local_names = {name: f"{name}@{number}" for name in routine.local}
+        if arrays:
+            local_names |= arrays
+            return replace(self.of(module, routine), local=local_names, arrays=frozenset(arrays))
         return replace(self.of(module, routine), local=local_names)
 
     def _of_module(self, module: Module) -> Scope:

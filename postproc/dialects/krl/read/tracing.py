@@ -134,11 +134,15 @@ class Trace:
         body.last = self.count + 1
         self._steps.append(Leave())
 
-    def begin(self, block: Block, counter: str, step: int, *, left: bool) -> Repeated:
-        """Begin to unroll a loop; `counter`, as it is spelled, and `step` of FOR, else empty and 0."""
+    def begin(self, block: Block, counter: str, step: int, *, left: bool, closing: int = 0) -> Repeated:
+        """Begin to unroll a loop; `counter`, as it is spelled, and `step` of FOR, else empty and 0.
+
+        :param closing: first of the lines that close it; 0: its last line does alone.
+        """
         self.run_to(block.first - 1)
         source = self._open[-1].source
-        opening_text, closing_text = (_lines(source, line, line) for line in (block.first, block.last))
+        opening_text = _lines(source, block.first, block.first)
+        closing_text = _lines(source, closing or block.last, block.last)
         loop = Repeated(opening_text, closing_text, counter, step, left, self.count + 1)
         self._open[-1].bodies[-1].parts.append(loop)
         return loop

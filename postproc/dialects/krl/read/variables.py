@@ -240,8 +240,8 @@ class Variables:
             return
         elif not isinstance(whole, Aggregate):
             self.put(key, Unknown(str(place), value.why if isinstance(value, Unknown) else ""))
-        elif first == field and isinstance(value, _SCALAR):
-            self.put(key, replace(whole, items={**whole.items, field: value}, computed=True))
+        elif "[" not in field and (new := _with_member(self, whole, field.split("."), value)) is not None:
+            self.put(key, new)
         elif first not in _COMPONENTS:
             items = {**whole.items, first: Opaque(whole.start, whole.stop)}
             self.put(key, replace(whole, items=items, computed=True))
@@ -518,14 +518,31 @@ class Variables:
         value = self.value(key) if key is not None else None
         if value is None and key is not None and reference.indices is not None:
             value = self.value(self.scope.stored(reference.name))  # the whole array was changed
+        if isinstance(value, Aggregate) and reference.indices is not None and reference.name in self.scope.arrays:
+            value = replace(value, computed=True)  # the text of its numbers belongs to a variable of another name
         if isinstance(value, Position) and reference.field in CARTESIAN and not value.axis:
             return component(value, reference.field)
-        if reference.field is not None and not isinstance(value, Unknown):
-            item = value.items.get(reference.field) if isinstance(value, Aggregate) else None
-            value = self.evaluate(item) if item is not None else None
+        if reference.field is not None:
+            value = self._member_of(value, reference.field)
             if isinstance(value, Number):
                 value = self._member(reference, value)
         return value if value is not None else NOTHING
+
+    def _member_of(self, value: Known | None, path: str) -> Known | None:
+        """Return a member of a structure, or a member of that: ``F.X``; None if it has no value.
+
+        Of a structure that was computed, the text of a member may be that of another variable.
+        """
+        computed = False
+        for name in path.split("."):
+            if isinstance(value, Unknown):
+                return value
+            item = value.items.get(name) if isinstance(value, Aggregate) else None
+            if item is None or not isinstance(value, Aggregate):
+                return None
+            computed |= value.computed
+            value = self.evaluate(item)
+        return replace(value, computed=True) if computed and isinstance(value, Aggregate) else value
 
     def _member(self, reference: Reference, number: Number) -> Known:
         """Return a number converted to the type of a member of a structure."""
@@ -535,9 +552,13 @@ class Variables:
     def kind(self, reference: Reference) -> str:
         """Return the declared type of a variable, an element or a member, upper case; empty if it is not known."""
         kind = self.types.get(self.scope.stored(reference.name), "")
-        if reference.field is None:
-            return kind
-        return "REAL" if reference.field in _REAL else self.structures.get(kind, {}).get(reference.field, "")
+        for name in () if reference.field is None else reference.field.split("."):
+            members = self.structures.get(kind)
+            if members is not None:
+                kind = members.get(name, "")
+            else:
+                kind = "REAL" if name in _REAL else ""
+        return kind
 
     def position(self, value: Value | Known) -> Position | None:
         """Return the position that a value gives, or None when it is not known before the program runs.
@@ -626,6 +647,24 @@ def _one_set(position: Position, *, whole_turns: bool = False) -> bool:
     """
     a, b, c = position.values[3:]
     return abs(b) < 90.0 - _TURN and (whole_turns or (abs(a) < 180.0 - _TURN and abs(c) < 180.0 - _TURN))
+
+
+def _with_member(variables: Variables, whole: Aggregate, path: Sequence[str], value: Known) -> Aggregate | None:
+    """Return a structure with another value of a member, or of a member of that; None if that is not known.
+
+    What becomes of components that a position lacks and had before is not certain.
+    """
+    name, *inner_path = path
+    item = whole.items.get(name)
+    old = None if item is None else variables.evaluate(item)
+    member: Known | None = value
+    if inner_path:
+        member = _with_member(variables, old, inner_path, value) if isinstance(old, Aggregate) else None
+    elif isinstance(value, Aggregate) and isinstance(old, Aggregate) and not old.items.keys() <= value.items.keys():
+        return None
+    if not isinstance(member, (Number, Word, Aggregate)):
+        return None
+    return replace(whole, items={**whole.items, name: member}, computed=True)
 
 
 def _agree(frame: Position, other_frame: Position) -> bool:
