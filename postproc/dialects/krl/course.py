@@ -129,7 +129,7 @@ class PlainRounds(Struct, frozen=True, eq=False):
 class Repeated(Struct, eq=False):
     """An unrolled loop.
 
-    :ivar opener: text of its first line, with its line end; `closer` that of the last, of all that jump back to a label.
+    :ivar opener: text of its first line, with its line end; `closer` that of its last, or of all that jump back.
     :ivar counter: of FOR, as it is spelled; empty for other loops.
     :ivar step: of FOR, each body of which begins with an assignment to its counter; 0 for other loops.
     :ivar left: True if it contains EXIT.
