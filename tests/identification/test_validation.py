@@ -218,8 +218,8 @@ def test_a_direction_in_which_the_readings_contradict_the_model_is_not_assured()
     scaled[:6] = 3.0
     ones = np.ones((60, 3))
     found = validation._Compared(
-        seen=ones > 0, config=np.arange(60), load=np.full(60, 600.0), moved=ones, left=ones * 1e-3, bound=ones,
-        noise=ones * 1e-6, scaled=scaled, stated=True,
+        is_compared=ones > 0, config=np.arange(60), load=np.full(60, 600.0), displacement=ones,
+        left=ones * 1e-3, bound=ones, noise=ones * 1e-6, error_ratio=scaled, has_bound=True,
     )  # fmt: skip
     (level,) = validation._levels(found)
     assert level.held
