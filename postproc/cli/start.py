@@ -87,7 +87,7 @@ def start(ctx: click.Context, /, program: Path, output: Path | None, no_open: bo
     cell = cell or folder / "cell.toml"
     own_process = folder / f"{program.stem}.process.toml"
     keep_process = process is not None or (is_edited(own_process, answer_file) and not options["overwrite"])
-    if process is None and (keep_process or not needs.forces_stated):
+    if process is None and (keep_process or not needs.has_forces):
         process = own_process
     for path in (cell, process):
         if path in (folder / "cell.toml", own_process) and is_edited(path, answer_file) and not options["overwrite"]:
@@ -118,7 +118,7 @@ def print_needs(needs: ProgramNeeds) -> None:
     facts += [f"work offsets: G54, {', '.join(needs.work_offsets)}"] if needs.work_offsets else []
     facts += [f"rotary axes: {', '.join(needs.rotary)}"] if needs.rotary else []
     facts += [f"M codes of the machine: {', '.join(needs.m_codes)}"] if needs.m_codes else []
-    facts += ["cutting forces in comments"] if needs.forces_stated else []
+    facts += ["cutting forces in comments"] if needs.has_forces else []
     if needs.span is not None:
         spans = (f"{axis} {low:g} to {high:g}" for axis, low, high in zip("XYZ", *needs.span, strict=True))
         facts.append(f"cuts {', '.join(spans)} mm")

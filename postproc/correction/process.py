@@ -276,7 +276,7 @@ def result_of(task: Task, draft: Draft, corrected_draft: Draft) -> Result:
         programmed=draft.chosen.programmed,
         reversals=reversals,
         causes=_causes(path),
-        stock_known=path.motions.forces.by_law is not None,
+        is_stock_known=path.motions.forces.by_law is not None,
         exact_forces=path.motions.forces.spread is None,
         turn=task.turn,
         redundancy_deg=None if program.keeps_text else path.robot_in_cell.cell.gcode.redundancy_deg,

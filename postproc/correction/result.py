@@ -115,13 +115,13 @@ class Result(Struct, frozen=True, eq=False):
     :param reversals: where joints change the direction of their torque on cutting moves; None if nothing was computed.
     :param causes: causes of deviation from nominal without correction, in words.
     :param clearance: smallest clearance of arm, tool and obstacles; None if the cell has no [collision].
-    :param stock_known: True if the stock that the tool cuts is known, and rapid moves through it are found.
+    :param is_stock_known: True if the stock that the tool cuts is known, and rapid moves through it are found.
     :param exact_forces: True if no force states a standard deviation.
     :param held_feed: feeds that were lowered for the tolerance of the part; None: feeds are those of the program.
     :param turn: the turn of the tool about its axis, if it was chosen.
     :param redundancy_deg: turn that the cell states for all of a program; None if the program states orientations.
     :param modules: row of the first target of each of `documents`, if they are modules; empty if not.
-    :param as_engaged: of a prediction with the forces of the deflected tool: that with the forces of the nominal
+    :param engagement_result: of a prediction with the forces of the deflected tool: that with the forces of the nominal
         engagement, by which a correction is made.
     """
 
@@ -154,13 +154,13 @@ class Result(Struct, frozen=True, eq=False):
     reversals: Reversals | None = None
     causes: tuple[str, ...] = ()
     clearance: SmallestClearance | None = None
-    stock_known: bool = False
+    is_stock_known: bool = False
     exact_forces: bool = False
     held_feed: HeldFeed | None = None
     turn: Turn | None = None
     redundancy_deg: float | None = None
     modules: tuple[int, ...] = ()
-    as_engaged: Result | None = None
+    engagement_result: Result | None = None
 
     def __post_init__(self) -> None:
         force_setattr(self, "wrench", Runs.of(self.wrench))

@@ -79,7 +79,7 @@ class Balance(Struct, frozen=True, eq=False):
     :param point: (3, n) position of the tool [m].
     :param jacobian: (6, nv, n) of the tool.
     :param wrench: (6, n) at the TCP, root axes [N, N·m].
-    :param balanced: (nv, n) or (nv, 1) static torque that is balanced at rest, see `balanced_torque`.
+    :param rest_torque: (nv, n) or (nv, 1) static torque that is balanced at rest, see `balanced_torque`.
     :param torque: (nv, n) τ [N·m, N].
     :param theta: (nv, n) c(τ), the deflection under τ; equal to x − q in equilibrium.
     :param slope: (nv, n) c′(τ), the tangent compliance.
@@ -90,7 +90,7 @@ class Balance(Struct, frozen=True, eq=False):
     point: Array
     jacobian: Array
     wrench: Array
-    balanced: Array
+    rest_torque: Array
     torque: Array
     theta: Array
     slope: Array
@@ -107,7 +107,7 @@ class Balance(Struct, frozen=True, eq=False):
     @property
     def preload(self) -> Array:
         """(nv, n) or (nv, 1) torque at θ = 0, in addition to τ, on gears that are not linear."""
-        return preload(self.robot, self.balanced)
+        return preload(self.robot, self.rest_torque)
 
     @property
     def load_part(self) -> Array:

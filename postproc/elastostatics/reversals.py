@@ -55,7 +55,7 @@ def reversals(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Revers
 
     def torques(q: Array, tool: Array, wrench: Array) -> tuple[Array]:
         state = at_rest(robot, q, tool, wrench)
-        total = np.broadcast_to(state.torque - state.balanced, state.torque.shape)[
+        total = np.broadcast_to(state.torque - state.rest_torque, state.torque.shape)[
             [robot.actuated[j] for j in other_joints]
         ]
         return (np.stack([*total, *(_moving_torque(state, parameter) for parameter, _ in terms)], axis=1),)

@@ -354,7 +354,7 @@ def displacement_estimate(forces: PathForces, compliance: tuple[float, float]) -
         motion=places[0][order],
         t=places[1][order],
         change=np.append(moves(change)[knot_rows], step_size[step])[order],
-        bent=np.append(bends[knot_rows], np.ones(len(step), dtype=np.bool_))[order],
+        bends=np.append(bends[knot_rows], np.ones(len(step), dtype=np.bool_))[order],
         turning=rotating_size,
         size=largest_of_own(moves(forces.wrench[:])),
         swings=swings,

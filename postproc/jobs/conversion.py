@@ -180,7 +180,7 @@ if TYPE_CHECKING:
 def convert(
     task: Task, settings: Settings, cell: Cell, robot: RobotModel, progress: Callable[[int, int], None] | None = None
 ) -> Outcome:
-    """Convert or predict one program and stage its files (`Outcome.staged`).
+    """Convert or predict one program and stage its files (`Outcome.staged_files`).
 
     Whatever goes wrong with this program is its outcome and no exception, a fault of postproc included.
 
@@ -205,13 +205,13 @@ def convert(
     except Exception as cause:
         if isinstance(cause, SubprogramError) and not job.named:
             return Outcome(str(job.program), GOOD, message=f"{cause.file}: {cause.problem}: skipped.")
-        return replace(failure(job, cause), keeps_earlier=is_computed)
+        return replace(failure(job, cause), keeps_old_files=is_computed)
     return Outcome(
         str(job.program),
         output.summary.verdict.exit_code,
         replace(output.summary, files=output.listed),
         copied=tuple(str(job.output / name) for name in output.copied),
-        staged=staged_files,
+        staged_files=staged_files,
         shared=output.shared,
         read=output.read,
     )

@@ -99,7 +99,7 @@ def next_question(
     :param process: ask for the process, if the program states no forces.
     """
     questions = [*(_cell_questions(needs, answers) if cell else ())]
-    if process and not needs.forces_stated:
+    if process and not needs.has_forces:
         questions += _process_questions(needs, answers)
     return next((item for item in questions if item.key not in answers.values and item.key not in skipped_keys), None)
 
@@ -425,7 +425,7 @@ def merged(programs: list[ProgramNeeds]) -> ProgramNeeds:
         cutters={number: cutter for program in reversed(programs) for number, cutter in program.cutters.items()},
         tip_controlled=all(program.tip_controlled for program in programs if program.rotary),
         switches=frozenset().union(*(program.switches for program in programs)),
-        forces_stated=all(program.forces_stated for program in programs),
+        has_forces=all(program.has_forces for program in programs),
         has_speeds=all(program.has_speeds for program in programs),
         span=None if corners is None else (corners[0], corners[1]),
         **union,

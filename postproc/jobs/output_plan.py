@@ -48,14 +48,14 @@ class Record(Struct, frozen=True):
     :param at: the folder that contains them: the output folder, or a staging folder in it.
     :param files: name → SHA-256.
     :param copied: names of those that were written as they were read.
-    :param renewed: whether this run will convert the program again.
+    :param is_renewed: whether this run will convert the program again.
     """
 
     program: str
     at: Path
     files: Mapping[str, str]
     copied: frozenset[str] = frozenset()
-    renewed: bool = False
+    is_renewed: bool = False
 
 
 class Task(Struct, frozen=True):
@@ -177,7 +177,7 @@ def differing(
     source_contents = {document.name: document.to_bytes() for document in read} if task.records else {}
     program_of_file: dict[str, str] = {}
     for record in task.records:
-        for name in texts.keys() & record.files.keys() - program_of_file.keys() if not record.renewed else ():
+        for name in texts.keys() & record.files.keys() - program_of_file.keys() if not record.is_renewed else ():
             sum_ = record.files[name]
             if sum_ == digest([texts[name]]):
                 continue
@@ -307,14 +307,14 @@ class OutputPlan:
         folder = self._folders[task.job.output]
         folder.converted(task.job)
         final: list[Outcome] = []
-        if outcome.staged is None:
+        if outcome.staged_files is None:
             final.append(self._failed(task.job, outcome))
         else:
             try:
                 self._complete.append(self._checked(task, outcome))
                 folder.written(task.job, outcome)
             except InputError as cause:
-                files.discard(outcome.staged)
+                files.discard(outcome.staged_files)
                 final.append(self._failed(task.job, Outcome(outcome.program, FAILED, message=str(cause))))
         for group in self._groups():
             final += self._replaced(group)
@@ -368,9 +368,9 @@ class OutputPlan:
         :raises InputError: its files must not replace those in their places.
         """
         job, mode, folder = task.job, self._mode, self._folders[task.job.output]
-        assert outcome.staged is not None
+        assert outcome.staged_files is not None
         assert outcome.summary is not None
-        names = outcome.staged.names
+        names = outcome.staged_files.names
         protect([*job.reads(), *map(Path, outcome.read)], job.output, names)
         planned_names = job.writes(mode)
         unplanned_names = [name for name in names if name not in planned_names]
@@ -438,14 +438,14 @@ class OutputPlan:
     def _replaced(self, group: Sequence[_Complete]) -> list[Outcome]:
         """Move the staged files of programs to their places together; return the outcomes."""
         folder = group[0].task.job.output
-        staged_files = [member.outcome.staged for member in group if member.outcome.staged is not None]
+        staged_files = [member.outcome.staged_files for member in group if member.outcome.staged_files is not None]
         names = {name for member in staged_files for name in member.names}
         obsolete = [name for member in group for name in member.obsolete if name not in names]
         try:
             files.replace(folder, staged_files, obsolete)
         except PostprocError as cause:
             failures = [
-                Outcome(member.outcome.program, FAILED, message=str(cause), keeps_earlier=True) for member in group
+                Outcome(member.outcome.program, FAILED, message=str(cause), keeps_old_files=True) for member in group
             ]
             return [self._failed(member.task.job, outcome) for member, outcome in zip(group, failures, strict=True)]
         for member in group:
@@ -453,11 +453,11 @@ class OutputPlan:
         return [
             replace(
                 member.outcome,
-                staged=None,
-                written=tuple(str(folder / name) for name in member.outcome.staged.names),
+                staged_files=None,
+                written=tuple(str(folder / name) for name in member.outcome.staged_files.names),
             )
             for member in group
-            if member.outcome.staged is not None
+            if member.outcome.staged_files is not None
         ]
 
     def _not_ours(self, job: Job, names: Iterable[str]) -> list[Path]:
@@ -472,7 +472,7 @@ class OutputPlan:
         """Return the outcome of a program that was not written, with a sentence on its earlier results."""
         if outcome.skipped:
             return outcome
-        return replace(outcome, earlier=left([job], self._mode) if outcome.keeps_earlier else self._set_aside(job))
+        return replace(outcome, earlier=left([job], self._mode) if outcome.keeps_old_files else self._set_aside(job))
 
     def _set_aside(self, job: Job) -> str:
         """Rename the earlier results of a program that failed now, so they are not mistaken for new ones.
@@ -569,11 +569,11 @@ class _Folder:
 
     def written(self, job: Job, outcome: Outcome) -> None:
         """Record the files of a converted program."""
-        assert outcome.staged is not None
+        assert outcome.staged_files is not None
         assert outcome.summary is not None
         sums = {entry.name: entry.sha256 for entry in outcome.summary.files or ()}
         copies = frozenset(outcome.summary.copied or ())
-        self._new[job.report(self._mode)] = Record(job.stem, outcome.staged.path / "new", sums, copies)
+        self._new[job.report(self._mode)] = Record(job.stem, outcome.staged_files.path / "new", sums, copies)
 
     def in_place(self, job: Job) -> None:
         """Record that the files of a converted program are in their places."""

@@ -279,7 +279,7 @@ def predicted(program: Program, robot: RobotModel, cell: Cell, source: ProcessSo
     note = Issue("info" if is_settled else "warning", "real-cut", message)
     hits = [issue for issue in source.found.issues if issue.kind in ("rapid-in-material", "collision")]
     result_as_engagement = correction.process(program, robot, cell, source, "predict")
-    return replace(result, issues=(*result.issues, *hits, note), as_engaged=result_as_engagement), cut
+    return replace(result, issues=(*result.issues, *hits, note), engagement_result=result_as_engagement), cut
 
 
 def _deviation(path: PathUnderLoad) -> Array:

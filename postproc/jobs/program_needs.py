@@ -51,7 +51,7 @@ class ProgramNeeds(Struct, frozen=True):
     :param tip_controlled: it switches tool-centre-point control on.
     :param switches: what it switches on: ``"spindle"``, ``"coolant"``.
     :param settings: settings that the reader needs: ``"home"``, ``"radius_offsets"``, ``"dwell_unit"``.
-    :param forces_stated: it states its cutting forces in comments.
+    :param has_forces: it states its cutting forces in comments.
     :param has_speeds: it states spindle speeds.
     :param span: smallest and largest X, Y, Z of its cutting moves in `$BASE` with all work offsets at zero [mm]; None:
         it could not be read, or does not cut.
@@ -70,7 +70,7 @@ class ProgramNeeds(Struct, frozen=True):
     tip_controlled: bool = False
     switches: frozenset[str] = frozenset()
     settings: tuple[str, ...] = ()
-    forces_stated: bool = False
+    has_forces: bool = False
     has_speeds: bool = False
     span: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
     low_rapids: tuple[tuple[float, float], ...] = ()
@@ -149,7 +149,7 @@ def _with_content(needs: ProgramNeeds, program: Program) -> ProgramNeeds:
     return replace(
         needs,
         tools=tools,
-        forces_stated=bool(program.notes),
+        has_forces=bool(program.notes),
         has_speeds=any(event.kind in ("spindle_on", "spindle_ccw") and event.value > 0.0 for event in program.events),
         span=_span(motions),
         low_rapids=_low_rapids(motions),

@@ -309,10 +309,10 @@ class Outcome(Struct, frozen=True):
     :param copied: those of them that it needs, and that are as they were.
     :param earlier: what became of the results of an earlier run, where there are none of this one.
     :param traceback: of a fault of postproc.
-    :param staged: files that are complete and not yet in their places, see `output_plan`.
+    :param staged_files: files that are complete and not yet in their places, see `output_plan`.
     :param shared: names of those of them that other programs may need too.
     :param read: files that were read.
-    :param keeps_earlier: whether the results of an earlier run stay, although there are none of this one: the program
+    :param keeps_old_files: whether the results of an earlier run stay, although there are none of this one: the program
         could be converted, and not written.
     """
 
@@ -325,10 +325,10 @@ class Outcome(Struct, frozen=True):
     copied: tuple[str, ...] = ()
     earlier: str = ""
     traceback: str = ""
-    staged: Staged | None = None
+    staged_files: Staged | None = None
     shared: tuple[str, ...] = ()
     read: tuple[str, ...] = ()
-    keeps_earlier: bool = False
+    keeps_old_files: bool = False
 
     @property
     def skipped(self) -> bool:

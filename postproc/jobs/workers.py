@@ -165,7 +165,7 @@ def _died(task: Task, code: int) -> Outcome:
     exit_text = f"signal {-code}" if code < 0 else f"exit code {code}"
     program = task.job.program
     message = f"{program}: its worker process ended ({exit_text}), perhaps for lack of memory. Use fewer --jobs."
-    return Outcome(str(program), FAILED, message=message, keeps_earlier=True)
+    return Outcome(str(program), FAILED, message=message, keeps_old_files=True)
 
 
 def main() -> None:
@@ -275,7 +275,7 @@ class ClusterWorkers:
             outcome: Outcome | OtherCode = future.result(timeout=_PATIENCE)
         except Exception as cause:
             message = f"{program}: the cluster could not convert it: {cause!r}"
-            return Outcome(program, FAILED, message=message, keeps_earlier=True)
+            return Outcome(program, FAILED, message=message, keeps_old_files=True)
         if isinstance(outcome, Outcome):
             return replace(outcome, program=program)
         worker, version = outcome
@@ -284,7 +284,7 @@ class ClusterWorkers:
             f"{program}: the worker {worker} of the Dask cluster at {self._cluster.address} has {installation}, this "
             f"machine has postproc {VERSION}. Install the same on all of them."
         )
-        return Outcome(program, FAILED, message=message, keeps_earlier=True)
+        return Outcome(program, FAILED, message=message, keeps_old_files=True)
 
     def lost(self, task: Task) -> Outcome | None:
         """Return a failure if the cluster, or the worker that has the task, has not been there for some time."""
@@ -298,7 +298,7 @@ class ClusterWorkers:
             f"{task.job.program}: the worker {worker} of the Dask cluster has given no sign of life for "
             f"{_SIGN_TIMEOUT:g} s. Restart it, and convert this program again."
         )
-        return Outcome(str(task.job.program), FAILED, message=message, keeps_earlier=True)
+        return Outcome(str(task.job.program), FAILED, message=message, keeps_old_files=True)
 
     def _look(self) -> None:
         """Look, now and then, which workers are there, when each was last seen, and which tasks they have."""
@@ -324,7 +324,7 @@ class ClusterWorkers:
     def _gone(self, task: Task) -> Outcome:
         program = task.job.program
         message = f"{program}: the Dask scheduler at {self._cluster.address} or all its workers are gone."
-        return Outcome(str(program), FAILED, message=message, keeps_earlier=True)
+        return Outcome(str(program), FAILED, message=message, keeps_old_files=True)
 
 
 def _connected(cluster: Cluster) -> Any:

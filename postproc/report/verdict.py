@@ -94,7 +94,7 @@ def _drive(result: Result, content: Summary, warnings: Sequence[Issue]) -> Drive
         doubts = [*_on_surface(content)[0], *_near_limits(content), *doubts]
     checks = {
         "collisions": content.collision is not None,
-        "moves through material": result.stock_known,
+        "moves through material": result.is_stock_known,
         SPLINES: not bool((result.program.motions.kind == SPL).any()),
         RUN_TIME: not result.program.unresolved,
     }
@@ -109,7 +109,7 @@ def _better(result: Result, content: Summary, doubts: list[Finding], tolerance: 
     :param doubts: about forces and model.
     """
     # what the correction is worth is judged under the forces that it is made for, not those of the deflected tool
-    judged_result = result if result.as_engaged is None else result.as_engaged
+    judged_result = result if result.engagement_result is None else result.engagement_result
     errors, failures = judged_result.errors, list[Finding]()
     corrects = content.mode != "predict"
     if (sentence := nothing_corrected(content)) is not None:

@@ -47,7 +47,7 @@ class DisplacementEstimate(Struct, frozen=True, eq=False):
         other motions those where it bends.
     :param t: (K,) place on it, in [0, 1].
     :param change: (K,) how much the displacement changes since the place before on the motion [m].
-    :param bent: (K,) True inside a motion where the force does not go straight on.
+    :param bends: (K,) True inside a motion where the force does not go straight on.
     :param turning: (M,) how large the displacement is that turns with the direction of travel [m].
     :param size: (M,) how large the displacement is at most [m].
     :param swings: (M,) True for arcs that come near the direction of the spindle, where FEED axes turn quickly.
@@ -56,7 +56,7 @@ class DisplacementEstimate(Struct, frozen=True, eq=False):
     motion: Ints
     t: Array
     change: Array
-    bent: Bools
+    bends: Bools
     turning: Array
     size: Array
     swings: Bools
@@ -167,7 +167,7 @@ def _stretches(arcs: Ints, estimate: DisplacementEstimate, tolerance: float) -> 
     arc_of_row = np.searchsorted(arcs, estimate.motion[rows])
     is_noticeable = np.bincount(arc_of_row, estimate.change[rows], len(arcs)) > _LEAST_SHARE * tolerance
     rows, arc_of_row = rows[is_noticeable[arc_of_row]], arc_of_row[is_noticeable[arc_of_row]]
-    inner = estimate.bent[rows]
+    inner = estimate.bends[rows]
     arc = np.concatenate([np.arange(len(arcs)), arc_of_row[inner]])
     begin = np.concatenate([np.zeros(len(arcs)), estimate.t[rows[inner]]])
     order = np.lexsort((begin, arc))
@@ -201,7 +201,7 @@ def places(
     count[(m.kind == PTP) | (m.kind == SPL)] = 1.0
     straight = np.flatnonzero(m.kind != CIRC)
     motion, t = _even(straight, np.maximum(count[straight], 1.0).astype(np.int64))
-    bends = np.flatnonzero(estimate.bent & (m.kind[estimate.motion] == LIN))
+    bends = np.flatnonzero(estimate.bends & (m.kind[estimate.motion] == LIN))
     further_places = [
         (estimate.motion[bends], estimate.t[bends]),
         *([extra_places] if extra_places is not None else []),

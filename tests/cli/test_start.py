@@ -78,7 +78,7 @@ def test_a_program_shows_what_it_needs():
     assert needs.settings == ("dwell_unit",)
     assert needs.cutters[3].shape == "ball"
     assert needs.has_speeds
-    assert not needs.forces_stated
+    assert not needs.has_forces
     assert not needs.refusal
 
 

@@ -191,7 +191,7 @@ def test_the_displacement_by_the_force_is_estimated_from_its_changes(seed):
     np.testing.assert_array_equal(found.motion, [row[0] for row in rows])
     np.testing.assert_allclose(found.t, [row[1] for row in rows])
     np.testing.assert_allclose(found.change, [row[2] for row in rows], atol=1e-15)
-    np.testing.assert_array_equal(found.bent, [row[3] for row in rows])
+    np.testing.assert_array_equal(found.bends, [row[3] for row in rows])
 
 
 def leaning(begin, end, *moves_):

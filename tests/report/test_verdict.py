@@ -110,7 +110,7 @@ def test_a_prediction_says_what_correction_would_give_and_judges_the_program_as_
 def test_what_was_not_checked_is_said_by_name_and_does_not_make_it_amber():
     verdict = _verdict()
     assert (verdict.state, verdict.drive.unchecked) == ("ok", ["collisions", "moves through material"])
-    assert _verdict(stock_known=True).drive.unchecked == ["collisions"]
+    assert _verdict(is_stock_known=True).drive.unchecked == ["collisions"]
     assert "not checked: collisions (the cell has no [collision]), moves through material" in of_one(_content())
 
 

@@ -70,13 +70,13 @@ class CycleWords(Struct, frozen=True):
     :param name: DRILL, FACE, CSINK, DEEP or BRKCHP.
     :param heights: word of `_HEIGHTS` → its number, in the unit of the file.
     :param rates: number and unit of the feed, or nothing.
-    :param to_height_before: whether the tool returns to the height before the hole.
+    :param keeps_height: whether the tool returns to the height before the hole.
     """
 
     name: str
     heights: dict[str, float]
     rates: tuple[float | str, ...]
-    to_height_before: bool
+    keeps_height: bool
 
     def cycle(self, unit: float, feed: float) -> Cycle:
         """Return the cycle.
@@ -93,7 +93,7 @@ class CycleWords(Struct, frozen=True):
             depth > 0.0
             and clear > 0.0
             and clear >= rapid_height >= 0.0
-            and (self.to_height_before or return_height >= clear)
+            and (self.keeps_height or return_height >= clear)
         ):
             raise StatementError("the heights of the cycle contradict each other", ADVICE)
         if self.name in _PECK_CYCLES and not step > (depth + rapid_height) / _MOST_PECKS:
@@ -101,7 +101,7 @@ class CycleWords(Struct, frozen=True):
         first_step = mm.get("1STPECK", step)
         if self.name in _PECK_CYCLES and not first_step > 0.0:
             raise StatementError("1STPECK is not above zero", ADVICE)
-        end_height = None if self.to_height_before else return_height
+        end_height = None if self.keeps_height else return_height
         dwell = self.heights.get("DWELL", 0.0)
         return Cycle(depth, clear, rapid_height, end_height, feed, dwell, step, first_step, self.name == "DEEP")
 

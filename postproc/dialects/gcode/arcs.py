@@ -40,7 +40,7 @@ class ArcWords(Struct, frozen=True, eq=False):
     :param offset: (A, 3) I, J, K; NaN where absent.
     :param radius: (A,) R; NaN where absent.
     :param turns: (A,) P; NaN where absent.
-    :param clockwise: (A,) True for G2.
+    :param is_clockwise: (A,) True for G2.
     :param plane: (A,) 17, 18 or 19.
     :param units: (A,) 20 or 21.
     :param absolute: (A,) True where I, J, K are coordinates (G90.1).
@@ -52,7 +52,7 @@ class ArcWords(Struct, frozen=True, eq=False):
     offset: Array
     radius: Array
     turns: Array
-    clockwise: Bools
+    is_clockwise: Bools
     plane: Array
     units: Array
     absolute: Bools
@@ -115,7 +115,7 @@ def read_arcs(words: ArcWords) -> Arcs:
         r1, r2 = _centre_from_radius(s1, s2, e1, e2, words)
         c1, c2 = np.where(by_radius, r1, c1), np.where(by_radius, r2, c2)
 
-        sign = np.where(words.clockwise, -1.0, 1.0)
+        sign = np.where(words.is_clockwise, -1.0, 1.0)
         a1, a2, b1, b2 = s1 - c1, s2 - c2, e1 - c1, e2 - c2
         angle = np.arctan2(sign * (a1 * b2 - a2 * b1), a1 * b1 + a2 * b2)
         full = np.hypot(e1 - s1, e2 - s2) <= SAME_MM
@@ -132,7 +132,7 @@ def _centre_from_radius(s1: Array, s2: Array, e1: Array, e2: Array, words: ArcWo
     d1, d2 = 0.5 * (e1 - s1), 0.5 * (e2 - s2)
     half = np.hypot(d1, d2)
     centre_ratio = np.sqrt(np.maximum((np.abs(words.radius) - half) * (np.abs(words.radius) + half), 0.0)) / half
-    left = np.where(words.clockwise, -centre_ratio, centre_ratio) * np.sign(words.radius)
+    left = np.where(words.is_clockwise, -centre_ratio, centre_ratio) * np.sign(words.radius)
     return s1 + d1 - left * d2, s2 + d2 + left * d1
 
 

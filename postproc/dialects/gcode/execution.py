@@ -216,7 +216,7 @@ def executed(document: Document) -> Executed:
 class _Frame(Struct, frozen=True):
     """A subprogram in execution: its label, whether LinuxCNC style, the position of its call.
 
-    `again`: number of repeats that M98 still has to make, from row `begin`.
+    `repeats`: number of repeats that M98 still has to make, from row `begin`.
     """
 
     label: str
@@ -224,7 +224,7 @@ class _Frame(Struct, frozen=True):
     unit: int
     row: int
     main: int
-    again: int
+    repeats: int
     begin: int
 
 
@@ -353,8 +353,8 @@ class _Run:
         frame = self.frames[-1]
         if frame.own:
             raise BlockError(f"M99 in O{frame.label} SUB", f"End it with O{frame.label} ENDSUB.")
-        if frame.again:
-            self.frames[-1] = replace(frame, again=frame.again - 1)
+        if frame.repeats:
+            self.frames[-1] = replace(frame, repeats=frame.repeats - 1)
             self.row = frame.begin
             self.known.leave()
             self.known.enter(None)

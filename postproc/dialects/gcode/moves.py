@@ -214,7 +214,7 @@ class Moves(Struct, frozen=True, eq=False):
     :param frames: (nf, 4, 4) program frames in `$BASE` [m]; `machine_frames`: with indexed axes at zero.
     :param events: events of cycles: number of moves before, row, event.
     :param unknown: first and last row of each range of lines in which the position of some axis is unknown.
-    :param started: last row of the lines whose moves at feed come from `[start]`; −1 if there are none.
+    :param last_start_row: last row of the lines whose moves at feed come from `[start]`; −1 if there are none.
     :param offset: (L,) active work offset of each line.
     :param faults: row, problem, advice.
     :param remarks: row, level, kind and message for the user.
@@ -234,7 +234,7 @@ class Moves(Struct, frozen=True, eq=False):
     machine_frames: Array
     events: Sequence[tuple[int, int, CycleEvent]]
     unknown: Sequence[tuple[int, int]]
-    started: int
+    last_start_row: int
     offset: Array
     faults: Sequence[tuple[int, str, str | None]]
     remarks: Sequence[tuple[int, Level, str, str]]
@@ -772,7 +772,7 @@ class _Walk:
             machine_frames=np.stack(self.machine_frames),
             events=self.events,
             unknown=unknown,
-            started=start_rows,
+            last_start_row=start_rows,
             offset=self.offset,
             faults=self.faults,
             remarks=self.remarks,

@@ -429,7 +429,7 @@ def read_path(
     events = [(int(np.searchsorted(motion_moves, at)), row, event) for at, row, event in moves.events]
     held_rows = moves.row[is_held_back]
     motionless_rows = distinct(np.concatenate([held_rows, moves.row[stays]]))
-    unforced = np.flatnonzero((moves.row[motion_moves] <= moves.started) & (moves.code[motion_moves] == 1.0))
+    unforced = np.flatnonzero((moves.row[motion_moves] <= moves.last_start_row) & (moves.code[motion_moves] == 1.0))
     return MotionPath(
         motions, swivel, moves.row[motion_moves], unforced, motionless_rows, distinct(held_rows), events, moves.remarks
     )
@@ -445,7 +445,7 @@ def _arcs(rows: LineStates, moves: Moves, circular: Ints) -> Arcs:
             offset=rows.ijk[row],
             radius=rows.radius[row],
             turns=rows.turns[row],
-            clockwise=moves.code[circular] == 2.0,
+            is_clockwise=moves.code[circular] == 2.0,
             plane=rows.plane[row],
             units=rows.units[row],
             absolute=rows.absolute_centre[row],

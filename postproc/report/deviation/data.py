@@ -330,13 +330,13 @@ class ShownTargets(Struct, frozen=True, eq=False):
     """The places of a page. Row i of `columns` is place i.
 
     :param row: (P,) row of the result that each place is.
-    :param travelled: (K,) length of the path up to each target of the result [m].
+    :param path_length: (K,) length of the path up to each target of the result [m].
     :param columns: the values at each place; millimetres, degrees, newtons.
     :param drawn: points of the nominal path for the view in space: X, Y, Z [mm] and the place that each leads to.
     """
 
     row: Ints
-    travelled: Array
+    path_length: Array
     columns: Columns
     drawn: Columns
 

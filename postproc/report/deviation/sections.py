@@ -249,7 +249,7 @@ def cut(data: Deviation) -> Section | None:
     run, rows, motion, t = _contact(process.cuts)
     place = np.searchsorted(data.result.motion + data.result.t, motion + t - 1e-9)
     place = np.minimum(np.searchsorted(data.places.row, place), len(data.places.row) - 1)
-    x = np.interp(motion + t, data.result.motion + data.result.t, data.places.travelled) * MM_PER_M
+    x = np.interp(motion + t, data.result.motion + data.result.t, data.places.path_length) * MM_PER_M
     cuts = process.cuts
     curves_of_plots: tuple[tuple[str, str, tuple[tuple[str, Array, float], ...]], ...] = (
         (

@@ -115,7 +115,7 @@ class Trigger(Struct, frozen=True):
 
     :param line: 1-based line.
     :param row: motion that it refers to.
-    :param attached: only comments and other TRIGGERs are between it and its motion.
+    :param is_attached: only comments and other TRIGGERs are between it and its motion.
     :param from_start: whether its distance counts from the start of the motion, not from the end.
     :param offset: distance along the path [m]; NaN when it is not a number.
     :param path: span of the number of PATH in the text; None for DISTANCE.
@@ -125,7 +125,7 @@ class Trigger(Struct, frozen=True):
 
     line: int
     row: int
-    attached: bool
+    is_attached: bool
     from_start: bool
     offset: float
     path: tuple[int, int] | None

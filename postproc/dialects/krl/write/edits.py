@@ -136,7 +136,7 @@ class InsertedLines(Struct, eq=False):
     replacements: Replacements
     _at: list[int] = []
     _target: list[int] = []
-    _removed: list[int] = []
+    _removed_lines: list[int] = []
 
     def add(self, at: int, text: str, target: int = -1) -> None:
         """Put a text with its line end before a line, behind what was put there already.
@@ -158,7 +158,7 @@ class InsertedLines(Struct, eq=False):
     def move(self, line: int, at: int, text: str) -> None:
         """Take a line away and put a text, in its place, before another."""
         self.replacements.add(int(self.source.starts[line - 1]), int(self.source.starts[line]), "")
-        self._removed.append(line)
+        self._removed_lines.append(line)
         self.add(at, text)
 
     def numbers(self, line: Ints) -> Ints:
@@ -166,7 +166,7 @@ class InsertedLines(Struct, eq=False):
         at, target = np.array(self._at, dtype=np.int64), np.array(self._target, dtype=np.int64)
         order = np.argsort(at, kind="stable")
         at, target = at[order], target[order]
-        removed_lines = np.sort(np.array(self._removed, dtype=np.int64))
+        removed_lines = np.sort(np.array(self._removed_lines, dtype=np.int64))
         output_line = line + np.searchsorted(at, line, side="right") - np.searchsorted(removed_lines, line)
         target_rows = np.flatnonzero(target >= 0)
         output_line[target[target_rows]] = (

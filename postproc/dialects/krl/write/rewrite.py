@@ -110,7 +110,7 @@ class _Rewriter:
         self._replace_numbers(np.flatnonzero(plain & ~keep))
         for k in np.flatnonzero(plain & (self._added() | self._bits())).tolist():
             self._complete(int(self.row[k]), k)
-        own_tail = self.commanded.freed | self.commanded.unheeding
+        own_tail = self.commanded.is_free | self.commanded.unheeding
         has_tail = np.diff(self.layout.tail[self.row])[:, 0] > len(" WITH ")
         for k in np.flatnonzero(last & (own_tail[self.row] | (straight & has_tail))).tolist():
             start, stop = self.layout.tail[self.row[k]].tolist()
@@ -280,7 +280,7 @@ class _Rewriter:
 
     def _freed(self) -> tuple[set[int], set[int]]:
         """Return before which targets `$ORI_TYPE` is set for `freed` motions, and behind which it is as it was."""
-        rows = np.flatnonzero(self.commanded.freed)
+        rows = np.flatnonzero(self.commanded.is_free)
         pairs = runs(self.layout, rows[[not self.statements.is_spline(row) for row in rows.tolist()]])
         first, last = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
         begins, ends = np.searchsorted(self.row, first), np.searchsorted(self.row, last, side="right") - 1

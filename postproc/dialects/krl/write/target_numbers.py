@@ -34,7 +34,7 @@ class TargetNumbers(Struct, frozen=True, eq=False):
     :param via: (K, 3) auxiliary points [mm], rounded to 4 decimals; NaN where there are none.
     :param changed: (K,) True where the target's text or statement changes.
     :param moved: (M,) True where a motion's predecessor is commanded elsewhere than in the input.
-    :param freed: (M,) True where the orientation of a motion under another `$ORI_TYPE` must be led to its own.
+    :param is_free: (M,) True where the orientation of a motion under another `$ORI_TYPE` must be led to its own.
     :param unheeding: (M,) True where the auxiliary orientation of a SCIRC must not count.
     """
 
@@ -45,7 +45,7 @@ class TargetNumbers(Struct, frozen=True, eq=False):
     via: Array
     changed: Bools
     moved: Bools
-    freed: Bools
+    is_free: Bools
     unheeding: Bools
 
     def texts(self, k: int, columns: Iterable[int]) -> dict[str, str]:

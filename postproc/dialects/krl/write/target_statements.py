@@ -246,7 +246,7 @@ class TargetStatements:
 
     def tail(self, row: int, k: int) -> str:
         """Return the text that follows a target: what holds for all of its motion."""
-        free = bool(self.commanded.freed[row]) and self.is_spline(row)
+        free = bool(self.commanded.is_free[row]) and self.is_spline(row)
         circle = self.via(row)[0] is not None and self.is_spline(row)
         straight = circle and bool(self.targets.kind[k] == LIN)
         unheeding = circle and not straight and bool(self.commanded.unheeding[row])

@@ -33,7 +33,7 @@ def piece_of(trigger: Trigger, ends: Array, speed: float) -> tuple[int, float] |
     fits = is_after_begin & is_before_end
     if trigger.path is None:
         fits[slice(1, None) if trigger.from_start else slice(-1)] = False
-    if not trigger.attached:
+    if not trigger.is_attached:
         fits[1:] = False
     pieces = np.flatnonzero(fits & np.isfinite(place + trigger.delay))
     if not len(pieces):
@@ -81,7 +81,7 @@ def placed(triggers: Sequence[Trigger], line: int, ends: Array, speed: float) ->
             placement.moved[piece].insert(0, trigger)
             continue
         earliest = piece
-        if trigger.attached:
+        if trigger.is_attached:
             placement.at[:piece] = [trigger.line] * piece
     placement.lost.reverse()
     return placement
