@@ -324,6 +324,7 @@ class Controller:
         self.synchronised = 0
         self.outside = base, tool, 0.0
         self.stood = base, tool
+        self.conditions = {}
         self.handlers, self.active, self.pending, self.cyclic = {}, set(), [], []
         self.busy, self.steps = False, 0
         self.here, self.callers = ("", 0), []
@@ -477,6 +478,7 @@ class Controller:
             )
         for number in sorted(self.active & self.handlers.keys()):
             public, *handler = self.handlers[number]
+            self.evaluate_condition(number, handler[0])
             declared = public or any(handler[0] is frame for frame in self.frames)  # KSS 8, INTERRUPT DECL: GLOBAL
             if declared and self.rng.random() < 0.2:
                 self.action(*handler)
@@ -491,6 +493,15 @@ class Controller:
                 if len(self.motions) > count:
                     raise Invalid("a TRIGGER moves the robot")
         self.busy = False
+
+    def evaluate_condition(self, number, frame):
+        """Evaluate what an interrupt asks for: a function in it may do something."""
+        condition = self.conditions[number]
+        if re.search(r"[A-Za-z]\w*\s*\(", condition):
+            self.frames.append(frame)
+            with suppress(Invalid):
+                self.expression(Reader(condition))
+            self.frames.pop()
 
     def action(self, frame, callers, file, number, line):
         """Run what a TRIGGER or an INTERRUPT does: it belongs to the calls in which it was declared."""
@@ -642,11 +653,12 @@ class Controller:
                 self.system(reader)
 
     def interrupt(self, file, number, line):
-        declaration = re.match(r"(?i)(?:GLOBAL\s+)?INTERRUPT\s+DECL\s+(\d+)\s+WHEN\s+.*?\bDO\b\s*(.*)$", line)
+        declaration = re.match(r"(?i)(?:GLOBAL\s+)?INTERRUPT\s+DECL\s+(\d+)\s+WHEN\s+(.*?)\bDO\b\s*(.*)$", line)
         if declaration:
             public = line.upper().startswith("GLOBAL")
-            action = (self.frames[-1], list(self.callers), file, number, declaration[2])
+            action = (self.frames[-1], list(self.callers), file, number, declaration[3])
             self.handlers[int(declaration[1])] = public, *action
+            self.conditions[int(declaration[1])] = declaration[2]
             return
         switch = re.match(r"(?i)INTERRUPT\s+(ON|OFF)\s+(\d+)", line)
         (self.active.add if switch[1].upper() == "ON" else self.active.discard)(int(switch[2]))

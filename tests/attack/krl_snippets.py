@@ -61,6 +61,7 @@ class Snippets(Generator):
     def __init__(self, rng, *, keep=False):
         self.rng, self.keep = rng, keep
         self.data, self.routines, self.others, self.count = [], [], {}, 0
+        self.shared = []
         self.uncertain = 1 if self.maybe(0.55) else 0
 
     def new(self, stem):
@@ -216,7 +217,7 @@ class Snippets(Generator):
             return plain
         ways = [self.by_component, self.by_function, self.by_reference, self.by_routine, self.by_other_file]
         ways += [self.by_value, self.hidden, self.by_branch, self.by_switch, self.by_loop, self.by_copy]
-        ways += [self.by_array, self.by_label, self.by_leaving, self.by_array]
+        ways += [self.by_shared, self.by_array, self.by_label, self.by_leaving, self.by_array]
         ways += [self.by_rounding, self.by_jump, self.by_return, self.by_counting, self.by_nested_call, self.by_element]
         return ways[int(self.rng.integers(len(ways)))](kind, name, depth + 1)
 
@@ -373,6 +374,12 @@ class Snippets(Generator):
             [f"FOR {counter}=1 TO 2", "LOOP", give, "EXIT", "ENDLOOP", "ENDFOR"],
         )
 
+    def by_shared(self, kind, name, depth):
+        """A GLOBAL variable of a data list that belongs to no program."""
+        self.shared.insert(0, f"DECL GLOBAL {kind} {name}S={self.literal(kind)}")
+        change = self.one([], [f"{name}S={self.value(kind)}"])
+        return [*change, f"{name}={name}S"]
+
     def by_array(self, kind, name, depth):
         """A routine that gets a whole array."""
         array = {"INT": "N", "REAL": "R", "E6POS": "P"}.get(kind)
@@ -455,7 +462,13 @@ class Snippets(Generator):
         routine, inner = self.new("SUB"), self.new("SUB")
         target = self.one("$IN[1]", "$IN[I]", "$FLAG[3]")
         on = f"INTERRUPT ON {number}"
-        choice = int(self.rng.integers(27))
+        choice = int(self.rng.integers(29))
+        if choice == 27:
+            self.routines.append([f"DEFFCT BOOL {routine}()", write, "RETURN (FALSE)", "ENDFCT"])
+            return [f"INTERRUPT DECL {number} WHEN {routine}() DO $OUT[2]=TRUE", on]
+        if choice == 28 and kind in ("INT", "E6POS"):
+            self.shared += [(f"DECL GLOBAL {kind} {name}T={value}"), f"DECL GLOBAL {kind} {name}T={self.literal(kind)}"]
+            return [f"{name}={name}T"]
         if choice in (0, 1):
             return [f"INTERRUPT DECL {number} WHEN {target}==TRUE DO {write}", on]
         if choice == 2:
@@ -880,6 +893,9 @@ class Snippets(Generator):
         for routine in self.routines:
             main += ["GLOBAL " + routine[0] if self.maybe(0.15) else routine[0], *routine[1:]]
         files = {"part.src": main, "part.dat": [*FIXED.splitlines(), *self.data, "ENDDAT"], **self.others}
+        for number, start in ((1, 0), (2, 1)) if self.shared else ():
+            lines = [f"DEFDAT shared{number} PUBLIC", *self.shared[start::2], "ENDDAT"]
+            files[f"shared{number}.dat"] = lines
         if self.maybe(0.05):
             written = next((line.split()[3].split("=")[0] for line in self.data if " GLOBAL INT " in line), "")
             files["sps.sub"] = ["DEF sps()", f"{written}=2" if written else "$OUT[3]=TRUE", "END"]
