@@ -493,6 +493,7 @@ def test_a_counter_that_the_program_sets_first_needs_no_second_run(monkeypatch):
     monkeypatch.setattr(next_run, "course_of", followed)
     loop = ["FOR I=1 TO 2", "LIN P[I]", "ENDFOR"]
     assert len(program(*loop, "I=7").motions) == 2
+    assert len(program("LIN XP1", "I=I+1", "IF $IN[1] THEN", "I=I-1", "ENDIF").motions) == 1  # it decides on nothing
     for before in ("LIN P[I]", "IF $IN[1] THEN\r\nI=1\r\nENDIF", "SHOW()"):
         with pytest.raises(AssertionError):
             program(before, *loop, subs="DEF SHOW()\r\n$OUT[I]=TRUE\r\nEND\r\n")

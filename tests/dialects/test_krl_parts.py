@@ -296,6 +296,15 @@ def test_what_several_files_use_is_global_under_names_that_are_the_programs_own(
     assert "CUT is part_cut" in told.message
 
 
+def test_routines_that_were_global_before_are_named_since_the_controller_may_have_them_twice():
+    def warnings(written):
+        return [i.message for i in written.issues if (i.kind, i.level) == ("global-routines", "warning")]
+
+    [message] = warnings(in_some_files(source=OWN.replace("DEF SECOND( )", "GLOBAL DEF SECOND( )")))
+    assert "(SECOND), which they replace: remove part.src" in message
+    assert warnings(in_some_files()) == []
+
+
 def test_long_names_stay_valid_and_different():
     name = "finishing_cavity_left"
     written = in_some_files(name=name)

@@ -70,14 +70,17 @@ def changed_data_issues(
 
 
 def kept_values(main: MainRoutine) -> dict[str, str]:
-    """Return the values left by a run that the next one may use, and where: not counters that it sets first."""
+    """Return the values left by a run that the next one may use, and where.
+
+    Counters that it sets first are left out, and those that decide on nothing: they need no second run.
+    """
     run, change_places = main.run, main.run.settings.variables.kept()
     uses = Uses(run, run.routine.source, run.nodes(run.routine)) if change_places else None
     volatile_names = run.settings.variables.changing
     return {
         name: place
         for name, place in change_places.items()
-        if uses is None or name in volatile_names or uses.uses(name)
+        if uses is None or name in volatile_names or (uses.uses(name) and not uses.only_counts(name))
     }
 
 

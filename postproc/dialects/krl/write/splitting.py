@@ -31,6 +31,7 @@ from postproc.dialects.krl.language.routines import Module, routines
 from postproc.dialects.krl.language.scan import with_name
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tokens import NAME, word_at
+from postproc.dialects.krl.language.tree import Definition
 from postproc.dialects.krl.write.division import bounds, places, undivided
 from postproc.dialects.krl.write.shared_names import Sharing
 from postproc.errors import Issue, first_of, together
@@ -191,6 +192,13 @@ class _Splitter:
             names = first_of([f"{old} is {new}" for old, new in new_names.items()], _MOST_NAMES)
             message = f"Routines of its own are GLOBAL, for all its files to see them: {names}."
             self.issues.append(Issue("info", "global-routines", message))
+        if public := [name for name in self._public() if name.upper() not in new_names]:
+            before = self.whole.documents[0].name
+            message = (
+                f"These files have GLOBAL routines as {before} has ({first_of(public, _MOST_NAMES)}), which they "
+                f"replace: remove {before} from the controller, where calls could reach its uncorrected routines."
+            )
+            self.issues.append(Issue("warning", "global-routines", message))
         documents = [self._document(file, source) for file in files]
         documents[0] = replace(documents[0], text=with_name(documents[0].text, files[0].name))
         return replace(
@@ -199,6 +207,13 @@ class _Splitter:
             output_line=number_of[self.whole.output_line],
             issues=tuple(self.issues),
         )
+
+    def _public(self) -> Iterator[str]:
+        """Yield the names of the routines of its own, as they are spelled, that were GLOBAL before."""
+        for routine in self.others:
+            head = statement(self.source, routine.first)
+            if isinstance(head, Definition) and head.public:
+                yield head.name
 
     def _files(self) -> list[_File]:
         """Return the contents of each file, the main program first."""
