@@ -42,10 +42,11 @@ def _sources(slopes, covariance, by_forces=None, other=None):
     return SourcesOfError(slopes, covariance, (np.zeros((n, 3, 0)),) if by_forces is None else by_forces, other or {})
 
 
-def _chance(sources, deviation, left=None, counts=None, parts=1):
+def _chance(sources, deviation, left=None, counts=None, parts=1, path_distance=None):
     gain = ChanceOfGain()
     left = np.zeros_like(deviation) if left is None else left
     counts = np.ones(len(deviation), dtype=bool) if counts is None else counts
+    path_distance = np.zeros(len(deviation)) if path_distance is None else path_distance
     for rows in np.array_split(np.arange(len(deviation)), parts):
         own = replace(
             sources,
@@ -53,7 +54,7 @@ def _chance(sources, deviation, left=None, counts=None, parts=1):
             by_forces=tuple(each[rows] for each in sources.by_forces),
             other={name: each[rows] for name, each in sources.other.items()},
         )
-        gain.add(own, deviation[rows], left[rows], counts[rows])
+        gain.add(own, deviation[rows], left[rows], path_distance[rows], counts[rows])
     return gain.chance
 
 
@@ -70,6 +71,17 @@ def test_the_chance_is_the_share_of_drawn_errors_with_a_smaller_rms():
     better = np.sum((left[counts] + errors) ** 2, axis=(1, 2)) < np.sum((deviation[counts] + errors) ** 2, axis=(1, 2))
     assert 0.6 < chance < 0.95
     assert chance == pytest.approx(better.mean(), abs=4.0 * np.sqrt(0.25 / _RUNS))
+
+
+def test_a_path_that_leaves_more_than_its_targets_counts():
+    deviation, slopes = np.full((4, 3), 0.1), np.full((4, 3, 1), 0.02)
+    size = np.linalg.norm(deviation, axis=1)
+    sources = _sources(slopes, np.eye(1))
+    chances = [_chance(sources, deviation, path_distance=share * size) for share in (0.0, 0.9, 1.0, 1.2)]
+    # the covariance is that of the change at the targets: Φ(½ (1 − share²) Σ|d|² / |Σ d·slope|)
+    expected = normal.cdf(0.5 * (1 - np.array([0.0, 0.9, 1.0, 1.2]) ** 2) * np.sum(size**2) / np.sum(deviation * 0.02))
+    np.testing.assert_allclose(chances, expected, atol=1e-12)
+    assert chances[3] < 0.49
 
 
 def test_of_two_correlations_of_the_forces_the_one_with_the_smaller_chance_counts():

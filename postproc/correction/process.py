@@ -113,8 +113,8 @@ _NOT_FINITE = (
     "the robot model is wrong."
 )
 
-_NO_DEVIATION = 1e-9
-"""Deviations below this everywhere are noise of the arithmetic [m]."""
+_NOTHING = 1e-6
+"""Uncorrected deviations below this everywhere leave nothing to judge on a part [m]."""
 _BY_PASS = (
     "passes of this line have different forces: no force file can hold them, and none is written. `predict` of the "
     "written program needs the process, or forces as comments."
@@ -362,6 +362,8 @@ def _errors(
     is_scaled = path.robot_in_cell.scaled(path.motions.forces, path.sample.motion[row])
     simulation = None if task.mode == "nominal" else draft.simulated
     left = np.broadcast_to(0.0, deviation.shape) if simulation is None else simulation.deviation
+    path_distance = np.zeros(len(row)) if simulation is None else simulation.path_distance
+    excess = np.maximum(path_distance - norm(left), 0.0)
     cuts = ~program.motions.rapid[motion]
     gain, error_by_remedy, extra_error = elastostatics.ChanceOfGain(), np.zeros(2), _beyond_targets(draft)
 
@@ -370,11 +372,12 @@ def _errors(
         load = draft.q[sample], path.tool(sample), path.wrench_in_root(sample), *_uncertain(path, sample)
         sources = elastostatics.sources_of_error(robot, *elastostatics.loads(*load, turning, is_scaled))
         pair = [toolpath.directions_in_root(program, motion[target], offset[target]) for offset in (deviation, left)]
-        gain.add(sources, pair[0], pair[1], cuts[target])
+        gain.add(sources, pair[0], pair[1], path_distance[target], cuts[target])
         expectation = elastostatics.expected_at(sources, pair[0], pair[1])
         for k, error in enumerate((expectation.robot_known, expectation.forces_known)):
             error_by_remedy[k] = max(
-                error_by_remedy[k], np.max(error + extra_error[target], initial=0.0, where=cuts[target])
+                error_by_remedy[k],
+                np.max(error + extra_error[target] + excess[target], initial=0.0, where=cuts[target]),
             )
         return expectation.bound, expectation.before, expectation.after
 
@@ -382,14 +385,11 @@ def _errors(
     if not np.isfinite(bound).all():
         issues.append(program.motions.issue("error", "no-bound", _NOT_FINITE, motion[~np.isfinite(bound)]))
         return None, None, issues
-    path_excess = (
-        0.0 if simulation is None else max(simulation.between - float(norm(simulation.deviation).max(initial=0.0)), 0.0)
-    )
     errors = ExpectedErrors(
         np.where(cuts, uncorrected_error + (0.0 if program.keeps_text else extra_error), 0.0),
-        np.where(cuts, corrected_error + extra_error + path_excess, 0.0),
-        gain.chance if float(norm(deviation).max(initial=0.0)) > _NO_DEVIATION else None,
-        *(error_by_remedy + path_excess).tolist(),
+        np.where(cuts, corrected_error + extra_error + excess, 0.0),
+        gain.chance if float(norm(deviation).max(initial=0.0)) > _NOTHING else None,
+        *error_by_remedy.tolist(),
     )
     return bound, errors, issues
 

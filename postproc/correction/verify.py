@@ -195,7 +195,8 @@ class Simulated(Struct, frozen=True, eq=False):
     :param text: as written.
     :param numbers: (K, 6) X, Y, Z, A, B, C as printed in the text [mm, deg].
     :param deviation: (K, 3) predicted tip minus nominal position at each target, `$BASE` [m].
-    :param between: largest distance from the nominal path anywhere looked at [m].
+    :param path_distance: (K,) largest distance from the nominal path on the way to each target [m], where correction
+        was possible.
     :param rounding: (K,) how far approximate positioning passes each target [m].
     :param missed: places where the path uses up too much of the tolerance, and more targets may help: row of `Motions`
         (n,), t (n,) on it, how far the tip is from the path there (n,) [m].
@@ -205,10 +206,15 @@ class Simulated(Struct, frozen=True, eq=False):
     text: Written
     numbers: Array
     deviation: Array
-    between: float
+    path_distance: Array
     rounding: Array
     missed: tuple[Ints, Array, Array]
     issues: tuple[Issue, ...]
+
+    @property
+    def between(self) -> float:
+        """Largest distance from the nominal path anywhere looked at [m]."""
+        return float(self.path_distance.max(initial=0.0))
 
 
 class _Probes(Struct, frozen=True, eq=False):
@@ -256,11 +262,13 @@ def simulate(
             issues += checks.blending(path.program, targets.motion, rounding - selection.programmed, tolerance)
     issues += too_fast
     bad = is_judged & probes.inside & ~(distance <= _SAFE * tolerance) & ~jump
+    path_distance = np.zeros(len(targets))
+    np.maximum.at(path_distance, probes.target[is_judged], distance[is_judged])
     return Simulated(
         readback.text,
         readback.numbers,
         deviation,
-        float(distance[is_judged].max(initial=0.0)),
+        path_distance,
         rounding,
         (probes.motion[bad], probes.t[bad], distance[bad]),
         tuple(issues),

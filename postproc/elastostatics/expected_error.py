@@ -14,6 +14,7 @@ covariance of e (`length_bound`).
 
 The left side is linear in e, so it is normal with mean zero. With its standard deviation σ the chance is
 Φ(½ Σ (|d|² − |r|²) / σ). For one unknown factor of relative standard deviation s, e = s·z·d and r = 0, it is Φ(1/(2s)).
+Where the path on the way to a target is further from nominal than r, that distance takes the place of |r|.
 
 σ² adds up over independent sources (JCGM 100:2008, "Guide to the expression of uncertainty in measurement", 5.1.2).
 Within a source the errors at different targets are correlated:
@@ -35,7 +36,7 @@ import numpy as np
 from msgspec import Struct
 
 from postproc.elastostatics.uncertainty import SourcesOfError, largest_length
-from postproc.frames import Array
+from postproc.frames import Array, norm
 from postproc.program import Bools
 
 
@@ -76,21 +77,24 @@ class ChanceOfGain:
 
     def __init__(self) -> None:
         """Begin without targets."""
-        self._gain = 0.0
+        self._gain, self._is_changed = 0.0, False
         self._by_parameter: Array | None = None
         self._covariance = np.zeros((0, 0))
         self._by_forces: list[Array] = []
         self._other: dict[str, float] = {}
 
-    def add(self, errors: SourcesOfError, deviation: Array, left: Array, counts: Bools) -> None:
+    def add(self, errors: SourcesOfError, deviation: Array, left: Array, path_distance: Array, counts: Bools) -> None:
         """Add n targets.
 
         :param deviation: (n, 3) from nominal if nothing is corrected, root axes [m]; `left` (n, 3) with correction.
+        :param path_distance: (n,) largest distance from the nominal path on the way to each target with correction [m].
         :param counts: (n,) targets that count: cutting ones.
         """
         deviation, left = deviation[counts], left[counts]
         change = deviation - left
-        self._gain += 0.5 * float(np.sum(deviation**2) - np.sum(left**2))
+        self._is_changed |= bool(change.any())
+        left_on_path = np.maximum(path_distance[counts], norm(left))
+        self._gain += 0.5 * float(np.sum(deviation**2) - np.sum(left_on_path**2))
         by_parameter = np.einsum("ni,nip->p", change, errors.slopes[counts])
         by_forces = [np.einsum("ni,nik->k", change, factor[counts]) for factor in errors.by_forces]
         if self._by_parameter is None:
@@ -104,7 +108,7 @@ class ChanceOfGain:
     @property
     def chance(self) -> float | None:
         """The chance, in [0, 1]; None if correction changes nothing."""
-        if self._gain == 0.0 or self._by_parameter is None:
+        if not self._is_changed or self._by_parameter is None:
             return None
         variance = float(self._by_parameter @ self._covariance @ self._by_parameter)
         variance += max(float(np.sum(share**2)) for share in self._by_forces)

@@ -6,7 +6,7 @@ follow from one table:
 | answer | ok | warning | failed |
 |---|---|---|---|
 | drive | nothing is wrong | a warning on motions, or a joint near its limit | it may not be driven |
-| better | the chance is at least `WIDE`, or nothing is left to judge | below, or unknown | below `HARM` |
+| better | the chance is at least `WIDE`, or nothing to judge | below, unknown, or a worse worst place | below `HARM` |
 | tolerance | held | cannot be judged | not held |
 
 The state of the whole is the worst of the three. A wide bound alone never fails: with both expected errors the user

@@ -125,7 +125,7 @@ def _better(result: Result, content: Summary, doubts: list[Finding], tolerance: 
         return Better("warning" if doubts else "ok", None, None, None, None, None, _texts(doubts))
     uncorrected, corrected_errors = (statistics(error, judged_result.rapid) for error in (errors.before, errors.after))
     largest_mm = max(content.before.max_mm, content.after.max_mm)
-    counts = content.mode == "convert" and largest_mm > (content.tolerance_mm or CUT_MM)
+    counts = content.mode == "convert" and largest_mm > min(content.tolerance_mm or CUT_MM, CUT_MM)
     if counts and errors.chance is not None and errors.chance < HARM:
         failures.append(Finding(_FIRST, _CHANCE.format("does more harm than good", chance_in_words(errors.chance))))
     elif counts and errors.chance is not None and errors.chance < WIDE and not (tolerance and tolerance.held):
@@ -137,6 +137,8 @@ def _better(result: Result, content: Summary, doubts: list[Finding], tolerance: 
                 f"{wide}. What would help: {remedies(actions)}" if actions else wide,
             )
         )
+    if content.mode == "convert" and (corrected_errors.largest - uncorrected.largest) * MM_PER_M > CUT_MM:
+        doubts.append(Finding(corrected_errors.largest * MM_PER_M, _WORSE_SOMEWHERE))
     state: State = "failed" if failures else "warning" if doubts else "ok"
     return Better(
         state=state,
@@ -149,6 +151,10 @@ def _better(result: Result, content: Summary, doubts: list[Finding], tolerance: 
     )
 
 
+_WORSE_SOMEWHERE = (
+    "at the worst place the corrected program is further off than the uncorrected one: the path between targets is "
+    "held to tolerance_mm of [output] only. Set it lower"
+)
 _CHANCE = "the correction {}: it makes the part better with a chance of {}"
 
 
