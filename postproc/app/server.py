@@ -22,6 +22,8 @@ from postproc.jobs.program_needs import needs_of
 from postproc.jobs.setup_form import setup_form, start_arguments
 
 _LARGEST_FORM = 1 << 16
+_COMPARED = (".src", ".mod")
+"""Written programs that another one is compared with."""
 _TIMEOUT_S = 60.0
 """A browser that says nothing for so long is left."""
 _OF_WINDOW = (
@@ -175,7 +177,8 @@ class _Handler(BaseHTTPRequestHandler):
         item = next((item for item in workspace.items() if item.name == name), None)
         if item is None:
             raise InputError(f"{name} is no program")
-        other_programs = [f"{RESULTS}/{path.name}" for path in sorted(workspace.results.glob("*.src"))]
+        results = sorted(workspace.results.iterdir()) if workspace.results.is_dir() else []
+        other_programs = [f"{RESULTS}/{path.name}" for path in results if path.suffix in _COMPARED]
         other_programs += [other_program.name for other_program in workspace.items() if other_program.name != name]
         command = command_line(self._with_cell("convert", name))
         self._page(screens.program(item, workspace, other_programs, self.server.runs.latest(name), command))

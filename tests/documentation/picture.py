@@ -207,20 +207,27 @@ def moving(folder: Path) -> None:
 
 
 def app(folder: Path) -> None:
-    """Take the window: the set-up of a program, then the list with its answers."""
-    (folder / "parts").mkdir()
+    """Take the window: the set-up of a program, the list with its answers, and a program with its report."""
+    parts, results = folder / "parts", folder / "parts" / "corrected"
+    results.mkdir(parents=True)
     for name in ("plate.nc", "pocket.nc"):
-        shutil.copy(SAMPLES / name, folder / "parts" / name)
-    invoke("convert", folder / "parts" / "pocket.nc", "--cell", CELL, "-o", folder / "parts" / "corrected")
-    with Window(folder / "parts", 0) as window, running() as browser:
+        shutil.copy(SAMPLES / name, parts / name)
+    cell = Path(shutil.copy(CELL, results / "cell.toml"))
+    invoke("convert", parts / "pocket.nc", "--cell", cell, "-o", results)
+    pages = {"app-programs": "/", "app-setup": "/setup?name=plate.nc", "app-program": "/program?name=pocket.nc"}
+    with Window(parts, 0) as window, running() as browser:
         Thread(target=window.serve_forever, daemon=True).start()
         page = browser.new_page(viewport={"width": 1200, "height": 900})
         page.goto(window.access.address)
-        page.screenshot(path=PICTURES / "app-programs.png", full_page=True)
-        page.goto(f"http://127.0.0.1:{window.access.port}/setup?name=plate.nc")
-        page.screenshot(path=PICTURES / "app-setup.png", full_page=True)
+        for name, path in pages.items():
+            page.goto(f"http://127.0.0.1:{window.access.port}{path}")
+            if page.locator("iframe").count():  # nothing is drawn in a report that is not on the screen
+                page.locator("iframe").scroll_into_view_if_needed()
+                page.frame_locator("iframe").locator(".main-svg").first.wait_for()
+                page.wait_for_timeout(_STILL_MS)
+            page.screenshot(path=PICTURES / f"{name}.png", full_page=True)
         window.shutdown()
-    for name in ("app-programs", "app-setup"):
+    for name in pages:
         reduced(PICTURES / f"{name}.png")
 
 

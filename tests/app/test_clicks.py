@@ -1,0 +1,164 @@
+"""What a person clicks once a program is corrected: place, compare, correct again, stop; two windows, keys alone."""
+
+from __future__ import annotations
+
+import shutil
+
+import pytest
+
+from postproc.app.server import Window
+from tests.app.conftest import answering
+from tests.app.test_window import looked_at, opened
+from tests.documentation.pages import ROOT
+from tests.pages.browser import needs_chromium
+from tests.test_currency import made
+
+pytestmark = needs_chromium
+
+
+@pytest.fixture(scope="module")
+def corrected(tmp_path_factory):
+    return made(tmp_path_factory.mktemp("corrected") / "shop")
+
+
+@pytest.fixture
+def window(corrected, tmp_path):
+    """A window on a folder with a program that is corrected."""
+    with Window(shutil.copytree(corrected, tmp_path / "shop"), 0) as served, answering(served):
+        yield served
+
+
+def to_program(page):
+    page.get_by_role("link", name="part.nc", exact=True).click()
+    page.get_by_role("heading", name="May it be run?").wait_for()
+
+
+def after_the_run(page):
+    page.wait_for_url("**/run?*")
+    page.get_by_role("link", name="See whether to run it").click()
+    page.get_by_role("heading", name="May it be run?").wait_for()
+
+
+def test_look_for_a_place_and_take_it(browser, window):
+    cell = window.workspace.cell.read_text()
+    with opened(browser, window) as page:
+        to_program(page)
+        page.get_by_role("button", name="Look for the best place").click()
+        after_the_run(page)
+        assert page.get_by_role("link", name="Map of places").is_visible()
+        looked_at(page, "10-place")
+        page.get_by_role("button", name="Take the best place").click()
+        after_the_run(page)
+        assert page.locator(".verdict.warning").count() == 0, "the result is that of the new cell"
+    edited = window.workspace.cell.read_text()
+    assert edited != cell
+    assert [item.current for item in window.workspace.items()] == [True]
+
+
+def test_compare_and_correct_again(browser, window):
+    with opened(browser, window, dark=True) as page:
+        to_program(page)
+        page.get_by_role("button", name="Compare").click()
+        after_the_run(page)
+        page.get_by_role("link", name="Comparison").click()
+        page.locator("h1").wait_for()
+        page.go_back()
+        page.get_by_text("Correct again, with options").click()
+        page.get_by_label("Tolerance of the part, mm").fill("0.9")
+        looked_at(page, "11-options")
+        page.get_by_role("button", name="Correct again").click()
+        after_the_run(page)
+        assert page.get_by_text("0.9 mm", exact=True).is_visible()
+
+
+def test_stop_a_long_run(browser, window):
+    shutil.copy(ROOT / "samples" / "plate.nc", window.workspace.folder / "plate.nc")
+    before = {path.name: path.read_bytes() for path in window.workspace.results.iterdir() if path.is_file()}
+    with opened(browser, window, width=420) as page:
+        runs = window.runs
+        run = runs.begin("plate.nc", "Best place for plate.nc", ["place", "plate.nc", "--cell", "corrected/cell.toml",
+                         "--process", "corrected/part.process.toml", "-o", "corrected/place-plate"])  # fmt: skip
+        page.goto(f"http://127.0.0.1:{window.access.port}/run?number={run.number}")
+        page.locator("#step", has_text="%").wait_for()
+        looked_at(page, "12-working")
+        page.get_by_role("button", name="Stop").click()
+        page.get_by_role("heading", name="Stopped").wait_for()
+        looked_at(page, "13-stopped")
+    assert run.code not in (0, None)
+    assert {path.name: path.read_bytes() for path in window.workspace.results.iterdir() if path.is_file()} == before
+
+
+def test_two_windows_begin_one_command_and_do_not_change_what_it_reads(browser, window):
+    cell = window.workspace.cell.read_bytes()
+    with opened(browser, window) as first, opened(browser, window) as second:
+        to_program(first)
+        to_program(second)
+        first.get_by_role("button", name="Look for the best place").click()
+        second.get_by_role("button", name="Look for the best place").click()
+        first.wait_for_url("**/run?*")
+        second.wait_for_url("**/run?*")
+        assert first.url == second.url
+        second.get_by_role("link", name="Cell", exact=True).click()
+        second.locator("input[name='base.X']").fill("1510")
+        second.get_by_role("button", name="Save").click()
+        assert "nothing was changed" in second.get_by_role("alert").inner_text()
+        looked_at(second, "14-cell-in-use")
+        assert window.workspace.cell.read_bytes() == cell
+        second.goto(first.url)
+        second.get_by_role("button", name="Stop").click()
+        first.get_by_role("heading", name="Stopped").wait_for()
+
+
+def reached(page, name, presses=60):
+    """Press Tab until the control of this name has the focus."""
+    for _ in range(presses):
+        page.keyboard.press("Tab")
+        focused = "(document.activeElement.innerText || document.activeElement.getAttribute('aria-label') || '')"
+        if page.evaluate(f"{focused}.startsWith({name!r})"):
+            return
+    raise AssertionError(f"{name} is not reached by Tab")
+
+
+def test_keys_alone_correct_again_and_save(browser, window):
+    with opened(browser, window) as page:
+        reached(page, "part.nc")
+        page.keyboard.press("Enter")
+        page.get_by_role("heading", name="May it be run?").wait_for()
+        reached(page, "Save part.src")
+        with page.expect_download():
+            page.keyboard.press("Enter")
+        reached(page, "Correct again, with options")
+        page.keyboard.press("Enter")
+        reached(page, "Correct again")
+        page.keyboard.press("Enter")
+        page.wait_for_url("**/run?*")
+        page.get_by_role("link", name="See whether to run it").wait_for()
+
+
+@pytest.mark.parametrize("path", ["/", "/program?name=part.nc", "/setup?name=part.nc", "/cell", "/robots"])
+def test_a_screen_reader_finds_its_way(browser, window, path):
+    with opened(browser, window, width=420, dark=True) as page:
+        page.goto(f"http://127.0.0.1:{window.access.port}{path}")
+        for role in ("banner", "navigation", "main", "contentinfo", "status"):
+            assert page.get_by_role(role).count() >= 1, role
+        assert page.get_by_role("heading", level=1).count() == 1
+        assert page.locator("html[lang]").count() == 1
+        unnamed = page.evaluate(
+            "[...document.querySelectorAll('a, input, select, button, iframe')].filter((e) => e.type !== 'hidden' && "
+            "!(e.labels?.length || e.textContent.trim() || e.getAttribute('aria-label') || e.title))"
+            ".map((e) => e.outerHTML)"
+        )
+        assert unnamed == []
+        looked_at(page, f"20{path.partition('?')[0].replace('/', '-')}")
+
+
+def test_a_report_is_drawn_in_its_frame(browser, window):
+    with opened(browser, window) as page:
+        to_program(page)
+        report = page.frame_locator("iframe")
+        report.locator("h1").wait_for()
+        page.locator("iframe").scroll_into_view_if_needed()
+        report.locator(".main-svg, canvas").first.wait_for()
+        page.wait_for_timeout(500)
+        picture = page.locator("iframe").screenshot()
+    assert len(picture) > 20_000, "a blank frame is a few hundred bytes"
