@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from postproc.cli import streams
+
 if TYPE_CHECKING:
     from postproc.jobs import Outcome, Settings
 
@@ -71,6 +73,5 @@ def convert_piped(program: str, settings: Settings, files: dict[str, Any], name:
         if not click.get_current_context().find_root().params.get("quiet"):
             click.echo(report.of_one(outcome.summary), err=to_stdout)
         if to_stdout:
-            with click.open_file(PIPE, "wb") as stdout:
-                stdout.write(Path(programs[0]).read_bytes())
+            streams.write_to_stdout(Path(programs[0]).read_bytes())
     return outcome

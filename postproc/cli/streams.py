@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 import sys
@@ -83,3 +84,22 @@ def lost_output(sink: _Sink | None) -> str | None:
     if sink is None or sink.failure is None:
         return None
     return f"What was to be printed could not be written ({sink.failure.strerror}). Files are those of a whole run."
+
+
+def write_to_stdout(data: bytes) -> None:
+    """Write a program to stdout; unlike what is printed, it may not get lost.
+
+    :raises OSError: stdout is closed, or does not take all of it.
+    """
+    raw = _raw(sys.stdout)
+    stream = raw.stream if isinstance(raw, _Sink) else sys.stdout
+    if getattr(stream, "name", None) == os.devnull:  # see `replace_absent`
+        raise OSError(errno.EBADF, "stdout is closed: the program could not be written there")
+    sys.stdout.flush()
+    if raw is None:
+        sys.stdout.buffer.write(data)
+        return
+    with io.FileIO(raw.fileno(), "wb", closefd=False) as device:
+        rest = memoryview(data)
+        while rest:
+            rest = rest[device.write(rest) or 0 :]

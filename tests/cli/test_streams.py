@@ -47,3 +47,11 @@ def test_quiet_prints_errors_alone(tmp_path):
     done = shell("--quiet", tmp_path, "convert", "none.nc", "--cell", SAMPLES / "cell_kr270.toml")
     assert done.returncode == 1
     assert "none.nc" in done.stderr
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
+@pytest.mark.parametrize(("stdout", "reason"), [("> /dev/full", "No space left"), (">&-", "stdout is closed")])
+def test_a_program_that_stdout_does_not_take_is_an_error(tmp_path, stdout, reason):
+    done = shell(f"--quiet {stdout}", tmp_path, *CONVERT[:-1], "-")
+    assert done.returncode == 1
+    assert reason in done.stderr
