@@ -114,3 +114,25 @@ def test_the_command_exits_with_3_where_a_frame_is_off(tmp_path, joints):
     assert "$TOOL is off" in done.output
     points.write_text("\n".join(points.read_text().splitlines()[:3]) + "\n")
     assert "2 points" in run("check", "frames", points, cell=cell, code=1).output
+
+
+def test_a_tool_that_is_never_turned_leaves_errors_that_cancel_unseen(tmp_path):
+    files = written(tmp_path, touching((0.0,) * len(POINTS)))
+    assert check_frames(*files, 0.1).suspect == "unturned"
+    assert run("check", "frames", files[0], "--cell", files[1], code=3).output.startswith("The points agree with both")
+
+
+@pytest.mark.parametrize("kept", [[0, 1, 1, 0, 1], [0, 0, 0, 0, 0]], ids=["line", "one place"])
+def test_points_on_one_line_are_refused(tmp_path, joints, kept):
+    files = written(tmp_path, joints[kept])
+    lines = files[0].read_text().splitlines()
+    rows = [
+        ",".join([f"P{n}", *lines[k + 1].split(",")[1:4], *lines[n + 1].split(",")[4:]]) for n, k in enumerate(kept)
+    ]
+    files[0].write_text("\n".join([lines[0], *rows]) + "\n")
+    assert "on one line" in run("check", "frames", files[0], "--cell", files[1], code=1).stderr
+
+
+def test_a_standard_deviation_that_is_no_number_is_refused(tmp_path, joints):
+    files = written(tmp_path, joints)
+    assert "nan" in run("check", "frames", files[0], "--cell", files[1], "--sigma", "nan", code=2).stderr

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from postproc.cli.options import complete_files
+from postproc.cli.ranges import FiniteRange
 
 _PATH = click.Path(path_type=Path)
 
@@ -27,7 +28,7 @@ def check() -> None:
 @click.option(
     "--sigma",
     "sigma_mm",
-    type=click.FloatRange(1e-3, 100),
+    type=FiniteRange(1e-3, 100),
     default=0.5,
     show_default=True,
     help="Standard deviation of a coordinate, mm: touch, and accuracy of the robot (assumed).",
@@ -38,7 +39,7 @@ def frames(ctx: click.Context, /, points: Path, cell: Path, sigma_mm: float) -> 
 
     POINTS is a CSV with the columns point, X, Y, Z, A1 … A6: three or more points of the part in $BASE (mm), and the
     joint angles (deg) that the controller shows while the tip touches them. Touch one of them with the tool turned, so
-    that $TOOL and $BASE can be told apart. The exit code is 3 if a frame is off.
+    that $TOOL and $BASE can be told apart. The exit code is 3 if a frame is off or the points do not show it.
 
     \b
     Example:

@@ -12,6 +12,7 @@ import click
 
 from postproc.cli.asking import is_terminal
 from postproc.cli.options import Choice, complete_files, complete_robots
+from postproc.cli.ranges import FiniteRange
 
 if TYPE_CHECKING:
     from postproc.hosts.robodk_station import Station
@@ -65,7 +66,7 @@ def _parsed(kind: str) -> Any:
 )
 @click.option("--config-dat", type=_PATH, help="$config.dat of the controller: --base and --tool may be numbers then.")
 @click.option(
-    "--clearance", type=float, metavar="Z", help="Z of $BASE to which G28, G30 and G53 retract; default: 200."
+    "--clearance", type=FiniteRange(), metavar="Z", help="Z of $BASE to which G28, G30 and G53 retract; default: 200."
 )
 @click.option(
     "--tool-change",
@@ -120,7 +121,10 @@ def _parsed(kind: str) -> Any:
     help="A point of an indexed axis in $BASE; once for each.",
 )
 @click.option(
-    "--part-tolerance", type=float, metavar="MM", help="What the part may be off (95 %); default: not judged."
+    "--part-tolerance",
+    type=FiniteRange(min=0, min_open=True),
+    metavar="MM",
+    help="What the part may be off (95 %); default: not judged.",
 )
 @click.option(
     "--payload",

@@ -12,6 +12,7 @@ from click.shell_completion import CompletionItem
 
 from postproc import actions
 from postproc.actions import Option
+from postproc.cli.ranges import FiniteRange
 
 _PATH = click.Path(path_type=Path)
 _Command = TypeVar("_Command", bound=Callable[..., Any])
@@ -19,7 +20,7 @@ _Command = TypeVar("_Command", bound=Callable[..., Any])
 probe_sigma = click.option(
     "--sigma",
     "sigma_mm",
-    type=click.FloatRange(1e-4, 1),
+    type=FiniteRange(1e-4, 1),
     default=0.005,
     show_default=True,
     help="Noise of the probe, mm.",
@@ -102,7 +103,7 @@ def _decorator(option: Option) -> Callable[[_Command], _Command]:
         attributes["type"] = click.IntRange(min=None if option.least is None else int(option.least))
     elif option.kind == "length":
         attributes |= {
-            "type": float if option.least is None else click.FloatRange(min=option.least),
+            "type": float if option.least is None else FiniteRange(min=option.least),
             "callback": _finite,
         }
     else:

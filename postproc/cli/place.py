@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from postproc.cli import options
+from postproc.cli.ranges import FiniteRange
 from postproc.progress import shown
 
 _PATH = click.Path(path_type=Path)
@@ -20,12 +21,10 @@ _PATH = click.Path(path_type=Path)
 @click.option("--forces", type=_PATH, help="File of cutting forces, or a folder with NAME.csv for each program.")
 @click.option("--process", type=_PATH, help="Compute the forces from material, tools and stock: process.toml.")
 @click.option("--region", help="Bounds: X=1200:2000,Y=-600:600,Z=500:900,A=-90:90 (mm, deg); E1 too.")
-@click.option(
-    "--margin-deg", type=click.FloatRange(0, 60), default=5.0, show_default=True, help="To joint limits, in deg."
-)
+@click.option("--margin-deg", type=FiniteRange(0, 60), default=5.0, show_default=True, help="To joint limits, in deg.")
 @click.option(
     "--clearance-mm",
-    type=click.FloatRange(0, 1000),
+    type=FiniteRange(0, 1000),
     help="Between bodies of [collision]; default: clearance_mm of the cell.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from postproc.cli import options
+from postproc.cli.ranges import FiniteRange
 from postproc.progress import as_lines, lines
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ def plan() -> None:
     "--markers", type=click.IntRange(1, 20), default=4, show_default=True, help="Markers on the compensator, P01 …"
 )
 @click.option("--repeats", type=click.IntRange(1, 100), default=3, show_default=True, help="Readings of each marker.")
-@click.option("--margin", type=click.FloatRange(0, 60), default=5.0, show_default=True, help="To limits of A2, in deg.")
+@click.option("--margin", type=FiniteRange(0, 60), default=5.0, show_default=True, help="To limits of A2, in deg.")
 @click.option("--json", "as_json", is_flag=True, help="Print the plan as JSON.")
 @options.overwrite
 @click.option("-o", "--output", type=_PATH, required=True, help="CSV file to write; .json next to it.")
@@ -104,7 +105,7 @@ def compensator(as_json: bool, **request: Any) -> None:
     help="Poses that represent the programs.",
 )
 @click.option("--repeats", type=click.IntRange(1, 100), default=3, show_default=True, help="Readings of each point.")
-@click.option("--margin", type=click.FloatRange(0, 60), default=5.0, show_default=True, help="To joint limits, in deg.")
+@click.option("--margin", type=FiniteRange(0, 60), default=5.0, show_default=True, help="To joint limits, in deg.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed gives the same plan.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 @options.overwrite

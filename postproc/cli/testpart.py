@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from postproc.cli import options
+from postproc.cli.ranges import FiniteRange
 
 _PATH = click.Path(path_type=Path)
 
@@ -29,16 +30,14 @@ _PATH = click.Path(path_type=Path)
 @click.option(
     "--features", "count", type=click.IntRange(2, 60), default=12, show_default=True, help="Features at most."
 )
-@click.option(
-    "--depth", "depth_mm", type=click.FloatRange(0.1, 50), help="Largest depth of cut, mm; default 0.2 diameters."
-)
-@click.option("--feed", "feed_mm_per_min", type=click.FloatRange(1, 50_000), help="Feed of full cuts, mm/min.")
+@click.option("--depth", "depth_mm", type=FiniteRange(0.1, 50), help="Largest depth of cut, mm; default 0.2 diameters.")
+@click.option("--feed", "feed_mm_per_min", type=FiniteRange(1, 50_000), help="Feed of full cuts, mm/min.")
 @click.option("--tool", type=int, help="Number of the tool; default: the only one.")
 @options.probe_sigma
 @click.option(
     "--weight",
     "weight_kg",
-    type=click.FloatRange(0, 500),
+    type=FiniteRange(0, 500),
     default=0.0,
     help="Weight that will be hung on the tool under a dial gauge, kg.",
 )

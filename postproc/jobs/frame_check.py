@@ -33,6 +33,7 @@ from postproc.frames import (
     MM_PER_M,
     RAD_PER_DEG,
     Array,
+    angle_between,
     norm,
     rotation_from_vector,
     xyzabc_from_pose,
@@ -40,10 +41,14 @@ from postproc.frames import (
 from postproc.jobs.programs import load_robot
 from postproc.robot import JOINTS
 
-Suspect = Literal["none", "tool", "base", "both", "contradiction", "undecided"]
+Suspect = Literal["none", "tool", "base", "both", "contradiction", "undecided", "unturned"]
 _MIN_POINTS = 3
 _CONFIDENCE = 0.95
 _INTERVAL_FACTOR = 1.96
+_LEAST_SPREAD = 0.02
+"""Least distance [m] of points from their best line, RMS, at which a rotation of `$BASE` about it shows."""
+_LEAST_TURN = 20.0 * RAD_PER_DEG
+"""Least rotation of the tool between two touches at which `$TOOL` and `$BASE` are told apart."""
 _RANK_TOLERANCE = 1e-6
 """Smallest ratio of singular values at which unknowns count as independent."""
 
@@ -60,7 +65,7 @@ class FrameCheck(Struct, frozen=True, eq=False):
     """Result of a check.
 
     :param suspect: the frame that is off; ``"undecided"``: `$TOOL` and `$BASE` explain the points equally well;
-        ``"contradiction"``: neither frame does.
+        ``"unturned"``: no error shows, but the tool was not turned; ``"contradiction"``: neither frame does.
     :param off: (n,) distance of each touched point from where it is expected [m].
     :param left: (n,) the same after the errors of the frames [m].
     :param tool: (3,) error of `$TOOL` in the axes of the flange [m], with half widths of 95 % intervals (3,); or None.
@@ -82,13 +87,18 @@ class FrameCheck(Struct, frozen=True, eq=False):
 def read_touched(path: Path) -> Touched:
     """Read touched points: point, X, Y, Z in `$BASE` [mm], A1 … A6 [deg].
 
-    :raises InputError: it cannot be read, or has fewer than three points.
+    :raises InputError: it cannot be read, has fewer than three points, or all are on a line.
     """
     numbers, texts, _ = read_csv(path, ["point", "X", "Y", "Z", *JOINTS], [], InputError, text_columns=("point",))
     if len(texts["point"]) < _MIN_POINTS:
         advice = f"Touch at least {_MIN_POINTS} points that are not on one line, one of them with the tool turned."
         raise InputError(f"{len(texts['point'])} points", file=str(path), advice=advice)
     point = np.stack([numbers[axis] for axis in "XYZ"], axis=1) * M_PER_MM
+    spread = np.linalg.svd(point - point.mean(axis=0), compute_uv=False)[1] / np.sqrt(len(point))
+    if spread < _LEAST_SPREAD:
+        advice = f"Touch points that are {2 * _LEAST_SPREAD * MM_PER_M:g} mm and more off the line through the others."
+        problem = "all points are on one line: a rotation of $BASE about it does not show"
+        raise InputError(problem, file=str(path), advice=advice)
     joints = np.stack([numbers[joint] for joint in JOINTS], axis=1) * RAD_PER_DEG
     return Touched(texts["point"], point, joints)
 
@@ -155,8 +165,10 @@ def judged(touches: Touched, flange: Array, nominal_point: Array, tip: Array, si
     suspect: Suspect = "contradiction"
     if good:
         suspect = "undecided" if good[0] == "tool" and "base" in good else good[0]
-    if suspect in ("none", "contradiction", "undecided"):
-        best = "both" if suspect == "contradiction" else "none" if suspect == "none" else "tool"
+    if suspect == "none" and angle_between(flange[:1], flange).max() < _LEAST_TURN:
+        suspect = "unturned"
+    if suspect in ("none", "unturned", "contradiction", "undecided"):
+        best = "both" if suspect == "contradiction" else "tool" if suspect == "undecided" else "none"
         residual_distances = norm(left[best].reshape(-1, 3))
         if suspect != "undecided":
             return FrameCheck(suspect, touches, distances, residual_distances)
@@ -186,6 +198,8 @@ _HEADLINES: dict[Suspect, str] = {
     "tool": "$TOOL is off: correct [tool] of the cell and TOOL_DATA of the controller.",
     "base": "$BASE is off: correct [base] of the cell and BASE_DATA of the controller.",
     "both": "$TOOL and $BASE are off.",
+    "unturned": "The points agree with both frames together. Errors of $TOOL and $BASE that cancel each other do not "
+    "show: touch a point with the tool turned by 90° too.",
     "undecided": "One frame is off, and the points do not show which: touch a point with the tool turned by 90° too.",
     "contradiction": "Neither frame explains the points: check the points and joint angles, and --sigma.",
 }
