@@ -336,3 +336,14 @@ def test_a_move_means_the_same_in_one_line_and_over_several(speed):
     (plain, split) = (program.motions for program in programs)
     assert plain.feed[-1] == split.feed[-1] == (0.0125 if "12.5" in speed else 0.05)
     assert (plain.target.position[-1] == split.target.position[-1]).all()
+
+
+def test_a_routine_has_the_data_of_a_changeable_parameter_itself():
+    routines = (
+        "  PROC Cut(PERS wobjdata w,INOUT num x)\n    MoveL Offs(q,x,0,0),v50,z1,tMill\\WObj:=w;\n    x:=x+10;\n"
+        "    MoveL Offs(q,n,0,0),v50,z1,tMill\\WObj:=w;\n  ENDPROC\n"
+    )
+    data = f"  VAR num n:=5;\n  CONST robtarget q:={at(0, 0, 0)};"
+    code = ["Cut wPart,n;", "Cut wPart,n;", f"MoveL {at(1, 2, 3)},v50,z1,tMill\\WObj:=wPart;"]
+    x = read(module(code, data, routines)).motions.target.position[1:, 0] * 1e3
+    np.testing.assert_allclose(x - x[-1], [4.0, 14.0, 14.0, 24.0, 0.0], atol=1e-9)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any
+from typing import Any, TypeGuard
 
 from msgspec import Struct, field
 
@@ -554,9 +554,11 @@ class Execution:
         inner = Scope(self.data)
         expressions = [argument.value for argument in statement.arguments if not argument.name]
         parameters = list(routine.parameters)
-        for (name, type_, _), expression in zip(parameters, expressions, strict=False):
+        for (name, type_, changeable), expression in zip(parameters, expressions, strict=False):
             variable = Variable(type_, None, f"the call of {routine.name} does not give it")
-            if expression is not None:
+            if changeable and _is_plain(expression, scope):  # INOUT, VAR, PERS: the routine has the data itself
+                variable = scope.variable(expression.value)
+            elif expression is not None:
                 try:
                     variable.value, _ = evaluated(expression, scope)
                 except UnknownValueError as cause:
@@ -568,7 +570,7 @@ class Execution:
             self.done.calls.setdefault(routine.name, []).append(statement)
         self._routine(routine, inner, depth + 1)
         for (_, _, changeable), expression in zip(parameters, expressions, strict=False):
-            if changeable and expression is not None:
+            if changeable and expression is not None and not _is_plain(expression, scope):
                 outer = scope.find(base_name(expression))
                 if outer is not None and not _is_constant(outer):
                     outer.forget(f"{routine.name} may change it")
@@ -674,6 +676,11 @@ def _declared(declaration: Declaration) -> Variable:
     if declaration.value is None and not declaration.dimensions:
         variable.value = {"NUM": 0.0, "BOOL": False, "STRING": ""}.get(declaration.type)
     return variable
+
+
+def _is_plain(expression: Expression | None, scope: Scope) -> TypeGuard[Expression]:
+    """Return whether an argument is the name of data that are declared."""
+    return expression is not None and expression.kind == "name" and scope.find(expression.value) is not None
 
 
 def _is_constant(variable: Variable) -> bool:
