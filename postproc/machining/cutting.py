@@ -43,7 +43,7 @@ from numpy.typing import NDArray
 
 from postproc.frames import Array, norm
 from postproc.machining.material import Floats
-from postproc.machining.stock import Stock
+from postproc.machining.stock import SLOPE, Stock, between_cells
 from postproc.machining.tool import Turn
 
 _NOTHING = 1e-6
@@ -185,23 +185,44 @@ def _cylinder(stock: Stock, nearest: NDArray[np.int32], tip: Floats, start: np.f
 
 
 def _levels(stock: Stock, around: Corners, pieces: slice, z: Floats, in_part: bool, on_floor: bool) -> Floats:
-    """Return the level at each point, interpolated between the cells around it, not below the tip."""
+    """Return the level of the surface at each point between the four cells around it, not below the tip."""
     high, low, share, floor = (one.reshape(-1) for one in (stock.high, stock.low, stock.share, stock.floor))
-    out = None
-    for cell, weight in zip(around.cell, around.weight, strict=True):
+    slopes = _slopes(stock, around, pieces)
+    levels, planes, weights = [], [], [weight[:, pieces] for weight in around.weight]
+    for k, cell in enumerate(around.cell):
         at = cell[:, pieces]
-        value = high.take(at)
-        np.maximum(value, z, out=value)
+        top = high.take(at)
+        level = np.maximum(top, z)
         if on_floor:
-            empty = high.take(at) <= floor.take(at)
-            np.copyto(value, np.broadcast_to(z, value.shape), where=empty)
+            empty = top <= floor.take(at)
+            np.copyto(level, np.broadcast_to(z, level.shape), where=empty)
         if in_part:
             part = share.take(at)
             if part.any():
-                value += part * (np.minimum(np.maximum(low.take(at), z), value) - value)
-        value *= weight[:, pieces]
-        out = value if out is None else np.add(out, value, out=out)
-    return np.asarray(out)
+                level += part * (np.minimum(np.maximum(low.take(at), z), level) - level)
+        levels.append(level)
+        if slopes:
+            planes.append(np.maximum(level + np.where(top > z, slopes[k], np.float32(0.0)), z))
+    if slopes:
+        return between_cells(levels, planes, weights)
+    for level, weight in zip(levels, weights, strict=True):
+        level *= weight
+    return np.asarray((levels[0] + levels[1]) + (levels[2] + levels[3]))
+
+
+def _slopes(stock: Stock, around: Corners, pieces: slice) -> list[Floats]:
+    """Return the rise [m] of the surface from the middle of each cell around points (n, P) to them; none if level."""
+    both = stock.slope.reshape(-1, 2).view(np.int32)[:, 0]
+    across, along = (around.weight[1] + around.weight[3])[:, pieces], (around.weight[2] + around.weight[3])[:, pieces]
+    found = [both.take(cell[:, pieces]) for cell in around.cell]
+    if not any(each.any() for each in found):
+        return []
+    unit = np.float32(SLOPE * stock.cell)
+    out = []
+    for k, each in enumerate(found):
+        slope = each[..., None].view(np.int16)
+        out.append(unit * (slope[..., 0] * (across - (k & 1)) + slope[..., 1] * (along - (k >> 1))))
+    return out
 
 
 _LEVEL = 1e-3
@@ -267,7 +288,9 @@ def mean(turn: Turn, inside: Engaged, chip: Floats, plunging: Floats, cell: floa
     if turn.law.covariance is not None:
         of_each = _of_each(turn, inside, (cutting, rubbing), thin)
         square += np.einsum("kni,kl,lni->ni", of_each, np.array(turn.law.covariance), of_each)
-    by_cells = np.minimum(_BY_CELLS * cell / np.sqrt(np.maximum(area, 1e-12)), 0.0 if turn.drill else 1.0)
+    by_cells = np.minimum(
+        _BY_CELLS * turn.sampling * cell / np.sqrt(np.maximum(area, 1e-12)), 0.0 if turn.drill else 1.0
+    )
     for half in (slice(0, 3), slice(3, 6)):  # in any direction
         square[:, half] += (np.square(by_cells * norm(wrench[:, half])) / 3.0)[:, None]
     return Loads(wrench, np.sqrt(np.maximum(square, 0.0)), by_cells, np.asarray(removal, dtype=float))

@@ -20,7 +20,8 @@ from postproc.machining.material import CuttingLaw
 from postproc.machining.process import Process, box_corners
 from postproc.machining.profiles import thinned, without_steps
 from postproc.machining.remaining import Ceiling, Guard, StockInTime
-from postproc.machining.setups import Setup, setups
+from postproc.machining.resolution import ENOUGH, ThinPasses, factors, thin_passes
+from postproc.machining.setups import Setup, setups, with_finer_cells
 from postproc.machining.stock import Stock
 from postproc.machining.sweep import Cuts, Sweep
 from postproc.machining.tool_path import (
@@ -55,10 +56,6 @@ _DEEP = 4.0
 """Warn beyond this depth of cut, in tool diameters: no cutter cuts that deep."""
 _LEAST_RISE = 2e-5
 """Minimum length over which the force of a motion builds up [m]."""
-_GOOD_SIGMA = 0.05
-"""Standard deviation of forces by the cells of the map that is enough, as a share of them,"""
-_COARSE = 0.055
-"""and beyond which there is a warning: `resolution_mm` is advised to two digits."""
 _BATCH = 200_000
 """Number of stations to collect before they are thinned out."""
 
@@ -131,12 +128,19 @@ def estimate(
     refuse_unread_cuts(program)
 
     def swept(widest: float) -> ProcessForces:
-        if guard is not None:
-            guard.close.clear()
-        return _estimate(
-            program, path, process, axis, widest, stock=stock, base_axes=base_axes, shift=shift, guard=guard,
-            progress=progress,
-        )  # fmt: skip
+        factor_from: dict[int, int] = {}
+        while True:
+            if guard is not None:
+                guard.close.clear()
+            forces, passes = _estimate(
+                program, path, process, axis, widest, factor_from, stock=stock, base_axes=base_axes, shift=shift,
+                guard=guard, progress=progress,
+            )  # fmt: skip
+            if factor_from or process.stock.resolution_mm is not None:
+                return forces
+            factor_from = factors(passes, forces.stock.high.size)
+            if not factor_from:
+                return forces
 
     try:
         return swept(_WIDEST)
@@ -153,23 +157,25 @@ def _estimate(
     process: Process,
     axis: str,
     widest: float,
+    factor_from: dict[int, int],
     *,
     stock: Path | None,
     base_axes: bool,
     shift: Shift | None,
     guard: Guard | None,
     progress: Callable[[int, int], None] | None,
-) -> ProcessForces:
-    """Return the cutting forces of a program, see `estimate`.
+) -> tuple[ProcessForces, list[ThinPasses]]:
+    """Return the cutting forces of a program, see `estimate`, and the passes that need finer cells than they had.
 
     :param widest: largest angle between a tool that turns while it cuts and the direction of a map [rad].
+    :param factor_from: by which cells of the map are divided from a motion on.
     """
     law = process.law()
     tools = tool_states(program, process)
-    cell = process.stock.resolution_mm * M_PER_MM
+    cell = process.stock.cell
     directions = Directions.of(program, path, axis)
-    in_order = setups(program, directions, widest)
-    material, issues = _stock(process, in_order[0].frame, cell, stock)
+    in_order = with_finer_cells(setups(program, directions, widest), factor_from, directions.cuts)
+    material, issues = _stock(process, in_order[0].frame, cell / in_order[0].factor, stock)
     start, removed_volume = material.volume(), 0.0
     bounds = (*material.bounds, material.top)
     all_segments = straight_segments(program, path, tools, in_order[0].frame, cell, shift, directions)
@@ -180,24 +186,24 @@ def _estimate(
     swing = np.full(len(program.motions), np.nan) if program.swivel is None else program.swivel.rate
     total = len(all_segments.motion)
     segment_count, parts, sweeps, knots = 0, [], [], []
-    is_compared = np.zeros(len(program.motions), dtype=bool)
+    is_compared, by_cells = np.zeros(len(program.motions), dtype=bool), np.zeros((len(program.motions), 2))
     for number, setup in enumerate(in_order):
         if number:
             removed_volume += start - material.volume()
             left = material.volume()
-            material = _turned(material, in_order[number - 1].frame, setup.frame, cell)
+            material = _next_map(material, in_order[number - 1], setup, cell)
             start = material.volume()
             issues += _hollows(start, left)
         steps = all_segments
         if number:
-            steps = straight_segments(program, path, tools, setup.frame, cell, shift, directions)
+            steps = straight_segments(program, path, tools, setup.frame, material.cell, shift, directions)
         steps = steps.of(setup.motions)
         is_compared[steps.motion[~steps.leans]] = True
         ceiling = None if guard is None else Ceiling(material)
         leans = ~directions.within(setup.frame[:3, 2], TURNS)
         poses = ToolPoses(program, path, setup.frame, axis, leans)
         feed, has_shift = program.motions.feed, shift is not None
-        sweep = Sweep(material, process, tools, feed, law, poses, swing, has_shift, guard, ceiling)
+        sweep = Sweep(material, process, tools, feed, law, poses, swing, by_cells, has_shift, guard, ceiling)
         cuts = _thinned(sweep, steps, _offset(progress, segment_count, total))
         segment_count += len(steps.motion)
         sweeps.append(sweep)
@@ -214,11 +220,12 @@ def _estimate(
     issues += unread_cuts(program)
     issues += _out_of_scale(all_segments, bounds)
     issues += _issues(program, spindle_off, law, cuts, tools, process)
-    issues += _coarse(tools, sweeps, cell)
+    passes = thin_passes(program, tools, by_cells)
+    issues += _coarse(program, tools, passes, in_order, cell)
     issues += [*_collisions(program, collisions, guard), *_other_cutter(program, tools, process, guard)]
     power = np.zeros(len(program.motions))
     np.maximum.at(power, cuts.motion, cuts.power)
-    return ProcessForces(
+    forces = ProcessForces(
         along=Knots.joined(knots),
         cuts=cuts,
         power=power,
@@ -230,6 +237,7 @@ def _estimate(
         issues=tuple(issues),
         over_time=None if guard is None else _over_time(program, in_order, sweeps, is_compared),
     )
+    return forces, passes
 
 
 def _refuse_tilted(program: Program, sweeps: list[Sweep]) -> None:
@@ -292,11 +300,19 @@ def _thinned(sweep: Sweep, steps: StraightSegments, progress: Callable[[int], No
     return Cuts.joined([*thin_cuts, cuts.take(thinned(cuts.motion, cuts.wrench))])
 
 
-def _turned(material: Stock, old_frame: Array, frame: Array, cell: float) -> Stock:
-    """Return the remaining stock as a map for another direction of the tool."""
+def _next_map(material: Stock, before: Setup, setup: Setup, cell: float) -> Stock:
+    """Return the remaining stock as a map with finer cells, or for another direction of the tool.
+
+    :param cell: width of a cell that is not divided [m].
+    """
+    if np.array_equal(before.frame, setup.frame):
+        ratio = setup.factor // before.factor
+        if ratio * before.factor != setup.factor:
+            ratio += 1
+        return stocks.refined(material, ratio) if ratio > 1 else material
     vertices, faces = stocks.mesh_of(material)
-    to_map = inverse(frame) @ old_frame
-    return stocks.from_mesh(vertices @ to_map[:3, :3].T + to_map[:3, 3], faces, cell)
+    to_map = inverse(setup.frame) @ before.frame
+    return stocks.from_mesh(vertices @ to_map[:3, :3].T + to_map[:3, 3], faces, cell / setup.factor)
 
 
 def _stock(process: Process, frame: Array, cell: float, path: Path | None) -> tuple[Stock, list[Issue]]:
@@ -427,22 +443,24 @@ def _issues(
     return issues
 
 
-def _coarse(tools: ToolStates, sweeps: list[Sweep], cell: float) -> Iterator[Issue]:
-    """Warn of tools whose forces are uncertain because their contact is few cells of the map wide.
+def _coarse(
+    program: Program, tools: ToolStates, passes: list[ThinPasses], in_order: list[Setup], cell: float
+) -> Iterator[Issue]:
+    """Warn of passes whose forces are uncertain because their contact is few cells of the map wide, once for a tool.
 
-    :param cell: width of a cell [m].
+    :param cell: width of a cell that is not divided [m].
     """
-    for number, key in enumerate(tools.keys):
-        sums = np.sum([sweep.by_cells.get(number, np.zeros(2)) for sweep in sweeps], axis=0)
-        share = float(np.sqrt(sums[0] / sums[1])) if sums[1] > 0.0 else 0.0
-        if share > _COARSE:
-            finer = cell * MM_PER_M * _GOOD_SIGMA / share
-            message = (
-                f"the contact of [tools.{key}] is few cells of the stock wide: the standard deviation of its forces by "
-                f"that is {100 * share:.0f} % RMS. Give [stock] resolution_mm = {finer:.2g} for "
-                f"{100 * _GOOD_SIGMA:.0f} %"
-            )
-            yield Issue("warning", "coarse-stock", message, subject=key)
+    for number in sorted({each.tool for each in passes}):
+        worst = max((each for each in passes if each.tool == number), key=lambda each: each.share)
+        factor = next(setup.factor for setup in in_order if setup.motions[worst.first])
+        finer = cell / factor * MM_PER_M * ENOUGH / worst.share
+        key, line = tools.keys[number], int(program.motions.line[worst.first])
+        message = (
+            f"the contact of [tools.{key}] is few cells of the stock wide from here on: the standard deviation of its "
+            f"forces by that is {100 * worst.share:.0f} % RMS. Give [stock] resolution_mm = {finer:.2g} for "
+            f"{100 * ENOUGH:.0f} %, or no resolution_mm"
+        )
+        yield Issue("warning", "coarse-stock", message, line, subject=key)
 
 
 def _other_cutter(program: Program, tools: ToolStates, process: Process, guard: Guard | None) -> Iterator[Issue]:

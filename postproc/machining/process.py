@@ -16,6 +16,7 @@ from postproc.machining.material import CuttingLaw, MaterialTable, law
 from postproc.machining.tool import Cutter
 from postproc.program import ForceFrame
 
+CELL_MM = 0.25
 Newton = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]
 
 
@@ -46,12 +47,20 @@ class SpindleTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class StockTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """The stock before the program: a box, or a closed mesh in mm, which `place` puts into `$BASE`."""
+    """The stock before the program: a box, or a closed mesh in mm, which `place` puts into `$BASE`.
+
+    :param resolution_mm: cell of the map; None: `CELL_MM`, and finer from the first pass on whose contact needs it.
+    """
 
     box: Box | None = None
     file: str | None = None
     place: Frame = Frame()
-    resolution_mm: Positive = 0.25
+    resolution_mm: Positive | None = None
+
+    @property
+    def cell(self) -> float:
+        """Cell of the map of the stock [m]."""
+        return (CELL_MM if self.resolution_mm is None else self.resolution_mm) * M_PER_MM
 
 
 class OperationTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):

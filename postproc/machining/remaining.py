@@ -295,4 +295,4 @@ def _copy(stock: Stock, low: Array, high: Array) -> Stock:
     part = slice(int(first[1]), int(last[1])), slice(int(first[0]), int(last[0]))
     upper, lower, share, floor = (each[part].copy() for each in (stock.high, stock.low, stock.share, stock.floor))
     x, y = origin + first * stock.cell
-    return Stock(float(x), float(y), stock.cell, upper, lower, share, floor, stock.ground)
+    return Stock(float(x), float(y), stock.cell, upper, lower, share, stock.slope[part].copy(), floor, stock.ground)

@@ -19,10 +19,12 @@ class Setup(Struct, frozen=True, eq=False):
 
     :param frame: (4, 4) frame of the map in `$BASE` of the first cutting motion: z from the tip to the spindle.
     :param motions: (M,) True for those motions.
+    :param factor: by which the cells of the map are divided.
     """
 
     frame: Array
     motions: Bools
+    factor: int = 1
 
 
 def setups(program: Program, directions: Directions, widest: float) -> list[Setup]:
@@ -62,6 +64,25 @@ def setups(program: Program, directions: Directions, widest: float) -> list[Setu
             begin = row
     number = np.searchsorted(starts[1:], np.arange(len(cuts)), side="right")
     return [Setup(_frame(direction), np.asarray(number == k)) for k, direction in enumerate(map_directions)]
+
+
+def with_finer_cells(in_order: list[Setup], factor_from: dict[int, int], cuts: Bools) -> list[Setup]:
+    """Divide set-ups where the cells of their map become finer, but for parts without a cut.
+
+    :param factor_from: by which whole number cells are divided from a motion on, to the end of its set-up at least.
+    :param cuts: (M,) cutting motions.
+    """
+    out = []
+    for setup in in_order:
+        rows = np.flatnonzero(setup.motions)
+        inside = [first for first in sorted(factor_from) if setup.motions[first]]
+        begin, factor, number = int(rows[0]), 1, np.arange(len(setup.motions))
+        for first in [*inside, int(rows[-1]) + 1]:
+            if cuts[begin:first].any():
+                out.append(Setup(setup.frame, np.asarray((number >= begin) & (number < first)), factor))
+                begin = first
+            factor = max(factor, factor_from.get(first, 1))
+    return out
 
 
 def _cone(program: Program, directions: Directions, begin: int, widest: float) -> Array:

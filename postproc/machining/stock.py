@@ -1,8 +1,9 @@
 """The stock as a height map with two levels in each cell, and the removal of what a tool sweeps.
 
 A plain height map locates a wall to half a cell, an error of several per cent of the force at small widths of cut. So
-each cell has two levels and the share of its area at the lower one, which locates a wall within the cell. The errors of
-volumes and forces are of second order in the width of a cell.
+each cell has two levels and the share of its area at the lower one, which locates a wall within the cell. And it has
+the slope of the surface in its middle: levels and slopes of neighbours locate the ridge between two passes, and follow
+the round of a groove. The errors of volumes and forces are of second order in the width of a cell.
 """
 
 from __future__ import annotations
@@ -24,6 +25,12 @@ from postproc.program import Bools, Ints
 _BORDER = 2
 """Cells of air around the stock."""
 _MOST_CELLS = 60_000_000
+SLOPE = 1e-4
+"""Unit of slopes in the map,"""
+_STEEPEST = 3.0
+"""and the steepest one: walls are located by the levels of their cells."""
+_STEP = 0.25
+"""Distance of the levels between which a slope is taken, in cells."""
 _SUB = 4
 """Columns and rows into which a cell is divided to find the share of it that a mesh covers."""
 _PAIRS = 4_000_000
@@ -38,6 +45,8 @@ class Stock(Struct, frozen=True, eq=False):
     :param high: (ny, nx) upper level; the map is changed in place as material is removed.
     :param low: (ny, nx) lower level; counts only where `share` is not 0.
     :param share: (ny, nx) part of the cell's area that is at the lower level, 0 … 1.
+    :param slope: (ny, nx, 2) of the surface along x and y in the middle of the cell, in units of `SLOPE`; 0 where it is
+        level or not known.
     :param floor: (ny, nx) lower side of the material; it never changes.
     :param ground: the largest value of `floor`.
     """
@@ -48,6 +57,7 @@ class Stock(Struct, frozen=True, eq=False):
     high: Floats
     low: Floats
     share: Floats
+    slope: NDArray[np.int16]
     floor: Floats
     ground: float
 
@@ -74,6 +84,69 @@ class Stock(Struct, frozen=True, eq=False):
         return self.x, self.x + columns * self.cell, self.y, self.y + rows * self.cell
 
 
+def refined(stock: Stock, factor: int) -> Stock:
+    """Return a map with cells that are narrower by a whole factor; walls stay where they are within the wider cells."""
+
+    def divided(values: NDArray[Any]) -> NDArray[Any]:
+        return np.repeat(np.repeat(values, factor, axis=0), factor, axis=1)
+
+    off = ((np.arange(factor) + 0.5) / factor - 0.5).tolist()
+    known = ((stock.share == 0.0) & (stock.high > stock.floor))[..., None]
+    slope = np.where(known, stock.slope, np.int16(0)).astype(np.int16)
+    rise = slope.astype(np.float32) * np.float32(SLOPE * stock.cell)
+    high = divided(stock.high)
+    for row, column in np.ndindex(factor, factor):
+        high[row::factor, column::factor] = _surface_at(stock.high, rise, known[..., 0], off[row], off[column])
+    low, share, floor = (divided(values) for values in (stock.low, stock.share, stock.floor))
+    return Stock(stock.x, stock.y, stock.cell / factor, high, low, share, divided(slope), floor, stock.ground)
+
+
+def _surface_at(high: Floats, rise: Floats, known: Bools, along: float, across: float) -> Floats:
+    """Return the surface (ny, nx) off the middles of cells by shares of a cell along y and x, see `between_cells`.
+
+    :param rise: (ny, nx, 2) of the surface along x and y, over a cell [m].
+    :param known: (ny, nx) cells whose surface has one level and a slope; next to others the level is that of the cell.
+    """
+    right_of, above = 1 if across >= 0.0 else -1, 1 if along >= 0.0 else -1
+    steps = [(0, 0), (0, right_of), (above, 0), (above, right_of)]
+    size, far = high.shape, (abs(along), abs(across))
+    usable, border = np.ones(size, dtype=bool), ((1, 1), (1, 1))
+    wide_high, wide_known = np.pad(high, border, mode="edge"), np.pad(known, border, mode="edge")
+    wide_rise = np.pad(rise, (*border, (0, 0)), mode="edge")
+    levels, planes, weights = list[Floats](), list[Floats](), list[Floats]()
+    for down, right in steps:
+        window = slice(1 + down, 1 + down + size[0]), slice(1 + right, 1 + right + size[1])
+        slope = wide_rise[window]
+        usable &= wide_known[window]
+        levels.append(wide_high[window])
+        off = np.float32(across - right) * slope[..., 0] + np.float32(along - down) * slope[..., 1]
+        planes.append(np.asarray(levels[-1] + off, dtype=np.float32))
+        share = (far[0] if down else 1.0 - far[0]) * (far[1] if right else 1.0 - far[1])
+        weights.append(np.full(size, share, dtype=np.float32))
+    return np.where(usable, between_cells(levels, planes, weights), high)
+
+
+def between_cells(levels: list[Floats], planes: list[Floats], weights: list[Floats]) -> Floats:
+    """Return the surface at points between four cells.
+
+    The mean of interpolated levels and interpolated tangent planes is exact on a paraboloid. Where all four planes are
+    above the interpolated levels, there is a ridge between them, and the lowest plane counts.
+
+    :param levels: of the cells; planes: the tangent planes of their surfaces at the points; weights: of interpolation.
+    """
+    level, mean = np.zeros_like(levels[0]), np.zeros_like(levels[0])
+    for weight, value, plane in zip(weights, levels, planes, strict=True):
+        level += weight * value
+        mean += weight * plane
+    lowest = np.minimum(np.minimum(planes[0], planes[1]), np.minimum(planes[2], planes[3]))
+    return np.asarray(np.where(lowest > level, lowest, np.float32(0.5) * (level + mean)))
+
+
+def level(high: Floats) -> NDArray[np.int16]:
+    """Return the slopes (ny, nx, 2) of cells (ny, nx) whose surface is level."""
+    return np.zeros((*high.shape, 2), dtype=np.int16)
+
+
 def _empty(lower: Array, upper: Array, cell: float, file: str) -> tuple[float, float, int, int]:
     count = np.ceil((upper[:2] - lower[:2]) / cell - 1e-6).astype(int) + 2 * _BORDER
     if int(count[0]) * int(count[1]) > _MOST_CELLS:
@@ -98,7 +171,7 @@ def from_box(lower: Array, upper: Array, cell: float, file: str = "stock") -> St
     floor = np.full((ny, nx), lower[2], dtype=np.float32)
     high = np.where(covered > 0.0, upper[2], lower[2]).astype(np.float32)
     share = np.where(covered > 0.0, 1.0 - covered, 0.0).astype(np.float32)
-    return Stock(x, y, cell, high, floor.copy(), share, floor, float(lower[2]) + 1e-6)
+    return Stock(x, y, cell, high, floor.copy(), share, level(high), floor, float(lower[2]) + 1e-6)
 
 
 def from_mesh(vertices: Array, faces: NDArray[np.int64], cell: float, file: str = "stock") -> Stock:
@@ -129,7 +202,7 @@ def from_mesh(vertices: Array, faces: NDArray[np.int64], cell: float, file: str 
     lowest_of_all = float(np.nanmin(floor)) if not none.all() else 0.0
     high[none] = floor[none] = lowest_of_all
     low[:] = floor
-    return Stock(x, y, cell, high, low, share, floor, float(floor.max()) + 1e-6)
+    return Stock(x, y, cell, high, low, share, level(high), floor, float(floor.max()) + 1e-6)
 
 
 def _columns(
@@ -254,24 +327,41 @@ class Footprint(Struct, frozen=True, eq=False):
     """Cells under some segments, one row for each cell and segment.
 
     :param cell: (n,) index in the flat map of cells that the tool covers fully; level: (n,) its lower side there [m].
+    :param segment: (n,) row of the segment in `path`.
     :param rim: (r,) cells that its cylinder covers partly; covered: (r,) the share; rim_level: (r,) [m].
+    :param path: tool and segments, from (L, 3) and to (L, 3); None: what they leave has no known slope.
     """
 
     cell: Ints
     level: Floats
+    segment: NDArray[np.int32]
     rim: Ints
     covered: Floats
     rim_level: Floats
+    path: tuple[Cutter, Array, Array] | None
 
     @classmethod
     def none(cls) -> Footprint:
         """Return no cells."""
         cells, levels = np.zeros(0, dtype=np.int64), np.zeros(0, np.float32)
-        return cls(cells, levels, cells, levels, levels)
+        return cls(cells, levels, np.zeros(0, np.int32), cells, levels, levels, None)
+
+    @classmethod
+    def joined(cls, parts: list[Footprint], path: tuple[Cutter, Array, Array]) -> Footprint:
+        """Return the cells of several parts of one path."""
+        parts = parts or [cls.none()]
+        return cls(
+            np.concatenate([part.cell for part in parts]), np.concatenate([part.level for part in parts]),
+            np.concatenate([part.segment for part in parts]), np.concatenate([part.rim for part in parts]),
+            np.concatenate([part.covered for part in parts]), np.concatenate([part.rim_level for part in parts]), path,
+        )  # fmt: skip
 
     def of(self, cells: Bools, rims: Bools) -> Footprint:
         """Return selected cells and cells of the rim."""
-        return Footprint(self.cell[cells], self.level[cells], self.rim[rims], self.covered[rims], self.rim_level[rims])
+        return Footprint(
+            self.cell[cells], self.level[cells], self.segment[cells], self.rim[rims], self.covered[rims],
+            self.rim_level[rims], self.path,
+        )  # fmt: skip
 
 
 def remove(stock: Stock, cutter: Cutter, begin: Array, end: Array, ahead: Array | None = None) -> Footprint:
@@ -279,32 +369,70 @@ def remove(stock: Stock, cutter: Cutter, begin: Array, end: Array, ahead: Array 
 
     The segments make one surface: where several cover a part of one cell, the one that covers most of it counts.
 
-    :param ahead: (2,) direction in which the tool goes on. Cells ahead of the last position are then not cut but
-        returned, see `cut`: the front of the tool must meet uncut material next, not cells that it has partly cut.
+    :param ahead: (3,) direction in which the tool goes on. Cells under its front at the last position are then not cut
+        but returned, see `cut`: the front of the tool must meet uncut material next, not cells that it has partly cut.
     """
     parts = list(_footprints(stock, cutter, begin, end))
-    columns = zip(*((part.cell, part.level, part.rim, part.covered, part.rim_level) for part in parts), strict=True)
-    under = Footprint(*(np.concatenate(column) for column in columns)) if parts else Footprint.none()
+    under = Footprint.joined(parts, (cutter, begin, end))
     if ahead is None:
         cut(stock, under)
         return Footprint.none()
-    left, left_rim = (_is_ahead(stock, cells, end[-1], ahead) for cells in (under.cell, under.rim))
+    left = _is_ahead(stock, cutter, under.cell, end[-1], ahead, rim=False)
+    left_rim = _is_ahead(stock, cutter, under.rim, end[-1], ahead, rim=True)
     cut(stock, under.of(~left, ~left_rim))
     return under.of(left, left_rim)
 
 
 def cut(stock: Stock, under: Footprint) -> None:
     """Remove the material of cells under a tool."""
-    np.minimum.at(stock.high.reshape(-1), under.cell, under.level)
+    high = stock.high.reshape(-1)
+    lower = np.flatnonzero(under.level < high[under.cell])
+    cell, level = under.cell[lower], under.level[lower]
+    np.minimum.at(high, cell, level)
+    lowest = level <= high[cell]
+    stock.slope.reshape(-1, 2)[cell[lowest]] = _slopes(stock, under, lower[lowest])
     if len(under.rim):
         _cut_in_part(stock, *_widest(under.rim, under.covered, under.rim_level))
 
 
-def _is_ahead(stock: Stock, cell: Ints, point: Array, direction: Array) -> Bools:
-    """Return which cells (n,) of the flat map lie ahead of a point (3,) [m] in a direction (2,)."""
+def _slopes(stock: Stock, under: Footprint, rows: Ints) -> NDArray[np.int16]:
+    """Return the slopes (k, 2) of the surface that some rows of a footprint leave in the middles of their cells."""
+    out = np.zeros((len(rows), 2), dtype=np.int16)
+    if under.path is None or not len(rows):
+        return out
+    cutter, begin, end = under.path[0], *(ends[under.segment[rows]] for ends in under.path[1:])
+    if cutter.corner == 0.0 and (begin[:, 2] == end[:, 2]).all():
+        return out
+    row, column = (index[:, None, None] for index in np.divmod(under.cell[rows], stock.high.shape[1]))
+    middle = middles(stock, begin, row, column)
+    step = np.float32(_STEP * stock.cell)
+    for axis in range(2):
+        sides = [
+            tool_over(cutter, begin, end, *(each + side * (k == axis) for k, each in enumerate(middle)))[1]
+            for side in (-step, step)
+        ]
+        slope = (sides[1] - sides[0])[:, 0, 0] / (2.0 * step)
+        out[:, axis] = np.clip(slope, -_STEEPEST, _STEEPEST) / SLOPE
+    return out
+
+
+def _is_ahead(stock: Stock, cutter: Cutter, cell: Ints, point: Array, direction: Array, *, rim: bool) -> Bools:
+    """Return over which cells (n,) of the flat map the surface of a tool moves outwards: its front.
+
+    :param point: (3,) of the tip [m]; direction: (3,) of its travel.
+    :param rim: the cells are those that the cylinder covers in part; else those under the end of the tool.
+    """
     row, column = np.divmod(cell, stock.high.shape[1])
     x = stock.x + (column + 0.5) * stock.cell - point[0]
-    return np.asarray(x * direction[0] + (stock.y + (row + 0.5) * stock.cell - point[1]) * direction[1] > 0.0)
+    y = stock.y + (row + 0.5) * stock.cell - point[1]
+    outwards = x * direction[0] + y * direction[1]
+    if rim or (cutter.corner == 0.0 and direction[2] == 0.0):
+        return np.asarray(outwards > 0.0)
+    distance = np.hypot(x, y)
+    over = np.maximum(distance - (cutter.radius - cutter.corner), 0.0)
+    radial = over / np.maximum(distance, 1e-12)  # the normal, times the radius of the corner
+    down = np.sqrt(np.maximum(cutter.corner**2 - over**2, 0.0)) if cutter.corner > 0.0 else 1.0
+    return np.asarray((outwards * radial - down * direction[2] > 0.0) & (distance < cutter.radius + stock.cell))
 
 
 def depth_of(stock: Stock, cutter: Cutter, begin: Array, end: Array) -> float:
@@ -319,7 +447,7 @@ def depth_of(stock: Stock, cutter: Cutter, begin: Array, end: Array) -> float:
 def _footprints(stock: Stock, cutter: Cutter, begin: Array, end: Array) -> Iterator[Footprint]:
     """Yield the cells under segments, a few segments at a time, small ones first."""
     for rows, corner, window in windows(stock, cutter.radius + stock.cell, begin, end):
-        under = _under(stock, cutter, begin[rows], end[rows], corner, window)
+        under = _under(stock, cutter, begin, end, rows, corner, window)
         if under is not None:
             yield under
 
@@ -346,9 +474,12 @@ def windows(stock: Stock, reach: float, begin: Array, end: Array) -> Iterator[tu
         yield rows, corner, window
 
 
-def _under(stock: Stock, cutter: Cutter, begin: Array, end: Array, corner: Ints, window: Ints) -> Footprint | None:
-    """Return the cells under segments (L, 3), each within a window of the map that begins at `corner` (L, 2)."""
-    cell = stock.cell
+def _under(
+    stock: Stock, cutter: Cutter, begin: Array, end: Array, rows: Ints, corner: Ints, window: Ints
+) -> Footprint | None:
+    """Return the cells under some segments (L), each within a window of the map that begins at `corner` (L, 2)."""
+    cell, path = stock.cell, (cutter, begin, end)
+    begin, end = begin[rows], end[rows]
     index, row, column = cells(stock, corner, window)
     lowest = np.minimum(begin[:, 2], end[:, 2])
     top = float(stock.high[int(row.min()) : int(row.max()) + 1, int(column.min()) : int(column.max()) + 1].max())
@@ -363,7 +494,8 @@ def _under(stock: Stock, cutter: Cutter, begin: Array, end: Array, corner: Ints,
         part = (away >= inner) & (away < inner + np.float32(cell)) & wall[:, None, None]
         rim, rim_level = index[part], level[part]
         covered = np.minimum((inner + np.float32(cell) - away[part]) / np.float32(cell), np.float32(1.0))
-    return Footprint(index[full], level[full], rim, covered, rim_level)
+    segment = np.repeat(rows.astype(np.int32), np.count_nonzero(full, axis=(1, 2)))
+    return Footprint(index[full], level[full], segment, rim, covered, rim_level, path)
 
 
 def cells(stock: Stock, corner: Ints, window: Ints) -> tuple[Ints, Ints, Ints]:
@@ -448,3 +580,4 @@ def _cut_in_part(stock: Stock, at: Ints, covered: Floats, level: Floats) -> None
     own_low[at] = np.where(cuts, mean, low)
     own_share[at] = np.where(cuts, most, share)
     own_high[at] = np.where(cuts & (covered > _WHOLE), level, high)
+    stock.slope.reshape(-1, 2)[at[cuts]] = 0

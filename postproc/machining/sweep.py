@@ -106,8 +106,8 @@ class Sweep(Struct, eq=False):
     :ivar collided: rapid motions through material, and how deep [m]; none if `deflected`.
     :ivar stopped: cutting motions through material with the spindle off.
     :ivar contact: whether any cutting move engaged material.
-    :ivar by_cells: for each tool, sums of the squares of the standard deviation of forces by the cells of the map, and
-        of the forces (2,) [N²].
+    :ivar by_cells: (M, 2) for each motion sums, over its stations, of the squares of the standard deviation of the
+        force by the cells of the map, and of the force [N²].
     :ivar overhang: for motions of tools that lean, volume above the tool that a map cannot keep [m³].
     :ivar tilted_volume: that they remove [m³].
     :ivar unpaced: motions through material that only turn the tool, at a speed that is not known.
@@ -121,13 +121,13 @@ class Sweep(Struct, eq=False):
     law: CuttingLaw
     poses: ToolPoses
     swing: Array
+    by_cells: Array
     deflected: bool = False
     guard: Guard | None = None
     ceiling: Ceiling | None = None
     collided: dict[int, float] = field(default_factory=dict)
     stopped: set[int] = field(default_factory=set)
     contact: bool = False
-    by_cells: dict[int, Array] = field(default_factory=dict)
     overhang: dict[int, float] = field(default_factory=dict)
     tilted_volume: float = 0.0
     unpaced: set[int] = field(default_factory=set)
@@ -171,7 +171,7 @@ class Sweep(Struct, eq=False):
                 yield from self._cut(segments, begin, end, number)
                 cut(self.stock, left)
                 first = _runs(segments, begin, end)
-                ahead = segments.arrive[end - 1, :2] if goes_on else None
+                ahead = segments.arrive[end - 1] if goes_on else None
                 left = remove(
                     self.stock, cutter, segments.begin[first], segments.end[[*(first[1:] - 1), end - 1]], ahead
                 )
@@ -369,7 +369,7 @@ class Sweep(Struct, eq=False):
             return Cuts(motion, t, wrench, loads.deviation, along, zero, zero, nothing, nothing, zero, zero, zero)
         self.contact = True
         square = np.square(norm(wrench[:, :3]))
-        self.by_cells[number] = self.by_cells.get(number, 0.0) + np.array([loads.by_cells**2 @ square, square.sum()])
+        np.add.at(self.by_cells, motion, np.stack([loads.by_cells**2 * square, square], axis=1))
         enter, leave, depth, width = _engagement(turn, cuts)
         if turn.drill:
             depth = np.where(cuts.any(axis=1), deep, 0.0)

@@ -15,8 +15,11 @@ FLAT, BALL, BULL = Cutter(5e-3, 0.0, 3), Cutter(5e-3, 5e-3, 2), Cutter(8e-3, 2e-
 CELL = 1e-3
 
 
-def stock_of(seed, *, parts, floor):
-    """A map of 12 by 15 cells whose levels differ from cell to cell; some cells are empty, some cut in part."""
+def stock_of(seed, *, parts, floor, slopes):
+    """A map of 12 by 15 cells whose levels differ from cell to cell; some cells are empty, some cut in part.
+
+    Without slopes all cells are level; with them they are up to 0.9 steep.
+    """
     rng = np.random.default_rng(seed)
     shape = (12, 15)
     ground = rng.uniform(-2e-3, 2e-3, shape) if floor else np.full(shape, -20e-3)
@@ -25,7 +28,9 @@ def stock_of(seed, *, parts, floor):
     share = np.where(rng.random(shape) < 0.5, rng.random(shape), 0.0) if parts else np.zeros(shape)
     low = high - rng.uniform(-1e-3, 3e-3, shape)
     single = [one.astype(np.float32) for one in (high, low, share, ground)]
-    return Stock(0.02, -0.01, CELL, *single, float(ground.max()))
+    upper, lower, covered, under = single
+    slope = rng.integers(-9000, 9000, (*shape, 2)) if slopes else np.zeros((*shape, 2))
+    return Stock(0.02, -0.01, CELL, upper, lower, covered, slope.astype(np.int16), under, float(ground.max()))
 
 
 def corners(stock, x, y):
@@ -57,12 +62,21 @@ def by_loops(stock, turn, x, y, tip, descent):
                 inside += weight * max((1 - share) * upper + share * lower - under, 0.0)
             length[n, p] = inside / deep * turn.length[p]
         elif p < turn.round.stop:
-            level = 0.0
+            level, mean, planes = 0.0, 0.0, []
             for cell, weight in around:
                 high, floor, share = (float(one[cell]) for one in (stock.high, stock.floor, stock.share))
                 upper = z if high <= floor else max(high, z)
                 lower = min(max(float(stock.low[cell]), z), upper)
-                level += weight * ((1 - share) * upper + share * lower)
+                mixed = (1 - share) * upper + share * lower
+                steep = [1e-4 * float(each) for each in stock.slope[cell]]
+                share_x, share_y = around[1][1] + around[3][1], around[2][1] + around[3][1]
+                dx = (share_x - (cell[1] - around[0][0][1])) * CELL
+                dy = (share_y - (cell[0] - around[0][0][0])) * CELL
+                plane = max(mixed + (steep[0] * dx + steep[1] * dy if high > z else 0.0), z)
+                level, mean = level + weight * mixed, mean + weight * plane
+                planes.append(plane)
+            if stock.slope.any():  # a ridge between the planes, or a round that they touch
+                level = min(planes) if min(planes) > level else 0.5 * (level + mean)
             floor = float(stock.floor[around[0][0]])
             inside = min(max(level - z - low, 0.0), rise) - min(max(floor - z - low, 0.0), rise)
             length[n, p] = max(inside, 0.0) / rise * turn.length[p]
@@ -82,9 +96,19 @@ def by_loops(stock, turn, x, y, tip, descent):
 
 
 @pytest.mark.parametrize("cutter", [FLAT, BALL, BULL], ids=["flat", "ball", "bull"])
-@pytest.mark.parametrize(("parts", "floor"), [(False, False), (True, False), (True, True), (False, True)])
-def test_edge_in_material_is_that_by_loops_over_places_and_cells(cutter, parts, floor):
-    stock = stock_of(4, parts=parts, floor=floor)
+@pytest.mark.parametrize(
+    ("parts", "floor", "slopes"),
+    [
+        (False, False, False),
+        (True, False, False),
+        (True, True, False),
+        (False, True, False),
+        (False, False, True),
+        (True, True, True),
+    ],
+)
+def test_edge_in_material_is_that_by_loops_over_places_and_cells(cutter, parts, floor, slopes):
+    stock = stock_of(4, parts=parts, floor=floor, slopes=slopes)
     turn = Turn.of(edge(cutter, 2e-3), cutter, LAW, 2e-3, 0.5)
     rng = np.random.default_rng(7)
     count, places = 12, len(turn.phi)

@@ -1,0 +1,74 @@
+"""Where the map of the stock must be finer: passes whose contact with the material is few cells wide.
+
+A first sweep gives for each motion the standard deviation of its force by the cells. A tool may rough and then finish:
+so the passes of an operation are judged from the first one on from which all that follow in it need finer cells.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from msgspec import Struct
+
+from postproc.frames import Array
+from postproc.machining.tool_path import ToolStates
+from postproc.operations import operations
+from postproc.program import Program
+
+ENOUGH = 0.05
+"""Standard deviation of forces by the cells of the map that is enough, as a share of them,"""
+COARSE = 0.055
+"""and beyond which cells are too wide."""
+_MOST_FINE = 12_000_000
+"""Cells of a map that is made finer."""
+
+
+class ThinPasses(Struct, frozen=True):
+    """Passes of a tool whose contact is few cells wide.
+
+    :param first: row of their first motion.
+    :param tool: index in `ToolStates.keys`.
+    :param share: standard deviation of their forces by the cells of the map, RMS, as a share of the forces.
+    """
+
+    first: int
+    tool: int
+    share: float
+
+
+def thin_passes(program: Program, tools: ToolStates, by_cells: Array) -> list[ThinPasses]:
+    """Return the passes of each operation that need finer cells, in order.
+
+    :param by_cells: (M, 2) sums of squares of deviations and forces on each motion [N²], see `Sweep`.
+    """
+    cuts = ~program.motions.rapid
+    begins = np.flatnonzero(np.diff(cuts.astype(np.int8), prepend=0) > 0)
+    if not len(begins):
+        return []
+    sums = np.add.reduceat(by_cells, begins, axis=0)
+    firsts = [each.first for each in operations(program, at_retracts=True)]
+    changes = np.flatnonzero(np.diff(tools.tool[begins])) + 1
+    blocks = np.unique([0, *np.searchsorted(begins, firsts), *changes, len(begins)]).tolist()
+    out = []
+    for begin, end in pairwise(blocks):
+        own = _share(sums[begin:end])
+        onward = _share(np.cumsum(sums[begin:end][::-1], axis=0)[::-1])
+        thin = np.flatnonzero((own > COARSE) & (onward > COARSE))
+        if len(thin):
+            row = int(thin[0])
+            first = int(begins[begin + row])
+            out.append(ThinPasses(first, int(tools.tool[first]), float(onward[row])))
+    return out
+
+
+def _share(sums: Array) -> Array:
+    """Return the RMS deviations as shares of the forces (n,), from sums of squares (n, 2)."""
+    return np.asarray(np.sqrt(sums[:, 0] / np.maximum(sums[:, 1], 1e-300)))
+
+
+def factors(passes: list[ThinPasses], cells: int) -> dict[int, int]:
+    """Return by which whole number cells must be divided from each motion on, for maps of so many cells."""
+    most = int(np.sqrt(_MOST_FINE / cells))
+    needed = {each.first: min(int(np.ceil(each.share / ENOUGH - 0.1)), most) for each in passes}
+    return {first: factor for first, factor in needed.items() if factor > 1}

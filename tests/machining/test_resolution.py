@@ -1,0 +1,94 @@
+"""Cells of the map follow tool and depth of cut: passes whose contact is few cells wide get finer ones."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from postproc.machining import stock as stocks
+from postproc.machining.tool import Cutter
+from tests.machining.setting import forces, gcode, line_of, process, tool
+
+BOX = ((0, 20), (0, 12), (-20, 0))
+BALL = tool(6, 2, "ball")
+ROUGH = [f"G0 X-5 Y{y}\nG0 Z-2.9\nG1 X25 F1000\nG0 Z5" for y in (2, 5, 8)]
+FINISH = [f"G0 X-5 Y{y:.1f}\nG0 Z-3\nG1 X25 F1000 (finish {k})\nG0 Z5" for k, y in enumerate(np.arange(1.5, 8.6, 0.5))]
+
+
+def without_resolution(text):
+    return "".join(line for line in text.splitlines(keepends=True) if "resolution_mm" not in line)
+
+
+def cell_of(folder, *blocks):
+    text = gcode("G0 Z5", *(line for block in blocks for line in block.splitlines()))
+    _, found = forces(folder, text, without_resolution(process(BALL, BOX)))
+    assert "coarse-stock" not in {issue.kind for issue in found.issues}
+    return found.stock.cell
+
+
+def test_a_tool_that_roughs_and_then_finishes_gets_finer_cells_in_the_finishing_passes_alone(tmp_path):
+    assert cell_of(tmp_path, *ROUGH) == pytest.approx(0.25e-3)
+    assert cell_of(tmp_path, *ROUGH, *FINISH) < 0.2e-3
+    assert cell_of(tmp_path, *FINISH[:1]) == pytest.approx(0.25e-3)  # deep: from the top of the block
+
+
+def test_the_map_is_finer_in_the_thin_passes_only(tmp_path, monkeypatch):
+    ranges = []
+    run = stocks.refined
+    monkeypatch.setattr(
+        stocks, "refined", lambda stock, factor: ranges.append((stock.cell, factor)) or run(stock, factor)
+    )
+    cell = cell_of(tmp_path, *ROUGH, *FINISH)
+    assert ranges == [(pytest.approx(0.25e-3), round(0.25e-3 / cell))]
+
+
+def test_a_program_of_thin_passes_alone_has_one_fine_map(tmp_path):
+    skin = [block.replace("Z-3", "Z-0.1") for block in FINISH]
+    assert cell_of(tmp_path, *skin) < 0.2e-3
+
+
+def test_a_resolution_that_is_given_is_kept_and_the_warning_names_the_first_thin_pass(tmp_path):
+    text = gcode("G0 Z5", *(line for block in (*ROUGH, *FINISH) for line in block.splitlines()))
+    _, found = forces(tmp_path, text, process(BALL, BOX, 0.25))
+    assert found.stock.cell == pytest.approx(0.25e-3)
+    (issue,) = [issue for issue in found.issues if issue.kind == "coarse-stock"]
+    assert issue.source_line is not None
+    assert line_of(text, "G1 X25 F1000") < issue.source_line <= line_of(text, "G1 X25 F1000 (finish 4)")
+    assert "resolution_mm" in issue.message
+
+
+def test_forces_of_roughing_passes_are_not_changed_by_finishing_passes_after_them(tmp_path):
+    wrenches = []
+    for blocks in (ROUGH, (*ROUGH, *FINISH)):
+        text = gcode("G0 Z5", *(line for block in blocks for line in block.splitlines()))
+        program, found = forces(tmp_path, text, without_resolution(process(BALL, BOX)))
+        rows = np.flatnonzero(~program.motions.rapid)[: len(ROUGH)]
+        wrenches.append(found.cuts.wrench[np.isin(found.cuts.motion, rows)])
+    np.testing.assert_array_equal(*wrenches)
+
+
+def test_a_finer_map_has_the_volume_and_the_surface_of_the_grooves(tmp_path):
+    """Against the closed form of two grooves of a ball and the ridge between them."""
+    radius, cell = 3e-3, 0.25e-3
+    stock = stocks.from_box(np.array([0.0, 0.0, -0.01]), np.array([0.02, 0.012, 0.0]), cell)
+    begin = np.array([[-0.005, 0.0045, -1e-3], [-0.005, 0.0063, -1e-3]])
+    stocks.remove(stock, Cutter(radius, radius, 2), begin, begin + np.array([0.03, 0.0, 0.0]))
+    fine = stocks.refined(stock, 3)
+    assert fine.cell == pytest.approx(cell / 3)
+    assert fine.bounds == pytest.approx(stock.bounds)
+    y = fine.y + fine.cell * (np.arange(fine.high.shape[0]) + 0.5)
+    low = np.sqrt(np.maximum(radius**2 - np.square(y[:, None] - begin[:, 1]), 0.0)).max(axis=1)
+    exact = np.minimum(radius - 1e-3 - low, 0.0)
+    inside = np.abs(y - 0.0054) < 2.8e-3  # but for the shoulders, where the block's top begins
+    row = fine.high[:, fine.high.shape[1] // 2]
+    np.testing.assert_allclose(row[inside], exact[inside], atol=6e-6)  # planes touch a round of 3 mm within 0.18 mm
+    assert fine.volume() == pytest.approx(stock.volume(), rel=1e-4)
+
+
+def test_a_map_that_would_have_too_many_cells_is_not_made_finer():
+    from postproc.machining.resolution import ThinPasses, factors
+
+    thin = [ThinPasses(7, 0, 0.12)]
+    assert factors(thin, 100_000) == {7: 3}
+    assert factors(thin, 2_500_000) == {7: 2}
+    assert factors(thin, 12_000_000) == {}
