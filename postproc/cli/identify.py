@@ -95,8 +95,9 @@ def elastostatics(ctx: click.Context, /, as_json: bool, **request: Any) -> None:
     `robot = …` of a cell, with identification.json and report.html in it. What the readings do not determine keeps the
     robot's prior value and is reported together with what to measure instead. Eq. (8) to (10) of the paper.
 
-    Exit codes: 0 the model may be used; 1 the readings cannot be used; 3 the model is written, but may not be used: its
-    RMS error may exceed the deflection that it corrects, or too few configurations were measured.
+    Exit codes: 0 the model may be used, perhaps with a reservation; 1 the readings cannot be used; 3 the model is
+    written, but may not be used: too few configurations were measured to estimate a bound, or the springs have no
+    equilibrium under loads that were measured.
 
     \b
     Example:

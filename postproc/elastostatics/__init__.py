@@ -25,12 +25,13 @@ from postproc.elastostatics.equilibrium import (
     loaded_tip,
     tangent_compliance,
 )
-from postproc.elastostatics.expected_error import ChanceOfGain, ExpectedAt, expected_at
+from postproc.elastostatics.expected_error import HARM, WIDE, ChanceOfGain, ExpectedAt, chance_at, expected_at
 from postproc.elastostatics.reversals import Reversals, reversals
 from postproc.elastostatics.tool_spring import ToolSpring
 from postproc.elastostatics.uncertainty import (
     LENGTH_95,
     SourcesOfError,
+    largest_length,
     loads,
     position_bound,
     sensitivity,
@@ -38,7 +39,9 @@ from postproc.elastostatics.uncertainty import (
 )
 
 __all__ = [
+    "HARM",
     "LENGTH_95",
+    "WIDE",
     "ChanceOfGain",
     "Compensation",
     "Deflection",
@@ -47,12 +50,14 @@ __all__ = [
     "SourcesOfError",
     "ToolSpring",
     "cartesian_stiffness",
+    "chance_at",
     "compensate",
     "coordinates",
     "deflect",
     "deflection_by_parameter",
     "expected_at",
     "largest_compliance",
+    "largest_length",
     "linear_compliance",
     "linear_deflection",
     "loaded_tip",

@@ -39,6 +39,11 @@ from postproc.elastostatics.uncertainty import SourcesOfError, largest_length
 from postproc.frames import Array, norm
 from postproc.program import Bools
 
+HARM = 0.5
+"""Chance below which correction does more harm than good."""
+WIDE = 0.84
+"""Chance below which a bound is wide: the gain is smaller than one standard deviation of itself (Φ(1) = 0.84)."""
+
 
 class ExpectedAt(Struct, frozen=True, eq=False):
     """Expected errors (95 %) on the part at n places (n,) [m].
@@ -70,6 +75,17 @@ def expected_at(errors: SourcesOfError, deviation: Array, left: Array) -> Expect
         robot_known=largest_length([factor @ np.swapaxes(factor, 1, 2) for factor in errors.by_forces], left),
         forces_known=largest_length([errors.by_robot], left),
     )
+
+
+def chance_at(errors: SourcesOfError, deviation: Array) -> Array:
+    """Return the chance (n,) that correction makes each of n places better by itself, see the module; 1 without error.
+
+    :param deviation: (n, 3) from nominal if nothing is corrected, root axes [m]; correction takes all of it back.
+    """
+    along = np.max([np.einsum("ni,nij,nj->n", deviation, each, deviation) for each in errors.covariances()], axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        gain = 0.5 * np.sum(deviation**2, axis=1) / np.sqrt(2.0 * np.maximum(along, 0.0))
+    return 0.5 * np.array([math.erfc(-value) for value in np.nan_to_num(gain, nan=0.0, posinf=np.inf).tolist()])
 
 
 class ChanceOfGain:

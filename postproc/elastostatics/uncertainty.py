@@ -83,10 +83,10 @@ def loads(
     q: Array,
     tool: Array,
     wrench: Array,
-    force_spread: Array | None,
-    in_series: Array | None,
-    turning: Bools | None,
-    is_proportional: Bools | None,
+    force_spread: Array | None = None,
+    in_series: Array | None = None,
+    turning: Bools | None = None,
+    is_proportional: Bools | None = None,
 ) -> tuple[Any, ...]:
     """Return the parameters of `position_bound` with one row for each place, without those that are not known."""
     if turning is None:

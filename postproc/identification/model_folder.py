@@ -26,7 +26,7 @@ from postproc.identification.measurement_model import MIN_COMPLIANCE, describe, 
 from postproc.identification.plausibility import check_frames, check_points
 from postproc.identification.procedure import Depth, Identification, Method, before_and_after, identify
 from postproc.identification.readings import Measurements, Payload, read, read_experiment
-from postproc.identification.uncertainty import Discrepancy, verdict_line
+from postproc.identification.uncertainty import Discrepancy
 from postproc.robot import (
     COMPENSATOR,
     JOINT_COMPLIANCES,
@@ -103,7 +103,7 @@ def model_file(result: Identification, prior: ModelFile, source: str, geometry_s
             source=source,
             configurations=len(result.data.q),
             torque_Nm=tuple(np.abs(joint_torques(result.prior, result.data)).max(axis=0).tolist()),
-            not_trusted=result.distrust,
+            not_trusted=result.judgement.distrust,
         ),
         masses=_masses(prior.masses, tables["masses"], source),
         geometry_nominal=prior.geometry_nominal,
@@ -243,7 +243,7 @@ def report_data(result: Identification) -> record.Identified:
     pairs = zip(parameters, values.tolist(), half.tolist(), strict=True)
     entries = _entries_of(result, {p: (value, reach) for p, value, reach in pairs if value > 0.0 or not p.sparse})
     return record.Identified(
-        verdict=record.Verdict(bool(result.distrust), verdict_line(result.distrust)),
+        verdict=record.Verdict(bool(result.judgement.distrust), result.judgement.line),
         method=result.method,
         robot=result.prior.name,
         parameters=entries,
@@ -253,7 +253,9 @@ def report_data(result: Identification) -> record.Identified:
         residual=_residual(result),
         discrepancy=_unexplained(result.discrepancy),
         workspace=[
-            record.InWorkspace(level.load, level.deflection * MM_PER_M, level.bound * MM_PER_M, level.worst)
+            record.InWorkspace(
+                level.load, level.deflection * MM_PER_M, level.bound * MM_PER_M, level.worst, level.chance
+            )
             for level in result.workspace.levels
         ],
         workspace_line=result.workspace.line,

@@ -37,6 +37,7 @@ from postproc.identification.plausibility import check_frames, check_loads, chec
 from postproc.identification.readings import Measurements, gaps
 from postproc.identification.uncertainty import (
     Discrepancy,
+    Judgement,
     Workspace,
     discrepancy,
     judge,
@@ -60,6 +61,12 @@ _WORTH_A_LOOK = 1.0
 """Standard deviations of χ² from which richer structures are compared with joint springs, by evidence."""
 
 
+_HIDDEN_SHARE = 0.06
+"""Share of the displacements (RMS) that springs of links add at least; the paper's joint springs leave 9 %."""
+_SEEN = 10.0
+"""Standard deviations of χ² by which link springs of this share must show, or noise hides them."""
+
+
 class Identification(Struct, frozen=True, eq=False):
     """Identified parameters with the readings used, their placement and their uncertainty.
 
@@ -75,7 +82,7 @@ class Identification(Struct, frozen=True, eq=False):
     :param choice: structures tried, if joint springs did not suffice.
     :param discrepancy: unmodelled error on configurations left out.
     :param workspace: bound over deflection where work may be done.
-    :param distrust: why the model should not be used; empty if it may.
+    :param judgement: whether the model may be used.
     :param left_out: readings left out.
     :param warnings: for the user.
     """
@@ -91,7 +98,7 @@ class Identification(Struct, frozen=True, eq=False):
     choice: Choice | None
     discrepancy: Discrepancy
     workspace: Workspace
-    distrust: str
+    judgement: Judgement
     left_out: tuple[str, ...]
     warnings: tuple[str, ...]
 
@@ -111,7 +118,7 @@ def identify(
 
     :param prior: the robot as shipped, with the compensator geometry to be used.
     :param depth: "auto" also tries link springs and gears that are not linear, and takes them where the evidence is for
-        them; "joints" does not.
+        them, or where noise would hide them; "joints" does not.
     :param progress: called with a line of text before each step.
     :raises MeasurementError: the readings are unusable; the message names the row or says what to measure.
     """
@@ -145,10 +152,10 @@ def identify(
         ratio = fit.chi2 / fit.dof
         warnings.append(_left_by_joints(fit))
         fit = replace(fit, covariance=fit.covariance * ratio)
-    elif depth == "auto" and fit.chi2 > fit.dof + _WORTH_A_LOOK * np.sqrt(2.0 * max(fit.dof, 0)):
+    elif depth == "auto" and (_is_hidden(fit) or _is_worth_a_look(fit)):
         progress(f"{_left_by_joints(fit)}: trying link springs and gears that are not linear")
         clean_data, richer, names = _chosen(prior, data, placement)
-        if _unexplained(fit) or _clearly_better(richer, fit, clean_data, placement):
+        if _unexplained(fit) or _is_hidden(fit) or _clearly_better(richer, fit, clean_data, placement):
             data, choice, fit, outliers = clean_data, richer, richer.fit, outliers + names
             if not prior.subtract_reference:
                 placement = locate(fit.robot, data)
@@ -161,8 +168,8 @@ def identify(
     fit = fit if choice is None else replace(fit, covariance=choice.wider)
     fit = with_stated_errors(fit, data, placement, None if choice is None else choice.influence)
     workspace = over_workspace(_with_bound(fit, model_error), data)
-    distrust, notes = judge(data, fit, choice, workspace)
-    warnings += notes + loops(prior, data, placement)
+    judgement = judge(data, fit, choice, workspace)
+    warnings += judgement.notes + loops(prior, data, placement)
     return Identification(
         method="enhanced",
         prior=prior,
@@ -175,7 +182,7 @@ def identify(
         choice=choice,
         discrepancy=model_error,
         workspace=workspace,
-        distrust=distrust,
+        judgement=judgement,
         left_out=tuple(outliers),
         warnings=tuple(warnings),
     )
@@ -262,7 +269,7 @@ def _serial(
     model_error = discrepancy(data, placement, fit, fit.residual)
     fit = with_stated_errors(fit, data, placement, None)
     workspace = over_workspace(_with_bound(fit, model_error), data)
-    distrust, notes = judge(data, fit, None, workspace)
+    judgement = judge(data, fit, None, workspace)
     return Identification(
         method="serial",
         prior=prior,
@@ -275,9 +282,9 @@ def _serial(
         choice=None,
         discrepancy=model_error,
         workspace=workspace,
-        distrust=distrust,
+        judgement=judgement,
         left_out=tuple(outliers),
-        warnings=tuple(warnings + notes),
+        warnings=tuple(warnings + judgement.notes),
     )
 
 
@@ -302,6 +309,19 @@ def _noise(data: Measurements) -> tuple[Measurements, list[str]]:
 
 def _unexplained(fit: Fit) -> bool:
     return fit.dof > 0 and fit.chi2 > fit.dof + _SIGNIFICANCE * np.sqrt(2.0 * fit.dof) + 7.0
+
+
+def _is_worth_a_look(fit: Fit) -> bool:
+    return bool(fit.chi2 > fit.dof + _WORTH_A_LOOK * np.sqrt(2.0 * max(fit.dof, 0)))
+
+
+def _is_hidden(fit: Fit) -> bool:
+    """Return whether noise hides link springs, so that joint springs which suffice say nothing of them.
+
+    Least squares of joints alone then describe the readings, and their covariance lacks what the links add elsewhere.
+    """
+    shown = _HIDDEN_SHARE**2 * float(fit.target @ fit.target)
+    return bool(shown < _SEEN * np.sqrt(2.0 * max(fit.dof, 0)))
 
 
 def _cleaned(

@@ -108,12 +108,16 @@ class Unexplained(Struct, frozen=True):
 
 
 class InWorkspace(Struct, frozen=True):
-    """Median deflection and bound in the workspace at a load, and the 95 % quantile of bound over deflection."""
+    """Median deflection and bound in the workspace at a load, and the 95 % quantile of bound over deflection.
+
+    `chance`: that correction makes a place better, which 95 % of the poses are above.
+    """
 
     load_N: float
     deflection_mm: float
     bound_mm: float
     worst_share: float
+    chance: float
 
 
 class Missing(Struct, frozen=True):

@@ -12,15 +12,19 @@ integrated over the distribution of δ: a smooth function of the readings, witho
 of the load point. A load cell that is wrong by 2 % makes every spring look 2 % softer without any residual; an error of
 the load point is a wrong lever, which looks like compliance. Both go into the covariance of the parameters.
 
-**Workspace** (`over_workspace`): does the model correct more than it may add, RMS against RMS, and where not? Readings
-are taken at some poses; work is done at others. The model is evaluated at random poses within the joint limits, under
-forces in random directions from a small share of the largest load measured up to all of it, smaller where a joint would
-get more torque than was measured. At small forces every model is worth less: the unmodelled error does not shrink with
-the force. The verdict counts loads that were measured.
+**Workspace** (`over_workspace`): how large is the bound beside the deflection that the model corrects, and what is the
+chance that correction makes a place better? Readings are taken at some poses; work is done at others. The model is
+evaluated at random poses within the joint limits, under forces in random directions from a small share of the largest
+load measured up to all of it, smaller where a joint would get more torque than was measured. At small forces every
+model is worth less: the unmodelled error does not shrink with the force. The verdict counts loads that were measured.
 
-**Verdict** (`judge`): whether the model may be used, by its bound in millimetres against the deflection that it
-corrects, and notes on gaps of its readings. Noise of the measuring device decides nothing: a better one shows more of
-what the model lacks, of the same robot.
+**Verdict** (`judge`): whether the model may be used, and notes on gaps of its readings. A model may not be used if
+correction is expected to do more harm than good (a chance below `elastostatics.HARM`). With an error of mean zero the
+chance is Φ(d/2σ) at a place with the deflection d (`elastostatics.expected_error`): a wide bound brings it near to one
+half, and never below. So width alone refuses no model. Where it is below `elastostatics.WIDE` at 5 % of the poses, the
+verdict says so; each program that is converted states its own chance. Refused are readings from which no bound can be
+estimated, and models that have no equilibrium under loads that were measured. Noise of the measuring device decides
+nothing: a better one shows more of what the model lacks, of the same robot.
 """
 
 from __future__ import annotations
@@ -33,7 +37,7 @@ from postproc import elastostatics, kinematics
 from postproc.errors import NotConvergedError, first_of
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm
 from postproc.identification.choice import Choice
-from postproc.identification.fit import LENGTH_95, NORMAL_95, Fit
+from postproc.identification.fit import NORMAL_95, Fit
 from postproc.identification.measurement_model import (
     Placement,
     joint_torques,
@@ -244,12 +248,14 @@ class WorkspaceLevel(Struct, frozen=True):
     :param deflection: of the tool [m], median.
     :param bound: u95 [m], median.
     :param worst: bound over deflection that 95 % of the poses are below.
+    :param chance: that correction makes a place better, which 95 % of the poses are above.
     """
 
     load: float
     deflection: float
     bound: float
     worst: float
+    chance: float
 
 
 class Workspace(Struct, frozen=True):
@@ -278,16 +284,24 @@ class Workspace(Struct, frozen=True):
 
     @property
     def refusal(self) -> str:
-        """Why the model corrects less than it may add; empty if it does not."""
-        angles = ", ".join(f"{angle * DEG_PER_RAD:.0f}" for angle in self.pose)
-        if not self.levels:
-            return f"at A1 … A6 = {angles}° {self.cause}"
-        if self.worst.worst <= LENGTH_95:  # the RMS error is smaller than the deflection
+        """Why the model has no equilibrium under a measured load; empty if it has."""
+        return "" if self.levels else f"at A1 … A6 = {self._angles}° {self.cause}"
+
+    @property
+    def reservation(self) -> str:
+        """Loads under which the gain is smaller than one standard deviation of itself in 5 % of the poses, and why."""
+        least = min(self.measured, key=lambda level: level.chance, default=None)
+        if least is None or least.chance >= elastostatics.WIDE:
             return ""
         return (
-            f"under {self.worst.load:.0f} N its bound is up to {self.worst.worst:.2g} times the deflection that it "
-            f"corrects (A1 … A6 = {angles}°): {self.cause}"
+            f"under {least.load:.0f} N there are poses where correction makes the part better with a chance of "
+            f"{100.0 * least.chance:.0f} % only; under {self.worst.load:.0f} N the bound is up to "
+            f"{self.worst.worst:.2g} times the deflection (A1 … A6 = {self._angles}°): {self.cause}"
         )
+
+    @property
+    def _angles(self) -> str:
+        return ", ".join(f"{angle * DEG_PER_RAD:.0f}" for angle in self.pose)
 
     @property
     def line(self) -> str:
@@ -324,18 +338,24 @@ def over_workspace(robot: RobotModel, data: Measurements) -> Workspace:
     for share in SHARES:
         wrench = np.concatenate([share * largest_force[:, None] * direction, np.zeros_like(direction)], axis=1)
         try:
-            displacement = norm(elastostatics.deflect(robot, q, tool, wrench).twist[:, :3])
+            deflection = elastostatics.deflect(robot, q, tool, wrench).twist[:, :3]
         except NotConvergedError as error:
             row = int(error.rows[0])
             cause = f"the springs have no equilibrium under {share * largest_force[row]:.0f} N"
             return Workspace((), float(force.min()), cause, tuple(q[row].tolist()))
-        bound = elastostatics.position_bound(robot, q, tool, wrench)
-        assert bound is not None, "the robot states a covariance"
+        errors = elastostatics.sources_of_error(robot, *elastostatics.loads(q, tool, wrench))
+        bound = elastostatics.largest_length(errors.covariances())
+        chance = float(np.quantile(elastostatics.chance_at(errors, deflection), 1.0 - _POSE_SHARE))
+        displacement = norm(deflection)
         ratio = bound / np.maximum(displacement, 1e-12)
         limit = float(np.quantile(ratio, _POSE_SHARE))
         levels.append(
             WorkspaceLevel(
-                float(np.median(share * largest_force)), float(np.median(displacement)), float(np.median(bound)), limit
+                float(np.median(share * largest_force)),
+                float(np.median(displacement)),
+                float(np.median(bound)),
+                limit,
+                chance,
             )
         )
         if levels[-1].load >= force.min() and limit > worst[0]:
@@ -385,12 +405,14 @@ def _joint(parameter: Parameter) -> str:
 
 _MAX_SQUARE_ERROR = 4.0
 """Mean square cross-validation error, in σ², beyond which the model is incomplete: its bound contains what it lacks."""
-_FEWEST = 5
+_FEWEST = 3
 """Fewest configurations whose scatter can be estimated."""
+_FEW = 5
+"""Configurations below which the scatter is known badly: the bound of one simulated robot in ten did not hold."""
 _NUMBERS = {1: 3, 2: 5}
 """Numbers that the displacements of one, two, three points determine; three and more give the six of a rigid body."""
 _SPARE = 2.0
-"""Least numbers measured for each parameter: with fewer a model describes the readings and not the robot."""
+"""Least numbers measured for each parameter of least squares."""
 _PLAY = 1e-5
 """Smallest backlash [rad] that is reported."""
 _KINDS: tuple[tuple[type[Parameter], str], ...] = (
@@ -409,27 +431,56 @@ _MAX_NAMES = 6
 """Names of a kind that a warning lists."""
 
 
-def judge(data: Measurements, fit: Fit, choice: Choice | None, workspace: Workspace) -> tuple[str, list[str]]:
-    """Return the reason why the model should not be used (empty if it may), and notes for the user."""
-    return _distrust(data, fit, choice) or workspace.refusal, _notes(data, fit, choice)
+class Judgement(Struct, frozen=True):
+    """Whether a model may be used.
+
+    :param distrust: why not; empty if it may.
+    :param reservation: what to know where it may; empty if nothing.
+    :param notes: on gaps of the readings, for the user.
+    """
+
+    distrust: str
+    reservation: str
+    notes: list[str]
+
+    @property
+    def line(self) -> str:
+        """The verdict in one line."""
+        if self.distrust:
+            return f"NOT TO BE TRUSTED: {self.distrust}"
+        usable = "the model may be used, within its bound"
+        return f"{usable}, with a reservation: {self.reservation}" if self.reservation else usable
 
 
-def verdict_line(distrust: str) -> str:
-    """Return the verdict on a model in one line."""
-    return f"NOT TO BE TRUSTED: {distrust}" if distrust else "the model may be used, within its bound"
+def judge(data: Measurements, fit: Fit, choice: Choice | None, workspace: Workspace) -> Judgement:
+    """Return whether a model may be used."""
+    reservations = [workspace.reservation]
+    if len(data.q) < _FEW:
+        reservations.insert(
+            0,
+            f"{len(data.q)} configurations show little of what the model lacks: measure {_FEW} or more (30 are usual)",
+        )
+    return Judgement(
+        _distrust(data, fit, choice) or workspace.refusal,
+        "; ".join(filter(None, reservations)),
+        _notes(data, fit, choice),
+    )
 
 
 def _distrust(data: Measurements, fit: Fit, choice: Choice | None) -> str:
-    number = len(fit.values) if choice is None else choice.determined
+    """Return why readings are too few to estimate a bound from; empty if they are enough.
+
+    Least squares need spare readings: with fewer they describe the readings and not the robot. Structures with priors
+    take as many numbers from the readings as these determine.
+    """
     numbers = _numbers_of_a_configuration(data)
-    fewest = max(_FEWEST, int(np.ceil(_SPARE * number / numbers)))
-    if len(data.q) < fewest:
-        kind = "joint springs" if choice is None else "link springs and gears"
-        return (
-            f"{len(data.q)} configurations were measured, which determine about {numbers:.0f} numbers each; the {kind} "
-            f"have {number:.0f} and need {fewest} configurations at least (30 are usual)"
-        )
-    return ""
+    fewest = _FEWEST if choice is not None else max(_FEWEST, int(np.ceil(_SPARE * len(fit.values) / numbers)))
+    if len(data.q) >= fewest:
+        return ""
+    return (
+        f"{len(data.q)} configurations were measured, which determine about {numbers:.0f} numbers each; the model "
+        f"needs {fewest} configurations at least (30 are usual)"
+    )
 
 
 def _numbers_of_a_configuration(data: Measurements) -> float:

@@ -9,6 +9,7 @@ follow from one table:
 | better | the chance is at least `WIDE`, or nothing to judge | below, unknown, or a worse worst place | below `HARM` |
 | tolerance | held | cannot be judged | not held |
 
+`WIDE` and `HARM` are those of `postproc.elastostatics`.
 The state of the whole is the worst of the three. A wide bound alone never fails: with both expected errors the user
 can decide.
 """
@@ -22,10 +23,6 @@ from msgspec import Struct
 from postproc.correction import Mode
 from postproc.report.formatting import State, rounded
 
-HARM = 0.5
-"""Chance below which correction does more harm than good."""
-WIDE = 0.84
-"""Chance below which a bound is wide: the gain is smaller than one standard deviation of itself (Φ(1) = 0.84)."""
 COLOURS: dict[State, str] = {"ok": "green", "warning": "amber", "failed": "red"}
 EXIT_CODES: dict[State, int] = {"ok": 0, "warning": 0, "failed": 3}
 _ORDER: tuple[State, ...] = ("ok", "warning", "failed")

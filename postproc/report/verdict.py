@@ -9,14 +9,13 @@ import numpy as np
 from msgspec import Struct
 
 from postproc.correction import Mode, Result, statistics
+from postproc.elastostatics import HARM, WIDE
 from postproc.errors import Issue
 from postproc.frames import MM_PER_M
 from postproc.program import SPL
 from postproc.report.answers import (
-    HARM,
     RUN_TIME,
     SPLINES,
-    WIDE,
     Better,
     Drive,
     Remedy,

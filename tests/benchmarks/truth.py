@@ -73,6 +73,7 @@ class Row:
     :param friction: every gear stays off by up to this in every state [rad].
     :param common: noise that all readings of a state share, in each direction [m].
     :param at_rest: (share, share) by which the masses of the links, and the compensator, are not as the prior states.
+    :param sigma: noise of a reading in each direction [m], as it is stated too.
     :param more: lines of experiment.toml.
     :param geometry: the geometry is calibrated too.
     :param robots: number of robots; few say little of the worst one and of a quantile.
@@ -97,6 +98,7 @@ class Row:
     common: float = 0.0
     at_rest: tuple[float, float] = (0.0, 0.0)
     tails: bool = False
+    sigma: float = SIGMA
     more: str = ""
     geometry: bool = False
     robots: int = 8
@@ -198,9 +200,9 @@ def experiment(row: Row, seed: int, folder: Path) -> simulator.TrueRobot:
     pull = 1.0 + row.load_error * rng.normal() + row.load_off * (-1.0) ** seed
     point = simulator.LOAD_POINT + row.point_error * rng.normal(size=3)
     felt = Felt(true, pull, point, row.friction, np.random.default_rng(13000 + seed))
-    _, raw = simulator.measure(felt, q, f, rng, SIGMA, levels=row.levels, tails=row.tails)
+    _, raw = simulator.measure(felt, q, f, rng, row.sigma, levels=row.levels, tails=row.tails)
     raw = raw + row.common * felt.rng.normal(size=(*raw.shape[:2], 1, 1, 3))
-    simulator.write(folder, q, f, raw, SIGMA, levels=row.levels, more=row.more)
+    simulator.write(folder, q, f, raw, row.sigma, levels=row.levels, more=row.more)
     return true
 
 

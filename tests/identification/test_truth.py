@@ -217,8 +217,14 @@ class Returning:
 
 
 def test_too_few_configurations_are_refused_in_the_first_line_and_the_model_says_so(tmp_path):
-    few = dataclasses.replace(row("two loads"), poses=5)
+    """One point: three numbers each from four configurations are not twice as many as parameters of least squares."""
+    few = dataclasses.replace(row("the model fits: joint springs"), poses=4)
     truth.experiment(few, 0, tmp_path)
+    readings, experiment = tmp_path / "measurements.csv", tmp_path / "experiment.toml"
+    lines = [line for line in readings.read_text().splitlines() if ",P2," not in line and ",P3," not in line]
+    readings.write_text("\n".join([*lines, ""]))
+    text = experiment.read_text()
+    experiment.write_text(text[: text.index("[points.P2]")])
     done = identify_folder(tmp_path / "measurements.csv", tmp_path / "experiment.toml", tmp_path / "model")
     assert done.text.startswith("NOT TO BE TRUSTED: ")
     command = ["identify", "elastostatics", "measurements.csv", "--experiment", "experiment.toml", "-o", "again"]
@@ -230,6 +236,27 @@ def test_too_few_configurations_are_refused_in_the_first_line_and_the_model_says
     assert robot.load(tmp_path / "model").measured.not_trusted
     data = json.loads((tmp_path / "model" / "identification.json").read_text(encoding="utf-8"))
     assert data["verdict"]["refused"]
+
+
+@pytest.mark.parametrize(("name", "poses"), [("two loads", 4), ("two loads, varied", 4)])
+def test_few_configurations_of_a_real_robot_are_a_reservation_since_priors_and_bound_hold(tmp_path, name, poses):
+    truth.experiment(dataclasses.replace(row(name), poses=poses), 821, tmp_path)
+    done = identify_folder(tmp_path / "measurements.csv", tmp_path / "experiment.toml", tmp_path / "model")
+    result = truth.tried(dataclasses.replace(row(name), poses=poses), 821)
+    assert not done.data.verdict.refused
+    assert f"with a reservation: {poses} configurations show little" in done.text
+    assert result["inside"] >= 0.9
+    assert result["factor"] > 5.0
+
+
+@pytest.mark.parametrize("case", [{"sigma": 1e-3, "poses": 10}, {"levels": (0.02,)}])
+def test_links_that_noise_hides_are_in_the_bound(tmp_path, case):
+    """Joint springs suffice for the readings, and the bound of least squares held at 14 % of the places."""
+    noisy = dataclasses.replace(row("two loads"), **case)
+    for seed in (801, 805):
+        result = truth.tried(noisy, seed)
+        assert result["inside"] >= 0.9
+        assert result["factor"] > 3.0
 
 
 def test_an_error_beyond_the_noise_is_a_warning_and_no_refusal_where_the_bound_is_below_the_deflection(tmp_path):
