@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -93,8 +93,9 @@ def start(ctx: click.Context, /, program: Path, output: Path | None, no_open: bo
         if path in (folder / "cell.toml", own_process) and is_edited(path, answer_file) and not options["overwrite"]:
             click.echo(f"{path} is used as it is.")
     answers = Answers()
+    kept = [file for file, is_kept in (("cell", keep_cell), ("process", keep_process)) if is_kept]
     asking = {"cell": not keep_cell, "process": not keep_process and process is not None}
-    _ask(needs, answers, answer_file, answers_path, _stated(options, needs), asking)
+    _ask(needs, answers, answer_file, answers_path, _stated(options, needs), asking, kept)
     files = write_files(
         needs, answers, answer_file, cell=cell, process=process, keep_cell=keep_cell, keep_process=keep_process
     )
@@ -156,6 +157,7 @@ def _ask(
     answers_path: Path,
     option_texts: Mapping[str, str],
     asking: Mapping[str, bool],
+    kept: Collection[str],
 ) -> None:
     """Fill the answers from options, from an earlier start, and from questions; keep each as it is given."""
     from postproc.errors import InputError
@@ -182,7 +184,18 @@ def _ask(
         if on_terminal or question.key in option_texts:
             answer_file.answers[question.key] = text
             _keep(answers_path, answer_file)
-    for name in option_texts.keys() - question_keys:
+    unused = option_texts.keys() - question_keys
+    new_answers = [name for name in unused if option_texts[name] != answer_file.answers.get(name)]
+    for file, names in (
+        ("cell", [name for name in new_answers if name.partition(".")[0] not in _OF_PROCESS]),
+        ("process", [name for name in new_answers if name.partition(".")[0] in _OF_PROCESS]),
+    ):
+        if names and file in kept:
+            problem = f"{', '.join(sorted(names))}: the {file} file is used as it is, and these answers would not count"
+            raise click.UsageError(f"{problem}. Leave them out, or give --overwrite to write the file anew.")
+    for name in sorted(unused):
+        if ("process" if name.partition(".")[0] in _OF_PROCESS else "cell") in kept:
+            continue  # the file was made of the same answer, and edited since
         click.echo(f"note: this program needs no answer about {name}: it is not used", err=True)
     if unanswered:
         lines = [f"  {item.option}    {item.text}" for item in unanswered]

@@ -21,7 +21,7 @@ from postproc import correction, files, kinematics
 from postproc import robot as robots
 from postproc.cell import Cell, Frame, GCode, Rotary, Start, Tool, ToolAxis, load
 from postproc.dialects.text import decode
-from postproc.errors import InputError, ModelError, ProgramError
+from postproc.errors import CellError, InputError, ModelError, ProgramError
 from postproc.files import listed, read_text, toml, write_whole
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, inverse, xyzabc_from_pose
 from postproc.jobs.answers import BY_HAND, NO_LINES, Numbers
@@ -184,9 +184,24 @@ def write_cell(request: CellRequest) -> tuple[str, ...]:
     remarks = (*_upside_down(cell), *remarks, *_low_start(cell, robot, request.clearance))
     tools = {number: Frame(*_six(f"$TOOL of T{number}", words, 3)) for number, words in request.tools.items()}
     text = _text(place, robot, cell, turn, config, request, tools)
+    _check_text(text, request.output)
     files.write_whole(folder, {request.output.name: text.encode()})
-    load(request.output)
     return remarks
+
+
+def _check_text(text: str, output: Path) -> None:
+    """Read a cell before it takes the place of a file, from beside it: its paths are relative to its folder.
+
+    :raises CellError: it cannot be used.
+    """
+    trial = output.with_name(f".{output.name}.new")
+    files.write_whole(trial.parent, {trial.name: text.encode()})
+    try:
+        load(trial)
+    except CellError as cause:
+        raise cause.with_file(str(trial), str(output)) from None
+    finally:
+        trial.unlink(missing_ok=True)
 
 
 def relative_path(folder: Path, path: Path) -> str:
@@ -207,7 +222,9 @@ def usual_base(robot: str) -> Numbers:
 
 
 def _six(title: str, values: Numbers, min_count: int) -> Numbers:
-    if not min_count <= len(values) <= 6 or not np.isfinite(values).all():
+    if not np.isfinite(values).all():
+        raise InputError(f"{title}: {', '.join(f'{value:g}' for value in values)}", advice="Give finite numbers.")
+    if not min_count <= len(values) <= 6:
         raise InputError(
             f"{title}: {len(values)} numbers", advice=f"Give {min_count if min_count == 6 else f'{min_count} to 6'}."
         )

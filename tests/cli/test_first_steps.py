@@ -142,7 +142,7 @@ def test_frames_by_number_are_those_of_the_config_dat(end):
         (("--config-dat", "none.dat", "--base", "3", "--tool", "2"), "none.dat"),
         (("--base", "3", "--tool", "0,0,1"), "Name it with --config-dat"),
         (("--base", "1,2", "--tool", "0,0,1"), "$BASE: 2 numbers"),
-        (("--base", "1,2,nan", "--tool", "0,0,1"), "$BASE: 3 numbers"),
+        (("--base", "1,2,nan", "--tool", "0,0,1"), "$BASE: 1, 2, nan. Give finite numbers."),
         ((*FRAMES, "--start", "0,-70,110"), "start joints: 3 numbers"),
         ((*FRAMES, "--start", "0,90,110,0,50,0"), "A2 = 90° is beyond its limits, -146° to 0°"),
         ((*FRAMES, "--robot", "kuka_kr999"), "no robot 'kuka_kr999'"),
@@ -169,6 +169,11 @@ def test_a_cell_that_is_there_is_replaced_with_overwrite_only():
     assert Path("cell.toml").read_text() == "mine"
     assert run(*arguments, "--overwrite").exit_code == 0
     assert cells.load("cell.toml").robot == "kuka_kr270"
+    before = Path("cell.toml").read_bytes()
+    done = run("init", "--robot", "kuka_kr270", "--base", "1500,0,700", "--tool", "0,0,1e308", "--overwrite")
+    assert done.exit_code == 1
+    assert Path("cell.toml").read_bytes() == before
+    assert [path.name for path in Path().iterdir() if path.name.startswith(".cell")] == []
 
 
 def test_a_model_folder_is_named_by_its_way_from_the_cell():
@@ -404,11 +409,11 @@ def test_a_new_cell_converts_a_program_that_retracts_and_changes_tools():
 
 @pytest.mark.parametrize(
     ("options", "message"),
-    [(("--clearance", "nan"), "clearance nan mm"), (("--part-tolerance", "0"), "part tolerance 0 mm")],
+    [(("--clearance", "nan"), "nan is no number"), (("--part-tolerance", "0"), "0.0 is not in the range")],
 )
 def test_numbers_that_cannot_be_are_refused_before_anything_is_written(options, message):
     done = run("init", "--robot", "kuka_kr270", *FRAMES, *options)
-    assert done.exit_code == 1
+    assert done.exit_code == 2
     assert message in done.stderr
     assert not Path("cell.toml").exists()
 

@@ -181,6 +181,19 @@ def test_a_cell_that_was_edited_is_used_as_it_is():
     assert done.exit_code == 0, done.output
     assert "is used as it is" in done.output
     assert cells.load(path).tool.Z == 300.0
+    assert run("start", "part.nc", *ALL, "-o", "out").exit_code == 0  # the answers that the file was made of
+    before = path.read_bytes()
+    done = run("start", "part.nc", "--base", "1400,-200,700", "-o", "out")
+    assert done.exit_code == 2
+    assert "base: the cell file is used as it is, and these answers would not count" in done.output
+    assert path.read_bytes() == before
+
+
+def test_a_cell_that_cannot_be_is_not_written_and_the_next_answer_counts():
+    wrong = [word.replace("1500", "1e9") for word in ALL]
+    assert run("start", "part.nc", *wrong, "-o", "out").exit_code == 1
+    assert not Path("out/cell.toml").exists()
+    assert run("start", "part.nc", *ALL, "-o", "out").exit_code == 0
 
 
 def test_where_the_tolerance_is_not_held_a_better_place_is_offered(monkeypatch):
