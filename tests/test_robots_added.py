@@ -294,3 +294,11 @@ def test_speeds_have_a_source_of_their_own_where_they_are_not_the_robots():
         assert not shown(name)["geometry, limits"].assumed
     same = shown("kuka_kr300_r2700_2")
     assert same["joint speeds"].source == same["geometry, limits"].source
+
+
+def test_lengths_in_millimetres_are_refused():
+    text = ros_urdf(robot.load(robot.find("kuka_kr270")), SIGNS[0])
+    numbers = re.compile(r'(?<=<origin xyz=")[^"]*')
+    text = numbers.sub(lambda match: " ".join(f"{1e3 * float(word):g}" for word in match[0].split()), text)
+    with pytest.raises(ModelError, match=r"reaches \S+ m. Lengths of a URDF are in metres"):
+        add_robot(written(text), "mine")

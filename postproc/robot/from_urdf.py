@@ -73,6 +73,10 @@ class Adopted(Struct, frozen=True, eq=False):
         return _written(self.chain, self.content.name, shapes or {})
 
 
+_REACHES = 0.1, 20.0
+"""Reach [m] of arms with six axes: the longest that are built have about 5 m."""
+
+
 def adopt(text: str, file: str, name: str | None = None) -> Adopted:
     """Return the model of an arm.
 
@@ -85,6 +89,8 @@ def adopt(text: str, file: str, name: str | None = None) -> Adopted:
         raise ModelError("a xacro, not a URDF", file=file, advice=f"Expand it first: xacro {file} > robot.urdf")
     arm = urdf.read_any(text, file)
     chain, old_frames, notes = _in_kuka_form(arm, file)
+    if not _REACHES[0] < (reach := _reach(chain)) < _REACHES[1]:
+        raise ModelError(f"the wrist reaches {reach:.3g} m", file=file, advice="Lengths of a URDF are in metres.")
     title = name or arm.name or "robot"
     payload = _payload(arm.name, title, file)
     compliance, basis = _compliances(chain, payload)
