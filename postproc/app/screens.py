@@ -12,10 +12,12 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from msgspec import Struct
 
 from postproc import actions, robot
+from postproc.app.arm_view import arm_view
 from postproc.app.runs import Run, command_line
 from postproc.app.workspace import RESULTS, SHOWN, Item, Workspace
-from postproc.errors import InputError
+from postproc.errors import InputError, PostprocError
 from postproc.jobs.cell_edit import TABLES, NumberField, table_help
+from postproc.jobs.cell_picture import cell_picture
 from postproc.jobs.setup_form import Field, SetupForm
 from postproc.machining.material import table
 from postproc.report.answers import chance_in_words
@@ -217,8 +219,26 @@ def cell(workspace: Workspace, fields: Sequence[NumberField], fault: str, *, is_
     ]
     file = f"{RESULTS}/{workspace.cell.name}"
     return _page(
-        "cell.html", here="cell", title="Cell", tables=tables, fault=fault, saved=is_saved, file=file, command=""
+        "cell.html",
+        here="cell",
+        title="Cell",
+        tables=tables,
+        fault=fault,
+        saved=is_saved,
+        file=file,
+        command="",
+        **_picture(workspace.cell),
     )
+
+
+def _picture(path: Path) -> dict[str, Any]:
+    """Return the robot of a cell in two views; none of a cell that is unusable, whose numbers can be mended."""
+    try:
+        picture = cell_picture(path)
+    except PostprocError as cause:
+        return {"robot": "", "views": [], "is_start": False, "unusable": str(cause)}
+    views = [arm_view(picture, name, axes) for name, axes in (("From the side", (0, 2)), ("From above", (0, 1)))]
+    return {"robot": picture.title, "views": views, "is_start": picture.is_start, "unusable": ""}
 
 
 def robots(name: str) -> Page:

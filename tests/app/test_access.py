@@ -171,3 +171,12 @@ def test_results_of_earlier_inputs_are_not_current(tmp_path):
         assert current() == [False], name
         edited.write_bytes(content)
     assert current() == [True]
+
+
+def test_a_cell_that_is_unusable_is_shown_with_its_fault(window):
+    window.workspace.results.mkdir()
+    window.workspace.cell.write_text('robot = "no_such_robot"\n[base]\nX = 1\n[tool]\nZ = 350\n')
+    status, _, page = ask(window, "GET", "/cell")
+    assert status == 200
+    assert b"no_such_robot" in page
+    assert b'name="base.X"' in page
