@@ -42,6 +42,7 @@ class Scopes:
         self.program, self.main, self.variables = program, main, variables
         self._modules: dict[Module, Scope] = {}
         self._routines: dict[Routine, Scope] = {}
+        self._prefix = f"{program.name}/"
 
     def of(self, module: Module, routine: Routine) -> Scope:
         """Return which variables the names of a routine mean that are not its own."""
@@ -49,7 +50,7 @@ class Scopes:
             return Scope()
         if module is self.program:
             if routine not in self._routines:
-                self._routines[routine] = Scope(own=self.main.local - routine.local, prefix=f"{module.name}/")
+                self._routines[routine] = Scope(own=self.main.local - routine.local, prefix=self._prefix)
             return self._routines[routine]
         if module not in self._modules:
             self._modules[module] = self._of_module(module)
