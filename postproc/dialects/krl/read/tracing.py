@@ -63,7 +63,7 @@ class Trace:
         self._from: list[tuple[int, int, int, int, int, bool]] = []
         self._steps: list[Step] = []
         self._counts: list[tuple[int, int]] = []
-        self._inlined: set[Routine] = set()
+        self._inlined: dict[Routine, None] = {}
         self._files: dict[Document, None] = {}
         self._put(main.source, 1, main.first, 0, live=False)
         self.body = Body(self.count + 1)
@@ -94,12 +94,16 @@ class Trace:
         """Return the present length of the trace, for `back_to`."""
         open_ = [(s.cursor, len(s.bodies), [len(body.parts) for body in s.bodies]) for s in self._open]
         last = self._steps[-1] if self._steps else None
-        lengths = len(self._texts), len(self._steps), len(self._counts)
-        return self.count, lengths, last, set(self._inlined), dict(self._files), open_
+        lengths = len(self._texts), len(self._steps), len(self._counts), len(self._inlined), len(self._files)
+        return self.count, lengths, last, open_
 
     def back_to(self, mark: tuple[Any, ...]) -> None:
         """Drop everything recorded since."""
-        self.count, (texts, steps, counts), last, self._inlined, self._files, open_ = mark
+        self.count, (texts, steps, counts, inlined, files), last, open_ = mark
+        for routine in list(self._inlined)[inlined:]:
+            del self._inlined[routine]
+        for document in list(self._files)[files:]:
+            del self._files[document]
         del self._texts[texts:], self._from[texts:], self._steps[steps:], self._open[len(open_) :]
         del self._counts[counts:]
         if steps:
@@ -124,7 +128,7 @@ class Trace:
         is_own = routine.source is self.main.source
         shown_line = 0 if is_own else caller.shown_line or at.line
         self._open.append(_OpenRoutine(routine.source, routine.first + 1, shown_line, [body]))
-        self._inlined.add(routine)
+        self._inlined[routine] = None
         if not is_own:
             self._files |= {file.document: None for file in (module.source, module.data) if file is not None}
 
@@ -223,7 +227,7 @@ class Trace:
             self.body,
             live.astype(np.bool_),
             frozenset(self._inlined),
-            frozenset(self._inlined if self.pinned else self._inlined & callees),
+            frozenset(self._inlined if self.pinned else self._inlined.keys() & callees),
             tuple(self._files),
             counts=dict(self._counts),
         )
