@@ -109,8 +109,8 @@ END
     done = CliRunner().invoke(main, ["convert", "two.src", "--part", "part.stl", "--cell", "cell.toml", "-o", "out"])
     assert done.exit_code == 0, done.output
     corners, facets = (read_page(Path("out/two.report.html").read_bytes()).columns(n) for n in ("corners", "facets"))
-    y = corners["y"].reshape(-1, 3).mean(axis=1)
-    assert facets["place"][np.argmin(np.abs(y - 10.0))] >= 0
+    y = np.where(corners["z"].reshape(-1, 3).min(axis=1) > -1e-6, corners["y"].reshape(-1, 3).mean(axis=1), np.inf)
+    assert facets["place"][np.argmin(np.abs(y - 10.0))] >= 0  # of the upper face
     assert facets["place"][np.argmin(np.abs(y - 30.0))] >= 0
 
 

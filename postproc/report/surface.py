@@ -37,7 +37,12 @@ _CONTACT_SHARE = 0.35
 the next pass is never further than that where a surface is finished."""
 _LEAST_CONTACT = 3e-4
 _REACH = 0.025
-"""Without a shape of the tool, the nearest place of the path within this distance counts [m]."""
+"""Tools of unknown shape have a radius of at most this [m]. The nearest place counts from which one can touch."""
+_PASS_HEIGHT = 5e-4
+"""Passes next to the place of contact may be this much higher or lower, or further in [m]."""
+_STEEP = 0.7
+"""Moves that are steeper (cosine to the spindle), plunges, leave no faces that are less steep."""
+_UNSHAPED_CANDIDATES = 96
 _NEARER = 0.05
 """Of places that touch alike, such as passes at several depths along a wall, the nearest counts."""
 _LEVEL = 1e-6
@@ -273,7 +278,8 @@ def _touching(path: _Path, centre: Array, normal: Array, cutter: Cutter | None) 
     up = np.einsum("ni,ni->n", normal, a)
     width = norm(normal - up[:, None] * a)
     contact_point = centre if cutter is None else _contact(a, centre, normal, cutter)
-    _, index = path.tree.query(contact_point, k=min(_CANDIDATES, len(path.point)))
+    count = _UNSHAPED_CANDIDATES if cutter is None else _CANDIDATES
+    _, index = path.tree.query(contact_point, k=min(count, len(path.point)))
     index = index.reshape(len(centre), -1)
     point, step_share = path.near(contact_point, index)
     rest = point - contact_point[:, None]
@@ -281,7 +287,11 @@ def _touching(path: _Path, centre: Array, normal: Array, cutter: Cutter | None) 
     lateral = norm((rest - height[..., None] * a[:, None]).reshape(-1, 3)).reshape(height.shape)
     whole = np.hypot(height, lateral)
     if cutter is None:
-        fits, distance = whole <= _REACH, whole
+        fits = (whole <= _REACH) & _can_touch(height, np.einsum("nki,ni->nk", rest, normal), up[:, None])
+        step = path.step[index]
+        climb = np.abs(np.einsum("nki,ni->nk", step, a)) / np.maximum(np.linalg.norm(step, axis=-1), 1e-300)
+        fits &= (climb <= _STEEP) | (up <= _STEEP)[:, None]
+        distance = whole
     else:
         tolerance = max(_LEAST_CONTACT, _CONTACT_SHARE * cutter.radius)
         level, wall = (up > 0.0)[:, None] & (width <= _FLAT)[:, None], (width >= _UPRIGHT)[:, None]
@@ -307,6 +317,18 @@ def _touching(path: _Path, centre: Array, normal: Array, cutter: Cutter | None) 
         np.full(len(centre), np.nan) if cutter is None else np.einsum("ni,ni->n", rest[facets, best], normal)
     )
     return row, share, smallest, height_over_facet
+
+
+def _can_touch(height: Array, outwards: Array, up: Array) -> Bools:
+    """Return whether a tool of any shape, of a radius up to `_REACH`, can touch facets with its tip at places (n, k).
+
+    The tip is at x + r·n + (R − r)·m − r·a, see above: outside of the facet, and lower by r (1 − n·a).
+
+    :param height: of the tip above the facet along the spindle [m]; outwards: its distance along the normal [m].
+    :param up: (n, 1) cosine between normal and spindle.
+    """
+    reachable = (height <= _PASS_HEIGHT) & (outwards >= -_PASS_HEIGHT) & (up >= _OVERHANG)
+    return np.asarray(reachable & (height >= -_REACH * (1.0 - up) - _PASS_HEIGHT))
 
 
 def _share_of_step(path: _Path) -> Array:

@@ -112,6 +112,33 @@ def test_a_step_has_floor_and_wall_each_along_its_normal_and_what_is_out_of_reac
     assert found.row[3:].tolist() == [-1, -1]
 
 
+def test_without_shapes_a_face_counts_only_where_a_tool_of_some_shape_can_touch_it():
+    """A pocket of 30 by 20 mm, 5 mm deep, by a cutter R5 in a block of 60 by 50 by 20 mm."""
+    points = _zigzag(np.linspace(-0.01, 0.01, 21), np.arange(-0.005, 0.0051, 0.002), lambda x, y: -0.005 + 0 * x)
+    above = points[:1] + np.array([0.0, 0.0, 0.02])  # from where it plunges as it cuts
+    points = np.concatenate([above, points])
+    x, y = np.meshgrid(np.linspace(-0.029, 0.029, 30), np.linspace(-0.024, 0.024, 25))
+    x, y = x.ravel(), y.ravel()
+    floor = (np.abs(x) < 0.0145) & (np.abs(y) < 0.0095)
+    rim = (np.abs(x) > 0.0155) | (np.abs(y) > 0.0105)
+    small = 1e-4 * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    top = np.column_stack([x, y, 0 * x])
+    faces = {
+        "floor": (top[floor] - [0, 0, 0.005])[:, None] + small,
+        "top": top[rim][:, None] + small,
+        "bottom": (top - [0, 0, 0.02])[:, None] + small[::-1],
+        "inner wall": np.column_stack([0.015 + 0 * y, np.clip(y, -0.009, 0.009), -0.003 + 0 * y])[:, None]
+        + small[:, [2, 0, 1]][::-1],
+        "outer wall": np.column_stack([0.03 + 0 * y, y, -0.003 + 0 * y])[:, None] + small[:, [2, 0, 1]],
+        "outer wall below": np.column_stack([x, 0.025 + 0 * x, -0.012 + 0 * x])[:, None] + small[:, [1, 2, 0]],
+    }
+    touched = {"floor", "inner wall"}
+    for name, corners in faces.items():
+        assert (surface(_result(points, [0, 0, -1e-5]), corners, None).row >= 0).mean() == (name in touched), name
+    within = surface(_result(points, [0, 0, -1e-5]), np.concatenate([faces["floor"], faces["top"]]), FLAT)
+    assert within.touched.sum() <= len(faces["floor"])  # no more than with the shape
+
+
 def test_a_part_whose_program_has_two_bases_lies_in_its_own_frame():
     """Half of the path in a $BASE that is moved and turned: the surface is that of the same path in one."""
     size = 0.05
