@@ -887,8 +887,9 @@ class Snippets(Generator):
         for _ in range(int(self.rng.integers(1, 4))):
             body += self.wrapped(self.snippet())
         body += [f"LIN {self.literal('E6POS')} C_DIS"] if self.maybe(0.6) else []
-        if self.maybe(0.06):
-            body += ["LOOP", "PTP XHOME", *self.use("E6POS", "XA"), "PTP XHOME", "ENDLOOP"]
+        if self.maybe(0.1):
+            carried = self.one([], [], ["I=I+1"], ["XA.Z=XA.Z+1.5"], ["I=1", "I=I+1"], ["$VEL.CP=$VEL.CP*0.9"])
+            body += ["LOOP", "PTP XHOME", *self.use("E6POS", self.one("XA", "P[I]")), *carried, "PTP XHOME", "ENDLOOP"]
         main += [*body, "END"]
         for routine in self.routines:
             main += ["GLOBAL " + routine[0] if self.maybe(0.15) else routine[0], *routine[1:]]

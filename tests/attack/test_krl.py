@@ -4,7 +4,7 @@ from collections import Counter
 
 import pytest
 
-from postproc.dialects.krl.read import unresolved
+from postproc.dialects.krl.read import flow, unresolved
 from postproc.dialects.krl.read.calls import Calls
 from postproc.dialects.krl.read.known import NOTHING
 from postproc.dialects.krl.read.settings import Settings
@@ -38,6 +38,21 @@ def test_programs_with_one_value_in_doubt_at_most_do_what_is_read_and_written():
     outcomes = Counter(attack(seed) for seed in range(first, first + 100))
     assert outcomes["accepted"] > 30
     assert outcomes["refused"] > 20
+
+
+@pytest.mark.parametrize(
+    ("place", "name", "fault"),
+    [
+        (flow, "carried_over", lambda *_: []),  # rounds of a LOOP without EXIT may differ
+        (Calls, "notice", lambda *_: None),  # interrupts and triggers change nothing
+    ],
+)
+def test_programs_with_one_value_in_doubt_find_a_reader_that_passes_over_it(place, name, fault, monkeypatch):
+    first = MIXED + STATES + SNIPPETS
+    monkeypatch.setattr(place, name, fault)
+    with pytest.raises(Wrong) as caught:
+        Counter(attack(seed) for seed in range(first, first + 400))
+    assert isinstance(caught.value.__cause__, Wrong)
 
 
 def test_the_attack_finds_a_reader_that_reads_the_frame_before(monkeypatch):
