@@ -203,7 +203,8 @@ def sweep(stock: Stock, cutter: Cutter, tip: Array, axis: Array, top: float) -> 
     deep = np.maximum(material - np.maximum(level, floor), 0.0)
     volume = float(deep[~is_front].sum()) * stock.cell**2
     no_rim = np.zeros(0, dtype=bool)
-    footprint = replace(Footprint.none(), cell=cell, level=level.astype(np.float32))
+    segment = np.zeros(len(cell), dtype=np.int32)  # not used: slopes of turned surfaces are not kept
+    footprint = replace(Footprint.none(), cell=cell, level=level.astype(np.float32), segment=segment)
     return Swept(
         footprint.of(~is_front, no_rim), footprint.of(is_front, no_rim), float(deep.max(initial=0.0)), overhang, volume
     )
