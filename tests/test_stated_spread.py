@@ -91,3 +91,24 @@ def test_the_bound_covers_compliances_that_are_log_normal(median, share):
     bound = length_bound(np.diag([spread**2, 0.0, 0.0])[None])[0]
     assert bound == pytest.approx(0.78, abs=0.01)
     assert np.mean(np.abs(drawn - 1.0) <= bound) == pytest.approx(share, abs=0.01)
+
+
+def test_the_lower_triangle_of_a_covariance_is_the_whole_matrix():
+    whole = np.array([[4e-6, 1e-6, -2e-6], [1e-6, 9e-6, 3e-7], [-2e-6, 3e-7, 16e-6]])
+    names = ["k3", "k1", "k2"]
+    models = [
+        _with(replace(CONTENT, covariance=table))
+        for table in (CovarianceTable(names, whole.tolist()), CovarianceTable.of(names, whole))
+    ]
+    np.testing.assert_array_equal(models[0].covariance.matrix, models[1].covariance.matrix)
+    assert CovarianceTable.of(names, whole).matrix[1] == [1e-6, 9e-6]
+    for rows in ([[4e-6], [1e-6, 9e-6]], [[4e-6], [1e-6], [1e-6, 1e-6, 1e-6]], [[4e-6, 0.0]] * 3):
+        assert CovarianceTable(names, rows).square is None
+
+
+def test_lists_of_numbers_are_one_line_of_toml():
+    content = {"rows": [[1.5, -2e-7], [3.0, 4.0]], "words": ["a [\n1,\n2]", "b"], "one": [0.25]}
+    text = files.toml(content, "of numbers").decode()
+    assert "[1.5, -2e-07]" in text
+    assert "[0.25]" in text
+    assert tomllib.loads(text) == content

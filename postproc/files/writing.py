@@ -11,6 +11,7 @@ import errno
 import hashlib
 import json
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -295,9 +296,15 @@ def _replace(file_sets: Sequence[Staged], folder: Path, names: Sequence[str], ob
 def toml(content: object, comment: str) -> bytes:
     """Return a msgspec structure, or plain data, as TOML in UTF-8 below a line of comment.
 
-    Numbers have ten digits; what has its default is left out.
+    Numbers have ten digits; what has its default is left out. A list of numbers is one line: a number a line makes the
+    covariance of a robot twice as large.
     """
-    return f"# {comment}\n{tomli_w.dumps(_plain(content))}".encode()
+    text = _LIST_OF_NUMBERS.sub(lambda match: f"[{' '.join(match[1].split())}]", tomli_w.dumps(_plain(content)))
+    return f"# {comment}\n{text}".encode()
+
+
+_LIST_OF_NUMBERS = re.compile(r"\[\n\s*([-+.\deE]+(?:,\s+[-+.\deE]+)*),?\s*\]")
+"""A list of numbers over several lines, as tomli_w writes it; strings have no line breaks, so it is in none."""
 
 
 def _plain(value: Any) -> Any:

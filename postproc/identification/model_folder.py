@@ -95,7 +95,7 @@ def model_file(result: Identification, prior: ModelFile, source: str, geometry_s
         transmission=prior.transmission,
         geometry_error=prior.geometry_error,
         links=msgspec.convert(tables["links"], dict[str, LinkSprings]),
-        covariance=CovarianceTable([parameters[i].name for i in rows], covariance[np.ix_(rows, rows)].tolist()),
+        covariance=CovarianceTable.of([parameters[i].name for i in rows], covariance[np.ix_(rows, rows)]),
         discrepancy=DiscrepancyEntry(
             source=source, load_N=result.discrepancy.load.tolist(), u95_mm=(result.discrepancy.u95 * MM_PER_M).tolist()
         ),

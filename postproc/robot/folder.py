@@ -203,7 +203,9 @@ def _covariance(content: ModelFile) -> tuple[Covariance | None, tuple[Parameter,
     matrix = np.diag([0.0] * len(names) + [sigma**2 for sigma in spreads.values()])
     if table is not None and names:
         rows = [table.parameters.index(name) for name in names]
-        matrix[: len(names), : len(names)] = np.array(table.matrix)[np.ix_(rows, rows)]
+        square = table.square
+        assert square is not None, "_check_covariance has refused the table"
+        matrix[: len(names), : len(names)] = square[np.ix_(rows, rows)]
     return Covariance.of([*names, *(parameter.name for parameter in spreads)], matrix), tuple(spreads)
 
 
@@ -211,8 +213,9 @@ def _force_factor(content: ModelFile, covariance: Covariance | None) -> ForceFac
     law, table = content.forces, content.covariance
     if law is None or table is None or covariance is None:
         return None
-    row = table.parameters.index(FORCES)
-    by_name = dict(zip(table.parameters, table.matrix[row], strict=True))
+    square = table.square
+    assert square is not None, "_check_covariance has refused the table"
+    by_name = dict(zip(table.parameters, square[table.parameters.index(FORCES)].tolist(), strict=True))
     covariances = [by_name.get(parameter.name, 0.0) for parameter in covariance.parameters]
     numbers = (*law.cutting_N_per_mm2, *law.edge_N_per_mm, law.mc, law.sigma_percent)
     return ForceFactor(numbers, np.array([*covariances, by_name[FORCES]]))
@@ -246,9 +249,10 @@ def _check_covariance(content: ModelFile, file_name: str) -> None:
             "A2.RX (a spring of a link), A2.mass, K_c, s_0.",
         )
     size = len(covariance.parameters)
-    if any(len(row) != size for row in covariance.matrix) or len(covariance.matrix) != size:
-        raise ModelError(f"[covariance] matrix is not {size}×{size}", file=file_name)
-    matrix = np.array(covariance.matrix)
+    matrix = covariance.square
+    if matrix is None:
+        problem = f"[covariance] matrix is neither {size}×{size} nor the lower triangle of that"
+        raise ModelError(problem, file=file_name, advice="Give a row for each parameter, with as many numbers in each.")
     if not np.allclose(matrix, matrix.T, rtol=1e-6, atol=0.0) or np.linalg.eigvalsh(matrix).min(
         initial=0.0
     ) < -1e-9 * np.abs(matrix).max(initial=0.0):

@@ -8,9 +8,10 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import msgspec
+import numpy as np
 
 from postproc.compensator import Compensator
-from postproc.frames import M_PER_MM
+from postproc.frames import M_PER_MM, Array
 
 JOINTS = ("A1", "A2", "A3", "A4", "A5", "A6")
 BASE = "base"
@@ -192,11 +193,28 @@ class PayloadEntry(Sourced, frozen=True, kw_only=True):
 class CovarianceTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Covariance of identified parameters by name, in the units of the file (k1…k6 in µrad/(N·m)).
 
-    `forces` is the factor of the forces that `ForcesEntry` computes, about 1.
+    `forces` is the factor of the forces that `ForcesEntry` computes, about 1. `matrix` is whole, or its lower triangle.
     """
 
     parameters: list[str]
     matrix: list[list[Covariant]]
+
+    @classmethod
+    def of(cls, names: list[str], matrix: Array) -> CovarianceTable:
+        """Return the table with the lower triangle of a symmetric matrix (n, n)."""
+        return cls(names, [row[: index + 1] for index, row in enumerate(matrix.tolist())])
+
+    @property
+    def square(self) -> Array | None:
+        """The whole matrix (n, n); None if the rows are neither those of a square nor of its lower triangle."""
+        size = len(self.parameters)
+        lengths = [len(row) for row in self.matrix]
+        if lengths == [size] * size:
+            return np.array(self.matrix).reshape(size, size)
+        if lengths != list(range(1, size + 1)):
+            return None
+        lower = np.array([[*row, *[0.0] * (size - len(row))] for row in self.matrix])
+        return np.asarray(lower + np.tril(lower, -1).T)
 
 
 class ForcesEntry(Sourced, frozen=True, kw_only=True):

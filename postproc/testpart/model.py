@@ -307,7 +307,7 @@ def model_file(fit: Fit, prior: ModelFile, process: Process, source: str) -> Mod
     measured_range = fit.prior.robot.measured
     torque = fit.torque if measured_range is None else np.maximum(fit.torque, measured_range.torque)
     extra = {
-        "covariance": CovarianceTable(names, covariance[np.ix_(stated_rows, stated_rows)].tolist()),
+        "covariance": CovarianceTable.of(names, covariance[np.ix_(stated_rows, stated_rows)]),
         "forces": forces,
         "discrepancy": DiscrepancyEntry(source=source, load_N=load.tolist(), u95_mm=(u95 * MM_PER_M).tolist()),
         "measured": MeasuredEntry(
