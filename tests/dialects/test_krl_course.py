@@ -263,7 +263,7 @@ def test_the_least_number_of_statements_counts_none_that_may_not_run():
     ("lines", "why"),
     [
         (["IF $IN[1] THEN", "GOTO A", "ENDIF", FULL], "what runs next: the condition of IF (line 5) is not known. "),
-        (["LOOP", FULL, "GOTO A", "ENDLOOP"], "what runs next. "),
+        (["LOOP", FULL, "GOTO A", "ENDLOOP"], "the label A precedes GOTO"),
     ],
 )
 def test_a_jump_in_kept_motions_names_the_condition_that_is_not_known(lines, why):
