@@ -185,21 +185,22 @@ def _ask(
             answer_file.answers[question.key] = text
             _keep(answers_path, answer_file)
     unused = option_texts.keys() - question_keys
-    new_answers = [name for name in unused if option_texts[name] != answer_file.answers.get(name)]
-    for file, names in (
-        ("cell", [name for name in new_answers if name.partition(".")[0] not in _OF_PROCESS]),
-        ("process", [name for name in new_answers if name.partition(".")[0] in _OF_PROCESS]),
-    ):
-        if names and file in kept:
-            problem = f"{', '.join(sorted(names))}: the {file} file is used as it is, and these answers would not count"
+    for file in kept:
+        names = [name for name in unused if _file_of(name) == file]
+        if changed := sorted(name for name in names if option_texts[name] != answer_file.answers.get(name)):
+            problem = f"{', '.join(changed)}: the {file} file is used as it is, and these answers would not count"
             raise click.UsageError(f"{problem}. Leave them out, or give --overwrite to write the file anew.")
+        unused -= set(names)  # the file was made of the same answers, and edited since
     for name in sorted(unused):
-        if ("process" if name.partition(".")[0] in _OF_PROCESS else "cell") in kept:
-            continue  # the file was made of the same answer, and edited since
         click.echo(f"note: this program needs no answer about {name}: it is not used", err=True)
     if unanswered:
         lines = [f"  {item.option}    {item.text}" for item in unanswered]
         raise click.UsageError("\n".join(["Missing, and there is no terminal to ask on:", *lines]))
+
+
+def _file_of(name: str) -> str:
+    """Return the file that an answer belongs to, "cell" or "process"."""
+    return "process" if name.partition(".")[0] in _OF_PROCESS else "cell"
 
 
 def _keep(path: Path, answer_file: Any) -> None:

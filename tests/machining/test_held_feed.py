@@ -81,6 +81,13 @@ def test_brute_force_over_feeds_finds_the_same_time(tmp_path, tolerance, materia
     assert times[1] == pytest.approx(times[0], rel=0.02)
     np.testing.assert_allclose(held.feed[cutting] * 60e3, best, rtol=0.03)
     np.testing.assert_allclose(held.expected[cutting] * 1e3, expected(result)[cutting], rtol=0, atol=1e-9)
+    # between the bound with the rounding of corners, and that with the largest distance of the path everywhere
+    left_mm = 1e3 * np.linalg.norm(result.deviation_after, axis=1).max()
+    assert left_mm < 1e-3
+    least = result.bound + np.maximum(result.rounding - result.programmed, 0.0)
+    cuts = ~result.rapid
+    assert (result.expected[cuts] >= least[cuts] - 1e-12).all()
+    assert (result.expected[cuts] <= (least + result.between)[cuts] + 1e-12).all()
 
 
 def test_with_blended_corners_no_feeds_that_hold_the_tolerance_are_faster(tmp_path):
