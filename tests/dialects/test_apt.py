@@ -512,6 +512,34 @@ def test_m_codes_that_have_a_statement_do_what_it_does():
 
 
 @pytest.mark.parametrize(
+    "text",
+    [
+        "TOOL 5 D10 R1 END MILL",
+        "TOOL NAME - D10R1",
+        "TOOL 4 TAP M6",
+        "MATERIAL AlMg3",
+        "(SAFE)",
+        "; tool 5",
+        "Stock Size X40. Y50. Z60.",
+        "MSG ROUGHING",
+        "'PART 12'",
+    ],
+)
+def test_inserted_text_that_moves_nothing_is_a_comment(text):
+    program = read(f"{HEAD}GOTO/1,0,9\nINSERT/{text}\nGOTO/2,0,9\nFINI\n")
+    assert [event.kind for event in program.events].count("stop") == 0
+    assert text.upper().strip("();' ") in [event.text for event in program.events]
+
+
+def test_inserted_stop_halts_and_the_word_in_brackets_does_not():
+    stops = [
+        [event.kind for event in read(f"{HEAD}GOTO/1,0,9\nINSERT/{text}\nGOTO/2,0,9\nFINI\n").events].count("stop")
+        for text in ("STOP change fixture", "(STOP is not needed)")
+    ]
+    assert stops == [1, 0]
+
+
+@pytest.mark.parametrize(
     ("text", "line", "problem"),
     [
         ("GOTO/1,2", 5, "3 or 6 numbers"),
@@ -558,7 +586,17 @@ def test_m_codes_that_have_a_statement_do_what_it_does():
         ("CYCLE/DRILL,RAPTO,3,FEDTO,-9,RTRCTO,2,MMPM,250\nGOTO/1,1,1", 5, "the heights of the cycle contradict"),
         ("CYCLE/DRILL,DEPTH,9,MMPM,100,CLEAR,3\nGOTO/1,1,1,0,.6,.8", 6, "the tool turns in a cycle"),
         ("CUTCOM/LEFT,1", 5, "the radius of the tool is in the control"),
-        ("INSERT G28 Z0", 5, "'G28 Z0' is for one control"),
+        ("INSERT G28 Z0", 5, "'G28 Z0' is for one control and moves the machine"),
+        ("INSERT/(SAFE) G0 Z0", 5, "'(SAFE) G0 Z0' is for one control and moves the machine"),
+        ("INSERT/(SAFE) $\nG0 Z0", 5, "INSERT in more than one line"),
+        ("INSERT/TOOL CALL 5 Z S2000", 5, "and changes the tool"),
+        ("INSERT/TOOL 5 M6", 5, "and changes the tool"),
+        ("INSERT/TOOL G53 Z0", 5, "and moves the machine"),
+        ("INSERT/STOP M6", 5, "and changes the tool"),
+        ("INSERT/G54", 5, "and moves the coordinates"),
+        ("INSERT/G4 X2", 5, "and waits"),
+        ("INSERT/CYCL CALL", 5, "and calls a program"),
+        ("INSERT/TOOLS", 5, "'TOOLS' is for one control"),
         ("AUXFUN/8000", 5, "'M8000' is for one control"),
         ("AUXFUN/6", 5, "LOADTL changes the tool"),
         ("INSERT M03", 5, "SPINDL without one speed"),

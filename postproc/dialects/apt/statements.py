@@ -268,28 +268,3 @@ def refusal(word: str) -> tuple[str, str]:
     name = word[:20]
     advice = f'If it moves nothing, write [apt] without_effect = ["{name}"] in the cell: it holds for all such lines.'
     return f"unknown statement {name!r}", f"{suggestion} {advice}" if suggestion else advice
-
-
-_NAMES = re.compile(
-    r"""\((?P<note>.*?)\)?$                         # a comment of the control
-    | (?P<text>
-        \[HOLDER=.*                              # holder, and tool
-        | [\d./]+\s?(MM|IN|")([ /].*)?            # tool, by its diameter
-        | STOCK[ ]SIZE\b.* | STOP\b.*
-      )$""",
-    re.VERBOSE,
-)
-
-
-def inserted_comment(text: str) -> str | None:
-    """Return the comment in the text of an INSERT, in upper case, or None if it may be a code of the control.
-
-    >>> inserted_comment("[HOLDER=C40-M12EM2] 20MM CRB 4FL 38 LOC")
-    '[HOLDER=C40-M12EM2] 20MM CRB 4FL 38 LOC'
-    >>> inserted_comment("G28 Z0") is None
-    True
-    """
-    match = _NAMES.match(text)
-    if match is None:
-        return None
-    return (match["note"] if match["note"] is not None else match["text"]).strip()

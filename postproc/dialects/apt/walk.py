@@ -9,7 +9,7 @@
   those of the fixture already. Its third column is the direction of the tool. Source: the files. In one, an operation
   and its copies, turned by 90° and 180°, have CSYS that map each copy onto the first: their coordinates are where the
   copies are.
-- **INSERT** of text that names a tool, a holder or the stock is a comment; ``INSERT/STOP …`` stops.
+- **INSERT** of text that names a tool, a holder or the stock is a comment, see `inserted`; ``INSERT/STOP …`` stops.
 - ``CIRCLE/x,y,z,i,j,k,r`` turns right-handed about i, j, k. Source: PTC, Creo NC, "CL Output for Circular
   Interpolation".
 - ``CIRCLE/x,y,z,i,j,k`` of SolidWorks CAM turns right-handed about i, j, k; the start gives the radius.
@@ -41,13 +41,13 @@ from msgspec.structs import replace
 
 from postproc.cell import Cell, m_code_fault
 from postproc.dialects.apt.cycles import Cycle, cycle_words
+from postproc.dialects.apt.inserted import inserted_comment, inserted_fault
 from postproc.dialects.apt.statements import (
     REFUSED,
     TEXT,
     WITHOUT_EFFECT,
     StatementError,
     Statements,
-    inserted_comment,
     refusal,
     values,
 )
@@ -725,11 +725,13 @@ class _Walk:
         self._machine_code(row, f"M{self._one_number(words, 'AUXFUN'):g}")
 
     def _insert(self, row: int) -> None:
-        text = self._text(row, "INSERT").upper().rstrip(" $")
+        text = self._text(row, "INSERT").upper()
+        if "".join(text.split()) != self.statements.of(row)[len("INSERT") :].lstrip("/").strip("'"):
+            raise StatementError("INSERT in more than one line", "Write the text in one line.")
         comment = inserted_comment(text)
         if comment is not None:
             self._event(row, "comment", text=comment)
-            if comment.startswith("STOP"):
+            if text.startswith("STOP"):
                 self._event(row, "stop")
             return
         self._machine_code(row, text)
@@ -742,14 +744,12 @@ class _Walk:
             return
         cell_lines = self.cell.m_codes.get(code)
         if cell_lines is None:
-            advice = (
-                f"Say what it does: [m_codes] {code} = [] for nothing, or lines of KRL." if code[:1] == "M" else None
-            )
+            if not _M_CODE.fullmatch(code):
+                raise StatementError(*inserted_fault(code))
+            advice = f"Say what it does: [m_codes] {code} = [] for nothing, or lines of KRL."
             if m_code_fault(code):
                 advice = "Remove it: LOADTL changes the tool, FINI ends the program."
-            raise StatementError(
-                f"{code[:20]!r} is for one control", advice or "Remove it if it does not move the tool."
-            )
+            raise StatementError(f"{code!r} is for one control", advice)
         if cell_lines:
             self._event(row, "m_code", float(code[1:]))
 
@@ -825,6 +825,7 @@ class _Walk:
 
 _SPINDLE = {"RPM", "CLW", "CCLW", "ON", "OFF"}
 _LEADING_ZEROS = re.compile(r"^M0+(?=\d)")
+_M_CODE = re.compile(r"M\d{1,9}")
 _STATEMENTS: Mapping[str, tuple[Any, list[float | str]]] = {
     **dict.fromkeys(("M0", "M1"), (_Walk._stop, [])),
     "M3": (_Walk._spin, ["CLW"]),
