@@ -11,6 +11,8 @@ exceptions and imports have none.
 | condition | negated, its boundary moved, constant; `and` for `or`, & for \\|, all for any; `not` dropped |
 | dropped | a statement left out: a call, an assignment to what has a value, an early return, raise, break, continue |
 | index | an index, a slice or an axis shifted by one, two indices of an einsum exchanged, a transposition dropped |
+| argument | two arguments of a call, one behind the other, exchanged |
+| unit | a factor between units, `MM_PER_M`, the other way round |
 """
 
 from __future__ import annotations
@@ -40,6 +42,7 @@ _PAIRS = (
 )
 OTHER_NAME = {a: b for pair in _PAIRS.split("|") for a, b in (pair.split(), pair.split()[::-1])}
 AXES = {"axis", "axis1", "axis2", "k"}
+_UNIT = re.compile(r"[A-Z_]*_PER_[A-Z]+")
 
 
 class Mutant(NamedTuple):
@@ -47,7 +50,7 @@ class Mutant(NamedTuple):
 
     :param file: relative to the root of the repository.
     :param line: the first line that is changed, from 1.
-    :param kind: sign, operator, factor, condition, dropped or index.
+    :param kind: sign, operator, factor, condition, dropped, index, argument or unit.
     :param start: range of bytes that is replaced,
     :param end: and where it ends.
     :param new: the text in its place.
@@ -257,6 +260,16 @@ class _Walk:
         if name in ("sum", "cumsum", "mean", "swapaxes", "moveaxis", "diff", "concatenate", "stack", "expand_dims"):
             for argument in node.args:
                 yield from self._shifted(argument, both=False)
+        for left, right in zip(node.args, node.args[1:], strict=False):
+            if not any(isinstance(argument, ast.Starred) or _is_text(argument) for argument in (left, right)):
+                (start, left_end), (right_start, end) = self._range(left), self._range(right)
+                between = self.source[left_end:right_start].decode()
+                exchanged = self._text(right_start, end) + between + self._text(start, left_end)
+                yield self._mutant(node, "argument", start, end, exchanged)
+
+    def _on_name(self, node: ast.Name) -> Iterator[Mutant]:
+        if isinstance(node.ctx, ast.Load) and _UNIT.fullmatch(node.id):
+            yield self._mutant(node, "unit", *self._range(node), f"(1.0 / {node.id})")
 
     def _on_subscript(self, node: ast.Subscript) -> Iterator[Mutant]:
         parts = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]

@@ -19,6 +19,7 @@ import numpy as np
 
 GRAVITY = 9.81
 """Of the earth [m/s²]."""
+N_PER_KN = 1e3
 
 
 def moment(force: np.ndarray, arm: np.ndarray) -> np.ndarray:
@@ -35,8 +36,18 @@ def weight(masses: np.ndarray, unit: float = 1.0) -> float:
     if (masses < 0.0).any():
         raise ValueError(f"{masses} below {-1.0 * 0.0}")
     return float(np.einsum("ij,j->", np.eye(len(masses)), masses) * unit * GRAVITY)
+
+
+def load(mass: float, share: float) -> float:
+    """Return the weight [N] of a share of a mass in 1000 kg."""
+    return _product(mass * N_PER_KN, share + 1.0) * GRAVITY
+
+
+def _product(mass: float, number: float) -> float:
+    return mass * (number - 1.0)
 '''
-HEAD = "import numpy as np\nimport pytest\nfrom postproc.lever import moment, weight\n\n\n"
+KINDS = ("sign", "operator", "factor", "condition", "dropped", "index", "argument", "unit")
+HEAD = "import numpy as np\nimport pytest\nfrom postproc.lever import load, moment, weight\n\n\n"
 WEAK = """def test_something_comes_out():
     assert moment(np.eye(3), np.ones((3, 3))).shape == (3, 3)
 
@@ -52,6 +63,7 @@ STRONG = """def test_moment_is_the_cross_product():
 def test_weight():
     assert np.isclose(weight(np.array([1.0, 0.0, 2.5])), 3.5 * 9.81, rtol=1e-12)
     assert np.isclose(weight(np.ones(2), 1000.0), 2e3 * 9.81, rtol=1e-12)
+    assert np.isclose(load(2.0, 0.5), 9810.0, rtol=1e-12)
     with pytest.raises(ValueError):
         weight(np.array([2.0, -1.0]))
 """
@@ -85,7 +97,7 @@ def test_a_weak_suite_is_found_weak_and_a_good_one_good(tmp_path):
 def test_every_kind_is_planted_once_and_compiles(tmp_path):
     root = project(tmp_path / "one", WEAK)
     every = mutants_of(root / "postproc/lever.py", root)
-    assert set(Counter(m.kind for m in every)) == {"sign", "operator", "factor", "condition", "dropped", "index"}
+    assert set(Counter(m.kind for m in every)) == set(KINDS)
     texts = {m.text(LEVER.encode()) for m in every}
     assert len(texts) == len(every)
     assert LEVER.encode() not in texts
@@ -97,6 +109,8 @@ def test_every_kind_is_planted_once_and_compiles(tmp_path):
     assert "out[:, 0] = arm[:, 1] * force[:, 2]" in after
     assert "out[:, 1] = arm[:, 2] * force[:, 0] - arm[:, 0] * force[:, 1]" in after
     assert "GRAVITY = 19.62" in after
+    assert "return _product(share + 1.0, mass * N_PER_KN) * GRAVITY" in after
+    assert "return _product(mass * (1.0 / N_PER_KN), share + 1.0) * GRAVITY" in after
     assert "if (masses <= 0.0).any():" in after
     assert "if False:" in after
     assert not [m for m in every if '"""' in m.after or ("below" in m.before and m.after != "pass")]
