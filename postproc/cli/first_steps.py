@@ -349,13 +349,25 @@ def _asked(options: dict[str, Any]) -> dict[str, Any]:
         usual = ",".join(f"{value:g}" for value in first_steps.usual_base(options["robot"]))
         ask("base", "$BASE in the robot root: X,Y,Z[,A,B,C]", usual, "frame")
     ask("tool", "$TOOL, the tool tip in the flange frame: X,Y,Z[,A,B,C]", "0,0,350", "frame")
-    if absent_names and not options["tools"]:
+    if absent_names:
+        _ask_for_program(options)
+    ask("clearance", "Z of $BASE to which programs retract (G28, G30, G53)", f"{first_steps.CLEARANCE_MM:g}", "number")
+    text = "Tool change: hand (the program stops), none, or a line that calls the changer, with {T}"
+    ask("tool_change", text, answers.BY_HAND, "line")
+    if absent_names:
+        _ask_for_shop(options, answers.BY_HAND)
+    return options
+
+
+def _ask_for_program(options: dict[str, Any]) -> None:
+    """Ask for what programs name by number, and for where they start; empty answers leave it out."""
+    if not options["tools"]:
         text = "Tools that programs change to, such as 1=0,0,350 2=0,0,412.5 (empty: $TOOL holds for all)"
         options["tools"] = click.prompt(text, default="", show_default=False, value_proc=_words("tools"))
-    if absent_names and not options["work_offsets"]:
+    if not options["work_offsets"]:
         text = "Work offsets that programs use in addition to G54, such as G55=300,0,0 (empty: none)"
         options["work_offsets"] = click.prompt(text, default="", show_default=False, value_proc=_words("work_offsets"))
-    if absent_names and not options["m_codes"]:
+    if not options["m_codes"]:
         text = "M codes that have no effect on the robot, such as M31 M33 (empty: none)"
         options["m_codes"] = click.prompt(
             text,
@@ -363,27 +375,26 @@ def _asked(options: dict[str, Any]) -> dict[str, Any]:
             show_default=False,
             value_proc=lambda text: _checked("m_codes", text.replace(",", " ").split()),
         )
-    if absent_names and options["start"] is None:
+    if options["start"] is None:
         text = "Joints where programs start: A1,…,A6 (empty: chosen with the tip above the part)"
         options["start"] = (
             click.prompt(text, default="", show_default=False, value_proc=partial(_checked, "numbers")) or None
         )
-    ask("clearance", "Z of $BASE to which programs retract (G28, G30, G53)", f"{first_steps.CLEARANCE_MM:g}", "number")
-    text = "Tool change: hand (the program stops), none, or a line that calls the changer, with {T}"
-    ask("tool_change", text, answers.BY_HAND, "line")
-    if absent_names:
-        if options["spindle"] is None:
-            text = "Spindle: lines for M3, with {S}, and M5, with | between, or hand"
-            options["spindle"] = click.prompt(text, default=answers.BY_HAND, value_proc=partial(_checked, "switch"))
-        if options["coolant"] is None:
-            text = "Coolant: lines for M7 and M8, and for M9, with | between, or hand"
-            options["coolant"] = click.prompt(text, default=answers.BY_HAND, value_proc=partial(_checked, "switch"))
-        if options["part_tolerance"] is None:
-            text = "What the part may be off (95 %) (empty: nothing is judged by it)"
-            options["part_tolerance"] = click.prompt(
-                text, default="", show_default=False, value_proc=partial(_checked, "tolerance")
-            )
-    return options
+
+
+def _ask_for_shop(options: dict[str, Any], by_hand: str) -> None:
+    """Ask for the lines that switch spindle and coolant, and for the tolerance of parts."""
+    if options["spindle"] is None:
+        text = "Spindle: lines for M3, with {S}, and M5, with | between, or hand"
+        options["spindle"] = click.prompt(text, default=by_hand, value_proc=partial(_checked, "switch"))
+    if options["coolant"] is None:
+        text = "Coolant: lines for M7 and M8, and for M9, with | between, or hand"
+        options["coolant"] = click.prompt(text, default=by_hand, value_proc=partial(_checked, "switch"))
+    if options["part_tolerance"] is None:
+        text = "What the part may be off (95 %) (empty: nothing is judged by it)"
+        options["part_tolerance"] = click.prompt(
+            text, default="", show_default=False, value_proc=partial(_checked, "tolerance")
+        )
 
 
 @click.command()

@@ -235,14 +235,7 @@ def result_of(task: Task, draft: Draft, corrected_draft: Draft) -> Result:
     :param corrected_draft: the draft with corrected commands; of a nominal program the same one.
     """
     path, row, targets, program = draft.path, draft.chosen.row, draft.chosen.targets, draft.path.program
-    rows = np.arange(len(path)) if task.mode == "predict" else row
-    deviation, deflection, by_tool = uncorrected(path, rows, draft.theta)
-    path_deviation = float(norm(deviation).max(initial=0.0))
-    if task.mode == "predict":
-        is_rigid_tool = deflection is deviation
-        deviation = deviation[row]
-        deflection = deviation if is_rigid_tool else deflection[row]
-        by_tool = by_tool if by_tool is None else by_tool[row]
+    deviation, deflection, by_tool, path_deviation = _uncorrected_at_targets(task, draft)
     reversals = _reversals(corrected_draft)
     bound, errors, error_issues = _errors(task, corrected_draft, deviation, reversals)
     q = draft.q[row]
@@ -296,6 +289,22 @@ def result_of(task: Task, draft: Draft, corrected_draft: Draft) -> Result:
         rounding=simulation.rounding,
         carried=draft.carried,
     )
+
+
+def _uncorrected_at_targets(task: Task, draft: Draft) -> tuple[Array, Array, Array | None, float]:
+    """Return deviation, deflection and that of the tool (T, 3) at the targets without correction [m].
+
+    The fourth is the largest deviation [m]: of a prediction along the whole path, else at the targets.
+    """
+    path, row = draft.path, draft.chosen.row
+    if task.mode != "predict":
+        deviation, deflection, by_tool = uncorrected(path, row, draft.theta)
+        return deviation, deflection, by_tool, float(norm(deviation).max(initial=0.0))
+    deviation, deflection, by_tool = uncorrected(path, np.arange(len(path)), draft.theta)
+    largest = float(norm(deviation).max(initial=0.0))
+    at_targets = deviation[row]
+    deflection = at_targets if deflection is deviation else deflection[row]  # a rigid tool: the same values, kept once
+    return at_targets, deflection, by_tool if by_tool is None else by_tool[row], largest
 
 
 def _causes(path: PathUnderLoad) -> tuple[str, ...]:

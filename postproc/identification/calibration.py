@@ -162,7 +162,6 @@ def identify_geometry(content: ModelFile, nominal: Chain, name: str, data: Measu
     :raises MeasurementError: fewer readings than unknowns.
     """
     parameters = nonredundant(nominal, len(data.points))
-    gears = tuple(GeometryParameter(joint, term) for joint in JOINTS for term in GEAR_TERMS)
     unknowns = 6 + 3 * len(data.points) + len(parameters)
     readings = 3 * len(data.q) * len(data.points)
     if readings < unknowns + 10:
@@ -171,25 +170,9 @@ def identify_geometry(content: ModelFile, nominal: Chain, name: str, data: Measu
             file=data.file,
             advice="Measure more configurations: 30 of three points are usual.",
         )
-    bare = msgspec.structs.replace(
-        content,
-        geometry={},
-        transmission={},
-        geometry_error=None,
-        gravity=Gravity("calibrated", content.gravity.in_gears),
-    )
-    heavy = msgspec.structs.replace(bare, gravity=Gravity("rigid", content.gravity.in_gears))
     rms: dict[str, tuple[float, float]] = {}
     fits: dict[str, tuple[_Solution, Array]] = {}
-    variants: list[tuple[str, ModelFile, tuple[GeometryParameter, ...]]] = [
-        ("nominal geometry", bare, ()),
-        ("nominal geometry with sag", heavy, ()),
-        ("calibrated geometry", bare, parameters),
-        ("calibrated geometry with sag", heavy, parameters),
-    ]
-    if readings >= unknowns + len(gears) + 10:
-        variants += [(f"{label}, gears", base, (*free, *gears)) for label, base, free in variants[2:]]
-    for label, base, free in variants:
+    for label, base, free in _variants(content, parameters, with_gears=readings >= unknowns + len(_GEARS) + 10):
         try:
             solution = _solve(base, nominal, name, data, free)
         except PostprocError:  # a model that cannot carry its own weight, or parameters that the readings do not hold
@@ -220,6 +203,32 @@ def identify_geometry(content: ModelFile, nominal: Chain, name: str, data: Measu
         u95,
         tuple(p.name for p, h, u in zip(solution.parameters, half, usual, strict=True) if h > 0.8 * NORMAL_95 * u),
     )
+
+
+_GEARS = tuple(GeometryParameter(joint, term) for joint in JOINTS for term in GEAR_TERMS)
+
+
+def _variants(
+    content: ModelFile, parameters: tuple[GeometryParameter, ...], *, with_gears: bool
+) -> list[tuple[str, ModelFile, tuple[GeometryParameter, ...]]]:
+    """Return the geometries that are tried, simple to rich: label, model, and what is free in it."""
+    bare = msgspec.structs.replace(
+        content,
+        geometry={},
+        transmission={},
+        geometry_error=None,
+        gravity=Gravity("calibrated", content.gravity.in_gears),
+    )
+    heavy = msgspec.structs.replace(bare, gravity=Gravity("rigid", content.gravity.in_gears))
+    variants: list[tuple[str, ModelFile, tuple[GeometryParameter, ...]]] = [
+        ("nominal geometry", bare, ()),
+        ("nominal geometry with sag", heavy, ()),
+        ("calibrated geometry", bare, parameters),
+        ("calibrated geometry with sag", heavy, parameters),
+    ]
+    if with_gears:
+        variants += [(f"{label}, gears", model, (*free, *_GEARS)) for label, model, free in variants[2:]]
+    return variants
 
 
 def simplest(squares: dict[str, Array]) -> str:

@@ -122,31 +122,13 @@ def identify(
     :param progress: called with a line of text before each step.
     :raises MeasurementError: the readings are unusable; the message names the row or says what to measure.
     """
-    data = as_positions(prior, data)
-    check_points(data)
-    data, outliers = plausibility.without_gross_errors(data)  # one would spoil the means that are judged next
-    placement = check_frames(prior, data)
-    doubts = [
-        *gaps(data),
-        *moved_device(prior, data, placement),
-        *check_loads(prior, data, placement),
-    ]
-    data, warnings = _noise(data)
-    warnings = doubts + warnings
+    data, placement, outliers, warnings = _checked(prior, data)
     if method == "serial":
         return _serial(prior, data, placement, outliers, warnings)
 
     progress("joint springs and compensator")
-    joints = _joints(prior, data, placement)
-    if not prior.subtract_reference:  # the pose without load depends on the springs
-        placement = locate(joints.fit.robot, data)
-        joints = _joints(prior, data, placement)
-    if _unexplained(joints.fit):
-        clean_data, fewer, names = _cleaned(prior, data, placement, joints.fit)
-        if names and not _unexplained(fewer):
-            data, outliers = clean_data, outliers + names
-            placement = locate(prior if prior.subtract_reference else fewer.robot, data)
-            joints = _joints(prior, data, placement)
+    joints, data, placement, names = _located_joints(prior, data, placement)
+    outliers = outliers + names
     fit, open_entries, choice = joints.fit, joints.missing, None
     if depth == "joints" and _unexplained(fit):
         ratio = fit.chi2 / fit.dof
@@ -186,6 +168,42 @@ def identify(
         left_out=tuple(outliers),
         warnings=tuple(warnings),
     )
+
+
+def _checked(prior: RobotModel, data: Measurements) -> tuple[Measurements, Placement, list[str], list[str]]:
+    """Check the readings before any spring is fitted.
+
+    :returns: the readings without gross errors and with their noise, the placement, what was left out, and warnings.
+    :raises MeasurementError: the readings are unusable.
+    """
+    data = as_positions(prior, data)
+    check_points(data)
+    data, outliers = plausibility.without_gross_errors(data)  # one would spoil the means that are judged next
+    placement = check_frames(prior, data)
+    doubts = [*gaps(data), *moved_device(prior, data, placement), *check_loads(prior, data, placement)]
+    data, warnings = _noise(data)
+    return data, placement, outliers, doubts + warnings
+
+
+def _located_joints(
+    prior: RobotModel, data: Measurements, placement: Placement
+) -> tuple[_Joints, Measurements, Placement, list[str]]:
+    """Fit joint springs and compensator, and where robot and points are.
+
+    Readings that no such springs explain are left out where the rest is then explained by them.
+
+    :returns: the fit, the readings that are kept, the placement, and what was left out.
+    """
+    joints = _joints(prior, data, placement)
+    if not prior.subtract_reference:  # the pose without load depends on the springs
+        placement = locate(joints.fit.robot, data)
+        joints = _joints(prior, data, placement)
+    if _unexplained(joints.fit):
+        clean_data, fewer, names = _cleaned(prior, data, placement, joints.fit)
+        if names and not _unexplained(fewer):
+            placement = locate(prior if prior.subtract_reference else fewer.robot, clean_data)
+            return _joints(prior, clean_data, placement), clean_data, placement, names
+    return joints, data, placement, []
 
 
 def _left_by_joints(fit: Fit) -> str:

@@ -374,23 +374,11 @@ def _text(
     tools: Mapping[int, Frame],
 ) -> str:
     language = robot.language if robot.language in _LINES else "krl"
-    config_line = (
-        '# config_dat = "$config.dat"    # KRL: a $config.dat of the controller, for BASE_DATA and TOOL_DATA'
-        if config is None
-        else f"config_dat = {_quoted(config)}    # KRL: frames that programs name by number"
-    )
-    change = {BY_HAND: _TOOL_BY_HAND[language], NO_LINES: []}.get(request.tool_change, [request.tool_change])
-    change_line = f"tool_change = [{', '.join(map(_quoted, change))}]"
-    dwell = "s" if request.dwell_unit is None else request.dwell_unit
-    comment = "# " if request.dwell_unit is None else ""
-    dwell_line = (
-        f'{comment}dwell_unit = {_quoted(dwell)}               # P of G4 and cycles: "ms" for Fanuc, Haas, Mach3'
-    )
     return f"""\
 #:schema {schema_file("cell").as_uri()}
 # Cell file of postproc: mm, degrees, N. docs/reference describes every key; what follows # is optional.
 robot = {_quoted(place)}    # {robot.title}
-{config_line}
+{_config_line(config)}
 
 [base]                           # $BASE in the robot root: where the part lies
 {_keys(cell.base)}
@@ -408,16 +396,7 @@ max_correction_mm = 8.0          # a larger correction is an error
 
 {_part(request.part_tolerance)}
 
-[gcode]                          # how G-code becomes {language.upper()}
-radius_offsets = {_quoted(request.radius_offsets)}        # "wear": D holds wear, the path is of the tool centre
-{dwell_line}
-redundancy_deg = {_number(turn)}             # turn of the tool about its axis: so that A4 and A6 stay near their start
-rapid_m_per_s = 0.5              # speed of G0
-approximation_mm = 0.5           # $APO.CDIS, or the zone; 0: exact stops
-corner_tolerance_mm = 0.05       # a corner that approximation would round by more is an exact stop
-{change_line}    # M6; {{T}}: number of the tool
-{_switching("spindle", request.spindle, language)}
-{_switching("coolant", request.coolant, language)}
+{_gcode(request, turn, language)}
 
 [machine]                        # G28, G30 and G53, by which most CAM systems retract
 clearance_Z = {_number(request.clearance)}              # Z of $BASE to which they retract: above part and clamps
@@ -429,6 +408,37 @@ clearance_Z = {_number(request.clearance)}              # Z of $BASE to which th
 
 {_payload(request.payload)}
 """
+
+
+def _config_line(config: str | None) -> str:
+    """Return the key of a `$config.dat`; a comment where there is none."""
+    return (
+        '# config_dat = "$config.dat"    # KRL: a $config.dat of the controller, for BASE_DATA and TOOL_DATA'
+        if config is None
+        else f"config_dat = {_quoted(config)}    # KRL: frames that programs name by number"
+    )
+
+
+def _gcode(request: CellRequest, turn: float, language: str) -> str:
+    """Return the table that says how G-code becomes a program of the robot."""
+    change = {BY_HAND: _TOOL_BY_HAND[language], NO_LINES: []}.get(request.tool_change, [request.tool_change])
+    change_line = f"tool_change = [{', '.join(map(_quoted, change))}]"
+    dwell = "s" if request.dwell_unit is None else request.dwell_unit
+    comment = "# " if request.dwell_unit is None else ""
+    dwell_line = (
+        f'{comment}dwell_unit = {_quoted(dwell)}               # P of G4 and cycles: "ms" for Fanuc, Haas, Mach3'
+    )
+    return f"""\
+[gcode]                          # how G-code becomes {language.upper()}
+radius_offsets = {_quoted(request.radius_offsets)}        # "wear": D holds wear, the path is of the tool centre
+{dwell_line}
+redundancy_deg = {_number(turn)}             # turn of the tool about its axis: so that A4 and A6 stay near their start
+rapid_m_per_s = 0.5              # speed of G0
+approximation_mm = 0.5           # $APO.CDIS, or the zone; 0: exact stops
+corner_tolerance_mm = 0.05       # a corner that approximation would round by more is an exact stop
+{change_line}    # M6; {{T}}: number of the tool
+{_switching("spindle", request.spindle, language)}
+{_switching("coolant", request.coolant, language)}"""
 
 
 def _switching(

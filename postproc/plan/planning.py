@@ -366,17 +366,9 @@ def plan_measurements(
         prior_accuracy = expected_accuracy(
             sample, problem.readings, problem.joint2, np.zeros((0, 6)), no_data, problem.known
         )
-    random, serial, sizes = np.zeros(0), None, []
+    others = _OtherPlans(np.zeros(0), None, (), is_interrupted)
     if options.comparisons and not is_interrupted:
-        try:
-            report("comparing with other plans", 0.7, np.sqrt(plan.value))
-            random = random_values(problem.task, options.seed)
-            serial = serial_plan(problem.task)
-            for count, value, median in by_number(problem.task, options.seed, plan):
-                sizes.append(Size(count, value, median))
-                report("comparing with other numbers of poses", 0.7 + 0.3 * len(sizes) / 6, np.sqrt(plan.value))
-        except KeyboardInterrupt:
-            is_interrupted = True
+        others = _other_plans(problem.task, options, plan, report)
     warnings = (*problem.warnings, *left_uncertain(accuracy, problem.joint2, blocked_rows))
     full_moment, sample_moment = (t.second_moment * np.outer(scale, scale) for t in (tests, sample))
     return PlanResult(
@@ -392,16 +384,41 @@ def plan_measurements(
         directions=problem.task.directions,
         accuracy=accuracy,
         before=prior_accuracy,
-        random=random,
-        serial=serial,
-        sizes=tuple(sizes),
+        random=others.random,
+        serial=others.serial,
+        sizes=others.sizes,
         seconds=seconds,
         via=via,
         blocked=blocked_rows,
         compensator_free=problem.joint2.free,
         warnings=warnings,
-        interrupted=is_interrupted,
+        interrupted=others.is_interrupted,
     )
+
+
+class _OtherPlans(Struct, frozen=True, eq=False):
+    """What the plan is compared with: random plans, the serial approach, other numbers of poses."""
+
+    random: Array
+    serial: Plan | None
+    sizes: tuple[Size, ...]
+    is_interrupted: bool
+
+
+def _other_plans(task: Task, options: Options, plan: Plan, report: Progress) -> _OtherPlans:
+    """Return the plans to compare with; Ctrl-C ends the comparison with those that are there."""
+    random, serial, sizes = np.zeros(0), None, []
+    is_interrupted = False
+    try:
+        report("comparing with other plans", 0.7, np.sqrt(plan.value))
+        random = random_values(task, options.seed)
+        serial = serial_plan(task)
+        for count, value, median in by_number(task, options.seed, plan):
+            sizes.append(Size(count, value, median))
+            report("comparing with other numbers of poses", 0.7 + 0.3 * len(sizes) / 6, np.sqrt(plan.value))
+    except KeyboardInterrupt:
+        is_interrupted = True
+    return _OtherPlans(random, serial, tuple(sizes), is_interrupted)
 
 
 def _problem(site: Site, tests: TestPoses, scale: Array, options: Options, data: Measurements | None) -> _Problem:

@@ -92,7 +92,6 @@ def plan_summary(result: PlanResult) -> dict[str, object]:
     Criteria are given as square roots: the RMS distance that remains after compensation.
     """
     criterion = float(np.sqrt(result.plan.value)) * MM_PER_M
-    random = np.sqrt(result.random) * MM_PER_M
     content: dict[str, object] = {
         "robot": result.robot,
         "configurations": len(result.plan),
@@ -102,20 +101,7 @@ def plan_summary(result: PlanResult) -> dict[str, object]:
             "share": result.second_load,
             "N": result.second_load * result.site.rig.force,
         },
-        "torques": [
-            {
-                "joint": joint,
-                **{f"{sign}_Nm": float(value) for sign, value in zip(SIGNS, (low, high), strict=True)},
-                **{f"{sign}_poses": int(number) for sign, number in zip(SIGNS, count, strict=True)},
-                **{
-                    f"work_{sign}_Nm": float(value)
-                    for sign, value in zip(SIGNS, (-work[0] + 0.0, work[1]), strict=True)
-                },
-            }
-            for joint, low, high, count, work in zip(
-                JOINTS, *extremes(result), poses_by_side(result), result.directions.work, strict=True
-            )
-        ],
+        "torques": _torques(result),
         "criterion": {"kind": "grouped" if result.options.grouped else "pooled", "rms_mm": criterion},
         "expected": {
             "rms_mm": result.accuracy.rms * MM_PER_M,
@@ -140,6 +126,30 @@ def plan_summary(result: PlanResult) -> dict[str, object]:
             result.before.rms
         )  # not while a parameter is unidentifiable from the readings so far
         content["measured_so_far"] = {"rms_mm": result.before.rms * MM_PER_M if is_determined else None}
+    return content | _comparisons(result, criterion)
+
+
+def _torques(result: PlanResult) -> list[dict[str, object]]:
+    """Return what each joint is loaded with, in the plan and in the work that the test poses stand for."""
+    rows = zip(JOINTS, *extremes(result), poses_by_side(result), result.directions.work, strict=True)
+    return [
+        {
+            "joint": joint,
+            **{f"{sign}_Nm": float(value) for sign, value in zip(SIGNS, (low, high), strict=True)},
+            **{f"{sign}_poses": int(number) for sign, number in zip(SIGNS, count, strict=True)},
+            **{f"work_{sign}_Nm": float(value) for sign, value in zip(SIGNS, (-work[0] + 0.0, work[1]), strict=True)},
+        }
+        for joint, low, high, count, work in rows
+    ]
+
+
+def _comparisons(result: PlanResult, criterion: float) -> dict[str, object]:
+    """Return how other plans do: random ones, the serial approach, and other numbers of poses.
+
+    :param criterion: of the plan [mm].
+    """
+    random = np.sqrt(result.random) * MM_PER_M
+    content: dict[str, object] = {}
     if len(random):
         content["random"] = {
             "plans": len(random),

@@ -492,67 +492,14 @@ def pairs_csv(comparison: Comparison) -> Iterator[bytes]:
     Numbers that a target does not have are empty. Poses are in the nominal `$BASE` for pairs, else in their own.
     """
     yield (",".join(PAIR_COLUMNS) + "\n").encode()
-    nominal_motions, corrected_motions = comparison.nominal.motions, comparison.corrected.motions
-    pair, nominal_alone_row = comparison.pair, np.append(comparison.only_nominal, comparison.passed)
-    nominal = np.concatenate(
-        [
-            pair[:, 0],
-            np.full(len(comparison.inserted), -1),
-            nominal_alone_row,
-            np.full(len(comparison.only_corrected), -1),
-        ]
-    )
-    corrected_row = np.concatenate(
-        [pair[:, 1], comparison.inserted, np.full(len(nominal_alone_row), -1), comparison.only_corrected]
-    )
-    counts = (
-        len(pair),
-        len(comparison.inserted),
-        len(comparison.only_nominal),
-        len(comparison.passed),
-        len(comparison.only_corrected),
-    )
-    state = np.repeat([0, 1, 2, 4, 3], counts)
-    neighbour = np.append(-1, pair[:, 1])[np.searchsorted(pair[:, 0], nominal_alone_row)]
-    order = np.lexsort(
-        (np.isin(state, (2, 4)), np.concatenate([corrected_row[state < 2], neighbour, comparison.only_corrected]))
-    )
-    unknown = np.full(len(order), np.nan)
-    poses = [np.full((len(order), 6), np.nan) for _ in range(2)]
-    poses[0][nominal >= 0] = xyzabc_from_pose(nominal_motions.target[nominal[nominal >= 0]])
-    poses[1][: len(pair)] = xyzabc_from_pose(comparison.pose)
-    rest = np.flatnonzero((corrected_row >= 0) & (state != 0))
-    poses[1][rest] = xyzabc_from_pose(corrected_motions.target[corrected_row[rest]])
-
-    def of_pairs(values: Array | None) -> Array:
-        column = unknown.copy()
-        if values is not None:
-            column[: len(pair)] = values
-        return column
-
-    speeds = (
-        np.where(rows >= 0, m.feed[rows], np.nan) * MM_PER_M
-        for m, rows in ((nominal_motions, nominal), (corrected_motions, corrected_row))
-    )
-    cuts = (None, None) if comparison.cuts is None else (comparison.cuts.nominal, comparison.cuts.corrected)
-    numbers = np.column_stack(
-        [
-            *poses,
-            of_pairs(comparison.distance * MM_PER_M),
-            of_pairs(comparison.rotation * DEG_PER_RAD),
-            *speeds,
-            *(of_pairs(None if deviation is None else norm(deviation) * MM_PER_M) for deviation in cuts),
-            of_pairs(comparison.between * MM_PER_M),
-        ]
-    )[order]
-    rapid = np.where(nominal >= 0, nominal_motions.rapid[nominal], corrected_motions.rapid[corrected_row]).astype(
-        float
-    )[order]
+    state, nominal_row, corrected_row, order = _rows_of_pairs(comparison)
+    numbers = _numbers_of_pairs(comparison, state, nominal_row, corrected_row)[order]
+    nominal, corrected = comparison.nominal, comparison.corrected
+    rapid = np.where(nominal_row >= 0, nominal.motions.rapid[nominal_row], corrected.motions.rapid[corrected_row])
+    rapid = rapid[order].astype(float)
     names = _words(_STATES, state[order])
-    (file, line), (file_two, line_two) = (
-        _places(program, rows[order])
-        for program, rows in ((comparison.nominal, nominal), (comparison.corrected, corrected_row))
-    )
+    file, line = _places(nominal, nominal_row[order])
+    file_two, line_two = _places(corrected, corrected_row[order])
     for part in chunks(len(order)):
         columns: list[Number | NDArray[np.uint8]] = [
             names[part], file[part], Number.of(line[part], 0), file_two[part], Number.of(line_two[part], 0),
@@ -560,6 +507,60 @@ def pairs_csv(comparison: Comparison) -> Iterator[bytes]:
             *(Number.of(numbers[part, index], places) for index, places in enumerate(_PLACES)),
         ]  # fmt: skip
         yield rows_of_csv(columns)
+
+
+def _rows_of_pairs(comparison: Comparison) -> tuple[Ints, Ints, Ints, Ints]:
+    """Return state, nominal motion and corrected motion (n,) of all targets, and the order (n,) in which they stand.
+
+    A motion is −1 where there is none. Pairs come first, in the order of `comparison.pair`.
+    """
+    pair, nominal_alone_row = comparison.pair, np.append(comparison.only_nominal, comparison.passed)
+    inserted, corrected_alone_row = comparison.inserted, comparison.only_corrected
+    nominal_row = np.concatenate(
+        [pair[:, 0], np.full(len(inserted), -1), nominal_alone_row, np.full(len(corrected_alone_row), -1)]
+    )
+    corrected_row = np.concatenate([pair[:, 1], inserted, np.full(len(nominal_alone_row), -1), corrected_alone_row])
+    count_of_state = {
+        0: len(pair),
+        1: len(inserted),
+        2: len(comparison.only_nominal),
+        4: len(comparison.passed),
+        3: len(corrected_alone_row),
+    }
+    state = np.repeat(list(count_of_state), list(count_of_state.values()))
+    neighbour = np.append(-1, pair[:, 1])[np.searchsorted(pair[:, 0], nominal_alone_row)]
+    place = np.concatenate([corrected_row[state < 2], neighbour, corrected_alone_row])
+    return state, nominal_row, corrected_row, np.lexsort((np.isin(state, (2, 4)), place))
+
+
+def _numbers_of_pairs(comparison: Comparison, state: Ints, nominal_row: Ints, corrected_row: Ints) -> Array:
+    """Return the columns `_NUMBERS` of targets as `_rows_of_pairs` gives them; NaN where a target has no such value."""
+    nominal, corrected, pair_count = comparison.nominal.motions, comparison.corrected.motions, len(comparison.pair)
+    nominal_pose, corrected_pose = (np.full((len(state), 6), np.nan) for _ in range(2))
+    nominal_pose[nominal_row >= 0] = xyzabc_from_pose(nominal.target[nominal_row[nominal_row >= 0]])
+    corrected_pose[:pair_count] = xyzabc_from_pose(comparison.pose)
+    unpaired = np.flatnonzero((corrected_row >= 0) & (state != 0))
+    corrected_pose[unpaired] = xyzabc_from_pose(corrected.target[corrected_row[unpaired]])
+
+    def of_pairs(values: Array | None) -> Array:
+        column = np.full(len(state), np.nan)
+        if values is not None:
+            column[:pair_count] = values
+        return column
+
+    cuts = (None, None) if comparison.cuts is None else (comparison.cuts.nominal, comparison.cuts.corrected)
+    return np.column_stack(
+        [
+            nominal_pose,
+            corrected_pose,
+            of_pairs(comparison.distance * MM_PER_M),
+            of_pairs(comparison.rotation * DEG_PER_RAD),
+            np.where(nominal_row >= 0, nominal.feed[nominal_row], np.nan) * MM_PER_M,
+            np.where(corrected_row >= 0, corrected.feed[corrected_row], np.nan) * MM_PER_M,
+            *(of_pairs(None if deviation is None else norm(deviation) * MM_PER_M) for deviation in cuts),
+            of_pairs(comparison.between * MM_PER_M),
+        ]
+    )
 
 
 def _places(program: Program, rows: Ints) -> tuple[NDArray[np.uint8], Array]:

@@ -44,6 +44,7 @@ from postproc.report.verdict import CUT_MM, LEFT_MM, NARROW_DEG
 from postproc.robot import JOINTS, WITH_LINKS
 
 if TYPE_CHECKING:
+    from postproc.machining import ProcessForces
     from postproc.machining.sweep import Cuts
 
 
@@ -246,11 +247,18 @@ def cut(data: Deviation) -> Section | None:
     process = data.process
     if process is None or not len(data.result) or not len(process.cuts.t):
         return None
-    run, rows, motion, t = _contact(process.cuts)
+    label = "The remaining stock, coloured by depth below its top; turned by mouse, touch and arrow keys"
+    note = f"The remaining stock in $BASE, coloured by depth below its top. The file is {data.stem}stock.glb."
+    tiles, plots = _cut_tiles(process), _cut_plots(data, process.cuts)
+    return Section("cut", "The cut", (tiles, *plots, View("stock", label, note)))
+
+
+def _cut_plots(data: Deviation, cuts: Cuts) -> list[Plot]:
+    """Return the engagement over the length of the path: depth and width, angles, removal rate, power."""
+    run, rows, motion, t = _contact(cuts)
     place = np.searchsorted(data.result.motion + data.result.t, motion + t - 1e-9)
     place = np.minimum(np.searchsorted(data.places.row, place), len(data.places.row) - 1)
     x = np.interp(motion + t, data.result.motion + data.result.t, data.places.path_length) * MM_PER_M
-    cuts = process.cuts
     curves_of_plots: tuple[tuple[str, str, tuple[tuple[str, Array, float], ...]], ...] = (
         (
             "Depth and width of cut",
@@ -265,7 +273,7 @@ def cut(data: Deviation) -> Section | None:
         ("Removal rate", "cm³/min", (("removal rate", cuts.rate[rows], _CM3_PER_MIN),)),
         ("Power", "W", (("power", cuts.power[rows], 1.0),)),
     )
-    plots: list[Part] = []
+    plots = []
     for label, unit, curves in curves_of_plots:
         traces = []
         colours: tuple[Colour, ...] = ("before", "after")
@@ -294,7 +302,13 @@ def cut(data: Deviation) -> Section | None:
                 height=220,
             )
         )
-    tiles = Tiles(
+    return plots
+
+
+def _cut_tiles(process: ProcessForces) -> Tiles:
+    """Return the largest values of the cut, and what it removes."""
+    cuts = process.cuts
+    return Tiles(
         (
             Tile("Depth of cut, up to", f"{np.nanmax(cuts.depth) * MM_PER_M:.2f}", "mm"),
             Tile("Width of cut, up to", f"{np.nanmax(cuts.width) * MM_PER_M:.2f}", "mm"),
@@ -307,9 +321,6 @@ def cut(data: Deviation) -> Section | None:
             ),
         )
     )
-    label = "The remaining stock, coloured by depth below its top; turned by mouse, touch and arrow keys"
-    note = f"The remaining stock in $BASE, coloured by depth below its top. The file is {data.stem}stock.glb."
-    return Section("cut", "The cut", (tiles, *plots, View("stock", label, note)))
 
 
 def _contact(cuts: Cuts) -> tuple[Ints, Ints, Ints, Array]:
