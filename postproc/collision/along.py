@@ -149,7 +149,7 @@ class _Search:
         second_body = self.solids.bodies[second]
         key = first, None if second_body.fixed else second
         if key not in self._lengths:
-            steps = self._motion(first, second, self.q, self.frames)
+            steps = motion_bound(self.solids, first, second, self.q, self.frames)
             self._lengths[key] = np.append(0.0, np.cumsum(steps))
         return self._lengths[key]
 
@@ -195,7 +195,7 @@ class _Search:
         begin_distance, end_distance = distance[rows], distance[rows + 1]
         while len(rows):
             pair = np.stack([begin, end], axis=1).reshape(-1, begin.shape[1])
-            length = self._motion(first, second, pair[:, :6], self._frames(pair))[::2]
+            length = motion_bound(self.solids, first, second, pair[:, :6], self._frames(pair))[::2]
             bound = 0.5 * (begin_distance + end_distance - length)
             smaller = np.minimum(begin_distance, end_distance)
             is_noted = (smaller < self.need) | (smaller <= 0.0)  # reported already
@@ -225,21 +225,25 @@ class _Search:
     def _frames(self, states: Array) -> Array:
         return link_frames(self.chain, states[:, :6], states[:, 6:] if states.shape[1] > 6 else None)
 
-    def _motion(self, first: int, second: int, q: Array, frames: Array) -> Array:
-        """Return how far any point of one body moves at most against the other, from pose to pose (n − 1,) [m].
 
-        That is the chord of its middle, twice the height of the arc over it, and its rotation times its radius. With
-        joints moving in proportion by Δq in all, no point within R of the axes leaves the chord by more than Δq²·R/8.
-        """
-        body, reference = self.solids.bodies[first], self.solids.bodies[second]
-        centre, radius = self.solids.spheres[first]
-        moving, reference_frame = self.solids.frame(first, frames), self.solids.frame(second, frames)
-        point = moving[:, :3, :3] @ centre + moving[:, :3, 3] - reference_frame[:, :3, 3]
-        point = np.einsum("nji,nj->ni", reference_frame[:, :3, :3], point)
-        turning = np.abs(np.diff(q, axis=0))[:, reference.carrier + 1 : min(body.carrier, 5) + 1].sum(axis=1)
-        links = norm(np.concatenate([self.chain.placement[:, :3, 3], self.chain.flange[None, :3, 3]]))
-        reach = links[reference.carrier + 1 : body.carrier + 1].sum() + norm(centre[None])[0] + radius
-        return np.asarray(norm(np.diff(point, axis=0)) + turning * radius + 0.25 * turning**2 * reach)
+def motion_bound(solids: Solids, first: int, second: int, q: Array, frames: Array) -> Array:
+    """Return how far any point of one body moves at most against the other, from pose to pose (n − 1,) [m].
+
+    There and on: for any pose between, the distances from it to both poses are no more together.
+
+    That is the chord of its middle, twice the height of the arc over it, and its rotation times its radius. With
+    joints moving in proportion by Δq in all, no point within R of the axes leaves the chord by more than Δq²·R/8.
+    """
+    body, reference = solids.bodies[first], solids.bodies[second]
+    centre, radius = solids.spheres[first]
+    chain = solids.scene.robot.nominal
+    moving, reference_frame = solids.frame(first, frames), solids.frame(second, frames)
+    point = moving[:, :3, :3] @ centre + moving[:, :3, 3] - reference_frame[:, :3, 3]
+    point = np.einsum("nji,nj->ni", reference_frame[:, :3, :3], point)
+    turning = np.abs(np.diff(q, axis=0))[:, reference.carrier + 1 : min(body.carrier, 5) + 1].sum(axis=1)
+    links = norm(np.concatenate([chain.placement[:, :3, 3], chain.flange[None, :3, 3]]))
+    reach = links[reference.carrier + 1 : body.carrier + 1].sum() + norm(centre[None])[0] + radius
+    return np.asarray(norm(np.diff(point, axis=0)) + turning * radius + 0.25 * turning**2 * reach)
 
 
 _CHUNK = 4096

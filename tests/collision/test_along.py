@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from postproc.collision import Solids, along, bodies, clearance, hits
+from postproc.collision.along import motion_bound
+from postproc.collision.distance import link_frames
 from tests.collision.setting import KR270, frame, pose, random_scene, sampled, scene
 
 
@@ -103,6 +105,41 @@ def test_the_way_out_of_a_contact_is_said_at_the_contact_alone():
     solids = Solids(scene(spindle, post))
     assert hits(solids, q, 0.0).tolist() == [True, False]
     assert hits(solids, q[::-1], 0.0).tolist() == [False, True]
+
+
+@pytest.mark.parametrize(
+    ("carrier", "reference"), [(0, -1), (2, -1), (4, -1), (5, -1), (6, -1), (6, 2), (5, 1), (6, 3)]
+)
+def test_no_point_of_a_body_moves_further_than_the_bound(carrier, reference):
+    """Corners of a box, moved by the joint frames of another library, between 40 pairs of poses; and the bound is near.
+
+    A bound that is too small misses what stands between two samples.
+    """
+    rng = np.random.default_rng(10 * carrier + reference + 1)
+    corner = np.array([[x, y, z] for x in (-0.1, 0.3) for y in (-0.2, 0.05) for z in (0.0, 0.5)])
+    middle, edges = corner.mean(axis=0), np.ptp(corner, axis=0)
+    solids = Solids(
+        scene(
+            bodies.box("b", carrier, "tool", pose(np.eye(3), middle), edges),
+            bodies.box("c", reference, "obstacle" if reference < 0 else "arm", pose(np.eye(3), [9, 0, 0]), np.ones(3)),
+        )
+    )
+    nearness = []
+    for size in (0.003, 0.03, 0.3, 1.0):
+        for _ in range(10):
+            q = rng.uniform(KR270.lower, KR270.upper) + np.outer([0.0, 1.0], rng.normal(0.0, size, 6))
+            bound = motion_bound(solids, 0, 1, q, link_frames(KR270.nominal, q))[0]
+            there = []
+            for share in np.linspace(0.0, 1.0, 21):
+                between = q[0] + share * (q[1] - q[0])
+                body_frame = np.linalg.solve(frame(between, reference), frame(between, carrier))
+                there.append(corner @ body_frame[:3, :3].T + body_frame[:3, 3])
+            way = [
+                np.linalg.norm(point - there[0], axis=1) + np.linalg.norm(there[-1] - point, axis=1) for point in there
+            ]
+            assert np.max(way) <= bound
+            nearness.append(bound / np.max(way))
+    assert np.median(nearness[:20]) < 3.0  # a bound that is far too large costs time alone
 
 
 if __name__ == "__main__":
