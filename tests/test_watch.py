@@ -23,7 +23,7 @@ from click.testing import CliRunner
 
 from postproc.cli import main
 from postproc.errors import InputError, PostprocError
-from postproc.jobs import Settings, convert_all, find_jobs, watching
+from postproc.jobs import Settings, convert_all, find_jobs, inputs, watching
 from postproc.jobs.watching import server
 from tests.documentation.pages import ROOT
 
@@ -60,6 +60,48 @@ def put(folder: Path, name: str, text: str) -> Path:
     path = folder / "in" / name
     path.write_text(text)
     return path
+
+
+PROCESS = """[material]
+name = "al_7075_hss"
+[tools.default]
+diameter_mm = {diameter}
+flutes = 2
+[stock]
+box = {{ X = [-10, 20], Y = [-10, 10], Z = [-5, 0] }}
+resolution_mm = 1
+"""
+MILLED = "G21 G90\nT1 M6\nS9000 M3\nG0 X-20 Y0 Z20\nG0 Z-1\nG1 X30 F300\nG0 Z20\nM30\n"
+
+
+def process_stated(folder: Path) -> str:
+    """The process that the report of a.nc was made with."""
+    return json.loads((folder / "out" / "a.report.json").read_bytes())["inputs"]["forces"]
+
+
+def test_a_program_has_the_process_of_its_name_else_that_of_all(watcher, tmp_path):
+    """The rule of the window: NAME.process.toml of the results, else --process, else process.toml of the results."""
+    (tmp_path / "out").mkdir()
+    own_path, shared_path = tmp_path / "out" / "a.process.toml", tmp_path / "out" / "process.toml"
+    stated_path = tmp_path / "stated.toml"
+    sums = []
+    for path, diameter in ((shared_path, 8), (stated_path, 10), (own_path, 12)):
+        path.write_text(PROCESS.format(diameter=diameter))
+        sums.append(inputs.sum_of(inputs.of_forces(path)))
+    known = watcher(forces=stated_path)
+    put(tmp_path, "a.nc", MILLED)
+    assert converted(known) == ["a.nc"]
+    assert process_stated(tmp_path) == sums[2]
+    own_path.unlink()
+    assert converted(known, (3.0, 5.0)) == ["a.nc"], "the process of its name is gone: that of the option"
+    assert process_stated(tmp_path) == sums[1]
+    known = watcher()
+    assert converted(known, (6.0, 8.0)) == ["a.nc"], "without the option: that of the results"
+    assert process_stated(tmp_path) == sums[0]
+    shared_path.write_text(PROCESS.format(diameter=6))
+    assert converted(known, (9.0, 11.0)) == ["a.nc"], "a process that has changed"
+    assert process_stated(tmp_path) not in sums
+    assert converted(known, (12.0, 14.0)) == []
 
 
 def test_a_program_is_converted_once_it_is_quiet_and_again_when_it_changes(watcher, tmp_path):
@@ -492,7 +534,7 @@ def test_a_signal_ends_it_at_once(tmp_path, polling, converting, number):
             assert line
         time.sleep(0.0 if converting else 2 * watching.SCAN)
         process.send_signal(number)
-        said, _ = process.communicate(timeout=10)
+        said, _ = process.communicate(timeout=60)
     finally:
         process.kill()
     assert process.returncode == 128 + number

@@ -16,8 +16,10 @@ from postproc.app.arm_view import arm_view
 from postproc.app.runs import Run, command_line
 from postproc.app.workspace import RESULTS, SHOWN, Item, Workspace
 from postproc.errors import InputError, PostprocError
-from postproc.jobs.cell_edit import TABLES, NumberField, table_help
+from postproc.jobs.cell_edit import TABLES, table_help
 from postproc.jobs.cell_picture import cell_picture
+from postproc.jobs.file_form import FormField
+from postproc.jobs.process_edit import ProcessTable
 from postproc.jobs.setup_form import Field, SetupForm
 from postproc.machining.material import table
 from postproc.report.answers import chance_in_words
@@ -211,7 +213,7 @@ def running(run: Run) -> Page:
     return _page("run.html", here="programs", title=run.title, run=run, code=run.code, command=run.command)
 
 
-def cell(workspace: Workspace, fields: Sequence[NumberField], fault: str, *, is_saved: bool) -> Page:
+def cell(workspace: Workspace, fields: Sequence[FormField], fault: str, *, is_saved: bool) -> Page:
     """Return the page of the cell; `fault`: why the posted numbers were not written."""
     tables = [
         {"name": name, "help": table_help(name), "fields": [field for field in fields if field.table == name]}
@@ -229,6 +231,77 @@ def cell(workspace: Workspace, fields: Sequence[NumberField], fault: str, *, is_
         command="",
         **_picture(workspace.cell),
     )
+
+
+_TITLES = {"material": "Material", "stock": "Stock before the program", "spindle": "Spindle"}
+_DETAILS = {
+    "material": ("A material of your own", lambda key: key != "name"),
+    "tools": ("Details", lambda key: key in ("helix_deg", "rpm", "spindle")),
+    "stock": ("A mesh instead of the box, and the map", lambda key: key in ("file", "resolution_mm", *"ABC")),
+}
+"""Keys of a table that are folded away, and what they are for."""
+
+
+def posted_fields(form: dict[str, str], fields: Sequence[FormField]) -> dict[str, str]:
+    """Return the texts by name of the field from a posted form; a box that is not ticked is not in it."""
+    texts = {}
+    for field in fields:
+        if field.kind == "span":
+            ends = [form.get(f"{field.name}/{end}", "").strip().replace(",", ".") for end in ("from", "to")]
+            texts[field.name] = ", ".join(ends) if any(ends) else ""
+        elif field.kind == "flag":
+            texts[field.name] = form.get(field.name, "")
+        elif field.name in form:
+            texts[field.name] = form[field.name]
+    return texts
+
+
+def process(
+    name: str, path: Path, workspace: Workspace, tables: Sequence[ProcessTable], fault: str, *, is_saved: bool
+) -> Page:
+    """Return the page of a process file; `fault`: why the posted values were not written."""
+    file = f"{RESULTS}/{path.name}"
+    return _page(
+        "process.html",
+        here="process",
+        title=f"Process of {name}",
+        program=name,
+        file=file,
+        is_there=path.is_file(),
+        shared=path.name == "process.toml",
+        has_cell=workspace.cell.is_file(),
+        tables=[_shown_table(item) for item in tables],
+        fault=fault,
+        saved=is_saved,
+        command=command_line(["convert", name, "--cell", f"{RESULTS}/cell.toml", "--process", file, "-o", RESULTS]),
+    )
+
+
+def _shown_table(item: ProcessTable) -> dict[str, Any]:
+    """Return a table as the template shows it: keys that few need are folded away."""
+    kind, _, number = item.name.partition(".")
+    title, is_detail = _DETAILS.get(kind, ("", lambda _: False))
+
+    def is_folded(field: FormField) -> bool:
+        return field.table == "stock.place" or (field.table != "stock.box" and is_detail(field.key))
+
+    return {
+        "title": _TITLES.get(kind) or ("Every tool" if number == "default" else f"Tool {number}"),
+        "help": item.help,
+        "comment": item.comment,
+        "is_new": item.is_new,
+        "fields": [field for field in item.fields if not is_folded(field)],
+        "details": [field for field in item.fields if is_folded(field)],
+        "details_title": title,
+    }
+
+
+def processes(rows: Sequence[tuple[str, str]]) -> Page:
+    """Return the list of programs with their process files.
+
+    :param rows: names of programs, and what is there.
+    """
+    return _page("processes.html", here="process", title="What cuts", rows=rows, command="")
 
 
 def _picture(path: Path) -> dict[str, Any]:

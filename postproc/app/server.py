@@ -18,7 +18,9 @@ from postproc.app.workspace import RESULTS, SHOWN, Workspace
 from postproc.errors import InputError, PostprocError
 from postproc.jobs.cell_edit import edit, fields_of
 from postproc.jobs.guided_start import is_edited, load_answers
+from postproc.jobs.process_edit import edit_process, process_tables
 from postproc.jobs.program_needs import needs_of
+from postproc.jobs.programs import states_forces
 from postproc.jobs.setup_form import setup_form, start_arguments
 
 _LARGEST_FORM = 1 << 16
@@ -202,6 +204,27 @@ class _Handler(BaseHTTPRequestHandler):
         fields = fields_of(workspace.stated_cell())
         return self._page(screens.cell(workspace, fields, fault, is_saved="saved" in self.query), 400 if fault else 200)
 
+    def process(self, fault: str = "") -> None:
+        """Send tools, material and stock of a program, or the list of programs."""
+        workspace, name = self.server.workspace, self.query.get("name", "")
+        if not name:
+            rows = [(item.name, self._process_in_words(item.name)) for item in workspace.items()]
+            return self._page(screens.processes(rows))
+        program = workspace.sole_program(name)
+        path, needs = workspace.process_to_edit(name), needs_of(program)
+        if needs.refusal:
+            raise InputError(f"{name} cannot be read: {needs.refusal}")
+        tables = process_tables(path, needs)
+        page = screens.process(name, path, workspace, tables, fault, is_saved="saved" in self.query)
+        return self._page(page, 400 if fault else 200)
+
+    def _process_in_words(self, name: str) -> str:
+        path = self.server.workspace.process(name)
+        if path is not None:
+            return f"{RESULTS}/{path.name}"
+        has_forces = states_forces(self.server.workspace.program(name))
+        return "forces in its comments" if has_forces else "not stated yet"
+
     def robots(self) -> None:
         """Send the robot models."""
         self._page(screens.robots(self.query.get("name", "")))
@@ -296,6 +319,18 @@ class _Handler(BaseHTTPRequestHandler):
             return self.cell(str(cause))
         return self._lead("/cell?saved")
 
+    def posted_process(self) -> None:
+        """Take tools, material and stock of a program."""
+        workspace, name, form = self.server.workspace, self.query.get("name", ""), self.form()
+        path, needs = workspace.process_to_edit(name), needs_of(workspace.sole_program(name))
+        fields = [field for table in process_tables(path, needs) for field in table.fields]
+        texts = screens.posted_fields(form, fields)
+        try:
+            self.server.runs.edit(lambda: edit_process(path, needs, texts))
+        except InputError as cause:
+            return self.process(str(cause))
+        return self._lead(f"/process?name={quote(name)}&saved")
+
     def begin(self, key: str, title: str, arguments: list[str], change: Callable[[], object] | None = None) -> None:
         """Begin a command, and lead to its page.
 
@@ -322,6 +357,7 @@ _PAGES: dict[str, Callable[[_Handler], None]] = {
     "/run": _Handler.run,
     "/run.json": _Handler.run_state,
     "/cell": _Handler.cell,
+    "/process": _Handler.process,
     "/robots": _Handler.robots,
     "/result": _Handler.result,
 }
@@ -334,4 +370,5 @@ _CHANGES: dict[str, Callable[[_Handler], None]] = {
     "/compare": _Handler.compare,
     "/stop": _Handler.stop,
     "/cell": _Handler.posted_cell,
+    "/process": _Handler.posted_process,
 }

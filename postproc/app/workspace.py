@@ -15,6 +15,7 @@ from msgspec import Struct
 from postproc.dialects import registry
 from postproc.errors import InputError
 from postproc.jobs.currency import Setup, changes
+from postproc.jobs.programs import process_of
 from postproc.jobs.runs import reported
 from postproc.report.index import Entry
 
@@ -143,8 +144,12 @@ class Workspace(Struct, frozen=True):
 
     def process(self, name: str) -> Path | None:
         """Return the process file of a program; None: there is none."""
-        path = self.results / f"{Path(name).stem}.process.toml"
-        return path if path.is_file() else None
+        path = process_of(Path(name), self.results)
+        return None if path is None else self._of_folder(path)
+
+    def process_to_edit(self, name: str) -> Path:
+        """Return the process file of a program, or the path at which it will be made."""
+        return self.process(name) or self.results / f"{self.program(name).stem}.process.toml"
 
     def items(self) -> list[Item]:
         """Return the programs of the folder, sorted by name."""

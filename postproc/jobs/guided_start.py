@@ -283,20 +283,26 @@ def write_process(path: Path, needs: ProgramNeeds, answers: Answers) -> tuple[st
     :raises InputError: it cannot be written, or a value is invalid.
     """
     stock: StockTable = answers.values["stock"]
-    lines = [
-        f"#:schema {schema_file('process').as_uri()}",
-        f"# Process of {needs.file.name} for postproc: mm, 1/min. docs/reference/forces.md describes every key.",
-        "[material]",
-        f"name = {_quoted(answers.values['material'])}    # postproc forces --materials lists them, with sources",
-    ]
+    is_guess = answers.texts.get("stock", "") == _guessed(needs, answers)
+    is_assumed = stock.box is not None and needs.stock_mm is None and is_guess
+    lines = [*process_head(needs, answers.values["material"])]
     for number, shape in answers.numbered("cutter").items():
         lines += ["", *_tool_lines(number, shape, needs, answers)]
-    lines += ["", "[stock]                          # before this program", *_stock_lines(path.parent, stock)]
+    lines += ["", *stock_lines(path.parent, stock, is_assumed=is_assumed)]
     files.write_whole(path.parent, {path.name: ("\n".join(lines) + "\n").encode()})
     load_process(path)
-    if stock.box is not None and needs.stock_mm is None and answers.texts.get("stock", "") == _guessed(needs, answers):
+    if is_assumed:
         return (f"{path.name}: the stock is assumed from what the tools sweep. Check it: forces depend on it.",)
     return ()
+
+
+def process_head(needs: ProgramNeeds, material: str | None) -> Iterator[str]:
+    """Yield the first lines of a process file; without a material its name is left out."""
+    yield f"#:schema {schema_file('process').as_uri()}"
+    yield f"# Process of {needs.file.name} for postproc: mm, 1/min. docs/reference/forces.md describes every key."
+    yield "[material]"
+    if material is not None:
+        yield f"name = {_quoted(material)}    # postproc forces --materials lists them, with sources"
 
 
 def _guessed(needs: ProgramNeeds, answers: Answers) -> str:
@@ -304,10 +310,15 @@ def _guessed(needs: ProgramNeeds, answers: Answers) -> str:
     return "" if box is None else box_text(box)
 
 
-def _tool_lines(number: int, shape: CutterShape, needs: ProgramNeeds, answers: Answers) -> Iterator[str]:
-    key = str(number) if number else "default"
+def tool_head(number: int, needs: ProgramNeeds) -> str:
+    """Return the first line of the table of a tool, with what comments of the program say of it."""
     comment = needs.cutters[number].text if number in needs.cutters else ""
-    yield f"[tools.{key}]" + (f"    # {' '.join(comment.split())}" if comment.isprintable() and comment else "")
+    says = f"    # {' '.join(comment.split())}" if comment.isprintable() and comment else ""
+    return f"[tools.{number or 'default'}]{says}"
+
+
+def _tool_lines(number: int, shape: CutterShape, needs: ProgramNeeds, answers: Answers) -> Iterator[str]:
+    yield tool_head(number, needs)
     yield f'shape = "{shape.shape}"'
     yield f"diameter_mm = {shape.diameter_mm:g}"
     if shape.shape == "bull":
@@ -317,7 +328,15 @@ def _tool_lines(number: int, shape: CutterShape, needs: ProgramNeeds, answers: A
         yield f"rpm = {answers.values[f'rpm.{number}']:g}"
 
 
-def _stock_lines(folder: Path, stock: StockTable) -> Iterator[str]:
+def stock_lines(folder: Path, stock: StockTable, *, is_assumed: bool) -> Iterator[str]:
+    """Yield the lines of `[stock]`.
+
+    :param folder: of the process file.
+    :param is_assumed: nobody has stated it.
+    """
+    yield "[stock]                          # before this program"
+    if is_assumed:
+        yield "assumed = true                   # from what the tools sweep: check it, then remove this line"
     if stock.box is None:
         yield f"file = {_quoted(relative_path(folder, Path(stock.file or '')))}    # closed mesh, mm, in $BASE"
         return

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -266,6 +267,32 @@ def force_file(program: Path, files: Mapping[str, Sequence[Path]]) -> Path | Non
             advice="Leave one of them there.",
         )
     return candidates[0] if candidates else None
+
+
+def process_of(program: Path, output: Path, common: Path | None = None) -> Path | None:
+    """Return the process file of a program; None: there is none.
+
+    It is NAME.process.toml in the folder of the results, else the one for all programs, else process.toml in the folder
+    of the results. `watch` and the window find it so.
+
+    :param output: folder of the results.
+    :param common: process file that is stated for all programs.
+    """
+    process_file, shared_file = output / f"{program.stem}.process.toml", output / "process.toml"
+    if process_file.is_file():
+        return process_file
+    return common if common is not None or not shared_file.is_file() else shared_file
+
+
+_FORCE = re.compile(rb"[;(!][ \t]*FORCE\b|\bPPRINT[^\r\n]{0,80}FORCE\b", re.IGNORECASE)
+
+
+def states_forces(program: Path) -> bool:
+    """Return whether the text of a program seems to have force comments."""
+    try:
+        return _FORCE.search(program.read_bytes()) is not None
+    except OSError:
+        return False
 
 
 GOOD, FAILED, EXCEEDED = 0, 1, 3

@@ -11,11 +11,11 @@ also those that could not be. `server` shows it on this machine: it listens on 1
 from __future__ import annotations
 
 import json
-import re
+import os
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import partial
+from functools import lru_cache, partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Event
@@ -34,6 +34,7 @@ from postproc.jobs.output_plan import OVERVIEW, left
 from postproc.jobs.programs import (
     FAILED,
     GOOD,
+    PROCESS,
     Job,
     Outcome,
     Settings,
@@ -41,7 +42,9 @@ from postproc.jobs.programs import (
     force_file,
     force_files,
     is_utf8,
+    process_of,
     read_documents,
+    states_forces,
 )
 from postproc.jobs.runs import convert_all, reason, write_overview
 from postproc.report import index
@@ -52,8 +55,6 @@ QUIET = 1.0
 SCAN = 0.5
 """Time between two scans [s]."""
 STATE = ".postproc-watch.json"
-
-_FORCE = re.compile(rb"[;(!][ \t]*FORCE\b|\bPPRINT[^\r\n]{0,80}FORCE\b", re.IGNORECASE)
 
 Signature = tuple[tuple[str, int, int], ...]
 
@@ -129,14 +130,6 @@ def _pause(folder: Path, stop: Event) -> Callable[[], object]:
     return wait
 
 
-def _states_forces(program: Path) -> bool:
-    """Return whether the text of a program seems to have force comments."""
-    try:
-        return _FORCE.search(program.read_bytes()) is not None
-    except OSError:
-        return False
-
-
 def _status(path: Path) -> tuple[int, int]:
     """Return size and time of a file; zeros if it is not there."""
     try:
@@ -144,6 +137,16 @@ def _status(path: Path) -> tuple[int, int]:
     except OSError:
         return 0, 0
     return status.st_size, status.st_mtime_ns
+
+
+def _files_of_process(path: Path, status: os.stat_result) -> list[Path]:
+    """Return the files that belong to a process and are there; it is read again when it has changed."""
+    return [file for file in _read_process(path, status.st_size, status.st_mtime_ns) if file.is_file()]
+
+
+@lru_cache(1024)
+def _read_process(path: Path, size: int, time_ns: int) -> tuple[Path, ...]:
+    return tuple(inputs.of_forces(path))
 
 
 class _Watcher:
@@ -334,11 +337,15 @@ class _Watcher:
     def _with_forces(self, jobs: Iterable[Job]) -> list[Job]:
         """Return jobs with their files of forces; one that has none, but should, names the file that is missing."""
         folder = self.force_folder
-        return (
-            list(jobs)
-            if folder is None
-            else [replace(job, forces=self._forces_of(job.program, folder)) for job in jobs]
-        )
+        if folder is not None:
+            return [replace(job, forces=self._forces_of(job.program, folder)) for job in jobs]
+        return [replace(job, forces=self._process_of(job.program) or job.forces) for job in jobs]
+
+    def _process_of(self, program: Path) -> Path | None:
+        """Return the process file of a program; None: there is none, or other forces are stated for all."""
+        common: Path | None = self.plain_options["forces"]
+        is_process = common is None or common.suffix.lower() == PROCESS
+        return process_of(program, self.output, common) if is_process and self.force_folder is None else None
 
     def _forces_of(self, program: Path, folder: Path) -> Path | None:
         """Return the file with the forces of a program, which may be missing; None if its comments state them.
@@ -346,14 +353,14 @@ class _Watcher:
         :raises ForceError: there are several.
         """
         file = force_file(program, self.force_files)
-        return file if file is not None or _states_forces(program) else folder / f"{program.stem}.csv"
+        return file if file is not None or states_forces(program) else folder / f"{program.stem}.csv"
 
     def _waits_for_forces(self, path: Path) -> bool:
         """Return whether the forces of a program have not arrived, and nothing has been written for it.
 
         A program that was written loses its result if its forces are removed: it is tried again, and fails.
         """
-        if not self.force_files or path.stem.lower() in self.force_files or _states_forces(path):
+        if not self.force_files or path.stem.lower() in self.force_files or states_forces(path):
             return False
         if (self.output / f"{path.stem}.report.json").is_file():
             return False
@@ -376,7 +383,10 @@ class _Watcher:
     def _reads(self, path: Path) -> list[Path]:
         """Return the files that belong to a program: it, those read with it, its forces."""
         companions = registry.of_file(path).companions(path) if self.options.get("dialect") is None else []
-        return [path, *companions, *self.force_files.get(path.stem.lower(), ())]
+        process = self._process_of(path)
+        is_common = process is None or process == self.plain_options["forces"]
+        process_files = [] if process is None or is_common else _files_of_process(process, process.stat())
+        return [path, *companions, *self.force_files.get(path.stem.lower(), ()), *process_files]
 
     def _signature(self, path: Path) -> Signature | None:
         """Return names, sizes and times of the files of a program; None if one is not there any more."""

@@ -60,6 +60,12 @@ _BATCH = 200_000
 """Number of stations to collect before they are thinned out."""
 
 
+_ASSUMED = (
+    "the stock is assumed from what the tools sweep: check [stock] of the process, since forces depend on it, and "
+    "remove assumed = true"
+)
+
+
 class ProcessForces(Struct, frozen=True, eq=False):
     """Forces, engagement and remaining stock of a program.
 
@@ -316,8 +322,9 @@ def _next_map(material: Stock, before: Setup, setup: Setup, cell: float) -> Stoc
 
 
 def _stock(process: Process, frame: Array, cell: float, path: Path | None) -> tuple[Stock, list[Issue]]:
-    """Return the map of the stock, and warnings about it."""
+    """Return the map of the stock, and warnings and notes about it."""
     table = process.stock
+    notes = [Issue("info", "assumed-stock", _ASSUMED)] if table.assumed and path is None else []
     if path is None and table.box is not None and table.file is not None:
         raise ForceError("[stock] has a box and a file", file=process.path, advice="Give one of them.")
     if path is None and table.file is not None:
@@ -329,7 +336,7 @@ def _stock(process: Process, frame: Array, cell: float, path: Path | None) -> tu
             raise ForceError("no stock", file=process.path, advice=advice)
         low, high = box_corners(table.box)
         if np.array_equal(frame, np.eye(4)):
-            return stocks.from_box(low, high, cell, process.path), []
+            return stocks.from_box(low, high, cell, process.path), notes
         import trimesh
 
         box = trimesh.creation.box(bounds=np.stack([low, high]))
@@ -341,7 +348,7 @@ def _stock(process: Process, frame: Array, cell: float, path: Path | None) -> tu
         vertices = np.asarray(mesh.vertices, dtype=float) * M_PER_MM @ pose[:3, :3].T + pose[:3, 3]
         faces, volume = np.asarray(mesh.faces, dtype=np.int64), abs(float(mesh.volume)) * M_PER_MM**3
     material = stocks.from_mesh(vertices @ to_map[:3, :3].T + to_map[:3, 3], faces, cell, name)
-    return material, _hollows(material.volume(), volume)
+    return material, [*notes, *_hollows(material.volume(), volume)]
 
 
 def _hollows(map_volume: float, volume: float) -> list[Issue]:

@@ -50,12 +50,14 @@ class StockTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """The stock before the program: a box, or a closed mesh in mm, which `place` puts into `$BASE`.
 
     :param resolution_mm: cell of the map; None: `CELL_MM`, and finer from the first pass on whose contact needs it.
+    :param assumed: nobody has stated it: it is taken from what the tools sweep, and results say so.
     """
 
     box: Box | None = None
     file: str | None = None
     place: Frame = Frame()
     resolution_mm: Positive | None = None
+    assumed: bool = False
 
     @property
     def cell(self) -> float:

@@ -139,17 +139,19 @@ def joined(
     assumes: Sequence[str] = (),
     *,
     words: Mapping[State, str] | None = None,
+    remark: str = "",
 ) -> Verdict:
     """Return the verdict that joins three answers.
 
     :param words: with which the headline begins, by state; None: `WORDS`.
+    :param remark: a sentence with which the headline ends, such as an assumption that nobody has confirmed.
     """
     answers = [answer for answer in (drive, better, tolerance) if answer is not None]
     state = worst_state(answer.state for answer in answers)
     by_severity = sorted(answers, key=lambda answer: -_ORDER.index(answer.state))
     reasons = [reason for answer in by_severity for reason in answer.reasons]
     word = WORDS[mode, state] if words is None else words[state]
-    sentences = (word, _on_better(mode, better), _on_tolerance(tolerance))
+    sentences = (word, _on_better(mode, better), _on_tolerance(tolerance), remark)
     headline = " ".join(sentence for sentence in sentences if sentence)
     return Verdict(
         state=state,

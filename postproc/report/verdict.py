@@ -63,6 +63,10 @@ _NO_SIZE = 0.0
 """Cost [mm] of a finding without a length."""
 
 
+_STOCK_REMARK = "The stock is assumed: check it first."
+"""Part of the headline, so that it is next to the answer wherever that is shown."""
+
+
 class Finding(Struct, frozen=True):
     """One statement of a verdict, and how many millimetres on the part it can cost."""
 
@@ -82,7 +86,8 @@ def verdict(result: Result, content: Summary, other_remedies: Sequence[Remedy] =
     tolerance = _tolerance(result, content, other_remedies)
     better = _better(result, content, _of_issues(of_forces, result.mode), tolerance)
     holds = _holds(result, content)
-    return joined(result.mode, drive, better, tolerance, _texts(holds), _assumptions(result))
+    remark = _STOCK_REMARK if any(issue.kind == "assumed-stock" for issue in result.issues) else ""
+    return joined(result.mode, drive, better, tolerance, _texts(holds), _assumptions(result), remark=remark)
 
 
 def _drive(result: Result, content: Summary, warnings: Sequence[Issue]) -> Drive:
@@ -396,6 +401,7 @@ def _assumptions(result: Result) -> list[str]:
     bodies = [] if result.clearance is None else list(result.clearance.remarks)
     assumptions = [
         *bodies,
+        *(issue.message for issue in result.issues if issue.kind == "assumed-stock"),
         f"the elastic model of {result.robot.title or result.robot.name}, as its sources below state it",
     ]
     if force > 0.0:

@@ -1,0 +1,226 @@
+"""Keys of a TOML file as the fields of a form, from the schema that checks it; edits keep its comments."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal
+
+import tomlkit
+from msgspec import Struct
+from tomlkit.exceptions import TOMLKitError
+
+from postproc import files
+from postproc.errors import InputError, PostprocError
+from postproc.jobs.first_steps import schema_file
+
+Kind = Literal["number", "count", "choice", "text", "span", "flag"]
+"""What a field takes: a number, a whole number, a word of a list, a text, two numbers "0, 100", or "true"."""
+_KINDS: dict[str, Kind] = {"number": "number", "integer": "count", "string": "text", "boolean": "flag"}
+
+
+class FormField(Struct, frozen=True):
+    """A key of a file.
+
+    :param table: its table, such as ``"tools.1"``.
+    :param text: its value; empty: not stated.
+    :param least: smallest value; `most`: largest value; None: no limit.
+    :param choices: words to choose from; empty: any.
+    :param help: what it is.
+    :param is_required: the table is unusable without it.
+    """
+
+    table: str
+    key: str
+    kind: Kind
+    text: str
+    least: float | None = None
+    most: float | None = None
+    choices: tuple[str, ...] = ()
+    help: str = ""
+    is_required: bool = False
+
+    @property
+    def name(self) -> str:
+        """Return the name of the field."""
+        return f"{self.table}.{self.key}"
+
+
+class TableSchema(Struct, frozen=True):
+    """What a schema says of a table: what it states, and its keys.
+
+    :param keys: key → its part of the schema.
+    :param required: keys that it must have.
+    """
+
+    help: str
+    keys: Mapping[str, Any]
+    required: frozenset[str]
+
+
+@cache
+def table_schema(schema: str, table: str) -> TableSchema:
+    """Return what the schema of a file says of a table.
+
+    :param schema: ``"cell"`` or ``"process"``.
+    :param table: such as ``"base"``, ``"tools.1"``, ``"stock.box"``.
+    """
+    content = json.loads(schema_file(schema).read_bytes())
+    part = content["$defs"][content["$ref"].rpartition("/")[2]]
+    text = ""
+    for key in table.split("."):
+        part = part["properties"][key] if "properties" in part else part["additionalProperties"]
+        text = part.get("description", text)
+        reference = part.get("$ref") or next((kind["$ref"] for kind in part.get("anyOf", ()) if "$ref" in kind), None)
+        part = part if reference is None else content["$defs"][reference.rpartition("/")[2]]
+    return TableSchema(text, part["properties"], frozenset(part.get("required", ())))
+
+
+def parsed(text: str, file: str, error: type[InputError]) -> Any:
+    """Return the document of a TOML text.
+
+    :raises InputError: it is no TOML; of the type `error`.
+    """
+    try:
+        return tomlkit.parse(text)
+    except TOMLKitError as cause:
+        raise error(str(cause), file=file) from cause
+
+
+def fields_of_table(document: Any, schema: str, table: str, *kinds: Kind) -> Iterator[FormField]:
+    """Yield the fields of a table, which the document may lack.
+
+    :param kinds: of fields that are wanted; none: all.
+    """
+    content = _table(document, table)
+    if content is None:
+        return
+    limits = table_schema(schema, table)
+    for key, part in limits.keys.items():
+        field = _field(table, key, part, content.get(key), is_required=key in limits.required)
+        if field is not None and (not kinds or field.kind in kinds):
+            yield field
+
+
+def _table(document: Any, table: str) -> Any:
+    """Return the content of a table; empty: it is not there; None: there is something else."""
+    content: Any = document
+    for key in table.split("."):
+        content = content.get(key, {})
+        if not hasattr(content, "get"):
+            return None
+    return content
+
+
+def _field(table: str, key: str, part: Mapping[str, Any], value: Any, *, is_required: bool) -> FormField | None:
+    """Return the field of a key; None: it has no form that a line can take."""
+    options = [part, *part.get("anyOf", ())]
+    described = next((kind for kind in options if kind.get("type") in _KINDS or "enum" in kind), None)
+    pair = next((kind for kind in options if len(kind.get("prefixItems", ())) == 2), None)
+    if described is None and pair is None:
+        return None
+    limits = (described or pair["prefixItems"][0]) if pair is not None else described
+    assert limits is not None
+    kind: Kind = "span" if pair is not None else "choice" if "enum" in limits else _KINDS[limits["type"]]
+    return FormField(
+        table,
+        key,
+        kind,
+        _text(value),
+        limits.get("minimum", limits.get("exclusiveMinimum")),
+        limits.get("maximum", limits.get("exclusiveMaximum")),
+        tuple(limits.get("enum", ())),
+        part.get("description", ""),
+        is_required,
+    )
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return "true" if value else ""
+    return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+
+
+def edited(text: str, document: Any, fields: Sequence[FormField], texts: Mapping[str, str]) -> str:
+    """Return the text of a document with other values: only what differs is touched, comments and all else stay.
+
+    :param text: returned if nothing differs.
+    :param texts: by the name of the field; empty: the key is removed.
+    :raises InputError: a text is no number, or a value is missing.
+    """
+    is_edited = False
+    for field in fields:
+        value_text = texts.get(field.name, field.text).strip()
+        if field.is_required and not value_text and any(texts.get(item.name, item.text).strip()
+                                                        for item in fields if item.table == field.table):  # fmt: skip
+            raise InputError(f"{field.name} is missing", advice=f"Give it: {field.help or field.key}.")
+        if value_text == field.text:
+            continue
+        is_edited = True
+        if value_text:
+            _made_table(document, field.table)[field.key] = _value(field, value_text)
+        else:
+            _remove(document, field)
+    return tomlkit.dumps(document) if is_edited else text
+
+
+def _made_table(document: Any, table: str) -> Any:
+    """Return a table of a document; one that is not there is added."""
+    content = document
+    for depth, key in enumerate(table.split(".")):
+        if key not in content:
+            content[key] = tomlkit.table() if depth == 0 or content.is_super_table() else tomlkit.inline_table()
+        content = content[key]
+    return content
+
+
+def _remove(document: Any, field: FormField) -> None:
+    """Remove a key, and a table in braces that is empty without it."""
+    content = _table(document, field.table)
+    content.remove(field.key)
+    parent, _, key = field.table.rpartition(".")
+    if parent and not content:
+        _table(document, parent).remove(key)
+
+
+def _value(field: FormField, text: str) -> Any:
+    if field.kind == "span":
+        words = [word.strip() for word in text.split(",")]
+        if len(words) != 2 or not all(words):
+            raise InputError(f"{field.name} = {text!r}: two numbers are needed", advice="Give both, such as 0 and 100.")
+        return [_number(field.name, word) for word in words]
+    if field.kind in ("number", "count"):
+        return _number(field.name, text)
+    return text == "true" if field.kind == "flag" else text
+
+
+def _number(name: str, text: str) -> float | int:
+    try:
+        value = float(text.replace(",", "."))
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(f"{name} = {text!r} is no number", advice="Give a number such as 350 or -12.5.")
+    return int(value) if value.is_integer() and abs(value) < 1e15 else value
+
+
+def write_checked(path: Path, text: str, check: Callable[[Path], object]) -> None:
+    """Write a file that is usable; nothing is written if it is not.
+
+    :param check: reads a file of this text, in the same folder.
+    :raises InputError: it is unusable.
+    """
+    trial_path = path.with_name(f".{path.name}.edited.toml")
+    try:
+        trial_path.write_bytes(text.encode())
+        check(trial_path)
+    except PostprocError as cause:
+        raise InputError(str(cause).replace(str(trial_path), path.name)) from cause
+    finally:
+        trial_path.unlink(missing_ok=True)
+    files.write_whole(path.parent, {path.name: text.encode()})

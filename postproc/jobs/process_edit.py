@@ -1,0 +1,144 @@
+"""Tools, material, stock and spindle of a process file as fields; a program without one gets a draft of it.
+
+The file is what counts. The draft has what the comments of the program state, and is not written before it is usable.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from postproc import files
+from postproc.errors import ForceError
+from postproc.jobs.file_form import FormField, edited, fields_of_table, parsed, table_schema, write_checked
+from postproc.jobs.guided_start import NO_NUMBER, process_head, stock_lines, tool_head
+from postproc.jobs.program_needs import ProgramNeeds
+from postproc.machining.material import table as material_table
+from postproc.machining.process import StockTable
+from postproc.machining.process import load as load_process
+from postproc.machining.tool_comments import CommentedTool
+
+_STOCK = ("stock", "stock.box", "stock.place")
+
+
+class ProcessTable(Struct, frozen=True):
+    """A table of a process file.
+
+    :param name: such as ``"tools.1"``.
+    :param help: what it is.
+    :param comment: what the program says of this tool; empty: nothing.
+    :param is_new: the file does not have it: its values are those of the comment.
+    """
+
+    name: str
+    help: str
+    fields: tuple[FormField, ...]
+    comment: str = ""
+    is_new: bool = False
+
+
+def process_tables(path: Path, needs: ProgramNeeds) -> list[ProcessTable]:
+    """Return the tables of a process file, and those that its program needs besides.
+
+    :param path: may be missing.
+    :raises ForceError: it cannot be read.
+    """
+    text = _text_of(path, needs)
+    document, new_tools = _document(text, path, needs)
+    tables = [_table(document, "material", "material")]
+    for key in document.get("tools", {}):
+        comment = _commented(needs, key).text
+        is_new = not path.is_file() or key in new_tools
+        tables.append(replace(_table(document, f"tools.{key}"), comment=comment, is_new=is_new))
+    stock = [field for name in _STOCK for field in _table(document, name).fields]
+    tables.append(ProcessTable("stock", table_schema("process", "stock").help, tuple(stock), is_new=not path.is_file()))
+    tables.append(_table(document, "spindle"))
+    return tables
+
+
+def _table(document: Any, name: str, *choices_of: str) -> ProcessTable:
+    fields = tuple(fields_of_table(document, "process", name))
+    if choices_of:
+        names = tuple(material_table())
+        fields = tuple(
+            replace(field, kind="choice", choices=names) if field.key == "name" else field for field in fields
+        )
+    return ProcessTable(name, table_schema("process", name).help, fields)
+
+
+def edit_process(path: Path, needs: ProgramNeeds, texts: Mapping[str, str]) -> bool:
+    """Write values into a process file, checked as `convert` checks it; return whether anything has changed.
+
+    A file that is not there is made. Only what differs is touched: comments and all else stay. Nothing is written if
+    the process would be unusable.
+
+    :param texts: values by the name of the field; empty: the key is removed.
+    :raises InputError: a value is missing or wrong.
+    """
+    old_text = _text_of(path, needs)
+    document, new_tools = _document(old_text, path, needs)
+    fields = [field for item in process_tables(path, needs) for field in item.fields]
+    new_text = edited(old_text, document, fields, texts)
+    if path.is_file() and new_text == old_text and not new_tools:
+        return False
+    if new_tools and new_text == old_text:
+        new_text = document.as_string()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_checked(path, new_text, _check)
+    return True
+
+
+def _check(path: Path) -> None:
+    process = load_process(path)
+    if process.material is not None or not process.operations:
+        process.law()
+
+
+def _text_of(path: Path, needs: ProgramNeeds) -> str:
+    """Return the text of a process file, or that of a draft."""
+    if path.is_file():
+        return files.read_text(path, ForceError)
+    numbers = needs.tools or (NO_NUMBER,)
+    lines = list(process_head(needs, None))
+    for number in numbers:
+        lines += ["", *_drafted_tool(number, needs)]
+    diameters = {number: needs.cutters[number].diameter_mm or 0.0 for number in numbers if number in needs.cutters}
+    box = needs.stock_box(diameters)
+    stock = (
+        ["[stock]"] if box is None else stock_lines(path.parent, StockTable(box=box), is_assumed=needs.stock_mm is None)
+    )
+    return "\n".join([*lines, "", *stock, ""])
+
+
+def _drafted_tool(number: int, needs: ProgramNeeds) -> list[str]:
+    """Return the table of a tool as far as the program states it."""
+    tool = needs.cutters.get(number, CommentedTool())
+    lines = [tool_head(number, needs)]
+    lines += [f'shape = "{tool.shape}"'] if tool.shape is not None else []
+    lines += [f"diameter_mm = {tool.diameter_mm:g}"] if tool.diameter_mm is not None else []
+    lines += [f"corner_radius_mm = {tool.corner_radius_mm:g}"] if tool.shape == "bull" else []
+    lines += [f"flutes = {tool.flutes}"] if tool.flutes is not None else []
+    return lines
+
+
+def _document(text: str, path: Path, needs: ProgramNeeds) -> tuple[Any, frozenset[str]]:
+    """Return the document of a process file with the tools that its program needs, and which of them it lacked."""
+    document = parsed(text, str(path), ForceError)
+    tools = document.get("tools", {})
+    if "default" in tools or (not needs.tools and tools):
+        return document, frozenset()
+    missing_tools = [number for number in needs.tools or (NO_NUMBER,) if str(number or "default") not in tools]
+    if not missing_tools or document.get("operations"):
+        return document, frozenset()
+    lines = [line for number in missing_tools for line in ("", *_drafted_tool(number, needs))]
+    document = parsed("\n".join([text.rstrip("\n"), *lines, ""]), str(path), ForceError)
+    return document, frozenset(str(number or "default") for number in missing_tools)
+
+
+def _commented(needs: ProgramNeeds, key: str) -> CommentedTool:
+    number = int(key) if key.isdecimal() else NO_NUMBER
+    return needs.cutters.get(number, CommentedTool())
