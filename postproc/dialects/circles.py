@@ -17,6 +17,8 @@ TOLERANCE_MM = 0.02 * np.sqrt(2.0)
 _RELATIVE = 1e-3
 _SAME_MM = 1e-6
 _LEAST_MM = 1e-3
+_OFF_CIRCLE = 100.0
+"""A point whose distance from a circle is so many times that of start and first point is not of the arc."""
 
 
 def through(start: Array, via: Array, end: Array) -> tuple[Array, Array, Array, Bools]:
@@ -71,6 +73,10 @@ class Circle(Struct, frozen=True, eq=False):
         angle = float(np.arctan2(self.axis @ np.cross(start_vector, end_vector), start_vector @ end_vector))
         return angle if angle > 0.0 else angle + 2.0 * np.pi
 
+    def sagitta(self, start: Array, end: Array) -> float:
+        """Return the height of the arc from one point (3,) to another above its chord [mm]."""
+        return float(self.radius * (1.0 - np.cos(self.sweep(start, end) / 2.0)))
+
     def at_height_of(self, point: Array) -> Array:
         """Return the centre (3,) at the height of a point."""
         return np.asarray(point - self.polar(point)[0])
@@ -86,19 +92,32 @@ def leaving(start: Array, direction: Array, centre: Array, radius: float) -> Cir
     return Circle(centre, axis / size, radius)
 
 
-def belonging(circle: Circle, start: Array, points: Array) -> int | None:
+def belonging(circle: Circle, start: Array, points: Array, digit_mm: float) -> int | None:
     """Return how many points (n, 3) after a CIRCLE belong to its arc; None if that is ambiguous.
 
     Creo divides an arc by points on it, evenly spaced. A straight line whose end happens to be on the circle must not
-    be taken for a piece of the arc.
+    be taken for a piece of the arc. A point above the helix through the first one is not of the arc: a retract at the
+    end of a full circle. Nor is one that is beside the circle while start and first point are on it to the last digit.
+
+    :param digit_mm: more than the last digits of coordinates may amount to.
     """
     count = 0
     while count < len(points) and circle.fault_at(points[count]) is None:
         count += 1
     if count <= 1:
         return 1
-    way = np.vstack([start[None], points[:count]])
-    sweeps = np.array([circle.sweep(begin, end) for begin, end in pairwise(way)])
+    path = np.vstack([start[None], points[:count]])
+    sweeps = np.array([circle.sweep(begin, end) for begin, end in pairwise(path)])
+    turned, height = np.cumsum(sweeps), (points[:count] - start) @ circle.axis
+    off_helix = np.abs(height - height[0] * turned / turned[0]) > TOLERANCE_MM
+    deviation = np.array([abs(circle.polar(point)[1] - circle.radius) for point in path])
+    is_beside = deviation[1:] > max(digit_mm, _OFF_CIRCLE * float(deviation[:2].max()))
+    outside = off_helix | is_beside
+    if outside.any():
+        count = int(np.argmax(outside))
+        sweeps = sweeps[:count]
+    if count <= 1:
+        return 1
     close = circle.radius * (1.0 - np.cos(np.minimum(sweeps[1:], np.pi) / 2.0)) < TOLERANCE_MM
     is_even = count > 2 and np.ptp(sweeps) < 0.02 * sweeps.mean() and sweeps.sum() < 2.0 * np.pi * 1.001
     return count if close.all() or is_even else None

@@ -401,11 +401,123 @@ def test_a_chord_behind_an_arc_is_not_guessed():
     assert program.motions.kind.tolist() == [PTP, LIN, CIRC, LIN]
 
 
+def creo_circle(*points: tuple[float, float, float], radius: float = 10.0) -> str:
+    gotos = "".join(f"GOTO / {x:.10f}, {y:.10f}, {z:.10f}\n" for x, y, z in points)
+    return f"CIRCLE / 0.0, 0.0, 9.0, $\n0.0, 0.0, 1.0, {radius:.10f}\n{gotos}"
+
+
+def test_a_retract_at_the_end_of_a_full_circle_is_not_of_its_arc():
+    program = read(HEAD + "GOTO/10,0,9\n" + creo_circle((0, 10, 9), (0, 10, 12)))
+    assert program.motions.kind.tolist() == [PTP, LIN, CIRC, LIN]
+    helix = read(HEAD + "GOTO/10,0,9\n" + creo_circle((0, 10, 10), (-10, 0, 11), (0, -10, 12), (10, 0, 13)))
+    assert helix.motions.kind.tolist() == [PTP, LIN, CIRC, CIRC, CIRC, CIRC]
+
+
+def test_a_point_beside_the_circle_is_not_of_an_arc_whose_ends_are_on_it():
+    """As in files of Creo: the line behind an arc ends 0.01 mm beside the circle, start and end are on it."""
+    program = read(HEAD + "GOTO/10,0,9\n" + creo_circle((0, 10, 9), (-10.01, 0, 9)))
+    assert program.motions.kind.tolist() == [PTP, LIN, CIRC, LIN]
+    with pytest.raises(ProgramError, match="the points behind CIRCLE are all on it"):
+        read(HEAD + "GOTO/10,0,9\n" + creo_circle((0, 10, 9), (-10.0005, 0, 9)))
+
+
+def test_an_arc_with_one_point_shows_that_the_sequence_does_not_divide_arcs():
+    """The wall of a slot leads from one end of a circle to the other, as in a roughing sequence of Creo."""
+    wall = "GOTO/0,-10,9\n" + creo_circle((5, -np.sqrt(75.0), 9), (5, np.sqrt(75.0), 9))
+    single = "GOTO/10,0,9\n" + creo_circle((-10, 0, 9), (-10, 40, 9))
+    head = "$$-> FEATNO / 1\n" + HEAD
+    program = read(head + single + wall)
+    assert program.motions.kind.tolist() == [PTP, LIN, CIRC, LIN, LIN, CIRC, LIN]
+    for text in (head + wall, head + single + "$$-> FEATNO / 2\n" + wall):
+        with pytest.raises(ProgramError, match="the points behind CIRCLE are all on it"):
+            read(text)
+
+
 def test_rapid_holds_for_one_motion_and_the_vector_stays():
-    program = read(HEAD + "GOTO/1,0,9,0,0.6,0.8\nRAPID\nGOTO/2,0,9\nGOTO/3,0,9\nMULTAX/OFF\nGOTO/4,0,9\n")
+    text = HEAD + "GOTO/1,0,9,0,0.6,0.8\nRAPID\nGOTO/2,0,9\nGOTO/3,0,9\nMULTAX/OFF\nGOTO/4,0,9\n"
+    program = read("$$*          Pro/CLfile  Version 8.0 - 8.0.3.0\n" + text)
     assert program.motions.rapid.tolist() == [True, False, True, False, False]
     np.testing.assert_allclose(-program.motions.target[1:4, :3, 2], [[0, 0.6, 0.8]] * 3, atol=1e-12)
     np.testing.assert_allclose(-program.motions.target[4, :3, 2], [0, 0, 1], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "head", ["$$ CATIA APT VERSION 1.0\n", "$$*CATIA0\n$$ Axis\n$$ 1 0 0 0\n$$ 0 1 0 0\n$$ 0 0 1 0\n"]
+)
+def test_multax_off_of_catia_keeps_the_direction(head):
+    body = "MULTAX/ON\nGOTO/1,0,9,0,0.6,0.8\nMULTAX/OFF\nGOTO/4,0,9\n"
+    np.testing.assert_allclose(-read(head + HEAD + body).motions.target[-1, :3, 2], [0, 0.6, 0.8], atol=1e-12)
+    with pytest.raises(ProgramError, match=r"part.apt:8: GOTO without a direction behind MULTAX/OFF"):
+        read(HEAD + body)
+    with pytest.raises(ProgramError, match="GOTO without a direction behind MULTAX/OFF"):
+        read(HEAD + body.replace("MULTAX/OFF\n", "MULTAX/OFF\nMULTAX/ON\n"))
+    for stated in ("TLAXIS/0,0,1\nGOTO/4,0,9\n", "GOTO/4,0,9,0,0,1\n"):
+        program = read(HEAD + body.replace("GOTO/4,0,9\n", stated))
+        np.testing.assert_allclose(-program.motions.target[-1, :3, 2], [0, 0, 1], atol=1e-12)
+
+
+def test_a_machining_axis_system_of_catia_that_changes_is_an_error():
+    system = "$$*CATIA0\n$$ Axis\n$$ 1.0 0.0 0.0 0.0\n$$ 0.0 1.0 0.0 0.0\n$$ 0.0 0.0 1.0 {}\n"
+    text = system.format("5.0") + HEAD + "GOTO/1,0,9\n" + system.format("{}") + "GOTO/2,0,9\n"
+    assert len(read(text.format("5.00000")).motions) == 3
+    with pytest.raises(ProgramError, match=r"part.apt:11: the machining axis system changes"):
+        read(text.format("6.0"))
+
+
+CAMPLETE = """MACHIN/
+MODE/MILL
+PARTNO/'pocket'
+CSI_PROGRAM_COMMENT/first
+UNITS/MM
+MULTAX/OFF
+MCS/1.000000000, 0.000000000, 0.000000000, $
+0.000000000, 1.000000000, 0.000000000, $
+0.000000000, 0.000000000, 1.000000000, $
+0.000000, 0.000000, {origin}
+CUTTER/10.000000, 0.000000, 0.000000, 0.000000, 0.000000, 0.000000, 50.000000
+CSI_SET_FLUTE_LENGTH/20.000000
+LOADTL/1, 0, 50.000000, 1
+SPINDL/RPM,5000,CLW
+COOLNT/FLOOD
+ZERO/1
+CSI_PATH_TOLERANCE/0.010000
+RAPID
+GOTO/10.000000, 0.000000, 15.000000
+FEDRAT/600.000000, MMPM
+GOTO/10.000000, 0.000000, -1.000000
+CIRCLE/0.000000, 0.000000, -1.000000, 0.000000000, 0.000000000, -1.000000000, 10.000000, 90.000000, 0.0, 0.0, 0.0
+GOTO/0.000000, 10.000000, -1.000000
+RAPID
+GOTO/0.000000, 10.000000, 15.000000
+CYCLE/DRILL, FEDTO, 12.000000, MMPM, 200.000000, CLEAR, 15.000000, RTRCTO, 17.000000, RETURN, 17.000000, RAPTO, 4.000000
+GOTO/30.000000, 10.000000, -2.000000
+CYCLE/OFF
+{more}END
+FINI
+"""
+
+
+def test_a_file_of_the_camplete_post_moves_as_the_same_g_code():
+    """Counter-clockwise arcs have −z there; depths, RAPTO and RETURN count from the top, CLEAR from zero."""
+    code = "G21 G90\nG0 X10 Y0 Z15\nG1 Z-1 F600\nG3 X0 Y10 I-10 J0\nG0 Z15\nG0 X30\nG0 Z2\nG1 Z-14 F200\nG0 Z15\nM2"
+    apt, gcode = read(CAMPLETE.format(origin="0.0", more="")), read_gcode(code)
+    np.testing.assert_allclose(points(apt), points(gcode), atol=1e-9)
+    assert apt.motions.rapid.tolist() == gcode.motions.rapid.tolist()
+    np.testing.assert_allclose(apt.motions.feed[~apt.motions.rapid], gcode.motions.feed[~gcode.motions.rapid])
+    np.testing.assert_allclose(apt.motions.sweep, gcode.motions.sweep, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("origin", "more", "problem"),
+    [
+        ("5.0", "", "MCS: the coordinates of this section are in axes of its own"),
+        ("0.0", "ZERO/2\n", "ZERO: the work offset changes"),
+        ("0.0", "CSI_INSERT_CUSTOM_GCODE/G28 Z0\n", "is for one control and moves the machine"),
+    ],
+)
+def test_what_moves_the_coordinates_of_a_camplete_file_is_an_error(origin, more, problem):
+    with pytest.raises(InputError, match=problem):
+        read(CAMPLETE.format(origin=origin, more=more))
 
 
 def test_feeds_in_their_units():

@@ -8,6 +8,8 @@
   top. FEDTO is a height below zero in NX, a depth above zero in SolidWorks CAM. ``RTRCTO,AUTO`` goes back to the height
   before the hole. INCR is the depth of a peck; DEEP2 has 1STPECK for the first and SUBPECK for the others. Source: CLSF
   and APT files, in which RTRCTO of holes at several depths leads to one plane.
+- Autodesk's post "CAMplete APT" states FEDTO, RAPTO, RETURN and sometimes the same height as RTRCTO; its CLEAR is a
+  coordinate, which RETURN repeats as a height above the top. Source: the post.
 """
 
 from __future__ import annotations
@@ -136,6 +138,11 @@ def _with_depth(couplets: Sequence[float | str]) -> tuple[list[float | str], boo
     """Return a cycle with FEDTO in the words of the others, and whether it goes back to the height before."""
     automatic = ("RTRCTO", "AUTO")
     pairs = list(zip(couplets[0::2], couplets[1::2], strict=True))
+    stated = dict(pairs)
+    if "RETURN" in stated and stated.get("RTRCTO") == stated["RETURN"]:
+        pairs.remove(("RTRCTO", stated["RETURN"]))
+    if {"RAPTO", "RETURN", "CLEAR"} <= set(stated):
+        pairs = [(word, value) for word, value in pairs if word != "CLEAR"]
     new_couplets: list[float | str] = []
     for word, value in pairs:
         if (word, value) != automatic:

@@ -19,7 +19,7 @@ from msgspec.structs import replace
 
 from postproc.cell import Cell
 from postproc.chunks import Runs
-from postproc.dialects.apt import statements
+from postproc.dialects.apt import statements, systems
 from postproc.dialects.apt.statements import Statements
 from postproc.dialects.apt.survey import survey
 from postproc.dialects.apt.walk import ARC, RAPID, Course, Part, executed
@@ -67,6 +67,7 @@ def read(document: Document, cell: Cell, forward_kinematics: Callable[[Array], A
     start = inverse(base) @ forward_kinematics(cell.start_joints) @ tool_frames[0]
     course = executed(source, cell, start[:3, 3] / M_PER_MM)
     notes, comments, wrong = _comments(source, course)
+    wrong += [_changed_system(source, line) for line in systems.changed_axis_systems(source.comments)]
     moves = _Moves(course.parts, start)
     faults = list(course.faults)
     opposite = np.flatnonzero(moves.axis @ _reference(moves.axis)[:, 2] < _OPPOSITE)
@@ -101,6 +102,12 @@ def read(document: Document, cell: Cell, forward_kinematics: Callable[[Array], A
 def _error(source: Statements, row: int, problem: str, advice: str | None) -> ProgramError:
     line = int(source.line[row])
     return ProgramError(problem, file=source.document.name, line=line, text=source.text(row), advice=advice)
+
+
+def _changed_system(source: Statements, line: int) -> ProgramError:
+    problem = "the machining axis system changes: coordinates from here on are in another system"
+    advice = "Write one file for each machining axis system, and give its place as [base] of a cell."
+    return ProgramError(problem, file=source.document.name, line=line, advice=advice)
 
 
 def _comments(source: Statements, course: Course) -> tuple[list[ForceNote], list[tuple[int, str]], list[InputError]]:
@@ -236,17 +243,10 @@ def _events(
         yield Event(at, kind, line, value, text)  # type: ignore[arg-type]
 
 
-def _is_moved(comment: str) -> bool:
-    """Return whether a comment of Creo states another coordinate system than that of the machine, in rows of four."""
-    word, _, rest = comment.removeprefix("->").partition("/")
-    numbers = statements.values("".join(rest.split()))
-    return comment.startswith("->") and word.strip() == "CSYS" and numbers != np.eye(3, 4).ravel().tolist()
-
-
 def _issues(course: Course, source: Statements, moves: _Moves, motion_moves: Ints) -> Iterator[Issue]:
     if not course.stated:
         yield Issue("info", "units", "No UNITS are programmed: millimetres are assumed.")
-    csys_lines = [line for line, text in source.comments if _is_moved(text)]
+    csys_lines = [line for line, text in source.comments if systems.is_moved(text)]
     if csys_lines:
         message = (
             "The coordinate system of an NC sequence is not that of the machine: coordinates are read as those of the "

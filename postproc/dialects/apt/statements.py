@@ -222,19 +222,26 @@ WITHOUT_EFFECT = frozenset(
         "VERIFY",
         "HEADER",
         "PROGRM",
+        "SELECTL",
+        "OP_NAME",
+        "MILL",
+        "CSI_PROGRAM_COMMENT",
+        "CSI_TOOL_PATH",
+        "CSI_PATH_TOLERANCE",
     )
 )
-"""Words that move nothing on a robot. Source: Vericut, "Supported APT-CLS NC Program Records"."""
+"""Words that move nothing on a robot. Source: Vericut, "Supported APT-CLS NC Program Records"; CATIA V5, "Syntax of
+Generated APT Instructions"; Autodesk's posts "Generative Machining APT" and "CAMplete APT"."""
 
-_COORDINATES = "Let the CAM system write all coordinates in one machining axis system."
+COORDINATES_ADVICE = "Let the CAM system write all coordinates in one machining axis system."
 _EXPAND = "Let the CAM system write the motion as GOTO statements."
 REFUSED = {
-    "ORIGIN": _COORDINATES,
-    "TRANS": _COORDINATES,
-    "TRACUT": _COORDINATES,
-    "ROTATE": _COORDINATES,
-    "ROTABL": _COORDINATES,
-    "ROTHED": _COORDINATES,
+    "ORIGIN": COORDINATES_ADVICE,
+    "TRANS": COORDINATES_ADVICE,
+    "TRACUT": COORDINATES_ADVICE,
+    "ROTATE": COORDINATES_ADVICE,
+    "ROTABL": COORDINATES_ADVICE,
+    "ROTHED": COORDINATES_ADVICE,
     "INDEX": "Let the CAM system write the calls out.",
     "COPY": "Let the CAM system write the copies out.",
     "CALSUB": "Let the CAM system write the calls out.",
@@ -256,7 +263,7 @@ REFUSED = {
 KNOWN = (
     *("GOTO", "GODLTA", "FROM", "GOHOME", "RETRCT", "RAPID", "FEDRAT", "UNITS", "MULTAX", "TLAXIS", "CIRCLE", "MOVARC"),
     *("INDIRV", "TLON", "CYCLE", "SPINDL", "COOLNT", "LOADTL", "LOAD", "DELAY", "STOP", "OPSTOP", "OPSKIP", "AUXFUN"),
-    *("INSERT", "CUTCOM", "MODE", "MSYS", "CSYS", "TRNTYP", "END", "REWIND", "FINI", *TEXT),
+    *("INSERT", "CUTCOM", "MODE", "MSYS", "MCS", "ZERO", "CSYS", "TRNTYP", "END", "REWIND", "FINI", *TEXT),
 )
 
 

@@ -2,7 +2,8 @@
 
 - **RAPID** holds for the next motion only (ISO 4343:2000, 5.42); then the last feed holds again.
 - **GOTO/x,y,z,i,j,k** gives the direction from the tip to the spindle. It stays until it is given again, also where a
-  GOTO has three numbers (Siemens NX writes it once). ``MULTAX/OFF`` returns it to z.
+  GOTO has three numbers (Siemens NX writes it once). ``MULTAX/OFF`` of Creo returns it to z, that of CATIA keeps it
+  (Dassault Systèmes, CATIA V5, "MULTAX Influence on APT Source"). In other files it must be given again.
 - **FROM** states where the tool is when the program begins: it becomes a joint motion to that place.
 - **CYCLE**: the GOTO statements behind it are the tops of holes, see `cycles`.
 - **CSYS** of SolidWorks CAM (after ``TRNTYP/WORLD``) states the axes of a setup and moves nothing: coordinates are
@@ -43,6 +44,7 @@ from postproc.cell import Cell, m_code_fault
 from postproc.dialects.apt.cycles import Cycle, cycle_words
 from postproc.dialects.apt.inserted import inserted_comment, inserted_fault
 from postproc.dialects.apt.statements import (
+    COORDINATES_ADVICE,
     REFUSED,
     TEXT,
     WITHOUT_EFFECT,
@@ -51,6 +53,7 @@ from postproc.dialects.apt.statements import (
     refusal,
     values,
 )
+from postproc.dialects.apt.systems import sequence_at, sequence_lines, system_of
 from postproc.dialects.circles import Circle, belonging, leaving
 from postproc.errors import MOST, Level
 from postproc.frames import Array, norm
@@ -68,6 +71,10 @@ _UNITS = {"MM": 1.0, "INCH": _MM_PER_INCH, "INCHES": _MM_PER_INCH, "IN": _MM_PER
 _UNIT_LENGTH = 1e-3
 _MOST_TURNS = 10_000
 _NEAR_MM = 1e-6
+_SAGITTA_MM = 0.1
+"""An arc higher than this above its chord that has one point shows that Creo does not divide the arcs of a sequence."""
+_DIGIT = 1e-3
+"""More than the last digits of coordinates may amount to, in the unit of the file: files have four decimals or more."""
 _LEVEL = 0.2
 """Least z of the tool direction for a retract along the tool."""
 _COMPENSATION_FAULT = (
@@ -191,10 +198,14 @@ class _Walk:
         self.tool: float | None = None
         self.pending: _Pending | None = None
         self.closed: Circle | None = None
+        self.sequences, self.undivided = sequence_lines(statements.comments), set[int]()
         self.leaving: Array | None = None
         self.cycle: Cycle | None = None
         self.system: list[float | str] | None = None
         self.in_fixture = self.is_tilted_setup = False
+        self.system_of_file = system_of(statements.comments)
+        self.is_axis_open = False
+        self.work_offset: float | None = None
         self.cutter_radius = np.nan
         self.compensation: _Compensation | None = None
         self.number = 0
@@ -257,7 +268,11 @@ class _Walk:
         if self.is_tilted_setup and bare.any():
             advice = "Let the CAM system write the direction of the tool, i, j, k, in each GOTO."
             raise StatementError("GOTO without a direction in a tilted CSYS", advice, int(row[np.argmax(bare)]))
+        if self.is_axis_open and bare[0]:
+            advice = "Write the direction of the tool, i, j, k, in this GOTO, or TLAXIS/i,j,k before it."
+            raise StatementError("GOTO without a direction behind MULTAX/OFF of a tilted tool", advice, int(row[0]))
         end, axis = numbers[:, :3] * self.unit, self._axes(row, numbers[:, 3:])
+        self.is_axis_open = False
         at = 0
         closed_contour, self.closed = self.closed, None
         if closed_contour is not None and closed_contour.fault_at(end[0]) is None:
@@ -335,7 +350,12 @@ class _Walk:
         """Make the arc to the first points; return how many belong to it."""
         count: int | None = 1
         if pending.several and len(row) > 1:
-            count = belonging(pending.circle, self.place, end)
+            count = belonging(pending.circle, self.place, end, _DIGIT * self.unit)
+            sequence = sequence_at(self.sequences, int(self.statements.line[row[0]]))
+            if count is None and sequence in self.undivided:
+                count = 1
+            elif count == 1 and pending.circle.sagitta(self.place, end[0]) > _SAGITTA_MM:
+                self.undivided.add(sequence)
         if count is None:
             raise StatementError(*_AMBIGUOUS, int(row[1]))
         if pending.several and count == len(row):
@@ -413,7 +433,7 @@ class _Walk:
                 self._event(row, "comment", text=self._text(row, word))
                 return
         if code.startswith("INSERT"):
-            self._insert(row)
+            self._insert(row, "INSERT")
             return
         major, slash, rest = code.partition("/")
         self.path_ended = major == "END-OF-PATH"
@@ -424,6 +444,9 @@ class _Walk:
             return
         if major == "TLON,GOFWD":
             self._along(row, rest)
+            return
+        if major == "CSI_INSERT_CUSTOM_GCODE":
+            self._insert(row, major)
             return
         if major in WITHOUT_EFFECT or major.startswith("CSI_SET_"):
             return
@@ -559,8 +582,10 @@ class _Walk:
         del row
         if words not in ([], ["ON"], ["OFF"]):
             raise StatementError("MULTAX is not understood", "Write MULTAX/ON or MULTAX/OFF.")
-        if words == ["OFF"]:
+        if words == ["OFF"] and self.system_of_file == "Creo":
             self._point_along(np.array([0.0, 0.0, 1.0]))
+        elif words == ["OFF"] and self.system_of_file is None:
+            self.is_axis_open = bool(self.axis[2] < 1.0 - _UNIT_LENGTH**2)
 
     def _tool_axis(self, row: int, words: list[float | str]) -> None:
         axis = self._numbers(words, 3)
@@ -571,7 +596,7 @@ class _Walk:
 
     def _point_along(self, axis: Array) -> None:
         """Set the direction of the moves to come; the tool turns there with the next move."""
-        self.axis = axis
+        self.axis, self.is_axis_open = axis, False
 
     def _circle(self, row: int, words: list[float | str]) -> None:
         turns = 1
@@ -724,9 +749,9 @@ class _Walk:
     def _auxiliary(self, row: int, words: list[float | str]) -> None:
         self._machine_code(row, f"M{self._one_number(words, 'AUXFUN'):g}")
 
-    def _insert(self, row: int) -> None:
-        text = self._text(row, "INSERT").upper()
-        if "".join(text.split()) != self.statements.of(row)[len("INSERT") :].lstrip("/").strip("'"):
+    def _insert(self, row: int, word: str) -> None:
+        text = self._text(row, word).upper()
+        if "".join(text.split()) != self.statements.of(row)[len(word) :].lstrip("/").strip("'"):
             raise StatementError("INSERT in more than one line", "Write the text in one line.")
         comment = inserted_comment(text)
         if comment is not None:
@@ -811,6 +836,22 @@ class _Walk:
             self.course.remarks.append((row, "info", "coordinate-system", message))
         self.system = words
 
+    def _section_axes(self, row: int, words: list[float | str]) -> None:
+        """Read the axes and the origin of a section of Autodesk: its coordinates are in them."""
+        del row
+        if not np.array_equal(self._numbers(words, 12), np.append(np.eye(3), np.zeros(3))):
+            raise StatementError("MCS: the coordinates of this section are in axes of its own", COORDINATES_ADVICE)
+
+    def _work_offset(self, row: int, words: list[float | str]) -> None:
+        offset = self._one_number(words, "ZERO")
+        if self.work_offset not in (None, offset):
+            advice = "Write one file for each work offset, and give its place as [base] of a cell."
+            raise StatementError("ZERO: the work offset changes within the program", advice)
+        if self.work_offset is None:
+            message = f"ZERO: coordinates are those of work offset {offset:g}, which is $BASE of the cell."
+            self.course.remarks.append((row, "info", "coordinate-system", message))
+        self.work_offset = offset
+
     def _end(self, row: int, words: list[float | str]) -> None:
         del words
         self.ended = row
@@ -868,6 +909,8 @@ _HANDLERS: Mapping[str, Any] = {
     "CUTCOM": _Walk._compensate,
     "MODE": _Walk._mode,
     "MSYS": _Walk._coordinate_system,
+    "MCS": _Walk._section_axes,
+    "ZERO": _Walk._work_offset,
     "END": _Walk._end,
     "FINI": _Walk._end,
     "REWIND": _Walk._nothing,
