@@ -434,11 +434,17 @@ def test_an_arc_with_one_point_shows_that_the_sequence_does_not_divide_arcs():
 
 
 def test_rapid_holds_for_one_motion_and_the_vector_stays():
-    text = HEAD + "GOTO/1,0,9,0,0.6,0.8\nRAPID\nGOTO/2,0,9\nGOTO/3,0,9\nMULTAX/OFF\nGOTO/4,0,9\n"
-    program = read("$$*          Pro/CLfile  Version 8.0 - 8.0.3.0\n" + text)
-    assert program.motions.rapid.tolist() == [True, False, True, False, False]
-    np.testing.assert_allclose(-program.motions.target[1:4, :3, 2], [[0, 0.6, 0.8]] * 3, atol=1e-12)
-    np.testing.assert_allclose(-program.motions.target[4, :3, 2], [0, 0, 1], atol=1e-12)
+    text = HEAD + "GOTO/1,0,9,0,0.6,0.8\nRAPID\nGOTO/2,0,9\nGOTO/3,0,9\n"
+    program = read(text)
+    assert program.motions.rapid.tolist() == [True, False, True, False]
+    np.testing.assert_allclose(-program.motions.target[1:, :3, 2], [[0, 0.6, 0.8]] * 3, atol=1e-12)
+
+
+def test_three_numbers_of_creo_are_a_direction_along_z():
+    head = "$$*          Pro/CLfile  Version 8.0 - 8.0.3.0\n"
+    text = HEAD + "GOTO/1,0,9,0,0.6,0.8\nGOTO/2,0,9\nGOTO/3,0,9,0,0.6,0.8\nMULTAX/OFF\nGOTO/4,0,9\n"
+    directions = -read(head + text).motions.target[1:, :3, 2]
+    np.testing.assert_allclose(directions, [[0, 0.6, 0.8], [0, 0, 1]] * 2, atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -2,8 +2,9 @@
 
 - **RAPID** holds for the next motion only (ISO 4343:2000, 5.42); then the last feed holds again.
 - **GOTO/x,y,z,i,j,k** gives the direction from the tip to the spindle. It stays until it is given again, also where a
-  GOTO has three numbers (Siemens NX writes it once). ``MULTAX/OFF`` of Creo returns it to z, that of CATIA keeps it
-  (Dassault Systèmes, CATIA V5, "MULTAX Influence on APT Source"). In other files it must be given again.
+  GOTO has three numbers (Siemens NX writes it once). Creo writes three numbers where the direction is z (PTC, Creo NC,
+  "CL Output for Circular Interpolation"). ``MULTAX/OFF`` of CATIA keeps the direction (Dassault Systèmes, CATIA V5,
+  "MULTAX Influence on APT Source"); in files of other systems it must then be given again.
 - **FROM** states where the tool is when the program begins: it becomes a joint motion to that place.
 - **CYCLE**: the GOTO statements behind it are the tops of holes, see `cycles`.
 - **CSYS** of SolidWorks CAM (after ``TRNTYP/WORLD``) states the axes of a setup and moves nothing: coordinates are
@@ -71,6 +72,8 @@ _UNITS = {"MM": 1.0, "INCH": _MM_PER_INCH, "INCHES": _MM_PER_INCH, "IN": _MM_PER
 _UNIT_LENGTH = 1e-3
 _MOST_TURNS = 10_000
 _NEAR_MM = 1e-6
+_UPRIGHT, _IS_DIRECTION = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0]), np.arange(6) >= 3
+"""A direction along z in the numbers of a GOTO."""
 _SAGITTA_MM = 0.1
 """An arc higher than this above its chord that has one point shows that Creo does not divide the arcs of a sequence."""
 _DIGIT = 1e-3
@@ -268,6 +271,8 @@ class _Walk:
         if self.is_tilted_setup and bare.any():
             advice = "Let the CAM system write the direction of the tool, i, j, k, in each GOTO."
             raise StatementError("GOTO without a direction in a tilted CSYS", advice, int(row[np.argmax(bare)]))
+        if self.system_of_file == "Creo":
+            numbers = np.where(bare[:, None] & _IS_DIRECTION, _UPRIGHT, numbers)
         if self.is_axis_open and bare[0]:
             advice = "Write the direction of the tool, i, j, k, in this GOTO, or TLAXIS/i,j,k before it."
             raise StatementError("GOTO without a direction behind MULTAX/OFF of a tilted tool", advice, int(row[0]))
@@ -582,9 +587,7 @@ class _Walk:
         del row
         if words not in ([], ["ON"], ["OFF"]):
             raise StatementError("MULTAX is not understood", "Write MULTAX/ON or MULTAX/OFF.")
-        if words == ["OFF"] and self.system_of_file == "Creo":
-            self._point_along(np.array([0.0, 0.0, 1.0]))
-        elif words == ["OFF"] and self.system_of_file is None:
+        if words == ["OFF"] and self.system_of_file is None:
             self.is_axis_open = bool(self.axis[2] < 1.0 - _UNIT_LENGTH**2)
 
     def _tool_axis(self, row: int, words: list[float | str]) -> None:
