@@ -178,7 +178,7 @@ class Flow:
     def _statement(self, at: Place) -> None:
         level = self.run.level
         if level.traced:
-            self.run.line = at.line + self.run.shift
+            self._reach(at.line)
         self._count(at)
         word = statement(at.source, at.line).word
         if level.loops and word == "EXIT":
@@ -187,9 +187,17 @@ class Flow:
         if word == "GOTO" and self.trace is not None and level.traced:
             self.trace.run_to(at.line - 1)
             self.trace.pass_to(at.line)
+            self.run.is_final = False
             level.jump = at.line
             return
         self._guarded(at)
+
+    def _reach(self, line: int) -> None:
+        """Make a line of a traced routine the present row."""
+        run = self.run
+        if self.trace is not None and self.trace.is_final:
+            run.shift, run.offset, run.shown_line = self.trace.present(line)
+        run.line = line + run.shift
 
     def _guarded(self, at: Place) -> None:
         try:
@@ -338,7 +346,7 @@ class Flow:
             self.run.back_to(marks)
             for line in lines:
                 if self.run.level.traced:
-                    self.run.line = line + self.run.shift
+                    self._reach(line)
                 self._guarded(Place(source, line))
 
     def _exactly(self, source: Source, block: Block, trace: Trace | None) -> None:
@@ -578,6 +586,7 @@ class Flow:
         if not end or trace is None:
             return 0
         undo = self._undoing(trace)
+        self.run.is_final = False
         try:
             self._rounds_of_label(source, nodes[index : end + 1], trace)
         except InexactError:
@@ -688,6 +697,7 @@ class Flow:
         if trace is None or level.loops or run.forked or not run.certain or len(run.stack) > 1:
             raise inexact(at, "LOOP never ends: there is no EXIT", LOOP_ADVICE)
         self._check_comments(source, block)
+        run.is_final = False
         snapshot = run.variables.as_now()
         loop = trace.begin(block, "", 0, left=False)
         loop.endless = True

@@ -192,6 +192,7 @@ class Interpreter:
         """Take a declaration; return what it declares. Initial values are those of the trace, as the motions are."""
         initial = self.run.in_main and any(declarator.value >= 0 for declarator in declaration.names)
         if not initial or self.run.source.origins is None:
+            self.run.is_final = self.run.is_final and not initial
             return declare(self.run.variables, at.source, declaration)
         trace_declaration = statement(self.run.source, self.run.line)
         if isinstance(trace_declaration, tree.Declaration):

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from functools import cached_property
 from operator import attrgetter, itemgetter
 
 import numpy as np
+from msgspec import Struct
 from msgspec.structs import replace
 
+from postproc.cell import Cell
 from postproc.dialects.krl.course import (
     Body,
     Branch,
@@ -29,51 +33,97 @@ from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.structures import Block, Node, checked, nodes_of, outside
 from postproc.dialects.krl.language.tokens import NAME
 from postproc.dialects.krl.language.tree import CallStatement, For, Goto, Motion, Statement
+from postproc.dialects.krl.read.collected import Collected
 from postproc.dialects.krl.read.flow import Flow
 from postproc.dialects.krl.read.folder import Library
-from postproc.dialects.krl.read.interpreter import JUMP_ADVICE, LOOP_ADVICE
-from postproc.dialects.krl.read.known import UnresolvedError
-from postproc.dialects.krl.read.motion_columns import MotionCollector
-from postproc.dialects.krl.read.motion_reader import MotionReader, stays
+from postproc.dialects.krl.read.interpreter import JUMP_ADVICE
+from postproc.dialects.krl.read.motion_reader import MotionReader
 from postproc.dialects.krl.read.plain_lines import Plain
 from postproc.dialects.krl.read.plain_rounds import ElementMotions, motions_of
 from postproc.dialects.krl.read.plain_settings import Coming, PlainSettings
 from postproc.dialects.krl.read.run import Run
 from postproc.dialects.krl.read.settings import Settings
-from postproc.dialects.krl.read.spline_blocks import SplineBlocks
 from postproc.dialects.krl.read.state import FIELDS
 from postproc.dialects.krl.read.tracing import Trace
+from postproc.dialects.krl.read.variables import Variables
 from postproc.errors import MOST, ProgramError, together
 from postproc.program import Bools, Ints
 
+_MOST_SETTINGS = 1000
+"""Most plain settings outside of control structures that are run one by one."""
 _INSTRUCTIONS = MOTION_WORDS | RESERVED | {"BAS"}
 """What begins a statement and is no variable that a fault would leave without a value."""
 
 
-def course_of(
-    library: Library,
-    main: Routine,
-    settings: Settings,
-    reader: MotionReader,
-    obstacles: Mapping[Routine | Occasion, ProgramError],
-) -> Course:
-    """Return the lines of a program in the order in which they run.
+class Start(Struct, frozen=True, eq=False):
+    """What a program begins with.
 
-    :param settings: as they are before it; they are changed.
     :param obstacles: see `Run.elsewhere`.
+    :param variables: as they are before it.
+    :param joints: angles at the start [deg].
+    """
+
+    library: Library
+    main: Routine
+    obstacles: Mapping[Routine | Occasion, ProgramError]
+    variables: Variables
+    cell: Cell
+    joints: tuple[float, ...]
+
+    def collected(self, source: Source | None = None) -> Collected:
+        """Return motions to be collected, none yet.
+
+        :param source: the execution trace; None: the `.src` itself.
+        """
+        settings = Settings(self.variables.copied(), self.cell)
+        run = Run(self.library, self.main, settings, source)
+        run.elsewhere = self.obstacles
+        return Collected(run, MotionReader(settings, self.joints))
+
+
+def course_of(start: Start) -> tuple[Course, Collected | None]:
+    """Return the lines of a program in the order in which they run, and the motions that they make.
+
+    There are no motions where the statements must run once more, along the complete trace: where branches meet that may
+    both run, something is kept, rounds are taken as columns, or a statement is wrong.
+
     :raises ProgramError: that order is not known before the program runs, or a control structure is none.
     """
-    run = Run(library, main, settings)
-    run.elsewhere = obstacles
-    settings.follows_numbers = False  # plain ones are no statements here
+    if not start.cell.krl.keep_unresolved:
+        with suppress(ProgramError):  # its message may depend on the text of the trace, which is not complete
+            return _course(start, collects=True)
+    return _course(start, collects=False)
+
+
+def _course(start: Start, *, collects: bool) -> tuple[Course, Collected | None]:
+    """Return what `course_of` does.
+
+    :param collects: whether motions are read too.
+    """
+    library, main = start.library, start.main
     trace = Trace(main)
+    collected = start.collected(trace.source if collects else None)
+    run, settings = collected.run, collected.run.settings
+    settings.follows_numbers = False  # plain ones are no statements here
     reserved_names = library.programs() if settings.cell.output.lines_per_file else frozenset[str]()
-    flow = Flow(run, _passed, lambda at, cause: None, trace)  # reported when the trace is followed
-    nodes = nodes_of(main.source, _one_by_one(main.source, main.others, main.settings)[0])
-    checked(main.source, nodes)
+    lines, free_settings = _one_by_one(main.source, main.others, main.settings)
+    nodes = checked(main.source, nodes_of(main.source, lines))
+    run.is_final = collects and len(free_settings) <= _MOST_SETTINGS
+
+    def taken(at: Place, stmt: Statement) -> None:
+        if run.is_final and trace.is_final:
+            collected.take(at, stmt, flow.interpreter.calls)
+
+    def wrong(_at: Place, _cause: ProgramError) -> None:
+        run.is_final = False  # reported when the trace is followed
+
+    flow = Flow(run, taken, wrong, trace)
     if not any(flow.matters(main.source, node) for node in nodes if isinstance(node, Block) or _calls(main, node)):
         body = Body(main.first + 1, main.last)
-        return Course(main, main.source, (Lines(main.first + 1, main.last - 1),), body, taken=reserved_names)
+        steps = (Lines(main.first + 1, main.last - 1),)
+        return Course(main, main.source, steps, body, taken=reserved_names), None
+    if run.is_final and len(free_settings):
+        nodes = nodes_of(main.source, main.lines)
     _submitted(run)
     flow.follow(main.source, nodes)
     if run.level.jump:
@@ -87,17 +137,21 @@ def course_of(
     trace.pass_to(main.last - 1, live=False)
     course = replace(trace.course(run.unfollowed), taken=reserved_names)
     foreign_routines = {routine for routine in course.inlined if routine.source is not main.source}
-    return replace(course, taken=library.names(), users=library.users(foreign_routines)) if foreign_routines else course
+    if foreign_routines:
+        course = replace(course, taken=library.names(), users=library.users(foreign_routines))
+    is_complete = run.is_final and trace.is_final and not settings.lacked_numbers
+    if not is_complete or fault_of(main.name) or collected.splines.open is not None or run.level.open:
+        return course, None
+    settings.follows_numbers = True
+    run.understood.update(trace.counters)
+    run.shown_line = 0
+    return course, collected
 
 
 def _calls(main: Routine, line: int) -> bool:
     """Return whether a statement may lead to other lines than the next one."""
     stmt = statement(main.source, line)
     return isinstance(stmt, Goto) or ("(" in main.source.text[stmt.start : stmt.stop] and not isinstance(stmt, Motion))
-
-
-def _passed(at: Place, stmt: Statement) -> None:
-    """Pass over a motion: it is read when the trace is followed."""
 
 
 def _submitted(run: Run) -> None:
@@ -111,6 +165,7 @@ def _submitted(run: Run) -> None:
 class MainRoutine:
     """Follows the execution trace of a program through the lines that are not plain motions.
 
+    :param collected: its motions, if its statements have run.
     :ivar run: the program as far as it has run.
     :ivar motions: those of the course, in order.
     :ivar rounds: those of loops over the points of an array, read in bulk.
@@ -118,25 +173,37 @@ class MainRoutine:
     :ivar splines: the spline blocks.
     """
 
-    def __init__(
-        self, library: Library, main: Routine, settings: Settings, reader: MotionReader, course: Course, plain: Plain
-    ) -> None:
+    def __init__(self, collected: Collected, course: Course, plain: Plain) -> None:
         self.course = course
-        self.run = Run(library, main, settings, course.source)
+        self.run, self.reader = collected.run, collected.reader
+        self._collected = collected
+        self.motions, self.still, self.splines = collected.motions, collected.still, collected.splines
         self._flow = Flow(self.run, self._motion, self._fault)
-        self.reader = reader
-        self.splines = SplineBlocks(settings, reader)
-        self.motions = MotionCollector()
-        self.still: list[int] = []
         self._errors: list[ProgramError] = []
         self._broken: set[str] = set()
-        self._refused: set[Place] = set()
         self.rounds: list[ElementMotions] = []
-        self._plain, self._given = plain.moving, plain.settings
-        self._setting_lines = plain.settings.line.tolist()
-        self._others = plain.others(len(self.run.source.starts))
-        self._rounds = course.plain_rounds()
-        self._lines = main.others if course.straight else self._apart_from_rounds()
+        self._plain = plain
+
+    @cached_property
+    def _setting_lines(self) -> list[int]:
+        """Lines of plain settings."""
+        lines: list[int] = self._plain.settings.line.tolist()
+        return lines
+
+    @cached_property
+    def _others(self) -> Bools:
+        """Which lines are not plain."""
+        return self._plain.others(len(self.run.source.starts))
+
+    @cached_property
+    def _rounds(self) -> list[PlainRounds]:
+        """Rounds that do nothing but move."""
+        return self.course.plain_rounds()
+
+    @cached_property
+    def _lines(self) -> Sequence[int]:
+        """The lines that have code and are neither plain nor in plain rounds."""
+        return self.run.routine.others if self.course.straight else self._apart_from_rounds()
 
     def follow(self, faults: Sequence[ProgramError]) -> None:
         """Run the statements of the execution trace in order: collect motions, settings and errors.
@@ -191,8 +258,9 @@ class MainRoutine:
                 step_lines[step], free_lines = _one_by_one(self.run.source, *self._between(step))
                 if len(free_lines):
                     free[free_lines] = True
-        is_free = free[self._given.line]
-        self.run.settings.coming = Coming(PlainSettings(self._given.line[is_free], self._given.values[:, is_free]))
+        settings = self._plain.settings
+        is_free = free[settings.line]
+        self.run.settings.coming = Coming(PlainSettings(settings.line[is_free], settings.values[:, is_free]))
         return step_lines
 
     def _run(self, step: Lines, lines: Sequence[int]) -> None:
@@ -324,8 +392,9 @@ class MainRoutine:
             if isinstance(node, Block):
                 at = run.come_to(node.first)
                 self._flow.roughly(at.source, node.moved(-run.shift))
-        plain = self._plain[np.searchsorted(self._plain, step.first) : np.searchsorted(self._plain, step.last, "right")]
-        run.unresolved += [(line, step.why) for line in plain.tolist()]
+        moving = self._plain.moving
+        moving = moving[np.searchsorted(moving, step.first) : np.searchsorted(moving, step.last, "right")]
+        run.unresolved += [(line, step.why) for line in moving.tolist()]
         run.unresolved = [*dict(run.unresolved).items()]
 
     def _fault(self, at: Place, cause: ProgramError) -> None:
@@ -336,38 +405,8 @@ class MainRoutine:
         self._broken.update(name for name in names[:1] if name not in FIELDS and name not in _INSTRUCTIONS)
 
     def _motion(self, at: Place, stmt: Statement) -> None:
-        """Take a motion of the course.
-
-        :raises ProgramError: it is not understood, not certain, or its target is not known before the program runs.
-        """
-        for call in calls(stmt.values):
-            self._flow.interpreter.calls.call(at, call, certain=False)
-        if not isinstance(stmt, Motion):
-            self.splines.statement(at, stmt, self.run.line)
-            return
-        level = self.run.level
-        if level.open and not stays(stmt):
-            opener, open_line = level.open[-1]
-            problem = f"motion inside {opener} ({Place(at.source, open_line)})"
-            if self.run.keep:
-                self.run.unresolved.append((self.run.line, at.error(problem)))
-                return
-            if (place := Place(at.source, open_line)) not in self._refused:
-                self._refused.add(place)
-                raise at.error(problem, LOOP_ADVICE)
-            return
-        try:
-            move, state, names = self.reader.read(at, stmt, self.run.line)
-        except UnresolvedError as cause:
-            if not self.run.keep:
-                raise
-            self.run.unresolved.append((self.run.line, cause))
-            return
-        self.run.understood.update(name + self.run.offset for name in names)
-        if move is None:
-            self.still.append(self.run.line)
-        else:
-            self.motions.add(move if self.course.straight else move.moved(self.run.source, self.run.offset), state)
+        """Take a motion of the course."""
+        self._collected.take(at, stmt, self._flow.interpreter.calls)
 
 
 def _one_by_one(source: Source, lines: Sequence[int], settings: Sequence[int]) -> tuple[Sequence[int], Ints]:

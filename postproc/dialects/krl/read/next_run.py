@@ -12,8 +12,7 @@ import numpy as np
 
 from postproc.dialects.krl.course import Course
 from postproc.dialects.krl.language.positions import Position
-from postproc.dialects.krl.read.main_routine import MainRoutine, course_of
-from postproc.dialects.krl.read.motion_reader import MotionReader
+from postproc.dialects.krl.read.main_routine import MainRoutine, Start, course_of
 from postproc.dialects.krl.read.motions import OrderedMotions, ordered_motions
 from postproc.dialects.krl.read.plain_lines import Plain
 from postproc.dialects.krl.read.rounds import Uses
@@ -44,17 +43,16 @@ def changed_data_issues(
         return
     cell, library, routine = main.run.settings.cell, main.run.library, main.run.routine
     first_left = main.run.settings.variables
-    settings, course_settings = (Settings(first_left.next_run(), cell) for _ in range(2))
-    reader = MotionReader(settings, start_joints)
+    start = Start(library, routine, main.run.elsewhere, first_left.next_run(), cell, start_joints)
     try:
-        course = course_of(library, routine, course_settings, reader, main.run.elsewhere)
+        course, collected = course_of(start)
         line = _elsewhere(main.course, course)
         if line is None:
-            second_run = MainRoutine(library, routine, settings, reader, main.course, plain)
-            second_run.run.elsewhere = main.run.elsewhere
-            second_run.follow([])
+            second_run = MainRoutine(collected or start.collected(main.course.source), main.course, plain)
+            if collected is None:
+                second_run.follow([])
             second = ordered_motions(second_run, plain.motions)
-            line = _first_difference(main.run.settings, first, settings, second)
+            line = _first_difference(main.run.settings, first, second_run.run.settings, second)
         line = None if line is None else int(main.course.source.shown(np.array([line]))[0])
     except ProgramError as cause:
         line = cause.line or main.run.routine.first

@@ -34,13 +34,11 @@ from postproc.dialects.krl.read.joins import (
     starts,
 )
 from postproc.dialects.krl.read.known import InexactError
-from postproc.dialects.krl.read.main_routine import MainRoutine, course_of
+from postproc.dialects.krl.read.main_routine import MainRoutine, Start, course_of
 from postproc.dialects.krl.read.motion_columns import MotionColumns, merged
-from postproc.dialects.krl.read.motion_reader import MotionReader
 from postproc.dialects.krl.read.motions import OrderedMotions, motions_and_layout, ordered_motions, unsettled
 from postproc.dialects.krl.read.next_run import changed_data_issues, kept_values
 from postproc.dialects.krl.read.plain_lines import Plain, gathered, plain_of
-from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.unresolved import without_unresolved
 from postproc.dialects.krl.read.variables import Variables
 from postproc.dialects.text import decode
@@ -119,17 +117,17 @@ class _Reading(Struct, frozen=True, eq=False):
         """
         library, entry, cell = self.library, self.entry, self.cell
         start = tuple(float(angle) for angle in cell.start_joints * DEG_PER_RAD)
-        variables = self._variables()
-        settings, course_settings = (Settings(start_values, cell) for start_values in (variables, variables.copied()))
-        course = course_of(library, entry, course_settings, MotionReader(settings, start), obstacles)
+        begin = Start(library, entry, obstacles, self._variables(), cell, start)
+        course, collected = course_of(begin)
         if not course.straight:
             plain = gathered(course.source, {entry.source: plain}, bulk=bulk)
         source = course.source
-        moves = MotionReader(settings, start)
-        main = MainRoutine(library, entry, settings, moves, course, plain)
-        main.run.elsewhere = obstacles
+        has_run = collected is not None and not self.faults
+        main = MainRoutine(collected if collected is not None and has_run else begin.collected(source), course, plain)
+        settings, moves = main.run.settings, main.reader
         try:
-            main.follow(self.faults)
+            if not has_run:
+                main.follow(self.faults)
         except RecursionError:
             problem = "calls, control structures and brackets are nested too deeply"
             raise source.line_error(problem, main.run.line, "Write fewer of them into each other.") from None
@@ -186,7 +184,7 @@ class _Reading(Struct, frozen=True, eq=False):
             )
             line = int(source.shown(np.array([moves.home_used]))[0])
             issues.append(Issue("info", "home-from-cell", message, line))
-        if relied_names := settings.variables.relied | course_settings.variables.relied:
+        if relied_names := begin.variables.relied:
             values = ", ".join(
                 f"{name} = {value}" for name, value in cell.krl.values.items() if name.upper() in relied_names
             )

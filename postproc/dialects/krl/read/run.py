@@ -148,6 +148,8 @@ class Run:
     :ivar line: present row of the trace.
     :ivar shift: what the row of the present statement has in addition to its line in the file, if it is traced.
     :ivar offset: the same of the offset of its text in the trace and in the file.
+    :ivar shown_line: line of the program's own `.src` to report for it; 0 where the trace is complete and says it.
+    :ivar is_final: False where statements must run once more when the trace is complete.
     :ivar place: the statement that runs, in the file of its routine.
     :ivar level: the routine that runs.
     :ivar stack: it, and those that called it.
@@ -174,7 +176,8 @@ class Run:
         self.source, self.variables = source or routine.source, settings.variables
         self.scopes = Scopes(library.program, routine, self.variables)
         self.analysis = Analysis(library, self.scopes.of)
-        self.line = self.shift = self.offset = 0
+        self.line = self.shift = self.offset = self.shown_line = 0
+        self.is_final = True
         self.place: Place | None = None
         self.level = Level(library.program, routine, Scope(), traced=True)
         self.stack: list[Routine] = [routine]
@@ -205,9 +208,12 @@ class Run:
 
     def in_trace(self, aggregate: Aggregate) -> Aggregate:
         """Return an aggregate of the present statement as text of the trace, where its numbers are corrected."""
-        if self.source.origins is None:
-            return aggregate
-        return moved_aggregate(aggregate, self.source, self.offset)
+        return moved_aggregate(aggregate, self.source, self.offset) if self.is_traced else aggregate
+
+    @property
+    def is_traced(self) -> bool:
+        """Whether the rows are those of an execution trace, not lines of the `.src`."""
+        return self.source is not self.routine.source
 
     def nodes(self, routine: Routine) -> tuple[Node, ...]:
         """Return the statements and control structures of a routine.
@@ -221,7 +227,7 @@ class Run:
     @property
     def here(self) -> int:
         """Line of the program's own `.src` to report for the present line."""
-        return int(self.source.shown(np.array([self.line]))[0])
+        return self.shown_line or int(self.source.shown(np.array([self.line]))[0])
 
     def fork(self) -> None:
         """Reach a fork."""

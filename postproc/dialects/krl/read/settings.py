@@ -25,6 +25,7 @@ class Settings:
     :ivar state: the present state.
     :ivar changes: (line of the program, state in force after it), in order.
     :ivar coming: plain assignments: the first and the last of them between two statements each create a state.
+    :ivar lacked_numbers: whether one was asked for nevertheless.
     :ivar frames: the frames that are used.
     :ivar follows_numbers: whether plain assignments are followed; if not, speeds and distances have no values.
     """
@@ -33,6 +34,7 @@ class Settings:
         self.variables, self.cell = variables, cell
         variables.current = self.current
         self.follows_numbers = True
+        self.lacked_numbers = False
         self.state = State()
         self.changes: list[tuple[int, State]] = [(0, self.state)]
         self.coming = Coming(no_settings())
@@ -53,13 +55,18 @@ class Settings:
                 return Unknown(why=self._reasons.errors[reason].problem)
         if name in ("$WORLD", "$ROBROOT"):
             return ZERO if field is None else component(ZERO, field) if field in CARTESIAN else NOTHING
-        if (name, field) == ("$VEL", "CP") and self.follows_numbers and not state.assumed:
-            return Number(state.speed, 0, 0)
-        if (name, field) == ("$APO", "CDIS") and self.follows_numbers:
-            return Number(state.cdis / M_PER_MM, 0, 0)
+        if (name, field) == ("$VEL", "CP") and not state.assumed:
+            return self._followed(state.speed)
+        if (name, field) == ("$APO", "CDIS"):
+            return self._followed(state.cdis / M_PER_MM)
         if field is None and name in MODES:
             return Word("#BASE" if name == "$IPO_MODE" else str(getattr(state, FIELDS[name])), 0, 0)
         return NOTHING
+
+    def _followed(self, value: float) -> Known:
+        """Return a number that plain assignments give, if these are followed."""
+        self.lacked_numbers |= not self.follows_numbers
+        return Number(value, 0, 0) if self.follows_numbers else NOTHING
 
     def change(self, line: int, state: State) -> None:
         """Put a state into force after a line of the program."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from msgspec import Struct
-from msgspec.structs import replace
+from msgspec.structs import force_setattr, replace
 
 from postproc.chunks import ragged_range
 from postproc.dialects.krl.course import (
@@ -51,13 +51,21 @@ class Trace:
     """The execution trace of a program so far.
 
     :param main: the main routine.
+    :ivar source: its text, which it gets when it is complete.
     :ivar pinned: True if routines may also be called unchanged.
+    :ivar is_final: False after something was dropped, is kept, or forks: rows and what ran differ then.
+    :ivar counters: offsets in the text of the names of counters that are assigned.
     """
 
     def __init__(self, main: Routine) -> None:
         self.main = main
+        nowhere = np.zeros(1, dtype=np.int64)
+        self.source = Source(main.source.document, "", 0, nowhere, nowhere)
         self.count = 0
         self.pinned = False
+        self.is_final = True
+        self.counters: list[int] = []
+        self._length = 0
         self._texts: list[str] = []
         self._sources: dict[Source, int] = {main.source: 0}
         self._from: list[tuple[int, int, int, int, int, bool]] = []
@@ -68,6 +76,15 @@ class Trace:
         self._put(main.source, 1, main.first, 0, live=False)
         self.body = Body(self.count + 1)
         self._open = [_OpenRoutine(main.source, main.first + 1, 0, [self.body])]
+
+    def present(self, line: int) -> tuple[int, int, int]:
+        """Return what row and offset of a line of the present routine have in addition to those in its file, and the
+        line of the `.src` to report for it.
+        """
+        open_routine = self._open[-1]
+        cursor = open_routine.cursor
+        offset = self._length - open_routine.source.starts.item(cursor - 1)
+        return self.count + 1 - cursor, offset, open_routine.shown_line or line
 
     def run_to(self, line: int) -> None:
         """Record lines that run, up to a line of the routine."""
@@ -85,10 +102,12 @@ class Trace:
         self._next(line, live=True)
         self._steps.append(Kept(first, self.count, cause))
         self.pinned = True
+        self.is_final = False
 
     def divide(self, step: Fork | Branch | Join) -> None:
         """Record a fork, the begin of a branch or a join after the recorded lines."""
         self._steps.append(replace(step, line=self.count))
+        self.is_final = False
 
     def mark(self) -> tuple[Any, ...]:
         """Return the present length of the trace, for `back_to`."""
@@ -99,6 +118,7 @@ class Trace:
 
     def back_to(self, mark: tuple[Any, ...]) -> None:
         """Drop everything recorded since."""
+        self.is_final = False
         self.count, (texts, steps, counts, inlined, files), last, open_ = mark
         for routine in list(self._inlined)[inlined:]:
             del self._inlined[routine]
@@ -180,6 +200,7 @@ class Trace:
         loop.bodies += [Body(start, start + rounds.length) for start in starts]
         loop.plain = rounds
         self.count = rounds.beyond - 1
+        self.is_final = False
         self._run_on(rounds.first)
 
     def repeated(self, block: Block, *, whole: bool) -> None:
@@ -219,10 +240,12 @@ class Trace:
         origin = np.where(fixed_line > 0, fixed_line, first + run)
         origins = Origins(tuple(self._sources), source, origin, np.where(shown_line > 0, shown_line, origin))
         document = replace(main.source.document, text=text)
-        put = Source(document, text, 0, starts, stops, origins)
+        complete = {"document": document, "text": text, "starts": starts, "stops": stops, "origins": origins}
+        for name, value in complete.items():
+            force_setattr(self.source, name, value)  # aggregates of statements that have run refer to it
         return Course(
             main,
-            put,
+            self.source,
             tuple(self._steps),
             self.body,
             live.astype(np.bool_),
@@ -244,7 +267,9 @@ class Trace:
     def _put(self, source: Source, first: int, last: int, shown_line: int, *, live: bool) -> None:
         if last < first:
             return
-        self._texts.append(_lines(source, first, last))
+        text = _lines(source, first, last)
+        self._texts.append(text)
+        self._length += len(text)
         self._from.append((self._sources.setdefault(source, len(self._sources)), first, last, shown_line, 0, live))
         self.count += last - first + 1
 
@@ -254,7 +279,11 @@ class Trace:
             return
         open_routine = self._open[-1]
         name, number = assignment
-        self._texts.append(f"{indent(loop.opener)}{name}={number}{_end(loop.opener)}")
+        blanks = indent(loop.opener)
+        text = f"{blanks}{name}={number}{_end(loop.opener)}"
+        self._texts.append(text)
+        self.counters.append(self._length + len(blanks))
+        self._length += len(text)
         self._from.append(
             (
                 self._sources.setdefault(open_routine.source, len(self._sources)),

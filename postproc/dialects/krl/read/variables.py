@@ -103,7 +103,7 @@ class Variables:
     :ivar used: names that a motion, a frame or a speed depends on.
     :ivar changed: names that the program gives another value, and where first.
     :ivar given: values that the cell gives, by key.
-    :ivar relied: keys of these that were asked for.
+    :ivar relied: keys of these that were asked for, by any run.
     :ivar initial: names that keep their values from run to run: those of data lists, BASE_DATA and TOOL_DATA.
     :ivar current: present value of one of the `RELEVANT` variables, or of a component of it (name, field); the settings
         in force have these, see `Settings`.
@@ -167,7 +167,7 @@ class Variables:
             )
 
     def copied(self) -> Variables:
-        """Return the same values, for another run."""
+        """Return the same values, for another run; it notes in the same set which values of the cell it relies on."""
         duplicate = copy(self)
         duplicate._values, duplicate._elements = dict(self._values), defaultdict(list)
         for name, keys in self._elements.items():
@@ -178,7 +178,7 @@ class Variables:
             set(self.public),
         )
         duplicate.changing, duplicate.changed = dict(self.changing), dict(self.changed)
-        duplicate.used, duplicate.initial, duplicate.relied = set(self.used), set(self.initial), set(self.relied)
+        duplicate.used, duplicate.initial = set(self.used), set(self.initial)
         duplicate.late = dict(self.late)
         return duplicate
 

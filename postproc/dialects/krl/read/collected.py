@@ -1,0 +1,75 @@
+"""The motions of a program that its statements make while they run, one after the other."""
+
+from __future__ import annotations
+
+from postproc.dialects.krl.language.expressions import calls
+from postproc.dialects.krl.language.source import Place
+from postproc.dialects.krl.language.tree import Motion, Statement
+from postproc.dialects.krl.read.calls import Calls
+from postproc.dialects.krl.read.interpreter import LOOP_ADVICE
+from postproc.dialects.krl.read.known import UnresolvedError
+from postproc.dialects.krl.read.motion_columns import MotionCollector
+from postproc.dialects.krl.read.motion_reader import MotionReader, stays
+from postproc.dialects.krl.read.run import Run
+from postproc.dialects.krl.read.spline_blocks import SplineBlocks
+
+
+class Collected:
+    """Motions whose statements have run.
+
+    :param run: the program as far as it has run.
+    :param reader: reads motions with the settings of the run.
+    :ivar motions: those read, in order, with the state in force.
+    :ivar still: rows of motions to where the robot is already.
+    :ivar splines: the spline blocks.
+    """
+
+    def __init__(self, run: Run, reader: MotionReader) -> None:
+        self.run, self.reader = run, reader
+        self.motions = MotionCollector()
+        self.still: list[int] = []
+        self.splines = SplineBlocks(run.settings, reader)
+        self._refused: set[Place] = set()
+
+    def take(self, at: Place, stmt: Statement, followed: Calls) -> None:
+        """Take a motion, or a line that begins or ends a spline block.
+
+        :param followed: follows the functions in it.
+        :raises ProgramError: it is not understood, not certain, or its target is not known before the program runs.
+        """
+        run = self.run
+        for call in calls(stmt.values):
+            followed.call(at, call, certain=False)
+        if not isinstance(stmt, Motion):
+            self.splines.statement(at, stmt, run.line)
+            return
+        if run.level.open and not stays(stmt):
+            self._refuse(at)
+            return
+        try:
+            move, state, names = self.reader.read(at, stmt, run.line)
+        except UnresolvedError as cause:
+            if not run.keep:
+                raise
+            run.unresolved.append((run.line, cause))
+            return
+        run.understood.update(name + run.offset for name in names)
+        if move is None:
+            self.still.append(run.line)
+        else:
+            self.motions.add(move.moved(run.source, run.offset) if run.is_traced else move, state)
+
+    def _refuse(self, at: Place) -> None:
+        """Refuse a motion of which it is not known whether or how often it runs, once for each control structure.
+
+        :raises ProgramError: it is not left as it is.
+        """
+        run = self.run
+        opener, open_line = run.level.open[-1]
+        place = Place(at.source, open_line)
+        problem = f"motion inside {opener} ({place})"
+        if run.keep:
+            run.unresolved.append((run.line, at.error(problem)))
+        elif place not in self._refused:
+            self._refused.add(place)
+            raise at.error(problem, LOOP_ADVICE)
