@@ -77,7 +77,7 @@ REFUSED = {
     "plasmac.ngc": (4, "M65 is not supported"),
     "powermill_heidenhain.h.nc": (1, "this is not plain G-code, but a Heidenhain Klartext program"),
     "prusaslicer.gcode": (5, "this is not plain G-code, but a slicer (3-D printing) program"),
-    "rotary_wrap.nc": (7, "A word without a code that uses it"),
+    "rotary_wrap.nc": (5, "cutting move before the position is known"),
     "siemens_frames.mpf": (2, "this is not plain G-code, but a Siemens Sinumerik program"),
     "siemens_plain.mpf": (1, "this is not plain G-code, but a Siemens Sinumerik program"),
     "siemens_r.spf.nc": (1, "this is not plain G-code, but a Siemens Sinumerik program"),

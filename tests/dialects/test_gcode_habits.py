@@ -54,6 +54,8 @@ def test_a_first_block_at_feed_that_gives_all_axes_begins_at_start_too():
     ("text", "problem"),
     [
         ("G0 X10 Y10\nG1 Z-5 F9\n", "cutting move before the position is known"),
+        ("G0 Z5\nG0 Y40\nG1 Z-9 F9\nG0 Z5\nG0 X1 Y4\nG1 Z-3\n", "cutting move before the position is known"),
+        ("G0 Z5\nG0 Y40\nG1 X1 Z-9 F9\nG0 Z5\n", "cutting move before the position is known"),
         ("G1 X10 Y10 F9\nG91 Z-5\n", "incremental move before the position is known"),
         ("G1 X10 Y10 F9\nG2 X0 I-5\nG1 Z1\n", "arc before the position is known"),
         ("G1 X10 Y10 F9\nX5\nY3\n", "cutting move before the position is known"),

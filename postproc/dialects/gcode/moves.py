@@ -262,14 +262,19 @@ def moves_of(rows: LineStates, modes: Modes, cell_frames: CellFrames) -> Moves:
     return _Walk(rows, modes, cell_frames).moves()
 
 
-def goes_up_first(rows: LineStates, first: int, complete: int) -> bool:
-    """Return whether the last Z before line `complete` is the highest of the program.
+def below_top(rows: LineStates, first: int, complete: int) -> Bools:
+    """Return which lines (L,) from `first` to `complete` are not at the highest Z of the program, stated before.
 
-    Programs for hobby controls go up by G1 first, and then to the start position.
+    Programs for hobby controls go up by G1 first, and then to the start position: these moves are at the top.
     """
-    z = rows.xyz[first:complete, 2]
-    z = z[~np.isnan(z)]
-    return bool(len(z)) and not rows.incremental.any() and bool(z[-1] >= np.nanmax(rows.xyz[:, 2]))
+    is_below = np.zeros(len(rows.motion), dtype=np.bool_)
+    window = slice(first, complete + 1)
+    z = rows.xyz[window, 2]
+    stated = ~np.isnan(z)
+    latest = np.maximum.accumulate(np.where(stated, np.arange(len(z)), -1))
+    is_top = (latest >= 0) & (z[latest] >= np.nanmax(rows.xyz[:, 2], initial=-np.inf))
+    is_below[window] = ~is_top | rows.incremental.any() | ~stated[: complete - first].any()
+    return is_below
 
 
 def _repeated(values: Sequence[int], count: Ints) -> Ints:
@@ -825,7 +830,7 @@ class _Walk:
             or rows.drilling[row_range].any()
             or (self.offset[row_range][has_position] != self.offset[row_range][has_position][0]).any()
             or rows.motion[first + int(np.argmax(has_position))] != 1.0
-            or goes_up_first(rows, first, last)
+            or not (below_top(rows, first, last)[row_range] & feeds).any()
         ):
             return unknown, -1
         message = (

@@ -31,7 +31,7 @@ from postproc.dialects.gcode.moves import (
     CellFrames,
     LineStates,
     Moves,
-    goes_up_first,
+    below_top,
     in_force,
     moves_of,
     taken,
@@ -294,8 +294,8 @@ def _check_unknown(rows: LineStates, moves: Moves, doubt: _Doubt, check: Callabl
         problem = "incremental move before the position is known"
         check(early & rows.incremental, problem, advice, first=True)
         begin = first + int(np.argmax(axes[first:])) if axes[first:].any() else first
-        is_above = begin == complete or goes_up_first(rows, first, complete)
-        cutting = early & (straight & (not is_above) | (rows.drilling & (line < complete))) & ~doubt.motion
+        is_low = (begin != complete) & below_top(rows, first, complete)
+        cutting = early & (straight & is_low | (rows.drilling & (line < complete))) & ~doubt.motion
         check(cutting, "cutting move before the position is known", advice, first=True)
         turning = rows.moving & arc & is_within & ~doubt.motion & ~doubt.position
         check(turning, "arc before the position is known", advice, first=True)
