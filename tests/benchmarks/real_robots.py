@@ -1,6 +1,6 @@
 """Real robots: readings that others have published, identified by folds, and what is left on readings left out.
 
-Run: python -m tests.benchmarks.real_robots FOLDER [--folds 6] [--only fanuc|abb]
+Run: python -m tests.benchmarks.real_robots FOLDER [--folds 6] [--only fanuc|abb|motoman]
 
 FOLDER holds copies of the repositories, or of the parts that are used; those that are absent are named:
 
@@ -8,9 +8,11 @@ FOLDER holds copies of the repositories, or of the parts that are used; those th
   R-2000iC under 43 pulls by a cable, 120 to 1130 N, one point. Licence: MIT.
 - `abb`: icelinker/Robot-Calibration-LaserTracker, `4-DataProcess/Output`. ABB IRB 120, three reflectors in 982
   configurations without load. No licence: nothing of it may be redistributed.
+- `motoman`: ctu-vras/multirobot-calibration, `UserData/Robots/Motoman/Dataset/leica_dataset`. Right arm of a two-arm
+  Motoman under a Leica tracker, one reflector in 587 configurations all over the workspace, without load. No licence.
 
-Geometries are nominal ones: of the first repository, and of the robot's data sheet. Each set is written as files of
-`identify`; each fold is identified from the others as a user would.
+Geometries are nominal ones: of the first and the last repository, and of the robot's data sheet. Each set is written as
+files of `identify`; each fold is identified from the others as a user would.
 """
 
 from __future__ import annotations
@@ -22,6 +24,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from scipy.io import loadmat
+from scipy.spatial.transform import Rotation
 
 from postproc import elastostatics, kinematics, robot
 from postproc.identification import Choices, geometry_folder, identify_folder
@@ -48,6 +52,17 @@ ABB_JOINTS = (  # IRB 120, product specification: origin on the link before [m],
     ((0.302, 0.0, 0.0), (0, 1, 0)),
     ((0.072, 0.0, 0.0), (1, 0, 0)),
 )
+MOTOMAN_DH = np.array(  # a, d, α, offset of the angle, of the axis that carries both arms and of the right arm's joints
+    [
+        [0.000, -0.2630, np.radians(15.0), -np.pi / 2],
+        [0.150, 1.4159, -np.pi / 2, 0.0],
+        [0.614, 0.0, np.pi, -np.pi / 2],
+        [0.200, 0.0, -np.pi / 2, 0.0],
+        [0.0, -0.640, np.pi / 2, 0.0],
+        [0.030, 0.0, np.pi / 2, -np.pi / 2],
+    ]
+)
+"""Its repository, `UserData/Robots/Motoman/loadMotoman.m`."""
 
 
 def urdf(joints: Sequence[tuple[Sequence[float], Sequence[float], Sequence[float]]]) -> str:
@@ -148,7 +163,28 @@ def abb(source: Path, work: Path, parts: int) -> None:
     """Print what a calibrated geometry of the ABB leaves at configurations left out."""
     q = np.loadtxt(source / "processed_joints.txt")
     points = np.stack([np.loadtxt(source / f"processed_SMR_{n}.txt") for n in (1, 2, 3)], axis=1)
-    write_robot(work / "robot", "ABB IRB 120", urdf([(xyz, (0.0, 0.0, 0.0), axis) for xyz, axis in ABB_JOINTS]))
+    joints = [(xyz, (0.0, 0.0, 0.0), axis) for xyz, axis in ABB_JOINTS]
+    _print_geometry("ABB IRB 120", urdf(joints), q, points, work, parts)
+
+
+def motoman(source: Path, work: Path, parts: int) -> None:
+    """Print what a calibrated geometry of the Motoman's right arm leaves at configurations left out."""
+    rows = loadmat(source / "updated_leica_dataset.mat")["dataset"]
+    rows = rows[np.unique(rows[:, 0], return_index=True)[1]]  # a pose has a row for each marker that the cameras saw
+    rows = rows[~np.isnan(rows[:, -1])]
+    joints = []
+    for a, d, alpha, offset in MOTOMAN_DH:  # T = Rz(θ) Tz(d) Tx(a) Rx(α): the next joint turns about z behind it
+        turn = Rotation.from_euler("z", offset) * Rotation.from_euler("x", alpha)
+        place = Rotation.from_euler("z", offset).apply([a, 0.0, d])
+        joints.append((place, turn.as_euler("xyz"), (0, 0, 1)))
+    _print_geometry(
+        "Motoman, right arm", urdf(joints), np.degrees(rows[:, 7:13]), 1e3 * rows[:, None, 19:22], work, parts
+    )
+
+
+def _print_geometry(name: str, robot_text: str, q: np.ndarray, points: np.ndarray, work: Path, parts: int) -> None:
+    """Print what is left of readings (n, p, 3) [mm] at angles (n, 6) [deg], with the geometry from 60 and 200 poses."""
+    write_robot(work / "robot", name, robot_text)
     guess = "".join(
         f"[points.P{n}]\nX = {x}\nY = {y}\nZ = {z}\n"
         for n, (x, y, z) in enumerate(_on_flange(q, points, work), start=1)
@@ -164,30 +200,31 @@ def abb(source: Path, work: Path, parts: int) -> None:
             _write_unloaded(work / "measurements.csv", q[used], points[used])
             geometry_folder(work / "measurements.csv", work / "experiment.toml", work / "model")
             found = json.loads((work / "model" / "identification.json").read_text())
-            for name, model in (("calibrated", robot.load(work / "model")), ("nominal", robot.load(work / "robot"))):
-                errors[name].append(_unloaded_errors(model, found, q[used], points[used], q[out], points[out]))
-        lengths = {name: np.concatenate(each) for name, each in errors.items()}
-        print(f"ABB IRB 120: geometry from {count} of {len(q)} configurations, {parts} times; on all others [mm]")
-        for name, error in lengths.items():
-            print(f"  {name}: {rms(error):.3f} RMS, median {np.median(np.linalg.norm(error, axis=1)) * 1e3:.3f}")
+            for kind, model in (("calibrated", robot.load(work / "model")), ("nominal", robot.load(work / "robot"))):
+                errors[kind].append(_unloaded_errors(model, found, q[used], points[used], q[out], points[out]))
+        print(f"{name}: geometry from {count} of {len(q)} configurations, {parts} times; on all others [mm]")
+        for kind, parts_left in errors.items():
+            error = np.concatenate(parts_left)
+            print(f"  {kind}: {rms(error):.3f} RMS, median {np.median(np.linalg.norm(error, axis=1)) * 1e3:.3f}")
 
 
 def _on_flange(q: np.ndarray, points: np.ndarray, work: Path) -> np.ndarray:
-    """Return rough places (3, 3) of the reflectors on the flange [mm], by linear least squares with the base frame."""
+    """Return rough places (p, 3) of the reflectors on the flange [mm], by linear least squares with the base frame."""
     model = robot.load(work / "robot")
     rows, right = [], []
     pose = _flange(model, q[:100])
     seen = points[:100]
+    size = 3 * points.shape[1]
     for n in range(len(pose)):  # R·p + t = M·x + b for any linear M: reflectors follow without knowing the frame
-        for k in range(3):
-            block = np.zeros((3, 21))
+        for k in range(points.shape[1]):
+            block = np.zeros((3, size + 12))
             block[:, 3 * k : 3 * k + 3] = pose[n, :3, :3]
-            block[:, 9:18] = -np.kron(np.eye(3), seen[n, k] * 1e-3)
-            block[:, 18:21] = -np.eye(3)
+            block[:, size : size + 9] = -np.kron(np.eye(3), seen[n, k] * 1e-3)
+            block[:, size + 9 :] = -np.eye(3)
             rows.append(block)
             right.append(-pose[n, :3, 3])
     found = np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=None)[0]
-    return found[:9].reshape(3, 3).round(5) * 1e3
+    return found[:size].reshape(-1, 3).round(5) * 1e3
 
 
 def _flange(model: robot.RobotModel, q: np.ndarray) -> np.ndarray:
@@ -201,7 +238,8 @@ def _write_unloaded(path: Path, q: np.ndarray, points: np.ndarray) -> None:
     for n in range(len(q)):
         angles = ",".join(f"{v:.6f}" for v in q[n])
         rows += [
-            f"{n + 1},0,1,P{k + 1},{angles},0,0,0,0,0,0,{','.join(f'{v:.4f}' for v in points[n, k])}" for k in range(3)
+            f"{n + 1},0,1,P{k + 1},{angles},0,0,0,0,0,0,{','.join(f'{v:.4f}' for v in points[n, k])}"
+            for k in range(points.shape[1])
         ]
     path.write_text("\n".join(rows) + "\n")
 
@@ -210,7 +248,7 @@ def _unloaded_errors(
     model: robot.RobotModel, found: dict, q: np.ndarray, seen: np.ndarray, new_q: np.ndarray, new: np.ndarray
 ) -> np.ndarray:
     """Return the errors (n, 3) [m] of points at new poses, with the frame fitted to the readings used."""
-    points = np.array([[found["points"][f"P{k}"][axis] for axis in "XYZ"] for k in (1, 2, 3)]) * 1e-3
+    points = np.array([[found["points"][f"P{k}"][axis] for axis in "XYZ"] for k in range(1, new.shape[1] + 1)]) * 1e-3
 
     def at(angles: np.ndarray) -> np.ndarray:
         pose = _flange(model, angles)
@@ -223,6 +261,7 @@ def _unloaded_errors(
 SETS = {
     "fanuc": ("data/stiffness_data", "deltaX.csv", fanuc),
     "abb": ("4-DataProcess/Output", "processed_joints.txt", abb),
+    "motoman": ("Dataset/leica_dataset", "updated_leica_dataset.mat", motoman),
 }
 
 
