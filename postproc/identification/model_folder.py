@@ -23,6 +23,7 @@ from postproc.identification import calibration, compensator_geometry, plausibil
 from postproc.identification.fit import NORMAL_95, to_file_units
 from postproc.identification.joint_springs import Levels, SpringOfJoint2
 from postproc.identification.measurement_model import MIN_COMPLIANCE, describe, describe_points, joint_torques
+from postproc.identification.moved_device import moved_device
 from postproc.identification.plausibility import check_frames, check_points
 from postproc.identification.procedure import Depth, Identification, Method, before_and_after, identify
 from postproc.identification.readings import Measurements, Payload, read, read_experiment
@@ -506,8 +507,8 @@ def geometry_folder(
     data = read(measurements, setup, loads=False)
     _require_positions(data, measurements)
     check_points(data)
-    check_frames(robot, data)
     data, outliers = plausibility.without_gross_errors(data)
+    movements = moved_device(robot, data, check_frames(robot, data))
     geometry = calibration.identify_geometry(content, nominal, robot.name, data)
     report = record.Identified(
         method="geometry",
@@ -518,7 +519,7 @@ def geometry_folder(
         points=describe_points(geometry.placement, data.points),
         unloaded_rms_mm=geometry.placement.rms * MM_PER_M,
         outliers=outliers,
-        warnings=[*(f"outlier: {name}" for name in outliers), *calibration.contradictions(geometry)],
+        warnings=[*(f"outlier: {name}" for name in outliers), *movements, *calibration.contradictions(geometry)],
     )
     write(output, geometry.content, report, folder, render)
     return IdentifiedFolder(None, report, summary(report))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from postproc.identification.measurement_model import locate
+from postproc.identification.model_folder import geometry_folder
 from postproc.identification.moved_device import moved_device
 from postproc.identification.plausibility import check_loads
 from postproc.identification.procedure import identify
@@ -37,6 +38,15 @@ def test_a_tracker_that_moved_by_a_millimetre_between_two_poses_is_named(tmp_pat
     (warning,) = moved_device(harness.PRIOR, data, locate(harness.PRIOR, data))
     match = re.match(r"from config 18 on the measuring device seems to have moved by ([\d.]+) mm", warning)
     assert float(match[1]) == pytest.approx(1.0, abs=0.25)
+
+
+def test_the_calibration_of_the_geometry_alone_names_it_too(tmp_path):
+    def change(raw):
+        raw[17:] += np.array([0.6e-3, -0.7e-3, 0.4e-3])
+
+    measured(tmp_path, 0, change)
+    written = geometry_folder(*(tmp_path / name for name in ("measurements.csv", "experiment.toml", "model")))
+    assert any("from config 18 on the measuring device seems" in text for text in written.data.warnings)
 
 
 @pytest.mark.parametrize("ordered", [False, True])
