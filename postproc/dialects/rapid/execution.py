@@ -11,7 +11,7 @@ What instructions do: ABB, Technical reference manual, RAPID Instructions, Funct
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, TypeGuard
 
 from msgspec import Struct, field
@@ -28,8 +28,10 @@ from postproc.dialects.rapid.syntax import (
     Jump,
     Loop,
     Module,
+    Parameter,
     Routine,
     Statement,
+    calls,
     nested,
 )
 from postproc.dialects.rapid.values import (
@@ -124,7 +126,7 @@ _STOPPING = {"EXIT", "EXITCYCLE", "STOP", "BREAK"}
 _KEEP = "Leave it out, or convert the G-code or APT of this part."
 
 
-class Setting(Struct, frozen=True):
+class Setting(Struct, frozen=True, gc=False):
     """What instructions have set for the moves that follow.
 
     :ivar follows: True while MoveJ goes to the configuration of its target (ConfJ).
@@ -139,7 +141,7 @@ class Setting(Struct, frozen=True):
     speed: tuple[float, float] = (1.0, 5000.0)
 
 
-class Target(Struct, frozen=True, eq=False):
+class Target(Struct, frozen=True, eq=False, gc=False):
     """The end of a motion or the point on a circle.
 
     :ivar numbers: the 17 numbers of a robtarget, or the 12 of a jointtarget.
@@ -153,7 +155,7 @@ class Target(Struct, frozen=True, eq=False):
     data: Declaration | None = None
 
 
-class Move(Struct, frozen=True, eq=False):
+class Move(Struct, frozen=True, eq=False, gc=False):
     """An executed motion.
 
     :ivar speed: of the TCP [mm/s], `duration` [s] if that is given instead, else 0.
@@ -221,11 +223,16 @@ class Execution:
         self.done = Executed()
         self.setting = Setting()
         self.count = 0
+        self.has_functions = any(routine.kind == "FUNC" for routine in self.routines.values())
         self._moving: dict[str, bool] = {}
         reachable_names = self._reached(entry)
         for routine in self.routines.values():
             is_followed = routine.name in reachable_names and routine.kind == "PROC"
             self._forget(routine.handler, f"the handler of {routine.name} may change it")
+            if routine.kind == "TRAP":
+                for name in self._changed(routine.body, set()):
+                    if name in self.data:
+                        self.data[name].interrupt = routine.name
             if not is_followed:
                 self._forget(routine.body, f"{routine.name} may change it, which is not followed")
 
@@ -264,9 +271,28 @@ class Execution:
             if variable is not None and (variable.declaration is None or variable.declaration.kind != "CONST"):
                 variable.forget(reason)
 
+    def _forget_by_functions(self, statement: Statement, scope: Scope) -> None:
+        """Make unknown what the functions that a statement calls may change."""
+        for name in self._changed_by_functions(statement, set()):
+            variable = scope.find(name)
+            if variable is not None and not _is_constant(variable):
+                variable.forget("a function may change it")
+
+    def _changed_by_functions(self, statement: Statement, routine_names: set[str]) -> Iterator[str]:
+        """Yield the names of data that the functions of a statement may change."""
+        for call in calls(statement):
+            routine = self.routines.get(call.value)
+            if routine is None:
+                continue
+            yield from (base_name(argument) for argument in changed_by(call.items))
+            if routine.name not in routine_names:
+                routine_names.add(routine.name)
+                yield from self._changed(routine.body, routine_names)
+
     def _changed(self, statements: tuple[Statement, ...], routine_names: set[str]) -> Iterator[str]:
         """Yield the names of data that statements, and the routines that they call, may change."""
         for statement in nested(statements):
+            yield from self._changed_by_functions(statement, routine_names)
             if isinstance(statement, Assignment):
                 yield base_name(statement.target)
             elif isinstance(statement, Instruction) and statement.name not in _READING | MOVES.keys():
@@ -315,6 +341,8 @@ class Execution:
             self._statement(statement, scope, routine, depth)
 
     def _statement(self, statement: Statement, scope: Scope, routine: Routine, depth: int) -> None:
+        if self.has_functions:
+            self._forget_by_functions(statement, scope)
         match statement:
             case Instruction():
                 self._instruction(statement, scope, depth)
@@ -552,25 +580,23 @@ class Execution:
 
     def _call(self, statement: Instruction, routine: Routine, scope: Scope, depth: int) -> None:
         inner = Scope(self.data)
-        expressions = [argument.value for argument in statement.arguments if not argument.name]
-        parameters = list(routine.parameters)
-        for (name, type_, changeable), expression in zip(parameters, expressions, strict=False):
-            variable = Variable(type_, None, f"the call of {routine.name} does not give it")
-            if changeable and _is_plain(expression, scope):  # INOUT, VAR, PERS: the routine has the data itself
+        bound = list(_bound(routine, statement.arguments, scope))
+        for parameter, expression, is_given in bound:
+            variable = Variable(parameter.type, None, f"the call of {routine.name} does not give it")
+            if parameter.changeable and _is_plain(expression, scope):  # the routine has the data itself
                 variable = scope.variable(expression.value)
             elif expression is not None:
                 try:
                     variable.value, _ = evaluated(expression, scope)
                 except UnknownValueError as cause:
                     variable.why = cause.problem
-            inner.inner[name] = variable
-        for name, type_, _ in parameters[len(expressions) :]:
-            inner.inner[name] = Variable(type_, None, f"the call of {routine.name} does not give it")
+            inner.inner[parameter.name] = variable
+            inner.presence[parameter.name] = is_given
         if self._routine_moves(routine):
             self.done.calls.setdefault(routine.name, []).append(statement)
         self._routine(routine, inner, depth + 1)
-        for (_, _, changeable), expression in zip(parameters, expressions, strict=False):
-            if changeable and expression is not None and not _is_plain(expression, scope):
+        for parameter, expression, _ in bound:
+            if parameter.changeable and expression is not None and not _is_plain(expression, scope):
                 outer = scope.find(base_name(expression))
                 if outer is not None and not _is_constant(outer):
                     outer.forget(f"{routine.name} may change it")
@@ -676,6 +702,28 @@ def _declared(declaration: Declaration) -> Variable:
     if declaration.value is None and not declaration.dimensions:
         variable.value = {"NUM": 0.0, "BOOL": False, "STRING": ""}.get(declaration.type)
     return variable
+
+
+def _bound(
+    routine: Routine, arguments: Sequence[Argument], scope: Scope
+) -> Iterator[tuple[Parameter, Expression | None, bool | None]]:
+    """Yield the parameters of a routine with their arguments, and whether they are given, None if that is not known.
+
+    An argument that passes an optional parameter on is given if that is.
+    """
+    positional = iter([argument.value for argument in arguments if not argument.name])
+    options = {argument.name: argument for argument in arguments if argument.name}
+    for parameter in routine.parameters:
+        if not parameter.optional:
+            yield parameter, next(positional, None), True
+            continue
+        argument = options.get(parameter.name)
+        expression = None if argument is None else argument.value
+        source = None if expression is None else expression.value
+        is_given: bool | None = argument is not None
+        if isinstance(source, str) and source in scope.presence:
+            is_given = scope.presence[source]
+        yield parameter, expression, is_given
 
 
 def _is_plain(expression: Expression | None, scope: Scope) -> TypeGuard[Expression]:

@@ -2,6 +2,9 @@
 
 Grammar: ABB, Technical reference manual, RAPID Kernel (3HAC16585). Names are compared in upper case, as the controller
 does. What is not understood here is an error of the statement that has it; nothing is guessed.
+
+Trees have no cycles. Their records are not tracked by the garbage collector (``gc=False``), whose passes over them took
+half of the time of reading.
 """
 
 from __future__ import annotations
@@ -27,7 +30,7 @@ class RapidSyntaxError(PostprocError):
         self.problem, self.start = problem, start
 
 
-class Expression(Struct, frozen=True, eq=False):
+class Expression(Struct, frozen=True, eq=False, gc=False):
     """A value in the text, from `start` to `stop`.
 
     :ivar kind: ``number``, ``string``, ``bool``, ``name``, ``index``, ``field``, ``call``, ``list``, ``operation`` or
@@ -43,7 +46,7 @@ class Expression(Struct, frozen=True, eq=False):
     items: tuple[Any, ...] = ()
 
 
-class Argument(Struct, frozen=True, eq=False):
+class Argument(Struct, frozen=True, eq=False, gc=False):
     """An argument of an instruction or function; of an optional one `name` (upper case) is given, perhaps alone."""
 
     name: str
@@ -52,7 +55,7 @@ class Argument(Struct, frozen=True, eq=False):
     stop: int
 
 
-class Statement(Struct, frozen=True, eq=False):
+class Statement(Struct, frozen=True, eq=False, gc=False):
     """A statement from `start` to `stop`, which is behind its last character."""
 
     start: int
@@ -121,19 +124,27 @@ class Jump(Statement, frozen=True, eq=False):
     word: str
 
 
+class Parameter(Struct, frozen=True):
+    """A parameter: `changeable` if it is VAR, PERS or INOUT, `optional` if it is behind a backslash. Upper case."""
+
+    name: str
+    type: str
+    changeable: bool
+    optional: bool
+
+
 class Routine(Struct, frozen=True, eq=False):
     """A routine of a module.
 
     :ivar kind: PROC, FUNC or TRAP.
     :ivar name: upper case; `name_span` is its place.
-    :ivar parameters: (name, type, changeable), in upper case.
     :ivar body: statements; `handler` those of ERROR, UNDO and BACKWARD.
     """
 
     kind: str
     name: str
     name_span: tuple[int, int]
-    parameters: tuple[tuple[str, str, bool], ...]
+    parameters: tuple[Parameter, ...]
     body: tuple[Statement, ...]
     handler: tuple[Statement, ...]
     start: int
@@ -607,7 +618,7 @@ class Parser:
             self.identifier()
         span = self.start, self.stop
         name = self.identifier()
-        parameters: tuple[tuple[str, str, bool], ...] = ()
+        parameters: tuple[Parameter, ...] = ()
         if kind != "TRAP":
             self.take("(")
             parameters = self._parameters()
@@ -621,17 +632,17 @@ class Parser:
         self.take(f"END{kind}")
         return Routine(kind, name, span, parameters, body, tuple(handler), start, self.behind)
 
-    def _parameters(self) -> tuple[tuple[str, str, bool], ...]:
-        parameters: list[tuple[str, str, bool]] = []
+    def _parameters(self) -> tuple[Parameter, ...]:
+        parameters: list[Parameter] = []
         while not self.accept(")"):
             self.accept(",")
-            self.accept("\\")
-            self.accept("|")
+            is_alternative = self.accept("|")  # of optional parameters of which one is given
+            optional = self.accept("\\") or is_alternative
             changeable = self.word in ("VAR", "PERS", "INOUT")
             if changeable:
                 self.step()
             if self.accept("SWITCH"):
-                parameters.append((self.identifier(), "SWITCH", False))
+                parameters.append(Parameter(self.identifier(), "SWITCH", changeable=False, optional=optional))
                 continue
             type_, name = self.identifier(), self.identifier()
             if self.accept("{"):
@@ -639,7 +650,7 @@ class Parser:
                     self.step()
                     if self.kind == "end":
                         raise self.fault("}")
-            parameters.append((name, type_, changeable))
+            parameters.append(Parameter(name, type_, changeable, optional))
         return tuple(parameters)
 
 
@@ -670,3 +681,26 @@ def nested(statements: tuple[Statement, ...]) -> Iterator[Statement]:
                 yield from nested(body)
         elif isinstance(statement, Loop):
             yield from nested(statement.body)
+
+
+def calls(statement: Statement) -> Iterator[Expression]:
+    """Yield the calls of functions in the expressions of a statement, without those of its inner statements."""
+    waiting: list[Expression | None] = []
+    match statement:
+        case Instruction():
+            waiting += [argument.value for argument in statement.arguments]
+        case Assignment():
+            waiting += [statement.target, statement.value]
+        case Declaration():
+            waiting.append(statement.value)
+        case Conditional():
+            waiting += [statement.subject, *(condition for condition, _ in statement.branches)]
+        case Loop():
+            waiting += statement.bounds
+    while waiting:
+        expression = waiting.pop()
+        if expression is None or expression.kind in ("numbers", "number"):
+            continue
+        if expression.kind == "call":
+            yield expression
+        waiting += [item.value if isinstance(item, Argument) else item for item in expression.items]

@@ -127,6 +127,7 @@ class Variable(Struct, eq=False):
     :ivar value: its value; None while it is not known, for the reason `why`.
     :ivar declaration: where it is declared; None for predefined data, parameters and variables of FOR.
     :ivar literal: True while it has the value of its declaration.
+    :ivar interrupt: name of a trap that may change it at any time, so that it is never known.
     """
 
     type: str
@@ -134,6 +135,7 @@ class Variable(Struct, eq=False):
     why: str = ""
     declaration: Declaration | None = None
     literal: bool = False
+    interrupt: str = ""
 
     def forget(self, reason: str) -> None:
         """Make the value unknown."""
@@ -141,11 +143,15 @@ class Variable(Struct, eq=False):
 
 
 class Scope:
-    """Data by name (upper case): those of a routine before those of the modules."""
+    """Data by name (upper case): those of a routine before those of the modules.
+
+    :ivar presence: whether a parameter of the routine is given; None if that is not known.
+    """
 
     def __init__(self, outer: dict[str, Variable]) -> None:
         self.outer: dict[str, Variable] = outer
         self.inner: dict[str, Variable] = {}
+        self.presence: dict[str, bool | None] = {}
 
     def find(self, name: str) -> Variable | None:
         """Return the data of a name."""
@@ -252,7 +258,7 @@ def _field(expression: Expression, scope: Scope) -> tuple[Value, str]:
 
 
 def _list(expression: Expression, scope: Scope) -> tuple[Value, str]:
-    return [evaluated(item, scope)[0] for item in expression.items], ""
+    return [item.value if item.kind == "number" else evaluated(item, scope)[0] for item in expression.items], ""
 
 
 def _literal(expression: Expression, scope: Scope) -> tuple[Value, str]:
@@ -321,6 +327,10 @@ def _calculated(word: str, left: Value, right: Value) -> Value:
 
 
 def _call(expression: Expression, scope: Scope) -> tuple[Value, str]:
+    if expression.value == "PRESENT" and expression.items and expression.items[0].value is not None:
+        is_given = scope.presence.get(base_name(expression.items[0].value))
+        if is_given is not None:
+            return is_given, "BOOL"
     function = _FUNCTIONS.get(expression.value)
     if function is None:
         raise UnknownValueError(f"the function {expression.value} gives its value at run time")
@@ -441,6 +451,9 @@ def assigned(target: Expression, value: Value, scope: Scope) -> None:
     :raises UnknownValueError: the place is not known.
     """
     variable = scope.variable(base_name(target))
+    if variable.interrupt:
+        variable.forget(f"{variable.interrupt} may change it")
+        return
     if target.kind == "name":
         variable.value, variable.literal = value, False
         return
