@@ -282,7 +282,9 @@ def part(
     """Compliances, and the scale of forces, from a probed part.
 
     PROBED is the probing.csv of `postproc testpart`, filled in: deviations along the normal, positive where material is
-    left; rows without a deviation are left out. The part was cut uncorrected. The prior is the model of the cell with
+    left; rows without a deviation are left out. Its touch-off points on the uncut top (T01.top …, at least three) say
+    how high the program ran over the block: the forces are those of the depths that were cut, and beyond half the
+    flattest cut the part is refused. The part was cut uncorrected. The prior is the model of the cell with
     its covariance or sigma_percent, and the forces of the process with their sigma. Writes a model folder with
     covariance, material.toml with the forces as found (for `[material] file`), and a page of measured against predicted
     deviations. What the part does not determine keeps its prior and is named.
@@ -290,7 +292,8 @@ def part(
     --compare checks the model of the cell by the part, every month for example: it states whether the deviations agree
     with the model, and which parameters have changed.
 
-    Exit codes: 0 the model may be used, or holds; 1 the readings cannot be used; 3 refused, or does not hold.
+    Exit codes: 0 the model may be used, or holds; 1 the readings cannot be used; 3 refused, does not hold, or nothing
+    is decided, since features look exchanged, points contradict the others, or the touch-off was too far off.
 
     \b
     Examples:

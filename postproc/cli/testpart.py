@@ -48,9 +48,10 @@ def testpart(as_json: bool, programs: tuple[str, ...], other_programs: tuple[str
     """Make a part to mill and probe: it identifies the robot.
 
     For shops without a laser tracker. Chooses grooves and steps in the block: places, directions and depths after which
-    the least error is expected where you mill. Each has a trimmed half, cut with almost no force: the reference. Writes
-    testpart.nc, testpart.src (nominal, not corrected), probing.csv to fill in, testpart.process.toml, and
-    testpart.html: the drawing, and what each parameter will be known to.
+    the least error is expected where you mill. Each has a trimmed half, cut with almost no force: the reference. The
+    uncut top has touch-off points, which say how deep the cuts are. Writes testpart.nc, testpart.src (nominal, not
+    corrected), probing.csv to fill in, testpart.process.toml, and testpart.html: the drawing, and what each parameter
+    will be known to.
 
     The block is at [base] of the cell. --placement adds other places for it, each with a program of its own and its
     own features: other heights and distances load the joints otherwise.

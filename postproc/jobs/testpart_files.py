@@ -28,12 +28,14 @@ from postproc.machining.process import ProcessFile, StockTable, ToolTable
 from postproc.report.testpart import design_page, part_page
 from postproc.robot.model_file import ModelFile
 from postproc.testpart import design, features, probing
-from postproc.testpart.cut import Clamped, States, Surfaces, forces_of, surfaces
+from postproc.testpart.cut import Clamped, CutForces, Surfaces, surfaces, without_lift
 from postproc.testpart.design import MOST_CHANGE, Design, Tests
 from postproc.testpart.features import Cutting, Placement
-from postproc.testpart.fit import Fit, Prior, Readings, fit
+from postproc.testpart.fit import Fit, fit
 from postproc.testpart.model import Agreement, PartIdentification, agreement, material, model_file, summary
+from postproc.testpart.prior import Prior
 from postproc.testpart.probing import Probed
+from postproc.testpart.readings import Readings
 from postproc.under_load import RobotInCell
 
 _CHIP = 0.006
@@ -44,6 +46,8 @@ _DEPTH = 0.2
 """Depth of cut by the diameter of the tool, if none is given."""
 _MOST_TESTS = 200
 """Poses of the programs that count, evenly taken."""
+_SAME_HEIGHT = 1e-3
+"""Difference of heights that are the same as written [mm]."""
 PROCESS = "testpart.process.toml"
 _RECORD = "testpart.json"
 
@@ -173,14 +177,25 @@ def make_testpart(request: TestPartRequest, progress: Callable[[str], None] = la
         prior, robots_in_cell, cutting, request.weight_kg, weight_places, request.sigma_mm * M_PER_MM
     )
     selection = design.choose(candidates, prior, robot_in_cell, tests, request.count, weight_readings)
+    touches = features.touch_off_places(selection.features, cutting, low, high)
     parts = {}
     contents: dict[str, bytes | Iterable[bytes]] = {}
     for number, (placement, its_cell) in enumerate(placements.items()):
         part_features = [selection.features[k] for k in np.flatnonzero(selection.placement == number)]
-        first = 1 + int((selection.placement < number).sum()), 1 + len(weight_places) * number
+        first = (
+            1 + int((selection.placement < number).sum()),
+            1 + len(weight_places) * number,
+            1 + len(touches) * number,
+        )
         placement_title = placement.title if len(placements) > 1 else ""
         parts[placement] = features.program(
-            part_features, cutting, request.weight_kg, weight_places, first=first, placement_title=placement_title
+            part_features,
+            cutting,
+            request.weight_kg,
+            weight_places,
+            touches=touches if part_features else None,
+            first=first,
+            placement_title=placement_title,
         )
         if len(parts[placement].feature):
             contents[placement.name] = parts[placement].text.encode()
@@ -238,7 +253,7 @@ def _tests(request: TestPartRequest, robot_in_cell: RobotInCell, candidates: des
     tool = np.broadcast_to(robot_in_cell.cell.tool.pose(), (len(rows), 4, 4))
     pose = kinematics.tcp(robot_in_cell.robot.nominal, poses.q[rows], tool)[0]
     weight = poses.weight[rows] / poses.weight[rows].sum()
-    states = States(poses.q[rows], tool, pose, poses.wrench[rows], np.zeros((len(rows), 6)))
+    states = without_lift(poses.q[rows], tool, pose, poses.wrench[rows])
     return Tests(states, weight, poses.source)
 
 
@@ -306,7 +321,7 @@ class _Given(Struct, frozen=True, eq=False):
 
     def fit(self, prior: Prior) -> tuple[Fit, tuple[str, ...]]:
         """Fit a model; return the points left out too."""
-        return fit(prior, self.readings, self.parts[0].robot_in_cell, forces_of(self.parts))
+        return fit(prior, self.readings, self.parts[0].robot_in_cell, CutForces(self.parts))
 
 
 def _given(request: PartRequest, model: str | None = None) -> _Given:
@@ -320,6 +335,7 @@ def _given(request: PartRequest, model: str | None = None) -> _Given:
     process = machining.load(request.process)
     _, tool = flat_tool(process, request.tool)
     probe_data = probing.read(request.probed)
+    _check_top(probe_data, process)
     rows, parts = [], []
     for path, base in programs_of(probe_data, request.programs).items():
         its_cell = clamped(cell, Placement("" if base < 0 else str(base)), probe_data.file)
@@ -330,8 +346,25 @@ def _given(request: PartRequest, model: str | None = None) -> _Given:
         )
         parts.append(Clamped(program, robot_in_cell, ProcessSource(process, robot_in_cell.spindle), contact_surfaces))
     contact_surfaces = Surfaces.joined([part.where for part in parts])
-    readings = Readings(probe_data.take(np.concatenate(rows)), contact_surfaces, request.sigma_mm * M_PER_MM)
+    readings = Readings.of(probe_data.take(np.concatenate(rows)), contact_surfaces, request.sigma_mm * M_PER_MM)
     return _Given(_prior(parts[0].robot_in_cell, process), readings, tuple(parts), process)
+
+
+def _check_top(probe_data: Probed, process: Process) -> None:
+    """Refuse touch-off points that are not on the top of the block of the process.
+
+    :raises MeasurementError: one is not.
+    """
+    if process.stock.box is None:
+        return
+    top = process.stock.box.Z[1]
+    for name, height in zip(probe_data.touch_off.name, probe_data.touch_off.point[:, 2].tolist(), strict=True):
+        if abs(height * MM_PER_M - top) > _SAME_HEIGHT:
+            raise MeasurementError(
+                f"{name} is at Z {height * MM_PER_M:g}, the top of the block in {Path(process.path).name} at Z {top:g}",
+                file=probe_data.file,
+                advice="Give X, Y, Z as programmed, and what was measured as deviation_mm.",
+            )
 
 
 def _placements(cell: Cell, numbers: tuple[int, ...]) -> dict[Placement, Cell]:
@@ -390,7 +423,7 @@ def compare_part(request: PartRequest, model: str | None = None) -> tuple[PartId
     """
     part_data = _given(request, model)
     fit, rejected_rows = part_data.fit(part_data.prior.widened())
-    part_agreement = agreement(fit, part_data.prior)
+    part_agreement = agreement(fit, part_data.prior, rejected_rows)
     return replace(summary(fit, rejected_rows), agreement=part_agreement), part_agreement
 
 

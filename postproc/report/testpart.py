@@ -29,8 +29,9 @@ from postproc.report.kit import (
 from postproc.testpart import features
 from postproc.testpart.design import MOST_CHANGE, Design
 from postproc.testpart.features import Cutting, Placement, Program
-from postproc.testpart.fit import Prior
 from postproc.testpart.model import Agreement, PartIdentification
+from postproc.testpart.prior import Prior
+from postproc.testpart.probing import TOP
 
 _WIDE = 900.0
 """Width of the drawing [px]."""
@@ -66,12 +67,21 @@ def design_page(
             f"Clamp a block of X {box.X[0]:g} … {box.X[1]:g}, Y {box.Y[0]:g} … {box.Y[1]:g}, "
             f"Z {box.Z[0]:g} … {box.Z[1]:g} mm in $BASE."
         ),
+        Note(
+            f"Touch the top of the block with the tool near the corners, at {_touch_texts(parts)}: it is at "
+            f"Z {box.Z[1]:g} of $BASE. Leave it uncut there: it is probed with the features."
+        ),
         *_cutting_steps(parts),
         *_weight_steps(parts),
         Note(
-            "Probe the points of probing.csv; fill in deviation_mm: along the normal, positive where material is left."
+            "Probe the points of probing.csv in its order, in one clamping: T01.top … on the uncut top, then feature "
+            "after feature: left, right, floor, step_floor of the half that was cut under load, then its ref_ points. "
+            "Fill in deviation_mm: along the normal, positive where material is left; on the top, where it is higher."
         ),
-        Note("Where the part is probed does not matter: its position is found from the deviations."),
+        Note(
+            "Where the part is probed does not matter: its position is found from the deviations. The points on the "
+            "top say how deep the cuts are: a program that ran too high or too low is counted or refused."
+        ),
         Note(
             "postproc identify part probing.csv --cell CELL --process testpart.process.toml "
             f"--program {' '.join(placement.name for placement, part in parts.items() if len(part.feature))} -o MODEL"
@@ -149,6 +159,16 @@ def _hidden(design: Design, prior: Prior) -> str | None:
     )
 
 
+def _touch_texts(parts: dict[Placement, Program]) -> str:
+    """Return names and places of the touch-off points of the first placement in which something is cut."""
+    program = next(part for part in parts.values() if part.features)
+    return ", ".join(
+        f"{name.partition('.')[0]} X{x:g} Y{y:g}"
+        for name, (x, y, _) in zip(program.feature, (program.point * MM_PER_M).tolist(), strict=True)
+        if name.rpartition(".")[2] == TOP
+    )
+
+
 def _cutting_steps(parts: dict[Placement, Program]) -> list[Note]:
     uncorrected = "uncorrected, in one clamping, with a sharp tool."
     if len(parts) == 1:
@@ -211,15 +231,18 @@ def _drawings(design: Design, cutting: Cutting, parts: dict[Placement, Program],
         if not feature_numbers:
             continue
         caption = f"Block at {placement.title}, {placement.name}. " if len(parts) > 1 else ""
-        drawings.append(_drawing(design, feature_numbers, cutting, box, caption))
+        drawings.append(_drawing(design, feature_numbers, cutting, box, program, caption))
         first = feature_numbers.stop
     return tuple(drawings)
 
 
-def _drawing(design: Design, feature_numbers: range, cutting: Cutting, box: Box, caption: str) -> Drawing:
+def _drawing(
+    design: Design, feature_numbers: range, cutting: Cutting, box: Box, program: Program, caption: str
+) -> Drawing:
     """Return the plan view of the block: outlines of grooves and trimmed halves, probed points, numbers.
 
     :param feature_numbers: features of this placement; of others the outlines are shown.
+    :param program: of this placement.
     """
     low, high = np.array([box.X[0], box.Y[0]]), np.array([box.X[1], box.Y[1]])
     scale = _WIDE / (high[0] - low[0])
@@ -257,6 +280,14 @@ def _drawing(design: Design, feature_numbers: range, cutting: Cutting, box: Box,
             'fill="currentColor" paint-order="stroke" stroke="var(--card)" stroke-width="4">'
             f"F{number:02d} · {feature.kind.depth * MM_PER_M:g}</text>"
         )
+    for name, point in zip(program.feature, program.point * MM_PER_M, strict=True):
+        if name.rpartition(".")[2] == TOP:
+            x, y = xy(point[None])[0].tolist()
+            shapes.append(
+                f'<path d="M{x - 6:.1f} {y:.1f}H{x + 6:.1f}M{x:.1f} {y - 6:.1f}V{y + 6:.1f}" stroke="currentColor"/>'
+                f'<text x="{x:.1f}" y="{y - 9:.1f}" text-anchor="middle" font-size="13" fill="currentColor">'
+                f"{name.partition('.')[0]}</text>"
+            )
     for text, x, y, anchor in (
         (f"X {box.X[0]:g}", 0.0, tall + 18.0, "start"),
         (f"X {box.X[1]:g}", _WIDE, tall + 18.0, "end"),
@@ -274,7 +305,8 @@ def _drawing(design: Design, feature_numbers: range, cutting: Cutting, box: Box,
         svg,
         "Plan view of the block with the features",
         f"{caption}Seen from the spindle. Shaded: cut under load; dashed: trimmed by light passes. Dots: probed "
-        "points, hollow ones on reference surfaces. Behind each number the depth in mm.",
+        "points, hollow ones on reference surfaces. Crosses: touch-off points on the uncut top. Behind each number the "
+        "depth in mm.",
     )
 
 
@@ -350,6 +382,13 @@ def part_lines(data: PartIdentification) -> list[str]:
         f"{data.left_mm:.4f}; probe {data.sigma_mm:.4f}"
     )
     lines.append(f"unmodelled error {data.unmodelled_percent:.2g} % of the deflection")
+    for error in data.touch_off:
+        direction = "above" if error.lift_mm >= 0.0 else "below"
+        frame = f" at {error.frame}" if len(data.touch_off) > 1 else ""
+        lines.append(
+            f"the program ran {abs(error.lift_mm):.3f} ± {error.ci95:.2g} mm {direction} its height over the uncut "
+            f"top{frame}"
+        )
     return lines
 
 
@@ -357,7 +396,8 @@ def agreement_lines(data: PartIdentification, agreement: Agreement) -> list[str]
     """Return how the model of the cell agrees with the part, as lines to print."""
     state = "the model holds" if agreement.holds else "THE MODEL DOES NOT HOLD"
     return [
-        f"{state}: {agreement.line}",
+        *([f"NOT DECIDED: {agreement.fault}"] if agreement.fault else []),
+        *([] if agreement.fault else [f"{state}: {agreement.line}"]),
         f"deviations {data.deviation_mm:.4f} mm RMS, of which the model leaves {data.without_mm:.4f}; "
         f"probe {data.sigma_mm:.4f}",
     ]
@@ -373,6 +413,15 @@ def part_page(data: PartIdentification, name: str) -> bytes:
         Tile("Left by this model", f"{data.left_mm:.4f}", "mm", note=f"noise of the probe {data.sigma_mm:g} mm"),
         Tile("Forces over those computed", f"{data.force_scale.value:.3f}", note=f"± {data.force_scale.ci95:.2g}"),
         Tile("Unmodelled error", f"{data.unmodelled_percent:.2g}", "%", note="of the deflection"),
+        *(
+            Tile(
+                "Program over the block",
+                f"{error.lift_mm:+.3f}",
+                "mm",
+                note=f"± {error.ci95:.2g} by {len(error.points)} touch-off points, {error.frame}",
+            )
+            for error in data.touch_off
+        ),
     )
     notes = [Note(f"{text}.", "warning") for text in data.warnings]
     notes.append(Note(_PRODUCT))

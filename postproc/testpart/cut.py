@@ -35,6 +35,8 @@ _STEP = 1e-2
 """Relative change of a parameter for the derivative by it: the model is linear in each but for the load's stiffness."""
 _SCALE_STEP = 1e-3
 """Relative change of the forces for the derivative by their scale."""
+LIFT_STEP = 1e-4
+"""Lift of the program over the block for the derivative by it [m]: forces are nearly linear in the depth of cut."""
 
 
 class Surfaces(Columns, frozen=True, eq=False):
@@ -44,6 +46,7 @@ class Surfaces(Columns, frozen=True, eq=False):
     :param weight: (n, 2, 6) deviation by the twist of the tool in the root: the smaller of the two counts.
     :param wall: (n,) 1 for walls, which a larger tool moves into the material, 0 for floors.
     :param hung: (n, 6) wrench [N, N·m] of a weight hung on the tool, root axes, where a gauge reads its displacement.
+    :param point: (n, 3) of the surface, `$BASE` [m].
     """
 
     motion: Ints
@@ -51,6 +54,7 @@ class Surfaces(Columns, frozen=True, eq=False):
     weight: Array
     wall: Array
     hung: Array
+    point: Array
 
     def deviation(self, twist: Array) -> tuple[Array, Array]:
         """Return the deviations (n,) for twists (n, 6), and their derivatives by the twist (n, 6)."""
@@ -110,7 +114,8 @@ def surfaces(program: Program, robot_in_cell: RobotInCell, probe_data: Probed, r
     weight_wrench = np.zeros((len(motion), 6))
     weight_wrench[:, 2] = -GRAVITY * probe_data.mass
     rotation = np.broadcast_to(toolpath.base_of(program, motion)[..., :3, :3], (len(motion), 3, 3))
-    return Surfaces(motion, probe_data.t, turned(rotation, weight), (wall & ~hangs).astype(float), weight_wrench)
+    is_wall = (wall & ~hangs).astype(float)
+    return Surfaces(motion, probe_data.t, turned(rotation, weight), is_wall, weight_wrench, probe_data.point)
 
 
 def weights(normal: Array, lever: Array, axis: Array, travel: Array, radius: float) -> Array:
@@ -145,6 +150,8 @@ class States(Columns, frozen=True, eq=False):
     :param pose: (n, 4, 4) nominal tool frame in the root [m].
     :param wrench: (n, 6) on the tool at its tip, root axes [N, N·m].
     :param hung: (n, 6) wrench of a weight hung on the tool, known exactly.
+    :param lift: (n,) how high the program ran over the block where the wrench acts [m].
+    :param by_lift: (n, 6) derivative of the wrench by the lift.
     """
 
     q: Array
@@ -152,6 +159,8 @@ class States(Columns, frozen=True, eq=False):
     pose: Array
     wrench: Array
     hung: Array
+    lift: Array
+    by_lift: Array
 
     def twist(self, robot_in_cell: RobotInCell, robot: RobotModel, scale: float) -> Array:
         """Return the displacement (n, 6) of the tool from nominal under forces times a scale, root axes [m, rad]."""
@@ -178,13 +187,25 @@ class States(Columns, frozen=True, eq=False):
         twist_at_step = self.twist(robot_in_cell, robot, scale + _SCALE_STEP)
         return twist, by_parameter, (twist_at_step - twist) / _SCALE_STEP
 
+    def twist_by_lift(self, robot_in_cell: RobotInCell, robot: RobotModel, scale: float) -> Array:
+        """Return the derivative of the twist (n, 6) by the lift of the program over the block, 1/m times the twist."""
+        lifted = replace(self, wrench=self.wrench + LIFT_STEP * self.by_lift)
+        change = lifted.twist(robot_in_cell, robot, scale) - self.twist(robot_in_cell, robot, scale)
+        return np.asarray(change / LIFT_STEP)
+
+
+def without_lift(q: Array, tool: Array, pose: Array, wrench: Array, hung: Array | None = None) -> States:
+    """Return states of a program that runs at its height over the block, whatever its forces are at another one."""
+    none = np.zeros((len(q), 6))
+    return States(q, tool, pose, wrench, none if hung is None else hung, np.zeros(len(q)), none)
+
 
 class Cut(Struct, frozen=True, eq=False):
     """A program under the forces of its process.
 
     :param at: the states where probed surfaces are made.
     :param path: those at samples of the path, and their places.
-    :param motion: (N,) row of `Motions` of each sample, `t` (N,) its place.
+    :param motion: (N,) row of `Motions` of each sample, `t` (N,) its place, `tip` (N, 3) the tip there, `$BASE` [m].
     :param program: the program.
     """
 
@@ -192,13 +213,29 @@ class Cut(Struct, frozen=True, eq=False):
     path: States
     motion: Ints
     t: Array
+    tip: Array
     program: Program
 
-    def shift(self, robot_in_cell: RobotInCell, robot: RobotModel, scale: float) -> Shift:
-        """Return the displacement of the tip along the path, for the forces of the deflected tool."""
+    def shift(self, robot_in_cell: RobotInCell, robot: RobotModel, scale: float, lift: Heights) -> Shift:
+        """Return the displacement of the tip along the path, for the forces of the deflected tool.
+
+        :param lift: how high the program runs over the block.
+        """
         displacement = self.path.twist(robot_in_cell, robot, scale)[:, :3]
+        return self._shift(displacement + lift(self.tip)[:, None] * self.up)
+
+    def lifted(self, height: float) -> Shift:
+        """Return the displacement of the tip of a rigid robot whose program runs too high over the block [m]."""
+        return self._shift(height * self.up)
+
+    def _shift(self, displacement: Array) -> Shift:
         program = self.program
         return Shift(self.motion, self.t, displacement, program.bases[:, :3, :3], program.motions.base)
+
+    @property
+    def up(self) -> Array:
+        """(N, 3) Z of the `$BASE` of each sample, root axes."""
+        return np.broadcast_to(toolpath.base_of(self.program, self.motion)[..., :3, 2], (len(self.motion), 3))
 
 
 def cut(program: Program, robot_in_cell: RobotInCell, source: ProcessSource, new_surfaces: Surfaces) -> Cut:
@@ -216,12 +253,11 @@ def cut(program: Program, robot_in_cell: RobotInCell, source: ProcessSource, new
         line = cause.issue.source_line
         raise MeasurementError(cause.issue.message, file=program.documents[0].name, line=line) from None
     rows = np.arange(len(path))
-    path_states = States(
+    path_states = without_lift(
         path.joints.q[:],
         np.broadcast_to(path.tool(rows), (len(path), 4, 4)),
         path.pose_in_root(rows),
         path.wrench_in_root(rows),
-        np.zeros((len(path), 6)),
     )
     motion, t = path.sample.motion, path.sample.t
     index = np.array(
@@ -230,7 +266,8 @@ def cut(program: Program, robot_in_cell: RobotInCell, source: ProcessSource, new
             for row, share in zip(new_surfaces.motion.tolist(), new_surfaces.t.tolist(), strict=True)
         ]
     )
-    return Cut(replace(path_states.take(index), hung=new_surfaces.hung), path_states, motion, t, program)
+    at = replace(path_states.take(index), hung=new_surfaces.hung)
+    return Cut(at, path_states, motion, t, path.sample.pose[:, :3, 3], program)
 
 
 class Clamped(Struct, frozen=True, eq=False):
@@ -246,19 +283,57 @@ class Clamped(Struct, frozen=True, eq=False):
     where: Surfaces
 
 
-def forces_of(parts: Sequence[Clamped]) -> Callable[[RobotModel, float], States]:
-    """Return a function of a model and a scale of the forces: the states where surfaces are made, part after part.
+Heights = Callable[[Array], Array]
+"""Heights (n,) [m] at points (n, 3) in `$BASE` [m]."""
 
-    Each call cuts the programs once, with the tool deflected as by the forces of the call before.
+
+def no_lift(points: Array) -> Array:
+    """Return zero heights: the program runs over the block as it is written."""
+    return np.zeros(len(points))
+
+
+class CutForces:
+    """Forces where the surfaces of programs are made, with the tool deflected as by the forces of the call before.
+
+    Each call cuts the programs once; the first one twice, for the derivative of the forces by the lift.
+
+    :param parts: the programs.
     """
-    last: list[Cut] = []
 
-    def states(robot: RobotModel, scale: float) -> States:
-        cuts = []
-        for k, part in enumerate(parts):
-            source = part.source.shifted(last[k].shift(part.robot_in_cell, robot, scale)) if last else part.source
-            cuts.append(cut(part.program, part.robot_in_cell, source, part.where))
-        last[:] = cuts
-        return States.joined([one_cut.at for one_cut in cuts])
+    def __init__(self, parts: Sequence[Clamped]) -> None:
+        self._parts = parts
+        self._cuts: list[Cut] = []
+        self._by_lift: list[Array] = []
 
-    return states
+    def __call__(self, robot: RobotModel, scale: float, lifts: Sequence[Heights] = ()) -> States:
+        """Return the states where surfaces are made, part after part.
+
+        :param scale: of the forces.
+        :param lifts: how high each program ran over the block; none: as written.
+        """
+        lifts = lifts or [no_lift] * len(self._parts)
+        if not self._cuts:
+            self._begin()
+        else:
+            self._cuts = [
+                _cut_again(part, last_cut.shift(part.robot_in_cell, robot, scale, lift))
+                for part, last_cut, lift in zip(self._parts, self._cuts, lifts, strict=True)
+            ]
+        return States.joined(
+            [
+                replace(part_cut.at, lift=lift(part.where.point), by_lift=by_lift)
+                for part, part_cut, lift, by_lift in zip(self._parts, self._cuts, lifts, self._by_lift, strict=True)
+            ]
+        )
+
+    def _begin(self) -> None:
+        """Cut with a rigid robot, at the height of the program and above it."""
+        for part in self._parts:
+            rigid = cut(part.program, part.robot_in_cell, part.source, part.where)
+            lifted = _cut_again(part, rigid.lifted(LIFT_STEP))
+            self._cuts.append(rigid)
+            self._by_lift.append((lifted.at.wrench - rigid.at.wrench) / LIFT_STEP)
+
+
+def _cut_again(part: Clamped, shift: Shift) -> Cut:
+    return cut(part.program, part.robot_in_cell, part.source.shifted(shift), part.where)

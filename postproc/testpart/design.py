@@ -25,9 +25,10 @@ from postproc.poses import Poses
 from postproc.program import Bools, Document, Ints, read_only
 from postproc.program import Program as Motions
 from postproc.testpart import features
-from postproc.testpart.cut import States, Surfaces, turned, weights
+from postproc.testpart.cut import LIFT_STEP, States, Surfaces, turned, weights
 from postproc.testpart.features import Cutting, Feature, Kind, Placement
-from postproc.testpart.fit import PATH_ERROR, RADIUS_ERROR, Prior
+from postproc.testpart.prior import Prior
+from postproc.testpart.readings import PATH_ERROR, RADIUS_ERROR, UNEVENNESS
 from postproc.under_load import RobotInCell
 
 _ANGLES = 12
@@ -39,8 +40,8 @@ _LEAST_FLOOR = 2e-3
 """Least thickness of the block below the features [m]."""
 _POSITION = 1e-2, 1e-1
 """Standard deviations of the position of the part where it is probed [m, rad]: free."""
-_POSES = 6
-"""Numbers of a position."""
+_POSES = 7
+"""Numbers of a position, and the height of the uncut top."""
 _MODEL = 0.005
 """Error of the prediction that is expected besides, as a share of the deflection."""
 _TESTS = 48
@@ -69,7 +70,7 @@ class Candidates(Struct, frozen=True, eq=False):
     :param feature: (c,) them.
     :param placement: (c,) number of the placement in which each is cut, from 0.
     :param information: (c, m, m) of the unknowns: parameters and force scale in units of their prior standard
-        deviations, radius of the tool, position of the part in each placement.
+        deviations, radius of the tool, position of the cuts and height of the uncut top in each placement.
     :param seconds: (c,) time that each takes [s].
     :param apart: (c, c) True where two of them do not touch.
     :param deflection: (c,) largest expected displacement of the tool [m].
@@ -139,11 +140,13 @@ class Loads(Struct, frozen=True, eq=False):
     """What loads the tool where the surfaces of one kind of feature are made, in the axes of the feature.
 
     :param tip: (s, 3) tip of the tool [m]; `wrench` (s, 6) on it; `travel` (s, 3) direction of travel.
+    :param by_lift: (s, 6) derivative of the wrench by the lift of the program over the block.
     """
 
     tip: Array
     wrench: Array
     travel: Array
+    by_lift: Array
 
 
 def loads(kinds: list[Kind], cutting: Cutting, process: Process, robot_in_cell: RobotInCell) -> list[Loads]:
@@ -151,28 +154,39 @@ def loads(kinds: list[Kind], cutting: Cutting, process: Process, robot_in_cell: 
 
     :raises ForceError: the process cannot be used.
     """
-    long = features.half_length(cutting.diameter)
     pitch = 4.0 * cutting.diameter
     row = [Feature(kind, 0.0, k * pitch, 0.0) for k, kind in enumerate(kinds)]
     part = features.program(row, cutting)
     motions = read_text(part.text, robot_in_cell)
-    deep = max(kind.depth for kind in kinds) + 5e-3
-    spans = (-2.0 * long, 2.0 * long), (-pitch, len(kinds) * pitch), (cutting.top - deep, cutting.top)
-    box = Box(*((low * MM_PER_M, high * MM_PER_M) for low, high in spans))
-    stock = StockTable(box=box, resolution_mm=process.stock.resolution_mm)
-    source = ProcessSource(replace(process, stock=stock, operations={}), robot_in_cell.spindle)
     path = toolpath.segments(motions, robot_in_cell.start_flange)
-    path_forces = forces.assign(motions, path, source, robot_in_cell.spindle, robot_in_cell.ramp)
     motion = np.array([int(np.flatnonzero(motions.motions.line == line)[0]) for line in part.line])
     places = toolpath.at(motions, path, motion, part.t)
-    wrench, travel = path_forces.at(places), toolpath.tangent(motions, path, motion, part.t)
+    travel = toolpath.tangent(motions, path, motion, part.t)
+    wrench, lifted_wrench = (
+        forces.assign(motions, path, source, robot_in_cell.spindle, robot_in_cell.ramp).at(places)
+        for source in (
+            _source(kinds, replace(cutting, top=cutting.top - lift), process, robot_in_cell)
+            for lift in (0.0, LIFT_STEP)
+        )
+    )
+    by_lift = (lifted_wrench - wrench) / LIFT_STEP
     loads_by_kind, first = [], 0
     for feature in row:
         rows = slice(first, first + len(features.probes(feature.kind, cutting)))
         tip = places.pose[rows, :3, 3] - np.array([feature.x, feature.y, cutting.top])
-        loads_by_kind.append(Loads(tip, wrench[rows], travel[rows]))
+        loads_by_kind.append(Loads(tip, wrench[rows], travel[rows], by_lift[rows]))
         first = rows.stop
     return loads_by_kind
+
+
+def _source(kinds: list[Kind], cutting: Cutting, process: Process, robot_in_cell: RobotInCell) -> ProcessSource:
+    """Return the forces in a block that has room for a row of features."""
+    long, pitch = features.half_length(cutting.diameter), 4.0 * cutting.diameter
+    deep = max(kind.depth for kind in kinds) + 5e-3
+    spans = (-2.0 * long, 2.0 * long), (-pitch, len(kinds) * pitch), (cutting.top - deep, cutting.top)
+    box = Box(*((low * MM_PER_M, high * MM_PER_M) for low, high in spans))
+    stock = StockTable(box=box, resolution_mm=process.stock.resolution_mm)
+    return ProcessSource(replace(process, stock=stock, operations={}), robot_in_cell.spindle)
 
 
 def candidates(
@@ -305,45 +319,34 @@ def _of_kind(
     sigma: float,
 ) -> _Found:
     """Return the reachable features of one kind."""
-    kind = features_of_kind[0].kind
-    probes = features.probes(kind, cutting)
+    probes = features.probes(features_of_kind[0].kind, cutting)
     count = len(probes)
     points = np.array([probe.point for probe in probes])
     normals = np.array([probe.normal for probe in probes])
 
-    def each(vectors: Array, *, is_direction: bool = False) -> Array:
+    def of_all(vectors: Array, *, is_direction: bool = False) -> Array:
         return np.concatenate(
             [features.placed(f, cutting.top, vectors, is_direction=is_direction) for f in features_of_kind]
         )
 
-    tip, travel, normal = each(load.tip), each(load.travel, is_direction=True), each(normals, is_direction=True)
-    lever = each(points) - tip
-    wrench = np.concatenate(
-        [each(load.wrench[:, :3], is_direction=True), each(load.wrench[:, 3:], is_direction=True)], axis=1
-    )
-    states, reachable, rotation = _states(robot_in_cell, tip, wrench, cutting, count)
-    axis = np.broadcast_to([0.0, 0.0, 1.0], normal.shape)
-    weight = turned(rotation, weights(normal, lever, axis, travel, 0.5 * cutting.diameter))
-    wall = (np.abs(normal[:, 2]) < 0.5).astype(float)
-    rows = np.repeat(reachable, count)
-    zeros = np.zeros((int(rows.sum()), 6))
-    probed_surfaces = Surfaces(zeros[:, 0].astype(np.int64), zeros[:, 0], weight[rows], wall[rows], zeros)
+    def of_wrench(wrench: Array) -> Array:
+        return np.concatenate([of_all(part, is_direction=True) for part in (wrench[:, :3], wrench[:, 3:])], axis=1)
+
+    tip, point, normal = of_all(load.tip), of_all(points), of_all(normals, is_direction=True)
+    wrenches = of_wrench(load.wrench), of_wrench(load.by_lift)
+    states, reachable, rotation = _states(robot_in_cell, tip, wrenches, cutting, count)
     if not reachable.any():
         return []
-    twist, by_parameter, by_scale = states.derivatives(robot_in_cell, prior.robot, prior.order, 1.0)
-    _, at = probed_surfaces.deviation(twist)
-    slopes = np.einsum("nk,nkp->np", at, by_parameter) @ prior.by_file * prior.sigma[:-1]
-    deflection = np.linalg.norm(by_scale[:, :3], axis=1).reshape(-1, count)
-    by_force = prior.sigma[-1] * np.einsum("nk,nk->n", at, by_scale)
-    middle = each(points)[rows] - each(points).mean(axis=0)
-    normal = normal[rows]
-    position = np.concatenate([_POSITION[0] * normal, _POSITION[1] * np.cross(middle, normal)], axis=1)
-    columns = np.column_stack([slopes, by_force, RADIUS_ERROR * probed_surfaces.wall, position]).reshape(
-        -1, count, slopes.shape[1] + 2 + _POSES
+    axis = np.broadcast_to([0.0, 0.0, 1.0], normal.shape)
+    travel = of_all(load.travel, is_direction=True)
+    weight = turned(rotation, weights(normal, point - tip, axis, travel, 0.5 * cutting.diameter))
+    wall = (np.abs(normal[:, 2]) < 0.5).astype(float)
+    rows = np.repeat(reachable, count)
+    none = np.zeros((int(rows.sum()), 6))
+    where = Surfaces(none[:, 0].astype(np.int64), none[:, 0], weight[rows], wall[rows], none, point[rows])
+    information, deflection = _information(
+        prior, robot_in_cell, states, where, (point - points.mean(axis=0))[rows], normal[rows], count, sigma
     )
-    noise = PATH_ERROR**2 * normals @ normals.T + sigma**2 * np.eye(count)
-    whole = noise + (_MODEL * deflection)[:, :, None] ** 2 * np.eye(count)
-    information = np.swapaxes(columns, 1, 2) @ np.linalg.solve(whole, columns)
     worst_probe = np.argmax(deflection, axis=1)
     reached_features = [
         feature for feature, is_reached in zip(features_of_kind, reachable.tolist(), strict=True) if is_reached
@@ -354,10 +357,45 @@ def _of_kind(
     ]
 
 
+def _information(
+    prior: Prior,
+    robot_in_cell: RobotInCell,
+    states: States,
+    where: Surfaces,
+    arm: Array,
+    normal: Array,
+    count: int,
+    sigma: float,
+) -> tuple[Array, Array]:
+    """Return the information (k, m, m) of features of `count` probed points each, and the displacements (k, count) [m].
+
+    :param arm: (k count, 3) from a place of the block to the points [m].
+    :param normal: (k count, 3) of the surfaces.
+    """
+    twist, by_parameter, by_scale = states.derivatives(robot_in_cell, prior.robot, prior.order, 1.0)
+    at = where.deviation(twist)[1]
+    slopes = np.einsum("nk,nkp->np", at, by_parameter) @ prior.by_file * prior.sigma[:-1]
+    deflection = np.linalg.norm(by_scale[:, :3], axis=1).reshape(-1, count)
+    by_force = prior.sigma[-1] * np.einsum("nk,nk->n", at, by_scale)
+    by_lift = np.einsum("nk,nk->n", at, states.twist_by_lift(robot_in_cell, prior.robot, 1.0))
+    direction = normal + by_lift[:, None] * np.array([0.0, 0.0, 1.0])
+    position = np.concatenate([_POSITION[0] * direction, _POSITION[1] * np.cross(arm, direction)], axis=1)
+    columns = np.column_stack([slopes, by_force, RADIUS_ERROR * where.wall, position, UNEVENNESS * by_lift])
+    columns = columns.reshape(-1, count, columns.shape[1])
+    direction, by_lift = direction.reshape(-1, count, 3), by_lift.reshape(-1, count, 1)
+    noise = PATH_ERROR**2 * direction @ np.swapaxes(direction, 1, 2) + sigma**2 * np.eye(count)
+    noise += UNEVENNESS**2 * by_lift @ np.swapaxes(by_lift, 1, 2)
+    noise += (_MODEL * deflection)[:, :, None] ** 2 * np.eye(count)
+    return np.swapaxes(columns, 1, 2) @ np.linalg.solve(noise, columns), deflection
+
+
 def _states(
-    robot_in_cell: RobotInCell, tip: Array, wrench: Array, cutting: Cutting, count: int
+    robot_in_cell: RobotInCell, tip: Array, wrenches: tuple[Array, Array], cutting: Cutting, count: int
 ) -> tuple[States, Bools, Array]:
-    """Return the states at tips (n, 3) of features of `count` places each, which features are reached, and `$BASE`."""
+    """Return the states at tips (n, 3) of features of `count` places each, which features are reached, and `$BASE`.
+
+    :param wrenches: (n, 6) on the tips, and (n, 6) their derivative by the lift, `$BASE` axes.
+    """
     text = f"G21 G90 G17 G94\nT{cutting.tool} M6\nG0 X0 Y0 Z0\nG1 X0 Y0 Z1 F100\n"
     motions = read_text(text, robot_in_cell)
     last = len(motions.motions) - 1
@@ -381,26 +419,21 @@ def _states(
             break
         reachable[rows[~within_limits] // count] = False
     rotation = np.broadcast_to(toolpath.base_of(motions, motion)[..., :3, :3], (len(tip), 3, 3))
+    wrench, by_lift = (toolpath.wrench_in_root(motions, motion[rows], vectors[rows]) for vectors in wrenches)
     states = States(
         q,
         np.broadcast_to(toolpath.tool_of(motions, motion[rows]), (len(rows), 4, 4)),
         toolpath.pose_in_root(motions, motion[rows], pose[rows], t[rows]),
-        toolpath.wrench_in_root(motions, motion[rows], wrench[rows]),
+        wrench,
         np.zeros((len(rows), 6)),
+        np.zeros(len(rows)),
+        by_lift,
     )
     return states, reachable, rotation
 
 
-def _ends(feature: Feature, cutting: Cutting) -> tuple[Array, Array, float]:
-    """Return the ends of the middle line of a feature (2,) and half its width."""
-    middle, half = features.outline(feature.kind, cutting)
-    long = features.half_length(cutting.diameter)
-    ends = features.placed(feature, 0.0, np.array([[-long, middle, 0.0], [long, middle, 0.0]]))[:, :2]
-    return ends[0], ends[1], half
-
-
 def _inside(feature: Feature, cutting: Cutting, box: tuple[Array, Array]) -> bool:
-    *ends, half = _ends(feature, cutting)
+    *ends, half = features.middle_line(feature, cutting)
     return all(bool(((end - half >= box[0][:2]) & (end + half <= box[1][:2])).all()) for end in ends)
 
 
@@ -408,7 +441,7 @@ def _apart(all_features: tuple[Feature, ...], cutting: Cutting) -> Bools:
     """Return which features (c, c) do not touch: their middle lines are further apart than their halves are wide."""
     outlines = [(feature.kind.side, feature.x, feature.y, feature.angle) for feature in all_features]
     distinct = dict(zip(outlines, all_features, strict=True))  # depths and placements have the same outlines
-    parts = [_ends(feature, cutting) for feature in distinct.values()]
+    parts = [features.middle_line(feature, cutting) for feature in distinct.values()]
     begin, end = (np.array([part[k] for part in parts]) for k in (0, 1))
     half = np.array([part[2] for part in parts])
     is_apart = np.empty((len(parts), len(parts)), dtype=bool)
@@ -491,7 +524,8 @@ def weighed(
     weight_wrench = np.zeros((len(places), 6))
     weight_wrench[:, 2] = -GRAVITY * mass
     for robot_in_cell in placements:
-        states, reachable, rotation = _states(robot_in_cell, places, np.zeros((len(places), 6)), cutting, 1)
+        none = np.zeros((len(places), 6))
+        states, reachable, rotation = _states(robot_in_cell, places, (none, none), cutting, 1)
         if not reachable.all():
             raise PlanError("the robot does not reach the places of the weight above the block", file="--weight")
         twist, by_parameter, _ = replace(states, hung=weight_wrench).derivatives(
@@ -609,7 +643,7 @@ def _visible(prior: Prior, information: Array) -> Array:
     """
     size = len(prior.parameters) + 1
     nuisance = information[size:, size:].copy()
-    nuisance[0, 0] += 1.0  # the radius is known before
+    nuisance += np.eye(len(nuisance))  # radius and height of the top are known before; the position is free
     coupling = information[:size, size:]
     own_information = information[:size, :size] - coupling @ np.linalg.pinv(nuisance, hermitian=True) @ coupling.T
     information_of_two = (

@@ -12,11 +12,12 @@ wall at +v is down-milling, at −v up-milling. Lengths in metres.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from msgspec import Struct
 
+from postproc.errors import PlanError
 from postproc.frames import MM_PER_M, Array
 
 _HALF = 1.6
@@ -41,6 +42,11 @@ _PLUNGE = 0.5
 """Feed of ramps and entries, as a share of the feed."""
 _HANG_HEIGHT = 0.2
 """Height above the block at which a weight is hung on the tool [m]."""
+_TOUCH_EDGE, _TOUCH_WALL = 5e-3, 2e-3
+"""Distance of touch-off points from the edge of the block, and from the walls of features [m]."""
+_TOUCH_PITCH = 2e-3
+"""Distance of the places that are tried for touch-off points [m]."""
+_FEWEST_TOUCHES = 3
 RAPID = 0.1
 """Speed of rapid moves for the estimate of the time [m/s]."""
 
@@ -237,8 +243,9 @@ class Program(Struct, frozen=True, eq=False):
 
     :param text: G-code.
     :param features: their number.
-    :param feature: (n,) names of the probed points, ``F01.left``: feature and surface.
-    :param line: (n,) line of the text whose motion makes each point, and `t` (n,) the place on that motion.
+    :param feature: (n,) names of the probed points: feature and surface, ``F01.left``; ``T01.top`` of the uncut top.
+    :param line: (n,) line of the text whose motion makes each point, and `t` (n,) the place on that motion; 0 for
+        points of the uncut top.
     :param point: (n, 3) in `$BASE` [m].
     :param normal: (n, 3) out of the material; of a gauge the direction in which it reads positive.
     :param mass: (n,) of the weight hung on the tool at a reading of a gauge [kg]; 0 at probed points.
@@ -260,72 +267,151 @@ def hanging_places(low: Array, high: Array, top: float) -> Array:
     return np.column_stack([low[:2] + share * (high - low)[:2], np.full(len(share), top + _HANG_HEIGHT)])
 
 
+def middle_line(feature: Feature, cutting: Cutting) -> tuple[Array, Array, float]:
+    """Return the ends of the middle line of a feature (2,) and half its width, with half the wall next to it [m]."""
+    middle, half = outline(feature.kind, cutting)
+    long = half_length(cutting.diameter)
+    ends = placed(feature, 0.0, np.array([[-long, middle, 0.0], [long, middle, 0.0]]))[:, :2]
+    return ends[0], ends[1], half
+
+
+def touch_off_places(features: Sequence[Feature], cutting: Cutting, low: Array, high: Array) -> Array:
+    """Return touch-off points (k, 3) on the uncut top near the corners of the block, `$BASE` [m].
+
+    :param features: all that are cut into the block, in whatever placement.
+    :param low: (3,) and `high` (3,): corners of the block [m].
+    :raises PlanError: the features leave no room.
+    """
+    x, y = (
+        np.arange(low[k] + _TOUCH_EDGE, high[k] - _TOUCH_EDGE + 1e-9, max(_TOUCH_PITCH, (high[k] - low[k]) / 100.0))
+        for k in (0, 1)
+    )
+    free = np.array([[px, py] for px in x for py in y]).reshape(-1, 2)
+    for feature in features:
+        begin, end, half = middle_line(feature, cutting)
+        share = np.clip((free - begin) @ (end - begin) / ((end - begin) @ (end - begin)), 0.0, 1.0)
+        distance = np.linalg.norm(free - begin - share[:, None] * (end - begin), axis=1)
+        free = free[distance > half + _TOUCH_WALL]
+    places = np.zeros((0, 2))
+    if len(free):
+        corners = [(cx, cy) for cx in (low[0], high[0]) for cy in (low[1], high[1])]
+        nearest = [int(np.argmin(np.linalg.norm(free - corner, axis=1))) for corner in corners]
+        places = free[list(dict.fromkeys(nearest))]
+    size = np.linalg.svd(places - places.mean(axis=0), compute_uv=False) if len(places) > 1 else np.zeros(1)
+    if len(places) < _FEWEST_TOUCHES or size[-1] < 2.0 * _TOUCH_EDGE:
+        raise PlanError(
+            "the features leave no room for touch-off points on the top of the block",
+            file="--block",
+            advice="Give a larger block, or fewer --features.",
+        )
+    return np.column_stack([places, np.full(len(places), cutting.top)])
+
+
+class _Lines(Struct, frozen=True):
+    """Lines of a program, and the points that are probed where they cut.
+
+    :param text: lines.
+    :param points: name, number of the line (from 1 for the first of these), place on its motion, point and normal in
+        `$BASE`, mass of a weight; the number is 0 for points that no line makes.
+    """
+
+    text: list[str]
+    points: list[tuple[str, int, float, Array, Array, float]]
+
+
 def program(
     features: Iterable[Feature],
     cutting: Cutting,
     mass: float = 0.0,
     weight_places: Array | None = None,
     *,
-    first: tuple[int, int] = (1, 1),
+    touches: Array | None = None,
+    first: tuple[int, int, int] = (1, 1, 1),
     placement_title: str = "",
 ) -> Program:
     """Return the G-code of features and the points to be probed.
 
     :param mass: of a weight [kg] that is hung on the tool at places `weight_places` (n, 3) in `$BASE`, after cutting.
-    :param first: numbers of the first feature and of the first of these places.
+    :param touches: (k, 3) touch-off points on the uncut top, `$BASE` [m].
+    :param first: numbers of the first feature, of the first of these places and of the first touch-off point.
     :param placement_title: the placement of the block, for the operator.
     """
-    feed = cutting.feed * MM_PER_M * 60.0
+    none = np.zeros((0, 3))
+    blocks = [_head(cutting, none if touches is None else touches, first[2], placement_title)]
+    for number, feature in enumerate(features, start=first[0]):
+        blocks.append(_feature_lines(number, feature, cutting, has_height=number > first[0]))
+    count = len(blocks) - 1
+    blocks.append(_Lines([f"G0 Z{(cutting.top + 4.0 * _CLEAR) * MM_PER_M:.4f}", "M5"], []))
+    blocks.append(_stops(mass, none if weight_places is None else weight_places, first[1]))
+    lines: list[str] = []
+    points = []
+    for block in blocks:
+        points += [(name, line and line + len(lines), *values) for name, line, *values in block.points]
+        lines += block.text
+    columns = list(zip(*points, strict=True)) if points else [()] * 6
+    return Program(
+        "\n".join([*lines, "M30", ""]),
+        count,
+        tuple(columns[0]),
+        np.array(columns[1], dtype=np.int64),
+        np.array(columns[2], dtype=float),
+        np.array(columns[3]).reshape(-1, 3),
+        np.array(columns[4]).reshape(-1, 3),
+        np.array(columns[5], dtype=float),
+    )
+
+
+def _head(cutting: Cutting, touches: Array, first: int, placement_title: str) -> _Lines:
+    """Return the first lines, and the touch-off points as comments for the operator."""
     lines = [
         "(Test part for postproc identify part: cut it uncorrected, with the cell that it was made for)",
         *([f"(The block is at {placement_title})"] if placement_title else []),
-        "G21 G90 G17 G94",
-        f"T{cutting.tool} M6",
-        f"S{cutting.rpm:g} M3",
     ]
-    names, at, shares, points, normals, count = [], [], [], [], [], 0
-    for number, feature in enumerate(features, start=first[0]):
-        kind, name, count = feature.kind, f"F{number:02d}", count + 1
-        lines.append(f"({name}: {kind.title}, depth {kind.depth * MM_PER_M:g} mm, {np.degrees(feature.angle):g} deg)")
-        move_of_surface: dict[str, tuple[int, Array, Array]] = {}
-        last_end = np.zeros(3)
-        for index, move in enumerate(passes(kind, cutting)):
-            end = placed(feature, cutting.top, np.array([move.end]))[0] * MM_PER_M
-            # features begin and end at one height; the first move of a program states it
-            has_height = index == 0 and number > first[0]
-            words = f"X{end[0]:.4f} Y{end[1]:.4f}" + ("" if has_height else f" Z{end[2]:.4f}")
-            lines.append(f"G0 {words}" if move.feed == 0.0 else f"G1 {words} F{move.feed * feed:.1f}")
-            if move.name:
-                move_of_surface[move.name] = len(lines), last_end, np.array(move.end)
-            last_end = np.array(move.end)
-        for probe in probes(kind, cutting):
-            line, begin, end = move_of_surface[probe.made_by]
-            names.append(f"{name}.{probe.name}")
-            at.append(line)
-            shares.append((probe.point[0] - begin[0]) / (end[0] - begin[0]))
-            points.append(placed(feature, cutting.top, np.array([probe.point]))[0])
-            normals.append(placed(feature, cutting.top, np.array([probe.normal]), is_direction=True)[0])
-    lines += [f"G0 Z{(cutting.top + 4.0 * _CLEAR) * MM_PER_M:.4f}", "M5"]
-    places = np.zeros((0, 3)) if weight_places is None else weight_places
-    for number, place in enumerate(places, start=first[1]):
+    if len(touches):
+        z = cutting.top * MM_PER_M + 0.0
+        lines.append(f"(Before cutting touch the top of the block with the tool: it is at Z{z:g} of the base)")
+    points = []
+    for number, touch in enumerate(touches, start=first):
+        x, y, z = (touch * MM_PER_M + 0.0).tolist()
+        lines.append(f"(T{number:02d}: X{x:g} Y{y:g} Z{z:g}, left uncut, to be probed with the features)")
+        points.append((f"T{number:02d}.top", 0, 0.0, touch, np.array([0.0, 0.0, 1.0]), 0.0))
+    lines += ["G21 G90 G17 G94", f"T{cutting.tool} M6", f"S{cutting.rpm:g} M3"]
+    return _Lines(lines, points)
+
+
+def _feature_lines(number: int, feature: Feature, cutting: Cutting, *, has_height: bool) -> _Lines:
+    """Return the moves that cut a feature.
+
+    :param has_height: the tool is at its height already: features begin and end at one.
+    """
+    kind, name, feed = feature.kind, f"F{number:02d}", cutting.feed * MM_PER_M * 60.0
+    lines = [f"({name}: {kind.title}, depth {kind.depth * MM_PER_M:g} mm, {np.degrees(feature.angle):g} deg)"]
+    move_of_surface: dict[str, tuple[int, Array, Array]] = {}
+    last_end = np.zeros(3)
+    for index, move in enumerate(passes(kind, cutting)):
+        end = placed(feature, cutting.top, np.array([move.end]))[0] * MM_PER_M
+        words = f"X{end[0]:.4f} Y{end[1]:.4f}" + ("" if index == 0 and has_height else f" Z{end[2]:.4f}")
+        lines.append(f"G0 {words}" if move.feed == 0.0 else f"G1 {words} F{move.feed * feed:.1f}")
+        if move.name:
+            move_of_surface[move.name] = len(lines), last_end, np.array(move.end)
+        last_end = np.array(move.end)
+    points = []
+    for probe in probes(kind, cutting):
+        line, begin, end = move_of_surface[probe.made_by]
+        share = float((probe.point[0] - begin[0]) / (end[0] - begin[0]))
+        point = placed(feature, cutting.top, np.array([probe.point]))[0]
+        normal = placed(feature, cutting.top, np.array([probe.normal]), is_direction=True)[0]
+        points.append((f"{name}.{probe.name}", line, share, point, normal, 0.0))
+    return _Lines(lines, points)
+
+
+def _stops(mass: float, places: Array, first: int) -> _Lines:
+    """Return the stops at which a weight is hung on the tool."""
+    lines, points = [], []
+    for number, place in enumerate(places, start=first):
         x, y, z = (place * MM_PER_M).tolist()
-        lines += [f"(W{number:02d}: set the gauge to 0, hang {mass:g} kg on the tool, read)"]
-        lines += [*([f"G0 Z{z:.4f}"] if number == first[1] else []), f"G0 X{x:.4f} Y{y:.4f}", "M0"]
-        names.append(f"W{number:02d}.gauge")
-        at.append(len(lines) - 1)
-        shares.append(1.0)
-        points.append(place)
-        normals.append(np.array([0.0, 0.0, -1.0]))
-    lines += ["M30", ""]
-    weight = np.zeros(len(names))
-    weight[len(names) - len(places) :] = mass
-    return Program(
-        "\n".join(lines),
-        count,
-        tuple(names),
-        np.array(at),
-        np.array(shares),
-        np.array(points).reshape(-1, 3),
-        np.array(normals).reshape(-1, 3),
-        weight,
-    )
+        lines.append(f"(W{number:02d}: set the gauge to 0, hang {mass:g} kg on the tool, read)")
+        lines += [*([f"G0 Z{z:.4f}"] if number == first else []), f"G0 X{x:.4f} Y{y:.4f}"]
+        points.append((f"W{number:02d}.gauge", len(lines), 1.0, place, np.array([0.0, 0.0, -1.0]), mass))
+        lines.append("M0")
+    return _Lines(lines, points)

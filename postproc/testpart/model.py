@@ -25,7 +25,10 @@ from postproc.robot.model_file import (
     MeasuredEntry,
     ModelFile,
 )
-from postproc.testpart.fit import HELD, LEAST, Fit, Prior
+from postproc.testpart.features import Placement
+from postproc.testpart.fit import HELD, MOST_LIFT, Fit
+from postproc.testpart.prior import LEAST, Prior
+from postproc.testpart.readings import Lift, Top
 
 _DRIFT_SIGMAS = 3.0
 """Change of a parameter that is named, in standard deviations."""
@@ -39,6 +42,14 @@ _LEAST_CORRELATION = 0.01
 """Correlation with any other parameter below which one that the part does not determine stays out of [covariance]."""
 _DOUBTFUL = 3.0
 """Distance of the scale of the forces from 1, in its standard deviations, that is worth a warning."""
+_STATED_LIFT = 1e-4
+"""Lift of a program over the block that is worth a warning [m]."""
+_MOST_TILT = 3e-3
+"""Tilt of a program against the uncut top [rad]. Assumed: more is a wrong touch-off point, or a wrong `$BASE`."""
+_VAGUE_LIFT = 0.25
+"""Half width of the 95 % interval of the lift, as a share of the flattest cut, beyond which its depth is not known."""
+_CHECKABLE = 4
+"""Fewest touch-off points that can contradict each other."""
 _SURPRISE = 3.29
 """Standard deviations of χ² beyond which the readings do not agree with a model."""
 
@@ -52,6 +63,22 @@ class ProbedPoint(Struct, frozen=True):
     after_mm: float
     error_mm: float
     sigma_mm: float
+
+
+class TouchOffError(Struct, frozen=True):
+    """How high a program ran over the uncut top of the block, by the touch-off points.
+
+    :param frame: of the placement, as a table of the cell.
+    :param lift_mm: in the middle of the features, positive where the program ran too high; `ci95` of it.
+    :param tilt_mm_per_m: of the program against the top.
+    :param points: the touch-off points.
+    """
+
+    frame: str
+    lift_mm: float
+    ci95: float
+    tilt_mm_per_m: float
+    points: list[str]
 
 
 class Change(Struct, frozen=True):
@@ -69,9 +96,11 @@ class Agreement(Struct, frozen=True):
     """How the model before agrees with the part: χ² of the readings, and the parameters that have changed.
 
     `chance`: of deviations that look as much like a change of one parameter, or of all, if the robot is the same.
+    `fault`: of the part, because of which nothing is decided; empty if there is none.
     """
 
     holds: bool
+    fault: str
     line: str
     chi2: float
     points: int
@@ -99,6 +128,7 @@ class PartIdentification(Record, frozen=True, kw_only=True, omit_defaults=True):
     deviation_mm: float
     unmodelled_percent: float
     discrepancy: list[Unexplained]
+    touch_off: list[TouchOffError]
     agreement: Agreement | None = None
     points: list[ProbedPoint]
     held_by_prior: list[str]
@@ -122,12 +152,14 @@ def in_files(fit: Fit) -> tuple[Array, Array]:
     return values, slopes @ fit.covariance @ slopes.T
 
 
-def agreement(fit: Fit, prior: Prior) -> Agreement:
+def agreement(fit: Fit, prior: Prior, outliers: tuple[str, ...] = ()) -> Agreement:
     """Compare a model with a part.
 
     :param fit: fit of `prior.widened()`: what the part says by itself.
     :param prior: the model with its own covariance.
+    :param outliers: points left out of the fit.
     """
+    fault = _part_fault(fit, outliers)
     count, surprise = len(fit.readings.probed), fit.against(prior)
     largest_chi2 = count + _SURPRISE * float(np.sqrt(2.0 * count)) + 7.0
     is_changed = surprise.chance < _CHANCE
@@ -149,7 +181,8 @@ def agreement(fit: Fit, prior: Prior) -> Agreement:
             "seen: give the process with the material.toml of the model"
         )
     return Agreement(
-        surprise.chi2 <= largest_chi2 and not is_changed,
+        surprise.chi2 <= largest_chi2 and not is_changed and not fault,
+        fault,
         line,
         round(surprise.chi2, 2),
         count,
@@ -162,21 +195,7 @@ def agreement(fit: Fit, prior: Prior) -> Agreement:
 def summary(fit: Fit, outliers: tuple[str, ...]) -> PartIdentification:
     """Return the result as plain data, with the verdict."""
     readings, prior = fit.readings, fit.prior
-    values, covariance = in_files(fit)
-    half = NORMAL_95 * np.sqrt(np.diag(covariance))[:-1]
-    parameters, held_names = {}, []
-    for k, (parameter, prior_value) in enumerate(zip(prior.parameters, prior.values.tolist(), strict=True)):
-        open_ = not fit.free[k]
-        if open_:
-            held_names.append(parameter.name)
-        parameters[parameter.name] = Parameter(
-            float(prior_value if open_ else values[k]),
-            float(half[k]),
-            parameter.unit,
-            observable=not open_,
-            prior=float(prior_value),
-            source="prior" if open_ else None,
-        )
+    parameters, held_names = _parameters(fit)
     scale = Parameter(
         float(fit.scale), float(NORMAL_95 * np.sqrt(fit.covariance[-1, -1])), "1",
         observable=bool(fit.sigma[-1] < 0.9), prior=1.0,
@@ -186,7 +205,13 @@ def summary(fit: Fit, outliers: tuple[str, ...]) -> PartIdentification:
     points = [
         ProbedPoint(name, *(round(float(value) * MM_PER_M, 5) for value in row))
         for name, *row in zip(
-            readings.probed.name, deviation, fit.before, fit.after, fit.error, fit.spread, strict=True
+            readings.probed.name,
+            deviation + readings.datum,
+            fit.before + readings.datum,
+            fit.after + readings.datum,
+            fit.error,
+            fit.spread,
+            strict=True,
         )
     ]
     return PartIdentification(
@@ -205,6 +230,7 @@ def summary(fit: Fit, outliers: tuple[str, ...]) -> PartIdentification:
             )
             for level, bound in zip(load, u95, strict=True)
         ],
+        touch_off=_touch_off(fit),
         points=points,
         held_by_prior=held_names,
         outliers=list(outliers),
@@ -212,8 +238,97 @@ def summary(fit: Fit, outliers: tuple[str, ...]) -> PartIdentification:
     )
 
 
+def _parameters(fit: Fit) -> tuple[dict[str, Parameter], list[str]]:
+    """Return the parameters with their intervals, and the names of those that keep their prior."""
+    values, covariance = in_files(fit)
+    half = NORMAL_95 * np.sqrt(np.diag(covariance))[:-1]
+    parameters, held_names = {}, []
+    for k, (parameter, prior_value) in enumerate(zip(fit.prior.parameters, fit.prior.values.tolist(), strict=True)):
+        is_held = not fit.free[k]
+        if is_held:
+            held_names.append(parameter.name)
+        parameters[parameter.name] = Parameter(
+            float(prior_value if is_held else values[k]),
+            float(half[k]),
+            parameter.unit,
+            observable=not is_held,
+            prior=float(prior_value),
+            source="prior" if is_held else None,
+        )
+    return parameters, held_names
+
+
+def _touch_off(fit: Fit) -> list[TouchOffError]:
+    """Return the touch-off error of each placement in which something was cut."""
+    errors = []
+    for top, lift in _touched(fit):
+        frame = Placement("" if top.base < 0 else str(top.base)).title
+        height, half = float(lift.height[0]), NORMAL_95 * float(np.sqrt(lift.covariance[0, 0]))
+        tilt = float(np.linalg.norm(lift.height[1:]))
+        errors.append(
+            TouchOffError(
+                frame,
+                round(height * MM_PER_M, 4),
+                round(half * MM_PER_M, 4),
+                round(tilt * MM_PER_M, 3),
+                list(top.points),
+            )
+        )
+    return errors
+
+
+def _touched(fit: Fit) -> list[tuple[Top, Lift]]:
+    """Return the top and the lift of each placement in which something was cut."""
+    lift_of = {lift.base: lift for lift in fit.lifts}
+    return [(top, lift_of[top.base]) for top in fit.readings.tops]
+
+
+def _touch_off_fault(fit: Fit) -> str:
+    """Return why the depth of the cuts is not known, or is too far from that of the program; empty if it is neither."""
+    depth = fit.readings.least_depth
+    for (top, lift), error in zip(_touched(fit), _touch_off(fit), strict=True):
+        points = fit.readings.probed.point[fit.readings.probed.base == top.base]
+        if top.is_contradictory:
+            return (
+                f"the touch-off points {', '.join(top.points)} are on no plane: probe them again, or leave the wrong "
+                "deviation_mm empty"
+            )
+        if np.abs(lift.at(points)).max() > MOST_LIFT * depth:
+            return (
+                f"the program ran {_too_high(error.lift_mm)} over the block at {error.frame}, more than half of the "
+                f"flattest cut ({depth * MM_PER_M:g} mm): touch off again, and cut and probe a new part"
+            )
+        if np.hypot(*lift.height[1:]) > _MOST_TILT + 2.0 * np.sqrt(np.trace(lift.covariance[1:, 1:])):
+            return (
+                f"the program is tilted by {error.tilt_mm_per_m:.1f} mm/m against the uncut top at {error.frame}: "
+                "probe the touch-off points again; if they agree, measure $BASE anew and cut a new part"
+            )
+        if error.ci95 > _VAGUE_LIFT * depth * MM_PER_M:
+            return (
+                f"the depth of the cuts at {error.frame} is known to ± {error.ci95:.2g} mm only: probe the floors "
+                "(floor, ref_floor) of the features too"
+            )
+    return ""
+
+
+def _too_high(lift_mm: float) -> str:
+    return f"{abs(lift_mm):.2f} mm too {'high' if lift_mm > 0.0 else 'low'}"
+
+
 def _rms(values: Array) -> float:
     return round(float(np.sqrt(np.mean(np.square(values)))) * MM_PER_M, 5)
+
+
+def _part_fault(fit: Fit, outliers: tuple[str, ...]) -> str:
+    """Return what in the readings of the part contradicts itself; empty if nothing does."""
+    if fault := _touch_off_fault(fit):
+        return fault
+    if fit.swapped is not None:
+        first, second = fit.swapped
+        return f"{first} and {second} look exchanged: exchange their rows of deviation_mm, or probe both again"
+    if outliers:
+        return f"{', '.join(outliers)} contradict the other points: probe them again, or leave their deviation_mm empty"
+    return ""
 
 
 def _verdict(fit: Fit, outliers: tuple[str, ...]) -> Verdict:
@@ -221,13 +336,8 @@ def _verdict(fit: Fit, outliers: tuple[str, ...]) -> Verdict:
     sigma = fit.prior.sigma
     shift = np.abs(fit.z) / np.where(sigma > 0.0, sigma, np.inf)[:-1]
     reason = ""
-    if fit.swapped is not None:
-        first, second = fit.swapped
-        reason = f"{first} and {second} look exchanged: exchange their rows of deviation_mm, or probe both again"
-    elif outliers:
-        reason = (
-            f"{', '.join(outliers)} contradict the other points: probe them again, or leave their deviation_mm empty"
-        )
+    if fault := _part_fault(fit, outliers):
+        reason = fault
     elif fit.gamma > _MISFIT:
         reason = f"{100 * fit.gamma:.0f} % of the deflection are not described by the model: check part and program"
     elif shift.max() > _PLAUSIBLE_SIGMAS:
@@ -247,6 +357,16 @@ def _remarks(fit: Fit, held_names: list[str], outliers: tuple[str, ...]) -> list
     if held_names:
         remarks.append(f"the part does not determine {', '.join(held_names)}: they keep their prior")
     remarks += [f"outlier: {name}" for name in outliers]
+    for error in _touch_off(fit):
+        if abs(error.lift_mm) > max(_STATED_LIFT * MM_PER_M, error.ci95):
+            remarks.append(
+                f"the program ran {_too_high(error.lift_mm)} over the block at {error.frame} (± {error.ci95:.2f} mm): "
+                "the forces are computed for the depths that were cut"
+            )
+        if len(error.points) < _CHECKABLE:
+            remarks.append(
+                f"three touch-off points at {error.frame} cannot be checked against each other: probe a fourth"
+            )
     if abs(fit.scale - 1.0) > _DOUBTFUL * fit.prior.sigma[-1] > 0.0:
         remarks.append(
             f"forces would be {fit.scale:.2f} times those computed, more than three standard deviations "

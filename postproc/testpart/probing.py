@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
+from msgspec import Struct
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
@@ -25,6 +27,31 @@ _FEWEST = 6
 """Fewest probed points that can be compared: the position of the part alone takes six numbers."""
 
 
+TOP = "top"
+"""Surface of a touch-off point: ``T01.top``."""
+
+
+class TouchOff(Struct, frozen=True, eq=False):
+    """Probed points of the uncut top of the block: k of them.
+
+    :param name: (k,) ``T01.top``.
+    :param point: (k, 3) on the top as programmed, `$BASE` [m].
+    :param deviation: (k,) along Z, positive where the top is higher [m].
+    :param base: (k,) number of the placement, as in `Probed`.
+    """
+
+    name: tuple[str, ...] = ()
+    point: Array = np.zeros((0, 3))
+    deviation: Array = np.zeros(0)
+    base: Ints = np.zeros(0, dtype=np.int64)
+
+    def at(self, base: int) -> Self:
+        """Return those of one placement."""
+        rows = np.flatnonzero(self.base == base)
+        names = tuple(self.name[k] for k in rows)
+        return replace(self, name=names, point=self.point[rows], deviation=self.deviation[rows], base=self.base[rows])
+
+
 class Probed(Columns, frozen=True, eq=False):
     """Probed points of n surfaces.
 
@@ -38,6 +65,7 @@ class Probed(Columns, frozen=True, eq=False):
     :param base: (n,) number of the placement: `[base_data]` of the cell, −1 for its `[base]`.
     :param row: (n,) line of the file.
     :param file: its path.
+    :param touch_off: points of the uncut top, not among the n.
     """
 
     name: tuple[str, ...]
@@ -51,6 +79,7 @@ class Probed(Columns, frozen=True, eq=False):
     base: Ints
     row: Ints
     file: str
+    touch_off: TouchOff = TouchOff()
 
     def __len__(self) -> int:
         return len(self.name)
@@ -89,30 +118,77 @@ def read(path: Path) -> Probed:
     if (PROGRAM in texts) != (BASE in numbers) or (base % 1.0).any():
         advice = "Keep the columns program and base."
         raise MeasurementError("the rows do not name program and placement", file=str(path), line=1, advice=advice)
-    filled_rows = np.flatnonzero(np.isfinite(numbers["deviation_mm"]))
+    is_top = np.array([name.rpartition(".")[2] == TOP for name in texts["feature"]], dtype=bool)
+    is_filled = np.isfinite(numbers["deviation_mm"])
+    filled_rows = np.flatnonzero(is_filled & ~is_top)
     if len(filled_rows) < _FEWEST:
         raise MeasurementError(
-            f"{len(filled_rows)} of {len(lines)} points have a deviation",
+            f"{len(filled_rows)} of {int((~is_top).sum())} points have a deviation",
             file=str(path),
             advice="Fill in deviation_mm: along the normal, positive where material is left.",
         )
-    normal = np.column_stack([numbers[name] for name in ("nx", "ny", "nz")])[filled_rows]
-    wrong = np.abs(norm(normal) - 1.0) > _UNIT
-    if wrong.any():
-        row = int(lines[filled_rows][np.argmax(wrong)])
-        raise MeasurementError("nx, ny, nz is no unit vector", file=str(path), line=row, advice="Keep the columns.")
+    row_numbers = lines.astype(np.int64)
+    normal = _normals(numbers, np.flatnonzero(is_filled), row_numbers, str(path))
     return Probed(
         tuple(texts["feature"][k] for k in filled_rows),
         numbers["source_line"][filled_rows].astype(np.int64),
         numbers["t"][filled_rows],
         np.column_stack([numbers[name] for name in "XYZ"])[filled_rows] * M_PER_MM,
-        normal / norm(normal)[:, None],
+        normal[filled_rows],
         numbers["deviation_mm"][filled_rows] * M_PER_MM,
         mass[filled_rows],
         tuple(texts[PROGRAM][k] for k in filled_rows) if PROGRAM in texts else ("",) * len(filled_rows),
         base[filled_rows].astype(np.int64),
-        lines[filled_rows].astype(np.int64),
+        row_numbers[filled_rows],
         str(path),
+        _touch_off(
+            numbers, texts["feature"], normal, base, mass, np.flatnonzero(is_filled & is_top), row_numbers, str(path)
+        ),
+    )
+
+
+def _normals(numbers: dict[str, Array], rows: Ints, lines: Ints, file: str) -> Array:
+    """Return the normals of all rows of a table (n, 3); those of some rows are checked, the others are as written.
+
+    :raises MeasurementError: one of these is no unit vector.
+    """
+    normal = np.column_stack([numbers[name] for name in ("nx", "ny", "nz")])
+    wrong = np.abs(norm(normal[rows]) - 1.0) > _UNIT
+    if wrong.any():
+        row = int(lines[rows][np.argmax(wrong)])
+        raise MeasurementError("nx, ny, nz is no unit vector", file=file, line=row, advice="Keep the columns.")
+    normal[rows] /= norm(normal[rows])[:, None]
+    return normal
+
+
+def _touch_off(
+    numbers: dict[str, Array],
+    names: Sequence[str],
+    normal: Array,
+    base: Array,
+    mass: Array,
+    rows: Ints,
+    lines: Ints,
+    file: str,
+) -> TouchOff:
+    """Return the touch-off points of a table.
+
+    :param rows: of these points.
+    :raises MeasurementError: one has a normal that is not Z, or a weight.
+    """
+    wrong = (normal[rows, 2] < 1.0 - _UNIT) | (mass[rows] > 0.0)
+    if wrong.any():
+        raise MeasurementError(
+            f"{names[rows[np.argmax(wrong)]]} is no point of the top",
+            file=file,
+            line=int(lines[rows][np.argmax(wrong)]),
+            advice="Touch-off points have nx, ny, nz = 0, 0, 1, and no mass_kg.",
+        )
+    return TouchOff(
+        tuple(names[k] for k in rows),
+        np.column_stack([numbers[name] for name in "XYZ"])[rows] * M_PER_MM,
+        numbers["deviation_mm"][rows] * M_PER_MM,
+        base[rows].astype(np.int64),
     )
 
 

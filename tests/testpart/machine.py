@@ -26,10 +26,12 @@ class Machine:
     """An arm in its cell, a flat end mill, and a material.
 
     `arm`: a WholeArm; `nominal`: `tests.oracle.arm.Arm` for the controller; `base`, `tool`: KUKA frames (mm, deg);
-    `redundancy`: turn about Z [deg]; `k`: Ktc, Kte, Krc, Kre, Kac, Kae [N/mm², N/mm]; `radius` [mm], of the real tool.
+    `redundancy`: turn about Z [deg]; `k`: Ktc, Kte, Krc, Kre, Kac, Kae [N/mm², N/mm]; `radius` [mm], of the real tool;
+    `top`: height of the uncut block above Z0 of the program [mm] at X0 Y0, and its slopes along X and Y.
     """
 
-    def __init__(self, arm, nominal: Arm, start, base, tool, redundancy, k, radius, teeth):
+    def __init__(self, arm, nominal: Arm, start, base, tool, redundancy, k, radius, teeth, top=(0.0, 0.0, 0.0)):
+        self.top = np.array(top, dtype=float)
         self.arm, self.nominal, self.start = arm, nominal, np.radians(start)
         self.base, self.tool = abc(*base), abc(*tool)
         self.turn = abc(0, 0, 0, redundancy)[:3, :3] @ abc(0, 0, 0, 0, 0, 180)[:3, :3]
@@ -58,8 +60,11 @@ class Machine:
         moved = twist(self.tcp(x0)[0], self.tcp(x0 + theta)[0])
         return rotation.T @ moved[:3] * 1e3, rotation.T @ moved[3:]
 
-    def cut(self, text):
-        """Mill a program of features, each behind a line `(F01: …)`; return the tool's path in each, by its name."""
+    def cut(self, text, rng=None, path_error=0.0):
+        """Mill a program of features, each behind a line `(F01: …)`; return the tool's path in each, by its name.
+
+        `path_error`: standard deviation of the path of each feature as a whole [mm]: it is cut there.
+        """
         features, now, feed, rpm, name = {}, np.zeros(3), 0.0, 0.0, None
         for line in text.splitlines():
             if head := re.match(r"\((F\d+):", line):
@@ -77,6 +82,8 @@ class Machine:
             ends = np.array([point for move in moves for point in move[:2]])
             low, high = ends[np.argmin(ends @ (1, 0.1, 0))], ends[np.argmax(ends @ (1, 0.1, 0))]
             q = self.joints(low, q)
+            off = np.zeros(3) if rng is None else rng.normal(size=3) * path_error
+            moves = [(begin + off, end + off, chip) for begin, end, chip in moves]
             out[name] = self._feature(moves, (low, q), (high, self.joints(high, q)))
         return out
 
@@ -99,7 +106,7 @@ class Machine:
             for share in np.arange(count + 1) / count:
                 place = begin + share * (end - begin)
                 q = joints(place)
-                path = Left.of(np.array(centres).reshape(-1, 3), np.array(joined[: len(centres)], dtype=bool))
+                path = Left.of(np.array(centres).reshape(-1, 3), np.array(joined[: len(centres)], dtype=bool), self.top)
                 for _ in range(12):
                     force = np.zeros(3)
                     if level > 0.0:
@@ -146,10 +153,9 @@ class Machine:
 
     def probed(self, text, probing, rng=None, sigma=0.005, path_error=0.05):
         """Cut the part; return `probing.csv` filled in, with noise, the part put elsewhere, and errors of the path."""
-        paths = self.cut(text)
+        paths = self.cut(text, rng, path_error)
         table = list(csv.DictReader(probing.splitlines()))
         pose = np.zeros(6) if rng is None else rng.normal(size=6) * [0.1, 0.1, 0.1, 2e-4, 2e-4, 2e-4]
-        own = {name: np.zeros(3) if rng is None else rng.normal(size=3) * path_error for name in paths}
         for row in table:
             point, normal = (np.array([float(row[a]) for a in axes]) for axes in (("X", "Y", "Z"), ("nx", "ny", "nz")))
             name = row["feature"].partition(".")[0]
@@ -158,34 +164,37 @@ class Machine:
                 noise = 0.0 if rng is None else sigma * rng.normal()
                 row["deviation_mm"] = f"{normal @ moved + noise:.5f}"
                 continue
-            off = self.surface(paths[name], point, normal)
-            off += normal @ (pose[:3] + np.cross(pose[3:], point) + own[name])
+            if name.startswith("T"):  # the uncut top
+                off = self.top @ (1.0, point[0], point[1]) - point[2]
+            else:
+                off = self.surface(paths[name], point, normal)
+            off += normal @ (pose[:3] + np.cross(pose[3:], point))
             row["deviation_mm"] = f"{off + (0.0 if rng is None else sigma * rng.normal()):.5f}"
         rows = [",".join(row.values()) for row in table]
         return "\n".join([",".join(table[0]), *rows, ""])
 
 
 class Left:
-    """Material left by a path: its top is at 0 where the tool has not been."""
+    """Material left by a path: where the tool has not been, the top of the block."""
 
-    def __init__(self, begin, end):
-        self.begin, self.end = begin, end
+    def __init__(self, begin, end, top):
+        self.begin, self.end, self.top = begin, end, top
 
     @classmethod
-    def of(cls, centres, joined):
+    def of(cls, centres, joined, top):
         rows = np.flatnonzero(joined)
         rows = rows[rows > 0]
-        return cls(centres[rows - 1], centres[rows])
+        return cls(centres[rows - 1], centres[rows], top)
 
     def ahead(self, centre, unit, radius):
         """What of it can touch the front half of the tool at a place."""
         away = self.begin[:, :2] - centre[:2]
         near = np.linalg.norm(away, axis=1) < 2.0 * radius + 2.0 * STEP
         near &= away @ unit > -0.5 * radius - STEP
-        return Left(self.begin[near], self.end[near])
+        return Left(self.begin[near], self.end[near], self.top)
 
     def height(self, points, radius, slack=1e-6):
-        out = np.zeros(len(points))
+        out = self.top[0] + points @ self.top[1:]
         if not len(self.begin):
             return out
         chord = (self.end - self.begin)[:, :2]
@@ -195,4 +204,4 @@ class Left:
         away = off - share[..., None] * chord
         inside = np.einsum("nki,nki->nk", away, away) < (radius - slack) ** 2
         tip = self.begin[:, 2] + share * (self.end - self.begin)[:, 2]
-        return np.minimum(out, np.where(inside, tip, 0.0).min(axis=1))
+        return np.minimum(out, np.where(inside, tip, np.inf).min(axis=1))

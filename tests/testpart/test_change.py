@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from postproc.testpart import design
-from postproc.testpart.fit import RADIUS_ERROR, Prior, _chance
+from postproc.testpart.fit import _chance
+from postproc.testpart.prior import Prior
+from postproc.testpart.readings import RADIUS_ERROR
 from tests.testpart import trial
 
 

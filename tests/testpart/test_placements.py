@@ -13,8 +13,10 @@ from postproc import machining, robot
 from postproc.errors import MeasurementError
 from postproc.jobs.testpart_files import programs_of
 from postproc.testpart import probing
-from postproc.testpart.cut import Clamped, Surfaces, forces_of, surfaces
-from postproc.testpart.fit import Prior, Readings, linearised
+from postproc.testpart.cut import Clamped, CutForces, Surfaces, surfaces
+from postproc.testpart.linear import linearised
+from postproc.testpart.prior import Prior
+from postproc.testpart.readings import Readings
 from tests.commands import run
 from tests.oracle.whole_arm import WholeArm
 from tests.testpart import trial
@@ -52,7 +54,8 @@ def test_each_placement_has_a_program_in_its_own_frame(folder):
     rows = list(csv.DictReader((folder / "probing.csv").read_text().splitlines()))
     of = {name: {row["feature"][:3] for row in rows if row["program"] == name} for name in BASES}
     assert all(of.values())
-    assert sorted([*of["testpart.nc"], *of["testpart_4.nc"]]) == ["F01", "F02", "F03", "F04"]
+    touched = [f"T{number:02d}" for number in range(1, 9)]
+    assert sorted([*of["testpart.nc"], *of["testpart_4.nc"]]) == ["F01", "F02", "F03", "F04", *touched]
     assert {(row["program"], row["base"]) for row in rows} == {("testpart.nc", ""), ("testpart_4.nc", "4")}
     assert "$BASE={X 1500,Y -200,Z 700,A 0,B 0,C 0}" in (folder / "testpart.src").read_text()
     text = (folder / "testpart_4.src").read_text()
@@ -70,7 +73,8 @@ def test_no_features_of_two_placements_touch(folder):
     rows = list(csv.DictReader((folder / "probing.csv").read_text().splitlines()))
     point = {name: [] for name in BASES}
     for row in rows:
-        point[row["program"]].append((float(row["X"]), float(row["Y"])))
+        if row["feature"].startswith("F"):
+            point[row["program"]].append((float(row["X"]), float(row["Y"])))
     one, other = (np.array(points) for points in point.values())
     assert np.linalg.norm(one[:, None] - other[None], axis=2).min() > 5.0
 
@@ -87,9 +91,9 @@ def test_the_model_predicts_the_surfaces_of_both_placements(folder):
         program = trial.postproc.read_program(folder / name, trial.ROBOT, own)
         where = surfaces(program, robot_in_cell, read.take(np.flatnonzero(read.base == number)), 5e-3)
         parts.append(Clamped(program, robot_in_cell, trial.ProcessSource(process, own.tool.axis), where))
-    given = Readings(read, Surfaces.joined([part.where for part in parts]), trial.SIGMA)
+    given = Readings.of(read, Surfaces.joined([part.where for part in parts]), trial.SIGMA)
     prior = Prior.of(robot_in_cell.robot, 0.1)
-    states = forces_of(parts)
+    states = CutForces(parts)
     states(robot_in_cell.robot, 1.0)
     found = linearised(
         prior, given, states(robot_in_cell.robot, 1.0), robot_in_cell, np.zeros(len(prior.parameters)), 1.0
@@ -99,7 +103,7 @@ def test_the_model_predicts_the_surfaces_of_both_placements(folder):
         here = read.base == number
         assert np.abs(read.deviation[here]).max() > 3e-4
         assert np.sqrt(np.mean(off[here] ** 2)) < 4e-6
-    added = given.by_part()
+    added = given.by_part(np.zeros(len(read)))
     common = np.outer(given.where.wall, given.where.wall) * 5e-5**2  # the radius of the tool
     across = np.ix_(read.base == -1, read.base == 4)
     np.testing.assert_allclose(added[across], common[across], atol=1e-18)  # each placement has a position of its own
@@ -149,7 +153,9 @@ def test_rows_that_do_not_name_their_placement_are_refused(folder):
             probing.read(written(wrong))
     both = tuple(folder / name for name in BASES)
     assert programs_of(probing.read(written(filled)), both) == dict(zip(both, NUMBERS.values(), strict=True))
-    swapped = [filled[0], *([row[0], "testpart.nc", "4", *row[3:]] for row in filled[1:3]), *filled[3:]]
+    first = next(k for k, row in enumerate(filled) if row[0].startswith("F"))
+    moved = [[row[0], "testpart.nc", "4", *row[3:]] for row in filled[first : first + 2]]
+    swapped = [*filled[:first], *moved, *filled[first + 2 :]]
     with pytest.raises(MeasurementError, match="has two placements"):
         programs_of(probing.read(written(swapped)), both)
     alone = probing.read(written([[row[0], *row[3:]] for row in filled]))

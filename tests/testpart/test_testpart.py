@@ -15,9 +15,12 @@ from postproc import correction, machining, robot
 from postproc.errors import MeasurementError
 from postproc.machining import ProcessSource
 from postproc.testpart import design, probing
-from postproc.testpart.cut import Clamped, forces_of, surfaces
-from postproc.testpart.fit import Prior, Readings, fit, linearised, swapped
+from postproc.testpart.cut import Clamped, CutForces, surfaces
+from postproc.testpart.fit import fit, swapped
+from postproc.testpart.linear import linearised
 from postproc.testpart.model import agreement, summary
+from postproc.testpart.prior import Prior
+from postproc.testpart.readings import Readings
 from tests.commands import run
 from tests.oracle.whole_arm import WholeArm
 from tests.testpart import trial
@@ -78,9 +81,9 @@ def readings(folder, name):
     where = surfaces(program, robot_in_cell, read, 5e-3)
     source = ProcessSource(machining.load(folder / "testpart.process.toml"), trial.CELL.tool.axis)
     return (
-        Readings(read, where, trial.SIGMA),
+        Readings.of(read, where, trial.SIGMA),
         robot_in_cell,
-        lambda: forces_of([Clamped(program, robot_in_cell, source, where)]),
+        lambda: CutForces([Clamped(program, robot_in_cell, source, where)]),
     )
 
 
@@ -91,7 +94,8 @@ def identify(folder, *options, code=0):
 
 def test_the_part_is_in_the_block_and_its_krl_is_marked_as_nominal(folder):
     rows = list(csv.DictReader((folder / "probing.csv").read_text().splitlines()))
-    assert {row["feature"].partition(".")[0] for row in rows} == {f"F{k:02d}" for k in range(1, FEATURES + 1)}
+    names = {f"F{k:02d}" for k in range(1, FEATURES + 1)} | {f"T{k:02d}" for k in range(1, 5)}
+    assert {row["feature"].partition(".")[0] for row in rows} == names
     assert {row["deviation_mm"] for row in rows} == {""}
     for axis, (low, high) in zip("XY", BLOCK[:2], strict=True):
         assert all(low < float(row[axis]) < high for row in rows)
@@ -197,8 +201,9 @@ def _with(folder, more="", of_material=""):
 
 def test_a_gross_error_is_named_and_left_out(folder, cut):
     rows = (folder / "probed.csv").read_text().splitlines()
-    fields = rows[4].split(",")
-    rows[4] = ",".join([*fields[:-1], f"{float(fields[-1]) + 0.2:.5f}"])
+    row = next(k for k, line in enumerate(rows) if line.startswith("F01.ref_left"))
+    fields = rows[row].split(",")
+    rows[row] = ",".join([*fields[:-1], f"{float(fields[-1]) + 0.2:.5f}"])
     (folder / "wrong.csv").write_text("\n".join(rows) + "\n")
     given, robot_in_cell, states = readings(folder, "wrong.csv")
     found, left_out = fit(Prior.of(robot_in_cell.robot, 0.1), given, robot_in_cell, states())
@@ -337,12 +342,13 @@ def test_the_chosen_part_is_better_than_parts_at_random(folder):
 
 def test_what_the_tool_does_not_make_is_refused(folder):
     rows = [row + "0.0" if k else row for k, row in enumerate((folder / "probing.csv").read_text().splitlines())]
-    fields = rows[1].split(",")
-    rows[1] = ",".join([*fields[:3], f"{float(fields[3]) + 1.0:.4f}", *fields[4:]])
+    row = next(k for k, line in enumerate(rows) if line.startswith("F01.left"))
+    fields = rows[row].split(",")
+    rows[row] = ",".join([*fields[:3], f"{float(fields[3]) + 1.0:.4f}", *fields[4:]])
     (folder / "moved.csv").write_text("\n".join(rows) + "\n")
     with pytest.raises(MeasurementError, match="the tool makes no surface") as caught:
         readings(folder, "moved.csv")
-    assert caught.value.line == 2
+    assert caught.value.line == row + 1
     with pytest.raises(MeasurementError, match="0 of"):
         probing.read(folder / "probing.csv")
 

@@ -9,8 +9,8 @@ import pytest
 import postproc
 from postproc.identification import identify_folder
 from postproc.robot.model_file import JointSpring
-from postproc.testpart.fit import Prior
 from postproc.testpart.model import summary
+from postproc.testpart.prior import Prior
 from postproc.under_load import RobotInCell
 from samples.paper_study import simulator
 from tests.oracle.whole_arm import WholeArm

@@ -8,8 +8,9 @@ from scipy.integrate import quad
 from scipy.stats import lognorm
 
 from postproc.testpart.cut import Surfaces
-from postproc.testpart.fit import Readings, _Linear, _unmodelled_share
+from postproc.testpart.linear import Linear, unmodelled_share
 from postproc.testpart.probing import Probed
+from postproc.testpart.readings import Readings
 
 SIGMA, MOVED = 5e-6, 3e-4
 MEDIAN, WIDTH = 0.005, 1.5
@@ -29,7 +30,7 @@ def test_the_share_is_the_root_of_its_mean_square_after_the_readings(n, spread):
 
     limits = {"points": [1e-3, 5e-3, 2e-2, 5e-2], "limit": 500}
     square, whole = (quad(lambda g, k=k: g**k * density(g), 1e-6, 1.0, **limits)[0] for k in (2, 0))
-    found = _unmodelled_share(readings, local, np.eye(2), target)
+    found = unmodelled_share(readings, local, np.eye(2), target)
     assert found == pytest.approx(np.sqrt(square / whole), rel=0.02)
 
 
@@ -39,5 +40,5 @@ def _readings(n):
     probed = Probed(
         names, number, np.zeros(n), none, none, np.zeros(n), np.ones(n), ("",) * n, np.full(n, -1), number, "probed.csv"
     )
-    where = Surfaces(number, np.zeros(n), np.zeros((n, 2, 6)), np.zeros(n), np.zeros((n, 6)))
-    return Readings(probed, where, SIGMA), _Linear(np.zeros(n), np.zeros((n, 2)), np.full(n, MOVED))
+    where = Surfaces(number, np.zeros(n), np.zeros((n, 2, 6)), np.zeros(n), np.zeros((n, 6)), none)
+    return Readings.of(probed, where, SIGMA), Linear(np.zeros(n), np.zeros((n, 2)), np.zeros(n), np.full(n, MOVED))

@@ -10,8 +10,9 @@ from postproc.cli import main
 from postproc.errors import MeasurementError
 from postproc.report.testpart import design_lines
 from postproc.testpart import design, probing
-from postproc.testpart.cut import Clamped, forces_of, surfaces
-from postproc.testpart.fit import Readings, linearised
+from postproc.testpart.cut import Clamped, CutForces, surfaces
+from postproc.testpart.linear import linearised
+from postproc.testpart.readings import Readings
 from tests.oracle.whole_arm import WholeArm
 from tests.testpart import trial
 
@@ -55,8 +56,8 @@ def test_the_gauge_reads_what_the_independent_arm_deflects_under_the_weight(part
     )  # fmt: skip
     where = surfaces(only(part), part.robot_in_cell, read, 0.005)
     source = trial.ProcessSource(part.process, trial.CELL.tool.axis)
-    states = forces_of([Clamped(only(part), part.robot_in_cell, source, where)])(part.robot_in_cell.robot, 1.0)
-    given = Readings(read, where, trial.SIGMA)
+    states = CutForces([Clamped(only(part), part.robot_in_cell, source, where)])(part.robot_in_cell.robot, 1.0)
+    given = Readings.of(read, where, trial.SIGMA)
     found = linearised(part.prior, given, states, part.robot_in_cell, np.zeros(len(part.prior.parameters)), 1.0)
     assert min(exact) > 5e-5
     np.testing.assert_allclose(found.value, exact, atol=2e-7)
@@ -93,7 +94,7 @@ def test_the_weight_shows_changes_of_joint_2_that_cutting_hides(part):
 def test_the_position_of_the_part_does_not_move_the_gauge(part):
     read = probing.read(trial.probed(part, trial.truth(np.random.default_rng(1)), np.random.default_rng(1)))
     where = surfaces(only(part), part.robot_in_cell, read, 0.005)
-    added = Readings(read, where, trial.SIGMA).by_part()
+    added = Readings.of(read, where, trial.SIGMA).by_part(np.zeros(len(read)))
     hung = read.mass > 0.0
     assert hung.sum() == 3
     assert not added[hung].any()
@@ -102,15 +103,25 @@ def test_the_position_of_the_part_does_not_move_the_gauge(part):
 
 def test_a_weight_on_a_cutting_move_is_refused(part):
     rows = (part.folder / "probing.csv").read_text().splitlines()
-    fields = rows[1].split(",")
+    row = next(k for k, text in enumerate(rows) if text.startswith("F"))
+    fields = rows[row].split(",")
     rows[1:] = [",".join([*row.split(",")[:-2], "0.01", row.split(",")[-1]]) for row in rows[1:]]
-    rows[1] = ",".join([*fields[:-2], "0.01", "12"])
+    rows[row] = ",".join([*fields[:-2], "0.01", "12"])
     (part.folder / "wrong.csv").write_text("\n".join(rows) + "\n")
     with pytest.raises(MeasurementError, match="is not one rapid move"):
         surfaces(only(part), part.robot_in_cell, probing.read(part.folder / "wrong.csv"), 0.005)
-    rows[1] = ",".join([*fields[:-2], "0.01", "-3"])
+    rows[row] = ",".join([*fields[:-2], "0.01", "-3"])
     (part.folder / "wrong.csv").write_text("\n".join(rows) + "\n")
     with pytest.raises(MeasurementError, match="mass_kg is not between"):
+        probing.read(part.folder / "wrong.csv")
+
+
+def test_a_weight_on_a_touch_off_point_is_refused(part):
+    rows = (part.folder / "probing.csv").read_text().splitlines()
+    rows[1:] = [",".join([*row.split(",")[:-2], "0.01", row.split(",")[-1]]) for row in rows[1:]]
+    rows[1] = ",".join([*rows[1].split(",")[:-1], "12"])
+    (part.folder / "wrong.csv").write_text("\n".join(rows) + "\n")
+    with pytest.raises(MeasurementError, match=r"T01\.top is no point of the top"):
         probing.read(part.folder / "wrong.csv")
 
 

@@ -17,9 +17,11 @@ from postproc.errors import ModelError
 from postproc.machining import ProcessSource
 from postproc.robot.model_file import JointSpring, LinkSprings, ModelFile, Stiffening
 from postproc.testpart import design, features, probing
-from postproc.testpart.cut import Clamped, Surfaces, forces_of, surfaces
-from postproc.testpart.fit import Prior, Readings, fit
+from postproc.testpart.cut import Clamped, CutForces, Surfaces, surfaces
+from postproc.testpart.fit import fit
 from postproc.testpart.model import agreement, material, model_file
+from postproc.testpart.prior import Prior
+from postproc.testpart.readings import Readings
 from postproc.under_load import RobotInCell
 from tests.oracle.arm import Arm
 from tests.oracle.whole_arm import WholeArm, twist
@@ -69,11 +71,13 @@ def part(folder, box=((0, 300), (0, 200), (-40, 0)), count=12, resolution=0.5, d
     hung = features.hanging_places(low, high, cutting.top) if mass else np.zeros((0, 3))
     weighed = design.weighed(prior, settings, cutting, mass, hung, SIGMA)
     chosen = design.choose(found, prior, robot_in_cell, design.tests_in_block(found), count, weighed)
+    touches = features.touch_off_places(chosen.features, cutting, low, high)
     made, programs = {}, {}
     for number, (placement, cell) in enumerate(cells.items()):
         own = [chosen.features[k] for k in np.flatnonzero(chosen.placement == number)]
-        first = 1 + int((chosen.placement < number).sum()), 1 + len(hung) * number
-        made[placement] = features.program(own, cutting, mass, hung, first=first)
+        first = 1 + int((chosen.placement < number).sum()), 1 + len(hung) * number, 1 + len(touches) * number
+        touched = touches if own else None
+        made[placement] = features.program(own, cutting, mass, hung, touches=touched, first=first)
         if not made[placement].feature:
             continue
         (folder / placement.name).write_text(made[placement].text)
@@ -114,15 +118,15 @@ def truth(rng, kind="joints", drift=None):
     return WholeArm((FOLDER / "robot.urdf").read_text(), model)
 
 
-def machine(arm, scale=1.0, radius=5.0, base=(1500, -200, 700)):
+def machine(arm, scale=1.0, radius=5.0, base=(1500, -200, 700), top=(0.0, 0.0, 0.0)):
     return Machine(
         arm, Arm.load(FOLDER), [0, -70, 110, 0, 50, 0], base, (0, 0, 350), 180.0,
-        tuple(scale * k for k in AL7075), radius, 3,
+        tuple(scale * k for k in AL7075), radius, 3, top,
     )  # fmt: skip
 
 
-def probed(part, arm, rng, scale=1.0, sigma=1e3 * SIGMA):
-    """Cut and probe; return the name of the file."""
+def probed(part, arm, rng, scale=1.0, sigma=1e3 * SIGMA, top=(0.0, 0.0, 0.0)):
+    """Cut and probe; return the name of the file. `top`: of the uncut block, see `Machine`."""
     radius = 5.0 + 0.01 * rng.normal()
     head, *rows = (part.folder / "probing.csv").read_text().splitlines()
     out = [head]
@@ -130,7 +134,7 @@ def probed(part, arm, rng, scale=1.0, sigma=1e3 * SIGMA):
         cell = part.cells[placement]
         own = [row for row in rows if len(part.cells) == 1 or row.split(",")[1] == placement.name]
         base = cell.base
-        cutter = machine(arm, scale, radius, (base.X, base.Y, base.Z, base.A))
+        cutter = machine(arm, scale, radius, (base.X, base.Y, base.Z, base.A), top)
         text = (part.folder / placement.name).read_text()
         out += cutter.probed(text, "\n".join([head, *own, ""]), rng, sigma).splitlines()[1:]
     path = part.folder / "probed.csv"
@@ -145,7 +149,7 @@ def identified(part, path):
 def fitted(part, path, prior, robot_in_cell, process):
     read, parts = probing.read(path), clamped(part, path, robot_in_cell.robot, process)
     where = Surfaces.joined([each.where for each in parts])
-    return fit(prior, Readings(read, where, SIGMA), robot_in_cell, forces_of(parts))
+    return fit(prior, Readings.of(read, where, SIGMA), robot_in_cell, CutForces(parts))
 
 
 def clamped(part, path, robot, process):

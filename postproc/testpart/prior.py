@@ -1,0 +1,89 @@
+"""Knowledge of robot and forces before a test part is probed: a model with its covariance, and that of the forces."""
+
+from __future__ import annotations
+
+import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
+
+from postproc.errors import MeasurementError
+from postproc.frames import Array
+from postproc.robot import Parameter, RobotModel, Spring, file_slopes
+
+_UNMEASURED = 0.3
+"""Relative standard deviation of a parameter of a robot that may have changed."""
+LEAST = 0.02
+"""Least value of a compliance, and of the scale of the forces, as a share of its prior."""
+
+
+class Prior(Struct, frozen=True, eq=False):
+    """Knowledge before the part is probed: model, covariance, forces.
+
+    :param robot: the model.
+    :param parameters: (p,) of its covariance.
+    :param order: (o,) these and the linear parameters that their values in files depend on.
+    :param by_file: (o, p) linear values (SI) by values in files.
+    :param covariance: (p + 1, p + 1) of the parameters in units of files, and of the scale of the forces.
+    """
+
+    robot: RobotModel
+    parameters: tuple[Parameter, ...]
+    order: tuple[Parameter, ...]
+    by_file: Array
+    covariance: Array
+
+    @classmethod
+    def of(cls, robot: RobotModel, sigma_scale: float, law: tuple[float, ...] = ()) -> Prior:
+        """Take the prior of a model.
+
+        :param sigma_scale: standard deviation of the scale of the forces.
+        :param law: numbers of the cutting law that computes them; where the model was identified with it, the scale
+            and the compliances are known together.
+        :raises MeasurementError: the model states no covariance and no `sigma_percent`.
+        """
+        if robot.covariance is None or not robot.covariance.parameters:
+            raise MeasurementError(
+                f"the model {robot.name} does not state how certain its values are",
+                file=robot.name,
+                advice="Give sigma_percent with the compliances of model.toml.",
+            )
+        parameters = robot.covariance.parameters
+        order = tuple(dict.fromkeys([*parameters, *(p for each in parameters for p in each.partners())]))
+        slopes = file_slopes(order, {parameter: robot.value(parameter) for parameter in order})
+        by_file = np.asarray(np.linalg.inv(slopes)[:, [order.index(parameter) for parameter in parameters]])
+        size = len(parameters)
+        covariance = np.zeros((size + 1, size + 1))
+        covariance[:size, :size], covariance[size, size] = robot.covariance.matrix, sigma_scale**2
+        if robot.force_factor is not None and robot.force_factor.is_of(law):
+            covariance[size] = covariance[:, size] = robot.force_factor.covariance
+        return cls(robot, parameters, order, by_file, covariance)
+
+    @property
+    def sigma(self) -> Array:
+        """(p + 1,) standard deviations."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def values(self) -> Array:
+        """(p,) values of the parameters in units of files."""
+        robot_values = {parameter: self.robot.value(parameter) for parameter in self.order}
+        return np.array([parameter.in_file(robot_values)[0] for parameter in self.parameters])
+
+    @property
+    def drift(self) -> Array:
+        """(p + 1,) standard deviations of what may have changed since: not the forces."""
+        return np.append(np.where(self.sigma[:-1] > 0.0, _UNMEASURED * self.values, 0.0), 0.0)
+
+    def widened(self) -> Prior:
+        """Return the same values, each at least as uncertain as a robot that was never measured."""
+        return replace(self, covariance=self.covariance + np.diag(self.drift**2))
+
+    def moved(self, z: Array) -> RobotModel:
+        """Return the robot with its parameters changed by z (p,), in units of files; compliances stay positive."""
+        changes = dict(zip(self.order, (self.by_file @ z).tolist(), strict=True))
+        values = {}
+        for parameter, change in changes.items():
+            value = self.robot.value(parameter)
+            smallest = LEAST * value if isinstance(parameter, Spring) and value > 0.0 else -np.inf
+            values[parameter] = max(value + change, smallest)
+        return self.robot.with_values(values)

@@ -1,0 +1,238 @@
+"""Probed deviations of a test part, referred to the uncut top of the block, and what part and path add to them.
+
+The part lies anywhere when it is probed. Its uncut top is the datum: the plane through the touch-off points. The
+position of the cuts against it is free (six numbers for each placement of the block). Along Z it is the error of the
+touch-off: a program that runs too high over the block cuts less deep, so its forces and deflections are smaller. A path
+that is off by p and a lift of the whole program both move a surface along its normal n by n·p, and change the
+deflection by c·p_z, where c is the derivative of the deflection by the lift. So the direction in which a position is
+seen is n + c Z.
+"""
+
+from __future__ import annotations
+
+from typing import Self
+
+import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
+
+from postproc.chunks import Columns
+from postproc.errors import MeasurementError
+from postproc.frames import Array
+from postproc.testpart.cut import Surfaces
+from postproc.testpart.probing import Probed, TouchOff
+
+PATH_ERROR = 1e-4
+"""Standard deviation of the path of the robot without force from one feature to another [m]."""
+RADIUS_ERROR = 5e-5
+"""Standard deviation of the radius at which the tool cuts, run-out included [m]."""
+UNEVENNESS = 2e-5
+"""Standard deviation of the uncut top from a plane [m]. Assumed: a faced block."""
+SHIFT, TURN = 1e-2, 1e-1
+"""Standard deviations of the position of the part where it is probed [m, rad]: free."""
+_FEWEST = 3
+"""Fewest touch-off points of a placement: height and two slopes of the top."""
+_SMALLEST_SPREAD = 5e-3
+"""Least spread of the touch-off points across their longest line, RMS [m]."""
+_CONTRADICTION = 4.0
+"""Distance of the touch-off points from a plane, in standard deviations, beyond which they contradict each other."""
+_Z = np.array([0.0, 0.0, 1.0])
+
+
+class Top(Struct, frozen=True, eq=False):
+    """The uncut top of the block in one placement, in the frame in which the part was probed.
+
+    :param base: number of the placement.
+    :param points: names of the touch-off points.
+    :param origin: (3,) middle of these points, `$BASE` [m].
+    :param height: (3,) deviation of the top there [m], and its slopes along X and Y.
+    :param covariance: (3, 3) of `height`.
+    :param misfit: RMS distance of the points from a plane, in its standard deviations; 0 for three points.
+    """
+
+    base: int
+    points: tuple[str, ...]
+    origin: Array
+    height: Array
+    covariance: Array
+    misfit: float
+
+    @property
+    def is_contradictory(self) -> bool:
+        """Whether the touch-off points are on no plane."""
+        return self.misfit > _CONTRADICTION
+
+    def terms(self, points: Array) -> Array:
+        """Return the factors (n, 3) of `height` in the deviation of the top at points (n, 3) [m]."""
+        return np.column_stack([np.ones(len(points)), (points - self.origin)[:, :2]])
+
+    def deviation(self, points: Array, normals: Array) -> Array:
+        """Return the deviation (n,) [m] of surfaces that move with the top from the program's zero."""
+        height, by_x, by_y = self.height
+        motion = height * _Z + np.cross(np.array([by_y, -by_x, 0.0]), points - self.origin)
+        return np.asarray(np.einsum("ni,ni->n", normals, motion))
+
+
+def top_of(touch_off: TouchOff, base: int, sigma: float, file: str) -> Top:
+    """Return the plane through the touch-off points of a placement, by least squares.
+
+    :param sigma: noise of the probe [m].
+    :param file: the table of the points.
+    :raises MeasurementError: there are fewer than three, or they are on a line.
+    """
+    touches = touch_off.at(base)
+    count = len(touches.name)
+    where = "" if base < 0 else f" for [base_data.{base}]"
+    if count < _FEWEST:
+        raise MeasurementError(
+            f"{count or 'no'} touch-off points{where}: whether the program ran too high or too low over the block is "
+            "not known, so the depth of its cuts is not known either",
+            file=file,
+            advice="Probe at least three points of the uncut top, far apart, in the clamping of the other points. Fill "
+            "in the rows T01.top, T02.top …, or add rows: source_line and t 0; X, Y, Z of a point of the top as "
+            "programmed; normal 0, 0, 1.",
+        )
+    origin = touches.point.mean(axis=0)
+    across = float(np.linalg.svd((touches.point - origin)[:, :2], compute_uv=False)[-1]) / np.sqrt(count)
+    if across < _SMALLEST_SPREAD:
+        advice = "Probe points near three corners of the block."
+        raise MeasurementError(f"the touch-off points{where} are on one line", file=file, advice=advice)
+    variance = sigma**2 + UNEVENNESS**2
+    terms = np.column_stack([np.ones(count), (touches.point - origin)[:, :2]])
+    covariance = variance * np.linalg.inv(terms.T @ terms)
+    height = covariance @ terms.T @ touches.deviation / variance
+    residual = touches.deviation - terms @ height
+    surplus = count - _FEWEST
+    misfit = float(np.sqrt(residual @ residual / (surplus * variance))) if surplus else 0.0
+    return Top(base, touches.name, origin, height, max(1.0, misfit**2) * covariance, misfit)
+
+
+class Lift(Struct, frozen=True, eq=False):
+    """How high a program ran over the block: a touch-off error, or a tilt of `$BASE` against the block.
+
+    :param base: number of the placement.
+    :param origin: (3,) middle of the probed points, `$BASE` [m].
+    :param height: (3,) lift there [m], positive where less was cut, and its slopes along X and Y.
+    :param covariance: (3, 3) of `height`.
+    """
+
+    base: int
+    origin: Array
+    height: Array
+    covariance: Array
+
+    def at(self, points: Array) -> Array:
+        """Return the lift (n,) [m] at points (n, 3) in `$BASE` [m]."""
+        return np.asarray(self.height[0] + (points - self.origin)[:, :2] @ self.height[1:])
+
+
+class Readings(Columns, frozen=True, eq=False):
+    """Probed deviations, referred to the uncut top of the block, and where they come from.
+
+    :param probed: the points; `deviation` as if the top were at the program's zero where it was probed.
+    :param datum: (n,) deviation as measured, less that [m].
+    :param where: where they are made.
+    :param sigma: noise of the probe [m].
+    :param tops: of each placement in which something was cut, in the order of the points.
+    """
+
+    probed: Probed
+    datum: Array
+    where: Surfaces
+    sigma: float
+    tops: tuple[Top, ...]
+
+    @classmethod
+    def of(cls, probed: Probed, where: Surfaces, sigma: float) -> Self:
+        """Refer the deviations of cut surfaces to the touch-off points.
+
+        :raises MeasurementError: a placement has too few of them.
+        """
+        datum, tops = np.zeros(len(probed)), []
+        for base in dict.fromkeys(probed.base.tolist()):
+            rows = np.flatnonzero((probed.base == base) & (probed.mass == 0.0))
+            if len(rows):
+                tops.append(top_of(probed.touch_off, base, sigma, probed.file))
+                datum[rows] = tops[-1].deviation(probed.point[rows], probed.normal[rows])
+        return cls(replace(probed, deviation=probed.deviation - datum), datum, where, sigma, tuple(tops))
+
+    @property
+    def least_depth(self) -> float:
+        """Depth of the flattest surface below the top [m]: of floors, if any was probed."""
+        top = {top.base: top.origin[2] for top in self.tops}
+        depth = np.array([top.get(base, np.inf) for base in self.probed.base.tolist()]) - self.probed.point[:, 2]
+        is_floor = (self.where.wall == 0.0) & (self.probed.mass == 0.0)
+        is_counted = is_floor if is_floor.any() else self.probed.mass == 0.0
+        return float(depth[is_counted].min(initial=np.inf))
+
+    @property
+    def _is_cut(self) -> Array:
+        """(n,) 1 for cut surfaces, 0 for readings of a gauge: it reads displacements, wherever it is."""
+        return np.asarray(self.probed.mass == 0.0, dtype=float)
+
+    def _position(self, direction: Array) -> Array:
+        """Return the derivatives (n, 6 b) [m] by the position of the cuts in each placement, in its free units.
+
+        :param direction: (n, 3) in which a displacement is seen.
+        """
+        columns = []
+        for base in self._bases:
+            is_here = (self.probed.base == base)[:, None]
+            arm = self.probed.point - self.probed.point.mean(axis=0, where=is_here)
+            columns += [SHIFT * direction * is_here, TURN * np.cross(arm, direction) * is_here]
+        return np.concatenate(columns, axis=1)
+
+    @property
+    def _bases(self) -> list[int]:
+        """Numbers of the placements, in the order of the points."""
+        return list(dict.fromkeys(self.probed.base.tolist()))
+
+    def directions(self, by_lift: Array) -> Array:
+        """Return the directions (n, 3) in which displacements of the path are seen.
+
+        :param by_lift: (n,) derivative of the deviations by the lift of the program over the block.
+        """
+        return np.asarray(self._is_cut[:, None] * (self.probed.normal + by_lift[:, None] * _Z))
+
+    def by_part(self, by_lift: Array) -> Array:
+        """Return the covariance (n, n) [m²] that part, touch-off and path without force add to the readings.
+
+        :param by_lift: (n,) derivative of the deviations by the lift of the program over the block.
+        """
+        probe_data = self.probed
+        direction = self.directions(by_lift)
+        position = self._position(direction)
+        same_group = probe_data.group[:, None] == probe_data.group[None, :]
+        radius = RADIUS_ERROR * self.where.wall
+        covariance = position @ position.T + np.outer(radius, radius)
+        covariance += same_group * (
+            PATH_ERROR**2 * (direction @ direction.T) + UNEVENNESS**2 * np.outer(by_lift, by_lift)
+        )
+        for top in self.tops:
+            terms = (by_lift * (probe_data.base == top.base))[:, None] * top.terms(probe_data.point)
+            covariance += terms @ top.covariance @ terms.T
+        return np.asarray(covariance)
+
+    def lifts(self, by_lift: Array, precision: Array, target: Array) -> tuple[Lift, ...]:
+        """Return how high each program ran over the block.
+
+        :param by_lift: (n,) as in `by_part`.
+        :param precision: (n, n) inverse of the covariance of the deviations.
+        :param target: (n,) deviations less those that the model predicts at no lift [m].
+        """
+        position = self._position(self.directions(by_lift))
+        value = position.T @ precision @ target
+        covariance = np.eye(len(value)) - position.T @ precision @ position
+        lifts = []
+        for k, base in enumerate(self._bases):
+            free = 6 * k + np.array([2, 3, 4])  # along Z, about X and Y
+            terms = np.array([[SHIFT, 0.0, 0.0], [0.0, 0.0, -TURN], [0.0, TURN, 0.0]])
+            origin = self.probed.point.mean(axis=0, where=(self.probed.base == base)[:, None])
+            spread = terms @ covariance[np.ix_(free, free)] @ terms.T
+            for top in self.tops:
+                if top.base == base:
+                    by_top = top.terms(origin[None])[0]
+                    spread[0, 0] += by_top @ top.covariance @ by_top
+                    spread[1:, 1:] += top.covariance[1:, 1:]
+            lifts.append(Lift(base, origin, terms @ value[free], spread))
+        return tuple(lifts)
