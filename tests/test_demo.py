@@ -15,11 +15,25 @@ from postproc import robot
 from tests.commands import run
 from tests.documentation.pages import ROOT
 from tests.oracle.arm import Arm, abc
+from tests.testpart import demo as demo_part
 
 SAMPLES = ROOT / "samples"
 BASE, TOOLS = abc(1600, -100, 750), {1: abc(0, 0, 350), 2: abc(0, 0, 380)}
 TOOL_CHANGE_LINE = 23
 _NUMBER = re.compile(r"-?\d+\.?\d*")
+
+
+@pytest.fixture(scope="module")
+def by_part(tmp_path_factory):
+    """The demo with a test part in place of a tracker."""
+    folder = tmp_path_factory.mktemp("part")
+    demo = folder / "samples" / "demo"
+    shutil.copytree(SAMPLES / "demo", demo)
+    part = demo / "testpart"
+    given = ("--process", part / "testpart.process.toml", "--program", part / "testpart.nc")
+    run("identify", "part", part / "probed.csv", *given, "-o", demo / "part_robot", cell=demo / "cell.toml")
+    run("convert", demo / "bracket.nc", "-o", folder / "after", cell=demo / "cell_testpart.toml")
+    return folder
 
 
 @pytest.fixture(scope="module")
@@ -70,6 +84,45 @@ def test_the_simulated_robot_mills_as_well_as_the_report_promises(folder):
     assert after.max() < expected(folder, "after")
     assert before.max() < expected(folder, "before")
     assert before.max() > 5.0 * after.max()
+
+
+def test_the_model_of_the_test_part_is_as_good_as_the_report_promises(by_part, folder):
+    assert expected(by_part, "after") == pytest.approx(0.26, abs=0.02)
+    after = true_errors(by_part, "after")
+    assert after.max() < expected(by_part, "after")
+    assert after.max() < 0.6 * true_errors(folder, "before").max()
+
+
+def test_the_touch_off_error_of_the_demo_is_measured(by_part):
+    (error,) = json.loads((by_part / "samples" / "demo" / "part_robot" / "identification.json").read_text())[
+        "touch_off"
+    ]
+    assert error["lift_mm"] == pytest.approx(-demo_part.TOP[0], abs=error["ci95"])
+
+
+@pytest.mark.parametrize("name", demo_part.SEEDS)
+def test_the_probed_part_is_that_of_the_simulator(name):
+    folder = SAMPLES / "demo" / "testpart"
+    shipped = (folder / name).read_text()
+    empty = re.sub(r",[^,\n]*$", ",", shipped.partition("\n")[2], flags=re.M)
+    made = demo_part.probed(
+        (folder / "testpart.nc").read_text(), shipped.partition("\n")[0] + "\n" + empty, demo_part.SEEDS[name]
+    )
+    numbers = [np.array(_NUMBER.findall(text.partition("\n")[2]), dtype=float) for text in (made, shipped)]
+    np.testing.assert_allclose(numbers[0], numbers[1], atol=1e-4)
+
+
+def test_the_part_of_the_demo_is_the_one_that_the_command_chooses(tmp_path):
+    demo = SAMPLES / "demo"
+    given = ("--cell", demo / "cell.toml", "--process", demo / "process.toml", "--features", 8, "--depth", 3)
+    run("testpart", *given, "-o", tmp_path / "out")
+    for name in ("testpart.nc", "testpart.process.toml"):
+        assert (tmp_path / "out" / name).read_text() == (demo / "testpart" / name).read_text()
+    places = [
+        [line.rpartition(",")[0] for line in path.read_text().splitlines()]
+        for path in (tmp_path / "out" / "probing.csv", demo / "testpart" / "probed.csv")
+    ]
+    assert places[0] == places[1]
 
 
 def test_the_readings_are_those_of_the_simulator(tmp_path, monkeypatch):

@@ -19,7 +19,7 @@ REFERENCE = {
 FORMATS = "\n".join(REFERENCE.values())
 FOLLOWED = [
     ROOT / "README.md",
-    *(DOCS / "tutorials" / f"{name}.md" for name in ("first-day", "forces", "no-forces", "krl", "robot")),
+    *(DOCS / "tutorials" / f"{name}.md" for name in ("first-day", "forces", "no-forces", "krl", "robot", "testpart")),
     *sorted((DOCS / "guide").glob("*.md")),
     *sorted((DOCS / "cam").glob("*.md")),
 ]
