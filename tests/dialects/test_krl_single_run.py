@@ -76,7 +76,7 @@ def test_calls_and_conditions_need_one_run_only(name):
     assert both(lambda: read(texts), lambda program: krl.rewrite(program, corrected(program)))[2]
 
 
-@pytest.mark.parametrize("kind", ["more", "mixed", "harder", "states", "snippets"])
+@pytest.mark.parametrize("kind", ["mixed", "harder", "states", "snippets"])
 def test_random_programs_are_read_the_same_in_one_run(kind):
     single_runs = 0
     for seed in range(25):
@@ -85,8 +85,7 @@ def test_random_programs_are_read_the_same_in_one_run(kind):
             texts = Snippets(rng, keep=False).programs()
         else:
             generator = States if kind == "states" else Generator
-            mixed = kind != "more"
-            texts = generator(rng, more=True, mixed=mixed, keep=False, harder=kind == "harder").programs()
+            texts = generator(rng, more=True, mixed=True, keep=False, harder=kind == "harder").programs()
         limits = patch.multiple(flow, _MOST_TRACED=MOST_STEPS, _MOST_STATEMENTS=MOST_STEPS)
         with limits, tempfile.TemporaryDirectory() as name:
             folder = Path(name)

@@ -316,8 +316,8 @@ def calls(values: Iterable[Value]) -> list[Call]:
     """
     call_list: list[Call] = []
     for value in values:
-        if isinstance(value, _LEAVES):  # nearly all of them
-            continue
+        if isinstance(value, _LEAVES) or (isinstance(value, Reference) and not value.indices and not value.inner):
+            continue  # nearly all of them
         if isinstance(value, Call) and _is_routine(value.name):
             call_list.append(value)
         if inner := parts(value):
@@ -340,10 +340,12 @@ def parse_aggregate(source: Source, start: int, stop: int) -> Aggregate:
     while True:
         match = COMPONENT.match(text, position, stop)
         if match:
+            literal = match[2]
             name, has_comma, position = match[1].upper(), match[3] is not None, match.end()
-            value: Value = Number(
-                _finite(source, match, 2), match.start(2), match.end(2), match[2].lstrip("+-").isdigit()
-            )
+            number = float(literal)
+            if number - number != 0.0:
+                number = _finite(source, match, 2)
+            value: Value = Number(number, match.start(2), match.end(2), literal.lstrip("+-").isdigit())
         else:
             name, value, has_comma, position = _component(source, start, position, stop)
         if name in items:

@@ -6,6 +6,7 @@ Each line is read once. A statement that is not understood becomes a plain `tree
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import cast
 
 from postproc.dialects.krl.language.declarations import declared, structure
 from postproc.dialects.krl.language.expressions import list_in, opaque, operand, split, unreadable, value_at, value_in
@@ -66,9 +67,17 @@ from postproc.errors import ProgramError
 def statement(source: Source, line: int) -> Statement:
     """Return the statement on a 1-based line; it is parsed at the first call and stored."""
     node = source.statements.get(line)
-    if not isinstance(node, Statement):
+    if node is None:
         node = source.statements[line] = statement_in(source, *source.code_span(line))
-    return node
+    return cast("Statement", node)
+
+
+def statement_at(source: Source, line: int, start: int, stop: int) -> Statement:
+    """Return what `statement` does, if the span of the code of the line is known."""
+    node = source.statements.get(line)
+    if node is None:
+        node = source.statements[line] = statement_in(source, start, stop)
+    return cast("Statement", node)
 
 
 def statement_in(source: Source, start: int, stop: int) -> Statement:

@@ -9,7 +9,7 @@ from pathlib import PurePath
 import numpy as np
 from msgspec import Struct
 
-from postproc.dialects.krl.language.parser import statement
+from postproc.dialects.krl.language.parser import statement, statement_at
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tree import Declaration, Definition, Motion, Parameter
 from postproc.errors import ProgramError
@@ -106,7 +106,7 @@ def routines(
         start, stop = source.code_span(line)
         if start == stop or text[start] == "&":
             continue
-        node = statement(source, line)
+        node = statement_at(source, line, start, stop)
         if isinstance(node, Definition):
             if open_routine is not None:
                 faults.append(source.line_error(f"DEF {open_routine.name} (line {open_routine.line}) has no END", line))

@@ -18,11 +18,11 @@ from postproc.errors import ProgramError
 
 def _values_of(part: object) -> tuple[Value, ...]:
     """Return the values in a part of a statement: a value, another statement, several of these, or nothing."""
-    if part is None:
-        return ()
+    if isinstance(part, (Statement, Tail)):
+        return part.values
     if isinstance(part, tuple):
         return tuple(value for item in part for value in _values_of(item))
-    return part.values if isinstance(part, (Statement, Tail)) else (part,)  # type: ignore[return-value]
+    return () if part is None else (part,)  # type: ignore[return-value]
 
 
 class _Node(Struct, frozen=True, eq=False, kw_only=True):
@@ -45,7 +45,12 @@ class Statement(_Node, frozen=True, eq=False):
     @property
     def values(self) -> tuple[Value, ...]:
         """The values in it, in the order of the text."""
-        return _values_of(tuple(getattr(self, name) for name in self.PARTS))
+        values: list[Value] = []
+        for name in self.PARTS:
+            part = getattr(self, name)
+            if part is not None:
+                values += _values_of(part)
+        return tuple(values)
 
 
 class Faulty(Statement, frozen=True, eq=False):
@@ -131,7 +136,7 @@ class Tail(Struct, frozen=True, eq=False):
     @property
     def values(self) -> tuple[Value, ...]:
         """The values in it, in the order of the text."""
-        return _values_of(self.given)
+        return _values_of(self.given) if self.given else ()
 
 
 class Motion(Statement, frozen=True, eq=False):

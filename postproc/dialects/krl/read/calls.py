@@ -69,7 +69,7 @@ class Calls:
         self.notice(at, call.name, effects)
         self._check_motion(at, call, *callee, effects)
         if callee[0] is self.run.library.program:
-            self.run.reached |= {callee[1]}
+            self.run.reached.add(callee[1])
         if _harmless(effects):
             result = None if self._obstacle(at, call, *callee, effects) else self._executed(at, call, *callee)
             return unknown if result is None else result
@@ -104,6 +104,8 @@ class Calls:
         :param source: the same for errors of later lines.
         :raises ProgramError: frames or speeds may change so, or a variable that a caller gave.
         """
+        if not (effects.lasting or effects.absent or effects.resumes or effects.anytime):
+            return
         if effects.lasting is not None:
             problem = f"{subject} has a parameter that changes at any time from then on ({effects.lasting})"
             raise at.error(problem, "Change a variable of a .dat there, or make the parameter :IN.")
@@ -128,13 +130,13 @@ class Calls:
 
     def _by_reference(self, at: Place, call: Call, routine: Routine | None) -> list[tuple[int, Reference]]:
         """Return the arguments that a routine may write: variables given for a parameter without ``:IN``."""
-        references = []
-        for index, argument in enumerate(call.arguments):
-            by_value = routine is not None and index < len(routine.parameters) and routine.parameters[index].by_value
-            reference = None if by_value else writable(argument)
-            if reference is not None:
-                references.append((index, reference))
-        return references
+        parameters = () if routine is None else routine.parameters
+        return [
+            (index, reference)
+            for index, argument in enumerate(call.arguments)
+            if (reference := writable(argument)) is not None
+            and not (index < len(parameters) and parameters[index].by_value)
+        ]
 
     def _may_have_run(self, at: Place, name: str, effects: Effects) -> None:
         """Mark as unknown everything that code may write which runs at unknown times or an unknown number of times."""
@@ -200,7 +202,7 @@ class Calls:
         effects = self.run.analysis.of(module, routine)
         self.notice(at, call.name, effects)
         if module is self.run.library.program:
-            self.run.reached |= {routine}
+            self.run.reached.add(routine)
         if obstacle := self._obstacle(at, call, module, routine, effects):
             problem = f"{call.name} is called, which moves the robot, in a way that cannot be followed: {obstacle}"
             raise inexact(at, problem, _INLINE_ADVICE, routine)

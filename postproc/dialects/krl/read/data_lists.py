@@ -121,7 +121,9 @@ def _noted(variables: Variables, declarator: Declared, *, fill: bool = False) ->
             variables.public.add(name)
         if name not in variables.initial:
             variables.take_given(name)  # what its type makes of it
-    indices = [part.strip() for part in (declarator.bounds or "").strip("[] \t").split(",")]
+    if declarator.bounds is None:
+        return name
+    indices = [part.strip() for part in declarator.bounds.strip("[] \t").split(",")]
     if not all(INDEX.fullmatch(index) for index in indices):
         return name
     return f"{name}[{','.join(str(int(index)) for index in indices)}]"

@@ -111,6 +111,7 @@ class _Direct(Struct, eq=False):
     action_callees: list[Callee] = []
     public: list[_Direct] = []
     """For each GLOBAL interrupt its action alone."""
+    has_actions: bool = False
 
 
 class Analysis:
@@ -128,20 +129,22 @@ class Analysis:
 
     def of(self, module: Module, routine: Routine) -> Effects:
         """Return the effects of a routine, including all that it calls."""
-        if routine not in self._all:
-            local_effects = self._of_routine(module, routine).effects
-            total = Effects(jumps=local_effects.jumps, parameter=local_effects.parameter)
-            for node in self._reached([(module, routine)]):
-                direct = self._of_routine(*node)
-                total.add(direct.effects)
-                self._add_later(total, direct)
-                for event in direct.public:
-                    action = Effects()
-                    self._add_later(action, event)
-                    total.interrupting = total.interrupting or action.motion
-            total.motion = total.motion or total.back
-            self._all[routine] = total
-        return self._all[routine]
+        total = self._all.get(routine)
+        if total is not None:
+            return total
+        local_effects = self._of_routine(module, routine).effects
+        total = Effects(jumps=local_effects.jumps, parameter=local_effects.parameter)
+        for node in self._reached([(module, routine)]):
+            direct = self._of_routine(*node)
+            total.add(direct.effects)
+            self._add_later(total, direct)
+            for event in direct.public:
+                action = Effects()
+                self._add_later(action, event)
+                total.interrupting = total.interrupting or action.motion
+        total.motion = total.motion or total.back
+        self._all[routine] = total
+        return total
 
     def reached(self, module: Module, routine: Routine) -> set[Routine]:
         """Return the routine and all routines that it may call, directly or not, also by interrupts and triggers."""
@@ -207,12 +210,14 @@ class Analysis:
 
         Motions back to where an interrupt has stopped the robot leave its path as it is: they are not among them.
         """
-        direct, total = _Direct(), Effects()
+        direct, total = _Direct(has_actions=True), Effects()
         _Statement(self, module, routine, place, direct.action_effects, direct.action_callees, scope).read_event(event)
         self._add_later(total, direct)
         return total
 
     def _add_later(self, total: Effects, direct: _Direct) -> None:
+        if not direct.has_actions:
+            return
         total.add_action(direct.action_effects)
         total.lasting = total.lasting or direct.action_effects.parameter
         for node in self._reached(direct.action_callees):
@@ -254,22 +259,24 @@ class Analysis:
 
     def _read(self, direct: _Direct, stmt: Statement, node: Callee, place: Place) -> None:
         """Note the effects of one statement."""
+        if not isinstance(stmt, Event | Cyclic | Imported):
+            _Statement(self, *node, place, direct.effects, direct.callees).read(stmt)
+            return
+        direct.has_actions = True
         later_statement = _Statement(self, *node, place, direct.action_effects, direct.action_callees)
         if isinstance(stmt, Event):
             later_statement.read_event(stmt)
             if stmt.public:
-                event_effects = _Direct()
+                event_effects = _Direct(has_actions=True)
                 _Statement(self, *node, place, event_effects.action_effects, event_effects.action_callees).read_event(
                     stmt
                 )
                 direct.public.append(event_effects)
         elif isinstance(stmt, Cyclic):
             later_statement.writes(stmt.name)
-        elif isinstance(stmt, Imported):
+        else:
             later_statement.writes(stmt.name)
             direct.action_effects.writes.setdefault(stmt.original, place)
-        else:
-            _Statement(self, *node, place, direct.effects, direct.callees).read(stmt)
 
 
 class _Statement(Struct, eq=False):

@@ -602,10 +602,10 @@ class Flow:
         No other GOTO may lead to the label: the rounds may be written one after the other, without it.
         """
         level, line = self.run.level, nodes[index]
-        if self.trace is None or not level.traced or level.loops or not self.run.certain or isinstance(line, Block):
+        if self.trace is None or isinstance(line, Block):
             return 0
         label = statement(source, line)
-        if not isinstance(label, tree.Label):
+        if not isinstance(label, tree.Label) or not level.traced or level.loops or not self.run.certain:
             return 0
         jumps = [at for at in level.routine.lines if self.label_of(source, at) == label.name]
         for number in range(index + 1, len(nodes) if len(jumps) == 1 else 0):
@@ -780,9 +780,11 @@ class _Counter:
             problem = f"motion inside FOR: its counter {self.name} is a REAL"
             raise inexact(self.at, problem, "Count by an INT, and compute the REAL from it in the loop.")
         self.key, self.given = key, stmt.bounds
+        self._are_numbers = all(isinstance(bound, Number) for bound in stmt.bounds[1:] if bound is not None)
         run.place = self.at
         self.last, self.step = self._bounds()
         self._set(self._whole(self.given[0]))
+        self.now()
 
     @property
     def assigned(self) -> tuple[str, int]:
@@ -802,7 +804,7 @@ class _Counter:
     def advance(self) -> None:
         """Advance by one step."""
         self.run.place = self.at
-        if self._bounds() != (self.last, self.step):
+        if not self._are_numbers and self._bounds() != (self.last, self.step):
             raise inexact(self.at, "motion inside FOR: its end changes while it runs", LOOP_ADVICE)
         self._set(self.now() + self.step)
 
@@ -841,7 +843,6 @@ class _Counter:
 
     def _set(self, number: int) -> None:
         self.run.variables.set(self.key, Number(float(number), 0, 0, True), self.at)
-        self.now()
 
     def now(self) -> int:
         """Return its present value."""

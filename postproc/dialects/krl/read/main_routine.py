@@ -337,10 +337,11 @@ class MainRoutine:
 
         :raises ProgramError: one of them follows RETURN, or is outside of DEF … END.
         """
-        is_executed = np.zeros(len(plain), dtype=np.bool_)
-        for step in self.course.steps:
-            if isinstance(step, Lines):
-                is_executed[np.searchsorted(plain, step.first) : np.searchsorted(plain, step.last, side="right")] = True
+        steps = np.array([(s.first, s.last) for s in self.course.steps if isinstance(s, Lines)]).reshape(-1, 2)
+        depth = np.zeros(len(plain) + 1, dtype=np.int64)
+        np.add.at(depth, np.searchsorted(plain, steps[:, 0]), 1)
+        np.add.at(depth, np.searchsorted(plain, steps[:, 1], side="right"), -1)
+        is_executed: Bools = np.cumsum(depth[:-1]) > 0
         if not self.course.straight:
             return is_executed
         return_line = self.run.level.returned

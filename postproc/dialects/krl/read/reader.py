@@ -14,6 +14,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
+from postproc import garbage
 from postproc.cell import Cell
 from postproc.chunks import in_chunks
 from postproc.dialects.krl.course import Occasion
@@ -69,8 +70,16 @@ def read_program(
     :raises CellError: the `$config.dat` that the cell names cannot be read, or the cell and the files give different
         frames for one number.
     """
+    with garbage.kept():
+        return _followed(documents, cell, kinematics, name, bulk=_bulk)
+
+
+def _followed(
+    documents: Sequence[Document], cell: Cell, kinematics: Callable[[Array], Array], name: str, *, bulk: bool
+) -> Program:
+    """Return what `read_program` does."""
     source = Source.of(documents[0], 0)
-    plain = plain_of(source, bulk=_bulk)
+    plain = plain_of(source, bulk=bulk)
     module, entry, faults = _main(source, plain, name)
     other_documents = [document for document in documents[1:] if not _belongs(document, documents[0])]
     library = Library(module, FolderFiles(_folders(documents[0], cell), other_documents))
@@ -82,7 +91,7 @@ def read_program(
     while True:
         try:
             return reading.program(
-                plain_stack.pop() if plain_stack else plain_of(source, bulk=_bulk), obstacles, bulk=_bulk
+                plain_stack.pop() if plain_stack else plain_of(source, bulk=bulk), obstacles, bulk=bulk
             )
         except RecursionError:
             problem = "calls, control structures and brackets are nested too deeply"
