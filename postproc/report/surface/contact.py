@@ -1,0 +1,100 @@
+"""Where the tip of a tool is when the tool touches a facet, and the place of the path that touches.
+
+With corner radius r, radius R, spindle direction a, outward normal n, and m the part of n square to a, a tool touches a
+facet at x if its tip is at x + r·n + (R − r)·m/|m| − r·a. On a level face (m = 0) it may be anywhere within R − r of
+that, on a wall also below.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from postproc.frames import Array, norm
+from postproc.machining.tool import Cutter
+from postproc.program import Bools, Ints
+from postproc.report.surface.path import CutPath
+
+LONG = 4.0
+"""Length of a tool above its tip, in radii."""
+OVERHANG = -0.05
+"""Facets whose normal points away from the spindle by more (cosine) are not cut from above."""
+FLAT, UPRIGHT = 1e-3, 0.999
+"""Faces are level or walls if the part of their normal square to the spindle is smaller or larger."""
+_CONTACT_SHARE = 0.35
+"""Share of the tool's radius, and at least `_LEAST_CONTACT` [m], by which the path may pass next to the place of
+contact: the next pass is never further than that where a surface is finished."""
+_LEAST_CONTACT = 3e-4
+_LEVEL = 1e-6
+"""The tip is not above what its side touches [m]."""
+_REACH = 0.025
+"""Tools of unknown shape have a radius of at most this [m]. The nearest place counts from which one can touch."""
+_PASS_HEIGHT = 5e-4
+"""Passes next to the place of contact may be this much higher or lower, or further in [m]."""
+_STEEP = 0.7
+"""Moves that are steeper (cosine to the spindle), plunges, leave no faces that are less steep."""
+_CANDIDATES = 96
+
+
+def contact(axis: Array, centre: Array, normal: Array, cutter: Cutter) -> Array:
+    """Return where the tip (n, 3) is if the tool touches facets at their centres."""
+    across_axis = normal - np.einsum("ni,ni->n", normal, axis)[:, None] * axis
+    width = norm(across_axis)
+    m = across_axis / np.where(width > FLAT, width, 1.0)[:, None]
+    m[width <= FLAT] = 0.0
+    return np.asarray(centre + cutter.corner * (normal - axis) + (cutter.radius - cutter.corner) * m)
+
+
+def tolerance(cutter: Cutter) -> float:
+    """Return how far the path may pass from the place of contact [m]."""
+    return max(_LEAST_CONTACT, _CONTACT_SHARE * cutter.radius)
+
+
+def fits(from_contact: Array, axis: Array, normal: Array, cutter: Cutter) -> Bools:
+    """Return whether tools with tips relative to the place of contact (n, 3) count as touching facets."""
+    up = np.einsum("ni,ni->n", normal, axis)
+    width = np.sqrt(np.maximum(1.0 - up**2, 0.0))
+    height = np.einsum("ni,ni->n", from_contact, axis)
+    lateral = norm(from_contact - height[:, None] * axis)
+    limit = tolerance(cutter)
+    on_level = (np.abs(height) <= limit) & (lateral <= cutter.radius - cutter.corner + limit)
+    on_wall = (height <= _LEVEL) & (height >= -LONG * cutter.radius) & (lateral <= limit)
+    is_level, is_wall = (up > 0.0) & (width <= FLAT), width >= UPRIGHT
+    return np.asarray(np.where(is_level, on_level, np.where(is_wall, on_wall, np.hypot(height, lateral) <= limit)))
+
+
+def nearest_place(path: CutPath, centre: Array, normal: Array) -> tuple[Ints, Array, Array]:
+    """Return the nearest place of the path from which a tool of any shape can touch each of n facets.
+
+    :returns: row of the result at the end of its piece (−1: none), share of that piece, and distance of the tip [m].
+    """
+    _, nearest = path.tree.query(centre)
+    a = path.axis[nearest]
+    up = np.einsum("ni,ni->n", normal, a)
+    _, index = path.tree.query(centre, k=min(_CANDIDATES, len(path.point)))
+    index = index.reshape(len(centre), -1)
+    point, step_share = path.near(centre, index)
+    from_centre = point - centre[:, None]
+    height = np.einsum("nki,ni->nk", from_centre, a)
+    distance = np.linalg.norm(from_centre, axis=-1)
+    can_touch = (distance <= _REACH) & _can_touch(height, np.einsum("nki,ni->nk", from_centre, normal), up[:, None])
+    step = path.step[index]
+    climb = np.abs(np.einsum("nki,ni->nk", step, a)) / np.maximum(np.linalg.norm(step, axis=-1), 1e-300)
+    can_touch &= (climb <= _STEEP) | (up <= _STEEP)[:, None]
+    distance = np.where(can_touch, distance, np.inf)
+    best = np.argmin(distance, axis=1)
+    facets = np.arange(len(centre))
+    sample, smallest = index[facets, best], distance[facets, best]
+    row = np.where(np.isfinite(smallest), path.row[sample], -1)
+    return row, path.share[sample] + step_share[facets, best] * path.share_step[sample], smallest
+
+
+def _can_touch(height: Array, outwards: Array, up: Array) -> Bools:
+    """Return whether a tool of any shape, of a radius up to `_REACH`, can touch facets with its tip at places (n, k).
+
+    The tip is outside of the facet, and lower than it by r (1 − n·a) at most, see above.
+
+    :param height: of the tip above the facet along the spindle [m]; outwards: its distance along the normal [m].
+    :param up: (n, 1) cosine between normal and spindle.
+    """
+    reachable = (height <= _PASS_HEIGHT) & (outwards >= -_PASS_HEIGHT) & (up >= OVERHANG)
+    return np.asarray(reachable & (height >= -_REACH * (1.0 - up) - _PASS_HEIGHT))

@@ -1,0 +1,286 @@
+"""The surface that a tool leaves where its passes overlap: at each facet the deepest pass counts.
+
+A line through the centre of a facet along its outward normal enters the tool, a convex body, at one place. The part
+remains up to the lowest entry of all samples of the path. With the tip moved by its deviation the entry is that of the
+deflected tool: a pass that deflects into the part counts wherever its tool reaches, not only where it is the nearest.
+
+The distance of a point at the height z over the tip and at ρ from the axis from a tool of radius R and corner radius r
+is √(max(ρ − R + r, 0)² + max(r − z, 0)²) − r outside. Along a line it is convex: Newton's method from the side of the
+part approaches the entry without passing it, so that each of its values is a lower bound.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from msgspec import Struct
+
+from postproc.chunks import ragged_range
+from postproc.frames import Array, norm
+from postproc.machining.tool import Cutter
+from postproc.program import Bools, Ints
+from postproc.report.surface.contact import LONG, UPRIGHT, contact, fits, tolerance
+from postproc.report.surface.path import CutPath
+
+_FACETS = 128
+"""Facets that are computed at once."""
+_SEEDS = 12
+_WIDER = 1.5
+"""On a convex surface with the radius of the tool, a tool touches further from a facet than on a plane by this."""
+_STEEP = 0.3
+"""Facets that are steeper (cosine to the axis) are also cut by the side of a ball."""
+_STEPS = 60
+_GRAZING = -1e-6
+"""Lines that approach a tool at a smaller rate than this miss it."""
+_EXACT = 1e-9
+"""Distance from the tool at which a line enters it [m]."""
+
+
+class Remaining(Struct, frozen=True, eq=False):
+    """Surfaces that the path of one tool leaves at n facets, along their normals; infinite where it touches none.
+
+    :param programmed: (n,) entry into the tool without deviation [m].
+    :param deflected: (2, n) entry into the deflected tool [m]: without correction, and with the program as written.
+    :param row: (n,) row of the result at the end of the piece that leaves the surface with the program as written; −1
+        where the tool touches nothing.
+    :param share: (n,) of that piece.
+    """
+
+    programmed: Array
+    deflected: Array
+    row: Ints
+    share: Array
+
+
+def remaining(path: CutPath, centre: Array, normal: Array, cutter: Cutter) -> Remaining:
+    """Return the surfaces that the path of a tool leaves at facets with centres and outward normals (n, 3)."""
+    largest = [float(norm(deviation).max(initial=0.0)) for deviation in path.deviation]
+    grid = _Grid.of(path.point + cutter.corner * path.axis, 0.25 * cutter.radius)
+    parts = []
+    for first in range(0, len(centre), _FACETS):
+        rows = slice(first, first + _FACETS)
+        _, nearest = path.tree.query(centre[rows])
+        facets = _Facets.of(centre[rows], normal[rows], path.axis[nearest], cutter)
+        highest, offset = _seeds(path, facets, cutter)
+        pairs = _Pairs(*grid.inside(*_region(facets, cutter, highest + 2.0 * max(largest), offset)))
+        parts.append(_lowest(path, facets, cutter, pairs, highest, largest))
+    return Remaining(
+        np.concatenate([part.programmed for part in parts]),
+        np.concatenate([part.deflected for part in parts], axis=1),
+        np.concatenate([part.row for part in parts]),
+        np.concatenate([part.share for part in parts]),
+    )
+
+
+class _Facets(NamedTuple):
+    """Centres, outward normals, axes of the nearest tool, and tips of tools that touch; all (n, 3)."""
+
+    centre: Array
+    normal: Array
+    axis: Array
+    tip: Array
+
+    @classmethod
+    def of(cls, centre: Array, normal: Array, axis: Array, cutter: Cutter) -> _Facets:
+        return cls(centre, normal, axis, contact(axis, centre, normal, cutter))
+
+
+class _Pairs(NamedTuple):
+    """Facets (P,) and samples of the path (P,) that may cut them."""
+
+    facet: Ints
+    sample: Ints
+
+    def some(self, is_chosen: Bools) -> _Pairs:
+        return _Pairs(self.facet[is_chosen], self.sample[is_chosen])
+
+
+def _lowest(
+    path: CutPath, facets: _Facets, cutter: Cutter, pairs: _Pairs, highest: Array, largest: list[float]
+) -> Remaining:
+    """Return the lowest entries of samples that are paired with facets.
+
+    :param highest: (n,) upper bound of the programmed surface [m]; largest: deviation of the tip in each case [m].
+    """
+    count, limit = len(facets.centre), tolerance(cutter)
+    tip, _ = _tips(path, facets, pairs, None)
+    line = _Line.of(tip, path.axis[pairs.sample], facets, pairs.facet)
+    gap = highest + 2.0 * max(largest)
+    programmed, best, least = _first_entry(line, pairs.facet, -limit, gap.copy(), cutter)
+    near = np.flatnonzero(least <= gap[pairs.facet])
+    near_facet = pairs.facet[near]
+    touching = fits(tip[near] - facets.tip[near_facet], facets.axis[near_facet], facets.normal[near_facet], cutter)
+    is_touched = (np.bincount(near_facet[touching], minlength=count) > 0) & (programmed <= limit)
+    place = np.flatnonzero(is_touched)
+    nominal_sample = pairs.sample[best[place]]
+    deflected, row, share = np.full((2, count), np.inf), np.full(count, -1), np.zeros(count)
+    for case, deviation in enumerate(largest):
+        gap = highest + 2.0 * deviation
+        chosen = pairs.some(is_touched[pairs.facet] & (least <= gap[pairs.facet]))
+        tip, along = _tips(path, facets, chosen, case)
+        line = _Line.of(tip, path.axis[chosen.sample], facets, chosen.facet)
+        entry, best, _ = _first_entry(line, chosen.facet, -limit - 2.0 * deviation, gap, cutter)
+        # where the normal misses the deflected tool, it leaves at most the distance by which it is moved
+        missed = programmed[place] + norm(path.deviation[case, nominal_sample])
+        is_hit = np.isfinite(entry[place])
+        deflected[case, place] = np.where(is_hit, entry[place], missed)
+        if case == 1:
+            hit = place[is_hit]
+            row[place], share[place] = path.row[nominal_sample], path.share[nominal_sample]
+            sample = chosen.sample[best[hit]]
+            row[hit], share[hit] = path.row[sample], path.share[sample] + along[best[hit]] * path.share_step[sample]
+    return Remaining(np.where(is_touched, programmed, np.inf), deflected, row, share)
+
+
+def _tips(path: CutPath, facets: _Facets, pairs: _Pairs, case: int | None) -> tuple[Array, Array]:
+    """Return the tips (P, 3) nearest to the place of contact, and places (P,) along steps of samples (−0.5 … 0.5).
+
+    :param case: of the deviations; None: without deviation.
+    """
+    sample = pairs.sample
+    point, step = path.point[sample], path.step[sample]
+    if case is None:
+        along = path.step_share(facets.tip[pairs.facet] - point, step)
+        return point + along[:, None] * step, along
+    point = point + path.deviation[case, sample]
+    along = path.step_share(facets.tip[pairs.facet] - point, step)
+    return point + along[:, None] * (step + path.deviation_step[case, sample]), along
+
+
+class _Line(NamedTuple):
+    """P lines c + s·n relative to tools with their tip at the origin; all (P,).
+
+    :param square: of the distance of c from the tip [m²]; along: of c along n [m]; height: of c over the tip [m].
+    :param up: cosine between n and the axis.
+    """
+
+    square: Array
+    along: Array
+    height: Array
+    up: Array
+
+    @classmethod
+    def of(cls, tip: Array, axis: Array, facets: _Facets, facet: Ints) -> _Line:
+        normal, c = facets.normal[facet], facets.centre[facet] - tip
+        return cls(*(np.einsum("ni,ni->n", a, b) for a, b in ((c, c), (c, normal), (c, axis), (normal, axis))))
+
+    def some(self, rows: Bools | Ints) -> _Line:
+        return _Line(self.square[rows], self.along[rows], self.height[rows], self.up[rows])
+
+    def distance(self, s: Array, cutter: Cutter) -> tuple[Array, Array]:
+        """Return the distances from the tool at s [m], 0 and below inside, and their derivatives by s."""
+        height = self.height + s * self.up
+        projection = self.along + s
+        lateral = np.sqrt(np.maximum(self.square + s * (self.along + projection) - height**2, 0.0))
+        outward = np.maximum(lateral - (cutter.radius - cutter.corner), 0.0)
+        below = np.maximum(cutter.corner - height, 0.0)
+        beyond = np.hypot(outward, below)
+        rate = outward * (projection - height * self.up) / np.maximum(lateral, 1e-300) - below * self.up
+        return beyond - cutter.corner, rate / np.maximum(beyond, 1e-300)
+
+
+def _first_entry(line: _Line, facet: Ints, start: float, limit: Array, cutter: Cutter) -> tuple[Array, Ints, Array]:
+    """Return the lowest entries of lines into tools.
+
+    :param facet: (P,) facet of each line, and start: s at which all begin [m].
+    :param limit: (n,) largest entry that counts [m]; it is lowered.
+    :returns: (n,) lowest entry at each facet, infinite if there is none below the limit; (n,) its line; and (P,) a
+        lower bound of the entry of each line, infinite if it begins in the tool or does not approach it.
+    """
+    distance, slope = line.distance(np.full(len(facet), start), cutter)
+    approaches = (distance > 0.0) & (slope < _GRAZING)
+    s = np.where(approaches, start - distance / np.where(approaches, slope, -1.0), np.inf)
+    least = s.copy()
+    active, rows = np.flatnonzero(s <= limit[facet]), list[Ints]()
+    for _ in range(_STEPS):
+        distance, slope = line.some(active).distance(s[active], cutter)
+        hit = np.abs(distance) <= _EXACT
+        entered = active[hit]
+        rows.append(entered)
+        np.minimum.at(limit, facet[entered], s[entered])
+        going = ~hit & (distance > 0.0) & (slope < _GRAZING)
+        active, distance, slope = active[going], distance[going], slope[going]
+        s[active] -= distance / slope
+        active = active[s[active] <= limit[facet[active]]]
+        if not len(active):
+            break
+    entry, best, entered = np.full(len(limit), np.inf), np.full(len(limit), -1), np.concatenate(rows)
+    order = entered[np.lexsort((s[entered], facet[entered]))][::-1]  # the lowest of each facet is written last
+    entry[facet[order]], best[facet[order]] = s[order], order
+    return entry, best, least
+
+
+def _seeds(path: CutPath, facets: _Facets, cutter: Cutter) -> tuple[Array, Array]:
+    """Return an upper bound (n,) of the programmed surface above facets [m], by the samples next to the contact.
+
+    :returns: the bound, and the distance (n,) of the nearest sample from the place of contact [m].
+    """
+    distance, index = path.tree.query(facets.tip, k=min(_SEEDS, len(path.point)))
+    index = index.reshape(len(facets.tip), -1)
+    facet = np.repeat(np.arange(len(index)), index.shape[1])
+    pairs = _Pairs(facet, index.ravel())
+    tip, _ = _tips(path, facets, pairs, None)
+    limit = np.full(len(index), tolerance(cutter))
+    line = _Line.of(tip, path.axis[pairs.sample], facets, facet)
+    entry, _, _ = _first_entry(line, facet, -tolerance(cutter), limit.copy(), cutter)
+    return np.maximum(np.minimum(entry, limit), 0.0) + _EXACT, distance.reshape(len(index), -1)[:, 0]
+
+
+def _region(facets: _Facets, cutter: Cutter, gap: Array, offset: Array) -> tuple[Array, Array]:
+    """Return boxes (n, 3) with the centres of the corners of all tools that enter lines within a gap [m].
+
+    :param gap: (n,) above the facets, and offset: (n,) of the nearest sample from the place of contact.
+    """
+    centre, normal, axis, _ = facets
+    up = np.einsum("ni,ni->n", normal, axis)
+    spread = _WIDER * np.sqrt(2.0 * cutter.radius * gap) + gap + offset
+    low, high = (centre + cutter.radius * normal + sign * spread[:, None] for sign in (-1.0, 1.0))
+    is_wall = up**2 <= 1.0 - UPRIGHT**2
+    by_side = np.ones(len(up), dtype=bool) if cutter.corner < cutter.radius else up < _STEEP
+    limit = tolerance(cutter)
+    reach = np.minimum(LONG * cutter.radius, cutter.corner + (gap + limit) / np.maximum(up, 1e-6))
+    middle = np.where(is_wall[:, None], centre + cutter.radius * normal, centre)
+    lateral = np.where(is_wall, spread + limit, 1.1 * cutter.radius + gap)
+    half = lateral[:, None] * np.sqrt(np.maximum(1.0 - axis**2, 0.0)) + 0.1 * cutter.radius
+    ends = np.stack([cutter.corner - limit - reach, cutter.corner + gap])[..., None] * axis
+    low = np.where(by_side[:, None], middle - half + ends.min(axis=0), low)
+    high = np.where(by_side[:, None], middle + half + ends.max(axis=0), high)
+    return low, high
+
+
+class _Grid(Struct, frozen=True, eq=False):
+    """Points in cubic cells, sorted by cell.
+
+    :param order: (S,) points by cell, and key: (S,) the number of the cell of each, ascending.
+    :param corner: (3,) of the first cell [m]; size: of a cell [m]; shape: (3,) number of cells.
+    """
+
+    order: Ints
+    key: Ints
+    corner: Array
+    size: float
+    shape: Ints
+
+    @classmethod
+    def of(cls, point: Array, size: float) -> _Grid:
+        corner = point.min(axis=0)
+        cell = np.floor((point - corner) / size).astype(np.int64)
+        shape = cell.max(axis=0) + 1
+        key = (cell[:, 0] * shape[1] + cell[:, 1]) * shape[2] + cell[:, 2]
+        order = np.argsort(key, kind="stable")
+        return cls(order, key[order], corner, size, shape)
+
+    def inside(self, low: Array, high: Array) -> tuple[Ints, Ints]:
+        """Return box and point (P,) of the points in the cells that boxes (n, 3) touch."""
+        first = np.maximum(np.floor((low - self.corner) / self.size), 0.0).astype(np.int64)
+        last = np.minimum(np.floor((high - self.corner) / self.size), self.shape - 1.0).astype(np.int64)
+        size = np.maximum(last - first + 1, 0)
+        columns = np.where(size[:, 2] > 0, size[:, 0] * size[:, 1], 0)
+        box = np.repeat(np.arange(len(low)), columns)
+        within = ragged_range(columns)
+        x, y = first[box, 0] + within // size[box, 1], first[box, 1] + within % size[box, 1]
+        key = (x * self.shape[1] + y) * self.shape[2]
+        begin = np.searchsorted(self.key, key + first[box, 2])
+        count = np.searchsorted(self.key, key + last[box, 2], side="right") - begin
+        return np.repeat(box, count), self.order[np.repeat(begin, count) + ragged_range(count)]

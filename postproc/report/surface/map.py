@@ -1,0 +1,189 @@
+"""Deviations of the tool along the surface of a part."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from msgspec import Struct
+
+from postproc.correction import Result
+from postproc.frames import Array, norm
+from postproc.machining.tool import Cutter
+from postproc.program import Bools, Ints
+from postproc.report.surface.contact import nearest_place
+from postproc.report.surface.envelope import Remaining, remaining
+from postproc.report.surface.path import CHORD, CutPath, Frames, of_tool, piece_start, tool_numbers
+from postproc.report.surface.programmed import Mesh, add_tips, cut_into
+
+_CHUNK = 20_000
+
+
+class Surface(Struct, frozen=True, eq=False):
+    """F facets of a part, in the frame of its mesh [m]. NaN where no tool touches.
+
+    :param corners: (F, 3, 3) of each facet.
+    :param normal: (F, 3) outward.
+    :param before: (F,) by how much the surface is changed along the normal if nothing is corrected, relative to that of
+        the programmed path: what remains after all passes, less what would remain if no tool deviated. Below 0 the tool
+        gouges, above 0 it leaves material.
+    :param after: (F,) the same with the program as written.
+    :param bound: (F,) 95 % bound of what will remain, or None where the model has none.
+    :param row: (F,) row of the result at the end of the piece of path that leaves the surface with the program as
+        written, −1 where no tool touches.
+    :param programmed: (F,) distance of the surface that the programmed path makes from the mesh along the normal; below
+        0 the programmed path itself cuts into the part. NaN where no tool reaches, and without shapes of the tools
+        where no tip is inside the mesh.
+    :param programmed_row: (F,) row of the result that cuts into the facet as programmed, −1 where none does.
+    """
+
+    corners: Array
+    normal: Array
+    before: Array
+    after: Array
+    bound: Array | None
+    row: Ints
+    programmed: Array
+    programmed_row: Ints
+
+    @property
+    def touched(self) -> Bools:
+        """(F,) True for facets that a tool touches."""
+        return np.asarray(self.row >= 0)
+
+    @property
+    def reached(self) -> Bools:
+        """(F,) True for facets that a tool touches or cuts into."""
+        return np.asarray((self.row >= 0) | (self.programmed_row >= 0))
+
+    @property
+    def area(self) -> Array:
+        """(F,) area of each facet [m²]."""
+        return 0.5 * norm(np.cross(self.corners[:, 1] - self.corners[:, 0], self.corners[:, 2] - self.corners[:, 0]))
+
+
+def surface(
+    result: Result,
+    corners: Array,
+    cutters: Mapping[int, Cutter] | None = None,
+    mesh_frame: Array | None = None,
+    coarse: Array | None = None,
+) -> Surface:
+    """Return the deviations along the facets of a part.
+
+    :param result: of one program.
+    :param corners: (F, 3, 3) of each facet, counter-clockwise seen from outside, in the frame of the mesh [m].
+    :param cutters: shape of each tool by T number, 0 for those without an entry; None: unknown, the nearest place of
+        the path counts.
+    :param mesh_frame: (4, 4) frame of the mesh in the robot root [m]; None: it is in the `$BASE` of the program,
+        its only one.
+    :param coarse: (F,) distance of the facets from the surface that they approximate [m]; None: 0. What the programmed
+        path cuts into them by less is not counted.
+    """
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.maximum(norm(normal), 1e-300)[:, None]
+    frames = Frames.of(result, mesh_frame)
+    paths = list(_paths(result, frames, cutters))
+    depth, cut_row = _cuts(paths, corners, normal)
+    cut_row[depth <= (CHORD if coarse is None else coarse + CHORD)] = -1
+    centre = corners.mean(axis=1)
+    if cutters is None:
+        place = _nearest(paths, centre, normal)
+        before, after = (
+            np.einsum("fi,fi->f", _at(result, place, frames.turned(values)), normal)
+            for values in (result.deviation_before, result.deviation_after)
+        )
+        left = np.where(place.row >= 0, 0.0, np.nan)
+    else:
+        surfaces = [remaining(path, centre, normal, cutter) for path, cutter in paths if cutter is not None]
+        left, before, after, place = _deepest(surfaces, len(corners))
+    return Surface(
+        corners=corners,
+        normal=normal,
+        before=before,
+        after=after,
+        bound=None if result.bound is None else _at(result, place, result.bound),
+        row=place.row,
+        programmed=np.where(cut_row >= 0, -depth, np.maximum(left, 0.0)),
+        programmed_row=cut_row,
+    )
+
+
+class _Place(NamedTuple):
+    """Row of the result at the end of a piece of path (F,), −1 for none, and share (F,) of the piece."""
+
+    row: Ints
+    share: Array
+
+
+def _paths(
+    result: Result, frames: Frames, cutters: Mapping[int, Cutter] | None
+) -> Iterator[tuple[CutPath, Cutter | None]]:
+    """Yield the cutting path of each tool with its shape, which is None for all if shapes are unknown."""
+    tools = tool_numbers(result)
+    for number in np.unique(tools[~result.rapid]).tolist():
+        cutter = None if cutters is None else cutters.get(number, cutters.get(0))
+        if cutters is None or cutter is not None:
+            path = of_tool(result, frames, tools == number, _ball_radius(cutter))
+            if path is not None:
+                yield path, cutter
+
+
+def _ball_radius(cutter: Cutter | None) -> float | None:
+    return cutter.radius if cutter is not None and cutter.shape == "ball" else None
+
+
+def _cuts(paths: list[tuple[CutPath, Cutter | None]], corners: Array, normal: Array) -> tuple[Array, Ints]:
+    """Return how deep the programmed path cuts into each facet (F,) [m], 0 where it does not, and the row (F,)."""
+    depth, row = np.zeros(len(corners)), np.full(len(corners), -1)
+    mesh, centre = Mesh.of(corners, normal), corners.mean(axis=1)
+    for path, cutter in paths:
+        if cutter is None:
+            add_tips(mesh, path, depth, row)
+            continue
+        for first in range(0, len(centre), _CHUNK):
+            part = slice(first, first + _CHUNK)
+            tool_depth, tool_row = cut_into(mesh, path, centre[part], normal[part], cutter)
+            deeper = tool_depth > depth[part]
+            row[part] = np.where(deeper, tool_row, row[part])
+            depth[part] = np.where(deeper, tool_depth, depth[part])
+    return depth, row
+
+
+def _nearest(paths: list[tuple[CutPath, Cutter | None]], centre: Array, normal: Array) -> _Place:
+    """Return the nearest place from which a tool of any shape can touch facets (F, 3)."""
+    row, share, distance = np.full(len(centre), -1), np.zeros(len(centre)), np.full(len(centre), np.inf)
+    for path, _ in paths:
+        for first in range(0, len(centre), _CHUNK):
+            part = slice(first, first + _CHUNK)
+            place = nearest_place(path, centre[part], normal[part])
+            nearer = place[2] < distance[part]
+            for values, tool_values in zip((row, share, distance), place, strict=True):
+                values[part] = np.where(nearer, tool_values, values[part])
+    return _Place(row, share)
+
+
+def _deepest(surfaces: list[Remaining], count: int) -> tuple[Array, Array, Array, _Place]:
+    """Return what remains of F facets after all tools, each (F,): as programmed, by how much it is changed without
+    correction and with the program as written [m]; and the place that leaves it as written.
+    """
+    programmed, deflected = np.full(count, np.inf), np.full((2, count), np.inf)
+    row, share = np.full(count, -1), np.zeros(count)
+    for tool in surfaces:
+        deeper = tool.deflected[1] < deflected[1]
+        row, share = np.where(deeper, tool.row, row), np.where(deeper, tool.share, share)
+        programmed, deflected = np.minimum(programmed, tool.programmed), np.minimum(deflected, tool.deflected)
+    programmed[row < 0] = np.nan
+    deflected[:, row < 0] = np.nan
+    return programmed, deflected[0] - programmed, deflected[1] - programmed, _Place(row, share)
+
+
+def _at(result: Result, place: _Place, values: Array) -> Array:
+    """Return values (K, ...) of targets at places of the path (F, ...), NaN where there is none."""
+    facets = np.flatnonzero(place.row >= 0)
+    end = place.row[facets]
+    weight = place.share[facets].reshape(-1, *(1,) * (values.ndim - 1))
+    of_facets: Array = np.full((len(place.row), *values.shape[1:]), np.nan)
+    of_facets[facets] = (1.0 - weight) * values[piece_start(result, end)] + weight * values[end]
+    return of_facets

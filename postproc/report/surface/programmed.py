@@ -1,0 +1,120 @@
+"""Where the programmed path itself cuts into the part, and how deep.
+
+A facet is cut into where the tool, as programmed, contains its centre. The depth is the length of the normal inside the
+tool, or the distance of its end from the mesh if that is shorter.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from msgspec import Struct
+from scipy.spatial import cKDTree
+
+from postproc.frames import Array
+from postproc.machining.tool import Cutter
+from postproc.program import Bools, Ints
+from postproc.report.surface.contact import LONG, OVERHANG, contact
+from postproc.report.surface.path import CutPath
+
+_PROBES = (0.0, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
+"""Depths [m] below a facet at which a tool that cuts into it is looked for,"""
+_SAMPLES_OF_FACET = 3
+"""with this many samples of the path at each."""
+_BISECTIONS = 40
+_FACET_COUNT = 8
+_MOST_TIPS = 50_000
+
+
+class Mesh(Struct, frozen=True, eq=False):
+    """Facets and a tree of their centres [m]."""
+
+    corners: Array
+    normal: Array
+    tree: cKDTree
+
+    @classmethod
+    def of(cls, corners: Array, normal: Array) -> Mesh:
+        """Return the mesh of facets (F, 3, 3) with outward normals (F, 3)."""
+        return cls(corners, normal, cKDTree(corners.mean(axis=1)))
+
+    def distance(self, point: Array) -> tuple[Array, Ints]:
+        """Return the distances (n,) of points (n, 3) from the mesh, and the nearest facet of each.
+
+        Distances are negative inside. Points nearest to an edge count as outside: there, which side they are on is not
+        certain.
+        """
+        _, facet = self.tree.query(point, k=min(_FACET_COUNT, len(self.corners)))
+        facet = facet.reshape(len(point), -1)
+        from_a, from_b, from_c = (point[:, None] - self.corners[facet, k] for k in range(3))
+        edges = [self.corners[facet, (k + 1) % 3] - self.corners[facet, k] for k in range(3)]
+        normal = self.normal[facet]
+        height = _dot(from_a, normal)
+        is_within = np.ones(facet.shape, dtype=bool)
+        side = np.full(facet.shape, np.inf)
+        for corner, edge in zip((from_a, from_b, from_c), edges, strict=True):
+            is_within &= _dot(np.cross(edge, corner), normal) >= 0.0
+            t = np.clip(_dot(corner, edge) / np.maximum(_dot(edge, edge), 1e-300), 0.0, 1.0)
+            gap = corner - t[..., None] * edge
+            side = np.minimum(side, np.sqrt(_dot(gap, gap)))
+        distance = np.where(is_within, np.abs(height), side)
+        rows, best = np.arange(len(point)), np.argmin(distance, axis=1)
+        is_inside = is_within[rows, best] & (height[rows, best] < 0.0)
+        return np.where(is_inside, -1.0, 1.0) * distance[rows, best], facet[rows, best]
+
+
+def _dot(a: Array, b: Array) -> Array:
+    return np.asarray(np.einsum("nki,nki->nk", a, b))
+
+
+def cut_into(mesh: Mesh, path: CutPath, centre: Array, normal: Array, cutter: Cutter) -> tuple[Array, Ints]:
+    """Return the depth [m] by which the programmed path cuts into each of n facets (0: it does not), and the row."""
+    _, nearest = path.tree.query(centre)
+    contact_point = contact(path.axis[nearest], centre, normal, cutter)
+    sample_count = min(_SAMPLES_OF_FACET, len(path.point))
+    inside_of, tip, axis, facet = [], [], [], []
+    for probe in _PROBES:
+        probe_point = contact_point - probe * normal
+        _, index = path.tree.query(probe_point, k=sample_count)
+        index = index.reshape(len(centre), -1)
+        point, _ = path.near(probe_point, index)
+        direction = path.axis[index]
+        is_inside = _inside(centre[:, None] - point, direction, cutter)
+        is_inside &= np.einsum("nki,ni->nk", direction, normal) >= OVERHANG
+        at, sample = np.nonzero(is_inside)
+        facet.append(at)
+        inside_of.append(path.row[index[at, sample]])
+        tip.append(point[at, sample])
+        axis.append(direction[at, sample])
+    of, row = np.concatenate(facet), np.concatenate(inside_of)
+    depth, best = np.zeros(len(centre)), np.full(len(centre), -1)
+    if not len(of):
+        return depth, best
+    from_tip, directions, inward = centre[of] - np.concatenate(tip), np.concatenate(axis), -normal[of]
+    low, high = np.zeros(len(of)), np.full(len(of), 2.0 * LONG * cutter.radius)
+    for _ in range(_BISECTIONS):  # the tool is convex: the normal leaves it once
+        middle = 0.5 * (low + high)
+        stays_inside = _inside(from_tip + middle[:, None] * inward, directions, cutter)
+        low, high = np.where(stays_inside, middle, low), np.where(stays_inside, high, middle)
+    end, _ = mesh.distance(centre[of] + low[:, None] * inward)
+    facet_depth = np.minimum(low, np.abs(end))
+    order = np.argsort(facet_depth, kind="stable")
+    depth[of[order]], best[of[order]] = facet_depth[order], row[order]  # the deepest is written last
+    return depth, best
+
+
+def _inside(from_tip: Array, axis: Array, cutter: Cutter) -> Bools:
+    """Return whether points relative to the tip (..., 3) are inside the tool."""
+    height = np.einsum("...i,...i->...", from_tip, axis)
+    distance = np.linalg.norm(from_tip - height[..., None] * axis, axis=-1)
+    return np.asarray(
+        (distance < cutter.radius) & (height > cutter.height(distance)) & (height <= LONG * cutter.radius)
+    )
+
+
+def add_tips(mesh: Mesh, path: CutPath, depth: Array, row: Ints) -> None:
+    """Enter the depth [m] of tips inside the mesh at the facets (F,) next to them, and the rows that cut there."""
+    sample_rows = slice(None, None, -(-len(path.point) // _MOST_TIPS))
+    distance, facet = mesh.distance(path.point[sample_rows])
+    order = np.argsort(-distance, kind="stable")
+    order = order[-distance[order] > depth[facet[order]]]
+    depth[facet[order]], row[facet[order]] = -distance[order], path.row[sample_rows][order]
