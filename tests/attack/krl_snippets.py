@@ -817,8 +817,20 @@ class Snippets(Generator):
             ["J=GONE()", "LIN P[J]", there, "J=2"],
             ["WHILE $IN[3]", f"{routine}()", "ENDWHILE", there],
             ["LIN_REL {X 5}", there],
+            *self.kept_functions(there),
             *self.kept_routines(there),
         )
+
+    def kept_functions(self, there):
+        """Targets by a function that changes what a condition, an index or a bound depends on."""
+        function, counter = self.new("FN"), self.variable("INT", "1")
+        self.routines.append([f"DEFFCT REAL {function}()", f"{counter}={counter}+1", "RETURN(5.5)", "ENDFCT"])
+        target = f"LIN {{X {function}(),Y 1,Z 2,A 3,B 4,C 5}}"
+        return [
+            [target, f"IF {counter}==1 THEN", "LIN XA", "ELSE", there, "ENDIF", there],
+            [target, f"LIN P[{counter}]", there],
+            [target, f"FOR J=1 TO {counter}", "LIN P[J]", "ENDFOR", "J=2", there],
+        ]
 
     def kept_routines(self, there):
         """Calls of a routine with motions that only the running robot knows, which gives a counter its value."""

@@ -664,3 +664,17 @@ def test_an_interrupt_that_leads_elsewhere_is_refused(away):
 def test_a_motion_back_to_where_an_interrupt_was_is_not_followed_in_order():
     with pytest.raises(ProgramError):
         program("STOPPED()", "LIN_REL {Z 5}", subs=STOPPED.format("PTP $AXIS_RET"))
+
+
+@pytest.mark.parametrize("keep", [False, True])
+def test_a_function_in_a_target_changes_what_a_later_condition_depends_on(keep):
+    function = "DEFFCT REAL FN()\nI=I+1\nRETURN(5.5)\nENDFCT\n"
+    lines = ["LIN {X FN(),Y 20,Z 30,A 10,B 20,C 170}", "IF I==1 THEN", FULL, "ELSE", "LIN XP3", "ENDIF", "LIN XP1"]
+    cell = replace(CELL, krl=replace(CELL.krl, keep_unresolved=keep))
+    if not keep:
+        with pytest.raises(ProgramError, match=r"FN\(\) is computed while the program runs"):
+            program(*lines, subs=function, cell=cell)
+        return
+    kept = program(*lines, subs=function, cell=cell)
+    assert [motion.line for motion in kept.unresolved] == [4, 6, 8]  # FULL was read as a motion that runs
+    assert x_y_z(kept) == UNTOUCHED

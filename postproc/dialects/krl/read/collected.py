@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from postproc.dialects.krl.language.expressions import calls
 from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.language.tree import Motion, Statement
-from postproc.dialects.krl.read.calls import Calls
 from postproc.dialects.krl.read.interpreter import LOOP_ADVICE
 from postproc.dialects.krl.read.known import UnresolvedError
 from postproc.dialects.krl.read.motion_columns import MotionCollector
@@ -31,15 +29,12 @@ class Collected:
         self.splines = SplineBlocks(run.settings, reader)
         self._refused: set[Place] = set()
 
-    def take(self, at: Place, stmt: Statement, followed: Calls) -> None:
-        """Take a motion, or a line that begins or ends a spline block.
+    def take(self, at: Place, stmt: Statement) -> None:
+        """Take a motion, or a line that begins or ends a spline block; the functions in it have been followed.
 
-        :param followed: follows the functions in it.
         :raises ProgramError: it is not understood, not certain, or its target is not known before the program runs.
         """
         run = self.run
-        for call in calls(stmt.values):
-            followed.call(at, call, certain=False)
         if not isinstance(stmt, Motion):
             self.splines.statement(at, stmt, run.line)
             return

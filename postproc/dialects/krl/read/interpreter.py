@@ -89,7 +89,7 @@ class Interpreter:
             if self.run.in_main:
                 self._motion(at, stmt)
             else:
-                self._inner_calls(at, stmt.values)
+                self.follow_functions(at, stmt.values)
         elif (isinstance(stmt, _SIMPLE) and stmt.word not in _ASYNCHRONOUS) or not self._control(at, stmt):
             self._other(at, stmt)
 
@@ -125,7 +125,7 @@ class Interpreter:
         """
         if not stmt.complete:
             raise at.error("the statement is not understood", "Check its spelling.")
-        self._inner_calls(at, stmt.values)
+        self.follow_functions(at, stmt.values)
         if not self.run.in_main:
             return
         if stmt.word != "STOP" and not self.run.settings.state.block:
@@ -144,11 +144,11 @@ class Interpreter:
         level.returned = level.returned or at.line
 
     def _condition(self, at: Place, stmt: tree.Statement) -> None:
-        self._inner_calls(at, stmt.values)
+        self.follow_functions(at, stmt.values)
         if isinstance(stmt, tree.For) and stmt.name:
             self.run.variables.forget(self.run.stored(stmt.name), str(at))
 
-    def _inner_calls(self, at: Place, values: Iterable[Value]) -> None:
+    def follow_functions(self, at: Place, values: Iterable[Value]) -> None:
         """Follow the functions in values, of which it is not certain that they run."""
         for call in calls(values):
             self.calls.call(at, call, certain=False)
@@ -160,7 +160,7 @@ class Interpreter:
         elif isinstance(stmt, tree.Assignment):
             self.assign(at, stmt.target, stmt.value)
         elif isinstance(stmt, tree.CallStatement):
-            self._inner_calls(at, stmt.call.arguments)
+            self.follow_functions(at, stmt.call.arguments)
             if not self._inline_call(at, stmt.call):
                 self.calls.call(at, stmt.call, certain=self.run.certain)
         elif isinstance(stmt, tree.Event):
@@ -182,7 +182,7 @@ class Interpreter:
         elif isinstance(stmt, tree.Outside):
             return
         elif stmt.word in WITHOUT_MOTION:
-            self._inner_calls(at, stmt.values)
+            self.follow_functions(at, stmt.values)
         elif isinstance(stmt, tree.Faulty):
             raise stmt.error
         elif not isinstance(stmt, tree.Label):
@@ -231,7 +231,7 @@ class Interpreter:
 
         :raises ProgramError: its effect on motion is not modelled.
         """
-        self._inner_calls(at, [target])
+        self.follow_functions(at, [target])
         name = target.name
         if name in RELEVANT:
             self._set_to(at, target, expression)

@@ -111,8 +111,9 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, Collected | None]:
     run.is_final = collects and len(free_settings) <= _MOST_SETTINGS
 
     def taken(at: Place, stmt: Statement) -> None:
+        flow.interpreter.follow_functions(at, stmt.values)  # they may change what a condition depends on
         if run.is_final and trace.is_final:
-            collected.take(at, stmt, flow.interpreter.calls)
+            collected.take(at, stmt)
 
     def wrong(_at: Place, _cause: ProgramError) -> None:
         run.is_final = False  # reported when the trace is followed
@@ -407,7 +408,8 @@ class MainRoutine:
 
     def _motion(self, at: Place, stmt: Statement) -> None:
         """Take a motion of the course."""
-        self._collected.take(at, stmt, self._flow.interpreter.calls)
+        self._flow.interpreter.follow_functions(at, stmt.values)
+        self._collected.take(at, stmt)
 
 
 def _one_by_one(source: Source, lines: Sequence[int], settings: Sequence[int]) -> tuple[Sequence[int], Ints]:
