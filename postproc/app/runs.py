@@ -86,6 +86,16 @@ class Run:
         return self._text
 
     @property
+    def is_failure(self) -> bool:
+        """Return whether it has ended without a result, and not because it was stopped."""
+        return self.code not in (None, 0, 3) and not self.is_stopped
+
+    @property
+    def progress(self) -> str:
+        """Return how far it is, in words; empty: unknown."""
+        return "" if self.share is None else f"{self.step}: {100 * self.share:.0f} %"
+
+    @property
     def command(self) -> str:
         """Return what to type for the same."""
         return command_line(self.arguments)
@@ -119,7 +129,7 @@ class Runs:
             if change is not None:
                 self._check_idle()
                 change()
-            active = [run for run in self._runs if run.code is None]
+            active = self.active()
             for run in active:
                 if run.key == key:
                     return run
@@ -138,7 +148,7 @@ class Runs:
             change()
 
     def _check_idle(self) -> None:
-        if (run := next((run for run in self._runs if run.code is None), None)) is not None:
+        for run in self.active():
             problem = f"{run.title!r} runs and reads the cell: nothing was changed"
             raise InputError(problem, advice="Wait until it has ended, or stop it.")
 
@@ -150,6 +160,10 @@ class Runs:
         if not (number.isascii() and number.isdecimal() and len(number) < 10 and int(number) < len(self._runs)):
             raise InputError("no such run", advice="The window was started anew: results are in the list of programs.")
         return self._runs[int(number)]
+
+    def active(self) -> list[Run]:
+        """Return what runs."""
+        return [run for run in self._runs if run.code is None]
 
     def latest(self, key: str) -> Run | None:
         """Return the latest run about something."""

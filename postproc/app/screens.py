@@ -95,18 +95,42 @@ def answers_of(item: Item) -> dict[str, Any]:
     }
 
 
-def programs(workspace: Workspace, items: Sequence[Item], active: Sequence[str]) -> Page:
+class Row(Struct, frozen=True):
+    """A program of the list.
+
+    :param run: the latest command about it.
+    :param waits_for: what is not stated yet; empty: it can be corrected.
+    """
+
+    item: Item
+    run: Run | None
+    waits_for: str
+
+
+def programs(workspace: Workspace, programs: Sequence[Row], stamp: str, *, is_automatic: bool) -> Page:
     """Return the page of all programs.
 
-    :param active: names of programs that a command works on.
+    :param stamp: changes with what the page shows.
+    :param is_automatic: programs are corrected as they arrive.
     """
-    rows = [{"name": item.name, **answers_of(item), "active": item.name in active} for item in items]
+    rows = [
+        {
+            "name": row.item.name,
+            **answers_of(row.item),
+            "active": row.run if row.run is not None and row.run.code is None else None,
+            "failure": row.run if row.run is not None and not row.item.current and row.run.is_failure else None,
+            "waits_for": row.waits_for,
+        }
+        for row in programs
+    ]
     return _page(
         "programs.html",
         here="programs",
         title=workspace.folder.name or str(workspace.folder),
         rows=rows,
-        open_row=next((row for row in rows if row["state"] in ("new", "changed")), None),
+        stamp=stamp,
+        is_automatic=is_automatic,
+        open_row=next((row for row in rows if row["state"] in ("new", "changed") and row["active"] is None), None),
         command=command_line(["watch", ".", "--cell", f"{RESULTS}/cell.toml", "--serve"]),
         has_cell=workspace.cell.is_file(),
     )

@@ -13,6 +13,7 @@ from urllib.parse import parse_qsl, quote, urlsplit
 
 from postproc.app import screens
 from postproc.app.access import Access
+from postproc.app.automatic import Automatic
 from postproc.app.runs import Run, Runs, command_line
 from postproc.app.workspace import RESULTS, SHOWN, Workspace
 from postproc.errors import InputError, PostprocError
@@ -54,6 +55,7 @@ class Window(ThreadingHTTPServer):
             raise InputError("no such folder", file=str(folder), advice="Give the folder of your programs.")
         self.workspace = Workspace(folder.resolve())
         self.runs = Runs(self.workspace.folder)
+        self.automatic = Automatic(self.workspace, self.runs)
         try:
             super().__init__(("127.0.0.1", port), _Handler)
         except OSError as cause:
@@ -148,9 +150,26 @@ class _Handler(BaseHTTPRequestHandler):
 
     def programs(self) -> None:
         """Send the list of programs."""
-        items = self.server.workspace.items()
-        active = [item.name for item in items if (run := self.server.runs.latest(item.name)) and run.code is None]
-        self._page(screens.programs(self.server.workspace, items, active))
+        workspace, runs = self.server.workspace, self.server.runs
+        stamp, items = self._stamp(), workspace.items()
+        rows = [
+            screens.Row(item, runs.latest(item.name), waits_for="" if self._has_forces(item.name) else "what cuts")
+            for item in items
+        ]
+        self._page(screens.programs(workspace, rows, stamp, is_automatic=self.server.automatic.is_on))
+
+    def _has_forces(self, name: str) -> bool:
+        workspace = self.server.workspace
+        return workspace.process(name) is not None or states_forces(workspace.folder / name)
+
+    def _stamp(self) -> str:
+        runs = self.server.runs.active()
+        return f"{self.server.workspace.stamp()}-{'-'.join(str(run.number) for run in runs)}"
+
+    def programs_state(self) -> None:
+        """Send whether the list of programs has changed, and how far commands are."""
+        shares = {run.key: run.progress for run in self.server.runs.active()}
+        self._send(200, json.dumps({"stamp": self._stamp(), "working": shares}).encode(), "application/json")
 
     def questions(self, texts: dict[str, str] | None = None) -> None:
         """Send the questions that a program raises; begin when all are answered.
@@ -182,7 +201,7 @@ class _Handler(BaseHTTPRequestHandler):
         results = sorted(workspace.results.iterdir()) if workspace.results.is_dir() else []
         other_programs = [f"{RESULTS}/{path.name}" for path in results if path.suffix in _COMPARED]
         other_programs += [other_program.name for other_program in workspace.items() if other_program.name != name]
-        command = command_line(self._with_cell("convert", name))
+        command = command_line(workspace.conversion(name))
         self._page(screens.program(item, workspace, other_programs, self.server.runs.latest(name), command))
 
     def run(self) -> None:
@@ -247,7 +266,9 @@ class _Handler(BaseHTTPRequestHandler):
         except InputError as cause:
             self.close_connection = True  # what was not read would be taken for the next request
             return self._send(400, json.dumps({"fault": str(cause)}).encode(), "application/json")
-        content = {"next": f"/setup?name={quote(path.name)}"}
+        workspace = self.server.workspace
+        is_automatic = self.server.automatic.is_on and workspace.cell.is_file() and self._has_forces(path.name)
+        content = {"next": "/" if is_automatic else f"/setup?name={quote(path.name)}"}
         return self._send(200, json.dumps(content).encode(), "application/json")
 
     def answers(self) -> None:
@@ -257,7 +278,7 @@ class _Handler(BaseHTTPRequestHandler):
     def convert(self) -> None:
         """Correct a program again, by options."""
         form = self.form()
-        arguments = self._with_cell("convert", self._named(form))
+        arguments = self.server.workspace.conversion(self._named(form))
         for option in screens.FORM_OPTIONS:
             text = form.get(option.name, "").strip()
             if text and option.kind == "flag":
@@ -270,7 +291,7 @@ class _Handler(BaseHTTPRequestHandler):
         """Look for the best place of the part."""
         name = self._named(self.form())
         folder = f"{RESULTS}/place-{Path(name).stem}"
-        self.begin(name, f"Best place for {name}", self._with_cell("place", name, output=folder))
+        self.begin(name, f"Best place for {name}", self.server.workspace.with_cell("place", name, output=folder))
 
     def take_place(self) -> None:
         """Write the base of the best place into the cell, and correct again; both, or nothing."""
@@ -278,8 +299,13 @@ class _Handler(BaseHTTPRequestHandler):
         workspace = self.server.workspace
         base = tomllib.loads(workspace.place(name).read_text(encoding="utf-8"))["base"]
         numbers = {f"base.{axis}": str(base[axis]) for axis in "XYZABC" if axis in base}
-        arguments = self._with_cell("convert", name)
+        arguments = workspace.conversion(name)
         self.begin(name, f"Correct {name}", arguments, lambda: edit(workspace.stated_cell(), numbers))
+
+    def automatic(self) -> None:
+        """Turn on or off that programs are corrected by themselves."""
+        self.server.automatic.switch(is_on=self.form().get("to") == "on")
+        self._lead("/")
 
     def compare(self) -> None:
         """Compare a program with another."""
@@ -289,16 +315,8 @@ class _Handler(BaseHTTPRequestHandler):
             self.server.workspace.result(other_program.removeprefix(f"{RESULTS}/"))
         else:
             self.server.workspace.program(other_program)
-        arguments = [
-            "compare",
-            name,
-            other_program,
-            "--cell",
-            f"{RESULTS}/cell.toml",
-            *self._forces(name),
-            "-o",
-            RESULTS,
-        ]
+        arguments = self.server.workspace.with_cell("compare", name)
+        arguments.insert(2, other_program)
         if "--process" in arguments:
             arguments[arguments.index("--process")] = "--forces"
         self.begin(name, f"Compare {name}", arguments)
@@ -342,16 +360,10 @@ class _Handler(BaseHTTPRequestHandler):
     def _named(self, form: dict[str, str]) -> str:
         return self.server.workspace.sole_program(form.get("name", "")).name
 
-    def _forces(self, name: str) -> list[str]:
-        process = self.server.workspace.process(name)
-        return [] if process is None else ["--process", f"{RESULTS}/{process.name}"]
-
-    def _with_cell(self, command: str, name: str, output: str = RESULTS) -> list[str]:
-        return [command, name, "--cell", f"{RESULTS}/cell.toml", *self._forces(name), "-o", output]
-
 
 _PAGES: dict[str, Callable[[_Handler], None]] = {
     "/": _Handler.programs,
+    "/programs.json": _Handler.programs_state,
     "/setup": _Handler.questions,
     "/program": _Handler.program,
     "/run": _Handler.run,
@@ -365,6 +377,7 @@ _CHANGES: dict[str, Callable[[_Handler], None]] = {
     "/add": _Handler.add,
     "/setup": _Handler.answers,
     "/convert": _Handler.convert,
+    "/automatic": _Handler.automatic,
     "/place": _Handler.place,
     "/take-place": _Handler.take_place,
     "/compare": _Handler.compare,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
 import tempfile
@@ -14,6 +15,7 @@ from msgspec import Struct
 
 from postproc.dialects import registry
 from postproc.errors import InputError
+from postproc.jobs.arrivals import stamps
 from postproc.jobs.currency import Setup, changes
 from postproc.jobs.programs import process_of
 from postproc.jobs.runs import reported
@@ -150,6 +152,22 @@ class Workspace(Struct, frozen=True):
     def process_to_edit(self, name: str) -> Path:
         """Return the process file of a program, or the path at which it will be made."""
         return self.process(name) or self.results / f"{self.program(name).stem}.process.toml"
+
+    def conversion(self, name: str) -> list[str]:
+        """Return the arguments of the command that corrects a program."""
+        return self.with_cell("convert", name)
+
+    def with_cell(self, command: str, name: str, output: str = RESULTS) -> list[str]:
+        """Return the arguments of a command about a program, with the cell and the process of it."""
+        process = self.process(name)
+        process_option = [] if process is None else ["--process", f"{RESULTS}/{process.name}"]
+        return [command, name, "--cell", f"{RESULTS}/{self.cell.name}", *process_option, "-o", output]
+
+    def stamp(self) -> str:
+        """Return a text that changes when a program, a result, the cell or a process does."""
+        kinds = (*registry.extensions(), ".toml")
+        content = stamps({self.folder: kinds, self.results: (".toml", ".report.json")})
+        return hashlib.sha256(repr(content).encode(errors="replace")).hexdigest()
 
     def items(self) -> list[Item]:
         """Return the programs of the folder, sorted by name."""

@@ -16,8 +16,9 @@ def app(ctx: click.Context, /, folder: Path, port: int, no_open: bool) -> None:
     """Open a window in the browser: programs and results.
 
     FOLDER has the programs; results are in its folder corrected/. The window is for this machine only, by an address
-    with a secret that is new at each start. What it does it does by the commands that it shows. Ctrl-C ends it, and
-    stops what runs; results that are written stay whole.
+    with a secret that is new at each start. Programs are corrected as they arrive in the folder, once there is a cell
+    and what cuts is stated; a switch on the page turns that off. What it does it does by the commands that it shows.
+    Ctrl-C ends it, and stops what runs; results that are written stay whole.
 
     \b
     Examples:
@@ -30,10 +31,12 @@ def app(ctx: click.Context, /, folder: Path, port: int, no_open: bool) -> None:
         click.echo(f"The window is at\n  {window.access.address}\nKeep this address to yourself. Ctrl-C ends it.")
         if not no_open:
             click.launch(window.access.address)
+        window.automatic.start()
         try:
             window.serve_forever()
         except KeyboardInterrupt as cause:
             click.echo("ended.")
             ctx.exit(128 + getattr(cause, "number", 2))
         finally:
+            window.automatic.stop()
             window.runs.stop_all()

@@ -1,12 +1,14 @@
 const drop = document.querySelector(".drop");
 const said = document.querySelector("#said");
+let adding = false;
 async function add(files) {
   let next = "";
+  adding = true;
   for (const file of files) {
     said.textContent = `${file.name} is added …`;
     const answer = await fetch(`/add?name=${encodeURIComponent(file.name)}`, { method: "POST", body: file });
     const content = await answer.json().catch(() => ({ fault: "The window did not answer. Start postproc app again." }));
-    if (content.fault) { said.textContent = content.fault; return; }
+    if (content.fault) { said.textContent = content.fault; adding = false; return; }
     next = files.length === 1 ? content.next : "/";
   }
   if (next) location.assign(next);
@@ -20,6 +22,19 @@ if (drop) {
       if (kind === "drop") add([...event.dataTransfer.files]);
     });
 }
+const list = document.querySelector("[data-stamp]");
+async function look() {
+  try {
+    const content = await (await fetch("/programs.json")).json();
+    for (const [name, share] of Object.entries(content.working)) {
+      const place = [...document.querySelectorAll("[data-working]")].find((part) => part.dataset.working === name);
+      if (place) place.textContent = share;
+    }
+    if (content.stamp !== list.dataset.stamp && !adding) { location.reload(); return; }
+  } catch { said.textContent = "The window does not answer. Start postproc app again: what is written is whole."; }
+  setTimeout(look, 1500);
+}
+if (list) setTimeout(look, 1500);
 const output = document.querySelector("pre[data-run]");
 async function follow() {
   try {

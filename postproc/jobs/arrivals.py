@@ -1,0 +1,142 @@
+"""Programs of a folder that wait to be corrected: quiet, with a cell and with forces; the window corrects them so.
+
+Like `watching`, it scans: what a scan finds is what counts. `programs.process_of` says for both which process a program
+has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from pathlib import Path
+
+from postproc import cell as cells
+from postproc.dialects import registry
+from postproc.dialects.dialect import Calling
+from postproc.errors import PostprocError
+from postproc.jobs import inputs
+from postproc.jobs.programs import find_jobs, is_utf8, process_of, states_forces
+from postproc.jobs.watching import QUIET
+
+Signature = tuple[tuple[str, int, int], ...]
+
+
+class Arrivals:
+    """What is known of the programs of a folder.
+
+    :param output: folder of the results, with the process files.
+    :param cell: cell file of all programs; nothing is ready before it is there.
+    """
+
+    def __init__(self, folder: Path, output: Path, cell: Path) -> None:
+        self.folder, self.output, self.cell = folder, output, cell
+        self._seen: dict[Path, tuple[Signature, float]] = {}
+        self._finished: dict[Path, Signature] = {}
+        self._busy: set[Path] = set()
+
+    def ready(self, time_s: float, busy: Collection[str] = ()) -> list[Path]:
+        """Return the programs whose inputs have changed since they were finished, and not for `QUIET`; sorted.
+
+        A program that others of the folder call is left to them.
+
+        :param time_s: monotonic time [s].
+        :param busy: names of programs that a command works on: their inputs count as finished when it has ended.
+        """
+        if not self.cell.is_file():
+            return []
+        setup_files = self._setup_files()
+        paths = self._programs()
+        ready_paths = []
+        for path in paths:
+            signature = _signature([*self._files_of(path), *setup_files])
+            if path.name in busy:
+                self._busy.add(path)
+                continue
+            if path in self._busy:
+                self._busy.remove(path)
+                self._finished[path] = signature
+            if self._finished.get(path) == signature:
+                continue
+            if self._seen.get(path, ((), 0.0))[0] != signature:
+                self._seen[path] = (signature, time_s)
+            elif time_s - self._seen[path][1] >= QUIET and self._has_forces(path) and _opens(path):
+                ready_paths.append(path)
+        self._forget(paths)
+        return self._not_called(ready_paths) if ready_paths else []
+
+    def finish(self, path: Path) -> None:
+        """Note that a program that was ready has been begun, or needs nothing: it is not ready before it changes."""
+        self._finished[path] = self._seen[path][0]
+
+    def _forget(self, paths: Collection[Path]) -> None:
+        for path in self._seen.keys() - set(paths):
+            self._seen.pop(path)
+            self._finished.pop(path, None)
+
+    def _programs(self) -> list[Path]:
+        extensions = registry.extensions()
+        return sorted(
+            path
+            for path in self.folder.iterdir()
+            if path.suffix.lower() in extensions
+            and not path.name.startswith((".", "~"))
+            and is_utf8(path.name)
+            and path.is_file()
+        )
+
+    def _setup_files(self) -> list[Path]:
+        """Return the files that all programs are converted with, as far as they can be read."""
+        try:
+            cell = cells.load(self.cell)
+            return [*inputs.of_cell(self.cell, cell), *inputs.of_robot(cell)]
+        except PostprocError:
+            return [self.cell]
+
+    def _files_of(self, path: Path) -> list[Path]:
+        process = process_of(path, self.output)
+        return [path, *registry.of_file(path).companions(path), *([] if process is None else inputs.of_forces(process))]
+
+    def _has_forces(self, path: Path) -> bool:
+        return process_of(path, self.output) is not None or states_forces(path)
+
+    def _not_called(self, paths: list[Path]) -> list[Path]:
+        """Return programs without those that others call; where that is unknown, without all that may be called."""
+        try:
+            jobs = find_jobs([str(self.folder)], output=self.output)
+        except PostprocError:  # one of the others cannot be read yet
+            return [path for path in paths if not isinstance(registry.of_file(path), Calling)]
+        main_programs = {job.program for job in jobs if not job.callers}
+        return [path for path in paths if path in main_programs]
+
+
+def _signature(paths: Collection[Path]) -> Signature:
+    """Return names, sizes and times of files; of those that are not there the name."""
+    return tuple(_stamp(path) for path in paths)
+
+
+def _stamp(path: Path) -> tuple[str, int, int]:
+    try:
+        status = path.stat()
+    except OSError:
+        return path.name, -1, 0
+    return path.name, status.st_size, status.st_mtime_ns
+
+
+def _opens(path: Path) -> bool:
+    """Return whether a program can be read: on Windows not while another program writes it."""
+    try:
+        with path.open("rb"):
+            return True
+    except OSError:
+        return False
+
+
+def stamps(folders: Mapping[Path, Collection[str]]) -> Signature:
+    """Return names, sizes and times of the files of folders that have some endings, sorted."""
+    found = (
+        path
+        for folder, endings in folders.items()
+        if folder.is_dir()
+        for path in sorted(folder.iterdir())
+        if path.name.lower().endswith(tuple(endings))
+    )
+    return _signature(list(found))

@@ -1,0 +1,141 @@
+"""Programs are corrected as they arrive: once, when they are quiet, with their process, while the switch is on."""
+
+from __future__ import annotations
+
+import shutil
+from types import SimpleNamespace
+
+import pytest
+
+from postproc.app.automatic import Automatic
+from postproc.app.server import Window
+from postproc.app.workspace import Workspace
+from postproc.jobs.arrivals import Arrivals
+from tests.app.conftest import answering
+from tests.app.test_window import looked_at, opened
+from tests.pages.browser import needs_chromium
+from tests.test_currency import PROGRAM, made
+
+
+@pytest.fixture(scope="module")
+def corrected(tmp_path_factory):
+    return made(tmp_path_factory.mktemp("corrected") / "shop")
+
+
+@pytest.fixture
+def folder(corrected, tmp_path):
+    return shutil.copytree(corrected, tmp_path / "shop").resolve()
+
+
+@pytest.fixture
+def arrivals(folder):
+    return Arrivals(folder, folder / "corrected", folder / "corrected" / "cell.toml")
+
+
+def ready(arrivals, *seconds, busy=()):
+    """The names that are ready at the last of some times."""
+    return [[path.name for path in arrivals.ready(second, busy)] for second in seconds][-1]
+
+
+def test_a_program_is_ready_once_it_is_quiet_and_again_when_an_input_changes(arrivals, folder):
+    assert ready(arrivals, 0.0, 0.9) == []
+    assert ready(arrivals, 1.1) == ["part.nc"]
+    arrivals.finish(folder / "part.nc")
+    assert ready(arrivals, 2.2, 9.0) == []
+    for number, name in enumerate(("part.nc", "corrected/part.process.toml", "corrected/cell.toml",
+                                   "corrected/material.toml", "model/model.toml")):  # fmt: skip
+        path = folder / name
+        path.write_bytes(path.read_bytes() + b"\n")
+        assert ready(arrivals, 10.0 * number + 10.0) == [], "it has just changed"
+        assert ready(arrivals, 10.0 * number + 12.0) == ["part.nc"], name
+        arrivals.finish(folder / "part.nc")
+
+
+def test_a_program_whose_forces_are_not_stated_waits_for_them(arrivals, folder):
+    (folder / "other.nc").write_text(PROGRAM)
+    assert ready(arrivals, 0.0, 2.0) == ["part.nc"]
+    shutil.copy(folder / "corrected" / "part.process.toml", folder / "corrected" / "other.process.toml")
+    assert ready(arrivals, 3.0, 5.0) == ["other.nc", "part.nc"]
+    (folder / "with_forces.nc").write_text("(FORCE FX=1 FY=2 FZ=3 FRAME=FEED)\n" + PROGRAM)
+    assert ready(arrivals, 6.0, 8.0) == ["other.nc", "part.nc", "with_forces.nc"]
+
+
+def test_what_a_command_has_worked_on_is_finished(arrivals, folder):
+    assert ready(arrivals, 0.0, 2.0, busy=["part.nc"]) == []
+    assert ready(arrivals, 3.0, 9.0) == []
+
+
+def test_a_program_that_others_call_is_left_to_them(arrivals, folder):
+    (folder / "corrected" / "process.toml").write_bytes((folder / "corrected" / "part.process.toml").read_bytes())
+    (folder / "main.src").write_text("DEF main()\nsub()\nEND\n")
+    (folder / "sub.src").write_text("DEF sub()\nEND\n")
+    assert ready(arrivals, 0.0, 2.0) == ["main.src", "part.nc"]
+
+
+def test_without_a_cell_nothing_is_ready(arrivals, folder):
+    (folder / "corrected" / "cell.toml").unlink()
+    assert ready(arrivals, 0.0, 2.0) == []
+
+
+def steps(automatic, runs, *seconds):
+    """What has been begun after looks at some times."""
+    for second in seconds:
+        automatic.step(second)
+    return [arguments for _, _, arguments in runs.begun]
+
+
+@pytest.fixture
+def runs():
+    begun = []
+    runs = SimpleNamespace(begun=begun, running=[], active=lambda: runs.running)
+    runs.begin = lambda *what: begun.append(what)
+    return runs
+
+
+def test_only_what_is_not_current_is_begun_and_nothing_while_a_command_runs(folder, runs):
+    automatic = Automatic(Workspace(folder), runs)
+    assert steps(automatic, runs, 0.0, 2.0, 4.0) == [], "the result is current"
+    (folder / "part.nc").write_text(PROGRAM + "\n")
+    runs.running = [SimpleNamespace(key="other.nc")]
+    assert steps(automatic, runs, 5.0, 7.0) == []
+    runs.running = []
+    command = ["convert", "part.nc", "--cell", "corrected/cell.toml"]
+    command += ["--process", "corrected/part.process.toml", "-o", "corrected"]
+    assert steps(automatic, runs, 8.0, 20.0, 30.0) == [command], "once, whatever came of it"
+
+
+def test_the_switch_is_kept_in_the_folder(folder, runs):
+    (folder / "part.nc").write_text(PROGRAM + "\n")
+    automatic = Automatic(Workspace(folder), runs)
+    automatic.switch(is_on=False)
+    again = Automatic(Workspace(folder), runs)
+    assert not again.is_on
+    assert steps(again, runs, 0.0, 2.0, 4.0) == []
+    again.switch(is_on=True)
+    assert Automatic(Workspace(folder), runs).is_on
+    assert len(steps(again, runs, 5.0, 7.0)) == 1
+
+
+@needs_chromium
+def test_a_program_that_is_copied_into_the_folder_is_corrected_and_shown(browser, folder):
+    shutil.copy(folder / "corrected" / "part.process.toml", folder / "corrected" / "process.toml")
+    with Window(folder, 0) as window, answering(window), opened(browser, window) as page:
+        window.automatic.start()
+        page.get_by_role("button", name="Turn it off").click()
+        page.get_by_role("button", name="Turn it on").wait_for()
+        (folder / "other.nc").write_text(PROGRAM.replace("X40", "X35"))
+        row = page.get_by_role("row", name="other.nc")
+        row.wait_for()
+        assert row.get_by_text("Not corrected yet").is_visible(), "the page has shown it by itself"
+        looked_at(page, "40-off")
+        page.wait_for_timeout(2500)
+        assert window.runs.latest("other.nc") is None
+        page.get_by_role("button", name="Turn it on").click()
+        row.get_by_role("link", name="Working").wait_for()
+        looked_at(page, "41-working")
+        row.get_by_role("link", name="look at it").wait_for()
+        assert (folder / "corrected" / "other.src").is_file()
+        (folder / "broken.nc").write_text("G1 X5 (no feed)\nM30\n")
+        page.get_by_role("link", name="Nothing was written: see why").click()
+        assert "broken.nc" in page.get_by_label("Output of the command").inner_text()
+        window.automatic.stop()
