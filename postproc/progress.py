@@ -1,7 +1,7 @@
 """How far a command is: a bar on a terminal, or lines for a program that started the command.
 
 With ``POSTPROC_PROGRESS=lines`` in the environment, stderr gets lines such as ``␞progress 0.42 places``: the record
-separator (U+001E), the share done, what it counts. The window reads them.
+separator (U+001E), the share done (``-``: unknown), what it counts. The window reads them.
 """
 
 from __future__ import annotations
@@ -13,6 +13,8 @@ from collections.abc import Callable, Iterator
 
 VARIABLE, LINES = "POSTPROC_PROGRESS", "lines"
 MARK = "\x1eprogress"
+_UNKNOWN = "-"
+"""Share of a step that cannot be counted."""
 _STEP = 0.01
 """Smallest change of the share that is worth a line."""
 
@@ -58,11 +60,20 @@ def lines() -> Callable[[str, float], None]:
     return show
 
 
-def read(line: str) -> tuple[float, str] | None:
-    """Return the share and the step of a line; None: it is one of the output."""
+def step(name: str) -> None:
+    """Print, for a program that reads progress, which step has begun whose share is unknown."""
+    with contextlib.suppress(OSError, ValueError):
+        sys.stderr.write(f"{MARK} {_UNKNOWN} {name}\n")
+        sys.stderr.flush()
+
+
+def read(line: str) -> tuple[float | None, str] | None:
+    """Return the share (None: unknown) and the step of a line; None: it is one of the output."""
     words = line.rstrip("\r\n").split(" ", 2)
     if len(words) != 3 or words[0] != MARK:
         return None
+    if words[1] == _UNKNOWN:
+        return None, words[2]
     try:
         return float(words[1]), words[2]
     except ValueError:

@@ -33,10 +33,14 @@ class Run:
 
     :ivar key: what it is about, such as ``"part.nc"``; one command at a time has a key.
     :ivar code: exit code; None while it runs.
+    :ivar page: address that shows its result; empty: the page of the program `key`.
     :ivar share: how much of the present step is done, 0 to 1; None: unknown. `step`: what it counts.
     """
 
-    def __init__(self, number: int, key: str, title: str, arguments: Sequence[str], folder: Path) -> None:
+    def __init__(
+        self, number: int, key: str, title: str, arguments: Sequence[str], folder: Path, page: str = ""
+    ) -> None:
+        self.page = page
         self.number, self.key, self.title, self.arguments = number, key, title, tuple(arguments)
         self.is_stopped = False
         self.share: float | None = None
@@ -93,7 +97,7 @@ class Run:
     @property
     def progress(self) -> str:
         """Return how far it is, in words; empty: unknown."""
-        return "" if self.share is None else f"{self.step}: {100 * self.share:.0f} %"
+        return self.step if self.share is None else f"{self.step}: {100 * self.share:.0f} %"
 
     @property
     def command(self) -> str:
@@ -119,10 +123,18 @@ class Runs:
         self._runs: list[Run] = []
         self._lock = threading.Lock()
 
-    def begin(self, key: str, title: str, arguments: Sequence[str], change: Callable[[], object] | None = None) -> Run:
+    def begin(
+        self,
+        key: str,
+        title: str,
+        arguments: Sequence[str],
+        change: Callable[[], object] | None = None,
+        page: str = "",
+    ) -> Run:
         """Begin a command; if one with this key runs already, as from another window, return that one.
 
         :param change: changes a file that commands read, before this one begins; see `edit`.
+        :param page: address that shows the result, see `Run`.
         :raises InputError: too many run already; with `change`: any runs, and nothing is changed.
         """
         with self._lock:
@@ -135,7 +147,7 @@ class Runs:
                     return run
             if len(active) >= MOST:
                 raise InputError(f"{MOST} commands run already", advice="Wait until one has ended, or stop one.")
-            self._runs.append(Run(len(self._runs), key, title, arguments, self.folder))
+            self._runs.append(Run(len(self._runs), key, title, arguments, self.folder, page))
             return self._runs[-1]
 
     def edit(self, change: Callable[[], object]) -> None:

@@ -7,17 +7,20 @@ from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from msgspec import Struct
 
 from postproc import actions, robot
 from postproc.app.arm_view import arm_view
+from postproc.app.models import identification
 from postproc.app.runs import Run, command_line
 from postproc.app.workspace import RESULTS, SHOWN, Item, Workspace
 from postproc.errors import InputError, PostprocError
-from postproc.jobs.cell_edit import TABLES, table_help
+from postproc.jobs.cell_edit import TABLES, robot_of, table_help
 from postproc.jobs.cell_picture import cell_picture
+from postproc.jobs.experiments import Readings, model_of
 from postproc.jobs.file_form import FormField
 from postproc.jobs.process_edit import ProcessTable
 from postproc.jobs.setup_form import Field, SetupForm
@@ -64,9 +67,9 @@ def _environment() -> Environment:
     return environment
 
 
-def _page(name: str, **context: Any) -> Page:
+def _page(template: str, **context: Any) -> Page:
     nonce = secrets.token_urlsafe(16)
-    return Page(_environment().get_template(name).render(nonce=nonce, **context).encode(errors="replace"), nonce)
+    return Page(_environment().get_template(template).render(nonce=nonce, **context).encode(errors="replace"), nonce)
 
 
 def answers_of(item: Item) -> dict[str, Any]:
@@ -234,7 +237,14 @@ def program(item: Item, workspace: Workspace, other_programs: Sequence[str], run
 
 def running(run: Run) -> Page:
     """Return the page of a command: what it prints, and its end."""
-    return _page("run.html", here="programs", title=run.title, run=run, code=run.code, command=run.command)
+    return _page(
+        "run.html",
+        here="robots" if run.page else "programs",
+        title=run.title,
+        run=run,
+        code=run.code,
+        command=run.command,
+    )
 
 
 def cell(workspace: Workspace, fields: Sequence[FormField], fault: str, *, is_saved: bool) -> Page:
@@ -338,9 +348,10 @@ def _picture(path: Path) -> dict[str, Any]:
     return {"robot": picture.title, "views": views, "is_start": picture.is_start, "unusable": ""}
 
 
-def robots(name: str) -> Page:
+def robots(name: str, workspace: Workspace, readings: Sequence[Readings]) -> Page:
     """Return the page of the robot models; of one, where each of its values comes from.
 
+    :param readings: from which a model can be made.
     :raises InputError: there is no model of this name.
     """
     folders = robot.shipped()
@@ -354,7 +365,40 @@ def robots(name: str) -> Page:
         title=model.title if model else "Robot models",
         rows=[(key, item.title, sum(entry.assumed for entry in item.sources), len(item.sources)) for key, item in rows],
         model=model,
+        readings=[_readings_row(workspace, entry) for entry in readings],
         command=command_line(["robots", *([name] if name else [])]),
+    )
+
+
+def _readings_row(workspace: Workspace, entry: Readings) -> dict[str, Any]:
+    model = model_of(workspace.model(entry.experiment))
+    verdict = "not identified yet" if model is None else model.verdict or "geometry only"
+    return {
+        "name": workspace.relative(entry.experiment),
+        "files": [path.name for path in entry.files],
+        "model": verdict,
+    }
+
+
+def readings(name: str, workspace: Workspace, entry: Readings) -> Page:
+    """Return the page of readings: how a model is identified from them, its verdict and plots, and its use."""
+    folder = workspace.model(entry.experiment)
+    cell_robot, is_used = robot_of(workspace.cell, folder) if workspace.cell.is_file() else ("", False)
+    names = [path.name for path in entry.files]
+    return _page(
+        "readings.html",
+        here="robots",
+        title=f"Model from {name}",
+        name=name,
+        files=names,
+        other_files=names[1:],
+        compensators=[path.name for path in entry.compensators],
+        model=model_of(folder),
+        has_cell=workspace.cell.is_file(),
+        cell_robot=cell_robot,
+        is_used=is_used,
+        page=f"/model?name={quote(name)}",
+        command=command_line(identification(workspace, entry, {})) if entry.files else "",
     )
 
 

@@ -14,10 +14,12 @@ from urllib.parse import parse_qsl, quote, urlsplit
 from postproc.app import screens
 from postproc.app.access import Access
 from postproc.app.automatic import Automatic
+from postproc.app.models import identification, named
 from postproc.app.runs import Run, Runs, command_line
 from postproc.app.workspace import RESULTS, SHOWN, Workspace
 from postproc.errors import InputError, PostprocError
-from postproc.jobs.cell_edit import edit, fields_of
+from postproc.jobs.cell_edit import edit, fields_of, use_model
+from postproc.jobs.experiments import model_of, readings_of
 from postproc.jobs.guided_start import is_edited, load_answers
 from postproc.jobs.process_edit import edit_process, process_tables
 from postproc.jobs.program_needs import needs_of
@@ -211,7 +213,7 @@ class _Handler(BaseHTTPRequestHandler):
     def run_state(self) -> None:
         """Send what a command has printed."""
         run = self.server.runs.numbered(self.query.get("number", ""))
-        content = {"code": run.code, "text": run.text, "share": run.share, "step": run.step}
+        content = {"code": run.code, "text": run.text, "share": run.share, "progress": run.progress}
         self._send(200, json.dumps(content).encode(), "application/json")
 
     def cell(self, fault: str = "") -> None:
@@ -245,8 +247,20 @@ class _Handler(BaseHTTPRequestHandler):
         return "forces in its comments" if has_forces else "not stated yet"
 
     def robots(self) -> None:
-        """Send the robot models."""
-        self._page(screens.robots(self.query.get("name", "")))
+        """Send the robot models, and the readings from which one can be made."""
+        workspace = self.server.workspace
+        self._page(screens.robots(self.query.get("name", ""), workspace, readings_of(workspace.folder)))
+
+    def readings(self) -> None:
+        """Send readings, the model that was identified from them, and what can be done with it."""
+        workspace, name = self.server.workspace, self.query.get("name", "")
+        self._page(screens.readings(name, workspace, workspace.readings(name)))
+
+    def model_page(self) -> None:
+        """Send the report of a model."""
+        workspace = self.server.workspace
+        path = workspace.model_page(workspace.readings(self.query.get("name", "")).experiment)
+        self._send(200, path.read_bytes(), SHOWN[".html"], ("Content-Security-Policy", _OF_REPORT))
 
     def result(self) -> None:
         """Send a result: a page to look at, or a file to keep."""
@@ -321,6 +335,32 @@ class _Handler(BaseHTTPRequestHandler):
             arguments[arguments.index("--process")] = "--forces"
         self.begin(name, f"Compare {name}", arguments)
 
+    def identify(self) -> None:
+        """Identify a model from readings."""
+        form, workspace = self.form(), self.server.workspace
+        name = form.get("name", "")
+        arguments = identification(workspace, workspace.readings(name), form)
+        self.begin(f"model {name}", f"Model from {name}", arguments, page=f"/readings?name={quote(name)}")
+
+    def validate(self) -> None:
+        """Check a model with other readings."""
+        form, workspace = self.form(), self.server.workspace
+        name = form.get("name", "")
+        entry = workspace.readings(name)
+        arguments = ["identify", "validate", workspace.relative(workspace.model(entry.experiment))]
+        arguments += [workspace.relative(named(entry.files, form.get("readings", "")))]
+        arguments += ["--experiment", workspace.relative(entry.experiment)]
+        self.begin(f"model {name}", f"Check of the model from {name}", arguments, page=f"/readings?name={quote(name)}")
+
+    def take_model(self) -> None:
+        """Write a model into the cell."""
+        workspace, name = self.server.workspace, self.form().get("name", "")
+        model = model_of(workspace.model(workspace.readings(name).experiment))
+        if model is None or model.refused:
+            raise InputError(f"{name}: there is no model that may be used", advice="Identify one first.")
+        self.server.runs.edit(lambda: use_model(workspace.stated_cell(), model.folder))
+        self._lead(f"/readings?name={quote(name)}")
+
     def stop(self) -> None:
         """Stop a command."""
         run = self.server.runs.numbered(self.form().get("number", ""))
@@ -349,12 +389,19 @@ class _Handler(BaseHTTPRequestHandler):
             return self.process(str(cause))
         return self._lead(f"/process?name={quote(name)}&saved")
 
-    def begin(self, key: str, title: str, arguments: list[str], change: Callable[[], object] | None = None) -> None:
+    def begin(
+        self,
+        key: str,
+        title: str,
+        arguments: list[str],
+        change: Callable[[], object] | None = None,
+        page: str = "",
+    ) -> None:
         """Begin a command, and lead to its page.
 
-        :param change: see `Runs.begin`.
+        :param change: see `Runs.begin`; `page`: likewise.
         """
-        run: Run = self.server.runs.begin(key, title, arguments, change)
+        run: Run = self.server.runs.begin(key, title, arguments, change, page)
         self._lead(f"/run?number={run.number}")
 
     def _named(self, form: dict[str, str]) -> str:
@@ -371,6 +418,8 @@ _PAGES: dict[str, Callable[[_Handler], None]] = {
     "/cell": _Handler.cell,
     "/process": _Handler.process,
     "/robots": _Handler.robots,
+    "/readings": _Handler.readings,
+    "/model": _Handler.model_page,
     "/result": _Handler.result,
 }
 _CHANGES: dict[str, Callable[[_Handler], None]] = {
@@ -381,6 +430,9 @@ _CHANGES: dict[str, Callable[[_Handler], None]] = {
     "/place": _Handler.place,
     "/take-place": _Handler.take_place,
     "/compare": _Handler.compare,
+    "/identify": _Handler.identify,
+    "/validate": _Handler.validate,
+    "/use-model": _Handler.take_model,
     "/stop": _Handler.stop,
     "/cell": _Handler.posted_cell,
     "/process": _Handler.posted_process,

@@ -17,11 +17,14 @@ from postproc.dialects import registry
 from postproc.errors import InputError
 from postproc.jobs.arrivals import stamps
 from postproc.jobs.currency import Setup, changes
+from postproc.jobs.experiments import Readings, readings_of
 from postproc.jobs.programs import process_of
 from postproc.jobs.runs import reported
 from postproc.report.index import Entry
 
 RESULTS = "corrected"
+MODELS = "models"
+"""Folder of the models that are identified, each in a folder of the name of its readings."""
 LARGEST_BYTES = 256 * 2**20
 """Size of a program that is added; CAM systems write up to 100 MB."""
 SHOWN = {
@@ -168,6 +171,33 @@ class Workspace(Struct, frozen=True):
         kinds = (*registry.extensions(), ".toml")
         content = stamps({self.folder: kinds, self.results: (".toml", ".report.json")})
         return hashlib.sha256(repr(content).encode(errors="replace")).hexdigest()
+
+    def readings(self, name: str) -> Readings:
+        """Return the readings of an experiment, such as ``"demo/experiment.toml"``.
+
+        :raises InputError: there is none of this name in the folder.
+        """
+        for entry in readings_of(self.folder):
+            if self.relative(entry.experiment) == name:
+                self._of_folder(entry.experiment)
+                return entry
+        raise InputError(f"no experiment {name!r} in {self.folder.name}")
+
+    def model(self, experiment: Path) -> Path:
+        """Return the folder of the model that is identified from an experiment."""
+        name = experiment.stem if experiment.parent == self.folder else experiment.parent.name
+        return self.folder / MODELS / name
+
+    def model_page(self, experiment: Path) -> Path:
+        """Return the report of the model that was identified from an experiment.
+
+        :raises InputError: there is none.
+        """
+        return self._of_folder(_inside(self.model(experiment), "report.html"))
+
+    def relative(self, path: Path) -> str:
+        """Return the path of a file of the folder as commands name it, with ``/``."""
+        return path.relative_to(self.folder).as_posix()
 
     def items(self) -> list[Item]:
         """Return the programs of the folder, sorted by name."""

@@ -337,7 +337,11 @@ def _show(folder: IdentifiedFolder, output: Path, as_json: bool) -> None:
 def _say(message: str) -> None:
     import sys
 
-    if sys.stderr.isatty():
+    from postproc import progress
+
+    if progress.as_lines():
+        progress.step(message)
+    elif sys.stderr.isatty():
         click.echo(f"{message} …", err=True)
 
 

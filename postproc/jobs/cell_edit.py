@@ -9,7 +9,8 @@ import tomlkit
 
 from postproc import cell as cells
 from postproc import files
-from postproc.errors import CellError
+from postproc import robot as robots
+from postproc.errors import CellError, PostprocError
 from postproc.jobs.file_form import FormField, edited, fields_of_table, parsed, table_schema, write_checked
 from postproc.jobs.first_steps import relative_path
 from postproc.jobs.programs import load_robot
@@ -47,6 +48,15 @@ def edit(path: Path, texts: Mapping[str, str]) -> bool:
         return False
     write_checked(path, new_text, cells.load)
     return True
+
+
+def robot_of(path: Path, model: Path) -> tuple[str, bool]:
+    """Return the robot that a cell file names, and whether it is a model folder; empty: the cell is unusable."""
+    try:
+        cell = cells.load(path)
+        return cell.robot, robots.find(cell.robot, Path(cell.folder)).resolve() == model.resolve()
+    except PostprocError:
+        return "", False
 
 
 def use_model(path: Path, model: Path) -> bool:

@@ -39,10 +39,10 @@ const output = document.querySelector("pre[data-run]");
 async function follow() {
   try {
     const content = await (await fetch(`/run.json?number=${output.dataset.run}`)).json();
-    if (content.share !== null) {
-      document.querySelector("#share").value = content.share;
-      document.querySelector("#step").textContent = `${content.step}: ${Math.round(100 * content.share)} %`;
-    }
+    const bar = document.querySelector("#share");
+    if (content.share !== null) bar.value = content.share;
+    else bar.removeAttribute("value");
+    document.querySelector("#step").textContent = content.progress;
     output.textContent = content.text || "It has printed nothing yet.";
     if (content.code !== null) { location.reload(); return; }
   } catch { said.textContent = "The window does not answer. Start postproc app again: what is written is whole."; return; }

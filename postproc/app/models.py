@@ -1,0 +1,37 @@
+"""Commands that identify a model from readings of the folder."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from postproc.app.workspace import Workspace
+from postproc.errors import InputError
+from postproc.jobs.experiments import Readings
+
+
+def identification(workspace: Workspace, entry: Readings, form: Mapping[str, str]) -> list[str]:
+    """Return the arguments of the command that identifies a model.
+
+    :param form: names of the files `readings` (default: the first) and `compensator` (default: none), and `geometry`.
+    :raises InputError: there is no such file next to the experiment.
+    """
+    readings = named(entry.files, form.get("readings", "") or next((path.name for path in entry.files), ""))
+    arguments = ["identify", "elastostatics", workspace.relative(readings)]
+    arguments += ["--experiment", workspace.relative(entry.experiment)]
+    if compensator := form.get("compensator", ""):
+        arguments += ["--compensator", workspace.relative(named(entry.compensators, compensator))]
+    if form.get("geometry"):
+        arguments.append("--geometry")
+    return [*arguments, "-o", workspace.relative(workspace.model(entry.experiment))]
+
+
+def named(paths: Sequence[Path], name: str) -> Path:
+    """Return the file of a name.
+
+    :raises InputError: it is not among them.
+    """
+    for path in paths:
+        if path.name == name:
+            return path
+    raise InputError(f"no file {name!r} next to the experiment", advice="Choose one of the list.")
