@@ -16,12 +16,15 @@ from postproc import actions, robot
 from postproc.app.arm_view import arm_view
 from postproc.app.models import identification
 from postproc.app.runs import Run, command_line
+from postproc.app.testpart import SHOWN as FILES_OF_PART
+from postproc.app.testpart import TestPart
 from postproc.app.workspace import RESULTS, SHOWN, Item, Workspace
 from postproc.errors import InputError, PostprocError
 from postproc.jobs.cell_edit import TABLES, robot_of, table_help
 from postproc.jobs.cell_picture import cell_picture
 from postproc.jobs.experiments import Readings, model_of
 from postproc.jobs.file_form import FormField
+from postproc.jobs.probing_list import probing_list
 from postproc.jobs.process_edit import ProcessTable
 from postproc.jobs.setup_form import Field, SetupForm
 from postproc.machining.material import table
@@ -235,11 +238,15 @@ def program(item: Item, workspace: Workspace, other_programs: Sequence[str], run
     )
 
 
+def _menu_of(run: Run) -> str:
+    return "testpart" if run.page == "/testpart" else "robots" if run.page else "programs"
+
+
 def running(run: Run) -> Page:
     """Return the page of a command: what it prints, and its end."""
     return _page(
         "run.html",
-        here="robots" if run.page else "programs",
+        here=_menu_of(run),
         title=run.title,
         run=run,
         code=run.code,
@@ -382,8 +389,6 @@ def _readings_row(workspace: Workspace, entry: Readings) -> dict[str, Any]:
 
 def readings(name: str, workspace: Workspace, entry: Readings) -> Page:
     """Return the page of readings: how a model is identified from them, its verdict and plots, and its use."""
-    folder = workspace.model(entry.experiment)
-    cell_robot, is_used = robot_of(workspace.cell, folder) if workspace.cell.is_file() else ("", False)
     names = [path.name for path in entry.files]
     return _page(
         "readings.html",
@@ -393,12 +398,48 @@ def readings(name: str, workspace: Workspace, entry: Readings) -> Page:
         files=names,
         other_files=names[1:],
         compensators=[path.name for path in entry.compensators],
-        model=model_of(folder),
-        has_cell=workspace.cell.is_file(),
-        cell_robot=cell_robot,
-        is_used=is_used,
-        page=f"/model?name={quote(name)}",
+        use=_use_of_model(name, workspace, workspace.model(entry.experiment)),
         command=command_line(identification(workspace, entry, {})) if entry.files else "",
+    )
+
+
+def _use_of_model(name: str, workspace: Workspace, folder: Path) -> dict[str, Any] | None:
+    """Return what the template shows of a model and its use; None: there is none.
+
+    :param name: of its experiment; empty: it is that of the test part.
+    """
+    model = model_of(folder)
+    if model is None:
+        return None
+    has_cell = workspace.cell.is_file()
+    cell_robot, is_used = robot_of(workspace.cell, folder) if has_cell else ("", False)
+    return {
+        "name": name,
+        "model": model,
+        "has_cell": has_cell,
+        "cell_robot": cell_robot,
+        "is_used": is_used,
+        "page": f"/model?name={quote(name)}",
+    }
+
+
+def testpart(part: TestPart) -> Page:
+    """Return the page of the test part: its program, what to probe, what was probed, the model."""
+    workspace = part.workspace
+    is_written, is_probed = (part.folder / "testpart.nc").is_file(), part.probed.is_file()
+    command = part.identification() if is_probed else part.writing({})
+    return _page(
+        "testpart.html",
+        here="testpart",
+        title="Test part",
+        has_cell=workspace.cell.is_file(),
+        processes=part.processes(),
+        is_written=is_written,
+        is_probed=is_probed,
+        downloads=[name for name in FILES_OF_PART if (part.folder / name).is_file() and not name.endswith(".html")],
+        points=probing_list(part.folder / "probing.csv"),
+        use=_use_of_model("", workspace, part.model) if is_written else None,
+        command=command_line(command),
     )
 
 

@@ -16,6 +16,7 @@ from postproc.app.access import Access
 from postproc.app.automatic import Automatic
 from postproc.app.models import identification, named
 from postproc.app.runs import Run, Runs, command_line
+from postproc.app.testpart import TestPart
 from postproc.app.workspace import RESULTS, SHOWN, Workspace
 from postproc.errors import InputError, PostprocError
 from postproc.jobs.cell_edit import edit, fields_of, use_model
@@ -57,6 +58,7 @@ class Window(ThreadingHTTPServer):
             raise InputError("no such folder", file=str(folder), advice="Give the folder of your programs.")
         self.workspace = Workspace(folder.resolve())
         self.runs = Runs(self.workspace.folder)
+        self.part = TestPart(self.workspace)
         self.automatic = Automatic(self.workspace, self.runs)
         try:
             super().__init__(("127.0.0.1", port), _Handler)
@@ -258,13 +260,28 @@ class _Handler(BaseHTTPRequestHandler):
 
     def model_page(self) -> None:
         """Send the report of a model."""
-        workspace = self.server.workspace
-        path = workspace.model_page(workspace.readings(self.query.get("name", "")).experiment)
+        path = self.server.workspace.model_page(self._model(self.query.get("name", "")))
         self._send(200, path.read_bytes(), SHOWN[".html"], ("Content-Security-Policy", _OF_REPORT))
+
+    def _model(self, name: str) -> Path:
+        """Return the folder of the model of an experiment; of an empty name that of the test part."""
+        workspace = self.server.workspace
+        return workspace.model(workspace.readings(name).experiment) if name else self.server.part.model
+
+    def testpart(self) -> None:
+        """Send the page of the test part."""
+        self._page(screens.testpart(self.server.part))
+
+    def testpart_file(self) -> None:
+        """Send a file of the test part."""
+        self._file(self.server.part.file(self.query.get("name", "")))
 
     def result(self) -> None:
         """Send a result: a page to look at, or a file to keep."""
-        path = self.server.workspace.result(self.query.get("name", ""))
+        self._file(self.server.workspace.result(self.query.get("name", "")))
+
+    def _file(self, path: Path) -> None:
+        """Send a page to look at, or a file to keep."""
         kind, name = SHOWN[path.suffix.lower()], quote(path.name)
         headers = [("Content-Security-Policy", _OF_REPORT)]
         if path.suffix.lower() != ".html":
@@ -275,15 +292,22 @@ class _Handler(BaseHTTPRequestHandler):
 
     def add(self) -> None:
         """Add a program that was dropped."""
+        workspace, name = self.server.workspace, self.query.get("name", "")
+
+        def page() -> str:
+            is_automatic = self.server.automatic.is_on and workspace.cell.is_file() and self._has_forces(name)
+            return "/" if is_automatic else f"/setup?name={quote(name)}"
+
+        self._added(lambda: workspace.add(name, self.rfile, self._size()), page)
+
+    def _added(self, add: Callable[[], object], page: Callable[[], str]) -> None:
+        """Take a file that was dropped, and send the address of the page that comes next."""
         try:
-            path = self.server.workspace.add(self.query.get("name", ""), self.rfile, self._size())
+            add()
         except InputError as cause:
             self.close_connection = True  # what was not read would be taken for the next request
             return self._send(400, json.dumps({"fault": str(cause)}).encode(), "application/json")
-        workspace = self.server.workspace
-        is_automatic = self.server.automatic.is_on and workspace.cell.is_file() and self._has_forces(path.name)
-        content = {"next": "/" if is_automatic else f"/setup?name={quote(path.name)}"}
-        return self._send(200, json.dumps(content).encode(), "application/json")
+        return self._send(200, json.dumps({"next": page()}).encode(), "application/json")
 
     def answers(self) -> None:
         """Take the answers of the set-up."""
@@ -355,11 +379,26 @@ class _Handler(BaseHTTPRequestHandler):
     def take_model(self) -> None:
         """Write a model into the cell."""
         workspace, name = self.server.workspace, self.form().get("name", "")
-        model = model_of(workspace.model(workspace.readings(name).experiment))
+        model = model_of(self._model(name))
         if model is None or model.refused:
             raise InputError(f"{name}: there is no model that may be used", advice="Identify one first.")
         self.server.runs.edit(lambda: use_model(workspace.stated_cell(), model.folder))
-        self._lead(f"/readings?name={quote(name)}")
+        self._lead(f"/readings?name={quote(name)}" if name else "/testpart")
+
+    def write_part(self) -> None:
+        """Write the test part."""
+        arguments = self.server.part.writing(self.form())
+        self.begin("testpart", "Test part", arguments, page="/testpart")
+
+    def add_probed(self) -> None:
+        """Take a probing file that was filled in."""
+        self._added(lambda: self.server.part.add_probed(self.rfile, self._size()), lambda: "/testpart")
+
+    def identify_part(self) -> None:
+        """Make a model of the test part, or check that of the cell."""
+        compare = bool(self.form().get("compare"))
+        title = "Check of the cell's model by the part" if compare else "Model from the test part"
+        self.begin("testpart", title, self.server.part.identification(compare=compare), page="/testpart")
 
     def stop(self) -> None:
         """Stop a command."""
@@ -420,6 +459,8 @@ _PAGES: dict[str, Callable[[_Handler], None]] = {
     "/robots": _Handler.robots,
     "/readings": _Handler.readings,
     "/model": _Handler.model_page,
+    "/testpart": _Handler.testpart,
+    "/testpart-file": _Handler.testpart_file,
     "/result": _Handler.result,
 }
 _CHANGES: dict[str, Callable[[_Handler], None]] = {
@@ -433,6 +474,9 @@ _CHANGES: dict[str, Callable[[_Handler], None]] = {
     "/identify": _Handler.identify,
     "/validate": _Handler.validate,
     "/use-model": _Handler.take_model,
+    "/testpart": _Handler.write_part,
+    "/add-probed": _Handler.add_probed,
+    "/identify-part": _Handler.identify_part,
     "/stop": _Handler.stop,
     "/cell": _Handler.posted_cell,
     "/process": _Handler.posted_process,

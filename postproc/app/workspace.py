@@ -29,6 +29,7 @@ LARGEST_BYTES = 256 * 2**20
 """Size of a program that is added; CAM systems write up to 100 MB."""
 SHOWN = {
     ".html": "text/html; charset=utf-8",
+    ".nc": "text/plain; charset=utf-8",
     ".src": "text/plain; charset=utf-8",
     ".dat": "text/plain; charset=utf-8",
     ".mod": "text/plain; charset=utf-8",
@@ -125,23 +126,23 @@ class Workspace(Struct, frozen=True):
         if Path(file).suffix.lower() not in SHOWN:
             raise InputError(f"no result {name!r}")
         path = _inside(root, file)
-        return self._of_folder(path)
+        return self.of_folder(path)
 
     def stated_cell(self) -> Path:
         """Return the path of the cell, which is there.
 
         :raises InputError: it is not, or it is elsewhere.
         """
-        return self._of_folder(_inside(self.results, self.cell.name))
+        return self.of_folder(_inside(self.results, self.cell.name))
 
     def place(self, name: str) -> Path:
         """Return the file of the best place for a program.
 
         :raises InputError: there is none.
         """
-        return self._of_folder(_inside(self.results / f"place-{Path(name).stem}", "place.toml"))
+        return self.of_folder(_inside(self.results / f"place-{Path(name).stem}", "place.toml"))
 
-    def _of_folder(self, path: Path) -> Path:
+    def of_folder(self, path: Path) -> Path:
         """Return a path that no link of a folder leads out of `folder`."""
         if not path.resolve().is_relative_to(self.folder):
             raise InputError(f"{path.name} is not in {self.folder.name}")
@@ -150,7 +151,7 @@ class Workspace(Struct, frozen=True):
     def process(self, name: str) -> Path | None:
         """Return the process file of a program; None: there is none."""
         path = process_of(Path(name), self.results)
-        return None if path is None else self._of_folder(path)
+        return None if path is None else self.of_folder(path)
 
     def process_to_edit(self, name: str) -> Path:
         """Return the process file of a program, or the path at which it will be made."""
@@ -179,7 +180,7 @@ class Workspace(Struct, frozen=True):
         """
         for entry in readings_of(self.folder):
             if self.relative(entry.experiment) == name:
-                self._of_folder(entry.experiment)
+                self.of_folder(entry.experiment)
                 return entry
         raise InputError(f"no experiment {name!r} in {self.folder.name}")
 
@@ -188,12 +189,12 @@ class Workspace(Struct, frozen=True):
         name = experiment.stem if experiment.parent == self.folder else experiment.parent.name
         return self.folder / MODELS / name
 
-    def model_page(self, experiment: Path) -> Path:
-        """Return the report of the model that was identified from an experiment.
+    def model_page(self, model: Path) -> Path:
+        """Return the report of a model.
 
         :raises InputError: there is none.
         """
-        return self._of_folder(_inside(self.model(experiment), "report.html"))
+        return self.of_folder(_inside(model, "report.html"))
 
     def relative(self, path: Path) -> str:
         """Return the path of a file of the folder as commands name it, with ``/``."""

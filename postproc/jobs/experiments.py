@@ -44,6 +44,13 @@ class ModelFolder(Struct, frozen=True):
     warnings: tuple[str, ...]
 
 
+class _Stated(Struct, frozen=True):
+    """What every kind of identification states."""
+
+    warnings: list[str]
+    verdict: record.Verdict | None = None
+
+
 def readings_of(folder: Path) -> list[Readings]:
     """Return the experiments of a folder and of two levels of folders in it, sorted."""
     paths = sorted(path for pattern in _GLOBS for path in folder.glob(pattern) if EXPERIMENT in path.stem.lower())
@@ -75,7 +82,7 @@ def _header(path: Path) -> Iterator[str]:
 def model_of(folder: Path) -> ModelFolder | None:
     """Return the model of a folder; None: there is none that `identify` has written."""
     try:
-        content = msgspec.json.decode((folder / record.NAME).read_bytes(), type=record.Identified)
+        content = msgspec.json.decode((folder / record.NAME).read_bytes(), type=_Stated)
     except (OSError, ValueError):
         return None
     verdict = content.verdict

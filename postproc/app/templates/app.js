@@ -6,7 +6,7 @@ async function add(files) {
   adding = true;
   for (const file of files) {
     said.textContent = `${file.name} is added …`;
-    const answer = await fetch(`/add?name=${encodeURIComponent(file.name)}`, { method: "POST", body: file });
+    const answer = await fetch(`${drop.dataset.to || "/add"}?name=${encodeURIComponent(file.name)}`, { method: "POST", body: file });
     const content = await answer.json().catch(() => ({ fault: "The window did not answer. Start postproc app again." }));
     if (content.fault) { said.textContent = content.fault; adding = false; return; }
     next = files.length === 1 ? content.next : "/";
