@@ -18,7 +18,7 @@ from postproc.cell import Box, Cell
 from postproc.dialects import registry
 from postproc.errors import ForceError, InputError, MeasurementError, ModelError
 from postproc.files import FileEntry
-from postproc.frames import M_PER_MM, MM_PER_M
+from postproc.frames import M_PER_MM, MM_PER_M, Array
 from postproc.identification import model_folder, record
 from postproc.jobs.conversion import marked, read_program
 from postproc.jobs.output_plan import protect
@@ -155,19 +155,10 @@ def make_testpart(request: TestPartRequest, progress: Callable[[str], None] = la
     robots_in_cell = tuple(RobotInCell.of(robot, item) for item in placements.values())
     robot_in_cell = robots_in_cell[0]
     prior = _prior(robot_in_cell, process)
-    rpm = tool.rpm or float(np.floor(min(12_000.0, 1e3 * _SPEED / (np.pi * tool.diameter_mm)) / 100.0) * 100.0)
-    feed = request.feed_mm_per_min or _CHIP * tool.diameter_mm * tool.flutes * rpm
-    cutting = Cutting(
-        tool.diameter_mm * M_PER_MM,
-        rpm,
-        feed * M_PER_MM / 60.0,
-        int(key) if key.isdecimal() else 1,
-        box.Z[1] * M_PER_MM,
-    )
     depth = (request.depth_mm or _DEPTH * tool.diameter_mm) * M_PER_MM
     progress("candidates")
     candidates, cutting = design.candidates(
-        prior, robots_in_cell, process, cutting, depth, box, request.sigma_mm * M_PER_MM
+        prior, robots_in_cell, process, _cutting(request, key, tool, box), depth, box, request.sigma_mm * M_PER_MM
     )
     tests = _tests(request, robot_in_cell, candidates)
     progress("choice of features")
@@ -178,25 +169,9 @@ def make_testpart(request: TestPartRequest, progress: Callable[[str], None] = la
     )
     selection = design.choose(candidates, prior, robot_in_cell, tests, request.count, weight_readings)
     touches = features.touch_off_places(selection.features, cutting, low, high)
-    parts = {}
+    parts = _programs(request, selection, cutting, tuple(placements), weight_places, touches)
     contents: dict[str, bytes | Iterable[bytes]] = {}
-    for number, (placement, its_cell) in enumerate(placements.items()):
-        part_features = [selection.features[k] for k in np.flatnonzero(selection.placement == number)]
-        first = (
-            1 + int((selection.placement < number).sum()),
-            1 + len(weight_places) * number,
-            1 + len(touches) * number,
-        )
-        placement_title = placement.title if len(placements) > 1 else ""
-        parts[placement] = features.program(
-            part_features,
-            cutting,
-            request.weight_kg,
-            weight_places,
-            touches=touches if part_features else None,
-            first=first,
-            placement_title=placement_title,
-        )
+    for placement, its_cell in placements.items():
         if len(parts[placement].feature):
             contents[placement.name] = parts[placement].text.encode()
             contents |= _krl(request, placement.name, parts[placement].text, its_cell)
@@ -209,6 +184,48 @@ def make_testpart(request: TestPartRequest, progress: Callable[[str], None] = la
         files.with_record(contents, _RECORD, lambda entries: files.json_bytes({**data, "files": entries})),
     )
     return TestPartFiles(selection, prior, cutting, parts, tuple(paths))
+
+
+def _cutting(request: TestPartRequest, key: str, tool: ToolTable, box: Box) -> Cutting:
+    """Return how the part is cut: as the request says, or by the diameter of the tool.
+
+    :param key: number of the tool in the process.
+    """
+    rpm = tool.rpm or float(np.floor(min(12_000.0, 1e3 * _SPEED / (np.pi * tool.diameter_mm)) / 100.0) * 100.0)
+    feed = request.feed_mm_per_min or _CHIP * tool.diameter_mm * tool.flutes * rpm
+    number = int(key) if key.isdecimal() else 1
+    return Cutting(tool.diameter_mm * M_PER_MM, rpm, feed * M_PER_MM / 60.0, number, box.Z[1] * M_PER_MM)
+
+
+def _programs(
+    request: TestPartRequest,
+    selection: Design,
+    cutting: Cutting,
+    placements: tuple[Placement, ...],
+    weight_places: Array,
+    touches: Array,
+) -> dict[Placement, features.Program]:
+    """Return the program of each placement; numbers of features and points go on from one to the next.
+
+    :param weight_places: (n, 3) where a weight is hung; `touches` (k, 3) touch-off points, `$BASE` [m].
+    """
+    parts = {}
+    for number, placement in enumerate(placements):
+        part_features = [selection.features[k] for k in np.flatnonzero(selection.placement == number)]
+        parts[placement] = features.program(
+            part_features,
+            cutting,
+            request.weight_kg,
+            weight_places,
+            touches=touches if part_features else None,
+            first=(
+                1 + int((selection.placement < number).sum()),
+                1 + len(weight_places) * number,
+                1 + len(touches) * number,
+            ),
+            placement_title=placement.title if len(placements) > 1 else "",
+        )
+    return parts
 
 
 def _prior(robot_in_cell: RobotInCell, process: Process) -> Prior:
@@ -231,7 +248,7 @@ def _data(
         "rpm": cutting.rpm,
         "trim_mm": round(cutting.trim * MM_PER_M, 3),
         "tests": selection.tests,
-        "deflection_mm": round(selection.own * MM_PER_M, 4),
+        "deflection_mm": round(selection.deflection * MM_PER_M, 4),
         "expected_before_mm": round(selection.before * MM_PER_M, 4),
         "expected_after_mm": round(selection.after * MM_PER_M, 4),
         "known_to": {name: round(float(share), 3) for name, share in zip(names, selection.sigma, strict=True)},

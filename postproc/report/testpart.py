@@ -59,7 +59,7 @@ def design_page(
             "Expected error with the part, RMS",
             f"{design.after * MM_PER_M:.3f}",
             "mm",
-            note=f"deflection {design.own * MM_PER_M:.2f} mm: {design.tests}",
+            note=f"deflection {design.deflection * MM_PER_M:.2f} mm: {design.tests}",
         ),
     )
     steps = (
@@ -108,8 +108,8 @@ def design_page(
 
 def _remarks(design: Design, prior: Prior) -> list[str]:
     remarks = [_PRODUCT]
-    if design.alone is not None:
-        remarks.append(f"Here {_by_weight(design, design.alone)}.")
+    if design.sigma_without_weight is not None:
+        remarks.append(f"Here {_by_weight(design, design.sigma_without_weight)}.")
     if (text := _hidden(design, prior)) is not None:
         remarks.append(f"{text[0].upper()}{text[1:]}.")
     return remarks
@@ -236,6 +236,29 @@ def _drawings(design: Design, cutting: Cutting, parts: dict[Placement, Program],
     return tuple(drawings)
 
 
+class _Plan:
+    """Plan view of a block: places of the drawing [px] for points in `$BASE` [m]."""
+
+    def __init__(self, box: Box) -> None:
+        self._low = np.array([box.X[0], box.Y[0]])
+        self._scale = _WIDE / (box.X[1] - box.X[0])
+        self.tall = self._scale * (box.Y[1] - box.Y[0])
+
+    def xy(self, points: Array) -> Array:
+        """Return the places (n, 2) of points (n, 2 or 3) [m]."""
+        x, y = (points[:, :2] * MM_PER_M - self._low).T * self._scale
+        return np.column_stack([x, self.tall - y])
+
+    def path(self, points: Array, style: str) -> str:
+        """Return a closed line through points."""
+        return f'<path d="M{" L".join(f"{x:.1f} {y:.1f}" for x, y in self.xy(points).tolist())}Z" {style}/>'
+
+    def text(self, words: str, point: Array, rise: float, style: str) -> str:
+        """Return words above a point (3,) or (2,) by some pixels."""
+        x, y = self.xy(point[None])[0].tolist()
+        return f'<text x="{x:.1f}" y="{y - rise:.1f}" text-anchor="middle" fill="currentColor" {style}>{words}</text>'
+
+
 def _drawing(
     design: Design, feature_numbers: range, cutting: Cutting, box: Box, program: Program, caption: str
 ) -> Drawing:
@@ -244,61 +267,26 @@ def _drawing(
     :param feature_numbers: features of this placement; of others the outlines are shown.
     :param program: of this placement.
     """
-    low, high = np.array([box.X[0], box.Y[0]]), np.array([box.X[1], box.Y[1]])
-    scale = _WIDE / (high[0] - low[0])
-    tall = scale * (high[1] - low[1])
-
-    def xy(points: Array) -> Array:
-        return np.column_stack([(points[:, 0] - low[0]) * scale, tall - (points[:, 1] - low[1]) * scale])
-
-    def path(points: Array, style: str) -> str:
-        return f'<path d="M{" L".join(f"{x:.1f} {y:.1f}" for x, y in xy(points).tolist())}Z" {style}/>'
-
-    shapes = [f'<rect x="0" y="0" width="{_WIDE:.0f}" height="{tall:.0f}" fill="none" stroke="currentColor"/>']
-    radius = 0.5 * cutting.diameter
-    for number, feature in enumerate(design.features, start=1):
-        if number - 1 not in feature_numbers:
-            for begin, end in _runs(feature, cutting, ""):
-                faint = 'fill="none" stroke="currentColor" stroke-opacity="0.15"'
-                shapes.append(path(_stadium(feature, begin, end, radius) * MM_PER_M, faint))
-            continue
-        for name, style in (
-            ("groove", 'fill="currentColor" fill-opacity="0.12" stroke="currentColor"'),
-            ("step", 'fill="currentColor" fill-opacity="0.12" stroke="currentColor"'),
-            ("trim", 'fill="none" stroke="currentColor" stroke-dasharray="4 3"'),
-        ):
-            for begin, end in _runs(feature, cutting, name):
-                shapes.append(path(_stadium(feature, begin, end, radius) * MM_PER_M, style))
-        for probe in features.probes(feature.kind, cutting):
-            points = features.placed(feature, 0.0, np.array([probe.point]))[:, :2] * MM_PER_M
-            x, y = xy(points)[0].tolist()
-            shade = "none" if probe.name.startswith("ref") else "currentColor"
-            shapes.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="{shade}" stroke="currentColor"/>')
-        x, y = xy(np.array([[feature.x, feature.y]]) * MM_PER_M)[0].tolist()
-        shapes.append(
-            f'<text x="{x:.1f}" y="{y + 5:.1f}" text-anchor="middle" font-size="15" font-weight="bold" '
-            'fill="currentColor" paint-order="stroke" stroke="var(--card)" stroke-width="4">'
-            f"F{number:02d} · {feature.kind.depth * MM_PER_M:g}</text>"
-        )
-    for name, point in zip(program.feature, program.point * MM_PER_M, strict=True):
-        if name.rpartition(".")[2] == TOP:
-            x, y = xy(point[None])[0].tolist()
-            shapes.append(
-                f'<path d="M{x - 6:.1f} {y:.1f}H{x + 6:.1f}M{x:.1f} {y - 6:.1f}V{y + 6:.1f}" stroke="currentColor"/>'
-                f'<text x="{x:.1f}" y="{y - 9:.1f}" text-anchor="middle" font-size="13" fill="currentColor">'
-                f"{name.partition('.')[0]}</text>"
-            )
+    plan = _Plan(box)
+    shapes = [f'<rect x="0" y="0" width="{_WIDE:.0f}" height="{plan.tall:.0f}" fill="none" stroke="currentColor"/>']
+    for index, feature in enumerate(design.features):
+        if index in feature_numbers:
+            shapes += _feature_shapes(plan, feature, cutting, f"F{index + 1:02d}")
+        else:
+            faint = 'fill="none" stroke="currentColor" stroke-opacity="0.15"'
+            shapes += _outlines(plan, feature, cutting, "", faint)
+    shapes += _touch_off_shapes(plan, program)
     for text, x, y, anchor in (
-        (f"X {box.X[0]:g}", 0.0, tall + 18.0, "start"),
-        (f"X {box.X[1]:g}", _WIDE, tall + 18.0, "end"),
-        (f"Y {box.Y[0]:g}", -6.0, tall, "end"),
+        (f"X {box.X[0]:g}", 0.0, plan.tall + 18.0, "start"),
+        (f"X {box.X[1]:g}", _WIDE, plan.tall + 18.0, "end"),
+        (f"Y {box.Y[0]:g}", -6.0, plan.tall, "end"),
         (f"Y {box.Y[1]:g}", -6.0, 12.0, "end"),
     ):
         shapes.append(
             f'<text x="{x:.0f}" y="{y:.0f}" text-anchor="{anchor}" font-size="13" fill="currentColor">{text}</text>'
         )
     svg = (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="-60 -8 {_WIDE + 70:.0f} {tall + 34:.0f}" '
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="-60 -8 {_WIDE + 70:.0f} {plan.tall + 34:.0f}" '
         f'style="width:100%;max-height:40rem">{"".join(shapes)}</svg>'
     )
     return Drawing(
@@ -308,6 +296,40 @@ def _drawing(
         "points, hollow ones on reference surfaces. Crosses: touch-off points on the uncut top. Behind each number the "
         "depth in mm.",
     )
+
+
+def _feature_shapes(plan: _Plan, feature: features.Feature, cutting: Cutting, name: str) -> list[str]:
+    """Return a feature with its probed points, its name and its depth."""
+    shaded = 'fill="currentColor" fill-opacity="0.12" stroke="currentColor"'
+    dashed = 'fill="none" stroke="currentColor" stroke-dasharray="4 3"'
+    shapes = []
+    for surface, style in (("groove", shaded), ("step", shaded), ("trim", dashed)):
+        shapes += _outlines(plan, feature, cutting, surface, style)
+    for probe in features.probes(feature.kind, cutting):
+        x, y = plan.xy(features.placed(feature, 0.0, np.array([probe.point])))[0].tolist()
+        fill = "none" if probe.name.startswith("ref") else "currentColor"
+        shapes.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="{fill}" stroke="currentColor"/>')
+    style = 'font-size="15" font-weight="bold" paint-order="stroke" stroke="var(--card)" stroke-width="4"'
+    middle = np.array([feature.x, feature.y])
+    return [*shapes, plan.text(f"{name} · {feature.kind.depth * MM_PER_M:g}", middle, -5.0, style)]
+
+
+def _outlines(plan: _Plan, feature: features.Feature, cutting: Cutting, surface: str, style: str) -> list[str]:
+    """Return the outlines of the passes that make the surfaces of a name."""
+    radius = 0.5 * cutting.diameter
+    return [plan.path(_stadium(feature, begin, end, radius), style) for begin, end in _runs(feature, cutting, surface)]
+
+
+def _touch_off_shapes(plan: _Plan, program: Program) -> list[str]:
+    """Return the touch-off points as crosses with their names."""
+    shapes = []
+    for name, point in zip(program.feature, program.point, strict=True):
+        if name.rpartition(".")[2] == TOP:
+            x, y = plan.xy(point[None])[0].tolist()
+            cross = f"M{x - 6:.1f} {y:.1f}H{x + 6:.1f}M{x:.1f} {y - 6:.1f}V{y + 6:.1f}"
+            shapes.append(f'<path d="{cross}" stroke="currentColor"/>')
+            shapes.append(plan.text(name.partition(".")[0], point, 9.0, 'font-size="13"'))
+    return shapes
 
 
 def _runs(feature: features.Feature, cutting: Cutting, name: str) -> list[tuple[Array, Array]]:
@@ -344,7 +366,7 @@ def design_lines(design: Design, prior: Prior, cutting: Cutting, parts: dict[Pla
         f"{len(design.features)} features, {design.seconds / 60.0:.1f} min of cutting, "
         f"full cuts at {cutting.feed * MM_PER_M * 60:.0f} mm/min",
         f"expected error where you mill ({design.tests}): {design.before * MM_PER_M:.3f} mm now, "
-        f"{design.after * MM_PER_M:.3f} mm with the part, of {design.own * MM_PER_M:.2f} mm deflection (RMS)",
+        f"{design.after * MM_PER_M:.3f} mm with the part, of {design.deflection * MM_PER_M:.2f} mm deflection (RMS)",
         f"standard deviations left: {', '.join(sigma_texts)} of those now",
     ]
     if len(parts) > 1:
@@ -355,8 +377,8 @@ def design_lines(design: Design, prior: Prior, cutting: Cutting, parts: dict[Pla
         lines.append(f"not shown by this part: {', '.join(hidden_names)}")
     if (hidden_changes := _hidden(design, prior)) is not None:
         lines.append(hidden_changes)
-    if design.alone is not None:
-        lines.append(_by_weight(design, design.alone))
+    if design.sigma_without_weight is not None:
+        lines.append(_by_weight(design, design.sigma_without_weight))
     return lines
 
 

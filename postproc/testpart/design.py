@@ -72,7 +72,7 @@ class Candidates(Struct, frozen=True, eq=False):
     :param information: (c, m, m) of the unknowns: parameters and force scale in units of their prior standard
         deviations, radius of the tool, position of the cuts and height of the uncut top in each placement.
     :param seconds: (c,) time that each takes [s].
-    :param apart: (c, c) True where two of them do not touch.
+    :param is_apart: (c, c) True where two of them do not touch.
     :param deflection: (c,) largest expected displacement of the tool [m].
     :param wrench: (c, 6) the force that loads each most, root axes, with the states there.
     """
@@ -81,7 +81,7 @@ class Candidates(Struct, frozen=True, eq=False):
     placement: Ints
     information: Array
     seconds: Array
-    apart: Bools
+    is_apart: Bools
     deflection: Array
     loaded: States
 
@@ -106,10 +106,10 @@ class Design(Struct, frozen=True, eq=False):
 
     :param chosen: (k,) rows of the candidates, in the order of cutting: one placement after another.
     :param sigma: (p + 1,) standard deviations of parameters and force scale after the part, over those before.
-    :param alone: the same without the weight that is hung on the tool; None if none is.
+    :param sigma_without_weight: the same without the weight that is hung on the tool; None if none is.
     :param change: (p,) smallest relative change of each parameter that the same part shows later, see `_visible`.
     :param before: expected error at the test poses without the part, RMS [m], and `after` with it.
-    :param own: RMS deflection at the test poses [m].
+    :param deflection: RMS deflection at the test poses [m].
     :param seconds: cutting time [s].
     :param tests: where they come from.
     """
@@ -117,11 +117,11 @@ class Design(Struct, frozen=True, eq=False):
     candidates: Candidates
     chosen: Ints
     sigma: Array
-    alone: Array | None
+    sigma_without_weight: Array | None
     change: Array
     before: float
     after: float
-    own: float
+    deflection: float
     seconds: float
     tests: str
 
@@ -254,11 +254,11 @@ def _inside_block(kinds: list[Kind], cutting: Cutting, box: tuple[Array, Array],
     return fitting
 
 
-_Found = list[tuple[Feature, Array, float, States]]
+_Reachable = list[tuple[Feature, Array, float, States]]
 """Reachable features with their information, displacement and most loaded state."""
 
 
-def _joined(by_placement: list[_Found], cutting: Cutting) -> Candidates:
+def _joined(by_placement: list[_Reachable], cutting: Cutting) -> Candidates:
     """Return the candidates of all placements: the position of the part in each is an unknown of its own."""
     entries = [entry for placement in by_placement for entry in placement]
     number = np.repeat(np.arange(len(by_placement)), [len(placement) for placement in by_placement])
@@ -290,12 +290,12 @@ def _placed(
     loads_by_kind: list[Loads],
     cutting: Cutting,
     sigma: float,
-) -> _Found:
+) -> _Reachable:
     """Return those of the features that the robot reaches in a placement.
 
     :raises PlanError: there is none.
     """
-    reachable: _Found = []
+    reachable: _Reachable = []
     for kind, load in zip(kinds, loads_by_kind, strict=True):
         features_of_kind = [feature for feature in all_features if feature.kind == kind]
         if features_of_kind:
@@ -317,7 +317,7 @@ def _of_kind(
     load: Loads,
     cutting: Cutting,
     sigma: float,
-) -> _Found:
+) -> _Reachable:
     """Return the reachable features of one kind."""
     probes = features.probes(features_of_kind[0].kind, cutting)
     count = len(probes)
@@ -559,7 +559,7 @@ def choose(
     rows: list[int] = []
     whole = start
     for _ in range(count):
-        free = np.flatnonzero(candidates_in_block.apart[:, rows].all(axis=1))
+        free = np.flatnonzero(candidates_in_block.is_apart[:, rows].all(axis=1))
         if not len(free):
             break
         gain = criterion(whole) - criterion(whole + candidates_in_block.information[free])
@@ -573,7 +573,8 @@ def choose(
             other_information = start + candidates_in_block.information[other_rows].sum(axis=0)
             time_left = candidates_in_block.seconds[rows].sum() - candidates_in_block.seconds[other_rows].sum()
             free = np.flatnonzero(
-                candidates_in_block.apart[:, other_rows].all(axis=1) & (candidates_in_block.seconds <= time_left + 1e-9)
+                candidates_in_block.is_apart[:, other_rows].all(axis=1)
+                & (candidates_in_block.seconds <= time_left + 1e-9)
             )
             best = int(free[np.argmin(criterion(other_information + candidates_in_block.information[free]))])
             if float(criterion(other_information + candidates_in_block.information[best])) < (1.0 - 1e-4) * float(

@@ -44,13 +44,15 @@ def main() -> None:
         chosen = part.chosen
         print(
             f"{len(chosen.features)} features, {chosen.seconds / 60:.1f} min; expected error before "
-            f"{1e6 * chosen.before:.1f} µm, after {1e6 * chosen.after:.2f} µm, of {1e6 * chosen.own:.0f} µm",
+            f"{1e6 * chosen.before:.1f} µm, after {1e6 * chosen.after:.2f} µm, of {1e6 * chosen.deflection:.0f} µm",
             flush=True,
         )
         if given.random:
             rng, tests = np.random.default_rng(7), design.tests_in_block(part.found)
             others = [trial.at_random(part.found, chosen.seconds, rng) for _ in range(given.random)]
-            after = [design.evaluated(part.found, part.prior, part.setting, tests, other).after for other in others]
+            after = [
+                design.evaluated(part.found, part.prior, part.robot_in_cell, tests, other).after for other in others
+            ]
             print(f"{given.random} random parts: best {1e6 * min(after):.2f}, median {1e6 * np.median(after):.2f} µm")
         rows = []
         for seed in range(given.first, given.first + given.robots):

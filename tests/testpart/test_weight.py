@@ -77,7 +77,7 @@ def test_the_weight_tells_forces_from_compliances(part):
     sigma = [float(np.sqrt(each.covariance[-1, -1])) for each in (found, without)]
     assert sigma[0] < 0.85 * sigma[1]
     assert abs(found.scale - scale) < 3.0 * sigma[0]
-    assert part.chosen.sigma[-1] < 0.85 * part.chosen.alone[-1]  # the design says so before
+    assert part.chosen.sigma[-1] < 0.85 * part.chosen.sigma_without_weight[-1]  # the design says so before
     assert part.chosen.sigma[-1] == pytest.approx(found.sigma[-1], rel=0.3)
 
 

@@ -262,7 +262,7 @@ def at_random(found, seconds, rng):
     """A part of features taken at random, one after another, until they take as long as another part [s]."""
     chosen = []
     for row in rng.permutation(len(found.feature)).tolist():
-        if found.apart[row, chosen].all():
+        if found.is_apart[row, chosen].all():
             chosen.append(row)
             if found.seconds[chosen].sum() >= seconds:
                 break
