@@ -22,7 +22,6 @@ from postproc.app.server import Window
 from postproc.cli import main
 from tests.documentation.pages import DOCS, ROOT
 from tests.pages.browser import opened, running
-from tests.testpart import trial
 
 PICTURES = DOCS / "pictures"
 SAMPLES = ROOT / "samples"
@@ -93,28 +92,21 @@ def identification(folder: Path) -> None:
     screenshot(folder / "my_robot" / "report.html", PICTURES / "identification.png", 1440, 1200)
 
 
-def _testpart(folder: Path) -> Path:
-    """Make a test part; return its folder."""
-    (folder / "process.toml").write_text(trial.process_text(((0, 300), (0, 200), (-40, 0)), 0.25))
-    invoke("testpart", "--cell", CELL, "--process", folder / "process.toml", "--depth", "3", "-o", folder / "out")
-    return folder / "out"
+DEMO = SAMPLES / "demo"
 
 
 def testpart(folder: Path) -> None:
     """Take the head of the page of a test part."""
-    screenshot(_testpart(folder) / "testpart.html", PICTURES / "testpart.png", 1200, 1120, ready=False)
+    process = ("--process", DEMO / "process.toml", "--features", "8", "--depth", "3")
+    invoke("testpart", "--cell", DEMO / "cell.toml", *process, "-o", folder / "out")
+    screenshot(folder / "out" / "testpart.html", PICTURES / "testpart.png", 1200, 1120, ready=False)
 
 
 def testpart_model(folder: Path) -> None:
     """Take the head of the report of a model from a test part, milled by a simulated robot."""
-    import numpy as np
-
-    out, rng = _testpart(folder), np.random.default_rng(5)
-    cutter = trial.machine(trial.truth(rng), 1.08, 5.01)
-    probed = cutter.probed((out / "testpart.nc").read_text(), (out / "probing.csv").read_text(), rng)
-    (out / "probed.csv").write_text(probed)
-    given = ("--process", out / "testpart.process.toml", "--program", out / "testpart.nc")
-    invoke("identify", "part", out / "probed.csv", "--cell", CELL, *given, "-o", folder / "my_robot")
+    part = DEMO / "testpart"
+    given = ("--process", part / "testpart.process.toml", "--program", part / "testpart.nc")
+    invoke("identify", "part", part / "probed.csv", "--cell", DEMO / "cell.toml", *given, "-o", folder / "my_robot")
     screenshot(folder / "my_robot" / "report.html", PICTURES / "testpart-model.png", 1200, 1250)
 
 
