@@ -161,6 +161,10 @@ class SubprogramError(ProgramError):
     """A file that only other programs call: there is nothing in it to be converted by itself."""
 
 
+class OptionError(InputError):
+    """A value of an option that the command does not take: wrong usage, exit code 2 on the command line."""
+
+
 class CellError(InputError):
     """A cell file is unusable."""
 

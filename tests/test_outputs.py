@@ -229,7 +229,7 @@ def test_a_name_may_be_given_for_one_program():
     [
         (("part.nc", "--name", "7 up"), 2, "does not begin with a letter"),
         (("part.nc", "--name", "LOOP"), 2, "a word of KRL"),
-        (("part.nc", "other.nc", "--name", "P7"), 1, "one name for 2 programs"),
+        (("part.nc", "other.nc", "--name", "P7"), 2, "one name for 2 programs"),
     ],
 )
 def test_a_name_that_cannot_be_given_is_an_error(arguments, code, message):

@@ -104,11 +104,16 @@ class LazyGroup(click.Group):
                     gc.freeze()  # the process ends: a last garbage collection would take 0.1 s
 
     def invoke(self, ctx: click.Context) -> object:
-        """Run a command: unusable input is a message and exit code 1, an interrupt 130, a fault a line and a file."""
-        from postproc.errors import PostprocError
+        """Run a command.
+
+        Unusable input is a message and exit code 1, an unusable option 2, an interrupt 130, a fault a line and a file.
+        """
+        from postproc.errors import OptionError, PostprocError
 
         try:
             return super().invoke(ctx)
+        except OptionError as cause:
+            raise click.UsageError(str(cause)) from cause
         except PostprocError as cause:
             raise click.ClickException(str(cause)) from cause
         except KeyboardInterrupt as cause:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -86,12 +85,6 @@ def _dialect(_ctx: click.Context, _param: click.Parameter, value: str | None) ->
         raise click.BadParameter(str(cause)) from None
 
 
-def _finite(_ctx: click.Context, _param: click.Parameter, value: float | None) -> float | None:
-    if value is not None and not (math.isfinite(value) and value > 0.0):
-        raise click.BadParameter("give a length in mm, larger than 0")
-    return value
-
-
 def _decorator(option: Option) -> Callable[[_Command], _Command]:
     """Return the click option of an option of the table."""
     attributes: dict[str, Any] = {"metavar": option.metavar} if option.metavar else {}
@@ -102,10 +95,7 @@ def _decorator(option: Option) -> Callable[[_Command], _Command]:
     elif option.kind == "count":
         attributes["type"] = click.IntRange(min=None if option.least is None else int(option.least))
     elif option.kind == "length":
-        attributes |= {
-            "type": float if option.least is None else FiniteRange(min=option.least),
-            "callback": _finite,
-        }
+        attributes["type"] = FiniteRange(min=option.least or 0, min_open=option.least is None)
     else:
         attributes["callback"] = _dialect
     return click.option(*option.flags, option.name, required=option.required, help=option.help, **attributes)

@@ -21,7 +21,7 @@ from postproc import correction, files, kinematics
 from postproc import robot as robots
 from postproc.cell import Cell, Frame, GCode, Rotary, Start, Tool, ToolAxis, load
 from postproc.dialects.text import decode
-from postproc.errors import CellError, InputError, ModelError, ProgramError
+from postproc.errors import CellError, InputError, ModelError, OptionError, ProgramError
 from postproc.files import listed, read_text, toml, write_whole
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, inverse, xyzabc_from_pose
 from postproc.jobs.answers import BY_HAND, NO_LINES, Numbers
@@ -168,11 +168,11 @@ def write_cell(request: CellRequest) -> tuple[str, ...]:
     if is_outside.any():
         joint = int(np.argmax(is_outside))
         low, high = robot.lower[joint] * DEG_PER_RAD, robot.upper[joint] * DEG_PER_RAD
-        raise InputError(f"{JOINTS[joint]} = {start[joint]:g}° is beyond its limits, {low:.4g}° to {high:.4g}°")
+        raise OptionError(f"{JOINTS[joint]} = {start[joint]:g}° is beyond its limits, {low:.4g}° to {high:.4g}°")
     if request.part_tolerance is not None and not 0.0 < request.part_tolerance <= LARGEST_MM:
-        raise InputError(f"part tolerance {request.part_tolerance:g} mm", advice="Give a length above 0.")
+        raise OptionError(f"part tolerance {request.part_tolerance:g} mm", advice="Give a length above 0.")
     if not abs(request.clearance) <= LARGEST_MM:
-        raise InputError(f"clearance {request.clearance:g} mm", advice="Give a Z of $BASE.")
+        raise OptionError(f"clearance {request.clearance:g} mm", advice="Give a Z of $BASE.")
     base = _frame("BASE_DATA", request.base, request, robot)
     tool = _frame("TOOL_DATA", request.tool, request, robot)
     config = None if request.config_dat is None else relative_path(folder, request.config_dat)
@@ -223,9 +223,9 @@ def usual_base(robot: str) -> Numbers:
 
 def _six(title: str, values: Numbers, min_count: int) -> Numbers:
     if not np.isfinite(values).all():
-        raise InputError(f"{title}: {', '.join(f'{value:g}' for value in values)}", advice="Give finite numbers.")
+        raise OptionError(f"{title}: {', '.join(f'{value:g}' for value in values)}", advice="Give finite numbers.")
     if not min_count <= len(values) <= 6:
-        raise InputError(
+        raise OptionError(
             f"{title}: {len(values)} numbers", advice=f"Give {min_count if min_count == 6 else f'{min_count} to 6'}."
         )
     return (*values, *_ZERO[len(values) :])
@@ -236,7 +236,7 @@ def _frame(array: str, value: Numbers | int, request: CellRequest, robot: RobotM
     if not isinstance(value, int):
         return _six("$BASE" if array == "BASE_DATA" else "$TOOL", value, 3)
     if request.config_dat is None:
-        raise InputError(
+        raise OptionError(
             f"{array}[{value}] is in no file", advice="Name it with --config-dat, or give X,Y,Z[,A,B,C] instead."
         )
     return _frame_of(request.config_dat, array, value, robot)
@@ -574,11 +574,11 @@ def add_robot(
     arm = adopt(text, urdf.name, name)
     robot_name = name or re.sub(r"\W+", "_", arm.content.name, flags=re.ASCII).strip("_")
     if not _NAME.fullmatch(robot_name):
-        raise InputError(
+        raise OptionError(
             f"{robot_name!r} cannot be the name of a robot", advice="Give --name with letters, digits and _."
         )
     if robot_name in robots.shipped():
-        raise InputError(f"a shipped robot is called {robot_name}", advice="Give another --name.")
+        raise OptionError(f"a shipped robot is called {robot_name}", advice="Give another --name.")
     folder = output or Path(robot_name)
     meshes, notes = _meshes(geometries(text, urdf.name), urdf, arm)
     contents: dict[str, bytes | Iterable[bytes]] = {

@@ -12,7 +12,7 @@ from msgspec import Struct
 
 from postproc import cell as cells
 from postproc.cell import Cell
-from postproc.errors import InputError, PostprocError, did_you_mean
+from postproc.errors import InputError, OptionError, PostprocError, did_you_mean
 from postproc.files import foreign, refuse, with_record, write_whole
 from postproc.frames import M_PER_MM, RAD_PER_DEG
 from postproc.jobs.conversion import converted, programs_under_force, read_program, read_started
@@ -107,7 +107,7 @@ def _clearance(request: PlaceRequest, cell: Cell) -> float | None:
 def region_of(text: str | None, cell: Cell) -> Region:
     """Return the region that a text names; what it does not name stays as the cell has it.
 
-    :raises InputError: it cannot be read.
+    :raises OptionError: it cannot be read.
     """
     today = {"X": cell.base.X, "Y": cell.base.Y, "Z": cell.base.Z, "A": cell.base.A, "E1": 0.0}
     low, high = dict(today), dict(today)
@@ -118,7 +118,7 @@ def region_of(text: str | None, cell: Cell) -> Region:
         axis, lower, upper = _bounds(part)
         low[axis], high[axis] = lower, upper
     if high["E1"] > low["E1"] and cell.carriage is None:
-        raise InputError("--region names E1, but the cell has no [external_axes.E1]", advice="Leave E1 out.")
+        raise OptionError("--region names E1, but the cell has no [external_axes.E1]", advice="Leave E1 out.")
     return Region(tuple(low[axis] for axis in AXES), tuple(high[axis] for axis in AXES))
 
 
@@ -130,13 +130,13 @@ def _bounds(part: str) -> tuple[str, float, float]:
     try:
         axis, lower, upper = "" if match is None else match[1], *map(float, () if match is None else match.groups()[1:])
     except ValueError:
-        raise InputError(f"{option}: not AXIS=LOW:HIGH with numbers in mm or degrees", advice=advice) from None
+        raise OptionError(f"{option}: not AXIS=LOW:HIGH with numbers in mm or degrees", advice=advice) from None
     if axis not in AXES:
-        raise InputError(f"{option}: no axis {axis!r}", advice=f"{did_you_mean(axis, AXES)} {advice}".lstrip())
+        raise OptionError(f"{option}: no axis {axis!r}", advice=f"{did_you_mean(axis, AXES)} {advice}".lstrip())
     if lower > upper:
-        raise InputError(f"{option}: {lower:g} is larger than {upper:g}", advice=advice)
+        raise OptionError(f"{option}: {lower:g} is larger than {upper:g}", advice=advice)
     if max(abs(lower), abs(upper)) > _LARGEST_COORDINATE:
-        raise InputError(f"{option}: farther than {_LARGEST_COORDINATE:g}", advice=advice)
+        raise OptionError(f"{option}: farther than {_LARGEST_COORDINATE:g}", advice=advice)
     return axis, lower, upper
 
 

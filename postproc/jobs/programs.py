@@ -18,7 +18,7 @@ from postproc.correction import Mode
 from postproc.dialects import Writer, registry
 from postproc.dialects.dialect import Calling
 from postproc.dialects.text import decode
-from postproc.errors import ForceError, InputError, Issue, ProgramError
+from postproc.errors import ForceError, InputError, Issue, OptionError, ProgramError
 from postproc.files import Staged, read_bytes, resolved
 from postproc.forces.sources import extensions
 from postproc.program import Document
@@ -147,7 +147,7 @@ def find_jobs(
     main_programs = [path for path in programs if path not in callers]
     csv = _forces_for(main_programs, forces)
     if name is not None and len(main_programs) > 1:
-        raise InputError(f"one name for {len(main_programs)} programs", advice="Give --name with one program.")
+        raise OptionError(f"one name for {len(main_programs)} programs", advice="Give --name with one program.")
     jobs = []
     for path in programs:
         if str(path) in inputs:
