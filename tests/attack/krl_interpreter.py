@@ -875,11 +875,19 @@ class Controller:
         raise Invalid(f"{name} is not declared")
 
     def expression(self, reader):
+        """Terms joined by OR, EXOR, AND, of which the last binds most (KUKA, Expert Programming: priorities)."""
+        value = self.exclusion(reader)
+        while reader.peek() == "OR":
+            reader.take()
+            other = self.exclusion(reader)
+            value = value or other
+        return value
+
+    def exclusion(self, reader):
         value = self.conjunction(reader)
-        while reader.peek() in ("OR", "EXOR"):
-            word, other = reader.take(), None
-            other = self.conjunction(reader)
-            value = (value or other) if word == "OR" else value != other
+        while reader.peek() == "EXOR":
+            reader.take()
+            value = value != self.conjunction(reader)
         return value
 
     def conjunction(self, reader):

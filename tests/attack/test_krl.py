@@ -2,6 +2,7 @@
 
 from collections import Counter
 
+import numpy as np
 import pytest
 
 from postproc.dialects.krl.read import flow, unresolved
@@ -11,6 +12,7 @@ from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.variables import Variables
 from postproc.dialects.krl.write.named_points import NamedPoints
 from tests.attack.krl import KEPT, MIXED, SNIPPETS, STATES, Wrong, attack, damaged
+from tests.attack.krl_interpreter import Controller, abc
 
 
 def test_random_programs_do_what_is_read_and_what_is_written():
@@ -53,6 +55,22 @@ def test_programs_with_one_value_in_doubt_find_a_reader_that_passes_over_it(plac
     with pytest.raises(Wrong) as caught:
         Counter(attack(seed) for seed in range(first, first + 400))
     assert isinstance(caught.value.__cause__, Wrong)
+
+
+@pytest.mark.parametrize(
+    ("condition", "holds"),
+    [
+        ("TRUE OR TRUE EXOR TRUE", True),
+        ("TRUE EXOR TRUE OR TRUE", True),
+        ("TRUE EXOR FALSE AND FALSE", True),
+        ("FALSE AND FALSE EXOR TRUE", True),
+        ("(TRUE OR TRUE) EXOR TRUE", False),
+    ],
+)
+def test_the_controller_joins_and_before_exor_and_that_before_or(condition, holds):
+    text = f"DEF part()\nIF {condition} THEN\nPTP {{A1 0,A2 -80,A3 95,A4 0,A5 45,A6 0}}\nENDIF\nEND\n"
+    frames = abc(0, 0, 0), abc(0, 0, 0)
+    assert len(Controller({"PART.SRC": text}, np.random.default_rng(1), *frames, {}).run("PART")) == holds
 
 
 def test_the_attack_finds_a_reader_that_reads_the_frame_before(monkeypatch):
