@@ -2,14 +2,17 @@
 
     python -m tests.attack.collected FOLDER... [--list]
 
-Reads each G-code program below the folders in a bare cell and in the cell of a shop: with `[machine] clearance_Z`, all
-tools, work offsets. Runs rs274 on those that are read. It has no machine zero and no tool lengths, so what is compared
-is: places, arcs and feeds of all cutting moves; between them the rapids; what is switched before. Rapids from and to
-machine positions (G28, G30, G53), those before the first cut, and those of cycles without G98 or G99 (here to the
-height before the cycle, there to R) count by the place where they end. An axis that is still at `[start]` here is at
-zero there. F in a block that changes the units is in the new ones here. Prints what came of each program with `--list`,
-and the reasons of refusals with the number of programs.
-Ends with 1 if motions differ.
+Cutter-location files and RAPID modules are read and compared as `collected_cam` says. Reads each G-code program below
+the folders in a bare cell and in the cell of a shop: with `[machine] clearance_Z`, all tools, work offsets. Runs rs274
+on those that are read. It has no machine zero and no tool lengths, so what is compared is: places, arcs and feeds of
+all cutting moves; between them the rapids; what is switched before. Rapids from and to machine positions (G28, G30,
+G53), those before the first cut, and those of cycles without G98 or G99 (here to the height before the cycle, there to
+R) count by the place where they end. An axis that is still at `[start]` here is at zero there. F in a block that
+changes the units is in the new ones here. Where the position is not known at the first move the program is read again
+with `[machine] home` at zero, where rs274 begins.
+
+Prints what came of each program with `--list`, and the reasons of refusals with the number of programs. Ends with 1 if
+motions differ.
 """
 
 from __future__ import annotations
@@ -33,6 +36,7 @@ from postproc.dialects.text import decode
 from postproc.errors import InputError
 from postproc.frames import Array
 from postproc.program import CIRC, Program
+from tests.attack.collected_cam import APT_NAMES, MODULE, RAPID_NAMES, tried_apt, tried_rapid
 from tests.dialects.gcode_reading import CELL, forward
 from tests.oracle.rs274 import Move, RejectedError, _states, canonical
 
@@ -114,6 +118,8 @@ def tried(path: Path) -> tuple[str, Outcome]:
     if isinstance(program, InputError) and axes and "word without a code" in program.problem:
         turned = read(path, shop(text, axes))
         program = program if isinstance(turned, InputError) and "word without a code" in turned.problem else turned
+    if isinstance(program, InputError) and "before the position is known" in program.problem:
+        program = read(path, replace(shop(text, axes), machine=replace(SHOP.machine, home=[0.0, 0.0, 0.0])))
     word = "refused" if isinstance(bare, InputError) else "read"
     moves: list[Move] | str
     try:
@@ -317,9 +323,20 @@ def _placed(move: Move, point: Array) -> Array:
 
 
 def programs(folders: Sequence[str]) -> list[Path]:
-    """Return the G-code programs below folders."""
+    """Return the programs below folders."""
     found = [path for folder in folders for path in [Path(folder), *Path(folder).rglob("*")]]
-    return sorted(path for path in found if path.is_file() and path.suffix.lower() in NAMES)
+    names = {*NAMES, *APT_NAMES, *RAPID_NAMES}
+    return sorted(path for path in found if path.is_file() and path.suffix.lower() in names)
+
+
+def outcome_of(path: Path) -> tuple[str, Outcome]:
+    """Return what came of a program of any format: in a bare cell (a word), and in that of a shop."""
+    suffix = path.suffix.lower()
+    if suffix in RAPID_NAMES and MODULE.search(path.read_bytes().decode("latin-1")):
+        return "RAPID", Outcome(*tried_rapid(path))
+    if suffix in APT_NAMES:
+        return "APT", Outcome(*tried_apt(path, SHOP))
+    return tried(path)
 
 
 def main() -> None:
@@ -330,6 +347,7 @@ def main() -> None:
     options = parser.parse_args()
     count: Counter[str] = Counter()
     reasons: Counter[str] = Counter()
+    wrong = 0
 
     def too_long(*_: object) -> None:
         raise TimeoutError
@@ -338,14 +356,17 @@ def main() -> None:
     for path in programs(options.folders):
         signal.alarm(SECONDS)
         try:
-            bare, outcome = tried(path)
+            bare, outcome = outcome_of(path)
         except TimeoutError:
             bare, outcome = "", Outcome(f"not done in {SECONDS} s")
         except Exception as error:
             bare, outcome = "", Outcome("FAULT", repr(error))
         signal.alarm(0)
-        count[f"bare cell: {bare}"] += 1
-        count[f"shop cell: {outcome.word}"] += 1
+        is_gcode = bare not in ("APT", "RAPID")
+        if is_gcode:
+            count[f"bare cell: {bare}"] += 1
+        count[f"{'shop cell' if is_gcode else bare}: {outcome.word}"] += 1
+        wrong += outcome.word in ("differs", "FAULT")
         if outcome.word.startswith("refused"):
             reasons[f"{outcome.reason} ({outcome.word[8:]})"] += 1
         if options.list or outcome.word in ("differs", "FAULT"):
@@ -354,7 +375,7 @@ def main() -> None:
         print()
         for what, number in table.most_common():
             print(f"{number:6d} {what}")
-    sys.exit(1 if count["shop cell: differs"] + count["shop cell: FAULT"] else 0)
+    sys.exit(1 if wrong else 0)
 
 
 if __name__ == "__main__":
