@@ -96,7 +96,7 @@ _OUTPUT = (
 )
 _PLACES = "Stored positions and offsets are not supported: give work offsets in the cell, [work_offsets]."
 _PROBE = "Probing and threading moves depend on the machine: remove them."
-_SPLINE = "Splines and smoothing modes are not supported: set the CAM system to output G1, G2 and G3."
+_SPLINE = "Splines, NURBS and smoothing modes are not supported: set the CAM system to output G1, G2 and G3."
 _MACRO = (
     "Fanuc custom macros (G65 … G67) are not supported: call subprograms by M98, or set the CAM system to expand them."
 )
@@ -106,7 +106,7 @@ _ROTATION_ADVICE = (
 )
 
 _ADVICE_G = {
-    **dict.fromkeys((5.0, 5.1, 5.2, 5.3), _SPLINE),
+    **dict.fromkeys((5.0, 5.1, 5.2, 5.3, 6.1, 6.2, 6.3), _SPLINE),
     **dict.fromkeys((7.0, 8.0), _LATHE),
     **dict.fromkeys((28.1, 30.1), _PLACES),
     SCALE_OFF: "G50 is accepted without other words, as the end of a scale. The G50 of lathes is not supported.",

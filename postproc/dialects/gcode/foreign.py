@@ -92,7 +92,7 @@ FOREIGN = (
             r".*(?<![A-Z])(CYCLE\d{2,4}|POCKET[1-4]|SLOT[12]|HOLES[12]|MCALL|SUPA|TRAORI|TRAFOOF"
             r"|A?(TRANS|ROT|MIRROR|SCALE)(?![A-Z])"
             r"|STOPRE|EXTCALL|WORKPIECE|COMP(ON|OF|CAD|CURV|SURF)|FFW(ON|OF)|ORI(WKS|MKS|AXES|VECT)|CFC|CFTCP|CFIN"
-            r"|CUT[23]D|BRISK(?![A-Z])|SOFT(?![A-Z])|GROUP_(BEGIN|END)|REPEATB?"
+            r"|CUT[23]D|[ABC]SPLINE(?![A-Z])|BRISK(?![A-Z])|SOFT(?![A-Z])|GROUP_(BEGIN|END)|REPEATB?"
             r"|DEF (REAL|INT|STRING|BOOL)|G(153|500|505)(?![\d.])"
             r"|MSG(?![A-Z])|(CR|AP|RP|TURN|R\d+|[ABC]3|[IJK]1)\s*=|[XYZIJKABC]\s*=\s*(R\d|[AID]C(?![A-Z]))|T\s*=\s*\"|%_N_)",
             re.IGNORECASE,

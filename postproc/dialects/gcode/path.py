@@ -282,7 +282,10 @@ def _check_unknown(rows: LineStates, moves: Moves, doubt: _Doubt, check: Callabl
     line = np.arange(len(rows.motion))
     axes = rows.placed
     straight, arc = rows.motion == 1.0, (rows.motion == 2.0) | (rows.motion == 3.0)
-    advice = "Program X, Y and Z in rapid moves (G0, in G90) first: the tool may be anywhere before."
+    advice = (
+        "Program X, Y and Z in rapid moves (G0, in G90) first: the tool may be anywhere before. Or state in the cell "
+        "where the machine is when the program starts: [machine] home = [X, Y, Z]."
+    )
     unset_axes = [axis for axis, words in zip("XYZ", rows.xyz.T, strict=True) if np.isnan(words).all()]
     if unset_axes:
         advice += f" {' and '.join(unset_axes)} {'is' if len(unset_axes) == 1 else 'are'} never programmed."

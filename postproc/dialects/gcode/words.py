@@ -362,6 +362,9 @@ def _not_a_word(rest: str) -> tuple[str, str | None]:
     character = rest[0]
     if character in "()":
         return "a bracket outside of comments", "Close each comment in its line. Do not nest comments."
+    if character in "Tt" and rest[1:].lstrip().startswith('"'):
+        advice = "Give the tool a number in the CAM system (T5), and its length by [tools.5] in the cell."
+        return "a tool by its name, not by a number", advice
     if character.isalpha():
         return f"{character} without a number", "Write each letter with its number, like X1.5."
     if character == "?":
