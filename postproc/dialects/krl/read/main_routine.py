@@ -38,7 +38,7 @@ from postproc.dialects.krl.read.flow import Flow
 from postproc.dialects.krl.read.folder import Library
 from postproc.dialects.krl.read.interpreter import JUMP_ADVICE
 from postproc.dialects.krl.read.motion_reader import MotionReader
-from postproc.dialects.krl.read.plain_lines import Plain
+from postproc.dialects.krl.read.plain_lines import Plain, not_plain
 from postproc.dialects.krl.read.plain_rounds import ElementMotions, motions_of
 from postproc.dialects.krl.read.plain_settings import Coming, PlainSettings
 from postproc.dialects.krl.read.run import Run
@@ -183,18 +183,18 @@ class MainRoutine:
         self._errors: list[ProgramError] = []
         self._broken: set[str] = set()
         self.rounds: list[ElementMotions] = []
-        self._plain = plain
+        self._moving, self._settings = plain.moving, plain.settings
 
     @cached_property
     def _setting_lines(self) -> list[int]:
         """Lines of plain settings."""
-        lines: list[int] = self._plain.settings.line.tolist()
+        lines: list[int] = self._settings.line.tolist()
         return lines
 
     @cached_property
     def _others(self) -> Bools:
         """Which lines are not plain."""
-        return self._plain.others(len(self.run.source.starts))
+        return not_plain(len(self.run.source.starts), self._moving, self._settings)
 
     @cached_property
     def _rounds(self) -> list[PlainRounds]:
@@ -259,7 +259,7 @@ class MainRoutine:
                 step_lines[step], free_lines = _one_by_one(self.run.source, *self._between(step))
                 if len(free_lines):
                     free[free_lines] = True
-        settings = self._plain.settings
+        settings = self._settings
         is_free = free[settings.line]
         self.run.settings.coming = Coming(PlainSettings(settings.line[is_free], settings.values[:, is_free]))
         return step_lines
@@ -394,7 +394,7 @@ class MainRoutine:
             if isinstance(node, Block):
                 at = run.come_to(node.first)
                 self._flow.roughly(at.source, node.moved(-run.shift))
-        moving = self._plain.moving
+        moving = self._moving
         moving = moving[np.searchsorted(moving, step.first) : np.searchsorted(moving, step.last, "right")]
         run.unresolved += [(line, step.why) for line in moving.tolist()]
         run.unresolved = [*dict(run.unresolved).items()]

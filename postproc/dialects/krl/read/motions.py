@@ -64,15 +64,29 @@ def ordered_motions(main: MainRoutine, plain: list[MotionColumns]) -> OrderedMot
     :param main: has followed all lines that are not plain.
     :param plain: plain motions, in parts; the list is emptied, see `merged`.
     """
-    statements = main.motions
     plain += [rounds.rows for rounds in main.rounds]
-    line = np.concatenate([rows.line for rows in plain])
-    states, state_plain, state_moves, change_lines = _states(main.run.settings, line, statements.states)
-    statement_rows = statements.rows()
+    statement_rows = main.motions.rows()
+    places, states, state, numbers = _in_order(main, [rows.line for rows in plain], statement_rows.line)
+    first = sum(map(len, plain))
+    moves = {places.item(first + index): move for index, move in main.motions.special}
+    plain.append(statement_rows)
+    return OrderedMotions(merged(plain, places), states, state, numbers, moves)
+
+
+def _in_order(main: MainRoutine, lines: list[Ints], statement_lines: Ints) -> tuple[Ints, list[State], Ints, Runs]:
+    """Return the order of motions, and the settings in force.
+
+    :param lines: those of plain motions, in parts.
+    :param statement_lines: (S,) those of the statements that are followed.
+    :returns: places (R,) of the plain motions and of the statements behind them; all states; in the order of the lines,
+        (R,) which of them; (R, 2) their `NUMBERS`.
+    """
+    line = np.concatenate(lines)
+    states, state_plain, state_moves, change_lines = _states(main.run.settings, line, main.motions.states)
     order = compact(np.argsort(line, kind="stable"), np.int32)
-    place = np.searchsorted(line, statement_rows.line, sorter=order) + np.arange(len(statement_rows))
+    place = np.searchsorted(line, statement_lines, sorter=order) + np.arange(len(statement_lines))
     place_plain = np.empty_like(line)
-    place_plain[order] = np.delete(np.arange(len(line) + len(statement_rows)), place)
+    place_plain[order] = np.delete(np.arange(len(line) + len(statement_lines)), place)
     places = compact(np.concatenate([place_plain, place]), np.int32)
     state: NDArray[Any] = np.empty(len(places), dtype=np.int32)
     state[places] = np.concatenate([state_plain, state_moves])
@@ -80,11 +94,7 @@ def ordered_motions(main: MainRoutine, plain: list[MotionColumns]) -> OrderedMot
     for row in range(len(NUMBERS)):
         row_values = numbers[place_plain, row]
         numbers[place_plain, row] = main.run.settings.coming.at(row, line, change_lines, row_values)
-    moves = {int(place[index]): move for index, move in statements.special}
-    plain.append(statement_rows)
-    runs = Runs.of(numbers)
-    del line, order, place_plain, row_values, change_lines, state_plain, numbers  # what follows needs the memory
-    return OrderedMotions(merged(plain, places), states, state, runs, moves)
+    return places, states, state, Runs.of(numbers)
 
 
 def motions_and_layout(

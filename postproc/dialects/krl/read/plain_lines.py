@@ -267,10 +267,18 @@ class Plain(Struct, frozen=True):
 
     def others(self, count: int) -> Bools:
         """Return which of the lines 1 … count are neither (count,)."""
-        is_other = np.ones(count, dtype=np.bool_)
-        is_other[self.moving - 1] = False
-        is_other[self.settings.line - 1] = False
-        return is_other
+        return not_plain(count, self.moving, self.settings)
+
+
+def not_plain(count: int, moving: Ints, settings: PlainSettings) -> Bools:
+    """Return which of the lines 1 … count are neither plain motions nor plain settings (count,).
+
+    :param moving: (P,) lines of plain motions.
+    """
+    is_other = np.ones(count, dtype=np.bool_)
+    is_other[moving - 1] = False
+    is_other[settings.line - 1] = False
+    return is_other
 
 
 def plain_of(source: Source, *, bulk: bool = True) -> Plain:

@@ -7,7 +7,7 @@ taken as the origin of `$WORLD`. C_VEL and C_ORI have no distance: their motions
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path, PurePath
 
 import numpy as np
@@ -40,12 +40,12 @@ from postproc.dialects.krl.read.motion_columns import MotionColumns, merged
 from postproc.dialects.krl.read.motions import OrderedMotions, motions_and_layout, ordered_motions, unsettled
 from postproc.dialects.krl.read.next_run import changed_data_issues, kept_values
 from postproc.dialects.krl.read.plain_lines import Plain, gathered, plain_of
-from postproc.dialects.krl.read.unresolved import without_unresolved
+from postproc.dialects.krl.read.unresolved import Separated, without_unresolved
 from postproc.dialects.krl.read.variables import Variables
 from postproc.dialects.text import decode
 from postproc.errors import CellError, Issue, ProgramError, together
 from postproc.frames import DEG_PER_RAD, Array, any_column
-from postproc.program import PTP, Document, Program, distinct
+from postproc.program import PTP, Document, Needed, Program, distinct
 
 
 def read_program(
@@ -79,19 +79,17 @@ def _followed(
 ) -> Program:
     """Return what `read_program` does."""
     source = Source.of(documents[0], 0)
-    plain = plain_of(source, bulk=bulk)
-    module, entry, faults = _main(source, plain, name)
+    scanned = [plain_of(source, bulk=bulk)]  # taken out where it is used up, so that its memory is released
+    module, entry, faults = _main(source, scanned[0], name)
     other_documents = [document for document in documents[1:] if not _belongs(document, documents[0])]
     library = Library(module, FolderFiles(_folders(documents[0], cell), other_documents))
-    code = code_of(source, (np.flatnonzero(plain.others(len(source.starts))) + 1).tolist())
+    code = code_of(source, (np.flatnonzero(scanned[0].others(len(source.starts))) + 1).tolist())
     reading = _Reading(documents, cell, kinematics, name, library, entry, faults, code)
     obstacles: dict[Routine | Occasion, ProgramError] = {}
-    plain_stack = [plain]
-    del plain  # what follows needs the memory
     while True:
         try:
             return reading.program(
-                plain_stack.pop() if plain_stack else plain_of(source, bulk=bulk), obstacles, bulk=bulk
+                reading.followed(scanned.pop() if scanned else plain_of(source, bulk=bulk), obstacles, bulk=bulk)
             )
         except RecursionError:
             problem = "calls, control structures and brackets are nested too deeply"
@@ -118,30 +116,44 @@ class _Reading(Struct, frozen=True, eq=False):
     faults: list[ProgramError]
     code: str
 
-    def program(self, plain: Plain, obstacles: Mapping[Routine | Occasion, ProgramError], *, bulk: bool) -> Program:
+    def followed(self, plain: Plain, obstacles: Mapping[Routine | Occasion, ProgramError], *, bulk: bool) -> _Followed:
         """Follow the program, and read what moves.
 
         :param plain: plain lines of the `.src`.
         :param obstacles: see `Run.elsewhere`.
         """
-        library, entry, cell = self.library, self.entry, self.cell
-        start = tuple(float(angle) for angle in cell.start_joints * DEG_PER_RAD)
-        begin = Start(library, entry, obstacles, self._variables(), cell, start)
-        course, collected = course_of(begin)
+        joints = tuple(float(angle) for angle in self.cell.start_joints * DEG_PER_RAD)
+        start = Start(self.library, self.entry, obstacles, self._variables(), self.cell, joints)
+        course, collected = course_of(start)
         if not course.straight:
-            plain = gathered(course.source, {entry.source: plain}, bulk=bulk)
-        source = course.source
-        has_run = collected is not None and not self.faults
-        main = MainRoutine(collected if collected is not None and has_run else begin.collected(source), course, plain)
-        settings, moves = main.run.settings, main.reader
+            plain = gathered(course.source, {self.entry.source: plain}, bulk=bulk)
+        if collected is None or self.faults:
+            main = MainRoutine(start.collected(course.source), course, plain)
+            self._follow(main, plain)
+        else:
+            main = MainRoutine(collected, course, plain)
+        if not self.cell.krl.keep_unresolved:
+            refuse_noted(main.run)
+        plain = self._executed(main, plain)
+        change_places = kept_values(main)
+        parts = [*plain.motions] if change_places else plain.motions  # emptied; a second run needs them
+        sequence = ordered_motions(main, parts)
+        data_issues = list(changed_data_issues(main, change_places, sequence, plain, joints))
+        return _Followed(start, main, without_unresolved(main, sequence), data_issues)
+
+    def _follow(self, main: MainRoutine, plain: Plain) -> None:
+        """Run the statements along the complete trace.
+
+        :raises ProgramError: all that is wrong in them, and settings that motions lack.
+        """
         try:
-            if not has_run:
-                main.follow(self.faults)
+            main.follow(self.faults)
         except RecursionError:
             problem = "calls, control structures and brackets are nested too deeply"
-            raise source.line_error(problem, main.run.line, "Write fewer of them into each other.") from None
+            advice = "Write fewer of them into each other."
+            raise main.run.source.line_error(problem, main.run.line, advice) from None
         except ProgramError as cause:
-            if cell.krl.keep_unresolved or isinstance(cause, InexactError | BranchError):
+            if self.cell.krl.keep_unresolved or isinstance(cause, InexactError | BranchError):
                 raise
             faults = [cause, *(error for error in cause.further_errors if isinstance(error, ProgramError))]
             fault_keys = {(fault.file, fault.line, fault.problem) for fault in faults}
@@ -153,69 +165,50 @@ class _Reading(Struct, frozen=True, eq=False):
             if not setting_faults:
                 raise
             raise together([*faults, *setting_faults]) from None
-        if not cell.krl.keep_unresolved:
-            refuse_noted(main.run)
+
+    def _executed(self, main: MainRoutine, plain: Plain) -> Plain:
+        """Return the plain lines that run.
+
+        :raises ProgramError: nothing moves.
+        """
         is_executed = main.executed(plain.moving)
-        if not is_executed.all():
-            plain = replace(plain, motions=[merged(plain.motions, np.arange(len(is_executed))).take(is_executed)])
         if not is_executed.any() and not len(main.motions) and not main.rounds and not main.run.unresolved:
             raise ProgramError(
                 "there are no motions", file=self.documents[0].name, advice="Check that this is the program."
             )
-        change_places = kept_values(main)
-        parts = [*plain.motions] if change_places else plain.motions  # emptied; a second run needs them
-        sequence = ordered_motions(main, parts)
-        data_issues = list(changed_data_issues(main, change_places, sequence, plain, start))
-        del plain, parts  # what follows needs the memory
-        separation = without_unresolved(main, sequence)
-        sequence = separation.ordered
+        if is_executed.all():
+            return plain
+        return replace(plain, motions=[merged(plain.motions, np.arange(len(is_executed))).take(is_executed)])
+
+    def program(self, followed: _Followed) -> Program:
+        """Return the program, with the layout of its text."""
+        main, cell, separation = followed.main, self.cell, followed.separation
+        run, course, sequence, source = main.run, main.course, separation.ordered, main.course.source
         free = frozenset() if cell.carriage is not None else free_joins(course, sequence)
-        notes = notes_of(course, sequence.rows.line, sequence.rows.kind == PTP, main.run.unforced, free)
+        notes = notes_of(course, sequence.rows.line, sequence.rows.kind == PTP, run.unforced, free)
         if not cell.krl.keep_unresolved:
-            refuse_loaded(main.run, notes)
-        uncorrected_lines = [line for line, _ in main.run.unresolved]
+            refuse_loaded(run, notes)
+        uncorrected_lines = [line for line, _ in run.unresolved]
         predecessors, joins = branching(course, sequence, separation.after, uncorrected_lines, free)
         _check_size(source, sequence.rows)
         _check_starts(main, sequence)
         motions, layout, assumptions = motions_and_layout(
             source, main, sequence, cell.start_joints, self.kinematics, predecessors
         )
-        issues = [
-            *main.run.issues,
-            *separation.issues,
-            *assumptions,
-            *data_issues,
-            *issues_of(main, sequence.states, sequence.state, sequence.rows, layout),
-        ]
-        if moves.home_used:
-            message = (
-                "The home position is in no file of the program: the joints of [start] in the cell are taken for it."
-            )
-            line = int(source.shown(np.array([moves.home_used]))[0])
-            issues.append(Issue("info", "home-from-cell", message, line))
-        if relied_names := begin.variables.relied:
-            values = ", ".join(
-                f"{name} = {value}" for name, value in cell.krl.values.items() if name.upper() in relied_names
-            )
-            message = f"Values of [krl.values] in the cell: {values}. The output holds for these values only."
-            issues.append(Issue("warning", "values-from-cell", message))
-        frames = np.stack(settings.frames.bases), np.stack(settings.frames.tools)
-        check_joins(course, joins, motions, layout.carriage, frames, self.kinematics(cell.start_joints))
+        issues = [*run.issues, *separation.issues, *assumptions, *followed.data_issues]
+        issues += issues_of(main, sequence.states, sequence.state, sequence.rows, layout)
+        issues += _issues_of_cell(followed)
+        frames = np.stack(run.settings.frames.bases), np.stack(run.settings.frames.tools)
+        pose = self.kinematics(cell.start_joints)
+        check_joins(course, joins, motions, layout.carriage, frames, pose)
         loop_issues: list[Issue] = []
         rounds: tuple[tuple[int, ...], ...] = ()
         if (loop := course.endless) is not None:
-            begins = starts(loop, layout.line, motions, frames, self.kinematics(cell.start_joints), predecessors)
+            begins = starts(loop, layout.line, motions, frames, pose, predecessors)
             loop_issues, rounds = check_round(
-                course, loop, layout.line, motions, begins, layout.carriage, notes, settings
+                course, loop, layout.line, motions, begins, layout.carriage, notes, run.settings
             )
-        own_documents = (
-            d for d in self.documents if d.name == self.documents[0].name or _belongs(d, self.documents[0])
-        )
-        documents = *own_documents, *course.files
-        files = {document.name for document in course.files}
-        other_modules = (module for module in library.read() if module.source.document.name in files)
-        code = (code for module in (self._with_data(library.program), *other_modules) for code in codes_of(module))
-        moving = {m.source.document.name.upper() for m, r in library.found() if main.run.analysis.of(m, r).motion}
+        documents, needed_files = self._files(main)
         return Program(
             self.name,
             "krl",
@@ -232,10 +225,22 @@ class _Reading(Struct, frozen=True, eq=False):
             after=predecessors,
             joins=(*(join.ends for join in joins), *rounds),
             unresolved=separation.unresolved,
-            unfollowed=() if cell.krl.keep_unresolved else unfollowed(main.run),
-            needed=needed(documents, code, library.files, moving),
+            unfollowed=() if cell.krl.keep_unresolved else unfollowed(run),
+            needed=needed_files,
             layout=replace(layout, notes=tuple(line for line, _ in notes)),
         )
+
+    def _files(self, main: MainRoutine) -> tuple[tuple[Document, ...], tuple[Needed, ...]]:
+        """Return the files of the program, inlined ones included, and those that it needs besides."""
+        library = self.library
+        first = self.documents[0]
+        own_documents = (d for d in self.documents if d.name == first.name or _belongs(d, first))
+        documents = *own_documents, *main.course.files
+        files = {document.name for document in main.course.files}
+        other_modules = (module for module in library.read() if module.source.document.name in files)
+        code = (code for module in (self._with_data(library.program), *other_modules) for code in codes_of(module))
+        moving = {m.source.document.name.upper() for m, r in library.found() if main.run.analysis.of(m, r).motion}
+        return documents, needed(documents, code, library.files, moving)
 
     def _with_data(self, program: Module) -> Module:
         """Return the file of the program with its `.dat`."""
@@ -255,6 +260,33 @@ class _Reading(Struct, frozen=True, eq=False):
         read_shared(variables, self.code, program_names, self.library.files, self.entry.local)
         variables.take_given()
         return variables
+
+
+class _Followed(Struct, frozen=True, eq=False):
+    """A program whose statements have run.
+
+    :param separation: its motions, those that stay as they are apart.
+    :param data_issues: warnings that its next run moves differently.
+    """
+
+    start: Start
+    main: MainRoutine
+    separation: Separated
+    data_issues: list[Issue]
+
+
+def _issues_of_cell(followed: _Followed) -> Iterator[Issue]:
+    """Yield what is taken from the cell: the home position, values of variables."""
+    main, start = followed.main, followed.start
+    if main.reader.home_used:
+        message = "The home position is in no file of the program: the joints of [start] in the cell are taken for it."
+        line = int(main.course.source.shown(np.array([main.reader.home_used]))[0])
+        yield Issue("info", "home-from-cell", message, line)
+    if relied_names := start.variables.relied:
+        given = start.cell.krl.values
+        values = ", ".join(f"{name} = {value}" for name, value in given.items() if name.upper() in relied_names)
+        message = f"Values of [krl.values] in the cell: {values}. The output holds for these values only."
+        yield Issue("warning", "values-from-cell", message)
 
 
 def _belongs(data: Document, source: Document) -> bool:
