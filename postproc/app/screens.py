@@ -420,6 +420,7 @@ def _use_of_model(name: str, workspace: Workspace, folder: Path) -> dict[str, An
         "cell_robot": cell_robot,
         "is_used": is_used,
         "page": f"/model?name={quote(name)}",
+        "material": f"../{workspace.relative(folder)}/material.toml" if (folder / "material.toml").is_file() else "",
     }
 
 

@@ -18,7 +18,11 @@ pytestmark = needs_chromium
 
 @pytest.fixture(scope="module")
 def corrected(tmp_path_factory):
-    return made(tmp_path_factory.mktemp("corrected") / "shop")
+    folder = made(tmp_path_factory.mktemp("corrected") / "shop")
+    (folder / "demo").mkdir()
+    for name in ("experiment.toml", "measurements.csv"):
+        shutil.copy(ROOT / "samples" / "demo" / name, folder / "demo")
+    return folder
 
 
 @pytest.fixture
@@ -26,6 +30,15 @@ def window(corrected, tmp_path):
     """A window on a folder with a program that is corrected."""
     with Window(shutil.copytree(corrected, tmp_path / "shop"), 0) as served, answering(served):
         yield served
+
+
+@pytest.fixture(scope="module")
+def read_only_window(corrected):
+    """One window for all tests that only look: they leave the folder as it is."""
+    before = sorted(corrected.rglob("*"))
+    with Window(corrected, 0) as served, answering(served):
+        yield served
+    assert sorted(corrected.rglob("*")) == before
 
 
 def to_program(page):
@@ -110,10 +123,13 @@ def test_two_windows_begin_one_command_and_do_not_change_what_it_reads(browser, 
 
 
 def reached(page, name, presses=60):
-    """Press Tab until the control of this name has the focus."""
+    """Press Tab until the control of this name has the focus: its text, label, or name in the form."""
     for _ in range(presses):
         page.keyboard.press("Tab")
-        focused = "(document.activeElement.innerText || document.activeElement.getAttribute('aria-label') || '')"
+        focused = (
+            "(document.activeElement.innerText || document.activeElement.getAttribute('aria-label') || "
+            "document.activeElement.name || '')"
+        )
         if page.evaluate(f"{focused}.startsWith({name!r})"):
             return
     raise AssertionError(f"{name} is not reached by Tab")
@@ -135,8 +151,15 @@ def test_keys_alone_correct_again_and_save(browser, window):
         page.get_by_role("link", name="See whether to run it").wait_for()
 
 
-@pytest.mark.parametrize("path", ["/", "/program?name=part.nc", "/setup?name=part.nc", "/cell", "/robots"])
-def test_a_screen_reader_finds_its_way(browser, window, path):
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/", "/program?name=part.nc", "/setup?name=part.nc", "/cell", "/process", "/process?name=part.nc", "/robots",
+        "/readings?name=demo/experiment.toml", "/testpart",
+    ],
+)  # fmt: skip
+def test_a_screen_reader_finds_its_way(browser, read_only_window, path):
+    window = read_only_window
     with opened(browser, window, width=420, dark=True) as page:
         page.goto(f"http://127.0.0.1:{window.access.port}{path}")
         for role in ("banner", "navigation", "main", "contentinfo", "status"):
@@ -152,8 +175,8 @@ def test_a_screen_reader_finds_its_way(browser, window, path):
         looked_at(page, f"20{path.partition('?')[0].replace('/', '-')}")
 
 
-def test_a_report_is_drawn_in_its_frame(browser, window):
-    with opened(browser, window) as page:
+def test_a_report_is_drawn_in_its_frame(browser, read_only_window):
+    with opened(browser, read_only_window) as page:
         to_program(page)
         report = page.frame_locator("iframe")
         report.locator("h1").wait_for()
@@ -162,3 +185,16 @@ def test_a_report_is_drawn_in_its_frame(browser, window):
         page.wait_for_timeout(500)
         picture = page.locator("iframe").screenshot()
     assert len(picture) > 20_000, "a blank frame is a few hundred bytes"
+
+
+def test_keys_alone_state_what_cuts(browser, window):
+    path = window.workspace.results / "part.process.toml"
+    with opened(browser, window) as page:
+        page.goto(f"http://127.0.0.1:{window.access.port}/process?name=part.nc")
+        reached(page, "tools.1.flutes")
+        page.keyboard.press("Control+a")
+        page.keyboard.type("4")
+        reached(page, "Save")
+        page.keyboard.press("Enter")
+        page.get_by_text("Saved.").wait_for()
+    assert "flutes = 4" in path.read_text()
