@@ -5,10 +5,10 @@ makes them, in this process or in `workers`. Other jobs have a module of their o
 `identification_files`; they are imported from there: what they need is loaded with them only.
 """
 
-from postproc.jobs.conversion import read_program
 from postproc.jobs.output_plan import left
 from postproc.jobs.programs import Job, Outcome, Settings, find_jobs, load_robot, load_setup, read_documents
 from postproc.jobs.runs import convert_all
+from postproc.jobs.started_program import read_program
 
 __all__ = [
     "Job",

@@ -20,9 +20,10 @@ from postproc.files import foreign, json_bytes, recorded, refuse, with_record, w
 from postproc.forces.sources import extensions
 from postproc.frames import M_PER_MM
 from postproc.jobs import inputs
-from postproc.jobs.conversion import force_source, origin_of, read_program, read_started
+from postproc.jobs.conversion import force_source, origin_of
 from postproc.jobs.output_plan import protect
 from postproc.jobs.programs import EXCEEDED, GOOD, PROCESS, Settings, as_stated, load_setup
+from postproc.jobs.started_program import read_program, read_started
 from postproc.program import Bools, Program
 from postproc.report.comparison import (
     ComparisonSummary,

@@ -15,9 +15,10 @@ from postproc.cell import Cell
 from postproc.errors import InputError, OptionError, PostprocError, did_you_mean
 from postproc.files import foreign, refuse, with_record, write_whole
 from postproc.frames import M_PER_MM, RAD_PER_DEG
-from postproc.jobs.conversion import converted, programs_under_force, read_program, read_started
+from postproc.jobs.conversion import converted, programs_under_force
 from postproc.jobs.output_plan import protect
 from postproc.jobs.programs import Settings, find_jobs, load_robot
+from postproc.jobs.started_program import read_program, read_started
 from postproc.placement import Keep, PathSamples, region
 from postproc.placement.region import AXES, Assessment, Judged, Region
 from postproc.report import placement as report

@@ -29,9 +29,9 @@ from postproc.errors import ForceError, InputError, Issue
 from postproc.files import foreign, foreign_single, refuse, with_record, write_whole
 from postproc.forces import Knots
 from postproc.frames import M_PER_MM, MM_PER_M, Array, norm
-from postproc.jobs.conversion import read_started
 from postproc.jobs.output_plan import protect
 from postproc.jobs.programs import load_robot
+from postproc.jobs.started_program import read_started
 from postproc.machining import Process, ProcessForces, ProcessSource, Shift, identification
 from postproc.machining.identification import IdentifiedMaterial
 from postproc.machining.remaining import Guard, Part

@@ -20,9 +20,10 @@ from postproc.errors import ForceError, InputError, MeasurementError, ModelError
 from postproc.files import FileEntry
 from postproc.frames import M_PER_MM, MM_PER_M, Array
 from postproc.identification import model_folder, record
-from postproc.jobs.conversion import marked, read_program
+from postproc.jobs.conversion import marked
 from postproc.jobs.output_plan import protect
 from postproc.jobs.programs import Settings, find_jobs, load_robot
+from postproc.jobs.started_program import read_program
 from postproc.machining import Process, ProcessSource
 from postproc.machining.process import ProcessFile, StockTable, ToolTable
 from postproc.report.testpart import design_page, part_page

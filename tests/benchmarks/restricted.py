@@ -28,7 +28,7 @@ from postproc import cell as cells
 from postproc import placement
 from postproc.errors import PostprocError
 from postproc.frames import Array, xyzabc_from_pose
-from postproc.jobs.conversion import read_started
+from postproc.jobs.started_program import read_started
 from postproc.under_load import RobotInCell
 from tests.documentation.pages import ROOT
 

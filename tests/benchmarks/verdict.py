@@ -22,7 +22,7 @@ from msgspec import Struct
 from postproc import cell as cells
 from postproc import correction, forces, robot
 from postproc.frames import pose_from_xyzabc
-from postproc.jobs.conversion import read_program
+from postproc.jobs.started_program import read_program
 from tests.oracle import elastic
 from tests.oracle.arm import Arm
 

@@ -33,7 +33,7 @@ M2
 def _convert(model, tmp_path):
     path = tmp_path / "part.nc"
     path.write_text(TEXT)
-    from postproc.jobs.conversion import read_program
+    from postproc.jobs.started_program import read_program
 
     return correction.process(read_program(path, model, CELL), model, CELL)
 
@@ -72,7 +72,7 @@ def test_a_model_that_states_no_lost_motion_says_so(tmp_path):
 def test_a_force_that_stays_reverses_nothing(tmp_path):
     path = tmp_path / "part.nc"
     path.write_text(TEXT.replace("FY=-300", "FY=300"))
-    from postproc.jobs.conversion import read_program
+    from postproc.jobs.started_program import read_program
 
     result = correction.process(read_program(path, KR270, CELL), KR270, CELL)
     assert not [entry for entry in summary(result).reversals if entry.source_line == 7]

@@ -1,0 +1,80 @@
+"""A program as it is read from its files, and the start of a cell that states none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from msgspec.structs import replace
+
+from postproc import correction
+from postproc.cell import Cell, Start
+from postproc.dialects import registry
+from postproc.errors import InputError, Issue, ProgramError
+from postproc.frames import Array
+from postproc.jobs.programs import read_documents
+from postproc.placement.turning import chosen_start
+from postproc.program import Program
+from postproc.robot import RobotModel
+from postproc.under_load import RobotInCell
+
+
+def read_program(
+    path: str | Path, robot: RobotModel, cell: Cell, dialect: str | None = None, name: str | None = None
+) -> Program:
+    """Read a program file (for KRL with its `.dat`).
+
+    :param path: of the main file.
+    :param robot: with the cell, fixes where the program starts.
+    :param cell: frames and settings.
+    :param dialect: name of its format; None = by the extension.
+    :param name: of the program; None = that of the file.
+    :raises ProgramError: it is not understood; the message names the file by its path.
+    """
+    path = Path(path)
+    dialect = dialect or registry.of_file(path).name
+    documents = read_documents(path, dialect)
+    try:
+        return correction.read(documents, robot, cell, path.stem if name is None else name, dialect)
+    except InputError as cause:
+        raise cause.with_file(path.name, str(path)) from cause
+
+
+_PROVISIONAL_START = Start((0.3257, -88.6413, 91.7269, 2.8391, 43.4173, -1.6427))
+"""A start from which a program is read until its own is known: angles that no program states."""
+
+
+def read_started(
+    path: str | Path, robot: RobotModel, cell: Cell, dialect: str | None = None, name: str | None = None
+) -> tuple[Program, Cell]:
+    """Read a program as `read_program` does; a cell without [start] gets the one that is chosen for the program.
+
+    :raises ProgramError: it is not understood, or its motions depend on where it starts.
+    """
+    if cell.start is not None:
+        return read_program(path, robot, cell, dialect, name), cell
+    provisional_cell = replace(cell, start=_PROVISIONAL_START)
+    first = read_program(path, robot, provisional_cell, dialect, name)
+    try:
+        start = chosen_start(first, RobotInCell.of(robot, provisional_cell))
+    except ProgramError as cause:
+        raise cause.with_file(Path(path).name, str(path)) from cause
+    cell = replace(cell, start=Start(start.joints))
+    program = read_program(path, robot, cell, dialect, name)
+    first_motions, motions = first.motions, program.motions
+    is_same = (
+        len(first_motions) == len(motions)
+        and _same(first_motions.target[:], motions.target[:])
+        and _same(first_motions.joints[:], motions.joints[:])
+    )
+    if not is_same or start.joints == _PROVISIONAL_START.joints:
+        raise ProgramError(
+            "the first motions depend on where the program starts, and the cell has no [start]",
+            file=str(path),
+            advice="Give [start] joints, or state in the program where the first move goes.",
+        )
+    return replace(program, issues=(*program.issues, Issue("info", "start", start.message))), cell
+
+
+def _same(first: Array, second: Array) -> bool:
+    return bool(np.allclose(first, second, rtol=0.0, atol=1e-9, equal_nan=True))
