@@ -12,6 +12,8 @@ free (Bellman 1957).
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from msgspec import Struct
 
@@ -51,6 +53,9 @@ _MARGIN_WEIGHT = 0.01
 """Share of the expected error that may be given for margin: lines whose errors differ by less are alike."""
 _STEADY = 0.003
 """Cost of turning by a radian, as a share of the cost of all cuts: of lines alike, the one that turns least."""
+_TURNING_PRICE = 5e-5
+"""Expected error [m] that a cut must save to turn at `_PER_MM`; less in proportion. Assumed: nothing measures what a
+fast turn of the wrist costs on the part."""
 _EASY = 15.0 * RAD_PER_DEG
 """Margin of joints and wrist beyond which more margin is worth little [rad]."""
 
@@ -368,7 +373,7 @@ def line_through(
     """
     reasons = turn_map.reasons(keep)
     bad = drive.any_bad(reasons)
-    cost = _cell_cost(turn_map, bad)
+    costs = _costs(turn_map, bad)
     blocks = turn_map.blocks
     step = float(turn_map.offset[1] - turn_map.offset[0])
     turn_count = len(turn_map.offset)
@@ -381,12 +386,12 @@ def line_through(
     for b in range(len(blocks.length)):
         part = slice(int(bins[b]), int(bins[b + 1]))
         if blocks.begins[b]:
-            state, source = _begin(turn_map, part, bad, cost, start, state, last_q, windings)
+            state, source = _begin(turn_map, part, bad, costs.cell, start, state, last_q, windings)
         else:
             base_change = float(base[part.stop - 1] - base[part.start - 1])
             steps = _steps(turn_map, b, part, step, base_change, turn_at_feed=turn_at_feed)
             changes = steps, np.abs(steps * step + base_change)
-            state, source = _advance(turn_map, b, part, changes, bad, cost, state, windings, is_circle=is_circle)
+            state, source = _advance(turn_map, b, part, changes, bad, costs, state, windings, is_circle=is_circle)
         sources.append(source)
         if not np.isfinite(state).any():
             return Blocked(b)
@@ -394,21 +399,36 @@ def line_through(
     return _traced(turn_map, state, sources, base)
 
 
-def _cell_cost(turn_map: TurnMap, bad: Bools) -> Array:
-    """Return the cost (K, J) of each bin: its share of the squared error, and a little for missing margin."""
+class _Costs(NamedTuple):
+    """Costs of bins (K,) and cells (K, J).
+
+    :param cell: (K, J) squared error as a share of that of the least errors, and a little for missing margin.
+    :param error: (K, J) expected error [m].
+    :param share: (K,) cost of a squared error [1/m²].
+    """
+
+    cell: Array
+    error: Array
+    share: Array
+
+    def turning(self, k: int, columns: Ints, price: Array) -> Array:
+        """Return what it costs (J, D) that errors in a bin at columns (J, D) grow by a price (D,) [m]."""
+        return np.asarray(self.share[k] * (2.0 * self.error[k][columns] + price) * price)
+
+
+def _costs(turn_map: TurnMap, bad: Bools) -> _Costs:
+    """Return the costs of a map; without forces errors cost nothing."""
     blocks = turn_map.blocks
     bins = np.diff(np.append(blocks.first, len(turn_map.base)))
-    error = np.where(bad, np.nan, turn_map.error) ** 2
-    weight = bins * blocks.cuts[blocks.block]
-    typical = np.nan_to_num(np.nanmin(np.where(np.isnan(error), np.inf, error), axis=1), posinf=0.0)
-    total = float((weight * typical).sum())
-    error_cost = np.zeros(bad.shape)
-    if total > 0.0:
-        error_cost += weight[:, None] / total * np.nan_to_num(error, nan=0.0)
+    weight = (bins * blocks.cuts[blocks.block]).astype(float)
+    error = np.where(bad | np.isnan(turn_map.error), np.inf, turn_map.error)
+    total = float(weight @ np.nan_to_num(error.min(axis=1), posinf=0.0) ** 2)
+    share = weight / total if total > 0.0 else np.zeros(len(bins))
+    error[~np.isfinite(error)] = 0.0
     ease = np.minimum(turn_map.margin.joint, turn_map.margin.wrist)
     with np.errstate(over="ignore"):
         tight = np.exp(-np.nan_to_num(ease, posinf=1e3) / _EASY)
-    return np.asarray(error_cost + _MARGIN_WEIGHT * tight * (bins / bins.sum())[:, None])
+    return _Costs(share[:, None] * error**2 + _MARGIN_WEIGHT * tight * (bins / bins.sum())[:, None], error, share)
 
 
 def _limits(robot: RobotModel, keep: Keep) -> tuple[Array, Array]:
@@ -498,7 +518,7 @@ def _advance(
     part: slice,
     changes: tuple[Ints, Array],
     bad: Bools,
-    cost: Array,
+    costs: _Costs,
     state: Array,
     limits: tuple[Array, Array],
     *,
@@ -527,6 +547,8 @@ def _advance(
         else np.zeros(len(steps))
     )
     at_feed = bool(blocks.cuts[b])
+    length = max(float(blocks.length[b]) * 1e3, 1.0)
+    turning_price = _TURNING_PRICE * turn_change / (_PER_MM * length)
     columns = source
     bad_count = {k: np.concatenate([[0], np.cumsum(np.tile(bad[k], 3))]) for k in range(part.start, part.stop)}
     for n, k in enumerate(range(part.start, part.stop)):
@@ -538,7 +560,8 @@ def _advance(
             np.ceil(column_range[1] - _EXACT).astype(np.int64),
         )
         is_blocked |= bad_count[k][last + turn_count + 1] > bad_count[k][first + turn_count]
-        price += cost[k][_column(source + steps * (0.5 * (share[n] + share[n + 1])), turn_count)]
+        halfway = _column(source + steps * (0.5 * (share[n] + share[n + 1])), turn_count)
+        price += costs.cell[k][halfway] + costs.turning(k, halfway, turning_price)
         if at_feed and len(steps) > 1:
             is_blocked |= ~(turn_map.speed[k][columns] + turn_map.rate[k][columns] * turning <= 1.0)
         winding = turn_map.winding[k][start_columns]
@@ -552,7 +575,6 @@ def _advance(
         extra_turns = np.rint((angle - end) / _TURN)
         unsure = np.isnan(extra_turns).any(axis=2)
     extra_turns = np.nan_to_num(extra_turns).astype(np.int64)
-    length = max(float(blocks.length[b]) * 1e3, 1.0)
     price = price + _STEADY * turn_change * (1.0 + turn_change / (_PER_MM * length))
     price = np.where(is_blocked | unsure, np.inf, price)
     next_state = np.full((3, 3, turn_count), np.inf)

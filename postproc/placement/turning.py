@@ -36,6 +36,12 @@ _TILT_PROBLEM = (
     '[gcode] redundancy = "best".'
 )
 NO_CLEARANCE = "Collisions do not count in this choice: the cell has no [collision]."
+_MARGIN_PRICE = 5e-5
+"""Expected error [m] that a turn along the path must save to have no margin instead of a large one, less by e for each
+`_MARGIN_SCALE` of margin. Assumed: errors of mastering and of the place of the part take from it."""
+_MARGIN_SCALE = 10.0 * RAD_PER_DEG
+_LEVELS = tuple(np.array([30.0, 20.0, 12.0, 7.0, 4.0]) * RAD_PER_DEG)
+"""Margins of joints, wrist and elbow at which a turn along the path is looked for, in addition to the least ones."""
 _ROUNDS = 8
 """How often a line with collisions that the map did not show is replaced."""
 _MAX_ROWS = 8
@@ -119,7 +125,7 @@ def chosen(
     bodies = None if table is None else Bodies(samples, table.clearance_mm)
     whole = turn_map.evaluate(samples, blocks, branch, np.zeros(len(samples)), turn_map.whole_circle(_COARSE), bodies)
     block: Blocked | None = None
-    for keep in (Keep(), BARE):
+    for keep in (Keep() if mode == "best" else _priced(samples, whole, branch), BARE):
         line, whole = _free_line(samples, whole, branch, keep, mode, bodies)
         if isinstance(line, Blocked):
             block = block if block is not None and block.block > line.block else line
@@ -128,10 +134,33 @@ def chosen(
             line = Line(np.zeros(len(line.knots)), line.cost)
         of_motion = blocks.turn_of_motions(samples, line.knots)
         constant = robot_in_cell.cell.gcode.redundancy_deg * RAD_PER_DEG
-        turn = Turn(mode, whole, keep, constant, line.knots, of_motion)
+        turn = Turn(mode, whole, BARE if keep is BARE else Keep(), constant, line.knots, of_motion)
         return turn, (_said(turn),)
     assert block is not None
     return None, (_why(samples, whole, block, mode, branch, bodies),)
+
+
+def _priced(samples: PathSamples, whole: TurnMap, branch: int) -> Keep:
+    """Return the margins at which a turn along the path costs least: its expected error and the price of its margin."""
+    best, least_cost = Keep(), np.inf
+    for keep in (Keep(), *(Keep(level, level, level) for level in _LEVELS)):
+        line = _find(samples, whole, keep, "path", is_circle=True)
+        if isinstance(line, Blocked):
+            continue
+        error, margin = _on_line(samples, whole.blocks, branch, line)
+        price = _MARGIN_PRICE * float(np.exp(-margin / _MARGIN_SCALE))
+        if error + price < least_cost:
+            best, least_cost = keep, error + price
+    return best
+
+
+def _on_line(samples: PathSamples, blocks: Blocks, branch: int, line: Line) -> tuple[float, float]:
+    """Return the RMS of the expected error over cuts [m], and the least margin of joints, wrist and elbow [rad]."""
+    column = turn_map.evaluate(samples, blocks, branch, _at_samples(samples, blocks, line.knots), _NO_OFFSET, None)
+    weight = np.where(blocks.cuts[blocks.block], np.diff(np.append(blocks.first, len(samples))), 0)
+    error = np.nan_to_num(column.error[:, 0])
+    margins = (column.margin.joint, column.margin.wrist, column.margin.elbow)
+    return float(np.sqrt(weight @ error**2 / max(weight.sum(), 1))), min(float(values.min()) for values in margins)
 
 
 def _free_line(

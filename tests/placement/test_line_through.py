@@ -42,7 +42,10 @@ def made(seed, blocks=4, wide=2, closed=0.3):
 
 
 def every_line(found, wide, start=0.0):
-    """Yield all lines that may be driven, as columns, with the RMS of the error halfway through each block."""
+    """Yield all lines that may be driven, as columns, with the RMS of the error halfway through each block.
+
+    Turning by 1° per mm costs 0.05 mm of error, less in proportion.
+    """
     free = found.margin.joint > 0.0
     steps = range(-wide, wide + 1)
     lower, upper = ROBOT.lower[5] + Keep().joint, ROBOT.upper[5] - Keep().joint
@@ -59,7 +62,8 @@ def every_line(found, wide, start=0.0):
             angles.append(angles[-1] + wrapped(found.q[k, column, 5] - angles[-1]))
         if lower <= min(angles) and max(angles) <= upper:
             halfway = np.rint(columns[:-1] + 0.5 * np.array(changes)).astype(int) % COLUMNS
-            yield columns, float(np.sqrt(np.mean(found.u95[np.arange(1, len(free)), halfway] ** 2)))
+            price = 5e-5 * np.abs(changes) * np.degrees(STEP) / (1e3 * found.blocks.length[1:])
+            yield columns, float(np.sqrt(np.mean((found.u95[np.arange(1, len(free)), halfway] + price) ** 2)))
 
 
 @pytest.mark.parametrize("seed", range(12))

@@ -68,9 +68,11 @@ def driven(feed):
     """
     own = cell(redundancy="path")
     result = convert(around(1900, 150, 31, feed), own)
-    moves = cell_sim.read(result.documents[0].to_bytes().decode())
+    assert not result.failed, result.issues
+    moves = cell_sim.read(result.documents[0].to_bytes().decode())[1:]  # the first one goes to the start
     frame = lambda table: tuple(getattr(table, axis) for axis in "XYZABC")  # noqa: E731
-    sim = cell_sim.Cell(Arm.load(robot.find(own.robot)), own.start.joints, frame(own.base), frame(own.tool))
+    start = np.degrees(result.q[0])  # from far away the least squares of the arm may end in another solution
+    sim = cell_sim.Cell(Arm.load(robot.find(own.robot)), start, frame(own.base), frame(own.tool))
     q, place, cut = [], [], []
     for index, _, pose, joints in sim.run(moves, shares=(0.5, 1.0)):
         q.append(joints)
@@ -141,6 +143,33 @@ def test_the_best_line_is_within_two_percent_of_every_pair_of_turns():
     path = convert(text, replace(own, gcode=replace(own.gcode, redundancy="path")))
     assert not path.failed
     assert expected_rms(path, [4, 5]) <= 1.02 * min(errors)
+
+
+def test_a_turn_along_the_path_does_not_trade_margin_and_steadiness_for_little_error():
+    """Without a price the line had 2.6° of margin, 166° of turning and steps of 21° for 2 % of the expected error."""
+    force = "(FORCE FX=-110 FY=-190 FZ=130 FRAME=FEED)"
+    text = f"G21 G90\n{force}\nG0 X1900 Y-200 Z60\nG1 Z0 F600\nG1 Y-50 F2000\nG1 X1960\nG1 Y-200\nG0 Z60\n"
+    lines = range(4, 8)
+    stated = cell(base=(0.0, 0.0, 500.0))
+
+    def priced(result):
+        """Expected error, and 0.05 mm without margin, less by e for each 10°."""
+        margin = min(np.degrees(result.joint_margin).min(), np.degrees(np.abs(result.q[:, 4])).min())
+        return expected_rms(result, lines) + 5e-5 * np.exp(-margin / 10.0), margin
+
+    path = convert(text, replace(stated, gcode=replace(stated.gcode, redundancy="path")))
+    assert not path.failed, path.issues
+    total, margin = priced(path)
+    assert margin > 20.0
+    cuts = ~path.rapid[1:] & ~path.rapid[:-1]
+    assert np.degrees(np.abs(np.diff(path.q, axis=0)))[cuts].max() < 10.0
+    constants = (
+        convert(text, replace(stated, gcode=replace(stated.gcode, redundancy_deg=float(turn))))
+        for turn in range(-160, 200, 40)
+    )
+    totals = [priced(result)[0] for result in constants if not result.failed]
+    assert len(totals) >= 3
+    assert total <= 1.02 * min(totals)
 
 
 def _turns(result, lines):
