@@ -30,6 +30,7 @@ from postproc.jobs.setup_form import Field, SetupForm
 from postproc.machining.material import table
 from postproc.report.answers import chance_in_words
 from postproc.report.formatting import rounded
+from postproc.report.verdict import STOCK_REMARK
 
 FORM_OPTIONS = tuple(option for option in actions.CONVERSION if option.label)
 """Options of `convert` that its form has."""
@@ -93,6 +94,7 @@ def answers_of(item: Item) -> dict[str, Any]:
         "changes": ", ".join(item.changes),
         "kind": _KINDS.get(state, "") if item.current else "warning",
         "headline": content.verdict.headline,
+        "remark": STOCK_REMARK if STOCK_REMARK in content.verdict.headline else "",
         "reasons": content.verdict.reasons,
         "uncorrected": uncorrected,
         "corrected": corrected_text,

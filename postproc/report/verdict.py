@@ -63,7 +63,7 @@ _NO_SIZE = 0.0
 """Cost [mm] of a finding without a length."""
 
 
-_STOCK_REMARK = "The stock is assumed: check it first."
+STOCK_REMARK = "The stock is assumed: check it first."
 """Part of the headline, so that it is next to the answer wherever that is shown."""
 
 
@@ -86,7 +86,7 @@ def verdict(result: Result, content: Summary, other_remedies: Sequence[Remedy] =
     tolerance = _tolerance(result, content, other_remedies)
     better = _better(result, content, _of_issues(of_forces, result.mode), tolerance)
     holds = _holds(result, content)
-    remark = _STOCK_REMARK if any(issue.kind == "assumed-stock" for issue in result.issues) else ""
+    remark = STOCK_REMARK if any(issue.kind == "assumed-stock" for issue in result.issues) else ""
     return joined(result.mode, drive, better, tolerance, _texts(holds), _assumptions(result), remark=remark)
 
 
