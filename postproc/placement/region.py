@@ -60,6 +60,15 @@ class Region(Struct, frozen=True):
         """Return the nearest place (5,) in the region."""
         return np.clip(place, self.low, self.high)
 
+    def settable(self, place: Array) -> Array:
+        """Return the nearest place (5,) in the region that a person sets: whole millimetres and degrees.
+
+        What is not free stays as it is.
+        """
+        whole = place.copy()
+        whole[self.free] = np.round(place[self.free])
+        return self.clipped(whole)
+
 
 class Assessment(Struct, frozen=True):
     """What the conversion of all programs at a place states: the worst of them [m].
@@ -437,7 +446,7 @@ def search(
     steps = np.array([0.5 * (line[1] - line[0]) if len(line) > 1 else 0.0 for line in lines])
     for start in starts:
         _descend(judged, region, start, steps)
-    best = _confirmed(programs, judgements, assess)
+    best = _confirmed(programs, region, judgements, assess)
     limit = np.inf if best is None else (1.0 + drive.REAL) * best.stated_cost
     if _inside(region, today) and today.reachable and today.stated_cost <= limit:
         best = today
@@ -460,7 +469,7 @@ def _descend(judge: Callable[[Array], Judged], region: Region, start: Judged, st
                 for sign in (1.0, -1.0):
                     place = np.array(best.place)
                     place[k] += sign * steps[k]
-                    place = region.clipped(place)
+                    place = region.settable(place)
                     if abs(place[k] - best.place[k]) < 1e-9:
                         continue
                     neighbour = judge(place)
@@ -481,14 +490,19 @@ _MAX_ASSESSMENTS = 6
 """Places at which the programs are converted until all can be."""
 
 
-def _confirmed(programs: Programs, judgements: Sequence[Judged], assess: Assess | None) -> Judged | None:
-    """Return the best place by every sample of the programs, at which they are converted; None if there is none."""
+def _confirmed(
+    programs: Programs, region: Region, judgements: Sequence[Judged], assess: Assess | None
+) -> Judged | None:
+    """Return the best place by every sample of the programs, at which they are converted; None if there is none.
+
+    It is one that a person sets: next to a place of the grid, in whole millimetres and degrees.
+    """
     reachable = sorted((place for place in judgements if place.reachable), key=lambda place: place.cost)
     similar = [place for place in reachable if place.cost <= (1.0 + _SIMILAR_COST) * reachable[0].cost]
     order = sorted(similar, key=lambda place: -place.margin) + [place for place in reachable if place not in similar]
     assessments = 0
     for place in order[:_MAX_CHECKS]:
-        by_all_samples = programs.judge(np.array(place.place), all_samples=True)
+        by_all_samples = programs.judge(region.settable(np.array(place.place)), all_samples=True)
         if by_all_samples.reachable:
             assessment = _assessed(by_all_samples, assess)
             assessments += 1

@@ -26,6 +26,10 @@ _COLUMNS = (
     "reachable",
     "reason",
 )
+_UNITS = ("mm", "mm", "mm", "°", "mm")
+"""Units of `AXES`."""
+_SAME_PLANE = 0.5
+"""Distance of a place from the plane of a map within which it is on it [mm, deg]."""
 _NO_BODIES = "Collisions do not count in this choice: the cell has no [collision]."
 _NO_STOCK = "Stock is not among these bodies: convert checks it, with --process."
 _SAME_PLACE = 0.01
@@ -142,9 +146,7 @@ def _sentence(search: Search) -> str:
     if best is None:
         return "No place in the region can be driven."
     moves = []
-    for axis, unit, today_value, best_value in zip(
-        AXES, ("mm", "mm", "mm", "°", "mm"), today.place, best.place, strict=True
-    ):
+    for axis, unit, today_value, best_value in zip(AXES, _UNITS, today.place, best.place, strict=True):
         if abs(best_value - today_value) > 0.05:
             moves.append(f"{axis} {best_value - today_value:+.4g} {unit}".replace(" °", "°"))
     move = ", ".join(moves)
@@ -284,7 +286,7 @@ def _maps(search: Search) -> Iterator[Section]:
         places = [search.tried[first + i * len(y) : first + (i + 1) * len(y)] for i in range(len(x))]
         rows = [[column[k] for column in places] for k in range(len(y))]
         title = f"Map at Z {search.around[2]:.0f}, A {search.around[3]:.1f}°"
-        yield Section("map", title, (_map(search, rows, (0, 1), x, y, title),))
+        yield Section("map", title, (_map(search, rows, (0, 1), tuple(x), tuple(y), title),))
     grid = [
         judged_place
         for judged_place in search.tried
@@ -323,17 +325,41 @@ def _map(
     grid = Map(
         list(x), list(y), values, [[judged_place.reason for judged_place in row] for row in rows], REASONS, quantity
     )
-    marks = [Points([search.today.place[axes[0]]], [search.today.place[axes[1]]], "today", "before", hollow=True)]
+    marks, notes = [], []
+    if _is_on_map(search, axes, x, y):
+        marks.append(
+            Points([search.today.place[axes[0]]], [search.today.place[axes[1]]], "today", "before", hollow=True)
+        )
+        notes.append("Ring: today's place.")
+    else:
+        notes.append(f"Today's place is not on this map: {_coordinates(search.today.place)}.")
     if search.best is not None:
         marks.append(Points([search.best.place[axes[0]]], [search.best.place[axes[1]]], "best", "warning"))
-    units = ["mm", "mm", "mm", "°", "mm"]
+        notes.append(f"Dot: the best place, {_coordinates(search.best.place)}.")
     return Plot(
         label=f"{title}: expected error by place, and why places are refused.",
         traces=[grid, *marks],
-        x=Axis(title=f"{AXES[axes[0]]}, {units[axes[0]]}"),
-        y=Axis(title=f"{AXES[axes[1]]}, {units[axes[1]]}"),
+        x=Axis(title=f"{AXES[axes[0]]}, {_UNITS[axes[0]]}"),
+        y=Axis(title=f"{AXES[axes[1]]}, {_UNITS[axes[1]]}"),
         height=460,
-        note="Ring: today's place; dot: the best one. The other coordinates of both may differ from those of this map.",
+        note=" ".join(notes),
+    )
+
+
+def _is_on_map(search: Search, axes: tuple[int, int], x: Sequence[float], y: Sequence[float]) -> bool:
+    """Return whether today's place is in the plane of a map and between its edges."""
+    place = search.today.place
+    other_axes = [k for k in range(len(AXES)) if k not in axes]
+    in_plane = all(abs(place[k] - search.around[k]) <= _SAME_PLANE for k in other_axes)
+    return in_plane and x[0] <= place[axes[0]] <= x[-1] and y[0] <= place[axes[1]] <= y[-1]
+
+
+def _coordinates(place: Sequence[float]) -> str:
+    """Return a place in words; E1 is left out where it is 0."""
+    return ", ".join(
+        f"{axis} {value:g}{'' if unit == 'mm' else unit}"
+        for axis, unit, value in zip(AXES, _UNITS, place, strict=True)
+        if axis != "E1" or value
     )
 
 

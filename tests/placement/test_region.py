@@ -173,6 +173,40 @@ def test_the_part_stays_where_it_is_unless_another_place_saves_two_percent():
     assert beyond.best.place[0] >= x + 11.0
 
 
+def test_the_best_place_is_one_that_a_person_sets():
+    """Whole millimetres and degrees, though the grid over these bounds has none; what is not free stays."""
+    judged, _, _ = programs(in_line())
+    bounds = Region((1100.3, -200.7, 600.25, -20.6, 0.0), (1699.6, 200.2, 600.25, 20.3, 0.0))
+    place = region.search(judged, bounds).best.place
+    assert place[2] == 600.25
+    for k in (0, 1, 3):
+        assert place[k] == round(place[k]) or place[k] in (bounds.low[k], bounds.high[k])
+    assert sum(place[k] == round(place[k]) for k in (0, 1, 3)) >= 2
+    np.testing.assert_array_equal(
+        bounds.settable(np.array([1699.9, 0.4, 500.0, -20.9, 3.0])), [1699.6, 0, 600.25, -20.6, 0]
+    )
+
+
+@pytest.mark.parametrize(
+    ("base", "is_on_map"), [((1400.0, 0.0, 600.0), True), ((1400.0, 0.0, 640.0), False), ((2000.0, 0.0, 600.0), False)]
+)
+def test_a_map_shows_todays_place_only_where_it_is_on_it(tmp_path, base, is_on_map):
+    (tmp_path / "part.nc").write_text(PART)
+    (tmp_path / "cell.toml").write_text(
+        f'robot = "kuka_kr270"\n[base]\nX = {base[0]}\nZ = {base[2]}\n[tool]\nZ = 350\n[start]\n'
+        "joints = [0, -90, 110, 0, 60, 0]\n[gcode]\nredundancy_deg = 180\n"
+    )
+    arguments = [str(tmp_path / "part.nc"), "--cell", str(tmp_path / "cell.toml"), "-o", str(tmp_path / "out")]
+    bounds = "X=1200:1500,Y=-100:100,Z=600:600,A=0:0"
+    done = CliRunner().invoke(main, ["place", *arguments, "--region", bounds])
+    assert done.exit_code == 0, done.output
+    page = (tmp_path / "out" / "place.html").read_text("utf-8")
+    where = f"X {base[0]:g}, Y 0, Z {base[2]:g}, A 0°"
+    assert ("Ring: today" in page) == is_on_map
+    assert (f"place is not on this map: {where}" in page) == (not is_on_map)
+    assert "Dot: the best place, X 1" in page
+
+
 def test_a_region_that_cannot_be_read_is_refused():
     own = in_line()
     assert region_of("X=1000:1200,A=-10:10", own).free == [0, 3]
