@@ -118,7 +118,8 @@ def tried(path: Path) -> tuple[str, Outcome]:
     if isinstance(program, InputError) and axes and "word without a code" in program.problem:
         turned = read(path, shop(text, axes))
         program = program if isinstance(turned, InputError) and "word without a code" in turned.problem else turned
-    if isinstance(program, InputError) and "before the position is known" in program.problem:
+    is_from_zero = isinstance(program, InputError) and "before the position is known" in program.problem
+    if is_from_zero:
         program = read(path, replace(shop(text, axes), machine=replace(SHOP.machine, home=[0.0, 0.0, 0.0])))
     word = "refused" if isinstance(bare, InputError) else "read"
     moves: list[Move] | str
@@ -132,7 +133,7 @@ def tried(path: Path) -> tuple[str, Outcome]:
         return word, Outcome("not read by rs274", moves)
     if _TAPS_ASIDE.search(text) and _ASIDE.search(text):
         return word, Outcome("not comparable", "rs274 confuses the axes of G84 in G18 and G19")
-    found = difference(program, moves, text, turning=program.swivel is not None)
+    found = difference(program, moves, text, turning=program.swivel is not None, is_from_zero=is_from_zero)
     return word, Outcome("differs", found) if found else Outcome("same")
 
 
@@ -189,10 +190,13 @@ def _as_rs274_takes_it(text: str) -> str:
     return "\n".join([*out, ""])
 
 
-def difference(program: Program, moves: list[Move], text: str, *, turning: bool = False) -> str:
+def difference(
+    program: Program, moves: list[Move], text: str, *, turning: bool = False, is_from_zero: bool = False
+) -> str:
     """Return the first difference between the motions of a program and those of rs274; empty if there is none.
 
     :param turning: whether rotary axes turn: feeds are then not those of the tip.
+    :param is_from_zero: whether the program begins with a rapid to zero here, where rs274 begins.
     """
     unit = 25.4 if re.search(r"(?i)G\s*[27]0(?![\d.])", text) else 1.0
     digits = 6e-5 * unit
@@ -205,6 +209,9 @@ def difference(program: Program, moves: list[Move], text: str, *, turning: bool 
         theirs[0] = theirs[0]._replace(rapids=[place for place in theirs[0].rapids if place.any()])
     while len(theirs) > len(ours) and (theirs[0].end[:2] == 0.0).all() and not theirs[0].rapids:
         del theirs[0]  # hobby posts go up by G1 first: from zero there, on the way to the first place here
+    if is_from_zero and ours and theirs:
+        for side in (ours, theirs):
+            side[0] = side[0]._replace(rapids=[place for place in side[0].rapids if place.any()])
     times = (1.0, 25.4, 1.0 / 25.4) if _UNITS_WITH_F.search(text) else (1.0,)
     _drop_unseen(ours, theirs, 8.0 * digits)
     for n, (mine, other) in enumerate(zip(ours, theirs, strict=False)):
