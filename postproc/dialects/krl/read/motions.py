@@ -116,7 +116,7 @@ def motions_and_layout(
         is not what the controller could follow.
     """
     settings = main.run.settings
-    rows, states, state, numbers, moves = sequence
+    rows, states, state, _, moves = sequence
     block = _column(states, state, lambda s: s.block)
     check_words(source, rows, block)
     rows = replace(rows, approximated=approximated(rows, block != "", main.splines.approximated))
@@ -142,7 +142,36 @@ def motions_and_layout(
         source, rows, ends, arc_ends, moves, control, settings, (states, state), carriage
     )
 
-    motions = Motions(
+    is_missing[[row for row, move in moves.items() if move.end.position.axis or move.relative]] = False
+    sequence = sequence._replace(rows=rows)
+    motions = _motions(source, sequence, (base, tool), ends, (centre, normal, sweep))
+    columns = is_missing, control.with_path, by_wrist, unheeded
+    layout = _layout(source, main, sequence, motions, ends, columns, carriage)
+    has_assumed_speed = _column(states, state, lambda s: s.assumed) & (rows.kind != PTP)
+    assumptions = _assumptions(motions.line, is_missing, has_assumed_speed, moves)
+    return (
+        motions,
+        layout,
+        [*axis_issues, *assumptions, *_by_speed(source, rows), *path_unknown(motions), *_wrist(motions, by_wrist)],
+    )
+
+
+def _motions(
+    source: Source,
+    sequence: OrderedMotions,
+    frames: tuple[Ints, Ints],
+    ends: EndPoses,
+    arcs: tuple[Array, Array, Array],
+) -> Motions:
+    """Return the motions of a program.
+
+    :param frames: rows of `$BASE` and `$TOOL` (R,) each.
+    :param arcs: centres (R, 3), normals (R, 3) and swept angles (R,) of circles.
+    """
+    rows, numbers = sequence.rows, sequence.numbers
+    base, tool = frames
+    centre, normal, sweep = arcs
+    return Motions(
         kind=rows.kind,
         rapid=rows.kind == PTP,
         line=source.shown(rows.line),
@@ -159,9 +188,26 @@ def motions_and_layout(
         status=rows.posture[:, 0],
         turn=rows.posture[:, 1],
     )
-    is_missing[[row for row, move in moves.items() if move.end.position.axis or move.relative]] = False
+
+
+def _layout(
+    source: Source,
+    main: MainRoutine,
+    sequence: OrderedMotions,
+    motions: Motions,
+    ends: EndPoses,
+    columns: tuple[Bools, Bools, Bools, Bools],
+    carriage: Carriage | None,
+) -> Layout:
+    """Return where the text has the numbers of the motions.
+
+    :param columns: (R,) each: `Layout.missing`, `with_path`, `by_wrist` and `unheeded`.
+    """
+    rows, states, state, _, moves = sequence
+    variables = main.run.settings.variables
+    is_missing, with_path, by_wrist, unheeded = columns
     elements = tuple(_elements(rows, rounds) for rounds in main.rounds)
-    layout = Layout(
+    return Layout(
         course=main.course,
         line=rows.line,
         notes=(),
@@ -177,26 +223,19 @@ def motions_and_layout(
         resumed=ends.resumed,
         orientation=np.where(rows.kind == PTP, np.int8(0), _column(states, state, _orientation)),
         ignored=ends.ignored,
-        with_path=control.with_path,
+        with_path=with_path,
         by_wrist=by_wrist,
         unheeded=unheeded,
         distant=_column(states, state, lambda s: all(field != "cdis" for field, _ in s.uncertain)),
-        passed=block != "",
+        passed=_column(states, state, lambda s: s.block) != "",
         statements=moves,
         elements=elements,
-        types=dict(settings.variables.types),
-        public=frozenset(settings.variables.public),
+        types=dict(variables.types),
+        public=frozenset(variables.public),
         understood=frozenset(main.run.understood).union(*(rows.target[part.row, 0].tolist() for part in elements)),
         triggers=_triggers(source, main, rows.line, motions, ends.start),
         carriage=carriage,
         broken_off="" if main.run.resumed is None else str(main.run.resumed),
-    )
-    has_assumed_speed = _column(states, state, lambda s: s.assumed) & (rows.kind != PTP)
-    assumptions = _assumptions(motions.line, is_missing, has_assumed_speed, moves)
-    return (
-        motions,
-        layout,
-        [*axis_issues, *assumptions, *_by_speed(source, rows), *path_unknown(motions), *_wrist(motions, by_wrist)],
     )
 
 
