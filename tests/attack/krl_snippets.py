@@ -591,6 +591,9 @@ class Snippets(Generator):
                 [f"LIN {{X {name}*10,Y 1,Z 2,A 3,B 4,C 5}}{tail}"],
                 [f"IF {name}{self.one('>', '==', '<>', '<=')}2 THEN", end, "ELSE", there, "ENDIF"],
                 [f"FOR {counter}=1 TO {name}", f"LIN P[{counter}]{tail}", "ENDFOR"],
+                [f"FOR {counter}={name} TO 4 STEP 2", f"LIN P[{counter}]{tail}", "ENDFOR", f"LIN P[{counter}-2]"],
+                [f"FOR {counter}={name} TO 1 STEP -1", f"LIN P[{counter}]{tail}", "ENDFOR", f"LIN P[{counter}+1]"],
+                [f"FOR N[{name}]=1 TO 2", f"LIN P[N[{name}]]{tail}", "ENDFOR"],
                 [
                     f"FOR {counter}=1 TO {name}",
                     f"LIN {{X {counter}*5,Y 1,Z 2,A 3,B 4,C 5}}",
@@ -612,6 +615,7 @@ class Snippets(Generator):
                 [f"$APO.CDIS={name}", f"{there} C_DIS"],
                 [f"LIN_REL {{Z {name}}}", end],
                 [f"IF {name}>1 THEN", end, "ENDIF", there],
+                [f"IF {name}*3=={name}+{name}+{name} THEN", end, "ENDIF", there],  # equal but for rounding
                 [f"{point}.Z={name}*3", f"LIN {point}"],
                 [f"{self.moving('REAL', 'LIN {X A*10,Y 1,Z 2,A 3,B 4,C 5}')}({name})"],
                 [f"SLIN {point} WITH $VEL.CP={name}", end],
@@ -817,6 +821,7 @@ class Snippets(Generator):
             ["J=GONE()", "LIN P[J]", there, "J=2"],
             ["WHILE $IN[3]", f"{routine}()", "ENDWHILE", there],
             ["LIN_REL {X 5}", there],
+            ["LIN $POS_ACT:{X 1,Y 2,Z 5,A 0,B 0,C 0}", "LIN {Z 5}", there],
             *self.kept_functions(there),
             *self.kept_routines(there),
         )
