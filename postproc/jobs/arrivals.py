@@ -132,11 +132,11 @@ def _opens(path: Path) -> bool:
 
 def stamps(folders: Mapping[Path, Collection[str]]) -> Signature:
     """Return names, sizes and times of the files of folders that have some endings, sorted."""
-    found = (
+    paths = (
         path
         for folder, endings in folders.items()
         if folder.is_dir()
         for path in sorted(folder.iterdir())
         if path.name.lower().endswith(tuple(endings))
     )
-    return _signature(list(found))
+    return _signature(list(paths))
