@@ -121,6 +121,15 @@ _READING = HARMLESS - _WRITING | {
     "LOAD", "UNLOAD", "ERASEMODULE", "WAITSYNCTASK", "SAVE", "SETSYSDATA",
 }  # fmt: skip
 """Instructions that change no data of the program."""
+_PURE_NAMES = """
+OFFS RELTOOL ORIENTZYX EULERZYX ABS SQRT POW EXP SIN COS TAN ASIN ACOS ATAN ATAN2 ROUND TRUNC NUMTOSTR VALTOSTR
+STRLEN STRPART STRFIND STRMATCH STRMAP STRMEMB STRORDER STRTOBYTE BYTETOSTR DECTOHEX HEXTODEC BITAND BITOR BITXOR
+BITNEG BITCHECK BITLSH BITRSH DIM PRESENT ISPERS ISVAR ARGNAME TYPE CPOS CROBT CJOINTT CTOOL CWOBJ CALCROBT
+POSEINV POSEMULT POSEVECT DEFFRAME DEFDFRAME MIRPOS NORIENT DISTANCE DOTPROD VECTMAGN DINPUT DOUTPUT AINPUT AOUTPUT
+GINPUT GOUTPUT TESTDI CLKREAD CDATE CTIME GETTIME OPMODE RUNMODE ROBOS ISFILE READMOTOR DNUMTONUM NUMTODNUM
+"""
+_PURE = frozenset(_PURE_NAMES.split())
+"""Functions of RAPID that change none of their arguments (ABB, "RAPID Instructions, Functions and Data types")."""
 _SETTINGS = {"SINGAREA", "CONFL", "CONFJ", "CIRPATHMODE", "VELSET"}
 _STOPPING = {"EXIT", "EXITCYCLE", "STOP", "BREAK"}
 _KEEP = "Leave it out, or convert the G-code or APT of this part."
@@ -217,24 +226,30 @@ class Execution:
         self.modules, self.entry, self.from_cell = tuple(modules), entry, cell_value
         self.routines = {routine.name: routine for module in self.modules for routine in module.routines}
         self.data: dict[str, Variable] = {name: Variable(type_, value) for name, (value, type_) in predefined().items()}
+        _check_names(self.modules)
         for module in self.modules:
             for declaration in module.data:
                 self.data[declaration.name] = _declared(declaration)
         self.done = Executed()
         self.setting = Setting()
         self.count = 0
-        self.has_functions = any(routine.kind == "FUNC" for routine in self.routines.values())
+        bodies = [routine.body for routine in self.routines.values()]
+        self.has_changing_functions = any(
+            call.value not in _PURE for body in bodies for statement in nested(body) for call in calls(statement)
+        )
         self._moving: dict[str, bool] = {}
+        self._changed_data: dict[str, frozenset[str]] = {}
         reachable_names = self._reached(entry)
         for routine in self.routines.values():
             is_followed = routine.name in reachable_names and routine.kind == "PROC"
             self._forget(routine.handler, f"the handler of {routine.name} may change it")
             if routine.kind == "TRAP":
-                for name in self._changed(routine.body, set()):
+                for name in self._changed_data_of(routine.name):
                     if name in self.data:
                         self.data[name].interrupt = routine.name
             if not is_followed:
-                self._forget(routine.body, f"{routine.name} may change it, which is not followed")
+                for name in self._changed_data_of(routine.name):
+                    _forget_variable(self.data.get(name), f"{routine.name} may change it, which is not followed")
 
     def run(self) -> Executed:
         """Run the program.
@@ -265,42 +280,61 @@ class Execution:
         return names
 
     def _forget(self, statements: tuple[Statement, ...], reason: str, scope: Scope | None = None) -> None:
-        """Make unknown what statements may change."""
-        for name in self._changed(statements, set()):
-            variable = self.data.get(name) if scope is None else scope.find(name)
-            if variable is not None and (variable.declaration is None or variable.declaration.kind != "CONST"):
-                variable.forget(reason)
+        """Make unknown what statements, and the routines that they call, may change.
+
+        :param scope: of the statements; None: only data of the modules count.
+        """
+        for name in self._changed(statements):
+            _forget_variable(self.data.get(name) if scope is None else scope.find(name), reason)
+        for name in _called(statements):
+            for data_name in self._changed_data_of(name):
+                _forget_variable(self.data.get(data_name), reason)
 
     def _forget_by_functions(self, statement: Statement, scope: Scope) -> None:
         """Make unknown what the functions that a statement calls may change."""
-        for name in self._changed_by_functions(statement, set()):
-            variable = scope.find(name)
-            if variable is not None and not _is_constant(variable):
-                variable.forget("a function may change it")
-
-    def _changed_by_functions(self, statement: Statement, routine_names: set[str]) -> Iterator[str]:
-        """Yield the names of data that the functions of a statement may change."""
         for call in calls(statement):
-            routine = self.routines.get(call.value)
-            if routine is None:
-                continue
-            yield from (base_name(argument) for argument in changed_by(call.items))
-            if routine.name not in routine_names:
-                routine_names.add(routine.name)
-                yield from self._changed(routine.body, routine_names)
+            for name in self._changed_arguments(call.value, call.items):
+                _forget_variable(scope.find(name), f"{call.value} may change it")
+            for name in self._changed_data_of(call.value):
+                _forget_variable(self.data.get(name), f"{call.value} may change it")
 
-    def _changed(self, statements: tuple[Statement, ...], routine_names: set[str]) -> Iterator[str]:
-        """Yield the names of data that statements, and the routines that they call, may change."""
+    def _changed(self, statements: tuple[Statement, ...]) -> Iterator[str]:
+        """Yield the names of data that statements may change themselves, as their own routine names them."""
         for statement in nested(statements):
-            yield from self._changed_by_functions(statement, routine_names)
+            for call in calls(statement):
+                yield from self._changed_arguments(call.value, call.items)
             if isinstance(statement, Assignment):
                 yield base_name(statement.target)
             elif isinstance(statement, Instruction) and statement.name not in _READING | MOVES.keys():
-                yield from (base_name(argument) for argument in changed_by(statement.arguments))
-                routine = self.routines.get(statement.name.removeprefix("%"))
-                if routine is not None and routine.name not in routine_names:
-                    routine_names.add(routine.name)
-                    yield from self._changed(routine.body, routine_names)
+                yield from self._changed_arguments(statement.name.removeprefix("%"), statement.arguments)
+
+    def _changed_arguments(self, name: str, arguments: tuple[Argument, ...]) -> Iterator[str]:
+        """Yield the names of arguments that a routine may change; all of one that is in another file."""
+        routine = self.routines.get(name)
+        if routine is not None:
+            bound = _bound(routine, arguments, Scope({}))
+            expressions = (expression for parameter, expression, _ in bound if parameter.changeable)
+            yield from (base_name(expression) for expression in expressions if expression is not None)
+        elif name not in _PURE:
+            yield from (base_name(argument) for argument in changed_by(arguments))
+
+    def _changed_data_of(self, name: str) -> frozenset[str]:
+        """Return the names of module data that a routine, and those that it calls, may change."""
+        if name not in self._changed_data:
+            names: set[str] = set()
+            waiting, looked_at = [name], {name}
+            while waiting:
+                routine = self.routines.get(waiting.pop())
+                if routine is None:
+                    continue
+                statements = (*routine.body, *routine.handler)
+                local_names = {parameter.name for parameter in routine.parameters}
+                local_names |= {item.name for item in nested(statements) if isinstance(item, Declaration)}
+                names |= set(self._changed(statements)) - local_names
+                waiting += (called := _called(statements) - looked_at)
+                looked_at |= called
+            self._changed_data[name] = frozenset(names)
+        return self._changed_data[name]
 
     def moves(self, statements: tuple[Statement, ...]) -> Instruction | None:
         """Return the first instruction among statements that moves the robot or changes how it moves."""
@@ -341,7 +375,7 @@ class Execution:
             self._statement(statement, scope, routine, depth)
 
     def _statement(self, statement: Statement, scope: Scope, routine: Routine, depth: int) -> None:
-        if self.has_functions:
+        if self.has_changing_functions:
             self._forget_by_functions(statement, scope)
         match statement:
             case Instruction():
@@ -694,6 +728,35 @@ class Execution:
         if value_type not in ("", type_):
             raise UnknownValueError(f"a {value_type.lower()} is no {type_.lower()}")
         return value
+
+
+def _check_names(modules: tuple[Module, ...]) -> None:
+    """Check that no two modules declare one name.
+
+    :raises RapidError: two do; then it is LOCAL, and which one is meant depends on the module.
+    """
+    module_of: dict[str, str] = {}
+    for module in modules:
+        items: tuple[Declaration | Routine, ...] = (*module.data, *module.routines)
+        for item in items:
+            if module_of.setdefault(item.name, module.name) != module.name:
+                problem = f"{item.name} is declared in two modules, {module_of[item.name]} and {module.name}"
+                raise RapidError(
+                    problem, item.start, "Give one of them another name, or convert each module by itself."
+                )
+
+
+def _called(statements: tuple[Statement, ...]) -> set[str]:
+    """Return the names of the instructions and functions in statements, those of routines among them."""
+    names = {call.value for statement in nested(statements) for call in calls(statement)}
+    instructions = (statement for statement in nested(statements) if isinstance(statement, Instruction))
+    return names | {instruction.name.removeprefix("%") for instruction in instructions}
+
+
+def _forget_variable(variable: Variable | None, reason: str) -> None:
+    """Make data unknown that may change."""
+    if variable is not None and not _is_constant(variable):
+        variable.forget(reason)
 
 
 def _declared(declaration: Declaration) -> Variable:
