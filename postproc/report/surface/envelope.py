@@ -234,11 +234,11 @@ def _region(facets: _Facets, cutter: Cutter, gap: Array, offset: Array) -> tuple
     """
     centre, normal, axis, _ = facets
     up = np.einsum("ni,ni->n", normal, axis)
-    spread = _WIDER * np.sqrt(2.0 * cutter.radius * gap) + gap + offset
+    limit = tolerance(cutter)
+    spread = _WIDER * np.sqrt(2.0 * cutter.radius * gap) + gap + np.minimum(offset, 1.5 * limit)
     low, high = (centre + cutter.radius * normal + sign * spread[:, None] for sign in (-1.0, 1.0))
     is_wall = up**2 <= 1.0 - UPRIGHT**2
     by_side = np.ones(len(up), dtype=bool) if cutter.corner < cutter.radius else up < _STEEP
-    limit = tolerance(cutter)
     reach = np.minimum(LONG * cutter.radius, cutter.corner + (gap + limit) / np.maximum(up, 1e-6))
     middle = np.where(is_wall[:, None], centre + cutter.radius * normal, centre)
     lateral = np.where(is_wall, spread + limit, 1.1 * cutter.radius + gap)
@@ -246,7 +246,8 @@ def _region(facets: _Facets, cutter: Cutter, gap: Array, offset: Array) -> tuple
     ends = np.stack([cutter.corner - limit - reach, cutter.corner + gap])[..., None] * axis
     low = np.where(by_side[:, None], middle - half + ends.min(axis=0), low)
     high = np.where(by_side[:, None], middle + half + ends.max(axis=0), high)
-    return low, high
+    out_of_reach = ~by_side & (offset > 1.5 * limit)  # no sample is close enough to count as touching
+    return low, np.where(out_of_reach[:, None], -np.inf, high)
 
 
 class _Grid(Struct, frozen=True, eq=False):
@@ -274,7 +275,7 @@ class _Grid(Struct, frozen=True, eq=False):
     def inside(self, low: Array, high: Array) -> tuple[Ints, Ints]:
         """Return box and point (P,) of the points in the cells that boxes (n, 3) touch."""
         first = np.maximum(np.floor((low - self.corner) / self.size), 0.0).astype(np.int64)
-        last = np.minimum(np.floor((high - self.corner) / self.size), self.shape - 1.0).astype(np.int64)
+        last = np.clip(np.floor((high - self.corner) / self.size), -1.0, self.shape - 1.0).astype(np.int64)
         size = np.maximum(last - first + 1, 0)
         columns = np.where(size[:, 2] > 0, size[:, 0] * size[:, 1], 0)
         box = np.repeat(np.arange(len(low)), columns)
