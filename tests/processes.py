@@ -14,7 +14,8 @@ import sys
 import time
 from pathlib import Path
 
-SAMPLES = Path(__file__).parents[1] / "samples"
+from tests.places import SAMPLES
+
 CELL_16 = str(SAMPLES / "cell_kr16.toml")
 COMMAND = [sys.executable, "-m", "postproc"]
 ENDINGS = (".src", ".targets.csv", ".report.html", ".report.json")

@@ -11,8 +11,7 @@ import pytest
 
 from postproc import cell
 from postproc.errors import CellError
-
-CELL = (Path(__file__).parents[1] / "samples" / "cell_kr270.toml").read_text(encoding="utf-8")
+from tests.kr270 import CELL_TEXT
 
 _BARE = 'robot = "kuka_kr270"\n[base]\nX = 1500\n[tool]\nZ = 350\n'
 
@@ -31,7 +30,7 @@ def test_all_missing_keys_are_told_at_once_with_an_example_that_loads(tmp_path: 
 
 
 def test_all_unknown_and_missing_keys_are_told_in_one_run(tmp_path: Path) -> None:
-    text = CELL.replace("tolerance_mm", "tolerence_mm").replace("[start]", "[begin]").replace("axis =", "axes =")
+    text = CELL_TEXT.replace("tolerance_mm", "tolerence_mm").replace("[start]", "[begin]").replace("axis =", "axes =")
     with pytest.raises(CellError) as caught:
         _load(tmp_path, text)
     error = caught.value
@@ -80,9 +79,9 @@ def test_all_unknown_and_missing_keys_are_told_in_one_run(tmp_path: Path) -> Non
     ],
 )
 def test_what_a_key_may_hold_is_told(tmp_path: Path, old: str, new: str, message: str) -> None:
-    assert old in CELL
+    assert old in CELL_TEXT
     with pytest.raises(CellError, match=message):
-        _load(tmp_path, CELL.replace(old, new, 1))
+        _load(tmp_path, CELL_TEXT.replace(old, new, 1))
 
 
 @pytest.mark.parametrize(
@@ -117,5 +116,5 @@ def test_comments_strings_and_statements_of_several_lines_are_lines(tmp_path: Pa
 
 
 def test_the_folder_of_a_cell_is_that_of_its_file(tmp_path: Path) -> None:
-    assert _load(tmp_path, CELL).folder == str(tmp_path)
-    assert set(tomllib.loads(CELL)) <= set(cell.CellFile.__struct_fields__)
+    assert _load(tmp_path, CELL_TEXT).folder == str(tmp_path)
+    assert set(tomllib.loads(CELL_TEXT)) <= set(cell.CellFile.__struct_fields__)

@@ -11,7 +11,7 @@ import pytest
 from postproc import robot
 from postproc.jobs import Settings, conversion, currency, find_jobs
 from postproc.jobs.runs import convert_all
-from tests.documentation.pages import ROOT
+from tests.places import ROOT
 
 PROGRAM = "G17 G21 G90 G54\nT1 M6\nS9000 M3\nG0 X-20 Y10 Z10\nG0 Z-2\nG1 X40 F600\nG0 Z30\nM30\n"
 CELL = """robot = "../model"

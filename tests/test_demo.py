@@ -13,11 +13,10 @@ import pytest
 
 from postproc import robot
 from tests.commands import run
-from tests.documentation.pages import ROOT
 from tests.oracle.arm import Arm, abc
+from tests.places import SAMPLES
 from tests.testpart import demo as demo_part
 
-SAMPLES = ROOT / "samples"
 BASE, TOOLS = abc(1600, -100, 750), {1: abc(0, 0, 350), 2: abc(0, 0, 380)}
 TOOL_CHANGE_LINE = 23
 _NUMBER = re.compile(r"-?\d+\.?\d*")

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from tests import commands
+from tests.places import CELL_FILE
 
-CELL = Path(__file__).parents[1] / "samples" / "cell_kr270.toml"
 HEAD = "G21 G90 G17\nG0 X0 Y0 Z10\nG1 Z-1 F600\n"
 
 
@@ -22,7 +22,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def cell(limit: int) -> None:
-    Path("cell.toml").write_text(CELL.read_text().replace("[output]", f"[output]\nlines_per_file = {limit}"))
+    Path("cell.toml").write_text(CELL_FILE.read_text().replace("[output]", f"[output]\nlines_per_file = {limit}"))
 
 
 def program(count: int, name: str = "part.nc", forces: bool = True) -> None:
@@ -218,7 +218,7 @@ def test_a_renamed_program():
 
 
 def test_rapid_is_not_divided():
-    abb = CELL.with_name("cell_irb6700.toml").read_text()
+    abb = CELL_FILE.with_name("cell_irb6700.toml").read_text()
     Path("cell.toml").write_text(abb.replace("[output]", "[output]\nlines_per_file = 20"))
     done = run("convert", "part.nc", "-o", "out", "--to", "rapid")
     assert "lines_per_file divides only KRL" in done.output

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.documentation.pages import ROOT
+from tests.places import CELL_FILE, ROOT
 
 PLUGIN = ROOT / "samples" / "plugin"
-CELL = str(ROOT / "samples" / "cell_kr270.toml")
+CELL = str(CELL_FILE)
 
 
 @pytest.fixture(scope="module")

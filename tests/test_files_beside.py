@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from tests import commands
+from tests.places import CELL_FILE
 
-CELL = Path(__file__).parents[1] / "samples" / "cell_kr270.toml"
 START = "BAS(#INITMOV,0)\n$VEL.CP=0.05\nPTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 20}\n"
 FRAMES = (
     b"\xef\xbb\xbf&ACCESS RVP\r\nDEF frames( )\r\n;f\xc3\xbcr alle\r\nmore( )\nEND\r\n"
@@ -24,7 +24,7 @@ POINTS = "DEFDAT points PUBLIC\nDECL GLOBAL FRAME AWAY={X 50,Y 0,Z 30,A 0,B 0,C 
 @pytest.fixture(autouse=True)
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    Path("cell.toml").write_text(CELL.read_text())
+    Path("cell.toml").write_text(CELL_FILE.read_text())
     Path("in").mkdir()
 
 
@@ -228,7 +228,7 @@ def test_what_the_cell_names_stays_where_it_is():
     Path("library").mkdir()
     for name in files:
         shutil.move(f"in/{name}", "library")
-    Path("cell.toml").write_text(f'{CELL.read_text()}\n[krl]\nsearch = ["library"]\n')
+    Path("cell.toml").write_text(f'{CELL_FILE.read_text()}\n[krl]\nsearch = ["library"]\n')
     run("convert", "in/one.src", "-o", "out")
     assert names() == {"one.src"}
 

@@ -11,8 +11,7 @@ from postproc import jobs
 from postproc.errors import ForceError, InputError, Issue, PostprocError, ProgramError, SubprogramError
 from postproc.jobs import Job, Settings, convert_all, find_jobs
 from tests import fabricated
-
-CELL = Path(__file__).parent.parent / "samples" / "cell_kr270.toml"
+from tests.places import CELL_FILE
 
 
 @pytest.fixture
@@ -83,13 +82,13 @@ def test_a_dat_alone_is_an_error_with_advice(folder):
 def test_two_programs_that_would_be_one_file_are_an_error_before_anything_is_written(folder, pair):
     _touch(*pair)
     with pytest.raises(InputError, match="would both be written as"):
-        list(convert_all(find_jobs(pair, output=Path("out")), Settings(CELL)))
+        list(convert_all(find_jobs(pair, output=Path("out")), Settings(CELL_FILE)))
     assert not Path("out").exists()
 
 
 def test_programs_of_one_name_in_two_folders_are_no_clash_by_default(folder, computed):
     _touch("a/part.nc", "b/part.nc")
-    assert [outcome.code for outcome in convert_all(find_jobs(["a", "b"]), Settings(CELL))] == [0, 0]
+    assert [outcome.code for outcome in convert_all(find_jobs(["a", "b"]), Settings(CELL_FILE))] == [0, 0]
 
 
 @pytest.mark.parametrize(
@@ -102,14 +101,14 @@ def test_programs_of_one_name_in_two_folders_are_no_clash_by_default(folder, com
 )
 def test_an_input_is_never_overwritten(folder, program, options):
     _touch(program, "part.targets.csv", "part.report.json")
-    cell = options.pop("cell", CELL)
+    cell = options.pop("cell", CELL_FILE)
     with pytest.raises(InputError, match="this input would be overwritten"):
         list(convert_all(find_jobs([program], **options), Settings(cell, overwrite=True)))
 
 
 def test_the_program_itself_is_not_overwritten_whatever_it_is_called(folder, computed):
     _touch("part.src")
-    settings = Settings(CELL)
+    settings = Settings(CELL_FILE)
     with pytest.raises(InputError, match="would be overwritten"):
         list(convert_all([Job(Path("part.src"), "gcode", Path())], settings))
     assert Path("part.src").read_text() == "G0 X0\n"
@@ -151,7 +150,7 @@ def test_a_folder_of_forces_gives_each_program_its_own(folder):
 
 def test_all_files_of_a_program_are_written_and_named(folder, computed):
     _touch("part.nc")
-    (outcome,) = convert_all(find_jobs(["part.nc"]), Settings(CELL))
+    (outcome,) = convert_all(find_jobs(["part.nc"]), Settings(CELL_FILE))
     assert outcome.code == 0
     assert [Path(path).name for path in outcome.written] == [
         "part.src", "part.targets.csv", "part.report.html", "part.report.json",
@@ -170,7 +169,7 @@ def test_one_failing_program_does_not_stop_the_others(folder, computed, monkeypa
     monkeypatch.setattr("postproc.correction.read", lambda documents, *_: documents[0].name[0])
     good = fabricated.result()
     monkeypatch.setattr("postproc.correction.process", lambda p, *a, **k: good if p == "d" else process(p))
-    outcomes = list(convert_all(find_jobs(["a.nc", "b.nc", "c.nc", "d.nc"]), Settings(CELL)))
+    outcomes = list(convert_all(find_jobs(["a.nc", "b.nc", "c.nc", "d.nc"]), Settings(CELL_FILE)))
     assert [outcome.code for outcome in outcomes] == [1, 1, 1, 0]
     assert "bad force" in outcomes[0].message
     assert "unexpected ZeroDivisionError" in outcomes[1].message
@@ -184,7 +183,7 @@ def test_a_program_with_an_error_is_not_written_and_says_why(folder, computed, m
     failed = fabricated.with_changes(fabricated.result(), issues=(issue,), documents=())
     monkeypatch.setattr("postproc.correction.process", lambda *_, **__: failed)
     _touch("part.nc")
-    (outcome,) = convert_all(find_jobs(["part.nc"]), Settings(CELL))
+    (outcome,) = convert_all(find_jobs(["part.nc"]), Settings(CELL_FILE))
     assert (outcome.code, outcome.issues, outcome.written) == (1, (issue,), ())
     assert not Path("corrected").exists()
 
@@ -193,9 +192,9 @@ def test_an_exceeded_tolerance_counts_only_where_one_is_stated(folder, computed,
     monkeypatch.setattr("postproc.correction.process", lambda *_, **__: fabricated.result(mode="nominal"))
     _touch("part.nc")
     jobs = find_jobs(["part.nc"])
-    assert [o.code for o in convert_all(jobs, Settings(CELL, "nominal"))] == [0]
-    assert [o.code for o in convert_all(jobs, Settings(CELL, "nominal", 5.0))] == [0]
-    (outcome,) = convert_all(jobs, Settings(CELL, "nominal", 0.1))
+    assert [o.code for o in convert_all(jobs, Settings(CELL_FILE, "nominal"))] == [0]
+    assert [o.code for o in convert_all(jobs, Settings(CELL_FILE, "nominal", 5.0))] == [0]
+    (outcome,) = convert_all(jobs, Settings(CELL_FILE, "nominal", 0.1))
     assert outcome.code == 3
     assert len(outcome.written) == 4
 
@@ -206,13 +205,13 @@ def test_messages_name_the_program_by_its_path(folder, computed, monkeypatch):
 
     monkeypatch.setattr("postproc.correction.read", read)
     _touch("deep/down/part.nc")
-    (outcome,) = convert_all(find_jobs(["deep/down/part.nc"]), Settings(CELL))
+    (outcome,) = convert_all(find_jobs(["deep/down/part.nc"]), Settings(CELL_FILE))
     assert outcome.message == f"{Path('deep/down/part.nc')}:7: odd word. Text: 'G999'. Remove it."
 
 
 def test_a_file_in_the_place_of_the_output_folder_is_a_failure(folder, computed):
     _touch("part.nc", "out")
-    (outcome,) = convert_all(find_jobs(["part.nc"], output=Path("out")), Settings(CELL))
+    (outcome,) = convert_all(find_jobs(["part.nc"], output=Path("out")), Settings(CELL_FILE))
     assert outcome.code == 1
     assert "cannot be written" in outcome.message
     assert Path("out").read_text() == "G0 X0\n"
@@ -229,7 +228,7 @@ def test_a_full_disk_leaves_nothing_half_written(folder, computed, monkeypatch, 
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr("os.fsync", fsync)
-    (outcome,) = convert_all(find_jobs(["part.nc"], output=Path("out")), Settings(CELL))
+    (outcome,) = convert_all(find_jobs(["part.nc"], output=Path("out")), Settings(CELL_FILE))
     assert outcome.code == 1
     assert "No space left on device" in outcome.message
     assert not Path("out").exists()
@@ -243,7 +242,7 @@ def test_an_interrupt_while_writing_leaves_nothing_and_is_passed_on(folder, comp
 
     monkeypatch.setattr("os.fsync", fsync)
     with pytest.raises(KeyboardInterrupt):
-        list(convert_all(find_jobs(["part.nc"], output=Path("out")), Settings(CELL)))
+        list(convert_all(find_jobs(["part.nc"], output=Path("out")), Settings(CELL_FILE)))
     assert not Path("out").exists()
 
 
@@ -257,7 +256,7 @@ def test_an_interrupt_while_files_are_replaced_waits_for_the_program_to_be_whole
         return replace(path, target)
 
     monkeypatch.setattr(Path, "replace", interrupted)
-    outcomes = convert_all(find_jobs(["a.nc", "b.nc"], output=Path("out")), Settings(CELL))
+    outcomes = convert_all(find_jobs(["a.nc", "b.nc"], output=Path("out")), Settings(CELL_FILE))
     assert len(next(outcomes).written) == 4
     with pytest.raises(KeyboardInterrupt):
         next(outcomes)
@@ -274,11 +273,11 @@ def test_a_subprogram_of_a_folder_is_skipped_and_said_to_be_one(folder, computed
 
     monkeypatch.setattr("postproc.correction.read", read)
     _touch("p/part.nc", "p/sub.nc")
-    part, sub = convert_all(find_jobs(["p"]), Settings(CELL))
+    part, sub = convert_all(find_jobs(["p"]), Settings(CELL_FILE))
     assert (part.code, sub.code, sub.skipped, part.skipped) == (0, 0, True, False)
     assert "a subprogram" in sub.message
     assert "called by others" in Path("p/corrected/index.html").read_text()
-    (alone,) = convert_all(find_jobs(["p/sub.nc"]), Settings(CELL))
+    (alone,) = convert_all(find_jobs(["p/sub.nc"]), Settings(CELL_FILE))
     assert (alone.code, alone.skipped) == (1, False)
 
 

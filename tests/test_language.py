@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
@@ -14,9 +13,9 @@ from postproc.cli import main
 from postproc.errors import ModelError
 from postproc.identification import model_folder
 from postproc.robot.model_file import ModelFile
+from tests.places import SAMPLES
 from tests.plan import setting
 
-SAMPLES = Path(__file__).parent.parent / "samples"
 KUKA, ABB = SAMPLES / "cell_kr270.toml", SAMPLES / "cell_irb6700.toml"
 
 

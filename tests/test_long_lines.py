@@ -20,7 +20,7 @@ from postproc.errors import MOST, CellError, ForceError, ProgramError
 from postproc.jobs import read_documents
 from postproc.program import FORCE_COMMENT, parse_force_note
 from tests import commands
-from tests.documentation.pages import ROOT
+from tests.places import ROOT
 
 LONG = 100_000
 

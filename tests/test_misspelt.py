@@ -19,8 +19,8 @@ from postproc.machining import identification
 from postproc.plan import milling
 from postproc.program import parse_force_note
 from postproc.testpart import probing
+from tests.places import SAMPLES
 
-SAMPLES = Path(__file__).parents[1] / "samples"
 EXPERIMENT = """\
 robot = "kuka_kr270"
 sigma_mm = 0.01

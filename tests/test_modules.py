@@ -22,10 +22,11 @@ from postproc.dialects.text import decode
 from postproc.program import SWITCHED_OFF, EventKind
 from tests import commands
 from tests.attack.krl_interpreter import Controller
+from tests.kr270 import ROBOT
 from tests.oracle import krl_grammar
 from tests.oracle.arm import Arm, abc
+from tests.places import CELL_FILE
 
-CELL = Path(__file__).parents[1] / "samples" / "cell_kr270.toml"
 LIMIT = 8_500
 MORE = """
 [machine]
@@ -57,7 +58,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def cell(limit: float = LIMIT, *, divided: bool = True, **lines: str) -> None:
-    text = CELL.read_text().replace("[output]", f"[output]\nprogram_memory_MB = {limit / 1e6}")
+    text = CELL_FILE.read_text().replace("[output]", f"[output]\nprogram_memory_MB = {limit / 1e6}")
     text = text.replace("[output]", "[output]\ndivide_into_modules = true") if divided else text
     for name, value in {"approximation_mm": "0.02", **lines}.items():  # corners of 90° are approximated
         text = re.sub(rf"^{name} = .*$", f"{name} = {value}", text, flags=re.M)
@@ -383,9 +384,6 @@ def test_the_warning_names_the_option_and_programs_that_it_does_not_divide():
     assert sources("again") == [Path("again/all_1.src")]
 
 
-ROBOT = robots.load(robots.find("kuka_kr270"))
-
-
 def result(mode: str = "convert"):
     unit = cells.load(Path("cell.toml"))
     program = read([decode("job.nc", Path("job.nc").read_bytes())], ROBOT, unit, "job", "gcode")
@@ -435,7 +433,7 @@ def places(text: str, more: str = "") -> list[str]:
     """Return the blocks of G-code after which a module may end."""
     lines = ["G21 G90 G17 G54", *text.split("; ")]
     Path("job.nc").write_text("\n".join(lines))
-    Path("cell.toml").write_text(CELL.read_text() + MORE + more)
+    Path("cell.toml").write_text(CELL_FILE.read_text() + MORE + more)
     unit = cells.load(Path("cell.toml"))
     program = read([decode("job.nc", Path("job.nc").read_bytes())], ROBOT, unit, "job", "gcode")
     return [lines[line - 1] for line in program.motions.line[modules._places(program, unit)]]

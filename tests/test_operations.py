@@ -6,7 +6,8 @@ import pytest
 
 import postproc
 from postproc.operations import of_motions, operations
-from tests.machining.setting import CELL, ROBOT, SAMPLES
+from tests.machining.setting import CELL, ROBOT
+from tests.places import SAMPLES
 
 CUT = "G0 X0 Y0 Z5|G1 Z-1 F900|X9|G0 Z5"
 FUSION = (

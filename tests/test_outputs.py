@@ -13,8 +13,9 @@ from postproc.errors import Issue, ProgramError
 from postproc.files import foreign_single, sealed, write_whole
 from postproc.program import Document
 from tests import fabricated
+from tests.places import CELL_FILE
 
-CELL = str(Path(__file__).parents[1] / "samples" / "cell_kr270.toml")
+CELL = str(CELL_FILE)
 PART = {"part.src", "part.targets.csv", "part.report.html", "part.report.json"}
 
 

@@ -7,8 +7,9 @@ from click.testing import CliRunner
 
 from postproc.cli import main
 from tests.html_page import read_page
+from tests.places import CELL_FILE
 
-CELL = str(Path(__file__).parents[1] / "samples" / "cell_kr270.toml")
+CELL = str(CELL_FILE)
 PART = "G21 G90\nG0 X0 Y0 Z5\n(FORCE FX=100)\nG1 X10 Y0 Z0 F600\nX20\n"
 
 

@@ -17,8 +17,9 @@ from postproc.files import read_facets
 from postproc.jobs import Settings, load_setup, read_program
 from postproc.jobs.conversion import surface_of
 from tests.html_page import read_page
+from tests.places import CELL_FILE
 
-CELL = str(Path(__file__).parents[1] / "samples" / "cell_kr270.toml")
+CELL = str(CELL_FILE)
 PASSES = "".join(f"G1 X{60 if k % 2 == 0 else 0} Y{4 * k}\nY{4 * k + 4}\n" for k in range(10))
 PROGRAM = f"G21 G90\nT1 M6\nS8000 M3\nG0 X0 Y0 Z5\n(FORCE FX=100 FZ=150)\nG1 Z0 F600\n{PASSES}G0 Z20\n"
 WITHOUT_FORCES = PROGRAM.replace("(FORCE FX=100 FZ=150)", "(the process gives the forces)")

@@ -18,7 +18,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 from postproc.cli import main
-from tests.documentation.pages import ROOT
+from tests.places import ROOT
 from tests.robot_urdfs import ROS, ros_urdf
 
 WINDOWS = {"sys_platform": "win32", "platform_system": "Windows", "os_name": "nt", "extra": ""}

@@ -16,8 +16,9 @@ import pytest
 from click.testing import CliRunner
 
 from postproc.cli import main
+from tests.places import SAMPLES
 from tests.plan import setting
-from tests.processes import CELL_16, COMMAND, ENDINGS, LONG, SAMPLES, Held, programs, written
+from tests.processes import CELL_16, COMMAND, ENDINGS, LONG, Held, programs, written
 
 resource = pytest.importorskip("resource", reason="POSIX")
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="POSIX signals and devices")

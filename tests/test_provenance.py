@@ -13,9 +13,8 @@ from postproc.dialects.krl.dialect import KRL
 from postproc.dialects.text import decode
 from postproc.provenance import Origin
 from tests.commands import printed
-from tests.correction.test_end_to_end import SAMPLES
+from tests.places import CELL_FILE, SAMPLES
 
-CELL = SAMPLES / "cell_kr270.toml"
 GCODE = "G90 G21\n(FORCE FX=300 FZ=200)\nS1000 F600\nG0 X0 Y0 Z10\nG1 Z0\nG1 X20\nG1 X40 Y20\nM2\n"
 ORIGIN = Origin("9.9", "corrected", "a" * 64, "b" * 64, "c" * 64)
 
@@ -24,7 +23,7 @@ ORIGIN = Origin("9.9", "corrected", "a" * 64, "b" * 64, "c" * 64)
 def written(tmp_path):
     """Folder with part.nc and out/part.src."""
     (tmp_path / "part.nc").write_text(GCODE)
-    printed("convert", tmp_path / "part.nc", "--cell", CELL, "-o", tmp_path / "out")
+    printed("convert", tmp_path / "part.nc", "--cell", CELL_FILE, "-o", tmp_path / "out")
     return tmp_path
 
 
@@ -40,20 +39,20 @@ def test_the_line_holds_the_sums_of_the_files_it_names(written):
     assert said["mode"] == "corrected"
     assert said["text"] == sha(data.replace(line, b""))
     assert said["source"] == sha(GCODE.encode())
-    assert said["cell"] == sha(CELL.read_bytes())
+    assert said["cell"] == sha(CELL_FILE.read_bytes())
     folder = SAMPLES.parent / "robot_models" / "kuka_kr270"
     assert said["model"] == sha((folder / "robot.urdf").read_bytes() + (folder / "model.toml").read_bytes())
     assert said["forces"] == "-"
     forces = written / "f.csv"
     forces.write_text("line,Fx,Fy,Fz\n6,1,2,3\n")
-    printed("convert", written / "part.nc", "--cell", CELL, "-o", written / "out", "--forces", forces)
+    printed("convert", written / "part.nc", "--cell", CELL_FILE, "-o", written / "out", "--forces", forces)
     assert f"forces={sha(forces.read_bytes())}" in (written / "out" / "part.src").read_text()
 
 
 def test_the_deviation_that_its_targets_make_up_for_is_no_error_of_the_part(written):
     """`predict` refuses a program as it was written by hand for it, not the corrected one."""
     part = written / "out" / "part.src"
-    command = ["predict", part, "--cell", CELL, "-o", written / "again", "--part-tolerance", 0.6]
+    command = ["predict", part, "--cell", CELL_FILE, "-o", written / "again", "--part-tolerance", 0.6]
     reason = "the expected error on the part is up to"
     output = printed(*command)
     assert "its targets compensate the deviation predicted here" in output
@@ -74,17 +73,17 @@ def test_a_corrected_program_is_not_corrected_again_even_when_it_was_edited(writ
     src = written / "out" / "part.src"
     for change in ("", "; a comment more\n"):
         src.write_text(src.read_text() + change)
-        output = printed("convert", src, "--cell", CELL, "-o", written / "again", code=1)
+        output = printed("convert", src, "--cell", CELL_FILE, "-o", written / "again", code=1)
         assert "part.src:5: this program was corrected" in output
         assert "corrected twice" in output
         assert not (written / "again" / "part.src").exists()
 
 
 def test_a_nominal_program_can_be_corrected_and_says_so_then(written):
-    printed("convert", written / "part.nc", "--cell", CELL, "-o", written / "nominal", "--nominal")
+    printed("convert", written / "part.nc", "--cell", CELL_FILE, "-o", written / "nominal", "--nominal")
     src = written / "nominal" / "part.src"
     assert " mode=nominal " in src.read_text()
-    printed("convert", src, "--cell", CELL, "-o", written / "again")
+    printed("convert", src, "--cell", CELL_FILE, "-o", written / "again")
     text = (written / "again" / "part.src").read_text()
     assert text.count(";POSTPROC") == 1
     assert " mode=corrected " in text
@@ -94,20 +93,20 @@ def test_a_nominal_program_can_be_corrected_and_says_so_then(written):
 
 def test_predict_tells_whether_the_text_is_what_was_written(written):
     src = written / "out" / "part.src"
-    output = printed("predict", src, "--cell", CELL, "-o", written / "p")
+    output = printed("predict", src, "--cell", CELL_FILE, "-o", written / "p")
     assert "written by postproc" in output
     assert "(corrected), unchanged since" in output
     said = json.loads((written / "p" / "part.predict.report.json").read_text())["provenance"]
     assert said["state"] == "intact"
     assert said["mode"] == "corrected"
     src.write_bytes(src.read_bytes().replace(b"$VEL.CP=0.01", b"$VEL.CP=0.02"))
-    output = printed("predict", src, "--cell", CELL, "-o", written / "p")
+    output = printed("predict", src, "--cell", CELL_FILE, "-o", written / "p")
     assert "unchanged" not in output
     assert "line 5: this program was changed since postproc" in output
     assert json.loads((written / "p" / "part.predict.report.json").read_text())["provenance"]["state"] == "changed"
 
 
-def issues(path, mode, cell=CELL):
+def issues(path, mode, cell=CELL_FILE):
     """Level, kind and line of the issues of where a program comes from, and whether anything would be written."""
     settings = load_cell(cell)
     robot = load_robot(settings.robot)
@@ -130,7 +129,7 @@ def test_the_issue_of_a_corrected_program_names_its_kind_and_line(written):
 
 
 def test_the_issue_of_a_nominal_program_that_was_edited_is_a_warning(written):
-    printed("convert", written / "part.nc", "--cell", CELL, "-o", written / "nominal", "--nominal")
+    printed("convert", written / "part.nc", "--cell", CELL_FILE, "-o", written / "nominal", "--nominal")
     src = written / "nominal" / "part.src"
     for mode in ("convert", "nominal", "predict"):
         assert issues(src, mode) == []
@@ -148,7 +147,7 @@ def test_the_issue_of_a_subprogram_that_was_corrected_names_its_kind(tmp_path):
     for name in ("one", "two"):
         (tmp_path / f"{name}.src").write_text(program.format(name=name))
     (tmp_path / "sub.src").write_text("DEF sub()\nLIN {X 20,Y 20,Z 0,A 0,B 0,C 180}\nEND\n")
-    printed("convert", tmp_path / "one.src", "--cell", CELL, "-o", tmp_path / "out")
+    printed("convert", tmp_path / "one.src", "--cell", CELL_FILE, "-o", tmp_path / "out")
     two = tmp_path / "out" / "two.src"
     two.write_text((tmp_path / "two.src").read_text())
     assert issues(tmp_path / "two.src", "convert") == []
@@ -158,7 +157,7 @@ def test_the_issue_of_a_subprogram_that_was_corrected_names_its_kind(tmp_path):
 
 def test_the_issue_of_a_part_of_a_program_names_its_kind_and_line(written):
     cell = written / "cell.toml"
-    cell.write_text(CELL.read_text().replace("[output]", "[output]\nlines_per_file = 8"))
+    cell.write_text(CELL_FILE.read_text().replace("[output]", "[output]\nlines_per_file = 8"))
     printed("convert", written / "part.nc", "--cell", cell, "-o", written / "parts")
     parts = sorted(path for path in (written / "parts").glob("part*.src") if path.stem != "partMain")
     assert len(parts) > 1
@@ -174,7 +173,7 @@ def test_a_program_that_comes_back_byte_for_byte_is_not_marked(tmp_path):
     src = b"DEF part( )\r\n$VEL.CP=0.05\r\nLIN {X 100,Y 0,Z 50,A 180,B 0,C 180}\r\nEND\r\n"
     (tmp_path / "part.src").write_bytes(src)
     for options in ([], ["--nominal"]):
-        printed("convert", tmp_path / "part.src", "--cell", CELL, "-o", tmp_path / "out", *options)
+        printed("convert", tmp_path / "part.src", "--cell", CELL_FILE, "-o", tmp_path / "out", *options)
         assert (tmp_path / "out" / "part.src").read_bytes() == src
 
 

@@ -4,7 +4,6 @@ import re
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,8 +12,7 @@ from msgspec.structs import replace
 import postproc
 from postproc import kinematics
 from tests import fabricated
-
-ROOT = Path(__file__).parent.parent
+from tests.places import ROOT
 
 
 def test_every_public_name_is_there():

@@ -7,7 +7,7 @@ from postproc.cli import main
 from postproc.dialects.krl.write.emit import _WORDS as KRL
 from postproc.dialects.rapid.new_module import WORDS as RAPID
 from postproc.safe_text import LONGEST, LONGEST_STRING, one_line, string_content
-from tests.documentation.pages import ROOT
+from tests.places import ROOT
 
 ENDS = ["\n", "\r", "\r\n", "\v", "\f", "\x1a", "\x1c", "\x85", "\u2028", "\u2029", "\0"]
 

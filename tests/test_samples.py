@@ -11,8 +11,8 @@ import pytest
 
 from postproc.jobs import Settings, convert_all, find_jobs
 from tests.oracle.krl_grammar import check
+from tests.places import SAMPLES
 
-SAMPLES = Path(__file__).parent.parent / "samples"
 _NUMBER = re.compile(r"-?\d+\.?\d*")
 
 

@@ -14,15 +14,15 @@ from postproc import cell
 from postproc.dialects.krl.dialect import callers
 from postproc.jobs import Job, conversion, find_jobs, output_plan
 from tests import commands
+from tests.places import CELL_FILE
 
-CELL = Path(__file__).parents[1] / "samples" / "cell_kr270.toml"
 START = "BAS(#INITMOV,0)\n$VEL.CP=0.05\nPTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 20}\n"
 
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    Path("cell.toml").write_text(CELL.read_text())
+    Path("cell.toml").write_text(CELL_FILE.read_text())
     for name, force in (("one", 200), ("two", -300), ("three", 200)):
         program(name, force)
     Path("sub.src").write_text("DEF sub()\nLIN {X 20,Y 20,Z 0,A 0,B 0,C 180}\nEND\n")
@@ -158,12 +158,12 @@ def test_in_a_folder_it_is_corrected_with_those_that_call_it():
         shutil.move(f"{name}.src", "jobs")
     Path("jobs/one.src").write_text(Path("jobs/one.src").read_text().replace("sub()", "Ready()\nsub()"))
     Path("jobs/tools.src").write_text("DEF tools()\n;nothing\nEND\nGLOBAL DEF READY ( )\n$OUT[1]=TRUE\nEND\n")
-    Path("jobs/CELL.src").write_text("DEF CELL()\nLOOP\nIF $IN[1] THEN\none()\nENDIF\nENDLOOP\nEND\n")
+    Path("jobs/CELL_FILE.src").write_text("DEF CELL_FILE()\nLOOP\nIF $IN[1] THEN\none()\nENDIF\nENDLOOP\nEND\n")
     Path("jobs/last.src").write_text(Path("jobs/one.src").read_text().replace("one", "last").replace("sub()", ";sub()"))
     run("convert", "jobs/one.src", "-o", "alone")
     done = run("convert", "jobs", "-o", "out", code=1)
     assert "jobs/sub.src: called by one.src, three.src: corrected with it" in done.stderr
-    assert done.stderr.count("Error: ") == done.stderr.count("Error: jobs/CELL.src:5: the branches") == 1
+    assert done.stderr.count("Error: ") == done.stderr.count("Error: jobs/CELL_FILE.src:5: the branches") == 1
     assert "jobs/tools.src: called by last.src, one.src: written with it, unchanged" in done.stderr
     written = {"one.src", "three.src", "last.src", "sub.src", "tools.src"}
     assert {path.name for path in Path("out").glob("*.src")} == written
@@ -227,7 +227,7 @@ def test_those_that_may_correct_one_file_in_common_are_one_line():
     Path("tools.src").write_text("DEF tools()\n$OUT[1]=TRUE\nEND\n")
     Path("more/last.src").write_text("DEF last()\nPTP HOME\nEND\n")
     Path("six.src").write_text("DEF six()\nlast()\nEND\n")
-    Path("cell.toml").write_text(CELL.read_text() + '\n[krl]\nsearch = ["more"]\n')
+    Path("cell.toml").write_text(CELL_FILE.read_text() + '\n[krl]\nsearch = ["more"]\n')
 
     def lines(*names, **keywords):
         found: dict[Path, list[Job]] = {}

@@ -25,9 +25,8 @@ from postproc.cli import main
 from postproc.errors import InputError, PostprocError
 from postproc.jobs import Settings, convert_all, find_jobs, inputs, watching
 from postproc.jobs.watching import server
-from tests.documentation.pages import ROOT
+from tests.places import CELL_FILE, ROOT
 
-CELL = ROOT / "samples" / "cell_kr270.toml"
 PART = "G21 G90\nG0 X0 Y0 Z20\nG1 Z-1 F300\nX{x}\nG0 Z20\nM30\n"
 
 
@@ -37,7 +36,7 @@ def watcher(tmp_path, monkeypatch):
     said: list[str] = []
     monkeypatch.setattr(watching, "SCAN", 0.02)
 
-    def make(cell=CELL, forces=None, **stated):
+    def make(cell=CELL_FILE, forces=None, **stated):
         said.clear()
         settings, options = Settings(cell, **stated), {} if forces is None else {"forces": forces}
         known = watching._Watcher(tmp_path / "in", tmp_path / "out", settings, options, 1, said.append)
@@ -147,7 +146,7 @@ def test_one_that_fails_stops_no_other_and_is_tried_again_when_it_changes(watche
 def test_after_a_change_of_the_cell_all_programs_are_converted_again(watcher, tmp_path):
     """Also those that failed: the cell is what most of them need changed. Not while it is being written."""
     cell = tmp_path / "cell.toml"
-    text = CELL.read_text()
+    text = CELL_FILE.read_text()
     cell.write_text(text)
     text += "\n[machine]\nclearance_Z = 200.0\n"
     put(tmp_path, "a.nc", PART.format(x=5))
@@ -177,11 +176,11 @@ def test_after_a_change_of_the_cell_all_programs_are_converted_again(watcher, tm
 
 def test_after_an_error_of_the_cell_what_is_of_an_earlier_run_is_named(watcher, tmp_path):
     cell = tmp_path / "cell.toml"
-    cell.write_text(CELL.read_text())
+    cell.write_text(CELL_FILE.read_text())
     known = watcher(cell=cell)
     put(tmp_path, "a.nc", PART.format(x=5))
     assert converted(known) == ["a.nc"]
-    cell.write_text(CELL.read_text().replace('"kuka_kr270"', '"nope"'))
+    cell.write_text(CELL_FILE.read_text().replace('"kuka_kr270"', '"nope"'))
     put(tmp_path, "a.nc", PART.format(x=6))
     put(tmp_path, "b.nc", PART.format(x=7))
     ready = [path for moment in (5.0, 6.1, 7.2) for path in known.scan(1e6 + moment)]
@@ -195,7 +194,7 @@ def test_after_an_error_of_the_cell_what_is_of_an_earlier_run_is_named(watcher, 
 @pytest.mark.parametrize("changed", ["process.toml", "material.toml", "stock.stl", "robot/model.toml", "--tolerance"])
 def test_what_all_programs_are_converted_with_counts_as_the_cell_does(watcher, tmp_path, changed):
     shutil.copytree(ROOT / "robot_models" / "kuka_kr270", tmp_path / "robot")
-    (tmp_path / "cell.toml").write_text(CELL.read_text().replace('"kuka_kr270"', '"robot"'))
+    (tmp_path / "cell.toml").write_text(CELL_FILE.read_text().replace('"kuka_kr270"', '"robot"'))
     (tmp_path / "process.toml").write_text('[material]\nfile = "material.toml"\n[stock]\nfile = "stock.stl"\n')
     for name in ("material.toml", "stock.stl"):
         (tmp_path / name).write_text("not read here")
@@ -233,7 +232,7 @@ def same_as_convert(tmp_path, name: str, text: str, **options) -> None:
     folder.mkdir()
     (folder / name).write_text(text)
     (job,) = find_jobs([str(folder / name)], output=folder / "out", **options)
-    (outcome,) = convert_all([job], Settings(CELL))
+    (outcome,) = convert_all([job], Settings(CELL_FILE))
     assert outcome.code == 0
     written = f"{Path(name).stem}.src"
     assert (tmp_path / "out" / written).read_bytes() == (folder / "out" / written).read_bytes()
@@ -297,7 +296,7 @@ def test_two_files_of_forces_for_a_program_are_its_error_alone(watcher, tmp_path
 )
 def test_without_its_record_what_the_output_depends_on_is_in_the_written_program(watcher, tmp_path, forces, changed):
     shutil.copytree(ROOT / "robot_models" / "kuka_kr270", tmp_path / "robot")
-    cell = CELL.read_text().replace('"kuka_kr270"', '"robot"')
+    cell = CELL_FILE.read_text().replace('"kuka_kr270"', '"robot"')
     (tmp_path / "cell.toml").write_text(f'config_dat = "$config.dat"\n{cell}')
     (tmp_path / "$config.dat").write_text("DEFDAT $CONFIG\nENDDAT\n")
     options = {"cell": tmp_path / "cell.toml", "forces": tmp_path / "forces"}
@@ -396,8 +395,8 @@ def test_a_folder_that_vanishes_is_waited_for(watcher, tmp_path):
 
 def test_a_folder_that_is_not_there_is_an_error(tmp_path):
     with pytest.raises(InputError, match="no such folder"):
-        watching.watch(tmp_path / "none", tmp_path / "out", Settings(CELL), {})
-    done = CliRunner().invoke(main, ["watch", str(tmp_path / "none"), "--cell", str(CELL)])
+        watching.watch(tmp_path / "none", tmp_path / "out", Settings(CELL_FILE), {})
+    done = CliRunner().invoke(main, ["watch", str(tmp_path / "none"), "--cell", str(CELL_FILE)])
     assert done.exit_code == 1
     assert done.output.startswith(f"Error: {tmp_path / 'none'}: no such folder")
 
@@ -405,7 +404,7 @@ def test_a_folder_that_is_not_there_is_an_error(tmp_path):
 def test_results_into_the_folder_that_is_watched_are_refused(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match=r"would be taken for programs that arrive. Give another folder with -o"):
-        watching.watch(tmp_path, Path(), Settings(CELL), {})
+        watching.watch(tmp_path, Path(), Settings(CELL_FILE), {})
 
 
 @pytest.mark.parametrize("text", [PART.format(x=5), "G999\n"], ids=["written", "failed"])
@@ -421,7 +420,7 @@ def test_with_json_each_program_is_one_line(tmp_path, monkeypatch, text):
             stop.set()
 
     monkeypatch.setattr(watching, "watch", until_the_first)
-    done = CliRunner().invoke(main, ["watch", str(tmp_path / "in"), "--cell", str(CELL), "--json"])
+    done = CliRunner().invoke(main, ["watch", str(tmp_path / "in"), "--cell", str(CELL_FILE), "--json"])
     (line,) = done.stdout.splitlines()
     entry = json.loads(line)
     assert entry["program"] == str(tmp_path / "in" / "a.nc")
@@ -457,7 +456,7 @@ def arriving(folder: Path, count: int, kills: int, pause: float, seed: int) -> t
     """
     chance = random.Random(seed)
     (folder / "in").mkdir()
-    command = [sys.executable, "-m", "postproc", "watch", str(folder / "in"), "--cell", str(CELL)]
+    command = [sys.executable, "-m", "postproc", "watch", str(folder / "in"), "--cell", str(CELL_FILE)]
     log = folder / "log"
 
     def start() -> subprocess.Popen[bytes]:
@@ -523,7 +522,7 @@ def test_a_signal_ends_it_at_once(tmp_path, polling, converting, number):
     if converting:
         put(tmp_path, "a.nc", PART.format(x=5))
     code = _ENDED.format(polling=polling, converting=converting)
-    command = [sys.executable, "-u", "-c", code, "watch", str(tmp_path / "in"), "--cell", str(CELL), "--serve"]
+    command = [sys.executable, "-u", "-c", code, "watch", str(tmp_path / "in"), "--cell", str(CELL_FILE), "--serve"]
     process = subprocess.Popen(
         [*command, "--port", "0"], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, encoding="utf-8"
     )
@@ -587,7 +586,7 @@ def test_it_ends_when_it_is_told_to(tmp_path, monkeypatch, library):
     put(tmp_path, "a.nc", PART.format(x=5))
     monkeypatch.setattr(watching, "QUIET", 0.05)
     stop, done = Event(), []
-    for outcome, _ in watching.watch(tmp_path / "in", tmp_path / "out", Settings(CELL), {}, stop=stop):
+    for outcome, _ in watching.watch(tmp_path / "in", tmp_path / "out", Settings(CELL_FILE), {}, stop=stop):
         done.append(outcome.code)
         stop.set()
     assert done == [0]

@@ -12,7 +12,7 @@ import pytest
 
 from postproc.app.workspace import LARGEST_BYTES, Workspace
 from postproc.errors import InputError
-from tests.documentation.pages import ROOT
+from tests.places import ROOT
 from tests.test_currency import made
 
 POCKET = (ROOT / "samples" / "pocket.nc").read_bytes()

@@ -9,8 +9,8 @@ import pytest
 from postproc.app.server import Window
 from tests.app.conftest import answering
 from tests.app.test_window import looked_at, opened
-from tests.documentation.pages import ROOT
 from tests.pages.browser import needs_chromium
+from tests.places import ROOT
 from tests.test_currency import made
 
 pytestmark = needs_chromium

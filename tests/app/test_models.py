@@ -13,8 +13,8 @@ from postproc.jobs.experiments import model_of, readings_of
 from tests.app.conftest import answering
 from tests.app.test_access import ask
 from tests.app.test_window import looked_at, opened
-from tests.documentation.pages import ROOT
 from tests.pages.browser import needs_chromium
+from tests.places import ROOT
 
 DEMO = ROOT / "samples" / "demo"
 NAME = "readings/experiment.toml"

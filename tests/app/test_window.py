@@ -6,8 +6,8 @@ import contextlib
 import os
 from pathlib import Path
 
-from tests.documentation.pages import ROOT
 from tests.pages.browser import needs_chromium
+from tests.places import ROOT
 
 pytestmark = needs_chromium
 LONG_MS = 600_000

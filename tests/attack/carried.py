@@ -20,8 +20,8 @@ from postproc import correction, forces, report
 from postproc import robot as robots
 from postproc.dialects.text import decode
 from postproc.errors import PostprocError
+from tests.places import SAMPLES
 
-SAMPLES = Path(__file__).parents[2] / "samples"
 DATA = (
     "DEFDAT part\nDECL E6POS XS={X 0,Y 0,Z 50,A 180,B 0,C 180}\nDECL E6POS XT={X 10,Y 5,Z 30,A 180,B 0,C 180}\n"
     "DECL FRAME FR={X 3,Y -2,Z 1,A 2,B 0,C 0}\nENDDAT\n"

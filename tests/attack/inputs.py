@@ -23,8 +23,8 @@ from postproc.program import Program
 from postproc.robot import RobotModel
 from tests.attack.gcode_generator import Generator
 from tests.dialects.gcode_reading import CELL, forward
+from tests.places import ROOT
 
-ROOT = Path(__file__).parents[2]
 SCRAPS = [
     "9" * 400, "1e300", "-1e300", "1e-300", "nan", "inf", "-", ".", "..", "0", "-0.0", "1" + "0" * 5000, "\0", "\r",
     "\r\r\n", "\ufeff", "é", "١", "\N{FULLWIDTH DIGIT ONE}", "%", "(", ")", "((", ";", "\"", "'", "=", "[", "]",

@@ -35,8 +35,8 @@ from tests.attack.krl_jobs import Job
 from tests.oracle.arm import Arm, abc
 from tests.oracle.elastic import inverse, loaded_tip
 from tests.oracle.krl_grammar import check
+from tests.places import SAMPLES
 
-SAMPLES = Path(__file__).parents[2] / "samples"
 MOST_RUNS = 12
 """Sequences of inputs that are tried of each job."""
 DIGITS = 3e-7

@@ -28,7 +28,8 @@ from pathlib import Path
 
 import numpy as np
 
-ROOT = Path(__file__).parents[2]
+from tests.places import ROOT
+
 READER = ROOT / "postproc" / "dialects" / "krl" / "read"
 MODULES = [
     *("bas", "calls", "conditions", "data_lists", "effects", "flow", "frames", "interpreter", "known", "main_routine"),

@@ -19,9 +19,8 @@ import numpy as np
 from postproc.errors import PostprocError
 from postproc.jobs import Settings, convert_all, find_jobs
 from postproc.jobs.comparison_files import CompareRequest, compare_programs
-from tests.attack.carried import SAMPLES
+from tests.places import CELL_FILE
 
-CELL = SAMPLES / "cell_kr270.toml"
 TURNED = "A 180,B 0,C 180"
 FRAMES = ("BASE", "FEED", "TOOL")
 
@@ -134,12 +133,12 @@ class Programs:
 def converted(program, folder, forces, mode):
     """Convert a program; return the outcome."""
     jobs = find_jobs([str(program)], output=folder, forces=forces)
-    return next(iter(convert_all(jobs, Settings(CELL, mode=mode))))
+    return next(iter(convert_all(jobs, Settings(CELL_FILE, mode=mode))))
 
 
 def compared(nominal, corrected, forces, folder):
     """Compare two programs: return exit code, state of the verdict and its reasons."""
-    request = CompareRequest(nominal=nominal, corrected=corrected, cell=CELL, forces=forces, output=folder)
+    request = CompareRequest(nominal=nominal, corrected=corrected, cell=CELL_FILE, forces=forces, output=folder)
     request_made = compare_programs(request)
     verdict = request_made.summary.verdict
     counts = {name: getattr(request_made.summary, name) for name in ("only_nominal", "only_corrected")}

@@ -15,7 +15,6 @@ import re
 import time
 from collections import Counter
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 from msgspec.structs import replace
@@ -31,8 +30,8 @@ from postproc.under_load import RobotInCell
 from tests.oracle.arm import Arm
 from tests.oracle.elastic import inverse, loaded_tip
 from tests.oracle.rapid import Controller, wrench
+from tests.places import SAMPLES
 
-SAMPLES = Path(__file__).parents[2] / "samples"
 DIGITS = 1e-6
 """What four digits of mm, in single precision, and eight of quaternions leave of a place [m]."""
 BESIDE = 1.1e-5

@@ -40,10 +40,11 @@ from postproc.jobs import process_forces
 from postproc.robot import RobotModel
 from samples.paper_study import simulator
 from tests.benchmarks import truth
-from tests.machining.setting import CELL, SAMPLES, gcode, process, read, tool
+from tests.machining.setting import CELL, gcode, process, read, tool
 from tests.machining.test_short_moves import BOX, CASES, DEPTH, FEED, RPM, TEETH, in_box
 from tests.oracle import cell_sim, front
 from tests.oracle.arm import Arm, abc
+from tests.places import SAMPLES
 
 PROGRAMS = ("slot in one", "pocket", "contour", "adaptive of 0.8 mm")
 MATERIAL = "al_7075_t6_carbide"

@@ -29,9 +29,9 @@ from pathlib import Path
 
 from tests.benchmarks import programs
 from tests.benchmarks.budget import ORDER
+from tests.places import CELL_FILE, ROOT
 
-ROOT = Path(__file__).parent.parent.parent
-CELL = str(ROOT / "samples" / "cell_kr270.toml")
+CELL = str(CELL_FILE)
 PARSE = "import sys\nfrom pygcode import Line\nfor text in open(sys.argv[1]):\n    Line(text.rstrip('\\n'))"
 POSTPROC = "from postproc.cli import main; main()"
 IMPORTS = "import numpy, pinocchio, click"

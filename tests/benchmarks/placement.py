@@ -27,7 +27,7 @@ from postproc.correction import collisions
 from postproc.correction.process import corrected
 from postproc.under_load import MotionsUnderLoad, PathUnderLoad, RobotInCell
 from tests.benchmarks.process import surface
-from tests.documentation.pages import ROOT
+from tests.places import ROOT
 
 COLLISION = cells.Collision(
     holder=[

@@ -30,7 +30,7 @@ from postproc.errors import PostprocError
 from postproc.frames import Array, xyzabc_from_pose
 from postproc.jobs.started_program import read_started
 from postproc.under_load import RobotInCell
-from tests.documentation.pages import ROOT
+from tests.places import ROOT
 
 LENGTH, STEP, RADIUS = 1.3, 2e-3, 12.5e-3
 HOLDER = [

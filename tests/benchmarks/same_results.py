@@ -20,7 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.attack.carried import DATA, SAMPLES, Writer
+from tests.attack.carried import DATA, Writer
+from tests.places import SAMPLES
 
 JOBS = (
     ("pocket.nc", "cell_kr270.toml", None),

@@ -17,9 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.benchmarks.same_results import JOBS, MODELS, SAMPLES, converted
+from tests.benchmarks.same_results import JOBS, MODELS, converted
 from tests.oracle import cell_sim
 from tests.oracle.arm import Arm
+from tests.places import SAMPLES
 
 _SHORT = 200
 """Programs of fewer targets are looked at whole."""

@@ -10,7 +10,8 @@ import tempfile
 from itertools import pairwise
 from pathlib import Path
 
-from tests.benchmarks.convert import CELL, POSTPROC, ROOT, cost
+from tests.benchmarks.convert import CELL, POSTPROC, cost
+from tests.places import ROOT
 
 _ANGLES = re.compile(r"^(?:S?LIN|S?CIRC) .*(,A [^,]+,B [^,]+,C [^,}]+)\}")
 _PARTS = {

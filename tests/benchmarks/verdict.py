@@ -25,8 +25,8 @@ from postproc.frames import pose_from_xyzabc
 from postproc.jobs.started_program import read_program
 from tests.oracle import elastic
 from tests.oracle.arm import Arm
+from tests.places import ROOT
 
-ROOT = Path(__file__).parents[2]
 _PROGRAM = "G21 G90\nG0 X0 Y0 Z20\nG0 Z-1\nG1 X80 F900\nG1 Y60\nG1 X0\nG1 Y0\nG0 Z20\nM2\n"
 _FORCES = (
     "line,Fx,Fy,Fz,frame,sigma_percent\n4,-160,220,90,FEED,{0}\n5,-160,220,90,FEED,{0}\n"

@@ -16,9 +16,8 @@ from pathlib import Path
 
 from postproc.report.answers import COLOURS
 from tests import commands
+from tests.places import ROOT, SAMPLES
 
-ROOT = Path(__file__).parents[2]
-SAMPLES = ROOT / "samples"
 BASES = {"kuka_kr6_r900_2": "450,-60,150", "kuka_kr16_2": "900,-60,500", "kuka_kr60_3": "1100,-100,600"}
 """`$BASE` of the smaller robots."""
 WITH_FORCES = (("pocket.nc", None), ("freeform.nc", "freeform.forces.csv"))

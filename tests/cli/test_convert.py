@@ -14,8 +14,8 @@ from click.testing import CliRunner
 from postproc.cli import main
 from postproc.errors import Issue, ProgramError
 from tests import fabricated
+from tests.places import SAMPLES
 
-SAMPLES = Path(__file__).parents[2] / "samples"
 CELL_270, CELL_16 = str(SAMPLES / "cell_kr270.toml"), str(SAMPLES / "cell_kr16.toml")
 
 

@@ -16,8 +16,8 @@ from click.testing import CliRunner
 from postproc import cell as cells
 from postproc import robot
 from postproc.cli import main
-from tests.documentation.pages import ROOT
 from tests.oracle.arm import Arm, abc
+from tests.places import ROOT
 
 CONFIG = """&ACCESS RVO
 DEFDAT  $CONFIG

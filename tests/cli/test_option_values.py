@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.commands import run
-from tests.documentation.pages import ROOT
+from tests.places import ROOT
 
 CELL = ("--cell", ROOT / "samples" / "cell_kr270.toml")
 POCKET, FREEFORM = ROOT / "samples" / "pocket.nc", ROOT / "samples" / "freeform.nc"

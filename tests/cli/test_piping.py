@@ -5,9 +5,8 @@ from __future__ import annotations
 import subprocess
 import sys
 
-from tests.documentation.pages import ROOT
+from tests.places import SAMPLES
 
-SAMPLES = ROOT / "samples"
 CELL = ("--cell", SAMPLES / "cell_kr270.toml")
 
 

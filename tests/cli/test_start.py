@@ -13,7 +13,7 @@ from postproc import cell as cells
 from postproc.cli import main
 from postproc.jobs.program_needs import needs_of
 from postproc.machining import process as processes
-from tests.documentation.pages import ROOT
+from tests.places import ROOT
 
 PART = """%
 (T1 D=16. CR=0. - ZMIN=-5. - flat end mill)

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.documentation.pages import ROOT
+from tests.places import SAMPLES
 
-SAMPLES = ROOT / "samples"
 CONVERT = ("convert", SAMPLES / "pocket.nc", "--cell", SAMPLES / "cell_kr270.toml", "-o", "out")
 
 

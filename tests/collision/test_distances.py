@@ -13,7 +13,7 @@ from postproc import robot
 from postproc.cell import Collision, HolderTable
 from postproc.collision import Scene, bodies, clearance
 from tests.collision.setting import KR270, frame, from_box, pose, random_scene, sampled, scene
-from tests.documentation.pages import ROOT
+from tests.places import ROOT
 
 HALF_MM = 0.5e-3
 

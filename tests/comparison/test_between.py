@@ -13,9 +13,9 @@ import pytest
 from click.testing import CliRunner
 
 from postproc.cli import main
+from tests.kr270 import CELL_TEXT
+from tests.places import SAMPLES
 
-SAMPLES = Path(__file__).parents[2] / "samples"
-CELL = (SAMPLES / "cell_kr270.toml").read_text(encoding="utf-8")
 TURNED = "A 180,B 0,C 180"
 
 
@@ -48,7 +48,7 @@ def circ(via, end):
     return f"CIRC {{X {via[0]:.5f},Y {via[1]:.5f},Z 0}},{{X {end[0]:.5f},Y {end[1]:.5f},Z 0,{TURNED}}}"
 
 
-def compared(nominal, corrected, *more, code=None, cell=CELL):
+def compared(nominal, corrected, *more, code=None, cell=CELL_TEXT):
     """Return the summary and the rows of the pairs."""
     Path("cell.toml").write_text(cell, encoding="utf-8")
     arguments = ["compare", nominal, corrected, "--cell", "cell.toml", "-o", "found", "--json", "--overwrite", *more]
@@ -194,7 +194,7 @@ def test_corners_that_approximation_cuts_count_against_gcode(distance, everywher
         assert float(re.search(r"by ([\d.]+) mm", found[0])[1]) == pytest.approx(corner, rel=2e-3)
 
 
-CARRIED = CELL + "\n[external_axes.E1]\ndirection = [0, 1, 0]\n"
+CARRIED = CELL_TEXT + "\n[external_axes.E1]\ndirection = [0, 1, 0]\n"
 
 
 def test_another_place_of_the_axis_that_carries_the_robot_is_told_and_changes_what_is_cut():
@@ -251,7 +251,7 @@ def convert(source, cell):
 
 
 @pytest.mark.parametrize("force", ["FX=-150 FY=100 FZ=120", "FX=-180 FY=90 FZ=60 FRAME=FEED"])
-@pytest.mark.parametrize("cell", [CELL, CARRIED], ids=["still", "carried"])
+@pytest.mark.parametrize("cell", [CELL_TEXT, CARRIED], ids=["still", "carried"])
 def test_a_moved_auxiliary_point_of_a_corrected_arc_is_told(force, cell):
     lines = corrected(force, cell)
     Path("other.src").write_text("\n".join(lines))
@@ -273,6 +273,6 @@ def test_a_moved_auxiliary_point_of_a_corrected_arc_is_told(force, cell):
 @pytest.mark.parametrize("name", ["pocket", "plate"])
 def test_arcs_of_corrected_samples_are_where_they_should_be(name):
     Path(f"{name}.nc").write_bytes((SAMPLES / f"{name}.nc").read_bytes())
-    convert(f"{name}.nc", CELL)
+    convert(f"{name}.nc", CELL_TEXT)
     content, _ = compared(f"{name}.nc", f"out/{name}.src", code=0)
     assert "between" not in kinds(content)

@@ -14,8 +14,9 @@ import pytest
 
 from tests import commands
 from tests.html_page import read_page
+from tests.places import CELL_FILE
 
-CELL = str(Path(__file__).parents[2] / "samples" / "cell_kr270.toml")
+CELL = str(CELL_FILE)
 GCODE = """G21 G90 G17
 (ROUGHING)
 G0 X0 Y0 Z20

@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 
 from tests import commands
+from tests.places import CELL_FILE
 
-CELL = str(Path(__file__).parents[2] / "samples" / "cell_kr270.toml")
+CELL = str(CELL_FILE)
 TURNED = "A 180,B 0,C 180"
 PART = f"""DEF part( )
 $BASE={{X 1500,Y -200,Z 700,A 0,B 0,C 0}}

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc import cell as cells
-from postproc import correction, jobs
+from postproc import correction
 from postproc.cell import ExternalAxis
 from postproc.comparison import compare
 from postproc.comparison.loaded_path import Search, Ways, places_on_pieces
@@ -18,9 +16,8 @@ from postproc.comparison.partners import in_order, missed_targets, paired, partn
 from postproc.comparison.paths import Chain, PlacedProgram, nearest
 from postproc.program import PTP, Document
 from postproc.under_load import RobotInCell
+from tests.kr270 import CELL, ROBOT
 
-CELL = cells.load(Path(__file__).parents[2] / "samples" / "cell_kr270.toml")
-ROBOT = jobs.load_robot(CELL.robot)
 TURNED = "A 180,B 0,C 180"
 HEAD = """DEF part( )
 $VEL.CP=0.05

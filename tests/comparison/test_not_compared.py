@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from tests import commands
+from tests.places import CELL_FILE
 
-CELL = Path(__file__).parents[2] / "samples" / "cell_kr270.toml"
 TURNED = "A 180,B 0,C 180"
 JOB = """DEF job( )
 BAS (#INITMOV,0 )
@@ -38,10 +38,10 @@ def folder(tmp_path, monkeypatch):
     Path("nominal/job.src").write_text(JOB)
 
 
-run = partial(commands.printed, cell=CELL)
+run = partial(commands.printed, cell=CELL_FILE)
 
 
-def compared(*more, code=0, cell=CELL):
+def compared(*more, code=0, cell=CELL_FILE):
     arguments = ("compare", "nominal/job.src", "corrected/job.src", "-o", "found", "--json", "--overwrite", *more)
     return json.loads(run(*arguments, code=code, cell=cell))
 
@@ -69,7 +69,7 @@ def test_motions_that_stay_as_they_are_are_named_with_both_lines():
 
 
 def test_the_key_of_the_cell_tells_them_as_the_option_does():
-    Path("cell.toml").write_text(CELL.read_text(encoding="utf-8") + "\n[krl]\nkeep_unresolved = true\n")
+    Path("cell.toml").write_text(CELL_FILE.read_text(encoding="utf-8") + "\n[krl]\nkeep_unresolved = true\n")
     run("convert", "nominal/job.src", "-o", "corrected", cell="cell.toml")
     assert compared(cell="cell.toml")["differences"]["not_compared"] == 4
 

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from tests import commands
+from tests.places import CELL_FILE
 
-SAMPLES = Path(__file__).parents[2] / "samples"
-CELL = str(SAMPLES / "cell_kr270.toml")
+CELL = str(CELL_FILE)
 TURNED = "A 180,B 0,C 180"
 HEAD = """DEF {name}( )
 $VEL.CP=0.05

@@ -12,8 +12,9 @@ import pytest
 
 from tests import commands
 from tests.html_page import read_page
+from tests.places import CELL_FILE
 
-CELL = str(Path(__file__).parents[2] / "samples" / "cell_kr270.toml")
+CELL = str(CELL_FILE)
 TURNED = "A 180,B 0,C 180"
 HEAD = """DEF {name}( )
 BAS (#INITMOV,0 )

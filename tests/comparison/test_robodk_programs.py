@@ -14,9 +14,8 @@ from pathlib import Path
 import pytest
 
 from tests import commands
+from tests.kr270 import CELL_TEXT
 
-SAMPLES = Path(__file__).parents[2] / "samples"
-CELL = (SAMPLES / "cell_kr270.toml").read_text(encoding="utf-8")
 HEAD = """&ACCESS RVP
 &REL 1
 &PARAM TEMPLATE = C:\\KRC\\Roboter\\Template\\vorgabe
@@ -77,7 +76,7 @@ FORCES = "line,Fx,Fy,Fz,line_end\n{first},-250,180,120,{last}\n"
 @pytest.fixture(autouse=True)
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    Path("cell.toml").write_text(CELL, encoding="utf-8")
+    Path("cell.toml").write_text(CELL_TEXT, encoding="utf-8")
     text = HEAD + BODY
     Path("Milling.src").write_text(text)
     Path("forces.csv").write_text(
@@ -161,7 +160,7 @@ def test_a_changed_e1_in_a_program_of_robodk_is_found():
     """With seven axes its post writes E1 behind each target."""
     text = re.sub(r"(A6 0\.00000|C 180\.000)\}", r"\1,E1 100.00000}", HEAD + BODY)
     Path("Milling.src").write_text(text)
-    Path("cell.toml").write_text(CELL + "\n[external_axes.E1]\ndirection = [0, 1, 0]\n", encoding="utf-8")
+    Path("cell.toml").write_text(CELL_TEXT + "\n[external_axes.E1]\ndirection = [0, 1, 0]\n", encoding="utf-8")
     line = edited(
         text,
         "LIN {X 15.000,Y 40.000,Z -2.000,A 180.000,B 0.000,C 180.000,E1 100",

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 from functools import partial
-from pathlib import Path
 
 import pytest
 
 from tests import commands
+from tests.places import CELL_FILE
 
-CELL = str(Path(__file__).parents[2] / "samples" / "cell_kr270.toml")
+CELL = str(CELL_FILE)
 TURNED = "A 180,B 0,C 180"
 PROGRAM = f"""DEF part( )
 DECL INT n

@@ -18,9 +18,9 @@ from postproc import robot as robots
 from postproc.comparison import compare
 from tests import commands
 from tests.attack.compared import HEAD, TURNED
+from tests.kr270 import CELL_TEXT
+from tests.places import SAMPLES
 
-SAMPLES = Path(__file__).parents[2] / "samples"
-CELL = (SAMPLES / "cell_kr270.toml").read_text(encoding="utf-8")
 PROGRAM = (
     HEAD
     + f"""; FORCE FX=-150 FY=100 FZ=120
@@ -44,7 +44,7 @@ END
 @pytest.fixture(autouse=True)
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    Path("cell.toml").write_text(CELL, encoding="utf-8")
+    Path("cell.toml").write_text(CELL_TEXT, encoding="utf-8")
     Path("part.src").write_text(PROGRAM)
 
 
@@ -139,7 +139,7 @@ def robot(request, tmp_path):
         shutil.copytree(robots.find("kuka_kr270"), tmp_path / "model")
         with (tmp_path / "model/model.toml").open("a", encoding="utf-8") as file:
             file.write(GEOMETRY)
-        Path("cell.toml").write_text(CELL.replace('"kuka_kr270"', '"model"'), encoding="utf-8")
+        Path("cell.toml").write_text(CELL_TEXT.replace('"kuka_kr270"', '"model"'), encoding="utf-8")
     cell = cells.load("cell.toml")
     return cell, jobs.load_robot(cell.robot, cell.folder)
 
@@ -171,7 +171,7 @@ def test_the_row_between_counts_a_calibrated_geometry():
     shutil.copytree(robots.find("kuka_kr270"), "model")
     with Path("model/model.toml").open("a", encoding="utf-8") as file:
         file.write(GEOMETRY)
-    Path("cell.toml").write_text(CELL.replace('"kuka_kr270"', '"model"'), encoding="utf-8")
+    Path("cell.toml").write_text(CELL_TEXT.replace('"kuka_kr270"', '"model"'), encoding="utf-8")
     run("convert", str(SAMPLES / "inline.src"), "-o", "out")
     content = compared("out/inline.src", nominal=str(SAMPLES / "inline.src"))
     with Path("out/inline.targets.csv").open(newline="") as file:

@@ -8,17 +8,14 @@ import numpy as np
 import pytest
 from msgspec.structs import replace as changed
 
-from postproc import cell as cells
-from postproc import correction, report, robot, toolpath
+from postproc import correction, report, toolpath
 from postproc.correction import targets as correction_targets
 from postproc.correction.targets import Corners
 from postproc.dialects.text import decode
-from tests.correction.test_end_to_end import SAMPLES
+from tests.kr270 import CELL, ROBOT
 from tests.oracle import cell_sim
 from tests.programs import program as made_of
 
-CELL = cells.load(SAMPLES / "cell_kr270.toml")
-ROBOT = robot.load(robot.find(CELL.robot))
 HEAD = "G90 G21 G17\nS1000 F600\nG0 X0 Y0 Z10\n"
 
 

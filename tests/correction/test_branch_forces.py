@@ -1,15 +1,14 @@
 """Branches that are chosen at run time must be corrected alike at their join: forces from a file may say otherwise."""
 
 import re
-from pathlib import Path
 
 import pytest
 
 from postproc import cell as cells
 from postproc import correction, forces, robot
 from postproc.dialects.text import decode
+from tests.places import SAMPLES
 
-SAMPLES = Path(__file__).parents[2] / "samples"
 HEAD = "DEF part()\nPTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}\n$VEL.CP=0.05\n"
 BRANCHES = ("X 0,Y 0", "IF $IN[1] THEN", "X 20,Y 10", "X 30,Y 0", "ELSE", "X 20,Y -10", "X 30,Y 0", "ENDIF", "X 50,Y 0")
 ONE = ("X 0,Y 0", "IF $IN[1] THEN", "X 20,Y 10", "X 0,Y 0", "ENDIF", "X 50,Y 0")

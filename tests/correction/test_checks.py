@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc import cell as cells
 from postproc import correction, robot
 from postproc.dialects.text import decode
 from postproc.poses import Poses
+from tests.kr270 import CELL
 from tests.oracle.arm import Arm
 from tests.programs import program
 
-SAMPLES = Path(__file__).parents[2] / "samples"
-CELL = cells.load(SAMPLES / "cell_kr270.toml")
 FAST_RAPIDS = replace(CELL, gcode=replace(CELL.gcode, rapid_m_per_s=10.0))
 """In it, no feed is that of rapid moves, which are slowed where no force acts."""
 MODEL = robot.load(robot.find("kuka_kr270"))

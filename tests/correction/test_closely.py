@@ -5,8 +5,6 @@ The joint angles of the circles come from the arm that shares no code with the p
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -18,10 +16,10 @@ from postproc.correction import inspection
 from postproc.poses import Poses
 from postproc.program import CIRC, LIN
 from postproc.under_load import MotionsUnderLoad, PathUnderLoad, RobotInCell
+from tests.kr270 import CELL
 from tests.oracle.arm import Arm
 from tests.programs import program
 
-CELL = cells.load(Path(__file__).parents[2] / "samples/cell_kr270.toml")
 CELL = changed(CELL, start=cells.Start(joints=(0.0, -70.0, 110.0, 0.0, 50.0, 0.0)))
 MODEL = robot.load(robot.find("kuka_kr270"))
 ARM = Arm.load(robot.find("kuka_kr270"))

@@ -12,7 +12,7 @@ import trimesh
 from click.testing import CliRunner
 
 from postproc.cli import main
-from tests.documentation.pages import ROOT
+from tests.places import ROOT
 
 PROGRAM = """G21 G90 G17 G94
 T1 M6

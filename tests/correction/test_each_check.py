@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc import cell as cells
 from postproc import correction, robot
 from postproc.poses import Poses
 from postproc.robot import Measured
+from tests.kr270 import CELL
 from tests.oracle.arm import Arm
 from tests.programs import program
 
-CELL = cells.load(Path(__file__).parents[2] / "samples" / "cell_kr270.toml")
 MODEL = robot.load(robot.find("kuka_kr270"))
 ARM = Arm.load(robot.find("kuka_kr270"))
 TOOL = CELL.tool.pose()

@@ -18,8 +18,8 @@ from postproc import correction, report, robot
 from postproc.dialects.text import decode
 from tests.oracle import cell_sim
 from tests.oracle.arm import Arm
+from tests.places import SAMPLES
 
-SAMPLES = Path(__file__).parents[2] / "samples"
 MICROMETRE = 1e-6
 
 

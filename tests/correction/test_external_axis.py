@@ -7,16 +7,16 @@ import pytest
 from msgspec.structs import replace as changed
 
 from postproc import cell as cells
-from postproc import correction, robot
+from postproc import correction
 from postproc.cell import ExternalAxis
 from postproc.dialects.text import decode
 from postproc.errors import CellError, ProgramError
-from tests.correction.test_end_to_end import SAMPLES, rows_of, simulator
+from tests.correction.test_end_to_end import rows_of, simulator
+from tests.kr270 import CELL, ROBOT
 from tests.oracle import cell_sim
 from tests.oracle.arm import abc
+from tests.places import SAMPLES
 
-CELL = cells.load(SAMPLES / "cell_kr270.toml")
-ROBOT = robot.load(robot.find(CELL.robot))
 DIRECTION = (0.6, 0.8, 0.0)
 RAIL = changed(CELL, external_axes={"E1": ExternalAxis((3.0, 4.0, 0.0))})
 HEAD = (

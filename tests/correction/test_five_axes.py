@@ -1,7 +1,5 @@
 """Five axes: under load the whole tool frame stands where it should, place and orientation, by the oracle's arm."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -12,11 +10,10 @@ from postproc import correction
 from postproc.cell import Rotary
 from postproc.dialects.text import decode
 from tests.correction.test_end_to_end import rows_of, simulator, written
+from tests.kr270 import CELL
 from tests.oracle.arm import abc
 
-SAMPLES = Path(__file__).parents[2] / "samples"
 MICROMETRE, MICRORADIAN = 1e-6, 1e-6
-CELL = postproc.load_cell(SAMPLES / "cell_kr270.toml")
 LINES = [
     "G21 G90 G17",
     "G0 {0}0 {1}0",

@@ -9,14 +9,12 @@ import re
 import numpy as np
 import pytest
 
-from postproc import cell as cells
-from postproc import correction, forces, report, robot
+from postproc import correction, forces, report
 from postproc.dialects.text import decode
-from tests.correction.test_end_to_end import SAMPLES, simulator
+from tests.correction.test_end_to_end import simulator
+from tests.kr270 import CELL, ROBOT
 from tests.oracle import cell_sim
 
-CELL = cells.load(SAMPLES / "cell_kr270.toml")
-ROBOT = robot.load(robot.find(CELL.robot))
 MILLINEWTON = 1e-3
 
 

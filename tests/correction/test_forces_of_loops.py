@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from postproc.cli import main
-from tests.machining.setting import SAMPLES
+from tests.places import SAMPLES
 
 PROGRAM = """DEF twice( )
 DECL INT I

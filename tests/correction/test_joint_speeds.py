@@ -6,16 +6,12 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc import cell as cells
-from postproc import robot as robots
 from postproc.correction import checks, inspection, process, read
 from postproc.dialects.text import decode
 from postproc.under_load import MotionsUnderLoad, PathUnderLoad, RobotInCell
-from tests.documentation.pages import ROOT
+from tests.kr270 import CELL, ROBOT
 
-CELL = cells.load(ROOT / "samples" / "cell_kr270.toml")
 FAST = replace(CELL, gcode=replace(CELL.gcode, rapid_m_per_s=6.0))
-ROBOT = robots.load(robots.find("kuka_kr270"))
 RAPIDS = "G21 G90\nS9000 M3\nG0 X0 Y0 Z50\nZ5\nG1 X50 F{feed}\nG0 Z50\nY-300\nY300\nZ49\nM30\n"
 
 

@@ -2,14 +2,13 @@
 
 import gc
 import tracemalloc
-from pathlib import Path
 
 from postproc import correction
 from postproc.cell import load as load_cell
 from postproc.dialects.text import decode
 from postproc.robot import find, load
+from tests.places import SAMPLES
 
-SAMPLES = Path(__file__).parents[2] / "samples"
 MOST = 830
 """Bytes for each target at the peak (783 today): poses, forces, joint angles, texts, and what computing them takes."""
 READING = 200

@@ -8,15 +8,13 @@ import numpy as np
 import pytest
 from msgspec.structs import asdict
 
-from postproc import cell as cells
 from postproc import correction, jobs, report
 from postproc.forces import read_force_csv
 from postproc.program import Document
+from tests.kr270 import CELL, ROBOT
+from tests.places import SAMPLES
 from tests.programs import program
 
-SAMPLES = Path(__file__).parents[2] / "samples"
-CELL = cells.load(SAMPLES / "cell_kr270.toml")
-ROBOT = jobs.load_robot(CELL.robot)
 DOWN = CELL.tool_pose_in_program()
 
 

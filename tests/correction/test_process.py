@@ -5,14 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from postproc import cell as cells
-from postproc import correction, robot
+from postproc import correction
 from postproc.dialects.text import decode
-from tests.correction.test_end_to_end import SAMPLES, check_targets, simulator
+from tests.correction.test_end_to_end import check_targets, simulator
+from tests.kr270 import CELL, ROBOT
 from tests.oracle import cell_sim
-
-CELL = cells.load(SAMPLES / "cell_kr270.toml")
-ROBOT = robot.load(robot.find(CELL.robot))
 
 
 def converted(*lines, dat=""):

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import re
 from importlib import import_module
-from pathlib import Path
 
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc import cell as cells
 from postproc import correction, robot
 from postproc.cell import ExternalAxis
 from postproc.dialects.krl.dialect import Krl
 from postproc.dialects.text import decode
 from postproc.poses import Poses
+from tests.kr270 import CELL
 from tests.programs import program
 
-SAMPLES = Path(__file__).parents[2] / "samples"
-CELL = cells.load(SAMPLES / "cell_kr270.toml")
 MODEL = robot.load(robot.find("kuka_kr270"))
 MOVES = [
     ("PTP", 0, 0, 50), ("LIN", 0, 0, 0), ("LIN", 40, 0, 0), ("CIRC", 60, 20, 0, 40, 20, 0, 90.0, (0, 0, 1)),

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -16,9 +14,9 @@ from postproc.errors import Issue, ModelError
 from postproc.robot import urdf
 from postproc.robot.model_file import Displacement, Gravity, ModelFile
 from tests.oracle.whole_arm import WholeArm
+from tests.places import SAMPLES
 from tests.programs import program
 
-SAMPLES = Path(__file__).parents[2] / "samples"
 MADE = program([("PTP", 0, 0, 50), ("LIN", 0, 0, 0), ("RAPID", 100, 0, 0), ("LIN", 100, 50, 0)])
 EMPTY = Result(MADE, robot.load(robot.find("kuka_kr270")), "+Z", "convert", ())
 

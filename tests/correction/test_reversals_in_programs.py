@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc import cell as cells
 from postproc import correction, robot
 from postproc.report import page, summary
 from postproc.robot import LostMotion
 from tests.html_page import read_page
+from tests.kr270 import CELL
 
-SAMPLES = Path(__file__).parents[2] / "samples"
-CELL = cells.load(SAMPLES / "cell_kr270.toml")
 KR270 = robot.load(robot.find("kuka_kr270"))
 LOOSE = replace(KR270, terms=((LostMotion("A1", 20.0), 50e-6),))
 TEXT = """G90 G21

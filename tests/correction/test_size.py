@@ -6,7 +6,7 @@ import re
 from click.testing import CliRunner
 
 from postproc.cli import main
-from tests.documentation.pages import ROOT
+from tests.places import ROOT
 
 
 def convert(tmp_path, *options, more=""):

@@ -7,9 +7,7 @@ import json
 import pytest
 
 from tests.commands import printed
-from tests.documentation.pages import ROOT
-
-SAMPLES = ROOT / "samples"
+from tests.places import SAMPLES
 
 
 @pytest.mark.parametrize(("tolerance", "state"), [("0.05", "ok"), ("3", "warning")])

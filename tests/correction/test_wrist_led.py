@@ -13,11 +13,12 @@ from postproc.dialects.text import decode
 from postproc.errors import ProgramError
 from postproc.frames import angle_between, interpolated
 from postproc.under_load import MotionsUnderLoad, RobotInCell
-from tests.correction.test_end_to_end import SAMPLES, check_targets, simulator
+from tests.correction.test_end_to_end import check_targets, simulator
 from tests.dialects.krl_programs import body
 from tests.oracle import cell_sim
 from tests.oracle.arm import abc
 from tests.oracle.elastic import loaded_tip
+from tests.places import SAMPLES
 
 BASE, TOOL = "$BASE={X 1500,Y -200,Z 700,A 0,B 0,C 0}", "$TOOL={X 10,Y -20,Z 350,A 0,B 5,C 0}"
 BEGIN = "LIN {X 0,Y 0,Z 0,A 180,B 0,C 180}"

@@ -21,8 +21,8 @@ from postproc.program import CIRC, LIN, PTP, Motions, Program
 from postproc.robot import find, load
 from tests.dialects.gcode_reading import CELL, forward
 from tests.dialects.gcode_reading import read as read_gcode
+from tests.places import SAMPLES
 
-SAMPLES = Path(__file__).parents[2] / "samples"
 HEAD = "UNITS/MM\nFEDRAT/600,MMPM\nRAPID\nGOTO/0,0,9\n"
 
 

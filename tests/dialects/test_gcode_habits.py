@@ -10,7 +10,7 @@ from postproc.cli import main
 from postproc.errors import ProgramError
 from postproc.program import LIN
 from tests.dialects.gcode_reading import CELL, ends, read
-from tests.documentation.pages import ROOT
+from tests.places import ROOT
 
 HIGH_FEED = (
     "(Using high feed G1 F5000. instead of G0.)\nG90 G94 G17 G21\nG53 G0 Z0.\nT1 M6\nS9000 M3\nG54\n"

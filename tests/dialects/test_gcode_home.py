@@ -11,8 +11,8 @@ from postproc.cell import Cell, IndexedAxis, Machine, Rotary
 from postproc.errors import CellError, ProgramError
 from postproc.program import PTP
 from tests.dialects.gcode_reading import CELL, ends, outcome, read
+from tests.places import SAMPLES
 
-SAMPLES = Path(__file__).parents[2] / "samples"
 AT_HOME = replace(CELL, machine=Machine(home=[3.0, -4.0, 200.0]))
 
 

@@ -14,8 +14,8 @@ from postproc.cli import main
 from postproc.errors import CellError, ProgramError
 from postproc.program import CIRC, LIN
 from tests.dialects.gcode_reading import CELL, ends, outcome, read
+from tests.places import SAMPLES
 
-SAMPLES = Path(__file__).parents[2] / "samples"
 A_AXIS = IndexedAxis(point=(0.0, 12.0, -120.0), direction=(1.0, 0.0, 0.0))
 C_AXIS = IndexedAxis(point=(30.0, -20.0, 0.0), direction=(0.0, 0.0, 2.0))
 SKEW = IndexedAxis(point=(5.0, -7.0, -80.0), direction=(1.0, 0.4, -0.2))

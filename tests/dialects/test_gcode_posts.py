@@ -11,9 +11,9 @@ from postproc.cell import Frame, Machine
 from postproc.cli import main
 from postproc.program import CIRC, PTP
 from tests.dialects.gcode_reading import CELL, ends, outcome, read
+from tests.places import SAMPLES
 
 POSTS = Path(__file__).parent / "posts"
-SAMPLES = Path(__file__).parents[2] / "samples"
 HERE = replace(
     CELL,
     machine=Machine(home=(0.0, -90.0, 100.0, 0.0, 20.0, 0.0), clearance_Z=100.0),

@@ -17,8 +17,8 @@ from postproc.errors import ProgramError
 from postproc.program import CIRC, LIN, PTP, Program, direction, tilted, turning
 from postproc.robot import RobotModel
 from tests.dialects.gcode_reading import CELL, START_FLANGE, ends, outcome, read
+from tests.places import SAMPLES
 
-SAMPLES = Path(__file__).parents[2] / "samples"
 HOME = (0.0, -90.0, 90.0, 0.0, 10.0, 0.0)
 HEAD = "G21 G90 G17\nG0 A0 B0 C0\nG0 X0 Y0 Z9 F600\n"
 PAIRS = [[a, b] for a, b in itertools.permutations("ABC", 2)] + [["A"], ["B"], ["C"]]

@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 from postproc.errors import ProgramError
 from tests.dialects.gcode_reading import CELL, read
 from tests.oracle.rs274 import RejectedError, accepts, assert_same_moves, canonical, needs_rs274
+from tests.places import SAMPLES
 
 pytestmark = needs_rs274
 
 SCALE = 2000
 """rs274 prints four decimals. It gets the program with all lengths times this, so that it prints 5e-8 units."""
 
-SAMPLES = Path(__file__).parents[2] / "samples"
 PLANES = {"G17": (0, 1, 2), "G18": (2, 0, 1), "G19": (1, 2, 0)}
 TICK = Fraction(1, 10_000)
 

@@ -7,8 +7,8 @@ import pytest
 
 from tests.attack.krl_generator import Generator
 from tests.oracle.krl_grammar import Refused, check, parser, unknown_names
+from tests.places import SAMPLES
 
-SAMPLES = Path(__file__).parents[2] / "samples"
 SOURCE = """&ACCESS RVP
 &REL 7
 DEF part( )

@@ -13,11 +13,12 @@ from postproc.dialects import krl
 from postproc.dialects.text import decode
 from postproc.errors import ProgramError
 from postproc.program import CIRC, LIN
-from tests.correction.test_end_to_end import SAMPLES, check_targets, rows_of, simulator
+from tests.correction.test_end_to_end import check_targets, rows_of, simulator
 from tests.dialects.krl_programs import CELL, body, check_commands, forward, read, targets
 from tests.dialects.test_krl_rewriting import keep_unmoved, up
 from tests.oracle import cell_sim
 from tests.oracle.arm import abc
+from tests.places import SAMPLES
 
 FULL = "LIN {X 0,Y 0,Z 0,A 10,B 20,C 170}"
 FRAMES = ("$BASE={X 1500,Y -200,Z 700,A 0,B 0,C 0}", "$TOOL={X 0,Y 0,Z 350,A 0,B 0,C 0}")

@@ -7,17 +7,14 @@ import pytest
 from msgspec.structs import replace
 
 from postproc import cell as cells
-from postproc import robot as robots
 from postproc.correction import process, read
 from postproc.dialects.text import decode
 from postproc.errors import CellError
 from tests.attack.krl_interpreter import Controller
-from tests.documentation.pages import ROOT
+from tests.kr270 import CELL, ROBOT
 from tests.oracle import krl_grammar
 from tests.oracle.arm import abc
-
-CELL = cells.load(ROOT / "samples" / "cell_kr270.toml")
-ROBOT = robots.load(robots.find("kuka_kr270"))
+from tests.places import ROOT
 
 
 def written(motions: str, mode: str = "convert"):

@@ -13,8 +13,8 @@ from postproc.dialects import krl
 from postproc.dialects.text import decode
 from postproc.errors import ForceError, ProgramError
 from postproc.program import LIN, PTP, SPL
-from tests.correction.test_end_to_end import SAMPLES
 from tests.dialects.krl_programs import CELL, body, forward, numbers, read, read_documents, targets
+from tests.places import SAMPLES
 
 HEAD = ("$BASE={X 1500,Y -200,Z 700,A 0,B 0,C 0}", "$TOOL={X 0,Y 0,Z 350,A 0,B 0,C 0}", "$VEL.CP=0.05")
 START = "LIN {X 0,Y 0,Z 0,A 0,B 0,C 180}"

@@ -7,7 +7,6 @@ import csv
 import json
 import re
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,8 +26,8 @@ from postproc.under_load import RobotInCell
 from tests.commands import printed
 from tests.dialects.rapid_grammar import confdata, elbow_and_wrist, frame, parse
 from tests.oracle.arm import Arm
+from tests.places import SAMPLES
 
-SAMPLES = Path(__file__).parents[2] / "samples"
 CELL = SAMPLES / "cell_irb6700.toml"
 MODEL = "abb_irb6700_200_260"
 GCODE = (

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 
-from tests.documentation.pages import ROOT
+from tests.places import ROOT
 
 FOLDER = ROOT / "docs" / "pictures"
 INK, SOFT, BEFORE, AFTER, COMMAND, PART = "#1c2430", "#5b6776", "#b4451f", "#0b6e99", "#4d6b1f", "#dbe1e8"

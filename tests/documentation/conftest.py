@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import pytest
 
 from tests.documentation import following, pages
+from tests.places import ROOT
 
 _TEXT = "\n".join(path.read_text(encoding="utf-8") for path in pages.FOLLOWED)
 
@@ -27,7 +28,7 @@ def readme(tmp_path_factory):
 
 def _followed(folder):
     """Follow README and guides in a folder; return exit code and output of each command."""
-    shutil.copytree(pages.ROOT / "samples", folder / "samples")
+    shutil.copytree(ROOT / "samples", folder / "samples")
     (folder / "experiment.toml").write_text("\n".join(pages.code(pages.PLANNING, "toml")))
     scripts = re.findall(r"^python (samples/\S+ demo)$", _TEXT, re.M)
     return following.followed(folder, scripts, [arguments for _, arguments, _ in pages.consoles()])

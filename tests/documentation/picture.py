@@ -20,12 +20,11 @@ from PIL import Image
 
 from postproc.app.server import Window
 from postproc.cli import main
-from tests.documentation.pages import DOCS, ROOT
+from tests.documentation.pages import DOCS
 from tests.pages.browser import opened, running
+from tests.places import CELL_FILE, SAMPLES
 
 PICTURES = DOCS / "pictures"
-SAMPLES = ROOT / "samples"
-CELL = SAMPLES / "cell_kr270.toml"
 _DRAWN_MS = 900
 _WIDE = 760
 """Pixels across a view in space."""
@@ -63,14 +62,14 @@ def reduced(path: Path) -> None:
 
 def pocket(folder: Path) -> None:
     """Take the head of the report of a pocket."""
-    invoke("convert", SAMPLES / "pocket.nc", "--cell", CELL, "-o", folder)
+    invoke("convert", SAMPLES / "pocket.nc", "--cell", CELL_FILE, "-o", folder)
     screenshot(folder / "pocket.report.html", PICTURES / "pocket.png", 1440, 1560)
 
 
 def plate(folder: Path) -> None:
     """Take the section "The cut" of a report with computed forces."""
     process = SAMPLES / "plate.process.toml"
-    invoke("convert", SAMPLES / "plate.nc", "--cell", CELL, "--process", process, "-o", folder)
+    invoke("convert", SAMPLES / "plate.nc", "--cell", CELL_FILE, "--process", process, "-o", folder)
     screenshot(folder / "plate.report.html", PICTURES / "plate.png", 1440, 1560, "cut")
 
 
@@ -78,7 +77,7 @@ def place(folder: Path) -> None:
     """Take the map of places of a part."""
     region = "X=1000:2600,Y=-900:900,Z=400:1000,A=-90:90"
     forces = SAMPLES / "freeform.forces.csv"
-    invoke("place", SAMPLES / "freeform.nc", "--cell", CELL, "--forces", forces, "--region", region, "-o", folder)
+    invoke("place", SAMPLES / "freeform.nc", "--cell", CELL_FILE, "--forces", forces, "--region", region, "-o", folder)
     screenshot(folder / "place.html", PICTURES / "place.png", 1200, 1200, "map")
 
 
@@ -204,7 +203,7 @@ def app(folder: Path) -> None:
     results.mkdir(parents=True)
     for name in ("plate.nc", "pocket.nc"):
         shutil.copy(SAMPLES / name, parts / name)
-    cell = Path(shutil.copy(CELL, results / "cell.toml"))
+    cell = Path(shutil.copy(CELL_FILE, results / "cell.toml"))
     invoke("convert", parts / "pocket.nc", "--cell", cell, "-o", results)
     pages = {"app-programs": "/", "app-setup": "/setup?name=plate.nc", "app-program": "/program?name=pocket.nc"}
     with Window(parts, 0) as window, running() as browser:

@@ -16,7 +16,8 @@ from postproc.identification.readings import Experiment
 from postproc.machining.process import ProcessFile
 from postproc.robot import ModelFile
 from tests.documentation import schema
-from tests.documentation.pages import ROOT, block
+from tests.documentation.pages import block
+from tests.places import ROOT
 
 FOLDER = ROOT / "postproc" / "schemas"
 STRUCTURES = {"cell": CellFile, "process": ProcessFile, "model": ModelFile, "experiment": Experiment}

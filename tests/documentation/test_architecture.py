@@ -8,7 +8,7 @@ import tomllib
 
 import pytest
 
-from tests.documentation.pages import ROOT
+from tests.places import ROOT
 
 TEXT = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
 TOP = sorted(

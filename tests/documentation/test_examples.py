@@ -9,7 +9,7 @@ import pkgutil
 import pytest
 
 import postproc
-from tests.documentation.pages import ROOT
+from tests.places import ROOT
 
 MODULES = ["postproc", *(module.name for module in pkgutil.walk_packages(postproc.__path__, "postproc."))]
 WITH_EXAMPLES = [

@@ -27,10 +27,9 @@ from postproc.report.csv_files import CARRIAGE, TARGET_COLUMNS
 from postproc.robot import ModelFile
 from postproc.testpart import probing
 from tests.documentation import pages, schema
-from tests.documentation.pages import ROOT, block, described
-
-CELL = cell.load(ROOT / "samples" / "cell_kr270.toml")
-ROBOT = robot.load(robot.find("kuka_kr270"))
+from tests.documentation.pages import block, described
+from tests.kr270 import CELL, ROBOT
+from tests.places import ROOT
 
 
 def write(folder: Path, title: str, language: str = "toml") -> Path:

@@ -7,7 +7,8 @@ import re
 import pytest
 
 from tests.documentation import concepts
-from tests.documentation.pages import DOCS, ROOT
+from tests.documentation.pages import DOCS
+from tests.places import ROOT
 
 _CODE = re.sub(
     r'" f?"',

@@ -9,7 +9,7 @@ import re
 import pytest
 
 from tests.documentation import pages
-from tests.documentation.pages import ROOT
+from tests.places import ROOT
 
 _NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]\d+)?(?![\w.])")
 _CLOSE = 0.05

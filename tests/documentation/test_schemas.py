@@ -10,7 +10,8 @@ import pytest
 from postproc.jobs.first_steps import SCHEMAS, schema_file
 from tests.commands import printed
 from tests.documentation import schemas
-from tests.documentation.pages import ROOT, block
+from tests.documentation.pages import block
+from tests.places import ROOT
 
 
 @pytest.mark.parametrize("name", SCHEMAS)

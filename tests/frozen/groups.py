@@ -15,9 +15,8 @@ import numpy as np
 
 from tests.attack import carried, gcode_generator, inputs, krl, krl_generator, krl_jobs
 from tests.frozen.case import Case
+from tests.places import ROOT, SAMPLES
 
-ROOT = Path(__file__).parents[2]
-SAMPLES = ROOT / "samples"
 _RECORDED = sorted(str(path.relative_to(ROOT)) for path in (ROOT / "tests" / "dialects").glob("test_krl_*.py"))
 """Tests whose KRL programs are cases."""
 _CUTS = """\

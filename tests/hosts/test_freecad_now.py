@@ -12,7 +12,6 @@ import importlib.util
 import json
 import sys
 from dataclasses import dataclass, field
-from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
 import pytest
@@ -20,8 +19,7 @@ from click.testing import CliRunner
 
 from postproc.cli import main
 from postproc.hosts import install_post
-
-CELL = (Path(__file__).parents[2] / "samples" / "cell_kr270.toml").resolve()
+from tests.places import CELL_FILE
 
 
 @dataclass(frozen=True)
@@ -155,7 +153,7 @@ def test_a_job_is_posted_and_its_program_called_as_the_file_that_freecad_writes(
     operations, tools = job()
     in_document(document, operations, "/parts/bracket_1.src")
     items = [item for pair in zip(operations, tools, strict=True) for item in section(*pair, wrapped)]
-    (text,) = post(posts, f"--cell {CELL}", [items])
+    (text,) = post(posts, f"--cell {CELL_FILE}", [items])
     assert text.encode() == (tmp_path / "corrected" / "bracket_1.src").read_bytes()
     assert "DEF bracket_1(" in text
     report = json.loads((tmp_path / "corrected" / "bracket_1.report.json").read_text())
@@ -175,7 +173,7 @@ def test_sections_of_a_job_that_splits_its_output_do_not_replace_each_other(free
     operations, tools = job()
     in_document(document, operations, "/parts/%D.src")
     sections = [section(*pair, wrapped) for pair in zip(operations, tools, strict=True)]
-    first, second = post(posts, f"--cell {CELL}", sections)
+    first, second = post(posts, f"--cell {CELL_FILE}", sections)
     assert "DEF Unnamed(" in first
     assert "DEF Unnamed_2(" in second
     out = tmp_path / "corrected"
@@ -183,7 +181,7 @@ def test_sections_of_a_job_that_splits_its_output_do_not_replace_each_other(free
         first.encode(),
         second.encode(),
     ]
-    assert post(posts, f"--cell {CELL}", sections[:1]) == [first]  # the next run begins anew
+    assert post(posts, f"--cell {CELL_FILE}", sections[:1]) == [first]  # the next run begins anew
 
 
 def test_a_fault_names_operation_and_command(freecad, tmp_path):
@@ -191,7 +189,7 @@ def test_a_fault_names_operation_and_command(freecad, tmp_path):
     operations, tools = job()
     operations[1].Path.Commands.append(Command("G1", {"X": 9000.0}))
     with pytest.raises(Exception, match="out of reach"):
-        post(posts, f"--cell {CELL}", [section(operations[1], tools[1], wrapped=True)])
+        post(posts, f"--cell {CELL_FILE}", [section(operations[1], tools[1], wrapped=True)])
     assert any("operation Profile, command 9 (G1 X9000)" in line for line in said)
     assert list((tmp_path / "corrected").glob("*")) == []
 
@@ -203,7 +201,7 @@ def test_modules_are_not_given_to_freecad_as_one_text(freecad, tmp_path):
     in_document(document, operations, "/parts/bracket.src")
     cell = tmp_path / "small.toml"
     small = "[output]\ndivide_into_modules = true\nprogram_memory_MB = 0.008"
-    cell.write_text(CELL.read_text().replace("[output]", small))
+    cell.write_text(CELL_FILE.read_text().replace("[output]", small))
     with pytest.raises(Exception, match="FreeCAD takes one text"):
         post(posts, f"--cell {cell}", [section(operations[0], tools[0], wrapped=True)])
     assert (tmp_path / "corrected" / "bracket_2.src").exists()
@@ -229,7 +227,7 @@ def test_a_program_is_posted_with_its_verdict_unless_it_may_not_be_driven(freeca
 
     monkeypatch.setattr(host, "_run", judged)
     block = [host.Block(line, "start") for line in ("G90 G21", "G0 X0 Y0 Z50", "G1 Z-1 F500", "G1 X50", "M2")]
-    given = block, tmp_path / "out", "part", "nc", [("--cell", str(CELL))]
+    given = block, tmp_path / "out", "part", "nc", [("--cell", str(CELL_FILE))]
     if state == "failed":
         with pytest.raises(host.HostError, match=r"As judged.\nthe spindle hits the vice"):
             host.convert(*given)
@@ -279,12 +277,12 @@ def test_freecad_1_2_posts_a_job_with_and_without_a_machine_to_the_same_program(
     operations, tools = job()
     in_document(document, operations, "/parts/bracket.src")
     items = [item for pair in zip(operations, tools, strict=True) for item in section(*pair, wrapped=True)]
-    asked = SimpleNamespace(sections=[("allitems", items)], PostProcessorArgs=f"--cell {CELL}")
+    asked = SimpleNamespace(sections=[("allitems", items)], PostProcessorArgs=f"--cell {CELL_FILE}")
     spec = importlib.util.spec_from_file_location("kuka_compensated_post", posts / "kuka_compensated_post.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     if machine:
-        asked.machine = SimpleNamespace(postprocessor_properties={"arguments": f"--cell {CELL}"})
+        asked.machine = SimpleNamespace(postprocessor_properties={"arguments": f"--cell {CELL_FILE}"})
         asked.PostProcessorArgs = ""
     processor = module.Kuka_Compensated(asked)
     ((name, text),) = processor.export2() if machine else processor.export()
@@ -318,7 +316,7 @@ def test_the_post_goes_where_the_newest_freecad_looks(tmp_path, monkeypatch, the
     done = CliRunner().invoke(main, ["install-post", "freecad"])
     assert done.exit_code == 0, done.output
     assert (own / taken / "kuka_compensated_post.py").is_file()
-    assert "--cell CELL.toml --material NAME" in done.output
+    assert "--cell CELL_FILE.toml --material NAME" in done.output
 
 
 def test_without_freecad_the_message_says_where_it_was_looked_for(tmp_path, monkeypatch):

@@ -14,13 +14,12 @@ from pathlib import Path
 import pytest
 
 from postproc.hosts import HOSTS, install_post, remove_post
+from tests.places import CELL_FILE
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", PendingDeprecationWarning)  # robodk warns about itself
     from robodk.robomath import KUKA_2_Pose
 
-SAMPLES = Path(__file__).parent.parent.parent / "samples"
-CELL = SAMPLES / "cell_kr270.toml"
 START = [0.0, -70.0, 110.0, 0.0, 50.0, 0.0]
 
 
@@ -35,7 +34,7 @@ def posts(tmp_path):
 @pytest.fixture
 def post(posts, tmp_path, monkeypatch):
     """The class as RoboDK loads it: from its file, in a Python that knows nothing of postproc."""
-    monkeypatch.setenv("POSTPROC_CELL", str(CELL))
+    monkeypatch.setenv("POSTPROC_CELL", str(CELL_FILE))
     monkeypatch.delitem(sys.modules, "postproc_host", raising=False)
     spec = importlib.util.spec_from_file_location("KUKA_KRC4_compensated", posts / "KUKA_KRC4_compensated.py")
     module = importlib.util.module_from_spec(spec)
@@ -263,7 +262,7 @@ def test_a_limit_of_lines_divides_programs_and_those_that_call_them_call_the_mai
 
 def test_a_rail_goes_with_the_program(post, tmp_path, monkeypatch):
     cell = tmp_path / "rail.toml"
-    cell.write_text(CELL.read_text() + "\n[external_axes.E1]\ndirection = [0, 1, 0]\n")
+    cell.write_text(CELL_FILE.read_text() + "\n[external_axes.E1]\ndirection = [0, 1, 0]\n")
     monkeypatch.setenv("POSTPROC_CELL", str(cell))
     post = type(post)("KUKA_KRC4_compensated", "KUKA KR 270 R2700", 7)
     post.ProgStart("Rail")

@@ -4,11 +4,10 @@ import re
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 
-ROOT = Path(__file__).parents[2]
+from tests.places import ROOT
 
 
 def test_study_prints_the_tables_of_its_page(tmp_path):

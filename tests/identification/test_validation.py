@@ -12,7 +12,7 @@ from postproc.cli import main
 from postproc.identification import Choices, identify_folder
 from postproc.identification.validation import ENOUGH, coverage, inside, job_lines, job_share, torque_lines, validate
 from samples.paper_study import harness, simulator
-from tests.documentation.pages import ROOT
+from tests.places import ROOT
 
 SIGMA = 0.03e-3
 CELL, POCKET = ROOT / "samples" / "cell_kr270.toml", ROOT / "samples" / "pocket.nc"

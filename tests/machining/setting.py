@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 import postproc
 from postproc import machining, toolpath
 from postproc.under_load import RobotInCell
+from tests.kr270 import CELL, ROBOT
 
-SAMPLES = Path(__file__).parents[2] / "samples"
-CELL = postproc.load_cell(SAMPLES / "cell_kr270.toml")
-ROBOT = postproc.load_robot(CELL.robot)
 AL7075 = (767.01, 27.7, 168.8, 26.6, 222.0, 0.7)
 """Ktc, Kte, Krc, Kre, Kac, Kae of al_7075_t6_carbide."""
 

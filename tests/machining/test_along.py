@@ -14,7 +14,8 @@ from postproc.cli import main
 from postproc.errors import ForceError
 from postproc.machining import cutting
 from postproc.under_load import RobotInCell
-from tests.machining.setting import CELL, ROBOT, SAMPLES, forces, gcode, process, read, tool
+from tests.machining.setting import CELL, ROBOT, forces, gcode, process, read, tool
+from tests.places import SAMPLES
 
 BOX = ((0, 100), (-40, 40), (-20, 0))
 WAYS = (

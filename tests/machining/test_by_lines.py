@@ -9,7 +9,8 @@ import pytest
 from click.testing import CliRunner
 
 from postproc.cli import main
-from tests.machining.setting import SAMPLES, forces, gcode, process, tool
+from tests.machining.setting import forces, gcode, process, tool
+from tests.places import SAMPLES
 
 BOX = ((0, 100), (-40, 40), (-20, 0))
 SLOT = ("G1 X110 F1200", "Y10", "X-10", "Y0")

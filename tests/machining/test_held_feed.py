@@ -22,7 +22,8 @@ from postproc.cli import main
 from postproc.errors import InputError, PostprocError, ProgramError
 from postproc.jobs import conversion, process_forces
 from postproc.report.feed import feed_summary, sentences
-from tests.machining.setting import CELL, ROBOT, SAMPLES, gcode, process, read, tool
+from tests.machining.setting import CELL, ROBOT, gcode, process, read, tool
+from tests.places import SAMPLES
 
 BOX = ((0, 200), (-40, 60), (-20, 0))
 MOVES = ("X100 Y10", "X180", "Y30", "X215")

@@ -20,8 +20,9 @@ from postproc.machining.leaning import depth_inside
 from postproc.machining.stock import from_box
 from postproc.machining.tool import Cutter
 from postproc.under_load import RobotInCell, segments_in_cell
-from tests.machining.setting import SAMPLES, gcode, process, tool
+from tests.machining.setting import gcode, process, tool
 from tests.oracle.arm import Arm
+from tests.places import SAMPLES
 
 ROBOTS = {"kuka_kr270": "cell_kr270.toml", "kuka_kr16": "cell_kr16.toml"}
 TOOLS = {"flat": (12.0, 0.0), "ball": (10.0, 0.0), "bull": (16.0, 3.0)}

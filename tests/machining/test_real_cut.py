@@ -16,8 +16,9 @@ from postproc.cli import main, outcomes
 from postproc.jobs import process_forces
 from postproc.machining import sweep
 from tests.effort import calls
-from tests.machining.setting import AL7075, CELL, ROBOT, SAMPLES, gcode, process, read, tool
+from tests.machining.setting import AL7075, CELL, ROBOT, gcode, process, read, tool
 from tests.machining.test_closed_forms import altintas
+from tests.places import SAMPLES
 
 BOX = ((0, 200), (-40, 0), (-20, 0))
 TEXT = gcode("G0 X-15 Y3 Z5", "G1 Z-6 F2400", "X215 (here)", "G0 Z5")

@@ -8,11 +8,10 @@ import json
 import sys
 import time
 from collections import Counter
-from pathlib import Path
 
 from tests.mutation.run import MutationError, accepted, run, sources_and_tests
+from tests.places import ROOT
 
-ROOT = Path(__file__).parents[2]
 LEFT = ("survived", "unseen")
 
 

@@ -6,8 +6,8 @@ import pytest
 from click.testing import CliRunner
 
 from postproc.cli import main
-from tests.documentation.pages import ROOT
 from tests.pages import browser as browsers
+from tests.places import ROOT
 
 
 @pytest.fixture(scope="session")

@@ -11,8 +11,8 @@ from postproc.cell import Box, Collision, HolderTable, ObstacleTable
 from postproc.collision import Scene
 from postproc.correction.collisions import SmallestClearance
 from tests import fabricated
-from tests.documentation.pages import ROOT
 from tests.pages import browser as browsers
+from tests.places import ROOT
 
 pytestmark = browsers.needs_chromium
 

@@ -8,8 +8,8 @@ import pytest
 from click.testing import CliRunner
 
 from postproc.cli import main
-from tests.documentation.pages import ROOT
 from tests.pages.browser import needs_chromium, opened
+from tests.places import ROOT
 
 pytestmark = needs_chromium
 

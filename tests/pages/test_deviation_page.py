@@ -7,7 +7,6 @@ import hashlib
 import json
 import math
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,9 +15,9 @@ from postproc.report import page as rendered
 from postproc.report.formatting import estimate
 from tests import fabricated
 from tests.pages.browser import needs_chromium, opened, without_webgl
+from tests.places import SAMPLES
 
 pytestmark = needs_chromium
-SAMPLES = Path(__file__).parents[2] / "samples"
 IDS = ("verdict", "view3d", "along", "histogram", "worst", "place", "issues")
 
 

@@ -9,8 +9,8 @@ from click.testing import CliRunner
 from postproc.cli import main
 from postproc.report import page as rendered
 from tests import fabricated
-from tests.documentation.pages import ROOT
 from tests.pages.browser import faults_of_looks, needs_chromium, opened
+from tests.places import ROOT
 
 pytestmark = needs_chromium
 WIDTHS = (420, 1200, 1440)

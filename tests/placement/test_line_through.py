@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc import robot
 from postproc.placement.drive import Keep, Margins, wrapped
 from postproc.placement.turn_map import Blocked, Blocks, TurnMap, line_through, whole_circle
+from tests.kr270 import ROBOT
 
-ROBOT = robot.load(robot.find("kuka_kr270"))
 COLUMNS = 12
 STEP = np.radians(30.0)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,8 +22,8 @@ from postproc.placement.region import Region
 from postproc.under_load import RobotInCell
 from tests.oracle.arm import Arm, abc
 from tests.placement.setting import cell, read
+from tests.places import SAMPLES
 
-SAMPLES = Path(__file__).parents[2] / "samples"
 PART = """G21 G90
 (FORCE FX=-110 FY=-190 FZ=130 FRAME=BASE)
 G0 X0 Y-100 Z60

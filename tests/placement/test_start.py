@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,8 +20,8 @@ from postproc.under_load import RobotInCell
 from tests.oracle import cell_sim
 from tests.oracle.arm import Arm
 from tests.placement.setting import ROBOTS, cell, read
+from tests.places import SAMPLES
 
-SAMPLES = Path(__file__).parents[2] / "samples"
 PART = "G21 G90\nG0 X0 Y-100 Z60\nG1 Z0 F600\nX200 F2000\nY100\nX0\nG0 Z60\nM30\n"
 KRL = "DEF part()\n$VEL.CP=0.05\nPTP {{X 0,Y 0,Z 60,A 0,B 0,C 180{0}}}\nLIN {{X 0,Y 0,Z 5,A 0,B 0,C 180}}\nEND\n"
 

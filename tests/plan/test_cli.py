@@ -7,7 +7,6 @@ import json
 import math
 import signal
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,11 +18,11 @@ from postproc.dialects.text import decode
 from postproc.kinematics import tcp
 from postproc.plan import search
 from tests.html_page import read_page
+from tests.places import SAMPLES
 from tests.plan import setting
 from tests.plan.setting import AROUND, BASIC, RIG
 from tests.plan.test_directions import simulated
 
-SAMPLES = Path(__file__).parents[2] / "samples"
 POSES = """A1,A2,A3,A4,A5,A6,Fx,Fy,Fz
 0,-70,110,0,50,0,100,50,300
 10,-60,100,10,50,0,0,80,-200

@@ -14,9 +14,9 @@ from postproc.cli import main
 from postproc.errors import PlanError
 from postproc.identification import compensator_geometry as cg
 from postproc.plan.compensator import CompensatorOptions, expected_intervals, plan_compensator
+from tests.kr270 import ROBOT
 from tests.plan import setting
 
-ROBOT = robot.load(robot.find("kuka_kr270"))
 SIGMA = 0.03e-3
 TRUE = np.array([0.18472, 0.68593, 0.12330])  # Table 1
 PAPER_Q2 = np.radians([0.0, -30.0, -60.0, -90.0, -120.0, -140.0])

@@ -16,8 +16,8 @@ from postproc.report import page, summary
 from postproc.report.deviation import data as places
 from postproc.report.path import drawn_path, operation_starts, operations
 from tests import fabricated
-from tests.documentation.pages import ROOT
 from tests.html_page import ReadPage, read_page
+from tests.places import ROOT
 
 _SECTIONS = {"verdict", "numbers", "view3d", "along", "histogram", "worst", "place", "issues", "operations", "model"}
 

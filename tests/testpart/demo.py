@@ -17,9 +17,9 @@ from postproc import robot as robots
 from postproc.cli import main as postproc
 from postproc.robot.model_file import JointSpring
 from samples.paper_study import simulator
-from tests.documentation.pages import ROOT
 from tests.oracle.arm import Arm
 from tests.oracle.whole_arm import WholeArm
+from tests.places import ROOT
 from tests.testpart import trial
 from tests.testpart.machine import Machine
 

@@ -19,6 +19,7 @@ from postproc.testpart.prior import Prior
 from postproc.testpart.readings import Readings
 from tests.commands import run
 from tests.oracle.whole_arm import WholeArm
+from tests.places import SAMPLES
 from tests.testpart import trial
 
 BLOCK = ((0, 110), (0, 90), (-30, 0))
@@ -30,7 +31,7 @@ NUMBERS = {"testpart.nc": -1, "testpart_4.nc": 4}
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("placements")
     x, y, z, a = BASES["testpart_4.nc"]
-    text = (trial.SAMPLES / "cell_kr270.toml").read_text()
+    text = (SAMPLES / "cell_kr270.toml").read_text()
     (folder / "cell.toml").write_text(f"{text}\n[base_data.4]\nX = {x}\nY = {y}\nZ = {z}\nA = {a}\n")
     (folder / "process.toml").write_text(trial.process_text(BLOCK, 0.5))
     given = ("--cell", folder / "cell.toml", "--process", folder / "process.toml", "--features", 4, "--depth", 3)

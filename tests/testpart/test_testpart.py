@@ -23,9 +23,10 @@ from postproc.testpart.prior import Prior
 from postproc.testpart.readings import Readings
 from tests.commands import run
 from tests.oracle.whole_arm import WholeArm
+from tests.places import SAMPLES
 from tests.testpart import trial
 
-CELL = str(trial.SAMPLES / "cell_kr270.toml")
+CELL = str(SAMPLES / "cell_kr270.toml")
 BLOCK = ((0, 110), (0, 90), (-30, 0))
 FEATURES = 4
 SEED = 4

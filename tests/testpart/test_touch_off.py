@@ -18,6 +18,7 @@ from postproc.testpart.features import Cutting, Feature, Kind
 from postproc.testpart.model import summary
 from postproc.testpart.readings import top_of
 from tests.commands import run
+from tests.places import SAMPLES
 from tests.testpart import trial
 
 BLOCK = ((0, 110), (0, 90), (-30, 0))
@@ -98,7 +99,7 @@ def identified_by_command(part, text, code, *options):
     process = part.folder / "process.toml"
     given = (
         "--cell",
-        trial.SAMPLES / "cell_kr270.toml",
+        SAMPLES / "cell_kr270.toml",
         "--process",
         process,
         "--program",

@@ -14,6 +14,7 @@ from postproc.testpart.cut import Clamped, CutForces, surfaces
 from postproc.testpart.linear import linearised
 from postproc.testpart.readings import Readings
 from tests.oracle.whole_arm import WholeArm
+from tests.places import SAMPLES
 from tests.testpart import trial
 
 MASS = 30.0
@@ -127,7 +128,7 @@ def test_a_weight_on_a_touch_off_point_is_refused(part):
 
 def test_the_command_writes_stops_for_the_weight(tmp_path):
     (tmp_path / "process.toml").write_text(trial.process_text(BLOCK, 1.0))
-    given = ["--cell", str(trial.SAMPLES / "cell_kr270.toml"), "--process", str(tmp_path / "process.toml")]
+    given = ["--cell", str(SAMPLES / "cell_kr270.toml"), "--process", str(tmp_path / "process.toml")]
     done = CliRunner().invoke(
         main, ["testpart", *given, "--features", "2", "--depth", "3", "--weight", "20", "-o", str(tmp_path / "out")]
     )

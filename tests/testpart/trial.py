@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from types import SimpleNamespace
 
 import msgspec
@@ -23,13 +22,11 @@ from postproc.testpart.model import agreement, material, model_file
 from postproc.testpart.prior import Prior
 from postproc.testpart.readings import Readings
 from postproc.under_load import RobotInCell
+from tests.kr270 import CELL, ROBOT
 from tests.oracle.arm import Arm
 from tests.oracle.whole_arm import WholeArm, twist
 from tests.testpart.machine import Machine
 
-SAMPLES = Path(__file__).parents[2] / "samples"
-CELL = postproc.load_cell(SAMPLES / "cell_kr270.toml")
-ROBOT = postproc.load_robot(CELL.robot)
 FOLDER = robots.find(CELL.robot)
 AL7075 = (767.01, 27.7, 168.8, 26.6, 222.0, 0.7)
 SIGMA = 5e-6

@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc import cell as cells
 from postproc import correction, frames, jobs, kinematics, robot, toolpath, under_load
 from postproc.poses import Poses
 from postproc.program import Carriage
 from postproc.under_load import ImpossiblePathError
+from tests.kr270 import CELL, ROBOT
 from tests.programs import program
 
-SAMPLES = Path(__file__).parents[2] / "samples"
-CELL = cells.load(SAMPLES / "cell_kr270.toml")
-ROBOT = jobs.load_robot(CELL.robot)
 DOWN = CELL.tool_pose_in_program()
 UP = (0.0, 0.0, 1.0)
 HEAD = [("PTP", 0, 0, 50), ("LIN", 0, 0, 0)]

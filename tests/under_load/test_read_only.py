@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from postproc import cell as cells
-from postproc import correction, robot
+from postproc import correction
 from postproc.dialects.text import decode
 from postproc.under_load import MotionsUnderLoad, PathUnderLoad, RobotInCell
+from tests.kr270 import CELL, ROBOT
+from tests.places import SAMPLES
 
-SAMPLES = Path(__file__).parents[2] / "samples"
-CELL = cells.load(SAMPLES / "cell_kr270.toml")
-ROBOT = robot.load(robot.find(CELL.robot))
 FILES = {"gcode": ("pocket.nc",), "krl": ("inline.src", "inline.dat")}
 
 

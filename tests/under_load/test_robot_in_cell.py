@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -15,11 +14,10 @@ from postproc import cell as cells
 from postproc import forces, frames, robot
 from postproc.program import Carriage
 from postproc.under_load import SHARE_OF_TOLERANCE, ImpossiblePathError, MotionsUnderLoad, PathUnderLoad, RobotInCell
+from tests.kr270 import CELL, ROBOT
 from tests.oracle.arm import Arm
 from tests.programs import program
 
-CELL = cells.load(Path(__file__).parents[2] / "samples/cell_kr270.toml")
-ROBOT = robot.load(robot.find(CELL.robot))
 ARM = Arm.load(robot.find(CELL.robot))
 DOWN = CELL.tool_pose_in_program()
 SOFT = cells.ToolCompliance(0.3, 0.2, 0.05, 20.0, 10.0, 5.0)

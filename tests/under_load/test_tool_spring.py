@@ -14,10 +14,9 @@ from postproc import cell as cells
 from postproc import elastostatics, robot
 from postproc.elastostatics import ToolSpring
 from postproc.under_load import RobotInCell
+from tests.kr270 import CELL, ROBOT
 from tests.oracle.arm import Arm
 
-CELL = cells.load(Path(__file__).parents[2] / "samples/cell_kr270.toml")
-ROBOT = robot.load(robot.find(CELL.robot))
 ARM = Arm.load(robot.find(CELL.robot))
 TOOL = CELL.tool.pose()
 SOFT = cells.ToolCompliance(0.3, 0.2, 0.05, 20.0, 10.0, 5.0)
