@@ -11,12 +11,14 @@ What instructions do: ABB, Technical reference manual, RAPID Instructions, Funct
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable
 from typing import Any, TypeGuard
 
 from msgspec import Struct, field
 
-from postproc.dialects.rapid.language import HARMLESS, MOVING
+from postproc.dialects.rapid.effects import Effects, bound_arguments, called
+from postproc.dialects.rapid.instructions import CONSTANT, MOVES, READING, SETTINGS, STOPPING, WRITING, Form
+from postproc.dialects.rapid.language import MOVING
 from postproc.dialects.rapid.syntax import (
     Argument,
     Assignment,
@@ -28,7 +30,6 @@ from postproc.dialects.rapid.syntax import (
     Jump,
     Loop,
     Module,
-    Parameter,
     Routine,
     Statement,
     calls,
@@ -50,7 +51,7 @@ from postproc.dialects.rapid.values import (
     truth,
 )
 from postproc.errors import MOST, PostprocError
-from postproc.program import CIRC, LIN, PTP
+from postproc.program import PTP
 
 _MOST_STATEMENTS = 3_000_000
 _DEEPEST = 60
@@ -69,38 +70,6 @@ class RapidError(PostprocError):
         return self
 
 
-class Form(Struct, frozen=True):
-    """Arguments of an instruction that moves the robot.
-
-    :ivar points: how many targets come first; of two, the first is the point on the circle.
-    :ivar behind: how many arguments may follow the tool.
-    """
-
-    kind: int
-    points: int = 1
-    joints: bool = False
-    before_zone: int = 0
-    behind: int = 0
-
-
-MOVES: dict[str, Form] = {
-    "MOVEL": Form(LIN),
-    "MOVEJ": Form(PTP),
-    "MOVEC": Form(CIRC, points=2),
-    "MOVEABSJ": Form(PTP, joints=True),
-    "MOVELDO": Form(LIN, behind=2),
-    "MOVEJDO": Form(PTP, behind=2),
-    "MOVECDO": Form(CIRC, points=2, behind=2),
-    "MOVELAO": Form(LIN, behind=2),
-    "MOVELGO": Form(LIN, behind=2),
-    "MOVELSYNC": Form(LIN, behind=1),
-    "MOVEJSYNC": Form(PTP, behind=1),
-    "MOVECSYNC": Form(CIRC, points=2, behind=1),
-    "TRIGGL": Form(LIN, before_zone=1),
-    "TRIGGJ": Form(PTP, before_zone=1),
-    "TRIGGC": Form(CIRC, points=2, before_zone=1),
-}
-"""Instructions that are followed; TriggL and its like switch at a distance from their end."""
 _OPTIONS = {"WOBJ", "V", "T", "Z", "CONC", "INPOS", "TLOAD", "NOEOFFS", "T1", "T2", "T3", "T4", "T5", "T6", "T7", "T8"}
 _REFUSED_OPTIONS = {
     "ID": "moves together with other robots",
@@ -108,30 +77,6 @@ _REFUSED_OPTIONS = {
     "TRACK": "is led by a sensor",
     "ADVANCED": "is led by a sensor",
 }
-_CONSTANT = {
-    "ACCSET", "PATHACCLIM", "WORLDACCLIM", "GRIPLOAD", "MECHUNITLOAD", "EOFFSOFF", "PDISPOFF", "CORRCLEAR", "SOFTDEACT",
-    "CORRDISCON", "STARTMOVE", "TRIGGIO", "TRIGGEQUIP", "TRIGGINT", "TRIGGSPEED", "TRIGGRAMPAO", "TRIGGCHECKIO",
-}  # fmt: skip
-"""Instructions of the family of moves that change neither the path nor the speed that counts here."""
-_WRITING = {"INCR", "DECR", "ADD", "CLEAR", "CLKREAD", "TPREADFK", "TPREADNUM", "TPREADDNUM", "GETSYSDATA", "READBLOCK"}
-_READING = HARMLESS - _WRITING | {
-    "TPSHOW", "ERRWRITE", "ERRLOG", "ACTUNIT", "DEACTUNIT", "WRITE", "OPEN", "CLOSE", "IDELETE", "ISIGNALDI",
-    "ISIGNALDO", "IENABLE", "IDISABLE", "IWATCH", "ISLEEP", "ITIMER", "EXITCYCLE", "BREAK", "SPEEDREFRESH",
-    "MOTIONSUP", "SINGAREA", "CONFL", "CONFJ", "CIRPATHMODE", "VELSET", "SETDO", "PULSEDO", "CONNECT", "UIMSGBOX",
-    "LOAD", "UNLOAD", "ERASEMODULE", "WAITSYNCTASK", "SAVE", "SETSYSDATA",
-}  # fmt: skip
-"""Instructions that change no data of the program."""
-_PURE_NAMES = """
-OFFS RELTOOL ORIENTZYX EULERZYX ABS SQRT POW EXP SIN COS TAN ASIN ACOS ATAN ATAN2 ROUND TRUNC NUMTOSTR VALTOSTR
-STRLEN STRPART STRFIND STRMATCH STRMAP STRMEMB STRORDER STRTOBYTE BYTETOSTR DECTOHEX HEXTODEC BITAND BITOR BITXOR
-BITNEG BITCHECK BITLSH BITRSH DIM PRESENT ISPERS ISVAR ARGNAME TYPE CPOS CROBT CJOINTT CTOOL CWOBJ CALCROBT
-POSEINV POSEMULT POSEVECT DEFFRAME DEFDFRAME MIRPOS NORIENT DISTANCE DOTPROD VECTMAGN DINPUT DOUTPUT AINPUT AOUTPUT
-GINPUT GOUTPUT TESTDI CLKREAD CDATE CTIME GETTIME OPMODE RUNMODE ROBOS ISFILE READMOTOR DNUMTONUM NUMTODNUM
-"""
-_PURE = frozenset(_PURE_NAMES.split())
-"""Functions of RAPID that change none of their arguments (ABB, "RAPID Instructions, Functions and Data types")."""
-_SETTINGS = {"SINGAREA", "CONFL", "CONFJ", "CIRPATHMODE", "VELSET"}
-_STOPPING = {"EXIT", "EXITCYCLE", "STOP", "BREAK"}
 _KEEP = "Leave it out, or convert the G-code or APT of this part."
 
 
@@ -233,22 +178,18 @@ class Execution:
         self.done = Executed()
         self.setting = Setting()
         self.count = 0
-        bodies = [routine.body for routine in self.routines.values()]
-        self.has_changing_functions = any(
-            call.value not in _PURE for body in bodies for statement in nested(body) for call in calls(statement)
-        )
+        self.effects = Effects(self.routines)
         self._moving: dict[str, bool] = {}
-        self._changed_data: dict[str, frozenset[str]] = {}
         reachable_names = self._reached(entry)
         for routine in self.routines.values():
             is_followed = routine.name in reachable_names and routine.kind == "PROC"
             self._forget(routine.handler, f"the handler of {routine.name} may change it")
             if routine.kind == "TRAP":
-                for name in self._changed_data_of(routine.name):
+                for name in self.effects.changed_data_of(routine.name):
                     if name in self.data:
                         self.data[name].interrupt = routine.name
             if not is_followed:
-                for name in self._changed_data_of(routine.name):
+                for name in self.effects.changed_data_of(routine.name):
                     _forget_variable(self.data.get(name), f"{routine.name} may change it, which is not followed")
 
     def run(self) -> Executed:
@@ -284,57 +225,19 @@ class Execution:
 
         :param scope: of the statements; None: only data of the modules count.
         """
-        for name in self._changed(statements):
+        for name in self.effects.changed(statements):
             _forget_variable(self.data.get(name) if scope is None else scope.find(name), reason)
-        for name in _called(statements):
-            for data_name in self._changed_data_of(name):
+        for name in called(statements):
+            for data_name in self.effects.changed_data_of(name):
                 _forget_variable(self.data.get(data_name), reason)
 
     def _forget_by_functions(self, statement: Statement, scope: Scope) -> None:
         """Make unknown what the functions that a statement calls may change."""
         for call in calls(statement):
-            for name in self._changed_arguments(call.value, call.items):
+            for name in self.effects.changed_arguments(call.value, call.items):
                 _forget_variable(scope.find(name), f"{call.value} may change it")
-            for name in self._changed_data_of(call.value):
+            for name in self.effects.changed_data_of(call.value):
                 _forget_variable(self.data.get(name), f"{call.value} may change it")
-
-    def _changed(self, statements: tuple[Statement, ...]) -> Iterator[str]:
-        """Yield the names of data that statements may change themselves, as their own routine names them."""
-        for statement in nested(statements):
-            for call in calls(statement):
-                yield from self._changed_arguments(call.value, call.items)
-            if isinstance(statement, Assignment):
-                yield base_name(statement.target)
-            elif isinstance(statement, Instruction) and statement.name not in _READING | MOVES.keys():
-                yield from self._changed_arguments(statement.name.removeprefix("%"), statement.arguments)
-
-    def _changed_arguments(self, name: str, arguments: tuple[Argument, ...]) -> Iterator[str]:
-        """Yield the names of arguments that a routine may change; all of one that is in another file."""
-        routine = self.routines.get(name)
-        if routine is not None:
-            bound = _bound(routine, arguments, Scope({}))
-            expressions = (expression for parameter, expression, _ in bound if parameter.changeable)
-            yield from (base_name(expression) for expression in expressions if expression is not None)
-        elif name not in _PURE:
-            yield from (base_name(argument) for argument in changed_by(arguments))
-
-    def _changed_data_of(self, name: str) -> frozenset[str]:
-        """Return the names of module data that a routine, and those that it calls, may change."""
-        if name not in self._changed_data:
-            names: set[str] = set()
-            waiting, looked_at = [name], {name}
-            while waiting:
-                routine = self.routines.get(waiting.pop())
-                if routine is None:
-                    continue
-                statements = (*routine.body, *routine.handler)
-                local_names = {parameter.name for parameter in routine.parameters}
-                local_names |= {item.name for item in nested(statements) if isinstance(item, Declaration)}
-                names |= set(self._changed(statements)) - local_names
-                waiting += (called := _called(statements) - looked_at)
-                looked_at |= called
-            self._changed_data[name] = frozenset(names)
-        return self._changed_data[name]
 
     def moves(self, statements: tuple[Statement, ...]) -> Instruction | None:
         """Return the first instruction among statements that moves the robot or changes how it moves."""
@@ -344,7 +247,7 @@ class Execution:
             name = statement.name.removeprefix("%")
             routine = self.routines.get(name)
             if routine is None:
-                if name in MOVES or name in _SETTINGS or (MOVING.match(name) and name not in _CONSTANT):
+                if name in MOVES or name in SETTINGS or (MOVING.match(name) and name not in CONSTANT):
                     return statement
             elif self._routine_moves(routine):
                 return statement
@@ -375,7 +278,7 @@ class Execution:
             self._statement(statement, scope, routine, depth)
 
     def _statement(self, statement: Statement, scope: Scope, routine: Routine, depth: int) -> None:
-        if self.has_changing_functions:
+        if self.effects.has_functions:
             self._forget_by_functions(statement, scope)
         match statement:
             case Instruction():
@@ -454,7 +357,7 @@ class Execution:
             )
             raise RapidError(problem, moving.start, advice)
         for statement in nested(statements):
-            if isinstance(statement, Jump) and statement.word not in (*_STOPPING, ":"):
+            if isinstance(statement, Jump) and statement.word not in (*STOPPING, ":"):
                 if statement.word == "RETURN" and routine is self.entry:
                     continue  # the program ends early, and what ran before is as it was
                 if self._routine_moves(routine):
@@ -550,21 +453,21 @@ class Execution:
                 self._refuse(statement, cause.problem, "Give the data as numbers in this file.")
         elif name in self.routines and self.routines[name].kind == "PROC":
             self._call(statement, self.routines[name], scope, depth)
-        elif name in _SETTINGS:
+        elif name in SETTINGS:
             self._set(statement, scope)
         elif name in ("INCR", "DECR", "ADD", "CLEAR"):
             self._count(statement, scope)
-        elif MOVING.match(name) and name not in _CONSTANT:
+        elif MOVING.match(name) and name not in CONSTANT:
             self._refuse(statement, f"{name} moves the robot or changes how it moves, which is not followed", _KEEP)
         else:
             if name == "CONNECT":
                 self._connect(statement)
-            if name not in _READING | _CONSTANT:
+            if name not in READING | CONSTANT:
                 for argument in changed_by(statement.arguments):
                     variable = scope.find(base_name(argument))
                     if variable is not None and not _is_constant(variable):
                         variable.forget(f"{name} may change it")
-            if name not in _READING | _CONSTANT | _WRITING:
+            if name not in READING | CONSTANT | WRITING:
                 start, count = self.done.foreign.get(name or "%", (statement.start, 0))
                 self.done.foreign[name or "%"] = start, count + 1
 
@@ -614,7 +517,7 @@ class Execution:
 
     def _call(self, statement: Instruction, routine: Routine, scope: Scope, depth: int) -> None:
         inner = Scope(self.data)
-        bound = list(_bound(routine, statement.arguments, scope))
+        bound = list(bound_arguments(routine, statement.arguments, scope))
         for parameter, expression, is_given in bound:
             variable = Variable(parameter.type, None, f"the call of {routine.name} does not give it")
             if parameter.changeable and _is_plain(expression, scope):  # the routine has the data itself
@@ -746,13 +649,6 @@ def _check_names(modules: tuple[Module, ...]) -> None:
                 )
 
 
-def _called(statements: tuple[Statement, ...]) -> set[str]:
-    """Return the names of the instructions and functions in statements, those of routines among them."""
-    names = {call.value for statement in nested(statements) for call in calls(statement)}
-    instructions = (statement for statement in nested(statements) if isinstance(statement, Instruction))
-    return names | {instruction.name.removeprefix("%") for instruction in instructions}
-
-
 def _forget_variable(variable: Variable | None, reason: str) -> None:
     """Make data unknown that may change."""
     if variable is not None and not _is_constant(variable):
@@ -765,28 +661,6 @@ def _declared(declaration: Declaration) -> Variable:
     if declaration.value is None and not declaration.dimensions:
         variable.value = {"NUM": 0.0, "BOOL": False, "STRING": ""}.get(declaration.type)
     return variable
-
-
-def _bound(
-    routine: Routine, arguments: Sequence[Argument], scope: Scope
-) -> Iterator[tuple[Parameter, Expression | None, bool | None]]:
-    """Yield the parameters of a routine with their arguments, and whether they are given, None if that is not known.
-
-    An argument that passes an optional parameter on is given if that is.
-    """
-    positional = iter([argument.value for argument in arguments if not argument.name])
-    options = {argument.name: argument for argument in arguments if argument.name}
-    for parameter in routine.parameters:
-        if not parameter.optional:
-            yield parameter, next(positional, None), True
-            continue
-        argument = options.get(parameter.name)
-        expression = None if argument is None else argument.value
-        source = None if expression is None else expression.value
-        is_given: bool | None = argument is not None
-        if isinstance(source, str) and source in scope.presence:
-            is_given = scope.presence[source]
-        yield parameter, expression, is_given
 
 
 def _is_plain(expression: Expression | None, scope: Scope) -> TypeGuard[Expression]:

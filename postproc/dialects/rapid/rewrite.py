@@ -20,7 +20,8 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc.dialects import force_comments
-from postproc.dialects.rapid.execution import MOVES, Move, Target
+from postproc.dialects.rapid.execution import Move, Target
+from postproc.dialects.rapid.instructions import MOVES
 from postproc.dialects.rapid.language import abb_from_joints, configuration, quaternions
 from postproc.dialects.rapid.layout import Layout
 from postproc.dialects.rapid.syntax import Expression

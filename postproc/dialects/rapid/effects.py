@@ -1,0 +1,106 @@
+"""What statements of RAPID may change: data by their names, through routines and functions too.
+
+A routine has data and parameters of its own. What it changes besides are data of the module, whatever the routine that
+calls it declares under their names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from postproc.dialects.rapid.instructions import MOVES, PURE, READING
+from postproc.dialects.rapid.syntax import (
+    Argument,
+    Assignment,
+    Declaration,
+    Expression,
+    Instruction,
+    Parameter,
+    Routine,
+    Statement,
+    calls,
+    nested,
+)
+from postproc.dialects.rapid.values import Scope, base_name, changed_by
+
+
+class Effects:
+    """What statements may change that call these routines, by name.
+
+    :ivar has_functions: whether a statement of them calls a function that may change something.
+    """
+
+    def __init__(self, routines: dict[str, Routine]) -> None:
+        self.routines = routines
+        bodies = [routine.body for routine in routines.values()]
+        self.has_functions = any(
+            call.value not in PURE for body in bodies for statement in nested(body) for call in calls(statement)
+        )
+        self._changed_data: dict[str, frozenset[str]] = {}
+
+    def changed(self, statements: tuple[Statement, ...]) -> Iterator[str]:
+        """Yield the names of data that statements may change themselves, as their own routine names them."""
+        for statement in nested(statements):
+            for call in calls(statement):
+                yield from self.changed_arguments(call.value, call.items)
+            if isinstance(statement, Assignment):
+                yield base_name(statement.target)
+            elif isinstance(statement, Instruction) and statement.name not in READING | MOVES.keys():
+                yield from self.changed_arguments(statement.name.removeprefix("%"), statement.arguments)
+
+    def changed_arguments(self, name: str, arguments: tuple[Argument, ...]) -> Iterator[str]:
+        """Yield the names of arguments that a routine may change; all of one that is in another file."""
+        routine = self.routines.get(name)
+        if routine is not None:
+            bound = bound_arguments(routine, arguments, Scope({}))
+            expressions = (expression for parameter, expression, _ in bound if parameter.changeable)
+            yield from (base_name(expression) for expression in expressions if expression is not None)
+        elif name not in PURE:
+            yield from (base_name(argument) for argument in changed_by(arguments))
+
+    def changed_data_of(self, name: str) -> frozenset[str]:
+        """Return the names of module data that a routine, and those that it calls, may change."""
+        if name not in self._changed_data:
+            names: set[str] = set()
+            waiting, looked_at = [name], {name}
+            while waiting:
+                routine = self.routines.get(waiting.pop())
+                if routine is None:
+                    continue
+                statements = (*routine.body, *routine.handler)
+                local_names = {parameter.name for parameter in routine.parameters}
+                local_names |= {item.name for item in nested(statements) if isinstance(item, Declaration)}
+                names |= set(self.changed(statements)) - local_names
+                waiting += (names_called := called(statements) - looked_at)
+                looked_at |= names_called
+            self._changed_data[name] = frozenset(names)
+        return self._changed_data[name]
+
+
+def called(statements: tuple[Statement, ...]) -> set[str]:
+    """Return the names of the instructions and functions in statements, those of routines among them."""
+    names = {call.value for statement in nested(statements) for call in calls(statement)}
+    instructions = (statement for statement in nested(statements) if isinstance(statement, Instruction))
+    return names | {instruction.name.removeprefix("%") for instruction in instructions}
+
+
+def bound_arguments(
+    routine: Routine, arguments: Sequence[Argument], scope: Scope
+) -> Iterator[tuple[Parameter, Expression | None, bool | None]]:
+    """Yield the parameters of a routine with their arguments, and whether they are given, None if that is not known.
+
+    An argument that passes an optional parameter on is given if that is.
+    """
+    positional = iter([argument.value for argument in arguments if not argument.name])
+    options = {argument.name: argument for argument in arguments if argument.name}
+    for parameter in routine.parameters:
+        if not parameter.optional:
+            yield parameter, next(positional, None), True
+            continue
+        argument = options.get(parameter.name)
+        expression = None if argument is None else argument.value
+        source = None if expression is None else expression.value
+        is_given: bool | None = argument is not None
+        if isinstance(source, str) and source in scope.presence:
+            is_given = scope.presence[source]
+        yield parameter, expression, is_given
