@@ -20,9 +20,10 @@ from msgspec.structs import replace
 from postproc.cell import Cell
 from postproc.chunks import Runs
 from postproc.dialects.apt import statements, systems
+from postproc.dialects.apt.course import ARC, RAPID, Course, Part
 from postproc.dialects.apt.statements import Statements
 from postproc.dialects.apt.survey import survey
-from postproc.dialects.apt.walk import ARC, RAPID, Course, Part, executed
+from postproc.dialects.apt.walk import executed
 from postproc.dialects.dialect import CamFormat
 from postproc.errors import ForceError, InputError, Issue, ProgramError, together
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, inverse, norm

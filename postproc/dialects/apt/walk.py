@@ -38,10 +38,11 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from msgspec import Struct, field
+from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc.cell import Cell, m_code_fault
+from postproc.dialects.apt.course import ARC, LINE, RAPID, Course, Fault, Happening, Part
 from postproc.dialects.apt.cycles import Cycle, cycle_words
 from postproc.dialects.apt.inserted import inserted_comment, inserted_fault
 from postproc.dialects.apt.statements import (
@@ -56,11 +57,10 @@ from postproc.dialects.apt.statements import (
 )
 from postproc.dialects.apt.systems import sequence_at, sequence_lines, system_of
 from postproc.dialects.circles import Circle, belonging, leaving
-from postproc.errors import MOST, Level
+from postproc.errors import MOST
 from postproc.frames import Array, norm
 from postproc.program import EventKind, Ints
 
-RAPID, LINE, ARC = 0, 1, 2
 _MM_PER_INCH = 25.4
 _PER_MINUTE = {
     "MMPM": 1.0,
@@ -90,65 +90,6 @@ _AMBIGUOUS = (
     "the points behind CIRCLE are all on it: they may be of the arc, or ends of straight lines",
     "Let the CAM system write one GOTO for each arc, or points only (Creo: CIRC_INTERPOLATION).",
 )
-
-
-class Fault(Struct, frozen=True):
-    """A fault of a statement: its row, the problem, the advice."""
-
-    row: int
-    problem: str
-    advice: str | None = None
-
-
-class Happening(Struct, frozen=True):
-    """An event: number of moves before it, row of its statement, and `program.Event` in short."""
-
-    before: int
-    row: int
-    kind: EventKind
-    value: float = 0.0
-    text: str = ""
-
-
-class Part(Struct, frozen=True, eq=False):
-    """Moves of one kind and feed, n in order.
-
-    :param row: (n,) statements; `end` (n, 3) [mm] and `axis` (n, 3), the unit direction from tip to spindle, there.
-    :param code: `RAPID`, `LINE` or `ARC`; `feed` [mm/min].
-    :param tool: number of the tool, or None before the first.
-    :param circle: of an arc; `sweep` its angle [rad].
-    :param free: by a joint motion. `exact`: stops at the end. `home`: to [machine] home.
-    """
-
-    row: Ints
-    end: Array
-    axis: Array
-    code: int
-    feed: float
-    tool: float | None
-    circle: Circle | None = None
-    sweep: float = 0.0
-    free: bool = False
-    exact: bool = False
-    home: bool = False
-
-
-class Course(Struct, eq=False):
-    """Result of the execution.
-
-    :ivar unforced: whether the first move comes from `[start]` at feed.
-    :ivar stated: whether the program states its units.
-    :ivar after_end: rows of statements behind the end, which are not executed.
-    """
-
-    parts: list[Part] = field(default_factory=list)
-    events: list[Happening] = field(default_factory=list)
-    faults: list[Fault] = field(default_factory=list)
-    remarks: list[tuple[int, Level, str, str]] = field(default_factory=list)
-    tools: list[float] = field(default_factory=list)
-    unforced: bool = False
-    stated: bool = False
-    after_end: tuple[int, ...] = ()
 
 
 class _Pending(Struct, frozen=True, eq=False):
