@@ -93,7 +93,7 @@ def read_toml(
         raise error("a key of more than 30 parts", file=str(path), line=line, advice="Correct the key.")
     try:
         data = tomllib.loads(text)
-        for key, value in _numbers(data, ""):
+        for key, value in _entries(data, ""):
             if isinstance(value, float) and not math.isfinite(value):
                 raise error(f"{key} is {value}", file=str(path), advice="Give a finite number.")
     except ValueError as cause:  # TOMLDecodeError is one; so is a number of thousands of digits
@@ -139,33 +139,39 @@ def convert(
 
 _RANGE = re.compile(r"Expected `(?:float|int)` (?P<relation><=|>=|<|>) (?P<limit>\S+)$")
 _OUT_OF_RANGE = {"<=": operator.gt, ">=": operator.lt, "<": operator.ge, ">": operator.le}
+_KIND = re.compile(r"got `(?P<kind>str|int|float|bool|array|object)`$")
+_TYPE = {"str": str, "int": int, "float": float, "bool": bool, "array": list, "object": dict}
 
 
 def _with_value(message: str, data: object, at: str) -> str:
-    """Return a message about a number out of range with the full key and the number; other messages as they are.
+    """Return a message about a value with its full key, and with the number if that is out of range.
 
-    :param at: key of the number, where `[...]` stands for any name or index.
+    :param at: key of the value, where `[...]` stands for any name or index.
     """
-    range_message = _RANGE.search(message)
-    if range_message is None:
-        return message
     key = re.compile(re.escape(at).replace(re.escape("[...]"), r"(?:\.[^.]+|\[\d+\])"))
-    is_out_of_range, limit = _OUT_OF_RANGE[range_message["relation"]], float(range_message["limit"])
-    for name, value in _numbers(data, ""):
-        if key.fullmatch(name) and is_out_of_range(value, limit):
-            return f"{name}: {range_message[0]}, not {str(value)[:40]}"
+    entries = ((name, value) for name, value in _entries(data, "") if key.fullmatch(name))
+    if range_message := _RANGE.search(message):
+        is_out_of_range, limit = _OUT_OF_RANGE[range_message["relation"]], float(range_message["limit"])
+        for name, value in entries:
+            if isinstance(value, (float, int)) and not isinstance(value, bool) and is_out_of_range(value, limit):
+                return f"{name}: {range_message[0]}, not {str(value)[:40]}"
+    if kind_message := _KIND.search(message):
+        for name, value in entries:
+            if type(value) is _TYPE[kind_message["kind"]]:
+                return f"{name}: {message.partition(': ')[2]}"
     return message
 
 
-def _numbers(data: object, key: str) -> Iterator[tuple[str, float | int]]:
+def _entries(data: object, key: str) -> Iterator[tuple[str, object]]:
+    """Yield all values of a table, and of the tables and lists in it, with their keys."""
+    if key:
+        yield key, data
     if isinstance(data, Mapping):
         for name, value in data.items():
-            yield from _numbers(value, f"{key}.{name}" if key else str(name))
+            yield from _entries(value, f"{key}.{name}" if key else str(name))
     elif isinstance(data, list):
         for index, value in enumerate(data):
-            yield from _numbers(value, f"{key}[{index}]")
-    elif isinstance(data, (float, int)) and not isinstance(data, bool):
-        yield key, data
+            yield from _entries(value, f"{key}[{index}]")
 
 
 def _wrong_keys(data: object, kind: Any, at: str) -> Iterator[tuple[str, str | None]]:

@@ -327,7 +327,8 @@ def _part_fault(fit: Fit, outliers: tuple[str, ...]) -> str:
         first, second = fit.swapped
         return f"{first} and {second} look exchanged: exchange their rows of deviation_mm, or probe both again"
     if outliers:
-        return f"{', '.join(outliers)} contradict the other points: probe them again, or leave their deviation_mm empty"
+        verb = "contradicts" if len(outliers) == 1 else "contradict"
+        return f"{', '.join(outliers)} {verb} the other points: probe again, or leave deviation_mm empty there"
     return ""
 
 

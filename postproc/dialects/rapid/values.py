@@ -229,7 +229,8 @@ def _name(expression: Expression, scope: Scope) -> tuple[Value, str]:
         if initial is not None:
             variable.value, _ = evaluated(initial, Scope(scope.outer))
     if variable.value is None:
-        raise UnknownValueError(f"{expression.value} is not known: {variable.why or 'it has no value yet'}")
+        prefix = f"{expression.value} is not known: "
+        raise UnknownValueError(prefix + (variable.why.removeprefix(prefix) or "it has no value yet"))
     return variable.value, variable.type
 
 
