@@ -158,12 +158,12 @@ def test_in_a_folder_it_is_corrected_with_those_that_call_it():
         shutil.move(f"{name}.src", "jobs")
     Path("jobs/one.src").write_text(Path("jobs/one.src").read_text().replace("sub()", "Ready()\nsub()"))
     Path("jobs/tools.src").write_text("DEF tools()\n;nothing\nEND\nGLOBAL DEF READY ( )\n$OUT[1]=TRUE\nEND\n")
-    Path("jobs/CELL_FILE.src").write_text("DEF CELL_FILE()\nLOOP\nIF $IN[1] THEN\none()\nENDIF\nENDLOOP\nEND\n")
+    Path("jobs/CELL.src").write_text("DEF CELL()\nLOOP\nIF $IN[1] THEN\none()\nENDIF\nENDLOOP\nEND\n")
     Path("jobs/last.src").write_text(Path("jobs/one.src").read_text().replace("one", "last").replace("sub()", ";sub()"))
     run("convert", "jobs/one.src", "-o", "alone")
     done = run("convert", "jobs", "-o", "out", code=1)
     assert "jobs/sub.src: called by one.src, three.src: corrected with it" in done.stderr
-    assert done.stderr.count("Error: ") == done.stderr.count("Error: jobs/CELL_FILE.src:5: the branches") == 1
+    assert done.stderr.count("Error: ") == done.stderr.count("Error: jobs/CELL.src:5: the branches") == 1
     assert "jobs/tools.src: called by last.src, one.src: written with it, unchanged" in done.stderr
     written = {"one.src", "three.src", "last.src", "sub.src", "tools.src"}
     assert {path.name for path in Path("out").glob("*.src")} == written

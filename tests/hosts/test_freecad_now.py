@@ -316,7 +316,7 @@ def test_the_post_goes_where_the_newest_freecad_looks(tmp_path, monkeypatch, the
     done = CliRunner().invoke(main, ["install-post", "freecad"])
     assert done.exit_code == 0, done.output
     assert (own / taken / "kuka_compensated_post.py").is_file()
-    assert "--cell CELL_FILE.toml --material NAME" in done.output
+    assert "--cell CELL.toml --material NAME" in done.output
 
 
 def test_without_freecad_the_message_says_where_it_was_looked_for(tmp_path, monkeypatch):
