@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -132,20 +132,20 @@ def estimate(
         tool cuts, a tool that turns while it cuts leaves material above itself.
     """
     refuse_unread_cuts(program)
+    law, tools = process.law(), tool_states(program, process)
+    directions = Directions.of(program, path, axis)
+    task = _Task(program, path, process, axis, law, tools, directions, stock, base_axes, shift, guard, progress)
 
     def swept(widest: float) -> ProcessForces:
-        factor_from: dict[int, int] = {}
+        cell_factors: dict[int, int] = {}
         while True:
             if guard is not None:
                 guard.close.clear()
-            forces, passes = _estimate(
-                program, path, process, axis, widest, factor_from, stock=stock, base_axes=base_axes, shift=shift,
-                guard=guard, progress=progress,
-            )  # fmt: skip
-            if factor_from or process.stock.resolution_mm is not None:
+            forces, passes = _estimate(task, widest, cell_factors)
+            if cell_factors or process.stock.resolution_mm is not None:
                 return forces
-            factor_from = factors(passes, forces.stock.high.size)
-            if not factor_from:
+            cell_factors = factors(passes, forces.stock.high.size)
+            if not cell_factors:
                 return forces
 
     try:
@@ -157,93 +157,142 @@ def estimate(
             raise overhang from None
 
 
-def _estimate(
-    program: Program,
-    path: Segments,
-    process: Process,
-    axis: str,
-    widest: float,
-    factor_from: dict[int, int],
-    *,
-    stock: Path | None,
-    base_axes: bool,
-    shift: Shift | None,
-    guard: Guard | None,
-    progress: Callable[[int, int], None] | None,
-) -> tuple[ProcessForces, list[ThinPasses]]:
+class _Task(NamedTuple):
+    """What the forces of a program depend on, see `estimate`.
+
+    :param law: forces of the material per length of cutting edge and chip.
+    :param tools: tool and spindle speed of each motion.
+    :param directions: of the tools along the motions.
+    """
+
+    program: Program
+    path: Segments
+    process: Process
+    axis: str
+    law: CuttingLaw
+    tools: ToolStates
+    directions: Directions
+    stock: Path | None
+    base_axes: bool
+    shift: Shift | None
+    guard: Guard | None
+    progress: Callable[[int, int], None] | None
+
+    def segments(self, frame: Array, cell: float) -> StraightSegments:
+        """Return the straight segments of all motions in the frame (4, 4) of a map with cells of a width [m]."""
+        return straight_segments(self.program, self.path, self.tools, frame, cell, self.shift, self.directions)
+
+    def least_rise(self) -> Array:
+        """Return the length (M,) over which the force of each motion builds up at least [m]: half a feed per tooth."""
+        teeth = np.array([self.process.tools[key].flutes for key in self.tools.keys])[self.tools.tool]
+        per_tooth = np.nan_to_num(self.program.motions.feed) * 60.0 / np.maximum(self.tools.rpm * teeth, 1.0)
+        return np.maximum(0.5 * per_tooth, _LEAST_RISE)
+
+
+class _SweptSetups(NamedTuple):
+    """The sweeps of all set-ups, in their order, and what they leave.
+
+    :param cuts: stations along the cutting motions, as many as the changes of their forces need.
+    :param along: the forces at them.
+    :param stock: the remaining stock, in the frame of the last set-up.
+    :param removed: volume [m³].
+    :param issues: warnings about maps of the stock that hold more than the stock.
+    :param is_compared: (M,) motions on which the parts of the tool were compared while the stock was swept.
+    :param by_cells: (M, 2) sums over the stations of each motion [N²], see `Sweep`.
+    """
+
+    sweeps: list[Sweep]
+    cuts: list[Cuts]
+    along: list[Knots]
+    stock: Stock
+    removed: float
+    issues: list[Issue]
+    is_compared: Bools
+    by_cells: Array
+
+
+def _estimate(task: _Task, widest: float, cell_factors: dict[int, int]) -> tuple[ProcessForces, list[ThinPasses]]:
     """Return the cutting forces of a program, see `estimate`, and the passes that need finer cells than they had.
 
     :param widest: largest angle between a tool that turns while it cuts and the direction of a map [rad].
-    :param factor_from: by which cells of the map are divided from a motion on.
+    :param cell_factors: by which cells of the map are divided from a motion on.
     """
-    law = process.law()
-    tools = tool_states(program, process)
+    program, process, tools, guard = task.program, task.process, task.tools, task.guard
     cell = process.stock.cell
-    directions = Directions.of(program, path, axis)
-    in_order = with_finer_cells(setups(program, directions, widest), factor_from, directions.cuts)
-    material, issues = _stock(process, in_order[0].frame, cell / in_order[0].factor, stock)
-    start, removed_volume = material.volume(), 0.0
+    in_order = with_finer_cells(setups(program, task.directions, widest), cell_factors, task.directions.cuts)
+    material, issues = _stock(process, in_order[0].frame, cell / in_order[0].factor, task.stock)
     bounds = (*material.bounds, material.top)
-    all_segments = straight_segments(program, path, tools, in_order[0].frame, cell, shift, directions)
-    _check_speed(program, all_segments, tools)
-    teeth = np.array([process.tools[key].flutes for key in tools.keys])[tools.tool]
-    per_tooth = np.nan_to_num(program.motions.feed) * 60.0 / np.maximum(tools.rpm * teeth, 1.0)
-    rise = np.maximum(0.5 * per_tooth, _LEAST_RISE)
-    swing = np.full(len(program.motions), np.nan) if program.swivel is None else program.swivel.rate
-    total = len(all_segments.motion)
-    segment_count, parts, sweeps, knots = 0, [], [], []
-    is_compared, by_cells = np.zeros(len(program.motions), dtype=bool), np.zeros((len(program.motions), 2))
-    for number, setup in enumerate(in_order):
-        if number:
-            removed_volume += start - material.volume()
-            left = material.volume()
-            material = _next_map(material, in_order[number - 1], setup, cell)
-            start = material.volume()
-            issues += _hollows(start, left)
-        steps = all_segments
-        if number:
-            steps = straight_segments(program, path, tools, setup.frame, material.cell, shift, directions)
-        steps = steps.of(setup.motions)
-        is_compared[steps.motion[~steps.leans]] = True
-        ceiling = None if guard is None else Ceiling(material)
-        leans = ~directions.within(setup.frame[:3, 2], TURNS)
-        poses = ToolPoses(program, path, setup.frame, axis, leans)
-        feed, has_shift = program.motions.feed, shift is not None
-        sweep = Sweep(material, process, tools, feed, law, poses, swing, by_cells, has_shift, guard, ceiling)
-        cuts = _thinned(sweep, steps, _offset(progress, segment_count, total))
-        segment_count += len(steps.motion)
-        sweeps.append(sweep)
-        parts.append(cuts)
-        stations = cuts.motion, cuts.t, cuts.wrench, cuts.deviation
-        sigma = 0.0 if law.covariance is not None else law.sigma
-        knots.append(without_steps(poses, stations, rise, (sigma, law.unknown_axial), base_axes=base_axes))
-    _refuse_tilted(program, sweeps)
-    if not any(sweep.contact for sweep in sweeps):
-        raise _no_contact(program, all_segments, bounds, process, stock)
-    cuts = Cuts.joined(parts)
-    collisions = {motion: depth for sweep in sweeps for motion, depth in sweep.collided.items()}
-    spindle_off = set[int]().union(*(sweep.stopped for sweep in sweeps))
-    issues += unread_cuts(program)
-    issues += _out_of_scale(all_segments, bounds)
-    issues += _issues(program, spindle_off, law, cuts, tools, process)
-    passes = thin_passes(program, tools, by_cells)
+    segments = task.segments(in_order[0].frame, cell)
+    _check_speed(program, segments, tools)
+    swept = _swept_setups(task, in_order, material, segments)
+    _refuse_tilted(program, swept.sweeps)
+    if not any(sweep.contact for sweep in swept.sweeps):
+        raise _no_contact(program, segments, bounds, process, task.stock)
+    cuts = Cuts.joined(swept.cuts)
+    collisions = {motion: depth for sweep in swept.sweeps for motion, depth in sweep.collided.items()}
+    stopped_motions = set[int]().union(*(sweep.stopped for sweep in swept.sweeps))
+    issues += [*swept.issues, *unread_cuts(program), *_out_of_scale(segments, bounds)]
+    issues += _issues(program, stopped_motions, task.law, cuts, tools, process)
+    passes = thin_passes(program, tools, swept.by_cells)
     issues += _coarse(program, tools, passes, in_order, cell)
     issues += [*_collisions(program, collisions, guard), *_other_cutter(program, tools, process, guard)]
     power = np.zeros(len(program.motions))
     np.maximum.at(power, cuts.motion, cuts.power)
     forces = ProcessForces(
-        along=Knots.joined(knots),
+        along=Knots.joined(swept.along),
         cuts=cuts,
         power=power,
         tools=tools,
         drills=tuple(process.tools[key].shape == "drill" for key in tools.keys),
-        stock=material,
+        stock=swept.stock,
         map_in_base=in_order[-1].frame,
-        removed=removed_volume + start - material.volume(),
+        removed=swept.removed,
         issues=tuple(issues),
-        over_time=None if guard is None else _over_time(program, in_order, sweeps, is_compared),
+        over_time=None if guard is None else _over_time(program, in_order, swept.sweeps, swept.is_compared),
     )
     return forces, passes
+
+
+def _swept_setups(task: _Task, in_order: list[Setup], material: Stock, segments: StraightSegments) -> _SweptSetups:
+    """Cut the stock by the motions of all set-ups, one after the other.
+
+    :param material: the stock in the frame of the first set-up; it is cut in place.
+    :param segments: straight segments of all motions in that frame.
+    """
+    program, process, law, tools = task.program, task.process, task.law, task.tools
+    count, feed, rise = len(program.motions), program.motions.feed, task.least_rise()
+    swing = np.full(count, np.nan) if program.swivel is None else program.swivel.rate
+    sigma = 0.0 if law.covariance is not None else law.sigma
+    start, removed_volume, segment_count = material.volume(), 0.0, 0
+    sweeps: list[Sweep] = []
+    parts: list[Cuts] = []
+    knots: list[Knots] = []
+    issues: list[Issue] = []
+    is_compared, by_cells = np.zeros(count, dtype=bool), np.zeros((count, 2))
+    for number, setup in enumerate(in_order):
+        steps = segments
+        if number:
+            removed_volume += start - material.volume()
+            left_volume = material.volume()
+            material = _next_map(material, in_order[number - 1], setup, process.stock.cell)
+            start = material.volume()
+            issues += _hollows(start, left_volume)
+            steps = task.segments(setup.frame, material.cell)
+        steps = steps.of(setup.motions)
+        is_compared[steps.motion[~steps.leans]] = True
+        ceiling = None if task.guard is None else Ceiling(material)
+        leans = ~task.directions.within(setup.frame[:3, 2], TURNS)
+        poses = ToolPoses(program, task.path, setup.frame, task.axis, leans)
+        has_shift = task.shift is not None
+        sweep = Sweep(material, process, tools, feed, law, poses, swing, by_cells, has_shift, task.guard, ceiling)
+        cuts = _thinned(sweep, steps, _offset(task.progress, segment_count, len(segments.motion)))
+        segment_count += len(steps.motion)
+        sweeps.append(sweep)
+        parts.append(cuts)
+        stations = cuts.motion, cuts.t, cuts.wrench, cuts.deviation
+        knots.append(without_steps(poses, stations, rise, (sigma, law.unknown_axial), base_axes=task.base_axes))
+    removed_volume = removed_volume + start - material.volume()
+    return _SweptSetups(sweeps, parts, knots, material, removed_volume, issues, is_compared, by_cells)
 
 
 def _refuse_tilted(program: Program, sweeps: list[Sweep]) -> None:

@@ -8,6 +8,7 @@ their covariance. One feed per tooth cannot separate the edge from the cut; seve
 from __future__ import annotations
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -168,6 +169,24 @@ def equations(readings: CutReadings, tool: ToolTable) -> Array:
     return derivatives
 
 
+class _Equations(NamedTuple):
+    """Linear equations of the m readings that are there.
+
+    :param predictor: (m, 6) derivatives of the readings by the coefficients.
+    :param readout: (m,) measured values [N], of the power [W].
+    :param sigma: (m,) their standard deviations [N], [W]; of readings without, in proportion to them.
+    :param reading: (m,) row of the reading; component: (m,) 0…2 for Fx…Fz, 3 for the power.
+    :param has_sigma: whether all readings state their standard deviation.
+    """
+
+    predictor: Array
+    readout: Array
+    sigma: Array
+    reading: Ints
+    component: Ints
+    has_sigma: bool
+
+
 def identify(readings: CutReadings, tool: ToolTable, prior: MaterialTable | None, file: str) -> IdentifiedMaterial:
     """Identify the coefficients by weighted least squares.
 
@@ -175,54 +194,25 @@ def identify(readings: CutReadings, tool: ToolTable, prior: MaterialTable | None
     :param file: of the readings, for messages.
     :raises ForceError: the readings cannot separate coefficients, or there are too few; the message names which.
     """
-    whole = equations(readings, tool)
-    values = np.concatenate([readings.force, readings.power[:, None]], axis=1)
-    reading, component = (np.asarray(index, dtype=np.int64) for index in np.nonzero(np.isfinite(values)))
-    predictor, readout = whole[reading, component], values[reading, component]
-    has_sigma = bool(np.isfinite(readings.sigma).all())
-    sigma = np.where(np.isfinite(readings.sigma), readings.sigma, 1.0)[reading]
-    watt = np.linalg.norm(whole[:, 3, [0, 3]], axis=1) / np.maximum(np.linalg.norm(whole[:, 1, [0, 3]], axis=1), 1e-12)
-    sigma = np.where(component == 3, sigma * watt[reading], sigma)
-    if not len(readout):
-        raise ForceError("no force and no power in any row", file=file, advice="Fill in Fx, Fy, Fz or power_W.")
+    rows = _linear_equations(readings, tool, file)
+    predictor, readout, sigma = rows.predictor, rows.readout, rows.sigma
     is_excited = np.abs(predictor).max(axis=0) > 1e-9 * np.abs(predictor).max()
     _check_separable(readings, tool, predictor, sigma, is_excited, file)
-    prior_value, fixed_sigma, warnings = _not_measured(prior, is_excited, file)
-    rest = readout - predictor @ prior_value
+    estimate, fixed_sigma, warnings = _not_measured(prior, is_excited, file)
+    fitted_part = readout - predictor @ estimate
     freedom = len(readout) - int(is_excited.sum())
     if freedom < 1:
         advice = "Measure at more feeds: five in a slot determine all six."
         raise ForceError(f"{len(readout)} readings for {int(is_excited.sum())} coefficients", file=file, advice=advice)
-    value, spread = _fit(predictor[:, is_excited], rest, sigma)
-    error = predictor[:, is_excited] @ value - rest
-    scale = float(np.sum((error / sigma) ** 2)) / freedom
-    from scipy.special import stdtrit
-
-    factor = 1.96
-    if not has_sigma:
-        least_scale = _LEAST_SCATTER**2 * float(np.mean((readout / sigma) ** 2))
-        if scale < least_scale:
-            scale = least_scale
-            warnings.append(
-                "the readings scatter less than any sensor does: were they computed? The intervals are those of a "
-                f"scatter of {100.0 * _LEAST_SCATTER:g} %; state sigma_N"
-            )
-    if not has_sigma or scale > 1.0:
-        spread = spread * scale
-        factor = float(stdtrit(freedom, 0.975))
-    if has_sigma and scale > 2.0:
-        warnings.append(
-            f"the readings scatter {np.sqrt(scale):.1f} times as much as sigma_N says: the intervals are wider by that"
-        )
-    estimate, covariance = prior_value.copy(), np.diag(fixed_sigma**2)
+    value, spread = _fit(predictor[:, is_excited], fitted_part, sigma)
+    error = predictor[:, is_excited] @ value - fitted_part
+    spread, scatter_warnings = _scaled_spread(spread, error, rows, freedom)
+    warnings += scatter_warnings
+    covariance = np.diag(fixed_sigma**2)
     estimate[is_excited] = value
-    covariance[np.ix_(is_excited, is_excited)] = spread * (factor / 1.96) ** 2
+    covariance[np.ix_(is_excited, is_excited)] = spread
     half = 1.96 * np.sqrt(np.diag(covariance))
-    forces = component < 3
-    residual = float(np.sqrt(np.mean(error[forces] ** 2))) if forces.any() else float("nan")
-    variance = np.einsum("mi,ij,mj->m", predictor, covariance, predictor) + error**2
-    size = float(np.sqrt(np.sum((readout / sigma) ** 2)))
-    percent = 100.0 * float(np.sqrt(np.sum(variance / sigma**2))) / size
+    forces = rows.component < 3
     for k in np.flatnonzero(is_excited & (half > 0.5 * np.abs(estimate))).tolist():
         warnings.append(
             f"{NAMES[k]} is known to ±{half[k]:.2g} only ({estimate[k]:.3g}): measure more feeds, or deeper cuts"
@@ -236,13 +226,73 @@ def identify(readings: CutReadings, tool: ToolTable, prior: MaterialTable | None
         predictor=predictor,
         measured=readout,
         sigma=sigma,
-        reading=reading,
-        component=component,
-        residual=residual,
-        left_out=_left_out(predictor[:, is_excited], rest, readout, sigma, np.round(chip[reading], 6)),
-        sigma_percent=max(_LEAST_SIGMA, percent),
+        reading=rows.reading,
+        component=rows.component,
+        residual=float(np.sqrt(np.mean(error[forces] ** 2))) if forces.any() else float("nan"),
+        left_out=_left_out(predictor[:, is_excited], fitted_part, readout, sigma, np.round(chip[rows.reading], 6)),
+        sigma_percent=max(_LEAST_SIGMA, _percent_of_readout(rows, covariance, error)),
         warnings=tuple(warnings),
     )
+
+
+def _linear_equations(readings: CutReadings, tool: ToolTable, file: str) -> _Equations:
+    """Return the equations of all forces and powers that were measured.
+
+    :raises ForceError: there are none.
+    """
+    derivatives = equations(readings, tool)
+    values = np.concatenate([readings.force, readings.power[:, None]], axis=1)
+    reading, component = (np.asarray(index, dtype=np.int64) for index in np.nonzero(np.isfinite(values)))
+    if not len(reading):
+        raise ForceError("no force and no power in any row", file=file, advice="Fill in Fx, Fy, Fz or power_W.")
+    has_sigma = np.isfinite(readings.sigma)
+    sigma = np.where(has_sigma, readings.sigma, 1.0)[reading]
+    power_size, force_size = (np.linalg.norm(derivatives[:, row, [0, 3]], axis=1) for row in (3, 1))
+    watt = power_size / np.maximum(force_size, 1e-12)
+    sigma = np.where(component == 3, sigma * watt[reading], sigma)
+    predictor, readout = derivatives[reading, component], values[reading, component]
+    return _Equations(predictor, readout, sigma, reading, component, bool(has_sigma.all()))
+
+
+def _scaled_spread(spread: Array, error: Array, rows: _Equations, freedom: int) -> tuple[Array, list[str]]:
+    """Return the covariance (k, k) of coefficients, scaled by the scatter of the readings, and warnings about it.
+
+    :param spread: (k, k) covariance if the readings scatter as `rows.sigma` says.
+    :param error: (m,) residuals [N], [W].
+    :param freedom: number of readings beyond that of coefficients.
+    """
+    warnings: list[str] = []
+    scale = float(np.sum((error / rows.sigma) ** 2)) / freedom
+    factor = 1.96
+    if not rows.has_sigma:
+        least_scale = _LEAST_SCATTER**2 * float(np.mean((rows.readout / rows.sigma) ** 2))
+        if scale < least_scale:
+            scale = least_scale
+            warnings.append(
+                "the readings scatter less than any sensor does: were they computed? The intervals are those of a "
+                f"scatter of {100.0 * _LEAST_SCATTER:g} %; state sigma_N"
+            )
+    if not rows.has_sigma or scale > 1.0:
+        from scipy.special import stdtrit
+
+        spread = spread * scale
+        factor = float(stdtrit(freedom, 0.975))
+    if rows.has_sigma and scale > 2.0:
+        warnings.append(
+            f"the readings scatter {np.sqrt(scale):.1f} times as much as sigma_N says: the intervals are wider by that"
+        )
+    return spread * (factor / 1.96) ** 2, warnings
+
+
+def _percent_of_readout(rows: _Equations, covariance: Array, error: Array) -> float:
+    """Return the RMS deviation of readings from their model, uncertain coefficients included, in % of their RMS.
+
+    :param covariance: (6, 6) of the coefficients.
+    :param error: (m,) residuals [N], [W].
+    """
+    variance = np.einsum("mi,ij,mj->m", rows.predictor, covariance, rows.predictor) + error**2
+    size = float(np.sqrt(np.sum((rows.readout / rows.sigma) ** 2)))
+    return 100.0 * float(np.sqrt(np.sum(variance / rows.sigma**2))) / size
 
 
 def _fit(predictor: Array, readout: Array, sigma: Array) -> tuple[Array, Array]:
