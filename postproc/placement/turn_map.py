@@ -12,10 +12,12 @@ free (Bellman 1957).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc import kinematics
 from postproc.frames import RAD_PER_DEG, Array, inverse
@@ -210,18 +212,85 @@ def evaluate(
     :param bodies: None = collisions are not checked.
     """
     robot = samples.robot_in_cell.robot
-    count, turn_count = len(blocks.first), len(offset)
-    shape = (count, turn_count)
-    worst = Margins(*(np.full(shape, np.nan) for _ in range(4)))
-    speed, jump, rate = (np.zeros(shape) for _ in range(3))
-    hit = np.zeros(shape, dtype=bool)
-    pose_rows = np.arange(0, len(samples), max(1, len(samples) // _MOST_POSES))
-    pose_rows = np.unique(np.concatenate([pose_rows, blocks.last, [len(samples) - 1]]))
-    ends, middles = np.empty((count, turn_count, 6)), np.empty((count, turn_count, 6))
-    winding = np.zeros((count, turn_count, 2, 3))
-    free = samples.program.motions.kind[samples.sample.motion] == PTP
+    turn_map = _unfilled(blocks, base, offset, has_bodies=bodies is not None)
     bounds = np.append(blocks.first, len(samples))
     middle = (bounds[:-1] + bounds[1:] - 1) // 2
+    middles = np.empty(turn_map.q.shape)
+    for chunk in _chunks(samples, blocks):
+        for j in range(len(offset)):
+            q, step = _solved(samples, chunk, base, offset[j : j + 1], branch)
+            _fill(turn_map, j, samples, chunk, q, step)
+            q = q[:, chunk.lead :]
+            middles[chunk.bins, j] = q[:, middle[chunk.bins] - chunk.begin].T
+            if turn_map.hit is not None and bodies is not None:
+                turn_map.hit[chunk.bins, j] = np.logical_or.reduceat(_hits(bodies, chunk, q), chunk.starts)
+    rate = turn_map.rate
+    if len(offset) > 1:
+        gap = drive.wrapped(np.roll(turn_map.q, -1, axis=1) - turn_map.q)
+        rate = np.abs(gap / robot.speed).max(axis=2) / (offset[1] - offset[0])
+        rate = np.fmax(rate, np.roll(rate, 1, axis=1))
+    u95, deflection = _errors(samples, middle, base[middle][:, None] + offset, middles)
+    return replace(turn_map, rate=rate, u95=u95, deflection=deflection)
+
+
+def _unfilled(blocks: Blocks, base: Array, offset: Array, *, has_bodies: bool) -> TurnMap:
+    """Return a map whose cells are to be filled; without bodies nothing is hit."""
+    shape = (len(blocks.first), len(offset))
+    return TurnMap(
+        blocks,
+        base,
+        offset,
+        margin=Margins(*(np.full(shape, np.nan) for _ in range(4))),
+        speed=np.zeros(shape),
+        jump=np.zeros(shape),
+        rate=np.zeros(shape),
+        hit=np.zeros(shape, dtype=bool) if has_bodies else None,
+        q=np.empty((*shape, 6)),
+        winding=np.zeros((*shape, 2, 3)),
+        u95=np.zeros(shape),
+        deflection=np.zeros(shape),
+    )
+
+
+class _Chunk(NamedTuple):
+    """Samples that are solved together: n of whole bins, and with `lead` the one before them.
+
+    :param bins: of the map.
+    :param begin: first sample of the bins; lead: 1 if the sample before it is in the rows, or 0.
+    :param rows: (lead + n,) samples.
+    :param starts: (k,) first sample of each bin, ends: (k,) last sample, from `begin` on.
+    :param is_free: (n,) True on joint interpolations: no step between samples counts.
+    :param pose_rows: samples at which collisions are looked for, from `begin` on.
+    :param pose: (3, 4, lead + n) tool frames in the root, without turn.
+    :param tool: (3, 4, 1 or lead + n) flange in the tool frame.
+    :param joints: (lead + n, 6) programmed joint angles [rad]; NaN where poses are programmed.
+    """
+
+    bins: slice
+    begin: int
+    lead: int
+    rows: Ints
+    starts: Ints
+    ends: Ints
+    is_free: Bools
+    pose_rows: Ints
+    pose: Array
+    tool: Array
+    joints: Array
+
+    @property
+    def is_axis_target(self) -> Bools:
+        """(lead + n,) True where joint angles are programmed."""
+        return np.isfinite(self.joints[:, 0])
+
+
+def _chunks(samples: PathSamples, blocks: Blocks) -> Iterator[_Chunk]:
+    """Yield the samples of the path in chunks of whole bins, `_CHUNK` samples or one bin."""
+    motions, count = samples.program.motions, len(blocks.first)
+    pose_rows = np.arange(0, len(samples), max(1, len(samples) // _MOST_POSES))
+    pose_rows = np.unique(np.concatenate([pose_rows, blocks.last, [len(samples) - 1]]))
+    free = motions.kind[samples.sample.motion] == PTP
+    bounds = np.append(blocks.first, len(samples))
     tools = components(inverse(samples.program.tools))
     from_bin = 0
     while from_bin < count:
@@ -231,66 +300,70 @@ def evaluate(
         lead = int(begin > 0)
         rows = np.arange(begin - lead, end)
         motion = samples.sample.motion[rows]
-        pose = _untooled(samples, rows)
-        tool = tools if tools.shape[-1] == 1 else tools[..., samples.program.motions.tool[motion]]
-        starts = blocks.first[from_bin:to_bin] - begin
-        part = slice(from_bin, to_bin)
-        is_free = free[begin:end]
-        chosen_rows = pose_rows[slice(*np.searchsorted(pose_rows, [begin, end]))] - begin
-        joints = samples.program.motions.joints[motion]
-        axis_targets = np.isfinite(joints[:, 0])
-        is_axis_target = axis_targets[lead:]
-        for j in range(turn_count):
-            turn = samples.rotation(base[rows] + offset[j]) if base[rows].any() else samples.rotation(offset[j : j + 1])
-            columns = [pose[:, k] for k in range(4)]
-            local = np.zeros((3, 4, turn.shape[0]))
-            local[:, :3] = np.moveaxis(turn, 0, -1)
-            flange = product([*columns[:3], columns[3]], product([local[:, k] for k in range(4)], tool))
-            q = drive.solve(robot, flange, branch)
-            q[:, axis_targets] = joints[axis_targets].T
-            step = np.diff(q, axis=1) if lead else np.diff(q, axis=1, prepend=q[:, :1])
-            q = q[:, lead:]
-            flips = (np.abs(np.delete(step, WINDING, axis=0)) > np.pi).any(axis=0) & ~is_free
-            step = np.nan_to_num(drive.wrapped(step))
-            step[:, is_free] = 0.0
-            margin = drive.margins(robot, q)
-            margin.joint[flips] = -1.0
-            for field in margin.__struct_fields__:
-                getattr(margin, field)[is_axis_target] = np.inf
-            for name in Margins.__struct_fields__:
-                getattr(worst, name)[part, j] = np.minimum.reduceat(getattr(margin, name), starts)
-            speed[part, j] = np.maximum.reduceat(drive.timed_speed(robot, step, samples.time[begin:end]), starts)
-            jump[part, j] = np.maximum.reduceat(np.abs(step).max(axis=0), starts)
-            ends[part, j] = q[:, bounds[from_bin + 1 : to_bin + 1] - 1 - begin].T
-            middles[part, j] = q[:, middle[part] - begin].T
-            winding[part, j] = _wound(step[list(WINDING)], starts)
-            if bodies is not None:
-                is_hit = np.zeros(end - begin, dtype=bool)
-                pose_hits = bodies.along(
-                    q[:, chosen_rows].T, rows[lead:][chosen_rows], is_free[chosen_rows], between_samples=False
-                )
-                is_hit[chosen_rows] = pose_hits
-                hit[part, j] = np.logical_or.reduceat(is_hit, starts)
+        yield _Chunk(
+            bins=slice(from_bin, to_bin),
+            begin=begin,
+            lead=lead,
+            rows=rows,
+            starts=blocks.first[from_bin:to_bin] - begin,
+            ends=bounds[from_bin + 1 : to_bin + 1] - 1 - begin,
+            is_free=free[begin:end],
+            pose_rows=pose_rows[slice(*np.searchsorted(pose_rows, [begin, end]))] - begin,
+            pose=_untooled(samples, rows),
+            tool=tools if tools.shape[-1] == 1 else tools[..., motions.tool[motion]],
+            joints=motions.joints[motion],
+        )
         from_bin = to_bin
-    gap = drive.wrapped(np.roll(ends, -1, axis=1) - ends)
-    if turn_count > 1:
-        rate = np.abs(gap / robot.speed).max(axis=2) / (offset[1] - offset[0])
-        rate = np.fmax(rate, np.roll(rate, 1, axis=1))
-    u95, deflection = _errors(samples, middle, base[middle][:, None] + offset, middles)
-    return TurnMap(
-        blocks,
-        base,
-        offset,
-        worst,
-        speed,
-        jump,
-        rate,
-        None if bodies is None else hit,
-        ends,
-        winding,
-        u95,
-        deflection,
-    )
+
+
+def _solved(samples: PathSamples, chunk: _Chunk, base: Array, offset: Array, branch: int) -> tuple[Array, Array]:
+    """Return joint angles (6, lead + n) of a chunk at a turn, and their steps (6, n) from sample to sample [rad].
+
+    :param base: (N,) turn of each sample [rad]; `offset` (1,) added to it.
+    :param branch: of the inverse kinematics.
+    """
+    has_base = base[chunk.rows].any()
+    turn = samples.rotation(base[chunk.rows] + offset[0]) if has_base else samples.rotation(offset)
+    columns = [chunk.pose[:, k] for k in range(4)]
+    local = np.zeros((3, 4, turn.shape[0]))
+    local[:, :3] = np.moveaxis(turn, 0, -1)
+    flange = product([*columns[:3], columns[3]], product([local[:, k] for k in range(4)], chunk.tool))
+    q = drive.solve(samples.robot_in_cell.robot, flange, branch)
+    q[:, chunk.is_axis_target] = chunk.joints[chunk.is_axis_target].T
+    step = np.diff(q, axis=1) if chunk.lead else np.diff(q, axis=1, prepend=q[:, :1])
+    return q, step
+
+
+def _fill(turn_map: TurnMap, j: int, samples: PathSamples, chunk: _Chunk, q: Array, step: Array) -> None:
+    """Enter what joints do on the bins of a chunk with turn j into the map.
+
+    :param q: (6, lead + n) joint angles [rad]; step: (6, n) from sample to sample [rad].
+    """
+    robot, bins, starts = samples.robot_in_cell.robot, chunk.bins, chunk.starts
+    q = q[:, chunk.lead :]
+    flips = (np.abs(np.delete(step, WINDING, axis=0)) > np.pi).any(axis=0) & ~chunk.is_free
+    step = np.nan_to_num(drive.wrapped(step))
+    step[:, chunk.is_free] = 0.0
+    margin = drive.margins(robot, q)
+    margin.joint[flips] = -1.0
+    for name in Margins.__struct_fields__:
+        values = getattr(margin, name)
+        values[chunk.is_axis_target[chunk.lead :]] = np.inf
+        getattr(turn_map.margin, name)[bins, j] = np.minimum.reduceat(values, starts)
+    time = samples.time[chunk.begin : chunk.begin + q.shape[1]]
+    turn_map.speed[bins, j] = np.maximum.reduceat(drive.timed_speed(robot, step, time), starts)
+    turn_map.jump[bins, j] = np.maximum.reduceat(np.abs(step).max(axis=0), starts)
+    turn_map.q[bins, j] = q[:, chunk.ends].T
+    turn_map.winding[bins, j] = _wound(step[list(WINDING)], starts)
+
+
+def _hits(bodies: Bodies, chunk: _Chunk, q: Array) -> Bools:
+    """Return at which samples (n,) of a chunk bodies come too close, for joint angles (6, n) [rad]."""
+    rows = chunk.pose_rows
+    is_hit = np.zeros(q.shape[1], dtype=bool)
+    samples = chunk.rows[chunk.lead :][rows]
+    is_hit[rows] = bodies.along(q[:, rows].T, samples, chunk.is_free[rows], between_samples=False)
+    return is_hit
 
 
 def _untooled(samples: PathSamples, rows: Ints) -> Array:
@@ -512,6 +585,23 @@ def _steps(turn_map: TurnMap, b: int, part: slice, step: float, base_change: flo
     return np.arange(max(min(first_step, 0), 1 - turn_count), min(max(last_step, 0), turn_count - 1) + 1)
 
 
+class _Crossing(NamedTuple):
+    """Ways over a block: J columns of the map at its end × D changes of the turn.
+
+    :param source: (J, D) column at the start of the block.
+    :param price: (J, D) cost; infinite where the way is blocked.
+    :param extra_turns: (J, D, 2) whole turns of A4 and A6 by which the way differs from the angles of the map.
+    :param low_angle: (J, D, 2) least angle of A4 and A6 on the way, counted from that of the map at its start [rad];
+        high_angle: largest.
+    """
+
+    source: Ints
+    price: Array
+    extra_turns: Ints
+    low_angle: Array
+    high_angle: Array
+
+
 def _advance(
     turn_map: TurnMap,
     b: int,
@@ -529,40 +619,59 @@ def _advance(
     :param changes: changes of the turn (D,) in steps of the map, and the whole change (D,) with that of its columns
         [rad].
     """
+    crossing = _crossing(turn_map, b, part, changes, bad, costs, is_circle=is_circle)
+    steps, turn_count = changes[0], len(turn_map.offset)
+    next_state = np.full((3, 3, turn_count), np.inf)
+    best_step = np.zeros((3, 3, turn_count), dtype=np.int64)
+    source4, source6 = best_step.copy(), best_step.copy()
+    columns_of_map = np.arange(turn_count)
+    for n4 in range(3):
+        for n6 in range(3):
+            start4, start6 = n4 - crossing.extra_turns[..., 0], n6 - crossing.extra_turns[..., 1]
+            is_allowed = (start4 >= 0) & (start4 <= 2) & (start6 >= 0) & (start6 <= 2)
+            index4, index6 = np.clip(start4, 0, 2), np.clip(start6, 0, 2)
+            whole = _TURN * (np.stack([index4, index6], axis=2) - 1)
+            is_allowed &= (crossing.low_angle + whole >= limits[0]).all(axis=2)
+            is_allowed &= (crossing.high_angle + whole <= limits[1]).all(axis=2)
+            value = np.where(is_allowed, state[index4, index6, crossing.source] + crossing.price, np.inf)
+            best = value.argmin(axis=1)
+            next_state[n4, n6] = value[columns_of_map, best]
+            best_step[n4, n6] = steps[best]
+            source4[n4, n6], source6[n4, n6] = index4[columns_of_map, best], index6[columns_of_map, best]
+    return next_state, (source4, source6, best_step + _STEP_MARK)
+
+
+def _crossing(
+    turn_map: TurnMap,
+    b: int,
+    part: slice,
+    changes: tuple[Ints, Array],
+    bad: Bools,
+    costs: _Costs,
+    *,
+    is_circle: bool,
+) -> _Crossing:
+    """Return the ways over a block, see `_advance`."""
     blocks, (steps, turn_change) = turn_map.blocks, changes
-    turn_count = len(turn_map.offset)
+    turn_count, joints = len(turn_map.offset), list(WINDING)
     source = np.arange(turn_count)[:, None] - steps  # (target, change)
-    leaves_map = np.zeros(source.shape, dtype=bool) if is_circle else (source < 0) | (source >= turn_count)
+    is_blocked = np.zeros(source.shape, dtype=bool) if is_circle else (source < 0) | (source >= turn_count)
     source = source % turn_count
-    joints = list(WINDING)
     share = np.append(0.0, blocks.share[part])
     price = np.zeros(source.shape)
-    is_blocked = leaves_map.copy()
     angle = turn_map.q[part.start - 1][source][..., joints]
     low_angle, high_angle = angle.copy(), angle.copy()
-    whole_time = float(blocks.time[b])
-    turning = (
-        np.abs(steps) * (turn_map.offset[1] - turn_map.offset[0]) / whole_time
-        if whole_time > 0.0
-        else np.zeros(len(steps))
-    )
-    at_feed = bool(blocks.cuts[b])
+    turning = _turning_speed(turn_map, b, steps)
     length = max(float(blocks.length[b]) * 1e3, 1.0)
     turning_price = _TURNING_PRICE * turn_change / (_PER_MM * length)
     columns = source
-    bad_count = {k: np.concatenate([[0], np.cumsum(np.tile(bad[k], 3))]) for k in range(part.start, part.stop)}
     for n, k in enumerate(range(part.start, part.stop)):
         start_columns = columns
         columns = _column(source + steps * share[n + 1], turn_count)
-        column_range = np.sort(source + steps * share[n : n + 2, None, None], axis=0)
-        first, last = (
-            np.floor(column_range[0] + _EXACT).astype(np.int64),
-            np.ceil(column_range[1] - _EXACT).astype(np.int64),
-        )
-        is_blocked |= bad_count[k][last + turn_count + 1] > bad_count[k][first + turn_count]
+        is_blocked |= _is_bad_between(bad[k], source + steps * share[n : n + 2, None, None])
         halfway = _column(source + steps * (0.5 * (share[n] + share[n + 1])), turn_count)
         price += costs.cell[k][halfway] + costs.turning(k, halfway, turning_price)
-        if at_feed and len(steps) > 1:
+        if blocks.cuts[b] and len(steps) > 1:
             is_blocked |= ~(turn_map.speed[k][columns] + turn_map.rate[k][columns] * turning <= 1.0)
         winding = turn_map.winding[k][start_columns]
         low_angle = np.minimum(low_angle, angle + winding[..., 1])
@@ -573,27 +682,31 @@ def _advance(
     end = turn_map.q[part.stop - 1][np.arange(turn_count)][:, None, joints]
     with np.errstate(invalid="ignore"):
         extra_turns = np.rint((angle - end) / _TURN)
-        unsure = np.isnan(extra_turns).any(axis=2)
-    extra_turns = np.nan_to_num(extra_turns).astype(np.int64)
+        is_unsure = np.isnan(extra_turns).any(axis=2)
     price = price + _STEADY * turn_change * (1.0 + turn_change / (_PER_MM * length))
-    price = np.where(is_blocked | unsure, np.inf, price)
-    next_state = np.full((3, 3, turn_count), np.inf)
-    best_step = np.zeros((3, 3, turn_count), dtype=np.int64)
-    source4, source6 = best_step.copy(), best_step.copy()
-    columns_of_map = np.arange(turn_count)
-    for n4 in range(3):
-        for n6 in range(3):
-            start4, start6 = n4 - extra_turns[..., 0], n6 - extra_turns[..., 1]
-            is_allowed = (start4 >= 0) & (start4 <= 2) & (start6 >= 0) & (start6 <= 2)
-            index4, index6 = np.clip(start4, 0, 2), np.clip(start6, 0, 2)
-            whole = _TURN * (np.stack([index4, index6], axis=2) - 1)
-            is_allowed &= (low_angle + whole >= limits[0]).all(axis=2) & (high_angle + whole <= limits[1]).all(axis=2)
-            value = np.where(is_allowed, state[index4, index6, source] + price, np.inf)
-            best = value.argmin(axis=1)
-            next_state[n4, n6] = value[columns_of_map, best]
-            best_step[n4, n6] = steps[best]
-            source4[n4, n6], source6[n4, n6] = index4[columns_of_map, best], index6[columns_of_map, best]
-    return next_state, (source4, source6, best_step + _STEP_MARK)
+    price = np.where(is_blocked | is_unsure, np.inf, price)
+    return _Crossing(source, price, np.nan_to_num(extra_turns).astype(np.int64), low_angle, high_angle)
+
+
+def _turning_speed(turn_map: TurnMap, b: int, steps: Ints) -> Array:
+    """Return how fast changes of the turn (D,) in steps of the map turn the tool on a block [rad/s]."""
+    time = float(turn_map.blocks.time[b])
+    if not time > 0.0:
+        return np.zeros(len(steps))
+    return np.asarray(np.abs(steps) * (turn_map.offset[1] - turn_map.offset[0]) / time)
+
+
+def _is_bad_between(bad: Bools, places: Array) -> Bools:
+    """Return which ways (J, D) through a bin touch bad columns.
+
+    :param bad: (J,) columns of the bin that are refused.
+    :param places: (2, J, D) column at the start and at the end of the bin; beyond the map by less than a round.
+    """
+    bad_count = np.concatenate([[0], np.cumsum(np.tile(bad, 3))])
+    low_place, high_place = np.sort(places, axis=0)
+    first = np.floor(low_place + _EXACT).astype(np.int64)
+    last = np.ceil(high_place - _EXACT).astype(np.int64)
+    return np.asarray(bad_count[last + len(bad) + 1] > bad_count[first + len(bad)])
 
 
 def _column(place: Array, count: int) -> Ints:
