@@ -20,8 +20,17 @@ from postproc.chunks import compact
 from postproc.decimals import Bytes, numbers_in, parsed
 from postproc.dialects.krl.language.positions import COLUMNS
 from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.layout import Offsets
 from postproc.dialects.krl.read import plain_settings
-from postproc.dialects.krl.read.motion_columns import MotionColumns, given, merged, narrow, no_circles, none, postures
+from postproc.dialects.krl.read.motion_columns import (
+    MotionColumns,
+    given,
+    merged,
+    narrow,
+    no_circles,
+    none,
+    postures,
+)
 from postproc.dialects.krl.read.plain_settings import PlainSettings, no_settings
 from postproc.frames import Array, any_column
 from postproc.program import CIRC, LIN, PTP, Bools, Ints
@@ -129,49 +138,13 @@ def _scan(codes: bytes, line_starts: Ints, index: Ints, lines: int, characters: 
     """
     if not len(index):
         return none()
-    line_ends = np.append(line_starts[1:], len(codes))
-    length = (line_ends - line_starts)[index]
-    begins = np.cumsum(length) - length
-    shift = line_starts[index] - begins
-    body = codes
-    if len(index) < len(line_starts):
-        body = np.frombuffer(codes, dtype=np.uint8)[np.repeat(shift, length) + np.arange(length.sum())].tobytes()
+    body, begins, shift = _plain_body(codes, line_starts, index)
     shift += characters
-    if b";" in body:
-        body = _COMMENT.sub(lambda comment: b" " * len(comment[0]), body)
     raw = np.frombuffer(body, dtype=np.uint8)
-
-    digits = _digits(body)
-    starts, stops = numbers_in(digits)
-    values = parsed(digits, starts, stops)
-    if values is None:
-        values = _values(digits)
-    if len(values) != len(starts):
+    tokens = _number_tokens(body)
+    if tokens is None:
         return None
-    points = np.stack([np.flatnonzero(raw == ord("{")), np.flatnonzero(raw == ord("}")) + 1], axis=1)
-    column = _COLUMN[_before(raw, starts)]
-    circles = len(points) > len(index)
-    if circles:  # auxiliary points have columns of their own, before those of the targets
-        line = np.searchsorted(begins, points[:, 0], side="right") - 1
-        target = np.append(line[1:] != line[:-1], True)
-        column += np.repeat(
-            np.where(target, _NUMBERS, 0), np.diff(np.searchsorted(starts, points[:, 0]), append=len(starts))
-        )
-    numbers = np.full((len(index), _NUMBERS * (1 + circles)), np.nan)
-    spans = np.full((*numbers.shape, 2), -1, dtype=np.int32)
-    row, column = _places(column, begins, starts)
-    offset, shape = (shift[:, None], (len(index), -1)) if isinstance(row, slice) else (shift[row], (-1,))
-    numbers[row, column] = values.reshape(shape)
-    spans[row, column, 0] = starts.reshape(shape) + offset
-    spans[row, column, 1] = stops.reshape(shape) + offset
-    via, via_spans, via_target = no_circles(len(index))
-    if circles:
-        via, via_spans = numbers[:, :3].copy(), spans[:, :3].copy()
-        numbers, spans = numbers[:, _NUMBERS:], spans[:, _NUMBERS:]
-        via_target = via_target.copy()
-        via_target[line[~target]] = points[~target] + shift[line[~target], None]
-        points = points[target]
-
+    numbers, spans, points, (via, via_spans, via_target) = _points(raw, begins, shift, tokens)
     keyword = _skip_blanks(raw, begins, 1)
     letter = raw[keyword + ((raw[keyword] | 32) == ord("s"))] | 32
     ends = np.concatenate([begins[1:], [len(raw)]])
@@ -192,6 +165,72 @@ def _scan(codes: bytes, line_starts: Ints, index: Ints, lines: int, characters: 
         via_spans=via_spans,
         via_target=via_target,
     )
+
+
+def _plain_body(codes: bytes, line_starts: Ints, index: Ints) -> tuple[bytes, Ints, Ints]:
+    """Return the text of some lines (P,) alone, comments blanked out.
+
+    :returns: the text, the offsets of the lines in it (P,), and what to add on each line (P,) to offsets in it for
+        those in all codes.
+    """
+    line_ends = np.append(line_starts[1:], len(codes))
+    length = (line_ends - line_starts)[index]
+    begins = np.cumsum(length) - length
+    shift = line_starts[index] - begins
+    body = codes
+    if len(index) < len(line_starts):
+        body = np.frombuffer(codes, dtype=np.uint8)[np.repeat(shift, length) + np.arange(length.sum())].tobytes()
+    if b";" in body:
+        body = _COMMENT.sub(lambda comment: b" " * len(comment[0]), body)
+    return body, begins, shift
+
+
+def _number_tokens(body: bytes) -> tuple[Array, Ints, Ints] | None:
+    """Return the numbers (T,) in a text, and where each starts and stops (T,); None if one cannot be read."""
+    digits = _digits(body)
+    starts, stops = numbers_in(digits)
+    values = parsed(digits, starts, stops)
+    if values is None:
+        values = _values(digits)
+    return None if len(values) != len(starts) else (values, starts, stops)
+
+
+def _points(
+    raw: Bytes, begins: Ints, shift: Ints, tokens: tuple[Array, Ints, Ints]
+) -> tuple[Array, Offsets, Ints, tuple[Array, Offsets, Ints]]:
+    """Return the targets of plain lines, and the auxiliary points of their circles.
+
+    :param raw: the text of the lines; begins: (P,) their offsets in it.
+    :param shift: (P,) what to add for offsets in the document.
+    :param tokens: numbers of the text, see `_number_tokens`.
+    :returns: numbers of targets (P, 14), NaN where there is none; their offsets in the document (P, 14, 2), −1 where
+        there is none; offsets of the targets in the text (P, 2); see `MotionColumns` for the auxiliary points.
+    """
+    values, starts, stops = tokens
+    points = np.stack([np.flatnonzero(raw == ord("{")), np.flatnonzero(raw == ord("}")) + 1], axis=1)
+    column = _COLUMN[_before(raw, starts)]
+    has_circles = len(points) > len(begins)
+    if has_circles:  # auxiliary points have columns of their own, before those of the targets
+        line = np.searchsorted(begins, points[:, 0], side="right") - 1
+        is_target = np.append(line[1:] != line[:-1], True)
+        column += np.repeat(
+            np.where(is_target, _NUMBERS, 0), np.diff(np.searchsorted(starts, points[:, 0]), append=len(starts))
+        )
+    numbers = np.full((len(begins), _NUMBERS * (1 + has_circles)), np.nan)
+    spans = np.full((*numbers.shape, 2), -1, dtype=np.int32)
+    row, column = _places(column, begins, starts)
+    offset, shape = (shift[:, None], (len(begins), -1)) if isinstance(row, slice) else (shift[row], (-1,))
+    numbers[row, column] = values.reshape(shape)
+    spans[row, column, 0] = starts.reshape(shape) + offset
+    spans[row, column, 1] = stops.reshape(shape) + offset
+    via, via_spans, via_target = no_circles(len(begins))
+    if has_circles:
+        via, via_spans = numbers[:, :3].copy(), spans[:, :3].copy()
+        numbers, spans = numbers[:, _NUMBERS:], spans[:, _NUMBERS:]
+        via_target = via_target.copy()
+        via_target[line[~is_target]] = points[~is_target] + shift[line[~is_target], None]
+        points = points[is_target]
+    return numbers, spans, points, (via, via_spans, via_target)
 
 
 def _places(column: Ints, begins: Ints, starts: Ints) -> tuple[Ints | slice, Ints]:
