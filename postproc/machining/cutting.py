@@ -46,7 +46,7 @@ from postproc.machining.material import Floats
 from postproc.machining.stock import SLOPE, Stock, between_cells
 from postproc.machining.tool import Turn
 
-_NOTHING = 1e-6
+_NO_CONTACT = 1e-6
 """Engaged edge lengths below this [m] are rounding errors."""
 
 
@@ -75,36 +75,36 @@ def engaged(stock: Stock, turn: Turn, x: Floats, y: Floats, tip: Floats, descent
     :param tip: (n,) height of the tip [m].
     :param descent: (n,) descent of the tool in one turn [m], > 0: the end face cuts material within it.
     """
-    out = np.zeros(x.shape, dtype=np.float32)
+    length = np.zeros(x.shape, dtype=np.float32)
     z = tip[:, None]
     end = turn.side.start
     if end > 0:
-        around = nearby_cells(stock, x[:, :end], y[:, :end])
-        in_part = _partly(stock, around)
+        corners = nearby_cells(stock, x[:, :end], y[:, :end])
+        in_part = _has_partly_cut(stock, corners)
         on_floor = float(tip.min()) < stock.ground
         if turn.round.start < end:
-            level = _levels(stock, around, turn.round, z, in_part, on_floor)
+            level = _levels(stock, corners, turn.round, z, in_part, on_floor)
             level -= z
             level -= turn.low[turn.round]
             rise = turn.rise[turn.round]
-            inside = np.minimum(np.maximum(level, 0.0, out=level), rise, out=level)
+            height = np.minimum(np.maximum(level, 0.0, out=level), rise, out=level)
             if on_floor:
-                floor = stock.floor.reshape(-1).take(around.cell[0][:, turn.round]) - z
-                inside -= np.minimum(np.maximum(floor - turn.low[turn.round], 0.0), rise)
-                np.maximum(inside, 0.0, out=inside)
-            out[:, turn.round] = inside * (turn.length[turn.round] / rise)
+                floor = stock.floor.reshape(-1).take(corners.cell[0][:, turn.round]) - z
+                height -= np.minimum(np.maximum(floor - turn.low[turn.round], 0.0), rise)
+                np.maximum(height, 0.0, out=height)
+            length[:, turn.round] = height * (turn.length[turn.round] / rise)
         if turn.bottom.start < turn.bottom.stop:
             depth = np.maximum(descent, np.float32(1e-7))[:, None]
-            under = _blend(
-                stock, around, turn.bottom, lambda level: np.minimum(np.maximum(level - z, 0.0), depth), in_part
+            bottom_height = _blend(
+                stock, corners, turn.bottom, lambda level: np.minimum(np.maximum(level - z, 0.0), depth), in_part
             )
-            out[:, turn.bottom] = under / depth * turn.length[turn.bottom]
+            length[:, turn.bottom] = bottom_height / depth * turn.length[turn.bottom]
     moment = np.zeros((len(x), 0), dtype=np.float32)
     if turn.side.start < turn.side.stop:
         at = _nearest(stock, x[:, turn.side], y[:, turn.side])
-        out[:, turn.side], moment = _cylinder(stock, at, z, turn.low[turn.side.start])
-    out[out < _NOTHING] = 0.0
-    return Engaged(out, moment)
+        length[:, turn.side], moment = _cylinder(stock, at, z, turn.low[turn.side.start])
+    length[length < _NO_CONTACT] = 0.0
+    return Engaged(length, moment)
 
 
 def nearby_cells(stock: Stock, x: Floats, y: Floats) -> Corners:
@@ -119,9 +119,10 @@ def nearby_cells(stock: Stock, x: Floats, y: Floats) -> Corners:
     fx -= column
     fy -= row
     first = row * np.int32(columns) + column
-    both = fx * fy
+    product = fx * fy
     return Corners(
-        (first, first + 1, first + columns, first + (columns + 1)), (1 - fx - fy + both, fx - both, fy - both, both)
+        (first, first + 1, first + columns, first + (columns + 1)),
+        (1 - fx - fy + product, fx - product, fy - product, product),
     )
 
 
@@ -138,20 +139,22 @@ def _nearest(stock: Stock, x: Floats, y: Floats) -> NDArray[np.int32]:
     return row
 
 
-def _partly(stock: Stock, around: Corners) -> bool:
+def _has_partly_cut(stock: Stock, corners: Corners) -> bool:
     """Return whether any of the cells is partly cut."""
-    first = around.cell[0]
+    first = corners.cell[0]
     columns = stock.high.shape[1]
     low, high = int(first.min()), int(first.max())
     rows = slice(low // columns, high // columns + 2)
     return bool(stock.share[rows].any())
 
 
-def _blend(stock: Stock, around: Corners, pieces: slice, function: Callable[[Floats], Floats], in_part: bool) -> Floats:
+def _blend(
+    stock: Stock, corners: Corners, pieces: slice, function: Callable[[Floats], Floats], in_part: bool
+) -> Floats:
     """Return function(level) − function(floor), interpolated between the cells around each point."""
-    high, low, share, floor = (one.reshape(-1) for one in (stock.high, stock.low, stock.share, stock.floor))
-    out = None
-    for cell, weight in zip(around.cell, around.weight, strict=True):
+    high, low, share, floor = (values.reshape(-1) for values in (stock.high, stock.low, stock.share, stock.floor))
+    total = None
+    for cell, weight in zip(corners.cell, corners.weight, strict=True):
         at = cell[:, pieces]
         top = high.take(at)
         value = function(top)
@@ -162,8 +165,8 @@ def _blend(stock: Stock, around: Corners, pieces: slice, function: Callable[[Flo
         value = value - function(floor.take(at))
         np.maximum(value, 0.0, out=value)
         value *= weight[:, pieces]
-        out = value if out is None else out + value
-    return np.asarray(out)
+        total = value if total is None else total + value
+    return np.asarray(total)
 
 
 def _cylinder(stock: Stock, nearest: NDArray[np.int32], tip: Floats, start: np.float32) -> tuple[Floats, Floats]:
@@ -172,24 +175,24 @@ def _cylinder(stock: Stock, nearest: NDArray[np.int32], tip: Floats, start: np.f
     The cell that contains the point counts by its share: a second pass along the same wall is then in air.
     """
     high, low, share, floor = (
-        one.reshape(-1).take(nearest) for one in (stock.high, stock.low, stock.share, stock.floor)
+        values.reshape(-1).take(nearest) for values in (stock.high, stock.low, stock.share, stock.floor)
     )
-    under = np.maximum(floor - tip, start)
-    top = np.maximum(high - tip, under)
-    height, moment = top - under, top * top - under * under
+    bottom = np.maximum(floor - tip, start)
+    top = np.maximum(high - tip, bottom)
+    height, moment = top - bottom, top * top - bottom * bottom
     if share.any():
-        deep = np.maximum(np.minimum(low - tip, top), under)
+        deep = np.maximum(np.minimum(low - tip, top), bottom)
         height += share * (deep - top)
         moment += share * (deep * deep - top * top)
     return height, np.float32(0.5) * moment
 
 
-def _levels(stock: Stock, around: Corners, pieces: slice, z: Floats, in_part: bool, on_floor: bool) -> Floats:
+def _levels(stock: Stock, corners: Corners, pieces: slice, z: Floats, in_part: bool, on_floor: bool) -> Floats:
     """Return the level of the surface at each point between the four cells around it, not below the tip."""
-    high, low, share, floor = (one.reshape(-1) for one in (stock.high, stock.low, stock.share, stock.floor))
-    slopes = _slopes(stock, around, pieces)
-    levels, planes, weights = [], [], [weight[:, pieces] for weight in around.weight]
-    for k, cell in enumerate(around.cell):
+    high, low, share, floor = (values.reshape(-1) for values in (stock.high, stock.low, stock.share, stock.floor))
+    slopes = _slopes(stock, corners, pieces)
+    levels, planes, weights = [], [], [weight[:, pieces] for weight in corners.weight]
+    for k, cell in enumerate(corners.cell):
         at = cell[:, pieces]
         top = high.take(at)
         level = np.maximum(top, z)
@@ -210,19 +213,22 @@ def _levels(stock: Stock, around: Corners, pieces: slice, z: Floats, in_part: bo
     return np.asarray((levels[0] + levels[1]) + (levels[2] + levels[3]))
 
 
-def _slopes(stock: Stock, around: Corners, pieces: slice) -> list[Floats]:
+def _slopes(stock: Stock, corners: Corners, pieces: slice) -> list[Floats]:
     """Return the rise [m] of the surface from the middle of each cell around points (n, P) to them; none if level."""
-    both = stock.slope.reshape(-1, 2).view(np.int32)[:, 0]
-    across, along = (around.weight[1] + around.weight[3])[:, pieces], (around.weight[2] + around.weight[3])[:, pieces]
-    found = [both.take(cell[:, pieces]) for cell in around.cell]
-    if not any(each.any() for each in found):
+    slope_pairs = stock.slope.reshape(-1, 2).view(np.int32)[:, 0]
+    x_share, y_share = (
+        (corners.weight[1] + corners.weight[3])[:, pieces],
+        (corners.weight[2] + corners.weight[3])[:, pieces],
+    )
+    corner_pairs = [slope_pairs.take(cell[:, pieces]) for cell in corners.cell]
+    if not any(pair.any() for pair in corner_pairs):
         return []
     unit = np.float32(SLOPE * stock.cell)
-    out = []
-    for k, each in enumerate(found):
-        slope = each[..., None].view(np.int16)
-        out.append(unit * (slope[..., 0] * (across - (k & 1)) + slope[..., 1] * (along - (k >> 1))))
-    return out
+    rises = []
+    for k, pair in enumerate(corner_pairs):
+        slope = pair[..., None].view(np.int16)
+        rises.append(unit * (slope[..., 0] * (x_share - (k & 1)) + slope[..., 1] * (y_share - (k >> 1))))
+    return rises
 
 
 _LEVEL = 1e-3
@@ -256,38 +262,38 @@ class Loads(Struct, frozen=True, eq=False):
 def chips(turn: Turn, feed: Floats, descent: Floats) -> Floats:
     """Return the chip thickness (n, P) [m]: feed per tooth along x (n,) and down (n,) [m]."""
     chip = feed[:, None] * turn.front
-    chip += descent[:, None] * turn.down
+    chip += descent[:, None] * turn.axial
     return np.asarray(np.maximum(chip, 0.0, out=chip))
 
 
-def mean(turn: Turn, inside: Engaged, chip: Floats, plunging: Floats, cell: float | Array) -> Loads:
+def mean(turn: Turn, engagement: Engaged, chip: Floats, descent_sine: Floats, cell: float | Array) -> Loads:
     """Return mean loads.
 
     :param chip: (n, P) from `chips`.
-    :param plunging: (n,) sine of the angle by which the feed goes down, 0 … 1: this share of the rubbing of the end
+    :param descent_sine: (n,) sine of the angle by which the feed goes down, 0 … 1: this share of the rubbing of the end
         face counts. On level cuts published coefficients contain it, on a plunge it acts in full; between, it is
         not known how much of the face rubs: anything from this share to all of it is taken for as likely.
     :param cell: width of a cell of the map [m], or (n,) of what a cell is on the surface of the tool.
     """
-    cutting = inside.length * turn.law.chip(chip)
-    rubbing = inside.length * (chip > 0.0)
+    cutting = engagement.length * turn.law.chip(chip)
+    rubbing = engagement.length * (chip > 0.0)
     patch = (turn.radius * turn.width.astype(np.float32))[:, None]
     area = times(rubbing, patch)[:, 0].astype(float)
-    rest = np.where(plunging > _LEVEL, 1.0 - plunging, 0.0)[:, None] * rubbing[:, turn.bottom]
-    rubbing[:, turn.bottom] *= plunging[:, None]
+    rest = np.where(descent_sine > _LEVEL, 1.0 - descent_sine, 0.0)[:, None] * rubbing[:, turn.bottom]
+    rubbing[:, turn.bottom] *= descent_sine[:, None]
     wrench = (times(cutting, turn.cut) + times(rubbing, turn.rub)).astype(float)
     thin = chip[:, turn.side]
-    push = times(inside.moment * turn.law.chip(thin), turn.cut[turn.side, :2])
-    push += times(inside.moment * (thin > 0.0), turn.rub[turn.side, :2])
+    push = times(engagement.moment * turn.law.chip(thin), turn.cut[turn.side, :2])
+    push += times(engagement.moment * (thin > 0.0), turn.rub[turn.side, :2])
     wrench[:, 3] -= push[:, 1]
     wrench[:, 4] += push[:, 0]
-    removal = times(inside.length * chip, patch)[:, 0]
+    removal = times(engagement.length * chip, patch)[:, 0]
     square = np.square(times(rest, turn.rub[turn.bottom]).astype(float)) / 3.0  # uniform from none of it to all
     if turn.drill:
         square[:, 2] += np.square(_POINT * wrench[:, 2]) / 3.0
     if turn.law.covariance is not None:
-        of_each = _of_each(turn, inside, (cutting, rubbing), thin)
-        square += np.einsum("kni,kl,lni->ni", of_each, np.array(turn.law.covariance), of_each)
+        unit_wrench = _unit_wrenches(turn, engagement, (cutting, rubbing), thin)
+        square += np.einsum("kni,kl,lni->ni", unit_wrench, np.array(turn.law.covariance), unit_wrench)
     by_cells = np.minimum(
         _BY_CELLS * turn.sampling * cell / np.sqrt(np.maximum(area, 1e-12)), 0.0 if turn.drill else 1.0
     )
@@ -296,27 +302,27 @@ def mean(turn: Turn, inside: Engaged, chip: Floats, plunging: Floats, cell: floa
     return Loads(wrench, np.sqrt(np.maximum(square, 0.0)), by_cells, np.asarray(removal, dtype=float))
 
 
-def _of_each(turn: Turn, inside: Engaged, edges: tuple[Floats, Floats], thin: Floats) -> Array:
+def _unit_wrenches(turn: Turn, engagement: Engaged, edges: tuple[Floats, Floats], thin: Floats) -> Array:
     """Return the mean wrench (6, n, 6) for 1 of each coefficient: Ktc, Krc, Kac [N/m²], Kte, Kre, Kae [N/m].
 
     :param edges: (n, P) engaged lengths times chip, and lengths that rub; thin: (n, C) chips on the cylinder.
     """
-    out = np.zeros((6, len(thin), 6))
+    wrench = np.zeros((6, len(thin), 6))
     sides = turn.law.chip(thin), np.asarray(thin > 0.0, np.float32)
     for half, (edge, side) in enumerate(zip(edges, sides, strict=True)):
-        for axis, unit in enumerate(turn.each):
-            row = out[3 * half + axis]
+        for axis, unit in enumerate(turn.unit_wrench):
+            row = wrench[3 * half + axis]
             row[:] = times(edge, unit)
-            push = times(inside.moment * side, unit[turn.side, :2])
+            push = times(engagement.moment * side, unit[turn.side, :2])
             row[:, 3] -= push[:, 1]
             row[:, 4] += push[:, 0]
-    return out
+    return wrench
 
 
-def times(one: Floats, other: Floats) -> Floats:
+def times(matrix: Floats, factor: Floats) -> Floats:
     """Return the product of matrices (n, P) and (P, k), in blocks small enough for BLAS to use one thread.
 
     At such sizes threads cost more than they gain, and much more if other processes need the processors too.
     """
-    rows = max(1, _ONE_THREAD // max(1, other.size))
-    return np.concatenate([one[k : k + rows] @ other for k in range(0, max(1, len(one)), rows)])
+    rows = max(1, _ONE_THREAD // max(1, factor.size))
+    return np.concatenate([matrix[k : k + rows] @ factor for k in range(0, max(1, len(matrix)), rows)])

@@ -60,7 +60,7 @@ _BATCH = 200_000
 """Number of stations to collect before they are thinned out."""
 
 
-_ASSUMED = (
+_ASSUMED_STOCK = (
     "the stock is assumed from what the tools sweep: check [stock] of the process, since forces depend on it, and "
     "remove assumed = true"
 )
@@ -186,16 +186,16 @@ class _Task(NamedTuple):
         """Return the length (M,) over which the force of each motion builds up at least [m]: half a feed per tooth."""
         teeth = np.array([self.process.tools[key].flutes for key in self.tools.keys])[self.tools.tool]
         per_tooth = np.nan_to_num(self.program.motions.feed) * 60.0 / np.maximum(self.tools.rpm * teeth, 1.0)
-        return np.maximum(0.5 * per_tooth, _LEAST_RISE)
+        return np.asarray(np.maximum(0.5 * per_tooth, _LEAST_RISE))
 
 
 class _SweptSetups(NamedTuple):
     """The sweeps of all set-ups, in their order, and what they leave.
 
     :param cuts: stations along the cutting motions, as many as the changes of their forces need.
-    :param along: the forces at them.
+    :param knots: the forces at them.
     :param stock: the remaining stock, in the frame of the last set-up.
-    :param removed: volume [m³].
+    :param removed_volume: [m³].
     :param issues: warnings about maps of the stock that hold more than the stock.
     :param is_compared: (M,) motions on which the parts of the tool were compared while the stock was swept.
     :param by_cells: (M, 2) sums over the stations of each motion [N²], see `Sweep`.
@@ -203,9 +203,9 @@ class _SweptSetups(NamedTuple):
 
     sweeps: list[Sweep]
     cuts: list[Cuts]
-    along: list[Knots]
+    knots: list[Knots]
     stock: Stock
-    removed: float
+    removed_volume: float
     issues: list[Issue]
     is_compared: Bools
     by_cells: Array
@@ -229,8 +229,8 @@ def _estimate(task: _Task, widest: float, cell_factors: dict[int, int]) -> tuple
     if not any(sweep.contact for sweep in swept.sweeps):
         raise _no_contact(program, segments, bounds, process, task.stock)
     cuts = Cuts.joined(swept.cuts)
-    collisions = {motion: depth for sweep in swept.sweeps for motion, depth in sweep.collided.items()}
-    stopped_motions = set[int]().union(*(sweep.stopped for sweep in swept.sweeps))
+    collisions = {motion: depth for sweep in swept.sweeps for motion, depth in sweep.collisions.items()}
+    stopped_motions = set[int]().union(*(sweep.stopped_motions for sweep in swept.sweeps))
     issues += [*swept.issues, *unread_cuts(program), *_out_of_scale(segments, bounds)]
     issues += _issues(program, stopped_motions, task.law, cuts, tools, process)
     passes = thin_passes(program, tools, swept.by_cells)
@@ -239,14 +239,14 @@ def _estimate(task: _Task, widest: float, cell_factors: dict[int, int]) -> tuple
     power = np.zeros(len(program.motions))
     np.maximum.at(power, cuts.motion, cuts.power)
     forces = ProcessForces(
-        along=Knots.joined(swept.along),
+        along=Knots.joined(swept.knots),
         cuts=cuts,
         power=power,
         tools=tools,
         drills=tuple(process.tools[key].shape == "drill" for key in tools.keys),
         stock=swept.stock,
         map_in_base=in_order[-1].frame,
-        removed=swept.removed,
+        removed=swept.removed_volume,
         issues=tuple(issues),
         over_time=None if guard is None else _over_time(program, in_order, swept.sweeps, swept.is_compared),
     )
@@ -355,25 +355,25 @@ def _thinned(sweep: Sweep, steps: StraightSegments, progress: Callable[[int], No
     return Cuts.joined([*thin_cuts, cuts.take(thinned(cuts.motion, cuts.wrench))])
 
 
-def _next_map(material: Stock, before: Setup, setup: Setup, cell: float) -> Stock:
+def _next_map(material: Stock, last_setup: Setup, setup: Setup, cell: float) -> Stock:
     """Return the remaining stock as a map with finer cells, or for another direction of the tool.
 
     :param cell: width of a cell that is not divided [m].
     """
-    if np.array_equal(before.frame, setup.frame):
-        ratio = setup.factor // before.factor
-        if ratio * before.factor != setup.factor:
+    if np.array_equal(last_setup.frame, setup.frame):
+        ratio = setup.factor // last_setup.factor
+        if ratio * last_setup.factor != setup.factor:
             ratio += 1
         return stocks.refined(material, ratio) if ratio > 1 else material
     vertices, faces = stocks.mesh_of(material)
-    to_map = inverse(setup.frame) @ before.frame
+    to_map = inverse(setup.frame) @ last_setup.frame
     return stocks.from_mesh(vertices @ to_map[:3, :3].T + to_map[:3, 3], faces, cell / setup.factor)
 
 
 def _stock(process: Process, frame: Array, cell: float, path: Path | None) -> tuple[Stock, list[Issue]]:
     """Return the map of the stock, and warnings and notes about it."""
     table = process.stock
-    notes = [Issue("info", "assumed-stock", _ASSUMED)] if table.assumed and path is None else []
+    notes = [Issue("info", "assumed-stock", _ASSUMED_STOCK)] if table.assumed and path is None else []
     if path is None and table.box is not None and table.file is not None:
         raise ForceError("[stock] has a box and a file", file=process.path, advice="Give one of them.")
     if path is None and table.file is not None:
@@ -446,7 +446,7 @@ def _check_speed(program: Program, steps: StraightSegments, tools: ToolStates) -
 
 def _issues(
     program: Program,
-    spindle_off: set[int],
+    stopped_motions: set[int],
     law: CuttingLaw,
     cuts: Cuts,
     tools: ToolStates,
@@ -454,15 +454,15 @@ def _issues(
 ) -> list[Issue]:
     """Return warnings and notes for the user.
 
-    :param spindle_off: motions through material with the spindle off.
+    :param stopped_motions: motions through material with the spindle off.
     :raises ForceError: the spindle is off on cutting moves in contact with material.
     """
     lines, name = program.motions.line, program.documents[0].name
-    if spindle_off:
+    if stopped_motions:
         advice = "Start the spindle (M3 S…) before the cut, or lift the tool."
         raise together(
             ForceError("the tool moves through material while the spindle is off", file=name, line=line, advice=advice)
-            for line in sorted({int(lines[motion]) for motion in spindle_off})[: MOST + 1]
+            for line in sorted({int(lines[motion]) for motion in stopped_motions})[: MOST + 1]
         )
     issues = []
     if law.warning is not None:
@@ -506,8 +506,8 @@ def _coarse(
 
     :param cell: width of a cell that is not divided [m].
     """
-    for number in sorted({each.tool for each in passes}):
-        worst = max((each for each in passes if each.tool == number), key=lambda each: each.share)
+    for number in sorted({thin.tool for thin in passes}):
+        worst = max((thin for thin in passes if thin.tool == number), key=lambda thin: thin.share)
         factor = next(setup.factor for setup in in_order if setup.motions[worst.first])
         finer = cell / factor * MM_PER_M * ENOUGH / worst.share
         key, line = tools.keys[number], int(program.motions.line[worst.first])

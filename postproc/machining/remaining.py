@@ -22,7 +22,7 @@ from postproc.machining.tool import Cutter
 from postproc.machining.tool_path import StraightSegments
 from postproc.program import Bools, Ints
 
-_MOST = 128
+_SIDE_CELLS = 128
 """Coarse cells along a side of the stock."""
 _HALF_DIAGONAL = 0.7072
 _FLUSH = 1e-6
@@ -55,16 +55,18 @@ def touches(stock: Stock, body: Cutter, begin: Array, end: Array) -> Bools:
 
     :param begin: (L, 3) lower end of the body where a segment begins; end: (L, 3) where it ends [m].
     """
-    out = np.zeros(len(begin), dtype=bool)
+    is_touching = np.zeros(len(begin), dtype=bool)
     wide = replace(body, radius=body.radius + _HALF_DIAGONAL * stock.cell)
     high, floor = stock.high.reshape(-1), stock.floor.reshape(-1)
     for rows, corner, window in windows(stock, wide.radius + stock.cell, begin, end):
         index, row, column = cells(stock, corner, window)
-        away, level = tool_over(wide, begin[rows], end[rows], *middles(stock, begin[rows], row, column))
-        there = high[index]
-        inside = (away < np.float32(wide.radius)) & (there > level + np.float32(_FLUSH)) & (there > floor[index])
-        out[rows] = inside.any(axis=(1, 2))
-    return out
+        distance, level = tool_over(wide, begin[rows], end[rows], *middles(stock, begin[rows], row, column))
+        material = high[index]
+        is_hit = (
+            (distance < np.float32(wide.radius)) & (material > level + np.float32(_FLUSH)) & (material > floor[index])
+        )
+        is_touching[rows] = is_hit.any(axis=(1, 2))
+    return is_touching
 
 
 class Ceiling:
@@ -77,7 +79,7 @@ class Ceiling:
     def __init__(self, stock: Stock) -> None:
         """Begin with the stock as it is."""
         self.stock = stock
-        self._factor = max(1, -(-max(stock.high.shape) // _MOST))
+        self._factor = max(1, -(-max(stock.high.shape) // _SIDE_CELLS))
         self.cell = self._factor * stock.cell
         self._level = self._highest(slice(None), slice(None))
         self._first = self._level.copy()
@@ -94,9 +96,9 @@ class Ceiling:
     def _window(self, low: Array, high: Array) -> tuple[slice, slice]:
         """Return rows and columns of the coarse cells between two points [m]."""
         origin = np.array([self.stock.x, self.stock.y])
-        most = self._level.shape[::-1]
-        first = np.clip(np.floor((low[:2] - origin) / self.cell).astype(int), 0, most)
-        last = np.clip(np.floor((high[:2] - origin) / self.cell).astype(int) + 1, 0, most)
+        size = self._level.shape[::-1]
+        first = np.clip(np.floor((low[:2] - origin) / self.cell).astype(int), 0, size)
+        last = np.clip(np.floor((high[:2] - origin) / self.cell).astype(int) + 1, 0, size)
         return slice(int(first[1]), int(last[1])), slice(int(first[0]), int(last[0]))
 
     def top(self, low: Array, high: Array) -> float:
@@ -106,16 +108,16 @@ class Ceiling:
     def sink(self, low: Array, high: Array, motion: int) -> None:
         """Note that material between two points was removed before the end of a motion."""
         rows, columns = self._window(low, high)
-        before = self._level[rows, columns]
-        if not before.size:
+        old_level = self._level[rows, columns]
+        if not old_level.size:
             return
         k = self._factor
-        now = self._highest(slice(rows.start * k, rows.stop * k), slice(columns.start * k, columns.stop * k))
-        row, column = np.nonzero(now < before)
+        new_level = self._highest(slice(rows.start * k, rows.stop * k), slice(columns.start * k, columns.stop * k))
+        row, column = np.nonzero(new_level < old_level)
         if len(row):
             index = (row + rows.start) * self._level.shape[1] + column + columns.start
-            self._sunk.append((motion, index, now[row, column]))
-            self._level[rows, columns] = now
+            self._sunk.append((motion, index, new_level[row, column]))
+            self._level[rows, columns] = new_level
 
     def before(self, motion: int) -> Floats:
         """Return the highest material (ny, nx) of the coarse cells when a motion begins [m]."""
@@ -160,7 +162,7 @@ class StockInTime(Struct, frozen=True, eq=False):
     @property
     def accuracy(self) -> float:
         """By how much the bound is larger than the stock at most, across and along the tool [m]."""
-        return float(max(each.cell for each in self.ceiling))
+        return float(max(ceiling.cell for ceiling in self.ceiling))
 
     def mesh(self, motion: int) -> tuple[Array, NDArray[np.int64]]:
         """Return boxes that hold all material when a motion begins: vertices (V, 3) in the root [m], faces (F, 3)."""
@@ -179,17 +181,17 @@ _FACES = np.array([
 
 def _boxes(level: Array) -> list[tuple[float, ...]]:
     """Return rectangles of cells with one level: columns and rows from, to (exclusive), and the level."""
-    out: list[tuple[float, ...]] = []
-    begun: dict[tuple[int, int, float], int] = {}
+    boxes: list[tuple[float, ...]] = []
+    first_row: dict[tuple[int, int, float], int] = {}
     for row, line in enumerate([*level, np.full(level.shape[1], -np.inf)]):
         ends = np.append(np.flatnonzero(line[1:] != line[:-1]) + 1, len(line))
         starts = np.append(0, ends[:-1])
         runs = {(int(a), int(b), float(line[a])) for a, b in zip(starts, ends, strict=True) if np.isfinite(line[a])}
-        for run in [run for run in begun if run not in runs]:
-            out.append((run[0], run[1], begun.pop(run), row, run[2]))
+        for run in [run for run in first_row if run not in runs]:
+            boxes.append((run[0], run[1], first_row.pop(run), row, run[2]))
         for run in runs:
-            begun.setdefault(run, row)
-    return out
+            first_row.setdefault(run, row)
+    return boxes
 
 
 class Guard(Struct, eq=False):
@@ -249,14 +251,14 @@ class Guard(Struct, eq=False):
         if segments.continues[rows.start]:
             remove(left, cutter, begin[:1], begin[:1])
         step = max(stock.cell, 0.5 * (part.height - self.need))
-        for one, other, of in zip(begin, end, motion.tolist(), strict=True):
+        for start, stop, row_motion in zip(begin, end, motion.tolist(), strict=True):
             if not removes:
-                self._note(part, left, of, (one[None], other[None]))
+                self._note(part, left, row_motion, (start[None], stop[None]))
                 continue
-            for piece in _pieces(one, other, step):
+            for piece in _pieces(start, stop, step):
                 if touches(left, *self._swept(part, *piece, self.need))[0]:
                     for little in _pieces(piece[0][0], piece[1][0], stock.cell):
-                        self._note(part, left, of, little)
+                        self._note(part, left, row_motion, little)
                         remove(left, cutter, *little)
                 else:
                     remove(left, cutter, *piece)
@@ -268,15 +270,15 @@ class Guard(Struct, eq=False):
         def hit(need: float) -> bool:
             return bool(touches(stock, *self._swept(part, *segment, need))[0])
 
-        near, far = 0.0, self.close.get(key, self.need)
-        if not hit(far):
+        low, high = 0.0, self.close.get(key, self.need)
+        if not hit(high):
             return
-        if hit(near):
-            far = near
-        while far - near > _EXACT:
-            middle = 0.5 * (near + far)
-            near, far = (near, middle) if hit(middle) else (middle, far)
-        self.close[key] = far
+        if hit(low):
+            high = low
+        while high - low > _EXACT:
+            middle = 0.5 * (low + high)
+            low, high = (low, middle) if hit(middle) else (middle, high)
+        self.close[key] = high
 
 
 def _pieces(begin: Array, end: Array, step: float) -> Iterator[tuple[Array, Array]]:
@@ -293,6 +295,6 @@ def _copy(stock: Stock, low: Array, high: Array) -> Stock:
     first = np.floor((low[:2] - origin) / stock.cell).astype(int).clip(0)
     last = np.ceil((high[:2] - origin) / stock.cell).astype(int).clip(0) + 1
     part = slice(int(first[1]), int(last[1])), slice(int(first[0]), int(last[0]))
-    upper, lower, share, floor = (each[part].copy() for each in (stock.high, stock.low, stock.share, stock.floor))
+    upper, lower, share, floor = (values[part].copy() for values in (stock.high, stock.low, stock.share, stock.floor))
     x, y = origin + first * stock.cell
     return Stock(float(x), float(y), stock.cell, upper, lower, share, stock.slope[part].copy(), floor, stock.ground)

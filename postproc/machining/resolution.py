@@ -47,19 +47,19 @@ def thin_passes(program: Program, tools: ToolStates, by_cells: Array) -> list[Th
     if not len(begins):
         return []
     sums = np.add.reduceat(by_cells, begins, axis=0)
-    firsts = [each.first for each in operations(program, at_retracts=True)]
+    firsts = [operation.first for operation in operations(program, at_retracts=True)]
     changes = np.flatnonzero(np.diff(tools.tool[begins])) + 1
     blocks = np.unique([0, *np.searchsorted(begins, firsts), *changes, len(begins)]).tolist()
-    out = []
+    passes = []
     for begin, end in pairwise(blocks):
-        own = _share(sums[begin:end])
+        deviation = _share(sums[begin:end])
         onward = _share(np.cumsum(sums[begin:end][::-1], axis=0)[::-1])
-        thin = np.flatnonzero((own > COARSE) & (onward > COARSE))
+        thin = np.flatnonzero((deviation > COARSE) & (onward > COARSE))
         if len(thin):
             row = int(thin[0])
             first = int(begins[begin + row])
-            out.append(ThinPasses(first, int(tools.tool[first]), float(onward[row])))
-    return out
+            passes.append(ThinPasses(first, int(tools.tool[first]), float(onward[row])))
+    return passes
 
 
 def _share(sums: Array) -> Array:
@@ -69,6 +69,6 @@ def _share(sums: Array) -> Array:
 
 def factors(passes: list[ThinPasses], cells: int) -> dict[int, int]:
     """Return by which whole number cells must be divided from each motion on, for maps of so many cells."""
-    most = int(np.sqrt(_MOST_FINE / cells))
-    needed = {each.first: min(int(np.ceil(each.share / ENOUGH - 0.1)), most) for each in passes}
-    return {first: factor for first, factor in needed.items() if factor > 1}
+    max_factor = int(np.sqrt(_MOST_FINE / cells))
+    factor_of_motion = {thin.first: min(int(np.ceil(thin.share / ENOUGH - 0.1)), max_factor) for thin in passes}
+    return {first: factor for first, factor in factor_of_motion.items() if factor > 1}

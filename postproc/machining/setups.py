@@ -66,23 +66,23 @@ def setups(program: Program, directions: Directions, widest: float) -> list[Setu
     return [Setup(_frame(direction), np.asarray(number == k)) for k, direction in enumerate(map_directions)]
 
 
-def with_finer_cells(in_order: list[Setup], factor_from: dict[int, int], cuts: Bools) -> list[Setup]:
+def with_finer_cells(in_order: list[Setup], cell_factors: dict[int, int], cuts: Bools) -> list[Setup]:
     """Divide set-ups where the cells of their map become finer, but for parts without a cut.
 
-    :param factor_from: by which whole number cells are divided from a motion on, to the end of its set-up at least.
+    :param cell_factors: by which whole number cells are divided from a motion on, to the end of its set-up at least.
     :param cuts: (M,) cutting motions.
     """
-    out = []
+    parts = []
     for setup in in_order:
         rows = np.flatnonzero(setup.motions)
-        inside = [first for first in sorted(factor_from) if setup.motions[first]]
+        first_motions = [first for first in sorted(cell_factors) if setup.motions[first]]
         begin, factor, number = int(rows[0]), 1, np.arange(len(setup.motions))
-        for first in [*inside, int(rows[-1]) + 1]:
+        for first in [*first_motions, int(rows[-1]) + 1]:
             if cuts[begin:first].any():
-                out.append(Setup(setup.frame, np.asarray((number >= begin) & (number < first)), factor))
+                parts.append(Setup(setup.frame, np.asarray((number >= begin) & (number < first)), factor))
                 begin = first
-            factor = max(factor, factor_from.get(first, 1))
-    return out
+            factor = max(factor, cell_factors.get(first, 1))
+    return parts
 
 
 def _cone(program: Program, directions: Directions, begin: int, widest: float) -> Array:

@@ -90,38 +90,39 @@ def refined(stock: Stock, factor: int) -> Stock:
     def divided(values: NDArray[Any]) -> NDArray[Any]:
         return np.repeat(np.repeat(values, factor, axis=0), factor, axis=1)
 
-    off = ((np.arange(factor) + 0.5) / factor - 0.5).tolist()
-    known = ((stock.share == 0.0) & (stock.high > stock.floor))[..., None]
-    slope = np.where(known, stock.slope, np.int16(0)).astype(np.int16)
+    shift = ((np.arange(factor) + 0.5) / factor - 0.5).tolist()
+    has_slope = ((stock.share == 0.0) & (stock.high > stock.floor))[..., None]
+    slope = np.where(has_slope, stock.slope, np.int16(0)).astype(np.int16)
     rise = slope.astype(np.float32) * np.float32(SLOPE * stock.cell)
     high = divided(stock.high)
     for row, column in np.ndindex(factor, factor):
-        high[row::factor, column::factor] = _surface_at(stock.high, rise, known[..., 0], off[row], off[column])
+        high[row::factor, column::factor] = _surface_at(stock.high, rise, has_slope[..., 0], shift[row], shift[column])
     low, share, floor = (divided(values) for values in (stock.low, stock.share, stock.floor))
     return Stock(stock.x, stock.y, stock.cell / factor, high, low, share, divided(slope), floor, stock.ground)
 
 
-def _surface_at(high: Floats, rise: Floats, known: Bools, along: float, across: float) -> Floats:
+def _surface_at(high: Floats, rise: Floats, has_slope: Bools, y_shift: float, x_shift: float) -> Floats:
     """Return the surface (ny, nx) off the middles of cells by shares of a cell along y and x, see `between_cells`.
 
     :param rise: (ny, nx, 2) of the surface along x and y, over a cell [m].
-    :param known: (ny, nx) cells whose surface has one level and a slope; next to others the level is that of the cell.
+    :param has_slope: (ny, nx) cells whose surface has one level and a slope; next to others the level is that of the
+        cell.
     """
-    right_of, above = 1 if across >= 0.0 else -1, 1 if along >= 0.0 else -1
-    steps = [(0, 0), (0, right_of), (above, 0), (above, right_of)]
-    size, far = high.shape, (abs(along), abs(across))
+    x_side, y_side = 1 if x_shift >= 0.0 else -1, 1 if y_shift >= 0.0 else -1
+    steps = [(0, 0), (0, x_side), (y_side, 0), (y_side, x_side)]
+    size, distance = high.shape, (abs(y_shift), abs(x_shift))
     usable, border = np.ones(size, dtype=bool), ((1, 1), (1, 1))
-    wide_high, wide_known = np.pad(high, border, mode="edge"), np.pad(known, border, mode="edge")
+    wide_high, wide_has_slope = np.pad(high, border, mode="edge"), np.pad(has_slope, border, mode="edge")
     wide_rise = np.pad(rise, (*border, (0, 0)), mode="edge")
     levels, planes, weights = list[Floats](), list[Floats](), list[Floats]()
-    for down, right in steps:
-        window = slice(1 + down, 1 + down + size[0]), slice(1 + right, 1 + right + size[1])
+    for row_step, column_step in steps:
+        window = slice(1 + row_step, 1 + row_step + size[0]), slice(1 + column_step, 1 + column_step + size[1])
         slope = wide_rise[window]
-        usable &= wide_known[window]
+        usable &= wide_has_slope[window]
         levels.append(wide_high[window])
-        off = np.float32(across - right) * slope[..., 0] + np.float32(along - down) * slope[..., 1]
-        planes.append(np.asarray(levels[-1] + off, dtype=np.float32))
-        share = (far[0] if down else 1.0 - far[0]) * (far[1] if right else 1.0 - far[1])
+        plane_rise = np.float32(x_shift - column_step) * slope[..., 0] + np.float32(y_shift - row_step) * slope[..., 1]
+        planes.append(np.asarray(levels[-1] + plane_rise, dtype=np.float32))
+        share = (distance[0] if row_step else 1.0 - distance[0]) * (distance[1] if column_step else 1.0 - distance[1])
         weights.append(np.full(size, share, dtype=np.float32))
     return np.where(usable, between_cells(levels, planes, weights), high)
 
@@ -138,8 +139,8 @@ def between_cells(levels: list[Floats], planes: list[Floats], weights: list[Floa
     for weight, value, plane in zip(weights, levels, planes, strict=True):
         level += weight * value
         mean += weight * plane
-    lowest = np.minimum(np.minimum(planes[0], planes[1]), np.minimum(planes[2], planes[3]))
-    return np.asarray(np.where(lowest > level, lowest, np.float32(0.5) * (level + mean)))
+    lowest_plane = np.minimum(np.minimum(planes[0], planes[1]), np.minimum(planes[2], planes[3]))
+    return np.asarray(np.where(lowest_plane > level, lowest_plane, np.float32(0.5) * (level + mean)))
 
 
 def level(high: Floats) -> NDArray[np.int16]:
@@ -150,8 +151,8 @@ def level(high: Floats) -> NDArray[np.int16]:
 def _empty(lower: Array, upper: Array, cell: float, file: str) -> tuple[float, float, int, int]:
     count = np.ceil((upper[:2] - lower[:2]) / cell - 1e-6).astype(int) + 2 * _BORDER
     if int(count[0]) * int(count[1]) > _MOST_CELLS:
-        least = float(np.sqrt((upper[0] - lower[0]) * (upper[1] - lower[1]) / _MOST_CELLS)) * 1e3
-        advice = f"Give [stock] resolution_mm = {max(1.2 * least, 1e-3):.2g} or more."
+        min_cell = float(np.sqrt((upper[0] - lower[0]) * (upper[1] - lower[1]) / _MOST_CELLS)) * 1e3
+        advice = f"Give [stock] resolution_mm = {max(1.2 * min_cell, 1e-3):.2g} or more."
         raise ForceError(f"the map of the stock would have {count[0]} × {count[1]} cells", file=file, advice=advice)
     return float(lower[0]) - _BORDER * cell, float(lower[1]) - _BORDER * cell, int(count[0]), int(count[1])
 
@@ -162,15 +163,15 @@ def from_box(lower: Array, upper: Array, cell: float, file: str = "stock") -> St
     :raises ForceError: it would have too many cells.
     """
     x, y, nx, ny = _empty(lower, upper, cell, file)
-    inside = []
+    axis_coverage = []
     for first, count, begin, end in ((x, nx, lower[0], upper[0]), (y, ny, lower[1], upper[1])):
         edge = first + cell * np.arange(count + 1)
-        inside.append(np.clip(np.minimum(edge[1:], end) - np.maximum(edge[:-1], begin), 0.0, cell) / cell)
-    covered = inside[1][:, None] * inside[0][None, :]
-    covered[covered > 1.0 - 1e-6] = 1.0
+        axis_coverage.append(np.clip(np.minimum(edge[1:], end) - np.maximum(edge[:-1], begin), 0.0, cell) / cell)
+    coverage = axis_coverage[1][:, None] * axis_coverage[0][None, :]
+    coverage[coverage > 1.0 - 1e-6] = 1.0
     floor = np.full((ny, nx), lower[2], dtype=np.float32)
-    high = np.where(covered > 0.0, upper[2], lower[2]).astype(np.float32)
-    share = np.where(covered > 0.0, 1.0 - covered, 0.0).astype(np.float32)
+    high = np.where(coverage > 0.0, upper[2], lower[2]).astype(np.float32)
+    share = np.where(coverage > 0.0, 1.0 - coverage, 0.0).astype(np.float32)
     return Stock(x, y, cell, high, floor.copy(), share, level(high), floor, float(lower[2]) + 1e-6)
 
 
@@ -184,23 +185,23 @@ def from_mesh(vertices: Array, faces: NDArray[np.int64], cell: float, file: str 
     high, low, share = (np.zeros((ny, nx), dtype=np.float32) for _ in range(3))
     floor = np.full((ny, nx), np.inf, dtype=np.float32)
     span = max(1, _PAIRS // (nx * _SUB * _SUB))
-    lowest, highest = (np.asarray(edge(vertices[faces, 1], axis=1)) for edge in (np.min, np.max))
+    face_bottom, face_top = (np.asarray(edge(vertices[faces, 1], axis=1)) for edge in (np.min, np.max))
     for first in range(0, ny, span):
         rows = min(span, ny - first)
         begin, end = y + first * cell, y + (first + rows) * cell
-        near = faces[(highest >= begin) & (lowest <= end)]
-        upper, lower = _columns(vertices, near, (x, begin), cell / _SUB, (nx * _SUB, rows * _SUB))
+        row_faces = faces[(face_top >= begin) & (face_bottom <= end)]
+        upper, lower = _columns(vertices, row_faces, (x, begin), cell / _SUB, (nx * _SUB, rows * _SUB))
         solid = upper > lower
         blocks = (rows, _SUB, nx, _SUB)
         count = solid.reshape(blocks).sum(axis=(1, 3))
         mean = np.where(solid, upper, 0.0).reshape(blocks).sum(axis=(1, 3)) / np.maximum(count, 1)
-        under = np.where(solid, lower, 0.0).reshape(blocks).sum(axis=(1, 3)) / np.maximum(count, 1)
-        here = slice(first, first + rows)
-        high[here], floor[here] = np.where(count > 0, mean, np.nan), np.where(count > 0, under, np.nan)
-        share[here] = np.where(count > 0, 1.0 - count / _SUB**2, 0.0)
-    none = np.isnan(high)
-    lowest_of_all = float(np.nanmin(floor)) if not none.all() else 0.0
-    high[none] = floor[none] = lowest_of_all
+        mean_floor = np.where(solid, lower, 0.0).reshape(blocks).sum(axis=(1, 3)) / np.maximum(count, 1)
+        map_rows = slice(first, first + rows)
+        high[map_rows], floor[map_rows] = np.where(count > 0, mean, np.nan), np.where(count > 0, mean_floor, np.nan)
+        share[map_rows] = np.where(count > 0, 1.0 - count / _SUB**2, 0.0)
+    is_empty = np.isnan(high)
+    ground = float(np.nanmin(floor)) if not is_empty.all() else 0.0
+    high[is_empty] = floor[is_empty] = ground
     low[:] = floor
     return Stock(x, y, cell, high, low, share, level(high), floor, float(floor.max()) + 1e-6)
 
@@ -238,16 +239,18 @@ def _pairs(
         end = np.clip(np.floor((high - origin[axis]) / step - 0.5 + 1e-9) + 1, 0, count[axis]).astype(np.int64)
         first.append(begin)
         number.append(np.maximum(end - begin, 0))
-    each = number[0] * number[1]
-    total = np.cumsum(each)
+    point_count = number[0] * number[1]
+    total = np.cumsum(point_count)
     begin = 0
-    while begin < len(each):
-        done = total[begin - 1] if begin else 0
-        end = max(begin + 1, int(np.searchsorted(total, done + _PAIRS, side="right")))
-        rows = np.repeat(np.arange(begin, end), each[begin:end])
-        inside = np.arange(len(rows)) - np.repeat(total[begin:end] - each[begin:end] - done, each[begin:end])
-        column = first[0][rows] + inside % np.maximum(number[0][rows], 1)
-        row = first[1][rows] + inside // np.maximum(number[0][rows], 1)
+    while begin < len(point_count):
+        pair_count = total[begin - 1] if begin else 0
+        end = max(begin + 1, int(np.searchsorted(total, pair_count + _PAIRS, side="right")))
+        rows = np.repeat(np.arange(begin, end), point_count[begin:end])
+        index = np.arange(len(rows)) - np.repeat(
+            total[begin:end] - point_count[begin:end] - pair_count, point_count[begin:end]
+        )
+        column = first[0][rows] + index % np.maximum(number[0][rows], 1)
+        row = first[1][rows] + index // np.maximum(number[0][rows], 1)
         yield corner, row * count[0] + column, rows
         begin = end
 
@@ -267,33 +270,33 @@ def mesh_of(stock: Stock, most_cells: int = 250_000) -> tuple[Array, NDArray[np.
     bottom = (np.pad(np.where(stock.thickness() > 1e-9, floor, 0.0), pad).reshape(block).sum(axis=(1, 3))) / np.maximum(
         solid, 1
     )
-    filled = thick > 1e-6
+    is_filled = thick > 1e-6
     # cells that touch at a corner only would share an edge of four faces: such a mesh is not closed
     diagonal = np.ones(1)
     while diagonal.any():
-        one = filled[:-1, :-1] & filled[1:, 1:] & ~filled[:-1, 1:] & ~filled[1:, :-1]
-        other = filled[:-1, 1:] & filled[1:, :-1] & ~filled[:-1, :-1] & ~filled[1:, 1:]
-        diagonal = one | other
-        filled[:-1, :-1] &= ~one
-        filled[:-1, 1:] &= ~other
+        main_diagonal = is_filled[:-1, :-1] & is_filled[1:, 1:] & ~is_filled[:-1, 1:] & ~is_filled[1:, :-1]
+        cross_diagonal = is_filled[:-1, 1:] & is_filled[1:, :-1] & ~is_filled[:-1, :-1] & ~is_filled[1:, 1:]
+        diagonal = main_diagonal | cross_diagonal
+        is_filled[:-1, :-1] &= ~main_diagonal
+        is_filled[:-1, 1:] &= ~cross_diagonal
     width = stock.cell * factor
-    weight = np.pad(filled, 1).astype(float)
+    weight = np.pad(is_filled, 1).astype(float)
 
     def at_corners(values: Array) -> Array:
-        own = np.pad(np.where(filled, values, 0.0), 1)
-        total = own[:-1, :-1] + own[1:, :-1] + own[:-1, 1:] + own[1:, 1:]
+        cell_values = np.pad(np.where(is_filled, values, 0.0), 1)
+        total = cell_values[:-1, :-1] + cell_values[1:, :-1] + cell_values[:-1, 1:] + cell_values[1:, 1:]
         number = weight[:-1, :-1] + weight[1:, :-1] + weight[:-1, 1:] + weight[1:, 1:]
         return np.asarray(total / np.maximum(number, 1.0))
 
-    under, over = at_corners(bottom), at_corners(bottom + thick)
+    lower, upper = at_corners(bottom), at_corners(bottom + thick)
     gx, gy = np.meshgrid(stock.x + width * np.arange(columns + 1), stock.y + width * np.arange(rows + 1))
     layer = gx.size
-    vertices = np.concatenate([np.stack([gx, gy, z], axis=-1).reshape(-1, 3) for z in (over, under)])
+    vertices = np.concatenate([np.stack([gx, gy, z], axis=-1).reshape(-1, 3) for z in (upper, lower)])
     number = np.arange(layer).reshape(rows + 1, columns + 1)
-    r, c = np.nonzero(filled)
+    r, c = np.nonzero(is_filled)
     quads = [np.stack([number[r, c], number[r, c + 1], number[r + 1, c + 1], number[r + 1, c]], axis=-1)]
     quads.append(quads[0][:, ::-1] + layer)
-    edge = np.pad(filled, 1)
+    edge = np.pad(is_filled, 1)
     for dr, dc, p, q in (
         (-1, 0, (0, 1), (0, 0)),
         (1, 0, (1, 0), (1, 1)),
@@ -305,8 +308,8 @@ def mesh_of(stock: Stock, most_cells: int = 250_000) -> tuple[Array, NDArray[np.
         quads.append(np.stack([a, b, b + layer, a + layer], axis=-1))
     quad = np.concatenate(quads)
     faces = np.concatenate([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]])
-    used, faces = np.unique(faces, return_inverse=True)
-    return vertices[used], faces.reshape(-1, 3).astype(np.int64)
+    vertex_rows, faces = np.unique(faces, return_inverse=True)
+    return vertices[vertex_rows], faces.reshape(-1, 3).astype(np.int64)
 
 
 def as_trimesh(vertices: Array, faces: NDArray[np.int64]) -> Any:
@@ -328,7 +331,7 @@ class Footprint(Struct, frozen=True, eq=False):
 
     :param cell: (n,) index in the flat map of cells that the tool covers fully; level: (n,) its lower side there [m].
     :param segment: (n,) row of the segment in `path`.
-    :param rim: (r,) cells that its cylinder covers partly; covered: (r,) the share; rim_level: (r,) [m].
+    :param rim: (r,) cells that its cylinder covers partly; coverage: (r,) the share; rim_level: (r,) [m].
     :param path: tool and segments, from (L, 3) and to (L, 3); None: what they leave has no known slope.
     """
 
@@ -336,7 +339,7 @@ class Footprint(Struct, frozen=True, eq=False):
     level: Floats
     segment: NDArray[np.int32]
     rim: Ints
-    covered: Floats
+    coverage: Floats
     rim_level: Floats
     path: tuple[Cutter, Array, Array] | None
 
@@ -353,67 +356,68 @@ class Footprint(Struct, frozen=True, eq=False):
         return cls(
             np.concatenate([part.cell for part in parts]), np.concatenate([part.level for part in parts]),
             np.concatenate([part.segment for part in parts]), np.concatenate([part.rim for part in parts]),
-            np.concatenate([part.covered for part in parts]), np.concatenate([part.rim_level for part in parts]), path,
+            np.concatenate([part.coverage for part in parts]), np.concatenate([part.rim_level for part in parts]), path,
         )  # fmt: skip
 
     def of(self, cells: Bools, rims: Bools) -> Footprint:
         """Return selected cells and cells of the rim."""
         return Footprint(
-            self.cell[cells], self.level[cells], self.segment[cells], self.rim[rims], self.covered[rims],
+            self.cell[cells], self.level[cells], self.segment[cells], self.rim[rims], self.coverage[rims],
             self.rim_level[rims], self.path,
         )  # fmt: skip
 
 
-def remove(stock: Stock, cutter: Cutter, begin: Array, end: Array, ahead: Array | None = None) -> Footprint:
+def remove(stock: Stock, cutter: Cutter, begin: Array, end: Array, heading: Array | None = None) -> Footprint:
     """Remove the volume that a tool along z sweeps from tip positions to others, both (L, 3) [m].
 
     The segments make one surface: where several cover a part of one cell, the one that covers most of it counts.
 
-    :param ahead: (3,) direction in which the tool goes on. Cells under its front at the last position are then not cut
-        but returned, see `cut`: the front of the tool must meet uncut material next, not cells that it has partly cut.
+    :param heading: (3,) direction in which the tool goes on. Cells under its front at the last position are then not
+        cut but returned, see `cut`: the front of the tool must meet uncut material next, not cells that it has partly
+        cut.
     """
     parts = list(_footprints(stock, cutter, begin, end))
-    under = Footprint.joined(parts, (cutter, begin, end))
-    if ahead is None:
-        cut(stock, under)
+    footprint = Footprint.joined(parts, (cutter, begin, end))
+    if heading is None:
+        cut(stock, footprint)
         return Footprint.none()
-    left = _is_ahead(stock, cutter, under.cell, end[-1], ahead, rim=False)
-    left_rim = _is_ahead(stock, cutter, under.rim, end[-1], ahead, rim=True)
-    cut(stock, under.of(~left, ~left_rim))
-    return under.of(left, left_rim)
+    left = _is_ahead(stock, cutter, footprint.cell, end[-1], heading, rim=False)
+    left_rim = _is_ahead(stock, cutter, footprint.rim, end[-1], heading, rim=True)
+    cut(stock, footprint.of(~left, ~left_rim))
+    return footprint.of(left, left_rim)
 
 
-def cut(stock: Stock, under: Footprint) -> None:
+def cut(stock: Stock, footprint: Footprint) -> None:
     """Remove the material of cells under a tool."""
     high = stock.high.reshape(-1)
-    lower = np.flatnonzero(under.level < high[under.cell])
-    cell, level = under.cell[lower], under.level[lower]
+    lower = np.flatnonzero(footprint.level < high[footprint.cell])
+    cell, level = footprint.cell[lower], footprint.level[lower]
     np.minimum.at(high, cell, level)
-    lowest = level <= high[cell]
-    stock.slope.reshape(-1, 2)[cell[lowest]] = _slopes(stock, under, lower[lowest])
-    if len(under.rim):
-        _cut_in_part(stock, *_widest(under.rim, under.covered, under.rim_level))
+    is_lowest = level <= high[cell]
+    stock.slope.reshape(-1, 2)[cell[is_lowest]] = _slopes(stock, footprint, lower[is_lowest])
+    if len(footprint.rim):
+        _cut_in_part(stock, *_widest(footprint.rim, footprint.coverage, footprint.rim_level))
 
 
-def _slopes(stock: Stock, under: Footprint, rows: Ints) -> NDArray[np.int16]:
+def _slopes(stock: Stock, footprint: Footprint, rows: Ints) -> NDArray[np.int16]:
     """Return the slopes (k, 2) of the surface that some rows of a footprint leave in the middles of their cells."""
-    out = np.zeros((len(rows), 2), dtype=np.int16)
-    if under.path is None or not len(rows):
-        return out
-    cutter, begin, end = under.path[0], *(ends[under.segment[rows]] for ends in under.path[1:])
+    slopes = np.zeros((len(rows), 2), dtype=np.int16)
+    if footprint.path is None or not len(rows):
+        return slopes
+    cutter, begin, end = footprint.path[0], *(ends[footprint.segment[rows]] for ends in footprint.path[1:])
     if cutter.corner == 0.0 and (begin[:, 2] == end[:, 2]).all():
-        return out
-    row, column = (index[:, None, None] for index in np.divmod(under.cell[rows], stock.high.shape[1]))
+        return slopes
+    row, column = (index[:, None, None] for index in np.divmod(footprint.cell[rows], stock.high.shape[1]))
     middle = middles(stock, begin, row, column)
     step = np.float32(_STEP * stock.cell)
     for axis in range(2):
         sides = [
-            tool_over(cutter, begin, end, *(each + side * (k == axis) for k, each in enumerate(middle)))[1]
+            tool_over(cutter, begin, end, *(coordinate + side * (k == axis) for k, coordinate in enumerate(middle)))[1]
             for side in (-step, step)
         ]
         slope = (sides[1] - sides[0])[:, 0, 0] / (2.0 * step)
-        out[:, axis] = np.clip(slope, -_STEEPEST, _STEEPEST) / SLOPE
-    return out
+        slopes[:, axis] = np.clip(slope, -_STEEPEST, _STEEPEST) / SLOPE
+    return slopes
 
 
 def _is_ahead(stock: Stock, cutter: Cutter, cell: Ints, point: Array, direction: Array, *, rim: bool) -> Bools:
@@ -425,21 +429,21 @@ def _is_ahead(stock: Stock, cutter: Cutter, cell: Ints, point: Array, direction:
     row, column = np.divmod(cell, stock.high.shape[1])
     x = stock.x + (column + 0.5) * stock.cell - point[0]
     y = stock.y + (row + 0.5) * stock.cell - point[1]
-    outwards = x * direction[0] + y * direction[1]
+    advance = x * direction[0] + y * direction[1]
     if rim or (cutter.corner == 0.0 and direction[2] == 0.0):
-        return np.asarray(outwards > 0.0)
+        return np.asarray(advance > 0.0)
     distance = np.hypot(x, y)
-    over = np.maximum(distance - (cutter.radius - cutter.corner), 0.0)
-    radial = over / np.maximum(distance, 1e-12)  # the normal, times the radius of the corner
-    down = np.sqrt(np.maximum(cutter.corner**2 - over**2, 0.0)) if cutter.corner > 0.0 else 1.0
-    return np.asarray((outwards * radial - down * direction[2] > 0.0) & (distance < cutter.radius + stock.cell))
+    corner_distance = np.maximum(distance - (cutter.radius - cutter.corner), 0.0)
+    radial = corner_distance / np.maximum(distance, 1e-12)  # the normal, times the radius of the corner
+    axial = np.sqrt(np.maximum(cutter.corner**2 - corner_distance**2, 0.0)) if cutter.corner > 0.0 else 1.0
+    return np.asarray((advance * radial - axial * direction[2] > 0.0) & (distance < cutter.radius + stock.cell))
 
 
 def depth_of(stock: Stock, cutter: Cutter, begin: Array, end: Array) -> float:
     """Return the largest depth of cut [m] from tip positions to others, (L, 3) [m], in cells that the tool covers."""
     high, floor, deepest = stock.high.reshape(-1), stock.floor.reshape(-1), 0.0
-    for under in _footprints(stock, cutter, begin, end):
-        cut = high[under.cell] - np.maximum(under.level, floor[under.cell])
+    for footprint in _footprints(stock, cutter, begin, end):
+        cut = high[footprint.cell] - np.maximum(footprint.level, floor[footprint.cell])
         deepest = max(deepest, float(cut.max(initial=0.0)))
     return deepest
 
@@ -447,30 +451,30 @@ def depth_of(stock: Stock, cutter: Cutter, begin: Array, end: Array) -> float:
 def _footprints(stock: Stock, cutter: Cutter, begin: Array, end: Array) -> Iterator[Footprint]:
     """Yield the cells under segments, a few segments at a time, small ones first."""
     for rows, corner, window in windows(stock, cutter.radius + stock.cell, begin, end):
-        under = _under(stock, cutter, begin, end, rows, corner, window)
-        if under is not None:
-            yield under
+        footprint = _under(stock, cutter, begin, end, rows, corner, window)
+        if footprint is not None:
+            yield footprint
 
 
 def windows(stock: Stock, reach: float, begin: Array, end: Array) -> Iterator[tuple[Ints, Ints, Ints]]:
     """Yield some segments at a time, small ones first: rows (k,), corners (k, 2) and size (2,) of parts of the map."""
     cell = stock.cell
     origin = np.array([stock.x, stock.y])
-    most = np.array(stock.high.shape[::-1])
+    map_size = np.array(stock.high.shape[::-1])
     low = np.minimum(begin[:, :2], end[:, :2]) - reach - origin
     high = np.maximum(begin[:, :2], end[:, :2]) + reach - origin
-    first = np.clip(np.floor(low / cell).astype(np.int64), 0, most)
-    count = np.clip(np.floor(high / cell).astype(np.int64) + 1, 0, most) - first
+    first = np.clip(np.floor(low / cell).astype(np.int64), 0, map_size)
+    count = np.clip(np.floor(high / cell).astype(np.int64) + 1, 0, map_size) - first
     size = count[:, 0] * count[:, 1]
     order = np.argsort(size, kind="stable")
     order = order[size[order] > 0]
-    done = 0
-    while done < len(order):
-        rows = order[done : done + max(1, _CELLS // int(size[order[done]]))]
+    row_count = 0
+    while row_count < len(order):
+        rows = order[row_count : row_count + max(1, _CELLS // int(size[order[row_count]]))]
         rows = rows[: max(1, _CELLS // int(size[rows[-1]]))]
-        done += len(rows)
-        window = np.minimum(count[rows].max(axis=0), most)
-        corner = np.minimum(first[rows], most - window)
+        row_count += len(rows)
+        window = np.minimum(count[rows].max(axis=0), map_size)
+        corner = np.minimum(first[rows], map_size - window)
         yield rows, corner, window
 
 
@@ -481,21 +485,21 @@ def _under(
     cell, path = stock.cell, (cutter, begin, end)
     begin, end = begin[rows], end[rows]
     index, row, column = cells(stock, corner, window)
-    lowest = np.minimum(begin[:, 2], end[:, 2])
+    tip_height = np.minimum(begin[:, 2], end[:, 2])
     top = float(stock.high[int(row.min()) : int(row.max()) + 1, int(column.min()) : int(column.max()) + 1].max())
-    if top <= float(lowest.min()):
+    if top <= float(tip_height.min()):
         return None
-    away, level = tool_over(cutter, begin, end, *middles(stock, begin, row, column))
+    distance, level = tool_over(cutter, begin, end, *middles(stock, begin, row, column))
     inner = np.float32(cutter.radius - 0.5 * cell)
-    wall = lowest + cutter.corner < top
-    full = away < np.where(wall, inner, np.float32(cutter.radius)).astype(np.float32)[:, None, None]
-    rim, covered, rim_level = np.zeros(0, dtype=np.int64), np.zeros(0, np.float32), np.zeros(0, np.float32)
+    wall = tip_height + cutter.corner < top
+    full = distance < np.where(wall, inner, np.float32(cutter.radius)).astype(np.float32)[:, None, None]
+    rim, coverage, rim_level = np.zeros(0, dtype=np.int64), np.zeros(0, np.float32), np.zeros(0, np.float32)
     if wall.any():
-        part = (away >= inner) & (away < inner + np.float32(cell)) & wall[:, None, None]
+        part = (distance >= inner) & (distance < inner + np.float32(cell)) & wall[:, None, None]
         rim, rim_level = index[part], level[part]
-        covered = np.minimum((inner + np.float32(cell) - away[part]) / np.float32(cell), np.float32(1.0))
+        coverage = np.minimum((inner + np.float32(cell) - distance[part]) / np.float32(cell), np.float32(1.0))
     segment = np.repeat(rows.astype(np.int32), np.count_nonzero(full, axis=(1, 2)))
-    return Footprint(index[full], level[full], segment, rim, covered, rim_level, path)
+    return Footprint(index[full], level[full], segment, rim, coverage, rim_level, path)
 
 
 def cells(stock: Stock, corner: Ints, window: Ints) -> tuple[Ints, Ints, Ints]:
@@ -519,65 +523,65 @@ def tool_over(cutter: Cutter, begin: Array, end: Array, px: Floats, py: Floats) 
     """
     chord = end - begin
     run = np.hypot(chord[:, 0], chord[:, 1])
-    still = run < 1e-9
-    unit = np.where(still[:, None], [1.0, 0.0], chord[:, :2] / np.where(still, 1.0, run)[:, None])
-    ux, uy, length = (one.astype(np.float32)[:, None, None] for one in (unit[:, 0], unit[:, 1], run))
-    along = ux * px + uy * py
-    across = ux * py - uy * px
-    square = across * across
-    nearest = np.minimum(np.maximum(along, 0.0), length)
-    away = np.sqrt(square + (along - nearest) ** 2)
-    z = np.where(still, np.minimum(begin[:, 2], end[:, 2]), begin[:, 2]).astype(np.float32)[:, None, None]
-    slope = np.where(still, 0.0, chord[:, 2] / np.where(still, 1.0, run))
+    is_vertical = run < 1e-9
+    unit = np.where(is_vertical[:, None], [1.0, 0.0], chord[:, :2] / np.where(is_vertical, 1.0, run)[:, None])
+    ux, uy, length = (component.astype(np.float32)[:, None, None] for component in (unit[:, 0], unit[:, 1], run))
+    travel = ux * px + uy * py
+    offset = ux * py - uy * px
+    square = offset * offset
+    nearest = np.minimum(np.maximum(travel, 0.0), length)
+    distance = np.sqrt(square + (travel - nearest) ** 2)
+    z = np.where(is_vertical, np.minimum(begin[:, 2], end[:, 2]), begin[:, 2]).astype(np.float32)[:, None, None]
+    slope = np.where(is_vertical, 0.0, chord[:, 2] / np.where(is_vertical, 1.0, run))
     if np.abs(slope).max() < 1e-9:
-        return away, np.broadcast_to(z + cutter.height(away).astype(np.float32), away.shape)
+        return distance, np.broadcast_to(z + cutter.height(distance).astype(np.float32), distance.shape)
     slope_ = slope.astype(np.float32)[:, None, None]
     half = np.sqrt(np.maximum(np.float32(cutter.radius**2) - square, 0.0))
     if cutter.corner == 0.0:
-        t = np.where(slope_ < 0.0, along + half, along - half)
+        t = np.where(slope_ < 0.0, travel + half, travel - half)
     elif cutter.corner >= cutter.radius * (1.0 - 1e-9):  # a ball: where its normal is square to the segment
-        t = along - slope_ / np.sqrt(1.0 + slope_ * slope_) * half
+        t = travel - slope_ / np.sqrt(1.0 + slope_ * slope_) * half
     else:
-        t = _lowest(cutter, along, square, half, length, slope_)
+        t = _lowest(cutter, travel, square, half, length, slope_)
     t = np.minimum(np.maximum(t, 0.0), length)
-    over = np.sqrt(square + (along - t) ** 2)
-    return away, np.asarray(z + slope_ * t + cutter.height(over), dtype=np.float32)
+    axis_distance = np.sqrt(square + (travel - t) ** 2)
+    return distance, np.asarray(z + slope_ * t + cutter.height(axis_distance), dtype=np.float32)
 
 
-def _lowest(cutter: Cutter, along: Floats, square: Floats, half: Floats, length: Floats, slope: Floats) -> Floats:
+def _lowest(cutter: Cutter, travel: Floats, square: Floats, half: Floats, length: Floats, slope: Floats) -> Floats:
     """Return the position t on the segment where a bull-nose tool is lowest above each cell, by golden section."""
-    a = np.minimum(np.maximum(along - half, 0.0), length).astype(float)
-    b = np.minimum(np.maximum(along + half, 0.0), length).astype(float)
+    a = np.minimum(np.maximum(travel - half, 0.0), length).astype(float)
+    b = np.minimum(np.maximum(travel + half, 0.0), length).astype(float)
     ratio = 0.5 * (math.sqrt(5.0) - 1.0)
 
     def height(t: Array) -> Array:
-        return np.asarray(slope * t + cutter.height(np.sqrt(square + (along - t) ** 2)))
+        return np.asarray(slope * t + cutter.height(np.sqrt(square + (travel - t) ** 2)))
 
     for _ in range(_HALVINGS):
-        one, other = b - ratio * (b - a), a + ratio * (b - a)
-        left = height(one) < height(other)
-        a, b = np.where(left, a, one), np.where(left, other, b)
+        first, second = b - ratio * (b - a), a + ratio * (b - a)
+        left = height(first) < height(second)
+        a, b = np.where(left, a, first), np.where(left, second, b)
     return np.asarray(0.5 * (a + b), dtype=np.float32)
 
 
-def _widest(cell: Ints, covered: Floats, level: Floats) -> tuple[Ints, Floats, Floats]:
+def _widest(cell: Ints, coverage: Floats, level: Floats) -> tuple[Ints, Floats, Floats]:
     """Return each cell once, with the largest share that a segment covers, and the level of that segment."""
-    order = np.lexsort((covered, cell))
+    order = np.lexsort((coverage, cell))
     final = order[np.flatnonzero(np.diff(cell[order], append=-1))]
-    return cell[final], covered[final], level[final]
+    return cell[final], coverage[final], level[final]
 
 
-def _cut_in_part(stock: Stock, at: Ints, covered: Floats, level: Floats) -> None:
+def _cut_in_part(stock: Stock, at: Ints, coverage: Floats, level: Floats) -> None:
     """Cut shares of cells down to levels. Cut areas of one cell are assumed nested, the smaller inside the larger."""
-    own_high, own_low, own_share = (one.reshape(-1) for one in (stock.high, stock.low, stock.share))
-    high, low, share = own_high[at], own_low[at], own_share[at]
+    flat_high, flat_low, flat_share = (values.reshape(-1) for values in (stock.high, stock.low, stock.share))
+    high, low, share = flat_high[at], flat_low[at], flat_share[at]
     cuts = level < high
     low = np.where(share > 0.0, np.minimum(low, high), high)
-    both = np.minimum(share, covered)
-    most = np.maximum(share, covered)
-    rest = np.where(share > covered, low, np.minimum(level, high))
-    mean = (both * np.minimum(low, level) + (most - both) * rest) / np.maximum(most, np.float32(1e-6))
-    own_low[at] = np.where(cuts, mean, low)
-    own_share[at] = np.where(cuts, most, share)
-    own_high[at] = np.where(cuts & (covered > _WHOLE), level, high)
+    overlap = np.minimum(share, coverage)
+    union = np.maximum(share, coverage)
+    rest = np.where(share > coverage, low, np.minimum(level, high))
+    mean = (overlap * np.minimum(low, level) + (union - overlap) * rest) / np.maximum(union, np.float32(1e-6))
+    flat_low[at] = np.where(cuts, mean, low)
+    flat_share[at] = np.where(cuts, union, share)
+    flat_high[at] = np.where(cuts & (coverage > _WHOLE), level, high)
     stock.slope.reshape(-1, 2)[at[cuts]] = 0

@@ -29,9 +29,9 @@ from postproc.program import Bools, Ints
 
 _STRAIGHT = np.cos(np.radians(10.0))
 """Segments that turn by less are processed together."""
-_LONGEST = 20.0
+_GROUP_LENGTH = 20.0
 """Maximum length of segments that are processed together, in radii of the tool."""
-_ALONG = 1e-3
+_AXIAL = 1e-3
 """Sine of the angle to the spindle below which a segment is along it."""
 _ELEMENTS = 200_000
 """Points of edges that are processed together."""
@@ -41,7 +41,7 @@ _FINE = 0.5
 """Distance of sample points at the rim, in cells, if only the cylinder cuts."""
 _TALLER = 4
 """Edges of tools that lean are divided up to multiples of this many cells,"""
-_TILTED = -1
+_TILT_KEY = -1
 """and kept under this number instead of a slope."""
 _AXES = np.cos(np.radians(3.0))
 """Tools that turn while they cut are processed together while their axis turns by less."""
@@ -53,7 +53,7 @@ _SAGITTA = 1e-3
 """The path of a tool that leans leaves its chords by less [m]."""
 _ON_CHORD = 4
 """Smallest number of places on such a chord where the tool is compared with the stock."""
-_TOUCHED = 2e-5
+_LEAST_DEPTH = 2e-5
 """Depth [m] to which a rapid move, or a move with the spindle off, may touch material without a warning."""
 
 
@@ -90,9 +90,9 @@ class Cuts(Columns, frozen=True, eq=False):
     @classmethod
     def none(cls) -> Cuts:
         """Return no stations."""
-        none = np.zeros(0)
+        empty = np.zeros(0)
         six = np.zeros((0, 6))
-        return cls(none.astype(np.int64), none, six, six, none.astype(bool), *[none] * 7)
+        return cls(empty.astype(np.int64), empty, six, six, empty.astype(bool), *[empty] * 7)
 
 
 class Sweep(Struct, eq=False):
@@ -100,11 +100,11 @@ class Sweep(Struct, eq=False):
 
     :ivar poses: the tool anywhere on the path.
     :ivar swing: (M,) how fast motions turn the tool that do not move its tip [rad/s]; NaN: not known.
-    :ivar deflected: the tip is displaced: on rapid moves it still springs back, and contact there is no collision.
+    :ivar is_deflected: the tip is displaced: on rapid moves it still springs back, and contact there is no collision.
     :ivar guard: parts of the tool that must stay clear of the stock; None: they are not compared.
     :ivar ceiling: with a guard, the stock over time.
-    :ivar collided: rapid motions through material, and how deep [m]; none if `deflected`.
-    :ivar stopped: cutting motions through material with the spindle off.
+    :ivar collisions: rapid motions through material, and how deep [m]; none if `is_deflected`.
+    :ivar stopped_motions: cutting motions through material with the spindle off.
     :ivar contact: whether any cutting move engaged material.
     :ivar by_cells: (M, 2) for each motion sums, over its stations, of the squares of the standard deviation of the
         force by the cells of the map, and of the force [N²].
@@ -122,11 +122,11 @@ class Sweep(Struct, eq=False):
     poses: ToolPoses
     swing: Array
     by_cells: Array
-    deflected: bool = False
+    is_deflected: bool = False
     guard: Guard | None = None
     ceiling: Ceiling | None = None
-    collided: dict[int, float] = field(default_factory=dict)
-    stopped: set[int] = field(default_factory=set)
+    collisions: dict[int, float] = field(default_factory=dict)
+    stopped_motions: set[int] = field(default_factory=set)
     contact: bool = False
     overhang: dict[int, float] = field(default_factory=dict)
     tilted_volume: float = 0.0
@@ -142,25 +142,25 @@ class Sweep(Struct, eq=False):
         :param progress: called with the number of segments done.
         """
         self.top = self.stock.top
-        near = self._near(segments, self.top)
+        may_touch = self._near(segments, self.top)
         left = Footprint.none()  # under the front of the tool where a group of segments ends
-        for begin, end in self._groups(segments, near):
+        for begin, end in self._groups(segments, may_touch):
             if progress is not None:
                 progress(end)
             leans, cuts = bool(segments.leans[begin]), bool(segments.cutting[begin])
             if leans and not cuts:
-                if near[begin] and not self.deflected:
+                if may_touch[begin] and not self.is_deflected:
                     self._leaning(segments, begin, end)
                 continue
             if not leans:
                 self._guarded(segments, begin, end)
-            if not near[begin]:
+            if not may_touch[begin]:
                 if cuts:
                     yield self._in_air(segments, begin, end)
                 continue
             number = int(self.tools.tool[segments.motion[begin]])
             cutter = self._cutter(number)
-            goes_on = end < len(near) and bool(segments.continues[end]) and bool(near[end])
+            goes_on = end < len(may_touch) and bool(segments.continues[end]) and bool(may_touch[end])
             if leans:
                 path, top = self._tilted_path(segments, begin, end, cutter)
                 if self.tools.rpm[path.motion[0]] > 0.0:
@@ -171,9 +171,9 @@ class Sweep(Struct, eq=False):
                 yield from self._cut(segments, begin, end, number)
                 cut(self.stock, left)
                 first = _runs(segments, begin, end)
-                ahead = segments.arrive[end - 1] if goes_on else None
+                heading = segments.arrive[end - 1] if goes_on else None
                 left = remove(
-                    self.stock, cutter, segments.begin[first], segments.end[[*(first[1:] - 1), end - 1]], ahead
+                    self.stock, cutter, segments.begin[first], segments.end[[*(first[1:] - 1), end - 1]], heading
                 )
             else:
                 cut(self.stock, left)
@@ -192,18 +192,18 @@ class Sweep(Struct, eq=False):
     def _unwanted(self, segments: StraightSegments, begin: int, end: int, cutter: Cutter) -> None:
         """Record motions that touch material without cutting it (rapid, or spindle off), and remove that material."""
         start, stop = segments.begin[begin:end], segments.end[begin:end]
-        seen = segments.cutting[begin] or not self.deflected
-        if not seen or depth_of(self.stock, cutter, start, stop) <= _TOUCHED:
+        is_reported = segments.cutting[begin] or not self.is_deflected
+        if not is_reported or depth_of(self.stock, cutter, start, stop) <= _LEAST_DEPTH:
             remove(self.stock, cutter, start, stop)
             return
         for k, motion in enumerate(segments.motion[begin:end].tolist()):
-            one = slice(k, k + 1)
-            depth = depth_of(self.stock, cutter, start[one], stop[one])
-            if depth > _TOUCHED and segments.cutting[begin]:
-                self.stopped.add(motion)
-            elif depth > _TOUCHED:
-                self.collided[motion] = max(depth, self.collided.get(motion, 0.0))
-            remove(self.stock, cutter, start[one], stop[one])
+            row = slice(k, k + 1)
+            depth = depth_of(self.stock, cutter, start[row], stop[row])
+            if depth > _LEAST_DEPTH and segments.cutting[begin]:
+                self.stopped_motions.add(motion)
+            elif depth > _LEAST_DEPTH:
+                self.collisions[motion] = max(depth, self.collisions.get(motion, 0.0))
+            remove(self.stock, cutter, start[row], stop[row])
 
     def _leaning(self, segments: StraightSegments, begin: int, end: int) -> None:
         """Record rapid motions that turn the tool and move it through material, which is left where it is."""
@@ -215,7 +215,7 @@ class Sweep(Struct, eq=False):
             motion = int(segments.motion[row])
             depth = depth_inside(self.stock, cutter, *self.poses.at(np.full(len(t), motion), t))
             if depth > 0.0:
-                self.collided[motion] = max(depth, self.collided.get(motion, 0.0))
+                self.collisions[motion] = max(depth, self.collisions.get(motion, 0.0))
 
     def _near(self, segments: StraightSegments, top: float) -> Bools:
         """Return which segments (L,) can touch the stock at all; a tool that leans may do so beside its tip."""
@@ -224,51 +224,51 @@ class Sweep(Struct, eq=False):
         for number in np.unique(self.tools.tool[segments.motion]).tolist():
             reach[self.tools.tool[segments.motion] == number] = self._cutter(number).radius
         low, high = np.minimum(segments.begin, segments.end), np.maximum(segments.begin, segments.end)
-        near = (low[:, 2] < top) & (high[:, 0] + reach > x0) & (low[:, 0] - reach < x1)
-        near &= (high[:, 1] + reach > y0) & (low[:, 1] - reach < y1)
-        near[segments.leans] = (low[:, 2] - reach - _SAGITTA < top)[segments.leans]
-        return np.asarray(near)
+        may_touch = (low[:, 2] < top) & (high[:, 0] + reach > x0) & (low[:, 0] - reach < x1)
+        may_touch &= (high[:, 1] + reach > y0) & (low[:, 1] - reach < y1)
+        may_touch[segments.leans] = (low[:, 2] - reach - _SAGITTA < top)[segments.leans]
+        return np.asarray(may_touch)
 
-    def _groups(self, segments: StraightSegments, near: Bools) -> Iterator[tuple[int, int]]:
+    def _groups(self, segments: StraightSegments, may_touch: Bools) -> Iterator[tuple[int, int]]:
         """Yield ranges of segments that are processed together."""
         motion = segments.motion
         length = np.linalg.norm(segments.end - segments.begin, axis=1)
-        along = np.hypot(segments.leave[:, 0], segments.leave[:, 1]) < _ALONG
-        down = segments.leave[:, 2] < -1e-6
-        same = np.zeros(len(motion), dtype=bool)
+        is_axial = np.hypot(segments.leave[:, 0], segments.leave[:, 1]) < _AXIAL
+        is_descent = segments.leave[:, 2] < -1e-6
+        joins_previous = np.zeros(len(motion), dtype=bool)
         running = np.stack([self.tools.tool[motion], self.tools.rpm[motion], self.tools.hand[motion]], axis=1)
-        same[1:] = segments.continues[1:] & (running[1:] == running[:-1]).all(axis=1)
-        same[1:] &= (near[1:] == near[:-1]) & (segments.cutting[1:] == segments.cutting[:-1])
+        joins_previous[1:] = segments.continues[1:] & (running[1:] == running[:-1]).all(axis=1)
+        joins_previous[1:] &= (may_touch[1:] == may_touch[:-1]) & (segments.cutting[1:] == segments.cutting[:-1])
         rapid, leans = ~segments.cutting, segments.leans
-        same[1:] |= (rapid & leans)[1:] & (motion[1:] == motion[:-1]) & (near[1:] == near[:-1])
-        alike = (along[1:] == along[:-1]) & (down[1:] == down[:-1])
-        same[1:] &= ~near[1:] | rapid[1:] | leans[1:] | alike
-        axes = self._tilted_axes(segments, near)
-        begin, limit, travelled = 0, 0.0, 0.0
+        joins_previous[1:] |= (rapid & leans)[1:] & (motion[1:] == motion[:-1]) & (may_touch[1:] == may_touch[:-1])
+        same_kind = (is_axial[1:] == is_axial[:-1]) & (is_descent[1:] == is_descent[:-1])
+        joins_previous[1:] &= ~may_touch[1:] | rapid[1:] | leans[1:] | same_kind
+        axes = self._tilted_axes(segments, may_touch)
+        begin, limit, group_length = 0, 0.0, 0.0
         heading: list[float] | None = None
         lengths, leave, arrive, joins, close = (
-            length.tolist(), segments.leave.tolist(), segments.arrive.tolist(), same.tolist(),
-            (near & segments.cutting).tolist(),
+            length.tolist(), segments.leave.tolist(), segments.arrive.tolist(), joins_previous.tolist(),
+            (may_touch & segments.cutting).tolist(),
         )  # fmt: skip
         for segment in range(len(motion)):
             if segment > begin or heading is None:
-                ends = heading is None or not joins[segment] or travelled > limit
+                ends = heading is None or not joins[segment] or group_length > limit
                 if heading is not None and not ends and close[segment]:
-                    one, other = leave[segment], arrive[segment]
-                    ends = min(_dot(heading, one), _dot(heading, other)) < _STRAIGHT
+                    first_heading, last_heading = leave[segment], arrive[segment]
+                    ends = min(_dot(heading, first_heading), _dot(heading, last_heading)) < _STRAIGHT
                     ends |= segment in axes and _dot(axes[begin], axes[segment]) < _AXES
                 if ends:
                     if segment > begin:
                         yield begin, segment
-                    begin, travelled, heading = segment, 0.0, leave[segment]
-                    limit = _LONGEST * self._cutter(int(self.tools.tool[motion[segment]])).radius
-            travelled += lengths[segment]
+                    begin, group_length, heading = segment, 0.0, leave[segment]
+                    limit = _GROUP_LENGTH * self._cutter(int(self.tools.tool[motion[segment]])).radius
+            group_length += lengths[segment]
         if begin < len(motion):
             yield begin, len(motion)
 
-    def _tilted_axes(self, segments: StraightSegments, near: Bools) -> dict[int, list[float]]:
+    def _tilted_axes(self, segments: StraightSegments, may_touch: Bools) -> dict[int, list[float]]:
         """Return the axis of the tool at the end of cuts on which it leans or turns, by row."""
-        rows = np.flatnonzero(segments.leans & segments.cutting & near)
+        rows = np.flatnonzero(segments.leans & segments.cutting & may_touch)
         if not len(rows):
             return {}
         _, axes = self.poses.at(segments.motion[rows], segments.last[rows])
@@ -277,13 +277,13 @@ class Sweep(Struct, eq=False):
     def _in_air(self, segments: StraightSegments, begin: int, end: int) -> Cuts:
         """Return stations of segments that cannot touch the stock: one each."""
         n = end - begin
-        none, zero, nothing = np.zeros((n, 6)), np.zeros(n), np.full(n, np.nan)
+        wrench, zero, no_angle = np.zeros((n, 6)), np.zeros(n), np.full(n, np.nan)
         t = 0.5 * (segments.first[begin:end] + segments.last[begin:end])
         heading = segments.leave[begin:end]
-        across = np.hypot(heading[:, 0], heading[:, 1])
-        along = across < _ALONG
+        axis_sine = np.hypot(heading[:, 0], heading[:, 1])
+        is_axial = axis_sine < _AXIAL
         return Cuts(
-            segments.motion[begin:end], t, none, none, along, zero, zero, nothing, nothing, zero, zero, zero,
+            segments.motion[begin:end], t, wrench, wrench, is_axial, zero, zero, no_angle, no_angle, zero, zero, zero,
         )  # fmt: skip
 
     def _cut(self, segments: StraightSegments, begin: int, end: int, number: int) -> Iterator[Cuts]:
@@ -306,18 +306,18 @@ class Sweep(Struct, eq=False):
     def _turn(self, number: int, position: Array, heading: Array) -> Turn:
         """Return the sample points of the edge that can be in material at these positions."""
         cutter, pieces = self._cutter(number), self._edge(number)
-        down = bool((heading[:, 2] < -1e-6).any())
+        is_descent = bool((heading[:, 2] < -1e-6).any())
         high = self._highest(position, cutter.radius)
-        kept = int(np.searchsorted(pieces.low, high - float(position[:, 2].min()), side="left"))
-        ends = down and bool((pieces.part == BOTTOM).any())
-        kept = max(kept, 1)
+        piece_count = int(np.searchsorted(pieces.low, high - float(position[:, 2].min()), side="left"))
+        ends = is_descent and bool((pieces.part == BOTTOM).any())
+        piece_count = max(piece_count, 1)
         steep = int(np.ceil(_SLOPES * float((-heading[:, 2]).max()) - 1e-6))
-        key = (number, ends, kept, steep)
+        key = (number, ends, piece_count, steep)
         if key not in self._turns:
-            used = (np.arange(len(pieces.low)) < kept) & (ends | (pieces.part != BOTTOM))
-            if not used.any():
-                used[-1] = True
-            kept_edge = some(pieces, used)
+            is_used = (np.arange(len(pieces.low)) < piece_count) & (ends | (pieces.part != BOTTOM))
+            if not is_used.any():
+                is_used[-1] = True
+            kept_edge = some(pieces, is_used)
             step = self.stock.cell * (_FINE if (kept_edge.part == SIDE).all() else 1.0)
             self._turns[key] = Turn.of(kept_edge, cutter, self.law, step, min(steep / _SLOPES, 1.0))
         return self._turns[key]
@@ -332,18 +332,18 @@ class Sweep(Struct, eq=False):
 
     def _loads(self, turn: Turn, number: int, position: Array, heading: Array, motion: Ints, t: Array) -> Cuts:
         cutter = self._cutter(number)
-        across = np.hypot(heading[:, 0], heading[:, 1])
-        along = across < _ALONG
-        ux = np.where(along, 1.0, heading[:, 0] / np.where(along, 1.0, across))
-        uy = np.where(along, 0.0, heading[:, 1] / np.where(along, 1.0, across))
+        axis_sine = np.hypot(heading[:, 0], heading[:, 1])
+        is_axial = axis_sine < _AXIAL
+        ux = np.where(is_axial, 1.0, heading[:, 0] / np.where(is_axial, 1.0, axis_sine))
+        uy = np.where(is_axial, 0.0, heading[:, 1] / np.where(is_axial, 1.0, axis_sine))
         rpm, hand = self.tools.rpm[motion], self.tools.hand[motion]
         per_tooth = self.feed[motion] * 60.0 / (rpm * cutter.teeth)
-        feed = np.where(along, 0.0, per_tooth * across).astype(np.float32)
+        feed = np.where(is_axial, 0.0, per_tooth * axis_sine).astype(np.float32)
         descent = (-per_tooth * heading[:, 2]).astype(np.float32)
-        inside = self._inside(turn, cutter, position, (ux, uy, hand), descent)
+        engagement = self._inside(turn, cutter, position, (ux, uy, hand), descent)
         chip = cutting.chips(turn, feed, descent)
-        plunging = np.maximum(-heading[:, 2], 0.0).astype(np.float32)
-        loads = cutting.mean(turn, inside, chip, plunging, self.stock.cell)
+        descent_sine = np.maximum(-heading[:, 2], 0.0).astype(np.float32)
+        loads = cutting.mean(turn, engagement, chip, descent_sine, self.stock.cell)
         deep = 0.0
         if cutter.drill:
             # all stations get the depth of the hole, as thinning keeps few; the last one is half a step above the end
@@ -351,7 +351,7 @@ class Sweep(Struct, eq=False):
                 1, len(t) - 1
             )
             deep = max(self._highest(position, cutter.radius) - bottom, 0.0)
-        return self._cuts(turn, number, (motion, t, along), loads, inside.length * (chip > 0.0), deep)
+        return self._cuts(turn, number, (motion, t, is_axial), loads, engagement.length * (chip > 0.0), deep)
 
     def _cuts(
         self, turn: Turn, number: int, stations: tuple[Ints, Array, Bools], loads: Loads, cuts: Floats, deep: float
@@ -361,12 +361,12 @@ class Sweep(Struct, eq=False):
         :param cuts: (n, P) length of edge that cuts [m].
         :param deep: depth of the hole of a drill [m].
         """
-        motion, t, along = stations
+        motion, t, is_axial = stations
         wrench, rpm, hand = loads.wrench, self.tools.rpm[motion], self.tools.hand[motion]
         wrench[:, [1, 3, 5]] *= hand[:, None]
         if not cuts.any():
-            nothing, zero = np.full(len(t), np.nan), np.zeros(len(t))
-            return Cuts(motion, t, wrench, loads.deviation, along, zero, zero, nothing, nothing, zero, zero, zero)
+            no_angle, zero = np.full(len(t), np.nan), np.zeros(len(t))
+            return Cuts(motion, t, wrench, loads.deviation, is_axial, zero, zero, no_angle, no_angle, zero, zero, zero)
         self.contact = True
         square = np.square(norm(wrench[:, :3]))
         np.add.at(self.by_cells, motion, np.stack([loads.by_cells**2 * square, square], axis=1))
@@ -375,18 +375,18 @@ class Sweep(Struct, eq=False):
             depth = np.where(cuts.any(axis=1), deep, 0.0)
         torque = wrench[:, 5] * hand
         return Cuts(
-            motion, t, wrench, loads.deviation, along, torque, torque * rpm * (2.0 * np.pi / 60.0), enter, leave, depth,
-            width, loads.removal * turn.teeth * rpm / 60.0,
+            motion, t, wrench, loads.deviation, is_axial, torque, torque * rpm * (2.0 * np.pi / 60.0), enter, leave,
+            depth, width, loads.removal * turn.teeth * rpm / 60.0,
         )  # fmt: skip
 
     def _inside(
         self, turn: Turn, cutter: Cutter, position: Array, axes: tuple[Array, Array, Ints], descent: Floats
     ) -> Engaged:
-        ux, uy, hand = (one.astype(np.float32)[:, None] for one in axes)
-        ahead = np.sin(turn.phi).astype(np.float32) * turn.radius
-        aside = np.cos(turn.phi).astype(np.float32) * turn.radius
-        x = position[:, 0].astype(np.float32)[:, None] + (ux * ahead - (uy * hand) * aside)
-        y = position[:, 1].astype(np.float32)[:, None] + (uy * ahead + (ux * hand) * aside)
+        ux, uy, hand = (component.astype(np.float32)[:, None] for component in axes)
+        feed_offset = np.sin(turn.phi).astype(np.float32) * turn.radius
+        side_offset = np.cos(turn.phi).astype(np.float32) * turn.radius
+        x = position[:, 0].astype(np.float32)[:, None] + (ux * feed_offset - (uy * hand) * side_offset)
+        y = position[:, 1].astype(np.float32)[:, None] + (uy * feed_offset + (ux * hand) * side_offset)
         return engaged(self.stock, turn, x, y, position[:, 2].astype(np.float32), descent * cutter.teeth)
 
     def _tilted_cut(self, path: TiltedPath, number: int, top: float) -> Iterator[Cuts]:
@@ -394,7 +394,7 @@ class Sweep(Struct, eq=False):
         cutter, step = self._cutter(number), self.stock.cell
         height = (top - float(path.tip[:, 2].min()) + cutter.radius) / float(path.axis[:, 2].min())
         count = max(1, int(np.ceil(height / step / _TALLER))) * _TALLER
-        key = (number, True, count, _TILTED)
+        key = (number, True, count, _TILT_KEY)
         if key not in self._turns:
             self._turns[key] = Turn.of(in_slices(self._edge(number), step, count * step), cutter, self.law, step, None)
         turn = self._turns[key]
@@ -402,9 +402,9 @@ class Sweep(Struct, eq=False):
         for start in range(0, len(path.t), chunk):
             part = path.take(slice(start, start + chunk))
             rpm, hand = self.tools.rpm[part.motion], self.tools.hand[part.motion]
-            loads, cuts, along = tilted.loads(self.stock, turn, part, 60.0 / (rpm * cutter.teeth), hand)
+            loads, cuts, is_axial = tilted.loads(self.stock, turn, part, 60.0 / (rpm * cutter.teeth), hand)
             self.unpaced.update(part.motion[cuts.any(axis=1) & np.isnan(part.pace)].tolist())
-            yield self._cuts(turn, number, (part.motion, part.t, along), loads, cuts, np.nan)
+            yield self._cuts(turn, number, (part.motion, part.t, is_axial), loads, cuts, np.nan)
 
     def _tilted_path(
         self, segments: StraightSegments, begin: int, end: int, cutter: Cutter
@@ -416,21 +416,21 @@ class Sweep(Struct, eq=False):
         path = TiltedPath.of(segments.take(rows), axes[0], axes[1], cutter, self.stock.cell, self.feed, self.swing)
         height = max(self.top - float(path.tip[:, 2].min()) + cutter.radius, 0.0)
         steepest = float(path.axis[:, 2].min())
-        aside = height * float(np.sqrt(1.0 - steepest**2)) / steepest
-        return path, max(self._highest(path.tip, cutter.radius + aside), float(path.tip[:, 2].min()))
+        reach = height * float(np.sqrt(1.0 - steepest**2)) / steepest
+        return path, max(self._highest(path.tip, cutter.radius + reach), float(path.tip[:, 2].min()))
 
     def _tilted_sweep(self, path: TiltedPath, cutter: Cutter, top: float, *, goes_on: bool) -> Footprint:
         """Remove what a tool that leans or turns sweeps, and return the cells under its front where it goes on."""
-        swept = tilted.sweep(self.stock, cutter, *path.poses, top)
+        sweep = tilted.sweep(self.stock, cutter, *path.poses, top)
         last = int(path.motion[-1])
-        if swept.depth > _TOUCHED and not self.tools.rpm[last] > 0.0:
-            self.stopped.add(last)
-        self.overhang[last] = self.overhang.get(last, 0.0) + swept.overhang
-        self.tilted_volume += swept.removed
-        cut(self.stock, swept.under)
+        if sweep.depth > _LEAST_DEPTH and not self.tools.rpm[last] > 0.0:
+            self.stopped_motions.add(last)
+        self.overhang[last] = self.overhang.get(last, 0.0) + sweep.overhang
+        self.tilted_volume += sweep.removal
+        cut(self.stock, sweep.footprint)
         if goes_on:
-            return swept.front
-        cut(self.stock, swept.front)
+            return sweep.front
+        cut(self.stock, sweep.front)
         return Footprint.none()
 
     def _cutter(self, number: int) -> Cutter:
@@ -458,22 +458,24 @@ def _runs(segments: StraightSegments, begin: int, end: int) -> Ints:
     return np.concatenate([[begin], np.flatnonzero(bends) + begin + 1])
 
 
-def _dot(one: list[float], other: list[float]) -> float:
-    return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
+def _dot(a: list[float], b: list[float]) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def _engagement(turn: Turn, cuts: Floats) -> tuple[Array, Array, Array, Array]:
     """Return smallest and largest angle in material [rad], depth and width of cut [m], (n,) each."""
-    found = cuts > _LITTLE * np.where(np.isfinite(turn.rise), turn.length, 0.0)
-    found[:, turn.side] &= cuts[:, turn.side] > _LITTLE * cuts[:, turn.side].max(axis=1, keepdims=True, initial=0.0)
-    some_ = found.any(axis=1)
-    half, outer = 0.5 * turn.width, turn.radius + np.where(turn.down > 0.0, 0.5 * turn.length * turn.down, 0.0)
+    is_engaged = cuts > _LITTLE * np.where(np.isfinite(turn.rise), turn.length, 0.0)
+    is_engaged[:, turn.side] &= cuts[:, turn.side] > _LITTLE * cuts[:, turn.side].max(
+        axis=1, keepdims=True, initial=0.0
+    )
+    has_contact = is_engaged.any(axis=1)
+    half, outer = 0.5 * turn.width, turn.radius + np.where(turn.axial > 0.0, 0.5 * turn.length * turn.axial, 0.0)
     outer = np.minimum(outer, turn.radius[turn.side].max(initial=0.0) or np.inf)  # that of the corner is straight
-    aside = outer * np.cos([turn.phi - half, turn.phi, turn.phi + half])
+    lateral = outer * np.cos([turn.phi - half, turn.phi, turn.phi + half])
     ends = [
-        (np.where(found, low, np.inf).min(axis=1), np.where(found, high, -np.inf).max(axis=1))
-        for low, high in ((turn.phi - half, turn.phi + half), (aside.min(axis=0), aside.max(axis=0)))
+        (np.where(is_engaged, low, np.inf).min(axis=1), np.where(is_engaged, high, -np.inf).max(axis=1))
+        for low, high in ((turn.phi - half, turn.phi + half), (lateral.min(axis=0), lateral.max(axis=0)))
     ]
-    enter, leave = (np.where(some_, angle, np.nan) for angle in ends[0])
+    enter, leave = (np.where(has_contact, angle, np.nan) for angle in ends[0])
     depth = cutting.times(cuts, turn.tall).max(axis=1) if turn.side.start > 0 else cuts.max(axis=1)
-    return enter, leave, depth.astype(float), np.where(some_, ends[1][1] - ends[1][0], 0.0)
+    return enter, leave, depth.astype(float), np.where(has_contact, ends[1][1] - ends[1][0], 0.0)

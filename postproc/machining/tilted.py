@@ -140,8 +140,8 @@ def loads(stock: Stock, turn: Turn, path: TiltedPath, tooth: Array, hand: Ints) 
     sine, cosine = np.sin(turn.phi), np.cos(turn.phi)
     rise = np.where(np.isfinite(turn.rise), turn.rise, 0.0)
     edge = np.stack([turn.radius * sine, turn.radius * cosine, turn.low + 0.5 * rise]).astype(np.float32)
-    sine_of_kappa = np.sqrt(np.maximum(1.0 - turn.down**2, 0.0))
-    normal = np.stack([turn.front, sine_of_kappa * cosine, -turn.down]).astype(np.float32)
+    sine_of_kappa = np.sqrt(np.maximum(1.0 - turn.axial**2, 0.0))
+    normal = np.stack([turn.front, sine_of_kappa * cosine, -turn.axial]).astype(np.float32)
     point = path.tip.astype(np.float32)[:, None] + np.einsum("nik,kp->npi", edge_axes.astype(np.float32), edge)
     travel = np.nan_to_num(path.pace * tooth)[:, None] * np.einsum("nik,ni->nk", edge_axes, path.heading)
     lean = tooth[:, None] * np.einsum("nik,ni->nk", edge_axes, path.swing)
@@ -159,18 +159,18 @@ def loads(stock: Stock, turn: Turn, path: TiltedPath, tooth: Array, hand: Ints) 
 class Swept(Struct, frozen=True, eq=False):
     """Cells that a tool sweeps.
 
-    :param under: the cells that it covers, with its lowest level.
+    :param footprint: the cells that it covers, with its lowest level.
     :param front: those under its front where the motion ends: it moves into their material next.
     :param depth: largest depth of material in cells under it [m].
     :param overhang: volume above the tool, away from its front, that a map cannot keep [m³].
-    :param removed: volume that is removed, away from its front and with the overhang [m³].
+    :param removal: volume that is removed, away from its front and with the overhang [m³].
     """
 
-    under: Footprint
+    footprint: Footprint
     front: Footprint
     depth: float
     overhang: float
-    removed: float
+    removal: float
 
 
 def sweep(stock: Stock, cutter: Cutter, tip: Array, axis: Array, top: float) -> Swept:
@@ -364,6 +364,6 @@ def _extents(turn: Turn, axes: Array) -> Floats:
     """Return how far pieces of edge (n, P) reach along z of the map [m]."""
     up = axes[:, 2].astype(np.float32)  # z of the map in the axes of the tool
     sine, cosine = np.sin(turn.phi).astype(np.float32), np.cos(turn.phi).astype(np.float32)
-    sine_of_kappa = np.sqrt(np.maximum(1.0 - turn.down**2, 0.0)).astype(np.float32)  # sine of kappa
-    radial = turn.down * (up[:, :1] * sine + up[:, 1:2] * cosine)  # along the edge, outwards and up
+    sine_of_kappa = np.sqrt(np.maximum(1.0 - turn.axial**2, 0.0)).astype(np.float32)  # sine of kappa
+    radial = turn.axial * (up[:, :1] * sine + up[:, 1:2] * cosine)  # along the edge, outwards and up
     return np.asarray(np.maximum(turn.length * np.abs(radial + sine_of_kappa * up[:, 2:]), np.float32(1e-7)))

@@ -130,7 +130,7 @@ DRILL_THRUST = 0.65
 _SAMPLING = {"ball": 1.0, "flat": 1.4, "bull": 3.0}
 """Error of forces by the cells of the map, relative to that of a ball with a contact of the same area: RMS against
 exact fronts on random surfaces with cells of 0.25 mm. The contact of a bull-nose tool is a strip along its corner."""
-_LEAST = 8
+_LEAST_POINTS = 8
 """Minimum number of sample points in half a turn."""
 
 
@@ -144,11 +144,12 @@ class Turn(Struct, frozen=True, eq=False):
     :param radius: (P,) distance from the axis [m]; low: (P,) height of the lower end of the piece of edge above the
         tip [m]; rise: (P,) its height [m], 0 on the end face, infinite on the cylinder; length: (P,) along it [m].
     :param bottom: slice of the points on the end face, and round, side: of the corner and of the cylinder.
-    :param front: (P,) and down: components of the normal along x and −z.
+    :param front: (P,) and axial: components of the normal along x and −z.
     :param cut: (P, 6) wrench about the tip per engaged length and per chip [N/m², N/m]; on the cylinder without the
         moment due to the height of the force.
     :param rub: (P, 6) the same per engaged length alone [N/m, N].
-    :param each: (3, P, 6) the same for a tangential, radial and axial coefficient of 1; (0, P, 6) without a covariance.
+    :param unit_wrench: (3, P, 6) the same for a tangential, radial and axial coefficient of 1; (0, P, 6) without a
+        covariance.
     :param tall: (P, A) height of the edge over its length for each of A angles of the turn that the point covers, or 0.
     """
 
@@ -166,10 +167,10 @@ class Turn(Struct, frozen=True, eq=False):
     round: slice
     side: slice
     front: Floats
-    down: Floats
+    axial: Floats
     cut: Floats
     rub: Floats
-    each: Floats
+    unit_wrench: Floats
     tall: Floats
 
     @classmethod
@@ -183,7 +184,7 @@ class Turn(Struct, frozen=True, eq=False):
         piece, phi, width = [], [], []
         for place, radius in enumerate(edge.radius.tolist()):
             wide = 1
-            while half % (2 * wide) == 0 and half // (2 * wide) >= _LEAST and 2 * wide * radius <= cutter.radius:
+            while half % (2 * wide) == 0 and half // (2 * wide) >= _LEAST_POINTS and 2 * wide * radius <= cutter.radius:
                 wide *= 2
             count = 2 * half // wide
             piece.append(np.full(count, place))

@@ -109,8 +109,8 @@ def cutter_of(text: str, *, inches: bool) -> CommentedTool:
     >>> cutter_of("D=16. CR=0. - ZMIN=-5. - flat end mill", inches=False)
     CommentedTool(shape='flat', diameter_mm=16.0, corner_radius_mm=0.0, flutes=None, text='')
     """
-    diameter = next((_mm(found, inches) for form in _DIAMETERS if (found := form.search(text))), None)
-    corner = 0.0 if (found := _CORNER.search(text)) is None else _mm(found, inches)
+    diameter = next((_mm(match, inches) for form in _DIAMETERS if (match := form.search(text))), None)
+    corner = 0.0 if (match := _CORNER.search(text)) is None else _mm(match, inches)
     if (apt := _APT.search(text)) is not None:
         corner = float(apt[3] or 0.0) * (MM_PER_INCH if inches else 1.0)
     shape = next((shape for form, shape in _SHAPES if form.search(text)), None)
@@ -118,7 +118,7 @@ def cutter_of(text: str, *, inches: bool) -> CommentedTool:
         shape = None
     elif diameter is not None and corner and shape in (None, "flat", "bull"):
         shape = "ball" if 2.0 * corner >= diameter else "bull"
-    flutes = next((int(count) for found in _FLUTES.finditer(text) for count in found.groups() if count), None)
+    flutes = next((int(count) for match in _FLUTES.finditer(text) for count in match.groups() if count), None)
     if not diameter:
         diameter = None
     return CommentedTool(shape, diameter, corner if shape == "bull" else 0.0, flutes or None)
