@@ -212,7 +212,7 @@ def test_a_gross_error_is_named_and_left_out(folder, cut):
     assert found.gamma < 0.02
     verdict = summary(found, left_out).verdict
     assert verdict.refused
-    assert f"{fields[0]} contradict the other points" in verdict.line
+    assert f"{fields[0]} contradicts the other points" in verdict.line
 
 
 def test_features_probed_in_each_others_place_are_named(folder, cut):
