@@ -189,7 +189,8 @@ def test_a_feature_that_contradicts_the_others_is_named_when_models_are_compared
     text = changed(tables((0.0, 0.0, 0.0)), lambda name, value: value + 0.3 * (name == "F01.ref_left"))
     for options in ((), ("--compare",)):
         assert (
-            "F01.ref_left contradicts the other points" in identified_by_command(part, text, 3, *options).splitlines()[0]
+            "F01.ref_left contradicts the other points"
+            in identified_by_command(part, text, 3, *options).splitlines()[0]
         )
 
 
