@@ -136,6 +136,10 @@ def test_a_program_that_is_copied_into_the_folder_is_corrected_and_shown(browser
         row.get_by_role("link", name="look at it").wait_for()
         assert (folder / "corrected" / "other.src").is_file()
         (folder / "broken.nc").write_text("G1 X5 (no feed)\nM30\n")
-        page.get_by_role("link", name="Nothing was written: see why").click()
+        for _ in range(240):  # the page may load itself anew while it is waited for
+            page.wait_for_timeout(500)
+            if page.get_by_role("link", name="Nothing was written: see why").count():
+                break
+        page.get_by_role("link", name="Nothing was written: see why").click(timeout=30_000)
         assert "broken.nc" in page.get_by_label("Output of the command").inner_text()
         window.automatic.stop()
