@@ -464,9 +464,7 @@ class Execution:
                 self._connect(statement)
             if name not in READING | CONSTANT:
                 for argument in changed_by(statement.arguments):
-                    variable = scope.find(base_name(argument))
-                    if variable is not None and not _is_constant(variable):
-                        variable.forget(f"{name} may change it")
+                    _forget_variable(scope.find(base_name(argument)), f"{name} may change it")
             if name not in READING | CONSTANT | WRITING:
                 start, count = self.done.foreign.get(name or "%", (statement.start, 0))
                 self.done.foreign[name or "%"] = start, count + 1
@@ -534,9 +532,7 @@ class Execution:
         self._routine(routine, inner, depth + 1)
         for parameter, expression, _ in bound:
             if parameter.changeable and expression is not None and not _is_plain(expression, scope):
-                outer = scope.find(base_name(expression))
-                if outer is not None and not _is_constant(outer):
-                    outer.forget(f"{routine.name} may change it")
+                _forget_variable(scope.find(base_name(expression)), f"{routine.name} may change it")
 
     # --- motions
 
