@@ -508,7 +508,11 @@ if {polling}:
     sys.modules["watchfiles"] = None
 if {converting}:
     from postproc.jobs import runs
-    runs.convert = lambda *a, **k: (print("converting", flush=True), time.sleep(120))
+    def convert(*arguments, **options):
+        print("converting", flush=True)
+        for _ in range(12_000):  # one long sleep would miss a signal that comes just before it begins
+            time.sleep(0.01)
+    runs.convert = convert
 from postproc.__main__ import main
 main()
 """
@@ -536,6 +540,8 @@ def test_a_signal_ends_it_at_once(tmp_path, polling, converting, number):
         said, _ = process.communicate(timeout=60)
     finally:
         process.kill()
+        process.wait()
+        process.stdout.close()
     assert process.returncode == 128 + number
     assert said == ("ended.\n" if converting else "Interrupted.\n")
 
