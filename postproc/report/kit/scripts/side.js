@@ -12,7 +12,12 @@ for (const aside of document.querySelectorAll("aside")) {
   fold(matchMedia("(max-width: 760px)").matches);
 }
 
-// On paper all folds of what is printed are open.
+// On paper all folds of what is printed are open; afterwards they are as they were.
+const unfolded = [];
 addEventListener("beforeprint", () => {
-  for (const fold of document.querySelectorAll("section:not(.only-screen) details")) fold.open = true;
+  unfolded.push(...document.querySelectorAll("section:not(.only-screen) details:not([open])"));
+  for (const fold of unfolded) fold.open = true;
+});
+addEventListener("afterprint", () => {
+  for (const fold of unfolded.splice(0)) fold.open = false;
 });
