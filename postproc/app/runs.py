@@ -173,6 +173,11 @@ class Runs:
             raise InputError("no such run", advice="The window was started anew: results are in the list of programs.")
         return self._runs[int(number)]
 
+    @property
+    def count(self) -> int:
+        """Number of commands that have begun so far."""
+        return len(self._runs)
+
     def active(self) -> list[Run]:
         """Return what runs."""
         return [run for run in self._runs if run.code is None]

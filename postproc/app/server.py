@@ -167,8 +167,13 @@ class _Handler(BaseHTTPRequestHandler):
         return workspace.process(name) is not None or states_forces(workspace.folder / name)
 
     def _stamp(self) -> str:
-        runs = self.server.runs.active()
-        return f"{self.server.workspace.stamp()}-{'-'.join(str(run.number) for run in runs)}"
+        """Return a text that changes with what the list of programs shows.
+
+        The number of commands that have begun is in it: one may begin, fail and write nothing between two looks.
+        """
+        server = self.server
+        active = "-".join(str(run.number) for run in server.runs.active())
+        return f"{server.workspace.stamp()}-{server.automatic.is_on}-{server.runs.count}-{active}"
 
     def programs_state(self) -> None:
         """Send whether the list of programs has changed, and how far commands are."""

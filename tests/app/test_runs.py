@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import signal
 import subprocess
@@ -98,6 +99,26 @@ def test_how_far_a_search_is(shop):
     assert "\x1e" not in run.text
     stated = [share for share in shares if share is not None]
     assert stated == sorted(stated)
+
+
+def test_the_list_of_programs_changes_with_a_command_that_fails_between_two_looks(shop):
+    from postproc.app.server import Window
+    from tests.app.conftest import answering
+
+    def stamp():
+        return json.loads(ask(window, "GET", "/programs.json")[2])["stamp"]
+
+    with Window(shop, 0) as window, answering(window):
+        (shop / "broken.nc").write_text("G1 X5\n")
+        before = stamp()
+        assert stamp() == before
+        run = window.runs.begin("broken.nc", "Correct", ("convert", "broken.nc", "--cell", "corrected/cell.toml"))
+        run.wait(PATIENCE_S)
+        assert run.is_failure, "it has written nothing"
+        after = stamp()
+        assert after != before
+        window.automatic.switch(is_on=False)
+        assert stamp() != after
 
 
 def test_a_file_that_commands_read_is_not_changed_while_one_runs(shop):
