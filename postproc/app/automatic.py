@@ -7,13 +7,15 @@ import json
 import threading
 import time
 
-from postproc.app.runs import Runs
+from postproc.app.runs import Run, Runs
 from postproc.app.workspace import Workspace
 from postproc.errors import PostprocError
 from postproc.jobs.arrivals import Arrivals
 from postproc.jobs.watching import SCAN
 
 _STATE = ".postproc-app.json"
+_CORRECTING = ("convert", "start")
+"""Commands after which a program is finished, whatever came of it; others only read it."""
 
 
 class Automatic:
@@ -25,6 +27,10 @@ class Automatic:
     def __init__(self, workspace: Workspace, runs: Runs) -> None:
         self._workspace, self._runs = workspace, runs
         self._arrivals = Arrivals(workspace.folder, workspace.results, workspace.cell)
+        self._begun: Run | None = None
+        """What was begun here last."""
+        self._oldest = 0
+        """Number of the first command that may have run since the last step."""
         self._end = threading.Event()
         self._state = workspace.results / _STATE
         self.is_on = self._stated()
@@ -63,17 +69,30 @@ class Automatic:
 
         :param time_s: monotonic time [s].
         """
-        active = {run.key for run in self._runs.active()}
-        if not self.is_on:
-            return
-        paths = self._arrivals.ready(time_s, active)
-        if active or not paths:
+        is_idle, busy = self._commands()
+        paths = [path for path in self._arrivals.ready(time_s, busy) if not self._workspace.twin(path.name)]
+        if not (self.is_on and is_idle and paths):
             return
         items = {item.name: item for item in self._workspace.items()}
         for path in paths:
-            self._arrivals.finish(path)
             item = items.get(path.name)
-            if item is None or item.current or item.twin or self._end.is_set():
+            if item is None or item.current:
+                self._arrivals.finish(path)
                 continue
-            self._runs.begin(path.name, f"Correct {path.name}", self._workspace.conversion(path.name))
+            if not self._end.is_set():
+                title = f"Correct {path.name}"
+                self._begun = self._runs.begin(path.name, title, self._workspace.conversion(path.name))
+                self._arrivals.finish(path)
             return
+
+    def _commands(self) -> tuple[bool, set[str]]:
+        """Return whether nothing runs, and the programs that users have had corrected since the last step.
+
+        One that was begun here has finished what it was begun with: if its program changes meanwhile, it is ready
+        again.
+        """
+        recent = self._runs.since(self._oldest)
+        active = [run for run in recent if run.code is None]
+        self._oldest = min((run.number for run in active), default=self._oldest + len(recent))
+        users = (run for run in recent if run is not self._begun and run.arguments[0] in _CORRECTING)
+        return not active, {run.key for run in users}

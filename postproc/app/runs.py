@@ -182,6 +182,10 @@ class Runs:
         """Return what runs."""
         return [run for run in self._runs if run.code is None]
 
+    def since(self, number: int) -> list[Run]:
+        """Return the commands with this number or a greater one."""
+        return self._runs[number:]
+
     def latest(self, key: str) -> Run | None:
         """Return the latest run about something."""
         return next((run for run in reversed(self._runs) if run.key == key), None)

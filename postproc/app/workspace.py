@@ -103,9 +103,13 @@ class Workspace(Struct, frozen=True):
         :raises InputError: there is none of this name, or another program would be written to the same files.
         """
         path = self.program(name)
-        if twin := _twin(name, self._names()):
+        if twin := self.twin(name):
             raise InputError(f"{name} and {twin} would be written to the same files", advice="Rename one of them.")
         return path
+
+    def twin(self, name: str) -> str:
+        """Return another program of the folder that would be written to the same files; empty: there is none."""
+        return _twin(name, self._names())
 
     def _names(self) -> list[str]:
         """Return the names of the programs of the folder, sorted."""
@@ -232,7 +236,7 @@ class Workspace(Struct, frozen=True):
         if os.path.lexists(path):
             advice = "Rename the new one, or replace the file in the folder."
             raise InputError(f"{name} is in the folder already", advice=advice)
-        if twin := _twin(name, self._names()):
+        if twin := self.twin(name):
             problem = f"{name} and {twin}, which is in the folder, would be written to the same files"
             raise InputError(problem, advice="Rename the new one.")
         with tempfile.NamedTemporaryFile(dir=self.folder, prefix=".postproc-", delete=False) as file:

@@ -31,6 +31,8 @@ class Arrivals:
         self.folder, self.output, self.cell = folder, output, cell
         self._seen: dict[Path, tuple[Signature, float]] = {}
         self._finished: dict[Path, Signature] = {}
+        self._program_files: dict[Path, Signature] = {}
+        """Of each program, before a command began to work on it."""
         self._busy: set[Path] = set()
 
     def ready(self, time_s: float, busy: Collection[str] = ()) -> list[Path]:
@@ -39,7 +41,8 @@ class Arrivals:
         A program that others of the folder call is left to them.
 
         :param time_s: monotonic time [s].
-        :param busy: names of programs that a command works on: their inputs count as finished when it has ended.
+        :param busy: names of programs that a command works on, which may write a process file or the cell: their inputs
+            count as finished when it has ended, unless the program itself has changed meanwhile.
         """
         if not self.cell.is_file():
             return []
@@ -47,13 +50,17 @@ class Arrivals:
         paths = self._programs()
         ready_paths = []
         for path in paths:
-            signature = _signature([*self._files_of(path), *setup_files])
+            program_files = _signature(_program_files(path))
+            signature = (*program_files, *_signature([*self._force_files(path), *setup_files]))
             if path.name in busy:
                 self._busy.add(path)
+                self._program_files.setdefault(path, program_files)
                 continue
             if path in self._busy:
                 self._busy.remove(path)
-                self._finished[path] = signature
+                if self._program_files[path] == program_files:
+                    self._finished[path] = signature
+            self._program_files[path] = program_files
             if self._finished.get(path) == signature:
                 continue
             if self._seen.get(path, ((), 0.0))[0] != signature:
@@ -68,9 +75,11 @@ class Arrivals:
         self._finished[path] = self._seen[path][0]
 
     def _forget(self, paths: Collection[Path]) -> None:
-        for path in self._seen.keys() - set(paths):
-            self._seen.pop(path)
+        for path in self._program_files.keys() - set(paths):
+            self._program_files.pop(path)
+            self._seen.pop(path, None)
             self._finished.pop(path, None)
+            self._busy.discard(path)
 
     def _programs(self) -> list[Path]:
         extensions = registry.extensions()
@@ -91,9 +100,9 @@ class Arrivals:
         except PostprocError:
             return [self.cell]
 
-    def _files_of(self, path: Path) -> list[Path]:
+    def _force_files(self, path: Path) -> list[Path]:
         process = process_of(path, self.output)
-        return [path, *registry.of_file(path).companions(path), *([] if process is None else inputs.of_forces(process))]
+        return [] if process is None else inputs.of_forces(process)
 
     def _has_forces(self, path: Path) -> bool:
         return process_of(path, self.output) is not None or states_forces(path)
@@ -106,6 +115,11 @@ class Arrivals:
             return [path for path in paths if not isinstance(registry.of_file(path), Calling)]
         main_programs = {job.program for job in jobs if not job.callers}
         return [path for path in paths if path in main_programs]
+
+
+def _program_files(path: Path) -> list[Path]:
+    """Return the files of a program: its own, and such as the ``.dat`` of a ``.src``."""
+    return [path, *registry.of_file(path).companions(path)]
 
 
 def _signature(paths: Collection[Path]) -> Signature:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import shutil
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from postproc.app.automatic import Automatic
 from postproc.app.server import Window
 from postproc.app.workspace import Workspace
+from postproc.errors import InputError
 from postproc.jobs.arrivals import Arrivals
 from tests.app.conftest import answering
 from tests.app.test_window import looked_at, opened
@@ -62,7 +64,27 @@ def test_a_program_whose_forces_are_not_stated_waits_for_them(arrivals, folder):
 
 def test_what_a_command_has_worked_on_is_finished(arrivals, folder):
     assert ready(arrivals, 0.0, 2.0, busy=["part.nc"]) == []
+    process = folder / "corrected" / "part.process.toml"
+    process.write_bytes(process.read_bytes() + b"\n")  # the command may write it: `start` does
     assert ready(arrivals, 3.0, 9.0) == []
+
+
+def test_a_program_that_changes_while_a_command_works_on_it_is_ready_again(arrivals, folder):
+    assert ready(arrivals, 0.0, 0.5, busy=["part.nc"]) == []
+    (folder / "part.nc").write_text(PROGRAM + "\n\n")
+    assert ready(arrivals, 1.0, busy=["part.nc"]) == []
+    assert ready(arrivals, 2.0) == []
+    assert ready(arrivals, 4.0) == ["part.nc"]
+
+
+def test_a_program_that_is_taken_away_and_put_back_is_ready(arrivals, folder):
+    program = folder / "part.nc"
+    assert ready(arrivals, 0.0, busy=["part.nc"]) == []
+    assert ready(arrivals, 1.0, 5.0) == []
+    program.rename(folder / "part.away")
+    assert ready(arrivals, 6.0) == []
+    (folder / "part.away").rename(program)
+    assert ready(arrivals, 7.0, 9.0) == ["part.nc"]
 
 
 def test_a_program_that_others_call_is_left_to_them(arrivals, folder):
@@ -84,24 +106,138 @@ def steps(automatic, runs, *seconds):
     return [arguments for _, _, arguments in runs.begun]
 
 
+class Commands:
+    """Stands in for `Runs`: commands begin, and end when a test says so."""
+
+    def __init__(self):
+        self.runs, self.begun, self.fault = [], [], None
+
+    def begin(self, key, title, arguments):
+        if self.fault is not None:
+            raise self.fault
+        self.begun.append((key, title, arguments))
+        return self.by_user(key, arguments)
+
+    def by_user(self, key, arguments, code=None):
+        self.runs.append(SimpleNamespace(number=len(self.runs), key=key, arguments=tuple(arguments), code=code))
+        return self.runs[-1]
+
+    def since(self, number):
+        return self.runs[number:]
+
+    def end(self):
+        for run in self.runs:
+            run.code = 1
+
+
 @pytest.fixture
 def runs():
-    begun = []
-    runs = SimpleNamespace(begun=begun, running=[], active=lambda: runs.running)
-    runs.begin = lambda *what: begun.append(what)
-    return runs
+    return Commands()
+
+
+COMMAND = ["convert", "part.nc", "--cell", "corrected/cell.toml"]
+COMMAND += ["--process", "corrected/part.process.toml", "-o", "corrected"]
 
 
 def test_only_what_is_not_current_is_begun_and_nothing_while_a_command_runs(folder, runs):
     automatic = Automatic(Workspace(folder), runs)
     assert steps(automatic, runs, 0.0, 2.0, 4.0) == [], "the result is current"
     (folder / "part.nc").write_text(PROGRAM + "\n")
-    runs.running = [SimpleNamespace(key="other.nc")]
+    runs.by_user("other.nc", ["convert"])
     assert steps(automatic, runs, 5.0, 7.0) == []
-    runs.running = []
-    command = ["convert", "part.nc", "--cell", "corrected/cell.toml"]
-    command += ["--process", "corrected/part.process.toml", "-o", "corrected"]
-    assert steps(automatic, runs, 8.0, 20.0, 30.0) == [command], "once, whatever came of it"
+    runs.end()
+    assert steps(automatic, runs, 8.0, 20.0) == [COMMAND]
+    runs.end()
+    assert steps(automatic, runs, 30.0, 40.0) == [COMMAND], "once, whatever came of it"
+
+
+def test_what_a_user_has_had_corrected_is_not_begun_again_however_short_it_ran(folder, runs):
+    (folder / "part.nc").write_text(PROGRAM + "\n")
+    automatic = Automatic(Workspace(folder), runs)
+    assert steps(automatic, runs, 0.0) == []
+    runs.by_user("part.nc", ["start", "part.nc"], code=1)
+    assert steps(automatic, runs, 0.5, 3.0, 5.0) == []
+    (folder / "part.nc").write_text(PROGRAM + "\n\n")
+    runs.by_user("part.nc", ["place", "part.nc"], code=0)
+    assert steps(automatic, runs, 6.0, 8.0) == [COMMAND], "the search for a place corrects nothing"
+
+
+def test_a_program_that_could_not_be_begun_is_tried_again(folder, runs):
+    (folder / "part.nc").write_text(PROGRAM + "\n")
+    automatic = Automatic(Workspace(folder), runs)
+    assert steps(automatic, runs, 0.0) == []
+    runs.fault = InputError("4 commands run already")
+    with pytest.raises(InputError):
+        automatic.step(2.0)
+    runs.fault = None
+    assert steps(automatic, runs, 3.0) == [COMMAND]
+
+
+def test_a_program_waits_until_no_other_would_be_written_to_the_same_files(folder, runs):
+    (folder / "part.nc").write_text(PROGRAM + "\n")
+    (folder / "part.tap").write_text(PROGRAM)
+    automatic = Automatic(Workspace(folder), runs)
+    assert steps(automatic, runs, 0.0, 2.0, 4.0) == []
+    (folder / "part.tap").unlink()
+    assert steps(automatic, runs, 5.0, 7.0) == [COMMAND]
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_whatever_happens_each_program_is_begun_once_for_each_of_its_contents(folder, runs, monkeypatch, seed):
+    """Files arrive and change, users begin commands and switch, commands end: in any order, nothing is forgotten.
+
+    The results are those of a stand-in: a command reads the program when it begins, and its result is that content.
+    """
+    results, random = {}, np.random.default_rng(seed)
+    shutil.copy(folder / "corrected" / "part.process.toml", folder / "corrected" / "process.toml")
+    workspace, names = Workspace(folder), ["part.nc", "a.nc", "b.nc"]
+
+    def content(name):
+        return (folder / name).read_text() if (folder / name).is_file() else None
+
+    def items(_):
+        return [
+            SimpleNamespace(name=name, current=results.get(name) == content(name), twin="")
+            for name in names
+            if content(name)
+        ]
+
+    def begin(key, title, arguments):
+        begun.append((key, content(key)))
+        results[key] = content(key)
+        return runs.by_user(key, arguments)
+
+    begun = []
+    monkeypatch.setattr(Workspace, "items", items)
+    monkeypatch.setattr(runs, "begin", begin)
+    automatic, time_s = Automatic(workspace, runs), 0.0
+    events = ("write", "write", "user", "end", "end", "switch", "remove", "nothing", "nothing")
+    for number in range(150):
+        time_s += random.choice([0.5, 0.5, 2.0])
+        name = str(random.choice(names))
+        match str(random.choice(events)):
+            case "write":
+                (folder / name).write_text(f"{PROGRAM}({number})\n")
+            case "user" if content(name) and all(run.code is not None for run in runs.runs):
+                results[name] = content(name)
+                runs.by_user(name, ["convert", name])
+            case "end":
+                runs.end()
+            case "switch":
+                automatic.switch(is_on=not automatic.is_on)
+            case "remove":
+                (folder / name).unlink(missing_ok=True)
+            case _:
+                pass
+        automatic.step(time_s)
+    automatic.switch(is_on=True)
+    for _ in range(12):
+        time_s += 2.0
+        runs.end()
+        automatic.step(time_s)
+    assert all(results.get(name) == content(name) for name in names if content(name)), "nothing was forgotten"
+    assert len(begun) == len(set(begun)), "nothing was begun twice"
+    assert begun, "something was begun"
 
 
 def test_the_switch_is_kept_in_the_folder(folder, runs):
