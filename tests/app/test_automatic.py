@@ -162,6 +162,17 @@ def test_what_a_user_has_had_corrected_is_not_begun_again_however_short_it_ran(f
     assert steps(automatic, runs, 6.0, 8.0) == [COMMAND], "the search for a place corrects nothing"
 
 
+def test_a_material_that_changes_while_its_program_is_corrected_counts_afterwards(folder, runs):
+    (folder / "part.nc").write_text(PROGRAM + "\n")
+    automatic = Automatic(Workspace(folder), runs)
+    assert steps(automatic, runs, 0.0, 2.0) == [COMMAND]
+    material = folder / "corrected" / "material.toml"
+    material.write_bytes(material.read_bytes() + b"\n")
+    assert steps(automatic, runs, 3.0, 5.0) == [COMMAND]
+    runs.end()
+    assert steps(automatic, runs, 6.0, 8.0) == [COMMAND, COMMAND]
+
+
 def test_a_program_that_could_not_be_begun_is_tried_again(folder, runs):
     (folder / "part.nc").write_text(PROGRAM + "\n")
     automatic = Automatic(Workspace(folder), runs)
