@@ -14,7 +14,7 @@ from msgspec import Struct
 from postproc.collision.bodies import Scene
 from postproc.collision.distance import Solids, link_frames
 from postproc.frames import Array, norm
-from postproc.program import Bools, Ints
+from postproc.program import Bools, Ints, distinct
 
 _FIRST = 64
 """Samples of one interval at first."""
@@ -124,7 +124,7 @@ class _Search:
         count = len(self.q)
         length = self._length(first, second)
         distance = np.full(count, np.nan)
-        ends = np.unique(np.append(np.arange(0, count, _FIRST), count - 1))
+        ends = distinct(np.append(np.arange(0, count, _FIRST), count - 1))
         self._measure(first, second, ends, distance)
         if self._distance(first, second, self.frames[:1], solid=True)[0] == 0.0:
             distance[0] = 0.0  # also where one is inside the other
@@ -139,7 +139,7 @@ class _Search:
             open_rows.append(low[is_step])
             low, high = low[~is_step], high[~is_step]
             middle = (low + high) // 2
-            self._measure(first, second, np.unique(middle), distance)
+            self._measure(first, second, distinct(middle), distance)
             low, high = np.concatenate([low, middle]), np.concatenate([middle, high])
         if between_samples and open_rows:
             self._between(first, second, np.sort(np.concatenate(open_rows)), distance)

@@ -28,7 +28,7 @@ from postproc.comparison.statements import statement_differences
 from postproc.correction.targets import corners_of_motions
 from postproc.errors import Issue, Level
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, angle_between, norm, twist_between
-from postproc.program import CIRC, FORCE_FRAMES, LIN, PTP, SPL, Ints, Program
+from postproc.program import CIRC, FORCE_FRAMES, LIN, PTP, SPL, Ints, Program, distinct
 
 _EXCESS_MARGIN = 5e-6
 """A deviation between targets is reported if it exceeds those at the targets by the tolerance and this [m]."""
@@ -394,7 +394,7 @@ def _checked(comparison: Comparison) -> Ints:
     cuts = comparison.cuts
     if cuts is None or not len(cuts.row):
         return np.zeros(0, dtype=np.int64)
-    return np.unique(np.searchsorted(comparison.pair[:, 1], cuts.row[cuts.t < 1.0]))
+    return distinct(np.searchsorted(comparison.pair[:, 1], cuts.row[cuts.t < 1.0]))
 
 
 def _distance_of_way(
@@ -447,7 +447,7 @@ def _under_forces(comparison: Comparison, nominal_path: PlacedProgram) -> Iterat
         )
         message += _advice(comparison, np.array([row]))
         yield at_rows(
-            comparison, "between", message, (int(comparison.pair[way[worst], 0]), row), len(np.unique(cuts.row[bad]))
+            comparison, "between", message, (int(comparison.pair[way[worst], 0]), row), len(distinct(cuts.row[bad]))
         )
 
 

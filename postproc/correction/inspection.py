@@ -70,7 +70,7 @@ def slowed(path: PathUnderLoad, q: Array, position: Array) -> tuple[MotionsUnder
         return None
     feed = m.feed.copy()
     feed[fast] *= _SPEED_SHARE / share[fast]
-    names = " and ".join(JOINTS[axis] for axis in np.unique(joint[fast]).tolist())
+    names = " and ".join(JOINTS[axis] for axis in distinct(joint[fast]).tolist())
     slowest_feed = f"{feed[fast].min():.3g} m/s at the slowest"
     message = f"Positioning moves in which {names} would turn too fast are slowed, to {slowest_feed}."
     issue = m.issue("info", "rapid-slowed", message, fast)

@@ -280,11 +280,11 @@ def _travel(program: Program, path: Segments, knots: Knots, axis: str) -> tuple[
     feed = knots.frame == FEED
     if not feed.any():
         return np.zeros((0, 3)), []
-    spline_motions = np.unique(knots.motion[feed & (m.kind[knots.motion] == SPL) & any_column(knots.wrench != 0.0)])
+    spline_motions = distinct(knots.motion[feed & (m.kind[knots.motion] == SPL) & any_column(knots.wrench != 0.0)])
     if len(spline_motions):
         name, problem = program.documents[0].name, "a FEED force on a piece of a spline, whose direction is not known"
         advice = "Give its force in BASE or TOOL axes."
-        lines = np.unique(m.line[spline_motions])[: MOST + 1].tolist()
+        lines = distinct(m.line[spline_motions])[: MOST + 1].tolist()
         raise together(ForceError(problem, file=name, line=line, advice=advice) for line in lines)
     travel, needs = last_travel(program, path, axis)
     acts = np.zeros(len(m), dtype=np.bool_)

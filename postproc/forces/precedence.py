@@ -64,7 +64,7 @@ def of_comments(program: Program) -> Knots:
 def unused_comments(program: Program) -> Iterator[Issue]:
     """Yield a warning if force comments hold on no cutting move: their forces are stated and not used."""
     force_lines = {note.line for note in program.notes if any(note.wrench)}
-    note_rows = np.unique(_notes(program)[~program.motions.rapid]) if force_lines else np.zeros(0, dtype=np.int64)
+    note_rows = distinct(_notes(program)[~program.motions.rapid]) if force_lines else np.zeros(0, dtype=np.int64)
     lines = sorted(force_lines - {program.notes[index].line for index in note_rows[note_rows >= 0].tolist()})
     if lines:
         message = "a force comment that holds on no cutting move: rapid moves and moves of zero length carry no force"

@@ -431,7 +431,7 @@ def _check_speed(program: Program, steps: StraightSegments, tools: ToolStates) -
 
     :raises ForceError: no cutting move has a spindle speed.
     """
-    motion = np.unique(steps.motion[steps.cutting])
+    motion = distinct(steps.motion[steps.cutting])
     if len(motion) and not (tools.rpm[motion] > 0.0).any():
         starts = [event for event in program.events if event.kind in ("spindle_on", "spindle_ccw")]
         first = int(program.motions.line[motion[0]])
@@ -486,7 +486,7 @@ def _issues(
             "chisel edge in the middle: the bound includes 38 % more or less. Measure it, or give forces in a file, "
             "where the depth of holes matters."
         )
-        at = np.unique(lines[cuts.motion[drill_rows]])
+        at = distinct(lines[cuts.motion[drill_rows]])
         issues.append(Issue("info", "drill-thrust", message, int(at[0]), count=len(at)))
     deep = np.flatnonzero((cuts.depth > _DEEP * diameter[place]) & ~drill[place])
     if len(deep):
@@ -619,10 +619,10 @@ def _drilled_by_mills(program: Program, cuts: Cuts, drill: Bools) -> list[Issue]
     :param drill: (N,) True at stations of a drill.
     """
     m = program.motions
-    cut = np.unique(cuts.motion[cuts.along & ~drill & (cuts.torque > 0.0)])
+    cut = distinct(cuts.motion[cuts.along & ~drill & (cuts.torque > 0.0)])
     if program.keeps_text or not len(cut):
         return []
-    in_cycle = np.isin(m.line[cut], np.unique(m.line[m.rapid]))
+    in_cycle = np.isin(m.line[cut], distinct(m.line[m.rapid]))
     if not in_cycle.any():
         return []
     message = (

@@ -17,7 +17,7 @@ from postproc.machining.process import OperationTable, Process
 from postproc.machining.remaining import Guard
 from postproc.machining.tool_path import Shift, refuse_unread_cuts
 from postproc.operations import Operation, ended, operations, passed_over, title
-from postproc.program import FORCE_FRAMES, Event, Ints, Program
+from postproc.program import FORCE_FRAMES, Event, Ints, Program, distinct
 from postproc.toolpath import Segments
 
 _TOOL = re.compile(r"T0*(\d+)", re.IGNORECASE)
@@ -285,4 +285,4 @@ class ProcessSource:
         """Return the motions of which the errors of the cutting law are one common factor."""
         law = self.process.law()
         by_factor = law.covariance is None and law.sigma > 0.0
-        return np.unique(process_forces.along.motion) if by_factor else np.zeros(0, dtype=np.int64)
+        return distinct(process_forces.along.motion) if by_factor else np.zeros(0, dtype=np.int64)

@@ -25,7 +25,7 @@ from postproc.machining.stock import Footprint, Stock, cut, depth_of, remove
 from postproc.machining.tilted import TiltedPath
 from postproc.machining.tool import BOTTOM, SIDE, Cutter, Edge, Turn, edge, in_slices, some
 from postproc.machining.tool_path import StraightSegments, ToolPoses, ToolStates
-from postproc.program import Bools, Ints
+from postproc.program import Bools, Ints, distinct
 
 _STRAIGHT = np.cos(np.radians(10.0))
 """Segments that turn by less are processed together."""
@@ -221,7 +221,7 @@ class Sweep(Struct, eq=False):
         """Return which segments (L,) can touch the stock at all; a tool that leans may do so beside its tip."""
         x0, x1, y0, y1 = self.stock.bounds
         reach = np.zeros(len(segments.motion))
-        for number in np.unique(self.tools.tool[segments.motion]).tolist():
+        for number in distinct(self.tools.tool[segments.motion]).tolist():
             reach[self.tools.tool[segments.motion] == number] = self._cutter(number).radius
         low, high = np.minimum(segments.begin, segments.end), np.maximum(segments.begin, segments.end)
         may_touch = (low[:, 2] < top) & (high[:, 0] + reach > x0) & (low[:, 0] - reach < x1)

@@ -14,7 +14,7 @@ from postproc.chunks import Columns, ragged_range
 from postproc.errors import MOST, ForceError, Issue, together
 from postproc.frames import Array, inverse, norm
 from postproc.machining.process import Process
-from postproc.program import CIRC, PTP, Bools, Ints, Program
+from postproc.program import CIRC, PTP, Bools, Ints, Program, distinct
 from postproc.toolpath import Segments, positions, tangent
 
 
@@ -52,7 +52,7 @@ def tool_states(program: Program, process: Process) -> ToolStates:
             rpm[rest] = 0.0
     keys = tuple(process.tools)
     place = np.full(m, -1)
-    for value in np.unique(number).tolist():
+    for value in distinct(number).tolist():
         entry = process.tool(value) if value > 0 or str(value) in process.tools else process.tool(None)
         if entry is not None:
             has_tool = number == value
@@ -68,7 +68,7 @@ def tool_states(program: Program, process: Process) -> ToolStates:
 
 def _refuse(program: Program, process: Process, number: Ints, lacks_tool: Bools) -> None:
     errors = []
-    for value in np.unique(number[lacks_tool]).tolist()[: MOST + 1]:
+    for value in distinct(number[lacks_tool]).tolist()[: MOST + 1]:
         line = int(program.motions.line[np.flatnonzero(lacks_tool & (number == value))[0]])
         tool_list = ", ".join(f"[tools.{key}]" for key in process.tools) or "none"
         if value <= 0:  # T0, and M6 without T, name no tool
@@ -348,7 +348,7 @@ def _in_map(
     vectors = [vector.copy() for vector in (*points, *directions)]
     home = home_base(program)
     to_map = inverse(frame)
-    for row in np.unique(base).tolist():
+    for row in distinct(base).tolist():
         of_base = base == row
         pose = to_map if row == home else to_map @ inverse(program.bases[home]) @ program.bases[row]
         for k, vector in enumerate(vectors):
@@ -374,7 +374,7 @@ def _towards_spindle(program: Program, axis: str, motion: Ints, column: Array) -
     """
     direction, base = _SPINDLE[axis][1] * column, program.motions.base[motion]
     home = program.bases[home_base(program)]
-    for row in np.unique(base).tolist():
+    for row in distinct(base).tolist():
         of_base = base == row
         direction[of_base] = direction[of_base] @ (home[:3, :3].T @ program.bases[row, :3, :3]).T
     return np.asarray(direction)

@@ -8,7 +8,7 @@ from postproc.collision import Clearance, Scene, Solids, clearance, hits, link_f
 from postproc.frames import M_PER_MM, Array
 from postproc.placement import drive
 from postproc.placement.samples import PathSamples
-from postproc.program import Bools, Ints
+from postproc.program import Bools, Ints, distinct
 
 _ALLOWANCE = 2.0
 """How much softer than at the start the arm may be elsewhere, and how much more a body moves than the tip."""
@@ -33,7 +33,7 @@ class Bodies:
         self.tool = program.motions.tool[samples.sample.motion]
         self.solids = {
             int(tool): Solids(Scene.of(robot_in_cell.robot, robot_in_cell.cell, program.tools[tool]))
-            for tool in np.unique(self.tool)
+            for tool in distinct(self.tool)
         }
 
     def along(

@@ -24,7 +24,7 @@ from postproc.placement import drive
 from postproc.placement.bodies import Bodies
 from postproc.placement.drive import FREE, Keep, Margins
 from postproc.placement.samples import Load, PathSamples
-from postproc.program import Bools, Ints, Program
+from postproc.program import Bools, Ints, Program, distinct
 from postproc.under_load import RobotInCell
 
 AXES = ("X", "Y", "Z", "A", "E1")
@@ -350,7 +350,7 @@ def _stations(samples: PathSamples, max_count: int) -> _Stations:
     place = samples.sample.pose[usable, :3, 3]
     even_rows = np.linspace(0, len(usable) - 1, min(max_count, len(usable))).astype(np.int64)
     outer = np.concatenate([place.argmin(axis=0), place.argmax(axis=0)])
-    row = usable[np.unique(np.append(even_rows, outer))]
+    row = usable[distinct(np.append(even_rows, outer))]
     previous = np.maximum(row - 1, 0)
     pair_rows = np.append(previous, row)
     carriage = samples.program.carriage
@@ -374,7 +374,7 @@ def check_base(program: Program, robot_in_cell: RobotInCell, shifted_program: Pr
     :raises InputError: it has frames of its own, which do not move with the cell's.
     """
     base = robot_in_cell.cell.base.pose()
-    for row in np.unique(program.motions.base).tolist():
+    for row in distinct(program.motions.base).tolist():
         first = np.argmax(program.motions.base == row)
         stays = shifted_program is not None and np.array_equal(
             shifted_program.bases[shifted_program.motions.base[first]], program.bases[row]

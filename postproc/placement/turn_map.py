@@ -26,7 +26,7 @@ from postproc.placement import drive
 from postproc.placement.bodies import Bodies
 from postproc.placement.drive import WINDING, Keep, Margins
 from postproc.placement.samples import PathSamples
-from postproc.program import PTP, Bools, Ints
+from postproc.program import PTP, Bools, Ints, distinct
 from postproc.robot import RobotModel
 from postproc.toolpath import flange_from_tcp
 
@@ -288,7 +288,7 @@ def _chunks(samples: PathSamples, blocks: Blocks) -> Iterator[_Chunk]:
     """Yield the samples of the path in chunks of whole bins, `_CHUNK` samples or one bin."""
     motions, count = samples.program.motions, len(blocks.first)
     pose_rows = np.arange(0, len(samples), max(1, len(samples) // _MOST_POSES))
-    pose_rows = np.unique(np.concatenate([pose_rows, blocks.last, [len(samples) - 1]]))
+    pose_rows = distinct(np.concatenate([pose_rows, blocks.last, [len(samples) - 1]]))
     free = motions.kind[samples.sample.motion] == PTP
     bounds = np.append(blocks.first, len(samples))
     tools = components(inverse(samples.program.tools))

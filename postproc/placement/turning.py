@@ -25,7 +25,7 @@ from postproc.placement.drive import BARE, REASONS, Keep
 from postproc.placement.samples import AXIS, PathSamples
 from postproc.placement.turn_map import Blocked, Blocks, Line, TurnMap
 from postproc.poses import Poses
-from postproc.program import PTP, Bools, Ints, Program, read_only
+from postproc.program import PTP, Bools, Ints, Program, distinct, read_only
 from postproc.under_load import RobotInCell
 
 Mode = Literal["best", "path"]
@@ -324,7 +324,7 @@ def _closest(samples: PathSamples, whole: TurnMap, row: int, columns: Ints, bran
     """Return in words which bodies are too close in a bin of the map, at that of some turns where they are farthest."""
     first = whole.blocks.first
     last = int(first[row + 1]) if row + 1 < len(first) else len(samples)
-    sample_rows = np.unique(np.linspace(first[row], last - 1, _MAX_ROWS).astype(np.int64))
+    sample_rows = distinct(np.linspace(first[row], last - 1, _MAX_ROWS).astype(np.int64))
     rows, column = (values.ravel() for values in np.meshgrid(sample_rows, columns, indexing="ij"))
     turn = whole.base[rows] + whole.offset[column]
     flange = components(samples.flange(rows, turn))
@@ -391,7 +391,7 @@ def chosen_start(program: Program, robot_in_cell: RobotInCell) -> ChosenStart:
     usable_rows = np.flatnonzero(motion < (stated_rows[0] if len(stated_rows) else len(m)))
     usable_rows = usable_rows[usable_rows >= first]
     rows = usable_rows[
-        np.unique(np.linspace(0, len(usable_rows) - 1, min(_MAX_SAMPLES, len(usable_rows))).astype(np.int64))
+        distinct(np.linspace(0, len(usable_rows) - 1, min(_MAX_SAMPLES, len(usable_rows))).astype(np.int64))
     ]
     turns = _TURNS if robot_in_cell.cell.gcode.redundancy != "constant" and not program.keeps_text else np.zeros(1)
     found_q = [[_solved(samples, rows, turn, branch) for turn in turns] for branch in range(_BRANCHES)]
@@ -434,7 +434,7 @@ def _free_of_collisions(samples: PathSamples, rows: Ints, found_q: list[list[Arr
     if table is None or len(able) < 2:
         return [True] * _BRANCHES
     bodies = Bodies(samples, table.clearance_mm)
-    compared_rows = np.unique(np.linspace(0, len(rows) - 1, min(_MAX_POSES, len(rows))).astype(np.int64))
+    compared_rows = distinct(np.linspace(0, len(rows) - 1, min(_MAX_POSES, len(rows))).astype(np.int64))
     breaks = np.ones(len(compared_rows), dtype=bool)
     is_free = [False] * _BRANCHES
     for k in able:

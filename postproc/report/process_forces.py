@@ -13,7 +13,7 @@ from postproc.files import FileEntry, json_bytes
 from postproc.forces import Knots
 from postproc.frames import MM_PER_M
 from postproc.machining import Entry, ProcessForces
-from postproc.program import FORCE_FRAMES, Program
+from postproc.program import FORCE_FRAMES, Program, distinct
 from postproc.report.summary import IssueEntry, issue_entry
 from postproc.version import VERSION
 
@@ -90,7 +90,7 @@ def summary(program: Program, process: ProcessForces | None, by_operation: int) 
         return ForcesSummary(by_operation=by_operation)
     m, cuts = program.motions, process.cuts
     tools: list[ToolSummary] = []
-    for place in np.unique(process.tools.tool[cuts.motion]).tolist():
+    for place in distinct(process.tools.tool[cuts.motion]).tolist():
         rows = process.tools.tool[cuts.motion] == place
         force = np.linalg.norm(cuts.wrench[rows, :3], axis=1)
         worst = int(cuts.motion[rows][int(np.argmax(force))])

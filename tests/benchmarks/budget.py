@@ -31,10 +31,10 @@ STAGES = {
     "/dialects/krl/write/": "write",
     "/provenance.py": "write",
     "/correction/verify.py": "simulate",
-    "/report/targets.py": "CSV",
+    "/report/csv_files.py": "CSV",
     "/report/": "page",
     "/files/": "files",
-    "/jobs/outputs.py": "files",
+    "/jobs/output_plan.py": "files",
 }
 """Part of a module's path → its stage."""
 WITHIN = {

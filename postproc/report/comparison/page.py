@@ -11,7 +11,7 @@ from msgspec.structs import astuple
 
 from postproc.comparison import Comparison
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm, xyzabc_from_pose
-from postproc.program import Ints
+from postproc.program import Ints, distinct
 from postproc.report.comparison.summary import (
     ComparisonSummary,
     Names,
@@ -164,7 +164,7 @@ def _shown(comparison: Comparison, linked_rows: Ints) -> Ints:
         size = np.where(comparison.rapid, -1.0, measure)
         groups = np.append(size, np.full(-len(size) % group_size, -2.0)).reshape(-1, group_size)
         rows.append(np.arange(len(groups)) * group_size + groups.argmax(axis=1))
-    return np.unique(np.concatenate(rows))
+    return distinct(np.concatenate(rows))
 
 
 def _worst(comparison: Comparison) -> Ints:

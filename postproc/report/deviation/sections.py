@@ -12,7 +12,7 @@ from postproc import placement
 from postproc.errors import Issue, first_of
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm
 from postproc.placement import FREE, NO_CLEARANCE, REASONS, Turn
-from postproc.program import Ints
+from postproc.program import Ints, distinct
 from postproc.report.deviation.data import Deviation, correction
 from postproc.report.feed import seconds, sentences
 from postproc.report.formatting import ROUNDING_MM, estimate, millimetres, rounded
@@ -355,7 +355,7 @@ def _kept(values: Array, run: Ints) -> Ints:
     first = np.arange(len(groups)) * group_size
     ends = np.flatnonzero(np.diff(run, prepend=-1, append=-1))
     rows = np.concatenate([first + groups.argmin(axis=1), first + groups.argmax(axis=1), ends, ends - 1])
-    rows = np.unique(np.clip(rows, 0, len(values) - 1))
+    rows = distinct(np.clip(rows, 0, len(values) - 1))
     return rows if len(rows) <= 10 * _CURVE_POINTS else rows[:: -(-len(rows) // (10 * _CURVE_POINTS))]
 
 
@@ -619,7 +619,7 @@ def turn(data: Deviation) -> Section | None:
     blocks = tool_turn.map.blocks
     metres = np.cumsum(blocks.length)[blocks.block] - blocks.length[blocks.block] * (1.0 - blocks.share)
     long = np.flatnonzero(np.diff(metres, prepend=0.0) > 0.0)
-    map_rows = long[np.unique(np.linspace(0, len(long) - 1, min(_MAP_COLUMNS, len(long))).astype(np.int64))]
+    map_rows = long[distinct(np.linspace(0, len(long) - 1, min(_MAP_COLUMNS, len(long))).astype(np.int64))]
     values, title = _values(tool_turn)
     low, high = tool_turn.range_deg()
     degrees = (tool_turn.map.offset + tool_turn.constant) * DEG_PER_RAD

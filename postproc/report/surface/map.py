@@ -11,7 +11,7 @@ from msgspec import Struct
 from postproc.correction import Result
 from postproc.frames import Array, norm
 from postproc.machining.tool import Cutter
-from postproc.program import Bools, Ints
+from postproc.program import Bools, Ints, distinct
 from postproc.report.surface.contact import nearest_place
 from postproc.report.surface.envelope import Remaining, remaining
 from postproc.report.surface.path import CHORD, CutPath, Frames, of_tool, piece_start, tool_numbers
@@ -122,7 +122,7 @@ def _paths(
 ) -> Iterator[tuple[CutPath, Cutter | None]]:
     """Yield the cutting path of each tool with its shape, which is None for all if shapes are unknown."""
     tools = tool_numbers(result)
-    for number in np.unique(tools[~result.rapid]).tolist():
+    for number in distinct(tools[~result.rapid]).tolist():
         cutter = None if cutters is None else cutters.get(number, cutters.get(0))
         if cutters is None or cutter is not None:
             path = of_tool(result, frames, tools == number, _ball_radius(cutter))

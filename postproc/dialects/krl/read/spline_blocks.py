@@ -20,7 +20,7 @@ from postproc.dialects.krl.read.run import SETTING_ADVICE
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.state import State
 from postproc.errors import Issue
-from postproc.program import SPL, Bools, Motions
+from postproc.program import SPL, Bools, Motions, distinct
 
 
 class Opened(Struct, frozen=True):
@@ -122,5 +122,5 @@ def path_unknown(motions: Motions) -> list[Issue]:
         "is inserted between, and statements on the path between targets leave SPL out."
     )
     line = motions.line[spline_rows]
-    lines = tuple(np.unique(line).tolist())
+    lines = tuple(distinct(line).tolist())
     return [Issue("warning", "spline", message, int(line[0]), count=len(spline_rows), lines=lines)]

@@ -22,7 +22,7 @@ from postproc.dialects.krl.read.motions import OrderedMotions
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.state import fields_used
 from postproc.errors import Issue, ProgramError
-from postproc.program import CIRC, PTP, SPL, Ints, Unresolved
+from postproc.program import CIRC, PTP, SPL, Ints, Unresolved, distinct
 
 _WAITING, _OTHER_WORD = "#PROGSYNC", "?"
 _PIECE = 1_000_000
@@ -257,6 +257,6 @@ def _opened(main: MainRoutine, sequence: OrderedMotions, begins: list[int]) -> I
     for name in {str(origin): None for line, origin in origins.items() if line not in own_lines}:
         yield Issue("warning", "start-unknown", f"{name}: {_OPEN}", subject=name)
     if own_lines:
-        lines = np.unique(source.shown(np.array(own_lines))).tolist()
+        lines = distinct(source.shown(np.array(own_lines))).tolist()
         begins = own_lines
         yield Issue("warning", "start-unknown", _OPEN, lines[0], count=len(begins), lines=tuple(lines))
