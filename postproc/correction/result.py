@@ -265,4 +265,7 @@ def statistics(distance: Array, rapid: Bools) -> Statistics:
     if len(cutting) == 0:
         return Statistics(0.0, 0.0, 0.0, 0.0)
     rms = float(np.sqrt(np.mean(cutting**2)))
-    return Statistics(float(cutting.max()), rms, float(cutting.mean()), float(np.percentile(cutting, 95)))
+    in_order = np.sort(cutting)
+    # np.percentile imports masked arrays, a twentieth of the time to start
+    percentile_95 = float(np.interp(0.95 * (len(in_order) - 1), np.arange(len(in_order)), in_order))
+    return Statistics(float(cutting.max()), rms, float(cutting.mean()), percentile_95)
