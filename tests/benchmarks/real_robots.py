@@ -1,6 +1,6 @@
 """Real robots: readings that others have published, identified by folds, and what is left on readings left out.
 
-Run: python -m tests.benchmarks.real_robots FOLDER [--folds 6] [--only fanuc|abb|motoman]
+Run: python -m tests.benchmarks.real_robots FOLDER [--folds 6] [--only fanuc|abb|motoman|kr300]
 
 FOLDER holds copies of the repositories, or of the parts that are used; those that are absent are named:
 
@@ -10,6 +10,9 @@ FOLDER holds copies of the repositories, or of the parts that are used; those th
   configurations without load. No licence: nothing of it may be redistributed.
 - `motoman`: ctu-vras/multirobot-calibration, `UserData/Robots/Motoman/Dataset/leica_dataset`. Right arm of a two-arm
   Motoman under a Leica tracker, one reflector in 587 configurations all over the workspace, without load. No licence.
+- `kr300`: JonasWeigand/Robot_Identification, `data/recorded_trajectories`. KUKA KR 300 R2500 with encoders on the links
+  of A1 to A3, driven along three trajectories of 10 s. Licence: MIT. Nothing is measured at the tool, so `identify`
+  reads none of it: printed are gear twist, compliance and lost motion, in their order of size.
 
 Geometries are nominal ones: of the first and the last repository, and of the robot's data sheet. Each set is written as
 files of `identify`; each fold is identified from the others as a user would.
@@ -25,6 +28,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.io import loadmat
+from scipy.signal import savgol_filter
 from scipy.spatial.transform import Rotation
 
 from postproc import elastostatics, kinematics, robot
@@ -182,6 +186,53 @@ def motoman(source: Path, work: Path, parts: int) -> None:
     )
 
 
+KR300_WINDOW = 25
+"""Samples (0.1 s) over which speed and torque are smoothed by a parabola (Savitzky and Golay, 1964)."""
+KR300_AT_REST = np.radians(0.5)
+"""Speed [rad/s] below which the direction of motion, and so the side of the gear's flank, is not known."""
+
+
+def kr300(source: Path, work: Path, parts: int) -> None:
+    """Print twist, compliance and lost motion of the gears of A1 to A3, and what is left on a trajectory left out."""
+    runs = [loadmat(path, squeeze_me=True, struct_as_record=False) for path in sorted(source.parent.glob("*/data.mat"))]
+    print(f"KUKA KR 300 R2500: {len(runs)} trajectories, driven; [mrad RMS] about the mean of each")
+    for joint in range(3):
+        equations = [_twist_equations(run, joint) for run in runs]
+        alone = np.array([np.linalg.lstsq(design, twist)[0] for design, twist in equations])
+        left = []
+        for out, (design, twist) in enumerate(equations):
+            pairs = [pair for number, pair in enumerate(equations) if number != out]
+            known_design, known_twist = (np.concatenate(arrays) for arrays in zip(*pairs, strict=True))
+            left.append(twist - design @ np.linalg.lstsq(known_design, known_twist)[0])
+        twist = np.concatenate([twist for _, twist in equations])
+        compliance, step, delay = (alone * [1e6, 2e3, 1e3]).T
+        print(f"  A{joint + 1}: twist {np.std(twist) * 1e3:.3f}, ", end="")
+        print(f"left on the trajectory left out {np.std(np.concatenate(left)) * 1e3:.3f}; by each trajectory alone:")
+        print(f"      compliance {compliance.min():.2f} to {compliance.max():.2f} µrad/(N·m), ", end="")
+        print(f"step at a reversal {step.min():.2f} to {step.max():.2f} mrad, ", end="")
+        print(f"delay {delay.min():.1f} to {delay.max():.1f} ms")
+
+
+def _twist_equations(run: dict, joint: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return design (n, 3) and twist (n,) [rad], motor angle minus link angle, of the samples in motion, without means.
+
+    Columns: torque of the motor at the link, less that of its inertia [N·m]; direction of motion; speed [rad/s], whose
+    factor is the delay of the encoder of the link. Friction in the gear is part of the torque, so that the step at a
+    reversal is lost motion less twice the twist by friction. The zero of the encoders is another in each trajectory.
+    """
+    record, ratio = run["rec"], run["para"].u[joint]
+    period = float(np.median(np.diff(record.time_cont)))
+    raw_speed = np.radians(record.act_vel_mot_deg_per_s[joint])
+    acceleration = savgol_filter(raw_speed, KR300_WINDOW, 2, deriv=1, delta=period)
+    speed = savgol_filter(raw_speed, KR300_WINDOW, 2)
+    torque = ratio * record.act_torque_abs_nm[joint] - run["para"].J_mr[joint] * ratio**2 * acceleration
+    design = np.stack([savgol_filter(torque, KR300_WINDOW, 2), np.sign(speed), speed], axis=1)
+    twist = np.radians(record.act_pos_mot_deg[joint] - record.act_pos_se_deg[joint])
+    is_moving = np.abs(speed) > KR300_AT_REST
+    design, twist = design[is_moving], twist[is_moving]
+    return design - design.mean(axis=0), twist - twist.mean()
+
+
 def _print_geometry(name: str, robot_text: str, q: np.ndarray, points: np.ndarray, work: Path, parts: int) -> None:
     """Print what is left of readings (n, p, 3) [mm] at angles (n, 6) [deg], with the geometry from 60 and 200 poses."""
     write_robot(work / "robot", name, robot_text)
@@ -262,6 +313,7 @@ SETS = {
     "fanuc": ("data/stiffness_data", "deltaX.csv", fanuc),
     "abb": ("4-DataProcess/Output", "processed_joints.txt", abb),
     "motoman": ("Dataset/leica_dataset", "updated_leica_dataset.mat", motoman),
+    "kr300": ("FF A 08ms", "data.mat", kr300),
 }
 
 
