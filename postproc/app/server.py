@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sys
 import tomllib
+import traceback
 from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -19,6 +21,7 @@ from postproc.app.runs import Run, Runs, command_line
 from postproc.app.testpart import TestPart
 from postproc.app.workspace import RESULTS, SHOWN, Workspace
 from postproc.errors import InputError, PostprocError
+from postproc.files.fault_log import write_fault
 from postproc.jobs.cell_edit import edit, fields_of, use_model
 from postproc.jobs.experiments import model_of, readings_of
 from postproc.jobs.guided_start import is_edited, load_answers
@@ -88,6 +91,21 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer(_CHANGES, changes=True)
 
     def _answer(self, routes: dict[str, Callable[[_Handler], None]], *, changes: bool) -> None:
+        """Answer a request, with a page that says what to do if it fails."""
+        try:
+            return self._route(routes, changes=changes)
+        except (ConnectionError, TimeoutError):  # the browser has hung up
+            raise
+        except PostprocError as cause:
+            text, status = str(cause), 400
+        except (OSError, ValueError) as cause:
+            text, status = f"{cause}. Try again.", 500
+        except Exception as cause:
+            text, status = _fault_text(cause), 500
+        self.close_connection = True
+        return self._page(screens.message("That did not work", text), status)
+
+    def _route(self, routes: dict[str, Callable[[_Handler], None]], *, changes: bool) -> None:
         address = urlsplit(self.path)
         self.query = dict(parse_qsl(address.query, keep_blank_values=True, max_num_fields=20))
         token = self.query.pop("token", "")
@@ -101,14 +119,7 @@ class _Handler(BaseHTTPRequestHandler):
         route = routes.get(address.path)
         if route is None:
             return self._page(screens.message("Not found", "There is no such page. Go to the programs."), 404)
-        try:
-            return route(self)
-        except PostprocError as cause:
-            self.close_connection = True
-            return self._page(screens.message("That did not work", str(cause)), 400)
-        except (OSError, ValueError) as cause:
-            self.close_connection = True
-            return self._page(screens.message("That did not work", f"{cause}. Try again."), 500)
+        return route(self)
 
     def form(self) -> dict[str, str]:
         """Return the fields of a posted form.
@@ -450,6 +461,19 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _named(self, form: dict[str, str]) -> str:
         return self.server.workspace.sole_program(form.get("name", "")).name
+
+
+def _fault_text(fault: Exception) -> str:
+    """Write the traceback of a fault to stderr and into a file; return what to tell the user."""
+    text = "".join(traceback.format_exception(fault))
+    with contextlib.suppress(OSError, ValueError, AttributeError):  # a window without a console has no stderr
+        sys.stderr.write(text)
+    path = write_fault(text)
+    place = f" The traceback is in {path}." if path else ""
+    return (
+        f"Unexpected {type(fault).__name__}: {fault}. This is a fault of postproc: results that are written are whole. "
+        f"Go back and try again; report it with the program and the cell, please.{place}"
+    )
 
 
 _PAGES: dict[str, Callable[[_Handler], None]] = {

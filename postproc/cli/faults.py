@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
-
 import click
 
 
@@ -17,11 +14,8 @@ def fault_message(message: str, traceback: str) -> str:
     if click.get_current_context().find_root().params.get("debug"):
         click.echo(traceback, err=True, nl=False)
         return f"{message}. {advice}"
-    import tempfile  # needed for a fault only
+    from postproc.files.fault_log import write_fault  # needed for a fault only
 
-    with contextlib.suppress(OSError):
-        handle, path = tempfile.mkstemp(prefix="postproc-fault-", suffix=".log")
-        with os.fdopen(handle, "w", encoding="utf-8", errors="backslashreplace") as file:
-            file.write(traceback)
+    if path := write_fault(traceback):
         return f"{message}. {advice} The traceback is in {path}."
     return f"{message}. {advice} Run it again with --debug to see the traceback."

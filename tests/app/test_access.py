@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import http.client
 import io
 import os
@@ -10,6 +11,7 @@ from urllib.parse import quote
 
 import pytest
 
+from postproc.app import server
 from postproc.app.workspace import LARGEST_BYTES, Workspace
 from postproc.errors import InputError
 from tests.places import ROOT
@@ -180,3 +182,32 @@ def test_a_cell_that_is_unusable_is_shown_with_its_fault(window):
     assert status == 200
     assert b"no_such_robot" in page
     assert b'name="base.X"' in page
+
+
+@pytest.mark.parametrize(("method", "path", "handler"), [("GET", "/", "_PAGES"), ("POST", "/stop", "_CHANGES")])
+def test_a_fault_of_the_window_has_an_answer_and_a_traceback(
+    window, monkeypatch, capsys, tmp_path, method, path, handler
+):
+    def fail(_):
+        raise RuntimeError("<b>out of thoughts</b>")
+
+    monkeypatch.setitem(getattr(server, handler), path, fail)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    status, headers, content = ask(window, method, path, b"" if method == "POST" else None)
+    assert (status, headers["Content-Type"]) == (500, "text/html; charset=utf-8")
+    text = html.unescape(content.decode())
+    (log,) = tmp_path.glob("postproc-fault-*.log")
+    assert "a fault of postproc" in text
+    assert "try again" in text
+    assert str(log) in text
+    assert b"<b>out" not in content, "texts of faults are text"
+    for traceback in (log.read_text(), capsys.readouterr().err):
+        assert "RuntimeError: <b>out of thoughts</b>" in traceback
+    assert ask(window, "GET", "/cell")[0] == 200, "the window goes on"
+
+
+@pytest.mark.parametrize("path", ["//[", "/?" + "&".join(f"a{number}=1" for number in range(40))])
+def test_an_address_that_makes_no_sense_has_an_answer(window, path):
+    status, _, content = ask(window, "GET", path)
+    assert status in (200, 400, 404, 500)
+    assert content
