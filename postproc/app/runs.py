@@ -131,11 +131,12 @@ class Runs:
         change: Callable[[], object] | None = None,
         page: str = "",
     ) -> Run:
-        """Begin a command; if one with this key runs already, as from another window, return that one.
+        """Begin a command; if the same runs already, as from another window, return that one.
 
         :param change: changes a file that commands read, before this one begins; see `edit`.
         :param page: address that shows the result, see `Run`.
-        :raises InputError: too many run already; with `change`: any runs, and nothing is changed.
+        :raises InputError: too many run already, or another one with this key; with `change`: any runs, and nothing is
+            changed.
         """
         with self._lock:
             if change is not None:
@@ -143,8 +144,11 @@ class Runs:
                 change()
             active = self.active()
             for run in active:
-                if run.key == key:
+                if run.key == key and run.arguments == tuple(arguments):
                     return run
+                if run.key == key:
+                    problem = f"{run.title!r} runs already: nothing was begun"
+                    raise InputError(problem, advice="Wait until it has ended, or stop it.")
             if len(active) >= MOST:
                 raise InputError(f"{MOST} commands run already", advice="Wait until one has ended, or stop one.")
             self._runs.append(Run(len(self._runs), key, title, arguments, self.folder, page))

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import secrets
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+import msgspec
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc import actions, robot
 from postproc.app.arm_view import arm_view
@@ -194,9 +197,12 @@ def posted_answers(form: dict[str, str]) -> dict[str, str]:
     return texts
 
 
-def setup(name: str, facts: Sequence[str], refusal: str, form: SetupForm, command: str, *, is_posted: bool) -> Page:
+def setup(
+    name: str, facts: Sequence[str], refusal: str, form: SetupForm, command: str, fault: str, *, is_posted: bool
+) -> Page:
     """Return the page that asks what a program needs.
 
+    :param fault: why nothing was begun though all answers can be used; empty: there is none.
     :param is_posted: the form came back: faults are shown.
     """
     groups: dict[str, list[dict[str, Any]]] = {"Robot and cell": [], "Tool, material and stock": [], "Details": []}
@@ -208,7 +214,14 @@ def setup(name: str, facts: Sequence[str], refusal: str, form: SetupForm, comman
         control = _controls(field)
         groups[group].append(control if is_posted else {**control, "fault": ""})
     return _page(
-        "setup.html", here="programs", title=name, facts=facts, refusal=refusal, groups=groups, command=command
+        "setup.html",
+        here="programs",
+        title=name,
+        facts=facts,
+        refusal=refusal,
+        groups=groups,
+        command=command,
+        fault=fault,
     )
 
 
@@ -256,10 +269,35 @@ def running(run: Run) -> Page:
     )
 
 
-def cell(workspace: Workspace, fields: Sequence[FormField], fault: str, *, is_saved: bool) -> Page:
-    """Return the page of the cell; `fault`: why the posted numbers were not written."""
+def _filled(fields: Sequence[FormField], texts: Mapping[str, str]) -> list[FormField]:
+    """Return fields with the texts that were posted, which are not in the file."""
+    return [replace(field, text=texts.get(field.name, field.text)) for field in fields]
+
+
+def _shown(fields: Sequence[FormField]) -> str:
+    """Return what a form shows of the file, for the form to send along; see `shown_texts`."""
+    return json.dumps({field.name: field.text for field in fields})
+
+
+def shown_texts(form: Mapping[str, str]) -> dict[str, str]:
+    """Return what a posted form showed when it was opened, by name of the field; empty: it does not say."""
+    try:
+        return msgspec.json.decode(form.get("shown", "{}"), type=dict[str, str])
+    except msgspec.DecodeError:
+        return {}
+
+
+def cell(
+    workspace: Workspace, fields: Sequence[FormField], fault: str, texts: Mapping[str, str], *, is_saved: bool
+) -> Page:
+    """Return the page of the cell.
+
+    :param fault: why the posted numbers were not written; empty: none were posted.
+    :param texts: posted numbers that were not written, by name of the field.
+    """
+    filled_fields = _filled(fields, texts)
     tables = [
-        {"name": name, "help": table_help(name), "fields": [field for field in fields if field.table == name]}
+        {"name": name, "help": table_help(name), "fields": [field for field in filled_fields if field.table == name]}
         for name in TABLES
     ]
     file = f"{RESULTS}/{workspace.cell.name}"
@@ -268,6 +306,7 @@ def cell(workspace: Workspace, fields: Sequence[FormField], fault: str, *, is_sa
         here="cell",
         title="Cell",
         tables=tables,
+        shown=_shown(fields),
         fault=fault,
         saved=is_saved,
         file=file,
@@ -285,7 +324,7 @@ _DETAILS = {
 """Keys of a table that are folded away, and what they are for."""
 
 
-def posted_fields(form: dict[str, str], fields: Sequence[FormField]) -> dict[str, str]:
+def posted_fields(form: Mapping[str, str], fields: Sequence[FormField]) -> dict[str, str]:
     """Return the texts by name of the field from a posted form; a box that is not ticked is not in it."""
     texts = {}
     for field in fields:
@@ -300,9 +339,20 @@ def posted_fields(form: dict[str, str], fields: Sequence[FormField]) -> dict[str
 
 
 def process(
-    name: str, path: Path, workspace: Workspace, tables: Sequence[ProcessTable], fault: str, *, is_saved: bool
+    name: str,
+    path: Path,
+    workspace: Workspace,
+    tables: Sequence[ProcessTable],
+    fault: str,
+    texts: Mapping[str, str],
+    *,
+    is_saved: bool,
 ) -> Page:
-    """Return the page of a process file; `fault`: why the posted values were not written."""
+    """Return the page of a process file.
+
+    :param fault: why the posted values were not written; empty: none were posted.
+    :param texts: posted values that were not written, by name of the field.
+    """
     file = f"{RESULTS}/{path.name}"
     return _page(
         "process.html",
@@ -313,7 +363,8 @@ def process(
         is_there=path.is_file(),
         shared=path.name == "process.toml",
         has_cell=workspace.cell.is_file(),
-        tables=[_shown_table(item) for item in tables],
+        tables=[_shown_table(replace(item, fields=tuple(_filled(item.fields, texts)))) for item in tables],
+        shown=_shown([field for item in tables for field in item.fields]),
         fault=fault,
         saved=is_saved,
         command=command_line(["convert", name, "--cell", f"{RESULTS}/cell.toml", "--process", file, "-o", RESULTS]),

@@ -7,7 +7,7 @@ import json
 import sys
 import tomllib
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from postproc.errors import InputError, PostprocError
 from postproc.files.fault_log import write_fault
 from postproc.jobs.cell_edit import edit, fields_of, use_model
 from postproc.jobs.experiments import model_of, readings_of
+from postproc.jobs.file_form import FormField, own_changes
 from postproc.jobs.guided_start import is_edited, load_answers
 from postproc.jobs.process_edit import edit_process, process_tables
 from postproc.jobs.program_needs import needs_of
@@ -44,6 +45,9 @@ _OF_REPORT = (
     "style-src 'unsafe-inline'; img-src data: blob:; frame-ancestors 'self'"
 )
 """A report has the texts of programs in it: its scripts reach neither the window nor its cookie."""
+
+
+_NOTHING: Mapping[str, str] = {}
 
 
 class Window(ThreadingHTTPServer):
@@ -203,12 +207,15 @@ class _Handler(BaseHTTPRequestHandler):
         needs = needs_of(program)
         asking = {"cell": not is_edited(workspace.cell, answers), "process": not is_edited(process, answers)}
         form = setup_form(needs, answers.answers if texts is None else texts, **asking)
-        arguments = start_arguments(program, form)
+        arguments, fault = start_arguments(program, form), ""
         if texts is not None and form.complete and not needs.refusal:
-            return self.begin(name, f"Correct {name}", arguments)
+            try:
+                return self.begin(name, f"Correct {name}", arguments)
+            except InputError as cause:
+                fault = str(cause)
         cutters = [f"T{number} {cutter.text}" for number, cutter in needs.cutters.items() if cutter.text]
         command = command_line(arguments)
-        self._page(screens.setup(name, cutters, needs.refusal, form, command, is_posted=texts is not None))
+        self._page(screens.setup(name, cutters, needs.refusal, form, command, fault, is_posted=texts is not None))
         return None
 
     def program(self) -> None:
@@ -234,17 +241,18 @@ class _Handler(BaseHTTPRequestHandler):
         content = {"code": run.code, "text": run.text, "share": run.share, "progress": run.progress}
         self._send(200, json.dumps(content).encode(), "application/json")
 
-    def cell(self, fault: str = "") -> None:
-        """Send the numbers of the cell."""
+    def cell(self, fault: str = "", texts: Mapping[str, str] = _NOTHING) -> None:
+        """Send the numbers of the cell, with the posted ones that a fault has kept from being written."""
         workspace = self.server.workspace
         if not workspace.cell.is_file():
             text = "There is no cell yet: the set-up of the first program asks for robot, base and tool."
             return self._page(screens.message("Cell", text))
         fields = fields_of(workspace.stated_cell())
-        return self._page(screens.cell(workspace, fields, fault, is_saved="saved" in self.query), 400 if fault else 200)
+        page = screens.cell(workspace, fields, fault, texts, is_saved="saved" in self.query)
+        return self._page(page, 400 if fault else 200)
 
-    def process(self, fault: str = "") -> None:
-        """Send tools, material and stock of a program, or the list of programs."""
+    def process(self, fault: str = "", texts: Mapping[str, str] = _NOTHING) -> None:
+        """Send tools, material and stock of a program, with posted values as `cell` does, or the list of programs."""
         workspace, name = self.server.workspace, self.query.get("name", "")
         if not name:
             rows = [(item.name, self._process_in_words(item.name)) for item in workspace.items()]
@@ -254,7 +262,7 @@ class _Handler(BaseHTTPRequestHandler):
         if needs.refusal:
             raise InputError(f"{name} cannot be read: {needs.refusal}")
         tables = process_tables(path, needs)
-        page = screens.process(name, path, workspace, tables, fault, is_saved="saved" in self.query)
+        page = screens.process(name, path, workspace, tables, fault, texts, is_saved="saved" in self.query)
         return self._page(page, 400 if fault else 200)
 
     def _process_in_words(self, name: str) -> str:
@@ -425,23 +433,33 @@ class _Handler(BaseHTTPRequestHandler):
 
     def posted_cell(self) -> None:
         """Take numbers of the cell."""
-        form = self.form()
+        form, path = self.form(), self.server.workspace.stated_cell()
+        texts = screens.posted_fields(form, fields_of(path))
+
+        def write() -> None:
+            edit(path, own_changes(fields_of(path), texts, screens.shown_texts(form)))
+
         try:
-            self.server.runs.edit(lambda: edit(self.server.workspace.stated_cell(), form))
+            self.server.runs.edit(write)
         except InputError as cause:
-            return self.cell(str(cause))
+            return self.cell(str(cause), texts)
         return self._lead("/cell?saved")
 
     def posted_process(self) -> None:
         """Take tools, material and stock of a program."""
         workspace, name, form = self.server.workspace, self.query.get("name", ""), self.form()
         path, needs = workspace.process_to_edit(name), needs_of(workspace.sole_program(name))
-        fields = [field for table in process_tables(path, needs) for field in table.fields]
-        texts = screens.posted_fields(form, fields)
+
+        def fields() -> list[FormField]:
+            return [field for table in process_tables(path, needs) for field in table.fields]
+
+        texts = screens.posted_fields(form, fields())
         try:
-            self.server.runs.edit(lambda: edit_process(path, needs, texts))
+            self.server.runs.edit(
+                lambda: edit_process(path, needs, own_changes(fields(), texts, screens.shown_texts(form)))
+            )
         except InputError as cause:
-            return self.process(str(cause))
+            return self.process(str(cause), texts)
         return self._lead(f"/process?name={quote(name)}&saved")
 
     def begin(

@@ -209,6 +209,26 @@ def _number(name: str, text: str) -> float | int:
     return int(value) if value.is_integer() and abs(value) < 1e15 else value
 
 
+def own_changes(fields: Sequence[FormField], texts: Mapping[str, str], shown: Mapping[str, str]) -> dict[str, str]:
+    """Return what a user changed in a form: an edit of the file meanwhile, as in another window, is not undone.
+
+    :param fields: those of the file now.
+    :param texts: posted, by the name of the field.
+    :param shown: what the form showed when it was opened; a field that is not in it counts as changed.
+    :raises InputError: somebody else has changed one of these values to another one.
+    """
+    changes = {name: text for name, text in texts.items() if text.strip() != shown.get(name)}
+    for field in fields:
+        shown_text, text = shown.get(field.name, field.text), changes.get(field.name, "").strip()
+        if field.name in changes and field.text not in (shown_text, text):
+            raise InputError(
+                f"{field.name} was {shown_text or 'not stated'} when you opened this page, and is now "
+                f"{field.text or 'not stated'} in the file: nothing was written",
+                advice=f"Save again to write {text}." if text else "Save again to remove it.",
+            )
+    return changes
+
+
 def write_checked(path: Path, text: str, check: Callable[[Path], object]) -> None:
     """Write a file that is usable; nothing is written if it is not.
 

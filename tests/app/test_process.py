@@ -148,6 +148,7 @@ def test_the_process_is_not_changed_while_a_command_runs(window):
     status, _, page = ask(window, "POST", "/process?name=part.nc", urlencode(STATED).encode())
     assert status == 400
     assert b"nothing was changed" in page
+    assert b"<option selected>al_7075_hss" in page, "what was chosen is still on the page"
     assert not (window.workspace.results / "part.process.toml").exists()
     run.stop()
 

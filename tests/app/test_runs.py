@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import html
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
+import tomllib
 from urllib.parse import urlencode
 
 import pytest
@@ -16,7 +19,7 @@ import pytest
 from postproc.app.runs import Run, Runs
 from postproc.errors import InputError
 from tests.app.test_access import ask
-from tests.test_currency import made
+from tests.test_currency import PROGRAM, made
 
 WATCH = ("watch", "idle", "--cell", "corrected/cell.toml")
 """A command that runs until it is stopped; of an empty folder: one that prints ends by its closed stdout anyway."""
@@ -129,6 +132,8 @@ def test_a_file_that_commands_read_is_not_changed_while_one_runs(shop):
     with pytest.raises(InputError, match="nothing was changed"):
         runs.begin("other.nc", "Correct", WATCH, lambda: changed.append("begin"))
     assert (changed, runs.begin("part.nc", "Watch", WATCH)) == ([], run)
+    with pytest.raises(InputError, match="runs already: nothing was begun"):
+        runs.begin("part.nc", "Correct", ("convert", "part.nc"))
     runs.stop_all()
     runs.edit(lambda: changed.append("edit"))
     assert changed == ["edit"]
@@ -145,7 +150,9 @@ def test_a_place_is_not_taken_while_a_command_runs(shop):
         assert status == 400
         assert b"nothing was changed" in page
         assert window.workspace.cell.read_bytes() == cell
-        assert ask(window, "POST", "/cell", b"base.X=1700")[0] == 400
+        status, _, page = ask(window, "POST", "/cell", b"base.X=1700")
+        assert status == 400
+        assert b'name="base.X" value="1700"' in page, "what was typed is still on the page"
         assert window.workspace.cell.read_bytes() == cell
         run.stop()
         run.wait(PATIENCE_S)
@@ -175,3 +182,47 @@ def test_names_that_become_one_on_the_controller_are_the_same(shop):
         (shop / name).write_text("G0 X1\n")
     with pytest.raises(InputError, match="same files"):
         Workspace(shop.resolve()).sole_program("my part.nc")
+
+
+def test_answers_are_kept_while_another_command_works_on_the_program(shop):
+    from postproc.app.server import Window
+    from tests.app.conftest import answering
+
+    (shop / "with_forces.nc").write_text("(FORCE FX=1 FY=2 FZ=3 FRAME=FEED)\n" + PROGRAM)
+    with Window(shop, 0) as window, answering(window):
+        run = window.runs.begin("with_forces.nc", "Correct with_forces.nc", WATCH)
+        window.workspace.cell.unlink()
+        answers = {"robot": "kuka_kr270", "base/X": 1500, "base/Y": 0, "base/Z": 700.25, "tool/Z": 350}
+        answers |= {"tool/X": 0, "tool/Y": 0, "clearance": 50}
+        status, _, page = ask(window, "POST", "/setup?name=with_forces.nc", urlencode(answers).encode())
+        assert status == 200
+        assert b"runs already: nothing was begun" in page
+        assert b'name="base/Z" value="700.25"' in page
+        assert window.runs.count == 1
+        run.stop()
+
+
+def test_an_edit_in_another_window_is_not_undone(shop):
+    from postproc.app.server import Window
+    from tests.app.conftest import answering
+
+    with Window(shop, 0) as window, answering(window):
+        page = ask(window, "GET", "/cell")[2].decode()
+        shown = html.unescape(re.search('name="shown" value="([^"]*)"', page)[1])
+        form = {"base.X": "1500", "base.Z": "700", "tool.Z": "350", "shown": shown}
+
+        def save(**changes):
+            posted = form | {name.replace("_", "."): text for name, text in changes.items()}
+            return ask(window, "POST", "/cell", urlencode(posted).encode())
+
+        assert save(base_X="1510")[0] == 303
+        assert save(tool_Z="352")[0] == 303, "this window still shows X = 1500, and has not changed it"
+        content = tomllib.loads(window.workspace.cell.read_text())
+        assert (content["base"]["X"], content["tool"]["Z"]) == (1510, 352)
+        status, _, page = save(base_X="1520")
+        assert status == 400
+        assert b"base.X was 1500 when you opened this page, and is now 1510 in the file" in page
+        assert b'name="base.X" value="1520"' in page
+        form["shown"] = html.unescape(re.search('name="shown" value="([^"]*)"', page.decode())[1])
+        assert save(base_X="1520", tool_Z="352")[0] == 303, "seen, and wanted"
+        assert tomllib.loads(window.workspace.cell.read_text())["base"]["X"] == 1520
