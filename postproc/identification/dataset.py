@@ -129,18 +129,30 @@ def _of_torques(torque: np.ndarray) -> Finding:
     return Finding(text if not bare else f"{text}: {', '.join(bare)} hardly loaded", not bare)
 
 
+_SUMS_COMMAND = f"find . -type f ! -name {SUMS} -exec sha256sum {{}} + > {SUMS}"
+_SUM = re.compile(r"^([0-9a-fA-F]{64}) [ *](?:\./)?(.+?)\r?$", re.M)
+"""A line of `sha256sum`; files that were edited on Windows end it with CR LF."""
+
+
 def _sums(folder: Path) -> Finding:
     """Return whether the checksums of all files are there and right."""
     path = folder / SUMS
+    advice = f"run `{_SUMS_COMMAND}` in the folder"
     if not path.is_file():
-        return Finding(f"{SUMS}: run `sha256sum * > {SUMS}` in the folder", has=False, required=True)
-    digest_of_name = dict(re.findall(r"^([0-9a-f]{64}) [ *](.+)$", files.read_text(path, MeasurementError), re.M))
-    by_name = {name.removeprefix("./"): digest for digest, name in digest_of_name.items()}
+        return Finding(f"{SUMS}: {advice}", has=False, required=True)
+    stated = {name: digest.lower() for digest, name in _SUM.findall(files.read_text(path, MeasurementError))}
     present = {p.relative_to(folder).as_posix(): p for p in sorted(folder.rglob("*")) if p.is_file() and p != path}
-    wrong = [
-        name for name, file in present.items() if by_name.get(name) != hashlib.sha256(file.read_bytes()).hexdigest()
-    ]
-    absent = [name for name in by_name if name not in present]
-    if wrong or absent:
-        return Finding(f"{SUMS}: not those of {', '.join([*wrong, *absent])}", has=False, required=True)
+    faults = {
+        "not those of": [name for name in present if name in stated and stated[name] != _digest(present[name])],
+        "none for": [name for name in present if name not in stated],
+        "no such files:": [name for name in stated if name not in present],
+    }
+    parts = [f"{fault} {', '.join(names)}" for fault, names in faults.items() if names]
+    if parts:
+        return Finding(f"{SUMS}: {'; '.join(parts)}; {advice}", has=False, required=True)
     return Finding(f"{SUMS}: right for {len(present)} files", has=True, required=True)
+
+
+def _digest(file: Path) -> str:
+    """Return the SHA-256 of a file's content, in hexadecimal digits."""
+    return hashlib.sha256(file.read_bytes()).hexdigest()

@@ -2,6 +2,8 @@
 
 import hashlib
 import re
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -112,11 +114,29 @@ def test_a_folder_to_publish_says_what_it_has_and_lacks(measured, tmp_path):
     assert "(required)" not in run.output
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="the command is one of a POSIX shell")
+def test_the_command_for_checksums_makes_right_ones_with_a_folder_of_the_robot(measured, tmp_path):
+    published(measured, tmp_path)
+    (tmp_path / "robot").mkdir()
+    (tmp_path / "robot" / "model.toml").write_text("name = 'X'\n")
+    run = CliRunner().invoke(main, ["identify", "check", str(tmp_path)])
+    assert "lacks SHA256SUMS: none for robot/model.toml; run `" in run.output
+    subprocess.run(re.search(r"run `(.+)` in the folder", run.output)[1], shell=True, cwd=tmp_path, check=True)
+    sums = tmp_path / "SHA256SUMS"
+    sums.write_bytes(sums.read_bytes().replace(b"\n", b"\r\n"))  # as an editor on Windows saves it
+    run = CliRunner().invoke(main, ["identify", "check", str(tmp_path)])
+    assert "has   SHA256SUMS: right for 5 files" in run.output
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         (lambda folder: (folder / "LICENSE").unlink(), "lacks LICENSE: text of the licence (required)"),
-        (lambda folder: (folder / "LICENSE").write_text("other"), "lacks SHA256SUMS: not those of LICENSE (required)"),
+        (lambda folder: (folder / "LICENSE").write_text("other"), "lacks SHA256SUMS: not those of LICENSE; run"),
+        (
+            lambda folder: (folder / "SHA256SUMS").write_text("0" * 64 + "  a.csv\n"),
+            "none for LICENSE, dataset.toml, experiment.toml, measurements.csv; no such files: a.csv; run",
+        ),
         (lambda folder: (folder / "SHA256SUMS").unlink(), "lacks SHA256SUMS: run"),
         (lambda folder: (folder / "dataset.toml").write_text(DATASET.replace('"MIT"', '""')), "licence empty"),
         (
