@@ -15,13 +15,14 @@ import numpy as np
 from msgspec import Struct
 
 from postproc import files
-from postproc import robot as robots
 from postproc.errors import InputError, MeasurementError, PostprocError
 from postproc.frames import norm
 from postproc.identification.measurement_model import as_positions, joint_torques
+from postproc.identification.model_folder import starting_robot
+from postproc.identification.procedure import checked
 from postproc.identification.readings import Experiment, Measurements, gaps, read, read_experiment
 from postproc.identification.uncertainty import levels
-from postproc.robot import JOINTS
+from postproc.robot import JOINTS, RobotModel
 
 NAME, EXPERIMENT, READINGS, SUMS, LICENCE = (
     "dataset.toml",
@@ -69,11 +70,18 @@ def check(folder: Path) -> list[Finding]:
     try:
         setup = read_experiment(folder / EXPERIMENT)
         data = read(folder / READINGS, setup)
-        robot = robots.load(robots.find(setup.robot, folder))
+        _, _, robot = starting_robot(setup, folder / EXPERIMENT)
         torque = np.abs(joint_torques(robot, as_positions(robot, data))).max(axis=0)
     except PostprocError as error:
         return [*findings, Finding(f"{EXPERIMENT}, {READINGS}: {error}", has=False, required=True), _sums(folder)]
-    return [*findings, *_of_readings(data), *_of_setup(setup), _of_torques(torque), _sums(folder)]
+    return [
+        *findings,
+        *_of_readings(data),
+        *_of_setup(setup),
+        _of_torques(torque),
+        *_agreement(robot, data),
+        _sums(folder),
+    ]
 
 
 def _about(folder: Path) -> list[Finding]:
@@ -127,6 +135,18 @@ def _of_torques(torque: np.ndarray) -> Finding:
     sizes = ", ".join(f"{size:.0f}" for size in torque)
     text = f"torques up to {sizes} N·m on A1 … A6"
     return Finding(text if not bare else f"{text}: {', '.join(bare)} hardly loaded", not bare)
+
+
+def _agreement(robot: RobotModel, data: Measurements) -> list[Finding]:
+    """Return the statements on readings that contradict the robot, its loads or each other."""
+    try:
+        _, _, outliers, doubts = checked(robot, data)
+    except PostprocError as error:
+        return [Finding(str(error), has=False, required=True)]
+    faults = [*(f"outlier: {name}" for name in outliers), *(note for note in doubts if note not in gaps(data))]
+    if not faults:
+        return [Finding(f"readings that agree with {robot.name}: points, angles, frame, direction of the loads", True)]
+    return [Finding(fault, has=False) for fault in faults]
 
 
 _SUMS_COMMAND = f"find . -type f ! -name {SUMS} -exec sha256sum {{}} + > {SUMS}"

@@ -26,7 +26,7 @@ from postproc.identification.measurement_model import MIN_COMPLIANCE, describe, 
 from postproc.identification.moved_device import moved_device
 from postproc.identification.plausibility import check_frames, check_points
 from postproc.identification.procedure import Depth, Identification, Method, before_and_after, identify
-from postproc.identification.readings import Measurements, Payload, read, read_experiment
+from postproc.identification.readings import Experiment, Measurements, Payload, read, read_experiment
 from postproc.identification.uncertainty import Discrepancy
 from postproc.robot import (
     COMPENSATOR,
@@ -433,6 +433,14 @@ def with_compensator_geometry(robot: RobotModel, path: Path) -> RobotModel:
     return replace(robot, compensator=law)
 
 
+def starting_robot(setup: Experiment, experiment: Path) -> tuple[Path, ModelFile, RobotModel]:
+    """Return folder, content of `model.toml` and model of the robot where the search starts, with the payload."""
+    folder = robots.find(setup.robot, experiment.parent)
+    stored_robot = robots.load(folder)
+    content = without_found_springs(read_prior(folder, setup.payload, experiment.name))
+    return folder, content, robots.assemble(stored_robot.name, content, stored_robot.nominal)
+
+
 def identify_folder(
     measurements: Path,
     experiment: Path,
@@ -449,10 +457,7 @@ def identify_folder(
     :raises InputError: the folder cannot be written.
     """
     setup = read_experiment(experiment)
-    prior_folder = robots.find(setup.robot, experiment.parent)
-    stored_robot = robots.load(prior_folder)
-    prior_content = without_found_springs(read_prior(prior_folder, setup.payload, experiment.name))
-    prior = robots.assemble(stored_robot.name, prior_content, stored_robot.nominal)
+    prior_folder, prior_content, prior = starting_robot(setup, experiment)
     geometry_source = None
     if choices.compensator is not None:
         prior = with_compensator_geometry(prior, choices.compensator)

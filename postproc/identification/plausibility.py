@@ -212,16 +212,7 @@ def check_frames(robot: RobotModel, data: Measurements) -> Placement:
     if placement.rms < _MAX_DISTANCE:
         return placement
     size = len(data.q)
-    for split in range(2, size - 1):
-        halves = [_rms(robot, data, np.arange(split)), _rms(robot, data, np.arange(split, size))]
-        if max(halves) < _MAX_DISTANCE:
-            first = np.flatnonzero(data.state_config[data.state] == split)[0]
-            raise MeasurementError(
-                f"readings from config {data.config[split]:g} on are in another frame of the measuring device",
-                file=data.file,
-                line=int(data.line[first]),
-                advice="The tracker was moved or set up anew: identify from one set-up, or bring both into one frame.",
-            )
+    # one wrong configuration first: a few readings of one point fit any frame
     reduced_rms = np.array([_rms(robot, data, np.delete(np.arange(size), row)) for row in range(size)])
     worst = int(np.argmin(reduced_rms))
     if reduced_rms[worst] < _MAX_DISTANCE:
@@ -232,6 +223,16 @@ def check_frames(robot: RobotModel, data: Measurements) -> Placement:
             line=int(data.line[first]),
             advice="Check its angles (degrees, KUKA signs) and its readings, or leave it out.",
         )
+    for split in range(2, size - 1):
+        halves = [_rms(robot, data, np.arange(split)), _rms(robot, data, np.arange(split, size))]
+        if max(halves) < _MAX_DISTANCE:
+            first = np.flatnonzero(data.state_config[data.state] == split)[0]
+            raise MeasurementError(
+                f"readings from config {data.config[split]:g} on are in another frame of the measuring device",
+                file=data.file,
+                line=int(data.line[first]),
+                advice="The tracker was moved or set up anew: identify from one set-up, or bring both into one frame.",
+            )
     raise MeasurementError(
         f"the readings without load are {placement.rms * MM_PER_M:.0f} mm (RMS) off the geometry of {robot.name}",
         file=data.file,
@@ -262,7 +263,10 @@ def check_loads(robot: RobotModel, data: Measurements, placement: Placement) -> 
             advice="No robot bends that far: was the tracker moved, or is a reading of another configuration?",
         )
     structure = Structure(JOINT_COMPLIANCES, robot)
-    prediction, _ = predict(structure, structure.start(), data, placement)
+    seen = visible(data)
+    prediction = predict(structure, structure.start(), data, placement)[0] * seen
+    rows = np.flatnonzero(seen.any(axis=(1, 2)))
+    displacement, prediction, size, states = displacement[rows], prediction[rows], size[rows], data.loaded[rows]
     ratio = np.sum(displacement * prediction, axis=(1, 2)) / np.sum(prediction**2, axis=(1, 2))
     usual = float(np.median(ratio))
     if usual < 0.0:
@@ -283,14 +287,14 @@ def check_loads(robot: RobotModel, data: Measurements, placement: Placement) -> 
     # against the force only if it is nearly opposite: links may deflect across what the joints would
     length_ratio = np.where(ratio < _OPPOSITE * length_ratio, -length_ratio, length_ratio)
     # if the joints would hardly deflect, links may deflect by many times as much
-    per_newton = size / np.maximum(np.linalg.norm(data.wrench[data.loaded, :3], axis=1), 1e-9)
+    per_newton = size / np.maximum(np.linalg.norm(data.wrench[states, :3], axis=1), 1e-9)
     for row in range(len(ratio)):
         relative = length_ratio[row] / usual
         other_ratios = np.delete(per_newton, row)
         if relative > 0.0 and len(other_ratios) and other_ratios.min() < per_newton[row] < other_ratios.max():
             continue
         if not any(_SAME_UNIT[0] < factor < _SAME_UNIT[1] for factor in (relative, ratio[row] / usual)):
-            state = int(data.loaded[row])
+            state = int(states[row])
             unit = "kg" if _KILOGRAMS[0] < relative < _KILOGRAMS[1] else "another unit, direction or configuration"
             raise MeasurementError(
                 f"{_state_name(data, state)}: displacement and force do not belong together "

@@ -122,7 +122,7 @@ def identify(
     :param progress: called with a line of text before each step.
     :raises MeasurementError: the readings are unusable; the message names the row or says what to measure.
     """
-    data, placement, outliers, warnings = _checked(prior, data)
+    data, placement, outliers, warnings = checked(prior, data)
     if method == "serial":
         return _serial(prior, data, placement, outliers, warnings)
 
@@ -170,7 +170,7 @@ def identify(
     )
 
 
-def _checked(prior: RobotModel, data: Measurements) -> tuple[Measurements, Placement, list[str], list[str]]:
+def checked(prior: RobotModel, data: Measurements) -> tuple[Measurements, Placement, list[str], list[str]]:
     """Check the readings before any spring is fitted.
 
     :returns: the readings without gross errors and with their noise, the placement, what was left out, and warnings.

@@ -309,17 +309,18 @@ class Measurements(Struct, frozen=True, eq=False):
         )
 
 
+AXES = ("X", "Y", "Z")
 COLUMNS = (
     *("config", "load", "repeat", "point"),
     *JOINTS,
     *WRENCH,
-    *("X", "Y", "Z"),
+    *AXES,
 )
 _LARGEST = (
     *((name, 1e9, "") for name in ("config", "load", "repeat")),
     *((name, 3600.0, " deg") for name in JOINTS),
     *((name, 1e6, " N" if name.startswith("F") else " N·m") for name in WRENCH),
-    *((axis, 1e6, " mm") for axis in "XYZ"),
+    *((axis, 1e6, " mm") for axis in AXES),
 )
 """Largest size of a cell of each column: beyond it no robot, no load and no measuring device is."""
 _SAME_ANGLE = 1e-3
@@ -327,16 +328,17 @@ _NO_LOAD = 1e-6
 
 
 def read(path: Path, experiment: Experiment, loads: bool = True) -> Measurements:
-    """Read `measurements.csv` and check that it is complete.
+    """Read `measurements.csv` and check that it is complete; rows without X, Y and Z are left out.
 
     :param loads: False if readings without load are enough (calibration of the geometry).
     :raises MeasurementError: a reading is missing, given twice, not a number, belongs to a point that the
         experiment does not name; a loaded state without its unloaded one; angles in radians, lengths not in mm.
     """
-    numbers, texts, lines = files.read_csv(path, COLUMNS, (), MeasurementError, ("point",))
+    numbers, texts, lines = files.read_csv(path, COLUMNS, (), MeasurementError, ("point",), AXES)
     file_name = str(path)
+    numbers, texts, lines = _with_reading(numbers, texts, lines, file_name)
     if len(lines) == 0:
-        raise MeasurementError("no readings", file=file_name)
+        raise MeasurementError("no readings", file=file_name, advice="Fill in X, Y and Z.")
     _check_ranges(numbers, lines, file_name)
     if experiment.readings == "displacements":
         numbers, texts, lines = _with_unloaded(numbers, texts, lines, file_name)
@@ -376,7 +378,7 @@ def read(path: Path, experiment: Experiment, loads: bool = True) -> Measurements
         state=state,
         point=np.array([names.index(name) for name in texts["point"]]),
         repeat=numbers["repeat"],
-        position=np.column_stack([numbers[axis] for axis in "XYZ"]) * M_PER_MM,
+        position=np.column_stack([numbers[axis] for axis in AXES]) * M_PER_MM,
         line=lines,
         used=np.ones(len(lines), dtype=bool),
         are_displacements=experiment.readings == "displacements",
@@ -384,6 +386,33 @@ def read(path: Path, experiment: Experiment, loads: bool = True) -> Measurements
     _check_units(q, data, file_name)
     _check_complete(data, file_name, loads)
     return data
+
+
+def _with_reading(
+    numbers: dict[str, Array], texts: dict[str, list[str]], lines: Array, file_name: str
+) -> tuple[dict[str, Array], dict[str, list[str]], Array]:
+    """Return the columns without the rows whose X, Y, Z are all empty: points that the device did not see.
+
+    :raises MeasurementError: a row has one or two of them.
+    """
+    is_empty = np.column_stack([np.isnan(numbers[axis]) for axis in AXES])
+    wrong = [
+        MeasurementError(
+            f"{' and '.join(axis for axis, empty in zip(AXES, is_empty[row], strict=True) if empty)} empty",
+            file=file_name,
+            line=int(lines[row]),
+            advice="A reading has X, Y and Z; leave all three empty, or the row out, if there is none.",
+        )
+        for row in np.flatnonzero(is_empty.any(axis=1) & ~is_empty.all(axis=1))
+    ]
+    if wrong:
+        raise together(wrong)
+    rows = np.flatnonzero(~is_empty.any(axis=1))
+    return (
+        {name: column[rows] for name, column in numbers.items()},
+        {name: [column[row] for row in rows] for name, column in texts.items()},
+        lines[rows],
+    )
 
 
 _LARGEST_DISPLACEMENT = 0.2
@@ -407,7 +436,7 @@ def _with_unloaded(
     pairs = [(config, name) for config, name in zip(numbers["config"].tolist(), texts["point"], strict=True)]
     first = [pairs.index(pair) for pair in dict.fromkeys(pairs)]
     zero_columns = {name: column[first] for name, column in numbers.items()}
-    for name in ("load", *WRENCH, "X", "Y", "Z"):
+    for name in ("load", *WRENCH, *AXES):
         zero_columns[name] = np.zeros(len(first))
     zero_columns["repeat"] = np.ones(len(first))
     return (

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from postproc.cli import main
 from postproc.errors import MeasurementError
-from postproc.identification.procedure import identify
+from postproc.identification.procedure import checked, identify
 from postproc.identification.readings import read, read_experiment
 from samples.paper_study import harness, simulator
 
@@ -94,6 +94,39 @@ def test_formats_that_do_not_belong_together_are_refused(measured, tmp_path, row
         changed(measured[0], tmp_path, row, head)
 
 
+def test_rows_without_x_y_and_z_are_points_that_the_device_did_not_see(measured, tmp_path):
+    folder, _, _ = measured
+
+    def row(cells, filled=0):
+        return [*cells[:16], *cells[16 : 16 + filled], *[""] * (3 - filled)] if cells[2] == "2" else cells
+
+    without = changed(folder, tmp_path, lambda cells: None if cells[2] == "2" else cells)
+    empty = changed(folder, tmp_path, row)
+    np.testing.assert_array_equal(empty.position, without.position)
+    assert set(empty.repeat) == {1.0, 3.0}
+    with pytest.raises(MeasurementError, match=r"measurements.csv:3: Y and Z empty. A reading has X, Y and Z"):
+        changed(folder, tmp_path, lambda cells: row(cells, filled=1))
+    with pytest.raises(MeasurementError, match="no readings"):
+        changed(folder, tmp_path, lambda cells: [*cells[:16], "", "", ""])
+
+
+def test_forces_are_compared_at_the_points_that_were_read(tmp_path):
+    rng = np.random.default_rng(6)
+    true, (q, f) = simulator.paper_like(rng), simulator.plan(rng, 8)
+    _, raw = simulator.measure(true, q, f, rng, 1e-6)
+    simulator.write(tmp_path, q, f, raw, 1e-6)
+
+    def row(cells, force=1.0, seen=lambda config: 1 + config % 3):
+        forces = [str(force * float(value)) for value in cells[10:13]]
+        return [*cells[:10], *forces, *cells[13:]] if cells[3] == f"P{seen(int(cells[0]))}" else None
+
+    (tmp_path / "trial").mkdir()
+    data = changed(tmp_path, tmp_path / "trial", row)
+    assert not [note for note in checked(harness.PRIOR, data)[3] if "as far as" in note]
+    data = changed(tmp_path, tmp_path / "trial", lambda cells: row(cells, force=0.4))
+    assert [note for note in checked(harness.PRIOR, data)[3] if "as far as" in note]
+
+
 def published(measured, folder):
     changed(measured[0], folder, lambda cells: cells)
     (folder / "dataset.toml").write_text(DATASET)
@@ -112,6 +145,27 @@ def test_a_folder_to_publish_says_what_it_has_and_lacks(measured, tmp_path):
     assert re.search(r"lacks loads of \d+ to \d+ N on 1 levels", run.output)
     assert "lacks load_error_percent" in run.output
     assert "(required)" not in run.output
+
+
+@pytest.mark.parametrize(
+    ("row", "message"),
+    [
+        (lambda cells: cells, "has   readings that agree with"),
+        (
+            lambda cells: [*cells[:12], str(-float(cells[12])), *cells[13:]],
+            "lacks .*the points move against the forces",
+        ),
+        (
+            lambda cells: [*cells[:4], str(float(cells[4]) + 5.0 * (cells[0] == "3")), *cells[5:]],
+            "lacks .*config 3: the readings",
+        ),
+    ],
+)
+def test_a_folder_is_checked_against_its_robot(measured, tmp_path, row, message):
+    published(measured, tmp_path)
+    changed(measured[0], tmp_path, row)
+    run = CliRunner().invoke(main, ["identify", "check", str(tmp_path)])
+    assert re.search(message, run.output), run.output
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="the command is one of a POSIX shell")
