@@ -210,7 +210,12 @@ def check_reading(text: str):
     """Compare the motions of the package with those of the controller; return the program."""
     cell, _, place, _ = setup()
     program = RAPID.read([decode("random.mod", text.encode())], cell, place.forward, "random")
-    wanted = executed(text)
+    check_motions(program, executed(text))
+    return program
+
+
+def check_motions(program, wanted) -> None:
+    """Compare the motions of a program with those of the controller."""
     m = program.motions
     if len(m) != len(wanted):
         raise Wrong(f"{len(m)} motions instead of {len(wanted)}")
@@ -243,7 +248,6 @@ def check_reading(text: str):
             via = base[:3, :3] @ (m.centre[k] * 1e3) + base[:3, 3]
             if abs(np.linalg.norm(motion.via - via) - np.linalg.norm(motion.pose[:3, 3] - via)) > 1e-2:
                 raise Wrong(f"motion {k}: circle")
-    return program
 
 
 def _near(found, wanted, k) -> None:
@@ -277,15 +281,16 @@ def compare(nominal, corrected) -> None:
     cell, _, _, arm = setup()
     guess = np.array(cell.start_joints)
     todo = iter(corrected)
-    start = None
+    flange = None
     for k, motion in enumerate(nominal):
         if motion.pose is None:
             here = next(todo, None)
             if here is None or here.joints != motion.joints:
                 raise Wrong(f"motion {k}: joints changed")
-            start = None
+            flange = None
             continue
         end = motion.pose
+        start = None if flange is None else (flange @ motion.tool)[:3, 3]
         while True:
             here = next(todo, None)
             if here is None or here.pose is None or here.speed != motion.speed:
@@ -308,7 +313,7 @@ def compare(nominal, corrected) -> None:
                 break  # led to where the next one begins
             if start is not None and _beside(motion, start, tip[:3, 3] * 1e3) * 1e-3 > BESIDE:
                 raise Wrong(f"motion {k} (line {motion.line}): an inserted target is beside the path")
-        start = end[:3, 3]
+        flange = end @ np.linalg.inv(motion.tool)
     if next(todo, None) is not None:
         raise Wrong("motions are left")
 

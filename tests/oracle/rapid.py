@@ -1,13 +1,20 @@
 """A controller that executes RAPID, token by token, written from ABB's manuals and sharing no code with the package.
 
-It knows what CAM systems write: data, routines with parameters, FOR, WHILE, IF, moves by numbers and by names, Offs,
-RelTool. Poses are matrices in the world, in mm; what a comment says of the force holds until the next one.
+It knows what CAM systems write: modules with data, procedures and functions, their parameters by value and by reference
+(INOUT, VAR, PERS: the routine works on the data of the call), LOCAL names, FOR, WHILE, IF, TEST, GOTO, RETURN, moves by
+numbers and by names, Offs, RelTool. Poses are matrices in the world, in mm; what a comment says of the force holds
+until the next one. Inputs are answered by the caller.
+
+Source: ABB, Technical reference manual, RAPID kernel (3HAC16585) and RAPID instructions (3HAC16581).
 """
 
 from __future__ import annotations
 
+import contextlib
+import copy
 import math
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,7 +24,19 @@ TOKEN = re.compile(
     r'\s+|(?P<comment>!.*)|(?P<word>[A-Za-z]\w*)|(?P<number>\d+(\.\d*)?([eE][-+]?\d+)?)|(?P<text>"[^"]*")'
     r"|(?P<sign>:=|<=|>=|<>|[-+*/=<>\[\](){},;:\\.])"
 )
-FIELDS = {"trans": 0, "rot": 1, "robconf": 2, "extax": 3, "x": 0, "y": 1, "z": 2}
+FIELDS = {
+    "trans": 0,
+    "rot": 1,
+    "robconf": 2,
+    "extax": 3,
+    "x": 0,
+    "y": 1,
+    "z": 2,
+    "tframe": 1,
+    "uframe": 3,
+    "oframe": 4,
+    "v_tcp": 0,
+}
 SPEEDS = {f"v{n}": [float(n), 500.0, 5000.0, 1000.0] for n in (5, 10, 20, 50, 100, 200, 500, 1000)}
 ZONES = {f"z{n}": [False, 0.3 if n == 0 else float(n)] for n in (0, 1, 5, 10, 20, 50)} | {"fine": [True, 0.0]}
 ORIGIN = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]]
@@ -48,10 +67,78 @@ class Motion:
     conf: list[float] = field(default_factory=list)
 
 
-class Controller:
-    """Executes the routine `main` of a module."""
+class _Return(Exception):
+    """RETURN; the first argument is the value of a function."""
 
-    def __init__(self, text: str) -> None:
+
+class _Jump(Exception):
+    """GOTO; the first argument is the label."""
+
+
+class _Exit(Exception):
+    """EXIT."""
+
+
+class UndefinedError(AssertionError):
+    """The controller would stop: an index outside of an array, a division by zero, a loop without end."""
+
+
+MOST_STATEMENTS = 4000
+DEFAULTS = {"num": 0.0, "bool": False, "string": ""}
+"""Values of data without initial value."""
+
+
+class Place:
+    """Where a value is: a list, and the index in it. Data are lists of one value."""
+
+    def __init__(self, holder: list, index: int = 0) -> None:
+        self.holder, self.index = holder, index
+
+    @property
+    def value(self):
+        return self.holder[self.index]
+
+    @value.setter
+    def value(self, value) -> None:
+        self.holder[self.index] = copy.deepcopy(value)
+
+    def inner(self, index: int) -> Place:
+        """The place of an element or component, counted from 0."""
+        if not isinstance(self.value, list) or not 0 <= index < len(self.value):
+            raise UndefinedError("there is no such element")
+        return Place(self.value, index)
+
+
+def data_of(value) -> Place:
+    """New data with a value."""
+    return Place([copy.deepcopy(value)])
+
+
+@dataclass
+class Parameter:
+    """A parameter: `changes` if the routine works on the data of the call."""
+
+    name: str
+    changes: bool
+    optional: bool
+
+
+@dataclass
+class Routine:
+    """A routine: the token where its body begins, and the module that it is in."""
+
+    start: int
+    parameters: list[Parameter]
+    module: str
+
+
+class Controller:
+    """Executes the routine `main` of the modules of a text.
+
+    :param inputs: answers of the digital inputs that the program asks for, in order; 0 if it is empty.
+    """
+
+    def __init__(self, text: str, inputs: Callable[[], bool] | None = None) -> None:
         self.tokens: list[tuple[str, str, int]] = []
         line, at = 1, 0
         if text.startswith("%%%"):  # the head of a file of an old controller
@@ -65,12 +152,16 @@ class Controller:
                 self.tokens.append((kind, match[0], line))
             line += match[0].count("\n")
             at = match.end()
-        self.routines: dict[str, tuple[int, list[str]]] = {}
+        self.inputs = inputs or (lambda: False)
+        self.routines: dict[tuple[str, str], Routine] = {}
         self.motions: list[Motion] = []
-        self.force, self.at = "", 0
-        self.data: dict[str, object] = {**SPEEDS, **ZONES, "tool0": [True, ORIGIN], "wobj0": [0, 0, 0, ORIGIN, ORIGIN]}
-        self.scopes: list[dict[str, object]] = [self.data]
-        self.read_module()
+        self.force, self.at, self.count = "", 0, 0
+        system = {**SPEEDS, **ZONES, "tool0": [True, ORIGIN], "wobj0": [0, 0, 0, ORIGIN, ORIGIN]}
+        self.data: dict[tuple[str, str], Place] = {("", name): data_of(value) for name, value in system.items()}
+        self.module = ""
+        self.scopes: list[dict[str, Place | None]] = []
+        while self.peek():
+            self.read_module()
 
     # --- tokens
 
@@ -89,7 +180,7 @@ class Controller:
 
     def remark(self, comment: str) -> None:
         words = comment[1:].split()
-        if words[:1] == ["FORCE"] and len(self.scopes) > 1:
+        if words[:1] == ["FORCE"] and self.scopes:
             self.force = "" if words[1:] == ["OFF"] else " ".join(words[1:])
 
     def take(self, word: str) -> None:
@@ -104,55 +195,106 @@ class Controller:
     # --- data
 
     def read_module(self) -> None:
-        while self.peek() != "module":
+        while self.peek() not in ("module", ""):
             self.next()
-        self.next(), self.next()
+        if not self.peek():
+            return
+        self.next()
+        self.module = self.next().lower()
+        is_local = False
         while self.peek() != "endmodule":
             word = self.peek()
+            owner = self.module if is_local else ""
             if word in ("local", "task"):
                 self.next()
-            elif word in ("const", "var", "pers"):
-                self.declare(self.data)
-            elif word == "proc":
+                is_local = word == "local"
+                continue
+            if word in ("const", "var", "pers"):
+                name, value = self.declared()
+                self.data[owner, name] = data_of(value)
+            elif word in ("proc", "func"):
                 self.next()
+                if word == "func":
+                    self.next()
                 name = self.next().lower()
-                parameters: list[str] = []
-                self.take("(")
-                while not self.accept(")"):
-                    self.next()  # its type
-                    parameters.append(self.next().lower())
-                    self.accept(",")
-                self.routines[name] = self.at, parameters
-                while self.peek() != "endproc":
+                parameters = self.parameters()
+                self.routines[owner, name] = Routine(self.at, parameters, self.module)
+                while self.peek() != f"end{word}":
                     self.next()
                 self.next()
             else:
                 raise AssertionError(word)
+            is_local = False
+        self.next()
 
-    def declare(self, scope: dict[str, object]) -> None:
-        self.next(), self.next()
-        name = self.next().lower()
+    def parameters(self) -> list[Parameter]:
+        parameters: list[Parameter] = []
+        self.take("(")
+        while not self.accept(")"):
+            self.accept(",")
+            optional = self.accept("\\")
+            changes = self.peek() in ("inout", "var", "pers")
+            if changes:
+                self.next()
+            self.next()  # its type
+            parameters.append(Parameter(self.next().lower(), changes, optional))
+            if self.accept("{"):
+                while not self.accept("}"):
+                    self.next()
+        return parameters
+
+    def declared(self) -> tuple[str, object]:
+        self.next()
+        type_, name, sizes = self.next().lower(), self.next().lower(), []
         if self.accept("{"):
-            self.expression()
+            sizes.append(int(self.expression()))
+            while self.accept(","):
+                sizes.append(int(self.expression()))
             self.take("}")
-        scope[name] = self.expression() if self.accept(":=") else 0.0
+        value = self.expression() if self.accept(":=") else DEFAULTS.get(type_)
+        if value is None or (sizes and not isinstance(value, list)):
+            for size in reversed(sizes):
+                value = [copy.deepcopy(value) for _ in range(size)]
         self.take(";")
+        return name, value
+
+    def named(self, name: str) -> Place:
+        """The data of a name: of the routine, LOCAL data of its module, data of all modules."""
+        if self.scopes and name in self.scopes[-1]:
+            place = self.scopes[-1][name]
+            if place is None:
+                raise UndefinedError(f"{name} is not given")
+            return place
+        return self.data[self.module, name] if (self.module, name) in self.data else self.data["", name]
+
+    def routine(self, name: str) -> Routine | None:
+        return self.routines.get((self.module, name), self.routines.get(("", name)))
 
     # --- expressions
 
     def expression(self, level: int = 0):
-        signs = (("=", "<>", "<", ">", "<=", ">="), ("+", "-"), ("*", "/"))
+        signs = (("or", "xor"), ("and",), ("=", "<>", "<", ">", "<=", ">="), ("+", "-"), ("*", "/", "div", "mod"))
         if level == len(signs):
             return self.factor()
-        value = self.expression(level + 1)
+        if level in (0, 2) and self.accept("not"):
+            value = not self.expression(level + 1)
+        else:
+            value = self.expression(level + 1)
         while self.peek() in signs[level]:
-            sign, other = self.next(), self.expression(level + 1)
-            value = {
-                "=": lambda a, b: a == b, "<>": lambda a, b: a != b, "<": lambda a, b: a < b, ">": lambda a, b: a > b,
-                "<=": lambda a, b: a <= b, ">=": lambda a, b: a >= b, "+": lambda a, b: a + b, "-": lambda a, b: a - b,
-                "*": lambda a, b: a * b, "/": lambda a, b: a / b,
-            }[sign](value, other)  # fmt: skip
+            sign, right = self.next().lower(), self.expression(level + 1)
+            value = self.combined(sign, value, right)
         return value
+
+    @staticmethod
+    def combined(sign: str, left, right):
+        if sign in ("/", "div", "mod") and right == 0.0:
+            raise UndefinedError("division by zero")
+        return {
+            "=": lambda a, b: a == b, "<>": lambda a, b: a != b, "<": lambda a, b: a < b, ">": lambda a, b: a > b,
+            "<=": lambda a, b: a <= b, ">=": lambda a, b: a >= b, "+": lambda a, b: a + b, "-": lambda a, b: a - b,
+            "*": lambda a, b: a * b, "/": lambda a, b: a / b, "div": lambda a, b: float(math.trunc(a / b)),
+            "mod": math.fmod, "or": lambda a, b: a or b, "and": lambda a, b: a and b, "xor": lambda a, b: a != b,
+        }[sign](left, right)  # fmt: skip
 
     def factor(self):
         word = self.next()
@@ -175,20 +317,43 @@ class Controller:
         word = word.lower()
         if word in ("true", "false"):
             return word == "true"
-        if self.peek() == "(" and word in ("offs", "reltool", "sin", "cos"):
+        if self.peek() == "(":
+            routine = self.routine(word)
+            if routine is not None:
+                self.next()
+                return self.call(routine, *self.arguments(routine, ")"))
             return self.function(word)
-        value = next(scope[word] for scope in (self.scopes[-1], self.data) if word in scope)
+        return self.rest_of_place(self.named(word)).value
+
+    def rest_of_place(self, place: Place) -> Place:
+        """The place behind indices and components."""
         while self.peek() in ("{", "."):
             if self.accept("{"):
-                value = value[int(self.expression()) - 1]
+                place = place.inner(self.index())
+                while self.accept(","):
+                    place = place.inner(self.index())
                 self.take("}")
             else:
                 self.next()
-                value = value[FIELDS[self.next().lower()]]
-        return value
+                place = place.inner(FIELDS[self.next().lower()])
+        return place
+
+    def index(self) -> int:
+        value = self.expression()
+        if value != round(value):
+            raise UndefinedError("an index is no whole number")
+        return int(value) - 1
 
     def function(self, name: str):
         self.take("(")
+        if name == "present":
+            place = self.scopes[-1][self.next().lower()]
+            self.take(")")
+            return place is not None
+        if name == "dinput":
+            self.next()
+            self.take(")")
+            return 1.0 if self.inputs() else 0.0
         values = [self.expression()]
         turns = {"rx": 0.0, "ry": 0.0, "rz": 0.0}
         while not self.accept(")"):
@@ -199,30 +364,80 @@ class Controller:
             else:
                 self.take(",")
                 values.append(self.expression())
+        if name == "abs":
+            return abs(values[0])
         if name in ("sin", "cos"):
             return getattr(math, name)(math.radians(values[0]))
         point, *step = values
+        if point is None:
+            raise UndefinedError("a target has no value")
         if name == "offs":
-            return [[a + b for a, b in zip(point[0], step, strict=True)], *point[1:]]
+            return [[a + b for a, b in zip(point[0], step, strict=True)], *copy.deepcopy(point[1:])]
+        assert name == "reltool", name
         moved = matrix(point[:2])
         place = (moved @ [*step, 1.0])[:3]
         turned = Rotation.from_matrix(moved[:3, :3]) * Rotation.from_euler("XYZ", list(turns.values()), degrees=True)
-        return [place.tolist(), np.roll(turned.as_quat(), 1).tolist(), *point[2:]]
+        return [place.tolist(), np.roll(turned.as_quat(), 1).tolist(), *copy.deepcopy(point[2:])]
 
     # --- execution
 
     def run(self, name: str = "main") -> list[Motion]:
         """The moves of a routine."""
-        self.call(name, [])
+        with contextlib.suppress(_Exit):
+            self.call(next(routine for (_, other), routine in self.routines.items() if other == name), {})
         return self.motions
 
-    def call(self, name: str, values: list) -> None:
-        back = self.at
-        self.at, parameters = self.routines[name]
-        self.scopes.append(dict(zip(parameters, values, strict=True)))
-        self.block(("endproc",))
+    def arguments(self, routine: Routine, end: str) -> tuple[dict[str, Place | None]]:
+        """The data of the parameters of a call."""
+        given: dict[str, Place | None] = {parameter.name: None for parameter in routine.parameters}
+        required = iter([parameter for parameter in routine.parameters if not parameter.optional])
+        while not self.accept(end):
+            self.accept(",")
+            if self.accept("\\"):
+                name = self.next().lower()
+                parameter = next(parameter for parameter in routine.parameters if parameter.name == name)
+                if not self.accept(":="):
+                    given[name] = data_of(True)  # a switch
+                    continue
+            else:
+                parameter = next(required)
+            given[parameter.name] = self.argument(parameter)
+        return (given,)
+
+    def argument(self, parameter: Parameter) -> Place | None:
+        begin, word = self.at, self.next().lower()
+        if self.scopes and self.scopes[-1].get(word, ...) is None and self.peek() in (",", ")", ";", "\\"):
+            return None  # an optional parameter passed on that is not given
+        if parameter.changes:
+            return self.rest_of_place(self.named(word))
+        self.at = begin
+        return data_of(self.expression())
+
+    def call(self, routine: Routine, given: dict[str, Place | None]):
+        back, module = self.at, self.module
+        if len(self.scopes) > 40:
+            raise UndefinedError("calls are nested too deeply")
+        self.at, self.module = routine.start, routine.module
+        self.scopes.append(dict(given))
+        value = None
+        while True:
+            try:
+                self.block(("endproc", "endfunc", "error"))
+            except _Return as end:
+                value = end.args[0]
+            except _Jump as jump:
+                self.at = self.label(routine, jump.args[0])
+                continue
+            break
         self.scopes.pop()
-        self.at = back
+        self.at, self.module = back, module
+        return value
+
+    def label(self, routine: Routine, name: str) -> int:
+        at = routine.start
+        while not (self.tokens[at][1].lower() == name and self.tokens[at + 1][1] == ":"):
+            at += 1
+        return at + 2
 
     def skip(self, ends: tuple[str, ...]) -> None:
         """Go to one of the words that ends a block, over blocks inside; comments are not heeded."""
@@ -232,9 +447,9 @@ class Controller:
             word = word.lower()
             if kind == "word" and depth == 0 and word in ends:
                 return
-            if kind == "word" and word in ("for", "while", "if"):
+            if kind == "word" and word in ("for", "while", "if", "test"):
                 depth += 1
-            if kind == "word" and word in ("endfor", "endwhile", "endif"):
+            if kind == "word" and word in ("endfor", "endwhile", "endif", "endtest"):
                 depth -= 1
             self.at += 1
 
@@ -245,42 +460,90 @@ class Controller:
                 self.at += 1
             if self.peek() in ends:
                 return
+            self.count += 1
+            if self.count > MOST_STATEMENTS:
+                raise UndefinedError("the program does not end")
             self.statement()
 
     def statement(self) -> None:
         word = self.peek()
         if word in ("const", "var", "pers"):
-            self.declare(self.scopes[-1])
+            name, value = self.declared()
+            self.scopes[-1][name] = data_of(value)
         elif word == "for":
             self.loop()
         elif word == "while":
-            self.next()
-            begin = self.at
-            while True:
-                self.at = begin
-                condition = self.expression()
-                self.take("do")
-                if not condition:
-                    break
-                self.block(("endwhile",))
-            self.skip(("endwhile",))
-            self.next()
+            self.repeat()
         elif word == "if":
+            self.branch()
+        elif word == "test":
+            self.test()
+        elif word.startswith("move"):
+            self.move()
+        elif word == "return":
             self.next()
+            raise _Return(None if self.peek() == ";" else self.expression())
+        elif word == "goto":
+            self.next()
+            raise _Jump(self.next().lower())
+        elif word == "exit":
+            raise _Exit
+        else:
+            self.simple()
+
+    def repeat(self) -> None:
+        self.next()
+        begin = self.at
+        while True:
+            self.at = begin
+            condition = self.expression()
+            self.take("do")
+            if not condition:
+                break
+            self.block(("endwhile",))
+        self.skip(("endwhile",))
+        self.next()
+
+    def branch(self) -> None:
+        ends = ("elseif", "else", "endif")
+        self.next()
+        while True:
             condition = self.expression()
             self.take("then")
             if condition:
-                self.block(("else", "endif"))
+                self.block(ends)
                 self.skip(("endif",))
+                break
+            self.skip(ends)
+            word = self.next().lower()
+            if word == "else":
+                self.block(("endif",))
+            if word != "elseif":
+                if word == "else":
+                    break
+                return
+        self.next()
+
+    def test(self) -> None:
+        ends = ("case", "default", "endtest")
+        self.next()
+        subject = self.expression()
+        while True:
+            word = self.next().lower()
+            if word == "endtest":
+                return
+            is_taken = word == "default"
+            if word == "case":
+                values = [self.expression()]
+                while self.accept(","):
+                    values.append(self.expression())
+                is_taken = subject in values
+            self.take(":")
+            if is_taken:
+                self.block(ends)
+                self.skip(("endtest",))
             else:
-                self.skip(("else", "endif"))
-                if self.accept("else"):
-                    self.block(("endif",))
-            self.next()
-        elif word.startswith("move"):
-            self.move()
-        else:
-            self.simple()
+                self.skip(ends)
 
     def loop(self) -> None:
         self.next()
@@ -292,41 +555,40 @@ class Controller:
         step = self.expression() if self.accept("step") else (1.0 if last >= value else -1.0)
         self.take("do")
         begin = self.at
+        outer = self.scopes[-1].get(name, ...)
         while (last - value) * step >= 0.0:
             self.at = begin
-            self.scopes[-1][name] = value
+            self.scopes[-1][name] = data_of(value)
             self.block(("endfor",))
             value += step
+        if outer is ...:
+            self.scopes[-1].pop(name, None)
+        else:
+            self.scopes[-1][name] = outer
         self.skip(("endfor",))
         self.next()
 
     def simple(self) -> None:
         name = self.next().lower()
-        if self.peek() == ":=":
-            self.next()
-            scope = self.scopes[-1] if name in self.scopes[-1] else self.data
-            scope[name] = self.expression()
-            self.take(";")
-            return
-        if self.peek() == ".":
-            path = []
-            while self.accept("."):
-                path.append(FIELDS[self.next().lower()])
+        if self.accept(":"):
+            return  # a label
+        if self.peek() in (":=", "{", "."):
+            place = self.rest_of_place(self.named(name))
             self.take(":=")
-            value = self.expression()
-            scope = self.scopes[-1] if name in self.scopes[-1] else self.data
-            scope[name] = place = [list(v) if isinstance(v, list) else v for v in scope[name]]
-            for k in path[:-1]:
-                place = place[k]
-            place[path[-1]] = value
+            place.value = self.expression()
             self.take(";")
             return
-        if name in self.routines:
-            values = []
-            while not self.accept(";"):
-                self.accept(",")
-                values.append(self.expression())
-            self.call(name, values)
+        routine = self.routine(name)
+        if routine is not None:
+            self.call(routine, *self.arguments(routine, ";"))
+            return
+        if name in ("incr", "decr", "clear", "add"):
+            place = self.rest_of_place(self.named(self.next().lower()))
+            step = {"incr": 1.0, "decr": -1.0, "clear": -place.value, "add": 0.0}[name]
+            if self.accept(","):
+                step = self.expression()
+            self.take(";")
+            place.value += step
             return
         while self.next() != ";":
             pass
@@ -343,14 +605,16 @@ class Controller:
                 word = self.next().lower()
                 options[word] = self.expression() if self.accept(":=") else True
             else:
-                values.append(self.expression())
+                values.append(copy.deepcopy(self.expression()))
+        if any(value is None for value in values):
+            raise UndefinedError("a target has no value")
         force = self.force
         following = self.tokens[self.at] if self.at < len(self.tokens) else ("", "", 0)
         if following[0] == "comment" and following[2] == line and following[1][1:].split()[:1] == ["FORCE"]:
             self.remark(following[1])  # in the line of the move: it holds for it
             force = self.force
         *points, speed, zone, tool = values
-        frames = options.get("wobj", self.data["wobj0"])
+        frames = options.get("wobj", [0, 0, 0, ORIGIN, ORIGIN])
         base = matrix(frames[3]) @ matrix(frames[4])
         held = np.float32
         moved = Motion(

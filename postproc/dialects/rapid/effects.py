@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from postproc.dialects.rapid.instructions import MOVES, PURE, READING
+from postproc.dialects.rapid.instructions import MOVES, PURE, READING, RESULT_OPTIONS
 from postproc.dialects.rapid.syntax import (
     Argument,
     Assignment,
@@ -34,9 +34,13 @@ class Effects:
         self.routines = routines
         bodies = [routine.body for routine in routines.values()]
         self.has_functions = any(
-            call.value not in PURE for body in bodies for statement in nested(body) for call in calls(statement)
+            call.value in routines or call.value not in PURE
+            for body in bodies
+            for statement in nested(body)
+            for call in calls(statement)
         )
         self._changed_data: dict[str, frozenset[str]] = {}
+        self._changed_by_handler: dict[str, frozenset[str]] = {}
 
     def changed(self, statements: tuple[Statement, ...]) -> Iterator[str]:
         """Yield the names of data that statements may change themselves, as their own routine names them."""
@@ -45,8 +49,12 @@ class Effects:
                 yield from self.changed_arguments(call.value, call.items)
             if isinstance(statement, Assignment):
                 yield base_name(statement.target)
-            elif isinstance(statement, Instruction) and statement.name not in READING | MOVES.keys():
-                yield from self.changed_arguments(statement.name.removeprefix("%"), statement.arguments)
+            elif isinstance(statement, Instruction):
+                name = statement.name.removeprefix("%")
+                if name in self.routines or name not in READING | MOVES.keys():
+                    yield from self.changed_arguments(name, statement.arguments)
+                else:
+                    yield from (base_name(argument) for argument in results(statement))
 
     def changed_arguments(self, name: str, arguments: tuple[Argument, ...]) -> Iterator[str]:
         """Yield the names of arguments that a routine may change; all of one that is in another file."""
@@ -57,6 +65,15 @@ class Effects:
             yield from (base_name(expression) for expression in expressions if expression is not None)
         elif name not in PURE:
             yield from (base_name(argument) for argument in changed_by(arguments))
+
+    def changed_by_handler(self, routine: Routine) -> frozenset[str]:
+        """Return the names of data that the handlers of a routine may change, as it names them."""
+        if routine.name not in self._changed_by_handler:
+            names = set(self.changed(routine.handler))
+            for name in called(routine.handler):
+                names |= self.changed_data_of(name)
+            self._changed_by_handler[routine.name] = frozenset(names)
+        return self._changed_by_handler[routine.name]
 
     def changed_data_of(self, name: str) -> frozenset[str]:
         """Return the names of module data that a routine, and those that it calls, may change."""
@@ -75,6 +92,13 @@ class Effects:
                 looked_at |= names_called
             self._changed_data[name] = frozenset(names)
         return self._changed_data[name]
+
+
+def results(instruction: Instruction) -> Iterator[Expression]:
+    r"""Yield the data that an instruction of RAPID changes by its options (``\TimeFlag:=late`` of WaitDI)."""
+    for argument in instruction.arguments:
+        if argument.name in RESULT_OPTIONS and argument.value is not None:
+            yield argument.value
 
 
 def called(statements: tuple[Statement, ...]) -> set[str]:

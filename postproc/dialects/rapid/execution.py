@@ -2,8 +2,8 @@
 
 A value is used only if it is certain before the program runs. Loops and conditions are followed where all their values
 are known. A branch that is not known must neither move the robot nor change how it moves; data that it changes are not
-known from there on. Data that routines change which are not followed (traps, error handlers, functions, routines that
-nobody calls) are not known at all.
+known from there on. Data that routines change which are not followed (traps, error handlers, procedures that nobody
+calls) are not known at all; those that functions change are not known behind their calls.
 
 What instructions do: ABB, Technical reference manual, RAPID Instructions, Functions and Data types (3HAC16581).
 """
@@ -12,12 +12,23 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterable
-from typing import Any, TypeGuard
+from typing import Any, NoReturn, TypeGuard
 
 from msgspec import Struct, field
 
-from postproc.dialects.rapid.effects import Effects, bound_arguments, called
-from postproc.dialects.rapid.instructions import CONSTANT, MOVES, READING, SETTINGS, STOPPING, WRITING, Form
+from postproc.dialects.rapid.effects import Effects, bound_arguments, called, results
+from postproc.dialects.rapid.instructions import (
+    CONSTANT,
+    COUNTING,
+    MOVES,
+    PURE,
+    READING,
+    RUN_TIME,
+    SETTINGS,
+    STOPPING,
+    WRITING,
+    Form,
+)
 from postproc.dialects.rapid.language import MOVING
 from postproc.dialects.rapid.syntax import (
     Argument,
@@ -30,6 +41,7 @@ from postproc.dialects.rapid.syntax import (
     Jump,
     Loop,
     Module,
+    Parameter,
     Routine,
     Statement,
     calls,
@@ -37,6 +49,7 @@ from postproc.dialects.rapid.syntax import (
 )
 from postproc.dialects.rapid.values import (
     FIELDS,
+    FOLLOWED_FUNCTIONS,
     Scope,
     UnknownValueError,
     Value,
@@ -51,9 +64,11 @@ from postproc.dialects.rapid.values import (
     truth,
 )
 from postproc.errors import MOST, PostprocError
-from postproc.program import PTP
+from postproc.program import FORCE_COMMENT, PTP
 
 _MOST_STATEMENTS = 3_000_000
+_ROUNDING = 1e-5
+"""What sums and quotients in single precision may differ from theirs here, in proportion."""
 _DEEPEST = 60
 
 
@@ -77,6 +92,10 @@ _REFUSED_OPTIONS = {
     "TRACK": "is led by a sensor",
     "ADVANCED": "is led by a sensor",
 }
+_LATE_CALLS = ("%", "CALLBYVAR")
+"""Calls of routines by a name that the program puts together."""
+_MOST_ROUNDS = 10_000
+"""Rounds of a loop without moves that are followed."""
 _KEEP = "Leave it out, or convert the G-code or APT of this part."
 
 
@@ -135,7 +154,7 @@ class Executed(Struct, eq=False):
     :ivar notes: comments with the number of the motion that follows, or of the one in whose line it stands.
     :ivar rounds: loops with motions that ran once: values of their variable in each round (or just the rounds).
     :ivar calls: for each routine with motions the calls of it, in order.
-    :ivar foreign: procedures that are called and in no module: name → (offset, calls).
+    :ivar foreign: routines that are called and in no module: name → (offset, calls).
     :ivar relied: PERS data whose values of the file are used.
     """
 
@@ -172,6 +191,7 @@ class Execution:
         self.routines = {routine.name: routine for module in self.modules for routine in module.routines}
         self.data: dict[str, Variable] = {name: Variable(type_, value) for name, (value, type_) in predefined().items()}
         _check_names(self.modules)
+        _check_functions(self.routines)
         for module in self.modules:
             for declaration in module.data:
                 self.data[declaration.name] = _declared(declaration)
@@ -182,12 +202,12 @@ class Execution:
         self._moving: dict[str, bool] = {}
         reachable_names = self._reached(entry)
         for routine in self.routines.values():
-            is_followed = routine.name in reachable_names and routine.kind == "PROC"
-            self._forget(routine.handler, f"the handler of {routine.name} may change it")
+            is_followed = routine.name in reachable_names or routine.kind == "FUNC"  # these count where they are called
+            for name in self.effects.changed_by_handler(routine):
+                _interrupt_variable(self.data.get(name), f"the handler of {routine.name}")
             if routine.kind == "TRAP":
                 for name in self.effects.changed_data_of(routine.name):
-                    if name in self.data:
-                        self.data[name].interrupt = routine.name
+                    _interrupt_variable(self.data.get(name), routine.name)
             if not is_followed:
                 for name in self.effects.changed_data_of(routine.name):
                     _forget_variable(self.data.get(name), f"{routine.name} may change it, which is not followed")
@@ -231,19 +251,63 @@ class Execution:
             for data_name in self.effects.changed_data_of(name):
                 _forget_variable(self.data.get(data_name), reason)
 
-    def _forget_by_functions(self, statement: Statement, scope: Scope) -> None:
-        """Make unknown what the functions that a statement calls may change."""
+    def _functions(self, statement: Statement, scope: Scope) -> None:
+        """Make unknown what the functions that a statement calls may change.
+
+        :raises RapidError: one of them moves the robot.
+        """
         for call in calls(statement):
+            function = self.routines.get(call.value)
+            if function is not None:
+                self._check_function(function, statement)
+            elif call.value not in PURE | RUN_TIME:
+                self._foreign(call.value, statement)
             for name in self.effects.changed_arguments(call.value, call.items):
                 _forget_variable(scope.find(name), f"{call.value} may change it")
             for name in self.effects.changed_data_of(call.value):
                 _forget_variable(self.data.get(name), f"{call.value} may change it")
 
+    def _check_function(self, function: Routine, statement: Statement) -> None:
+        """Check that a function neither moves the robot nor has comments of forces."""
+        if self._routine_moves(function):
+            problem = f"the function {function.name} moves the robot, which is not followed"
+            raise RapidError(problem, statement.start, "Write a procedure in its place.")
+        self._check_forces(function.body, f"{function.name} is a function")
+
+    def _check_forces(self, statements: tuple[Statement, ...], reason: str) -> None:
+        """Check that statements which are not followed, and the routines that they call, have no comments of forces.
+
+        :raises RapidError: one has: it is not known from where on the force acts.
+        """
+        waiting, names = [statements], set[str]()
+        while waiting:
+            block = waiting.pop()
+            for statement in nested(block):
+                if isinstance(statement, Comment) and FORCE_COMMENT.match(statement.text):
+                    problem = f"it is not known whether this force acts: {reason}"
+                    raise RapidError(problem, statement.start, "Put the comment before the move on which it acts.")
+            names_called = (called(block) & self.routines.keys()) - names
+            names |= names_called
+            waiting += [self.routines[name].body for name in names_called]
+
+    def _foreign(self, name: str, statement: Statement) -> None:
+        """List a call of a routine that is in no module of the file."""
+        start, count = self.done.foreign.get(name or "%", (statement.start, 0))
+        self.done.foreign[name or "%"] = start, count + 1
+
     def moves(self, statements: tuple[Statement, ...]) -> Instruction | None:
-        """Return the first instruction among statements that moves the robot or changes how it moves."""
+        """Return the first instruction among statements that moves the robot or changes how it moves, or that calls
+        a routine which does.
+        """
         for statement in nested(statements):
+            for call in calls(statement):
+                function = self.routines.get(call.value)
+                if function is not None and self._routine_moves(function):
+                    return Instruction(statement.start, statement.stop, function.name, ())
             if not isinstance(statement, Instruction):
                 continue
+            if statement.name in _LATE_CALLS:
+                return statement
             name = statement.name.removeprefix("%")
             routine = self.routines.get(name)
             if routine is None:
@@ -279,7 +343,7 @@ class Execution:
 
     def _statement(self, statement: Statement, scope: Scope, routine: Routine, depth: int) -> None:
         if self.effects.has_functions:
-            self._forget_by_functions(statement, scope)
+            self._functions(statement, scope)
         match statement:
             case Instruction():
                 self._instruction(statement, scope, depth)
@@ -288,35 +352,43 @@ class Execution:
             case Assignment():
                 self._assign(statement, scope)
             case Declaration():
-                self._declare(statement, scope)
+                self._declare(statement, scope, routine)
             case Conditional():
                 self._conditional(statement, scope, routine, depth)
             case Loop():
                 self._loop(statement, scope, routine, depth)
             case Jump():
-                self._jump(statement, routine)
+                self._jump(statement, routine, scope)
 
     def _comment(self, comment: Comment) -> None:
         count = len(self.done.moves)
         self.done.notes.append((comment, count - 1 if comment.trailing and count else count))
 
-    def _jump(self, jump: Jump, routine: Routine) -> None:
+    def _leave(self, routine: Routine, scope: Scope, reason: str) -> NoReturn:
+        """Leave a routine without moves in which it is not known what runs: all that it may change is not known."""
+        self._check_forces(routine.body, reason)
+        self._forget(routine.body, f"{routine.name} may change it, of which it is not known what runs: {reason}", scope)
+        raise _Return
+
+    def _jump(self, jump: Jump, routine: Routine, scope: Scope) -> None:
         if jump.word == "RETURN":
             raise _Return
         if jump.word in ("EXIT", ":"):
             return
         if jump.word == "GOTO" and not self._routine_moves(routine):
-            return
+            self._leave(routine, scope, "GOTO skips statements")
         advice = f"Put the moves of the part into a routine without {jump.word}."
         raise RapidError(f"{jump.word} changes the order of execution", jump.start, advice)
 
-    def _declare(self, declaration: Declaration, scope: Scope) -> None:
+    def _declare(self, declaration: Declaration, scope: Scope, routine: Routine) -> None:
         variable = _declared(declaration)
         if declaration.value is not None:
             try:
                 variable.value, _ = evaluated(declaration.value, scope)
             except UnknownValueError as cause:
                 variable.forget(cause.problem)
+        if declaration.name in self.effects.changed_by_handler(routine):
+            _interrupt_variable(variable, f"the handler of {routine.name}")
         scope.inner[declaration.name] = variable
 
     def _assign(self, statement: Assignment, scope: Scope) -> None:
@@ -329,11 +401,11 @@ class Execution:
                 variable.forget(cause.problem if isinstance(cause, UnknownValueError) else "its place is not known")
 
     def _conditional(self, statement: Conditional, scope: Scope, routine: Routine, depth: int) -> None:
-        for condition, body in statement.branches:
+        for number_of_branch, (condition, body) in enumerate(statement.branches):
             try:
                 is_taken = condition is None or self._holds(statement, condition, scope)
             except UnknownValueError as cause:
-                bodies = tuple(inner for _, block in statement.branches for inner in block)
+                bodies = tuple(inner for _, block in statement.branches[number_of_branch:] for inner in block)
                 self._skip(bodies, cause.problem, scope, routine)
                 return
             if is_taken:
@@ -356,6 +428,8 @@ class Execution:
                 "data a value in the file."
             )
             raise RapidError(problem, moving.start, advice)
+        self._check_forces(statements, reason)
+        self._forget(statements, f"it may be changed where it is not known whether: {reason}", scope)
         for statement in nested(statements):
             if isinstance(statement, Jump) and statement.word not in (*STOPPING, ":"):
                 if statement.word == "RETURN" and routine is self.entry:
@@ -363,36 +437,53 @@ class Execution:
                 if self._routine_moves(routine):
                     problem = f"it is not known whether {statement.word} is executed: {reason}"
                     raise RapidError(problem, statement.start, "Put the moves of the part into a routine without it.")
-        self._forget(statements, f"it may be changed where it is not known whether: {reason}", scope)
+                self._leave(routine, scope, reason)
 
     def _loop(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> None:
         if self.moves(loop.body) is None:
-            self._forget(loop.body, "a loop changes it", scope)
+            self._loop_without_moves(loop, scope, routine, depth)
             return
         first = len(self.done.moves)
         values = self._for(loop, scope, routine, depth) if loop.name else self._while(loop, scope, routine, depth)
         if len(self.done.moves) > first:
             self.done.rounds.setdefault(loop.start, []).append((loop, values))
 
+    def _loop_without_moves(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> None:
+        """Follow a loop without moves while its conditions are known; else what it changes is not known."""
+        reason = "it is too long"
+        try:
+            if loop.name:
+                values = _counted(loop, scope)
+                if len(values) <= _MOST_ROUNDS:
+                    self._rounds(loop, values, scope, routine, depth)
+                    return
+            for _ in range(0 if loop.name else _MOST_ROUNDS):
+                if not truth(loop.bounds[0], scope):
+                    return
+                self._block(loop.body, scope, routine, depth)
+                if self.effects.has_functions:
+                    self._functions(loop, scope)
+        except UnknownValueError as cause:
+            reason = cause.problem
+        self._skip(loop.body, f"the rounds of a loop are not known: {reason}", scope, routine)
+
+    def _rounds(self, loop: Loop, values: list[float], scope: Scope, routine: Routine, depth: int) -> None:
+        """Follow the rounds of FOR."""
+        outer_variable = scope.inner.get(loop.name)
+        for value in values:
+            scope.inner[loop.name] = Variable("NUM", value)
+            self._block(loop.body, scope, routine, depth)
+        scope.inner.pop(loop.name, None)
+        if outer_variable is not None:
+            scope.inner[loop.name] = outer_variable
+
     def _for(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> list[float]:
         try:
-            begin, end, *step = (number(bound, scope) for bound in loop.bounds)
+            values = _counted(loop, scope)
         except UnknownValueError as cause:
             problem = f"the number of rounds of FOR is not known before the program runs: {cause.problem}"
             raise RapidError(problem, loop.start, "Write its bounds as numbers.") from None
-        width = step[0] if step else (1.0 if end >= begin else -1.0)
-        outer_variable = scope.inner.get(loop.name)
-        values: list[float] = []
-        value = begin
-        while width != 0.0 and (end - value) * width >= 0.0:
-            scope.inner[loop.name] = Variable("NUM", value)
-            values.append(value)
-            self._block(loop.body, scope, routine, depth)
-            value += width
-        if outer_variable is None:
-            scope.inner.pop(loop.name, None)
-        else:
-            scope.inner[loop.name] = outer_variable
+        self._rounds(loop, values, scope, routine, depth)
         return values
 
     def _while(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> list[float]:
@@ -410,6 +501,8 @@ class Execution:
                 raise RapidError(problem, loop.start, advice) from None
             rounds.append(float(len(rounds)))
             self._block(loop.body, scope, routine, depth)
+            if self.effects.has_functions:
+                self._functions(loop, scope)
 
     def _endless(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> None:
         """Follow two rounds of a loop that does not end; the second must be the first again."""
@@ -446,7 +539,10 @@ class Execution:
 
     def _instruction(self, statement: Instruction, scope: Scope, depth: int) -> None:
         name = statement.name.removeprefix("%")
-        if statement.name in MOVES:
+        if statement.name in _LATE_CALLS:
+            problem = "the name of the routine that is called here is known at run time only"
+            self._refuse(statement, problem, "Call the routine by its name.")
+        elif statement.name in MOVES:
             try:
                 self.done.moves.append(self._move(statement, MOVES[statement.name], scope))
             except UnknownValueError as cause:
@@ -455,7 +551,7 @@ class Execution:
             self._call(statement, self.routines[name], scope, depth)
         elif name in SETTINGS:
             self._set(statement, scope)
-        elif name in ("INCR", "DECR", "ADD", "CLEAR"):
+        elif name in COUNTING:
             self._count(statement, scope)
         elif MOVING.match(name) and name not in CONSTANT:
             self._refuse(statement, f"{name} moves the robot or changes how it moves, which is not followed", _KEEP)
@@ -465,9 +561,11 @@ class Execution:
             if name not in READING | CONSTANT:
                 for argument in changed_by(statement.arguments):
                     _forget_variable(scope.find(base_name(argument)), f"{name} may change it")
+            else:
+                for argument in results(statement):
+                    _forget_variable(scope.find(base_name(argument)), f"{name} may change it")
             if name not in READING | CONSTANT | WRITING:
-                start, count = self.done.foreign.get(name or "%", (statement.start, 0))
-                self.done.foreign[name or "%"] = start, count + 1
+                self._foreign(name, statement)
 
     def _refuse(self, statement: Statement, problem: str, advice: str) -> None:
         self.done.errors.append(RapidError(problem, statement.start, advice))
@@ -516,15 +614,21 @@ class Execution:
     def _call(self, statement: Instruction, routine: Routine, scope: Scope, depth: int) -> None:
         inner = Scope(self.data)
         bound = list(bound_arguments(routine, statement.arguments, scope))
+        handler_names = self.effects.changed_by_handler(routine)
         for parameter, expression, is_given in bound:
             variable = Variable(parameter.type, None, f"the call of {routine.name} does not give it")
             if parameter.changeable and _is_plain(expression, scope):  # the routine has the data itself
                 variable = scope.variable(expression.value)
+            elif parameter.changeable and expression is not None and self._is_shared(routine, parameter, bound):
+                variable.why = f"{routine.name} may change it"
+                _forget_variable(scope.find(base_name(expression)), variable.why)
             elif expression is not None:
                 try:
                     variable.value, _ = evaluated(expression, scope)
                 except UnknownValueError as cause:
                     variable.why = cause.problem
+            if parameter.name in handler_names:
+                _interrupt_variable(variable, f"the handler of {routine.name}")
             inner.inner[parameter.name] = variable
             inner.presence[parameter.name] = is_given
         if self._routine_moves(routine):
@@ -533,6 +637,18 @@ class Execution:
         for parameter, expression, _ in bound:
             if parameter.changeable and expression is not None and not _is_plain(expression, scope):
                 _forget_variable(scope.find(base_name(expression)), f"{routine.name} may change it")
+
+    def _is_shared(
+        self,
+        routine: Routine,
+        parameter: Parameter,
+        bound: list[tuple[Parameter, Expression | None, bool | None]],
+    ) -> bool:
+        """Return whether a routine may change an element of data that a parameter refers to, by any name."""
+        names = [base_name(expression) for _, expression, _ in bound if expression is not None]
+        base = next(base_name(e) for item, e, _ in bound if item is parameter and e is not None)
+        changed_names = {*self.effects.changed(routine.body), *self.effects.changed_data_of(routine.name)}
+        return parameter.name in changed_names or base in changed_names or names.count(base) > 1
 
     # --- motions
 
@@ -643,6 +759,44 @@ def _check_names(modules: tuple[Module, ...]) -> None:
                 raise RapidError(
                     problem, item.start, "Give one of them another name, or convert each module by itself."
                 )
+
+
+def _check_functions(routines: dict[str, Routine]) -> None:
+    """Check that no routine has the name of a function of RAPID, or of an instruction that is followed.
+
+    :raises RapidError: one has; then its name means another thing here than on other controllers.
+    """
+    for routine in routines.values():
+        if routine.name in MOVES or routine.name in SETTINGS or routine.name in (*FOLLOWED_FUNCTIONS, *COUNTING):
+            problem = f"{routine.kind} {routine.name} has the name of an instruction or function of RAPID"
+            raise RapidError(problem, routine.start, "Give it another name.")
+
+
+def _interrupt_variable(variable: Variable | None, name: str) -> None:
+    """Make data unknown for good, which a trap or handler may change at any time."""
+    if variable is not None and not _is_constant(variable):
+        variable.forget(f"{name} may change it")
+        variable.interrupt = name
+
+
+def _counted(loop: Loop, scope: Scope) -> list[float]:
+    """Return the values of the variable of FOR.
+
+    :raises UnknownValueError: they are not known, or their number depends on rounding.
+    """
+    begin, end, *steps = (number(bound, scope) for bound in loop.bounds)
+    step = steps[0] if steps else (1.0 if end >= begin else -1.0)
+    if step == 0.0 or (end - begin) * step < 0.0:
+        return []
+    count = (end - begin) / step
+    if count > _MOST_STATEMENTS:
+        raise UnknownValueError("there are too many")
+    if abs(count - round(count)) < _ROUNDING * max(count, 1.0) and not (begin.is_integer() and step.is_integer()):
+        raise UnknownValueError("whether there is a last round depends on the rounding of the controller")
+    values = [begin]
+    while (end - values[-1] - step) * step >= 0.0:
+        values.append(values[-1] + step)
+    return values
 
 
 def _forget_variable(variable: Variable | None, reason: str) -> None:

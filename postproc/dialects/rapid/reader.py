@@ -379,7 +379,9 @@ class _Reader:
         del line
         execution = whole.executed
         for name, (start, count) in execution.foreign.items():
-            message = f"{name} is an unknown procedure: it is assumed neither to move the robot nor to change its data."
+            message = (
+                f"{name} is in no module of this file: it is assumed neither to move the robot nor to change its data."
+            )
             at = int(self._lines(whole, np.array([start]))[0])
             yield Issue("warning", "external-call", message, at, subject=name.upper(), count=count)
         yield from self._from_cell_issues(execution)

@@ -90,6 +90,8 @@ _ZONES = {0: 0.3, 1: 1, 5: 5, 10: 10, 15: 15, 20: 20, 30: 30, 40: 40, 50: 50, 60
 _ZONES[200] = 200
 NONE = 8.9e9
 """External axes from here on are not connected (9E9)."""
+_ROUNDING = 1e-5
+"""What numbers calculated in single precision may differ from those here, in proportion."""
 UNIT = [1.0, 0.0, 0.0, 0.0]
 _NO_LOAD = [0.001, [0.0, 0.0, 0.001], UNIT, 0.0, 0.0, 0.0]
 _ORIGIN = [[0.0, 0.0, 0.0], UNIT]
@@ -301,6 +303,8 @@ def _operation(expression: Expression, scope: Scope) -> tuple[Value, str]:
     if word in _COMPARISONS:
         if type(left) is not type(right) or (isinstance(left, list) and word not in ("=", "<>")):
             raise UnknownValueError("values of different types are compared")
+        if isinstance(left, float) and not _is_decided(left, right):
+            raise UnknownValueError("whether the numbers are equal depends on the rounding of the controller")
         return _COMPARISONS[word](left, right), "BOOL"
     if isinstance(left, str) and isinstance(right, str) and word == "+":
         return left + right, "STRING"
@@ -308,6 +312,13 @@ def _operation(expression: Expression, scope: Scope) -> tuple[Value, str]:
         return _calculated(word, left, right), type_ or right_type
     except (ZeroDivisionError, OverflowError, ValueError):
         raise UnknownValueError("the expression cannot be calculated") from None
+
+
+def _is_decided(left: float, right: float) -> bool:
+    """Return whether numbers compare as on the controller, which calculates in single precision."""
+    if abs(left - right) > _ROUNDING * max(abs(left), abs(right)):
+        return True
+    return left == right == float(np.float32(left))
 
 
 def _calculated(word: str, left: Value, right: Value) -> Value:
@@ -418,6 +429,8 @@ _FUNCTIONS: dict[str, Callable[[list[Value], dict[str, float]], tuple[Value, str
     "ATAN": _plain(lambda a: math.degrees(math.atan(a))),
     "ATAN2": _plain(lambda a, b: math.degrees(math.atan2(a, b))),
 }
+FOLLOWED_FUNCTIONS = frozenset({*_FUNCTIONS, "PRESENT"})
+"""Functions of RAPID whose values are known here."""
 _EVALUATORS: dict[str, Callable[[Expression, Scope], tuple[Value, str]]] = {
     "number": _literal,
     "bool": _literal,
