@@ -2,6 +2,7 @@
 
 from postproc.files.locking import locked
 from postproc.files.reading import (
+    check_sizes,
     convert,
     parse_csv,
     read_bytes,
@@ -35,6 +36,7 @@ from postproc.files.writing import (
 __all__ = [
     "FileEntry",
     "Staged",
+    "check_sizes",
     "convert",
     "discard",
     "foreign",

@@ -304,6 +304,27 @@ def parse_csv(
     return numeric, texts, np.array(lines, dtype=float), wrong
 
 
+def check_sizes(
+    path: Path, numbers: dict[str, Array], lines: Array, largest: Sequence[tuple[str, float, str]], error: type[Error]
+) -> None:
+    """Refuse numbers of a CSV file that are too large; all errors are raised together.
+
+    :param numbers: columns by name, `lines` their lines, as `read_csv` returns them.
+    :param largest: name of a column, largest size of its cells, and their unit with a blank before.
+    """
+    wrong = [
+        error(
+            f"column {name} is {numbers[name][row]:g}: expected {-limit:g} to {limit:g}{unit}",
+            file=str(path),
+            line=int(lines[row]),
+        )
+        for name, limit, unit in largest
+        for row in np.flatnonzero(np.abs(numbers[name]) > limit)
+    ]
+    if wrong:
+        raise together(wrong)
+
+
 _COMMAS = "Separate the columns by commas, and write numbers with a decimal point (as English Excel saves CSV)."
 
 

@@ -24,6 +24,8 @@ from postproc.program import Ints
 P1 = "P1"
 _KEYS = ("L_mm", "a_x_mm", "a_y_mm")
 _COLUMNS = ("q2", "marker", "repeat", "X", "Y", "Z")
+_LARGEST = (("q2", 3600.0, " deg"), ("repeat", 1e9, ""), *((axis, 1e6, " mm") for axis in "XYZ"))
+"""Largest size of a cell of each column: beyond it no angle and no measuring device is."""
 _OUTLIER = 6.0
 _SMALL_TURN = 10.0 * RAD_PER_DEG
 _Groups = dict[tuple[str, float], Ints]
@@ -401,6 +403,7 @@ def read(path: Path) -> MarkerReadings:
     :raises MeasurementError: a marker is missing at an angle, too few angles or markers, angles in radians.
     """
     numbers, texts, lines = files.read_csv(path, _COLUMNS, (), MeasurementError, ("marker",))
+    files.check_sizes(path, numbers, lines, _LARGEST, MeasurementError)
     file_name = str(path)
     angles = np.unique(numbers["q2"])[::-1]
     names = sorted(set(texts["marker"]))

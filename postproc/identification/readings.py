@@ -339,7 +339,7 @@ def read(path: Path, experiment: Experiment, loads: bool = True) -> Measurements
     numbers, texts, lines = _with_reading(numbers, texts, lines, file_name)
     if len(lines) == 0:
         raise MeasurementError("no readings", file=file_name, advice="Fill in X, Y and Z.")
-    _check_ranges(numbers, lines, file_name)
+    files.check_sizes(path, numbers, lines, _LARGEST, MeasurementError)
     if experiment.readings == "displacements":
         numbers, texts, lines = _with_unloaded(numbers, texts, lines, file_name)
     names = tuple(experiment.points)
@@ -444,20 +444,6 @@ def _with_unloaded(
         {"point": [*texts["point"], *(texts["point"][row] for row in first)]},
         np.concatenate([lines, lines[first]]),
     )
-
-
-def _check_ranges(numbers: dict[str, Array], lines: Array, file_name: str) -> None:
-    wrong = [
-        MeasurementError(
-            f"column {name} is {numbers[name][row]:g}: expected {-largest:g} to {largest:g}{unit}",
-            file=file_name,
-            line=int(lines[row]),
-        )
-        for name, largest, unit in _LARGEST
-        for row in np.flatnonzero(np.abs(numbers[name]) > largest)
-    ]
-    if wrong:
-        raise together(wrong)
 
 
 def _check_same(

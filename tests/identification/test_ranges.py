@@ -48,6 +48,15 @@ def test_a_cell_out_of_range_is_named_with_its_line_and_column(tmp_path, name):
     assert caught.value.further_errors == ()
 
 
+@pytest.mark.parametrize("name", ["q2", "repeat", "X", "Y", "Z"])
+def test_a_cell_out_of_range_of_the_markers_is_named_with_its_line_and_column(tmp_path, name):
+    header, first, *rest = block("compensator.csv", "csv").splitlines()
+    cells = dict(zip(header.split(","), first.split(","), strict=True)) | {name: "1e308"}
+    (tmp_path / "compensator.csv").write_text("\n".join([header, ",".join(cells.values()), *rest]))
+    with pytest.raises(MeasurementError, match=rf"csv:2: column {name} is 1e\+308: expected -\S+ to \d"):
+        compensator_geometry.read(tmp_path / "compensator.csv")
+
+
 @pytest.mark.parametrize(
     ("values", "message"),
     [
