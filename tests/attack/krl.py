@@ -204,25 +204,33 @@ def in_order(program, wanted):
     return pose, m.joints[motion[order]], kinds
 
 
+def files_of(seed, rng):
+    """The random program of a seed: name → text."""
+    keep, harder = seed >= KEPT, seed >= MIXED and seed % MIXED >= HARDER
+    states = reads_states(seed)
+    if states and seed % STATES >= SNIPPETS:
+        return Snippets(rng, keep=keep).programs()
+    kind = States if states else Generator
+    return kind(rng, more=seed >= MORE, mixed=seed >= MIXED, keep=keep, harder=harder).programs()
+
+
+def reads_states(seed):
+    """Whether the program of a seed reads what it sets, see `STATES`."""
+    return seed >= MIXED and seed // STATES % 2 == 1
+
+
 def attempt(seed, folder):
     """One program: ``"refused"``, ``"invalid"`` (the controller stops), or ``"accepted"``.
 
     :raises Wrong: the package is wrong.
     """
-    rng = np.random.default_rng(seed)
-    keep = seed >= KEPT
-    harder = seed >= MIXED and seed % MIXED >= HARDER
-    states = seed >= MIXED and seed // STATES % 2 == 1
-    if states and seed % STATES >= SNIPPETS:
-        files = Snippets(rng, keep=keep).programs()
-    else:
-        kind = States if states else Generator
-        files = kind(rng, more=seed >= MORE, mixed=seed >= MIXED, keep=keep, harder=harder).programs()
+    rng, keep = np.random.default_rng(seed), seed >= KEPT
+    files = files_of(seed, rng)
     try:
         program = read(files, folder, keep=keep)
     except PostprocError:
         return "refused"
-    lines = int(rng.integers(8, 60)) if states and rng.random() < 0.4 else 0
+    lines = int(rng.integers(8, 60)) if reads_states(seed) and rng.random() < 0.4 else 0
     return confirmed(program, files, folder, rng, keep=keep, checked=seed % _CHECKED[seed >= MORE] == 0, lines=lines)
 
 

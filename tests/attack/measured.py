@@ -1,13 +1,16 @@
 """How many faults of the reader of KRL the random programs find.
 
-    python -m tests.attack.measured [--faults 40] [--programs 2000] [--seed 0]
+    python -m tests.attack.measured [--faults 40] [--programs 600] [--seed 0]
 
-Faults are planted into the modules that follow a program, one at a time, as mutation runs plant them. The random
-programs of `tests.attack.krl`, of all kinds, are then tried until one of them shows the fault; only those that execute
-the statement of the fault, which a first run without faults notes. A fault is *wrong* where a program is read or
-written as the controller does not execute it, or ends in an internal error; it is *seen* where programs are refused
-that were accepted, or the other way round. A fault that no program shows is *not found*, and *not executed* where no
-program gets to its statement.
+Faults are planted into the modules that follow a program, one at a time, as mutation runs plant them, and random
+programs of all kinds are read (`tests.attack.krl`). A program that is read otherwise than without the fault is tried
+against the controller, until one shows it. A fault is
+
+- *wrong*: a program is read or written as the controller does not execute it, or ends in an internal error;
+- *seen*: programs are refused that were accepted, or the other way round;
+- *a message*: a refusal has another text, and no program differs otherwise;
+- *not found*: the programs that differ, if any, are read and written as the controller executes them;
+- *not executed*: no program gets to the statement.
 
 Modules that word messages, look for files, limit the cost, or report what the next run does are left out, and so is
 what `tests.attack.krl` does not compare: circles, orientation control, and the poses at which branches meet.
@@ -16,18 +19,28 @@ what `tests.attack.krl` does not compare: circles, orientation control, and the 
 from __future__ import annotations
 
 import argparse
+import gc
+import hashlib
 import itertools
-import json
-import os
-import shutil
-import subprocess
+import multiprocessing
+import pickle
+import resource
+import signal
 import sys
 import tempfile
+import types
 from collections import Counter, defaultdict
 from pathlib import Path
+from typing import NamedTuple
+from unittest.mock import patch
 
 import numpy as np
 
+from postproc.dialects.krl.read import flow
+from postproc.errors import PostprocError
+from tests.attack import krl
+from tests.attack.krl_interpreter import MOST_STEPS
+from tests.mutation.mutants import compiles, mutants_of
 from tests.places import ROOT
 
 READER = ROOT / "postproc" / "dialects" / "krl" / "read"
@@ -41,8 +54,21 @@ KINDS = (
     *(387_500_000, 175_000_000, 187_600_000, 325_000_000, 137_700_000, 375_000_000),
 )
 """First seeds of the kinds of programs, see `tests.attack.krl`: every other one is of few statements."""
-SEEN = 10
-"""After so many programs with another outcome a fault is seen."""
+SEEN, MOST = 10, 60
+"""A fault is seen after so many programs with another outcome; after so many that differ no more are tried."""
+SECONDS, MEMORY = 30.0, 6 << 30
+"""A reading that takes more processor time, or more bytes, does not end."""
+
+
+class Reading(NamedTuple):
+    """What a program is read as: a digest of all that is kept of it; of a refused one, its message."""
+
+    digest: str
+    message: str
+
+
+class Endless(BaseException):
+    """A program was not read within `SECONDS`."""
 
 
 def seed_of(number):
@@ -50,22 +76,24 @@ def seed_of(number):
     return KINDS[number % len(KINDS)] + 20_000 + number // len(KINDS)
 
 
-def _attack():
-    """Return what tries a program, without the grammar, which sees no fault of the reader; and its exception."""
-    from tests.attack import krl  # the fault may be in what this imports
+def reading(seed):
+    """`Reading` of the program of a seed; an internal error is a message too."""
+    files = krl.files_of(seed, np.random.default_rng(seed))
+    limits = patch.multiple(flow, _MOST_TRACED=MOST_STEPS, _MOST_STATEMENTS=MOST_STEPS)
+    with limits, tempfile.TemporaryDirectory(dir=krl._MEMORY) as name:
+        try:
+            program = krl.read(files, Path(name), keep=seed >= krl.KEPT)
+        except PostprocError as error:
+            return Reading("refused", str(error).replace(name, ""))
+        except Exception as error:
+            return Reading("error", repr(error))
+    return Reading(hashlib.sha256(pickle.dumps(program).replace(name.encode(), b"")).hexdigest(), "")
 
-    krl._CHECKED = (2**62, 2**62)
-    return krl.attack, krl.Wrong
 
-
-def outcomes(programs):
-    """What each program comes to without a fault, and which programs execute each line of the reader.
-
-    :returns: outcomes; ``"module:line"`` → numbers of programs.
-    """
-    attack, Wrong = _attack()
-    lines, names = set(), {str(READER / f"{name}.py"): name for name in MODULES}
-    executed = defaultdict(list)
+def executed_lines(seeds):
+    """``"module:line"`` of the reader → numbers of the programs that execute it."""
+    names = {str(READER / f"{name}.py"): name for name in MODULES}
+    executed, lines = defaultdict(list), set()
 
     def entered(frame, event, _):
         name = names.get(frame.f_code.co_filename)
@@ -78,69 +106,118 @@ def outcomes(programs):
 
         return line_reached
 
-    results = []
-    for number in range(programs):
+    for number, seed in enumerate(seeds):
         lines.clear()
         sys.settrace(entered)
         try:
-            results.append(attack(seed_of(number)))
-        except Wrong:
-            results.append("wrong")
+            reading(seed)
         finally:
             sys.settrace(None)
         for name, line in lines:
             executed[f"{name}:{line}"].append(number)
-    return results, executed
+    return executed
 
 
-def first_difference(numbers, usual):
-    """Return outcome and number of the program that shows a fault; ``"not found"`` if none does.
+def outcome_of(seed):
+    """What `tests.attack.krl` says of a program; the reason where it is wrong."""
+    try:
+        return krl.attack(seed), ""
+    except krl.Wrong as cause:
+        return "wrong", str(cause)
+
+
+def plant(mutant):
+    """Replace the code of the functions of a module, wherever they are used, by that of the file with a fault.
+
+    :raises ValueError: a function would use other variables of the functions around it.
+    """
+    path = ROOT / mutant.file
+    faulty = compile(mutant.text(path.read_bytes()), str(path), "exec", dont_inherit=True)
+    codes, waiting = {}, [faulty]
+    while waiting:
+        code = waiting.pop()
+        codes[code.co_qualname, code.co_firstlineno] = code
+        waiting += [inner for inner in code.co_consts if isinstance(inner, types.CodeType)]
+    objects = gc.get_objects()
+    for function in objects:
+        if isinstance(function, types.FunctionType) and function.__code__.co_filename == str(path):
+            place = function.__code__.co_qualname, function.__code__.co_firstlineno
+            function.__code__ = codes.get(place, function.__code__)
+    for cached in objects:
+        if type(cached).__name__ == "_lru_cache_wrapper":
+            cached.cache_clear()
+
+
+def judged(mutant, numbers, usual):
+    """Outcome of a fault, number of a program that shows it (-1: none), how many are read otherwise, and why.
 
     :param numbers: of the programs that execute its statement.
-    :param usual: outcomes without a fault.
+    :param usual: `Reading` and outcome of each program without a fault.
     """
-    attack, Wrong = _attack()
-    seen = []
+    plant(mutant)
+    different, worded, seen = 0, -1, []
     for number in numbers:
-        if usual[number] == "wrong":
-            continue
+        seed = seed_of(number)
+        signal.setitimer(signal.ITIMER_VIRTUAL, SECONDS)
         try:
-            outcome = attack(seed_of(number))
-        except Wrong as cause:
-            print(str(cause)[:300], file=sys.stderr)
-            return "wrong", number
-        if outcome != usual[number]:
+            text = reading(seed)
+            if text == usual[number][0] or usual[number][1] == "wrong":
+                continue
+            if text.digest == usual[number][0].digest == "refused":
+                worded = number
+                continue
+            different += 1
+            outcome, reason = outcome_of(seed)
+        except (Endless, MemoryError) as error:
+            return "wrong", number, different, repr(error)
+        finally:
+            signal.setitimer(signal.ITIMER_VIRTUAL, 0)
+        if outcome == "wrong":
+            return "wrong", number, different, reason
+        if outcome != usual[number][1]:
             seen.append(number)
-        if len(seen) == SEEN:
+        if len(seen) == SEEN or different == MOST:
             break
-    return ("seen", seen[0]) if seen else ("not found", -1)
+    if seen:
+        return "seen", seen[0], different, ""
+    if worded >= 0 and not different:
+        return "a message", worded, 0, ""
+    return "not found", -1, different, ""
 
 
-def run(root, numbers, usual):
-    """Return `first_difference` with the package in a folder; a run that does not end normally is wrong."""
-    environment = os.environ | {"PYTHONPATH": str(root), "OMP_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
-    command = [sys.executable, "-m", "tests.attack.measured", "--tried"]
-    limit = 120 + len(numbers)  # a fault may make a loop that does not end
+def _judge(connection, *arguments):
+    """Send what `judged` returns; to be run in a process of its own, since the fault stays planted."""
+
+    def ended(*_):
+        raise Endless
+
+    signal.signal(signal.SIGVTALRM, ended)
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     try:
-        done = subprocess.run(
-            command,
-            cwd=root,
-            env=environment,
-            input=json.dumps([numbers, usual]),
-            capture_output=True,
-            text=True,
-            timeout=limit,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        return "wrong", -1
-    return tuple(json.loads(done.stdout)) if done.returncode == 0 else ("wrong", -1)
+        connection.send(judged(*arguments))
+    except ValueError as error:
+        connection.send(("not planted", -1, 0, str(error)))
+    except RecursionError as error:
+        connection.send(("wrong", -1, 0, repr(error)))
+
+
+def run(mutant, numbers, usual):
+    """Return `judged` of a fault, from a copy of this process."""
+    context = multiprocessing.get_context("fork")
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=_judge, args=(sender, mutant, numbers, usual))
+    process.start()
+    sender.close()
+    try:
+        return receiver.recv()
+    except EOFError:
+        return "wrong", -1, 0, "the process ended"
+    finally:
+        process.join()
 
 
 def planted(seed, faults):
     """Faults drawn from those that can be planted."""
-    from tests.mutation.mutants import compiles, mutants_of
-
     every = [mutant for name in MODULES for mutant in mutants_of(READER / f"{name}.py", ROOT)]
     every = [mutant for mutant in every if mutant.in_function]
     chosen = (every[index] for index in np.random.default_rng(seed).permutation(len(every)))
@@ -158,31 +235,26 @@ def programs_of(mutant, executed):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--faults", type=int, default=40)
-    parser.add_argument("--programs", type=int, default=2000)
+    parser.add_argument("--programs", type=int, default=600)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--tried", action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument("--reasons", action="store_true", help="print why a program is wrong, with its files")
     arguments = parser.parse_args()
-    if arguments.tried:
-        print(json.dumps(first_difference(*json.load(sys.stdin))))
-        return
-    usual, executed = outcomes(arguments.programs)
-    print(f"{arguments.programs} programs: " + ", ".join(f"{n} {what}" for what, n in Counter(usual).most_common()))
+    krl._CHECKED = (2**62, 2**62)  # the grammar sees no fault of the reader
+    seeds = [seed_of(number) for number in range(arguments.programs)]
+    usual = [(reading(seed), outcome_of(seed)[0]) for seed in seeds]
+    executed = executed_lines(seeds)
+    outcomes = Counter(outcome for _, outcome in usual)
+    print(f"{len(seeds)} programs: " + ", ".join(f"{n} {outcome}" for outcome, n in outcomes.most_common()), flush=True)
     counts = Counter()
-    with tempfile.TemporaryDirectory() as name:
-        root = Path(name)
-        for folder in ("postproc", "tests", "robot_models"):
-            shutil.copytree(ROOT / folder, root / folder, ignore=shutil.ignore_patterns("__pycache__"))
-        for mutant in planted(arguments.seed, arguments.faults):
-            path = root / mutant.file
-            source = path.read_bytes()
-            path.write_bytes(mutant.text(source))
-            numbers = programs_of(mutant, executed)
-            outcome, number = run(root, numbers, usual) if numbers else ("not executed", -1)
-            path.write_bytes(source)
-            counts[outcome] += 1
-            print(f"{outcome:12} {number:5} of {len(numbers):4} {mutant.file}:{mutant.line} {mutant.kind}: "
-                  f"{mutant.before} → {mutant.after}", flush=True)  # fmt: skip
-    print(f"{counts.total()} faults: " + ", ".join(f"{n} {what}" for what, n in counts.items()))
+    for mutant in planted(arguments.seed, arguments.faults):
+        numbers = programs_of(mutant, executed)
+        outcome, number, different, reason = run(mutant, numbers, usual) if numbers else ("not executed", -1, 0, "")
+        counts[outcome] += 1
+        print(f"{outcome:12} {number:4} of {len(numbers):4}, {different:2} differ: {mutant.file}:{mutant.line} "
+              f"{mutant.kind}: {mutant.before} → {mutant.after}", flush=True)  # fmt: skip
+        if arguments.reasons and reason:
+            print(reason)
+    print(f"{counts.total()} faults: " + ", ".join(f"{n} {outcome}" for outcome, n in counts.items()))
 
 
 if __name__ == "__main__":
