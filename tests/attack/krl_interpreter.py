@@ -11,7 +11,7 @@ from __future__ import annotations
 import copy
 import re
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
@@ -623,6 +623,8 @@ class Controller:
             self.outside = self.base, self.tool, self.speed, self.cdis
             self.with_settings(line)
         elif word == "ENDSPLINE":
+            if "C_SPL" in line.upper():
+                self.motions[-1] = replace(self.motions[-1], cdis=self.cdis)
             self.base, self.tool, self.speed, self.cdis = self.outside
         elif word == "SYNCCMD":
             self.synchronised += 1
@@ -904,9 +906,11 @@ class Controller:
             return not self.comparison(reader)
         value = self.bits(reader)
         if reader.peek() in ("==", "<>", "<", ">", "<=", ">="):
-            sign, other = reader.take(), None
+            sign, negated = reader.take(), reader.peek() == "NOT"
+            if negated:
+                reader.take()  # NOT ranks before comparisons
             other = self.bits(reader)
-            value = compared(sign, value, other)
+            value = compared(sign, value, not other if negated else other)
         return value
 
     def bits(self, reader, level=0):

@@ -55,6 +55,10 @@ GIVEN = {"GIVENN": 2, "GIVENR": 0.375, "GIVENB": True, "GIVENX": 2.6, "$IN[5]": 
 """What `[krl.values]` of the cell gives."""
 
 
+LONGEST_NAME = 24
+"""Characters of a name at most (KUKA, Expert Programming: names)."""
+
+
 class Snippets(Generator):
     """Writes one program of this kind, and the files that it calls."""
 
@@ -66,7 +70,8 @@ class Snippets(Generator):
 
     def new(self, stem):
         self.count += 1
-        return f"{stem}{self.count}"
+        name = f"{stem}{self.count}"
+        return name.ljust(LONGEST_NAME, "X") if self.maybe(0.04) else name
 
     def variable(self, kind, value=None):
         """Declare a variable with a value in the data list."""
@@ -174,6 +179,8 @@ class Snippets(Generator):
             f"(NOT {p})",
             f"(({a} B_AND 1)==1)",
             f"({p}=={q})",
+            f"({self.one('SX.B', 'GIVENB')}{self.one('==', '<>')}NOT {q})",
+            f"({p} EXOR {q})",
             f"({p} {logic} {q} {self.one('AND', 'OR', 'EXOR')} {self.value_bool(2)})",
             "($ORI_TYPE==#VAR)",
         )
@@ -403,7 +410,11 @@ class Snippets(Generator):
         value = {"INT": counter, "REAL": f"{counter}*0.25"}.get(kind, self.value(kind))
         moves = self.one([], [], [f"LIN {self.literal('E6POS')}"])
         back = [f"IF {counter}<{self.one('1', '2', '3')} THEN", f"GOTO {label}", "ENDIF"]
-        return [f"{label}:", f"{counter}={counter}+1", *moves, f"{name}={value}", *back]
+        rounds = [f"{label}:", f"{counter}={counter}+1", *moves, f"{name}={value}", *back]
+        if self.maybe(0.7):
+            return rounds
+        outer = self.variable("INT")
+        return [f"FOR {outer}=1 TO 2", f"{counter}=0", *rounds, "ENDFOR"]
 
     def by_leaving(self, kind, name, depth):
         """A loop that a GOTO leaves."""
@@ -462,7 +473,17 @@ class Snippets(Generator):
         routine, inner = self.new("SUB"), self.new("SUB")
         target = self.one("$IN[1]", "$IN[I]", "$FLAG[3]")
         on = f"INTERRUPT ON {number}"
-        choice = int(self.rng.integers(29))
+        choice = int(self.rng.integers(32))
+        if choice == 29:
+            label = self.new("L")
+            return [f"{label}:", write, f"IF {target} THEN", f"GOTO {label}", "ENDIF"]
+        if choice == 30 and kind in ("E6POS", "FRAME"):
+            part = self.variable(kind, self.one("{X 1,Y 2,Z 3}", "{X 4.5,B 20}"))
+            return [f"{part}={self.one('{X 5}', '{X 5,Y 6}')}", f"{name}={part}"]
+        if choice == 31:
+            self.routines.append([f"DEF {routine}()", write, f"IF {target} THEN", f"{inner}()", "ENDIF", "END"])
+            self.routines.append([f"DEF {inner}()", f"{name}={self.literal(kind)}", "END"])
+            return [f"{routine}()"]
         if choice == 27:
             self.routines.append([f"DEFFCT BOOL {routine}()", write, "RETURN (FALSE)", "ENDFCT"])
             return [f"INTERRUPT DECL {number} WHEN {routine}() DO $OUT[2]=TRUE", on]
@@ -626,6 +647,8 @@ class Snippets(Generator):
             return self.one(
                 [f"IF {name} THEN", end, "ELSE", there, "ENDIF"],
                 [f"IF NOT {name} THEN", end, "ENDIF"],
+                [f"IF {name} EXOR {self.one('SX.B', 'TRUE', 'NOT GIVENB')} THEN", end, "ENDIF"],
+                [f"IF SX.B==NOT {name} THEN", end, "ENDIF"],
                 [f"IF {name} AND (I>0) THEN", f"{point}=XB", "ENDIF", f"LIN {point}"],
                 [f"IF {name} OR GIVENB THEN", end, "ENDIF"],
                 [f"WHILE {name} AND ({counter}<3)", f"LIN P[{counter}]", f"{counter}={counter}+1", "ENDWHILE"],
@@ -667,6 +690,8 @@ class Snippets(Generator):
     def setting(self):
         """Statements that set frames, speed or approximation, and a motion under them."""
         end = [f"LIN {self.literal('E6POS')} C_DIS"]
+        if self.maybe(0.06):
+            end = ["LIN {X 1,Y 2,Z $BASE.Z,A $BASE.A,B $BASE.B,C 5}"]
         real, data, frames = self.value("REAL"), self.one("LA", "LB"), self.one("FA", "FB")
         number = self.one("1", "2", "3", "I", "J")
         chosen = self.one(
@@ -693,6 +718,7 @@ class Snippets(Generator):
             [f"$APO=SAPO({data})"],
             ["$ORI_TYPE=#VAR"],
             ["$IPO_MODE=#BASE"],
+            [f"$BASE={{X 1000,Y 50,Z 500,A 10,B {self.one('120', '-95.5')},C 20}}"],
         )
         inline = self.one(
             f"$VEL=SVEL_CP({self.literal('REAL')},,{data}), $TOOL=STOOL2({frames}), "
@@ -718,7 +744,8 @@ class Snippets(Generator):
             kept,
             kept,
             [f"SLIN {self.literal('E6POS')} WITH {inline}"],
-            [f"SPLINE WITH {inline}", f"SLIN {self.literal('E6POS')}", "ENDSPLINE"],
+            [f"SPLINE WITH {inline}", f"SLIN {self.literal('E6POS')}", self.one("ENDSPLINE", "ENDSPLINE C_SPL")],
+            ["SPLINE", f"SLIN {self.literal('E6POS')}", self.one("ENDSPLINE", "ENDSPLINE C_SPL")],
         )
         if doubtful and first == chosen:
             first = []
@@ -729,7 +756,11 @@ class Snippets(Generator):
         self.routines.append([f"DEF {routine}()", *chosen, "END"])
         target = self.one("$IN[1]", "$IN[2]")
         frame = self.one("$BASE", "$TOOL")
+        function, block = self.new("FN"), [f"SLIN {self.literal('E6POS')}", "ENDSPLINE"]
+        self.routines.append([f"DEFFCT REAL {function}()", *chosen, "RETURN (5.5)", "ENDFCT"])
         return self.one(
+            ["SPLINE", f"SLIN {{X {function}(),Y 1,Z 2,A 3,B 4,C 5}}", *block],
+            [f"IF {target} THEN", "$VEL.ORI1=150", "ENDIF"],
             [f"IF {target} THEN", *chosen, "ENDIF"],
             [f"IF {target} THEN", f"{routine}()", "ENDIF"],
             [f"INTERRUPT DECL {number} WHEN {target} DO {routine}()", f"INTERRUPT ON {number}"],
@@ -821,7 +852,7 @@ class Snippets(Generator):
             ["J=GONE()", "LIN P[J]", there, "J=2"],
             ["WHILE $IN[3]", f"{routine}()", "ENDWHILE", there],
             ["LIN_REL {X 5}", there],
-            ["LIN $POS_ACT:{X 1,Y 2,Z 5,A 0,B 0,C 0}", "LIN {Z 5}", there],
+            ["LIN $POS_ACT:{X 1,Y 2,Z 5,A 0,B 0,C 0}", "LIN {Z 5}", *self.one([], ["LIN {X 3.5}", "LIN {Y 4}"]), there],
             *self.kept_functions(there),
             *self.kept_routines(there),
         )
@@ -870,6 +901,9 @@ class Snippets(Generator):
 
     def snippet(self):
         choice = self.rng.random()
+        if choice < 0.02:
+            synchronised = self.one("PROGSYNC", "PROGSYNC", "MOTIONSYNC")
+            return [f'SYNCCMD(#{synchronised},"A",3)', f"LIN {self.literal('E6POS')}"]
         if choice < 0.22:
             return self.setting()
         if choice < 0.27:
