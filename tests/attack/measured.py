@@ -56,7 +56,7 @@ KINDS = (
 """First seeds of the kinds of programs, see `tests.attack.krl`: every other one is of few statements."""
 SEEN, MOST = 10, 60
 """A fault is seen after so many programs with another outcome; after so many that differ no more are tried."""
-SECONDS, MEMORY = 30.0, 6 << 30
+SECONDS, MEMORY = 5.0, 6 << 30
 """A reading that takes more processor time, or more bytes, does not end."""
 
 
