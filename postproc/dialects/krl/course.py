@@ -92,14 +92,27 @@ class Body(Struct, eq=False):
     parts: list[Repeated | Called] = []
 
 
+class PlainBody(Struct, frozen=True, eq=False):
+    """Statements, by their lines in the file, of a FOR that moves, sets speeds and distances, and switches outputs.
+
+    :ivar motions: motions to points of arrays.
+    :ivar settings: ``$VEL.CP=V[I]``, ``$APO.CDIS=D[I+1]``.
+    :ivar triggers: TRIGGER that switches an output.
+    """
+
+    motions: tuple[int, ...]
+    settings: tuple[int, ...]
+    triggers: tuple[int, ...]
+
+
 class PlainRounds(Struct, frozen=True, eq=False):
-    """The rounds of a FOR whose body does nothing but move: they differ in the number of the counter only.
+    """The rounds of a FOR with a plain body: they differ in the number of the counter only.
 
     :ivar begin: number of the counter in the first round; `step` what each round adds.
     :ivar first: line of the trace on which the first round begins, with the assignment to the counter.
     :ivar count: number of rounds; `length` lines of each.
     :ivar head: line of FOR in the file `source`.
-    :ivar motions: lines of the motions to points of arrays in it.
+    :ivar body: the lines of its statements.
     """
 
     begin: int
@@ -109,7 +122,7 @@ class PlainRounds(Struct, frozen=True, eq=False):
     length: int
     source: Source
     head: int
-    motions: tuple[int, ...]
+    body: PlainBody
 
     @property
     def beyond(self) -> int:
@@ -121,9 +134,14 @@ class PlainRounds(Struct, frozen=True, eq=False):
         turn, remainder = divmod(row - self.first, self.length)
         return None if remainder else self.begin + turn * self.step
 
-    def line(self, motion: int) -> Ints:
-        """Return the lines of the trace (count,) with a motion of the body, by its line in the file."""
-        return np.asarray(self.first + motion - self.head + self.length * np.arange(self.count))
+    def line(self, statement: int) -> Ints:
+        """Return the lines of the trace (count,) with a statement of the body, by its line in the file."""
+        return np.asarray(self.first + statement - self.head + self.length * np.arange(self.count))
+
+    def numbers(self, added: int) -> range:
+        """Return the numbers of the counter in all rounds, with another number added."""
+        begin = self.begin + added
+        return range(begin, begin + self.count * self.step, self.step)
 
 
 class Repeated(Struct, eq=False):
@@ -135,7 +153,7 @@ class Repeated(Struct, eq=False):
     :ivar left: True if it contains EXIT.
     :ivar first: first line of the trace; `last` the line after it.
     :ivar bodies: one per iteration; empty if the loop does not run.
-    :ivar plain: of FOR whose body does nothing but move.
+    :ivar plain: the rounds of FOR with a plain body.
     :ivar endless: True for LOOP without EXIT: its only body is one iteration, which restores the state it began with.
     """
 
@@ -230,7 +248,7 @@ class Course(Struct, frozen=True, eq=False):
         return rows + 1, number[origins.line[rows]]
 
     def plain_rounds(self) -> list[PlainRounds]:
-        """Return all rounds that do nothing but move, in order."""
+        """Return the rounds of all plain bodies, in order."""
         return list(_plain_rounds(self.body))
 
     @property

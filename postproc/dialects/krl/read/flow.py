@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
-from postproc.dialects.krl.course import Branch, Fork, Join, Occasion, PlainRounds, Repeated
+from postproc.dialects.krl.course import Branch, Fork, Join, Occasion, PlainBody, PlainRounds, Repeated
 from postproc.dialects.krl.language import tree
 from postproc.dialects.krl.language.expressions import calls
 from postproc.dialects.krl.language.parser import statement
@@ -25,7 +25,7 @@ from postproc.dialects.krl.read.interpreter import LOOP_ADVICE, Interpreter, und
 from postproc.dialects.krl.read.known import InexactError, inexact
 from postproc.dialects.krl.read.least_statements import ENDS_LOOPS, LeastStatements
 from postproc.dialects.krl.read.motion_reader import stays
-from postproc.dialects.krl.read.plain_rounds import plain_motions
+from postproc.dialects.krl.read.plain_rounds import plain_body
 from postproc.dialects.krl.read.rounds import carried_over
 from postproc.dialects.krl.read.run import Run
 from postproc.dialects.krl.read.tracing import Trace
@@ -67,7 +67,7 @@ class Flow:
         self.run, self.trace, self._fault = run, trace, fault
         self.interpreter = Interpreter(run, motion, self.called, self._entered)
         self._moving: dict[tuple[Block, Module], bool] = {}
-        self._plain: dict[Block, tuple[int, ...]] = {}
+        self._plain: dict[Block, PlainBody | None] = {}
         self._cases: dict[Block, dict[float | None, int] | None] = {}
         self._way: list[tuple[Place, int]] = []
         self._traced = self._still = self._forks = 0
@@ -672,17 +672,19 @@ class Flow:
         return self.run.variables.changes, len(self.run.settings.changes)
 
     def _plainly(self, source: Source, block: Block, counter: _Counter, trace: Trace, loop: Repeated) -> None:
-        """Record all rounds of a FOR at once if its body does nothing but move."""
+        """Record all rounds of a FOR at once if its body is plain."""
         if block not in self._plain:
-            self._plain[block] = plain_motions(source, block)
-        motions, begin, rounds = self._plain[block], counter.now(), counter.rounds
+            self._plain[block] = plain_body(source, block)
+        body, begin, rounds = self._plain[block], counter.now(), counter.rounds
         statement_count = rounds * (1 + len(block.parts[0].nodes))
-        if not motions or not rounds or self._traced + statement_count > self._most(source):
+        if body is None or not rounds or self._traced + statement_count > self._most(source):
             return
         self._traced += statement_count
         length, first = block.last - block.first, trace.count + 1
-        plain = PlainRounds(begin, counter.step, first, rounds, length, source, block.first, motions)
+        plain = PlainRounds(begin, counter.step, first, rounds, length, source, block.first, body)
         trace.plain_rounds(loop, block, counter.name, plain)
+        for line in body.triggers:  # what they write may change at any time from now on
+            self._guarded(Place(source, line))
         counter.pass_over(rounds)
 
     def _endless(self, source: Source, block: Block, trace: Trace | None) -> None:

@@ -39,7 +39,7 @@ from postproc.dialects.krl.read.folder import Library
 from postproc.dialects.krl.read.interpreter import JUMP_ADVICE
 from postproc.dialects.krl.read.motion_reader import MotionReader
 from postproc.dialects.krl.read.plain_lines import Plain, not_plain
-from postproc.dialects.krl.read.plain_rounds import ElementMotions, motions_of
+from postproc.dialects.krl.read.plain_rounds import ElementMotions, columns_of
 from postproc.dialects.krl.read.plain_settings import Coming, PlainSettings
 from postproc.dialects.krl.read.run import Run
 from postproc.dialects.krl.read.settings import Settings
@@ -198,7 +198,7 @@ class MainRoutine:
 
     @cached_property
     def _rounds(self) -> list[PlainRounds]:
-        """Rounds that do nothing but move."""
+        """The rounds of plain bodies."""
         return self.course.plain_rounds()
 
     @cached_property
@@ -286,14 +286,20 @@ class MainRoutine:
         run.settings.come_to(step.last + 1)
 
     def _follow_rounds(self, rounds: PlainRounds) -> None:
-        """Take the motions of plain rounds at once if possible, else round by round."""
+        """Take plain rounds at once if possible, else one by one."""
         run = self.run
-        element_motions = motions_of(run, self.reader, rounds)
-        if element_motions is None:
+        columns = columns_of(run, self.reader, rounds)
+        if columns is None:
             self._follow_lines(np.arange(rounds.first, rounds.beyond), rounds)
             return
+        element_motions, settings = columns
         self.rounds += element_motions
-        self._follow_lines(np.array([rounds.first, rounds.beyond - rounds.length]), rounds)
+        run.settings.coming.insert(settings)
+        trigger_rows, count = [rounds.line(line) for line in rounds.body.triggers], len(run.triggers)
+        end_rows = [rounds.first, rounds.beyond - rounds.length, *(rows[-1] for rows in trigger_rows)]
+        self._follow_lines(np.array(end_rows), rounds)
+        if trigger_rows:
+            run.triggers[count:] = np.sort(np.concatenate(trigger_rows)).tolist()
 
     def _follow(self, node: Node, number: int | None = None) -> None:
         """Run a row of the trace, or a control structure by its rows.

@@ -1,7 +1,7 @@
 """Loops over the points of an array: ``LIN P[I+1] C_DIS`` in FOR, a hundred thousand rounds taken as columns.
 
-The body does nothing but move and switch outputs, and each point is an element of a data list that is written there as
-one literal.
+The body moves, sets speeds and distances of approximation, and switches outputs, by TRIGGER too. Each point is an
+element of a data list that is written there as one literal; each speed a number or an element of an array.
 Other loops are followed round by round (`main_routine`), and so could these be.
 """
 
@@ -11,41 +11,77 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from postproc.dialects.krl.course import PlainRounds
+from postproc.dialects.krl.course import PlainBody, PlainRounds
+from postproc.dialects.krl.language.expressions import calls
 from postproc.dialects.krl.language.names import CIRCLES, MAX_LENGTH
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.positions import FARTHEST
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.structures import Block
-from postproc.dialects.krl.language.tree import For, Motion, Statement
+from postproc.dialects.krl.language.tree import Assignment, For, Motion, Statement, Trigger
 from postproc.dialects.krl.language.values import Number, Operation, Reference, Value, walk
 from postproc.dialects.krl.layout import Offsets
 from postproc.dialects.krl.read import plain_lines, plain_settings
 from postproc.dialects.krl.read.motion_columns import MotionColumns, merged
 from postproc.dialects.krl.read.motion_reader import HERE, KINDS, MotionReader
+from postproc.dialects.krl.read.path_settings import FASTEST
+from postproc.dialects.krl.read.plain_settings import NUMBERS, PlainSettings
 from postproc.dialects.krl.read.run import Run
+from postproc.dialects.krl.read.state import FIELDS
+from postproc.frames import M_PER_MM
 from postproc.program import Ints
 
 _FARTHEST_STEP = 1_000_000
 """Largest number that is added to the counter: sums of INT stay far from their limits."""
+_SET = {"$VEL": "CP", "$APO": "CDIS"}
+"""Settings whose numbers may differ from round to round, and the component."""
+_SWITCHED = frozenset({"$OUT", "$ANOUT"})
 _PREFIX = "LIN "
 """Put before each point, so that it is read as the line of a motion."""
 
 
-def plain_motions(source: Source, block: Block) -> tuple[int, ...]:
-    """Return the lines of the motions of a FOR if it does nothing but move to elements ``P[I]`` or ``P[I+1]``, and
-    switch outputs; else nothing.
+def plain_body(source: Source, block: Block) -> PlainBody | None:
+    """Return the statements of a FOR that moves to elements ``P[I]`` or ``P[I+1]``, sets speeds and distances of
+    approximation likewise, and switches outputs; None if it does anything else.
     """
     head = statement(source, block.first)
     if not isinstance(head, For) or head.bounds is None or head.counter is None or head.counter.indices is not None:
-        return ()
+        return None
     bounds = walk(value for value in head.bounds if value is not None)
     if head.counter.field is not None or any(isinstance(v, Reference) and v.name == head.name for v in bounds):
-        return ()
-    lines = [node for node in block.parts[0].nodes if not isinstance(node, Block)]
-    motions = [line for line in lines if not plain_settings.is_without_effect(source, line)]
-    plain = all(_is_plain(statement(source, line), head.name) for line in motions)
-    return tuple(motions) if plain and len(lines) == len(block.parts[0].nodes) else ()
+        return None
+    motions, settings, triggers = [], [], []
+    for line in block.parts[0].nodes:
+        if isinstance(line, Block):
+            return None
+        stmt = statement(source, line)
+        if _is_plain(stmt, head.name):
+            motions.append(line)
+        elif _sets(stmt, head.name):
+            settings.append(line)
+        elif _switches(stmt):
+            triggers.append(line)
+        elif not plain_settings.is_plain(source, line):
+            return None
+    return PlainBody((*motions,), (*settings,), (*triggers,)) if motions else None
+
+
+def _sets(stmt: Statement, counter: str) -> bool:
+    """Return whether a statement gives a speed or a distance an element of an array: ``$VEL.CP=V[I]``."""
+    if not isinstance(stmt, Assignment) or not isinstance(stmt.value, Reference):
+        return False
+    target, value = stmt.target, stmt.value
+    is_set = target.indices is None and target.field is not None and _SET.get(target.name) == target.field
+    is_element = value.name[0] != "$" and value.field is None and len(value.name) <= MAX_LENGTH
+    return is_set and is_element and _step_from(value, counter) is not None
+
+
+def _switches(stmt: Statement) -> bool:
+    """Return whether a statement is a TRIGGER with numbers that switches an output."""
+    if not isinstance(stmt, Trigger) or not isinstance(stmt.action, Assignment) or calls(stmt.values):
+        return False
+    has_numbers = isinstance(stmt.value, Number) and isinstance(stmt.delay, Number)
+    return has_numbers and stmt.action.target.name in _SWITCHED
 
 
 def _is_plain(stmt: Statement, counter: str) -> bool:
@@ -89,8 +125,10 @@ class ElementMotions(Struct, frozen=True, eq=False):
     name: str
 
 
-def motions_of(run: Run, reader: MotionReader, rounds: PlainRounds) -> list[ElementMotions] | None:
-    """Return the motions of plain rounds, by statement; None if they must be followed round by round.
+def columns_of(
+    run: Run, reader: MotionReader, rounds: PlainRounds
+) -> tuple[list[ElementMotions], PlainSettings] | None:
+    """Return the motions of plain rounds, by statement, and the settings; None if they must be followed round by round.
 
     :param run: the program as far as it has run, before the first round.
     """
@@ -98,16 +136,45 @@ def motions_of(run: Run, reader: MotionReader, rounds: PlainRounds) -> list[Elem
     if state.uncertain or state.block or state.base < 0 or state.tool < 0 or not run.certain:
         return None
     motions = []
-    for line in rounds.motions:
+    for line in rounds.body.motions:
         stmt = statement(rounds.source, line)
         element_motions = _motions(run, reader, rounds, line, stmt) if isinstance(stmt, Motion) else None
         if element_motions is None:
             return None
         motions.append(element_motions)
-    for line in rounds.motions:
+    settings = _settings(run, rounds)
+    if settings is None:
+        return None
+    for line in rounds.body.motions + rounds.body.settings:
         for value in statement(rounds.source, line).values:
             run.variables.rely(value)
-    return motions
+    return motions, settings
+
+
+def _settings(run: Run, rounds: PlainRounds) -> PlainSettings | None:
+    """Return the speeds and distances that rounds set; None if one of them is not known, or is none."""
+    head, lines, values = statement(rounds.source, rounds.head), [], []
+    for line in rounds.body.settings:
+        stmt = statement(rounds.source, line)
+        if not isinstance(stmt, Assignment) or not isinstance(stmt.value, Reference) or not isinstance(head, For):
+            return None
+        element_numbers = rounds.numbers(_step_from(stmt.value, head.name) or 0)
+        numbers = run.variables.numbers(run.stored(stmt.value.name), element_numbers)
+        if numbers is None:
+            return None
+        is_speed = FIELDS[stmt.target.name] == NUMBERS[0]
+        in_range = (numbers > 0.0) & (numbers <= FASTEST) if is_speed else numbers >= 0.0
+        if not in_range.all():
+            return None
+        column = np.full((len(NUMBERS), len(numbers)), np.nan)
+        column[0 if is_speed else 1] = numbers if is_speed else numbers * M_PER_MM
+        lines.append(rounds.line(line))
+        values.append(column)
+    if not lines:
+        return plain_settings.no_settings()
+    rows = np.concatenate(lines)
+    order = np.argsort(rows)
+    return PlainSettings(rows[order], np.concatenate(values, axis=1)[:, order])
 
 
 def _motions(run: Run, reader: MotionReader, rounds: PlainRounds, at: int, motion: Motion) -> ElementMotions | None:
@@ -117,8 +184,7 @@ def _motions(run: Run, reader: MotionReader, rounds: PlainRounds, at: int, motio
         return None
     if motion.end.name in run.variables.scope.arrays:
         return None
-    begin = rounds.begin + (_step_from(motion.end, head.name) or 0)
-    numbers = range(begin, begin + rounds.count * rounds.step, rounds.step)
+    numbers = rounds.numbers(_step_from(motion.end, head.name) or 0)
     literals = run.variables.literals(run.stored(motion.end.name), numbers)
     if literals is None:
         return None

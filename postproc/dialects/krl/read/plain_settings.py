@@ -76,11 +76,11 @@ def scan(source: Source) -> PlainSettings:
     return PlainSettings(line[plain], values[:, plain])
 
 
-def is_without_effect(source: Source, line: int) -> bool:
-    """Return whether a line is a plain assignment that gives none of the `NUMBERS`: ``$OUT[1]=TRUE``."""
+def is_plain(source: Source, line: int) -> bool:
+    """Return whether a line is a plain assignment: ``$OUT[1]=TRUE``, ``$VEL.CP=0.1``."""
     start, _ = source.code_span(line)
     match = _SETTING.match(source.text, start)
-    return match is not None and match[1] is None
+    return match is not None and (match[1] is None or match[1][0] in "Aa" or 0.0 < float(match[2]) <= FASTEST)
 
 
 class Coming:
@@ -115,6 +115,17 @@ class Coming:
         self._done = [stop for _, stop in spans]
         self._none = all(stop == len(lines) for stop, lines in zip(self._done, self._lines, strict=True))
         return assignments
+
+    def insert(self, settings: PlainSettings) -> None:
+        """Put assignments among those that are still to come."""
+        for row in range(len(NUMBERS)):
+            new_lines, new_values = settings.given(row)
+            if len(new_lines):
+                lines, values = self._given[row]
+                place = np.searchsorted(lines, new_lines)
+                self._given[row] = np.insert(lines, place, new_lines), np.insert(values, place, new_values)
+                self._lines[row] = self._given[row][0].tolist()
+                self._none = False
 
     def at(self, row: int, line: Ints, change_lines: Ints, state_values: Array) -> Array:
         """Return one of the `NUMBERS` on lines (n,).

@@ -34,7 +34,7 @@ from postproc.dialects.krl.read.conditions import joined, plain, same
 from postproc.dialects.krl.read.known import NOTHING, Known, Scope, Unknown, Unread
 from postproc.dialects.krl.read.state import RELEVANT
 from postproc.errors import CellError, ProgramError
-from postproc.frames import inverse
+from postproc.frames import Array, inverse
 
 _COMPONENTS = frozenset({*CARTESIAN, *AXES, "S", "T"})
 _REAL = frozenset({*CARTESIAN, *AXES})
@@ -317,6 +317,16 @@ class Variables:
                 return None
             spans.append((value.start, value.stop))
         return None if source is None else (source, spans)
+
+    def numbers(self, name: str, indices: Iterable[int]) -> Array | None:
+        """Return the numbers that elements of an array have; None if one of them is not known."""
+        numbers = []
+        for index in indices:
+            value = self.value(f"{name}[{index}]")
+            if not isinstance(value, Number):
+                return None
+            numbers.append(value.value)
+        return np.array(numbers)
 
     def kept(self) -> dict[str, str]:
         """Return the names that keep their values from run to run and that the program changes, and where it does."""
