@@ -197,6 +197,11 @@ class MainRoutine:
         return not_plain(len(self.run.source.starts), self._moving, self._settings)
 
     @cached_property
+    def _trigger_lines(self) -> frozenset[int]:
+        """Lines of TRIGGER statements, when all statements have run."""
+        return frozenset(self.run.triggers)
+
+    @cached_property
     def _rounds(self) -> list[PlainRounds]:
         """The rounds of plain bodies."""
         return self.course.plain_rounds()
@@ -371,7 +376,7 @@ class MainRoutine:
         """Return whether the lines first … last hold nothing but comments and other TRIGGERs."""
         for line in range(first, last + 1):
             start, stop = self.run.source.code_span(line)
-            if start < stop and line not in self.run.triggers:
+            if start < stop and line not in self._trigger_lines:
                 return False
         return True
 
