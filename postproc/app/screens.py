@@ -202,10 +202,12 @@ def setup(
 ) -> Page:
     """Return the page that asks what a program needs.
 
-    :param fault: why nothing was begun though all answers can be used; empty: there is none.
+    :param fault: why nothing was begun though all answers can be used; empty: there is no reason.
     :param is_posted: the form came back: faults are shown.
     """
     groups: dict[str, list[dict[str, Any]]] = {"Robot and cell": [], "Tool, material and stock": [], "Details": []}
+    if is_posted and not fault and (count := sum(bool(field.fault) for field in form.fields)):
+        fault = f"Nothing was begun. Missing or unusable answers: {count}."
     for field in form.fields:
         kind = field.question.key.partition(".")[0]
         cutting = kind in ("material", "cutter", "flutes", "rpm", "stock")

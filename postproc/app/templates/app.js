@@ -23,6 +23,17 @@ if (drop) {
     });
 }
 const list = document.querySelector("[data-stamp]");
+const mark = (part) => `${part.tagName} ${part.getAttribute("href") || part.textContent}`;
+// not location.reload(): a dialog that chooses a file stays open, and the focus and the place on the page are kept
+async function renew() {
+  const page = new DOMParser().parseFromString(await (await fetch("/")).text(), "text/html");
+  const focused = mark(document.activeElement);
+  const parts = page.querySelectorAll("[data-part]");
+  document.querySelectorAll("[data-part]").forEach((part, number) => part.replaceWith(parts[number]));
+  list.dataset.stamp = page.querySelector("[data-stamp]").dataset.stamp;
+  if (document.activeElement === document.body)
+    [...document.querySelectorAll("main a, main button")].find((part) => mark(part) === focused)?.focus({ preventScroll: true });
+}
 async function look() {
   try {
     const content = await (await fetch("/programs.json")).json();
@@ -30,8 +41,12 @@ async function look() {
       const place = [...document.querySelectorAll("[data-working]")].find((part) => part.dataset.working === name);
       if (place) place.textContent = share;
     }
-    if (content.stamp !== list.dataset.stamp && !adding) { location.reload(); return; }
-  } catch { said.textContent = "The window does not answer. Start postproc app again: what is written is whole."; }
+    if (content.stamp !== list.dataset.stamp && !adding) await renew();
+    if (said.dataset.lost) { said.textContent = ""; delete said.dataset.lost; }
+  } catch {
+    said.textContent = "The window does not answer. Start postproc app again: what is written is whole.";
+    said.dataset.lost = "1";
+  }
   setTimeout(look, 1500);
 }
 if (list) setTimeout(look, 1500);
@@ -49,3 +64,5 @@ async function follow() {
   setTimeout(follow, 700);
 }
 if (output) follow();
+const faulty = document.querySelector("[aria-invalid=true]") || document.querySelector("[role=alert]");
+if (faulty) faulty.focus();
