@@ -103,6 +103,23 @@ def test_modules_of_robots_for_grasshopper_are_read():
     assert motions.blend[2] == pytest.approx(0.0005)
 
 
+def test_modules_of_hal_are_read():
+    data = f"  CONST jointtarget TP0:=[[-137.79,56.61,-31.77,0,65.15,-47.79],[0,{AXES[5:]}];"
+    data += "\n  VAR zonedata Large:=[FALSE,5,7,7,0.7,7,0.7];"
+    data += f"\n  CONST robtarget Targ000:={at(300, -92, 66)};"
+    code = [
+        "PathAccLim TRUE \\AccMax:=0.1, TRUE \\DecelMax:=0.1;",
+        "MoveAbsJ TP0,v50,Large,Tool0;",
+        "WaitTime(1);",
+        "Set DO3;",
+        f"MoveL Targ000{tail()}",
+        "take_block;",
+    ]
+    program = read(module(code, data))
+    assert program.motions.kind.tolist() == [PTP, PTP, LIN]
+    assert [issue.subject for issue in program.issues if issue.kind == "external-call"] == ["TAKE_BLOCK"]
+
+
 def test_the_program_is_main_or_has_the_name_of_the_file_or_is_the_only_one():
     text = module([f"MoveL {at(0, 0, 20)}{tail()}"])
     assert len(read(text.replace("PROC main", "PROC part"), "part").motions) == 2
