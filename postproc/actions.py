@@ -18,7 +18,7 @@ class Option(NamedTuple):
     :param name: of the value in `Settings` or `find_jobs`.
     :param help: a sentence: what it does, its unit, its default.
     :param metavar: what `--help` shows as the value; empty: what the kind shows.
-    :param least: smallest value; None: no bound but that of the kind.
+    :param minimum: smallest value; None: no bound but that of the kind.
     :param label: a few words for a form; empty: not in a form.
     """
 
@@ -28,7 +28,7 @@ class Option(NamedTuple):
     help: str
     metavar: str = ""
     required: bool = False
-    least: float | None = None
+    minimum: float | None = None
     label: str = ""
 
 
@@ -39,7 +39,7 @@ OVERWRITE = Option(
     "Replace files that postproc did not write, or not as they are.",
     label="Replace files that were edited",
 )
-SHARED = (
+SHARED_OPTIONS = (
     Option(("--cell",), "cell", "path", "Cell file: robot, base, tool, tolerances.", required=True),
     Option(
         ("--process",),
@@ -84,14 +84,14 @@ SHARED = (
 )
 """Options of `convert`, `watch` and `predict`, in the order of `--help`."""
 CONVERSION = (
-    *SHARED,
+    *SHARED_OPTIONS,
     Option(
         ("--tolerance",),
         "tolerance_mm",
         "length",
         "What the predicted path may leave the nominal one by; replaces tolerance_mm of the cell.",
         "MM",
-        least=1e-4,
+        minimum=1e-4,
         label="Tolerance of the path, mm",
     ),
     Option(
@@ -100,7 +100,7 @@ CONVERSION = (
         "count",
         "Divide KRL of more lines, 0: never; replaces lines_per_file of the cell.",
         "N",
-        least=0,
+        minimum=0,
         label="Lines per file",
     ),
     Option(

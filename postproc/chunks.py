@@ -149,7 +149,7 @@ def compact(column: NDArray[Any], kind: type[np.integer[Any]]) -> NDArray[Any]:
     return smaller
 
 
-def ragged_range(count: NDArray[np.int64], first: NDArray[np.int64] | int = 0) -> NDArray[np.int64]:
+def ragged_range(count: NDArray[np.integer[Any]], first: NDArray[np.int64] | int = 0) -> NDArray[np.int64]:
     """Return the integers from `first` (G,) on, `count` (G,) of them, of all groups one after the other.
 
     >>> ragged_range(np.array([2, 0, 3])).tolist()
@@ -158,7 +158,7 @@ def ragged_range(count: NDArray[np.int64], first: NDArray[np.int64] | int = 0) -
     [7, 8, 4, 5, 6]
     """
     group_start = np.cumsum(count) - count
-    return np.arange(int(np.sum(count))) - np.repeat(group_start - first, count)
+    return np.asarray(np.arange(int(np.sum(count))) - np.repeat(group_start - first, count), dtype=np.int64)
 
 
 def chunks(count: int) -> Iterator[slice]:

@@ -14,7 +14,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 Level = Literal["error", "warning", "info"]
-MOST = 20
+MAX_ERRORS = 20
 """Largest number of errors shown for one input; a reader may stop after as many."""
 
 
@@ -109,9 +109,9 @@ class InputError(PostprocError):
             place = f"line {line}: "
         quotation = "" if text is None else f" Text: {text.strip()[:160]!r}."
         first_message = f"{place}{problem}.{quotation}{'' if advice is None else ' ' + advice}"
-        messages = [first_message, *map(str, self.further_errors[: MOST - 1])]
-        if len(self.further_errors) >= MOST:
-            messages.append(f"There are more errors: these are the first {MOST}.")
+        messages = [first_message, *map(str, self.further_errors[: MAX_ERRORS - 1])]
+        if len(self.further_errors) >= MAX_ERRORS:
+            messages.append(f"There are more errors: these are the first {MAX_ERRORS}.")
         super().__init__("\n".join(messages))
 
     def with_file(self, name: str, path: str) -> Self:

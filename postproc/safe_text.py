@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 
-LONGEST = 400
+MAX_COMMENT = 400
 """Characters of a comment; controllers write lines of up to 989 characters."""
 LONGEST_STRING = 80
 """Characters of a string: the limit of a message on the controller's panel."""
@@ -18,7 +18,7 @@ _CONTROL = re.compile("[\x00-\x08\x0a-\x1f\x7f-\x9f\u2028\u2029\u200b-\u200f\u20
 _IN_STRING = str.maketrans({'"': "'", "{": "(", "}": ")", "\t": " "})
 
 
-def one_line(text: str, max_length: int = LONGEST) -> str:
+def one_line(text: str, max_length: int = MAX_COMMENT) -> str:
     """Return a text as one line: control characters become blanks, and the rest is cut off."""
     line = _CONTROL.sub(" ", text).strip()
     return line if len(line) <= max_length else line[: max_length - 1] + "…"

@@ -82,7 +82,7 @@ def number_of_places(kind: Ints, length: Array, turn: Array, *, is_curved: Bools
     """
     number = np.where(is_curved, 2, 1)
     wide = (length > _LONG) | (turn > _MAX_ROTATION)
-    number[wide] = np.maximum(2, np.ceil(np.maximum(length[wide] / _SPACING, turn[wide] / _MAX_ROTATION)))
+    number[wide] = np.maximum(2, toolpath.even_parts(length[wide], turn[wide], _SPACING, _MAX_ROTATION))
     number[steep] = np.maximum(number[steep], _ON_RAMPS)
     number[(kind == PTP) | (kind == SPL)] = 1
     return number.astype(np.int64)

@@ -263,9 +263,8 @@ class PtpMoves(Struct, frozen=True, eq=False, dict=True):
         rows = np.arange(int(ptp[-1]) + 1)
         linear = program.motions.kind[rows] != PTP
         count = np.where(linear, np.ceil(self.segments.turn[rows] / _STEP_ANGLE), 1.0).astype(np.int64).clip(1)
-        motion = np.repeat(rows, count)
+        motion, t = toolpath.even_places(rows, count)
         last = np.cumsum(count) - 1
-        t = (np.arange(len(motion)) - (last - count)[motion]) / count[motion]
         sample = toolpath.at(program, self.segments, motion, t)
         try:
             q = self.robot_in_cell.follow(program, motion, t, sample.pose).q[last]

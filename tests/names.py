@@ -37,8 +37,8 @@ often once only otherwise perhaps quite rather there thereby together too twice 
 FUNCTION_WORDS = frozenset(_CLOSED_CLASS.split())
 """Pronouns, determiners, prepositions, conjunctions and adverbs of place and time: a closed class of English."""
 
-TERMS = {"bound": "noun", "via": "noun"}
-"""Nouns of the field that everyday English uses otherwise: error bound, via point."""
+TERMS = {"bound": "noun", "via": "noun", "touch_off": "noun"}
+"""Nouns of the field that everyday English uses otherwise: error bound, via point, touch-off."""
 
 _FLAG = re.compile(r"^_?(is|has|can|may|must|needs|allows|uses)_\w")
 _POS_OF_SENSE = {"1": "noun", "2": "verb", "3": "adjective", "4": "adverb", "5": "adjective"}
@@ -119,6 +119,8 @@ def kind_of_name(name: str) -> str:
     """Return the part of speech of a name: that of its last word; a flag that begins with is, has … is a noun here."""
     if _FLAG.match(name):
         return "noun"
+    if name.lower() in TERMS:
+        return TERMS[name.lower()]
     words = [word for word in re.split(r"_+|\d+", name.lower()) if word]
     if not words:
         return "symbol"

@@ -4,7 +4,7 @@ import pickle
 
 import pytest
 
-from postproc.errors import MOST, Issue, ProgramError, did_you_mean, group_issues, together
+from postproc.errors import MAX_ERRORS, Issue, ProgramError, did_you_mean, group_issues, together
 
 
 def _error(line: int, file: str = "part.nc") -> ProgramError:
@@ -37,10 +37,13 @@ def test_one_error_stays_what_it_is() -> None:
 
 
 def test_no_more_than_the_first_errors_are_shown() -> None:
-    exactly, more = together([_error(n) for n in range(MOST)]), together([_error(n) for n in range(MOST + 5)])
-    assert len(str(exactly).splitlines()) == MOST
-    assert len(str(more).splitlines()) == MOST + 1
-    assert str(more).splitlines()[-1] == f"There are more errors: these are the first {MOST}."
+    exactly, more = (
+        together([_error(n) for n in range(MAX_ERRORS)]),
+        together([_error(n) for n in range(MAX_ERRORS + 5)]),
+    )
+    assert len(str(exactly).splitlines()) == MAX_ERRORS
+    assert len(str(more).splitlines()) == MAX_ERRORS + 1
+    assert str(more).splitlines()[-1] == f"There are more errors: these are the first {MAX_ERRORS}."
 
 
 def test_errors_survive_a_process_pool_and_a_change_of_the_file_name() -> None:

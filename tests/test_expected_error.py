@@ -118,5 +118,5 @@ def test_expected_errors_share_their_covariance_and_fall_with_what_is_known():
     assert at.before == pytest.approx(size + 1.645 * sigma, rel=0.01)
     assert at.after == pytest.approx(1.96 * sigma, rel=0.02)
     assert at.after.tolist() == at.bound.tolist()
-    assert at.robot_known == pytest.approx(1.96 * 0.1 * size, rel=0.02)
-    assert at.forces_known == pytest.approx(1.96 * 0.2 * size, rel=0.02)
+    assert at.with_known_robot == pytest.approx(1.96 * 0.1 * size, rel=0.02)
+    assert at.with_known_forces == pytest.approx(1.96 * 0.2 * size, rel=0.02)

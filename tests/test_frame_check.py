@@ -53,7 +53,7 @@ def joints():
 def test_frames_that_agree_are_said_to_agree(tmp_path, joints):
     check = check_frames(*written(tmp_path, joints), 0.1)
     assert check.suspect == "none"
-    assert check.off.max() < 1e-6
+    assert check.distances.max() < 1e-6
 
 
 def test_a_wrong_tool_is_found_with_its_error_and_the_right_numbers(tmp_path, joints):
@@ -61,14 +61,14 @@ def test_a_wrong_tool_is_found_with_its_error_and_the_right_numbers(tmp_path, jo
     check = check_frames(*written(tmp_path, joints, tool=wrong), 0.1)
     assert check.suspect == "tool"
     np.testing.assert_allclose(check.tool[0] * 1e3, [4.0, 0.0, -3.0], atol=1e-3)
-    np.testing.assert_allclose(check.corrected["tool"], TOOL, atol=2e-3)
+    np.testing.assert_allclose(check.new_frames["tool"], TOOL, atol=2e-3)
 
 
 def test_a_wrong_base_is_found_and_the_right_numbers_given(tmp_path, joints):
     wrong = (BASE[0] + 5.0, BASE[1] - 2.0, BASE[2] + 1.0, BASE[3] + 0.5, 0.0, 0.0)
     check = check_frames(*written(tmp_path, joints, base=wrong), 0.1)
     assert check.suspect == "base"
-    np.testing.assert_allclose(check.corrected["base"], BASE, atol=0.03)  # linear in half a degree
+    np.testing.assert_allclose(check.new_frames["base"], BASE, atol=0.03)  # linear in half a degree
 
 
 def test_intervals_hold_what_noise_does_to_the_error(tmp_path):

@@ -152,11 +152,11 @@ def test_all_files_of_a_program_are_written_and_named(folder, computed):
     _touch("part.nc")
     (outcome,) = convert_all(find_jobs(["part.nc"]), Settings(CELL_FILE))
     assert outcome.code == 0
-    assert [Path(path).name for path in outcome.written] == [
+    assert [Path(path).name for path in outcome.written_files] == [
         "part.src", "part.targets.csv", "part.report.html", "part.report.json",
     ]  # fmt: skip
     assert sorted(path.name for path in Path("corrected").iterdir()) == sorted(
-        Path(path).name for path in outcome.written
+        Path(path).name for path in outcome.written_files
     )
 
 
@@ -184,7 +184,7 @@ def test_a_program_with_an_error_is_not_written_and_says_why(folder, computed, m
     monkeypatch.setattr("postproc.correction.process", lambda *_, **__: failed)
     _touch("part.nc")
     (outcome,) = convert_all(find_jobs(["part.nc"]), Settings(CELL_FILE))
-    assert (outcome.code, outcome.issues, outcome.written) == (1, (issue,), ())
+    assert (outcome.code, outcome.issues, outcome.written_files) == (1, (issue,), ())
     assert not Path("corrected").exists()
 
 
@@ -196,7 +196,7 @@ def test_an_exceeded_tolerance_counts_only_where_one_is_stated(folder, computed,
     assert [o.code for o in convert_all(jobs, Settings(CELL_FILE, "nominal", 5.0))] == [0]
     (outcome,) = convert_all(jobs, Settings(CELL_FILE, "nominal", 0.1))
     assert outcome.code == 3
-    assert len(outcome.written) == 4
+    assert len(outcome.written_files) == 4
 
 
 def test_messages_name_the_program_by_its_path(folder, computed, monkeypatch):
@@ -257,7 +257,7 @@ def test_an_interrupt_while_files_are_replaced_waits_for_the_program_to_be_whole
 
     monkeypatch.setattr(Path, "replace", interrupted)
     outcomes = convert_all(find_jobs(["a.nc", "b.nc"], output=Path("out")), Settings(CELL_FILE))
-    assert len(next(outcomes).written) == 4
+    assert len(next(outcomes).written_files) == 4
     with pytest.raises(KeyboardInterrupt):
         next(outcomes)
     assert {path.name.split(".")[0] for path in Path("out").iterdir()} == {"a", "part"}

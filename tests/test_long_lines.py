@@ -16,7 +16,7 @@ from postproc import files
 from postproc.cell import CellFile
 from postproc.dialects.krl.language.tokens import FORCE
 from postproc.dialects.krl.read.comments import _OF_THE_EDITOR
-from postproc.errors import MOST, CellError, ForceError, ProgramError
+from postproc.errors import MAX_ERRORS, CellError, ForceError, ProgramError
 from postproc.jobs import read_documents
 from postproc.program import FORCE_COMMENT, parse_force_note
 from tests import commands
@@ -73,7 +73,7 @@ def cell(folder: Path, text: str) -> CellError:
 
 def test_of_many_unknown_keys_the_first_are_named(tmp_path):
     cause = cell(tmp_path, "".join(f"key{k} = 1\n" for k in range(LONG // 10)))
-    assert len([cause, *cause.further_errors]) == MOST + 1
+    assert len([cause, *cause.further_errors]) == MAX_ERRORS + 1
 
 
 @pytest.mark.parametrize("key", ["X1" + ".1" * (LONG // 2), "[" + "a . " * LONG + "b]", '"a".' * 31 + "b"])

@@ -6,7 +6,7 @@ from click.testing import CliRunner
 from postproc.cli import main
 from postproc.dialects.krl.write.emit import _WORDS as KRL
 from postproc.dialects.rapid.new_module import WORDS as RAPID
-from postproc.safe_text import LONGEST, LONGEST_STRING, one_line, string_content
+from postproc.safe_text import LONGEST_STRING, MAX_COMMENT, one_line, string_content
 from tests.places import ROOT
 
 ENDS = ["\n", "\r", "\r\n", "\v", "\f", "\x1a", "\x1c", "\x85", "\u2028", "\u2029", "\0"]
@@ -26,8 +26,8 @@ def test_ordinary_text_is_kept():
 
 
 def test_long_text_is_cut_off_and_shows_it():
-    assert one_line("x" * (LONGEST + 1)) == "x" * (LONGEST - 1) + "…"
-    assert one_line("x" * LONGEST) == "x" * LONGEST
+    assert one_line("x" * (MAX_COMMENT + 1)) == "x" * (MAX_COMMENT - 1) + "…"
+    assert one_line("x" * MAX_COMMENT) == "x" * MAX_COMMENT
     assert len(string_content("x" * 1000)) <= LONGEST_STRING
 
 

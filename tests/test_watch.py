@@ -187,8 +187,8 @@ def test_after_an_error_of_the_cell_what_is_of_an_earlier_run_is_named(watcher, 
     (old, _), (new, _) = known.convert(ready)
     assert old.message == new.message
     assert "nope" in old.message
-    assert old.earlier == f"There before, not of this run: {tmp_path / 'out' / 'a.src'}."
-    assert new.earlier == ""
+    assert old.earlier_remark == f"There before, not of this run: {tmp_path / 'out' / 'a.src'}."
+    assert new.earlier_remark == ""
 
 
 @pytest.mark.parametrize("changed", ["process.toml", "material.toml", "stock.stl", "robot/model.toml", "--tolerance"])

@@ -12,7 +12,7 @@ from postproc.jobs.cell_picture import CellPicture
 _AXIS_MM = 350.0
 """Length at which the axes of $BASE are drawn."""
 _MARGIN = 0.08
-_SHORTEST_NAMED = 0.3
+_MIN_NAMED_LENGTH = 0.3
 """Share of its length from which on an axis has its name: one that points to the reader has none."""
 
 
@@ -32,7 +32,7 @@ def arm_view(picture: CellPicture, name: str, axes: tuple[int, int]) -> dict[str
     span = float(max(high - low))
     low, high = low - _MARGIN * span, high + _MARGIN * span
     lines = [
-        {"name": letter if np.linalg.norm(end - base) > _SHORTEST_NAMED * _AXIS_MM else "", **_line(base, end)}
+        {"name": letter if np.linalg.norm(end - base) > _MIN_NAMED_LENGTH * _AXIS_MM else "", **_line(base, end)}
         for letter, end in zip("XYZ", ends, strict=True)
     ]
     return {

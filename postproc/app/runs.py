@@ -13,13 +13,13 @@ from pathlib import Path
 from postproc.errors import InputError, argument
 from postproc.progress import LINES, VARIABLE, read
 
-MOST = 4
+MAX_COMMANDS = 4
 """Commands at the same time; more would only share the processors."""
 PATIENCE_S = 25.0
 """A command that is stopped has ended after this time: it ends itself a little earlier."""
 _NEW_GROUP = 0x200
 """CREATE_NEW_PROCESS_GROUP of Windows."""
-_KEPT = 200_000
+_MAX_OUTPUT = 200_000
 """Characters of output that are kept."""
 
 
@@ -70,7 +70,7 @@ class Run:
                 if (progress := read(line)) is not None:
                     self.share, self.step = progress
                 else:
-                    self._text = (self._text + line)[-_KEPT:]
+                    self._text = (self._text + line)[-_MAX_OUTPUT:]
         self._process.wait()
         self._close_pipe()
 
@@ -149,8 +149,10 @@ class Runs:
                 if run.key == key:
                     problem = f"{run.title!r} runs already: nothing was begun"
                     raise InputError(problem, advice="Wait until it has ended, or stop it.")
-            if len(active) >= MOST:
-                raise InputError(f"{MOST} commands run already", advice="Wait until one has ended, or stop one.")
+            if len(active) >= MAX_COMMANDS:
+                raise InputError(
+                    f"{MAX_COMMANDS} commands run already", advice="Wait until one has ended, or stop one."
+                )
             self._runs.append(Run(len(self._runs), key, title, arguments, self.folder, page))
             return self._runs[-1]
 

@@ -19,9 +19,9 @@ from postproc import actions, robot
 from postproc.app.arm_view import arm_view
 from postproc.app.models import identification
 from postproc.app.runs import Run, command_line
-from postproc.app.testpart import SHOWN as FILES_OF_PART
+from postproc.app.testpart import SENT_FILES as FILES_OF_PART
 from postproc.app.testpart import TestPart
-from postproc.app.workspace import RESULTS, SHOWN, Item, Workspace
+from postproc.app.workspace import MEDIA_TYPES, RESULTS, Item, Workspace
 from postproc.errors import InputError, PostprocError
 from postproc.jobs.cell_edit import TABLES, robot_of, table_help
 from postproc.jobs.cell_picture import cell_picture
@@ -33,7 +33,7 @@ from postproc.jobs.setup_form import Field, SetupForm
 from postproc.machining.material import table
 from postproc.report.answers import chance_in_words
 from postproc.report.formatting import rounded
-from postproc.report.verdict import STOCK_REMARK
+from postproc.report.verdict import ASSUMED_STOCK, STOCK_REMARK
 
 FORM_OPTIONS = tuple(option for option in actions.CONVERSION if option.label)
 """Options of `convert` that its form has."""
@@ -97,7 +97,7 @@ def answers_of(item: Item) -> dict[str, Any]:
         "changes": ", ".join(item.changes),
         "kind": _KINDS.get(state, "") if item.current else "warning",
         "headline": content.verdict.headline,
-        "remark": STOCK_REMARK if STOCK_REMARK in content.verdict.headline else "",
+        "remark": STOCK_REMARK if any(issue.kind == ASSUMED_STOCK for issue in content.issues) else "",
         "reasons": content.verdict.reasons,
         "uncorrected": uncorrected,
         "corrected": corrected_text,
@@ -235,7 +235,7 @@ def program(item: Item, workspace: Workspace, other_programs: Sequence[str], run
     """
     stem = Path(item.entry.page.removesuffix(".report.html") if item.entry else item.name).stem
     file_names = sorted(path.name for path in workspace.results.glob(f"{stem}*")) if item.entry else []
-    files = [name for name in file_names if Path(name).suffix.lower() in SHOWN and not name.endswith(".json")]
+    files = [name for name in file_names if Path(name).suffix.lower() in MEDIA_TYPES and not name.endswith(".json")]
     place = workspace.results / f"place-{Path(item.name).stem}"
     return _page(
         "program.html",

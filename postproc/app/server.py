@@ -19,7 +19,7 @@ from postproc.app.automatic import Automatic
 from postproc.app.models import identification, named
 from postproc.app.runs import Run, Runs, command_line
 from postproc.app.testpart import TestPart
-from postproc.app.workspace import RESULTS, SHOWN, Workspace
+from postproc.app.workspace import MEDIA_TYPES, RESULTS, Workspace
 from postproc.errors import InputError, PostprocError
 from postproc.files.fault_log import write_fault
 from postproc.jobs.cell_edit import edit, fields_of, use_model
@@ -32,7 +32,8 @@ from postproc.jobs.programs import states_forces
 from postproc.jobs.setup_form import setup_form, start_arguments
 
 _LARGEST_FORM = 1 << 16
-_COMPARED = (".src", ".mod")
+"""Bytes of a form: its fields are a few kilobytes; a page of another site could send any number."""
+_COMPARED_SUFFIXES = (".src", ".mod")
 """Written programs that another one is compared with."""
 _TIMEOUT_S = 60.0
 """A browser that says nothing for so long is left."""
@@ -226,7 +227,7 @@ class _Handler(BaseHTTPRequestHandler):
         if item is None:
             raise InputError(f"{name} is no program")
         results = sorted(workspace.results.iterdir()) if workspace.results.is_dir() else []
-        other_programs = [f"{RESULTS}/{path.name}" for path in results if path.suffix in _COMPARED]
+        other_programs = [f"{RESULTS}/{path.name}" for path in results if path.suffix in _COMPARED_SUFFIXES]
         other_programs += [other_program.name for other_program in workspace.items() if other_program.name != name]
         command = command_line(workspace.conversion(name))
         self._page(screens.program(item, workspace, other_programs, self.server.runs.latest(name), command))
@@ -285,7 +286,7 @@ class _Handler(BaseHTTPRequestHandler):
     def model_page(self) -> None:
         """Send the report of a model."""
         path = self.server.workspace.model_page(self._model(self.query.get("name", "")))
-        self._send(200, path.read_bytes(), SHOWN[".html"], ("Content-Security-Policy", _OF_REPORT))
+        self._send(200, path.read_bytes(), MEDIA_TYPES[".html"], ("Content-Security-Policy", _OF_REPORT))
 
     def _model(self, name: str) -> Path:
         """Return the folder of the model of an experiment; of an empty name that of the test part."""
@@ -306,7 +307,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _file(self, path: Path) -> None:
         """Send a page to look at, or a file to keep."""
-        kind, name = SHOWN[path.suffix.lower()], quote(path.name)
+        kind, name = MEDIA_TYPES[path.suffix.lower()], quote(path.name)
         headers = [("Content-Security-Policy", _OF_REPORT)]
         if path.suffix.lower() != ".html":
             headers.append(("Content-Disposition", f"attachment; filename*=UTF-8''{name}"))

@@ -13,8 +13,8 @@ from postproc.errors import InputError
 from postproc.jobs.probing_list import LARGEST_BYTES, check_probed
 
 FOLDER = "testpart"
-PROBED = "probed.csv"
-SHOWN = ("testpart.src", "testpart.nc", "probing.csv", "testpart.html")
+PROBED_FILE = "probed.csv"
+SENT_FILES = ("testpart.src", "testpart.nc", "probing.csv", "testpart.html")
 """Files that the window sends."""
 _NUMBERS = {"count": "--features", "depth": "--depth", "weight": "--weight"}
 """Fields of the form, and their options."""
@@ -35,7 +35,7 @@ class TestPart(Struct, frozen=True):
     @property
     def probed(self) -> Path:
         """The file with the deviations that were probed."""
-        return self.folder / PROBED
+        return self.folder / PROBED_FILE
 
     @property
     def model(self) -> Path:
@@ -48,7 +48,7 @@ class TestPart(Struct, frozen=True):
         :raises InputError: there is none of this name.
         """
         path = self.folder / name
-        if name not in SHOWN or not path.is_file():
+        if name not in SENT_FILES or not path.is_file():
             raise InputError(f"no file {name!r} of the test part", advice="Write the part first.")
         return self.workspace.of_folder(path)
 
@@ -75,7 +75,7 @@ class TestPart(Struct, frozen=True):
 
     def identification(self, *, compare: bool = False) -> list[str]:
         """Return the arguments of the command that makes a model of it; `compare`: that checks the cell's model."""
-        arguments = ["identify", "part", f"{FOLDER}/{PROBED}", "--cell", f"{RESULTS}/cell.toml"]
+        arguments = ["identify", "part", f"{FOLDER}/{PROBED_FILE}", "--cell", f"{RESULTS}/cell.toml"]
         arguments += ["--process", f"{FOLDER}/testpart.process.toml", "--program", f"{FOLDER}/testpart.nc"]
         return [*arguments, *(["--compare"] if compare else ["-o", f"{MODELS}/{FOLDER}"])]
 

@@ -27,7 +27,7 @@ MODELS = "models"
 """Folder of the models that are identified, each in a folder of the name of its readings."""
 LARGEST_BYTES = 256 * 2**20
 """Size of a program that is added; CAM systems write up to 100 MB."""
-SHOWN = {
+MEDIA_TYPES = {
     ".html": "text/html; charset=utf-8",
     ".nc": "text/plain; charset=utf-8",
     ".src": "text/plain; charset=utf-8",
@@ -40,6 +40,7 @@ SHOWN = {
 _FOREIGN = re.compile(r'[\x00-\x1f<>:"/\\|?*]|^[-.~]|[. ]$|^(con|prn|aux|nul|com\d|lpt\d)(\.|$)', re.IGNORECASE)
 """Names that lead elsewhere, are options of a command, or devices of Windows."""
 _PIECE = 1 << 20
+"""Bytes read at once of a file that is added, so that a long one is not held in memory."""
 
 
 _LANGUAGES = ("krl", "rapid")
@@ -113,8 +114,10 @@ class Workspace(Struct, frozen=True):
 
     def _names(self) -> list[str]:
         """Return the names of the programs of the folder, sorted."""
-        known = set(registry.extensions())
-        return sorted(path.name for path in self.folder.iterdir() if path.suffix.lower() in known and path.is_file())
+        extensions = set(registry.extensions())
+        return sorted(
+            path.name for path in self.folder.iterdir() if path.suffix.lower() in extensions and path.is_file()
+        )
 
     def result(self, name: str) -> Path:
         """Return the path of a result, in `RESULTS` or a folder of it: ``part.report.html``, ``place/place.html``.
@@ -127,7 +130,7 @@ class Workspace(Struct, frozen=True):
             root = root / folder
         elif folder:
             raise InputError(f"no result {name!r}")
-        if Path(file).suffix.lower() not in SHOWN:
+        if Path(file).suffix.lower() not in MEDIA_TYPES:
             raise InputError(f"no result {name!r}")
         path = _inside(root, file)
         return self.of_folder(path)
@@ -259,7 +262,9 @@ class Workspace(Struct, frozen=True):
 def _twin(name: str, names: Sequence[str]) -> str:
     """Return another program that would be written to the same files, in a robot's language or by the window."""
     stems = _written_stems(name)
-    return next((other for other in names if other != name and stems & _written_stems(other)), "")
+    return next(
+        (program_name for program_name in names if program_name != name and stems & _written_stems(program_name)), ""
+    )
 
 
 @cache

@@ -82,7 +82,7 @@ class LazyGroup(click.Group):
         arguments = [arg for arg in args if arg not in _GLOBAL_OPTIONS]
         return super().parse_args(ctx, [*(option for option in _GLOBAL_OPTIONS if option in args), *arguments])
 
-    def main(self, args: Sequence[str] | None = None, *rest: Any, **options: Any) -> Any:
+    def main(self, args: Sequence[str] | None = None, *settings: Any, **options: Any) -> Any:
         """Run the command; without `args`, as the only user of the process. Warnings of libraries are not shown."""
         streams.replace_absent()
         if args is None:
@@ -95,7 +95,7 @@ class LazyGroup(click.Group):
             if _DEBUG not in (sys.argv if args is None else args):
                 warnings.showwarning = _not_shown
             try:
-                return super().main(args, *rest, **options)
+                return super().main(args, *settings, **options)
             finally:
                 if args is None:
                     with contextlib.suppress(OSError, ValueError):

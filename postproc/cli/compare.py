@@ -52,8 +52,9 @@ def compare(ctx: click.Context, /, as_json: bool, **request: Any) -> None:
 
     comparison = compare_programs(CompareRequest(**request))
     if as_json:
-        click.echo(comparison.written[-1].read_text(encoding="utf-8"), nl=False)
+        click.echo(comparison.written_files[-1].read_text(encoding="utf-8"), nl=False)
     else:
         click.echo(of_comparison(comparison.summary, display()))
-        click.echo(f"written to {comparison.written[0].parent}: {', '.join(path.name for path in comparison.written)}")
+        names = ", ".join(path.name for path in comparison.written_files)
+        click.echo(f"written to {comparison.written_files[0].parent}: {names}")
     ctx.exit(comparison.code)

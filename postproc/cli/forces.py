@@ -57,4 +57,4 @@ def forces(as_json: bool, materials: bool, **request: Any) -> None:
         click.echo(json_bytes(files.summary).decode(), nl=False)
     else:
         click.echo(process_forces.as_text(files.summary))
-        click.echo(f"written: {', '.join(path.name for path in files.written)}")
+        click.echo(f"written: {', '.join(path.name for path in files.written_files)}")

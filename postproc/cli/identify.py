@@ -318,7 +318,7 @@ def part(
             click.echo(text)
         for warning in folder.data.warnings if agreement is None else agreement.warnings:
             click.echo(f"warning: {warning}", err=True)
-        if folder.written:
+        if folder.written_files:
             click.echo(f"written: {output}")
     if folder.data.verdict.refused if agreement is None else not agreement.holds:
         ctx.exit(3)

@@ -93,9 +93,9 @@ def _decorator(option: Option) -> Callable[[_Command], _Command]:
     elif option.kind == "path":
         attributes["type"] = _PATH
     elif option.kind == "count":
-        attributes["type"] = click.IntRange(min=None if option.least is None else int(option.least))
+        attributes["type"] = click.IntRange(min=None if option.minimum is None else int(option.minimum))
     elif option.kind == "length":
-        attributes["type"] = FiniteRange(min=option.least or 0, min_open=option.least is None)
+        attributes["type"] = FiniteRange(min=option.minimum or 0, min_open=option.minimum is None)
     else:
         attributes["callback"] = _dialect
     return click.option(*option.flags, option.name, required=option.required, help=option.help, **attributes)
@@ -106,7 +106,7 @@ overwrite = _decorator(actions.OVERWRITE)
 
 def shared_options(command: _Command) -> _Command:
     """Add the options that convert and predict share."""
-    return _with_options(command, actions.SHARED)
+    return _with_options(command, actions.SHARED_OPTIONS)
 
 
 def conversion_options(command: _Command) -> _Command:

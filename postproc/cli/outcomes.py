@@ -57,7 +57,7 @@ def work_through(
                 click.echo(remark, err=True)
             raise
         print_failures(outcome_of.values())
-        count = sum(bool(outcome.written) for outcome in outcome_of.values())
+        count = sum(bool(outcome.written_files) for outcome in outcome_of.values())
         rest = "of the others nothing is" if cluster is None else "the cluster may still finish those it has begun"
         text = f"Interrupted: {count} of {len(jobs)} programs are written, and whole; {rest}. {remark}".rstrip()
         with contextlib.suppress(OSError):  # the terminal may be gone
@@ -137,7 +137,7 @@ def _print(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, as_json: bool) -
         return
     elif len(outcomes) == 1 and outcomes[0].summary is not None:
         click.echo(report.of_one(outcomes[0].summary, display()))
-        names = ", ".join(Path(path).name for path in outcomes[0].written)
+        names = ", ".join(Path(path).name for path in outcomes[0].written_files)
         click.echo(f"written to {jobs[0].output}: {names}")
     elif len(outcomes) > 1:
         rows = [(outcome.program, outcome.summary, _word(outcome)) for outcome in outcomes]
@@ -159,8 +159,8 @@ def print_failures(outcomes: Iterable[Outcome]) -> None:
             click.echo(issue_line(issue_entry(issue), outcome.program), err=True)
         if outcome.issues:
             click.echo(f"Error: {outcome.program}: nothing is written.", err=True)
-        if outcome.earlier:
-            click.echo(outcome.earlier, err=True)
+        if outcome.earlier_remark:
+            click.echo(outcome.earlier_remark, err=True)
 
 
 def _as_entry(outcome: Outcome) -> dict[str, object]:
@@ -175,8 +175,8 @@ def _as_entry(outcome: Outcome) -> dict[str, object]:
         entry["skipped"] = outcome.message
     else:
         entry |= {"error": outcome.message, "issues": [issue_entry(issue) for issue in outcome.issues]}
-        entry |= {"earlier": outcome.earlier}
-    return {**entry, "written": list(outcome.written)}
+        entry |= {"earlier": outcome.earlier_remark}
+    return {**entry, "written": list(outcome.written_files)}
 
 
 def _word(outcome: Outcome) -> str:
@@ -185,7 +185,7 @@ def _word(outcome: Outcome) -> str:
     issues = outcome.summary.issues
     warnings = sum(issue.level == "warning" for issue in issues)
     word = "not to be run" if outcome.code else "written"
-    new_names = [Path(path).name for path in outcome.written[:1] if any(issue.kind == "name" for issue in issues)]
+    new_names = [Path(path).name for path in outcome.written_files[:1] if any(issue.kind == "name" for issue in issues)]
     return (
         word
         + "".join(f" as {name}" for name in new_names)

@@ -66,7 +66,7 @@ def convert_piped(program: str, settings: Settings, files: dict[str, Any], name:
         print_failures([outcome])
         if outcome.summary is None:
             return outcome
-        programs = [file for file in outcome.written if Path(file).suffix.lower() == jobs[0].writer.extension]
+        programs = [file for file in outcome.written_files if Path(file).suffix.lower() == jobs[0].writer.extension]
         if to_stdout and len(programs) > 1:
             names = ", ".join(Path(file).name for file in programs)
             raise click.ClickException(f"{len(programs)} files are written ({names}): give a folder by -o.")

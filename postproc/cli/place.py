@@ -54,6 +54,6 @@ def place(as_json: bool, **request: Any) -> None:
         click.echo((request["output"] / "place.json").read_text(encoding="utf-8"), nl=False)
     else:
         click.echo(placement.as_text(files.summary))
-        click.echo("written: " + ", ".join(str(path) for path in files.written))
+        click.echo("written: " + ", ".join(str(path) for path in files.written_files))
     if files.summary.best is None:
         sys.exit(1)

@@ -74,11 +74,11 @@ def compensator(as_json: bool, **request: Any) -> None:
         raise click.BadParameter("give a file that ends in .csv", param_hint="-o")
     files = make_compensator_plan(plan_request)
     if as_json:
-        click.echo(files.written[-1].read_text(encoding="utf-8"), nl=False)
+        click.echo(files.written_files[-1].read_text(encoding="utf-8"), nl=False)
         return
     for line in text_lines(files.plan):
         click.echo(line)
-    click.echo("written: " + ", ".join(str(path) for path in files.written))
+    click.echo("written: " + ", ".join(str(path) for path in files.written_files))
 
 
 @plan.command()
@@ -145,11 +145,11 @@ def poses(programs: tuple[str, ...], other_programs: tuple[str, ...], as_json: b
     for warning in files.result.warnings:
         click.echo(f"warning: {warning}", err=True)
     if as_json:
-        click.echo(files.written[-1].read_text(encoding="utf-8"), nl=False)
+        click.echo(files.written_files[-1].read_text(encoding="utf-8"), nl=False)
         return
     for line in plan_lines(files.result):
         click.echo(line)
-    click.echo("written: " + ", ".join(str(path) for path in files.written))
+    click.echo("written: " + ", ".join(str(path) for path in files.written_files))
 
 
 @contextlib.contextmanager

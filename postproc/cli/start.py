@@ -93,9 +93,9 @@ def start(ctx: click.Context, /, program: Path, output: Path | None, no_open: bo
         if path in (folder / "cell.toml", own_process) and is_edited(path, answer_file) and not options["overwrite"]:
             click.echo(f"{path} is used as it is.")
     answers = Answers()
-    kept = [file for file, is_kept in (("cell", keep_cell), ("process", keep_process)) if is_kept]
+    kept_files = [file for file, is_kept in (("cell", keep_cell), ("process", keep_process)) if is_kept]
     asking = {"cell": not keep_cell, "process": not keep_process and process is not None}
-    _ask(needs, answers, answer_file, answers_path, _stated(options, needs), asking, kept)
+    _ask(needs, answers, answer_file, answers_path, _stated(options, needs), asking, kept_files)
     files = write_files(
         needs, answers, answer_file, cell=cell, process=process, keep_cell=keep_cell, keep_process=keep_process
     )
@@ -104,7 +104,11 @@ def start(ctx: click.Context, /, program: Path, output: Path | None, no_open: bo
         click.echo(f"warning: {remark}", err=True)
     outcome = _converted(ctx, program, folder, files.cell, files.process, options)
     _offer_place(outcome, program, files.cell, files.process)
-    page = folder / f"{Path(outcome.written[0]).name.partition('.')[0]}.report.html" if outcome.written else None
+    page = (
+        folder / f"{Path(outcome.written_files[0]).name.partition('.')[0]}.report.html"
+        if outcome.written_files
+        else None
+    )
     if page is not None and page.is_file() and not no_open and sys.stdout.isatty():
         click.launch(str(page))
     ctx.exit(outcome.code)
@@ -157,7 +161,7 @@ def _ask(
     answers_path: Path,
     option_texts: Mapping[str, str],
     asking: Mapping[str, bool],
-    kept: Collection[str],
+    kept_files: Collection[str],
 ) -> None:
     """Fill the answers from options, from an earlier start, and from questions; keep each as it is given."""
     from postproc.errors import InputError
@@ -185,10 +189,12 @@ def _ask(
             answer_file.answers[question.key] = text
             _keep(answers_path, answer_file)
     unused = option_texts.keys() - question_keys
-    for file in kept:
+    for file in kept_files:
         names = [name for name in unused if _file_of(name) == file]
-        if changed := sorted(name for name in names if option_texts[name] != answer_file.answers.get(name)):
-            problem = f"{', '.join(changed)}: the {file} file is used as it is, and these answers would not count"
+        if conflicting_names := sorted(name for name in names if option_texts[name] != answer_file.answers.get(name)):
+            problem = (
+                f"{', '.join(conflicting_names)}: the {file} file is used as it is, and these answers would not count"
+            )
             raise click.UsageError(f"{problem}. Leave them out, or give --overwrite to write the file anew.")
         unused -= set(names)  # the file was made of the same answers, and edited since
     for name in sorted(unused):

@@ -46,7 +46,7 @@ class Hits(Struct, frozen=True, eq=False):
     :param first: (h,) the body that moves, `second` the other one: rows of `Scene.bodies`.
     :param distance: (h,) the smallest distance found there [m].
     :param calls: number of distances that were computed.
-    :param less: largest decrease of distances on the commanded path [m].
+    :param largest_decrease: largest decrease of distances on the commanded path [m].
     """
 
     closest: Closest | None
@@ -55,7 +55,7 @@ class Hits(Struct, frozen=True, eq=False):
     second: Ints
     distance: Array
     calls: int
-    less: float
+    largest_decrease: float
 
 
 def along(scene: Scene, q: Array, need: float, shift: Array | None = None, commanded_q: Array | None = None) -> Hits:

@@ -36,7 +36,7 @@ from postproc.under_load import RobotInCell
 
 def compare(
     nominal: Program,
-    corrected: Program,
+    corrected_program: Program,
     robot: RobotModel,
     cell: Cell,
     source: ForceSource | None = None,
@@ -47,7 +47,7 @@ def compare(
     """Compare two programs for one part.
 
     :param nominal: the program as it should be cut.
-    :param corrected: the program to compare with it.
+    :param corrected_program: the program to compare with it.
     :param robot: the robot model.
     :param cell: the cell.
     :param source: forces of the nominal program, in addition to its comments. Without either, the comments of the other
@@ -59,7 +59,7 @@ def compare(
     :raises ForceError: forces that cannot be assigned to the motions, or without an equilibrium of the arm.
     """
     place = RobotInCell.of(robot, cell)
-    nominal_path, corrected_path = PlacedProgram.of(nominal, place), PlacedProgram.of(corrected, place)
+    nominal_path, corrected_path = PlacedProgram.of(nominal, place), PlacedProgram.of(corrected_program, place)
     stated_pairs = _stated_partners(nominal_path, corrected_path, ends)
     if source is None and not nominal.notes:
         loads = None
@@ -74,7 +74,7 @@ def compare(
     else:
         if same_origin:
             comparison = _all_inserted(comparison, nominal_path)
-        if corrected.notes:
+        if corrected_program.notes:
             comparison = _with_cuts_of_corrected(comparison, nominal_path, corrected_path)
     has_pairs = loads is not None or stated_pairs is not None
     options = {"in_file": source is not None, "same_origin": same_origin, "pairs_certain": has_pairs}
@@ -147,16 +147,21 @@ def _with_cuts(
     sides = nominal_path, corrected_path
     cuts = at_pairs(comparison, *sides, loads.wrench[index], loads.deflection[index], left[index])
     cuts = between(comparison, cuts, nominal_path, corrected_path, loads.path)
-    ends = cuts.row[(cuts.t == 1.0) & (cuts.between_corrected <= tolerance)]
-    return with_inserted(replace(comparison, cuts=cuts), np.isin(comparison.only_corrected, ends))
+    ends = cuts.row[(cuts.t == 1.0) & (cuts.corrected_distance <= tolerance)]
+    return with_inserted(replace(comparison, cuts=cuts), np.isin(comparison.additional_rows, ends))
 
 
 def _all_inserted(comparison: Comparison, nominal_path: PlacedProgram) -> Comparison:
     """Return a comparison of two programs of one conversion: targets without a partner were inserted or left out."""
-    rows, by = (comparison.passed, comparison.only_nominal), (comparison.passed_by, comparison.missed)
-    comparison = replace(comparison, passed=np.concatenate(rows), passed_by=np.concatenate(by))
-    comparison = replace(comparison, only_nominal=nominal_path.rows[:0], missed=comparison.missed[:0])
-    return with_inserted(comparison, np.ones(len(comparison.only_corrected), dtype=bool))
+    rows, by = (
+        (comparison.passed_rows, comparison.only_nominal),
+        (comparison.passing_distance, comparison.missing_distance),
+    )
+    comparison = replace(comparison, passed_rows=np.concatenate(rows), passing_distance=np.concatenate(by))
+    comparison = replace(
+        comparison, only_nominal=nominal_path.rows[:0], missing_distance=comparison.missing_distance[:0]
+    )
+    return with_inserted(comparison, np.ones(len(comparison.additional_rows), dtype=bool))
 
 
 def _with_cuts_of_corrected(

@@ -195,7 +195,7 @@ def _is_called(name: str, program: Program) -> bool:
 
 def _alone(comparison: Comparison, nominal_path: PlacedProgram) -> Iterator[Difference]:
     """Yield missing and additional targets; a missing one that the second path leaves out is an error."""
-    rows, distances = comparison.only_nominal, np.nan_to_num(comparison.missed)
+    rows, distances = comparison.only_nominal, np.nan_to_num(comparison.missing_distance)
     if len(rows):
         worst = int(np.argmax(distances))
         is_off_path = distances[worst] > nominal_path.robot_in_cell.tolerance
@@ -208,7 +208,7 @@ def _alone(comparison: Comparison, nominal_path: PlacedProgram) -> Iterator[Diff
         place = place_of(comparison.nominal, rows[worst])
         level: Level = "error" if is_off_path else "warning"
         yield Difference(level, "only-nominal", message, place, _next(comparison, rows[worst]), len(rows))
-    rows = comparison.only_corrected
+    rows = comparison.additional_rows
     if len(rows):
         message = "an additional target, not on the nominal path."
         yield Difference("warning", "only-corrected", message, None, place_of(comparison.corrected, rows[0]), len(rows))
@@ -222,7 +222,7 @@ def _ambiguous(
     Without forces of the nominal program the correction is unknown. Since pairs may be wrong ones, so may their largest
     offset: a target is possible within twice that.
     """
-    if not len(comparison.pair) or not len(comparison.inserted):
+    if not len(comparison.pair) or not len(comparison.inserted_rows):
         return
     index = np.searchsorted(corrected_path.rows, comparison.pair[:, 1])
     mine = nominal_path.track().position[np.searchsorted(nominal_path.rows, comparison.pair[:, 0])]
@@ -231,7 +231,7 @@ def _ambiguous(
     uncertain = np.zeros(len(index))
     for step in (-1, 1):
         neighbours = np.clip(index + step, 0, len(corrected_path.rows) - 1)
-        possible = np.isin(corrected_path.rows[neighbours], comparison.inserted) & (
+        possible = np.isin(corrected_path.rows[neighbours], comparison.inserted_rows) & (
             norm(theirs[neighbours] - mine) <= limit
         )
         uncertain = np.where(possible, np.maximum(uncertain, norm(theirs[neighbours] - theirs[index])), uncertain)
@@ -260,7 +260,7 @@ def _orientation(
     """
     limit = nominal_path.robot_in_cell.tolerance / LEVER
     pair_angles = (
-        comparison.rotation if comparison.cuts is None else np.minimum(comparison.rotation, comparison.cuts.turned)
+        comparison.rotation if comparison.cuts is None else np.minimum(comparison.rotation, comparison.cuts.rotation)
     )
     if comparison.cuts is None and any(difference.kind == "base" for difference in bases_and_tools(comparison)):
         return
@@ -290,14 +290,14 @@ def _inserted_turned(
     cuts = comparison.cuts
     if cuts is not None and len(cuts.row):
         ends = np.flatnonzero(cuts.t == 1.0)
-        return cuts.row[ends], cuts.between_turned[ends]
-    row = comparison.inserted
+        return cuts.row[ends], cuts.path_rotation[ends]
+    row = comparison.inserted_rows
     next_pair = np.searchsorted(comparison.pair[:, 1], row)
     row, next_pair = row[next_pair > 0], next_pair[next_pair > 0]
     if comparison.curves is None or not len(row):
         return row[:0], np.zeros(0)
-    chain = comparison.curves.other
-    motion, t = comparison.curves.one.at(chain.end[row - chain.row[0]])
+    chain = comparison.curves.corrected_chain
+    motion, t = comparison.curves.nominal_chain.at(chain.end[row - chain.row[0]])
     mine = toolpath.at(nominal_path.program, nominal_path.segments, motion, t).pose
     theirs = tool_of_nominal(
         nominal_path.program, motion, corrected_path.program, row, corrected_path.program.motions.target[row]
@@ -311,7 +311,7 @@ def _rapid(comparison: Comparison, nominal_path: PlacedProgram) -> Iterator[Diff
     offsets = (
         comparison.distance
         if comparison.cuts is None
-        else np.minimum(comparison.distance, norm(comparison.cuts.corrected))
+        else np.minimum(comparison.distance, norm(comparison.cuts.corrected_deviation))
     )
     pairs = np.flatnonzero((offsets > nominal_path.robot_in_cell.tolerance) & comparison.rapid)
     if len(pairs) and not any(difference.kind == "base" for difference in bases_and_tools(comparison)):
@@ -406,13 +406,13 @@ def _distance_of_way(
     """
     assert comparison.curves is not None
     u = k - 1.0 + np.linspace(1e-9, 1.0, _PLACES)
-    chain = comparison.curves.other
-    inserted_rows = comparison.inserted[
-        (comparison.inserted > comparison.pair[k - 1, 1]) & (comparison.inserted < comparison.pair[k, 1])
+    chain = comparison.curves.corrected_chain
+    inserted_rows = comparison.inserted_rows[
+        (comparison.inserted_rows > comparison.pair[k - 1, 1]) & (comparison.inserted_rows < comparison.pair[k, 1])
     ]
     u = np.append(u, chain.end[inserted_rows - chain.row[0]])
     spots = comparison.curves.second_in_cell(u)
-    limits = (np.full(len(u), nominal_path.along[comparison.pair[n, 0] + 1]) for n in (k - 1, k))
+    limits = (np.full(len(u), nominal_path.arc_length[comparison.pair[n, 0] + 1]) for n in (k - 1, k))
     distances = nearest(lambda at: nominal_path.points(at.ravel()).reshape(*at.shape, 3), spots, *limits)[1]
     inserted_distance = float(distances[_PLACES:].max(initial=0.0))
     largest = float(distances.max())
@@ -425,14 +425,14 @@ def _under_forces(comparison: Comparison, nominal_path: PlacedProgram) -> Iterat
     if cuts is None:
         return
     at_end = np.zeros(len(comparison.corrected.motions))
-    at_end[comparison.pair[:, 1]] = norm(cuts.corrected)
-    at_end[cuts.row[cuts.t == 1.0]] = cuts.between_corrected[cuts.t == 1.0]
+    at_end[comparison.pair[:, 1]] = norm(cuts.corrected_deviation)
+    at_end[cuts.row[cuts.t == 1.0]] = cuts.corrected_distance[cuts.t == 1.0]
     ends = np.maximum(at_end[cuts.row], at_end[cuts.row - 1])
     way = np.searchsorted(comparison.pair[:, 1], cuts.row)
     gap = np.searchsorted(
         comparison.pair[:, 0], comparison.only_nominal
     )  # missing targets have a difference of their own
-    deviations = cuts.between_corrected
+    deviations = cuts.corrected_distance
     bad = np.flatnonzero(
         (deviations > ends + nominal_path.robot_in_cell.tolerance + _EXCESS_MARGIN)
         & (cuts.t < 1.0)
@@ -460,7 +460,7 @@ def _cut_corners(
     where its approximation distance is the same: other ones are a difference of their own. Nothing is allowed at
     targets that it does not have.
     """
-    m, rows = comparison.nominal.motions, np.union1d(comparison.pair[:, 1], comparison.inserted)
+    m, rows = comparison.nominal.motions, np.union1d(comparison.pair[:, 1], comparison.inserted_rows)
     if not len(rows):
         return
     rounding = corners_of_motions(corrected_path.program, corrected_path.segments, rows).rounding(
@@ -541,7 +541,7 @@ def _kind(comparison: Comparison) -> Iterator[Difference]:
 
     An arc may have become lines (``--linearize-arcs``): where these leave it, another difference gives the distance.
     """
-    rows = np.union1d(comparison.pair[:, 1], comparison.inserted)
+    rows = np.union1d(comparison.pair[:, 1], comparison.inserted_rows)
     motion = comparison.pair[np.searchsorted(comparison.pair[:, 1], rows), 0]
     nominal_kind, corrected_kind = comparison.nominal.motions.kind[motion], comparison.corrected.motions.kind[rows]
     indices = np.flatnonzero((nominal_kind != corrected_kind) & ~((nominal_kind == CIRC) & (corrected_kind == LIN)))

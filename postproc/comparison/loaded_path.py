@@ -10,7 +10,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc import toolpath
-from postproc.chunks import in_chunks, ragged_range
+from postproc.chunks import in_chunks
 from postproc.comparison.paths import PlacedProgram, file_and_line
 from postproc.comparison.result import Comparison, Cuts
 from postproc.errors import ForceError, NotConvergedError
@@ -127,7 +127,7 @@ def between(
     search = Search(nominal_path, corrected_path, load, ways)
     at_ends = search.found(ends, np.ones(len(ends)), joints, ways.guess(ends), enough=_EXACT)
     place = np.full(len(corrected_path.program.motions), np.nan)
-    place[comparison.pair[:, 1]] = nominal_path.along[comparison.pair[:, 0] + 1]
+    place[comparison.pair[:, 1]] = nominal_path.arc_length[comparison.pair[:, 0] + 1]
     place[ends] = at_ends[0]
     begin = ways.begins(pieces, place)
     is_valid = (place[pieces] - begin > _SHORTEST) & ~_begins_with_step(nominal_path, load, place[pieces])
@@ -150,9 +150,9 @@ def between(
         cuts,
         row=row[order],
         t=t[order],
-        between_nominal=nominal[order],
-        between_corrected=corrected_values[order],
-        between_turned=angles[order],
+        nominal_distance=nominal[order],
+        corrected_distance=corrected_values[order],
+        path_rotation=angles[order],
         length=length[order],
     )
 
@@ -160,19 +160,19 @@ def between(
 class Ways(Struct, frozen=True, eq=False):
     """The ways between pairs: way k leads to pair k from pair k − 1, the first one from the start of the program.
 
-    :param other: the second program, of M motions.
+    :param corrected_path: the second program, of M motions.
     :param way: (M,) the way of each motion; P for those after the last pair.
     :param begin: (P,) arc lengths on the nominal path at which the ways begin, `end` (P,) at which they end [m].
     :param second: (P, 2) the same on the second path.
-    :param known: (P,) True where the whole nominal way consists of cutting lines and arcs that can be corrected.
+    :param is_comparable: (P,) True where the whole nominal way is cutting lines and arcs that can be corrected.
     """
 
-    other: PlacedProgram
+    corrected_path: PlacedProgram
     way: Ints
     begin: Array
     end: Array
     second: Array
-    known: Bools
+    is_comparable: Bools
 
     @classmethod
     def of_pairs(cls, comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram) -> Ways:
@@ -181,44 +181,46 @@ class Ways(Struct, frozen=True, eq=False):
         unknown = (np.isin(m.kind, (PTP, SPL)) | m.rapid) & np.isnan(m.joints[:, 0])
         count = np.append(0, np.cumsum(unknown | _uncorrected_start(nominal_path)))
         start_index = np.append(-1, first[:-1]) + 1
-        second = corrected_path.along[np.stack([np.append(-1, two[:-1]) + 1, two + 1], axis=1)]
+        second = corrected_path.arc_length[np.stack([np.append(-1, two[:-1]) + 1, two + 1], axis=1)]
         way = np.searchsorted(two, np.arange(len(corrected_path.program.motions)))
         return cls(
             corrected_path,
             way,
-            nominal_path.along[start_index],
-            nominal_path.along[first + 1],
+            nominal_path.arc_length[start_index],
+            nominal_path.arc_length[first + 1],
             second,
             count[first + 1] == count[start_index],
         )
 
     def _of_known(self, row: Ints) -> Bools:
         """Return which motions (n,) of the second program are on a known way."""
-        return np.append(self.known, False)[self.way[row]]
+        return np.append(self.is_comparable, False)[self.way[row]]
 
     def targets(self, comparison: Comparison) -> Ints:
         """Return the motions (n,) whose ends, without partner, are compared with the nominal path."""
-        additional_rows = comparison.only_corrected
-        kind = self.other.program.motions.kind
+        additional_rows = comparison.additional_rows
+        kind = self.corrected_path.program.motions.kind
         additional_rows = additional_rows[self._of_known(additional_rows) & np.isin(kind[additional_rows], (LIN, CIRC))]
-        return np.sort(np.append(comparison.inserted, additional_rows))
+        return np.sort(np.append(comparison.inserted_rows, additional_rows))
 
     def pieces(self) -> Ints:
         """Return the lines and arcs (n,) of the second program that are compared with the nominal path inside."""
-        rows = self.other.rows[np.isin(self.other.program.motions.kind[self.other.rows], (LIN, CIRC))]
-        return rows[self._of_known(rows) & ~_uncorrected_start(self.other)[rows]]
+        rows = self.corrected_path.rows[
+            np.isin(self.corrected_path.program.motions.kind[self.corrected_path.rows], (LIN, CIRC))
+        ]
+        return rows[self._of_known(rows) & ~_uncorrected_start(self.corrected_path)[rows]]
 
     def guess(self, row: Ints) -> Array:
         """Return arc lengths (n,) on the nominal path at the same share of the way as the ends of motions (n,)."""
         way = self.way[row]
         begin, end = self.second[way].T
-        share = (self.other.along[row + 1] - begin) / np.maximum(end - begin, 1e-12)
+        share = (self.corrected_path.arc_length[row + 1] - begin) / np.maximum(end - begin, 1e-12)
         return np.asarray(self.begin[way] + share * (self.end[way] - self.begin[way]))
 
     def begins(self, row: Ints, place: Array) -> Array:
         """Return the arc lengths (n,) on the nominal path at which motions (n,) begin, by those of the ends (M,)."""
-        index = np.searchsorted(self.other.rows, row) - 1
-        return np.where(index >= 0, place[self.other.rows[index]], self.begin[self.way[row]])
+        index = np.searchsorted(self.corrected_path.rows, row) - 1
+        return np.where(index >= 0, place[self.corrected_path.rows[index]], self.begin[self.way[row]])
 
 
 def _begins_with_step(nominal_path: PlacedProgram, load: PathForces, place: Array) -> Bools:
@@ -242,7 +244,7 @@ def _steep(nominal_path: PlacedProgram, corrected_path: PlacedProgram, pieces: I
     """
     ends = np.flatnonzero(np.isfinite(place))
     displacements = np.full((len(place), 3), np.nan)
-    displacements[ends] = corrected_path.points(corrected_path.along[ends + 1]) - nominal_path.points(place[ends])
+    displacements[ends] = corrected_path.points(corrected_path.arc_length[ends + 1]) - nominal_path.points(place[ends])
     previous_rows = np.maximum(np.searchsorted(corrected_path.rows, pieces) - 1, 0)
     return np.asarray(~(norm(displacements[pieces] - displacements[corrected_path.rows[previous_rows]]) <= _STEEP))
 
@@ -254,9 +256,9 @@ def places_on_pieces(corrected_path: PlacedProgram, pieces: Ints, steep: Bools) 
     length, turn = segments.length[pieces], segments.turn[pieces]
     number = number_of_places(kind, length, turn, is_curved=arcs, steep=arcs | steep)
     parts = np.maximum(number, _MIN_PARTS)
-    piece_index = np.repeat(np.arange(len(pieces)), parts - 1)
-    index = ragged_range(parts - 1) + 1
-    return pieces[piece_index], index / parts[piece_index]
+    row, t = toolpath.even_places(pieces, parts)
+    is_inside = t < 1.0
+    return row[is_inside], t[is_inside]
 
 
 def _turned_at(
@@ -288,8 +290,8 @@ class Search(Struct, frozen=True, eq=False):
     The force acts where the tool is on the nominal path, so it depends on the place that is sought.
     """
 
-    one: PlacedProgram
-    other: PlacedProgram
+    nominal_path: PlacedProgram
+    corrected_path: PlacedProgram
     load: PathForces
     ways: Ways
 
@@ -302,11 +304,11 @@ class Search(Struct, frozen=True, eq=False):
         """
 
         def in_chunk(row: Ints, t: Array, q: Array, guess: Array) -> tuple[Array, ...]:
-            way, displacement = self.ways.way[row], self.other.carried(row, t)
+            way, displacement = self.ways.way[row], self.corrected_path.carried(row, t)
             low, high = self.ways.begin[way], self.ways.end[way]
             low = np.minimum(low + _SHORTEST * 1e-4, high)  # behind the end of the motion before
             length, distance = self._improved(q, displacement, np.clip(guess, low, high), (low, high), enough)
-            distant_rows = np.flatnonzero(distance > max(enough, _CLOSE * self.one.robot_in_cell.tolerance))
+            distant_rows = np.flatnonzero(distance > max(enough, _CLOSE * self.nominal_path.robot_in_cell.tolerance))
             if len(distant_rows):
                 limits = low[distant_rows], high[distant_rows]
                 new_length = self._anywhere(q[distant_rows], displacement[distant_rows], limits)
@@ -315,8 +317,8 @@ class Search(Struct, frozen=True, eq=False):
                 )
                 better = new_distance < distance[distant_rows]
                 length[distant_rows[better]], distance[distant_rows[better]] = new_length[better], new_distance[better]
-            motion, t = self.one.at(length)
-            mine = norm(self._off(self.one.joints_at(motion, t), self.one.carried(motion, t), length))
+            motion, t = self.nominal_path.at(length)
+            mine = norm(self._off(self.nominal_path.joints_at(motion, t), self.nominal_path.carried(motion, t), length))
             return length, mine, distance
 
         length, mine, distance = in_chunks(in_chunk, row, t, q, guess)
@@ -324,14 +326,16 @@ class Search(Struct, frozen=True, eq=False):
 
     def _off(self, q: Array, displacement: Array, length: Array) -> Array:
         """Return the tips (n, 3) under the forces at arc lengths (n,), minus the nominal path, in the cell [m]."""
-        motion, t = self.one.at(length)
-        return self._tip(q, displacement, motion, self.one.wrench(self.load, motion, t)) - self.one.points(length)
+        motion, t = self.nominal_path.at(length)
+        return self._tip(
+            q, displacement, motion, self.nominal_path.wrench(self.load, motion, t)
+        ) - self.nominal_path.points(length)
 
     def _tip(self, q: Array, displacement: Array, motion: Ints, wrench: Array) -> Array:
         try:
-            return self.one.loaded_tip(motion, q, wrench, displacement)
+            return self.nominal_path.loaded_tip(motion, q, wrench, displacement)
         except NotConvergedError as cause:
-            raise no_equilibrium(self.one.program, motion, cause) from None
+            raise no_equilibrium(self.nominal_path.program, motion, cause) from None
 
     def _improved(
         self, q: Array, displacement: Array, length: Array, limits: tuple[Array, Array], accuracy: float
@@ -365,19 +369,26 @@ class Search(Struct, frozen=True, eq=False):
         The force moves the tip: on a steep ramp the tip may move back while the path goes on.
         """
         low, high = limits
-        motion = self.one.at(high)[0]
+        motion = self.nominal_path.at(high)[0]
         rest = self._tip(q, displacement, motion, np.zeros((len(q), 6)))
         units = [self._tip(q, displacement, motion, np.tile(unit, (len(q), 1))) - rest for unit in np.diag(_PROBE)]
         compliance = np.stack(units, axis=2) / _PROBE
         fractions = np.linspace(0.0, 1.0, _START_VALUES)
-        whole, ramp = (high - low)[:, None], np.minimum(_RAMPS * self.one.robot_in_cell.ramp, high - low)[:, None]
+        whole, ramp = (
+            (high - low)[:, None],
+            np.minimum(_RAMPS * self.nominal_path.robot_in_cell.ramp, high - low)[:, None],
+        )
         lengths = low[:, None] + np.sort(np.hstack([whole * fractions, ramp * fractions, whole * _FIRST]), axis=1)
         rows = np.arange(len(q))
         for _ in range(_REFINEMENTS):
             point_index = np.repeat(rows, lengths.shape[1])
-            motion, t = self.one.at(lengths.ravel())
-            deflections = np.einsum("nij,nj->ni", compliance[point_index], self.one.wrench(self.load, motion, t))
-            distances = norm(rest[point_index] + deflections - self.one.points(lengths.ravel())).reshape(lengths.shape)
+            motion, t = self.nominal_path.at(lengths.ravel())
+            deflections = np.einsum(
+                "nij,nj->ni", compliance[point_index], self.nominal_path.wrench(self.load, motion, t)
+            )
+            distances = norm(rest[point_index] + deflections - self.nominal_path.points(lengths.ravel())).reshape(
+                lengths.shape
+            )
             best = np.argmin(distances, axis=1)
             begin, end = (
                 lengths[rows, np.maximum(best - 1, 0)],

@@ -42,6 +42,7 @@ _EQUAL = 5e-6
 """Targets that are this near [m], after steps that differ by no more, are the same ones."""
 _RUN, _RUN_CHUNK = 3, 4096
 _NO_PARTNER = -1
+"""Row that no target has."""
 
 
 class Track(Struct, frozen=True, eq=False):
@@ -50,13 +51,13 @@ class Track(Struct, frozen=True, eq=False):
     :param position: (n, 3) in a frame that both programs share [m].
     :param step: (n,) length of the way to each from the one before [m]; of an arc, along it.
     :param joint: (n,) True for PTP.
-    :param continued: (n,) True where the path goes on along the same line or arc: a division point, no corner.
+    :param is_continued: (n,) True where the path goes on along the same line or arc: a division point, no corner.
     """
 
     position: Array
     step: Array
     joint: Bools
-    continued: Bools
+    is_continued: Bools
 
     def __len__(self) -> int:
         return len(self.position)
@@ -115,11 +116,11 @@ def _settle(nominal_track: Track, corrected_track: Track, partner: Ints) -> None
 
 
 def _part(track: Track, rows: slice) -> Track:
-    return Track(track.position[rows], track.step[rows], track.joint[rows], track.continued[rows])
+    return Track(track.position[rows], track.step[rows], track.joint[rows], track.is_continued[rows])
 
 
 def _reversed(track: Track) -> Track:
-    return Track(track.position[::-1], np.roll(track.step, -1)[::-1], track.joint[::-1], track.continued[::-1])
+    return Track(track.position[::-1], np.roll(track.step, -1)[::-1], track.joint[::-1], track.is_continued[::-1])
 
 
 def _scale(step: Array) -> Array:
@@ -198,7 +199,7 @@ def _assigned(nominal_track: Track, corrected_track: Track, last_pair: tuple[Arr
         origins[row] = window, states.row[last], states.partner[last]
         good = np.flatnonzero(np.isfinite(least_cost))
         pair_states = _States(window[good], np.full(len(good), row), least_cost[good], offset[good])
-        states = _cheapest(pair_states, states, _PASSED_COST if nominal_track.continued[row] else _MISSING_COST)
+        states = _cheapest(pair_states, states, _PASSED_COST if nominal_track.is_continued[row] else _MISSING_COST)
         row += 1
     _follow(assignment, states, origins)
     return assignment

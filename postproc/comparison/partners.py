@@ -111,12 +111,12 @@ def paired(nominal_path: PlacedProgram, corrected_path: PlacedProgram, partner: 
         corrected=corrected,
         robot=nominal_path.robot_in_cell.robot.name,
         pair=pair,
-        inserted=rest[on_path],
-        passed=nominal_path.rows[:0],
-        passed_by=np.zeros(0),
+        inserted_rows=rest[on_path],
+        passed_rows=nominal_path.rows[:0],
+        passing_distance=np.zeros(0),
         only_nominal=nominal_path.rows[~has_partner],
-        missed=np.full(int((~has_partner).sum()), np.nan),
-        only_corrected=rest[~on_path],
+        missing_distance=np.full(int((~has_partner).sum()), np.nan),
+        additional_rows=rest[~on_path],
         pose=pose,
         rotation=norm(twists[:, 3:]),
         curves=curves,
@@ -132,8 +132,8 @@ def judged(
     """Return the comparison with nominal targets without partner divided into passed and missing ones."""
     distances, is_passed = missed_targets(comparison, nominal_path, corrected_path, load)
     rows = comparison.only_nominal
-    comparison = replace(comparison, passed=rows[is_passed], passed_by=distances[is_passed])
-    return replace(comparison, only_nominal=rows[~is_passed], missed=distances[~is_passed])
+    comparison = replace(comparison, passed_rows=rows[is_passed], passing_distance=distances[is_passed])
+    return replace(comparison, only_nominal=rows[~is_passed], missing_distance=distances[~is_passed])
 
 
 def moved_alone(comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram) -> Ints:
@@ -142,7 +142,7 @@ def moved_alone(comparison: Comparison, nominal_path: PlacedProgram, corrected_p
     Those are missing and additional ones, if as many of them are between the same pairs.
     """
     partner = np.full(len(nominal_path.rows), -1)
-    unpaired_rows = comparison.only_nominal, comparison.only_corrected
+    unpaired_rows = comparison.only_nominal, comparison.additional_rows
     gaps = [np.searchsorted(comparison.pair[:, k], rows) for k, rows in enumerate(unpaired_rows)]
     counts = [np.bincount(gap, minlength=len(comparison.pair) + 1) for gap in gaps]
     same_count = counts[0] == counts[1]
@@ -163,8 +163,8 @@ def in_order(partner: Ints) -> Ints:
 
 def with_inserted(comparison: Comparison, on_path: Bools) -> Comparison:
     """Return the comparison with some of the additional targets, (n,) of them, counted as inserted ones."""
-    inserted_rows = np.sort(np.append(comparison.inserted, comparison.only_corrected[on_path]))
-    return replace(comparison, inserted=inserted_rows, only_corrected=comparison.only_corrected[~on_path])
+    inserted_rows = np.sort(np.append(comparison.inserted_rows, comparison.additional_rows[on_path]))
+    return replace(comparison, inserted_rows=inserted_rows, additional_rows=comparison.additional_rows[~on_path])
 
 
 def missed_targets(
@@ -246,12 +246,12 @@ def _on_path(
     )
     spot = pose[:, :3, 3]
     limit = OFF_PATH + TIMES_OFFSET * np.maximum(np.append(0.0, distance)[next_pair], distance[next_pair])
-    begin, end = nominal_path.along[previous_row + 1], nominal_path.along[last + 1]
+    begin, end = nominal_path.arc_length[previous_row + 1], nominal_path.arc_length[last + 1]
     first, final = (
-        corrected_path.along[np.append(-1, pair[:, 1])[next_pair] + 1],
-        corrected_path.along[pair[next_pair, 1] + 1],
+        corrected_path.arc_length[np.append(-1, pair[:, 1])[next_pair] + 1],
+        corrected_path.arc_length[pair[next_pair, 1] + 1],
     )
-    length_at_row, path_distance = corrected_path.along[rows + 1], np.full(len(rows), np.inf)
+    length_at_row, path_distance = corrected_path.arc_length[rows + 1], np.full(len(rows), np.inf)
     # a detour of the other program is on one side only
     share = begin + (length_at_row - first) / np.maximum(final - first, 1e-12) * (end - begin)
     for length in (share, begin + length_at_row - first, end - (final - length_at_row)):
@@ -285,15 +285,15 @@ def missed_by(
     indices = np.flatnonzero(nominal_path.program.motions.kind[rows] != PTP)
     if not len(pair) or not len(indices):
         return distances
-    motion, positions = rows[indices], nominal_path.points(nominal_path.along[rows[indices] + 1])
+    motion, positions = rows[indices], nominal_path.points(nominal_path.arc_length[rows[indices] + 1])
     wrench = np.zeros((len(indices), 6)) if load is None else nominal_path.wrench(load, motion)
     way = np.searchsorted(pair[:, 0], motion)
     last = np.minimum(way, len(pair) - 1)
-    begin = np.where(way > 0, corrected_path.along[pair[way - 1, 1] + 1], 0.0)
-    end = np.where(way < len(pair), corrected_path.along[pair[last, 1] + 1], corrected_path.along[-1])
+    begin = np.where(way > 0, corrected_path.arc_length[pair[way - 1, 1] + 1], 0.0)
+    end = np.where(way < len(pair), corrected_path.arc_length[pair[last, 1] + 1], corrected_path.arc_length[-1])
     if load is None:
-        lengths = nominal_path.along[pair[:, 0] + 1]
-        offsets = [np.interp(nominal_path.along[motion + 1], lengths, column) for column in offset.T]
+        lengths = nominal_path.arc_length[pair[:, 0] + 1]
+        offsets = [np.interp(nominal_path.arc_length[motion + 1], lengths, column) for column in offset.T]
         positions = positions + np.stack(offsets, axis=1)
 
     def distance(motion: Ints, positions: Array, wrench: Array, begin: Array, end: Array) -> tuple[Array]:

@@ -33,6 +33,7 @@ many as the last number says."""
 _SAMPLES, _ROUNDS = 9, 4
 """Search for the largest distance of two arcs: places per round, and rounds between the neighbours of the best."""
 _NO_DISTANCE = 1e-12
+"""Lengths and shares below this are rounding: quotients by it stay finite."""
 _NO_LENGTH, _PER_RADIAN, _MIN_SIZE = 1e-9, 1e-3, 1e-4
 """A motion shorter than the first [m] does not move the tip: it counts so much arc length for the angle by which it
 turns the tool [m/rad], and at least the last [m], because the force may change along it."""
@@ -42,14 +43,14 @@ class PlacedProgram(DrivenProgram, frozen=True, eq=False, dict=True):
     """A program of M motions as its controller drives it, with the joint angles at the ends of its motions.
 
     :param size: (M,) length of the motions [m]; of one that does not move the tip, a length of its own (`_STILL`).
-    :param along: (M + 1,) arc length at which each motion begins, and that of the end: the sum of these sizes [m].
+    :param arc_length: (M + 1,) arc length at which each motion begins, and that of the end: the sum of these sizes [m].
     :param rows: (n,) motions with a Cartesian target.
     :param joints: (M, 6) joint angles at the ends of the motions [rad].
     :param branch: (M,) branch of the inverse kinematics of each.
     """
 
     size: Array
-    along: Array
+    arc_length: Array
     rows: Ints
     joints: Array
     branch: Ints
@@ -86,9 +87,9 @@ class PlacedProgram(DrivenProgram, frozen=True, eq=False, dict=True):
 
     def at(self, length: Array) -> tuple[Ints, Array]:
         """Return the places (motion, t), each (n,), at arc lengths (n,) [m]; t > 0."""
-        motion = np.clip(np.searchsorted(self.along, length) - 1, 0, len(self.along) - 2)
+        motion = np.clip(np.searchsorted(self.arc_length, length) - 1, 0, len(self.arc_length) - 2)
         size = np.maximum(self.size[motion], _NO_DISTANCE)
-        return motion, np.clip((length - self.along[motion]) / size, 1e-9, 1.0)
+        return motion, np.clip((length - self.arc_length[motion]) / size, 1e-9, 1.0)
 
     def points(self, length: Array) -> Array:
         """Return the nominal positions (n, 3) at arc lengths (n,), in the cell [m]."""
@@ -171,11 +172,11 @@ class Chain(Struct, frozen=True, eq=False):
         """Return the chain of the motions that end at pairs (P,), and of those between."""
         row = np.arange(paired_rows[0] + 1, paired_rows[-1] + 1)
         pair = np.searchsorted(paired_rows, row)
-        start_length = side.along[paired_rows[pair - 1] + 1]
-        whole = side.along[paired_rows[pair] + 1] - start_length
+        start_length = side.arc_length[paired_rows[pair - 1] + 1]
+        whole = side.arc_length[paired_rows[pair] + 1] - start_length
         ordinal = (row - paired_rows[pair - 1]) / (paired_rows[pair] - paired_rows[pair - 1])
         share = np.where(
-            whole > _NO_DISTANCE, (side.along[row + 1] - start_length) / np.maximum(whole, _NO_DISTANCE), ordinal
+            whole > _NO_DISTANCE, (side.arc_length[row + 1] - start_length) / np.maximum(whole, _NO_DISTANCE), ordinal
         )
         end = np.where(row == paired_rows[pair], pair, np.minimum(pair - 1 + share, pair))
         return cls(side.program, side.segments, row, np.concatenate([[0.0], end[:-1]]), end)
@@ -196,11 +197,11 @@ class Chain(Struct, frozen=True, eq=False):
 class Curves(Struct, frozen=True, eq=False):
     """Both paths between pairs, at the same u. Pieces of splines are replaced by their chords; PTP is unknown.
 
-    :param one: of the nominal program, `other` of the second one.
+    :param nominal_chain: of the nominal program, `corrected_chain` of the second one.
     """
 
-    one: Chain
-    other: Chain
+    nominal_chain: Chain
+    corrected_chain: Chain
 
     @classmethod
     def of(cls, nominal_path: PlacedProgram, corrected_path: PlacedProgram, pair: Ints) -> Curves | None:
@@ -209,22 +210,22 @@ class Curves(Struct, frozen=True, eq=False):
 
     def at(self, u: Array) -> tuple[Array, Array]:
         """Return the positions (n, 3) [m] of the nominal tool that each program commands at u (n,), nominal `$BASE`."""
-        motion, t = self.one.at(u)
-        mine = toolpath.positions(self.one.program, self.one.segments, motion, t)
-        return mine, self._second(*self.other.at(u), motion)
+        motion, t = self.nominal_chain.at(u)
+        mine = toolpath.positions(self.nominal_chain.program, self.nominal_chain.segments, motion, t)
+        return mine, self._second(*self.corrected_chain.at(u), motion)
 
     def second_in_cell(self, u: Array) -> Array:
         """Return where the second program commands the nominal tool (n, 3) at u (n,), in the cell [m]."""
-        motion = self.one.at(u)[0]
-        return in_cell(self.one.program, motion, self._second(*self.other.at(u), motion))
+        motion = self.nominal_chain.at(u)[0]
+        return in_cell(self.nominal_chain.program, motion, self._second(*self.corrected_chain.at(u), motion))
 
     def _second(self, row: Ints, share: Array, motion: Ints) -> Array:
         """Return where the second program sends the tool of nominal motions (n,), at its places (row, share)."""
-        nominal, second = self.one.program, self.other.program
+        nominal, second = self.nominal_chain.program, self.corrected_chain.program
         if self._same_tool:
-            point = toolpath.positions(second, self.other.segments, row, share)
+            point = toolpath.positions(second, self.corrected_chain.segments, row, share)
             return toolpath.points_in_base(nominal, motion, in_cell(second, row, point), None)
-        pose = toolpath.at(second, self.other.segments, row, share).pose[:]
+        pose = toolpath.at(second, self.corrected_chain.segments, row, share).pose[:]
         return tool_of_nominal(nominal, motion, second, row, pose)[:, :3, 3]
 
     def apart(self) -> Array:
@@ -232,12 +233,14 @@ class Curves(Struct, frozen=True, eq=False):
 
         NaN for the first pair, and where a PTP is between.
         """
-        distances = np.full(int(self.one.end[-1]) + 1, np.nan)
-        knots = np.unique(np.concatenate([[0.0], self.one.end, self.other.end]))
+        distances = np.full(int(self.nominal_chain.end[-1]) + 1, np.nan)
+        knots = np.unique(np.concatenate([[0.0], self.nominal_chain.end, self.corrected_chain.end]))
         knots = knots[np.diff(knots, prepend=-1.0) > _NO_DISTANCE]
         begin, end = knots[:-1], knots[1:]
         pair = np.ceil(end - _NO_DISTANCE).astype(np.int64)
-        unknown = self.one.any(self.one.program.motions.kind == PTP) | self.other.any(self._kind == PTP)
+        unknown = self.nominal_chain.any(self.nominal_chain.program.motions.kind == PTP) | self.corrected_chain.any(
+            self._kind == PTP
+        )
         largest = np.maximum(self._distance(begin + 1e-9 * (end - begin)), self._distance(end))
         curve_indices = np.flatnonzero(~unknown[pair] & self._curved(end))
         if len(curve_indices):
@@ -250,8 +253,8 @@ class Curves(Struct, frozen=True, eq=False):
 
     def parts(self, angle: float) -> Ints:
         """Return the number of chords (P,) that draw the path to each pair, one for each `angle` of an arc [rad]."""
-        counts = np.ones(int(self.one.end[-1]) + 1, dtype=np.int64)
-        for chain in (self.one, self.other):
+        counts = np.ones(int(self.nominal_chain.end[-1]) + 1, dtype=np.int64)
+        for chain in (self.nominal_chain, self.corrected_chain):
             arc = np.flatnonzero(chain.program.motions.kind[chain.row] == CIRC)
             angles = np.zeros(len(counts))
             pair = np.ceil(chain.end[arc] - _NO_DISTANCE).astype(np.int64)
@@ -261,19 +264,19 @@ class Curves(Struct, frozen=True, eq=False):
 
     @property
     def _kind(self) -> Ints:
-        return self.other.program.motions.kind
+        return self.corrected_chain.program.motions.kind
 
     @property
     def _same_tool(self) -> bool:
-        tools = (self.one.program.tools, self.other.program.tools)
+        tools = (self.nominal_chain.program.tools, self.corrected_chain.program.tools)
         return len(tools[0]) == len(tools[1]) == 1 and bool(np.abs(twist_between(*tools)).max() <= SAME_FRAME)
 
     def _curved(self, u: Array) -> Bools:
         """Return where (n,) the distance of the paths may be largest inside a piece: at arcs, not between two lines."""
         if not self._same_tool:
             return np.ones(len(u), dtype=bool)
-        motion, row = self.one.at(u)[0], self.other.at(u)[0]
-        return np.asarray((self.one.program.motions.kind[motion] == CIRC) | (self._kind[row] == CIRC))
+        motion, row = self.nominal_chain.at(u)[0], self.corrected_chain.at(u)[0]
+        return np.asarray((self.nominal_chain.program.motions.kind[motion] == CIRC) | (self._kind[row] == CIRC))
 
     def _distance(self, u: Array) -> Array:
         nominal_points, corrected_points = self.at(u)

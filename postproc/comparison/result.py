@@ -23,26 +23,26 @@ class Cuts(Struct, frozen=True, eq=False):
 
     :param wrench: (P, 6) at the tip at each pair, `$BASE` axes of the nominal program [N, N·m].
     :param nominal: (P, 3) tip minus nominal target by the nominal program, its `$BASE` [m].
-    :param corrected: (P, 3) the same by the second program.
-    :param turned: (P,) angle by which the second program turns the loaded tool from its nominal orientation [rad].
+    :param corrected_deviation: (P, 3) the same by the second program.
+    :param rotation: (P,) angle by which the second program turns the loaded tool from its nominal orientation [rad].
     :param row: (B,) rows of `corrected.motions` that are checked between pairs, never decreasing; `t` (B,) where.
         Inserted targets (t = 1) are among them.
-    :param between_nominal: (B,) distance there of the tip from its place on the nominal path by the nominal program
-        [m]; `between_corrected` (B,) distance from that path by the second one.
-    :param between_turned: (B,) angle there by which the second program turns the loaded tool from the nominal path
+    :param nominal_distance: (B,) distance there of the tip from its place on the nominal path by the nominal program
+        [m]; `corrected_distance` (B,) distance from that path by the second one.
+    :param path_rotation: (B,) angle there by which the second program turns the loaded tool from the nominal path
         [rad], at targets; 0 elsewhere.
     :param length: (B,) arc length of that place on the nominal path [m].
     """
 
     wrench: Array
     nominal: Array
-    corrected: Array
-    turned: Array
+    corrected_deviation: Array
+    rotation: Array
     row: Ints
     t: Array
-    between_nominal: Array
-    between_corrected: Array
-    between_turned: Array
+    nominal_distance: Array
+    corrected_distance: Array
+    path_rotation: Array
     length: Array
 
 
@@ -72,12 +72,12 @@ class Comparison(Struct, frozen=True, eq=False):
     :param corrected: the second.
     :param robot: name of the robot model.
     :param pair: (P, 2) rows of `nominal.motions` and of `corrected.motions`, in order.
-    :param inserted: rows of `corrected.motions` on the path between two pairs.
-    :param passed: rows of `nominal.motions` without a partner that the second path passes; `passed_by` (n,) at which
-        distance [m], NaN for PTP.
-    :param only_nominal: rows of `nominal.motions` that are missing; `missed` (n,) by how much the second path misses
-        each [m], NaN for PTP.
-    :param only_corrected: rows of `corrected.motions` without a partner that are not on the path.
+    :param inserted_rows: rows of `corrected.motions` on the path between two pairs.
+    :param passed_rows: rows of `nominal.motions` without a partner that the second path passes; `passing_distance` (n,)
+        how near [m], NaN for PTP.
+    :param only_nominal: rows of `nominal.motions` that are missing; `missing_distance` (n,) by how much the second path
+        misses each [m], NaN for PTP.
+    :param additional_rows: rows of `corrected.motions` without a partner that are not on the path.
     :param pose: (P, 4, 4) where the second program commands the nominal program's tool, in the nominal `$BASE` [m].
     :param rotation: (P,) angle between the two orientations [rad].
     :param curves: both paths between the pairs; None for less than two.
@@ -91,12 +91,12 @@ class Comparison(Struct, frozen=True, eq=False):
     corrected: Program
     robot: str
     pair: Ints
-    inserted: Ints
-    passed: Ints
-    passed_by: Array
+    inserted_rows: Ints
+    passed_rows: Ints
+    passing_distance: Array
     only_nominal: Ints
-    missed: Array
-    only_corrected: Ints
+    missing_distance: Array
+    additional_rows: Ints
     pose: Array
     rotation: Array
     curves: Curves | None

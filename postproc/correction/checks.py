@@ -34,6 +34,7 @@ _OPEN_WAY = 0.2 * RAD_PER_DEG
 """Turns by 180° less this may become turns the other way by the correction, which turns the tool by less than that."""
 _HALF_TURN = 150.0 * RAD_PER_DEG
 _LIMIT_ROUNDING = 1e-9
+"""Angles beyond a limit by less [rad] are at it: rounding of the inverse kinematics."""
 _START_DEPTH = 1e-3
 """Starts that are lower than they should be by less [m] are not reported."""
 _ORIENTATION_SPEED = 200.0 * RAD_PER_DEG

@@ -85,7 +85,7 @@ def of_path(path: PathUnderLoad, commanded_q: Array) -> tuple[SmallestClearance 
             names = ("", "") if closest_pair is None else _names(scene, closest_pair.first, closest_pair.second)
             at = 0 if closest_pair is None else closest_pair.row
             distance = np.inf if closest_pair is None else closest_pair.distance
-            remarks = (*scene.remarks, *_of_stock(scene, stock), *_corrected(distances.less))
+            remarks = (*scene.remarks, *_of_stock(scene, stock), *_corrected(distances.largest_decrease))
             smallest = SmallestClearance(distance, names, int(lines[at]), scene, remarks)
         hits = []
         for row, first, second, distance in zip(

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from postproc import kinematics, toolpath
 from postproc.cell import Cell
-from postproc.chunks import chunks, in_chunks, ragged_range
+from postproc.chunks import chunks, in_chunks
 from postproc.correction import checks
 from postproc.correction.result import Mode
 from postproc.correction.targets import Commands
@@ -119,11 +119,13 @@ def commanded_speed(path: PathUnderLoad, q: Array, position: Array) -> Array:
 
 
 _SPACING = 5.0 * RAD_PER_DEG
+"""Spacing of the places on an arc: between two of them a sine leaves its chord by 0.1 % of its size."""
 _SHARE_OF_SPEED = 0.75
 """Share of a joint's largest speed at samples: between two that are 60° apart a sine is up to 1 / cos 30° steeper."""
 _LARGE_STEP = 10.0 * RAD_PER_DEG
 """Rotation from one sample to the next; a joint turns by more only near a wrist or shoulder singularity."""
 _NEAR_WRIST = 1.0 * RAD_PER_DEG
+"""Change of A5 between two samples that is counted at least: an arc may pass the wrist singularity between them."""
 _NEAR_ELBOW = 20.0 * RAD_PER_DEG
 """A3 changes with the root of the distance to where the arm is stretched: nearer than this it may get there unseen."""
 _CHUNK = 8192
@@ -148,13 +150,13 @@ class Stretches(Struct, frozen=True, eq=False):
 
     :param motion: (S,) row of `Motions`.
     :param begin: (S,) place where it begins, and `end` (S,) where it ends.
-    :param count: (S,) number of places to examine, including both ends.
+    :param parts: (S,) number of equal parts; the places where they begin and end are examined.
     """
 
     motion: Ints
     begin: Array
     end: Array
-    count: Ints
+    parts: Ints
 
 
 _WRIST, _SHOULDER, _ELBOW = 6, 7, 8
@@ -207,8 +209,8 @@ def _arcs(path: PathUnderLoad, q: Array, fast: Bools) -> Stretches:
         threshold = _near(np.maximum.reduceat(step, first, axis=1))
         close = (np.minimum.reduceat(room, first, axis=1) < threshold).any(axis=0)
         rows = distinct(np.append(certain, motion[rows[first[close]]]))
-    count = np.ceil(m.sweep[rows] / _SPACING - 1e-9).astype(np.int64) + 1
-    return Stretches(rows, np.zeros(len(rows)), np.ones(len(rows)), count)
+    parts = np.ceil(m.sweep[rows] / _SPACING - 1e-9).clip(1).astype(np.int64)
+    return Stretches(rows, np.zeros(len(rows)), np.ones(len(rows)), parts)
 
 
 def _near(step: Array) -> Array:
@@ -241,8 +243,7 @@ def _lines(path: PathUnderLoad, q: Array, fast: Bools) -> Stretches:
 
     close = in_chunks(near_something, rows, way, turn)[0] | fast[rows]
     rows, way, turn = rows[close], way[close], turn[close]
-    count = np.ceil(np.maximum(way / _LONG, turn / _TURNS)).astype(np.int64) + 1
-    return Stretches(sample.motion[rows], begin[rows], sample.t[rows], count)
+    return Stretches(sample.motion[rows], begin[rows], sample.t[rows], toolpath.even_parts(way, turn, _LONG, _TURNS))
 
 
 def between_samples(
@@ -278,13 +279,11 @@ def dense_places(
         return
     last = np.flatnonzero(sample.ends)
     sample_place = sample.motion + sample.t
-    count = stretches.count
-    group = np.cumsum(count) // _CHUNK
-    for part in np.split(np.arange(len(count)), np.flatnonzero(np.diff(group)) + 1):
-        stretch = np.repeat(part, count[part])
-        index = ragged_range(count[part])
+    group = np.cumsum(stretches.parts + 1) // _CHUNK
+    for batch in np.split(np.arange(len(group)), np.flatnonzero(np.diff(group)) + 1):
+        stretch, share = toolpath.even_places(batch, stretches.parts[batch], "both ends")
         begin, end = stretches.begin[stretch], stretches.end[stretch]
-        motion, t = stretches.motion[stretch], begin + (end - begin) * (index / (count[stretch] - 1))
+        motion, t = stretches.motion[stretch], begin + (end - begin) * share
         close = toolpath.at(program, path.motions.segments, motion, t)
         flange = toolpath.flange_from_tcp(program, motion, close.pose[:], t)
         exact = kinematics.on_branch(robot, flange, joints.branch[last[motion]])
@@ -298,6 +297,7 @@ def dense_places(
         neighbour_values = np.column_stack(
             [np.interp(motion + t, sample_place[neighbours], column) for column in values.T]
         )
+        # the branch gives angles within one turn: those of the path are the nearest by whole turns
         exact += 2.0 * np.pi * np.round((neighbour_values[:, :6] - exact) / (2.0 * np.pi)) + neighbour_values[:, 6:12]
         yield close, exact, close.pose[:, :3, 3] + neighbour_values[:, 12:]
 

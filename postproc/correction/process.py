@@ -113,7 +113,7 @@ _NOT_FINITE = (
     "the robot model is wrong."
 )
 
-_NOTHING = 1e-6
+_NO_DEVIATION = 1e-6
 """Uncorrected deviations below this everywhere leave nothing to judge on a part [m]."""
 _BY_PASS = (
     "passes of this line have different forces: no force file can hold them, and none is written. `predict` of the "
@@ -144,9 +144,9 @@ class Draft(Struct, frozen=True, eq=False):
     :param path: the path.
     :param q: (N, 6) commanded joint angles at its samples [rad]; the commanded poses are in the targets.
     :param theta: (N, nv) deflections of the springs there [rad, m].
-    :param chosen: the targets.
+    :param selection: the targets.
     :param issues: issues found so far.
-    :param simulated: simulation of the written program; None if it is not written yet, or cannot be used.
+    :param simulation: simulation of the written program; None if it is not written yet, or cannot be used.
     :param carried: forces that a file must give to the written program, and `unlike`, the issues of that file; None if
         its comments do.
     """
@@ -154,9 +154,9 @@ class Draft(Struct, frozen=True, eq=False):
     path: PathUnderLoad
     q: Array
     theta: Array
-    chosen: Chosen
+    selection: Chosen
     issues: tuple[Issue, ...]
-    simulated: Simulated | None = None
+    simulation: Simulated | None = None
     carried: Knots | None = None
     unlike: tuple[Issue, ...] = ()
 
@@ -178,7 +178,7 @@ class Draft(Struct, frozen=True, eq=False):
 
     def forces_at_targets(self) -> TargetForces:
         """Return the wrench at each target in the form that the written program needs."""
-        selection = self.chosen
+        selection = self.selection
         return forces.of_targets(
             self.path.motions.forces, selection.targets, selection.arrive, self.path.wrench.of_rows(selection.row)
         )
@@ -188,7 +188,7 @@ class Draft(Struct, frozen=True, eq=False):
 
         :raises ProgramError: it cannot be written.
         """
-        path, selection, text = self.path, self.chosen, self._text(task)
+        path, selection, text = self.path, self.selection, self._text(task)
         draft = replace(self, issues=(*self.issues, *text.issues, *_too_large(text, path.robot_in_cell.cell)))
         if draft.failed:
             return draft
@@ -199,18 +199,18 @@ class Draft(Struct, frozen=True, eq=False):
             return replace(draft, issues=(*draft.issues, cause.issue))
         kinds = {issue.kind for issue in draft.issues}
         new_issues = [issue for issue in simulation.issues if issue.kind not in kinds or issue.kind == "blending"]
-        draft = replace(draft, simulated=simulation, issues=(*draft.issues, *new_issues))
+        draft = replace(draft, simulation=simulation, issues=(*draft.issues, *new_issues))
         if draft.failed or not task.in_file:
             return draft
         knots, unlike = _carried(draft, readback)
         return replace(draft, carried=knots, unlike=unlike)
 
     def _text(self, task: Task) -> Written:
-        path, row = self.path, self.chosen.row
+        path, row = self.path, self.selection.row
         comments = self.forces_at_targets() if path.program.notes and not task.in_file else None
         q = self.q[row]
         joints = TargetJoints(q, kinematics.status_of(task.robot, q))
-        return task.writer.write(path.program, self.chosen.targets, joints, path.robot_in_cell.cell, comments)
+        return task.writer.write(path.program, self.selection.targets, joints, path.robot_in_cell.cell, comments)
 
 
 def _too_large(text: Written, cell: Cell) -> tuple[Issue, ...]:
@@ -234,7 +234,7 @@ def result_of(task: Task, draft: Draft, corrected_draft: Draft) -> Result:
 
     :param corrected_draft: the draft with corrected commands; of a nominal program the same one.
     """
-    path, row, targets, program = draft.path, draft.chosen.row, draft.chosen.targets, draft.path.program
+    path, row, targets, program = draft.path, draft.selection.row, draft.selection.targets, draft.path.program
     deviation, deflection, by_tool, path_deviation = _uncorrected_at_targets(task, draft)
     reversals = _reversals(corrected_draft)
     bound, errors, error_issues = _errors(task, corrected_draft, deviation, reversals)
@@ -265,8 +265,8 @@ def result_of(task: Task, draft: Draft, corrected_draft: Draft) -> Result:
         joint_margin=kinematics.joint_margin(task.robot, draft.q),
         singular_value=kinematics.smallest_singular_value(task.robot, q, path.tool(row)),
         between=path_deviation,
-        rounding=draft.chosen.programmed,
-        programmed=draft.chosen.programmed,
+        rounding=draft.selection.programmed,
+        programmed=draft.selection.programmed,
         reversals=reversals,
         causes=_causes(path),
         is_stock_known=path.motions.forces.by_law is not None,
@@ -275,7 +275,7 @@ def result_of(task: Task, draft: Draft, corrected_draft: Draft) -> Result:
         redundancy_deg=None if program.keeps_text else path.robot_in_cell.cell.gcode.redundancy_deg,
         largest_correction=float(in_chunks(corrections, np.arange(len(row)))[0].max(initial=0.0)),
     )
-    if (simulation := draft.simulated) is None:
+    if (simulation := draft.simulation) is None:
         return result
     text = simulation.text.modules or simulation.text
     return replace(
@@ -296,7 +296,7 @@ def _uncorrected_at_targets(task: Task, draft: Draft) -> tuple[Array, Array, Arr
 
     The fourth is the largest deviation [m]: of a prediction along the whole path, else at the targets.
     """
-    path, row = draft.path, draft.chosen.row
+    path, row = draft.path, draft.selection.row
     if task.mode != "predict":
         deviation, deflection, by_tool = uncorrected(path, row, draft.theta)
         return deviation, deflection, by_tool, float(norm(deviation).max(initial=0.0))
@@ -325,9 +325,9 @@ def _causes(path: PathUnderLoad) -> tuple[str, ...]:
 
 def _numbers(task: Task, draft: Draft) -> Array:
     """Return X, Y, Z, A, B, C (K, 6) of the targets [mm, deg] as printed in the written (or unchanged) text."""
-    if draft.simulated is not None:
-        return draft.simulated.numbers
-    targets, program = draft.chosen.targets, draft.path.program
+    if draft.simulation is not None:
+        return draft.simulation.numbers
+    targets, program = draft.selection.targets, draft.path.program
     numbers = targets.pose.xyzabc(slice(None))
     if task.mode == "predict" and program.keeps_text:
         ends = targets.t == 1.0
@@ -337,7 +337,7 @@ def _numbers(task: Task, draft: Draft) -> Array:
 
 def _loads(draft: Draft) -> tuple[Array, Array, Array]:
     """Return joint angles (K, 6) [rad], tool (4, 4) or (K, 4, 4) [m] and wrench (K, 6) [N, N·m] in the root."""
-    path, row = draft.path, draft.chosen.row
+    path, row = draft.path, draft.selection.row
     return draft.q[row], path.tool(row), path.wrench_in_root(row)
 
 
@@ -345,7 +345,7 @@ def _reversals(draft: Draft) -> Reversals:
     """Return where joints change the direction of their torque on cutting moves; rows are those of the targets."""
     path = draft.path
     points = elastostatics.reversals(path.robot_in_cell.robot, *_loads(draft))
-    cuts = ~path.program.motions.rapid[draft.chosen.targets.motion[points.row]]
+    cuts = ~path.program.motions.rapid[draft.selection.targets.motion[points.row]]
     return Reversals(points.row[cuts], points.before[cuts], points.joint[cuts], points.step[cuts])
 
 
@@ -358,18 +358,18 @@ def _errors(
     :param deviation: (K, 3) of the uncorrected tip from nominal, `$BASE` [m].
     :param reversals: torque reversals: at the targets next to one, gears may be on either flank.
     """
-    path, row = draft.path, draft.chosen.row
+    path, row = draft.path, draft.selection.row
     robot, program = path.robot_in_cell.robot, path.program
     if path.motions.forces.spread is not None and robot.covariance is None:
         return None, None, [Issue("info", "no-bound", _NO_BOUND)]
-    motion = draft.chosen.targets.motion
+    motion = draft.selection.targets.motion
     issues = list(checks.beyond_measured(program, robot, motion, *_loads(draft)))
     if robot.covariance is None:
         return None, None, issues
     turning = np.zeros((len(row), 6), dtype=bool)
     turning[reversals.row, reversals.joint] = turning[reversals.before, reversals.joint] = True
     is_scaled = path.robot_in_cell.scaled(path.motions.forces, path.sample.motion[row])
-    simulation = None if task.mode == "nominal" else draft.simulated
+    simulation = None if task.mode == "nominal" else draft.simulation
     left = np.broadcast_to(0.0, deviation.shape) if simulation is None else simulation.deviation
     path_distance = np.zeros(len(row)) if simulation is None else simulation.path_distance
     excess = np.maximum(path_distance - norm(left), 0.0)
@@ -383,7 +383,7 @@ def _errors(
         pair = [toolpath.directions_in_root(program, motion[target], offset[target]) for offset in (deviation, left)]
         gain.add(sources, pair[0], pair[1], path_distance[target], cuts[target])
         expectation = elastostatics.expected_at(sources, pair[0], pair[1])
-        for k, error in enumerate((expectation.robot_known, expectation.forces_known)):
+        for k, error in enumerate((expectation.with_known_robot, expectation.with_known_forces)):
             error_by_remedy[k] = max(
                 error_by_remedy[k],
                 np.max(error + extra_error[target] + excess[target], initial=0.0, where=cuts[target]),
@@ -397,7 +397,7 @@ def _errors(
     errors = ExpectedErrors(
         np.where(cuts, uncorrected_error + (0.0 if program.keeps_text else extra_error), 0.0),
         np.where(cuts, corrected_error + extra_error + excess, 0.0),
-        gain.chance if float(norm(deviation).max(initial=0.0)) > _NOTHING else None,
+        gain.chance if float(norm(deviation).max(initial=0.0)) > _NO_DEVIATION else None,
         *error_by_remedy.tolist(),
     )
     return bound, errors, issues
@@ -405,9 +405,9 @@ def _errors(
 
 def _beyond_targets(draft: Draft) -> Array:
     """Return the rounding (K,) at targets by approximate positioning beyond that of the program as read [m]."""
-    if draft.simulated is None:
-        return np.zeros(len(draft.chosen.row))
-    return np.maximum(draft.simulated.rounding - draft.chosen.programmed, 0.0)
+    if draft.simulation is None:
+        return np.zeros(len(draft.selection.row))
+    return np.maximum(draft.simulation.rounding - draft.selection.programmed, 0.0)
 
 
 def _uncertain(path: PathUnderLoad, row: Ints) -> tuple[Array | None, Array | None]:
@@ -418,7 +418,7 @@ def _uncertain(path: PathUnderLoad, row: Ints) -> tuple[Array | None, Array | No
 
 def _carried(draft: Draft, readback: ReadBack) -> tuple[Knots | None, tuple[Issue, ...]]:
     """Return the forces that a file gives to the written program, None with a warning if it cannot hold them."""
-    path_forces, targets = draft.path.motions.forces, draft.chosen.targets
+    path_forces, targets = draft.path.motions.forces, draft.selection.targets
     travel, _ = forces.last_travel(readback.program, readback.segments, path_forces.axes.spindle)
     axes = Axes(readback.program, readback.segments, path_forces.axes.spindle, travel)
     piece_forces = forces.of_pieces(path_forces, targets, draft.forces_at_targets(), axes, readback.row)
@@ -542,9 +542,9 @@ def _settled(task: Task, motions: MotionsUnderLoad) -> tuple[Task, Draft]:
                 motions, slow = slow_motions
                 task = replace(task, initial_issues=(*task.initial_issues, slow))
                 draft = _drafted(task, PathUnderLoad.of(motions, pieces, extra_places))
-        if draft.simulated is None or task.mode == "nominal" or len(draft.simulated.missed[0]) == 0:
+        if draft.simulation is None or task.mode == "nominal" or len(draft.simulation.missed[0]) == 0:
             break
-        pieces, extra_places = _closer(task, draft.path, draft.simulated.missed, extra_places)
+        pieces, extra_places = _closer(task, draft.path, draft.simulation.missed, extra_places)
     return task, draft
 
 
@@ -601,6 +601,6 @@ def _chosen(task: Task, path: PathUnderLoad) -> Draft:
 
 def _as_read(task: Task, draft: Draft) -> Draft:
     """Return the draft with the uncorrected commands: the correction only served to place the targets."""
-    path, selection = draft.path, draft.chosen
+    path, selection = draft.path, draft.selection
     selection = replace(selection, targets=replace(selection.targets, pose=path.sample.pose.take(selection.row)))
     return Draft.of(task, path, as_programmed(path), selection)

@@ -36,15 +36,15 @@ class ExpectedErrors(Struct, frozen=True, eq=False):
     :param after: (K,) with correction [m]: of the program as written; of a prediction, as it would be written; of a
         nominal program, with an exact correction. 0 on rapid moves.
     :param chance: that correction lowers the RMS error over the cutting targets; None if it changes nothing.
-    :param robot_known: largest of `after` if the errors of the forces were the only ones [m].
-    :param forces_known: largest of `after` if the forces were certain [m].
+    :param with_known_robot: largest of `after` if the errors of the forces were the only ones [m].
+    :param with_known_forces: largest of `after` if the forces were certain [m].
     """
 
     before: Array
     after: Array
     chance: float | None
-    robot_known: float
-    forces_known: float
+    with_known_robot: float
+    with_known_forces: float
 
 
 class HeldFeed(Struct, frozen=True, eq=False):

@@ -121,7 +121,10 @@ def pieces_needed(path: CommandedPath) -> Pieces:
 
 
 def _ends(path: CommandedPath, stretch: Ints) -> tuple[Array, Ints, Ints]:
-    """Return where pieces start (n, 3), and the samples (n,) at their middle and end, for all pieces of stretches."""
+    """Return where pieces start (n, 3), and the samples (n,) at their middle and end, for all pieces of stretches.
+
+    A piece has an even number of consecutive samples; it starts at the last sample of the piece before.
+    """
     arcs, sample = path.arcs, path.sample
     size = arcs.number * arcs.each
     first = np.flatnonzero(np.isin(sample.motion, arcs.motion))[np.cumsum(size) - size]

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from postproc import toolpath
-from postproc.chunks import in_chunks, ragged_range
+from postproc.chunks import in_chunks
 from postproc.correction import checks, inspection
 from postproc.correction.targets import Chosen, corners_of_motions
 from postproc.dialects import registry
@@ -371,9 +371,7 @@ def _probes(path: PathUnderLoad, selection: Chosen, readback: ReadBack) -> _Prob
         return (number.astype(np.int32),)
 
     (number,) = in_chunks(places, rows)
-    target = np.repeat(rows.astype(np.int32), number)
-    index = ragged_range(number) + 1
-    share = index / number[target]
+    target, share = toolpath.even_places(rows.astype(np.int32), number)
 
     def place(target: Ints, share: Array) -> tuple[Array]:
         begin, end = targets.begin(target), targets.t[target]

@@ -16,6 +16,7 @@ TOLERANCE_MM = 0.02 * np.sqrt(2.0)
 """Difference of radii that is accepted [mm], as for G-code by LinuxCNC; beyond it 0.1 % of the radius."""
 _RELATIVE = 1e-3
 _SAME_MM = 1e-6
+"""Start and end of a full circle that are this near are one point but for the last digits."""
 _LEAST_MM = 1e-3
 _OFF_CIRCLE = 100.0
 """A point whose distance from a circle is so many times that of start and first point is not of the arc."""
@@ -108,13 +109,13 @@ def belonging(circle: Circle, start: Array, points: Array, digit_mm: float) -> i
         return 1
     path = np.vstack([start[None], points[:count]])
     sweeps = np.array([circle.sweep(begin, end) for begin, end in pairwise(path)])
-    turned, height = np.cumsum(sweeps), (points[:count] - start) @ circle.axis
-    off_helix = np.abs(height - height[0] * turned / turned[0]) > TOLERANCE_MM
+    total_sweep, height = np.cumsum(sweeps), (points[:count] - start) @ circle.axis
+    off_helix = np.abs(height - height[0] * total_sweep / total_sweep[0]) > TOLERANCE_MM
     deviation = np.array([abs(circle.polar(point)[1] - circle.radius) for point in path])
     is_beside = deviation[1:] > max(digit_mm, _OFF_CIRCLE * float(deviation[:2].max()))
-    outside = off_helix | is_beside
-    if outside.any():
-        count = int(np.argmax(outside))
+    is_off_circle = off_helix | is_beside
+    if is_off_circle.any():
+        count = int(np.argmax(is_off_circle))
         sweeps = sweeps[:count]
     if count <= 1:
         return 1

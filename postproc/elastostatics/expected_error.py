@@ -51,15 +51,15 @@ class ExpectedAt(Struct, frozen=True, eq=False):
     :param bound: of the prediction.
     :param before: if nothing is corrected.
     :param after: with correction.
-    :param robot_known: with correction, if the errors of the forces were the only ones.
-    :param forces_known: with correction, if the forces were certain.
+    :param with_known_robot: with correction, if the errors of the forces were the only ones.
+    :param with_known_forces: with correction, if the forces were certain.
     """
 
     bound: Array
     before: Array
     after: Array
-    robot_known: Array
-    forces_known: Array
+    with_known_robot: Array
+    with_known_forces: Array
 
 
 def expected_at(errors: SourcesOfError, deviation: Array, left: Array) -> ExpectedAt:
@@ -72,8 +72,8 @@ def expected_at(errors: SourcesOfError, deviation: Array, left: Array) -> Expect
         bound=largest_length(covariances),
         before=largest_length(covariances, deviation),
         after=largest_length(covariances, left),
-        robot_known=largest_length([factor @ np.swapaxes(factor, 1, 2) for factor in errors.by_forces], left),
-        forces_known=largest_length([errors.by_robot], left),
+        with_known_robot=largest_length([factor @ np.swapaxes(factor, 1, 2) for factor in errors.by_forces], left),
+        with_known_forces=largest_length([errors.by_robot], left),
     )
 
 
@@ -82,9 +82,11 @@ def chance_at(errors: SourcesOfError, deviation: Array) -> Array:
 
     :param deviation: (n, 3) from nominal if nothing is corrected, root axes [m]; correction takes all of it back.
     """
-    along = np.max([np.einsum("ni,nij,nj->n", deviation, each, deviation) for each in errors.covariances()], axis=0)
+    variance = np.max(
+        [np.einsum("ni,nij,nj->n", deviation, covariance, deviation) for covariance in errors.covariances()], axis=0
+    )
     with np.errstate(divide="ignore", invalid="ignore"):
-        gain = 0.5 * np.sum(deviation**2, axis=1) / np.sqrt(2.0 * np.maximum(along, 0.0))
+        gain = 0.5 * np.sum(deviation**2, axis=1) / np.sqrt(2.0 * np.maximum(variance, 0.0))
     return 0.5 * np.array([math.erfc(-value) for value in np.nan_to_num(gain, nan=0.0, posinf=np.inf).tolist()])
 
 

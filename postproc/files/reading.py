@@ -20,7 +20,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from postproc.errors import MOST, InputError, choices, did_you_mean, together
+from postproc.errors import MAX_ERRORS, InputError, choices, did_you_mean, together
 from postproc.files.toml_lines import line_of, line_of_unknown
 from postproc.frames import M_PER_MM, Array
 
@@ -114,7 +114,7 @@ def convert(
         return msgspec.convert(data, structure)
     except (msgspec.ValidationError, OverflowError) as cause:
         kind = msgspec.inspect.type_info(structure)
-        wrong_keys = list(islice(_wrong_keys(data, kind, ""), MOST + 1))
+        wrong_keys = list(islice(_wrong_keys(data, kind, ""), MAX_ERRORS + 1))
         if wrong_keys:
             is_missing = any(problem.startswith("missing") for problem, _ in wrong_keys)
             advice = example if example and is_missing else None
@@ -298,7 +298,7 @@ def parse_csv(
                     line=lines[place],
                     advice="Use a decimal point, no units and no empty cells.",
                 )
-                for place in bad[: MOST + 1].tolist()
+                for place in bad[: MAX_ERRORS + 1].tolist()
             ]
     texts = {name: [v.strip() for v in columns[name]] for name in text_columns if name in columns}
     return numeric, texts, np.array(lines, dtype=float), wrong

@@ -16,7 +16,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc.chunks import Runs, compact, in_chunks
-from postproc.errors import MOST, ForceError, Issue, together
+from postproc.errors import MAX_ERRORS, ForceError, Issue, together
 from postproc.forces.axes import TURNS, Axes, last_travel, lines_run_across, runs_across
 from postproc.forces.precedence import combined, of_comments, small_forces, unused_comments
 from postproc.forces.sources import BASE, FEED, ByLaw, ForceSource, Knots, StockInTime
@@ -197,7 +197,9 @@ def _check_start(program: Program, knots: Knots) -> None:
     if len(lines):
         name, problem = program.documents[0].name, "a force on a move from [start] of the cell"
         advice = "Program X, Y and Z in rapid moves (G0) before cutting, or switch the force on after this move."
-        raise together(ForceError(problem, file=name, line=line, advice=advice) for line in lines[: MOST + 1].tolist())
+        raise together(
+            ForceError(problem, file=name, line=line, advice=advice) for line in lines[: MAX_ERRORS + 1].tolist()
+        )
 
 
 _NO_FORCE = "cutting moves without a force: zero force is assumed"
@@ -284,7 +286,7 @@ def _travel(program: Program, path: Segments, knots: Knots, axis: str) -> tuple[
     if len(spline_motions):
         name, problem = program.documents[0].name, "a FEED force on a piece of a spline, whose direction is not known"
         advice = "Give its force in BASE or TOOL axes."
-        lines = distinct(m.line[spline_motions])[: MOST + 1].tolist()
+        lines = distinct(m.line[spline_motions])[: MAX_ERRORS + 1].tolist()
         raise together(ForceError(problem, file=name, line=line, advice=advice) for line in lines)
     travel, needs = last_travel(program, path, axis)
     acts = np.zeros(len(m), dtype=np.bool_)
@@ -298,7 +300,7 @@ def _travel(program: Program, path: Segments, knots: Knots, axis: str) -> tuple[
             "Give its force in BASE or TOOL axes."
         )
         name, problem = program.documents[0].name, "a FEED force on a move along the spindle"
-        lines = distinct(m.line[unknown])[: MOST + 1].tolist()
+        lines = distinct(m.line[unknown])[: MAX_ERRORS + 1].tolist()
         raise together(ForceError(problem, file=name, line=line, advice=advice) for line in lines)
     issues = []
     if needs.any():
@@ -414,7 +416,7 @@ def refined_arcs(
     if not swings.any():
         return arcs
     left = arcs.take(swings)
-    left = left.settled(left.least).cut(left.least)
+    left = left.settled(left.min_number).cut(left.min_number)
     pieces = [arcs.take(~swings)]
     length = forces.axes.path.length
     while len(left.motion):

@@ -20,7 +20,7 @@ from msgspec.structs import replace
 
 from postproc import files
 from postproc.chunks import Runs, ragged_range
-from postproc.errors import MOST, ForceError, Issue, choices, together
+from postproc.errors import MAX_ERRORS, ForceError, Issue, choices, together
 from postproc.forces.axes import TURNS, Axes, axes_of_travel
 from postproc.forces.path_forces import PathForces
 from postproc.forces.sources import BASE, FEED, TOOL, Knots
@@ -250,7 +250,7 @@ class _Columns(Struct, frozen=True, eq=False):
         valid: Sequence[str] = (),
     ) -> None:
         """Add an error for each wrong row; `valid` are the names that the value may be."""
-        for place in np.flatnonzero(wrong)[: MOST + 1].tolist():
+        for place in np.flatnonzero(wrong)[: MAX_ERRORS + 1].tolist():
             text = problem.format(values[place])
             row_advice = choices(str(values[place]), valid, "Valid frames") if valid else advice
             self.wrong.append(ForceError(text, file=self.file, line=int(self.row[place]), advice=row_advice))

@@ -13,8 +13,8 @@ from pathlib import Path
 
 from postproc.errors import InputError
 
-_SHARED = "postproc_host"
-_COPIED = "safe_text.py"
+_SHARED_FOLDER = "postproc_host"
+_COPIED_FILE = "safe_text.py"
 """Module of the package that the posts use too."""
 
 
@@ -103,13 +103,18 @@ def install_post(name: str, folder: Path | None = None) -> list[Path]:
     host = HOSTS[name]
     target = _folder(host, folder)
     source = Path(__file__).parent
-    shared_folder = target / _SHARED
-    files = [target / host.post, shared_folder / "__init__.py", shared_folder / "command.json", shared_folder / _COPIED]
+    shared_folder = target / _SHARED_FOLDER
+    files = [
+        target / host.post,
+        shared_folder / "__init__.py",
+        shared_folder / "command.json",
+        shared_folder / _COPIED_FILE,
+    ]
     try:
         shared_folder.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(source / host.post, files[0])
-        shutil.copyfile(source / _SHARED / "__init__.py", files[1])
-        shutil.copyfile(source.parent / _COPIED, files[3])
+        shutil.copyfile(source / _SHARED_FOLDER / "__init__.py", files[1])
+        shutil.copyfile(source.parent / _COPIED_FILE, files[3])
         content = {"command": _command(target)}
         files[2].write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     except OSError as cause:
@@ -130,13 +135,13 @@ def remove_post(name: str, folder: Path | None = None) -> list[Path]:
     other_posts = [target / other_host.post for other_host in HOSTS.values() if other_host is not host]
     files = [target / host.post]
     if not any(path.is_file() for path in other_posts):
-        files += [target / _SHARED / name for name in ("__init__.py", "command.json", _COPIED)]
+        files += [target / _SHARED_FOLDER / name for name in ("__init__.py", "command.json", _COPIED_FILE)]
     existing_files = [path for path in files if path.is_file()]
     try:
         for path in existing_files:
             path.unlink()
         if len(files) > 1:
-            shutil.rmtree(target / _SHARED, ignore_errors=True)
+            shutil.rmtree(target / _SHARED_FOLDER, ignore_errors=True)
     except OSError as cause:
         raise InputError(f"{target}: the post cannot be removed: {cause.strerror}.") from cause
     return existing_files

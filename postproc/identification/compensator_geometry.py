@@ -28,6 +28,7 @@ _LARGEST = (("q2", 3600.0, " deg"), ("repeat", 1e9, ""), *((axis, 1e6, " mm") fo
 """Largest size of a cell of each column: beyond it no angle and no measuring device is."""
 _OUTLIER = 6.0
 _SMALL_TURN = 10.0 * RAD_PER_DEG
+"""Markers that turn with A2 by less do not show where its axis is."""
 _Groups = dict[tuple[str, float], Ints]
 _IMPOSSIBLE = 2e-3
 """Residual [m] that no tracker makes: a point has the wrong name, or an angle is wrong."""

@@ -24,7 +24,6 @@ from postproc.identification.fit import NORMAL_95, to_file_units
 from postproc.identification.joint_springs import Levels, SpringOfJoint2
 from postproc.identification.measurement_model import MIN_COMPLIANCE, describe, describe_points, joint_torques
 from postproc.identification.moved_device import moved_device
-from postproc.identification.plausibility import check_frames, check_points
 from postproc.identification.procedure import Depth, Identification, Method, before_and_after, identify
 from postproc.identification.readings import Experiment, Measurements, Payload, read, read_experiment
 from postproc.identification.uncertainty import Discrepancy
@@ -511,9 +510,8 @@ def geometry_folder(
     robot = robots.assemble(folder.resolve().name, content, nominal)
     data = read(measurements, setup, loads=False)
     _require_positions(data, measurements)
-    check_points(data)
-    data, outliers = plausibility.without_gross_errors(data)
-    movements = moved_device(robot, data, check_frames(robot, data))
+    data, placement, outliers = plausibility.placed(robot, data)
+    movements = moved_device(robot, data, placement)
     geometry = calibration.identify_geometry(content, nominal, robot.name, data)
     report = record.Identified(
         method="geometry",

@@ -36,6 +36,17 @@ _GROSS = 6.0
 """Standard deviations beyond which a reading counts as a gross error."""
 
 
+def placed(robot: RobotModel, data: Measurements) -> tuple[Measurements, Placement, list[str]]:
+    """Check points and frames of readings before anything is fitted to them.
+
+    :returns: the readings without gross errors, the placement, and a line for each reading that was left out.
+    :raises MeasurementError: the readings are unusable.
+    """
+    check_points(data)
+    data, outliers = without_gross_errors(data)  # one would spoil the means that are judged next
+    return data, check_frames(robot, data), outliers
+
+
 def without_gross_errors(data: Measurements) -> tuple[Measurements, list[str]]:
     """Return the measurements without readings that contradict their repeats or the rigid body, and a line for each."""
     lines: list[str] = []

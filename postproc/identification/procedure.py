@@ -33,7 +33,7 @@ from postproc.identification.measurement_model import (
     measured_displacements,
 )
 from postproc.identification.moved_device import moved_device
-from postproc.identification.plausibility import check_frames, check_loads, check_points, loops
+from postproc.identification.plausibility import check_loads, loops
 from postproc.identification.readings import Measurements, gaps
 from postproc.identification.uncertainty import (
     Discrepancy,
@@ -63,7 +63,7 @@ _WORTH_A_LOOK = 1.0
 
 _HIDDEN_SHARE = 0.06
 """Share of the displacements (RMS) that springs of links add at least; the paper's joint springs leave 9 %."""
-_SEEN = 10.0
+_VISIBLE_SIGMAS = 10.0
 """Standard deviations of χ² by which link springs of this share must show, or noise hides them."""
 
 
@@ -176,10 +176,7 @@ def checked(prior: RobotModel, data: Measurements) -> tuple[Measurements, Placem
     :returns: the readings without gross errors and with their noise, the placement, what was left out, and warnings.
     :raises MeasurementError: the readings are unusable.
     """
-    data = as_positions(prior, data)
-    check_points(data)
-    data, outliers = plausibility.without_gross_errors(data)  # one would spoil the means that are judged next
-    placement = check_frames(prior, data)
+    data, placement, outliers = plausibility.placed(prior, as_positions(prior, data))
     doubts = [*gaps(data), *moved_device(prior, data, placement), *check_loads(prior, data, placement)]
     data, warnings = _noise(data)
     return data, placement, outliers, doubts + warnings
@@ -338,8 +335,8 @@ def _is_hidden(fit: Fit) -> bool:
 
     Least squares of joints alone then describe the readings, and their covariance lacks what the links add elsewhere.
     """
-    shown = _HIDDEN_SHARE**2 * float(fit.target @ fit.target)
-    return bool(shown < _SEEN * np.sqrt(2.0 * max(fit.dof, 0)))
+    visible_chi2 = _HIDDEN_SHARE**2 * float(fit.target @ fit.target)
+    return bool(visible_chi2 < _VISIBLE_SIGMAS * np.sqrt(2.0 * max(fit.dof, 0)))
 
 
 def _cleaned(

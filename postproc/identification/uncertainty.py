@@ -194,6 +194,7 @@ def left_out_of(fit: Fit, data: Measurements) -> Array:
 
 
 _STEP = 1e-3
+"""Shift of the load point [m] for its difference quotient: readings are all but linear in it."""
 
 
 def with_stated_errors(fit: Fit, data: Measurements, placement: Placement, influence: Array | None) -> Fit:
@@ -407,7 +408,7 @@ _MAX_SQUARE_ERROR = 4.0
 """Mean square cross-validation error, in σ², beyond which the model is incomplete: its bound contains what it lacks."""
 _FEWEST = 3
 """Fewest configurations whose scatter can be estimated."""
-_FEW = 5
+_FEW_CONFIGURATIONS = 5
 """Configurations below which the scatter is known badly: the bound of one simulated robot in ten did not hold."""
 _NUMBERS = {1: 3, 2: 5}
 """Numbers that the displacements of one, two, three points determine; three and more give the six of a rigid body."""
@@ -455,10 +456,11 @@ class Judgement(Struct, frozen=True):
 def judge(data: Measurements, fit: Fit, choice: Choice | None, workspace: Workspace) -> Judgement:
     """Return whether a model may be used."""
     reservations = [workspace.reservation]
-    if len(data.q) < _FEW:
+    if len(data.q) < _FEW_CONFIGURATIONS:
         reservations.insert(
             0,
-            f"{len(data.q)} configurations show little of what the model lacks: measure {_FEW} or more (30 are usual)",
+            f"{len(data.q)} configurations show little of what the model lacks: measure {_FEW_CONFIGURATIONS} or more "
+            "(30 are usual)",
         )
     return Judgement(
         _distrust(data, fit, choice) or workspace.refusal,

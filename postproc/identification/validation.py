@@ -36,7 +36,6 @@ from postproc.identification.measurement_model import (
     measured_displacements,
     visible,
 )
-from postproc.identification.plausibility import check_frames, check_points
 from postproc.identification.readings import Measurements, read, read_experiment
 from postproc.identification.uncertainty import levels, noise_of
 from postproc.program import Bools, Ints
@@ -51,12 +50,13 @@ _NARROW = 2.0
 _STANDARD_ERRORS = 2.0
 """Standard errors by which the residual must exceed the noise for a factor; else its lower limit is stated."""
 _SAME_ANGLE = 1e-4
+"""Angles that differ by less [rad] are those of one pose."""
 _SAME_LOAD = 0.01
 """Largest differences [rad, relative] between equal states."""
 SIGNS = ("negative", "positive")
 LEAST_TORQUE = 1.0
 """Smallest torque [N·m] that counts as having a sign."""
-ENOUGH = 5
+MIN_CONFIGURATIONS = 5
 """Configurations needed to cover one sign of torque. If all of them are inside the bound, the share inside is above one
 half, with 95 % confidence."""
 
@@ -197,11 +197,8 @@ def validate(model: Path, measurements: Path, experiment: Path) -> Validation:
     setup = read_experiment(experiment)
     folder = robots.find(str(model))
     robot = robots.load(folder)
-    data = as_positions(robot, read(measurements, setup))
-    check_points(data)
-    data, outliers = plausibility.without_gross_errors(data)
+    data, placement, outliers = plausibility.placed(robot, as_positions(robot, read(measurements, setup)))
     warnings = [f"outlier: {name}" for name in outliers]
-    placement = check_frames(robot, data)
     model_data = record.measured(folder)
     fresh = ~_known(data, model_data.as_array())
     if not fresh.any():
@@ -419,7 +416,7 @@ class Coverage(Struct, frozen=True, eq=False):
     @property
     def covered(self) -> Bools:
         """Whether (6, 2) a sign of torque has enough configurations, and none that contradict the model."""
-        return np.asarray((self.configurations >= ENOUGH) & ~self.refuted)
+        return np.asarray((self.configurations >= MIN_CONFIGURATIONS) & ~self.refuted)
 
 
 class Outside(Struct, frozen=True):
@@ -451,7 +448,7 @@ def coverage(torque: Array, config: Ints, is_refuted: Bools | None = None) -> Co
     np.logical_or.at(is_counted, place, acts)
     level = np.full(len(names), np.inf)
     np.minimum.at(level, place, _level(sides, largest))
-    min_level = float(np.sort(level)[min(ENOUGH, len(level)) - 1]) if len(level) else np.inf
+    min_level = float(np.sort(level)[min(MIN_CONFIGURATIONS, len(level)) - 1]) if len(level) else np.inf
     return Coverage(
         largest, is_counted.sum(axis=0), np.zeros((6, 2), dtype=bool) if is_refuted is None else is_refuted, min_level
     )
@@ -485,7 +482,7 @@ def job_share(program: str, torque: Array, weight: Array, torque_range: Coverage
         subject = f"{SIGNS[side]} torque on {JOINTS[joint]}"
         count = int(torque_range.configurations[joint, side])
         sign_text = (
-            f"{subject}: {count} of {ENOUGH} configurations needed have it"
+            f"{subject}: {count} of {MIN_CONFIGURATIONS} configurations needed have it"
             if count
             else f"{subject}: no reading has it"
         )
@@ -530,7 +527,10 @@ def torque_lines(torque_range: Coverage, model_ranges: Sequence[record.TorqueRan
 
     :param model_ranges: torques that the model was identified with; empty if the model does not record them.
     """
-    lines = [f"torques that the loads put on the joints, N·m; in brackets: configurations, {ENOUGH} cover a direction"]
+    lines = [
+        "torques that the loads put on the joints, N·m; in brackets: configurations, "
+        f"{MIN_CONFIGURATIONS} cover a direction"
+    ]
     head = f"{'':>4}{'negative':>16}{'positive':>16}"
     lines.append(head + (f"{'identified with':>24}" if model_ranges else ""))
     for joint, name in enumerate(JOINTS):

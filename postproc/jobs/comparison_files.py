@@ -71,12 +71,12 @@ class ComparisonFiles(Struct, frozen=True):
 
     :param code: exit code: 0 good, 3 a tolerance is exceeded or the corrected program was changed.
     :param summary: content of `part.compare.report.json`, but for its list of files.
-    :param written: its files; the last one is `part.compare.report.json`.
+    :param written_files: its files; the last one is `part.compare.report.json`.
     """
 
     code: int
     summary: ComparisonSummary
-    written: tuple[Path, ...]
+    written_files: tuple[Path, ...]
 
 
 def compare_programs(request: CompareRequest) -> ComparisonFiles:

@@ -151,13 +151,13 @@ def _inputs(origin: provenance.Origin, program: Program, output: Path) -> Inputs
     )
 
 
-def _check_unchanged(before: provenance.Origin, summary: Summary) -> None:
+def _check_unchanged(origin: provenance.Origin, summary: Summary) -> None:
     """Check that the sums that a result states are those of the files that it was computed from.
 
     :raises InputError: a file was changed meanwhile.
     """
-    stated = summary.inputs
-    if stated is not None and (stated.cell, stated.model, stated.forces) != (before.cell, before.model, before.forces):
+    inputs = summary.inputs
+    if inputs is not None and (inputs.cell, inputs.model, inputs.forces) != (origin.cell, origin.model, origin.forces):
         problem = "the cell, the robot model or the forces were changed while the program was converted"
         raise InputError(problem, file=summary.program, advice="Convert it again.")
 
@@ -189,14 +189,14 @@ def convert(
     try:
         check_utf8(job.program)
         name = None if job.keeps_text else job.stem
-        before = origin_of((), settings.cell, cell, job.forces, "corrected")
+        origin = origin_of((), settings.cell, cell, job.forces, "corrected")
         program, cell = read_started(job.program, robot, cell, job.dialect, name)
         result, process = converted(job, settings, cell, robot, program, progress)
         if result.failed:
             return Outcome(str(job.program), FAILED, issues=result.issues)
         result, subprogram_files, copies = _with_subprograms(task, settings, cell, robot, result)
         output = _made(job, settings, cell, result, subprogram_files, copies, process)
-        _check_unchanged(before, output.summary)
+        _check_unchanged(origin, output.summary)
         is_computed = True
         staged_files = files.stage(job.output, output.contents)
     except Exception as cause:
@@ -206,10 +206,10 @@ def convert(
     return Outcome(
         str(job.program),
         output.summary.verdict.exit_code,
-        replace(output.summary, files=output.listed),
-        copied=tuple(str(job.output / name) for name in output.copied),
+        replace(output.summary, files=output.listed_files),
+        copied_files=tuple(str(job.output / name) for name in output.copied_files),
         staged_files=staged_files,
-        shared=output.shared,
+        shared_files=output.shared_files,
         read=output.read,
     )
 
@@ -312,18 +312,18 @@ class _Made(Struct, frozen=True, eq=False):
     """Output of a program, before it is written.
 
     :param summary: content of `report.json`, but for its list of files.
-    :param listed: the files that it lists, known when all contents are written.
+    :param listed_files: the files that it lists, known when all contents are written.
     :param contents: file name → content.
-    :param copied: names of files that the program needs and that are as they were read.
-    :param shared: names of files that other programs may need too.
+    :param copied_files: names of files that the program needs and that are as they were read.
+    :param shared_files: names of files that other programs may need too.
     :param read: files that were read.
     """
 
     summary: Summary
-    listed: list[files.FileEntry]
+    listed_files: list[files.FileEntry]
     contents: dict[str, bytes | Iterable[bytes]]
-    copied: tuple[str, ...]
-    shared: tuple[str, ...]
+    copied_files: tuple[str, ...]
+    shared_files: tuple[str, ...]
     read: tuple[str, ...]
 
 
@@ -386,10 +386,10 @@ def _made(
 
     return _Made(
         summary=content,
-        listed=file_entries,
+        listed_files=file_entries,
         contents=files.with_record(contents, name, rendered),
-        copied=tuple(copies),
-        shared=(*subprogram_files, *copies),
+        copied_files=tuple(copies),
+        shared_files=(*subprogram_files, *copies),
         read=tuple(map(str, [*read, *(required_file.path for required_file in needed_files)])),
     )
 

@@ -118,11 +118,11 @@ def _table(document: Any, table: str) -> Any:
 def _field(table: str, key: str, part: Mapping[str, Any], value: Any, *, is_required: bool) -> FormField | None:
     """Return the field of a key; None: it has no form that a line can take."""
     options = [part, *part.get("anyOf", ())]
-    described = next((kind for kind in options if kind.get("type") in _KINDS or "enum" in kind), None)
+    described_kind = next((kind for kind in options if kind.get("type") in _KINDS or "enum" in kind), None)
     pair = next((kind for kind in options if len(kind.get("prefixItems", ())) == 2), None)
-    if described is None and pair is None:
+    if described_kind is None and pair is None:
         return None
-    limits = (described or pair["prefixItems"][0]) if pair is not None else described
+    limits = (described_kind or pair["prefixItems"][0]) if pair is not None else described_kind
     assert limits is not None
     kind: Kind = "span" if pair is not None else "choice" if "enum" in limits else _KINDS[limits["type"]]
     return FormField(

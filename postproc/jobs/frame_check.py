@@ -43,8 +43,10 @@ from postproc.robot import JOINTS
 
 Suspect = Literal["none", "tool", "base", "both", "contradiction", "undecided", "unturned"]
 _MIN_POINTS = 3
+"""A frame has six unknowns, a point gives three numbers: two leave the turn about their line open."""
 _CONFIDENCE = 0.95
 _INTERVAL_FACTOR = 1.96
+"""Half width of a 95 % interval of a normal number, in standard deviations."""
 _LEAST_SPREAD = 0.02
 """Least distance [m] of points from their best line, RMS, at which a rotation of `$BASE` about it shows."""
 _LEAST_TURN = 20.0 * RAD_PER_DEG
@@ -66,22 +68,22 @@ class FrameCheck(Struct, frozen=True, eq=False):
 
     :param suspect: the frame that is off; ``"undecided"``: `$TOOL` and `$BASE` explain the points equally well;
         ``"unturned"``: no error shows, but the tool was not turned; ``"contradiction"``: neither frame does.
-    :param off: (n,) distance of each touched point from where it is expected [m].
+    :param distances: (n,) distance of each touched point from where it is expected [m].
     :param left: (n,) the same after the errors of the frames [m].
     :param tool: (3,) error of `$TOOL` in the axes of the flange [m], with half widths of 95 % intervals (3,); or None.
     :param base: (3,) displacement of the points by `$BASE` in the root [m], and its half widths; or None.
     :param turn: (3,) rotation of `$BASE` [rad], root axes, and its half widths; or None.
-    :param corrected: frames that agree with the points, by table of the cell: X, Y, Z, A, B, C [mm, deg].
+    :param new_frames: frames that agree with the points, by table of the cell: X, Y, Z, A, B, C [mm, deg].
     """
 
     suspect: Suspect
-    touched: Touched
-    off: Array
+    points: Touched
+    distances: Array
     left: Array
     tool: tuple[Array, Array] | None = None
     base: tuple[Array, Array] | None = None
     turn: tuple[Array, Array] | None = None
-    corrected: dict[str, Array] = {}
+    new_frames: dict[str, Array] = {}
 
 
 def read_touched(path: Path) -> Touched:
@@ -118,7 +120,7 @@ def check_frames(path: Path, cell_file: Path, sigma_mm: float) -> FrameCheck:
     base = cell.base.pose()
     nominal_point = touches.point @ base[:3, :3].T + base[:3, 3]
     check = judged(touches, flange[:, :3, :3], nominal_point, tip[:, :3, 3], sigma_mm * M_PER_MM)
-    return replace(check, corrected=dict(_corrected(check, cell.tool.pose(), base, nominal_point.mean(axis=0))))
+    return replace(check, new_frames=dict(_corrected(check, cell.tool.pose(), base, nominal_point.mean(axis=0))))
 
 
 def _corrected(check: FrameCheck, tool: Array, base: Array, centre: Array) -> Iterator[tuple[str, Array]]:
@@ -218,10 +220,10 @@ def as_text(check: FrameCheck, sigma_mm: float) -> str:
                 f"{value:z.2f} ± {half:.2f}" for value, half in zip(part[0] * factor, part[1] * factor, strict=True)
             )
             lines.append(f"  {name}: {values} {unit} (95 %)")
-    for table, frame in check.corrected.items():
+    for table, frame in check.new_frames.items():
         keys = ", ".join(f"{key} = {value:z.3f}" for key, value in zip("XYZABC", frame, strict=True))
         lines.append(f"  [{table}] that agrees: {keys}")
-    rows = zip(check.touched.name, check.off * MM_PER_M, check.left * MM_PER_M, strict=True)
+    rows = zip(check.points.name, check.distances * MM_PER_M, check.left * MM_PER_M, strict=True)
     lines += [f"  {name}: {distance:.2f} mm off, {left:.2f} mm after that" for name, distance, left in rows]
     lines.append(f"  standard deviation of a touch: {sigma_mm:g} mm in each coordinate (--sigma)")
     return "\n".join(lines)

@@ -37,7 +37,7 @@ OVERVIEW = "index.html"
 """File that lists the programs of an output folder."""
 _REPORTS = (".report.html", ".targets.csv", ".forces.csv", ".ply", ".glb")
 """Endings of files that no two programs have in common."""
-COPIED = "copied"
+COPIED_KEY = "copied"
 """Key of a report: files that were written as they were read, and in which nothing is called that moves."""
 
 
@@ -64,13 +64,13 @@ class Task(Struct, frozen=True):
     :param job: the job.
     :param names: names of the other programs that the run writes there, lower case.
     :param records: files of other programs there.
-    :param taken: names that a copy of a subprogram must not have, lower case, without extension.
+    :param used_names: names that a copy of a subprogram must not have, lower case, without extension.
     """
 
     job: Job
     names: frozenset[str] = frozenset()
     records: tuple[Record, ...] = ()
-    taken: frozenset[str] = frozenset()
+    used_names: frozenset[str] = frozenset()
 
 
 def needed_copies(task: Task, needed_files: Sequence[Needed], names: Collection[str]) -> dict[str, bytes]:
@@ -205,7 +205,7 @@ def with_own_copies(
     job, kind = task.job, registry.by_name(task.job.dialect)
     if isinstance(kind, Calling) and set(program_of_file) <= set(subprograms):
         stems = sorted({PurePath(name).stem for name in program_of_file})
-        renamed_files = kind.with_own_copies(documents, [*copies.values()], stems, job.stem, set(task.taken))
+        renamed_files = kind.with_own_copies(documents, [*copies.values()], stems, job.stem, set(task.used_names))
         if renamed_files is not None:
             return renamed_files
     name, owner = next(iter(program_of_file.items()))
@@ -384,18 +384,18 @@ class OutputPlan:
                     "written in this run",
                     advice="Rename one, or convert them one by one with different -o folders.",
                 )
-        self._refuse_called(job, [name for name in unplanned_names if name not in outcome.shared])
+        self._refuse_called(job, [name for name in unplanned_names if name not in outcome.shared_files])
         sums = {entry.name: entry.sha256 for entry in outcome.summary.files or ()}
-        changed_names = [name for name in outcome.shared if _sum(job.output / name) not in ("", sums[name])]
+        changed_names = [name for name in outcome.shared_files if _sum(job.output / name) not in ("", sums[name])]
         if not self._overwrite:
             foreign_files = self._not_ours(
-                job, [name for name in unplanned_names if name not in outcome.shared or name in changed_names]
+                job, [name for name in unplanned_names if name not in outcome.shared_files or name in changed_names]
             )
             refuse(
                 [
                     p
                     for p in foreign_files
-                    if not folder.written_by_others(job, p, only_pending=p.name not in outcome.shared)
+                    if not folder.written_by_others(job, p, only_pending=p.name not in outcome.shared_files)
                 ]
             )
         lower_names = {name.lower() for name in names}
@@ -454,7 +454,7 @@ class OutputPlan:
             replace(
                 member.outcome,
                 staged_files=None,
-                written=tuple(str(folder / name) for name in member.outcome.staged_files.names),
+                written_files=tuple(str(folder / name) for name in member.outcome.staged_files.names),
             )
             for member in group
             if member.outcome.staged_files is not None
@@ -472,7 +472,9 @@ class OutputPlan:
         """Return the outcome of a program that was not written, with a sentence on its earlier results."""
         if outcome.skipped:
             return outcome
-        return replace(outcome, earlier=left([job], self._mode) if outcome.keeps_old_files else self._set_aside(job))
+        return replace(
+            outcome, earlier_remark=left([job], self._mode) if outcome.keeps_old_files else self._set_aside(job)
+        )
 
     def _set_aside(self, job: Job) -> str:
         """Rename the earlier results of a program that failed now, so they are not mistaken for new ones.
@@ -531,7 +533,7 @@ class _Folder:
         for path in sorted(self._path.glob("*.report.json")):
             digests = {name: sum_ for name, sum_ in recorded(path).items() if name in file_names}
             program = path.name.removesuffix(".report.json")
-            records[path.name] = Record(program, self._path, digests, frozenset(noted(path, COPIED)))
+            records[path.name] = Record(program, self._path, digests, frozenset(noted(path, COPIED_KEY)))
         return records
 
     def _records(self) -> dict[str, Record]:

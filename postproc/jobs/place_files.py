@@ -60,7 +60,7 @@ class PlaceFiles(Struct, frozen=True, eq=False):
     """A search as it was written: its summary, and the files."""
 
     summary: report.PlaceSummary
-    written: tuple[Path, ...]
+    written_files: tuple[Path, ...]
 
 
 def make_place(request: PlaceRequest, progress: Callable[[int, int], None] | None = None) -> PlaceFiles:

@@ -73,11 +73,11 @@ class PlanFiles(Struct, frozen=True, eq=False):
     """A plan as it was written.
 
     :param result: the plan.
-    :param written: its files, the CSV first and the JSON last.
+    :param written_files: its files, the CSV first and the JSON last.
     """
 
     result: PlanResult
-    written: tuple[Path, ...]
+    written_files: tuple[Path, ...]
 
 
 def make_plan(request: PlanRequest, progress: Progress | None = None) -> PlanFiles:
@@ -148,11 +148,11 @@ class CompensatorPlanFiles(Struct, frozen=True, eq=False):
     """A plan of the compensator's readings as it was written.
 
     :param plan: the plan.
-    :param written: its files, the CSV first and the JSON last.
+    :param written_files: its files, the CSV first and the JSON last.
     """
 
     plan: CompensatorPlan
-    written: tuple[Path, ...]
+    written_files: tuple[Path, ...]
 
 
 def make_compensator_plan(request: CompensatorRequest) -> CompensatorPlanFiles:

@@ -332,7 +332,9 @@ def _next(change: Array, shift: Array, next_shift: Array, weight: Array) -> floa
 
     :param change: (n, 3) change of the deflection in this round, when the cut was displaced by `shift` (n, 3) more.
     :param next_shift: (n, 3) by how much it is displaced next.
+    :param weight: (n,) of the samples in the mean.
     """
+    # the deflection follows a displacement of the cut as it did in this round, but does not grow beyond it
     rate = _rms(change, weight) / max(_rms(shift, weight), _CONVERGENCE)
     return min(rate, 1.0) * _rms(next_shift, weight)
 
@@ -378,7 +380,7 @@ class ForcesFiles(Struct, frozen=True, eq=False):
 
     summary: process_forces.ForcesSummary
     issues: tuple[Issue, ...]
-    written: tuple[Path, ...]
+    written_files: tuple[Path, ...]
 
 
 def make_forces(request: ForcesRequest, progress: Callable[[int, int], None] | None = None) -> ForcesFiles:

@@ -332,12 +332,12 @@ class Outcome(Struct, frozen=True):
     :param summary: content of `report.json`; None if nothing was written, with code 0 where nothing was to be.
     :param message: why nothing was written, if `issues` do not state it.
     :param issues: problems of the program, if it was read but not written.
-    :param written: files written.
-    :param copied: those of them that it needs, and that are as they were.
-    :param earlier: what became of the results of an earlier run, where there are none of this one.
+    :param written_files: files written.
+    :param copied_files: those of them that it needs, and that are as they were.
+    :param earlier_remark: what became of the results of an earlier run, where there are none of this one.
     :param traceback: of a fault of postproc.
     :param staged_files: files that are complete and not yet in their places, see `output_plan`.
-    :param shared: names of those of them that other programs may need too.
+    :param shared_files: names of those of them that other programs may need too.
     :param read: files that were read.
     :param keeps_old_files: whether the results of an earlier run stay, although there are none of this one: the program
         could be converted, and not written.
@@ -348,12 +348,12 @@ class Outcome(Struct, frozen=True):
     summary: Summary | None = None
     message: str = ""
     issues: tuple[Issue, ...] = ()
-    written: tuple[str, ...] = ()
-    copied: tuple[str, ...] = ()
-    earlier: str = ""
+    written_files: tuple[str, ...] = ()
+    copied_files: tuple[str, ...] = ()
+    earlier_remark: str = ""
     traceback: str = ""
     staged_files: Staged | None = None
-    shared: tuple[str, ...] = ()
+    shared_files: tuple[str, ...] = ()
     read: tuple[str, ...] = ()
     keeps_old_files: bool = False
 

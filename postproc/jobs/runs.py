@@ -166,8 +166,8 @@ def _with_callers(job: Job, outcomes: Sequence[Outcome], settings: Settings) -> 
     """Return the outcome of a program that others call: it is corrected with those that it is written with."""
     callers = ", ".join(path.name for path in job.callers)
     file = str(job.output / job.program.name)
-    partners = ", ".join(sorted(Path(outcome.program).name for outcome in outcomes if file in outcome.written))
-    unchanged = any(file in outcome.copied for outcome in outcomes)
+    partners = ", ".join(sorted(Path(outcome.program).name for outcome in outcomes if file in outcome.written_files))
+    unchanged = any(file in outcome.copied_files for outcome in outcomes)
     result = (
         f"written with {partners}, unchanged"
         if unchanged

@@ -94,7 +94,7 @@ class TestPartFiles(Struct, frozen=True, eq=False):
     prior: Prior
     cutting: Cutting
     parts: dict[Placement, features.Program]
-    written: tuple[Path, ...]
+    written_files: tuple[Path, ...]
 
 
 def block_of(text: str) -> Box:
@@ -323,10 +323,10 @@ class PartRequest(Struct, frozen=True, kw_only=True):
 
 
 class PartFiles(Struct, frozen=True, eq=False):
-    """A model from a test part; `written` is empty if it was only compared."""
+    """A model from a test part; `written_files` is empty if it was only compared."""
 
     data: PartIdentification
-    written: tuple[Path, ...]
+    written_files: tuple[Path, ...]
 
 
 class _Given(Struct, frozen=True, eq=False):
@@ -363,7 +363,7 @@ def _given(request: PartRequest, model: str | None = None) -> _Given:
             program, robot_in_cell, probe_data.take(rows[-1]), 0.5 * tool.diameter_mm * M_PER_MM
         )
         parts.append(Clamped(program, robot_in_cell, ProcessSource(process, robot_in_cell.spindle), contact_surfaces))
-    contact_surfaces = Surfaces.joined([part.where for part in parts])
+    contact_surfaces = Surfaces.joined([part.surfaces for part in parts])
     readings = Readings.of(probe_data.take(np.concatenate(rows)), contact_surfaces, request.sigma_mm * M_PER_MM)
     return _Given(_prior(parts[0].robot_in_cell, process), readings, tuple(parts), process)
 

@@ -276,7 +276,7 @@ class _Watcher:
         except PostprocError as cause:
             if len(ready) == 1:
                 remark = left(jobs or self._jobs_without_forces(ready[0]), self.settings.mode)
-                failure = Outcome(str(ready[0]), FAILED, message=str(cause), earlier=remark)
+                failure = Outcome(str(ready[0]), FAILED, message=str(cause), earlier_remark=remark)
                 self._record(ready[0], failure, *states[ready[0]])
                 self._write_overview()
                 yield failure, Job(ready[0], "", self.output)

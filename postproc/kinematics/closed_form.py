@@ -34,7 +34,7 @@ class ClosedForm(Struct, frozen=True, eq=False):
 
     :param axes: (3, 3) rows: ahead, across, up, in root axes.
     :param base: (3,) a point of the A1 axis at the height of A2.
-    :param aside: distance of the wrist centre from the plane through the A1 axis.
+    :param lateral_offset: distance of the wrist centre from the plane through the A1 axis.
     :param shoulder: distance of A2 ahead of the A1 axis.
     :param upper_arm: from A2 to A3.
     :param forearm: from A3 to the wrist centre.
@@ -48,7 +48,7 @@ class ClosedForm(Struct, frozen=True, eq=False):
 
     axes: Array
     base: Array
-    aside: float
+    lateral_offset: float
     shoulder: float
     upper_arm: float
     forearm: float
@@ -95,8 +95,10 @@ class ClosedForm(Struct, frozen=True, eq=False):
         wrist_x, wrist_y, height = self.axes @ wrist
         a, b = self.upper_arm, self.forearm
         with np.errstate(invalid="ignore"):
-            radius = (1 - 2 * behind_bit) * np.sqrt(wrist_x * wrist_x + wrist_y * wrist_y - self.aside**2)
-            heading = np.arctan2(wrist_y * radius - wrist_x * self.aside, wrist_x * radius + wrist_y * self.aside)
+            radius = (1 - 2 * behind_bit) * np.sqrt(wrist_x * wrist_x + wrist_y * wrist_y - self.lateral_offset**2)
+            heading = np.arctan2(
+                wrist_y * radius - wrist_x * self.lateral_offset, wrist_x * radius + wrist_y * self.lateral_offset
+            )
             radius = radius - self.shoulder
             cosine = (radius * radius + height * height - (a * a + b * b)) / (2.0 * a * b)
             sine = self.sign[2] * (2 * elbow_bit - 1) * np.sqrt((1.0 - cosine) * (1.0 + cosine))
@@ -153,7 +155,7 @@ def closed_form(robot: RobotModel) -> ClosedForm:
     form = ClosedForm(
         axes=axes,
         base=np.append(origin[0, :2], origin[1, 2]),
-        aside=float((wrist - origin[0]) @ y_axis),
+        lateral_offset=float((wrist - origin[0]) @ y_axis),
         shoulder=float((origin[1] - origin[0]) @ x_axis),
         upper_arm=float(np.hypot(bars[0, 0], bars[0, 2])),
         forearm=float(np.hypot(bars[1, 0], bars[1, 2])),

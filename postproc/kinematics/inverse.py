@@ -24,6 +24,7 @@ from postproc.robot import RobotModel
 
 _TURN = 2.0 * np.pi
 _ANGLE_TOLERANCE = 1e-6
+"""Angles beyond a limit by less [rad] are at it: rounding of the closed form."""
 _ZERO = 1e-6
 """A joint angle within this of zero [rad] is zero: its sign is rounding."""
 _TIP_TOLERANCE = 1e-11
@@ -240,8 +241,10 @@ class ByWrist(Struct, frozen=True, eq=False):
     ) -> ByWrist:
         """Return the motions with their rotation.
 
+        Arrays are those of the fields of the same names.
+
         :param count: M.
-        :param joints: angles (W, 6) at start and end.
+        :param joints: angles (W, 6) at start and end [rad].
         :raises UnreachableError: the tip cannot be held on its line on one branch; `rows` are motions.
         """
         active = np.zeros(count, dtype=np.bool_)

@@ -25,6 +25,7 @@ from postproc.program import Bools, Ints
 _SIDE_CELLS = 128
 """Coarse cells along a side of the stock."""
 _HALF_DIAGONAL = 0.7072
+"""Half of the diagonal of a cell, √2 / 2 of its width, rounded up: a tool that touches a cell reaches its middle."""
 _FLUSH = 1e-6
 """Bodies that reach into material by less [m] are flush with it."""
 _EXACT = 5e-5

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from msgspec import Struct, field
 
-from postproc.chunks import Columns, ragged_range
+from postproc.chunks import Columns
 from postproc.frames import Array, norm
 from postproc.machining import cutting, tilted
 from postproc.machining.cutting import Engaged, Loads, engaged
@@ -26,6 +26,7 @@ from postproc.machining.tilted import TiltedPath
 from postproc.machining.tool import BOTTOM, SIDE, Cutter, Edge, Turn, edge, in_slices, some
 from postproc.machining.tool_path import StraightSegments, ToolPoses, ToolStates
 from postproc.program import Bools, Ints, distinct
+from postproc.toolpath import even_places
 
 _STRAIGHT = np.cos(np.radians(10.0))
 """Segments that turn by less are processed together."""
@@ -290,8 +291,7 @@ class Sweep(Struct, eq=False):
         cell = self.stock.cell
         length = np.linalg.norm(segments.end[begin:end] - segments.begin[begin:end], axis=1)
         count = np.maximum(1, np.ceil(length / cell - 1e-6)).astype(np.int64)
-        segment = np.repeat(np.arange(begin, end), count)
-        share = (ragged_range(count) + 0.5) / np.repeat(count, count)
+        segment, share = even_places(np.arange(begin, end), count, "middle")
         position = segments.begin[segment] + share[:, None] * (segments.end[segment] - segments.begin[segment])
         heading = segments.leave[segment] + share[:, None] * (segments.arrive[segment] - segments.leave[segment])
         heading /= np.linalg.norm(heading, axis=1)[:, None]

@@ -15,7 +15,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from postproc.chunks import Columns, ragged_range
+from postproc.chunks import Columns
 from postproc.frames import Array, norm
 from postproc.machining.cutting import Engaged, Loads, mean, nearby_cells
 from postproc.machining.material import Floats
@@ -23,6 +23,7 @@ from postproc.machining.stock import Footprint, Stock, cells, middles, windows
 from postproc.machining.tool import Cutter, Turn
 from postproc.machining.tool_path import StraightSegments
 from postproc.program import Bools, Ints
+from postproc.toolpath import even_places
 
 _HALVINGS = 28
 """Steps of the search for the lower side of a rounded corner: it is found to 10⁻⁸ of the size of the tool."""
@@ -99,8 +100,7 @@ class TiltedPath(Columns, frozen=True, eq=False):
         rounding = cutter.corner if cutter.corner > 0.0 else cutter.radius
         step = min(cell, math.sqrt(8.0 * rounding * _RIDGE))
         count = np.maximum(1, np.ceil((length + cutter.radius * turn) / step - 1e-6)).astype(np.int64)
-        piece = np.repeat(np.arange(len(count)), count)
-        share = (ragged_range(count) + 0.5) / count[piece]
+        piece, share = even_places(np.arange(len(count)), count, "middle")
         half = 0.5 / count[piece]
 
         def between(first: Array, last: Array, at: Array) -> Array:

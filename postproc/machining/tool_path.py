@@ -10,12 +10,12 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from postproc import toolpath
-from postproc.chunks import Columns, ragged_range
-from postproc.errors import MOST, ForceError, Issue, together
+from postproc.chunks import Columns
+from postproc.errors import MAX_ERRORS, ForceError, Issue, together
 from postproc.frames import Array, inverse, norm
 from postproc.machining.process import Process
 from postproc.program import CIRC, PTP, Bools, Ints, Program, distinct
-from postproc.toolpath import Segments, positions, tangent
+from postproc.toolpath import Segments, even_places, positions, tangent
 
 
 class ToolStates(Struct, frozen=True, eq=False):
@@ -68,7 +68,7 @@ def tool_states(program: Program, process: Process) -> ToolStates:
 
 def _refuse(program: Program, process: Process, number: Ints, lacks_tool: Bools) -> None:
     errors = []
-    for value in distinct(number[lacks_tool]).tolist()[: MOST + 1]:
+    for value in distinct(number[lacks_tool]).tolist()[: MAX_ERRORS + 1]:
         line = int(program.motions.line[np.flatnonzero(lacks_tool & (number == value))[0]])
         tool_list = ", ".join(f"[tools.{key}]" for key in process.tools) or "none"
         if value <= 0:  # T0, and M6 without T, name no tool
@@ -124,6 +124,7 @@ _ON_CUT = np.radians(1.0)
 _ON_MOTION = 1e-9, 0.25, 0.5, 0.75
 """Places of motions at which the direction of the tool is looked at."""
 _NO_LENGTH = 1e-9
+"""Segments shorter than this [m] do not move the tool; also the first place on a motion, since 0 is none."""
 _END_OF_MOTION = 1.0 - 1e-7
 """The end of a motion is before the start of the next one, where the displacement may differ."""
 
@@ -218,9 +219,8 @@ def straight_segments(
     max_rotation = np.where(m.rapid, _LEANS, _ON_CUT)
     count[leans] = np.maximum(count[leans], np.ceil(rotation[leans] / max_rotation[leans]).astype(np.int64))
     count[(m.kind == PTP) & ~leans] = 0
-    motion = np.repeat(np.arange(len(m)), count)
-    index = ragged_range(count)
-    first, last = index / count[motion], (index + 1) / count[motion]
+    motions = np.arange(len(m))
+    (motion, first), last = even_places(motions, count, "start"), even_places(motions, count)[1]
     if shift is not None:
         motion, first, last = _cut_at(motion, first, last, shift)
     begin = path.begin(motion)

@@ -37,6 +37,7 @@ _SLICE = 15
 _STARTS, _HALVINGS = 4, 5
 """Places from which the compass search starts, and how often its steps are halved."""
 _SAME_FRAME = 1e-6
+"""Entries of frames [m, 1] that differ by less are equal but for rounding."""
 _TURNS = np.arange(-180.0, 180.0, 30.0) * RAD_PER_DEG
 """Turns of the tool tried at each place where the cell leaves it open."""
 _GAIN = 1e-3
@@ -146,16 +147,16 @@ class Search(Struct, frozen=True, eq=False):
 
     :param today: the place of the cell.
     :param best: the best place, None if all are refused.
-    :param tried: all places; those of the map first.
-    :param slice: X and Y of the finer slice, at the Z, A and E1 of `around`; empty if X or Y is fixed.
-    :param around: place through which the slice goes.
+    :param trials: all places; those of the map first.
+    :param slice: X and Y of the finer slice, at the Z, A and E1 of `slice_place`; empty if X or Y is fixed.
+    :param slice_place: place through which the slice goes.
     """
 
     today: Judged
     best: Judged | None
-    tried: tuple[Judged, ...]
+    trials: tuple[Judged, ...]
     slice: tuple[tuple[float, ...], tuple[float, ...]]
-    around: tuple[float, ...]
+    slice_place: tuple[float, ...]
 
 
 class _Stations(Struct, frozen=True, eq=False):

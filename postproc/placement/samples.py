@@ -6,7 +6,6 @@ import numpy as np
 from msgspec import Struct
 
 from postproc import forces, toolpath
-from postproc.chunks import ragged_range
 from postproc.forces import ForceSource, PathForces
 from postproc.frames import Array, norm, rotation_from_vector
 from postproc.poses import Poses
@@ -54,13 +53,11 @@ class PathSamples(Struct, frozen=True, eq=False):
         m = program.motions
         segments = toolpath.segments(program, robot_in_cell.start_flange)
         path_forces = forces.assign(program, segments, source, robot_in_cell.spindle, robot_in_cell.ramp)
-        count = np.ceil(np.maximum(segments.travel / _STEP, segments.turn / _TURN) - 1e-9)
-        count[(m.kind == PTP) | (m.kind == SPL)] = 1.0
-        number = np.maximum(count, 1.0).astype(np.int64)
-        motion = np.repeat(np.arange(len(m)), number)
-        index = ragged_range(number) + 1
-        sample = toolpath.at(program, segments, motion, index / number[motion])
-        travel = segments.length[motion] / number[motion]
+        parts = toolpath.even_parts(segments.travel, segments.turn, _STEP, _TURN)
+        parts[(m.kind == PTP) | (m.kind == SPL)] = 1
+        motion, t = toolpath.even_places(np.arange(len(m)), parts)
+        sample = toolpath.at(program, segments, motion, t)
+        travel = segments.length[motion] / parts[motion]
         feed = m.feed[motion]
         has_time = ~m.rapid[motion] & (m.kind[motion] != PTP) & (travel > 1e-6) & (feed > 0.0)
         time = np.where(has_time, travel / np.where(has_time, feed, 1.0), np.inf)

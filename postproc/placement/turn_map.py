@@ -669,8 +669,8 @@ def _crossing(
         start_columns = columns
         columns = _column(source + steps * share[n + 1], turn_count)
         is_blocked |= _is_bad_between(bad[k], source + steps * share[n : n + 2, None, None])
-        halfway = _column(source + steps * (0.5 * (share[n] + share[n + 1])), turn_count)
-        price += costs.cell[k][halfway] + costs.turning(k, halfway, turning_price)
+        middle_columns = _column(source + steps * (0.5 * (share[n] + share[n + 1])), turn_count)
+        price += costs.cell[k][middle_columns] + costs.turning(k, middle_columns, turning_price)
         if blocks.cuts[b] and len(steps) > 1:
             is_blocked |= ~(turn_map.speed[k][columns] + turn_map.rate[k][columns] * turning <= 1.0)
         winding = turn_map.winding[k][start_columns]
@@ -715,6 +715,7 @@ def _column(place: Array, count: int) -> Ints:
 
 
 _EXACT = 1e-9
+"""Places that are this near a column [columns] are on it but for rounding."""
 _STEP_MARK = 1_000_000
 """Added to changes of the turn, to distinguish them from turns of the block before."""
 

@@ -31,6 +31,7 @@ from postproc.under_load import RobotInCell
 Mode = Literal["best", "path"]
 _COARSE = 5.0 * RAD_PER_DEG
 _SAME_TURN = 1e-6
+"""Turns [rad] and lengths [m] below this are none but for rounding."""
 _TILT_PROBLEM = (
     'redundancy = "path": this move tilts the tool, and turning it about its axis on the way would make it lean. Set '
     '[gcode] redundancy = "best".'
@@ -53,6 +54,7 @@ _MAX_SAMPLES = 4000
 """Samples of a program by which branches are judged."""
 _TURNS = np.arange(-180.0, 180.0, 30.0) * RAD_PER_DEG
 _BRANCHES = 8
+"""Shoulder, elbow and wrist have two each."""
 _LARGE_ANGLE = 100.0
 _MAX_POSES = 120
 """Samples at which branches are looked at for collisions."""

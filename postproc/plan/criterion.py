@@ -33,7 +33,7 @@ from postproc.identification.fit import NORMAL_95
 from postproc.identification.joint_springs import UNCERTAIN
 from postproc.identification.measurement_model import levels_of
 from postproc.identification.readings import Measurements
-from postproc.identification.validation import ENOUGH, LEAST_TORQUE, SIGNS, signed
+from postproc.identification.validation import LEAST_TORQUE, MIN_CONFIGURATIONS, SIGNS, signed
 from postproc.plan.milling import TestPoses
 from postproc.plan.sensitivity import Readings
 from postproc.program import Bools, Ints
@@ -320,7 +320,7 @@ def _chi2(freedom: float, z: float) -> float:
 
 
 _OF_POSES = 3
-"""One of this many poses at least must load a joint in each direction; `ENOUGH` poses cover a direction."""
+"""One of this many poses at least must load a joint in each direction; `MIN_CONFIGURATIONS` poses cover a direction."""
 _TYPICAL = 0.95
 _RARE = 0.01
 """Share of poses below which a direction counts as out of reach."""
@@ -364,7 +364,7 @@ def directions(torque: Array, tests: TestPoses, poses: int, data_torque: Array |
     work = _typical(signed(tests.torque), tests.weight)
     threshold = np.clip(work, _SMALLEST * rig_torque, _LARGEST * rig_torque)
     earlier_torque = np.zeros((0, 6)) if data_torque is None else data_torque
-    need = np.where(rig_torque > 0.0, min(ENOUGH, (poses + len(earlier_torque)) // _OF_POSES), 0)
+    need = np.where(rig_torque > 0.0, min(MIN_CONFIGURATIONS, (poses + len(earlier_torque)) // _OF_POSES), 0)
     empty = Directions(need, np.maximum(threshold, LEAST_TORQUE), rig_torque, work)
     left = np.maximum(need - empty.counted(earlier_torque).sum(axis=0), 0)
     return Directions(left, empty.least, rig_torque, work)

@@ -56,6 +56,12 @@ class ReportedVerdict(Struct, frozen=True):
     tolerance: ReportedTolerance | None = None
 
 
+class ReportedIssue(Struct, frozen=True):
+    """Kind of an issue."""
+
+    kind: str
+
+
 class Reported(Struct, frozen=True):
     """What the overview shows of a `report.json`, also of one that an earlier version wrote."""
 
@@ -66,6 +72,7 @@ class Reported(Struct, frozen=True):
     max_force_N: float
     limits: Margin
     verdict: ReportedVerdict
+    issues: list[ReportedIssue] = []
 
     @property
     def expected_mm(self) -> tuple[float | None, float | None]:

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 from msgspec import Struct
 
-from postproc.chunks import ragged_range
+from postproc import toolpath
 from postproc.correction import Result, Statistics, statistics
 from postproc.frames import Array, norm
 from postproc.operations import operations as program_operations
@@ -49,13 +49,13 @@ def drawn_path(result: Result, chord: float | None = None) -> tuple[Array, Ints]
         step = np.clip(step, _STEP[0] if chord is None else _FINEST, _STEP[1])
         count = np.ones(len(result), dtype=np.int64)
         count[arcs] = np.maximum(np.ceil(angle / step), 1.0).astype(np.int64)
-        row = np.repeat(row, count)
-        left = 1.0 - (ragged_range(count) + 1) / count[row]
-        inner = np.flatnonzero(left > 0.0)
-        arc, left = np.searchsorted(arcs, row[inner]), left[inner]
-        cos, sin = np.cos(angle[arc] * left)[:, None], np.sin(angle[arc] * left)[:, None]
+        row, share = toolpath.even_places(row, count)
+        remaining_share = 1.0 - share
+        inner = np.flatnonzero(remaining_share > 0.0)
+        arc, remaining_share = np.searchsorted(arcs, row[inner]), remaining_share[inner]
+        cos, sin = np.cos(angle[arc] * remaining_share)[:, None], np.sin(angle[arc] * remaining_share)[:, None]
         end = end[row]
-        end[inner] = axis[arc] + cos * radial[arc] - sin * tangent[arc] - left[:, None] * rise[arc]
+        end[inner] = axis[arc] + cos * radial[arc] - sin * tangent[arc] - remaining_share[:, None] * rise[arc]
     bases = result.program.bases
     if len(bases) > 1:
         base = bases[motions.base[result.motion[row]]]

@@ -93,7 +93,7 @@ def summary(
     :param clearance_mm: distance of bodies that was kept; None: they were not compared.
     :param start: how the start was chosen; None: the cell states it.
     """
-    reasons = np.bincount([place.reason for place in search.tried], minlength=len(REASONS)).tolist()
+    reasons = np.bincount([place.reason for place in search.trials], minlength=len(REASONS)).tolist()
     return PlaceSummary(
         programs=list(programs),
         robot=cell.robot,
@@ -104,7 +104,7 @@ def summary(
         today=_entry(search.today),
         best=None if search.best is None else _entry(search.best),
         grid="place.csv",
-        tried=len(search.tried),
+        tried=len(search.trials),
         reachable=reasons[0],
         refused={name: count for name, count in zip(REASONS[1:], reasons[1:], strict=True) if count},
         sentence=_sentence(search),
@@ -172,7 +172,7 @@ def _cost(place: Judged) -> str:
 def places_csv(search: Search) -> Iterator[bytes]:
     """Yield one row for each place that was tried, in order."""
     yield (",".join(_COLUMNS) + "\n").encode()
-    for place in search.tried:
+    for place in search.trials:
         entry = _entry(place)
         values: list[object] = [
             _in_mm(place.u95) if name == "u95_mm" else getattr(entry, name) for name in _COLUMNS[:-2]
@@ -279,23 +279,23 @@ def _maps(search: Search) -> Iterator[Section]:
     """Yield the map in X and Y, and that in A and Z, at the place through which they go."""
     x, y = search.slice
     if len(x):
-        first = len(search.tried) - len(x) * len(y)
-        for first in range(len(search.tried) - len(x) * len(y) + 1):
-            if search.tried[first].place[:2] == (x[0], y[0]) and _is_slice(search, first):
+        first = len(search.trials) - len(x) * len(y)
+        for first in range(len(search.trials) - len(x) * len(y) + 1):
+            if search.trials[first].place[:2] == (x[0], y[0]) and _is_slice(search, first):
                 break
-        places = [search.tried[first + i * len(y) : first + (i + 1) * len(y)] for i in range(len(x))]
+        places = [search.trials[first + i * len(y) : first + (i + 1) * len(y)] for i in range(len(x))]
         rows = [[column[k] for column in places] for k in range(len(y))]
-        title = f"Map at Z {search.around[2]:.0f}, A {search.around[3]:.1f}°"
+        title = f"Map at Z {search.slice_place[2]:.0f}, A {search.slice_place[3]:.1f}°"
         yield Section("map", title, (_map(search, rows, (0, 1), tuple(x), tuple(y), title),))
     grid = [
         judged_place
-        for judged_place in search.tried
-        if judged_place.place[:2] == search.around[:2] and judged_place.place[4] == search.around[4]
+        for judged_place in search.trials
+        if judged_place.place[:2] == search.slice_place[:2] and judged_place.place[4] == search.slice_place[4]
     ]
     z, a = (sorted({judged_place.place[k] for judged_place in grid}) for k in (2, 3))
     place_at = {(judged_place.place[2], judged_place.place[3]): judged_place for judged_place in reversed(grid)}
     if len(z) > 2 and len(a) > 2 and all((height, angle) in place_at for height in z for angle in a):
-        title = f"Map at X {search.around[0]:.0f}, Y {search.around[1]:.0f}"
+        title = f"Map at X {search.slice_place[0]:.0f}, Y {search.slice_place[1]:.0f}"
         rows = [[place_at[height, angle] for angle in a] for height in z]
         yield Section("map-turn", title, (_map(search, rows, (3, 2), tuple(a), tuple(z), title),))
 
@@ -303,7 +303,7 @@ def _maps(search: Search) -> Iterator[Section]:
 def _is_slice(search: Search, first: int) -> bool:
     x, y = search.slice
     last = first + len(x) * len(y) - 1
-    return last < len(search.tried) and search.tried[last].place[:2] == (x[-1], y[-1])
+    return last < len(search.trials) and search.trials[last].place[:2] == (x[-1], y[-1])
 
 
 def _map(
@@ -350,7 +350,7 @@ def _is_on_map(search: Search, axes: tuple[int, int], x: Sequence[float], y: Seq
     """Return whether today's place is in the plane of a map and between its edges."""
     place = search.today.place
     other_axes = [k for k in range(len(AXES)) if k not in axes]
-    in_plane = all(abs(place[k] - search.around[k]) <= _SAME_PLANE for k in other_axes)
+    in_plane = all(abs(place[k] - search.slice_place[k]) <= _SAME_PLANE for k in other_axes)
     return in_plane and x[0] <= place[axes[0]] <= x[-1] and y[0] <= place[axes[1]] <= y[-1]
 
 

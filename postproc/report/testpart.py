@@ -300,10 +300,10 @@ def _drawing(
 
 def _feature_shapes(plan: _Plan, feature: features.Feature, cutting: Cutting, name: str) -> list[str]:
     """Return a feature with its probed points, its name and its depth."""
-    shaded = 'fill="currentColor" fill-opacity="0.12" stroke="currentColor"'
-    dashed = 'fill="none" stroke="currentColor" stroke-dasharray="4 3"'
+    areas = 'fill="currentColor" fill-opacity="0.12" stroke="currentColor"'
+    hidden_lines = 'fill="none" stroke="currentColor" stroke-dasharray="4 3"'
     shapes = []
-    for surface, style in (("groove", shaded), ("step", shaded), ("trim", dashed)):
+    for surface, style in (("groove", areas), ("step", areas), ("trim", hidden_lines)):
         shapes += _outlines(plan, feature, cutting, surface, style)
     for probe in features.probes(feature.kind, cutting):
         x, y = plan.xy(features.placed(feature, 0.0, np.array([probe.point])))[0].tolist()

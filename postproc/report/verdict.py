@@ -63,6 +63,8 @@ _NO_SIZE = 0.0
 """Cost [mm] of a finding without a length."""
 
 
+ASSUMED_STOCK = "assumed-stock"
+"""Kind of the issue of a stock that nobody stated."""
 STOCK_REMARK = "The stock is assumed: check it first."
 """Part of the headline, so that it is next to the answer wherever that is shown."""
 
@@ -86,7 +88,7 @@ def verdict(result: Result, content: Summary, other_remedies: Sequence[Remedy] =
     tolerance = _tolerance(result, content, other_remedies)
     better = _better(result, content, _of_issues(of_forces, result.mode), tolerance)
     holds = _holds(result, content)
-    remark = STOCK_REMARK if any(issue.kind == "assumed-stock" for issue in result.issues) else ""
+    remark = STOCK_REMARK if any(issue.kind == ASSUMED_STOCK for issue in result.issues) else ""
     return joined(result.mode, drive, better, tolerance, _texts(holds), _assumptions(result), remark=remark)
 
 
@@ -142,7 +144,7 @@ def _better(result: Result, content: Summary, doubts: list[Finding], tolerance: 
             )
         )
     if content.mode == "convert" and (corrected_errors.largest - uncorrected.largest) * MM_PER_M > CUT_MM:
-        doubts.append(Finding(corrected_errors.largest * MM_PER_M, _WORSE_SOMEWHERE))
+        doubts.append(Finding(corrected_errors.largest * MM_PER_M, _WORSE_PLACE))
     state: State = "failed" if failures else "warning" if doubts else "ok"
     return Better(
         state=state,
@@ -155,7 +157,7 @@ def _better(result: Result, content: Summary, doubts: list[Finding], tolerance: 
     )
 
 
-_WORSE_SOMEWHERE = (
+_WORSE_PLACE = (
     "at the worst place the corrected program is further off than the uncorrected one: the path between targets is "
     "held to tolerance_mm of [output] only. Set it lower"
 )
@@ -207,7 +209,7 @@ def _remedies(result: Result, content: Summary) -> list[Remedy]:
     if errors is None:
         return []
     expected_error = float(errors.after.max(initial=0.0))
-    error_of_action = {"measure the robot": errors.robot_known, "measure the forces": errors.forces_known}
+    error_of_action = {"measure the robot": errors.with_known_robot, "measure the forces": errors.with_known_forces}
     actions = [
         Remedy(action, error * MM_PER_M) for action, error in error_of_action.items() if error < _GAIN * expected_error
     ]
@@ -401,7 +403,7 @@ def _assumptions(result: Result) -> list[str]:
     bodies = [] if result.clearance is None else list(result.clearance.remarks)
     assumptions = [
         *bodies,
-        *(issue.message for issue in result.issues if issue.kind == "assumed-stock"),
+        *(issue.message for issue in result.issues if issue.kind == ASSUMED_STOCK),
         f"the elastic model of {result.robot.title or result.robot.name}, as its sources below state it",
     ]
     if force > 0.0:

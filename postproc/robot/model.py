@@ -38,6 +38,7 @@ GEAR_TERMS = ("sin", "cos", "sin2", "cos2")
 """Terms of a joint, in the order of `Transmission.amplitude`."""
 _ROUNDS = 60
 _ANGLE_TOLERANCE = 1e-14
+"""Change of angles [rad] by which the iteration ends: rounding of double numbers."""
 _SAME_LAW = 1e-6
 """Relative difference of the numbers of two cutting laws that are one."""
 

@@ -45,7 +45,7 @@ class Surfaces(Columns, frozen=True, eq=False):
     :param motion: (n,) row of `Motions` of their program, and `t` (n,) the place on it.
     :param weight: (n, 2, 6) deviation by the twist of the tool in the root: the smaller of the two counts.
     :param wall: (n,) 1 for walls, which a larger tool moves into the material, 0 for floors.
-    :param hung: (n, 6) wrench [N, N·m] of a weight hung on the tool, root axes, where a gauge reads its displacement.
+    :param weight_wrench: (n, 6) of a weight hung on the tool where a gauge reads its displacement, root axes [N, N·m].
     :param point: (n, 3) of the surface, `$BASE` [m].
     """
 
@@ -53,7 +53,7 @@ class Surfaces(Columns, frozen=True, eq=False):
     t: Array
     weight: Array
     wall: Array
-    hung: Array
+    weight_wrench: Array
     point: Array
 
     def deviation(self, twist: Array) -> tuple[Array, Array]:
@@ -149,7 +149,7 @@ class States(Columns, frozen=True, eq=False):
     :param tool: (n, 4, 4) `$TOOL` in the flange frame [m].
     :param pose: (n, 4, 4) nominal tool frame in the root [m].
     :param wrench: (n, 6) on the tool at its tip, root axes [N, N·m].
-    :param hung: (n, 6) wrench of a weight hung on the tool, known exactly.
+    :param weight_wrench: (n, 6) wrench of a weight hung on the tool, known exactly.
     :param lift: (n,) how high the program ran over the block where the wrench acts [m].
     :param by_lift: (n, 6) derivative of the wrench by the lift.
     """
@@ -158,13 +158,13 @@ class States(Columns, frozen=True, eq=False):
     tool: Array
     pose: Array
     wrench: Array
-    hung: Array
+    weight_wrench: Array
     lift: Array
     by_lift: Array
 
     def twist(self, robot_in_cell: RobotInCell, robot: RobotModel, scale: float) -> Array:
         """Return the displacement (n, 6) of the tool from nominal under forces times a scale, root axes [m, rad]."""
-        wrench = scale * self.wrench + self.hung
+        wrench = scale * self.wrench + self.weight_wrench
         displacement = twist_between(self.pose, elastostatics.deflect(robot, self.q, self.tool, wrench).pose)
         if (spring := robot_in_cell.tool_spring) is not None:
             displacement = displacement + spring.deflection(self.pose[:, :3, :3], wrench)
@@ -189,15 +189,17 @@ class States(Columns, frozen=True, eq=False):
 
     def twist_by_lift(self, robot_in_cell: RobotInCell, robot: RobotModel, scale: float) -> Array:
         """Return the derivative of the twist (n, 6) by the lift of the program over the block, 1/m times the twist."""
-        lifted = replace(self, wrench=self.wrench + LIFT_STEP * self.by_lift)
-        change = lifted.twist(robot_in_cell, robot, scale) - self.twist(robot_in_cell, robot, scale)
+        higher_states = replace(self, wrench=self.wrench + LIFT_STEP * self.by_lift)
+        change = higher_states.twist(robot_in_cell, robot, scale) - self.twist(robot_in_cell, robot, scale)
         return np.asarray(change / LIFT_STEP)
 
 
-def without_lift(q: Array, tool: Array, pose: Array, wrench: Array, hung: Array | None = None) -> States:
+def without_lift(q: Array, tool: Array, pose: Array, wrench: Array, weight_wrench: Array | None = None) -> States:
     """Return states of a program that runs at its height over the block, whatever its forces are at another one."""
-    none = np.zeros((len(q), 6))
-    return States(q, tool, pose, wrench, none if hung is None else hung, np.zeros(len(q)), none)
+    no_wrench = np.zeros((len(q), 6))
+    return States(
+        q, tool, pose, wrench, no_wrench if weight_wrench is None else weight_wrench, np.zeros(len(q)), no_wrench
+    )
 
 
 class Cut(Struct, frozen=True, eq=False):
@@ -266,7 +268,7 @@ def cut(program: Program, robot_in_cell: RobotInCell, source: ProcessSource, new
             for row, share in zip(new_surfaces.motion.tolist(), new_surfaces.t.tolist(), strict=True)
         ]
     )
-    at = replace(path_states.take(index), hung=new_surfaces.hung)
+    at = replace(path_states.take(index), weight_wrench=new_surfaces.weight_wrench)
     return Cut(at, path_states, motion, t, path.sample.pose[:, :3, 3], program)
 
 
@@ -280,7 +282,7 @@ class Clamped(Struct, frozen=True, eq=False):
     program: Program
     robot_in_cell: RobotInCell
     source: ProcessSource
-    where: Surfaces
+    surfaces: Surfaces
 
 
 Heights = Callable[[Array], Array]
@@ -321,7 +323,7 @@ class CutForces:
             ]
         return States.joined(
             [
-                replace(part_cut.at, lift=lift(part.where.point), by_lift=by_lift)
+                replace(part_cut.at, lift=lift(part.surfaces.point), by_lift=by_lift)
                 for part, part_cut, lift, by_lift in zip(self._parts, self._cuts, lifts, self._by_lift, strict=True)
             ]
         )
@@ -329,11 +331,11 @@ class CutForces:
     def _begin(self) -> None:
         """Cut with a rigid robot, at the height of the program and above it."""
         for part in self._parts:
-            rigid = cut(part.program, part.robot_in_cell, part.source, part.where)
-            lifted = _cut_again(part, rigid.lifted(LIFT_STEP))
+            rigid = cut(part.program, part.robot_in_cell, part.source, part.surfaces)
+            upper_cut = _cut_again(part, rigid.lifted(LIFT_STEP))
             self._cuts.append(rigid)
-            self._by_lift.append((lifted.at.wrench - rigid.at.wrench) / LIFT_STEP)
+            self._by_lift.append((upper_cut.at.wrench - rigid.at.wrench) / LIFT_STEP)
 
 
 def _cut_again(part: Clamped, shift: Shift) -> Cut:
-    return cut(part.program, part.robot_in_cell, part.source.shifted(shift), part.where)
+    return cut(part.program, part.robot_in_cell, part.source.shifted(shift), part.surfaces)

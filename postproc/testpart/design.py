@@ -83,7 +83,7 @@ class Candidates(Struct, frozen=True, eq=False):
     seconds: Array
     is_apart: Bools
     deflection: Array
-    loaded: States
+    states: States
 
 
 class Tests(Struct, frozen=True, eq=False):
@@ -342,10 +342,12 @@ def _of_kind(
     weight = turned(rotation, weights(normal, point - tip, axis, travel, 0.5 * cutting.diameter))
     wall = (np.abs(normal[:, 2]) < 0.5).astype(float)
     rows = np.repeat(reachable, count)
-    none = np.zeros((int(rows.sum()), 6))
-    where = Surfaces(none[:, 0].astype(np.int64), none[:, 0], weight[rows], wall[rows], none, point[rows])
+    no_wrench = np.zeros((int(rows.sum()), 6))
+    surfaces = Surfaces(
+        no_wrench[:, 0].astype(np.int64), no_wrench[:, 0], weight[rows], wall[rows], no_wrench, point[rows]
+    )
     information, deflection = _information(
-        prior, robot_in_cell, states, where, (point - points.mean(axis=0))[rows], normal[rows], count, sigma
+        prior, robot_in_cell, states, surfaces, (point - points.mean(axis=0))[rows], normal[rows], count, sigma
     )
     worst_probe = np.argmax(deflection, axis=1)
     reached_features = [
@@ -361,7 +363,7 @@ def _information(
     prior: Prior,
     robot_in_cell: RobotInCell,
     states: States,
-    where: Surfaces,
+    surfaces: Surfaces,
     arm: Array,
     normal: Array,
     count: int,
@@ -373,14 +375,14 @@ def _information(
     :param normal: (k count, 3) of the surfaces.
     """
     twist, by_parameter, by_scale = states.derivatives(robot_in_cell, prior.robot, prior.order, 1.0)
-    at = where.deviation(twist)[1]
+    at = surfaces.deviation(twist)[1]
     slopes = np.einsum("nk,nkp->np", at, by_parameter) @ prior.by_file * prior.sigma[:-1]
     deflection = np.linalg.norm(by_scale[:, :3], axis=1).reshape(-1, count)
     by_force = prior.sigma[-1] * np.einsum("nk,nk->n", at, by_scale)
     by_lift = np.einsum("nk,nk->n", at, states.twist_by_lift(robot_in_cell, prior.robot, 1.0))
     direction = normal + by_lift[:, None] * np.array([0.0, 0.0, 1.0])
     position = np.concatenate([_POSITION[0] * direction, _POSITION[1] * np.cross(arm, direction)], axis=1)
-    columns = np.column_stack([slopes, by_force, RADIUS_ERROR * where.wall, position, UNEVENNESS * by_lift])
+    columns = np.column_stack([slopes, by_force, RADIUS_ERROR * surfaces.wall, position, UNEVENNESS * by_lift])
     columns = columns.reshape(-1, count, columns.shape[1])
     direction, by_lift = direction.reshape(-1, count, 3), by_lift.reshape(-1, count, 1)
     noise = PATH_ERROR**2 * direction @ np.swapaxes(direction, 1, 2) + sigma**2 * np.eye(count)
@@ -466,7 +468,7 @@ def tests_in_block(candidates_in_block: Candidates) -> Tests:
     rows = np.unique(np.linspace(0, len(candidates_in_block.feature) - 1, _TESTS).astype(np.int64))
     suffix = " in all its placements" if candidates_in_block.placement.any() else ""
     return Tests(
-        candidates_in_block.loaded.take(rows),
+        candidates_in_block.states.take(rows),
         np.full(len(rows), 1.0 / len(rows)),
         f"this process all over the block{suffix}",
     )
@@ -524,11 +526,11 @@ def weighed(
     weight_wrench = np.zeros((len(places), 6))
     weight_wrench[:, 2] = -GRAVITY * mass
     for robot_in_cell in placements:
-        none = np.zeros((len(places), 6))
-        states, reachable, rotation = _states(robot_in_cell, places, (none, none), cutting, 1)
+        no_wrench = np.zeros((len(places), 6))
+        states, reachable, rotation = _states(robot_in_cell, places, (no_wrench, no_wrench), cutting, 1)
         if not reachable.all():
             raise PlanError("the robot does not reach the places of the weight above the block", file="--weight")
-        twist, by_parameter, _ = replace(states, hung=weight_wrench).derivatives(
+        twist, by_parameter, _ = replace(states, weight_wrench=weight_wrench).derivatives(
             robot_in_cell, prior.robot, prior.order, 1.0
         )
         gravity_direction = -rotation[:, :, 2]

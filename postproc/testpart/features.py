@@ -336,13 +336,13 @@ def program(
     :param first: numbers of the first feature, of the first of these places and of the first touch-off point.
     :param placement_title: the placement of the block, for the operator.
     """
-    none = np.zeros((0, 3))
-    blocks = [_head(cutting, none if touches is None else touches, first[2], placement_title)]
+    no_points = np.zeros((0, 3))
+    blocks = [_head(cutting, no_points if touches is None else touches, first[2], placement_title)]
     for number, feature in enumerate(features, start=first[0]):
         blocks.append(_feature_lines(number, feature, cutting, has_height=number > first[0]))
     count = len(blocks) - 1
     blocks.append(_Lines([f"G0 Z{(cutting.top + 4.0 * _CLEAR) * MM_PER_M:.4f}", "M5"], []))
-    blocks.append(_stops(mass, none if weight_places is None else weight_places, first[1]))
+    blocks.append(_stops(mass, no_points if weight_places is None else weight_places, first[1]))
     lines: list[str] = []
     points = []
     for block in blocks:

@@ -44,9 +44,9 @@ _MEDIAN = 0.6745
 _OUTLIER = 5.0
 """Error of a point predicted by all others, over its usual size, beyond which it is left out."""
 _MOST_OUTLIERS = 0.05
-HELD = 0.9
+HELD_SHARE = 0.9
 """A parameter whose standard deviation stays above this share of the prior one is not determined by the part."""
-ELSEWHERE = 0.08
+UNMODELLED_SHARE = 0.08
 """Unmodelled error (95 %) at other places than those of the part, as a share of the deflection. Assumed: simulated
 robots whose gears bend and whose links are flexible are off there by 5 % (RMS), which their parts do not show."""
 _SWAP_DECREASE = 25.0
@@ -66,18 +66,19 @@ class Fit(Struct, frozen=True, eq=False):
     :param scale: of the forces.
     :param covariance: (p + 1, p + 1) of z and the scale.
     :param free: (p + 1,) what was fitted; the rest keeps its prior value.
-    :param before: (n,) deviations predicted by the prior [m].
-    :param after: (n,) by the fit, each with the position of the part, the tool's radius and the path without force [m].
+    :param prior_prediction: (n,) deviations predicted by the prior [m].
+    :param prediction: (n,) by the fit, each with the position of the part, the tool's radius and the path without force
+        [m].
     :param load: (n,) size of the force at each point [N].
-    :param moved: (n,) predicted displacement of the tool there [m].
+    :param displacement: (n,) predicted displacement of the tool there [m].
     :param error: (n,) of each point predicted from all others [m], and `spread` (n,) its standard deviation.
     :param gamma: unmodelled error as a share of the deflection.
-    :param missed: (n,) deviations as measured less those that the prior predicts [m], and `slopes` (n, p + 1) their
+    :param prior_error: (n,) measured deviations less those that the prior predicts [m], and `slopes` (n, p + 1) their
         derivatives.
     :param torque: (6,) largest torque of the forces on A1…A6 [N·m].
     :param lifts: how high the program of each placement ran over the block.
     :param by_lift: (n,) derivative of the deviations by the lift.
-    :param swapped: two features whose readings look exchanged.
+    :param exchanged_pair: two features whose readings look exchanged.
     """
 
     prior: Prior
@@ -86,19 +87,19 @@ class Fit(Struct, frozen=True, eq=False):
     scale: float
     covariance: Array
     free: Bools
-    before: Array
-    after: Array
+    prior_prediction: Array
+    prediction: Array
     load: Array
-    moved: Array
+    displacement: Array
     error: Array
     spread: Array
     gamma: float
-    missed: Array
+    prior_error: Array
     slopes: Array
     torque: Array
     lifts: tuple[Lift, ...]
     by_lift: Array
-    swapped: tuple[str, str] | None = None
+    exchanged_pair: tuple[str, str] | None = None
 
     @property
     def robot(self) -> RobotModel:
@@ -107,20 +108,20 @@ class Fit(Struct, frozen=True, eq=False):
 
     def against(self, prior: Prior) -> Surprise:
         """Compare the readings with the prediction of a prior: for a fit of `prior.widened()`."""
-        unmodelled = self.gamma * self.moved
+        unmodelled = self.gamma * self.displacement
         # of a model from a part the error elsewhere is no error at the part
         if (discrepancy := prior.robot.discrepancy) is not None and not prior.covariance[-1, :-1].any():
             wrench = np.pad(self.load[:, None], ((0, 0), (0, 5)))
             unmodelled = np.maximum(unmodelled, discrepancy.at(wrench) / LENGTH_95)
         noise = self.readings.by_part(self.by_lift) + np.diag(
-            self.readings.sigma**2 + unmodelled**2 + of_light(self.readings, self.moved)
+            self.readings.sigma**2 + unmodelled**2 + of_light(self.readings, self.displacement)
         )
         slopes = self.slopes
         precision = np.linalg.inv(slopes @ prior.covariance @ slopes.T + noise)
-        score, information = slopes.T @ precision @ self.missed, slopes.T @ precision @ slopes
+        score, information = slopes.T @ precision @ self.prior_error, slopes.T @ precision @ slopes
         posterior = np.linalg.inv(np.eye(len(information)) + np.outer(prior.drift, prior.drift) * information)
         return Surprise(
-            float(self.missed @ precision @ self.missed),
+            float(self.prior_error @ precision @ self.prior_error),
             _chance(score, information),
             prior.drift * (posterior @ (prior.drift * score)),
             prior.drift * np.sqrt(np.maximum(np.diag(posterior), 0.0)),
@@ -140,12 +141,14 @@ class Fit(Struct, frozen=True, eq=False):
         for index in range(int(level.max()) + 1):
             rows = loaded_rows[level == index]
             share = 1.0 / np.bincount(group)[group[level == index]]
-            usual = 0.1 * GAMMA * float(np.sqrt(np.mean(self.moved[rows] ** 2)))
-            noise = self.spread[rows] ** 2 - (self.gamma * self.moved[rows]) ** 2
+            usual = 0.1 * GAMMA * float(np.sqrt(np.mean(self.displacement[rows] ** 2)))
+            noise = self.spread[rows] ** 2 - (self.gamma * self.displacement[rows]) ** 2
             smallest_variance = 0.1 * self.spread[rows] ** 2
             variance = np.maximum(noise, smallest_variance)
-            bound_here = unmodelled(self.error[rows][:, None], variance[:, None, None], usual, share)
-            bound.append(float(np.hypot(bound_here, ELSEWHERE * np.sqrt(np.mean(self.moved[rows] ** 2)))))
+            level_bound = unmodelled(self.error[rows][:, None], variance[:, None, None], usual, share)
+            bound.append(
+                float(np.hypot(level_bound, UNMODELLED_SHARE * np.sqrt(np.mean(self.displacement[rows] ** 2))))
+            )
             load.append(float(np.median(self.load[rows])))
         return np.array(load), np.maximum.accumulate(bound)
 
@@ -221,8 +224,10 @@ def fit(prior: Prior, readings: Readings, robot_in_cell: RobotInCell, cut_at: Cu
     at_prior, change = None, np.inf
     for _ in range(_ROUNDS):
         estimate = _solved(prior, robot_in_cell, estimate)
-        if (reduced := _without_outlier(estimate, whole, max_outliers) or _with_held(estimate, whole)) is not None:
-            estimate = reduced
+        if (
+            smaller_estimate := _without_outlier(estimate, whole, max_outliers) or _with_held(estimate, whole)
+        ) is not None:
+            estimate = smaller_estimate
             continue
         z, scale, local = estimate.z, estimate.scale, _local(estimate)
         heights = _heights(_lifts(estimate, whole), MOST_LIFT * readings.least_depth)
@@ -278,7 +283,7 @@ def _with_held(estimate: _Estimate, whole: Array) -> _Estimate | None:
     """Return the estimate with the parameters held that the part does not determine; None if there is none more."""
     all_free = np.ones_like(estimate.free)
     sigma = np.sqrt(np.diag(posterior(estimate.readings, _local(estimate), estimate.gamma, whole, all_free)))
-    is_held = estimate.free & (sigma > HELD * np.sqrt(np.diag(whole)))
+    is_held = estimate.free & (sigma > HELD_SHARE * np.sqrt(np.diag(whole)))
     is_held[-1] = False
     if not is_held.any():
         return None
@@ -325,7 +330,7 @@ def _fitted(prior: Prior, estimate: _Estimate, prior_linear: Linear, exchanged_p
         prior_linear.value + gain @ prior_residual,
         local.value + gain @ (deviation - local.value),
         scale * np.linalg.norm(states.wrench[:, :3], axis=1),
-        local.moved,
+        local.displacement,
         error,
         np.sqrt(variance),
         gamma,

@@ -14,7 +14,7 @@ from postproc.frames import Array
 from postproc.identification.uncertainty import WIDTH
 from postproc.program import Bools
 from postproc.testpart.cut import States
-from postproc.testpart.prior import LEAST, Prior
+from postproc.testpart.prior import MIN_SHARE, Prior
 from postproc.testpart.readings import Readings
 from postproc.under_load import RobotInCell
 
@@ -35,13 +35,13 @@ class Linear(Columns, frozen=True, eq=False):
     :param value: (n,) deviations at no lift, linear from the lift of the states [m].
     :param slopes: (n, p + 1) derivatives by z and the scale of the forces.
     :param by_lift: (n,) derivatives by the lift of the program over the block.
-    :param moved: (n,) displacements of the tool [m].
+    :param displacement: (n,) displacements of the tool [m].
     """
 
     value: Array
     slopes: Array
     by_lift: Array
-    moved: Array
+    displacement: Array
 
 
 def linearised(
@@ -56,18 +56,18 @@ def linearised(
         twist, by_parameter, by_scale = states.derivatives(robot_in_cell, robot, prior.order, scale)
     except NotConvergedError as cause:
         raise MeasurementError(f"no equilibrium under the cutting forces: {cause}", file=readings.probed.file) from None
-    value, weight = readings.where.deviation(twist)
+    value, weight = readings.surfaces.deviation(twist)
     slopes = np.einsum("nk,nkp->np", weight, by_parameter) @ prior.by_file
     slopes = np.column_stack([slopes, np.einsum("nk,nk->n", weight, by_scale)])
     by_lift = np.einsum("nk,nk->n", weight, states.twist_by_lift(robot_in_cell, robot, scale))
     deflection = scale * np.linalg.norm(by_scale[:, :3], axis=1)
-    moved = np.where(readings.probed.mass > 0.0, np.abs(value), deflection)
-    return Linear(value - by_lift * states.lift, slopes, by_lift, moved)
+    displacement = np.where(readings.probed.mass > 0.0, np.abs(value), deflection)
+    return Linear(value - by_lift * states.lift, slopes, by_lift, displacement)
 
 
 def noise_of(readings: Readings, local: Linear, gamma: float) -> Array:
     """Return the covariance (n, n) [m²] of the deviations for a robot and forces that are known."""
-    variance = np.diag(readings.sigma**2 + (gamma * local.moved) ** 2 + of_light(readings, local.moved))
+    variance = np.diag(readings.sigma**2 + (gamma * local.displacement) ** 2 + of_light(readings, local.displacement))
     return np.asarray(variance + readings.by_part(local.by_lift))
 
 
@@ -91,7 +91,7 @@ def solved(
         noise = noise_of(readings, local, gamma)
         covariance = local.slopes @ whole @ local.slopes.T + noise
         solution = free * (whole @ local.slopes.T @ np.linalg.solve(covariance, target))
-        z, scale = solution[:-1], max(1.0 + float(solution[-1]), LEAST)
+        z, scale = solution[:-1], max(1.0 + float(solution[-1]), MIN_SHARE)
         if float(np.abs(local.slopes @ (solution - x)).max()) < _STEP_TOLERANCE:
             break
     return linearised(prior, readings, states, robot_in_cell, z, scale), z, scale, gamma
@@ -104,7 +104,7 @@ def unmodelled_share(readings: Readings, local: Linear, whole: Array, target: Ar
     covariance = local.slopes @ whole @ local.slopes.T + noise_of(readings, local, 0.0)
     likely = np.empty(len(share))
     for k, gamma in enumerate(share.tolist()):
-        lower = np.linalg.cholesky(covariance + np.diag((gamma * local.moved) ** 2))
+        lower = np.linalg.cholesky(covariance + np.diag((gamma * local.displacement) ** 2))
         white = np.linalg.solve(lower, target)
         likely[k] = -0.5 * float(white @ white) - float(np.log(np.diag(lower)).sum()) - 0.5 * log_ratio[k] ** 2
     chance = np.exp(likely - likely.max())

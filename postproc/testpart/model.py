@@ -26,8 +26,8 @@ from postproc.robot.model_file import (
     ModelFile,
 )
 from postproc.testpart.features import Placement
-from postproc.testpart.fit import HELD, MOST_LIFT, Fit
-from postproc.testpart.prior import LEAST, Prior
+from postproc.testpart.fit import HELD_SHARE, MOST_LIFT, Fit
+from postproc.testpart.prior import MIN_SHARE, Prior
 from postproc.testpart.readings import Lift, Top
 
 _DRIFT_SIGMAS = 3.0
@@ -163,7 +163,7 @@ def agreement(fit: Fit, prior: Prior, outliers: tuple[str, ...] = ()) -> Agreeme
     count, surprise = len(fit.readings.probed), fit.against(prior)
     largest_chi2 = count + _SURPRISE * float(np.sqrt(2.0 * count)) + 7.0
     is_changed = surprise.chance < _CHANCE
-    factor = np.maximum(1.0 + surprise.change[:-1] / prior.values, LEAST)
+    factor = np.maximum(1.0 + surprise.change[:-1] / prior.values, MIN_SHARE)
     changes = [
         Change(parameter.name, round(float(factor[k]), 3), round(float(surprise.change[k] / surprise.spread[k]), 1))
         for k, parameter in enumerate(prior.parameters)
@@ -207,8 +207,8 @@ def summary(fit: Fit, outliers: tuple[str, ...]) -> PartIdentification:
         for name, *row in zip(
             readings.probed.name,
             deviation + readings.datum,
-            fit.before + readings.datum,
-            fit.after + readings.datum,
+            fit.prior_prediction + readings.datum,
+            fit.prediction + readings.datum,
             fit.error,
             fit.spread,
             strict=True,
@@ -220,8 +220,8 @@ def summary(fit: Fit, outliers: tuple[str, ...]) -> PartIdentification:
         parameters=parameters,
         force_scale=scale,
         sigma_mm=readings.sigma * MM_PER_M,
-        left_mm=_rms(fit.after - deviation),
-        without_mm=_rms(fit.before - deviation),
+        left_mm=_rms(fit.prediction - deviation),
+        without_mm=_rms(fit.prior_prediction - deviation),
         deviation_mm=_rms(deviation),
         unmodelled_percent=round(100.0 * fit.gamma, 2),
         discrepancy=[
@@ -323,8 +323,8 @@ def _part_fault(fit: Fit, outliers: tuple[str, ...]) -> str:
     """Return what in the readings of the part contradicts itself; empty if nothing does."""
     if fault := _touch_off_fault(fit):
         return fault
-    if fit.swapped is not None:
-        first, second = fit.swapped
+    if fit.exchanged_pair is not None:
+        first, second = fit.exchanged_pair
         return f"{first} and {second} look exchanged: exchange their rows of deviation_mm, or probe both again"
     if outliers:
         verb = "contradicts" if len(outliers) == 1 else "contradict"
@@ -346,7 +346,7 @@ def _verdict(fit: Fit, outliers: tuple[str, ...]) -> Verdict:
         reason = f"{name} would be {shift.max():.1f} standard deviations from its prior: check material and process"
     elif abs(fit.scale - 1.0) > _PLAUSIBLE_SIGMAS * sigma[-1] > 0.0:
         reason = f"forces would be {fit.scale:.2f} times those computed: check material, feed and depth"
-    elif not fit.free[:size].any() and fit.sigma[-1] > HELD:
+    elif not fit.free[:size].any() and fit.sigma[-1] > HELD_SHARE:
         reason = "the part determines neither a parameter of the robot nor the forces"
     if reason:
         return Verdict(True, f"NOT TO BE TRUSTED: {reason}")

@@ -12,7 +12,7 @@ from postproc.robot import Parameter, RobotModel, Spring, file_slopes
 
 _UNMEASURED = 0.3
 """Relative standard deviation of a parameter of a robot that may have changed."""
-LEAST = 0.02
+MIN_SHARE = 0.02
 """Least value of a compliance, and of the scale of the forces, as a share of its prior."""
 
 
@@ -48,7 +48,9 @@ class Prior(Struct, frozen=True, eq=False):
                 advice="Give sigma_percent with the compliances of model.toml.",
             )
         parameters = robot.covariance.parameters
-        order = tuple(dict.fromkeys([*parameters, *(p for each in parameters for p in each.partners())]))
+        order = tuple(
+            dict.fromkeys([*parameters, *(p for stated_parameter in parameters for p in stated_parameter.partners())])
+        )
         slopes = file_slopes(order, {parameter: robot.value(parameter) for parameter in order})
         by_file = np.asarray(np.linalg.inv(slopes)[:, [order.index(parameter) for parameter in parameters]])
         size = len(parameters)
@@ -84,6 +86,6 @@ class Prior(Struct, frozen=True, eq=False):
         values = {}
         for parameter, change in changes.items():
             value = self.robot.value(parameter)
-            smallest = LEAST * value if isinstance(parameter, Spring) and value > 0.0 else -np.inf
+            smallest = MIN_SHARE * value if isinstance(parameter, Spring) and value > 0.0 else -np.inf
             values[parameter] = max(value + change, smallest)
         return self.robot.with_values(values)

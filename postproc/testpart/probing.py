@@ -23,6 +23,7 @@ COLUMNS = ("source_line", "t", "X", "Y", "Z", "nx", "ny", "nz", "deviation_mm")
 MASS = "mass_kg"
 _MOST_MASS = 500.0
 _UNIT = 1e-3
+"""A normal in a file with three or four decimals is this near to length 1."""
 _FEWEST = 6
 """Fewest probed points that can be compared: the position of the part alone takes six numbers."""
 

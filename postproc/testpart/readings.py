@@ -82,21 +82,21 @@ def top_of(touch_off: TouchOff, base: int, sigma: float, file: str) -> Top:
     """
     touches = touch_off.at(base)
     count = len(touches.name)
-    where = "" if base < 0 else f" for [base_data.{base}]"
+    place_note = "" if base < 0 else f" for [base_data.{base}]"
     if count < _FEWEST:
         raise MeasurementError(
-            f"{count or 'no'} touch-off points{where}: whether the program ran too high or too low over the block is "
-            "not known, so the depth of its cuts is not known either",
+            f"{count or 'no'} touch-off points{place_note}: whether the program ran too high or too low over the block "
+            "is not known, so the depth of its cuts is not known either",
             file=file,
             advice="Probe at least three points of the uncut top, far apart, in the clamping of the other points. Fill "
             "in the rows T01.top, T02.top …, or add rows: source_line and t 0; X, Y, Z of a point of the top as "
             "programmed; normal 0, 0, 1.",
         )
     origin = touches.point.mean(axis=0)
-    across = float(np.linalg.svd((touches.point - origin)[:, :2], compute_uv=False)[-1]) / np.sqrt(count)
-    if across < _SMALLEST_SPREAD:
+    smallest_spread = float(np.linalg.svd((touches.point - origin)[:, :2], compute_uv=False)[-1]) / np.sqrt(count)
+    if smallest_spread < _SMALLEST_SPREAD:
         advice = "Probe points near three corners of the block."
-        raise MeasurementError(f"the touch-off points{where} are on one line", file=file, advice=advice)
+        raise MeasurementError(f"the touch-off points{place_note} are on one line", file=file, advice=advice)
     variance = sigma**2 + UNEVENNESS**2
     terms = np.column_stack([np.ones(count), (touches.point - origin)[:, :2]])
     covariance = variance * np.linalg.inv(terms.T @ terms)
@@ -131,37 +131,37 @@ class Readings(Columns, frozen=True, eq=False):
 
     :param probed: the points; `deviation` as if the top were at the program's zero where it was probed.
     :param datum: (n,) deviation as measured, less that [m].
-    :param where: where they are made.
+    :param surfaces: where they are made.
     :param sigma: noise of the probe [m].
     :param tops: of each placement in which something was cut, in the order of the points.
     """
 
     probed: Probed
     datum: Array
-    where: Surfaces
+    surfaces: Surfaces
     sigma: float
     tops: tuple[Top, ...]
 
     @classmethod
-    def of(cls, probed: Probed, where: Surfaces, sigma: float) -> Self:
+    def of(cls, points: Probed, surfaces: Surfaces, sigma: float) -> Self:
         """Refer the deviations of cut surfaces to the touch-off points.
 
         :raises MeasurementError: a placement has too few of them.
         """
-        datum, tops = np.zeros(len(probed)), []
-        for base in dict.fromkeys(probed.base.tolist()):
-            rows = np.flatnonzero((probed.base == base) & (probed.mass == 0.0))
+        datum, tops = np.zeros(len(points)), []
+        for base in dict.fromkeys(points.base.tolist()):
+            rows = np.flatnonzero((points.base == base) & (points.mass == 0.0))
             if len(rows):
-                tops.append(top_of(probed.touch_off, base, sigma, probed.file))
-                datum[rows] = tops[-1].deviation(probed.point[rows], probed.normal[rows])
-        return cls(replace(probed, deviation=probed.deviation - datum), datum, where, sigma, tuple(tops))
+                tops.append(top_of(points.touch_off, base, sigma, points.file))
+                datum[rows] = tops[-1].deviation(points.point[rows], points.normal[rows])
+        return cls(replace(points, deviation=points.deviation - datum), datum, surfaces, sigma, tuple(tops))
 
     @property
     def least_depth(self) -> float:
         """Depth of the flattest surface below the top [m]: of floors, if any was probed."""
         top = {top.base: top.origin[2] for top in self.tops}
         depth = np.array([top.get(base, np.inf) for base in self.probed.base.tolist()]) - self.probed.point[:, 2]
-        is_floor = (self.where.wall == 0.0) & (self.probed.mass == 0.0)
+        is_floor = (self.surfaces.wall == 0.0) & (self.probed.mass == 0.0)
         is_counted = is_floor if is_floor.any() else self.probed.mass == 0.0
         return float(depth[is_counted].min(initial=np.inf))
 
@@ -203,7 +203,7 @@ class Readings(Columns, frozen=True, eq=False):
         direction = self.directions(by_lift)
         position = self._position(direction)
         same_group = probe_data.group[:, None] == probe_data.group[None, :]
-        radius = RADIUS_ERROR * self.where.wall
+        radius = RADIUS_ERROR * self.surfaces.wall
         covariance = position @ position.T + np.outer(radius, radius)
         covariance += same_group * (
             PATH_ERROR**2 * (direction @ direction.T) + UNEVENNESS**2 * np.outer(by_lift, by_lift)

@@ -27,7 +27,15 @@ from postproc.toolpath.path import (
     tool_of,
     wrench_in_root,
 )
-from postproc.toolpath.sampling import DisplacementEstimate, Pieces, pieces, places, swivel_pieces
+from postproc.toolpath.sampling import (
+    DisplacementEstimate,
+    Pieces,
+    even_parts,
+    even_places,
+    pieces,
+    places,
+    swivel_pieces,
+)
 
 __all__ = [
     "Arcs",
@@ -42,6 +50,8 @@ __all__ = [
     "columns_in_root",
     "continues",
     "directions_in_root",
+    "even_parts",
+    "even_places",
     "flange_from_tcp",
     "flange_points",
     "pieces",

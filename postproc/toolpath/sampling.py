@@ -7,9 +7,12 @@ it takes depends on how the displacement by the force turns and grows along it.
 
 from __future__ import annotations
 
+from typing import Any, Literal, TypeVar
+
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from postproc.chunks import Columns, ragged_range
 from postproc.frames import RAD_PER_DEG, Array, angle_between, interpolated, norm
@@ -19,7 +22,9 @@ from postproc.toolpath.path import Segments
 _STEP = 0.020
 """Spacing of samples [m] for a tolerance of 0.01 mm; it grows with the root of the tolerance (a chord's sagitta)."""
 _REFERENCE_TOLERANCE = 1e-5
+"""Tolerance [m] that `_STEP` is for."""
 _TURN = 3.0 * RAD_PER_DEG
+"""Largest rotation of the tool between samples."""
 _LEVER = 0.1
 """Length of tool [m] along which it must not lean from where its axes hold it by more than the tolerance."""
 _MOST_SWIVEL = 60.0 * RAD_PER_DEG
@@ -38,6 +43,42 @@ _LEAST_SHARE = 0.1
 """Of the tolerance, by how much the displacement must change along an arc that is divided where the force bends."""
 _CERTAIN = 0.2
 """Of the tolerance, what a piece may miss by this estimate without being measured."""
+
+
+_Row = TypeVar("_Row", bound=np.integer[Any])
+_OFFSET = {"start": 0.0, "middle": 0.5, "end": 1.0, "both ends": 0.0}
+"""Of the first place of a motion or piece, in parts."""
+
+
+def even_places(
+    rows: NDArray[_Row], parts: NDArray[np.integer[Any]], at: Literal["start", "middle", "end", "both ends"] = "end"
+) -> tuple[NDArray[_Row], Array]:
+    """Return the places that divide motions, or pieces of them, into equal parts: rows (N,) and shares (N,) in [0, 1].
+
+    All samples of a path come from here. How many parts there are is up to the purpose: `even_parts` by length and
+    rotation, others by sagitta, ridges or cells.
+
+    >>> even_places(np.array([4, 7]), np.array([2, 1]))
+    (array([4, 4, 7]), array([0.5, 1. , 1. ]))
+    >>> even_places(np.array([4, 7]), np.array([2, 1]), "both ends")
+    (array([4, 4, 4, 7, 7]), array([0. , 0.5, 1. , 0. , 1. ]))
+
+    :param rows: (K,) motions or pieces, `parts` (K,) the number of parts of each.
+    :param at: where in each part; "both ends" gives one place more than there are parts.
+    """
+    count = parts + 1 if at == "both ends" else parts
+    return np.repeat(rows, count), (ragged_range(count) + _OFFSET[at]) / np.repeat(parts, count)
+
+
+def even_parts(length: Array, turn: Array, spacing: float, rotation: float) -> Ints:
+    """Return into how many equal parts (K,) pieces are divided, so that none is longer or turns the tool by more.
+
+    :param length: (K,) [m], `turn` (K,) rotation of the tool [rad].
+    :param spacing: largest length of a part [m], `rotation` its largest rotation [rad].
+    """
+    # a length that is a multiple of the spacing but for rounding is not divided once more
+    parts = np.ceil(np.maximum(length / spacing, turn / rotation) - 1e-9)
+    return np.maximum(parts, 1.0).astype(np.int64)
 
 
 class DisplacementEstimate(Struct, frozen=True, eq=False):
@@ -70,7 +111,7 @@ class Pieces(Columns, frozen=True, eq=False):
     :param begin: (S,) place t where the stretch begins, in order along a motion.
     :param end: (S,) place t where it ends.
     :param number: (S,) of pieces.
-    :param least: (S,) the least number, whatever the force.
+    :param min_number: (S,) the least number, whatever the force.
     :param samples: (S,) how many samples the stretch needs, whatever the pieces.
     :param uncertain: (S,) True where the number is even and yet to be found by what such pieces miss.
     """
@@ -79,7 +120,7 @@ class Pieces(Columns, frozen=True, eq=False):
     begin: Array
     end: Array
     number: Ints
-    least: Ints
+    min_number: Ints
     samples: Array
     uncertain: Bools
 
@@ -90,7 +131,9 @@ class Pieces(Columns, frozen=True, eq=False):
 
     def settled(self, number: Ints) -> Pieces:
         """Return the stretches with the numbers (S,) of pieces that are estimated to be enough."""
-        return replace(self, number=np.maximum(number, self.least), uncertain=np.zeros(len(self.motion), dtype=bool))
+        return replace(
+            self, number=np.maximum(number, self.min_number), uncertain=np.zeros(len(self.motion), dtype=bool)
+        )
 
     def in_order(self) -> Pieces:
         """Return the stretches in order along the path."""
@@ -103,7 +146,7 @@ class Pieces(Columns, frozen=True, eq=False):
         parts = np.repeat(parts, parts)
         begin = stretches.begin + (stretches.end - stretches.begin) * (index / parts)
         end = np.where(index == parts - 1, stretches.end, np.roll(begin, -1))
-        number, min_pieces = -(-stretches.number // parts), -(-stretches.least // parts)
+        number, min_pieces = -(-stretches.number // parts), -(-stretches.min_number // parts)
         return Pieces(stretches.motion, begin, end, number, min_pieces, stretches.samples / parts, stretches.uncertain)
 
     def finer(self, motion: Ints, t: Array, parts: Ints) -> Pieces:
@@ -196,18 +239,17 @@ def places(
     """
     m = program.motions
     step = _STEP * np.sqrt(tolerance / _REFERENCE_TOLERANCE)
-    count = np.ceil(np.maximum(path.travel / step, path.turn / _TURN) - 1e-9)
-    count = np.maximum(count, swivel_pieces(program, path, tolerance))
-    count[(m.kind == PTP) | (m.kind == SPL)] = 1.0
+    parts = np.maximum(even_parts(path.travel, path.turn, step, _TURN), swivel_pieces(program, path, tolerance))
+    parts[(m.kind == PTP) | (m.kind == SPL)] = 1
     straight = np.flatnonzero(m.kind != CIRC)
-    motion, t = _even(straight, np.maximum(count[straight], 1.0).astype(np.int64))
+    motion, t = even_places(straight, parts[straight])
     bends = np.flatnonzero(estimate.bends & (m.kind[estimate.motion] == LIN))
     further_places = [
         (estimate.motion[bends], estimate.t[bends]),
         *([extra_places] if extra_places is not None else []),
     ]
     if len(arcs.motion):
-        stretch, share = _even(np.arange(len(arcs.motion)), arcs.number * arcs.each)
+        stretch, share = even_places(np.arange(len(arcs.motion)), arcs.number * arcs.each)
         begin, end = arcs.begin[stretch], arcs.end[stretch]
         further_places.append((arcs.motion[stretch], np.where(share == 1.0, end, begin + (end - begin) * share)))
     if any(len(rows) for rows, _ in further_places):
@@ -240,10 +282,3 @@ def swivel_pieces(program: Program, path: Segments, tolerance: float) -> Ints:
     piece_count = np.maximum(np.sqrt(leans * _LEVER / tolerance), travel[rows] / _MOST_SWIVEL)
     number[rows] = np.maximum(1, np.ceil(piece_count - 1e-9)).astype(np.int64)
     return number
-
-
-def _even(rows: Ints, number: Ints) -> tuple[Ints, Array]:
-    """Return each row as often as its number says, and places in even distances up to 1."""
-    index_of_row = np.repeat(np.arange(len(rows)), number)
-    index = ragged_range(number) + 1
-    return rows[index_of_row], index / number[index_of_row]

@@ -91,10 +91,10 @@ def test_a_body_may_be_nearer_by_as_far_as_it_moves_to_the_commanded_angles(carr
         a, b = (frame(each, carrier) for each in (one, other))
         moved.append(np.linalg.norm(corners @ (b[:3, :3] - a[:3, :3]).T + b[:3, 3] - a[:3, 3], axis=1).max())
     found = along(what, q, 0.0, commanded_q=q + off)
-    assert max(moved) <= found.less <= 1.5 * max(moved)
+    assert max(moved) <= found.largest_decrease <= 1.5 * max(moved)
     here = along(what, q, 0.0)
-    assert here.less == 0.0
-    assert found.closest.distance == pytest.approx(here.closest.distance - found.less, abs=1e-3)
+    assert here.largest_decrease == 0.0
+    assert found.closest.distance == pytest.approx(here.closest.distance - found.largest_decrease, abs=1e-3)
 
 
 def test_the_way_out_of_a_contact_is_said_at_the_contact_alone():

@@ -27,7 +27,7 @@ def cost_of_pair(one, other, last, pair, start):
 
 
 def cost_alone(one, first, last):
-    return sum(2.0 if one.continued[row] else 3.2 for row in range(first, last))
+    return sum(2.0 if one.is_continued[row] else 3.2 for row in range(first, last))
 
 
 def cost_of(one, other, partner, start):
@@ -191,4 +191,4 @@ def test_a_track_backwards_has_the_steps_between_the_same_targets():
     np.testing.assert_array_equal(back.position, points[::-1])
     np.testing.assert_allclose(back.step[1:], [math.dist(points[k], points[k + 1]) for k in (4, 3, 2, 1, 0)])
     assert back.joint.tolist() == [False] * 4 + [True] * 2
-    assert back.continued.tolist() == [False, True] + [False] * 4
+    assert back.is_continued.tolist() == [False, True] + [False] * 4

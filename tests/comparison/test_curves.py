@@ -157,8 +157,8 @@ def test_arcs_are_drawn_by_a_chord_for_each_angle():
         curves = Curves.of(*sides, pairs)
         assert curves.parts(math.radians(10)).tolist() == [1, 27, 1]
         assert curves.parts(math.radians(7)).tolist() == [1, 39, 1]
-        assert curves.one.any(np.arange(5) == 1).tolist() == [False, True, False]
-        assert curves.other.any(np.arange(5) == 4).tolist() == [False, False, True]
+        assert curves.nominal_chain.any(np.arange(5) == 1).tolist() == [False, True, False]
+        assert curves.corrected_chain.any(np.arange(5) == 4).tolist() == [False, False, True]
     three = np.array([[0, 0], [1, 1], [3, 3], [4, 4]])
     assert Curves.of(one, other, three).parts(math.radians(10)).tolist() == [1, 9, 18, 1]
 
@@ -184,13 +184,20 @@ def test_places_of_a_program_are_its_lengths_and_targets():
     turned[4:, 2] = 31.0
     path = Path(moves, turned, base=BASE)
     side = path.placed
-    assert len(side.along) == 10
-    size = np.diff(side.along)
+    assert len(side.arc_length) == 10
+    size = np.diff(side.arc_length)
     expected = [path.length(k) for k in range(1, 9)]
     expected[2], expected[3] = math.radians(30.0) * 1e-3, 1e-4
     np.testing.assert_allclose(size[1:], expected, rtol=1e-9)
     np.testing.assert_allclose(side.size, size, rtol=1e-9)
-    where = np.array([side.along[2] + 0.3 * size[2], side.along[4], side.along[5] + 0.5 * size[5], side.along[-1]])
+    where = np.array(
+        [
+            side.arc_length[2] + 0.3 * size[2],
+            side.arc_length[4],
+            side.arc_length[5] + 0.5 * size[5],
+            side.arc_length[-1],
+        ]
+    )
     motion, t = side.at(where)
     assert motion.tolist() == [2, 3, 5, 8]
     np.testing.assert_allclose(t, [0.3, 1.0, 0.5, 1.0], rtol=1e-9)
@@ -247,12 +254,14 @@ def test_ways_begin_at_the_start_or_behind_the_pair_before_and_end_with_their_ow
     pair = np.array([[1, 2], [2, 3], [5, 6]])
     found = SimpleNamespace(pair=pair)
     ways = Ways.of_pairs(found, one, other)
-    np.testing.assert_array_equal(ways.begin, [0.0, one.along[2], one.along[3]])
-    np.testing.assert_array_equal(ways.end, one.along[[2, 3, 6]])
-    np.testing.assert_array_equal(ways.second, [[0.0, other.along[3]], other.along[[3, 4]], other.along[[4, 7]]])
+    np.testing.assert_array_equal(ways.begin, [0.0, one.arc_length[2], one.arc_length[3]])
+    np.testing.assert_array_equal(ways.end, one.arc_length[[2, 3, 6]])
+    np.testing.assert_array_equal(
+        ways.second, [[0.0, other.arc_length[3]], other.arc_length[[3, 4]], other.arc_length[[4, 7]]]
+    )
     assert ways.way.tolist() == [0, 0, 0, 1, 2, 2, 2, 3]
-    share = other.along[2] / other.along[3]
-    np.testing.assert_allclose(ways.guess(np.array([1])), share * one.along[2])
+    share = other.arc_length[2] / other.arc_length[3]
+    np.testing.assert_allclose(ways.guess(np.array([1])), share * one.arc_length[2])
     assert ways.begins(np.array([0, 3]), np.arange(8) * 1.0).tolist() == [0.0, 2.0]
 
 
@@ -262,7 +271,7 @@ def test_what_inserted_targets_are_off_is_no_distance_of_the_way(inside, found):
     one = Path([("LIN", 0, 0, 0), ("LIN", 80, 0, 0), ("LIN", 80, 40, 0)]).placed
     other = Path([("LIN", 0, 0.2, 0), ("LIN", 40, inside, 0), ("LIN", 80, 0.2, 0), ("LIN", 80, 40.2, 0)]).placed
     made = paired(one, other, np.array([0, 2, 3]), np.ones(3, dtype=bool))
-    assert made.inserted.tolist() == [1]
+    assert made.inserted_rows.tolist() == [1]
     assert _distance_of_way(made, one, other, 1) == found
     bulge = [
         ("LIN", 0, 0.2, 0),
@@ -272,5 +281,5 @@ def test_what_inserted_targets_are_off_is_no_distance_of_the_way(inside, found):
     ]
     other = Path([*bulge, ("LIN", 80, 40.2, 0)]).placed
     made = paired(one, other, np.array([0, 3, 4]), np.ones(3, dtype=bool))
-    assert made.inserted.tolist() == [1, 2]
+    assert made.inserted_rows.tolist() == [1, 2]
     assert _distance_of_way(made, one, other, 1) == pytest.approx(20.2e-3, abs=2e-5)

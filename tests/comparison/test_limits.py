@@ -113,7 +113,7 @@ def test_a_missing_target_is_an_error_beyond_the_tolerance(share):
     one, other = lines(ends[0], middle, *ends[1:]).program, lines(*ends).program
     found = compare(one, other, ROBOT, CELL)
     assert [d.level for d in found.differences if d.kind == "only-nominal"] == (["error"] if share > 1.0 else [])
-    assert len(found.passed) == int(share < 1.0)
+    assert len(found.passed_rows) == int(share < 1.0)
 
 
 class Step:
@@ -134,10 +134,10 @@ def test_behind_a_step_of_the_force_the_new_one_acts_from_the_first_place_on():
     side = lines((0, 0), (60, 0), (120, 0))
     load = side.forces(Step([[0] * 6, [0] * 6, [0] * 6, [-900, 300, 200, 0, 0, 0]]))
     ways = Ways(
-        side, np.arange(4), side.along[[0, 1, 2, 3]], side.along[[1, 2, 3, 4]],
-        np.stack([side.along[:4], side.along[1:]], axis=1), np.ones(4, dtype=bool),
+        side, np.arange(4), side.arc_length[[0, 1, 2, 3]], side.arc_length[[1, 2, 3, 4]],
+        np.stack([side.arc_length[:4], side.arc_length[1:]], axis=1), np.ones(4, dtype=bool),
     )  # fmt: skip
-    motion, t, begin = np.array([3]), np.array([1e-7]), side.along[[3]]
+    motion, t, begin = np.array([3]), np.array([1e-7]), side.arc_length[[3]]
     q = side.joints_at(motion, t)
     off = side.robot_in_cell.tip(q, side.program.tools[0], side.wrench(load, motion))[0] - side.points(begin)[0]
     assert off[0] < -1e-4  # against the travel along X
@@ -192,5 +192,5 @@ def test_a_turned_target_before_the_first_pair_is_no_difference():
     one = HEAD + edited()
     point = f"LIN {{X {x:.4f},Y {y:.4f},Z {z:.4f},A 180,B 2,C 180}}\n"
     found = compare(read(one, "ONE.src"), read(HEAD + point + edited(), "OTHER.src"), ROBOT, CELL)
-    assert len(found.inserted) == 1
+    assert len(found.inserted_rows) == 1
     assert [d.kind for d in found.differences] == []

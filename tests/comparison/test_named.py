@@ -286,13 +286,12 @@ def test_a_robot_on_a_track_cuts_as_one_that_was_set_up_there():
     ]
     programs = (correction.read((Document("P.src", text),), ROBOT, RAIL, "part", "krl") for text in there)
     moved = compare(*programs, ROBOT, RAIL).cuts
-    assert np.sort(np.linalg.norm(fixed.corrected, axis=1))[1] > 1e-4  # but for the rapid motion
+    assert np.sort(np.linalg.norm(fixed.corrected_deviation, axis=1))[1] > 1e-4  # but for the rapid motion
     assert len(fixed.row) > 10
-    assert (fixed.between_turned != 0.0).tolist() == (fixed.t == 1.0).tolist()
-    for name in ("wrench", "nominal", "corrected", "turned", "t", "length"):
+    assert (fixed.path_rotation != 0.0).tolist() == (fixed.t == 1.0).tolist()
+    for name in ("wrench", "nominal", "corrected_deviation", "rotation", "t", "length"):
         np.testing.assert_allclose(getattr(moved, name), getattr(fixed, name), rtol=0, atol=1e-7, err_msg=name)
-    for name in ("nominal", "corrected", "turned"):
-        between = f"between_{name}"
+    for between in ("nominal_distance", "corrected_distance", "path_rotation"):
         np.testing.assert_allclose(getattr(moved, between), getattr(fixed, between), rtol=0, atol=1e-7, err_msg=between)
 
 
@@ -321,7 +320,7 @@ def test_the_nearest_place_is_sought_on_its_way_alone(share):
     motion, t = np.array([3]), np.array([share])
     load = side.forces(None)
     search = Search(side, side, load, None)
-    low, high = side.along[[3]], side.along[[4]]
+    low, high = side.arc_length[[3]], side.arc_length[[4]]
     found = search._anywhere(side.joints_at(motion, t), np.zeros((1, 3)), (low, high))
     np.testing.assert_allclose(found, low + share * (high - low), atol=1e-3)  # 120 mm in 64 parts, refined
 
@@ -405,11 +404,11 @@ def test_pieces_begin_where_the_one_before_ends():
     found = paired(one, other, np.array([0, 3, 5]), np.ones(3, dtype=bool))
     ways = Ways.of_pairs(found, one, other)
     ends = np.array([0.0, 10.0, 30.0, 40.0, 52.0, 70.0]) * 1e-3
-    place = np.append(np.nan, one.along[2] + ends)  # row 0 is the axis target
+    place = np.append(np.nan, one.arc_length[2] + ends)  # row 0 is the axis target
     begins = ways.begins(np.arange(2, 7), place)
-    np.testing.assert_allclose(begins - one.along[2], ends[:-1], atol=1e-9)
-    np.testing.assert_allclose(ways.begins(np.array([1]), place), one.along[1], atol=1e-9)
-    np.testing.assert_allclose(ways.guess(np.arange(2, 7)) - one.along[2], ends[1:], atol=1e-9)
+    np.testing.assert_allclose(begins - one.arc_length[2], ends[:-1], atol=1e-9)
+    np.testing.assert_allclose(ways.begins(np.array([1]), place), one.arc_length[1], atol=1e-9)
+    np.testing.assert_allclose(ways.guess(np.arange(2, 7)) - one.arc_length[2], ends[1:], atol=1e-9)
 
 
 def test_forces_at_pairs_are_those_at_the_end_of_the_motion():
@@ -438,8 +437,8 @@ def test_a_target_between_two_detours_is_on_the_path():
     one = lines((0, 0), (80, 0), (80, 30))
     other = lines((0, 0), (20, 30), (30, 0), (60, 10), (80, 0), (80, 30))
     found = paired(one, other, np.array([0, 4, 5]), np.ones(3, dtype=bool))
-    assert found.inserted.tolist() == [3]  # row 0 is the axis target
-    assert found.only_corrected.tolist() == [2, 4]
+    assert found.inserted_rows.tolist() == [3]  # row 0 is the axis target
+    assert found.additional_rows.tolist() == [2, 4]
 
 
 def test_a_target_behind_the_last_pair_and_one_that_axes_move_to_are_not_inserted():
@@ -447,22 +446,22 @@ def test_a_target_behind_the_last_pair_and_one_that_axes_move_to_are_not_inserte
     one = lines((0, 0), (40, 0), (40, 30))
     other = lines((0, 0), (40, 0), (40, 30), (40, 30), (40, 50))
     found = paired(one, other, np.array([0, 1, 2]), np.ones(3, dtype=bool))
-    assert (found.inserted.tolist(), found.only_corrected.tolist()) == ([], [4, 5])  # row 0 is the axis target
+    assert (found.inserted_rows.tolist(), found.additional_rows.tolist()) == ([], [4, 5])  # row 0 is the axis target
     text = "\n".join([HEAD, *(f"LIN {{X {x},Y 0,Z 0,{TURNED}}}" for x in (0, 20, 40)), "END", ""])
     one, other = (
         placed(text.replace(f"LIN {{X 20,Y 0,Z 0,{TURNED}}}\n", "")),
         placed(text.replace("LIN {X 20", "PTP {X 20")),
     )
     found = paired(one, other, np.array([0, 2]), np.ones(2, dtype=bool))
-    assert (found.inserted.tolist(), found.only_corrected.tolist()) == ([], [2])
+    assert (found.inserted_rows.tolist(), found.additional_rows.tolist()) == ([], [2])
 
 
 def test_comments_of_the_second_program_alone_count_at_pairs():
     found = compare(nominal(), read(HEAD + FORCE + BODY, "OTHER.src"), ROBOT, CELL)
-    assert [len(getattr(found.cuts, name)) for name in ("row", "t", "between_nominal", "length")] == [0] * 4
+    assert [len(getattr(found.cuts, name)) for name in ("row", "t", "nominal_distance", "length")] == [0] * 4
     cutting = ~found.rapid
     np.testing.assert_allclose(found.cuts.wrench[cutting], np.tile([-150.0, 100, 120, 0, 0, 0], (6, 1)))
-    np.testing.assert_allclose(found.cuts.corrected, found.cuts.nominal, atol=1e-9)
+    np.testing.assert_allclose(found.cuts.corrected_deviation, found.cuts.nominal, atol=1e-9)
     assert np.linalg.norm(found.cuts.nominal[cutting], axis=1).min() > 1e-4
 
 
@@ -557,7 +556,7 @@ def test_a_target_off_the_path_is_none_of_it_however_the_tool_is_turned(angle):
     point = POINT.replace("B 0,C 180", angle)
     body = edited((end, end.replace("B 0,C 180", angle)), (POINT, point.replace("X 80,Y 0", "X 85,Y 15") + point))
     found = compared(body)
-    assert found.inserted.tolist() == []
+    assert found.inserted_rows.tolist() == []
     assert [(d.count, d.corrected[1] - FIRST) for d in found.differences if d.kind == "only-corrected"] == [(1, 4)]
 
 
@@ -584,5 +583,5 @@ def test_ways_by_ptp_and_from_where_nothing_is_corrected_are_not_compared_inside
     cell = replace(CELL, payload=replace(CELL.payload, mass_kg=payload))
     side = PlacedProgram.of(read(HEAD + BODY, "ONE.src"), RobotInCell.of(ROBOT, cell))
     found = paired(side, side, np.arange(7), np.ones(7, dtype=bool))
-    known = Ways.of_pairs(found, side, side).known
+    known = Ways.of_pairs(found, side, side).is_comparable
     assert known.tolist() == [payload == 0.0, True, True, True, True, False, True]

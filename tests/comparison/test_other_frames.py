@@ -91,17 +91,17 @@ TURNED_TOOL = (0.0, 0.0, 350.0, 25.0, 0.0, 0.0)
 def test_another_base_turns_what_is_in_its_axes_and_changes_nothing_else(base, tool, e1, forces):
     one, other = compared(BASE, tool, e1, forces), compared(base, tool, e1, forces)
     into = pose(base)[:3, :3].T
-    names = ["rotation", "between", "passed_by", "missed", "distance"]
+    names = ["rotation", "between", "passing_distance", "missing_distance", "distance"]
     pairs = [(name, getattr(one, name), getattr(other, name)) for name in names]
     pairs.append(("offset", one.offset @ into.T, other.offset))
-    for name in ("pair", "inserted", "passed", "only_nominal", "only_corrected", "rapid"):
+    for name in ("pair", "inserted_rows", "passed_rows", "only_nominal", "additional_rows", "rapid"):
         assert getattr(one, name).tolist() == getattr(other, name).tolist(), name
     if forces:
-        for name in ("nominal", "corrected"):
+        for name in ("nominal", "corrected_deviation"):
             pairs.append((name, getattr(one.cuts, name) @ into.T, getattr(other.cuts, name)))
         wrench = (one.cuts.wrench.reshape(-1, 2, 3) @ into.T).reshape(-1, 6)
         pairs.append(("wrench", wrench, other.cuts.wrench))
-        for name in ("turned", "row", "t", "between_nominal", "between_corrected", "between_turned", "length"):
+        for name in ("rotation", "row", "t", "nominal_distance", "corrected_distance", "path_rotation", "length"):
             pairs.append((name, getattr(one.cuts, name), getattr(other.cuts, name)))
         assert np.linalg.norm(one.cuts.nominal, axis=1).max() > 2e-4
     for name, mine, theirs in pairs:
@@ -111,7 +111,7 @@ def test_another_base_turns_what_is_in_its_axes_and_changes_nothing_else(base, t
     ]
     kinds = {d.kind for d in one.differences}
     assert {"orientation", "between", "only-nominal"} <= kinds or forces, kinds
-    assert (len(one.inserted), len(one.only_nominal)) == (1, 1)
+    assert (len(one.inserted_rows), len(one.only_nominal)) == (1, 1)
 
 
 def test_offsets_are_those_of_the_commands_in_every_frame():

@@ -156,12 +156,14 @@ def test_what_each_would_cut_is_what_predict_and_convert_say(robot, name):
     ends = predicted.t == 1.0
     assert len(found.pair) == int(ends.sum())
     np.testing.assert_allclose(np.linalg.norm(found.cuts.nominal, axis=1), predicted.before[ends], atol=1e-9)
-    np.testing.assert_allclose(np.linalg.norm(found.cuts.corrected, axis=1), made.after[made.t == 1.0], atol=1e-9)
+    np.testing.assert_allclose(
+        np.linalg.norm(found.cuts.corrected_deviation, axis=1), made.after[made.t == 1.0], atol=1e-9
+    )
     inserted = found.cuts.t == 1.0
     assert inserted.sum() == (made.t < 1.0).sum() > 0
     settled = made.before[made.t < 1.0]
-    np.testing.assert_allclose(found.cuts.between_nominal[inserted], settled, atol=2e-6)
-    np.testing.assert_allclose(found.cuts.between_corrected[inserted], made.after[made.t < 1.0], atol=2e-6)
+    np.testing.assert_allclose(found.cuts.nominal_distance[inserted], settled, atol=2e-6)
+    np.testing.assert_allclose(found.cuts.corrected_distance[inserted], made.after[made.t < 1.0], atol=2e-6)
     ends = as_written.t == 1.0
     tip = as_written.nominal[ends, :3, 3] + as_written.deviation_before[ends]
     np.testing.assert_allclose(tip, made.nominal[:, :3, 3] + made.deviation_after, atol=2e-6)

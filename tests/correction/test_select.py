@@ -136,7 +136,7 @@ def test_as_many_pieces_of_an_arc_are_needed_as_what_twice_as_large_ones_miss_as
     first = 1 + np.cumsum(size) - size
     for s in range(3):
         if not arcs.uncertain[s]:
-            assert found.number[s] == max(arcs.number[s], arcs.least[s])
+            assert found.number[s] == max(arcs.number[s], arcs.min_number[s])
             continue
         worst = 0.0
         for pair in range(arcs.number[s] // 2):
@@ -145,7 +145,7 @@ def test_as_many_pieces_of_an_arc_are_needed_as_what_twice_as_large_ones_miss_as
             spots = np.vstack([begin, path.position[rows]])
             worst = max(worst, missed_at_quarters(spots))
         expected = int(np.ceil(arcs.number[s] // 2 * np.sqrt(worst / LIMIT)))
-        assert found.number[s] == max(expected, arcs.least[s])
+        assert found.number[s] == max(expected, arcs.min_number[s])
     assert not found.uncertain.any()
 
 

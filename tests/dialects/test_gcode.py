@@ -6,7 +6,7 @@ import pytest
 
 from postproc.dialects import gcode
 from postproc.dialects.text import decode
-from postproc.errors import MOST, ForceError, InputError, ProgramError, group_issues
+from postproc.errors import MAX_ERRORS, ForceError, InputError, ProgramError, group_issues
 from postproc.program import CIRC, LIN, PTP, ForceNote
 from tests.dialects.gcode_reading import CELL, START_FLANGE, ends, forward, outcome, read
 
@@ -655,7 +655,7 @@ def test_a_mistake_that_goes_on_is_told_once() -> None:
 
 def test_the_first_errors_of_a_hopeless_file_are_enough() -> None:
     found = problems(HEAD + "M101\n" * 100_000)
-    assert [line for line, _ in found] == list(range(3, 3 + MOST + 1))
+    assert [line for line, _ in found] == list(range(3, 3 + MAX_ERRORS + 1))
 
 
 def test_the_first_error_of_a_program_is_reported_whatever_its_kind() -> None:

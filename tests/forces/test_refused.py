@@ -9,7 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 from postproc import forces, toolpath
-from postproc.errors import MOST, ForceError, ProgramError
+from postproc.errors import MAX_ERRORS, ForceError, ProgramError
 from postproc.forces import Knots
 from postproc.program import SPL
 from tests.programs import program
@@ -49,7 +49,7 @@ def test_places_behind_a_step_lie_within_one_and_a_half_times_its_length():
     assert load.behind_step(motion, t).tolist() == [True, False, True, False, False]
 
 
-@pytest.mark.parametrize("count", [1, 3, MOST + 4])
+@pytest.mark.parametrize("count", [1, 3, MAX_ERRORS + 4])
 def test_feed_forces_on_splines_name_their_lines(count):
     made = program([("PTP", 0, 0, 10), *[("LIN", 10.0 * k, 0, 10) for k in range(1, count + 1)]])
     made = replace(made, motions=replace(made.motions, kind=np.array([2] + [SPL] * count)))
@@ -57,7 +57,7 @@ def test_feed_forces_on_splines_name_their_lines(count):
     with pytest.raises(ForceError, match="a piece of a spline") as caught:
         put_on(made, whole(rows, [1.0, 0, 0, 0, 0, 0], FEED))
     assert (caught.value.file, caught.value.line) == ("part.nc", 2)
-    assert [each.line for each in caught.value.further_errors] == [row + 1 for row in rows[1 : MOST + 1]]
+    assert [each.line for each in caught.value.further_errors] == [row + 1 for row in rows[1 : MAX_ERRORS + 1]]
     put_on(made, whole(rows, [1.0, 0, 0, 0, 0, 0], BASE))
     put_on(made, whole(rows, [0.0] * 6, FEED))
 
@@ -110,11 +110,11 @@ def test_a_force_on_a_call_that_is_not_followed_is_refused(tmp_path, rows, refus
 
 
 def test_as_many_errors_of_a_kind_as_are_shown_and_one_more_are_kept(tmp_path):
-    rows = "".join(f"{line},0,0,1e9\n" for line in range(1, MOST + 10))
+    rows = "".join(f"{line},0,0,1e9\n" for line in range(1, MAX_ERRORS + 10))
     (tmp_path / "f.csv").write_text("line,Fx,Fy,Fz\n" + rows)
     with pytest.raises(ForceError) as caught:
         forces.read(tmp_path / "f.csv")
-    assert [each.line for each in (caught.value, *caught.value.further_errors)] == list(range(2, MOST + 3))
+    assert [each.line for each in (caught.value, *caught.value.further_errors)] == list(range(2, MAX_ERRORS + 3))
 
 
 @pytest.mark.parametrize(

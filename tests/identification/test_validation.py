@@ -10,7 +10,15 @@ from click.testing import CliRunner
 from postproc import elastostatics, robot
 from postproc.cli import main
 from postproc.identification import Choices, identify_folder
-from postproc.identification.validation import ENOUGH, coverage, inside, job_lines, job_share, torque_lines, validate
+from postproc.identification.validation import (
+    MIN_CONFIGURATIONS,
+    coverage,
+    inside,
+    job_lines,
+    job_share,
+    torque_lines,
+    validate,
+)
 from samples.paper_study import harness, simulator
 from tests.places import ROOT
 
@@ -190,11 +198,11 @@ def test_a_sign_and_a_size_that_readings_had_are_covered_and_others_are_not():
 
 
 def test_fewer_configurations_than_needed_do_not_cover_a_sign():
-    for count in (ENOUGH - 1, ENOUGH):
+    for count in (MIN_CONFIGURATIONS - 1, MIN_CONFIGURATIONS):
         covered = coverage(*both_signs(count))
         (found,) = shares(covered, [50.0, 0, 0, 0, 0, 0])
-        assert found.share == float(count == ENOUGH)
-        if count < ENOUGH:
+        assert found.share == float(count == MIN_CONFIGURATIONS)
+        if count < MIN_CONFIGURATIONS:
             assert found.outside[0].reason == "positive torque on A1: 4 of 5 configurations needed have it"
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc.identification.validation import ENOUGH
+from postproc.identification.validation import MIN_CONFIGURATIONS
 from postproc.plan import criterion, milling
 from postproc.plan.criterion import out_of_reach
 from samples.paper_study import simulator
@@ -45,7 +45,7 @@ def test_every_joint_is_loaded_to_both_sides_by_the_torque_of_the_work(tmp_path,
     torque = simulated(result.plan.q, result.force)
     np.testing.assert_allclose(result.torque, torque, atol=1e-6 * np.abs(torque).max())
     found = result.directions
-    assert np.all(found.need == min(ENOUGH, configurations // 3))
+    assert np.all(found.need == min(MIN_CONFIGURATIONS, configurations // 3))
     assert np.all(sides(torque, found.least) >= found.need)
     # near the work: a pose counts by its torque, where poses that can be measured reach that
     np.testing.assert_allclose(found.work, work_of(ONE_POSE), rtol=1e-9)

@@ -140,18 +140,18 @@ def test_thinning_never_hides_the_worst_and_bounds_the_size(worst):
     assert len(content) < 20_000_000
     read = read_page(content)
     at = read.columns()
-    assert len(at["before"]) <= places.MOST
+    assert len(at["before"]) <= places.MAX_PLACES
     assert at["before"].max() == np.float32(5.0)
     assert at["source_line"][at["before"].argmax()] == result.source_line[worst]
     assert at["after"].max() == np.float32(5e-3)
     assert read.facts["worst"]["before"] == at["before"].argmax()
     assert sum(read.facts["histograms"]["before"]["counts"]) == np.count_nonzero(~result.rapid)
-    assert len(read.columns("drawn")["x"]) <= 2 * places.MOST
+    assert len(read.columns("drawn")["x"]) <= 2 * places.MAX_PLACES
 
 
 def test_a_page_does_not_depend_on_where_the_chunks_end(monkeypatch):
     result = fabricated.result(50)
-    monkeypatch.setattr(places, "MOST", 20)
+    monkeypatch.setattr(places, "MAX_PLACES", 20)
     whole = b"".join(page(result, 1e-5))
     monkeypatch.setattr("postproc.chunks._ROWS", 7)
     assert b"".join(page(result, 1e-5)) == whole

@@ -309,7 +309,7 @@ def test_a_factor_is_never_below_zero(folder, cut):
     less = np.full(len(prior.parameters) + 1, 0.01)
     sure = msgspec.structs.replace(prior, covariance=prior.covariance * np.outer(less, less))
     found, _ = fit(sure.widened(), given, robot_in_cell, states())
-    off = msgspec.structs.replace(found, missed=-20.0 * found.before)
+    off = msgspec.structs.replace(found, prior_error=-20.0 * found.prior_prediction)
     compared = agreement(off, sure)
     assert not compared.holds
     assert all(change.factor >= 0.02 for change in compared.drifted)

@@ -145,7 +145,7 @@ def identified(part, path):
 
 def fitted(part, path, prior, robot_in_cell, process):
     read, parts = probing.read(path), clamped(part, path, robot_in_cell.robot, process)
-    where = Surfaces.joined([each.where for each in parts])
+    where = Surfaces.joined([each.surfaces for each in parts])
     return fit(prior, Readings.of(read, where, SIGMA), robot_in_cell, CutForces(parts))
 
 

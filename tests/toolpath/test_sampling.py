@@ -114,7 +114,7 @@ def test_the_rise_of_a_helix_and_the_growth_of_its_radius_count_as_growing():
 def test_what_is_uncertain_is_measured_on_an_even_number_of_pieces_of_45_degrees_at_most(degrees, number):
     found = pieces(arc_of(degrees), estimate(arc_of(degrees), turning=1.0))
     assert (found.number.tolist(), found.uncertain.tolist()) == ([number], [True])
-    assert found.least.tolist() == [int(np.ceil(degrees / 120))]
+    assert found.min_number.tolist() == [int(np.ceil(degrees / 120))]
 
 
 @pytest.mark.parametrize("tolerance", [1e-5, 4e-5])
@@ -263,7 +263,7 @@ def test_pieces_cut_joined_settled_and_made_finer(seed):
     assert ((arcs.each == 2) | ((arcs.each - 2) * arcs.number < arcs.samples)).all()
     wanted = rng.integers(1, 6, len(arcs.motion))
     settled = arcs.settled(wanted)
-    np.testing.assert_array_equal(settled.number, np.maximum(wanted, arcs.least))
+    np.testing.assert_array_equal(settled.number, np.maximum(wanted, arcs.min_number))
     assert not settled.uncertain.any()
     parts = rng.integers(1, 5, len(arcs.motion))
     cut, row = arcs.cut(parts), 0
@@ -274,7 +274,7 @@ def test_pieces_cut_joined_settled_and_made_finer(seed):
             assert (cut.begin[row], cut.end[row]) == (pytest.approx(bounds[i]), pytest.approx(bounds[i + 1]))
             assert cut.end[row] == (arcs.end[k] if i == n - 1 else cut.begin[row + 1])
             assert cut.number[row] == -(-arcs.number[k] // n)
-            assert cut.least[row] == -(-arcs.least[k] // n)
+            assert cut.min_number[row] == -(-arcs.min_number[k] // n)
             assert (cut.samples[row], cut.uncertain[row]) == (arcs.samples[k] / n, arcs.uncertain[k])
             row += 1
     assert row == len(cut.motion)
@@ -297,11 +297,11 @@ def test_only_the_piece_on_which_the_path_was_missed_is_divided(seed):
     expected = []
     for k in range(len(arcs.motion)):
         if k not in at:
-            expected.append((arcs.begin[k], arcs.end[k], max(arcs.number[k], arcs.least[k])))
+            expected.append((arcs.begin[k], arcs.end[k], max(arcs.number[k], arcs.min_number[k])))
             continue
         i = int(np.flatnonzero(at == k)[0])
         bounds = np.linspace(arcs.begin[k], arcs.end[k], arcs.number[k] + 1)
-        least = -(-arcs.least[k] // arcs.number[k])
+        least = -(-arcs.min_number[k] // arcs.number[k])
         for j in range(arcs.number[k]):
             hit = bounds[j] < t[i] <= bounds[j + 1]
             expected.append((bounds[j], bounds[j + 1], max(parts[i] if hit else 1, least)))

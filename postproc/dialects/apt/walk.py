@@ -57,7 +57,7 @@ from postproc.dialects.apt.statements import (
 )
 from postproc.dialects.apt.systems import sequence_at, sequence_lines, system_of
 from postproc.dialects.circles import Circle, belonging, leaving
-from postproc.errors import MOST
+from postproc.errors import MAX_ERRORS
 from postproc.frames import Array, norm
 from postproc.program import EventKind, Ints
 
@@ -166,7 +166,7 @@ class _Walk:
         for row in of.others.tolist():
             self._points(previous, row)
             previous = row + 1
-            if self.ended >= 0 or len(course.faults) > MOST:
+            if self.ended >= 0 or len(course.faults) > MAX_ERRORS:
                 break
             try:
                 self._obey(row, of.of(row))
@@ -249,7 +249,7 @@ class _Walk:
         if len(wrong):
             advice = "GOTO takes x, y, z, or x, y, z and the direction of the tool i, j, k."
             problem = "the last three numbers are not a direction of length 1"
-            self.course.faults += [Fault(n, problem, advice) for n in row[wrong[1:MOST]].tolist()]
+            self.course.faults += [Fault(n, problem, advice) for n in row[wrong[1:MAX_ERRORS]].tolist()]
             raise StatementError(problem, advice, int(row[wrong[0]]))
         with np.errstate(invalid="ignore"):
             unit = np.concatenate([self.axis[None], words / length[:, None]])

@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 from msgspec import Struct
 
-from postproc.errors import MOST
+from postproc.errors import MAX_ERRORS
 from postproc.frames import Array
 from postproc.program import Bools, Ints
 
@@ -23,6 +23,7 @@ CENTRE_TOLERANCE = {21.0: 0.02 * np.sqrt(2.0), 20.0: 0.002 * np.sqrt(2.0) * 25.4
 """Difference of start and end radius that is always accepted [mm], by the code of the units."""
 
 RADIUS_TOLERANCE_MM = 0.00127
+"""What a radius may be too short by: 0.00005 inch, as in LinuxCNC."""
 _RELATIVE, _CAP = 1e-3, 100.0
 SAME_MM = 1e-6
 """Points closer than this are equal: it covers rounding in incremental programs, far below any resolution."""
@@ -74,12 +75,12 @@ class ArcWords(Struct, frozen=True, eq=False):
 
 
 class ArcFault(Struct, frozen=True):
-    """A fault of arc n; `placed`: a fault only if the start of the arc is known."""
+    """A fault of arc n; `is_placed`: a fault only if the start of the arc is known."""
 
     n: int
     problem: str
     advice: str | None
-    placed: bool
+    is_placed: bool
 
 
 class Arcs(Struct, frozen=True, eq=False):
@@ -143,7 +144,7 @@ def _faults(
     faults: dict[int, ArcFault] = {}
 
     def check(wrong: Bools, problem: str, advice: str | None = None, *, placed: bool = False) -> None:
-        for n in np.flatnonzero(wrong)[: MOST + 1].tolist():
+        for n in np.flatnonzero(wrong)[: MAX_ERRORS + 1].tolist():
             values = {"r1": r_start[n], "r2": r_end[n], "reach": half[n], "radius": abs(words.radius[n])}
             faults.setdefault(n, ArcFault(n, problem.format(**values), advice, placed))
 

@@ -25,7 +25,7 @@ from postproc.dialects.gcode.expressions import Parameters, whole
 from postproc.dialects.gcode.structure import Block, Order, Unit, is_controlled, ordered
 from postproc.dialects.gcode.words import CUT_SHORT, MARK, BlockError, Fault, Source, line_feeds, split
 from postproc.dialects.text import decode
-from postproc.errors import MOST, ProgramError, SubprogramError
+from postproc.errors import MAX_ERRORS, ProgramError, SubprogramError
 from postproc.program import Document, Ints, constant
 
 
@@ -280,7 +280,7 @@ class _Run:
                 self._tape(at)
         except BlockError as cause:
             self._wrong(at, *cause.args)
-            if isinstance(unit.lines.get(at), Order) or len(self.wrong) > MOST:
+            if isinstance(unit.lines.get(at), Order) or len(self.wrong) > MAX_ERRORS:
                 raise _EndError from cause  # the next line is not known
 
     def _take(self, first: int, last: int, text: str | None = None) -> None:

@@ -104,6 +104,7 @@ Value = Callable[[Parameters], float]
 """An expression: evaluates to a number, given the parameters."""
 
 _EQUALITY_TOLERANCE = 1e-4
+"""Numbers that differ by less are equal in EQ, NE, LE and GE, as in LinuxCNC."""
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)")
 _NAME = re.compile(r"<([^<>#]+)>")
 _FUNCTION = re.compile(r"(ABS|ACOS|ASIN|ATAN|COS|EXISTS|EXP|FIX|FUP|LN|ROUND|SIN|SQRT|TAN)(?=\[)")

@@ -40,7 +40,7 @@ from msgspec import Struct
 from postproc.cell import FIXED_M_CODES, Cell, DwellUnit, Rotary
 from postproc.dialects.gcode import codes
 from postproc.dialects.gcode.words import COLUMNS, CUT_SHORT, MARK, BlockError, Fault, Source, Words, words_of
-from postproc.errors import MOST, Issue, Level
+from postproc.errors import MAX_ERRORS, Issue, Level
 from postproc.frames import M_PER_MM
 from postproc.program import EventKind, Ints
 
@@ -418,13 +418,13 @@ def read_modes(source: Source, odd: Ints, words: Words, cell: Cell, faults_of_ru
             reader.read(row, code)
         except BlockError as cause:
             faults.append(Fault(row, cause.args[0], cause.args[1], code))
-        if reader.ended or len(faults) > MOST:
+        if reader.ended or len(faults) > MAX_ERRORS:
             rows = row + 1
             if not faults_of_run and source.goes_on(row):
                 faults.append(Fault(row, *CUT_SHORT))
             break
     faults = sorted([*faults, *(fault for fault in faults_of_run if fault.row < rows)], key=lambda fault: fault.row)
-    complete = reader.ended or tape < 0 or len(faults) > MOST or bool(faults_of_run)
+    complete = reader.ended or tape < 0 or len(faults) > MAX_ERRORS or bool(faults_of_run)
     if not reader.ended and complete:
         message = "The program ends without M2, M30 or %. Check that the file is complete."
         reader.issues.append(Issue("warning", "program-end", message, rows))
@@ -554,7 +554,7 @@ class _Reader:
                 self.tip.read(row, f"G{code:g}")
                 or self._said_before(code)
                 or code in codes.RADIUS
-                or (row in self.smooth and code in codes.SMOOTHING)
+                or (row in self.smooth and code in codes.SMOOTHING_MODES)
             ):
                 pass
             elif code not in codes.ACCEPTED_G or (code == codes.SCALE_OFF and set(values) & set("XYZIJKPS")):
@@ -575,7 +575,7 @@ class _Reader:
     def _smoothing(self, row: int, g: Sequence[float], _: object, values: dict[str, float]) -> None:
         """Ignore look-ahead modes: the cell says how exactly corners are cut."""
         for code in g:
-            code_words = codes.SMOOTHING.get(code)
+            code_words = codes.SMOOTHING_MODES.get(code)
             if code_words is None or not set(values) <= set(code_words):
                 continue
             if values or code == 187.0:

@@ -40,7 +40,7 @@ from postproc.program import COMPONENTS, Bools, EventKind, Ints, constant
 class LineStates(Struct, frozen=True, eq=False):
     """Words and modal state of each line, lengths in mm: XYZ, IJK (L, 3); all else (L,).
 
-    :param placed: whether X, Y or Z is programmed.
+    :param is_placed: whether X, Y or Z is programmed.
     :param turns: P; for cycles a dwell.
     :param named: whether the line itself has a motion code.
     :param feed: [mm/min]; in G93 [1/min]. `rate`: F as written, in deg/min for rotary axes alone.
@@ -52,7 +52,7 @@ class LineStates(Struct, frozen=True, eq=False):
     """
 
     xyz: Array
-    placed: Bools
+    is_placed: Bools
     ijk: Array
     radius: Array
     turns: Array
@@ -137,7 +137,7 @@ def line_states_of(words: Words, modes: Modes, rotary: Rotary | None) -> LineSta
     needs_conversion = factor is not None or inverse_time.any()
     return LineStates(
         xyz=xyz,
-        placed=has_position,
+        is_placed=has_position,
         ijk=ijk,
         radius=mm("R")[:, 0],
         turns=words.column("P")[:count],
@@ -270,10 +270,10 @@ def below_top(rows: LineStates, first: int, complete: int) -> Bools:
     is_below = np.zeros(len(rows.motion), dtype=np.bool_)
     window = slice(first, complete + 1)
     z = rows.xyz[window, 2]
-    stated = ~np.isnan(z)
-    latest = np.maximum.accumulate(np.where(stated, np.arange(len(z)), -1))
+    has_z = ~np.isnan(z)
+    latest = np.maximum.accumulate(np.where(has_z, np.arange(len(z)), -1))
     is_top = (latest >= 0) & (z[latest] >= np.nanmax(rows.xyz[:, 2], initial=-np.inf))
-    is_below[window] = ~is_top | rows.incremental.any() | ~stated[: complete - first].any()
+    is_below[window] = ~is_top | rows.incremental.any() | ~has_z[: complete - first].any()
     return is_below
 
 
@@ -414,7 +414,7 @@ class _Walk:
             return
         if not self.known.all():  # the move from [start] is made when X, Y and Z are known
             self._turn_part(row, start_angles + turn)
-            if self.rows.placed[row]:
+            if self.rows.is_placed[row]:
                 self._straight(row, row + 1)
             return
         self.cycle.end()
@@ -655,7 +655,7 @@ class _Walk:
         safe = (self.rows.motion == 0.0) & ~self.rows.incremental & ~has_word[:, 2]
         for row, axes in self.parked:
             open_axes = axes.copy()
-            for at in (row + 1 + np.flatnonzero(self.rows.placed[row + 1 :])).tolist():
+            for at in (row + 1 + np.flatnonzero(self.rows.is_placed[row + 1 :])).tolist():
                 if not safe[at]:
                     names = " and ".join("XYZ"[axis] for axis in np.flatnonzero(open_axes).tolist())
                     problem = f"{names} must be programmed again after G28, G30 or G53, before this move"
@@ -819,7 +819,7 @@ class _Walk:
         rows = self.rows
         first, last = unknown[0]
         row_range = slice(first, min(last + 1, self.count))
-        has_position = rows.placed[row_range]
+        has_position = rows.is_placed[row_range]
         feeds = has_position & (rows.motion[row_range] == 1.0)
         if (
             not feeds.any()

@@ -38,7 +38,7 @@ from postproc.dialects.gcode.moves import (
 )
 from postproc.dialects.gcode.rotary import RotaryAxes, kind_faults
 from postproc.dialects.gcode.words import Fault
-from postproc.errors import MOST, Level
+from postproc.errors import MAX_ERRORS, Level
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, angle_between, any_column, norm
 from postproc.poses import Poses
 from postproc.program import (
@@ -218,7 +218,7 @@ def check_turning(rows: LineStates, moves: Moves, is_early: Bools, rotary_axes: 
             f"They depend on the machine: program {tip_on} before, or retract by G53 Z or G28 Z as [machine] says.",
         ),
     ):
-        for row in moves.row[wrong][: MOST + 1].tolist():
+        for row in moves.row[wrong][: MAX_ERRORS + 1].tolist():
             faults.setdefault(row, Fault(row, problem, advice))
     return [faults[row] for row in sorted(faults)]
 
@@ -234,7 +234,7 @@ def faults_of(rows: LineStates, moves: Moves, modes: Modes, circular: Ints, arcs
     faults = {fault.row: fault for fault in modes.faults}
 
     def check(wrong: Bools, problem: str, advice: str | None = None, *, first: bool = False) -> None:
-        for row in np.flatnonzero(wrong)[: 1 if first else MOST + 1].tolist():
+        for row in np.flatnonzero(wrong)[: 1 if first else MAX_ERRORS + 1].tolist():
             faults.setdefault(row, Fault(row, problem, advice))
 
     count = len(rows.motion)
@@ -249,7 +249,7 @@ def faults_of(rows: LineStates, moves: Moves, modes: Modes, circular: Ints, arcs
     check(stray & ~uses_words, "I, J, K, R or P without an arc or a cycle that uses it")
     stray = ~np.isnan(rows.pecks) | ~(np.isnan(rows.repeats) | (rows.repeats == 0.0))  # L0 repeats nothing
     check(stray & (~uses_words | (rows.moving & arc)), "Q or L without a cycle that uses it")
-    for row in np.flatnonzero(rows.drilling & has_centre)[: MOST + 1].tolist():
+    for row in np.flatnonzero(rows.drilling & has_centre)[: MAX_ERRORS + 1].tolist():
         faults.setdefault(row, Fault(row, "I, J or K in a cycle", _repeats_advice(rows, row)))
     check(dwelling & rows.moving & arc, "G4 in one block with an arc", "Write one block for each.")
     cuts = ((rows.named | rows.moving) & (straight | arc)) | rows.drilling
@@ -263,7 +263,7 @@ def faults_of(rows: LineStates, moves: Moves, modes: Modes, circular: Ints, arcs
             faults.setdefault(row, Fault(row, problem, advice))
     for fault in arcs:
         row = int(circular[fault.n])
-        if not (doubt.motion[row] or (fault.placed and doubt.position[row])):
+        if not (doubt.motion[row] or (fault.is_placed and doubt.position[row])):
             faults.setdefault(row, Fault(row, fault.problem, fault.advice))
     return [faults[row] for row in sorted(faults)]
 
@@ -280,7 +280,7 @@ def _repeats_advice(rows: LineStates, row: int) -> str | None:
 def _check_unknown(rows: LineStates, moves: Moves, doubt: _Doubt, check: Callable[..., None]) -> None:
     """Check for moves that need a known position where it is unknown: at the start and after G28."""
     line = np.arange(len(rows.motion))
-    axes = rows.placed
+    axes = rows.is_placed
     straight, arc = rows.motion == 1.0, (rows.motion == 2.0) | (rows.motion == 3.0)
     advice = (
         "Program X, Y and Z in rapid moves (G0, in G90) first: the tool may be anywhere before. Or state in the cell "

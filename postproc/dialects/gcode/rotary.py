@@ -17,7 +17,7 @@ from postproc.dialects.gcode.words import Fault
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, norm, rotation_from_vector
 from postproc.program import Ints, direction
 
-NOT_STATED = (
+KIND_ADVICE = (
     'Write in [rotary] of the cell kind = "tcp" if X, Y, Z are the tool tip in the part (tool-centre-point control), '
     'or kind = "indexed" and the place of each axis if the part turns and X, Y, Z are machine axes.'
 )
@@ -97,7 +97,7 @@ def kind_faults(rotary: Rotary, words: Array, tcp_on: Ints) -> list[Fault]:
         return _direction_faults(words)
     turn_rows = np.flatnonzero(np.nan_to_num(words).any(axis=1))
     if rotary.kind is None and len(turn_rows):
-        return [Fault(int(turn_rows[0]), "rotary axes turn, and the cell does not say what X, Y, Z are", NOT_STATED)]
+        return [Fault(int(turn_rows[0]), "rotary axes turn, and the cell does not say what X, Y, Z are", KIND_ADVICE)]
     return []
 
 

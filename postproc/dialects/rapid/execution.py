@@ -63,7 +63,7 @@ from postproc.dialects.rapid.values import (
     shaped,
     truth,
 )
-from postproc.errors import MOST, PostprocError
+from postproc.errors import MAX_ERRORS, PostprocError
 from postproc.program import FORCE_COMMENT, PTP
 
 _MOST_STATEMENTS = 3_000_000
@@ -99,7 +99,7 @@ _MOST_ROUNDS = 10_000
 _KEEP = "Leave it out, or convert the G-code or APT of this part."
 
 
-class Setting(Struct, frozen=True, gc=False):
+class Setting(Struct, frozen=True):
     """What instructions have set for the moves that follow.
 
     :ivar follows: True while MoveJ goes to the configuration of its target (ConfJ).
@@ -114,7 +114,7 @@ class Setting(Struct, frozen=True, gc=False):
     speed: tuple[float, float] = (1.0, 5000.0)
 
 
-class Target(Struct, frozen=True, eq=False, gc=False):
+class Target(Struct, frozen=True, eq=False):
     """The end of a motion or the point on a circle.
 
     :ivar numbers: the 17 numbers of a robtarget, or the 12 of a jointtarget.
@@ -128,7 +128,7 @@ class Target(Struct, frozen=True, eq=False, gc=False):
     data: Declaration | None = None
 
 
-class Move(Struct, frozen=True, eq=False, gc=False):
+class Move(Struct, frozen=True, eq=False):
     """An executed motion.
 
     :ivar speed: of the TCP [mm/s], `duration` [s] if that is given instead, else 0.
@@ -569,7 +569,7 @@ class Execution:
 
     def _refuse(self, statement: Statement, problem: str, advice: str) -> None:
         self.done.errors.append(RapidError(problem, statement.start, advice))
-        if len(self.done.errors) > MOST:
+        if len(self.done.errors) > MAX_ERRORS:
             raise self.done.errors.pop()
 
     def _connect(self, statement: Instruction) -> None:

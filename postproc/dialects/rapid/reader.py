@@ -15,6 +15,7 @@ from pathlib import PurePath
 import numpy as np
 from msgspec.structs import replace
 
+from postproc import garbage
 from postproc.cell import Cell
 from postproc.chunks import Runs
 from postproc.dialects import circles
@@ -59,7 +60,8 @@ def read(document: Document, cell: Cell, forward_kinematics: Callable[[Array], A
         controller.
     :raises InputError: what cannot be followed, all together, each with its line and advice.
     """
-    return _Reader(document, cell).program(forward_kinematics, name)
+    with garbage.kept():
+        return _Reader(document, cell).program(forward_kinematics, name)
 
 
 class _Reader:

@@ -2,9 +2,6 @@
 
 Grammar: ABB, Technical reference manual, RAPID Kernel (3HAC16585). Names are compared in upper case, as the controller
 does. What is not understood here is an error of the statement that has it; nothing is guessed.
-
-Trees have no cycles. Their records are not tracked by the garbage collector (``gc=False``), whose passes over them took
-half of the time of reading.
 """
 
 from __future__ import annotations
@@ -30,7 +27,7 @@ class RapidSyntaxError(PostprocError):
         self.problem, self.start = problem, start
 
 
-class Expression(Struct, frozen=True, eq=False, gc=False):
+class Expression(Struct, frozen=True, eq=False):
     """A value in the text, from `start` to `stop`.
 
     :ivar kind: ``number``, ``string``, ``bool``, ``name``, ``index``, ``field``, ``call``, ``list``, ``operation`` or
@@ -46,7 +43,7 @@ class Expression(Struct, frozen=True, eq=False, gc=False):
     items: tuple[Any, ...] = ()
 
 
-class Argument(Struct, frozen=True, eq=False, gc=False):
+class Argument(Struct, frozen=True, eq=False):
     """An argument of an instruction or function; of an optional one `name` (upper case) is given, perhaps alone."""
 
     name: str
@@ -55,7 +52,7 @@ class Argument(Struct, frozen=True, eq=False, gc=False):
     stop: int
 
 
-class Statement(Struct, frozen=True, eq=False, gc=False):
+class Statement(Struct, frozen=True, eq=False):
     """A statement from `start` to `stop`, which is behind its last character."""
 
     start: int

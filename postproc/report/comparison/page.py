@@ -157,7 +157,11 @@ def _shown(comparison: Comparison, linked_rows: Ints) -> Ints:
     measures = [
         comparison.distance,
         between_targets,
-        *(() if comparison.cuts is None else (norm(comparison.cuts.nominal), norm(comparison.cuts.corrected))),
+        *(
+            ()
+            if comparison.cuts is None
+            else (norm(comparison.cuts.nominal), norm(comparison.cuts.corrected_deviation))
+        ),
     ]
     rows = [_worst(comparison), linked_rows]
     for measure in measures:
@@ -230,7 +234,7 @@ def _columns(comparison: Comparison, pair_rows: Ints) -> Columns:
     if comparison.cuts is not None:
         columns["force"] = norm(comparison.cuts.wrench[pair_rows, :3])
         columns["nominal_cuts"] = norm(comparison.cuts.nominal[pair_rows]) * MM_PER_M
-        columns["corrected_cuts"] = norm(comparison.cuts.corrected[pair_rows]) * MM_PER_M
+        columns["corrected_cuts"] = norm(comparison.cuts.corrected_deviation[pair_rows]) * MM_PER_M
     return Columns.of(columns)
 
 
@@ -312,7 +316,7 @@ def _along(comparison: Comparison, content: ComparisonSummary, rows: Ints, nomin
             Curve(order, (norm(deviation[rows]) * MM_PER_M).tolist(), name, colour, places=places)  # type: ignore[arg-type]
             for deviation, name, colour in (
                 (comparison.cuts.nominal, "nominal", "before"),
-                (comparison.cuts.corrected, "corrected", "after"),
+                (comparison.cuts.corrected_deviation, "corrected", "after"),
             )
         ]
         mark = Mark(content.tolerance_mm, "tolerance", "warning", level=True)
@@ -377,7 +381,7 @@ def _worst_pairs(comparison: Comparison, pair_rows: Ints, names: Sequence[Names]
         "On the way there, mm",
     ]
     head += ["Nominal cuts, mm", "Corrected cuts, mm"] if comparison.cuts is not None else []
-    cuts = () if comparison.cuts is None else (comparison.cuts.nominal, comparison.cuts.corrected)
+    cuts = () if comparison.cuts is None else (comparison.cuts.nominal, comparison.cuts.corrected_deviation)
     rows = []
     worst = _worst(comparison)
     places = [p.places(comparison.pair[worst, k]) for k, p in enumerate((comparison.nominal, comparison.corrected))]

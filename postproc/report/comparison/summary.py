@@ -244,12 +244,12 @@ def comparison_summary(
         corrected=second_names.main,
         robot=comparison.robot,
         pairs=len(comparison.pair),
-        inserted=len(comparison.inserted),
+        inserted=len(comparison.inserted_rows),
         splines=int(np.count_nonzero(comparison.spline)),
         only_nominal=len(comparison.only_nominal),
-        passed=len(comparison.passed),
+        passed=len(comparison.passed_rows),
         passed_within_mm=_passed_within(comparison),
-        only_corrected=len(comparison.only_corrected),
+        only_corrected=len(comparison.additional_rows),
         offset=_distances(distance, rapid),
         rotation=Rotations(max_deg=rotation.largest * DEG_PER_RAD, rms_deg=rotation.rms * DEG_PER_RAD),
         between_targets=_apart(comparison, names),
@@ -272,7 +272,7 @@ def comparison_summary(
     drive = Drive(
         "failed" if errors else "warning" if doubtful else "ok", [*errors, *doubtful], [LIMITS_AND_COLLISIONS]
     )
-    pairing = "every target has its partner" + (", or the path passes it" if len(comparison.passed) else "")
+    pairing = "every target has its partner" + (", or the path passes it" if len(comparison.passed_rows) else "")
     holds = [pairing, *(["the text is as postproc wrote it"] if state == "intact" else [])]
     if content.cut is not None:
         holds.append(
@@ -289,7 +289,7 @@ def comparison_summary(
 
 def _passed_within(comparison: Comparison) -> float | None:
     """Return the largest distance at which the second path passes targets that it leaves out [mm]; None if unknown."""
-    distances = comparison.passed_by[np.isfinite(comparison.passed_by)]
+    distances = comparison.passing_distance[np.isfinite(comparison.passing_distance)]
     return float(distances.max()) * MM_PER_M if len(distances) else None
 
 
@@ -392,7 +392,7 @@ def _cut(comparison: Comparison, names: Sequence[Names], rows: slice) -> Cut | N
         return None
     rapid = comparison.rapid[rows]
     nominal, corrected_mm = (
-        norm(deviation[rows]) for deviation in (comparison.cuts.nominal, comparison.cuts.corrected)
+        norm(deviation[rows]) for deviation in (comparison.cuts.nominal, comparison.cuts.corrected_deviation)
     )
     worst = rows.start + int(np.argmax(np.where(rapid, -1.0, corrected_mm))) if not rapid.all() else None
     lines = _NO_LINES if worst is None else asdict(_lines(comparison, names, worst))
@@ -413,13 +413,13 @@ def _between(comparison: Comparison, second_names: Names) -> Between | None:
     if cuts is None or not len(cuts.row):
         return None
     cutting = ~motions.rapid[cuts.row]
-    worst = int(np.argmax(np.where(cutting, cuts.between_corrected, -1.0)))
+    worst = int(np.argmax(np.where(cutting, cuts.corrected_distance, -1.0)))
     if not cutting[worst]:
         return None
     file, line = comparison.corrected.places(cuts.row[worst : worst + 1]).of(0)
     return Between(
-        nominal_max_mm=float(cuts.between_nominal[cutting].max()) * MM_PER_M,
-        corrected_max_mm=float(cuts.between_corrected[worst]) * MM_PER_M,
+        nominal_max_mm=float(cuts.nominal_distance[cutting].max()) * MM_PER_M,
+        corrected_max_mm=float(cuts.corrected_distance[worst]) * MM_PER_M,
         corrected_file=second_names.prefix + file,
         corrected_line=line,
     )
@@ -514,17 +514,19 @@ def _rows_of_pairs(comparison: Comparison) -> tuple[Ints, Ints, Ints, Ints]:
 
     A motion is −1 where there is none. Pairs come first, in the order of `comparison.pair`.
     """
-    pair, nominal_alone_row = comparison.pair, np.append(comparison.only_nominal, comparison.passed)
-    inserted, corrected_alone_row = comparison.inserted, comparison.only_corrected
+    pair, nominal_alone_row = comparison.pair, np.append(comparison.only_nominal, comparison.passed_rows)
+    inserted_rows, corrected_alone_row = comparison.inserted_rows, comparison.additional_rows
     nominal_row = np.concatenate(
-        [pair[:, 0], np.full(len(inserted), -1), nominal_alone_row, np.full(len(corrected_alone_row), -1)]
+        [pair[:, 0], np.full(len(inserted_rows), -1), nominal_alone_row, np.full(len(corrected_alone_row), -1)]
     )
-    corrected_row = np.concatenate([pair[:, 1], inserted, np.full(len(nominal_alone_row), -1), corrected_alone_row])
+    corrected_row = np.concatenate(
+        [pair[:, 1], inserted_rows, np.full(len(nominal_alone_row), -1), corrected_alone_row]
+    )
     count_of_state = {
         0: len(pair),
-        1: len(inserted),
+        1: len(inserted_rows),
         2: len(comparison.only_nominal),
-        4: len(comparison.passed),
+        4: len(comparison.passed_rows),
         3: len(corrected_alone_row),
     }
     state = np.repeat(list(count_of_state), list(count_of_state.values()))
@@ -548,7 +550,7 @@ def _numbers_of_pairs(comparison: Comparison, state: Ints, nominal_row: Ints, co
             column[:pair_count] = values
         return column
 
-    cuts = (None, None) if comparison.cuts is None else (comparison.cuts.nominal, comparison.cuts.corrected)
+    cuts = (None, None) if comparison.cuts is None else (comparison.cuts.nominal, comparison.cuts.corrected_deviation)
     return np.column_stack(
         [
             nominal_pose,

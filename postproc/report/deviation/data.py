@@ -319,7 +319,7 @@ def _in_mm(pose: Array) -> list[float]:
     return [float(value) for value in pose_mm.ravel()]
 
 
-MOST = 40_000
+MAX_PLACES = 40_000
 """Places that a page holds at most, besides those that its tables name: of more, runs keep their first and worst."""
 _MOST_POINTS = 80_000
 _SINGULAR_AT = 1_000
@@ -358,9 +358,9 @@ def kept(result: Result, linked_rows: Ints) -> Ints:
     :param linked_rows: rows that tables lead to; they are kept.
     """
     count = len(result)
-    if count <= MOST:
+    if count <= MAX_PLACES:
         return np.arange(count)
-    runs = MOST // (5 if result.bound is None else 6)
+    runs = MAX_PLACES // (5 if result.bound is None else 6)
     begin = distinct(np.linspace(0, count, runs, endpoint=False).astype(np.int64))
     length = np.diff(begin, append=count)
     rows = [begin, np.array([count - 1]), linked_rows]

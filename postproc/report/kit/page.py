@@ -36,12 +36,12 @@ class Columns(Struct, frozen=True):
     """Columns of one length.
 
     :param length: of each.
-    :param described: the columns in the order of their bytes.
+    :param descriptions: the columns in the order of their bytes.
     :param text: their bytes, base64.
     """
 
     length: int
-    described: tuple[Described, ...]
+    descriptions: tuple[Described, ...]
     text: str
 
     @classmethod
@@ -122,7 +122,7 @@ class Page(Struct, frozen=True):
                 style=_text("postproc.report.kit", "templates/style.css"),
                 scripts=[_text(package, f"scripts/{name}.js") for package, name in names],
                 page_facts=encoded(self.facts),
-                columns={name: encoded(columns.described) for name, columns in self.columns.items()},
+                columns={name: encoded(columns.descriptions) for name, columns in self.columns.items()},
             )
             .encode(errors="replace")
         )

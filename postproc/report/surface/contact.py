@@ -88,7 +88,7 @@ def nearest_place(path: CutPath, centre: Array, normal: Array) -> tuple[Ints, Ar
     return row, path.share[sample] + step_share[facets, best] * path.share_step[sample], smallest
 
 
-def _can_touch(height: Array, outwards: Array, up: Array) -> Bools:
+def _can_touch(height: Array, outward_distance: Array, up: Array) -> Bools:
     """Return whether a tool of any shape, of a radius up to `_REACH`, can touch facets with its tip at places (n, k).
 
     The tip is outside of the facet, and lower than it by r (1 − n·a) at most, see above.
@@ -96,5 +96,5 @@ def _can_touch(height: Array, outwards: Array, up: Array) -> Bools:
     :param height: of the tip above the facet along the spindle [m]; outwards: its distance along the normal [m].
     :param up: (n, 1) cosine between normal and spindle.
     """
-    reachable = (height <= _PASS_HEIGHT) & (outwards >= -_PASS_HEIGHT) & (up >= OVERHANG)
+    reachable = (height <= _PASS_HEIGHT) & (outward_distance >= -_PASS_HEIGHT) & (up >= OVERHANG)
     return np.asarray(reachable & (height >= -_REACH * (1.0 - up) - _PASS_HEIGHT))

@@ -107,30 +107,30 @@ def _lowest(
     tip, _ = _tips(path, facets, pairs, None)
     line = _Line.of(tip, path.axis[pairs.sample], facets, pairs.facet)
     gap = highest + 2.0 * max(largest)
-    programmed, best, least = _first_entry(line, pairs.facet, -limit, gap.copy(), cutter)
-    near = np.flatnonzero(least <= gap[pairs.facet])
+    nominal_entry, best, lower_bound = _first_entry(line, pairs.facet, -limit, gap.copy(), cutter)
+    near = np.flatnonzero(lower_bound <= gap[pairs.facet])
     near_facet = pairs.facet[near]
     touching = fits(tip[near] - facets.tip[near_facet], facets.axis[near_facet], facets.normal[near_facet], cutter)
-    is_touched = (np.bincount(near_facet[touching], minlength=count) > 0) & (programmed <= limit)
+    is_touched = (np.bincount(near_facet[touching], minlength=count) > 0) & (nominal_entry <= limit)
     place = np.flatnonzero(is_touched)
     nominal_sample = pairs.sample[best[place]]
-    deflected, row, share = np.full((2, count), np.inf), np.full(count, -1), np.zeros(count)
+    deflected_entry, row, share = np.full((2, count), np.inf), np.full(count, -1), np.zeros(count)
     for case, deviation in enumerate(largest):
         gap = highest + 2.0 * deviation
-        chosen = pairs.some(is_touched[pairs.facet] & (least <= gap[pairs.facet]))
+        chosen = pairs.some(is_touched[pairs.facet] & (lower_bound <= gap[pairs.facet]))
         tip, along = _tips(path, facets, chosen, case)
         line = _Line.of(tip, path.axis[chosen.sample], facets, chosen.facet)
         entry, best, _ = _first_entry(line, chosen.facet, -limit - 2.0 * deviation, gap, cutter)
         # where the normal misses the deflected tool, it leaves at most the distance by which it is moved
-        missed = programmed[place] + norm(path.deviation[case, nominal_sample])
+        missed_entry = nominal_entry[place] + norm(path.deviation[case, nominal_sample])
         is_hit = np.isfinite(entry[place])
-        deflected[case, place] = np.where(is_hit, entry[place], missed)
+        deflected_entry[case, place] = np.where(is_hit, entry[place], missed_entry)
         if case == 1:
             hit = place[is_hit]
             row[place], share[place] = path.row[nominal_sample], path.share[nominal_sample]
             sample = chosen.sample[best[hit]]
             row[hit], share[hit] = path.row[sample], path.share[sample] + along[best[hit]] * path.share_step[sample]
-    return Remaining(np.where(is_touched, programmed, np.inf), deflected, row, share)
+    return Remaining(np.where(is_touched, nominal_entry, np.inf), deflected_entry, row, share)
 
 
 def _tips(path: CutPath, facets: _Facets, pairs: _Pairs, case: int | None) -> tuple[Array, Array]:
@@ -279,8 +279,8 @@ class _Grid(Struct, frozen=True, eq=False):
         size = np.maximum(last - first + 1, 0)
         columns = np.where(size[:, 2] > 0, size[:, 0] * size[:, 1], 0)
         box = np.repeat(np.arange(len(low)), columns)
-        within = ragged_range(columns)
-        x, y = first[box, 0] + within // size[box, 1], first[box, 1] + within % size[box, 1]
+        column = ragged_range(columns)
+        x, y = first[box, 0] + column // size[box, 1], first[box, 1] + column % size[box, 1]
         key = (x * self.shape[1] + y) * self.shape[2]
         begin = np.searchsorted(self.key, key + first[box, 2])
         count = np.searchsorted(self.key, key + last[box, 2], side="right") - begin

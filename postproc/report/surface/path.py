@@ -6,7 +6,7 @@ import numpy as np
 from msgspec import Struct
 from scipy.spatial import cKDTree
 
-from postproc.chunks import ragged_range
+from postproc import toolpath
 from postproc.correction import Result
 from postproc.forces.axes import axes_of_travel
 from postproc.frames import Array, norm
@@ -103,8 +103,7 @@ def of_tool(result: Result, frames: Frames, is_chosen: Bools, ball_radius: float
     length = norm(step)
     spacing = max(_SPACING, (ball_radius or 0.0) * _BALL_SPACING, float(length.sum()) / _MOST_SAMPLES)
     count = np.maximum(np.ceil(length / spacing), 1.0).astype(np.int64)
-    piece = np.repeat(np.arange(len(count)), count)
-    piece_share = (ragged_range(count) + 0.5) / count[piece]
+    piece, piece_share = toolpath.even_places(np.arange(len(count)), count, "middle")
     end = row[piece]
     share = (number[piece] - 1 + piece_share) / pieces_of_row[end]
     share_step = 1.0 / (count[piece] * pieces_of_row[end])
@@ -130,8 +129,8 @@ def of_tool(result: Result, frames: Frames, is_chosen: Bools, ball_radius: float
 
 def piece_start(result: Result, end: Ints) -> Ints:
     """Return the row whose values are those at the start of the piece to a row: the one before, if that cuts."""
-    before = np.maximum(end - 1, 0)
-    return np.where(result.rapid[before], end, before)
+    previous_row = np.maximum(end - 1, 0)
+    return np.where(result.rapid[previous_row], end, previous_row)
 
 
 def tool_numbers(result: Result) -> Ints:

@@ -21,6 +21,7 @@ _PROBES = (0.0, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
 _SAMPLES_OF_FACET = 3
 """with this many samples of the path at each."""
 _BISECTIONS = 40
+"""Halvings of a distance: to 10⁻¹² of it."""
 _FACET_COUNT = 8
 _MOST_TIPS = 50_000
 

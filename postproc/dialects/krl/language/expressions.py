@@ -275,8 +275,9 @@ def list_in(source: Source, start: int, stop: int) -> tuple[Value, ...]:
 
 
 def opaque(source: Source, start: int, stop: int, rest: int = -1) -> Opaque:
-    """Return a piece of code that is not looked into but for calls.
+    """Return a piece of code of which only the calls are known.
 
+    :param rest: where the text that follows a value begins, see `Opaque`.
     :raises ProgramError: brackets are not balanced.
     """
     return Opaque(start, stop, _calls_in(source, start, stop), rest)

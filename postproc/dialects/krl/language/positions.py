@@ -26,6 +26,7 @@ FARTHEST = 1e6
 LARGEST_B = 90.0
 """Controllers show B from −90° to 90°; beyond, a second set of angles describes the same orientation."""
 HALF_TURN = 180.0
+"""Largest A and C [deg] of a position."""
 _NAN = float("nan")
 
 

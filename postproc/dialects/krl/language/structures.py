@@ -13,7 +13,7 @@ from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tokens import word_at, words_in
 from postproc.dialects.krl.language.tree import Bare, If
-from postproc.errors import MOST, ProgramError, together
+from postproc.errors import MAX_ERRORS, ProgramError, together
 from postproc.program import Bools, Ints
 
 _DEEPEST = 100
@@ -146,7 +146,7 @@ def checked(source: Source, nodes: tuple[Node, ...]) -> tuple[Node, ...]:
     :raises ProgramError: something follows words of control structures, where it would not be read; or they lack
         something.
     """
-    if errors := list(islice(_mistakes(source, nodes, in_loop=False), MOST + 1)):
+    if errors := list(islice(_mistakes(source, nodes, in_loop=False), MAX_ERRORS + 1)):
         raise together(errors)
     return nodes
 

@@ -46,7 +46,7 @@ from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.state import FIELDS
 from postproc.dialects.krl.read.tracing import Trace
 from postproc.dialects.krl.read.variables import Variables
-from postproc.errors import MOST, ProgramError, together
+from postproc.errors import MAX_ERRORS, ProgramError, together
 from postproc.program import Bools, Ints
 
 _MOST_SETTINGS = 1000
@@ -235,7 +235,7 @@ class MainRoutine:
                 self._enter(step)
             else:
                 self._flow.interpreter.calls.leave()
-            if len(self._errors) > MOST:
+            if len(self._errors) > MAX_ERRORS:
                 break
         errors = self._errors
         if self.course.straight and run.level.returned:

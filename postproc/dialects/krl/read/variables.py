@@ -469,7 +469,7 @@ class Variables:
         return Number(value, operation.start, operation.stop, integer) if math.isfinite(value) else NOTHING
 
     def _function(self, call: Call) -> Known:
-        """Return what a function of the controller gives (angles in degrees) that depends on nothing else."""
+        """Return the value of a call (angles in degrees) if its arguments alone determine it, else `NOTHING`."""
         function = _FUNCTIONS.get(call.name)
         if function is None and call.name != "INV_POS":
             return self.functions.value(call) if self.functions.pure(call) else NOTHING
