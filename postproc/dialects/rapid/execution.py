@@ -200,6 +200,7 @@ class Execution:
         self.count = 0
         self.effects = Effects(self.routines)
         self._moving: dict[str, bool] = {}
+        self._checked_functions: set[str] = set()
         reachable_names = self._reached(entry)
         for routine in self.routines.values():
             is_followed = routine.name in reachable_names or routine.kind == "FUNC"  # these count where they are called
@@ -269,10 +270,13 @@ class Execution:
 
     def _check_function(self, function: Routine, statement: Statement) -> None:
         """Check that a function neither moves the robot nor has comments of forces."""
+        if function.name in self._checked_functions:
+            return
         if self._routine_moves(function):
             problem = f"the function {function.name} moves the robot, which is not followed"
             raise RapidError(problem, statement.start, "Write a procedure in its place.")
         self._check_forces(function.body, f"{function.name} is a function")
+        self._checked_functions.add(function.name)
 
     def _check_forces(self, statements: tuple[Statement, ...], reason: str) -> None:
         """Check that statements which are not followed, and the routines that they call, have no comments of forces.
