@@ -385,6 +385,8 @@ class Snippets(Generator):
         """A GLOBAL variable of a data list that belongs to no program."""
         self.shared.insert(0, f"DECL GLOBAL {kind} {name}S={self.literal(kind)}")
         change = self.one([], [f"{name}S={self.value(kind)}"])
+        if self.maybe(0.3):  # read for the first time where it is not known whether that runs
+            change = [f"IF $IN[{self.one('1', '2')}] THEN", f"{self.variable(kind)}={name}S", "ENDIF", *change]
         return [*change, f"{name}={name}S"]
 
     def by_array(self, kind, name, depth):
@@ -696,6 +698,8 @@ class Snippets(Generator):
         number = self.one("1", "2", "3", "I", "J")
         chosen = self.one(
             [f"$VEL.CP={real}"],
+            [f"$VEL.CP={self.literal('REAL')}", f"$APO.CDIS={self.literal('REAL')}"],
+            [f"$APO.CDIS={self.literal('REAL')}"],
             [f"$VEL={{CP {self.literal('REAL')},ORI1 200.0,ORI2 200.0}}"],
             ["$VEL={ORI1 200.0}"],
             [f"$APO.CDIS={real}"],
@@ -843,7 +847,7 @@ class Snippets(Generator):
         """Motions that only the running robot knows."""
         there = f"LIN {self.literal('E6POS')}"
         routine = self.new("SUB")
-        self.routines.append([f"DEF {routine}()", there, "END"])
+        self.routines.append([f"DEF {routine}()", there, *self.one([], ["LIN_REL {X 5}"]), "END"])
         return self.one(
             ["WHILE $IN[3]", there, "I=I", "ENDWHILE", there],
             ["LIN $POS_ACT:{X 1,Y 2,Z 5,A 0,B 0,C 0}", there],
@@ -941,6 +945,7 @@ class Snippets(Generator):
         if self.maybe(0.1):
             carried = self.one([], [], ["I=I+1"], ["XA.Z=XA.Z+1.5"], ["I=1", "I=I+1"], ["$VEL.CP=$VEL.CP*0.9"])
             body += ["LOOP", "PTP XHOME", *self.use("E6POS", self.one("XA", "P[I]")), *carried, "PTP XHOME", "ENDLOOP"]
+        body += ["RETURN", f"LIN P[{self.one('I', '2')}]"] if self.maybe(0.02) else []
         main += [*body, "END"]
         for routine in self.routines:
             main += ["GLOBAL " + routine[0] if self.maybe(0.15) else routine[0], *routine[1:]]
