@@ -708,6 +708,8 @@ class Snippets(Generator):
             [f"FDAT_ACT={frames}", f"BAS(#PTP_PARAMS,{self.one('100', '50')})"],
             [f"LDAT_ACT={data}", "BAS(#CP_DAT)"],
             [f"FDAT_ACT={frames}", f"LDAT_ACT={data}", f"BAS(#CP_PARAMS,{real})"],
+            [f"FDAT_ACT={frames}", f"LDAT_ACT={data}", f"BAS(#CP_PARAMS,{self.literal('REAL')})"],
+            ["LDAT_ACT=LB", "BAS(#CP_DAT)"],
             [f"FDAT_ACT={{TOOL_NO {number},BASE_NO 2,IPO_FRAME #BASE}}", "BAS(#FRAMES)"],
             [f"{frames}.BASE_NO={number}", f"FDAT_ACT={frames}", "BAS(#FRAMES)"],
             [f"BAS(#TOOL,{self.one('1', '2', 'J')})", f"BAS(#BASE,{number})"],
@@ -944,7 +946,16 @@ class Snippets(Generator):
         body += [f"LIN {self.literal('E6POS')} C_DIS"] if self.maybe(0.6) else []
         if self.maybe(0.1):
             carried = self.one([], [], ["I=I+1"], ["XA.Z=XA.Z+1.5"], ["I=1", "I=I+1"], ["$VEL.CP=$VEL.CP*0.9"])
-            body += ["LOOP", "PTP XHOME", *self.use("E6POS", self.one("XA", "P[I]")), *carried, "PTP XHOME", "ENDLOOP"]
+            reset = self.one([], ["I=1"])
+            body += [
+                "LOOP",
+                "PTP XHOME",
+                *reset,
+                *self.use("E6POS", self.one("XA", "P[I]")),
+                *carried,
+                "PTP XHOME",
+                "ENDLOOP",
+            ]
         body += ["RETURN", f"LIN P[{self.one('I', '2')}]"] if self.maybe(0.02) else []
         main += [*body, "END"]
         for routine in self.routines:
