@@ -17,8 +17,8 @@ MAX_COMMANDS = 4
 """Commands at the same time; more would only share the processors."""
 PATIENCE_S = 25.0
 """A command that is stopped has ended after this time: it ends itself a little earlier."""
-_NEW_GROUP = 0x200
-"""CREATE_NEW_PROCESS_GROUP of Windows."""
+_OF_WINDOWS = 0x200 | 0x0800_0000
+"""CREATE_NEW_PROCESS_GROUP and CREATE_NO_WINDOW: a window that pythonw started opens no console for each command."""
 _MAX_OUTPUT = 200_000
 """Characters of output that are kept."""
 
@@ -56,7 +56,7 @@ class Run:
             stderr=subprocess.STDOUT,
             env={**os.environ, **variables},
             # Ctrl-C is for the window, which ends its commands in order
-            creationflags=_NEW_GROUP if os.name == "nt" else 0,
+            creationflags=_OF_WINDOWS if os.name == "nt" else 0,
             start_new_session=os.name != "nt",
         )
         self._reader = threading.Thread(target=self._read, daemon=True)
