@@ -258,9 +258,10 @@ def _rms(robot: RobotModel, data: Measurements, rows: Ints) -> float:
         return np.inf
 
 
-def check_loads(robot: RobotModel, data: Measurements, placement: Placement) -> list[str]:
+def check_loads(robot: RobotModel, data: Measurements, placement: Placement, advice: str = "") -> list[str]:
     """Check units and signs of the forces: compare displacements with those of the prior robot.
 
+    :param advice: what else to check where they do not belong together.
     :returns: a warning if all displacements are larger or smaller than any robot of this kind has them.
     :raises MeasurementError: names the configuration, or all.
     """
@@ -312,7 +313,7 @@ def check_loads(robot: RobotModel, data: Measurements, placement: Placement) -> 
                 f"({relative:.2g} times the usual ratio): the force looks like {unit}",
                 file=data.file,
                 line=_first_line(data, state),
-                advice="Give forces in N, root axes, for this load case.",
+                advice="Give forces in N, root axes, for this load case." + advice,
             )
     if _USUAL_SIZE[0] < usual < _USUAL_SIZE[1]:
         return []

@@ -170,14 +170,19 @@ def identify(
     )
 
 
+_CHECK_ANGLES = " Check [angles] too: sign, offset_deg and A3_per_J2."
+"""Displacements show wrong angles only by their directions; positions are compared with the geometry of the arm."""
+
+
 def checked(prior: RobotModel, data: Measurements) -> tuple[Measurements, Placement, list[str], list[str]]:
     """Check the readings before any spring is fitted.
 
     :returns: the readings without gross errors and with their noise, the placement, what was left out, and warnings.
     :raises MeasurementError: the readings are unusable.
     """
+    advice = _CHECK_ANGLES if data.are_displacements else ""
     data, placement, outliers = plausibility.placed(prior, as_positions(prior, data))
-    doubts = [*gaps(data), *moved_device(prior, data, placement), *check_loads(prior, data, placement)]
+    doubts = [*gaps(data), *moved_device(prior, data, placement), *check_loads(prior, data, placement, advice)]
     data, warnings = _noise(data)
     return data, placement, outliers, doubts + warnings
 

@@ -63,6 +63,22 @@ def test_displacements_of_one_point_without_unloaded_readings_give_the_same_spri
     np.testing.assert_allclose(by_displacement, by_position, rtol=0.01)
 
 
+def test_displacements_with_a_parallelogram_that_is_not_declared_say_what_to_check(measured, tmp_path):
+    folder, _, moved = measured
+
+    def row(cells):
+        if cells[1] == "0":
+            return None
+        j3 = float(cells[6]) + float(cells[5])  # of a controller that counts J3 from the horizontal
+        return [*cells[:6], f"{j3:.6f}", *cells[7:16], *(f"{1e3 * value:.6f}" for value in moved[int(cells[0]) - 1])]
+
+    head = 'readings = "displacements"\n'
+    declared = changed(folder, tmp_path, row, f"{head}angles = {{ A3_per_J2 = -1 }}\n")
+    assert checked(harness.PRIOR, declared)[2] == []
+    with pytest.raises(MeasurementError, match=r"Check \[angles\] too: sign, offset_deg and A3_per_J2"):
+        checked(harness.PRIOR, changed(folder, tmp_path, row, head))
+
+
 def test_angles_of_a_controller_with_a_parallelogram_are_read(measured, tmp_path):
     folder, q, _ = measured
     sign, offset = np.array([-1, 1, -1, 1, -1, 1]), np.array([10.0, -90.0, 30.0, 0.0, 5.0, 0.0])
