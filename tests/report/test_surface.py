@@ -238,6 +238,23 @@ def test_a_mesh_that_is_shifted_sideways_is_cut_into_by_the_shift_not_by_its_hei
             assert -found.programmed[found.programmed_row >= 0].min(initial=0.0) == pytest.approx(shift, abs=2e-5)
 
 
+def test_at_an_edge_the_surface_moves_by_no_more_than_the_tool():
+    """A wall beside it is cut away along its whole length: the normal of a facet at the edge goes all through it."""
+    box = trimesh.creation.box(extents=(0.03, 0.02, 0.01))
+    box.apply_translation((0.0, 0.0, -0.005))
+    vertices, faces = trimesh.remesh.subdivide_to_size(box.vertices, box.faces, 8e-4)
+    way = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1], [1, 1]]) * [0.02, 0.015]
+    points = np.column_stack([way, np.full(5, -0.011)])
+    deviation = np.array([-4e-4, -3e-4, 0.0])
+    shown = surface(result_of(points, deviation), _facets(vertices, faces), FLAT)
+    normal_part = shown.normal @ deviation
+    middle = (np.abs(shown.normal[:, 0]) > 0.9) & (np.abs(shown.corners.mean(axis=1)[:, 1]) < 0.008) & shown.touched
+    np.testing.assert_allclose(shown.before[middle], normal_part[middle], atol=MICRON)
+    assert middle.sum() > 100
+    assert np.nanmin(shown.before) == pytest.approx(-4e-4, abs=1.5e-4)
+    assert np.nanmax(np.abs(shown.before)) <= 5e-4 + MICRON
+
+
 def test_a_mesh_that_is_too_low_is_left_by_the_programmed_path():
     size = 0.05
     points = _zigzag(np.linspace(-0.01, size + 0.01, 15), np.arange(0, size + 0.003, 0.003), lambda x, y: 0 * x)

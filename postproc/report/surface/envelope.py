@@ -121,15 +121,19 @@ def _lowest(
         tip, along = _tips(path, facets, chosen, case)
         line = _Line.of(tip, path.axis[chosen.sample], facets, chosen.facet)
         entry, best, _ = _first_entry(line, chosen.facet, -limit - 2.0 * deviation, gap, cutter)
-        # where the normal misses the deflected tool, it leaves at most the distance by which it is moved
-        missed_entry = nominal_entry[place] + norm(path.deviation[case, nominal_sample])
+        # The surface moves by no more than the tool. Along the normal it would seem to: at a sharp edge a pass beside
+        # it takes away all that the normal goes through, and where the normal misses the tool it leaves all.
+        most = nominal_entry[place] + norm(path.deviation[case, nominal_sample])
         is_hit = np.isfinite(entry[place])
-        deflected_entry[case, place] = np.where(is_hit, entry[place], missed_entry)
+        hit_sample = chosen.sample[best[place[is_hit]]]
+        deflected_entry[case, place] = most
+        least = nominal_entry[place[is_hit]] - norm(path.deviation[case, hit_sample])
+        deflected_entry[case, place[is_hit]] = np.clip(entry[place[is_hit]], least, most[is_hit])
         if case == 1:
             hit = place[is_hit]
             row[place], share[place] = path.row[nominal_sample], path.share[nominal_sample]
-            sample = chosen.sample[best[hit]]
-            row[hit], share[hit] = path.row[sample], path.share[sample] + along[best[hit]] * path.share_step[sample]
+            row[hit] = path.row[hit_sample]
+            share[hit] = path.share[hit_sample] + along[best[hit]] * path.share_step[hit_sample]
     return Remaining(np.where(is_touched, nominal_entry, np.inf), deflected_entry, row, share)
 
 
