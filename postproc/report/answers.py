@@ -184,6 +184,8 @@ def _on_better(mode: Mode, better: Better | None) -> str:
 def _on_tolerance(tolerance: Tolerance | None) -> str:
     if tolerance is None or tolerance.of != "part":
         return ""
+    if tolerance.held is None:
+        return f"It is not known whether your tolerance of {tolerance.mm:g} mm is held."
     if tolerance.held:
         return f"Your tolerance of {tolerance.mm:g} mm is held."
     sentence = f"Your tolerance of {tolerance.mm:g} mm is not held"

@@ -209,11 +209,19 @@ def _remedies(result: Result, content: Summary) -> list[Remedy]:
     if errors is None:
         return []
     expected_error = float(errors.after.max(initial=0.0))
+    corrects = content.mode == "convert"
+    also = "" if corrects else " and correct it"
     error_of_action = {"measure the robot": errors.with_known_robot, "measure the forces": errors.with_known_forces}
     actions = [
-        Remedy(action, error * MM_PER_M) for action, error in error_of_action.items() if error < _GAIN * expected_error
+        Remedy(action + also, error * MM_PER_M)
+        for action, error in error_of_action.items()
+        if error < _GAIN * expected_error
     ]
-    return [Remedy("correct it", expected_error * MM_PER_M), *actions] if content.mode != "convert" else actions
+    if not corrects:
+        return [Remedy("correct it", expected_error * MM_PER_M), *actions]
+    if content.u95 is not None and content.u95.max_mm < _GAIN * expected_error * MM_PER_M:
+        actions.append(Remedy("round corners less", content.u95.max_mm))
+    return actions
 
 
 def _compensates(content: Summary) -> bool:

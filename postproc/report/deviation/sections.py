@@ -83,8 +83,9 @@ def numbers(data: Deviation) -> Section | None:
         note = "the robot model states no uncertainty: identify the robot from measurements"
         tiles.append(Tile("Expected error on the part", "unknown", "", note, "warning"))
     else:
-        note = f"95 % bound, RMS {rounded(bound.rms_mm)} mm; {bound.basis}"
-        tiles.append(Tile("Expected error on the part, up to", rounded(bound.max_mm), "mm", note))
+        note = f"95 %; at targets {rounded(bound.max_mm)} mm, RMS {rounded(bound.rms_mm)} mm; {bound.basis}"
+        expected_mm = bound.max_mm if content.part.expected_mm is None else content.part.expected_mm
+        tiles.append(Tile("Expected error on the part, up to", rounded(expected_mm), "mm", note))
     parts: list[Part] = [Tiles(tuple(tiles)), _table(data)]
     share = content.compensated_percent
     if content.mode == "convert" and share is not None:
@@ -117,7 +118,7 @@ def _table(data: Deviation) -> Table:
     return Table(head, table_rows, "Deviation before and after compensation", note=note)
 
 
-_ALL_ROUNDING = "After compensation only the rounding of the written numbers remains: below 0.0001 mm everywhere."
+_ALL_ROUNDING = "After compensation only the rounding of the written numbers remains: below 0.0001 mm at each target."
 _ROUNDING = "At cutting targets, as the model predicts it."
 
 
