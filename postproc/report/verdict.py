@@ -219,7 +219,8 @@ def _remedies(result: Result, content: Summary) -> list[Remedy]:
     ]
     if not corrects:
         return [Remedy("correct it", expected_error * MM_PER_M), *actions]
-    if content.u95 is not None and content.u95.max_mm < _GAIN * expected_error * MM_PER_M:
+    is_rounded = content.blending.max_mm > (1.0 - _GAIN) * expected_error * MM_PER_M
+    if is_rounded and content.u95 is not None and content.u95.max_mm < _GAIN * expected_error * MM_PER_M:
         actions.append(Remedy("round corners less", content.u95.max_mm))
     return actions
 

@@ -11,7 +11,9 @@ from postproc.report import of_one, page, summary
 from postproc.report.answers import COLOURS, EXIT_CODES, Remedy
 from postproc.robot import Covariance, JointCompliance
 from tests import fabricated
+from tests.commands import run
 from tests.html_page import read_page
+from tests.places import CELL_FILE
 
 _QUIET = {"issues": (), "bound": np.full(100, 5e-6)}
 
@@ -95,6 +97,32 @@ def test_a_missed_tolerance_says_both_numbers_and_what_would_help():
         "measure the forces",
         "move the part",
     ]
+
+
+_CORNER = (
+    "G21 G90 G17 G54\nT1 M6\nS6000 M3\nG0 X0 Y0 Z50\n(FORCE FX=100 FY=-200 FZ=50)\n"
+    "G1 Z-2 F300\nX100 F1000\nY50\nG0 Z50\nM30\n"
+)
+
+
+@pytest.mark.parametrize("command", ["convert", "predict"])
+def test_what_would_help_is_what_lowers_the_error_of_this_program(tmp_path, command):
+    """Corners that are rounded too much are to be rounded less; a program that is not corrected is to be corrected."""
+    cell = CELL_FILE.read_text().replace("approximation_mm = 0.2", "approximation_mm = 5\ncorner_tolerance_mm = 5")
+    (tmp_path / "cell.toml").write_text(cell)
+    (tmp_path / "corner.nc").write_text(_CORNER)
+    output = run(command, tmp_path / "corner.nc", "--part-tolerance", 0.1, "-o", tmp_path, code=(0, 3),
+                 cell=tmp_path / "cell.toml").output  # fmt: skip
+    first = {"convert": "round corners less (0.25 mm at best), ", "predict": "measure the robot and correct it ("}
+    assert f"Your tolerance of 0.1 mm is not held. What would help: {first[command]}" in output
+    assert (", correct it (" in output) == (command == "predict")
+
+
+def test_a_tolerance_that_cannot_be_judged_is_not_said_to_be_missed():
+    verdict = summary(fabricated.with_changes(fabricated.result(), errors=None, bound=None), 1e-5, 1e-4).verdict
+    assert (verdict.tolerance.held, verdict.tolerance.state) == (None, "warning")
+    assert "It is not known whether your tolerance of 0.1 mm is held." in verdict.headline
+    assert "is not held" not in verdict.headline
 
 
 def test_a_prediction_says_what_correction_would_give_and_judges_the_program_as_it_is():
