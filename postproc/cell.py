@@ -22,6 +22,8 @@ Positive = Annotated[float, msgspec.Meta(gt=0, le=1e6)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0, le=1e6)]
 Length = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]
 Angle = Annotated[float, msgspec.Meta(ge=-3600, le=3600)]
+PayloadMass = Annotated[float, msgspec.Meta(ge=0, le=3000)]
+"""The largest robots carry 2.3 t at the flange: more is a mass in grams."""
 ToolAxis = Literal["+Z", "-Z", "+X", "-X"]
 
 
@@ -70,7 +72,7 @@ class Start(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 class Payload(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Carried in addition to the state the model was calibrated in: kg, and mm in the flange frame."""
 
-    mass_kg: NotNegative = 0.0
+    mass_kg: PayloadMass = 0.0
     X: Length = 0.0
     Y: Length = 0.0
     Z: Length = 0.0
@@ -445,6 +447,18 @@ def lines_fault(lines: Sequence[str]) -> str | None:
     return f"{lines[-1]!r}: {open_brackets[-1]} is not closed" if open_brackets else None
 
 
+_PATH_MOTION = re.compile(
+    r"\s*(?:(?:S?LIN|S?CIRC|SPL)(?:_REL)?[\s{]|S?PTP(?:_REL)?\s*\{(?!.*\bA[1-6]\b))", re.IGNORECASE | re.ASCII
+)
+"""KRL to a Cartesian target. Motions to joint angles or to a name, such as HOME, are no targets of a program."""
+
+
+def motion_fault(lines: Sequence[str]) -> str | None:
+    """Return what is wrong with the first line that moves the tool to a target: the program would have one more."""
+    motion = next((line for line in lines if _PATH_MOTION.match(line)), None)
+    return None if motion is None else f"{motion!r} moves the tool to a target"
+
+
 _VARIABLE = re.compile(r"[A-Za-z_$][\w$]*(\[[0-9]{1,6}(,[0-9]{1,6}){0,2}\])?", re.ASCII)
 _LARGEST_VALUE = 2**31 - 1
 _EXAMPLE = """The least that a cell needs, for example:
@@ -490,6 +504,9 @@ def load(path: str | Path) -> Cell:
         for key, lines in values.items():
             if isinstance(lines, list) and (open_end := lines_fault(lines)):
                 raise CellError(f"[{section}] {key}, {open_end}", file=str(path), advice="Correct the line.")
+            if isinstance(lines, list) and (motion := motion_fault(lines)):
+                advice = "Move by joint angles, PTP {A1 0, A2 -90, …}, or put the motion into a subprogram and call it."
+                raise CellError(f"[{section}] {key}, {motion}", file=str(path), advice=advice)
     for key, value in cell.krl.values.items():
         if not _VARIABLE.fullmatch(key) or abs(value) > _LARGEST_VALUE:
             advice = 'Give numbers or true and false for names and elements: lnActSt = 1, "$IN[5]" = false.'

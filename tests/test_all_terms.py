@@ -294,7 +294,9 @@ def test_errors_name_the_rows_that_have_no_equilibrium(monkeypatch):
     assert found.value.rows == (1,)
     spoilt = wrench.copy()
     spoilt[2, 4] = np.nan
-    with pytest.raises(NotConvergedError, match="not found") as found:
+    with pytest.raises(
+        NotConvergedError, match="not found: check the payload, the forces and the robot model"
+    ) as found:
         elastostatics.deflect(model, q, TOOL, spoilt)
     assert found.value.rows == (2,)
     x = balance.elastic_coordinates(model, q.T)

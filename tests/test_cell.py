@@ -64,6 +64,7 @@ def test_all_unknown_and_missing_keys_are_told_in_one_run(tmp_path: Path) -> Non
             "[0, -1.22, 1.92, 0, 0.87, 0]",
             r"\[start\] joints = .* look like radians.*degrees",
         ),
+        ("[start]", "[payload]\nmass_kg = 80000\n[start]", "payload.mass_kg: Expected `float` <= 3000.0, not 80000"),
         ("rapid_m_per_s = 0.3", "rapid_m_per_s = 300", "gcode.rapid_m_per_s: Expected `float` <= 10"),
         ("[base_data.3]", '[base_data."²"]', r"base_data\.²"),
         ("[base_data.3]", f"[base_data.{'3' * 5000}]", "is not a number"),
@@ -105,8 +106,20 @@ def test_a_line_that_is_not_closed_is_named_with_its_key(
 
 
 @pytest.mark.parametrize(
+    "line",
+    ["LIN {X 0}", " lin_rel {Z 10}", "SCIRC P1,P2", "SPL XP3", "PTP {X 0,Y 0,Z 0,A 0,B 0,C 180}", "SPTP_REL {Z 10}"],
+)
+@pytest.mark.parametrize("key", ["gcode.spindle_off", "m_codes.M31"])
+def test_a_line_with_a_motion_to_a_target_is_refused_with_its_key(tmp_path: Path, key: str, line: str) -> None:
+    table, name = key.split(".")
+    with pytest.raises(CellError, match=re.escape(f"[{table}] {name}, {line!r} moves the tool to a target. Move by")):
+        _load(tmp_path, f"{_BARE}[{table}]\n{name} = {json.dumps(['$OUT[1]=FALSE', line])}\n")
+
+
+@pytest.mark.parametrize(
     "lines",
     [
+        ["; LIN {X 0}", "PTP XHOME", "SPTP {A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0}", "PTP_REL {A1 10}", "LINEAR_LAMP(TRUE)"],
         ["; by hand (see sheet", 'CHG({T}, "a ) ; b") ; 5" ('],
         ["! by hand (see sheet", "MoveAbsJ [[0,0,0,0,0,0],", "[9E9,9E9,9E9,9E9,9E9,9E9]],v100,fine,tool0;"],
     ],

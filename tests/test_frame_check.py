@@ -17,12 +17,12 @@ POINTS = np.array([[0, 0, 0], [200, 0, 0], [0, 150, 0], [200, 150, 40], [100, 75
 TURNS = (0.0, 0.0, 0.0, 0.0, 90.0)
 
 
-def touching(turns):
-    """Joint angles [deg] at which the oracle arm has its tip at the points, the tool pointing down, turned."""
+def touching(turns, tilts=(0.0, 0.0, 0.0, 0.0, 0.0)):
+    """Joint angles [deg] at which the oracle arm has its tip at the points, the tool down, turned and tilted."""
     arm = Arm.load(robot.find("kuka_kr270"))
     rows = []
-    for point, turn in zip(POINTS, turns, strict=True):
-        target = abc(*BASE) @ abc(*point, turn + 180.0, 0.0, 180.0)
+    for point, turn, tilt in zip(POINTS, turns, tilts, strict=True):
+        target = abc(*BASE) @ abc(*point, turn + 180.0, tilt, 180.0)
         guess = np.radians([5, -80, 100, 0, 60, turn])
         joints = arm.inverse(target, abc(*TOOL), guess)
         assert abs(arm.nominal_tcp(joints, abc(*TOOL)) - target).max() < 1e-9
@@ -62,6 +62,9 @@ def test_a_wrong_tool_is_found_with_its_error_and_the_right_numbers(tmp_path, jo
     assert check.suspect == "tool"
     np.testing.assert_allclose(check.tool[0] * 1e3, [4.0, 0.0, -3.0], atol=1e-3)
     np.testing.assert_allclose(check.new_frames["tool"], TOOL, atol=2e-3)
+    assert "X too long by 4.00 ±" in (text := as_text(check, 0.1))
+    assert "Y off by 0.00 ±" in text
+    assert "Z too short by 3.00 ±" in text
 
 
 def test_a_wrong_base_is_found_and_the_right_numbers_given(tmp_path, joints):
@@ -97,7 +100,18 @@ def test_without_a_turned_tool_the_frames_cannot_be_told_apart(tmp_path):
     wrong = (TOOL[0] + 4.0, *TOOL[1:])
     check = check_frames(*written(tmp_path, same, tool=wrong), 0.1)
     assert check.suspect == "undecided"
-    assert "tool turned" in as_text(check, 0.1)
+    assert "tool turned about its axis by 90°" in as_text(check, 0.1)
+
+
+def test_the_length_of_a_turned_tool_shows_only_where_it_is_tilted_as_the_advice_says(tmp_path, joints):
+    wrong = (*TOOL[:2], TOOL[2] - 3.0, *TOOL[3:])
+    check = check_frames(*written(tmp_path, joints, tool=wrong), 0.1)
+    assert check.suspect == "undecided"
+    assert "tool tilted as far as you can, 30° at least" in as_text(check, 0.1)
+    tilted = touching(TURNS, (0.0, 30.0, 0.0, 0.0, 0.0))
+    check = check_frames(*written(tmp_path, tilted, tool=wrong), 0.1)
+    assert check.suspect == "tool"
+    np.testing.assert_allclose(check.tool[0] * 1e3, [0.0, 0.0, -3.0], atol=1e-3)
 
 
 def test_a_point_that_was_mistaken_is_no_frame(tmp_path, joints):

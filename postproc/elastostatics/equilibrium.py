@@ -47,6 +47,7 @@ _SPRING_TOLERANCE = 3e-9
 _FIRST_RATIO = 0.02
 """Assumed ratio of the second step to the first; usable arms have a far smaller one."""
 _MAX_ITERATIONS = 40
+_NOT_FOUND = "equilibrium not found: check the payload, the forces and the robot model"
 _LARGEST_DEFLECTION = 0.1
 """Deflection of a spring [rad, m] beyond which the model is not valid: an error."""
 _AT_TARGET = 1e-10
@@ -156,7 +157,7 @@ def solve_equilibrium(
             _check_size(theta)
             return theta, state.point + tool_step[:3]
         previous = size
-    raise NotConvergedError("equilibrium not found", np.flatnonzero(is_moving))
+    raise NotConvergedError(_NOT_FOUND, np.flatnonzero(is_moving))
 
 
 def springs_at_target(robot: RobotModel, x: Array, load: Array, weights: Array) -> Array:
@@ -189,7 +190,7 @@ def springs_at_target(robot: RobotModel, x: Array, load: Array, weights: Array) 
             return theta
         previous = size
         rest_torque = balanced_torque(robot, x - theta)
-    raise NotConvergedError("equilibrium not found", np.flatnonzero(is_moving))
+    raise NotConvergedError(_NOT_FOUND, np.flatnonzero(is_moving))
 
 
 def _largest(values: Array) -> Array:
@@ -199,7 +200,7 @@ def _largest(values: Array) -> Array:
 def _unfinished(size: Array, previous: Array, tolerance: float) -> Bools:
     """Return which samples need another round: the next step, extrapolated from the last two, is not negligible."""
     if not np.isfinite(size).all():
-        raise NotConvergedError("equilibrium not found", np.flatnonzero(~np.isfinite(size)))
+        raise NotConvergedError(_NOT_FOUND, np.flatnonzero(~np.isfinite(size)))
     ratio = np.where(np.isnan(previous), _FIRST_RATIO, size / np.where(previous > 0.0, previous, 1.0))
     return np.asarray(~(size * np.clip(ratio, 1e-4, 1.0) <= tolerance))
 

@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 from msgspec import Struct
 
-from postproc.cell import Box, IndexedAxis, Rotary, lines_fault, m_code_fault
+from postproc.cell import Box, IndexedAxis, Rotary, lines_fault, m_code_fault, motion_fault
 from postproc.errors import InputError, ModelError, choices
 from postproc.machining.material import table
 from postproc.machining.process import StockTable
@@ -112,7 +112,7 @@ def m_codes(texts: Sequence[str]) -> list[str]:
 
 def line(text: str) -> str:
     """Return a line of the robot's language in which brackets and strings are closed."""
-    if fault := lines_fault([text]):
+    if fault := lines_fault([text]) or motion_fault([text]):
         raise InputError(fault)
     return text
 

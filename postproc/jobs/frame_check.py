@@ -51,6 +51,8 @@ _LEAST_SPREAD = 0.02
 """Least distance [m] of points from their best line, RMS, at which a rotation of `$BASE` about it shows."""
 _LEAST_TURN = 20.0 * RAD_PER_DEG
 """Least rotation of the tool between two touches at which `$TOOL` and `$BASE` are told apart."""
+_PRINTED_ZERO = 0.005
+"""Errors below this are printed as 0.00 mm."""
 _RANK_TOLERANCE = 1e-6
 """Smallest ratio of singular values at which unknowns count as independent."""
 
@@ -195,23 +197,41 @@ def _cross(vector: Array) -> Array:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
+_TOUCH_AGAIN = (
+    "Touch two points again: one with the tool turned about its axis by 90°, and one with the tool tilted as far as "
+    "you can, 30° at least. Only tilting tells the length of the tool from the height of $BASE."
+)
 _HEADLINES: dict[Suspect, str] = {
     "none": "Both frames agree with the points.",
     "tool": "$TOOL is off: correct [tool] of the cell and TOOL_DATA of the controller.",
     "base": "$BASE is off: correct [base] of the cell and BASE_DATA of the controller.",
     "both": "$TOOL and $BASE are off.",
     "unturned": "The points agree with both frames together. Errors of $TOOL and $BASE that cancel each other do not "
-    "show: touch a point with the tool turned by 90° too.",
-    "undecided": "One frame is off, and the points do not show which: touch a point with the tool turned by 90° too.",
+    f"show. {_TOUCH_AGAIN}",
+    "undecided": f"One frame is off, and the points do not show which. {_TOUCH_AGAIN}",
     "contradiction": "Neither frame explains the points: check the points and joint angles, and --sigma.",
 }
+
+
+def _lengths(error: Array, half: Array) -> str:
+    """Return by how much `$TOOL` is too long or too short along X, Y, Z; error and half widths (3,) [m]."""
+    return ", ".join(
+        f"{axis} {_too_long(value)} {abs(value):z.2f} ± {width:.2f} mm"
+        for axis, value, width in zip("XYZ", error * MM_PER_M, half * MM_PER_M, strict=True)
+    )
+
+
+def _too_long(value: float) -> str:
+    """Return what the sign of an error [mm] means; an error of zero as printed has none."""
+    return "off by" if abs(value) < _PRINTED_ZERO else "too long by" if value > 0.0 else "too short by"
 
 
 def as_text(check: FrameCheck, sigma_mm: float) -> str:
     """Return the result for a terminal."""
     lines = [_HEADLINES[check.suspect]]
+    if check.tool is not None:
+        lines.append(f"  $TOOL, along the axes of the flange: {_lengths(*check.tool)} (95 %)")
     for name, part, factor, unit in (
-        ("$TOOL is too long by X, Y, Z of the flange", check.tool, MM_PER_M, "mm"),
         ("the points are displaced by X, Y, Z of the root", check.base, MM_PER_M, "mm"),
         ("and turned about X, Y, Z of the root by", check.turn, DEG_PER_RAD, "°"),
     ):
