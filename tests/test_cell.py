@@ -23,7 +23,7 @@ def _load(tmp_path: Path, text: str) -> cell.Cell:
 
 
 def test_all_missing_keys_are_told_at_once_with_an_example_that_loads(tmp_path: Path) -> None:
-    with pytest.raises(CellError, match=r"missing keys: robot, base, tool\. The least") as caught:
+    with pytest.raises(CellError, match=r"missing keys: robot, \[base\], \[tool\]\. The least") as caught:
         _load(tmp_path, "[output]\n")
     example = str(caught.value.advice).partition("\n\n")[2]
     assert _load(tmp_path, example).robot == "kuka_kr270"
@@ -52,7 +52,13 @@ def test_all_unknown_and_missing_keys_are_told_in_one_run(tmp_path: Path) -> Non
             r"output.controller: .*'KRC5'. Did you mean `KRC4`\? Valid values: 'KRC2', 'KRC4'. A KR C5 with KSS",
         ),
         ('axis = "+Z"', 'axis = "up"', r"tool.axis: .*'up'. Valid values: '\+X', '\+Z', '-X', '-Z'."),
-        ("X = 1500.0", 'X = "1500"', "base.X: Expected `float`, got `str`"),
+        ("X = 1500.0", 'X = "1500"', r"cell.toml:5: base.X: a number is expected, not a text in quotes"),
+        (
+            "X = 1500.0",
+            "X = 1500,0",
+            r"cell.toml:5: not valid TOML: .* \(column 9\). .*with a point, not a comma: 1500\.0",
+        ),
+        ("[base]", "[bases]", r"missing key: \[base\]"),
         ("X = 1500.0", "X = 1e300", "base.X: Expected `float` <= 1000000.0"),
         ("X = 1500.0", "X = 1" + "0" * 400, "base.X: "),
         ("X = 1500.0", "X = 1" + "0" * 5000, "not valid TOML"),

@@ -97,10 +97,28 @@ def read_toml(
             if isinstance(value, float) and not math.isfinite(value):
                 raise error(f"{key} is {value}", file=str(path), advice="Give a finite number.")
     except ValueError as cause:  # TOMLDecodeError is one; so is a number of thousands of digits
-        raise error(f"not valid TOML: {cause}", file=str(path)) from cause
+        raise _syntax_error(str(cause), text, path, error) from cause
     except RecursionError:
         raise error("not valid TOML: nested too deeply", file=str(path)) from None
     return convert(data, structure, str(path), error, example, text)
+
+
+_PLACE = re.compile(r" \(at line (?P<line>\d+), column (?P<column>\d+)\)$")
+_DECIMAL_COMMA = re.compile(r"=\s*(?P<number>[-+]?\d+,\d+)")
+
+
+def _syntax_error(cause: str, text: str, path: Path, error: type[Error]) -> Error:
+    """Return the error for a text that is no TOML, with its line, and a hint where a number has a decimal comma."""
+    place = _PLACE.search(cause)
+    if place is None:
+        return error(f"not valid TOML: {cause}", file=str(path))
+    line = int(place["line"])
+    content = text.split("\n")[line - 1].partition("#")[0]
+    advice = None
+    if number := _DECIMAL_COMMA.search(content):
+        advice = f"Write decimals with a point, not a comma: {number['number'].replace(',', '.')}."
+    problem = f"not valid TOML: {cause[: place.start()]} (column {place['column']})"
+    return error(problem, file=str(path), line=line, advice=advice)
 
 
 def convert(
@@ -130,6 +148,7 @@ def convert(
             message, key = message.split(" - at `$")
             message = _with_value(f"{key.removeprefix('.')}: {message}", data, key.removeprefix("."))
         valid = _valid_values(kind, key, re.search(r"enum value '(.*)'", message))
+        message = _in_quotes(message)
         for old, new in (("`object`", "a table"), ("`array`", "a list"), ("Invalid enum value", "no such value:")):
             message = message.replace(old, new)
         given_key = message.partition(": ")[0] if key else ""
@@ -139,8 +158,16 @@ def convert(
 
 _RANGE = re.compile(r"Expected `(?:float|int)` (?P<relation><=|>=|<|>) (?P<limit>\S+)$")
 _OUT_OF_RANGE = {"<=": operator.gt, ">=": operator.lt, "<": operator.ge, ">": operator.le}
+_TEXT_FOR_NUMBER = re.compile(r"Expected `(?P<type>float|int)(?: \| null)?`, got `str`$")
+_NUMBER = {"float": "a number", "int": "a whole number"}
+_INVALID_VALUE = re.compile("Invalid enum value '?(?P<value>.*?)'?$")
 _KIND = re.compile(r"got `(?P<kind>str|int|float|bool|array|object)`$")
 _TYPE = {"str": str, "int": int, "float": float, "bool": bool, "array": list, "object": dict}
+
+
+def _in_quotes(message: str) -> str:
+    """Return a message in plain words where a number is in quotes; other messages as they are."""
+    return _TEXT_FOR_NUMBER.sub(lambda m: f"{_NUMBER[m['type']]} is expected, not a text in quotes", message)
 
 
 def _with_value(message: str, data: object, at: str) -> str:
@@ -155,6 +182,10 @@ def _with_value(message: str, data: object, at: str) -> str:
         for name, value in entries:
             if isinstance(value, (float, int)) and not isinstance(value, bool) and is_out_of_range(value, limit):
                 return f"{name}: {range_message[0]}, not {str(value)[:40]}"
+    if invalid := _INVALID_VALUE.search(message):
+        for name, value in entries:
+            if str(value) == invalid["value"]:
+                return f"{name}: {message.partition(': ')[2]}"
     if kind_message := _KIND.search(message):
         for name, value in entries:
             if type(value) is _TYPE[kind_message["kind"]]:
@@ -179,7 +210,7 @@ def _wrong_keys(data: object, kind: Any, at: str) -> Iterator[tuple[str, str | N
     kind = _inner(kind)
     if isinstance(kind, msgspec.inspect.DictType) and isinstance(data, Mapping):
         for name, value in data.items():
-            yield from _wrong_keys(value, kind.value_type, f"{at}.{name}" if at else str(name))
+            yield from _wrong_keys(value, kind.value_type, _full_key(at, str(name)))
     elif isinstance(kind, msgspec.inspect.ListType) and isinstance(data, list):
         for value in data:
             yield from _wrong_keys(value, kind.item_type, at)
@@ -189,12 +220,21 @@ def _wrong_keys(data: object, kind: Any, at: str) -> Iterator[tuple[str, str | N
         for name in data:
             if name not in fields and kind.forbid_unknown_fields:
                 yield f"unknown key {name!r}{table}", choices(str(name), fields, "Valid keys")
-        missing_keys = [name for name, field in fields.items() if field.required and name not in data]
+        missing_keys = [
+            f"[{_full_key(at, name)}]" if isinstance(_inner(field.type), msgspec.inspect.StructType) else name
+            for name, field in fields.items()
+            if field.required and name not in data
+        ]
         if missing_keys:
             yield f"missing {'key' if len(missing_keys) == 1 else 'keys'}{table}: {', '.join(missing_keys)}", None
         for name, field in fields.items():
             if name in data:
-                yield from _wrong_keys(data[name], field.type, f"{at}.{name}" if at else name)
+                yield from _wrong_keys(data[name], field.type, _full_key(at, name))
+
+
+def _full_key(at: str, name: str) -> str:
+    """Return a key with its tables."""
+    return f"{at}.{name}" if at else name
 
 
 def _inner(kind: Any) -> Any:
@@ -204,14 +244,20 @@ def _inner(kind: Any) -> Any:
     return kind
 
 
+_KEY_PART = re.compile(r"\[[^\]]*\]|[^.\[]+")
+"""`[...]` of a table with any names, an index, or a name."""
+
+
 def _valid_values(kind: Any, at: str, invalid_value: re.Match[str] | None) -> str | None:
     """Return the values that a key may have, if they are a list; the nearest to the given one first, their
     description last.
     """
-    for part in at.replace("[...]", ".[...]").split("."):
+    for part in _KEY_PART.findall(at):
         kind = _inner(kind)
         if part == "[...]" and isinstance(kind, msgspec.inspect.DictType):
             kind = kind.value_type
+        elif part.startswith("[") and isinstance(kind, msgspec.inspect.ListType):
+            kind = kind.item_type
         elif isinstance(kind, msgspec.inspect.StructType):
             kind = next((f.type for f in kind.fields if f.encode_name == part), kind)
     description = ""

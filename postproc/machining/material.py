@@ -166,6 +166,8 @@ def _below(error: float, sigma: float) -> float:
     return 0.5 * (1.0 + math.erf(error / (math.sqrt(2.0) * sigma))) if sigma > 0.0 else float(error >= 0.0)
 
 
+_SOFTEST = 1.0
+"""Tangential coefficient [N/mm²] below which no solid is milled: foam has a few N/mm² (assumed)."""
 _AXIAL = 0.7
 """RMS of the missing axial force: measured values in slots are 40 to 90 % of the force across the feed."""
 
@@ -239,10 +241,22 @@ def law(material: MaterialTable, file: str) -> CuttingLaw:
         exponent=entry.mc or 0.0,
         sigma=sigma,
         name=material.name or "given in [material]",
-        warning=entry.warning if isinstance(entry, Entry) else None,
+        warning=entry.warning if isinstance(entry, Entry) else _too_soft(entry),
         unknown_axial=0.0 if cutting[2] or edge[2] else _AXIAL,
         covariance=covariance,
     )
+
+
+def _too_soft(material: MaterialTable) -> str | None:
+    """Return a warning for a cutting coefficient that is probably in kN/mm²; None: it is usual."""
+    coefficients = {"Ktc_N_per_mm2": material.Ktc_N_per_mm2, "kc11_N_per_mm2": material.kc11_N_per_mm2}
+    for key, value in coefficients.items():
+        if value and value < _SOFTEST:
+            return (
+                f"[material] {key} = {value:g}: below {_SOFTEST:g} N/mm² it is that of no solid material that one "
+                "mills. Is it in kN/mm²? Give it in N/mm²."
+            )
+    return None
 
 
 def _covariance(material: IdentifiedTable, file: str) -> tuple[tuple[float, ...], ...] | None:

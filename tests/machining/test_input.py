@@ -145,12 +145,38 @@ def test_a_rapid_move_through_material_is_told_with_its_line(tmp_path):
         (("[tools.1]", "[tools.one]"), "'one' is not a tool number"),
         (("X = [0.0, 100.0]", "X = [100.0, 0.0]"), "is not from smaller to larger"),
         (("resolution_mm = 1.0", "resolution_mm = 0.001"), "Give [stock] resolution_mm"),
+        (
+            ('shape = "flat"', 'shape = "endmill"'),
+            "tools.1.shape: no such value: 'endmill'. Valid values: 'ball', 'bull', 'drill', 'flat'.",
+        ),
         (('shape = "flat"', 'shape = "bull"'), "a bull tool without a corner radius"),
         (('shape = "flat"', 'shape = "flat"\ncorner_radius_mm = 1.0'), "corner_radius_mm with shape 'flat'"),
     ],
 )
 def test_a_process_that_cannot_be_used(tmp_path, change, told):
     assert told in refused(tmp_path, gcode(*SLOT), process(tool(10, 4), BOX, 1.0).replace(*change))
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "is_usual"),
+    [
+        ("Ktc", "0.8", False),
+        ("kc11", "0.8", False),
+        ("Ktc", "3.0", True),
+        ("Ktc", "0.0", True),
+        ("kc11", "700.0", True),
+    ],
+)
+def test_a_coefficient_in_kn_is_asked_about(tmp_path, key, value, is_usual):
+    coefficients = f"{key}_N_per_mm2 = {value}" + ("\nmc = 0.25" if key == "kc11" else "\nKte_N_per_mm = 1.0")
+    text = process(tool(10, 4), BOX, 1.0).replace('name = "al_7075_t6_carbide"', coefficients)
+    _, path_forces = forces(tmp_path, gcode(*SLOT), text)
+    warnings = [issue.message for issue in path_forces.issues if issue.kind == "material"]
+    asked = (
+        f"[material] {key}_N_per_mm2 = 0.8: below 1 N/mm² it is that of no solid material that one mills. Is it in kN"
+    )
+    assert is_usual or warnings[0].startswith(asked)
+    assert len(warnings) == (not is_usual)
 
 
 HOLES = ("G0 X20 Y20 Z30", "G98 G83 X20 Y20 Z-12 R2 Q5 F200", "X40 Z-6", "G80")
