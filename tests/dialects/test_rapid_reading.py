@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import re
 
 import numpy as np
@@ -365,15 +364,6 @@ def test_a_routine_has_the_data_of_a_changeable_parameter_itself():
     code = ["Cut wPart,n;", "Cut wPart,n;", f"MoveL {at(1, 2, 3)},v50,z1,tMill\\WObj:=wPart;"]
     x = read(module(code, data, routines)).motions.target.position[1:, 0] * 1e3
     np.testing.assert_allclose(x - x[-1], [4.0, 14.0, 14.0, 24.0, 0.0], atol=1e-9)
-
-
-def test_trees_of_statements_are_not_tracked_by_the_garbage_collector():
-    """Its passes over them took half of the time of reading."""
-    code = [f"MoveL {at(0, 0, 20)}{tail()}", f"MoveL Offs({at(0, 0, 20)},1,2,3){tail('[50,5,5,5]')}"]
-    (parsed,) = modules(module(code))
-    moves = [statement for routine in parsed.routines for statement in routine.body if hasattr(statement, "arguments")]
-    assert len(moves) > 2
-    assert not any(gc.is_tracked(part) for move in moves for part in (move, *move.arguments))
 
 
 DATA = f"PERS num x:=1;\nPERS num y:=2;\nPERS robtarget pA:={at(0, 0, 20)};\n"
