@@ -209,7 +209,7 @@ def test_arcs_and_pieces_of_lines_are_examined_where_joints_limits_and_singulari
             if fast[rows].any() or max(max(step[n][:6]) for n in rows) > np.radians(10.0) or close:
                 expected.append(motion)
         assert arcs.motion.tolist() == expected, seed
-        assert arcs.count.tolist() == [{1: 37, 4: 19, 6: 109}[motion] for motion in expected]  # every 5°
+        assert arcs.parts.tolist() == [{1: 36, 4: 18, 6: 108}[motion] for motion in expected]  # every 5°
         pieces = []
         for n, (motion, t) in enumerate(zip(sample.motion.tolist(), sample.t.tolist(), strict=True)):
             begin = sample.t[n - 1] if n and sample.motion[n - 1] == motion else 0.0
@@ -219,9 +219,9 @@ def test_arcs_and_pieces_of_lines_are_examined_where_joints_limits_and_singulari
             limit = [*(2.0 * s + way / 0.15 + 6.0 * turn for s in step[n][:7])]
             limit += [2.0 * step[n][7] + way + 0.5 * turn + 0.005, 5.0 * way + 3.0 * turn]
             if fast[n] or (np.minimum(room[n], room[n + 1]) < limit).any():
-                pieces.append((motion, begin, t, int(np.ceil(max(way / 0.002, turn / np.radians(0.5)))) + 1))
+                pieces.append((motion, begin, t, int(np.ceil(max(way / 0.002, turn / np.radians(0.5))))))
         assert (
-            list(zip(*(x.tolist() for x in (lines.motion, lines.begin, lines.end, lines.count)), strict=True)) == pieces
+            list(zip(*(x.tolist() for x in (lines.motion, lines.begin, lines.end, lines.parts)), strict=True)) == pieces
         )
         found_arcs, found_lines = found_arcs + len(expected), found_lines + len(pieces)
     assert 30 < found_arcs < 150
