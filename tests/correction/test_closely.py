@@ -219,7 +219,7 @@ def test_arcs_and_pieces_of_lines_are_examined_where_joints_limits_and_singulari
             limit = [*(2.0 * s + way / 0.15 + 6.0 * turn for s in step[n][:7])]
             limit += [2.0 * step[n][7] + way + 0.5 * turn + 0.005, 5.0 * way + 3.0 * turn]
             if fast[n] or (np.minimum(room[n], room[n + 1]) < limit).any():
-                pieces.append((motion, begin, t, int(np.ceil(max(way / 0.002, turn / np.radians(0.5))))))
+                pieces.append((motion, begin, t, int(np.ceil(max(way / 0.002, turn / np.radians(0.5)) - 1e-9))))
         assert (
             list(zip(*(x.tolist() for x in (lines.motion, lines.begin, lines.end, lines.parts)), strict=True)) == pieces
         )
