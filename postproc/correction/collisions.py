@@ -21,7 +21,7 @@ from postproc.errors import Issue
 from postproc.forces import StockInTime
 from postproc.frames import M_PER_MM, MM_PER_M, Array, norm
 from postproc.placement.samples import AXIS
-from postproc.program import PTP, Bools, Ints
+from postproc.program import PTP, Bools, Ints, Motions
 from postproc.under_load import PathUnderLoad
 
 _AXIS_SHARE = 1e-4
@@ -68,8 +68,8 @@ def of_path(path: PathUnderLoad, commanded_q: Array) -> tuple[SmallestClearance 
     program, need = path.program, table.clearance_mm * M_PER_MM
     line = program.motions.line[path.sample.motion]
     smallest: SmallestClearance | None = None
-    worst = _Worst()
     stock = path.motions.forces.stock
+    worst = _Worst(program.motions, stock)
     for rows, tool in _runs(program.motions.tool[path.sample.motion]):
         scene = collision.Scene.of(robot_in_cell.robot, robot_in_cell.cell, program.tools[tool])
         from_start = rows.start == 0 and program.motions.kind[0] == PTP
@@ -118,8 +118,10 @@ def _retracts(path: PathUnderLoad, rows: slice) -> Bools:
 class _Worst:
     """The smallest distance of each two bodies that come too close, and the lines on which they do."""
 
-    def __init__(self) -> None:
+    def __init__(self, motions: Motions, stock: StockInTime | None) -> None:
         self._of: dict[tuple[str, str], tuple[float, int, set[int], float, bool]] = {}
+        self._cut_lines = set(motions.line[~motions.rapid].tolist())
+        self._cell = None if stock is None else stock.accuracy
 
     def note(self, names: tuple[str, str], distance: float, line: int, need: float, begins: bool) -> None:
         """Note a distance [m] that is smaller than the clearance; `begins`: on the way from [start]."""
@@ -129,15 +131,26 @@ class _Worst:
 
     def issues(self) -> list[Issue]:
         """Return an error for each two bodies."""
-        return [_issue(names, *details) for names, details in self._of.items()]
+        return [_issue(names, *details, self._to_stock(names, details[1])) for names, details in self._of.items()]
+
+    def _to_stock(self, names: tuple[str, str], line: int) -> tuple[str, str] | None:
+        """Return how a distance to the stock was found, and what to do on a line; None for all else."""
+        if names[1] != STOCK or self._cell is None:
+            return None
+        bound = f", which is rounded up to cells of {self._cell * MM_PER_M:.2g} mm"
+        return bound, _CLEAR_OF_CUT if line in self._cut_lines else _CLEAR_OF_RAPID
+
+
+_CLEAR_OF_CUT = "Use a longer tool, cut here first, tilt the tool less, or correct the bodies in the cell"
+_CLEAR_OF_RAPID = "Lift the tool before it moves rapidly, begin elsewhere ([start]), or correct the bodies in the cell"
 
 
 def _of_stock(scene: collision.Scene, stock: StockInTime | None) -> Iterator[str]:
     """Yield sentences on the stock: how it was compared, and how exactly."""
     if stock is not None:
         yield (
-            "the stock of the process is compared as it is at each move, for arm and meshes rounded up to cells of "
-            f"{stock.accuracy * MM_PER_M:.2g} mm; the smallest clearance does not include it"
+            "the stock of the process is compared as it is at each move, for arm, meshes and a tool that turns rounded "
+            f"up to cells of {stock.accuracy * MM_PER_M:.2g} mm; the smallest clearance does not include it"
         )
     elif not any(body.of == "part" for body in scene.bodies):
         yield "the stock is not checked: there is no process with [material], and no obstacle with part = true"
@@ -174,18 +187,31 @@ def _names(scene: collision.Scene, first: int, second: int) -> tuple[str, str]:
     return scene.bodies[int(first)].name, scene.bodies[int(second)].name
 
 
-def _issue(names: tuple[str, str], distance: float, line: int, lines: set[int], need: float, begins: bool) -> Issue:
+def _issue(
+    names: tuple[str, str],
+    distance: float,
+    line: int,
+    lines: set[int],
+    need: float,
+    begins: bool,
+    to_stock: tuple[str, str] | None,
+) -> Issue:
+    """Return the error of two bodies.
+
+    :param begins: on the way from [start].
+    :param to_stock: see `_Worst._to_stock`.
+    """
     first, second = names
     verb = "touches or is inside" if distance == 0.0 else f"comes within {distance * MM_PER_M:.2g} mm of"
     asks = f"[collision] asks for {need * MM_PER_M:g} mm" if need > 0.0 else "it may not touch it here"
     advice = "Move the part, turn the tool, or correct the bodies in the cell"
-    if second == STOCK:
-        advice = "Lift the tool before it moves rapidly, begin elsewhere ([start]), or correct the bodies in the cell"
-    place = ""
+    bound, place = "", ""
+    if to_stock is not None:
+        bound, advice = to_stock
     if begins:
         place = " on the way from [start] to the first target"
         advice = "Choose [start] joints with the tip above the part, lift the first target, or correct the bodies"
-    message = f"collision: {first} {verb} {second}{place}; {asks}. {advice}"
+    message = f"collision: {first} {verb} {second}{bound}{place}; {asks}. {advice}"
     return Issue("error", "collision", message, line, count=len(lines), subject=f"{first}, {second}")
 
 

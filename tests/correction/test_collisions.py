@@ -195,6 +195,69 @@ def test_a_mesh_of_the_spindle_is_compared_with_the_stock_at_its_time():
     assert found == pytest.approx(4.0 - less, abs=0.1)
 
 
+TURNED = """G21 G90 G17 G94
+T1 M6
+S6000 M3
+G0 X30 Y-40 Z20 B0 C0
+Z-2
+G1 Y-10 F1200
+{turn}
+Y40 B0
+G0 Z60
+M30
+"""
+"""The tool is tilted while it cuts along a block of 60 × 40 × 20 mm, or on its way back over it."""
+
+
+def turned(turn: str, cutter_mm: float, clearance_mm: float):
+    """Exit code and output of a five-axis program with a holder, D 40, that begins above a cutter of this length."""
+    Path("part.nc").write_text(TURNED.format(turn=turn))
+    Path("process.toml").write_text(
+        '[material]\nname = "al_7075_t6_carbide"\n[tools.1]\nshape = "ball"\ndiameter_mm = 8\nflutes = 2\n[stock]\n'
+        "box = { X = [0, 60], Y = [-20, 20], Z = [-20, 0] }\nresolution_mm = 0.5\n"
+    )
+    rotary = '[rotary]\naxes = ["C", "B"]\nsigns = [1, 1]\nkind = "tcp"'
+    cutter, holder = f"diameter_mm = 8, length_mm = {cutter_mm}", "name = 'holder', diameter_mm = 40, length_mm = 60"
+    table = f"clearance_mm = {clearance_mm}\nholder = [ {{ {cutter} }}, {{ {holder} }} ]\n{rotary}"
+    code, output, _ = converted(table, "--process", "process.toml", "--overwrite")
+    return code, output
+
+
+def test_a_holder_that_sweeps_through_the_stock_in_a_turning_cut_is_an_error():
+    """Its lower edge is at Z = -2 + L·cos 30° - 20·sin 30° when the tool is tilted by 30°: for L = 12 at -1.6 mm."""
+    code, output = turned("Y10 B30", 12.0, 0.5)
+    assert code == 1
+    assert "part.nc:7: collision: holder touches or is inside stock, which is rounded up to cells of" in output
+    assert "asks for 0.5 mm. Use a longer tool, cut here first, tilt the tool less" in output
+    assert not Path("out/part.src").exists()
+
+
+def test_a_holder_that_clears_the_stock_in_a_turning_cut_is_accepted_to_its_distance():
+    """For L = 20 the edge is 5.32 mm above the block, less what the correction moves it by."""
+    code, output = turned("Y10 B30", 20.0, 4.5)
+    assert code == 0, output
+    assert "May it be driven? yes\n" in output
+    less = float(re.search(r"motion of the bodies due to the correction, ([\d.]+) mm", output)[1])
+    code, output = turned("Y10 B30", 20.0, 6.0)
+    assert code == 1
+    error = r"part.nc:[78]: collision: holder comes within ([\d.]+) mm of stock, .* rounded up to cells of ([\d.]+) mm"
+    distance, cell = map(float, re.search(error, output).groups())
+    assert 5.32 - less - cell < distance < 5.32 - less + 0.05
+
+
+def test_a_holder_that_meets_the_stock_between_the_ends_of_a_turning_cut_is_an_error():
+    """Its ends are 60 mm away from the block on both sides; over it the tool is tilted by about 30°."""
+    code, output = turned("G0 Z30\nY-80 B20\nZ-2\nG1 Y80 B40", 12.0, 0.5)
+    assert code == 1
+    assert re.search(r"part.nc:(\d+): collision: holder touches or is inside stock", output)[1] == "10"
+
+
+def test_a_rapid_that_turns_the_tool_through_stock_is_an_error():
+    code, output = turned("G0 Z-6 Y12 B20", 40.0, 0.5)
+    assert code == 1
+    assert re.search(r"part.nc:7: collision: cutter goes [\d.]+ mm deep into the stock in a rapid move", output)
+
+
 def test_a_rapid_of_the_cutter_through_a_stated_part_is_an_error_without_a_process():
     trimesh.creation.box(bounds=[[0, -50, -20], [100, 50, 8]]).export("blank.stl")
     through = PROGRAM.replace("G0 Z30\nM30", "G0 X200\nM30")
