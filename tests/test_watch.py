@@ -503,13 +503,13 @@ def test_killed_and_started_again_each_is_converted_once(tmp_path):
 
 
 _ENDED = """
-import sys, time
+import os, sys, time
 if {polling}:
     sys.modules["watchfiles"] = None
 if {converting}:
     from postproc.jobs import runs
     def convert(*arguments, **options):
-        print("converting", flush=True)
+        os.write(1, b"converting\\n")  # print, interrupted, would write it again
         for _ in range(12_000):  # one long sleep would miss a signal that comes just before it begins
             time.sleep(0.01)
     runs.convert = convert
