@@ -70,8 +70,9 @@ def test_bodies_are_read_the_same_in_one_run(name):
     assert single == double
 
 
-@pytest.mark.parametrize("name", ["CUT(I)", "CUT(PP[I])", "IF … $OUT", "TRIGGER", "XT=PP[I]", "GOP({X …})"])
+@pytest.mark.parametrize("name", ["CUT(I)", "CUT(PP[I])", "IF … $OUT", "XT=PP[I]", "GOP({X …})"])
 def test_calls_and_conditions_need_one_run_only(name):
+    """Bodies that are read as columns need none."""
     texts = files(name, 20)
     assert both(lambda: read(texts), lambda program: krl.rewrite(program, corrected(program)))[2]
 
