@@ -51,7 +51,7 @@ class Effects:
                 yield base_name(statement.target)
             elif isinstance(statement, Instruction):
                 name = statement.name.removeprefix("%")
-                if name in self.routines or name not in READING | MOVES.keys():
+                if name in self.routines or not (name in READING or name in MOVES):
                     yield from self.changed_arguments(name, statement.arguments)
                 else:
                     yield from (base_name(argument) for argument in results(statement))

@@ -20,10 +20,9 @@ from postproc.dialects.rapid.effects import Effects, bound_arguments, called, re
 from postproc.dialects.rapid.instructions import (
     CONSTANT,
     COUNTING,
+    FUNCTIONS,
     MOVES,
-    PURE,
     READING,
-    RUN_TIME,
     SETTINGS,
     STOPPING,
     WRITING,
@@ -50,6 +49,7 @@ from postproc.dialects.rapid.syntax import (
 from postproc.dialects.rapid.values import (
     FIELDS,
     FOLLOWED_FUNCTIONS,
+    ROUNDING,
     Scope,
     UnknownValueError,
     Value,
@@ -67,8 +67,6 @@ from postproc.errors import MAX_ERRORS, PostprocError
 from postproc.program import FORCE_COMMENT, PTP
 
 _MOST_STATEMENTS = 3_000_000
-_ROUNDING = 1e-5
-"""What sums and quotients in single precision may differ from theirs here, in proportion."""
 _DEEPEST = 60
 
 
@@ -261,7 +259,7 @@ class Execution:
             function = self.routines.get(call.value)
             if function is not None:
                 self._check_function(function, statement)
-            elif call.value not in PURE | RUN_TIME:
+            elif call.value not in FUNCTIONS:
                 self._foreign(call.value, statement)
             for name in self.effects.changed_arguments(call.value, call.items):
                 _forget_variable(scope.find(name), f"{call.value} may change it")
@@ -562,13 +560,10 @@ class Execution:
         else:
             if name == "CONNECT":
                 self._connect(statement)
-            if name not in READING | CONSTANT:
-                for argument in changed_by(statement.arguments):
-                    _forget_variable(scope.find(base_name(argument)), f"{name} may change it")
-            else:
-                for argument in results(statement):
-                    _forget_variable(scope.find(base_name(argument)), f"{name} may change it")
-            if name not in READING | CONSTANT | WRITING:
+            is_reading = name in READING or name in CONSTANT
+            for argument in results(statement) if is_reading else changed_by(statement.arguments):
+                _forget_variable(scope.find(base_name(argument)), f"{name} may change it")
+            if not is_reading and name not in WRITING:
                 self._foreign(name, statement)
 
     def _refuse(self, statement: Statement, problem: str, advice: str) -> None:
@@ -795,7 +790,7 @@ def _counted(loop: Loop, scope: Scope) -> list[float]:
     count = (end - begin) / step
     if count > _MOST_STATEMENTS:
         raise UnknownValueError("there are too many")
-    if abs(count - round(count)) < _ROUNDING * max(count, 1.0) and not (begin.is_integer() and step.is_integer()):
+    if abs(count - round(count)) < ROUNDING * max(count, 1.0) and not (begin.is_integer() and step.is_integer()):
         raise UnknownValueError("whether there is a last round depends on the rounding of the controller")
     values = [begin]
     while (end - values[-1] - step) * step >= 0.0:

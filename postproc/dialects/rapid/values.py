@@ -90,7 +90,7 @@ _ZONES = {0: 0.3, 1: 1, 5: 5, 10: 10, 15: 15, 20: 20, 30: 30, 40: 40, 50: 50, 60
 _ZONES[200] = 200
 NONE = 8.9e9
 """External axes from here on are not connected (9E9)."""
-_ROUNDING = 1e-5
+ROUNDING = 1e-5
 """What numbers calculated in single precision may differ from those here, in proportion."""
 UNIT = [1.0, 0.0, 0.0, 0.0]
 _NO_LOAD = [0.001, [0.0, 0.0, 0.001], UNIT, 0.0, 0.0, 0.0]
@@ -316,7 +316,7 @@ def _operation(expression: Expression, scope: Scope) -> tuple[Value, str]:
 
 def _is_decided(left: float, right: float) -> bool:
     """Return whether numbers compare as on the controller, which calculates in single precision."""
-    if abs(left - right) > _ROUNDING * max(abs(left), abs(right)):
+    if abs(left - right) > ROUNDING * max(abs(left), abs(right)):
         return True
     return left == right == float(np.float32(left))
 
