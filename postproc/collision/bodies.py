@@ -16,6 +16,7 @@ from postproc.cell import Cell, HolderTable, ObstacleTable
 from postproc.errors import CellError, ModelError
 from postproc.frames import M_PER_MM, Array, norm
 from postproc.robot import JOINTS, RobotModel
+from postproc.robot.chain import Chain
 
 FLANGE = len(JOINTS)
 """Carrier of bodies that are fixed to the flange."""
@@ -23,12 +24,13 @@ _CARRIER_GAP = {"arm": 4, "cutter": 3, "tool": 3}
 """Joints between a body and the links it is compared with: nearer links are joined to it or share a wrist."""
 _WIDE = (0.075, 0.07, 0.055, 0.045, 0.034, 0.03, 0.026)
 """Radii of the capsules of base and links, of the length of the arm: assumed, as pages draw an arm without meshes."""
+THICKER = 0.5
+"""How far real arms reach beyond the capsules [m]: the extreme points of the collision meshes that ROS-Industrial
+publishes of KR 16-2, KR 120 R2500, KR 150-2, KR 150 R3100 and IRB 6640 (without balancer) were laid over them."""
 _ASSUMED = (
     "the arm is checked as capsules of assumed radius, since its model has no meshes: a real arm is thicker in places, "
-    "by up to 0.4 m"
+    f"by up to {THICKER:g} m"
 )
-"""Collision meshes that ROS-Industrial publishes of KR 16-2, KR 120 R2500, KR 150-2, KR 150 R3100 and IRB 6640 were
-laid over the capsules: over half of the surface of most links is outside, most at the shoulder of the KR 150-2."""
 _SIDES = 32
 ACCURACY = 0.5e-3
 """To which distances are computed [m]."""
@@ -133,16 +135,15 @@ def _arm(robot: RobotModel, source: str) -> tuple[list[Body], list[str]]:
                 advice='Add the file, or give arm = "capsules" in [collision].',
             )
         return [_mesh(_link(shape.carrier), shape.carrier, "arm", shape.points, shape.faces) for shape in shapes], []
-    return list(_capsules(robot)), [_ASSUMED]
+    return list(arm_capsules(robot.nominal)), [_ASSUMED]
 
 
 def _link(carrier: int) -> str:
     return "base of the robot" if carrier < 0 else f"link of {JOINTS[carrier]}"
 
 
-def _capsules(robot: RobotModel) -> Iterator[Body]:
+def arm_capsules(chain: Chain) -> Iterator[Body]:
     """Yield capsules along each link: along the axis of its joint, and from there to the next joint."""
-    chain = robot.nominal
     ends = [*chain.placement[:, :3, 3], chain.flange[:3, 3]]
     length = float(sum(norm(end[None])[0] for end in ends))
     for carrier, end in enumerate(ends, -1):

@@ -1,0 +1,78 @@
+"""The assumed arm against real ones: extreme points of published collision meshes, at all angles of the joints."""
+
+from __future__ import annotations
+
+import csv
+
+import numpy as np
+import pinocchio as pin
+
+from postproc.collision.bodies import THICKER, Body, arm_capsules
+from postproc.robot.chain import Chain
+from tests.places import ROOT
+
+_AXES = np.array([[0, 0, 1], [0, 1, 0], [0, 1, 0], [1, 0, 0], [0, 1, 0], [1, 0, 0]], dtype=float)
+_ARMS = {
+    "KR 16-2": [(0, 0, 675), (260, 0, 0), (680, 0, 0), (670, 0, -35), (0, 0, 0), (0, 0, 0), (158, 0, 0)],
+    "KR 120 R2500": [(0, 0, 675), (350, 0, 0), (1150, 0, 0), (1000, 0, -41), (0, 0, 0), (0, 0, 0), (215, 0, 0)],
+    "KR 150-2": [(0, 0, 750), (350, 0, 0), (1250, 0, 0), (0, 0, -55), (1100, 0, 0), (230, 0, 0), (0, 0, 0)],
+    "KR 150 R3100": [(0, 0, 645), (330, 0, 0), (1350, 0, 0), (1420, 0, 115), (0, 0, 0), (215, 0, 0), (0, 0, 0)],
+    "IRB 6640": [(0, 0, 780), (320, 0, 0), (0, 0, 1075), (0, 0, 200), (1392, 0, 0), (200, 0, 0), (0, 0, 0)],
+}
+"""Joints A1 to A6 and flange, each in the frame before it, in mm: of the published URDF files of the meshes."""
+
+
+def published() -> dict[tuple[str, int], np.ndarray]:
+    """Extreme points [m] by arm and link; the file names their source."""
+    lines = (ROOT / "tests" / "collision" / "arms.csv").read_text().splitlines()
+    table: dict[tuple[str, int], list[list[float]]] = {}
+    for row in csv.DictReader(line for line in lines if not line.startswith("#")):
+        table.setdefault((row["arm"], int(row["link"])), []).append([1e-3 * float(row[key]) for key in "xyz"])
+    return {key: np.array(points) for key, points in table.items()}
+
+
+def chain(name: str) -> Chain:
+    frames = np.tile(np.eye(4), (7, 1, 1))
+    frames[:, :3, 3] = 1e-3 * np.array(_ARMS[name])
+    zero, far = np.zeros(6), np.full(6, 3.0)
+    return Chain(frames[:6], _AXES, np.ones(6, dtype=bool), frames[6], zero, np.zeros((6, 3)), -far, far, far, zero)
+
+
+def beyond(points: np.ndarray, body: Body) -> np.ndarray:
+    """By how much points (P, 3) in the frame of a capsule's carrier are outside of it [m]; negative inside."""
+    radius, length = body.size
+    local = (points - body.pose[:3, 3]) @ body.pose[:3, :3]
+    local[:, 2] -= np.clip(local[:, 2], -0.5 * length, 0.5 * length)
+    return np.linalg.norm(local, axis=1) - radius
+
+
+def turned(points: np.ndarray, name: str, link: int, step: int) -> list[np.ndarray]:
+    """Points of a link in the frame of the one before it (step -1) or behind it (1), at angles of the joint between."""
+    joint = link if step < 0 else link + 1
+    offset = 1e-3 * np.array(_ARMS[name][joint - 1], dtype=float)
+    rotations = [pin.exp3(_AXES[joint - 1] * angle) for angle in np.radians(np.arange(0, 360, 30))]
+    if step < 0:
+        return [points @ rotation.T + offset for rotation in rotations]
+    return [(points - offset) @ rotation for rotation in rotations]
+
+
+def outside(name: str, link: int, points: np.ndarray) -> np.ndarray:
+    """By how much points of a link stick out of the assumed arm, whatever the angles of the joints next to it [m]."""
+    capsules = list(arm_capsules(chain(name)))
+    distances = [beyond(points, body) for body in capsules if body.carrier == link - 1]
+    for step in (-1, 1):
+        if 0 <= link + step <= 6:
+            places = turned(points, name, link, step)
+            neighbours = [body for body in capsules if body.carrier == link - 1 + step]
+            distances += [np.max([beyond(place, body) for place in places], axis=0) for body in neighbours]
+    return np.min(distances, axis=0)
+
+
+def test_real_arms_reach_beyond_the_assumed_one_by_as_much_as_the_verdict_says():
+    distances = {}
+    for (name, link), points in published().items():
+        distances[name, link] = float(outside(name, link, points).max())
+    worst = max(distances, key=lambda key: distances[key])
+    print(f"{worst[0]}, link {worst[1]}: {distances[worst]:.2f} m beyond the capsules")
+    assert {name for name, _ in distances} == set(_ARMS)
+    assert 0.9 * THICKER < distances[worst] <= THICKER
