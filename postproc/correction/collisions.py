@@ -120,7 +120,7 @@ class _Worst:
 
     def __init__(self, motions: Motions, stock: StockInTime | None) -> None:
         self._of: dict[tuple[str, str], tuple[float, int, set[int], float, bool]] = {}
-        self._cut_lines = set(motions.line[~motions.rapid].tolist())
+        self._motions = motions
         self._cell = None if stock is None else stock.accuracy
 
     def note(self, names: tuple[str, str], distance: float, line: int, need: float, begins: bool) -> None:
@@ -138,7 +138,8 @@ class _Worst:
         if names[1] != STOCK or self._cell is None:
             return None
         bound = f", which is rounded up to cells of {self._cell * MM_PER_M:.2g} mm"
-        return bound, _CLEAR_OF_CUT if line in self._cut_lines else _CLEAR_OF_RAPID
+        cuts = not self._motions.rapid[self._motions.line == line].all()
+        return bound, _CLEAR_OF_CUT if cuts else _CLEAR_OF_RAPID
 
 
 _CLEAR_OF_CUT = "Use a longer tool, cut here first, tilt the tool less, or correct the bodies in the cell"

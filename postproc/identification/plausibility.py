@@ -227,21 +227,19 @@ def check_frames(robot: RobotModel, data: Measurements) -> Placement:
     reduced_rms = np.array([_rms(robot, data, np.delete(np.arange(size), row)) for row in range(size)])
     worst = int(np.argmin(reduced_rms))
     if reduced_rms[worst] < _MAX_DISTANCE:
-        first = np.flatnonzero(data.state_config[data.state] == worst)[0]
         raise MeasurementError(
             f"config {data.config[worst]:g}: the readings without load are far from the points that A1…A6 predict",
             file=data.file,
-            line=int(data.line[first]),
+            line=_first_line_of_configuration(data, worst),
             advice="Check its angles (degrees, KUKA signs) and its readings, or leave it out.",
         )
     for split in range(2, size - 1):
         halves = [_rms(robot, data, np.arange(split)), _rms(robot, data, np.arange(split, size))]
         if max(halves) < _MAX_DISTANCE:
-            first = np.flatnonzero(data.state_config[data.state] == split)[0]
             raise MeasurementError(
                 f"readings from config {data.config[split]:g} on are in another frame of the measuring device",
                 file=data.file,
-                line=int(data.line[first]),
+                line=_first_line_of_configuration(data, split),
                 advice="The tracker was moved or set up anew: identify from one set-up, or bring both into one frame.",
             )
     raise MeasurementError(
@@ -329,6 +327,10 @@ def _state_name(data: Measurements, state: int) -> str:
 
 def _first_line(data: Measurements, state: int) -> int:
     return int(data.line[np.flatnonzero(data.state == state)[0]])
+
+
+def _first_line_of_configuration(data: Measurements, row: int) -> int:
+    return int(data.line[np.flatnonzero(data.state_config[data.state] == row)[0]])
 
 
 _SAME_LOAD, _LARGER = 0.02, 1.2
