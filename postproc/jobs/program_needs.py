@@ -205,8 +205,10 @@ def _span(motions: Motions) -> tuple[tuple[float, float, float], tuple[float, fl
     return (x, y, z), (u, v, w)
 
 
-_ASSUMED_ANSWERS: Mapping[str, Any] = {"home": [0.0, 0.0, _CLEARANCE_MM], "radius_offsets": "wear", "dwell_unit": "ms"}
-"""Settings that only some programs need, and an answer for the trial."""
+_DWELL_UNITS = ("ms", "s")
+"""Answers for the trial, the usual one first: a number fits one unit or both."""
+_ASSUMED_ANSWERS: Mapping[str, Any] = {"home": [0.0, 0.0, _CLEARANCE_MM], "radius_offsets": "wear"}
+"""Other settings that only some programs need, and an answer for the trial."""
 
 
 class _Trial:
@@ -220,14 +222,21 @@ class _Trial:
         """Return the program as it is read with every answer, why it is refused then, and the settings it needs."""
         if registry.by_name(self.dialect).writer is not None:
             return self._of_robot()
-        program, refusal = self._read(_ASSUMED_ANSWERS)
-        settings = []
-        if program is not None:
-            for setting in _ASSUMED_ANSWERS:
-                answers = {key: value for key, value in _ASSUMED_ANSWERS.items() if key != setting}
-                if self._read(answers)[0] is None:
-                    settings.append(setting)
-        return program, refusal, tuple(settings)
+        answers, refusals = dict(_ASSUMED_ANSWERS), []
+        for dwell in ({}, *({"dwell_unit": unit} for unit in _DWELL_UNITS)):
+            answers = {**_ASSUMED_ANSWERS, **dwell}
+            program, refusal = self._read(answers)
+            if program is not None:
+                break
+            refusals.append(refusal)
+        else:
+            return None, min(refusals, key=len), ()
+        settings = [
+            setting
+            for setting in answers
+            if self._read({key: value for key, value in answers.items() if key != setting})[0] is None
+        ]
+        return program, "", tuple(settings)
 
     def _of_robot(self) -> tuple[Program | None, str, tuple[str, ...]]:
         """Return a robot program; its own frames may be missing here, which is no refusal."""

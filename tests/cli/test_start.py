@@ -89,6 +89,8 @@ def test_a_program_shows_what_it_needs():
         ("G0 X0 Y0 Z20\nG41 D1 X1 Y1\nG1 Z-1 F500\nX30\nG40 X40", "radius_offsets"),
         ("G0 X5 Z5\nG53 G0 X0 Y0\nG1 Z-1 F500\nX30", "home"),
         ("G0 X0 Y0 Z20\nG1 Z-1 F500\nG4 P800\nX30", "dwell_unit"),
+        ("G4 P1\nG0 X5 Z5\nG53 G0 X0 Y0\nG1 Z-1 F500\nX30", "home"),  # P1 is no time in milliseconds
+        ("G0 X0 Y0 Z20\nG82 X1 Z-1 R1 P500. F500\nX3\nG80", "dwell_unit"),
     ],
 )
 def test_a_setting_is_needed_where_the_program_cannot_be_read_without_it(blocks, setting):

@@ -420,3 +420,10 @@ def test_seconds_where_the_cell_says_milliseconds_are_an_error(code, time):
 def test_x_of_a_dwell_with_a_decimal_point_is_in_seconds_on_every_control():
     for unit in ("s", "ms", None):
         assert _waits(DWELLS["G4 X"].format("12.5"), unit) == [12.5]
+
+
+def test_a_dwell_of_unknown_unit_is_one_error_whatever_the_number_of_holes():
+    with pytest.raises(ProgramError) as caught:
+        read("G21 G90\nG0 X0 Y0 Z9\nG82 Z-2 R1 P500 F100\nX5\nX9\nG80\nM2\n")
+    assert (caught.value.line, caught.value.further_errors) == (3, ())
+    assert "500 ms" in caught.value.problem

@@ -5,7 +5,7 @@ import pytest
 from click.testing import CliRunner
 from msgspec.structs import replace
 
-from postproc.cell import Cell
+from postproc.cell import Cell, Machine
 from postproc.cli import main
 from postproc.errors import ProgramError
 from postproc.program import LIN
@@ -365,10 +365,27 @@ def test_line_numbers_of_a_program_with_cr_alone_are_those_of_its_lines():
     assert (caught.value.line, caught.value.text) == (5, "G77 ; b")
 
 
-def test_commands_of_a_sender_are_not_cutter_locations():
+def test_commands_to_grbl_that_show_something_move_nothing():
+    plain = read(CUT + "M30\n")
+    program = read("$$\n$I ; build\n$G\n?\n ? (state)\n$X\n" + CUT + "M30\n")
+    np.testing.assert_array_equal(ends(program), ends(plain))
+    lines = [issue.source_line for issue in program.issues if issue.kind == "sender-command"]
+    assert lines == [1, 2, 3, 4, 5, 6]
+
+
+@pytest.mark.parametrize("line", ["$110=500", "$J=X10 F100", "$C", "$HXX", "X?", "\N{PILCROW SIGN}", "\x01", "?1"])
+def test_other_commands_to_grbl_are_refused(line):
     with pytest.raises(ProgramError) as caught:
-        read("$H\n$$\n" + CUT)
-    assert caught.value.problem == "unexpected character '$'"
+        read(f"{CUT}{line}\nM30\n")
+    assert caught.value.line == 4
+
+
+def test_homing_by_grbl_needs_the_place_of_the_machine():
+    with pytest.raises(ProgramError, match="machine"):
+        read("$H\n" + CUT, replace(CELL, machine=Machine()))
+
+
+def test_commands_of_a_sender_are_not_cutter_locations():
     with pytest.raises(ProgramError, match="APT cutter-location"):
         read("$$ PART 7\nGOTO/1,2,3\n")
 

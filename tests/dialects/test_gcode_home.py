@@ -27,6 +27,10 @@ AT_HOME = replace(CELL, machine=Machine(home=[3.0, -4.0, 200.0]))
         ),
         ("G0 X5 Z5\nG28 X20\nG1 Z1", [[5, -4, 5], [20, -4, 5], [3, -4, 5], [3, -4, 1]]),  # over the intermediate point
         ("G0 X5 Z5\nG53 G0 X0 Y0\nG1 Z1", [[5, -4, 5], [3, -4, 5], [3, -4, 1]]),
+        ("G0 X5 Y7 Z5\nG28 X\nG1 Z1", [[5, 7, 5], [3, 7, 5], [3, 7, 1]]),  # letters alone: no intermediate point
+        ("G0 X5 Y7 Z5\nN40 G28 Z X (home)\nG1 Z1", [[5, 7, 5], [3, 7, 200], [3, 7, 1]]),
+        ("$H\nG0 X5 Y7 Z5\n$H ; home\nG1 Z1", [[5, 7, 5], [3, -4, 200], [3, -4, 1]]),  # Grbl
+        ("G0 X5 Y7 Z5\n$HZ\nG1 Z1", [[5, 7, 5], [5, 7, 200], [5, 7, 1]]),
         ("G2 X3 Y-4 I10 J0", [[3, -4, 200]]),
     ],
 )

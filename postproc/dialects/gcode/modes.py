@@ -26,7 +26,10 @@ Decisions where controls differ:
   without M6 its H selects the tool. Nearly every CAM program has a G43.
 - A new S while the spindle turns is an event like M3 with that speed.
 - **G28, G30, G53** go to positions of the machine; `[machine]` of the cell says what they mean on the robot. Words of
-  G28 and G30 define an intermediate point only. Without `home` the tool stays above its place.
+  G28 and G30 define an intermediate point only; letters without numbers name axes alone. Without `home` the tool stays
+  above its place.
+- **$H** of Grbl is G28 without an intermediate point. Other commands to Grbl that only show something or release an
+  alarm ($$, $G, $I, $N, $X, ?) have no effect. Source: Grbl v1.1, "Commands" and "Interface".
 """
 
 from __future__ import annotations
@@ -245,7 +248,7 @@ class Origin(Struct, frozen=True):
 
 
 class Return(Struct, frozen=True):
-    """A line with G28, G30 or G53: its axes with their words [mm]."""
+    """A line with G28, G30 or G53: its axes with their words [mm], NaN where it has the letter alone."""
 
     row: int
     code: float
@@ -335,6 +338,9 @@ _LEAST_IN_MS = 10.0
 """Least time of a dwell that may be in milliseconds: nobody waits for less than a hundredth of a second."""
 _WITH_POINT = re.compile(r"[PXU][+]?[0-9]*\.")
 _P_WITH_POINT = re.compile(r"P[+]?[0-9]*\.")
+_GRBL_HOMING = re.compile(r"\$H([XYZ]?)")
+_GRBL_WITHOUT_MOTION = frozenset(("$", "$$", "$G", "$I", "$N", "$X", "$?"))
+"""Commands to Grbl; ``$?`` is what `words.split` makes of a line with ? alone."""
 _OPENING = re.compile(rf"[\n{MARK}]*\n{MARK}*%".encode())
 _DELETE = re.compile(rf"{MARK}*/[1-9]?")
 
@@ -483,6 +489,7 @@ class _Reader:
             self._remark("info", "block-delete", "Blocks with / are executed (block delete is off).", row)
         if code.endswith("%"):  # the end of the tape in the last block
             code, self.taped = code[:-1], True
+        code = self._without_sender_command(row, code)
         self.code = code
         if _P_WITH_POINT.search(code):
             self.with_point.add(row)
@@ -507,6 +514,21 @@ class _Reader:
                 first_error = first_error or cause
         if first_error is not None:
             raise first_error
+
+    def _without_sender_command(self, row: int, code: str) -> str:
+        """Return a block with a command to Grbl replaced: homing by G28, what moves nothing by an empty block."""
+        command = code.strip(MARK)
+        if not command.startswith("$"):
+            return code
+        homed = _GRBL_HOMING.fullmatch(command)
+        if homed is not None:
+            return f"G28{homed[1]}"
+        if command in _GRBL_WITHOUT_MOTION:
+            name = "?" if command == "$?" else command
+            message = f"{name} is a command to Grbl: it moves nothing."
+            self._remark("info", "sender-command", message, row)
+            return ""
+        return code
 
     def _coordinates(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
         if codes.TOOL_LENGTH in g or (43.4 in g and self.frame_codes.rotary) or (43.5 in g and self.takes_directions):

@@ -486,10 +486,14 @@ class _Walk:
         words = {letter: value for letter, value in words.items() if value == value}
         modes = bool(rows.incremental[row]), bool(rows.to_r[row])
         u, v, height = self.position[axes].tolist()
-        try:
-            if "P" in words and rows.motion[row] in DWELLING:
-                word, time = f"G{rows.motion[row]} P", float(words["P"])
+        if "P" in words and rows.motion[row] in DWELLING:
+            word, time = f"G{rows.motion[row]} P", float(words["P"])
+            try:
                 words["P"] = dwell_time(word, time, self.modes.dwell_unit, with_point=row in self.modes.with_point)
+            except BlockError as cause:  # the time does not matter to the holes that follow
+                self.faults.append((row, *cause.args))
+                words["P"] = 0.0
+        try:
             steps, events = self.cycle.hole(float(rows.motion[row]), words, (u, v, height), modes, spindle)
         except BlockError as cause:
             self.faults.append((row, *cause.args))
@@ -565,7 +569,8 @@ class _Walk:
         if to.code != codes.MACHINE and self.known.all():
             via = self.position.copy()
             for axis, word in to.axes.items():
-                via[axis] = word + (via[axis] if relative else 0.0)
+                if not np.isnan(word):
+                    via[axis] = word + (via[axis] if relative else 0.0)
             if np.abs(via - self.position).max() > _FEWEST:
                 self._go(row, via)
         if cell_frames.home_place is not None:

@@ -43,6 +43,7 @@ _COMMENTS = {"(": r"\(([^()\r\n]*)\)", ";": r";([^\r\n]*)", '"': r"[Mm][Ss][Gg][
 """Character of a comment → its pattern. Most programs use one form, and a search for one pattern is fast."""
 _NESTED_BRACKET = re.compile(r"\([^()\r\n]*\(")
 _NESTED_COMMENT = r"\(((?:[^()\r\n]|\([^()\r\n]*\))*)\)"
+_STATUS_QUERY = re.compile(r"^[ \t]*\?(?=[ \t]*(?:[;(\r\n]|\Z))", re.MULTILINE)
 _INNER = re.compile(r"\([^()]*\)")
 _BLOCK = re.compile(r"(?:[A-Z][-+]*(?:[\d.]+|[#\[].*))+", re.IGNORECASE)
 _PACK = bytes(ord("\n") if c in b"\0\r" else c for c in range(256)).upper()
@@ -140,7 +141,10 @@ def split(document: Document) -> Source:
     A bracket outside comments (not closed in its line) stays in the code. Brackets in a comment belong to it unless a
     control that ends the comment at the first closing bracket could read a block behind that.
     """
-    text = document.text.replace(MARK, "?")
+    text = document.text
+    if "?" in text:
+        text = _STATUS_QUERY.sub("$?", text)  # a character that is not ASCII becomes ? below
+    text = text.replace(MARK, "?")
     comments: tuple[str, ...] = ()
     is_nested = _NESTED_BRACKET.search(text) is not None
     forms = [form for begin, form in _COMMENTS.items() if begin in text]
@@ -262,6 +266,8 @@ _WORD = re.compile(rf"{MARK}*([A-Z])([+-]?(?:\d+\.?\d*|\.\d+))")
 _PROGRAM_NUMBER = re.compile(rf"{MARK}*(?:N\d+{MARK}*)?[O:]\d+{MARK}*")
 
 
+_BARE_HOME = re.compile(rf"{MARK}*(?:N\d{{1,15}}{MARK}*)?G(28|30){MARK}*([XYZ]{{1,3}}){MARK}*")
+
 _MOST_WORDS = 100
 """More words than all letters and modal groups together: such a block is refused."""
 _CHARACTERS = {
@@ -270,7 +276,7 @@ _CHARACTERS = {
     "@": "Polar coordinates are not read: let the CAM system write X and Y.",
     "^": "Polar coordinates are not read: let the CAM system write X and Y.",
     ":": "Write the number of the program as O1001 or :1001.",
-    "$": "Remove commands to a sender ($H, $$), and the number of a spindle ($1).",
+    "$": "Remove settings of a Grbl controller ($110=500), and the number of a spindle ($1).",
 }
 _WHOLE = {
     "M": "Write one M code for each function.",
@@ -298,6 +304,9 @@ class BlockError(Exception):
 def words_of(code: str) -> list[tuple[str, float]]:
     """Return the words of a packed block, (letter, value) in order, without its N word or program number.
 
+    A G28 or G30 may have letters without numbers (``G28 X Y``, Marlin and other controls of printers): the axes that go
+    home, each with the value NaN.
+
     :param code: see `postproc.dialects.gcode.words.Source.line`.
     :raises BlockError: part of the block is not a word, a word is repeated or out of range, or two codes exclude each
         other.
@@ -306,6 +315,9 @@ def words_of(code: str) -> list[tuple[str, float]]:
 
     if _PROGRAM_NUMBER.fullmatch(code):
         return []
+    bare = _BARE_HOME.fullmatch(code)
+    if bare is not None and len(set(bare[2])) == len(bare[2]):
+        return [("G", float(bare[1])), *((letter, float("nan")) for letter in bare[2])]
     pairs = _split(code)
     try:
         block = Block(" ".join(letter + number for letter, number in pairs))
