@@ -57,6 +57,11 @@ PROGRAMS = [
         [1],
     ),
     (["WHILE K<3", "K=K+1", "LIN {X K}", "ENDWHILE"], "", [1, 2, 3]),
+    (["LIN P[1]", "RETURN", FULL, "LIN P[2]"], "", [1]),
+    (["LIN P[1]", "IF OK THEN", "RETURN", "ENDIF", FULL], "", [1]),
+    (["LIN P[1]", "IF NOT OK THEN", "RETURN", "ENDIF", AWAY], "", [1, 8]),
+    (["FOR I=1 TO 4", "IF I==3 THEN", "RETURN", "ENDIF", "LIN P[I]", "ENDFOR", FULL], "", [1, 2]),
+    (["SUB(4)", "RETURN", FULL], SUB, [4]),
     (["REPEAT", "K=K+2", "LIN {X K}", "UNTIL K>=4"], "", [2, 4]),
     (["Z=1.5", "REPEAT", "LIN {X Z}", "Z=Z-0.5", "UNTIL Z<0.25"], "", [1.5, 1, 0.5]),
     (["LOOP", "K=K+1", "IF K==3 THEN", "EXIT", "ENDIF", "LIN {X K}", "ENDLOOP", "LIN {X 9}"], "", [1, 2, 9]),
@@ -790,6 +795,23 @@ def test_an_uncalled_routine_of_a_program_with_a_loop_is_reported():
     program = read(body(FULL, *ROUNDS) + "DEF OTHER( )\r\nLIN {X 5}\r\nEND\r\n", DATA)
     (issue,) = [issue for issue in program.issues if issue.kind == "uncalled-motions"]
     assert (issue.source_line, issue.subject) == (10, "OTHER")
+
+
+@pytest.mark.parametrize("lines", [["LIN P[1]"], ["SUB(4)"], ["FOR I=1 TO 3", "LIN P[I]", "ENDFOR"]])
+def test_motions_behind_a_return_are_left_as_they_are_and_reported(lines):
+    """Whether the program calls routines or has loops makes no difference."""
+    dead_lines = [FULL, "LIN P[2]"]
+    program = read(body(FULL, *lines, "RETURN", *dead_lines) + SUB, DATA)
+    (issue,) = [issue for issue in program.issues if issue.kind == "never-reached"]
+    assert (issue.source_line, issue.count) == (6 + len(lines), 2)
+    assert f"RETURN (line {5 + len(lines)})" in issue.message
+    written_lines = krl.rewrite(program, targets(program, np.full((len(program.motions), 3), 1e-3))).documents[0].text
+    assert "\r\n".join(["RETURN", *dead_lines, "END"]) in written_lines
+
+
+def test_a_motion_in_front_of_a_return_in_a_loop_is_reached():
+    lines = ["FOR I=1 TO 3", "IF I==2 THEN", "RETURN", "ENDIF", "LIN P[I]", "ENDFOR"]
+    assert "never-reached" not in {issue.kind for issue in read(body(FULL, *lines), DATA).issues}
 
 
 HOME = "PTP {A1 10,A2 -80,A3 95,A4 0,A5 45,A6 0}"

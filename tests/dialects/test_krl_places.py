@@ -61,8 +61,6 @@ CASES = {
     "GOTO back on an input": ["AGAIN:", HERE, "IF $IN[1] THEN", "GOTO AGAIN", "ENDIF"],
     "GOTO nowhere": [HERE, "GOTO NOWHERE", THERE],
     "GOTO into a loop": ["GOTO INSIDE", "FOR I=1 TO 2", "INSIDE:", HERE, "ENDFOR"],
-    "never reached": [HERE, "RETURN", THERE],
-    "never reached, computed": [HERE, "RETURN", "LIN P[I]"],
     "interrupt that moves": ["INTERRUPT DECL 4 WHEN $IN[1]==TRUE DO MOVER()", "INTERRUPT ON 4", HERE],
     "interrupt that sets": ["INTERRUPT DECL 4 WHEN $IN[1]==TRUE DO SETTER()", "INTERRUPT ON 4", HERE],
     "interrupt that changes": ["INTERRUPT DECL 4 WHEN $IN[1]==TRUE DO I=2", "INTERRUPT ON 4", "LIN P[I]"],

@@ -391,6 +391,9 @@ def _bare(source: Source, word: str, start: int, first: int, stop: int) -> State
     return Bare(word, start, stop, source.text[rest_start:stop].strip(), code=_code(source, rest_start, stop))
 
 
+_FOR_ADVICE = "Write FOR counter=first TO last STEP step; STEP may be left out."
+
+
 def _for(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
     text = source.text
     begin = after_blanks(text, first + len(word), stop)
@@ -402,6 +405,7 @@ def _for(source: Source, word: str, start: int, first: int, stop: int) -> Statem
         if isinstance(target, Reference) and target.field is None and equals >= 0:
             bounds = _bounds(source, equals, stop)
             counter = None if bounds is None else target
+            error = source.error("FOR is not understood", start, _FOR_ADVICE) if bounds is None else None
     except ProgramError as cause:
         error = cause
     code = _code(source, begin, stop) if bounds is None else None

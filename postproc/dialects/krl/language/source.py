@@ -113,8 +113,6 @@ class Place(NamedTuple):
 
     def __str__(self) -> str:
         """Return the place for messages: ``line 12``, with the file if it is not the main one."""
-        if self.source.origins is not None:
-            return str(self.source.origin(self.line))
         return f"line {self.line}" if self.source.index == 0 else f"{self.source.document.name}, line {self.line}"
 
     def error(self, problem: str, advice: str | None = None) -> ProgramError:

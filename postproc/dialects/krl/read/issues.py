@@ -11,6 +11,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from postproc.dialects.krl.language.names import BY_SENSOR
+from postproc.dialects.krl.language.parser import statement
+from postproc.dialects.krl.language.tree import Motion, Return
 from postproc.dialects.krl.layout import Layout
 from postproc.dialects.krl.read.main_routine import MainRoutine
 from postproc.dialects.krl.read.motion_columns import MotionColumns
@@ -34,6 +36,7 @@ def issues_of(
     """
     yield from _absent(main)
     yield from _uncalled(main)
+    yield from _never_reached(main)
     yield from _changed_elsewhere(main)
     yield from _initial_frames(main, states, state, rows, layout)
 
@@ -76,6 +79,20 @@ def _uncalled(main: MainRoutine) -> Iterator[Issue]:
             f"DEF {routine.name} has motions but {main.run.routine.name} does not call it; they are left as they are."
         )
         yield Issue("warning", "uncalled-motions", message, motion.line, subject=routine.name)
+
+
+def _never_reached(main: MainRoutine) -> Iterator[Issue]:
+    """Motions of the main routine that never run because of its RETURN."""
+    routine, source, end = main.run.routine, main.run.routine.source, main.run.level.returned
+    if not end or main.course.live is None or not isinstance(statement(source, end), Return):
+        return
+    others = [line for line in routine.others if line > end and isinstance(statement(source, line), Motion)]
+    lines = np.sort([*routine.plain[routine.plain > end].tolist(), *others]).astype(np.int64)
+    rows, index = main.course.rows_of(source, lines)
+    lines = np.delete(lines, index[main.course.live[rows - 1]])
+    if len(lines):
+        message = f"Motions are never reached, because of RETURN (line {end}); they are left as they are."
+        yield Issue("warning", "never-reached", message, int(lines[0]), subject=routine.name, count=len(lines))
 
 
 def _changed_elsewhere(main: MainRoutine) -> Iterator[Issue]:

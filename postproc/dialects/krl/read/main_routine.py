@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import cached_property
 from operator import attrgetter, itemgetter
@@ -32,7 +32,7 @@ from postproc.dialects.krl.language.routines import Routine
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.structures import Block, Node, checked, nodes_of, outside
 from postproc.dialects.krl.language.tokens import NAME
-from postproc.dialects.krl.language.tree import CallStatement, For, Goto, Motion, Statement
+from postproc.dialects.krl.language.tree import CallStatement, For, Goto, Motion, Return, Statement
 from postproc.dialects.krl.read.collected import Collected
 from postproc.dialects.krl.read.flow import Flow
 from postproc.dialects.krl.read.folder import Library
@@ -119,7 +119,8 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, Collected | None]:
         run.is_final = False  # reported when the trace is followed
 
     flow = Flow(run, taken, wrong, trace)
-    if not any(flow.matters(main.source, node) for node in nodes if isinstance(node, Block) or _calls(main, node)):
+    control = (node for node in nodes if isinstance(node, Block) or _calls(main, node))
+    if not _returns_early(main) and not any(flow.matters(main.source, node) for node in control):
         body = Body(main.first + 1, main.last)
         steps = (Lines(main.first + 1, main.last - 1),)
         return Course(main, main.source, steps, body, taken=reserved_names), None
@@ -153,6 +154,12 @@ def _calls(main: Routine, line: int) -> bool:
     """Return whether a statement may lead to other lines than the next one."""
     stmt = statement(main.source, line)
     return isinstance(stmt, Goto) or ("(" in main.source.text[stmt.start : stmt.stop] and not isinstance(stmt, Motion))
+
+
+def _returns_early(main: Routine) -> bool:
+    """Return whether RETURN may leave the main routine before its last statement."""
+    last = max([*main.others[-1:], *main.plain[-1:].tolist()], default=0)
+    return any(line < last and isinstance(statement(main.source, line), Return) for line in main.others)
 
 
 def _submitted(run: Run) -> None:
@@ -238,8 +245,6 @@ class MainRoutine:
             if len(self._errors) > MAX_ERRORS:
                 break
         errors = self._errors
-        if self.course.straight and run.level.returned:
-            errors += self._never_reached(run.level.returned)
         if self.splines.open is not None and not errors:
             errors.append(self.splines.open.at.error("the spline block is not closed"))
         if run.level.open and not errors:
@@ -336,18 +341,10 @@ class MainRoutine:
             is_other[rounds.first - 1 : rounds.beyond - 1] = False
         return _coded(self.run.source, np.flatnonzero(is_other) + 1)
 
-    def _never_reached(self, return_line: int) -> Iterator[ProgramError]:
-        """Yield an error for the first statement behind RETURN that moves."""
-        source = self.run.source
-        for line in self._lines[bisect_right(self._lines, return_line) :]:
-            if isinstance(statement(source, line), Motion):
-                yield source.line_error(f"the motion is never reached: RETURN in line {return_line}", line)
-                return
-
     def executed(self, plain: Ints) -> Bools:
         """Return which plain motions, by their lines, are those of the course.
 
-        :raises ProgramError: one of them follows RETURN, or is outside of DEF … END.
+        :raises ProgramError: one of them is outside of DEF … END.
         """
         steps = np.array([(s.first, s.last) for s in self.course.steps if isinstance(s, Lines)]).reshape(-1, 2)
         depth = np.zeros(len(plain) + 1, dtype=np.int64)
@@ -356,10 +353,6 @@ class MainRoutine:
         is_executed: Bools = np.cumsum(depth[:-1]) > 0
         if not self.course.straight:
             return is_executed
-        return_line = self.run.level.returned
-        if return_line and (begin := int(np.searchsorted(plain, return_line))) < len(plain) and is_executed[begin]:
-            problem = f"the motion is never reached: RETURN in line {return_line}"
-            raise self.run.source.line_error(problem, int(plain[begin]))
         in_routine = np.zeros(len(plain), dtype=np.bool_)
         for routine in self.run.library.program.routines.values():
             in_routine |= (plain > routine.first) & (plain < routine.last)
@@ -395,7 +388,7 @@ class MainRoutine:
         elif isinstance(step, Branch):
             self.run.branch()
         else:
-            self.run.join(Place(self.run.source, step.line), complete=step.complete)
+            self.run.join(self.run.source.origin(step.line), complete=step.complete)
 
     def _keep(self, step: Kept) -> None:
         """Pass over a control structure of which it is not known what runs; its motions stay as they are."""

@@ -20,7 +20,7 @@ from postproc.chunks import in_chunks
 from postproc.dialects.krl.course import Occasion
 from postproc.dialects.krl.language.positions import FARTHEST
 from postproc.dialects.krl.language.routines import Module, Routine, routines
-from postproc.dialects.krl.language.source import Place, Source
+from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.read.comments import notes_of, remarks
 from postproc.dialects.krl.read.data_lists import read_data, read_shared
 from postproc.dialects.krl.read.folder import FolderFiles, Library, code_of, codes_of, needed
@@ -358,7 +358,7 @@ def _check_size(source: Source, rows: MotionColumns) -> None:
     if is_too_far.any():
         row = int(np.argmax(is_too_far))
         largest = max(float(np.nanmax(np.abs(values[row]), initial=0.0)) for values in (rows.numbers, rows.via))
-        raise out_of_reach(Place(source, int(rows.line[row])), largest)
+        raise out_of_reach(source.origin(int(rows.line[row])), largest)
 
 
 def _check_starts(main: MainRoutine, sequence: OrderedMotions) -> None:
