@@ -7,16 +7,24 @@ from click.testing import CliRunner, Result
 from postproc.cli import main
 
 
-def run(*arguments: object, code: int | tuple[int, ...] = 0, cell: object = None) -> Result:
-    """Run a command and return its result.
+def invoke(*arguments: object, cell: object = None, **options: object) -> Result:
+    """Run a command and return its result, whatever its exit code is.
+
+    :param cell: cell file, added as ``--cell``.
+    :param options: of `CliRunner.invoke`: input, env, catch_exceptions.
+    """
+    words = [*map(str, arguments), *([] if cell is None else ["--cell", str(cell)])]
+    return CliRunner().invoke(main, words, **options)
+
+
+def run(*arguments: object, code: int | tuple[int, ...] = 0, cell: object = None, **options: object) -> Result:
+    """Run a command and return its result; see `invoke`.
 
     :param code: exit code that it must have, or several of which it must have one.
-    :param cell: cell file, added as ``--cell``.
     """
-    given = [*map(str, arguments), *([] if cell is None else ["--cell", str(cell)])]
-    done = CliRunner().invoke(main, given)
-    assert done.exit_code in (code if isinstance(code, tuple) else (code,)), done.output
-    return done
+    result = invoke(*arguments, cell=cell, **options)
+    assert result.exit_code in (code if isinstance(code, tuple) else (code,)), result.output
+    return result
 
 
 def printed(*arguments: object, code: int | tuple[int, ...] = 0, cell: object = None) -> str:

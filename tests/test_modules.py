@@ -15,13 +15,13 @@ from msgspec.structs import replace
 
 from postproc import cell as cells
 from postproc import robot as robots
-from postproc.correction import process, read
+from postproc.correction import process
 from postproc.dialects.krl import write
 from postproc.dialects.krl.write import modules
-from postproc.dialects.text import decode
 from postproc.program import SWITCHED_OFF, EventKind
 from tests import commands
 from tests.attack.krl_interpreter import Controller
+from tests.corrections import read_files
 from tests.kr270 import ROBOT
 from tests.oracle import krl_grammar
 from tests.oracle.arm import Arm, abc
@@ -386,7 +386,7 @@ def test_the_warning_names_the_option_and_programs_that_it_does_not_divide():
 
 def result(mode: str = "convert"):
     unit = cells.load(Path("cell.toml"))
-    program = read([decode("job.nc", Path("job.nc").read_bytes())], ROBOT, unit, "job", "gcode")
+    program = read_files({"job.nc": Path("job.nc").read_bytes()}, unit)
     return process(program, ROBOT, unit, mode=mode)
 
 
@@ -435,7 +435,7 @@ def places(text: str, more: str = "") -> list[str]:
     Path("job.nc").write_text("\n".join(lines))
     Path("cell.toml").write_text(CELL_FILE.read_text() + MORE + more)
     unit = cells.load(Path("cell.toml"))
-    program = read([decode("job.nc", Path("job.nc").read_bytes())], ROBOT, unit, "job", "gcode")
+    program = read_files({"job.nc": Path("job.nc").read_bytes()}, unit)
     return [lines[line - 1] for line in program.motions.line[modules._places(program, unit)]]
 
 

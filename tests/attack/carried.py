@@ -20,6 +20,7 @@ from postproc import correction, forces, report
 from postproc import robot as robots
 from postproc.dialects.text import decode
 from postproc.errors import PostprocError
+from tests.corrections import read_back
 from tests.places import SAMPLES
 
 DATA = (
@@ -157,9 +158,7 @@ def try_program(seed):
             return "refused"
         carried = report.forces_csv(result)
         rows = None if carried is None else rows_of(folder, carried)
-        back = correction.process(
-            correction.read(result.documents, robot, cell, "part", "krl"), robot, cell, rows, "predict"
-        )
+        back = correction.process(read_back(result, cell, robot), robot, cell, rows, "predict")
     ends = back.t == 1.0
     tip = back.nominal[ends, :3, 3] + back.deflection[ends]
     assert np.linalg.norm(tip - result.nominal[:, :3, 3], axis=1).max() < MICROMETRE, text

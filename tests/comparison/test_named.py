@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc import correction
 from postproc.cell import ExternalAxis
 from postproc.comparison import compare
 from postproc.comparison.loaded_path import Search, Ways, places_on_pieces
 from postproc.comparison.partners import in_order, missed_targets, paired, partners_under_force
 from postproc.comparison.paths import Chain, PlacedProgram, nearest
-from postproc.program import PTP, Document
+from postproc.program import PTP
 from postproc.under_load import RobotInCell
+from tests.corrections import read_files
 from tests.kr270 import CELL, ROBOT
 
 TURNED = "A 180,B 0,C 180"
@@ -42,13 +42,9 @@ FIRST = 7
 FORCE = "; FORCE FX=-150 FY=100 FZ=120\n"
 
 
-def read(text, name):
-    return correction.read((Document(name, text),), ROBOT, CELL, "part", "krl")
-
-
 @cache
 def nominal(force=""):
-    return read(HEAD + force + BODY, "ONE.src")
+    return read_files({"ONE.src": HEAD + force + BODY})
 
 
 def edited(*edits):
@@ -61,7 +57,7 @@ def edited(*edits):
 
 
 def compared(body, force=""):
-    return compare(nominal(force), read(HEAD + force + body, "OTHER.src"), ROBOT, CELL)
+    return compare(nominal(force), read_files({"OTHER.src": HEAD + force + body}), ROBOT, CELL)
 
 
 def named(found):
@@ -246,7 +242,7 @@ def test_what_is_no_cut_is_the_same_under_a_force(case):
 
 @pytest.mark.parametrize("force", ["FX=-150 FY=100 FZ=60", "FX=-151 FY=100 FZ=120", "FX=-150 FY=100.5 FZ=120 MZ=-1.5"])
 def test_a_comment_with_another_force_is_quoted_with_that_of_the_nominal_program(force):
-    found = compare(nominal(FORCE), read(f"{HEAD}; FORCE {force}\n{BODY}", "OTHER.src"), ROBOT, CELL)
+    found = compare(nominal(FORCE), read_files({"OTHER.src": f"{HEAD}; FORCE {force}\n{BODY}"}), ROBOT, CELL)
     now = " ".join(part.partition("=")[2] for part in force.split()[:3])
     message = (
         f"its comments give the force {now} N instead of -150 100 120 N ($BASE): it was corrected for another one."
@@ -256,7 +252,7 @@ def test_a_comment_with_another_force_is_quoted_with_that_of_the_nominal_program
 
 def test_forces_alike_but_for_the_digits_written_are_the_same():
     text = f"{HEAD}; FORCE FX=-150.04 FY=100.02 FZ=120.03\n{BODY}"
-    assert named(compare(nominal(FORCE), read(text, "OTHER.src"), ROBOT, CELL)) == []
+    assert named(compare(nominal(FORCE), read_files({"OTHER.src": text}), ROBOT, CELL)) == []
 
 
 @pytest.mark.parametrize(("first", "second", "count"), [(10, 20, 1), (20, 10, 0)])
@@ -279,12 +275,12 @@ def test_a_robot_on_a_track_cuts_as_one_that_was_set_up_there():
     """E1 = 300 and $BASE moved with it: the same poses of the arm, so the same deviations, between targets too."""
     inserted = "LIN {X 80,Y 12,Z 0.2,A 180.1,B 0,C 180}\n"
     texts = [HEAD + FORCE + body for body in (BODY, edited((POINT, inserted + POINT)))]
-    fixed = compare(*(read(text, "P.src") for text in texts), ROBOT, CELL).cuts
+    fixed = compare(*(read_files({"P.src": text}) for text in texts), ROBOT, CELL).cuts
     there = [
         text.replace("Y -200", "Y 100").replace("C 180", "C 180,E1 300").replace("A6 0}", "A6 0,E1 300}")
         for text in texts
     ]
-    programs = (correction.read((Document("P.src", text),), ROBOT, RAIL, "part", "krl") for text in there)
+    programs = (read_files({"P.src": text}, RAIL) for text in there)
     moved = compare(*programs, ROBOT, RAIL).cuts
     assert np.sort(np.linalg.norm(fixed.corrected_deviation, axis=1))[1] > 1e-4  # but for the rapid motion
     assert len(fixed.row) > 10
@@ -296,7 +292,7 @@ def test_a_robot_on_a_track_cuts_as_one_that_was_set_up_there():
 
 
 def placed(text):
-    return PlacedProgram.of(read(text, "ONE.src"), RobotInCell.of(ROBOT, CELL))
+    return PlacedProgram.of(read_files({"ONE.src": text}), RobotInCell.of(ROBOT, CELL))
 
 
 def test_lines_and_arcs_are_looked_at_every_centimetre_and_short_ones_at_least():
@@ -457,7 +453,7 @@ def test_a_target_behind_the_last_pair_and_one_that_axes_move_to_are_not_inserte
 
 
 def test_comments_of_the_second_program_alone_count_at_pairs():
-    found = compare(nominal(), read(HEAD + FORCE + BODY, "OTHER.src"), ROBOT, CELL)
+    found = compare(nominal(), read_files({"OTHER.src": HEAD + FORCE + BODY}), ROBOT, CELL)
     assert [len(getattr(found.cuts, name)) for name in ("row", "t", "nominal_distance", "length")] == [0] * 4
     cutting = ~found.rapid
     np.testing.assert_allclose(found.cuts.wrench[cutting], np.tile([-150.0, 100, 120, 0, 0, 0], (6, 1)))
@@ -469,7 +465,7 @@ def test_comments_of_the_second_program_alone_count_at_pairs():
 @pytest.mark.parametrize("frame", ["BASE", "TOOL"])
 def test_frames_that_differ_by_more_than_a_micrometre_are_reported(frame, more, count):
     text = HEAD.replace("Z 700" if frame == "BASE" else "Z 350", f"Z {(700 if frame == 'BASE' else 350) + more:.4f}")
-    found = compare(nominal(), read(text + BODY, "OTHER.src"), ROBOT, CELL)
+    found = compare(nominal(), read_files({"OTHER.src": text + BODY}), ROBOT, CELL)
     assert [(d.kind, d.count) for d in found.differences] == count * [(frame.lower(), 7)]
 
 
@@ -477,7 +473,7 @@ def test_motions_known_at_run_time_only_are_counted():
     keeping = replace(CELL, krl=replace(CELL.krl, keep_unresolved=True))
     unknown = "LIN $POS_ACT:{X 0,Y 5,Z -5}\n"
     texts = [HEAD + edited((POINT, POINT + n * unknown)) for n in (1, 3)]
-    one, other = (correction.read((Document("P.src", text),), ROBOT, keeping, "part", "krl") for text in texts)
+    one, other = (read_files({"P.src": text}, keeping) for text in texts)
     for pair in ((one, other), (other, one)):
         (found,) = (d for d in compare(*pair, ROBOT, keeping).differences if d.kind == "unresolved-differs")
         assert (found.level, found.count) == ("error", 2)
@@ -487,7 +483,7 @@ CARRIED = (HEAD + BODY).replace("C 180", "C 180,E1 300").replace("A6 0}", "A6 0,
 
 
 def external_axes(texts, cell):
-    programs = (correction.read((Document("P.src", text),), ROBOT, cell, "part", "krl") for text in texts)
+    programs = (read_files({"P.src": text}, cell) for text in texts)
     return [d for d in compare(*programs, ROBOT, cell).differences if d.kind == "external-axis"]
 
 
@@ -574,14 +570,14 @@ def test_motions_without_a_way_share_it_by_their_number():
 
 def test_a_turn_of_zero_in_both_programs_is_no_difference():
     text = HEAD + BODY.replace("T 2}", "T 0}")
-    assert named(compare(read(text, "ONE.src"), read(text, "OTHER.src"), ROBOT, CELL)) == []
+    assert named(compare(read_files({"ONE.src": text}), read_files({"OTHER.src": text}), ROBOT, CELL)) == []
 
 
 @pytest.mark.parametrize("payload", [0.0, 20.0])
 def test_ways_by_ptp_and_from_where_nothing_is_corrected_are_not_compared_inside(payload):
     """The robot comes from an axis target to the first pair, and by a PTP to the last but one."""
     cell = replace(CELL, payload=replace(CELL.payload, mass_kg=payload))
-    side = PlacedProgram.of(read(HEAD + BODY, "ONE.src"), RobotInCell.of(ROBOT, cell))
+    side = PlacedProgram.of(read_files({"ONE.src": HEAD + BODY}), RobotInCell.of(ROBOT, cell))
     found = paired(side, side, np.arange(7), np.ones(7, dtype=bool))
     known = Ways.of_pairs(found, side, side).is_comparable
     assert known.tolist() == [payload == 0.0, True, True, True, True, False, True]

@@ -9,11 +9,10 @@ import pytest
 from msgspec.structs import replace
 from scipy.spatial.transform import Rotation
 
-from postproc import correction
 from postproc.cell import ExternalAxis
 from postproc.comparison import compare
-from postproc.program import Document
 from tests.comparison.test_named import CELL, ROBOT
+from tests.corrections import read_files
 
 COMPONENTS = ("FX", "FY", "FZ", "MX", "MY", "MZ")
 FORCE = np.array([-150.0, 100.0, 120.0, 6.0, -9.0, 4.0])
@@ -72,7 +71,7 @@ def compared(base, tool, e1, forces=True):
     texts = written("ONE", MOVES, base, tool, e1), written("OTHER", OTHER, base, tool, e1, tuple(TURN.items()))
     if not forces:
         texts = tuple("\n".join(line for line in text.split("\n") if "FORCE" not in line) for text in texts)
-    programs = (correction.read((Document("P.src", text),), ROBOT, cell, "part", "krl") for text in texts)
+    programs = (read_files({"P.src": text}, cell) for text in texts)
     return compare(*programs, ROBOT, cell)
 
 

@@ -18,6 +18,7 @@ from postproc import robot as robots
 from postproc.comparison import compare
 from tests import commands
 from tests.attack.compared import HEAD, TURNED
+from tests.corrections import read_back
 from tests.kr270 import CELL_TEXT
 from tests.places import SAMPLES
 
@@ -150,7 +151,7 @@ def test_what_each_would_cut_is_what_predict_and_convert_say(robot, name):
     nominal = jobs.read_program(SAMPLES / name, model, cell)
     made = correction.process(nominal, model, cell)
     predicted = correction.process(nominal, model, cell, mode="predict")
-    written = correction.read(made.documents, model, cell, nominal.name, "krl")
+    written = read_back(made, cell, model)
     as_written = correction.process(written, model, cell, mode="predict")
     found = compare(nominal, written, model, cell)
     ends = predicted.t == 1.0

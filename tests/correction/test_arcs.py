@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.correction.test_end_to_end import convert, rows_of, simulator, written
+from tests.correction.simulated import convert, rows_of, simulator, written
+from tests.corrections import correct_files
 
 HEAD = "%\nG21 G90 G17 G94\nG0 X0 Y0 Z20\nG1 Z0 F1500\n"
 SHARES = (0.25, 0.55, 0.8, 1.0)
@@ -64,7 +65,7 @@ def own_force(arc, t, frame):
 )  # fmt: skip
 def test_arcs_are_held_within_the_tolerance_everywhere(seed, count, size, strength, frame):
     text, arcs = made(np.random.default_rng(seed), count, size, strength, frame)
-    result = convert({"arcs.nc": text.encode()}, "cell_kr270.toml", "gcode")
+    result = correct_files({"arcs.nc": text})
     assert not result.failed, result.issues
     sim, moves, rows = simulator("cell_kr270.toml"), written(result), rows_of(result)
     axis_moves = len(moves) - len(rows)
@@ -186,7 +187,7 @@ def test_arcs_on_which_feed_axes_swing_round_are_held_within_the_tolerance(cell_
     across = [np.linalg.norm(np.cross(np.cos(x) * v - np.sin(x) * u, up)) for x in np.linspace(0.0, turn, 400)]
     assert 1.5e-3 < min(across) / np.linalg.norm(u) < 0.1
     text = circ(cell_file, angles, via, end, force)
-    result = convert({"part.src": text.encode()}, cell_file, "krl")
+    result = convert({"part.src": text}, cell_file)
     assert not result.failed, result.issues
     line = next(n for n, text in enumerate(text.split("\n"), 1) if text.startswith("CIRC"))
     assert 0.0 < worst_miss(result, cell_file, {line: arc}) <= 0.010
@@ -222,7 +223,7 @@ def test_upright_arcs_of_cam_programs_are_held_within_the_tolerance(plane, radiu
     if begin is None:
         begin = QUARTER if plane == 18 else 0.0  # the arc begins along the spindle
     text, arcs = planar(plane, radius, begin, turn, rise)
-    result = convert({"part.nc": text.encode()}, "cell_kr270.toml", "gcode")
+    result = convert({"part.nc": text})
     assert not result.failed, result.issues
     assert 0.0 < worst_miss(result, "cell_kr270.toml", arcs) <= 0.010
 
@@ -230,9 +231,9 @@ def test_upright_arcs_of_cam_programs_are_held_within_the_tolerance(plane, radiu
 @pytest.mark.parametrize("plane", [18, 19])
 def test_a_force_that_jumps_within_an_arc_is_told(plane):
     text, arcs = planar(plane, 20.0, (QUARTER if plane == 18 else 0.0) - 0.5, QUARTER, 0.0)
-    result = convert({"part.nc": text.encode()}, "cell_kr270.toml", "gcode")
+    result = convert({"part.nc": text})
     (error,) = (issue for issue in result.issues if issue.level == "error")
     assert (error.kind, error.source_line) == ("force-jump", *arcs)
     assert "Divide the move" in error.message
-    as_base = convert({"part.nc": text.replace("FEED", "BASE").encode()}, "cell_kr270.toml", "gcode")
+    as_base = convert({"part.nc": text.replace("FEED", "BASE")})
     assert not as_base.failed

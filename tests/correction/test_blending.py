@@ -11,7 +11,7 @@ from msgspec.structs import replace as changed
 from postproc import correction, report, toolpath
 from postproc.correction import targets as correction_targets
 from postproc.correction.targets import Corners
-from postproc.dialects.text import decode
+from tests.corrections import correct_files, read_files
 from tests.kr270 import CELL, ROBOT
 from tests.oracle import cell_sim
 from tests.programs import program as made_of
@@ -21,11 +21,7 @@ HEAD = "G90 G21 G17\nS1000 F600\nG0 X0 Y0 Z10\n"
 
 def converted(text, dialect="gcode", **gcode):
     cell = changed(CELL, gcode=changed(CELL.gcode, **gcode))
-    document = decode("part.nc" if dialect == "gcode" else "part.src", text.encode())
-    program = correction.read([document], ROBOT, cell, "part", dialect)
-    result = correction.process(program, ROBOT, cell)
-    assert not result.failed, result.issues
-    return result
+    return correct_files({"part.nc" if dialect == "gcode" else "part.src": text}, cell)
 
 
 def stops(result):
@@ -169,13 +165,11 @@ END
 
 def test_no_corner_is_seen_between_motions_that_do_not_follow_each_other():
     keeping = changed(CELL, krl=changed(CELL.krl, keep_unresolved=True, initmov="cell"))
-    program = correction.read([decode("part.src", KEPT.encode())], ROBOT, keeping, "part", "krl")
+    program = read_files({"part.src": KEPT}, keeping)
     result = correction.process(program, ROBOT, keeping)
     assert result.rounding.max() < 1e-6
     joined = KEPT.replace("LIN $POS_ACT:{X 0,Y 5,Z -5} C_DIS\n", "")
-    result = correction.process(
-        correction.read([decode("part.src", joined.encode())], ROBOT, keeping, "part", "krl"), ROBOT, keeping
-    )
+    result = correction.process(read_files({"part.src": joined}, keeping), ROBOT, keeping)
     assert result.rounding.max() > 1e-4
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from postproc import cell as cells
 from postproc import correction, forces, robot
-from postproc.dialects.text import decode
+from tests.corrections import read_files
 from tests.places import SAMPLES
 
 HEAD = "DEF part()\nPTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}\n$VEL.CP=0.05\n"
@@ -20,7 +20,7 @@ def processed(lines, rows, tmp_path, mode="convert"):
     table.write_text("line,Fx,Fy,Fz\n" + "".join(f"{line},{force},20,30\n" for line, force in rows.items()))
     cell = cells.load(SAMPLES / "cell_kr270.toml")
     model = robot.load(robot.find(cell.robot))
-    program = correction.read([decode("part.src", f"{text}END\n".encode())], model, cell, "part", "krl")
+    program = read_files({"part.src": f"{text}END\n"}, cell, model)
     return correction.process(program, model, cell, forces.read(table), mode)
 
 
@@ -60,7 +60,7 @@ def test_a_round_of_an_endless_loop_that_turns_a6_all_the_way_is_refused(angles,
     text = f"{HEAD}{first}; FORCE FZ=100\n{first}LOOP\n{''.join(lines[1:])}ENDLOOP\nEND\n"
     cell = cells.load(SAMPLES / "cell_kr270.toml")
     model = robot.load(robot.find(cell.robot))
-    program = correction.read([decode("part.src", text.encode())], model, cell, "part", "krl")
+    program = read_files({"part.src": text}, cell, model)
     errors = [issue for issue in correction.process(program, model, cell).issues if issue.level == "error"]
     assert [error.kind for error in errors] == ["branch-joints"] * turned
     angles_of = [re.search(r"end with A6 at (-?\d+)° and (-?\d+)°", error.message) for error in errors]

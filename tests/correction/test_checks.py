@@ -7,8 +7,8 @@ import pytest
 from msgspec.structs import replace
 
 from postproc import correction, robot
-from postproc.dialects.text import decode
 from postproc.poses import Poses
+from tests.corrections import read_files
 from tests.kr270 import CELL
 from tests.oracle.arm import Arm
 from tests.programs import program
@@ -228,7 +228,7 @@ def test_advice_for_g_code_is_not_given_for_krl():
 def test_half_a_turn_from_home_is_a_warning():
     text = "DEF home()\n$VEL.CP=0.02\nPTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}\n;FORCE FX=100 FY=0 FZ=300\n"
     text += "LIN {X 0,Y 40,Z 10,A 0,B 0,C 180}\nLIN {X 60,Y 40,Z 10,A 0,B 0,C 180}\nEND\n"
-    made = correction.read([decode("home.src", text.encode())], MODEL, CELL, "home", "krl")
+    made = read_files({"home.src": text})
     found = [issue for issue in correction.process(made, MODEL, CELL).issues if issue.kind == "half-turn"]
     assert [(issue.level, issue.source_line) for issue in found] == [("warning", 5)]
 
@@ -240,6 +240,6 @@ def test_a_move_that_turns_the_tool_by_half_a_circle_is_refused_where_it_is_corr
     lines = [f"{kind} {{X {x},Y 40,Z 10,A {a},B 0,C 180}}" for kind, x, a in moves]
     home = "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}"
     text = "\n".join(["DEF half()", "$VEL.CP=0.02", home, force, *lines, "END", ""])
-    made = correction.read([decode("half.src", text.encode())], MODEL, CELL, "half", "krl")
+    made = read_files({"half.src": text})
     found = [issue for issue in correction.process(made, MODEL, CELL).issues if issue.kind == "half-turn"]
     assert [(issue.level, issue.source_line) for issue in found] == ([(level, 7)] if abs(angle) > 179.8 else [])

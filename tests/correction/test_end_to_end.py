@@ -5,78 +5,26 @@ Forces between targets are recomputed here from the rules of the format (ramp of
 
 from __future__ import annotations
 
-import csv
-import io
-import tomllib
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from postproc import cell as cells
 from postproc import correction, report, robot
-from postproc.dialects.text import decode
-from tests.oracle import cell_sim
-from tests.oracle.arm import Arm
+from tests.correction.simulated import MICROMETRE, check_targets, convert, rows_of, simulator, written
+from tests.corrections import correct_files, read_files
 from tests.places import SAMPLES
-
-MICROMETRE = 1e-6
-
-
-def convert(text_files, cell_file, dialect, rows=None, **options):
-    cell = cells.load(SAMPLES / cell_file)
-    model = robot.load(robot.find(cell.robot))
-    documents = [decode(name, data) for name, data in text_files.items()]
-    program = correction.read(documents, model, cell, Path(documents[0].name).stem, dialect)
-    return correction.process(program, model, cell, rows, **options)
-
-
-def simulator(cell_file):
-    raw = tomllib.loads((SAMPLES / cell_file).read_text(encoding="utf-8"))
-    arm = Arm.load(robot.find(raw["robot"]))
-    frame = lambda table: tuple(raw[table].get(k, 0.0) for k in "XYZABC")  # noqa: E731
-    return cell_sim.Cell(arm, raw["start"]["joints"], frame("base"), frame("tool"))
-
-
-def written(result, home=None):
-    texts = {d.name.rpartition(".")[2].lower(): d.to_bytes().decode() for d in result.documents}
-    return cell_sim.read(texts["src"], texts.get("dat", ""), home)
-
-
-def rows_of(result):
-    text = b"".join(report.targets_csv(result)).decode()
-    return [{k: float(v) if v else None for k, v in row.items()} for row in csv.DictReader(io.StringIO(text))]
-
-
-def check_targets(result, sim, moves, every):
-    """At targets the loaded tip stands within 1 µm of nominal under the force of targets.csv."""
-    rows = rows_of(result)
-    cartesian = [i for i, move in enumerate(moves) if "frame" in move]
-    assert len(rows) == len(cartesian)
-    worst = 0.0
-    for index, _, _, q in sim.run(moves):
-        row = rows[cartesian.index(index)] if len(cartesian) < 2000 else rows[index - (len(moves) - len(rows))]
-        assert int(row["output_line"]) == moves[index]["line"]
-        if index % every == 0:
-            wrench = np.array([row[k] for k in ("Fx", "Fy", "Fz", "Mx", "My", "Mz")])
-            tip = sim.tip(moves[index], q, wrench)
-            nominal = np.array([row[k] for k in "XYZ"]) / 1000
-            worst = max(worst, float(np.linalg.norm(tip - nominal)))
-            assert row["after_mm"] == pytest.approx(1000 * np.linalg.norm(tip - nominal), abs=2e-4)
-    assert worst <= MICROMETRE + 1e-7
-    return rows
 
 
 def test_pocket_with_arcs_stands_within_a_micrometre_at_every_target():
     data = (SAMPLES / "pocket.nc").read_bytes()
-    result = convert({"pocket.nc": data}, "cell_kr270.toml", "gcode")
+    result = correct_files({"pocket.nc": data})
     assert not result.failed
     check_targets(result, simulator("cell_kr270.toml"), written(result), every=9)
 
 
 def test_krl_with_inline_forms_and_named_points_stands_within_a_micrometre():
     files = {name: (SAMPLES / name).read_bytes() for name in ("inline.src", "inline.dat")}
-    result = convert(files, "cell_kr270.toml", "krl")
+    result = correct_files(files)
     assert not result.failed
     home = [0, -90, 100, 0, 80, 0]  # [start] of the cell: the controller's own home position is in no file
     check_targets(result, simulator("cell_kr270.toml"), written(result, home), every=1)
@@ -112,7 +60,7 @@ LINES = [
 def test_between_targets_the_path_is_held_within_the_tolerance(cell_file):
     scale = 1.0 if "270" in cell_file else 0.25
     text = CUTS if scale == 1.0 else _scaled(CUTS, scale)
-    result = convert({"cuts.nc": text.encode()}, cell_file, "gcode")
+    result = convert({"cuts.nc": text}, cell_file)
     assert not result.failed, result.issues
     sim, moves = simulator(cell_file), written(result)
     rows = check_targets(result, sim, moves, every=2)
@@ -147,7 +95,7 @@ def _scaled(text, factor):
 
 
 def test_feed_force_on_the_arc_is_the_one_the_simulator_derives():
-    result = convert({"cuts.nc": CUTS.encode()}, "cell_kr270.toml", "gcode")
+    result = correct_files({"cuts.nc": CUTS})
     arc = [row for row in rows_of(result) if row["source_line"] == 12 and row["t"] > 0.2]
     assert len(arc) >= 2
     for row in arc:
@@ -165,13 +113,13 @@ def test_zero_force_gives_the_same_krl_byte_for_byte():
             name: b"\n".join(line for line in data.split(b"\n") if b"FORCE" not in line) for name, data in files.items()
         }
         cell = "cell_kr16.toml" if names == ("long_lin.src",) else "cell_kr270.toml"
-        result = convert(quiet, cell, "krl")
+        result = convert(quiet, cell)
         assert not result.failed, result.issues
         assert {d.name: d.to_bytes() for d in result.documents} == quiet
 
 
 def test_nominal_krl_from_gcode_stands_on_the_nominal_path_without_force():
-    result = convert({"cuts.nc": CUTS.encode()}, "cell_kr270.toml", "gcode", mode="nominal")
+    result = correct_files({"cuts.nc": CUTS}, mode="nominal")
     sim = simulator("cell_kr270.toml")
     rows, moves = rows_of(result), written(result)
     for index, _, pose, _ in sim.run(moves):
@@ -182,7 +130,7 @@ def test_nominal_krl_from_gcode_stands_on_the_nominal_path_without_force():
 
 def test_a_force_wrong_by_one_percent_is_seen_by_the_oracle():
     """Proof that the checks above can fail."""
-    result = convert({"cuts.nc": CUTS.encode()}, "cell_kr270.toml", "gcode")
+    result = correct_files({"cuts.nc": CUTS})
     sim, moves, rows = simulator("cell_kr270.toml"), written(result), rows_of(result)
     off = []
     for index, _, _, q in sim.run(moves):
@@ -193,7 +141,7 @@ def test_a_force_wrong_by_one_percent_is_seen_by_the_oracle():
 
 
 def test_the_written_program_sets_base_and_tool_of_the_cell():
-    result = convert({"cuts.nc": CUTS.encode()}, "cell_kr270.toml", "gcode")
+    result = correct_files({"cuts.nc": CUTS})
     sim = simulator("cell_kr270.toml")
     assert (sim.base, sim.tool) == ((1500, -200, 700, 0, 0, 0), (0, 0, 350, 0, 0, 0))
     assert {(move["base"], move["tool"]) for move in written(result) if "frame" in move} == {(sim.base, sim.tool)}
@@ -215,7 +163,7 @@ M2
 @pytest.mark.parametrize("linearize", [False, True])
 def test_the_ramp_of_a_feed_force_on_a_small_arc_is_held_between_targets_too(linearize):
     """Travel and force turn while the force grows: the hardest piece of a path."""
-    result = convert({"corner.nc": CORNER.encode()}, "cell_kr270.toml", "gcode", linearize_arcs=linearize)
+    result = correct_files({"corner.nc": CORNER}, linearize_arcs=linearize)
     assert not result.failed, result.issues
     sim, moves, rows = simulator("cell_kr270.toml"), written(result), rows_of(result)
     axis_moves, worst, begin = len(moves) - len(rows), 0.0, 0.0
@@ -244,7 +192,7 @@ def test_a_tool_that_gives_way_is_corrected_and_told_apart():
     soft = msgspec.structs.replace(cell, tool_compliance=cells.ToolCompliance(X_um_per_N=0.2, Y_um_per_N=0.2))
     model = robot.load(robot.find(cell.robot))
     text = "G21 G90 G17\nG0 X0 Y0 Z20\n(FORCE FX=300 FZ=100)\nG1 Z0 F600\nG1 X60\nG3 X60 Y40 I0 J20\nG0 Z20\nM2\n"
-    program = correction.read([decode("part.nc", text.encode())], model, soft, "part", "gcode")
+    program = read_files({"part.nc": text}, soft, model)
     result, rigid = (correction.process(program, model, each) for each in (soft, cell))
     cutting = ~result.rapid
     np.testing.assert_allclose(result.deflection_by_tool[cutting][:, 0], 60e-6, rtol=1e-3)  # 300 N · 0.2 µm/N

@@ -9,9 +9,9 @@ from msgspec.structs import replace as changed
 from postproc import cell as cells
 from postproc import correction
 from postproc.cell import ExternalAxis
-from postproc.dialects.text import decode
 from postproc.errors import CellError, ProgramError
-from tests.correction.test_end_to_end import rows_of, simulator
+from tests.correction.simulated import rows_of, simulator
+from tests.corrections import read_files
 from tests.kr270 import CELL, ROBOT
 from tests.oracle import cell_sim
 from tests.oracle.arm import abc
@@ -34,9 +34,7 @@ def text_of(*lines):
 
 
 def read(text, cell=RAIL, data=None):
-    files = {"part.src": text, **({"part.dat": data} if data else {})}
-    documents = [decode(name, content.encode()) for name, content in files.items()]
-    return correction.read(documents, ROBOT, cell, "part", "krl")
+    return read_files({"part.src": text} | ({"part.dat": data} if data else {}), cell)
 
 
 def convert(text, cell=RAIL, data=None, **options):

@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 import postproc
 from postproc import correction
 from postproc.cell import Rotary
-from postproc.dialects.text import decode
-from tests.correction.test_end_to_end import rows_of, simulator, written
+from tests.correction.simulated import rows_of, simulator, written
+from tests.corrections import read_files
 from tests.kr270 import CELL
 from tests.oracle.arm import abc
 
@@ -48,7 +48,7 @@ def test_the_loaded_tool_stands_in_its_nominal_pose_in_all_six_directions(axes):
     cell = replace(CELL, rotary=Rotary(axes=axes, kind="tcp"))
     robot = postproc.load_robot(cell.robot)
     text = "\n".join(line.format(*axes) for line in LINES)
-    program = correction.read([decode("five.nc", text.encode())], robot, cell, "five", "gcode")
+    program = read_files({"five.nc": text}, cell, robot)
     result = correction.process(program, robot, cell)
     assert not result.failed, result.issues
     sim, moves, rows = simulator("cell_kr270.toml"), written(result), rows_of(result)

@@ -7,10 +7,10 @@ import pytest
 from msgspec.structs import replace
 
 from postproc import correction, forces, report, toolpath
-from postproc.dialects.text import decode
 from postproc.robot.model import Covariance
-from tests.correction.test_end_to_end import rows_of, simulator, written
+from tests.correction.simulated import rows_of, simulator, written
 from tests.correction.test_forces_carried import CELL, HEAD, ROBOT, check, convert
+from tests.corrections import read_back, read_files
 
 TEXT = HEAD + "G1 Z0\nG1 X120\nG3 X120 Y40 I0 J20\nG1 X0\nG0 Z20\nM2\n"
 LINE, ARC, BACK = 5, 6, 7
@@ -72,7 +72,7 @@ def test_the_forces_of_the_written_program_are_those_it_was_corrected_for(tmp_pa
 def test_what_is_given_for_the_written_program_holds_between_its_targets_too(tmp_path):
     result = convert("part.nc", TEXT, rows=source(tmp_path, FORCES))
     (tmp_path / "in.csv").write_bytes(report.forces_csv(result))
-    program = correction.read(result.documents, ROBOT, CELL, "part", "krl")
+    program = read_back(result)
     path = toolpath.segments(program, program.motions.target[0])
     load = forces.assign(program, path, forces.read(tmp_path / "in.csv"), "+Z", 1e-3)
     begin = np.where(np.diff(result.source_line, prepend=0) == 0, np.roll(result.t, 1), 0.0)
@@ -106,7 +106,7 @@ def test_the_bound_counts_the_deviation_of_the_forces(tmp_path):
     """Against draws of the force put on an arm that shares no code: 95 % of them move the tip by less."""
     known = replace(ROBOT, covariance=Covariance.of(["k1"], [[1e-12]]))
     text = f"line,t,Fx,Fy,Fz,frame,sFx,sFy,sFz\n{LINE},0,300,-100,150,FEED,20,0,5\n{LINE},1,300,-100,150,FEED,60,30,5\n"
-    program = correction.read([decode("part.nc", TEXT.encode())], known, CELL, "part", "gcode")
+    program = read_files({"part.nc": TEXT}, robot=known)
     result = correction.process(program, known, CELL, source(tmp_path, text))
     (row,) = np.flatnonzero((result.source_line == LINE) & (result.t == 1.0))
     assert not result.bound[result.source_line == BACK][-1]
@@ -124,7 +124,7 @@ def test_the_bound_holds_whether_components_share_one_error_or_have_their_own(tm
     """Against draws of 15 % put on an arm that shares no code: one factor, or one for each component."""
     known = replace(ROBOT, covariance=Covariance.of(["k1"], [[1e-12]]))
     text = f"line,Fx,Fy,Fz,frame,sigma_percent\n{LINE},{force},FEED,15\n"
-    program = correction.read([decode("part.nc", TEXT.encode())], known, CELL, "part", "gcode")
+    program = read_files({"part.nc": TEXT}, robot=known)
     result = correction.process(program, known, CELL, source(tmp_path, text))
     (row,) = np.flatnonzero((result.source_line == LINE) & (result.t == 1.0))
     sim, moves = simulator("cell_kr270.toml"), written(result)
@@ -151,7 +151,7 @@ def test_a_factor_of_the_force_goes_with_the_program(tmp_path):
 def test_a_model_that_knows_nothing_of_itself_has_no_bound_but_tells(tmp_path):
     text = f"line,Fx,Fy,Fz,sigma_percent\n{LINE},300,-100,150,15\n"
     unsure = replace(ROBOT, covariance=None)
-    program = correction.read([decode("part.nc", TEXT.encode())], unsure, CELL, "part", "gcode")
+    program = read_files({"part.nc": TEXT}, robot=unsure)
     result = correction.process(program, unsure, CELL, source(tmp_path, text))
     assert result.bound is None
     assert [issue.level for issue in result.issues if issue.kind == "no-bound"] == ["info"]
@@ -181,6 +181,6 @@ def test_a_line_that_turns_the_tool_past_its_travel_holds_the_tolerance_under_a_
 
 
 def test_a_line_that_turns_the_tool_through_its_travel_is_refused_for_the_jump_of_the_force():
-    program = correction.read([decode("part.src", TURNING.format(0.0).encode())], ROBOT, CELL, "part", "krl")
+    program = read_files({"part.src": TURNING.format(0.0)})
     issues = [issue for issue in correction.process(program, ROBOT, CELL).issues if issue.level == "error"]
     assert [(issue.kind, issue.source_line) for issue in issues] == [("force-jump", 7)]

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from postproc import correction, forces, report
-from postproc.dialects.text import decode
-from tests.correction.test_end_to_end import simulator
+from tests.correction.simulated import simulator
+from tests.corrections import correct_files, read_back
 from tests.kr270 import CELL, ROBOT
 from tests.oracle import cell_sim
 
@@ -20,11 +20,7 @@ MILLINEWTON = 1e-3
 
 def convert(name, text, data=None, rows=None, **options):
     files = {name: text} | ({} if data is None else {"part.dat": data})
-    documents = [decode(file, content.encode()) for file, content in files.items()]
-    program = correction.read(documents, ROBOT, CELL, "part", "krl" if name.endswith("src") else "gcode")
-    result = correction.process(program, ROBOT, CELL, rows, **options)
-    assert not result.failed, result.issues
-    return result
+    return correct_files(files, source=rows, **options)
 
 
 def predicted(result, tmp_path):
@@ -34,7 +30,7 @@ def predicted(result, tmp_path):
     if text is not None:
         (tmp_path / "part.forces.csv").write_bytes(text)
         rows = forces.read_force_csv(tmp_path / "part.forces.csv")
-    program = correction.read(result.documents, ROBOT, CELL, "part", "krl")
+    program = read_back(result)
     back = correction.process(program, ROBOT, CELL, rows, "predict")
     assert not back.failed, back.issues
     return back, back.t == 1.0

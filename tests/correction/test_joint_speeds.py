@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc.correction import checks, inspection, process, read
-from postproc.dialects.text import decode
+from postproc.correction import checks, inspection, process
 from postproc.under_load import MotionsUnderLoad, PathUnderLoad, RobotInCell
+from tests.corrections import read_files
 from tests.kr270 import CELL, ROBOT
 
 FAST = replace(CELL, gcode=replace(CELL.gcode, rapid_m_per_s=6.0))
@@ -18,8 +18,8 @@ RAPIDS = "G21 G90\nS9000 M3\nG0 X0 Y0 Z50\nZ5\nG1 X50 F{feed}\nG0 Z50\nY-300\nY3
 CUT = "G21 G90\nG0 X0 Y-300 Z5\n(FORCE FX=100)\nG1 Y300 F{feed}\n(FORCE OFF)\nG0 Z50\nM30\n"
 
 
-def converted(text: str, cell=FAST, dialect: str = "gcode", **options):
-    program = read([decode("part.nc", text.encode())], ROBOT, cell, "PART", dialect)
+def converted(text: str, cell=FAST, name: str = "part.nc", **options):
+    program = read_files({name: text}, cell)
     return process(program, ROBOT, cell, **options)
 
 
@@ -37,12 +37,12 @@ def test_rapid_moves_are_slowed_to_what_the_joints_can_do():
     slow = [speed for speed in speeds(text) if speed > 0.1]
     assert min(slow) < 6.0
     # the slowest of them: A1 passes the middle of Y-300 … Y300 with the most
-    predicted = converted(text, dialect="krl", mode="predict")
+    predicted = converted(text, name="part.src", mode="predict")
     assert not [issue for issue in predicted.issues if issue.kind.startswith("joint-speed")]
     assert f"{min(slow):.3g} m/s" in told.message
     # just 3 % more would be too fast
     faster = re.sub(rf"^\$VEL\.CP={min(slow):.6f}", f"$VEL.CP={1.03 * min(slow):.6f}", text, flags=re.M)
-    again = converted(faster, dialect="krl", mode="predict")
+    again = converted(faster, name="part.src", mode="predict")
     assert [issue for issue in again.issues if issue.kind.startswith("joint-speed")]
 
 
@@ -88,9 +88,9 @@ def test_a_cap_lowers_the_feed_of_a_robot_program_too():
     nominal = converted(CUT.format(feed=900), CELL, mode="nominal").documents[0].text
     fast = nominal.replace("$VEL.CP=0.015000", "$VEL.CP=6.5")
     assert fast != nominal
-    assert not converted(fast, CELL, dialect="krl").documents
+    assert not converted(fast, CELL, name="part.src").documents
     capped = replace(CELL, limits=replace(CELL.limits, feed="cap"))
-    result = converted(fast, capped, dialect="krl")
+    result = converted(fast, capped, name="part.src")
     assert result.documents
     assert "feed-capped" in {issue.kind for issue in result.issues}
 
@@ -111,14 +111,14 @@ def test_a_first_move_at_feed_that_comes_from_start_is_slowed_as_rapid_moves_are
     assert second == 0.015
     faster = result.documents[0].text.replace(f"$VEL.CP={first:.6f}", f"$VEL.CP={1.03 * first:.6f}", 1)
     assert faster != result.documents[0].text
-    again = converted(faster, dialect="krl", mode="predict")
+    again = converted(faster, name="part.src", mode="predict")
     assert [issue for issue in again.issues if issue.kind.startswith("joint-speed")]
     assert "rapid-slowed" not in {issue.kind for issue in converted(text.format(feed=900), CELL).issues}
 
 
 def test_speed_is_rotation_over_the_time_of_the_way():
     """Of the first sample from [start]; of the others from the sample before, at their feed along the commanded way."""
-    program = read([decode("part.nc", b"G21 G90\nG1 X0 Y0 Z50 F600\nX20 F900\nM30\n")], ROBOT, CELL, "PART", "gcode")
+    program = read_files({"part.nc": "G21 G90\nG1 X0 Y0 Z50 F600\nX20 F900\nM30\n"})
     motions = MotionsUnderLoad.of(program, RobotInCell.of(ROBOT, CELL), None)
     path = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False))
     q, position = path.joints.q, path.sample.pose[:, :3, 3]
@@ -138,7 +138,7 @@ def test_the_written_path_of_any_robot_is_checked(monkeypatch, slower):
     robot = replace(ROBOT, speed=ROBOT.speed * slower)
     monkeypatch.setattr(checks, "joint_speeds", spared(checks.joint_speeds, "part.nc"))
     text = CUT.format(feed=400000 * slower)
-    program = read([decode("part.nc", text.encode())], robot, CELL, "PART", "gcode")
+    program = read_files({"part.nc": text}, robot=robot)
     result = process(program, robot, CELL)
     assert "joint-speed" in " ".join(issue.kind for issue in result.issues if issue.level == "error")
 

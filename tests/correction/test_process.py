@@ -5,22 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from postproc import correction
-from postproc.dialects.text import decode
-from tests.correction.test_end_to_end import check_targets, simulator
-from tests.kr270 import CELL, ROBOT
+from tests.correction.simulated import check_targets, simulator
+from tests.corrections import correct_files
+from tests.kr270 import CELL
 from tests.oracle import cell_sim
 
 
 def converted(*lines, dat=""):
     """Result for a program with these lines; the first of them is line 3."""
     src = "\r\n".join(["DEF part( )", "$VEL.CP=0.05", *lines, "END", ""])
-    documents = [decode("part.src", src.encode())]
-    if dat:
-        documents.append(decode("part.dat", f"DEFDAT part\r\n{dat}ENDDAT\r\n".encode()))
-    program = correction.read(documents, ROBOT, CELL, "part", "krl")
-    result = correction.process(program, ROBOT, CELL)
-    assert not result.failed, result.issues
+    result = correct_files({"part.src": src} | ({"part.dat": f"DEFDAT part\r\n{dat}ENDDAT\r\n"} if dat else {}))
     return result, result.documents[0].text.splitlines()
 
 

@@ -12,8 +12,8 @@ from msgspec.structs import replace
 from postproc import correction, robot
 from postproc.cell import ExternalAxis
 from postproc.dialects.krl.dialect import Krl
-from postproc.dialects.text import decode
 from postproc.poses import Poses
+from tests.corrections import read_files
 from tests.kr270 import CELL
 from tests.programs import program
 
@@ -142,7 +142,7 @@ def test_a_place_of_the_carriage_that_is_another_one(monkeypatch, by, refused):
         ";FORCE FX=-110 FY=190 FZ=130 MZ=2", "PTP {X 0,Y 0,Z 0,A 180,B 0,C 180,E1 100}", "LIN {X 100,E1 150}",
         "LIN {X 200,E1 170}", "END", "",
     )  # fmt: skip
-    made = correction.read([decode("part.src", "\n".join(lines).encode())], MODEL, cell, "part", "krl")
+    made = read_files({"part.src": "\n".join(lines)}, cell)
     tampered(monkeypatch, shifted(rf"E1 ({_NUMBER})", float(by.split()[1])))
     assert bool([kind for kind, _ in errors(convert(made, cell)) if kind == "read-back"]) is refused
 

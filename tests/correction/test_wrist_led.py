@@ -9,11 +9,11 @@ from msgspec.structs import replace
 from postproc import cell as cells
 from postproc import correction, robot, toolpath
 from postproc.cell import ExternalAxis
-from postproc.dialects.text import decode
 from postproc.errors import ProgramError
 from postproc.frames import angle_between, interpolated
 from postproc.under_load import MotionsUnderLoad, RobotInCell
-from tests.correction.test_end_to_end import check_targets, simulator
+from tests.correction.simulated import check_targets, simulator
+from tests.corrections import read_files
 from tests.dialects.krl_programs import body
 from tests.oracle import cell_sim
 from tests.oracle.arm import abc
@@ -42,7 +42,7 @@ def read(*lines, cell=None):
     text = body(
         "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0,E1 0}", BASE, TOOL, "$VEL.CP=0.05", BEGIN, "$ORI_TYPE=#JOINT", *lines
     )
-    return text, correction.read([decode("part.src", text.encode())], model, cell or own, "part", "krl")
+    return text, read_files({"part.src": text}, cell or own, model)
 
 
 def corrected(*lines):
@@ -150,7 +150,7 @@ def on_rail(*lines, e1):
     ]
     home = f"PTP {{A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0,E1 {e1}}}"
     text = body(home, base, TOOL, "$VEL.CP=0.05", *moves)
-    return text, correction.read([decode("part.src", text.encode())], model, RAIL, "part", "krl")
+    return text, read_files({"part.src": text}, RAIL, model)
 
 
 @pytest.mark.parametrize("e1", [0, 300])

@@ -10,15 +10,14 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 from scipy.spatial.transform import Rotation
 
-from postproc import correction
 from postproc.cell import Frame, Machine, Rotary
 from postproc.cell import load as load_cell
-from postproc.dialects import registry
 from postproc.dialects.apt import reader, statements
 from postproc.dialects.text import decode
 from postproc.errors import InputError, ProgramError
 from postproc.program import CIRC, LIN, PTP, Motions, Program
 from postproc.robot import find, load
+from tests.corrections import correct_files
 from tests.dialects.gcode_reading import CELL, forward
 from tests.dialects.gcode_reading import read as read_gcode
 from tests.places import SAMPLES
@@ -239,9 +238,7 @@ FINI
 """
     results = []
     for name, text in (("part.nc", gcode), ("part.apt", apt)):
-        dialect = registry.of_file(Path(name)).name
-        program = correction.read([decode(name, text.encode())], robot, cell, "part", dialect)
-        results.append(correction.process(program, robot, cell))
+        results.append(correct_files({name: text}, cell, robot))
     one, other = (result.documents[0].text for result in results)
     moves = [
         [line for line in text.splitlines() if line.startswith(("LIN", "PTP", "CIRC", "$VEL"))] for text in (one, other)

@@ -10,10 +10,10 @@ from scipy.spatial.transform import Rotation
 from postproc import cell as cells
 from postproc import correction, robot, toolpath
 from postproc.dialects import krl
-from postproc.dialects.text import decode
 from postproc.errors import ProgramError
 from postproc.program import CIRC, LIN
-from tests.correction.test_end_to_end import check_targets, rows_of, simulator
+from tests.correction.simulated import check_targets, rows_of, simulator
+from tests.corrections import read_files
 from tests.dialects.krl_programs import CELL, body, check_commands, forward, read, targets
 from tests.dialects.test_krl_rewriting import keep_unmoved, up
 from tests.oracle import cell_sim
@@ -392,7 +392,7 @@ def test_corrected_programs_hold_the_tool_where_it_was_in_the_cell(kind, circle)
     text = body(*FRAMES, "$VEL.CP=0.05", "LIN {X 0,Y 0,Z 0,A 180,B 0,C 180}", *modes, force, *arcs)
     cell = cells.load(SAMPLES / "cell_kr270.toml")
     model = robot.load(robot.find(cell.robot))
-    program = correction.read([decode("part.src", text.encode())], model, cell, "part", "krl")
+    program = read_files({"part.src": text}, cell, model)
     result = correction.process(program, model, cell)
     assert not result.failed, result.issues
     moves = cell_sim.read(result.documents[0].text)

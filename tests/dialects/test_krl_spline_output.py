@@ -7,10 +7,10 @@ import pytest
 from msgspec.structs import replace
 
 from postproc import cell as cells
-from postproc.correction import process, read
-from postproc.dialects.text import decode
+from postproc.correction import process
 from postproc.errors import CellError
 from tests.attack.krl_interpreter import Controller
+from tests.corrections import read_files
 from tests.kr270 import CELL, ROBOT
 from tests.oracle import krl_grammar
 from tests.oracle.arm import abc
@@ -20,7 +20,7 @@ from tests.places import ROOT
 def written(motions: str, mode: str = "convert"):
     cell = replace(CELL, gcode=replace(CELL.gcode, motions=motions))
     name = ROOT / "samples" / "pocket.nc"
-    program = read([decode(name.name, name.read_bytes())], ROBOT, cell, "POCKET", "gcode")
+    program = read_files({name.name: name.read_bytes()}, cell)
     result = process(program, ROBOT, cell, mode=mode)
     assert result.documents
     return result.documents[0].text, result

@@ -13,6 +13,7 @@ from postproc.dialects import krl
 from postproc.dialects.text import decode
 from postproc.errors import ForceError, ProgramError
 from postproc.program import LIN, PTP, SPL
+from tests.corrections import read_files
 from tests.dialects.krl_programs import CELL, body, forward, numbers, read, read_documents, targets
 from tests.places import SAMPLES
 
@@ -154,7 +155,7 @@ def cell_and_robot():
 
 
 def corrected(text, cell, robot):
-    program = correction.read([decode("part.src", text.encode())], robot, cell, "part", "krl")
+    program = read_files({"part.src": text}, cell, robot)
     return correction.process(program, robot, cell)
 
 

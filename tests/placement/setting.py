@@ -8,7 +8,7 @@ from msgspec.structs import replace
 from postproc import cell as cells
 from postproc import correction, robot
 from postproc.cell import CellFile, Frame, Start, Tool
-from postproc.dialects.text import decode
+from tests.corrections import read_files
 
 ROBOTS = {"kuka_kr270": (0, -90, 110, 0, 60, 0), "abb_irb6700_200_260": (0, -80, 110, 0, 60, 0)}
 
@@ -27,7 +27,7 @@ def cell(name="kuka_kr270", base=(0.0, 0.0, 700.0), tool=(350.0, 200.0), **gcode
 def read(text, cell, dialect="gcode"):
     model = robot.load(robot.find(cell.robot))
     name = "part.nc" if dialect == "gcode" else "part.src"
-    return correction.read([decode(name, text.encode())], model, cell, "part", dialect), model
+    return read_files({name: text}, cell, model), model
 
 
 def convert(text, cell, **options):

@@ -14,12 +14,12 @@ from msgspec.structs import replace
 from postproc import correction, robot
 from postproc.cell import Box, Collision, ExternalAxis, Frame, HolderTable, ObstacleTable
 from postproc.cli import main
-from postproc.dialects.text import decode
 from postproc.errors import InputError
 from postproc.jobs.place_files import region_of
 from postproc.placement import Keep, PathSamples, region
 from postproc.placement.region import Region
 from postproc.under_load import RobotInCell
+from tests.corrections import read_files
 from tests.oracle.arm import Arm, abc
 from tests.placement.setting import cell, read
 from tests.places import SAMPLES
@@ -218,7 +218,7 @@ def test_a_krl_program_with_a_base_of_its_own_is_refused():
     own = in_line()
     text = "DEF part()\n$BASE={X 900,Y 0,Z 500,A 0,B 0,C 0}\n$VEL.CP=0.05\nPTP {X 0,Y 0,Z 60,A 180,B 0,C 180}\nEND\n"
     model = robot.load(robot.find(own.robot))
-    program = correction.read([decode("part.src", text.encode())], model, own, "part", "krl")
+    program = read_files({"part.src": text}, own, model)
     with pytest.raises(InputError, match="BASE"):
         region.check_base(program, RobotInCell.of(model, own))
 

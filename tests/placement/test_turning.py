@@ -17,6 +17,7 @@ from postproc.placement import REASONS, turn_map
 from postproc.poses import Poses
 from postproc.report import summary
 from postproc.under_load import RobotInCell
+from tests.corrections import read_back
 from tests.oracle import cell_sim
 from tests.oracle.arm import Arm
 from tests.placement.setting import TWO_POCKETS, around, cell, convert, read
@@ -272,7 +273,7 @@ def test_the_text_of_a_robot_program_keeps_its_turn():
     text = "G21 G90\nG0 X1500 Y0 Z60\nG1 Z0 F1500\nG1 X1600 F2000\n"
     written = convert(text, replace(own, gcode=replace(own.gcode, redundancy="constant")))
     model = robot.load(robot.find(own.robot))
-    program = correction.read(written.documents, model, own, "part", "krl")
+    program = read_back(written, own, model)
     result = correction.process(program, model, own, mode="predict")
     assert result.turn is None
     assert summary(result).redundancy is None

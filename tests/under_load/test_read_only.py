@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from postproc import correction
-from postproc.dialects.text import decode
 from postproc.under_load import MotionsUnderLoad, PathUnderLoad, RobotInCell
+from tests.corrections import read_files
 from tests.kr270 import CELL, ROBOT
 from tests.places import SAMPLES
 
@@ -25,8 +24,7 @@ def arrays(record, where=""):
 
 @pytest.fixture(params=FILES)
 def program(request):
-    documents = [decode(name, (SAMPLES / name).read_bytes()) for name in FILES[request.param]]
-    return correction.read(documents, ROBOT, CELL, "part", request.param)
+    return read_files({name: (SAMPLES / name).read_bytes() for name in FILES[request.param]})
 
 
 def test_a_program_that_was_read_is_read_only(program):
