@@ -6,21 +6,16 @@ import json
 import shutil
 
 import pytest
-from click.testing import CliRunner
 
 from postproc import files, robot
-from postproc.cli import main
 from postproc.errors import ModelError
 from postproc.identification import model_folder
 from postproc.robot.model_file import ModelFile
+from tests.commands import invoke
 from tests.places import SAMPLES
 from tests.plan import setting
 
 KUKA, ABB = SAMPLES / "cell_kr270.toml", SAMPLES / "cell_irb6700.toml"
-
-
-def run(*arguments):
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
 @pytest.mark.parametrize(
@@ -33,7 +28,7 @@ def run(*arguments):
     ],
 )
 def test_a_program_for_another_controller_is_refused_with_what_to_do(tmp_path, program, cell, to, reads):
-    result = run("convert", SAMPLES / program, "--cell", cell, "-o", tmp_path / "out", *to)
+    result = invoke("convert", SAMPLES / program, "--cell", cell, "-o", tmp_path / "out", *to)
     assert result.exit_code == 1
     assert f"whose controller reads {reads}" in result.stderr
     assert f"--to {reads}" in result.stderr
@@ -41,10 +36,10 @@ def test_a_program_for_another_controller_is_refused_with_what_to_do(tmp_path, p
 
 
 def test_krl_is_not_predicted_for_an_arm_that_does_not_read_it_but_the_g_code_is(tmp_path):
-    result = run("predict", SAMPLES / "inline.src", "--cell", ABB, "-o", tmp_path)
+    result = invoke("predict", SAMPLES / "inline.src", "--cell", ABB, "-o", tmp_path)
     assert result.exit_code == 1
     assert "a program in krl for ABB IRB 6700-200/2.60, whose controller reads rapid" in result.stderr
-    assert run("predict", SAMPLES / "pocket.nc", "--cell", ABB, "-o", tmp_path).exit_code == 0
+    assert invoke("predict", SAMPLES / "pocket.nc", "--cell", ABB, "-o", tmp_path).exit_code == 0
 
 
 def test_a_model_that_does_not_say_is_not_in_the_way(tmp_path):
@@ -55,7 +50,7 @@ def test_a_model_that_does_not_say_is_not_in_the_way(tmp_path):
     (tmp_path / "cell.toml").write_text(text)
     assert '"mine"' in text
     (tmp_path / "part.nc").write_text("G90 G21\nG0 X0 Y0 Z10\nG1 X20 F600\nM2\n")
-    result = run("convert", tmp_path / "part.nc", "--cell", tmp_path / "cell.toml", "-o", tmp_path / "out")
+    result = invoke("convert", tmp_path / "part.nc", "--cell", tmp_path / "cell.toml", "-o", tmp_path / "out")
     assert result.exit_code == 0, result.output
 
 
@@ -73,7 +68,7 @@ def test_an_identified_model_reads_what_its_prior_reads():
 def test_a_plan_for_an_arm_that_does_not_read_krl_has_no_krl_and_says_so(tmp_path):
     setting.experiment(tmp_path, setting.BASIC.replace("kuka_kr270", "abb_irb6700_200_260") + setting.RIG)
     (tmp_path / "tests.csv").write_text("A1,A2,A3,A4,A5,A6,Fx,Fy,Fz\n0,-70,110,0,50,0,100,50,300\n")
-    made = run(
+    made = invoke(
         "plan", "--experiment", tmp_path / "experiment.toml", "--cell", ABB, "--poses", tmp_path / "tests.csv",
         "--configurations", 4, "--q2-levels", 2, "--test-poses", 1, "-o", tmp_path / "plan.csv",
     )  # fmt: skip

@@ -9,10 +9,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import trimesh
-from click.testing import CliRunner
 
 from postproc import robot
-from postproc.cli import main
 from postproc.errors import ModelError
 from postproc.files import read_toml
 from postproc.identification import model_folder, record
@@ -20,6 +18,7 @@ from postproc.jobs.first_steps import add_robot
 from postproc.robot import shapes
 from postproc.robot.model_file import ModelFile
 from postproc.robot.shapes import LinkShape
+from tests.commands import invoke
 from tests.robot_urdfs import ros_urdf
 
 SIGNS = (-1, 1, -1, 1, -1, 1)
@@ -159,7 +158,7 @@ def test_meshes_that_are_not_there_are_a_remark():
     for mesh in Path("arm_support/meshes").iterdir():
         if mesh.stem != "3":
             mesh.unlink()
-    done = CliRunner().invoke(main, ["robots", "add", str(path), "--name", "mine"], catch_exceptions=False)
+    done = invoke("robots", "add", path, "--name", "mine", catch_exceptions=False)
     assert done.exit_code == 0
     assert "a shape is left out: package://arm_support/meshes/5.stl: there is no such file" in done.output
     model = robot.load("mine")

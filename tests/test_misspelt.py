@@ -5,11 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
 from postproc import cell, files, machining
 from postproc import robot as robots
-from postproc.cli import main
 from postproc.dialects import registry
 from postproc.errors import MeasurementError, PostprocError
 from postproc.forces import read as read_forces
@@ -19,6 +17,7 @@ from postproc.machining import identification
 from postproc.plan import milling
 from postproc.program import parse_force_note
 from postproc.testpart import probing
+from tests.commands import invoke
 from tests.places import SAMPLES
 
 EXPERIMENT = """\
@@ -169,6 +168,6 @@ def test_the_command_line_offers_the_right_word(arguments, word, tmp_path, monke
     monkeypatch.chdir(tmp_path)
     for name in ("m.csv", "part.nc"):
         (tmp_path / name).write_text("")
-    done = CliRunner().invoke(main, arguments)
+    done = invoke(*arguments)
     assert done.exit_code == 2 or "no robot" in done.stderr
     assert word in done.stderr.replace("postproc " + arguments[0], "").partition("id you mean")[2]

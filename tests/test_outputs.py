@@ -6,13 +6,12 @@ import json
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-from postproc.cli import main
 from postproc.errors import Issue, ProgramError
 from postproc.files import foreign_single, sealed, write_whole
 from postproc.program import Document
 from tests import fabricated
+from tests.commands import invoke, run
 from tests.places import CELL_FILE
 
 CELL = str(CELL_FILE)
@@ -44,14 +43,8 @@ def computed(tmp_path, monkeypatch):
     Path("part.nc").write_text("G0 X0\n")
 
 
-def run(*arguments: str, code: int = 0, out: str = "out"):
-    done = CliRunner().invoke(main, [*arguments, "--cell", CELL, "-o", out])
-    assert done.exit_code == code, done.output
-    return done
-
-
 def convert(*arguments: str, code: int = 0):
-    return run("convert", *(arguments or ("part.nc",)), code=code)
+    return run("convert", *(arguments or ("part.nc",)), "-o", "out", cell=CELL, code=code)
 
 
 def names(folder: str = "out") -> set[str]:
@@ -133,7 +126,7 @@ def test_the_program_of_another_language_does_not_stay_beside_the_report_of_the_
 
     monkeypatch.setattr("postproc.correction.process", process)
     cell = str(Path(CELL).with_name("cell_irb6700.toml"))
-    done = CliRunner().invoke(main, ["convert", "part.nc", "--cell", cell, "--to", "rapid", "-o", "out"])
+    done = invoke("convert", "part.nc", "--to", "rapid", "-o", "out", cell=cell)
     assert done.exit_code == 0, done.output
     assert names() == PART - {"part.src"} | {"part.mod"}
     with Path("out/part.mod").open("a") as file:
@@ -171,7 +164,7 @@ def test_a_changed_earlier_program_is_not_touched_but_named():
 def test_an_unusable_cell_leaves_the_earlier_programs_and_names_them():
     convert()
     before = content()
-    done = CliRunner().invoke(main, ["convert", "part.nc", "--cell", "none.toml", "-o", "out"])
+    done = invoke("convert", "part.nc", "-o", "out", cell="none.toml")
     assert done.exit_code == 1
     assert done.stderr.splitlines()[0] == f"There before, not of this run: {Path('out/part.src')}."
     assert "none.toml: no such file" in done.stderr
@@ -181,10 +174,10 @@ def test_an_unusable_cell_leaves_the_earlier_programs_and_names_them():
 def test_predict_and_convert_leave_each_others_results():
     convert()
     before = content()
-    run("predict", "part.nc")
+    run("predict", "part.nc", "-o", "out", cell=CELL)
     assert names() - set(before) == {f"part.predict.{kind}" for kind in ("targets.csv", "report.html", "report.json")}
     assert {name: content()[name] for name in before} == before
-    run("predict", "part.nc")
+    run("predict", "part.nc", "-o", "out", cell=CELL)
     convert()
 
 
@@ -271,8 +264,8 @@ def test_identify_replaces_nothing_that_is_not_its_own(arguments, name):
     place = Path("out", name)
     place.parent.mkdir(parents=True, exist_ok=True) if name else None
     place.write_text("mine")
-    done = CliRunner().invoke(main, arguments)
+    done = invoke(*arguments)
     assert done.exit_code == 1
     assert f"not written by postproc, or changed since: {place}." in done.stderr
     assert place.read_text() == "mine"
-    assert "changed since" not in CliRunner().invoke(main, [*arguments, "--overwrite"]).stderr
+    assert "changed since" not in invoke(*arguments, "--overwrite").stderr

@@ -3,9 +3,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-from postproc.cli import main
+from tests.commands import run
 from tests.html_page import read_page
 from tests.places import CELL_FILE
 
@@ -21,9 +20,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def _convert(*arguments, code=0):
-    done = CliRunner().invoke(main, ["convert", *arguments, "--cell", CELL, "-o", "out"])
-    assert done.exit_code == code, done.output
-    return done
+    return run("convert", *arguments, "-o", "out", cell=CELL, code=code)
 
 
 def _listed():

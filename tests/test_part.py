@@ -8,14 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from click.testing import CliRunner
 
-from postproc.cli import main
 from postproc.correction.process import process
 from postproc.errors import InputError
 from postproc.files import read_facets
 from postproc.jobs import Settings, load_setup, read_program
 from postproc.jobs.conversion import surface_of
+from tests.commands import run
 from tests.html_page import read_page
 from tests.places import CELL_FILE
 
@@ -46,9 +45,7 @@ def folder(tmp_path, monkeypatch):
 def _run(command, *arguments, code=0, folder=True):
     if "--process" in arguments:  # it computes all forces
         Path("part.nc").write_text(Path("part.nc").read_text().replace("(FORCE FX=100 FZ=150)", "(computed)"))
-    done = CliRunner().invoke(main, [command, *arguments, "--cell", CELL, *(["-o", "out"] if folder else [])])
-    assert done.exit_code == code, done.output
-    return done
+    return run(command, *arguments, *(["-o", "out"] if folder else []), cell=CELL, code=code)
 
 
 def test_the_face_that_is_milled_is_off_by_the_upright_part_of_the_deviation():
@@ -107,8 +104,7 @@ END
     assert "State the frame of the mesh" in _run("convert", "two.src", "--part", "part.stl", code=1).output
     cell = Path(CELL).read_text() + "\n[part]\nX = 1500.0\nY = -200.0\nZ = 700.0\n"
     Path("cell.toml").write_text(cell)
-    done = CliRunner().invoke(main, ["convert", "two.src", "--part", "part.stl", "--cell", "cell.toml", "-o", "out"])
-    assert done.exit_code == 0, done.output
+    run("convert", "two.src", "--part", "part.stl", "-o", "out", cell="cell.toml")
     corners, facets = (read_page(Path("out/two.report.html").read_bytes()).columns(n) for n in ("corners", "facets"))
     y = np.where(corners["z"].reshape(-1, 3).min(axis=1) > -1e-6, corners["y"].reshape(-1, 3).mean(axis=1), np.inf)
     assert facets["place"][np.argmin(np.abs(y - 10.0))] >= 0  # of the upper face

@@ -13,11 +13,10 @@ from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from postproc.cli import main
+from tests.commands import invoke, run
 from tests.places import ROOT
 from tests.robot_urdfs import ROS, ros_urdf
 
@@ -96,14 +95,13 @@ def test_a_package_without_a_wheel_for_windows_would_be_noticed():
 
 
 def convert(*arguments: str) -> None:
-    done = CliRunner().invoke(main, ["convert", *arguments])
-    assert done.exit_code == 0, done.output
+    run("convert", *arguments)
 
 
 def test_all_but_identify_and_plan_runs_without_pinocchio(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, "pinocchio", None)  # an import is an ImportError
-    assert CliRunner().invoke(main, ["samples", "s"]).exit_code == 0
+    assert invoke("samples", "s").exit_code == 0
     cell = ["--cell", "s/cell_kr270.toml"]
     process = ["--process", "s/plate.process.toml", "-o", "plate.forces.csv"]
     for command in (
@@ -116,7 +114,7 @@ def test_all_but_identify_and_plan_runs_without_pinocchio(tmp_path, monkeypatch)
         ["robots", "kuka_kr270"],
         ["init", "--robot", "kuka_kr270", "--base", "1500,0,700", "--tool", "0,0,350"],
     ):
-        done = CliRunner().invoke(main, command)
+        done = invoke(*command)
         assert done.exit_code in (0, 3), f"{command[0]}: {done.output}"  # 3: a tolerance is exceeded
 
 
@@ -139,7 +137,7 @@ def test_identify_and_plan_say_at_once_that_pinocchio_is_missing_and_how_to_get_
     Path("cell.toml").write_bytes((ROOT / "samples" / "cell_kr270.toml").read_bytes())
     arguments = [str(ROOT / "robot_models" / "kuka_kr270") if each == "robot" else each for each in arguments]
     monkeypatch.setitem(sys.modules, "pinocchio", None)
-    done = CliRunner().invoke(main, arguments)
+    done = invoke(*arguments)
     assert done.exit_code == 1
     assert "KR 270" in done.stderr
     assert "conda install -c conda-forge pinocchio" in done.stderr
@@ -177,7 +175,7 @@ def test_paths_in_a_cell_may_be_written_with_backslashes(tmp_path, monkeypatch):
 
     monkeypatch.chdir(tmp_path)
     Path("arm.urdf").write_bytes(ros_urdf(robot.load(robot.find("kuka_kr270")), (1,) * 6, names=ROS).encode())
-    assert CliRunner().invoke(main, ["robots", "add", "arm.urdf", "-o", "models/mine", "--name", "mine"]).exit_code == 0
+    assert invoke("robots", "add", "arm.urdf", "-o", "models/mine", "--name", "mine").exit_code == 0
     Path("R1/System").mkdir(parents=True)
     Path("R1/System/$config.dat").write_text("DEFDAT $CONFIG\nBASE_DATA[3]={X 1500,Y -200,Z 700,A 0,B 0,C 0}\nENDDAT\n")
     Path("lib").mkdir()

@@ -13,9 +13,8 @@ import time
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-from postproc.cli import main
+from tests.commands import invoke
 from tests.places import SAMPLES
 from tests.plan import setting
 from tests.processes import CELL_16, COMMAND, ENDINGS, LONG, Held, programs, written
@@ -45,7 +44,7 @@ def run(*arguments: str, **options) -> subprocess.CompletedProcess[str]:
 
 def converted() -> None:
     """Convert all programs in this process, where nothing is to happen to it."""
-    done = CliRunner().invoke(main, CONVERT, catch_exceptions=False)
+    done = invoke(*CONVERT, catch_exceptions=False)
     assert done.exit_code == 0, done.output
 
 

@@ -7,9 +7,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-from postproc.cli import main
+from tests.commands import run
 from tests.processes import CELL_16, COMMAND, LONG, programs, written
 
 WRITER = """
@@ -40,8 +39,7 @@ def test_runs_into_one_folder_leave_the_set_of_one_of_them():
         programs(2, place)
         for path in Path(place).glob("*.src"):
             path.write_text(path.read_text().replace("FX=80", f"FX={force}"))
-        done = CliRunner().invoke(main, ["convert", place, "--cell", CELL_16, "-o", f"alone_{place}"])
-        assert done.exit_code == 0, done.output
+        run("convert", place, "-o", f"alone_{place}", cell=CELL_16)
     alone = {place: sets(f"alone_{place}") for place in "ab"}
     assert alone["a"] != alone["b"]
     runs = [

@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from click.testing import CliRunner
 
 from postproc import kinematics, robot
-from postproc.cli import main
 from postproc.errors import InputError, ModelError
 from postproc.jobs.first_steps import add_robot
+from tests.commands import invoke, run
 from tests.robot_urdfs import PREFIXED, ROS, ROS_A, ros_urdf
 
 SIGNS = ((1, 1, 1, 1, 1, 1), (-1, 1, -1, 1, -1, 1), (-1, -1, -1, -1, -1, -1))
@@ -277,11 +276,10 @@ def test_a_name_that_cannot_be_is_refused(name):
 
 def test_the_command_tells_what_is_assumed_and_what_to_write_into_the_cell():
     path = written(ros_urdf(robot.load(robot.find("kuka_kr270")), SIGNS[0]))
-    done = CliRunner().invoke(main, ["robots", "add", str(path), "--name", "mine", "-o", "models/mine"])
-    assert done.exit_code == 0, done.output
+    done = run("robots", "add", path, "--name", "mine", "-o", "models/mine")
     assert "compliances are ASSUMED" in done.stderr
     assert 'robot = "models/mine"' in done.stdout
-    assert CliRunner().invoke(main, ["robots", "models/mine"]).stdout.startswith("mine")
+    assert invoke("robots", "models/mine").stdout.startswith("mine")
 
 
 def test_speeds_have_a_source_of_their_own_where_they_are_not_the_robots():

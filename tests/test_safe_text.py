@@ -1,12 +1,11 @@
 """Text of users and hosts in comments, strings and names: never a statement of the written program."""
 
 import pytest
-from click.testing import CliRunner
 
-from postproc.cli import main
 from postproc.dialects.krl.write.emit import _WORDS as KRL
 from postproc.dialects.rapid.new_module import WORDS as RAPID
 from postproc.safe_text import LONGEST_STRING, MAX_COMMENT, one_line, string_content
+from tests.commands import run
 from tests.places import ROOT
 
 ENDS = ["\n", "\r", "\r\n", "\v", "\f", "\x1a", "\x1c", "\x85", "\u2028", "\u2029", "\0"]
@@ -51,8 +50,7 @@ def test_comments_and_names_of_cam_programs_are_comments_of_the_written_program(
     source = tmp_path / name
     source.write_text(CAM[name], encoding="utf-8")
     arguments = ["convert", str(source), "--cell", str(ROOT / "samples" / cell), "-o", str(tmp_path / "out"), *options]
-    done = CliRunner().invoke(main, arguments)
-    assert done.exit_code == 0, done.output
+    run(*arguments)
     (written,) = [path for path in (tmp_path / "out").iterdir() if path.suffix in (".src", ".mod")]
     assert written.stem.replace("_", "").isalnum()
     text = written.read_bytes().decode("cp1252")

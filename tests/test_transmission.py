@@ -5,14 +5,13 @@ import json
 import msgspec
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from postproc import elastostatics, files, frames, kinematics, robot
-from postproc.cli import main
 from postproc.elastostatics import compensate
 from postproc.errors import ModelError
 from postproc.robot import LinkSprings, ModelFile
 from postproc.robot.model_file import TransmissionEntry
+from tests.commands import invoke
 from tests.oracle.pinocchio_arm import Arm
 
 FOLDER = robot.find("kuka_kr270")
@@ -101,10 +100,7 @@ def test_a_program_is_corrected_and_simulated_with_it(tmp_path):
     arm, tool = Arm(URDF), frames.pose_from_xyzabc([0.0, 0.0, 350.0, 0.0, 0.0, 0.0])
     rows = {}
     for command in ("predict", "convert"):
-        run = CliRunner().invoke(
-            main,
-            [command, str(tmp_path / "part.nc"), "--cell", str(tmp_path / "cell.toml"), "-o", str(tmp_path / "out")],
-        )
+        run = invoke(command, tmp_path / "part.nc", "-o", tmp_path / "out", cell=tmp_path / "cell.toml")
         assert run.exit_code in (0, 3), run.output
         name = "part.predict" if command == "predict" else "part"
         table = (tmp_path / "out" / f"{name}.targets.csv").read_text().splitlines()

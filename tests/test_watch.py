@@ -19,12 +19,11 @@ from pathlib import Path
 from threading import Event, Thread
 
 import pytest
-from click.testing import CliRunner
 
-from postproc.cli import main
 from postproc.errors import InputError, PostprocError
 from postproc.jobs import Settings, convert_all, find_jobs, inputs, watching
 from postproc.jobs.watching import server
+from tests.commands import invoke
 from tests.places import CELL_FILE, ROOT
 
 PART = "G21 G90\nG0 X0 Y0 Z20\nG1 Z-1 F300\nX{x}\nG0 Z20\nM30\n"
@@ -396,7 +395,7 @@ def test_a_folder_that_vanishes_is_waited_for(watcher, tmp_path):
 def test_a_folder_that_is_not_there_is_an_error(tmp_path):
     with pytest.raises(InputError, match="no such folder"):
         watching.watch(tmp_path / "none", tmp_path / "out", Settings(CELL_FILE), {})
-    done = CliRunner().invoke(main, ["watch", str(tmp_path / "none"), "--cell", str(CELL_FILE)])
+    done = invoke("watch", tmp_path / "none", cell=CELL_FILE)
     assert done.exit_code == 1
     assert done.output.startswith(f"Error: {tmp_path / 'none'}: no such folder")
 
@@ -420,7 +419,7 @@ def test_with_json_each_program_is_one_line(tmp_path, monkeypatch, text):
             stop.set()
 
     monkeypatch.setattr(watching, "watch", until_the_first)
-    done = CliRunner().invoke(main, ["watch", str(tmp_path / "in"), "--cell", str(CELL_FILE), "--json"])
+    done = invoke("watch", tmp_path / "in", "--json", cell=CELL_FILE)
     (line,) = done.stdout.splitlines()
     entry = json.loads(line)
     assert entry["program"] == str(tmp_path / "in" / "a.nc")

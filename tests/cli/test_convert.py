@@ -9,11 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from postproc.cli import main
 from postproc.errors import Issue, ProgramError
 from tests import fabricated
+from tests.commands import invoke
 from tests.places import SAMPLES
 
 CELL_270, CELL_16 = str(SAMPLES / "cell_kr270.toml"), str(SAMPLES / "cell_kr16.toml")
@@ -50,13 +49,9 @@ def _touch(*names: str) -> None:
         Path(name).write_text("G0 X0\n")
 
 
-def _run(*arguments: str):
-    return CliRunner().invoke(main, arguments)
-
-
 def test_one_program_prints_its_summary_and_what_was_written(folder, computed):
     _touch("part.nc")
-    done = _run("convert", "part.nc", "--cell", CELL_270)
+    done = invoke("convert", "part.nc", "--cell", CELL_270)
     assert done.exit_code == 0
     assert "improvement" in done.stdout
     assert done.stdout.splitlines()[-1] == (
@@ -67,7 +62,7 @@ def test_one_program_prints_its_summary_and_what_was_written(folder, computed):
 
 def test_many_programs_print_a_table_and_the_worst_exit_code(folder, computed):
     _touch("a.nc", "bad.nc", "far.nc")
-    done = _run("convert", "*.nc", "--cell", CELL_270)
+    done = invoke("convert", "*.nc", "--cell", CELL_270)
     assert done.exit_code == 1
     lines = done.stdout.splitlines()
     assert [line.split()[0] for line in lines[1:5]] == ["a.nc", "bad.nc", "far.nc", "all"]
@@ -78,7 +73,7 @@ def test_many_programs_print_a_table_and_the_worst_exit_code(folder, computed):
 
 def test_json_prints_json_only(folder, computed):
     _touch("a.nc", "far.nc", "bad.nc")
-    done = _run("convert", "*.nc", "--cell", CELL_270, "--json")
+    done = invoke("convert", "*.nc", "--cell", CELL_270, "--json")
     content = json.loads(done.stdout)
     assert content["exit_code"] == done.exit_code == 1
     good, bad, far = content["programs"]
@@ -90,7 +85,7 @@ def test_json_prints_json_only(folder, computed):
 
 def test_predict_writes_reports_and_no_program(folder, computed):
     _touch("part.nc")
-    done = _run("predict", "part.nc", "--cell", CELL_270, "-o", "out")
+    done = invoke("predict", "part.nc", "--cell", CELL_270, "-o", "out")
     assert done.exit_code == 0
     assert sorted(path.name for path in Path("out").iterdir()) == [
         "part.predict.report.html",
@@ -101,11 +96,11 @@ def test_predict_writes_reports_and_no_program(folder, computed):
 
 def test_nominal_beyond_a_stated_tolerance_is_written_and_exits_with_3(folder, computed):
     _touch("part.nc")
-    done = _run("convert", "part.nc", "--cell", CELL_270, "--nominal", "--tolerance", "0.1")
+    done = invoke("convert", "part.nc", "--cell", CELL_270, "--nominal", "--tolerance", "0.1")
     assert done.exit_code == 3
     assert Path("corrected/part.src").exists()
     assert "EXCEEDED" in done.stdout
-    assert _run("convert", "part.nc", "--cell", CELL_270, "--nominal").exit_code == 0
+    assert invoke("convert", "part.nc", "--cell", CELL_270, "--nominal").exit_code == 0
 
 
 @pytest.mark.parametrize(
@@ -127,7 +122,7 @@ def test_nominal_beyond_a_stated_tolerance_is_written_and_exits_with_3(folder, c
 )
 def test_wrong_usage_exits_with_2(folder, arguments):
     _touch("a.nc", "b.nc", "forces.csv")
-    done = _run(*arguments)
+    done = invoke(*arguments)
     assert done.exit_code == 2, done.output
     assert "Error:" in done.stderr
 
@@ -156,7 +151,7 @@ def _edited(text: str, old: str, new: str) -> None:
 def test_unusable_cell_exits_with_1_and_names_the_place(folder, old, new, message):
     _touch("part.nc")
     _edited(Path(CELL_270).read_text(), old, new)
-    done = _run("convert", "part.nc", "--cell", "cell.toml")
+    done = invoke("convert", "part.nc", "--cell", "cell.toml")
     assert done.exit_code == 1
     assert message in done.stderr
     assert "Traceback" not in done.output
@@ -181,7 +176,7 @@ def test_unusable_cell_exits_with_1_and_names_the_place(folder, old, new, messag
 def test_unusable_forces_exit_with_1_and_name_the_place(folder, content, message):
     Path("forces.csv").write_bytes(content if isinstance(content, bytes) else content.encode())
     program = str(SAMPLES / "long_lin.src")
-    done = _run("convert", program, "--cell", CELL_16, "--forces", "forces.csv", "-o", "out")
+    done = invoke("convert", program, "--cell", CELL_16, "--forces", "forces.csv", "-o", "out")
     assert done.exit_code == 1
     assert message in done.stderr
     assert not Path("out").exists()
@@ -204,7 +199,7 @@ def test_unusable_robot_model_exits_with_1_and_names_the_file(folder, old, new):
         Path("my_robot", file.name).write_text(file.read_text().replace(old, new))
     _edited(Path(CELL_270).read_text(), "kuka_kr270", "my_robot")
     _touch("part.nc")
-    done = _run("convert", "part.nc", "--cell", "cell.toml")
+    done = invoke("convert", "part.nc", "--cell", "cell.toml")
     assert done.exit_code == 1
     assert "model.toml" in done.stderr
 
@@ -218,7 +213,7 @@ def test_robot_with_a_nan_in_its_urdf_is_refused(folder):
     assert "nan" in Path("my_robot/robot.urdf").read_text()
     _edited(Path(CELL_270).read_text(), "kuka_kr270", "my_robot")
     _touch("part.nc")
-    assert _run("convert", "part.nc", "--cell", "cell.toml").exit_code == 1
+    assert invoke("convert", "part.nc", "--cell", "cell.toml").exit_code == 1
 
 
 @pytest.mark.parametrize(
@@ -234,7 +229,7 @@ def test_robot_with_a_nan_in_its_urdf_is_refused(folder):
 )
 def test_unusable_program_exits_with_1_and_names_the_line(folder, content, message):
     Path("part.src").write_bytes(content)
-    done = _run("convert", "part.src", "--cell", CELL_270)
+    done = invoke("convert", "part.src", "--cell", CELL_270)
     assert done.exit_code == 1
     assert message in done.stderr
     assert "report it" not in done.stderr
@@ -264,7 +259,7 @@ def test_moves_that_cannot_be_done_exit_with_1_and_name_the_line(folder, moves, 
     texts = [f"LIN {_aggregate(move)}" if isinstance(move, list) else move for move in moves]
     head = ["DEF part()", "PTP {A1 0,A2 -70,A3 110,A4 0,A5 20,A6 0}"]
     Path("part.src").write_text("\n".join([*head, *texts, "END", ""]))
-    done = _run("convert", "part.src", "--cell", CELL_270)
+    done = invoke("convert", "part.src", "--cell", CELL_270)
     assert done.exit_code == 1
     assert f"part.src:{line}" in done.stderr
     assert re.search(message, done.stderr)
@@ -273,17 +268,17 @@ def test_moves_that_cannot_be_done_exit_with_1_and_name_the_line(folder, moves, 
 
 def test_a_force_file_that_lies_beside_and_is_not_given_is_named(folder):
     Path("part.nc").write_text("G21 G90\nG0 X0 Y0 Z20\nG1 Z-2 F600\nX40\nM30\n")
-    assert "is next to it" not in _run("predict", "part.nc", "--cell", CELL_270, "-o", "out").stdout
+    assert "is next to it" not in invoke("predict", "part.nc", "--cell", CELL_270, "-o", "out").stdout
     Path("part.forces.csv").write_text("line,Fx,Fy,Fz\n4,-100,50,20\n")
-    said = _run("predict", "part.nc", "--cell", CELL_270, "-o", "out").stdout
+    said = invoke("predict", "part.nc", "--cell", CELL_270, "-o", "out").stdout
     assert "give --forces part.forces.csv to use part.forces.csv, which is next to it" in said
-    said = _run("predict", "part.nc", "--cell", CELL_270, "--forces", "part.forces.csv", "-o", "out").stdout
+    said = invoke("predict", "part.nc", "--cell", CELL_270, "--forces", "part.forces.csv", "-o", "out").stdout
     assert "is next to it" not in said
 
 
 @pytest.mark.parametrize("command", [[], ["convert"], ["predict"], ["robots"]])
 def test_every_command_has_help_with_an_example(command):
-    done = _run(*command, "--help")
+    done = invoke(*command, "--help")
     assert done.exit_code == 0
     assert "Example" in done.stdout
     assert "postproc" in done.stdout.split("Example")[1]
@@ -333,8 +328,8 @@ def test_real_program_is_converted_in_a_process_of_its_own(folder):
 
 def test_a_krl_program_is_written_under_another_name(folder):
     sample = str(SAMPLES / "inline.src")
-    assert _run("convert", sample, "--cell", CELL_270, "-o", "out").exit_code == 0
-    assert _run("convert", sample, "--cell", CELL_270, "-o", "named", "--name", "Other_1").exit_code == 0
+    assert invoke("convert", sample, "--cell", CELL_270, "-o", "out").exit_code == 0
+    assert invoke("convert", sample, "--cell", CELL_270, "-o", "named", "--name", "Other_1").exit_code == 0
     assert {path.name for path in Path("named").iterdir()} == {
         path.name.replace("inline", "Other_1") for path in Path("out").iterdir()
     }
@@ -344,8 +339,8 @@ def test_a_krl_program_is_written_under_another_name(folder):
         changed = [(a, b) for a, b in lines if a != b and ";POSTPROC" not in a]
         assert len(changed) == 1
         assert changed[0][1].split("(")[0].split()[:2] == [head, "Other_1"]
-    assert _run("predict", "named/Other_1.src", "--cell", CELL_270, "-o", "predicted").exit_code == 0
-    again = _run("convert", "named/Other_1.src", "--cell", CELL_270, "-o", "again")
+    assert invoke("predict", "named/Other_1.src", "--cell", CELL_270, "-o", "predicted").exit_code == 0
+    again = invoke("convert", "named/Other_1.src", "--cell", CELL_270, "-o", "again")
     assert again.exit_code == 1
     assert "corrected by postproc" in again.stderr
 
@@ -355,7 +350,7 @@ def test_processes_give_the_same_files_as_one_after_the_other(folder):
     for index in range(3):
         Path(f"p{index}.src").write_bytes(source.replace(b"DEF inline", f"DEF p{index}".encode()))
         Path(f"p{index}.dat").write_bytes((SAMPLES / "inline.dat").read_bytes().replace(b"  inline", b"  p%d" % index))
-    assert _run("convert", ".", "--cell", CELL_270, "-o", "one").exit_code == 0
+    assert invoke("convert", ".", "--cell", CELL_270, "-o", "one").exit_code == 0
     done = subprocess.run(
         [sys.executable, "-c", "from postproc.cli import main; main()", "convert", ".", "--cell", CELL_270, "-o", "two",
          "--jobs", "2"],
@@ -378,14 +373,12 @@ def test_a_program_in_which_nothing_was_corrected_says_so_in_its_first_line(fold
     lines = ["DEF part()", "BAS(#INITMOV,0)", "$VEL.CP=0.05", stand, ";FORCE FX=200 FY=100 FZ=-100"]
     loop = ["WHILE $IN[1]", *cut, "ENDWHILE", stand, "END", ""]
     Path("part.src").write_text("\n".join([*lines, *loop]))
-    told = CliRunner().invoke(main, ["convert", "part.src", "--cell", CELL_270, "--keep-unresolved"]).output
+    told = invoke("convert", "part.src", "--keep-unresolved", cell=CELL_270).output
     first = told.splitlines()[0]
     assert first == "part.src  on kuka_kr270: Nothing was corrected: 2 motions and calls stay as they are."
     assert "\n  - Nothing was corrected: 2 motions and calls stay as they are.\n" in told
     assert "Nothing to correct" not in told
     Path("part.src").write_text("\n".join([*lines, *cut, *loop]))
-    told = (
-        CliRunner().invoke(main, ["convert", "part.src", "--cell", CELL_270, "--keep-unresolved", "--overwrite"]).output
-    )
+    told = invoke("convert", "part.src", "--keep-unresolved", "--overwrite", cell=CELL_270).output
     assert "Nothing was corrected" not in told
     assert "compensated" in told

@@ -2,18 +2,12 @@ from __future__ import annotations
 
 import json
 
-from click.testing import CliRunner
-
 from postproc import robot
-from postproc.cli import main
-
-
-def _run(*arguments: str):
-    return CliRunner().invoke(main, arguments)
+from tests.commands import invoke
 
 
 def test_robots_lists_the_shipped_ones():
-    done = _run("robots")
+    done = invoke("robots")
     assert done.exit_code == 0
     head, *lines = done.stdout.splitlines()
     assert head.split() == ["name", "robot", "values"]
@@ -22,7 +16,7 @@ def test_robots_lists_the_shipped_ones():
 
 
 def test_a_robot_is_shown_with_source_and_what_is_assumed():
-    lines = _run("robots", "kuka_kr270").stdout.splitlines()
+    lines = invoke("robots", "kuka_kr270").stdout.splitlines()
     (assumed,) = (line for line in lines if "compliance A2" in line)
     (published,) = (line for line in lines if "compliance A1" in line)
     assert "ASSUMED" in assumed
@@ -32,14 +26,14 @@ def test_a_robot_is_shown_with_source_and_what_is_assumed():
 
 
 def test_robot_as_json_has_the_same_values():
-    content = json.loads(_run("robots", "kuka_kr270", "--json").stdout)
+    content = json.loads(invoke("robots", "kuka_kr270", "--json").stdout)
     assert content["name"] == "kuka_kr270"
     assert all(set(value) == {"name", "value", "source", "assumed"} for value in content["values"])
-    assert list(json.loads(_run("robots", "--json").stdout)) == list(robot.shipped())
-    assert json.loads(_run("robots", "show", "kuka_kr270", "--json").stdout) == content
+    assert list(json.loads(invoke("robots", "--json").stdout)) == list(robot.shipped())
+    assert json.loads(invoke("robots", "show", "kuka_kr270", "--json").stdout) == content
 
 
 def test_unknown_robot_names_the_known_ones():
-    done = _run("robots", "kuka_kr999")
+    done = invoke("robots", "kuka_kr999")
     assert done.exit_code == 1
     assert "kuka_kr270" in done.stderr

@@ -7,12 +7,11 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
 from postproc import cell as cells
-from postproc.cli import main
 from postproc.jobs.program_needs import needs_of
 from postproc.machining import process as processes
+from tests.commands import invoke
 from tests.places import ROOT
 
 PART = """%
@@ -67,10 +66,6 @@ def folder(tmp_path, monkeypatch):
     Path("many.nc").write_text(MANY)
 
 
-def run(*arguments, **options):
-    return CliRunner().invoke(main, arguments, **options)
-
-
 def test_a_program_shows_what_it_needs():
     needs = needs_of(Path("many.nc"))
     assert (needs.tools, needs.work_offsets, needs.m_codes) == ((1, 3), ("G55",), ("M31",))
@@ -101,7 +96,7 @@ def test_a_setting_is_needed_where_the_program_cannot_be_read_without_it(blocks,
 
 def test_a_program_that_no_answer_makes_readable_says_so_and_nothing_is_asked():
     Path("a.nc").write_text("G21 G90\nG0 X0 Y0 Z5\nG65 P9010 A1\nM30\n")
-    done = run("start", "a.nc", *ALL)
+    done = invoke("start", "a.nc", *ALL)
     assert done.exit_code == 1
     assert "a.nc:3" in done.output
     assert "nothing was asked" in done.output
@@ -116,7 +111,7 @@ def test_a_box_around_the_sweep_leaves_out_where_rapid_moves_come_down():
 
 
 def test_without_a_terminal_all_that_is_missing_is_listed_with_its_option():
-    done = run("start", "part.nc")
+    done = invoke("start", "part.nc")
     assert done.exit_code == 2
     for option in ("--robot", "--base", "--tool X,Y,Z", "--material", "--flutes 1=3"):
         assert f"\n  {option}" in done.output
@@ -124,7 +119,7 @@ def test_without_a_terminal_all_that_is_missing_is_listed_with_its_option():
 
 
 def test_options_alone_make_cell_process_and_a_corrected_program():
-    done = run("start", "part.nc", *ALL, "-o", "out")
+    done = invoke("start", "part.nc", *ALL, "-o", "out")
     assert done.exit_code == 0, done.output
     assert "the stock is assumed" in done.output
     assert Path("out/part.src").is_file()
@@ -137,7 +132,7 @@ def test_options_alone_make_cell_process_and_a_corrected_program():
 
 
 def test_forces_in_comments_need_no_process():
-    done = run("start", str(ROOT / "samples" / "pocket.nc"), *CELL, "-o", "out")
+    done = invoke("start", str(ROOT / "samples" / "pocket.nc"), *CELL, "-o", "out")
     assert done.exit_code == 0, done.output
     assert not list(Path("out").glob("*.process.toml"))
 
@@ -145,7 +140,7 @@ def test_forces_in_comments_need_no_process():
 def test_on_a_terminal_only_what_is_missing_is_asked(monkeypatch):
     monkeypatch.setattr("postproc.cli.start.is_terminal", lambda: True)
     answers = ["", "1500,-200", "1500,-200,700", "", "", "hand", "", "al_6082_t6_carbide", "", "three", "3", ""]
-    done = run("start", "part.nc", "-o", "out", "--no-open", input="\n".join(answers) + "\n")
+    done = invoke("start", "part.nc", "-o", "out", "--no-open", input="\n".join(answers) + "\n")
     assert done.exit_code == 0, done.output
     assert "2 numbers" in done.output  # an answer is checked at once, and asked for again
     assert "'three': give the number of cutting edges" in done.output
@@ -156,36 +151,36 @@ def test_on_a_terminal_only_what_is_missing_is_asked(monkeypatch):
 
 def test_answers_are_kept_when_the_user_interrupts_and_used_when_he_goes_on(monkeypatch):
     monkeypatch.setattr("postproc.cli.start.is_terminal", lambda: True)
-    done = run("start", "part.nc", "-o", "out", input="kuka_kr270\n1400,-100,600\n")
+    done = invoke("start", "part.nc", "-o", "out", input="kuka_kr270\n1400,-100,600\n")
     assert done.exit_code != 0
     kept = tomllib.loads(Path("out/part.answers.toml").read_text())["answers"]
     assert kept == {"robot": "kuka_kr270", "base": "1400,-100,600"}
     rest = ["0,0,350", "", "hand", "", "al_6082_t6_carbide", "", "3", ""]
-    done = run("start", "part.nc", "-o", "out", "--no-open", input="\n".join(rest) + "\n")
+    done = invoke("start", "part.nc", "-o", "out", "--no-open", input="\n".join(rest) + "\n")
     assert done.exit_code == 0, done.output
     assert "Robot, or" not in done.output
     assert cells.load("out/cell.toml").base.X == 1400.0
 
 
 def test_answers_about_the_text_are_asked_again_when_the_program_has_changed():
-    run("start", "part.nc", *ALL, "--cutter", "1=flat,16", "-o", "out")
+    invoke("start", "part.nc", *ALL, "--cutter", "1=flat,16", "-o", "out")
     Path("part.nc").write_text(PART.replace("D=16.", "D=10."))
-    done = run("start", "part.nc", "--flutes", "3", "-o", "out")
+    done = invoke("start", "part.nc", "--flutes", "3", "-o", "out")
     assert done.exit_code == 0, done.output
     assert processes.load("out/part.process.toml").tools["1"].diameter_mm == 10.0
 
 
 def test_a_cell_that_was_edited_is_used_as_it_is():
-    run("start", "part.nc", *ALL, "-o", "out")
+    invoke("start", "part.nc", *ALL, "-o", "out")
     path = Path("out/cell.toml")
     path.write_text(path.read_text().replace("Z = 350.0", "Z = 300.0"))
-    done = run("start", "part.nc", "-o", "out")
+    done = invoke("start", "part.nc", "-o", "out")
     assert done.exit_code == 0, done.output
     assert "is used as it is" in done.output
     assert cells.load(path).tool.Z == 300.0
-    assert run("start", "part.nc", *ALL, "-o", "out").exit_code == 0  # the answers that the file was made of
+    assert invoke("start", "part.nc", *ALL, "-o", "out").exit_code == 0  # the answers that the file was made of
     before = path.read_bytes()
-    done = run("start", "part.nc", "--base", "1400,-200,700", "-o", "out")
+    done = invoke("start", "part.nc", "--base", "1400,-200,700", "-o", "out")
     assert done.exit_code == 2
     assert "base: the cell file is used as it is, and these answers would not count" in done.output
     assert path.read_bytes() == before
@@ -193,34 +188,34 @@ def test_a_cell_that_was_edited_is_used_as_it_is():
 
 def test_a_cell_that_cannot_be_is_not_written_and_the_next_answer_counts():
     wrong = [word.replace("1500", "1e9") for word in ALL]
-    assert run("start", "part.nc", *wrong, "-o", "out").exit_code == 1
+    assert invoke("start", "part.nc", *wrong, "-o", "out").exit_code == 1
     assert not Path("out/cell.toml").exists()
-    assert run("start", "part.nc", *ALL, "-o", "out").exit_code == 0
+    assert invoke("start", "part.nc", *ALL, "-o", "out").exit_code == 0
 
 
 def test_where_the_tolerance_is_not_held_a_better_place_is_offered(monkeypatch):
-    done = run("start", "part.nc", *ALL, "--part-tolerance", "0.001", "-o", "out")
+    done = invoke("start", "part.nc", *ALL, "--part-tolerance", "0.001", "-o", "out")
     assert done.exit_code == 3
     assert "another place of the part may help.\n  postproc place part.nc --cell" in done.output
     monkeypatch.setattr("postproc.cli.start.is_terminal", lambda: True)
-    done = run("start", "part.nc", "-o", "out", "--no-open", input="\n" * 20 + "y\n")
+    done = invoke("start", "part.nc", "-o", "out", "--no-open", input="\n" * 20 + "y\n")
     assert "Look for one now?" in done.output
 
 
 def test_an_option_that_is_no_answer_is_wrong_usage():
-    done = run("start", "part.nc", *CELL, "--material", "cheese", "--flutes", "3")
+    done = invoke("start", "part.nc", *CELL, "--material", "cheese", "--flutes", "3")
     assert done.exit_code == 2
     assert "--material" in done.output
     assert "al_6082_t6_carbide" in done.output
 
 
 def test_init_with_a_program_lists_what_it_needs_and_says_that_it_converts():
-    done = run("init", "many.nc")
+    done = invoke("init", "many.nc")
     assert done.exit_code == 2
     for option in ("--tools 1=", "--tools 3=", "--work-offset G55=", "--m-code M31", "--dwell-unit"):
         assert option in done.output
     options = ("--robot", "kuka_kr270", "--base", "1500,-200,700", "--tools", "1=350", "--tools", "3=340")
-    done = run(
+    done = invoke(
         "init", "many.nc", *options, "--work-offset", "G55=10,0,0", "--m-code", "M31", "--dwell-unit", "ms"
     )  # fmt: skip
     assert done.exit_code == 0, done.output
@@ -230,7 +225,7 @@ def test_init_with_a_program_lists_what_it_needs_and_says_that_it_converts():
 
 
 def test_init_with_a_program_says_what_still_stops_it():
-    done = run("init", "part.nc", "--robot", "kuka_kr270", "--base", "4000,0,700", "--tool", "0,0,350")
+    done = invoke("init", "part.nc", "--robot", "kuka_kr270", "--base", "4000,0,700", "--tool", "0,0,350")
     assert done.exit_code == 1
     assert "part.nc: it does not convert yet" in done.output
     assert Path("cell.toml").is_file()
@@ -238,7 +233,7 @@ def test_init_with_a_program_says_what_still_stops_it():
 
 def test_init_writes_indexed_axes_with_their_points():
     Path("a.nc").write_text("G21 G90\nM3 S9000\nG0 X0 Y0 Z50\nG0 A30\nG1 Z20 F500\nG1 X50\nG0 Z50\nM30\n")
-    done = run("init", "a.nc", *CELL, "--rotary-kind", "indexed", "--rotary-point", "A=0,0,-120")
+    done = invoke("init", "a.nc", *CELL, "--rotary-kind", "indexed", "--rotary-point", "A=0,0,-120")
     assert done.exit_code == 0, done.output
     rotary = cells.load("cell.toml").rotary
     assert (rotary.kind, rotary.axes, rotary.A.point, rotary.A.direction) == (

@@ -13,12 +13,11 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
 import postproc
-from postproc.cli import main
 from postproc.errors import Issue, PostprocError, ProgramError
 from postproc.kinematics import UnreachableError
+from tests.commands import invoke
 from tests.processes import CELL_16, COMMAND, programs
 
 FAULT = (
@@ -46,7 +45,7 @@ def faulty(request, monkeypatch):
 
 
 def test_a_fault_is_one_line_and_a_file_with_the_traceback(faulty):
-    done = CliRunner().invoke(main, faulty)
+    done = invoke(*faulty)
     assert done.exit_code == 1
     (path,) = re.fullmatch(FAULT, done.stderr).groups()
     text = Path(path).read_text()
@@ -56,7 +55,7 @@ def test_a_fault_is_one_line_and_a_file_with_the_traceback(faulty):
 
 @pytest.mark.parametrize("in_front", [True, False])
 def test_debug_shows_the_traceback_wherever_it_stands(faulty, in_front):
-    done = CliRunner().invoke(main, ["--debug", *faulty] if in_front else [*faulty, "--debug"])
+    done = invoke(*["--debug", *faulty] if in_front else [*faulty, "--debug"])
     assert done.exit_code == 1
     assert "Traceback (most recent call last):" in done.stderr
     assert "The traceback is in" not in done.stderr
@@ -65,7 +64,7 @@ def test_debug_shows_the_traceback_wherever_it_stands(faulty, in_front):
 
 def test_where_no_file_can_be_written_debug_is_what_helps(faulty, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", "nowhere")
-    assert "with --debug" in CliRunner().invoke(main, faulty).stderr
+    assert "with --debug" in invoke(*faulty).stderr
 
 
 def test_a_fault_of_a_worker_is_told_by_the_process_that_waits():
@@ -88,7 +87,7 @@ def test_what_is_no_fault_is_told_as_it_is(monkeypatch, cause, message):
         raise cause
 
     monkeypatch.setattr("postproc.robot.shipped", stop)
-    done = CliRunner().invoke(main, ["robots"])
+    done = invoke("robots")
     assert (done.exit_code, done.stderr) == (1, f"Error: {message}\n")
 
 
@@ -96,7 +95,7 @@ def test_what_the_machine_refuses_is_no_fault_of_postproc():
     long = "a" * 300
     for arguments in (["x.nc", "-o", long], [f"{long}.nc"]):
         Path("x.nc").write_text("G0 X0\n")
-        done = CliRunner().invoke(main, ["convert", *arguments, "--cell", CELL_16])
+        done = invoke("convert", *arguments, cell=CELL_16)
         assert done.exit_code == 1
         assert re.fullmatch(r"Error: .*File name too long.*\n", done.stderr)
         assert "fault" not in done.stderr
@@ -105,7 +104,7 @@ def test_what_the_machine_refuses_is_no_fault_of_postproc():
 @pytest.mark.skipif(sys.platform != "linux", reason="names that are no text")
 def test_a_program_whose_name_is_no_text_is_told():
     Path(os.fsdecode(b"bad\xff.nc")).write_text("G0 X0\n")
-    done = CliRunner().invoke(main, ["convert", ".", "--cell", CELL_16])
+    done = invoke("convert", ".", cell=CELL_16)
     assert done.exit_code == 1
     assert done.stderr == "Error: bad?.nc: its name is not UTF-8. Rename the file.\n"
 
@@ -116,16 +115,16 @@ def test_in_a_folder_a_name_that_is_no_text_fails_alone(jobs):
     for name in (b"a.nc", b"bad\xff.nc", b"c.nc"):
         Path(os.fsdecode(name)).write_text("G21 G90\nG0 X0 Y0 Z20\nG1 Z-1 F300\nX5\nG0 Z20\nM30\n")
     arguments = ["convert", ".", "--cell", CELL_16, "-o", "out", "--jobs", jobs]
-    done = CliRunner().invoke(main, arguments)
+    done = invoke(*arguments)
     assert done.exit_code == 1
     assert done.stderr == "Error: bad?.nc: its name is not UTF-8. Rename the file.\n"
     assert sorted(path.name for path in Path("out").glob("*.src")) == ["a.src", "c.src"]
     assert "bad?.nc: its name is not UTF-8" in Path("out/index.html").read_text()
-    entries = json.loads(CliRunner().invoke(main, [*arguments, "--json"]).stdout)["programs"]
+    entries = json.loads(invoke(*arguments, "--json").stdout)["programs"]
     assert [entry["exit_code"] for entry in entries] == [0, 1, 0]
-    named = CliRunner().invoke(main, ["convert", "a.nc", os.fsdecode(b"bad\xff.nc"), "--cell", CELL_16, "-o", "other"])
+    named = invoke("convert", "a.nc", os.fsdecode(b"bad\xff.nc"), "-o", "other", cell=CELL_16)
     assert (named.exit_code, Path("other").exists()) == (1, False)
-    placed = CliRunner().invoke(main, ["place", ".", "--cell", CELL_16, "-o", "other"])
+    placed = invoke("place", ".", "-o", "other", cell=CELL_16)
     assert (placed.exit_code, placed.stderr) == (1, done.stderr)
 
 
@@ -134,7 +133,7 @@ def test_an_interrupt_has_an_exit_code_of_its_own(monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("postproc.robot.shipped", stop)
-    done = CliRunner().invoke(main, ["robots"])
+    done = invoke("robots")
     assert (done.exit_code, done.stderr) == (130, "Interrupted.\n")
 
 

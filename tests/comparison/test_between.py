@@ -10,9 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from postproc.cli import main
+from tests.commands import invoke, run
 from tests.kr270 import CELL_TEXT
 from tests.places import SAMPLES
 
@@ -52,7 +51,7 @@ def compared(nominal, corrected, *more, code=None, cell=CELL_TEXT):
     """Return the summary and the rows of the pairs."""
     Path("cell.toml").write_text(cell, encoding="utf-8")
     arguments = ["compare", nominal, corrected, "--cell", "cell.toml", "-o", "found", "--json", "--overwrite", *more]
-    done = CliRunner().invoke(main, arguments)
+    done = invoke(*arguments)
     assert done.exit_code in ((0, 3) if code is None else (code,)), done.output
     with Path(f"found/{Path(corrected).stem}.compare.pairs.csv").open(newline="") as file:
         return json.loads(done.output), list(csv.DictReader(file))
@@ -179,7 +178,7 @@ def test_corners_that_approximation_cuts_count_against_gcode(distance, everywher
     """Square lines of 40 mm or more, $APO.CDIS = 20: the parabola is 20·√2/4 = 7.07 mm from the corner."""
     Path("pocket.nc").write_bytes((SAMPLES / "pocket.nc").read_bytes())
     cell = str(SAMPLES / "cell_kr270.toml")
-    assert CliRunner().invoke(main, ["convert", "pocket.nc", "--cell", cell, "-o", "."]).exit_code == 0
+    assert invoke("convert", "pocket.nc", "-o", ".", cell=cell).exit_code == 0
     lines = Path("pocket.src").read_bytes().decode("cp1252").split("\r\n")
     lines = [line for line in lines if "postproc" not in line]  # without its origin
     if distance is not None:
@@ -246,8 +245,7 @@ def outwards(arc, by):
 
 def convert(source, cell):
     Path("cell.toml").write_text(cell, encoding="utf-8")
-    done = CliRunner().invoke(main, ["convert", source, "--cell", "cell.toml", "-o", "out", "--overwrite"])
-    assert done.exit_code == 0, done.output
+    run("convert", source, "-o", "out", "--overwrite", cell="cell.toml")
 
 
 @pytest.mark.parametrize("force", ["FX=-150 FY=100 FZ=120", "FX=-180 FY=90 FZ=60 FRAME=FEED"])

@@ -9,9 +9,8 @@ from pathlib import Path
 
 import pytest
 import trimesh
-from click.testing import CliRunner
 
-from postproc.cli import main
+from tests.commands import invoke
 from tests.places import ROOT
 
 PROGRAM = """G21 G90 G17 G94
@@ -38,7 +37,7 @@ def converted(collision: str | None, *more: str, program: str = "part.nc"):
     """Exit code, output and report of `convert` in the cell of the samples with this [collision]."""
     text = (ROOT / "samples" / "cell_kr270.toml").read_text()
     Path("cell.toml").write_text(text if collision is None else f"{text}\n[collision]\n{collision}\n")
-    done = CliRunner().invoke(main, ["convert", program, "--cell", "cell.toml", "-o", "out", *more])
+    done = invoke("convert", program, "-o", "out", *more, cell="cell.toml")
     report = Path("out/part.report.json")
     return done.exit_code, done.output, json.loads(report.read_text()) if report.exists() else None
 
@@ -154,7 +153,7 @@ def milled(first: str, then: str, collision: str = MILL, command: str = "convert
     text = (ROOT / "samples" / "cell_kr270.toml").read_text()
     Path("cell.toml").write_text(f"{text}\n[collision]\n{collision}\n")
     arguments = [command, "part.nc", "--cell", "cell.toml", "-o", "out", "--process", "process.toml", "--overwrite"]
-    done = CliRunner().invoke(main, arguments)
+    done = invoke(*arguments)
     return done.exit_code, done.output
 
 
@@ -277,13 +276,13 @@ def test_a_collision_on_the_way_from_the_start_says_so():
     text = text.replace("[0, -90, 100, 0, 80, 0]", "[0, -70, 110, 0, 50, 0]")
     Path("cell.toml").write_text(f"{text}\n[collision]\n{HOLDER}\n{part}\n")
     Path("part.nc").write_text("G21 G90 G17\nG0 X50 Y100 Z40\nX60\nM30\n")
-    done = CliRunner().invoke(main, ["convert", "part.nc", "--cell", "cell.toml", "-o", "out"])
+    done = invoke("convert", "part.nc", "-o", "out", cell="cell.toml")
     assert done.exit_code == 1
     assert "part.nc:2: collision: cutter touches or is inside blank on the way from [start] to the first" in done.output
     Path("part.nc").write_text("G21 G90 G17\nG0 X50 Y100 Z40\nZ-30\nM30\n")
     higher = (ROOT / "samples" / "cell_kr270.toml").read_text()
     Path("cell.toml").write_text(f"{higher}\n[collision]\n{HOLDER}\n{part}\n")
-    done = CliRunner().invoke(main, ["convert", "part.nc", "--cell", "cell.toml", "-o", "out"])
+    done = invoke("convert", "part.nc", "-o", "out", cell="cell.toml")
     assert done.exit_code == 1
     assert "part.nc:3: collision: cutter touches or is inside blank; " in done.output
 

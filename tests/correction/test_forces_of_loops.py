@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import csv
+from functools import partial
 
 import pytest
-from click.testing import CliRunner
 
-from postproc.cli import main
-from tests.places import SAMPLES
+from tests.commands import invoke
+from tests.places import CELL_FILE
 
 PROGRAM = """DEF twice( )
 DECL INT I
@@ -28,8 +28,7 @@ END
 FORCES = "line,t,Fx,Fy,Fz,frame\n10,0,10,20,30,FEED\n10,0.5,100,20,30,FEED\n10,1,10,20,30,FEED\n"
 
 
-def run(*arguments):
-    return CliRunner().invoke(main, [*map(str, arguments), "--cell", str(SAMPLES / "cell_kr270.toml")])
+run = partial(invoke, cell=CELL_FILE)
 
 
 @pytest.mark.parametrize("mode", [["--nominal"], []])

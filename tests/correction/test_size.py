@@ -3,9 +3,7 @@
 import json
 import re
 
-from click.testing import CliRunner
-
-from postproc.cli import main
+from tests.commands import run
 from tests.places import ROOT
 
 
@@ -14,8 +12,7 @@ def convert(tmp_path, *options, more=""):
     text = (ROOT / "samples" / "cell_kr270.toml").read_text()
     cell.write_text(text.replace("[output]", f"[output]\n{more}"))
     arguments = ["convert", str(ROOT / "samples" / "pocket.nc"), "--cell", str(cell), "-o", str(tmp_path / "out")]
-    done = CliRunner().invoke(main, [*arguments, "--overwrite", *options])
-    assert done.exit_code == 0, done.output
+    run(*arguments, "--overwrite", *options)
     return (tmp_path / "out" / "pocket.src").read_bytes(), json.loads(
         (tmp_path / "out" / "pocket.report.json").read_text()
     )

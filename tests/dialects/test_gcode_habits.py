@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from msgspec.structs import replace
 
 from postproc.cell import Cell, Machine
-from postproc.cli import main
 from postproc.errors import ProgramError
 from postproc.program import LIN
+from tests.commands import invoke
 from tests.dialects.gcode_reading import CELL, ends, read
 from tests.places import ROOT
 
@@ -85,7 +84,7 @@ def test_a_force_on_a_move_from_start_is_an_error(tmp_path):
             str(tmp_path / "o"),
             *options,
         ]
-        return CliRunner().invoke(main, arguments)
+        return invoke(*arguments)
 
     cutting = HIGH_FEED.format(force="(FORCE FX=100 FY=0 FZ=50)\n")
     assert convert(cutting).exit_code == 0
@@ -144,7 +143,7 @@ def test_brackets_that_a_control_might_read_otherwise_are_refused(comment):
 @pytest.mark.parametrize(("name", "what"), [("a.spf", "Siemens Sinumerik"), ("a.prg", "several use .prg")])
 def test_extensions_of_other_controls_are_named(tmp_path, name, what):
     (tmp_path / name).write_text("G0 X0 Y0 Z5\nG1 X9 F90\nM2\n")
-    done = CliRunner().invoke(main, ["predict", str(tmp_path / name), "--cell", str(ROOT / "samples/cell_kr270.toml")])
+    done = invoke("predict", tmp_path / name, cell=ROOT / "samples/cell_kr270.toml")
     assert done.exit_code == 1
     assert what in done.output
     assert "--dialect gcode" in done.output.replace("\n", " ")

@@ -8,12 +8,11 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
 from postproc import jobs
-from postproc.cli import main
 from postproc.dialects import registry
 from postproc.errors import InputError, ProgramError
+from tests.commands import invoke
 
 
 @pytest.fixture
@@ -117,7 +116,7 @@ def test_a_broken_one_says_why_and_stops_nothing(package, others, place, reason)
 
 def test_a_broken_one_asked_for_on_the_command_line_is_wrong_usage(package, others):
     others(broken="somebodys_broken:X")
-    done = CliRunner().invoke(main, ["convert", "a.nc", "--cell", "cell.toml", "--dialect", "broken"])
+    done = invoke("convert", "a.nc", "--dialect", "broken", cell="cell.toml")
     assert done.exit_code == 2
     assert "no_such_module_at_all" in done.stderr
 

@@ -8,10 +8,9 @@ import shlex
 import traceback
 
 import pytest
-from click.testing import CliRunner
 from filelock import FileLock
 
-from postproc.cli import main
+from tests.commands import invoke
 
 
 def once(folder, follow):
@@ -47,7 +46,7 @@ def followed(folder, scripts, commands):
                 runpy.run_path(shlex.split(script)[0], run_name="__main__")
             except (Exception, SystemExit) as error:
                 raise RuntimeError(f"python {script}: {type(error).__name__}: {error}") from error
-        return [_result(CliRunner().invoke(main, arguments)) for arguments in commands]
+        return [_result(invoke(*arguments)) for arguments in commands]
 
 
 def _result(result):

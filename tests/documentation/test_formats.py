@@ -11,10 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
 from postproc import cell, forces, machining, robot
-from postproc.cli import main
 from postproc.errors import InputError
 from postproc.identification import compensator_geometry
 from postproc.identification.readings import Experiment, Measurements, read, read_experiment
@@ -26,6 +24,7 @@ from postproc.report.comparison import PAIR_COLUMNS
 from postproc.report.csv_files import CARRIAGE, TARGET_COLUMNS
 from postproc.robot import ModelFile
 from postproc.testpart import probing
+from tests.commands import run
 from tests.documentation import pages, schema
 from tests.documentation.pages import block, described
 from tests.kr270 import CELL, ROBOT
@@ -88,11 +87,7 @@ def test_a_key_without_a_line_would_be_noticed():
 
 def test_the_example_of_the_compensator_is_read_and_has_the_keys_that_are_written(tmp_path):
     compensator_geometry.load(write(tmp_path, "compensator.toml"))
-    written = CliRunner().invoke(
-        main,
-        ["identify", "compensator", str(write(tmp_path, "compensator.csv", "csv")), "-o", str(tmp_path / "out.toml")],
-    )
-    assert written.exit_code == 0, written.output
+    run("identify", "compensator", write(tmp_path, "compensator.csv", "csv"), "-o", tmp_path / "out.toml")
     keys = re.compile(r"^\[?(\w+)", re.M)
     assert keys.findall((tmp_path / "out.toml").read_text()) == keys.findall(block("compensator.toml", "toml"))
 
@@ -182,15 +177,13 @@ def results(readme, tmp_path_factory):
             *("--region", "X=1400:2900", "-o", str(folder / "place")),
         ],
     ):
-        result = CliRunner().invoke(main, arguments)
-        assert result.exit_code == 0, result.output
+        run(*arguments)
     unsure = _with_a_missed_tolerance(folder, cell)
     faster = (folder / "inline.src").read_bytes().replace(b"CP_PARAMS,0.02", b"CP_PARAMS,0.03")
     (folder / "faster.src").write_bytes(faster)
     shutil.copy(folder / "inline.dat", folder / "faster.dat")
     arguments = ["compare", str(samples / "inline.src"), str(folder / "faster.src")]
-    result = CliRunner().invoke(main, [*arguments, "--cell", str(samples / "cell_kr270.toml"), "-o", str(folder)])
-    assert result.exit_code == 3, result.output
+    run(*arguments, "-o", folder, cell=samples / "cell_kr270.toml", code=3)
     return {
         "forces.json": [readme[0] / "plate.forces.json", _forces_with_a_warning(folder)],
         "part.report.json": [
@@ -241,8 +234,7 @@ def _with_a_missed_tolerance(folder: Path, cell: str) -> Path:
         file.write('[covariance]\nparameters = ["k3"]\nmatrix = [[2e7]]\n')
     (folder / "unsure.toml").write_text(cell.replace('"model"', '"unsure"'), encoding="utf-8")
     arguments = ["convert", str(ROOT / "samples" / "pocket.nc"), "--cell", str(folder / "unsure.toml")]
-    result = CliRunner().invoke(main, [*arguments, "--part-tolerance", "0.1", "-o", str(folder / "unsure_out")])
-    assert result.exit_code == 3, result.output
+    result = run(*arguments, "--part-tolerance", "0.1", "-o", folder / "unsure_out", code=3)
     assert "What would help: measure the robot" in result.output
     return folder / "unsure_out" / "pocket.report.json"
 
@@ -259,8 +251,7 @@ def _with_held_feeds(folder: Path) -> Path:
     )
     arguments = ["convert", str(folder / "held.nc"), "--cell", str(folder / "hold.toml")]
     arguments += ["--process", str(folder / "held.process.toml"), "-o", str(folder / "held")]
-    result = CliRunner().invoke(main, arguments)
-    assert result.exit_code == 3, result.output
+    run(*arguments, code=3)
     return folder / "held" / "held.report.json"
 
 
@@ -272,8 +263,7 @@ def _in_modules(folder: Path) -> Path:
     cut = "G1 Z-1 F500\n" + "".join(f"X{n} Y{n % 2}\n" for n in range(100)) + "G0 Z50\n"
     (folder / "slots.nc").write_text(f"G21 G90\nG0 X0 Y0 Z50\n{cut}X0\n{cut}M2\n")
     arguments = ["convert", str(folder / "slots.nc"), "--cell", str(folder / "small.toml"), "-o", str(folder / "slots")]
-    result = CliRunner().invoke(main, arguments)
-    assert result.exit_code == 0, result.output
+    run(*arguments)
     return folder / "slots" / "slots.report.json"
 
 
@@ -289,8 +279,7 @@ def _forces_with_a_warning(folder: Path) -> Path:
     )
     arguments = ["forces", str(folder / "slot.nc"), "--cell", str(ROOT / "samples" / "cell_kr270.toml")]
     arguments += ["--process", str(folder / "slot.process.toml"), "-o", str(folder / "slot.forces.csv")]
-    result = CliRunner().invoke(main, arguments)
-    assert result.exit_code == 0, result.output
+    run(*arguments)
     return folder / "slot.forces.json"
 
 

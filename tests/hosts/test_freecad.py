@@ -12,10 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from click.testing import CliRunner
 
-from postproc.cli import main
 from postproc.hosts import install_post
+from tests.commands import run
 
 HERE = Path(__file__).parent
 CELL = (HERE.parent.parent / "samples" / "cell_kr270.toml").resolve()
@@ -95,10 +94,7 @@ def _rows(path):
 
 def test_the_post_gives_what_convert_makes_of_freecads_linuxcnc_post(posted):
     folder, _ = posted
-    done = CliRunner().invoke(
-        main, ["convert", str(folder / "theirs.ngc"), "--cell", str(CELL), "-o", str(folder / "theirs")]
-    )
-    assert done.exit_code == 0, done.output
+    run("convert", folder / "theirs.ngc", "-o", folder / "theirs", cell=CELL)
     theirs, ours = (
         _rows(path) for path in (folder / "theirs" / "theirs.targets.csv", folder / "out" / "bracket.targets.csv")
     )
@@ -155,8 +151,7 @@ def test_forces_come_from_stock_tools_and_speeds_of_the_job(posted):
     (folder / "own.toml").write_text(told)
     command = ["forces", str(folder / "cut" / "bracket.moves.nc"), "--cell", str(CELL), "--process"]
     shutil.copy(folder / "cut" / "bracket.moves.txt", folder / "cut" / "bracket.moves.nc")
-    done = CliRunner().invoke(main, [*command, str(folder / "own.toml"), "-o", str(folder / "own.csv"), "--json"])
-    assert done.exit_code == 0, done.output
+    done = run(*command, folder / "own.toml", "-o", folder / "own.csv", "--json")
     largest = max(float(row["Fx"]) ** 2 + float(row["Fy"]) ** 2 + float(row["Fz"]) ** 2 for row in _rows(
         folder / "cut" / "bracket.targets.csv"
     )) ** 0.5  # fmt: skip

@@ -15,10 +15,9 @@ from dataclasses import dataclass, field
 from types import ModuleType, SimpleNamespace
 
 import pytest
-from click.testing import CliRunner
 
-from postproc.cli import main
 from postproc.hosts import install_post
+from tests.commands import invoke
 from tests.places import CELL_FILE
 
 
@@ -313,7 +312,7 @@ def test_the_post_goes_where_the_newest_freecad_looks(tmp_path, monkeypatch, the
     own = tmp_path / ".local" / "share" / "FreeCAD"
     for folder in there:
         (own / folder).mkdir(parents=True)
-    done = CliRunner().invoke(main, ["install-post", "freecad"])
+    done = invoke("install-post", "freecad")
     assert done.exit_code == 0, done.output
     assert (own / taken / "kuka_compensated_post.py").is_file()
     assert "--cell CELL.toml --material NAME" in done.output
@@ -322,7 +321,7 @@ def test_the_post_goes_where_the_newest_freecad_looks(tmp_path, monkeypatch, the
 def test_without_freecad_the_message_says_where_it_was_looked_for(tmp_path, monkeypatch):
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("USERPROFILE", str(tmp_path))
-    done = CliRunner().invoke(main, ["install-post", "freecad"])
+    done = invoke("install-post", "freecad")
     assert done.exit_code == 1
     assert "FreeCAD is in none of its usual places (~/.local/share/FreeCAD/v*/Macro" in done.output
     assert "--dir" in done.output

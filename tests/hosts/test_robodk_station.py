@@ -8,11 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from postproc import cell as cells
 from postproc import robot
-from postproc.cli import main
+from tests.commands import invoke
 from tests.hosts.robodk_server import Arm, station
 from tests.oracle.arm import Arm as Oracle
 
@@ -44,7 +43,7 @@ def init(monkeypatch):
     def run(arms, *arguments):
         with station(arms) as (port, opened):
             monkeypatch.setenv("ROBODK_API_PORT", str(port))
-            return CliRunner().invoke(main, ["init", *arguments]), opened
+            return invoke("init", *arguments), opened
 
     return run
 
@@ -107,7 +106,7 @@ def test_a_robodk_that_is_not_there_is_a_message_that_says_what_to_give_instead(
     monkeypatch.setenv("ROBODK_API_PORT", "1")
     monkeypatch.setenv("ROBODK_ROOT", str(Path("nowhere").resolve()))
     monkeypatch.setattr(robolink, "__ROBODK_BINARY_PATH_CACHE", None, raising=False)
-    done = CliRunner().invoke(main, ["init", "--robodk", "open"])
+    done = invoke("init", "--robodk", "open")
     assert done.exit_code == 1
     assert "RoboDK does not answer" in done.stderr
     assert "give --base, --tool and --start" in done.stderr
@@ -116,7 +115,7 @@ def test_a_robodk_that_is_not_there_is_a_message_that_says_what_to_give_instead(
 
 def test_without_the_package_the_message_says_how_to_get_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "robodk", None)
-    done = CliRunner().invoke(main, ["init", "--robodk", "milling.rdk"])
+    done = invoke("init", "--robodk", "milling.rdk")
     assert done.exit_code == 1
     assert "pip install robodk" in done.stderr
 

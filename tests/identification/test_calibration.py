@@ -6,15 +6,14 @@ import tomllib
 import msgspec
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from postproc import elastostatics, kinematics, robot
-from postproc.cli import main
 from postproc.errors import MeasurementError
 from postproc.identification import Choices, calibration, geometry_folder, identify_folder
 from postproc.identification.measurement_model import kabsch
 from postproc.identification.model_folder import read_prior
 from samples.paper_study import harness, simulator
+from tests.commands import invoke
 
 
 def measured(folder, seed=703, **kind):
@@ -141,11 +140,15 @@ def test_derivatives_by_waves_of_gears_are_those_by_finite_differences():
 
 def test_command_writes_a_folder_that_carries_the_geometry(tmp_path):
     measured(tmp_path)
-    run = CliRunner().invoke(
-        main,
-        ["identify", "geometry", str(tmp_path / "measurements.csv"), "--experiment",
-         str(tmp_path / "experiment.toml"), "-o", str(tmp_path / "g")],
-    )  # fmt: skip
+    run = invoke(
+        "identify",
+        "geometry",
+        tmp_path / "measurements.csv",
+        "--experiment",
+        tmp_path / "experiment.toml",
+        "-o",
+        tmp_path / "g",
+    )
     assert run.exit_code == 0, run.output
     model = robot.load(tmp_path / "g")
     assert not model.geometry_is_nominal

@@ -4,14 +4,13 @@ import tomllib
 import msgspec
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from scipy.spatial.transform import Rotation
 
-from postproc.cli import main
 from postproc.compensator import Compensator
 from postproc.errors import InputError, MeasurementError
 from postproc.identification import compensator_geometry as cg
 from postproc.jobs.identification_files import identify_compensator
+from tests.commands import run
 
 TRUE = np.array([0.18472, 0.68593, 0.12330])
 PAPER_Q2 = np.radians([0.0, -30.0, -60.0, -90.0, -120.0, -140.0])
@@ -144,8 +143,7 @@ def test_the_readings_are_never_overwritten(tmp_path):
 def test_json_is_what_is_written(tmp_path):
     exact, raw = readings()
     path = write(tmp_path / "c.csv", PAPER_Q2, raw, ("P1", *exact.markers))
-    done = CliRunner().invoke(main, ["identify", "compensator", str(path), "-o", str(tmp_path / "out.toml"), "--json"])
-    assert done.exit_code == 0, done.output
+    done = run("identify", "compensator", path, "-o", tmp_path / "out.toml", "--json")
     shown, content = json.loads(done.stdout), tomllib.loads((tmp_path / "out.toml").read_text())
     assert shown.keys() == content.keys()
     assert shown["L_mm"]["value"] == pytest.approx(content["L_mm"]["value"], rel=1e-9)

@@ -5,11 +5,9 @@ import json
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from msgspec.structs import replace
 
 from postproc import elastostatics, robot
-from postproc.cli import main
 from postproc.errors import MeasurementError
 from postproc.identification import identify_folder
 from postproc.identification.fit import to_file_units
@@ -18,6 +16,7 @@ from postproc.identification.plausibility import check_loads
 from postproc.identification.procedure import identify
 from postproc.identification.readings import ASSUMED_LOAD_ERROR
 from samples.paper_study import harness, simulator
+from tests.commands import invoke
 
 SIGMA = 0.03e-3
 
@@ -283,11 +282,15 @@ def swapped(rows):
 def test_bad_measurements_name_the_row_or_say_what_to_measure(tmp_path, change, message):
     paper_experiment(tmp_path)
     edited(tmp_path / "measurements.csv", lambda text: "\n".join(change(text.splitlines())) + "\n")
-    run = CliRunner().invoke(
-        main,
-        ["identify", "elastostatics", str(tmp_path / "measurements.csv"), "--experiment",
-         str(tmp_path / "experiment.toml"), "-o", str(tmp_path / "model")],
-    )  # fmt: skip
+    run = invoke(
+        "identify",
+        "elastostatics",
+        tmp_path / "measurements.csv",
+        "--experiment",
+        tmp_path / "experiment.toml",
+        "-o",
+        tmp_path / "model",
+    )
     assert run.exit_code == 1
     assert "Traceback" not in run.output
     import re
@@ -332,6 +335,6 @@ def test_wrong_angles_of_one_configuration_are_named(tmp_path):
 
 def test_commands_have_help_with_an_example():
     for command in ([], ["compensator"], ["elastostatics"]):
-        run = CliRunner().invoke(main, ["identify", *command, "--help"])
+        run = invoke("identify", *command, "--help")
         assert run.exit_code == 0
         assert "Example" in run.output

@@ -7,13 +7,12 @@ import sys
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from postproc.cli import main
 from postproc.errors import MeasurementError
 from postproc.identification.procedure import checked, identify
 from postproc.identification.readings import read, read_experiment
 from samples.paper_study import harness, simulator
+from tests.commands import invoke
 
 DATASET = """name = "simulated robot"
 licence = "MIT"
@@ -154,7 +153,7 @@ def published(measured, folder):
 
 def test_a_folder_to_publish_says_what_it_has_and_lacks(measured, tmp_path):
     published(measured, tmp_path)
-    run = CliRunner().invoke(main, ["identify", "check", str(tmp_path)])
+    run = invoke("identify", "check", tmp_path)
     assert run.exit_code == 0, run.output
     assert "has   SHA256SUMS: right for 4 files" in run.output
     assert "lacks 14 configurations; 30 are usual" in run.output
@@ -180,7 +179,7 @@ def test_a_folder_to_publish_says_what_it_has_and_lacks(measured, tmp_path):
 def test_a_folder_is_checked_against_its_robot(measured, tmp_path, row, message):
     published(measured, tmp_path)
     changed(measured[0], tmp_path, row)
-    run = CliRunner().invoke(main, ["identify", "check", str(tmp_path)])
+    run = invoke("identify", "check", tmp_path)
     assert re.search(message, run.output), run.output
 
 
@@ -189,12 +188,12 @@ def test_the_command_for_checksums_makes_right_ones_with_a_folder_of_the_robot(m
     published(measured, tmp_path)
     (tmp_path / "robot").mkdir()
     (tmp_path / "robot" / "model.toml").write_text("name = 'X'\n")
-    run = CliRunner().invoke(main, ["identify", "check", str(tmp_path)])
+    run = invoke("identify", "check", tmp_path)
     assert "lacks SHA256SUMS: none for robot/model.toml; run `" in run.output
     subprocess.run(re.search(r"run `(.+)` in the folder", run.output)[1], shell=True, cwd=tmp_path, check=True)
     sums = tmp_path / "SHA256SUMS"
     sums.write_bytes(sums.read_bytes().replace(b"\n", b"\r\n"))  # as an editor on Windows saves it
-    run = CliRunner().invoke(main, ["identify", "check", str(tmp_path)])
+    run = invoke("identify", "check", tmp_path)
     assert "has   SHA256SUMS: right for 5 files" in run.output
 
 
@@ -218,6 +217,6 @@ def test_the_command_for_checksums_makes_right_ones_with_a_folder_of_the_robot(m
 def test_what_publishing_requires_is_named_and_has_an_exit_code(measured, tmp_path, change, message):
     published(measured, tmp_path)
     change(tmp_path)
-    run = CliRunner().invoke(main, ["identify", "check", str(tmp_path)])
+    run = invoke("identify", "check", tmp_path)
     assert run.exit_code == 3, run.output
     assert message in run.output

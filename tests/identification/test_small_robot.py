@@ -4,13 +4,12 @@ import json
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from postproc import elastostatics, robot
-from postproc.cli import main
 from postproc.identification.measurement_model import Structure
 from postproc.robot.parameters import named
 from samples.paper_study import harness, simulator
+from tests.commands import invoke
 
 WEIGHT = 16 * 9.81
 GEARS = ("quadratic", "cubic", "three", "settling", "linear")
@@ -30,7 +29,7 @@ def measured(folder, seed, **options):
 def test_small_robot_is_identified_and_predicts_milling(tmp_path, seed):
     true = measured(tmp_path, seed)
     files = [str(tmp_path / "measurements.csv"), "--experiment", str(tmp_path / "experiment.toml")]
-    run = CliRunner().invoke(main, ["identify", "elastostatics", *files, "-o", str(tmp_path / "model")])
+    run = invoke("identify", "elastostatics", *files, "-o", tmp_path / "model")
     assert run.exit_code == 0, run.output
     data = json.loads((tmp_path / "model" / "identification.json").read_text(encoding="utf-8"))
     assert len(data["k2_levels"]) == 5

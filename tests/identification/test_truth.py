@@ -5,11 +5,9 @@ import json
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from msgspec.structs import replace
 
 from postproc import elastostatics, kinematics, robot
-from postproc.cli import main
 from postproc.errors import MeasurementError
 from postproc.identification import identify_folder
 from postproc.identification.choice import link_springs
@@ -19,6 +17,7 @@ from postproc.identification.validation import validate
 from samples.paper_study import harness, simulator
 from tests import fabricated
 from tests.benchmarks import truth
+from tests.commands import invoke
 from tests.dialects.gcode_reading import read as gcode_read
 
 JOB = simulator.milling_job(np.random.default_rng(4))
@@ -131,7 +130,7 @@ def test_readings_of_another_robot_do_not_pass_for_this_ones(tmp_path):
 
 def validated(model, *files):
     """Run the command."""
-    return CliRunner().invoke(main, ["identify", "validate", str(model), str(files[0]), "--experiment", str(files[1])])
+    return invoke("identify", "validate", model, files[0], "--experiment", files[1])
 
 
 def test_readings_that_a_model_was_identified_from_do_not_validate_it(tmp_path):
@@ -228,9 +227,7 @@ def test_too_few_configurations_are_refused_in_the_first_line_and_the_model_says
     done = identify_folder(tmp_path / "measurements.csv", tmp_path / "experiment.toml", tmp_path / "model")
     assert done.text.startswith("NOT TO BE TRUSTED: ")
     command = ["identify", "elastostatics", "measurements.csv", "--experiment", "experiment.toml", "-o", "again"]
-    run = CliRunner().invoke(
-        main, [str(tmp_path / word) if "." in word or word == "again" else word for word in command]
-    )
+    run = invoke(*command)
     assert run.exit_code == 3
     assert (tmp_path / "again" / "model.toml").is_file()
     assert robot.load(tmp_path / "model").measured.not_trusted

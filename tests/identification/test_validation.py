@@ -5,10 +5,8 @@ import json
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from postproc import elastostatics, robot
-from postproc.cli import main
 from postproc.identification import Choices, identify_folder
 from postproc.identification.validation import (
     MIN_CONFIGURATIONS,
@@ -20,6 +18,7 @@ from postproc.identification.validation import (
     validate,
 )
 from samples.paper_study import harness, simulator
+from tests.commands import invoke, run
 from tests.places import ROOT
 
 SIGMA = 0.03e-3
@@ -118,14 +117,12 @@ def test_validate_says_for_which_share_of_a_job_the_model_holds(one_sided):
         str(folder / "validate" / "experiment.toml"),
     ]
     command = ["identify", "validate", str(folder / "model"), *readings]
-    alone = CliRunner().invoke(main, command)
-    assert alone.exit_code == 0, alone.output
+    alone = run(*command)
     assert alone.output.startswith("the model holds for the torques listed below: at ")
     assert "not covered: torques on " in alone.output
     cell = folder / "cell.toml"
     cell.write_text(CELL.read_text().replace('"kuka_kr270"', '"model"'))
-    done = CliRunner().invoke(main, [*command, "--cell", str(cell), "--program", str(POCKET)])
-    assert done.exit_code == 3, done.output
+    done = run(*command, "--program", POCKET, cell=cell, code=3)
     shares = [line for line in done.output.splitlines() if line.startswith("pocket.nc: ")]
     assert len(shares) == 1
     assert int(shares[0].split()[1].rstrip("%")) < 95
@@ -144,7 +141,7 @@ def test_validate_says_for_which_share_of_a_job_the_model_holds(one_sided):
     ],
 )
 def test_options_of_a_job_go_together(options, message):
-    done = CliRunner().invoke(main, ["identify", "validate", "m", "r.csv", "--experiment", "e.toml", *options])
+    done = invoke("identify", "validate", "m", "r.csv", "--experiment", "e.toml", *options)
     assert done.exit_code == 2
     assert message in done.output
 

@@ -6,14 +6,13 @@ import json
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from postproc import forces as force_sources
 from postproc import machining, toolpath
-from postproc.cli import main
 from postproc.errors import ForceError
 from postproc.machining import cutting
 from postproc.under_load import RobotInCell
+from tests.commands import run
 from tests.machining.setting import CELL, ROBOT, forces, gcode, process, read, tool
 from tests.places import SAMPLES
 
@@ -57,14 +56,10 @@ def test_what_is_written_is_what_is_in_memory_and_base_axes_are_the_same(compute
     place = RobotInCell.of(ROBOT, CELL)
     path, found = path_forces(program, machining.ProcessSource(given, place.spindle))
     for option in ([], ["--base"]):
-        result = CliRunner().invoke(
-            main,
-            [
-                *("forces", str(folder / "part.nc"), "--cell", str(SAMPLES / "cell_kr270.toml"), *option),
-                *("--process", str(folder / "process.toml"), "-o", str(folder / "f.csv")),
-            ],
+        run(
+            *("forces", str(folder / "part.nc"), "--cell", str(SAMPLES / "cell_kr270.toml"), *option),
+            *("--process", str(folder / "process.toml"), "-o", str(folder / "f.csv")),
         )
-        assert result.exit_code == 0, result.output
         _, other = path_forces(program, force_sources.read(folder / "f.csv"))
         bound = 1e-2 if not option else 6.0  # in $BASE axes a force that turns on an arc is linear between places
         for share in (0.2, 0.5, 0.77, 1.0):
@@ -81,8 +76,7 @@ def test_forces_of_drilling_cycles_give_no_warning_when_they_are_read_again(tmp_
         (*made, *cell, "-o", str(tmp_path / "f.csv")),
         ("convert", str(tmp_path / "part.nc"), "--forces", str(tmp_path / "f.csv"), *cell, "-o", str(tmp_path / "out")),
     ):
-        result = CliRunner().invoke(main, command)
-        assert result.exit_code == 0, result.output
+        run(*command)
     content = json.loads((tmp_path / "out" / "part.report.json").read_text())
     assert content["max_force_N"] > 100.0
     assert not [issue for issue in content["issues"] if issue["level"] != "info"]

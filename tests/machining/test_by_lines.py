@@ -6,9 +6,8 @@ import csv
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from postproc.cli import main
+from tests.commands import invoke
 from tests.machining.setting import forces, gcode, process, tool
 from tests.places import SAMPLES
 
@@ -32,7 +31,7 @@ def made(folder, text, process_text, name="part.nc", cell=SAMPLES / "cell_kr270.
     (folder / name).write_text(text)
     (folder / "process.toml").write_text(process_text)
     given = ("forces", folder / name, "--cell", cell, "--process", folder / "process.toml", "-o", folder / "f.csv")
-    result = CliRunner().invoke(main, [str(each) for each in given])
+    result = invoke(*given)
     if not (folder / "f.csv").exists():
         return result, None
     rows = {}
@@ -102,7 +101,7 @@ def test_moves_of_a_line_that_cut_alike_are_written_once(tmp_path, text, cuts):
     assert several == cuts
     given = ("convert", "part.nc", "--cell", SAMPLES / "cell_kr270.toml", "--forces", "f.csv", "-o", "out")
     paths = [str(tmp_path / each) if each in ("part.nc", "f.csv", "out") else str(each) for each in given]
-    assert CliRunner().invoke(main, paths).exit_code == 0
+    assert invoke(*paths).exit_code == 0
 
 
 def test_the_largest_force_stands_for_all_holes_of_a_cycle(tmp_path):

@@ -12,16 +12,15 @@ from itertools import groupby
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc import correction
 from postproc.cell import Part
-from postproc.cli import main
 from postproc.errors import InputError, PostprocError, ProgramError
 from postproc.jobs import conversion, process_forces
 from postproc.report.feed import feed_summary, sentences
+from tests.commands import run
 from tests.machining.setting import CELL, ROBOT, gcode, process, read, tool
 from tests.places import SAMPLES
 
@@ -294,8 +293,7 @@ def test_times_by_operation_are_on_the_terminal_in_json_and_on_the_page(tmp_path
     program = text().replace("G0 X-15", "(Slot)\nG0 X-15", 1).replace("X180", "G0 Z5\n(Rim)\nG1 Z-6\nX180", 1)
     (tmp_path / "part.nc").write_text(program)
     given = ["--cell", str(tmp_path / "cell.toml"), "--process", str(tmp_path / "process.toml")]
-    made = CliRunner().invoke(main, ["convert", str(tmp_path / "part.nc"), *given, "-o", str(tmp_path / "out")])
-    assert made.exit_code == 3, made.output
+    made = run("convert", tmp_path / "part.nc", *given, "-o", tmp_path / "out", code=3)
     feed = json.loads((tmp_path / "out" / "part.report.json").read_text())["feed"]
     assert [each["name"] for each in feed["operations"]] == ["Slot", "Rim"]
     for key in ("time_before_s", "time_after_s"):

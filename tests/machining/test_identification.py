@@ -7,13 +7,12 @@ import tomllib
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from postproc import machining
-from postproc.cli import main
 from postproc.errors import ForceError
 from postproc.machining import identification
 from postproc.machining.process import ToolTable
+from tests.commands import printed
 from tests.machining.setting import AL7075, CELL, ROBOT, gcode, process, tool
 from tests.oracle.teeth import Teeth
 
@@ -206,24 +205,18 @@ def written(path, cuts, **columns):
             out.writerow([mode, DEPTH, ae, RPM, chip * RPM * TEETH, *(f"{value:.3f}" for value in force), 3])
 
 
-def run(*arguments, code=0):
-    result = CliRunner().invoke(main, [str(each) for each in arguments])
-    assert result.exit_code == code, result.output
-    return result.output
-
-
 def test_from_readings_to_a_process(tmp_path):
     """What is written is a material that a process takes by its file, and forces computed with it are the measured."""
     written(tmp_path / "cuts.csv", [*SLOTS, *SIDES])
     (tmp_path / "tool.toml").write_text(f"[tools.1]\n{tool(10, 4)}")
     made = ("identify", "forces", tmp_path / "cuts.csv", "--process", tmp_path / "tool.toml", "-o", tmp_path / "m.toml")
-    assert "Ktc 767" in run(*made)
+    assert "Ktc 767" in printed(*made)
     material = tomllib.loads((tmp_path / "m.toml").read_text())["material"]
     assert set(material["ci95"]) == set(identification.NAMES)
     assert np.array(material["covariance"]).shape == (6, 6)
     page = (tmp_path / "m.html").read_text()
     assert 'id="fit-Fx"' in page
-    run(*made)  # its own file is replaced
+    printed(*made)  # its own file is replaced
     (tmp_path / "process.toml").write_text(
         process(tool(10, 4), ((0, 100), (-40, 40), (-20, 0)), material='file = "m.toml"')
     )
@@ -236,8 +229,8 @@ def test_proposed_cuts_are_a_program_of_the_process(tmp_path):
     box = ((0, 100), (0, 100), (-20, 0))
     (tmp_path / "process.toml").write_text(process(tool(10, 4), box))
     arguments = ("--process", tmp_path / "process.toml", "-o", tmp_path / "part.nc")
-    run("identify", "forces", "--propose", *arguments)
-    run("identify", "forces", "--propose", *arguments, code=1)
+    printed("identify", "forces", "--propose", *arguments)
+    printed("identify", "forces", "--propose", *arguments, code=1)
     import postproc
 
     program = postproc.read_program(tmp_path / "part.nc", ROBOT, CELL)
@@ -251,7 +244,7 @@ def test_proposed_cuts_are_a_program_of_the_process(tmp_path):
             chip = float(row["feed_mm_per_min"]) / float(row["rpm"]) / TEETH
             force = cut("slot", None, chip, float(row["ap_mm"]))[0]
             out.writerow(row | dict(zip(("Fx", "Fy", "Fz"), force, strict=True)) | {"sigma_N": 3})
-    assert "Ktc 76" in run("identify", "forces", tmp_path / "part.csv", *arguments[:2], "-o", tmp_path / "m.toml")
+    assert "Ktc 76" in printed("identify", "forces", tmp_path / "part.csv", *arguments[:2], "-o", tmp_path / "m.toml")
 
 
 @pytest.mark.parametrize(

@@ -8,13 +8,13 @@ from functools import partial
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from scipy.optimize import fixed_point
 
 from postproc import correction, jobs
-from postproc.cli import main, outcomes
+from postproc.cli import outcomes
 from postproc.jobs import process_forces
 from postproc.machining import sweep
+from tests.commands import invoke, run
 from tests.effort import calls
 from tests.machining.setting import AL7075, CELL, ROBOT, gcode, process, read, tool
 from tests.machining.test_closed_forms import altintas
@@ -66,8 +66,7 @@ def test_it_is_told_and_the_corrected_program_is_that_of_the_nominal_cut(tmp_pat
     (tmp_path / "process.toml").write_text(process(tool(16, 3), BOX, 0.5))
     given = ["--cell", str(SAMPLES / "cell_kr270.toml"), "--process", str(tmp_path / "process.toml")]
     for command in ("predict", "convert"):
-        made = CliRunner().invoke(main, [command, str(tmp_path / "part.nc"), *given, "-o", str(tmp_path / command)])
-        assert made.exit_code in (0, 3), made.output
+        run(command, tmp_path / "part.nc", *given, "-o", tmp_path / command, code=(0, 3))
     told = json.loads((tmp_path / "predict" / "part.predict.report.json").read_text())
     (cut,) = [issue for issue in told["issues"] if issue["kind"] == "real-cut"]
     assert cut["level"] == "info"
@@ -81,14 +80,14 @@ def test_it_is_told_and_the_corrected_program_is_that_of_the_nominal_cut(tmp_pat
 
 def test_process_and_forces_exclude_each_other(tmp_path):
     given = ["--cell", "cell.toml", "--process", "p.toml", "--forces", "f.csv"]
-    made = CliRunner().invoke(main, ["convert", "part.nc", *given])
+    made = invoke("convert", "part.nc", *given)
     assert made.exit_code == 2
     assert "exclude each other" in made.output
 
 
 @pytest.mark.parametrize("name", ["p.csv", "p"])
 def test_a_process_is_toml(name):
-    made = CliRunner().invoke(main, ["predict", "part.nc", "--cell", "cell.toml", "--process", name])
+    made = invoke("predict", "part.nc", "--process", name, cell="cell.toml")
     assert made.exit_code == 2
 
 

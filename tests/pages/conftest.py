@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from click.testing import CliRunner
 
-from postproc.cli import main
+from tests.commands import run
 from tests.pages import browser as browsers
 from tests.places import ROOT
 
@@ -16,8 +15,7 @@ def results(tmp_path_factory):
     folder = tmp_path_factory.mktemp("pages")
     arguments = [str(ROOT / "samples" / "pocket.nc"), "--cell", str(ROOT / "samples" / "cell_kr270.toml")]
     for command in ("convert", "predict"):
-        done = CliRunner().invoke(main, [command, *arguments, "-o", str(folder)], catch_exceptions=False)
-        assert done.exit_code == 0, done.output
+        run(command, *arguments, "-o", folder, catch_exceptions=False)
     return folder
 
 

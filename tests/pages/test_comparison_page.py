@@ -5,9 +5,8 @@ from __future__ import annotations
 import json
 
 import pytest
-from click.testing import CliRunner
 
-from postproc.cli import main
+from tests.commands import run
 from tests.pages.browser import needs_chromium, opened
 from tests.places import ROOT
 
@@ -18,8 +17,7 @@ pytestmark = needs_chromium
 def compared(results):
     samples = ROOT / "samples"
     arguments = ["compare", str(samples / "pocket.nc"), str(results / "pocket.src"), "-o", str(results)]
-    done = CliRunner().invoke(main, [*arguments, "--cell", str(samples / "cell_kr270.toml")], catch_exceptions=False)
-    assert done.exit_code == 0, done.output
+    run(*arguments, cell=samples / "cell_kr270.toml", catch_exceptions=False)
     return results
 
 

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from postproc.cli import main
 from postproc.report import page as rendered
 from tests import fabricated
+from tests.commands import run
 from tests.pages.browser import faults_of_looks, needs_chromium, opened
 from tests.places import ROOT
 
@@ -23,8 +22,7 @@ def pages(results, tmp_path_factory):
     """Pages of programs: one with arcs, what it is compared with, and one with a bound."""
     samples = ROOT / "samples"
     arguments = ["compare", str(samples / "pocket.nc"), str(results / "pocket.src"), "-o", str(results)]
-    done = CliRunner().invoke(main, [*arguments, "--cell", str(samples / "cell_kr270.toml")], catch_exceptions=False)
-    assert done.exit_code == 0, done.output
+    run(*arguments, cell=samples / "cell_kr270.toml", catch_exceptions=False)
     hard = tmp_path_factory.mktemp("looks") / "hard.html"
     result = fabricated.result()
     result = fabricated.with_changes(result, bound=np.full(len(result), 3e-5), after=result.before * 1e-4)

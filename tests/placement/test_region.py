@@ -8,17 +8,16 @@ from itertools import product
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from msgspec.structs import replace
 
 from postproc import correction, robot
 from postproc.cell import Box, Collision, ExternalAxis, Frame, HolderTable, ObstacleTable
-from postproc.cli import main
 from postproc.errors import InputError
 from postproc.jobs.place_files import region_of
 from postproc.placement import Keep, PathSamples, region
 from postproc.placement.region import Region
 from postproc.under_load import RobotInCell
+from tests.commands import invoke, run
 from tests.corrections import read_files
 from tests.oracle.arm import Arm, abc
 from tests.placement.setting import cell, read
@@ -197,8 +196,7 @@ def test_a_map_shows_todays_place_only_where_it_is_on_it(tmp_path, base, is_on_m
     )
     arguments = [str(tmp_path / "part.nc"), "--cell", str(tmp_path / "cell.toml"), "-o", str(tmp_path / "out")]
     bounds = "X=1200:1500,Y=-100:100,Z=600:600,A=0:0"
-    done = CliRunner().invoke(main, ["place", *arguments, "--region", bounds])
-    assert done.exit_code == 0, done.output
+    run("place", *arguments, "--region", bounds)
     page = (tmp_path / "out" / "place.html").read_text("utf-8")
     where = f"X {base[0]:g}, Y 0, Z {base[2]:g}, A 0°"
     assert ("Ring: today" in page) == is_on_map
@@ -230,7 +228,7 @@ def test_a_krl_program_that_sets_the_numbers_of_the_cell_as_its_base_is_refused(
     frame = "$BASE={X 1500,Y -200,Z 700,A 0,B 0,C 0}"
     body = "$VEL.CP=0.05\nPTP {X 0,Y 0,Z 60,A 180,B 0,C 180}\nLIN {X 20}\nEND\n"
     (tmp_path / "own.src").write_text(f"DEF own()\n{frame}\n{body}")
-    done = CliRunner().invoke(main, ["place", "own.src", "--cell", "cell.toml", "--region", "X=1500:1510", "-o", "out"])
+    done = invoke("place", "own.src", "--region", "X=1500:1510", "-o", "out", cell="cell.toml")
     assert (done.exit_code, "$BASE that the program sets itself" in done.output) == (1, True), done.output
 
 
@@ -239,8 +237,7 @@ def test_the_command_writes_map_table_and_base(tmp_path, monkeypatch):
     (tmp_path / "cell_kr270.toml").write_bytes((SAMPLES / "cell_kr270.toml").read_bytes())
     (tmp_path / "part.nc").write_text(PART)
     command = "place part.nc --cell cell_kr270.toml --region X=1200:1800,A=-20:20 -o out"
-    done = CliRunner().invoke(main, command.split())
-    assert done.exit_code == 0, done.output
+    done = run(*command.split())
     content = json.loads((tmp_path / "out" / "place.json").read_text("utf-8"))
     rows = list(csv.DictReader((tmp_path / "out" / "place.csv").read_text().splitlines()))
     assert content["grid"] == "place.csv"
@@ -256,7 +253,7 @@ def test_the_command_writes_map_table_and_base(tmp_path, monkeypatch):
     base = (tmp_path / "out" / "place.toml").read_text("utf-8")
     assert f"X = {best['X']:.4f}" in base
     assert collisions in done.output
-    again = CliRunner().invoke(main, command.split())
+    again = invoke(*command.split())
     assert again.exit_code == 0
 
 
@@ -269,12 +266,11 @@ def test_the_command_keeps_a_clearance_and_asks_for_bodies_if_there_are_none(tmp
         f"{text}\n[collision]\nholder = [ {{ diameter_mm = 20, length_mm = 90 }} ]\n{box}"
     )
     command = ["place", str(tmp_path / "part.nc"), "--region", "X=1400:1450", "-o", str(tmp_path / "out")]
-    done = CliRunner().invoke(main, [*command, "--cell", str(tmp_path / "bare.toml"), "--clearance-mm", "10"])
+    done = invoke(*command, "--clearance-mm", "10", cell=tmp_path / "bare.toml")
     assert done.exit_code == 1
     assert "the cell has no [collision]" in done.output
     for need, code in (("10", 0), ("45", 1)):
-        done = CliRunner().invoke(main, [*command, "--cell", str(tmp_path / "cell.toml"), "--clearance-mm", need])
-        assert done.exit_code == code, done.output
+        done = run(*command, "--clearance-mm", need, cell=tmp_path / "cell.toml", code=code)
         assert f"{need} mm between bodies of [collision]" in done.output
         assert "Stock is not among these bodies: convert checks it, with --process." in done.output
         content = json.loads((tmp_path / "out" / "place.json").read_text("utf-8"))
@@ -294,8 +290,7 @@ def test_the_command_prints_the_turn_of_the_tool_and_keeps_that_of_the_cell_if_n
         f'joints = [0, -90, 110, 0, 60, 0]\n[gcode]\nredundancy = "best"\nredundancy_deg = {stated}\n'
     )
     command = ["place", str(tmp_path / "part.nc"), "--region", "X=1400:1410", "-o", str(tmp_path / "out")]
-    done = CliRunner().invoke(main, [*command, "--cell", str(tmp_path / "cell.toml")])
-    assert done.exit_code == 0, done.output
+    done = run(*command, cell=tmp_path / "cell.toml")
     turn = json.loads((tmp_path / "out" / "place.json").read_text("utf-8"))["best"]["turn_deg"]
     assert (turn != 0.0) == turned
     (line,) = [line for line in done.output.splitlines() if line.startswith("  best: ")]
@@ -309,7 +304,7 @@ def test_no_place_in_the_region_is_said_and_is_no_success(tmp_path):
     (tmp_path / "part.nc").write_text(PART)
     (tmp_path / "cell.toml").write_bytes((SAMPLES / "cell_kr270.toml").read_bytes())
     arguments = [str(tmp_path / "part.nc"), "--cell", str(tmp_path / "cell.toml"), "-o", str(tmp_path / "out")]
-    done = CliRunner().invoke(main, ["place", *arguments, "--region", "X=4000:5000,Y=-300:300"])
+    done = invoke("place", *arguments, "--region", "X=4000:5000,Y=-300:300")
     assert done.exit_code == 1
     assert "No place in the region can be driven" in done.output
     content = json.loads((tmp_path / "out" / "place.json").read_text("utf-8"))
@@ -322,8 +317,7 @@ def test_without_forces_no_error_is_claimed(tmp_path):
     (tmp_path / "part.nc").write_text("G21 G90\nG0 X20 Y20 Z20\nG1 Z-3 F600\nX60\nG0 Z20\n")
     (tmp_path / "cell.toml").write_bytes((SAMPLES / "cell_kr270.toml").read_bytes())
     arguments = [str(tmp_path / "part.nc"), "--cell", str(tmp_path / "cell.toml"), "-o", str(tmp_path / "out")]
-    done = CliRunner().invoke(main, ["place", *arguments, "--region", "X=1400:1600"])
-    assert done.exit_code == 0, done.output
+    run("place", *arguments, "--region", "X=1400:1600")
     sentence = json.loads((tmp_path / "out" / "place.json").read_text("utf-8"))["sentence"]
     assert sentence.startswith("Today's place can be driven. No cutting move carries a force")
     assert "--forces" in sentence

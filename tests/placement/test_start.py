@@ -7,16 +7,15 @@ import re
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from msgspec.structs import replace
 
 from postproc import correction, kinematics, robot
 from postproc.cell import Box, Collision, ObstacleTable, Start
-from postproc.cli import main
 from postproc.collision import link_frames
 from postproc.placement import turning
 from postproc.placement.turning import chosen_start
 from postproc.under_load import RobotInCell
+from tests.commands import invoke
 from tests.oracle import cell_sim
 from tests.oracle.arm import Arm
 from tests.placement.setting import ROBOTS, cell, read
@@ -105,9 +104,7 @@ def without_start(tmp_path, name="part.nc", text=PART):
     (tmp_path / name).write_text(text)
     whole = (SAMPLES / "cell_kr270.toml").read_text()
     (tmp_path / "cell.toml").write_text(re.sub(r"\[start\]\njoints.*\n", "", whole))
-    return lambda *command: CliRunner().invoke(
-        main, [command[0], str(tmp_path / command[1]), *command[2:], "--cell", str(tmp_path / "cell.toml")]
-    )
+    return lambda *command: invoke(command[0], tmp_path / command[1], *command[2:], cell=tmp_path / "cell.toml")
 
 
 def test_what_is_written_starts_there_and_is_read_back_the_same(tmp_path):

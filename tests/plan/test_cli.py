@@ -10,13 +10,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from postproc.cli import main
 from postproc.dialects import krl
 from postproc.dialects.text import decode
 from postproc.kinematics import tcp
 from postproc.plan import search
+from tests.commands import invoke
 from tests.html_page import read_page
 from tests.places import SAMPLES
 from tests.plan import setting
@@ -35,7 +34,7 @@ def run(folder, *arguments, text=BASIC + RIG + AROUND):
     setting.experiment(folder, text)
     (folder / "tests.csv").write_text(POSES)
     common = ["plan", "--experiment", str(folder / "experiment.toml"), "--cell", str(SAMPLES / "cell_kr270.toml")]
-    return CliRunner().invoke(main, [*common, *arguments, "-o", str(folder / "out" / "plan.csv")])
+    return invoke(*common, *arguments, "-o", folder / "out" / "plan.csv")
 
 
 def briefly(task, seed, *_, rounds):
@@ -177,7 +176,7 @@ def test_an_input_is_never_overwritten(tmp_path):
     (tmp_path / "plan.csv").write_text(POSES)
     arguments = ["plan", "--experiment", str(tmp_path / "experiment.toml"), "--cell", str(SAMPLES / "cell_kr270.toml")]
     arguments += ["--poses", str(tmp_path / "plan.csv"), "-o", str(tmp_path / "plan.csv"), *QUICK]
-    result = CliRunner().invoke(main, arguments)
+    result = invoke(*arguments)
     assert result.exit_code == 1
     assert "would be overwritten" in result.output
     assert (tmp_path / "plan.csv").read_text() == POSES

@@ -5,15 +5,14 @@ import re
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from msgspec.structs import replace
 from scipy.stats import t as student
 
 from postproc import robot
-from postproc.cli import main
 from postproc.errors import PlanError
 from postproc.identification import compensator_geometry as cg
 from postproc.plan.compensator import CompensatorOptions, expected_intervals, plan_compensator
+from tests.commands import invoke
 from tests.kr270 import ROBOT
 from tests.plan import setting
 
@@ -39,7 +38,7 @@ def filled_in(text, rng, sigma=SIGMA, beta=None):
 def planned(folder, *arguments):
     setting.experiment(folder, setting.BASIC)
     command = ["plan", "compensator", "--experiment", str(folder / "experiment.toml"), *arguments]
-    return CliRunner().invoke(main, [*command, "-o", str(folder / "readings.csv")])
+    return invoke(*command, "-o", folder / "readings.csv")
 
 
 def test_filled_in_templates_are_identified_with_the_promised_intervals_that_hold(tmp_path):
@@ -145,7 +144,7 @@ def test_names_of_more_than_nine_markers_are_those_that_identify_reads(tmp_path,
 
 
 def test_options_without_a_command_plan_poses():
-    done = CliRunner().invoke(main, ["plan", "--cell", "x"])
+    done = invoke("plan", cell="x")
     assert done.exit_code == 2
     assert "Usage: main plan poses" in done.output
     assert "Missing option '--experiment'" in done.output

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from postproc.cli import main
 from postproc.errors import MeasurementError
 from postproc.report.testpart import design_lines
 from postproc.testpart import design, probing
 from postproc.testpart.cut import Clamped, CutForces, surfaces
 from postproc.testpart.linear import linearised
 from postproc.testpart.readings import Readings
+from tests.commands import invoke, run
 from tests.oracle.whole_arm import WholeArm
 from tests.places import SAMPLES
 from tests.testpart import trial
@@ -129,10 +128,7 @@ def test_a_weight_on_a_touch_off_point_is_refused(part):
 def test_the_command_writes_stops_for_the_weight(tmp_path):
     (tmp_path / "process.toml").write_text(trial.process_text(BLOCK, 1.0))
     given = ["--cell", str(SAMPLES / "cell_kr270.toml"), "--process", str(tmp_path / "process.toml")]
-    done = CliRunner().invoke(
-        main, ["testpart", *given, "--features", "2", "--depth", "3", "--weight", "20", "-o", str(tmp_path / "out")]
-    )
-    assert done.exit_code == 0, done.output
+    done = run("testpart", *given, "--features", "2", "--depth", "3", "--weight", "20", "-o", tmp_path / "out")
     assert "the weight on the tool leaves" in done.output
     assert (tmp_path / "out" / "testpart.nc").read_text().count("M0\n") == 3
     assert (tmp_path / "out" / "testpart.src").read_text().count("HALT") == 4  # one is the tool change
@@ -140,6 +136,6 @@ def test_the_command_writes_stops_for_the_weight(tmp_path):
     page = (tmp_path / "out" / "testpart.html").read_text()
     assert "the weight on the tool leaves" in page
     assert "hang 20 kg on the tool" in page
-    converted = CliRunner().invoke(main, ["convert", str(tmp_path / "out" / "testpart.nc"), *given[:2], "--nominal"])
+    converted = invoke("convert", tmp_path / "out" / "testpart.nc", *given[:2], "--nominal")
     notes = [line for line in converted.output.splitlines() if "info:" in line]
     assert [note for note in notes if "The first move begins below the first target" not in note] == []
