@@ -23,6 +23,8 @@ REASONS = ("free", "out of reach", "joint limit", "singular pose", "joint speed"
 FREE, REACH, LIMIT, SINGULAR, SPEED, COLLISION = range(6)
 REAL = 0.02
 """Share of the expected error that another place or turn must save, or today's stays."""
+TURNS = np.arange(-180.0, 180.0, 30.0) * RAD_PER_DEG
+"""Turns of the tool about its axis that are tried where the cell leaves the turn open [rad]."""
 WINDING = (3, 5)
 """A4 and A6: the joints that may turn by more than a whole turn."""
 

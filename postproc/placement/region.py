@@ -18,7 +18,7 @@ from msgspec.structs import replace
 
 from postproc import kinematics, toolpath
 from postproc.errors import InputError
-from postproc.frames import MM_PER_M, RAD_PER_DEG, Array, inverse, pose_from_xyzabc, product
+from postproc.frames import MM_PER_M, Array, inverse, pose_from_xyzabc, product
 from postproc.kinematics import UnreachableError
 from postproc.placement import drive
 from postproc.placement.bodies import Bodies
@@ -38,8 +38,6 @@ _STARTS, _HALVINGS = 4, 5
 """Places from which the compass search starts, and how often its steps are halved."""
 _SAME_FRAME = 1e-6
 """Entries of frames [m, 1] that differ by less are equal but for rounding."""
-_TURNS = np.arange(-180.0, 180.0, 30.0) * RAD_PER_DEG
-"""Turns of the tool tried at each place where the cell leaves it open."""
 _GAIN = 1e-3
 """Share of the expected error by which a step of the compass search must lower it."""
 _SIMILAR_COST = 0.01
@@ -197,7 +195,7 @@ class Programs:
         self.robot_in_cell = samples[0].robot_in_cell
         self.robot = self.robot_in_cell.robot
         self.today = inverse(self.robot_in_cell.cell.base.pose())
-        self.turns = _TURNS if turns else np.zeros(1)
+        self.turns = drive.TURNS if turns else np.zeros(1)
         self.branch = int(kinematics.closed_form(self.robot).branch_of(self.robot_in_cell.cell.start_joints[None])[0])
         self.bodies = None if clearance_mm is None else [Bodies(item, clearance_mm) for item in samples]
         total = sum(len(item) for item in samples)

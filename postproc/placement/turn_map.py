@@ -71,7 +71,7 @@ class Blocks(Struct, frozen=True, eq=False):
     :param begins: (B,) True for blocks that do not continue the one before: the first, and joint interpolations.
     :param cuts: (B,) True for blocks at feed.
     :param length: (B,) path length [m].
-    :param time: (B,) duration at the programmed feed [s].
+    :param time: (B,) duration at the programmed feed [s]; 0 for rapid blocks, whose turn no time limits.
     :param motion: (B,) last motion of each block.
     """
 
@@ -112,9 +112,7 @@ class Blocks(Struct, frozen=True, eq=False):
         whole = total[of_sample[last]]
         share = np.where(whole > 0.0, (path_length - block_start)[last] / np.where(whole > 0.0, whole, 1.0), 1.0)
         ends = np.append(np.flatnonzero(np.diff(block)), len(block) - 1)
-        seconds = np.where(
-            m.rapid, np.where(m.feed > 0.0, length / np.where(m.feed > 0.0, m.feed, 1.0), 0.0), length / m.feed
-        )
+        seconds = length[~m.rapid] / m.feed[~m.rapid]
         begin = np.concatenate([[0], ends[:-1] + 1])
         return cls(
             first,
@@ -123,7 +121,7 @@ class Blocks(Struct, frozen=True, eq=False):
             jump[begin] | (begin == 0),
             ~m.rapid[begin],
             np.asarray(total, dtype=float),
-            np.asarray(np.bincount(block, np.nan_to_num(seconds)), dtype=float),
+            np.asarray(np.bincount(block[~m.rapid], np.nan_to_num(seconds), minlength=len(begin)), dtype=float),
             ends,
         )
 

@@ -52,7 +52,6 @@ _NO_OFFSET = np.zeros(1)
 """A map of one turn."""
 _MAX_SAMPLES = 4000
 """Samples of a program by which branches are judged."""
-_TURNS = np.arange(-180.0, 180.0, 30.0) * RAD_PER_DEG
 _BRANCHES = 8
 """Shoulder, elbow and wrist have two each."""
 _LARGE_ANGLE = 100.0
@@ -395,7 +394,8 @@ def chosen_start(program: Program, robot_in_cell: RobotInCell) -> ChosenStart:
     rows = usable_rows[
         distinct(np.linspace(0, len(usable_rows) - 1, min(_MAX_SAMPLES, len(usable_rows))).astype(np.int64))
     ]
-    turns = _TURNS if robot_in_cell.cell.gcode.redundancy != "constant" and not program.keeps_text else np.zeros(1)
+    turn_is_free = robot_in_cell.cell.gcode.redundancy != "constant" and not program.keeps_text
+    turns = drive.TURNS if turn_is_free else np.zeros(1)
     found_q = [[_solved(samples, rows, turn, branch) for turn in turns] for branch in range(_BRANCHES)]
     margin = np.array([[_margin(robot_in_cell, q) for q in branch_paths] for branch_paths in found_q])
     at_best_turn = margin.max(axis=1)
@@ -423,7 +423,8 @@ def chosen_start(program: Program, robot_in_cell: RobotInCell) -> ChosenStart:
     )
     if np.isfinite(worst[order[1]]) and free[order[1]]:
         words += f" (the next best has {worst[order[1]] * DEG_PER_RAD:.1f}°)"
-    return _start(_unwound(robot_in_cell, q) if len(turns) == 1 else q[:, 0], words)
+    # The room along a constant turn says nothing of a path whose turn is still to be chosen.
+    return _start(q[:, 0] if turn_is_free else _unwound(robot_in_cell, q), words)
 
 
 def _free_of_collisions(samples: PathSamples, rows: Ints, found_q: list[list[Array]], worst: Array) -> list[bool]:

@@ -18,7 +18,7 @@ from postproc.under_load import RobotInCell
 from tests.commands import invoke
 from tests.oracle import cell_sim
 from tests.oracle.arm import Arm
-from tests.placement.setting import ROBOTS, cell, read
+from tests.placement.setting import ROBOTS, around, cell, read
 from tests.places import SAMPLES
 
 PART = "G21 G90\nG0 X0 Y-100 Z60\nG1 Z0 F600\nX200 F2000\nY100\nX0\nG0 Z60\nM30\n"
@@ -90,6 +90,14 @@ def test_a4_and_a6_start_with_the_whole_turn_that_leaves_the_most_room_along_the
     wanted = [0.0, -90.0, 100.0, 0.0, 80.0, 0.0]
     wanted[axis] = expected
     np.testing.assert_allclose(found, wanted, atol=1e-9)
+
+
+def test_a_program_whose_turn_is_free_starts_within_half_a_turn_of_a4_and_a6():
+    """At a constant turn A4 would start at 280°, with more room: but the turn is chosen along the path later."""
+    own = cell(redundancy="path")
+    program, model = read(around(1400, 150), own)
+    joints = chosen_start(program, RobotInCell.of(model, own)).joints
+    assert np.abs(np.array(joints)[[3, 5]]).max() < 180.0
 
 
 def _flange(program, model, own):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,8 @@ from msgspec.structs import replace
 from postproc import correction, placement, robot
 from postproc.cell import Box, Collision, HolderTable, ObstacleTable, Rotary
 from postproc.frames import rotation_from_vector
-from postproc.placement import REASONS, turn_map
+from postproc.placement import REASONS, drive, turn_map, turning
+from postproc.placement.samples import PathSamples
 from postproc.poses import Poses
 from postproc.report import summary
 from postproc.under_load import RobotInCell
@@ -292,3 +294,48 @@ def test_a_cut_that_tilts_the_tool_without_rotary_axes_is_not_turned_on_the_way(
     assert said[0].level == "error"
     assert said[0].source_line == 4
     assert placement.chosen(tilted, setting, None, "best")[0] is not None
+
+
+def test_the_turns_that_are_tried_divide_the_circle():
+    np.testing.assert_allclose(np.degrees(drive.TURNS), range(-180, 180, 30), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("millimetres", "seconds", "change", "limit"),
+    [
+        (20.0, 10.0, 0.0, 20.0),  # 1° a millimetre
+        (100.0, 0.5, 0.0, 15.0),  # 30° a second
+        (100.0, 0.5, 7.0, 15.0),  # with what the columns of the map turn already
+        (100.0, 0.5, -7.0, 15.0),
+        (1000.0, 100.0, 0.0, 170.0),  # less than half a turn
+    ],
+)
+def test_a_cut_turns_by_what_its_length_and_its_time_allow_and_no_more(millimetres, seconds, change, limit):
+    blocks = SimpleNamespace(length=[millimetres * 1e-3], time=[seconds], cuts=[True])
+    columns = SimpleNamespace(blocks=blocks, offset=np.arange(120))
+    steps = turn_map._steps(columns, 0, slice(0, 9), np.radians(3.0), np.radians(change), turn_at_feed=True)
+    assert steps.tolist() == [k for k in range(-119, 120) if abs(3.0 * k + change) <= limit + 1e-6]
+
+
+def test_a_rapid_block_takes_no_time_and_a_cut_its_length_over_its_feed():
+    own = cell()
+    program, model = read("G21 G90\nG0 X1300 Y0 Z60\nG1 Z0 F600\nG1 Y90 F1200\nG0 Z60\n", own)
+    blocks = turn_map.Blocks.of(PathSamples.of(program, RobotInCell.of(model, own), None))
+    assert not blocks.time[~blocks.cuts].any()
+    assert blocks.time.sum() == pytest.approx(60.0 / 10.0 + 90.0 / 20.0)
+
+
+@pytest.mark.parametrize("column", [0, 4, 9])
+def test_the_column_in_which_a_line_collides_is_closed_and_no_other(column):
+    own = cell()
+    program, model = read("G21 G90\nG0 X1300 Y0 Z60\nG1 Z0 F600\nG1 Y90 F1200\nG0 Z60\n", own)
+    samples = PathSamples.of(program, RobotInCell.of(model, own), None)
+    blocks = turn_map.Blocks.of(samples)
+    branch = turn_map.branch_of_start(samples)
+    offset = np.arange(10) * 0.25 - 1.0  # exact: a line along a column is not between two
+    columns = turn_map.evaluate(samples, blocks, branch, np.zeros(len(samples)), offset, None)
+    columns = replace(columns, hit=np.zeros(columns.u95.shape, dtype=bool))
+    line = turn_map.Line(np.full(len(blocks.time), offset[column]), 0.0)
+    is_hit = np.arange(len(samples)) == 5
+    closed = turning._closed(samples, columns, line, is_hit).hit
+    assert np.argwhere(closed).tolist() == [[np.searchsorted(blocks.first, 5, side="right") - 1, column]]
