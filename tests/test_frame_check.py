@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from postproc import robot
 from postproc.jobs.frame_check import as_text, check_frames
 from tests.commands import run
 from tests.oracle.arm import Arm, abc
+from tests.places import ROOT
 
 BASE, TOOL = (1500.0, -200.0, 700.0, 10.0, 0.0, 0.0), (3.0, -2.0, 350.0, 0.0, 0.0, 0.0)
 POINTS = np.array([[0, 0, 0], [200, 0, 0], [0, 150, 0], [200, 150, 40], [100, 75, 0]], dtype=float)
@@ -50,10 +52,36 @@ def joints():
     return touching(TURNS)
 
 
-def test_frames_that_agree_are_said_to_agree(tmp_path, joints):
-    check = check_frames(*written(tmp_path, joints), 0.1)
+TILTS = (0.0, 30.0, 0.0, 0.0, 0.0)
+
+
+def test_frames_that_agree_are_said_to_agree(tmp_path):
+    check = check_frames(*written(tmp_path, touching(TURNS, TILTS)), 0.1)
     assert check.suspect == "none"
     assert check.distances.max() < 1e-6
+
+
+@pytest.mark.parametrize(("turns", "tilts"), [(TURNS, (0.0,) * 5), ((0.0,) * 5, TILTS)], ids=["turned", "tilted"])
+def test_a_tool_turned_about_one_axis_hides_an_error_along_it(tmp_path, turns, tilts):
+    points, cell = written(tmp_path, touching(turns, tilts))
+    assert check_frames(points, cell, 0.1).suspect == "one-axis"
+    text = run("check", "frames", points, "--cell", cell, code=3).output
+    assert "turned about one axis only" in text
+    assert "agree with the points." not in text
+
+
+def test_an_error_of_the_tool_as_large_as_is_said_to_hide_is_as_far_off_as_noise(tmp_path):
+    """The tool is too long by the length that is stated, and $BASE is moved so as to hide it."""
+    joints, sigma_mm = touching(TURNS, TILTS), 0.1
+    hidden = check_frames(*written(tmp_path, joints), sigma_mm).hidden * 1e3
+    assert 0.3 < hidden < 1.5
+    assert f"errors of $TOOL up to {hidden:.2g} mm" in as_text(check_frames(*written(tmp_path, joints), sigma_mm), 0.1)
+    longer = (*TOOL[:2], TOOL[2] + hidden, *TOOL[3:])
+    lower = (*BASE[:2], BASE[2] - hidden, *BASE[3:])
+    check = check_frames(*written(tmp_path, joints, base=lower, tool=longer), sigma_mm)
+    left = np.linalg.norm(check.distances) * 1e3
+    # moved by the best $BASE, it would be 1.96 standard deviations; by one that only is lower it is a little more
+    assert 1.96 * sigma_mm - 1e-3 <= left < 1.5 * 1.96 * sigma_mm
 
 
 def test_a_wrong_tool_is_found_with_its_error_and_the_right_numbers(tmp_path, joints):
@@ -108,7 +136,7 @@ def test_the_length_of_a_turned_tool_shows_only_where_it_is_tilted_as_the_advice
     check = check_frames(*written(tmp_path, joints, tool=wrong), 0.1)
     assert check.suspect == "undecided"
     assert "tool tilted as far as you can, 30° at least" in as_text(check, 0.1)
-    tilted = touching(TURNS, (0.0, 30.0, 0.0, 0.0, 0.0))
+    tilted = touching(TURNS, TILTS)
     check = check_frames(*written(tmp_path, tilted, tool=wrong), 0.1)
     assert check.suspect == "tool"
     np.testing.assert_allclose(check.tool[0] * 1e3, [0.0, 0.0, -3.0], atol=1e-3)
@@ -150,3 +178,13 @@ def test_points_on_one_line_are_refused(tmp_path, joints, kept):
 def test_a_standard_deviation_that_is_no_number_is_refused(tmp_path, joints):
     files = written(tmp_path, joints)
     assert "nan" in run("check", "frames", files[0], "--cell", files[1], "--sigma", "nan", code=2).stderr
+
+
+def test_the_example_of_the_reference_agrees_with_the_sample_cell(tmp_path):
+    text = (ROOT / "docs" / "reference" / "checks.md").read_text()
+    points = tmp_path / "points.csv"
+    points.write_text(text.split("```csv\n")[1].split("```")[0])
+    output = run("check", "frames", points, "--cell", ROOT / "samples" / "cell_kr270.toml").output
+    assert output.startswith("Both frames agree with the points.")
+    (stated,) = re.findall(r"errors of \$TOOL up to (\S+ mm)", output)
+    assert f"and 0.5 mm, {stated}" in text

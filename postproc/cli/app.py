@@ -16,9 +16,9 @@ def app(ctx: click.Context, /, folder: Path, port: int, no_open: bool) -> None:
     """Open a window in the browser: programs and results.
 
     FOLDER has the programs; results are in its folder corrected/. The window is for this machine only, by an address
-    with a secret that is new at each start. Programs are corrected as they arrive in the folder, once there is a cell
-    and what cuts is stated; a switch on the page turns that off. What it does it does by the commands that it shows.
-    Ctrl-C ends it, and stops what runs; results that are written stay whole.
+    with a secret that is new at each start. A program that arrives in the folder is corrected by itself, as soon as
+    the cell and its process are there; a switch on the page turns that off. Each page shows the command that does the
+    same. Ctrl-C ends the window, and stops what runs; results that are written stay whole.
 
     \b
     Examples:

@@ -38,8 +38,9 @@ def frames(ctx: click.Context, /, points: Path, cell: Path, sigma_mm: float) -> 
     """Say which frame is off, by touched points.
 
     POINTS is a CSV with the columns point, X, Y, Z, A1 … A6: three or more points of the part in $BASE (mm), and the
-    joint angles (deg) that the controller shows while the tip touches them. Touch one of them with the tool turned, so
-    that $TOOL and $BASE can be told apart. The exit code is 3 if a frame is off or the points do not show it.
+    joint angles (deg) that the controller shows while the tip touches them. Touch one of them with the tool turned
+    and one with it tilted, so that $TOOL and $BASE can be told apart. The exit code is 3 if a frame is off or the
+    points do not show it.
 
     \b
     Example:

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from postproc import elastostatics, forces, kinematics, placement, toolpath
 from postproc.cell import Cell
 from postproc.chunks import in_chunks
-from postproc.correction import checks, collisions, inspection
+from postproc.correction import checks, collisions, inspection, plausibility
 from postproc.correction.result import ExpectedErrors, Mode, Result
 from postproc.correction.targets import Chosen, CommandedPath, Commands, choose_targets, pieces_needed
 from postproc.correction.verify import ReadBack, Simulated, UnusableTextError, read_back, simulate
@@ -493,6 +493,7 @@ def process(
             *inspection.of_tools(program, cell),
             *inspection.of_base(program, cell),
             *inspection.of_holder(program, cell),
+            *plausibility.of_setup(program, cell, robot),
         ),
     )
     errors = [issue for issue in task.initial_issues if issue.level == "error"]

@@ -41,7 +41,7 @@ from postproc.frames import (
 from postproc.jobs.programs import load_robot
 from postproc.robot import JOINTS
 
-Suspect = Literal["none", "tool", "base", "both", "contradiction", "undecided", "unturned"]
+Suspect = Literal["none", "tool", "base", "both", "contradiction", "undecided", "unturned", "one-axis"]
 _MIN_POINTS = 3
 """A frame has six unknowns, a point gives three numbers: two leave the turn about their line open."""
 _CONFIDENCE = 0.95
@@ -51,6 +51,9 @@ _LEAST_SPREAD = 0.02
 """Least distance [m] of points from their best line, RMS, at which a rotation of `$BASE` about it shows."""
 _LEAST_TURN = 20.0 * RAD_PER_DEG
 """Least rotation of the tool between two touches at which `$TOOL` and `$BASE` are told apart."""
+_LEAST_VISIBLE = 0.15
+"""Least length of the residuals that 1 mm of `$TOOL` leaves in any direction whatever `$BASE` is [mm]. One of four
+touches that is tilted by 20° leaves more, one that is turned about the tool leaves nothing of its length."""
 _PRINTED_ZERO = 0.005
 """Errors below this are printed as 0.00 mm."""
 _RANK_TOLERANCE = 1e-6
@@ -69,13 +72,15 @@ class FrameCheck(Struct, frozen=True, eq=False):
     """Result of a check.
 
     :param suspect: the frame that is off; ``"undecided"``: `$TOOL` and `$BASE` explain the points equally well;
-        ``"unturned"``: no error shows, but the tool was not turned; ``"contradiction"``: neither frame does.
+        ``"unturned"``: no error shows, but the tool was not turned; ``"one-axis"``: it was turned about one axis only;
+        ``"contradiction"``: neither frame does.
     :param distances: (n,) distance of each touched point from where it is expected [m].
     :param left: (n,) the same after the errors of the frames [m].
     :param tool: (3,) error of `$TOOL` in the axes of the flange [m], with half widths of 95 % intervals (3,); or None.
     :param base: (3,) displacement of the points by `$BASE` in the root [m], and its half widths; or None.
     :param turn: (3,) rotation of `$BASE` [rad], root axes, and its half widths; or None.
     :param new_frames: frames that agree with the points, by table of the cell: X, Y, Z, A, B, C [mm, deg].
+    :param hidden: if both frames agree, the largest error of `$TOOL` that may hide behind one of `$BASE` (95 %) [m].
     """
 
     suspect: Suspect
@@ -86,6 +91,7 @@ class FrameCheck(Struct, frozen=True, eq=False):
     base: tuple[Array, Array] | None = None
     turn: tuple[Array, Array] | None = None
     new_frames: dict[str, Array] = {}
+    hidden: float | None = None
 
 
 def read_touched(path: Path) -> Touched:
@@ -95,7 +101,10 @@ def read_touched(path: Path) -> Touched:
     """
     numbers, texts, _ = read_csv(path, ["point", "X", "Y", "Z", *JOINTS], [], InputError, text_columns=("point",))
     if len(texts["point"]) < _MIN_POINTS:
-        advice = f"Touch at least {_MIN_POINTS} points that are not on one line, one of them with the tool turned."
+        advice = (
+            f"Touch at least {_MIN_POINTS} points that are not on one line, one with the tool turned and one with it "
+            "tilted."
+        )
         raise InputError(f"{len(texts['point'])} points", file=str(path), advice=advice)
     point = np.stack([numbers[axis] for axis in "XYZ"], axis=1) * M_PER_MM
     spread = np.linalg.svd(point - point.mean(axis=0), compute_uv=False)[1] / np.sqrt(len(point))
@@ -169,18 +178,30 @@ def judged(touches: Touched, flange: Array, nominal_point: Array, tip: Array, si
     suspect: Suspect = "contradiction"
     if good:
         suspect = "undecided" if good[0] == "tool" and "base" in good else good[0]
-    if suspect == "none" and angle_between(flange[:1], flange).max() < _LEAST_TURN:
-        suspect = "unturned"
-    if suspect in ("none", "unturned", "contradiction", "undecided"):
+    visible = _visible(of_tool, matrices["base"])
+    if suspect == "none" and visible < _LEAST_VISIBLE:
+        suspect = "unturned" if angle_between(flange[:1], flange).max() < _LEAST_TURN else "one-axis"
+    if suspect in ("none", "unturned", "one-axis", "contradiction", "undecided"):
         best = "both" if suspect == "contradiction" else "tool" if suspect == "undecided" else "none"
         residual_distances = norm(left[best].reshape(-1, 3))
         if suspect != "undecided":
-            return FrameCheck(suspect, touches, distances, residual_distances)
+            hidden = _INTERVAL_FACTOR * sigma / visible if suspect == "none" else None
+            return FrameCheck(suspect, touches, distances, residual_distances, hidden=hidden)
     parts: dict[str, Any] = {}
     for name in ("tool", "base") if suspect == "undecided" else (suspect,):
         parts |= _parts(name, matrices[name], residual, sigma)
     frame_name = "tool" if suspect == "undecided" else suspect
     return FrameCheck(suspect, touches, distances, norm(left[frame_name].reshape(-1, 3)), **parts)
+
+
+def _visible(of_tool: Array, of_base: Array) -> float:
+    """Return the least length of the residuals by a unit error of `$TOOL`, with the `$BASE` that hides most of it.
+
+    :param of_tool: (3 n, 3) residuals by unit errors of `$TOOL`, `of_base` (3 n, 6) likewise of `$BASE`.
+    """
+    columns, singular_values, _ = np.linalg.svd(of_base, full_matrices=False)
+    columns = columns[:, singular_values > _RANK_TOLERANCE * singular_values[0]]
+    return float(np.linalg.svd(of_tool - columns @ (columns.T @ of_tool), compute_uv=False)[-1])
 
 
 def _parts(name: str, matrix: Array, residual: Array, sigma: float) -> dict[str, Any]:
@@ -208,6 +229,10 @@ _HEADLINES: dict[Suspect, str] = {
     "both": "$TOOL and $BASE are off.",
     "unturned": "The points agree with both frames together. Errors of $TOOL and $BASE that cancel each other do not "
     f"show. {_TOUCH_AGAIN}",
+    "one-axis": "The points agree with both frames together, but the tool was turned about one axis only: errors of "
+    "$TOOL along it and of $BASE that cancel each other do not show. Touch a point again with the tool turned about "
+    "another axis by 30° at least: tilted, if it was turned about its own. Only tilting tells the length of the tool "
+    "from the height of $BASE.",
     "undecided": f"One frame is off, and the points do not show which. {_TOUCH_AGAIN}",
     "contradiction": "Neither frame explains the points: check the points and joint angles, and --sigma.",
 }
@@ -229,6 +254,9 @@ def _too_long(value: float) -> str:
 def as_text(check: FrameCheck, sigma_mm: float) -> str:
     """Return the result for a terminal."""
     lines = [_HEADLINES[check.suspect]]
+    if check.hidden is not None:
+        length = f"{check.hidden * MM_PER_M:.2g} mm"
+        lines.append(f"  errors of $TOOL up to {length} (95 %) that $BASE makes up for would not show")
     if check.tool is not None:
         lines.append(f"  $TOOL, along the axes of the flange: {_lengths(*check.tool)} (95 %)")
     for name, part, factor, unit in (

@@ -373,7 +373,7 @@ def _next_map(material: Stock, last_setup: Setup, setup: Setup, cell: float) -> 
 def _stock(process: Process, frame: Array, cell: float, path: Path | None) -> tuple[Stock, list[Issue]]:
     """Return the map of the stock, and warnings and notes about it."""
     table = process.stock
-    notes = [Issue("info", "assumed-stock", _ASSUMED_STOCK)] if table.assumed and path is None else []
+    notes = [Issue("warning", "assumed-stock", _ASSUMED_STOCK)] if table.assumed and path is None else []
     if path is None and table.box is not None and table.file is not None:
         raise ForceError("[stock] has a box and a file", file=process.path, advice="Give one of them.")
     if path is None and table.file is not None:

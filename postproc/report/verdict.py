@@ -46,8 +46,9 @@ _FOREMOST: dict[Mode, tuple[str, ...]] = {
 which may set the frames of a predicted program."""
 _OF_FORCES = frozenset(
     {
-        "beyond-measured", "cuts-unseen", "deep-cut", "drilled-by-mill", "force-on-rapid", "force-step",
-        "forces-by-pass", "hollow-stock", "material", "no-force", "other-cutter", "real-cut", "stock-scale",
+        "assumed-stock", "beyond-measured", "cuts-unseen", "deep-cut", "drilled-by-mill", "force-on-rapid",
+        "force-step", "forces-by-pass", "hollow-stock", "material", "no-force", "other-cutter", "real-cut",
+        "stock-scale",
     }
 )  # fmt: skip
 """Kinds of warnings about forces and model, which decide whether the part is better, and not whether to drive it."""

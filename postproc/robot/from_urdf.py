@@ -9,7 +9,6 @@ industrial robot": `base` is the controller's root frame, `tool0` its flange.
 from __future__ import annotations
 
 import datetime
-import re
 from collections.abc import Mapping
 from xml.sax.saxutils import quoteattr
 
@@ -23,6 +22,7 @@ from postproc.robot import urdf
 from postproc.robot.chain import Chain
 from postproc.robot.folder import load, shipped
 from postproc.robot.model_file import FLANGE, JOINTS, JointSpring, Masses, ModelFile, Sourced
+from postproc.robot.rating import rated_payload
 from postproc.robot.urdf import AnyArm
 
 _AXES = np.array([[0, 0, -1], [0, 1, 0], [0, 1, 0], [-1, 0, 0], [0, 1, 0], [-1, 0, 0]], dtype=float)
@@ -40,8 +40,6 @@ _SCALED_SIGMA = 40.0
 50 %."""
 _LIGHTEST = 0.01
 """A link below this [kg] has no mass: some files need a number larger than zero there."""
-_CLASS = re.compile(r"kr[ _-]*(\d+)(?:[ _-]*\d)?(?:[ _-]*l[ _-]*(\d+))?(?!\d)", re.IGNORECASE)
-"""KUKA's names state the payload [kg]: KR 210 R2700, kr120_r2700_2; with a longer arm KR 210-2 L150 (150 kg)."""
 _MASS_BY_LOAD = (12.0, 0.69)
 """Mass of the links [kg] is about 12·(payload [kg] · reach [m])^0.69: fitted to the ten arms that are shipped (KR 6 to
 KR 500), which lie within a factor of 1.75 of it."""
@@ -92,7 +90,7 @@ def adopt(text: str, file: str, name: str | None = None) -> Adopted:
     if not _REACHES[0] < (reach := _reach(chain)) < _REACHES[1]:
         raise ModelError(f"the wrist reaches {reach:.3g} m", file=file, advice="Lengths of a URDF are in metres.")
     title = name or arm.name or "robot"
-    payload = _payload(arm.name, title, file)
+    payload = rated_payload(arm.name, title, file)
     compliance, basis = _compliances(chain, payload)
     masses, mass_notes = _masses(chain, payload, file)
     notes += mass_notes
@@ -116,15 +114,6 @@ def adopt(text: str, file: str, name: str | None = None) -> Adopted:
         geometry_nominal=Sourced(source=f"{file}, reach of the wrist {_reach(chain) * MM_PER_M:.0f} mm"),
     )
     return Adopted(chain, content, tuple(notes), old_frames)
-
-
-def _payload(*names: str) -> float | None:
-    """Return the payload [kg] that the first of these names with a KUKA class states; None if none does."""
-    for name in names:
-        match = _CLASS.search(name)
-        if match:
-            return float(match[2] or match[1])
-    return None
 
 
 def _in_kuka_form(arm: AnyArm, file: str) -> tuple[Chain, Array, list[str]]:

@@ -309,6 +309,31 @@ def test_each_tool_has_its_own_frame_and_keeps_the_tip_where_it_was() -> None:
     assert [(e.kind, e.before) for e in program.events] == [("tool_change", 0), ("tool_change", 3)]
 
 
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("T1 M6\nG43 H1 Z9\n", []),
+        ("T1 M6\nG43 H2 Z9\n", ["G43 H2 with tool 1"]),
+        ("T1 M6\nT2\nG43 H1 Z9\n", []),  # the next tool is made ready
+        ("T1 M6\nT2\nG43 H2 Z9\n", ["G43 H2 with tool 1"]),
+        ("T1\nG43 H2 Z9\n", ["G43 H2 with tool 1"]),
+        ("G43 H2 Z9\n", []),
+    ],
+)
+def test_the_length_of_another_tool_is_a_warning_by_its_line(text: str, expected: list[str]) -> None:
+    issues = [issue for issue in read(HEAD + text + "M2").issues if issue.level == "warning"]
+    assert [issue.message.partition(":")[0] for issue in issues] == expected
+    line = (HEAD + text).count("\n")
+    assert all((issue.kind, issue.source_line) == ("tool-length", line) for issue in issues)
+
+
+def test_a_length_of_a_tool_that_was_mounted_before_is_a_warning_too() -> None:
+    cell = replace(CELL, tools={"1": Frame(Z=300.0), "3": Frame(Z=412.5)})
+    program = read("T1 M6\n" + HEAD + "G1 Z0\nG0 Z20\nT3 M6\nT1\nG43 H1 G0 X5\nM2", cell)
+    (issue,) = [issue for issue in program.issues if issue.kind == "tool-length"]
+    assert issue.message == "G43 H1 is not the tool in the spindle: $TOOL of tool 3 is used."
+
+
 def test_which_tool_M6_means_must_be_said() -> None:
     with pytest.raises(ProgramError, match="M6 without a T"):
         read(HEAD + "M6\nM2", replace(CELL, tools={"1": Frame(Z=300.0)}))

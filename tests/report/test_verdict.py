@@ -233,3 +233,12 @@ def test_rounding_of_corners_is_told_in_the_word_of_the_controller(written, word
     limits = read_page(b"".join(page(result, 1e-5))).text("limits")
     for text, times in ((of_one(content), 1), (limits, 1)):
         assert text.count("rounds corners") == text.count(f"pproximation {word} rounds corners") == times
+
+
+def test_a_stock_that_nobody_stated_is_something_to_look_at_first():
+    issues = (Issue("warning", "assumed-stock", "the stock is assumed"),)
+    verdict = _verdict(errors=_errors(), issues=issues)
+    assert (verdict.state, verdict.drive.state, verdict.better.state) == ("warning", "ok", "warning")
+    assert verdict.headline.startswith("Look before you run it.")
+    assert verdict.headline.endswith("The stock is assumed: check it first.")
+    assert verdict.reasons[0] == "the stock is assumed"

@@ -81,6 +81,8 @@ class Switching:
         self._coolant = False
         self._speed = 0.0
         self._tool: float | None = None
+        """Selected by T; M6 mounts it."""
+        self._spindle_tool: float | None = None
         self._mounted: set[float] = set()
 
     def read(self, row: int, m: Sequence[float], values: dict[str, float]) -> None:
@@ -119,15 +121,22 @@ class Switching:
     def tool_length(self, row: int, length: float | None) -> None:
         """Read G43 with its H."""
         tools = self.cell.tools
+        mounted = self._tool if self._spindle_tool is None else self._spindle_tool
         if not tools:
             message = "G43 has no effect: $TOOL contains the tool length, and X Y Z are those of the tool tip."
             self._remark("info", "tool-length", message, row)
-        elif length and not self._mounted and f"{length:g}" in tools:
+            if length and mounted and length != mounted:
+                message = (
+                    f"G43 H{length:g} with tool {mounted:g}: the length of another tool. Its tip is elsewhere if "
+                    f"[tool] of the cell is not that of tool {mounted:g}."
+                )
+                self._remark("warning", "tool-length", message, row, f"{length:g}")
+        elif length and self._spindle_tool is None and f"{length:g}" in tools:
             self.tools.append((row, length))
             message = "There is no M6 before G43: the tool is selected by H."
             self._remark("info", "tool-length", message, row)
-        elif length and length not in self._mounted and f"{length:g}" in tools:
-            message = f"G43 H{length:g} is not the tool in the spindle: $TOOL of tool {self._tool or 0:g} is used."
+        elif length and length != mounted and f"{length:g}" in tools:
+            message = f"G43 H{length:g} is not the tool in the spindle: $TOOL of tool {mounted or 0:g} is used."
             self._remark("warning", "tool-length", message, row, f"{length:g}")
 
     def dwell(self, row: int, seconds: float) -> None:
@@ -141,6 +150,7 @@ class Switching:
         number = self._tool or 0.0
         self._event(row, "tool_change", number)
         self._mounted.add(number)
+        self._spindle_tool = number
         if self._tool is None and self.cell.tools:
             raise BlockError("M6 without a T before it", "Write the number of the tool in [tools]: T1 M6.")
         if self._tool is None:

@@ -1,0 +1,81 @@
+"""Lengths in metres and loads that the arm cannot carry are asked about, with the key; usual values are not."""
+
+from __future__ import annotations
+
+import pytest
+from msgspec.structs import replace
+
+from postproc import cell as cells
+from postproc import correction
+from postproc.correction import plausibility
+from postproc.dialects.text import decode
+from postproc.robot.rating import rated_payload
+from tests.commands import run
+from tests.kr270 import CELL, CELL_TEXT, ROBOT
+from tests.places import ROOT
+
+GCODE = b"G21 G90\nG0 X0 Y0 Z5\nG1 Z0 F300\nX10\nM30\n"
+KRL = b"DEF P()\n$BASE={%s}\n$TOOL={X 0,Y 0,Z %s,A 0,B 0,C 0}\nPTP {A1 0,A2 -90,A3 100,A4 0,A5 80,A6 0}\n" \
+      b"LIN {X 0,Y 0,Z 150,A 180,B 0,C 180}\nEND\n"  # fmt: skip
+
+
+def questions(cell=CELL, text=GCODE, dialect="gcode"):
+    """Kind, key and line of what is asked about."""
+    program = correction.read([decode("p", text)], ROBOT, cell, "p", dialect)
+    return [(issue.kind, issue.message, issue.source_line) for issue in plausibility.of_setup(program, cell, ROBOT)]
+
+
+def test_usual_values_raise_no_question():
+    for file in sorted((ROOT / "samples").glob("*cell*.toml")):
+        cell = cells.load(file)
+        if cell.robot == CELL.robot:
+            assert questions(cell) == [], file.name
+
+
+@pytest.mark.parametrize("lengths", [{"Z": 0.35}, {"X": 0.12, "Z": 0.35}, {"Z": 4.9}, {"Z": 0.0}])
+def test_a_tool_in_metres_is_asked_about_with_its_key(lengths):
+    tool = replace(CELL.tool, X=0.0, Y=0.0, Z=0.0)
+    ((kind, message, line),) = questions(replace(CELL, tool=replace(tool, **lengths)))
+    assert (kind, line) == ("short-tool", 3)
+    assert "is Z in mm? [tool] or [tools.n] of the cell is in mm" in message
+    assert questions(replace(CELL, tool=replace(tool, Z=5.1))) == []
+
+
+def test_a_base_in_metres_is_asked_about_and_none_at_the_root_is_not():
+    ((kind, message, _),) = questions(replace(CELL, base=replace(CELL.base, X=1.5, Y=-0.2, Z=0.7)))
+    assert kind == "near-base"
+    assert "X 1.5, Y -0.2, Z 0.7" in message
+    assert "are X, Y, Z in mm? [base] of the cell" in message
+    assert questions(replace(CELL, base=replace(CELL.base, X=0.0, Y=0.0, Z=0.0))) == []
+
+
+def test_frames_of_a_robot_program_are_its_own():
+    base = b"X 1500,Y -200,Z 700,A 0,B 0,C 0"
+    assert questions(text=KRL % (base, b"350"), dialect="krl") == []
+    ((kind, message, line),) = questions(text=KRL % (base, b"0.35"), dialect="krl")
+    assert (kind, line) == ("short-tool", 5)
+    assert "$TOOL of the program" in message
+
+
+@pytest.mark.parametrize(("mass_kg", "is_asked"), [(270.0, False), (271.0, True)])
+def test_a_payload_beyond_the_rating_is_asked_about_with_both_numbers(mass_kg, is_asked):
+    messages = [message for _, message, _ in questions(replace(CELL, payload=cells.Payload(mass_kg=mass_kg)))]
+    assert len(messages) == is_asked
+    assert all("mass_kg = 271 is more than the 270 kg of KUKA KR 270-2" in message for message in messages)
+
+
+@pytest.mark.parametrize(
+    ("name", "kg"),
+    [("KUKA KR 6 R900-2", 6), ("kr120_r2700_2", 120), ("KR 210-2 L150", 150), ("ABB IRB 6700-200/2.60", 200),
+     ("abb_irb6700_200_260", 200), ("ABB IRB 120", None), ("arm", None)],
+)  # fmt: skip
+def test_the_rating_is_in_the_name(name, kg):
+    assert rated_payload(name) == kg
+
+
+def test_the_verdict_on_a_tool_in_metres_is_amber(tmp_path):
+    (tmp_path / "p.nc").write_bytes(GCODE)
+    (tmp_path / "cell.toml").write_text(CELL_TEXT.replace("Z = 350.0", "Z = 0.35"))
+    done = run("convert", tmp_path / "p.nc", "--cell", tmp_path / "cell.toml", "-o", tmp_path / "out")
+    assert "Look before you run it" in done.output
+    assert "is Z in mm?" in done.output
