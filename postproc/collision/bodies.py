@@ -253,10 +253,9 @@ def capsule(name: str, carrier: int, of: Of, begin: Array, end: Array, radius: f
     from trimesh import creation
 
     pose, length = _along(begin, end)
-    lower = np.eye(4)
     mesh = creation.capsule(height=length, radius=radius / np.cos(np.pi / _SIDES) ** 2, count=[_SIDES, _SIDES])
-    lower[2, 3] = -0.5 * (mesh.bounds[0, 2] + mesh.bounds[1, 2])
-    return _round(name, carrier, of, "capsule", (radius, length), pose, mesh.apply_transform(pose @ lower))
+    mesh.apply_translation(-mesh.bounds.mean(axis=0))  # versions of trimesh differ in where they put the origin
+    return _round(name, carrier, of, "capsule", (radius, length), pose, mesh.apply_transform(pose))
 
 
 def _along(begin: Array, end: Array) -> tuple[Array, float]:

@@ -138,6 +138,10 @@ def test_no_point_of_a_body_moves_further_than_the_bound(carrier, reference):
                 np.linalg.norm(point - there[0], axis=1) + np.linalg.norm(there[-1] - point, axis=1) for point in there
             ]
             assert np.max(way) <= bound
+            frames = [frame(q[0], k)[:3, 3] for k in range(reference, carrier + 1)]
+            reach = np.linalg.norm(np.diff(frames, axis=0), axis=1).sum() + np.linalg.norm(corner, axis=1).max()
+            turned = np.abs(np.diff(q, axis=0))[0, reference + 1 : carrier + 1].sum()
+            assert bound >= 0.25 * turned**2 * reach  # no tighter one is proved
             nearness.append(bound / np.max(way))
     assert np.median(nearness[:20]) < 3.0  # a bound that is far too large costs time alone
 

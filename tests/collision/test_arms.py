@@ -6,6 +6,7 @@ import csv
 
 import numpy as np
 import pinocchio as pin
+from msgspec.structs import replace
 
 from postproc.collision.bodies import THICKER, Body, arm_capsules
 from postproc.robot.chain import Chain
@@ -76,3 +77,18 @@ def test_real_arms_reach_beyond_the_assumed_one_by_as_much_as_the_verdict_says()
     print(f"{worst[0]}, link {worst[1]}: {distances[worst]:.2f} m beyond the capsules")
     assert {name for name, _ in distances} == set(_ARMS)
     assert 0.9 * THICKER < distances[worst] <= THICKER
+
+
+def test_each_link_follows_the_axis_of_its_joint_and_then_goes_straight_to_the_next_joint():
+    """Offsets along and across the axis of every joint; the base has its post upright."""
+    offset = np.array([0.3, 0.4, 0.5])
+    arm = chain("KR 16-2")
+    placement, flange = arm.placement.copy(), arm.flange.copy()
+    placement[:, :3, 3] = flange[:3, 3] = offset
+    capsules = list(arm_capsules(replace(arm, placement=placement, flange=flange)))
+    assert [body.carrier for body in capsules] == [k for k in range(-1, 6) for _ in range(2)]
+    for axis, bodies in zip([_AXES[0], *_AXES], zip(capsules[::2], capsules[1::2], strict=True), strict=True):
+        corners = [np.zeros(3), axis * offset, offset]
+        for body, begin, end in zip(bodies, corners[:-1], corners[1:], strict=True):
+            half = 0.5 * body.size[1] * body.pose[:3, 2]
+            np.testing.assert_allclose([body.pose[:3, 3] - half, body.pose[:3, 3] + half], [begin, end], atol=1e-9)
