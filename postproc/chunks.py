@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from postproc.errors import NotConvergedError
 
-_ROWS = 8192
-"""Rows of a chunk: with their matrices they fit the cache."""
+ROWS = 8192
+"""Rows of a chunk: with their matrices they fit the cache. No result depends on it: tests set it to a few."""
 
 
 class Columns(Struct, frozen=True, eq=False):
@@ -163,7 +163,7 @@ def ragged_range(count: NDArray[np.integer[Any]], first: NDArray[np.int64] | int
 
 def chunks(count: int) -> Iterator[slice]:
     """Yield the rows of each chunk of `count` rows; one, empty, for none."""
-    return (slice(start, start + _ROWS) for start in range(0, max(1, count), _ROWS))
+    return (slice(start, start + ROWS) for start in range(0, max(1, count), ROWS))
 
 
 def in_chunks(

@@ -52,11 +52,11 @@ class Document(Struct, frozen=True, eq=False):
         """Return the content of the file."""
         return b"".join(self.pieces())
 
-    def pieces(self) -> Iterator[bytes]:
-        """Yield the content of the file in pieces, so that a long text is not held twice."""
+    def pieces(self, size: int = _PIECE) -> Iterator[bytes]:
+        """Yield the content of the file in pieces of `size` characters, so that a long text is not held twice."""
         yield self.bom
-        for start in range(0, len(self.text), _PIECE):
-            yield self.text[start : start + _PIECE].encode(self.encoding)
+        for start in range(0, len(self.text), size):
+            yield self.text[start : start + size].encode(self.encoding)
 
 
 def _make_compact(record: Struct, **kinds: type[np.integer[Any]]) -> None:

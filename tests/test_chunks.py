@@ -11,7 +11,7 @@ from postproc.errors import NotConvergedError
 
 @pytest.mark.parametrize("count", [0, 1, 6, 7, 8, 21, 50])
 def test_chunks_cover_all_rows_once_and_results_come_in_their_order(monkeypatch, count):
-    monkeypatch.setattr(chunks, "_ROWS", 7)
+    monkeypatch.setattr(chunks, "ROWS", 7)
     a, b = np.arange(count), np.arange(2.0 * count).reshape(count, 2)
     assert [row for part in chunks.chunks(count) for row in a[part]] == a.tolist()
     total, twice = chunks.in_chunks(lambda a, b: (a[:, None] + b, 2 * a), a, b)
@@ -20,7 +20,7 @@ def test_chunks_cover_all_rows_once_and_results_come_in_their_order(monkeypatch,
 
 
 def test_an_error_names_the_rows_of_the_whole(monkeypatch):
-    monkeypatch.setattr(chunks, "_ROWS", 7)
+    monkeypatch.setattr(chunks, "ROWS", 7)
 
     def fails(a):
         if 16 in a:

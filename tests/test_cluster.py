@@ -66,14 +66,14 @@ def test_what_is_no_address_is_told(address):
 
 def test_without_a_scheduler_it_does_not_wait_for_ever(monkeypatch):
     programs(1)
-    monkeypatch.setattr("postproc.jobs.workers._PATIENCE", 1.0)
+    monkeypatch.setattr("postproc.jobs.workers.PATIENCE", 1.0)
     with pytest.raises(PostprocError, match="no Dask scheduler answers at tcp://127"):
         work("tcp://127.0.0.1:9")
 
 
 def test_without_workers_it_does_not_wait_for_ever(monkeypatch):
     programs(1)
-    monkeypatch.setattr("postproc.jobs.workers._PATIENCE", 1.0)
+    monkeypatch.setattr("postproc.jobs.workers.PATIENCE", 1.0)
     with cluster(n_workers=0) as there, pytest.raises(PostprocError, match=r"has no workers\. Start some"):
         work(there.scheduler_address)
     assert not Path("out").exists()
@@ -118,7 +118,7 @@ def test_tls_with_certificates_given_or_of_dasks_configuration(encrypted, certif
 
 
 def test_tls_without_certificates_with_wrong_ones_or_none_at_all_is_an_error(encrypted, certificates, monkeypatch):
-    monkeypatch.setattr("postproc.jobs.workers._PATIENCE", 2.0)
+    monkeypatch.setattr("postproc.jobs.workers.PATIENCE", 2.0)
     pem, key = certificates / "node.pem", certificates / "node.key"
     programs(1)
     with pytest.raises(PostprocError, match=r"needs certificates\. Give --tls-ca"):
@@ -201,11 +201,10 @@ def test_a_frozen_worker_is_named(monkeypatch):
     assert f"the worker {worker} of the Dask cluster has given no sign of life for 3 s" in outcome.message
 
 
-def test_the_sum_of_the_code_is_that_of_names_and_contents(tmp_path, monkeypatch):
-    monkeypatch.setattr(inputs, "_PACKAGE", tmp_path)
+def test_the_sum_of_the_code_is_that_of_names_and_contents(tmp_path):
     sums = []
     for name, text in (("a.py", "x"), ("a.py", "y"), ("b.py", "y"), ("b.txt", "z")):
         (tmp_path / name).write_text(text)
-        sums.append(inputs.code_sum())
+        sums.append(inputs.code_sum(tmp_path))
     assert len(set(sums)) == 3
     assert sums[2] == sums[3]

@@ -46,14 +46,16 @@ def decode(name: str, data: bytes) -> Document:
     raise AssertionError("latin-1 decodes any byte")  # pragma: no cover
 
 
-def line_spans(text: str) -> tuple[Ints, Ints]:
+def line_spans(text: str, piece: int = _PIECE) -> tuple[Ints, Ints]:
     """Return where each line begins and where it stops, (L,) and (L,): ``text[start:stop]`` is line i + 1.
 
     The line end is not part of the line. What follows the last line end is a line only if it is not empty.
+
+    :param piece: characters that are looked at together, and those to the end of the line.
     """
     starts, stops, at = [], [], 0
     while True:
-        piece_end = text.find("\n", at + _PIECE) + 1 or len(text)  # a line end of several characters ends with LF
+        piece_end = text.find("\n", at + piece) + 1 or len(text)  # a line end of several characters ends with LF
         first, last = _spans(text[at:piece_end])
         starts.append(first + at)
         stops.append(last + at)

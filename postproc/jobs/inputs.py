@@ -63,16 +63,16 @@ def relative_name(path: Path, folder: Path) -> str:
         return path.resolve().as_posix()
 
 
-def code_sum() -> str:
+def code_sum(package: Path = _PACKAGE) -> str:
     """Return the SHA-256 of the modules of the package, its tables, and the shipped robot models: names and contents.
 
     Two machines with the same sum convert by the same code.
     """
-    return provenance.digest(_contents())
+    return provenance.digest(_contents(package))
 
 
-def _contents() -> Iterator[bytes]:
-    for name, path in sorted((path.relative_to(_PACKAGE).as_posix(), path) for path in _PACKAGE.rglob("*")):
+def _contents(package: Path) -> Iterator[bytes]:
+    for name, path in sorted((path.relative_to(package).as_posix(), path) for path in package.rglob("*")):
         if path.suffix in (".py", ".toml") and not name.startswith("robot_models/"):
             yield name.encode()
             yield path.read_bytes()

@@ -215,7 +215,7 @@ def _converted(task: Task, settings: Settings) -> Outcome:
 
 OtherCode = tuple[str, str]
 """Address of a worker whose postproc is another one, and its version, empty if it has none."""
-_PATIENCE = 10.0
+PATIENCE = 10.0
 """Seconds that are waited for the scheduler, or for a worker, before the work is given up."""
 _SIGN_TIMEOUT = 60.0
 """Seconds without a sign of life of a worker after which its tasks are given up."""
@@ -272,7 +272,7 @@ class ClusterWorkers:
         if future.cancelled():
             return self._gone(task)
         try:
-            outcome: Outcome | OtherCode = future.result(timeout=_PATIENCE)
+            outcome: Outcome | OtherCode = future.result(timeout=PATIENCE)
         except Exception as cause:
             message = f"{program}: the cluster could not convert it: {cause!r}"
             return Outcome(program, FAILED, message=message, keeps_old_files=True)
@@ -289,7 +289,7 @@ class ClusterWorkers:
     def lost(self, task: Task) -> Outcome | None:
         """Return a failure if the cluster, or the worker that has the task, has not been there for some time."""
         self._look()
-        if time.monotonic() > self._alive + _PATIENCE:
+        if time.monotonic() > self._alive + PATIENCE:
             return self._gone(task)
         worker = self._holder.get(self._begun[task.job.program].key)
         if worker is None or time.monotonic() < self._signs[worker][1] + _SIGN_TIMEOUT:
@@ -303,16 +303,16 @@ class ClusterWorkers:
     def _look(self) -> None:
         """Look, now and then, which workers are there, when each was last seen, and which tasks they have."""
         time_s = time.monotonic()
-        if time_s < self._looked + min(_LOOK, _PATIENCE / 4.0) or self._client.status != "running":
+        if time_s < self._looked + min(_LOOK, PATIENCE / 4.0) or self._client.status != "running":
             return
         self._looked = time_s
         with suppress(Exception):  # the scheduler is gone: then nothing is alive
-            workers = self._client.sync(self._client.scheduler.identity, callback_timeout=_PATIENCE)["workers"]
+            workers = self._client.sync(self._client.scheduler.identity, callback_timeout=PATIENCE)["workers"]
             self._alive = time_s if workers else self._alive
             for address, worker in workers.items():
                 if self._signs.get(address, (None, time_s))[0] != worker["last_seen"]:
                     self._signs[address] = worker["last_seen"], time_s
-            tasks = self._client.sync(self._client.scheduler.processing, workers=None, callback_timeout=_PATIENCE)
+            tasks = self._client.sync(self._client.scheduler.processing, workers=None, callback_timeout=PATIENCE)
             self._holder = {key: worker for worker, keys in tasks.items() if worker in self._signs for key in keys}
 
     def end(self) -> None:
@@ -342,11 +342,11 @@ def _connected(cluster: Cluster) -> Any:
         raise PostprocError(f"{address} is no address of a Dask scheduler. Give tcp://HOST:PORT or tls://HOST:PORT.")
     security = _security(cluster)
     try:
-        client: Any = distributed.Client(address, security=security, timeout=_PATIENCE, set_as_default=False)
+        client: Any = distributed.Client(address, security=security, timeout=PATIENCE, set_as_default=False)
     except (OSError, TimeoutError, ValueError, TypeError) as cause:
         raise PostprocError(f"no Dask scheduler answers at {address} ({cause})") from cause
     try:
-        client.wait_for_workers(1, timeout=_PATIENCE)
+        client.wait_for_workers(1, timeout=PATIENCE)
     except (OSError, TimeoutError) as cause:
         client.close(timeout=2)
         raise PostprocError(

@@ -235,7 +235,7 @@ _LEVEL = 1e-3
 """Sine of the angle to the level below which a cut is level."""
 _POINT = 0.5 / 1.3
 """Feed forces of drills differ from the computed one by this share at most, either way: by chisel edge and thinning."""
-_BY_CELLS = 0.25
+BY_CELLS = 0.25
 """Standard deviation of a force by the cells of the map, as a share of it, times √n: n is the area of the front of the
 tool in material in cells. RMS errors of balls against exact fronts on random surfaces, times √n, are 0.16 to 0.27 for n
 from 2 to 280 and cells of 0.125 to 0.5 mm (`python -m tests.benchmarks.fronts --cell MM`)."""
@@ -295,7 +295,7 @@ def mean(turn: Turn, engagement: Engaged, chip: Floats, descent_sine: Floats, ce
         unit_wrench = _unit_wrenches(turn, engagement, (cutting, rubbing), thin)
         square += np.einsum("kni,kl,lni->ni", unit_wrench, np.array(turn.law.covariance), unit_wrench)
     by_cells = np.minimum(
-        _BY_CELLS * turn.sampling * cell / np.sqrt(np.maximum(area, 1e-12)), 0.0 if turn.drill else 1.0
+        BY_CELLS * turn.sampling * cell / np.sqrt(np.maximum(area, 1e-12)), 0.0 if turn.drill else 1.0
     )
     for half in (slice(0, 3), slice(3, 6)):  # in any direction
         square[:, half] += (np.square(by_cells * norm(wrench[:, half])) / 3.0)[:, None]

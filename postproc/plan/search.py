@@ -446,7 +446,8 @@ def _move_levels(task: Task, plan: Plan) -> Plan:
 
 RANDOM_PLANS = 200
 _BEST_SHARE = 0.2
-_FACTORS = (0.4, 0.6, 0.8, 1.0, 1.4, 2.0)
+FACTORS = (0.4, 0.6, 0.8, 1.0, 1.4, 2.0)
+"""Numbers of configurations that are tried, as factors of the one asked for."""
 
 
 def random_values(task: Task, seed: int, count: int = RANDOM_PLANS) -> Array:
@@ -507,7 +508,7 @@ def by_number(task: Task, seed: int, best: Plan) -> Iterator[tuple[int, float, f
     A short search: good to some per cent. The size of the plan itself takes its own value.
     """
     min_count = 1 if task.fixed else task.levels
-    for count in sorted({max(min_count, round(factor * task.count)) for factor in _FACTORS}):
+    for count in sorted({max(min_count, round(factor * task.count)) for factor in FACTORS}):
         resized_task = replace(task, count=count)
         value = best.value
         if count != task.count:

@@ -8,6 +8,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
+from postproc.chunks import chunks
 from postproc.errors import Issue
 from postproc.files import FileEntry, json_bytes
 from postproc.forces import Knots
@@ -22,7 +23,6 @@ COLUMNS = (
     "factor_percent",
 )  # fmt: skip
 """Columns of forces.csv, in order."""
-_ROWS = 4096
 _MM3 = 1e9
 
 
@@ -67,8 +67,7 @@ def forces_csv(program: Program, knots: Knots) -> Iterator[bytes]:
     """
     yield (",".join(COLUMNS) + "\n").encode()
     lines, t = program.motions.line[knots.motion], np.where(knots.ramped, np.nan, knots.t)
-    for begin in range(0, len(knots), _ROWS):
-        part = slice(begin, begin + _ROWS)
+    for part in chunks(len(knots)):
         yield "".join(
             f"{line},{'' if place != place else format(place, '.6f')},"
             f"{w[0]:.3f},{w[1]:.3f},{w[2]:.3f},{w[3]:.4f},{w[4]:.4f},{w[5]:.4f},{FORCE_FRAMES[axes]},"

@@ -82,7 +82,7 @@ def test_lines_read_a_few_at_a_time_give_the_same(
 ) -> None:
     text, cell = random_program(seed, rotary), replace(CELL, rotary=rotary)
     together = outcome(text, cell, bulk=True)
-    monkeypatch.setattr("postproc.chunks._ROWS", 3)
+    monkeypatch.setattr("postproc.chunks.ROWS", 3)
     assert outcome(text, cell, bulk=True) == together
 
 

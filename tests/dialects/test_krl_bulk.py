@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from postproc import dialects
-from postproc.dialects.krl.read import plain_lines
 from postproc.errors import PostprocError
 from tests.dialects.krl_programs import CELL, body, read
 from tests.dialects.test_krl_reading import FULL
@@ -199,8 +198,7 @@ def test_runs_of_settings_mean_in_bulk_what_they_mean_line_by_line(part):
 def test_motions_read_a_few_at_a_time_are_the_same(monkeypatch):
     sources = [Maker(np.random.default_rng(seed)).program() for seed in range(60)]
     together = [told(source, bulk=True) for source in sources]
-    monkeypatch.setattr("postproc.chunks._ROWS", 3)
-    monkeypatch.setattr(plain_lines, "_LINES", 2)
+    monkeypatch.setattr("postproc.chunks.ROWS", 3)
     for source, whole in zip(sources, together, strict=True):
         assert not differing(told(source, bulk=True), whole), source
     assert sum(not isinstance(whole, str) for whole in together) > 5
@@ -208,7 +206,7 @@ def test_motions_read_a_few_at_a_time_are_the_same(monkeypatch):
 
 @pytest.mark.parametrize("bulk", [True, False])
 def test_numbers_are_where_the_layout_says_in_short_and_in_long_targets(bulk, monkeypatch):
-    monkeypatch.setattr(plain_lines, "_LINES", 3)
+    monkeypatch.setattr("postproc.chunks.ROWS", 3)
     blanks = " " * 300
     lines = [FULL, "PTP {X 100,Y 20,Z 31,A 10,B 20,C 170,S 2,T 3}", f"LIN {{X 90.25,{blanks}Y 21,Z 30,C 170}} C_DIS"]
     program = read(body(*lines, *lines, lines[0]), bulk=bulk)

@@ -326,7 +326,7 @@ def test_a_program_that_only_waits_is_still_one():
 
 @pytest.mark.parametrize("rows", [1, 2, 3, 100])
 def test_a_force_is_a_comment_where_it_changes_whatever_chunks_are_written_at_once(monkeypatch, rows):
-    monkeypatch.setattr("postproc.chunks._ROWS", rows)
+    monkeypatch.setattr("postproc.chunks.ROWS", rows)
     program = milling(
         [("PTP", 0, 0, 0), *[("LIN", x, 0, 0) for x in (1, 2, 3)], ("PTP", 3, 0, 9), ("LIN", 3, 0, 0)], ()
     )

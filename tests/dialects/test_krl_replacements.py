@@ -1,11 +1,9 @@
 """Replacing pieces of a text against Python's own slicing."""
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from postproc.dialects.krl.write import edits as module
 from postproc.dialects.krl.write.edits import Replacements
 
 
@@ -28,9 +26,7 @@ def test_pieces_are_replaced_as_slicing_would(text, wishes, chunk):
         done = stop
     for start, stop, new in reversed(pieces):
         edits.add(start, stop, new)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "_PIECES", chunk)
-        assert edits.applied(text) == expected + text[done:]
+    assert edits.applied(text, chunk) == expected + text[done:]
 
 
 def test_insertions_at_one_place_stay_in_order():

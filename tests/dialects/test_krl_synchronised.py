@@ -122,7 +122,6 @@ def test_motions_driven_with_those_of_another_robot_are_refused():
 
 
 @pytest.mark.parametrize("before", range(9))
-def test_a_word_that_synchronises_is_found_wherever_it_is_in_a_text(before: int, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(unresolved, "_PIECE", 4)
-    assert unresolved._synchronises(" " * before + "SyncCmd(#X)")
-    assert not unresolved._synchronises(" " * before + "SyncCm(#X)")
+def test_a_word_that_synchronises_is_found_wherever_it_is_in_a_text(before: int):
+    assert unresolved._synchronises(" " * before + "SyncCmd(#X)", 4)
+    assert not unresolved._synchronises(" " * before + "SyncCm(#X)", 4)

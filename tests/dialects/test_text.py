@@ -8,8 +8,8 @@ from postproc.dialects import text
 from postproc.errors import ProgramError
 
 
-def lines(content: str) -> list[str]:
-    return [content[a:b] for a, b in zip(*text.line_spans(content), strict=True)]
+def lines(content: str, piece: int = 1000) -> list[str]:
+    return [content[a:b] for a, b in zip(*text.line_spans(content, piece), strict=True)]
 
 
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r\r\n", "\r"])
@@ -34,21 +34,17 @@ def test_lines_are_those_of_the_regular_expression_that_defines_them(content: st
 
 
 @pytest.mark.parametrize("size", [1, 3, 100])
-def test_a_document_is_written_in_pieces_of_its_text(monkeypatch: pytest.MonkeyPatch, size: int) -> None:
-    monkeypatch.setattr("postproc.program._PIECE", size)
+def test_a_document_is_written_in_pieces_of_its_text(size: int) -> None:
     content = b"\xef\xbb\xbf" + "N1 (Fräsen €)\r\nN2\r\n".encode()
     document = text.decode("part.nc", content)
-    assert all(len(piece.decode()) <= size for piece in document.pieces())
-    assert b"".join(document.pieces()) == document.to_bytes() == content
+    assert all(len(piece.decode()) <= size for piece in document.pieces(size))
+    assert b"".join(document.pieces(size)) == document.to_bytes() == content
 
 
 @pytest.mark.parametrize("piece", [1, 2, 5])
 @given(st.text(alphabet="a\r\né€"))
 def test_lines_found_in_pieces_are_those_of_the_whole_text(piece: int, content: str) -> None:
-    whole = lines(content)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(text, "_PIECE", piece)
-        assert lines(content) == whole
+    assert lines(content, piece) == lines(content)
 
 
 @given(st.binary(min_size=1))

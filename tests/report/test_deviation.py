@@ -153,7 +153,7 @@ def test_a_page_does_not_depend_on_where_the_chunks_end(monkeypatch):
     result = fabricated.result(50)
     monkeypatch.setattr(places, "MAX_PLACES", 20)
     whole = b"".join(page(result, 1e-5))
-    monkeypatch.setattr("postproc.chunks._ROWS", 7)
+    monkeypatch.setattr("postproc.chunks.ROWS", 7)
     assert b"".join(page(result, 1e-5)) == whole
 
 

@@ -86,5 +86,5 @@ def test_a_result_without_targets_is_a_header_alone():
 def test_rows_do_not_depend_on_where_the_chunks_end(monkeypatch):
     result = fabricated.result(50)
     whole = b"".join(targets_csv(result))
-    monkeypatch.setattr("postproc.chunks._ROWS", 7)
+    monkeypatch.setattr("postproc.chunks.ROWS", 7)
     assert b"".join(targets_csv(result)) == whole

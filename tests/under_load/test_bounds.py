@@ -154,18 +154,17 @@ def test_arcs_of_up_to_a_thousand_turns_are_taken() -> None:
     assert issue.message.startswith("an arc of 1002.5 turns, more than the permitted 1000")
 
 
-def test_the_longest_path_is_some_thousand_times_the_reach(monkeypatch) -> None:
-    monkeypatch.setattr(under_load, "_MOST_REACHES", 10)
-    for metres, bad in ((9.9 * REACH, False), (10.1 * REACH, True)):
-        count = round((metres - 0.05) / 0.5)
-        moves = [("LIN", 500.0 * (n % 2), 0, 0) for n in range(1, count + 1)]
-        made = program([*HEAD, *moves], orientation=DOWN)
+def test_the_longest_path_is_ten_thousand_times_the_reach() -> None:
+    for metres, bad in ((9990.0 * REACH, False), (10010.0 * REACH, True)):
+        count = 16
+        degrees = 360.0 * round(metres / count / (2.0 * np.pi * 0.5))  # of whole turns with a radius of 0.5 m
+        made = program([*HEAD, *[("CIRC", 0, 0, 50, 500, 0, 50, degrees, UP)] * count], orientation=DOWN)
         path = toolpath.segments(made, np.eye(4))
-        assert (path.length.sum() > 10 * REACH) == bad
+        assert (path.length.sum() > 10_000 * REACH) == bad
         issue = refused(made)
         assert (issue is not None) == bad
     assert (issue.kind, issue.source_line) == ("path-length", 1)
-    assert issue.message.startswith("the path is 0 km long, more than 10 times the reach of the robot")
+    assert issue.message.startswith("the path is 39 km long, more than 10000 times the reach of the robot")
 
 
 def test_axis_targets_are_not_asked_where_they_are() -> None:

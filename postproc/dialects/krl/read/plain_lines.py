@@ -16,7 +16,7 @@ from functools import cache
 import numpy as np
 from msgspec import Struct
 
-from postproc.chunks import compact
+from postproc.chunks import chunks, compact
 from postproc.decimals import Bytes, numbers_in, parsed
 from postproc.dialects.krl.language.positions import COLUMNS
 from postproc.dialects.krl.language.source import Source
@@ -35,7 +35,6 @@ from postproc.dialects.krl.read.plain_settings import PlainSettings, no_settings
 from postproc.frames import Array, any_column
 from postproc.program import CIRC, LIN, PTP, Bools, Ints
 
-_LINES = 8192
 """Lines read at once: the arrays of more lines do not fit the cache."""
 _STRICT = r"[-+]?+(?:[0-9]++(?:\.[0-9]*+)?|\.[0-9]++)(?:[eE][-+]?+[0-9]++)?"
 _LOOSE = r"[-+.0-9][-+.0-9eE]*+"
@@ -86,11 +85,13 @@ _BLANK[[9, 10, 13, 32]] = True
 def scan(source: Source) -> list[MotionColumns]:
     """Return all plain motions of a document, in consecutive parts."""
     text, starts = source.text, source.starts
-    last = [*starts[_LINES::_LINES].tolist(), len(text)]
-    return [
-        _plain(text[starts[line] : stop], starts[line : line + _LINES] - starts[line], line, int(starts[line]))
-        for line, stop in zip(range(0, len(starts), _LINES), last, strict=True)
-    ]
+    columns = []
+    for lines in chunks(len(starts)):
+        part_starts = starts[lines]
+        begin = int(part_starts[0])
+        end = int(starts[lines.stop]) if lines.stop < len(starts) else len(text)
+        columns.append(_plain(text[begin:end], part_starts - begin, lines.start, begin))
+    return columns
 
 
 def _plain(text: str, starts: Ints, lines: int, characters: int) -> MotionColumns:

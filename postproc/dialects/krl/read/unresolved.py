@@ -180,9 +180,9 @@ def _marks(main: MainRoutine) -> list[tuple[int, bool]]:
     return sorted(marks)
 
 
-def _synchronises(text: str) -> bool:
+def _synchronises(text: str, size: int = _PIECE) -> bool:
     """Return whether a text has one of the words that synchronise robots, also in comments and strings."""
-    pieces = (text[at : at + _PIECE + max(map(len, SYNCHRONISING))].upper() for at in range(0, len(text), _PIECE))
+    pieces = (text[at : at + size + max(map(len, SYNCHRONISING))].upper() for at in range(0, len(text), size))
     return any(name in piece for piece in pieces for name in SYNCHRONISING)
 
 

@@ -83,8 +83,8 @@ class Replacements(Struct, eq=False):
         total = np.append(0, np.cumsum(np.concatenate(growth)[order]))
         return np.asarray(offsets + total[np.searchsorted(start[order], offsets, side="left")])
 
-    def applied(self, text: str) -> str:
-        """Return the text with all pieces replaced."""
+    def applied(self, text: str, count: int = _PIECES) -> str:
+        """Return the text with all pieces replaced, `count` of them at once."""
         if not self:
             return text
         new = "".join(piece for _, _, piece in self._single)
@@ -98,8 +98,8 @@ class Replacements(Struct, eq=False):
         order = np.lexsort((stops, starts))
         codes = np.concatenate([*self._numbers, _codes(new, is_ascii)])
         parts, at = [], 0
-        for first in range(0, len(order), _PIECES):
-            rows = order[first : first + _PIECES]
+        for first in range(0, len(order), count):
+            rows = order[first : first + count]
             end = int(stops[rows[-1]])
             part_codes = _codes(text[at:end], is_ascii)
             new_codes = _joined(part_codes, starts[rows] - at, stops[rows] - at, codes, begin[rows], length[rows])
