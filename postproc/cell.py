@@ -238,6 +238,15 @@ class Krl(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     values: dict[str, bool | int | float] = {}
 
 
+class Rapid(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """How RAPID modules are read.
+
+    :param without_effect: routines of other files that neither move the robot nor change data of the module.
+    """
+
+    without_effect: list[str] = []
+
+
 class ExternalAxis(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """A linear axis that carries the robot.
 
@@ -318,6 +327,7 @@ class CellFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     output: Output = Output()
     gcode: GCode = GCode()
     krl: Krl = Krl()
+    rapid: Rapid = Rapid()
     machine: Machine = Machine()
     rotary: Rotary | None = None
     apt: Apt = Apt()

@@ -6,7 +6,9 @@ import re
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
+from postproc.cell import Rapid
 from postproc.dialects.rapid.dialect import RAPID
 from postproc.dialects.rapid.syntax import modules
 from postproc.dialects.rapid.values import Scope, Variable, evaluated
@@ -269,10 +271,65 @@ def test_what_a_trap_a_handler_or_an_unknown_branch_may_change_is_not_known():
         ([move], f"  TRAP t1\n    {changed}\n  ENDTRAP"),
         ([move], f"  PROC other()\n    {changed}\n  ENDPROC"),
         (["IF DInput(di1)=1 THEN", changed, "ENDIF", move], ""),
-        (["Ask p;", move], ""),
+        (["Ask;", move], ""),
+        (['SetDataVal "p",q;', move], ""),
     ):
         with pytest.raises(PostprocError, match="P is not known"):
             read(module(code, data, routine))
+
+
+ELSEWHERE = ["SpindleOn 9000;", f"MoveL p{tail()}"]
+OWN_DATA = f"  LOCAL VAR robtarget p:={at(0, 0, 20)};"
+
+
+def local(text):
+    return text.replace(f"  {TOOL}", f"  LOCAL {TOOL}").replace(f"  {WOBJ}", f"  LOCAL {WOBJ.removeprefix('TASK ')}")
+
+
+@pytest.mark.parametrize("name", ["tool", "work object", "target"])
+def test_a_routine_of_another_file_may_change_data_that_are_not_local(name):
+    text = local(module(ELSEWHERE, OWN_DATA))
+    assert len(read(text).motions) == 2
+    shown = {"tool": "PERS tooldata", "work object": "PERS wobjdata", "target": "VAR robtarget"}[name]
+    with pytest.raises(PostprocError, match="is not known: SPINDLEON, which is in no module") as caught:
+        read(text.replace(f"LOCAL {shown}", shown))
+    assert "LOCAL or CONST" in caught.value.advice
+    assert "without_effect" in caught.value.advice
+
+
+def test_a_routine_that_the_cell_says_is_without_effect_changes_nothing():
+    text = module(ELSEWHERE, OWN_DATA)
+    cell = replace(place().cell, rapid=Rapid(without_effect=["SpindleOn"]))
+    program = RAPID.read([decode("part.mod", text.encode())], cell, place().forward, "part")
+    assert len(program.motions) == 2
+    assert not program.issues
+
+
+def test_a_routine_of_another_file_that_runs_at_any_time_makes_data_unknown():
+    for routine in ("TRAP t1\nrefresh;\nENDTRAP", "PROC t1()\nrefresh;\nENDPROC\nPROC u()\nt1;\nENDPROC"):
+        text = local(module([f"MoveL p{tail()}"], OWN_DATA.replace("LOCAL ", ""), routine))
+        if "TRAP" in routine:
+            with pytest.raises(PostprocError, match="P is not known"):
+                read(text)
+        else:  # nothing calls it while the program runs
+            assert len(read(text).motions) == 2
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        f"GoThere {at(0, 0, 20)},v100;", "GoThere p;", "GoThere Offs(p,0,0,5);", "ArcL p,v100,seam1,weld1,z10,tMill;",
+        "SpotL p,v100,gun1,spot1,tMill;", "DispC p,p,v100,bead1,z1,tMill;", "SyncMoveOn sync1,tasks1;",
+        "WaitWObj wPart;",
+    ],
+)  # fmt: skip
+def test_instructions_of_other_files_that_take_a_target_and_moves_of_processes_are_refused(line):
+    text = local(module([line, f"MoveL p{tail()}"], OWN_DATA))
+    with pytest.raises(PostprocError, match="move") as caught:
+        read(text)
+    assert caught.value.text == line
+    with pytest.raises(PostprocError, match="it is not known before the program runs"):
+        read(local(module(["IF DInput(di1)=1 THEN", line, "ENDIF", f"MoveL p{tail()}"], OWN_DATA)))
 
 
 def test_a_tool_of_another_module_is_that_of_the_cell_and_a_second_one_is_refused():
@@ -462,7 +519,7 @@ def test_a_function_changes_what_it_can_change_and_nothing_else(code, is_known):
     if is_known:
         assert places(["x:=5;", code, THERE], routines) == [[5, 2]]
     else:
-        with pytest.raises(PostprocError, match="X is not known"):
+        with pytest.raises(PostprocError, match=r"is not known: (ELSEWHERE|BUMP|STRTOVAL)"):
             places(["x:=5;", code, THERE], routines)
 
 

@@ -1,20 +1,22 @@
 """What statements of RAPID may change: data by their names, through routines and functions too.
 
 A routine has data and parameters of its own. What it changes besides are data of the module, whatever the routine that
-calls it declares under their names.
+calls it declares under their names. A routine of another file may change all data of the module that are neither LOCAL
+nor CONST; it is assumed not to call back.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
-from postproc.dialects.rapid.instructions import MOVES, PURE, READING, RESULT_OPTIONS
+from postproc.dialects.rapid.instructions import BY_NAME, MOVES, PURE, READING, RESULT_OPTIONS, is_of_rapid
 from postproc.dialects.rapid.syntax import (
     Argument,
     Assignment,
     Declaration,
     Expression,
     Instruction,
+    Module,
     Parameter,
     Routine,
     Statement,
@@ -30,8 +32,17 @@ class Effects:
     :ivar has_functions: whether a statement of them calls a function that may change something.
     """
 
-    def __init__(self, routines: dict[str, Routine]) -> None:
-        self.routines = routines
+    def __init__(self, modules: Sequence[Module], without_effect: Iterable[str]) -> None:
+        """Take the routines and data of modules.
+
+        :param without_effect: routines of other files that change no data of these modules and move nothing.
+        """
+        self.routines = {routine.name: routine for module in modules for routine in module.routines}
+        self.without_effect = frozenset(name.upper() for name in without_effect)
+        data = [item for module in modules for item in module.data if item.kind != "CONST"]
+        self._all_data = frozenset(item.name for item in data)
+        self._open_data = frozenset(item.name for item in data if not item.local)
+        routines = self.routines
         bodies = [routine.body for routine in routines.values()]
         self.has_functions = any(
             call.value in routines or call.value not in PURE
@@ -39,8 +50,12 @@ class Effects:
             for statement in nested(body)
             for call in calls(statement)
         )
-        self._changed_data: dict[str, frozenset[str]] = {}
+        self._changed_data: dict[tuple[str, bool], frozenset[str]] = {}
         self._changed_by_handler: dict[str, frozenset[str]] = {}
+
+    def is_foreign(self, name: str) -> bool:
+        """Return whether a routine is in another file and may change data of these modules, or move the robot."""
+        return name not in self.routines and name not in self.without_effect and not is_of_rapid(name)
 
     def changed(self, statements: tuple[Statement, ...]) -> Iterator[str]:
         """Yield the names of data that statements may change themselves, as their own routine names them."""
@@ -75,14 +90,19 @@ class Effects:
             self._changed_by_handler[routine.name] = frozenset(names)
         return self._changed_by_handler[routine.name]
 
-    def changed_data_of(self, name: str) -> frozenset[str]:
-        """Return the names of module data that a routine, and those that it calls, may change."""
-        if name not in self._changed_data:
+    def changed_data_of(self, name: str, *, with_foreign: bool = True) -> frozenset[str]:
+        """Return the names of module data that a routine, and those that it calls, may change.
+
+        :param with_foreign: whether what routines of other files may change counts.
+        """
+        if (name, with_foreign) not in self._changed_data:
             names: set[str] = set()
             waiting, looked_at = [name], {name}
             while waiting:
-                routine = self.routines.get(waiting.pop())
+                called_name = waiting.pop()
+                routine = self.routines.get(called_name)
                 if routine is None:
+                    names |= self._data_open_to(called_name, with_foreign=with_foreign)
                     continue
                 statements = (*routine.body, *routine.handler)
                 local_names = {parameter.name for parameter in routine.parameters}
@@ -90,8 +110,14 @@ class Effects:
                 names |= set(self.changed(statements)) - local_names
                 waiting += (names_called := called(statements) - looked_at)
                 looked_at |= names_called
-            self._changed_data[name] = frozenset(names)
-        return self._changed_data[name]
+            self._changed_data[name, with_foreign] = frozenset(names)
+        return self._changed_data[name, with_foreign]
+
+    def _data_open_to(self, name: str, *, with_foreign: bool) -> frozenset[str]:
+        """Return the names of module data that an instruction, or a routine of another file, may change by name."""
+        if name in BY_NAME:
+            return self._all_data
+        return self._open_data if with_foreign and self.is_foreign(name) else frozenset()
 
 
 def results(instruction: Instruction) -> Iterator[Expression]:

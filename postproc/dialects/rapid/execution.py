@@ -3,7 +3,9 @@
 A value is used only if it is certain before the program runs. Loops and conditions are followed where all their values
 are known. A branch that is not known must neither move the robot nor change how it moves; data that it changes are not
 known from there on. Data that routines change which are not followed (traps, error handlers, procedures that nobody
-calls) are not known at all; those that functions change are not known behind their calls.
+calls) are not known at all; those that functions change are not known behind their calls. Neither are those that are
+not LOCAL behind calls of routines of other files; these routines are assumed not to move the robot, unless a target is
+given to them.
 
 What instructions do: ABB, Technical reference manual, RAPID Instructions, Functions and Data types (3HAC16581).
 """
@@ -20,15 +22,13 @@ from postproc.dialects.rapid.effects import Effects, bound_arguments, called, re
 from postproc.dialects.rapid.instructions import (
     CONSTANT,
     COUNTING,
-    FUNCTIONS,
     MOVES,
     READING,
     SETTINGS,
     STOPPING,
-    WRITING,
     Form,
+    moves_unfollowed,
 )
-from postproc.dialects.rapid.language import MOVING
 from postproc.dialects.rapid.syntax import (
     Argument,
     Assignment,
@@ -95,6 +95,15 @@ _LATE_CALLS = ("%", "CALLBYVAR")
 _MOST_ROUNDS = 10_000
 """Rounds of a loop without moves that are followed."""
 _KEEP = "Leave it out, or convert the G-code or APT of this part."
+_NUMBERS = "Give the data as numbers in this file."
+_COPIED = (
+    "opy the routine to this file. If it neither moves the robot nor changes data of this file, name it in [rapid] "
+    "without_effect of the cell."
+)
+_FOREIGN = f"C{_COPIED}"
+_OPEN_DATA = f"Declare the data LOCAL or CONST, or c{_COPIED}"
+_TARGET_FUNCTIONS = ("OFFS", "RELTOOL", "CALCROBT", "CALCJOINTT", "CROBT", "CJOINTT", "MIRPOS", "OROBT")
+"""Functions that return a target."""
 
 
 class Setting(Struct, frozen=True):
@@ -179,14 +188,20 @@ class Execution:
 
     :param modules: of the file.
     :param entry: routine that is run.
-    :param assumed: values of tools and work objects of the cell, for those that no module declares.
+    :param cell_value: values of tools and work objects of the cell, for those that no module declares.
+    :param without_effect: see `Effects`.
     """
 
     def __init__(
-        self, modules: Iterable[Module], entry: Routine, cell_value: Callable[[str, str], Value | None]
+        self,
+        modules: Iterable[Module],
+        entry: Routine,
+        cell_value: Callable[[str, str], Value | None],
+        without_effect: Iterable[str] = (),
     ) -> None:
         self.modules, self.entry, self.from_cell = tuple(modules), entry, cell_value
-        self.routines = {routine.name: routine for module in self.modules for routine in module.routines}
+        self.effects = Effects(self.modules, without_effect)
+        self.routines = self.effects.routines
         self.data: dict[str, Variable] = {name: Variable(type_, value) for name, (value, type_) in predefined().items()}
         _check_names(self.modules)
         _check_functions(self.routines)
@@ -196,7 +211,6 @@ class Execution:
         self.done = Executed()
         self.setting = Setting()
         self.count = 0
-        self.effects = Effects(self.routines)
         self._moving: dict[str, bool] = {}
         self._checked_functions: set[str] = set()
         reachable_names = self._reached(entry)
@@ -207,8 +221,8 @@ class Execution:
             if routine.kind == "TRAP":
                 for name in self.effects.changed_data_of(routine.name):
                     _interrupt_variable(self.data.get(name), routine.name)
-            if not is_followed:
-                for name in self.effects.changed_data_of(routine.name):
+            if not is_followed:  # what routines of other files change before the program begins is not known anyway
+                for name in self.effects.changed_data_of(routine.name, with_foreign=False):
                     _forget_variable(self.data.get(name), f"{routine.name} may change it, which is not followed")
 
     def run(self) -> Executed:
@@ -259,12 +273,11 @@ class Execution:
             function = self.routines.get(call.value)
             if function is not None:
                 self._check_function(function, statement)
-            elif call.value not in FUNCTIONS:
+            elif self.effects.is_foreign(call.value):
                 self._foreign(call.value, statement)
             for name in self.effects.changed_arguments(call.value, call.items):
                 _forget_variable(scope.find(name), f"{call.value} may change it")
-            for name in self.effects.changed_data_of(call.value):
-                _forget_variable(self.data.get(name), f"{call.value} may change it")
+            self._forget_data_of(call.value)
 
     def _check_function(self, function: Routine, statement: Statement) -> None:
         """Check that a function neither moves the robot nor has comments of forces."""
@@ -292,10 +305,31 @@ class Execution:
             names |= names_called
             waiting += [self.routines[name].body for name in names_called]
 
+    def _forget_data_of(self, name: str) -> None:
+        """Make unknown the data of the modules that an instruction, function or routine may change."""
+        place = ", which is in no module of this file," if self.effects.is_foreign(name) else ""
+        for data_name in self.effects.changed_data_of(name):
+            _forget_variable(self.data.get(data_name), f"{name}{place} may change it")
+
     def _foreign(self, name: str, statement: Statement) -> None:
         """List a call of a routine that is in no module of the file."""
         start, count = self.done.foreign.get(name or "%", (statement.start, 0))
         self.done.foreign[name or "%"] = start, count + 1
+
+    def _is_foreign_move(self, statement: Instruction) -> bool:
+        """Return whether a routine of another file gets a target: then it may go there."""
+        if not self.effects.is_foreign(statement.name.removeprefix("%")):
+            return False
+        for argument in statement.arguments:
+            expression = argument.value
+            if expression is None:
+                continue
+            if expression.kind == "numbers" or (expression.kind == "call" and expression.value in _TARGET_FUNCTIONS):
+                return True
+            variable = self.data.get(base_name(expression)) if expression.kind in ("name", "index") else None
+            if variable is not None and variable.type in ("ROBTARGET", "JOINTTARGET"):
+                return True
+        return False
 
     def moves(self, statements: tuple[Statement, ...]) -> Instruction | None:
         """Return the first instruction among statements that moves the robot or changes how it moves, or that calls
@@ -313,7 +347,7 @@ class Execution:
             name = statement.name.removeprefix("%")
             routine = self.routines.get(name)
             if routine is None:
-                if name in MOVES or name in SETTINGS or (MOVING.match(name) and name not in CONSTANT):
+                if name in MOVES or name in SETTINGS or moves_unfollowed(name) or self._is_foreign_move(statement):
                     return statement
             elif self._routine_moves(routine):
                 return statement
@@ -548,23 +582,27 @@ class Execution:
             try:
                 self.done.moves.append(self._move(statement, MOVES[statement.name], scope))
             except UnknownValueError as cause:
-                self._refuse(statement, cause.problem, "Give the data as numbers in this file.")
+                self._refuse(statement, cause.problem, _OPEN_DATA if self.done.foreign else _NUMBERS)
         elif name in self.routines and self.routines[name].kind == "PROC":
             self._call(statement, self.routines[name], scope, depth)
         elif name in SETTINGS:
             self._set(statement, scope)
         elif name in COUNTING:
             self._count(statement, scope)
-        elif MOVING.match(name) and name not in CONSTANT:
+        elif moves_unfollowed(name):
             self._refuse(statement, f"{name} moves the robot or changes how it moves, which is not followed", _KEEP)
+        elif self._is_foreign_move(statement):
+            problem = f"{name} is in no module of this file and takes a target: it may move the robot"
+            self._refuse(statement, problem, _FOREIGN)
         else:
             if name == "CONNECT":
                 self._connect(statement)
             is_reading = name in READING or name in CONSTANT
             for argument in results(statement) if is_reading else changed_by(statement.arguments):
                 _forget_variable(scope.find(base_name(argument)), f"{name} may change it")
-            if not is_reading and name not in WRITING:
+            if self.effects.is_foreign(name):
                 self._foreign(name, statement)
+            self._forget_data_of(name)
 
     def _refuse(self, statement: Statement, problem: str, advice: str) -> None:
         self.done.errors.append(RapidError(problem, statement.start, advice))

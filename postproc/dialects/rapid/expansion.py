@@ -40,12 +40,15 @@ class Expanded(Struct, frozen=True, eq=False):
 
 
 def expanded(
-    text: str, entry_of: Callable[[Sequence[Module]], Routine], cell_value: Callable[[str, str], Value | None]
+    text: str,
+    entry_of: Callable[[Sequence[Module]], Routine],
+    cell_value: Callable[[str, str], Value | None],
+    without_effect: Sequence[str],
 ) -> Expanded:
     """Return a program, executed, in which each statement that moves runs once.
 
     :param entry_of: chooses the routine that is run.
-    :param cell_value: see `Execution`.
+    :param cell_value: see `Execution`; `without_effect`: see `Effects`.
     :raises RapidSyntaxError: it is not RAPID.
     :raises RapidError: it cannot be followed.
     """
@@ -56,7 +59,7 @@ def expanded(
         whole = modules(text)
         entry = entry_of(whole)
         try:
-            execution = Execution(whole, entry, cell_value).run()
+            execution = Execution(whole, entry, cell_value, without_effect).run()
             changes = _changes(text, whole, execution)
         except RapidError as cause:
             row = np.searchsorted(line_spans(text)[0], cause.start, side="right") - 1

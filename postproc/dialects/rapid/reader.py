@@ -108,7 +108,8 @@ class _Reader:
     def _expanded(self, name: str) -> Expanded:
         text = self.document.text
         try:
-            return expanded(text, lambda modules: self._entry(modules, name), self._from_cell)
+            without_effect = self.cell.rapid.without_effect
+            return expanded(text, lambda modules: self._entry(modules, name), self._from_cell, without_effect)
         except RapidSyntaxError as cause:
             advice = "Check the file in RobotStudio. If it is accepted there, please report this."
             line = int(np.searchsorted(line_spans(text)[0], cause.start, side="right"))
@@ -381,9 +382,7 @@ class _Reader:
         del line
         execution = whole.executed
         for name, (start, count) in execution.foreign.items():
-            message = (
-                f"{name} is in no module of this file: it is assumed neither to move the robot nor to change its data."
-            )
+            message = f"{name} is in no module of this file: it is assumed not to move the robot."
             at = int(self._lines(whole, np.array([start]))[0])
             yield Issue("warning", "external-call", message, at, subject=name.upper(), count=count)
         yield from self._from_cell_issues(execution)
