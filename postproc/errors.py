@@ -64,6 +64,15 @@ def first_of(names: Sequence[str], limit: int) -> str:
     return f"{', '.join(names[:limit])}{suffix}"
 
 
+def line_names(lines: Sequence[int], limit: int) -> str:
+    """Return numbers of lines in words.
+
+    >>> line_names([6], 2), line_names([6, 8, 9], 2)
+    ('line 6', 'lines 6, 8 and 1 more')
+    """
+    return f"line{'s' if len(lines) > 1 else ''} {first_of(list(map(str, lines)), limit)}"
+
+
 class PostprocError(Exception):
     """Base of all exceptions of this package; pickling keeps all attributes."""
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from msgspec.structs import replace
 
-from postproc.errors import ForceError, Issue, first_of, together
+from postproc.errors import ForceError, Issue, line_names, together
 from postproc.forces import ByLaw, Knots
 from postproc.machining.estimate import ProcessForces, estimate
 from postproc.machining.process import OperationTable, Process
@@ -190,7 +190,7 @@ def refuse_comments(program: Program, process: str) -> None:
             f"a force comment, and forces from {process}: it is not clear which of them counts",
             file=program.documents[0].name,
             line=lines[0],
-            advice=f"Give no --process, or remove the force comments (lines {first_of(list(map(str, lines)), 5)}).",
+            advice=f"Give no --process, or remove the force comments ({line_names(lines, 5)}).",
         )
 
 

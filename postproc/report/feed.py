@@ -8,7 +8,7 @@ from msgspec import Struct
 from postproc.correction import HeldFeed, Result
 from postproc.frames import MM_PER_M
 from postproc.operations import of_motions, operations
-from postproc.report.formatting import rounded
+from postproc.report.formatting import rounded, stated_mm
 
 _MM_PER_MIN = 60.0 * MM_PER_M
 _MOST_MOVES = 100
@@ -75,7 +75,7 @@ def feed_summary(result: Result) -> FeedSummary | None:
                 )
             )
     return FeedSummary(
-        tolerance_mm=feeds.tolerance * MM_PER_M,
+        tolerance_mm=stated_mm(feeds.tolerance),
         min_feed_mm_per_min=feeds.least * _MM_PER_MIN,
         unheld=feeds.unheld,
         cutting_moves=int(np.count_nonzero(cuts)),

@@ -6,11 +6,22 @@ import math
 from collections.abc import Collection, Sequence
 from typing import Literal, Protocol
 
+from postproc.frames import MM_PER_M
+
 State = Literal["ok", "warning", "failed"]
 """State of a verdict."""
 ROUNDING_MM = 1e-4
 """Deviation at a target by the rounding of written numbers (X, Y, Z to 1e-4 mm): factors below it mean nothing."""
 _PLACES = 9
+
+
+def stated_mm(length: float) -> float:
+    """Return a length [m] that the user stated in mm, with the digits as stated.
+
+    >>> stated_mm(0.249 * 1e-3), 0.249 * 1e-3 * 1e3
+    (0.249, 0.24899999999999997)
+    """
+    return float(f"{length * MM_PER_M:.12g}")
 
 
 def millimetres(value: float) -> str:

@@ -20,7 +20,7 @@ from postproc.frames import DEG_PER_RAD, MM_PER_M, norm
 from postproc.program import Bools
 from postproc.report.answers import UNJUDGED, Remedy, Verdict
 from postproc.report.feed import FeedSummary, feed_summary
-from postproc.report.formatting import ROUNDING_MM
+from postproc.report.formatting import ROUNDING_MM, stated_mm
 from postproc.report.verdict import verdict
 from postproc.robot import JOINTS
 
@@ -253,7 +253,7 @@ def summary(
         ),
         compensated_percent=_compensated(uncorrected.rms * MM_PER_M, prediction.rms * MM_PER_M),
         between_max_mm=_finite(result.between * MM_PER_M),
-        tolerance_mm=None if tolerance is None else tolerance * MM_PER_M,
+        tolerance_mm=None if tolerance is None else stated_mm(tolerance),
         tolerance_held=_held(result, prediction, tolerance),
         blending=_blending(result),
         size_bytes=sum(len(piece) for document in result.documents for piece in document.pieces()) or None,
@@ -362,7 +362,7 @@ def _reversals(result: Result) -> list[Reversal]:
 
 def _on_part(result: Result, tolerance: float | None) -> OnPart:
     """Return the largest expected error on the part (`Result.expected`), judged by a tolerance [m]."""
-    tolerance_mm, error = None if tolerance is None else tolerance * MM_PER_M, result.expected
+    tolerance_mm, error = None if tolerance is None else stated_mm(tolerance), result.expected
     if error is None or result.rapid.all():
         return OnPart(tolerance_mm=tolerance_mm, expected_mm=None, source_line=None, held=None, beyond_percent=None)
     worst = int(np.argmax(error))

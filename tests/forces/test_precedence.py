@@ -75,4 +75,6 @@ def test_force_comments_in_a_program_with_a_process_are_refused():
     with pytest.raises(ForceError, match=r"a force comment, and forces from p\.toml") as caught:
         refuse_comments(program(MOVES, notes=[(1, (0.0,) * 6), (2, FORCE), (4, FORCE)]), "p.toml")
     assert (caught.value.file, caught.value.line) == ("part.nc", 2)
-    assert "lines 2, 4" in str(caught.value)
+    assert "(lines 2, 4)" in str(caught.value)
+    with pytest.raises(ForceError, match=r"\(line 2\)"):
+        refuse_comments(program(MOVES, notes=[(2, FORCE)]), "p.toml")

@@ -408,6 +408,10 @@ def test_what_is_not_drawn_yet_says_so(page):
         "(() => { const e = document.createElement('div'); document.body.append(e); stage.add(e, () => e.remove());"
         "return [e.className, getComputedStyle(e, '::before').content] })()"
     ) == ["waiting", '"is drawn in a moment"']
+    assert page.evaluate(
+        "(() => { const e = document.getElementById('histogram-view').cloneNode(); e.classList.add('waiting');"
+        "document.body.append(e); const height = e.offsetHeight; e.remove(); return height })()"
+    ) >= 2 * page.evaluate("parseFloat(getComputedStyle(document.body).fontSize)")  # the text is above the caption
 
 
 @pytest.mark.parametrize("dark", [False, True])

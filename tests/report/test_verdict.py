@@ -125,6 +125,11 @@ def test_a_tolerance_that_cannot_be_judged_is_not_said_to_be_missed():
     assert "is not held" not in verdict.headline
 
 
+def test_a_tolerance_has_the_digits_that_the_user_gave():
+    content = summary(fabricated.result(), 0.249 * 1e-3, 0.249 * 1e-3)
+    assert (content.tolerance_mm, content.part.tolerance_mm) == (0.249, 0.249)
+
+
 def test_a_prediction_says_what_correction_would_give_and_judges_the_program_as_it_is():
     result = fabricated.with_changes(_known(fabricated.result(mode="predict")), **_QUIET, errors=_errors(0.3))
     assert summary(result).verdict.state == "ok"

@@ -27,7 +27,7 @@ from postproc.dialects.rapid.syntax import Comment, Module, RapidSyntaxError, Ro
 from postproc.dialects.rapid.syntax import Instruction as RapidInstruction
 from postproc.dialects.rapid.values import NONE, UnknownValueError, Value, shaped
 from postproc.dialects.text import line_spans
-from postproc.errors import InputError, Issue, ProgramError, first_of, together
+from postproc.errors import InputError, Issue, ProgramError, first_of, line_names, together
 from postproc.frames import M_PER_MM, Array, inverse, norm, xyzabc_from_pose
 from postproc.poses import Poses
 from postproc.program import (
@@ -397,10 +397,8 @@ class _Reader:
                     at = int(self._lines(whole, np.array([moving.start]))[0])
                     yield Issue("warning", "uncalled-motions", message, at, subject=routine.name)
         if whole.loops:
-            lines = ", ".join(str(number) for number in sorted(set(whole.loops))[:_MOST_NAMES])
-            message = (
-                f"Loops with moves are written out, round by round (lines {lines}): each round has its own targets."
-            )
+            lines = line_names(sorted(set(whole.loops)), _MOST_NAMES)
+            message = f"Loops with moves are written out, round by round ({lines}): each round has its own targets."
             yield Issue("info", "loop-expanded", message, min(whole.loops))
         if whole.copies:
             names = first_of(list(dict.fromkeys(whole.copies)), _MOST_NAMES)

@@ -22,7 +22,7 @@ from postproc.program import Bools, Ints, Program
 from postproc.provenance import Provenance
 from postproc.provenance import State as Origin
 from postproc.report.answers import LIMITS_AND_COLLISIONS, UNJUDGED, Drive, Tolerance, Verdict, joined
-from postproc.report.formatting import PLAIN, ROUNDING_MM, Display, State, above, millimetres
+from postproc.report.formatting import PLAIN, ROUNDING_MM, Display, State, above, millimetres, stated_mm
 from postproc.report.path import operation_starts
 from postproc.report.summary import Distances
 
@@ -257,7 +257,7 @@ def comparison_summary(
         differences={name.replace("-", "_"): count.get(name, 0) for name in _DIFFERENCES},
         cut=_cut(comparison, names, slice(0, len(comparison.pair))),
         between=_between(comparison, second_names),
-        tolerance_mm=tolerance * MM_PER_M,
+        tolerance_mm=stated_mm(tolerance),
         operations=[*_operations(comparison, names)],
         provenance=OriginEntry(
             state=state,
