@@ -16,6 +16,10 @@ _MIN_NAMED_LENGTH = 0.3
 """Share of its length from which on an axis has its name: one that points to the reader has none."""
 
 
+_LETTER_SHARE, _BOX_SHAPE = 0.05, 0.6
+"""Height of letters by that of the picture, whose height is about this share of its width."""
+
+
 def arm_view(picture: CellPicture, name: str, axes: tuple[int, int]) -> dict[str, Any]:
     """Return a view as the template draws it, in mm.
 
@@ -40,7 +44,7 @@ def arm_view(picture: CellPicture, name: str, axes: tuple[int, int]) -> dict[str
         "box": f"{low[0]:.0f} {low[1]:.0f} {high[0] - low[0]:.0f} {high[1] - low[1]:.0f}",
         "left": f"{low[0]:.0f}",
         "right": f"{high[0]:.0f}",
-        "size": f"{0.05 * span:.0f}",
+        "size": f"{_LETTER_SHARE * max((high - low)[1], _BOX_SHAPE * (high - low)[0]):.0f}",
         "arm": _points(arm),
         "tool": _points(np.vstack([arm[-1], tip])),
         "axes": lines,

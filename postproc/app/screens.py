@@ -23,7 +23,7 @@ from postproc.app.testpart import SENT_FILES as FILES_OF_PART
 from postproc.app.testpart import TestPart
 from postproc.app.workspace import MEDIA_TYPES, RESULTS, Item, Workspace
 from postproc.errors import InputError, PostprocError
-from postproc.jobs.cell_edit import TABLES, robot_of, table_help
+from postproc.jobs.cell_edit import robot_of, table_help
 from postproc.jobs.cell_picture import cell_picture
 from postproc.jobs.experiments import Readings, model_of
 from postproc.jobs.file_form import FormField
@@ -101,7 +101,7 @@ def answers_of(item: Item) -> dict[str, Any]:
         "reasons": content.verdict.reasons,
         "uncorrected": uncorrected,
         "corrected": corrected_text,
-        "better": "unknown" if better is None or better.chance is None else chance_in_words(better.chance),
+        "better": "unknown" if better is None or better.chance is None else f"chance {chance_in_words(better.chance)}",
         "tolerance": "" if content.verdict.tolerance is None else f"{content.verdict.tolerance.mm:g} mm",
     }
 
@@ -142,7 +142,9 @@ def programs(workspace: Workspace, programs: Sequence[Row], stamp: str, *, is_au
         stamp=stamp,
         is_automatic=is_automatic,
         open_row=next((row for row in rows if row["state"] in ("new", "changed") and row["active"] is None), None),
-        command=command_line(["watch", ".", "--cell", f"{RESULTS}/cell.toml", "--serve"]),
+        command=command_line(["watch", ".", "--cell", f"{RESULTS}/cell.toml", "--serve"])
+        if workspace.cell.is_file()
+        else "",
         has_cell=workspace.cell.is_file(),
     )
 
@@ -151,9 +153,12 @@ def _controls(field: Field) -> dict[str, Any]:
     """Return how a question is asked: a list, numbers, or a line of text."""
     question, kind = field.question, field.question.key.partition(".")[0]
     control = {"key": question.key, "text": question.text, "fault": field.fault, "value": field.text}
-    control["hint"] = f"for example {question.default}" if question.default and not question.optional else ""
-    control["id"] = question.key.replace(".", "-")
+    control["id"], control["hint"] = question.key.replace(".", "-"), ""
+    has_example = bool(question.default) and not question.optional
     if kind in _FRAME_KEYS:
+        if has_example and question.default:
+            pairs = zip("XYZABC", question.default.split(","), strict=False)
+            control["hint"] = f"for example {', '.join(' '.join(pair) for pair in pairs)}"
         words = [word.strip() for word in field.text.split(",")] if field.text else []
         values = list(zip("XYZABC", [*words, *[""] * 6][:6], strict=True))
         return {**control, "kind": "frame", "values": values, "text": question.text.partition(": X,Y")[0]}
@@ -161,19 +166,39 @@ def _controls(field: Field) -> dict[str, Any]:
         sizes = [*field.text.replace(",", " ").split(), "", "", ""][:3]
         title = question.text.partition(": shape")[0]
         return {**control, "kind": "cutter", "values": sizes, "choices": _choices(kind), "text": title}
+    if kind == "stock" and (spans := _spans(field.text)) is not None:
+        control["text"] = "Stock before the program, in $BASE"
+        return {**control, "kind": "box", "spans": spans, "is_guess": field.is_guess, "is_checked": field.is_checked}
     if kind in _NUMBER_KEYS:
         return {**control, "kind": "number"}
     choices = _choices(kind)
     if not choices:
-        return {**control, "kind": "text"}
-    extra = (field.text,) if field.text and field.text not in choices else ()
-    return {**control, "kind": "choice", "choices": (*choices, *extra)}
+        return {**control, "kind": "text", "hint": f"for example {question.default}" if has_example else ""}
+    other_choice = {field.text: field.text} if field.text and field.text not in choices else {}
+    title = "Robot" if kind == "robot" else question.text
+    return {**control, "kind": "choice", "choices": choices | other_choice, "text": title}
 
 
-def _choices(kind: str) -> tuple[str, ...]:
+def _spans(text: str) -> list[tuple[str, str, str]] | None:
+    """Return axis, smallest and largest coordinate of a box as texts; None: the text is a file."""
+    parts = [part.partition("=") for part in (text or "X=,Y=,Z=").split(",")]
+    if [axis for axis, _, _ in parts] != list("XYZ"):
+        return None
+    return [(axis, *ends.partition(":")[::2]) for axis, _, ends in parts]
+
+
+def _choices(kind: str) -> dict[str, str]:
+    """Return the words that a question is answered with, and how they are shown; empty: any text."""
     if kind == "robot":
-        return tuple(robot.shipped())
-    return tuple(table()) if kind == "material" else _WORDS.get(kind, ())
+        return _robot_titles()
+    if kind == "material":
+        return {name: entry.title or name for name, entry in table().items()}
+    return {word: word for word in _WORDS.get(kind, ())}
+
+
+@cache
+def _robot_titles() -> dict[str, str]:
+    return {name: robot.load(folder).title for name, folder in robot.shipped().items()}
 
 
 def posted_answers(form: dict[str, str]) -> dict[str, str]:
@@ -191,6 +216,11 @@ def posted_answers(form: dict[str, str]) -> dict[str, str]:
             corner = f",{parts.get('corner', '')}" if parts["shape"] == "bull" else ""
             texts[key] = f"{parts['shape']},{parts.get('diameter', '')}{corner}" if parts.get("diameter") else ""
             continue
+        if key == "stock":
+            spans = {axis: (parts.get(f"{axis}/from", ""), parts.get(f"{axis}/to", "")) for axis in "XYZ"}
+            box = ",".join(f"{axis}={low}:{high}" for axis, (low, high) in spans.items())
+            texts[key] = box if any(map(any, spans.values())) else ""
+            continue
         values = [parts.get(axis, "") for axis in "XYZABC"]
         has_turn = any(values[3:])
         texts[key] = ",".join(value or "0" for value in values[: 6 if has_turn else 3]) if any(values) else ""
@@ -198,10 +228,21 @@ def posted_answers(form: dict[str, str]) -> dict[str, str]:
 
 
 def setup(
-    name: str, facts: Sequence[str], refusal: str, form: SetupForm, command: str, fault: str, *, is_posted: bool
+    name: str,
+    facts: Sequence[str],
+    refusal: str,
+    form: SetupForm,
+    command: str,
+    fault: str,
+    *,
+    is_posted: bool,
+    kept_cell: str = "",
+    tools_of_one_frame: str = "",
 ) -> Page:
     """Return the page that asks what a program needs.
 
+    :param kept_cell: robot and frames of the cell that is used as it is; empty: the page asks for them.
+    :param tools_of_one_frame: numbers of several tools for which that cell has one `$TOOL`, with commas between.
     :param fault: why nothing was begun though all answers can be used; empty: there is no reason.
     :param is_posted: the form came back: faults are shown.
     """
@@ -224,6 +265,8 @@ def setup(
         groups=groups,
         command=command,
         fault=fault,
+        kept_cell=kept_cell,
+        tools_of_one_frame=tools_of_one_frame,
     )
 
 
@@ -289,18 +332,34 @@ def shown_texts(form: Mapping[str, str]) -> dict[str, str]:
         return {}
 
 
+_CELL_TITLES = {
+    "base": "Part: $BASE",
+    "tool": "Tool: $TOOL",
+    "payload": "Load on the flange",
+    "part": "Tolerance of the part, and its mesh",
+    "tool_compliance": "Compliance of holder, spindle and tool",
+}
+
+
 def cell(
-    workspace: Workspace, fields: Sequence[FormField], fault: str, texts: Mapping[str, str], *, is_saved: bool
+    workspace: Workspace,
+    fields: Sequence[FormField],
+    fault: str,
+    texts: Mapping[str, str],
+    *,
+    is_saved: bool,
+    tools: str = "",
 ) -> Page:
     """Return the page of the cell.
 
     :param fault: why the posted numbers were not written; empty: none were posted.
     :param texts: posted numbers that were not written, by name of the field.
+    :param tools: numbers of tools that the form has fields for, with commas between.
     """
     filled_fields = _filled(fields, texts)
     tables = [
         {"name": name, "help": table_help(name), "fields": [field for field in filled_fields if field.table == name]}
-        for name in TABLES
+        for name in dict.fromkeys(field.table for field in filled_fields)
     ]
     file = f"{RESULTS}/{workspace.cell.name}"
     return _page(
@@ -312,6 +371,8 @@ def cell(
         fault=fault,
         saved=is_saved,
         file=file,
+        tools=tools,
+        titles=_CELL_TITLES,
         command="",
         **_picture(workspace.cell),
     )

@@ -22,14 +22,15 @@ from postproc.app.testpart import TestPart
 from postproc.app.workspace import MEDIA_TYPES, RESULTS, Workspace
 from postproc.errors import InputError, PostprocError
 from postproc.files.fault_log import write_fault
-from postproc.jobs.cell_edit import edit, fields_of, use_model
+from postproc.jobs.cell_edit import edit, fields_of, kept_frames, use_model
 from postproc.jobs.experiments import model_of, readings_of
 from postproc.jobs.file_form import FormField, own_changes
 from postproc.jobs.guided_start import is_edited, load_answers
 from postproc.jobs.process_edit import edit_process, process_tables
 from postproc.jobs.program_needs import needs_of
 from postproc.jobs.programs import states_forces
-from postproc.jobs.setup_form import setup_form, start_arguments
+from postproc.jobs.setup_form import CHECKED, setup_form, start_arguments
+from postproc.machining.tool_comments import named_text
 
 _LARGEST_FORM = 1 << 16
 """Bytes of a form: its fields are a few kilobytes; a page of another site could send any number."""
@@ -207,16 +208,28 @@ class _Handler(BaseHTTPRequestHandler):
         process = workspace.results / f"{program.stem}.process.toml"
         needs = needs_of(program)
         asking = {"cell": not is_edited(workspace.cell, answers), "process": not is_edited(process, answers)}
-        form = setup_form(needs, answers.answers if texts is None else texts, **asking)
+        kept_texts = answers.answers | ({CHECKED: "1"} if "stock" in answers.answers else {})
+        form = setup_form(needs, kept_texts if texts is None else texts, **asking)
         arguments, fault = start_arguments(program, form), ""
         if texts is not None and form.complete and not needs.refusal:
             try:
                 return self.begin(name, f"Correct {name}", arguments)
             except InputError as cause:
                 fault = str(cause)
-        cutters = [f"T{number} {cutter.text}" for number, cutter in needs.cutters.items() if cutter.text]
-        command = command_line(arguments)
-        self._page(screens.setup(name, cutters, needs.refusal, form, command, fault, is_posted=texts is not None))
+        cutters = [named_text(number, cutter.text) for number, cutter in needs.cutters.items() if cutter.text]
+        kept_cell, tools = ("", ()) if asking["cell"] else kept_frames(workspace.cell, needs.tools)
+        page = screens.setup(
+            name,
+            cutters,
+            needs.refusal,
+            form,
+            command_line(arguments),
+            fault,
+            is_posted=texts is not None,
+            kept_cell=kept_cell,
+            tools_of_one_frame=",".join(map(str, tools)),
+        )
+        self._page(page)
         return None
 
     def program(self) -> None:
@@ -248,8 +261,9 @@ class _Handler(BaseHTTPRequestHandler):
         if not workspace.cell.is_file():
             text = "There is no cell yet: the set-up of the first program asks for robot, base and tool."
             return self._page(screens.message("Cell", text))
-        fields = fields_of(workspace.stated_cell())
-        page = screens.cell(workspace, fields, fault, texts, is_saved="saved" in self.query)
+        fields = fields_of(workspace.stated_cell(), self._tools())
+        tools = ",".join(map(str, self._tools()))
+        page = screens.cell(workspace, fields, fault, texts, is_saved="saved" in self.query, tools=tools)
         return self._page(page, 400 if fault else 200)
 
     def process(self, fault: str = "", texts: Mapping[str, str] = _NOTHING) -> None:
@@ -434,17 +448,22 @@ class _Handler(BaseHTTPRequestHandler):
 
     def posted_cell(self) -> None:
         """Take numbers of the cell."""
-        form, path = self.form(), self.server.workspace.stated_cell()
-        texts = screens.posted_fields(form, fields_of(path))
+        form, path, tools = self.form(), self.server.workspace.stated_cell(), self._tools()
+        texts = screens.posted_fields(form, fields_of(path, tools))
 
         def write() -> None:
-            edit(path, own_changes(fields_of(path), texts, screens.shown_texts(form)))
+            edit(path, own_changes(fields_of(path, tools), texts, screens.shown_texts(form)), tools)
 
         try:
             self.server.runs.edit(write)
         except InputError as cause:
             return self.cell(str(cause), texts)
-        return self._lead("/cell?saved")
+        return self._lead(f"/cell?saved&tools={','.join(map(str, tools))}" if tools else "/cell?saved")
+
+    def _tools(self) -> tuple[int, ...]:
+        """Return the numbers of tools that the address names, to which the cell may give frames."""
+        words = self.query.get("tools", "").split(",")
+        return tuple(int(word) for word in words if word.isascii() and word.isdecimal() and len(word) <= 4)
 
     def posted_process(self) -> None:
         """Take tools, material and stock of a program."""

@@ -265,7 +265,7 @@ def _for_programs(cell: Path, programs: list[Path], options: dict[str, Any]) -> 
         needs, answers, {item.key for item in unanswered_questions}, process=False
     ):
         if is_terminal():
-            answers.put(question, prompted(question, first=not answers.texts))
+            answers.put(question, prompted(question, first=not answers.values))
         elif question.optional and question.default is not None:
             answers.put(question, question.default)
         else:

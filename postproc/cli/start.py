@@ -180,12 +180,14 @@ def _ask(
         if text is None:
             unanswered.append(question)
             continue
+        is_stated = question.key in option_texts or question.key in answer_file.answers
         try:
-            answers.put(question, text)
+            answers.put(question, text, is_stated=is_stated)
         except InputError as cause:
             source = question.option.split()[0] if question.key in option_texts else str(answers_path)
             raise click.BadParameter(str(cause), param_hint=source) from None
-        if on_terminal or question.key in option_texts:
+        is_unchecked_stock = question.key == "stock" and "stock" in answers.offered
+        if (on_terminal and not is_unchecked_stock) or question.key in option_texts:
             answer_file.answers[question.key] = text
             _keep(answers_path, answer_file)
     unused = option_texts.keys() - question_keys

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import tomlkit
@@ -19,31 +19,63 @@ TABLES = ("base", "tool", "payload", "part", "tool_compliance")
 """Tables that have fields: what a shop measures."""
 
 
-def fields_of(path: Path) -> list[FormField]:
-    """Return the fields of a cell file.
+def fields_of(path: Path, tools: Sequence[int] = ()) -> list[FormField]:
+    """Return the fields of a cell file: of its tables, and those of tools by their numbers.
 
+    :param tools: numbers of tools that the file need not have yet.
     :raises CellError: it cannot be read.
     """
     document = parsed(files.read_text(path, CellError), str(path), CellError)
-    return [field for table in TABLES for field in fields_of_table(document, "cell", table, "number")]
+    stated_tools = document.get("tools", {})
+    names = [name for name in (stated_tools if hasattr(stated_tools, "get") else ()) if name.isdecimal()]
+    numbers = sorted({*map(int, names), *tools})
+    tables = [*TABLES[:2], *(f"tools.{number}" for number in numbers), *TABLES[2:]]
+    return [field for table in tables for field in fields_of_table(document, "cell", table, "number")]
 
 
 def table_help(table: str) -> str:
     """Return what a table of the cell states."""
-    return table_schema("cell", table).help
+    name, _, number = table.partition(".")
+    return f"$TOOL after T{number} M6: the tool tip in the flange frame" if number else table_schema("cell", name).help
 
 
-def edit(path: Path, texts: Mapping[str, str]) -> bool:
+def kept_frames(path: Path, tools: Sequence[int]) -> tuple[str, tuple[int, ...]]:
+    """Return robot and frames of a cell in words, and the tools that share `[tool]` although there are several.
+
+    :param tools: numbers of the tools of a program.
+    """
+    try:
+        cell = cells.load(path)
+        robot = load_robot(cell.robot, cell.folder)
+    except PostprocError as cause:
+        return str(cause), ()
+    frames = {"$BASE": cell.base}
+    if cell.tools:
+        frames |= {f"$TOOL of T{number}": cell.tools[str(number)] for number in tools if str(number) in cell.tools}
+    else:
+        frames[f"$TOOL{f' of T{tools[0]}' if len(tools) == 1 else ''}"] = cell.tool
+    words = [f"{name} {_in_words(frame)}" for name, frame in frames.items()]
+    return ", ".join([robot.title, *words]), tuple(tools) if len(tools) > 1 and not cell.tools else ()
+
+
+def _in_words(frame: cells.Frame) -> str:
+    turn = (frame.A, frame.B, frame.C)
+    values = (frame.X, frame.Y, frame.Z, *(turn if any(turn) else ()))
+    return " ".join(f"{axis} {value:g}" for axis, value in zip("XYZABC", values, strict=False))
+
+
+def edit(path: Path, texts: Mapping[str, str], tools: Sequence[int] = ()) -> bool:
     """Write numbers into a cell file, checked as `convert` checks it; return whether anything has changed.
 
     Only numbers that differ are touched: comments and all else stay. Nothing is written if the cell would be unusable.
 
     :param texts: numbers by the name of the field; empty: the key is removed.
+    :param tools: see `fields_of`.
     :raises InputError: a text is no number, or the cell would be unusable.
     """
     old_text = files.read_text(path, CellError)
     document = parsed(old_text, str(path), CellError)
-    new_text = edited(old_text, document, fields_of(path), texts)
+    new_text = edited(old_text, document, fields_of(path, tools), texts)
     if new_text == old_text:
         return False
     write_checked(path, new_text, cells.load)

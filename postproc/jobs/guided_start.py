@@ -63,18 +63,20 @@ class Question(Struct, frozen=True):
 
 
 class Answers(Struct):
-    """Answers so far: values by key, and the texts that they were read from."""
+    """Answers so far: values by key, and the keys of those that were offered and taken as they are."""
 
     values: dict[str, Any] = field(default_factory=dict)
-    texts: dict[str, str] = field(default_factory=dict)
+    offered: set[str] = field(default_factory=set)
 
-    def put(self, question: Question, text: str) -> None:
+    def put(self, question: Question, text: str, *, is_stated: bool = True) -> None:
         """Take a text as answer.
 
+        :param is_stated: the user gave it; False: it may be the text that was offered.
         :raises InputError: it is none.
         """
         self.values[question.key] = question.parse(text)
-        self.texts[question.key] = text
+        if not is_stated and text == question.default:
+            self.offered.add(question.key)
 
     def numbered(self, name: str) -> dict[int, Any]:
         """Return the values of ``name.N`` by N."""
@@ -283,8 +285,7 @@ def write_process(path: Path, needs: ProgramNeeds, answers: Answers) -> tuple[st
     :raises InputError: it cannot be written, or a value is invalid.
     """
     stock: StockTable = answers.values["stock"]
-    is_guess = answers.texts.get("stock", "") == _guessed(needs, answers)
-    is_assumed = stock.box is not None and needs.stock_mm is None and is_guess
+    is_assumed = stock.box is not None and needs.stock_mm is None and "stock" in answers.offered
     lines = [*process_head(needs, answers.values["material"])]
     for number, shape in answers.numbered("cutter").items():
         lines += ["", *_tool_lines(number, shape, needs, answers)]
@@ -303,11 +304,6 @@ def process_head(needs: ProgramNeeds, material: str | None) -> Iterator[str]:
     yield "[material]"
     if material is not None:
         yield f"name = {_quoted(material)}    # postproc forces --materials lists them, with sources"
-
-
-def _guessed(needs: ProgramNeeds, answers: Answers) -> str:
-    box = _stock_guess(needs, answers)
-    return "" if box is None else box_text(box)
 
 
 def tool_head(number: int, needs: ProgramNeeds) -> str:

@@ -11,13 +11,23 @@ from postproc.errors import InputError
 from postproc.jobs.guided_start import Answers, Question, next_question
 from postproc.jobs.program_needs import ProgramNeeds
 
+CHECKED, OFFERED = "stock.checked", "stock.offered"
+"""Keys of a tick, the stock that is offered is the real one, and of the stock that the form offered."""
+
 
 class Field(Struct, frozen=True):
-    """A question, the text that answers it, and why it does not; empty: it does."""
+    """A question and the text that answers it.
+
+    :param fault: why it does not; empty: it does.
+    :param is_guess: a stock is offered that nobody has stated.
+    :param is_checked: the user has changed it, or says that it is right.
+    """
 
     question: Question
     text: str
     fault: str = ""
+    is_guess: bool = False
+    is_checked: bool = True
 
 
 class SetupForm(Struct, frozen=True):
@@ -36,19 +46,23 @@ def setup_form(needs: ProgramNeeds, texts: Mapping[str, str], *, cell: bool, pro
 
     Only optional questions have their default: nobody shall run a robot by a guessed base that was clicked away.
 
-    :param texts: answers by key of the question.
+    :param texts: answers by key of the question, and those of `CHECKED` and `OFFERED`.
     :param cell: ask for the cell; `process`: ask for the process.
     """
     answers, skipped_keys, fields = Answers(), set[str](), []
     while question := next_question(needs, answers, skipped_keys, cell=cell, process=process):
         text = texts.get(question.key, question.default or "" if question.optional else "").strip()
         fault = ""
+        is_guess = question.key == "stock" and needs.stock_mm is None and question.default is not None
+        if is_guess and text == texts.get(OFFERED) and not texts.get(CHECKED):
+            text = question.default or ""  # it depends on the diameters, which may be other ones now
+        is_checked = not is_guess or text != question.default or bool(texts.get(CHECKED))
         try:
             answers.put(question, text)
         except InputError as cause:
             skipped_keys.add(question.key)
             fault = str(cause) if text else "an answer is missing"
-        fields.append(Field(question, text, fault))
+        fields.append(Field(question, text, fault, is_guess, is_checked))
     return SetupForm(tuple(fields))
 
 
@@ -56,6 +70,8 @@ def start_arguments(program: Path, form: SetupForm) -> list[str]:
     """Return the arguments of the `postproc start` that does the same."""
     arguments = ["start", program.name, "--no-open"]
     for field in form.fields:
+        if not field.is_checked:
+            continue
         flag, (_, _, suffix) = field.question.option.split()[0], field.question.key.partition(".")
         if field.text:
             arguments += [f"{flag}={suffix}={field.text}" if suffix not in ("", "0") else f"{flag}={field.text}"]

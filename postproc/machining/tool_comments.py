@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from fractions import Fraction
 from typing import Literal
 
 from msgspec import Struct
@@ -17,7 +18,8 @@ from msgspec.structs import replace
 Shape = Literal["flat", "ball", "bull", "drill"]
 MM_PER_INCH = 25.4
 
-_NUMBER = r"(\d+(?:\.\d*)?|\.\d+)"
+_NUMBER = r"(\d+[ -]\d+/\d+|\d+/\d+|\d+(?:\.\d*)?|\.\d+)"
+"""A decimal number, or a fraction of an inch: ``1/2``, ``1-1/4``."""
 _UNIT = r"""\s*(mm\b|inch(?:es)?\b|in\b|")?"""
 _TOOL = re.compile(r"(?:\btool\s*(?:no\.?|number|#)?|\bT)\s*[-=:#]?\s*(\d{1,4})\b\s*-?", re.IGNORECASE)
 _APT = re.compile(r"CUTTER/\s*([\d.]+)()(?:\s*,\s*([\d.]+))?", re.IGNORECASE)
@@ -47,6 +49,8 @@ _OTHER_SHAPES = re.compile(
 )
 """Cutters that a process file cannot describe."""
 _STRAIGHT = re.compile(r"\bTAPER\s*=\s*0(?:\.0*)?\s*(?:deg)?(?![\d.])", re.IGNORECASE)
+_POINT = re.compile(r"\bTAPER\s*=\s*1\d\d(?:\.\d*)?\s*(?:deg)?", re.IGNORECASE)
+"""Point angle of a twist drill [deg], which Fusion calls a taper."""
 _CUTTER = re.compile(r"mill|drill|cutter|fr[aä]ser|bohrer", re.IGNORECASE)
 _LINES_TO_CHANGE = 8
 """A comment without a tool number belongs to the tool change at most this many lines after it."""
@@ -103,6 +107,16 @@ def commented_tools(
     return tools
 
 
+def named_text(number: int, text: str) -> str:
+    """Return a comment on a tool with the number of the tool, once.
+
+    >>> named_text(1, "T1 D=16."), named_text(2, "end mill 8 mm")
+    ('T1 D=16.', 'T2 end mill 8 mm')
+    """
+    match = _TOOL.search(text)
+    return text if match is not None and int(match[1]) == number else f"T{number} {text}"
+
+
 def cutter_of(text: str, *, inches: bool) -> CommentedTool:
     """Return the cutter that a text describes.
 
@@ -114,7 +128,7 @@ def cutter_of(text: str, *, inches: bool) -> CommentedTool:
     if (apt := _APT.search(text)) is not None:
         corner = float(apt[3] or 0.0) * (MM_PER_INCH if inches else 1.0)
     shape = next((shape for form, shape in _SHAPES if form.search(text)), None)
-    if _OTHER_SHAPES.search(_STRAIGHT.sub("", text)):
+    if _OTHER_SHAPES.search((_POINT if shape == "drill" else _STRAIGHT).sub("", text)):
         shape = None
     elif diameter is not None and corner and shape in (None, "flat", "bull"):
         shape = "ball" if 2.0 * corner >= diameter else "bull"
@@ -125,9 +139,21 @@ def cutter_of(text: str, *, inches: bool) -> CommentedTool:
 
 
 def _mm(match: re.Match[str], inches: bool) -> float:
-    unit = (match[2] or "").lower()
+    unit, inches = (match[2] or "").lower(), inches or "/" in match[1]
     factor = MM_PER_INCH if (unit and unit != "mm") or (not unit and inches) else 1.0
-    return round(float(match[1]) * factor, 6)
+    return round(_value(match[1]) * factor, 6)
+
+
+def _value(text: str) -> float:
+    """Return the value of a number; 0 of one that is none, such as 1/0.
+
+    >>> _value("12.7"), _value("3/8"), _value("1-1/4")
+    (12.7, 0.375, 1.25)
+    """
+    try:
+        return sum(float(Fraction(word)) if "/" in word else float(word) for word in re.split("[ -]", text))
+    except ZeroDivisionError:
+        return 0.0
 
 
 _SIZE_TITLE = re.compile(r"material\s+size|stock\s+(?:size|dimensions?)|block\s+size", re.IGNORECASE)
@@ -144,7 +170,7 @@ def stock_size(comments: Iterable[Comment], *, inches: bool) -> tuple[float, flo
         if sides := _SIDES.search(comment.text):
             unit = (sides[4] or "").lower()
             factor = MM_PER_INCH if (unit and unit != "mm") or (not unit and inches) else 1.0
-            x, y, z = (float(sides[place]) * factor for place in (1, 2, 3))
+            x, y, z = (_value(sides[place]) * factor for place in (1, 2, 3))
             return x, y, z
         if _SIZE_TITLE.search(comment.text):
             title_line = comment.line

@@ -17,6 +17,11 @@ FORMS = [
     ("T1 = End Mill {6.0 mm}", 1, "flat", 6.0, 0.0),
     ("Tool 1: End Mill {0.25 inch}", 1, "flat", 6.35, 0.0),
     ("T1  10.0 mm Drill", 1, "drill", 10.0, 0.0),
+    ("T5 D=6.8 CR=0. TAPER=118DEG - ZMIN=-12. - DRILL", 5, "drill", 6.8, 0.0),
+    ("T3 D=6. CR=0. TAPER=90deg - ZMIN=-2. - spot drill", 3, None, 6.0, 0.0),
+    (" T1 | 1/2 FLAT ENDMILL | H1 ", 1, "flat", 12.7, 0.0),
+    (" T7 | 1-1/4 FLAT ENDMILL | H7 ", 7, "flat", 31.75, 0.0),
+    ("T4 - 3/8 DRILL", 4, "drill", 9.525, 0.0),
     ("T1 D=5 CR=0 - ZMIN=-8 - Schaftfraser", 1, "flat", 5.0, 0.0),
     ("T6  Spiral O Metal 3.175*12mm  Makera    D=3.175 CR=0. - ZMIN=-26. - flat end mill", 6, "flat", 3.175, 0.0),
 ]
@@ -44,6 +49,12 @@ def test_lengths_of_a_program_in_inches_become_mm_unless_the_comment_says_mm():
     )
     assert (tools[1].diameter_mm, tools[1].corner_radius_mm) == (12.7, 1.524)
     assert tools[2].diameter_mm == 6.0
+
+
+def test_a_fraction_is_of_an_inch_whatever_the_units_of_the_program():
+    for inches in (False, True):
+        (tool,) = commented_tools([Comment(1, "T1 | 3/4 BALL ENDMILL | H1")], [], inches=inches).values()
+        assert (tool.shape, tool.diameter_mm) == ("ball", 19.05)
 
 
 def test_a_comment_without_a_number_belongs_to_the_tool_change_after_it():

@@ -1,0 +1,126 @@
+"""Questions of the set-up: a stock that is a guess until somebody has checked it, and a tool frame for each tool."""
+
+from __future__ import annotations
+
+import shutil
+import tomllib
+
+import pytest
+
+from postproc import cell as cells
+from postproc.app.screens import posted_answers
+from postproc.jobs.cell_edit import edit, fields_of, kept_frames
+from postproc.jobs.program_needs import needs_of
+from postproc.jobs.setup_form import CHECKED, OFFERED, setup_form, start_arguments
+from tests.app.test_window import looked_at, opened
+from tests.commands import run
+from tests.kr270 import CELL_TEXT
+from tests.pages.browser import needs_chromium
+from tests.places import ROOT
+
+PART = """G21 G90
+{comment}
+T1 M6
+S9000 M3
+G0 X0 Y0 Z5
+G1 Z-2 F300
+X50 F900
+G0 Z20
+M30
+"""
+TWO = PART.format(comment="(T1 D=10. CR=0. - flat end mill)").replace(
+    "M30", "T5 M6\nG0 X9 Y9 Z5\nG1 Z-1 F99\nG0 Z9\nM30"
+)
+CELL = ["--robot", "kuka_kr270", "--base", "1500,-200,700", "--tool", "0,0,350"]
+PROCESS = ["--material", "al_7075_hss", "--flutes", "3"]
+
+
+@pytest.fixture
+def program(tmp_path):
+    path = tmp_path / "part.nc"
+    path.write_text(PART.format(comment="(T1 D=10. CR=0. - flat end mill)"))
+    return path
+
+
+def stock_field(program, texts):
+    form = setup_form(needs_of(program), texts, cell=False, process=True)
+    (field,) = [field for field in form.fields if field.question.key == "stock"]
+    return field, [text for text in start_arguments(program, form) if text.startswith("--stock")]
+
+
+def test_a_stock_that_is_offered_is_an_answer_only_if_it_is_checked(program):
+    field, options = stock_field(program, {})
+    assert (field.is_guess, field.is_checked, options) == (True, False, [])
+    guess = field.text
+    field, options = stock_field(program, {"stock": guess, OFFERED: guess, CHECKED: "1"})
+    assert (field.is_checked, options) == (True, [f"--stock={guess}"])
+    field, options = stock_field(program, {"stock": "X=0:60,Y=-9:9,Z=-20:0", OFFERED: guess})
+    assert (field.is_checked, options) == (True, ["--stock=X=0:60,Y=-9:9,Z=-20:0"])
+
+
+def test_a_guess_for_another_diameter_does_not_count_as_stated(tmp_path):
+    """The first form offers a box before the diameter is known: it is left as it is, and nobody has stated it."""
+    program = tmp_path / "part.nc"
+    program.write_text(PART.format(comment="(end mill)"))
+    guess = stock_field(program, {})[0].text
+    field, options = stock_field(program, {"cutter.1": "flat,20", "stock": guess, OFFERED: guess})
+    assert field.text != guess
+    assert (field.is_checked, options) == (False, [])
+
+
+def test_the_fields_of_a_box_are_one_answer():
+    form = {f"stock/{axis}/{end}": value for axis in "XYZ" for end, value in (("from", "-1"), ("to", " 2.5 "))}
+    assert posted_answers(form)["stock"] == "X=-1:2.5,Y=-1:2.5,Z=-1:2.5"
+    assert posted_answers(dict.fromkeys(form, ""))["stock"] == ""
+
+
+@pytest.mark.parametrize("is_stated", [False, True])
+def test_a_stated_stock_is_not_assumed_even_if_it_is_the_one_that_is_offered(program, is_stated):
+    guess = stock_field(program, {})[0].text
+    output = program.parent / "out"
+    stock = ["--stock", guess] if is_stated else []
+    for _ in range(2):  # also with the answers of an earlier start
+        done = run("start", program, *CELL, *PROCESS, *stock, "-o", output)
+        assert ("The stock is assumed" in done.output) == (not is_stated)
+        assert tomllib.loads((output / "part.process.toml").read_text())["stock"].get("assumed", False) == (
+            not is_stated
+        )
+        stock = []
+
+
+def test_tools_of_a_program_get_frames_of_their_own_in_the_cell(tmp_path):
+    path = tmp_path / "cell.toml"
+    path.write_text(CELL_TEXT.split("[tools")[0])
+    words, shared = kept_frames(path, (1, 5))
+    assert shared == (1, 5)
+    assert words == "KUKA KR 270-2 (2000 series), $BASE X 1500 Y -200 Z 700, $TOOL X 0 Y 0 Z 350"
+    assert kept_frames(path, (5,))[0].endswith("$TOOL of T5 X 0 Y 0 Z 350")
+    assert edit(path, {"tools.1.Z": "350", "tools.5.Z": "301.5"}, (1, 5))
+    assert {name: tool.Z for name, tool in cells.load(path).tools.items()} == {"1": 350.0, "5": 301.5}
+    assert [field.text for field in fields_of(path) if field.name == "tools.5.Z"] == ["301.5"]
+    words, shared = kept_frames(path, (1, 5))
+    assert (shared, "$TOOL of T5 X 0 Y 0 Z 301.5" in words) == ((), True)
+
+
+@needs_chromium
+def test_a_program_with_two_tools_leads_to_a_frame_for_each(browser, window):
+    (window.workspace.folder / "two.nc").write_text(TWO)
+    window.workspace.results.mkdir()
+    shutil.copy(ROOT / "samples" / "cell_kr270.toml", window.workspace.cell)
+    window.workspace.cell.write_text(CELL_TEXT.split("[tools")[0])
+    with opened(browser, window) as page:
+        page.get_by_role("link", name="two.nc", exact=True).click()
+        assert page.get_by_text("$TOOL X 0 Y 0 Z 350").is_visible()
+        looked_at(page, "15-kept-cell")
+        page.get_by_role("link", name="Give $TOOL of each tool first.").click()
+        page.locator("input[name='tools.1.Z']").fill("350")
+        page.locator("input[name='tools.5.Z']").fill("280")
+        looked_at(page, "16-tools")
+        page.get_by_role("button", name="Save").click()
+        assert page.get_by_text("Saved.").is_visible()
+        page.go_back()
+        page.go_back()
+        page.reload()
+        assert page.get_by_text("$TOOL of T5 X 0 Y 0 Z 280").is_visible()
+        assert page.get_by_role("link", name="Give $TOOL of each tool first.").count() == 0
+    assert cells.load(window.workspace.cell).tools["5"].Z == 280.0
