@@ -139,6 +139,7 @@ def test_no_guessed_base_or_tool_is_filled_in(browser, window):
     with opened(browser, window) as page:
         page.goto(f"http://127.0.0.1:{window.access.port}/setup?name=plate.nc")
         assert page.locator("select[name=robot]").input_value() == ""
-        values = page.evaluate('[...document.querySelectorAll(\'[name*="/X"], [name*="/Z"]\')].map((e) => e.value)')
-        assert len(values) >= 4
+        frames = '[name^="base/"], [name^="tool"]'
+        values = page.evaluate(f"[...document.querySelectorAll('{frames}')].map((e) => e.value)")
+        assert len(values) >= 12
         assert set(values) == {""}
