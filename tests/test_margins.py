@@ -28,7 +28,9 @@ def smallest(q, tool):
     return np.linalg.svd(jacobian(q, tool), compute_uv=False)[-1]
 
 
-def test_margin_is_the_smallest_distance_of_each_joint_to_either_limit_of_the_urdf():
+@pytest.mark.parametrize("rows", [1, 2, 8192])
+def test_margin_is_the_smallest_distance_of_each_joint_to_either_limit_of_the_urdf(rows, monkeypatch):
+    monkeypatch.setattr("postproc.chunks.ROWS", rows)
     limits = {
         joint.get("name"): [float(joint.find("limit").get(side)) for side in ("lower", "upper")]
         for joint in ET.parse(FOLDER / "robot.urdf").getroot().findall("joint")

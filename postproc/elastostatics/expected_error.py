@@ -97,7 +97,7 @@ class ChanceOfGain:
         """Begin without targets."""
         self._gain, self._is_changed = 0.0, False
         self._by_parameter: Array | None = None
-        self._covariance = np.zeros((0, 0))
+        self._covariance: Array | None = None
         self._by_forces: list[Array] = []
         self._other: dict[str, float] = {}
 
@@ -126,7 +126,7 @@ class ChanceOfGain:
     @property
     def chance(self) -> float | None:
         """The chance, in [0, 1]; None if correction changes nothing."""
-        if not self._is_changed or self._by_parameter is None:
+        if not self._is_changed or self._by_parameter is None or self._covariance is None:
             return None
         variance = float(self._by_parameter @ self._covariance @ self._by_parameter)
         variance += max(float(np.sum(share**2)) for share in self._by_forces)
