@@ -80,7 +80,7 @@ def differences(
         *forces(comparison, corrected_path, in_file=in_file),
         *_rapid(comparison, nominal_path),
         *_twice(comparison, nominal_path, corrected_path),
-        *_back(comparison),
+        *_backward_moves(comparison),
         *_alone(comparison, nominal_path),
         *axis_targets(comparison, nominal_path, corrected_path),
         *_orientation(comparison, nominal_path, corrected_path),
@@ -333,15 +333,15 @@ def _twice(comparison: Comparison, nominal_path: PlacedProgram, corrected_path: 
         yield at_rows(comparison, "twice", message, (-1, int(pairs[0])), len(pairs))
 
 
-def _back(comparison: Comparison) -> Iterator[Difference]:
+def _backward_moves(comparison: Comparison) -> Iterator[Difference]:
     """Yield inserted targets before which the robot moves back along its path."""
     cuts = comparison.cuts
     if cuts is None:
         return
     ends = np.flatnonzero(cuts.t == 1.0)
-    way = np.searchsorted(comparison.pair[:, 1], cuts.row[ends])
+    next_pair = np.searchsorted(comparison.pair[:, 1], cuts.row[ends])  # the pair to which an inserted target leads
     lengths = cuts.length[ends]
-    reversals = np.flatnonzero((np.diff(lengths) < -_BACKWARD_STEP) & (np.diff(way) == 0)) + 1
+    reversals = np.flatnonzero((np.diff(lengths) < -_BACKWARD_STEP) & (np.diff(next_pair) == 0)) + 1
     if len(reversals):
         message = (
             f"the robot goes {(lengths[reversals[0] - 1] - lengths[reversals[0]]) * MM_PER_M:.4f} mm back on its path."

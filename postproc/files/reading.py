@@ -509,9 +509,9 @@ def _chord_heights(mesh: Any) -> Array:
     length = np.maximum(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1), 1e-12)
     height = np.zeros(len(mesh.faces))
     for side in range(2):
-        of = facets[smooth, side]
-        width = 2.0 * np.asarray(mesh.area_faces)[of] / length
-        np.maximum.at(height, of, 0.5 * width * np.tan(0.25 * angle[smooth]))
+        facet = facets[smooth, side]
+        width = 2.0 * np.asarray(mesh.area_faces)[facet] / length
+        np.maximum.at(height, facet, 0.5 * width * np.tan(0.25 * angle[smooth]))
     return height
 
 

@@ -113,6 +113,11 @@ def _along_joints(robot: RobotModel) -> set[LinkSpring]:
 def _gears(
     kind: type[FadingPart | Backlash], steps: Sequence[float], joints: Sequence[JointCompliance], largest: Array
 ) -> Iterator[Parameter]:
+    """Yield candidate parameters of gears, at some torques of each joint that is loaded enough.
+
+    :param steps: these torques, as shares of the largest.
+    :param largest: (6,) largest torque on each joint in the readings [N·m].
+    """
     for joint in joints:
         if largest[joint.index] > _LEAST_TORQUE:
             for step in steps:

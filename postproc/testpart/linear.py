@@ -80,7 +80,13 @@ def of_light(readings: Readings, displacement: Array) -> Array:
 def solved(
     prior: Prior, readings: Readings, states: States, robot_in_cell: RobotInCell, z: Array, scale: float, free: Bools
 ) -> tuple[Linear, Array, float, float]:
-    """Return the model linearised at the solution for fixed forces, z, the scale and γ there."""
+    """Return the model linearised at the solution for fixed forces, and z, the scale and γ there.
+
+    Each round solves the linear least squares with the prior, and linearises anew at its solution.
+
+    :param z: (P,) unknowns of the model where it begins, see `Prior.moved`; `scale`: factor of the forces there.
+    :param free: (P + 1,) which of z and the scale may change.
+    """
     whole = prior.covariance
     gamma = 0.0
     for _ in range(_ROUNDS):

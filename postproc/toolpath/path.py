@@ -178,6 +178,7 @@ def segments(program: Program, start_flange_in_root: Array) -> Segments:
 
 
 def _arcs(program: Program, start: Starts) -> Arcs:
+    """Return the arcs of a program as helices about their axes, with the centre at the height of the start."""
     m = program.motions
     motion = np.flatnonzero(m.kind == CIRC)
     begin, end, normal = start.at(motion)[:, :3, 3], m.target[motion, :3, 3], m.normal[motion]

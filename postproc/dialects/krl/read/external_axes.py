@@ -104,6 +104,12 @@ def _moves(source: Source, axis: int, change: str, line: int) -> ProgramError:
 
 
 def _fixed_axis(axis: int, value: float, line: int, count: int) -> Issue:
+    """Return the warning on an external axis that does not move, but is not at 0.
+
+    :param axis: 0 for E1.
+    :param value: where it is [mm or deg].
+    :param line: of the first motion with it; `count` motions have it.
+    """
     name = EXTERNAL[axis]
     suffix = " (E1: or the cell must say where it goes, [external_axes.E1])" if axis == 0 else ""
     message = (

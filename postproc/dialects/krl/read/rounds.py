@@ -40,7 +40,7 @@ class Uses:
         self._words = {line: _words(source, line) for line in lines}
 
     def uses(self, name: str) -> bool:
-        """Return whether they may use the value that a variable has before them: they do not set it first."""
+        """Return whether they may use the value that a variable has before them, since they do not set it first."""
         for line, words in self._words.items():
             stmt = statement(self.source, line)
             if self._called(stmt, name) or "GOTO" in words or "RETURN" in words:

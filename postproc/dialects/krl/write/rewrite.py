@@ -168,7 +168,10 @@ class _Rewriter:
         return np.asarray(has_bits & (self.targets.kind == PTP) & ~self.targets.keep)
 
     def _replace_numbers(self, k: Ints) -> None:
-        """Replace the numbers in plain lines, and of points of arrays, all at once."""
+        """Replace the numbers in plain lines, and of points of arrays, all at once.
+
+        :param k: targets whose lines change.
+        """
         file = np.zeros(len(self.program.motions), dtype=np.int32)
         for elements in self.layout.elements:
             file[elements.row] = elements.source.index
@@ -180,7 +183,10 @@ class _Rewriter:
                 in_file = (spans[:, :, 0] >= 0) & (file[self.row[targets]] == index)[:, None]
                 starts, stops = spans[:, :, 0][in_file], spans[:, :, 1][in_file]
                 replacements.add_numbers(starts, stops, numbers[in_file], decimals[in_file])
-        circles = k[self.targets.kind[k] == CIRC]
+        self._replace_via_points(k[self.targets.kind[k] == CIRC])
+
+    def _replace_via_points(self, circles: Ints) -> None:
+        """Replace X, Y, Z of the via points of targets that are arcs."""
         spans = self.layout.via_spans[self.row[circles]].astype(np.int64).reshape(-1, 2)
         decimals = np.tile(DECIMALS[:3], len(circles))
         self.replacements[0].add_numbers(spans[:, 0], spans[:, 1], self.commanded.via[circles].reshape(-1), decimals)
