@@ -21,7 +21,7 @@ from postproc import correction, files, kinematics
 from postproc import robot as robots
 from postproc.cell import Cell, Frame, GCode, Rotary, Start, Tool, ToolAxis, load
 from postproc.dialects.text import decode
-from postproc.errors import CellError, InputError, ModelError, OptionError, ProgramError
+from postproc.errors import CellError, InputError, ModelError, OptionError, ProgramError, first_of
 from postproc.files import listed, read_text, toml, write_whole
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, inverse, xyzabc_from_pose
 from postproc.jobs.answers import BY_HAND, NO_LINES, Numbers
@@ -605,6 +605,27 @@ def _file(carrier: int, kind: str) -> str:
     return f"{name}.stl" if kind == "visual" else f"{name}_collision.stl"
 
 
+_READERS = {"no reader of .dae is installed": "pip install pycollada gives one"}
+"""What helps where a mesh cannot be read."""
+_MOST_NAMES = 8
+
+
+def _left_out(problems: Sequence[str]) -> Iterator[str]:
+    """Yield a note for each reason why shapes are left out, with their files.
+
+    :param problems: ``FILE: reason``.
+    """
+    files_of_fault: dict[str, dict[str, str]] = {}
+    for problem in problems:
+        file, _, reason = problem.partition(": ")
+        files_of_fault.setdefault(reason.partition(";")[0], {})[file] = reason
+    for fault, reason_of_file in files_of_fault.items():
+        names, reason = list(reason_of_file), next(iter(reason_of_file.values()))
+        advice = next((f" ({text})" for end, text in _READERS.items() if fault.endswith(end)), "")
+        subject = "a shape is" if len(names) == 1 else f"{len(names)} shapes are"
+        yield f"{subject} left out: {first_of(names, _MOST_NAMES)}: {reason}{advice}"
+
+
 def _meshes(
     geometry: Sequence[Geometry], urdf: Path, arm: Adopted
 ) -> tuple[dict[tuple[int, str], LinkShape], list[str]]:
@@ -626,7 +647,7 @@ def _meshes(
     drawings = visuals + [shape for shape in solid if shape.carrier not in with_drawing]
     simple = [shapes.simplified(shape, _TRIANGLES) for shape in drawings]
     link_shapes = [shape for shape, _ in simple]
-    notes = [f"a shape is left out: {problem}" for problem in dict.fromkeys(problems + solid_problems)]
+    notes = [*_left_out(problems + solid_problems)]
     if link_shapes:
         count, old_count = (sum(len(shape.faces) for shape in group) for group in (link_shapes, drawings))
         points = sum(len(shape.points) for shape in link_shapes)

@@ -413,7 +413,6 @@ def _assumptions(result: Result) -> list[str]:
     bodies = [] if result.clearance is None else list(result.clearance.remarks)
     assumptions = [
         *bodies,
-        *(issue.message for issue in result.issues if issue.kind == ASSUMED_STOCK),
         f"the elastic model of {result.robot.title or result.robot.name}, as its sources below state it",
     ]
     if force > 0.0:
