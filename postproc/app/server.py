@@ -239,7 +239,8 @@ class _Handler(BaseHTTPRequestHandler):
         item = next((item for item in workspace.items() if item.name == name), None)
         if item is None:
             raise InputError(f"{name} is no program")
-        results = sorted(workspace.results.iterdir()) if workspace.results.is_dir() else []
+        results = list(workspace.results.iterdir()) if workspace.results.is_dir() else []
+        results.sort(key=lambda path: (path.stem.lower() != Path(name).stem.lower(), path.name))  # its own one first
         other_programs = [f"{RESULTS}/{path.name}" for path in results if path.suffix in _COMPARED_SUFFIXES]
         other_programs += [other_program.name for other_program in workspace.items() if other_program.name != name]
         command = command_line(workspace.conversion(name))
