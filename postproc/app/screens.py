@@ -23,7 +23,7 @@ from postproc.app.testpart import SENT_FILES as FILES_OF_PART
 from postproc.app.testpart import TestPart
 from postproc.app.workspace import MEDIA_TYPES, RESULTS, Item, Workspace
 from postproc.errors import InputError, PostprocError
-from postproc.jobs.cell_edit import robot_of, table_help
+from postproc.jobs.cell_edit import feed_rule, robot_of, table_help
 from postproc.jobs.cell_picture import cell_picture
 from postproc.jobs.experiments import Readings, model_of
 from postproc.jobs.file_form import FormField
@@ -294,8 +294,17 @@ def program(item: Item, workspace: Workspace, other_programs: Sequence[str], run
         can_take=(place / "place.toml").is_file(),
         compared=next((name for name in files if name.endswith(".compare.report.html")), ""),
         options=[option._asdict() for option in FORM_OPTIONS],
+        feed_rule=_feed_rule(workspace, item.name),
         command=command,
     )
+
+
+def _feed_rule(workspace: Workspace, name: str) -> str:
+    """Return by which rule feeds are written, see `feed_rule`; empty: they cannot be lowered."""
+    try:
+        return feed_rule(workspace.cell) if workspace.process(name) is not None else ""
+    except PostprocError:
+        return ""
 
 
 def _menu_of(run: Run) -> str:

@@ -22,7 +22,7 @@ from postproc.app.testpart import TestPart
 from postproc.app.workspace import MEDIA_TYPES, RESULTS, Workspace
 from postproc.errors import InputError, PostprocError
 from postproc.files.fault_log import write_fault
-from postproc.jobs.cell_edit import edit, fields_of, kept_frames, use_model
+from postproc.jobs.cell_edit import edit, fields_of, kept_frames, set_feed_rule, use_model
 from postproc.jobs.experiments import model_of, readings_of
 from postproc.jobs.file_form import FormField, own_changes
 from postproc.jobs.guided_start import is_edited, load_answers
@@ -380,6 +380,13 @@ class _Handler(BaseHTTPRequestHandler):
         arguments = workspace.conversion(name)
         self.begin(name, f"Correct {name}", arguments, lambda: edit(workspace.stated_cell(), numbers))
 
+    def feed(self) -> None:
+        """Lower feeds where the tolerance of the part would be exceeded, or keep them, and correct again."""
+        form, workspace = self.form(), self.server.workspace
+        name, rule = self._named(form), "hold" if form.get("rule") == "hold" else "program"
+        cell = workspace.stated_cell()
+        self.begin(name, f"Correct {name}", workspace.conversion(name), lambda: set_feed_rule(cell, rule))
+
     def automatic(self) -> None:
         """Turn on or off that programs are corrected by themselves."""
         self.server.automatic.switch(is_on=self.form().get("to") == "on")
@@ -539,6 +546,7 @@ _CHANGES: dict[str, Callable[[_Handler], None]] = {
     "/place": _Handler.place,
     "/take-place": _Handler.take_place,
     "/compare": _Handler.compare,
+    "/feed": _Handler.feed,
     "/identify": _Handler.identify,
     "/validate": _Handler.validate,
     "/use-model": _Handler.take_model,

@@ -91,6 +91,29 @@ def robot_of(path: Path, model: Path) -> tuple[str, bool]:
         return "", False
 
 
+def feed_rule(path: Path) -> str:
+    """Return `[output] feed` of a cell file, ``"program"`` or ``"hold"``; empty: there is no tolerance of the part.
+
+    :raises CellError: the cell is unusable.
+    """
+    cell = cells.load(path)
+    return cell.output.feed if cell.part.tolerance_mm is not None else ""
+
+
+def set_feed_rule(path: Path, rule: str) -> bool:
+    """Write `[output] feed` into a cell file; return whether it was another one.
+
+    :raises InputError: the cell would be unusable, or there is no such rule.
+    """
+    old_text = files.read_text(path, CellError)
+    document = parsed(old_text, str(path), CellError)
+    document.setdefault("output", tomlkit.table())["feed"] = rule
+    new_text = tomlkit.dumps(document)
+    if new_text != old_text:
+        write_checked(path, new_text, cells.load)
+    return new_text != old_text
+
+
 def use_model(path: Path, model: Path) -> bool:
     """Write a model folder into a cell file as its robot; return whether it was another one.
 

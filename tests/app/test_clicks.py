@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 
 import pytest
 
+from postproc import cell as cells
 from postproc.app.server import Window
+from postproc.jobs.cell_edit import edit
 from tests.app.conftest import answering
 from tests.app.test_window import looked_at, opened
 from tests.pages.browser import needs_chromium
@@ -82,6 +85,28 @@ def test_compare_and_correct_again(browser, window):
         page.get_by_role("button", name="Correct again").click()
         after_the_run(page)
         assert page.get_by_text("0.9 mm", exact=True).is_visible()
+
+
+def test_slow_the_feed_where_the_tolerance_is_exceeded_and_keep_it_again(browser, window):
+    cell = window.workspace.cell
+    with opened(browser, window) as page:
+        to_program(page)
+        assert page.get_by_role("button", name="Slow the feed").count() == 0, "there is no tolerance of the part"
+        edit(cell, {"part.tolerance_mm": "0.5"})
+        page.reload()
+        before = cell.read_text()
+        page.get_by_role("button", name="Slow the feed").click()
+        after_the_run(page)
+        assert cells.load(cell).output.feed == "hold"
+        report = json.loads((window.workspace.results / "part.report.json").read_text())
+        assert report["feed"]["tolerance_mm"] == 0.5
+        looked_at(page, "17-slowed")
+        page.get_by_role("button", name="Keep the programmed feeds").click()
+        after_the_run(page)
+        assert cells.load(cell).output.feed == "program"
+        assert [line.partition("#")[2] for line in before.splitlines() if "#" in line] == [
+            line.partition("#")[2] for line in cell.read_text().splitlines() if "#" in line
+        ]
 
 
 def test_stop_a_long_run(browser, window):
