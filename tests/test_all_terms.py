@@ -417,6 +417,7 @@ def test_the_bound_adds_parameters_forces_tool_discrepancy_and_geometry_as_covar
     half = rng.normal(size=(3, 6, 6)) * 2e-4
     series = half @ np.swapaxes(half, 1, 2)
     off = robot.model.Discrepancy(np.array([300.0, 1500.0]), np.array([1e-4, 4e-4]))
+    everywhere = robot.GeometryError(3e-4, np.full(6, -np.inf), np.full(6, np.inf))
     nothing = robot.Covariance.of([], np.zeros((0, 0)))
     some = robot.Covariance.of(names, factor @ factor.T)
     bare = replace(model, covariance=nothing)
@@ -425,9 +426,9 @@ def test_the_bound_adds_parameters_forces_tool_discrepancy_and_geometry_as_covar
         "forces": (bare, spread, None),
         "tool": (bare, spread, series),
         "discrepancy": (replace(bare, discrepancy=off), None, None),
-        "geometry": (replace(bare, geometry_error=3e-4), None, None),
+        "geometry": (replace(bare, geometry_error=everywhere), None, None),
     }
-    everything = (replace(model, covariance=some, discrepancy=off, geometry_error=3e-4), spread, series)
+    everything = (replace(model, covariance=some, discrepancy=off, geometry_error=everywhere), spread, series)
     sensitivity = elastostatics.sensitivity(sources["parameters"][0], q, TOOL, wrench)
     compliance = elastostatics.linear_compliance(model, q, TOOL, wrench)[:, :3]
     force = np.linalg.norm(wrench, axis=1)
@@ -471,7 +472,7 @@ def test_the_bound_of_each_source_alone_is_that_of_its_covariance(name, series):
             model,
             covariance=robot.Covariance.of(["k3", "A3.mass", "K_c"], matrix),
             discrepancy=robot.model.Discrepancy(np.array([300.0, 1500.0]), level) if level.any() else None,
-            geometry_error=3e-4 * size["geometry"],
+            geometry_error=robot.GeometryError(3e-4 * size["geometry"], np.full(6, -np.inf), np.full(6, np.inf)),
             terms=tuple((term, value * size["lost motion"]) for term, value in gears),
         )
         return changed, spread * size["forces"]

@@ -174,7 +174,8 @@ def _with_factor(
 def _others(robot: RobotModel, q: Array, tool: Array, wrench: Array, turning: Bools) -> dict[str, Array]:
     """Return the covariances (N, 3, 3) [m²] of the position that come from neither parameters nor forces."""
     covariances = {}
-    covariances["the calibrated geometry"] = _any_direction(np.full(len(q), robot.geometry_error))
+    if robot.geometry_error is not None:
+        covariances["the calibrated geometry"] = _any_direction(robot.geometry_error.at(q))
     if robot.discrepancy is not None:
         covariances["the unmodelled error of the robot model"] = _any_direction(robot.discrepancy.at(wrench))
     covariances["lost motion of the gears"] = flank_covariance(robot, q, tool, wrench, turning)

@@ -188,14 +188,15 @@ def identify_geometry(content: ModelFile, nominal: Chain, name: str, data: Measu
     half = NORMAL_95 * np.sqrt(np.diag(solution.covariance))
     usual = _usual(solution.parameters)
     source, u95 = f"identified from {data.file}", _error_95(fits[best_label][1], data)
+    lower, upper = (angle * DEG_PER_RAD for angle in (data.q.min(axis=0), data.q.max(axis=0)))
+    angles = {joint: (float(low), float(high)) for joint, low, high in zip(JOINTS, lower, upper, strict=True)}
+    error = GeometryErrorEntry(source=source, u95_mm=u95 * MM_PER_M, angles_deg=angles)
     calibrated_content = _with_geometry(solution.content, solution.parameters, solution.values, source, half)
     return Geometry(
         solution.parameters,
         solution.values,
         solution.covariance,
-        msgspec.structs.replace(
-            calibrated_content, geometry_error=GeometryErrorEntry(source=source, u95_mm=u95 * MM_PER_M)
-        ),
+        msgspec.structs.replace(calibrated_content, geometry_error=error),
         solution.placement,
         "with sag" in best_label,
         rms,
@@ -396,7 +397,12 @@ def _with_geometry(
     return msgspec.structs.replace(content, geometry=geometry, transmission=transmission)
 
 
-def contradictions(result: Geometry) -> list[str]:
+def warnings(result: Geometry) -> list[str]:
+    """Return what the user must know before the calibrated geometry is used."""
+    return [*_contradictions(result), *_hardly_moved(result)]
+
+
+def _contradictions(result: Geometry) -> list[str]:
     """Return a warning if the gears were identified without the weights, but the geometry is that of a weightless
     robot.
 
@@ -414,6 +420,24 @@ def contradictions(result: Geometry) -> list[str]:
         "the geometry is that of a weightless robot, in which weights load the gears too; the gears of "
         f"{', '.join(nonlinear_joints)} were identified with the load alone, and their prediction changes. Identify "
         'them from a robot whose model.toml says [gravity] reference = "rigid", or leave out --geometry.'
+    ]
+
+
+_SPAN_FEW = 30.0
+"""Span of a joint [deg] that programs usually leave: a part of half a metre two metres away turns A1 by 15°."""
+
+
+def _hardly_moved(result: Geometry) -> list[str]:
+    """Return a warning if joints turned so little in the readings that programs will leave what was measured."""
+    error = result.content.geometry_error
+    assert error is not None, "a calibration states its error"
+    spans = [(joint, high - low) for joint, (low, high) in error.angles_deg.items() if high - low < _SPAN_FEW]
+    if not spans:
+        return []
+    return [
+        f"{', '.join(f'{joint} turned by {span:.0f}°' for joint, span in spans)} in the readings: the geometry is not "
+        f"known beyond that, and u95_mm grows there. Measure with every joint turned by {_SPAN_FEW:.0f}° and more, "
+        "over the space in which you mill."
     ]
 
 

@@ -475,7 +475,7 @@ def identify_folder(
         data = msgspec.structs.replace(
             data,
             geometry=calibration.report_data(geometry),
-            warnings=[*data.warnings, *calibration.contradictions(geometry)],
+            warnings=[*data.warnings, *calibration.warnings(geometry)],
         )
     write(output, content, data, prior_folder, render)
     return IdentifiedFolder(result, data, summary(data))
@@ -522,7 +522,7 @@ def geometry_folder(
         points=describe_points(geometry.placement, data.points),
         unloaded_rms_mm=geometry.placement.rms * MM_PER_M,
         outliers=outliers,
-        warnings=[*(f"outlier: {name}" for name in outliers), *movements, *calibration.contradictions(geometry)],
+        warnings=[*(f"outlier: {name}" for name in outliers), *movements, *calibration.warnings(geometry)],
     )
     write(output, geometry.content, report, folder, render)
     return IdentifiedFolder(None, report, summary(report))

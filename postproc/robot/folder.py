@@ -19,6 +19,7 @@ from postproc.robot.model import (
     Covariance,
     Discrepancy,
     ForceFactor,
+    GeometryError,
     Measured,
     RobotModel,
     SourcedValue,
@@ -30,6 +31,7 @@ from postproc.robot.model_file import (
     JOINTS,
     DiscrepancyEntry,
     Displacement,
+    GeometryErrorEntry,
     JointSpring,
     Masses,
     ModelFile,
@@ -93,6 +95,7 @@ def load(folder: str | Path) -> RobotModel:
             raise ModelError(f"[joints.{name}]: the sum of the stiffening parts exceeds the compliance", file=file_name)
         _check_terms(name, spring, file_name)
     _check_covariance(content, file_name)
+    _check_angles(content.geometry_error, file_name)
     if (discrepancy := content.discrepancy) is not None and not (
         0 < len(discrepancy.load_N) == len(discrepancy.u95_mm)
         and discrepancy.load_N[0] > 0.0
@@ -142,7 +145,7 @@ def assemble(name: str, content: ModelFile, nominal: Chain) -> RobotModel:
         sources=tuple(sourced_values(content, nominal)),
         carries_weight=content.gravity.in_gears,
         discrepancy=_discrepancy(content.discrepancy),
-        geometry_error=0.0 if content.geometry_error is None else content.geometry_error.u95_mm * M_PER_MM,
+        geometry_error=_geometry_error(content.geometry_error),
         measured=None if load_range is None else Measured(np.array(load_range.torque_Nm), load_range.not_trusted),
         language=content.language,
         transmission=Transmission.of(content.transmission),
@@ -225,11 +228,28 @@ def _discrepancy(entry: DiscrepancyEntry | None) -> Discrepancy | None:
     return None if entry is None else Discrepancy(np.array(entry.load_N), np.array(entry.u95_mm) * M_PER_MM)
 
 
+def _geometry_error(entry: GeometryErrorEntry | None) -> GeometryError | None:
+    if entry is None:
+        return None
+    ranges = [entry.angles_deg.get(joint, (-np.inf, np.inf)) for joint in JOINTS]
+    lower, upper = np.array(ranges, dtype=float).T * RAD_PER_DEG
+    return GeometryError(entry.u95_mm * M_PER_MM, lower, upper)
+
+
 def _placement(entry: Displacement) -> Array:
     pose = np.eye(4)
     pose[:3, :3] = rotation_from_vector(np.array([entry.RX_deg, entry.RY_deg, entry.RZ_deg]) * RAD_PER_DEG)
     pose[:3, 3] = np.array([entry.X_mm, entry.Y_mm, entry.Z_mm]) * M_PER_MM
     return pose
+
+
+def _check_angles(entry: GeometryErrorEntry | None, file_name: str) -> None:
+    for joint, (low, high) in ({} if entry is None else entry.angles_deg).items():
+        if joint not in JOINTS:
+            raise ModelError(f"[geometry_error] unknown joint {joint!r}", file=file_name, advice=choices(joint, JOINTS))
+        if low > high:
+            problem = f"[geometry_error] angles_deg: {joint} goes from {low:g} to {high:g}°"
+            raise ModelError(problem, file=file_name, advice="Give the least angle first, then the largest.")
 
 
 def _check_covariance(content: ModelFile, file_name: str) -> None:
@@ -317,6 +337,11 @@ def _compensator_values(content: ModelFile) -> Iterator[SourcedValue]:
         yield SourcedValue("compensator spring", value, spring_law.source, spring_law.assumed)
 
 
+def _angles(entry: GeometryErrorEntry) -> str:
+    ranges = [f"{joint} {low:.0f} to {high:.0f}°" for joint, (low, high) in entry.angles_deg.items()]
+    return f" at {', '.join(ranges)}; more beyond" if ranges else ""
+
+
 def _bound_values(content: ModelFile) -> Iterator[SourcedValue]:
     """Yield how far the model is known to hold."""
     if (discrepancy := content.discrepancy) is not None:
@@ -324,7 +349,7 @@ def _bound_values(content: ModelFile) -> Iterator[SourcedValue]:
         value = ", ".join(f"{u95:.2g} mm at {load:.0f} N" for u95, load in pairs)
         yield SourcedValue("discrepancy (95 %)", value, discrepancy.source, discrepancy.assumed)
     if (geometry_error := content.geometry_error) is not None:
-        value = f"{geometry_error.u95_mm:.2g} mm"
+        value = f"{geometry_error.u95_mm:.2g} mm{_angles(geometry_error)}"
         yield SourcedValue("error of the geometry (95 %)", value, geometry_error.source, geometry_error.assumed)
     if (load_range := content.measured) is not None:
         torques = ", ".join(f"{torque:.0f}" for torque in load_range.torque_Nm)

@@ -127,6 +127,35 @@ class Discrepancy(Struct, frozen=True, eq=False):
         return np.where(np.any(wrench != 0.0, axis=1), interpolated_bound * factor, 0.0)
 
 
+_SPAN_LEAST = np.radians(10.0)
+"""Span of a joint that hardly moved [rad], assumed: its errors are those of any joint of an arm, not without limit."""
+
+
+class GeometryError(Struct, frozen=True, eq=False):
+    """Error of the calibrated geometry without load and without noise.
+
+    :param u95: 95 % of the errors inside the measured angles are smaller [m].
+    :param lower: (6,) least angles of the readings [rad]; −inf if not stated.
+    :param upper: (6,) largest angles of the readings [rad]; inf if not stated.
+    """
+
+    u95: float
+    lower: Array
+    upper: Array
+
+    def at(self, q: Array) -> Array:
+        """Return the 95 % bound (N,) [m] at joint angles (N, 6) [rad].
+
+        Beyond the measured angles it grows as the error of a straight line does that was fitted to readings spread
+        evenly over a span: at a share x of the span beyond its end the variance is 1 + 12·(½ + x)² times that of the
+        mean of the readings (Draper, Smith 1998, "Applied regression analysis", 1.4), 2 on average inside and 4 at the
+        end; what it grows by from there counts for each joint.
+        """
+        beyond = np.maximum(np.maximum(self.lower - q, q - self.upper), 0.0)
+        share = beyond / np.maximum(self.upper - self.lower, _SPAN_LEAST)
+        return np.asarray(self.u95 * np.sqrt(1.0 + 6.0 * np.sum(share + share**2, axis=1)))
+
+
 class Measured(Struct, frozen=True, eq=False):
     """The range of the measurements of an identified model.
 
@@ -233,7 +262,7 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
     :param link_springs: springs of the links, in the order of their coordinates.
     :param force_factor: factor of the forces that were identified together with the covariance, or None.
     :param discrepancy: unmodelled error, or None.
-    :param geometry_error: 95 % of the errors of the geometry without load are smaller [m]; 0 if not stated.
+    :param geometry_error: error of the calibrated geometry without load, or None.
     :param measured: range of the measurements, or None.
     :param language: dialect that its controller reads; empty if not stated.
     :param transmission: errors of the gears' transmission, or None.
@@ -264,7 +293,7 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
     link_springs: tuple[LinkSpring, ...] = ()
     force_factor: ForceFactor | None = None
     discrepancy: Discrepancy | None = None
-    geometry_error: float = 0.0
+    geometry_error: GeometryError | None = None
     measured: Measured | None = None
     language: str = ""
     transmission: Transmission | None = None

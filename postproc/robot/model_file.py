@@ -237,9 +237,13 @@ class DiscrepancyEntry(Sourced, frozen=True, kw_only=True):
 
 
 class GeometryErrorEntry(Sourced, frozen=True, kw_only=True):
-    """Error of the calibrated geometry without load and without noise: 95 % of |error|."""
+    """Error of the calibrated geometry without load and without noise: 95 % of |error|.
+
+    `angles_deg`: least and largest angle of each joint in the readings; beyond them the error is larger.
+    """
 
     u95_mm: NotNegative
+    angles_deg: dict[str, tuple[Finite, Finite]] = {}
 
 
 class MeasuredEntry(Sourced, frozen=True, kw_only=True):

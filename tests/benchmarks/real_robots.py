@@ -1,6 +1,6 @@
 """Real robots: readings that others have published, identified by folds, and what is left on readings left out.
 
-Run: python -m tests.benchmarks.real_robots FOLDER [--folds 6] [--only fanuc|abb|motoman|kr300]
+Run: python -m tests.benchmarks.real_robots FOLDER [--folds 6] [--only fanuc|abb|motoman|ma2010|kr300]
 
 FOLDER holds copies of the repositories, or of the parts that are used; those that are absent are named:
 
@@ -10,6 +10,9 @@ FOLDER holds copies of the repositories, or of the parts that are used; those th
   configurations without load. No licence: nothing of it may be redistributed.
 - `motoman`: ctu-vras/multirobot-calibration, `UserData/Robots/Motoman/Dataset/leica_dataset`. Right arm of a two-arm
   Motoman under a Leica tracker, one reflector in 587 configurations all over the workspace, without load. No licence.
+- `ma2010`: hehonglu123/Welding_Motoman, or its copy JInhan05013/Welding_motoman, `mocap`. Motoman MA2010 under motion
+  capture, pose of the tool in 1500 configurations all over the workspace on each of several days, and in 1736 in which
+  A1 and the wrist hardly turn; without load. No licence.
 - `kr300`: JonasWeigand/Robot_Identification, `data/recorded_trajectories`. KUKA KR 300 R2500 with encoders on the links
   of A1 to A3, driven along three trajectories of 10 s. Licence: MIT. Nothing is measured at the tool, so `identify`
   reads none of it: printed are gear twist, compliance and lost motion, in their order of size.
@@ -186,6 +189,50 @@ def motoman(source: Path, work: Path, parts: int) -> None:
     )
 
 
+MA2010_JOINTS = (  # its repository, `config/urdf/MA_2010_A0.urdf`: origin on the link before [m], axis
+    ((0.0, 0.0, 0.505), (0, 0, 1)),
+    ((0.150, 0.0, 0.0), (0, 1, 0)),
+    ((0.0, 0.0, 0.760), (0, -1, 0)),
+    ((0.0, 0.0, 0.200), (-1, 0, 0)),
+    ((1.082, 0.0, 0.0), (0, -1, 0)),
+    ((0.0, 0.0, 0.0), (-1, 0, 0)),
+)
+MA2010_DAYS = ("0516", "0725", "0801")
+
+
+def ma2010(source: Path, work: Path, parts: int) -> None:
+    """Print what a calibrated geometry of the MA2010 leaves, and its bound where A1 and the wrist were not turned."""
+    robot_text = urdf([(xyz, (0.0, 0.0, 0.0), axis) for xyz, axis in MA2010_JOINTS])
+    for day in MA2010_DAYS:
+        spread = _ma2010_readings(source / f"kinematic_raw_data/test{day}_R1", "")
+        _print_geometry(f"Motoman MA2010, {day}", robot_text, *spread, work, parts)
+        narrow = _ma2010_readings(source / f"PH_grad_data/test{day}_R1", "train_data_")
+        _print_bound(f"Motoman MA2010, {day}", narrow, spread, work)
+
+
+def _ma2010_readings(folder: Path, prefix: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return angles (n, 6) [deg] and positions (n, 1, 3) [mm] of the tool's markers."""
+    q, tool = (np.loadtxt(folder / f"{prefix}{name}_align.csv", delimiter=",") for name in ("robot_q", "mocap_T"))
+    return np.degrees(q), tool[:, None, :3]
+
+
+def _print_bound(
+    name: str, used: tuple[np.ndarray, np.ndarray], out: tuple[np.ndarray, np.ndarray], work: Path
+) -> None:
+    """Print how often the bound of a geometry from 200 configurations holds at others, inside and beyond its angles."""
+    rows = np.random.default_rng(0).permutation(len(used[0]))[:200]
+    record = _calibrate(used[0][rows], used[1][rows], work)
+    model = robot.load(work / "model")
+    error = _unloaded_errors(model, record, used[0][rows], used[1][rows], *out)
+    bound = model.geometry_error.at(np.radians(out[0]))
+    size = np.linalg.norm(error, axis=1)
+    print(f"{name}: geometry from 200 configurations with A1 and the wrist within 2°; on {len(size)} all over [mm]")
+    print(
+        f"  error {rms(error):.3f} RMS, bound {model.geometry_error.u95 * 1e3:.3f} inside the measured angles, ", end=""
+    )
+    print(f"{np.median(bound) * 1e3:.3f} there (median); inside it: {np.mean(size <= bound):.3f}")
+
+
 KR300_WINDOW = 25
 """Samples (0.1 s) over which speed and torque are smoothed by a parabola (Savitzky and Golay, 1964)."""
 KR300_AT_REST = np.radians(0.5)
@@ -236,6 +283,22 @@ def _twist_equations(run: dict, joint: int) -> tuple[np.ndarray, np.ndarray]:
 def _print_geometry(name: str, robot_text: str, q: np.ndarray, points: np.ndarray, work: Path, parts: int) -> None:
     """Print what is left of readings (n, p, 3) [mm] at angles (n, 6) [deg], with the geometry from 60 and 200 poses."""
     write_robot(work / "robot", name, robot_text)
+    order = np.random.default_rng(0).permutation(len(q))
+    for count in (60, 200):
+        errors = {"calibrated": [], "nominal": []}
+        for part in range(parts):
+            used, out = np.split(np.roll(order, -part * count), [count])
+            record = _calibrate(q[used], points[used], work)
+            for kind, model in (("calibrated", robot.load(work / "model")), ("nominal", robot.load(work / "robot"))):
+                errors[kind].append(_unloaded_errors(model, record, q[used], points[used], q[out], points[out]))
+        print(f"{name}: geometry from {count} of {len(q)} configurations, {parts} times; on all others [mm]")
+        for kind, parts_left in errors.items():
+            error = np.concatenate(parts_left)
+            print(f"  {kind}: {rms(error):.3f} RMS, median {np.median(np.linalg.norm(error, axis=1)) * 1e3:.3f}")
+
+
+def _calibrate(q: np.ndarray, points: np.ndarray, work: Path) -> dict:
+    """Write a model with the geometry from readings (n, p, 3) [mm] at angles (n, 6) [deg]; return its record."""
     guess = "".join(
         f"[points.P{n}]\nX = {x}\nY = {y}\nZ = {z}\n"
         for n, (x, y, z) in enumerate(_on_flange(q, points, work), start=1)
@@ -243,20 +306,9 @@ def _print_geometry(name: str, robot_text: str, q: np.ndarray, points: np.ndarra
     (work / "experiment.toml").write_text(
         f'robot = "robot"\nsigma_mm = 0.05\n[load_point]\nX = 0\nY = 0\nZ = 0\n{guess}'
     )
-    order = np.random.default_rng(0).permutation(len(q))
-    for count in (60, 200):
-        errors = {"calibrated": [], "nominal": []}
-        for part in range(parts):
-            used, out = np.split(np.roll(order, -part * count), [count])
-            _write_unloaded(work / "measurements.csv", q[used], points[used])
-            geometry_folder(work / "measurements.csv", work / "experiment.toml", work / "model")
-            found = json.loads((work / "model" / "identification.json").read_text())
-            for kind, model in (("calibrated", robot.load(work / "model")), ("nominal", robot.load(work / "robot"))):
-                errors[kind].append(_unloaded_errors(model, found, q[used], points[used], q[out], points[out]))
-        print(f"{name}: geometry from {count} of {len(q)} configurations, {parts} times; on all others [mm]")
-        for kind, parts_left in errors.items():
-            error = np.concatenate(parts_left)
-            print(f"  {kind}: {rms(error):.3f} RMS, median {np.median(np.linalg.norm(error, axis=1)) * 1e3:.3f}")
+    _write_unloaded(work / "measurements.csv", q, points)
+    geometry_folder(work / "measurements.csv", work / "experiment.toml", work / "model")
+    return json.loads((work / "model" / "identification.json").read_text())
 
 
 def _on_flange(q: np.ndarray, points: np.ndarray, work: Path) -> np.ndarray:
@@ -313,6 +365,7 @@ SETS = {
     "fanuc": ("data/stiffness_data", "deltaX.csv", fanuc),
     "abb": ("4-DataProcess/Output", "processed_joints.txt", abb),
     "motoman": ("Dataset/leica_dataset", "updated_leica_dataset.mat", motoman),
+    "ma2010": ("mocap", "relative_pose.py", ma2010),
     "kr300": ("FF A 08ms", "data.mat", kr300),
 }
 

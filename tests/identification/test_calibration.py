@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from postproc import elastostatics, kinematics, robot
-from postproc.errors import MeasurementError
+from postproc.errors import MeasurementError, ModelError
 from postproc.identification import Choices, calibration, geometry_folder, identify_folder
 from postproc.identification.measurement_model import kabsch
 from postproc.identification.model_folder import read_prior
@@ -75,9 +75,10 @@ def test_geometry_and_sag_are_calibrated_to_a_tenth_of_a_millimetre(tmp_path):
     assert after < 0.25e-3
     # 95 % of errors in space are below 1.6 times their RMS; it is told by 30 configurations, and rather too large
     model = robot.load(tmp_path / "m")
-    assert 1.2 * after < model.geometry_error < 3.0 * after
-    bound = elastostatics.position_bound(model, np.zeros((1, 6)), np.eye(4), np.zeros((1, 6)))
-    np.testing.assert_allclose(bound, model.geometry_error, rtol=0.02)
+    assert 1.2 * after < model.geometry_error.u95 < 3.0 * after
+    inside = (model.geometry_error.lower + model.geometry_error.upper)[None] / 2
+    bound = elastostatics.position_bound(model, inside, np.eye(4), np.zeros((1, 6)))
+    np.testing.assert_allclose(bound, model.geometry_error.u95, rtol=0.02)
 
 
 def test_gears_that_turn_further_once_and_twice_a_turn_are_found_and_only_those(tmp_path):
@@ -239,3 +240,73 @@ def test_the_equations_that_configurations_are_left_out_of_have_the_calibration_
     assert (np.abs(solution.values) > 3.0 * half).any()
     np.testing.assert_allclose(state[:known], 0.0, atol=1e-6)  # m, rad
     np.testing.assert_allclose((state[known:] - solution.values) / half, 0.0, atol=0.01)
+
+
+def test_beyond_the_measured_angles_the_error_grows_as_that_of_a_line_through_evenly_spread_readings():
+    """The reference is the variance of a least-squares line, its mean inside taken as the square of the bound."""
+    readings = np.linspace(-0.4, 0.6, 2001)
+    design = np.stack([np.ones_like(readings), readings], axis=1)
+    places = np.array([0.0, 0.59, 0.61, 0.8, 1.6, -1.4])
+    reached = np.stack([np.ones_like(places), places], axis=1)
+    variance = np.einsum("ni,ij,nj->n", reached, np.linalg.inv(design.T @ design), reached) * len(readings)
+    error = robot.GeometryError(2e-4, np.full(6, -0.4), np.full(6, 0.6))
+    q = np.zeros((6, 6))
+    q[:, 2] = places
+    growth = (error.at(q) / 2e-4) ** 2
+    np.testing.assert_array_equal(growth[:2], 1.0)
+    at_end = 4.0  # in units of the variance of the mean of the readings, of which the mean inside is 2
+    np.testing.assert_allclose(growth[2:], 1.0 + (variance[2:] - at_end) / 2.0, rtol=2e-3)
+    both = np.array([0.8, 0.0, 0.8, 0.0, 0.0, 0.0])[None]
+    alone = (error.at(q[3:4]) / 2e-4) ** 2
+    np.testing.assert_allclose((error.at(both) / 2e-4) ** 2 - 1.0, 2.0 * (alone - 1.0))
+
+
+def test_a_joint_that_hardly_moved_is_named_and_bounds_the_error_elsewhere(tmp_path):
+    """A robot with wavy gears, measured with A1 and the wrist in small ranges and used far from them."""
+    rng = np.random.default_rng(3)
+    true = simulator.TrueRobot(
+        simulator.Gear("linear", np.full(6, 1e12), np.ones(6)),
+        offsets=np.r_[0, rng.normal(0, 5e-4, 4), 0],
+        waves=2e-4 * rng.normal(size=(6, 4)),
+    )
+    q, f = simulator.plan(rng, 60)
+    q[:, [0, 3, 4, 5]] = q[:1, [0, 3, 4, 5]] + rng.uniform(0, np.radians(2.0), (60, 4))
+    _, raw = simulator.measure(true, q, f, rng, 0.05e-3)
+    simulator.write(tmp_path, q, f, raw, 0.05e-3)
+    done = geometry_folder(tmp_path / "measurements.csv", tmp_path / "experiment.toml", tmp_path / "g")
+    warning = [text for text in done.data.warnings if "turned by" in text]
+    assert len(warning) == 1
+    assert warning[0].startswith("A1 turned by 2°, A4 turned by 2°, A5 turned by 2°, A6 turned by 2° in the readings")
+    model = robot.load(tmp_path / "g")
+    error = model.geometry_error
+    np.testing.assert_allclose([error.lower, error.upper], [q.min(axis=0), q.max(axis=0)], atol=1e-4)
+    elsewhere, _ = simulator.plan(rng, 60)
+    assert np.median(error.at(elsewhere)) > 8.0 * error.u95
+    left = error_at(true, model, q, elsewhere)
+    assert np.mean(left > error.u95) > 0.5  # the bound of the readings does not hold there
+    assert np.mean(left < error.at(elsewhere)) > 0.95
+
+
+def error_at(true, model, used, elsewhere):
+    """Errors (n,) [m] of a point on the tool, with the base where it fits the configurations used."""
+    points = harness_points()[0]
+    placed = []
+    for q in (used, elsewhere):
+        for pose in (true.solve(q, np.zeros((len(q), 6))), at_rest(model, q)):
+            placed.append(pose[:, :3, 3] + pose[:, :3, :3] @ points)
+    base = kabsch(placed[1], placed[0])
+    return np.linalg.norm(placed[2] - (placed[3] @ base[:3, :3].T + base[:3, 3]), axis=1)
+
+
+@pytest.mark.parametrize(
+    ("angles", "message"),
+    [("{ A9 = [0, 1] }", "unknown joint 'A9'"), ("{ A1 = [30, -30] }", "A1 goes from 30 to -30°")],
+)
+def test_angles_of_the_geometry_error_are_checked(tmp_path, angles, message):
+    folder = robot.find("kuka_kr270")
+    for name in ("robot.urdf", "model.toml"):
+        (tmp_path / name).write_bytes((folder / name).read_bytes())
+    with (tmp_path / "model.toml").open("a") as file:
+        file.write(f'\n[geometry_error]\nu95_mm = 0.1\nangles_deg = {angles}\nsource = "x"\n')
+    with pytest.raises(ModelError, match=message):
+        robot.load(tmp_path)
