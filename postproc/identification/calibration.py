@@ -190,7 +190,10 @@ def identify_geometry(content: ModelFile, nominal: Chain, name: str, data: Measu
     source, u95 = f"identified from {data.file}", _error_95(fits[best_label][1], data)
     lower, upper = (angle * DEG_PER_RAD for angle in (data.q.min(axis=0), data.q.max(axis=0)))
     angles = {joint: (float(low), float(high)) for joint, low, high in zip(JOINTS, lower, upper, strict=True)}
-    error = GeometryErrorEntry(source=source, u95_mm=u95 * MM_PER_M, angles_deg=angles)
+    unmeasured = _unmeasured(solution, nominal)
+    error = GeometryErrorEntry(
+        source=source, u95_mm=u95 * MM_PER_M, angles_deg=angles, unmeasured_mm=unmeasured * MM_PER_M
+    )
     calibrated_content = _with_geometry(solution.content, solution.parameters, solution.values, source, half)
     return Geometry(
         solution.parameters,
@@ -259,11 +262,39 @@ def _error_95(square_errors: Array, data: Measurements) -> float:
     return float(LENGTH_95 * np.sqrt(max(0.0, rest.mean() + rest.std(ddof=1) / np.sqrt(len(rest)))))
 
 
+def _unmeasured(solution: _Solution, nominal: Chain) -> float:
+    """Return the 95 % quantile [m] of the errors that readings and prior allow for all over the joints' range.
+
+    Those of base and points count too: readings over a small range do not separate them from the joints'. The range is
+    that of the limits, and one turn at most.
+    """
+    half_turn = np.full(6, np.pi)
+    lower, upper = np.maximum(nominal.lower, -half_turn), np.minimum(nominal.upper, half_turn)
+    q = np.random.default_rng(0).uniform(lower, upper, (_PLACES, 6))
+    placement = solution.placement
+    points = placement.points[:1]
+    flange, columns = _derivatives(nominal, q, points)
+    base, tool = _frame_columns(flange, points, placement.root_in_device)
+    by_joint = np.einsum("ij,cpjab->cpiab", placement.root_in_device[:3, :3], columns.reshape(_PLACES, 1, 3, 6, 6))
+    by_parameter = [_column(parameter, by_joint, nominal, q) for parameter in solution.parameters]
+    design = np.concatenate([base, tool, *by_parameter], axis=1)
+    frame = [*range(9), *range(6 + 3 * len(placement.points), len(solution.whole))]  # base, first point, parameters
+    variance = np.einsum("ni,ij,nj->n", design, solution.whole[np.ix_(frame, frame)], design).reshape(-1, 3).sum(axis=1)
+    return float(LENGTH_95 * np.sqrt(np.mean(variance) / 3.0))
+
+
+_PLACES = 200
+"""Configurations over which the error is averaged: its mean is known to 5 %."""
+
+
 class _Solution(Struct, frozen=True, eq=False):
+    """`whole`: covariance of base, points and parameters, in this order, inflated by the residuals."""
+
     content: ModelFile
     parameters: tuple[GeometryParameter, ...]
     values: Array
     covariance: Array
+    whole: Array
     placement: Placement
     residual: Array
     design: Array
@@ -317,6 +348,7 @@ def _solve(
         parameters,
         values,
         covariance[frame_count:, frame_count:] * inflate,
+        covariance * inflate,
         Placement(root, points, covariance[:frame_count, :frame_count] / data.sigma**2, residual),
         residual,
         np.vstack([design, ridge]),

@@ -233,7 +233,7 @@ def _geometry_error(entry: GeometryErrorEntry | None) -> GeometryError | None:
         return None
     ranges = [entry.angles_deg.get(joint, (-np.inf, np.inf)) for joint in JOINTS]
     lower, upper = np.array(ranges, dtype=float).T * RAD_PER_DEG
-    return GeometryError(entry.u95_mm * M_PER_MM, lower, upper)
+    return GeometryError(entry.u95_mm * M_PER_MM, lower, upper, entry.unmeasured_mm * M_PER_MM)
 
 
 def _placement(entry: Displacement) -> Array:

@@ -137,11 +137,13 @@ class GeometryError(Struct, frozen=True, eq=False):
     :param u95: 95 % of the errors inside the measured angles are smaller [m].
     :param lower: (6,) least angles of the readings [rad]; −inf if not stated.
     :param upper: (6,) largest angles of the readings [rad]; inf if not stated.
+    :param unmeasured: 95 % of the errors that the readings allow for all over the joints' range are smaller [m].
     """
 
     u95: float
     lower: Array
     upper: Array
+    unmeasured: float = 0.0
 
     def at(self, q: Array) -> Array:
         """Return the 95 % bound (N,) [m] at joint angles (N, 6) [rad].
@@ -149,11 +151,13 @@ class GeometryError(Struct, frozen=True, eq=False):
         Beyond the measured angles it grows as the error of a straight line does that was fitted to readings spread
         evenly over a span: at a share x of the span beyond its end the variance is 1 + 12·(½ + x)² times that of the
         mean of the readings (Draper, Smith 1998, "Applied regression analysis", 1.4), 2 on average inside and 4 at the
-        end; what it grows by from there counts for each joint.
+        end; what it grows by from there counts for each joint. What the readings do not hold at all, such as the waves
+        of a gear that did not turn, comes in by x, and in full at one span beyond.
         """
         beyond = np.maximum(np.maximum(self.lower - q, q - self.upper), 0.0)
         share = beyond / np.maximum(self.upper - self.lower, _SPAN_LEAST)
-        return np.asarray(self.u95 * np.sqrt(1.0 + 6.0 * np.sum(share + share**2, axis=1)))
+        extrapolated = self.u95**2 * (1.0 + 6.0 * np.sum(share + share**2, axis=1))
+        return np.asarray(np.sqrt(extrapolated + (self.unmeasured * np.minimum(share.max(axis=1), 1.0)) ** 2))
 
 
 class Measured(Struct, frozen=True, eq=False):

@@ -239,11 +239,13 @@ class DiscrepancyEntry(Sourced, frozen=True, kw_only=True):
 class GeometryErrorEntry(Sourced, frozen=True, kw_only=True):
     """Error of the calibrated geometry without load and without noise: 95 % of |error|.
 
-    `angles_deg`: least and largest angle of each joint in the readings; beyond them the error is larger.
+    `angles_deg`: least and largest angle of each joint in the readings; beyond them the error is larger, up to
+    `unmeasured_mm` by what the readings do not hold.
     """
 
     u95_mm: NotNegative
     angles_deg: dict[str, tuple[Finite, Finite]] = {}
+    unmeasured_mm: NotNegative = 0.0
 
 
 class MeasuredEntry(Sourced, frozen=True, kw_only=True):

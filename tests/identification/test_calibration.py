@@ -292,7 +292,7 @@ def error_at(true, model, used, elsewhere):
     points = harness_points()[0]
     placed = []
     for q in (used, elsewhere):
-        for pose in (true.solve(q, np.zeros((len(q), 6))), at_rest(model, q)):
+        for pose in (true.solve(q, np.zeros((len(q), 3))), at_rest(model, q)):
             placed.append(pose[:, :3, 3] + pose[:, :3, :3] @ points)
     base = kabsch(placed[1], placed[0])
     return np.linalg.norm(placed[2] - (placed[3] @ base[:3, :3].T + base[:3, 3]), axis=1)
