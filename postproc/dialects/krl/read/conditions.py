@@ -7,6 +7,7 @@ matters, a condition counts as known only if comparing first is the only way in 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from operator import and_, or_, xor
 
 import numpy as np
@@ -32,7 +33,12 @@ def joined(values: Sequence[Known], condition: Condition) -> Term:
     for value, inverse in zip(values, condition.negated, strict=True):
         term = plain(value)
         terms.append((not term if isinstance(term, bool) else None) if inverse else term)
-    return _joined(terms, list(condition.negated), list(condition.operators))
+    if any(
+        (inverse or next_inverse) and operator not in _LOGIC
+        for (inverse, next_inverse), operator in zip(pairwise(condition.negated), condition.operators, strict=True)
+    ):
+        return None  # whether NOT or the operator comes first matters
+    return _joined(terms, list(condition.operators))
 
 
 def same(value: Known, case: Known) -> bool | None:
@@ -58,8 +64,8 @@ def constant_cases(heads: Sequence[Statement]) -> dict[float | None, int] | None
     return {None: -2, **table}
 
 
-def _joined(terms: list[Term], negations: list[bool], operators: list[str]) -> Term:
-    if not _by_bits(terms, negations, operators):
+def _joined(terms: list[Term], operators: list[str]) -> Term:
+    if not _by_bits(terms, operators):
         return None
     is_mixed = any(operator in _LOGIC for operator in operators)
     index = 0
@@ -68,12 +74,9 @@ def _joined(terms: list[Term], negations: list[bool], operators: list[str]) -> T
             index += 1
             continue
         left, right = terms[index], terms[index + 1]
-        if negations[index] or negations[index + 1]:
-            return None
         if is_mixed and (isinstance(left, bool) or isinstance(right, bool)):
             return None
         terms[index : index + 2] = [_compared(operators[index], left, right)]
-        negations[index : index + 2] = [False]
         del operators[index]
         if index < len(operators) and operators[index] not in _LOGIC:
             return None  # a comparison of a comparison
@@ -85,7 +88,7 @@ def _joined(terms: list[Term], negations: list[bool], operators: list[str]) -> T
     return terms[0]
 
 
-def _by_bits(terms: list[Term], negations: list[bool], operators: list[str]) -> bool:
+def _by_bits(terms: list[Term], operators: list[str]) -> bool:
     """Join terms by B_AND, B_EXOR and B_OR, in this order; they take INTs alone, so that comparisons cannot be first.
 
     :returns: False if one of their terms is not known, or is no INT of 32 bits.
@@ -98,7 +101,6 @@ def _by_bits(terms: list[Term], negations: list[bool], operators: list[str]) -> 
                 return False
             value = float(bitwise(int(left.value), int(right.value)))
             terms[at : at + 2] = [Number(value, left.start, right.stop, True)]
-            negations[at : at + 2] = [False]
             del operators[at]
     return True
 
