@@ -106,8 +106,9 @@ def executed(files, seed, program, main="PART"):
     followed = {(at.source.document.name, at.line, routine.name.upper()) for at, routine in origins}
     reported = {("part.src", issue.source_line) for issue in program.issues if issue.kind == "motions-elsewhere"}
     stay = {(one.file, one.line) for one in program.unresolved}
-    made = []
+    made, begins_uncorrected = [], False
     for motion in motions:
+        motion.begins_uncorrected, begins_uncorrected = begins_uncorrected, True
         calls = {(file, line) for file, line, _ in motion.callers}
         if main != "PART":
             made.append(motion)
@@ -120,6 +121,9 @@ def executed(files, seed, program, main="PART"):
             continue
         if 0 < motion.synchronised < controller.synchronised:
             raise Wrong(f"the motion in line {motion.line} is between two SYNCCMD")
+        if motion.mode == "#TCP":
+            raise Wrong(f"the robot holds the part in line {motion.line}")
+        begins_uncorrected = False
         made.append(motion)
     return made, Unsaid.asked or rng.bit_generator.state != before
 
@@ -146,6 +150,10 @@ def compare(program, motions, numbers, joints, kinds, tolerance, lines=None):
             problem = wrong or "no motion"
         if problem:
             raise Wrong(f"motion {row - 1} in line {motion.line}: {wrong or problem} is read")
+        if lines is None or divided or not motion.begins_uncorrected:
+            continue
+        if program.after is None or program.after[row - 1] != row - 1:
+            raise Wrong(f"motion {row - 1} in line {motion.line} begins behind one that stays as it is")
 
 
 def branching(program):

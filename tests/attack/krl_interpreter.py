@@ -249,7 +249,9 @@ class Motion:
     cdis: float | None
     force: str
     callers: tuple
+    mode: str
     synchronised: int = 0
+    begins_uncorrected: bool = False
 
 
 @lru_cache(100_000)
@@ -744,6 +746,7 @@ class Controller:
             if command != "#CP_DAT":
                 data = self.shared["FDAT_ACT"].value
                 self.base, self.tool = (self.numbered(name, data.get(f"{name}_NO")) for name in ("BASE", "TOOL"))
+                self.modes["$IPO_MODE"] = data.get("IPO_FRAME", self.modes["$IPO_MODE"])
             if command == "#CP_PARAMS":
                 self.speed = float(value)
         elif command in ("#BASE", "#TOOL"):
@@ -1072,7 +1075,8 @@ class Controller:
         kind = KINDS.get(kind, kind)
         cdis = self.cdis if "C_DIS" in rest or ("C_SPL" in rest and word == "SLIN") else None
         force = "" if kind == "PTP" else self.force
-        state = (self.base, self.tool, self.speed, cdis, force, tuple(self.callers), self.synchronised)
+        mode = self.modes["$IPO_MODE"]
+        state = (self.base, self.tool, self.speed, cdis, force, tuple(self.callers), mode, self.synchronised)
         if "A1" in value:
             joints = [float(value[f"A{n}"]) for n in range(1, 7)]
             self.numbers = None

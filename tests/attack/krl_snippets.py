@@ -478,7 +478,11 @@ class Snippets(Generator):
         routine, inner = self.new("SUB"), self.new("SUB")
         target = self.one("$IN[1]", "$IN[I]", "$FLAG[3]")
         on = f"INTERRUPT ON {number}"
-        choice = int(self.rng.integers(32))
+        choice = int(self.rng.integers(33))
+        if choice == 32 and kind in ("INT", "E6POS"):
+            array = {"INT": "N", "E6POS": "P"}[kind]
+            self.routines.append([f"DEF {routine}(A:OUT)", f"DECL {kind} A", f"A={value}", "END"])
+            return ["J=GONE()", f"{routine}({array}[J])", f"{name}={array}[2]", "J=2"]
         if choice == 29:
             label = self.new("L")
             return [f"{label}:", write, f"IF {target} THEN", f"GOTO {label}", "ENDIF"]
@@ -781,6 +785,7 @@ class Snippets(Generator):
             ["$VEL.CP=GONE()"],
             ["$APO.CDIS=GONE()"],
             ["FDAT_ACT={TOOL_NO 1,IPO_FRAME #BASE}", "BAS(#FRAMES)"],
+            ["FDAT_ACT={TOOL_NO 2,BASE_NO 3,IPO_FRAME #TCP}", f"BAS({self.one('#FRAMES', '#PTP_PARAMS,50')})"],
             ["BAS(#BASE,GONE())"],
             [f"WHILE {target}", *chosen, "ENDWHILE"],
         )
@@ -861,10 +866,19 @@ class Snippets(Generator):
             ["J=GONE()", "LIN P[J]", there, "J=2"],
             ["WHILE $IN[3]", f"{routine}()", "ENDWHILE", there],
             ["LIN_REL {X 5}", there],
+            self.kept_file(there),
             ["LIN $POS_ACT:{X 1,Y 2,Z 5,A 0,B 0,C 0}", "LIN {Z 5}", *self.one([], ["LIN {X 3.5}", "LIN {Y 4}"]), there],
             *self.kept_functions(there),
             *self.kept_routines(there),
         )
+
+    def kept_file(self, there):
+        """A routine of another file that moves and cannot be followed, called under a condition or without one."""
+        file = self.new("LIB")
+        jump = ["IF $IN[3] THEN", "GOTO AGAIN", "ENDIF"]
+        self.others[f"{file.lower()}.src"] = [f"DEF {file}()", "AGAIN:", there, *jump, "END"]
+        call = self.one([f"{file}()"], ["IF $IN[4] THEN", f"{file}()", "ENDIF"])
+        return [*call, "PTP XHOME", there]
 
     def kept_functions(self, there):
         """Targets by a function that changes what a condition, an index or a bound depends on."""
@@ -949,7 +963,7 @@ class Snippets(Generator):
         body += [f"LIN {self.literal('E6POS')} C_DIS"] if self.maybe(0.6) else []
         if self.maybe(0.1):
             carried = self.one([], [], ["I=I+1"], ["XA.Z=XA.Z+1.5"], ["I=1", "I=I+1"], ["$VEL.CP=$VEL.CP*0.9"])
-            reset = self.one([], ["I=1"])
+            reset = self.one([], ["I=1"], ['SYNCCMD(#MOTIONSYNC,"B",2)'] if self.maybe(0.3) else [])
             body += [
                 "LOOP",
                 "PTP XHOME",
