@@ -62,6 +62,7 @@ PROGRAMS = [
     (["LIN P[1]", "IF NOT OK THEN", "RETURN", "ENDIF", AWAY], "", [1, 8]),
     (["FOR I=1 TO 4", "IF I==3 THEN", "RETURN", "ENDIF", "LIN P[I]", "ENDFOR", FULL], "", [1, 2]),
     (["SUB(4)", "RETURN", FULL], SUB, [4]),
+    (["FOR I=1 TO 1", "IF I>9 THEN", "GOTO A", "ENDIF", "LIN P[2]", "A:", "ENDFOR"], "", [2]),
     (["REPEAT", "K=K+2", "LIN {X K}", "UNTIL K>=4"], "", [2, 4]),
     (["Z=1.5", "REPEAT", "LIN {X Z}", "Z=Z-0.5", "UNTIL Z<0.25"], "", [1.5, 1, 0.5]),
     (["LOOP", "K=K+1", "IF K==3 THEN", "EXIT", "ENDIF", "LIN {X K}", "ENDLOOP", "LIN {X 9}"], "", [1, 2, 9]),

@@ -929,6 +929,13 @@ ERRORS = [
         r"SWITCH \(line 4\) is not .* what NOWHERE will be",
     ),
     (["FOR I=1 TO 2", "GOTO A", FULL, "A:", "ENDFOR"], 5, "GOTO leads to a label in a loop"),
+    (["FOR I=1 TO 2", "IF I>9 THEN", "GOTO A", "ENDIF", FULL, "A:", "ENDFOR"], 9, "a label is in a loop"),
+    (["FOR I=1 TO 2", "A:", FULL, "IF I>9 THEN", "GOTO A", "ENDIF", "ENDFOR"], 5, "a label is in a loop"),
+    (
+        ["I=0", "A:", "I=I+1", FULL, "B:", "IF I>9 THEN", "GOTO B", "ENDIF", "IF I<2 THEN", "GOTO A", "ENDIF"],
+        8,
+        "a label is in a loop",
+    ),
     (["SPLINE", "LIN {X 1,Y 0,Z 0,A 0,B 0,C 180}", "ENDSPLINE"], 5, "LIN in a SPLINE block"),
     (["ENDIF"], 4, "ENDIF without IF"),
     (["IF $IN[1] THEN", "$BASE={X 1}", "ENDIF"], 5, "changed inside IF"),

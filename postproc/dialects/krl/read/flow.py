@@ -45,6 +45,7 @@ _MOST_NAMES = 8
 """Variables named in a message."""
 _LENGTH_ADVICE = "Divide the program, or give its loops fewer rounds and its subprograms fewer calls."
 _JUMP_IN_LOOP_ADVICE = "Write IF around the statements that it skips."
+_LABEL_ADVICE = "Write LOOP, WHILE or IF in place of its GOTO, and remove the label."
 _FORCE_ADVICE = "Write force comments outside of loops and branches whose conditions are not known."
 
 
@@ -550,6 +551,8 @@ class Flow:
             while self._again(source, block, counter):
                 self._count(Place(source, block.first))
                 self._way[depth] = Place(source, block.first), self._way[depth][1] + 1
+                if trace is not None and self._way[depth][1] == 2:
+                    self._check_labels(source, block.lines())
                 changes = self._changes()
                 if counter is None and self._traced - start_count > _MOST_UNCOUNTED:
                     problem = f"{block.word} has not ended after {_MOST_UNCOUNTED} statements"
@@ -635,6 +638,8 @@ class Flow:
             while not level.broken_off:
                 self._count(at)
                 self._way[depth] = Place(source, first), self._way[depth][1] + 1
+                if self._way[depth][1] == 2:
+                    self._check_labels(source, range(first + 1, jump.first))
                 changes = self._changes()
                 if self._traced - start_count > _MOST_UNCOUNTED:
                     problem = f"GOTO still leads back after {_MOST_UNCOUNTED} statements"
@@ -654,6 +659,15 @@ class Flow:
             level.loops -= 1
             del self._way[depth:]
         trace.end(loop, whole, None)
+
+    def _check_labels(self, source: Source, lines: Iterable[int]) -> None:
+        """Refuse labels in a loop with a second round: they would be written more than once.
+
+        :raises InexactError: there is one.
+        """
+        for line in lines:
+            if isinstance(statement(source, line), tree.Label):
+                raise inexact(Place(source, line), "a label is in a loop around motions", _LABEL_ADVICE)
 
     def _check_comments(self, source: Source, block: Block, closing: Iterable[int] = ()) -> None:
         """Refuse force comments behind the words that begin and end a loop: in which rounds they hold is not said.
