@@ -382,6 +382,8 @@ def cell(
         file=file,
         tools=tools,
         titles=_CELL_TITLES,
+        robots=_robot_titles(),
+        cell_robot=robot_of(workspace.cell, workspace.cell)[0],
         command="",
         **_picture(workspace.cell),
     )

@@ -22,7 +22,7 @@ from postproc.app.testpart import TestPart
 from postproc.app.workspace import MEDIA_TYPES, RESULTS, Workspace
 from postproc.errors import InputError, PostprocError
 from postproc.files.fault_log import write_fault
-from postproc.jobs.cell_edit import edit, fields_of, kept_frames, set_feed_rule, use_model
+from postproc.jobs.cell_edit import edit, fields_of, kept_frames, set_feed_rule, set_robot, use_model
 from postproc.jobs.experiments import model_of, readings_of
 from postproc.jobs.file_form import FormField, own_changes
 from postproc.jobs.guided_start import is_edited, load_answers
@@ -31,6 +31,7 @@ from postproc.jobs.program_needs import needs_of
 from postproc.jobs.programs import states_forces
 from postproc.jobs.setup_form import CHECKED, setup_form, start_arguments
 from postproc.machining.tool_comments import named_text
+from postproc.robot import shipped
 
 _LARGEST_FORM = 1 << 16
 """Bytes of a form: its fields are a few kilobytes; a page of another site could send any number."""
@@ -454,6 +455,17 @@ class _Handler(BaseHTTPRequestHandler):
         run.wait(5.0)
         self._lead(f"/run?number={run.number}")
 
+    def posted_robot(self) -> None:
+        """Take the robot of the cell: one that is shipped."""
+        name, path = self.form().get("robot", ""), self.server.workspace.stated_cell()
+        if name not in shipped():
+            raise InputError(f"no robot {name!r}", advice="Choose one of the list.")
+        try:
+            self.server.runs.edit(lambda: set_robot(path, name))
+        except InputError as cause:
+            return self.cell(str(cause))
+        return self._lead("/cell?saved")
+
     def posted_cell(self) -> None:
         """Take numbers of the cell."""
         form, path, tools = self.form(), self.server.workspace.stated_cell(), self._tools()
@@ -555,5 +567,6 @@ _CHANGES: dict[str, Callable[[_Handler], None]] = {
     "/identify-part": _Handler.identify_part,
     "/stop": _Handler.stop,
     "/cell": _Handler.posted_cell,
+    "/robot": _Handler.posted_robot,
     "/process": _Handler.posted_process,
 }

@@ -119,9 +119,18 @@ def use_model(path: Path, model: Path) -> bool:
 
     :raises InputError: the cell or the model would be unusable.
     """
+    return set_robot(path, relative_path(path.parent, model))
+
+
+def set_robot(path: Path, robot: str) -> bool:
+    """Write the robot of a cell file; return whether it was another one.
+
+    :param robot: name of a shipped robot, or the path of a model folder as the cell states it.
+    :raises InputError: the cell or the model would be unusable.
+    """
     old_text = files.read_text(path, CellError)
     document = parsed(old_text, str(path), CellError)
-    document["robot"] = relative_path(path.parent, model)
+    document["robot"] = robot
     new_text = tomlkit.dumps(document)
     if new_text == old_text:
         return False

@@ -109,6 +109,22 @@ def test_slow_the_feed_where_the_tolerance_is_exceeded_and_keep_it_again(browser
         ]
 
 
+def test_change_the_robot_of_the_cell(browser, window):
+    cell = window.workspace.cell
+    with opened(browser, window) as page:
+        page.get_by_role("link", name="Cell", exact=True).click()
+        page.get_by_label("Model").select_option("kuka_kr210_r2700_2")
+        page.get_by_role("button", name="Change the robot").click()
+        assert page.get_by_text("Saved.").is_visible()
+        assert page.get_by_role("heading", name="KUKA KR 210 R2700-2").is_visible()
+        assert cells.load(cell).robot == "kuka_kr210_r2700_2"
+        looked_at(page, "18-robot")
+        page.locator("input[name='base.X']").fill("1490")
+        page.get_by_role("button", name="Save").click()
+        assert page.get_by_text("Saved.").is_visible()
+    assert cells.load(cell).base.X == 1490.0
+
+
 def test_stop_a_long_run(browser, window):
     shutil.copy(ROOT / "samples" / "plate.nc", window.workspace.folder / "plate.nc")
     before = {path.name: path.read_bytes() for path in window.workspace.results.iterdir() if path.is_file()}
