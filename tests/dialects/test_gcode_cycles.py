@@ -452,3 +452,22 @@ def test_a_dwell_of_unknown_unit_is_one_error_whatever_the_number_of_holes():
         read("G21 G90\nG0 X0 Y0 Z9\nG82 Z-2 R1 P500 F100\nX5\nX9\nG80\nM2\n")
     assert (caught.value.line, caught.value.further_errors) == (3, ())
     assert "500 ms" in caught.value.problem
+
+
+@pytest.mark.parametrize(
+    ("stated", "drilled"),
+    [
+        ("G81 Z-3 R2 L0\nX20\nY5", "G81 Z-3 R2 X20\nY5"),
+        ("G81 X0 Y0 Z-3 R2 L0\nX20\nY5", "G81 Z-3 R2 X20\nY5"),
+        ("G91 G81 X0 Z-11 R-7 L0\nX20\nY5", "G91 G81 Z-11 R-7 X20\nY5"),
+        ("G81 X4 Z-3 R2\nZ-5 L0\nX20\nY5", "G81 X4 Z-3 R2\nX20 Z-5\nY5"),
+    ],
+)
+def test_l0_states_the_hole_and_drills_none(stated, drilled):
+    here, there = (read(f"{HEAD}{text}\nG80\nM2\n", CELL) for text in (stated, drilled))
+    np.testing.assert_allclose(ends(here), ends(there), atol=1e-9)
+
+
+def test_l0_at_another_place_is_refused_since_controls_differ():
+    with pytest.raises(ProgramError, match="L0 of a cycle at another place"):
+        read(f"{HEAD}G81 X20 Z-3 R2 L0\nX30\nM2\n", CELL)

@@ -82,3 +82,21 @@ def test_home_with_another_count_of_numbers_is_an_error(tmp_path: Path) -> None:
     file.write_text(text + "\n[machine]\nhome = [0, 0, 200, 0]\n")
     with pytest.raises(CellError, match="home has 4 numbers"):
         postproc.load_cell(file)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "G1 Z-1\nG1 X40\nG1 X0 Y20\nG0 Z-1",  # the highest Z is that of the cut
+        "G1 Z-1\nX40\nX0 Y20\nZ-3",
+        "G1 Z2\nG1 X40\nG1 Z-3\nG1 Y20\nG0 Z9",  # a plunge where Y is not known
+        "G1 Z-1\nX40\nG91 G28 Z0\nG90 G1 X0 Y20",
+    ],
+)
+def test_a_cut_before_the_place_is_known_is_not_left_out(text: str) -> None:
+    """It was taken for one of the moves at the top with which hobby programs begin, or began at [start]."""
+    cell = replace(AT_HOME, machine=Machine(clearance_Z=200.0))
+    with pytest.raises(ProgramError, match="before the position is known"):
+        read(f"G21 G90 F600\n{text}\nM2", cell)
+    program = read(f"G21 G90 F600\n{text}\nM2", AT_HOME)
+    assert [40.0, -4.0] in ends(program)[:, :2].tolist()

@@ -70,7 +70,8 @@ class Cycle:
     ) -> tuple[list[Step], list[CycleEvent]]:
         """Return the moves and events of a line.
 
-        :param line_words: its words: U and V in the plane, Z across it, R, Q [mm], P, L.
+        :param line_words: its words: U and V in the plane, Z across it, R, Q [mm], P, L. L0 states the hole for the
+            lines that follow and drills none (Fanuc and Haas; LinuxCNC refuses it).
         :param at: where the tool is: in the plane and across it [mm].
         :param modes: whether G91 and whether G99 is active.
         :param spindle: state of the spindle.
@@ -92,10 +93,16 @@ class Cycle:
             )
             raise BlockError(problem, "Give R and Z again after G90 or G91: controls differ in what they keep.")
         repeats = line_words.get("L", 1.0)
-        if repeats < 1.0 or repeats != round(repeats):
+        if repeats < 0.0 or repeats != round(repeats):
             raise BlockError(f"L{repeats:g} of a cycle is not a number of holes", None)
         u, v, height = at
         self.level = height if self.level is None else self.level
+        if repeats == 0.0:
+            stay = (0.0, 0.0) if relative else (u, v)
+            if any(line_words.get(name, place) != place for name, place in zip("UV", stay, strict=True)):
+                advice = "Controls differ in whether the tool goes there: program the place in a block before, by G0."
+                raise BlockError("L0 of a cycle at another place than the tool is", advice)
+            return [], []
         r, z = self.words["R"], self.words["Z"]
         if relative:
             r, z = r + self.level, r + self.level + z

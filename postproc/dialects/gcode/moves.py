@@ -265,14 +265,16 @@ def moves_of(rows: LineStates, modes: Modes, cell_frames: CellFrames) -> Moves:
 def below_top(rows: LineStates, first: int, complete: int) -> Bools:
     """Return which lines (L,) from `first` to `complete` are not at the highest Z of the program, stated before.
 
-    Programs for hobby controls go up by G1 first, and then to the start position: these moves are at the top.
+    Programs for hobby controls go up by G1 first, and then to the start position: these moves are at the top. A highest
+    Z that is the only one, or not above zero, may be that of a cut: no line is at the top then.
     """
     is_below = np.zeros(len(rows.motion), dtype=np.bool_)
     window = slice(first, complete + 1)
     z = rows.xyz[window, 2]
     has_z = ~np.isnan(z)
     latest = np.maximum.accumulate(np.where(has_z, np.arange(len(z)), -1))
-    is_top = (latest >= 0) & (z[latest] >= np.nanmax(rows.xyz[:, 2], initial=-np.inf))
+    lowest, top = np.nanmin(rows.xyz[:, 2], initial=np.inf), np.nanmax(rows.xyz[:, 2], initial=-np.inf)
+    is_top = (latest >= 0) & (z[latest] >= top) & (lowest < top) & (top > 0.0)
     is_below[window] = ~is_top | rows.incremental.any() | ~has_z[: complete - first].any()
     return is_below
 
@@ -504,7 +506,7 @@ class _Walk:
         if not modes[0]:
             self.known[axes[:2]] |= ~np.isnan(rows.xyz[row][axes[:2]])
         places = np.empty((len(steps), 3))
-        places[:, axes] = [step.end for step in steps]
+        places[:, axes] = np.reshape([step.end for step in steps], (-1, 3))
         self._drilled(np.full(len(steps), row), places, steps, events)
         return steps, events
 
@@ -826,8 +828,12 @@ class _Walk:
         row_range = slice(first, min(last + 1, self.count))
         has_position = rows.is_placed[row_range]
         feeds = has_position & (rows.motion[row_range] == 1.0)
+        has_place = ~np.isnan(rows.xyz[row_range])
+        is_over_place = np.logical_or.accumulate(has_place[:, :2], axis=0).all(axis=1)
+        is_low = feeds & (np.where(has_place[:, 2], rows.xyz[row_range, 2], np.inf) <= 0.0)
         if (
             not feeds.any()
+            or (is_low & ~is_over_place).any()  # the place of a plunge is not known
             or last >= self.count
             or np.isnan(rows.xyz).all(axis=0).any()
             or (has_position & rows.incremental[row_range]).any()
