@@ -11,22 +11,22 @@ of that frame.
 
 Rapid moves before X, Y and Z have all been programmed are held back: the missing axes are unknown, and the current
 position of the robot is not an answer (it may be below the part). ``G0 X20 Y20`` and then ``G0 Z5`` become one motion
-to X20 Y20 Z5, on the line of the second. The same holds for a G1 that goes up to the highest Z of the program, if that is
-above zero and above another Z: else it may be that of a cut.
+to X20 Y20 Z5, on the line of the second. The same holds for a G1 that goes up to the highest Z of the program, if that
+is above zero and above another Z: else it may be that of a cut.
 
 This reader accepts more than LinuxCNC's rs274: text after an opening ``%``, a closing ``%`` without an opening one, a
 missing M2, ``/2`` as block delete, lone CR as line end, a byte order mark, N after a comment, any tool number, more
 than four M codes in a block, G94 without a new F, an arc's offset of zero across its plane, A0 (B, C, U, V, W) without
 effect, M98 and CALL to files with other names than LinuxCNC's, G15, G40.1, G50, G50.1 and G69, G5.1 Q, G187 and the
 like, ``:1001``, coordinates after G80 without G0 at the height of rapid moves (Fanuc: a rapid), G41 and G42 with D0,
-brackets in comments, a G28 among G0 and G91, the time of G4 in X, U, F or S, M3 P, MSG "…", G53 alone, L0 of a cycle. F of a block
-with G20 or G21 is in the new units (rs274: in those before), and cycles without G98 or G99 retract to the height before
-them (rs274: to R). It accepts less: a relative move, an arc, a cycle (unless it gives X and Y itself) or a change of
-the work offset before X, Y and Z have been programmed (rs274 begins at zero), a G1 after a G0 before that (a program
-that begins with G1 begins at `[start]`), an origin or an increment from a place of the machine (G92, G10 L20, G91 after
-G28, G30 and G53), parameters that the program has not set, coordinates after a closing ``%``, signs like ``--1``,
-decimals in N, an arc in the block of a G4, numbers of 10⁷ and more, a program without motion, and every code that
-`codes` refuses. Each of these has a test. In G18 and G19 rs274 confuses the axes of G84.
+brackets in comments, a G28 among G0 and G91, the time of G4 in X, U, F or S, M3 P, MSG "…", G53 alone, L0 of a cycle.
+F of a block with G20 or G21 is in the new units (rs274: in those before), and cycles without G98 or G99 retract to the
+height before them (rs274: to R). It accepts less: a relative move, an arc, a cycle (unless it gives X and Y itself) or
+a change of the work offset before X, Y and Z have been programmed (rs274 begins at zero), a G1 after a G0 before that
+(a program that begins with G1 begins at `[start]`), an origin or an increment from a place of the machine (G92, G10
+L20, G91 after G28, G30 and G53), parameters that the program has not set, coordinates after a closing ``%``, signs
+like ``--1``, decimals in N, an arc in the block of a G4, numbers of 10⁷ and more, a program without motion, and every
+code that `codes` refuses. Each of these has a test. In G18 and G19 rs274 confuses the axes of G84.
 """
 
 from __future__ import annotations
