@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import trimesh
 
 from postproc import cell, forces, machining, robot
 from postproc.errors import InputError
@@ -156,11 +157,6 @@ def results(readme, tmp_path_factory):
         ["convert", str(_with_settings(folder)), "--cell", str(_with_bodies(folder)), "-o", str(folder)],
         ["convert", str(samples / "inline.src"), "--cell", str(samples / "cell_kr270.toml"), "-o", str(folder)],
         [
-            *("convert", str(samples / "plate.nc"), "--cell", str(samples / "cell_kr270.toml")),
-            *("--process", str(samples / "plate.process.toml"), "-o", str(folder)),
-            *("--part", str(samples / "plate.stl")),
-        ],
-        [
             *("compare", str(samples / "inline.src"), str(folder / "inline.src")),
             *("--cell", str(samples / "cell_kr270.toml"), "-o", str(folder)),
         ],
@@ -190,7 +186,7 @@ def results(readme, tmp_path_factory):
             readme[0] / "out" / "pocket.report.json",
             folder / "inline.report.json",
             folder / "settled.report.json",
-            folder / "plate.report.json",
+            _with_a_part(folder),
             folder / "pocket.predict.report.json",
             unsure,
             _with_held_feeds(folder),
@@ -239,19 +235,31 @@ def _with_a_missed_tolerance(folder: Path, cell: str) -> Path:
     return folder / "unsure_out" / "pocket.report.json"
 
 
+def _slot(folder: Path) -> list[str]:
+    """Write a program that mills a slot 1 mm deep, there and back, and its process; return their arguments."""
+    (folder / "held.nc").write_text("G90 G21\nT1 M6\nS8000 M3\nG0 X-20 Y0 Z-1\nG1 X60 F1600\nY3\nX-20\nG0 Z5\nM2\n")
+    (folder / "held.process.toml").write_text(
+        '[material]\nname = "al_6082_t6_carbide"\n[tools.1]\ndiameter_mm = 10\nflutes = 2\n'
+        "[stock]\nresolution_mm = 1.0\nbox = { X = [-10, 50], Y = [-20, 20], Z = [-10, 0] }\n"
+    )
+    return [str(folder / "held.nc"), "--process", str(folder / "held.process.toml")]
+
+
+def _with_a_part(folder: Path) -> Path:
+    """Return the report of a slot in a part of known shape: its floor, 1 mm below the top."""
+    floor = trimesh.creation.box(bounds=[[-10.0, -4.0, -10.0], [50.0, 4.0, -1.0]])
+    floor.export(folder / "floor.stl")
+    arguments = ["--part", str(folder / "floor.stl"), "-o", str(folder / "cut")]
+    run("convert", *_slot(folder), *arguments, cell=ROOT / "samples" / "cell_kr270.toml")
+    return folder / "cut" / "held.report.json"
+
+
 def _with_held_feeds(folder: Path) -> Path:
     """Return the report of a program whose feed was lowered as far as that helps."""
     stated = (ROOT / "samples" / "cell_kr270.toml").read_text(encoding="utf-8")
     hold = '\n[part]\ntolerance_mm = 0.02\n[output]\nfeed = "hold"\n'
     (folder / "hold.toml").write_text(stated.replace("\n[output]\n", hold), encoding="utf-8")
-    (folder / "held.nc").write_text("G90 G21\nT1 M6\nS8000 M3\nG0 X-20 Y0 Z-1\nG1 X60 F1600\nG0 Z5\nM2\n")
-    (folder / "held.process.toml").write_text(
-        '[material]\nname = "al_6082_t6_carbide"\n[tools.1]\ndiameter_mm = 10\nflutes = 2\n'
-        "[stock]\nresolution_mm = 1.0\nbox = { X = [-10, 50], Y = [-20, 20], Z = [-10, 0] }\n"
-    )
-    arguments = ["convert", str(folder / "held.nc"), "--cell", str(folder / "hold.toml")]
-    arguments += ["--process", str(folder / "held.process.toml"), "-o", str(folder / "held")]
-    run(*arguments, code=3)
+    run("convert", *_slot(folder), "-o", folder / "held", cell=folder / "hold.toml", code=3)
     return folder / "held" / "held.report.json"
 
 
