@@ -1,5 +1,7 @@
 """Typed parameters of the elastic model: names, files, and a new kind that nothing else has to know of."""
 
+import shutil
+
 import msgspec
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from msgspec.structs import replace
 
 from postproc import elastostatics, robot
 from postproc.compensator import Compensator
+from postproc.errors import ModelError
 from postproc.identification.fit import gauss_newton, to_file_units
 from postproc.identification.measurement_model import Structure, measured_displacements, predict
 from postproc.robot import parameters
@@ -190,3 +193,24 @@ def placed_readings(data, moved):
         mine = data.state == state
         position[mine] = moved[row, data.point[mine]]
     return position
+
+
+@pytest.mark.parametrize(
+    ("matrix", "is_valid"),
+    [
+        ([[2.0], [1.0, 2.0]], True),
+        ([[1.0], [1.0, 1.0]], True),  # known in their sum alone
+        ([[1.0], [2.0, 1.0]], False),  # correlated by more than 1
+        ([[1.0], [0.0, -1.0]], False),
+        ([[1.0, 0.5], [0.1, 1.0]], False),
+    ],
+)
+def test_a_covariance_that_none_can_be_is_refused(tmp_path, matrix, is_valid):
+    shutil.copytree(robot.find("kuka_kr270"), tmp_path / "arm")
+    with (tmp_path / "arm" / "model.toml").open("a", encoding="utf-8") as file:
+        file.write(f'\n[covariance]\nparameters = ["k2", "k3"]\nmatrix = {matrix}\n')
+    if is_valid:
+        assert robot.load(tmp_path / "arm").covariance is not None
+        return
+    with pytest.raises(ModelError, match="not symmetric positive semidefinite"):
+        robot.load(tmp_path / "arm")

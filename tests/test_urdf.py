@@ -30,6 +30,19 @@ def test_roll_pitch_and_yaw_turn_in_the_order_of_the_specification():
     np.testing.assert_allclose(urdf.read(text, "robot.urdf").flange, expected, atol=1e-15)
 
 
+@pytest.mark.parametrize("turns", [-2, -1, 0, 1, 2])
+@pytest.mark.parametrize(("error", "rest"), [(4e-6, 0.0), (2e-3, 2e-3)])
+def test_rounded_right_angles_of_other_peoples_files_are_exact(turns, error, rest):
+    """ROS files have them with few digits; 2 mrad are a deliberate angle. Our own files are taken as they are."""
+    text = TEXT.replace('rpy="0 1.5707963267948966 0"', f'rpy="{turns * np.pi / 2 + error} 0 0"')
+    for flange, deviation in (
+        (urdf.read_any(text, "robot.urdf").frames["flange"][1], rest),
+        (urdf.read(text, "robot.urdf").flange, error),
+    ):
+        angle = turns * np.pi / 2 + deviation
+        np.testing.assert_allclose(flange[1:3, 1], [np.cos(angle), np.sin(angle)], atol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
