@@ -10,7 +10,8 @@ from postproc.comparison.loaded_path import Search, Ways
 from postproc.comparison.partners import missed_targets, paired, partners_under_force
 from postproc.forces import Knots
 from postproc.under_load import RobotInCell
-from tests.comparison.test_named import CELL, FORCE, HEAD, POINT, ROBOT, TURNED, edited, lines, named, nominal, read
+from tests.comparison.test_named import CELL, FORCE, HEAD, POINT, ROBOT, TURNED, edited, lines, named, nominal
+from tests.corrections import read_files
 
 TOLERANCE = RobotInCell.of(ROBOT, CELL).tolerance * 1e3
 """Of the cell [mm]."""
@@ -102,7 +103,7 @@ def test_half_below_its_limit_nothing_is_a_difference_and_above_it_is_one(case):
     first = nominal(force)
     own = "" if kind == "force" else force
     for share, count in ((0.8, 0), (1.25, 1)):
-        found = compare(first, read(HEAD + own + edit(share * limit), "OTHER.src"), ROBOT, CELL)
+        found = compare(first, read_files({"OTHER.src": HEAD + own + edit(share * limit)}), ROBOT, CELL)
         assert [d.kind for d in found.differences if d.kind == kind] == count * [kind], (share, named(found))
 
 
@@ -150,7 +151,7 @@ def test_a_slow_speed_may_differ_by_a_micrometre_a_second_more(share, count):
     """1 mm/s: by a thousandth of it, and a micrometre a second."""
     texts = [(HEAD + edited()).replace("$VEL.CP=0.05", f"$VEL.CP={0.001 + off:.9f}") for off in (0.0, share * 2e-6)]
     found = compare(
-        *(read(text, name) for text, name in zip(texts, ("ONE.src", "OTHER.src"), strict=True)), ROBOT, CELL
+        *(read_files({name: text}) for text, name in zip(texts, ("ONE.src", "OTHER.src"), strict=True)), ROBOT, CELL
     )
     assert [d.kind for d in found.differences] == count * ["speed"]
 
@@ -191,6 +192,6 @@ def test_a_turned_target_before_the_first_pair_is_no_difference():
     x, y, z = 0.5 * start
     one = HEAD + edited()
     point = f"LIN {{X {x:.4f},Y {y:.4f},Z {z:.4f},A 180,B 2,C 180}}\n"
-    found = compare(read(one, "ONE.src"), read(HEAD + point + edited(), "OTHER.src"), ROBOT, CELL)
+    found = compare(read_files({"ONE.src": one}), read_files({"OTHER.src": HEAD + point + edited()}), ROBOT, CELL)
     assert len(found.inserted_rows) == 1
     assert [d.kind for d in found.differences] == []
