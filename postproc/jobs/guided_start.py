@@ -219,7 +219,8 @@ def _process_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Questi
             text = f"Spindle speed of {name}, 1/min: the program states none"
             yield Question(f"rpm.{number}", text, f"--rpm {number}=12000", parse.speed)
     box = _stock_guess(needs, answers)
-    source = "from its comments" if needs.stock_mm is not None else "around what the tools sweep: check it"
+    has_size = needs.stock_mm is not None
+    source = "its comments state the size: check the place" if has_size else "around what the tools sweep: check it"
     yield Question(
         "stock",
         f"Stock in $BASE, mm, or the path of an STL ({source})" if box else "Stock in $BASE, mm, or the path of an STL",
@@ -285,7 +286,7 @@ def write_process(path: Path, needs: ProgramNeeds, answers: Answers) -> tuple[st
     :raises InputError: it cannot be written, or a value is invalid.
     """
     stock: StockTable = answers.values["stock"]
-    is_assumed = stock.box is not None and needs.stock_mm is None and "stock" in answers.offered
+    is_assumed = stock.box is not None and "stock" in answers.offered
     lines = [*process_head(needs, answers.values["material"])]
     for number, shape in answers.numbered("cutter").items():
         lines += ["", *_tool_lines(number, shape, needs, answers)]
@@ -293,7 +294,12 @@ def write_process(path: Path, needs: ProgramNeeds, answers: Answers) -> tuple[st
     files.write_whole(path.parent, {path.name: ("\n".join(lines) + "\n").encode()})
     load_process(path)
     if is_assumed:
-        return (f"{path.name}: the stock is assumed from what the tools sweep. Check it: forces depend on it.",)
+        source = (
+            "what the tools sweep"
+            if needs.stock_mm is None
+            else "its size in comments, in the middle of what the tools sweep"
+        )
+        return (f"{path.name}: the stock is assumed from {source}. Check it: forces depend on it.",)
     return ()
 
 

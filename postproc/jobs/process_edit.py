@@ -108,9 +108,7 @@ def _text_of(path: Path, needs: ProgramNeeds) -> str:
         lines += ["", *_drafted_tool(number, needs)]
     diameters = {number: needs.cutters[number].diameter_mm or 0.0 for number in numbers if number in needs.cutters}
     box = needs.stock_box(diameters)
-    stock = (
-        ["[stock]"] if box is None else stock_lines(path.parent, StockTable(box=box), is_assumed=needs.stock_mm is None)
-    )
+    stock = ["[stock]"] if box is None else stock_lines(path.parent, StockTable(box=box), is_assumed=True)
     return "\n".join([*lines, "", *stock, ""])
 
 

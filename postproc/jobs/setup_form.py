@@ -53,7 +53,7 @@ def setup_form(needs: ProgramNeeds, texts: Mapping[str, str], *, cell: bool, pro
     while question := next_question(needs, answers, skipped_keys, cell=cell, process=process):
         text = texts.get(question.key, question.default or "" if question.optional else "").strip()
         fault = ""
-        is_guess = question.key == "stock" and needs.stock_mm is None and question.default is not None
+        is_guess = question.key == "stock" and question.default is not None
         if is_guess and text == texts.get(OFFERED) and not texts.get(CHECKED):
             text = question.default or ""  # it depends on the diameters, which may be other ones now
         is_checked = not is_guess or text != question.default or bool(texts.get(CHECKED))

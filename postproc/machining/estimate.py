@@ -61,7 +61,7 @@ _BATCH = 200_000
 
 
 _ASSUMED_STOCK = (
-    "the stock is assumed from what the tools sweep: check [stock] of the process, since forces depend on it, and "
+    "the stock is assumed from the path of the tools: check [stock] of the process, since forces depend on it, and "
     "remove assumed = true"
 )
 

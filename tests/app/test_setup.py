@@ -68,6 +68,16 @@ def test_a_guess_for_another_diameter_does_not_count_as_stated(tmp_path):
     assert (field.is_checked, options) == (False, [])
 
 
+def test_the_place_of_a_stock_whose_size_comments_state_is_a_guess_too(tmp_path):
+    program = tmp_path / "part.nc"
+    size = "(T1 D=10. CR=0. - flat end mill)\n( Material Size)\n( X= 300.0, Y= 200.0, Z= 18.0)"
+    program.write_text(PART.format(comment=size))
+    field, options = stock_field(program, {})
+    assert (field.text, field.is_guess, field.is_checked, options) == ("X=-125:175,Y=-100:100,Z=-18:0", True, False, [])
+    done = run("start", program, *CELL, *PROCESS, "-o", tmp_path / "out")
+    assert "The stock is assumed" in done.output
+
+
 def test_the_fields_of_a_box_are_one_answer():
     form = {f"stock/{axis}/{end}": value for axis in "XYZ" for end, value in (("from", "-1"), ("to", " 2.5 "))}
     assert posted_answers(form)["stock"] == "X=-1:2.5,Y=-1:2.5,Z=-1:2.5"
