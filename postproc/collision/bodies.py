@@ -22,14 +22,20 @@ FLANGE = len(JOINTS)
 """Carrier of bodies that are fixed to the flange."""
 _CARRIER_GAP = {"arm": 4, "cutter": 3, "tool": 3}
 """Joints between a body and the links it is compared with: nearer links are joined to it or share a wrist."""
-_WIDE = (0.075, 0.07, 0.055, 0.045, 0.034, 0.03, 0.026)
-"""Radii of the capsules of base and links, of the length of the arm: assumed, as pages draw an arm without meshes."""
-THICKER = 0.5
-"""How far real arms reach beyond the capsules [m]: the extreme points of the collision meshes that ROS-Industrial
-publishes of KR 16-2, KR 120 R2500, KR 150-2, KR 150 R3100 and IRB 6640 (without balancer) were laid over them."""
+_TUBES = (0.155, 0.12, 0.128, 0.063, 0.055, 0.03, 0.03)
+"""Radii of the capsules along base and links, of the length of the arm: assumed. They and `_BALLS` hold the collision
+meshes that ROS-Industrial publishes of KR 16-2, KR 120 R2500, KR 150-2, KR 150 R3100 and IRB 6640, without balancer."""
+_BALLS = ((0.12, 0.15), (0.12, 0.155), (0.0, 0.0), (0.06, 0.12), (0.0, 0.0), (0.0, 0.062), (0.0, 0.0))
+"""How far balls are behind foot, shoulder (A1), elbow (A3) and wrist (A5), where plugs, counterweights and motors are,
+and their radii, of the length of the arm; 0: none. Assumed likewise."""
+_FORK, _FORK_LENGTH = 0.045, 0.058
+"""Radius and length of the forearm's end at the wrist, narrower than its tube: the tool is compared with the forearm,
+and would touch a round end as wide as the tube, which no arm has. The ball around the wrist holds the fork."""
+_FOREARM = (2, 3)
+"""Carriers whose link may end at the wrist."""
 _ASSUMED = (
-    "the arm is checked as capsules of assumed radius, since its model has no meshes: a real arm is thicker in places, "
-    f"by up to {THICKER:g} m"
+    "the arm is checked as capsules of assumed radius, rather too large, since its model has no meshes: five published "
+    "arms are inside of them, other arms and balancers may be thicker"
 )
 _SIDES = 32
 ACCURACY = 0.5e-3
@@ -143,16 +149,47 @@ def _link(carrier: int) -> str:
 
 
 def arm_capsules(chain: Chain) -> Iterator[Body]:
-    """Yield capsules along each link: along the axis of its joint, and from there to the next joint."""
+    """Yield the assumed shape of an arm without meshes, larger rather than smaller than a real one.
+
+    Capsules lie along each link: along the axis of its joint, and from there to the next joint. Balls are behind foot,
+    shoulder and elbow, and around the wrist.
+    """
     ends = [*chain.placement[:, :3, 3], chain.flange[:3, 3]]
     length = float(sum(norm(end[None])[0] for end in ends))
+    ahead = _ahead(chain)
     for carrier, end in enumerate(ends, -1):
+        tube, (behind, ball) = _TUBES[carrier + 1] * length, np.array(_BALLS[carrier + 1]) * length
         axis = np.array([0.0, 0.0, 1.0]) if carrier < 0 else chain.axis[carrier]
-        bend = axis * (end @ axis)
-        for begin, to in ((np.zeros(3), bend), (bend, end)):
-            if float(norm((to - begin)[None])[0]) > 1e-3:
-                radius = _WIDE[carrier + 1] * length
-                yield capsule(_link(carrier), carrier, "arm", begin, to, radius)
+        if ball > 0.0:
+            middle = -behind * ahead.get(carrier, np.zeros(3))
+            yield capsule(_link(carrier), carrier, "arm", middle, middle + 1e-3 * axis, ball)
+        tubes = [(end, tube)]
+        if carrier in _FOREARM:
+            span = max(float(norm(end[None])[0]), 1e-9)
+            tubes = [(end * max(1.0 - _FORK_LENGTH * length / span, 0.5), tube), (end, _FORK * length)]
+        for stop, radius in tubes:
+            bend = axis * (stop @ axis)
+            for begin, to in ((np.zeros(3), bend), (bend, stop)):
+                if float(norm((to - begin)[None])[0]) > 1e-3:
+                    yield capsule(_link(carrier), carrier, "arm", begin, to, radius)
+
+
+def _ahead(chain: Chain) -> dict[int, Array]:
+    """Return for base, A1 and A3 the unit vector (3,) in the frame of the carrier that points away from its back.
+
+    A1 points to A2, the base where A1 points at zero, A3 along the axis of A4 to the wrist.
+    """
+    to_a2 = chain.placement[1, :3, 3]
+    to_a2 = _unit(to_a2 - chain.axis[0] * (to_a2 @ chain.axis[0]))
+    turn = chain.placement[3, :3, :3]
+    forearm, offset = turn @ chain.axis[3], chain.placement[3, :3, 3] + turn @ chain.placement[4, :3, 3]
+    return {-1: chain.placement[0, :3, :3] @ to_a2, 0: to_a2, 2: _unit(forearm * (forearm @ offset))}
+
+
+def _unit(vector: Array) -> Array:
+    """Return a vector (3,) with length 1, or zero if it has none."""
+    length = float(np.sqrt(vector @ vector))
+    return vector / length if length > 0.0 else vector
 
 
 class Cylinder(Struct, frozen=True):

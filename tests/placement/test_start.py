@@ -62,7 +62,7 @@ def test_a_branch_with_a_collision_is_taken_only_if_there_is_no_other():
     own = in_line("kuka_kr270")
     program, model = read(PART, own)
     first = chosen_start(program, RobotInCell.of(model, own))
-    beyond = link_frames(model.nominal, np.radians(first.joints)[None])[0, 3, :3, 3] * 1e3 + [150.0, 0.0, 130.0]
+    beyond = link_frames(model.nominal, np.radians(first.joints)[None])[0, 3, :3, 3] * 1e3 + [350.0, 0.0, 300.0]
     spans = [(float(at - 50), float(at + 50)) for at in beyond]
     box = ObstacleTable(name="beam", frame="root", box=Box(*spans))
     inside = replace(own, collision=Collision(obstacles=[box]))
