@@ -30,7 +30,7 @@ def test_a_command_that_raises_ends_with_code_1_and_its_traceback(tmp_path, monk
         if what == "raise":
             raise ZeroDivisionError("no stiffness")
 
-    monkeypatch.setattr(following, "main", main)
+    monkeypatch.setattr("tests.commands.main", main)
     first, raised, last = following.once(
         tmp_path / "pages", lambda folder: following.followed(folder, [], [["run"], ["raise"], ["run"]])
     )
