@@ -3,9 +3,11 @@
 Run: python -m tests.benchmarks.fronts [--seeds N] [--only WORD …]
 
 Prints for each cutter and path, over the drawn programs: RMS of the error of the force at random places as a share of
-the RMS of the force; how many places have an error above 15 % of the force there, and the largest. Places within a
-radius of an edge of the stock (entries and exits) are not in the last two. Surfaces, directions, lengths of moves and
-places are drawn anew for each seed.
+the RMS of the force; how many places have an error above 15 % of the force there, and the largest. Then the deviation
+by the cells of the map that the forces state, over the error, both RMS, and which share of the components X, Y and Z is
+within 1.96 of these deviations. Places within a radius of an edge of the stock (entries and exits) are not in all but
+the first, and balls alone have the last two: deviations of other cutters on slopes are for rubbing too. Surfaces,
+directions, lengths of moves and places are drawn anew for each seed.
 """
 
 from __future__ import annotations
@@ -178,7 +180,8 @@ def applied(folder, case, passes, cell):
         blocks.append("G0 Z20")
     program = read(folder, gcode("G0 Z20", *blocks, spindle=f"S{RPM:g} M3"))
     shape = tool(2 * case.radius, case.teeth, case.shape, case.corner)
-    text = process(shape, STOCK, cell or 0.25)
+    material = 'name = "al_7075_t6_carbide"\nsigma_percent = 0.0'
+    text = process(shape, STOCK, cell or 0.25, material)
     (folder / "process.toml").write_text(text if cell else text.replace("resolution_mm = 0.25\n", ""))
     place = RobotInCell.of(ROBOT, CELL)
     path = toolpath.segments(program, place.start_flange)
@@ -188,12 +191,13 @@ def applied(folder, case, passes, cell):
 
 class Comparison(NamedTuple):
     """Forces (n, 3) at random places [N], those expected, which places are clear of entries and exits, and the area of
-    the front in material (n,) [mm²]."""
+    the front in material (n,) [mm²]; stated standard deviations (n, 3) of the forces [N]."""
 
     found: np.ndarray
     expected: np.ndarray
     inner: np.ndarray
     area: np.ndarray
+    stated: np.ndarray
 
     @property
     def error(self):
@@ -205,6 +209,12 @@ class Comparison(NamedTuple):
         """Errors clear of entries and exits as a share of the force there, or of a tenth of its RMS if that is more."""
         size = np.maximum(np.linalg.norm(self.expected, axis=1), 0.1 * rms(self.expected))
         return (np.linalg.norm(self.found - self.expected, axis=1) / size)[self.inner]
+
+    @property
+    def coverage(self):
+        """Stated deviation over the error, both RMS, and the share of components within 1.96 stated deviations."""
+        error, stated = (self.found - self.expected)[self.inner], self.stated[self.inner]
+        return rms(stated) / rms(error), np.mean(np.abs(error) <= 1.96 * stated)
 
 
 def compared(folder, case, rng, cell=None, count=60):
@@ -221,14 +231,16 @@ def compared(folder, case, rng, cell=None, count=60):
     weight = np.cumsum(np.linalg.norm(end - begin, axis=1) * (of_pass >= first) * over_stock)
     move = np.searchsorted(weight, np.sort(rng.uniform(0.0, weight[-1], count)))
     share = rng.uniform(0.15, 0.95, count)  # at the start of a move the force changes within half the feed per tooth
-    wrench = found.at(toolpath.at(program, path, cutting[move], share))
+    sample = toolpath.at(program, path, cutting[move], share)
+    wrench, spread = found.at(sample), found.spread_at(sample)
     deepest = -float(np.minimum(begin, end)[:, 2].min())
     cutter = fronts.Cutter(case.radius, case.corner, case.teeth, 0.02 * case.radius, deepest)
     places, per_tooth = list(zip(move.tolist(), share.tolist(), strict=True)), np.full(len(begin), PER_TOOTH)
     expected, area = fronts.forces(cutter, begin, end, places, per_tooth, AL7075, in_stock)
     tip, clear = begin[move] + share[:, None] * (end - begin)[move], np.minimum(case.radius, 4.0)
     inner = np.all([(tip[:, k] > clear) & (tip[:, k] < STOCK[k][1] - clear) for k in (0, 1)], axis=0)
-    return Comparison(wrench[:, :3], expected[:, :3], inner, area)
+    stated = np.sqrt(np.square(spread[:, 0]).sum(axis=2))
+    return Comparison(wrench[:, :3], expected[:, :3], inner, area, stated)
 
 
 def rms(vector):
@@ -252,12 +264,13 @@ def main() -> None:
             with tempfile.TemporaryDirectory() as folder:
                 programs.append(compared(Path(folder), case, np.random.default_rng(seed), options.cell))
         joined = Comparison(*(np.concatenate(column) for column in zip(*programs, strict=True)))
-        shares = joined.shares
+        shares, (ratio, within) = joined.shares, joined.coverage
+        by_cells = f"stated over error {ratio:.1f}, {100 * within:.0f} % of components within 1.96 deviations"
         print(
             f"{name}: RMS {100 * joined.error:.1f} % of {rms(joined.expected):.0f} N, by program "
             f"{' '.join(f'{100 * each.error:.1f}' for each in programs)}; over {limit}: "
             f"{np.count_nonzero(shares > ALLOWED)} of {len(shares)} places, "
-            f"largest {100 * shares.max(initial=0.0):.0f} %",
+            f"largest {100 * shares.max(initial=0.0):.0f} %; {by_cells if case.corner == case.radius else ''}",
             flush=True,
         )
 
