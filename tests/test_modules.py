@@ -459,7 +459,7 @@ LOW = f"G0 X1 Y0 Z50; {CUT}; G0 Z5; X30; {CUT}"
         (f"{LOW}; G55; X30 Y0 Z0; G0 Z60", ["G0 Z5"]),
         (f"{LOW}; G55; X30 Y0 Z30; G0 Z60", []),  # a cut is higher in the root, with another work offset
         ("G0 X1 Y0 Z50; X5", ["G0 X1 Y0 Z50"]),
-        (CUT.replace("X20", "X20 Y0"), []),
+        ("G0 X1 Y0 Z-1; G1 X20 F500", []),  # the first cut is as high
     ],
 )
 def test_where_a_module_may_end(text, found):

@@ -127,7 +127,7 @@ _COLUMNS = ("radius", "low", "rise", "length", "kappa")
 
 DRILL_THRUST = 0.65
 """Radial by tangential coefficient of a drill: see `postproc.machining.cutting`."""
-_SAMPLING = {"ball": 1.0, "flat": 1.4, "bull": 3.0}
+_SAMPLING = {"ball": 1.0, "flat": 1.0, "bull": 3.0}
 """Error of forces by the cells of the map, relative to that of a ball with a contact of the same area: RMS against
 exact fronts on random surfaces with cells of 0.25 mm. The contact of a bull-nose tool is a strip along its corner."""
 _LEAST_POINTS = 8
