@@ -82,7 +82,15 @@ def test_is_read_and_written_as_a_controller_executes_it(name, tmp_path):
 
 
 REFUSED = {
-    "GOTO leads to a label in a loop": ["FOR I=1 TO 2", "IF I==2 THEN", "GOTO SKIP", "ENDIF", to(3), "SKIP:", "ENDFOR"],
+    "a label is in a loop around motions": [
+        "FOR I=1 TO 2",
+        "IF I==2 THEN",
+        "GOTO SKIP",
+        "ENDIF",
+        to(3),
+        "SKIP:",
+        "ENDFOR",
+    ],
     "GOTO always leads back": ["AGAIN:", to(5), "IF I<4 THEN", "GOTO AGAIN", "ENDIF"],
     r"whether GOTO is run, .* of IF \(line 6\) is not known": [
         "AGAIN:",

@@ -26,11 +26,10 @@ from postproc.dialects.rapid.instructions import (
     READING,
     SETTINGS,
     STOPPING,
-    Form,
     moves_unfollowed,
 )
+from postproc.dialects.rapid.moves import Move, Setting, equal, stated_move
 from postproc.dialects.rapid.syntax import (
-    Argument,
     Assignment,
     Comment,
     Conditional,
@@ -47,7 +46,6 @@ from postproc.dialects.rapid.syntax import (
     nested,
 )
 from postproc.dialects.rapid.values import (
-    FIELDS,
     FOLLOWED_FUNCTIONS,
     ROUNDING,
     Scope,
@@ -60,7 +58,6 @@ from postproc.dialects.rapid.values import (
     evaluated,
     number,
     predefined,
-    shaped,
     truth,
 )
 from postproc.errors import MAX_ERRORS, PostprocError
@@ -83,13 +80,6 @@ class RapidError(PostprocError):
         return self
 
 
-_OPTIONS = {"WOBJ", "V", "T", "Z", "CONC", "INPOS", "TLOAD", "NOEOFFS", "T1", "T2", "T3", "T4", "T5", "T6", "T7", "T8"}
-_REFUSED_OPTIONS = {
-    "ID": "moves together with other robots",
-    "CORR": "is corrected by a sensor",
-    "TRACK": "is led by a sensor",
-    "ADVANCED": "is led by a sensor",
-}
 _LATE_CALLS = ("%", "CALLBYVAR")
 """Calls of routines by a name that the program puts together."""
 _MOST_ROUNDS = 10_000
@@ -104,55 +94,6 @@ _FOREIGN = f"C{_COPIED}"
 _OPEN_DATA = f"Declare the data LOCAL or CONST, or c{_COPIED}"
 _TARGET_FUNCTIONS = ("OFFS", "RELTOOL", "CALCROBT", "CALCJOINTT", "CROBT", "CJOINTT", "MIRPOS", "OROBT")
 """Functions that return a target."""
-
-
-class Setting(Struct, frozen=True):
-    """What instructions have set for the moves that follow.
-
-    :ivar follows: True while MoveJ goes to the configuration of its target (ConfJ).
-    :ivar area: SingArea: OFF, WRIST or LOCKAXIS4.
-    :ivar circles: CirPathMode: PATHFRAME, OBJECTFRAME or another.
-    :ivar speed: VelSet: share of the speed, and its limit [mm/s].
-    """
-
-    follows: bool = True
-    area: str = "OFF"
-    circles: str = "PATHFRAME"
-    speed: tuple[float, float] = (1.0, 5000.0)
-
-
-class Target(Struct, frozen=True, eq=False):
-    """The end of a motion or the point on a circle.
-
-    :ivar numbers: the 17 numbers of a robtarget, or the 12 of a jointtarget.
-    :ivar expression: of the argument; `literal` that of its numbers in the text, if they stand there.
-    :ivar data: declaration that has the numbers; None: the argument itself has them, or they are calculated.
-    """
-
-    numbers: list[float]
-    expression: Expression
-    literal: Expression | None = None
-    data: Declaration | None = None
-
-
-class Move(Struct, frozen=True, eq=False):
-    """An executed motion.
-
-    :ivar speed: of the TCP [mm/s], `duration` [s] if that is given instead, else 0.
-    :ivar zone: approximation distance [mm]; 0 for a stop.
-    """
-
-    statement: Instruction
-    kind: int
-    target: Target
-    via: Target | None
-    joints: bool
-    speed: float
-    duration: float
-    zone: float
-    tool: Value
-    wobj: Value
-    setting: Setting
 
 
 class Executed(Struct, eq=False):
@@ -550,7 +491,7 @@ class Execution:
         rounds = {start: list(runs) for start, runs in rounds.items()}
         self._block(loop.body, scope, routine, depth)
         first, second = self.done.moves[begin[0] : middle[0]], self.done.moves[middle[0] :]
-        is_same = len(first) == len(second) and all(map(_equal, first, second))
+        is_same = len(first) == len(second) and all(map(equal, first, second))
         if not is_same or self._state(scope) != state or self.setting != setting:
             problem = "the rounds of this loop without end differ"
             raise RapidError(problem, loop.start, "Put the moves of the part into a routine of its own.")
@@ -580,7 +521,9 @@ class Execution:
             self._refuse(statement, problem, "Call the routine by its name.")
         elif statement.name in MOVES:
             try:
-                self.done.moves.append(self._move(statement, MOVES[statement.name], scope))
+                self.done.moves.append(
+                    stated_move(statement, MOVES[statement.name], scope, self.setting, self._frame_of_cell)
+                )
             except UnknownValueError as cause:
                 self._refuse(statement, cause.problem, _OPEN_DATA if self.done.foreign else _NUMBERS)
         elif name in self.routines and self.routines[name].kind == "PROC":
@@ -687,98 +630,10 @@ class Execution:
         changed_names = {*self.effects.changed(routine.body), *self.effects.changed_data_of(routine.name)}
         return parameter.name in changed_names or base in changed_names or names.count(base) > 1
 
-    # --- motions
-
-    def _move(self, statement: Instruction, form: Form, scope: Scope) -> Move:
-        expressions = [a.value for a in statement.arguments if not a.name and a.value is not None]
-        options = {a.name: a for a in statement.arguments if a.name}
-        for name in options:
-            if name in _REFUSED_OPTIONS:
-                raise UnknownValueError(f"the move {_REFUSED_OPTIONS[name]} (\\{name})")
-            if name not in _OPTIONS:
-                raise UnknownValueError(f"\\{name} is not followed")
-        min_count = form.points + 3 + form.before_zone
-        if not min_count <= len(expressions) <= min_count + form.behind:
-            raise UnknownValueError(f"{statement.name} has {len(expressions)} arguments instead of {min_count}")
-        *points, last = (self._target(expressions[k], scope, joints=form.joints) for k in range(form.points))
-        speed_at, zone_at = form.points, form.points + 1 + form.before_zone
-        speed, duration = self._speed(expressions[speed_at], options, scope)
-        wobj = options["WOBJ"].value if "WOBJ" in options else None
-        return Move(
-            statement=statement,
-            kind=form.kind,
-            target=last,
-            via=points[0] if points else None,
-            joints=form.joints,
-            speed=speed,
-            duration=duration,
-            zone=self._zone(expressions[zone_at], options, scope),
-            tool=self._frame(expressions[zone_at + 1], "TOOLDATA", scope),
-            wobj=predefined()["WOBJ0"][0] if wobj is None else self._frame(wobj, "WOBJDATA", scope),
-            setting=self.setting,
-        )
-
-    def _target(self, expression: Expression, scope: Scope, *, joints: bool) -> Target:
-        if expression.kind == "numbers":
-            if joints:
-                raise UnknownValueError("MoveAbsJ goes to joint angles, not to a robtarget")
-            return Target([float(text) for text in expression.value], expression, expression)
-        value, type_ = evaluated(expression, scope)
-        if type_ not in ("", "JOINTTARGET" if joints else "ROBTARGET"):
-            raise UnknownValueError(f"a {type_.lower()} is no target of {'MoveAbsJ' if joints else 'this move'}")
-        numbers = _numbers(value, joints=joints)
-        variable = scope.find(base_name(expression))
-        if expression.kind == "list":
-            return Target(numbers, expression, expression)
-        if variable is not None and variable.literal and variable.declaration is not None:
-            element = _element(expression, variable.declaration.value, scope)
-            if element is not None and scope.outer.get(base_name(expression)) is variable:
-                return Target(numbers, expression, element, variable.declaration)
-        return Target(numbers, expression)
-
-    def _speed(self, expression: Expression, options: dict[str, Argument], scope: Scope) -> tuple[float, float]:
-        """Return the speed [mm/s] and the duration [s], 0 if there is none."""
-        share, limit = self.setting.speed
-        for name in ("T", "V"):
-            argument = options.get(name)
-            if argument is not None and argument.value is not None:
-                value = number(argument.value, scope)
-                if not 0.0 < value < 1e6:
-                    raise UnknownValueError(f"\\{name} must be more than 0")
-                return (0.0, value / share) if name == "T" else (min(value * share, limit), 0.0)
-        value, _ = evaluated(expression, scope)
-        if not isinstance(value, list) or len(value) != len(FIELDS["SPEEDDATA"]):
-            raise UnknownValueError("the speed is no speeddata")
-        tcp = value[0]
-        if isinstance(tcp, bool) or not isinstance(tcp, float) or not 0.0 < tcp < 1e6:
-            raise UnknownValueError("the speed of the TCP must be more than 0")
-        return min(tcp * share, limit), 0.0
-
-    @staticmethod
-    def _zone(expression: Expression, options: dict[str, Argument], scope: Scope) -> float:
-        argument = options.get("Z")
-        if argument is not None and argument.value is not None:
-            return max(number(argument.value, scope), 0.0)
-        if "INPOS" in options:
-            return 0.0
-        value, _ = evaluated(expression, scope)
-        if not isinstance(value, list) or len(value) != len(FIELDS["ZONEDATA"]) or not isinstance(value[0], bool):
-            raise UnknownValueError("the zone is no zonedata")
-        distance = value[1]
-        if isinstance(distance, bool) or not isinstance(distance, float) or not 0.0 <= distance < 1e6:
-            raise UnknownValueError("the zone is no distance")
-        return 0.0 if value[0] else distance
-
-    def _frame(self, expression: Expression, type_: str, scope: Scope) -> Value:
-        """Return a tool or work object; one that no module declares is that of the cell."""
-        if expression.kind == "name" and scope.find(expression.value) is None:
-            value = self.from_cell(expression.value, type_)
-            if value is not None:
-                self.done.assumed[expression.value] = type_
-                return value
-        value, value_type = evaluated(expression, scope)
-        if value_type not in ("", type_):
-            raise UnknownValueError(f"a {value_type.lower()} is no {type_.lower()}")
+    def _frame_of_cell(self, name: str, type_: str) -> Value | None:
+        value = self.from_cell(name, type_)
+        if value is not None:
+            self.done.assumed[name] = type_
         return value
 
 
@@ -857,31 +712,3 @@ def _is_plain(expression: Expression | None, scope: Scope) -> TypeGuard[Expressi
 
 def _is_constant(variable: Variable) -> bool:
     return variable.declaration is not None and variable.declaration.kind == "CONST"
-
-
-def _numbers(value: Value, *, joints: bool) -> list[float]:
-    return shaped(value, 6, 6) if joints else shaped(value, 3, 4, 4, 6)
-
-
-def _element(expression: Expression, initial: Expression | None, scope: Scope) -> Expression | None:
-    """Return the text of the numbers that an expression names, in the declaration; None if there is none."""
-    if initial is None or expression.kind not in ("name", "index"):
-        return None
-    element: Expression = initial
-    if expression.kind == "index":
-        for item in expression.items[1:]:
-            place = int(number(item, scope))
-            if element.kind != "list" or not 1 <= place <= len(element.items):
-                return None
-            element = element.items[place - 1]
-    return element if element.kind in ("numbers", "list") else None
-
-
-def _equal(first: Move, second: Move) -> bool:
-    """Return whether two motions are the same."""
-    same_target = first.statement is second.statement and first.target.numbers == second.target.numbers
-    vias = (first.via.numbers if first.via else None) == (second.via.numbers if second.via else None)
-    rest = (first.speed, first.zone, first.tool, first.wobj, first.setting) == (
-        second.speed, second.zone, second.tool, second.wobj, second.setting,
-    )  # fmt: skip
-    return same_target and vias and rest

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from msgspec import Struct
 
-from postproc.dialects.rapid.execution import Move
+from postproc.dialects.rapid.moves import Move
 from postproc.dialects.rapid.syntax import Comment
 from postproc.frames import Array
 from postproc.program import Ints

@@ -19,10 +19,11 @@ from postproc import garbage
 from postproc.cell import Cell
 from postproc.chunks import Runs
 from postproc.dialects import circles
-from postproc.dialects.rapid.execution import Executed, Move, RapidError
+from postproc.dialects.rapid.execution import Executed, RapidError
 from postproc.dialects.rapid.expansion import Expanded, expanded
 from postproc.dialects.rapid.language import joints_from_abb, poses, status_from_cfx
 from postproc.dialects.rapid.layout import Layout
+from postproc.dialects.rapid.moves import Move
 from postproc.dialects.rapid.syntax import Comment, Module, RapidSyntaxError, Routine, nested
 from postproc.dialects.rapid.syntax import Instruction as RapidInstruction
 from postproc.dialects.rapid.values import NONE, UnknownValueError, Value, shaped

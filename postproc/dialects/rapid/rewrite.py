@@ -20,10 +20,10 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc.dialects import force_comments
-from postproc.dialects.rapid.execution import Move, Target
 from postproc.dialects.rapid.instructions import MOVES
 from postproc.dialects.rapid.language import abb_from_joints, configuration, quaternions
 from postproc.dialects.rapid.layout import Layout
+from postproc.dialects.rapid.moves import Move, Target
 from postproc.dialects.rapid.syntax import Expression
 from postproc.dialects.rapid.values import NONE
 from postproc.dialects.text import line_spans

@@ -1,0 +1,211 @@
+"""The motion that a move instruction of RAPID states: targets, speed, zone, tool and work object, with their values.
+
+What arguments mean: ABB, Technical reference manual, RAPID Instructions, Functions and Data types (3HAC16581).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from msgspec import Struct
+
+from postproc.dialects.rapid.instructions import Form
+from postproc.dialects.rapid.syntax import Argument, Declaration, Expression, Instruction
+from postproc.dialects.rapid.values import (
+    FIELDS,
+    Scope,
+    UnknownValueError,
+    Value,
+    base_name,
+    evaluated,
+    number,
+    predefined,
+    shaped,
+)
+
+Frames = Callable[[str, str], Value | None]
+"""Returns the tool or work object of the cell by name and type, for those that no module declares, or None."""
+
+_OPTIONS = {"WOBJ", "V", "T", "Z", "CONC", "INPOS", "TLOAD", "NOEOFFS", "T1", "T2", "T3", "T4", "T5", "T6", "T7", "T8"}
+_REFUSED_OPTIONS = {
+    "ID": "moves together with other robots",
+    "CORR": "is corrected by a sensor",
+    "TRACK": "is led by a sensor",
+    "ADVANCED": "is led by a sensor",
+}
+
+
+class Setting(Struct, frozen=True):
+    """What instructions have set for the moves that follow.
+
+    :ivar follows: True while MoveJ goes to the configuration of its target (ConfJ).
+    :ivar area: SingArea: OFF, WRIST or LOCKAXIS4.
+    :ivar circles: CirPathMode: PATHFRAME, OBJECTFRAME or another.
+    :ivar speed: VelSet: share of the speed, and its limit [mm/s].
+    """
+
+    follows: bool = True
+    area: str = "OFF"
+    circles: str = "PATHFRAME"
+    speed: tuple[float, float] = (1.0, 5000.0)
+
+
+class Target(Struct, frozen=True, eq=False):
+    """The end of a motion or the point on a circle.
+
+    :ivar numbers: the 17 numbers of a robtarget, or the 12 of a jointtarget.
+    :ivar expression: of the argument; `literal` that of its numbers in the text, if they stand there.
+    :ivar data: declaration that has the numbers; None: the argument itself has them, or they are calculated.
+    """
+
+    numbers: list[float]
+    expression: Expression
+    literal: Expression | None = None
+    data: Declaration | None = None
+
+
+class Move(Struct, frozen=True, eq=False):
+    """An executed motion.
+
+    :ivar speed: of the TCP [mm/s], `duration` [s] if that is given instead, else 0.
+    :ivar zone: approximation distance [mm]; 0 for a stop.
+    """
+
+    statement: Instruction
+    kind: int
+    target: Target
+    via: Target | None
+    joints: bool
+    speed: float
+    duration: float
+    zone: float
+    tool: Value
+    wobj: Value
+    setting: Setting
+
+
+def stated_move(statement: Instruction, form: Form, scope: Scope, setting: Setting, frames: Frames) -> Move:
+    """Return the motion that an instruction states.
+
+    :raises UnknownValueError: a value is not known before the program runs, or an option is not followed.
+    """
+    expressions = [a.value for a in statement.arguments if not a.name and a.value is not None]
+    options = {a.name: a for a in statement.arguments if a.name}
+    for name in options:
+        if name in _REFUSED_OPTIONS:
+            raise UnknownValueError(f"the move {_REFUSED_OPTIONS[name]} (\\{name})")
+        if name not in _OPTIONS:
+            raise UnknownValueError(f"\\{name} is not followed")
+    min_count = form.points + 3 + form.before_zone
+    if not min_count <= len(expressions) <= min_count + form.behind:
+        raise UnknownValueError(f"{statement.name} has {len(expressions)} arguments instead of {min_count}")
+    *points, last = (_target(expressions[k], scope, joints=form.joints) for k in range(form.points))
+    speed_at, zone_at = form.points, form.points + 1 + form.before_zone
+    speed, duration = _speed(expressions[speed_at], options, scope, setting)
+    wobj = options["WOBJ"].value if "WOBJ" in options else None
+    return Move(
+        statement=statement,
+        kind=form.kind,
+        target=last,
+        via=points[0] if points else None,
+        joints=form.joints,
+        speed=speed,
+        duration=duration,
+        zone=_zone(expressions[zone_at], options, scope),
+        tool=_frame(expressions[zone_at + 1], "TOOLDATA", scope, frames),
+        wobj=predefined()["WOBJ0"][0] if wobj is None else _frame(wobj, "WOBJDATA", scope, frames),
+        setting=setting,
+    )
+
+
+def _target(expression: Expression, scope: Scope, *, joints: bool) -> Target:
+    if expression.kind == "numbers":
+        if joints:
+            raise UnknownValueError("MoveAbsJ goes to joint angles, not to a robtarget")
+        return Target([float(text) for text in expression.value], expression, expression)
+    value, type_ = evaluated(expression, scope)
+    if type_ not in ("", "JOINTTARGET" if joints else "ROBTARGET"):
+        raise UnknownValueError(f"a {type_.lower()} is no target of {'MoveAbsJ' if joints else 'this move'}")
+    numbers = _numbers(value, joints=joints)
+    variable = scope.find(base_name(expression))
+    if expression.kind == "list":
+        return Target(numbers, expression, expression)
+    if variable is not None and variable.literal and variable.declaration is not None:
+        element = _element(expression, variable.declaration.value, scope)
+        if element is not None and scope.outer.get(base_name(expression)) is variable:
+            return Target(numbers, expression, element, variable.declaration)
+    return Target(numbers, expression)
+
+
+def _speed(expression: Expression, options: dict[str, Argument], scope: Scope, setting: Setting) -> tuple[float, float]:
+    """Return the speed [mm/s] and the duration [s], 0 if there is none."""
+    share, limit = setting.speed
+    for name in ("T", "V"):
+        argument = options.get(name)
+        if argument is not None and argument.value is not None:
+            value = number(argument.value, scope)
+            if not 0.0 < value < 1e6:
+                raise UnknownValueError(f"\\{name} must be more than 0")
+            return (0.0, value / share) if name == "T" else (min(value * share, limit), 0.0)
+    value, _ = evaluated(expression, scope)
+    if not isinstance(value, list) or len(value) != len(FIELDS["SPEEDDATA"]):
+        raise UnknownValueError("the speed is no speeddata")
+    tcp = value[0]
+    if isinstance(tcp, bool) or not isinstance(tcp, float) or not 0.0 < tcp < 1e6:
+        raise UnknownValueError("the speed of the TCP must be more than 0")
+    return min(tcp * share, limit), 0.0
+
+
+def _zone(expression: Expression, options: dict[str, Argument], scope: Scope) -> float:
+    argument = options.get("Z")
+    if argument is not None and argument.value is not None:
+        return max(number(argument.value, scope), 0.0)
+    if "INPOS" in options:
+        return 0.0
+    value, _ = evaluated(expression, scope)
+    if not isinstance(value, list) or len(value) != len(FIELDS["ZONEDATA"]) or not isinstance(value[0], bool):
+        raise UnknownValueError("the zone is no zonedata")
+    distance = value[1]
+    if isinstance(distance, bool) or not isinstance(distance, float) or not 0.0 <= distance < 1e6:
+        raise UnknownValueError("the zone is no distance")
+    return 0.0 if value[0] else distance
+
+
+def _frame(expression: Expression, type_: str, scope: Scope, frames: Frames) -> Value:
+    """Return a tool or work object; one that no module declares is that of the cell."""
+    if expression.kind == "name" and scope.find(expression.value) is None:
+        value = frames(expression.value, type_)
+        if value is not None:
+            return value
+    value, value_type = evaluated(expression, scope)
+    if value_type not in ("", type_):
+        raise UnknownValueError(f"a {value_type.lower()} is no {type_.lower()}")
+    return value
+
+
+def _numbers(value: Value, *, joints: bool) -> list[float]:
+    return shaped(value, 6, 6) if joints else shaped(value, 3, 4, 4, 6)
+
+
+def _element(expression: Expression, initial: Expression | None, scope: Scope) -> Expression | None:
+    """Return the text of the numbers that an expression names, in the declaration; None if there is none."""
+    if initial is None or expression.kind not in ("name", "index"):
+        return None
+    element: Expression = initial
+    if expression.kind == "index":
+        for item in expression.items[1:]:
+            place = int(number(item, scope))
+            if element.kind != "list" or not 1 <= place <= len(element.items):
+                return None
+            element = element.items[place - 1]
+    return element if element.kind in ("numbers", "list") else None
+
+
+def equal(first: Move, second: Move) -> bool:
+    """Return whether two motions are the same."""
+    same_target = first.statement is second.statement and first.target.numbers == second.target.numbers
+    vias = (first.via.numbers if first.via else None) == (second.via.numbers if second.via else None)
+    rest = (first.speed, first.zone, first.tool, first.wobj, first.setting) == (
+        second.speed, second.zone, second.tool, second.wobj, second.setting,
+    )  # fmt: skip
+    return same_target and vias and rest
