@@ -226,8 +226,7 @@ def test_too_few_configurations_are_refused_in_the_first_line_and_the_model_says
     experiment.write_text(text[: text.index("[points.P2]")])
     done = identify_folder(tmp_path / "measurements.csv", tmp_path / "experiment.toml", tmp_path / "model")
     assert done.text.startswith("NOT TO BE TRUSTED: ")
-    command = ["identify", "elastostatics", "measurements.csv", "--experiment", "experiment.toml", "-o", "again"]
-    run = invoke(*command)
+    run = invoke("identify", "elastostatics", readings, "--experiment", experiment, "-o", tmp_path / "again")
     assert run.exit_code == 3
     assert (tmp_path / "again" / "model.toml").is_file()
     assert robot.load(tmp_path / "model").measured.not_trusted
