@@ -38,6 +38,8 @@ _USUAL_SHIFT, _USUAL_TURN, _USUAL_WAVE = 1e-3, 2e-3, 0.3e-3
 _STEPS = 8
 _FOLDS = 10
 _INDEPENDENT = 1e-6
+_PLACES = 200
+"""Configurations over which the error that readings allow for is averaged."""
 
 
 class GeometryParameter(Struct, frozen=True):
@@ -278,28 +280,30 @@ def _unmeasured(solution: _Solution, nominal: Chain) -> float:
     by_joint = np.einsum("ij,cpjab->cpiab", placement.root_in_device[:3, :3], columns.reshape(_PLACES, 1, 3, 6, 6))
     by_parameter = [_column(parameter, by_joint, nominal, q) for parameter in solution.parameters]
     design = np.concatenate([base, tool, *by_parameter], axis=1)
-    frame = [*range(9), *range(6 + 3 * len(placement.points), len(solution.whole))]  # base, first point, parameters
-    variance = np.einsum("ni,ij,nj->n", design, solution.whole[np.ix_(frame, frame)], design).reshape(-1, 3).sum(axis=1)
-    return float(LENGTH_95 * np.sqrt(np.mean(variance) / 3.0))
-
-
-_PLACES = 200
-"""Configurations over which the error is averaged: its mean is known to 5 %."""
+    first_parameter = len(solution.whole_covariance) - len(solution.values)
+    kept = [*range(9), *range(first_parameter, len(solution.whole_covariance))]  # base, first point, parameters
+    variance = np.einsum("ni,ij,nj->n", design, solution.whole_covariance[np.ix_(kept, kept)], design)
+    return float(LENGTH_95 * np.sqrt(np.mean(variance)))
 
 
 class _Solution(Struct, frozen=True, eq=False):
-    """`whole`: covariance of base, points and parameters, in this order, inflated by the residuals."""
+    """`whole_covariance`: of base, points and parameters, in this order, inflated by the residuals."""
 
     content: ModelFile
     parameters: tuple[GeometryParameter, ...]
     values: Array
-    covariance: Array
-    whole: Array
+    whole_covariance: Array
     placement: Placement
     residual: Array
     design: Array
     target: Array
     weight: Array
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance (n, n) of the parameters alone."""
+        first = len(self.whole_covariance) - len(self.values)
+        return self.whole_covariance[first:, first:]
 
 
 def _usual(parameters: tuple[GeometryParameter, ...]) -> Array:
@@ -347,7 +351,6 @@ def _solve(
         content,
         parameters,
         values,
-        covariance[frame_count:, frame_count:] * inflate,
         covariance * inflate,
         Placement(root, points, covariance[:frame_count, :frame_count] / data.sigma**2, residual),
         residual,

@@ -230,7 +230,7 @@ class _Trial:
                 break
             refusals.append(refusal)
         else:
-            return None, min(refusals, key=len), ()
+            return None, min(refusals, key=len), ()  # the shorter text: another unit adds faults of its own
         settings = [
             setting
             for setting in answers

@@ -237,7 +237,7 @@ _POINT = 0.5 / 1.3
 """Feed forces of drills differ from the computed one by this share at most, either way: by chisel edge and thinning."""
 BY_CELLS = 0.34
 """Standard deviation of a force by the cells of the map, as a share of it, times √n: n is the area of the front of the
-tool in material in cells. Set so that 95 % of the errors of balls in thin passes are inside, at the cells that the map
+tool in material in cells. Set by thin passes of balls R3: 94 to 96 % of errors are inside at the cells that the map
 gets by itself (`python -m tests.benchmarks.fronts`). With n the error falls more slowly, as its cube root does."""
 _ONE_THREAD = 200_000
 """Products below which OpenBLAS keeps to one thread (its limit is 2^18)."""
