@@ -241,9 +241,12 @@ class Krl(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 class Rapid(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """How RAPID modules are read.
 
+    :param modules: files, relative to the cell, that the controller loads beside the program: tools, work objects and
+        other data are read there.
     :param without_effect: routines of other files that neither move the robot nor change data of the module.
     """
 
+    modules: list[str] = []
     without_effect: list[str] = []
 
 
@@ -541,6 +544,8 @@ def load(path: str | Path) -> Cell:
     content = {name: getattr(cell, name) for name in cell.__struct_fields__}
     content["config_dat"] = None if cell.config_dat is None else _portable(cell.config_dat)
     content["krl"] = msgspec.structs.replace(cell.krl, search=[_portable(folder) for folder in cell.krl.search])
+    rapid_modules = [_portable(file) for file in cell.rapid.modules]
+    content["rapid"] = msgspec.structs.replace(cell.rapid, modules=rapid_modules)
     return Cell(**content, folder=str(path.parent))
 
 

@@ -18,7 +18,7 @@ _PACKAGE = Path(__file__).parent.parent
 
 def of_cell(path: Path, cell: Cell) -> list[Path]:
     """Return a cell file and the files that it names, but for those of the robot."""
-    names = [cell.config_dat]
+    names = [cell.config_dat, *cell.rapid.modules]
     if cell.collision is not None:
         names += [table.mesh for table in cell.collision.holder] + [table.mesh for table in cell.collision.obstacles]
     return [path, *(Path(cell.folder) / name for name in names if name is not None)]

@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterable
 from typing import Any, NoReturn, TypeGuard
 
 from msgspec import Struct, field
+from msgspec.structs import replace
 
 from postproc.dialects.rapid.effects import Effects, bound_arguments, called, results
 from postproc.dialects.rapid.instructions import (
@@ -28,6 +29,7 @@ from postproc.dialects.rapid.instructions import (
     STOPPING,
     moves_unfollowed,
 )
+from postproc.dialects.rapid.loaded import LoadedModules, named_like_rapid, twice_declared
 from postproc.dialects.rapid.moves import Move, Setting, equal, stated_move
 from postproc.dialects.rapid.syntax import (
     Assignment,
@@ -46,7 +48,6 @@ from postproc.dialects.rapid.syntax import (
     nested,
 )
 from postproc.dialects.rapid.values import (
-    FOLLOWED_FUNCTIONS,
     ROUNDING,
     Scope,
     UnknownValueError,
@@ -85,10 +86,10 @@ _LATE_CALLS = ("%", "CALLBYVAR")
 _MOST_ROUNDS = 10_000
 """Rounds of a loop without moves that are followed."""
 _KEEP = "Leave it out, or convert the G-code or APT of this part."
-_NUMBERS = "Give the data as numbers in this file."
+_NUMBERS = "Give the data as numbers in this file, or name the module that has them in [rapid] modules of the cell."
 _COPIED = (
-    "opy the routine to this file. If it neither moves the robot nor changes data of this file, name it in [rapid] "
-    "without_effect of the cell."
+    "opy the routine to this file, or name its module in [rapid] modules of the cell. If it neither moves the robot "
+    "nor changes data of this file, name it in [rapid] without_effect."
 )
 _FOREIGN = f"C{_COPIED}"
 _OPEN_DATA = f"Declare the data LOCAL or CONST, or c{_COPIED}"
@@ -131,6 +132,7 @@ class Execution:
     :param entry: routine that is run.
     :param cell_value: values of tools and work objects of the cell, for those that no module declares.
     :param without_effect: see `Effects`.
+    :param loaded: modules of other files, whose data are read.
     """
 
     def __init__(
@@ -138,14 +140,17 @@ class Execution:
         modules: Iterable[Module],
         entry: Routine,
         cell_value: Callable[[str, str], Value | None],
-        without_effect: Iterable[str] = (),
+        without_effect: Iterable[str],
+        loaded: LoadedModules,
     ) -> None:
         self.modules, self.entry, self.from_cell = tuple(modules), entry, cell_value
-        self.effects = Effects(self.modules, without_effect)
-        self.routines = self.effects.routines
+        all_modules = (*loaded.modules, *self.modules)
+        self.effects = Effects(all_modules, without_effect)
+        self.routines = {routine.name: routine for module in self.modules for routine in module.routines}
         self.data: dict[str, Variable] = {name: Variable(type_, value) for name, (value, type_) in predefined().items()}
-        _check_names(self.modules)
-        _check_functions(self.routines)
+        _check_names(all_modules)
+        _check_functions(self.modules)
+        self.data |= {name: replace(variable) for name, variable in loaded.data.items()}
         for module in self.modules:
             for declaration in module.data:
                 self.data[declaration.name] = _declared(declaration)
@@ -155,7 +160,7 @@ class Execution:
         self._moving: dict[str, bool] = {}
         self._checked_functions: set[str] = set()
         reachable_names = self._reached(entry)
-        for routine in self.routines.values():
+        for routine in self.effects.routines.values():
             is_followed = routine.name in reachable_names or routine.kind == "FUNC"  # these count where they are called
             for name in self.effects.changed_by_handler(routine):
                 _interrupt_variable(self.data.get(name), f"the handler of {routine.name}")
@@ -211,7 +216,7 @@ class Execution:
         :raises RapidError: one of them moves the robot.
         """
         for call in calls(statement):
-            function = self.routines.get(call.value)
+            function = self.effects.routines.get(call.value)
             if function is not None:
                 self._check_function(function, statement)
             elif self.effects.is_foreign(call.value):
@@ -227,7 +232,8 @@ class Execution:
         if self._routine_moves(function):
             problem = f"the function {function.name} moves the robot, which is not followed"
             raise RapidError(problem, statement.start, "Write a procedure in its place.")
-        self._check_forces(function.body, f"{function.name} is a function")
+        if function.name in self.routines:
+            self._check_forces(function.body, f"{function.name} is a function")
         self._checked_functions.add(function.name)
 
     def _check_forces(self, statements: tuple[Statement, ...], reason: str) -> None:
@@ -278,7 +284,7 @@ class Execution:
         """
         for statement in nested(statements):
             for call in calls(statement):
-                function = self.routines.get(call.value)
+                function = self.effects.routines.get(call.value)
                 if function is not None and self._routine_moves(function):
                     return Instruction(statement.start, statement.stop, function.name, ())
             if not isinstance(statement, Instruction):
@@ -286,7 +292,7 @@ class Execution:
             if statement.name in _LATE_CALLS:
                 return statement
             name = statement.name.removeprefix("%")
-            routine = self.routines.get(name)
+            routine = self.effects.routines.get(name)
             if routine is None:
                 if name in MOVES or name in SETTINGS or moves_unfollowed(name) or self._is_foreign_move(statement):
                     return statement
@@ -534,6 +540,8 @@ class Execution:
             self._count(statement, scope)
         elif moves_unfollowed(name):
             self._refuse(statement, f"{name} moves the robot or changes how it moves, which is not followed", _KEEP)
+        elif name in self.effects.routines:
+            self._call_elsewhere(statement, self.effects.routines[name], scope)
         elif self._is_foreign_move(statement):
             problem = f"{name} is in no module of this file and takes a target: it may move the robot"
             self._refuse(statement, problem, _FOREIGN)
@@ -554,7 +562,7 @@ class Execution:
 
     def _connect(self, statement: Instruction) -> None:
         value = statement.arguments[0].value
-        routine = self.routines.get(value.value) if value is not None else None
+        routine = self.effects.routines.get(value.value) if value is not None else None
         if routine is not None and self._routine_moves(routine):
             problem = f"the interrupt {routine.name} moves the robot at a time that is not known"
             self._refuse(statement, problem, _KEEP)
@@ -618,6 +626,17 @@ class Execution:
             if parameter.changeable and expression is not None and not _is_plain(expression, scope):
                 _forget_variable(scope.find(base_name(expression)), f"{routine.name} may change it")
 
+    def _call_elsewhere(self, statement: Instruction, routine: Routine, scope: Scope) -> None:
+        """Make unknown what a routine of another loaded module may change; refuse one that moves the robot."""
+        if self._routine_moves(routine):
+            problem = f"{routine.name} of another file moves the robot or changes how it moves"
+            self._refuse(statement, problem, "Copy the routine to this file.")
+        reason = f"{routine.name} of another file may change it"
+        for name in self.effects.changed_arguments(routine.name, statement.arguments):
+            _forget_variable(scope.find(name), reason)
+        for name in self.effects.changed_data_of(routine.name):
+            _forget_variable(self.data.get(name), reason)
+
     def _is_shared(
         self,
         routine: Routine,
@@ -642,26 +661,22 @@ def _check_names(modules: tuple[Module, ...]) -> None:
 
     :raises RapidError: two do; then it is LOCAL, and which one is meant depends on the module.
     """
-    module_of: dict[str, str] = {}
-    for module in modules:
-        items: tuple[Declaration | Routine, ...] = (*module.data, *module.routines)
-        for item in items:
-            if module_of.setdefault(item.name, module.name) != module.name:
-                problem = f"{item.name} is declared in two modules, {module_of[item.name]} and {module.name}"
-                raise RapidError(
-                    problem, item.start, "Give one of them another name, or convert each module by itself."
-                )
+    clash = twice_declared(modules)
+    if clash is not None:
+        item, names = clash
+        problem = f"{item.name} is declared in two modules, {names[0]} and {names[1]}"
+        raise RapidError(problem, item.start, "Give one of them another name, or convert each module by itself.")
 
 
-def _check_functions(routines: dict[str, Routine]) -> None:
+def _check_functions(modules: tuple[Module, ...]) -> None:
     """Check that no routine has the name of a function of RAPID, or of an instruction that is followed.
 
-    :raises RapidError: one has; then its name means another thing here than on other controllers.
+    :raises RapidError: one has.
     """
-    for routine in routines.values():
-        if routine.name in MOVES or routine.name in SETTINGS or routine.name in (*FOLLOWED_FUNCTIONS, *COUNTING):
-            problem = f"{routine.kind} {routine.name} has the name of an instruction or function of RAPID"
-            raise RapidError(problem, routine.start, "Give it another name.")
+    routine = named_like_rapid(modules)
+    if routine is not None:
+        problem = f"{routine.kind} {routine.name} has the name of an instruction or function of RAPID"
+        raise RapidError(problem, routine.start, "Give it another name.")
 
 
 def _interrupt_variable(variable: Variable | None, name: str) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 from msgspec import Struct
 
 from postproc.dialects.rapid.execution import Executed, Execution, RapidError
+from postproc.dialects.rapid.loaded import LoadedModules
 from postproc.dialects.rapid.syntax import Loop, Module, Parser, Routine, modules
 from postproc.dialects.rapid.values import Value
 from postproc.dialects.text import line_spans
@@ -44,11 +45,12 @@ def expanded(
     entry_of: Callable[[Sequence[Module]], Routine],
     cell_value: Callable[[str, str], Value | None],
     without_effect: Sequence[str],
+    loaded: LoadedModules,
 ) -> Expanded:
     """Return a program, executed, in which each statement that moves runs once.
 
     :param entry_of: chooses the routine that is run.
-    :param cell_value: see `Execution`; `without_effect`: see `Effects`.
+    :param cell_value: see `Execution`, as for `loaded`; `without_effect`: see `Effects`.
     :raises RapidSyntaxError: it is not RAPID.
     :raises RapidError: it cannot be followed.
     """
@@ -59,7 +61,7 @@ def expanded(
         whole = modules(text)
         entry = entry_of(whole)
         try:
-            execution = Execution(whole, entry, cell_value, without_effect).run()
+            execution = Execution(whole, entry, cell_value, without_effect, loaded).run()
             changes = _changes(text, whole, execution)
         except RapidError as cause:
             row = np.searchsorted(line_spans(text)[0], cause.start, side="right") - 1

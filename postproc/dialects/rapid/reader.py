@@ -1,7 +1,7 @@
 r"""From a RAPID module to a `Program`.
 
-Assumptions: the base frame of the robot is the world frame; procedures of other modules neither move the robot nor
-change data of this one; vmax is 5000 mm/s. Numbers are taken as the controller stores them, in single precision.
+Assumptions: the base frame of the robot is the world frame; routines of modules that neither the file nor the cell
+names do not move the robot; vmax is 5000 mm/s. Numbers are taken as the controller stores them, in single precision.
 
 Along a circle the tool turns with the path, unless ``CirPathMode\ObjectFrame`` is set; on a line under
 ``SingArea\Wrist`` the wrist axes turn it.
@@ -10,6 +10,7 @@ Along a circle the tool turns with the path, unless ``CirPathMode\ObjectFrame`` 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import PurePath
 
 import numpy as np
@@ -23,6 +24,7 @@ from postproc.dialects.rapid.execution import Executed, RapidError
 from postproc.dialects.rapid.expansion import Expanded, expanded
 from postproc.dialects.rapid.language import joints_from_abb, poses, status_from_cfx
 from postproc.dialects.rapid.layout import Layout
+from postproc.dialects.rapid.loaded import loaded
 from postproc.dialects.rapid.moves import Move
 from postproc.dialects.rapid.syntax import Comment, Module, RapidSyntaxError, Routine, nested
 from postproc.dialects.rapid.syntax import Instruction as RapidInstruction
@@ -70,6 +72,7 @@ class _Reader:
 
     def __init__(self, document: Document, cell: Cell) -> None:
         self.document, self.cell = document, cell
+        self.loaded = loaded(cell)
         self.names: dict[str, set[str]] = {}
         self.frames: dict[str, _FromCell] = {}
 
@@ -89,7 +92,8 @@ class _Reader:
         comments, notes = self._notes(whole)
         motions, bases, tools, numbers, turns = self._motions(execution.moves, line, forward_kinematics)
         plain = not whole.loops and not whole.copies
-        data_names = frozenset(data.name for module in whole.modules for data in module.data)
+        all_modules = (*self.loaded.modules, *whole.modules)
+        data_names = frozenset(data.name for module in all_modules for data in module.data)
         return Program(
             name,
             "rapid",
@@ -110,7 +114,8 @@ class _Reader:
         text = self.document.text
         try:
             without_effect = self.cell.rapid.without_effect
-            return expanded(text, lambda modules: self._entry(modules, name), self._from_cell, without_effect)
+            entry_of = partial(self._entry, name=name)
+            return expanded(text, entry_of, self._from_cell, without_effect, self.loaded)
         except RapidSyntaxError as cause:
             advice = "Check the file in RobotStudio. If it is accepted there, please report this."
             line = int(np.searchsorted(line_spans(text)[0], cause.start, side="right"))
@@ -411,7 +416,8 @@ class _Reader:
         for name, type_ in execution.assumed.items():
             section = "[tool]" if type_ == "TOOLDATA" else "[base]"
             message = (
-                f"{name} is not declared in this file: {section} of the cell is taken for it. Check that they agree."
+                f"{name} is not declared in this file: {section} of the cell is taken for it. Check that they agree, "
+                "or name its module in [rapid] modules."
             )
             yield Issue("warning", "frame-from-cell", message, subject=name)
 

@@ -1,0 +1,115 @@
+"""Modules that the controller loads beside a RAPID program: what is read from them, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from postproc.cell import Rapid
+from postproc.dialects.rapid.dialect import RAPID
+from postproc.dialects.text import decode
+from postproc.errors import PostprocError
+from postproc.jobs import inputs
+from tests.commands import printed
+from tests.dialects.test_rapid import CELL, place, read
+from tests.dialects.test_rapid_reading import TOOL, WOBJ, at, module, tail
+
+SPEED = "  CONST speeddata vCut:=[37,500,5000,1000];\n"
+TARGET = f"  PERS robtarget pHome:={at(0, 0, 60)};\n"
+BESIDE = f"MODULE CalibData\n  {TOOL}\n  {WOBJ}\n{SPEED}{TARGET}%s\nENDMODULE\n"
+CODE = ["MoveJ pHome,v100,fine,tMill\\WObj:=wPart;", f"MoveL {at(0, 40, 20)}{tail('vCut')}"]
+WHOLE = module(CODE, SPEED + TARGET)
+SPLIT = WHOLE.replace(f"  {TOOL}\n  {WOBJ}\n{SPEED}{TARGET}", "")
+
+
+@pytest.fixture
+def beside(tmp_path):
+    """Return a reader of a program beside a module."""
+
+    def program(text, routines="", files=("CalibData.mod",), without_effect=()):
+        (tmp_path / "CalibData.mod").write_text(BESIDE % routines)
+        rapid = Rapid(modules=list(files), without_effect=list(without_effect))
+        cell = replace(place().cell, folder=str(tmp_path), rapid=rapid)
+        return RAPID.read([decode("part.mod", text.encode())], cell, place().forward, "part")
+
+    return program
+
+
+def test_data_of_another_module_are_those_of_the_program(beside):
+    whole, split = read(WHOLE), beside(SPLIT)
+    assert np.array_equal(split.motions.target, whole.motions.target)
+    assert np.array_equal(split.motions.feed, whole.motions.feed, equal_nan=True)
+    assert np.array_equal(split.bases, whole.bases)
+    assert np.array_equal(split.tools, whole.tools)
+    assert not split.issues
+    assert [document.name for document in split.documents] == ["part.mod"]
+
+
+def test_without_its_module_the_data_are_refused_with_what_to_do():
+    with pytest.raises(PostprocError, match="VCUT is not declared") as caught:
+        read(SPLIT.replace("MoveJ pHome", f"MoveJ {at(0, 0, 60)}"))
+    assert "[rapid] modules" in caught.value.advice
+
+
+@pytest.mark.parametrize(
+    ("routines", "call", "problem"),
+    [
+        ("PROC slow()\n vLocal:=2;\nENDPROC\nVAR num vLocal;", "slow;", ""),
+        ("PROC slow()\n pHome.trans.z:=90;\nENDPROC", "", "PHOME is not known: SLOW may change it"),
+        ("PROC slow(INOUT num n)\n n:=1;\nENDPROC", "slow z;", "Z is not known: SLOW of another file may change it"),
+        ("PROC slow()\n stop_it;\nENDPROC", "slow;", "SLOW of another file may change it"),
+        ("PROC slow()\n MoveJ pHome,v10,fine,tMill;\nENDPROC", "slow;", "SLOW of another file moves the robot"),
+        ("PROC slow()\n VelSet 50,100;\nENDPROC", "slow;", "SLOW of another file moves the robot or changes how"),
+        ("FUNC num slow()\n pHome.trans.z:=90;\n RETURN 1;\nENDFUNC", "z:=slow();", "SLOW may change it"),
+        ("FUNC num slow()\n RETURN 1;\nENDFUNC", "z:=slow();", "the function SLOW gives its value at run time"),
+        ("TRAP slow\n pHome.trans.z:=90;\nENDTRAP", "", "SLOW may change it"),
+        ("PROC Offs()\nENDPROC", "", "has the name of an instruction or function of RAPID"),
+        ("VAR num z;", "", "Z is declared in two modules, CALIBDATA and PART"),
+        ("PROC slow(\nENDPROC", "", "a name is expected"),
+    ],
+)  # fmt: skip
+def test_routines_of_another_module_are_known_but_not_followed(beside, routines, call, problem):
+    move = f"MoveL Offs(pHome,0,0,-z){tail()}"
+    text = SPLIT.replace("    MoveL", f"    {call}\n    {move}\n    MoveL").replace(
+        "  PROC main", "VAR num z:=5;\n  PROC main"
+    )
+    if problem:
+        with pytest.raises(PostprocError) as caught:
+            beside(text, routines)
+        assert problem in str(caught.value)
+    else:
+        program = beside(text, routines)
+        assert len(program.motions) == 4
+        assert not program.issues
+
+
+def test_a_file_that_is_missing_and_names_that_are_twice_are_errors_of_the_cell(beside, tmp_path):
+    with pytest.raises(PostprocError, match=r"\[rapid\] modules: it cannot be read"):
+        beside(SPLIT, files=["Calib.mod"])
+    (tmp_path / "more.mod").write_text("MODULE More\n  LOCAL CONST num vCut:=1;\nENDMODULE\n")
+    with pytest.raises(PostprocError, match="VCUT is declared in two of them, CALIBDATA and MORE"):
+        beside(SPLIT, files=["CalibData.mod", "more.mod"])
+
+
+def test_data_of_another_module_are_never_changed(tmp_path):
+    """Correct a program whose target is in another module: the move gets numbers, the module stays, predict agrees."""
+    named = '\n[rapid]\nmodules = ["CalibData.mod"]\n'
+    (tmp_path / "cell.toml").write_text(CELL.read_text() + named)
+    text = SPLIT.replace("    MoveL", f"    ! FORCE FX=400 FY=-200 FZ=300\n    MoveL pCut{tail()}\n    MoveL")
+    (tmp_path / "CalibData.mod").write_text(BESIDE % f"  CONST robtarget pCut:={at(10, 20, 20)};")
+    (tmp_path / "part.mod").write_text(text)
+    before = (tmp_path / "CalibData.mod").read_bytes()
+    cell = str(tmp_path / "cell.toml")
+    printed("convert", str(tmp_path / "part.mod"), "--cell", cell, "-o", str(tmp_path / "out"))
+    assert (tmp_path / "CalibData.mod").read_bytes() == before
+    written = (tmp_path / "out" / "part.mod").read_text()
+    assert "pCut" not in written
+    assert "MoveJ pHome,v100" in written
+    assert "tooldata" not in written
+    printed("predict", str(tmp_path / "out" / "part.mod"), "--cell", cell, "-o", str(tmp_path / "seen"))
+
+
+def test_modules_beside_the_program_are_inputs_of_the_cell(tmp_path):
+    cell = replace(place().cell, folder=str(tmp_path), rapid=Rapid(modules=["CalibData.mod"]))
+    assert tmp_path / "CalibData.mod" in inputs.of_cell(tmp_path / "cell.toml", cell)
