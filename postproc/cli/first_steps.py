@@ -12,7 +12,7 @@ import click
 
 from postproc.cli.asking import is_terminal
 from postproc.cli.options import Choice, complete_files, complete_robots
-from postproc.cli.ranges import FiniteRange
+from postproc.cli.ranges import FiniteFloat, FiniteRange
 
 if TYPE_CHECKING:
     from postproc.hosts.robodk_station import Station
@@ -66,7 +66,7 @@ def _parsed(kind: str) -> Any:
 )
 @click.option("--config-dat", type=_PATH, help="$config.dat of the controller: --base and --tool may be numbers then.")
 @click.option(
-    "--clearance", type=FiniteRange(), metavar="Z", help="Z of $BASE to which G28, G30 and G53 retract; default: 200."
+    "--clearance", type=FiniteFloat(), metavar="Z", help="Z of $BASE to which G28, G30 and G53 retract; default: 200."
 )
 @click.option(
     "--tool-change",

@@ -8,8 +8,8 @@ from typing import Any
 import click
 
 
-class FiniteRange(click.FloatRange):
-    """A number within a range; click's own range accepts nan, which is in none."""
+class FiniteFloat(click.types.FloatParamType):
+    """A number; click's own accepts nan and inf."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the number."""
@@ -17,3 +17,7 @@ class FiniteRange(click.FloatRange):
         if not math.isfinite(number):
             self.fail(f"{value} is no number.", param, ctx)
         return number
+
+
+class FiniteRange(FiniteFloat, click.FloatRange):
+    """A number within a range."""

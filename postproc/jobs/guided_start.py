@@ -137,9 +137,10 @@ def _cell_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Question]
         yield Question(MACHINE_QUESTION + code, text, f"--m-code {code}", parse.line, parse.NO_LINES)
     yield from _rotary_questions(needs, answers)
     yield from _setting_questions(needs)
-    height = CLEARANCE_MM if needs.span is None else max(CLEARANCE_MM, round(needs.span[1][2] + _ABOVE_MM, -1))
-    text = "Z of $BASE to which programs retract (G28, G30, G53)"
-    yield Question("clearance", text, "--clearance Z", parse.number, f"{height:g}", optional=True)
+    if not needs.is_of_robot:
+        height = CLEARANCE_MM if needs.span is None else max(CLEARANCE_MM, round(needs.span[1][2] + _ABOVE_MM, -1))
+        text = "Z of $BASE to which programs retract (G28, G30, G53)"
+        yield Question("clearance", text, "--clearance Z", parse.number, f"{height:g}", optional=True)
     if needs.changes_tools:
         text = "Tool change: hand (the program stops), none, or a line that calls the changer, with {T}"
         yield Question("tool_change", text, "--tool-change LINE", parse.line, BY_HAND, optional=True)
@@ -432,7 +433,7 @@ def write_files(
 
 def merged(programs: list[ProgramNeeds]) -> ProgramNeeds:
     """Return what several programs need together, for one cell."""
-    first = programs[0]
+    first = next((program for program in programs if not program.is_of_robot), programs[0])
     spans = [program.span for program in programs if program.span is not None]
     corners = [tuple(choose(values) for values in zip(*(span[side] for span in spans), strict=True))
                for side, choose in enumerate((min, max))] if spans else None  # fmt: skip

@@ -78,6 +78,11 @@ class ProgramNeeds(Struct, frozen=True):
     refusal: str = ""
 
     @property
+    def is_of_robot(self) -> bool:
+        """Whether it is a program of a robot already: it moves and retracts as it states."""
+        return registry.by_name(self.dialect).writer is not None
+
+    @property
     def changes_tools(self) -> bool:
         """Whether it mounts a second tool."""
         return len(self.tools) > 1

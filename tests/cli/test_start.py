@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from postproc import cell as cells
+from postproc.jobs import guided_start
 from postproc.jobs.program_needs import needs_of
 from postproc.machining import process as processes
 from tests.commands import invoke
@@ -239,3 +240,18 @@ def test_init_writes_indexed_axes_with_their_points():
     assert (rotary.kind, rotary.axes, rotary.A.point, rotary.A.direction) == (
         "indexed", ["A"], (0.0, 0.0, -120.0), (1.0, 0.0, 0.0),
     )  # fmt: skip
+
+
+def test_a_program_of_the_robot_is_not_asked_where_it_retracts():
+    Path("part.src").write_text("DEF PART( )\nLIN {X 0,Y 0,Z 0,A 0,B 0,C 180}\nEND\n")
+
+    def asked_keys(*names):
+        answers, keys = guided_start.Answers({"robot": "kuka_kr270"}), []
+        needs = guided_start.merged([needs_of(Path(name)) for name in names])
+        while question := guided_start.next_question(needs, answers, keys, process=False):
+            keys.append(question.key)
+        return keys
+
+    assert "clearance" not in asked_keys("part.src")
+    assert "clearance" in asked_keys("part.nc")
+    assert "clearance" in asked_keys("part.src", "part.nc")
