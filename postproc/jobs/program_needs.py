@@ -8,6 +8,7 @@ answer and without it: a setting without which the reader refuses the program is
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +17,12 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc import correction
-from postproc.cell import Box, Cell, Frame, GCode, Machine, Rotary, Start, Tool
+from postproc.cell import Box, Cell, Frame, GCode, Machine, Start, Tool
 from postproc.dialects import registry
 from postproc.dialects.dialect import CamFormat, Survey
 from postproc.errors import InputError
 from postproc.frames import MM_PER_M, Array
+from postproc.jobs import answers as parse
 from postproc.jobs.programs import load_robot, read_documents
 from postproc.machining.tool_comments import Comment, CommentedTool, commented_tools, stock_size
 from postproc.program import Document, Motions, Program
@@ -54,7 +56,7 @@ class ProgramNeeds(Struct, frozen=True):
     :param has_forces: it states its cutting forces in comments.
     :param has_speeds: it states spindle speeds.
     :param span: smallest and largest X, Y, Z of its cutting moves in `$BASE` with all work offsets at zero [mm]; None:
-        it could not be read, or does not cut.
+        it could not be read, does not cut, or turns axes without tool-centre-point control.
     :param low_rapids: X, Y of rapid moves that end below the top of its cuts [mm]: no stock is there at first.
     :param stock_mm: lengths of the stock along X, Y, Z that comments state [mm].
     :param refusal: why it cannot be converted, whatever is answered; empty: it can be read.
@@ -156,7 +158,7 @@ def _with_content(needs: ProgramNeeds, program: Program) -> ProgramNeeds:
         tools=tools,
         has_forces=bool(program.notes),
         has_speeds=any(event.kind in ("spindle_on", "spindle_ccw") and event.value > 0.0 for event in program.events),
-        span=_span(motions),
+        span=None if needs.rotary and not needs.tip_controlled else _span(motions),  # it may be that of machine axes
         low_rapids=_low_rapids(motions),
     )
 
@@ -212,6 +214,8 @@ def _span(motions: Motions) -> tuple[tuple[float, float, float], tuple[float, fl
 
 _DWELL_UNITS = ("ms", "s")
 """Answers for the trial, the usual one first: a number fits one unit or both."""
+_ROTARY_KINDS = ("tcp", "indexed")
+"""What X, Y, Z may be in the trial: with indexed axes the reader takes cycles too."""
 _ASSUMED_ANSWERS: Mapping[str, Any] = {"home": [0.0, 0.0, _CLEARANCE_MM], "radius_offsets": "wear"}
 """Other settings that only some programs need, and an answer for the trial."""
 
@@ -228,9 +232,10 @@ class _Trial:
         if registry.by_name(self.dialect).writer is not None:
             return self._of_robot()
         answers, refusals = dict(_ASSUMED_ANSWERS), []
-        for dwell in ({}, *({"dwell_unit": unit} for unit in _DWELL_UNITS)):
+        kinds = _ROTARY_KINDS if self.survey.rotary else _ROTARY_KINDS[:1]
+        for kind, dwell in product(kinds, ({}, *({"dwell_unit": unit} for unit in _DWELL_UNITS))):
             answers = {**_ASSUMED_ANSWERS, **dwell}
-            program, refusal = self._read(answers)
+            program, refusal = self._read(answers, kind)
             if program is not None:
                 break
             refusals.append(refusal)
@@ -239,7 +244,7 @@ class _Trial:
         settings = [
             setting
             for setting in answers
-            if self._read({key: value for key, value in answers.items() if key != setting})[0] is None
+            if self._read({key: value for key, value in answers.items() if key != setting}, kind)[0] is None
         ]
         return program, "", tuple(settings)
 
@@ -247,14 +252,15 @@ class _Trial:
         """Return a robot program; its own frames may be missing here, which is no refusal."""
         return self._read({})[0], "", ()
 
-    def _read(self, answers: Mapping[str, Any]) -> tuple[Program | None, str]:
+    def _read(self, answers: Mapping[str, Any], kind: str = _ROTARY_KINDS[0]) -> tuple[Program | None, str]:
         try:
-            return correction.read(self.documents, self.robot, self._cell(answers), self.name, self.dialect), ""
+            return correction.read(self.documents, self.robot, self._cell(answers, kind), self.name, self.dialect), ""
         except InputError as cause:
             return None, str(cause)
 
-    def _cell(self, answers: Mapping[str, Any]) -> Cell:
-        letters = [letter for letter in "CBA" if letter in self.survey.rotary]
+    def _cell(self, answers: Mapping[str, Any], kind: str) -> Cell:
+        letters = [letter for letter in "CBA" if letter in self.survey.rotary][:2]
+        points = dict.fromkeys(letters, (0.0, 0.0, 0.0))
         gcode = GCode(
             tool_change=[],
             radius_offsets=answers.get("radius_offsets", "radius"),
@@ -269,5 +275,5 @@ class _Trial:
             machine=Machine(home=answers.get("home"), clearance_Z=_CLEARANCE_MM),
             m_codes={code: [] for code in self.survey.m_codes},
             work_offsets={code: Frame() for code in self.survey.work_offsets},
-            rotary=Rotary(axes=letters[:2], kind="tcp") if letters else None,  # type: ignore[arg-type]
+            rotary=parse.rotary(letters, kind, points if kind == "indexed" else {}) if letters else None,
         )

@@ -233,9 +233,12 @@ def test_init_with_a_program_says_what_still_stops_it():
 
 
 def test_init_writes_indexed_axes_with_their_points():
-    Path("a.nc").write_text("G21 G90\nM3 S9000\nG0 X0 Y0 Z50\nG0 A30\nG1 Z20 F500\nG1 X50\nG0 Z50\nM30\n")
+    Path("a.nc").write_text(
+        "G21 G90\nM3 S9000\nG0 X0 Y0 Z50\nG0 A30\nG1 Z20 F500\nG1 X50\nG0 Z50\nG81 X5 Z25 R40 F200\nG80\nM30\n"
+    )
     done = invoke("init", "a.nc", *CELL, "--rotary-kind", "indexed", "--rotary-point", "A=0,0,-120")
     assert done.exit_code == 0, done.output
+    assert "no answer makes" not in done.output  # cycles are read with indexed axes only
     rotary = cells.load("cell.toml").rotary
     assert (rotary.kind, rotary.axes, rotary.A.point, rotary.A.direction) == (
         "indexed", ["A"], (0.0, 0.0, -120.0), (1.0, 0.0, 0.0),
