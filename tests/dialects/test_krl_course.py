@@ -501,6 +501,16 @@ def test_goto_leads_to_a_label_behind_it_and_what_is_between_stays_as_it_is(line
     assert krl.rewrite(program, targets(program, keep=True)).documents == program.documents
 
 
+@pytest.mark.parametrize("cell", [CELL, KEEPING])
+@pytest.mark.parametrize("fork", [[], ["IF $IN[1] THEN", AWAY, "ELSE", FULL, AWAY, "ENDIF"]])
+def test_nothing_runs_behind_exit_in_a_branch_without_motions(fork, cell):
+    """Branches at an input, and --keep-unresolved, let the statements run once more along the complete trace."""
+    left = ["IF I>1 THEN", "IF I==2 THEN", "EXIT", "ENDIF", "$BASE={X 50,Y 0,Z 0,A 0,B 0,C 0}", "ENDIF"]
+    program = read(body(*fork, "FOR I=1 TO 3", "LIN P[I]", *left, "ENDFOR", FULL), DATA, cell)
+    assert numbers(program)[-3:, 0].tolist() == [1, 2, 0]
+    assert not program.motions.base.any()
+
+
 # --- what only the running robot knows ------------------------------------------------------------------------------
 
 UNKNOWN = [

@@ -120,3 +120,11 @@ def test_a_call_whose_argument_moves_the_robot_stays_as_it_is(tmp_path):
     assert "other.src" not in written
     assert "LIN {X 1.0000,Y 0.0000,Z 300.0000" in written["part.src"]
     assert "\nOTHER(FN())\n" in written["part.src"]
+
+
+@pytest.mark.parametrize("keep", [False, True])
+def test_the_motion_behind_a_call_that_is_not_followed_begins_where_nobody_knows(tmp_path, keep):
+    files = {"part.src": main("AWAY()", HOME, FULL), "part.dat": "DEFDAT part\nENDDAT\n", "away.src": UNKNOWN}
+    program = read_files(files | {"cut.src": CUT}, tmp_path, keep=keep)
+    assert program.after.tolist() == [-1, 1, 1]
+    assert [issue.source_line for issue in program.issues if issue.kind == "start-unknown"] == [6]

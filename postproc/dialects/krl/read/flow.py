@@ -182,8 +182,8 @@ class Flow:
             self._reach(at.line)
         self._count(at)
         word = statement(at.source, at.line).word
-        if level.loops and word == "EXIT":
-            level.left = True
+        if word == "EXIT" and (level.loops or (level.traced and self.trace is None)):
+            level.left = True  # of a recorded trace: a loop around the row that runs
             return
         if word == "GOTO" and self.trace is not None and level.traced:
             self.trace.run_to(at.line - 1)

@@ -322,6 +322,7 @@ class MainRoutine:
             number = self.course.counts.get(row)
         if number is None:
             self._flow.follow(at.source, (node.moved(-self.run.shift) if isinstance(node, Block) else at.line,))
+            self.run.level.left = False  # the next row is the one that runs behind EXIT
             return
         stmt = statement(at.source, at.line)
         if isinstance(stmt, For) and stmt.counter is not None:

@@ -34,8 +34,8 @@ _SYNC_ADVICE = (
 _BEGIN = "where it begins is not known, and its path depends on that"
 _SHIFT_TEXT = ". It starts from the current robot position: the correction of the motion before it moves it too"
 _OPEN = (
-    "Where this motion begins is not known, because the one before stays as it is: its end is corrected, no targets "
-    "are inserted into it, and its path is not checked."
+    "Where this motion begins is not known, because the one before stays as it is: no targets are inserted into it, "
+    "and its path is not checked."
 )
 
 
@@ -55,20 +55,19 @@ class Separated(Struct, frozen=True, eq=False):
 
 
 def without_unresolved(main: MainRoutine, sequence: OrderedMotions) -> Separated:
-    """Take out the motions that stay as they are, where that is wanted.
+    """Take out the motions that stay as they are, where that is wanted, and note which motions follow them.
 
     :param sequence: motions whose targets are known.
     :raises ProgramError: there are none that can be corrected; a motion is synchronised with another robot.
     """
     run, rows = main.run, sequence.rows
     sync_motions = list(_synchronised(main, rows.line))
-    if not run.keep:
-        if sync_motions:
-            raise sync_motions[0][1]
-        return Separated(sequence)
+    if sync_motions and not run.keep:
+        raise sync_motions[0][1]
+    uncertain_motions = list(_uncertain(run.settings, sequence)) if run.keep else []
     reasons = dict(run.unresolved)
     is_dropped = np.zeros(len(rows), dtype=np.bool_)
-    for row, reason in (*_uncertain(run.settings, sequence), *sync_motions):
+    for row, reason in (*uncertain_motions, *sync_motions):
         reasons[int(rows.line[row])] = reason
         is_dropped[row] = True
     if not reasons and not run.moved:
