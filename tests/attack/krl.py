@@ -14,9 +14,10 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import re
 import tempfile
 import time
-from collections import Counter
+from collections import Counter, defaultdict
 from pathlib import Path
 from unittest.mock import patch
 
@@ -33,7 +34,7 @@ from postproc.errors import PostprocError
 from postproc.frames import pose_from_xyzabc, xyzabc_from_pose
 from postproc.program import CIRC, LIN, PTP
 from tests.attack.krl_generator import Generator
-from tests.attack.krl_interpreter import MOST_STEPS, Controller, Invalid, Unsaid
+from tests.attack.krl_interpreter import MOST_STEPS, Controller, Invalid, Unsaid, shown
 from tests.attack.krl_snippets import GIVEN, Snippets
 from tests.attack.krl_states import States
 from tests.dialects.krl_programs import CELL, forward, targets
@@ -58,6 +59,8 @@ _ORDINARY = 10
 """So many ordinary programs to one with motions that stay."""
 _CHECKED = 4, 16
 """Of so many programs below `MORE`, and of others, one is checked by the grammar, which takes as long as all else."""
+_NAMED = re.compile(r"S?(?:LIN|PTP) [A-Z]\w*(?:\[[^]]*\])?(?: C_\w+)?$", re.IGNORECASE)
+"""Motions to named points."""
 _WRITTEN = 2e-4
 """Half of the last digits that are printed, in mm and in degrees, several times over."""
 
@@ -85,7 +88,7 @@ def executed(files, seed, program, main="PART"):
     """The motions that the controller makes in the program and in what it calls, but for those left as they are.
 
     :param main: the program to run: of one that was divided into files, none of whose motions is left, another one.
-    :returns: motions, and whether chance had a part in them.
+    :returns: motions, the `whereabouts` of those left as they are, and whether chance had a part in them.
     """
     named = {Path(name).name: text for name, text in files.items()}
     data = {
@@ -99,22 +102,23 @@ def executed(files, seed, program, main="PART"):
     frames = abc(base.X, base.Y, base.Z), abc(tool.X, tool.Y, tool.Z)
     controller = Controller(named, rng, *frames, data, given=GIVEN, side=seed % 2)
     motions = controller.run(main)
-    if controller.differing and program.layout.course.endless:
-        raise Wrong("the rounds of a LOOP without EXIT differ")
     course = program.layout.course
     origins = [(course.source.origin(each.line), each.routine) for each in course.steps if isinstance(each, Enter)]
     followed = {(at.source.document.name, at.line, routine.name.upper()) for at, routine in origins}
     reported = {("part.src", issue.source_line) for issue in program.issues if issue.kind == "motions-elsewhere"}
     stay = {(one.file, one.line) for one in program.unresolved}
+    first, second = ([shown(one) for one in motions if not stays(one, stay)] for motions in controller.rounds)
+    if first != second and program.layout.course.endless:
+        raise Wrong("the rounds of a LOOP without EXIT differ")
     made, begins_uncorrected = [], False
     for motion in motions:
         motion.begins_uncorrected, begins_uncorrected = begins_uncorrected, True
-        calls = {(file, line) for file, line, _ in motion.callers}
         if main != "PART":
             made.append(motion)
             continue
-        if not stay.isdisjoint({*calls, (motion.file, motion.line)}):
+        if stays(motion, stay):
             continue
+        calls = {(file, line) for file, line, _ in motion.callers}
         if not followed.issuperset(motion.callers):
             if reported.isdisjoint(calls):
                 raise Wrong(f"the motion in line {motion.line} of {motion.file} is neither followed nor reported")
@@ -125,7 +129,23 @@ def executed(files, seed, program, main="PART"):
             raise Wrong(f"the robot holds the part in line {motion.line}")
         begins_uncorrected = False
         made.append(motion)
-    return made, Unsaid.asked or rng.bit_generator.state != before
+    kept = whereabouts([one for one in motions if stays(one, stay)], program.unresolved)
+    return made, kept, Unsaid.asked or rng.bit_generator.state != before
+
+
+def stays(motion, places):
+    """Whether a motion, or a call that leads to it, is at one of some places."""
+    return not places.isdisjoint({(motion.file, motion.line), *((file, line) for file, line, _ in motion.callers)})
+
+
+def whereabouts(motions, unresolved):
+    """What motions to named points do that are left as they are, by their text."""
+    texts = {(one.file, one.line): one.text for one in unresolved if _NAMED.match(one.text)}
+    found = defaultdict(set)
+    for motion in motions:
+        if (motion.file, motion.line) in texts:
+            found[texts[motion.file, motion.line]].add(repr(shown(motion)))
+    return found
 
 
 def compare(program, motions, numbers, joints, kinds, tolerance, lines=None):
@@ -262,12 +282,14 @@ def confirmed(program, files, folder, rng, *, keep=False, checked=True, lines=0)
     m = program.motions
     if {(one.file, one.line) for one in program.unresolved} & set(places_of(program)):
         return "in some rounds"  # likewise
-    runs, numbers = 0, program.numbers_as_written()
+    runs, numbers, kept = 0, program.numbers_as_written(), defaultdict(set)
     for seed in range(RUNS):
         try:
-            done, by_chance = executed(files, seed, program)
+            done, left, by_chance = executed(files, seed, program)
         except Invalid:
             continue
+        for text in left:
+            kept[text] |= left[text]
         compare(program, done, numbers, m.joints, m.kind, 1e-6, m.line)
         runs += 1
         if not by_chance:
@@ -305,9 +327,12 @@ def confirmed(program, files, folder, rng, *, keep=False, checked=True, lines=0)
     numbers = xyzabc_from_pose(pose)
     for seed in range(RUNS if runs < RUNS else MOST_RUNS):  # what chance gives an index may stop a program too
         try:
-            done, by_chance = executed(new, seed, again, main)
+            done, left, by_chance = executed(new, seed, again, main)
         except Invalid:
             continue
+        for text, only in kept.items():
+            if len(only) == 1 and not left[text] <= only:  # chance had no part in it
+                raise Wrong(f"{text} stays as it is, and moves elsewhere in what is written: {left[text]}, not {only}")
         finished += 1
         compare(program, done, numbers, joints, kinds, _WRITTEN)
         if finished == RUNS or not by_chance:

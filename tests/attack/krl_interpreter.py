@@ -37,7 +37,8 @@ KINDS = {"SLIN": "LIN", "SPTP": "PTP", "SCIRC": "CIRC"}
 FORCE = re.compile(r"\s*;\s*FORCE\s+(OFF|[FM][XYZ]\s*=.*)$", re.IGNORECASE)
 LABEL = re.compile(r"([A-Za-z_]\w*)\s*:$")
 CARTESIAN = "XYZABC"
-_NO_VARIABLES = {"TRUE", "FALSE", "NOT", "$BASE", "$TOOL", "$NULLFRAME", "$VEL", "$APO", "$IN", "$ANIN", "$FLAG"}
+_INPUTS = {"$IN", "$OUT", "$ANIN", "$FLAG"}
+_NO_VARIABLES = {"TRUE", "FALSE", "NOT", "$BASE", "$TOOL", "$NULLFRAME", "$VEL", "$APO", *_INPUTS}
 MOST_STEPS = 3000
 FUNCTIONS = {
     "ABS": abs,
@@ -48,6 +49,9 @@ FUNCTIONS = {
     "ACOS": lambda x: float(np.degrees(np.arccos(x))) if abs(x) <= 1 else invalid("ACOS"),
     "ATAN2": lambda y, x: float(np.degrees(np.arctan2(y, x))),
     "SVEL_CP": lambda speed, *_: {"CP": speed},
+    "SORI_TYP": lambda data: data.get("ORI_TYP", "#VAR"),
+    "SCIRC_TYPE": lambda data: data.get("CIRC_TYP", "#BASE"),
+    "SIPO_MODE": lambda data: data.get("IPO_FRAME", "#BASE"),
     "SAPO": lambda data: {"CDIS": data["APO_DIST"]} if "APO_DIST" in data else {},
     "INV_POS": lambda frame: components(np.linalg.inv(pose(frame))),
 }
@@ -310,15 +314,15 @@ class Controller:
     :param choices: what inputs are, where nothing is left to chance.
     :param given: values of inputs and of variables that are in no file, and of parameters of the program.
     :param side: how it does what no source says.
-    :ivar differing: whether the rounds of a LOOP without EXIT differ.
+    :ivar rounds: motions of two rounds of a LOOP without EXIT.
     """
 
     def __init__(self, files, rng, base, tool, system, choices=None, given=None, side=0):
-        self.given, self.differing = given or {}, False
+        self.given, self.rounds = given or {}, ([], [])
         Unsaid.side, Unsaid.asked = side, False
         self.rng, self.cell, self.choices, self.force = rng, (base, tool), choices, ""
         self.base, self.tool, self.speed, self.cdis = base, tool, 2.0, 3.0
-        self.modes, self.memory = {"$ORI_TYPE": "#VAR", "$CIRC_TYPE": "#BASE", "$IPO_MODE": "#BASE"}, {}
+        self.modes, self.flags = {"$ORI_TYPE": "#VAR", "$CIRC_TYPE": "#BASE", "$IPO_MODE": "#BASE"}, {}
         self.shared = {name: Variable("", copy.deepcopy(value)) for name, value in system.items()}
         self.shared |= {name: Variable("", value) for name, value in self.given.items() if name[0] != "$"}
         self.modules, self.motions, self.submit, self.structures = {}, [], [], {}
@@ -558,7 +562,7 @@ class Controller:
                     return
                 self.chance()
         elif word == "LOOP" and not leaves(parts[0]):
-            self.rounds(parts[0])
+            self.two_rounds(parts[0])
         elif word == "LOOP":
             with suppress(_Exit):
                 while True:
@@ -592,15 +596,14 @@ class Controller:
         else:
             raise Invalid(word)
 
-    def rounds(self, body):
+    def two_rounds(self, body):
         """Run two rounds of a loop that never ends: the motions of the second must be those of the first."""
         begin = len(self.motions)
         self.block(body)
-        first = self.motions[begin:]
+        end = len(self.motions)
         self.block(body)
-        second = self.motions[begin + len(first) :]
-        del self.motions[begin + len(first) :]
-        self.differing = [shown(motion) for motion in first] != [shown(motion) for motion in second]
+        self.rounds = self.motions[begin:end], self.motions[end:]
+        del self.motions[end:]
         raise _Stop
 
     def statement(self, word, file, number, line):
@@ -722,7 +725,7 @@ class Controller:
         elif name in self.modes:
             self.modes[name] = value
         elif name == "$FLAG":
-            self.memory[name, index] = value
+            self.flags[index] = Variable("BOOL", value)
 
     def bas(self, line):
         reader = Reader(line)
@@ -804,6 +807,11 @@ class Controller:
         begin = reader.at
         if reader.peek() in (",", ")"):
             return Place(Variable())
+        if reader.peek() == "$FLAG" and not by_value:
+            place = Place(self.flag(reader))
+            if reader.peek() in (",", ")"):
+                return place
+            reader.at = begin
         if reader.kind() == "name" and reader.peek(1) != "(" and reader.peek() not in _NO_VARIABLES:
             if reader.peek(1) == "[" and reader.peek(2) == "]":
                 found = self.lookup(reader.take())
@@ -997,21 +1005,21 @@ class Controller:
             raise Invalid(f"{token!r} is no value")
         if reader.peek(1) == "(":
             return self.called(reader)
-        if token in ("$IN", "$ANIN"):
+        if token in ("$IN", "$OUT", "$ANIN"):
             reader.take()
             reader.take("[")
             index = self.sum(reader)
             reader.take("]")
             if f"{token}[{index}]" in self.given:
                 return self.given[f"{token}[{index}]"]
-            if token == "$IN" and self.choices is not None:
-                return self.choices()
-            return bool(self.rng.random() < 0.5) if token == "$IN" else float(self.rng.uniform(-3, 3))
+            if token == "$ANIN":
+                return float(self.rng.uniform(-3, 3))
+            return bool(self.rng.random() < 0.5) if self.choices is None else self.choices()
         if token == "$POS_ACT":
             reader.take()
             return self.standing()
         if token == "$FLAG":
-            return self.flag(reader)
+            return self.flag(reader).value
         if token in self.modes:
             return self.modes[reader.take()]
         if token in ("$VEL", "$APO"):
@@ -1029,14 +1037,14 @@ class Controller:
         return copy.deepcopy(self.place(reader).get())
 
     def flag(self, reader):
-        """A flag of the controller: what a program wrote, else what chance left there."""
+        """A flag of the controller, as a variable: what a program wrote, else what chance left there."""
         reader.take("$FLAG")
         reader.take("[")
         index = self.sum(reader)
         reader.take("]")
-        if ("$FLAG", index) not in self.memory:
-            self.memory["$FLAG", index] = self.choices() if self.rng is None else bool(self.rng.random() < 0.5)
-        return self.memory["$FLAG", index]
+        if index not in self.flags:
+            self.flags[index] = Variable("BOOL", self.choices() if self.rng is None else bool(self.rng.random() < 0.5))
+        return self.flags[index]
 
     def aggregate(self, reader):
         reader.take("{")

@@ -55,6 +55,53 @@ GIVEN = {"GIVENN": 2, "GIVENR": 0.375, "GIVENB": True, "GIVENX": 2.6, "$IN[5]": 
 """What `[krl.values]` of the cell gives."""
 
 
+IMPOSSIBLE = (
+    "CIRC XA",
+    "CIRC XA,XB,CA 0",
+    "CIRC XA,XB,CA GONE()",
+    "BAS(#PARK,1)",
+    "BAS()",
+    "LIN XA C_FAST",
+    "SLIN XA WITH $SPEED=1",
+    "SLIN XA WITH $BASE",
+    "SLIN {X $BASE.X,Y 1,Z 2,A 3,B 4,C 5} WITH $BASE=BASE_DATA[2]",
+    "SLIN XA WITH $BASE=$BASE:XB",
+    "ENDWHILE",
+    "ENDSPLINE",
+    "SPL XA",
+    "CONST_VEL START=1",
+    "GOTO NOWHERE",
+    "ASYPTP {E1 5}",
+    "LIN XHOME",
+    "CIRC XHOME,XA",
+    "LIN_REL {A1 5}",
+    "LIN {X 1,Y 2,Z 3,A1 4}",
+    "LIN {X 1,W 2}",
+    "LIN {X 99999,Y 1,Z 2,A 3,B 4,C 5}",
+    "LIN NOWHERE",
+    "$VEL.CP=0.0",
+    "$VEL.CP=9",
+    "$VEL.CP=-0.5",
+    "$VEL={CP 0}",
+    "BAS(#VEL_CP,0)",
+    "$ORI_TYPE=#FAST",
+    "$ORI_TYPE=GONE()",
+    "$CIRC_TYPE=#FAST",
+    "$IPO_MODE=#TCP",
+    "$IPO_MODE=GONE()",
+    "$ROBROOT={X 0,Y 0,Z 0,A 0,B 0,C 0}",
+    "$WORLD=$NULLFRAME",
+    "$BASE={X 99999,Y 1,Z 2,A 3,B 4,C 5}",
+    "$BASE=XHOME",
+    "$BASE=EK(MACHINE_DEF[2].ROOT,MACHINE_DEF[2].MECH_TYPE,{X 0})",
+    "$BASE.W=3",
+    "$TECH[1].MODE=#CYCLE",
+    "ANIN ON $VEL.CP=0.1*$ANIN[1]+0",
+    "PARK",
+    "I==2",
+    "LIN",
+)
+"""Statements at which the controller stops, or by which the robot moves otherwise than programs that are corrected."""
 LONGEST_NAME = 24
 """Characters of a name at most (KUKA, Expert Programming: names)."""
 
@@ -71,6 +118,8 @@ class Snippets(Generator):
     def new(self, stem):
         self.count += 1
         name = f"{stem}{self.count}"
+        if self.maybe(0.003):
+            return name.ljust(LONGEST_NAME + 1, "X")
         return name.ljust(LONGEST_NAME, "X") if self.maybe(0.04) else name
 
     def variable(self, kind, value=None):
@@ -95,7 +144,21 @@ class Snippets(Generator):
 
     def value(self, kind, depth=0):
         """An expression of a type whose value is known."""
+        if kind in ("INT", "REAL", "BOOL") and self.maybe(0.05):
+            return self.function(kind)
         return getattr(self, f"value_{kind.lower()}")(depth)
+
+    def function(self, kind):
+        """A call of a function that only gives a value: one of the program, or of another file."""
+        name, given = self.new("FN"), self.one("INT", "REAL")
+        early = [f"IF A>{self.literal(given)} THEN", f"RETURN ({self.value_in(kind, given)})", "ENDIF"]
+        body = [*self.one([], early), f"RETURN ({self.value_in(kind, given)})"]
+        lines = [f"DEFFCT {kind} {name}(A:IN)", f"DECL {given} A", *body, "ENDFCT"]
+        if self.maybe(0.7):
+            self.routines.append(lines)
+        else:
+            self.others[f"{name.lower()}.src"] = lines
+        return f"{name}({self.value(given) if self.maybe(0.5) else self.literal(given)})"
 
     def value_int(self, depth):
         known = [
@@ -265,7 +328,10 @@ class Snippets(Generator):
             body = local if kind == "E6POS" or len(local) > 1 else ["RETURN $BASE"]
         result = kind if kind != "REAL" or self.maybe(0.8) else "INT"
         declared = [line for line in body if line.startswith("DECL")]
-        lines = [f"DEFFCT {result} {function}(A:IN)", f"DECL {given} A", *declared]
+        way = self.one(":IN", ":IN", "", ":OUT")
+        if kind in ("INT", "REAL") and self.maybe(0.3):
+            declared, body = [f"DECL {kind} L"], [f"L={body[-1][8:-1]}", *body[:-1], "RETURN (L)"]
+        lines = [f"DEFFCT {result} {function}(A{way})", f"DECL {given} A", *declared]
         self.routines.append([*lines, *(line for line in body if line not in declared), "ENDFCT"])
         argument = self.value(given)
         call = f"{function}({argument})"
@@ -298,6 +364,8 @@ class Snippets(Generator):
             return [f"{routine}({element})", f"{name}={element}"]
         if kind == "INT" and self.maybe(0.2):
             return [f"{routine}(N[J])", f"{name}=N[J]"]
+        if kind == "BOOL" and self.maybe(0.3):
+            return [f"{routine}($FLAG[5])", f"{name}=$FLAG[5]"]
         if kind == "REAL" and self.maybe(0.2):
             return [f"{routine}(XB.Y)", f"{name}=XB.Y/10"]
         return [f"{routine}({name})"]
@@ -483,6 +551,9 @@ class Snippets(Generator):
             array = {"INT": "N", "E6POS": "P"}[kind]
             self.routines.append([f"DEF {routine}(A:OUT)", f"DECL {kind} A", f"A={value}", "END"])
             return ["J=GONE()", f"{routine}({array}[J])", f"{name}={array}[2]", "J=2"]
+        if choice == 32 and kind == "BOOL":
+            self.routines.append([f"DEF {routine}(A:OUT)", "DECL BOOL A", f"A={value}", "END"])
+            return [f"{routine}($OUT[3])", f"{name}=$OUT[3]"]
         if choice == 29:
             label = self.new("L")
             return [f"{label}:", write, f"IF {target} THEN", f"GOTO {label}", "ENDIF"]
@@ -620,6 +691,7 @@ class Snippets(Generator):
                 [f"LIN Q[1,{name} B_AND 1+1]" if self.maybe(0.1) else f"LIN P[{name}]"],
                 [f"LIN {{X {name}*10,Y 1,Z 2,A 3,B 4,C 5}}{tail}"],
                 [f"IF {name}{self.one('>', '==', '<>', '<=')}2 THEN", end, "ELSE", there, "ENDIF"],
+                [f"IF ({name} B_AND {self.one('1', '2')})=={self.one('1', '0')} THEN", end, "ENDIF", there],
                 [f"FOR {counter}=1 TO {name}", f"LIN P[{counter}]{tail}", "ENDFOR"],
                 [f"FOR {counter}={name} TO 4 STEP 2", f"LIN P[{counter}]{tail}", "ENDFOR", f"LIN P[{counter}-2]"],
                 [f"FOR {counter}={name} TO 1 STEP -1", f"LIN P[{counter}]{tail}", "ENDFOR", f"LIN P[{counter}+1]"],
@@ -729,8 +801,11 @@ class Snippets(Generator):
             [f"$BASE=SBASE({number})", f"$TOOL=STOOL2({frames})"],
             [f"$VEL=SVEL_CP({self.literal('REAL')},,{data})"],
             [f"$APO=SAPO({data})"],
-            ["$ORI_TYPE=#VAR"],
-            ["$IPO_MODE=#BASE"],
+            [f"$ORI_TYPE={self.one('#VAR', 'SORI_TYP(LA)', '#JOINT')}"],
+            [f"$IPO_MODE={self.one('#BASE', 'SIPO_MODE(FA)')}"],
+            [f"$CIRC_TYPE={self.one('#BASE', '#PATH', 'SCIRC_TYPE(LA)')}"],
+            [f"$CIRC_MODE.AUX_PT.ORI={self.one('#CONSIDER', '#IGNORE', '#INTERPOLATE')}"],
+            ["$CIRC_MODE={AUX_PT {ORI #IGNORE,E1 #CONSIDER}}", f"SCIRC XA,{self.literal('E6POS')}"],
             [f"$BASE={{X 1000,Y 50,Z 500,A 10,B {self.one('120', '-95.5')},C 20}}"],
         )
         inline = self.one(
@@ -749,7 +824,7 @@ class Snippets(Generator):
             [f"{save[1]}=$APO.CDIS", *chosen, *end, f"$APO.CDIS={save[1]}"],
         )
         doubtful = []
-        if self.uncertain and self.maybe(0.5):
+        if self.uncertain and self.maybe(0.7):
             self.uncertain = 0
             doubtful = self.doubtful_setting(chosen)
         first = self.one(
@@ -821,7 +896,7 @@ class Snippets(Generator):
                 f"LIN {self.literal('E6POS')}",
                 "ENDSWITCH",
             ]
-        if choice in (9, 10, 11):
+        if choice in (9, 10, 11) and (not jumps or self.maybe(0.2)):
             self.routines.append([f"DEF {routine}()", *lines, *self.ending(), "END"])
             between = self.one([], [f"LIN {self.literal('E6POS')}"], ["$VEL.CP=0.4"], ["I=2"], ["$BASE=BASE_DATA[2]"])
             return [f"{routine}()", *([*between, f"{routine}()"] if choice == 11 else [])]
@@ -872,13 +947,98 @@ class Snippets(Generator):
             *self.kept_routines(there),
         )
 
+    def refused(self, there):
+        """Statements at which the controller stops or that cannot be corrected, and a motion behind them."""
+        spline = there.replace("LIN", "SLIN")
+        wrong = self.one(
+            self.moving_event,
+            self.moving_event,
+            self.impossible_call,
+            self.impossible_call,
+            lambda _: [self.one(*IMPOSSIBLE)],
+            lambda _: [self.one(*IMPOSSIBLE)],
+            lambda _: [self.one(*IMPOSSIBLE)],
+            lambda _: ["$APO.CDIS=-1", f"{there} C_DIS"],
+            lambda _: [f"FOR {self.one('I=1 TO 3 STEP 0', 'SX.N=1 TO 2', 'I=1', '1 TO 2')}", there, "ENDFOR"],
+            lambda _: ["SPLINE", self.one(there, "SPTP XA", "SPLINE", "$VEL.CP=0.4"), spline, "ENDSPLINE"],
+            lambda _: ["PTP_SPLINE", self.one("SPTP XA", spline), "ENDSPLINE"],
+            lambda _: ["SPLINE", spline, self.one("ENDSPLINE FAST", "LIN XB", "ENDIF")],
+            lambda _: [self.one("WHILE I<2", "IF I==1 THEN", "LOOP"), "I=I+1", there],
+        )
+        return [*wrong(there), there]
+
+    def moving_event(self, there):
+        """An interrupt or a trigger that moves the robot."""
+        action, routine, file = self.new("SUB"), self.new("SUB"), self.new("LIB")
+        leads_back = self.one([], [], ["PTP $POS_RET"])
+        self.routines.append([f"DEF {action}()", *(leads_back or [there]), "END"])
+        public = self.one("", "GLOBAL ")
+        event = self.one(
+            [f"{public}INTERRUPT DECL 8 WHEN $IN[1] DO {action}()", "INTERRUPT ON 8"],
+            [f"TRIGGER WHEN DISTANCE=0 DELAY=0 DO {action}() PRIO=-1", *self.one([], [there])],
+        )
+        if self.maybe(0.4):
+            return event
+        moves = self.one([], [there])
+        self.routines.append([f"DEF {routine}()", *event, *moves, "END"])
+        self.others[f"{file.lower()}.src"] = [
+            *(f"DEF {file}()", *event, *moves, "END"),
+            *(f"DEF {action}()", *(leads_back or [there]), "END"),
+        ]
+        return [f"{self.one(routine, file)}()"]
+
+    def impossible_call(self, there):
+        """A call that cannot be followed, of a routine that moves the robot or sets what the next motion uses."""
+        routine, inner, number = self.new("SUB"), self.new("SUB"), self.variable("INT")
+        does = self.one([there], ["$BASE=BASE_DATA[2]"], [f"{number}=3"])
+        last = f"LIN P[{number}]"
+        self.routines.append([f"DEF {inner}()", *does, "BRAKE", "RESUME", "END"])
+        head, body, call = self.one(
+            ("()", [*does, f"IF I>9 THEN\n{routine}()\nENDIF"], "()"),
+            ("()", [*does, "PART()"], "()"),
+            ("(A:IN)", [*does], "(1,2)"),
+            ("(A:OUT)", ["A=2", *does], "(N[])"),
+            ("(A:OUT,B:OUT)", ["A=2", "B=3", *does], f"({number},{number})"),
+            ("(A:OUT)", [f"{number}=1", "A=2", *does], f"({number})"),
+            ("(A[])", ["A[2]=3", *does], "(R[])"),
+            ("()", [f"INTERRUPT DECL 9 WHEN $IN[1] DO {inner}()", "INTERRUPT ON 9", *does], "()"),
+            ("(A:OUT)", ["INTERRUPT DECL 9 WHEN $IN[1] DO A=2", "INTERRUPT ON 9", *does], f"({number})"),
+        )
+        lines = [line for part in body for line in part.split("\n")]
+        declared = [f"DECL INT {name}" for name in ("A", "A[]", "B") if f"{name}:" in head or f"({name})" in head]
+        self.routines.append([f"DEF {routine}{head}", *declared, *lines, "END"])
+        return [f"{routine}{call}", last]
+
     def kept_file(self, there):
         """A routine of another file that moves and cannot be followed, called under a condition or without one."""
         file = self.new("LIB")
-        jump = ["IF $IN[3] THEN", "GOTO AGAIN", "ENDIF"]
-        self.others[f"{file.lower()}.src"] = [f"DEF {file}()", "AGAIN:", there, *jump, "END"]
-        call = self.one([f"{file}()"], ["IF $IN[4] THEN", f"{file}()", "ENDIF"])
-        return [*call, "PTP XHOME", there]
+        body = self.one(
+            ["AGAIN:", there, "IF $IN[3] THEN", "GOTO AGAIN", "ENDIF"],
+            ["WHILE $IN[3]", there, "ENDWHILE"],
+            ["LIN_REL {X 5}", "WHILE $IN[3]", there, "ENDWHILE"],
+        )
+        self.others[f"{file.lower()}.src"] = [f"DEF {file}()", *body, "END"]
+        conditional = self.one(["IF $IN[4] THEN", f"{file}()", "ENDIF"], ["WHILE $IN[4]", f"{file}()", "ENDWHILE"])
+        call = self.one([f"{file}()"], [f"{file}()"], conditional)
+        return [*call, *self.one(["PTP XHOME"], ["PTP XHOME"], []), there]
+
+    def synchronised(self):
+        """Commands that wait for another robot, or move in time with it."""
+        command = f'SYNCCMD(#{self.one("PROGSYNC", "PROGSYNC", "MOTIONSYNC")},"A",3)'
+        there, routine = f"LIN {self.literal('E6POS')}", self.new("SUB")
+        if self.maybe(0.4):
+            return self.one([command, there], [command, there, command, there])
+        moves, file = self.one([], [there]), self.new("LIB")
+        head, call = f"DEF {routine}()", self.one(f"{routine}()", f"{file}()")
+        self.routines.append([head, *self.one([command, *moves], [*moves, command]), "END"])
+        self.others[f"{file.lower()}.src"] = [f"DEF {file}()", command, *moves, "END"]
+        return self.one(
+            [call, there],
+            [there, call],
+            [f"IF {self.value('BOOL')} THEN", call, "ENDIF", there],
+            ["IF $IN[4] THEN", command, "ENDIF", there],
+            [f"INTERRUPT DECL 7 WHEN $IN[1] DO {call}", "INTERRUPT ON 7", there],
+        )
 
     def kept_functions(self, there):
         """Targets by a function that changes what a condition, an index or a bound depends on."""
@@ -924,15 +1084,19 @@ class Snippets(Generator):
 
     def snippet(self):
         choice = self.rng.random()
-        if choice < 0.02:
-            synchronised = self.one("PROGSYNC", "PROGSYNC", "MOTIONSYNC")
-            return [f'SYNCCMD(#{synchronised},"A",3)', f"LIN {self.literal('E6POS')}"]
+        if choice < (0.03 if self.keep else 0.015):
+            return self.synchronised()
+        if choice < 0.045 and not self.keep:
+            return self.kept_file(f"LIN {self.literal('E6POS')}")
         if choice < 0.22:
             return self.setting()
         if choice < 0.27:
             return self.branches()
         if choice < 0.40 and self.keep:
             return self.kept_motions()
+        if self.uncertain and self.maybe(0.1):
+            self.uncertain = 0
+            return self.refused(f"LIN {self.literal('E6POS')}")
         kind = self.one(*KINDS)
         name = self.variable(kind)
         lines = self.give(kind, name) if self.maybe(0.85) else []
@@ -943,7 +1107,21 @@ class Snippets(Generator):
             lines = [*lines, *doubt, *between, *(self.give(kind, name, 2) if self.maybe(0.15) else [])]
         elif self.maybe(0.3):
             lines += self.give(kind, name)
-        return [*lines, *self.use(kind, name), *(self.use(kind, name) if self.maybe(0.15) else [])]
+        lines += [*self.use(kind, name), *(self.use(kind, name) if self.maybe(0.15) else [])]
+        if kind == "E6POS" and self.maybe(0.25):  # a point of which others may be copies
+            point = self.one("XA", "XB", "P[2]", name)
+            lines.append(f"LIN {{X {point}.X,Y 2,Z {point}.Z,A 3,B 4,C 5}}")
+        return lines
+
+    def with_dead(self, lines):
+        """The same lines with some behind a jump that never run."""
+        written = []
+        for line in lines:
+            written.append(line)
+            if line.split(" ")[0] in ("EXIT", "GOTO", "RETURN") and self.maybe(0.1):
+                synchronised = 'SYNCCMD(#PROGSYNC,"C",2)'
+                written.append(self.one("LIN XB", f"LIN {self.literal('E6POS')}", "I=3", "$VEL.CP=0.9", synchronised))
+        return written
 
     def programs(self):
         """Files of the program's folder: name → text."""
@@ -961,9 +1139,13 @@ class Snippets(Generator):
         for _ in range(int(self.rng.integers(1, 4))):
             body += self.wrapped(self.snippet())
         body += [f"LIN {self.literal('E6POS')} C_DIS"] if self.maybe(0.6) else []
-        if self.maybe(0.1):
-            carried = self.one([], [], ["I=I+1"], ["XA.Z=XA.Z+1.5"], ["I=1", "I=I+1"], ["$VEL.CP=$VEL.CP*0.9"])
-            reset = self.one([], ["I=1"], ['SYNCCMD(#MOTIONSYNC,"B",2)'] if self.maybe(0.3) else [])
+        if self.keep and self.maybe(0.1):
+            there = f"LIN {self.literal('E6POS')}"
+            body += self.one(["LIN $POS_ACT:XA"], ["WHILE $IN[3]", there, "ENDWHILE"], self.kept_file(there)[:-1])
+        if self.maybe(0.15):
+            carried = self.one([], [], [], [], ["I=I+1"], ["XA.Z=XA.Z+1.5"], ["I=1", "I=I+1"], ["$VEL.CP=$VEL.CP*0.9"])
+            waits = self.one('SYNCCMD(#MOTIONSYNC,"B",2)', 'SYNCCMD(#PROGSYNC,"B",2)')
+            reset = self.one([], ["I=1"], [waits] if self.maybe(0.4) else [])
             body += [
                 "LOOP",
                 "PTP XHOME",
@@ -974,9 +1156,10 @@ class Snippets(Generator):
                 "ENDLOOP",
             ]
         body += ["RETURN", f"LIN P[{self.one('I', '2')}]"] if self.maybe(0.02) else []
-        main += [*body, "END"]
+        main += [*self.with_dead(body), "END"]
         for routine in self.routines:
-            main += ["GLOBAL " + routine[0] if self.maybe(0.15) else routine[0], *routine[1:]]
+            head = "GLOBAL " + routine[0] if self.maybe(0.15) else routine[0]
+            main += [head, *self.with_dead(routine[1:])]
         files = {"part.src": main, "part.dat": [*FIXED.splitlines(), *self.data, "ENDDAT"], **self.others}
         for number, start in ((1, 0), (2, 1)) if self.shared else ():
             lines = [f"DEFDAT shared{number} PUBLIC", *self.shared[start::2], "ENDDAT"]
