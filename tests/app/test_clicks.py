@@ -56,7 +56,9 @@ def after_the_run(page):
 
 
 def test_look_for_a_place_and_take_it(browser, window):
-    cell = window.workspace.cell.read_text()
+    """Without bodies in the cell, which `tests.placement` has: they take four fifths of the search."""
+    cell = window.workspace.cell.read_text().partition("[collision]")[0]
+    window.workspace.cell.write_text(cell)
     with opened(browser, window) as page:
         to_program(page)
         page.get_by_role("button", name="Look for the best place").click()

@@ -6,13 +6,11 @@ import csv
 import json
 import re
 import runpy
-import shutil
 
 import numpy as np
 import pytest
 
 from postproc import robot
-from tests.commands import run
 from tests.oracle.arm import Arm, abc
 from tests.places import SAMPLES
 from tests.testpart import demo as demo_part
@@ -23,30 +21,9 @@ _NUMBER = re.compile(r"-?\d+\.?\d*")
 
 
 @pytest.fixture(scope="module")
-def by_part(tmp_path_factory):
-    """The demo with a test part in place of a tracker."""
-    folder = tmp_path_factory.mktemp("part")
-    demo = folder / "samples" / "demo"
-    shutil.copytree(SAMPLES / "demo", demo)
-    part = demo / "testpart"
-    given = ("--process", part / "testpart.process.toml", "--program", part / "testpart.nc")
-    run("identify", "part", part / "probed.csv", *given, "-o", demo / "part_robot", cell=demo / "cell.toml")
-    run("convert", demo / "bracket.nc", "-o", folder / "after", cell=demo / "cell_testpart.toml")
-    return folder
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """The demo, typed as the tutorial shows it."""
-    folder = tmp_path_factory.mktemp("demo")
-    demo = folder / "samples" / "demo"
-    shutil.copytree(SAMPLES / "demo", demo)
-    program = demo / "bracket.nc"
-    run("convert", program, "-o", folder / "before", cell=demo / "cell.toml")
-    readings, experiment = demo / "measurements.csv", demo / "experiment.toml"
-    run("identify", "elastostatics", readings, "--experiment", experiment, "-o", demo / "my_robot")
-    run("convert", program, "-o", folder / "after", cell=demo / "cell_measured.toml")
-    return folder
+def folder(readme):
+    """The folder in which the demo was typed as the tutorials show it: with a tracker, and with a test part."""
+    return readme[0]
 
 
 def expected(folder, name):
@@ -85,17 +62,16 @@ def test_the_simulated_robot_mills_as_well_as_the_report_promises(folder):
     assert before.max() > 5.0 * after.max()
 
 
-def test_the_model_of_the_test_part_is_as_good_as_the_report_promises(by_part, folder):
-    assert expected(by_part, "after") == pytest.approx(0.26, abs=0.02)
-    after = true_errors(by_part, "after")
-    assert after.max() < expected(by_part, "after")
-    assert after.max() < 0.6 * true_errors(folder, "before").max()
+def test_the_model_of_the_test_part_is_as_good_as_the_report_promises(folder):
+    assert expected(folder, "after_part") == pytest.approx(0.26, abs=0.02)
+    errors = true_errors(folder, "after_part")
+    assert errors.max() < expected(folder, "after_part")
+    assert errors.max() < 0.6 * true_errors(folder, "before").max()
 
 
-def test_the_touch_off_error_of_the_demo_is_measured(by_part):
-    (error,) = json.loads((by_part / "samples" / "demo" / "part_robot" / "identification.json").read_text())[
-        "touch_off"
-    ]
+def test_the_touch_off_error_of_the_demo_is_measured(folder):
+    report = json.loads((folder / "samples" / "demo" / "part_robot" / "identification.json").read_text())
+    (error,) = report["touch_off"]
     assert error["lift_mm"] == pytest.approx(-demo_part.TOP[0], abs=error["ci95"])
 
 
@@ -111,17 +87,15 @@ def test_the_probed_part_is_that_of_the_simulator(name):
     np.testing.assert_allclose(numbers[0], numbers[1], atol=1e-4)
 
 
-def test_the_part_of_the_demo_is_the_one_that_the_command_chooses(tmp_path):
-    demo = SAMPLES / "demo"
-    given = ("--cell", demo / "cell.toml", "--process", demo / "process.toml", "--features", 8, "--depth", 3)
-    run("testpart", *given, "-o", tmp_path / "out")
+def test_the_part_of_the_demo_is_the_one_that_the_command_chooses(folder):
+    written, shipped = folder / "testpart", SAMPLES / "demo" / "testpart"
     for name in ("testpart.nc", "testpart.process.toml"):
-        assert (tmp_path / "out" / name).read_text() == (demo / "testpart" / name).read_text()
-    places = [
+        assert (written / name).read_text() == (shipped / name).read_text()
+    points = [
         [line.rpartition(",")[0] for line in path.read_text().splitlines()]
-        for path in (tmp_path / "out" / "probing.csv", demo / "testpart" / "probed.csv")
+        for path in (written / "probing.csv", shipped / "probed.csv")
     ]
-    assert places[0] == places[1]
+    assert points[0] == points[1]
 
 
 def test_the_readings_are_those_of_the_simulator(tmp_path, monkeypatch):
