@@ -270,7 +270,7 @@ def _mounted(before: str, *arguments: str) -> subprocess.CompletedProcess[str]:
 def test_ctrl_c_ends_the_search_of_plan_with_the_best_plan_and_a_termination_without(tmp_path, number, code):
     setting.experiment(tmp_path)
     Path("poses.csv").write_text("A1,A2,A3,A4,A5,A6,Fx,Fy,Fz\n0,-70,110,0,50,0,100,50,300\n")
-    size = ("--configurations", "6", "--q2-levels", "3")
+    size = ("--configurations", "4", "--q2-levels", "2")
     held = Held("postproc.plan.planning:random_values:1", "plan", "--experiment", "experiment.toml", "--cell",
                 str(SAMPLES / "cell_kr270.toml"), "--poses", "poses.csv", *size, "-o", "out/plan.csv")  # fmt: skip
     held.waiting()

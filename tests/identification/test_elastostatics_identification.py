@@ -47,18 +47,18 @@ def test_paper_like_robot_every_k_within_three_intervals_or_one_percent(tmp_path
 
 
 def test_95_percent_intervals_cover_the_truth_and_leave_no_bias(tmp_path):
-    """20 runs here; 500 in samples/paper_study."""
+    """12 runs here; 500 in samples/paper_study."""
     true, exact, data, _ = paper_experiment(tmp_path)
     expected = np.r_[1e6 / true.gear.k, true.comp[0], true.comp[1] * 1e3]
     rng = np.random.default_rng(0)
     scores = []
-    for _ in range(20):
+    for _ in range(12):
         noisy = harness.with_readings(data, simulator.readings(exact, rng, SIGMA, 3))
         _, values, covariance = to_file_units(identify(harness.PRIOR, noisy).fit)
         scores.append((values - expected) / np.sqrt(np.diag(covariance)))
     scores = np.array(scores)
-    assert 0.9 < np.mean(np.abs(scores) < 1.96) < 0.99  # 160 intervals
-    assert np.all(np.abs(scores.mean(axis=0)) < 0.9)  # 4 standard errors of a mean of 20
+    assert 0.88 < np.mean(np.abs(scores) < 1.96) < 1.0  # 96 intervals
+    assert np.all(np.abs(scores.mean(axis=0)) < 1.16)  # 4 standard errors of a mean of 12
 
 
 def test_noise_free_readings_show_that_nothing_is_linearised(tmp_path):
