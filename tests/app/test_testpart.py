@@ -23,7 +23,7 @@ diameter_mm = 10
 flutes = 3
 rpm = 6000
 [stock]
-box = { X = [0, 120], Y = [0, 100], Z = [-30, 0] }
+box = { X = [0, 90], Y = [0, 80], Z = [-30, 0] }
 resolution_mm = 1
 """
 PROBED = b"feature,source_line,t,X,Y,Z,nx,ny,nz,deviation_mm\nF01.left,1,0.5,0,0,0,1,0,0,0.01\n"
@@ -74,7 +74,7 @@ def test_write_a_part_probe_it_and_see_its_model(browser, window):
     with opened(browser, window) as page:
         page.get_by_role("link", name="Test part", exact=True).click()
         looked_at(page, "60-testpart")
-        page.get_by_label("Features at most").fill("4")
+        page.get_by_label("Features at most").fill("3")
         page.get_by_role("button", name="Write the part").click()
         page.get_by_role("link", name="See the result").click()
         page.get_by_text("Points to probe:").click()

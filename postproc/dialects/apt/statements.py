@@ -32,8 +32,22 @@ LIMIT = 1e7
 """Numbers of this magnitude or more are refused as mistakes."""
 
 
+UNIT_LENGTH = 1e-3
+"""Largest difference of the length of a direction from 1: files have three decimals or more."""
+NEAR_MM = 1e-6
+"""Places closer than this are the same: a nanometre, far below the digits of files [mm]."""
+
+
 class StatementError(Exception):
     """A statement cannot be executed. Its arguments are problem and advice (or None), and its row if it is another."""
+
+
+def numbers_of(words: list[float | str], *counts: int) -> Array:
+    """Return the values of a statement, which must be numbers, and as many as one of `counts`."""
+    if any(isinstance(value, str) for value in words) or len(words) not in counts:
+        count_text = " or ".join(map(str, counts))
+        raise StatementError(f"{count_text} numbers are needed here", "Check the values behind /.")
+    return np.array(words, dtype=float)
 
 
 class Statements(Struct, frozen=True, eq=False):

@@ -12,23 +12,10 @@
   and its copies, turned by 90° and 180°, have CSYS that map each copy onto the first: their coordinates are where the
   copies are.
 - **INSERT** of text that names a tool, a holder or the stock is a comment, see `inserted`; ``INSERT/STOP …`` stops.
-- ``CIRCLE/x,y,z,i,j,k,r`` turns right-handed about i, j, k. Source: PTC, Creo NC, "CL Output for Circular
-  Interpolation".
-- ``CIRCLE/x,y,z,i,j,k`` of SolidWorks CAM turns right-handed about i, j, k; the start gives the radius.
-- ``CIRCLE/x,y,z,i,j,k,r,t,f,d,e`` of Siemens NX turns *clockwise* about i, j, k (t, f: tolerances; d, e: the tool).
-  ``TIMES,n`` is a helix of n − 1 turns more than the arc to its end: in CLSF files with n of 2 and 3 all helices then
-  have the ramp angles 0.40° or 2.00°. Source: the NX documentation of the CLSF Manager, and CLSF files with rounded
-  corners.
-- ``MOVARC/x,y,z,i,j,k,r,ANGLE,a`` turns right-handed by a [deg]. Source: Autodesk's post "Common ISO 4343 APT".
-- ``INDIRV/i,j,k`` and ``TLON,GOFWD/(CIRCLE/x,y,z,r),ON,(LINE/…)`` of CATIA and Creo (APT_FORMAT) turn so that they
-  leave the start along i, j, k. The line leads from the centre to the end. ``ON,2,INTOF`` is the end
-  beyond half a turn.
+- Arcs: see `arcs`.
 - **LOADTL** selects the tool of this number in `[tools]`, stops the spindle, and leaves the tip where it is.
 - **GOHOME** and **RETRCT** go where `[machine]` of the cell says, as G28 and G53 do; ``GOHOME/x,y,z`` in rapid to this
   place.
-
-The end of an arc is that of the GOTO that follows, or of the line. Heights of start and end along the axis may differ:
-a helix.
 """
 
 from __future__ import annotations
@@ -38,25 +25,38 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc.cell import Cell, m_code_fault
+from postproc.dialects.apt.arcs import (
+    ARC_ADVICE,
+    UNKNOWN_START,
+    Compensation,
+    PendingArc,
+    arc_along,
+    circle_of,
+    radius_from,
+    stated_angle,
+    turns_of,
+)
 from postproc.dialects.apt.course import ARC, LINE, RAPID, Course, Fault, Happening, Part
 from postproc.dialects.apt.cycles import Cycle, cycle_words
 from postproc.dialects.apt.inserted import inserted_comment, inserted_fault
 from postproc.dialects.apt.statements import (
     COORDINATES_ADVICE,
+    NEAR_MM,
     REFUSED,
     TEXT,
+    UNIT_LENGTH,
     WITHOUT_EFFECT,
     StatementError,
     Statements,
+    numbers_of,
     refusal,
     values,
 )
 from postproc.dialects.apt.systems import sequence_at, sequence_lines, system_of
-from postproc.dialects.circles import Circle, belonging, leaving
+from postproc.dialects.circles import Circle, belonging
 from postproc.errors import MAX_ERRORS
 from postproc.frames import Array, norm
 from postproc.program import EventKind, Ints
@@ -69,9 +69,6 @@ _PER_MINUTE = {
 }
 _PER_TURN = {"MMPR": 1.0, "IPR": _MM_PER_INCH, "FPR": 12 * _MM_PER_INCH}
 _UNITS = {"MM": 1.0, "INCH": _MM_PER_INCH, "INCHES": _MM_PER_INCH, "IN": _MM_PER_INCH, "CM": 10.0}
-_UNIT_LENGTH = 1e-3
-_MOST_TURNS = 10_000
-_NEAR_MM = 1e-6
 _UPRIGHT, _IS_DIRECTION = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0]), np.arange(6) >= 3
 """A direction along z in the numbers of a GOTO."""
 _SAGITTA_MM = 0.1
@@ -85,46 +82,10 @@ _COMPENSATION_FAULT = (
     "Let the CAM system write the path of the tool's centre. If it is, and the offsets of the control hold wear only, "
     'write radius_offsets = "wear" in [gcode] of the cell.',
 )
-_ARC_ADVICE = "Let the CAM system write arcs as GOTO statements."
 _AMBIGUOUS = (
     "the points behind CIRCLE are all on it: they may be of the arc, or ends of straight lines",
     "Let the CAM system write one GOTO for each arc, or points only (Creo: CIRC_INTERPOLATION).",
 )
-
-
-class _Pending(Struct, frozen=True, eq=False):
-    """A circle for the GOTO that follows.
-
-    :param several: whether more than one point may belong to the arc.
-    :param angle: stated angle of the arc [rad].
-    :param turns: whole turns in addition to the arc to its end.
-    """
-
-    row: int
-    circle: Circle
-    several: bool = False
-    angle: float | None = None
-    turns: int = 0
-
-
-class _Compensation(Struct, frozen=True):
-    """Statements between CUTCOM/LEFT or RIGHT and OFF.
-
-    :param side: 1 for LEFT, −1 for RIGHT.
-    :param is_centre: whether the path is known to be that of the tool's centre.
-    """
-
-    row: int
-    side: float
-    is_centre: bool
-
-    def shows_centre(self, circle: Circle, tool: Array, cutter_radius: float) -> bool:
-        """Return whether an arc proves that the path is that of the centre.
-
-        A control cannot follow a contour whose inside arc is smaller than the cutter, as lead-ins are.
-        """
-        is_inside = self.side * float(circle.axis @ tool) > 0.0
-        return is_inside and circle.radius < cutter_radius - _NEAR_MM
 
 
 class _Walk:
@@ -140,7 +101,7 @@ class _Walk:
         self.speed, self.spindle = 0.0, "spindle_off"
         self.coolant = False
         self.tool: float | None = None
-        self.pending: _Pending | None = None
+        self.pending: PendingArc | None = None
         self.closed: Circle | None = None
         self.sequences, self.undivided = sequence_lines(statements.comments), set[int]()
         self.leaving: Array | None = None
@@ -151,7 +112,7 @@ class _Walk:
         self.is_axis_open = False
         self.work_offset: float | None = None
         self.cutter_radius = np.nan
-        self.compensation: _Compensation | None = None
+        self.compensation: Compensation | None = None
         self.number = 0
         self.inches: int | None = None
         self.ended = -1
@@ -245,7 +206,7 @@ class _Walk:
         is_stated = ~np.isnan(length)
         if not is_stated.any():
             return np.broadcast_to(self.axis, words.shape)
-        wrong = np.flatnonzero(np.abs(length - 1.0) > _UNIT_LENGTH)
+        wrong = np.flatnonzero(np.abs(length - 1.0) > UNIT_LENGTH)
         if len(wrong):
             advice = "GOTO takes x, y, z, or x, y, z and the direction of the tool i, j, k."
             problem = "the last three numbers are not a direction of length 1"
@@ -275,7 +236,7 @@ class _Walk:
             self._one(row, end, axis, LINE, feed)
             return
         clearance = self.cell.machine.clearance_Z
-        if has_motions and clearance is not None and end[2] < clearance - _NEAR_MM and axis[2] > _LEVEL:
+        if has_motions and clearance is not None and end[2] < clearance - NEAR_MM and axis[2] > _LEVEL:
             self._one(row, end + axis * ((clearance - end[2]) / axis[2]), axis, RAPID, 0.0, free=True)
             self._one(row, end, axis, RAPID, 0.0)
         else:
@@ -292,7 +253,7 @@ class _Walk:
             raise StatementError("a feed per turn, but no speed of the spindle", "Write SPINDL/n,RPM before.", row)
         return self.feed * self.speed
 
-    def _arc(self, pending: _Pending, row: Ints, end: Array, axis: Array) -> int:
+    def _arc(self, pending: PendingArc, row: Ints, end: Array, axis: Array) -> int:
         """Make the arc to the first points; return how many belong to it."""
         count: int | None = 1
         if pending.several and len(row) > 1:
@@ -310,24 +271,17 @@ class _Walk:
             self._turn(int(row[n]), pending, end[n], axis[n])
         return count
 
-    def _turn(self, row: int, pending: _Pending, end: Array, axis: Array) -> None:
+    def _turn(self, row: int, pending: PendingArc, end: Array, axis: Array) -> None:
         """Make an arc."""
-        circle, angle = pending.circle, pending.angle
         if not self.known:
-            raise StatementError("arc before the position is known", "Write a GOTO before it.", row)
-        for name, point in (("start", self.place), ("end", end)):
-            fault = circle.fault_at(point)
-            if fault:
-                raise StatementError(f"the {name} of the arc is {fault}", "Check centre, radius and direction.", row)
-        sweep = circle.sweep(self.place, end) + 2.0 * np.pi * pending.turns
-        if angle is not None:
-            full = round((angle - sweep) / (2.0 * np.pi)) * 2.0 * np.pi
-            if abs(sweep + full - angle) * circle.radius > 0.1 or sweep + full <= 0.0:
-                degrees = f"{np.rad2deg(angle):.3f}° stated, {np.rad2deg(sweep):.3f}° to the end"
-                raise StatementError(f"the angle of the arc disagrees with its end: {degrees}", _ARC_ADVICE, row)
-            sweep += full
+            raise StatementError(*UNKNOWN_START, row)
+        try:
+            sweep = pending.sweep(self.place, end)
+        except StatementError as cause:
+            raise StatementError(*cause.args, row) from None
         if self.rapid:
-            raise StatementError("an arc in rapid", _ARC_ADVICE, row)
+            raise StatementError("an arc in rapid", ARC_ADVICE, row)
+        circle = pending.circle
         if self.compensation is not None and self.compensation.shows_centre(circle, self.axis, self.cutter_radius):
             self.compensation = replace(self.compensation, is_centre=True)
         arc_circle = Circle(circle.at_height_of(self.place), circle.axis, circle.radius)
@@ -339,7 +293,7 @@ class _Walk:
             raise StatementError("a cycle before the position is known", "Write RAPID and a GOTO before it.", row)
         self._swing(row, axis)
         start_height = float((self.place - top) @ axis)
-        if start_height < cycle.clear - _NEAR_MM:
+        if start_height < cycle.clear - NEAR_MM:
             self._one(row, self.place + axis * (cycle.clear - start_height), axis, RAPID, 0.0)
         height = max(start_height, cycle.clear)
         for to in (height, cycle.clear, cycle.near):
@@ -355,7 +309,7 @@ class _Walk:
 
     def _swing(self, row: int, axis: Array) -> None:
         """Refuse a direction of the tool that changes on the way to a hole."""
-        if norm(np.cross(axis, self.axis)) > _UNIT_LENGTH or axis @ self.axis < 0.0:
+        if norm(np.cross(axis, self.axis)) > UNIT_LENGTH or axis @ self.axis < 0.0:
             raise StatementError("the tool turns in a cycle", "Write a GOTO with the new direction before CYCLE.", row)
 
     def _one(self, row: int, end: Array, axis: Array, code: int, feed: float, **properties: Any) -> None:
@@ -411,13 +365,6 @@ class _Walk:
         text = self.statements.text(row).partition("$$")[0].strip()
         return text[len(word) :].lstrip(" \t/").strip("' \t$")
 
-    def _numbers(self, words: list[float | str], *counts: int) -> Array:
-        """Return a statement's values, which must be numbers, and as many as one of `counts`."""
-        if any(isinstance(value, str) for value in words) or len(words) not in counts:
-            count_text = " or ".join(map(str, counts))
-            raise StatementError(f"{count_text} numbers are needed here", "Check the values behind /.")
-        return np.array(words, dtype=float)
-
     def _one_number(self, words: list[float | str], subject: str) -> float:
         numbers = [value for value in words if isinstance(value, float)]
         if not numbers:
@@ -425,8 +372,8 @@ class _Walk:
         return numbers[0]
 
     def _goto_odd(self, row: int, words: list[float | str]) -> None:
-        points = self._numbers(words, *((3, 6) if self.pending is None else range(3, 301, 3)))
-        if len(points) in (3, 6) and (len(points) == 3 or abs(norm(points[3:]) - 1.0) < _UNIT_LENGTH):
+        points = numbers_of(words, *((3, 6) if self.pending is None else range(3, 301, 3)))
+        if len(points) in (3, 6) and (len(points) == 3 or abs(norm(points[3:]) - 1.0) < UNIT_LENGTH):
             numbers = np.append(points, np.full(6 - len(points), np.nan))[None]
         elif self.pending is not None:
             numbers = np.hstack([points.reshape(-1, 3), np.full((len(points) // 3, 3), np.nan)])
@@ -441,16 +388,16 @@ class _Walk:
             raise StatementError(*cause.args[:2]) from cause
 
     def _step(self, row: int, words: list[float | str]) -> None:
-        step = self._numbers(words, 3) * self.unit
+        step = numbers_of(words, 3) * self.unit
         if not self.known:
             raise StatementError("GODLTA before the position is known", "Write RAPID and a GOTO before it.")
         self._guarded(np.array([row]), np.append((self.place + step) / self.unit, np.full(3, np.nan))[None])
 
     def _from(self, row: int, words: list[float | str]) -> None:
-        numbers = self._numbers(words, 3, 6)
+        numbers = numbers_of(words, 3, 6)
         place = numbers[:3] * self.unit
         if self.known:
-            if norm(place - self.place) > _NEAR_MM:
+            if norm(place - self.place) > NEAR_MM:
                 raise StatementError("FROM at another place than the tool", "Write RAPID and GOTO instead.")
             return
         self.rapid = True
@@ -460,7 +407,7 @@ class _Walk:
         machine = self.cell.machine
         if words:
             self.rapid = True
-            self._guarded(np.array([row]), np.append(self._numbers(words, 3), np.full(3, np.nan))[None])
+            self._guarded(np.array([row]), np.append(numbers_of(words, 3), np.full(3, np.nan))[None])
             return
         if machine.home_joints is None and machine.clearance_Z is None:
             advice = "Give [machine] home or clearance_Z in the cell."
@@ -480,7 +427,7 @@ class _Walk:
             self._retract(row, clearance)
 
     def _retract(self, row: int, clearance: float) -> None:
-        if self.place[2] >= clearance - _NEAR_MM:
+        if self.place[2] >= clearance - NEAR_MM:
             return
         if self.axis[2] < _LEVEL:
             raise StatementError("retract with a nearly horizontal tool", "Retract along the tool by GOTO before.")
@@ -529,11 +476,11 @@ class _Walk:
         if words not in ([], ["ON"], ["OFF"]):
             raise StatementError("MULTAX is not understood", "Write MULTAX/ON or MULTAX/OFF.")
         if words == ["OFF"] and self.system_of_file is None:
-            self.is_axis_open = bool(self.axis[2] < 1.0 - _UNIT_LENGTH**2)
+            self.is_axis_open = bool(self.axis[2] < 1.0 - UNIT_LENGTH**2)
 
     def _tool_axis(self, row: int, words: list[float | str]) -> None:
-        axis = self._numbers(words, 3)
-        if abs(norm(axis) - 1.0) > _UNIT_LENGTH:
+        axis = numbers_of(words, 3)
+        if abs(norm(axis) - 1.0) > UNIT_LENGTH:
             raise StatementError("the direction of the tool does not have length 1", "Check i, j, k.")
         del row
         self._point_along(axis / norm(axis))
@@ -545,73 +492,38 @@ class _Walk:
     def _circle(self, row: int, words: list[float | str]) -> None:
         turns = 1
         if words[-2:-1] == ["TIMES"]:
-            turns, words = self._times(words[-1]), words[:-2]
-        numbers = self._numbers(words, *((6, 7, 11) if turns == 1 else (11,)))
+            turns, words = turns_of(words[-1]), words[:-2]
+        numbers = numbers_of(words, *((6, 7, 11) if turns == 1 else (11,)))
         if len(numbers) == 6:
-            numbers = np.append(numbers, self._radius_from(numbers))
+            if not self.known:
+                raise StatementError(*UNKNOWN_START)
+            numbers = np.append(numbers, radius_from(numbers, self.place / self.unit))
         is_nx = len(numbers) == 11
         self._pend(row, numbers, is_right_hand=not is_nx, several=len(words) == 7, turns=turns - 1)
 
-    def _times(self, count: float | str) -> int:
-        """Return the number of turns of a helix, which is 1 for less than a whole one."""
-        if not isinstance(count, float) or count != int(count) or not 1.0 <= count <= _MOST_TURNS:
-            raise StatementError("TIMES is not a number of turns", _ARC_ADVICE)
-        return int(count)
-
-    def _radius_from(self, numbers: Array) -> float:
-        """Return the distance of the tool from the axis of an arc, in the unit of the file."""
-        if not self.known:
-            raise StatementError("arc before the position is known", "Write a GOTO before it.")
-        axis = numbers[3:6] / np.maximum(norm(numbers[3:6]), _UNIT_LENGTH)
-        return float(norm(np.cross(self.place / self.unit - numbers[:3], axis)))
-
     def _move_arc(self, row: int, words: list[float | str]) -> None:
-        if len(words) != 9 or words[7] != "ANGLE":
-            raise StatementError("MOVARC is not understood", "Write MOVARC/x,y,z,i,j,k,r,ANGLE,a.")
-        numbers = self._numbers([*words[:7], words[8]], 8)
-        if not 0.0 < numbers[7] <= 3600.0:
-            raise StatementError("the angle of the arc is not above zero", _ARC_ADVICE)
-        self._pend(row, numbers[:7], is_right_hand=True, angle=float(np.deg2rad(numbers[7])))
+        numbers, angle = stated_angle(words)
+        self._pend(row, numbers, is_right_hand=True, angle=angle)
 
     def _pend(self, row: int, numbers: Array, *, is_right_hand: bool, **properties: Any) -> None:
         """Keep a circle for the GOTO that follows."""
-        axis = numbers[3:6]
-        if abs(norm(axis) - 1.0) > _UNIT_LENGTH:
-            raise StatementError("the axis of the arc does not have length 1", "Check i, j, k.")
+        circle = circle_of(numbers, self.unit, is_right_hand=is_right_hand)
         if self.pending is not None or self.cycle is not None:
             raise StatementError("an arc where none is possible", "Write a GOTO for the end of the arc before.")
         if self.rapid:
-            raise StatementError("an arc in rapid", _ARC_ADVICE)
-        axis = axis / norm(axis) * (1.0 if is_right_hand else -1.0)
-        self.pending = _Pending(row, Circle(numbers[:3] * self.unit, axis, float(numbers[6]) * self.unit), **properties)
+            raise StatementError("an arc in rapid", ARC_ADVICE)
+        self.pending = PendingArc(row, circle, **properties)
 
     def _direction(self, row: int, words: list[float | str]) -> None:
         del row
-        self.leaving = self._numbers(words, 3)
+        self.leaving = numbers_of(words, 3)
 
     def _along(self, row: int, code: str) -> None:
         """Read TLON,GOFWD/(CIRCLE/x,y,z,r),ON,(LINE/…): an arc that leaves along INDIRV."""
         direction, self.leaving = self.leaving, None
-        flat = code.replace("(", "").replace(")", "").replace("CIRCLE/", "").replace("LINE/", "L,")
-        words = values(flat.removeprefix("CANON,"))
-        if direction is None or not code.startswith("(CIRCLE/") or "ON" not in words or "L" not in words:
-            raise StatementError("TLON is not understood", f"Only arcs along INDIRV are read. {_ARC_ADVICE}")
-        on, line = words.index("ON"), words.index("L")
-        if words[on + 1 : line] not in ([], [2.0, "INTOF"]):
-            raise StatementError("TLON is not understood", f"Only arcs along INDIRV are read. {_ARC_ADVICE}")
-        circle = self._numbers(words[:on], 4, 7) * self.unit
-        ends = self._numbers(words[line + 1 :], 6) * self.unit
-        if not self.known:
-            raise StatementError("arc before the position is known", "Write a GOTO before it.")
-        arc_circle = leaving(self.place, direction, circle[:3], float(circle[-1]))
-        if arc_circle is None or norm(ends[:3] - circle[:3]) > 1e-3:
-            raise StatementError("INDIRV, CIRCLE and LINE disagree", _ARC_ADVICE)
-        is_second_end = words[on + 1 : line] == [2.0, "INTOF"]
-        sweep = arc_circle.sweep(self.place, ends[3:])
-        if sweep < 2.0 * np.pi and (sweep > np.pi + 1e-6) != is_second_end and abs(sweep - np.pi) > 1e-3:
-            raise StatementError("the arc ends on the other side of its line", _ARC_ADVICE)
+        circle, end = arc_along(code, direction, self.place if self.known else None, self.unit)
         try:
-            self._turn(row, _Pending(row, arc_circle), ends[3:], self.axis)
+            self._turn(row, PendingArc(row, circle), end, self.axis)
         except StatementError as cause:
             raise StatementError(*cause.args[:2]) from cause
 
@@ -679,7 +591,7 @@ class _Walk:
         words = [value for value in words if value != "DWELL"]
         if "REV" in words:
             raise StatementError("DELAY in turns", "Give it in seconds.")
-        self._event(row, "dwell", float(self._numbers(words, 1)[0]))
+        self._event(row, "dwell", float(numbers_of(words, 1)[0]))
 
     def _stop(self, row: int, words: list[float | str]) -> None:
         del words
@@ -730,7 +642,7 @@ class _Walk:
         side = next((word for word in ("LEFT", "RIGHT") if word in words), None)
         if side is None and not wear:
             raise StatementError(*_COMPENSATION_FAULT)
-        self.compensation = _Compensation(row, 1.0 if side == "LEFT" else -1.0, is_centre=wear)
+        self.compensation = Compensation(row, 1.0 if side == "LEFT" else -1.0, is_centre=wear)
 
     def _end_compensation(self) -> None:
         """Check that the path since CUTCOM is that of the tool's centre."""
@@ -756,14 +668,14 @@ class _Walk:
     def _setup(self, row: int, words: list[float | str]) -> None:
         """Read the axes of a setup: rows of (3, 4), whose third column is the direction of the tool."""
         del row
-        rows = self._numbers(words, 12).reshape(3, 4)
-        if np.abs(rows[:, :3] @ rows[:, :3].T - np.eye(3)).max() > _UNIT_LENGTH:
+        rows = numbers_of(words, 12).reshape(3, 4)
+        if np.abs(rows[:, :3] @ rows[:, :3].T - np.eye(3)).max() > UNIT_LENGTH:
             raise StatementError("CSYS has no axes of length 1 at right angles", "Check its twelve numbers.")
         if not self.in_fixture and not np.array_equal(rows, np.eye(3, 4)):
             advice = "Let the CAM system write all coordinates in one system (TRNTYP/WORLD)."
             raise StatementError("CSYS without TRNTYP: the system of the coordinates is not known", advice)
         axis = rows[:, 2] / norm(rows[:, 2])
-        self.is_tilted_setup = bool(axis[2] < 1.0 - _UNIT_LENGTH**2)
+        self.is_tilted_setup = bool(axis[2] < 1.0 - UNIT_LENGTH**2)
         self._point_along(axis)
 
     def _mode(self, row: int, words: list[float | str]) -> None:
@@ -783,7 +695,7 @@ class _Walk:
     def _section_axes(self, row: int, words: list[float | str]) -> None:
         """Read the axes and the origin of a section of Autodesk: its coordinates are in them."""
         del row
-        if not np.array_equal(self._numbers(words, 12), np.append(np.eye(3), np.zeros(3))):
+        if not np.array_equal(numbers_of(words, 12), np.append(np.eye(3), np.zeros(3))):
             raise StatementError("MCS: the coordinates of this section are in axes of its own", COORDINATES_ADVICE)
 
     def _work_offset(self, row: int, words: list[float | str]) -> None:

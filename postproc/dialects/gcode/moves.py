@@ -1,4 +1,4 @@
-"""From lines to moves: modal state of all lines, then start and end of each move in its program frame.
+"""From lines to moves: start and end of each move in its program frame, from the words and modal state of its line.
 
 Lines between two changes of mode are processed together. Rapid moves are held back until X, Y and Z have all been
 programmed, and again after G28 for the axes that it sends home. With the place of `[machine] home` all are known: the
@@ -24,150 +24,17 @@ from msgspec import Struct
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from postproc.cell import Rotary
 from postproc.chunks import chunks, compact
 from postproc.dialects.gcode import codes
 from postproc.dialects.gcode.arcs import PLANE_AXES
 from postproc.dialects.gcode.cycles import DWELLING, Cycle, CycleEvent, Step
-from postproc.dialects.gcode.modes import MM_PER_UNIT, Modes, Origin, Return, dwell_time
+from postproc.dialects.gcode.line_states import LineStates, carried, in_force, taken
+from postproc.dialects.gcode.modes import Modes, Origin, Return, dwell_time
 from postproc.dialects.gcode.rotary import RotaryAxes
-from postproc.dialects.gcode.words import BlockError, Words
+from postproc.dialects.gcode.words import BlockError
 from postproc.errors import Level
-from postproc.frames import M_PER_MM, Array, any_column, inverse, norm, pose_from_xyzabc
+from postproc.frames import M_PER_MM, Array, any_column, inverse, pose_from_xyzabc
 from postproc.program import COMPONENTS, Bools, EventKind, Ints, constant
-
-
-class LineStates(Struct, frozen=True, eq=False):
-    """Words and modal state of each line, lengths in mm: XYZ, IJK (L, 3); all else (L,).
-
-    :param is_placed: whether X, Y or Z is programmed.
-    :param turns: P; for cycles a dwell.
-    :param named: whether the line itself has a motion code.
-    :param feed: [mm/min]; in G93 [1/min]. `rate`: F as written, in deg/min for rotary axes alone.
-    :param moving: lines that move by G0…G3; `drilling`: by a cycle.
-    :param rotary: (L, k) words of the rotary axes [deg].
-    :param tip: whether tool-centre-point control is on.
-    :param to_r: G99.
-    :param pecks: Q; `repeats`: L.
-    """
-
-    xyz: Array
-    is_placed: Bools
-    ijk: Array
-    radius: Array
-    turns: Array
-    motion: NDArray[np.int8]
-    named: Bools
-    feed: Array
-    rate: Array
-    plane: Array
-    units: Array
-    incremental: Bools
-    absolute_centre: Bools
-    moving: Bools
-    drilling: Bools
-    rotary: Array
-    tip: Bools
-    inverse_time: Bools
-    to_r: Bools
-    pecks: Array
-    repeats: Array
-
-
-def carried(values: Array, initial: float) -> Array:
-    """Return values (L,) with NaN replaced by the last value before, or by `initial`."""
-    filled_values = np.empty(len(values))
-    for part in chunks(len(values)):
-        part_values = np.append(initial, values[part])
-        last = np.maximum.accumulate(np.where(np.isnan(part_values), 0, np.arange(len(part_values))))
-        filled_values[part] = part_values[last[1:]]
-        initial = part_values[last[-1]]
-    return filled_values
-
-
-def in_force(changes: Sequence[tuple[int, float]], initial: float, rows: int) -> Array:
-    """Return the active value of each line (rows,), from changes (row, value) in order of rows."""
-    at = [0, *(row for row, _ in changes if row < rows), rows]
-    values = [initial, *(value for row, value in changes if row < rows)]
-    if len(set(values)) == 1:
-        return constant(initial, rows)
-    return np.repeat(np.array(values, dtype=float), np.diff(at))
-
-
-def taken(column: NDArray[Any], rows: Ints) -> NDArray[Any]:
-    """Return rows (n,) of a column; one of one value still takes no memory."""
-    if len(column) and column.strides[0] == 0:
-        return np.broadcast_to(column[0], (len(rows), *column.shape[1:]))
-    return np.asarray(column[rows])
-
-
-def line_states_of(words: Words, modes: Modes, rotary: Rotary | None) -> LineStates:
-    """Return words and modal state of all lines of a program."""
-    count = modes.rows
-    state = {group: in_force(modes.changes[group], valid[0], count) for group, valid in codes.GROUPS.items()}
-    inches = state["units"] == 20.0
-    factor = np.where(inches, MM_PER_UNIT[20.0], MM_PER_UNIT[21.0])[:, None] if inches.any() else None
-
-    def mm(group: str) -> Array:
-        group_words = words[group][:count]
-        return group_words if factor is None or not group_words.strides[0] else group_words * factor
-
-    xyz, ijk = mm("XYZ"), mm("IJK")
-    code = words.column("G")[:count]
-    motion = carried(code, codes.CANCEL_CYCLE).astype(np.int8)
-    circular = (motion == 2.0) | (motion == 3.0)
-    has_motion_code = ~np.isnan(code) & (code != codes.CANCEL_CYCLE)
-    if rotary is not None and rotary.kind == "vector":  # I, J, K of arcs are their centres
-        rotary_words = np.where(circular[:, None], np.nan, words["IJK"][:count])
-        length = norm(rotary_words)[:, None]  # NaN of an incomplete direction, which is an error like I0 J0 K0
-        rotary_words = np.divide(rotary_words, length, out=rotary_words, where=length > 0.0)
-        ijk = np.where(circular[:, None], ijk, np.nan)
-    else:
-        letters = [] if rotary is None else rotary.axes
-        rotary_words = (
-            np.stack([words.column(letter)[:count] for letter in letters], axis=1) if letters else np.zeros((count, 0))
-        )
-    has_position = any_column(~np.isnan(xyz))
-    axes = has_position | ~np.isnan(rotary_words).all(axis=1)
-    is_always_tip = rotary is None or not (rotary.tcp_on or any(on for _, on in modes.tip))
-    drilling = np.isin(motion, codes.CYCLES) & axes
-    moving = ~drilling & (axes | (circular & (has_motion_code | any_column(~np.isnan(ijk)))))
-    inverse_time = state["feed"] == 93.0
-    rate = carried(words.column("F")[:count], 0.0)
-    needs_conversion = factor is not None or inverse_time.any()
-    return LineStates(
-        xyz=xyz,
-        is_placed=has_position,
-        ijk=ijk,
-        radius=mm("R")[:, 0],
-        turns=words.column("P")[:count],
-        motion=motion,
-        named=has_motion_code,
-        feed=_feeds(mm("F")[:, 0], words.column("F")[:count], inverse_time) if needs_conversion else rate,
-        rate=rate,
-        plane=state["plane"],
-        units=state["units"],
-        incremental=state["distance"] == 91.0,
-        absolute_centre=state["centre"] == 90.1,
-        moving=moving,
-        drilling=drilling,
-        rotary=rotary_words,
-        tip=np.ones(count, dtype=bool) if is_always_tip else in_force(modes.tip, 0.0, count) > 0.0,
-        inverse_time=inverse_time,
-        to_r=state["retract"] == 99.0,
-        pecks=mm("Q")[:, 0],
-        repeats=words.column("L")[:count],
-    )
-
-
-def _feeds(mm: Array, words: Array, inverse_time: Bools) -> Array:
-    """Return the modal feed of each line [mm/min]; in G93 the feed of the line itself [1/min], or 0."""
-    if not inverse_time.any():
-        return carried(mm, 0.0)
-    is_after_g93 = np.append(False, inverse_time[:-1] & ~inverse_time[1:])  # the feed before G93 is not valid after it
-    plain = np.where(inverse_time, np.nan, np.where(is_after_g93 & np.isnan(mm), 0.0, mm))
-    return np.where(inverse_time, np.nan_to_num(words), carried(plain, 0.0))
-
 
 _FEWEST = 1e-6
 INDEX_STEP = 5.0

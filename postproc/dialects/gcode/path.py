@@ -25,17 +25,9 @@ from postproc.cell import Rotary
 from postproc.chunks import Runs, in_chunks
 from postproc.dialects.gcode.arcs import SAME_MM, ArcFault, Arcs, ArcWords, read_arcs
 from postproc.dialects.gcode.cycles import CycleEvent
+from postproc.dialects.gcode.line_states import LineStates, in_force, taken
 from postproc.dialects.gcode.modes import MM_PER_UNIT, Modes, tip_codes
-from postproc.dialects.gcode.moves import (
-    LEVEL,
-    CellFrames,
-    LineStates,
-    Moves,
-    below_top,
-    in_force,
-    moves_of,
-    taken,
-)
+from postproc.dialects.gcode.moves import LEVEL, CellFrames, Moves, below_top, moves_of
 from postproc.dialects.gcode.rotary import RotaryAxes, kind_faults
 from postproc.dialects.gcode.words import Fault
 from postproc.errors import MAX_ERRORS, Level

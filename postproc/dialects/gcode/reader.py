@@ -43,8 +43,9 @@ from postproc.dialects.dialect import CamFormat
 from postproc.dialects.gcode import words
 from postproc.dialects.gcode.codes import WORK_OFFSETS
 from postproc.dialects.gcode.execution import Executed, executed
+from postproc.dialects.gcode.line_states import line_states_of
 from postproc.dialects.gcode.modes import Modes, read_modes
-from postproc.dialects.gcode.moves import CellFrames, line_states_of
+from postproc.dialects.gcode.moves import CellFrames
 from postproc.dialects.gcode.path import CHORD, MotionPath, Speeds, read_path
 from postproc.dialects.gcode.rotary import RotaryAxes
 from postproc.dialects.gcode.survey import survey

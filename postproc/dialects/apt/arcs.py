@@ -1,0 +1,153 @@
+"""Arcs of a cutter-location file: circles of statements, and the arc from a place to a point on one.
+
+- ``CIRCLE/x,y,z,i,j,k,r`` turns right-handed about i, j, k. Source: PTC, Creo NC, "CL Output for Circular
+  Interpolation".
+- ``CIRCLE/x,y,z,i,j,k`` of SolidWorks CAM turns right-handed about i, j, k; the start gives the radius.
+- ``CIRCLE/x,y,z,i,j,k,r,t,f,d,e`` of Siemens NX turns *clockwise* about i, j, k (t, f: tolerances; d, e: the tool).
+  ``TIMES,n`` is a helix of n − 1 turns more than the arc to its end: in CLSF files with n of 2 and 3 all helices then
+  have the ramp angles 0.40° or 2.00°. Source: the NX documentation of the CLSF Manager, and CLSF files with rounded
+  corners.
+- ``MOVARC/x,y,z,i,j,k,r,ANGLE,a`` turns right-handed by a [deg]. Source: Autodesk's post "Common ISO 4343 APT".
+- ``INDIRV/i,j,k`` and ``TLON,GOFWD/(CIRCLE/x,y,z,r),ON,(LINE/…)`` of CATIA and Creo (APT_FORMAT) turn so that they
+  leave the start along i, j, k. The line leads from the centre to the end. ``ON,2,INTOF`` is the end
+  beyond half a turn.
+
+The end of an arc is that of the GOTO that follows, or of the line. Heights of start and end along the axis may differ:
+a helix.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from msgspec import Struct
+
+from postproc.dialects.apt.statements import NEAR_MM, UNIT_LENGTH, StatementError, numbers_of, values
+from postproc.dialects.circles import Circle, leaving
+from postproc.frames import Array, norm
+
+_MOST_TURNS = 10_000
+"""A helix of more turns would be kilometres long: a number that means something else."""
+_DIFFERENCE_MM = 0.1
+"""More than the last digits of an angle amount to at the end of an arc, and less than a whole turn."""
+_COINCIDENT_MM = 1e-3
+"""Centre of a circle and beginning of its line: the same digits."""
+ARC_ADVICE = "Let the CAM system write arcs as GOTO statements."
+UNKNOWN_START = ("arc before the position is known", "Write a GOTO before it.")
+
+
+class PendingArc(Struct, frozen=True, eq=False):
+    """A circle for the GOTO that follows.
+
+    :param several: whether more than one point may belong to the arc.
+    :param angle: stated angle of the arc [rad].
+    :param turns: whole turns in addition to the arc to its end.
+    """
+
+    row: int
+    circle: Circle
+    several: bool = False
+    angle: float | None = None
+    turns: int = 0
+
+    def sweep(self, place: Array, end: Array) -> float:
+        """Return the angle [rad] from a place (3,) to the end (3,) of the arc [mm].
+
+        :raises StatementError: start or end is not on the circle, or the stated angle leads to another end.
+        """
+        for name, point in (("start", place), ("end", end)):
+            fault = self.circle.fault_at(point)
+            if fault:
+                raise StatementError(f"the {name} of the arc is {fault}", "Check centre, radius and direction.")
+        sweep = self.circle.sweep(place, end) + 2.0 * np.pi * self.turns
+        if self.angle is None:
+            return sweep
+        full = round((self.angle - sweep) / (2.0 * np.pi)) * 2.0 * np.pi
+        if abs(sweep + full - self.angle) * self.circle.radius > _DIFFERENCE_MM or sweep + full <= 0.0:
+            degrees = f"{np.rad2deg(self.angle):.3f}° stated, {np.rad2deg(sweep):.3f}° to the end"
+            raise StatementError(f"the angle of the arc disagrees with its end: {degrees}", ARC_ADVICE)
+        return sweep + full
+
+
+def turns_of(count: float | str) -> int:
+    """Return the number of turns of a helix behind TIMES, which is 1 for less than a whole one."""
+    if not isinstance(count, float) or count != int(count) or not 1.0 <= count <= _MOST_TURNS:
+        raise StatementError("TIMES is not a number of turns", ARC_ADVICE)
+    return int(count)
+
+
+def radius_from(numbers: Array, place: Array) -> float:
+    """Return the distance of a place (3,) from the axis of an arc, in its unit; (6,): centre and direction."""
+    axis = numbers[3:6] / np.maximum(norm(numbers[3:6]), UNIT_LENGTH)
+    return float(norm(np.cross(place - numbers[:3], axis)))
+
+
+def circle_of(numbers: Array, unit: float, *, is_right_hand: bool) -> Circle:
+    """Return the circle of centre, axis and radius (7,).
+
+    :param unit: of centre and radius [mm].
+    """
+    axis = numbers[3:6]
+    if abs(norm(axis) - 1.0) > UNIT_LENGTH:
+        raise StatementError("the axis of the arc does not have length 1", "Check i, j, k.")
+    axis = axis / norm(axis) * (1.0 if is_right_hand else -1.0)
+    return Circle(numbers[:3] * unit, axis, float(numbers[6]) * unit)
+
+
+def stated_angle(words: list[float | str]) -> tuple[Array, float]:
+    """Return the circle (7,) of MOVARC as numbers, and its angle [rad]."""
+    if len(words) != 9 or words[7] != "ANGLE":
+        raise StatementError("MOVARC is not understood", "Write MOVARC/x,y,z,i,j,k,r,ANGLE,a.")
+    numbers = numbers_of([*words[:7], words[8]], 8)
+    if not 0.0 < numbers[7] <= 3600.0:  # up to ten turns
+        raise StatementError("the angle of the arc is not above zero", ARC_ADVICE)
+    return numbers[:7], float(np.deg2rad(numbers[7]))
+
+
+def arc_along(code: str, direction: Array | None, place: Array | None, unit: float) -> tuple[Circle, Array]:
+    """Return circle and end (3,) [mm] of TLON,GOFWD/(CIRCLE/x,y,z,r),ON,(LINE/…).
+
+    :param code: behind the slash of GOFWD.
+    :param direction: (3,) in which the arc leaves its start, of INDIRV.
+    :param place: (3,) where it starts [mm]; None if that is not known.
+    """
+    flat = code.replace("(", "").replace(")", "").replace("CIRCLE/", "").replace("LINE/", "L,")
+    words = values(flat.removeprefix("CANON,"))
+    advice = f"Only arcs along INDIRV are read. {ARC_ADVICE}"
+    if direction is None or not code.startswith("(CIRCLE/") or "ON" not in words or "L" not in words:
+        raise StatementError("TLON is not understood", advice)
+    on, line = words.index("ON"), words.index("L")
+    if words[on + 1 : line] not in ([], [2.0, "INTOF"]):
+        raise StatementError("TLON is not understood", advice)
+    centre = numbers_of(words[:on], 4, 7) * unit
+    ends = numbers_of(words[line + 1 :], 6) * unit
+    if place is None:
+        raise StatementError(*UNKNOWN_START)
+    circle = leaving(place, direction, centre[:3], float(centre[-1]))
+    if circle is None or norm(ends[:3] - centre[:3]) > _COINCIDENT_MM:
+        raise StatementError("INDIRV, CIRCLE and LINE disagree", ARC_ADVICE)
+    is_second_end = words[on + 1 : line] == [2.0, "INTOF"]
+    sweep = circle.sweep(place, ends[3:])
+    # a half circle, to a milliradian, and a whole one may be written either way
+    if sweep < 2.0 * np.pi and (sweep > np.pi + 1e-6) != is_second_end and abs(sweep - np.pi) > 1e-3:
+        raise StatementError("the arc ends on the other side of its line", ARC_ADVICE)
+    return circle, ends[3:]
+
+
+class Compensation(Struct, frozen=True):
+    """Statements between CUTCOM/LEFT or RIGHT and OFF.
+
+    :param side: 1 for LEFT, −1 for RIGHT.
+    :param is_centre: whether the path is known to be that of the tool's centre.
+    """
+
+    row: int
+    side: float
+    is_centre: bool
+
+    def shows_centre(self, circle: Circle, tool: Array, cutter_radius: float) -> bool:
+        """Return whether an arc proves that the path is that of the centre.
+
+        A control cannot follow a contour whose inside arc is smaller than the cutter, as lead-ins are.
+        """
+        is_inside = self.side * float(circle.axis @ tool) > 0.0
+        return is_inside and circle.radius < cutter_radius - NEAR_MM
