@@ -40,7 +40,7 @@ _LINE_OF_COMMENT = re.compile(r"\s*/?\s*(?:N\s*\d+)?\s*[(;]", re.IGNORECASE)
 _LONGEST_NAME = 60
 """More operations than this are remarks on single moves."""
 _PIECE = 2**20
-"""Characters of a text that are divided into lines at once."""
+"""Characters that are divided into lines at once: a text of 100 MB then needs no second copy of itself."""
 
 
 Names = Literal["all", "retracts", "none"]
@@ -167,17 +167,20 @@ def _starts(program: Program, names: Names) -> Iterator[tuple[int, str, int, int
 def _lines(program: Program, events: list[Event]) -> dict[int, str]:
     """Return the lines of some events, and those before them: number → text."""
     line_numbers = {line for event in events for line in (event.line - 1, event.line)}
-    numbered_lines = enumerate(_split(program.documents[0].text) if program.documents else (), start=1)
+    numbered_lines = enumerate(text_lines(program.documents[0].text) if program.documents else (), start=1)
     return {
         number: line for number, line in islice(numbered_lines, max(line_numbers, default=0)) if number in line_numbers
     }
 
 
-def _split(text: str) -> Iterator[str]:
-    """Yield the lines of a text; of a long one there are never all at once."""
+def text_lines(text: str, piece: int = _PIECE) -> Iterator[str]:
+    """Yield the lines of a text; of a long one there are never all at once.
+
+    :param piece: characters that are divided at once, and those up to the end of the line.
+    """
     start = 0
     while start < len(text):
-        stop = text.find("\n", start + _PIECE) + 1 or len(text)
+        stop = text.find("\n", start + piece) + 1 or len(text)
         yield from text[start:stop].splitlines()
         start = stop
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 import postproc
-from postproc.operations import of_motions, operations
+from postproc.operations import of_motions, operations, text_lines
 from tests.machining.setting import CELL, ROBOT
 from tests.places import SAMPLES
 
@@ -52,10 +52,13 @@ def test_names_and_tools(tmp_path, lines, expected):
     assert found(tmp_path, lines)[1] == expected
 
 
-@pytest.mark.parametrize("size", [1, 20])
-def test_names_do_not_depend_on_how_a_long_text_is_divided(tmp_path, monkeypatch, size):
-    monkeypatch.setattr("postproc.operations._PIECE", size)
-    assert found(tmp_path, FUSION)[1] == [("2D Adaptive1", 1), ("2D Contour2", 1), ("Drill3", 2)]
+@pytest.mark.parametrize("piece", [0, 1, 5, 20])
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_lines_do_not_depend_on_how_a_long_text_is_divided(piece, end):
+    text = end.join([*FUSION.split("|"), "", "last"])
+    assert list(text_lines(text, piece)) == text.split(end)
+    assert list(text_lines(text + end, piece)) == text.split(end)
+    assert list(text_lines("", piece)) == []
 
 
 def test_many_comments_within_cuts_name_nothing(tmp_path):

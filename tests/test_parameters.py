@@ -214,3 +214,13 @@ def test_a_covariance_that_none_can_be_is_refused(tmp_path, matrix, is_valid):
         return
     with pytest.raises(ModelError, match="not symmetric positive semidefinite"):
         robot.load(tmp_path / "arm")
+
+
+def test_the_size_of_the_compensator_moves_its_torque_at_a_constant_free_length():
+    """Derivatives of the energy of a spring of 1 N/m, by differences."""
+    law = Compensator(stiffness=1.2e5, free_length=0.458, L=0.18472, ax=0.68593, ay=0.1233)
+    q2, h = np.linspace(-2.3, 0.3, 14), 1e-4
+    low, middle, high = (replace(law, stiffness=1.0).energy(q2 + shift) for shift in (-h, 0.0, h))
+    gradient, stiffness = robot.CompensatorSize().effect(law, q2)
+    np.testing.assert_allclose(gradient, (high - low) / (2 * h), rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(stiffness, (high - 2 * middle + low) / h**2, rtol=1e-5, atol=1e-6)
