@@ -33,6 +33,7 @@ _CORRECTED_TWIST = 1e-9
 _OPEN_WAY = 0.2 * RAD_PER_DEG
 """Turns by 180° less this may become turns the other way by the correction, which turns the tool by less than that."""
 _HALF_TURN = 150.0 * RAD_PER_DEG
+"""A turn of A4 or A6 from [start] beyond this winds cables and hoses by about half a turn: worth a look."""
 _LIMIT_ROUNDING = 1e-9
 """Angles beyond a limit by less [rad] are at it: rounding of the inverse kinematics."""
 _START_DEPTH = 1e-3

@@ -179,6 +179,7 @@ _SHARE = 0.2
 _DECIMALS = 7
 """Decimals of positions [m] in the written text: on short arcs they turn the direction."""
 _STEPS = np.array([1.0, 2.0, 5.0])
+"""Digits of approximation distances: each is at least two fifths of the largest that is allowed."""
 
 
 class Corners(Struct, frozen=True):

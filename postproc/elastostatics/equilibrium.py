@@ -47,6 +47,7 @@ _SPRING_TOLERANCE = 3e-9
 _FIRST_RATIO = 0.02
 """Assumed ratio of the second step to the first; usable arms have a far smaller one."""
 _MAX_ITERATIONS = 40
+"""Usable arms need under ten, each step being at most a few hundredths of the one before: more is no convergence."""
 _NOT_FOUND = "equilibrium not found: check the payload, the forces and the robot model"
 _LARGEST_DEFLECTION = 0.1
 """Deflection of a spring [rad, m] beyond which the model is not valid: an error."""
@@ -55,6 +56,7 @@ _AT_TARGET = 1e-10
 _ORIENTATION_TOLERANCE = 1e-11
 """Largest angle between actual and target orientation [rad]; 1e-8 is needed."""
 _MOST_STEPS = 30
+"""Enough for a joint to turn by 6 rad in largest steps; Newton's method then squares the error with each."""
 _LARGEST_STEP = 0.2
 """Of a joint in one iteration [rad]."""
 

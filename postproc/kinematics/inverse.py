@@ -30,6 +30,7 @@ _ZERO = 1e-6
 _TIP_TOLERANCE = 1e-11
 """The tip is on its line within this [m]."""
 _ROUNDS = 12
+"""Newton steps: each squares the error, so that many are needed only next to singularities."""
 _PIECES = 8
 """Pieces of a motion at whose ends its rotation is measured."""
 _TRAVEL_FACTOR = 1.2

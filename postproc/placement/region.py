@@ -32,6 +32,7 @@ AXES = ("X", "Y", "Z", "A", "E1")
 _STATIONS = 120
 """Samples of all programs together that a place is judged by; the best place is judged by all."""
 _COARSE = {"X": 6, "Y": 6, "Z": 4, "A": 5, "E1": 4}
+"""Places along each axis of the coarse grid: 720 for X, Y, Z and A together."""
 _SLICE = 15
 """Places along each side of the finer slice."""
 _STARTS, _HALVINGS = 4, 5

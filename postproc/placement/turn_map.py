@@ -33,9 +33,11 @@ from postproc.toolpath import flange_from_tcp
 _BLOCK = 0.010
 """Shortest block of several motions [m]; the length of the path over `_MOST_BLOCKS` if that is longer."""
 _MOST_BLOCKS = 1000
+"""Most blocks of a path: time and memory of the map are in proportion to them."""
 _BINS = 6
 """Most bins of a block."""
 _MOST_BINS = 2500
+"""Most bins of all blocks together: each is solved for every turn of the tool."""
 _CHUNK = 4096
 """Samples solved together."""
 _MOST_POSES = 2500

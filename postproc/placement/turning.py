@@ -30,6 +30,7 @@ from postproc.under_load import RobotInCell
 
 Mode = Literal["best", "path"]
 _COARSE = 5.0 * RAD_PER_DEG
+"""Step of the turns in the first map, of the whole circle; `_FINE` covers a step to both sides."""
 _SAME_TURN = 1e-6
 """Turns [rad] and lengths [m] below this are none but for rounding."""
 _TILT_PROBLEM = (
@@ -41,6 +42,7 @@ _MARGIN_PRICE = 5e-5
 """Expected error [m] that a turn along the path must save to have no margin instead of a large one, less by e for each
 `_MARGIN_SCALE` of margin. Assumed: errors of mastering and of the place of the part take from it."""
 _MARGIN_SCALE = 10.0 * RAD_PER_DEG
+"""Assumed, as `_MARGIN_PRICE`: with three times this margin, more of it is worth a twentieth."""
 _LEVELS = tuple(np.array([30.0, 20.0, 12.0, 7.0, 4.0]) * RAD_PER_DEG)
 """Margins of joints, wrist and elbow at which a turn along the path is looked for, in addition to the least ones."""
 _ROUNDS = 8
@@ -48,6 +50,7 @@ _ROUNDS = 8
 _MAX_ROWS = 8
 """Samples of a bin of the map at which the bodies of an error are looked for."""
 _FINE = np.arange(-6.0, 7.0) * RAD_PER_DEG
+"""Offsets in the second map: a step of the first one to both sides, and 1° more."""
 _NO_OFFSET = np.zeros(1)
 """A map of one turn."""
 _MAX_SAMPLES = 4000
@@ -55,6 +58,7 @@ _MAX_SAMPLES = 4000
 _BRANCHES = 8
 """Shoulder, elbow and wrist have two each."""
 _LARGE_ANGLE = 100.0
+"""Stands for a pose that is not solved [rad]: beyond any A4 and A6, so that solved branches come first."""
 _MAX_POSES = 120
 """Samples at which branches are looked at for collisions."""
 _DECIMALS = 4
