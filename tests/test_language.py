@@ -70,7 +70,7 @@ def test_a_plan_for_an_arm_that_does_not_read_krl_has_no_krl_and_says_so(tmp_pat
     (tmp_path / "tests.csv").write_text("A1,A2,A3,A4,A5,A6,Fx,Fy,Fz\n0,-70,110,0,50,0,100,50,300\n")
     made = invoke(
         "plan", "--experiment", tmp_path / "experiment.toml", "--cell", ABB, "--poses", tmp_path / "tests.csv",
-        "--configurations", 4, "--q2-levels", 2, "--test-poses", 1, "-o", tmp_path / "plan.csv",
+        "--configurations", 3, "--q2-levels", 1, "--test-poses", 1, "-o", tmp_path / "plan.csv",
     )  # fmt: skip
     assert made.exit_code == 0, made.output
     assert "no plan.src: the controller of ABB IRB 6700-200/2.60 reads rapid" in made.stderr

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from postproc import robot
+from tests.commands import invoke
 from tests.oracle.arm import Arm, abc
 from tests.places import SAMPLES
 from tests.testpart import demo as demo_part
@@ -96,6 +97,20 @@ def test_the_part_of_the_demo_is_the_one_that_the_command_chooses(folder):
         for path in (written / "probing.csv", shipped / "probed.csv")
     ]
     assert points[0] == points[1]
+
+
+def test_a_part_with_a_weight_stops_for_it(folder, tmp_path):
+    written = folder / "testpart_weight"
+    assert (written / "testpart.nc").read_text().count("M0\n") == 3
+    assert (written / "testpart.src").read_text().count("HALT") == 4  # one is the tool change
+    assert (written / "probing.csv").read_text().splitlines()[-1].endswith(",20")
+    page = (written / "testpart.html").read_text()
+    assert "the weight on the tool leaves" in page
+    assert "hang 20 kg on the tool" in page
+    cell = folder / "samples" / "demo" / "cell.toml"
+    converted = invoke("convert", written / "testpart.nc", "--nominal", "-o", tmp_path, cell=cell)
+    notes = [line for line in converted.output.splitlines() if "info:" in line]
+    assert [note for note in notes if "The first move begins below the first target" not in note] == []
 
 
 def test_the_readings_are_those_of_the_simulator(tmp_path, monkeypatch):

@@ -11,9 +11,7 @@ from postproc.testpart import design, probing
 from postproc.testpart.cut import Clamped, CutForces, surfaces
 from postproc.testpart.linear import linearised
 from postproc.testpart.readings import Readings
-from tests.commands import invoke, run
 from tests.oracle.whole_arm import WholeArm
-from tests.places import SAMPLES
 from tests.testpart import trial
 
 MASS = 30.0
@@ -123,19 +121,3 @@ def test_a_weight_on_a_touch_off_point_is_refused(part):
     (part.folder / "wrong.csv").write_text("\n".join(rows) + "\n")
     with pytest.raises(MeasurementError, match=r"T01\.top is no point of the top"):
         probing.read(part.folder / "wrong.csv")
-
-
-def test_the_command_writes_stops_for_the_weight(tmp_path):
-    (tmp_path / "process.toml").write_text(trial.process_text(BLOCK, 1.0))
-    given = ["--cell", str(SAMPLES / "cell_kr270.toml"), "--process", str(tmp_path / "process.toml")]
-    done = run("testpart", *given, "--features", "2", "--depth", "3", "--weight", "20", "-o", tmp_path / "out")
-    assert "the weight on the tool leaves" in done.output
-    assert (tmp_path / "out" / "testpart.nc").read_text().count("M0\n") == 3
-    assert (tmp_path / "out" / "testpart.src").read_text().count("HALT") == 4  # one is the tool change
-    assert (tmp_path / "out" / "probing.csv").read_text().splitlines()[-1].endswith(",20")
-    page = (tmp_path / "out" / "testpart.html").read_text()
-    assert "the weight on the tool leaves" in page
-    assert "hang 20 kg on the tool" in page
-    converted = invoke("convert", tmp_path / "out" / "testpart.nc", *given[:2], "--nominal")
-    notes = [line for line in converted.output.splitlines() if "info:" in line]
-    assert [note for note in notes if "The first move begins below the first target" not in note] == []
