@@ -32,7 +32,7 @@ from postproc.dialects.krl.read import flow
 from postproc.dialects.text import decode
 from postproc.errors import PostprocError
 from postproc.frames import pose_from_xyzabc, xyzabc_from_pose
-from postproc.program import CIRC, LIN, PTP
+from postproc.program import CIRC, LIN, PTP, SPL
 from tests.attack.krl_generator import Generator
 from tests.attack.krl_interpreter import MOST_STEPS, Controller, Invalid, Unsaid, shown
 from tests.attack.krl_snippets import GIVEN, Snippets
@@ -42,7 +42,7 @@ from tests.oracle.arm import abc
 from tests.oracle.krl_grammar import check, takes
 
 flow._MOST_TRACED = flow._MOST_STATEMENTS = 10_000
-KINDS = {"LIN": LIN, "PTP": PTP, "CIRC": CIRC}
+KINDS = {"LIN": LIN, "PTP": PTP, "CIRC": CIRC, "SPL": SPL}
 FRAMES = {1: (900, 50, 600, 0, 0, 10), 2: (1000, 0, 500, 5, 0, 0), 3: (1200, 100, 650, 30, 0, 0)}
 TOOLS = {1: (0, 0, 200, 0, 0, 0), 2: (20, 0, 280, 0, 90, 0)}
 RUNS, MOST_RUNS = 3, 30
@@ -213,7 +213,7 @@ def moved(program, rng):
     count = len(m)
     shift = rng.uniform(-2e-3, 2e-3, (count, 3)) * (rng.random(count) < 0.8)[:, None]
     pieces = {row: rng.uniform(0.1, 0.9, 1).round(3) for row in np.flatnonzero(rng.random(count) < 0.25)}
-    pieces = {row: t for row, t in pieces.items() if m.kind[row] != PTP}
+    pieces = {row: t for row, t in pieces.items() if m.kind[row] not in (PTP, SPL)}
     if branching(program):
         shift[:] = shift[0]  # branches meet
     wanted = targets(program, shift, pieces=pieces)

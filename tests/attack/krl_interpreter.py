@@ -1073,6 +1073,8 @@ class Controller:
     def moved(self, word, file, number, line):
         reader = Reader(line)
         reader.take(word)
+        if reader.peek() in ("$POS_ACT", "$AXIS_ACT") and reader.at + 1 == reader.count:
+            return  # where it is
         via = None
         if word in ("CIRC", "SCIRC"):
             via = self.target(self.sign(reader))[:3]

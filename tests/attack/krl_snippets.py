@@ -95,6 +95,9 @@ IMPOSSIBLE = (
     "$BASE=XHOME",
     "$BASE=EK(MACHINE_DEF[2].ROOT,MACHINE_DEF[2].MECH_TYPE,{X 0})",
     "$BASE.W=3",
+    "$BASE=SBASE(GONE())",
+    "$TOOL=STOOL2(I+GONE())",
+    "$TOOL={X 99999,Y 1,Z 2,A 3,B 4,C 5}",
     "$TECH[1].MODE=#CYCLE",
     "ANIN ON $VEL.CP=0.1*$ANIN[1]+0",
     "PARK",
@@ -547,6 +550,7 @@ class Snippets(Generator):
         target = self.one("$IN[1]", "$IN[I]", "$FLAG[3]")
         on = f"INTERRUPT ON {number}"
         choice = int(self.rng.integers(33))
+        choice = 23 if kind in ("INT", "BOOL") and self.maybe(0.05) else choice
         if choice == 32 and kind in ("INT", "E6POS"):
             array = {"INT": "N", "E6POS": "P"}[kind]
             self.routines.append([f"DEF {routine}(A:OUT)", f"DECL {kind} A", f"A={value}", "END"])
@@ -659,7 +663,8 @@ class Snippets(Generator):
             return [f"{name}={self.one(small, f'({large}{sign}{round(float(large))}.0)')}"]
         if choice == 24:
             label = self.new("L")
-            return [f"IF {target} THEN", f"GOTO {label}", "ENDIF", write, f"{label}:"]
+            skipped = self.one([write], ["I=I", write], [write, f"LIN {self.literal('E6POS')}"])
+            return [f"IF {target} THEN", f"GOTO {label}", "ENDIF", *skipped, f"{label}:"]
         if choice == 25 and kind in ("E6POS", "FRAME"):
             return [f"{name}={{X 5,Y 7}}"]
         if choice == 26:
@@ -758,6 +763,9 @@ class Snippets(Generator):
             [f"{self.moving('E6POS', 'A.X=A.X+1', 'LIN A')}({name})"],
             ["SPLINE", f"SLIN {name}", f"S{there}", "ENDSPLINE"],
             [f"CIRC {{X 50.5,Y 60,Z 70}},{name}{tail}", end],
+            ["SPLINE", f"SPL {name}", self.one("SPL XB", f"S{there}", "STOP WHEN PATH=0 IF $IN[1]"), "ENDSPLINE", end],
+            ["SPLINE", "CONST_VEL START=1", f"SLIN {name}", f"S{there}", "CONST_VEL END=-1", "ENDSPLINE"],
+            [f"LIN {name}", self.one("LIN $POS_ACT", "PTP $POS_ACT"), end],
         )
 
     def moving(self, kind, *body):
@@ -799,6 +807,7 @@ class Snippets(Generator):
             [f"$BASE={self.value('FRAME')}", f"$BASE.{self.one('X', 'Y', 'Z')}={real}"],
             ["$BASE=BASE_DATA[2]", "BASE_DATA[2].X=950.5"],
             [f"$BASE=SBASE({number})", f"$TOOL=STOOL2({frames})"],
+            [f"$BASE=SBASE({frames})", f"$TOOL=STOOL2({self.one(frames, '2')})"],
             [f"$VEL=SVEL_CP({self.literal('REAL')},,{data})"],
             [f"$APO=SAPO({data})"],
             [f"$ORI_TYPE={self.one('#VAR', 'SORI_TYP(LA)', '#JOINT')}"],
@@ -959,13 +968,37 @@ class Snippets(Generator):
             lambda _: [self.one(*IMPOSSIBLE)],
             lambda _: [self.one(*IMPOSSIBLE)],
             lambda _: ["$APO.CDIS=-1", f"{there} C_DIS"],
+            lambda _: [f"SN.I.F={self.one('{X 5,Y 6}', '{Z 7}')}", self.one("LIN SN.I.F", "$BASE=SN.I.F")],
+            lambda _: [self.one("$IPO_MODE=#TCP", "$IPO_MODE=GONE()", "BAS(#BASE,9)", "BAS(#TOOL,GONE())")],
             lambda _: [f"FOR {self.one('I=1 TO 3 STEP 0', 'SX.N=1 TO 2', 'I=1', '1 TO 2')}", there, "ENDFOR"],
             lambda _: ["SPLINE", self.one(there, "SPTP XA", "SPLINE", "$VEL.CP=0.4"), spline, "ENDSPLINE"],
             lambda _: ["PTP_SPLINE", self.one("SPTP XA", spline), "ENDSPLINE"],
             lambda _: ["SPLINE", spline, self.one("ENDSPLINE FAST", "LIN XB", "ENDIF")],
+            self.impossible_structure,
+            self.impossible_structure,
+            self.impossible_structure,
             lambda _: [self.one("WHILE I<2", "IF I==1 THEN", "LOOP"), "I=I+1", there],
         )
         return [*wrong(there), there]
+
+    def impossible_structure(self, there):
+        """A loop or a branch around motions that cannot be followed, or a jump into one."""
+        label, real = self.new("L"), self.variable("REAL")
+        return self.one(
+            [f"FOR {real}=1 TO 2", there, "ENDFOR"],
+            [f"FOR I=1 TO {self.one('R[3]', '2.5')}", there, "ENDFOR"],
+            ["FOR I=1 TO J", "J=3", there, "ENDFOR"],
+            [f"{label}:", there, "IF J==2 THEN", f"GOTO {label}", "ENDIF"],
+            ["FOR I=1 TO 2", "LOOP", there, "ENDLOOP", "ENDFOR"],
+            [f"GOTO {label}", "FOR I=1 TO 2", f"{label}:", there, "ENDFOR"],
+            ["FOR I=1 TO 2", f"GOTO {label}", f"{label}:", there, "ENDFOR"],
+            ["SWITCH I", "CASE", there, "ENDSWITCH"],
+            ["IF 1<J<3 THEN", there, "ENDIF"],
+            ["IF J==2==TRUE AND SX.B THEN", there, "ENDIF"],
+            ["WHILE J==2", there, "ENDWHILE"],
+            ["IF $IN[1] THEN", there, "IF $IN[2] THEN", f"GOTO {label}", "ENDIF", "ENDIF", there, f"{label}:"],
+            ["IF $IN[1] THEN", there, f"GOTO {label}", "I=1", "ENDIF", there, f"{label}:"],
+        )
 
     def moving_event(self, there):
         """An interrupt or a trigger that moves the robot."""
@@ -1063,6 +1096,25 @@ class Snippets(Generator):
             [f"{routine}()", f"{counter}=1", there, *loop],
         ]
 
+    def plain_loop(self):
+        """A loop over points, of the kind that may be read at once."""
+        counter, end = self.variable("INT", "0"), self.one("2", "3", "4", "J")
+        change = self.one([], [], [f"P[2]={self.literal('E6POS')}"], [f"P[J].X={self.literal('REAL')}"], ["R[2]=0.9"])
+        trigger = f"TRIGGER WHEN DISTANCE=0 DELAY=0 DO {self.one('$OUT[2]=TRUE', 'I=I', 'R[2]=0.5')}"
+        setting = self.one(
+            [], [f"$VEL.CP=R[{counter}]"], ["$VEL.CP=0.3"], ["$APO.CDIS=2.5"], [trigger], ["$OUT[2]=TRUE"]
+        )
+        move = self.one(
+            f"LIN P[{counter}]",
+            f"LIN P[{counter}] C_DIS",
+            f"LIN P[{counter}+1]",
+            f"LIN {{X {counter}*5,Y 1,Z 2,A 3,B 4,C 5}} C_DIS",
+            f"LIN {{X 90*COS({counter}*30),Y R[J],Z 2,A 3,B 4,C 5}}",
+        )
+        twice = self.one([], [f"LIN {{X 7,Y {counter},Z 2,A 3,B 4,C 5}}"])
+        head = f"FOR {counter}={self.one('1', '1', 'I')} TO {end if '+' not in move else '3'}"
+        return [*change, head, *setting, move, *twice, "ENDFOR", f"LIN P[{self.one('2', counter + '-1')}] C_DIS"]
+
     def branches(self):
         """Branches of which it is not known which runs, and that meet in one pose."""
         meet, other = (f"LIN {self.literal('E6POS')}" for _ in range(2))
@@ -1078,7 +1130,29 @@ class Snippets(Generator):
             [f"IF {target} THEN", f"{routine}()", "ELSE", *first, "ENDIF"],
             [f"IF {target} THEN", "IF $IN[7] THEN", *first, "ELSE", meet, "ENDIF", "ELSE", meet, "ENDIF"],
             [meet, f"IF {target} THEN", f"GOTO {label}", "ENDIF", *first, f"{label}:"],
+            [f"{label}:", meet, f"IF {target} THEN", f"GOTO {label}", "ENDIF"] if self.keep else [meet],
+            self.left_in_branch(target, first, meet),
+            *self.branches_with_settings(target, other, meet),
+            *self.branches_with_settings(target, other, meet),
         )
+
+    def branches_with_settings(self, target, other, meet):
+        """Branches that set frames or speeds for their motions, and what holds behind them."""
+        chosen = self.one("$BASE=BASE_DATA[2]", "BAS(#BASE,3)", "$TOOL=TOOL_DATA[2]", "$VEL.CP=R[1]", "$APO.CDIS=R[J]")
+        other = f"{other} C_DIS"
+        behind = ["$BASE=BASE_DATA[1]", "$TOOL=TOOL_DATA[1]", "$VEL.CP=R[2]", "$APO.CDIS=2.0"]
+        return [
+            [*behind, meet, f"IF {target} THEN", chosen, other, other, *behind, meet, "ENDIF", f"{meet} C_DIS"],
+            [*behind, f"IF {target} THEN", other, *behind, meet, "ELSE", chosen, other, *behind, meet, "ENDIF", meet],
+            [f"IF {target} THEN", chosen, other, *behind, meet, "ELSE", other, *behind, meet, "ENDIF", meet],
+        ]
+
+    def left_in_branch(self, target, first, meet):
+        """A routine that may return in one of its branches."""
+        routine = self.new("SUB")
+        branch = self.one([f"IF {target} THEN", "RETURN", "ENDIF"], [f"IF {target} THEN", *first, "RETURN", "ENDIF"])
+        self.routines.append([f"DEF {routine}()", *self.one([], [meet]), *branch, *first, "END"])
+        return [meet, f"{routine}()"]
 
     # --- programs ------------------------------------------------------------------------------------------------
 
@@ -1088,7 +1162,9 @@ class Snippets(Generator):
             return self.synchronised()
         if choice < 0.045 and not self.keep:
             return self.kept_file(f"LIN {self.literal('E6POS')}")
-        if choice < 0.22:
+        if choice < 0.075:
+            return self.plain_loop()
+        if choice < 0.23:
             return self.setting()
         if choice < 0.27:
             return self.branches()
@@ -1127,7 +1203,12 @@ class Snippets(Generator):
         """Files of the program's folder: name → text."""
         head = self.one("DEF part()", "DEF part()", "DEF part()", "DEF part(GIVENN:IN)", "DEF part(GIVENX:IN)")
         main = [head, *(f"DECL INT {name}" for name in ("GIVENN", "GIVENX") if name in head)]
+        if self.maybe(0.05):
+            main.append("DECL INT COUNT=2")
+            self.data.append("DECL INT COUNT=4")
         body = ["BAS(#INITMOV,0)"] if self.maybe(0.8) else []
+        body += ["PTP $AXIS_ACT"] if self.maybe(0.05) else []
+        body += ["LIN P[COUNT]"] if "DECL INT COUNT=2" in main else []
         if self.maybe(0.15):
             kind = self.one("INT", "REAL", "E6POS")
             name = {"INT": "J", "REAL": "RL", "E6POS": "XB"}[kind]
