@@ -47,6 +47,11 @@ REFUSED = {
         "between SYNCCMD (line 8) and SYNCCMD (line 8)",
     ),
     "an endless loop": ([lin("1.0"), "LOOP", lin(2), WAIT, lin(1), "ENDLOOP"], (6, 8), "between SYNCCMD"),
+    "an endless loop behind another": (
+        [lin(1), WAIT, lin(3), "LOOP", lin(2), WAIT, lin(3), "ENDLOOP"],
+        (6, 8, 10),
+        "between SYNCCMD (line 5)",
+    ),
     "routines": (
         [lin(1), "MEET()", lin(2), "MEET()", lin(3), *routine("MEET", WAIT)],
         (6,),

@@ -138,7 +138,7 @@ def _synchronised(main: MainRoutine, line: Ints) -> Iterator[tuple[int, ProgramE
     if not waits:
         sections.append((last, len(source.starts) + 1, f"behind SYNCCMD ({source.origin(last)})"))
     for begin, end, section_text in sections:
-        for row in np.flatnonzero((line > begin) & (line < end)).tolist():
+        for row in np.flatnonzero((line > begin) & (line <= end)).tolist():  # the motion before a LOOP too
             problem = f"the motion is {section_text}: another robot may move in time with it"
             yield row, source.line_error(problem, int(line[row]), _SYNC_ADVICE)
 
