@@ -47,7 +47,9 @@ from postproc.machining.stock import SLOPE, Stock, between_cells
 from postproc.machining.tool import Turn
 
 _NO_CONTACT = 1e-6
-"""Engaged edge lengths below this [m] are rounding errors."""
+"""Engaged edge lengths below this [m] are rounding errors,"""
+_NO_CHIP = 1e-12
+"""and changes of the chip along a piece of edge below this [m]."""
 
 
 class Engaged(Struct, frozen=True, eq=False):
@@ -83,15 +85,17 @@ def engaged(stock: Stock, turn: Turn, x: Floats, y: Floats, tip: Floats, descent
         in_part = _has_partly_cut(stock, corners)
         on_floor = float(tip.min()) < stock.ground
         if turn.round.start < end:
-            level = _levels(stock, corners, turn.round, z, in_part, on_floor)
+            low, rise = turn.low[turn.round], turn.rise[turn.round]
+            level, coverage = _levels(stock, corners, turn.round, z + low, in_part, on_floor)
             level -= z
-            level -= turn.low[turn.round]
-            rise = turn.rise[turn.round]
+            level -= low
             height = np.minimum(np.maximum(level, 0.0, out=level), rise, out=level)
             if on_floor:
                 floor = stock.floor.reshape(-1).take(corners.cell[0][:, turn.round]) - z
-                height -= np.minimum(np.maximum(floor - turn.low[turn.round], 0.0), rise)
+                height -= np.minimum(np.maximum(floor - low, 0.0), rise)
                 np.maximum(height, 0.0, out=height)
+            if coverage is not None:
+                height *= coverage
             length[:, turn.round] = height * (turn.length[turn.round] / rise)
         if turn.bottom.start < turn.bottom.stop:
             depth = np.maximum(descent, np.float32(1e-7))[:, None]
@@ -187,30 +191,50 @@ def _cylinder(stock: Stock, nearest: NDArray[np.int32], tip: Floats, start: np.f
     return height, np.float32(0.5) * moment
 
 
-def _levels(stock: Stock, corners: Corners, pieces: slice, z: Floats, in_part: bool, on_floor: bool) -> Floats:
-    """Return the level of the surface at each point between the four cells around it, not below the tip."""
+def _levels(
+    stock: Stock, corners: Corners, pieces: slice, z: Floats, in_part: bool, on_floor: bool
+) -> tuple[Floats, Floats | None]:
+    """Return the level of the surface at each point between the four cells around it, and its coverage by material.
+
+    Cells far below the point are beyond a wall, or out of the stock: they have no part in the level, and are not
+    covered. Cells that are less deep are the slope of one surface.
+
+    :param z: (n, P) heights of the points [m].
+    :returns: levels (n, P) [m], and shares 0 … 1 (n, P); None where all are 1.
+    """
     high, low, share, floor = (values.reshape(-1) for values in (stock.high, stock.low, stock.share, stock.floor))
     slopes = _slopes(stock, corners, pieces)
-    levels, planes, weights = [], [], [weight[:, pieces] for weight in corners.weight]
+    bottom = z - np.float32(_WALL * stock.cell)
+    levels, planes, weights, is_covered = [], [], [weight[:, pieces] for weight in corners.weight], True
     for k, cell in enumerate(corners.cell):
         at = cell[:, pieces]
-        top = high.take(at)
-        level = np.maximum(top, z)
+        level = high.take(at)
+        covered = level > bottom
         if on_floor:
-            empty = top <= floor.take(at)
-            np.copyto(level, np.broadcast_to(z, level.shape), where=empty)
+            covered &= level > floor.take(at)
         if in_part:
             part = share.take(at)
             if part.any():
-                level += part * (np.minimum(np.maximum(low.take(at), z), level) - level)
+                lower = np.minimum(low.take(at), level)
+                is_step = lower > bottom
+                level = level + np.where(is_step, part * (lower - level), np.float32(0.0))
+                covered = covered * np.where(is_step, np.float32(1.0), 1 - part)
+        plane = level + slopes[k] if slopes else level
+        if not covered.all():
+            is_covered = False
+            weights[k] = weights[k] * covered
+            level, plane = (np.where(covered > 0, values, np.float32(_HIGH)) for values in (level, plane))
         levels.append(level)
-        if slopes:
-            planes.append(np.maximum(level + np.where(top > z, slopes[k], np.float32(0.0)), z))
+        planes.append(plane)
+    coverage = None
+    if not is_covered:
+        coverage = np.asarray((weights[0] + weights[1]) + (weights[2] + weights[3]), np.float32)
+        scale = np.asarray(1 / np.maximum(coverage, np.float32(1e-6)), np.float32)
+        weights = [weight * scale for weight in weights]
     if slopes:
-        return between_cells(levels, planes, weights)
-    for level, weight in zip(levels, weights, strict=True):
-        level *= weight
-    return np.asarray((levels[0] + levels[1]) + (levels[2] + levels[3]))
+        return between_cells(levels, planes, weights), coverage
+    products = [weight * level for weight, level in zip(weights, levels, strict=True)]
+    return np.asarray((products[0] + products[1]) + (products[2] + products[3])), coverage
 
 
 def _slopes(stock: Stock, corners: Corners, pieces: slice) -> list[Floats]:
@@ -235,10 +259,14 @@ _LEVEL = 1e-3
 """Sine of the angle to the level below which a cut is level."""
 _POINT = 0.5 / 1.3
 """Feed forces of drills differ from the computed one by this share at most, either way: by chisel edge and thinning."""
-BY_CELLS = 0.34
+BY_CELLS = 0.2
 """Standard deviation of a force by the cells of the map, as a share of it, times √n: n is the area of the front of the
-tool in material in cells. Set by thin passes of balls R3: 94 to 96 % of errors are inside at the cells that the map
-gets by itself (`python -m tests.benchmarks.fronts`). With n the error falls more slowly, as its cube root does."""
+tool in material in cells. The RMS error of balls against exact fronts is 0.06 to 0.12 of 1/√n, for n from 4 to 590,
+cells of 0.15 to 0.4 mm, depths of 0.1 to 1 mm; some surfaces have more (`python -m tests.benchmarks.fronts`)."""
+_WALL = 3.0
+"""Cells that are lower than a point by this many widths are beyond a wall: slopes of the map are at most as steep."""
+_HIGH = 1e3
+"""Level of cells that do not count [m]."""
 _ONE_THREAD = 200_000
 """Products below which OpenBLAS keeps to one thread (its limit is 2^18)."""
 
@@ -259,35 +287,66 @@ class Loads(Struct, frozen=True, eq=False):
     removal: Array
 
 
-def chips(turn: Turn, feed: Floats, descent: Floats) -> Floats:
-    """Return the chip thickness (n, P) [m]: feed per tooth along x (n,) and down (n,) [m]."""
-    chip = feed[:, None] * turn.front
-    chip += descent[:, None] * turn.axial
-    return np.asarray(np.maximum(chip, 0.0, out=chip))
+class Chips(Struct, frozen=True, eq=False):
+    """Chips of the pieces of edge at n stations.
+
+    :param thickness: (n, P) mean over the part of the piece that moves into the material [m].
+    :param share: (n, P) of the piece that this part is, 0 … 1.
+    """
+
+    thickness: Floats
+    share: Floats
+
+    @classmethod
+    def of(cls, turn: Turn, middle: Floats, change: Floats) -> Chips:
+        """Return chips that are linear along each piece.
+
+        Without the shares, a ring of a round near its lowest point would cut along half of its circle on a level path
+        and suddenly along all of it on a slope as steep as the ring: forces then jump by those of a ring.
+
+        :param middle: (n, P) thickness in the middle of pieces [m], < 0 where they move away from the material.
+        :param change: (n, Q) thickness at an end of pieces of the round, less that in the middle [m].
+        """
+        share = np.asarray(middle > 0.0, np.float32)
+        thickness = np.maximum(middle, 0.0)
+        change = np.maximum(np.abs(change), np.float32(_NO_CHIP))
+        of_round = middle[:, turn.round]
+        share[:, turn.round] = np.clip(0.5 + 0.5 * of_round / change, 0.0, 1.0)
+        thickness[:, turn.round] = np.maximum(thickness[:, turn.round], 0.5 * (of_round + change))
+        thickness *= share > 0.0
+        return cls(thickness, share)
 
 
-def mean(turn: Turn, engagement: Engaged, chip: Floats, descent_sine: Floats, cell: float | Array) -> Loads:
+def chips(turn: Turn, feed: Floats, descent: Floats) -> Chips:
+    """Return the chips: feed per tooth along x (n,) and down (n,) [m]."""
+    middle = feed[:, None] * turn.front
+    middle += descent[:, None] * turn.axial
+    tangent = turn.tangent[turn.round]
+    return Chips.of(turn, middle, feed[:, None] * tangent[:, 0] - descent[:, None] * tangent[:, 2])
+
+
+def mean(turn: Turn, engagement: Engaged, chip: Chips, descent_sine: Floats, cell: float | Array) -> Loads:
     """Return mean loads.
 
-    :param chip: (n, P) from `chips`.
+    :param chip: from `chips`.
     :param descent_sine: (n,) sine of the angle by which the feed goes down, 0 … 1: this share of the rubbing of the end
         face counts. On level cuts published coefficients contain it, on a plunge it acts in full; between, it is
         not known how much of the face rubs: anything from this share to all of it is taken for as likely.
     :param cell: width of a cell of the map [m], or (n,) of what a cell is on the surface of the tool.
     """
-    cutting = engagement.length * turn.law.chip(chip)
-    rubbing = engagement.length * (chip > 0.0)
+    rubbing = engagement.length * chip.share
+    cutting = rubbing * turn.law.chip(chip.thickness)
     patch = (turn.radius * turn.width.astype(np.float32))[:, None]
     area = times(rubbing, patch)[:, 0].astype(float)
+    removal = times(rubbing * chip.thickness, patch)[:, 0]
     rest = np.where(descent_sine > _LEVEL, 1.0 - descent_sine, 0.0)[:, None] * rubbing[:, turn.bottom]
     rubbing[:, turn.bottom] *= descent_sine[:, None]
     wrench = (times(cutting, turn.cut) + times(rubbing, turn.rub)).astype(float)
-    thin = chip[:, turn.side]
+    thin = chip.thickness[:, turn.side]
     push = times(engagement.moment * turn.law.chip(thin), turn.cut[turn.side, :2])
     push += times(engagement.moment * (thin > 0.0), turn.rub[turn.side, :2])
     wrench[:, 3] -= push[:, 1]
     wrench[:, 4] += push[:, 0]
-    removal = times(engagement.length * chip, patch)[:, 0]
     square = np.square(times(rest, turn.rub[turn.bottom]).astype(float)) / 3.0  # uniform from none of it to all
     if turn.drill:
         square[:, 2] += np.square(_POINT * wrench[:, 2]) / 3.0

@@ -351,7 +351,7 @@ class Sweep(Struct, eq=False):
                 1, len(t) - 1
             )
             deep = max(self._highest(position, cutter.radius) - bottom, 0.0)
-        return self._cuts(turn, number, (motion, t, is_axial), loads, engagement.length * (chip > 0.0), deep)
+        return self._cuts(turn, number, (motion, t, is_axial), loads, engagement.length * chip.share, deep)
 
     def _cuts(
         self, turn: Turn, number: int, stations: tuple[Ints, Array, Bools], loads: Loads, cuts: Floats, deep: float

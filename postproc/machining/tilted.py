@@ -17,7 +17,7 @@ from msgspec.structs import replace
 
 from postproc.chunks import Columns
 from postproc.frames import Array, norm
-from postproc.machining.cutting import Engaged, Loads, mean, nearby_cells
+from postproc.machining.cutting import Chips, Engaged, Loads, mean, nearby_cells
 from postproc.machining.material import Floats
 from postproc.machining.stock import Footprint, Stock, cells, middles, windows
 from postproc.machining.tool import Cutter, Turn
@@ -146,14 +146,16 @@ def loads(stock: Stock, turn: Turn, path: TiltedPath, tooth: Array, hand: Ints) 
     travel = np.nan_to_num(path.pace * tooth)[:, None] * np.einsum("nik,ni->nk", edge_axes, path.heading)
     lean = tooth[:, None] * np.einsum("nik,ni->nk", edge_axes, path.swing)
     # the points of a tool whose axis changes by e move by e h − a (e·r)
-    chip = (travel.astype(np.float32) @ normal) + (
-        lean[:, :2].astype(np.float32) @ (normal[:2] * edge[2] - normal[2] * edge[:2])
+    travel_, lean_ = travel.astype(np.float32), lean[:, :2].astype(np.float32)
+    middle, change = (
+        travel_ @ direction + lean_ @ (direction[:2] * point[2] - direction[2] * point[:2])
+        for direction, point in ((normal, edge), (turn.tangent[turn.round].T, edge[:, turn.round]))
     )
-    np.maximum(chip, 0.0, out=chip)
+    chip = Chips.of(turn, middle, change)
     engagement = engaged(stock, turn, point, edge_axes)
     descent_sine = np.maximum(-np.einsum("ni,ni->n", path.heading, path.axis), 0.0).astype(np.float32)
     mean_loads = mean(turn, engagement, chip, descent_sine, stock.cell / np.sqrt(path.axis[:, 2]))
-    return mean_loads, engagement.length * (chip > 0.0), is_axial
+    return mean_loads, engagement.length * chip.share, is_axial
 
 
 class Swept(Struct, frozen=True, eq=False):

@@ -107,6 +107,19 @@ def test_mean_wrench_and_volume_are_the_integrals_of_the_formulas(law, cutter, f
     assert found.removal[0] == pytest.approx(volume, rel=0.01)
 
 
+def test_the_edge_that_moves_into_the_material_near_the_tip_is_the_integral_over_its_rings():
+    """On a ball that goes down by an angle, a ring within that angle cuts along all of its circle."""
+    turn, outermost = turn_of(BALL, step=0.25e-3, descent=0.25), 7 * float(edge(BALL, 0.25e-3).bend[0])
+    pieces, n = turn.radius < BALL.radius * np.sin(outermost), np.ones(1, dtype=np.float32)
+    kappa, errors = (np.arange(4000) + 0.5) * outermost / 4000, []
+    for angle in np.radians(np.linspace(-14.0, 14.0, 57)):
+        chip = cutting.chips(turn, n * np.float32(1e-4 * np.cos(angle)), n * np.float32(1e-4 * np.sin(angle)))
+        length = np.sum((chip.share[0] * turn.length * turn.width)[pieces])
+        circle = np.pi + 2.0 * np.arcsin(np.clip(np.tan(angle) / np.tan(kappa), -1.0, 1.0))
+        errors.append(length / (BALL.radius * outermost * circle.mean()) - 1.0)
+    assert np.sqrt(np.mean(np.square(errors))) < 0.015  # 0.035 by the middles of pieces alone
+
+
 def test_products_in_pieces_are_products():
     rng = np.random.default_rng(1)
     for rows, inner, columns in ((1, 5, 3), (1000, 700, 6), (0, 4, 2), (3, 300_000, 1)):

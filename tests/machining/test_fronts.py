@@ -22,6 +22,12 @@ def test_forces_on_random_surfaces_are_those_of_exact_fronts(tmp_path, name):
     assert error <= ALLOWED.get(name, OTHERWISE)
 
 
+def test_a_thin_pass_down_a_slope_has_no_contact_behind_its_ridge(tmp_path):
+    """The rows fall by up to 10°, and meet the ridges of the rows before close to the tip: cells below it count too."""
+    comparison = compared(tmp_path, CASES["ball R8 finish 0.5"], np.random.default_rng(52102), cell=0.25, count=25)
+    assert comparison.error <= 0.045
+
+
 @pytest.mark.parametrize(("corner", "drop"), [(0.0, 0.0), (0.0, 0.2), (1.5, 0.2), (5.0, 0.2), (5.0, -0.2)])
 def test_exact_fronts_are_those_of_teeth(corner, drop):
     """A second cut beside a first one, straight, down or up: what is left is known without a swept solid."""

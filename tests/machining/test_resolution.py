@@ -11,7 +11,7 @@ from tests.machining.setting import forces, gcode, line_of, process, tool
 
 BOX = ((0, 20), (0, 12), (-20, 0))
 BALL = tool(6, 2, "ball")
-ROUGH = [f"G0 X-5 Y{y}\nG0 Z-2.9\nG1 X25 F1000\nG0 Z5" for y in (2, 5, 8)]
+ROUGH = [f"G0 X-5 Y{y}\nG0 Z-2.95\nG1 X25 F1000\nG0 Z5" for y in range(1, 10)]
 FINISH = [f"G0 X-5 Y{y:.1f}\nG0 Z-3\nG1 X25 F1000 (finish {k})\nG0 Z5" for k, y in enumerate(np.arange(1.5, 8.6, 0.5))]
 
 

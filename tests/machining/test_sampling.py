@@ -62,24 +62,30 @@ def by_loops(stock, turn, x, y, tip, descent):
                 inside += weight * max((1 - share) * upper + share * lower - under, 0.0)
             length[n, p] = inside / deep * turn.length[p]
         elif p < turn.round.stop:
-            level, mean, planes = 0.0, 0.0, []
+            level, mean, coverage, planes = 0.0, 0.0, 0.0, []
             for cell, weight in around:
                 high, floor, share = (float(one[cell]) for one in (stock.high, stock.floor, stock.share))
-                upper = z if high <= floor else max(high, z)
-                lower = min(max(float(stock.low[cell]), z), upper)
-                mixed = (1 - share) * upper + share * lower
+                deepest = z + low - 3.0 * CELL  # what is lower is beyond a wall
+                if high <= max(floor, deepest):
+                    continue
+                lower = min(float(stock.low[cell]), high)
+                mixed = (1 - share) * high + share * lower if lower > deepest else high
+                weight *= 1.0 if lower > deepest else 1.0 - share
                 steep = [1e-4 * float(each) for each in stock.slope[cell]]
                 share_x, share_y = around[1][1] + around[3][1], around[2][1] + around[3][1]
                 dx = (share_x - (cell[1] - around[0][0][1])) * CELL
                 dy = (share_y - (cell[0] - around[0][0][0])) * CELL
-                plane = max(mixed + (steep[0] * dx + steep[1] * dy if high > z else 0.0), z)
-                level, mean = level + weight * mixed, mean + weight * plane
+                plane = mixed + steep[0] * dx + steep[1] * dy
+                level, mean, coverage = level + weight * mixed, mean + weight * plane, coverage + weight
                 planes.append(plane)
+            if coverage == 0.0:
+                continue
+            level, mean = level / coverage, mean / coverage
             if stock.slope.any():  # a ridge between the planes, or a round that they touch
                 level = min(planes) if min(planes) > level else 0.5 * (level + mean)
             floor = float(stock.floor[around[0][0]])
             inside = min(max(level - z - low, 0.0), rise) - min(max(floor - z - low, 0.0), rise)
-            length[n, p] = max(inside, 0.0) / rise * turn.length[p]
+            length[n, p] = coverage * max(inside, 0.0) / rise * turn.length[p]
         else:
             rows, columns = stock.high.shape
             cell = (min(max(int((y[n, p] - stock.y) / CELL), 0), rows - 1),
