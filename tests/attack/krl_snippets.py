@@ -688,6 +688,8 @@ class Snippets(Generator):
         end = f"LIN {self.literal('E6POS')}{tail}"
         there = f"LIN {self.literal('E6POS')}"
         point = self.variable("E6POS")
+        if kind in ("INT", "REAL") and self.maybe(0.12):
+            return self.use_in_function(kind, name, end, there)
         if kind == "INT":
             counter = self.variable("INT")
             return self.one(
@@ -766,6 +768,18 @@ class Snippets(Generator):
             ["SPLINE", f"SPL {name}", self.one("SPL XB", f"S{there}", "STOP WHEN PATH=0 IF $IN[1]"), "ENDSPLINE", end],
             ["SPLINE", "CONST_VEL START=1", f"SLIN {name}", f"S{there}", "CONST_VEL END=-1", "ENDSPLINE"],
             [f"LIN {name}", self.one("LIN $POS_ACT", "PTP $POS_ACT"), end],
+        )
+
+    def use_in_function(self, kind, name, end, there):
+        """Motions that depend on a function which only gives a value, by a condition, a bound, an index or a target."""
+        call, counter = self.function("INT"), self.variable("INT")
+        whole = name if kind == "INT" else "J"
+        return self.one(
+            [f"IF {call}>={name} THEN", end, "ENDIF", there],
+            [f"FOR {counter}=1 TO {call}", f"LIN P[{whole}]", "ENDFOR", there],
+            [f"LIN {{X {call}+{name},Y 1,Z 2,A 3,B 4,C 5}}"],
+            [f"SWITCH {call}", f"CASE {whole}", end, "DEFAULT", there, "ENDSWITCH"],
+            [f"LIN P[({call} B_AND 1)+1]", end],
         )
 
     def moving(self, kind, *body):
